@@ -1,0 +1,122 @@
+"""An object dictionary as rows: one row is one object, or one sub-index of an array or record.
+
+`build` turns the rows into canopen's dictionary classes, from which the SDO server, the PDOs and the
+EDS file all read. What a device adds to CiA 301 is a list of rows and nothing else.
+"""
+
+import itertools
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from canopen import objectdictionary
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
+
+KINDS = {
+    "BOOL": datatypes.BOOLEAN,
+    "U8": datatypes.UNSIGNED8, "I8": datatypes.INTEGER8,
+    "U16": datatypes.UNSIGNED16, "I16": datatypes.INTEGER16,
+    "U32": datatypes.UNSIGNED32, "I32": datatypes.INTEGER32,
+    "U64": datatypes.UNSIGNED64, "I64": datatypes.INTEGER64,
+    "F32": datatypes.REAL32, "TEXT": datatypes.VISIBLE_STRING,
+    "BYTES": datatypes.OCTET_STRING, "DOMAIN": datatypes.DOMAIN,
+}
+# records of CiA 301; any other object with sub-indices of one type is an array
+_RECORDS = ((0x1018, 0x1018), (0x1023, 0x1025), (0x1200, 0x12FF), (0x1400, 0x1BFF))
+
+READ, WRITE = "r", "w"
+
+
+class Row(NamedTuple):
+    """One object or sub-index. An `index` that has one row is a VAR, with more an ARRAY or RECORD.
+
+    `name` is "object/sub-index" for a row of an array or record. `access`: const, ro, wo, rw, or
+    rwr / rww (rw, mappable in that direction only). `low` and `high` bound what may be written.
+    `relative`: the node identifier is added to the default. `factor` and `unit`: the value of one
+    count.
+    """
+
+    index: int
+    sub: int
+    name: str
+    kind: str
+    access: str
+    default: Any
+    mappable: bool = False
+    low: int | None = None
+    high: int | None = None
+    relative: bool = False
+    unit: str = ""
+    factor: float = 1.0
+    text: str = ""
+
+
+class Identity(NamedTuple):
+    """Object 1018h and what the EDS file says of the maker and the product."""
+
+    vendor: str
+    product: str
+    vendor_id: int
+    product_code: int
+    revision: int
+    serial: int
+
+
+def array(index: int, name: str, kind: str, access: str, defaults: Iterable[Any],
+          subs: Iterable[str] = (), **more: Any) -> list[Row]:
+    """Rows of an array: sub-index 0 and one row for each default (named by `subs` or numbered)."""
+    defaults = list(defaults)
+    names = list(subs) or [f"{name} {at}" for at in range(1, len(defaults) + 1)]
+    rows = [Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", len(defaults))]
+    return rows + [Row(index, at, f"{name}/{sub}", kind, access, default, **more)
+                   for at, (sub, default) in enumerate(zip(names, defaults, strict=True), 1)]
+
+
+def build(rows: Iterable[Row], node_id: int, identity: Identity) -> objectdictionary.ObjectDictionary:
+    """The dictionary of a node. ValueError where two rows claim the same place."""
+    dictionary = objectdictionary.ObjectDictionary()
+    dictionary.node_id = node_id
+    for index, group in itertools.groupby(sorted(rows, key=lambda row: row[:2]), lambda row: row.index):
+        members = list(group)
+        if len({row.sub for row in members}) != len(members):
+            raise ValueError(f"object {index:04X}h has two rows for one sub-index")
+        dictionary.add_object(_object(index, members, node_id))
+    _describe(dictionary, identity)
+    return dictionary
+
+
+def _object(index: int, rows: list[Row], node_id: int) -> ODVariable | ODArray | ODRecord:
+    if len(rows) == 1 and rows[0].sub == 0:
+        return _variable(rows[0], rows[0].name, node_id)
+    same = len({row.kind for row in rows[1:]}) == 1
+    record = any(first <= index <= last for first, last in _RECORDS) or not same
+    holder = (ODRecord if record else ODArray)(rows[0].name.partition("/")[0], index)
+    for row in rows:
+        holder.add_member(_variable(row, row.name.partition("/")[2], node_id))
+    return holder
+
+
+def _variable(row: Row, name: str, node_id: int) -> ODVariable:
+    variable = ODVariable(name, row.index, row.sub)
+    variable.data_type = KINDS[row.kind]
+    variable.access_type = row.access
+    variable.pdo_mappable = row.mappable
+    variable.min, variable.max = row.low, row.high
+    variable.unit, variable.factor, variable.description = row.unit, row.factor, row.text
+    variable.default, variable.relative = row.default, row.relative
+    if row.relative:
+        variable.default = row.default + node_id
+        variable.default_raw = f"$NODEID+0x{row.default:X}"
+    return variable
+
+
+def _describe(dictionary: objectdictionary.ObjectDictionary, identity: Identity) -> None:
+    about = dictionary.device_information
+    about.vendor_name, about.vendor_number = identity.vendor, identity.vendor_id
+    about.product_name, about.product_number = identity.product, identity.product_code
+    about.revision_number, about.order_code = identity.revision, identity.product
+    about.simple_boot_up_master, about.simple_boot_up_slave = False, True
+    about.granularity, about.dynamic_channels_supported, about.group_messaging = 8, False, False
+    about.nr_of_RXPDO = sum(0x1400 <= index < 0x1600 for index in dictionary)
+    about.nr_of_TXPDO = sum(0x1800 <= index < 0x1A00 for index in dictionary)
+    about.LSS_supported = True
+    about.allowed_baudrates = {rate * 1000 for rate in (10, 20, 50, 125, 250, 500, 800, 1000)}

@@ -1,0 +1,106 @@
+"""Emergency messages: what is wrong with a node, told once when it begins and once when it ends.
+
+An error that is already reported stays silent; the error register and the history follow. Between
+two messages lies at least the inhibit time; what has to wait is sent later, in order. Source: CiA
+301, EMCY protocol, objects 1001h, 1003h, 1014h, 1015h.
+"""
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from rollerrig.firmware_sim.cia301 import identifiers
+from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
+from rollerrig.firmware_sim.cia301.communication import HISTORY
+from rollerrig.firmware_sim.cia301.objects import key
+
+if TYPE_CHECKING:
+    from rollerrig.firmware_sim.cia301.node import Node
+
+_WAITING = 32
+# error register bits by the first hexadecimal digit of the code; bit 0 is always set
+_REGISTER = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10, 0xF: 0x20, 0x6: 0x80}
+SYNC_LENGTH, PDO_LENGTH, HEARTBEAT_LOST, RPDO_LATE = 0x8240, 0x8210, 0x8130, 0x8250
+
+
+class Emergency:
+    """The errors of a node. Sources of errors are told apart by code and `source`."""
+
+    def __init__(self, node: "Node") -> None:
+        self.node = node
+        self.active: dict[tuple[int, int], int] = {}
+        self.history: deque[int] = deque(maxlen=HISTORY)
+        self._waiting: deque[bytes] = deque(maxlen=_WAITING)
+        self._free_ns = 0
+        objects = node.objects
+        objects.readers[key(0x1001, 0)] = self.register
+        objects.readers[key(0x1003, 0)] = lambda: len(self.history)
+        for at in range(1, HISTORY + 1):
+            objects.readers[key(0x1003, at)] = lambda at=at: self._field(at)
+        objects.checks[key(0x1003, 0)] = self._clear_history
+        objects.checks[key(0x1014, 0)] = self._check_cob_id
+        objects.checks[key(0x1015, 0)] = self._check_inhibit
+
+    def register(self) -> int:
+        """The error register 1001h."""
+        bits = 1 if self.active else 0
+        for code, _ in self.active:
+            bits |= _REGISTER.get(code >> 12, 0)
+        return bits
+
+    def report(self, code: int, source: int = 0, information: bytes = b"") -> bool:
+        """An error has begun. Nothing happens, and False comes back, if it is already known."""
+        if (code, source) in self.active:
+            return False
+        self.active[code, source] = code
+        self.history.appendleft(code | int.from_bytes(information[:2], "little") << 16)
+        self._queue(code, information)
+        return True
+
+    def clear(self, code: int, source: int = 0) -> None:
+        """An error has ended: tell it with code 0 and what is left in the error register."""
+        if self.active.pop((code, source), None) is not None:
+            self._queue(0, code.to_bytes(2, "little"))
+
+    def forget(self, everything: bool) -> None:
+        """After a reset: no communication error, or none at all, and nothing waits."""
+        kept = {} if everything else {at: code for at, code in self.active.items() if code >> 12 != 8}
+        self.active = kept
+        if everything:
+            self.history.clear()
+        self._waiting.clear()
+        self._free_ns = 0
+
+    def _queue(self, code: int, information: bytes) -> None:
+        message = code.to_bytes(2, "little") + bytes([self.register()])
+        self._waiting.append(message + information[:5].ljust(5, b"\0"))
+        self.flush()
+
+    def flush(self) -> None:
+        """Send what waits, as far as state and inhibit time allow."""
+        node = self.node
+        cob_id = node.objects.values[key(0x1014, 0)]
+        if not identifiers.valid(cob_id):
+            self._waiting.clear()
+        while self._waiting and node.state.has_emergencies:
+            if node.now_ns < self._free_ns:
+                node.timers.set("emergency", self._free_ns, self.flush)
+                return
+            self._free_ns = node.now_ns + node.objects.values[key(0x1015, 0)] * 100_000
+            node.transmit(cob_id, self._waiting.popleft())
+
+    def _field(self, at: int) -> int:
+        return self.history[at - 1] if at <= len(self.history) else 0
+
+    def _clear_history(self, value: int) -> None:
+        if value != 0:
+            raise AbortError(Abort.INVALID_VALUE)
+        self.history.clear()
+
+    def _check_cob_id(self, wanted: int) -> None:
+        identifiers.check_change(self.node.objects.values[key(0x1014, 0)], wanted)
+
+    def _check_inhibit(self, value: int) -> None:
+        objects = self.node.objects
+        changed = value != objects.values[key(0x1015, 0)]
+        if changed and identifiers.valid(objects.values[key(0x1014, 0)]):
+            raise AbortError(Abort.DEVICE_STATE)

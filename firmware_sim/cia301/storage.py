@@ -1,0 +1,84 @@
+"""Parameters that outlive a power cycle: 1010h stores them in a file, 1011h gives the defaults back.
+
+Written are the parameters that a client may change, not process values or commands: a drive must
+not wake up enabled. Restored defaults take effect with the next reset, as the standard wants.
+Source: CiA 301, objects 1010h and 1011h with their signatures.
+"""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
+from rollerrig.firmware_sim.cia301.objects import key
+
+if TYPE_CHECKING:
+    from rollerrig.firmware_sim.cia301.node import Node
+
+SAVE, LOAD = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little")
+# what each sub-index of 1010h and 1011h covers
+RANGES = {1: (0x1000, 0xFFFF), 2: (0x1000, 0x1FFF), 3: (0x2000, 0xFFFF)}
+_NEVER = {0x1003, 0x1010, 0x1011}
+
+
+class Storage:
+    """The file of a node; `path` None: the node has no memory, and storing is refused."""
+
+    def __init__(self, node: "Node", path: Path | None) -> None:
+        self.node, self.path = node, path
+        for sub in RANGES:
+            node.objects.checks[key(0x1010, sub)] = lambda value, sub=sub: self._store(sub, value)
+            node.objects.checks[key(0x1011, sub)] = lambda value, sub=sub: self._restore(sub, value)
+            # both read as "can be done on command", whatever was written
+            node.objects.readers[key(0x1010, sub)] = lambda: int(self.path is not None)
+            node.objects.readers[key(0x1011, sub)] = lambda: int(self.path is not None)
+
+    def load(self) -> dict[int, Any]:
+        """Stored values by key; nothing where there is no file or it cannot be understood."""
+        try:
+            kept = json.loads(self.path.read_text(encoding="utf-8")) if self.path else {}
+        except (OSError, ValueError):
+            return {}
+        pairs = kept.items() if isinstance(kept, dict) else ()
+        named = {f"{at:06X}": at for at in self._storable(0x1000, 0xFFFF)}
+        return {named[name]: value for name, value in pairs
+                if name in named and self._fits(named[name], value)}
+
+    def _fits(self, at: int, value: Any) -> bool:
+        """Whether a value that came from the file is one the object may have."""
+        objects = self.node.objects
+        one = objects.variables[at]
+        try:
+            one.encode_raw(value)
+        except (ValueError, TypeError, AttributeError):
+            return False
+        return (one.min is None or value >= one.min) and (one.max is None or value <= one.max)
+
+    def _storable(self, first: int, last: int) -> list[int]:
+        objects = self.node.objects
+        return [at for at, one in objects.variables.items()
+                if first <= at >> 8 <= last and one.readable and one.writable
+                and one.fixed_size and not one.pdo_mappable
+                and at >> 8 not in _NEVER and at not in objects.readers]
+
+    def _store(self, sub: int, signature: int) -> None:
+        self._check(signature, SAVE)
+        now = self.node.objects.values
+        self._write(self.load() | {at: now[at] for at in self._storable(*RANGES[sub])})
+
+    def _restore(self, sub: int, signature: int) -> None:
+        self._check(signature, LOAD)
+        first, last = RANGES[sub]
+        self._write({at: value for at, value in self.load().items() if not first <= at >> 8 <= last})
+
+    def _check(self, signature: int, wanted: int) -> None:
+        if signature != wanted or self.path is None:
+            raise AbortError(Abort.NOT_STORED)
+
+    def _write(self, kept: dict[int, Any]) -> None:
+        assert self.path is not None
+        text = json.dumps({f"{at:06X}": value for at, value in sorted(kept.items())}, indent=0)
+        try:
+            self.path.write_text(text, encoding="utf-8")
+        except OSError:
+            raise AbortError(Abort.NOT_STORED) from None

@@ -1,0 +1,124 @@
+"""The axle speed unit, node 16: four pole wheels read by a CiA 406 encoder for several sensors.
+
+Speeds go out as 16-bit values with TPDO1; finer speeds, tooth frequency and pulse counters stand
+beside them. A position is the pulse counter of its axle plus an offset that the preset sets. Source:
+CiA 406 (objects 6000h to 65xxh, multi-sensor objects); 2100h to 2102h are this rig's own.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from rollerrig.firmware_sim import process_image
+from rollerrig.firmware_sim.cia301 import communication, dictionary
+from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
+from rollerrig.firmware_sim.cia301.dictionary import Row, array
+from rollerrig.firmware_sim.cia301.node import Node
+from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.signals import AXLES, SPEED_NODE, Place
+
+DEVICE_TYPE = 0x000A0196
+PRODUCT_CODE = 0x406
+TITLES = {0x6030: "Speed value", 0x2100: "Tooth frequency", 0x2101: "Pulse counter",
+          0x2102: "Speed value fine"}
+ACCELERATION = Place(SPEED_NODE, 0x6040, 1, "I16", 0.01)
+DEFAULTS = {"teeth": 80.0}
+_AXLES = range(1, AXLES + 1)
+
+SYNCHRONOUS = 1
+TPDOS = (
+    Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in _AXLES)),
+    Pdo(SYNCHRONOUS, ((0x2100, 1, 32), (0x2100, 2, 32))),
+    Pdo(SYNCHRONOUS, ((0x2100, 3, 32), (0x2100, 4, 32))),
+)
+
+
+def rows(parameters: Mapping[str, float]) -> list[Row]:
+    """The device profile's objects. `parameters`: teeth (of each pole wheel)."""
+    teeth = round(parameters["teeth"])
+    by_axle = [f"Axle {axle}" for axle in _AXLES]
+    return [
+        *process_image.rows(SPEED_NODE, 0, parameters, TITLES),
+        Row(0x6000, 0, "Operating parameters", "U16", "rw", 0),
+        Row(0x6001, 0, "Measuring units per revolution", "U32", "const", teeth),
+        Row(0x6002, 0, "Total measuring range in measuring units", "U32", "const", 0xFFFFFFFF),
+        Row(0x6003, 0, "Preset value", "U32", "rw", 0),
+        Row(0x6004, 0, "Position value", "U32", "ro", 0, True, text="teeth, axle 1"),
+        *array(0x6010, "Preset values for multi-sensor devices", "U32", "rw", [0] * AXLES, by_axle),
+        *array(0x6020, "Position value for multi-sensor devices", "U32", "ro", [0] * AXLES, by_axle,
+               mappable=True, text="teeth"),
+        *array(0x6040, "Acceleration value", "I16", "ro", [0] * AXLES, by_axle, mappable=True,
+               unit="rad/s2", factor=ACCELERATION.scale),
+        Row(0x6200, 0, "Cyclic timer", "U16", "rw", 0, unit="ms"),
+        Row(0x6500, 0, "Operating status", "U16", "ro", 0, True),
+        Row(0x6501, 0, "Single-turn resolution", "U32", "const", teeth),
+        Row(0x6502, 0, "Number of distinguishable revolutions", "U16", "const",
+            min(0xFFFF, 0xFFFFFFFF // max(teeth, 1))),
+        Row(0x6503, 0, "Alarms", "U16", "ro", 0, True),
+        Row(0x6504, 0, "Supported alarms", "U16", "const", 0x1000),
+        Row(0x6505, 0, "Warnings", "U16", "ro", 0, True),
+        Row(0x6506, 0, "Supported warnings", "U16", "const", 0),
+        Row(0x6507, 0, "Profile and software version", "U32", "const", 0x00010302),
+        Row(0x6508, 0, "Operating time", "U32", "ro", 0, unit="h", factor=0.1),
+        *array(0x6509, "Offset value", "I32", "ro", [0] * AXLES, by_axle),
+        Row(0x650B, 0, "Serial number", "U32", "const", SPEED_NODE),
+    ]
+
+
+def build(row: np.ndarray, parameters: Mapping[str, float] | None = None,
+          storage: Path | None = None) -> Node:
+    """The node. `row`: live float64 array of all signals, shape (columns,); `storage`: for 1010h."""
+    parameters = DEFAULTS | dict(parameters or {})
+    profile = Profile(DEVICE_TYPE, "axle speed unit", tpdos=TPDOS,
+                      sync_counter=int(parameters.get("sync_counter", 0)))
+    who = process_image.identity("axle speed unit", PRODUCT_CODE, SPEED_NODE)
+    objects = communication.rows(profile, who) + rows(parameters)
+    node = Node(dictionary.build(objects, SPEED_NODE, who), storage)
+    process_image.bind(node, row, SPEED_NODE, 0, parameters)
+    node.device = SpeedUnit(node, row)
+    return node
+
+
+class SpeedUnit:
+    """Positions, presets and accelerations, which are computed here and are no signals."""
+
+    def __init__(self, node: Node, row: np.ndarray) -> None:
+        self.node, self._row = node, row
+        self._time, self._speeds = signals.column("time"), signals.span("wheel_speed")
+        self._now = self._before = (row.item(self._time), row[self._speeds].tolist())
+        node.on_sync.append(self._sample)
+        objects = node.objects
+        for axle in _AXLES:
+            objects.readers[key(0x6020, axle)] = lambda axle=axle: self.position(axle)
+            objects.readers[key(0x6040, axle)] = lambda axle=axle: self.acceleration(axle)
+            objects.effects[key(0x6010, axle)] = lambda value, axle=axle: self._preset(axle, value)
+        objects.readers[key(0x6004, 0)] = lambda: self.position(1)
+        objects.effects[key(0x6003, 0)] = lambda value: self._preset(1, value)
+        objects.readers[key(0x6508, 0)] = self._tenths_of_hours
+        # the cyclic timer is another name of the event timer of TPDO1
+        objects.readers[key(0x6200, 0)] = lambda: objects.values[key(0x1800, 5)]
+        objects.effects[key(0x6200, 0)] = lambda value: objects.assign(key(0x1800, 5), value)
+
+    def position(self, axle: int) -> int:
+        """Teeth counted on an axle (from 1), plus the offset, in 32 bits."""
+        objects = self.node.objects
+        return (objects.get(0x2101, axle) + objects.values[key(0x6509, axle)]) & 0xFFFFFFFF
+
+    def acceleration(self, axle: int) -> int:
+        """Change of an axle's speed between the last two SYNCs, in 0.01 rad/s2."""
+        (before_s, before), (now_s, now) = self._before, self._now
+        if now_s <= before_s:
+            return 0
+        return signals.count((now[axle - 1] - before[axle - 1]) / (now_s - before_s), ACCELERATION)
+
+    def _sample(self) -> None:
+        self._before, self._now = self._now, (self._row.item(self._time),
+                                              self._row[self._speeds].tolist())
+
+    def _preset(self, axle: int, wanted: int) -> None:
+        offset = (wanted - self.node.objects.get(0x2101, axle)) & 0xFFFFFFFF
+        self.node.objects.values[key(0x6509, axle)] = offset - (offset >> 31 << 32)
+
+    def _tenths_of_hours(self) -> int:
+        return int(self._row.item(self._time) / 360.0) & 0xFFFFFFFF

@@ -1,0 +1,146 @@
+"""The brake I/O, node 17: dump-valve magnets out, brake cylinder pressures in, as a CiA 401 module.
+
+A command for the magnets is taken at once. When the WSP unit's heartbeat is lost, or the node is
+stopped or reset, the magnets fall to the fail-safe value (all off: the brakes apply) and stay there
+until the heartbeat is back. A vent magnet without its hold magnet is reported and treated as vent.
+Source: CiA 401 (6200h outputs, 6206h and 6207h error mode and value, 6401h and 6411h analogue).
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from rollerrig.firmware_sim import process_image
+from rollerrig.firmware_sim.cia301 import communication, dictionary
+from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
+from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
+from rollerrig.firmware_sim.cia301.dictionary import Row, array
+from rollerrig.firmware_sim.cia301.nmt import State
+from rollerrig.firmware_sim.cia301.node import Node
+from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME, WSP_NODE
+
+# the array of commands: energised magnets of each axle (bit 0 hold, bit 1 vent), then the brake
+# cylinder pressure that the bus asks for (NaN: it asks for none)
+MAGNETS = slice(0, AXLES)
+BRAKE_DEMAND = AXLES
+COMMANDS = AXLES + 1
+
+DEVICE_TYPE = 0x000F0191
+PRODUCT_CODE = 0x401
+HEARTBEAT_MS = 200
+HOLD, VENT = 1, 2
+TITLES = {0x6401: "Read analogue input 16-bit"}
+DEMAND = BY_NAME["brake_demand"].places[0]
+HIGHEST_DEMAND_mbar = 10_000
+AT_ONCE, SYNCHRONOUS = 255, 1
+RPDOS = (Pdo(AT_ONCE, ((0x6200, 1, 8),)),)
+TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 1))),)
+
+
+def rows(parameters: Mapping[str, float]) -> list[Row]:
+    """The device profile's objects."""
+    demand = {"mappable": True, "low": 0, "high": HIGHEST_DEMAND_mbar, "unit": "Pa",
+              "factor": DEMAND.scale, "text": BY_NAME["brake_demand"].text}
+    return [
+        *process_image.rows(BRAKE_NODE, 0, parameters, TITLES),
+        *array(0x6000, "Read input 8-bit", "U8", "ro", [0], ("Magnets energised",), mappable=True),
+        Row(0x6005, 0, "Global interrupt enable digital", "BOOL", "rw", True),
+        *array(0x6200, "Write output 8-bit", "U8", "rw", [0], ("Magnets",), mappable=True,
+               text="bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1"),
+        *array(0x6206, "Error mode output 8-bit", "U8", "rw", [0xFF], ("Magnets",)),
+        *array(0x6207, "Error value output 8-bit", "U8", "rw", [0], ("Magnets",)),
+        *array(0x6411, "Write analogue output 16-bit", "I16", "rw", [0], ("Brake demand",), **demand),
+        Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
+        *array(0x6443, "Analogue output error mode", "U8", "rw", [0], ("Brake demand",), high=1),
+        *array(0x6444, "Analogue output error value integer", "I32", "rw", [0], ("Brake demand",),
+               low=0, high=HIGHEST_DEMAND_mbar),
+    ]
+
+
+def build(row: np.ndarray, commands: np.ndarray, parameters: Mapping[str, float] | None = None,
+          on_command: Callable[[], None] = lambda: None, storage: Path | None = None) -> Node:
+    """The node.
+
+    `row`: live float64 array of all signals; `commands`: float64 array of shape (COMMANDS,) that the
+    node writes before it calls `on_command()`.
+    """
+    parameters = dict(parameters or {})
+    profile = Profile(DEVICE_TYPE, "brake I/O", RPDOS, TPDOS, consumed=((WSP_NODE, HEARTBEAT_MS),),
+                      sync_counter=int(parameters.get("sync_counter", 0)))
+    who = process_image.identity("brake I/O", PRODUCT_CODE, BRAKE_NODE)
+    objects = communication.rows(profile, who) + rows(parameters)
+    node = Node(dictionary.build(objects, BRAKE_NODE, who), storage)
+    node.event_enablers = {0x6000: key(0x6005, 0), 0x6401: key(0x6423, 0)}
+    process_image.bind(node, row, BRAKE_NODE, 0, parameters)
+    node.device = BrakeIo(node, row, commands, on_command)
+    return node
+
+
+class BrakeIo:
+    """The outputs. `held`: they stay at the fail-safe value, because a partner is lost."""
+
+    def __init__(self, node: Node, row: np.ndarray, commands: np.ndarray,
+                 on_command: Callable[[], None]) -> None:
+        self.node, self.commands, self.on_command, self.held = node, commands, on_command, False
+        self._venting_alone = [False] * AXLES
+        objects = node.objects
+        objects.readers[key(0x6000, 1)] = lambda: objects.values[key(0x6200, 1)]
+        objects.readers[key(0x6411, 1)] = process_image.reader(
+            row, signals.column("brake_demand"), DEMAND)
+        objects.checks[key(0x6200, 1)] = self._check_free
+        objects.effects[key(0x6200, 1)] = self._energise
+        objects.effects[key(0x6411, 1)] = self._demand
+        node.on_partner.append(self._on_partner)
+        node.on_state.append(self._on_state)
+        node.on_reset.append(self._forget_demand)
+        commands[MAGNETS], commands[BRAKE_DEMAND] = 0.0, np.nan
+
+    def fail_safe(self, why: str) -> None:
+        """Magnets and demand take the values that 6206h, 6207h, 6443h and 6444h tell."""
+        values = self.node.objects.values
+        mask, wanted = values[key(0x6206, 1)], values[key(0x6207, 1)]
+        magnets = values[key(0x6200, 1)] & ~mask | wanted & mask
+        self.node.event("warning", f"magnets take the fail-safe value {magnets:02X}h: {why}")
+        values[key(0x6200, 1)] = magnets
+        self._energise(magnets)
+        if values[key(0x6443, 1)]:
+            self._demand(values[key(0x6444, 1)])
+
+    def _check_free(self, _: int) -> None:
+        if self.held:
+            raise AbortError(Abort.DEVICE_STATE)
+
+    def _energise(self, magnets: int) -> None:
+        for at in range(AXLES):
+            pair = magnets >> 2 * at & 3
+            alone = pair == VENT
+            if alone and not self._venting_alone[at]:
+                self.node.event("warning", f"vent magnet of axle {at + 1} without its hold magnet: "
+                                           "treated as vent")
+            self._venting_alone[at] = alone
+            self.commands[at] = HOLD | VENT if alone else pair
+        self.on_command()
+
+    def _demand(self, raw: int) -> None:
+        self.commands[BRAKE_DEMAND] = raw * DEMAND.scale
+        self.on_command()
+
+    def _forget_demand(self) -> None:
+        self.commands[BRAKE_DEMAND] = np.nan
+
+    def _on_partner(self, partner: int, alive: bool) -> None:
+        self.held = bool(self.node.consumer.lost) or self.node.guarding.lost
+        if not alive:
+            self.fail_safe(f"node {partner} is lost" if partner else "the guarding master is lost")
+
+    def _on_state(self, old: State, new: State) -> None:
+        if new is State.STOPPED:
+            self.fail_safe("NMT stopped")
+        elif new is State.INITIALISING and old is not new:
+            self.held = False
+            self.fail_safe("reset")
+        elif new is State.PRE_OPERATIONAL:
+            # after a reset the outputs may have another power-on value
+            self._energise(self.node.objects.values[key(0x6200, 1)])

@@ -1,0 +1,174 @@
+"""The bench on its own bus, node 127: NMT master and SYNC producer, unless an outside one is.
+
+A node is started once after its boot-up, or when its first heartbeat says PRE-OPERATIONAL; what an
+outside master commands later is left alone. The states of all nodes are known from their
+heartbeats, those of the WSP unit on 720h above all. Source: CiA 301, NMT, SYNC and heartbeat.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from rollerrig.firmware_sim.cia301.nmt import Command, State
+from rollerrig.firmware_sim.cia301.timers import MS, Timers
+from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.signals import (
+    BENCH_NODE,
+    BRAKE_NODE,
+    BY_NAME,
+    DRIVE_NODES,
+    SPEED_NODE,
+    WSP_NODE,
+)
+
+NMT_ID, SYNC_ID, FIRST_HEARTBEAT, FIRST_EMERGENCY, FIRST_TPDO = 0x000, 0x080, 0x700, 0x080, 0x180
+RIG_NODES = (*DRIVE_NODES, SPEED_NODE, BRAKE_NODE)
+REFERENCE_SPEED = BY_NAME["wsp_reference_speed"].places[0]
+_SYNC = Frame(SYNC_ID, b"")
+
+
+class Health:
+    """What is known of a node: its NMT state (None: never heard), when heard, and whether lost."""
+
+    def __init__(self) -> None:
+        self.state: State | None = None
+        self.heard_ns = 0
+        self.lost = self.started = False
+
+
+class Network:
+    """Node 127. It needs calls only: `on_frame`, `poll`, `sync`.
+
+    `master`: start the nodes; `sync_overflow`: highest value of the SYNC counter (0: no counter);
+    `lost_after_ms`: silence after which a node counts as lost; `unit_lost_after_ms`: the same for
+    the WSP unit. `on_event(level, text)` is for the run's events.
+    """
+
+    def __init__(self, nodes: Iterable[int] = RIG_NODES, master: bool = True, sync_overflow: int = 0,
+                 heartbeat_ms: int = 100, lost_after_ms: int = 500,
+                 unit_lost_after_ms: int = 200) -> None:
+        self.master, self.sync_overflow, self.heartbeat_ms = master, sync_overflow, heartbeat_ms
+        self.health = {node: Health() for node in (*nodes, WSP_NODE)}
+        self.reference_speed_m_s = math.nan
+        self.now_ns, self.counter = 0, 0
+        self.on_event: Callable[[str, str], None] = lambda level, text: None
+        self.on_rewired: Callable[[], None] = lambda: None
+        self.send: Callable[[Frame], Any] = lambda frame: None
+        self._timers = Timers()
+        self._after_ns = dict.fromkeys(self.health, lost_after_ms * MS)
+        self._after_ns[WSP_NODE] = unit_lost_after_ms * MS
+        self.handlers: dict[int, Callable[[Frame], None]] = {}
+        self.remote_handlers: dict[int, Callable[[Frame], None]] = {}
+
+    @property
+    def unit(self) -> Health:
+        """The WSP unit's health."""
+        return self.health[WSP_NODE]
+
+    @property
+    def unit_is_operational(self) -> bool:
+        """Whether the WSP unit is heard and OPERATIONAL."""
+        return self.unit.state is State.OPERATIONAL and not self.unit.lost
+
+    @property
+    def unit_is_lost(self) -> bool:
+        """Whether the WSP unit was heard once and is silent now."""
+        return self.unit.lost
+
+    def all_operational(self) -> bool:
+        """Whether every node of the rig (not the WSP unit) is OPERATIONAL."""
+        return all(one.state is State.OPERATIONAL and not one.lost
+                   for node, one in self.health.items() if node != WSP_NODE)
+
+    def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
+        """Boot-up, and then heartbeats as OPERATIONAL."""
+        self.send, self.now_ns = send, now_ns
+        self.handlers = {FIRST_HEARTBEAT + node: self._on_heartbeat for node in self.health}
+        self.handlers |= {FIRST_EMERGENCY + node: self._on_emergency for node in self.health}
+        self.handlers[FIRST_TPDO + WSP_NODE] = self._on_reference_speed
+        self.on_rewired()
+        send(Frame(FIRST_HEARTBEAT + BENCH_NODE, bytes(1)))
+        self._beat()
+
+    def on_frame(self, frame: Frame) -> None:
+        """A frame from the bus. Never raises, whatever it contains."""
+        handler = None if frame.remote or frame.extended else self.handlers.get(frame.can_id)
+        if handler is not None:
+            handler(frame)
+
+    def poll(self, now_ns: int) -> None:
+        """It is `now_ns`: send and notice what is due."""
+        self.now_ns = now_ns
+        self._timers.poll(now_ns)
+
+    def sync(self) -> None:
+        """Send SYNC, with the counter if there is one."""
+        if not self.sync_overflow:
+            self.send(_SYNC)
+            return
+        self.counter = self.counter % self.sync_overflow + 1
+        self.send(Frame(SYNC_ID, bytes([self.counter])))
+
+    def command(self, command: Command, node: int = 0) -> None:
+        """Send an NMT command to a node, or to all (0)."""
+        self.send(Frame(NMT_ID, bytes([command, node])))
+        if command in (Command.RESET_NODE, Command.RESET_COMMUNICATION):
+            self.counter = 0
+
+    def _beat(self) -> None:
+        if self.heartbeat_ms:
+            self._timers.set("heartbeat", self.now_ns + self.heartbeat_ms * MS, self._send_heartbeat)
+
+    def _send_heartbeat(self) -> None:
+        self.send(Frame(FIRST_HEARTBEAT + BENCH_NODE, bytes([State.OPERATIONAL])))
+        self._beat()
+
+    def _on_heartbeat(self, frame: Frame) -> None:
+        node = frame.can_id - FIRST_HEARTBEAT
+        state = _STATES.get(frame.data[0] & 0x7F) if len(frame.data) == 1 else None
+        if state is None:
+            return
+        health = self.health[node]
+        if health.state is None or health.lost:
+            back = "is back" if health.lost else "has appeared"
+            self.on_event("info", f"{_name(node)} {back}: {state.title}")
+        elif health.state is not state:
+            self.on_event("info", f"{_name(node)}: NMT {state.title}")
+        health.state, health.heard_ns, health.lost = state, self.now_ns, False
+        self._timers.set(f"lost {node}", self.now_ns + self._after_ns[node], partial(self._lose, node))
+        self._start_once(node, health)
+
+    def _start_once(self, node: int, health: Health) -> None:
+        if health.state is State.INITIALISING:
+            health.started = False
+        wants = health.state in (State.INITIALISING, State.PRE_OPERATIONAL)
+        if self.master and wants and not health.started:
+            health.started = True
+            self.command(Command.START, node)
+
+    def _lose(self, node: int) -> None:
+        self.health[node].lost, self.health[node].started = True, False
+        silent_ms = self._after_ns[node] // MS
+        self.on_event("error", f"{_name(node)} lost: no heartbeat for {silent_ms} ms")
+        if node == WSP_NODE:
+            self.reference_speed_m_s = math.nan
+
+    def _on_emergency(self, frame: Frame) -> None:
+        # 080h + node never is SYNC: node identifiers begin with 1
+        code = int.from_bytes(frame.data[:2], "little") if len(frame.data) == 8 else 0
+        if code:
+            node = frame.can_id - FIRST_EMERGENCY
+            self.on_event("warning", f"{_name(node)}: EMCY {code:04X}h, register {frame.data[2]:02X}h")
+
+    def _on_reference_speed(self, frame: Frame) -> None:
+        if len(frame.data) >= 2:
+            raw = int.from_bytes(frame.data[:2], "little", signed=True)
+            self.reference_speed_m_s = raw * REFERENCE_SPEED.scale
+
+
+_STATES = {int(state): state for state in State}
+
+
+def _name(node: int) -> str:
+    return "the WSP unit (node 32)" if node == WSP_NODE else f"node {node}"

@@ -1,0 +1,105 @@
+"""The signals of the rig as objects of a node: what stands where on the bus comes from one table.
+
+Objects that carry a signal hold no value of their own; each read converts the live row into the
+integer of the bus, as `signals.count` does. The conversion is prepared once for each object, because
+it runs for every signal at every SYNC.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from rollerrig.firmware_sim.cia301.dictionary import Identity, Row
+from rollerrig.firmware_sim.cia301.node import Node
+from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.signals import Place, Signal
+
+# no identifier of a vendor is registered with CAN in Automation
+_VENDOR, _VENDOR_ID, _REVISION = "rollerrig", 0, 0x00010000
+
+
+class Carried(NamedTuple):
+    """One axle of a signal on one object: `parameter` multiplies the scale of the place."""
+
+    signal: Signal
+    place: Place
+    axle: int
+    sub: int
+    parameter: float
+
+
+def identity(product: str, product_code: int, node_id: int) -> Identity:
+    """Object 1018h of a device: the node number is the serial number."""
+    return Identity(_VENDOR, product, _VENDOR_ID, product_code, _REVISION, node_id)
+
+
+def carried(node_number: int, axle: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
+    """What a node carries: `node_number` 0 with an axle is the drive under that axle.
+
+    KeyError if a scale needs a parameter that is not given.
+    """
+    for signal in signals.SIGNALS:
+        for place in signal.places:
+            if place.node != node_number:
+                continue
+            parameter = parameters[place.of] if place.of else 1.0
+            if node_number == 0:
+                yield Carried(signal, place, axle, place.sub, parameter)
+                continue
+            for at in range(signal.axles):
+                yield Carried(signal, place, at + 1, place.sub + at, parameter)
+
+
+def rows(node_number: int, axle: int, parameters: Mapping[str, float],
+         titles: Mapping[int, str]) -> list[Row]:
+    """Rows of the objects that carry measured signals; `titles` names the objects."""
+    found: dict[tuple[int, int], Row] = {}
+    for one in carried(node_number, axle, parameters):
+        signal, place = one.signal, one.place
+        if signal.direction != signals.OUT or place.index not in titles:
+            continue
+        title = titles[place.index]
+        unit = {"name": title, "kind": place.kind, "access": "ro", "default": 0, "mappable": True,
+                "unit": signal.unit.replace("_", "/"), "factor": place.scale * one.parameter,
+                "text": signal.text}
+        if one.sub:
+            unit["name"] = f"{title}/{title} axle {one.axle}"
+            highest = place.sub + signal.axles - 1
+            found[place.index, 0] = Row(place.index, 0, f"{title}/Highest sub-index supported", "U8",
+                                        "const", highest)
+        found[place.index, one.sub] = Row(place.index, one.sub, **unit)
+    return list(found.values())
+
+
+def bind(node: Node, row: np.ndarray, node_number: int, axle: int,
+         parameters: Mapping[str, float]) -> None:
+    """Let the node's objects read the live row (float64, one item a column of the table)."""
+    for one in carried(node_number, axle, parameters):
+        at = key(one.place.index, one.sub)
+        if one.signal.direction == signals.OUT and at in node.objects.variables:
+            column = signals.column(one.signal.name, one.axle)
+            node.objects.readers[at] = reader(row, column, one.place, one.parameter)
+
+
+def reader(row: np.ndarray, column: int, place: Place, parameter: float = 1.0) -> Callable[[], int]:
+    """A call that gives `signals.count(row[column], place, parameter)`, prepared for speed."""
+    item, unit = row.item, place.scale * parameter
+    low, high = signals.KINDS[place.kind]
+    span = high - low + 1
+
+    def wrapped() -> int:
+        value = item(column)
+        # a value that is not finite differs from itself here
+        if value - value != 0.0:
+            return low
+        return (round(value / unit) - low) % span + low
+
+    def saturated() -> int:
+        value = item(column)
+        if value - value != 0.0:
+            return low
+        raw = round(value / unit)
+        return raw if low <= raw <= high else low if raw < low else high
+
+    return wrapped if place.wraps else saturated

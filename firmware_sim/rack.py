@@ -1,0 +1,101 @@
+"""Several nodes on one port of the bus: a frame finds those that listen by one look into a table.
+
+Most frames of the rig (its own process data) concern none of its nodes, so six nodes that each look
+at each frame cost more than the sampling itself. Inside the rack nodes hear one another as on a
+wire: everybody but the sender. The order is that of adding.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
+
+from rollerrig.firmware_sim.cia301.identifiers import EXTENDED
+from rollerrig.wsp_interface.frames import Frame
+
+Handler = Callable[[Frame], None]
+
+
+class Member(Protocol):
+    """What a rack wants of a node; `cia301.node.Node` and `network.Network` have it."""
+
+    handlers: dict[int, Handler]
+    remote_handlers: dict[int, Handler]
+    on_rewired: Callable[[], None]
+
+    def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
+        """Power on."""
+
+    def poll(self, now_ns: int) -> None:
+        """It is `now_ns`."""
+
+
+class Rack:
+    """Nodes that share a port. `off`: members without power, which neither hear nor speak."""
+
+    def __init__(self) -> None:
+        self.members: list[Member] = []
+        self.off: set[int] = set()
+        self._send: Callable[[Frame], Any] = lambda frame: None
+        self._tables: tuple[dict[int, list[tuple[Member, Handler]]], ...] | None = None
+
+    def add(self, member: Member) -> None:
+        """Put a node into the rack, before or after `start`."""
+        self.members.append(member)
+        member.on_rewired = self._forget
+        self._forget()
+
+    def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
+        """Power on all members, in the order of adding."""
+        self._send = send
+        for member in self.members:
+            member.start(partial(self._from, member), now_ns)
+
+    def power(self, member: Member, on: bool, now_ns: int) -> None:
+        """Switch one member off, or on again (it boots)."""
+        self._forget()
+        if not on:
+            self.off.add(id(member))
+        elif id(member) in self.off:
+            self.off.discard(id(member))
+            member.start(partial(self._from, member), now_ns)
+
+    def on_frame(self, frame: Frame) -> None:
+        """A frame from outside the rack."""
+        for _, handler in self._listeners(frame):
+            handler(frame)
+
+    def poll(self, now_ns: int) -> None:
+        """It is `now_ns`, for all members."""
+        for member in self.members:
+            if id(member) not in self.off:
+                member.poll(now_ns)
+
+    def _from(self, sender: Member, frame: Frame) -> None:
+        if id(sender) in self.off:
+            return
+        self._send(frame)
+        for member, handler in self._listeners(frame):
+            if member is not sender:
+                handler(frame)
+
+    def _listeners(self, frame: Frame) -> "list[tuple[Member, Handler]]":
+        data, remote = self._tables or self._build()
+        at = frame.can_id | EXTENDED if frame.extended else frame.can_id
+        return (remote if frame.remote else data).get(at, _NOBODY)
+
+    def _forget(self) -> None:
+        self._tables = None
+
+    def _build(self) -> tuple[dict[int, list[tuple[Member, Handler]]], ...]:
+        tables: tuple[dict[int, list[tuple[Member, Handler]]], ...] = ({}, {})
+        for member in self.members:
+            if id(member) in self.off:
+                continue
+            for table, handlers in zip(tables, (member.handlers, member.remote_handlers), strict=True):
+                for at, handler in handlers.items():
+                    table.setdefault(at, []).append((member, handler))
+        self._tables = tables
+        return tables
+
+
+_NOBODY: list[tuple[Member, Handler]] = []

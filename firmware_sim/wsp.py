@@ -1,0 +1,227 @@
+"""The reference wheel slide protection: four axle speeds in, dump-valve magnets out, once a cycle.
+
+The fastest axle, with its fall limited, stands for the vehicle [W1]; each axle's sliding against it
+[W2] and its filtered acceleration [W3] drive the phase machine of its valve. Wheels are let slide
+inside a band on purpose, because sliding cleans [W4]; every few seconds one axle runs up unbraked
+to the vehicle's speed, which anchors the reference and teaches it the deceleration [W5].
+
+    [W1] v_ref' = min(max(v_ref - b T, max v_j), v_ref + b_rise T)
+    [W2] s_j = v_ref - v_j
+    [W3] a_j = (v_j - l_j) / T_a,  l_j' = l_j + a_j T
+    [W4] s_low = min(S_low, c_low v_ref), s_high likewise
+    [W5] b = b_max while no axle slides, else b_learned + margin, at most b_max
+
+The step has no clock and takes the integers of the bus, so the unit on the bus and the compiled
+loop get the same bits. Source: common practice of such units, from memory; every threshold says so
+in `configs/wsp/`. Limits: braking only, wheel diameters as configured, a wheel that never reaches
+the vehicle's speed in a run-up anchors nothing.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from rollerrig.configs import store, table
+from rollerrig.firmware_sim import wsp_reference as reference
+from rollerrig.firmware_sim.wsp_phases import (
+    INTERRUPTS,
+    MAGNETS,
+    NEXT,
+    VENT_MAGNET,
+    WISHES,
+    Event,
+)
+from rollerrig.rig.kernel import kernel
+from rollerrig.wsp_interface.signals import AXLES, BY_NAME
+
+REFERENCE_SCALE_M_S = BY_NAME["wsp_reference_speed"].places[0].scale
+
+_A = "assumption"
+_M = "memory of typical units, unverified"
+ROWS = (
+    table.Row("wheel_diameter_m", (0.89,) * AXLES, 0.3, 1.4, "paper Table 1"),
+    table.number("cycle_s", 0.01, 0.001, 0.1, "SYNC period of the default rig"),
+    table.number("acceleration_filter_s", 0.04, 0.01, 0.5, _A),
+    table.number("reference_fall_m_s2", 1.5, 0.5, 5.0, _M + ": 1.3 to 1.6"),
+    table.number("reference_rise_m_s2", 12.0, 0.5, 50.0, _A),
+    table.number("first_deceleration_m_s2", 0.7, 0.1, 3.0, _A),
+    table.number("deceleration_margin_m_s2", 0.15, 0.0, 1.0, _A),
+    table.number("calm_s", 1.0, 0.2, 60.0, _A),
+    table.number("run_up_first_s", 1.5, 0.0, 60.0, _A),
+    table.number("run_up_interval_s", 5.0, 0.5, 60.0, _A),
+    table.integer("run_up_axles", 2, 1, AXLES, _A + ": the trailing ones run on cleaner rail"),
+    table.number("run_up_shortest_s", 0.35, 0.1, 5.0, _A),
+    table.number("run_up_longest_s", 4.0, 0.2, 10.0, _A),
+    table.number("run_up_done_m_s2", 0.5, 0.0, 5.0, _A),
+    table.number("learning_s", 0.5, 0.01, 60.0, _A),
+    table.number("slide_begin_m_s", 0.5, 0.05, 5.0, _A),
+    table.number("slide_begin_fraction", 0.02, 0.0, 0.2, _A),
+    table.number("band_low_m_s", 5.2, 0.1, 20.0, _A),
+    table.number("band_low_fraction", 0.5, 0.0, 0.9, _A),
+    table.number("band_high_m_s", 6.2, 0.2, 20.0, _A),
+    table.number("band_high_fraction", 0.65, 0.0, 0.9, _A),
+    table.number("deep_factor", 1.25, 1.0, 3.0, _A),
+    table.number("fast_fall_m_s2", 4.0, 0.5, 50.0, _A),
+    table.number("fall_m_s2", 1.8, 0.2, 50.0, _A),
+    table.number("rise_m_s2", 0.8, 0.0, 50.0, _A),
+    table.number("fast_rise_m_s2", 3.0, 0.1, 50.0, _A),
+    table.number("fill_pulse_s", 0.08, 0.01, 1.0, _A),
+    table.number("fill_pause_s", 0.3, 0.0, 5.0, _A),
+    table.number("vent_pulse_s", 0.05, 0.01, 1.0, _A),
+    table.number("vent_pause_s", 0.10, 0.0, 5.0, _A),
+    table.number("vent_timer_s", 10.0, 0.5, 60.0, _M),
+    table.number("hold_timer_s", 5.0, 0.5, 60.0, _M),
+    table.number("lock_out_s", 0.5, 0.1, 60.0, _A),
+    table.number("cut_off_m_s", 2.0, 0.3, 10.0, _M + ": 1.4 to 3"),
+)
+
+# the rows as the kernel takes them: SI, unchangeable
+Params = NamedTuple("Params", [(row.name, Any) for row in ROWS])  # type: ignore[misc]
+
+
+class State(NamedTuple):
+    """What the unit remembers: views of shape (4,) for axles, or (1,), into one float64 buffer.
+
+    Each slot says which stage of `step` writes it.
+    """
+
+    cycles: np.ndarray  # done so far; `step`
+    speed_m_s: np.ndarray  # circumferential speed; `measure`
+    lagged_m_s: np.ndarray  # the same behind the filter's lag; `measure`
+    acceleration_m_s2: np.ndarray  # filtered; `measure`
+    reference_m_s: np.ndarray  # `advance`
+    deceleration_m_s2: np.ndarray  # learned from anchor to anchor; `anchor`
+    anchor_m_s: np.ndarray  # speed of the last anchor; `anchor`
+    anchor_age: np.ndarray  # cycles since then; `advance`
+    calm: np.ndarray  # cycles since an axle slid; `advance`
+    runner: np.ndarray  # axle that runs up, -1 nobody; `choose_runner`, `finish_run_up`
+    run_ups: np.ndarray  # begun since axles slide; `choose_runner`
+    sliding_m_s: np.ndarray  # against the reference; `event_of`
+    phase: np.ndarray  # Phase; `act`
+    phase_age: np.ndarray  # cycles since the phase (or its pulse) began; `act`
+    vent_age: np.ndarray  # cycles of venting since the valve last filled; `act`
+    hold_age: np.ndarray  # cycles of holding since the valve last filled; `act`
+
+
+PER_UNIT = ("cycles", "reference_m_s", "deceleration_m_s2", "anchor_m_s", "anchor_age", "calm",
+            "runner", "run_ups")
+WIDTHS = tuple(1 if name in PER_UNIT else AXLES for name in State._fields)
+SIZE = sum(WIDTHS)
+
+
+class Unit(NamedTuple):
+    """A unit's memory and its parameters: what the compiled loop and the bus unit both carry."""
+
+    state: State
+    params: Any
+
+
+def new_unit(params: Any) -> Unit:
+    """A unit just switched on."""
+    return Unit(views(np.zeros(SIZE)), params)
+
+
+def views(buffer: np.ndarray) -> State:
+    """The state in a float64 buffer of shape (SIZE,)."""
+    return State(*np.split(buffer, np.cumsum(WIDTHS)[:-1]))
+
+
+def load(name: str = "reference") -> Params:
+    """Parameters of a packaged configuration (under configs/wsp) or of a TOML file.
+
+    Raises ConfigError that names file and key.
+    """
+    given, path = store.load("wsp", name)
+    return Params(**table.read(ROWS, given, str(path)))
+
+
+@kernel
+def cycle(unit, inputs):
+    """One cycle of a `Unit`: the byte of magnets and the reference speed in counts of 0.01 m/s.
+
+    `inputs` int64 of shape (4,) or more: axle speeds in counts of 0.01 rad/s as node 16's TPDO1
+    carries them; what follows (pressures) is not used. Changes the unit's state in place.
+    """
+    magnets = step(unit.state, inputs, unit.params)
+    return magnets, reference_raw(unit.state)
+
+
+@kernel
+def step(state, speeds_raw, params):
+    """One cycle: axle speeds (4,) in counts in, the byte of magnets out."""
+    reference.measure(state, speeds_raw, params)
+    reference.advance(state, params)
+    reference.choose_runner(state, params)
+    reference.finish_run_up(state, params)
+    state.cycles[0] += 1.0
+    magnets = 0
+    for j in range(AXLES):
+        magnets |= act(state, j, event_of(state, j, params), params) << (2 * j)
+    return magnets
+
+
+@kernel
+def reference_raw(state):
+    """The reference speed in counts of 0.01 m/s, as an I16."""
+    return min(32767, max(-32768, round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)))
+
+
+@kernel
+def sliding_class(sliding_m_s, reference_m_s, params):
+    """Row of the matrix: where the sliding stands to the band [W4]."""
+    low = min(params.band_low_m_s, params.band_low_fraction * reference_m_s)
+    high = min(params.band_high_m_s, params.band_high_fraction * reference_m_s)
+    begin = params.slide_begin_m_s + params.slide_begin_fraction * reference_m_s
+    edges = (begin, low, high, high * params.deep_factor)
+    row = 0
+    for edge in edges:
+        row += sliding_m_s > edge
+    return row
+
+
+@kernel
+def trend_class(acceleration_m_s2, params):
+    """Column of the matrix: how the wheel speed changes."""
+    edges = (-params.fast_fall_m_s2, -params.fall_m_s2, params.rise_m_s2, params.fast_rise_m_s2)
+    column = 0
+    for edge in edges:
+        column += acceleration_m_s2 > edge
+    return column
+
+
+@kernel
+def event_of(state, j, params):
+    """What axle j asks for, the strongest last; sets its sliding."""
+    v_ref = state.reference_m_s[0]
+    state.sliding_m_s[j] = v_ref - state.speed_m_s[j]  # [W2]
+    row = sliding_class(state.sliding_m_s[j], v_ref, params)
+    event = WISHES[row, trend_class(state.acceleration_m_s2[j], params)]
+    if state.runner[0] == j:
+        event = np.int64(Event.RUN_UP)
+    if (reference.passed(state.vent_age[j], params.vent_timer_s, params)
+            or reference.passed(state.hold_age[j], params.hold_timer_s, params)):
+        event = np.int64(Event.TIMER)
+    if v_ref < params.cut_off_m_s:
+        event = np.int64(Event.CUT_OFF)
+    return event
+
+
+@kernel
+def act(state, j, event, params):
+    """Advance the phase of axle j on an event; its magnets (bit 0 hold, bit 1 vent)."""
+    pulse = (0.0, params.fill_pulse_s, 0.0, params.vent_pulse_s, 0.0, 0.0, params.lock_out_s)
+    pause = (0.0, params.fill_pause_s, 0.0, params.vent_pause_s, 0.0, 0.0, 0.0)
+    phase = int(state.phase[j])
+    over = reference.passed(state.phase_age[j], pulse[phase] + pause[phase], params)
+    following = NEXT[phase, event]
+    if (over or INTERRUPTS[phase, event]) and (following != phase or pulse[phase] > 0.0):
+        phase = following
+        state.phase_age[j] = 0.0
+    state.phase[j] = phase
+    resting = reference.passed(state.phase_age[j], pulse[phase], params)
+    magnets = MAGNETS[phase, int(resting)]
+    state.phase_age[j] += 1.0
+    filling = magnets == 0
+    venting = magnets & VENT_MAGNET
+    state.vent_age[j] = 0.0 if filling else state.vent_age[j] + (venting != 0)
+    state.hold_age[j] = 0.0 if filling else state.hold_age[j] + (venting == 0)
+    return magnets

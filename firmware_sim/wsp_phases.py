@@ -1,0 +1,104 @@
+"""The phase machine of one axle's dump valve, as tables: wishes, transitions, interrupts, magnets.
+
+Sliding and wheel acceleration, each in five classes, pick a wish. Phase and event (a wish, or
+something stronger) pick the next phase, unless the present one must finish its pulse and pause.
+Source: the usual matrix of slip and deceleration criteria; its entries are assumptions, tuned on
+the project's own plant.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+HOLD_MAGNET, VENT_MAGNET = 1, 2
+DUMP = HOLD_MAGNET | VENT_MAGNET
+
+
+class Phase(IntEnum):
+    """What the valve of an axle is doing."""
+
+    FILL = 0  # the brake as the driver asks
+    STEP_FILL = 1  # a fill pulse, then hold
+    HOLD = 2
+    STEP_VENT = 3  # a vent pulse, then hold
+    VENT = 4
+    RUN_UP = 5  # vented until the wheel turns with the vehicle: anchors the reference
+    LOCKED_OUT = 6  # a safety timer ran out: the brake applies, whatever the wheel does
+
+
+class Event(IntEnum):
+    """What asks for a change. The first five are wishes; of the others the highest wins."""
+
+    FILL = 0
+    STEP_FILL = 1
+    HOLD = 2
+    STEP_VENT = 3
+    VENT = 4
+    RUN_UP = 5
+    TIMER = 6
+    CUT_OFF = 7
+
+
+class Sliding(IntEnum):
+    """Classes of sliding against the reference: rows of the matrix."""
+
+    NONE = 0
+    BELOW = 1
+    BAND = 2
+    ABOVE = 3
+    DEEP = 4
+
+
+class Trend(IntEnum):
+    """Classes of wheel acceleration: columns of the matrix."""
+
+    FALLS_FAST = 0
+    FALLS = 1
+    STEADY = 2
+    RISES = 3
+    RISES_FAST = 4
+
+
+F, SF, H, SV, V, R, L = (int(phase) for phase in Phase)
+
+WISHES = np.array([
+    # falls fast, falls, steady, rises, rises fast
+    [F, F, F, F, F],  # NONE
+    [H, SF, SF, F, F],  # BELOW
+    [V, SV, SF, SF, SF],  # BAND
+    [V, V, SV, H, H],  # ABOVE
+    [V, V, V, V, H],  # DEEP
+])
+
+NEXT = np.array([
+    # fill, step fill, hold, step vent, vent, run-up, timer, cut-off
+    [F, F, H, SV, V, R, L, F],  # FILL: has not slid yet, so no steps
+    [F, SF, H, SV, V, R, L, F],  # STEP_FILL
+    [F, SF, H, SV, V, R, L, F],  # HOLD
+    [F, SF, H, SV, V, R, L, F],  # STEP_VENT
+    [F, SF, H, SV, V, R, L, F],  # VENT
+    [F, SF, H, SV, V, R, L, F],  # RUN_UP
+    [F, F, F, F, F, F, F, F],  # LOCKED_OUT
+])
+
+# 1: the event ends the phase before its pulse and pause are over
+INTERRUPTS = np.array([
+    [1, 1, 1, 1, 1, 1, 1, 1],  # FILL
+    [0, 0, 0, 1, 1, 1, 1, 1],  # STEP_FILL
+    [1, 1, 1, 1, 1, 1, 1, 1],  # HOLD
+    [1, 0, 0, 0, 1, 1, 1, 1],  # STEP_VENT
+    [1, 1, 1, 1, 1, 1, 1, 1],  # VENT
+    [1, 1, 1, 1, 1, 1, 1, 1],  # RUN_UP
+    [0, 0, 0, 0, 0, 0, 0, 1],  # LOCKED_OUT
+])
+
+# energised magnets during the pulse of a phase, and after it
+MAGNETS = np.array([
+    [0, 0],  # FILL
+    [0, HOLD_MAGNET],  # STEP_FILL
+    [HOLD_MAGNET, HOLD_MAGNET],  # HOLD
+    [DUMP, HOLD_MAGNET],  # STEP_VENT
+    [DUMP, DUMP],  # VENT
+    [DUMP, DUMP],  # RUN_UP
+    [0, 0],  # LOCKED_OUT
+])

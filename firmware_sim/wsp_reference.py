@@ -1,0 +1,111 @@
+"""The WSP's reference speed: how fast the vehicle runs, told from wheels that may all be sliding.
+
+The fastest axle stands for the vehicle, with its fall limited [W1, W5 of `wsp`]. While axles slide,
+one of the trailing ones runs up unbraked every few seconds; when it gains no more speed it turns
+with the vehicle and is the anchor: the reference is set on it, and what the vehicle lost since the
+last anchor is the deceleration learned. Source and limits: see `wsp`.
+"""
+
+from rollerrig.firmware_sim.wsp_phases import Phase
+from rollerrig.rig.kernel import kernel
+from rollerrig.wsp_interface.signals import AXLES, BY_NAME
+
+SPEED_SCALE_RAD_S = BY_NAME["wheel_speed"].places[0].scale
+NOBODY = -1.0
+
+
+@kernel
+def passed(cycles, duration_s, params):
+    """True when so many cycles make up the duration."""
+    return (cycles + 0.5) * params.cycle_s >= duration_s
+
+
+@kernel
+def measure(state, speeds_raw, params):
+    """Circumferential speeds in m/s and their filtered slopes in m/s2."""
+    for j in range(AXLES):
+        v = abs(speeds_raw[j]) * SPEED_SCALE_RAD_S * 0.5 * params.wheel_diameter_m[j]
+        if state.cycles[0] == 0.0:
+            state.lagged_m_s[j] = v
+        state.speed_m_s[j] = v
+        state.acceleration_m_s2[j] = (v - state.lagged_m_s[j]) / params.acceleration_filter_s
+        state.lagged_m_s[j] += state.acceleration_m_s2[j] * params.cycle_s  # [W3]
+
+
+@kernel
+def protecting(state, params):
+    """True while any axle is out of FILL, or slows down as only a sliding wheel does."""
+    busy = 0
+    for j in range(AXLES):
+        busy += int(state.phase[j]) != Phase.FILL
+        busy += state.acceleration_m_s2[j] < -params.fall_m_s2
+    return busy > 0
+
+
+@kernel
+def advance(state, params):
+    """Advance the reference speed by a cycle."""
+    fastest = state.speed_m_s[0]
+    for j in range(1, AXLES):
+        fastest = max(fastest, state.speed_m_s[j])
+    if state.cycles[0] == 0.0:
+        state.reference_m_s[0] = fastest
+        state.deceleration_m_s2[0] = params.first_deceleration_m_s2
+        state.runner[0] = NOBODY
+    fall = params.reference_fall_m_s2
+    sliding = protecting(state, params)
+    if sliding:
+        fall = min(fall, state.deceleration_m_s2[0] + params.deceleration_margin_m_s2)  # [W5]
+    before = state.reference_m_s[0]
+    v = max(before - fall * params.cycle_s, fastest)
+    state.reference_m_s[0] = min(v, before + params.reference_rise_m_s2 * params.cycle_s)  # [W1]
+    state.anchor_age[0] += 1.0
+    state.calm[0] = 0.0 if sliding else state.calm[0] + 1.0
+    # when nothing has slid for a while the reference needs no anchor: it is one
+    if passed(state.calm[0], params.calm_s, params):
+        state.anchor_m_s[0] = state.reference_m_s[0]
+        state.anchor_age[0] = 0.0
+        state.run_ups[0] = 0.0
+
+
+@kernel
+def choose_runner(state, params):
+    """Send the next axle, in turn, to run up when the last anchor is old; nobody below cut-off."""
+    if state.reference_m_s[0] < params.cut_off_m_s:
+        state.runner[0] = NOBODY
+        return
+    first = state.run_ups[0] == 0.0
+    wait_s = params.run_up_first_s if first else params.run_up_interval_s
+    if state.runner[0] == NOBODY and passed(state.anchor_age[0], wait_s, params):
+        state.runner[0] = AXLES - 1 - int(state.run_ups[0]) % params.run_up_axles
+        state.run_ups[0] += 1.0
+
+
+@kernel
+def finish_run_up(state, params):
+    """End the run-up when the unbraked wheel gains speed no more (an anchor), or by time (none)."""
+    j = int(state.runner[0])
+    if j < 0 or int(state.phase[j]) != Phase.RUN_UP:
+        return
+    age = state.phase_age[j]
+    if passed(age, params.run_up_shortest_s, params) and (
+            state.acceleration_m_s2[j] < params.run_up_done_m_s2):
+        anchor(state, state.speed_m_s[j], params)
+        state.runner[0] = NOBODY
+    elif passed(age, params.run_up_longest_s, params):
+        state.anchor_m_s[0] = state.reference_m_s[0]
+        state.anchor_age[0] = 0.0
+        state.runner[0] = NOBODY
+
+
+@kernel
+def anchor(state, speed_m_s, params):
+    """Put the reference on a wheel that turns with the vehicle, and learn the deceleration."""
+    elapsed_s = state.anchor_age[0] * params.cycle_s
+    mean = (state.anchor_m_s[0] - speed_m_s) / elapsed_s
+    trust = elapsed_s / (elapsed_s + params.learning_s)
+    learned = state.deceleration_m_s2[0] + trust * (mean - state.deceleration_m_s2[0])
+    state.deceleration_m_s2[0] = min(max(learned, 0.0), params.reference_fall_m_s2)
+    state.reference_m_s[0] = speed_m_s
+    state.anchor_m_s[0] = speed_m_s
+    state.anchor_age[0] = 0.0

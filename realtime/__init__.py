@@ -1,0 +1,1 @@
+"""Time, and the composition of everything into a bench."""

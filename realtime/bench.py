@@ -1,0 +1,417 @@
+"""The bench: composition root of a run, from a scenario to a folder with its record.
+
+It builds plant, loop, bus, recorder and unit, runs one of the three pacings, and closes everything
+in order whatever happens: the record of a run that failed, was interrupted or killed is kept.
+"""
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
+from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.cia301.nmt import State
+from rollerrig.realtime import clock, loop, mailbox, records, recorder, rig_bus, scenario
+from rollerrig.realtime import summary, tick
+from rollerrig.realtime import ring as rings
+from rollerrig.realtime.scenario import Scenario
+from rollerrig.realtime.tick import COMMANDS, DONE, MISSED, STOP, TICK, WORST_NS, Machine
+from rollerrig.rig.plant import Plant
+from rollerrig.wsp_interface import signals
+
+PACINGS = ("wall", "lockstep", "free")
+UNITS = ("reference", "external", "none")
+ANSWER_TIMEOUT_S = 1.0
+_ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 12
+_FREE_TICKS = 500
+_RECORD_FILES = ("scenario.toml", "channels.parquet", "run.rrd", "can.log", "events.jsonl",
+                 "summary.json", "wsp.log")
+
+
+class Options(NamedTuple):
+    """How a run is run; the scenario says what."""
+
+    pacing: str = "wall"
+    unit: str = "reference"
+    out: Path = Path("runs/run")
+    live: bool = False
+    strict: bool = False
+    seed: int = 0
+    unit_wait_s: float = 60.0
+
+
+class Progress(NamedTuple):
+    """What the progress line shows."""
+
+    time_s: float
+    speed_m_s: float
+    sliding_m_s: float
+    missed: int
+    message: str = ""
+
+
+class Bench:
+    """One run. `say` is called with a `Progress` now and then."""
+
+    def __init__(self, plan: Scenario, options: Options, say: Callable[[Progress], None]) -> None:
+        check_options(options)
+        self.plan, self.options, self.say = plan, options, say
+        self.events: list[dict[str, Any]] = []
+        self.histogram = np.zeros(loop.BINS, dtype=np.int64)
+        self.ended_by = ""
+        self.unit_exit: int | None = None
+        self._processes: list[subprocess.Popen[bytes]] = []
+        self._begun_ns = 0
+        self.bus: rig_bus.RigBus | None = None
+        self.hub: Any = None
+        prepare_folder(options.out)
+        (options.out / "scenario.toml").write_text(scenario.dump(plan), encoding="utf-8")
+        rings.sweep()
+        self.rows = rings.Ring(rings.place("rows"), np.float64, _ROWS, len(signals.COLUMNS))
+        self.frames = rings.Ring(rings.place("frames"), np.int64, _FRAMES, rings.FRAME_WORDS)
+        self.event_ring = rings.Ring(rings.place("events"), np.int64, _EVENTS, rings.EVENT_WORDS)
+        self.machine = build_machine(plan, self.rows)
+        self.row = self.machine.row.copy()
+
+    # --- what happened ---
+
+    def event(self, level: str, text: str) -> None:
+        """Record an event at the present simulated time."""
+        time_s = int(self.machine.control[TICK]) / self.plan["loop"]["tick_hz"]
+        self.events.append({"time_s": time_s, "level": level, "text": text})
+        rings.push_event(self.event_ring, time_s, level, text)
+        if level != "info":
+            self.report(f"{time_s:.3f} s: {level}: {text}")
+
+    def report(self, message: str = "") -> None:
+        """Tell how far the run is."""
+        mailbox.fetch(self.machine.published, self.row)
+        row = self.row
+        self.say(Progress(row[signals.column("time")], row[signals.column("vehicle_speed")],
+                          float(row[signals.span("sliding")].max()),
+                          int(self.machine.control[MISSED]), message))
+
+    # --- the run ---
+
+    async def run(self) -> dict[str, Any]:
+        """Run to the end and return the summary. Raises RollerrigError after closing the record."""
+        failure: RollerrigError | None = None
+        running = asyncio.get_running_loop()
+        for signum in (signal.SIGINT, signal.SIGTERM):
+            running.add_signal_handler(signum, self.stop, "interrupted")
+        try:
+            await self._start_recorder()
+            warm_up(self.machine, self.options.pacing)
+            await getattr(self, f"_run_{self.options.pacing}")()
+        except RollerrigError as error:
+            failure = error
+            self.ended_by = "error"
+            self.event("error", str(error))
+        finally:
+            self.machine.control[STOP] = 1
+            result = await self._finish()
+            for signum in (signal.SIGINT, signal.SIGTERM):
+                running.remove_signal_handler(signum)
+        if failure:
+            raise failure
+        return result
+
+    def stop(self, why: str) -> None:
+        """End the run at the next tick."""
+        if not self.ended_by:
+            self.ended_by = why
+            self.event("warning", f"the run is {why}")
+        self.machine.control[STOP] = 1
+        if self.bus:
+            self.bus.answered.set()
+
+    @property
+    def stopping(self) -> bool:
+        control = self.machine.control
+        return bool(control[STOP] or control[DONE])
+
+    async def _run_free(self) -> None:
+        unit = wsp.new_unit(wsp.load(self.plan["wsp_config"])) if self.options.unit == "reference" else None
+        inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
+        said = time.monotonic()
+        while not self.stopping:
+            if unit is None:
+                tick.batch(self.machine, _FREE_TICKS)
+            else:
+                tick.batch_with_unit(self.machine, _FREE_TICKS, self.plan.sync_ticks, unit, inputs)
+            await self._make_room()
+            if time.monotonic() - said > 0.5:
+                self.report()
+                said = time.monotonic()
+
+    async def _run_lockstep(self) -> None:
+        await self._open_bus(lambda: self._simulated_ns())
+        assert self.bus
+        await self._await_unit()
+        said = time.monotonic()
+        while not self.stopping:
+            mailbox.fetch(self.machine.published, self.bus.row)
+            self.bus.sync()
+            self.bus.poll()
+            if self.options.unit != "none":
+                await self._await_answer()
+            else:
+                await asyncio.sleep(0)
+            tick.batch(self.machine, self.plan.sync_ticks)
+            await self._make_room()
+            if time.monotonic() - said > 0.5:
+                self.report()
+                said = time.monotonic()
+
+    async def _run_wall(self) -> None:
+        await self._open_bus(self._elapsed_ns)
+        assert self.bus
+        await self._await_unit()
+        descriptor, woken = clock.eventfd(), asyncio.Event()
+        running = asyncio.get_running_loop()
+        bus = self.bus
+
+        def on_tick() -> None:
+            os.read(descriptor, 8)
+            mailbox.fetch(self.machine.published, bus.row)
+            if self.stopping:
+                woken.set()
+            else:
+                bus.sync()
+            bus.poll()
+
+        running.add_reader(descriptor, on_tick)
+        self._begun_ns = clock.monotonic_ns()
+        thread = threading.Thread(target=self._real_time, args=(descriptor,), name="real-time")
+        thread.start()
+        try:
+            while not woken.is_set() and thread.is_alive():
+                self.report()
+                self._watch_processes()
+                try:
+                    await asyncio.wait_for(woken.wait(), 0.5)
+                except TimeoutError:
+                    continue
+        finally:
+            self.machine.control[STOP] = 1
+            await running.run_in_executor(None, thread.join)
+            running.remove_reader(descriptor)
+            os.close(descriptor)
+
+    def _real_time(self, descriptor: int) -> None:
+        rates = self.plan["loop"]
+        for refused in loop.ask_for_priority(rates["priority"], rates["cpu"]):
+            self.event("info", f"the real-time thread was refused {refused}")
+        loop.wall(self.machine, clock.SECOND_NS // rates["tick_hz"], self.plan.sync_ticks,
+                  descriptor, self.histogram, np.zeros(3, dtype=np.int64), self._begun_ns)
+
+    # --- clocks of the bus ---
+
+    def _simulated_ns(self) -> int:
+        return int(self.machine.control[TICK]) * (clock.SECOND_NS // self.plan["loop"]["tick_hz"])
+
+    def _elapsed_ns(self) -> int:
+        return clock.monotonic_ns() - self._begun_ns if self._begun_ns else 0
+
+    # --- parts ---
+
+    async def _open_bus(self, clock_ns: Callable[[], int]) -> None:
+        self.hub, self.place = await rig_bus.open_bus(self.plan, clock_ns, self._lost_bus)
+        rig_bus.record_frames(self.hub, self.frames)
+        mailbox.fetch(self.machine.published, self.row)
+        self.bus = rig_bus.RigBus(self.hub, self.plan, self.row.copy(), self._post, self.event,
+                                  clock_ns)
+        self.event("info", f"the rig is on the bus {self.place}")
+
+    def _post(self) -> None:
+        if self.bus:
+            mailbox.post(self.machine.commands, self.bus.command)
+
+    def _lost_bus(self, error: RollerrigError) -> None:
+        self.event("error", str(error))
+        self.stop("without a bus")
+
+    async def _await_unit(self) -> None:
+        """Start the reference unit, or wait for anybody's heartbeat."""
+        assert self.bus
+        if self.options.unit == "none":
+            return
+        if self.options.unit == "reference":
+            self._start_unit()
+        else:
+            self.report(f"waiting for a WSP unit's heartbeat (720h) on {self.place} ...")
+        deadline = time.monotonic() + self.options.unit_wait_s
+        heard = 0.0
+        while not self.stopping:
+            self.bus.poll()
+            state = self.bus.master.unit.state
+            now = time.monotonic()
+            if state is not None:
+                heard = heard or now
+                # a simple unit may not obey NMT; half a second is enough for one that does
+                if state == State.OPERATIONAL or now > heard + 0.5:
+                    self.event("info", "the WSP unit is on the bus")
+                    return
+            if now > deadline:
+                raise UnitError(
+                    f"no WSP unit on {self.place}: no heartbeat on 720h within "
+                    f"{self.options.unit_wait_s:g} s; start one ('rollerrig wsp --bus {self.place}') "
+                    "or wait longer with --wait")
+            self._watch_processes(starting=True)
+            await asyncio.sleep(0.005)
+
+    async def _await_answer(self) -> None:
+        assert self.bus
+        try:
+            await asyncio.wait_for(self.bus.answered.wait(), ANSWER_TIMEOUT_S)
+        except TimeoutError:
+            self._watch_processes(starting=True)
+            raise UnitError(
+                f"the WSP unit has not answered SYNC within {ANSWER_TIMEOUT_S:g} s at "
+                f"{self._simulated_ns() / 1e9:.3f} s: in lockstep a unit answers every SYNC with "
+                f"RPDO1 of node {signals.BRAKE_NODE} (211h), changed or not") from None
+
+    def _start_unit(self) -> None:
+        log = open(self.options.out / "wsp.log", "wb")  # noqa: SIM115: the child keeps it
+        command = [sys.executable, "-m", "rollerrig.realtime.cli", "wsp", "--bus", self.place,
+                   "--config", self.plan["wsp_config"]]
+        self.unit_process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log,
+                                             stderr=log, start_new_session=True)
+        log.close()
+        self._processes.append(self.unit_process)
+
+    def _watch_processes(self, starting: bool = False) -> None:
+        process = getattr(self, "unit_process", None)
+        if process is None or self.unit_exit is not None or process.poll() is None:
+            return
+        self.unit_exit = process.returncode
+        text = (f"the reference WSP unit has ended with status {process.returncode}; its last words "
+                f"stand in {self.options.out / 'wsp.log'}")
+        if starting:
+            raise UnitError(text)
+        self.event("error", text)
+
+    async def _start_recorder(self) -> None:
+        self.recorder = recorder.start(self.options.out, self.rows, self.frames, self.event_ring)
+        self._processes.append(self.recorder)
+        ready = await asyncio.get_running_loop().run_in_executor(
+            None, recorder.wait_ready, self.recorder, self.rows)
+        if not ready:
+            raise RollerrigError("the recorder did not start; its message stands above")
+        if self.options.live:
+            from rollerrig.realtime import live
+
+            self._processes.append(live.start(self.options.out, self.rows, self.event_ring))
+
+    async def _make_room(self) -> None:
+        """Wait for the recorder while it is more than half a ring behind; yield to the bus."""
+        header = self.rows.header
+        while (header[rings.WRITTEN] - header[rings.READ] > _ROWS // 2
+               and self.recorder.poll() is None and not self.stopping):
+            await asyncio.sleep(0.005)
+        await asyncio.sleep(0)
+
+    # --- the end ---
+
+    async def _finish(self) -> dict[str, Any]:
+        """Close bus, unit and recorder, and write the summary."""
+        bus_counts = self._bus_counts()
+        if self.hub is not None:
+            await self.hub.close()
+        unit = getattr(self, "unit_process", None)
+        if unit is not None:
+            await self._end(unit, 2.0)
+        for ring in (self.rows, self.frames, self.event_ring):
+            ring.close()
+        await self._end(self.recorder, 30.0, ask=False)
+        for process in self._processes:
+            if process.poll() is None:
+                process.terminate()
+        for ring in (self.rows, self.frames, self.event_ring):
+            ring.unlink()
+        control = self.machine.control
+        counters = {
+            "pacing": self.options.pacing, "seed": self.options.seed, "unit": self.options.unit,
+            "config_hash": scenario.digest(self.plan), "scenario": self.plan.name,
+            "ended": self.ended_by or "finished",
+            "loop": {"ticks": int(control[TICK]), "missed": int(control[MISSED]),
+                     "lateness_us": loop.percentiles(self.histogram, int(control[WORST_NS]))},
+            "bus": bus_counts, "modbus": {"requests": 0},
+        }
+        table = records.load(self.options.out).table
+        result = summary.of(table, counters, self.plan.resolved) | {"events": self.events}
+        records.write_summary(self.options.out, result)
+        return result
+
+    def _bus_counts(self) -> dict[str, Any]:
+        if self.hub is None:
+            return {"frames": 0, "dropped": 0, "load_percent": 0.0}
+        stats = self.hub.stats()
+        return {key: stats[key] for key in ("frames", "dropped", "load_percent")}
+
+    async def _end(self, process: subprocess.Popen[bytes], patience_s: float, ask: bool = True) -> None:
+        deadline = time.monotonic() + patience_s
+        while process.poll() is None and time.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+        if process.poll() is None:
+            process.terminate() if ask else process.kill()
+            process.wait(5.0)
+
+
+def check_options(options: Options) -> None:
+    """Refuse options that contradict each other. Raises ConfigError."""
+    if options.pacing == "free" and options.unit == "external":
+        raise ConfigError("--pacing free waits for no bus, so no external unit can answer; use "
+                          "--pacing lockstep (repeatable) or wall (real time)")
+
+
+def prepare_folder(out: Path) -> None:
+    """Make the run's folder, without what an earlier run left there. Raises ConfigError."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        foreign = [path.name for path in out.iterdir() if path.is_dir()]
+        if foreign or (any(out.iterdir()) and not (out / "scenario.toml").is_file()):
+            raise ConfigError(f"{out} is not empty and not a run's folder; give a new one with --out")
+        for path in out.iterdir():
+            path.unlink()
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}; give another folder with "
+                          "--out") from None
+
+
+def build_machine(plan: Scenario, ring: rings.Ring) -> Machine:
+    """The machine of a scenario, at its initial speed, with no magnet energised."""
+    plant = Plant(plan.params, plan["initial_speed_m_s"])
+    tick_hz = plan["loop"]["tick_hz"]
+    commands = mailbox.mailbox(COMMANDS)
+    commands.values[:] = (0.0,) * tick.AXLES + (np.nan,) * (COMMANDS - tick.AXLES)
+    width = len(signals.COLUMNS)
+    machine = Machine(
+        plan.params, plant.state, plant.buffer, plant.delay, np.zeros(8, dtype=np.int64), commands,
+        commands.values.copy(), mailbox.mailbox(width), np.zeros(width), tick.gather(), ring.header,
+        ring.rows, plan.record_ticks, round(plan["duration_max_s"] * tick_hz),
+        round(plan["stand_s"] * tick_hz))
+    tick.publish(machine)
+    return machine
+
+
+def warm_up(machine: Machine, pacing: str) -> None:
+    """Compile, or load, what the pacing calls, without running a tick."""
+    if pacing == "wall":
+        stop = machine.control[STOP]
+        machine.control[STOP] = 1
+        descriptor = clock.eventfd()
+        loop.wall(machine, 1_000_000, 1, descriptor, np.zeros(loop.BINS, dtype=np.int64),
+                  np.zeros(3, dtype=np.int64), 0)
+        os.close(descriptor)
+        machine.control[STOP] = stop
+    tick.batch(machine, 0)

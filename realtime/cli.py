@@ -1,0 +1,81 @@
+"""The command `rollerrig`: its verbs, their help, messages and exit status.
+
+Paths in, paths out. With --json one JSON object stands on standard output and nothing else;
+progress and messages go to standard error. Status: 0 pass, 1 a verdict failed, 2 usage or
+configuration, 3 deadlines missed under --strict. Only this file catches RollerrigError.
+"""
+
+import argparse
+import importlib
+import json
+import sys
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from rollerrig.configs.errors import RollerrigError
+
+PASS, FAILED, USAGE, LATE = 0, 1, 2, 3
+
+
+class Verb(NamedTuple):
+    """One verb: the module (imported only when it is called) with `arguments` and `call`."""
+
+    name: str
+    module: str
+    text: str
+    example: str
+
+
+VERBS = (
+    Verb("run", "verb_run", "one bench run: brake the vehicle, record everything",
+         "rollerrig run velim_a1 --pacing lockstep --out runs/a1"),
+    Verb("wsp", "verb_wsp", "the reference WSP unit as a separate program on a bus",
+         "rollerrig wsp --bus socketcand://127.0.0.1:29536/rig0"),
+    Verb("view", "verb_view", "open a run, or several laid over one another, in Rerun",
+         "rollerrig view runs/demo"),
+    # Verb("check", "verb_check", "what this machine can do, and how to enable what it cannot",
+    #     "rollerrig check"),
+    # Verb("devices", "verb_devices", "write the EDS of every node, one DBC and the signal table",
+    #     "rollerrig devices --out devices"),
+    # Verb("bench", "verb_bench", "the project's own benchmarks: a table, and JSON",
+    #     "rollerrig bench loop --json"),
+)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
+    top = argparse.ArgumentParser(
+        prog="rollerrig", description="Hardware-in-the-loop roller-rig emulator for railway wheel "
+        "slide protection.", epilog="example: rollerrig run velim_a1 --out runs/a1")
+    verbs = top.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for verb in VERBS:
+        sub = verbs.add_parser(verb.name, help=verb.text, description=verb.text.capitalize() + ".",
+                               epilog=f"example: {verb.example}")
+        module = importlib.import_module(f"rollerrig.realtime.{verb.module}")
+        module.arguments(sub)
+        sub.add_argument("--json", action="store_true",
+                         help="print one JSON object on standard output and nothing else there")
+        sub.set_defaults(call=module.call)
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status."""
+    arguments = parser().parse_args(argv)
+    call: Callable[[argparse.Namespace], int] = arguments.call
+    try:
+        return call(arguments)
+    except RollerrigError as error:
+        print(f"rollerrig {arguments.verb}: {error}", file=sys.stderr)
+        if arguments.json:
+            print(json.dumps({"error": str(error)}))
+        return USAGE
+    except KeyboardInterrupt:
+        print(f"rollerrig {arguments.verb}: interrupted", file=sys.stderr)
+        return USAGE
+    except BrokenPipeError:
+        return PASS
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""The clock of the real-time thread: nanoseconds of CLOCK_MONOTONIC, called without the GIL.
+
+libc is declared with `ExternalFunction`, whose addresses numba resolves when it loads the cached
+code, so a second start compiles nothing. Linux only: clock_nanosleep on an absolute deadline.
+"""
+
+import ctypes
+import os
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+
+from rollerrig.rig.kernel import kernel
+
+MONOTONIC = 1
+_ABSOLUTE = 1
+SECOND_NS = 1_000_000_000
+
+_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+_nanosleep = types.ExternalFunction(
+    "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp))
+_write = types.ExternalFunction("write", types.int64(types.int32, types.intp, types.int64))
+
+
+@intrinsic
+def fence(typing_context):
+    """A full memory barrier: what was written before is seen before what is written after."""
+    def generate(context, builder, signature, args):
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.none(), generate
+
+
+@kernel
+def now_ns(spec):
+    """The time in ns; `spec` is scratch, int64 of shape (2,)."""
+    _gettime(MONOTONIC, spec.ctypes.data)
+    return spec[0] * SECOND_NS + spec[1]
+
+
+@kernel
+def sleep_until(deadline_ns, spec):
+    """Sleep until an absolute time in ns; returns at once when it has passed."""
+    spec[0], spec[1] = deadline_ns // SECOND_NS, deadline_ns % SECOND_NS
+    while _nanosleep(MONOTONIC, _ABSOLUTE, spec.ctypes.data, 0) == 4:  # EINTR
+        pass
+
+
+@kernel
+def wake(descriptor, one):
+    """Wake whoever waits on an eventfd (or pipe); `one` is int64 of shape (1,) holding 1."""
+    _write(descriptor, one.ctypes.data, 8)
+
+
+def eventfd() -> int:
+    """A descriptor that `wake` makes readable."""
+    return os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+
+
+def lock_memory() -> str:
+    """Keep the process's pages in memory. Returns "" or why not.
+
+    Future pages only where there is no limit: with one, later allocations would fail.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    unlimited = os.geteuid() == 0
+    if libc.mlockall(3 if unlimited else 1) == 0:
+        return ""
+    return os.strerror(ctypes.get_errno())
+
+
+def monotonic_ns() -> int:
+    """The same clock for Python."""
+    return int(now_ns(np.zeros(2, dtype=np.int64)))

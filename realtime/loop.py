@@ -1,0 +1,86 @@
+"""The real-time loop: one compiled call that gives every tick an absolute deadline.
+
+It holds no GIL, allocates nothing and logs nothing. Each tick sleeps until its deadline, notes how
+late it woke, runs, and wakes the bus thread when a SYNC is due. A tick that starts after the next
+one was due counts as missed; the loop then catches up, or, after a stall of more than a hundred
+ticks, starts afresh from now.
+"""
+
+import os
+
+import numpy as np
+
+from rollerrig.realtime import clock, tick
+from rollerrig.realtime.clock import now_ns, sleep_until, wake
+from rollerrig.realtime.tick import BUSY_NS, DONE, LATE_NS, MISSED, STOP, TICK, WORST_NS
+from rollerrig.rig.kernel import kernel
+
+# histogram of lateness: bins of 1 us, the last one holds all that is later
+BINS = 20_000
+_STALL_TICKS = 100
+
+
+@kernel
+def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
+    """Run ticks on their deadlines until the run is done or told to stop.
+
+    Tick k (from 0) begins at begin_ns + (k + 1) tick_ns. `histogram` int64 (BINS,) takes the lateness
+    in us, `scratch` int64 (3,); `descriptor` is the eventfd of the bus thread.
+    """
+    spec, one = scratch[:2], scratch[2:]
+    one[0] = 1
+    deadline = begin_ns + tick_ns
+    while m.control[STOP] == 0 and m.control[DONE] == 0:
+        sleep_until(deadline, spec)
+        began = now_ns(spec)
+        late = max(began - deadline, 0)
+        histogram[min(late // 1000, histogram.size - 1)] += 1
+        m.control[WORST_NS] = max(m.control[WORST_NS], late)
+        m.control[LATE_NS] = max(m.control[LATE_NS], late)
+        if late >= tick_ns:
+            m.control[MISSED] += 1
+            if late > _STALL_TICKS * tick_ns:
+                m.control[MISSED] += late // tick_ns - 1
+                deadline = began
+        tick.once(m)
+        if m.control[TICK] % sync_ticks == 0:
+            wake(descriptor, one)
+        m.control[BUSY_NS] = max(m.control[BUSY_NS], now_ns(spec) - began)
+        deadline += tick_ns
+    wake(descriptor, one)
+
+
+def ask_for_priority(priority: int, cpu: int) -> list[str]:
+    """Ask for SCHED_FIFO, locked memory and a core for the calling thread; returns what was refused.
+
+    `priority` 0 and `cpu` -1 ask for nothing.
+    """
+    refused = []
+    if priority:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError as error:
+            refused.append(f"SCHED_FIFO priority {priority} ({error.strerror}): allow it with "
+                           "'ulimit -r 90' (rtprio in /etc/security/limits.conf) or CAP_SYS_NICE")
+        if reason := clock.lock_memory():
+            refused.append(f"locked memory ({reason}): allow it with 'ulimit -l unlimited' "
+                           "(memlock in /etc/security/limits.conf) or CAP_IPC_LOCK")
+    if cpu >= 0:
+        try:
+            os.sched_setaffinity(0, {cpu})
+        except OSError as error:
+            refused.append(f"core {cpu} ({error.strerror}): set loop.cpu to one of "
+                           f"{sorted(os.sched_getaffinity(0))} or -1")
+    return refused
+
+
+def percentiles(histogram: np.ndarray, worst_ns: int) -> dict[str, float]:
+    """Lateness in us at 50, 99 and 99.9 % of the ticks (upper edge of the bin), and the largest."""
+    total = int(histogram.sum())
+    reached = np.cumsum(histogram)
+    worst_us = worst_ns / 1000.0
+    found = {}
+    for name, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999)):
+        at = int(np.searchsorted(reached, share * total)) + 1 if total else 0
+        found[name] = float(min(at, worst_us)) if total else 0.0
+    return found | {"max": worst_us}

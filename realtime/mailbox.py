@@ -1,0 +1,46 @@
+"""A mailbox: the latest row of values, one writer, any readers, nobody waits for long.
+
+The writer makes the sequence odd, copies, and makes it even again; a reader copies until it has
+seen the same even sequence before and after (a sequence lock).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.realtime.clock import fence
+from rollerrig.rig.kernel import kernel
+
+
+class Mailbox(NamedTuple):
+    """`sequence` int64 of shape (1,), `values` float64 of shape (n,)."""
+
+    sequence: np.ndarray
+    values: np.ndarray
+
+
+def mailbox(size: int) -> Mailbox:
+    """An empty mailbox for rows of `size` values."""
+    return Mailbox(np.zeros(1, dtype=np.int64), np.zeros(size))
+
+
+@kernel
+def post(box, values):
+    """Put a row of shape (n,) into the box."""
+    box.sequence[0] += 1
+    fence()
+    box.values[:] = values
+    fence()
+    box.sequence[0] += 1
+
+
+@kernel
+def fetch(box, into):
+    """Copy the latest row into `into`, shape (n,); returns its sequence number."""
+    while True:
+        before = box.sequence[0]
+        fence()
+        into[:] = box.values
+        fence()
+        if before % 2 == 0 and box.sequence[0] == before:
+            return before

@@ -1,0 +1,246 @@
+"""The recorder: a process that drains a run's rings into the files of its folder.
+
+It writes channels.parquet, run.rrd, can.log and events.jsonl as the run goes, so that at most the
+last second is lost whoever is killed. When the bench dies the recorder finishes the files, says so
+in summary.json, removes the rings and leaves. It never holds the bench up, except that a bench
+without deadlines waits for it when a ring is nearly full.
+
+    python -m rollerrig.realtime.recorder RUN_DIR --rows PATH --frames PATH --events PATH
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from rollerrig.configs import store
+from rollerrig.realtime import channels, records, ring, scene, summary, views
+from rollerrig.realtime.drawing import Drawing, Event
+from rollerrig.realtime.ring import Ring
+from rollerrig.wsp_interface import frames, signals
+
+READY = "recorder ready"
+_PERIOD_S = 0.06
+_BLOCK_S = 0.4  # rows go to run.rrd in blocks of this much wall time
+_LINGER_S = 2.0  # how long the other rings may still be open when the rows have ended
+_FINAL_ROWS = 20_000
+
+
+def start(run_dir: Path, rows: Ring, frame: Ring, event: Ring) -> subprocess.Popen:
+    """Start the recorder of a run in a session of its own; wait for it with `wait_ready`."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "rollerrig.realtime.recorder", str(run_dir),
+         "--rows", str(rows.path), "--frames", str(frame.path), "--events", str(event.path)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
+
+
+def wait_ready(process: subprocess.Popen, rows: Ring, timeout_s: float = 30.0) -> bool:
+    """Wait until the recorder drains its rings; False if it died or did not come in time."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until and process.poll() is None:
+        if rows.header[ring.RECORDER_BEAT_NS]:
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def recording_id(run_dir: Path, rows: Ring) -> str:
+    """The same for the recorder and the live view of one run, and for no other run."""
+    return str(uuid.uuid5(uuid.NAMESPACE_URL,
+                          f"{Path(run_dir).resolve()} {int(rows.header[ring.CREATED_NS])}"))
+
+
+def scenario_of(run_dir: Path) -> dict[str, Any]:
+    """The resolved scenario of a run; empty where there is none: a recorder never gives up."""
+    with contextlib.suppress(Exception):
+        return store.parse(Path(run_dir) / records.SCENARIO)
+    return {}
+
+
+class Recorder:
+    """Cursors in three rings, and the files that follow them."""
+
+    def __init__(self, run_dir: Path, rows: Ring, frame: Ring, event: Ring) -> None:
+        self._folder, self._rows, self._frames, self._events = Path(run_dir), rows, frame, event
+        self._cursors = [0, 0, 0]
+        self._scenario = scenario_of(run_dir)
+        self._pending: list[np.ndarray] = []
+        self._sent_s = 0.0
+        self._time_s = 0.0
+        self._all_events: list[Event] = []
+        self.frames = 0
+        self.channels = channels.Channels(self._folder)
+        # unbuffered: what has been written survives the process
+        self._can = open(self._folder / records.CAN_LOG, "wb", buffering=0)  # noqa: SIM115
+        self._log = open(self._folder / records.EVENTS, "wb", buffering=0)  # noqa: SIM115
+        self._id = recording_id(run_dir, rows)
+        self._stream, self._drawing = self._open(self._folder / records.RRD)
+
+    def _open(self, path: Path, **known: Any) -> tuple[rr.RecordingStream, Drawing]:
+        stream = rr.RecordingStream(views.APPLICATION, recording_id=self._id)
+        eye = scene.eye(scene.scene(self._scenario))
+        stream.set_sinks(rr.FileSink(path), default_blueprint=views.blueprint(eye=eye, **known))
+        stream.send_recording_name(self._folder.resolve().name)
+        return stream, Drawing(stream, self._scenario)
+
+    def drain(self) -> None:
+        """Take what is new in the rings, and write what is due."""
+        self._drain_rows()
+        self._drain_frames()
+        self._drain_events()
+        if self._pending and time.monotonic() - self._sent_s > _BLOCK_S:
+            self._send()
+        self.channels.write_if_due()
+        self._rows.header[ring.RECORDER_BEAT_NS] = time.monotonic_ns()
+
+    def _take(self, which: int, source: Ring) -> tuple[np.ndarray, int]:
+        found, self._cursors[which], lost = source.read(self._cursors[which])
+        source.header[ring.READ] = self._cursors[which]
+        source.header[ring.LOST] += lost
+        return found, lost
+
+    def _drain_rows(self) -> None:
+        rows, lost = self._take(0, self._rows)
+        if len(rows):
+            self._time_s = float(rows[-1, signals.column("time")])
+            self.channels.add(rows)
+            self._pending.append(rows)
+        self._tell_lost(lost, "rows of channels")
+
+    def _drain_frames(self) -> None:
+        rows, lost = self._take(1, self._frames)
+        self.frames += len(rows)
+        if len(rows):
+            lines = [frames.candump_line(frame_of(row), signals.BUS_CHANNEL)
+                     for row in rows.tolist()]
+            self._can.write(("\n".join(lines) + "\n").encode())
+        self._tell_lost(lost, "CAN frames")
+
+    def _drain_events(self) -> None:
+        rows, lost = self._take(2, self._events)
+        self._tell([ring.read_event(row) for row in rows])
+        self._tell_lost(lost, "events")
+
+    def _tell_lost(self, lost: int, what: str) -> None:
+        if lost:
+            self._tell([(self._time_s, "error",
+                         f"{lost} {what} lost: the recorder was held up and the ring overran")])
+
+    def _tell(self, events: list[Event]) -> None:
+        if events:
+            self._all_events += events
+            lines = [json.dumps({"time_s": time_s, "level": level, "text": text})
+                     for time_s, level, text in events]
+            self._log.write(("\n".join(lines) + "\n").encode())
+            self._drawing.events(events)
+
+    def _send(self) -> None:
+        self._drawing.rows(np.concatenate(self._pending))
+        self._pending = []
+        self._sent_s = time.monotonic()
+
+    def finish(self, ended: str) -> None:
+        """Complete all files. `ended` says how: finished, killed (the bench died) or terminated."""
+        self.drain()
+        if ended == "killed":
+            self._tell([(self._time_s, "error",
+                         "the bench was killed; the recorder completed the files")])
+        table = self.channels.finish()
+        self._stream.disconnect()
+        self._compact(records.rows(table))
+        counters = {
+            "scenario": self._folder.resolve().name, "ended": ended,
+            "bus": {"frames": self.frames}, "recorder": {"lost": self.lost},
+        }
+        records.write_summary(self._folder, summary.of(table, counters, self._scenario))
+        self._can.close()
+        self._log.close()
+
+    @property
+    def lost(self) -> int:
+        """Rows of all rings that were overwritten before they were read."""
+        return sum(int(r.header[ring.LOST]) for r in (self._rows, self._frames, self._events))
+
+    def _compact(self, rows: np.ndarray) -> None:
+        """Write run.rrd anew in large blocks: smaller, faster to open, and with an index."""
+        new = self._folder / f".{records.RRD}.new"
+        stream, drawing = self._open(new, top=views.tops(rows))
+        for first in range(0, len(rows), _FINAL_ROWS):
+            drawing.rows(rows[first: first + _FINAL_ROWS])
+        drawing.events(self._all_events)
+        stream.disconnect()
+        new.replace(self._folder / records.RRD)
+
+
+def frame_of(row: list[int]) -> frames.Frame:
+    """One row of a frame ring: time in ns, identifier and flags, length, data as 8 bytes."""
+    time_ns, word, length, data = row
+    remote = bool(word & ring.REMOTE_FLAG)
+    body = b"" if remote else (data & (2**64 - 1)).to_bytes(8, "little")[:length]
+    return frames.Frame(word & frames.EXTENDED_ID_MAX, body, bool(word & ring.EXTENDED_FLAG),
+                        remote, length, time_ns)
+
+
+def run(recorder: Recorder, rings: tuple[Ring, Ring, Ring], told: Mapping[str, bool]) -> str:
+    """Drain until the rows have ended, the writer died, or a signal asks to stop; returns which."""
+    rows = rings[0]
+    closed_s: float | None = None
+    while True:
+        # asked before draining: what was written until then is drained afterwards
+        alive, closed = rows.writer_alive, all(r.closed for r in rings)
+        if rows.closed and closed_s is None:
+            closed_s = time.monotonic()
+        recorder.drain()
+        if closed or (closed_s is not None and time.monotonic() - closed_s > _LINGER_S):
+            return "finished"
+        if not alive:
+            return "finished" if rows.closed else "killed"
+        if told["stop"]:
+            return "terminated"
+        # half a ring is waiting (a run without deadlines): go on at once
+        if min(r.room / r.header[ring.CAPACITY] for r in rings) > 0.5:
+            time.sleep(_PERIOD_S)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The recorder process: see the module."""
+    parser = argparse.ArgumentParser(prog="recorder")
+    parser.add_argument("run_dir", type=Path)
+    for name in ("--rows", "--frames", "--events"):
+        parser.add_argument(name, type=Path, required=True)
+    given = parser.parse_args(arguments)
+    told = {"stop": False}
+    # Ctrl-C and a closed terminal are the bench's to answer
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: told.update(stop=True))
+    with contextlib.suppress(OSError):
+        os.setsid()
+    with contextlib.suppress(OSError):
+        os.nice(5)
+    rings = (Ring(given.rows, np.float64), Ring(given.frames, np.int64),
+             Ring(given.events, np.int64))
+    recorder = Recorder(given.run_dir, *rings)
+    recorder.drain()
+    print(READY, flush=True)
+    ended = run(recorder, rings, told)
+    recorder.finish(ended)
+    if ended == "killed":
+        for one in rings:
+            one.unlink()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,98 @@
+"""Reads a run's folder back: scenario, channels, events, summary.
+
+A run that was killed reads like any other: what its recorder had not yet put into the Parquet file
+is taken from the tail, and a last line that was cut off is left out.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from rollerrig.configs import store
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime import channels
+from rollerrig.wsp_interface.signals import COLUMNS
+
+SCENARIO, EVENTS, SUMMARY, CAN_LOG, RRD = (
+    "scenario.toml", "events.jsonl", "summary.json", "can.log", "run.rrd")
+
+
+class Run(NamedTuple):
+    """One run: `table` has one row a sample, `events` are (time_s, level, text)."""
+
+    folder: Path
+    table: pa.Table
+    scenario: dict[str, Any]
+    events: list[tuple[float, str, str]]
+    summary: dict[str, Any]
+
+    def column(self, name: str) -> np.ndarray:
+        """One channel, shape (n,). Raises ConfigError naming those that are there."""
+        if name not in self.table.column_names:
+            raise ConfigError(f"{self.folder}: no channel is called '{name}'; there are "
+                              f"{', '.join(self.table.column_names)}")
+        return self.table[name].to_numpy()
+
+
+def load(folder: Path | str) -> Run:
+    """A run's folder. Raises ConfigError for what is missing or damaged."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; give one that 'rollerrig run ... --out DIR' "
+                          "has written")
+    if not (folder / SCENARIO).is_file():
+        raise ConfigError(f"{folder / SCENARIO}: no such file; {folder} is not a run's folder")
+    return Run(folder, channels.load(folder), store.parse(folder / SCENARIO), events(folder),
+               summary(folder))
+
+
+def events(folder: Path) -> list[tuple[float, str, str]]:
+    """The events of a run, (time_s, level, text); none where there is no file."""
+    path = folder / EVENTS
+    if not path.is_file():
+        return []
+    found = []
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
+    for number, line in enumerate(lines, start=1):
+        try:
+            event = json.loads(line)
+            found.append((float(event["time_s"]), str(event["level"]), str(event["text"])))
+        except (ValueError, KeyError, TypeError):
+            if number == len(lines) and not line.endswith("\n"):
+                break  # cut off by a kill
+            raise ConfigError(f"{path}, line {number}: not an event; a line is "
+                              '{"time_s": 0.0, "level": "info", "text": "..."}') from None
+    return found
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    """The summary of a run; empty where the run has none yet."""
+    path = folder / SUMMARY
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ConfigError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: an object is wanted, not {type(content).__name__}")
+    return content
+
+
+def write_summary(folder: Path, content: dict[str, Any]) -> None:
+    """Put a summary in place of the old one in one step."""
+    new = folder / f".{SUMMARY}.new"
+    new.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    new.replace(folder / SUMMARY)
+
+
+def rows(table: pa.Table) -> np.ndarray:
+    """A table as rows of all signals, shape (n, columns); channels it lacks are NaN."""
+    found = np.full((len(table), len(COLUMNS)), np.nan)
+    for at, name in enumerate(COLUMNS):
+        if name in table.column_names:
+            found[:, at] = table[name].to_numpy()
+    return found

@@ -1,0 +1,118 @@
+"""The rig on its bus: hub or kernel CAN, the six nodes, the master, and what they tell the bench.
+
+The nodes read a live row of all signals and write a small array of commands. This file joins them
+to the bus and gives the bench two calls, `sync` (a SYNC is due) and `poll` (time has passed), and
+one fact: whether the unit has answered this SYNC.
+"""
+
+import asyncio
+from collections.abc import Callable
+
+import numpy as np
+
+from rollerrig.configs.errors import BusError
+from rollerrig.firmware_sim import drive402, encoder406, io401
+from rollerrig.firmware_sim.network import Network
+from rollerrig.firmware_sim.rack import Rack
+from rollerrig.realtime import ring as rings
+from rollerrig.realtime.scenario import Scenario
+from rollerrig.realtime.tick import COMMANDS, REFERENCE
+from rollerrig.wsp_interface import buses, plugin, signals
+from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.hub import Hub
+
+ANSWER_ID = 0x200 + signals.BRAKE_NODE
+KERNEL_CHANNEL = "vcan0"
+
+
+def address(scenario: Scenario) -> str:
+    """The bus that a scenario's [bus] asks for: kernel CAN where it is up, else the hub."""
+    bus = scenario["bus"]
+    interface = bus["interface"]
+    if interface == "auto":
+        up = buses.available().up
+        interface = f"socketcan:{KERNEL_CHANNEL}" if KERNEL_CHANNEL in up else "hub"
+    if interface == "hub":
+        return f"socketcand://{bus['host']}:{bus['socketcand_port']}/{signals.BUS_CHANNEL}"
+    return interface
+
+
+async def open_bus(scenario: Scenario, clock_ns: Callable[[], int],
+                   on_lost: Callable[[BusError], None]) -> tuple[Hub, str]:
+    """The bus of a scenario, and the address under which others reach it. Raises BusError."""
+    place, bitrate = address(scenario), scenario["bus"]["bitrate"]
+    if not place.startswith("socketcand:"):
+        return await buses.open_hub(place, clock_ns, bitrate, on_lost), place
+    host, port, name = plugin.parse_address(place)
+    hub = Hub(clock_ns, bitrate, name)
+    port = await hub.listen("socketcand", host, port)
+    return hub, f"socketcand://{host}:{port}/{name}"
+
+
+class RigBus:
+    """Six nodes and a master on one bus.
+
+    `row` is the live row of all signals, `command` (COMMANDS,) float64 what the bus asks of the rig;
+    `on_command()` is called when it has changed.
+    """
+
+    def __init__(self, hub: Hub, scenario: Scenario, row: np.ndarray,
+                 on_command: Callable[[], None], on_event: Callable[[str, str], None],
+                 clock_ns: Callable[[], int]) -> None:
+        self.hub, self.row, self.clock_ns = hub, row, clock_ns
+        self.command = np.full(COMMANDS, np.nan)
+        self.answered = asyncio.Event()
+        self._on_command = on_command
+        bus = scenario["bus"]
+        beat_ms = round(1000.0 * bus["heartbeat_s"])
+        parameters = {"rated_torque_Nm": scenario["drive"]["rated_torque_Nm"],
+                      "teeth": float(scenario["sensor"]["teeth"]), "heartbeat_ms": float(beat_ms)}
+        nodes = [drive402.build(node_id, axle, row, parameters)
+                 for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]
+        nodes.append(encoder406.build(row, parameters))
+        nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell))
+        self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
+        self.rack = Rack()
+        for member in (*nodes, self.master):
+            member.on_event = on_event
+            self.rack.add(member)
+        self._produces_sync = bus["master"]
+        self.rack.start(hub.attach(self.rack.on_frame, "rig").send, clock_ns())
+        hub.attach(self._listen, "bench")
+
+    def _tell(self) -> None:
+        master = getattr(self, "master", None)
+        self.command[REFERENCE] = master.reference_speed_m_s if master else np.nan
+        self._on_command()
+
+    def _listen(self, frame: Frame) -> None:
+        if frame.can_id == ANSWER_ID:
+            self.answered.set()
+
+    def sync(self) -> None:
+        """Send SYNC; the nodes sample the row and send their PDOs before this returns."""
+        self.answered.clear()
+        if self._produces_sync:
+            self.master.sync()
+        self.hub.flush()
+
+    def poll(self) -> None:
+        """Let heartbeats, time-outs and event timers pass."""
+        self.rack.poll(self.clock_ns())
+
+
+def record_frames(hub: Hub, ring: rings.Ring) -> None:
+    """Put every frame of the bus into a ring of frames."""
+    row = np.zeros(rings.FRAME_WORDS, dtype=np.int64)
+    body = row[3:].view(np.uint8)
+
+    def put(frame: Frame) -> None:
+        row[0] = frame.time_ns
+        row[1] = (frame.can_id | (rings.EXTENDED_FLAG if frame.extended else 0)
+                  | (rings.REMOTE_FLAG if frame.remote else 0))
+        row[2] = frame.dlc if frame.remote else len(frame.data)
+        row[3] = 0
+        body[: len(frame.data)] = np.frombuffer(frame.data, dtype=np.uint8)
+        ring.push(row)
+
+    hub.tap(put)

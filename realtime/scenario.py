@@ -1,0 +1,213 @@
+"""A scenario, resolved: names looked up, tables merged, every default written out, all checked.
+
+The order is defaults, vehicle, rig, adhesion, bus, the scenario's own tables, an extended model,
+and single values from the command line; what comes later wins. The resolved scenario is a scenario
+again: `rollerrig run runs/demo/scenario.toml` repeats a run.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tomli_w
+
+from rollerrig.configs import store, table
+from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.table import choice, flag, integer, number
+from rollerrig.rig import params as physics
+from rollerrig.wsp_interface.signals import AXLES
+
+HEAD = (
+    choice("title", "", (), "a sentence"),
+    choice("vehicle_set", "uic_z1", (), "configs/vehicles"),
+    choice("rig_set", "full_scale", (), "configs/rigs"),
+    choice("adhesion_set", "soap", (), "configs/adhesion"),
+    choice("bus_set", "default", (), "configs/buses"),
+    choice("wsp_config", "reference", (), "configs/wsp: what the reference unit loads"),
+    number("initial_speed_m_s", 42.3, 0.5, 100.0, "Table 5"),
+    number("duration_max_s", 180.0, 0.1, 36000.0, "the run ends then, stopped or not"),
+    number("stand_s", 0.5, 0.0, 60.0, "recorded after standstill"),
+)
+LOOP = (
+    integer("tick_hz", 1000, 100, 10000, "rig control and commands"),
+    number("step_s", 1e-4, 1e-6, 1e-2, "physics; the paper's"),
+    integer("record_hz", 100, 1, 10000, "samples of the recording"),
+    integer("priority", 80, 0, 99, "SCHED_FIFO; 0 asks for nothing"),
+    integer("cpu", -1, -1, 1023, "core of the real-time thread; -1 asks for none"),
+)
+BUS = (
+    choice("interface", "auto", (), "auto, hub, or python-can's interface:channel"),
+    integer("bitrate", 500_000, 10_000, 1_000_000, "INTERFACES section 5"),
+    number("sync_period_s", 0.01, 0.0005, 1.0, "INTERFACES section 5"),
+    number("heartbeat_s", 0.1, 0.01, 10.0, "producer time of the rig's nodes"),
+    choice("host", "127.0.0.1", (), "address of the hub: loopback unless named otherwise"),
+    integer("socketcand_port", 29536, 0, 65535, "0 takes a free one"),
+    flag("master", True, "the bench starts the nodes and produces SYNC"),
+)
+DEMAND = (number("from_s", 0.0, 0.0, 36000.0, "s"), number("pressure_Pa", None, 0.0, 1e6, "Pa"))
+FRICTION = (
+    number("from_s", -1.0, 0.0, 36000.0, "s"), number("from_m", -1.0, -1e3, 1e6, "m"),
+    number("mu_cd", -1.0, 1e-4, 1.0, "-"), number("mu_cr", -1.0, 1e-4, 1.0, "-"),
+)
+SECTIONS = {**physics.ROWS, "loop": LOOP, "bus": BUS}
+# tables that come from files of their own: the table, and the folder of its files
+SETS = {"vehicle": "vehicles", "rig": "rigs", "adhesion": "adhesion", "bus": "buses"}
+
+
+class Scenario(NamedTuple):
+    """A checked scenario. `resolved` is the whole as plain data, `name` the file's stem."""
+
+    name: str
+    resolved: dict[str, Any]
+    params: physics.Params
+    sync_ticks: int
+    record_ticks: int
+
+    def __getitem__(self, key: str) -> Any:
+        return self.resolved[key]
+
+
+def load(name: str, model: str = "", settings: tuple[str, ...] = ()) -> Scenario:
+    """Load a scenario by name or path, with an extended model and `section.key=value` settings.
+
+    Raises ConfigError saying where, what, what is allowed and how to mend it.
+    """
+    given, path = store.load("scenarios", name)
+    given = _aliases(given, path)
+    layers: list[tuple[str, Mapping[str, Any]]] = []
+    head_keys = {row.name for row in HEAD}
+    for short, kind in SETS.items():
+        key = f"{short}_set"
+        default = next(row.default for row in HEAD if row.name == key)
+        content, at = store.load(kind, str(given.get(key, default)), path)
+        layers.append((str(at), content))
+    layers.append((str(path), {k: v for k, v in given.items() if k not in head_keys}))
+    if model:
+        at = store.find("models", model)
+        layers.append((str(at), store.parse(at)))
+    layers.append(("--set", _settings(settings)))
+    head = table.read(HEAD, {k: v for k, v in given.items() if k in head_keys}, str(path))
+    name = path.parent.name if path.name == "scenario.toml" else path.stem
+    return resolve(name, head, layers)
+
+
+def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str, Any]]]) -> Scenario:
+    """Merge layers of tables, check them and build the parameters."""
+    merged: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
+    programme: dict[str, Any] = {"demand": [], "friction": []}
+    source = layers[0][0]
+    for where, layer in layers:
+        for key, content in layer.items():
+            if key in merged:
+                table.read(SECTIONS[key], content, f"{where} [{key}]")
+                merged[key].update(content)
+            elif key in programme:
+                programme[key], source = content, where
+            elif key in {row.name for row in HEAD}:
+                head |= table.read([r for r in HEAD if r.name == key], {key: content}, where)
+            else:
+                allowed = [*SECTIONS, *programme, *(row.name for row in HEAD)]
+                raise ConfigError(f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}")
+    checked: dict[str, Any] = dict(physics.check(merged, name))
+    for section in ("loop", "bus"):
+        checked[section] = table.read(SECTIONS[section], merged[section], f"{name} [{section}]")
+    tick_s, substeps, sync, record = _ratios(checked, name)
+    demand, demand_rows = _demand(programme["demand"], source)
+    friction, friction_rows = _friction(programme["friction"], checked["adhesion"], source)
+    resolved = {**head, **checked, "demand": demand_rows, "friction": friction_rows}
+    return Scenario(name, resolved, physics.build(checked, friction, demand, tick_s, substeps), sync,
+                    record)
+
+
+def dump(scenario: Scenario) -> str:
+    """The resolved scenario as TOML."""
+    return ("# resolved by rollerrig: every default written out; run it again to repeat the run\n"
+            + tomli_w.dumps(scenario.resolved))
+
+
+def digest(scenario: Scenario) -> str:
+    """A hash of all that decides the result."""
+    return hashlib.sha256(tomli_w.dumps(scenario.resolved).encode()).hexdigest()[:16]
+
+
+def _aliases(given: dict[str, Any], path: Path) -> dict[str, Any]:
+    # vehicle = "uic_z1" reads better than vehicle_set, and is it where no table [vehicle] is given
+    given = dict(given)
+    for short in SETS:
+        if isinstance(given.get(short), str):
+            if f"{short}_set" in given:
+                raise ConfigError(f"{path}: both {short} and {short}_set are given; keep one")
+            given[f"{short}_set"] = given.pop(short)
+    for key, content in given.items():
+        if key in SECTIONS and not isinstance(content, dict):
+            raise ConfigError(f"{path}: {key} = {content!r}: write a table [{key}]")
+        if key in ("demand", "friction") and not isinstance(content, list):
+            raise ConfigError(f"{path}: write [[{key}]] with two brackets, one for each step")
+    return given
+
+
+def _settings(settings: tuple[str, ...]) -> dict[str, Any]:
+    tables: dict[str, Any] = {}
+    for setting in settings:
+        key, _, text = setting.partition("=")
+        section, _, name = key.strip().rpartition(".")
+        try:
+            value = store.tomllib.loads(f"value = {text}")["value"]
+        except store.tomllib.TOMLDecodeError:
+            value = text.strip()
+        if not name or not text:
+            raise ConfigError(f"--set {setting}: write section.key=value, as in adhesion.mu_cd=0.05")
+        (tables.setdefault(section, {}) if section else tables)[name] = value
+    return tables
+
+
+def _ratios(checked: dict[str, Any], name: str) -> tuple[float, int, int, int]:
+    loop, bus = checked["loop"], checked["bus"]
+    tick_s = 1.0 / loop["tick_hz"]
+
+    def whole(ratio: float, what: str) -> int:
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise ConfigError(f"{name}: {what} is {ratio:.6g}; it must be a whole number, at least 1")
+        return round(ratio)
+
+    return (tick_s,
+            whole(tick_s / loop["step_s"],
+                  f"[loop] a tick of {tick_s:g} s over step_s = {loop['step_s']:g} s"),
+            whole(bus["sync_period_s"] / tick_s,
+                  f"[bus] sync_period_s = {bus['sync_period_s']:g} s over a tick of {tick_s:g} s"),
+            whole(loop["tick_hz"] / loop["record_hz"],
+                  f"[loop] tick_hz = {loop['tick_hz']} over record_hz = {loop['record_hz']}"))
+
+
+def _demand(rows: list[dict[str, Any]], where: str) -> tuple[physics.Demand, list[dict[str, Any]]]:
+    read = [table.read(DEMAND, row, f"{where} [[demand]] {i + 1}") for i, row in enumerate(rows)]
+    starts = [row["from_s"] for row in read]
+    if starts != sorted(starts):
+        raise ConfigError(f"{where} [[demand]]: from_s must rise from step to step, not {starts}")
+    return physics.Demand(np.array(starts), np.array([row["pressure_Pa"] for row in read])), read
+
+
+def _friction(
+    rows: list[dict[str, Any]], adhesion: dict[str, float], where: str
+) -> tuple[physics.Friction, list[dict[str, Any]]]:
+    read, masks = [], []
+    for i, row in enumerate(rows):
+        at, row = f"{where} [[friction]] {i + 1}", dict(row)
+        axles = row.pop("axles", list(range(1, AXLES + 1)))
+        if not isinstance(axles, list) or not set(axles) <= set(range(1, AXLES + 1)) or not axles:
+            raise ConfigError(f"{at}: axles = {axles!r}; a list of axle numbers from 1 to {AXLES}")
+        if ("from_s" in row) == ("from_m" in row):
+            raise ConfigError(f"{at}: give from_s (time) or from_m (place), one of them")
+        given = table.read([r for r in FRICTION if r.name in row], row, at)
+        if unknown := set(row) - {r.name for r in FRICTION}:
+            table.read(FRICTION, {key: row[key] for key in unknown}, at)
+        read.append({"mu_cd": adhesion["mu_cd"], "mu_cr": adhesion["mu_cr"], "axles": axles} | given)
+        masks.append(sum(1 << (axle - 1) for axle in axles))
+    by_place = np.array(["from_m" in row for row in read], dtype=np.bool_)
+    start = np.array([row.get("from_m", row.get("from_s", 0.0)) for row in read])
+    friction = physics.Friction(by_place, start, np.array([row["mu_cd"] for row in read]),
+                                np.array([row["mu_cr"] for row in read]),
+                                np.array(masks, dtype=np.int64))
+    return friction, read

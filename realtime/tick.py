@@ -1,0 +1,150 @@
+"""One tick of the rig: commands in, rig control, physics, what can be seen out.
+
+The order is fixed: read the command mailbox, let the rig control ask its motors, advance the
+physics, observe, publish a row of all signals, and put it into the ring when a sample is due.
+`batch` runs ticks back to back (lockstep and free pacing), `loop` gives them their deadlines.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.firmware_sim import rig_control, wsp
+from rollerrig.realtime import mailbox as box
+from rollerrig.realtime import ring as rings
+from rollerrig.realtime.mailbox import Mailbox
+from rollerrig.rig import plant
+from rollerrig.rig.kernel import kernel
+from rollerrig.rig.params import Params
+from rollerrig.rig.state import AXLES, SLOTS, State
+from rollerrig.wsp_interface import signals
+
+# the command row: magnets of the axles, a brake demand from the bus (NaN: none), and the WSP's
+# reference speed (NaN: it tells none); the first two are what io401 writes
+MAGNETS, DEMAND, REFERENCE = 0, AXLES, AXLES + 1
+COMMANDS = AXLES + 2
+
+# slots of the control array (int64)
+TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS = range(8)
+
+
+class Machine(NamedTuple):
+    """All that a tick touches. `gather` (n,) are the slots of the state that a row copies."""
+
+    params: Params
+    state: State
+    buffer: np.ndarray
+    delay: np.ndarray
+    control: np.ndarray
+    commands: Mailbox
+    command: np.ndarray
+    published: Mailbox
+    row: np.ndarray
+    gather: np.ndarray
+    ring_header: np.ndarray
+    ring_rows: np.ndarray
+    record_ticks: int
+    end_tick: int
+    stand_ticks: int
+
+
+_TIME = signals.column("time")
+_REFERENCE = signals.column("wsp_reference_speed")
+_MAGNETS = signals.column("magnets")
+_LATENESS = signals.column("tick_lateness")
+_DURATION = signals.column("tick_duration")
+_MISSED = signals.column("ticks_missed")
+_SPEED = signals.column("wheel_speed")
+_PRESSURE = signals.column("cylinder_pressure")
+_SPEED_RAW = signals.BY_NAME["wheel_speed"].places[0]
+_PRESSURE_RAW = signals.BY_NAME["cylinder_pressure"].places[0]
+_SPEED_SCALE, _PRESSURE_SCALE = _SPEED_RAW.scale, _PRESSURE_RAW.scale
+_I16 = signals.KINDS["I16"]
+_LOW, _HIGH = float(_I16[0]), float(_I16[1])
+_WSP_SCALE = signals.BY_NAME["wsp_reference_speed"].places[0].scale
+
+
+def gather() -> np.ndarray:
+    """For each column of a row the slot of the state it copies, or -1 where the tick writes it."""
+    slots = np.full(len(signals.COLUMNS), -1, dtype=np.int64)
+    for signal in signals.SIGNALS:
+        if signal.name in SLOTS:
+            place = SLOTS[signal.name]
+            slots[signals.span(signal.name)] = np.arange(place.start, place.stop)
+    return slots
+
+
+@kernel
+def publish(m):
+    """Copy the state into the row of all signals and post it."""
+    for i in range(m.gather.size):
+        if m.gather[i] >= 0:
+            m.row[i] = m.buffer[m.gather[i]]
+    for j in range(AXLES):
+        m.row[_MAGNETS + j] = m.command[MAGNETS + j]
+    m.row[_REFERENCE] = m.command[REFERENCE]
+    m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
+    m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
+    m.row[_MISSED] = m.control[MISSED]
+    box.post(m.published, m.row)
+
+
+@kernel
+def once(m):
+    """Run one tick and count it; sets DONE when the vehicle has stood long enough or time is up."""
+    tick = m.control[TICK]
+    if tick % m.record_ticks == 0:
+        rings.push(m.ring_header, m.ring_rows, m.row)
+        m.control[LATE_NS] = 0
+        m.control[BUSY_NS] = 0
+    box.fetch(m.commands, m.command)
+    if m.params.mode != 0:
+        rig_control.hold_surface_speed(m.state, m.params.drive, m.params.tick_s)
+    plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
+    plant.observe(m.state, m.params)
+    publish(m)
+    m.control[TICK] = tick + 1
+    if m.state.standing[0] != 0.0:
+        m.control[STANDING_TICKS] += 1
+    if m.control[STANDING_TICKS] > m.stand_ticks or tick + 1 >= m.end_tick:
+        m.control[DONE] = 1
+
+
+@kernel
+def batch(m, ticks):
+    """Run some ticks back to back, fewer if the run is done; returns how many."""
+    for i in range(ticks):
+        if m.control[DONE] != 0 or m.control[STOP] != 0:
+            return i
+        once(m)
+    return ticks
+
+
+@kernel
+def counts(value, scale):
+    """A value as the 16-bit integer that stands on the bus: rounded half to even, saturated."""
+    return min(max(np.rint(value / scale), _LOW), _HIGH)
+
+
+@kernel
+def batch_with_unit(m, ticks, sync_ticks, unit, inputs):
+    """As `batch`, with the reference WSP unit called where its SYNC would come.
+
+    `unit` is the unit's memory and parameters, `inputs` int64 scratch of shape (8,): it sees what
+    the bus would tell it, speeds in 0.01 rad/s and pressures in mbar, and its answer takes effect
+    with the next tick, as in lockstep.
+    """
+    command = m.commands.values
+    for i in range(ticks):
+        if m.control[DONE] != 0 or m.control[STOP] != 0:
+            return i
+        if m.control[TICK] % sync_ticks == 0:
+            for j in range(AXLES):
+                inputs[j] = counts(m.row[_SPEED + j], _SPEED_SCALE)
+                inputs[AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
+            magnets, reference = wsp.cycle(unit, inputs)
+            for j in range(AXLES):
+                command[MAGNETS + j] = (magnets >> (2 * j)) & 3
+            command[REFERENCE] = reference * _WSP_SCALE
+        once(m)
+    return ticks

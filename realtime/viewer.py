@@ -1,0 +1,231 @@
+"""Opens recorded runs in the Rerun viewer, lays runs over one another, and takes pictures of them.
+
+The viewer is a program of its own. It listens on loopback only, and its own reporting of use is
+switched off by a configuration folder that it is given. Without a display the command is told
+that serves the run to a browser on this machine.
+"""
+
+import contextlib
+import io
+import json
+import os
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from rollerrig.configs.errors import RollerrigError
+from rollerrig.realtime import records, scene, views
+from rollerrig.realtime.drawing import Drawing
+
+LOOPBACK = "127.0.0.1"
+GRPC_PORT, WEB_PORT = 9876, 9090
+_TITLE_BAR = 36  # points
+_NO_GRAPHICS = (
+    "no picture: the viewer ended, most likely for want of a Vulkan driver ({why}); install one, "
+    "on Debian or Ubuntu with 'apt-get install mesa-vulkan-drivers libvulkan1' (it renders in "
+    "software and needs no display)")
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    return sys.platform in ("darwin", "win32") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def environment() -> dict[str, str]:
+    """The environment for viewers: as ours, with the viewer's reporting of use switched off."""
+    home = Path(tempfile.gettempdir()) / f"rollerrig-viewer-{os.getuid()}"
+    own = home / "rerun" / "analytics.json"
+    own.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    off = {"analytics_enabled": False, "analytics_id": "off", "metadata": {},
+           "config_file_path": str(own), "data_dir_path": str(home / "data")}
+    own.write_text(json.dumps(off))
+    level = os.environ.get("RUST_LOG", "error")
+    return os.environ | {"XDG_CONFIG_HOME": str(home), "RUST_LOG": level}
+
+
+def command(*arguments: str) -> list[str]:
+    """The viewer's command line, bound to loopback."""
+    return [sys.executable, "-m", "rerun_cli", "--bind", LOOPBACK, "--hide-welcome-screen",
+            *arguments]
+
+
+def serve_command(target: str, web_port: int = WEB_PORT) -> str:
+    """What to type to see a file or an address in a browser on this machine."""
+    return (f"rerun --serve-web --bind {LOOPBACK} --web-viewer-port {web_port} "
+            f"{shlex.quote(str(target))}")
+
+
+def spawn(*arguments: str) -> subprocess.Popen:
+    """Start a viewer that outlives us."""
+    return subprocess.Popen(command(*arguments), env=environment(), stdin=subprocess.DEVNULL,
+                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                            start_new_session=True)
+
+
+def free_port(wanted: int = 0) -> int:
+    """A free TCP port on loopback: the wanted one if it is free."""
+    for port in (wanted, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((LOOPBACK, port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise RollerrigError(f"no free TCP port on {LOOPBACK}")
+
+
+def recording(path: Path | str) -> Path:
+    """The .rrd of a run's folder, or the .rrd itself. Raises ConfigError if there is none."""
+    path = Path(path)
+    if path.suffix == ".rrd" and path.is_file():
+        return path
+    records.load(path)  # says what is wrong with the folder
+    if not (path / records.RRD).is_file():
+        return overlay([path], path / records.RRD)
+    return path / records.RRD
+
+
+def overlay(runs: Sequence[Path | str], into: Path) -> Path:
+    """Draw runs over one another into a new .rrd: the first bold, the others faint under /ref.
+
+    Drawn from the channels, so it works for a run whose own .rrd is lost. All begin at t = 0.
+    """
+    loaded = [records.load(run) for run in runs]
+    names = _names([run.folder for run in loaded[1:]])
+    first = loaded[0]
+    stream = rr.RecordingStream(views.APPLICATION)
+    layout = views.blueprint(eye=scene.eye(scene.scene(first.scenario)), references=names,
+                             top=views.tops(records.rows(first.table)))
+    stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
+    stream.send_recording_name(" over ".join(run.folder.resolve().name for run in loaded))
+    for run, name in zip(loaded, ["", *names], strict=True):
+        prefix = f"{views.REFERENCES}/{name}" if name else ""
+        drawing = Drawing(stream, run.scenario, prefix, faint=bool(name))
+        drawing.rows(records.rows(run.table))
+        drawing.events(run.events)
+    stream.disconnect()
+    return into
+
+
+def _names(folders: Sequence[Path]) -> list[str]:
+    """A name for each folder that an entity path can hold, none twice."""
+    names: list[str] = []
+    for folder in folders:
+        plain = "".join(c if c.isalnum() or c in "-_" else "_" for c in folder.resolve().name)
+        names.append(plain if plain not in names else f"{plain}_{len(names) + 1}")
+    return names
+
+
+def open_run(paths: Sequence[Path | str]) -> dict[str, Any]:
+    """Open a run, or several over one another, in the viewer.
+
+    Returns `file` (what is shown), `opened` (whether a window was) and `command` (what serves it
+    to a browser). Raises ConfigError for a folder that is not a run's.
+    """
+    if len(paths) == 1:
+        file = recording(paths[0])
+    else:
+        handle, name = tempfile.mkstemp(prefix="rollerrig-overlay-", suffix=".rrd")
+        os.close(handle)
+        file = overlay(paths, Path(name))
+    opened = has_display()
+    if opened:
+        spawn("--port", "auto", str(file))
+    return {"file": str(file), "opened": opened, "command": serve_command(str(file))}
+
+
+def picture(paths: Sequence[Path | str], png: Path | str, size: tuple[int, int] = (1600, 1000),
+            time_s: float | None = None, timeout_s: float = 60.0) -> Path:
+    """Take a picture of a run, or of several over one another, without a display.
+
+    `size` in points, `time_s` the instant of the cursor (None: halfway). Raises ConfigError for a
+    folder that is not a run's, RollerrigError where nothing can be drawn.
+    """
+    png = Path(png).resolve()
+    runs = [records.load(path) for path in paths]
+    if time_s is None:
+        time_s = float(runs[0].column("time_s").max(initial=0.0)) / 2.0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        # drawn anew: an old recording gets today's layout, and a killed one its tail
+        file, layout = overlay(paths, folder / "run.rrd"), folder / "picture.rbl"
+        eye = scene.eye(scene.scene(runs[0].scenario))
+        references = _names([run.folder for run in runs[1:]])
+        views.blueprint(bare=True, eye=eye, references=references,
+                        top=views.tops(records.rows(runs[0].table))).save(
+            views.APPLICATION, str(layout))
+        shot = _headless([str(file), str(layout)], size, time_s, folder / "log",
+                         time.monotonic() + timeout_s)
+    png.parent.mkdir(parents=True, exist_ok=True)
+    # the viewer keeps the place of its title bar, empty
+    image = Image.open(io.BytesIO(shot))
+    image.crop((0, _TITLE_BAR * image.height // (size[1] + _TITLE_BAR), *image.size)).save(png)
+    return png
+
+
+def _headless(files: list[str], size: tuple[int, int], time_s: float, log: Path,
+              until_s: float) -> bytes:
+    port = free_port()
+    with open(log, "wb") as sink:
+        process = subprocess.Popen(
+            command("--headless", "--port", str(port), "--window-size",
+                    f"{size[0]}x{size[1] + _TITLE_BAR}", *files),
+            env=environment(), start_new_session=True, stdin=subprocess.DEVNULL, stdout=sink,
+            stderr=sink)
+    try:
+        return _shoot(process, port, time_s, log, until_s)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+        process.wait(10)
+
+
+def _shoot(process: subprocess.Popen, port: int, time_s: float, log: Path,
+           until_s: float) -> bytes:
+    """The picture, once two in a row are the same: the viewer fetches what it draws as it draws."""
+    client = _connected(process, port, log, until_s)
+    client.set_time(views.TIMELINE, duration=time_s, play_state="paused")
+    time.sleep(0.8)
+    last = b""
+    while time.monotonic() < until_s:
+        shot = client.take_screenshot()
+        if shot == last:
+            return shot
+        last = shot
+        time.sleep(0.3)
+    raise RollerrigError("no picture: the viewer did not come to rest; try again when the machine "
+                         "is less busy")
+
+
+def _connected(process: subprocess.Popen, port: int, log: Path, until_s: float) -> ViewerClient:
+    """A connection to the viewer when it has loaded the recording."""
+    while time.monotonic() < until_s:
+        if process.poll() is not None:
+            said = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+            why = next((line for line in said if "panicked" in line), "it said nothing")
+            raise RollerrigError(_NO_GRAPHICS.format(why=why.strip()[-160:]))
+        try:
+            client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+            state = client.get_state()
+            if state.active_recording and not state.loading and any(
+                    one.timelines for one in state.recordings):
+                return client
+        except Exception:
+            # not listening yet; what the client raises then is not documented
+            pass
+        time.sleep(0.1)
+    raise RollerrigError("no picture: the viewer did not load the recording in time; is it "
+                         "damaged, or the machine very busy?")

@@ -1,0 +1,51 @@
+"""How every numerical kernel of the project is compiled: cached, without the GIL, IEEE arithmetic.
+
+No fastmath: a run repeats bit for bit. No function arguments: they never hit numba's cache. Numba
+does not notice when a function that a cached one calls has changed, so the cache lives in a folder
+named after all sources that hold kernels or their structures: a changed source compiles afresh.
+"""
+
+import hashlib
+import os
+import shutil
+from pathlib import Path
+
+import numba
+
+_ROOMS = ("rig", "firmware_sim", "realtime", "wsp_interface")
+_KEPT = 6
+
+
+def _fingerprint(root: Path) -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(path for room in _ROOMS for path in (root / room).rglob("*.py")):
+        source = path.read_bytes()
+        if b"@kernel" in source or b"NamedTuple" in source:
+            digest.update(path.name.encode() + source)
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> Path:
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rollerrig"
+    folder = base / f"kernels-{_fingerprint(Path(__file__).resolve().parent.parent)}"
+    new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    if new:
+        old = sorted(base.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
+        for path in old[:-_KEPT]:
+            shutil.rmtree(path, ignore_errors=True)
+    return folder
+
+
+def is_compiled() -> bool:
+    """Whether an earlier process has compiled these sources."""
+    return any(Path(numba.config.CACHE_DIR).rglob("*.nbi"))
+
+
+if not os.environ.get("NUMBA_CACHE_DIR"):
+    try:
+        numba.config.CACHE_DIR = str(_cache_folder())
+    except OSError:  # no writable home: numba finds a place of its own
+        pass
+
+kernel = numba.njit(cache=True, nogil=True, error_model="numpy")

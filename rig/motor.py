@@ -1,0 +1,26 @@
+"""The motor of a roller: torque follows its demand with a lag, within torque, power and speed.
+
+[M1] du/dt = (limit(u_demand) - u) / T. The limit is the largest torque, the power over the speed,
+and no driving torque above the largest speed. Gear and converter are inside the lag: assumption.
+"""
+
+from rollerrig.rig.kernel import kernel
+from rollerrig.rig.state import AXLES
+
+
+@kernel
+def limit(demand_Nm, speed_rad_s, drive):
+    """The torque in N m that the motor may give of a demanded one, at a roller speed."""
+    largest = min(drive.max_torque_Nm, drive.max_power_W / max(abs(speed_rad_s), 1e-3))
+    torque = min(max(demand_Nm, -largest), largest)
+    if torque * speed_rad_s > 0.0 and abs(speed_rad_s) > drive.max_speed_rad_s:
+        return 0.0
+    return torque
+
+
+@kernel
+def respond(state, drive):
+    """Advance the motor torques by a step, exactly for a constant demand [M1]."""
+    for j in range(AXLES):
+        wanted = limit(state.motor_torque_demand[j], state.roller_speed[j], drive)
+        state.motor_torque[j] += (wanted - state.motor_torque[j]) * drive.torque_share

@@ -1,0 +1,78 @@
+"""The state of the plant: named views into one float64 buffer, so that a snapshot is one copy.
+
+Each slot says its unit and which stage writes it. Whatever is observed, recorded or carried by a
+bus is a slot here, under the same name as in the table of signals.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+AXLES = 4
+# valve states
+FILL, HOLD, VENT = 0, 1, 2
+
+
+class State(NamedTuple):
+    """Views of shape (4,) for axles or (1,); stage names are functions of `plant`."""
+
+    time: np.ndarray  # s, advance
+    standing: np.ndarray  # 1: vehicle, wheels and rollers rest; vehicle
+    vehicle_speed: np.ndarray  # m/s, integrate
+    position: np.ndarray  # m, integrate
+    vehicle_acceleration: np.ndarray  # m/s2, integrate
+    felt_acceleration: np.ndarray  # m/s2, as the pitch of body and bogies follows it; vehicle
+    resistance_work: np.ndarray  # J, integrate
+    brake_demand: np.ndarray  # Pa, brake
+    wheel_speed: np.ndarray  # rad/s, integrate
+    wheel_circumferential_speed: np.ndarray  # m/s, observe
+    wheel_angle: np.ndarray  # rad, integrate
+    tooth_frequency: np.ndarray  # Hz, observe
+    pulse_count: np.ndarray  # -, observe
+    roller_speed: np.ndarray  # rad/s, integrate
+    roller_angle: np.ndarray  # rad, integrate
+    sliding: np.ndarray  # m/s, observe
+    creepage: np.ndarray  # -, observe
+    adhesion: np.ndarray  # -, observe
+    adhesion_degraded: np.ndarray  # -, observe
+    adhesion_recovered: np.ndarray  # -, observe
+    transition: np.ndarray  # -, observe
+    dissipated_energy: np.ndarray  # J/m, one wheel; observe
+    sliding_work: np.ndarray  # J, integrate
+    friction_degraded: np.ndarray  # -, friction
+    friction_recovered: np.ndarray  # -, friction
+    wheel_load: np.ndarray  # N, vehicle
+    brake_torque: np.ndarray  # N m, what acts (a locked wheel needs less than the brake could give)
+    brake_capacity: np.ndarray  # N m, what the discs can hold at this pressure; integrate
+    brake_work: np.ndarray  # J, integrate
+    cylinder_pressure: np.ndarray  # Pa, brake
+    valve: np.ndarray  # FILL, HOLD, VENT after the dead time; brake
+    vents: np.ndarray  # -, brake
+    locked_since: np.ndarray  # s, length of the present lock; observe
+    longest_lock: np.ndarray  # s, observe
+    air_consumption: np.ndarray  # NL, brake
+    motor_torque_demand: np.ndarray  # N m, written by the rig control
+    motor_torque: np.ndarray  # N m, motor
+    motor_work: np.ndarray  # J, integrate
+    observer: np.ndarray  # N m, memory of the rig control's observer
+    motor_before: np.ndarray  # N m, motor torque at the beginning of the step; integrate
+    wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
+    roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
+
+
+PER_VEHICLE = frozenset((
+    "time", "standing", "vehicle_speed", "position", "vehicle_acceleration", "felt_acceleration",
+    "resistance_work", "brake_demand", "air_consumption",
+))
+SLOTS: dict[str, slice] = {}
+_at = 0
+for _name in State._fields:
+    _width = 1 if _name in PER_VEHICLE else AXLES
+    SLOTS[_name] = slice(_at, _at + _width)
+    _at += _width
+SIZE = _at
+
+
+def views(buffer: np.ndarray) -> State:
+    """The state in a float64 buffer of shape (SIZE,)."""
+    return State(*(buffer[SLOTS[name]] for name in State._fields))

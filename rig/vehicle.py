@@ -1,0 +1,44 @@
+"""The virtual vehicle: one mass on four wheelsets, its running resistance and its load transfer.
+
+[V1] M dv/dt = -sum T - (A + B v + C v^2).
+[V2] The body's centre of mass lies above the pivots, so braking at d loads the leading bogie:
+     m_body d (h_body - h_pivot) / bogie distance.
+[V3] Body, frame and wheelsets pull above the rail, so each bogie loads its leading wheelset:
+     (m_body / 2 h_pivot + m_bogie h_bogie + 2 m_ws r) d / wheelbase.
+The pitch of body and frames is not modelled here: the transfer follows the deceleration with a lag.
+"""
+
+from rollerrig.rig.kernel import kernel
+from rollerrig.rig.state import AXLES
+
+# below this speed a braked or resisted vehicle stands: resistance is dry friction there
+STANDING_M_S = 0.005
+
+
+@kernel
+def resistance(speed_m_s, vehicle):
+    """Running resistance in N at a speed [V1]."""
+    return (vehicle.resistance_A_N + vehicle.resistance_B_N_s_m * speed_m_s
+            + vehicle.resistance_C_N_s2_m2 * speed_m_s * speed_m_s)
+
+
+@kernel
+def load(axle, felt_acceleration_m_s2, vehicle):
+    """Load in N of a wheelset (0 the leading one) at the felt acceleration [V2, V3]."""
+    body = 0.5 * vehicle.body_transfer_kg if axle < 2 else -0.5 * vehicle.body_transfer_kg
+    bogie = vehicle.bogie_transfer_kg if axle % 2 == 0 else -vehicle.bogie_transfer_kg
+    return max(0.0, vehicle.static_load_N - felt_acceleration_m_s2 * (body + bogie))
+
+
+@kernel
+def settle(state):
+    """Bring a vehicle that hardly moves to rest, with its wheels and rollers."""
+    if state.standing[0] == 0.0 and state.vehicle_speed[0] < STANDING_M_S:
+        state.standing[0] = 1.0
+        state.vehicle_speed[0] = 0.0
+        state.vehicle_acceleration[0] = 0.0
+        for j in range(AXLES):
+            state.wheel_speed[j] = 0.0
+            state.roller_speed[j] = 0.0
+            state.motor_torque[j] = 0.0
+            state.brake_torque[j] = 0.0

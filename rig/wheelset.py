@@ -1,0 +1,163 @@
+"""Wheelsets, rollers and vehicle in motion: one time step of the coupled rotations.
+
+The contact force T = f N drives the wheelset on against its brake [W1], holds back the roller that
+its motor drives [W2] and holds back the vehicle. At low speed the creep slope makes wheel and
+roller stiff, so the pair of each axle is stepped by a linearly implicit second-order method (ROS2,
+Verwer et al. 1999, gamma = 1 - 1/sqrt 2) whose matrix has rank one and is inverted in closed form
+[W3]; the secant slope T / s stands for the derivative, which that method allows without loss of
+order. The brake is dry friction: a wheel that stops stays locked while r T is below what the discs
+can hold [W4].
+
+    [W1] J domega/dt = r T - C
+    [W2] J_R dOmega/dt = u - R T on rollers; on a plain track the surface is the vehicle's
+    [W3] (I - gamma h p q')^-1 k = k + p gamma h (q'k) / (1 - gamma h q'p),
+         p = (r / J, -R / J_R), q = g (-r, R), g = T / s
+    [W4] C = min(C_max, r T) at omega = 0
+    [W5] tau |e| -> tau min(|e|, e_c): the paper tuned its law on sliding wheels; for locked ones it
+         would give the whole recovered adhesion at once (0.26 on soap at 40 m/s), which no rail
+         does. e_c is a parameter, infinite by default; where a scenario sets it, it is an assumption
+
+Second order in the step while no wheel locks or leaves its lock within it. Rotation backwards does
+not exist here: the vehicle only brakes.
+"""
+
+import math
+
+from rollerrig.rig import vehicle as body
+from rollerrig.rig.contact import adhesion
+from rollerrig.rig.kernel import kernel
+from rollerrig.rig.state import AXLES
+
+_GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+# sliding in m/s below which the secant slope is taken at this sliding
+_SMALL_M_S = 1e-6
+
+
+@kernel
+def creep(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage):
+    """Adhesion of a wheelset: what `adhesion.degraded` returns, for the contaminant under it.
+
+    Beyond `cleaning_creepage` the energy of sliding cleans no better than at it [W5].
+    """
+    tau = law.tau_m_J
+    creepage = abs(sliding_m_s) / max(abs(surface_m_s), adhesion.SPEED_FLOOR_M_S)
+    if creepage > cleaning_creepage:
+        tau *= cleaning_creepage / creepage  # [W5]
+    here = adhesion.Law(mu_cd, mu_cr, law.A_d, law.A_r, law.gamma_d_s_m, law.gamma_r_s_m, law.k_ad,
+                        law.k_sd, law.k_ar, law.k_sr, tau)
+    # one wheel carries half of the wheelset's load
+    return adhesion.degraded(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
+
+
+@kernel
+def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage):
+    """Contact force T in N of both wheels, and its secant slope g = T / s in N s/m, not negative."""
+    at = sliding_m_s
+    if abs(at) < _SMALL_M_S:
+        at = _SMALL_M_S
+    slope = creep(at, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage)[0]
+    slope *= load_N / at
+    return slope * sliding_m_s, max(slope, 0.0)
+
+
+@kernel
+def rates(wheel_rad_s, T, brake_Nm, vehicle):
+    """A wheelset's acceleration in rad/s2 [W1], its brake torque in N m, and whether it is locked."""
+    drive_Nm = vehicle.wheel_radius_m * T
+    if wheel_rad_s <= 0.0 and drive_Nm <= brake_Nm:
+        return 0.0, max(drive_Nm, 0.0), True  # [W4]
+    return (drive_Nm - brake_Nm) / vehicle.wheelset_inertia_kgm2, brake_Nm, False
+
+
+@kernel
+def roller_rate(motor_Nm, T, on_track, drive):
+    """A roller's acceleration in rad/s2 [W2]."""
+    if on_track:
+        return 0.0
+    return (motor_Nm - drive.roller_radius_m * T) / drive.roller_inertia_kgm2
+
+
+@kernel
+def damped(wheel_k, roller_k, g, locked, on_track, step_s, vehicle, drive):
+    """The two slopes of a stage, multiplied by (I - gamma h p q')^-1 [W3]."""
+    r, R = vehicle.wheel_radius_m, drive.roller_radius_m
+    p_wheel = 0.0 if locked else r / vehicle.wheelset_inertia_kgm2
+    p_roller = 0.0 if on_track else -R / drive.roller_inertia_kgm2
+    qk = g * (R * roller_k - r * wheel_k)
+    share = _GAMMA * step_s * qk / (1.0 + _GAMMA * step_s * g * (r * p_wheel - R * p_roller))
+    return wheel_k + p_wheel * share, roller_k + p_roller * share
+
+
+@kernel
+def integrate(state, params):
+    """Advance wheels, rollers and vehicle by one step.
+
+    Torques of brakes and motors are given at both ends of the step: `brake_capacity` and
+    `motor_before` at its beginning, `brake_torque` and `motor_torque` at its end.
+    """
+    vehicle, drive, patch, law = params.vehicle, params.drive, params.patch, params.law
+    h, on_track, pitch_s = params.step_s, params.mode == 0, vehicle.pitch_time_constant_s
+    v, felt = state.vehicle_speed[0], state.felt_acceleration[0]
+    resistance_N = body.resistance(v, vehicle)
+    resisting_W = resistance_N * v
+
+    # first stage: slopes at the beginning of the step
+    total = resistance_N
+    for j in range(AXLES):
+        wheel, roller, motor_Nm = state.wheel_speed[j], state.roller_speed[j], state.motor_before[j]
+        surface = v if on_track else drive.roller_radius_m * roller
+        sliding = surface - vehicle.wheel_radius_m * wheel
+        T, g = force(sliding, surface, body.load(j, felt, vehicle), state.friction_degraded[j],
+                     state.friction_recovered[j], patch, law, params.cleaning_creepage)
+        wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_capacity[j], vehicle)
+        roller_k = roller_rate(motor_Nm, T, on_track, drive)
+        state.wheel_rate[j], state.roller_rate[j] = damped(
+            wheel_k, roller_k, g, locked, on_track, h, vehicle, drive)
+        total += T
+        state.sliding_work[j] += 0.5 * h * T * sliding
+        state.brake_work[j] += 0.5 * h * brake_Nm * wheel
+        state.motor_work[j] += 0.5 * h * motor_Nm * roller
+    a1 = -total / vehicle.mass_kg
+    f1 = (a1 - felt) / pitch_s
+
+    # second stage: slopes at the end that the first one predicts
+    v2, felt2 = v + h * a1, felt + h * f1
+    resistance_N = body.resistance(v2, vehicle)
+    resisting_W += resistance_N * v2
+    total = resistance_N
+    for j in range(AXLES):
+        wheel1, roller1, motor_Nm = state.wheel_rate[j], state.roller_rate[j], state.motor_torque[j]
+        wheel = max(0.0, state.wheel_speed[j] + h * wheel1)
+        roller = state.roller_speed[j] + h * roller1
+        surface = v2 if on_track else drive.roller_radius_m * roller
+        sliding = surface - vehicle.wheel_radius_m * wheel
+        T, g = force(sliding, surface, body.load(j, felt2, vehicle), state.friction_degraded[j],
+                     state.friction_recovered[j], patch, law, params.cleaning_creepage)
+        wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_torque[j], vehicle)
+        roller_k = roller_rate(motor_Nm, T, on_track, drive)
+        wheel_k, roller_k = damped(wheel_k - 2.0 * wheel1, roller_k - 2.0 * roller1, g, locked,
+                                   on_track, h, vehicle, drive)
+        total += T
+        state.sliding_work[j] += 0.5 * h * T * sliding
+        state.brake_work[j] += 0.5 * h * brake_Nm * wheel
+        state.motor_work[j] += 0.5 * h * motor_Nm * roller
+        turn(state, j, h * (1.5 * wheel1 + 0.5 * wheel_k), h * (1.5 * roller1 + 0.5 * roller_k), h)
+        state.brake_capacity[j] = state.brake_torque[j]
+        state.motor_before[j] = motor_Nm
+
+    a2 = -total / vehicle.mass_kg
+    state.resistance_work[0] += 0.5 * h * resisting_W
+    state.felt_acceleration[0] = felt + 0.5 * h * (f1 + (a2 - felt2) / pitch_s)
+    state.vehicle_acceleration[0] = 0.5 * (a1 + a2)
+    state.vehicle_speed[0] = max(0.0, v + h * state.vehicle_acceleration[0])
+    state.position[0] += 0.5 * h * (v + state.vehicle_speed[0])
+
+
+@kernel
+def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, step_s):
+    """Add a step's change to the speeds of an axle (no wheel turns backwards) and turn its angles."""
+    wheel, roller = state.wheel_speed[axle], state.roller_speed[axle]
+    state.wheel_speed[axle] = max(0.0, wheel + wheel_change_rad_s)
+    state.roller_speed[axle] = roller + roller_change_rad_s
+    state.wheel_angle[axle] += 0.5 * step_s * (wheel + state.wheel_speed[axle])
+    state.roller_angle[axle] += 0.5 * step_s * (roller + state.roller_speed[axle])

@@ -1,0 +1,119 @@
+"""LSS and stored parameters, with canopen's LSS master over the hub."""
+
+import pytest
+from rollerrig.firmware_sim import encoder406
+from rollerrig.firmware_sim.cia301.lss import UNCONFIGURED
+
+SAVE, LOAD = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little")
+RESET_NODE, RESET_COMMUNICATION = 129, 130
+
+
+@pytest.fixture
+def lss(wire, monkeypatch):
+    # canopen's master sleeps between messages for slow devices
+    monkeypatch.setattr("canopen.lss.time.sleep", lambda seconds: None)
+    wire.master.lss.RESPONSE_TIMEOUT = 0.001
+    wire.master.subscribe(0x7E4, wire.master.lss.on_message_received)
+    return wire.master.lss
+
+
+def identity(node):
+    return [node.objects.get(0x1018, sub) for sub in range(1, 5)]
+
+
+def test_a_node_is_selected_by_its_identity_and_gets_a_new_identifier(wire, lss):
+    node = wire.encoder()
+    wire.brake()
+    assert lss.send_switch_state_selective(*identity(node))
+    assert lss.inquire_node_id() == 16
+    lss.configure_node_id(40)
+    assert lss.inquire_node_id() == 16
+    lss.send_switch_state_global(lss.WAITING_STATE)
+    wire.take()
+    wire.nmt(RESET_COMMUNICATION, 16)
+    assert wire.take(0x728) == [b"\0"]
+    assert wire.read(40, 0x1000) == b"\x96\x01\x0a\x00"
+    assert wire.read(40, 0x1800, 1) == b"\xa8\x01\0\0"
+    wire.nmt(1, 40)
+    wire.take()
+    wire.sync()
+    assert len(wire.take(0x1A8)) == 1
+
+
+def test_an_identifier_that_is_not_allowed_is_refused(wire, lss):
+    wire.encoder()
+    lss.send_switch_state_global(lss.CONFIGURATION_STATE)
+    for wanted in (0, 128, 254):
+        with pytest.raises(Exception, match="1"):
+            lss.configure_node_id(wanted)
+
+
+def test_fastscan_finds_a_node_without_identifier(wire, lss):
+    node = encoder406.build(wire.row)
+    node.lss.pending = UNCONFIGURED
+    wire.plug(node)
+    wire.drive(1)
+    assert wire.take(0x7FF) == []
+    found, who = lss.fast_scan()
+    assert found
+    assert who == identity(node)
+    lss.configure_node_id(16)
+    wire.take()
+    lss.send_switch_state_global(lss.WAITING_STATE)
+    assert wire.take(0x710) == [b"\0"]
+
+
+def test_a_configured_node_does_not_answer_a_fastscan(wire, lss):
+    wire.encoder()
+    assert lss.fast_scan() == (False, None)
+
+
+def test_stored_parameters_outlive_a_reset_and_a_new_start(wire, tmp_path):
+    file = tmp_path / "node16.json"
+    wire.encoder(storage=file)
+    wire.write(16, 0x1017, 0, 33, 2)
+    assert wire.write(16, 0x1010, 1, SAVE, 4) == 0
+    wire.write(16, 0x1017, 0, 44, 2)
+    wire.nmt(RESET_NODE, 16)
+    assert wire.read(16, 0x1017) == b"\x21\0"
+    wire.nodes.clear()
+    again = encoder406.build(wire.row, storage=file)
+    again.start(lambda frame: None, 0)
+    assert again.objects.get(0x1017) == 33
+
+
+def test_restored_defaults_take_effect_with_the_reset(wire, tmp_path):
+    wire.brake(storage=tmp_path / "node17.json")
+    wire.write(17, 0x1017, 0, 33, 2)
+    wire.write(17, 0x6207, 1, 5, 1)
+    wire.write(17, 0x1010, 1, SAVE, 4)
+    assert wire.write(17, 0x1011, 2, LOAD, 4) == 0
+    assert wire.read(17, 0x1017) == b"\x21\0"
+    wire.nmt(RESET_NODE, 17)
+    assert wire.read(17, 0x1017) == b"\x64\0"
+    assert wire.read(17, 0x6207, 1) == b"\x05"
+
+
+def test_commands_are_not_stored(wire, tmp_path):
+    wire.brake(storage=tmp_path / "node17.json")
+    wire.write(17, 0x6200, 1, 3, 1)
+    wire.write(17, 0x1010, 1, SAVE, 4)
+    wire.nmt(RESET_NODE, 17)
+    assert wire.read(17, 0x6200, 1) == b"\0"
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"101700": "x"}', '{"101700": 1e9}',
+                                     '{"1A0001": 4294967295}', '{"1A0000": 200}'])
+def test_a_store_that_cannot_be_understood_does_no_harm(wire, tmp_path, content):
+    file = tmp_path / "node16.json"
+    file.write_text(content)
+    wire.encoder(storage=file)
+    wire.nmt(1, 16)
+    wire.sync()
+    assert wire.read(16, 0x1017) == b"\x64\0"
+
+
+def test_a_node_without_memory_refuses_to_store(wire):
+    wire.encoder()
+    assert wire.write(16, 0x1010, 1, SAVE, 4) == 0x08000020
+    assert wire.read(16, 0x1010, 1) == bytes(4)

@@ -1,0 +1,155 @@
+"""Network management, boot-up, heartbeats, guarding: real frames over the hub."""
+
+import pytest
+
+PRE_OPERATIONAL, OPERATIONAL, STOPPED = 127, 5, 4
+START, STOP, ENTER_PRE, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+
+
+def heartbeat_state(wire, node):
+    wire.take()
+    wire.run(100)
+    return wire.take(0x700 + node)[-1][0]
+
+
+def test_a_node_sends_its_boot_up_and_is_pre_operational_after_power_on(wire):
+    wire.encoder()
+    assert wire.take(0x710) == [b"\0"]
+    assert heartbeat_state(wire, 16) == PRE_OPERATIONAL
+
+
+@pytest.mark.parametrize("command,state", [(START, OPERATIONAL), (STOP, STOPPED),
+                                           (ENTER_PRE, PRE_OPERATIONAL)])
+@pytest.mark.parametrize("addressed", [0, 16])
+def test_an_nmt_command_to_all_or_to_the_node_changes_its_state(wire, command, state, addressed):
+    wire.encoder()
+    wire.nmt(START)
+    wire.nmt(command, addressed)
+    assert heartbeat_state(wire, 16) == state
+
+
+@pytest.mark.parametrize("frame", [b"\x01", b"\x01\x10\x00", b"", b"\x01\x11", b"\x07\x10"])
+def test_an_nmt_message_that_is_malformed_or_for_another_changes_nothing(wire, frame):
+    wire.encoder()
+    wire.send(0, frame)
+    assert heartbeat_state(wire, 16) == PRE_OPERATIONAL
+
+
+@pytest.mark.parametrize("before", [START, STOP, ENTER_PRE])
+def test_reset_node_restores_power_on_values_and_boots_from_every_state(wire, before):
+    wire.brake()
+    assert wire.write(17, 0x6207, 1, 0x55, 1) == 0
+    assert wire.write(17, 0x1017, 0, 30, 2) == 0
+    wire.nmt(before, 17)
+    wire.take()
+    wire.nmt(RESET_NODE, 17)
+    assert wire.take(0x711) == [b"\0"]
+    assert wire.read(17, 0x6207, 1) == b"\0"
+    assert wire.read(17, 0x1017) == b"\x64\0"
+    assert heartbeat_state(wire, 17) == PRE_OPERATIONAL
+
+
+def test_reset_communication_restores_the_communication_profile_only(wire):
+    wire.brake()
+    wire.write(17, 0x6207, 1, 0x55, 1)
+    wire.write(17, 0x1017, 0, 30, 2)
+    wire.take()
+    wire.nmt(RESET_COMMUNICATION, 17)
+    assert wire.take(0x711) == [b"\0"]
+    assert wire.read(17, 0x6207, 1) == b"\x55"
+    assert wire.read(17, 0x1017) == b"\x64\0"
+
+
+def test_the_heartbeat_has_the_period_of_1017h_and_stops_at_zero(wire):
+    wire.encoder()
+    wire.write(16, 0x1017, 0, 20, 2)
+    wire.take()
+    wire.run(200)
+    assert len(wire.take(0x710)) == 10
+    wire.write(16, 0x1017, 0, 0, 2)
+    wire.run(200)
+    assert wire.take(0x710) == []
+
+
+def test_sdo_is_silent_in_stopped_and_answers_again_afterwards(wire):
+    wire.encoder()
+    wire.nmt(STOP, 16)
+    assert wire.ask(16, b"\x40\x00\x10\x00") == []
+    wire.nmt(START, 16)
+    assert wire.read(16, 0x1000) == b"\x96\x01\x0a\x00"
+
+
+def test_pdos_exist_only_in_operational(wire):
+    wire.encoder()
+    for command, expected in ((ENTER_PRE, 0), (START, 1), (STOP, 0), (START, 1), (ENTER_PRE, 0)):
+        wire.nmt(command, 16)
+        wire.take()
+        wire.sync()
+        assert len(wire.take(0x190)) == expected
+
+
+def test_a_partner_is_watched_from_its_first_heartbeat_and_its_loss_is_reported(wire):
+    node = wire.encoder()
+    assert wire.write(16, 0x1016, 1, 5 << 16 | 50, 4) == 0
+    lost = []
+    node.on_partner.append(lambda partner, alive: lost.append((partner, alive)))
+    wire.run(200)
+    assert lost == []
+    wire.send(0x705, b"\x05")
+    wire.take()
+    wire.run(49)
+    assert wire.take(0x90) == []
+    wire.run(1)
+    emergency, = wire.take(0x90)
+    assert emergency[:4] == b"\x30\x81\x11\x05"
+    wire.run(200)
+    assert wire.take(0x90) == []
+    wire.send(0x705, b"\x05")
+    assert wire.take(0x90) == [b"\0\0\0\x30\x81\0\0\0"]
+    assert lost == [(5, False), (5, True)]
+
+
+def test_watching_one_partner_twice_is_refused(wire):
+    wire.encoder()
+    assert wire.write(16, 0x1016, 1, 5 << 16 | 50, 4) == 0
+    assert wire.write(16, 0x1016, 2, 5 << 16 | 70, 4) == 0x06040043
+    assert wire.write(16, 0x1016, 2, 200 << 16 | 70, 4) == 0x06090030
+
+
+@pytest.mark.parametrize("behaviour,state", [(0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)])
+def test_1029h_decides_what_a_lost_heartbeat_does_to_the_state(wire, behaviour, state):
+    wire.encoder()
+    wire.write(16, 0x1016, 1, 5 << 16 | 50, 4)
+    wire.write(16, 0x1029, 1, behaviour, 1)
+    wire.nmt(START, 16)
+    wire.send(0x705, b"\x05")
+    wire.run(60)
+    assert heartbeat_state(wire, 16) == state
+
+
+def test_node_guarding_answers_with_a_toggle_bit_when_no_heartbeat_is_produced(wire):
+    wire.encoder()
+    wire.send(0x710, remote=True, dlc=1)
+    assert wire.take(0x710)[1:] == [b""]
+    wire.write(16, 0x1017, 0, 0, 2)
+    wire.write(16, 0x100C, 0, 50, 2)
+    wire.write(16, 0x100D, 0, 2, 1)
+    answers = []
+    for _ in range(3):
+        wire.take()
+        wire.send(0x710, remote=True, dlc=1)
+        answers.append(wire.take(0x710)[-1][0])
+    assert answers == [0x7F, 0xFF, 0x7F]
+    wire.run(101)
+    assert wire.take(0x90)[0][:2] == b"\x30\x81"
+
+
+def test_a_time_message_is_taken_over_only_while_the_node_consumes_it(wire):
+    node = wire.encoder()
+    wire.send(0x100, b"\x01\x00\x00\x00\x02")
+    assert node.time_of_day is None
+    wire.send(0x100, (12_345).to_bytes(4, "little") + (7).to_bytes(2, "little"))
+    assert node.time_of_day == (7, 12_345)
+    wire.write(16, 0x1012, 0, 0x100, 4)
+    wire.send(0x100, bytes(6))
+    assert node.time_of_day == (7, 12_345)

@@ -1,0 +1,300 @@
+"""PDOs, SYNC and emergency messages: real frames over the hub."""
+
+import canopen
+import pytest
+from rollerrig.wsp_interface import signals
+
+START = 1
+TPDO, EMCY = 0x190, 0x90
+
+
+@pytest.fixture
+def unit(wire):
+    """The axle speed unit, OPERATIONAL."""
+    node = wire.encoder()
+    wire.nmt(START)
+    wire.take()
+    return node
+
+
+def configure(wire, sub, value, size, node=16, pdo=0x1800):
+    """Switch a PDO off, change a parameter, switch it on."""
+    cob_id = int.from_bytes(wire.read(node, pdo, 1), "little")
+    assert wire.write(node, pdo, 1, cob_id | 1 << 31, 4) == 0
+    assert wire.write(node, pdo, sub, value, size) == 0
+    assert wire.write(node, pdo, 1, cob_id & ~(1 << 31), 4) == 0
+    wire.take()
+
+
+def turn(wire, speed):
+    wire.row[signals.column("wheel_speed", 1)] = speed
+
+
+def first(data):
+    return int.from_bytes(data[:2], "little")
+
+
+@pytest.mark.parametrize("every", [1, 2, 5, 240])
+def test_a_cyclic_tpdo_goes_out_with_every_nth_sync(wire, unit, every):
+    configure(wire, 2, every, 1)
+    for _ in range(3 * every):
+        wire.sync()
+    assert len(wire.take(TPDO)) == 3
+
+
+def test_a_tpdo_carries_the_values_at_the_sync(wire, unit):
+    for speed in (1.0, 2.0, 3.0):
+        turn(wire, speed)
+        wire.sync()
+    assert [first(data) for data in wire.take(TPDO)] == [100, 200, 300]
+
+
+def test_an_acyclic_synchronous_tpdo_goes_out_with_the_sync_after_a_change(wire, unit):
+    configure(wire, 2, 0, 1)
+    wire.sync()
+    wire.take()
+    turn(wire, 5.0)
+    wire.run(5)
+    assert wire.take(TPDO) == []
+    for _ in range(3):
+        wire.sync()
+    assert [first(data) for data in wire.take(TPDO)] == [500]
+
+
+@pytest.mark.parametrize("kind", [254, 255])
+def test_an_event_driven_tpdo_goes_out_on_a_change_not_more_often_than_inhibited(wire, unit, kind):
+    configure(wire, 3, 100, 2)
+    configure(wire, 2, kind, 1)
+    wire.run(20)
+    assert len(wire.take(TPDO)) == 1
+    for speed in range(1, 31):
+        turn(wire, float(speed))
+        wire.run(1)
+    sent = [first(data) for data in wire.take(TPDO)]
+    assert len(sent) == 3
+    wire.run(20)
+    assert [first(data) for data in wire.take(TPDO)] == [3000]
+
+
+def test_the_event_timer_sends_without_a_change(wire, unit):
+    configure(wire, 5, 20, 2)
+    configure(wire, 2, 254, 1)
+    wire.run(100)
+    assert len(wire.take(TPDO)) == 6
+
+
+def test_the_cyclic_timer_of_the_encoder_is_the_event_timer(wire, unit):
+    assert wire.write(16, 0x6200, 0, 25, 2) == 0
+    assert wire.read(16, 0x1800, 5) == wire.read(16, 0x6200) == b"\x19\0"
+
+
+@pytest.mark.parametrize("kind,sent", [(252, 200), (253, 300)])
+def test_a_tpdo_on_request_is_sampled_at_the_sync_or_at_the_request(wire, unit, kind, sent):
+    configure(wire, 2, kind, 1)
+    turn(wire, 2.0)
+    wire.sync()
+    turn(wire, 3.0)
+    wire.take()
+    wire.send(TPDO, remote=True, dlc=8)
+    assert [first(data) for data in wire.take(TPDO) if data] == [sent]
+
+
+def test_a_remote_request_is_not_answered_where_bit_30_forbids_it(wire, unit):
+    configure(wire, 1, 0x190 | 1 << 30 | 1 << 31, 4)
+    wire.write(16, 0x1800, 1, 0x190 | 1 << 30, 4)
+    wire.take()
+    wire.send(TPDO, remote=True, dlc=8)
+    assert [data for data in wire.take(TPDO) if data] == []
+
+
+def test_a_tpdo_with_a_sync_start_value_waits_for_that_count(wire, unit):
+    assert wire.write(16, 0x1019, 0, 10, 1) == 0
+    configure(wire, 6, 3, 1)
+    configure(wire, 2, 2, 1)
+    sent = []
+    for count in (1, 2, 3, 4, 5, 6, 7):
+        wire.sync(count)
+        sent.append(len(wire.take(TPDO)))
+    assert sent == [0, 0, 1, 0, 1, 0, 1]
+
+
+def test_a_sync_of_the_wrong_length_is_reported_once_and_obeyed(wire, unit):
+    wire.sync(1)
+    wire.sync(2)
+    data = wire.frames
+    assert [one.data[:2] for one in data if one.can_id == EMCY] == [b"\x40\x82"]
+    assert len(wire.take(TPDO)) == 2
+
+
+def test_the_node_listens_to_the_sync_identifier_of_1005h(wire, unit):
+    assert wire.write(16, 0x1005, 0, 0x7A, 4) == 0x06090030
+    assert wire.write(16, 0x1005, 0, 0xA0, 4) == 0
+    wire.take()
+    wire.sync()
+    assert wire.take(TPDO) == []
+    wire.send(0xA0)
+    assert len(wire.take(TPDO)) == 1
+
+
+def test_a_pdo_may_have_an_identifier_of_29_bits(wire, unit):
+    configure(wire, 1, 0x12345678 | 1 << 29 | 1 << 31, 4)
+    wire.write(16, 0x1800, 1, 0x12345678 | 1 << 29, 4)
+    wire.take()
+    wire.sync()
+    assert [(one.can_id, one.extended) for one in wire.frames if one.can_id > 0x7FF] == [
+        (0x12345678, True)]
+
+
+def test_a_master_remaps_a_tpdo_and_decodes_it(wire, unit):
+    remote = canopen.RemoteNode(16, unit.dictionary)
+    wire.master.add_node(remote)
+    remote.tpdo.read()
+    pdo = remote.tpdo[4]
+    pdo.clear()
+    pdo.add_variable(0x2102, 1)
+    pdo.add_variable(0x6030, 2)
+    pdo.trans_type, pdo.enabled = 1, True
+    pdo.save()
+    turn(wire, 1.23456)
+    wire.sync()
+    assert pdo[0].raw == 12346
+    assert [data for data in wire.take(0x490) if len(data) == 6]
+
+
+def unmap(wire, node=16, pdo=0x1800):
+    cob_id = int.from_bytes(wire.read(node, pdo, 1), "little")
+    wire.write(node, pdo, 1, cob_id | 1 << 31, 4)
+    assert wire.write(node, pdo + 0x200, 0, 0, 1) == 0
+
+
+@pytest.mark.parametrize("entry,code", [
+    (0x30000020, 0x06020000), (0x60300910, 0x06020000), (0x10000020, 0x06040041),
+    (0x60300120, 0x06040041), (0x60030020, 0x06040041), (0x60300110, 0),
+])
+def test_only_an_object_that_can_be_transmitted_is_mapped(wire, unit, entry, code):
+    unmap(wire)
+    assert wire.write(16, 0x1A00, 1, entry, 4) == code
+
+
+@pytest.mark.parametrize("entry,code", [
+    (0x60410010, 0x06040041), (0x60400010, 0), (0x00050008, 0), (0x00010001, 0x06020000),
+])
+def test_only_a_writable_object_or_a_filler_is_mapped_for_reception(wire, entry, code):
+    wire.drive(1)
+    unmap(wire, 1, 0x1400)
+    assert wire.write(1, 0x1600, 1, entry, 4) == code
+
+
+def test_more_than_eight_bytes_are_refused_when_the_mapping_is_switched_on(wire, unit):
+    unmap(wire)
+    for sub in (1, 2, 3):
+        assert wire.write(16, 0x1A00, sub, 0x21020020 | sub << 8, 4) == 0
+    assert wire.write(16, 0x1A00, 0, 3, 1) == 0x06040042
+    assert wire.write(16, 0x1A00, 0, 9, 1) == 0x06040042
+    assert wire.write(16, 0x1A00, 0, 2, 1) == 0
+
+
+def test_what_must_not_change_while_the_pdo_exists_is_refused(wire, unit):
+    assert wire.write(16, 0x1800, 1, 0x191, 4) == 0x08000022
+    assert wire.write(16, 0x1800, 3, 5, 2) == 0x08000022
+    assert wire.write(16, 0x1800, 6, 5, 1) == 0x08000022
+    assert wire.write(16, 0x1A00, 1, 0x60300110, 4) == 0x08000022
+
+
+@pytest.mark.parametrize("cob_id", [0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x600 + 1, 0x701, 0x7E5])
+def test_an_identifier_of_a_fixed_service_is_refused(wire, unit, cob_id):
+    wire.write(16, 0x1800, 1, 0x190 | 1 << 31, 4)
+    assert wire.write(16, 0x1800, 1, cob_id, 4) == 0x06090030
+
+
+def test_a_synchronous_rpdo_is_taken_with_the_next_sync(wire):
+    wire.drive(1)
+    wire.nmt(START)
+    wire.send(0x201, b"\x06\0\x03\x10\0")
+    assert wire.read(1, 0x6060) == b"\x0a"
+    wire.sync()
+    assert wire.read(1, 0x6060) == b"\x03"
+    assert wire.read(1, 0x6071) == b"\x10\0"
+
+
+def test_fillers_of_an_rpdo_are_skipped(wire):
+    wire.drive(1)
+    wire.nmt(START)
+    unmap(wire, 1, 0x1400)
+    wire.write(1, 0x1600, 1, 0x00060010, 4)
+    wire.write(1, 0x1600, 2, 0x60710010, 4)
+    wire.write(1, 0x1600, 0, 2, 1)
+    wire.write(1, 0x1400, 2, 255, 1)
+    wire.write(1, 0x1400, 1, 0x201, 4)
+    wire.send(0x201, b"\xff\xff\x22\x00")
+    assert wire.read(1, 0x6071) == b"\x22\0"
+
+
+def test_a_short_rpdo_is_reported_and_ignored_and_the_next_good_one_ends_the_error(wire):
+    wire.brake()
+    wire.nmt(START)
+    wire.take()
+    wire.send(0x211, b"")
+    wire.send(0x211, b"")
+    assert wire.take(0x91) == [b"\x10\x82\x11\x01\x00\x01\0\0"]
+    assert wire.read(17, 0x1001) == b"\x11"
+    assert wire.read(17, 0x1003, 0) == b"\x01"
+    assert wire.read(17, 0x1003, 1)[:2] == b"\x10\x82"
+    assert wire.read(17, 0x6200, 1) == b"\0"
+    wire.take()
+    wire.send(0x211, b"\x03")
+    assert wire.take(0x91) == [b"\0\0\0\x10\x82\0\0\0"]
+    assert wire.read(17, 0x1001) == b"\0"
+    assert wire.read(17, 0x6200, 1) == b"\x03"
+    assert len(wire.said("RPDO 1 ignored")) == 1
+
+
+def test_a_longer_rpdo_is_used_as_far_as_it_is_mapped(wire):
+    wire.brake()
+    wire.nmt(START)
+    wire.send(0x211, b"\x0c\xff\xff")
+    assert wire.read(17, 0x6200, 1) == b"\x0c"
+
+
+def test_a_late_rpdo_is_reported(wire):
+    wire.brake()
+    wire.write(17, 0x1400, 5, 30, 2)
+    wire.nmt(START)
+    wire.send(0x211, b"\0")
+    wire.take()
+    wire.run(40)
+    assert wire.take(0x91)[0][:2] == b"\x50\x82"
+
+
+def test_the_error_history_is_cleared_by_writing_zero(wire):
+    wire.brake()
+    wire.nmt(START)
+    wire.send(0x211, b"")
+    assert wire.write(17, 0x1003, 0, 0, 1) == 0
+    assert wire.read(17, 0x1003, 0) == b"\0"
+
+
+def test_emergencies_keep_their_inhibit_time_and_none_is_lost(wire):
+    node = wire.encoder()
+    wire.write(16, 0x1014, 0, 0x90 | 1 << 31, 4)
+    assert wire.write(16, 0x1015, 0, 200, 2) == 0
+    wire.write(16, 0x1014, 0, 0x90, 4)
+    wire.take()
+    for code in (0x1000, 0x2000, 0x3000):
+        node.emergency.report(code)
+    assert [data[:2] for data in wire.take(EMCY)] == [b"\x00\x10"]
+    wire.run(19)
+    assert wire.take(EMCY) == []
+    wire.run(1)
+    assert [data[:2] for data in wire.take(EMCY)] == [b"\x00\x20"]
+    wire.run(20)
+    assert [data[:2] for data in wire.take(EMCY)] == [b"\x00\x30"]
+
+
+def test_no_emergency_is_sent_where_1014h_is_not_valid(wire):
+    node = wire.encoder()
+    wire.write(16, 0x1014, 0, 0x90 | 1 << 31, 4)
+    wire.take()
+    node.emergency.report(0x1000)
+    assert wire.take(EMCY) == []
+    assert wire.read(16, 0x1001) == b"\x01"

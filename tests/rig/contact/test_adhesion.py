@@ -1,0 +1,316 @@
+"""Degraded adhesion: the paper's values, independent solvers, and the laws of energy recovery."""
+
+import csv
+import math
+import os
+import subprocess
+import sys
+from itertools import pairwise, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import lambertw
+
+from rollerrig.rig.contact import adhesion, polach
+from rollerrig.rig.contact.adhesion import Law
+
+DATA = Path(__file__).parents[2] / "data"
+MATERIAL = (2.1e11, 8.0e10, 0.3)
+RAIL = adhesion.patch_for(0.445, math.inf, 0.3, *MATERIAL)
+TABLE_4 = Law(0.06, 0.28, 0.40, 0.40, 0.20, 0.60, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
+SPOILING = TABLE_4._replace(mu_cd=0.28, mu_cr=0.06)
+LOAD = 52.7e3
+SLIDING = [0.0, 1e-9, 1e-3, 0.02, 0.3, 1.0, 3.0, 6.0, 12.0, 40.0]
+SPEEDS = [0.0, 0.05, 1.0, 5.0, 20.0, 40.0]
+
+
+def table():
+    with (DATA / "adhesion_table4_r300.csv").open() as file:
+        for row in csv.DictReader(file):
+            yield {key: float(value) for key, value in row.items() if key != "patch"}
+
+
+def newton(f_d, f_r, k):
+    """Eq. 15 solved by Newton from f_r, monotone for f_d <= f_r; else between f_r and f_d."""
+    def excess(f):
+        return f_r - (f_r - f_d) * math.exp(-k * f) - f
+
+    if f_r < f_d:
+        return brentq(excess, f_r, f_d, xtol=1e-300, rtol=1e-15)
+    f = f_r
+    for _ in range(100):
+        gain = k * (f_r - f_d) * math.exp(-k * f)
+        step = excess(f) / (1.0 - gain)
+        f += step
+        if abs(step) <= 1e-15 * f:
+            break
+    return f
+
+
+# the paper's values
+
+def test_table_4_is_met_to_its_printed_digits():
+    columns = ("f_d", "f_r", "f", "lambda", "Wsp_J_per_m", "tau_Wsp", "T_N")
+    rows = list(table())
+    assert len(rows) == 95
+    for row in rows:
+        f, f_d, f_r, lambda_, work, _ = adhesion.degraded(
+            row["s_m_s"], row["v_m_s"], LOAD, RAIL, TABLE_4)
+        got = (f_d, f_r, f, lambda_, work, TABLE_4.tau_m_J * work, f * LOAD)
+        assert got == pytest.approx([row[name] for name in columns], rel=5.1e-8)
+
+
+def test_the_friction_of_table_4_is_met():
+    for row in table():
+        got = [polach.friction(row["s_m_s"], mu_c, 0.4, gamma)
+               for mu_c, gamma in ((0.06, 0.2), (0.28, 0.6))]
+        assert got == pytest.approx([row["mu_d"], row["mu_r"]], rel=5.1e-8)
+
+
+def test_adhesion_dips_where_falling_friction_outweighs_recovery():
+    f = [adhesion.degraded(s, 40.0, LOAD, RAIL, TABLE_4)[0] for s in np.arange(0.5, 15.0, 0.1)]
+    dip = 0.5 + 0.1 * (20 + int(np.argmin(f[20:])))
+    assert 5.0 < dip < 7.0
+    assert max(f[:20]) > min(f[20:]) < f[-1]
+
+
+@pytest.mark.parametrize(
+    ("radius", "creep_slope"), [(1.0, -0.17), (0.75, -0.20), (0.6, -0.24), (0.5, -0.27)])
+def test_a_roller_softens_the_creep_slope_as_published(radius, creep_slope):
+    roller = adhesion.patch_for(0.445, radius, 0.3, *MATERIAL)
+    assert roller.eps1 / RAIL.eps1 - 1.0 == pytest.approx(creep_slope, abs=0.006)
+    area = roller.a1 * roller.b1 / (RAIL.a1 * RAIL.b1) - 1.0
+    assert -0.195 < area < -0.085
+
+
+# the closed form
+
+def test_the_closed_form_agrees_with_newton_for_random_and_extreme_parameters():
+    random = np.random.default_rng(20140919)
+    for _ in range(3000):
+        f_d, f_r = random.uniform(1e-4, 0.7, 2)
+        k = 10.0 ** random.uniform(-9.0, 9.0)
+        assert adhesion.recover(f_d, f_r, k) == pytest.approx(newton(f_d, f_r, k), rel=1e-10)
+    for f_d, f_r, k in product((1e-12, 1e-6, 0.1, 0.7), (1e-12, 1e-6, 0.1, 0.7),
+                               (1e-300, 1e-30, 1e-3, 1.0, 10.0, 1e3, 1e9, 1e30)):
+        assert adhesion.recover(f_d, f_r, k) == pytest.approx(newton(f_d, f_r, k), rel=1e-10)
+
+
+def test_the_root_keeps_its_digits_where_lamberts_function_is_singular():
+    # f_d -> 0 with k f_r = 1: here k f = sqrt(2 k f_d) to leading order
+    for f_d in (1e-8, 1e-12, 1e-16, 1e-20):
+        f = adhesion.recover(f_d, 0.25, 4.0)
+        assert 4.0 * f == pytest.approx(math.sqrt(8.0 * f_d), rel=math.sqrt(8.0 * f_d) + 1e-6)
+
+
+def test_little_energy_keeps_the_digits_of_lambda():
+    for k in (1e-12, 1e-9, 1e-6, 1e-4):
+        f, lambda_ = adhesion.recovery(1e-5, 0.3, k)
+        assert lambda_ == pytest.approx(-math.expm1(-k * f), rel=1e-12)
+        assert f - 1e-5 == pytest.approx(0.3 * lambda_, rel=1e-3, abs=1e-20)
+
+
+def test_the_pair_satisfies_equations_9_and_10():
+    random = np.random.default_rng(7)
+    for _ in range(1000):
+        f_d, f_r = random.uniform(0.0, 0.7, 2)
+        k = 10.0 ** random.uniform(-6.0, 6.0)
+        f, lambda_ = adhesion.recovery(f_d, f_r, k)
+        assert f == pytest.approx((1.0 - lambda_) * f_d + lambda_ * f_r, rel=1e-11)
+        assert lambda_ == pytest.approx(-math.expm1(-k * f), rel=1e-13)
+        assert min(f_d, f_r) <= f <= max(f_d, f_r)
+
+
+def test_without_degraded_adhesion_nothing_recovers_before_k_f_r_is_one():
+    for k in (0.0, 1.0, 3.0, 4.0):
+        assert adhesion.recovery(0.0, 0.25, k) == (0.0, 0.0)
+    for k in (4.4, 8.0, 100.0):
+        assert adhesion.recover(0.0, 0.25, k) == pytest.approx(newton(0.0, 0.25, k), rel=1e-12)
+
+
+def test_endless_energy_gives_full_recovery():
+    for k in (1e6, 1e30, math.inf):
+        assert adhesion.recovery(0.1, 0.3, k) == (pytest.approx(0.3, rel=1e-15), 1.0)
+        assert adhesion.recovery(0.3, 0.1, k) == (0.1, 1.0)
+
+
+@pytest.mark.parametrize("k", [0.0, -0.0, -1.0, 5e-324])
+def test_without_energy_adhesion_is_the_degraded_one_bit_for_bit(k):
+    assert adhesion.recovery(0.1234567, 0.3, k) == (0.1234567, 0.0)
+
+
+# Lambert's function
+
+def test_w0_agrees_with_scipy():
+    random = np.random.default_rng(1758)
+    x = np.concatenate((
+        random.uniform(-0.3678, 3.0, 2000), 10.0 ** random.uniform(-300.0, 308.0, 2000),
+        -(10.0 ** random.uniform(-300.0, -0.45, 2000))))
+    got = np.array([adhesion.lambert_w0(value) for value in x])
+    # scipy itself loses digits next to the branch point
+    tolerance = np.where(x < -0.36, 1e-13, 1e-14)
+    assert (np.abs(got / lambertw(x).real - 1.0) <= tolerance).all()
+
+
+def test_w0_is_exact_at_its_known_points():
+    assert adhesion.lambert_w0(0.0) == 0.0
+    assert adhesion.lambert_w0(-1.0 / math.e) == -1.0
+    assert adhesion.lambert_w0(math.inf) == math.inf
+    assert adhesion.lambert_w0(math.e) == pytest.approx(1.0, rel=1e-15)
+    assert adhesion.lambert_w0(1.0) == pytest.approx(0.5671432904097838730, rel=1e-15)
+    assert adhesion.lambert_w0(-math.log(2.0) / 2.0) == pytest.approx(-math.log(2.0), rel=1e-14)
+    assert adhesion.lambert_w0(-0.5) == -1.0
+
+
+def test_w0_next_to_its_branch_point_follows_the_square_root():
+    # three neighbouring doubles above -1/e; distances from 40 digits of 1/e
+    x = -1.0 / math.e
+    for _ in range(3):
+        x = math.nextafter(x, 0.0)
+        distance = (x + 0.36787944117144233) - 1.2428753672788363e-17
+        p = math.sqrt(2.0 * math.e * distance)
+        assert adhesion.lambert_w0(x) + 1.0 == pytest.approx(p - p * p / 3.0, rel=1e-7)
+
+
+def test_w0_inverts_w_exp_w_and_never_decreases():
+    w = np.concatenate((-1.0 + np.geomspace(0.05, 1.0, 300), np.geomspace(1e-12, 700.0, 300)))
+    got = np.array([adhesion.lambert_w0(value * math.exp(value)) for value in w])
+    assert got == pytest.approx(w, rel=1e-13, abs=1e-15)
+    x = np.concatenate((np.linspace(-1.0 / math.e, 0.1, 3001), np.geomspace(0.1, 1e308, 3000)))
+    values = np.array([adhesion.lambert_w0(value) for value in x])
+    assert (np.diff(values) >= -1e-15 * np.abs(values[1:])).all()
+
+
+# the law of one wheel
+
+@pytest.mark.parametrize("law", [TABLE_4, SPOILING])
+def test_adhesion_is_odd_in_sliding_and_even_in_the_direction_of_travel(law):
+    for sliding, speed in product(SLIDING, SPEEDS):
+        forward = adhesion.degraded(sliding, speed, LOAD, RAIL, law)
+        assert adhesion.degraded(-sliding, speed, LOAD, RAIL, law) == (-forward[0], *forward[1:])
+        assert adhesion.degraded(sliding, -speed, LOAD, RAIL, law) == forward
+
+
+@pytest.mark.parametrize("law", [TABLE_4, SPOILING])
+def test_adhesion_lies_between_its_limits_and_lambda_in_0_to_1(law):
+    for sliding, speed, load in product(SLIDING, SPEEDS, (1e-3, 1e3, LOAD, 2e5)):
+        f, f_d, f_r, lambda_, work, _ = adhesion.degraded(sliding, speed, load, RAIL, law)
+        assert min(f_d, f_r) <= f <= max(f_d, f_r)
+        assert 0.0 <= lambda_ <= 1.0
+        assert lambda_ == pytest.approx(-math.expm1(-law.tau_m_J * work), rel=1e-12, abs=1e-300)
+        creepage = sliding / max(speed, adhesion.SPEED_FLOOR_M_S)
+        assert work == pytest.approx(f * load * creepage, rel=1e-15)
+
+
+def test_adhesion_grows_with_tau():
+    for sliding, speed in product(SLIDING[1:], SPEEDS):
+        f = [adhesion.degraded(sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=tau))[0]
+             for tau in (0.0, *np.geomspace(1e-9, 1.0, 40))]
+        assert all(later >= earlier * (1.0 - 1e-15) for earlier, later in pairwise(f))
+
+
+def test_without_tau_adhesion_is_the_degraded_one_bit_for_bit():
+    for sliding, speed in product(SLIDING, SPEEDS):
+        f, f_d, _, lambda_, _, _ = adhesion.degraded(
+            sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=0.0))
+        assert (f, lambda_) == (f_d, 0.0)
+
+
+def test_the_limits_are_polachs_force_at_the_patch_of_the_load():
+    for sliding, speed, load in product(SLIDING, SPEEDS[2:], (1e3, LOAD)):
+        _, f_d, f_r, _, _, _ = adhesion.degraded(sliding, speed, load, RAIL, TABLE_4)
+        a_m, b_m = RAIL.a1 * load ** (1 / 3), RAIL.b1 * load ** (1 / 3)
+        unit = polach.eps_per_creepage(a_m, b_m, RAIL.c11, RAIL.shear_Pa, load)
+        for got, mu_c, gamma, k_a, k_s in ((f_d, 0.06, 0.2, 0.3, 0.1), (f_r, 0.28, 0.6, 1.0, 0.4)):
+            mu = polach.friction(sliding, mu_c, 0.4, gamma)
+            wanted = polach.adhesion(unit * sliding / speed / mu, mu, k_a, k_s)
+            assert got == pytest.approx(wanted, rel=1e-13)
+
+
+@pytest.mark.parametrize("law", [TABLE_4, SPOILING, TABLE_4._replace(tau_m_J=0.0)])
+def test_the_slope_is_the_derivative_to_sliding(law):
+    for sliding, speed, sign in product((1e-4, 0.02, 0.3, 1.0, 3.0, 12.0), SPEEDS[1:], (1, -1)):
+        h = 1e-5 * sliding
+        ends = [adhesion.degraded(sign * (sliding + d), speed, LOAD, RAIL, law)[0] for d in (-h, h)]
+        difference = sign * (ends[1] - ends[0]) / (2.0 * h)
+        slope = adhesion.degraded(sign * sliding, speed, LOAD, RAIL, law)[5]
+        assert slope == pytest.approx(difference, rel=1e-5, abs=1e-9)
+        damping = adhesion.slope(sign * sliding, speed, LOAD, RAIL, law)
+        assert damping == max(slope, 0.0)
+
+
+def test_at_rest_the_slope_is_the_weakened_creep_slope_of_the_patch():
+    f, _, _, _, _, slope = adhesion.degraded(0.0, 20.0, LOAD, RAIL, TABLE_4)
+    stiffness = RAIL.eps1 * LOAD ** (-1 / 3) * 2.0 / math.pi * (0.3 + 0.1)
+    assert f == 0.0
+    assert slope == pytest.approx(stiffness / 20.0, rel=1e-13)
+
+
+def test_a_roller_of_infinite_radius_is_a_rail_bit_for_bit():
+    assert adhesion.patch_for(0.445, 1e300, 0.3, *MATERIAL) == RAIL
+    roller = adhesion.patch_for(0.445, 1e12, 0.3, *MATERIAL)
+    assert roller == pytest.approx(RAIL, rel=1e-11)
+
+
+@pytest.mark.parametrize("load", [0.0, -0.0, -1.0, -math.inf])
+def test_an_unloaded_wheel_transmits_nothing(load):
+    assert adhesion.degraded(1.0, 20.0, load, RAIL, TABLE_4) == (0.0,) * 6
+
+
+def test_infinite_and_zero_inputs_give_no_nan():
+    ends = (0.0, 5e-324, 1e-300, 1.0, 1e300, math.inf)
+    laws = (
+        TABLE_4, SPOILING, TABLE_4._replace(tau_m_J=0.0), TABLE_4._replace(mu_cd=0.0),
+        TABLE_4._replace(mu_cd=0.0, mu_cr=0.0), TABLE_4._replace(gamma_d_s_m=0.0, gamma_r_s_m=0.0),
+        TABLE_4._replace(tau_m_J=1e30),
+    )
+    for sliding, speed, load, law in product((*ends, -math.inf), ends, ends, laws):
+        assert not np.isnan(adhesion.degraded(sliding, speed, load, RAIL, law)).any()
+    for f_d, f_r, k in product((0.0, 5e-324, 0.1, 1.0), (0.0, 5e-324, 0.1, 1.0), ends):
+        assert not np.isnan(adhesion.recovery(f_d, f_r, k)).any()
+
+
+@pytest.mark.parametrize("broken", [0, 1, 2])
+def test_a_broken_measurement_is_not_hidden(broken):
+    given = [1.0, 20.0, LOAD]
+    given[broken] = math.nan
+    assert math.isnan(adhesion.degraded(*given, RAIL, TABLE_4)[0])
+
+
+@pytest.mark.parametrize(("name", "value"), [
+    ("wheel_radius_m", 0.0), ("wheel_radius_m", math.inf), ("roller_radius_m", -1.0),
+    ("lateral_radius_m", math.nan), ("young_Pa", -2.1e11), ("shear_Pa", 0.0), ("poisson", 0.6),
+])
+def test_an_impossible_patch_is_refused_by_name(name, value):
+    given = dict(wheel_radius_m=0.445, roller_radius_m=1.0, lateral_radius_m=0.3,
+                 young_Pa=2.1e11, shear_Pa=8.0e10, poisson=0.3)
+    with pytest.raises(ValueError, match=f"{name} = {value!r}; must be"):
+        adhesion.patch_for(**{**given, name: value})
+
+
+PLAIN = """
+import math
+from rollerrig.rig.contact import adhesion
+law = adhesion.Law(0.06, 0.28, 0.40, 0.40, 0.20, 0.60, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
+for radius in (math.inf, 0.5):
+    patch = adhesion.patch_for(0.445, radius, 0.3, 2.1e11, 8.0e10, 0.3)
+    for sliding in (0.0, 1e-3, -0.3, 3.0, 12.0, math.inf):
+        for speed in (0.0, 5.0, 40.0):
+            for load in (0.0, 52.7e3, math.inf):
+                for one in (law, law._replace(mu_cd=0.28, mu_cr=0.06), law._replace(mu_cd=0.0)):
+                    print(*adhesion.degraded(sliding, speed, load, patch, one))
+"""
+
+
+def test_plain_python_agrees_with_the_compiled_kernels():
+    def run(disabled):
+        environment = {**os.environ, "NUMBA_DISABLE_JIT": disabled}
+        answer = subprocess.run([sys.executable, "-c", PLAIN], env=environment, check=True,
+                                capture_output=True, text=True)
+        return np.array([line.split() for line in answer.stdout.splitlines()], dtype=float)
+
+    compiled = run("0")
+    assert compiled.shape == (324, 6)
+    assert run("1") == pytest.approx(compiled, rel=1e-12, abs=1e-300)

@@ -1,0 +1,89 @@
+"""A hub in a thread of its own, as in the bench, for tests with blocking clients."""
+
+import asyncio
+import contextlib
+import socket
+import threading
+import time
+
+import pytest
+from rollerrig.wsp_interface.hub import Hub
+
+
+class HubThread:
+    """A hub on a free loopback port; `log` is what a tap saw."""
+
+    def __init__(self, **hub_options) -> None:
+        self.loop = asyncio.new_event_loop()
+        self.problems: list[dict] = []
+        self.loop.set_exception_handler(lambda loop, context: self.problems.append(context))
+        self.thread = threading.Thread(target=self.loop.run_forever, daemon=True)
+        self.thread.start()
+        self.log = []
+        self.hub = self.do(lambda: Hub(time.monotonic_ns, **hub_options))
+        self.do(lambda: self.hub.tap(self.log.append))
+        self.port = self.listen("socketcand")
+
+    def do(self, function):
+        """Run a plain function, or a coroutine function, in the hub's thread."""
+
+        async def run():
+            result = function()
+            return await result if asyncio.iscoroutine(result) else result
+
+        return asyncio.run_coroutine_threadsafe(run(), self.loop).result(10)
+
+    def listen(self, codec: str) -> int:
+        return self.do(lambda: self.hub.listen(codec, port=0))
+
+    def address(self) -> str:
+        return f"127.0.0.1:{self.port}/rig0"
+
+    def connect(self, port: int | None = None) -> socket.socket:
+        """A raw client."""
+        connection = socket.create_connection(("127.0.0.1", port or self.port), 5)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return connection
+
+    def raw_mode(self) -> socket.socket:
+        """A raw client that has shaken hands."""
+        client = self.connect()
+        for command, answer in ((b"", b"< hi >"), (b"< open rig0 >", b"< ok >"),
+                                (b"< rawmode >", b"< ok >")):
+            client.sendall(command)
+            assert client.recv(256) == answer
+        return client
+
+    def until(self, condition) -> bool:
+        """Whether the condition comes true within five seconds."""
+        end_s = time.monotonic() + 5.0
+        while time.monotonic() < end_s:
+            if condition():
+                return True
+            time.sleep(0.002)
+        return False
+
+    def close(self) -> None:
+        if self.loop.is_running():
+            self.do(self.hub.close)
+            self.loop.call_soon_threadsafe(self.loop.stop)
+            self.thread.join(5)
+            self.loop.close()
+
+
+@pytest.fixture
+def start_hub():
+    """Start hubs; they are closed after the test."""
+    with contextlib.ExitStack() as stack:
+
+        def start(**hub_options) -> HubThread:
+            hub_thread = HubThread(**hub_options)
+            stack.callback(hub_thread.close)
+            return hub_thread
+
+        yield start
+
+
+@pytest.fixture
+def bench(start_hub):
+    return start_hub()

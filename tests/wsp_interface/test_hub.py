@@ -1,0 +1,504 @@
+"""The hub and its protocols, over real sockets."""
+
+import asyncio
+import random
+import socket
+import struct
+import time
+
+import can
+import pytest
+from rollerrig.configs.errors import BusError
+from rollerrig.wsp_interface import codecs, frames
+from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.hub import Hub
+
+TCP_DATA_SEGMENTS_IN = 152  # offset of tcpi_data_segs_in in struct tcp_info, linux/tcp.h
+
+
+def numbered(count: int) -> list[Frame]:
+    return [Frame(0x181, struct.pack("<Q", number)) for number in range(count)]
+
+
+def numbers(messages) -> list[int]:
+    return [struct.unpack("<Q", bytes(message.data))[0] for message in messages]
+
+
+def python_can_client(bench) -> can.BusABC:
+    return can.Bus(interface="socketcand", host="127.0.0.1", port=bench.port, channel="rig0",
+                   tcp_tune=True)
+
+
+def receive(bus: can.BusABC, count: int) -> list[can.Message]:
+    end_s = time.monotonic() + 5.0
+    messages = []
+    while len(messages) < count and time.monotonic() < end_s:
+        message = bus.recv(0.1)
+        if message:
+            messages.append(message)
+    return messages
+
+
+def read_until(client: socket.socket, ending: bytes) -> bytes:
+    client.settimeout(5)
+    data = b""
+    while not data.endswith(ending):
+        chunk = client.recv(65536)
+        if not chunk:
+            break
+        data += chunk
+    return data
+
+
+def read_to_end(client: socket.socket) -> bytes:
+    client.settimeout(5)
+    data = b""
+    while chunk := client.recv(65536):
+        data += chunk
+    return data
+
+
+# --- in the process ---
+
+
+def test_every_frame_reaches_all_nodes_and_taps_but_not_its_sender_with_one_time_stamp():
+    ticks = iter(range(0, 10_000, 10))
+    hub = Hub(lambda: next(ticks))
+    seen = {"tap": [], "a": [], "b": []}
+    hub.tap(seen["tap"].append)
+    a = hub.attach(seen["a"].append)
+    hub.attach(seen["b"].append)
+    a.send(Frame(0x80, b""))
+    assert seen["a"] == []
+    assert seen["b"] == seen["tap"] == [Frame(0x80, b"", time_ns=10)]
+
+
+def test_a_node_that_answers_inside_its_callback_does_not_overtake_the_question():
+    hub = Hub(time.monotonic_ns)
+    seen = []
+    master = hub.attach(lambda frame: None)
+    first = hub.attach(lambda frame: first.send(Frame(0x181, b"")) if frame.can_id == 0x80 else 0)
+    hub.attach(lambda frame: seen.append(frame.can_id))
+    master.send(Frame(0x80, b""))
+    master.send(Frame(0x80, b""))
+    assert seen == [0x80, 0x181, 0x80, 0x181]
+
+
+def test_a_failing_node_is_reported_and_harms_nobody_else():
+    async def run():
+        problems, seen = [], []
+        asyncio.get_running_loop().set_exception_handler(lambda loop, c: problems.append(c))
+        hub = Hub(time.monotonic_ns)
+        hub.attach(lambda frame: 1 / 0)
+        hub.attach(seen.append)
+        hub.attach(print).send(Frame(0x80, b""))
+        return problems, seen
+
+    problems, seen = asyncio.run(run())
+    assert len(seen) == 1
+    assert isinstance(problems[0]["exception"], ZeroDivisionError)
+    assert "80h" in problems[0]["message"]
+
+
+def test_a_closed_port_gets_nothing_and_what_it_sends_is_counted_as_dropped():
+    hub = Hub(time.monotonic_ns)
+    seen = []
+    a, b = hub.attach(seen.append), hub.attach(lambda frame: None)
+    a.close()
+    b.send(Frame(1, b""))
+    a.send(Frame(2, b""))
+    assert seen == []
+    assert a.dropped == 1
+    assert hub.stats()["frames"] == 1
+
+
+@pytest.mark.parametrize("frame", [
+    Frame(0x800, b""), Frame(-1, b""), Frame(0x2000_0000, b"", extended=True),
+    Frame(1, bytes(9)), Frame(1, b"", remote=True, dlc=9), Frame(1, b"x", remote=True)])
+def test_what_no_can_controller_could_send_is_refused(frame):
+    port = Hub(time.monotonic_ns).attach(lambda frame: None)
+    with pytest.raises(ValueError, match="CAN frame"):
+        port.send(frame)
+
+
+# --- the wire ---
+
+
+def test_a_frame_of_eight_bytes_has_111_bits_and_135_at_most():
+    assert frames.bits(Frame(1, bytes(8))) == 111
+    assert frames.bits(Frame(1, bytes(8)), worst=True) == 135
+    assert frames.bits(Frame(1, bytes(8), extended=True)) == 131
+    assert frames.bits(Frame(1, bytes(8), extended=True), worst=True) == 160
+    assert frames.bits(Frame(1, b"", remote=True, dlc=8)) == 47
+
+
+def test_the_default_rig_at_100_hz_loads_500_kbit_by_38_percent():
+    # 16 drive frames, sensor, valves and SYNC, most with eight bytes: BUSES section 1
+    now = [0]
+    hub = Hub(lambda: now[0], bitrate=500_000)
+    port = hub.attach(lambda frame: None)
+    for _ in range(200):
+        for frame in [Frame(0x80, b""), *numbered(17)]:
+            port.send(frame)
+        now[0] += 10_000_000
+    load = hub.stats()
+    assert load["load_percent"] == pytest.approx(38.7, abs=0.1)
+    assert load["load_last_second_percent"] == pytest.approx(38.7, abs=4.0)
+    assert not load["overloaded"]
+    now[0] += 2_000_000_000
+    assert hub.stats()["load_last_second_percent"] == 0.0
+
+
+def test_more_than_the_bus_can_carry_is_flagged_as_overload():
+    now = [0]
+    hub = Hub(lambda: now[0], bitrate=500_000)
+    port = hub.attach(lambda frame: None)
+    for _ in range(100):
+        for frame in numbered(50):  # 11.1 ms worth every 10 ms
+            port.send(frame)
+        now[0] += 10_000_000
+    assert hub.stats()["overloaded"]
+    assert hub.stats()["load_percent"] == pytest.approx(111, abs=0.5)
+    hub.start_counting()
+    assert not hub.stats()["overloaded"]
+    assert hub.stats()["frames"] == 0
+
+
+def test_the_log_is_read_back_by_python_can_frame_by_frame(tmp_path):
+    sent = [Frame(0x123, b"\xaa\xbb", time_ns=1_234_567_890_123_456_789),
+            Frame(0x7FF, b"", time_ns=1_000), Frame(0x12345, bytes(range(8)), True),
+            Frame(0x701, b"", remote=True, dlc=1), Frame(0x702, b"", remote=True)]
+    path = tmp_path / "can.log"
+    path.write_text("".join(frames.candump_line(frame) + "\n" for frame in sent))
+    assert path.read_text().startswith("(1234567890.123456) rig0 123#AABB\n")
+    with can.CanutilsLogReader(path) as reader:
+        read = list(reader)
+    assert [(m.arbitration_id, bytes(m.data), m.is_extended_id, m.is_remote_frame, m.dlc)
+            for m in read] == [(f.can_id, f.data, f.extended, f.remote, frames.length(f))
+                               for f in sent]
+    assert {m.channel for m in read} == {"rig0"}
+    assert read[1].timestamp == pytest.approx(1e-6)
+
+
+# --- socketcand ---
+
+
+def test_python_cans_own_client_gets_and_sends_every_frame_in_order_and_not_its_own(bench):
+    seen = []
+    node = bench.do(lambda: bench.hub.attach(seen.append))
+    a, b = python_can_client(bench), python_can_client(bench)
+    bench.do(lambda: [node.send(frame) for frame in numbered(500)])
+    assert numbers(receive(a, 500)) == numbers(receive(b, 500)) == list(range(500))
+    for frame in numbered(300):
+        a.send(can.Message(arbitration_id=0x201, data=frame.data, is_extended_id=False))
+    assert numbers(receive(b, 300)) == list(range(300))
+    assert a.recv(0.1) is None
+    assert [frame.data for frame in seen] == [frame.data for frame in numbered(300)]
+    a.shutdown()
+    b.shutdown()
+    assert bench.hub.dropped == 0
+
+
+def test_all_clients_and_the_log_see_the_same_time_stamp(bench):
+    clients = [bench.raw_mode() for _ in range(2)]
+    bench.do(lambda: bench.hub.attach(print).send(Frame(0x80, b"\x01")))
+    texts = [read_until(client, b">") for client in clients]
+    assert texts[0] == texts[1] == codecs.socketcand_event(bench.log[0])
+    assert bench.log[0].time_ns > 0
+
+
+def test_each_answer_of_the_handshake_comes_alone_and_frames_wait_until_it_is_read(bench):
+    client = bench.connect()
+    assert client.recv(256) == b"< hi >"
+    node = bench.do(lambda: bench.hub.attach(print))
+    began_s = time.monotonic()
+    client.sendall(b"< open rig0 >\n< rawmode >\n")
+    assert client.recv(256) == b"< ok >"
+    assert client.recv(256) == b"< ok >"
+    bench.do(lambda: node.send(Frame(0x181, b"\x01")))
+    assert client.recv(256).startswith(b"< frame 181 ")
+    assert time.monotonic() - began_s >= 0.05
+
+
+def test_commands_are_understood_however_they_are_cut(bench):
+    client = bench.connect()
+    script = (b"< open rig0 >< rawmode ><send 1 0><  send\t7fF 2  a B >\r\n"
+              b"< send 92345678 3 ffffff80 ffffffff 1 >< send 00000123 1 7F >")
+    for index in range(len(script)):
+        client.sendall(script[index : index + 1])
+    assert bench.until(lambda: len(bench.log) == 4)
+    assert [frame[:3] for frame in bench.log] == [
+        (0x001, b"", False), (0x7FF, b"\x0a\x0b", False),
+        (0x12345678, b"\x80\xff\x01", True), (0x123, b"\x7f", True)]
+
+
+def test_identifiers_of_11_and_29_bits_have_three_and_eight_digits(bench):
+    client = bench.raw_mode()
+    node = bench.do(lambda: bench.hub.attach(print))
+    bench.do(lambda: [node.send(Frame(0x12, b"\xab")), node.send(Frame(0x12, b"", True))])
+    words = read_until(client, b"  >").split()
+    assert words[2] == b"012"
+    assert words[4] == b"AB"
+    assert words[7] == b"00000012"
+
+
+def test_remote_frames_pass_in_both_directions(bench):
+    a, b = bench.raw_mode(), bench.raw_mode()
+    a.sendall(b"< sendrtr 701 1 >")
+    assert bench.until(lambda: bench.log)
+    assert bench.log[0][:5] == (0x701, b"", False, True, 1)
+    assert read_until(b, b">").split()[1:3] == [b"rtr", b"701"]
+
+
+@pytest.mark.parametrize(("command", "answer"), [
+    (b"< echo >", b"< echo >"),
+    (b"< subscribe 0 0 123 >", b"< error unknown command >"),
+    (b"< >", b"< error unknown command >"),
+    (b"nonsense > < nonsense < rubbish >", b"< error unknown command >"),
+    (b"< send 123 9 1 2 3 4 5 6 7 8 9 >", b"< error malformed send >"),
+    (b"< send 123 2 1 >", b"< error malformed send >"),
+    (b"< send 12g 1 1 >", b"< error malformed send >"),
+    (b"< send -1 1 1 >", b"< error malformed send >"),
+    (b"< send 1 1 0x1 >", b"< error malformed send >"),
+    (b"< send 1 1 +1 >", b"< error malformed send >"),
+    (b"< send 1_0 1 1 >", b"< error malformed send >"),
+    (b"< sendrtr 1 >", b"< error malformed sendrtr >"),
+    (b"< send" + b" 0" * 300 + b" >", b"< error unknown command >"),
+    (b"<" + b"x" * 5000, b"< error command too long >")])
+def test_what_cannot_be_understood_is_answered_and_the_client_stays(bench, command, answer):
+    client = bench.raw_mode()
+    client.sendall(command)
+    assert read_until(client, b">") == answer
+    client.sendall(b"> < send 123 1 55 >")
+    assert bench.until(lambda: len(bench.log) == 1)
+    assert bench.log[0][:2] == (0x123, b"\x55")
+
+
+def test_nothing_can_be_sent_before_a_bus_is_open_and_another_bus_is_refused(bench):
+    client = bench.connect()
+    client.sendall(b"< send 1 0 >< open other >")
+    text = read_to_end(client)
+    assert text.startswith(b"< hi >< error unknown command >< error could not open bus")
+    assert b"rig0" in text
+    assert bench.log == []
+
+
+def test_bcmmode_stops_the_frames_and_rawmode_starts_them_again(bench):
+    client = bench.raw_mode()
+    node = bench.do(lambda: bench.hub.attach(print))
+    client.sendall(b"< bcmmode >")
+    assert read_until(client, b"< ok >") == b"< ok >"
+    bench.do(lambda: node.send(Frame(1, b"")))
+    client.sendall(b"< rawmode >")
+    assert read_until(client, b"< ok >") == b"< ok >"
+    bench.do(lambda: node.send(Frame(2, b"")))
+    assert read_until(client, b">").startswith(b"< frame 002")
+
+
+def test_frames_sent_in_one_callback_leave_in_one_segment(bench):
+    client = bench.raw_mode()
+    node = bench.do(lambda: bench.hub.attach(print))
+
+    def segments() -> int:
+        info = client.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
+        return struct.unpack_from("I", info, TCP_DATA_SEGMENTS_IN)[0]
+
+    time.sleep(0.08)  # past the hold after rawmode
+    before = segments()
+    bench.do(lambda: [node.send(frame) for frame in numbered(20)])
+    text = read_until(client, codecs.socketcand_event(bench.log[-1]))
+    assert text.count(b">") == 20
+    assert segments() - before == 1
+
+
+# --- clients that misbehave ---
+
+
+def test_a_client_that_does_not_read_loses_frames_while_another_gets_all(start_hub):
+    bench = start_hub(buffer_bytes=100_000)
+    slow = bench.connect()
+    slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    slow.sendall(b"< open rig0 >< rawmode >")
+    good = python_can_client(bench)
+    node = bench.do(lambda: bench.hub.attach(print))
+    got, longest_s = [], 0.0
+    for start in range(0, 40_000, 200):
+        began_s = time.monotonic()
+        batch = [Frame(0x181, struct.pack("<Q", start + n)) for n in range(200)]
+        bench.do(lambda batch=batch: [node.send(frame) for frame in batch])
+        longest_s = max(longest_s, time.monotonic() - began_s)
+        got += numbers(receive(good, 200))
+    assert got == list(range(40_000))
+    by_client = {client["name"]: client for client in bench.hub.stats()["clients"]}
+    slow_stats = by_client["socketcand {}:{}".format(*slow.getsockname())]
+    assert slow_stats["dropped"] > 1000
+    assert bench.hub.dropped == slow_stats["dropped"]
+    assert longest_s < 1.0
+    good.shutdown()
+    slow.close()
+    assert bench.until(lambda: not bench.hub.stats()["clients"])
+    assert bench.hub.dropped == slow_stats["dropped"]  # still counted after it has left
+
+
+def test_a_client_that_asks_without_reading_the_answers_is_bounded(start_hub):
+    bench = start_hub(buffer_bytes=50_000)
+    client = bench.connect()
+    client.settimeout(2)
+    client.sendall(b"< echo >" * 2000)
+    assert bench.until(lambda: bench.hub.dropped > 0)
+    witness = bench.raw_mode()
+    witness.sendall(b"< send 1 0 >")
+    assert bench.until(lambda: len(bench.log) == 1)
+
+
+def test_garbage_never_disturbs_the_bus(bench):
+    ports = {codec: bench.listen(codec) for codec in codecs.CODECS if codec != "socketcand"}
+    ports["socketcand"] = bench.port
+    random_source = random.Random(20_240_601)
+    vocabulary = [b"<", b">", b" ", b"send", b"open rig0", b"rawmode", b"echo", b"ffffff80", b"8",
+                  b"t1238", b"\r", b"O\r", b"R0000", b"CANNELLONIv1", b"\0\0\0\x0e", b"\xff" * 5]
+    witness, other = python_can_client(bench), python_can_client(bench)
+    for round_number in range(60):
+        client = bench.connect(ports[random_source.choice(sorted(ports))])
+        for _ in range(random_source.randrange(1, 5)):
+            pieces = [random_source.choice(vocabulary) if random_source.random() < 0.7
+                      else random_source.randbytes(random_source.randrange(20))
+                      for _ in range(random_source.randrange(60))]
+            try:
+                client.sendall(b"".join(pieces))
+            except OSError:
+                break  # closed for not speaking its protocol
+        client.close()
+        number = 0x5A00_0000 + round_number
+        witness.send(can.Message(arbitration_id=0x123, data=struct.pack("<Q", number),
+                                 is_extended_id=False))
+        while True:  # the garbage may hold valid frames too
+            message = other.recv(5)
+            assert message is not None
+            if message.arbitration_id == 0x123 and bytes(message.data) == struct.pack("<Q", number):
+                break
+    assert bench.problems == []
+    witness.shutdown()
+    other.shutdown()
+
+
+def test_a_client_that_vanishes_with_a_reset_disturbs_nobody(bench):
+    node = bench.do(lambda: bench.hub.attach(print))
+    client, witness = bench.raw_mode(), bench.raw_mode()
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    client.close()
+    for number in range(50):
+        bench.do(lambda number=number: node.send(Frame(number, b"")))
+    assert read_until(witness, codecs.socketcand_event(bench.log[-1])).count(b">") == 50
+    assert bench.until(lambda: len(bench.hub.stats()["clients"]) == 1)
+    assert bench.problems == []
+
+
+# --- the other protocols ---
+
+SAMPLES = [Frame(0x123, b"\x11\x22"), Frame(0x7FF, b""), Frame(0x1ABCDEF0, bytes(range(8)), True),
+           Frame(0x12, b"\x80", True), Frame(0x701, b"", remote=True, dlc=1),
+           Frame(0x1ABCDEF0, b"", True, True, 8)]
+
+
+@pytest.mark.parametrize(("codec", "hello", "greeting", "encode"), [
+    ("slcan", b"C\rS6\rO\r", b"\r\r\r", codecs.slcan_event),
+    ("virtualcan", b"", b"", codecs.virtualcan_event),
+    ("cannelloni", b"CANNELLONIv1", b"CANNELLONIv1", codecs.cannelloni_event)])
+def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
+        bench, codec, hello, greeting, encode):
+    client = bench.connect(bench.listen(codec))
+    client.sendall(hello)
+    if greeting:
+        assert read_until(client, greeting) == greeting
+    assert bench.until(lambda: any(client.listening for client in bench.hub._clients))
+    for byte in b"".join(encode(frame) for frame in SAMPLES):
+        client.sendall(bytes([byte]))
+    assert bench.until(lambda: len(bench.log) == len(SAMPLES))
+    assert [frame._replace(time_ns=0) for frame in bench.log] == SAMPLES
+    if codec == "slcan":
+        assert read_until(client, b"z\rZ\r") == b"z\rz\rZ\rZ\rz\rZ\r"
+    node = bench.do(lambda: bench.hub.attach(print))
+    bench.do(lambda: [node.send(frame) for frame in SAMPLES])
+    expected = b"".join(encode(frame) for frame in SAMPLES)
+    assert read_until(client, expected) == expected
+
+
+def test_the_bytes_of_the_binary_protocols_are_those_of_their_documents():
+    frame, remote = Frame(0x123, b"\x11\x22"), Frame(0x701, b"", remote=True, dlc=1)
+    assert codecs.virtualcan_event(frame).hex() == "0000000e" "00000123" "00" "02" "1122" + "00" * 6
+    assert codecs.virtualcan_event(remote).hex() == "0000000e" "40000701" "00" "01" + "00" * 8
+    assert codecs.cannelloni_event(frame).hex() == "00000123" "02" "1122"
+    assert codecs.cannelloni_event(remote).hex() == "40000701" "01"
+    assert codecs.cannelloni_event(Frame(1, b"", True)).hex() == "80000001" "00"
+    assert codecs.slcan_event(Frame(1, b"\xab", True)) == b"T000000011AB\r"
+    assert codecs.slcan_event(remote) == b"r7011\r"
+
+
+def test_slcan_refuses_frames_until_open_and_in_listen_only(bench):
+    client = bench.connect(bench.listen("slcan"))
+    client.sendall(b"t1230\rL\rt1230\rV\rX9\rO\rt1230\r")
+    assert read_until(client, b"z\r") == b"\a\r\aV1013\r\a\rz\r"
+    assert len(bench.log) == 1
+
+
+@pytest.mark.parametrize(("codec", "wire"), [
+    ("cannelloni", b"GET / HTTP/1.1\r\n\r\n"), ("cannelloni", b"CANNELLONIv1\0\0\1\x23\x7f"),
+    ("virtualcan", b"GET / HTTP/1.1\r\n\r\n")])
+def test_a_binary_stream_out_of_step_is_closed(bench, codec, wire):
+    client = bench.connect(bench.listen(codec))
+    client.sendall(wire)
+    assert read_to_end(client) in (b"", b"CANNELLONIv1")
+    assert bench.log == []
+
+
+def test_cannelloni_skips_can_fd_and_error_frames(bench):
+    client = bench.connect(bench.listen("cannelloni"))
+    client.sendall(b"CANNELLONIv1" + bytes.fromhex("00000001 a0 00") + bytes(32)
+                   + bytes.fromhex("20000001 08") + bytes(8) + bytes.fromhex("00000002 00"))
+    assert bench.until(lambda: len(bench.log) == 1)
+    assert bench.log[0].can_id == 2
+
+
+# --- opening and closing ---
+
+
+def test_a_port_in_use_names_the_port_and_how_to_mend_it(bench):
+    message = rf"127.0.0.1:{bench.port}.*ss -ltnp 'sport = :{bench.port}'"
+    with pytest.raises(BusError, match=message):
+        bench.do(lambda: bench.hub.listen("socketcand", port=bench.port))
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"codec": "telepathy"}, "allowed: socketcand, slcan, virtualcan, cannelloni"),
+    ({"port": 70000}, "65535"), ({"host": "192.0.2.1", "port": 0}, "127.0.0.1")])
+def test_what_cannot_be_listened_on_says_what_is_allowed(bench, options, message):
+    with pytest.raises(BusError, match=message):
+        bench.do(lambda: bench.hub.listen(**options))
+
+
+def test_the_hub_listens_on_loopback_unless_told_otherwise(bench):
+    assert bench.hub._servers[0].sockets[0].getsockname()[0] == "127.0.0.1"
+
+
+def test_closing_sends_what_waits_then_ends_every_client_even_one_that_does_not_read(bench):
+    reader, stuck = bench.raw_mode(), bench.raw_mode()
+    left = []
+    node = bench.do(lambda: bench.hub.attach(print, on_close=lambda: left.append(True)))
+    bench.do(lambda: [node.send(frame) for frame in numbered(8000)])
+    began_s = time.monotonic()
+
+    node_last = bench.log[-1]
+    text = bytearray()
+
+    async def close_and_read():
+        task = asyncio.ensure_future(bench.hub.close())
+        text.extend(await asyncio.to_thread(read_to_end, reader))
+        await task
+
+    bench.do(close_and_read)
+    assert text.count(b">") == 8000
+    assert text.endswith(codecs.socketcand_event(node_last))
+    assert left == [True]
+    assert time.monotonic() - began_s < 3.0
+    stuck.close()

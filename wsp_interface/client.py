@@ -1,0 +1,188 @@
+"""One TCP client of the hub: bytes in through its protocol's session, frames out in one write.
+
+Frames wait in a list until the hub flushes, or longer while the socket is full; when more wait than
+the buffer may hold, the newest are dropped and counted. Received bytes are taken in small portions,
+so that a client that floods the bus takes turns with everybody else.
+"""
+
+import asyncio
+import socket
+from typing import Any, Protocol, cast
+
+from rollerrig.wsp_interface.codecs import Codec, Event, Mode
+from rollerrig.wsp_interface.frames import Frame
+
+PORTION_BYTES = 4096  # about 100 frames, one millisecond of work
+SOCKET_BYTES = 1 << 18  # what the kernel may hold: less means drops are seen sooner
+HIGH_WATER_BYTES = 1 << 16
+ANSWERS_MAX = 64  # that wait for their own segment
+
+
+class Bus(Protocol):
+    """What a client needs of the hub."""
+
+    name: str
+    buffer_bytes: int
+
+    def join(self, client: "Client") -> None: ...
+    def leave(self, member: "Client") -> None: ...
+    def submit(self, frame: Frame, sender: "Client") -> None: ...
+    def flush(self) -> None: ...
+
+
+class Client(asyncio.BufferedProtocol):
+    """A connected program; `codec` is the name of its protocol."""
+
+    def __init__(self, bus: Bus, codec: str, row: Codec) -> None:
+        self.codec = codec
+        self.name = codec
+        self.encode = row.encode
+        self.listening = False  # gets frames
+        self.sent = self.received = self.dropped = 0
+        self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._bus = bus
+        self._row = row
+        self._session = row.session(bus.name)
+        self._portion = bytearray(PORTION_BYTES)
+        self._waiting: list[bytes] = []
+        self._waiting_bytes = 0
+        self._answers_waiting = 0
+        self._answer_free_s = self._hold_until_s = 0.0
+        self._full = False  # the socket takes no more for now
+        self._transport: asyncio.Transport
+
+    # --- called by the event loop ---
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Tune the socket, greet the client, join the bus."""
+        self._loop = asyncio.get_running_loop()
+        self._transport = cast(asyncio.Transport, transport)
+        self._transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
+        connection = transport.get_extra_info("socket")
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
+        peer = transport.get_extra_info("peername")
+        self.name = f"{self.codec} {peer[0]}:{peer[1]}" if peer else self.codec
+        self._bus.join(self)
+        for event in self._session.begin():
+            self._follow(event)
+        self.flush()
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        """Lend the event loop the buffer for the next portion."""
+        return self._portion
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Follow what the portion says, then let everybody's frames out."""
+        for event in self._session.feed(bytes(self._portion[:nbytes])):
+            self._follow(event)
+        self._bus.flush()
+
+    def pause_writing(self) -> None:
+        """Keep frames here: the socket is full."""
+        self._full = True
+
+    def resume_writing(self) -> None:
+        """Write on: the socket has room again."""
+        self._full = False
+        self.flush()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Leave the bus."""
+        self.listening = False
+        self._bus.leave(self)
+        if not self.lost.done():
+            self.lost.set_result(None)
+
+    # --- called by the hub ---
+
+    def put(self, wire: bytes) -> None:
+        """Queue an encoded frame, or count it as dropped when too much waits."""
+        if self._queue(wire):
+            self.sent += 1
+
+    def flush(self) -> None:
+        """Write all that waits in one piece."""
+        if self._waiting and not self._full and self._loop.time() >= self._hold_until_s:
+            wire = b"".join(self._waiting)
+            self._waiting.clear()
+            self._waiting_bytes = 0
+            self._write(wire)
+
+    def finish(self) -> None:
+        """Send what waits, then close."""
+        self._hold_until_s = 0.0
+        self._full = False
+        self.flush()
+        self.listening = False
+        self._transport.close()
+
+    def abort(self) -> None:
+        """Close at once."""
+        self._transport.abort()
+
+    def stats(self) -> dict[str, Any]:
+        """Return name, and the frames received from, sent to and dropped for this client."""
+        return {"name": self.name, "received": self.received, "sent": self.sent,
+                "dropped": self.dropped}
+
+    # --- following the session ---
+
+    def _follow(self, event: Event) -> None:
+        if isinstance(event, Frame):
+            self.received += 1
+            self._bus.submit(event, self)
+        elif isinstance(event, bytes):
+            self._answer(event)
+        elif event is Mode.LISTEN:
+            self._listen()
+        elif event is Mode.MUTE:
+            self.listening = False
+        else:
+            # a refusal may still wait for its turn
+            self._loop.call_later(2 * self._row.answer_gap_s, self.finish)
+
+    def _listen(self) -> None:
+        """Let frames come, the first of them only after the client has read the last answer."""
+        self.listening = True
+        if self._row.hold_s:
+            self._hold_until_s = max(self._loop.time(), self._answer_free_s) + self._row.hold_s
+            # a little late, so that the clock has certainly passed
+            self._loop.call_at(self._hold_until_s + 1e-4, self.flush)
+
+    def _answer(self, wire: bytes) -> None:
+        """Send an answer: among the frames once they flow, before that in its own segment.
+
+        Clients compare a whole `recv` with the answer they expect, so two must not be joined.
+        """
+        if self.listening or not self._row.answer_gap_s:
+            self._queue(wire)
+            return
+        now_s = self._loop.time()
+        at_s = max(now_s, self._answer_free_s)
+        if at_s <= now_s:
+            self._write(wire)
+        elif self._answers_waiting < ANSWERS_MAX:
+            self._answers_waiting += 1
+            self._loop.call_at(at_s, self._late_answer, wire)
+        else:
+            self.dropped += 1
+            return
+        self._answer_free_s = at_s + self._row.answer_gap_s
+
+    def _late_answer(self, wire: bytes) -> None:
+        self._answers_waiting -= 1
+        self._write(wire)
+
+    def _queue(self, wire: bytes) -> bool:
+        if self._waiting_bytes + len(wire) > self._bus.buffer_bytes:
+            self.dropped += 1
+            return False
+        self._waiting.append(wire)
+        self._waiting_bytes += len(wire)
+        return True
+
+    def _write(self, wire: bytes) -> None:
+        if not self._transport.is_closing():
+            self._transport.write(wire)

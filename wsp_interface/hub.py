@@ -1,0 +1,257 @@
+"""One CAN bus carried inside the bench process, which programs outside join over TCP.
+
+Every frame gets one time stamp and one place in one order, then goes to the taps, to the nodes in
+the process (a plain call) and, encoded once for each protocol, to the clients. What is sent within
+one callback of the event loop leaves in one write for each client, and a client that reads too
+slowly loses frames, counted, instead of holding up the rig. Nobody gets their own frames back.
+
+Threads: a hub lives in the thread of its event loop; call it from nowhere else.
+Limits: frames are delivered at once, the bit rate is accounted for (`load`) but delays nothing; no
+arbitration, acknowledge or error frames. The protocols have no authentication: loopback only,
+unless another host is asked for.
+"""
+
+import asyncio
+import errno
+import ipaddress
+import logging
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from rollerrig.configs.errors import BusError
+from rollerrig.wsp_interface.client import Client
+from rollerrig.wsp_interface.codecs import CODECS
+from rollerrig.wsp_interface.frames import BusLoad, Frame, check
+
+log = logging.getLogger(__name__)
+
+BUFFER_BYTES = 1 << 20  # for each client; about 25 000 frames, or five seconds of a full bus
+CLOSE_TIMEOUT_S = 0.5
+
+Callback = Callable[[Frame], None]
+
+
+class Port:
+    """A place on the bus for a node of this process."""
+
+    def __init__(self, hub: "Hub", callback: Callback, name: str,
+                 on_close: Callable[[], None] | None) -> None:
+        self.name = name
+        self.dropped = 0
+        self._hub: Hub | None = hub
+        self._callback = callback
+        self._on_close = on_close
+
+    def send(self, frame: Frame) -> None:
+        """Put a frame on the bus; ValueError when it is no CAN frame, counted when closed."""
+        if self._hub is None:
+            self.dropped += 1
+            return
+        self._hub.submit(check(frame), self)
+
+    def deliver(self, frame: Frame) -> None:
+        """Hand the node a frame of somebody else; its exceptions harm nobody else."""
+        if self._hub is not None:
+            self._hub.call(self._callback, frame)
+
+    def close(self) -> None:
+        """Leave the bus; no more calls come."""
+        if self._hub is not None:
+            hub, self._hub = self._hub, None
+            hub.leave(self)
+            if self._on_close:
+                self._on_close()
+
+
+class Hub:
+    """The bus. `clock_ns` gives the time that every frame is stamped with."""
+
+    def __init__(self, clock_ns: Callable[[], int], bitrate: int = 500_000, name: str = "rig0",
+                 buffer_bytes: int = BUFFER_BYTES) -> None:
+        self.name = name
+        self.buffer_bytes = buffer_bytes
+        self.load = BusLoad(bitrate, clock_ns())
+        self._clock_ns = clock_ns
+        self._waiting: deque[tuple[Frame, Port | Client]] = deque()
+        self._carrying = False
+        self._flush_due = False
+        # tuples are replaced, not changed: a callback may attach or close while frames go out
+        self._taps: tuple[Callback, ...] = ()
+        self._ports: tuple[Port, ...] = ()
+        self._clients: tuple[Client, ...] = ()
+        self._servers: list[asyncio.Server] = []
+        self._gone_dropped = 0  # drops of those that have left
+
+    # --- joining ---
+
+    def attach(self, callback: Callback, name: str = "node",
+               on_close: Callable[[], None] | None = None) -> Port:
+        """Join as a node: callback(frame) for frames of others, on_close() when the port closes."""
+        port = Port(self, callback, name, on_close)
+        self._ports = (*self._ports, port)
+        return port
+
+    def tap(self, callback: Callback) -> Callable[[], None]:
+        """Call callback(frame) for every frame, before the nodes see it; returns how to stop."""
+        self._taps = (*self._taps, callback)
+
+        def stop() -> None:
+            self._taps = tuple(tap for tap in self._taps if tap is not callback)
+
+        return stop
+
+    async def listen(self, codec: str = "socketcand", host: str = "127.0.0.1",
+                     port: int | None = None) -> int:
+        """Accept TCP clients of a protocol of `codecs.CODECS`; return the port number.
+
+        Port 0 takes a free one, None the protocol's usual one. Raises BusError when the protocol
+        is unknown or the address cannot be used.
+        """
+        if codec not in CODECS:
+            raise BusError(f"CAN hub {self.name}: unknown protocol {codec!r}; "
+                           f"allowed: {', '.join(CODECS)}")
+        row = CODECS[codec]
+        port = row.port if port is None else port
+        try:
+            # "localhost" may be two addresses, and a free port would then be two ports
+            server = await asyncio.get_running_loop().create_server(
+                lambda: Client(self, codec, row),
+                "127.0.0.1" if host == "localhost" else host, port)
+        except (OSError, OverflowError) as error:
+            raise BusError(_why_not(self.name, codec, host, port, error)) from error
+        self._servers.append(server)
+        address = server.sockets[0].getsockname()
+        if not ipaddress.ip_address(address[0]).is_loopback:
+            log.warning("CAN hub %s: %s on %s:%d is open to the network, without authentication",
+                        self.name, codec, *address[:2])
+        return int(address[1])
+
+    def join(self, client: Client) -> None:
+        """Take in a TCP client that has connected."""
+        self._clients = (*self._clients, client)
+
+    def leave(self, member: Port | Client) -> None:
+        """Let a node or client go; its drops stay counted."""
+        self._gone_dropped += member.dropped
+        member.dropped = 0
+        self._ports = tuple(port for port in self._ports if port is not member)
+        self._clients = tuple(client for client in self._clients if client is not member)
+
+    # --- carrying ---
+
+    def submit(self, frame: Frame, sender: Port | Client) -> None:
+        """Queue a frame and carry what waits: a node that answers inside its callback comes next.
+
+        Without the queue an answer would overtake the question on its way to the nodes behind.
+        """
+        self._waiting.append((frame, sender))
+        if self._carrying:
+            return
+        self._carrying = True
+        try:
+            while self._waiting:
+                self._carry(*self._waiting.popleft())
+        finally:
+            self._carrying = False
+
+    def _carry(self, frame: Frame, sender: Port | Client) -> None:
+        """Stamp one frame and give it to everybody but its sender."""
+        now_ns = self._clock_ns()
+        stamped = Frame(frame.can_id, frame.data, frame.extended, frame.remote, frame.dlc, now_ns)
+        # a hub that delays as the wire does would deliver at the time which `carry` returns
+        self.load.carry(stamped, now_ns)
+        for tap in self._taps:
+            self.call(tap, stamped)
+        for port in self._ports:
+            if port is not sender:
+                port.deliver(stamped)
+        wires: dict[str, bytes] = {}
+        for client in self._clients:
+            if client is not sender and client.listening:
+                wire = wires.get(client.codec)
+                if wire is None:
+                    wire = wires[client.codec] = client.encode(stamped)
+                client.put(wire)
+        if wires and not self._flush_due:
+            self._flush_due = True
+            asyncio.get_running_loop().call_soon(self.flush)
+
+    def flush(self) -> None:
+        """Write now what waits for the clients; happens by itself after the current callback."""
+        self._flush_due = False
+        for client in self._clients:
+            client.flush()
+
+    def call(self, callback: Callback, frame: Frame) -> None:
+        """Call a node or tap; an exception is reported to the event loop, not to the sender."""
+        try:
+            callback(frame)
+        except Exception as error:
+            message = f"CAN hub {self.name}: {callback!r} failed on frame {frame.can_id:X}h"
+            try:
+                loop = asyncio.get_running_loop()
+            except RuntimeError:
+                log.exception(message)
+            else:
+                loop.call_exception_handler({"message": message, "exception": error})
+
+    # --- counting and ending ---
+
+    @property
+    def dropped(self) -> int:
+        """Frames that somebody did not get because they read too slowly or had left."""
+        members: tuple[Port | Client, ...] = (*self._ports, *self._clients)
+        return self._gone_dropped + sum(member.dropped for member in members)
+
+    def stats(self) -> dict[str, Any]:
+        """Return the counters: frames, dropped, bits, load [percent], overloaded, clients."""
+        now_ns = self._clock_ns()
+        return {
+            "frames": self.load.frames,
+            "dropped": self.dropped,
+            "bits": self.load.bits,
+            "load_percent": round(self.load.run_percent(now_ns), 3),
+            "load_last_second_percent": round(self.load.last_second_percent(now_ns), 3),
+            "overloaded": self.load.overloaded,
+            "clients": [client.stats() for client in self._clients],
+        }
+
+    def start_counting(self) -> None:
+        """Set all counters to zero, at the start of a run."""
+        self.load = BusLoad(self.load.bitrate, self._clock_ns())
+        self._gone_dropped = 0
+        for member in (*self._ports, *self._clients):
+            member.dropped = 0
+
+    async def close(self) -> None:
+        """Close ports, servers and clients; what clients have still to get is sent for 0.5 s."""
+        for server in self._servers:
+            server.close()
+        for port in self._ports:
+            port.close()
+        clients = self._clients
+        for client in clients:
+            client.finish()
+        if clients:
+            await asyncio.wait([client.lost for client in clients], timeout=CLOSE_TIMEOUT_S)
+        for client in self._clients:
+            client.abort()
+        for server in self._servers:
+            await server.wait_closed()
+        self._servers.clear()
+
+
+def _why_not(name: str, codec: str, host: str, port: int, error: Exception) -> str:
+    """Return the message for an address that cannot be listened on."""
+    where = f"CAN hub {name}: cannot listen for {codec} on {host}:{port}"
+    if isinstance(error, OverflowError):
+        return f"{where}: allowed ports are 0 (any free one) to 65535"
+    code = error.errno if isinstance(error, OSError) else None
+    if code == errno.EADDRINUSE:
+        return (f"{where}: the port is already in use, perhaps by another bench; "
+                f"stop its holder (ss -ltnp 'sport = :{port}' shows who it is) "
+                f"or choose another port in the bus address (0 takes any free one)")
+    if code == errno.EACCES:
+        return f"{where}: ports below 1024 need rights; choose one from 1024 to 65535"
+    return f"{where}: {error}; allowed is an address of this machine, 127.0.0.1 for local programs"
