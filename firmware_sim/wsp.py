@@ -14,7 +14,8 @@ to the vehicle's speed, which anchors the reference and teaches it the decelerat
 The step has no clock and takes the integers of the bus, so the unit on the bus and the compiled
 loop get the same bits. Source: common practice of such units, from memory; every threshold says so
 in `configs/wsp/`. Limits: braking only, wheel diameters as configured, a wheel that never reaches
-the vehicle's speed in a run-up anchors nothing.
+the vehicle's speed in a run-up anchors nothing, a vehicle that can brake harder than b_max needs a
+larger one.
 """
 
 from typing import Any, NamedTuple
@@ -41,7 +42,7 @@ ROWS = (
     table.Row("wheel_diameter_m", (0.89,) * AXLES, 0.3, 1.4, "paper Table 1"),
     table.number("cycle_s", 0.01, 0.001, 0.1, "SYNC period of the default rig"),
     table.number("acceleration_filter_s", 0.04, 0.01, 0.5, _A),
-    table.number("reference_fall_m_s2", 1.5, 0.5, 5.0, _M + ": 1.3 to 1.6"),
+    table.number("reference_fall_m_s2", 1.6, 0.5, 5.0, _M + ": 1.3 to 1.6"),
     table.number("reference_rise_m_s2", 12.0, 0.5, 50.0, _A),
     table.number("first_deceleration_m_s2", 0.7, 0.1, 3.0, _A),
     table.number("deceleration_margin_m_s2", 0.15, 0.0, 1.0, _A),

@@ -190,7 +190,6 @@ class Bench:
             bus.poll()
 
         running.add_reader(descriptor, on_tick)
-        self._begun_ns = clock.monotonic_ns()
         thread = threading.Thread(target=self._real_time, args=(descriptor,), name="real-time")
         thread.start()
         try:
@@ -211,6 +210,8 @@ class Bench:
         rates = self.plan["loop"]
         for refused in loop.ask_for_priority(rates["priority"], rates["cpu"]):
             self.event("info", f"the real-time thread was refused {refused}")
+        # locking memory may take a second: the clock starts after it
+        self._begun_ns = clock.monotonic_ns()
         loop.wall(self.machine, clock.SECOND_NS // rates["tick_hz"], self.plan.sync_ticks,
                   descriptor, self.histogram, np.zeros(3, dtype=np.int64), self._begun_ns)
 

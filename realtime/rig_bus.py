@@ -73,7 +73,8 @@ class RigBus:
         nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell))
         self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
         self.rack = Rack()
-        for member in (*nodes, self.master):
+        # the master first: it hears the boot-up of the others
+        for member in (self.master, *nodes):
             member.on_event = on_event
             self.rack.add(member)
         self._produces_sync = bus["master"]

@@ -63,7 +63,7 @@ ROWS: dict[str, tuple[Row, ...]] = {
         number("cylinder_area_m2", 0.0324, 1e-4, 1.0, _A + "; 203 mm, all cylinders of a wheelset act alike"),
         number("cylinder_volume_L", 4.0, 0.01, 100.0, _A + "; cylinders and pipes of a wheelset"),
         number("spring_pressure_Pa", 0.3e5, 0.0, 2e5, _A + "; pressure that moves the pads"),
-        number("lever_ratio", 1.95, 0.1, 20.0, _A),
+        number("lever_ratio", 2.1, 0.1, 20.0, _A),
         number("efficiency", 0.95, 0.1, 1.0, "EN 14531 example"),
         number("pad_friction", 0.35, 0.01, 1.0, "EN 14531 example"),
         number("disc_radius_m", 0.247, 0.05, 0.5, _A + "; mean friction radius"),

@@ -34,29 +34,37 @@ const (
 type unit struct {
 	reference float64
 	lagged    [4]float64
-	running   bool
+	cycles    int
+	magnets   byte
 }
 
 // protect returns the byte of magnets for four axle speeds in m/s.
-func (u *unit) protect(v [4]float64) (magnets byte) {
-	if !u.running {
-		u.lagged, u.running = v, true
+func (u *unit) protect(v [4]float64) byte {
+	if u.cycles == 0 {
+		u.lagged = v
 	}
-	u.reference = max(v[0], v[1], v[2], v[3], u.reference-1.4*cycleS)
+	u.reference = max(v[0], v[1], v[2], v[3], u.reference-1.6*cycleS)
+	// all wheels may slide at once: axle 4 then runs free now and then and shows the vehicle's speed
+	u.cycles++
+	free := u.magnets != 0 && u.cycles%300 < 120
+	u.magnets = 0
 	for j := range v {
 		rate := (v[j] - u.lagged[j]) / (4 * cycleS)
 		u.lagged[j] += rate * cycleS
-		sliding := u.reference - v[j]
-		valve := fill
-		if u.reference > 2 && sliding > 0.5+0.05*u.reference && rate < 1 {
+		sliding, valve := u.reference-v[j], fill
+		switch {
+		case u.reference < 1:
+		case free && j == 3:
+			valve = vent
+		case sliding < 0.5+0.05*u.reference || rate > 1:
+		case rate < -1.8 || sliding > 0.15*u.reference+1:
+			valve = vent
+		default:
 			valve = hold
-			if rate < -1.8 || sliding > 0.15*u.reference+1 {
-				valve = vent
-			}
 		}
-		magnets |= valve << (2 * j)
+		u.magnets |= valve << (2 * j)
 	}
-	return magnets
+	return u.magnets
 }
 
 // read returns the words of the next message, "< frame 190 1.234567 0102 >" without its brackets.

@@ -20,25 +20,33 @@ FILL, HOLD, VENT = 0b00, 0b01, 0b11
 QUIET_S = 0.1
 
 
-def protect(speeds, memory):
-    """One byte of magnets for four axle speeds in m/s."""
-    memory["reference"] = v_ref = max(*speeds, memory["reference"] - 1.4 * CYCLE_S)
-    # all wheels may slide at once: axle 4 then runs free now and then and shows the vehicle's speed
-    memory["cycles"] = memory["cycles"] + 1 if memory["byte"] else 0
-    pilot = 3 if memory["cycles"] % 400 > 280 else None
-    byte = 0
-    for j, v in enumerate(speeds):
-        lag = memory["lagged"][j] if memory["lagged"] else v
-        rate = (v - lag) / (4 * CYCLE_S)
-        memory["next"][j] = lag + rate * CYCLE_S
-        valve, sliding = FILL, v_ref - v
-        if j == pilot and v_ref > 2.0:
-            valve = VENT
-        elif v_ref > 2.0 and sliding > 0.5 + 0.05 * v_ref and rate < 1.0:
-            valve = VENT if rate < -1.8 or sliding > 0.15 * v_ref + 1.0 else HOLD
-        byte |= valve << 2 * j
-    memory["lagged"], memory["byte"] = list(memory["next"]), byte
-    return byte
+class Protection:
+    """A simple slip and deceleration protection, one `cycle` a SYNC."""
+
+    def __init__(self):
+        self.cycles = self.magnets = 0
+        self.reference = 0.0
+        self.lagged = None
+
+    def cycle(self, speeds):
+        """One byte of magnets for four axle speeds in m/s."""
+        self.lagged = self.lagged or list(speeds)
+        self.reference = v_ref = max(*speeds, self.reference - 1.6 * CYCLE_S)
+        # all wheels may slide at once: now and then axle 4 runs free and shows the vehicle's speed
+        self.cycles += 1
+        free = self.magnets and self.cycles % 300 < 120
+        self.magnets = 0
+        for j, v in enumerate(speeds):
+            rate = (v - self.lagged[j]) / (4 * CYCLE_S)
+            self.lagged[j] += rate * CYCLE_S
+            valve, sliding = FILL, v_ref - v
+            if free and j == 3:
+                valve = VENT
+            elif sliding > 0.5 + 0.05 * v_ref and rate < 1.0:
+                valve = VENT if rate < -1.8 or sliding > 1.0 + 0.15 * v_ref else HOLD
+            if v_ref > 1.0:
+                self.magnets |= valve << 2 * j
+        return self.magnets
 
 
 def serve(bus):
@@ -47,7 +55,7 @@ def serve(bus):
         bus.send(can.Message(arbitration_id=can_id, data=[byte], is_extended_id=False))
         return time.monotonic() + QUIET_S
 
-    memory = {"reference": 0.0, "lagged": None, "next": [0.0] * 4, "cycles": 0, "byte": 0}
+    protection = Protection()
     syncs, awaiting = 0, False
     send(HEARTBEAT, 0x00)  # boot-up
     quiet_until = send(HEARTBEAT, 0x05)  # operational
@@ -60,7 +68,7 @@ def serve(bus):
         elif frame is not None and frame.arbitration_id == SPEEDS and awaiting:
             awaiting = False
             raw = struct.unpack("<4h", frame.data)
-            send(MAGNETS, protect([n * 0.01 * RADIUS_M for n in raw], memory))
+            send(MAGNETS, protection.cycle([n * 0.01 * RADIUS_M for n in raw]))
         elif time.monotonic() > quiet_until:
             quiet_until = send(HEARTBEAT, 0x05)
 

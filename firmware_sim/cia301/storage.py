@@ -6,6 +6,7 @@ Source: CiA 301, objects 1010h and 1011h with their signatures.
 """
 
 import json
+from binascii import crc32
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,14 +35,16 @@ class Storage:
             node.objects.readers[key(0x1011, sub)] = lambda: int(self.path is not None)
 
     def load(self) -> dict[int, Any]:
-        """Stored values by key; nothing where there is no file or it cannot be understood."""
+        """Stored values by key; nothing where there is no file or its checksum is wrong."""
         try:
             kept = json.loads(self.path.read_text(encoding="utf-8")) if self.path else {}
         except (OSError, ValueError):
             return {}
-        pairs = kept.items() if isinstance(kept, dict) else ()
+        values = kept.get("values") if isinstance(kept, dict) else None
+        if not isinstance(values, dict) or kept.get("checksum") != _checksum(values):
+            return {}
         named = {f"{at:06X}": at for at in self._storable(0x1000, 0xFFFF)}
-        return {named[name]: value for name, value in pairs
+        return {named[name]: value for name, value in values.items()
                 if name in named and self._fits(named[name], value)}
 
     def _fits(self, at: int, value: Any) -> bool:
@@ -77,8 +80,13 @@ class Storage:
 
     def _write(self, kept: dict[int, Any]) -> None:
         assert self.path is not None
-        text = json.dumps({f"{at:06X}": value for at, value in sorted(kept.items())}, indent=0)
+        values = {f"{at:06X}": value for at, value in sorted(kept.items())}
+        content = {"checksum": _checksum(values), "values": values}
         try:
-            self.path.write_text(text, encoding="utf-8")
+            self.path.write_text(json.dumps(content, indent=1), encoding="utf-8")
         except OSError:
             raise AbortError(Abort.NOT_STORED) from None
+
+
+def _checksum(values: dict[str, Any]) -> int:
+    return crc32(json.dumps(values, sort_keys=True).encode())

@@ -19,7 +19,10 @@ def _limits(s, v, mu_cd):
 
 
 def stop(speed_m_s=42.3, record_hz=100, mu_cd=0.05, lock_axle=None, end_s=90.0):
-    """Rows of all signals, shape (n, columns), from the brake demand to standstill."""
+    """Rows of all signals, shape (n, columns), from the brake demand to standstill.
+
+    The brake of `lock_axle` grips twice as hard for two seconds, and its valve fills.
+    """
     v, x, omega = speed_m_s, 0.0, np.full(4, speed_m_s / RADIUS_M)
     angle, roller = np.zeros(4), np.zeros(4)
     pressure, valve, since, vents = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4)
@@ -35,12 +38,14 @@ def stop(speed_m_s=42.3, record_hz=100, mu_cd=0.05, lock_axle=None, end_s=90.0):
             f = fr - (fr - fd) * np.exp(-1.9e-4 * f * LOAD_N / 2 * s / max(v, 0.5))
         energy = f * LOAD_N / 2 * s / max(v, 0.5)
         torque = np.where(omega > 1e-3, 1.0, 0.0) * pressure * 0.019
+        if lock_axle is not None and 6.0 < t < 8.0:
+            torque[lock_axle - 1] *= 2.0
         if step % 10 == 0:
             reference = max(float(np.max(RADIUS_M * omega)), reference - 1.4 * 0.02)
             slip = reference - RADIUS_M * omega
             new = np.where(slip > 0.06 * reference + 0.2, 1, 0)
             new = np.where(slip > 0.16 * reference + 0.5, 2, new)
-            if lock_axle is not None and 11.0 < t < 14.0:
+            if lock_axle is not None and 6.0 < t < 8.0:
                 new[lock_axle - 1] = 0
             vents += (new == 2) & (valve != 2)
             valve = new.astype(float)

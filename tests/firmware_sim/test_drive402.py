@@ -1,0 +1,349 @@
+"""The roller drive: state machine, option codes, modes, control sources. Real frames over the hub."""
+
+import pytest
+from canopen.profiles.p402 import BaseNode402
+from rollerrig.firmware_sim import drive402
+from rollerrig.firmware_sim import drive402_states as states
+from rollerrig.firmware_sim.drive402_states import State
+from rollerrig.wsp_interface import signals
+
+RATED_Nm = drive402.table.DEFAULTS["rated_torque_Nm"]
+DISABLED, READY, ON, ENABLED = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON,
+                                State.SWITCHED_ON, State.OPERATION_ENABLED)
+SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, RESET, HALT = 6, 7, 15, 0, 2, 0x80, 0x10F
+WALK = {DISABLED: (), READY: (SHUTDOWN,), ON: (SHUTDOWN, SWITCH_ON),
+        ENABLED: (SHUTDOWN, SWITCH_ON, ENABLE)}
+
+
+def status(wire, node=1):
+    return int.from_bytes(wire.read(node, 0x6041), "little")
+
+
+PATTERNS = {(0x4F, 0x00): State.NOT_READY_TO_SWITCH_ON, (0x4F, 0x40): DISABLED, (0x6F, 0x21): READY,
+            (0x6F, 0x23): ON, (0x6F, 0x27): ENABLED, (0x6F, 0x07): State.QUICK_STOP_ACTIVE,
+            (0x4F, 0x0F): State.FAULT_REACTION_ACTIVE, (0x4F, 0x08): State.FAULT}
+
+
+def state(wire):
+    """The state that the statusword tells, by the masks of the standard; one pattern fits."""
+    word = status(wire)
+    found, = (one for (mask, value), one in PATTERNS.items() if word & mask == value)
+    return found
+
+
+def control(wire, *words):
+    for word in words:
+        assert wire.write(1, 0x6040, 0, word, 2) == 0
+
+
+@pytest.fixture
+def drive(wire):
+    """A drive that the bus controls, OPERATIONAL."""
+    node = wire.drive(1, control="bus")
+    wire.nmt(1)
+    wire.run(1)
+    return node
+
+
+def set_row(wire, name, value):
+    wire.row[signals.column(name, 1)] = value
+
+
+@pytest.mark.parametrize("before,word,after", [
+    (DISABLED, SHUTDOWN, READY), (DISABLED, SWITCH_ON, DISABLED), (DISABLED, ENABLE, DISABLED),
+    (READY, SWITCH_ON, ON), (READY, ENABLE, ENABLED), (READY, DISABLE_VOLTAGE, DISABLED),
+    (READY, QUICK_STOP, DISABLED), (ON, ENABLE, ENABLED), (ON, SHUTDOWN, READY),
+    (ON, DISABLE_VOLTAGE, DISABLED), (ON, QUICK_STOP, DISABLED), (ENABLED, SHUTDOWN, READY),
+    (ENABLED, DISABLE_VOLTAGE, DISABLED), (ENABLED, RESET, ENABLED),
+])
+def test_a_controlword_makes_the_transition_of_the_standard(wire, drive, before, word, after):
+    control(wire, *WALK[before])
+    assert state(wire) == before
+    control(wire, word)
+    assert state(wire) == after
+
+
+def test_every_numbered_transition_stands_once_in_the_table():
+    automatic = {0, states.SELF_TEST_PASSED, 12, states.FAULT_DETECTED, states.REACTION_COMPLETED}
+    numbers = [row.number for row in states.TRANSITIONS]
+    assert len(numbers) == len(set(numbers))
+    assert set(numbers) | automatic == set(range(17))
+
+
+@pytest.mark.parametrize("word,pattern,mask", [((), 0x40, 0x4F), ((6,), 0x21, 0x6F), ((6, 7), 0x23, 0x6F),
+                                               ((6, 7, 15), 0x27, 0x6F)])
+def test_the_statusword_tells_state_voltage_and_remote(wire, drive, word, pattern, mask):
+    control(wire, *word)
+    assert status(wire) & mask == pattern
+    assert status(wire) & 0x210 == 0x210
+
+
+def test_disable_operation_brakes_first_and_then_switches_off(wire, drive):
+    control(wire, *WALK[ENABLED])
+    set_row(wire, "roller_speed", 10.0)
+    control(wire, SWITCH_ON)
+    control(wire, SWITCH_ON)
+    wire.run(100)
+    assert state(wire) == ENABLED
+    wire.run(500)
+    assert state(wire) == ON
+    control(wire, ENABLE)
+    control(wire, SHUTDOWN)
+    assert state(wire) == READY
+
+
+def test_enabling_again_cancels_a_stop_under_way(wire, drive):
+    control(wire, *WALK[ENABLED])
+    set_row(wire, "roller_speed", 10.0)
+    control(wire, SWITCH_ON)
+    wire.run(50)
+    control(wire, ENABLE)
+    wire.run(1000)
+    assert state(wire) == ENABLED
+
+
+@pytest.mark.parametrize("option,at_once,after_rest", [
+    (0, DISABLED, DISABLED), (1, State.QUICK_STOP_ACTIVE, DISABLED),
+    (2, State.QUICK_STOP_ACTIVE, DISABLED), (3, State.QUICK_STOP_ACTIVE, DISABLED),
+    (5, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
+    (6, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
+])
+def test_quick_stop_follows_its_option_code(wire, drive, option, at_once, after_rest):
+    assert wire.write(1, 0x605A, 0, option, 2) == 0
+    control(wire, *WALK[ENABLED])
+    set_row(wire, "roller_speed", 6.0)
+    control(wire, QUICK_STOP)
+    wire.run(1)
+    assert state(wire) == at_once
+    wire.run(1000)
+    assert state(wire) == after_rest
+    if option >= 5:
+        control(wire, ENABLE)
+        assert state(wire) == ENABLED
+
+
+def test_the_quick_stop_ramp_is_that_of_6085h(wire, drive):
+    control(wire, *WALK[ENABLED])
+    set_row(wire, "roller_speed", 6.0)
+    wire.write(1, 0x6085, 0, 600_000, 4)
+    control(wire, QUICK_STOP)
+    wire.run(50)
+    assert drive.device.commands[drive402.VELOCITY_rad_s] == pytest.approx(3.0)
+    wire.run(50)
+    assert state(wire) == DISABLED
+
+
+def test_a_fault_brakes_reports_and_is_reset_by_the_rising_edge_only(wire, drive):
+    control(wire, *WALK[ENABLED])
+    set_row(wire, "roller_speed", 6.0)
+    wire.take()
+    drive.device.trip(0x2310, "over-current")
+    assert wire.take(0x81)[0][:3] == b"\x10\x23\x03"
+    assert state(wire) == State.FAULT_REACTION_ACTIVE
+    wire.run(200)
+    assert state(wire) == State.FAULT
+    assert wire.read(1, 0x603F) == b"\x10\x23"
+    control(wire, ENABLE)
+    assert state(wire) == State.FAULT
+    wire.take()
+    control(wire, RESET)
+    assert state(wire) == DISABLED
+    assert wire.read(1, 0x603F) == b"\0\0"
+    drive.device.trip(0x2310, "again")
+    control(wire, RESET)
+    assert state(wire) == State.FAULT
+    control(wire, 0, RESET)
+    assert state(wire) == DISABLED
+
+
+@pytest.mark.parametrize("option", [0, 1, 2])
+def test_the_fault_reaction_follows_605eh(wire, drive, option):
+    wire.write(1, 0x605E, 0, option, 2)
+    control(wire, *WALK[ENABLED])
+    set_row(wire, "roller_speed", 6.0)
+    drive.device.trip(0x2310, "over-current")
+    assert state(wire) == (State.FAULT_REACTION_ACTIVE if option else State.FAULT)
+
+
+def test_too_low_a_dc_link_trips_and_trips_again_while_it_lasts(wire, drive):
+    drive.device.dc_link_V = 300.0
+    wire.run(1)
+    assert state(wire) == State.FAULT
+    assert status(wire) & states.VOLTAGE_ENABLED == 0
+    assert wire.read(1, 0x6079) == (300_000).to_bytes(4, "little")
+    control(wire, RESET)
+    wire.run(1)
+    assert state(wire) == State.FAULT
+    drive.device.dc_link_V = 750.0
+    control(wire, 0, RESET)
+    wire.run(1)
+    assert state(wire) == DISABLED
+
+
+def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
+    wire.drive(1, control="bus", parameters={"thermal_time_constant_s": 1.0})
+    control(wire, *WALK[ENABLED])
+    set_row(wire, "motor_torque", 1.5 * RATED_Nm)
+    warned_ms = tripped_ms = None
+    for at in range(1500):
+        wire.run(1)
+        warned_ms = warned_ms or (status(wire) & states.WARNING and at)
+        tripped_ms = tripped_ms or (status(wire) & 0x08 and at)
+    assert 500 < warned_ms < 700 < tripped_ms < 900
+    assert wire.read(1, 0x603F) == b"\x10\x43"
+
+
+@pytest.mark.parametrize("mode,code", [(3, 0), (4, 0), (9, 0), (10, 0), (1, 0x06090030),
+                                       (6, 0x06090030), (8, 0x06090030), (-1, 0x06090030)])
+def test_only_supported_modes_are_taken(wire, drive, mode, code):
+    assert wire.write(1, 0x6060, 0, mode, 1) == code
+    if not code:
+        assert wire.read(1, 0x6061) == bytes([mode])
+
+
+def test_profile_velocity_ramps_to_the_target_and_says_when_it_is_there(wire, drive):
+    wire.write(1, 0x6060, 0, 3, 1)
+    wire.write(1, 0x6083, 0, 100_000, 4)
+    wire.write(1, 0x60FF, 0, 50_000, 4)
+    control(wire, *WALK[ENABLED])
+    wire.run(250)
+    velocity = drive.device.commands[drive402.VELOCITY_rad_s]
+    assert velocity == pytest.approx(2.5)
+    assert drive.device.commands[drive402.LOOP] == drive402.LOOP_VELOCITY
+    assert status(wire) & states.TARGET_REACHED == 0
+    wire.run(300)
+    set_row(wire, "roller_speed", 5.0)
+    wire.run(20)
+    assert status(wire) & states.TARGET_REACHED
+    assert status(wire) & states.SPEED_ZERO == 0
+    assert wire.read(1, 0x606B) == (50_000).to_bytes(4, "little")
+
+
+def test_halt_takes_the_velocity_to_zero_and_its_end_resumes(wire, drive):
+    wire.write(1, 0x6060, 0, 9, 1)
+    wire.write(1, 0x60FF, 0, 50_000, 4)
+    control(wire, *WALK[ENABLED])
+    wire.run(2)
+    control(wire, HALT)
+    wire.run(1000)
+    assert drive.device.commands[drive402.VELOCITY_rad_s] == 0.0
+    assert status(wire) & states.FOLLOWS == 0
+    control(wire, ENABLE)
+    wire.run(2)
+    assert drive.device.commands[drive402.VELOCITY_rad_s] == pytest.approx(5.0)
+    assert status(wire) & states.FOLLOWS
+
+
+def test_profile_torque_follows_the_slope_and_cyclic_torque_the_target(wire, drive):
+    wire.write(1, 0x6087, 0, 1000, 4)
+    wire.write(1, 0x6071, 0, 500, 2)
+    wire.write(1, 0x6060, 0, 4, 1)
+    control(wire, *WALK[ENABLED])
+    wire.run(250)
+    assert drive.device.commands[drive402.TORQUE_Nm] == pytest.approx(0.25 * RATED_Nm)
+    assert status(wire) & states.TARGET_REACHED == 0
+    wire.run(300)
+    assert status(wire) & states.TARGET_REACHED
+    wire.write(1, 0x6060, 0, 10, 1)
+    wire.run(1)
+    assert drive.device.commands[drive402.TORQUE_Nm] == pytest.approx(0.5 * RATED_Nm)
+
+
+def test_a_torque_above_6072h_is_cut_and_told(wire, drive):
+    wire.write(1, 0x6072, 0, 300, 2)
+    wire.write(1, 0x6071, 0, -500, 2)
+    control(wire, *WALK[ENABLED])
+    wire.run(2)
+    assert drive.device.commands[drive402.TORQUE_Nm] == pytest.approx(-0.3 * RATED_Nm)
+    assert status(wire) & states.INTERNAL_LIMIT
+
+
+def test_slippage_is_told_when_the_speed_leaves_the_demand(wire, drive):
+    wire.write(1, 0x60F8, 0, 1000, 4)
+    wire.write(1, 0x6060, 0, 3, 1)
+    control(wire, *WALK[ENABLED])
+    wire.run(2)
+    assert status(wire) & states.SLIPPAGE == 0
+    set_row(wire, "roller_speed", 3.0)
+    wire.run(2)
+    assert status(wire) & states.SLIPPAGE
+
+
+@pytest.mark.parametrize("option,after", [(0, ENABLED), (1, State.FAULT), (2, DISABLED),
+                                          (3, DISABLED)])
+def test_a_lost_connection_follows_6007h(wire, drive, option, after):
+    wire.write(1, 0x6007, 0, option, 2)
+    wire.write(1, 0x1016, 1, 5 << 16 | 50, 4)
+    control(wire, *WALK[ENABLED])
+    wire.send(0x705, b"\x05")
+    wire.run(60)
+    assert state(wire) == after
+
+
+def test_a_reset_takes_the_power_off_the_motor(wire, drive):
+    control(wire, *WALK[ENABLED])
+    wire.run(1)
+    assert drive.device.commands[drive402.ENABLED] == 1.0
+    wire.nmt(129, 1)
+    wire.run(1)
+    assert drive.device.commands[drive402.ENABLED] == 0.0
+    assert state(wire) == DISABLED
+
+
+def test_under_the_rig_control_the_drive_is_enabled_and_obeys_no_controlword(wire):
+    node = wire.drive(1)
+    drive402.enable_locally(node)
+    for word in (0, SHUTDOWN, QUICK_STOP, 0):
+        control(wire, word)
+        wire.run(1)
+        assert status(wire) == 0x37
+    wire.nmt(129, 1)
+    assert status(wire) == 0x37
+
+
+def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire):
+    node = wire.drive(1)
+    wire.nmt(1)
+    set_row(wire, "motor_torque", -0.2 * RATED_Nm)
+    drive402.release_to_bus(node)
+    for _ in range(20):
+        wire.run(1)
+        assert node.device.commands[drive402.TORQUE_Nm] == pytest.approx(-0.2 * RATED_Nm)
+    assert status(wire) & 0x26F == 0x227
+    wire.write(1, 0x6071, 0, 0, 2)
+    wire.run(1)
+    assert node.device.commands[drive402.TORQUE_Nm] == 0.0
+    drive402.enable_locally(node)
+    assert status(wire) == 0x37
+    assert node.device.commands[drive402.LOOP] == drive402.LOOP_RIG
+
+
+def test_default_pdos_carry_the_signals_and_take_set_points(wire, drive):
+    set_row(wire, "roller_speed", 12.3456)
+    set_row(wire, "roller_angle", 7.0)
+    set_row(wire, "motor_torque", 0.25 * RATED_Nm)
+    wire.take()
+    wire.sync()
+    frames = {one.can_id: one.data for one in wire.frames}
+    assert frames[0x181] == status(wire).to_bytes(2, "little") + b"\x0a" + b"\xfa\0"
+    assert frames[0x281] == (123_456).to_bytes(4, "little") + (7000).to_bytes(4, "little")
+    wire.send(0x201, bytes([6, 0, 10, 100, 0]))
+    wire.send(0x301, (77).to_bytes(4, "little"))
+    wire.sync()
+    assert state(wire) == READY
+    assert wire.read(1, 0x6071) == b"\x64\0"
+    assert wire.read(1, 0x60FF)[:1] == b"\x4d"
+
+
+def test_canopen_walks_a_drive_to_operation_enabled(wire, drive):
+    remote = BaseNode402(1, drive.dictionary)
+    wire.master.add_node(remote)
+    wire.run(100)
+    remote.setup_402_state_machine()
+    for word, wanted in ((6, "READY TO SWITCH ON"), (7, "SWITCHED ON"), (15, "OPERATION ENABLED")):
+        remote.controlword = word
+        # canopen leaves a synchronous RPDO to a cyclic task of its user
+        remote.rpdo[1].transmit()
+        wire.sync()
+        assert remote.state == wanted
+    assert remote.is_op_mode_supported("PROFILED VELOCITY")

@@ -1,0 +1,80 @@
+"""The axle speed unit and the way from signals to objects. Real frames over the hub."""
+
+import math
+
+import numpy as np
+import pytest
+from rollerrig.firmware_sim import process_image
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.signals import Place
+
+
+@pytest.fixture
+def unit(wire):
+    node = wire.encoder(parameters={"teeth": 100.0})
+    wire.nmt(1)
+    wire.take()
+    return node
+
+
+def test_default_pdos_carry_speeds_and_tooth_frequencies_of_four_axles(wire, unit):
+    wire.row[signals.span("wheel_speed")] = [90.0, 91.234, -1.0, 1000.0]
+    wire.row[signals.span("tooth_frequency")] = [1432.5, 0.001, 5e6, 0.0]
+    wire.sync()
+    frames = {one.can_id: one.data for one in wire.frames}
+    assert np.frombuffer(frames[0x190], "<i2").tolist() == [9000, 9123, -100, 32767]
+    assert np.frombuffer(frames[0x290], "<u4").tolist() == [1_432_500, 1]
+    assert np.frombuffer(frames[0x390], "<u4").tolist() == [2**32 - 1, 0]
+
+
+def test_a_speed_beyond_16_bits_stands_beside_it_in_32_bits(wire, unit):
+    wire.row[signals.column("wheel_speed", 4)] = 1000.00005
+    assert wire.read(16, 0x6030, 4) == (32767).to_bytes(2, "little")
+    assert int.from_bytes(wire.read(16, 0x2102, 4), "little") == 10_000_000
+
+
+def test_pulse_counters_wrap_and_positions_follow_their_preset(wire, unit):
+    counter = signals.column("pulse_count", 2)
+    wire.row[counter] = 2.0**32 + 5
+    assert wire.read(16, 0x2101, 2) == (5).to_bytes(4, "little")
+    assert wire.write(16, 0x6010, 2, 1000, 4) == 0
+    assert wire.read(16, 0x6020, 2) == (1000).to_bytes(4, "little")
+    wire.row[counter] += 7
+    assert wire.read(16, 0x6020, 2) == (1007).to_bytes(4, "little")
+
+
+def test_acceleration_is_the_change_of_speed_between_two_syncs(wire, unit):
+    for time_s, speed in ((0.00, 90.0), (0.01, 89.9), (0.02, 89.7)):
+        wire.row[signals.column("time")] = time_s
+        wire.row[signals.column("wheel_speed", 1)] = speed
+        wire.sync()
+    value = int.from_bytes(wire.read(16, 0x6040, 1), "little", signed=True)
+    assert value == pytest.approx(-2000, abs=1)
+
+
+def test_the_teeth_of_the_pole_wheel_are_the_measuring_units(wire, unit):
+    assert wire.read(16, 0x6001) == wire.read(16, 0x6501) == (100).to_bytes(4, "little")
+
+
+VALUES = [0.0, 1.0, -1.0, 0.5, 1.5, 2.5, -0.5, 123.456, 1e5, -1e5, 1e12, -1e12, math.nan, math.inf,
+          -math.inf]
+PLACES = [place for signal in signals.SIGNALS for place in signal.places]
+
+
+@pytest.mark.parametrize("place", PLACES, ids=lambda place: f"{place.index:04X}h")
+def test_the_prepared_reader_gives_what_the_table_of_signals_gives(place):
+    row = np.zeros(1)
+    for parameter in (1.0, 4000.0):
+        read = process_image.reader(row, 0, place, parameter)
+        for value in VALUES:
+            row[0] = value
+            assert read() == signals.count(value, place, parameter)
+
+
+def test_a_counter_wraps_in_both_directions():
+    row = np.zeros(1)
+    place = Place(1, 0x6064, 0, "I32", 1.0, wraps=True)
+    read = process_image.reader(row, 0, place)
+    for value in (2.0**31, -2.0**31 - 1, 2.0**40 + 3):
+        row[0] = value
+        assert read() == signals.count(value, place)

@@ -1,0 +1,155 @@
+"""The bench as NMT master and SYNC producer, and all nodes together on one rack."""
+
+import math
+
+import numpy as np
+import pytest
+from rollerrig.firmware_sim import drive402, encoder406, io401, network, rack
+from rollerrig.firmware_sim.cia301.nmt import State
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.hub import Hub
+
+MS = 1_000_000
+
+
+class Rig:
+    """The default rig on one port of a hub, and a tester beside it."""
+
+    def __init__(self, **options):
+        self.now_ns = 0
+        self.hub = Hub(lambda: self.now_ns)
+        self.frames, self.events = [], []
+        self.hub.tap(self.frames.append)
+        self.tester = self.hub.attach(lambda frame: None, "tester")
+        self.row, self.commands = np.zeros(len(signals.COLUMNS)), np.zeros(io401.COMMANDS)
+        self.network = network.Network(**options)
+        self.network.on_event = lambda level, text: self.events.append(text)
+        drives = [drive402.build(node, axle, self.row)
+                  for axle, node in enumerate(signals.DRIVE_NODES, 1)]
+        self.nodes = [*drives, encoder406.build(self.row), io401.build(self.row, self.commands)]
+        self.rack = rack.Rack()
+        for member in (self.network, *self.nodes):
+            self.rack.add(member)
+        port = self.hub.attach(self.rack.on_frame, "rig")
+        self.rack.start(port.send, 0)
+
+    def run(self, milliseconds, unit=None):
+        for at in range(milliseconds):
+            self.now_ns += MS
+            if unit is not None and at % 50 == 0:
+                self.tester.send(Frame(0x720, bytes([unit])))
+            self.rack.poll(self.now_ns)
+
+    def sent(self, can_id):
+        return [one.data for one in self.frames if one.can_id == can_id]
+
+
+@pytest.fixture
+def rig():
+    return Rig()
+
+
+def test_every_node_is_operational_right_after_its_boot_up(rig):
+    assert [node.state for node in rig.nodes] == [State.OPERATIONAL] * 6
+    assert rig.network.all_operational() is False
+    rig.run(100)
+    assert rig.network.all_operational()
+
+
+def test_one_sync_brings_the_process_data_of_all_nodes_once(rig):
+    rig.frames.clear()
+    rig.network.sync()
+    identifiers = [one.can_id for one in rig.frames]
+    expected = [0x181, 0x281, 0x182, 0x282, 0x183, 0x283, 0x184, 0x284, 0x190, 0x290, 0x390, 0x191]
+    assert identifiers[0] == 0x80
+    assert sorted(identifiers[1:]) == sorted(expected)
+
+
+def test_the_bench_has_a_heartbeat_of_its_own(rig):
+    assert rig.sent(0x77F) == [b"\0"]
+    rig.run(300)
+    assert rig.sent(0x77F)[1:] == [b"\x05"] * 3
+
+
+def test_the_unit_is_started_when_it_appears_and_once_only(rig):
+    rig.frames.clear()
+    rig.tester.send(Frame(0x720, b"\0"))
+    rig.tester.send(Frame(0x720, b"\x7f"))
+    rig.tester.send(Frame(0x720, b"\x7f"))
+    assert rig.sent(0) == [b"\x01\x20"]
+    assert not rig.network.unit_is_operational
+    rig.tester.send(Frame(0x720, b"\x05"))
+    assert rig.network.unit_is_operational
+
+
+def test_a_unit_that_was_there_before_the_bench_is_started_too(rig):
+    rig.frames.clear()
+    rig.tester.send(Frame(0x720, b"\x7f"))
+    assert rig.sent(0) == [b"\x01\x20"]
+
+
+def test_a_silent_unit_is_lost_and_found_again(rig):
+    rig.run(500, unit=5)
+    assert rig.network.unit_is_operational
+    rig.run(250)
+    assert rig.network.unit_is_lost
+    assert not rig.network.unit_is_operational
+    assert any("lost" in text for text in rig.events)
+    rig.run(10, unit=5)
+    assert rig.network.unit_is_operational
+
+
+def test_a_node_that_an_outside_master_stops_is_left_alone(rig):
+    rig.tester.send(Frame(0, b"\x80\x10"))
+    rig.run(1000)
+    assert rig.nodes[4].state is State.PRE_OPERATIONAL
+
+
+def test_a_node_that_boots_again_is_started_again(rig):
+    rig.tester.send(Frame(0, b"\x81\x10"))
+    assert rig.nodes[4].state is State.OPERATIONAL
+
+
+def test_a_bench_that_is_not_the_master_starts_nobody():
+    rig = Rig(master=False)
+    rig.run(200)
+    assert rig.sent(0) == []
+    assert rig.nodes[0].state is State.PRE_OPERATIONAL
+
+
+def test_a_sync_counter_runs_from_one_to_its_overflow_value():
+    rig = Rig(sync_overflow=3)
+    for _ in range(5):
+        rig.network.sync()
+    assert rig.sent(0x80) == [b"\1", b"\2", b"\3", b"\1", b"\2"]
+
+
+def test_the_units_reference_speed_is_known_until_the_unit_is_lost(rig):
+    rig.run(60, unit=5)
+    rig.tester.send(Frame(0x1A0, (4230).to_bytes(2, "little")))
+    assert rig.network.reference_speed_m_s == pytest.approx(42.3)
+    rig.tester.send(Frame(0x1A0, b"\1"))
+    assert rig.network.reference_speed_m_s == pytest.approx(42.3)
+    rig.run(250)
+    assert math.isnan(rig.network.reference_speed_m_s)
+
+
+def test_a_node_without_power_is_lost_and_boots_when_it_has_power_again(rig):
+    rig.run(200)
+    encoder = rig.nodes[4]
+    rig.rack.power(encoder, False, rig.now_ns)
+    rig.frames.clear()
+    rig.network.sync()
+    assert rig.sent(0x190) == []
+    rig.run(600)
+    assert rig.network.health[16].lost
+    rig.rack.power(encoder, True, rig.now_ns)
+    assert rig.sent(0x710)[0] == b"\0"
+    rig.network.sync()
+    assert len(rig.sent(0x190)) == 1
+
+
+def test_an_emergency_of_a_node_becomes_an_event(rig):
+    rig.nodes[0].device.trip(0x2310, "over-current")
+    assert any("EMCY 2310h" in text for text in rig.events)

@@ -1,0 +1,63 @@
+"""A bench for tests of the recorder: makes rings, starts a recorder, and writes rows on time.
+
+Run as a program it prints its rings and the recorder's process as one line of JSON, and writes for
+ever, so that a test can kill it. It writes 100 rows, 200 frames and a few events a second.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from rollerrig.realtime import recorder, ring
+from rollerrig.realtime.ring import Ring
+from rollerrig.wsp_interface import signals
+
+WIDTH = len(signals.COLUMNS)
+SCENARIO = 'title = "rows of a test"\n[loop]\ntick_hz = 1000\nstep_s = 0.0001\nrecord_hz = 100\n'
+
+
+def rings(capacity=4096):
+    """Rings of rows, frames and events, written by this process."""
+    return (Ring(ring.place("rows"), np.float64, capacity, WIDTH),
+            Ring(ring.place("frames"), np.int64, 2 * capacity, ring.FRAME_WORDS),
+            Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS))
+
+
+def row(number):
+    """Row `number`: time in hundredths of a second, every other column tells its place."""
+    values = np.arange(WIDTH, dtype=np.float64) + number
+    values[signals.column("time")] = number / 100.0
+    values[signals.span("valve")] = (number // 20) % 3
+    return values
+
+
+def write(to, number):
+    """Append row `number` and what belongs to its hundredth of a second."""
+    rows, frames, events = to
+    rows.push(row(number))
+    for node in (0, 1):
+        frames.push(np.array([number * 10_000_000 + node, 0x181 + node, 8, number], dtype=np.int64))
+    if number % 25 == 0:
+        ring.push_event(events, number / 100.0, "info", f"row {number}")
+
+
+def main():
+    folder = Path(sys.argv[1])
+    (folder / "scenario.toml").write_text(SCENARIO)
+    to = rings()
+    process = recorder.start(folder, *to)
+    if not recorder.wait_ready(process, to[0]):
+        sys.exit("the recorder did not come")
+    print(json.dumps({"rings": [str(one.path) for one in to], "recorder": process.pid}), flush=True)
+    begun, number = time.monotonic(), 0
+    while True:
+        write(to, number)
+        number += 1
+        time.sleep(max(0.0, begun + number / 100.0 - time.monotonic()))
+
+
+if __name__ == "__main__":
+    main()

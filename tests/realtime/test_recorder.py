@@ -1,0 +1,264 @@
+"""The recorder keeps a run whoever is killed: at most its last second is lost."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import paced_writer
+import pyarrow.parquet as pq
+import pytest
+from rerun.chunk import RrdReader
+
+from rollerrig.realtime import channels, recorder, records, ring
+from rollerrig.realtime.ring import Ring
+from rollerrig.wsp_interface import signals
+
+RAN_S = 2.2
+
+
+def until(condition, timeout_s=20.0):
+    """Wait for a condition; a test fails where it does not come."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+
+
+def last_drawn_s(path, entity="/sliding/sliding"):
+    """The latest time in s of an entity in a .rrd."""
+    times = [0]
+    for chunk in RrdReader(path).stream():
+        if str(chunk.entity_path) == entity and not chunk.is_static:
+            times += chunk.to_record_batch()["t"].cast("int64").to_pylist()
+    return max(times) / 1e9
+
+
+class Killed:
+    """A run whose bench or recorder, or both, were killed after some seconds of writing."""
+
+    def __init__(self, folder, victims):
+        self.folder = folder
+        bench = subprocess.Popen([sys.executable, paced_writer.__file__, str(folder)],
+                                 stdout=subprocess.PIPE, text=True, start_new_session=True)
+        told = json.loads(bench.stdout.readline())
+        self.rings = [Path(path) for path in told["rings"]]
+        rows = Ring(self.rings[0], np.float64)
+        until(lambda: rows.header[ring.WRITTEN] > 100 * RAN_S)
+        if "recorder" in victims:
+            os.kill(told["recorder"], signal.SIGKILL)
+        self.written_s = (int(rows.header[ring.WRITTEN]) - 1) / 100.0
+        if "group" in victims:
+            os.killpg(bench.pid, signal.SIGKILL)
+        elif "bench" in victims:
+            os.kill(bench.pid, signal.SIGKILL)
+        if victims != ("recorder",):
+            # not waited for: the recorder must see the death of a process that became a zombie
+            self.written_s = (int(rows.header[ring.WRITTEN]) - 1) / 100.0
+        if "recorder" not in victims:
+            until(lambda: not any(path.exists() for path in self.rings))
+            until(lambda: not _runs(told["recorder"]))
+        bench.kill()
+        bench.wait()
+        for path in self.rings:
+            path.unlink(missing_ok=True)
+
+
+def _runs(process):
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
+    except OSError:
+        return False
+
+
+@pytest.fixture(scope="module")
+def bench_killed(tmp_path_factory):
+    return Killed(tmp_path_factory.mktemp("bench"), ("bench",))
+
+
+@pytest.fixture(scope="module")
+def group_killed(tmp_path_factory):
+    return Killed(tmp_path_factory.mktemp("group"), ("group",))
+
+
+@pytest.fixture(scope="module")
+def recorder_killed(tmp_path_factory):
+    return Killed(tmp_path_factory.mktemp("recorder"), ("recorder",))
+
+
+@pytest.fixture(scope="module")
+def both_killed(tmp_path_factory):
+    return Killed(tmp_path_factory.mktemp("both"), ("recorder", "group"))
+
+
+@pytest.fixture(params=["bench_killed", "group_killed", "recorder_killed", "both_killed"])
+def run(request):
+    return request.getfixturevalue(request.param)
+
+
+def test_a_killed_run_loses_at_most_the_last_second_of_its_channels(run):
+    time_s = pq.read_table(run.folder / "channels.parquet")["time_s"].to_numpy()
+    assert time_s[-1] >= run.written_s - 1.0
+    assert np.allclose(np.diff(time_s), 0.01)
+
+
+def test_reading_a_killed_run_back_adds_what_the_file_did_not_yet_hold(run):
+    time_s = records.load(run.folder).column("time_s")
+    assert time_s[-1] >= run.written_s - 0.3
+    assert np.allclose(np.diff(time_s), 0.01)
+
+
+def test_a_killed_run_loses_at_most_the_last_second_of_its_picture(run):
+    assert last_drawn_s(run.folder / "run.rrd") >= run.written_s - 1.0
+
+
+def test_a_killed_run_loses_at_most_the_last_second_of_its_can_log(run):
+    lines = (run.folder / "can.log").read_text().splitlines()
+    assert float(lines[-1].split(")")[0].strip("(")) >= run.written_s - 1.0
+    assert lines[0] == "(0000000000.000000) rig0 181#0000000000000000"
+
+
+def test_a_killed_run_keeps_its_events(run):
+    events = records.load(run.folder).events
+    told = [event for event in events if event[2].startswith("row")]
+    assert [event[0] for event in told] == [0.25 * number for number in range(len(told))]
+    assert told[-1][0] >= run.written_s - 1.0
+
+
+def test_a_recorder_whose_bench_was_killed_says_so_and_removes_the_rings(bench_killed):
+    summary = records.load(bench_killed.folder).summary
+    assert summary["ended"] == "killed"
+    assert not summary["stopped"]
+    assert summary["samples"] == round(100 * bench_killed.written_s) + 1
+    assert "the bench was killed" in records.load(bench_killed.folder).events[-1][2]
+    assert not (bench_killed.folder / "channels.tail").exists()
+
+
+def test_a_recorder_outlives_the_process_group_of_its_bench(group_killed):
+    assert records.load(group_killed.folder).summary["ended"] == "killed"
+
+
+# --- runs that end as they should ---
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """Rings that this process writes, and the recorder that drains them."""
+    (tmp_path / "scenario.toml").write_text(paced_writer.SCENARIO)
+    to = paced_writer.rings()
+    process = recorder.start(tmp_path, *to)
+    yield tmp_path, to, process
+    process.kill()
+    process.wait()
+    for one in to:
+        one.unlink()
+
+
+def finish(to, process):
+    for one in to:
+        one.close()
+    assert process.wait(20) == 0
+
+
+def test_a_finished_run_is_recorded_whole(begun):
+    folder, to, process = begun
+    assert recorder.wait_ready(process, to[0])
+    for number in range(1000):
+        paced_writer.write(to, number)
+    finish(to, process)
+    run = records.load(folder)
+    expected = np.array([paced_writer.row(number) for number in range(1000)])
+    assert run.table.column_names == list(signals.COLUMNS)
+    assert np.array_equal(records.rows(run.table), expected)
+    assert len((folder / "can.log").read_text().splitlines()) == 2000
+    assert len(run.events) == 40
+    assert run.summary["ended"] == "finished"
+    assert run.summary["recorder"]["lost"] == 0
+    assert last_drawn_s(folder / "run.rrd") == 9.99
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "can.log", "channels.parquet", "events.jsonl", "run.rrd", "scenario.toml", "summary.json"]
+
+
+def test_the_recording_holds_the_values_of_the_channels(begun):
+    folder, to, process = begun
+    assert recorder.wait_ready(process, to[0])
+    for number in range(300):
+        paced_writer.write(to, number)
+    finish(to, process)
+    table = channels.load(folder)
+    found = {}
+    for chunk in RrdReader(folder / "run.rrd").stream():
+        batch = chunk.to_record_batch()
+        if "Scalars:scalars" in batch.schema.names:
+            found[str(chunk.entity_path)] = np.array(batch["Scalars:scalars"].to_pylist())
+    assert found["/speeds/vehicle_speed"][:, 0].tolist() == table["vehicle_speed_m_s"].to_pylist()
+    assert found["/adhesion/adhesion_2"][:, 0].tolist() == table["adhesion_2"].to_pylist()
+    for axle in range(signals.AXLES):
+        assert found["/sliding/sliding"][:, axle].tolist() == table[
+            f"sliding_{axle + 1}_m_s"].to_pylist()
+
+
+def test_rows_that_were_overrun_are_counted_and_told(begun):
+    folder, to, process = begun
+    for number in range(6000):  # the recorder has not started yet, and the ring holds 4096
+        to[0].push(paced_writer.row(number))
+    assert recorder.wait_ready(process, to[0])
+    finish(to, process)
+    run = records.load(folder)
+    assert len(run.table) == 4095
+    assert run.summary["recorder"]["lost"] == 6000 - 4095
+    assert any("1905 rows of channels lost" in text for _, _, text in run.events)
+
+
+def test_ctrl_c_is_left_to_the_bench(begun):
+    folder, to, process = begun
+    assert recorder.wait_ready(process, to[0])
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGHUP)
+    time.sleep(0.3)
+    paced_writer.write(to, 0)
+    finish(to, process)
+    assert len(channels.load(folder)) == 1
+
+
+def test_a_recorder_that_is_asked_to_end_completes_the_files(begun):
+    folder, to, process = begun
+    assert recorder.wait_ready(process, to[0])
+    for number in range(50):
+        paced_writer.write(to, number)
+    process.terminate()
+    assert process.wait(20) == 0
+    assert records.load(folder).summary["ended"] == "terminated"
+    assert len(channels.load(folder)) == 50
+
+
+def test_the_recorder_gives_way_to_the_bench(begun):
+    _, to, process = begun
+    assert recorder.wait_ready(process, to[0])
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    assert os.getpriority(os.PRIO_PROCESS, process.pid) >= min(own + 5, 19)
+    assert os.getsid(process.pid) == process.pid
+
+
+def test_each_run_has_a_recording_of_its_own(tmp_path):
+    first, second = (Ring(tmp_path / name, np.float64, 4, 2) for name in ("a", "b"))
+    assert recorder.recording_id(tmp_path, first) == recorder.recording_id(tmp_path, first)
+    assert recorder.recording_id(tmp_path, first) != recorder.recording_id(tmp_path, second)
+    assert recorder.recording_id(tmp_path, first) != recorder.recording_id(tmp_path / "x", first)
+
+
+@pytest.mark.parametrize(("word", "length", "line"), [
+    (0x181, 8, "(0000000001.500000) rig0 181#0807060504030201"),
+    (0x181, 2, "(0000000001.500000) rig0 181#0807"),
+    (0x1ABCDEF0 | ring.EXTENDED_FLAG, 1, "(0000000001.500000) rig0 1ABCDEF0#08"),
+    (0x702 | ring.REMOTE_FLAG, 0, "(0000000001.500000) rig0 702#R"),
+])
+def test_a_row_of_the_frame_ring_is_a_line_of_a_candump_log(word, length, line):
+    from rollerrig.wsp_interface import frames
+
+    row = [1_500_000_000, word, length, 0x0102030405060708]
+    assert frames.candump_line(recorder.frame_of(row), "rig0") == line

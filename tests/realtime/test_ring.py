@@ -1,0 +1,165 @@
+"""Rings: order, loss, room, and whether their writer lives."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from rollerrig.configs.errors import RollerrigError
+from rollerrig.realtime import ring
+from rollerrig.realtime.ring import Ring
+
+_WRITER = """
+import sys, time
+import numpy as np
+from rollerrig.realtime import ring
+one = ring.Ring(ring.place("rows"), np.float64, 8, 2)
+print(one.path, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def small(tmp_path):
+    return Ring(tmp_path / "ring", np.float64, 8, 2)
+
+
+@pytest.fixture
+def killed():
+    """The path of a ring whose writer was killed and not yet waited for (a zombie)."""
+    process = subprocess.Popen([sys.executable, "-c", _WRITER], stdout=subprocess.PIPE, text=True)
+    path = process.stdout.readline().strip()
+    reader = Ring(path, np.float64)
+    assert reader.writer_alive
+    os.kill(process.pid, signal.SIGKILL)
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+    yield path
+    process.wait()
+    reader.unlink()
+
+
+def fill(one, numbers):
+    for number in numbers:
+        one.push(np.array([number, 10.0 * number]))
+
+
+def test_a_reader_gets_every_row_once_and_in_order(small):
+    other, seen, cursor = Ring(small.path, np.float64), [], 0
+    for first in range(0, 30, 5):
+        fill(small, range(first, first + 5))
+        rows, cursor, lost = other.read(cursor)
+        assert lost == 0
+        seen += rows[:, 0].tolist()
+    assert seen == list(range(30))
+    assert np.array_equal(other.read(cursor)[0], np.empty((0, 2)))
+
+
+def test_a_reader_that_fell_behind_learns_how_many_rows_it_lost(small):
+    fill(small, range(20))
+    rows, cursor, lost = small.read(0)
+    assert lost + len(rows) == 20
+    assert rows[:, 0].tolist() == list(range(lost, 20))
+    assert cursor == 20
+
+
+def test_the_slot_that_the_writer_fills_next_is_never_read(small):
+    fill(small, range(8))
+    rows, _, lost = small.read(0)
+    assert (lost, rows[0, 0]) == (1, 1.0)
+
+
+def test_room_is_what_may_be_written_before_the_recorder_loses_a_row(small):
+    assert small.room == 7
+    fill(small, range(small.room))
+    assert small.room == 0
+    assert small.read(0)[2] == 0
+    small.header[ring.READ] = small.read(0)[1]
+    assert small.room == 7
+
+
+def test_a_ring_tells_that_its_writer_is_done_without_being_dead(small):
+    other = Ring(small.path, np.float64)
+    assert other.writer_alive
+    assert not other.closed
+    small.close()
+    assert other.closed
+    assert other.writer_alive
+
+
+def test_a_writer_that_was_killed_is_dead_though_nobody_has_waited_for_it(killed):
+    assert not Ring(killed, np.float64).writer_alive
+
+
+def test_a_dead_writer_is_noticed_after_the_file_is_gone(killed):
+    reader = Ring(killed, np.float64)
+    reader.unlink()
+    assert not reader.writer_alive
+
+
+def test_sweeping_removes_what_dead_writers_left_and_nothing_else(killed):
+    mine = Ring(ring.place("rows"), np.float64, 8, 2)
+    try:
+        assert killed not in map(str, ring.sweep())  # its recorder may still be at work
+        left = Ring(killed, np.int64)
+        left.header[ring.CREATED_NS] = time.monotonic_ns() - 61_000_000_000
+        mine.header[ring.CREATED_NS] = left.header[ring.CREATED_NS]
+        swept = list(map(str, ring.sweep()))
+        assert killed in swept
+        assert str(mine.path) not in swept
+        assert mine.path.exists()
+    finally:
+        mine.unlink()
+
+
+def test_a_new_ring_in_an_old_place_leaves_the_old_readers_their_rows(tmp_path):
+    old = Ring(tmp_path / "ring", np.float64, 8, 2)
+    fill(old, range(3))
+    new = Ring(tmp_path / "ring", np.float64, 4, 2)
+    assert old.read(0)[0][:, 0].tolist() == [0.0, 1.0, 2.0]
+    assert len(new.read(0)[0]) == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"x" * 200])
+def test_a_file_that_is_no_ring_is_refused_by_name(tmp_path, content):
+    path = tmp_path / "other"
+    path.write_bytes(content)
+    with pytest.raises(RollerrigError, match="other: not a ring"):
+        Ring(path, np.float64)
+
+
+def test_events_of_several_threads_all_arrive(tmp_path):
+    events = Ring(tmp_path / "events", np.int64, 1024, ring.EVENT_WORDS)
+
+    def tell(who):
+        for number in range(100):
+            ring.push_event(events, number, "info", f"{who} {number}")
+
+    threads = [threading.Thread(target=tell, args=(who,)) for who in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    rows, _, lost = events.read(0)
+    assert lost == 0
+    assert {ring.read_event(row)[2] for row in rows} == {
+        f"{who} {number}" for who in range(4) for number in range(100)}
+
+
+@pytest.mark.parametrize("text", ["axle 1 locked", "Räder rollen: λ = 0.3 µ", "", "a\nb"])
+def test_an_event_comes_out_as_it_went_in(tmp_path, text):
+    events = Ring(tmp_path / "events", np.int64, 4, ring.EVENT_WORDS)
+    ring.push_event(events, 12.345, "warning", text)
+    assert ring.read_event(events.read(0)[0][0]) == (12.345, "warning", text)
+
+
+def test_a_long_event_is_cut_between_characters(tmp_path):
+    events = Ring(tmp_path / "events", np.int64, 4, ring.EVENT_WORDS)
+    ring.push_event(events, 0.0, "info", "λ" * 1000)
+    text = ring.read_event(events.read(0)[0][0])[2]
+    assert set(text) == {"λ"}
+    assert len(text) > 200
