@@ -31,7 +31,7 @@ COLUMNS = 20
 def adhesion(sliding_m_s, v_m_s, mu, tau):
     """Contact force over load, signed as the sliding: sliding energy mixes the two frictions."""
     s = abs(sliding_m_s)
-    e = s / max(v_m_s, 0.5)
+    e = s / max(v_m_s, 4.0)  # floored: explicit steps are unstable on a stiffer contact
     f_d = mu * (1.0 + 1.5 * np.exp(-0.2 * s)) * np.tanh(150.0 * e)
     f_r = max(f_d, (0.28 + 0.42 * np.exp(-0.6 * s)) * np.tanh(150.0 * e))
     k = tau * 0.5 * LOAD_N * e

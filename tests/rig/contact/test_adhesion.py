@@ -37,17 +37,15 @@ def table():
 
 def newton(f_d, f_r, k):
     """Eq. 15 solved for y = k f: by Newton from k f_r, monotone for f_d <= f_r; else bracketed."""
-    def excess(y):
-        return k * f_d - k * (f_r - f_d) * math.expm1(-y) - y
-
-    if f_r < f_d:
-        # full or no recovery within rounding leaves no change of sign
-        if excess(k * f_r) <= 0.0 or excess(k * f_d) >= 0.0:
-            return f_r if excess(k * f_r) <= 0.0 else f_d
-        return brentq(excess, k * f_r, k * f_d, xtol=1e-300, rtol=1e-15) / k
+    D = f_r - f_d
+    if D < 0.0:
+        # k f_r and k f_d bracket the root, unless it is one of them to the last digit
+        ends = [y for y in (k * f_r, k * f_d) if k * f_r - k * D * math.exp(-y) == y]
+        return (ends[0] if ends else brentq(
+            lambda y: k * f_r - k * D * math.exp(-y) - y, k * f_r, k * f_d, xtol=1e-300)) / k
     y = k * f_r
     for _ in range(100):
-        step = excess(y) / (1.0 - k * (f_r - f_d) * math.exp(-y))
+        step = (k * f_d - k * D * math.expm1(-y) - y) / (1.0 - k * D * math.exp(-y))
         y += step
         if abs(step) <= 1e-15 * y:
             break

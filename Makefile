@@ -1,0 +1,40 @@
+# demo: brake the coach on the degraded track. test, lint, bench: what the names say.
+# Each target works from nothing: it creates .venv and installs pinned versions when needed.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test lint bench clean
+
+demo: $(VENV)/ready
+	$(BIN)/rollerrig run velim_a1 --out runs/demo
+
+test: $(VENV)/ready-dev
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/ready-dev
+	$(BIN)/ruff check .
+	@mkdir -p $(VENV)/typed/rollerrig
+	@for room in rig firmware_sim wsp_interface realtime configs; do \
+	  ln -sfn "$(CURDIR)/$$room" $(VENV)/typed/rollerrig/$$room; done
+	MYPYPATH=$(VENV)/typed $(BIN)/mypy -p rollerrig
+
+bench: $(VENV)/ready
+	$(BIN)/rollerrig bench loop bus vehicle
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \
+	  { echo "rollerrig needs Python 3.11, 3.12 or 3.13; name one: make PYTHON=python3.12 ..."; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/ready: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
+$(VENV)/ready-dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@ $(VENV)/ready
+
+clean:
+	rm -rf $(VENV) build *.egg-info
