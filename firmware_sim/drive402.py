@@ -1,9 +1,9 @@
 """A roller drive, nodes 1 to 4: the CiA 402 state machine around the motor of one roller.
 
 Either the bench's own rig control moves the motor: then the drive is walked to OPERATION ENABLED
-from inside, tells so with bit 9 (remote) cleared, and does not obey controlwords. Or a master on the
-bus does: then states, option codes, ramps and modes are the standard's, and the demands stand in the
-array of commands for the control loops of the tick. Source: CiA 402-2 / IEC 61800-7-201.
+from inside, tells so with bit 9 (remote) cleared, and does not obey controlwords. Or a master on
+the bus does: then states, option codes, ramps and modes are the standard's, and the demands stand
+in the array of commands for the control loops of the tick. Source: CiA 402-2 / IEC 61800-7-201.
 """
 
 import math
@@ -331,8 +331,10 @@ class Drive:
         return float(self.node.objects.values[key(0x6084 if option == 1 else 0x6085, 0)])
 
     def _take_mode(self) -> None:
+        before = self.mode
         self.mode = CYCLIC_TORQUE if self.local else self.node.objects.values[key(0x6060, 0)]
-        if self.enabled and self.demand.stopping is None:
+        # a PDO writes the same mode again and again
+        if self.mode != before and self.enabled and self.demand.stopping is None:
             self.demand.take_over(*self._actual())
 
     # -- the connection

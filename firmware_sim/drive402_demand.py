@@ -1,8 +1,8 @@
 """What a drive under control of the bus asks of its motor: ramps, limits and the bits that tell.
 
-In profile modes the demand follows the target along a ramp, in cyclic modes it is the target; a stop
-takes the demand to rest along a deceleration. The demand begins at what the motor does now, so that
-neither enabling nor a change of mode or of master makes a jump. Source: CiA 402-2, modes profile
+In profile modes the demand follows the target along a ramp, in cyclic modes it is the target; a
+stop takes the demand to rest along a deceleration. The demand begins at what the motor does now, so
+that neither enabling nor a change of mode or of master makes a jump. Source: CiA 402-2, modes profile
 velocity (3), profile torque (4), cyclic synchronous velocity (9) and torque (10).
 """
 
@@ -98,7 +98,7 @@ class Since:
 
 
 class Heat:
-    """Thermal load of the motor: 1 is what it bears for ever; first order in the square of torque."""
+    """Thermal load of the motor, 1 is what it bears for ever: first order in torque squared."""
 
     WARNING, TRIP = 1.0, 1.2
 

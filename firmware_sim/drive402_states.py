@@ -1,8 +1,8 @@
 """The drive state machine of CiA 402: states, commands of the controlword, numbered transitions.
 
-Everything here is a table. The statusword's lower bits tell the state; a command is a pattern in the
-controlword's lower bits; a transition has the number that the standard gives it. Source: CiA 402-2 /
-IEC 61800-7-201, power drive state machine.
+Everything here is a table. The statusword's lower bits tell the state; a command is a pattern in
+the controlword's lower bits; a transition has the number that the standard gives it. Source: CiA
+402-2 / IEC 61800-7-201, power drive state machine.
 """
 
 from enum import IntEnum
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class State(IntEnum):
-    """States of the power drive; the value is the statusword's pattern (without voltage, remote)."""
+    """States of the power drive; the value is the statusword's pattern for it."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40

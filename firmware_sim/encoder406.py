@@ -1,8 +1,8 @@
 """The axle speed unit, node 16: four pole wheels read by a CiA 406 encoder for several sensors.
 
 Speeds go out as 16-bit values with TPDO1; finer speeds, tooth frequency and pulse counters stand
-beside them. A position is the pulse counter of its axle plus an offset that the preset sets. Source:
-CiA 406 (objects 6000h to 65xxh, multi-sensor objects); 2100h to 2102h are this rig's own.
+beside them. A position is the pulse counter of its axle plus an offset that the preset sets.
+Source: CiA 406 (objects 6000h to 65xxh, multi-sensor objects); 2100h to 2102h are this rig's own.
 """
 
 from collections.abc import Mapping
@@ -68,7 +68,7 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
 
 def build(row: np.ndarray, parameters: Mapping[str, float] | None = None,
           storage: Path | None = None) -> Node:
-    """The node. `row`: live float64 array of all signals, shape (columns,); `storage`: for 1010h."""
+    """The node. `row`: live float64 array of all signals; `storage`: the file of 1010h."""
     parameters = DEFAULTS | dict(parameters or {})
     profile = Profile(DEVICE_TYPE, "axle speed unit", tpdos=TPDOS,
                       sync_counter=int(parameters.get("sync_counter", 0)))

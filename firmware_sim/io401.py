@@ -51,7 +51,8 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
                text="bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1"),
         *array(0x6206, "Error mode output 8-bit", "U8", "rw", [0xFF], ("Magnets",)),
         *array(0x6207, "Error value output 8-bit", "U8", "rw", [0], ("Magnets",)),
-        *array(0x6411, "Write analogue output 16-bit", "I16", "rw", [0], ("Brake demand",), **demand),
+        *array(0x6411, "Write analogue output 16-bit", "I16", "rw", [0], ("Brake demand",),
+               **demand),
         Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
         *array(0x6443, "Analogue output error mode", "U8", "rw", [0], ("Brake demand",), high=1),
         *array(0x6444, "Analogue output error value integer", "I32", "rw", [0], ("Brake demand",),
@@ -63,8 +64,8 @@ def build(row: np.ndarray, commands: np.ndarray, parameters: Mapping[str, float]
           on_command: Callable[[], None] = lambda: None, storage: Path | None = None) -> Node:
     """The node.
 
-    `row`: live float64 array of all signals; `commands`: float64 array of shape (COMMANDS,) that the
-    node writes before it calls `on_command()`.
+    `row`: live float64 array of all signals; `commands`: float64 array of shape (COMMANDS,) that
+    the node writes before it calls `on_command()`.
     """
     parameters = dict(parameters or {})
     profile = Profile(DEVICE_TYPE, "brake I/O", RPDOS, TPDOS, consumed=((WSP_NODE, HEARTBEAT_MS),),

@@ -45,8 +45,8 @@ class Network:
     the WSP unit. `on_event(level, text)` is for the run's events.
     """
 
-    def __init__(self, nodes: Iterable[int] = RIG_NODES, master: bool = True, sync_overflow: int = 0,
-                 heartbeat_ms: int = 100, lost_after_ms: int = 500,
+    def __init__(self, nodes: Iterable[int] = RIG_NODES, master: bool = True,
+                 sync_overflow: int = 0, heartbeat_ms: int = 100, lost_after_ms: int = 500,
                  unit_lost_after_ms: int = 200) -> None:
         self.master, self.sync_overflow, self.heartbeat_ms = master, sync_overflow, heartbeat_ms
         self.health = {node: Health() for node in (*nodes, WSP_NODE)}
@@ -118,7 +118,8 @@ class Network:
 
     def _beat(self) -> None:
         if self.heartbeat_ms:
-            self._timers.set("heartbeat", self.now_ns + self.heartbeat_ms * MS, self._send_heartbeat)
+            due_ns = self.now_ns + self.heartbeat_ms * MS
+            self._timers.set("heartbeat", due_ns, self._send_heartbeat)
 
     def _send_heartbeat(self) -> None:
         self.send(Frame(FIRST_HEARTBEAT + BENCH_NODE, bytes([State.OPERATIONAL])))
@@ -136,7 +137,8 @@ class Network:
         elif health.state is not state:
             self.on_event("info", f"{_name(node)}: NMT {state.title}")
         health.state, health.heard_ns, health.lost = state, self.now_ns, False
-        self._timers.set(f"lost {node}", self.now_ns + self._after_ns[node], partial(self._lose, node))
+        due_ns = self.now_ns + self._after_ns[node]
+        self._timers.set(f"lost {node}", due_ns, partial(self._lose, node))
         self._start_once(node, health)
 
     def _start_once(self, node: int, health: Health) -> None:
@@ -159,7 +161,8 @@ class Network:
         code = int.from_bytes(frame.data[:2], "little") if len(frame.data) == 8 else 0
         if code:
             node = frame.can_id - FIRST_EMERGENCY
-            self.on_event("warning", f"{_name(node)}: EMCY {code:04X}h, register {frame.data[2]:02X}h")
+            text = f"EMCY {code:04X}h, error register {frame.data[2]:02X}h"
+            self.on_event("warning", f"{_name(node)}: {text}")
 
     def _on_reference_speed(self, frame: Frame) -> None:
         if len(frame.data) >= 2:

@@ -1,8 +1,8 @@
 """The signals of the rig as objects of a node: what stands where on the bus comes from one table.
 
 Objects that carry a signal hold no value of their own; each read converts the live row into the
-integer of the bus, as `signals.count` does. The conversion is prepared once for each object, because
-it runs for every signal at every SYNC.
+integer of the bus, as `signals.count` does. The conversion is prepared once for each object,
+because it runs for every signal at every SYNC.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -66,8 +66,8 @@ def rows(node_number: int, axle: int, parameters: Mapping[str, float],
         if one.sub:
             unit["name"] = f"{title}/{title} axle {one.axle}"
             highest = place.sub + signal.axles - 1
-            found[place.index, 0] = Row(place.index, 0, f"{title}/Highest sub-index supported", "U8",
-                                        "const", highest)
+            found[place.index, 0] = Row(place.index, 0, f"{title}/Highest sub-index supported",
+                                        "U8", "const", highest)
         found[place.index, one.sub] = Row(place.index, one.sub, **unit)
     return list(found.values())
 

@@ -91,7 +91,8 @@ class Rack:
         for member in self.members:
             if id(member) in self.off:
                 continue
-            for table, handlers in zip(tables, (member.handlers, member.remote_handlers), strict=True):
+            both = (member.handlers, member.remote_handlers)
+            for table, handlers in zip(tables, both, strict=True):
                 for at, handler in handlers.items():
                     table.setdefault(at, []).append((member, handler))
         self._tables = tables

@@ -46,6 +46,7 @@ ROWS = (
     table.number("reference_rise_m_s2", 12.0, 0.5, 50.0, _A),
     table.number("first_deceleration_m_s2", 0.7, 0.1, 3.0, _A),
     table.number("deceleration_margin_m_s2", 0.15, 0.0, 1.0, _A),
+    table.number("confirm_s", 0.1, 0.0, 5.0, _A),
     table.number("calm_s", 1.0, 0.2, 60.0, _A),
     table.number("run_up_first_s", 1.5, 0.0, 60.0, _A),
     table.number("run_up_interval_s", 5.0, 0.5, 60.0, _A),
@@ -89,6 +90,7 @@ class State(NamedTuple):
     speed_m_s: np.ndarray  # circumferential speed; `measure`
     lagged_m_s: np.ndarray  # the same behind the filter's lag; `measure`
     acceleration_m_s2: np.ndarray  # filtered; `measure`
+    falling: np.ndarray  # cycles for which it has fallen as only a sliding wheel does; `measure`
     reference_m_s: np.ndarray  # `advance`
     deceleration_m_s2: np.ndarray  # learned from anchor to anchor; `anchor`
     anchor_m_s: np.ndarray  # speed of the last anchor; `anchor`

@@ -30,15 +30,17 @@ def measure(state, speeds_raw, params):
         state.speed_m_s[j] = v
         state.acceleration_m_s2[j] = (v - state.lagged_m_s[j]) / params.acceleration_filter_s
         state.lagged_m_s[j] += state.acceleration_m_s2[j] * params.cycle_s  # [W3]
+        falls = state.acceleration_m_s2[j] < -params.fall_m_s2
+        state.falling[j] = state.falling[j] + 1.0 if falls else 0.0
 
 
 @kernel
 def protecting(state, params):
-    """True while any axle is out of FILL, or slows down as only a sliding wheel does."""
+    """True while any axle is out of FILL, or has slowed down too fast for a while."""
     busy = 0
     for j in range(AXLES):
         busy += int(state.phase[j]) != Phase.FILL
-        busy += state.acceleration_m_s2[j] < -params.fall_m_s2
+        busy += passed(state.falling[j], params.confirm_s, params)
     return busy > 0
 
 

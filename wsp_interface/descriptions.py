@@ -11,8 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable, ObjectDictionary, datatypes
-
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 from rollerrig.wsp_interface import signals
 
 _VAR, _ARRAY, _RECORD, _DOMAIN = 0x7, 0x8, 0x9, 0x2
@@ -31,7 +30,7 @@ _DATE, _TIME = "01-01-2025", "12:00PM"
 def eds(dictionary: ObjectDictionary) -> str:
     """The EDS file of a node, as text."""
     about = dictionary.device_information
-    head = {
+    head: dict[str, dict[str, object]] = {
         "FileInfo": {
             "FileName": f"{file_name(dictionary)}.eds", "FileVersion": 1, "FileRevision": 1,
             "EDSVersion": "4.0", "Description": about.product_name, "CreationTime": _TIME,
@@ -43,8 +42,9 @@ def eds(dictionary: ObjectDictionary) -> str:
         "Comments": {"Lines": 0},
     }
     sections = [*head.items(), *_object_sections(dictionary)]
-    return "\n".join(f"[{name}]\n" + "".join(f"{option}={value}\n" for option, value in body.items())
-                     for name, body in sections)
+    return "\n".join(
+        f"[{name}]\n" + "".join(f"{option}={value}\n" for option, value in body.items())
+        for name, body in sections)
 
 
 def file_name(dictionary: ObjectDictionary) -> str:
@@ -60,7 +60,8 @@ def _device_info(dictionary: ObjectDictionary) -> dict[str, object]:
         "ProductName": about.product_name, "ProductNumber": f"0x{about.product_number:08X}",
         "RevisionNumber": f"0x{about.revision_number:08X}", "OrderCode": about.order_code,
     }
-    found |= {f"BaudRate_{rate}": int(rate * 1000 in about.allowed_baudrates) for rate in _BAUD_RATES}
+    found |= {f"BaudRate_{rate}": int(rate * 1000 in about.allowed_baudrates)
+              for rate in _BAUD_RATES}
     return found | {
         "SimpleBootUpMaster": int(bool(about.simple_boot_up_master)),
         "SimpleBootUpSlave": int(bool(about.simple_boot_up_slave)),
@@ -121,7 +122,7 @@ def _variable_section(variable: ODVariable) -> dict[str, object]:
 
 def _default(variable: ODVariable) -> str:
     if variable.relative:
-        return str(variable.default_raw)
+        return str(getattr(variable, "default_raw"))  # noqa: B009
     if isinstance(variable.default, bool):
         return str(int(variable.default))
     if isinstance(variable.default, int) and variable.index < 0x2000 and variable.default > 9:
@@ -159,25 +160,34 @@ def messages(dictionary: ObjectDictionary) -> list[Message]:
     found = []
     for first, word in ((0x1400, "RPDO"), (0x1800, "TPDO")):
         for index in (at for at in dictionary if first <= at < first + 0x200):
-            cob_id = dictionary[index][1].default
-            mapping = dictionary[index + 0x200]
-            if cob_id & _INVALID or not mapping[0].default:
+            cob_id = _number(dictionary, index, 1)
+            if cob_id & _INVALID or not _number(dictionary, index + 0x200, 0):
                 continue
-            name = f"node_{dictionary.node_id}_{word}{index - first + 1}"
+            name = f"node_{_node(dictionary)}_{word}{index - first + 1}"
             found.append(Message(name, cob_id & 0x1FFFFFFF, bool(cob_id & _EXTENDED),
-                                 dictionary.node_id, word == "TPDO",
-                                 tuple(_contents(dictionary, mapping))))
+                                 _node(dictionary), word == "TPDO",
+                                 tuple(_contents(dictionary, index + 0x200))))
     return found
 
 
-def _contents(dictionary: ObjectDictionary, mapping: ODRecord) -> Iterator[Carried]:
+def _node(dictionary: ObjectDictionary) -> int:
+    return dictionary.node_id or 0
+
+
+def _number(dictionary: ObjectDictionary, index: int, sub: int) -> int:
+    """The default of an integer object; 0 where there is none."""
+    variable = dictionary.get_variable(index, sub)
+    return 0 if variable is None or variable.default is None else variable.default
+
+
+def _contents(dictionary: ObjectDictionary, mapping: int) -> Iterator[Carried]:
     start = 0
-    for at in range(1, mapping[0].default + 1):
-        entry = mapping[at].default
+    for at in range(1, _number(dictionary, mapping, 0) + 1):
+        entry = _number(dictionary, mapping, at)
         index, sub, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
         variable = dictionary.get_variable(index, sub)
         if variable is not None:
-            names = signal_names(dictionary.node_id, variable)
+            names = signal_names(_node(dictionary), variable)
             # one byte may carry a signal of all axles, a few bits each
             part = bits // len(names)
             yield from (Carried(name, start + part * at, part,
@@ -225,7 +235,7 @@ def unit_message() -> Message:
 def dbc(dictionaries: Iterable[ObjectDictionary]) -> str:
     """One DBC file with the PDOs of all nodes, the SYNC and the heartbeats, as text."""
     dictionaries = list(dictionaries)
-    nodes = {one.node_id: _node_name(one.node_id) for one in dictionaries}
+    nodes = {_node(one): _node_name(_node(one)) for one in dictionaries}
     others = {node: _node_name(node) for node in (signals.WSP_NODE, signals.BENCH_NODE)}
     every = [message for one in dictionaries for message in messages(one)]
     if signals.WSP_NODE not in nodes:
@@ -280,7 +290,8 @@ def _slug(text: str) -> str:
 
 def signal_table() -> str:
     """The table of signals as markdown: name, unit, axles, direction, where it stands, meaning."""
-    rows = ["| signal | unit | axles | direction | on the bus | meaning |", "|---|---|---|---|---|---|"]
+    rows = ["| signal | unit | axles | direction | on the bus | meaning |",
+            "|---|---|---|---|---|---|"]
     for signal in signals.SIGNALS:
         places = "<br>".join(_place(place, signal.axles) for place in signal.places)
         unit = signal.unit.replace("_", "/") or "-"
@@ -294,8 +305,9 @@ def _place(place: signals.Place, axles: int) -> str:
         first, last = signals.DRIVE_NODES[0], signals.DRIVE_NODES[-1]
         where = f"nodes {first}..{last} {place.index:04X}h"
     else:
-        subs = f":{place.sub}..{place.sub + axles - 1}" if axles > 1 else f":{place.sub}"
-        where = f"node {place.node} {place.index:04X}h{f':{place.sub}' if place.kind == 'U8' else subs}"
+        several = axles > 1 and place.kind != "U8"
+        last_sub = f"..{place.sub + axles - 1}" if several else ""
+        where = f"node {place.node} {place.index:04X}h:{place.sub}{last_sub}"
     scale = f"{place.scale:g}" + (f" x {place.of}" if place.of else "")
     return f"{where}, {place.kind}, {scale}{', wraps' if place.wraps else ''}"
 

@@ -17,6 +17,7 @@ FIRST_RPDO = (0x200, 0x300, 0x400, 0x500)
 FIRST_TPDO = (0x180, 0x280, 0x380, 0x480)
 SDO_SERVERS = 3
 HISTORY = 8
+_STORED = ("All", "Communication", "Application")
 
 
 class Pdo(NamedTuple):
@@ -59,17 +60,18 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
         Row(0x100A, 0, "Manufacturer software version", "TEXT", "const", "0.1"),
         Row(0x100C, 0, "Guard time", "U16", "rw", 0, unit="ms"),
         Row(0x100D, 0, "Life time factor", "U8", "rw", 0),
-        *array(0x1010, "Store parameters", "U32", "rw", [1] * 3, ("All", "Communication", "Application")),
-        *array(0x1011, "Restore default parameters", "U32", "rw", [1] * 3,
-               ("All", "Communication", "Application")),
+        *array(0x1010, "Store parameters", "U32", "rw", [1] * 3, _STORED),
+        *array(0x1011, "Restore default parameters", "U32", "rw", [1] * 3, _STORED),
         Row(0x1012, 0, "COB-ID TIME message", "U32", "rw", 0x80000100),
         Row(0x1014, 0, "COB-ID EMCY message", "U32", "rw", 0x80, relative=True),
         Row(0x1015, 0, "Inhibit time EMCY", "U16", "rw", 0, unit="100us"),
         *array(0x1016, "Consumer heartbeat time", "U32", "rw", consumed),
         Row(0x1017, 0, "Producer heartbeat time", "U16", "rw", profile.heartbeat_ms, unit="ms"),
         *_identity(identity),
-        Row(0x1019, 0, "Synchronous counter overflow value", "U8", "rw", profile.sync_counter, high=240),
-        *array(0x1029, "Error behaviour", "U8", "rw", [profile.on_error], ("Communication error",), high=2),
+        Row(0x1019, 0, "Synchronous counter overflow value", "U8", "rw", profile.sync_counter,
+            high=240),
+        *array(0x1029, "Error behaviour", "U8", "rw", [profile.on_error],
+               ("Communication error",), high=2),
         *_sdo_servers(),
         *_pdos(0x1400, "RPDO", FIRST_RPDO, profile.rpdos),
         *_pdos(0x1800, "TPDO", FIRST_TPDO, profile.tpdos),
@@ -93,11 +95,12 @@ def _sdo_servers() -> list[Row]:
     for server in range(SDO_SERVERS):
         index, access = 0x1200 + server, "ro" if server == 0 else "rw"
         name = f"SDO server parameter {server}"
-        ids = ((0x600, True), (0x580, True)) if server == 0 else ((INVALID, False),) * 2
+        first = server == 0
+        request, reply = (0x600, 0x580) if first else (INVALID, INVALID)
         found += [
-            Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", 2 if server == 0 else 3),
-            Row(index, 1, f"{name}/COB-ID client to server", "U32", access, ids[0][0], relative=ids[0][1]),
-            Row(index, 2, f"{name}/COB-ID server to client", "U32", access, ids[1][0], relative=ids[1][1]),
+            Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", 2 if first else 3),
+            Row(index, 1, f"{name}/COB-ID client to server", "U32", access, request, relative=first),
+            Row(index, 2, f"{name}/COB-ID server to client", "U32", access, reply, relative=first),
         ]
         if server:
             found.append(Row(index, 3, f"{name}/Node-ID of the client", "U8", "rw", 0, high=127))

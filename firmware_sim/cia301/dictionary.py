@@ -1,15 +1,14 @@
 """An object dictionary as rows: one row is one object, or one sub-index of an array or record.
 
-`build` turns the rows into canopen's dictionary classes, from which the SDO server, the PDOs and the
-EDS file all read. What a device adds to CiA 301 is a list of rows and nothing else.
+`build` turns the rows into canopen's dictionary classes, from which the SDO server, the PDOs and
+the EDS file all read. What a device adds to CiA 301 is a list of rows and nothing else.
 """
 
 import itertools
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from canopen import objectdictionary
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
 KINDS = {
     "BOOL": datatypes.BOOLEAN,
@@ -23,7 +22,8 @@ KINDS = {
 # records of CiA 301; any other object with sub-indices of one type is an array
 _RECORDS = ((0x1018, 0x1018), (0x1023, 0x1025), (0x1200, 0x12FF), (0x1400, 0x1BFF))
 
-READ, WRITE = "r", "w"
+# where canopen keeps a default that depends on the node identifier, as an EDS file writes it
+RAW_DEFAULT = "default_raw"
 
 
 class Row(NamedTuple):
@@ -35,7 +35,7 @@ class Row(NamedTuple):
     count.
     """
 
-    index: int
+    index: int  # type: ignore[assignment]
     sub: int
     name: str
     kind: str
@@ -71,11 +71,12 @@ def array(index: int, name: str, kind: str, access: str, defaults: Iterable[Any]
                    for at, (sub, default) in enumerate(zip(names, defaults, strict=True), 1)]
 
 
-def build(rows: Iterable[Row], node_id: int, identity: Identity) -> objectdictionary.ObjectDictionary:
+def build(rows: Iterable[Row], node_id: int, identity: Identity) -> ObjectDictionary:
     """The dictionary of a node. ValueError where two rows claim the same place."""
-    dictionary = objectdictionary.ObjectDictionary()
+    dictionary = ObjectDictionary()
     dictionary.node_id = node_id
-    for index, group in itertools.groupby(sorted(rows, key=lambda row: row[:2]), lambda row: row.index):
+    in_order = sorted(rows, key=lambda row: row[:2])
+    for index, group in itertools.groupby(in_order, lambda row: row.index):
         members = list(group)
         if len({row.sub for row in members}) != len(members):
             raise ValueError(f"object {index:04X}h has two rows for one sub-index")
@@ -105,18 +106,22 @@ def _variable(row: Row, name: str, node_id: int) -> ODVariable:
     variable.default, variable.relative = row.default, row.relative
     if row.relative:
         variable.default = row.default + node_id
-        variable.default_raw = f"$NODEID+0x{row.default:X}"
+        setattr(variable, RAW_DEFAULT, f"$NODEID+0x{row.default:X}")
     return variable
 
 
-def _describe(dictionary: objectdictionary.ObjectDictionary, identity: Identity) -> None:
+def _describe(dictionary: ObjectDictionary, identity: Identity) -> None:
     about = dictionary.device_information
     about.vendor_name, about.vendor_number = identity.vendor, identity.vendor_id
     about.product_name, about.product_number = identity.product, identity.product_code
     about.revision_number, about.order_code = identity.revision, identity.product
     about.simple_boot_up_master, about.simple_boot_up_slave = False, True
-    about.granularity, about.dynamic_channels_supported, about.group_messaging = 8, False, False
-    about.nr_of_RXPDO = sum(0x1400 <= index < 0x1600 for index in dictionary)
-    about.nr_of_TXPDO = sum(0x1800 <= index < 0x1A00 for index in dictionary)
+    # canopen declares these numbers as bool
+    about.granularity = 8  # type: ignore[assignment]
+    about.dynamic_channels_supported, about.group_messaging = False, False
+    about.nr_of_RXPDO = sum(  # type: ignore[assignment]
+        0x1400 <= index < 0x1600 for index in dictionary)
+    about.nr_of_TXPDO = sum(  # type: ignore[assignment]
+        0x1800 <= index < 0x1A00 for index in dictionary)
     about.LSS_supported = True
     about.allowed_baudrates = {rate * 1000 for rate in (10, 20, 50, 125, 250, 500, 800, 1000)}

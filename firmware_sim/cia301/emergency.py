@@ -63,8 +63,8 @@ class Emergency:
 
     def forget(self, everything: bool) -> None:
         """After a reset: no communication error, or none at all, and nothing waits."""
-        kept = {} if everything else {at: code for at, code in self.active.items() if code >> 12 != 8}
-        self.active = kept
+        self.active = {at: code for at, code in self.active.items()
+                       if code >> 12 != 8 and not everything}
         if everything:
             self.history.clear()
         self._waiting.clear()

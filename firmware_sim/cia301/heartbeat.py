@@ -1,7 +1,7 @@
 """Heartbeats: a node's own, those of its partners, and node guarding for masters that still poll.
 
-A partner is watched from its first heartbeat on; when it is silent for longer than 1016h allows, the
-node reports 8130h, tells its application and does what 1029h says. Guarding answers a remote
+A partner is watched from its first heartbeat on; when it is silent for longer than 1016h allows,
+the node reports 8130h, tells its application and does what 1029h says. Guarding answers a remote
 request with the state and a toggle bit, and notices when the requests stop. Source: CiA 301, error
 control protocols; boot-up counts as a sign of life only of a partner that is being watched.
 """
@@ -43,7 +43,7 @@ class Producer:
 
 
 class Consumer:
-    """Watches the partners of 1016h. `watched`: time in ns by node; `lost`: those that are silent."""
+    """Watches the partners of 1016h. `watched`: time in ns by node; `lost`: those now silent."""
 
     def __init__(self, node: "Node") -> None:
         self.node = node

@@ -39,7 +39,7 @@ def check_identifier(cob_id: int) -> None:
 
 
 def check_change(current: int, wanted: int) -> None:
-    """AbortError if the message exists and would get another identifier without being switched off."""
+    """AbortError if a message that exists would get another identifier without a switch-off."""
     if not valid(wanted):
         return
     check_identifier(wanted)

@@ -26,7 +26,7 @@ _STANDARD_TABLE, _LAST_RATE = 0, 8
 
 
 class LssSlave:
-    """The LSS side of a node. `configuring`: selected; `pending`: the identifier after the reset."""
+    """The LSS side of a node. `configuring`: selected; `pending`: the identifier to come."""
 
     def __init__(self, node: "Node") -> None:
         self.node, self.configuring, self.pending = node, False, node.node_id
@@ -116,7 +116,7 @@ class LssSlave:
     def _fastscan(self, data: bytes) -> None:
         if self.node.node_id != UNCONFIGURED or self.configuring:
             return
-        number, bit, part, following = int.from_bytes(data[1:5], "little"), data[5], data[6], data[7]
+        number, (bit, part, following) = int.from_bytes(data[1:5], "little"), data[5:8]
         if bit == 0x80:
             self._position = 0
             self._answer(_IDENTIFIED)

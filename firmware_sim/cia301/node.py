@@ -30,8 +30,8 @@ Handler = Callable[[Frame], None]
 class Node:
     """One slave.
 
-    Hooks for the device profile, lists of calls: `on_state(old, new)`, `on_reset()` before values go
-    back to their power-on state, `on_sync()` before PDOs are sampled, `on_poll(now_ns)`,
+    Hooks for the device profile, lists of calls: `on_state(old, new)`, `on_reset()` before values
+    go back to their power-on state, `on_sync()` before PDOs are sampled, `on_poll(now_ns)`,
     `on_partner(node, alive)` for heartbeats (node 0: the guarding master). `on_event(level, text)`
     is for the run's events. `device` is the profile's own object. `handlers` and `remote_handlers`
     say what is called for which identifier; `on_rewired()` tells that they are new.
@@ -233,7 +233,11 @@ class Node:
         if first is None:
             self.handlers[at] = handler
         else:
-            self.handlers[at] = lambda frame: (first(frame), handler(frame))
+            def both(frame: Frame) -> None:
+                first(frame)
+                handler(frame)
+
+            self.handlers[at] = both
 
     def _govern(self) -> None:
         for rpdo, tpdo in zip(self.rpdos, self.tpdos, strict=True):

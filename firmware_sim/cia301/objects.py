@@ -1,8 +1,8 @@
 """The values behind an object dictionary, and every rule of access to them.
 
-A download is checked in the order existence, access, length, range, then by whoever owns the object;
-only then is it stored and its effect called. An object may instead be read from a live source: then
-nothing is stored. Source: CiA 301, SDO abort codes and object access.
+A download is checked in the order existence, access, length, range, then by whoever owns the
+object; only then is it stored and its effect called. An object may instead be read from a live
+source: then nothing is stored. Source: CiA 301, SDO abort codes and object access.
 """
 
 import struct
@@ -32,8 +32,6 @@ class Objects:
             for index in dictionary
             for sub, variable in _members(dictionary[index])
         }
-        self.structs = {at: ODVariable.STRUCT_TYPES[one.data_type]
-                        for at, one in self.variables.items() if one.fixed_size}
         self.readers: dict[Key, Callable[[], Any]] = {}
         self.checks: dict[Key, Callable[[Any], None]] = {}
         self.effects: dict[Key, Callable[[Any], None]] = {}
@@ -42,10 +40,12 @@ class Objects:
 
     def power_on(self, first: int, last: int, kept: dict[Key, Any] | None = None) -> None:
         """Give the objects first..last their defaults, or the values of `kept` (stored ones)."""
-        moved = self.node_id - self.dictionary.node_id
+        moved = self.node_id - (self.dictionary.node_id or 0)
         for at, one in self.variables.items():
             if first <= at >> 8 <= last:
-                value = one.default + moved if one.relative else one.default
+                value: Any = one.default
+                if one.relative:
+                    value += moved
                 self.values[at] = (kept or {}).get(at, value)
 
     def getter(self, at: Key) -> Callable[[], Any]:
@@ -60,7 +60,8 @@ class Objects:
         """The variable, or AbortError: no object, or no such sub-index."""
         variable = self.variables.get(key(index, sub))
         if variable is None:
-            raise AbortError(Abort.NO_SUB_INDEX if index in self.dictionary.indices else Abort.NO_OBJECT)
+            known = index in self.dictionary.indices
+            raise AbortError(Abort.NO_SUB_INDEX if known else Abort.NO_OBJECT)
         return variable
 
     def upload(self, index: int, sub: int) -> bytes:
@@ -85,7 +86,7 @@ class Objects:
         self.assign(key(index, sub), variable.decode_raw(data))
 
     def assign(self, at: Key, value: Any) -> None:
-        """Store a value that has the object's type, if its range and owner allow it; else AbortError."""
+        """Store a value of the object's type; AbortError if its range or its owner refuse it."""
         variable = self.variables[at]
         if variable.max is not None and value > variable.max:
             raise AbortError(Abort.TOO_HIGH)
@@ -119,7 +120,7 @@ def _members(thing: Any) -> list[tuple[int, ODVariable]]:
 
 def packer(variables: list[ODVariable]) -> struct.Struct:
     """The layout of a PDO that carries these integer variables, little-endian and packed."""
-    letters = {datatypes.BOOLEAN: "B", datatypes.REAL32: "f", datatypes.REAL64: "d"}
+    letters: dict[int | None, str] = {datatypes.BOOLEAN: "B", datatypes.REAL32: "f", datatypes.REAL64: "d"}
     plain = {True: {1: "b", 2: "h", 4: "i", 8: "q"}, False: {1: "B", 2: "H", 4: "I", 8: "Q"}}
     return struct.Struct("<" + "".join(
         letters.get(one.data_type)

@@ -1,7 +1,7 @@
 """One SDO server: answers a client's requests on one pair of identifiers, one transfer at a time.
 
-Up to four bytes travel in the first exchange; longer values follow in segments with a toggle bit, or
-in blocks (`sdo_block`). Anything that breaks the protocol is answered by an abort code, and a
+Up to four bytes travel in the first exchange; longer values follow in segments with a toggle bit,
+or in blocks (`sdo_block`). Anything that breaks the protocol is answered by an abort code, and a
 transfer that the client leaves lying is aborted after a time. Source: CiA 301, SDO protocols.
 """
 
@@ -14,14 +14,15 @@ from rollerrig.firmware_sim.cia301.sdo_block import BlockDownload, BlockUpload
 
 _SEGMENT = 7
 # client command specifiers
-_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT, _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = range(7)
+_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT = range(5)
+_BLOCK_UPLOAD, _BLOCK_DOWNLOAD = 5, 6
 
 
 class Place(NamedTuple):
     """Index and sub-index of a transfer, as three bytes and as numbers."""
 
     raw: bytes
-    index: int
+    index: int  # type: ignore[assignment]
     sub: int
 
 
@@ -56,7 +57,7 @@ class Download:
             raise AbortError(Abort.TOGGLE_BIT)
         self.data += request[1:8 - (request[0] >> 1 & 7)]
         if len(self.data) > (LARGEST_BYTES if self.size is None else self.size):
-            raise AbortError(Abort.LENGTH_MISMATCH if self.size is not None else Abort.OUT_OF_MEMORY)
+            raise AbortError(Abort.OUT_OF_MEMORY if self.size is None else Abort.LENGTH_MISMATCH)
         answer = bytes([0x20 | self.toggle << 4]).ljust(8, b"\0")
         self.toggle ^= 1
         return answer, bool(request[0] & 1)
@@ -168,8 +169,8 @@ class SdoServer:
         self.active = None
         size = int.from_bytes(request[4:], "little") if request[0] & 2 else None
         self.objects.announce(place.index, place.sub, size)
-        self.active = BlockDownload(place, size, bool(request[0] & 4))
-        self.reply(self.active.confirmation())
+        transfer = self.active = BlockDownload(place, size, bool(request[0] & 4))
+        self.reply(transfer.confirmation())
 
     def _block_upload(self, request: bytes) -> None:
         command = request[0] & 3

@@ -1,4 +1,4 @@
-"""Parameters that outlive a power cycle: 1010h stores them in a file, 1011h gives the defaults back.
+"""Parameters that outlive a power cycle: 1010h stores them in a file, 1011h restores defaults.
 
 Written are the parameters that a client may change, not process values or commands: a drive must
 not wake up enabled. Restored defaults take effect with the next reset, as the standard wants.
@@ -72,7 +72,8 @@ class Storage:
     def _restore(self, sub: int, signature: int) -> None:
         self._check(signature, LOAD)
         first, last = RANGES[sub]
-        self._write({at: value for at, value in self.load().items() if not first <= at >> 8 <= last})
+        self._write({at: value for at, value in self.load().items()
+                     if not first <= at >> 8 <= last})
 
     def _check(self, signature: int, wanted: int) -> None:
         if signature != wanted or self.path is None:

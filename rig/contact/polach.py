@@ -9,8 +9,9 @@ and the slipping part for contaminated surfaces, and the friction itself falls w
 [P3] f = F / N = (2 mu / pi) [k_A eps / (1 + (k_A eps)^2) + atan(k_S eps)]
 
 Source: Polach, Wear 258 (2005) 992-1000; paper eqs. 11 to 14 ([P1] is eq. 13; for longitudinal
-creepage eq. 14 gives C = 3 G c11 / (8 a), hence [P2]). Against the half-space program CONTACT the
-formula errs by 0.02 mu N on average and 0.07 at most, without spin and with k_A = k_S = 1.
+creepage eq. 14 gives C = 3 G c11 / (8 a), hence [P2]). Limits: no spin.
+Against the half-space program CONTACT, with k_A = k_S = 1, the formula errs by 0.018 mu N on
+average and 0.054 mu N at most over 25 creepages on a rail (lateral radius 0.3 m).
 """
 
 import math
@@ -43,7 +44,7 @@ def eps_per_creepage(a_m, b_m, c11, shear_Pa, load_N):
 def shape(eps, k_a, k_s):
     """Adhesion over friction, f / mu of [P3], and its derivative to eps: (odd, even) in eps.
 
-    The first rises steadily to 1 for k_s <= k_a.
+    The first stays below 1 for k_s <= k_a, its limit at full sliding.
     """
     x = min(max(eps, -LARGEST_EPS), LARGEST_EPS)
     stick, slip = k_a * x, k_s * x

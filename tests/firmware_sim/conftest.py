@@ -1,4 +1,4 @@
-"""A bus in the process: the hub, nodes on its ports, a simulated clock, and a real canopen master."""
+"""A bus in the process: the hub, nodes on its ports, a simulated clock, a real canopen master."""
 
 import canopen
 import numpy as np

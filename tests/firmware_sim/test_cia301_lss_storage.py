@@ -102,8 +102,9 @@ def test_commands_are_not_stored(wire, tmp_path):
     assert wire.read(17, 0x6200, 1) == b"\0"
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"101700": 3}', '{"values": [], "checksum": 0}',
-                                     '{"values": {"1A0000": 200}, "checksum": 0}', "\0\0"])
+@pytest.mark.parametrize("content", [
+    "", "{", "[]", '{"101700": 3}', '{"values": [], "checksum": 0}', "\0\0",
+    '{"values": {"1A0000": 200}, "checksum": 0}'])
 def test_a_store_that_cannot_be_understood_does_no_harm(wire, tmp_path, content):
     file = tmp_path / "node16.json"
     file.write_text(content)

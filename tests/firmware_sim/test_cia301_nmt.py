@@ -18,7 +18,7 @@ def test_a_node_sends_its_boot_up_and_is_pre_operational_after_power_on(wire):
     assert heartbeat_state(wire, 16) == PRE_OPERATIONAL
 
 
-@pytest.mark.parametrize("command,state", [(START, OPERATIONAL), (STOP, STOPPED),
+@pytest.mark.parametrize(("command", "state"), [(START, OPERATIONAL), (STOP, STOPPED),
                                            (ENTER_PRE, PRE_OPERATIONAL)])
 @pytest.mark.parametrize("addressed", [0, 16])
 def test_an_nmt_command_to_all_or_to_the_node_changes_its_state(wire, command, state, addressed):
@@ -116,7 +116,7 @@ def test_watching_one_partner_twice_is_refused(wire):
     assert wire.write(16, 0x1016, 2, 200 << 16 | 70, 4) == 0x06090030
 
 
-@pytest.mark.parametrize("behaviour,state", [(0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)])
+@pytest.mark.parametrize(("behaviour", "state"), [(0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)])
 def test_1029h_decides_what_a_lost_heartbeat_does_to_the_state(wire, behaviour, state):
     wire.encoder()
     wire.write(16, 0x1016, 1, 5 << 16 | 50, 4)

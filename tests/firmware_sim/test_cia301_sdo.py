@@ -53,7 +53,7 @@ def test_data_of_any_length_comes_back_as_it_was_written(remote, length, block):
         assert file.read() == data
 
 
-@pytest.mark.parametrize("index,sub,value,size,code", [
+@pytest.mark.parametrize(("index", "sub", "value", "size", "code"), [
     (0x3000, 0, 0, 1, 0x06020000),
     (0x1000, 1, 0, 4, 0x06090011),
     (0x1018, 9, 0, 4, 0x06090011),
@@ -74,11 +74,12 @@ def test_data_of_any_length_comes_back_as_it_was_written(remote, length, block):
     (0x2002, 0, 100, 2, 0),
     (0x2002, 0, -100, 2, 0),
 ])
-def test_a_download_gets_the_abort_code_of_the_standard(wire, remote, index, sub, value, size, code):
+def test_a_download_gets_the_abort_code_of_the_standard(wire, remote, index, sub, value, size,
+                                                        code):
     assert wire.write(NODE, index, sub, value, size) == code
 
 
-@pytest.mark.parametrize("index,sub,code", [
+@pytest.mark.parametrize(("index", "sub", "code"), [
     (0x3000, 0, 0x06020000), (0x1000, 1, 0x06090011), (0x1018, 5, 0x06090011),
     (0x2003, 0, 0x06010001),
 ])

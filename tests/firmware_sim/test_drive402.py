@@ -1,4 +1,4 @@
-"""The roller drive: state machine, option codes, modes, control sources. Real frames over the hub."""
+"""The roller drive: states, option codes, modes, control sources. Real frames over the hub."""
 
 import pytest
 from canopen.profiles.p402 import BaseNode402
@@ -49,7 +49,7 @@ def set_row(wire, name, value):
     wire.row[signals.column(name, 1)] = value
 
 
-@pytest.mark.parametrize("before,word,after", [
+@pytest.mark.parametrize(("before", "word", "after"), [
     (DISABLED, SHUTDOWN, READY), (DISABLED, SWITCH_ON, DISABLED), (DISABLED, ENABLE, DISABLED),
     (READY, SWITCH_ON, ON), (READY, ENABLE, ENABLED), (READY, DISABLE_VOLTAGE, DISABLED),
     (READY, QUICK_STOP, DISABLED), (ON, ENABLE, ENABLED), (ON, SHUTDOWN, READY),
@@ -70,8 +70,8 @@ def test_every_numbered_transition_stands_once_in_the_table():
     assert set(numbers) | automatic == set(range(17))
 
 
-@pytest.mark.parametrize("word,pattern,mask", [((), 0x40, 0x4F), ((6,), 0x21, 0x6F), ((6, 7), 0x23, 0x6F),
-                                               ((6, 7, 15), 0x27, 0x6F)])
+@pytest.mark.parametrize(("word", "pattern", "mask"), [
+    ((), 0x40, 0x4F), ((6,), 0x21, 0x6F), ((6, 7), 0x23, 0x6F), ((6, 7, 15), 0x27, 0x6F)])
 def test_the_statusword_tells_state_voltage_and_remote(wire, drive, word, pattern, mask):
     control(wire, *word)
     assert status(wire) & mask == pattern
@@ -102,7 +102,7 @@ def test_enabling_again_cancels_a_stop_under_way(wire, drive):
     assert state(wire) == ENABLED
 
 
-@pytest.mark.parametrize("option,at_once,after_rest", [
+@pytest.mark.parametrize(("option", "at_once", "after_rest"), [
     (0, DISABLED, DISABLED), (1, State.QUICK_STOP_ACTIVE, DISABLED),
     (2, State.QUICK_STOP_ACTIVE, DISABLED), (3, State.QUICK_STOP_ACTIVE, DISABLED),
     (5, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
@@ -193,7 +193,7 @@ def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
     assert wire.read(1, 0x603F) == b"\x10\x43"
 
 
-@pytest.mark.parametrize("mode,code", [(3, 0), (4, 0), (9, 0), (10, 0), (1, 0x06090030),
+@pytest.mark.parametrize(("mode", "code"), [(3, 0), (4, 0), (9, 0), (10, 0), (1, 0x06090030),
                                        (6, 0x06090030), (8, 0x06090030), (-1, 0x06090030)])
 def test_only_supported_modes_are_taken(wire, drive, mode, code):
     assert wire.write(1, 0x6060, 0, mode, 1) == code
@@ -217,6 +217,15 @@ def test_profile_velocity_ramps_to_the_target_and_says_when_it_is_there(wire, dr
     assert status(wire) & states.TARGET_REACHED
     assert status(wire) & states.SPEED_ZERO == 0
     assert wire.read(1, 0x606B) == (50_000).to_bytes(4, "little")
+
+
+def test_a_pdo_that_repeats_mode_and_controlword_does_not_disturb_the_ramp(wire, drive):
+    wire.write(1, 0x60FF, 0, 500_000, 4)
+    for word in (*WALK[ENABLED], *[ENABLE] * 100):
+        wire.send(0x201, bytes([word, 0, 3, 0, 0]))
+        wire.sync()
+        wire.run(1)
+    assert drive.device.commands[drive402.VELOCITY_rad_s] == pytest.approx(20.0 * 0.101)
 
 
 def test_halt_takes_the_velocity_to_zero_and_its_end_resumes(wire, drive):
@@ -269,7 +278,7 @@ def test_slippage_is_told_when_the_speed_leaves_the_demand(wire, drive):
     assert status(wire) & states.SLIPPAGE
 
 
-@pytest.mark.parametrize("option,after", [(0, ENABLED), (1, State.FAULT), (2, DISABLED),
+@pytest.mark.parametrize(("option", "after"), [(0, ENABLED), (1, State.FAULT), (2, DISABLED),
                                           (3, DISABLED)])
 def test_a_lost_connection_follows_6007h(wire, drive, option, after):
     wire.write(1, 0x6007, 0, option, 2)

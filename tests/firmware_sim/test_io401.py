@@ -67,7 +67,7 @@ def test_magnets_stay_at_the_fail_safe_value_until_the_heartbeat_is_back(wire, b
     assert wire.said("heartbeat of node 32 is back")
 
 
-@pytest.mark.parametrize("mask,value,after", [(0xFF, 0x05, [HOLD, HOLD, FILL, FILL]),
+@pytest.mark.parametrize(("mask", "value", "after"), [(0xFF, 0x05, [HOLD, HOLD, FILL, FILL]),
                                               (0x0F, 0x00, [FILL, FILL, VENT, VENT]),
                                               (0x00, 0x00, [VENT, VENT, VENT, VENT])])
 def test_6206h_says_which_magnets_take_the_value_of_6207h(wire, brake, mask, value, after):

@@ -160,6 +160,17 @@ def test_a_dry_stop_never_energises_a_magnet():
     assert not log[:, MAGNETS].any()
 
 
+def test_uneven_wheels_and_noisy_sensors_are_not_taken_for_sliding():
+    # 0.3 % once a turn and three counts of noise on wheels that brake at 1.2 m/s2
+    noise = np.random.default_rng(1)
+    unit = wsp.new_unit(wsp.load())
+    for i in range(3000):
+        omega = (40.0 - 1.2 * i * CYCLE_S) / RADIUS_M
+        turn = np.sin(40.0 / RADIUS_M * i * CYCLE_S + np.arange(4.0))
+        raw = np.round(100.0 * omega * (1.0 + 0.003 * turn)) + noise.integers(-3, 4, 4)
+        assert wsp.cycle(unit, raw.astype(np.int64))[0] == 0
+
+
 def test_the_brakes_are_back_within_three_seconds_when_the_adhesion_returns():
     mu = np.full(14000, 0.02)
     mu[1500:] = 0.3

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import paced_writer
 import pytest
-import rerun as rr
-from rerun.experimental import ViewerClient
 
-from rollerrig.realtime import live, ring, viewer
+from rollerrig.realtime import live, ring
 from rollerrig.wsp_interface import signals
 
 

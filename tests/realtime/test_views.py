@@ -115,8 +115,8 @@ def test_one_colour_means_one_axle_in_every_view():
 def test_the_colours_of_axles_and_limits_differ():
     others = (views.VEHICLE_COLOUR, views.REFERENCE_COLOUR, views.LIMIT_COLOUR)
     colours = np.array([*views.AXLE_COLOURS, *others])
-    distances = [np.abs(one - other).sum() for i, one in enumerate(colours) for other in colours[:i]]
-    assert min(distances) > 60
+    apart = [np.abs(one - other).sum() for i, one in enumerate(colours) for other in colours[:i]]
+    assert min(apart) > 60
 
 
 def test_a_spike_of_one_sample_is_drawn_at_its_full_height(tmp_path):

@@ -31,8 +31,8 @@ def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():
         force = -polach.adhesion(eps, row["mu"], 1.0, 1.0) / row["mu"] * pull / np.hypot(*pull)
         distances.append(np.hypot(*(force - (row["CONTACT_fx"], row["CONTACT_fy"]))))
     assert len(distances) == 25
-    assert max(distances) < 0.08
-    assert np.mean(distances) < 0.02
+    assert max(distances) < 0.055  # 0.08 is asked for
+    assert np.mean(distances) < 0.018
 
 
 def test_at_vanishing_creepage_the_force_is_kalkers():
@@ -74,8 +74,7 @@ def test_the_force_is_odd_and_bounded_by_friction():
 def test_the_force_rises_steadily_to_full_sliding():
     for k_a, k_s in ((1.0, 1.0), (1.0, 0.4), (0.3, 0.1)):
         values = [polach.adhesion(eps, 0.2, k_a, k_s) for eps in np.geomspace(1e-4, 1e3, 400)]
-        if k_a == k_s:
-            assert (np.diff(values) > 0.0).all()
+        assert (np.diff(values) > 0.0).all()
         assert polach.adhesion(1e20, 0.2, k_a, k_s) == near(0.2, rel=1e-15)
 
 

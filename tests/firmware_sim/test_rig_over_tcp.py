@@ -1,0 +1,134 @@
+"""The whole rig on the hub's socketcand port, and canopen's master on python-can's own client."""
+
+import asyncio
+import threading
+import time
+
+import can
+import canopen
+import numpy as np
+import pytest
+from canopen.profiles.p402 import BaseNode402
+from rollerrig.firmware_sim import drive402, encoder406, io401, network, rack
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.hub import Hub
+
+CYCLE_S, CYCLES_A_SYNC = 0.002, 5
+
+
+class RigThread:
+    """The default rig, drives under control of the bus, in an event loop of its own."""
+
+    def __init__(self):
+        self.row, self.commands = np.zeros(len(signals.COLUMNS)), np.zeros(io401.COMMANDS)
+        self.ready, self.running, self.errors = threading.Event(), True, []
+        self.thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
+        self.thread.start()
+        assert self.ready.wait(10)
+
+    async def _run(self):
+        asyncio.get_running_loop().set_exception_handler(lambda _, what: self.errors.append(what))
+        hub = Hub(time.monotonic_ns)
+        self.port = await hub.listen("socketcand", port=0)
+        bench, slots = network.Network(), rack.Rack()
+        self.nodes = [drive402.build(node, axle, self.row, control="bus")
+                      for axle, node in enumerate(signals.DRIVE_NODES, 1)]
+        self.nodes += [encoder406.build(self.row), io401.build(self.row, self.commands)]
+        for member in (bench, *self.nodes):
+            slots.add(member)
+        slots.start(hub.attach(slots.on_frame, "rig").send, time.monotonic_ns())
+        self.ready.set()
+        cycle = 0
+        while self.running:
+            await asyncio.sleep(CYCLE_S)
+            slots.poll(time.monotonic_ns())
+            cycle += 1
+            if cycle % CYCLES_A_SYNC == 0:
+                bench.sync()
+        await hub.close()
+
+    def close(self):
+        self.running = False
+        self.thread.join(10)
+
+
+@pytest.fixture
+def rig():
+    found = RigThread()
+    yield found
+    found.close()
+    assert found.errors == []
+
+
+@pytest.fixture
+def master(rig):
+    found = canopen.Network()
+    found.connect(interface="socketcand", host="127.0.0.1", port=rig.port,
+                  channel=signals.BUS_CHANNEL, tcp_tune=True)
+    yield found
+    found.disconnect()
+
+
+def eventually(condition, seconds=5.0):
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        if condition():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def test_a_foreign_master_finds_every_node_of_the_rig(rig, master):
+    master.scanner.search(limit=20)
+    assert eventually(lambda: {1, 2, 3, 4, 16, 17} <= set(master.scanner.nodes))
+
+
+def test_a_foreign_master_walks_a_drive_and_moves_its_set_point(rig, master):
+    drive = BaseNode402(1, rig.nodes[0].dictionary)
+    master.add_node(drive)
+    drive.nmt.wait_for_heartbeat(timeout=5)
+    drive.setup_402_state_machine()
+    drive.rpdo[1].start(CYCLE_S)
+    try:
+        for wanted in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
+            drive.state = wanted
+        drive.op_mode = "PROFILED VELOCITY"
+        drive.sdo[0x60FF].raw = 50_000
+        commands = rig.nodes[0].device.commands
+        assert eventually(lambda: commands[drive402.VELOCITY_rad_s] == pytest.approx(5.0))
+        assert commands[drive402.ENABLED] == 1.0
+    finally:
+        drive.rpdo[1].stop()
+
+
+def test_a_foreign_unit_reads_speeds_by_pdo_and_drives_the_valves(rig, master):
+    unit = canopen.RemoteNode(16, rig.nodes[4].dictionary)
+    brake = canopen.RemoteNode(17, rig.nodes[5].dictionary)
+    for node in (unit, brake):
+        master.add_node(node)
+        node.nmt.wait_for_heartbeat(timeout=5)
+        node.tpdo.read()
+        node.rpdo.read()
+    beat = master.send_periodic(0x720, b"\x05", 0.05)
+    rig.row[signals.span("wheel_speed")] = [90.0, 91.0, 92.0, 93.0]
+    assert eventually(lambda: unit.tpdo[1].wait_for_reception(1) and unit.tpdo[1][3].raw == 9300)
+    brake.rpdo[1][0].raw = 0b11_01_00_11
+    brake.rpdo[1].transmit()
+    assert eventually(lambda: rig.commands[io401.MAGNETS].tolist() == [3, 0, 1, 3])
+    beat.stop()
+    assert eventually(lambda: not rig.commands[io401.MAGNETS].any())
+
+
+def test_a_raw_python_can_client_sees_the_process_data_of_one_sync(rig):
+    with can.Bus(interface="socketcand", host="127.0.0.1", port=rig.port,
+                 channel=signals.BUS_CHANNEL, tcp_tune=True) as bus:
+        seen = []
+        until = time.monotonic() + 5
+        while seen.count(0x80) < 3 and time.monotonic() < until:
+            message = bus.recv(1.0)
+            if message is not None and message.arbitration_id < 0x700:
+                seen.append(message.arbitration_id)
+    first = seen.index(0x80)
+    second = seen.index(0x80, first + 1)
+    assert sorted(seen[first + 1:second]) == [0x181, 0x182, 0x183, 0x184, 0x190, 0x191, 0x281,
+                                              0x282, 0x283, 0x284, 0x290, 0x390]
