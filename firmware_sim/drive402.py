@@ -6,11 +6,11 @@ the bus does: then states, option codes, ramps and modes are the standard's, and
 in the array of commands for the control loops of the tick. Source: CiA 402-2 / IEC 61800-7-201.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+
 from rollerrig.firmware_sim import drive402_objects as table
 from rollerrig.firmware_sim import drive402_states as states
 from rollerrig.firmware_sim import process_image
@@ -19,26 +19,13 @@ from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 from rollerrig.firmware_sim.cia301.communication import Profile
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
-from rollerrig.firmware_sim.drive402_demand import (
-    CYCLIC_TORQUE,
-    MODES,
-    S_NS,
-    VELOCITY_MODES,
-    Demand,
-    Heat,
-    Set,
-    Since,
-)
+from rollerrig.firmware_sim.drive402_axis import COMMANDS, Axis, integer
+from rollerrig.firmware_sim.drive402_demand import CYCLIC_TORQUE, MODES, S_NS, Heat
 from rollerrig.firmware_sim.drive402_states import Command, State, Transition
-from rollerrig.wsp_interface import signals
-
-# the array of commands of one drive; LOOP: what of it the control loop should follow
-ENABLED, LOOP, TORQUE_Nm, VELOCITY_rad_s, TORQUE_LIMIT_Nm, COMMANDS = range(6)
-LOOP_RIG, LOOP_TORQUE, LOOP_VELOCITY = 0, 1, 2
 
 HEARTBEAT_FAULT, OVER_TEMPERATURE, UNDER_VOLTAGE = 0x8130, 0x4310, 0x3220
-_SHUTDOWN, _DISABLE_OPERATION, _QUICK_STOP, _HALT, _REACTION, _ABORT = (
-    0x605B, 0x605C, 0x605A, 0x605D, 0x605E, 0x6007)
+_SHUTDOWN, _DISABLE_OPERATION, _QUICK_STOP, _REACTION, _ABORT = (
+    0x605B, 0x605C, 0x605A, 0x605E, 0x6007)
 # option codes above this leave the drive in QUICK STOP ACTIVE
 _LAST_LEAVING_OPTION = 4
 
@@ -60,7 +47,8 @@ def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, flo
     node = Node(dictionary.build(objects, node_id, who), storage)
     process_image.bind(node, row, 0, axle, parameters)
     commands = np.zeros(COMMANDS) if commands is None else commands
-    node.device = Drive(node, axle, row, parameters, commands, on_command, control == "rig")
+    axis = Axis(node.objects, axle, row, parameters, commands, on_command)
+    node.device = Drive(node, axis, control == "rig")
     return node
 
 
@@ -77,38 +65,24 @@ def release_to_bus(node: Node) -> None:
 class Drive:
     """State machine and demands of one drive. `local`: the rig control has it."""
 
-    def __init__(self, node: Node, axle: int, row: np.ndarray, parameters: Mapping[str, float],
-                 commands: np.ndarray, on_command: Callable[[], None], local: bool) -> None:
-        self.node, self.axle, self.row, self.commands = node, axle, row, commands
-        self.on_command, self.local = on_command, local
+    def __init__(self, node: Node, axis: Axis, local: bool) -> None:
+        self.node, self.axis, self.demand, self.local = node, axis, axis.demand, local
         self.state, self.word = State.NOT_READY_TO_SWITCH_ON, 0
         self.before, self.mode, self.error = 0, 0, 0
-        self.demand, self.heat = Demand(), Heat(parameters.get("thermal_time_constant_s", 0.0))
-        self.dc_link_V, self._lowest_V = parameters["dc_link_V"], parameters["dc_link_min_V"]
-        self._rated_Nm = parameters["rated_torque_Nm"]
-        self._torque = signals.column("motor_torque", axle)
-        self._speed = signals.column("roller_speed", axle)
         self._then: Transition | State | None = None
-        self._reached, self._at_rest, self._last_ns = Since(), Since(), 0
-        self._bind(node)
-        node.on_reset.append(self._on_reset)
-        node.on_poll.append(self.step)
-        node.on_state.append(self._on_nmt)
-        node.on_partner.append(self._on_partner)
-
-    def _bind(self, node: Node) -> None:
+        self._last_ns = 0
         objects = node.objects
         objects.readers[key(0x6041, 0)] = lambda: self.word
         objects.readers[key(0x6061, 0)] = lambda: self.mode
         objects.readers[key(0x603F, 0)] = lambda: self.error
-        objects.readers[key(0x606B, 0)] = lambda: _integer(self.demand.velocity, "I32")
-        objects.readers[key(0x6074, 0)] = lambda: _integer(self.demand.torque, "I16")
-        # a motor with a constant torque per ampere: current in per mille of the rated one
-        objects.readers[key(0x6078, 0)] = objects.readers[key(0x6077, 0)]
-        objects.readers[key(0x6079, 0)] = lambda: max(0, _integer(1000.0 * self.dc_link_V, "U32"))
         objects.effects[key(0x6040, 0)] = self.on_controlword
         objects.checks[key(0x6060, 0)] = _check_mode
         objects.effects[key(0x6060, 0)] = lambda _: self._take_mode()
+        node.on_reset.append(self._on_reset)
+        node.on_power_off.append(self._power_off)
+        node.on_poll.append(self.step)
+        node.on_state.append(self._on_nmt)
+        node.on_partner.append(self._on_partner)
 
     # -- who has the drive
 
@@ -116,6 +90,8 @@ class Drive:
         """The rig control moves the motor from now on; a fault has to be reset first."""
         self.local, self._then, self.demand.stopping = True, None, None
         self._take_mode()
+        if self.state is State.QUICK_STOP_ACTIVE:
+            self._obey(Command.DISABLE_VOLTAGE)
         for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
             self._obey(command)
         self._publish()
@@ -124,9 +100,9 @@ class Drive:
         """A master on the bus moves the motor from now on, beginning at the torque of now."""
         values = self.node.objects.values
         self.local = False
-        self.demand.take_over(*self._actual())
-        values[key(0x6071, 0)] = _integer(self.demand.torque, "I16")
-        values[key(0x60FF, 0)] = _integer(self.demand.velocity, "I32")
+        self.axis.take_over()
+        values[key(0x6071, 0)] = integer(self.demand.torque, "I16")
+        values[key(0x60FF, 0)] = integer(self.demand.velocity, "I32")
         self.before = values[key(0x6040, 0)]
         self._take_mode()
         self._publish()
@@ -157,7 +133,7 @@ class Drive:
         self.node.emergency.report(code)
         option = self._option(_REACTION)
         if was_enabled and option != 0 and not self.local:
-            self._brake(self._deceleration(option), State.FAULT)
+            self._brake(self.axis.deceleration(option), State.FAULT)
         else:
             self._enter(State.FAULT, states.REACTION_COMPLETED)
         self._publish()
@@ -184,7 +160,7 @@ class Drive:
             self._reset_fault()
         ramps = {5: _DISABLE_OPERATION, 8: _SHUTDOWN}
         if row.number in ramps and self._option(ramps[row.number]) and not self.local:
-            self._brake(self._deceleration(1), row)
+            self._brake(self.axis.deceleration(1), row)
             return
         self._enter(row.target, row.number)
         if row.number == 11:
@@ -193,7 +169,7 @@ class Drive:
     def _enter(self, state: State, number: int) -> None:
         self.state, self._then = state, None
         if state is State.OPERATION_ENABLED:
-            self.demand.take_over(*self._actual())
+            self.axis.take_over()
         elif state not in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE):
             self.demand.take_over(0.0, 0.0)
         if not self.local:
@@ -205,19 +181,19 @@ class Drive:
             self._enter(State.SWITCH_ON_DISABLED, 12)
             return
         stays = option > _LAST_LEAVING_OPTION
-        self._brake(self._deceleration(option - _LAST_LEAVING_OPTION if stays else option),
+        self._brake(self.axis.deceleration(option - _LAST_LEAVING_OPTION if stays else option),
                     None if stays else State.SWITCH_ON_DISABLED)
 
     def _brake(self, deceleration: float, then: "Transition | State | None") -> None:
         """Take the motor to rest along a ramp, and then make a transition."""
         if self.demand.stopping is None:
-            self.demand.velocity = self._actual()[0]
+            self.demand.velocity = self.axis.actual()[0]
         self.demand.torque = 0.0
         self.demand.stopping, self._then = deceleration, then
 
     def _cancel_stop(self) -> None:
         if self.demand.stopping is not None:
-            self.demand.take_over(*self._actual())
+            self.axis.take_over()
             self._then = None
 
     def _stopped(self) -> None:
@@ -243,99 +219,54 @@ class Drive:
         if self.local:
             return
         if self.enabled:
-            halt = bool(self.before & states.HALT_BIT)
-            self.demand.step(self._set(), halt, dt_s)
+            self.demand.step(self.axis.set_points(self.mode, self._halt), self._halt, dt_s)
             if self.demand.stopping is not None and self.demand.velocity == 0.0:
                 self._stopped()
         self._publish()
 
     def _supervise(self, dt_s: float) -> None:
-        if self.dc_link_V < self._lowest_V:
-            self.trip(UNDER_VOLTAGE, f"DC link {self.dc_link_V:g} V is below {self._lowest_V:g} V")
-        if self.heat.time_constant_s > 0:
-            self.heat.step(self.row.item(self._torque) / self._rated_Nm, dt_s)
-            if self.heat.load > Heat.TRIP:
-                self.trip(OVER_TEMPERATURE, f"thermal load {self.heat.load:.0%} of the motor")
-
-    def _set(self) -> Set:
-        values = self.node.objects.values
-        fastest = values[key(0x6080, 0)] / table.RPM_PER_RAD_S / table.SPEED.scale
-        if self.mode == MODES[0]:
-            fastest = min(fastest, values[key(0x6081, 0)])
-        halt = self._deceleration(self._option(_HALT))
-        slows = halt if self.before & states.HALT_BIT else values[key(0x6084, 0)]
-        return Set(self.mode, values[key(0x60FF, 0)] + values[key(0x60B1, 0)],
-                   values[key(0x6071, 0)] + values[key(0x60B2, 0)], values[key(0x6083, 0)], slows,
-                   values[key(0x6087, 0)], fastest, values[key(0x6072, 0)])
+        axis = self.axis
+        if axis.voltage_is_low:
+            self.trip(UNDER_VOLTAGE, f"DC link {axis.dc_link_V:g} V is below {axis.lowest_V:g} V")
+        axis.warm(dt_s)
+        if axis.heat.load > Heat.TRIP:
+            self.trip(OVER_TEMPERATURE, f"thermal load {axis.heat.load:.0%} of the motor")
 
     # -- what others see
 
     def _publish(self) -> None:
         """Statusword and commands follow the state."""
         self.word = self._statusword()
-        velocity = self.mode in VELOCITY_MODES or self.demand.stopping is not None
-        loop = LOOP_RIG if self.local else LOOP_VELOCITY if velocity else LOOP_TORQUE
-        per_mille = table.TORQUE.scale * self._rated_Nm
-        highest = self.node.objects.values[key(0x6072, 0)] * per_mille
-        # in a speed loop the torque is what is fed forward
-        torque = self.node.objects.values[key(0x60B2, 0)] if velocity else self.demand.torque
-        wanted = (float(self.enabled), float(loop), torque * per_mille,
-                  self.demand.velocity * table.SPEED.scale, highest)
-        if tuple(self.commands) != wanted:
-            self.commands[:] = wanted
-            self.on_command()
+        self.axis.publish(self.enabled, self.local, self.mode)
 
     def _statusword(self) -> int:
         word = int(self.state)
-        if self.dc_link_V >= self._lowest_V:
+        if not self.axis.voltage_is_low:
             word |= states.VOLTAGE_ENABLED
-        if self.heat.load > Heat.WARNING:
+        if self.axis.heat.load > Heat.WARNING:
             word |= states.WARNING
         if self.local:
             return word
         word |= states.REMOTE
         if self.demand.limited:
             word |= states.INTERNAL_LIMIT
-        return word | self._mode_bits() if self.state is State.OPERATION_ENABLED else word
+        if self.state is State.OPERATION_ENABLED:
+            word |= self.axis.mode_bits(self.mode, self._halt, self._last_ns)
+        return word
 
-    def _mode_bits(self) -> int:
-        values, now_ns, (speed, _) = self.node.objects.values, self._last_ns, self._actual()
-        given, halt = self._set(), bool(self.before & states.HALT_BIT)
-        slow = self._at_rest.holds(abs(speed) <= values[key(0x606F, 0)], values[key(0x6070, 0)], now_ns)
-        if self.mode == 3:
-            target = 0.0 if halt else given.target_velocity
-            there = self._reached.holds(abs(speed - target) <= values[key(0x606D, 0)],
-                                        values[key(0x606E, 0)], now_ns)
-            most = values[key(0x60F8, 0)]
-            slips = most > 0 and abs(self.demand.velocity - speed) > most
-            return (there * states.TARGET_REACHED | slow * states.SPEED_ZERO
-                    | slips * states.SLIPPAGE)
-        if self.mode == 4:
-            target = 0.0 if halt else given.target_torque
-            return (self.demand.torque == target) * states.TARGET_REACHED
-        follows = not halt and self.demand.stopping is None
-        return follows * states.FOLLOWS | (halt and slow) * states.TARGET_REACHED
-
-    def _actual(self) -> tuple[float, float]:
-        """Speed and torque of the motor, in counts of the bus (not rounded)."""
-        speed, torque = self.row.item(self._speed), self.row.item(self._torque)
-        per_mille = table.TORQUE.scale * self._rated_Nm
-        counts = speed / table.SPEED.scale, torque / per_mille
-        return counts if math.isfinite(sum(counts)) else (0.0, 0.0)
+    @property
+    def _halt(self) -> bool:
+        return bool(self.before & states.HALT_BIT)
 
     def _option(self, index: int) -> int:
         return self.node.objects.values[key(index, 0)]
-
-    def _deceleration(self, option: int) -> float:
-        # 1: the slow-down ramp; the others, quick stop ramp and current limit, as fast as allowed
-        return float(self.node.objects.values[key(0x6084 if option == 1 else 0x6085, 0)])
 
     def _take_mode(self) -> None:
         before = self.mode
         self.mode = CYCLIC_TORQUE if self.local else self.node.objects.values[key(0x6060, 0)]
         # a PDO writes the same mode again and again
         if self.mode != before and self.enabled and self.demand.stopping is None:
-            self.demand.take_over(*self._actual())
+            self.axis.take_over()
 
     # -- the connection
 
@@ -362,6 +293,10 @@ class Drive:
         self.state, self.error, self._then = State.NOT_READY_TO_SWITCH_ON, 0, None
         self.demand.take_over(0.0, 0.0)
 
+    def _power_off(self) -> None:
+        self._on_reset()
+        self._publish()
+
     def _on_partner(self, partner: int, alive: bool) -> None:
         if not alive:
             self._abort_connection(f"node {partner} is lost")
@@ -380,8 +315,3 @@ class Drive:
 def _check_mode(mode: int) -> None:
     if mode not in (0, *MODES):
         raise AbortError(Abort.INVALID_VALUE)
-
-
-def _integer(value: float, kind: str) -> int:
-    low, high = signals.KINDS[kind]
-    return min(max(round(value), low), high)

@@ -2,8 +2,8 @@
 
 In profile modes the demand follows the target along a ramp, in cyclic modes it is the target; a
 stop takes the demand to rest along a deceleration. The demand begins at what the motor does now, so
-that neither enabling nor a change of mode or of master makes a jump. Source: CiA 402-2, modes profile
-velocity (3), profile torque (4), cyclic synchronous velocity (9) and torque (10).
+that neither enabling nor a change of mode or of master makes a jump. Source: CiA 402-2, modes
+profile velocity (3), profile torque (4), cyclic synchronous velocity (9) and torque (10).
 """
 
 from typing import NamedTuple

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301 import communication, dictionary
 from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
@@ -96,6 +97,7 @@ class BrakeIo:
         node.on_partner.append(self._on_partner)
         node.on_state.append(self._on_state)
         node.on_reset.append(self._forget_demand)
+        node.on_power_off.append(self._power_off)
         commands[MAGNETS], commands[BRAKE_DEMAND] = 0.0, np.nan
 
     def fail_safe(self, why: str) -> None:
@@ -130,6 +132,11 @@ class BrakeIo:
 
     def _forget_demand(self) -> None:
         self.commands[BRAKE_DEMAND] = np.nan
+
+    def _power_off(self) -> None:
+        # without power no magnet is energised, whatever 6207h says
+        self._forget_demand()
+        self._energise(0)
 
     def _on_partner(self, partner: int, alive: bool) -> None:
         self.held = bool(self.node.consumer.lost) or self.node.guarding.lost

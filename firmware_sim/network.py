@@ -91,6 +91,13 @@ class Network:
         send(Frame(FIRST_HEARTBEAT + BENCH_NODE, bytes(1)))
         self._beat()
 
+    def power_off(self) -> None:
+        """The bench is silent and deaf until the next `start`."""
+        self.send = lambda frame: None
+        self.handlers = {}
+        self._timers.clear()
+        self.on_rewired()
+
     def on_frame(self, frame: Frame) -> None:
         """A frame from the bus. Never raises, whatever it contains."""
         handler = None if frame.remote or frame.extended else self.handlers.get(frame.can_id)
@@ -131,11 +138,12 @@ class Network:
         if state is None:
             return
         health = self.health[node]
-        if health.state is None or health.lost:
-            back = "is back" if health.lost else "has appeared"
-            self.on_event("info", f"{_name(node)} {back}: {state.title}")
-        elif health.state is not state:
-            self.on_event("info", f"{_name(node)}: NMT {state.title}")
+        if health.lost:
+            self.on_event("info", f"{_name(node)} is back: {state.title}")
+        elif node == WSP_NODE and health.state is not state:
+            # the rig's own nodes tell their states themselves
+            seen = "has appeared: " if health.state is None else "is "
+            self.on_event("info", f"{_name(node)} {seen}{state.title}")
         health.state, health.heard_ns, health.lost = state, self.now_ns, False
         due_ns = self.now_ns + self._after_ns[node]
         self._timers.set(f"lost {node}", due_ns, partial(self._lose, node))

@@ -25,6 +25,9 @@ class Member(Protocol):
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
         """Power on."""
 
+    def power_off(self) -> None:
+        """Power is gone."""
+
     def poll(self, now_ns: int) -> None:
         """It is `now_ns`."""
 
@@ -55,6 +58,7 @@ class Rack:
         self._forget()
         if not on:
             self.off.add(id(member))
+            member.power_off()
         elif id(member) in self.off:
             self.off.discard(id(member))
             member.start(partial(self._from, member), now_ns)

@@ -21,6 +21,7 @@ larger one.
 from typing import Any, NamedTuple
 
 import numpy as np
+
 from rollerrig.configs import store, table
 from rollerrig.firmware_sim import wsp_reference as reference
 from rollerrig.firmware_sim.wsp_phases import (

@@ -18,6 +18,7 @@ from types import FrameType
 
 import can
 import numpy as np
+
 from rollerrig.firmware_sim import wsp
 from rollerrig.firmware_sim.cia301.nmt import COMMANDED, Command, State
 from rollerrig.wsp_interface import buses

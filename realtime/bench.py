@@ -20,8 +20,7 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
 from rollerrig.firmware_sim import wsp
 from rollerrig.firmware_sim.cia301.nmt import State
-from rollerrig.realtime import clock, loop, mailbox, records, recorder, rig_bus, scenario
-from rollerrig.realtime import summary, tick
+from rollerrig.realtime import clock, loop, mailbox, recorder, records, rig_bus, scenario, summary, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.scenario import Scenario
 from rollerrig.realtime.tick import COMMANDS, DONE, MISSED, STOP, TICK, WORST_NS, Machine

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import can
+
 from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface import plugin
 from rollerrig.wsp_interface.frames import Frame

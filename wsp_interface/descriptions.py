@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
+
 from rollerrig.wsp_interface import signals
 
 _VAR, _ARRAY, _RECORD, _DOMAIN = 0x7, 0x8, 0x9, 0x2

@@ -19,6 +19,7 @@ import time
 from typing import Any, NamedTuple, NoReturn
 
 import can
+
 from rollerrig.wsp_interface import codecs
 from rollerrig.wsp_interface.frames import S_NS, Frame
 

@@ -150,8 +150,12 @@ func main() {
 		bus = os.Args[2]
 	}
 	conn, err := net.Dial("tcp", address) // Go sets TCP_NODELAY itself
-	if err != nil {
-		log.Fatal(err)
+	for tries := 0; err != nil; tries++ { // the rig may still be starting
+		if tries == 300 {
+			log.Fatal(err)
+		}
+		time.Sleep(200 * time.Millisecond)
+		conn, err = net.Dial("tcp", address)
 	}
 	defer conn.Close()
 	r := bufio.NewReader(conn)

@@ -8,6 +8,9 @@ byte for node 17 (211h): bit 2j holds, bit 2j+1 vents axle j+1. Every fifth SYNC
 counts only while no SYNC comes, and then a send also notices that the rig has gone.
 """
 
+import contextlib
+import socket
+import socket
 import struct
 import sys
 import time
@@ -73,8 +76,26 @@ def serve(bus):
             quiet_until = send(HEARTBEAT, 0x05)
 
 
+def wait_for_rig(host, port, patience_s=60.0):
+    """Return when somebody listens; the stock client would ask without a pause."""
+    end = time.monotonic() + patience_s
+    while time.monotonic() < end:
+        with contextlib.suppress(OSError), socket.create_connection((host, port), 1.0):
+            return
+        time.sleep(0.2)
+    sys.exit(f"nobody listens at {host}:{port}: start 'rollerrig run velim_a1 --wsp external'")
+
+
+def await_rig(host, port):
+    """Wait until the rig listens: python-can's client gives up after ten seconds."""
+    while socket.socket().connect_ex((host, int(port))):
+        time.sleep(0.2)
+
+
 def main(host="127.0.0.1", port="29536", channel="rig0"):
     """Connect, serve, leave."""
+    await_rig(host, port)
+    wait_for_rig(host, int(port))
     with can.Bus(interface="socketcand", host=host, port=int(port), channel=channel,
                  tcp_tune=True) as bus:
         try:

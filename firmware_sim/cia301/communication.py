@@ -99,7 +99,8 @@ def _sdo_servers() -> list[Row]:
         request, reply = (0x600, 0x580) if first else (INVALID, INVALID)
         found += [
             Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", 2 if first else 3),
-            Row(index, 1, f"{name}/COB-ID client to server", "U32", access, request, relative=first),
+            Row(index, 1, f"{name}/COB-ID client to server", "U32", access, request,
+                relative=first),
             Row(index, 2, f"{name}/COB-ID server to client", "U32", access, reply, relative=first),
         ]
         if server:

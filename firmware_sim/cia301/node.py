@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from canopen.objectdictionary import ObjectDictionary
+
 from rollerrig.firmware_sim.cia301 import heartbeat, identifiers, pdo_mapping, sync
 from rollerrig.firmware_sim.cia301.communication import PDOS, SDO_SERVERS
 from rollerrig.firmware_sim.cia301.emergency import Emergency
@@ -31,7 +32,7 @@ class Node:
     """One slave.
 
     Hooks for the device profile, lists of calls: `on_state(old, new)`, `on_reset()` before values
-    go back to their power-on state, `on_sync()` before PDOs are sampled, `on_poll(now_ns)`,
+    go back to their power-on state, `on_power_off()`, `on_sync()` before PDOs are sampled, `on_poll(now_ns)`,
     `on_partner(node, alive)` for heartbeats (node 0: the guarding master). `on_event(level, text)`
     is for the run's events. `device` is the profile's own object. `handlers` and `remote_handlers`
     say what is called for which identifier; `on_rewired()` tells that they are new.
@@ -46,6 +47,7 @@ class Node:
         self.on_event: Callable[[str, str], None] = lambda level, text: None
         self.on_state: list[Callable[[State, State], None]] = []
         self.on_reset: list[Callable[[], None]] = []
+        self.on_power_off: list[Callable[[], None]] = []
         self.on_sync: list[Callable[[], None]] = []
         self.on_poll: list[Callable[[int], None]] = []
         self.on_partner: list[Callable[[int, bool], None]] = []
@@ -77,6 +79,16 @@ class Node:
         """Power on: power-on values, boot-up message, PRE-OPERATIONAL."""
         self.send, self.now_ns = send, now_ns
         self.reset_node()
+
+    def power_off(self) -> None:
+        """Power is gone: the node is silent and deaf until the next `start`."""
+        self.send = lambda frame: None
+        self.state = State.INITIALISING
+        self.timers.clear()
+        self.handlers, self.remote_handlers, self._watched = {}, {}, []
+        self.on_rewired()
+        for call in self.on_power_off:
+            call()
 
     def on_frame(self, frame: Frame) -> None:
         """A frame from the bus. Never raises, whatever it contains."""

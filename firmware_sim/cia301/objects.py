@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
+
 from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 
 LARGEST_BYTES = 1 << 16
@@ -120,7 +121,8 @@ def _members(thing: Any) -> list[tuple[int, ODVariable]]:
 
 def packer(variables: list[ODVariable]) -> struct.Struct:
     """The layout of a PDO that carries these integer variables, little-endian and packed."""
-    letters: dict[int | None, str] = {datatypes.BOOLEAN: "B", datatypes.REAL32: "f", datatypes.REAL64: "d"}
+    letters: dict[int | None, str] = {
+        datatypes.BOOLEAN: "B", datatypes.REAL32: "f", datatypes.REAL64: "d"}
     plain = {True: {1: "b", 2: "h", 4: "i", 8: "q"}, False: {1: "B", 2: "H", 4: "I", 8: "Q"}}
     return struct.Struct("<" + "".join(
         letters.get(one.data_type)

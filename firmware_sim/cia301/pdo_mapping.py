@@ -8,6 +8,7 @@ bytes. Source: CiA 301, PDO communication and mapping parameter records.
 from typing import TYPE_CHECKING
 
 from canopen.objectdictionary import ODVariable, datatypes
+
 from rollerrig.firmware_sim.cia301 import identifiers
 from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 from rollerrig.firmware_sim.cia301.communication import MAPPED

@@ -3,6 +3,7 @@
 import random
 
 import pytest
+
 from rollerrig.firmware_sim import network
 from rollerrig.wsp_interface.frames import Frame
 

@@ -1,6 +1,7 @@
 """LSS and stored parameters, with canopen's LSS master over the hub."""
 
 import pytest
+
 from rollerrig.firmware_sim import encoder406
 from rollerrig.firmware_sim.cia301.lss import UNCONFIGURED
 

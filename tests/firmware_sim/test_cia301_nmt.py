@@ -116,7 +116,8 @@ def test_watching_one_partner_twice_is_refused(wire):
     assert wire.write(16, 0x1016, 2, 200 << 16 | 70, 4) == 0x06090030
 
 
-@pytest.mark.parametrize(("behaviour", "state"), [(0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)])
+@pytest.mark.parametrize(("behaviour", "state"), [
+    (0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)])
 def test_1029h_decides_what_a_lost_heartbeat_does_to_the_state(wire, behaviour, state):
     wire.encoder()
     wire.write(16, 0x1016, 1, 5 << 16 | 50, 4)

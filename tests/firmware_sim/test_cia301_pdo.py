@@ -2,6 +2,7 @@
 
 import canopen
 import pytest
+
 from rollerrig.wsp_interface import signals
 
 START = 1

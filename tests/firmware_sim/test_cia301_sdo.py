@@ -2,6 +2,7 @@
 
 import canopen
 import pytest
+
 from rollerrig.firmware_sim.cia301 import communication, dictionary
 from rollerrig.firmware_sim.cia301.dictionary import Identity, Row
 from rollerrig.firmware_sim.cia301.node import Node

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+
 from rollerrig.firmware_sim import process_image
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import Place

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+
 from rollerrig.firmware_sim import io401
 from rollerrig.wsp_interface import signals
 

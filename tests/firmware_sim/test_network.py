@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+
 from rollerrig.firmware_sim import drive402, encoder406, io401, network, rack
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.wsp_interface import signals
@@ -148,6 +149,22 @@ def test_a_node_without_power_is_lost_and_boots_when_it_has_power_again(rig):
     assert rig.sent(0x710)[0] == b"\0"
     rig.network.sync()
     assert len(rig.sent(0x190)) == 1
+
+
+def test_without_power_no_magnet_is_energised_and_no_motor_enabled(rig):
+    rig.tester.send(Frame(0x211, b"\xff"))
+    assert rig.commands[io401.MAGNETS].all()
+    drive, brake = rig.nodes[0], rig.nodes[5]
+    drive.poll(MS)
+    assert drive.device.enabled
+    for member in (drive, brake):
+        rig.rack.power(member, False, rig.now_ns)
+    assert not rig.commands[io401.MAGNETS].any()
+    assert not drive.device.enabled
+    rig.run(10)
+    for member in (drive, brake):
+        rig.rack.power(member, True, rig.now_ns)
+    assert drive.device.enabled
 
 
 def test_an_emergency_of_a_node_becomes_an_event(rig):

@@ -10,6 +10,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim import wsp, wsp_phases

@@ -15,6 +15,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+
 from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim import wsp, wsp_unit
 from rollerrig.firmware_sim.cia301.nmt import Command, State

@@ -7,6 +7,7 @@ import threading
 import time
 
 import pytest
+
 from rollerrig.wsp_interface.hub import Hub
 
 

@@ -8,6 +8,7 @@ import types
 
 import can
 import pytest
+
 from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface import buses, plugin
 from rollerrig.wsp_interface.buses import available, open_client, open_hub

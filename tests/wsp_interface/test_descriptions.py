@@ -6,6 +6,7 @@ import canopen
 import cantools
 import numpy as np
 import pytest
+
 from rollerrig.firmware_sim import drive402, encoder406, io401
 from rollerrig.wsp_interface import descriptions, signals
 from rollerrig.wsp_interface.frames import Frame

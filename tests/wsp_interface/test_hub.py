@@ -8,6 +8,7 @@ import time
 
 import can
 import pytest
+
 from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface import codecs, frames
 from rollerrig.wsp_interface.frames import Frame

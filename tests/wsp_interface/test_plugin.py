@@ -10,6 +10,7 @@ import time
 import can
 import canopen
 import pytest
+
 from rollerrig.wsp_interface import plugin
 from rollerrig.wsp_interface.frames import Frame
 
