@@ -5,6 +5,7 @@ them for 606Ch and 6077h. Source: CiA 402-2 / IEC 61800-7-201, object descriptio
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import Pdo
@@ -65,8 +66,8 @@ def _options() -> list[Row]:
 
 
 def _velocity(parameters: Mapping[str, float]) -> list[Row]:
-    unit = {"unit": "rad/s", "factor": SPEED.scale}
-    ramp = {"unit": "rad/s2", "factor": SPEED.scale, "low": 1}
+    unit: dict[str, Any] = {"unit": "rad/s", "factor": SPEED.scale}
+    ramp: dict[str, Any] = {"unit": "rad/s2", "factor": SPEED.scale, "low": 1}
     slow = round(parameters["acceleration_rad_s2"] / SPEED.scale)
     quick = round(parameters["quick_stop_rad_s2"] / SPEED.scale)
     return [
@@ -91,7 +92,7 @@ def _velocity(parameters: Mapping[str, float]) -> list[Row]:
 
 def _torque(parameters: Mapping[str, float]) -> list[Row]:
     rated_Nm = parameters["rated_torque_Nm"]
-    unit = {"unit": "Nm", "factor": TORQUE.scale * rated_Nm}
+    unit: dict[str, Any] = {"unit": "Nm", "factor": TORQUE.scale * rated_Nm}
     highest = round(1000 * parameters["max_torque_fraction"])
     slope = round(1000 * parameters["torque_slope_per_s"])
     return [

@@ -8,6 +8,7 @@ Source: CiA 401 (6200h outputs, 6206h and 6207h error mode and value, 6401h and 
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
     """The device profile's objects."""
-    demand = {"mappable": True, "low": 0, "high": HIGHEST_DEMAND_mbar, "unit": "Pa",
+    demand: dict[str, Any] = {"mappable": True, "low": 0, "high": HIGHEST_DEMAND_mbar, "unit": "Pa",
               "factor": DEMAND.scale, "text": BY_NAME["brake_demand"].text}
     return [
         *process_image.rows(BRAKE_NODE, 0, parameters, TITLES),

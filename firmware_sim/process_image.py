@@ -6,7 +6,7 @@ because it runs for every signal at every SYNC.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def rows(node_number: int, axle: int, parameters: Mapping[str, float],
         if signal.direction != signals.OUT or place.index not in titles:
             continue
         title = titles[place.index]
-        unit = {"name": title, "kind": place.kind, "access": "ro", "default": 0, "mappable": True,
+        unit: dict[str, Any] = {"name": title, "kind": place.kind, "access": "ro", "default": 0, "mappable": True,
                 "unit": signal.unit.replace("_", "/"), "factor": place.scale * one.parameter,
                 "text": signal.text}
         if one.sub:

@@ -281,12 +281,11 @@ class Bench:
                 f"RPDO1 of node {signals.BRAKE_NODE} (211h), changed or not") from None
 
     def _start_unit(self) -> None:
-        log = open(self.options.out / "wsp.log", "wb")  # noqa: SIM115: the child keeps it
         command = [sys.executable, "-m", "rollerrig.realtime.cli", "wsp", "--bus", self.place,
                    "--config", self.plan["wsp_config"]]
-        self.unit_process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log,
-                                             stderr=log, start_new_session=True)
-        log.close()
+        with open(self.options.out / "wsp.log", "wb") as log:
+            self.unit_process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log,
+                                                 stderr=log, start_new_session=True)
         self._processes.append(self.unit_process)
 
     def _watch_processes(self, starting: bool = False) -> None:

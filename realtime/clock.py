@@ -6,6 +6,7 @@ code, so a second start compiles nothing. Linux only: clock_nanosleep on an abso
 
 import ctypes
 import os
+from typing import Any
 
 import numpy as np
 from numba import types
@@ -17,20 +18,23 @@ MONOTONIC = 1
 _ABSOLUTE = 1
 SECOND_NS = 1_000_000_000
 
-_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
-_nanosleep = types.ExternalFunction(
+_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+_nanosleep: Any = types.ExternalFunction(
     "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp))
-_write = types.ExternalFunction("write", types.int64(types.int32, types.intp, types.int64))
+_write: Any = types.ExternalFunction("write", types.int64(types.int32, types.intp, types.int64))
 
 
 @intrinsic
-def fence(typing_context):
-    """A full memory barrier: what was written before is seen before what is written after."""
+def _fence(typing_context):
     def generate(context, builder, signature, args):
         builder.fence("seq_cst")
         return context.get_dummy_value()
 
     return types.none(), generate
+
+
+# a full memory barrier: what was written before is seen before what is written after
+fence: Any = _fence
 
 
 @kernel

@@ -7,6 +7,7 @@ one fact: whether the unit has answered this SYNC.
 
 import asyncio
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +75,8 @@ class RigBus:
         self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
         self.rack = Rack()
         # the master first: it hears the boot-up of the others
-        for member in (self.master, *nodes):
+        members: tuple[Any, ...] = (self.master, *nodes)
+        for member in members:
             member.on_event = on_event
             self.rack.add(member)
         self._produces_sync = bus["master"]

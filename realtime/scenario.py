@@ -7,8 +7,9 @@ again: `rollerrig run runs/demo/scenario.toml` repeats a run.
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -56,7 +57,8 @@ SECTIONS = {**physics.ROWS, "loop": LOOP, "bus": BUS}
 SETS = {"vehicle": "vehicles", "rig": "rigs", "adhesion": "adhesion", "bus": "buses"}
 
 
-class Scenario(NamedTuple):
+@dataclass(frozen=True)
+class Scenario:
     """A checked scenario. `resolved` is the whole as plain data, `name` the file's stem."""
 
     name: str

@@ -22,8 +22,7 @@ def call(given: argparse.Namespace) -> int:
             width, height = (int(part) for part in given.size.split("x"))
         except ValueError:
             raise ConfigError(f"--size {given.size}: write width x height, as in 1600x1000") from None
-        result = viewer.picture(given.run, given.png, (width, height), given.time)
-        result = result if isinstance(result, dict) else {"picture": str(given.png)}
+        result = {"picture": str(viewer.picture(given.run, given.png, (width, height), given.time))}
     else:
         result = viewer.open_run(given.run)
     if given.json:

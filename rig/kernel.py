@@ -5,13 +5,18 @@ does not notice when a function that a cached one calls has changed, so the cach
 named after all sources that hold kernels or their structures: a changed source compiles afresh.
 """
 
+import contextlib
 import hashlib
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numba
+from numba.core import config as _config
 
+# numba fills this module with its settings when it loads it
+settings: Any = _config
 _ROOMS = ("rig", "firmware_sim", "realtime", "wsp_interface")
 _KEPT = 6
 
@@ -39,13 +44,12 @@ def _cache_folder() -> Path:
 
 def is_compiled() -> bool:
     """Whether an earlier process has compiled these sources."""
-    return any(Path(numba.config.CACHE_DIR).rglob("*.nbi"))
+    return any(Path(settings.CACHE_DIR).rglob("*.nbi"))
 
 
 if not os.environ.get("NUMBA_CACHE_DIR"):
-    try:
-        numba.config.CACHE_DIR = str(_cache_folder())
-    except OSError:  # no writable home: numba finds a place of its own
-        pass
+    # without a writable home numba finds a place of its own
+    with contextlib.suppress(OSError):
+        settings.CACHE_DIR = str(_cache_folder())
 
 kernel = numba.njit(cache=True, nogil=True, error_model="numpy")

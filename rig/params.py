@@ -254,9 +254,9 @@ def _brake(
                     * 2.0 * b["pad_friction"] * b["disc_radius_m"] * b["discs"])
     lags_s = (b["fill_time_constant_s"], b["release_time_constant_s"],
               valve["fill_time_constant_s"], valve["vent_time_constant_s"])
-    return Brake(torque_Nm_Pa, b["spring_pressure_Pa"], b["cylinder_volume_L"],
-                 *(_share(tick_s / substeps, lag_s) for lag_s in lags_s),
-                 round(valve["dead_time_s"] / tick_s))
+    fill, release, valve_fill, valve_vent = (_share(tick_s / substeps, lag_s) for lag_s in lags_s)
+    return Brake(torque_Nm_Pa, b["spring_pressure_Pa"], b["cylinder_volume_L"], fill, release,
+                 valve_fill, valve_vent, round(valve["dead_time_s"] / tick_s))
 
 
 def _drive(d: Mapping[str, float], roller_radius_m: float, step_s: float) -> Drive:

@@ -221,7 +221,8 @@ class Hub:
         """Set all counters to zero, at the start of a run."""
         self.load = BusLoad(self.load.bitrate, self._clock_ns())
         self._gone_dropped = 0
-        for member in (*self._ports, *self._clients):
+        members: tuple[Port | Client, ...] = (*self._ports, *self._clients)
+        for member in members:
             member.dropped = 0
 
     async def close(self) -> None:

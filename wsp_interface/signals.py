@@ -38,7 +38,7 @@ class Place(NamedTuple):
     """
 
     node: int
-    index: int
+    index: int  # type: ignore[assignment]
     sub: int
     kind: str
     scale: float

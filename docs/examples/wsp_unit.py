@@ -10,7 +10,6 @@ counts only while no SYNC comes, and then a send also notices that the rig has g
 
 import contextlib
 import socket
-import socket
 import struct
 import sys
 import time

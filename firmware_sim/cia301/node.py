@@ -197,8 +197,10 @@ class Node:
     def rebuild(self) -> None:
         """Take every communication parameter over, for the present NMT state."""
         operational = self.state is State.OPERATIONAL
-        for pdo in (*self.rpdos, *self.tpdos):
-            pdo.configure(operational)
+        for receives in self.rpdos:
+            receives.configure(operational)
+        for transmits in self.tpdos:
+            transmits.configure(operational)
         self.rewire()
 
     def rewire(self) -> None:

@@ -1,0 +1,70 @@
+"""A plant on its own, rolled along tick by tick with every tick's state kept: no bus, no clock."""
+
+import numpy as np
+
+from rollerrig.firmware_sim import rig_control
+from rollerrig.rig import params, plant
+from rollerrig.rig.kernel import kernel
+from rollerrig.rig.state import SLOTS
+
+HOLD, VENT = 1, 3
+FULL_BRAKE_PA = 3.8e5
+# as configs/adhesion/soap.toml and dry.toml: the laws must hold whatever those files say later
+SOAP = {"cleaning_creepage": 0.2}
+DRY = {"mu_cd": 0.28, "gamma_d_s_m": 0.6, "k_ad": 1.0, "k_sd": 0.4, "tau_m_J": 0.0}
+TRACK = {"mode": "track"}
+
+
+@kernel
+def _roll(state, buffer, delay, magnets, demand_Pa, first_tick, params, log):
+    for i in range(log.shape[0]):
+        if params.mode != 0:
+            rig_control.hold_surface_speed(state, params.drive, params.tick_s)
+        plant.advance(state, delay, magnets[i], demand_Pa[i], first_tick + i, params)
+        plant.observe(state, params)
+        log[i] = buffer
+
+
+class History:
+    """States of a stretch, the one before it first: `history.wheel_speed` has shape (n, 4)."""
+
+    def __init__(self, log):
+        self.log = log
+
+    def __getattr__(self, name):
+        if name not in SLOTS:
+            raise AttributeError(name)
+        found = self.log[:, SLOTS[name]]
+        return found[:, 0] if found.shape[1] == 1 else found
+
+    def change(self, name):
+        """What a slot gained from the first to the last state."""
+        found = getattr(self, name)
+        return found[-1] - found[0]
+
+
+class Rig:
+    """A rig that rolls. `sections` override single parameters: vehicle={"mass_kg": 1e4}."""
+
+    def __init__(self, speed_m_s=30.0, step_s=1e-4, tick_s=1e-3, friction=(), **sections):
+        checked = params.check(sections, "a test")
+        rows = list(zip(*friction, strict=True)) or [()] * 5
+        kinds = (np.bool_, np.float64, np.float64, np.float64, np.int64)
+        plan = params.Friction(*(np.array(row, kind) for row, kind in zip(rows, kinds, strict=True)))
+        programme = params.Demand(np.zeros(1), np.array([FULL_BRAKE_PA]))
+        self.params = params.build(checked, plan, programme, tick_s, round(tick_s / step_s))
+        self.plant = plant.Plant(self.params, speed_m_s)
+        self.state = self.plant.state
+        self.tick = 0
+
+    def roll(self, seconds, magnets=0, demand_Pa=np.nan):
+        """Advance under magnets (a number, four, or a row a tick) and a demand; the History."""
+        ticks = round(seconds / self.params.tick_s)
+        log = np.empty((ticks + 1, self.plant.buffer.size))
+        log[0] = self.plant.buffer
+        energised = np.empty((ticks, 4))
+        energised[:] = magnets
+        _roll(self.state, self.plant.buffer, self.plant.delay, energised,
+              np.full(ticks, float(demand_Pa)), self.tick, self.params, log[1:])
+        self.tick += ticks
+        return History(log)
