@@ -78,6 +78,7 @@ def step(state, target_Pa, params):
     """Advance by one step of the physics."""
     brake.fill(state, params.brake, target_Pa)
     if state.standing[0] != 0.0:
+        vehicle.rest(state, params.vehicle, params.step_s)
         return
     if params.mode != 0:
         motor.respond(state, params.drive)

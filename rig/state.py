@@ -56,6 +56,8 @@ class State(NamedTuple):
     motor_work: np.ndarray  # J, integrate
     observer: np.ndarray  # N m, memory of the rig control's observer
     motor_before: np.ndarray  # N m, motor torque at the beginning of the step; integrate
+    contact_force: np.ndarray  # N, of both wheels, mean of the last step; integrate
+    brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate
     wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
 

@@ -8,6 +8,8 @@
 The pitch of body and frames is not modelled here: the transfer follows the deceleration with a lag.
 """
 
+import math
+
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.state import AXLES
 
@@ -28,6 +30,12 @@ def load(axle, felt_acceleration_m_s2, vehicle):
     body = 0.5 * vehicle.body_transfer_kg if axle < 2 else -0.5 * vehicle.body_transfer_kg
     bogie = vehicle.bogie_transfer_kg if axle % 2 == 0 else -vehicle.bogie_transfer_kg
     return max(0.0, vehicle.static_load_N - felt_acceleration_m_s2 * (body + bogie))
+
+
+@kernel
+def rest(state, vehicle, step_s):
+    """Let body and bogies of a standing vehicle pitch back, so that its loads become the static ones."""
+    state.felt_acceleration[0] *= math.exp(-step_s / vehicle.pitch_time_constant_s)
 
 
 @kernel

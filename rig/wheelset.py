@@ -79,13 +79,13 @@ def roller_rate(motor_Nm, T, on_track, drive):
 
 @kernel
 def damped(wheel_k, roller_k, g, locked, on_track, step_s, vehicle, drive):
-    """The two slopes of a stage, multiplied by (I - gamma h p q')^-1 [W3]."""
+    """The two slopes of a stage times (I - gamma h p q')^-1 [W3], and the force in N that this adds."""
     r, R = vehicle.wheel_radius_m, drive.roller_radius_m
     p_wheel = 0.0 if locked else r / vehicle.wheelset_inertia_kgm2
     p_roller = 0.0 if on_track else -R / drive.roller_inertia_kgm2
     qk = g * (R * roller_k - r * wheel_k)
     share = _GAMMA * step_s * qk / (1.0 + _GAMMA * step_s * g * (r * p_wheel - R * p_roller))
-    return wheel_k + p_wheel * share, roller_k + p_roller * share
+    return wheel_k + p_wheel * share, roller_k + p_roller * share, share
 
 
 @kernel
@@ -99,7 +99,7 @@ def integrate(state, params):
     h, on_track, pitch_s = params.step_s, params.mode == 0, vehicle.pitch_time_constant_s
     v, felt = state.vehicle_speed[0], state.felt_acceleration[0]
     resistance_N = body.resistance(v, vehicle)
-    resisting_W = resistance_N * v
+    resisting_N = 0.5 * resistance_N
 
     # first stage: slopes at the beginning of the step
     total = resistance_N
@@ -111,19 +111,18 @@ def integrate(state, params):
                      state.friction_recovered[j], patch, law, params.cleaning_creepage)
         wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_capacity[j], vehicle)
         roller_k = roller_rate(motor_Nm, T, on_track, drive)
-        state.wheel_rate[j], state.roller_rate[j] = damped(
+        state.wheel_rate[j], state.roller_rate[j], added_N = damped(
             wheel_k, roller_k, g, locked, on_track, h, vehicle, drive)
-        total += T
-        state.sliding_work[j] += 0.5 * h * T * sliding
-        state.brake_work[j] += 0.5 * h * brake_Nm * wheel
-        state.motor_work[j] += 0.5 * h * motor_Nm * roller
+        # the vehicle feels what wheel and roller feel, or momentum would be lost where they are stiff
+        total += T + added_N
+        state.contact_force[j], state.brake_mean[j] = 0.5 * (T + added_N), 0.5 * brake_Nm
     a1 = -total / vehicle.mass_kg
     f1 = (a1 - felt) / pitch_s
 
     # second stage: slopes at the end that the first one predicts
     v2, felt2 = v + h * a1, felt + h * f1
     resistance_N = body.resistance(v2, vehicle)
-    resisting_W += resistance_N * v2
+    resisting_N += 0.5 * resistance_N
     total = resistance_N
     for j in range(AXLES):
         wheel1, roller1, motor_Nm = state.wheel_rate[j], state.roller_rate[j], state.motor_torque[j]
@@ -135,29 +134,42 @@ def integrate(state, params):
                      state.friction_recovered[j], patch, law, params.cleaning_creepage)
         wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_torque[j], vehicle)
         roller_k = roller_rate(motor_Nm, T, on_track, drive)
-        wheel_k, roller_k = damped(wheel_k - 2.0 * wheel1, roller_k - 2.0 * roller1, g, locked,
-                                   on_track, h, vehicle, drive)
-        total += T
-        state.sliding_work[j] += 0.5 * h * T * sliding
-        state.brake_work[j] += 0.5 * h * brake_Nm * wheel
-        state.motor_work[j] += 0.5 * h * motor_Nm * roller
-        turn(state, j, h * (1.5 * wheel1 + 0.5 * wheel_k), h * (1.5 * roller1 + 0.5 * roller_k), h)
+        wheel_k, roller_k, added_N = damped(wheel_k - 2.0 * wheel1, roller_k - 2.0 * roller1, g,
+                                            locked, on_track, h, vehicle, drive)
+        total += T + added_N
+        state.contact_force[j] += 0.5 * (T + added_N)
+        state.brake_mean[j] += 0.5 * brake_Nm
+        turn(state, j, h * (1.5 * wheel1 + 0.5 * wheel_k), h * (1.5 * roller1 + 0.5 * roller_k),
+             0.5 * (state.motor_before[j] + motor_Nm), params)
         state.brake_capacity[j] = state.brake_torque[j]
         state.motor_before[j] = motor_Nm
 
     a2 = -total / vehicle.mass_kg
-    state.resistance_work[0] += 0.5 * h * resisting_W
     state.felt_acceleration[0] = felt + 0.5 * h * (f1 + (a2 - felt2) / pitch_s)
     state.vehicle_acceleration[0] = 0.5 * (a1 + a2)
     state.vehicle_speed[0] = max(0.0, v + h * state.vehicle_acceleration[0])
-    state.position[0] += 0.5 * h * (v + state.vehicle_speed[0])
+    way_m = 0.5 * h * (v + state.vehicle_speed[0])
+    state.position[0] += way_m
+    state.resistance_work[0] += resisting_N * way_m
+    if on_track:
+        for j in range(AXLES):
+            state.sliding_work[j] += state.contact_force[j] * way_m
 
 
 @kernel
-def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, step_s):
-    """Add a step's change to the speeds of an axle (no wheel turns backwards) and turn its angles."""
+def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params):
+    """Add a step's change to the speeds of an axle (no wheel turns backwards) and turn its angles.
+
+    Work is mean force times way, so the energy balance holds to rounding however stiff the contact.
+    """
     wheel, roller = state.wheel_speed[axle], state.roller_speed[axle]
     state.wheel_speed[axle] = max(0.0, wheel + wheel_change_rad_s)
     state.roller_speed[axle] = roller + roller_change_rad_s
-    state.wheel_angle[axle] += 0.5 * step_s * (wheel + state.wheel_speed[axle])
-    state.roller_angle[axle] += 0.5 * step_s * (roller + state.roller_speed[axle])
+    wheel_rad = 0.5 * params.step_s * (wheel + state.wheel_speed[axle])
+    roller_rad = 0.5 * params.step_s * (roller + state.roller_speed[axle])
+    state.wheel_angle[axle] += wheel_rad
+    state.roller_angle[axle] += roller_rad
+    slid_m = params.drive.roller_radius_m * roller_rad - params.vehicle.wheel_radius_m * wheel_rad
+    state.sliding_work[axle] += state.contact_force[axle] * slid_m
+    state.brake_work[axle] += state.brake_mean[axle] * wheel_rad
+    state.motor_work[axle] += motor_Nm * roller_rad

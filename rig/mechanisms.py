@@ -1,0 +1,128 @@
+"""What the base model leaves out: one row a mechanism, one coefficient a parameter.
+
+Each mechanism changes one place of the base model: the friction under a wheel, the torque at a
+wheelset, its load, its sensors or the resistance of the vehicle. Its size is a coefficient whose
+default 0 is the base model itself, to the last bit. The same rows give the identification its
+bounds, the extended model its keys and the report its words.
+
+    friction:  mu_cd and mu_cr of an axle are multiplied by exp(sum of the friction terms)   [X1]
+    torque:    C = (1 + gain) C_0 (1 - fade H) + offset, H the brake work of the wheelset    [X2]
+    vehicle:   M dv/dt = -sum T - (R + dR + M g gradient)                                    [X3]
+    contact:   d lambda/dx = (lambda_0 - lambda) / L, lambda_0 of the base model             [X4]
+
+Sources: PHYSICS section 8 of the project's material; doubt: the shapes are the simplest ones.
+"""
+
+from typing import NamedTuple
+
+from rollerrig.configs.table import Row, number
+
+FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
+    "friction", "torque", "load", "vehicle", "sensor", "wheel", "contact")
+
+
+class Mechanism(NamedTuple):
+    """One possible cause. `acts_on` is the place in the model, `axlewise` one axle at a time."""
+
+    name: str
+    acts_on: str
+    parameters: tuple[Row, ...]
+    formula: str
+    text: str
+    source: str
+    axlewise: bool = False
+
+
+def _row(name: str, low: float, high: float, text: str, default: float = 0.0) -> Row:
+    return number(name, default, low, high, text)
+
+
+_AXLE = _row("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
+
+TABLE: tuple[Mechanism, ...] = (
+    Mechanism(
+        "rail_cleaning", FRICTION,
+        (_row("gain", -0.5, 1.0, "-"), _row("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
+        "ln mu += gain (1 - exp(-W / energy)), W: work on this metre of rail by the wheels before",
+        "leading wheels clean the rail for the following ones", "Allotta et al. 2014; PHYSICS 8"),
+    Mechanism(
+        "adhesion_memory", CONTACT, (_row("length_m", 0.0, 50.0, "m"),),
+        "d lambda/dx = (lambda_0 - lambda) / length", "recovery lags the dissipated energy",
+        "assumption; PHYSICS 8"),
+    Mechanism(
+        "speed_dependent_friction", FRICTION, (_row("slope_per_m_s", -0.05, 0.05, "s/m"),),
+        "ln mu += slope (v - 20 m/s)", "friction depends on the vehicle's speed",
+        "Curtius and Kniffler 1950"),
+    Mechanism(
+        "negative_conditioning", FRICTION,
+        (_row("loss", -0.3, 0.9, "-"), _row("distance_m", 1.0, 500.0, "m", 30.0)),
+        "ln mu -= loss (1 - exp(-S / distance)), S: sliding distance of the wheel so far",
+        "sliding destroys adhesion", "oil paste: Beagley and Pritchard 1975"),
+    Mechanism(
+        "contaminated_patch", FRICTION,
+        (_row("depth", -1.0, 1.0, "-"), _row("start_m", -100.0, 1e5, "m"),
+         _row("length_m", 0.0, 1e4, "m")),
+        "ln mu -= depth for start <= place < start + length", "friction depends on the place",
+        "assumption"),
+    Mechanism(
+        "friction_trend", FRICTION, (_row("rate_1_s", -0.05, 0.05, "1/s"),),
+        "ln mu += rate t", "friction drifts with time in a stop", "assumption"),
+    Mechanism(
+        "brake_gain", TORQUE, (_row("gain", -0.3, 0.3, "-"), _AXLE),
+        "C = (1 + gain) C_0", "the brake gives another torque than told", "PHYSICS 6", True),
+    Mechanism(
+        "pad_fade", TORQUE, (_row("fade_1_MJ", -0.1, 0.2, "1/MJ"),),
+        "C = C_0 (1 - fade H), H: brake work of the wheelset so far",
+        "torque falls with the heat of the discs", "PHYSICS 6"),
+    Mechanism(
+        "torque_offset", TORQUE, (_row("offset_Nm", -1500.0, 1500.0, "N m"), _AXLE),
+        "C = C_0 + offset", "the torque has an offset", "PHYSICS 6", True),
+    Mechanism(
+        "running_resistance", VEHICLE, (_row("force_N", -5000.0, 5000.0, "N"),),
+        "R = R_0 + force", "the vehicle runs with another resistance", "PHYSICS 8"),
+    Mechanism(
+        "track_gradient", VEHICLE, (_row("gradient", -0.03, 0.03, "-"),),
+        "R = R_0 + M g gradient; uphill is positive", "the track is not level", "PHYSICS 8"),
+    Mechanism(
+        "wheel_radius", WHEEL, (_row("fraction", -0.03, 0.03, "-"), _AXLE),
+        "r = r_0 (1 + fraction)", "the wheels of one axle have another radius", "PHYSICS 8", True),
+    Mechanism(
+        "wheel_inertia", WHEEL, (_row("fraction", -0.5, 1.0, "-"), _AXLE),
+        "J = J_0 (1 + fraction)", "the wheelsets have another inertia", "PHYSICS 8", True),
+    Mechanism(
+        "speed_sensor_delay", SENSOR, (_row("delay_s", -0.05, 0.2, "s"), _AXLE),
+        "measured omega(t) = omega(t - delay)", "the wheel speed is told late", "PHYSICS 6", True),
+    Mechanism(
+        "torque_sensor_delay", SENSOR, (_row("delay_s", -0.05, 0.2, "s"),),
+        "measured C(t) = C(t - delay)", "the torque is told late", "PHYSICS 6"),
+    Mechanism(
+        "wheel_out_of_round", LOAD,
+        (_row("amplitude", 0.0, 0.3, "-"), _row("phase_rad", -6.3, 6.3, "rad"), _AXLE),
+        "N = N_0 (1 + amplitude cos(angle + phase))", "the load swings once a turn", "PHYSICS 8",
+        True),
+    Mechanism(
+        "load_transfer", LOAD,
+        (_row("body_s2_m", -0.1, 0.1, "s2/m"), _row("bogie_s2_m", -0.1, 0.1, "s2/m")),
+        "N = N_0 (1 + d (body b_j + bogie g_j)), d: deceleration, b = ++--, g = +-+-",
+        "braking shifts more load than told", "PHYSICS 8"),
+    Mechanism(
+        "sanding", FRICTION,
+        (_row("gain", -1.0, 2.0, "-"), _row("start_s", 0.0, 1e4, "s"),
+         _row("duration_s", 0.0, 1e4, "s")),
+        "ln mu += gain for start <= t < start + duration, each run with its own window",
+        "sand raises friction for a while", "assumption"),
+    Mechanism(
+        "roller_curvature", CONTACT, (_row("stiffness_fraction", -0.9, 2.0, "-"),),
+        "eps = (1 + stiffness_fraction) eps_0", "the patch is that of another curvature",
+        "PHYSICS 7"),
+    Mechanism(
+        "interfacial_layer", CONTACT, (_row("reduction", -2.0, 0.95, "-"),),
+        "k_ad, k_ar = (1 - reduction) of the base", "a layer softens the sticking part",
+        "Polach 2005; PHYSICS 8"),
+    Mechanism(
+        "falling_friction", CONTACT, (_row("fraction", -0.95, 5.0, "-"),),
+        "gamma_d, gamma_r = (1 + fraction) of the base",
+        "friction falls with sliding otherwise than told", "Polach 2005; CONTACT user guide"),
+)
+
+BY_NAME: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in TABLE}
