@@ -5,8 +5,14 @@ so each motor makes its roller's surface keep the virtual vehicle's speed. The d
 loop [R1] with the vehicle's own deceleration fed forward and the contact torque estimated by a
 disturbance observer from motor torque and roller speed alone [R2].
 
+Virtual track (Allotta, Conti, Meli, Ridolfi: Firenze-Osmannoro): the rollers are dry and hardly
+slide; a virtual vehicle on the degraded track runs beside, and each motor makes its real wheelset
+turn as the virtual one does [R3]. Both wheelsets feel the same brake torque, so the roller must
+give the virtual contact force.
+
     [R1] u = J w_c (v / R - Omega) + J a / R + d
     [R2] dz/dt = w_o (u_motor - d), d = z - w_o J Omega, which follows R T with bandwidth w_o
+    [R3] u = R T_v + J_R (r / R) domega_v/dt + w_c (J_R r / R + J R / r) (omega_v - omega)
 
 `state` and `drive` are those of rig.state and rig.params; v and a come from the virtual vehicle,
 whose contact forces are taken as measured without error (assumption: an ideal load cell).
@@ -28,3 +34,19 @@ def hold_surface_speed(state, drive, tick_s):
         error = state.vehicle_speed[0] / R - state.roller_speed[j]
         state.motor_torque_demand[j] = (J * drive.speed_loop_rad_s * error
                                         + J * state.vehicle_acceleration[0] / R + disturbance)  # [R1]
+
+
+@kernel
+def follow_virtual_wheels(state, virtual, drive, vehicle):
+    """Write the motor torque demands in N m that make the wheels of `state` turn as `virtual`'s."""
+    r, R, J = vehicle.wheel_radius_m, drive.roller_radius_m, vehicle.wheelset_inertia_kgm2
+    rolled = drive.roller_inertia_kgm2 * r / R
+    for j in range(state.roller_speed.size):
+        if virtual.standing[0] != 0.0:
+            state.motor_torque_demand[j] = 0.0
+            continue
+        force_N = virtual.adhesion[j] * virtual.wheel_load[j]
+        wheel_rate = (r * force_N - virtual.brake_torque[j]) / J
+        error = virtual.wheel_speed[j] - state.wheel_speed[j]
+        state.motor_torque_demand[j] = (R * force_N + rolled * wheel_rate
+                                        + drive.speed_loop_rad_s * (rolled + J * R / r) * error)  # [R3]

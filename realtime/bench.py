@@ -390,6 +390,7 @@ def prepare_folder(out: Path) -> None:
 def build_machine(plan: Scenario, ring: rings.Ring) -> Machine:
     """The machine of a scenario, at its initial speed, with no magnet energised."""
     plant = Plant(plan.params, plan["initial_speed_m_s"])
+    rollers = Plant(plan.rollers, plan["initial_speed_m_s"]) if plan.rollers else plant
     tick_hz = plan["loop"]["tick_hz"]
     commands = mailbox.mailbox(COMMANDS)
     commands.values[:] = (0.0,) * tick.AXLES + (np.nan,) * (COMMANDS - tick.AXLES)
@@ -397,7 +398,8 @@ def build_machine(plan: Scenario, ring: rings.Ring) -> Machine:
     machine = Machine(
         plan.params, plant.state, plant.buffer, plant.delay, np.zeros(8, dtype=np.int64), commands,
         commands.values.copy(), mailbox.mailbox(width), np.zeros(width), tick.gather(), ring.header,
-        ring.rows, plan.record_ticks, round(plan["duration_max_s"] * tick_hz),
+        ring.rows, int(plan.rollers is not None), rollers.params, rollers.state, rollers.buffer,
+        rollers.delay, tick.gather(tick.OF_ROLLERS if plan.rollers else ()), plan.record_ticks, round(plan["duration_max_s"] * tick_hz),
         round(plan["stand_s"] * tick_hz))
     tick.publish(machine)
     return machine

@@ -33,12 +33,12 @@ VERBS = (
          "rollerrig wsp --bus socketcand://127.0.0.1:29536/rig0"),
     Verb("view", "verb_view", "open a run, or several laid over one another, in Rerun",
          "rollerrig view runs/demo"),
-    # Verb("check", "verb_check", "what this machine can do, and how to enable what it cannot",
-    #     "rollerrig check"),
-    # Verb("devices", "verb_devices", "write the EDS of every node, one DBC and the signal table",
-    #     "rollerrig devices --out devices"),
-    # Verb("bench", "verb_bench", "the project's own benchmarks: a table, and JSON",
-    #     "rollerrig bench loop --json"),
+    Verb("check", "verb_check", "what this machine can do, and how to enable what it cannot",
+         "rollerrig check"),
+    Verb("devices", "verb_devices", "write the EDS of every node, one DBC and the signal table",
+         "rollerrig devices --out devices"),
+    Verb("bench", "verb_bench", "the project's own benchmarks: a table, and JSON",
+         "rollerrig bench loop --json"),
 )
 
 

@@ -4,8 +4,10 @@ libc is declared with `ExternalFunction`, whose addresses numba resolves when it
 code, so a second start compiles nothing. Linux only: clock_nanosleep on an absolute deadline.
 """
 
+import contextlib
 import ctypes
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from rollerrig.rig.kernel import kernel
 MONOTONIC = 1
 _ABSOLUTE = 1
 SECOND_NS = 1_000_000_000
+IDLE_LIMIT = "/dev/cpu_dma_latency"
 
 _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _nanosleep: Any = types.ExternalFunction(
@@ -73,6 +76,27 @@ def lock_memory() -> str:
     if libc.mlockall(3 if unlimited else 1) == 0:
         return ""
     return os.strerror(ctypes.get_errno())
+
+
+@contextlib.contextmanager
+def awake(asked: bool = True) -> Iterator[str]:
+    """Keep the cores out of deep idle states inside the block; yields "" or why not.
+
+    A core that sleeps takes tens of us to wake. Writing 0 us to the kernel's latency file forbids
+    that for as long as the file is open; cyclictest does the same. Source: Linux PM QoS.
+    """
+    try:
+        descriptor = os.open(IDLE_LIMIT, os.O_WRONLY | os.O_CLOEXEC) if asked else -1
+    except OSError as error:
+        yield os.strerror(error.errno or 0)
+        return
+    try:
+        if asked:
+            os.write(descriptor, bytes(4))
+        yield ""
+    finally:
+        if asked:
+            os.close(descriptor)
 
 
 def monotonic_ns() -> int:

@@ -59,11 +59,15 @@ SETS = {"vehicle": "vehicles", "rig": "rigs", "adhesion": "adhesion", "bus": "bu
 
 @dataclass(frozen=True)
 class Scenario:
-    """A checked scenario. `resolved` is the whole as plain data, `name` the file's stem."""
+    """A checked scenario. `resolved` is the whole as plain data, `name` the file's stem.
+
+    `rollers` are the parameters of the plant on dry rollers that runs beside a virtual track.
+    """
 
     name: str
     resolved: dict[str, Any]
     params: physics.Params
+    rollers: physics.Params | None
     sync_ticks: int
     record_ticks: int
 
@@ -77,7 +81,10 @@ def load(name: str, model: str = "", settings: tuple[str, ...] = ()) -> Scenario
     Raises ConfigError saying where, what, what is allowed and how to mend it.
     """
     given, path = store.load("scenarios", name)
-    given = _aliases(given, path)
+    told = _settings(settings)
+    # single keys, among them the names of sets, before the sets are looked up
+    heads = {key: value for key, value in told.items() if not isinstance(value, dict)}
+    given = {**_aliases(given, path), **_aliases(heads, Path("--set"))}
     layers: list[tuple[str, Mapping[str, Any]]] = []
     head_keys = {row.name for row in HEAD}
     for short, kind in SETS.items():
@@ -89,7 +96,7 @@ def load(name: str, model: str = "", settings: tuple[str, ...] = ()) -> Scenario
     if model:
         at = store.find("models", model)
         layers.append((str(at), store.parse(at)))
-    layers.append(("--set", _settings(settings)))
+    layers.append(("--set", {k: v for k, v in told.items() if isinstance(v, dict)}))
     head = table.read(HEAD, {k: v for k, v in given.items() if k in head_keys}, str(path))
     name = path.parent.name if path.name == "scenario.toml" else path.stem
     return resolve(name, head, layers)
@@ -119,8 +126,10 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
     demand, demand_rows = _demand(programme["demand"], source)
     friction, friction_rows = _friction(programme["friction"], checked["adhesion"], source)
     resolved = {**head, **checked, "demand": demand_rows, "friction": friction_rows}
-    return Scenario(name, resolved, physics.build(checked, friction, demand, tick_s, substeps), sync,
-                    record)
+    params = physics.build(checked, friction, demand, tick_s, substeps)
+    virtual = checked["rig"]["mode"] == physics.VIRTUAL_TRACK
+    rollers = physics.build_rollers(checked, demand, tick_s, substeps) if virtual else None
+    return Scenario(name, resolved, params, rollers, sync, record)
 
 
 def dump(scenario: Scenario) -> str:

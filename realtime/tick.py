@@ -5,6 +5,7 @@ physics, observe, publish a row of all signals, and put it into the ring when a 
 `batch` runs ticks back to back (lockstep and free pacing), `loop` gives them their deadlines.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,11 @@ TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS = range(8)
 
 
 class Machine(NamedTuple):
-    """All that a tick touches. `gather` (n,) are the slots of the state that a row copies."""
+    """All that a tick touches. `gather` (n,) are the slots of the state that a row copies.
+
+    `virtual` 1: the state is that of the virtual track, and the rollers have a plant of their own,
+    whose slots `gather_rollers` (n,) a row copies. Else the rollers are the plant itself.
+    """
 
     params: Params
     state: State
@@ -43,6 +48,12 @@ class Machine(NamedTuple):
     gather: np.ndarray
     ring_header: np.ndarray
     ring_rows: np.ndarray
+    virtual: int
+    roller_params: Params
+    roller_state: State
+    roller_buffer: np.ndarray
+    roller_delay: np.ndarray
+    gather_rollers: np.ndarray
     record_ticks: int
     end_tick: int
     stand_ticks: int
@@ -51,6 +62,7 @@ class Machine(NamedTuple):
 _TIME = signals.column("time")
 _REFERENCE = signals.column("wsp_reference_speed")
 _MAGNETS = signals.column("magnets")
+_TRACKING = signals.column("tracking_error")
 _LATENESS = signals.column("tick_lateness")
 _DURATION = signals.column("tick_duration")
 _MISSED = signals.column("ticks_missed")
@@ -64,11 +76,19 @@ _LOW, _HIGH = float(_I16[0]), float(_I16[1])
 _WSP_SCALE = signals.BY_NAME["wsp_reference_speed"].places[0].scale
 
 
-def gather() -> np.ndarray:
-    """For each column of a row the slot of the state it copies, or -1 where the tick writes it."""
+# what the real wheelsets and rollers tell where a virtual track runs beside them
+OF_ROLLERS = frozenset((
+    "wheel_speed", "wheel_circumferential_speed", "wheel_angle", "tooth_frequency", "pulse_count",
+    "roller_speed", "roller_angle", "motor_torque", "motor_torque_demand",
+))
+
+
+def gather(names: Iterable[str] = tuple(SLOTS)) -> np.ndarray:
+    """For each column of a row the slot of the state it copies, or -1 where it copies none."""
+    wanted = frozenset(names)
     slots = np.full(len(signals.COLUMNS), -1, dtype=np.int64)
     for signal in signals.SIGNALS:
-        if signal.name in SLOTS:
+        if signal.name in SLOTS and signal.name in wanted:
             place = SLOTS[signal.name]
             slots[signals.span(signal.name)] = np.arange(place.start, place.stop)
     return slots
@@ -80,13 +100,39 @@ def publish(m):
     for i in range(m.gather.size):
         if m.gather[i] >= 0:
             m.row[i] = m.buffer[m.gather[i]]
+    for i in range(m.gather_rollers.size):
+        if m.gather_rollers[i] >= 0:
+            m.row[i] = m.roller_buffer[m.gather_rollers[i]]
     for j in range(AXLES):
         m.row[_MAGNETS + j] = m.command[MAGNETS + j]
+        m.row[_TRACKING + j] = tracking_error(m, j)
     m.row[_REFERENCE] = m.command[REFERENCE]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
     m.row[_MISSED] = m.control[MISSED]
     box.post(m.published, m.row)
+
+
+@kernel
+def tracking_error(m, axle):
+    """How far the motors are from what they shall hold, in m/s: at the wheel's or roller's rim."""
+    if m.virtual != 0:
+        error = m.roller_state.wheel_speed[axle] - m.state.wheel_speed[axle]
+        return m.params.vehicle.wheel_radius_m * error
+    if m.params.mode == 0:
+        return 0.0
+    return m.params.drive.roller_radius_m * m.state.roller_speed[axle] - m.state.vehicle_speed[0]
+
+
+@kernel
+def rollers_beside(m, tick):
+    """Advance the real wheelsets on their dry rollers under the loads of the virtual vehicle."""
+    real, virtual = m.roller_state, m.state
+    real.vehicle_speed[0] = virtual.vehicle_speed[0]
+    real.vehicle_acceleration[0] = virtual.vehicle_acceleration[0]
+    real.felt_acceleration[0] = virtual.felt_acceleration[0]
+    plant.advance(real, m.roller_delay, m.command[:AXLES], m.command[DEMAND], tick, m.roller_params)
+    plant.observe(real, m.roller_params)
 
 
 @kernel
@@ -98,10 +144,15 @@ def once(m):
         m.control[LATE_NS] = 0
         m.control[BUSY_NS] = 0
     box.fetch(m.commands, m.command)
-    if m.params.mode != 0:
+    if m.virtual != 0:
+        rig_control.follow_virtual_wheels(m.roller_state, m.state, m.roller_params.drive,
+                                          m.params.vehicle)
+    elif m.params.mode != 0:
         rig_control.hold_surface_speed(m.state, m.params.drive, m.params.tick_s)
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
     plant.observe(m.state, m.params)
+    if m.virtual != 0:
+        rollers_beside(m, tick)
     publish(m)
     m.control[TICK] = tick + 1
     if m.state.standing[0] != 0.0:

@@ -45,14 +45,29 @@ def has_display() -> bool:
 
 def environment() -> dict[str, str]:
     """The environment for viewers: as ours, with the viewer's reporting of use switched off."""
-    home = Path(tempfile.gettempdir()) / f"rollerrig-viewer-{os.getuid()}"
-    own = home / "rerun" / "analytics.json"
-    own.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    off = {"analytics_enabled": False, "analytics_id": "off", "metadata": {},
-           "config_file_path": str(own), "data_dir_path": str(home / "data")}
-    own.write_text(json.dumps(off))
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    try:
+        home = _switched_off(cache / "rollerrig" / "viewer")
+    except OSError:
+        # no writable home: a folder of this process's own
+        home = _switched_off(Path(tempfile.mkdtemp(prefix="rollerrig-viewer-")))
     level = os.environ.get("RUST_LOG", "error")
     return os.environ | {"XDG_CONFIG_HOME": str(home), "RUST_LOG": level}
+
+
+def _switched_off(home: Path) -> Path:
+    """A folder for XDG_CONFIG_HOME in which the viewer finds its reporting switched off."""
+    own = home / "rerun" / "analytics.json"
+    content = json.dumps({
+        "analytics_enabled": False, "analytics_id": "off", "metadata": {},
+        "config_file_path": str(own), "data_dir_path": str(home / "data")})
+    own.parent.mkdir(parents=True, exist_ok=True)
+    # written once: a viewer that starts meanwhile shall not find it half written
+    if not own.is_file() or own.read_text() != content:
+        new = own.with_suffix(f".{os.getpid()}")
+        new.write_text(content)
+        new.replace(own)
+    return home
 
 
 def command(*arguments: str) -> list[str]:

@@ -43,6 +43,12 @@ _COLOURS = {"adhesion_degraded": LIMIT_COLOUR, "adhesion_recovered": LIMIT_COLOU
             "wsp_reference_speed": REFERENCE_COLOUR, "brake_demand": REFERENCE_COLOUR}
 _LEGEND = {"adhesion_degraded": "f_d degraded", "adhesion_recovered": "f_r recovered",
            "adhesion": "f utilised", "wsp_reference_speed": "WSP reference"}
+# groups with a place of their own, and those behind tabs; a new group gets a tab by itself
+_COLUMNS = ("speeds", "sliding", "valves", "pressures", "adhesion", "transition")
+_TABS = {"energy": "Dissipated energy W_sp (J/m)", "motors": "Roller motors (Nm)",
+         "tracking": "Tracking error (m/s)", "torques": "Brake torques (Nm)", "loads": "Loads (N)",
+         "acceleration": "Acceleration (m/s²)", "air": "Air used (NL)", "loop": "Loop (µs)"}
+_SEVERAL = ("loop",)
 _WINDOW_S = 20.0
 
 
@@ -209,11 +215,9 @@ def _rig(page: _Page, eye: rrb.EyeControls3D | None) -> rrb.Vertical:
         timeline_columns=[encodings.TimelineColumn(TIMELINE)],
         text_log_columns=[encodings.TextLogColumn(kind) for kind in (
             encodings.TextLogColumnKind.LogLevel, encodings.TextLogColumnKind.Body)])
-    more = rrb.Tabs(
-        _plot(page, "Dissipated energy W_sp (J/m)", "energy"),
-        _plot(page, "Roller motors (Nm)", "motors"), _plot(page, "Brake torques (Nm)", "torques"),
-        _plot(page, "Loads (N)", "loads"), _plot(page, "Acceleration (m/s²)", "acceleration"),
-        _plot(page, "Air used (NL)", "air"), _plot(page, "Loop (µs)", "loop", legend=True))
+    groups = [*_TABS, *sorted({s.group for s in SIGNALS if s.group} - {*_TABS, *_COLUMNS})]
+    more = rrb.Tabs(*(_plot(page, _TABS.get(group, group.capitalize()), group,
+                            legend=group in _SEVERAL) for group in groups))
     return rrb.Vertical(
         rrb.Spatial3DView(name="Rig, 20 times slower; red spokes: locked", origin=RIG,
                           eye_controls=eye, background=(24, 27, 31), line_grid=False),

@@ -49,11 +49,14 @@ def switch(state, delayed_magnets):
 
 @kernel
 def fill(state, brake, target_Pa):
-    """Advance demand and cylinder pressures by a step, exactly for constant valves and target."""
-    p_d = state.brake_demand[0]
-    share = brake.demand_fill_share if target_Pa > p_d else brake.demand_release_share
-    p_d += (target_Pa - p_d) * share  # [B1]
-    state.brake_demand[0] = p_d
+    """Advance demand and cylinder pressures by a step with constant valves and target.
+
+    The demand is exact; the cylinders see its mean over the step, which is of second order.
+    """
+    before = state.brake_demand[0]
+    share = brake.demand_fill_share if target_Pa > before else brake.demand_release_share
+    state.brake_demand[0] = before + (target_Pa - before) * share  # [B1]
+    p_d = before + 0.5 * (target_Pa - before) * share
     for j in range(AXLES):
         p = state.cylinder_pressure[j]
         if state.valve[j] == VENT:

@@ -13,12 +13,15 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, integer, number, read
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
+from rollerrig.rig.contact.creep_force import MODELS
 
 _T1, _T2, _T4 = "paper Table 1", "paper Table 2", "paper Table 4"
 _A = "assumption"
 
-TRACK, CONTAMINATED_ROLLERS = 0, 1
-MODES = {"track": TRACK, "contaminated_rollers": CONTAMINATED_ROLLERS}
+# how a plant's wheels run; a virtual track is a plant on the track and one on dry rollers beside it
+TRACK, ROLLERS = 0, 1
+VIRTUAL_TRACK = "virtual_track"
+MODES = {"track": TRACK, "contaminated_rollers": ROLLERS, VIRTUAL_TRACK: TRACK}
 
 ROWS: dict[str, tuple[Row, ...]] = {
     "contact": (
@@ -27,6 +30,8 @@ ROWS: dict[str, tuple[Row, ...]] = {
         number("poisson", 0.3, 0.0, 0.5, _T4),
         number("lateral_radius_m", 0.3, 0.01, 10.0, "rail head R300, wheel taken as a cone"),
         number("roller_radius_m", 1.0, 0.1, math.inf, _A + "; inf is a rail"),
+        choice("model", "degraded", tuple(MODELS), "paper Table 8; all but degraded know no recovery"),
+        integer("fastsim_cells", 10, 2, 200, "strips of FASTSIM, and cells in each"),
     ),
     "adhesion": (
         number("mu_cd", 0.06, 1e-4, 1.0, _T4),
@@ -87,6 +92,13 @@ ROWS: dict[str, tuple[Row, ...]] = {
         number("observer_rad_s", 100.0, 0.1, 1000.0, _A + "; bandwidth of the contact torque observer"),
     ),
     "sensor": (integer("teeth", 100, 1, 1000, "80 to 120; memory"),),
+    "dry_roller": (
+        number("mu_c", 0.28, 1e-4, 1.0, _T4 + ", recovered"),
+        number("A", 0.40, 0.01, 1.0, _T4 + ", recovered"),
+        number("gamma_s_m", 0.60, 0.0, 100.0, _T4 + ", recovered"),
+        number("k_a", 1.0, 0.001, 10.0, _T4 + ", recovered"),
+        number("k_s", 0.4, 0.001, 10.0, _T4 + ", recovered"),
+    ),
     "rig": (
         choice("mode", "contaminated_rollers", tuple(MODES), "how the rig is run"),
         number("lock_above_m_s", 3.0, 0.5, 20.0, _A + "; slower than this a lock is not counted"),
@@ -208,7 +220,8 @@ def build(
     mode = MODES[sections["rig"]["mode"]]
     roller_radius_m = math.inf if mode == TRACK else contact["roller_radius_m"]
     patch = patch_for(vehicle["wheel_radius_m"], roller_radius_m, contact["lateral_radius_m"],
-                      contact["young_Pa"], contact["shear_Pa"], contact["poisson"])
+                      contact["young_Pa"], contact["shear_Pa"], contact["poisson"],
+                      MODELS[contact["model"]], contact["fastsim_cells"])
     adhesion = dict(sections["adhesion"])
     cleaning_creepage = adhesion.pop("cleaning_creepage")
     law = Law(**adhesion)
@@ -219,6 +232,22 @@ def build(
         _drive(sections["drive"], contact["roller_radius_m"], tick_s / substeps),
         axle_positions(vehicle), friction, demand,
     )
+
+
+def build_rollers(
+    sections: Mapping[str, Mapping[str, Any]], demand: Demand, tick_s: float, substeps: int
+) -> Params:
+    """The plant that runs beside a virtual track: the same wheelsets on dry, clean rollers."""
+    dry = sections["dry_roller"]
+    adhesion = {**sections["adhesion"], "tau_m_J": 0.0, "cleaning_creepage": math.inf}
+    for name, value in dry.items():
+        stem, _, unit = name.partition("_")
+        tail = f"_{unit}" if stem == "gamma" else ""
+        keys = {"mu_c": ("mu_cd", "mu_cr"), "k_a": ("k_ad", "k_ar"), "k_s": ("k_sd", "k_sr")}
+        adhesion |= dict.fromkeys(keys.get(name, (f"{stem}_d{tail}", f"{stem}_r{tail}")), value)
+    none = Friction(*(np.zeros(0, dtype) for dtype in (np.bool_, float, float, float, np.int64)))
+    rollers = {**sections, "adhesion": adhesion, "rig": {**sections["rig"], "mode": "contaminated_rollers"}}
+    return build(rollers, none, demand, tick_s, substeps)
 
 
 def axle_positions(vehicle: Mapping[str, float]) -> np.ndarray:

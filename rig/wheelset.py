@@ -24,7 +24,7 @@ not exist here: the vehicle only brakes.
 import math
 
 from rollerrig.rig import vehicle as body
-from rollerrig.rig.contact import adhesion
+from rollerrig.rig.contact import adhesion, creep_force
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.state import AXLES
 
@@ -37,7 +37,8 @@ _SMALL_M_S = 1e-6
 def creep(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage):
     """Adhesion of a wheelset: what `adhesion.degraded` returns, for the contaminant under it.
 
-    Beyond `cleaning_creepage` the energy of sliding cleans no better than at it [W5].
+    Beyond `cleaning_creepage` the energy of sliding cleans no better than at it [W5]. With another
+    model of `creep_force` nothing is cleaned: f_d, f_r and |f| are the same, the slope is secant.
     """
     tau = law.tau_m_J
     creepage = abs(sliding_m_s) / max(abs(surface_m_s), adhesion.SPEED_FLOOR_M_S)
@@ -45,8 +46,19 @@ def creep(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_c
         tau *= cleaning_creepage / creepage  # [W5]
     here = adhesion.Law(mu_cd, mu_cr, law.A_d, law.A_r, law.gamma_d_s_m, law.gamma_r_s_m, law.k_ad,
                         law.k_sd, law.k_ar, law.k_sr, tau)
+    if patch.model != creep_force.DEGRADED:
+        return classic(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
     # one wheel carries half of the wheelset's load
     return adhesion.degraded(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
+
+
+@kernel
+def classic(sliding_m_s, surface_m_s, load_N, patch, law):
+    """What `adhesion.degraded` returns, by a model without recovery, for one wheel."""
+    creepage = sliding_m_s / max(abs(surface_m_s), adhesion.SPEED_FLOOR_M_S)
+    f = creep_force.adhesion_of(sliding_m_s, creepage, load_N, patch, law)
+    slope = f / sliding_m_s if sliding_m_s != 0.0 else 0.0
+    return f, abs(f), abs(f), 0.0, abs(f * creepage) * load_N, slope
 
 
 @kernel

@@ -100,6 +100,8 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("motor_torque_demand", "Nm", AXLES, OUT, "motors", "torque asked of the roller motor"),
     Signal("motor_torque", "Nm", AXLES, OUT, "motors", "torque of the roller motor on the roller shaft",
            (Place(_DRIVE, 0x6077, 0, "I16", 1e-3, of="rated_torque_Nm"),)),
+    Signal("tracking_error", "m_s", AXLES, OUT, "tracking",
+           "roller rim minus vehicle, or on a virtual track real minus virtual wheel rim"),
     Signal("wsp_reference_speed", "m_s", 1, IN, "speeds", "reference speed that the WSP unit tells (NaN: it does not)",
            (Place(WSP_NODE, 0x2110, 1, "I16", 0.01),)),
     Signal("magnets", "", AXLES, IN, "", "energised magnets: bit 0 hold, bit 1 vent",

@@ -35,7 +35,8 @@ class Patch(NamedTuple):
     """A contact patch of a given wheel, roller and material, for any load N.
 
     Semi-axes a = a1 N^(1/3) along and b = b1 N^(1/3) across the rolling direction, a1 and b1 in
-    m N^(-1/3); c11 is Kalker's, constant as a/b is; mu eps / |e| = eps1 N^(-1/3) [P2].
+    m N^(-1/3); c11 to c33 are Kalker's, constant as a/b is; mu eps / |e| = eps1 N^(-1/3) [P2].
+    `model` and `cells` choose the tangential model (`creep_force.MODELS`) and FASTSIM's grid.
     """
 
     a1: float
@@ -44,6 +45,11 @@ class Patch(NamedTuple):
     shear_Pa: float
     k_h_N_m32: float
     eps1: float
+    c22: float
+    c23: float
+    c33: float
+    model: int
+    cells: int
 
 
 class Law(NamedTuple):
@@ -69,6 +75,8 @@ def patch_for(
     young_Pa: float,
     shear_Pa: float,
     poisson: float,
+    model: int = 0,
+    cells: int = 10,
 ) -> Patch:
     """The constants of a contact patch; roller_radius_m = inf is a rail.
 
@@ -93,10 +101,10 @@ def patch_for(
         )
     A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)
     a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
-    c11 = kalker.coefficients(a1 / b1, poisson)[0]
+    c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
     return Patch(
         a1, b1, c11, shear_Pa, hertz.stiffness(A, B, young_Pa, poisson),
-        polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0),
+        polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0), c22, c23, c33, model, cells,
     )
 
 

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 SPACING_M = 1e-4  # of a wheel's table
+STRIDE = 10  # nodes between those that a search for contacts visits (1 mm)
 SINES = 2049  # nodes of a rail's table
 STEEPEST = 0.9995  # largest sine of a slope that is kept
 FLANGE_END_M, FIELD_END_M = -0.0560, 0.0600  # what of a wheel can meet a rail head
@@ -47,7 +48,8 @@ class Wheel(NamedTuple):
     """A wheel's profile in nodes `start_m` + i `spacing_m`; arrays of shape (n,).
 
     radius_m: rolling radius; slope: its derivative to s; curvature_1_m: convex positive [Q3];
-    `centre_m`: from the middle of the wheelset to s = 0.
+    `centre_m`: from the middle of the wheelset to s = 0. coarse_*: every STRIDE-th node, at
+    coarse_m from the wheelset's middle; coarse_q_m is where the normal there meets the axis.
     """
 
     start_m: float
@@ -56,6 +58,11 @@ class Wheel(NamedTuple):
     radius_m: np.ndarray
     slope: np.ndarray
     curvature_1_m: np.ndarray
+    coarse_m: np.ndarray
+    coarse_radius_m: np.ndarray
+    coarse_slope: np.ndarray
+    coarse_cosine: np.ndarray
+    coarse_q_m: np.ndarray
 
 
 class Rail(NamedTuple):
@@ -102,18 +109,158 @@ def uic60_depth(y_m: np.ndarray) -> np.ndarray:
     vertical.
     """
     y = np.abs(np.asarray(y_m, dtype=float)) * 1e3
-    ends, radii = (10.5, 26.0), (300.0, 80.0, 13.0)
     depth = np.empty_like(y)
-    sine, at, level, begin = 0.0, 0.0, 0.0, 0.0
-    for radius, end in zip(radii, (*ends, np.inf), strict=True):
-        centre = at - radius * sine
-        if np.isinf(end):
-            end = centre + radius * 20.0 / np.hypot(20.0, 1.0)
-        top = level + radius * np.sqrt(1.0 - sine * sine)
+    begin, sine, level = 0.0, 0.0, 0.0
+    for radius, end in ((300.0, 10.5), (80.0, 26.0), (13.0, np.inf)):
+        centre, centre_depth = begin - radius * sine, level + radius * np.sqrt(1.0 - sine * sine)
+        steepest = 20.0 / np.hypot(20.0, 1.0)
+        end = min(end, centre + radius * steepest)
         here = (y >= begin) & (y <= end)
-        depth[here] = -(top - radius - level) - radius + (top - level) + level + radius - np.sqrt(
-            radius**2 - (y[here] - centre) ** 2) - (radius - np.sqrt(1.0 - sine * sine) * radius)
-        sine, at = (end - centre) / radius, end
-        level, begin = top - radius * np.sqrt(1.0 - sine * sine), end
-    depth[y > begin] = level + 20.0 * (y[y > begin] - begin)
+        depth[here] = centre_depth - np.sqrt(radius * radius - (y[here] - centre) ** 2)
+        begin, sine = end, (end - centre) / radius
+        level = centre_depth - radius * np.sqrt(1.0 - sine * sine)
+    side = y > begin
+    depth[side] = level + 20.0 * (y[side] - begin)
     return depth * 1e-3
+
+
+def wheel(
+    s_m: np.ndarray,
+    z_m: np.ndarray,
+    nominal_radius_m: float = 0.445,
+    centre_m: float = 0.75,
+    smoothing_m: float = 0.0,
+    patch_m: float = 0.003,
+) -> tuple[Wheel, Told]:
+    """Tables of a wheel from points (s_m, z_m) with s rising; z is over the nominal radius.
+
+    `smoothing_m` is the width of a moving mean over the slope, `patch_m` the half width over which
+    curvature is taken [Q3].
+    """
+    first, last = max(s_m[0], FLANGE_END_M), min(s_m[-1], FIELD_END_M)
+    count = int((last - first) / SPACING_M) + 1
+    nodes = first + SPACING_M * np.arange(count)
+    z = np.interp(nodes, s_m, z_m)
+    slope = _mean(np.gradient(z, SPACING_M), smoothing_m / SPACING_M)
+    steps = 0.5 * SPACING_M * (slope[1:] + slope[:-1])  # [Q1]
+    height = np.concatenate(([0.0], np.cumsum(steps)))
+    height += np.interp(0.0, nodes, z - height)
+    curvature = -_spread(slope, patch_m / SPACING_M) / SPACING_M / (1.0 + slope**2) ** 1.5
+    told = Told(smoothing_m, float(np.abs(height - z).max()), 0.0)
+    radius = nominal_radius_m + height
+    coarse, coarse_slope = centre_m + nodes[::STRIDE], slope[::STRIDE].copy()
+    return Wheel(float(first), SPACING_M, centre_m, radius, slope, curvature, coarse,
+                 radius[::STRIDE].copy(), coarse_slope, 1.0 / np.sqrt(1.0 + coarse_slope**2),
+                 coarse + radius[::STRIDE] * coarse_slope), told
+
+
+def rail(
+    y_m: np.ndarray,
+    z_m: np.ndarray,
+    laying: float = 1.0 / 20.0,
+    gauge_m: float = 1.435,
+    smoothing_m: float = 0.0,
+    patch_m: float = 0.003,
+) -> tuple[Rail, Told]:
+    """Tables of a rail from points of the upright head, y_m rising from gauge to field side, z up.
+
+    The head is inclined by `laying` towards the track's middle and laid so that its gauge face, 14
+    mm under its top, stands half of gauge_m from the middle.
+    """
+    tilt = np.arctan(laying)
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(y_m), np.diff(z_m)))))
+    fine = np.linspace(0.0, along[-1], int(along[-1] / 2e-5) + 1)
+    y0, z0 = np.interp(fine, along, y_m), np.interp(fine, along, z_m)
+    angle = _mean(np.unwrap(np.arctan2(np.gradient(z0), np.gradient(y0))), smoothing_m / 2e-5)
+    convex = _falling(angle) + tilt  # [Q4]
+    step = fine[1] - fine[0]
+    y, z = _walk(convex, step)
+    y_given = y0 * np.cos(tilt) - z0 * np.sin(tilt)
+    z_given = y0 * np.sin(tilt) + z0 * np.cos(tilt)
+    top = int(np.argmin(np.abs(convex)))
+    y, z = y + y_given[top] - y[top], z + z_given[top] - z[top]
+    # how far smoothing alone, and all of it, moved the head where a wheel can touch it
+    y_smooth, z_smooth = _walk(angle + tilt, step)
+    touched = np.abs(np.sin(convex)) < 0.9
+    smoothed = np.hypot(y_smooth - y_smooth[top] + y[top] - y_given,
+                        z_smooth - z_smooth[top] + z[top] - z_given)
+    moved = np.hypot(y - y_given, z - z_given)
+    told = Told(smoothing_m, float(smoothed[touched].max()),
+                float(np.abs(moved - smoothed)[touched].max()))
+    z = z - z.max()
+    gauge_side = slice(None, top + 1)
+    face = np.interp(-0.014, z[gauge_side], y[gauge_side])
+    return _rail_table(y + 0.5 * gauge_m - face, z, convex, patch_m, step), told
+
+
+def _walk(angle: np.ndarray, step_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """The curve, from the origin, that has these slope angles at equal steps along it."""
+    middle = 0.5 * (angle[1:] + angle[:-1])
+    return (np.concatenate(([0.0], np.cumsum(step_m * np.cos(middle)))),
+            np.concatenate(([0.0], np.cumsum(step_m * np.sin(middle)))))
+
+
+def _rail_table(
+    y: np.ndarray, z: np.ndarray, angle: np.ndarray, patch_m: float, step_m: float
+) -> Rail:
+    # a straight stretch has one slope: bend it by 1e-9 rad a step so that its points keep an order
+    falling = np.sin(angle) - 1e-9 * np.arange(angle.size)
+    sines = np.linspace(-STEEPEST, STEEPEST, SINES)
+    place = np.interp(sines, falling[::-1], np.arange(angle.size)[::-1])
+    at = np.arange(angle.size)
+    cosine = np.sqrt(1.0 - sines * sines)
+    y_nodes = np.interp(place, at, y)
+    radius = -np.diff(y_nodes) / np.diff(sines)
+    z_nodes = np.concatenate(([0.0], np.cumsum(radius * np.diff(cosine))))  # [Q2]
+    z_nodes -= np.interp(0.0, sines, z_nodes)
+    curvature = -_spread(angle, patch_m / step_m) / step_m
+    return Rail((SINES - 1) / (2.0 * STEEPEST), y_nodes, z_nodes, cosine,
+                np.interp(place, at, curvature))
+
+
+def _mean(values: np.ndarray, width: float) -> np.ndarray:
+    """Moving mean over an odd number of nodes, narrower at the ends."""
+    half = int(0.5 * width)
+    if half < 1:
+        return values
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    at = np.arange(values.size)
+    reach = np.minimum(np.minimum(at, values.size - 1 - at), half)
+    return (total[at + reach + 1] - total[at - reach]) / (2 * reach + 1)
+
+
+def _spread(values: np.ndarray, half_width: float) -> np.ndarray:
+    """Mean change from node to node over +-half_width nodes [Q3]."""
+    half, at = max(int(half_width), 1), np.arange(values.size)
+    low, high = np.maximum(at - half, 0), np.minimum(at + half, values.size - 1)
+    return (values[high] - values[low]) / (high - low)
+
+
+def _falling(values: np.ndarray) -> np.ndarray:
+    """The nearest falling sequence: neighbours that rise are pooled to their mean [Q4]."""
+    if np.all(np.diff(values) <= 0.0):
+        return values
+    means: list[float] = []
+    sizes: list[int] = []
+    for value in values:
+        mean, size = float(value), 1
+        while means and means[-1] < mean:
+            mean = (mean * size + means[-1] * sizes[-1]) / (size + sizes[-1])
+            size += sizes.pop()
+            means.pop()
+        means.append(mean)
+        sizes.append(size)
+    return np.repeat(means, sizes)
+
+
+def s1002(nominal_radius_m: float = 0.445, centre_m: float = 0.75) -> Wheel:
+    """The new ORE S1002 wheel; its running circles stand 2 centre_m apart."""
+    # to 60 mm and beyond the flange's tip; node spacing of the table, so nothing is interpolated
+    s = FLANGE_END_M + SPACING_M * np.arange(round((FIELD_END_M - FLANGE_END_M) / SPACING_M) + 1)
+    return wheel(s, s1002_height(s), nominal_radius_m, centre_m)[0]
+
+
+def uic60(laying: float = 1.0 / 20.0, gauge_m: float = 1.435) -> Rail:
+    """The new UIC60 rail, laid at an inclination and gauge."""
+    y = np.linspace(-0.0365, 0.0365, 20001)
+    return rail(y, -uic60_depth(y), laying, gauge_m)[0]

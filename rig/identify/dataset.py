@@ -108,7 +108,7 @@ def load(folder: Path | str) -> Dataset:
         raise ConfigError(f"{path}: unknown table '{sorted(unknown)[0]}'; allowed: vehicle, "
                           "adhesion, contact, brake, accuracy, axles, run")
     sections = base_sections(head["vehicle_set"], tables, str(path))
-    accuracy = table.read(ACCURACY, tables.get("accuracy", {}), f"{path} [accuracy]")
+    accuracy = _given(ACCURACY, tables.get("accuracy", {}), f"{path} [accuracy]")
     positions = _positions(tables.get("axles", {}), sections, str(path))
     warnings: list[str] = []
     if head["kind"] == "creep_curve":
@@ -170,6 +170,21 @@ def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[s
     return params.check(merged, f"{where} with {at.name}")
 
 
+def _given(rows: tuple[Row, ...], content: Mapping[str, Any], where: str) -> dict[str, Any]:
+    # a default outside the bounds stands for "not given" and is not checked
+    known = {row.name for row in rows}
+    checked = table.read([r for r in rows if r.name in content or r.low <= _size(r) <= r.high],
+                         {k: v for k, v in content.items() if k in known}, where)
+    for key in content:
+        if key not in known:
+            raise ConfigError(f"{where}: unknown key '{key}'{table.nearest(key, known)}")
+    return {row.name: row.default for row in rows} | checked
+
+
+def _size(row: Row) -> float:
+    return row.default if isinstance(row.default, float) else row.low
+
+
 def _positions(given: Any, sections: Mapping[str, Any], where: str) -> np.ndarray:
     default = params.axle_positions(sections["vehicle"])
     row = Row("positions_m", tuple(float(x) for x in default), 0.0, 1000.0, "m")
@@ -216,7 +231,7 @@ def column(data: pa.Table, name: str, path: Path) -> np.ndarray:
 
 def _run(folder: Path, row: Mapping[str, Any], index: int, sections: Mapping[str, Any],
          sample_time_s: float, toml: Path, warnings: list[str]) -> Run:
-    given = table.read(RUN, row, f"{toml} [[run]] {index}")
+    given = _given(RUN, row, f"{toml} [[run]] {index}")
     if not given["file"]:
         raise ConfigError(f"{toml} [[run]] {index}: file is missing; name the data of this run")
     path = folder / given["file"]

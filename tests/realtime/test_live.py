@@ -1,15 +1,18 @@
 """The live view: on loopback, never in the way, and started again when it stands still."""
 
+import contextlib
 import os
 import signal
+import subprocess
 import time
 from pathlib import Path
 
 import numpy as np
 import paced_writer
 import pytest
+from rerun.experimental import ViewerClient
 
-from rollerrig.realtime import live, ring
+from rollerrig.realtime import live, recorder, ring, viewer
 from rollerrig.wsp_interface import signals
 
 
@@ -67,6 +70,37 @@ def test_the_live_view_is_served_on_loopback_only(run):
     worker = children(process.pid)[0]
     addresses = until(lambda: listening(worker))
     assert [address.split(":")[0] for address in addresses] == ["0100007F"]
+
+
+def test_a_viewer_sees_the_run_under_the_recorders_name(run, tmp_path):
+    to, process = run
+    worker = children(process.pid)[0]
+    server = int(until(lambda: listening(worker))[0].split(":")[1], 16)
+    port = viewer.free_port()
+    shown = subprocess.Popen(
+        viewer.command("--headless", "--port", str(port), "--connect",
+                       f"rerun+http://127.0.0.1:{server}/proxy"),
+        env=viewer.environment(), start_new_session=True, stderr=subprocess.DEVNULL)
+    try:
+        for number in range(100):
+            paced_writer.write(to, number)
+
+        def seen():
+            if shown.poll() is not None:
+                pytest.skip("no graphics driver for the viewer")
+            try:
+                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                return {(one.store_id, line.end) for one in client.get_state().recordings
+                        for line in one.timelines if line.name == "t"}
+            except Exception:
+                return set()  # not up yet
+
+        name = f"Recording:rollerrig:{recorder.recording_id(tmp_path, to[0])}"
+        until(lambda: (name, 990_000_000) in seen())
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(shown.pid, signal.SIGTERM)
+        shown.wait(10)
 
 
 def test_a_live_view_that_stands_still_is_replaced_and_the_rows_go_on(run):

@@ -7,20 +7,21 @@ from rollerrig.rig import params, plant
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.state import SLOTS
 
-HOLD, VENT = 1, 3
+FILL, HOLD, VENT = 0, 1, 3
 FULL_BRAKE_PA = 3.8e5
-# as configs/adhesion/soap.toml and dry.toml: the laws must hold whatever those files say later
+# as configs/adhesion/soap.toml and dry.toml: the laws hold whatever those files say later
 SOAP = {"cleaning_creepage": 0.2}
 DRY = {"mu_cd": 0.28, "gamma_d_s_m": 0.6, "k_ad": 1.0, "k_sd": 0.4, "tau_m_J": 0.0}
 TRACK = {"mode": "track"}
+NO_RESISTANCE = {"resistance_A_N": 0.0, "resistance_B_N_s_m": 0.0, "resistance_C_N_s2_m2": 0.0}
 
 
 @kernel
-def _roll(state, buffer, delay, magnets, demand_Pa, first_tick, params, log):
+def _roll(state, buffer, delay, magnets, demand_Pa, first_tick, controlled, params, log):
     for i in range(log.shape[0]):
-        if params.mode != 0:
+        if controlled:
             rig_control.hold_surface_speed(state, params.drive, params.tick_s)
-        plant.advance(state, delay, magnets[i], demand_Pa[i], first_tick + i, params)
+        plant.advance(state, delay, magnets[i], demand_Pa, first_tick + i, params)
         plant.observe(state, params)
         log[i] = buffer
 
@@ -42,9 +43,21 @@ class History:
         found = getattr(self, name)
         return found[-1] - found[0]
 
+    def integral(self, rate):
+        """Trapezoidal integral over time of a rate (n, ...), in its unit times s."""
+        return np.sum(0.5 * (rate[1:] + rate[:-1]).T * np.diff(self.time), axis=-1)
+
+    @property
+    def contact_force_N(self):
+        """f N of each axle, shape (n, 4)."""
+        return self.adhesion * self.wheel_load
+
 
 class Rig:
-    """A rig that rolls. `sections` override single parameters: vehicle={"mass_kg": 1e4}."""
+    """A rig that rolls. `sections` override single parameters: vehicle={"mass_kg": 1e4}.
+
+    `friction` rows are (by_place, start, mu_cd, mu_cr, mask of axles).
+    """
 
     def __init__(self, speed_m_s=30.0, step_s=1e-4, tick_s=1e-3, friction=(), **sections):
         checked = params.check(sections, "a test")
@@ -57,14 +70,17 @@ class Rig:
         self.state = self.plant.state
         self.tick = 0
 
-    def roll(self, seconds, magnets=0, demand_Pa=np.nan):
-        """Advance under magnets (a number, four, or a row a tick) and a demand; the History."""
+    def roll(self, seconds, magnets=FILL, demand_Pa=np.nan, controlled=True):
+        """Advance under magnets (a number, four, or a row a tick) and a demand (NaN: full brake).
+
+        Without rig control the motors are idle. Returns the History.
+        """
         ticks = round(seconds / self.params.tick_s)
         log = np.empty((ticks + 1, self.plant.buffer.size))
         log[0] = self.plant.buffer
         energised = np.empty((ticks, 4))
         energised[:] = magnets
-        _roll(self.state, self.plant.buffer, self.plant.delay, energised,
-              np.full(ticks, float(demand_Pa)), self.tick, self.params, log[1:])
+        _roll(self.state, self.plant.buffer, self.plant.delay, energised, float(demand_Pa),
+              self.tick, controlled and self.params.mode != 0, self.params, log[1:])
         self.tick += ticks
         return History(log)

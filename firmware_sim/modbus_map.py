@@ -1,0 +1,236 @@
+"""The Modbus map: every bit and register of the supervisory PLC and of the drives, one row each.
+
+Unit 1 is the rig as a plant's control room sees it, units 11 to 14 are the roller drives with what
+stands in their object dictionaries. A unit has one space of bits and one of registers: coils and
+discrete inputs read the same bits, holding and input registers the same registers, and what can be
+written says so. Rows that carry a signal or an object take its name, unit, scale and meaning from
+there; values of two registers have the higher one first.
+"""
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from enum import IntEnum
+from pathlib import Path
+from typing import NamedTuple
+
+from canopen.objectdictionary import ObjectDictionary, datatypes
+
+from rollerrig.wsp_interface import signals
+
+PLC_UNIT = 1
+FIRST_DRIVE_UNIT = 11
+DRIVE_UNITS = tuple(range(FIRST_DRIVE_UNIT, FIRST_DRIVE_UNIT + len(signals.DRIVE_NODES)))
+BIT = "BIT"
+READ, WRITE = "ro", "rw"
+# a brake demand that leaves the brakes to node 17 and the scenario's programme
+NO_DEMAND = -1
+# NMT state of a node that has never been heard
+UNHEARD = 0xFFFF
+
+
+class State(IntEnum):
+    """What the rig does, register 100 of the PLC."""
+
+    STARTING = 0
+    HELD = 1
+    RUNNING = 2
+    ENDED = 3
+
+
+class Register(NamedTuple):
+    """One row. `at` counts from 0, as on the wire; `scale` is the unit per count.
+
+    `signal` and `axle` say which column of the live row it is; `index` and `sub` which object of
+    the drive; neither: a value of the bench. `wraps`: a counter, which begins again at its bound.
+    """
+
+    at: int
+    name: str
+    kind: str
+    unit: str
+    scale: float
+    access: str
+    text: str
+    signal: str = ""
+    axle: int = 1
+    index: int = 0
+    sub: int = 0
+    of: str = ""
+    wraps: bool = False
+
+    @property
+    def width(self) -> int:
+        """How many bits or registers it takes."""
+        return 2 if self.kind in ("U32", "I32") else 1
+
+
+def _bench(at: int, name: str, kind: str, text: str, unit: str = "", scale: float = 1.0,
+           access: str = READ, wraps: bool = False) -> Register:
+    return Register(at, name, kind, unit, scale, access, text, wraps=wraps)
+
+
+BITS: tuple[Register, ...] = (
+    _bench(0, "run", BIT, "1 while the rig runs; writing 1 starts a held rig", access=WRITE),
+    _bench(1, "stop", BIT, "1 when the run is ending; writing 1 ends it", access=WRITE),
+    _bench(2, "emergency_stop", BIT, "1 applies the emergency brake, whatever else is asked; stays "
+           "until 0 is written", access=WRITE),
+    _bench(3, "held", BIT, "the rig rolls at its set speed and waits for run"),
+    _bench(4, "at_set_speed", BIT, "a held rig rolls at its speed set-point"),
+    _bench(5, "standing", BIT, "the vehicle stands"),
+    _bench(6, "wsp_unit_operational", BIT, "the WSP unit's heartbeat says OPERATIONAL"),
+    _bench(7, "nodes_operational", BIT, "drives, speed unit and brake I/O are OPERATIONAL"),
+)
+
+_SET_POINTS = (
+    _bench(0, "scenario", "U16", "number of the packaged scenario, see the list; while the rig is "
+           "held", access=WRITE),
+    _bench(1, "speed_set_point", "U16", "speed at which a held rig rolls and begins; while the rig "
+           "is held", "m_s", 0.01, WRITE),
+    _bench(2, "brake_demand_set_point", "I16", "brake cylinder pressure asked for; -1: node 17 or "
+           "the scenario decides", "Pa", signals.BY_NAME["brake_demand"].places[0].scale, WRITE),
+)
+_STATES = (
+    _bench(100, "state", "U16", "0 starting, 1 held, 2 running, 3 ended"),
+    _bench(101, "scenarios", "U16", "how many packaged scenarios there are"),
+    _bench(102, "wsp_unit_state", "U16", "NMT state of node 32: 0 booted, 4 stopped, 5 operational, "
+           "127 pre-operational, 65535 never heard"),
+    *(_bench(103 + at, f"node_{node}_state", "U16", f"NMT state of node {node}, as above")
+      for at, node in enumerate((*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE))),
+)
+_HEALTH = (
+    _bench(300, "ticks", "U32", "ticks of the run", wraps=True),
+    _bench(302, "lateness_p50", "U32", "lateness of half of the ticks", "us"),
+    _bench(304, "lateness_p99", "U32", "lateness of 99 % of the ticks", "us"),
+    _bench(306, "lateness_max", "U32", "latest tick of the run", "us"),
+    _bench(308, "events_info", "U32", "events of the run: information", wraps=True),
+    _bench(310, "events_warning", "U32", "events of the run: warnings", wraps=True),
+    _bench(312, "events_error", "U32", "events of the run: errors", wraps=True),
+    _bench(314, "bus_frames", "U32", "frames on the CAN bus", wraps=True),
+    _bench(316, "bus_frames_dropped", "U32", "frames that a slow client did not get", wraps=True),
+    _bench(318, "bus_load", "U16", "load of the CAN bus", "percent", 0.1),
+    _bench(319, "modbus_clients", "U16", "connected Modbus clients"),
+    _bench(320, "modbus_requests", "U32", "Modbus requests answered", wraps=True),
+    _bench(322, "modbus_exceptions", "U32", "of these with an exception", wraps=True),
+    _bench(324, "modbus_malformed", "U32", "connections closed, or serial frames ignored, for "
+           "malformed framing", wraps=True),
+)
+
+# first register, signal, and kind and scale where the CAN bus does not give them
+_MEASURED: tuple[tuple[int, str, str, float], ...] = (
+    (200, "time", "U32", 1e-3), (202, "vehicle_speed", "I16", 0.01), (203, "position", "U32", 0.01),
+    (205, "vehicle_acceleration", "I16", 1e-3), (206, "brake_demand", "", 0.0),
+    (207, "wsp_reference_speed", "", 0.0), (208, "wheel_speed", "", 0.0),
+    (212, "wheel_circumferential_speed", "I16", 0.01), (216, "sliding", "I16", 0.01),
+    (220, "cylinder_pressure", "", 0.0), (224, "valve", "U16", 1.0), (228, "magnets", "U16", 1.0),
+    (232, "roller_speed", "", 0.0), (240, "motor_torque", "", 0.0), (244, "brake_torque", "I16", 1.0),
+    (248, "adhesion", "U16", 1e-4), (252, "tooth_frequency", "", 0.0), (260, "pulse_count", "", 0.0),
+    (268, "vents", "U16", 1.0), (272, "wheel_load", "U32", 1.0), (280, "longest_lock", "U16", 1e-3),
+    (284, "air_consumption", "U32", 0.1), (286, "tick_lateness", "U32", 1.0),
+    (288, "tick_duration", "U32", 1.0), (290, "ticks_missed", "U32", 1.0),
+)
+# signals that appear here when the table of signals has them
+_OPTIONAL = ((400, "disc_temperature", "I16", 0.1), (404, "motor_temperature", "I16", 0.1))
+
+
+def _measured() -> Iterator[Register]:
+    optional = tuple(row for row in _OPTIONAL if row[1] in signals.BY_NAME)
+    for first, name, kind, scale in (*_MEASURED, *optional):
+        signal = signals.BY_NAME[name]
+        place = signal.places[0] if signal.places and not kind else None
+        kind, scale = (place.kind, place.scale) if place else (kind, scale)
+        for axle, column in enumerate(signals.columns(signal), start=1):
+            row = Register(first, column.removesuffix(f"_{signal.unit}"), kind, signal.unit, scale,
+                           READ, signal.text, name, axle, of=place.of if place else "",
+                           wraps=bool(place and place.wraps))
+            yield row._replace(at=first + (axle - 1) * row.width)
+
+
+WORDS: tuple[Register, ...] = (*_SET_POINTS, *_STATES, *_measured(), *_HEALTH)
+
+# a drive's registers: (first register, index), written and read, then read only
+_COMMANDED = ((0, 0x6040), (1, 0x6060), (2, 0x60FF), (4, 0x6071), (5, 0x6072), (6, 0x6083),
+              (8, 0x6084), (10, 0x6085), (12, 0x6087), (14, 0x6081), (16, 0x605A), (17, 0x605E))
+_TOLD = ((100, 0x6041), (101, 0x6061), (102, 0x606C), (104, 0x6064), (106, 0x6077), (107, 0x6078),
+         (108, 0x6079), (110, 0x603F), (111, 0x606B), (113, 0x6074), (114, 0x6076), (116, 0x6502))
+_TYPES = {datatypes.UNSIGNED8: "U16", datatypes.INTEGER8: "I16", datatypes.UNSIGNED16: "U16",
+          datatypes.INTEGER16: "I16", datatypes.UNSIGNED32: "U32", datatypes.INTEGER32: "I32"}
+
+
+def drive_words(dictionary: ObjectDictionary) -> tuple[Register, ...]:
+    """The registers of a drive, from its object dictionary."""
+    found = []
+    for access, rows in ((WRITE, _COMMANDED), (READ, _TOLD)):
+        for at, index in rows:
+            one = dictionary[index]
+            name = one.name.lower().replace(" ", "_").replace("-", "_")
+            text = f"{index:04X}h {one.name}"
+            found.append(Register(at, name, _TYPES[one.data_type], one.unit.replace("/", "_"),
+                                  one.factor, access, text, index=index))
+    return tuple(found)
+
+
+# -- the map as files
+
+HEAD = ("unit", "space", "register", "reference", "name", "kind", "unit_of_value", "scale",
+        "access", "meaning")
+
+
+def table(drives: Mapping[int, ObjectDictionary]) -> list[tuple[str, ...]]:
+    """All rows as text, in the order of `HEAD`; `drives` are the dictionaries by Modbus unit."""
+    units = {PLC_UNIT: (BITS, WORDS)} | {
+        unit: ((), drive_words(one)) for unit, one in drives.items()}
+    return [_line(unit, space, row) for unit, spaces in units.items()
+            for space, rows in zip(("bits", "registers"), spaces, strict=True) for row in rows]
+
+
+def _line(unit: int, space: str, row: Register) -> tuple[str, ...]:
+    last = f"..{row.at + row.width - 1}" if row.width > 1 else ""
+    # the references of Modicon count from 1 and tell the table in front
+    if space == "bits":
+        reference = f"{row.at + 1:05d}" if row.access == WRITE else f"{10001 + row.at}"
+    else:
+        reference = f"{(40001 if row.access == WRITE else 30001) + row.at}"
+    scale = f"{row.scale:.6g}" + (f" x {row.of}" if row.of else "")
+    return (str(unit), space, f"{row.at}{last}", reference, row.name, row.kind,
+            row.unit.replace("_", "/"), scale, row.access, row.text)
+
+
+def markdown(drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()) -> str:
+    """The map as a document. `scenarios`: their names, in the order of their numbers."""
+    rows = table(drives)
+    lines = [
+        "# Modbus map", "",
+        "Addresses count from 0, as on the wire; the references of other tools count from 1 and are",
+        "given beside them. Functions 1 and 2 read the same bits, 3 and 4 the same registers; only",
+        "rows marked rw can be written (5, 6, 15, 16, 22, 23). A value of two registers has the",
+        "higher one first and is written whole. Value = count x scale; a quantity that is not known",
+        "is the lowest count of its kind.", "",
+    ]
+    for unit in dict.fromkeys(row[0] for row in rows):
+        what = "the rig" if unit == str(PLC_UNIT) else f"roller drive {int(unit) - 10}"
+        lines += [f"## Unit {unit}: {what}", "", f"| {' | '.join(HEAD[1:])} |",
+                  "|" + "---|" * (len(HEAD) - 1)]
+        lines += [f"| {' | '.join(row[1:])} |" for row in rows if row[0] == unit]
+        lines.append("")
+    if scenarios:
+        lines += ["## Scenarios, register 0 of unit 1", "", "| number | scenario |", "|---|---|"]
+        lines += [f"| {number} | {name} |" for number, name in enumerate(scenarios)]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def table_csv(drives: Mapping[int, ObjectDictionary]) -> str:
+    """The map as CSV, with a line of heads."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([HEAD, *table(drives)])
+    return text.getvalue()
+
+
+def write(folder: Path, drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()
+          ) -> list[Path]:
+    """Write `modbus.md` and `modbus.csv` into a folder; what was written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {"modbus.md": markdown(drives, scenarios), "modbus.csv": table_csv(drives)}
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]

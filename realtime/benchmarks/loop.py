@@ -1,0 +1,140 @@
+"""How punctual the real-time loop is, against `cyclictest` at the same priority in the same minute.
+
+Both are run in short slices by turns, because at the same time they would hold each other up: at
+equal priority neither interrupts the other. The loop carries bus, recorder and WSP unit as in any
+run; cyclictest has the machine to itself but for what else runs on it. Source: cyclictest of
+rt-tests, whose latency is now minus the absolute deadline, as is our lateness.
+"""
+
+import argparse
+import re
+import shutil
+import subprocess
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from rollerrig.realtime import loop, scenario
+from rollerrig.realtime.benchmarks import figures, wall
+from rollerrig.realtime.benchmarks.figures import Result, Say, Target
+from rollerrig.realtime.tick import MISSED, TICK, WORST_NS
+
+WITHIN = 1.2
+_SLICE_S, _OTHER_SLICE_S = 10.0, 5.0
+INSTALL = "install rt-tests (Debian, Ubuntu: apt-get install rt-tests) for the comparison"
+_BIN = re.compile(r"^(\d{6}) (\d+)", re.MULTILINE)
+_MAX = re.compile(r"^# Max Latencies: (\d+)", re.MULTILINE)
+_BEYOND = re.compile(r"^# Histogram Overflows: (\d+)", re.MULTILINE)
+
+
+class Punctuality:
+    """Latenesses of one program over all its slices: a histogram of 1 us bins, and the worst."""
+
+    def __init__(self) -> None:
+        self.histogram = np.zeros(loop.BINS, dtype=np.int64)
+        self.worst_ns = 0
+        self.missed = 0
+
+    def add(self, histogram: np.ndarray, worst_ns: int, missed: int) -> None:
+        """Add a slice."""
+        self.histogram += histogram
+        self.worst_ns = max(self.worst_ns, worst_ns)
+        self.missed += missed
+
+    def plain(self) -> Result:
+        """As it stands in JSON."""
+        return {"samples": int(self.histogram.sum()), "missed": self.missed,
+                "lateness_us": loop.percentiles(self.histogram, self.worst_ns)}
+
+
+def run(given: argparse.Namespace, say: Say) -> Result:
+    """Alternate cyclictest and the loop until the loop has run for the seconds asked for."""
+    settings = tuple(given.set)
+    rates = scenario.load(wall.SCENARIO, settings=settings)["loop"]
+    interval_us = 1_000_000 // rates["tick_hz"]
+    other = shutil.which("cyclictest")
+    ours, theirs = Punctuality(), Punctuality()
+    refused: list[str] = []
+    slices = max(1, round(given.seconds / _SLICE_S))
+    for at in range(slices):
+        if other:
+            say(f"cyclictest, {_OTHER_SLICE_S:g} s ...")
+            theirs.add(*cyclictest(other, rates["priority"], interval_us, _OTHER_SLICE_S))
+        say(f"the loop, slice {at + 1} of {slices} ...")
+        refused = _slice(given.seconds / slices, settings, given.live, ours)
+    if other:
+        say(f"cyclictest, {_OTHER_SLICE_S:g} s ...")
+        theirs.add(*cyclictest(other, rates["priority"], interval_us, _OTHER_SLICE_S))
+    result: Result = {"tick_hz": rates["tick_hz"], "priority": rates["priority"],
+                      "live": given.live, "loop": ours.plain(),
+                      "cyclictest": theirs.plain() if other else None, "refused": refused}
+    result |= compared(ours, theirs if other else None)
+    result["notes"] += refused
+    return result
+
+
+def _slice(seconds: float, settings: tuple[str, ...], live: bool, ours: Punctuality) -> list[str]:
+    with wall.held(seconds, settings=settings, live=live) as measured:
+        control = measured.bench.machine.control
+        ours.add(measured.bench.histogram, int(control[WORST_NS]), int(control[MISSED]))
+        if not control[TICK]:
+            return ["every tick"]
+        return [one["text"] for one in measured.bench.events if "was refused" in one["text"]]
+
+
+def cyclictest(program: str, priority: int, interval_us: int,
+               seconds: float) -> tuple[np.ndarray, int, int]:
+    """Run cyclictest: histogram in us, worst in ns, and how often it was late by an interval."""
+    done = subprocess.run(
+        [program, "-m", *(["-p", str(priority)] if priority else []), "-i", str(interval_us), "-q",
+         "-h", str(loop.BINS), "-D", str(max(1, round(seconds)))],
+        capture_output=True, text=True, timeout=seconds + 30.0, check=False)
+    return parse(done.stdout, interval_us)
+
+
+def parse(text: str, interval_us: int) -> tuple[np.ndarray, int, int]:
+    """What cyclictest -q -h prints: histogram in us, worst in ns, latenesses of an interval."""
+    histogram = np.zeros(loop.BINS, dtype=np.int64)
+    for at, count in _BIN.findall(text):
+        histogram[min(int(at), loop.BINS - 1)] += int(count)
+    beyond, worst = _BEYOND.search(text), _MAX.search(text)
+    histogram[-1] += int(beyond[1]) if beyond else 0
+    return histogram, 1000 * int(worst[1]) if worst else 0, int(histogram[interval_us:].sum())
+
+
+def compared(ours: Punctuality, theirs: Punctuality | None) -> Result:
+    """Ratios of the quantiles, targets, and whether missed ticks are the machine's own."""
+    notes = ["by turns, in slices: at the same time they would hold each other up"]
+    if theirs is None or not theirs.histogram.sum():
+        why = "cyclictest is not here" if theirs is None else "cyclictest was refused its priority"
+        return {"ratio": None, "targets": [], "notes": [f"{why}; {INSTALL}; our own figures only"]}
+    mine, his = ours.plain()["lateness_us"], theirs.plain()["lateness_us"]
+    ratio = {name: mine[name] / max(his[name], 1.0) for name in mine}
+    targets = [Target(f"lateness {name} over cyclictest's", ratio[name], WITHIN).plain()
+               for name in ("p99", "p999")]
+    # as many as cyclictest would have missed in as many ticks, and as chance adds to so few
+    share = ours.histogram.sum() / theirs.histogram.sum()
+    expected = WITHIN * theirs.missed * share
+    limit = float(expected + 2.0 * np.sqrt(expected)) if expected else 0.0
+    targets.append(Target("missed ticks, by what cyclictest missed", float(ours.missed),
+                          limit).plain())
+    return {"ratio": ratio, "targets": targets, "notes": notes}
+
+
+def table(result: Result) -> Table:
+    """Both programs' lateness, and the ratios."""
+    def row(name: str, one: dict[str, Any] | None) -> tuple[object, ...]:
+        late = (one or {}).get("lateness_us", {})
+        return (name, (one or {}).get("samples"), *(late.get(k) for k in _NAMES),
+                (one or {}).get("missed"))
+
+    rows = [row("loop", result["loop"]), row("cyclictest", result["cyclictest"])]
+    if result["ratio"]:
+        rows.append(("ratio", None, *(result["ratio"][name] for name in _NAMES), None))
+    title = (f"lateness in us, {result['tick_hz']} Hz, SCHED_FIFO {result['priority']}"
+             + (", live view" if result["live"] else ""))
+    return figures.table(title, ("", "ticks", *_NAMES, "missed"), rows)
+
+
+_NAMES = ("p50", "p99", "p999", "max")

@@ -1,0 +1,83 @@
+"""A wall-paced run to measure on: the real bench with bus, recorder and unit, for some seconds.
+
+It leaves its record in a temporary folder for as long as the caller looks at it. Whatever else is
+to be measured runs beside it in the bus thread's own event loop.
+"""
+
+import asyncio
+import contextlib
+import tempfile
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rollerrig.configs.errors import RollerrigError
+from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.bench import Bench
+
+SCENARIO = "velim_a1"
+Beside = Callable[[Bench], Awaitable[Any]]
+
+
+class Measured(NamedTuple):
+    """A run that has ended: its bench, folder, summary, and what was measured beside it."""
+
+    bench: Bench
+    folder: Path
+    summary: dict[str, Any]
+    beside: Any
+    bus_thread_share: float
+
+
+@contextlib.contextmanager
+def held(seconds: float, unit: str = "reference", settings: tuple[str, ...] = (),
+         live: bool = False, beside: Beside | None = None) -> Iterator[Measured]:
+    """Run the scenario for some seconds on a hub with a free port; the record lives in the block.
+
+    `beside(bench)` runs once the bus is open. Raises RollerrigError as a run does, and
+    KeyboardInterrupt where the user broke it off.
+    """
+    plan = scenario.load(SCENARIO, settings=(
+        f"duration_max_s={seconds:g}", "bus.interface=hub", "bus.socketcand_port=0", *settings))
+    with tempfile.TemporaryDirectory(prefix="rollerrig-bench-") as name:
+        folder = Path(name) / "run"
+        run = Bench(plan, bench.Options("wall", unit, folder, live), lambda progress: None)
+        summary, found, share = asyncio.run(_run(run, beside))
+        if run.ended_by == "interrupted":
+            raise KeyboardInterrupt
+        yield Measured(run, folder, summary, found, share)
+
+
+async def _run(run: Bench, beside: Beside | None) -> tuple[dict[str, Any], Any, float]:
+    tasks = [asyncio.ensure_future(_share(run))]
+    if beside:
+        tasks.append(asyncio.ensure_future(_when_open(run, beside)))
+    try:
+        summary = await run.run()
+        found = await asyncio.wait_for(asyncio.gather(*tasks), 10.0)
+    except TimeoutError:
+        raise RollerrigError("what was measured beside the run has not ended with it; the machine "
+                             "may be overloaded: try again when it is less busy") from None
+    finally:
+        for task in tasks:
+            task.cancel()
+    return summary, found[1] if beside else None, found[0]
+
+
+async def _when_open(run: Bench, beside: Beside) -> Any:
+    while run.bus is None:
+        await asyncio.sleep(0.01)
+    return await beside(run)
+
+
+async def _share(run: Bench) -> float:
+    """The share of a core that the bus thread takes between the first tick and the last."""
+    while not run.machine.control[bench.TICK]:
+        await asyncio.sleep(0.01)
+    begun_s, cpu_s = time.monotonic(), time.thread_time()
+    share = 0.0
+    while not run.stopping:
+        await asyncio.sleep(0.05)
+        share = (time.thread_time() - cpu_s) / (time.monotonic() - begun_s)
+    return share

@@ -1,0 +1,59 @@
+"""`rollerrig check`: what this machine can do, and how to enable what it cannot.
+
+Every row is one question, put to the machine itself and not to a list of known machines: the port
+is bound, the priority asked for, memory locked and let go. Exit status 0 when a run is possible at
+all, 2 when it is not.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.table import Table
+
+from rollerrig.realtime import host
+from rollerrig.realtime.host import Finding, State
+
+PASS, USAGE = 0, 2
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--port", type=int, default=29536, metavar="N",
+                        help="the hub's port to look at (default: 29536)")
+
+
+def call(given: argparse.Namespace) -> int:
+    findings = look(given.port)
+    possible = all(one.state is not State.MISSING for one in findings)
+    if given.json:
+        print(json.dumps({"possible": possible, "checks": [one._asdict() for one in findings]}))
+    else:
+        Console().print(table(findings))
+        print("a run is possible" if possible else "no run is possible before the rows that say "
+              "'missing' are mended", file=sys.stderr)
+    return PASS if possible else USAGE
+
+
+def look(port: int) -> list[Finding]:
+    """Ask the machine all questions, in the order of the table."""
+    checks: tuple[Callable[[], Finding], ...] = (
+        host.python, host.packages, host.kernels, host.shared_memory, host.loopback,
+        host.socketcan, lambda: host.port(port), host.cores, host.priority,
+        host.memory_lock, host.idle_states, host.governor, host.preemption,
+        host.display, host.pictures, host.cyclictest)
+    return [check() for check in checks]
+
+
+_COLOURS = {State.OK: "green", State.WEAKER: "yellow", State.MISSING: "bold red"}
+
+
+def table(findings: list[Finding]) -> Table:
+    """The findings for a terminal."""
+    shown = Table(title="what this machine can do", title_justify="left")
+    for head in ("what", "state", "found", "how to enable"):
+        shown.add_column(head, overflow="fold")
+    for one in findings:
+        shown.add_row(one.name, f"[{_COLOURS[one.state]}]{one.state}[/]", one.found, one.mend)
+    return shown

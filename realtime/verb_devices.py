@@ -1,0 +1,52 @@
+"""`rollerrig devices`: the files that tell other tools what stands on the rig's buses."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", type=Path, default=Path("devices"), metavar="DIR",
+                        help="folder to write into (default: devices)")
+    parser.add_argument("--scenario", default="velim_a1", metavar="NAME",
+                        help="whose rig: its rated torques and pole wheels stand in the objects' "
+                        "units (default: velim_a1)")
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
+                        help="change one value, as in sensor.teeth=80; may be repeated")
+
+
+def call(given: argparse.Namespace) -> int:
+    from rollerrig.configs.errors import ConfigError
+    from rollerrig.realtime import scenario
+    from rollerrig.wsp_interface import descriptions
+
+    plan = scenario.load(given.scenario, settings=tuple(given.set))
+    try:
+        written = descriptions.write(given.out, dictionaries(plan))
+    except OSError as error:
+        raise ConfigError(f"{given.out}: cannot be written: {error.strerror}; give another folder "
+                          "with --out") from None
+    if given.json:
+        print(json.dumps({"folder": str(given.out), "files": [path.name for path in written]}))
+    else:
+        for path in written:
+            print(path)
+        print(f"{len(written)} files for tools that read EDS, DBC and tables", file=sys.stderr)
+    return 0
+
+
+def dictionaries(plan: Any) -> list[Any]:
+    """The object dictionaries of a scenario's nodes, from the very nodes that a run makes."""
+    import numpy as np
+
+    from rollerrig.realtime import rig_bus
+    from rollerrig.wsp_interface import signals
+    from rollerrig.wsp_interface.hub import Hub
+
+    # a hub that listens nowhere: the nodes boot, and nobody hears them
+    bus = rig_bus.RigBus(Hub(lambda: 0), plan, np.zeros(len(signals.COLUMNS)), lambda: None,
+                         lambda level, text: None, lambda: 0)
+    members: list[Any] = bus.rack.members
+    return [member.dictionary for member in members if hasattr(member, "dictionary")]

@@ -1,0 +1,82 @@
+"""Equivalent conicity: the cone on which a wheelset would run with the same wavelength.
+
+A wheelset shifted sideways stands on two rolling radii; their difference steers it back. It is laid
+down so that both wheels just touch, the difference is tabulated over the shift, and the wavelength
+of the motion of a given amplitude follows by integration. A cone of the same wavelength has the
+equivalent conicity.
+
+[E1] y'' = -dr(y) / (e r0), e between the running circles, dr = r_left - r_right for a shift y
+[E2] lambda = 4 int_0^A dy / sqrt(2 (V(A) - V(y))), V = int dr / (e r0) dy
+[E3] tan gamma_e = (2 pi / lambda)^2 e r0 / 2
+
+Source: EN 15302, annex on integration; Klingel 1883. Rigid contact: no patch, no load.
+"""
+
+import math
+
+import numpy as np
+
+from rollerrig.rig.contact import geometry
+from rollerrig.rig.contact.profiles import Rail, Wheel
+
+_STEPS = 12
+
+
+def settle(
+    y_m: float, wheel: Wheel, rail: Rail, roller_m: float = math.inf
+) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """Lay a wheelset shifted by y_m (left positive) down on both rails.
+
+    Returns its height in m, its roll in rad, and the contacts of the left and the right wheel, the
+    nearest one as a row of `geometry.COLUMNS`.
+    """
+    z, roll = float(wheel.radius_m[int(-wheel.start_m / wheel.spacing_m)]), 0.0
+    for _ in range(_STEPS):
+        left = geometry.contacts((0.0, y_m, z, roll, 0.0, 0.0), wheel, rail, roller_m)[0]
+        right = geometry.contacts((0.0, -y_m, z, -roll, 0.0, 0.0), wheel, rail, roller_m)[0]
+        # d gap = n_z dz +- (Y n_z - Z n_y) droll
+        arm_left = left[geometry.Y] * left[geometry.NZ] - left[geometry.Z] * left[geometry.NY]
+        arm_right = right[geometry.Y] * right[geometry.NZ] - right[geometry.Z] * right[geometry.NY]
+        system = np.array(((left[geometry.NZ], arm_left), (right[geometry.NZ], -arm_right)))
+        move = np.linalg.solve(system, -np.array((left[geometry.GAP], right[geometry.GAP])))
+        z, roll = z + move[0], roll + move[1]
+        if np.abs(move).max() < 1e-10:
+            break
+    return z, roll, left, right
+
+
+def radius_difference(
+    shifts_m: np.ndarray, wheel: Wheel, rail: Rail, roller_m: float = math.inf
+) -> np.ndarray:
+    """Rolling radius of the left wheel less that of the right one, in m, over the shifts."""
+    differences = []
+    for shift in shifts_m:
+        _, _, left, right = settle(float(shift), wheel, rail, roller_m)
+        differences.append(left[geometry.RADIUS] - right[geometry.RADIUS])
+    return np.array(differences)
+
+
+def equivalent(
+    amplitude_m: float, wheel: Wheel, rail: Rail, roller_m: float = math.inf, points: int = 61
+) -> float:
+    """Equivalent conicity tan gamma_e at an amplitude in m [E1 to E3].
+
+    Raises ValueError where the wheelset is not steered back over the whole amplitude.
+    """
+    shifts = np.linspace(0.0, amplitude_m, points)
+    steering = radius_difference(shifts, wheel, rail, roller_m)
+    # y = A sin(t) takes the singularity at the turning point away
+    t = (np.arange(4000) + 0.5) * (0.5 * math.pi / 4000)
+    y = amplitude_m * np.sin(t)
+    V = np.concatenate(([0.0], np.cumsum(0.5 * (steering[1:] + steering[:-1]) * np.diff(shifts))))
+    fine = np.linspace(0.0, amplitude_m, 20001)
+    slope = np.interp(fine, shifts, steering)
+    V = np.concatenate(([0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(fine))))
+    left = V[-1] - np.interp(y, fine, V)
+    if np.any(left <= 0.0):
+        raise ValueError(
+            f"equivalent conicity at {amplitude_m * 1e3:g} mm: the rolling radii do not steer the "
+            "wheelset back over the whole amplitude; take another amplitude or profile")
+    # e r0 cancels between [E2] and [E3]
+    wavelength = 4.0 * np.sum(amplitude_m * np.cos(t) / np.sqrt(2.0 * left)) * (t[1] - t[0])
+    return float(0.5 * (2.0 * math.pi / wavelength) ** 2)

@@ -1,0 +1,127 @@
+"""FASTSIM: the contact patch in strips, traction carried from the leading edge to the trailing one.
+
+A particle of the wheel enters at the leading edge without traction. As it rolls through, creepage
+and spin strain it until the traction meets the friction limit; from there on it slips, and the
+traction turns towards the direction against the slip. Three flexibilities, for longitudinal,
+lateral and spin creepage, make the sum right at small creepage.
+
+[F1] L1 = 8 a / (3 G c11), L2 = 8 a / (3 G c22), L3 = pi a sqrt(a/b) / (4 G c23)
+[F2] stick: dp_x/dx = xi / L1 - phi y / L3,  dp_y/dx = eta / L2 + phi x / L3
+[F3] limit: g = 2 mu N / (pi a b) (1 - x^2/a^2 - y^2/b^2)
+[F4] slip: |p| = g, and d(theta)/dx = |w| / (L g) sin(theta - theta_w), theta_w against w = (xi - phi y,
+     eta + phi x), which holds exactly over a step with constant w, L and g
+[F5] 1/L = S (|xi| + |eta| + l |phi|) / (L1 |xi| + L2 |eta| + L3 l |phi|),  l = sqrt(a b)
+
+Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip,
+whose pole three flexibilities would shift, with one mean flexibility [F5], by an exact step [F4]
+where Kalker cuts the traction back radially (first order in the step only). S = 1.25: traction that
+turns within the patch meets a stiffer half-space than a traction that grows over all of it; found
+on 54 CONTACT results for a/b = 1.3. Sums are divided by the sum of the limit, so that full sliding
+gives mu N on any grid.
+"""
+
+import math
+
+from rollerrig.rig.kernel import kernel
+
+STIFFENING = 1.25  # S of [F5]
+OPPOSITE = -0.999999  # cosine of traction against its goal, from where the turn is no longer defined
+
+
+@kernel
+def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
+    """Creep force and moment on the wheel, (fx_N, fy_N, mz_Nm), against creepage and spin.
+
+    `patch` an `adhesion.Patch`, phi_1_m the spin in 1/m, `across` strips of `along` cells each.
+    Without load or friction all three are 0.
+    """
+    limit = mu * load_N
+    if not limit > 0.0:
+        return 0.0, 0.0, 0.0
+    growth = load_N ** (1.0 / 3.0)
+    a, b = patch.a1 * growth, patch.b1 * growth
+    s1, s2, s3, s = stiffnesses(xi, eta, phi_1_m, a, b, limit, patch)
+    fx, fy, mz, full = 0.0, 0.0, 0.0, 0.0
+    for j in range(across):
+        y = (2.0 * j + 1.0) / across - 1.0
+        edge = math.sqrt(1.0 - y * y)
+        # slip per unit of x/a, in units of the largest traction: as stick and as slip see it
+        spin = phi_1_m * a
+        px, py, mp, top = strip(
+            s1 * xi - s3 * phi_1_m * b * y, s2 * eta, s3 * spin, s * (xi - phi_1_m * b * y),
+            s * eta, s * spin, edge, along)
+        fx += px
+        fy += py
+        mz += a * mp - b * y * px
+        full += top
+    unit = limit / full
+    return fx * unit, fy * unit, mz * unit
+
+
+@kernel
+def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
+    """a/L1, a/L2, a/L3 and a/L of [F1] and [F5], over the largest traction of [F3]."""
+    unit = patch.shear_Pa * math.pi * a_m * b_m / (2.0 * limit_N)
+    s1, s2 = 0.375 * unit * patch.c11, 0.375 * unit * patch.c22
+    s3 = 4.0 / math.pi * unit * patch.c23 * math.sqrt(b_m / a_m)
+    x, y, z = abs(xi), abs(eta), abs(phi_1_m) * math.sqrt(a_m * b_m)
+    whole = x + y + z
+    if whole == 0.0:
+        return s1, s2, s3, s1
+    return s1, s2, s3, STIFFENING * whole / (x / s1 + y / s2 + z / s3)
+
+
+@kernel
+def strip(stick_x, stick_y, stick_spin, slip_x, slip_y, slip_spin, edge, cells):
+    """One strip from x = edge to -edge (in units of a): sums of p_x, p_y, x p_y and of the limit.
+
+    All four are multiplied by the width of a cell; traction is taken at the middle of each cell.
+    """
+    width = 2.0 * edge / cells
+    top = edge * edge
+    px, py, x, h = 0.0, 0.0, edge, 0.5 * width
+    fx, fy, mz, full = 0.0, 0.0, 0.0, 0.0
+    slipping = False
+    for _ in range(cells):
+        middle = x - 0.5 * h
+        x -= h
+        limit = top - x * x
+        tx = px - stick_x * h  # [F2]
+        ty = py - (stick_y + stick_spin * middle) * h
+        square = tx * tx + ty * ty
+        if square <= limit * limit:
+            px, py, slipping = tx, ty, False
+        elif slipping:
+            wy = -(slip_y + slip_spin * middle)
+            px, py = turned(px, py, -slip_x, wy, h / (top - middle * middle), limit)  # [F4]
+        else:
+            cut = limit / math.sqrt(square)
+            px, py, slipping = tx * cut, ty * cut, True
+        fx += px
+        fy += py
+        mz += x * py
+        full += limit
+        h = width
+    return fx * width, fy * width, mz * width, full * width
+
+
+@kernel
+def turned(px, py, wx, wy, step, limit):
+    """A traction of size `limit` that has turned from the direction of (px, py) towards (wx, wy).
+
+    The half angle's tangent decays with exp(-|w| step) [F4], taken by its inverse series.
+    """
+    speed = math.hypot(wx, wy)
+    size = math.hypot(px, py)
+    if speed == 0.0 or size == 0.0:
+        share = limit / size if size > 0.0 else 0.0
+        return px * share, py * share
+    nx, ny = wx / speed, wy / speed
+    cosine, sine = (px * nx + py * ny) / size, (px * ny - py * nx) / size
+    if cosine < OPPOSITE:
+        cosine, sine = OPPOSITE, math.copysign(math.sqrt(1.0 - OPPOSITE * OPPOSITE), sine)
+    z = speed * step
+    half = sine / (1.0 + cosine) / (1.0 + z * (1.0 + z * (0.5 + z / 6.0)))
+    rest = limit / (1.0 + half * half)
+    cosine, sine = rest * (1.0 - half * half), rest * 2.0 * half
+    return nx * cosine + ny * sine, ny * cosine - nx * sine

@@ -1,0 +1,74 @@
+"""Kalker's linear creep force, bent over to full sliding by Johnson and Vermeulen's cubic.
+
+At small creepage force and moment are linear in creepage and spin. The linear force F is then
+reduced so that it reaches the friction limit, with a horizontal tangent, at three times that limit.
+Beyond, it turns from Kalker's direction to that against the creepage, which a patch that slides as a
+whole must have.
+
+[J1] F_x = -G a b c11 xi,  F_y = -G a b (c22 eta + sqrt(a b) c23 phi)
+[J2] u = |F| / (mu N):  |F'| = mu N (u - u^2 / 3 + u^3 / 27) for u < 3, else mu N
+[J3] direction: F + (u / 2.8)^3 |F| w / |w|, with w = -(xi, eta + sqrt(a b) phi c23 / c22)
+[J4] M_z by `creep_moment`
+
+xi, eta longitudinal and lateral creepage, phi spin in 1/m; forces act on the wheel, against creepage.
+Source: Kalker 1967; Vermeulen and Johnson 1964; Shen, Hedrick and Elkins 1983 (with spin). [J3] is
+ours, read off results of CONTACT: theirs keep Kalker's direction, 8 degrees off in a patch with
+c11 / c22 = 1.3. Limits: spin beyond about sqrt(a b) |phi| = mu is badly served, there the error
+reaches 0.76 mu N.
+"""
+
+import math
+
+from rollerrig.rig.contact import creep_moment
+from rollerrig.rig.kernel import kernel
+
+
+TURN = 2.8  # linear force, in units of the limit, at which half of the turn is done [J3]
+
+
+@kernel
+def linear(xi, eta, phi_1_m, load_N, patch):
+    """Kalker's linear (fx_N, fy_N) on the wheel for an `adhesion.Patch` [J1]; 0 without load."""
+    if not load_N > 0.0:
+        return 0.0, 0.0
+    growth = load_N ** (1.0 / 3.0)
+    ab = patch.a1 * patch.b1 * growth * growth
+    stiff = patch.shear_Pa * ab
+    return (
+        -stiff * patch.c11 * xi,
+        -stiff * (patch.c22 * eta + math.sqrt(ab) * patch.c23 * phi_1_m),
+    )
+
+
+@kernel
+def force(xi, eta, phi_1_m, mu, load_N, patch):
+    """Creep force and moment on the wheel (fx_N, fy_N, mz_Nm); 0 without load or friction."""
+    fx, fy = linear(xi, eta, phi_1_m, load_N, patch)
+    limit = mu * load_N
+    if not limit > 0.0:
+        return 0.0, 0.0, 0.0
+    u = math.hypot(fx, fy) / limit
+    ux, uy = direction(fx, fy, u, patch)
+    size = limit * u * reduction(u)  # [J2]
+    return size * ux, size * uy, creep_moment.moment(xi, eta, phi_1_m, limit, load_N, patch)
+
+
+@kernel
+def direction(fx, fy, u, patch):
+    """The unit vector of a force whose linear one is (fx, fy), u times the friction limit [J3]."""
+    size = math.hypot(fx, fy)
+    if size == 0.0:
+        return 0.0, 0.0
+    wx, wy = fx / patch.c11, fy / patch.c22
+    turn = min((u / TURN) ** 3, 1e9) / math.hypot(wx, wy)
+    ux, uy = fx / size + turn * wx, fy / size + turn * wy
+    size = math.hypot(ux, uy)
+    return ux / size, uy / size
+
+
+@kernel
+def reduction(u):
+    """Force over linear force, for the linear force in units of the friction limit [J2]."""
+    if u >= 3.0:
+        return 1.0 / u
+    return 1.0 - u / 3.0 + u * u / 27.0

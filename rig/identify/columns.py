@@ -1,0 +1,311 @@
+"""The list of all that could change a replay: base parameters, causes, and smooth functions.
+
+A column is a course in time of the change of a wheel's acceleration (and of the vehicle's) for a
+unit of one coefficient. Base parameters always stay in the fit, those with a declared tolerance
+under a prior; a cause is one or several columns, some causes have variants of shape.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from rollerrig.rig.identify import sensitivity
+from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.sensitivity import Inputs, Linear
+
+AXLES = 4
+PLACE_BIN_M = 25.0
+TIME_BIN_S = 2.0
+BASE = "base"
+# tolerance of ln tau and of the contact's constants, which the base may use freely
+_FREE = 0.0
+
+
+class Column(NamedTuple):
+    """One coefficient: whose it is, its label, prior deviation (0: free)."""
+
+    owner: str
+    label: str
+    prior: float
+
+
+class Variant(NamedTuple):
+    """A cause in one shape: the columns that it frees, and what the shape is."""
+
+    cause: str
+    columns: tuple[int, ...]
+    shape: dict[str, float]
+    axle: int  # 0: all
+
+
+class Book(NamedTuple):
+    """Columns, their courses and variants. `wheel` (n, columns), `vehicle` (nv, columns)."""
+
+    columns: list[Column]
+    wheel: np.ndarray
+    vehicle: np.ndarray
+    variants: list[Variant]
+
+
+class _Writer:
+    """Collects columns: a wheel part (flat) and a vehicle part (flat)."""
+
+    def __init__(self, design: Design) -> None:
+        self.design, self.columns, self.wheel, self.vehicle = design, [], [], []
+        self.variants: list[Variant] = []
+
+    def add(self, owner: str, label: str, wheel: np.ndarray | None,
+            vehicle: np.ndarray | None = None, prior: float = _FREE) -> int:
+        d = self.design
+        self.columns.append(Column(owner, label, prior))
+        self.wheel.append(np.zeros(d.measured_rad_s.size) if wheel is None else wheel)
+        self.vehicle.append(np.zeros(d.vehicle_m_s.size) if vehicle is None else vehicle)
+        return len(self.columns) - 1
+
+    def variant(self, cause: str, columns: list[int], axle: int = 0, **shape: float) -> None:
+        self.variants.append(Variant(cause, tuple(columns), shape, axle))
+
+
+def of_axle(design: Design, axle: int) -> np.ndarray:
+    """1 on the samples of an axle (0 the leading), shape (n,)."""
+    return np.repeat((design.axle == axle).astype(float), np.diff(design.start))
+
+
+def of_run(design: Design, run: int) -> np.ndarray:
+    """1 on the samples of a run."""
+    return np.repeat((design.run == run).astype(float), np.diff(design.start))
+
+
+def smooth_torque(design: Design, torque: np.ndarray) -> np.ndarray:
+    """Torque smoothed within each segment (0.03 s): what multiplies a coefficient has no noise."""
+    out = np.empty_like(torque)
+    for s in range(design.segments):
+        at = design.span(s)
+        out[at] = gaussian_filter1d(torque[at], 0.03 / design.step_s, mode="nearest")
+    return out
+
+
+def rate(design: Design, values: np.ndarray) -> np.ndarray:
+    """d/dt within each segment."""
+    out = np.empty_like(values)
+    for s in range(design.segments):
+        at = design.span(s)
+        out[at] = np.gradient(values[at], design.step_s)
+    return out
+
+
+def to_vehicle(design: Design, force: np.ndarray) -> np.ndarray:
+    """Sum over the wheelsets of a flat array, as one flat array of vehicles."""
+    out = np.zeros(design.vehicle_m_s.size)
+    for s in range(design.segments):
+        run = int(design.run[s])
+        at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
+        out[at] += force[design.span(s)]
+    return out
+
+
+def vehicle_mass(design: Design) -> np.ndarray:
+    """Mass in kg on each vehicle sample."""
+    return np.repeat(design.mass_kg, np.diff(design.vehicle_start))
+
+
+def write(design: Design, inputs: Inputs, linear: Linear, generic: bool = True) -> Book:
+    """All columns of a design around a replay."""
+    w = _Writer(design)
+    torque = smooth_torque(design, inputs.torque_Nm)
+    _base(w, design, inputs, linear, torque)
+    friction = linear.rates[:, sensitivity.FRICTION]
+    _friction_causes(w, design, friction)
+    _torque_causes(w, design, inputs, torque)
+    _contact_causes(w, design, linear)
+    _sensor_causes(w, design, inputs, linear, torque)
+    _load_causes(w, design, linear)
+    _windows(w, design, friction)
+    if generic:
+        _smooth_functions(w, design, friction)
+    wheel = np.column_stack(w.wheel)
+    # the change over a sample is that at its middle
+    last = design.start[1:] - 1
+    middle = 0.5 * (wheel[:-1] + wheel[1:])
+    keep = wheel[last].copy()
+    wheel[:-1] = middle
+    wheel[last] = keep
+    return Book(w.columns, wheel, np.column_stack(w.vehicle), w.variants)
+
+
+def _torque_column(w: _Writer, d: Design, inputs: Inputs, owner: str, label: str,
+                   change: np.ndarray, prior: float = _FREE) -> int:
+    inertia = inputs.parameters[0, 1]
+    return w.add(owner, label, -change / inertia,
+                 -to_vehicle(d, change) / (d.base[0] * vehicle_mass(d)), prior)
+
+
+def _base(w: _Writer, d: Design, inputs: Inputs, linear: Linear, torque: np.ndarray) -> None:
+    friction, load = linear.rates[:, sensitivity.FRICTION], linear.rates[:, sensitivity.LOAD]
+    tolerance = max(d.calibration, 1e-4)
+    runs = d.mass_kg.size
+    for run in range(runs):
+        w.add(BASE, f"ln_mu_cd_{run}", friction * of_run(d, run))
+    w.add(BASE, "ln_tau", linear.rates[:, sensitivity.TAU])
+    _torque_column(w, d, inputs, BASE, "torque_gain", torque, tolerance)
+    for j in range(AXLES):
+        _torque_column(w, d, inputs, BASE, f"torque_gain_{j}", torque * of_axle(d, j), tolerance)
+        w.add(BASE, f"load_gain_{j}", load * of_axle(d, j), None, tolerance)
+    force = np.concatenate([sensitivity.vehicle_force(d, inputs, run) for run in range(runs)])
+    for run in range(runs):
+        mask = np.zeros_like(force)
+        mask[d.vehicle_start[run]:d.vehicle_start[run + 1]] = 1.0
+        w.add(BASE, f"mass_{run}", None, force * mask, tolerance)
+
+
+def _friction_causes(w: _Writer, d: Design, friction: np.ndarray) -> None:
+    for energy in (40.0, 150.0, 600.0):
+        at = w.add("rail_cleaning", "gain", friction * -np.expm1(-d.cleaned_J_m / energy))
+        w.variant("rail_cleaning", [at], energy_J_m=energy)
+    at = w.add("speed_dependent_friction", "slope_per_m_s", friction * (d.speed_m_s - 20.0))
+    w.variant("speed_dependent_friction", [at])
+    at = w.add("friction_trend", "rate_1_s", friction * d.time_s)
+    w.variant("friction_trend", [at])
+    for distance in (5.0, 20.0, 80.0):
+        at = w.add("negative_conditioning", "loss", friction * np.expm1(-d.slid_m / distance))
+        w.variant("negative_conditioning", [at], distance_m=distance)
+
+
+def _torque_causes(w: _Writer, d: Design, inputs: Inputs, torque: np.ndarray) -> None:
+    for name, label, change in (("brake_gain", "gain", torque),
+                                ("torque_offset", "offset_Nm", np.ones_like(torque))):
+        at = _torque_column(w, d, inputs, name, label, change)
+        w.variant(name, [at])
+        for j in range(AXLES):
+            at = _torque_column(w, d, inputs, name, label, change * of_axle(d, j))
+            w.variant(name, [at], axle=j + 1)
+    at = _torque_column(w, d, inputs, "pad_fade", "fade_1_MJ", -torque * d.heat_MJ)
+    w.variant("pad_fade", [at])
+    mass = vehicle_mass(d)
+    at = w.add("running_resistance", "force_N", None, -1.0 / mass)
+    w.variant("running_resistance", [at])
+    at = w.add("track_gradient", "gradient", None, np.full(mass.size, -9.80665))
+    w.variant("track_gradient", [at])
+
+
+def _contact_causes(w: _Writer, d: Design, linear: Linear) -> None:
+    for name, label, index in (("roller_curvature", "stiffness_fraction", sensitivity.STIFFNESS),
+                               ("interfacial_layer", "reduction", sensitivity.STICKING),
+                               ("falling_friction", "fraction", sensitivity.GAMMA)):
+        at = w.add(name, label, linear.rates[:, index])
+        w.variant(name, [at])
+    # a lag of lambda by a length takes away length d lambda / dx, to first order
+    at = w.add("adhesion_memory", "length_m", -linear.rates[:, sensitivity.TAU] * _energy_rate(d))
+    w.variant("adhesion_memory", [at])
+
+
+def _energy_rate(d: Design) -> np.ndarray:
+    """d ln W / dx in 1/m, smooth: how fast the dissipated energy changes along the rail."""
+    out = np.empty_like(d.energy_J_m)
+    for s in range(d.segments):
+        at = d.span(s)
+        energy = gaussian_filter1d(d.energy_J_m[at], 0.05 / d.step_s, mode="nearest")
+        out[at] = np.gradient(energy, d.step_s) / (d.speed_m_s[at] * np.maximum(energy, 5.0))
+    return out
+
+
+def _sensor_causes(w: _Writer, d: Design, inputs: Inputs, linear: Linear,
+                   torque: np.ndarray) -> None:
+    inertia = inputs.parameters[0, 1]
+    at = _torque_column(w, d, inputs, "torque_sensor_delay", "delay_s", rate(d, torque))
+    w.variant("torque_sensor_delay", [at])
+    # a late wheel speed: the wheel lives on the inputs of a moment ago
+    surface = -linear.coefficients[:, 0]
+    growth = np.log(np.maximum(-surface, 1e-12)) / d.step_s
+    r = inputs.parameters[0, 0]
+    late = rate(d, torque) / inertia + growth / r * rate(d, d.speed_m_s)
+    accelerated = linear.rates[:, sensitivity.LATE] - torque / inertia
+    for axle in range(AXLES + 1):
+        mask = 1.0 if axle == 0 else of_axle(d, axle - 1)
+        at = w.add("speed_sensor_delay", "delay_s", late * mask)
+        w.variant("speed_sensor_delay", [at], axle=axle)
+        at = w.add("wheel_inertia", "fraction", -accelerated * mask)
+        w.variant("wheel_inertia", [at], axle=axle)
+        if axle:
+            at = w.add("wheel_radius", "fraction", linear.rates[:, sensitivity.RADIUS] * mask)
+            w.variant("wheel_radius", [at], axle=axle)
+
+
+def _load_causes(w: _Writer, d: Design, linear: Linear) -> None:
+    load = linear.rates[:, sensitivity.LOAD]
+    body = np.repeat(np.where(d.axle < 2, 1.0, -1.0), np.diff(d.start))
+    bogie = np.repeat(np.where(d.axle % 2 == 0, 1.0, -1.0), np.diff(d.start))
+    first = w.add("load_transfer", "body_s2_m", load * d.deceleration_m_s2 * body)
+    second = w.add("load_transfer", "bogie_s2_m", load * d.deceleration_m_s2 * bogie)
+    w.variant("load_transfer", [first, second])
+    for j in range(AXLES):
+        found = []
+        for run in range(d.mass_kg.size):
+            mask = of_axle(d, j) * of_run(d, run)
+            for part, shape in (("cos", np.cos), ("sin", np.sin)):
+                found.append(w.add("wheel_out_of_round", f"{part}_{run}",
+                                   load * mask * shape(d.angle_rad)))
+        w.variant("wheel_out_of_round", found, axle=j + 1)
+
+
+def _windows(w: _Writer, d: Design, friction: np.ndarray) -> None:
+    """Bins of place (all runs) and of time (each run): windows are runs of bins."""
+    lowest, highest = float(d.place_m.min()), float(d.place_m.max())
+    for i in range(int(np.ceil((highest - lowest) / PLACE_BIN_M))):
+        low = lowest + i * PLACE_BIN_M
+        inside = (d.place_m >= low) & (d.place_m < low + PLACE_BIN_M)
+        w.add("place_bin", f"{low:.6g}", friction * inside)
+    for run in range(d.mass_kg.size):
+        mask = of_run(d, run)
+        for i in range(int(np.ceil(float((d.time_s * mask).max()) / TIME_BIN_S))):
+            inside = (d.time_s >= i * TIME_BIN_S) & (d.time_s < (i + 1) * TIME_BIN_S)
+            w.add("time_bin", f"{run} {i * TIME_BIN_S:.6g}", friction * inside * mask)
+
+
+COVARIATES: dict[str, Callable[[Design], np.ndarray]] = {
+    "sliding": lambda d: d.sliding_m_s,
+    "speed": lambda d: d.speed_m_s,
+    "time": lambda d: d.time_s,
+    "energy": lambda d: np.sqrt(d.energy_J_m),
+    "load": lambda d: d.load_N,
+    "acceleration": lambda d: rate(d, _gentle(d, d.sliding_m_s)),
+    "disc_heat": lambda d: d.heat_MJ,
+    "deceleration": lambda d: d.deceleration_m_s2,
+}
+
+
+def _gentle(d: Design, values: np.ndarray) -> np.ndarray:
+    out = np.empty_like(values)
+    for s in range(d.segments):
+        at = d.span(s)
+        out[at] = gaussian_filter1d(values[at], 0.06 / d.step_s, mode="nearest")
+    return out
+
+
+def bumps(values: np.ndarray, count: int = 4) -> np.ndarray:
+    """Smooth functions of a covariate: Gaussian bumps at its quantiles, shape (n, count)."""
+    knots = np.quantile(values, np.linspace(0.04, 0.96, count))
+    width = np.maximum(np.gradient(knots), 1e-3 * max(np.ptp(values), 1e-12))
+    return np.exp(-0.5 * ((values[:, None] - knots) / width) ** 2)
+
+
+def _smooth_functions(w: _Writer, d: Design, friction: np.ndarray) -> None:
+    for name, of in COVARIATES.items():
+        shapes = bumps(of(d))
+        w.variant(f"along {name}", [w.add(f"along {name}", str(i), friction * shapes[:, i])
+                                    for i in range(shapes.shape[1])])
+    w.variant("along axle", [w.add("along axle", str(j), friction * of_axle(d, j))
+                             for j in range(AXLES - 1)])
+    found = [w.add("along wheel_angle", str(k), friction * shape(k * d.angle_rad))
+             for k in (1, 2) for shape in (np.cos, np.sin)]
+    w.variant("along wheel_angle", found)
+    time = d.time_s[np.concatenate([np.arange(d.start[4 * r], d.start[4 * r + 1])
+                                    for r in range(d.mass_kg.size)])]
+    speed = d.speed_m_s[np.concatenate([np.arange(d.start[4 * r], d.start[4 * r + 1])
+                                        for r in range(d.mass_kg.size)])]
+    for name, values in (("vehicle time", time), ("vehicle speed", speed)):
+        shapes = bumps(values)
+        w.variant(f"along {name}", [w.add(f"along {name}", str(i), None, shapes[:, i])
+                                    for i in range(shapes.shape[1])])

@@ -1,0 +1,232 @@
+"""Turns measured runs into what the replay reads: smooth inputs and the covariates of all causes.
+
+Every wheelset of every run is one segment of flat arrays. The vehicle's speed is smoothed with its
+own force balance [P1], so that its noise does not enter the sliding; loads are smoothed because
+noise in an input would look like physics. Covariates come from measurement and the wheel balance
+alone, never from a fit, so that no cause can shape its own evidence.
+
+    [P1] u = v + sum J omega / (M r), du/dt = -(sum C / r + resistance) / M + slow disturbance
+    [P2] f = (J domega/dt + C) / (r N)
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import savgol_filter
+
+from rollerrig.rig.contact.adhesion import patch_for
+from rollerrig.rig.identify.dataset import AXLES, Dataset, Run
+from rollerrig.rig.kernel import kernel
+
+# window of the derivative of wheel speed, s
+WINDOW_S = 0.21
+LOAD_SMOOTHING_S = 0.2
+
+
+class Design(NamedTuple):
+    """Prepared runs. Segment s = run * 4 + axle holds samples start[s]:start[s+1] of flat arrays."""
+
+    names: tuple[str, ...]
+    step_s: float
+    start: np.ndarray
+    run: np.ndarray
+    axle: np.ndarray
+    mass_kg: np.ndarray  # (runs,)
+    measured_rad_s: np.ndarray
+    torque_Nm: np.ndarray
+    load_N: np.ndarray
+    speed_m_s: np.ndarray  # of the surface under the wheel, smoothed
+    time_s: np.ndarray
+    place_m: np.ndarray
+    sliding_m_s: np.ndarray  # smoothed
+    adhesion: np.ndarray  # [P2]
+    energy_J_m: np.ndarray
+    cleaned_J_m: np.ndarray  # work of the wheels before on this metre
+    heat_MJ: np.ndarray
+    slid_m: np.ndarray
+    deceleration_m_s2: np.ndarray
+    angle_rad: np.ndarray
+    vehicle_start: np.ndarray  # (runs + 1,)
+    vehicle_m_s: np.ndarray  # measured
+    wheels_m_s: np.ndarray  # sum J omega / (M r), measured
+    speed_noise_m_s: float
+    wheel_noise_rad_s: float
+    torque_noise_Nm: np.ndarray  # (runs,)
+    calibration: float
+    base: np.ndarray  # (PARAMETERS,) of `replay`
+    resistance: np.ndarray  # A, B, C
+    released_Nm: np.ndarray  # (segments,) mean torque while released, nan: never
+    released_sd_Nm: np.ndarray
+
+    @property
+    def segments(self) -> int:
+        return self.run.size
+
+    def span(self, segment: int) -> slice:
+        return slice(int(self.start[segment]), int(self.start[segment + 1]))
+
+
+@kernel
+def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
+    """Smoothed u of [P1], shape (n,): forward filter and backward smoother with a slow disturbance."""
+    n = measured.size
+    u, d = measured[0], 0.0
+    puu, pud, pdd = noise * noise, 0.0, 1e-4
+    filtered = np.empty((n, 5))
+    predicted = np.empty((n, 5))
+    quu, qdd = (torque_noise * step_s) ** 2 + 1e-12, drift * drift * step_s
+    for k in range(n):
+        predicted[k] = np.array([u, d, puu, pud, pdd])
+        gain_u = puu / (puu + noise * noise)
+        gain_d = pud / (puu + noise * noise)
+        nu = measured[k] - u
+        u, d = u + gain_u * nu, d + gain_d * nu
+        puu, pud, pdd = puu * (1.0 - gain_u), pud * (1.0 - gain_u), pdd - gain_d * pud
+        filtered[k] = np.array([u, d, puu, pud, pdd])
+        u += step_s * (d - force_over_mass[k])
+        puu, pud, pdd = (puu + 2.0 * step_s * pud + step_s * step_s * pdd + quu,
+                         pud + step_s * pdd, pdd + qdd)
+    out = np.empty(n)
+    su, sd = filtered[n - 1, 0], filtered[n - 1, 1]
+    out[n - 1] = su
+    for k in range(n - 2, -1, -1):
+        fu, fd, a, b, c = filtered[k]
+        pu, pd, e, f, g = predicted[k + 1]
+        det = e * g - f * f
+        # gain = P F' Ppred^-1, F = [[1, h], [0, 1]]
+        m11, m12 = a + step_s * b, b
+        m21, m22 = b + step_s * c, c
+        g11, g12 = (m11 * g - m12 * f) / det, (m12 * e - m11 * f) / det
+        g21, g22 = (m21 * g - m22 * f) / det, (m22 * e - m21 * f) / det
+        du, dd = su - pu, sd - pd
+        su, sd = fu + g11 * du + g12 * dd, fd + g21 * du + g22 * dd
+        out[k] = su
+    return out
+
+
+def prepare(data: Dataset, runs: list[Run]) -> Design:
+    """The design of some runs of a dataset."""
+    v = data.sections["vehicle"]
+    radius, inertia, step = v["wheel_radius_m"], v["wheelset_inertia_kgm2"], data.sample_time_s
+    noises = [_noise(data, run) for run in runs]
+    speed_noise = float(np.median([n[0] for n in noises]))
+    wheel_noise = float(np.median([n[1] for n in noises]))
+    resistance = np.array([v[k] for k in ("resistance_A_N", "resistance_B_N_s_m",
+                                          "resistance_C_N_s2_m2")])
+    columns: dict[str, list[np.ndarray]] = {}
+    start, vehicle_start, released, released_sd = [0], [0], [], []
+    vehicle, wheels = [], []
+    for run, (_, _, torque_noise) in zip(runs, noises, strict=True):
+        parts = _run(run, data, radius, inertia, step, speed_noise, torque_noise, resistance)
+        for j in range(AXLES):
+            for key, values in parts.items():
+                columns.setdefault(key, []).append(values[:, j])
+            start.append(start[-1] + run.time_s.size)
+            mean, sd = _released(run.torque_Nm[:, j], step)
+            released.append(mean)
+            released_sd.append(sd)
+        vehicle.append(run.speed_m_s)
+        wheels.append(inertia * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius))
+        vehicle_start.append(vehicle_start[-1] + run.time_s.size)
+    flat = {key: np.ascontiguousarray(np.concatenate(parts)) for key, parts in columns.items()}
+    return Design(
+        tuple(run.name for run in runs), step, np.array(start),
+        np.repeat(np.arange(len(runs)), AXLES), np.tile(np.arange(AXLES), len(runs)),
+        np.array([run.mass_kg for run in runs]), flat["measured"], flat["torque"], flat["load"],
+        flat["speed"], flat["time"], flat["place"], flat["sliding"], flat["adhesion"],
+        flat["energy"], flat["cleaned"], flat["heat"], flat["slid"], flat["deceleration"],
+        flat["angle"], np.array(vehicle_start), np.concatenate(vehicle), np.concatenate(wheels),
+        speed_noise, wheel_noise, np.array([n[2] for n in noises]),
+        data.accuracy["calibration_fraction"], base_parameters(data), resistance,
+        np.array(released), np.array(released_sd))
+
+
+def base_parameters(data: Dataset) -> np.ndarray:
+    """One row of the replay's parameters from the dataset's base model."""
+    from rollerrig.rig.identify import replay
+
+    v, law, c = (data.sections[k] for k in ("vehicle", "adhesion", "contact"))
+    patch = patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"],
+                      c["young_Pa"], c["shear_Pa"], c["poisson"])
+    row = np.zeros(replay.PARAMETERS)
+    row[replay.RADIUS], row[replay.INERTIA] = v["wheel_radius_m"], v["wheelset_inertia_kgm2"]
+    row[replay.LAW] = [law[k] for k in replay.LAW_KEYS]
+    row[replay.EPS1] = patch.eps1
+    row[replay.CLEANING] = law["cleaning_creepage"]
+    return row
+
+
+def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
+    """Standard deviations of speed, wheel speed and torque: declared, or from third differences."""
+    a = data.accuracy
+
+    def estimated(values: np.ndarray) -> float:
+        third = np.diff(values, n=3, axis=0)
+        return float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-9
+
+    speed = a["speed_m_s"] if a["speed_m_s"] > 0 else max(estimated(run.speed_m_s), 1e-4)
+    wheel = a["wheel_speed_rad_s"]
+    wheel = wheel if wheel > 0 else max(estimated(run.wheel_speed_rad_s), 1e-3)
+    torque = a["torque_fraction"]
+    torque = torque * float(np.max(run.torque_Nm)) if torque > 0 else estimated(run.torque_Nm)
+    return speed, wheel, max(torque, 5.0)
+
+
+def _released(torque: np.ndarray, step_s: float) -> tuple[float, float]:
+    """Mean torque before the brake applies and its standard error; nan where it is never released."""
+    smooth = gaussian_filter1d(torque, 0.05 / step_s)
+    above = np.flatnonzero(smooth > 0.06 * np.max(smooth))
+    still = int(above[0]) - int(0.15 / step_s) if above.size else 0
+    if still < 0.3 / step_s:
+        return float("nan"), float("nan")
+    part = torque[:still]
+    return float(part.mean()), float(part.std(ddof=1) / np.sqrt(part.size))
+
+
+def _run(run: Run, data: Dataset, radius: float, inertia: float, step: float, speed_noise: float,
+         torque_noise: float, resistance: np.ndarray) -> dict[str, np.ndarray]:
+    n = run.time_s.size
+    window = max(5, 2 * int(0.5 * WINDOW_S / step) + 1)
+    v = run.speed_m_s
+    wheels = inertia * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius)
+    coast = resistance[0] + resistance[1] * v + resistance[2] * v * v
+    force = (run.torque_Nm.sum(axis=1) / radius + coast) / run.mass_kg
+    middle = 0.5 * (force + np.append(force[1:], force[-1]))
+    u = smooth_speed(v + wheels, middle, step, speed_noise,
+                     2.0 * torque_noise / (radius * run.mass_kg), 0.03)
+    smooth_wheels = savgol_filter(run.wheel_speed_rad_s, window, 3, axis=0)
+    speed = u - inertia * smooth_wheels.sum(axis=1) / (run.mass_kg * radius)
+    deceleration = -savgol_filter(speed, 2 * window + 1, 2, deriv=1, delta=step)
+    surface = speed[:, None] if run.surface_m_s is None else run.surface_m_s
+    surface = np.maximum(np.broadcast_to(surface, (n, AXLES)), 0.05)
+    load = gaussian_filter1d(run.load_N, LOAD_SMOOTHING_S / step, axis=0, mode="nearest")
+    rate = savgol_filter(run.wheel_speed_rad_s, window, 3, deriv=1, delta=step, axis=0)
+    torque = savgol_filter(run.torque_Nm, window, 3, axis=0)
+    adhesion = (inertia * rate + torque) / (radius * load)  # [P2]
+    sliding = surface - radius * smooth_wheels
+    energy = np.maximum(adhesion * 0.5 * load * sliding / surface, 0.0)
+    travelled = np.concatenate([[0.0], np.cumsum(0.5 * step * (speed[1:] + speed[:-1]))])
+    if run.position_m is not None:
+        travelled = run.position_m
+    place = travelled[:, None] - data.axle_position_m
+    on_track = run.surface_m_s is None
+    return {
+        "measured": run.wheel_speed_rad_s, "torque": run.torque_Nm, "load": load,
+        "speed": surface, "time": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
+        "place": place, "sliding": sliding, "adhesion": adhesion, "energy": energy,
+        "cleaned": _work_before(place, energy) if on_track else np.zeros_like(energy),
+        "heat": np.cumsum(np.maximum(torque * smooth_wheels, 0.0), axis=0) * step / 1e6,
+        "slid": np.cumsum(np.abs(sliding), axis=0) * step,
+        "deceleration": np.repeat(deceleration[:, None], AXLES, axis=1),
+        "angle": np.cumsum(run.wheel_speed_rad_s, axis=0) * step - 0.5 * step
+        * run.wheel_speed_rad_s,
+    }
+
+
+def _work_before(place: np.ndarray, energy: np.ndarray) -> np.ndarray:
+    before = np.zeros_like(energy)
+    for j in range(1, energy.shape[1]):
+        for i in range(j):
+            before[:, j] += np.interp(place[:, j], place[:, i], energy[:, i], left=0.0)
+    return before

@@ -1,0 +1,142 @@
+"""Replays measured runs through the model, one sample ahead: what the model cannot say beforehand.
+
+Each wheel has an extended Kalman filter that is fed the measured torque, load and vehicle speed
+and predicts the next wheel speed. Its second state m is the irregularity of the rail, a random
+walk with a spring in distance: noise, never an explanation. The vehicle has a filter of its own
+that knows no adhesion law: only torque, resistance and mass move it. The innovations, divided by
+their predicted deviation, are white with variance 1 if the model is right.
+
+    [R1] J domega/dt = r N f(v - r omega, v, N) exp(m) - C;  exponential step, exact when linear
+    [R2] m: Ornstein-Uhlenbeck in distance, deviation sigma, correlation length L
+    [R3] u = v + sum J omega / (M r), du/dt = -(sum C / r + resistance) / M
+    [R4] lambda follows its base value with a share 1 - exp(-v h / length) in each step
+
+Source: Simon, Optimal State Estimation (2006), section 13.2; DISCOVERY section 1.
+Limits: first-order filter; two substeps a sample keep its bias below the noise.
+"""
+
+import math
+
+import numpy as np
+
+from rollerrig.rig.contact import adhesion, polach
+from rollerrig.rig.kernel import kernel
+
+LAW_KEYS = ("mu_cd", "mu_cr", "A_d", "A_r", "gamma_d_s_m", "gamma_r_s_m", "k_ad", "k_sd", "k_ar",
+            "k_sr", "tau_m_J")
+# columns of a segment's parameters
+RADIUS, INERTIA = 0, 1
+LAW = slice(2, 13)
+EPS1, MEMORY, SIGMA, LENGTH, NOISE, TORQUE_NOISE, CLEANING = 13, 14, 15, 16, 17, 18, 19
+MU_CD, GAMMA_D, GAMMA_R, K_AD, K_AR, TAU = 2, 6, 7, 8, 10, 12
+PARAMETERS = 20
+SUBSTEPS = 2
+
+
+@kernel
+def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
+    """(f, df/dsliding, lambda) of one wheel under its own load; f is odd in sliding.
+
+    `p` a row of parameters, `remembered` the lagging lambda, `share` what it closes [R4].
+    """
+    s, v = abs(sliding), max(abs(speed), adhesion.SPEED_FLOOR_M_S)
+    creepage = s / v
+    scale = math.exp(friction_log)
+    eps_unit = p[13] * math.exp(math.log(load_N) / -3.0)
+    f_d, ds_d, de_d = polach.curve(s, creepage, eps_unit, p[2] * scale, p[4], p[6], p[8], p[9])
+    f_r, ds_r, de_r = polach.curve(s, creepage, eps_unit, p[3] * scale, p[5], p[7], p[10], p[11])
+    tau = p[12]
+    if creepage > p[19]:
+        tau *= p[19] / creepage
+    k = tau * load_N * creepage
+    f, done = adhesion.recovery(f_d, f_r, k)
+    kept, gap = 1.0 - done, f_r - f_d
+    low, high = ds_d + de_d / v, ds_r + de_r / v
+    mixed = kept * low + done * high
+    rise = (mixed + gap * kept * f * tau * load_N / v) / max(1.0 - gap * kept * k, 1e-9)
+    if share < 1.0:
+        late = remembered + share * (done - remembered)
+        rise = (1.0 - late) * low + late * high + share * (rise - mixed)
+        f, done = (1.0 - late) * f_d + late * f_r, late
+    return math.copysign(f, sliding), rise, done
+
+
+@kernel
+def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state):
+    """Innovations of one wheel [R1]: writes nu and variance, shape (n,), and filtered m in `state`."""
+    r, inertia = p[0], p[1]
+    h = step_s / SUBSTEPS
+    noise = p[17] * p[17]
+    omega, m, late = measured[0], 0.0, 0.0
+    p00, p01, p11 = noise, 0.0, p[15] * p[15]
+    q_omega = (step_s * p[18] / inertia) ** 2
+    for k in range(measured.size):
+        innovation = measured[k] - omega
+        S = p00 + noise
+        if k == 0:
+            S = noise + noise
+        nu[k], variance[k] = innovation, S
+        if abs(innovation) > 6.0 * math.sqrt(S):  # an outlier moves the state no further than this
+            innovation = math.copysign(6.0 * math.sqrt(S), innovation)
+        g0, g1 = p00 / S, p01 / S
+        omega += g0 * innovation
+        m += g1 * innovation
+        p11 -= g1 * p01
+        p01 *= 1.0 - g0
+        p00 *= 1.0 - g0
+        state[k] = m
+        if k + 1 == measured.size:
+            break
+        for i in range(SUBSTEPS):
+            w = (i + 0.5) / SUBSTEPS
+            v = (1.0 - w) * speed[k] + w * speed[k + 1]
+            N = (1.0 - w) * load[k] + w * load[k + 1]
+            C = (1.0 - w) * torque[k] + w * torque[k + 1]
+            log_mu = (1.0 - w) * friction_log[k] + w * friction_log[k + 1]
+            share = 1.0
+            if p[14] > 0.0:
+                share = -math.expm1(-v * h / p[14])
+            f, rise, late = wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, late, share)
+            field = math.exp(m)
+            drive = r * N * f * field
+            a = -r * r * N * rise * field / inertia
+            x = a * h
+            if abs(x) > 1e-6:
+                x = min(x, 5.0)
+                growth = math.exp(x)
+                phi = math.expm1(x) / x
+            else:
+                growth, phi = 1.0 + x, 1.0 + 0.5 * x
+            omega += h * phi * (drive - C) / inertia  # exponential Euler
+            b = h * phi * drive / inertia
+            keep = math.exp(-v * h / p[16])
+            m *= keep
+            n00 = growth * growth * p00 + 2.0 * growth * b * p01 + b * b * p11
+            n01 = keep * (growth * p01 + b * p11)
+            p11 = keep * keep * p11 + p[15] * p[15] * (1.0 - keep * keep)
+            p00, p01 = n00 + q_omega * phi * phi / SUBSTEPS, n01
+
+
+@kernel
+def replay_wheels(start, measured, torque, load, speed, friction_log, parameters, step_s, nu,
+                  variance, state):
+    """All segments; `parameters` (segments, PARAMETERS)."""
+    for s in range(start.size - 1):
+        a, b = start[s], start[s + 1]
+        replay_wheel(measured[a:b], torque[a:b], load[a:b], speed[a:b], friction_log[a:b],
+                     parameters[s], step_s, nu[a:b], variance[a:b], state[a:b])
+
+
+@kernel
+def replay_vehicle(measured, force_over_mass, step_s, noise, torque_noise, nu, variance):
+    """Innovations of the vehicle's force balance [R3]; torque_noise in m/s2 of one sample."""
+    u, P = measured[0], noise * noise
+    for k in range(measured.size):
+        S = P + noise * noise
+        nu[k], variance[k] = measured[k] - u, S
+        gain = P / S
+        u += gain * nu[k]
+        P *= 1.0 - gain
+        if k + 1 < measured.size:
+            u -= 0.5 * step_s * (force_over_mass[k] + force_over_mass[k + 1])
+            P += (step_s * torque_noise) ** 2

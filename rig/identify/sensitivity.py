@@ -1,0 +1,211 @@
+"""How the innovations of a replay answer to a small change of anything: the linearised filter.
+
+Any cause changes the acceleration of a wheel by some course in time. The filter passes that course
+on to its innovations linearly, with coefficients that one replay has left behind, so the answer to
+hundreds of possible causes costs little more than one replay.
+
+    [S1] g = (r N f exp(m) - C) / J;  d omega' = F00 d omega + F01 d m + H d g,  d m' = keep d m
+    [S2] d nu = -d omega;  after the sample d omega -= g0 d omega, d m -= g1 d omega
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.identify import replay
+from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.kernel import kernel
+
+# changes of the wheel's acceleration for a change of ln: friction, tau, gamma, stiffness, k_a, load
+FRICTION, TAU, GAMMA, STIFFNESS, STICKING, LOAD, RADIUS, LATE = range(8)
+_COEFFICIENTS = 6
+
+
+class Linear(NamedTuple):
+    """A replay with its coefficients: flat arrays (n,), (n, 6) and (n, 8)."""
+
+    nu: np.ndarray
+    variance: np.ndarray
+    field: np.ndarray
+    coefficients: np.ndarray
+    rates: np.ndarray
+    vehicle_nu: np.ndarray
+    vehicle_variance: np.ndarray
+
+
+class Inputs(NamedTuple):
+    """What a replay reads, changed by causes: flat arrays, segment and run rows."""
+
+    torque_Nm: np.ndarray
+    load_N: np.ndarray
+    speed_m_s: np.ndarray
+    friction_log: np.ndarray
+    parameters: np.ndarray
+    mass_kg: np.ndarray
+    force_N: np.ndarray  # (runs,) added to the resistance
+
+
+@kernel
+def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field, co,
+                    rates):
+    """One wheel: replays it, then stores [S1] along the filtered path."""
+    replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field)
+    r, inertia = p[0], p[1]
+    noise = p[17] * p[17]
+    h = 0.5 * step_s
+    q = p.copy()
+    late = 0.0
+    for k in range(measured.size):
+        S = variance[k]
+        p00 = max(S - noise, 0.0)
+        omega = measured[k] - nu[k] + p00 / S * nu[k]
+        v, N, C, log_mu = speed[k], load[k], torque[k], friction_log[k]
+        share = 1.0
+        if p[14] > 0.0:
+            share = -math.expm1(-v * step_s / p[14])
+        before = late
+        f, rise, late = replay.wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, before, share)
+        force = r * N * math.exp(field[k]) / inertia
+        a = -r * rise * force
+        x = min(a * h, 5.0)
+        growth = math.exp(x)
+        phi = math.expm1(x) / x if abs(x) > 1e-6 else 1.0 + 0.5 * x
+        keep = math.exp(-v * h / p[16])
+        b = h * phi * force * f
+        co[k, 0] = growth * growth
+        co[k, 1] = b * (growth + keep)
+        co[k, 2] = keep * keep
+        co[k, 3] = h * phi * (1.0 + growth)
+        co[k, 4] = p00 / S
+        s = v - r * omega
+        d = 0.01
+        rates[k, 0] = force * (replay.wheel_adhesion(s, v, 0.5 * N, log_mu + d, p, before, share)[0]
+                               - f) / d
+        for i in range(5):
+            for c in range(p.size):
+                q[c] = p[c]
+            N1 = N
+            if i == 0:
+                q[12] *= 1.0 + d
+            elif i == 1:
+                q[6] *= 1.0 + d
+                q[7] *= 1.0 + d
+            elif i == 2:
+                q[13] *= 1.0 + d
+            elif i == 3:
+                q[8] *= 1.0 - d
+                q[10] *= 1.0 - d
+            else:
+                N1 = N * (1.0 + d)
+            f1 = replay.wheel_adhesion(s, v, 0.5 * N1, log_mu, q, before, share)[0]
+            rates[k, 1 + i] = force * (f1 * N1 / N - f) / d
+        rates[k, 6] = force * f + a * omega  # radius: lever, and sliding
+        rates[k, 7] = force * f  # what the field m scales
+
+
+@kernel
+def gains(variance, co, p, step_s, speed, load, torque):
+    """Second gain of the filter, rebuilt with the covariances of [S1] into co[:, 5]."""
+    noise = p[17] * p[17]
+    p00, p01, p11 = noise, 0.0, p[15] * p[15]
+    q_omega = (step_s * p[18] / p[1]) ** 2
+    for k in range(variance.size):
+        S = variance[k]
+        co[k, 5] = p01 / S
+        g0 = co[k, 4]
+        p11 -= p01 * p01 / S
+        p01 *= 1.0 - g0
+        p00 = max(S - noise, 0.0) * (1.0 - g0)
+        F00, F01, keep = co[k, 0], co[k, 1], co[k, 2]
+        n01 = keep * (F00 * p01 + F01 * p11)
+        p11 = keep * keep * p11 + p[15] * p[15] * (1.0 - keep * keep)
+        p01 = n01
+
+
+@kernel
+def answer(changes, variance, co, out):
+    """Whitened innovations' answer to changes of the acceleration, shape (n, columns) [S2]."""
+    columns = changes.shape[1]
+    d_omega, d_m = np.zeros(columns), np.zeros(columns)
+    for k in range(changes.shape[0]):
+        scale = 1.0 / math.sqrt(variance[k])
+        F00, F01, keep, H, g0, g1 = co[k, 0], co[k, 1], co[k, 2], co[k, 3], co[k, 4], co[k, 5]
+        for c in range(columns):
+            w = d_omega[c]
+            out[k, c] = -w * scale
+            m = d_m[c] - g1 * w
+            w -= g0 * w
+            d_omega[c] = F00 * w + F01 * m + H * changes[k, c]
+            d_m[c] = keep * m
+
+
+@kernel
+def vehicle_answer(changes, variance, noise, step_s, out):
+    """The same for the vehicle's balance; changes of du/dt, shape (n, columns)."""
+    columns = changes.shape[1]
+    d_u = np.zeros(columns)
+    for k in range(changes.shape[0]):
+        scale = 1.0 / math.sqrt(variance[k])
+        kept = noise * noise / variance[k]
+        last = k + 1 == changes.shape[0]
+        for c in range(columns):
+            out[k, c] = -d_u[c] * scale
+            if not last:
+                d_u[c] = kept * d_u[c] + 0.5 * step_s * (changes[k, c] + changes[k + 1, c])
+
+
+def linearise(design: Design, inputs: Inputs) -> Linear:
+    """Replay all wheels and vehicles and keep the coefficients."""
+    n = design.measured_rad_s.size
+    nu, variance, field = np.empty(n), np.empty(n), np.empty(n)
+    co, rates = np.empty((n, _COEFFICIENTS)), np.empty((n, 8))
+    for s in range(design.segments):
+        at = design.span(s)
+        p = inputs.parameters[s]
+        coefficients_of(design.measured_rad_s[at], inputs.torque_Nm[at], inputs.load_N[at],
+                        inputs.speed_m_s[at], inputs.friction_log[at], p, design.step_s, nu[at],
+                        variance[at], field[at], co[at], rates[at])
+        gains(variance[at], co[at], p, design.step_s, inputs.speed_m_s[at], inputs.load_N[at],
+              inputs.torque_Nm[at])
+    vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
+    return Linear(nu, variance, field, co, rates, vehicle_nu, vehicle_variance)
+
+
+def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
+    """(nu, variance, filtered m, vehicle nu, vehicle variance)."""
+    n = design.measured_rad_s.size
+    nu, variance, field = np.empty(n), np.empty(n), np.empty(n)
+    replay.replay_wheels(design.start, design.measured_rad_s, inputs.torque_Nm, inputs.load_N,
+                         inputs.speed_m_s, inputs.friction_log, inputs.parameters, design.step_s,
+                         nu, variance, field)
+    return (nu, variance, field, *replay_vehicles(design, inputs))
+
+
+def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
+    """Force over mass on a vehicle, m/s2, shape (samples,)."""
+    spans = [design.span(run * 4 + j) for j in range(4)]
+    v = design.speed_m_s[spans[0]]
+    A, B, C = design.resistance
+    force = A + B * v + C * v * v + inputs.force_N[run]
+    for j, at in enumerate(spans):
+        force = force + inputs.torque_Nm[at] / inputs.parameters[run * 4 + j, replay.RADIUS]
+    return force / inputs.mass_kg[run]
+
+
+def vehicle_torque_noise(design: Design, run: int) -> float:
+    """Deviation in m/s2 of one sample of the measured force over mass."""
+    return float(2.0 * design.torque_noise_Nm[run] / (design.base[0] * design.mass_kg[run]))
+
+
+def replay_vehicles(design: Design, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+    """Innovations and variances of all vehicles."""
+    total = int(design.vehicle_start[-1])
+    nu, variance = np.empty(total), np.empty(total)
+    for run in range(design.mass_kg.size):
+        at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
+        replay.replay_vehicle(
+            design.vehicle_m_s[at] + design.wheels_m_s[at], vehicle_force(design, inputs, run),
+            design.step_s, design.speed_noise_m_s, vehicle_torque_noise(design, run), nu[at],
+            variance[at])
+    return nu, variance

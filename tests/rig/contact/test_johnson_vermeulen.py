@@ -1,0 +1,59 @@
+"""Kalker's linear force with Johnson and Vermeulen's saturation."""
+
+import csv
+import math
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rollerrig.rig.contact import adhesion, johnson_vermeulen
+
+DATA = Path(__file__).parents[2] / "data"
+near = partial(pytest.approx, abs=0.0)
+PATCH = adhesion.patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
+
+
+def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():
+    with (DATA / "creep_curves_rail_r300.csv").open() as file:
+        rows = [{k: float(v) for k, v in row.items() if k != "patch"}
+                for row in csv.DictReader(line for line in file if not line.startswith("#"))]
+    distances = []
+    for row in (row for row in rows if row["phi_1_per_m"] == 0.0):
+        fx, fy, _ = johnson_vermeulen.force(row["xi"], row["eta"], 0.0, row["mu"], row["N"], PATCH)
+        unit = row["mu"] * row["N"]
+        distances.append(math.hypot(fx / unit - row["CONTACT_fx"], fy / unit - row["CONTACT_fy"]))
+    assert len(distances) == 25
+    assert max(distances) < 0.05  # 0.08 is asked for
+    assert np.mean(distances) < 0.011
+
+
+def test_the_linear_force_is_kalkers_with_the_patch_growing_with_load():
+    a, b = PATCH.a1 * 20.0, PATCH.b1 * 20.0  # 8 kN
+    G, ab = PATCH.shear_Pa, a * b
+    fx, fy = johnson_vermeulen.linear(1e-4, -2e-4, 0.05, 8000.0, PATCH)
+    assert fx == near(-G * ab * PATCH.c11 * 1e-4, rel=1e-12)
+    assert fy == near(-G * ab * (-PATCH.c22 * 2e-4 + math.sqrt(ab) * PATCH.c23 * 0.05), rel=1e-12)
+    mz = johnson_vermeulen.force(1e-8, -2e-8, 5e-6, 0.3, 8000.0, PATCH)[2]
+    linear = -G * ab**1.5 * PATCH.c23 * 2e-8 - G * ab**2 * PATCH.c33 * 5e-6
+    assert mz == near(linear, rel=1e-3)
+
+
+def test_the_cubic_meets_the_limit_with_its_value_and_slope():
+    u = np.array((3.0 - 1e-6, 3.0, 3.0 + 1e-6))
+    whole = [v * johnson_vermeulen.reduction(v) for v in u]
+    assert whole == pytest.approx([1.0] * 3, abs=1e-12)
+    assert johnson_vermeulen.reduction(0.0) == 1.0
+
+
+def test_the_force_never_exceeds_the_friction_limit():
+    rng = np.random.default_rng(4)
+    for xi, eta, phi in rng.normal(0.0, (5e-3, 5e-3, 1.0), (300, 3)):
+        fx, fy, _ = johnson_vermeulen.force(xi, eta, phi, 0.2, 4e4, PATCH)
+        assert math.hypot(fx, fy) <= 0.2 * 4e4 * (1.0 + 1e-12)
+
+
+def test_nothing_pulls_without_load_or_friction():
+    assert johnson_vermeulen.force(1e-3, 0, 0, 0.3, 0.0, PATCH) == (0.0, 0.0, 0.0)
+    assert johnson_vermeulen.force(1e-3, 0, 0, 0.0, 1e4, PATCH) == (0.0, 0.0, 0.0)
