@@ -21,15 +21,18 @@ FADE = 0.7
 
 
 @kernel
-def moment(xi, eta, phi_1_m, limit_N, load_N, patch):
-    """Moment in N m on the wheel [Z1] for limit_N = mu N > 0, spin phi_1_m, an `adhesion.Patch`."""
-    growth = load_N ** (1.0 / 3.0)
-    ab = patch.a1 * patch.b1 * growth * growth
+def moment(xi, eta, phi_1_m, limit_N, a_m, b_m, patch):
+    """Moment in N m on the wheel [Z1] for limit_N = mu N > 0, spin phi_1_m, semi-axes a_m and b_m."""
+    if eta == 0.0 and phi_1_m == 0.0:
+        return 0.0
+    ab = a_m * b_m
     size, stiff = math.sqrt(ab), patch.shear_Pa * ab
-    from_creep = stiff * size * patch.c23 * eta
+    x, y = patch.c11 * xi, patch.c22 * eta
+    linear = stiff / limit_N * math.sqrt(x * x + y * y)
     from_spin = stiff * ab * patch.c33 * phi_1_m
-    linear = stiff * math.hypot(patch.c11 * xi, patch.c22 * eta) / limit_N
     turning = from_spin / (TURNING * limit_N * size)
-    left = max(1.0 - linear / 3.0, 0.0)
-    rest = left ** (3.0 * FADE)  # 1 - (u - u^2 / 3 + u^3 / 27) = (1 - u / 3)^3
-    return from_creep * rest - from_spin / math.sqrt(1.0 + turning * turning + linear * linear)
+    total = -from_spin / math.sqrt(1.0 + turning * turning + linear * linear)
+    if linear < 3.0 and eta != 0.0:
+        # 1 - (u - u^2 / 3 + u^3 / 27) = (1 - u / 3)^3
+        total += stiff * size * patch.c23 * eta * (1.0 - linear / 3.0) ** (3.0 * FADE)
+    return total

@@ -25,12 +25,14 @@ def force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     sliding_m_s is the speed of sliding in the contact that friction falls with, a magnitude;
     phi_1_m the spin in 1/m; `patch` an `adhesion.Patch`, `law` an `adhesion.Law`.
     """
-    if load_N <= 0.0:
+    if load_N <= 0.0 or (xi == 0.0 and eta == 0.0 and phi_1_m == 0.0):
         return 0.0, 0.0, 0.0, 0.0, 0.0
-    mu_d = polach.friction(sliding_m_s, law.mu_cd, law.A_d, law.gamma_d_s_m)
-    mu_r = polach.friction(sliding_m_s, law.mu_cr, law.A_r, law.gamma_r_s_m)
-    dx, dy, dm = polach_spin.force(xi, eta, phi_1_m, mu_d, load_N, patch, law.k_ad, law.k_sd)
-    rx, ry, rm = polach_spin.force(xi, eta, phi_1_m, mu_r, load_N, patch, law.k_ar, law.k_sr)
+    growth = load_N ** (1.0 / 3.0)
+    a, b = patch.a1 * growth, patch.b1 * growth
+    limit_d = load_N * polach.friction(sliding_m_s, law.mu_cd, law.A_d, law.gamma_d_s_m)
+    limit_r = load_N * polach.friction(sliding_m_s, law.mu_cr, law.A_r, law.gamma_r_s_m)
+    dx, dy, dm = polach_spin.within(xi, eta, phi_1_m, limit_d, a, b, patch, law.k_ad, law.k_sd)
+    rx, ry, rm = polach_spin.within(xi, eta, phi_1_m, limit_r, a, b, patch, law.k_ar, law.k_sr)
     W_d = max(-(dx * xi + dy * eta), 0.0)  # [D2]
     W_r = max(-(rx * xi + ry * eta), 0.0)
     W, lambda_ = adhesion.recovery(W_d, W_r, law.tau_m_J)  # [D3]

@@ -111,8 +111,8 @@ def turned(px, py, wx, wy, step, limit):
 
     The half angle's tangent decays with exp(-|w| step) [F4], taken by its inverse series.
     """
-    speed = math.hypot(wx, wy)
-    size = math.hypot(px, py)
+    speed = math.sqrt(wx * wx + wy * wy)
+    size = math.sqrt(px * px + py * py)
     if speed == 0.0 or size == 0.0:
         share = limit / size if size > 0.0 else 0.0
         return px * share, py * share

@@ -22,48 +22,46 @@ import math
 from rollerrig.rig.contact import creep_moment
 from rollerrig.rig.kernel import kernel
 
-
 TURN = 2.8  # linear force, in units of the limit, at which half of the turn is done [J3]
 
 
 @kernel
-def linear(xi, eta, phi_1_m, load_N, patch):
-    """Kalker's linear (fx_N, fy_N) on the wheel for an `adhesion.Patch` [J1]; 0 without load."""
-    if not load_N > 0.0:
-        return 0.0, 0.0
-    growth = load_N ** (1.0 / 3.0)
-    ab = patch.a1 * patch.b1 * growth * growth
-    stiff = patch.shear_Pa * ab
-    return (
-        -stiff * patch.c11 * xi,
-        -stiff * (patch.c22 * eta + math.sqrt(ab) * patch.c23 * phi_1_m),
-    )
-
-
-@kernel
 def force(xi, eta, phi_1_m, mu, load_N, patch):
-    """Creep force and moment on the wheel (fx_N, fy_N, mz_Nm); 0 without load or friction."""
-    fx, fy = linear(xi, eta, phi_1_m, load_N, patch)
+    """Creep force and moment on the wheel (fx_N, fy_N, mz_Nm) for an `adhesion.Patch`.
+
+    All 0 without load or friction.
+    """
     limit = mu * load_N
     if not limit > 0.0:
         return 0.0, 0.0, 0.0
-    u = math.hypot(fx, fy) / limit
+    growth = load_N ** (1.0 / 3.0)
+    a, b = patch.a1 * growth, patch.b1 * growth
+    fx, fy = linear(xi, eta, phi_1_m, a, b, patch)
+    u = math.sqrt(fx * fx + fy * fy) / limit
     ux, uy = direction(fx, fy, u, patch)
     size = limit * u * reduction(u)  # [J2]
-    return size * ux, size * uy, creep_moment.moment(xi, eta, phi_1_m, limit, load_N, patch)
+    return size * ux, size * uy, creep_moment.moment(xi, eta, phi_1_m, limit, a, b, patch)
+
+
+@kernel
+def linear(xi, eta, phi_1_m, a_m, b_m, patch):
+    """Kalker's linear (fx_N, fy_N) on the wheel [J1], for semi-axes a_m along and b_m across."""
+    stiff = patch.shear_Pa * a_m * b_m
+    spin = 0.0 if phi_1_m == 0.0 else math.sqrt(a_m * b_m) * patch.c23 * phi_1_m
+    return -stiff * patch.c11 * xi, -stiff * (patch.c22 * eta + spin)
 
 
 @kernel
 def direction(fx, fy, u, patch):
     """The unit vector of a force whose linear one is (fx, fy), u times the friction limit [J3]."""
-    size = math.hypot(fx, fy)
-    if size == 0.0:
-        return 0.0, 0.0
+    if fy == 0.0:
+        return (math.copysign(1.0, fx), 0.0) if fx != 0.0 else (0.0, 0.0)
     wx, wy = fx / patch.c11, fy / patch.c22
-    turn = min((u / TURN) ** 3, 1e9) / math.hypot(wx, wy)
-    ux, uy = fx / size + turn * wx, fy / size + turn * wy
-    size = math.hypot(ux, uy)
-    return ux / size, uy / size
+    part = u / TURN
+    turn = min(part * part * part, 1e9) * math.sqrt((fx * fx + fy * fy) / (wx * wx + wy * wy))
+    ux, uy = fx + turn * wx, fy + turn * wy
+    unit = 1.0 / math.sqrt(ux * ux + uy * uy)
+    return ux * unit, uy * unit
 
 
 @kernel

@@ -14,8 +14,9 @@ adds a lateral force of its own, exact at small spin and gone at full sliding.
 [S7] M_z by `creep_moment`
 
 Source: Polach, Vehicle System Dynamics Suppl. 33 (1999) 728-739; paper eqs. 14 and 18. Doubt: [S7]
-is ours, and so is n, where Polach has (xi, eta) / e throughout. Limits: the sum of both parts may exceed mu N a little; with spin the error against CONTACT
-is 0.10 mu N in the mean and reaches 0.33 (54 creepages, a/b = 1.3).
+is ours, and so is n, where Polach has (xi, eta) / e throughout. Limits: the sum of both parts may
+exceed mu N a little; with spin the error against CONTACT is 0.10 mu N in the mean and reaches 0.33
+(29 creepages, a/b = 1.3); q is Polach's for an isotropic patch.
 """
 
 import math
@@ -34,19 +35,25 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, k_a, k_s):
     if not limit > 0.0 or (xi == 0.0 and eta == 0.0 and phi_1_m == 0.0):
         return 0.0, 0.0, 0.0
     growth = load_N ** (1.0 / 3.0)
-    a, b = patch.a1 * growth, patch.b1 * growth
-    eta_c = corrected(eta, phi_1_m * a)
-    e, e_c = math.hypot(xi, eta), math.hypot(xi, eta_c)
+    return within(xi, eta, phi_1_m, limit, patch.a1 * growth, patch.b1 * growth, patch, k_a, k_s)
+
+
+@kernel
+def within(xi, eta, phi_1_m, limit_N, a_m, b_m, patch, k_a, k_s):
+    """As `force`, for limit_N = mu N > 0 and semi-axes a_m along and b_m across."""
+    eta_c = corrected(eta, phi_1_m * a_m)
+    e2, e_c = xi * xi + eta * eta, math.sqrt(xi * xi + eta_c * eta_c)
     fx, fy = 0.0, 0.0
-    if e > 0.0:
-        c = math.hypot(patch.c11 * xi, patch.c22 * eta) / e
-        eps = polach.eps_per_creepage(a, b, c, patch.shear_Pa, load_N) * e_c / mu  # [S2]
-        size = limit * polach.shape(eps, k_a, k_s)[0] * e / e_c
-        lx, ly = johnson_vermeulen.linear(xi, eta, 0.0, load_N, patch)
-        nx, ny = johnson_vermeulen.direction(lx, ly, math.hypot(lx, ly) / limit, patch)
+    if e2 > 0.0:
+        lx, ly = johnson_vermeulen.linear(xi, eta, 0.0, a_m, b_m, patch)
+        u = math.sqrt(lx * lx + ly * ly) / limit_N
+        e = math.sqrt(e2)
+        size = limit_N * polach.shape(0.25 * math.pi * u * e_c / e, k_a, k_s)[0] * e / e_c  # [S2]
+        nx, ny = johnson_vermeulen.direction(lx, ly, u, patch)
         fx, fy = size * nx, size * ny  # [S3]
-    fy -= math.copysign(spin_force(phi_1_m, eta_c, e_c, a, b, limit, patch), phi_1_m)
-    return fx, fy, creep_moment.moment(xi, eta, phi_1_m, limit, load_N, patch)  # [S7]
+    if phi_1_m != 0.0:
+        fy -= math.copysign(spin_force(phi_1_m, eta_c, e_c, a_m, b_m, limit_N, patch), phi_1_m)
+    return fx, fy, creep_moment.moment(xi, eta, phi_1_m, limit_N, a_m, b_m, patch)  # [S7]
 
 
 @kernel
@@ -57,13 +64,13 @@ def corrected(eta, spin):
 
 @kernel
 def spin_force(phi_1_m, eta_c, e_c, a_m, b_m, limit_N, patch):
-    """Size in N of the lateral force of spin [S4]."""
-    if phi_1_m == 0.0 or e_c == 0.0:
+    """Size in N of the lateral force of spin [S4]; 0 without corrected creepage."""
+    if e_c == 0.0:
         return 0.0
     slim = 1.0 - 6.3 * math.expm1(-a_m / b_m)
     q = (8.0 / 3.0 * patch.shear_Pa * b_m * math.sqrt(a_m * b_m) * patch.c23 * abs(eta_c)
          / (limit_N * slim))  # [S6]
-    d = (q * q - 1.0) / (q * q + 1.0)
-    rest = 2.0 * q / (q * q + 1.0)  # sqrt(1 - d^2)
-    K = q * (d * d * d / 3.0 - 0.5 * d * d + 1.0 / 6.0) - rest * rest * rest / 3.0  # [S5]
+    inverse = 1.0 / (q * q + 1.0)
+    d, rest = (q * q - 1.0) * inverse, 2.0 * q * inverse  # rest = sqrt(1 - d^2)
+    K = q * (d * d * (d / 3.0 - 0.5) + 1.0 / 6.0) - rest * rest * rest / 3.0  # [S5]
     return 0.5625 * a_m * limit_N * abs(K) * slim * abs(phi_1_m) / e_c

@@ -128,13 +128,14 @@ def test_without_wsp_wheels_lock_on_soap_and_none_locks_on_the_dry_rig(stops):
 
 def test_a_locked_wheel_recovers_when_the_valve_vents():
     rig = Rig(42.3, adhesion=SOAP)
-    locked = rig.roll(8.0)
+    locked = rig.roll(15.0)
     assert (locked.wheel_speed[-1] == 0.0).all()
     freed = rig.roll(4.0, VENT)
     np.testing.assert_allclose(freed.wheel_circumferential_speed[-1], freed.vehicle_speed[-1],
                                rtol=1e-3)
     assert (freed.locked_since[-1] == 0.0).all()
-    again = rig.roll(8.0)
+    again = rig.roll(12.0)
+    assert again.vehicle_speed[-1] > 3.0
     assert (again.wheel_speed[-1] == 0.0).all()
 
 
@@ -187,7 +188,7 @@ def test_momentum_is_kept_where_nothing_outside_acts():
     kept = (vehicle.mass_kg * run.vehicle_speed + vehicle.wheelset_inertia_kgm2
             / vehicle.wheel_radius_m * run.wheel_speed.sum(axis=1))
     assert np.ptp(kept) < 1e-9 * kept[0]
-    assert np.abs(run.sliding[-1]).max() < 1e-3 < np.abs(run.sliding[0]).min()
+    assert np.abs(run.sliding[-1]).max() < 1e-3 < 1.0 < np.abs(run.sliding[1]).min()
     rollers = Rig(20.0, vehicle=NO_RESISTANCE)
     rollers.state.wheel_speed[:] *= (0.0, 0.5, 0.9, 1.2)
     drive = rollers.params.drive
@@ -201,7 +202,9 @@ def test_friction_that_changes_at_a_place_reaches_every_axle_when_it_stands_ther
     run = Rig(20.0, friction=[(True, 5.0, 0.10, MU_CLEAN, 0b1111)]).roll(2.5, demand_Pa=0.0)
     behind_m = np.array([0.0, 2.56, 19.0, 21.56])
     arrived = np.argmax(run.friction_degraded == 0.10, axis=0)
-    np.testing.assert_allclose(run.position[arrived], 5.0 + behind_m, atol=0.021)
+    late_m = run.position[arrived - 1] - (5.0 + behind_m)  # a tick looks where its axles stand
+    assert late_m.min() >= 0.0
+    assert late_m.max() < 0.02
     assert (run.friction_degraded[0] == MU_SOAP).all()
     assert (run.friction_degraded[-1] == 0.10).all()
 

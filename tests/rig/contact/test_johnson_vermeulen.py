@@ -32,7 +32,7 @@ def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():
 def test_the_linear_force_is_kalkers_with_the_patch_growing_with_load():
     a, b = PATCH.a1 * 20.0, PATCH.b1 * 20.0  # 8 kN
     G, ab = PATCH.shear_Pa, a * b
-    fx, fy = johnson_vermeulen.linear(1e-4, -2e-4, 0.05, 8000.0, PATCH)
+    fx, fy = johnson_vermeulen.linear(1e-4, -2e-4, 0.05, a, b, PATCH)
     assert fx == near(-G * ab * PATCH.c11 * 1e-4, rel=1e-12)
     assert fy == near(-G * ab * (-PATCH.c22 * 2e-4 + math.sqrt(ab) * PATCH.c23 * 0.05), rel=1e-12)
     mz = johnson_vermeulen.force(1e-8, -2e-8, 5e-6, 0.3, 8000.0, PATCH)[2]

@@ -1,0 +1,182 @@
+"""How fast the bus is on a running bench: TPDO to valve, SYNC to last TPDO, round trips.
+
+Every figure comes from a real run in wall pacing, with nodes, recorder and real-time thread, and a
+client in a process of its own. The way from a speed TPDO to the valve is read from the run's own
+record: stamps of the frames in can.log, and the tick that first had the new magnets. The valve's
+dead time is pneumatics and comes after it.
+"""
+
+import argparse
+import asyncio
+import json
+import re
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from rollerrig.configs.errors import RollerrigError
+from rollerrig.realtime import records
+from rollerrig.realtime.bench import Bench
+from rollerrig.realtime.benchmarks import client, figures, wall
+from rollerrig.realtime.benchmarks.figures import Result, Say, Target
+from rollerrig.wsp_interface import plugin
+from rollerrig.wsp_interface.frames import Frame
+
+RATES_HZ = (100, 1000, 2000)
+SDO_WITHIN = 1.5
+_TOGGLE_S, _ASK_S, _RATE_S = 10.0, 5.0, 4.0
+_TICK_HZ = 1000
+_LINE = re.compile(r"^\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)", re.MULTILINE)
+
+
+def run(given: argparse.Namespace, say: Say) -> Result:
+    """Three kinds of runs: with a unit that switches all the time, with questions, and by rates."""
+    say(f"speed TPDO to valve, {_TOGGLE_S:g} s ...")
+    to_valve, rates = _to_valve()
+    say(f"round trips, {_ASK_S:g} s ...")
+    trips = _round_trips()
+    for hz in RATES_HZ[1:]:
+        say(f"SYNC at {hz} Hz, {_RATE_S:g} s ...")
+        rates.append(_rate(hz))
+    limit_ms = 1000.0 / RATES_HZ[0] + 1000.0 / _TICK_HZ
+    worst_us = to_valve["from_tpdo_us"].get("max")
+    return {
+        "tpdo_to_valve": to_valve, "round_trip": trips, "sync": rates,
+        "targets": [
+            Target("speed TPDO to valve effect, the longest",
+                   None if worst_us is None else worst_us / 1000.0, limit_ms, "ms").plain(),
+            Target("SDO round trip over the hub's echo, p50", trips["ratio"], SDO_WITHIN).plain(),
+        ],
+        "notes": ["the hub carries what it is given: beyond the bit rate its load passes 100 %, "
+                  "which no wire would do"],
+    }
+
+
+# -- runs
+
+def _to_valve() -> tuple[Result, list[Result]]:
+    settings = (f"loop.tick_hz={_TICK_HZ}", f"loop.record_hz={_TICK_HZ}",
+                f"bus.sync_period_s={1 / RATES_HZ[0]!r}")
+    with wall.held(_TOGGLE_S, "external", settings, beside=_beside("unit")) as measured:
+        found = chain(measured.folder)
+        return found, [_timing(RATES_HZ[0], _TOGGLE_S, measured)]
+
+
+def _round_trips() -> Result:
+    with wall.held(_ASK_S, "none", beside=_beside("ask")) as measured:
+        told = measured.beside
+    echo, sdo = (figures.quantiles(np.array(told[name]) / 1000.0) for name in ("echo", "sdo"))
+    return {"echo_us": echo, "sdo_us": sdo,
+            "ratio": sdo["p50"] / echo["p50"] if echo and sdo else None}
+
+
+def _rate(hz: int) -> Result:
+    settings = (f"loop.tick_hz={max(hz, _TICK_HZ)}", f"bus.sync_period_s={1 / hz!r}")
+    with wall.held(_RATE_S, "none", settings, beside=_beside("listen")) as measured:
+        return _timing(hz, _RATE_S, measured)
+
+
+def _beside(role: str) -> wall.Beside:
+    """Start a client of the run's hub in a process, and return what it tells at the end."""
+
+    async def beside(bench: Bench) -> Any:
+        host, port, bus = plugin.parse_address(bench.place)
+        if role == "ask":
+            port_of_echo = bench.hub.attach(
+                lambda frame: frame.can_id == client.ECHO_CALL and port_of_echo.send(
+                    Frame(client.ECHO_ANSWER, frame.data)), "echo")
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "rollerrig.realtime.benchmarks.client", role, host, str(port),
+            bus, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE)
+        try:
+            out, error = await process.communicate()
+        finally:
+            if process.returncode is None:
+                process.kill()
+        if process.returncode:
+            raise RollerrigError("the benchmark's client has ended: "
+                                 + error.decode(errors="replace").strip()[-300:])
+        return json.loads(out)
+
+    return beside
+
+
+# -- what they tell
+
+def _timing(hz: int, seconds: float, measured: wall.Measured) -> Result:
+    """SYNC to last TPDO in a client's hands, and whether the rate was kept."""
+    begun_ns = measured.bench._begun_ns
+    late_us = [(last_ns - begun_ns) / 1000.0 - stamp_us
+               for stamp_us, _, last_ns in measured.beside["syncs"][1:-1] if last_ns]
+    sent = len(_stamps(_frames(measured.folder), client.SYNC))
+    loop, bus = measured.summary["loop"], measured.summary["bus"]
+    return {"hz": hz, "syncs": sent, "expected": round(seconds * hz), "last_tpdo_us":
+            figures.quantiles(late_us), "kept": sent >= 0.999 * seconds * hz - 1,
+            "bus_thread_share": measured.bus_thread_share, "dropped": bus["dropped"],
+            "load_percent": bus["load_percent"], "missed_ticks": loop["missed"]}
+
+
+def _frames(folder: Path) -> list[tuple[int, int, str]]:
+    """Stamp in us, identifier and data in hex of every frame in can.log."""
+    text = (folder / records.CAN_LOG).read_text(encoding="ascii")
+    return [(1_000_000 * int(seconds) + int(micros), int(can_id, 16), data)
+            for seconds, micros, can_id, data in _LINE.findall(text)]
+
+
+def _stamps(frames: Iterable[tuple[int, int, str]], can_id: int) -> np.ndarray:
+    return np.array([stamp for stamp, one, _ in frames if one == can_id], dtype=np.int64)
+
+
+def chain(folder: Path) -> Result:
+    """From the record of a run: SYNC, speed TPDO, magnets' frame, first tick that has the magnets.
+
+    The run was recorded every tick, so that a row stands for one tick: it began at the row's time,
+    later by the lateness that the next row tells.
+    """
+    frames = _frames(folder)
+    run = records.load(folder)
+    time_us, magnets = 1e6 * run.column("time_s"), run.column("magnets_1")
+    began_us = time_us[:-1] + run.column("tick_lateness_us")[1:]
+    switched = np.flatnonzero(np.diff(magnets[:-1])) + 1
+    syncs, speeds = _stamps(frames, client.SYNC), _stamps(frames, client.SPEEDS)
+    commands = [(stamp, int(data, 16) & 3) for stamp, can_id, data in frames
+                if can_id == client.MAGNETS and data]
+    at_us = np.array([stamp for stamp, _ in commands])
+    from_sync, from_tpdo, from_command = [], [], []
+    for row in switched:
+        last = int(np.searchsorted(at_us, began_us[row], side="right")) - 1
+        if last < 0 or commands[last][1] != magnets[row]:
+            continue  # the fall to the fail-safe value at the end has no frame
+        tpdo = int(np.searchsorted(speeds, at_us[last])) - 1
+        sync = int(np.searchsorted(syncs, speeds[tpdo], side="right")) - 1
+        if tpdo < 0 or sync < 0:
+            continue
+        from_sync.append(began_us[row] - syncs[sync])
+        from_tpdo.append(began_us[row] - speeds[tpdo])
+        from_command.append(began_us[row] - at_us[last])
+    return {"switches": len(from_tpdo), "syncs": len(syncs),
+            "from_sync_us": figures.quantiles(from_sync),
+            "from_tpdo_us": figures.quantiles(from_tpdo),
+            "from_command_us": figures.quantiles(from_command)}
+
+
+def table(result: Result) -> Table:
+    """All latencies in us, then each rate."""
+    valve, trips = result["tpdo_to_valve"], result["round_trip"]
+    named = [("SYNC to valve effect", valve["from_sync_us"], valve["switches"]),
+             ("speed TPDO to valve effect", valve["from_tpdo_us"], valve["switches"]),
+             ("magnets' frame to valve effect", valve["from_command_us"], valve["switches"]),
+             ("round trip of a frame (echo)", trips["echo_us"], ""),
+             ("round trip of an SDO upload", trips["sdo_us"], "")]
+    named += [(f"SYNC to last TPDO, {one['hz']} Hz", one["last_tpdo_us"],
+               f"{one['syncs']} of {one['expected']}{'' if one['kept'] else ' NOT KEPT'}, bus "
+               f"thread {100 * one['bus_thread_share']:.0f} %, {one['dropped']} dropped")
+              for one in result["sync"]]
+    rows = [(name, *(found.get(key) for key in ("p50", "p99", "p999", "max")), note)
+            for name, found, note in named]
+    return figures.table("the bus, in us", ("", "p50", "p99", "p999", "max", "SYNCs"), rows)

@@ -1,0 +1,60 @@
+"""Contact patches over the ratio of their curvatures, tabulated once for the time loop.
+
+Where a wheel touches, its curvatures change with every millimetre of shift, and Hertz' and Kalker's
+numbers with them. They depend on the ratio lateral / rolling curvature alone, up to powers of the
+sum, so one table over the logarithm of that ratio serves all contacts.
+
+[T1] a1, b1 proportional to (A + B)^(-1/3), k_h to (A + B)^(-1/2); the c_ij not at all
+
+Source: `contact.hertz`, `contact.kalker`. Linear between nodes: within 1e-4 of the exact values
+where Kalker's own table has no kink. Ratios beyond 1e-3 .. 1e3 count as these.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.contact import hertz, kalker
+from rollerrig.rig.kernel import kernel
+
+_NODES, _REACH = 513, math.log(1e3)
+
+
+class Patches(NamedTuple):
+    """Rows over log(B / A): a1, b1, k_h of a patch of A + B = 1 1/m, c11, c22, c23; (nodes, 6)."""
+
+    nodes_per_log: float
+    shear_Pa: float
+    rows: np.ndarray
+
+
+def tabulate(young_Pa: float, shear_Pa: float, poisson: float) -> Patches:
+    """The table of a material."""
+    rows = np.empty((_NODES, 6))
+    for i, log in enumerate(np.linspace(-_REACH, _REACH, _NODES)):
+        A = 1.0 / (1.0 + math.exp(log))
+        a1, b1, _, _ = hertz.semi_axes(A, 1.0 - A, 1.0, young_Pa, poisson)
+        c11, c22, c23, _ = kalker.coefficients(a1 / b1, poisson)
+        rows[i] = (a1, b1, hertz.stiffness(A, 1.0 - A, young_Pa, poisson), c11, c22, c23)
+    return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, rows)
+
+
+@kernel
+def at(rolling_1_m, lateral_1_m, patches):
+    """(a1, b1, k_h, c11, c22, c23) of a contact, from the sums of both bodies' curvatures [T1]."""
+    place = (math.log(lateral_1_m / rolling_1_m) + _REACH) * patches.nodes_per_log
+    i = min(max(int(place), 0), _NODES - 2)
+    part = min(max(place - i, 0.0), 1.0)
+    low, high = patches.rows[i], patches.rows[i + 1]
+    half = 0.5 * (rolling_1_m + lateral_1_m)
+    root = math.sqrt(half)
+    shrink = 1.0 / math.exp(math.log(half) / 3.0)
+    return (
+        (low[0] + (high[0] - low[0]) * part) * shrink,
+        (low[1] + (high[1] - low[1]) * part) * shrink,
+        (low[2] + (high[2] - low[2]) * part) / root,
+        low[3] + (high[3] - low[3]) * part,
+        low[4] + (high[4] - low[4]) * part,
+        low[5] + (high[5] - low[5]) * part,
+    )

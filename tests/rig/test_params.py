@@ -1,0 +1,100 @@
+"""The table of parameters and the structures built from it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.rig import params
+
+ROWS = [(section, row) for section, rows in params.ROWS.items() for row in rows]
+NUMBERS = [(section, row) for section, row in ROWS if isinstance(row.default, float | int)]
+NO_FRICTION = params.Friction(*(np.zeros(0, kind) for kind in (bool, float, float, float, int)))
+NO_DEMAND = params.Demand(np.zeros(0), np.zeros(0))
+
+
+def ids(pairs):
+    return [f"{section}.{row.name}" for section, row in pairs]
+
+
+def build(**sections):
+    return params.build(params.check(sections, "here"), NO_FRICTION, NO_DEMAND, 1e-3, 10)
+
+
+@pytest.mark.parametrize(("section", "row"), ROWS, ids=ids(ROWS))
+def test_every_parameter_has_a_source_and_a_default_that_is_allowed(section, row):
+    assert row.source.strip()
+    assert params.check({section: {row.name: row.default}}, "here")[section][row.name] == row.default
+
+
+@pytest.mark.parametrize(("section", "row"), NUMBERS, ids=ids(NUMBERS))
+def test_every_number_has_a_unit_or_is_a_pure_one(section, row):
+    pure = {"poisson", "mu_cd", "mu_cr", "A_d", "A_r", "k_ad", "k_sd", "k_ar", "k_sr",
+            "cleaning_creepage", "lever_ratio", "efficiency", "pad_friction", "discs", "teeth"}
+    units = ("_m", "_s", "_kg", "_kgm2", "_N", "_Nm", "_Pa", "_W", "_L", "_m2", "_m_s", "_rad_s",
+             "_s_m", "_m_J", "_N_s_m", "_N_s2_m2")
+    assert row.name in pure or row.name.endswith(units)
+
+
+@pytest.mark.parametrize(("section", "row"), NUMBERS, ids=ids(NUMBERS))
+@pytest.mark.parametrize("bad", [math.nan, "below", "above", "12", True, None])
+def test_a_value_that_is_not_allowed_is_refused_with_place_value_and_bounds(section, row, bad):
+    value = {"below": row.low - abs(row.low) - 1e-6, "above": row.high * 2.0 + 1.0}.get(bad, bad)
+    if value == math.inf or (bad == "above" and math.isinf(row.high)):
+        pytest.skip("this parameter has no upper bound")
+    if value is None:
+        value = [1.0]
+    with pytest.raises(ConfigError) as caught:
+        params.check({section: {row.name: value}}, "file.toml")
+    text = str(caught.value)
+    assert text.startswith(f"file.toml [{section}]")
+    assert row.name in text
+    assert "wanted" in text or f"allowed {row.low:g} to {row.high:g}" in text
+
+
+def test_an_unknown_key_names_its_likely_meaning():
+    with pytest.raises(ConfigError, match=r"here \[vehicle\]: unknown key 'mas_kg'.*'mass_kg'"):
+        params.check({"vehicle": {"mas_kg": 1.0}}, "here")
+
+
+def test_recovery_that_would_spoil_the_contact_is_refused():
+    with pytest.raises(ConfigError, match=r"mu_cr/A_r = 0.25 is below the degraded mu_cd/A_d = 0.75"):
+        params.check({"adhesion": {"mu_cd": 0.3, "mu_cr": 0.1}}, "here")
+
+
+def test_a_vehicle_lighter_than_its_running_gear_is_refused():
+    with pytest.raises(ConfigError, match=r"mass_kg = 9000 is not more than .* \(13280 kg\)"):
+        build(vehicle={"mass_kg": 9000.0})
+
+
+def test_nobody_can_write_a_parameter():
+    built = build()
+    for part in (built, built.vehicle, built.brake, built.drive, built.patch, built.law):
+        with pytest.raises(AttributeError):
+            setattr(part, part._fields[0], 1.0)
+
+
+def test_wheelsets_stand_behind_the_first_by_wheelbase_and_bogie_distance():
+    np.testing.assert_allclose(build().axle_position_m, [0.0, 2.56, 19.0, 21.56])
+
+
+def test_a_lag_closes_its_exact_share_of_the_gap_in_a_step():
+    built = build(valve={"vent_time_constant_s": 0.2}, drive={"torque_time_constant_s": 1e-4})
+    assert built.brake.valve_vent_share == pytest.approx(1.0 - math.exp(-1e-4 / 0.2), rel=1e-12)
+    assert built.drive.torque_share == pytest.approx(1.0 - math.exp(-1.0), rel=1e-12)
+
+
+def test_dead_time_is_a_whole_number_of_ticks():
+    assert build(valve={"dead_time_s": 0.04}).brake.dead_time_ticks == 40
+    assert build(valve={"dead_time_s": 0.0}).brake.dead_time_ticks == 0
+
+
+def test_the_papers_tables_are_the_defaults():
+    built = build()
+    assert built.vehicle.mass_kg == 43000.0
+    assert built.vehicle.wheel_radius_m == 0.445
+    assert built.vehicle.wheelset_inertia_kgm2 == 160.0
+    assert built.law._asdict() == {
+        "mu_cd": 0.06, "mu_cr": 0.28, "A_d": 0.40, "A_r": 0.40, "gamma_d_s_m": 0.20,
+        "gamma_r_s_m": 0.60, "k_ad": 0.3, "k_sd": 0.1, "k_ar": 1.0, "k_sr": 0.4, "tau_m_J": 1.9e-4}

@@ -1,0 +1,91 @@
+"""The virtual vehicle: running resistance, load transfer, standstill."""
+
+import math
+
+import numpy as np
+import pytest
+from rolling import DRY, SOAP, TRACK, Rig
+
+from rollerrig.rig import params, vehicle
+
+COACH = {row.name: row.default for row in params.ROWS["vehicle"]}
+AT_M = np.array([0.0, 2.56, 19.0, 21.56])
+
+
+def test_resistance_is_the_polynomial_of_davis():
+    given = Rig(30.0, vehicle={"resistance_A_N": 500.0, "resistance_B_N_s_m": 20.0,
+                               "resistance_C_N_s2_m2": 2.0}).params.vehicle
+    assert [vehicle.resistance(v, given) for v in (0.0, 1.0, 10.0)] == [500.0, 522.0, 900.0]
+
+
+def test_a_coasting_vehicle_slows_down_as_the_closed_form_says():
+    rig = Rig(30.0, rig=TRACK)
+    run = rig.roll(60.0, demand_Pa=0.0)
+    # wheelsets turn with the vehicle: their inertia adds mass; v(t) of M dv/dt = -(A + C v^2)
+    mass_kg = COACH["mass_kg"] + 4 * COACH["wheelset_inertia_kgm2"] / COACH["wheel_radius_m"] ** 2
+    A, C = COACH["resistance_A_N"], COACH["resistance_C_N_s2_m2"]
+    root = math.sqrt(A / C)
+    expected = root * np.tan(np.arctan(30.0 / root) - math.sqrt(A * C) / mass_kg * run.time)
+    np.testing.assert_allclose(run.vehicle_speed, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("deceleration_m_s2", [0.0, 0.5, 1.6])
+def test_loads_carry_the_weight_and_the_moment_of_braking(deceleration_m_s2):
+    given = Rig(30.0).params.vehicle
+    loads_N = np.array([vehicle.load(j, -deceleration_m_s2, given) for j in range(4)])
+    assert loads_N.sum() == pytest.approx(COACH["mass_kg"] * 9.80665, rel=1e-12)
+    # about the rail: each mass at its height
+    body_kg = COACH["mass_kg"] - 2 * COACH["bogie_mass_kg"] - 4 * COACH["wheelset_mass_kg"]
+    moment_kg_m = (body_kg * COACH["body_height_m"]
+                   + 2 * COACH["bogie_mass_kg"] * COACH["bogie_height_m"]
+                   + 4 * COACH["wheelset_mass_kg"] * COACH["wheel_radius_m"])
+    ahead_m = AT_M.mean() - AT_M
+    assert loads_N @ ahead_m == pytest.approx(moment_kg_m * deceleration_m_s2, rel=1e-12)
+
+
+def test_braking_loads_the_leading_wheelset_of_every_bogie_and_the_leading_bogie():
+    run = Rig(30.0, adhesion=DRY).roll(5.0)
+    loads_N = run.wheel_load[-1]
+    assert loads_N[0] > loads_N[1]
+    assert loads_N[2] > loads_N[3]
+    assert loads_N[:2].sum() > loads_N[2:].sum()
+    np.testing.assert_allclose(run.wheel_load.sum(axis=1), COACH["mass_kg"] * 9.80665, rtol=1e-12)
+
+
+def test_loads_follow_the_deceleration_with_the_lag_of_pitching():
+    run = Rig(30.0, adhesion=DRY).roll(8.0)
+    lag_s = COACH["pitch_time_constant_s"]
+    felt = run.felt_acceleration
+    change = np.gradient(felt, run.time) * lag_s
+    np.testing.assert_allclose(felt + change, run.vehicle_acceleration, atol=0.02)
+
+
+def test_a_wheelset_that_is_lifted_off_has_no_load_and_no_adhesion():
+    rig = Rig(30.0, adhesion=DRY, vehicle={"pivot_height_m": 3.0, "body_height_m": 4.0,
+                                           "bogie_wheelbase_m": 0.5})
+    run = rig.roll(10.0)
+    lifted = run.wheel_load == 0.0
+    assert lifted.any()
+    assert run.wheel_load.min() == 0.0
+    assert (run.adhesion[lifted] == 0.0).all()
+    assert np.isfinite(run.log).all()
+
+
+def test_a_released_vehicle_at_walking_pace_rolls_out_and_stands():
+    rig = Rig(0.5, adhesion=SOAP)
+    run = rig.roll(40.0, demand_Pa=0.0)
+    mass_kg = COACH["mass_kg"] + 4 * COACH["wheelset_inertia_kgm2"] / COACH["wheel_radius_m"] ** 2
+    expected_s = 0.5 * mass_kg / COACH["resistance_A_N"]
+    assert run.time[np.flatnonzero(run.standing)[0]] == pytest.approx(expected_s, rel=0.02)
+
+
+def test_brakes_that_come_on_at_standstill_move_nothing():
+    rig = Rig(0.5)
+    rig.roll(40.0, demand_Pa=0.0)
+    place_m = rig.state.position[0]
+    run = rig.roll(5.0, 3)
+    run = rig.roll(5.0)
+    assert run.position[-1] == place_m
+    assert (run.wheel_speed == 0.0).all()
+    assert (run.brake_torque == 0.0).all()
+    assert run.cylinder_pressure[-1].min() > 3e5

@@ -1,0 +1,108 @@
+"""Wheelset and roller: the force's sign, its slope, the damped stage, locking."""
+
+import numpy as np
+import pytest
+from rolling import SOAP, Rig
+
+from rollerrig.rig import wheelset
+from rollerrig.rig.contact import adhesion
+
+RIG = Rig(30.0, adhesion=SOAP).params
+LOAD_N = 105e3
+SLIDINGS_M_S = (1e-9, 1e-4, 0.01, 0.3, 3.0, 30.0)
+near = pytest.approx
+
+
+def force(sliding_m_s, surface_m_s=30.0, load_N=LOAD_N):
+    return wheelset.force(sliding_m_s, surface_m_s, load_N, 0.06, 0.28, RIG.patch, RIG.law,
+                          RIG.cleaning_creepage)
+
+
+@pytest.mark.parametrize("sliding_m_s", SLIDINGS_M_S)
+def test_the_force_opposes_sliding_alike_in_both_directions(sliding_m_s):
+    braking, driving = force(sliding_m_s), force(-sliding_m_s)
+    assert braking[0] > 0.0
+    assert driving[0] == near(-braking[0], rel=1e-12)
+    assert driving[1] == near(braking[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("sliding_m_s", SLIDINGS_M_S)
+def test_the_secant_slope_times_sliding_is_the_force(sliding_m_s):
+    T, slope = force(sliding_m_s)
+    assert slope * sliding_m_s == near(T, rel=1e-12)
+
+
+def test_without_sliding_or_load_there_is_no_force():
+    assert force(0.0)[0] == 0.0
+    assert force(1.0, load_N=0.0) == (0.0, 0.0)
+    assert np.isfinite(force(0.0, surface_m_s=0.0)).all()
+    assert np.isfinite(force(1e-300, surface_m_s=0.0)).all()
+
+
+def test_both_wheels_of_a_wheelset_carry_half_its_load():
+    f = adhesion.degraded(0.3, 30.0, 0.5 * LOAD_N, RIG.patch, RIG.law)[0]
+    assert force(0.3)[0] == near(f * LOAD_N, rel=1e-12)
+
+
+def test_cleaning_is_the_papers_law_below_its_creepage_and_bounded_beyond():
+    def creep(sliding_m_s, bound):
+        return wheelset.creep(sliding_m_s, 30.0, LOAD_N, 0.06, 0.28, RIG.patch, RIG.law, bound)
+
+    assert creep(5.9, 0.2) == creep(5.9, np.inf)
+    paper, bounded = creep(30.0, np.inf), creep(30.0, 0.2)
+    assert bounded[0] < 0.4 * paper[0]
+    assert bounded[3] < paper[3]
+    assert bounded[1:3] == paper[1:3]
+
+
+def test_the_wheelset_accelerates_by_contact_less_brake():
+    vehicle = RIG.vehicle
+    rate, brake_Nm, locked = wheelset.rates(60.0, 10e3, 2000.0, vehicle)
+    assert not locked
+    assert brake_Nm == 2000.0
+    assert rate == near((0.445 * 10e3 - 2000.0) / 160.0)
+
+
+def test_a_wheel_at_rest_stays_locked_until_the_contact_beats_the_brake():
+    vehicle = RIG.vehicle
+    assert wheelset.rates(0.0, 4000.0, 2000.0, vehicle) == (0.0, 0.445 * 4000.0, True)
+    rate, brake_Nm, locked = wheelset.rates(0.0, 5000.0, 2000.0, vehicle)
+    assert not locked
+    assert brake_Nm == 2000.0
+    assert rate == near((0.445 * 5000.0 - 2000.0) / 160.0)
+    # nothing pulls it backwards
+    assert wheelset.rates(0.0, -500.0, 2000.0, vehicle) == (0.0, 0.0, True)
+
+
+@pytest.mark.parametrize(("locked", "on_track"), [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_a_stage_solves_its_linear_system(locked, on_track):
+    vehicle, drive, h, g = RIG.vehicle, RIG.drive, 1e-4, 5e6
+    r, R = vehicle.wheel_radius_m, drive.roller_radius_m
+    p = np.array([0.0 if locked else r / vehicle.wheelset_inertia_kgm2,
+                  0.0 if on_track else -R / drive.roller_inertia_kgm2])
+    q = g * np.array([-r, R])
+    gamma = 1.0 - 1.0 / np.sqrt(2.0)
+    k = np.array([-3.0, 2.0])
+    *found, added_N = wheelset.damped(*k, g, bool(locked), bool(on_track), h, vehicle, drive)
+    expected = np.linalg.solve(np.eye(2) - gamma * h * np.outer(p, q), k)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(k + p * added_N, found, rtol=1e-12)
+
+
+def test_a_braked_wheel_without_adhesion_stops_when_its_momentum_is_gone():
+    rig = Rig(30.0, adhesion={"mu_cd": 1e-4, "mu_cr": 1e-4, "A_d": 1.0, "A_r": 1.0})
+    rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 2e5
+    run = rig.roll(2.0, demand_Pa=2e5)
+    torque_Nm = run.brake_torque[0, 0]
+    expected_s = 160.0 * (30.0 / 0.445) / torque_Nm
+    stopped_s = run.time[np.argmax(run.wheel_speed == 0.0, axis=0)]
+    np.testing.assert_allclose(stopped_s, expected_s, rtol=5e-3)
+
+
+def test_a_lock_is_counted_only_while_the_vehicle_runs_above_the_limit():
+    rig = Rig(10.0, adhesion={"mu_cd": 0.01, "cleaning_creepage": 0.2}, rig={"lock_above_m_s": 5.0})
+    run = rig.roll(60.0)
+    locked = (run.wheel_circumferential_speed < 0.1) & (run.vehicle_speed > 5.0)[:, None]
+    assert locked.any(axis=0).all()
+    np.testing.assert_allclose(run.longest_lock[-1], locked.sum(axis=0) * 1e-3, atol=2e-3)
+    assert (run.locked_since[-1] == 0.0).all()
