@@ -75,6 +75,8 @@ class Drive:
         objects.readers[key(0x6041, 0)] = lambda: self.word
         objects.readers[key(0x6061, 0)] = lambda: self.mode
         objects.readers[key(0x603F, 0)] = lambda: self.error
+        objects.readers[key(0x2000, 0)] = lambda: int(not self.local)
+        objects.effects[key(0x2000, 0)] = self._take_source
         objects.effects[key(0x6040, 0)] = self.on_controlword
         objects.checks[key(0x6060, 0)] = _check_mode
         objects.effects[key(0x6060, 0)] = lambda _: self._take_mode()
@@ -106,6 +108,12 @@ class Drive:
         self.before = values[key(0x6040, 0)]
         self._take_mode()
         self._publish()
+
+    def _take_source(self, bus: int) -> None:
+        if bus and self.local:
+            self.control_from_bus()
+        elif not bus and not self.local:
+            self.control_from_rig()
 
     @property
     def enabled(self) -> bool:

@@ -45,6 +45,8 @@ def rows(axle: int, parameters: Mapping[str, float]) -> list[Row]:
 
 def _control() -> list[Row]:
     return [
+        Row(0x2000, 0, "Control source", "U8", "rw", 0, low=0, high=1,
+            text="0 the bench's rig control, 1 a master on the bus"),
         Row(0x603F, 0, "Error code", "U16", "ro", 0, True),
         Row(0x6040, 0, "Controlword", "U16", "rw", 0, True),
         Row(0x6041, 0, "Statusword", "U16", "ro", 0, True),

@@ -393,7 +393,7 @@ def build_machine(plan: Scenario, ring: rings.Ring) -> Machine:
     rollers = Plant(plan.rollers, plan["initial_speed_m_s"]) if plan.rollers else plant
     tick_hz = plan["loop"]["tick_hz"]
     commands = mailbox.mailbox(COMMANDS)
-    commands.values[:] = (0.0,) * tick.AXLES + (np.nan,) * (COMMANDS - tick.AXLES)
+    commands.values[:] = tick.first_command()
     width = len(signals.COLUMNS)
     machine = Machine(
         plan.params, plant.state, plant.buffer, plant.delay, np.zeros(8, dtype=np.int64), commands,

@@ -10,9 +10,9 @@ import os
 
 import numpy as np
 
-from rollerrig.realtime import clock, tick
+from rollerrig.realtime import clock, hold, tick
 from rollerrig.realtime.clock import now_ns, sleep_until, wake
-from rollerrig.realtime.tick import BUSY_NS, DONE, LATE_NS, MISSED, STOP, TICK, WORST_NS
+from rollerrig.realtime.tick import BUSY_NS, DONE, HELD, LATE_NS, MISSED, STOP, TICK, WORST_NS
 from rollerrig.rig.kernel import kernel
 
 # histogram of lateness: bins of 1 us, the last one holds all that is later
@@ -42,8 +42,11 @@ def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
             if late > _STALL_TICKS * tick_ns:
                 m.control[MISSED] += late // tick_ns - 1
                 deadline = began
-        tick.once(m)
-        if m.control[TICK] % sync_ticks == 0:
+        if hold.is_held(m, sync_ticks):
+            hold.roll(m)
+        else:
+            tick.once(m)
+        if (m.control[TICK] + m.control[HELD]) % sync_ticks == 0:
             wake(descriptor, one)
         m.control[BUSY_NS] = max(m.control[BUSY_NS], now_ns(spec) - began)
         deadline += tick_ns

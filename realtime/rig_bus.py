@@ -16,8 +16,9 @@ from rollerrig.firmware_sim import drive402, encoder406, io401
 from rollerrig.firmware_sim.network import Network
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.realtime import ring as rings
+from rollerrig.realtime import tick
 from rollerrig.realtime.scenario import Scenario
-from rollerrig.realtime.tick import COMMANDS, REFERENCE
+from rollerrig.realtime.tick import REFERENCE
 from rollerrig.wsp_interface import buses, plugin, signals
 from rollerrig.wsp_interface.frames import Frame
 from rollerrig.wsp_interface.hub import Hub
@@ -53,7 +54,7 @@ async def open_bus(scenario: Scenario, clock_ns: Callable[[], int],
 class RigBus:
     """Six nodes and a master on one bus.
 
-    `row` is the live row of all signals, `command` (COMMANDS,) float64 what the bus asks of the rig;
+    `row` is the live row of all signals, `command` (tick.COMMANDS,) float64 what the bus asks of the rig;
     `on_command()` is called when it has changed.
     """
 
@@ -61,18 +62,22 @@ class RigBus:
                  on_command: Callable[[], None], on_event: Callable[[str, str], None],
                  clock_ns: Callable[[], int]) -> None:
         self.hub, self.row, self.clock_ns = hub, row, clock_ns
-        self.command = np.full(COMMANDS, np.nan)
+        self.command = tick.first_command()
         self.answered = asyncio.Event()
         self._on_command = on_command
         bus = scenario["bus"]
         beat_ms = round(1000.0 * bus["heartbeat_s"])
         parameters = {"rated_torque_Nm": scenario["drive"]["rated_torque_Nm"],
+                      "max_speed_rad_s": scenario["drive"]["max_speed_rad_s"],
                       "teeth": float(scenario["sensor"]["teeth"]), "heartbeat_ms": float(beat_ms)}
-        nodes = [drive402.build(node_id, axle, row, parameters)
+        asked = self.command[tick.DRIVES:].reshape(len(signals.DRIVE_NODES), -1)
+        nodes = [drive402.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,
+                                scenario["rig"]["drives"])
                  for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]
         nodes.append(encoder406.build(row, parameters))
         nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell))
         self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
+        self.nodes = {node.node_id: node for node in nodes}
         self.rack = Rack()
         # the master first: it hears the boot-up of the others
         members: tuple[Any, ...] = (self.master, *nodes)
@@ -104,13 +109,19 @@ class RigBus:
         self.rack.poll(self.clock_ns())
 
 
-def record_frames(hub: Hub, ring: rings.Ring) -> None:
-    """Put every frame of the bus into a ring of frames."""
+def record_frames(hub: Hub, ring: rings.Ring, begun_ns: Callable[[], int] = lambda: 0) -> None:
+    """Put every frame of the bus into a ring of frames.
+
+    `begun_ns()`: when the run began by the clock of the bus; -1 while it has not (nothing is put).
+    """
     row = np.zeros(rings.FRAME_WORDS, dtype=np.int64)
     body = row[3:].view(np.uint8)
 
     def put(frame: Frame) -> None:
-        row[0] = frame.time_ns
+        begun = begun_ns()
+        if begun < 0:
+            return
+        row[0] = max(frame.time_ns - begun, 0)
         row[1] = (frame.can_id | (rings.EXTENDED_FLAG if frame.extended else 0)
                   | (rings.REMOTE_FLAG if frame.remote else 0))
         row[2] = frame.dlc if frame.remote else len(frame.data)

@@ -47,12 +47,24 @@ BUS = (
     integer("socketcand_port", 29536, 0, 65535, "0 takes a free one"),
     flag("master", True, "the bench starts the nodes and produces SYNC"),
 )
+MODBUS = (
+    flag("enabled", True, "the supervisory PLC listens, in wall pacing"),
+    choice("host", "127.0.0.1", (), "address of the PLC: loopback unless named otherwise"),
+    integer("port", 5020, 0, 65535, "0 takes a free one"),
+    choice("tls_certificate", "", (), "PEM file; with it the port speaks TLS and nothing else"),
+    choice("tls_key", "", (), "PEM file: the certificate's key"),
+    choice("tls_client_ca", "", (), "PEM file: who signs the certificates of clients"),
+    choice("serial", "", (), "RTU: a serial device, or pty for a new pseudo-terminal"),
+    integer("baud_rate", 19200, 300, 115200, "MODBUS over Serial Line: 19200 by default"),
+    choice("parity", "even", ("even", "odd", "none"), "MODBUS over Serial Line: even by default"),
+    number("emergency_pressure_Pa", 3.8e5, 0.0, 1e6, "assumption: that of full service"),
+)
 DEMAND = (number("from_s", 0.0, 0.0, 36000.0, "s"), number("pressure_Pa", None, 0.0, 1e6, "Pa"))
 FRICTION = (
     number("from_s", -1.0, 0.0, 36000.0, "s"), number("from_m", -1.0, -1e3, 1e6, "m"),
     number("mu_cd", -1.0, 1e-4, 1.0, "-"), number("mu_cr", -1.0, 1e-4, 1.0, "-"),
 )
-SECTIONS = {**physics.ROWS, "loop": LOOP, "bus": BUS}
+SECTIONS = {**physics.ROWS, "loop": LOOP, "bus": BUS, "modbus": MODBUS}
 # tables that come from files of their own: the table, and the folder of its files
 SETS = {"vehicle": "vehicles", "rig": "rigs", "adhesion": "adhesion", "bus": "buses"}
 
@@ -120,7 +132,7 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
                 allowed = [*SECTIONS, *programme, *(row.name for row in HEAD)]
                 raise ConfigError(f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}")
     checked: dict[str, Any] = dict(physics.check(merged, name))
-    for section in ("loop", "bus"):
+    for section in ("loop", "bus", "modbus"):
         checked[section] = table.read(SECTIONS[section], merged[section], f"{name} [{section}]")
     tick_s, substeps, sync, record = _ratios(checked, name)
     demand, demand_rows = _demand(programme["demand"], source)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.firmware_sim import rig_control, wsp
+from rollerrig.firmware_sim import drive402_axis, drive_control, rig_control, wsp
 from rollerrig.realtime import mailbox as box
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.mailbox import Mailbox
@@ -21,12 +21,13 @@ from rollerrig.rig.state import AXLES, SLOTS, State
 from rollerrig.wsp_interface import signals
 
 # the command row: magnets of the axles, a brake demand from the bus (NaN: none), and the WSP's
-# reference speed (NaN: it tells none); the first two are what io401 writes
-MAGNETS, DEMAND, REFERENCE = 0, AXLES, AXLES + 1
-COMMANDS = AXLES + 2
+# reference speed (NaN: it tells none); the first two are what io401 writes; then what each drive is
+# asked, as drive402_axis lays it out
+MAGNETS, DEMAND, REFERENCE, DRIVES = 0, AXLES, AXLES + 1, AXLES + 2
+COMMANDS = DRIVES + AXLES * drive402_axis.COMMANDS
 
 # slots of the control array (int64)
-TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS = range(8)
+TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS, HOLD, HELD, SLOTS_OF_CONTROL = range(11)
 
 
 class Machine(NamedTuple):
@@ -34,6 +35,7 @@ class Machine(NamedTuple):
 
     `virtual` 1: the state is that of the virtual track, and the rollers have a plant of their own,
     whose slots `gather_rollers` (n,) a row copies. Else the rollers are the plant itself.
+    `hold` (1,) is the speed in m/s at which a held rig rolls.
     """
 
     params: Params
@@ -57,6 +59,7 @@ class Machine(NamedTuple):
     record_ticks: int
     end_tick: int
     stand_ticks: int
+    hold: np.ndarray
 
 
 _TIME = signals.column("time")
@@ -81,6 +84,17 @@ OF_ROLLERS = frozenset((
     "wheel_speed", "wheel_circumferential_speed", "wheel_angle", "tooth_frequency", "pulse_count",
     "roller_speed", "roller_angle", "motor_torque", "motor_torque_demand",
 ))
+
+
+def first_command() -> np.ndarray:
+    """The command row of a rig that nobody has asked for anything: drives enabled for the rig."""
+    row = np.full(COMMANDS, np.nan)
+    row[MAGNETS:MAGNETS + AXLES] = 0.0
+    drives = row[DRIVES:].reshape(AXLES, drive402_axis.COMMANDS)
+    drives[:] = 0.0
+    drives[:, drive402_axis.ENABLED] = 1.0
+    drives[:, drive402_axis.LOOP] = drive402_axis.LOOP_RIG
+    return row
 
 
 def gather(names: Iterable[str] = tuple(SLOTS)) -> np.ndarray:
@@ -140,6 +154,8 @@ def once(m):
     """Run one tick and count it; sets DONE when the vehicle has stood long enough or time is up."""
     tick = m.control[TICK]
     if tick % m.record_ticks == 0:
+        # this tick's own lateness belongs to the sample: it is cleared with the others
+        m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
         rings.push(m.ring_header, m.ring_rows, m.row)
         m.control[LATE_NS] = 0
         m.control[BUSY_NS] = 0
@@ -149,6 +165,9 @@ def once(m):
                                           m.params.vehicle)
     elif m.params.mode != 0:
         rig_control.hold_surface_speed(m.state, m.params.drive, m.params.tick_s)
+    if m.virtual != 0 or m.params.mode != 0:
+        drive_control.obey(m.roller_state, m.roller_params.drive, m.command[DRIVES:],
+                           m.params.tick_s)
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
     plant.observe(m.state, m.params)
     if m.virtual != 0:

@@ -30,6 +30,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of whatever is random (default: 0)")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
                         help="change one value, as in adhesion.mu_cd=0.05; may be repeated")
+    parser.add_argument("--start", choices=("now", "modbus"), default="now", help="modbus: hold the rig "
+                        "rolling at its set speed until a Modbus client starts it (default: now)")
     parser.add_argument("--wait", type=float, default=60.0, metavar="S",
                         help="longest wait for a WSP unit to appear (default: 60)")
 
@@ -40,7 +42,7 @@ def call(given: argparse.Namespace) -> int:
     plan = scenario.load(given.scenario, given.model, tuple(given.set))
     out = given.out or free_folder(plan.name)
     options = bench.Options(given.pacing, given.wsp, out, given.live, given.strict, given.seed,
-                            given.wait)
+                            given.wait, given.start)
     bench.check_options(options)
     line = ProgressLine()
     if not kernel.is_compiled():

@@ -101,6 +101,7 @@ ROWS: dict[str, tuple[Row, ...]] = {
     ),
     "rig": (
         choice("mode", "contaminated_rollers", tuple(MODES), "how the rig is run"),
+        choice("drives", "rig", ("rig", "bus"), "who has the drives: the rig control or a bus master"),
         number("lock_above_m_s", 3.0, 0.5, 20.0, _A + "; slower than this a lock is not counted"),
     ),
 }

@@ -55,6 +55,7 @@ class State(NamedTuple):
     motor_torque: np.ndarray  # N m, motor
     motor_work: np.ndarray  # J, integrate
     observer: np.ndarray  # N m, memory of the rig control's observer
+    speed_integral: np.ndarray  # N m, memory of the drives' velocity loops
     motor_before: np.ndarray  # N m, motor torque at the beginning of the step; integrate
     contact_force: np.ndarray  # N, of both wheels, mean of the last step; integrate
     brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate

@@ -8,13 +8,14 @@ it lies between theirs in the same proportion, and one scalar equation is left, 
 [D1] T = (1 - lambda) T_d + lambda T_r                                       paper eqs. 9, 18
 [D2] W_sp = -(T_x xi + T_y eta), not below 0                                 paper eqs. 8, 17
 [D3] W = W_r - (W_r - W_d) exp(-tau W), solved in closed form                paper eqs. 10, 15
+[D4] M_z by `creep_moment`, for the friction limit that lies between theirs likewise
 
 Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937. Eqs. 8 and 17 against 20 differ in sign
 there; here work is positive. Limits: spin does no work in [D2], as in the paper; with pure spin
 nothing recovers. Without lateral creepage and spin all is as in `adhesion.degraded`.
 """
 
-from rollerrig.rig.contact import adhesion, polach, polach_spin
+from rollerrig.rig.contact import adhesion, creep_moment, polach, polach_spin
 from rollerrig.rig.kernel import kernel
 
 
@@ -31,10 +32,12 @@ def force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     a, b = patch.a1 * growth, patch.b1 * growth
     limit_d = load_N * polach.friction(sliding_m_s, law.mu_cd, law.A_d, law.gamma_d_s_m)
     limit_r = load_N * polach.friction(sliding_m_s, law.mu_cr, law.A_r, law.gamma_r_s_m)
-    dx, dy, dm = polach_spin.within(xi, eta, phi_1_m, limit_d, a, b, patch, law.k_ad, law.k_sd)
-    rx, ry, rm = polach_spin.within(xi, eta, phi_1_m, limit_r, a, b, patch, law.k_ar, law.k_sr)
+    dx, dy = polach_spin.within(xi, eta, phi_1_m, limit_d, a, b, patch, law.k_ad, law.k_sd)
+    rx, ry = polach_spin.within(xi, eta, phi_1_m, limit_r, a, b, patch, law.k_ar, law.k_sr)
     W_d = max(-(dx * xi + dy * eta), 0.0)  # [D2]
     W_r = max(-(rx * xi + ry * eta), 0.0)
     W, lambda_ = adhesion.recovery(W_d, W_r, law.tau_m_J)  # [D3]
     kept = 1.0 - lambda_
-    return kept * dx + lambda_ * rx, kept * dy + lambda_ * ry, kept * dm + lambda_ * rm, lambda_, W
+    limit = kept * limit_d + lambda_ * limit_r
+    mz = creep_moment.moment(xi, eta, phi_1_m, limit, a, b, patch)  # [D4]
+    return kept * dx + lambda_ * rx, kept * dy + lambda_ * ry, mz, lambda_, W

@@ -35,12 +35,14 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, k_a, k_s):
     if not limit > 0.0 or (xi == 0.0 and eta == 0.0 and phi_1_m == 0.0):
         return 0.0, 0.0, 0.0
     growth = load_N ** (1.0 / 3.0)
-    return within(xi, eta, phi_1_m, limit, patch.a1 * growth, patch.b1 * growth, patch, k_a, k_s)
+    a, b = patch.a1 * growth, patch.b1 * growth
+    fx, fy = within(xi, eta, phi_1_m, limit, a, b, patch, k_a, k_s)
+    return fx, fy, creep_moment.moment(xi, eta, phi_1_m, limit, a, b, patch)  # [S7]
 
 
 @kernel
 def within(xi, eta, phi_1_m, limit_N, a_m, b_m, patch, k_a, k_s):
-    """As `force`, for limit_N = mu N > 0 and semi-axes a_m along and b_m across."""
+    """The force (fx_N, fy_N) alone, for limit_N = mu N > 0 and semi-axes a_m along and b_m across."""
     eta_c = corrected(eta, phi_1_m * a_m)
     e2, e_c = xi * xi + eta * eta, math.sqrt(xi * xi + eta_c * eta_c)
     fx, fy = 0.0, 0.0
@@ -53,7 +55,7 @@ def within(xi, eta, phi_1_m, limit_N, a_m, b_m, patch, k_a, k_s):
         fx, fy = size * nx, size * ny  # [S3]
     if phi_1_m != 0.0:
         fy -= math.copysign(spin_force(phi_1_m, eta_c, e_c, a_m, b_m, limit_N, patch), phi_1_m)
-    return fx, fy, creep_moment.moment(xi, eta, phi_1_m, limit_N, a_m, b_m, patch)  # [S7]
+    return fx, fy
 
 
 @kernel

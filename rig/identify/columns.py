@@ -111,20 +111,29 @@ def vehicle_mass(design: Design) -> np.ndarray:
     return np.repeat(design.mass_kg, np.diff(design.vehicle_start))
 
 
-def write(design: Design, inputs: Inputs, linear: Linear, generic: bool = True) -> Book:
-    """All columns of a design around a replay."""
+def write(design: Design, inputs: Inputs, linear: Linear,
+          only: frozenset[str] | None = None) -> Book:
+    """Columns of a design around a replay: all, or those of some owners."""
     w = _Writer(design)
     torque = smooth_torque(design, inputs.torque_Nm)
     _base(w, design, inputs, linear, torque)
     friction = linear.rates[:, sensitivity.FRICTION]
-    _friction_causes(w, design, friction)
-    _torque_causes(w, design, inputs, torque)
-    _contact_causes(w, design, linear)
-    _sensor_causes(w, design, inputs, linear, torque)
-    _load_causes(w, design, linear)
-    _windows(w, design, friction)
-    if generic:
-        _smooth_functions(w, design, friction)
+    groups: tuple[tuple[tuple[str, ...], Callable[[], None]], ...] = (
+        (("rail_cleaning", "speed_dependent_friction", "friction_trend", "negative_conditioning"),
+         lambda: _friction_causes(w, design, friction)),
+        (("brake_gain", "torque_offset", "pad_fade", "running_resistance", "track_gradient"),
+         lambda: _torque_causes(w, design, inputs, torque)),
+        (("roller_curvature", "interfacial_layer", "falling_friction", "adhesion_memory"),
+         lambda: _contact_causes(w, design, linear)),
+        (("torque_sensor_delay", "speed_sensor_delay", "wheel_inertia", "wheel_radius"),
+         lambda: _sensor_causes(w, design, inputs, linear, torque)),
+        (("load_transfer", "wheel_out_of_round"), lambda: _load_causes(w, design, linear)),
+        (("contaminated_patch", "sanding"), lambda: _windows(w, design, friction)),
+        (("along",), lambda: _smooth_functions(w, design, friction)),
+    )
+    for owners, build in groups:
+        if only is None or only & set(owners):
+            build()
     wheel = np.column_stack(w.wheel)
     # the change over a sample is that at its middle
     last = design.start[1:] - 1

@@ -17,8 +17,6 @@ Limits: first-order filter; two substeps a sample keep its bias below the noise.
 
 import math
 
-import numpy as np
-
 from rollerrig.rig.contact import adhesion, polach
 from rollerrig.rig.kernel import kernel
 

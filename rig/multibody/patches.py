@@ -15,34 +15,39 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.contact import hertz, kalker
+from rollerrig.rig.contact import hertz, kalker, polach
+from rollerrig.rig.contact.adhesion import Patch
 from rollerrig.rig.kernel import kernel
 
 _NODES, _REACH = 513, math.log(1e3)
 
 
 class Patches(NamedTuple):
-    """Rows over log(B / A): a1, b1, k_h of a patch of A + B = 1 1/m, c11, c22, c23; (nodes, 6)."""
+    """Rows over log(B / A): a1, b1, k_h of a patch of A + B = 1 1/m, c11, c22, c23, c33; (nodes, 7)."""
 
     nodes_per_log: float
     shear_Pa: float
+    model: int
+    cells: int
     rows: np.ndarray
 
 
-def tabulate(young_Pa: float, shear_Pa: float, poisson: float) -> Patches:
-    """The table of a material."""
-    rows = np.empty((_NODES, 6))
+def tabulate(
+    young_Pa: float, shear_Pa: float, poisson: float, model: int = 0, cells: int = 10
+) -> Patches:
+    """The table of a material; `model` and `cells` choose the tangential model (`adhesion.Patch`)."""
+    rows = np.empty((_NODES, 7))
     for i, log in enumerate(np.linspace(-_REACH, _REACH, _NODES)):
         A = 1.0 / (1.0 + math.exp(log))
         a1, b1, _, _ = hertz.semi_axes(A, 1.0 - A, 1.0, young_Pa, poisson)
-        c11, c22, c23, _ = kalker.coefficients(a1 / b1, poisson)
-        rows[i] = (a1, b1, hertz.stiffness(A, 1.0 - A, young_Pa, poisson), c11, c22, c23)
-    return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, rows)
+        rows[i] = (a1, b1, hertz.stiffness(A, 1.0 - A, young_Pa, poisson),
+                   *kalker.coefficients(a1 / b1, poisson))
+    return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, model, cells, rows)
 
 
 @kernel
 def at(rolling_1_m, lateral_1_m, patches):
-    """(a1, b1, k_h, c11, c22, c23) of a contact, from the sums of both bodies' curvatures [T1]."""
+    """The `adhesion.Patch` of a contact, from the sums of both bodies' curvatures [T1]."""
     place = (math.log(lateral_1_m / rolling_1_m) + _REACH) * patches.nodes_per_log
     i = min(max(int(place), 0), _NODES - 2)
     part = min(max(place - i, 0.0), 1.0)
@@ -50,11 +55,11 @@ def at(rolling_1_m, lateral_1_m, patches):
     half = 0.5 * (rolling_1_m + lateral_1_m)
     root = math.sqrt(half)
     shrink = 1.0 / math.exp(math.log(half) / 3.0)
-    return (
-        (low[0] + (high[0] - low[0]) * part) * shrink,
-        (low[1] + (high[1] - low[1]) * part) * shrink,
-        (low[2] + (high[2] - low[2]) * part) / root,
-        low[3] + (high[3] - low[3]) * part,
-        low[4] + (high[4] - low[4]) * part,
-        low[5] + (high[5] - low[5]) * part,
-    )
+    a1 = (low[0] + (high[0] - low[0]) * part) * shrink
+    b1 = (low[1] + (high[1] - low[1]) * part) * shrink
+    c11 = low[3] + (high[3] - low[3]) * part
+    return Patch(
+        a1, b1, c11, patches.shear_Pa, (low[2] + (high[2] - low[2]) * part) / root,
+        polach.eps_per_creepage(a1, b1, c11, patches.shear_Pa, 1.0),
+        low[4] + (high[4] - low[4]) * part, low[5] + (high[5] - low[5]) * part,
+        low[6] + (high[6] - low[6]) * part, patches.model, patches.cells)

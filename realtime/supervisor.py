@@ -1,0 +1,300 @@
+"""The supervisory PLC: what a Modbus client may read of the bench, and ask of it.
+
+Unit 1 reads the live row, the loop's health and the run's events, and writes run, stop, emergency
+stop, scenario, speed and brake demand; units 11 to 14 are the drives. A held rig can be given
+another scenario or speed; an emergency stop goes before every other brake demand, a demand over
+Modbus before node 17 and the scenario. All of it happens in the bus thread.
+"""
+
+import contextlib
+import ipaddress
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from rollerrig.configs import store
+from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
+from rollerrig.firmware_sim import modbus_map, modbus_unit
+from rollerrig.firmware_sim.cia301.nmt import State as Nmt
+from rollerrig.firmware_sim.modbus_map import BITS, NO_DEMAND, UNHEARD, WORDS, State
+from rollerrig.firmware_sim.modbus_pdu import Code, Image, RefusedError
+from rollerrig.firmware_sim.modbus_rtu import SerialLine
+from rollerrig.firmware_sim.modbus_server import Counters, Server, tls_context
+from rollerrig.firmware_sim.modbus_unit import Reader, Unit, Writer
+from rollerrig.realtime import loop, scenario, tick
+from rollerrig.realtime.hold import HOLDING, RELEASED, RUNNING
+from rollerrig.realtime.scenario import Scenario
+from rollerrig.realtime.tick import DONE, HOLD, TICK, WORST_NS, Machine
+from rollerrig.wsp_interface import signals
+
+# tables that a held rig cannot change: nodes and loop have been built from them
+BUILT_IN = ("loop", "bus", "modbus", "drive", "sensor", "rig")
+_NOT_PACKAGED = 0xFFFF
+_STATISTICS_S = 0.5
+_SPEED = next(row for row in WORDS if row.name == "speed_set_point")
+_DEMAND = next(row for row in WORDS if row.name == "brake_demand_set_point")
+_HIGHEST_DEMAND_Pa = 1e6
+
+
+class Rig(Protocol):
+    """What the supervisor needs of the bench."""
+
+    plan: Scenario
+    machine: Machine
+    bus: Any
+    hub: Any
+    events: list[dict[str, Any]]
+    histogram: np.ndarray
+    ended_by: str
+
+    def event(self, level: str, text: str) -> None: ...
+    def stop(self, why: str) -> None: ...
+    def change_scenario(self, plan: Scenario) -> None: ...
+    def post(self) -> None: ...
+
+
+class Supervisor:
+    """Readers and writers of the PLC. `over`: the run has ended."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.counters = Counters()
+        self.scenarios = store.names("scenarios")
+        self.emergency = self.over = False
+        self.demand = NO_DEMAND
+        self.speed_m_s = float(rig.plan["initial_speed_m_s"])
+        self.server: Server | None = None
+        self.line: SerialLine | None = None
+        self._statistics: tuple[float, dict[str, float]] = (-math.inf, {})
+
+    # -- the ways in
+
+    async def open(self, needed: bool) -> None:
+        """Listen as [modbus] says. A port that is taken is an event, or BusError if `needed`."""
+        given = self.rig.plan["modbus"]
+        context = None
+        if given["tls_certificate"]:
+            context = tls_context(*(Path(given[key]) for key in
+                                    ("tls_certificate", "tls_key", "tls_client_ca")))
+        self.server = Server(self.units(), self.counters)
+        try:
+            port = await self.server.listen(given["host"], given["port"], context)
+            self._tell(given["host"], port, context is not None)
+        except BusError as error:
+            if needed:
+                raise
+            self.rig.event("warning", f"this run has no Modbus TCP: {error}")
+        if given["serial"]:
+            self.line = SerialLine(self.server, given["serial"], given["baud_rate"],
+                                   given["parity"], self.rig.event)
+            device = self.line.open()
+            self.rig.event("info", f"Modbus RTU is served on {device}, {given['baud_rate']} baud")
+
+    def _tell(self, host: str, port: int, safe: bool) -> None:
+        self.rig.event("info", f"Modbus {'over TLS' if safe else 'TCP'} is served on {host}:{port}")
+        local = host == "localhost"
+        with contextlib.suppress(ValueError):
+            local = local or ipaddress.ip_address(host).is_loopback
+        if not local:
+            who = "who has a certificate" if safe else "WITHOUT ANY AUTHENTICATION"
+            self.rig.event("warning", f"MODBUS LISTENS BEYOND THIS MACHINE, on {host}:{port}: "
+                           f"everybody there {who} can start and stop the rig")
+
+    async def close(self) -> None:
+        """End all connections."""
+        if self.line:
+            self.line.close()
+        if self.server:
+            await self.server.close()
+
+    # -- what the bench asks
+
+    def govern(self, command: np.ndarray) -> None:
+        """Put the brake demand into a command row, where Modbus has one."""
+        if self.emergency:
+            command[tick.DEMAND] = self.rig.plan["modbus"]["emergency_pressure_Pa"]
+        elif self.demand != NO_DEMAND:
+            command[tick.DEMAND] = self.demand * _DEMAND.scale
+
+    def roll(self) -> None:
+        """Tell a held rig its speed."""
+        self.rig.machine.hold[0] = 0.0 if self.emergency else self.speed_m_s
+
+    @property
+    def state(self) -> State:
+        """What the rig does."""
+        control = self.rig.machine.control
+        if self.over or self.rig.ended_by or control[DONE]:
+            return State.ENDED
+        if control[HOLD] != RUNNING:
+            return State.HELD
+        return State.RUNNING if control[TICK] else State.STARTING
+
+    # -- the units
+
+    def units(self) -> dict[int, Image]:
+        """The image of every unit."""
+        bus, rows = self.rig.bus, (*BITS, *WORDS)
+        rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
+        measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
+        found: dict[int, Image] = {modbus_map.PLC_UNIT: Unit(
+            rows, measured | self._states() | self._set_points() | self._health(), self._writers())}
+        for unit, node in zip(modbus_map.DRIVE_UNITS, signals.DRIVE_NODES, strict=True):
+            found[unit] = modbus_unit.drive(bus.nodes[node])
+        return found
+
+    def _states(self) -> dict[str, Reader]:
+        rig, master = self.rig, self.rig.bus.master
+        standing = signals.column("vehicle_speed")
+        nodes = (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE)
+        return {
+            "run": lambda: self.state is State.RUNNING,
+            "stop": lambda: self.state is State.ENDED,
+            "emergency_stop": lambda: self.emergency,
+            "held": lambda: self.state is State.HELD,
+            "at_set_speed": lambda: (self.state is State.HELD
+                                     and abs(rig.bus.row[standing] - rig.machine.hold[0]) < 1e-6),
+            "standing": lambda: rig.bus.row[standing] == 0.0,
+            "wsp_unit_operational": lambda: master.unit_is_operational,
+            "nodes_operational": master.all_operational,
+            "state": lambda: self.state, "scenarios": lambda: len(self.scenarios),
+            "wsp_unit_state": _nmt(master, signals.WSP_NODE),
+        } | {f"node_{node}_state": _nmt(master, node) for node in nodes}
+
+    def _set_points(self) -> dict[str, Reader]:
+        return {
+            "scenario": lambda: (self.scenarios.index(self.rig.plan.name)
+                                 if self.rig.plan.name in self.scenarios else _NOT_PACKAGED),
+            "speed_set_point": lambda: round(self.speed_m_s / _SPEED.scale),
+            "brake_demand_set_point": lambda: self.demand,
+        }
+
+    def _health(self) -> dict[str, Reader]:
+        rig, counters = self.rig, self.counters
+
+        def events(level: str) -> Reader:
+            return lambda: sum(1 for one in rig.events if one["level"] == level)
+
+        return {
+            "ticks": lambda: int(rig.machine.control[TICK]),
+            "lateness_p50": lambda: self._lateness("p50"),
+            "lateness_p99": lambda: self._lateness("p99"),
+            "lateness_max": lambda: int(rig.machine.control[WORST_NS]) // 1000,
+            "events_info": events("info"), "events_warning": events("warning"),
+            "events_error": events("error"),
+            "bus_frames": lambda: rig.hub.stats()["frames"],
+            "bus_frames_dropped": lambda: rig.hub.stats()["dropped"],
+            "bus_load": lambda: round(10.0 * rig.hub.stats()["load_percent"]),
+            "modbus_clients": lambda: counters.clients,
+            "modbus_requests": lambda: counters.requests,
+            "modbus_exceptions": lambda: counters.exceptions,
+            "modbus_malformed": lambda: counters.malformed,
+        }
+
+    def _lateness(self, which: str) -> int:
+        """A percentile in us; counted anew now and then, because counting takes long."""
+        now = time.monotonic()
+        if now - self._statistics[0] > _STATISTICS_S:
+            worst = int(self.rig.machine.control[WORST_NS])
+            self._statistics = now, loop.percentiles(self.rig.histogram, worst)
+        return round(self._statistics[1][which])
+
+    # -- what a client writes: each is first asked with only=True whether it would take the value
+
+    def _writers(self) -> dict[str, Writer]:
+        return {"run": self._run, "stop": self._stop, "emergency_stop": self._emergency_stop,
+                "scenario": self._choose, "speed_set_point": self._set_speed,
+                "brake_demand_set_point": self._set_demand}
+
+    def _run(self, raw: int, only: bool) -> None:
+        if not raw or self.state is State.RUNNING:
+            return
+        if self.emergency:
+            raise RefusedError(Code.BUSY)
+        self._require_held()
+        if not only:
+            self.rig.machine.control[HOLD] = RELEASED
+            self.rig.event("info", "the run is started over Modbus")
+
+    def _stop(self, raw: int, only: bool) -> None:
+        if raw and not only:
+            self.rig.stop("stopped over Modbus")
+
+    def _emergency_stop(self, raw: int, only: bool) -> None:
+        if only or bool(raw) == self.emergency:
+            return
+        self.emergency = bool(raw)
+        self.rig.event("warning", f"emergency stop over Modbus {'' if raw else 're'}set")
+        self.roll()
+        self.rig.post()
+
+    def _set_speed(self, raw: int, only: bool) -> None:
+        speed_m_s = raw * _SPEED.scale
+        bounds = next(row for row in scenario.HEAD if row.name == "initial_speed_m_s")
+        drive, contact = self.rig.plan["drive"], self.rig.plan["contact"]
+        fastest = min(bounds.high, drive["max_speed_rad_s"] * contact["roller_radius_m"])
+        if not bounds.low <= speed_m_s <= fastest:
+            raise RefusedError(Code.VALUE)
+        self._require_held()
+        if not only:
+            self.speed_m_s = speed_m_s
+            self.roll()
+
+    def _set_demand(self, raw: int, only: bool) -> None:
+        if raw != NO_DEMAND and not 0 <= raw * _DEMAND.scale <= _HIGHEST_DEMAND_Pa:
+            raise RefusedError(Code.VALUE)
+        if not only:
+            self.demand = raw
+            self.rig.post()
+
+    def _choose(self, raw: int, only: bool) -> None:
+        if not 0 <= raw < len(self.scenarios):
+            raise RefusedError(Code.VALUE)
+        name = self.scenarios[raw]
+        if name == self.rig.plan.name:
+            return
+        self._require_held()
+        plan = self._load(name)
+        if not only:
+            self.speed_m_s = float(plan["initial_speed_m_s"])
+            self.rig.change_scenario(plan)
+            self.rig.event("info", f"scenario '{name}' is chosen over Modbus")
+
+    def _load(self, name: str) -> Scenario:
+        """A scenario on this rig, or RefusedError with an event that says why."""
+        present = self.rig.plan
+        tables = {key: present[key] for key in BUILT_IN}
+        try:
+            plan = scenario.load(name, tables=tables)
+        except RollerrigError as error:
+            self.rig.event("warning", f"a scenario asked for over Modbus is refused: {error}")
+            raise RefusedError(Code.VALUE) from None
+        return plan
+
+    def _require_held(self) -> None:
+        if self.rig.machine.control[HOLD] != HOLDING:
+            raise RefusedError(Code.BUSY)
+
+
+def check(plan: Scenario, pacing: str, start: str) -> None:
+    """Refuse a start over Modbus that cannot come. Raises ConfigError."""
+    if start == "modbus" and pacing != "wall":
+        raise ConfigError(f"--start modbus holds the rig in real time; --pacing {pacing} has none: "
+                          "use --pacing wall")
+    if start == "modbus" and not plan["modbus"]["enabled"]:
+        raise ConfigError("--start modbus waits for a Modbus client, but [modbus] enabled is false; "
+                          "set modbus.enabled=true")
+
+
+def _nmt(master: Any, node: int) -> Callable[[], int]:
+    health = master.health[node]
+
+    def state() -> int:
+        known: Nmt | None = None if health.lost else health.state
+        return UNHEARD if known is None else int(known)
+
+    return state

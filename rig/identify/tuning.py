@@ -1,0 +1,216 @@
+"""Fits an explanation to a design: base within its tolerances, causes, irregularity of the rail.
+
+Gauss-Newton on the whitened innovations, whose derivatives come from the linearised filter; the
+strength and length of the irregularity are found by scipy on the exact likelihood, between the
+steps, so that a cause earns likelihood only by shrinking what is left unexplained.
+
+    [T1] -2 ln L = sum nu^2 / S + ln S over wheels and vehicles + sum (x / prior)^2
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from rollerrig.rig.identify import candidates, columns, sensitivity
+from rollerrig.rig.identify.candidates import Cause, Explanation
+from rollerrig.rig.identify.columns import BASE, Book
+from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.sensitivity import Inputs, Linear
+
+MEMORY_STEP_M = 2.0
+# deviation of the offset of a released brake's torque, N m
+_RELEASED_NM = 30.0
+_BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1}
+
+
+class Normal(NamedTuple):
+    """Normal equations of all columns: A x = -b, with priors in A; and the book."""
+
+    A: np.ndarray
+    b: np.ndarray
+    book: Book
+
+
+def deviance(design: Design, told: Explanation) -> float:
+    """-2 ln L without constants [T1], outliers bounded."""
+    i = candidates.inputs(design, told)
+    nu, S, _, vnu, vS = sensitivity.innovations(design, i)
+    return total(nu, S, vnu, vS) + prior_deviance(design, told)
+
+
+def total(nu: np.ndarray, S: np.ndarray, vnu: np.ndarray, vS: np.ndarray) -> float:
+    """Sum of [T1] over samples."""
+    return float(np.sum(np.minimum(nu * nu / S, 36.0) + np.log(S))
+                 + np.sum(np.minimum(vnu * vnu / vS, 36.0) + np.log(vS)))
+
+
+def prior_deviance(design: Design, told: Explanation) -> float:
+    """What the declared tolerances and the released brake say."""
+    tolerance = max(design.calibration, 1e-4)
+    cost = sum((value / tolerance) ** 2 for label, value in told.base.items()
+               if label.startswith(("torque_gain", "load_gain", "mass")))
+    offsets = np.zeros(design.segments)
+    for cause in told.causes:
+        if cause.name == "torque_offset":
+            offsets += cause.values[0] * ((design.axle == cause.axle - 1) | (cause.axle == 0))
+    seen = np.isfinite(design.released_Nm)
+    off = (design.released_Nm + offsets)[seen] / np.hypot(design.released_sd_Nm[seen], _RELEASED_NM)
+    return cost + float(np.sum(off * off))
+
+
+def normal(design: Design, told: Explanation, only: frozenset[str] | None = None,
+           memory: bool = True) -> tuple[Normal, Linear, Inputs, np.ndarray]:
+    """Normal equations around an explanation, its replay, its inputs, the whitened answers."""
+    i = candidates.inputs(design, told)
+    linear = sensitivity.linearise(design, i)
+    book = columns.write(design, i, linear, only)
+    Z = np.empty_like(book.wheel)
+    for s in range(design.segments):
+        at = design.span(s)
+        sensitivity.answer(book.wheel[at], linear.variance[at], linear.coefficients[at], Z[at])
+    root = np.sqrt(linear.variance)
+    for c, column in enumerate(book.columns):
+        if column.owner == "adhesion_memory":
+            Z[:, c] = _memory_answer(design, told, i, linear) / root
+    V = np.empty_like(book.vehicle)
+    for run in range(design.mass_kg.size):
+        at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
+        sensitivity.vehicle_answer(book.vehicle[at], linear.vehicle_variance[at],
+                                   design.speed_noise_m_s, design.step_s, V[at])
+    z = np.clip(linear.nu / root, -6.0, 6.0)
+    vz = np.clip(linear.vehicle_nu / np.sqrt(linear.vehicle_variance), -6.0, 6.0)
+    A = Z.T @ Z + V.T @ V
+    b = Z.T @ z + V.T @ vz
+    _priors(design, told, book, A, b)
+    return Normal(A, b, book), linear, i, Z
+
+
+def _memory_answer(design: Design, told: Explanation, i: Inputs, linear: Linear) -> np.ndarray:
+    # no derivative exists at length 0 that a filter's noise would not spoil: a finite step
+    p = i.parameters.copy()
+    p[:, 14] = p[:, 14] + MEMORY_STEP_M
+    return (sensitivity.innovations(design, i._replace(parameters=p))[0]
+            - linear.nu) / MEMORY_STEP_M
+
+
+def _priors(design: Design, told: Explanation, book: Book, A: np.ndarray, b: np.ndarray) -> None:
+    for c, column in enumerate(book.columns):
+        if column.prior > 0.0:
+            A[c, c] += 1.0 / column.prior**2
+            b[c] += told.base.get(column.label, 0.0) / column.prior**2
+    present = {(cause.name, cause.axle): cause.values[0] for cause in told.causes if cause.values}
+    offset = sum(v for (name, axle), v in present.items() if name == "torque_offset" and axle == 0)
+    for s in range(design.segments):
+        if not np.isfinite(design.released_Nm[s]):
+            continue
+        sd2 = design.released_sd_Nm[s] ** 2 + _RELEASED_NM**2
+        own = offset + present.get(("torque_offset", int(design.axle[s]) + 1), 0.0)
+        acts = [v.columns[0] for v in book.variants if v.cause == "torque_offset"
+                and v.axle in (0, int(design.axle[s]) + 1)]
+        for c in acts:
+            b[c] += (design.released_Nm[s] + own) / sd2
+            for other in acts:
+                A[c, other] += 1.0 / sd2
+
+
+def base_columns(book: Book) -> list[int]:
+    """Columns of the base."""
+    return [c for c, column in enumerate(book.columns) if column.owner == BASE]
+
+
+def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(-A^-1 b, A^-1), scaled columns first."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
+    factor = cho_factor(A * scale * scale[:, None] + 1e-10 * np.eye(len(b)))
+    inverse = cho_solve(factor, np.eye(len(b))) * scale * scale[:, None]
+    return -inverse @ b, inverse
+
+
+def fit(design: Design, told: Explanation, steps: int = 5, noise: bool = True,
+        tolerance: float = 0.05) -> tuple[Explanation, float, np.ndarray]:
+    """Best explanation of the same causes: (explanation, deviance, covariance of cause values)."""
+    value = deviance(design, told)
+    covariance = np.zeros((0, 0))
+    only = frozenset({BASE, *(cause.name for cause in told.causes)})
+    for step in range(steps):
+        if noise and step in (1, 3):
+            told, value = fit_noise(design, told, value)
+        found, _, _, _ = normal(design, told, only)
+        at = base_columns(found.book) + _cause_columns(found.book, told)
+        change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
+        labels = [found.book.columns[c].label for c in base_columns(found.book)]
+        told, better = _search(design, told, labels, change, value)
+        gained, value = value - better, better
+        if gained < tolerance and step > 1:
+            break
+    size = sum(len(cause.values) for cause in told.causes)
+    return told, value, covariance[-size:, -size:] if size else np.zeros((0, 0))
+
+
+def _cause_columns(book: Book, told: Explanation) -> list[int]:
+    found: list[int] = []
+    for cause in told.causes:
+        found += _matching(book, cause)
+    return found
+
+
+def _matching(book: Book, cause: Cause) -> list[int]:
+    fits = [v for v in book.variants if v.cause == cause.name and v.axle == cause.axle
+            and v.shape == cause.shape]
+    if not fits:
+        raise KeyError(f"{cause.name} {cause.shape}")
+    return list(fits[0].columns)
+
+
+def _search(design: Design, told: Explanation, labels: list[str], change: np.ndarray,
+            value: float) -> tuple[Explanation, float]:
+    """The step, halved until it improves."""
+    share = 1.0
+    for _ in range(5):
+        base = dict(told.base)
+        for label, x in zip(labels, change[: len(labels)], strict=True):
+            bound = next((b for k, b in _BASE_BOUNDS.items() if label.startswith(k)), 1.0)
+            base[label] = float(np.clip(base.get(label, 0.0) + share * x, -bound, bound))
+        causes, at = [], len(labels)
+        for cause in told.causes:
+            moved = np.array(cause.values) + share * change[at:at + len(cause.values)]
+            causes.append(bounded(cause._replace(values=tuple(float(x) for x in moved))))
+            at += len(cause.values)
+        tried = told._replace(base=base, causes=tuple(causes))
+        better = deviance(design, tried)
+        if better < value:
+            return tried, better
+        share *= 0.35
+    return told, value
+
+
+def bounded(cause: Cause) -> Cause:
+    """The cause with its coefficients inside the bounds of the table of mechanisms."""
+    from rollerrig.rig.mechanisms import BY_NAME
+
+    rows = [row for row in BY_NAME[cause.name].parameters if row.default == 0.0]
+    if cause.name == "wheel_out_of_round":
+        return cause._replace(values=tuple(float(np.clip(v, -0.3, 0.3)) for v in cause.values))
+    limited = [float(np.clip(v, rows[min(k, len(rows) - 1)].low, rows[min(k, len(rows) - 1)].high))
+               for k, v in enumerate(cause.values)]
+    return cause._replace(values=tuple(limited))
+
+
+def fit_noise(design: Design, told: Explanation, value: float) -> tuple[Explanation, float]:
+    """Strength and length of the irregularity of greatest likelihood, the rest kept."""
+
+    def cost(x: np.ndarray) -> float:
+        return deviance(design, told._replace(sigma=float(np.exp(x[0])),
+                                              length_m=float(np.exp(x[1]))))
+
+    x0 = np.log([told.sigma, told.length_m])
+    simplex = x0 + np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
+    best = minimize(cost, x0, method="Nelder-Mead", bounds=[(np.log(1e-3), np.log(0.5)),
+                                                              (np.log(1.0), np.log(60.0))],
+                    options={"maxfev": 16, "initial_simplex": simplex, "fatol": 0.3})
+    if best.fun < value:
+        return told._replace(sigma=float(np.exp(best.x[0])), length_m=float(np.exp(best.x[1]))), \
+            float(best.fun)
+    return told, value
