@@ -5,6 +5,7 @@ in order whatever happens: the record of a run that failed, was interrupted or k
 """
 
 import asyncio
+import dataclasses
 import os
 import signal
 import subprocess
@@ -20,16 +21,40 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
 from rollerrig.firmware_sim import wsp
 from rollerrig.firmware_sim.cia301.nmt import State
-from rollerrig.realtime import clock, loop, mailbox, recorder, records, rig_bus, scenario, summary, tick
+from rollerrig.realtime import (
+    clock,
+    loop,
+    mailbox,
+    recorder,
+    records,
+    rig_bus,
+    scenario,
+    summary,
+    supervisor,
+    tick,
+)
 from rollerrig.realtime import ring as rings
+from rollerrig.realtime.hold import HOLDING
 from rollerrig.realtime.scenario import Scenario
-from rollerrig.realtime.tick import COMMANDS, DONE, MISSED, STOP, TICK, WORST_NS, Machine
+from rollerrig.realtime.tick import (
+    COMMANDS,
+    DONE,
+    HELD,
+    HOLD,
+    MISSED,
+    SLOTS_OF_CONTROL,
+    STOP,
+    TICK,
+    WORST_NS,
+    Machine,
+)
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 
 PACINGS = ("wall", "lockstep", "free")
 UNITS = ("reference", "external", "none")
 ANSWER_TIMEOUT_S = 1.0
+LINGER_S = 1.0
 _ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 12
 _FREE_TICKS = 500
 _RECORD_FILES = ("scenario.toml", "channels.parquet", "run.rrd", "can.log", "events.jsonl",
@@ -46,6 +71,7 @@ class Options(NamedTuple):
     strict: bool = False
     seed: int = 0
     unit_wait_s: float = 60.0
+    start: str = "now"
 
 
 class Progress(NamedTuple):
@@ -72,6 +98,10 @@ class Bench:
         self._begun_ns = 0
         self.bus: rig_bus.RigBus | None = None
         self.hub: Any = None
+        self.supervisor: supervisor.Supervisor | None = None
+        self._next: Scenario | None = None
+        self._zero_ns = 0
+        supervisor.check(plan, options.pacing, options.start)
         prepare_folder(options.out)
         (options.out / "scenario.toml").write_text(scenario.dump(plan), encoding="utf-8")
         rings.sweep()
@@ -174,6 +204,7 @@ class Bench:
     async def _run_wall(self) -> None:
         await self._open_bus(self._elapsed_ns)
         assert self.bus
+        await self._open_modbus()
         await self._await_unit()
         descriptor, woken = clock.eventfd(), asyncio.Event()
         running = asyncio.get_running_loop()
@@ -182,6 +213,8 @@ class Bench:
         def on_tick() -> None:
             os.read(descriptor, 8)
             mailbox.fetch(self.machine.published, bus.row)
+            if self._zero_ns < 0 and self.machine.control[TICK]:
+                self._zero_ns = self._elapsed_ns() - self._simulated_ns()
             if self.stopping:
                 woken.set()
             else:
@@ -189,6 +222,22 @@ class Bench:
             bus.poll()
 
         running.add_reader(descriptor, on_tick)
+        try:
+            await self._run_thread(descriptor, woken)
+            while self._next and not self.ended_by:
+                self._take_scenario(self._next)
+                await self._run_thread(descriptor, woken)
+            if self.options.start == "modbus" and not self.ended_by:
+                # a client that polls sees the run end before the connection does
+                await asyncio.sleep(LINGER_S)
+        finally:
+            running.remove_reader(descriptor)
+            os.close(descriptor)
+
+    async def _run_thread(self, descriptor: int, woken: asyncio.Event) -> None:
+        """Run the real-time thread until the run is done, stopped or given another scenario."""
+        running = asyncio.get_running_loop()
+        woken.clear()
         thread = threading.Thread(target=self._real_time, args=(descriptor,), name="real-time")
         thread.start()
         try:
@@ -202,17 +251,17 @@ class Bench:
         finally:
             self.machine.control[STOP] = 1
             await running.run_in_executor(None, thread.join)
-            running.remove_reader(descriptor)
-            os.close(descriptor)
 
     def _real_time(self, descriptor: int) -> None:
         rates = self.plan["loop"]
         for refused in loop.ask_for_priority(rates["priority"], rates["cpu"]):
             self.event("info", f"the real-time thread was refused {refused}")
         # locking memory may take a second: the clock starts after it
-        self._begun_ns = clock.monotonic_ns()
-        loop.wall(self.machine, clock.SECOND_NS // rates["tick_hz"], self.plan.sync_ticks,
-                  descriptor, self.histogram, np.zeros(3, dtype=np.int64), self._begun_ns)
+        begin_ns = clock.monotonic_ns()
+        self._begun_ns = self._begun_ns or begin_ns
+        with clock.awake(rates["priority"] > 0):
+            loop.wall(self.machine, clock.SECOND_NS // rates["tick_hz"], self.plan.sync_ticks,
+                      descriptor, self.histogram, np.zeros(3, dtype=np.int64), begin_ns)
 
     # --- clocks of the bus ---
 
@@ -226,15 +275,50 @@ class Bench:
 
     async def _open_bus(self, clock_ns: Callable[[], int]) -> None:
         self.hub, self.place = await rig_bus.open_bus(self.plan, clock_ns, self._lost_bus)
-        rig_bus.record_frames(self.hub, self.frames)
+        rig_bus.record_frames(self.hub, self.frames, lambda: self._zero_ns)
         mailbox.fetch(self.machine.published, self.row)
-        self.bus = rig_bus.RigBus(self.hub, self.plan, self.row.copy(), self._post, self.event,
+        self.bus = rig_bus.RigBus(self.hub, self.plan, self.row.copy(), self.post, self.event,
                                   clock_ns)
         self.event("info", f"the rig is on the bus {self.place}")
 
-    def _post(self) -> None:
+    def post(self) -> None:
+        """Hand what bus and Modbus ask of the rig to the tick."""
         if self.bus:
-            mailbox.post(self.machine.commands, self.bus.command)
+            command = self.bus.command
+            if self.supervisor:
+                command = command.copy()
+                self.supervisor.govern(command)
+            mailbox.post(self.machine.commands, command)
+
+    async def _open_modbus(self) -> None:
+        if not self.plan["modbus"]["enabled"]:
+            return
+        held = self.options.start == "modbus"
+        self.supervisor = supervisor.Supervisor(self)
+        if held:
+            self._hold(self.supervisor)
+        await self.supervisor.open(needed=held)
+
+    def _hold(self, plc: supervisor.Supervisor) -> None:
+        self.machine.control[HOLD] = HOLDING
+        self._zero_ns = -1
+        plc.roll()
+
+    def change_scenario(self, plan: Scenario) -> None:
+        """Let a held rig go on with another scenario, at the speed that it has."""
+        self._next = plan
+        self.machine.control[STOP] = 1
+
+    def _take_scenario(self, plan: Scenario) -> None:
+        assert self.supervisor
+        before, self.plan, self._next = self.machine, plan, None
+        self.machine = build_machine(plan, self.rows, float(before.state.vehicle_speed[0]))
+        self.machine.control[HELD] = before.control[HELD]
+        for name in ("wheel_angle", "roller_angle"):
+            getattr(self.machine.state, name)[:] = getattr(before.state, name)
+            getattr(self.machine.roller_state, name)[:] = getattr(before.roller_state, name)
+        self._hold(self.supervisor)
+        self.post()
 
     def _lost_bus(self, error: RollerrigError) -> None:
         self.event("error", str(error))
@@ -324,6 +408,10 @@ class Bench:
     async def _finish(self) -> dict[str, Any]:
         """Close bus, unit and recorder, and write the summary."""
         bus_counts = self._bus_counts()
+        requests = self.supervisor.counters.requests if self.supervisor else 0
+        if self.supervisor:
+            await self.supervisor.close()
+        self._note_start()
         if self.hub is not None:
             await self.hub.close()
         unit = getattr(self, "unit_process", None)
@@ -344,12 +432,21 @@ class Bench:
             "ended": self.ended_by or "finished",
             "loop": {"ticks": int(control[TICK]), "missed": int(control[MISSED]),
                      "lateness_us": loop.percentiles(self.histogram, int(control[WORST_NS]))},
-            "bus": bus_counts, "modbus": {"requests": 0},
+            "bus": bus_counts, "modbus": {"requests": requests},
         }
         table = records.load(self.options.out).table
         result = summary.of(table, counters, self.plan.resolved) | {"events": self.events}
         records.write_summary(self.options.out, result)
         return result
+
+    def _note_start(self) -> None:
+        """The record's scenario is the one that was run, from the speed at which it began."""
+        if self.options.start == "modbus":
+            began = self.supervisor.speed_m_s if self.supervisor else self.plan["initial_speed_m_s"]
+            resolved = self.plan.resolved | {"initial_speed_m_s": began}
+            self.plan = dataclasses.replace(self.plan, resolved=resolved)
+            text = scenario.dump(self.plan)
+            (self.options.out / "scenario.toml").write_text(text, encoding="utf-8")
 
     def _bus_counts(self) -> dict[str, Any]:
         if self.hub is None:
@@ -387,20 +484,21 @@ def prepare_folder(out: Path) -> None:
                           "--out") from None
 
 
-def build_machine(plan: Scenario, ring: rings.Ring) -> Machine:
-    """The machine of a scenario, at its initial speed, with no magnet energised."""
-    plant = Plant(plan.params, plan["initial_speed_m_s"])
-    rollers = Plant(plan.rollers, plan["initial_speed_m_s"]) if plan.rollers else plant
+def build_machine(plan: Scenario, ring: rings.Ring, speed_m_s: float | None = None) -> Machine:
+    """The machine of a scenario, at its initial (or another) speed, with no magnet energised."""
+    speed_m_s = plan["initial_speed_m_s"] if speed_m_s is None else speed_m_s
+    plant = Plant(plan.params, speed_m_s)
+    rollers = Plant(plan.rollers, speed_m_s) if plan.rollers else plant
     tick_hz = plan["loop"]["tick_hz"]
     commands = mailbox.mailbox(COMMANDS)
     commands.values[:] = tick.first_command()
     width = len(signals.COLUMNS)
     machine = Machine(
-        plan.params, plant.state, plant.buffer, plant.delay, np.zeros(8, dtype=np.int64), commands,
+        plan.params, plant.state, plant.buffer, plant.delay, np.zeros(SLOTS_OF_CONTROL, dtype=np.int64), commands,
         commands.values.copy(), mailbox.mailbox(width), np.zeros(width), tick.gather(), ring.header,
         ring.rows, int(plan.rollers is not None), rollers.params, rollers.state, rollers.buffer,
         rollers.delay, tick.gather(tick.OF_ROLLERS if plan.rollers else ()), plan.record_ticks, round(plan["duration_max_s"] * tick_hz),
-        round(plan["stand_s"] * tick_hz))
+        round(plan["stand_s"] * tick_hz), np.array([speed_m_s]))
     tick.publish(machine)
     return machine
 

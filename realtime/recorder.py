@@ -37,11 +37,16 @@ _LINGER_S = 2.0  # how long the other rings may still be open when the rows have
 _FINAL_ROWS = 20_000
 
 
-def start(run_dir: Path, rows: Ring, frame: Ring, event: Ring) -> subprocess.Popen:
-    """Start the recorder of a run in a session of its own; wait for it with `wait_ready`."""
+def start(run_dir: Path, rows: Ring, frame: Ring, event: Ring,
+          counters: Mapping[str, Any] | None = None) -> subprocess.Popen:
+    """Start the recorder of a run in a session of its own; wait for it with `wait_ready`.
+
+    `counters` (pacing, seed, unit, scenario, config_hash) go into the summary of a killed run.
+    """
     return subprocess.Popen(
         [sys.executable, "-m", "rollerrig.realtime.recorder", str(run_dir),
-         "--rows", str(rows.path), "--frames", str(frame.path), "--events", str(event.path)],
+         "--rows", str(rows.path), "--frames", str(frame.path), "--events", str(event.path),
+         "--counters", json.dumps(dict(counters or {}))],
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
 
 
@@ -71,9 +76,11 @@ def scenario_of(run_dir: Path) -> dict[str, Any]:
 class Recorder:
     """Cursors in three rings, and the files that follow them."""
 
-    def __init__(self, run_dir: Path, rows: Ring, frame: Ring, event: Ring) -> None:
+    def __init__(self, run_dir: Path, rows: Ring, frame: Ring, event: Ring,
+                 counters: Mapping[str, Any] | None = None) -> None:
         self._folder, self._rows, self._frames, self._events = Path(run_dir), rows, frame, event
         self._cursors = [0, 0, 0]
+        self._counters = {"scenario": self._folder.resolve().name} | dict(counters or {})
         self._scenario = scenario_of(run_dir)
         self._pending: list[np.ndarray] = []
         self._sent_s = 0.0
@@ -159,10 +166,8 @@ class Recorder:
         table = self.channels.finish()
         self._stream.disconnect()
         self._compact(records.rows(table))
-        counters = {
-            "scenario": self._folder.resolve().name, "ended": ended,
-            "bus": {"frames": self.frames}, "recorder": {"lost": self.lost},
-        }
+        counters = self._counters | {
+            "ended": ended, "bus": {"frames": self.frames}, "recorder": {"lost": self.lost}}
         records.write_summary(self._folder, summary.of(table, counters, self._scenario))
         self._can.close()
         self._log.close()
@@ -219,6 +224,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("run_dir", type=Path)
     for name in ("--rows", "--frames", "--events"):
         parser.add_argument(name, type=Path, required=True)
+    parser.add_argument("--counters", type=json.loads, default={}, metavar="JSON",
+                        help="what the summary of a killed run shall say")
     given = parser.parse_args(arguments)
     told = {"stop": False}
     # Ctrl-C and a closed terminal are the bench's to answer
@@ -231,7 +238,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.nice(5)
     rings = (Ring(given.rows, np.float64), Ring(given.frames, np.int64),
              Ring(given.events, np.int64))
-    recorder = Recorder(given.run_dir, *rings)
+    recorder = Recorder(given.run_dir, *rings, given.counters)
     recorder.drain()
     print(READY, flush=True)
     ended = run(recorder, rings, told)

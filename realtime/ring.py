@@ -104,6 +104,10 @@ class Ring:
         if 8 * (_HEADER + shape[0] * shape[1]) != size:
             raise RollerrigError(f"{self.path}: not a ring ({shape} rows in {size} bytes)")
         self.rows: np.ndarray = words[_HEADER:].view(dtype).reshape(shape)
+        if capacity:
+            # compiled now: the first row of a run shall not wait for the compiler
+            push(self.header, self.rows, np.zeros_like(self.rows[0]))
+            self.header[WRITTEN] = 0
 
     def push(self, row: np.ndarray) -> None:
         """Append one row of `width` items; any thread of the writing process may."""

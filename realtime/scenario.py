@@ -87,10 +87,12 @@ class Scenario:
         return self.resolved[key]
 
 
-def load(name: str, model: str = "", settings: tuple[str, ...] = ()) -> Scenario:
+def load(name: str, model: str = "", settings: tuple[str, ...] = (),
+         tables: Mapping[str, Any] | None = None) -> Scenario:
     """Load a scenario by name or path, with an extended model and `section.key=value` settings.
 
-    Raises ConfigError saying where, what, what is allowed and how to mend it.
+    `tables` are whole tables that win over the scenario's own, as a rig that is already running has
+    them. Raises ConfigError saying where, what, what is allowed and how to mend it.
     """
     given, path = store.load("scenarios", name)
     told = _settings(settings)
@@ -109,6 +111,7 @@ def load(name: str, model: str = "", settings: tuple[str, ...] = ()) -> Scenario
         at = store.find("models", model)
         layers.append((str(at), store.parse(at)))
     layers.append(("--set", {k: v for k, v in told.items() if isinstance(v, dict)}))
+    layers.append(("the running rig", tables or {}))
     head = table.read(HEAD, {k: v for k, v in given.items() if k in head_keys}, str(path))
     name = path.parent.name if path.name == "scenario.toml" else path.stem
     return resolve(name, head, layers)

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 from rich.table import Table
 
-from rollerrig.wsp_interface.signals import AXLES
+from rollerrig.wsp_interface.signals import AXLES, BY_NAME, columns
 
 STANDSTILL_M_S = 0.01
 
@@ -59,6 +59,7 @@ def of(columns: pa.Table | Mapping[str, Any], counters: Mapping[str, Any],
         "stopped": stopped,
         "axles": [_axle(channels, j, stop) for j in range(1, AXLES + 1)],
         "wsp": _wsp(channels, stop, counters),
+        "tracking": _tracking(channels, stop),
         "air_consumption_NL": _last(channels.get("air_consumption_NL")),
         "loop": _loop(channels, counters, loop),
         "bus": bus | dict(counters.get("bus") or {}),
@@ -106,6 +107,15 @@ def _wsp(channels: _Channels, stop: slice, counters: Mapping[str, Any]) -> dict[
         "active_s": _number(np.sum(np.diff(time_s)[acting])) if acting.size else 0.0,
         "vents": sum(known) if len(known) == AXLES else None,
     } | dict(counters.get("wsp") or {})
+
+
+def _tracking(channels: _Channels, stop: slice) -> dict[str, Any]:
+    """How well the motors held what they were to hold, all axles: largest error and rms in m/s."""
+    errors = np.concatenate([channels.get(name)[stop] for name in columns(BY_NAME["tracking_error"])])
+    errors = errors[np.isfinite(errors)]
+    if not errors.size:
+        return {"max_m_s": None, "rms_m_s": None}
+    return {"max_m_s": float(np.abs(errors).max()), "rms_m_s": float(np.sqrt(np.mean(errors**2)))}
 
 
 def _loop(channels: _Channels, counters: Mapping[str, Any],

@@ -32,7 +32,7 @@ from rollerrig.realtime.tick import DONE, HOLD, TICK, WORST_NS, Machine
 from rollerrig.wsp_interface import signals
 
 # tables that a held rig cannot change: nodes and loop have been built from them
-BUILT_IN = ("loop", "bus", "modbus", "drive", "sensor", "rig")
+BUILT_IN = ("loop", "bus", "modbus", "contact", "drive", "sensor", "rig")
 _NOT_PACKAGED = 0xFFFF
 _STATISTICS_S = 0.5
 _SPEED = next(row for row in WORDS if row.name == "speed_set_point")
@@ -58,13 +58,13 @@ class Rig(Protocol):
 
 
 class Supervisor:
-    """Readers and writers of the PLC. `over`: the run has ended."""
+    """Readers and writers of the PLC. `speed_m_s`: at which a held rig rolls, then: began."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.counters = Counters()
         self.scenarios = store.names("scenarios")
-        self.emergency = self.over = False
+        self.emergency = False
         self.demand = NO_DEMAND
         self.speed_m_s = float(rig.plan["initial_speed_m_s"])
         self.server: Server | None = None
@@ -128,7 +128,7 @@ class Supervisor:
     def state(self) -> State:
         """What the rig does."""
         control = self.rig.machine.control
-        if self.over or self.rig.ended_by or control[DONE]:
+        if self.rig.ended_by or control[DONE]:
             return State.ENDED
         if control[HOLD] != RUNNING:
             return State.HELD
@@ -217,7 +217,10 @@ class Supervisor:
             raise RefusedError(Code.BUSY)
         self._require_held()
         if not only:
-            self.rig.machine.control[HOLD] = RELEASED
+            machine = self.rig.machine
+            self.speed_m_s = float(machine.state.vehicle_speed[0])
+            self.roll()
+            machine.control[HOLD] = RELEASED
             self.rig.event("info", "the run is started over Modbus")
 
     def _stop(self, raw: int, only: bool) -> None:

@@ -154,8 +154,9 @@ def once(m):
     """Run one tick and count it; sets DONE when the vehicle has stood long enough or time is up."""
     tick = m.control[TICK]
     if tick % m.record_ticks == 0:
-        # this tick's own lateness belongs to the sample: it is cleared with the others
+        # all since the last sample, this tick's own lateness too
         m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
+        m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
         rings.push(m.ring_header, m.ring_rows, m.row)
         m.control[LATE_NS] = 0
         m.control[BUSY_NS] = 0

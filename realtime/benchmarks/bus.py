@@ -135,14 +135,14 @@ def _stamps(frames: Iterable[tuple[int, int, str]], can_id: int) -> np.ndarray:
 def chain(folder: Path) -> Result:
     """From the record of a run: SYNC, speed TPDO, magnets' frame, first tick that has the magnets.
 
-    The run was recorded every tick, so that a row stands for one tick: it began at the row's time,
-    later by the lateness that the next row tells.
+    The run was recorded every tick: a row is what a tick left behind that began at the row's time,
+    later by the lateness of that tick, which is told by the row before.
     """
     frames = _frames(folder)
     run = records.load(folder)
     time_us, magnets = 1e6 * run.column("time_s"), run.column("magnets_1")
-    began_us = time_us[:-1] + run.column("tick_lateness_us")[1:]
-    switched = np.flatnonzero(np.diff(magnets[:-1])) + 1
+    began_us = time_us + np.concatenate(([0.0], run.column("tick_lateness_us")[:-1]))
+    switched = np.flatnonzero(np.diff(magnets)) + 1
     syncs, speeds = _stamps(frames, client.SYNC), _stamps(frames, client.SPEEDS)
     commands = [(stamp, int(data, 16) & 3) for stamp, can_id, data in frames
                 if can_id == client.MAGNETS and data]

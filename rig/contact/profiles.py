@@ -20,6 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.contact import profile_csv
+
 SPACING_M = 1e-4  # of a wheel's table
 STRIDE = 10  # nodes between those that a search for contacts visits (1 mm)
 SINES = 2049  # nodes of a rail's table
@@ -264,3 +266,21 @@ def uic60(laying: float = 1.0 / 20.0, gauge_m: float = 1.435) -> Rail:
     """The new UIC60 rail, laid at an inclination and gauge."""
     y = np.linspace(-0.0365, 0.0365, 20001)
     return rail(y, -uic60_depth(y), laying, gauge_m)[0]
+
+
+def wheel_named(
+    name: str, nominal_radius_m: float, centre_m: float, smoothing_m: float
+) -> Wheel:
+    """The wheel called s1002, or the one in a CSV file. Raises ConfigError."""
+    if name == "s1002":
+        return s1002(nominal_radius_m, centre_m)
+    s, z = profile_csv.read(name, profile_csv.WHEEL)
+    return wheel(s, z, nominal_radius_m, centre_m, smoothing_m)[0]
+
+
+def rail_named(name: str, laying: float, gauge_m: float, smoothing_m: float) -> Rail:
+    """The rail called uic60, or the one in a CSV file, laid. Raises ConfigError."""
+    if name == "uic60":
+        return uic60(laying, gauge_m)
+    y, z = profile_csv.read(name, profile_csv.RAIL)
+    return rail(y, z, laying, gauge_m, smoothing_m)[0]

@@ -36,7 +36,8 @@ class Explanation(NamedTuple):
 
 def start(design: Design) -> Explanation:
     """The untuned base."""
-    return Explanation({}, 0.025, 8.0, ())
+    return Explanation({f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)}, 0.028, 8.0,
+                       ())
 
 
 def inputs(design: Design, told: Explanation) -> Inputs:
@@ -54,7 +55,7 @@ def inputs(design: Design, told: Explanation) -> Inputs:
     gain, lift = np.zeros(design.segments), np.zeros(design.segments)
     for s in range(design.segments):
         run, axle = int(design.run[s]), int(design.axle[s])
-        friction[design.span(s)] = base.get(f"ln_mu_cd_{run}", 0.0)
+        p[s, replay.MU_CD] *= np.exp(base.get(f"ln_mu_cd_{run}", 0.0))
         gain[s] = base.get("torque_gain", 0.0) + base.get(f"torque_gain_{axle}", 0.0)
         lift[s] = base.get(f"load_gain_{axle}", 0.0)
     sizes = np.diff(design.start)

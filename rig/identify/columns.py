@@ -79,11 +79,12 @@ def of_run(design: Design, run: int) -> np.ndarray:
 
 
 def smooth_torque(design: Design, torque: np.ndarray) -> np.ndarray:
-    """Torque smoothed within each segment (0.03 s): what multiplies a coefficient has no noise."""
+    """Torque smoothed within each segment (0.03 s), half a sample on: of the step that follows."""
     out = np.empty_like(torque)
     for s in range(design.segments):
         at = design.span(s)
-        out[at] = gaussian_filter1d(torque[at], 0.03 / design.step_s, mode="nearest")
+        smooth = gaussian_filter1d(torque[at], 0.03 / design.step_s, mode="nearest")
+        out[at] = 0.5 * (smooth + np.append(smooth[1:], smooth[-1]))
     return out
 
 
@@ -129,19 +130,12 @@ def write(design: Design, inputs: Inputs, linear: Linear,
          lambda: _sensor_causes(w, design, inputs, linear, torque)),
         (("load_transfer", "wheel_out_of_round"), lambda: _load_causes(w, design, linear)),
         (("contaminated_patch", "sanding"), lambda: _windows(w, design, friction)),
-        (("along",), lambda: _smooth_functions(w, design, friction)),
+        (("along",), lambda: _smooth_functions(w, design, linear)),
     )
     for owners, build in groups:
         if only is None or only & set(owners):
             build()
-    wheel = np.column_stack(w.wheel)
-    # the change over a sample is that at its middle
-    last = design.start[1:] - 1
-    middle = 0.5 * (wheel[:-1] + wheel[1:])
-    keep = wheel[last].copy()
-    wheel[:-1] = middle
-    wheel[last] = keep
-    return Book(w.columns, wheel, np.column_stack(w.vehicle), w.variants)
+    return Book(w.columns, np.column_stack(w.wheel), np.column_stack(w.vehicle), w.variants)
 
 
 def _torque_column(w: _Writer, d: Design, inputs: Inputs, owner: str, label: str,
@@ -152,11 +146,11 @@ def _torque_column(w: _Writer, d: Design, inputs: Inputs, owner: str, label: str
 
 
 def _base(w: _Writer, d: Design, inputs: Inputs, linear: Linear, torque: np.ndarray) -> None:
-    friction, load = linear.rates[:, sensitivity.FRICTION], linear.rates[:, sensitivity.LOAD]
+    load = linear.rates[:, sensitivity.LOAD]
     tolerance = max(d.calibration, 1e-4)
     runs = d.mass_kg.size
     for run in range(runs):
-        w.add(BASE, f"ln_mu_cd_{run}", friction * of_run(d, run))
+        w.add(BASE, f"ln_mu_cd_{run}", linear.rates[:, sensitivity.LEVEL] * of_run(d, run))
     w.add(BASE, "ln_tau", linear.rates[:, sensitivity.TAU])
     _torque_column(w, d, inputs, BASE, "torque_gain", torque, tolerance)
     for j in range(AXLES):
@@ -205,19 +199,9 @@ def _contact_causes(w: _Writer, d: Design, linear: Linear) -> None:
                                ("falling_friction", "fraction", sensitivity.GAMMA)):
         at = w.add(name, label, linear.rates[:, index])
         w.variant(name, [at])
-    # a lag of lambda by a length takes away length d lambda / dx, to first order
-    at = w.add("adhesion_memory", "length_m", -linear.rates[:, sensitivity.TAU] * _energy_rate(d))
+    # its answer is a finite step of the whole filter, see `tuning`
+    at = w.add("adhesion_memory", "length_m", None)
     w.variant("adhesion_memory", [at])
-
-
-def _energy_rate(d: Design) -> np.ndarray:
-    """d ln W / dx in 1/m, smooth: how fast the dissipated energy changes along the rail."""
-    out = np.empty_like(d.energy_J_m)
-    for s in range(d.segments):
-        at = d.span(s)
-        energy = gaussian_filter1d(d.energy_J_m[at], 0.05 / d.step_s, mode="nearest")
-        out[at] = np.gradient(energy, d.step_s) / (d.speed_m_s[at] * np.maximum(energy, 5.0))
-    return out
 
 
 def _sensor_causes(w: _Writer, d: Design, inputs: Inputs, linear: Linear,
@@ -273,24 +257,16 @@ def _windows(w: _Writer, d: Design, friction: np.ndarray) -> None:
             w.add("time_bin", f"{run} {i * TIME_BIN_S:.6g}", friction * inside * mask)
 
 
-COVARIATES: dict[str, Callable[[Design], np.ndarray]] = {
-    "sliding": lambda d: d.sliding_m_s,
-    "speed": lambda d: d.speed_m_s,
-    "time": lambda d: d.time_s,
-    "energy": lambda d: np.sqrt(d.energy_J_m),
-    "load": lambda d: d.load_N,
-    "acceleration": lambda d: rate(d, _gentle(d, d.sliding_m_s)),
-    "disc_heat": lambda d: d.heat_MJ,
-    "deceleration": lambda d: d.deceleration_m_s2,
+COVARIATES: dict[str, Callable[[Design, Linear], np.ndarray]] = {
+    "sliding": lambda d, l: l.sliding_m_s,
+    "speed": lambda d, l: d.speed_m_s,
+    "time": lambda d, l: d.time_s,
+    "energy": lambda d, l: np.sqrt(np.maximum(l.energy_J_m, 0.0)),
+    "load": lambda d, l: d.load_N,
+    "acceleration": lambda d, l: np.clip(l.acceleration_rad_s2, -30.0, 30.0),
+    "disc_heat": lambda d, l: d.heat_MJ,
+    "deceleration": lambda d, l: d.deceleration_m_s2,
 }
-
-
-def _gentle(d: Design, values: np.ndarray) -> np.ndarray:
-    out = np.empty_like(values)
-    for s in range(d.segments):
-        at = d.span(s)
-        out[at] = gaussian_filter1d(values[at], 0.06 / d.step_s, mode="nearest")
-    return out
 
 
 def bumps(values: np.ndarray, count: int = 4) -> np.ndarray:
@@ -300,9 +276,10 @@ def bumps(values: np.ndarray, count: int = 4) -> np.ndarray:
     return np.exp(-0.5 * ((values[:, None] - knots) / width) ** 2)
 
 
-def _smooth_functions(w: _Writer, d: Design, friction: np.ndarray) -> None:
+def _smooth_functions(w: _Writer, d: Design, linear: Linear) -> None:
+    friction = linear.rates[:, sensitivity.FRICTION]
     for name, of in COVARIATES.items():
-        shapes = bumps(of(d))
+        shapes = bumps(of(d, linear))
         w.variant(f"along {name}", [w.add(f"along {name}", str(i), friction * shapes[:, i])
                                     for i in range(shapes.shape[1])])
     w.variant("along axle", [w.add("along axle", str(j), friction * of_axle(d, j))

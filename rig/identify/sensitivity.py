@@ -17,19 +17,23 @@ from rollerrig.rig.identify import replay
 from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.kernel import kernel
 
-# changes of the wheel's acceleration for a change of ln: friction, tau, gamma, stiffness, k_a, load
-FRICTION, TAU, GAMMA, STIFFNESS, STICKING, LOAD, RADIUS, LATE = range(8)
+# changes of the wheel's acceleration for a change of ln: friction, tau, gamma, stiffness, k_a, load,
+# radius, the field m, and mu_cd alone
+FRICTION, TAU, GAMMA, STIFFNESS, STICKING, LOAD, RADIUS, LATE, LEVEL = range(9)
 _COEFFICIENTS = 6
 
 
 class Linear(NamedTuple):
-    """A replay with its coefficients: flat arrays (n,), (n, 6) and (n, 8)."""
+    """A replay with its coefficients: flat arrays (n,), (n, 6) and (n, 9)."""
 
     nu: np.ndarray
     variance: np.ndarray
     field: np.ndarray
     coefficients: np.ndarray
     rates: np.ndarray
+    sliding_m_s: np.ndarray  # (n,) known before the next sample, so are the next two
+    energy_J_m: np.ndarray
+    acceleration_rad_s2: np.ndarray
     vehicle_nu: np.ndarray
     vehicle_variance: np.ndarray
 
@@ -48,7 +52,7 @@ class Inputs(NamedTuple):
 
 @kernel
 def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field, co,
-                    rates):
+                    rates, path):
     """One wheel: replays it, then stores [S1] along the filtered path."""
     replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field)
     r, inertia = p[0], p[1]
@@ -67,6 +71,9 @@ def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, 
         before = late
         f, rise, late = replay.wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, before, share)
         force = r * N * math.exp(field[k]) / inertia
+        path[k, 0] = v - r * omega
+        path[k, 1] = f * 0.5 * N * (v - r * omega) / v
+        path[k, 2] = force * f - C / inertia
         a = -r * rise * force
         x = min(a * h, 5.0)
         growth = math.exp(x)
@@ -82,7 +89,7 @@ def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, 
         d = 0.01
         rates[k, 0] = force * (replay.wheel_adhesion(s, v, 0.5 * N, log_mu + d, p, before, share)[0]
                                - f) / d
-        for i in range(5):
+        for i in range(6):
             for c in range(p.size):
                 q[c] = p[c]
             N1 = N
@@ -96,12 +103,15 @@ def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, 
             elif i == 3:
                 q[8] *= 1.0 - d
                 q[10] *= 1.0 - d
-            else:
+            elif i == 4:
                 N1 = N * (1.0 + d)
+            else:
+                q[2] *= 1.0 + d
             f1 = replay.wheel_adhesion(s, v, 0.5 * N1, log_mu, q, before, share)[0]
             rates[k, 1 + i] = force * (f1 * N1 / N - f) / d
+        rates[k, 8] = rates[k, 6]
         rates[k, 6] = force * f + a * omega  # radius: lever, and sliding
-        rates[k, 7] = force * f  # what the field m scales
+        rates[k, 7] = force * f
 
 
 @kernel
@@ -159,17 +169,17 @@ def linearise(design: Design, inputs: Inputs) -> Linear:
     """Replay all wheels and vehicles and keep the coefficients."""
     n = design.measured_rad_s.size
     nu, variance, field = np.empty(n), np.empty(n), np.empty(n)
-    co, rates = np.empty((n, _COEFFICIENTS)), np.empty((n, 8))
+    co, rates, path = np.empty((n, _COEFFICIENTS)), np.empty((n, 9)), np.empty((n, 3))
     for s in range(design.segments):
         at = design.span(s)
         p = inputs.parameters[s]
         coefficients_of(design.measured_rad_s[at], inputs.torque_Nm[at], inputs.load_N[at],
                         inputs.speed_m_s[at], inputs.friction_log[at], p, design.step_s, nu[at],
-                        variance[at], field[at], co[at], rates[at])
+                        variance[at], field[at], co[at], rates[at], path[at])
         gains(variance[at], co[at], p, design.step_s, inputs.speed_m_s[at], inputs.load_N[at],
               inputs.torque_Nm[at])
     vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
-    return Linear(nu, variance, field, co, rates, vehicle_nu, vehicle_variance)
+    return Linear(nu, variance, field, co, rates, path[:, 0], path[:, 1], path[:, 2], vehicle_nu, vehicle_variance)
 
 
 def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:

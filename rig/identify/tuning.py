@@ -128,14 +128,14 @@ def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return -inverse @ b, inverse
 
 
-def fit(design: Design, told: Explanation, steps: int = 5, noise: bool = True,
+def fit(design: Design, told: Explanation, steps: int = 9, noise: bool = True,
         tolerance: float = 0.05) -> tuple[Explanation, float, np.ndarray]:
     """Best explanation of the same causes: (explanation, deviance, covariance of cause values)."""
     value = deviance(design, told)
     covariance = np.zeros((0, 0))
     only = frozenset({BASE, *(cause.name for cause in told.causes)})
     for step in range(steps):
-        if noise and step in (1, 3):
+        if noise and step in (1, 3, 5):
             told, value = fit_noise(design, told, value)
         found, _, _, _ = normal(design, told, only)
         at = base_columns(found.book) + _cause_columns(found.book, told)
@@ -143,7 +143,7 @@ def fit(design: Design, told: Explanation, steps: int = 5, noise: bool = True,
         labels = [found.book.columns[c].label for c in base_columns(found.book)]
         told, better = _search(design, told, labels, change, value)
         gained, value = value - better, better
-        if gained < tolerance and step > 1:
+        if gained < tolerance and step > 3:
             break
     size = sum(len(cause.values) for cause in told.causes)
     return told, value, covariance[-size:, -size:] if size else np.zeros((0, 0))
@@ -206,10 +206,10 @@ def fit_noise(design: Design, told: Explanation, value: float) -> tuple[Explanat
                                               length_m=float(np.exp(x[1]))))
 
     x0 = np.log([told.sigma, told.length_m])
-    simplex = x0 + np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
+    simplex = x0 + np.array([[0.0, 0.0], [-0.15, 0.0], [0.0, -0.3]])
     best = minimize(cost, x0, method="Nelder-Mead", bounds=[(np.log(1e-3), np.log(0.5)),
                                                               (np.log(1.0), np.log(60.0))],
-                    options={"maxfev": 16, "initial_simplex": simplex, "fatol": 0.3})
+                    options={"maxfev": 18, "initial_simplex": simplex, "fatol": 0.3})
     if best.fun < value:
         return told._replace(sigma=float(np.exp(best.x[0])), length_m=float(np.exp(best.x[1]))), \
             float(best.fun)

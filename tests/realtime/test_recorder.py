@@ -132,6 +132,7 @@ def test_a_killed_run_keeps_its_events(run):
 def test_a_recorder_whose_bench_was_killed_says_so_and_removes_the_rings(bench_killed):
     summary = records.load(bench_killed.folder).summary
     assert summary["ended"] == "killed"
+    assert (summary["pacing"], summary["seed"]) == ("wall", 7)
     assert not summary["stopped"]
     assert summary["samples"] == round(100 * bench_killed.written_s) + 1
     assert "the bench was killed" in records.load(bench_killed.folder).events[-1][2]

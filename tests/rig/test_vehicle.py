@@ -40,7 +40,7 @@ def test_loads_carry_the_weight_and_the_moment_of_braking(deceleration_m_s2):
                    + 2 * COACH["bogie_mass_kg"] * COACH["bogie_height_m"]
                    + 4 * COACH["wheelset_mass_kg"] * COACH["wheel_radius_m"])
     ahead_m = AT_M.mean() - AT_M
-    assert loads_N @ ahead_m == pytest.approx(moment_kg_m * deceleration_m_s2, rel=1e-12)
+    assert loads_N @ ahead_m == pytest.approx(moment_kg_m * deceleration_m_s2, rel=1e-12, abs=1e-6)
 
 
 def test_braking_loads_the_leading_wheelset_of_every_bogie_and_the_leading_bogie():
@@ -57,15 +57,16 @@ def test_loads_follow_the_deceleration_with_the_lag_of_pitching():
     lag_s = COACH["pitch_time_constant_s"]
     felt = run.felt_acceleration
     change = np.gradient(felt, run.time) * lag_s
-    np.testing.assert_allclose(felt + change, run.vehicle_acceleration, atol=0.02)
+    np.testing.assert_allclose((felt + change)[1:], run.vehicle_acceleration[1:], atol=0.02)
 
 
 def test_a_wheelset_that_is_lifted_off_has_no_load_and_no_adhesion():
-    rig = Rig(30.0, adhesion=DRY, vehicle={"pivot_height_m": 3.0, "body_height_m": 4.0,
-                                           "bogie_wheelbase_m": 0.5})
-    run = rig.roll(10.0)
+    rig = Rig(30.0, adhesion=DRY)
+    rig.state.felt_acceleration[0] = -20.0
+    run = rig.roll(0.1)
     lifted = run.wheel_load == 0.0
-    assert lifted.any()
+    assert lifted[:, 3].any()
+    assert not lifted[:, 0].any()
     assert run.wheel_load.min() == 0.0
     assert (run.adhesion[lifted] == 0.0).all()
     assert np.isfinite(run.log).all()

@@ -1,0 +1,120 @@
+"""Compares recorded runs: figures of their summaries side by side, and channels by value.
+
+Each channel of a further run is laid on the time of the first; the difference counts where both
+have a value. A tolerance is given for a unit (as in m_s=0.1) or a channel; what is beyond it fails.
+Ticks' lateness is no result and is left out.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.table import nearest
+from rollerrig.realtime import records
+from rollerrig.wsp_interface import signals
+
+_NO_RESULT = frozenset(("time", "tick_lateness", "tick_duration", "ticks_missed"))
+# figures of a summary: title, unit, how to get it
+FIGURES = (
+    ("stop time", "s", lambda s: s["stop_time_s"]),
+    ("stop distance", "m", lambda s: s["stop_distance_m"]),
+    ("mean sliding, all axles", "m/s", lambda s: _mean(s, "sliding_mean_m_s")),
+    ("standard deviation of sliding", "m/s", lambda s: _mean(s, "sliding_std_m_s")),
+    ("largest sliding", "m/s", lambda s: max(a["sliding_max_m_s"] for a in s["axles"])),
+    ("longest lock", "s", lambda s: max(a["longest_lock_s"] for a in s["axles"])),
+    ("mean adhesion", "", lambda s: _mean(s, "adhesion_mean")),
+    ("energy of sliding", "MJ", lambda s: sum(a["dissipated_energy_J"] for a in s["axles"]) / 1e6),
+    ("vents", "", lambda s: s["wsp"]["vents"]),
+    ("air", "NL", lambda s: s["air_consumption_NL"]),
+    ("tracking error, largest", "m/s", lambda s: s.get("tracking", {}).get("max_m_s")),
+    ("tracking error, rms", "m/s", lambda s: s.get("tracking", {}).get("rms_m_s")),
+)
+
+
+class Difference(NamedTuple):
+    """One channel of one run against the first: `tolerance` NaN where none was given."""
+
+    run: str
+    channel: str
+    largest: float
+    rms: float
+    at_s: float
+    tolerance: float
+
+    @property
+    def failed(self) -> bool:
+        return self.largest > self.tolerance
+
+
+def _mean(summary: Mapping[str, Any], key: str) -> float:
+    return float(np.mean([axle[key] for axle in summary["axles"]]))
+
+
+def figures(runs: Sequence[records.Run]) -> list[tuple[str, str, list[float | None]]]:
+    """Rows of (title, unit, a value a run); None where a run has no such figure."""
+    rows = []
+    for title, unit, get in FIGURES:
+        values: list[float | None] = []
+        for run in runs:
+            try:
+                values.append(get(run.summary))  # type: ignore[no-untyped-call]
+            except (KeyError, TypeError, ValueError):
+                values.append(None)
+        rows.append((title, unit, values))
+    return rows
+
+
+def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) -> list[Difference]:
+    """Every channel of every further run against the first, the largest first within a run."""
+    first, found = runs[0], []
+    time_s = first.column("time_s")
+    for run in runs[1:]:
+        rows = []
+        for signal in signals.SIGNALS:
+            if signal.name in _NO_RESULT:
+                continue
+            for name in signals.columns(signal):
+                if name not in first.table.column_names or name not in run.table.column_names:
+                    continue
+                other = np.interp(time_s, run.column("time_s"), run.column(name), right=np.nan)
+                gap = np.abs(first.column(name) - other)
+                known = np.isfinite(gap)
+                if not known.any():
+                    continue
+                worst = int(np.nanargmax(np.where(known, gap, -1.0)))
+                limit = tolerances.get(name, tolerances.get(signal.unit or "1", np.nan))
+                rows.append(Difference(str(run.folder), name, float(gap[worst]),
+                                       float(np.sqrt(np.mean(gap[known] ** 2))),
+                                       float(time_s[worst]), limit))
+        found += rows
+    return found
+
+
+def tolerances(given: Sequence[str]) -> dict[str, float]:
+    """From texts such as "m_s=0.1" or "sliding_1_m_s=0.5". Raises ConfigError."""
+    units = sorted({signal.unit or "1" for signal in signals.SIGNALS})
+    found = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        if name not in units and name not in signals.COLUMNS:
+            raise ConfigError(f"--tolerance {text}: no unit or channel is called '{name}'"
+                              f"{nearest(name, [*units, *signals.COLUMNS])}")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise ConfigError(f"--tolerance {text}: '{value}' is not a number; write as in "
+                              "m_s=0.1") from None
+        if not found[name] >= 0.0:
+            raise ConfigError(f"--tolerance {text}: must be 0 or more")
+    return found
+
+
+def load(folders: Sequence[Path]) -> list[records.Run]:
+    """The runs of folders, at least two. Raises ConfigError."""
+    if len(folders) < 2:
+        raise ConfigError("compare needs at least two run folders, as in: "
+                          "rollerrig compare runs/a runs/b")
+    return [records.load(folder) for folder in folders]

@@ -1,0 +1,103 @@
+"""Profiles from CSV files: two columns in millimetres, checked before anything is built on them.
+
+A wheel is `s_mm, z_mm` (s = 0 on the nominal running circle, negative to the flange, z positive
+where the rolling radius is larger); a rail `y_mm, z_mm` (y = 0 in the head's symmetry axis, negative
+to the gauge side, z upwards, the head upright). A first line of names is optional, further columns
+are ignored, lines that begin with # are comments.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.configs.errors import ConfigError
+
+
+class Kind(NamedTuple):
+    """What a profile must be, in mm: widest gap, what it must reach, and its extent."""
+
+    name: str
+    gap_mm: float
+    from_mm: float
+    to_mm: float
+    width_mm: tuple[float, float]
+    height_mm: tuple[float, float]
+
+
+WHEEL = Kind("wheel", 3.0, -45.0, 30.0, (75.0, 160.0), (10.0, 60.0))
+RAIL = Kind("rail", 3.0, -32.0, 20.0, (50.0, 90.0), (3.0, 60.0))
+
+
+def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
+    """Lateral and vertical coordinates in m, rising in the first.
+
+    Raises ConfigError naming file and line: unreadable numbers, units that are not mm, gaps, folds.
+    """
+    lines, points = _numbers(Path(path), kind)
+    if len(points) < 10:
+        raise ConfigError(f"{path}: {len(points)} points; a {kind.name} profile needs at least 10")
+    y, z = np.array(points).T
+    if y[0] > y[-1]:
+        y, z, lines = y[::-1], z[::-1], lines[::-1]
+    _check_units(path, kind, y, z)
+    step = np.diff(y)
+    if np.any(step <= 0.0):
+        i = int(np.argmax(step <= 0.0))
+        raise ConfigError(
+            f"{path}, line {lines[i + 1]}: the profile folds back, from {y[i]:g} to {y[i + 1]:g} mm; "
+            "the first column must rise from point to point: sort or cut the points")
+    if step.max() > kind.gap_mm:
+        i = int(np.argmax(step))
+        raise ConfigError(
+            f"{path}, line {lines[i + 1]}: a gap of {step[i]:g} mm after {y[i]:g} mm; at most "
+            f"{kind.gap_mm:g} mm are bridged: measure or interpolate the points between")
+    if y[0] > kind.from_mm or y[-1] < kind.to_mm:
+        raise ConfigError(
+            f"{path}: the {kind.name} profile runs from {y[0]:g} to {y[-1]:g} mm; it must reach from "
+            f"{kind.from_mm:g} to {kind.to_mm:g} mm: move its origin or measure farther")
+    return y * 1e-3, z * 1e-3
+
+
+def _numbers(path: Path, kind: Kind) -> tuple[list[int], list[tuple[float, float]]]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: the {kind.name} profile cannot be read ({error}); give s1002, "
+                          "uic60 or a CSV file of two columns in mm") from None
+    lines, points = [], []
+    for number, line in enumerate(text.splitlines(), 1):
+        cells = [cell.strip() for cell in line.replace(";", ",").replace("\t", ",").split(",")]
+        if not line.strip() or line.startswith("#"):
+            continue
+        try:
+            pair = (float(cells[0]), float(cells[1]))
+        except (ValueError, IndexError):
+            if not points and not lines and not _begins_with_number(cells[0]):
+                continue  # the line of names
+            raise ConfigError(f"{path}, line {number}: '{line.strip()[:40]}' is not two numbers; "
+                              "write y, z in mm, with a decimal point") from None
+        if not np.all(np.isfinite(pair)):
+            raise ConfigError(f"{path}, line {number}: {pair[0]}, {pair[1]}: both must be finite; "
+                              "remove the point")
+        lines.append(number)
+        points.append(pair)
+    return lines, points
+
+
+def _begins_with_number(cell: str) -> bool:
+    return cell[:1].isdigit() or cell[:1] in "-+."
+
+
+def _check_units(path: str | Path, kind: Kind, y: np.ndarray, z: np.ndarray) -> None:
+    for what, extent, (low, high) in (
+        ("wide", float(np.ptp(y)), kind.width_mm), ("high", float(np.ptp(z)), kind.height_mm),
+    ):
+        if low <= extent <= high:
+            continue
+        hint = "cut what is not the running surface"
+        for unit, factor in (("m", 1e3), ("cm", 10.0), ("inches", 25.4), ("um", 1e-3)):
+            if low <= extent * factor <= high:
+                hint = f"it looks like {unit}: write mm"
+        raise ConfigError(f"{path}: the {kind.name} profile is {extent:g} mm {what}; "
+                          f"{low:g} to {high:g} mm are allowed; {hint}")

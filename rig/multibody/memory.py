@@ -1,0 +1,57 @@
+"""State of the coach: named views into one float64 buffer, so that a snapshot is one copy.
+
+Each field says its shape, unit and which stage writes it; q and v are ordered by body (car, two
+bogies, four wheelsets), then x, y, z, roll, pitch, yaw.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.contact import geometry, profiles
+from rollerrig.rig.multibody.treads import GIVEN, SEEN
+
+WHEELS = 8
+NODES = round((profiles.FIELD_END_M - profiles.FLANGE_END_M)
+              / (profiles.STRIDE * profiles.SPACING_M)) + 1
+
+
+class Motion(NamedTuple):
+    """Views; stages are functions of `motion`."""
+
+    q: np.ndarray  # (42,) m, rad; step
+    v: np.ndarray  # (42,) m/s, rad/s; step
+    force: np.ndarray  # (42,) N, N m: suspension and weight; step
+    contacts: np.ndarray  # (8, MOST, COLUMNS) of `geometry`; step
+    count: np.ndarray  # (8,) contacts in use; step
+    misfit: np.ndarray  # (8, NODES) m, F at the coarse nodes of each wheel; step
+    given: np.ndarray  # (4, GIVEN) of `treads`; step
+    Gx: np.ndarray  # (4, 4) N s/m ..., scratch; step
+    Gy: np.ndarray  # (3, 3), scratch; step
+    seen: np.ndarray  # (8, SEEN) of `treads`, left then right wheel of each wheelset; step
+    turn: np.ndarray  # (1,) which share of the wheels is searched next; step
+    damper_work: np.ndarray  # (1,) J; step
+    approach_work: np.ndarray  # (1,) J, dampers of the contacts; step
+    sliding_work: np.ndarray  # (4,) J; step
+    brake_work: np.ndarray  # (4,) J; step
+    resistance_work: np.ndarray  # (1,) J; step
+
+
+SHAPES: dict[str, tuple[int, ...]] = {
+    "q": (42,), "v": (42,), "force": (42,),
+    "contacts": (WHEELS, geometry.MOST, geometry.COLUMNS), "count": (WHEELS,),
+    "misfit": (WHEELS, NODES), "given": (4, GIVEN), "Gx": (4, 4), "Gy": (3, 3),
+    "seen": (WHEELS, SEEN), "turn": (1,), "damper_work": (1,), "approach_work": (1,),
+    "sliding_work": (4,), "brake_work": (4,), "resistance_work": (1,),
+}
+SIZE = sum(int(np.prod(shape)) for shape in SHAPES.values())
+
+
+def views(buffer: np.ndarray) -> Motion:
+    """The state in a contiguous float64 buffer of shape (SIZE,)."""
+    parts, at = [], 0
+    for name in Motion._fields:
+        size = int(np.prod(SHAPES[name]))
+        parts.append(buffer[at:at + size].reshape(SHAPES[name]))
+        at += size
+    return Motion(*parts)

@@ -1,0 +1,177 @@
+"""Wheel and rail (or roller) under a wheelset: contact points, normal and creep forces.
+
+Each wheel's contacts are followed from step to step; where wheel and rail interpenetrate, Hertz'
+spring and a damper press them apart, and the creep force of the chosen model acts against the
+sliding of the wheel's material on the rail's, spin included. Beside the forces, their secant slopes
+are handed to the time step, which needs them at low speed.
+
+[N1] N = k_h p^(3/2) + c max(dp/dt, 0), p = -gap > 0                             paper eqs. 4, 5
+[N2] s = (v + Omega x rho) along t1, t2, spin = Omega . n, on a roller with its surface's motion
+[N3] F = N n + f_x t1 + f_y t2 at rho, and m_z n
+[N4] g = |f| / (|s| + a |spin|): f is about -g s, so its Jacobian is taken as -g J'J
+
+t1 lies along the track, t2 across, n out of the rail; rho from the wheelset's centre to the contact.
+Eq. 5 of the paper prints p = max(..., 0) for a quantity that is negative in contact; read as above.
+"""
+
+import math
+
+import numpy as np
+
+from rollerrig.rig.contact import adhesion, creep_force, geometry
+from rollerrig.rig.contact.geometry import GAP, LATERAL, NX, NY, NZ, RAIL_Z, ROLLING
+from rollerrig.rig.contact.profiles import Rail, Wheel
+from rollerrig.rig.kernel import kernel
+from rollerrig.rig.multibody import patches as patch_table
+from rollerrig.rig.multibody.patches import Patches
+
+TURNS = 16  # steps in which the whole wheel is searched for new contacts once
+# slots of what one wheelset's contacts give: force and moment (6), generalised force of sliding
+# along over (v_x, omega, yaw rate, roller) (4) and across over (v_y, v_z, roll rate) (3), their
+# g s J (4, 3), and power of sliding and of the approach damper
+FORCE, ALONG, ACROSS, ALONG_GS, ACROSS_GS, SLIDING_W, APPROACH_W = 0, 6, 10, 13, 17, 20, 21
+GIVEN = 22
+# per wheel: vertical load N, longitudinal and lateral force N, sliding along m/s, touching contacts
+LOAD, PULL, SIDE, SLIP, TOUCHING = range(5)
+SEEN = 5
+
+
+@kernel
+def follow(wheel, side, q, first, offset_m, turn, contacts, count, F, coach):
+    """Move the contacts of a wheel on; side +1 left, -1 right; q (42,), `first` of its wheelset."""
+    pose = (offset_m, side * q[first + 1], coach.axle_height_m + q[first + 2])
+    axle = geometry.axis(side * q[first + 3], side * q[first + 5])
+    if turn < 0:
+        count[wheel] = geometry.detect(contacts[wheel], F[wheel], pose, axle, coach.roller_m,
+                                       coach.wheel, coach.rail)
+    else:
+        count[wheel] = geometry.follow(contacts[wheel], int(count[wheel]), F[wheel], turn, TURNS,
+                                       pose, axle, coach.roller_m, coach.wheel, coach.rail)
+
+
+@kernel
+def load(row, approach_m_s, patch, coach):
+    """Normal force in N of a contact [N1]."""
+    p = -row[GAP]
+    return patch.k_h_N_m32 * p * math.sqrt(p) + coach.contact_damping_N_s_m * max(approach_m_s, 0.0)
+
+
+@kernel
+def law_here(law, mu_cd, mu_cr, creepage, cleaning_creepage):
+    """The adhesion law for the contaminant under an axle; cleaning has its limit as in `wheelset`."""
+    tau = law.tau_m_J
+    if creepage > cleaning_creepage:
+        tau *= cleaning_creepage / creepage
+    return adhesion.Law(mu_cd, mu_cr, law.A_d, law.A_r, law.gamma_d_s_m, law.gamma_r_s_m, law.k_ad,
+                        law.k_sd, law.k_ar, law.k_sr, tau)
+
+
+@kernel
+def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, cleaning_creepage,
+          coach, given, Gx, Gy, seen):
+    """Forces of both wheels of wheelset j into `given` (GIVEN,), `Gx` (4, 4), `Gy` (3, 3), `seen`.
+
+    base_m_s is the vehicle's speed on rollers, 0 on a track; roller_rad_s 0 on a track.
+    """
+    given[:] = 0.0
+    Gx[:] = 0.0
+    Gy[:] = 0.0
+    i = 6 * (3 + j)
+    ex, ey, ez = geometry.axis(q[i + 3], q[i + 5])
+    spin_rate = v[i + 4]
+    wx, wy, wz = v[i + 3] + spin_rate * ex, spin_rate * ey, v[i + 5] + spin_rate * ez
+    for wheel in range(2):
+        side = 1.0 - 2.0 * wheel
+        at = 2 * j + wheel
+        seen[at, :] = 0.0
+        for c in range(int(count[at])):
+            row = contacts[at, c]
+            if row[GAP] >= 0.0:
+                continue
+            x, y, z = row[geometry.X], side * row[geometry.Y], row[geometry.Z]
+            nx, ny, nz = row[NX], side * row[NY], row[NZ]
+            up = math.sqrt(nx * nx + nz * nz)
+            cos, sin = nz / up, -nx / up
+            # [N2]
+            vx = v[i] - base_m_s + wy * z - wz * y
+            vy = v[i + 1] + wz * x - wx * z
+            vz = v[i + 2] + wx * y - wy * x
+            arm = 0.0
+            if roller_rad_s != 0.0:
+                arm = coach.roller_m + row[RAIL_Z]
+            t2x, t2y, t2z = ny * sin, nz * cos - nx * sin, -ny * cos
+            sx = vx * cos + vz * sin + arm * roller_rad_s
+            sy = vx * t2x + vy * t2y + vz * t2z
+            approach = -(vx * nx + vy * ny + vz * nz)
+            spin = wx * nx + wy * ny + wz * nz + roller_rad_s * ny
+            patch = patch_table.at(row[ROLLING], row[LATERAL], coach.patches)
+            N = load(row, approach, patch, coach)
+            speed = max(abs(v[i] - base_m_s + arm * roller_rad_s), adhesion.SPEED_FLOOR_M_S)
+            s = math.sqrt(sx * sx + sy * sy)
+            here = law_here(law, mu_cd, mu_cr, s / speed, cleaning_creepage)
+            fx, fy, mz = creep_force.creep_force(patch.model, sx / speed, sy / speed, spin / speed,
+                                                 s, N, patch, here)
+            a = patch.a1 * N ** (1.0 / 3.0)
+            g = math.sqrt(fx * fx + fy * fy) / (s + a * abs(spin) + 1e-9)  # [N4]
+            # [N3]
+            Fx = N * nx + fx * cos + fy * t2x
+            Fy = N * ny + fy * t2y
+            Fz = N * nz + fx * sin + fy * t2z
+            given[0] += Fx
+            given[1] += Fy
+            given[2] += Fz
+            given[3] += y * Fz - z * Fy + mz * nx
+            given[4] += z * Fx - x * Fz + mz * ny
+            given[5] += x * Fy - y * Fx + mz * nz
+            Jx = (cos, z * cos - x * sin, -y * cos, arm)
+            for k in range(4):
+                given[ALONG + k] += fx * Jx[k]
+                given[ALONG_GS + k] += g * sx * Jx[k]
+                for m in range(k + 1):
+                    Gx[k, m] += g * Jx[k] * Jx[m]
+            Jy = (t2y, t2z, y * t2z - z * t2y)
+            for k in range(3):
+                given[ACROSS + k] += fy * Jy[k]
+                given[ACROSS_GS + k] += g * sy * Jy[k]
+                for m in range(k + 1):
+                    Gy[k, m] += g * Jy[k] * Jy[m]
+            given[SLIDING_W] -= fx * sx + fy * sy + mz * spin
+            given[APPROACH_W] += coach.contact_damping_N_s_m * max(approach, 0.0) ** 2
+            seen[at, LOAD] += Fz
+            seen[at, PULL] += fx
+            seen[at, SIDE] += Fy
+            seen[at, SLIP] += sx * N
+            seen[at, TOUCHING] += N
+        if seen[at, TOUCHING] > 0.0:
+            seen[at, SLIP] /= seen[at, TOUCHING]
+
+
+def axle_height(
+    load_N: float, wheel: Wheel, rail: Rail, patches: Patches, roller_m: float
+) -> float:
+    """Height in m of a centred wheelset's axle at which each wheel presses upwards with load_N.
+
+    Raises ValueError where the profiles do not meet there.
+    """
+    low, high = float(wheel.radius_m.min()) - 0.03, float(wheel.radius_m.max()) + 0.03
+    for _ in range(80):
+        z = 0.5 * (low + high)
+        found = np.zeros((geometry.MOST, geometry.COLUMNS))
+        F = np.zeros(wheel.coarse_m.size)
+        n = geometry.detect(found, F, (0.0, 0.0, z), (0.0, 1.0, 0.0), roller_m, wheel, rail)
+        total = 0.0
+        for row in found[:n]:
+            if row[GAP] < 0.0:
+                patch = patch_table.at(row[ROLLING], row[LATERAL], patches)
+                total += patch.k_h_N_m32 * (-row[GAP]) ** 1.5 * row[NZ]
+        if n == 0 and z < 0.5 * (wheel.radius_m.min() + wheel.radius_m.max()):
+            total = math.inf
+        if total > load_N:
+            low = z
+        else:
+            high = z
+    if high - low > 1e-9 or total <= 0.0:
+        raise ValueError(
+            f"a wheelset under {2.0 * load_N:g} N finds no height on which both wheels bear: wheel "
+            "and rail profile do not meet; check their units (mm), gauge_m and running_circles_m")
+    return z
