@@ -86,7 +86,7 @@ class SpeedUnit:
 
     def __init__(self, node: Node, row: np.ndarray) -> None:
         self.node, self._row = node, row
-        self._time, self._speeds = signals.column("time"), signals.span("wheel_speed")
+        self._time, self._speeds = signals.column("time"), signals.span("measured_speed")
         self._now = self._before = (row.item(self._time), row[self._speeds].tolist())
         node.on_sync.append(self._sample)
         objects = node.objects

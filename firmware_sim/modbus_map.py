@@ -120,7 +120,7 @@ _HEALTH = (
 _MEASURED: tuple[tuple[int, str, str, float], ...] = (
     (200, "time", "U32", 1e-3), (202, "vehicle_speed", "I16", 0.01), (203, "position", "U32", 0.01),
     (205, "vehicle_acceleration", "I16", 1e-3), (206, "brake_demand", "", 0.0),
-    (207, "wsp_reference_speed", "", 0.0), (208, "wheel_speed", "", 0.0),
+    (207, "wsp_reference_speed", "", 0.0), (208, "measured_speed", "", 0.0),
     (212, "wheel_circumferential_speed", "I16", 0.01), (216, "sliding", "I16", 0.01),
     (220, "cylinder_pressure", "", 0.0), (224, "valve", "U16", 1.0), (228, "magnets", "U16", 1.0),
     (232, "roller_speed", "", 0.0), (240, "motor_torque", "", 0.0), (244, "brake_torque", "I16", 1.0),

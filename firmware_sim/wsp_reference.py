@@ -10,7 +10,7 @@ from rollerrig.firmware_sim.wsp_phases import Phase
 from rollerrig.rig.kernel import kernel
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME
 
-SPEED_SCALE_RAD_S = BY_NAME["wheel_speed"].places[0].scale
+SPEED_SCALE_RAD_S = BY_NAME["measured_speed"].places[0].scale
 NOBODY = -1.0
 
 

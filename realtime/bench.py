@@ -17,11 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim import pole_wheel, wsp
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.realtime import (
+    channels,
     clock,
     loop,
     mailbox,
@@ -94,6 +96,7 @@ class Bench:
         self.histogram = np.zeros(loop.BINS, dtype=np.int64)
         self.ended_by = ""
         self.unit_exit: int | None = None
+        self._unrecorded = False
         self._processes: list[subprocess.Popen[bytes]] = []
         self._begun_ns = 0
         self.bus: rig_bus.RigBus | None = None
@@ -102,13 +105,15 @@ class Bench:
         self._next: Scenario | None = None
         self._zero_ns = 0
         supervisor.check(plan, options.pacing, options.start)
+        if options.unit == "reference":
+            wsp.load(plan["wsp_config"])
         prepare_folder(options.out)
         (options.out / "scenario.toml").write_text(scenario.dump(plan), encoding="utf-8")
         rings.sweep()
         self.rows = rings.Ring(rings.place("rows"), np.float64, _ROWS, len(signals.COLUMNS))
         self.frames = rings.Ring(rings.place("frames"), np.int64, _FRAMES, rings.FRAME_WORDS)
         self.event_ring = rings.Ring(rings.place("events"), np.int64, _EVENTS, rings.EVENT_WORDS)
-        self.machine = build_machine(plan, self.rows)
+        self.machine = build_machine(plan, self.rows, seed=options.seed)
         self.row = self.machine.row.copy()
 
     # --- what happened ---
@@ -222,6 +227,7 @@ class Bench:
             bus.poll()
 
         running.add_reader(descriptor, on_tick)
+        loop.prefer_bus_thread(self.plan["loop"]["priority"])
         try:
             await self._run_thread(descriptor, woken)
             while self._next and not self.ended_by:
@@ -231,6 +237,7 @@ class Bench:
                 # a client that polls sees the run end before the connection does
                 await asyncio.sleep(LINGER_S)
         finally:
+            loop.prefer_bus_thread(0)
             running.remove_reader(descriptor)
             os.close(descriptor)
 
@@ -312,11 +319,13 @@ class Bench:
     def _take_scenario(self, plan: Scenario) -> None:
         assert self.supervisor
         before, self.plan, self._next = self.machine, plan, None
-        self.machine = build_machine(plan, self.rows, float(before.state.vehicle_speed[0]))
+        self.machine = build_machine(plan, self.rows, float(before.state.vehicle_speed[0]),
+                                     self.options.seed)
         self.machine.control[HELD] = before.control[HELD]
         for name in ("wheel_angle", "roller_angle"):
             getattr(self.machine.state, name)[:] = getattr(before.state, name)
             getattr(self.machine.roller_state, name)[:] = getattr(before.roller_state, name)
+        self.machine.pulses[:] = before.pulses
         self._hold(self.supervisor)
         self.post()
 
@@ -372,7 +381,14 @@ class Bench:
                                                  stderr=log, start_new_session=True)
         self._processes.append(self.unit_process)
 
+    def _watch_recorder(self) -> None:
+        if self.recorder.poll() is not None and not self._unrecorded:
+            self._unrecorded = True
+            self.event("error", f"the recorder has ended with status {self.recorder.returncode}; the "
+                       "run goes on, its record ends about here")
+
     def _watch_processes(self, starting: bool = False) -> None:
+        self._watch_recorder()
         process = getattr(self, "unit_process", None)
         if process is None or self.unit_exit is not None or process.poll() is None:
             return
@@ -383,8 +399,14 @@ class Bench:
             raise UnitError(text)
         self.event("error", text)
 
+    def _identity(self) -> dict[str, Any]:
+        """What a summary says of a run before it has begun."""
+        return {"pacing": self.options.pacing, "seed": self.options.seed, "unit": self.options.unit,
+                "config_hash": scenario.digest(self.plan), "scenario": self.plan.name}
+
     async def _start_recorder(self) -> None:
-        self.recorder = recorder.start(self.options.out, self.rows, self.frames, self.event_ring)
+        self.recorder = recorder.start(self.options.out, self.rows, self.frames, self.event_ring,
+                                       self._identity())
         self._processes.append(self.recorder)
         ready = await asyncio.get_running_loop().run_in_executor(
             None, recorder.wait_ready, self.recorder, self.rows)
@@ -401,6 +423,7 @@ class Bench:
         while (header[rings.WRITTEN] - header[rings.READ] > _ROWS // 2
                and self.recorder.poll() is None and not self.stopping):
             await asyncio.sleep(0.005)
+        self._watch_recorder()
         await asyncio.sleep(0)
 
     # --- the end ---
@@ -426,15 +449,15 @@ class Bench:
         for ring in (self.rows, self.frames, self.event_ring):
             ring.unlink()
         control = self.machine.control
-        counters = {
-            "pacing": self.options.pacing, "seed": self.options.seed, "unit": self.options.unit,
-            "config_hash": scenario.digest(self.plan), "scenario": self.plan.name,
+        lost = sum(int(ring.header[rings.LOST]) for ring in (self.rows, self.frames, self.event_ring))
+        counters = self._identity() | {
             "ended": self.ended_by or "finished",
             "loop": {"ticks": int(control[TICK]), "missed": int(control[MISSED]),
                      "lateness_us": loop.percentiles(self.histogram, int(control[WORST_NS]))},
             "bus": bus_counts, "modbus": {"requests": requests},
+            "recorder": {"lost": lost},
         }
-        table = records.load(self.options.out).table
+        table = self._recorded()
         result = summary.of(table, counters, self.plan.resolved) | {"events": self.events}
         records.write_summary(self.options.out, result)
         return result
@@ -447,6 +470,14 @@ class Bench:
             self.plan = dataclasses.replace(self.plan, resolved=resolved)
             text = scenario.dump(self.plan)
             (self.options.out / "scenario.toml").write_text(text, encoding="utf-8")
+
+    def _recorded(self) -> pa.Table:
+        """What the recorder wrote; nothing where it did not come that far: a summary stands anyway."""
+        try:
+            return channels.load(self.options.out)
+        except ConfigError as error:
+            self.event("error", str(error))
+            return channels.schema().empty_table()
 
     def _bus_counts(self) -> dict[str, Any]:
         if self.hub is None:
@@ -484,7 +515,8 @@ def prepare_folder(out: Path) -> None:
                           "--out") from None
 
 
-def build_machine(plan: Scenario, ring: rings.Ring, speed_m_s: float | None = None) -> Machine:
+def build_machine(plan: Scenario, ring: rings.Ring, speed_m_s: float | None = None,
+                  seed: int = 0) -> Machine:
     """The machine of a scenario, at its initial (or another) speed, with no magnet energised."""
     speed_m_s = plan["initial_speed_m_s"] if speed_m_s is None else speed_m_s
     plant = Plant(plan.params, speed_m_s)
@@ -498,9 +530,17 @@ def build_machine(plan: Scenario, ring: rings.Ring, speed_m_s: float | None = No
         commands.values.copy(), mailbox.mailbox(width), np.zeros(width), tick.gather(), ring.header,
         ring.rows, int(plan.rollers is not None), rollers.params, rollers.state, rollers.buffer,
         rollers.delay, tick.gather(tick.OF_ROLLERS if plan.rollers else ()), plan.record_ticks, round(plan["duration_max_s"] * tick_hz),
-        round(plan["stand_s"] * tick_hz), np.array([speed_m_s]))
+        round(plan["stand_s"] * tick_hz), np.array([speed_m_s]), sensor_of(plan), pole_wheel.memory(seed))
     tick.publish(machine)
     return machine
+
+
+def sensor_of(plan: Scenario) -> pole_wheel.Sensor:
+    """Pole wheels and speed unit as [sensor] says, times in ticks."""
+    given, tick_hz = plan["sensor"], plan["loop"]["tick_hz"]
+    return pole_wheel.Sensor(pole_wheel.MODELS[given["model"]], given["teeth"],
+                             max(1, round(given["window_s"] * tick_hz)), given["dropout_rad_s"],
+                             given["timer_Hz"], 1.0 / tick_hz)
 
 
 def warm_up(machine: Machine, pacing: str) -> None:
@@ -513,4 +553,8 @@ def warm_up(machine: Machine, pacing: str) -> None:
                   np.zeros(3, dtype=np.int64), 0)
         os.close(descriptor)
         machine.control[STOP] = stop
-    tick.batch(machine, 0)
+    else:
+        tick.batch(machine, 0)
+    # the bus thread's own calls: a compiler in the first SYNC cycle would look like a lost unit
+    mailbox.fetch(machine.published, machine.row.copy())
+    mailbox.post(machine.commands, machine.commands.values.copy())

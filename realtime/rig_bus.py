@@ -70,7 +70,7 @@ class RigBus:
         parameters = {"rated_torque_Nm": scenario["drive"]["rated_torque_Nm"],
                       "max_speed_rad_s": scenario["drive"]["max_speed_rad_s"],
                       "teeth": float(scenario["sensor"]["teeth"]), "heartbeat_ms": float(beat_ms)}
-        asked = self.command[tick.DRIVES:].reshape(len(signals.DRIVE_NODES), -1)
+        asked = self.command[tick.DRIVES:tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
         nodes = [drive402.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,
                                 scenario["rig"]["drives"])
                  for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]

@@ -125,9 +125,12 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
     for where, layer in layers:
         for key, content in layer.items():
             if key in merged:
+                _wanted(isinstance(content, Mapping), where, key, content, f"a table [{key}]")
                 table.read(SECTIONS[key], content, f"{where} [{key}]")
                 merged[key].update(content)
             elif key in programme:
+                steps = isinstance(content, list) and all(isinstance(c, Mapping) for c in content)
+                _wanted(steps, where, key, content, f"[[{key}]] with two brackets, one for each step")
                 programme[key], source = content, where
             elif key in {row.name for row in HEAD}:
                 head |= table.read([r for r in HEAD if r.name == key], {key: content}, where)
@@ -166,12 +169,12 @@ def _aliases(given: dict[str, Any], path: Path) -> dict[str, Any]:
             if f"{short}_set" in given:
                 raise ConfigError(f"{path}: both {short} and {short}_set are given; keep one")
             given[f"{short}_set"] = given.pop(short)
-    for key, content in given.items():
-        if key in SECTIONS and not isinstance(content, dict):
-            raise ConfigError(f"{path}: {key} = {content!r}: write a table [{key}]")
-        if key in ("demand", "friction") and not isinstance(content, list):
-            raise ConfigError(f"{path}: write [[{key}]] with two brackets, one for each step")
     return given
+
+
+def _wanted(right: bool, where: str, key: str, content: Any, form: str) -> None:
+    if not right:
+        raise ConfigError(f"{where}: {key} = {content!r}: write {form}")
 
 
 def _settings(settings: tuple[str, ...]) -> dict[str, Any]:
@@ -185,6 +188,8 @@ def _settings(settings: tuple[str, ...]) -> dict[str, Any]:
             value = text.strip()
         if not name or not text:
             raise ConfigError(f"--set {setting}: write section.key=value, as in adhesion.mu_cd=0.05")
+        if not section and name in SETS:
+            name = f"{name}_set"  # a set by name beside single values of it: both may be told
         (tables.setdefault(section, {}) if section else tables)[name] = value
     return tables
 
@@ -222,7 +227,8 @@ def _friction(
     for i, row in enumerate(rows):
         at, row = f"{where} [[friction]] {i + 1}", dict(row)
         axles = row.pop("axles", list(range(1, AXLES + 1)))
-        if not isinstance(axles, list) or not set(axles) <= set(range(1, AXLES + 1)) or not axles:
+        if not (isinstance(axles, list) and axles
+                and all(type(axle) is int and 1 <= axle <= AXLES for axle in axles)):
             raise ConfigError(f"{at}: axles = {axles!r}; a list of axle numbers from 1 to {AXLES}")
         if ("from_s" in row) == ("from_m" in row):
             raise ConfigError(f"{at}: give from_s (time) or from_m (place), one of them")
@@ -230,7 +236,8 @@ def _friction(
         if unknown := set(row) - {r.name for r in FRICTION}:
             table.read(FRICTION, {key: row[key] for key in unknown}, at)
         read.append({"mu_cd": adhesion["mu_cd"], "mu_cr": adhesion["mu_cr"], "axles": axles} | given)
-        masks.append(sum(1 << (axle - 1) for axle in axles))
+        physics.check_recovery(adhesion | read[-1], at)
+        masks.append(sum(1 << (axle - 1) for axle in set(axles)))
     by_place = np.array(["from_m" in row for row in read], dtype=np.bool_)
     start = np.array([row.get("from_m", row.get("from_s", 0.0)) for row in read])
     friction = physics.Friction(by_place, start, np.array([row["mu_cd"] for row in read]),

@@ -21,7 +21,7 @@ RATE_HZ = 25.0
 _GAUGE_M, _WIDTH_M = 1.5, 0.13
 _GAP_M = 3.2  # longest distance drawn between two axles
 _SPOKES = 6
-STEEL, RUNNING, LOCKED = (120, 128, 138), (245, 245, 245), (213, 94, 0)
+STEEL, RUNNING, LOCKED = (120, 128, 138), (245, 245, 245), (235, 40, 30)
 
 
 class Scene(NamedTuple):

@@ -52,6 +52,7 @@ class Rig(Protocol):
     ended_by: str
 
     def event(self, level: str, text: str) -> None: ...
+    def report(self, message: str = "") -> None: ...
     def stop(self, why: str) -> None: ...
     def change_scenario(self, plan: Scenario) -> None: ...
     def post(self) -> None: ...
@@ -84,6 +85,9 @@ class Supervisor:
         try:
             port = await self.server.listen(given["host"], given["port"], context)
             self._tell(given["host"], port, context is not None)
+            if needed:
+                self.rig.report(f"the rig is held at {self.speed_m_s:g} m/s until a Modbus client "
+                                f"writes 1 to coil 0 of unit 1 on {given['host']}:{port}")
         except BusError as error:
             if needed:
                 raise
@@ -92,7 +96,9 @@ class Supervisor:
             self.line = SerialLine(self.server, given["serial"], given["baud_rate"],
                                    given["parity"], self.rig.event)
             device = self.line.open()
-            self.rig.event("info", f"Modbus RTU is served on {device}, {given['baud_rate']} baud")
+            text = f"Modbus RTU is served on {device}, {given['baud_rate']} baud"
+            self.rig.event("info", text)
+            self.rig.report(text)
 
     def _tell(self, host: str, port: int, safe: bool) -> None:
         self.rig.event("info", f"Modbus {'over TLS' if safe else 'TCP'} is served on {host}:{port}")
@@ -218,7 +224,7 @@ class Supervisor:
         self._require_held()
         if not only:
             machine = self.rig.machine
-            self.speed_m_s = float(machine.state.vehicle_speed[0])
+            self.speed_m_s = round(float(machine.state.vehicle_speed[0]), 6)
             self.roll()
             machine.control[HOLD] = RELEASED
             self.rig.event("info", "the run is started over Modbus")

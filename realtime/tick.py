@@ -10,7 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.firmware_sim import drive402_axis, drive_control, rig_control, wsp
+from rollerrig.firmware_sim import (
+    drive402_axis,
+    drive_control,
+    fault_effects,
+    pole_wheel,
+    rig_control,
+    wsp,
+)
 from rollerrig.realtime import mailbox as box
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.mailbox import Mailbox
@@ -22,9 +29,10 @@ from rollerrig.wsp_interface import signals
 
 # the command row: magnets of the axles, a brake demand from the bus (NaN: none), and the WSP's
 # reference speed (NaN: it tells none); the first two are what io401 writes; then what each drive is
-# asked, as drive402_axis lays it out
+# asked, as drive402_axis lays it out; then the faults that act, as fault_effects lays them out
 MAGNETS, DEMAND, REFERENCE, DRIVES = 0, AXLES, AXLES + 1, AXLES + 2
-COMMANDS = DRIVES + AXLES * drive402_axis.COMMANDS
+FAULTS = DRIVES + AXLES * drive402_axis.COMMANDS
+COMMANDS = FAULTS + fault_effects.SIZE
 
 # slots of the control array (int64)
 TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS, HOLD, HELD, SLOTS_OF_CONTROL = range(11)
@@ -35,7 +43,7 @@ class Machine(NamedTuple):
 
     `virtual` 1: the state is that of the virtual track, and the rollers have a plant of their own,
     whose slots `gather_rollers` (n,) a row copies. Else the rollers are the plant itself.
-    `hold` (1,) is the speed in m/s at which a held rig rolls.
+    `hold` (1,) is the speed in m/s at which a held rig rolls, `pulses` the memory of the sensors.
     """
 
     params: Params
@@ -60,6 +68,8 @@ class Machine(NamedTuple):
     end_tick: int
     stand_ticks: int
     hold: np.ndarray
+    sensor: pole_wheel.Sensor
+    pulses: np.ndarray
 
 
 _TIME = signals.column("time")
@@ -69,9 +79,9 @@ _TRACKING = signals.column("tracking_error")
 _LATENESS = signals.column("tick_lateness")
 _DURATION = signals.column("tick_duration")
 _MISSED = signals.column("ticks_missed")
-_SPEED = signals.column("wheel_speed")
+_SPEED = signals.column("measured_speed")
 _PRESSURE = signals.column("cylinder_pressure")
-_SPEED_RAW = signals.BY_NAME["wheel_speed"].places[0]
+_SPEED_RAW = signals.BY_NAME["measured_speed"].places[0]
 _PRESSURE_RAW = signals.BY_NAME["cylinder_pressure"].places[0]
 _SPEED_SCALE, _PRESSURE_SCALE = _SPEED_RAW.scale, _PRESSURE_RAW.scale
 _I16 = signals.KINDS["I16"]
@@ -81,7 +91,7 @@ _WSP_SCALE = signals.BY_NAME["wsp_reference_speed"].places[0].scale
 
 # what the real wheelsets and rollers tell where a virtual track runs beside them
 OF_ROLLERS = frozenset((
-    "wheel_speed", "wheel_circumferential_speed", "wheel_angle", "tooth_frequency", "pulse_count",
+    "wheel_speed", "wheel_circumferential_speed", "wheel_angle",
     "roller_speed", "roller_angle", "motor_torque", "motor_torque_demand",
 ))
 
@@ -90,7 +100,8 @@ def first_command() -> np.ndarray:
     """The command row of a rig that nobody has asked for anything: drives enabled for the rig."""
     row = np.full(COMMANDS, np.nan)
     row[MAGNETS:MAGNETS + AXLES] = 0.0
-    drives = row[DRIVES:].reshape(AXLES, drive402_axis.COMMANDS)
+    row[FAULTS:] = 0.0
+    drives = row[DRIVES:FAULTS].reshape(AXLES, drive402_axis.COMMANDS)
     drives[:] = 0.0
     drives[:, drive402_axis.ENABLED] = 1.0
     drives[:, drive402_axis.LOOP] = drive402_axis.LOOP_RIG
@@ -102,7 +113,7 @@ def gather(names: Iterable[str] = tuple(SLOTS)) -> np.ndarray:
     wanted = frozenset(names)
     slots = np.full(len(signals.COLUMNS), -1, dtype=np.int64)
     for signal in signals.SIGNALS:
-        if signal.name in SLOTS and signal.name in wanted:
+        if signal.name in SLOTS and signal.name in wanted - pole_wheel.COLUMNS:
             place = SLOTS[signal.name]
             slots[signals.span(signal.name)] = np.arange(place.start, place.stop)
     return slots
@@ -120,6 +131,7 @@ def publish(m):
     for j in range(AXLES):
         m.row[_MAGNETS + j] = m.command[MAGNETS + j]
         m.row[_TRACKING + j] = tracking_error(m, j)
+    pole_wheel.sense(m.row, m.pulses, m.sensor, m.command[FAULTS:])
     m.row[_REFERENCE] = m.command[REFERENCE]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
@@ -150,6 +162,16 @@ def rollers_beside(m, tick):
 
 
 @kernel
+def disturb(m, faults):
+    """Let faults act on magnets, motors and cylinders for the coming tick."""
+    fault_effects.energise(m.command[:AXLES], faults)
+    fault_effects.ripple(m.roller_state, faults)
+    fault_effects.leak(m.state, faults, m.params.tick_s)
+    if m.virtual != 0:
+        fault_effects.leak(m.roller_state, faults, m.params.tick_s)
+
+
+@kernel
 def once(m):
     """Run one tick and count it; sets DONE when the vehicle has stood long enough or time is up."""
     tick = m.control[TICK]
@@ -161,6 +183,7 @@ def once(m):
         m.control[LATE_NS] = 0
         m.control[BUSY_NS] = 0
     box.fetch(m.commands, m.command)
+    faults = m.command[FAULTS:]
     if m.virtual != 0:
         rig_control.follow_virtual_wheels(m.roller_state, m.state, m.roller_params.drive,
                                           m.params.vehicle)
@@ -169,6 +192,8 @@ def once(m):
     if m.virtual != 0 or m.params.mode != 0:
         drive_control.obey(m.roller_state, m.roller_params.drive, m.command[DRIVES:],
                            m.params.tick_s)
+    if faults[fault_effects.ANY] != 0.0:
+        disturb(m, faults)
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
     plant.observe(m.state, m.params)
     if m.virtual != 0:

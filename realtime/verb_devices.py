@@ -18,13 +18,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
+    from rollerrig.configs import store
     from rollerrig.configs.errors import ConfigError
+    from rollerrig.firmware_sim import modbus_map
     from rollerrig.realtime import scenario
-    from rollerrig.wsp_interface import descriptions
+    from rollerrig.wsp_interface import descriptions, signals
 
     plan = scenario.load(given.scenario, settings=tuple(given.set))
+    nodes = dictionaries(plan)
+    drives = {one.node_id: one for one in nodes if one.node_id in signals.DRIVE_NODES}
     try:
-        written = descriptions.write(given.out, dictionaries(plan))
+        written = [*descriptions.write(given.out, nodes),
+                   *modbus_map.write(given.out, drives, tuple(store.names("scenarios")))]
     except OSError as error:
         raise ConfigError(f"{given.out}: cannot be written: {error.strerror}; give another folder "
                           "with --out") from None
@@ -33,7 +38,7 @@ def call(given: argparse.Namespace) -> int:
     else:
         for path in written:
             print(path)
-        print(f"{len(written)} files for tools that read EDS, DBC and tables", file=sys.stderr)
+        print(f"{len(written)} files for tools that read EDS, DBC, Modbus maps and tables", file=sys.stderr)
     return 0
 
 

@@ -53,3 +53,5 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
         settings.CACHE_DIR = str(_cache_folder())
 
 kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
+# for parts of a step that are called once: passing structures of arrays costs more than their work
+inlined = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

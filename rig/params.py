@@ -91,7 +91,13 @@ ROWS: dict[str, tuple[Row, ...]] = {
         number("speed_loop_rad_s", 40.0, 0.1, 1000.0, _A + "; bandwidth of the roller speed loop"),
         number("observer_rad_s", 100.0, 0.1, 1000.0, _A + "; bandwidth of the contact torque observer"),
     ),
-    "sensor": (integer("teeth", 100, 1, 1000, "80 to 120; memory"),),
+    "sensor": (
+        choice("model", "ideal", ("ideal", "pole_wheel"), "pole_wheel: speed from pulses"),
+        integer("teeth", 100, 1, 1000, "80 to 120; memory"),
+        number("window_s", 0.01, 1e-3, 1.0, _A + "; the speed is measured anew this often"),
+        number("dropout_rad_s", 1.0, 0.0, 100.0, _A + "; slower wheels give no pulses"),
+        number("timer_Hz", 1e6, 1e3, 1e9, _A + "; resolution of pulse times"),
+    ),
     "dry_roller": (
         number("mu_c", 0.28, 1e-4, 1.0, _T4 + ", recovered"),
         number("A", 0.40, 0.01, 1.0, _T4 + ", recovered"),
@@ -200,13 +206,17 @@ def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, di
     checked = {
         name: read(rows, sections.get(name, {}), f"{where} [{name}]") for name, rows in ROWS.items()
     }
-    law = checked["adhesion"]
-    if law["mu_cr"] / law["A_r"] < law["mu_cd"] / law["A_d"]:
-        raise ConfigError(
-            f"{where} [adhesion]: recovered friction mu_cr/A_r = {law['mu_cr'] / law['A_r']:.3g} is "
-            f"below the degraded mu_cd/A_d = {law['mu_cd'] / law['A_d']:.3g}; recovery needs "
-            "mu_cr/A_r at or above mu_cd/A_d")
+    check_recovery(checked["adhesion"], f"{where} [adhesion]")
     return checked
+
+
+def check_recovery(law: Mapping[str, Any], where: str) -> None:
+    """Raise ConfigError where an adhesion law's recovered friction is below its degraded one."""
+    recovered, degraded = law["mu_cr"] / law["A_r"], law["mu_cd"] / law["A_d"]
+    if recovered < degraded:
+        raise ConfigError(
+            f"{where}: recovered friction mu_cr/A_r = {recovered:.3g} is below the degraded "
+            f"mu_cd/A_d = {degraded:.3g}; recovery needs mu_cr/A_r at or above mu_cd/A_d")
 
 
 def build(

@@ -8,7 +8,9 @@ echo returns and of an SDO upload, by turns. What was measured goes to standard 
 the bus ends (or all is asked). Times are CLOCK_MONOTONIC in ns, which all processes share.
 """
 
+import contextlib
 import json
+import os
 import socket
 import sys
 import time
@@ -22,10 +24,11 @@ HEARTBEAT = 0x700 + signals.WSP_NODE
 ECHO_CALL, ECHO_ANSWER = 0x7F0, 0x7F1
 SDO_CALL, SDO_ANSWER = 0x600 + signals.SPEED_NODE, 0x580 + signals.SPEED_NODE
 _DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
-_TPDOS = frozenset(first + node for first in (0x180, 0x280, 0x380, 0x480)
+TPDOS = frozenset(first + node for first in (0x180, 0x280, 0x380, 0x480)
                    for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE))
 _HOLD_ALL = sum(1 << 2 * at for at in range(signals.AXLES))
 _BLOCK, _BLOCKS = 25, 60
+PRIORITY = 50
 
 
 class Heard(NamedTuple):
@@ -82,7 +85,7 @@ def listen(line: Line, answers: bool = False) -> dict[str, list[list[int]]]:
             syncs.append([heard.stamp_us, heard.time_ns, 0])
             if answers and len(syncs) % 5 == 0:
                 line.send(HEARTBEAT, b"\x05")
-        elif heard.can_id in _TPDOS and syncs:
+        elif heard.can_id in TPDOS and syncs:
             syncs[-1][2] = heard.time_ns
             if answers and heard.can_id == SPEEDS:
                 line.send(MAGNETS, bytes((_HOLD_ALL * (len(syncs) % 2),)))
@@ -117,6 +120,9 @@ ROLES: dict[str, Callable[[Line], object]] = {"listen": listen, "unit": unit, "a
 
 def main(role: str, host: str, port: str, bus: str) -> int:
     """Play a role until the bus ends, then tell."""
+    with contextlib.suppress(OSError):
+        # as a unit with a controller of its own, which nobody else keeps busy
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     print(json.dumps(ROLES[role](Line(host, int(port), bus))))
     return 0
 

@@ -51,7 +51,8 @@ def run(given: argparse.Namespace, say: Say) -> Result:
         "sliding_share": runs[0]["sliding_share"], "warm_start_s": start_s,
         "cache": _cache() | {"compiled_before": compiled},
         "targets": [
-            Target("45 s of four sliding axles, one core", wall_s, WITHIN_S, "s").plain(),
+            Target("45 s of four sliding axles, processor time", cpu_s, WITHIN_S,
+                   "s").plain(),
             Target("warm start of a run", start_s, START_S, "s").plain(),
         ],
         "notes": [f"the best of {_REPEATS}; where other programs want the cores too, cpu_s says "
@@ -84,7 +85,8 @@ def _start() -> float:
     """Seconds from starting the command to the first progress line of a run in wall pacing."""
     with tempfile.TemporaryDirectory(prefix="rollerrig-start-") as folder:
         command = [sys.executable, "-m", "rollerrig.realtime.cli", "run", "velim_a1",
-                   "--out", str(Path(folder) / "run"), "--set", "bus.socketcand_port=0"]
+                   "--out", str(Path(folder) / "run"), "--set", "bus.socketcand_port=0",
+                   "--set", "modbus.port=0"]
         begun_s = time.perf_counter()
         with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                               stderr=subprocess.PIPE, text=True) as process:

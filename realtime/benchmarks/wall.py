@@ -39,7 +39,8 @@ def held(seconds: float, unit: str = "reference", settings: tuple[str, ...] = ()
     KeyboardInterrupt where the user broke it off.
     """
     plan = scenario.load(SCENARIO, settings=(
-        f"duration_max_s={seconds:g}", "bus.interface=hub", "bus.socketcand_port=0", *settings))
+        f"duration_max_s={seconds:g}", "bus.interface=hub", "bus.socketcand_port=0",
+        "modbus.port=0", *settings))
     with tempfile.TemporaryDirectory(prefix="rollerrig-bench-") as name:
         folder = Path(name) / "run"
         run = Bench(plan, bench.Options("wall", unit, folder, live), lambda progress: None)

@@ -30,7 +30,7 @@ def settle(
     Returns its height in m, its roll in rad, and the contacts of the left and the right wheel, the
     nearest one as a row of `geometry.COLUMNS`.
     """
-    z, roll = float(wheel.radius_m[int(-wheel.start_m / wheel.spacing_m)]), 0.0
+    z, roll = float(wheel.fine[int(-wheel.start_m / wheel.spacing_m), 0]), 0.0
     for _ in range(_STEPS):
         left = geometry.contacts((0.0, y_m, z, roll, 0.0, 0.0), wheel, rail, roller_m)[0]
         right = geometry.contacts((0.0, -y_m, z, -roll, 0.0, 0.0), wheel, rail, roller_m)[0]
@@ -68,7 +68,6 @@ def equivalent(
     # y = A sin(t) takes the singularity at the turning point away
     t = (np.arange(4000) + 0.5) * (0.5 * math.pi / 4000)
     y = amplitude_m * np.sin(t)
-    V = np.concatenate(([0.0], np.cumsum(0.5 * (steering[1:] + steering[:-1]) * np.diff(shifts))))
     fine = np.linspace(0.0, amplitude_m, 20001)
     slope = np.interp(fine, shifts, steering)
     V = np.concatenate(([0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(fine))))

@@ -28,8 +28,22 @@ import math
 
 import numpy as np
 
-from rollerrig.rig.contact import profiles
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.contact.profiles import (
+    AT_COSINE,
+    AT_M,
+    AT_NORMAL_M,
+    AT_RADIUS_M,
+    AT_SLOPE,
+    COSINE,
+    CURVATURE_1_M,
+    RADIUS_M,
+    RAIL_CURVATURE_1_M,
+    SLOPE,
+    STRIDE,
+    Y_M,
+    Z_M,
+)
+from rollerrig.rig.kernel import inlined, kernel
 
 # columns of a contact: y_w, gap, point on the wheel relative to C (3), normal out of the rail (3),
 # rolling radius, y_r, z_r, lateral curvature and longitudinal curvature of both together
@@ -42,14 +56,14 @@ NEWTON_STEPS = 8
 FLATTEST_1_M, CURVEST_1_M = 0.2, 200.0  # bounds of the lateral curvature that Hertz is given
 
 
-@kernel
+@inlined
 def axis(roll_rad, yaw_rad):
     """The wheelset's axis e, outwards, after yaw about z and roll about x; pitch turns about it."""
     c = math.cos(roll_rad)
     return -math.sin(yaw_rad) * c, math.cos(yaw_rad) * c, math.sin(roll_rad)
 
 
-@kernel
+@inlined
 def matched(u, w, slope, pose, axle, roller_m, rail):
     """For y_w = u: (F, gap, rail radius of curvature, n_x, n_y, n_z, y_r, z_r, node) [G1 to G6].
 
@@ -66,7 +80,7 @@ def matched(u, w, slope, pose, axle, roller_m, rail):
         nx = 0.0
         ny = (slope * ey / s2 - beta * ez / s) * scale
         nz = (slope * ez / s2 + beta * ey / s) * scale
-        y, z, cosine, radius, node = on_rail(-ny, nz, rail)
+        y, z, radius, node = on_rail(-ny, nz, rail)
         # wheel point: normals through the axis [G1]
         q = u + w * slope
         py = pose[1] + q * ey - y
@@ -84,159 +98,158 @@ def matched(u, w, slope, pose, axle, roller_m, rail):
     length = math.sqrt(h2 + tau * tau)
     nx, ny, nz = qx / length, -tau / length, qz / length
     radial = math.sqrt(nx * nx + nz * nz)
-    y, z, cosine, radius, node = on_rail(-ny, radial, rail)
+    y, z, radius, node = on_rail(-ny, radial, rail)
     out = (roller_m + z) / radial
     F = (tau + qy - y + out * ny) * radial  # [G6], as a distance from the common normal
     return F, length - w * math.sqrt(k) - out, radius, nx, ny, nz, y, z, node
 
 
-@kernel
+@inlined
 def on_rail(sine, cosine, rail):
-    """The head's point with a slope: (y, z, cosine, radius of curvature, node) [Q2 of profiles]."""
-    last = rail.y_m.size - 2
-    place = (sine + (last + 1) / (2.0 * rail.sines_per_node)) * rail.sines_per_node
+    """The head's point with a slope: (y, z, radius of curvature, node) [Q2 of profiles]."""
+    nodes = rail.nodes
+    last = nodes.shape[0] - 2
+    place = sine * rail.sines_per_node + 0.5 * (last + 1)
     i = min(max(int(place), 0), last)
     part = min(max(place - i, 0.0), 1.0)
-    y = rail.y_m[i] + (rail.y_m[i + 1] - rail.y_m[i]) * part
-    radius = (rail.y_m[i] - rail.y_m[i + 1]) * rail.sines_per_node
-    z = rail.z_m[i] + radius * (cosine - rail.cosine[i])
-    return y, z, cosine, radius, i
+    y = nodes[i, Y_M]
+    fall = y - nodes[i + 1, Y_M]
+    radius = fall * rail.sines_per_node
+    return y - fall * part, nodes[i, Z_M] + radius * (cosine - nodes[i, COSINE]), radius, i
 
 
 @kernel
-def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, out):
-    """Newton from u within [lower, upper]; writes the contact to `out`, False if there is no root."""
-    last = wheel.slope.size - 2
+def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
+    """Newton from u within [lower, upper]; writes row `to` of `found`, False if there is no root."""
+    fine = wheel.fine
+    last = fine.shape[0] - 2
     for _ in range(NEWTON_STEPS):
-        place = (u - wheel.start_m) / wheel.spacing_m
-        i = min(max(int(place), 0), last)
+        i = min(max(int((u - wheel.start_m) / wheel.spacing_m), 0), last)
         t = u - wheel.start_m - i * wheel.spacing_m
-        bend = (wheel.slope[i + 1] - wheel.slope[i]) / wheel.spacing_m
-        slope = wheel.slope[i] + bend * t
-        w = wheel.radius_m[i] + t * (wheel.slope[i] + 0.5 * bend * t)
+        bend = (fine[i + 1, SLOPE] - fine[i, SLOPE]) / wheel.spacing_m
+        slope = fine[i, SLOPE] + bend * t
+        w = fine[i, RADIUS_M] + t * (fine[i, SLOPE] + 0.5 * bend * t)
         F, gap, radius, nx, ny, nz, y, z, node = matched(
             u + wheel.centre_m, w, slope, pose, axle, roller_m, rail)
+        root = math.sqrt(1.0 + slope * slope)
+        steep = root - bend * (radius + max(gap, 0.0)) / (root * root)  # [G7]
+        move = u - F / steep if steep > 0.05 else lower - 1.0
         if abs(F) < TOLERANCE_M:
-            root = math.sqrt(1.0 + slope * slope)
-            steep = root - bend * (radius + max(gap, 0.0)) / (root * root)
-            out[S], out[GAP] = u - (F / steep if steep > 0.05 else 0.0), gap
+            found[to, S], found[to, GAP] = move if steep > 0.05 else u, gap
             q = u + wheel.centre_m + w * slope
             reach = w * root
-            out[X] = q * axle[0] - reach * nx
-            out[Y] = q * axle[1] - reach * ny
-            out[Z] = q * axle[2] - reach * nz
-            out[NX], out[NY], out[NZ] = nx, ny, nz
-            out[RADIUS], out[RAIL_Y], out[RAIL_Z] = w, y, z
-            lateral = wheel.curvature_1_m[i] + rail.curvature_1_m[node]
-            out[LATERAL] = min(max(lateral, FLATTEST_1_M), CURVEST_1_M)
-            out[ROLLING] = 1.0 / reach
+            found[to, X] = q * axle[0] - reach * nx
+            found[to, Y] = q * axle[1] - reach * ny
+            found[to, Z] = q * axle[2] - reach * nz
+            found[to, NX], found[to, NY], found[to, NZ] = nx, ny, nz
+            found[to, RADIUS], found[to, RAIL_Y], found[to, RAIL_Z] = w, y, z
+            lateral = fine[i, CURVATURE_1_M] + rail.nodes[node, RAIL_CURVATURE_1_M]
+            found[to, LATERAL] = min(max(lateral, FLATTEST_1_M), CURVEST_1_M)
+            found[to, ROLLING] = 1.0 / reach
             if not math.isinf(roller_m):
-                out[ROLLING] += math.sqrt(nx * nx + nz * nz) / (roller_m + z)
+                found[to, ROLLING] += math.sqrt(nx * nx + nz * nz) / (roller_m + z)
             return True
         if F < 0.0:
             lower = u
         else:
             upper = u
-        root = math.sqrt(1.0 + slope * slope)
-        steep = root - bend * (radius + max(gap, 0.0)) / (root * root)  # [G7]
-        move = u - F / steep if steep > 0.05 else lower - 1.0
         u = move if lower < move < upper else 0.5 * (lower + upper)
         if upper - lower < 1e-9:
             return False
     return False
 
 
-@kernel
-def misfits(F, first, step, pose, axle, roller_m, wheel, rail):
-    """F of [G4] or [G6] at the coarse nodes first, first + step .. of the wheel, into `F` (n,).
+@inlined
+def misfits(F, row, first, step, pose, axle, roller_m, wheel, rail):
+    """F of [G4] or [G6] at the coarse nodes first, first + step .. of the wheel, into F[row].
 
-    Roots lie where it turns from negative to positive; returns how many nodes there are.
+    Roots lie where it turns from negative to positive. On a rail to second order in the yaw angle.
     """
     ex, ey, ez = axle
-    nodes = wheel.coarse_slope.size
+    coarse, nodes = wheel.coarse, rail.nodes
+    count = coarse.shape[0]
     if not math.isinf(roller_m):
-        for i in range(first, nodes, step):
-            F[i] = matched(wheel.coarse_m[i], wheel.coarse_radius_m[i], wheel.coarse_slope[i],
-                           pose, axle, roller_m, rail)[0]
-        return nodes
+        for i in range(first, count, step):
+            F[row, i] = matched(coarse[i, AT_M], coarse[i, AT_RADIUS_M], coarse[i, AT_SLOPE], pose,
+                                axle, roller_m, rail)[0]
+        return
     s2 = 1.0 - ex * ex
     s = math.sqrt(s2)
     lean, leaning, upright = ex / s, ez / s, ey / s
     across, up = ey / s2, ez / s2
-    last = rail.y_m.size - 2
+    last = nodes.shape[0] - 2
     middle = 0.5 * (last + 1)
-    for i in range(first, nodes, step):
-        slope, scale = wheel.coarse_slope[i], wheel.coarse_cosine[i]
+    for i in range(first, count, step):
+        slope, scale = coarse[i, AT_SLOPE], coarse[i, AT_COSINE]
         alpha = slope * lean
         beta = 1.0 - 0.5 * alpha * alpha
         ny = (slope * across - beta * leaning) * scale
         nz = (slope * up + beta * upright) * scale
         place = middle - ny * rail.sines_per_node
         k = min(max(int(place), 0), last)
-        y_k = rail.y_m[k]
-        step_y = rail.y_m[k + 1] - y_k
-        y = y_k + step_y * min(max(place - k, 0.0), 1.0)
-        z = rail.z_m[k] - step_y * rail.sines_per_node * (nz - rail.cosine[k])
-        q = wheel.coarse_q_m[i]
-        F[i] = (pose[1] + q * ey - y) * nz - (pose[2] + q * ez - z) * ny
-    return nodes
+        fall = nodes[k, Y_M] - nodes[k + 1, Y_M]
+        y = nodes[k, Y_M] - fall * min(max(place - k, 0.0), 1.0)
+        z = nodes[k, Z_M] + fall * rail.sines_per_node * (nz - nodes[k, COSINE])
+        q = coarse[i, AT_NORMAL_M]
+        F[row, i] = (pose[1] + q * ey - y) * nz - (pose[2] + q * ez - z) * ny
 
 
 @kernel
-def added(found, count, u, width, pose, axle, roller_m, wheel, rail):
-    """Refine a root between u - width and u and keep it if it is near; returns the new count."""
-    if count < MOST and refined(u - 0.5 * width, u - width, u, pose, axle, roller_m, wheel, rail,
-                                found[count]) and found[count, GAP] < KEEP_M:
-        return count + 1
-    return count
+def added(found, to, end, u, pose, axle, roller_m, wheel, rail):
+    """Refine the root in the last interval before u into row `to`; returns the next free row."""
+    width = STRIDE * wheel.spacing_m
+    if to < end and refined(u - 0.5 * width, u - width, u, pose, axle, roller_m, wheel, rail, found,
+                            to) and found[to, GAP] < KEEP_M:
+        return to + 1
+    return to
 
 
 @kernel
-def detect(found, F, pose, axle, roller_m, wheel, rail):
+def detect(found, begin, F, row, pose, axle, roller_m, wheel, rail):
     """All contacts and near contacts of one wheel, from nothing; returns their number.
 
-    found (MOST, COLUMNS) and F (coarse nodes,) are written; pose (x, y, z) in m of the wheelset's
-    centre in the frame of one side; axle from `axis`; roller_m inf for a rail.
+    Writes rows begin .. begin + MOST - 1 of `found` (.., COLUMNS) and row `row` of F (.., coarse
+    nodes); pose (x, y, z) in m of the wheelset's centre in the frame of one side; axle from `axis`;
+    roller_m inf for a rail.
     """
-    nodes = misfits(F, 0, 1, pose, axle, roller_m, wheel, rail)
-    count = 0
-    for i in range(1, nodes):
-        if F[i - 1] < 0.0 <= F[i]:
-            u = wheel.coarse_m[i] - wheel.centre_m
-            count = added(found, count, u, profiles.STRIDE * wheel.spacing_m, pose, axle, roller_m, wheel,
-                          rail)
-    return count
+    misfits(F, row, 0, 1, pose, axle, roller_m, wheel, rail)
+    to = begin
+    for i in range(1, wheel.coarse.shape[0]):
+        if F[row, i - 1] < 0.0 <= F[row, i]:
+            to = added(found, to, begin + MOST, wheel.coarse[i, AT_M] - wheel.centre_m, pose, axle,
+                       roller_m, wheel, rail)
+    return to - begin
 
 
 @kernel
-def follow(found, count, F, turn, turns, pose, axle, roller_m, wheel, rail):
+def follow(found, begin, count, F, row, turn, turns, pose, axle, roller_m, wheel, rail):
     """Contacts of the next time step: those known, refined, and new ones of a share of the wheel.
 
     Each call renews every `turns`-th value of F, `turn` = 0 .. turns - 1 one after the other, so the
-    work of a call is bounded; at the last of them, new roots are taken up. Returns the number of
-    contacts in `found`.
+    work of a call is bounded; after the last of them, new roots are taken up. Returns the number of
+    contacts; `found`, `begin`, F and `row` as in `detect`.
     """
-    width = profiles.STRIDE * wheel.spacing_m
+    width = STRIDE * wheel.spacing_m
     lowest = wheel.start_m
-    highest = lowest + (wheel.slope.size - 1) * wheel.spacing_m
-    kept = 0
-    for c in range(count):
+    highest = lowest + (wheel.fine.shape[0] - 1) * wheel.spacing_m
+    to = begin
+    for c in range(begin, begin + count):
         u = found[c, S]
         if (refined(u, max(u - width, lowest), min(u + width, highest), pose, axle, roller_m,
-                    wheel, rail, found[kept]) and found[kept, GAP] < KEEP_M):
-            twin = kept > 0 and abs(found[kept, S] - found[kept - 1, S]) < 0.5 * width
-            kept += 0 if twin else 1
-    nodes = misfits(F, turn, turns, pose, axle, roller_m, wheel, rail)
+                    wheel, rail, found, to) and found[to, GAP] < KEEP_M):
+            twin = to > begin and abs(found[to, S] - found[to - 1, S]) < 0.5 * width
+            to += 0 if twin else 1
+    misfits(F, row, turn, turns, pose, axle, roller_m, wheel, rail)
     if turn == turns - 1:
-        for i in range(1, nodes):
-            if F[i - 1] < 0.0 <= F[i]:
-                u = wheel.coarse_m[i] - wheel.centre_m
+        for i in range(1, wheel.coarse.shape[0]):
+            if F[row, i - 1] < 0.0 <= F[row, i]:
+                u = wheel.coarse[i, AT_M] - wheel.centre_m
                 known = False
-                for c in range(kept):
+                for c in range(begin, to):
                     known |= u - 2.0 * width <= found[c, S] <= u + width
                 if not known:
-                    kept = added(found, kept, u, width, pose, axle, roller_m, wheel, rail)
-    return kept
+                    to = added(found, to, begin + MOST, u, pose, axle, roller_m, wheel, rail)
+    return to - begin
 
 
 def contacts(
@@ -250,8 +263,8 @@ def contacts(
     """
     found = np.zeros((MOST, COLUMNS))
     axle = axis(pose[3], pose[5])
-    F = np.zeros(wheel.coarse_m.size)
-    count = detect(found, F, (pose[0], pose[1], pose[2]), axle, float(roller_m), wheel, rail)
+    F = np.zeros((1, wheel.coarse.shape[0]))
+    count = detect(found, 0, F, 0, (pose[0], pose[1], pose[2]), axle, float(roller_m), wheel, rail)
     if count == 0:
         raise ValueError(
             f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, "

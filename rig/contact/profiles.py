@@ -22,6 +22,9 @@ import numpy as np
 
 from rollerrig.rig.contact import profile_csv
 
+RADIUS_M, SLOPE, CURVATURE_1_M = range(3)
+AT_M, AT_RADIUS_M, AT_SLOPE, AT_COSINE, AT_NORMAL_M = range(5)
+Y_M, Z_M, COSINE, RAIL_CURVATURE_1_M = range(4)
 SPACING_M = 1e-4  # of a wheel's table
 STRIDE = 10  # nodes between those that a search for contacts visits (1 mm)
 SINES = 2049  # nodes of a rail's table
@@ -47,38 +50,29 @@ S1002 = (
 
 
 class Wheel(NamedTuple):
-    """A wheel's profile in nodes `start_m` + i `spacing_m`; arrays of shape (n,).
+    """A wheel's profile in nodes `start_m` + i `spacing_m`, rows of `fine` (n, 3).
 
-    radius_m: rolling radius; slope: its derivative to s; curvature_1_m: convex positive [Q3];
-    `centre_m`: from the middle of the wheelset to s = 0. coarse_*: every STRIDE-th node, at
-    coarse_m from the wheelset's middle; coarse_q_m is where the normal there meets the axis.
+    Columns RADIUS_M: rolling radius; SLOPE: its derivative to s; CURVATURE_1_M: convex positive [Q3].
+    `centre_m`: from the middle of the wheelset to s = 0. `coarse` (m, 5): every STRIDE-th node with
+    AT_M from the wheelset's middle, radius, slope, its cosine, and where the normal meets the axis.
     """
 
     start_m: float
     spacing_m: float
     centre_m: float
-    radius_m: np.ndarray
-    slope: np.ndarray
-    curvature_1_m: np.ndarray
-    coarse_m: np.ndarray
-    coarse_radius_m: np.ndarray
-    coarse_slope: np.ndarray
-    coarse_cosine: np.ndarray
-    coarse_q_m: np.ndarray
+    fine: np.ndarray
+    coarse: np.ndarray
 
 
 class Rail(NamedTuple):
-    """A rail head, laid in the track, over sines of slope -STEEPEST .. STEEPEST; shape (SINES,).
+    """A rail head, laid in the track, over sines of slope -STEEPEST .. STEEPEST; (SINES, 4).
 
-    y_m from the middle of the track, z_m below the highest point (<= 0), cosine of the slope,
-    curvature_1_m convex positive [Q3].
+    Columns Y_M from the middle of the track, Z_M below the highest point (<= 0), COSINE of the
+    slope, RAIL_CURVATURE_1_M convex positive [Q3].
     """
 
     sines_per_node: float
-    y_m: np.ndarray
-    z_m: np.ndarray
-    cosine: np.ndarray
-    curvature_1_m: np.ndarray
+    nodes: np.ndarray
 
 
 class Told(NamedTuple):
@@ -149,11 +143,10 @@ def wheel(
     height += np.interp(0.0, nodes, z - height)
     curvature = -_spread(slope, patch_m / SPACING_M) / SPACING_M / (1.0 + slope**2) ** 1.5
     told = Told(smoothing_m, float(np.abs(height - z).max()), 0.0)
-    radius = nominal_radius_m + height
-    coarse, coarse_slope = centre_m + nodes[::STRIDE], slope[::STRIDE].copy()
-    return Wheel(float(first), SPACING_M, centre_m, radius, slope, curvature, coarse,
-                 radius[::STRIDE].copy(), coarse_slope, 1.0 / np.sqrt(1.0 + coarse_slope**2),
-                 coarse + radius[::STRIDE] * coarse_slope), told
+    fine = np.column_stack((nominal_radius_m + height, slope, curvature))
+    at, radius, slope = centre_m + nodes[::STRIDE], fine[::STRIDE, RADIUS_M], slope[::STRIDE]
+    coarse = np.column_stack((at, radius, slope, 1.0 / np.sqrt(1.0 + slope**2), at + radius * slope))
+    return Wheel(float(first), SPACING_M, centre_m, fine, coarse), told
 
 
 def rail(
@@ -216,8 +209,8 @@ def _rail_table(
     z_nodes = np.concatenate(([0.0], np.cumsum(radius * np.diff(cosine))))  # [Q2]
     z_nodes -= np.interp(0.0, sines, z_nodes)
     curvature = -_spread(angle, patch_m / step_m) / step_m
-    return Rail((SINES - 1) / (2.0 * STEEPEST), y_nodes, z_nodes, cosine,
-                np.interp(place, at, curvature))
+    return Rail((SINES - 1) / (2.0 * STEEPEST),
+                np.column_stack((y_nodes, z_nodes, cosine, np.interp(place, at, curvature))))
 
 
 def _mean(values: np.ndarray, width: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import columns, replay
+from rollerrig.rig.identify import columns, courses, replay
 from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.identify.sensitivity import Inputs
 
@@ -73,8 +73,9 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
     mask = np.ones(d.load_N.size) if cause.axle == 0 else columns.of_axle(d, cause.axle - 1)
     rows = np.ones(d.segments, dtype=bool) if cause.axle == 0 else d.axle == cause.axle - 1
     value = cause.values[0] if cause.values else 0.0
-    if cause.name in _FRICTION:
-        return i._replace(friction_log=i.friction_log + _FRICTION[cause.name](d, cause))
+    if cause.name in courses.NAMES:
+        return i._replace(friction_log=i.friction_log
+                          + value * courses.course(d, cause.name, cause.shape))
     if cause.name in _COLUMN:
         p = i.parameters.copy()
         for at, sign in _COLUMN[cause.name]:
@@ -117,32 +118,6 @@ _COLUMN = {
     "roller_curvature": ((replay.EPS1, 1.0),),
     "interfacial_layer": ((replay.K_AD, -1.0), (replay.K_AR, -1.0)),
     "falling_friction": ((replay.GAMMA_D, 1.0), (replay.GAMMA_R, 1.0)),
-}
-
-
-def _patch(d: Design, cause: Cause) -> np.ndarray:
-    low, length = cause.shape["start_m"], cause.shape["length_m"]
-    return -cause.values[0] * ((d.place_m >= low) & (d.place_m < low + length))
-
-
-def _sand(d: Design, cause: Cause) -> np.ndarray:
-    out = np.zeros(d.time_s.size)
-    for run in range(d.mass_kg.size):
-        if f"start_{run}_s" in cause.shape and cause.shape[f"duration_{run}_s"] > 0.0:
-            low = cause.shape[f"start_{run}_s"]
-            inside = (d.time_s >= low) & (d.time_s < low + cause.shape[f"duration_{run}_s"])
-            out += cause.values[0] * inside * columns.of_run(d, run)
-    return out
-
-
-_FRICTION = {
-    "rail_cleaning": lambda d, c: c.values[0] * -np.expm1(-d.cleaned_J_m / c.shape["energy_J_m"]),
-    "speed_dependent_friction": lambda d, c: c.values[0] * (d.speed_m_s - 20.0),
-    "friction_trend": lambda d, c: c.values[0] * d.time_s,
-    "negative_conditioning": lambda d, c: (
-        c.values[0] * np.expm1(-d.slid_m / c.shape["distance_m"])),
-    "contaminated_patch": _patch,
-    "sanding": _sand,
 }
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rollerrig.rig.identify import sensitivity
+from rollerrig.rig.identify import courses, sensitivity
 from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.identify.sensitivity import Inputs, Linear
 
@@ -29,6 +29,10 @@ class Column(NamedTuple):
     owner: str
     label: str
     prior: float
+
+
+# causes in given shapes
+Shaped = tuple[tuple[str, dict[str, float]], ...]
 
 
 class Variant(NamedTuple):
@@ -113,8 +117,8 @@ def vehicle_mass(design: Design) -> np.ndarray:
 
 
 def write(design: Design, inputs: Inputs, linear: Linear,
-          only: frozenset[str] | None = None) -> Book:
-    """Columns of a design around a replay: all, or those of some owners."""
+          only: frozenset[str] | None = None, shaped: Shaped = ()) -> Book:
+    """Columns of a design around a replay: all, or those of some owners; and shapes of causes."""
     w = _Writer(design)
     torque = smooth_torque(design, inputs.torque_Nm)
     _base(w, design, inputs, linear, torque)
@@ -129,12 +133,13 @@ def write(design: Design, inputs: Inputs, linear: Linear,
         (("torque_sensor_delay", "speed_sensor_delay", "wheel_inertia", "wheel_radius"),
          lambda: _sensor_causes(w, design, inputs, linear, torque)),
         (("load_transfer", "wheel_out_of_round"), lambda: _load_causes(w, design, linear)),
-        (("contaminated_patch", "sanding"), lambda: _windows(w, design, friction)),
+        (("windows",), lambda: _windows(w, design, friction)),
         (("along",), lambda: _smooth_functions(w, design, linear)),
     )
     for owners, build in groups:
         if only is None or only & set(owners):
             build()
+    _shaped(w, design, friction, shaped)
     return Book(w.columns, np.column_stack(w.wheel), np.column_stack(w.vehicle), w.variants)
 
 
@@ -152,9 +157,11 @@ def _base(w: _Writer, d: Design, inputs: Inputs, linear: Linear, torque: np.ndar
     for run in range(runs):
         w.add(BASE, f"ln_mu_cd_{run}", linear.rates[:, sensitivity.LEVEL] * of_run(d, run))
     w.add(BASE, "ln_tau", linear.rates[:, sensitivity.TAU])
-    _torque_column(w, d, inputs, BASE, "torque_gain", torque, tolerance)
+    _torque_column(w, d, inputs, BASE, "torque_gain", torque,
+                   tolerance / np.sqrt(2.0))
     for j in range(AXLES):
-        _torque_column(w, d, inputs, BASE, f"torque_gain_{j}", torque * of_axle(d, j), tolerance)
+        _torque_column(w, d, inputs, BASE, f"torque_gain_{j}", torque * of_axle(d, j),
+                       tolerance / np.sqrt(2.0))
         w.add(BASE, f"load_gain_{j}", load * of_axle(d, j), None, tolerance)
     force = np.concatenate([sensitivity.vehicle_force(d, inputs, run) for run in range(runs)])
     for run in range(runs):
@@ -163,17 +170,28 @@ def _base(w: _Writer, d: Design, inputs: Inputs, linear: Linear, torque: np.ndar
         w.add(BASE, f"mass_{run}", None, force * mask, tolerance)
 
 
+# shapes that the search tries before it refines them
+SHAPES: dict[str, tuple[dict[str, float], ...]] = {
+    "rail_cleaning": ({"energy_J_m": 40.0}, {"energy_J_m": 150.0}, {"energy_J_m": 600.0}),
+    "speed_dependent_friction": ({},),
+    "friction_trend": ({},),
+    "negative_conditioning": ({"distance_m": 5.0}, {"distance_m": 20.0}, {"distance_m": 80.0}),
+}
+
+
 def _friction_causes(w: _Writer, d: Design, friction: np.ndarray) -> None:
-    for energy in (40.0, 150.0, 600.0):
-        at = w.add("rail_cleaning", "gain", friction * -np.expm1(-d.cleaned_J_m / energy))
-        w.variant("rail_cleaning", [at], energy_J_m=energy)
-    at = w.add("speed_dependent_friction", "slope_per_m_s", friction * (d.speed_m_s - 20.0))
-    w.variant("speed_dependent_friction", [at])
-    at = w.add("friction_trend", "rate_1_s", friction * d.time_s)
-    w.variant("friction_trend", [at])
-    for distance in (5.0, 20.0, 80.0):
-        at = w.add("negative_conditioning", "loss", friction * np.expm1(-d.slid_m / distance))
-        w.variant("negative_conditioning", [at], distance_m=distance)
+    for name, shapes in SHAPES.items():
+        for shape in shapes:
+            at = w.add(name, "", friction * courses.course(d, name, shape))
+            w.variant(name, [at], **shape)
+
+
+def _shaped(w: _Writer, d: Design, friction: np.ndarray, shaped: Shaped) -> None:
+    known = {(v.cause, tuple(sorted(v.shape.items()))) for v in w.variants}
+    for name, shape in shaped:
+        if name in courses.NAMES and (name, tuple(sorted(shape.items()))) not in known:
+            at = w.add(name, "", friction * courses.course(d, name, shape))
+            w.variant(name, [at], **shape)
 
 
 def _torque_causes(w: _Writer, d: Design, inputs: Inputs, torque: np.ndarray) -> None:

@@ -20,13 +20,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import savgol_filter
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import wheelset
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
 from rollerrig.rig.identify.dataset import Dataset
-from rollerrig.rig.identify.preparation import WINDOW_S, Design, prepare
+from rollerrig.rig.identify.preparation import Design, prepare
 from rollerrig.rig.kernel import kernel
 
 LEAST_SLIDING_M_S, LEAST_SPEED_M_S = 0.3, 4.0
@@ -58,18 +57,6 @@ class Samples(NamedTuple):
     load_N: np.ndarray  # wheelset
     adhesion: np.ndarray
     creepage: np.ndarray  # not above the creepage beyond which nothing cleans better
-
-
-class Course(NamedTuple):
-    """All samples, as the model sees them before smoothing; `kept` are those of `Samples`."""
-
-    start: np.ndarray
-    run: np.ndarray
-    sliding_m_s: np.ndarray
-    speed_m_s: np.ndarray
-    load_N: np.ndarray
-    kept: np.ndarray
-    window: int
 
 
 class Tuned(NamedTuple):
@@ -104,7 +91,7 @@ def contact(data: Dataset) -> tuple[Patch, Law, float]:
     return patch, Law(**law), cleaning
 
 
-def collect(design: Design, cleaning_creepage: float) -> tuple[Samples, Course]:
+def collect(design: Design, cleaning_creepage: float) -> Samples:
     """The samples in which wheels slide under the brake, thinned to independent ones [U1] [U2]."""
     every = max(1, round(THINNED_TO_S / design.step_s))
     number = np.concatenate([np.arange(n) for n in np.diff(design.start)])
@@ -115,11 +102,7 @@ def collect(design: Design, cleaning_creepage: float) -> tuple[Samples, Course]:
     block = run * 100_000 + (design.time_s // BLOCK_S).astype(int)
     s = Samples(run, axle, block, design.time_s, design.sliding_m_s, design.speed_m_s, design.load_N,
                 design.adhesion, np.minimum(creepage, cleaning_creepage))
-    # as `preparation` smooths what it derives from wheel speeds
-    window = max(5, 2 * int(0.5 * WINDOW_S / design.step_s) + 1)
-    raw = design.speed_m_s - design.base[0] * design.measured_rad_s
-    course = Course(design.start, run, raw, design.speed_m_s, design.load_N, keep, window)
-    return Samples(*(part[keep] for part in s)), course
+    return Samples(*(part[keep] for part in s))
 
 
 @kernel
@@ -131,29 +114,22 @@ def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, cleaning_creepage,
         out[i, 0], out[i, 1], out[i, 2] = f, f_d, f_r
 
 
-def predicted(course: Course, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law, float],
+def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law, float],
               ) -> np.ndarray:
-    """(n, 3) f, f_d, f_r of the kept samples, for a recovery and the contaminants of the runs.
-
-    The model sees each sample as measured and is smoothed like the measured adhesion, so that
-    smoothing biases neither.
-    """
+    """(n, 3) f, f_d, f_r for a recovery and the contaminants of the runs, mu_cd (runs,)."""
     patch, law, cleaning = model
-    out = np.empty((course.run.size, 3))
-    curves(course.sliding_m_s, course.speed_m_s, course.load_N, mu_cd[course.run], patch,
-           law._replace(tau_m_J=tau_m_J), cleaning, out)
-    for low, high in zip(course.start[:-1], course.start[1:], strict=True):
-        out[low:high] = savgol_filter(out[low:high], course.window, 3, axis=0)
-    return out[course.kept]
+    out = np.empty((s.run.size, 3))
+    curves(s.sliding_m_s, s.speed_m_s, s.load_N, mu_cd[s.run], patch, law._replace(tau_m_J=tau_m_J),
+           cleaning, out)
+    return out
 
 
 class _Fit:
     """Free parameters as logarithms: tau if it is free, then mu_cd of the runs that leave it free."""
 
-    def __init__(self, s: Samples, course: Course, model: tuple[Patch, Law, float], stated: list[float | None],
+    def __init__(self, s: Samples, model: tuple[Patch, Law, float], stated: list[float | None],
                  tau_m_J: float | None) -> None:
-        self.s, self.course, self.model = s, course, model
-        self.stated, self.tau = stated, tau_m_J
+        self.s, self.model, self.stated, self.tau = s, model, stated, tau_m_J
         self.free = [i for i, mu in enumerate(stated) if mu is None and np.any(s.run == i)]
 
     def unpack(self, x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -163,11 +139,11 @@ class _Fit:
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         tau, mu = self.unpack(x)
-        return predicted(self.course, tau, mu, self.model)[:, 0] - self.s.adhesion  # [U3]
+        return predicted(self.s, tau, mu, self.model)[:, 0] - self.s.adhesion  # [U3]
 
     def paper_residual(self, x: np.ndarray) -> np.ndarray:
         tau, mu = self.unpack(x)
-        _, f_d, f_r = predicted(self.course, tau, mu, self.model).T
+        _, f_d, f_r = predicted(self.s, tau, mu, self.model).T
         W = 0.5 * self.s.adhesion * self.s.load_N * self.s.creepage
         return self.s.adhesion - f_d - (f_r - f_d) * -np.expm1(-tau * np.maximum(W, 0.0))  # [U4]
 
@@ -193,18 +169,18 @@ def tune(data: Dataset, seed: int = 0) -> Tuned:
     runs = data.group("tune")
     design = prepare(data, runs)
     model = contact(data)
-    s, course = collect(design, model[2])
+    s = collect(design, model[2])
     if s.run.size < LEAST_SAMPLES:
         raise ConfigError(
             f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "
             f"of the tuning runs, {LEAST_SAMPLES} are needed; give runs in which the WSP works")
     stated = [run.mu_cd for run in runs]
-    fit = _Fit(s, course, model, stated, None)
+    fit = _Fit(s, model, stated, None)
     x, jacobian, rmse = fit.solve()
     tau, mu = fit.unpack(x)
     spread = bootstrap(s, fit.residual(x), jacobian, data.accuracy["calibration_fraction"], seed)
     bounds = np.exp(x + np.percentile(spread, (2.5, 97.5), axis=0))
-    f, f_d, f_r = predicted(course, tau, mu, model).T
+    f, f_d, f_r = predicted(s, tau, mu, model).T
     warnings = list(data.warnings)
     if not TAU_BOUNDS[0] * 1.01 < tau < TAU_BOUNDS[1] * 0.99:
         warnings.append(f"tau = {tau:.3g} m/J stands at a bound: the runs do not show recovery")
@@ -216,7 +192,7 @@ def tune(data: Dataset, seed: int = 0) -> Tuned:
     return Tuned(
         Interval(tau, float(bounds[0, 0]), float(bounds[1, 0])), contaminants,
         float(np.exp(fit.solve("paper_residual")[0][0])), rmse,
-        _Fit(s, course, model, stated, model[1].tau_m_J).solve()[2], _Fit(s, course, model, stated, 0.0).solve()[2],
+        _Fit(s, model, stated, model[1].tau_m_J).solve()[2], _Fit(s, model, stated, 0.0).solve()[2],
         s, (s.adhesion - f_d) / np.maximum(f_r - f_d, 1e-9), f_d, f_r, f, warnings)
 
 
@@ -245,3 +221,13 @@ def bootstrap(s: Samples, residual: np.ndarray, jacobian: np.ndarray, calibratio
         normal = A[picked].sum(axis=0) + 1e-12 * np.trace(A.sum(axis=0)) * np.eye(k)
         out[i] = np.linalg.solve(normal, shift * c[picked].sum(axis=0) - b[picked].sum(axis=0))
     return out
+
+
+def contaminant(s: Samples, model: tuple[Patch, Law, float], stated: float | None, tau_m_J: float,
+                ) -> tuple[float, float]:
+    """(mu_cd, rmse of f) of one run for a given recovery; mu_cd is fitted unless it is stated."""
+    if s.run.size < 10:
+        return stated or model[1].mu_cd, float("nan")
+    fit = _Fit(s, model, [stated], tau_m_J)
+    x, _, rmse = fit.solve()
+    return float(fit.unpack(x)[1][0]), rmse

@@ -49,7 +49,8 @@ def total(nu: np.ndarray, S: np.ndarray, vnu: np.ndarray, vS: np.ndarray) -> flo
 def prior_deviance(design: Design, told: Explanation) -> float:
     """What the declared tolerances and the released brake say."""
     tolerance = max(design.calibration, 1e-4)
-    cost = sum((value / tolerance) ** 2 for label, value in told.base.items()
+    cost = sum((value / tolerance) ** 2 * (2.0 if label.startswith("torque") else 1.0)
+               for label, value in told.base.items()
                if label.startswith(("torque_gain", "load_gain", "mass")))
     offsets = np.zeros(design.segments)
     for cause in told.causes:
@@ -60,12 +61,13 @@ def prior_deviance(design: Design, told: Explanation) -> float:
     return cost + float(np.sum(off * off))
 
 
-def normal(design: Design, told: Explanation, only: frozenset[str] | None = None,
-           memory: bool = True) -> tuple[Normal, Linear, Inputs, np.ndarray]:
+def normal(design: Design, told: Explanation, only: frozenset[str] | None = None
+           ) -> tuple[Normal, Linear, Inputs, np.ndarray]:
     """Normal equations around an explanation, its replay, its inputs, the whitened answers."""
     i = candidates.inputs(design, told)
     linear = sensitivity.linearise(design, i)
-    book = columns.write(design, i, linear, only)
+    book = columns.write(design, i, linear, only,
+                         tuple((cause.name, cause.shape) for cause in told.causes))
     Z = np.empty_like(book.wheel)
     for s in range(design.segments):
         at = design.span(s)

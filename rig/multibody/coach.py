@@ -36,16 +36,10 @@ X, Y, Z, ROLL, PITCH, YAW = range(6)
 
 
 class Links(NamedTuple):
-    """Rows of [C1]; `at` (n, 6) coordinates, `by` (n, 6) factors, the rest (n,)."""
+    """Rows of [C1]: `at` (n, 6) coordinates; `row` (n, 12): six factors, then `links` columns."""
 
     at: np.ndarray
-    by: np.ndarray
-    stiffness_N_m: np.ndarray
-    preload_N: np.ndarray
-    damping_N_s_m: np.ndarray
-    damping_max_N: np.ndarray
-    stop_gap_m: np.ndarray
-    stop_N_m: np.ndarray
+    row: np.ndarray
 
 
 class Coach(NamedTuple):
@@ -205,8 +199,8 @@ def _links(rows: list[_Row]) -> Links:
             }[row.axis]
             for j, (coordinate, factor) in enumerate(lever):
                 at[i, first + j], by[i, first + j] = 6 * body + coordinate, sign * factor
-    return Links(at, by, *(np.array([getattr(row, name) for row in rows]) for name in (
-        "k", "preload", "c", "c_max", "gap", "stop")))
+    values = [(row.k, row.preload, row.c, row.c_max, row.gap, row.stop) for row in rows]
+    return Links(at, np.column_stack((by, np.array(values))))
 
 
 def _profiles(v: Mapping[str, Any], m: Mapping[str, Any]) -> tuple[Wheel, Rail]:

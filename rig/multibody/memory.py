@@ -22,7 +22,7 @@ class Motion(NamedTuple):
     q: np.ndarray  # (42,) m, rad; step
     v: np.ndarray  # (42,) m/s, rad/s; step
     force: np.ndarray  # (42,) N, N m: suspension and weight; step
-    contacts: np.ndarray  # (8, MOST, COLUMNS) of `geometry`; step
+    contacts: np.ndarray  # (8 MOST, COLUMNS) of `geometry`, MOST rows a wheel; step
     count: np.ndarray  # (8,) contacts in use; step
     misfit: np.ndarray  # (8, NODES) m, F at the coarse nodes of each wheel; step
     given: np.ndarray  # (4, GIVEN) of `treads`; step
@@ -39,7 +39,7 @@ class Motion(NamedTuple):
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "q": (42,), "v": (42,), "force": (42,),
-    "contacts": (WHEELS, geometry.MOST, geometry.COLUMNS), "count": (WHEELS,),
+    "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS), "count": (WHEELS,),
     "misfit": (WHEELS, NODES), "given": (4, GIVEN), "Gx": (4, 4), "Gy": (3, 3),
     "seen": (WHEELS, SEEN), "turn": (1,), "damper_work": (1,), "approach_work": (1,),
     "sliding_work": (4,), "brake_work": (4,), "resistance_work": (1,),

@@ -19,7 +19,7 @@ the paper's section 2. Below 0.1 m/s creepage is sliding over 0.1 m/s.
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import inlined, kernel
 from rollerrig.rig.multibody import links, treads
 from rollerrig.rig.multibody.treads import (
     ACROSS,
@@ -41,10 +41,10 @@ def start(motion, coach, speed_m_s):
     for body in range(7):
         motion.v[6 * body] = speed_m_s
     for wheel in range(2 * WHEELSETS):
-        treads.follow(wheel, 1.0 - 2.0 * (wheel % 2), motion.q, 6 * (3 + wheel // 2), 0.0, -1,
-                      motion.contacts, motion.count, motion.misfit, coach)
+        treads.follow(wheel, motion.q, 0.0, -1, motion.contacts, motion.count, motion.misfit,
+                      coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail)
     for j in range(WHEELSETS):
-        radius = -motion.contacts[2 * j, 0, 4]
+        radius = -motion.contacts[2 * j * treads.MOST, 4]
         motion.v[6 * (3 + j) + 4] = speed_m_s / radius
 
 
@@ -85,20 +85,19 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
         i = 6 * (3 + j)
         offset = q[i] - place if on_rollers else 0.0
         for wheel in range(2 * j, 2 * j + 2):
-            treads.follow(wheel, 1.0 - 2.0 * (wheel % 2), q, i, offset, turn, motion.contacts,
-                          motion.count, motion.misfit, coach)
-        given = motion.given[j]
+            treads.follow(wheel, q, offset, turn, motion.contacts, motion.count, motion.misfit,
+                          coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail)
         treads.press(j, q, v, speed if on_rollers else 0.0, roller_rad_s[j], motion.contacts,
-                     motion.count, mu_cd[j], mu_cr[j], law, cleaning_creepage, coach, given,
-                     motion.Gx, motion.Gy, motion.seen)
-        brake = along(j, motion, coach, h, given, roller_rad_s, motor_Nm[j], roller_inertia_kgm2,
+                     motion.count, mu_cd[j], mu_cr[j], law, cleaning_creepage, coach.patches,
+                     coach.contact_damping_N_s_m, coach.roller_m, motion.given, motion.Gx, motion.Gy, motion.seen)
+        brake = along(j, motion, coach.inertia, h, roller_rad_s, motor_Nm[j], roller_inertia_kgm2,
                       brake_Nm[j], on_rollers)
-        across(j, motion, coach, h, given)
+        across(j, motion, coach.inertia, h)
         bogie = 6 * coach.bogie_of[j]
         force[bogie + 4] += brake  # [M5]
         brake_acts_Nm[j] = brake
         motion.brake_work[j] -= h * brake * v[bogie + 4]
-        motion.approach_work[0] += h * given[APPROACH_W]
+        motion.approach_work[0] += h * motion.given[j, APPROACH_W]
     for i in range(18):
         v[i] += h * force[i] / coach.inertia[i]
     motion.resistance_work[0] += half * resistance_N * (v[0] + v[0] - h * force[0] / coach.inertia[0])
@@ -106,21 +105,19 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
         q[i] += half * v[i]
 
 
-@kernel
-def along(j, motion, coach, h, given, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm,
-          on_rollers):
+@inlined
+def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm, on_rollers):
     """Speeds of a wheelset along the track, of its rotation, yaw and roller; returns the brake."""
-    v, force, G = motion.v, motion.force, motion.Gx
+    v, force, G, given = motion.v, motion.force, motion.Gx, motion.given
     i = 6 * (3 + j)
-    inertia = coach.inertia
-    ex, ey, ez = treads.geometry.axis(motion.q[i + 3], motion.q[i + 5])
-    about = given[3] * ex + given[4] * ey + given[5] * ez
+    ex, ey, ez = treads.axis(motion.q[i + 3], motion.q[i + 5])
+    about = given[j, 3] * ex + given[j, 4] * ey + given[j, 5] * ez
     gyro = inertia[i + 4] * v[i + 4]
     # generalised forces
-    f0 = force[i] + given[0]
+    f0 = force[i] + given[j, 0]
     f1 = about
-    f2 = force[i + 5] + given[5] - about * ez - gyro * v[i + 3]  # [M4]
-    f3 = (motor_Nm + given[ALONG + 3]) if on_rollers else 0.0
+    f2 = force[i + 5] + given[j, 5] - about * ez - gyro * v[i + 3]  # [M4]
+    f3 = (motor_Nm + given[j, ALONG + 3]) if on_rollers else 0.0
     m0, m1, m2, m3 = inertia[i], inertia[i + 4], inertia[i + 5], roller_inertia_kgm2
     w = theta(h * max(G[0, 0] / m0, G[1, 1] / m1, G[2, 2] / m2, G[3, 3] / m3)) * h
     # L D L' of M + h theta G [M3]
@@ -149,7 +146,7 @@ def along(j, motion, coach, h, given, roller_rad_s, motor_Nm, roller_inertia_kgm
     s0, s1 = h * (x0 - brake * u0), h * (x1 - brake * u1)
     s2, s3 = h * (x2 - brake * u2), h * (x3 - brake * u3)
     # [M6]
-    work = given[SLIDING_W] + middle(given, ALONG, ALONG_GS, w / h, G, s0, s1, s2, s3)
+    work = given[j, SLIDING_W] + middle(given, j, ALONG, ALONG_GS, w / h, G, s0, s1, s2, s3)
     motion.sliding_work[j] += h * work
     motion.brake_work[j] += h * brake * (v[i + 4] + 0.5 * s1)
     v[i] += s0
@@ -160,29 +157,28 @@ def along(j, motion, coach, h, given, roller_rad_s, motor_Nm, roller_inertia_kgm
     return brake
 
 
-@kernel
-def middle(given, force, gs, weight, G, s0, s1, s2, s3):
+@inlined
+def middle(given, j, force, gs, weight, G, s0, s1, s2, s3):
     """Power of sliding that the change of speeds s adds to that at the step's beginning [M6]."""
     s = (s0, s1, s2, s3)
     power, quadratic = 0.0, 0.0
     for k in range(4):
-        power += s[k] * (weight * given[gs + k] - 0.5 * given[force + k])
+        power += s[k] * (weight * given[j, gs + k] - 0.5 * given[j, force + k])
         for m in range(k + 1):
             quadratic += s[k] * s[m] * G[k, m] * (1.0 if m == k else 2.0)
     return power + 0.5 * weight * quadratic
 
 
-@kernel
-def across(j, motion, coach, h, given):
+@inlined
+def across(j, motion, inertia, h):
     """Speeds of a wheelset across the track, upwards and in roll."""
-    v, force, G = motion.v, motion.force, motion.Gy
+    v, force, G, given = motion.v, motion.force, motion.Gy, motion.given
     i = 6 * (3 + j)
-    inertia = coach.inertia
-    ex, ey, ez = treads.geometry.axis(motion.q[i + 3], motion.q[i + 5])
-    about = given[3] * ex + given[4] * ey + given[5] * ez
-    f0, f1 = force[i + 1] + given[1], force[i + 2] + given[2]
+    ex, ey, ez = treads.axis(motion.q[i + 3], motion.q[i + 5])
+    about = given[j, 3] * ex + given[j, 4] * ey + given[j, 5] * ez
+    f0, f1 = force[i + 1] + given[j, 1], force[i + 2] + given[j, 2]
     # the yaw rate is new by now: roll follows with it, which keeps the gyroscope's energy
-    f2 = force[i + 3] + given[3] - about * ex + inertia[i + 4] * v[i + 4] * v[i + 5]  # [M4]
+    f2 = force[i + 3] + given[j, 3] - about * ex + inertia[i + 4] * v[i + 4] * v[i + 5]  # [M4]
     m0, m2 = inertia[i], inertia[i + 3]
     w = theta(h * max(G[0, 0] / m0, G[1, 1] / m0, G[2, 2] / m2)) * h
     d0 = m0 + w * G[0, 0]
@@ -195,9 +191,9 @@ def across(j, motion, coach, h, given):
     x1 = y1 / d1 - l21 * x2
     x0 = f0 / d0 - l10 * x1 - l20 * x2
     s0, s1, s2 = h * x0, h * x1, h * x2
-    work = s0 * (w / h * given[ACROSS_GS] - 0.5 * given[ACROSS])
-    work += s1 * (w / h * given[ACROSS_GS + 1] - 0.5 * given[ACROSS + 1])
-    work += s2 * (w / h * given[ACROSS_GS + 2] - 0.5 * given[ACROSS + 2])
+    work = s0 * (w / h * given[j, ACROSS_GS] - 0.5 * given[j, ACROSS])
+    work += s1 * (w / h * given[j, ACROSS_GS + 1] - 0.5 * given[j, ACROSS + 1])
+    work += s2 * (w / h * given[j, ACROSS_GS + 2] - 0.5 * given[j, ACROSS + 2])
     work += 0.5 * w / h * (G[0, 0] * s0 * s0 + G[1, 1] * s1 * s1 + G[2, 2] * s2 * s2 + 2.0 * (
         G[1, 0] * s1 * s0 + G[2, 0] * s2 * s0 + G[2, 1] * s2 * s1))
     motion.sliding_work[j] += h * work
@@ -206,7 +202,7 @@ def across(j, motion, coach, h, given):
     v[i + 3] += s2
 
 
-@kernel
+@inlined
 def theta(z):
     """How implicit a step is, for its largest h G / M [M2]."""
     return 0.5 if z <= 1.0 else 1.0 - 0.5 / z

@@ -17,7 +17,7 @@ import numpy as np
 
 from rollerrig.rig.contact import hertz, kalker, polach
 from rollerrig.rig.contact.adhesion import Patch
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import inlined, kernel
 
 _NODES, _REACH = 513, math.log(1e3)
 
@@ -45,21 +45,21 @@ def tabulate(
     return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, model, cells, rows)
 
 
-@kernel
+@inlined
 def at(rolling_1_m, lateral_1_m, patches):
     """The `adhesion.Patch` of a contact, from the sums of both bodies' curvatures [T1]."""
     place = (math.log(lateral_1_m / rolling_1_m) + _REACH) * patches.nodes_per_log
     i = min(max(int(place), 0), _NODES - 2)
     part = min(max(place - i, 0.0), 1.0)
-    low, high = patches.rows[i], patches.rows[i + 1]
+    rows = patches.rows
     half = 0.5 * (rolling_1_m + lateral_1_m)
     root = math.sqrt(half)
     shrink = 1.0 / math.exp(math.log(half) / 3.0)
-    a1 = (low[0] + (high[0] - low[0]) * part) * shrink
-    b1 = (low[1] + (high[1] - low[1]) * part) * shrink
-    c11 = low[3] + (high[3] - low[3]) * part
+    a1 = (rows[i, 0] + (rows[i + 1, 0] - rows[i, 0]) * part) * shrink
+    b1 = (rows[i, 1] + (rows[i + 1, 1] - rows[i, 1]) * part) * shrink
+    c11 = rows[i, 3] + (rows[i + 1, 3] - rows[i, 3]) * part
     return Patch(
-        a1, b1, c11, patches.shear_Pa, (low[2] + (high[2] - low[2]) * part) / root,
+        a1, b1, c11, patches.shear_Pa, (rows[i, 2] + (rows[i + 1, 2] - rows[i, 2]) * part) / root,
         polach.eps_per_creepage(a1, b1, c11, patches.shear_Pa, 1.0),
-        low[4] + (high[4] - low[4]) * part, low[5] + (high[5] - low[5]) * part,
-        low[6] + (high[6] - low[6]) * part, patches.model, patches.cells)
+        rows[i, 4] + (rows[i + 1, 4] - rows[i, 4]) * part, rows[i, 5] + (rows[i + 1, 5] - rows[i, 5]) * part,
+        rows[i, 6] + (rows[i + 1, 6] - rows[i, 6]) * part, patches.model, patches.cells)

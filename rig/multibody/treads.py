@@ -8,7 +8,7 @@ are handed to the time step, which needs them at low speed.
 [N1] N = k_h p^(3/2) + c max(dp/dt, 0), p = -gap > 0                             paper eqs. 4, 5
 [N2] s = (v + Omega x rho) along t1, t2, spin = Omega . n, on a roller with its surface's motion
 [N3] F = N n + f_x t1 + f_y t2 at rho, and m_z n
-[N4] g = |f| / (|s| + a |spin|): f is about -g s, so its Jacobian is taken as -g J'J
+[N4] g = |f| / (|s| + a |spin|), a = 5 mm: f is about -g s, so its Jacobian is taken as -g J'J
 
 t1 lies along the track, t2 across, n out of the rail; rho from the wheelset's centre to the contact.
 Eq. 5 of the paper prints p = max(..., 0) for a quantity that is negative in contact; read as above.
@@ -19,9 +19,21 @@ import math
 import numpy as np
 
 from rollerrig.rig.contact import adhesion, creep_force, geometry
-from rollerrig.rig.contact.geometry import GAP, LATERAL, NX, NY, NZ, RAIL_Z, ROLLING
+from rollerrig.rig.contact.geometry import (
+    GAP,
+    LATERAL,
+    MOST,
+    NX,
+    NY,
+    NZ,
+    RAIL_Z,
+    ROLLING,
+    X,
+    Y,
+    Z,
+)
 from rollerrig.rig.contact.profiles import Rail, Wheel
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import inlined, kernel
 from rollerrig.rig.multibody import patches as patch_table
 from rollerrig.rig.multibody.patches import Patches
 
@@ -36,27 +48,32 @@ LOAD, PULL, SIDE, SLIP, TOUCHING = range(5)
 SEEN = 5
 
 
-@kernel
-def follow(wheel, side, q, first, offset_m, turn, contacts, count, F, coach):
-    """Move the contacts of a wheel on; side +1 left, -1 right; q (42,), `first` of its wheelset."""
-    pose = (offset_m, side * q[first + 1], coach.axle_height_m + q[first + 2])
-    axle = geometry.axis(side * q[first + 3], side * q[first + 5])
+@inlined
+def axis(roll_rad, yaw_rad):
+    """A wheelset's axis, to the left, for the small rotations of the coach."""
+    return -yaw_rad, math.sqrt(1.0 - roll_rad * roll_rad - yaw_rad * yaw_rad), roll_rad
+
+
+@inlined
+def follow(wheel, q, offset_m, turn, contacts, count, F, axle_height_m, roller_m, profile, rail):
+    """Move the contacts of a wheel on: wheel 2 j the left one of wheelset j, 2 j + 1 the right one.
+
+    q (42,); offset_m of the wheelset before a roller's crown; turn < 0 searches from nothing.
+    """
+    first, side = 6 * (3 + wheel // 2), 1.0 - 2.0 * (wheel % 2)
+    pose = (offset_m, side * q[first + 1], axle_height_m + q[first + 2])
+    ex, ey, ez = axis(q[first + 3], q[first + 5])
+    axle = (side * ex, ey, side * ez)
+    begin = MOST * wheel
     if turn < 0:
-        count[wheel] = geometry.detect(contacts[wheel], F[wheel], pose, axle, coach.roller_m,
-                                       coach.wheel, coach.rail)
+        count[wheel] = geometry.detect(contacts, begin, F, wheel, pose, axle, roller_m, profile,
+                                       rail)
     else:
-        count[wheel] = geometry.follow(contacts[wheel], int(count[wheel]), F[wheel], turn, TURNS,
-                                       pose, axle, coach.roller_m, coach.wheel, coach.rail)
+        count[wheel] = geometry.follow(contacts, begin, int(count[wheel]), F, wheel, turn, TURNS,
+                                       pose, axle, roller_m, profile, rail)
 
 
-@kernel
-def load(row, approach_m_s, patch, coach):
-    """Normal force in N of a contact [N1]."""
-    p = -row[GAP]
-    return patch.k_h_N_m32 * p * math.sqrt(p) + coach.contact_damping_N_s_m * max(approach_m_s, 0.0)
-
-
-@kernel
+@inlined
 def law_here(law, mu_cd, mu_cr, creepage, cleaning_creepage):
     """The adhesion law for the contaminant under an axle; cleaning has its limit as in `wheelset`."""
     tau = law.tau_m_J
@@ -66,77 +83,69 @@ def law_here(law, mu_cd, mu_cr, creepage, cleaning_creepage):
                         law.k_sd, law.k_ar, law.k_sr, tau)
 
 
-@kernel
+@inlined
 def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, cleaning_creepage,
-          coach, given, Gx, Gy, seen):
-    """Forces of both wheels of wheelset j into `given` (GIVEN,), `Gx` (4, 4), `Gy` (3, 3), `seen`.
+          patches, damping_N_s_m, roller_m, given, Gx, Gy, seen):
+    """Forces of both wheels of wheelset j into row j of `given`, `Gx` (4, 4), `Gy` (3, 3), `seen`.
 
     base_m_s is the vehicle's speed on rollers, 0 on a track; roller_rad_s 0 on a track.
     """
-    given[:] = 0.0
-    Gx[:] = 0.0
-    Gy[:] = 0.0
+    given[j, :] = 0.0
+    Gx[:, :] = 0.0
+    Gy[:, :] = 0.0
     i = 6 * (3 + j)
-    ex, ey, ez = geometry.axis(q[i + 3], q[i + 5])
+    ex, ey, ez = axis(q[i + 3], q[i + 5])
     spin_rate = v[i + 4]
     wx, wy, wz = v[i + 3] + spin_rate * ex, spin_rate * ey, v[i + 5] + spin_rate * ez
     for wheel in range(2):
         side = 1.0 - 2.0 * wheel
         at = 2 * j + wheel
         seen[at, :] = 0.0
-        for c in range(int(count[at])):
-            row = contacts[at, c]
-            if row[GAP] >= 0.0:
+        for c in range(MOST * at, MOST * at + int(count[at])):
+            p = -contacts[c, GAP]
+            if p <= 0.0:
                 continue
-            x, y, z = row[geometry.X], side * row[geometry.Y], row[geometry.Z]
-            nx, ny, nz = row[NX], side * row[NY], row[NZ]
-            up = math.sqrt(nx * nx + nz * nz)
-            cos, sin = nz / up, -nx / up
+            x, y, z = contacts[c, X], side * contacts[c, Y], contacts[c, Z]
+            nx, ny, nz = contacts[c, NX], side * contacts[c, NY], contacts[c, NZ]
+            cos, sin, arm = 1.0, 0.0, 0.0
+            if roller_rad_s != 0.0:
+                up = math.sqrt(nx * nx + nz * nz)
+                cos, sin, arm = nz / up, -nx / up, roller_m + contacts[c, RAIL_Z]
             # [N2]
             vx = v[i] - base_m_s + wy * z - wz * y
             vy = v[i + 1] + wz * x - wx * z
             vz = v[i + 2] + wx * y - wy * x
-            arm = 0.0
-            if roller_rad_s != 0.0:
-                arm = coach.roller_m + row[RAIL_Z]
             t2x, t2y, t2z = ny * sin, nz * cos - nx * sin, -ny * cos
             sx = vx * cos + vz * sin + arm * roller_rad_s
             sy = vx * t2x + vy * t2y + vz * t2z
-            approach = -(vx * nx + vy * ny + vz * nz)
+            approach = max(-(vx * nx + vy * ny + vz * nz), 0.0)
             spin = wx * nx + wy * ny + wz * nz + roller_rad_s * ny
-            patch = patch_table.at(row[ROLLING], row[LATERAL], coach.patches)
-            N = load(row, approach, patch, coach)
+            patch = patch_table.at(contacts[c, ROLLING], contacts[c, LATERAL], patches)
+            N = patch.k_h_N_m32 * p * math.sqrt(p) + damping_N_s_m * approach  # [N1]
             speed = max(abs(v[i] - base_m_s + arm * roller_rad_s), adhesion.SPEED_FLOOR_M_S)
             s = math.sqrt(sx * sx + sy * sy)
             here = law_here(law, mu_cd, mu_cr, s / speed, cleaning_creepage)
             fx, fy, mz = creep_force.creep_force(patch.model, sx / speed, sy / speed, spin / speed,
                                                  s, N, patch, here)
-            a = patch.a1 * N ** (1.0 / 3.0)
-            g = math.sqrt(fx * fx + fy * fy) / (s + a * abs(spin) + 1e-9)  # [N4]
+            # [N4]
+            reach = 0.005 * abs(spin)
+            g = math.sqrt(fx * fx + fy * fy) / (s + reach + 1e-9)
             # [N3]
             Fx = N * nx + fx * cos + fy * t2x
             Fy = N * ny + fy * t2y
             Fz = N * nz + fx * sin + fy * t2z
-            given[0] += Fx
-            given[1] += Fy
-            given[2] += Fz
-            given[3] += y * Fz - z * Fy + mz * nx
-            given[4] += z * Fx - x * Fz + mz * ny
-            given[5] += x * Fy - y * Fx + mz * nz
-            Jx = (cos, z * cos - x * sin, -y * cos, arm)
-            for k in range(4):
-                given[ALONG + k] += fx * Jx[k]
-                given[ALONG_GS + k] += g * sx * Jx[k]
-                for m in range(k + 1):
-                    Gx[k, m] += g * Jx[k] * Jx[m]
-            Jy = (t2y, t2z, y * t2z - z * t2y)
-            for k in range(3):
-                given[ACROSS + k] += fy * Jy[k]
-                given[ACROSS_GS + k] += g * sy * Jy[k]
-                for m in range(k + 1):
-                    Gy[k, m] += g * Jy[k] * Jy[m]
-            given[SLIDING_W] -= fx * sx + fy * sy + mz * spin
-            given[APPROACH_W] += coach.contact_damping_N_s_m * max(approach, 0.0) ** 2
+            given[j, 0] += Fx
+            given[j, 1] += Fy
+            given[j, 2] += Fz
+            given[j, 3] += y * Fz - z * Fy + mz * nx
+            given[j, 4] += z * Fx - x * Fz + mz * ny
+            given[j, 5] += x * Fy - y * Fx + mz * nz
+            slopes(given, j, ALONG, ALONG_GS, Gx, 4, (cos, z * cos - x * sin, -y * cos, arm), fx,
+                   g, sx)
+            slopes(given, j, ACROSS, ACROSS_GS, Gy, 3, (t2y, t2z, y * t2z - z * t2y, 0.0), fy, g,
+                   sy)
+            given[j, SLIDING_W] -= fx * sx + fy * sy + mz * spin
+            given[j, APPROACH_W] += damping_N_s_m * approach * approach
             seen[at, LOAD] += Fz
             seen[at, PULL] += fx
             seen[at, SIDE] += Fy
@@ -146,6 +155,17 @@ def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, c
             seen[at, SLIP] /= seen[at, TOUCHING]
 
 
+@inlined
+def slopes(given, j, force_at, gs_at, G, size, J, f, g, s):
+    """Add a contact's f J, g s J and g J'J (lower triangle) to what the time step is given [N4]."""
+    for k in range(size):
+        given[j, force_at + k] += f * J[k]
+        gJ = g * J[k]
+        given[j, gs_at + k] += s * gJ
+        for m in range(k + 1):
+            G[k, m] += gJ * J[m]
+
+
 def axle_height(
     load_N: float, wheel: Wheel, rail: Rail, patches: Patches, roller_m: float
 ) -> float:
@@ -153,18 +173,19 @@ def axle_height(
 
     Raises ValueError where the profiles do not meet there.
     """
-    low, high = float(wheel.radius_m.min()) - 0.03, float(wheel.radius_m.max()) + 0.03
+    radius = wheel.fine[:, 0]
+    low, high = float(radius.min()) - 0.03, float(radius.max()) + 0.03
     for _ in range(80):
         z = 0.5 * (low + high)
         found = np.zeros((geometry.MOST, geometry.COLUMNS))
-        F = np.zeros(wheel.coarse_m.size)
-        n = geometry.detect(found, F, (0.0, 0.0, z), (0.0, 1.0, 0.0), roller_m, wheel, rail)
+        F = np.zeros((1, wheel.coarse.shape[0]))
+        n = geometry.detect(found, 0, F, 0, (0.0, 0.0, z), (0.0, 1.0, 0.0), roller_m, wheel, rail)
         total = 0.0
         for row in found[:n]:
             if row[GAP] < 0.0:
                 patch = patch_table.at(row[ROLLING], row[LATERAL], patches)
                 total += patch.k_h_N_m32 * (-row[GAP]) ** 1.5 * row[NZ]
-        if n == 0 and z < 0.5 * (wheel.radius_m.min() + wheel.radius_m.max()):
+        if n == 0 and z < 0.5 * (radius.min() + radius.max()):
             total = math.inf
         if total > load_N:
             low = z

@@ -28,7 +28,7 @@ def configure(wire, sub, value, size, node=16, pdo=0x1800):
 
 
 def turn(wire, speed):
-    wire.row[signals.column("wheel_speed", 1)] = speed
+    wire.row[signals.column("measured_speed", 1)] = speed
 
 
 def first(data):

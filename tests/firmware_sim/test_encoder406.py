@@ -19,7 +19,7 @@ def unit(wire):
 
 
 def test_default_pdos_carry_speeds_and_tooth_frequencies_of_four_axles(wire, unit):
-    wire.row[signals.span("wheel_speed")] = [90.0, 91.234, -1.0, 1000.0]
+    wire.row[signals.span("measured_speed")] = [90.0, 91.234, -1.0, 1000.0]
     wire.row[signals.span("tooth_frequency")] = [1432.5, 0.001, 5e6, 0.0]
     wire.sync()
     frames = {one.can_id: one.data for one in wire.frames}
@@ -29,7 +29,7 @@ def test_default_pdos_carry_speeds_and_tooth_frequencies_of_four_axles(wire, uni
 
 
 def test_a_speed_beyond_16_bits_stands_beside_it_in_32_bits(wire, unit):
-    wire.row[signals.column("wheel_speed", 4)] = 1000.00005
+    wire.row[signals.column("measured_speed", 4)] = 1000.00005
     assert wire.read(16, 0x6030, 4) == (32767).to_bytes(2, "little")
     assert int.from_bytes(wire.read(16, 0x2102, 4), "little") == 10_000_000
 
@@ -47,7 +47,7 @@ def test_pulse_counters_wrap_and_positions_follow_their_preset(wire, unit):
 def test_acceleration_is_the_change_of_speed_between_two_syncs(wire, unit):
     for time_s, speed in ((0.00, 90.0), (0.01, 89.9), (0.02, 89.7)):
         wire.row[signals.column("time")] = time_s
-        wire.row[signals.column("wheel_speed", 1)] = speed
+        wire.row[signals.column("measured_speed", 1)] = speed
         wire.sync()
     value = int.from_bytes(wire.read(16, 0x6040, 1), "little", signed=True)
     assert value == pytest.approx(-2000, abs=1)

@@ -111,7 +111,7 @@ def test_a_foreign_unit_reads_speeds_by_pdo_and_drives_the_valves(rig, master):
         node.tpdo.read()
         node.rpdo.read()
     beat = master.send_periodic(0x720, b"\x05", 0.05)
-    rig.row[signals.span("wheel_speed")] = [90.0, 91.0, 92.0, 93.0]
+    rig.row[signals.span("measured_speed")] = [90.0, 91.0, 92.0, 93.0]
     assert eventually(lambda: unit.tpdo[1].wait_for_reception(1) and unit.tpdo[1][3].raw == 9300)
     brake.rpdo[1][0].raw = 0b11_01_00_11
     brake.rpdo[1].transmit()

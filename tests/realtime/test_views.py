@@ -171,8 +171,9 @@ def test_spokes_turn_red_while_a_wheel_is_locked(drawn, stop):
     rim = stop[:, signals.column("wheel_circumferential_speed", 1)]
     locked = (speed > 0.5) & (rim < 0.1 * speed)
     assert locked.any(), "the stop of this test locks axle 1"
+    red = int.from_bytes(bytes([*scene.LOCKED, 255]))
     reds = [time for time, colour in drawn["/rig/axle_1/wheels/spokes"]["LineStrips3D:colors"]
-            if colour == [(scene.LOCKED[0] << 24) + (scene.LOCKED[1] << 16) + 255]]
+            if colour == [red]]
     begins = stop[np.flatnonzero(np.diff(locked.astype(int), prepend=0) == 1), 0]
     assert np.allclose(reds, begins)
 

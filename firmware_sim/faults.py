@@ -1,0 +1,184 @@
+"""The fault catalogue: whatever can be made to go wrong on the rig, one row each.
+
+A fault is injected by a scenario's [[fault]] table, by `--fault` on the command line, or by a call
+of the bench; it begins at a time, holds for a while and is lifted again. Rows say what a fault is
+aimed at, which parameters it takes with their bounds, what it does and where it acts: in the
+compiled tick (`fault_effects`), on the bus (`fault_bus`), or in a device (`fault_panel`).
+"""
+
+import difflib
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rollerrig.configs import table
+from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.table import Row, integer, number
+from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, DRIVE_NODES, SPEED_NODE, WSP_NODE
+
+# where a fault acts: in the tick, on the bus, in a device
+TICK, BUS, DEVICE = "tick", "bus", "device"
+RIG_NODES = (*DRIVE_NODES, SPEED_NODE, BRAKE_NODE)
+LASTS = math.inf
+
+_AXLE = integer("axle", 1, 1, AXLES, "axle, counted from the leading end")
+_NODE = integer("node", BRAKE_NODE, 1, 127, "a node of the rig")
+_CAN_ID = integer("can_id", 0x180 + SPEED_NODE, 0, 0x7FF, "11-bit identifier")
+_EVERY = integer("every", 1, 1, 100_000, "1 is each frame, 2 every second one")
+WHEN = (number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
+        number("for_s", LASTS, 1e-3, LASTS, "how long it holds; inf: to the end"))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One row of the catalogue. `parameters` carry the unit in their names, and their bounds."""
+
+    name: str
+    acts: str
+    text: str
+    parameters: tuple[Row, ...] = ()
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault to be: its kind, when, and the values of the kind's parameters."""
+
+    kind: Kind
+    at_s: float = 0.0
+    for_s: float = LASTS
+    values: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def target(self) -> tuple[str, Any]:
+        """What tells it from another fault: its kind and what it is aimed at."""
+        aims = ("axle", "node", "can_id")
+        return self.kind.name, next((self.values[aim] for aim in aims if aim in self.values), 0)
+
+    @property
+    def title(self) -> str:
+        """Name and parameters, for events."""
+        told = [f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
+                for name, value in self.values.items()]
+        return " ".join([self.kind.name, *told])
+
+
+CATALOGUE: tuple[Kind, ...] = (
+    Kind("speed_sensor_stuck", TICK, "the speed of an axle stays what it was, no pulse is counted",
+         (_AXLE,)),
+    Kind("speed_sensor_dropout", TICK, "the sensor of an axle gives no pulses: speed 0", (_AXLE,)),
+    Kind("missing_tooth", TICK, "teeth of an axle's pole wheel are gone: once a turn the speed "
+         "that is measured from pulses dips", (_AXLE, integer("teeth", 1, 1, 50, "missing teeth"))),
+    Kind("swapped_axles", TICK, "the sensors of two axles are connected the wrong way round",
+         (_AXLE, integer("other", 2, 1, AXLES, "the other axle"))),
+    Kind("speed_noise_burst", TICK, "Gaussian noise on the measured speed of an axle, seeded",
+         (_AXLE, number("std_rad_s", 5.0, 0.01, 100.0, "standard deviation"))),
+    Kind("wheel_diameter_mismatch", TICK, "the wheels of an axle are larger than the unit believes: "
+         "they turn slower at the same speed of the train",
+         (_AXLE, number("difference_percent", 5.0, -50.0, 50.0, "real over nominal diameter, less 1"))),
+    Kind("hold_magnet_stuck", TICK, "the hold magnet of an axle stays energised", (_AXLE,)),
+    Kind("hold_magnet_dead", TICK, "the hold magnet of an axle is never energised", (_AXLE,)),
+    Kind("vent_magnet_stuck", TICK, "the vent magnet of an axle stays energised", (_AXLE,)),
+    Kind("vent_magnet_dead", TICK, "the vent magnet of an axle is never energised", (_AXLE,)),
+    Kind("cylinder_leak", TICK, "the brake cylinders of an axle leak: dp/dt = -p / T",
+         (_AXLE, number("time_constant_s", 2.0, 0.1, 1000.0, "T"))),
+    Kind("torque_ripple", TICK, "a roller motor's torque demand ripples with its angle",
+         (_AXLE, number("amplitude_Nm", 2000.0, 0.0, 30000.0, "amplitude"),
+          number("order", 6.0, 0.1, 100.0, "periods in a turn"))),
+    Kind("drive_trip", DEVICE, "a drive trips with an error code; it can be reset when the fault is "
+         "lifted", (_AXLE, integer("code", 0x5112, 1, 0xFFFF, "603Fh error code"))),
+    Kind("drive_over_temperature", DEVICE, "a motor is hot: above 1 the drive warns, above 1.2 it "
+         "trips", (_AXLE, number("load", 1.25, 1.0, 3.0, "thermal load, 1 is what it bears for ever"))),
+    Kind("node_off", BUS, "a node has no power; it boots when the fault is lifted", (_NODE,)),
+    Kind("node_babbling", BUS, "a node floods the bus with frames of one identifier",
+         (_NODE, integer("can_id", 0x07F, 0, 0x7FF, "what it babbles"),
+          number("rate_Hz", 2000.0, 1.0, 20000.0, "frames a second"))),
+    Kind("frame_lost", BUS, "frames of an identifier reach nobody", (_CAN_ID, _EVERY)),
+    Kind("frame_delayed", BUS, "frames of an identifier come late",
+         (_CAN_ID, number("delay_s", 0.05, 0.001, 10.0, "delay"))),
+    Kind("frame_duplicated", BUS, "frames of an identifier come twice", (_CAN_ID, _EVERY)),
+    Kind("error_frame", BUS, "each frame of a node is destroyed by error frames and sent again; its "
+         "error counter rises, to error passive (EMCY 8120h) and bus-off",
+         (_NODE, integer("attempts", 2, 1, 31, "destroyed attempts of each frame"))),
+    Kind("bus_off", BUS, "a node's CAN controller is off: it neither hears nor speaks, and runs on; "
+         "EMCY 8140h when it is back", (_NODE,)),
+    Kind("heartbeat_late", BUS, "the heartbeats of a node come late",
+         (integer("node", BRAKE_NODE, 1, 127, "a node of the rig, or the WSP unit"),
+          number("delay_s", 0.6, 0.01, 10.0, "delay"))),
+    Kind("wsp_frozen", DEVICE, "the WSP unit freezes: the reference unit's process is stopped, the "
+         "frames of an external one are held back"),
+    Kind("power_dip", DEVICE, "the rig's supply dips: below their lowest voltage the drives trip "
+         "(3220h), below 200 V all nodes of the rig are without power",
+         (number("dc_link_V", 300.0, 0.0, 1000.0, "what is left of the DC link"),)),
+)
+BY_NAME = {kind.name: kind for kind in CATALOGUE}
+_SHORT = {"at": "at_s", "for": "for_s"}
+
+
+def make(given: Mapping[str, Any], where: str) -> Fault:
+    """A checked fault from a table with `kind`, times and parameters.
+
+    Raises ConfigError with what is allowed; `where` is what its message begins with.
+    """
+    given = {_SHORT.get(key, key): value for key, value in given.items()}
+    name = given.pop("kind", None)
+    if name not in BY_NAME:
+        close = difflib.get_close_matches(str(name), BY_NAME, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        raise ConfigError(f"{where}: kind = {name!r} is no fault{hint} Allowed: {', '.join(BY_NAME)}")
+    kind = BY_NAME[name]
+    read = table.read((*WHEN, *kind.parameters), given, f"{where} {name}")
+    fault = Fault(kind, read.pop("at_s"), read.pop("for_s"), read)
+    _check_target(fault, where)
+    return fault
+
+
+def parse(text: str) -> Fault:
+    """A fault from the command line: 'speed_sensor_stuck axle=2 at=5 for=3'. Raises ConfigError."""
+    where = f"--fault '{text}'"
+    name, *pairs = text.split() or [""]
+    given: dict[str, Any] = {"kind": name}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        try:
+            given[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            raise ConfigError(f"{where}: '{pair}': write key=number, as in axle=2 or can_id=0x190"
+                              ) from None
+        if not equals:
+            raise ConfigError(f"{where}: '{pair}': write key=value, as in axle=2")
+    return make(given, where)
+
+
+def plain(fault: Fault) -> dict[str, Any]:
+    """The fault as a table that `make` takes, for the resolved scenario."""
+    return {"kind": fault.kind.name, "at_s": fault.at_s, "for_s": fault.for_s, **fault.values}
+
+
+def catalogue_rows(given: list[Any], where: str) -> tuple[Fault, ...]:
+    """The faults of a scenario's [[fault]] tables. Raises ConfigError."""
+    found = [make(one, f"{where} [[fault]] {at}") for at, one in enumerate(given, start=1)]
+    return tuple(found)
+
+
+def markdown() -> str:
+    """The catalogue as a document."""
+    lines = ["# Faults", "", "Each is injected by a scenario's `[[fault]]` table or with `--fault "
+             "'NAME parameter=value at=5 for=3'`, and lifted after `for_s`.", "",
+             "| fault | acts in | what it does | parameters: default (allowed) |", "|---|---|---|---|"]
+    for kind in CATALOGUE:
+        told = "; ".join(f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
+                         for row in kind.parameters) or "none"
+        lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {told} |")
+    return "\n".join(lines) + "\n"
+
+
+def _check_target(fault: Fault, where: str) -> None:
+    values, at = fault.values, f"{where} {fault.kind.name}"
+    if values.get("other") == values.get("axle", 0):
+        raise ConfigError(f"{at}: axle and other are both {values['axle']}; give two axles")
+    allowed = (*RIG_NODES, WSP_NODE) if fault.kind.name == "heartbeat_late" else RIG_NODES
+    if "node" in values and values["node"] not in allowed:
+        raise ConfigError(f"{at}: node = {values['node']}; allowed are "
+                          f"{', '.join(map(str, allowed))}")

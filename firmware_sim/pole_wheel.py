@@ -1,0 +1,158 @@
+"""The speed sensors: a pole wheel on each axle, and what the unit makes of its pulses.
+
+A tooth that passes is a pulse, its time is counted by a timer. Once in a window the unit tells the
+speed that the pulses since the last window say [P1]; without a pulse the speed can only be lower
+than one tooth in the time that has passed [P2], and after a while it is zero. Below a speed the
+sensor's voltage is too small and there are no pulses. The model "ideal" tells the wheel's own speed.
+
+    [P1] omega = (2 pi / n) N / (t_N - t_0), t_N and t_0 the times of the latest pulses of this
+         window and of the one before with pulses, N the pulses between them
+    [P2] omega <= (2 pi / n) / (t - t_0)
+
+Faults of sensors act here, because they lie between the wheel and what the rig publishes; a missing
+tooth is always seen through the pulses. The noise is the sum of twelve uniform numbers of Park and
+Miller's minimal generator (1988), so a seed repeats it. Limits: pulses of a tick are evenly spaced.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.firmware_sim import fault_effects as faulty
+from rollerrig.rig.kernel import kernel
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.signals import AXLES
+
+IDEAL, POLE_WHEEL = 0, 1
+MODELS = {"ideal": IDEAL, "pole_wheel": POLE_WHEEL}
+# rows of the memory, float64 of shape (MEMORY, 4): COUNT teeth passed, MISSED of them no pulses,
+# RECENT pulses since BEGIN_s (the pulse that the measurement began with), EDGE_s of the latest one
+CLOCK, COUNT, MISSED, RECENT, EDGE_s, BEGIN_s, READING, RANDOM, MEMORY = range(9)
+SILENCE_S = 0.25
+_MODULUS, _FACTOR, _SUMMANDS = 2147483647.0, 16807.0, 12
+
+_SPEED, _ANGLE = signals.column("wheel_speed"), signals.column("wheel_angle")
+_MEASURED, _FREQUENCY = signals.column("measured_speed"), signals.column("tooth_frequency")
+_PULSES = signals.column("pulse_count")
+# what this file writes into a row, and nobody else does
+COLUMNS = frozenset(("measured_speed", "tooth_frequency", "pulse_count"))
+
+
+class Sensor(NamedTuple):
+    """Pole wheels and unit: `dropout_rad_s` below which there are no pulses, window in ticks."""
+
+    model: int
+    teeth: int
+    window_ticks: int
+    dropout_rad_s: float
+    timer_Hz: float
+    tick_s: float
+
+
+def memory(seed: int) -> np.ndarray:
+    """The memory of all sensors before the first tick."""
+    made = np.zeros((MEMORY, AXLES))
+    made[RANDOM] = [1 + (7919 * seed + 104729 * j) % 2147483646 for j in range(1, AXLES + 1)]
+    return made
+
+
+@kernel
+def sense(row, memory, sensor, faults):
+    """Write measured speeds, tooth frequencies and pulse counters of this tick into a row."""
+    memory[CLOCK, 0] += 1.0
+    for j in range(AXLES):
+        count_teeth(row[_SPEED + j], row[_ANGLE + j], j, memory, sensor, faults)
+    for j in range(AXLES):
+        if faulty.value(faults, faulty.STUCK, j) != 0.0:
+            continue
+        wheel = j
+        if faulty.value(faults, faulty.SOURCE, j) != 0.0:
+            wheel = int(faulty.value(faults, faulty.SOURCE, j)) - 1
+        speed = reading(row[_SPEED + wheel], wheel, memory, sensor, faults)
+        if faulty.value(faults, faulty.NOISE_rad_s, j) != 0.0:
+            speed += faulty.value(faults, faulty.NOISE_rad_s, j) * noise(memory, j)
+        row[_MEASURED + j] = speed
+        row[_FREQUENCY + j] = speed * (sensor.teeth / (2.0 * np.pi))
+        row[_PULSES + j] = np.floor(memory[COUNT, wheel] - memory[MISSED, wheel])
+
+
+@kernel
+def reading(speed, j, memory, sensor, faults):
+    """What the sensor of wheel j tells of its speed in rad/s."""
+    if faulty.value(faults, faulty.DROPOUT, j) != 0.0:
+        return 0.0
+    if sensor.model != IDEAL or faulty.value(faults, faulty.MISSING_TEETH, j) != 0.0:
+        speed = memory[READING, j]
+    larger = faulty.value(faults, faulty.LARGER, j)
+    if larger != 0.0:
+        speed /= 1.0 + larger
+    return speed
+
+
+@kernel
+def count_teeth(speed, angle, j, memory, sensor, faults):
+    """Count the pulses of a tick on wheel j, and measure at the end of a window."""
+    passed = angle * (sensor.teeth / (2.0 * np.pi))
+    count = np.floor(passed)
+    rate = abs(speed) * sensor.teeth / (2.0 * np.pi)
+    now_s = memory[CLOCK, 0] * sensor.tick_s
+    new = int(count - memory[COUNT, j])
+    memory[COUNT, j] = count
+    if memory[CLOCK, 0] == 1.0 or new < 0 or new > sensor.teeth:
+        # switched on, or the wheel has been set: measure from here on
+        memory[READING, j], memory[RECENT, j] = speed, 0.0
+        memory[BEGIN_s, j] = now_s - (passed - count) / max(rate, 1.0)
+        return
+    pulses, last = pulses_of(int(count), new, j, sensor, faults)
+    if faulty.value(faults, faulty.DROPOUT, j) != 0.0 or (
+            sensor.model != IDEAL and abs(speed) < sensor.dropout_rad_s):
+        pulses = 0
+    larger = faulty.value(faults, faulty.LARGER, j)
+    memory[MISSED, j] += new - pulses / (1.0 + larger)
+    if pulses > 0:
+        edge_s = now_s - min((passed - last) / max(rate, 1e-9), sensor.tick_s)
+        memory[EDGE_s, j] = np.floor(edge_s * sensor.timer_Hz) / sensor.timer_Hz
+        memory[RECENT, j] += pulses
+    if memory[CLOCK, 0] % sensor.window_ticks == 0.0:
+        measure(j, now_s, memory, sensor)
+
+
+@kernel
+def pulses_of(count, new, j, sensor, faults):
+    """How many of the last `new` teeth gave a pulse, and which was the latest of them."""
+    gone = int(faulty.value(faults, faulty.MISSING_TEETH, j))
+    if gone == 0:
+        return new, count
+    pulses, last = 0, count
+    for tooth in range(count - new + 1, count + 1):
+        if tooth % sensor.teeth >= gone:
+            pulses, last = pulses + 1, tooth
+    return pulses, last
+
+
+@kernel
+def measure(j, now_s, memory, sensor):
+    """End a window of wheel j: the speed from its pulses [P1], or what silence allows [P2]."""
+    pitch = 2.0 * np.pi / sensor.teeth
+    begun = memory[BEGIN_s, j] >= 0.0
+    if memory[RECENT, j] > 0.0:
+        took_s = memory[EDGE_s, j] - memory[BEGIN_s, j]
+        if begun and took_s > 0.0:
+            memory[READING, j] = pitch * memory[RECENT, j] / took_s  # [P1]
+        memory[BEGIN_s, j], memory[RECENT, j] = memory[EDGE_s, j], 0.0
+    elif begun:
+        silent_s = now_s - memory[BEGIN_s, j]
+        if silent_s > SILENCE_S:
+            memory[READING, j], memory[BEGIN_s, j] = 0.0, -1.0
+        elif silent_s > 0.0:
+            memory[READING, j] = min(memory[READING, j], pitch / silent_s)  # [P2]
+
+
+@kernel
+def noise(memory, j):
+    """The next normal number of axle j: mean 0, standard deviation 1."""
+    total = -0.5 * _SUMMANDS
+    for _ in range(_SUMMANDS):
+        memory[RANDOM, j] = (_FACTOR * memory[RANDOM, j]) % _MODULUS
+        total += memory[RANDOM, j] / _MODULUS
+    return total

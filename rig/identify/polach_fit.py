@@ -1,0 +1,138 @@
+"""Fits Polach's five parameters to a measured creep curve, and asks whether friction falls.
+
+Adhesion against creepage at a known speed and load gives friction at rest and at large sliding, its
+decay, and the two factors of the contaminated patch. A second fit without falling friction shows
+what the decay is worth; the scatter of neighbouring points shows what no smooth curve can reach.
+
+    [C1] mu = mu_c + (mu_c / A - mu_c) exp(-gamma s), s = creepage x speed       Polach 2005
+    [C2] f = `polach.adhesion`(eps; mu, k_A, k_S), k_S <= k_A, A <= 1
+
+Intervals: bootstrap of points in blocks along creepage (neighbours share their errors). Source:
+Polach, Wear 258 (2005) 992-1000, which also recommends the "dry" and "wet" sets. Doubt: k_A and k_S
+also take up what is wrong with the patch (lateral radius, elasticity).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.rig.contact import adhesion
+from rollerrig.rig.identify.dataset import Curve, Dataset
+from rollerrig.rig.identify.paper_tuning import Interval
+
+NAMES = ("mu_0", "A", "gamma_s_m", "k_a", "k_s")
+LOW = np.array([0.02, 0.05, 0.0, 0.01, 0.001])
+HIGH = np.array([1.5, 1.0, 5.0, 3.0, 3.0])
+STARTS = ((0.3, 0.4, 0.6, 0.4, 0.1), (0.4, 0.4, 0.2, 0.8, 0.4), (0.3, 0.6, 1.0, 0.2, 0.05))
+# mu_0, A, gamma, k_A, k_S that Polach recommends
+RECOMMENDED = {"dry": (0.55, 0.40, 0.60, 1.00, 0.40), "wet": (0.30, 0.40, 0.20, 0.30, 0.10)}
+REPLICATES = 200
+BLOCKS = 25
+
+
+class Fitted(NamedTuple):
+    """Values with intervals, errors, and the same without falling friction."""
+
+    values: dict[str, Interval]
+    rms: float
+    rms_no_fall: float
+    values_no_fall: dict[str, float]
+    floor: float
+    means: dict[str, float]  # mean error of the recommended sets
+    correlation: np.ndarray  # (5, 5)
+
+
+def model(x: np.ndarray, curve: Curve, patch: adhesion.Patch) -> np.ndarray:
+    """Adhesion [C1] [C2] at the points of a curve, shape (n,); x in the order of NAMES."""
+    mu_0, A, gamma, k_a, k_s = x
+    creepage = np.abs(curve.creepage)
+    unit = patch.eps1 * curve.load_N ** (-1.0 / 3.0)
+    mu = mu_0 * (A + (1.0 - A) * np.exp(-gamma * creepage * curve.speed_m_s))
+    eps = unit * creepage / mu
+    slip = min(k_s, k_a)
+    shape = 2.0 / np.pi * (k_a * eps / (1.0 + (k_a * eps) ** 2) + np.arctan(slip * eps))
+    return np.sign(curve.creepage) * mu * shape
+
+
+def fit(data: Dataset, seed: int = 0) -> Fitted:
+    """Fit a creep-curve dataset. Raises ConfigError where there is none."""
+    if data.curve is None:
+        raise ConfigError(f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; "
+                          "a creep_curve is wanted here")
+    curve, patch = data.curve, patch_of(data)
+    x, residual, jacobian = _best(curve, patch, np.ones(5, dtype=bool))
+    without = np.array([True, False, False, True, True])
+    x_flat, residual_flat, _ = _best(curve, patch, without)
+    spread = _bootstrap(curve, patch, x, seed)
+    low, high = np.percentile(spread, (2.5, 97.5), axis=0)
+    values = {name: Interval(*(float(v) for v in (x[i], low[i], high[i])))
+              for i, name in enumerate(NAMES)}
+    del jacobian
+    means = {name: float(np.mean(model(np.array(at), curve, patch) - curve.adhesion))
+             for name, at in RECOMMENDED.items()}
+    return Fitted(values, _rms(residual), _rms(residual_flat),
+                  {name: float(x_flat[i]) for i, name in enumerate(NAMES)}, _floor(curve), means,
+                  np.corrcoef(spread.T + 1e-12 * np.random.default_rng(0).standard_normal(spread.T.shape)))
+
+
+def patch_of(data: Dataset) -> adhesion.Patch:
+    """The contact patch of a dataset's wheel."""
+    v, c = data.sections["vehicle"], data.sections["contact"]
+    return adhesion.patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"],
+                              c["young_Pa"], c["shear_Pa"], c["poisson"])
+
+
+def _best(curve: Curve, patch: adhesion.Patch, free: np.ndarray, starts=STARTS,  # type: ignore[no-untyped-def]
+          ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    best = None
+    for start in starts:
+        fixed = np.where(free, start, (0.0, 1.0, 0.0, 0.0, 0.0))
+
+        def residual(part: np.ndarray, fixed: np.ndarray = fixed) -> np.ndarray:
+            x = fixed.copy()
+            x[free] = part
+            return model(x, curve, patch) - curve.adhesion
+
+        found = least_squares(residual, fixed[free], bounds=(LOW[free], HIGH[free]), x_scale=HIGH[free])
+        if best is None or found.cost < best[0].cost:
+            best = found, fixed
+    assert best is not None
+    x = best[1].copy()
+    x[free] = best[0].x
+    return x, best[0].fun, best[0].jac
+
+
+def _bootstrap(curve: Curve, patch: adhesion.Patch, x: np.ndarray, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    blocks = np.array_split(np.argsort(np.abs(curve.creepage)), min(BLOCKS, curve.creepage.size // 2))
+    out = np.empty((REPLICATES, 5))
+    for i in range(REPLICATES):
+        at = np.concatenate([blocks[k] for k in rng.integers(len(blocks), size=len(blocks))])
+        out[i] = _best(Curve(*(part[at] for part in curve)), patch, np.ones(5, dtype=bool), (tuple(x),))[0]
+    return out
+
+
+def _floor(curve: Curve) -> float:
+    """Scatter about a line through each point's neighbours in creepage: a curve reaches no less."""
+    order = np.argsort(np.abs(curve.creepage))
+    f, e = curve.adhesion[order], np.abs(curve.creepage[order])
+    half = 4
+    off = []
+    for i in range(half, f.size - half):
+        near = np.r_[i - half:i, i + 1:i + half + 1]
+        line = np.polyfit(e[near] - e[i], f[near], 1)
+        off.append((f[i] - line[1]) / np.sqrt(1.0 + 1.0 / near.size))
+    return float(np.sqrt(np.mean(np.square(off)))) if off else float("nan")
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values * values)))
+
+
+def falls(found: Fitted, points: int) -> bool:
+    """Whether falling friction is supported: two more parameters earn more than they cost (BIC)."""
+    return bool(points * np.log(found.rms_no_fall**2 / found.rms**2) > 2.0 * np.log(points))
+
+

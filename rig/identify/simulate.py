@@ -1,0 +1,141 @@
+"""Simulates stops of the same design as measured ones, under a known explanation.
+
+The measured course of torque is replayed with a weak feedback on sliding, as a WSP would give, so
+that the simulated wheels go through the same speeds and slidings without copying the measured
+noise. Irregularity of the rail, noise and calibration are drawn afresh. With no cause in it this is
+what "nothing is wrong" looks like; with a cause it tells what the method would make of it.
+
+    [Q1] C = C_measured + K (s_measured - s), smoothed; wheel and vehicle as in `replay`
+    [Q2] field = rail(x) + axle_j(x), equal shares, Ornstein-Uhlenbeck in distance
+"""
+
+import math
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from rollerrig.rig.identify import candidates, columns, replay
+from rollerrig.rig.identify.candidates import Explanation
+from rollerrig.rig.identify.dataset import AXLES, Dataset, Run
+from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.kernel import kernel
+
+SUBSTEPS = 5
+FEEDBACK_NS, FEEDBACK_LAG_S = 2000.0, 0.15
+_GRID_M = 0.25
+
+
+@kernel
+def drive(torque, sliding, load, friction_log, surface, field, place, parameters, mass, extra_N,
+          resistance, speed0, step_s, follows, out_speed, out_wheel, out_torque):
+    """One stop [Q1]: inputs (n, 4), writes speed (n,), wheel speed and torque (n, 4)."""
+    n, axles = torque.shape
+    h = step_s / SUBSTEPS
+    v, x = speed0, 0.0
+    omega = np.empty(axles)
+    late, feedback = np.zeros(axles), np.zeros(axles)
+    for j in range(axles):
+        omega[j] = (v - sliding[0, j]) / parameters[j, 0]
+    for k in range(n):
+        out_speed[k] = v
+        for j in range(axles):
+            out_wheel[k, j] = omega[j]
+            out_torque[k, j] = max(0.0, torque[k, j] + feedback[j])
+        if k + 1 == n:
+            break
+        for i in range(SUBSTEPS):
+            w = (i + 0.5) / SUBSTEPS
+            force = (resistance[0] + resistance[1] * v + resistance[2] * v * v + extra_N)
+            for j in range(axles):
+                r, inertia = parameters[j, 0], parameters[j, 1]
+                N = (1.0 - w) * load[k, j] + w * load[k + 1, j]
+                under = (1.0 - w) * surface[k, j] + w * surface[k + 1, j] if follows else v
+                log_mu = (1.0 - w) * friction_log[k, j] + w * friction_log[k + 1, j]
+                wanted = (1.0 - w) * sliding[k, j] + w * sliding[k + 1, j]
+                at = (x - place[j]) / _GRID_M + 400.0
+                cell = min(max(int(at), 0), field.shape[0] - 2)
+                share = min(max(at - cell, 0.0), 1.0)
+                irregular = math.exp((1.0 - share) * field[cell, j] + share * field[cell + 1, j])
+                closes = 1.0
+                if parameters[j, 14] > 0.0:
+                    closes = -math.expm1(-under * h / parameters[j, 14])
+                s = under - r * omega[j]
+                f, rise, late[j] = replay.wheel_adhesion(
+                    s, under, 0.5 * N, log_mu, parameters[j], late[j], closes)
+                feedback[j] += (FEEDBACK_NS * (wanted - s) - feedback[j]) * h / FEEDBACK_LAG_S
+                C = max(0.0, (1.0 - w) * torque[k, j] + w * torque[k + 1, j] + feedback[j])
+                T = N * f * irregular
+                a = -r * r * N * rise * irregular / inertia
+                z = min(a * h, 2.0)
+                phi = math.expm1(z) / z if abs(z) > 1e-6 else 1.0
+                change = h * phi * (r * T - C) / inertia
+                omega[j] = max(0.0, omega[j] + change)
+                # the vehicle feels the mean force: what wheel and brake leave
+                force += (C + inertia * change / h) / r
+            x += h * v
+            v = max(0.3, v - h * force / mass)
+
+
+def field(rng: np.random.Generator, length_m: float, sigma: float, correlation_m: float,
+          positions: np.ndarray) -> np.ndarray:
+    """Irregularity on a grid of 0.25 m from -100 m on, shape (cells, 4) [Q2]."""
+    cells = int((length_m + 150.0) / _GRID_M)
+    keep = math.exp(-_GRID_M / correlation_m)
+    from scipy.signal import lfilter
+
+    white = rng.normal(size=(cells, AXLES + 1)) * sigma * math.sqrt(0.5 * (1.0 - keep * keep))
+    white[0] /= math.sqrt(1.0 - keep * keep)
+    parts = lfilter([1.0], [1.0, -keep], white, axis=0)
+    return np.ascontiguousarray(parts[:, :1] + parts[:, 1:])
+
+
+def runs(data: Dataset, design: Design, measured: list[Run], told: Explanation,
+         rng: np.random.Generator) -> list[Run]:
+    """Simulated stops like the measured ones, under an explanation, with fresh noise."""
+    i = candidates.inputs(design, told)
+    tolerance = design.calibration / math.sqrt(2.0)
+    gain = rng.normal(0.0, tolerance) + rng.normal(0.0, tolerance, AXLES)
+    lift = rng.normal(0.0, design.calibration, AXLES)
+    weight = rng.normal(0.0, design.calibration)
+    torque = columns.smooth_torque(design, i.torque_Nm)
+    sliding = smooth_sliding(design, i)
+    made = []
+    for r, run in enumerate(measured):
+        made.append(_run(data, design, run, r, i, told, torque, sliding, gain, lift, weight, rng))
+    return made
+
+
+def smooth_sliding(design: Design, i: candidates.Inputs) -> np.ndarray:
+    """Sliding that the feedback aims at, with the wheel radius of the explanation."""
+    radius = np.repeat(i.parameters[:, replay.RADIUS], np.diff(design.start))
+    wheel = (design.speed_m_s - design.sliding_m_s) / design.base[replay.RADIUS]
+    return design.speed_m_s - radius * wheel
+
+
+def _run(data: Dataset, design: Design, run: Run, r: int, i: candidates.Inputs, told: Explanation,
+         torque: np.ndarray, sliding: np.ndarray, gain: np.ndarray, lift: np.ndarray,
+         weight: float, rng: np.random.Generator) -> Run:
+    spans = [design.span(AXLES * r + j) for j in range(AXLES)]
+    n = run.time_s.size
+
+    def square(flat: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.column_stack([flat[at] for at in spans]))
+
+    told_load = square(i.load_N)
+    given = square(design.load_N)
+    surface = square(design.speed_m_s)
+    grid = field(rng, float(surface[:, 0].sum() * design.step_s), told.sigma, told.length_m,
+                 data.axle_position_m)
+    speed, wheel, C = np.empty(n), np.empty((n, AXLES)), np.empty((n, AXLES))
+    drive(square(torque), square(sliding), told_load * (1.0 + lift), square(i.friction_log),
+          surface, grid, data.axle_position_m, i.parameters[AXLES * r:AXLES * (r + 1)],
+          i.mass_kg[r] * (1.0 + weight), i.force_N[r], design.resistance, float(surface[0, 0]),
+          design.step_s, run.surface_m_s is not None, speed, wheel, C)
+    # the sensors: causes that lie in torque or timing are taken out again
+    shown = C - square(torque - columns.smooth_torque(design, design.torque_Nm))
+    noise_N = float(np.std(run.load_N - gaussian_filter1d(run.load_N, 20.0, axis=0)))
+    return run._replace(
+        speed_m_s=speed + rng.normal(0.0, design.speed_noise_m_s, n),
+        wheel_speed_rad_s=wheel + rng.normal(0.0, design.wheel_noise_rad_s, wheel.shape),
+        load_N=given + rng.normal(0.0, noise_N, wheel.shape),
+        torque_Nm=shown * (1.0 + gain) + rng.normal(0.0, design.torque_noise_Nm[r], wheel.shape))

@@ -1,0 +1,87 @@
+"""The Modbus map: what stands where, and that the documents say what the devices do."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from modbus_site import MEASURED_SPEED, RATED_Nm
+
+from rollerrig.firmware_sim import drive402, modbus_map
+from rollerrig.firmware_sim.modbus_map import BIT, BITS, WORDS
+from rollerrig.wsp_interface import signals
+
+
+@pytest.fixture(scope="module")
+def drive():
+    row = np.zeros(len(signals.COLUMNS))
+    return drive402.build(1, 1, row, {"rated_torque_Nm": RATED_Nm}).dictionary
+
+
+def spaces(drive):
+    return {"plc bits": BITS, "plc registers": WORDS, "drive": modbus_map.drive_words(drive)}
+
+
+def test_no_register_is_taken_twice_and_no_name_is_used_twice(drive):
+    for rows in spaces(drive).values():
+        taken = [row.at + i for row in rows for i in range(row.width)]
+        assert len(taken) == len(set(taken))
+        assert len({row.name for row in rows}) == len(rows)
+    assert not {row.name for row in BITS} & {row.name for row in WORDS}
+
+
+def test_bits_are_bits_and_registers_hold_integers(drive):
+    for name, rows in spaces(drive).items():
+        assert {row.kind for row in rows} <= ({BIT} if "bits" in name else {"U16", "I16", "U32", "I32"})
+        assert all(row.text for row in rows)
+        assert all(row.scale > 0 for row in rows)
+
+
+def test_what_stands_on_the_can_bus_has_the_same_scale_here():
+    for row in WORDS:
+        signal = signals.BY_NAME.get(row.signal)
+        if signal and signal.places and signal.places[0].kind in ("I16", "I32", "U32"):
+            place = signal.places[0]
+            assert (row.kind, row.scale, row.unit) == (place.kind, place.scale, signal.unit)
+
+
+def test_speeds_and_pressures_of_every_axle_have_registers():
+    for name in (MEASURED_SPEED, "cylinder_pressure", "roller_speed", "motor_torque", "sliding"):
+        assert [row.axle for row in WORDS if row.signal == name] == [1, 2, 3, 4]
+
+
+def test_measured_ranges_hold_what_the_rig_can_do():
+    most = {"vehicle_speed": 100.0, "position": 1e5, "time": 36000.0, "cylinder_pressure": 1e6,
+            "brake_torque": 30000.0, "wheel_load": 3e5, "wheel_circumferential_speed": 100.0}
+    for row in WORDS:
+        if row.signal in most:
+            assert most[row.signal] / row.scale <= signals.KINDS[row.kind][1], row.name
+
+
+def test_a_drives_rows_are_those_of_its_dictionary(drive):
+    for row in modbus_map.drive_words(drive):
+        variable = drive[row.index]
+        assert row.scale == variable.factor
+        assert row.access == "ro" or variable.writable
+        assert row.width == (2 if len(variable) == 32 else 1)
+
+
+def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
+    drives = dict.fromkeys(modbus_map.DRIVE_UNITS, drive)
+    document, sheet = modbus_map.write(tmp_path, drives, ("dry_stop", "velim_a1"))
+    lines = list(csv.DictReader(io.StringIO(sheet.read_text())))
+    assert len(lines) == len(BITS) + len(WORDS) + 4 * len(modbus_map.drive_words(drive))
+    found = {(line["unit"], line["space"], line["name"]): line for line in lines}
+    speed = found["1", "registers", "speed_set_point"]
+    assert (speed["register"], speed["scale"], speed["unit_of_value"]) == ("1", "0.01", "m/s")
+    assert (speed["reference"], speed["access"]) == ("40002", "rw")
+    assert found["13", "registers", "velocity_actual_value"]["register"] == "102..103"
+    text = document.read_text()
+    assert all(f"| {line['register']} | {line['reference']} | {line['name']} |" in text for line in lines)
+    assert "| 1 | velim_a1 |" in text
+
+
+def test_the_same_devices_give_the_same_document(drive):
+    row = np.zeros(len(signals.COLUMNS))
+    again = drive402.build(1, 1, row, {"rated_torque_Nm": RATED_Nm}).dictionary
+    assert modbus_map.markdown({11: drive}) == modbus_map.markdown({11: again})

@@ -1,0 +1,175 @@
+"""Modbus RTU over a pseudo-terminal: real bytes on a real line, right and wrong ones."""
+
+import os
+import random
+import select
+import struct
+import time
+import tty
+
+import pytest
+from modbus_site import Site
+
+from rollerrig.configs.errors import BusError
+from rollerrig.firmware_sim import modbus_rtu
+
+READ = struct.pack(">BHH", 3, 202, 1)
+TOLD = bytes.fromhex("01030204d2")
+
+
+@pytest.fixture
+def site():
+    place = Site()
+    yield place
+    place.close()
+
+
+@pytest.fixture
+def line(site):
+    """The client's end of a serial line: a plain device, opened raw."""
+    master = Line(os.open(site.serial(), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
+    yield master
+    master.close()
+
+
+class Line:
+    def __init__(self, descriptor):
+        self.descriptor = descriptor
+        tty.setraw(descriptor)
+
+    def close(self):
+        os.close(self.descriptor)
+
+    def send(self, data):
+        assert os.write(self.descriptor, data) == len(data)
+
+    def receive(self, wait_s=1.0):
+        """What comes until 50 ms of silence; nothing after `wait_s`."""
+        data, deadline = b"", time.monotonic() + wait_s
+        while (left := deadline - time.monotonic()) > 0:
+            if not select.select([self.descriptor], [], [], left)[0]:
+                break
+            data += os.read(self.descriptor, 4096)
+            deadline = time.monotonic() + 0.05
+        return data
+
+    def ask(self, request, unit=1):
+        self.send(frame(request, unit))
+        return self.receive()
+
+
+def frame(request, unit=1):
+    data = bytes((unit,)) + request
+    return data + modbus_rtu.checksum(data)
+
+
+def sealed(data):
+    return data + modbus_rtu.checksum(data)
+
+
+def test_the_checksum_is_that_of_the_standards_example():
+    # MODBUS over Serial Line V1.02, appendix B: 02 07 has the checksum 41 12
+    assert modbus_rtu.checksum(b"\x02\x07") == b"\x41\x12"
+
+
+def test_a_request_is_answered_with_its_checksum(line):
+    assert line.ask(READ) == sealed(TOLD)
+
+
+def test_a_drive_answers_on_its_own_unit(line):
+    reply = line.ask(struct.pack(">BHH", 3, 100, 1), unit=13)
+    assert reply[:3] == bytes((13, 3, 2))
+    assert modbus_rtu.is_sound(reply)
+
+
+@pytest.mark.parametrize("request_", [struct.pack(">BHH", 3, 200, 0), struct.pack(">BHH", 5, 0, 0x1234)])
+def test_a_wrong_request_gets_its_exception(request_, line):
+    reply = line.ask(request_)
+    assert reply == sealed(bytes((1, request_[0] | 0x80, 3)))
+
+
+def test_an_unknown_function_is_answered_after_the_silence(line):
+    assert line.ask(bytes((0x55, 1, 2))) == sealed(bytes((1, 0xD5, 1)))
+
+
+def test_a_frame_with_a_wrong_checksum_is_not_answered_and_the_next_one_is(line, site):
+    broken = bytearray(frame(READ))
+    broken[-1] ^= 1
+    line.send(bytes(broken))
+    assert line.receive(0.2) == b""
+    assert site.server.counters.malformed == 1
+    assert line.ask(READ) == sealed(TOLD)
+
+
+def test_another_unit_on_the_line_is_let_be(line):
+    assert line.ask(READ, unit=5) == b""
+    # what that unit answers looks like anything
+    line.send(sealed(b"\x05\x03\x02\x12\x34"))
+    assert line.receive(0.2) == b""
+    assert line.ask(READ) == sealed(TOLD)
+
+
+def test_everybody_obeys_unit_0_and_nobody_answers(line, site):
+    assert line.ask(struct.pack(">BHH", 6, 1, 1234), unit=0) == b""
+    assert ("speed_set_point", 1234) in site.written
+
+
+def test_a_frame_in_single_bytes_is_one_frame(line):
+    for byte in frame(READ):
+        line.send(bytes((byte,)))
+        time.sleep(0.002)
+    assert line.receive() == sealed(TOLD)
+
+
+def test_frames_without_a_pause_are_answered_in_order(line):
+    line.send(frame(READ) + frame(struct.pack(">BHH", 3, 208, 1)) + frame(READ))
+    assert line.receive() == sealed(TOLD) + sealed(b"\x01\x03\x02\x00\x64") + sealed(TOLD)
+
+
+def test_a_frame_that_is_cut_is_forgotten_at_the_silence(line):
+    line.send(frame(READ)[:5])
+    time.sleep(0.1)
+    assert line.ask(READ) == sealed(TOLD)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_harms_nobody(seed, line, site):
+    rng = random.Random(seed)
+    for _ in range(30):
+        data = rng.randbytes(rng.randrange(1, 400))
+        line.send(sealed(data) if rng.random() < 0.3 else data)
+        if rng.random() < 0.3:
+            time.sleep(0.03)
+    line.receive(0.2)
+    assert line.ask(READ) == sealed(TOLD)
+    assert site.thread.is_alive()
+
+
+def test_a_device_is_set_to_its_speed_and_parity_and_served(site):
+    far, near = os.openpty()
+    name = os.ttyname(near)
+    assert site.serial(name, baud_rate=9600, parity="none") == name
+    line = Line(far)
+    assert line.ask(READ) == sealed(TOLD)
+    line.close()
+    os.close(near)
+
+
+def test_a_line_that_is_lost_is_told_and_harms_nobody(site):
+    events = []
+    far, near = os.openpty()
+    site.serial(os.ttyname(near), on_event=lambda level, text: events.append((level, text)))
+    os.close(near)
+    os.close(far)
+    deadline = time.monotonic() + 2.0
+    while not events and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert events[0][0] == "warning"
+    assert "lost" in events[0][1]
+    assert site.thread.is_alive()
+
+
+@pytest.mark.parametrize("port", ["/dev/does_not_exist", "/dev/null"])
+def test_what_is_no_serial_device_is_refused_with_its_name(port, site):
+    with pytest.raises(BusError, match=port):
+        site.serial(port)
