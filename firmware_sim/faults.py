@@ -121,6 +121,8 @@ def make(given: Mapping[str, Any], where: str) -> Fault:
 
     Raises ConfigError with what is allowed; `where` is what its message begins with.
     """
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"{where}: {given!r}: a table with kind, at_s and for_s is wanted")
     given = {_SHORT.get(key, key): value for key, value in given.items()}
     name = given.pop("kind", None)
     if name not in BY_NAME:
@@ -156,7 +158,7 @@ def plain(fault: Fault) -> dict[str, Any]:
     return {"kind": fault.kind.name, "at_s": fault.at_s, "for_s": fault.for_s, **fault.values}
 
 
-def catalogue_rows(given: list[Any], where: str) -> tuple[Fault, ...]:
+def all_of(given: list[Any], where: str) -> tuple[Fault, ...]:
     """The faults of a scenario's [[fault]] tables. Raises ConfigError."""
     found = [make(one, f"{where} [[fault]] {at}") for at, one in enumerate(given, start=1)]
     return tuple(found)

@@ -20,7 +20,8 @@ from rollerrig.wsp_interface import signals
 
 PLC_UNIT = 1
 FIRST_DRIVE_UNIT = 11
-DRIVE_UNITS = tuple(range(FIRST_DRIVE_UNIT, FIRST_DRIVE_UNIT + len(signals.DRIVE_NODES)))
+# the unit of the drive at a node
+DRIVE_UNITS = {node: FIRST_DRIVE_UNIT + at for at, node in enumerate(signals.DRIVE_NODES)}
 BIT = "BIT"
 READ, WRITE = "ro", "rw"
 # a brake demand that leaves the brakes to node 17 and the scenario's programme
@@ -177,9 +178,9 @@ HEAD = ("unit", "space", "register", "reference", "name", "kind", "unit_of_value
 
 
 def table(drives: Mapping[int, ObjectDictionary]) -> list[tuple[str, ...]]:
-    """All rows as text, in the order of `HEAD`; `drives` are the dictionaries by Modbus unit."""
-    units = {PLC_UNIT: (BITS, WORDS)} | {
-        unit: ((), drive_words(one)) for unit, one in drives.items()}
+    """All rows as text, in the order of `HEAD`; `drives` are the drives' dictionaries by node."""
+    units: dict[int, tuple[tuple[Register, ...], ...]] = {PLC_UNIT: (BITS, WORDS)} | {
+        DRIVE_UNITS[node]: ((), drive_words(one)) for node, one in drives.items()}
     return [_line(unit, space, row) for unit, spaces in units.items()
             for space, rows in zip(("bits", "registers"), spaces, strict=True) for row in rows]
 
@@ -208,7 +209,8 @@ def markdown(drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] 
         "is the lowest count of its kind.", "",
     ]
     for unit in dict.fromkeys(row[0] for row in rows):
-        what = "the rig" if unit == str(PLC_UNIT) else f"roller drive {int(unit) - 10}"
+        what = "the rig" if unit == str(PLC_UNIT) else (
+            f"roller drive {int(unit) - FIRST_DRIVE_UNIT + 1}")
         lines += [f"## Unit {unit}: {what}", "", f"| {' | '.join(HEAD[1:])} |",
                   "|" + "---|" * (len(HEAD) - 1)]
         lines += [f"| {' | '.join(row[1:])} |" for row in rows if row[0] == unit]

@@ -13,6 +13,7 @@ from rollerrig.firmware_sim.cia301.identifiers import EXTENDED
 from rollerrig.wsp_interface.frames import Frame
 
 Handler = Callable[[Frame], None]
+Gate = Callable[[Any, Frame, Callable[[], None]], bool]
 
 
 class Member(Protocol):
@@ -33,11 +34,18 @@ class Member(Protocol):
 
 
 class Rack:
-    """Nodes that share a port. `off`: members without power, which neither hear nor speak."""
+    """Nodes that share a port.
+
+    `off`: members without power; `muted`: members whose controller is off the bus; neither hear nor
+    speak. `gate(member, frame, carry)`, where there is one, decides whether a frame goes on now; it
+    may call `carry` later.
+    """
 
     def __init__(self) -> None:
         self.members: list[Member] = []
         self.off: set[int] = set()
+        self.muted: set[int] = set()
+        self.gate: Gate | None = None
         self._send: Callable[[Frame], Any] = lambda frame: None
         self._tables: tuple[dict[int, list[tuple[Member, Handler]]], ...] | None = None
 
@@ -63,6 +71,15 @@ class Rack:
             self.off.discard(id(member))
             member.start(partial(self._from, member), now_ns)
 
+    def mute(self, member: Member, on: bool) -> None:
+        """Take a member's controller off the bus, or put it back; the member runs on."""
+        (self.muted.add if on else self.muted.discard)(id(member))
+        self._forget()
+
+    def transmit(self, member: Member, frame: Frame) -> None:
+        """Send a frame as if the member had."""
+        self._from(member, frame)
+
     def on_frame(self, frame: Frame) -> None:
         """A frame from outside the rack."""
         for _, handler in self._listeners(frame):
@@ -75,8 +92,12 @@ class Rack:
                 member.poll(now_ns)
 
     def _from(self, sender: Member, frame: Frame) -> None:
-        if id(sender) in self.off:
+        if id(sender) in self.off or id(sender) in self.muted:
             return
+        if self.gate is None or self.gate(sender, frame, partial(self._carry, sender, frame)):
+            self._carry(sender, frame)
+
+    def _carry(self, sender: Member, frame: Frame) -> None:
         self._send(frame)
         for member, handler in self._listeners(frame):
             if member is not sender:
@@ -93,7 +114,7 @@ class Rack:
     def _build(self) -> tuple[dict[int, list[tuple[Member, Handler]]], ...]:
         tables: tuple[dict[int, list[tuple[Member, Handler]]], ...] = ({}, {})
         for member in self.members:
-            if id(member) in self.off:
+            if id(member) in self.off or id(member) in self.muted:
                 continue
             both = (member.handlers, member.remote_handlers)
             for table, handlers in zip(tables, both, strict=True):

@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
-from rollerrig.firmware_sim import pole_wheel, wsp
+from rollerrig.firmware_sim import fault_panel, faults, pole_wheel, wsp
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.realtime import (
     channels,
@@ -56,6 +56,7 @@ from rollerrig.wsp_interface import signals
 PACINGS = ("wall", "lockstep", "free")
 UNITS = ("reference", "external", "none")
 ANSWER_TIMEOUT_S = 1.0
+HARNESS_TIMEOUT_S = 60.0
 LINGER_S = 1.0
 _ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 12
 _FREE_TICKS = 500
@@ -74,6 +75,7 @@ class Options(NamedTuple):
     seed: int = 0
     unit_wait_s: float = 60.0
     start: str = "now"
+    harness: bool = False
 
 
 class Progress(NamedTuple):
@@ -105,6 +107,8 @@ class Bench:
         self._next: Scenario | None = None
         self._zero_ns = 0
         supervisor.check(plan, options.pacing, options.start)
+        fault_panel.check_pacing(plan.faults, options.pacing)
+        self.faults = fault_panel.Panel(plan.faults, self.event)
         if options.unit == "reference":
             wsp.load(plan["wsp_config"])
         prepare_folder(options.out)
@@ -177,11 +181,14 @@ class Bench:
         unit = wsp.new_unit(wsp.load(self.plan["wsp_config"])) if self.options.unit == "reference" else None
         inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
         said = time.monotonic()
+        self.faults.connect(fault_panel.Site(self.machine.commands.values[tick.FAULTS:],
+                                             lambda: None))
         while not self.stopping:
+            ticks = self._poll_faults()
             if unit is None:
-                tick.batch(self.machine, _FREE_TICKS)
+                tick.batch(self.machine, ticks)
             else:
-                tick.batch_with_unit(self.machine, _FREE_TICKS, self.plan.sync_ticks, unit, inputs)
+                tick.batch_with_unit(self.machine, ticks, self.plan.sync_ticks, unit, inputs)
             await self._make_room()
             if time.monotonic() - said > 0.5:
                 self.report()
@@ -191,15 +198,22 @@ class Bench:
         await self._open_bus(lambda: self._simulated_ns())
         assert self.bus
         await self._await_unit()
+        await self._await_joining()
         said = time.monotonic()
         while not self.stopping:
             mailbox.fetch(self.machine.published, self.bus.row)
+            frozen = self.bus.frozen
+            self._poll_faults()
+            if frozen and not self.bus.frozen:
+                await self._catch_up()
             self.bus.sync()
             self.bus.poll()
-            if self.options.unit != "none":
+            if self.options.unit != "none" and not self.bus.frozen:
                 await self._await_answer()
             else:
                 await asyncio.sleep(0)
+            if self.bus.harness.joined:
+                await self._await_harness()
             tick.batch(self.machine, self.plan.sync_ticks)
             await self._make_room()
             if time.monotonic() - said > 0.5:
@@ -211,6 +225,7 @@ class Bench:
         assert self.bus
         await self._open_modbus()
         await self._await_unit()
+        await self._await_joining()
         descriptor, woken = clock.eventfd(), asyncio.Event()
         running = asyncio.get_running_loop()
         bus = self.bus
@@ -223,6 +238,7 @@ class Bench:
             if self.stopping:
                 woken.set()
             else:
+                self._poll_faults()
                 bus.sync()
             bus.poll()
 
@@ -285,7 +301,10 @@ class Bench:
         rig_bus.record_frames(self.hub, self.frames, lambda: self._zero_ns)
         mailbox.fetch(self.machine.published, self.row)
         self.bus = rig_bus.RigBus(self.hub, self.plan, self.row.copy(), self.post, self.event,
-                                  clock_ns)
+                                  clock_ns, self.options.pacing)
+        self.bus.harness.wire(end=self._end_run, inject=self._inject, lift=self._lift,
+                              left=self.bus.harness_answered.set)
+        self.faults.connect(self.bus.site(self._freeze))
         self.event("info", f"the rig is on the bus {self.place}")
 
     def post(self) -> None:
@@ -296,6 +315,20 @@ class Bench:
                 command = command.copy()
                 self.supervisor.govern(command)
             mailbox.post(self.machine.commands, command)
+
+    def _poll_faults(self) -> int:
+        """Begin and lift what is due; how many ticks a batch may have until something is again."""
+        self.faults.poll(self._simulated_ns() / clock.SECOND_NS)
+        rest_s = self.faults.next_change_s() - self.faults.now_s
+        return max(1, min(_FREE_TICKS, round(min(rest_s, 3600.0) * self.plan["loop"]["tick_hz"])))
+
+    def _freeze(self, on: bool) -> bool:
+        """Stop the reference unit's process, or let it go on; False where there is none."""
+        process = getattr(self, "unit_process", None)
+        if process is None or process.poll() is not None:
+            return False
+        process.send_signal(signal.SIGSTOP if on else signal.SIGCONT)
+        return True
 
     async def _open_modbus(self) -> None:
         if not self.plan["modbus"]["enabled"]:
@@ -319,6 +352,7 @@ class Bench:
     def _take_scenario(self, plan: Scenario) -> None:
         assert self.supervisor
         before, self.plan, self._next = self.machine, plan, None
+        self.faults.schedule(plan.faults)
         self.machine = build_machine(plan, self.rows, float(before.state.vehicle_speed[0]),
                                      self.options.seed)
         self.machine.control[HELD] = before.control[HELD]
@@ -362,6 +396,47 @@ class Bench:
             self._watch_processes(starting=True)
             await asyncio.sleep(0.005)
 
+    async def _await_joining(self) -> None:
+        """With --harness the run begins when one has joined."""
+        assert self.bus
+        if not self.options.harness:
+            return
+        self.report(f"waiting for a harness (node {signals.BENCH_NODE}, 2000h:1) on {self.place} ...")
+        deadline = time.monotonic() + self.options.unit_wait_s
+        while not self.stopping and not self.bus.harness.joined:
+            self.bus.poll()
+            if time.monotonic() > deadline:
+                raise UnitError(f"no harness on {self.place} within {self.options.unit_wait_s:g} s; "
+                                "start one ('rollerrig sequence ... --bus "
+                                f"{self.place}') or run without --harness")
+            self._watch_processes(starting=True)
+            await asyncio.sleep(0.005)
+
+    async def _await_harness(self) -> None:
+        assert self.bus
+        try:
+            await asyncio.wait_for(self.bus.harness_answered.wait(), HARNESS_TIMEOUT_S)
+        except TimeoutError:
+            raise UnitError(
+                f"the harness has not answered SYNC within {HARNESS_TIMEOUT_S:g} s at "
+                f"{self._simulated_ns() / 1e9:.3f} s: in lockstep one that has joined sends RPDO1 of "
+                f"node {signals.BENCH_NODE} (27Fh) in every cycle, or leaves (2000h:1 = 0)") from None
+
+    def _end_run(self) -> None:
+        """The harness has seen enough."""
+        self.event("info", "the harness ends the run")
+        self.machine.control[DONE] = 1
+
+    def _inject(self, text: str) -> None:
+        fault = faults.parse(text)
+        self.faults.inject(fault.kind.name, for_s=fault.for_s, **fault.values)
+
+    def _lift(self, text: str) -> None:
+        name, *aims = text.split() or [""]
+        aim = faults.parse(text).values if aims else {}
+        self.faults.clear(name, **{key: value for key, value in aim.items()
+                                   if any(one.startswith(f"{key}=") for one in aims)})
+
     async def _await_answer(self) -> None:
         assert self.bus
         try:
@@ -372,6 +447,17 @@ class Bench:
                 f"the WSP unit has not answered SYNC within {ANSWER_TIMEOUT_S:g} s at "
                 f"{self._simulated_ns() / 1e9:.3f} s: in lockstep a unit answers every SYNC with "
                 f"RPDO1 of node {signals.BRAKE_NODE} (211h), changed or not") from None
+
+    async def _catch_up(self) -> None:
+        """Let a unit that was frozen answer what it has slept through; no time passes meanwhile."""
+        assert self.bus
+        while owed := self.bus.owed:
+            try:
+                await asyncio.wait_for(self.bus.answered.wait(), ANSWER_TIMEOUT_S)
+            except TimeoutError:
+                if self.bus.owed == owed:
+                    self.event("warning", f"the WSP unit has left {owed} SYNCs unanswered")
+                    return
 
     def _start_unit(self) -> None:
         command = [sys.executable, "-m", "rollerrig.realtime.cli", "wsp", "--bus", self.place,
@@ -439,6 +525,7 @@ class Bench:
             await self.hub.close()
         unit = getattr(self, "unit_process", None)
         if unit is not None:
+            self._freeze(False)  # a stopped process would not hear that it shall end
             await self._end(unit, 2.0)
         for ring in (self.rows, self.frames, self.event_ring):
             ring.close()
@@ -529,8 +616,8 @@ def build_machine(plan: Scenario, ring: rings.Ring, speed_m_s: float | None = No
         plan.params, plant.state, plant.buffer, plant.delay, np.zeros(SLOTS_OF_CONTROL, dtype=np.int64), commands,
         commands.values.copy(), mailbox.mailbox(width), np.zeros(width), tick.gather(), ring.header,
         ring.rows, int(plan.rollers is not None), rollers.params, rollers.state, rollers.buffer,
-        rollers.delay, tick.gather(tick.OF_ROLLERS if plan.rollers else ()), plan.record_ticks, round(plan["duration_max_s"] * tick_hz),
-        round(plan["stand_s"] * tick_hz), np.array([speed_m_s]), sensor_of(plan), pole_wheel.memory(seed))
+        rollers.delay, tick.gather(tick.OF_ROLLERS if plan.rollers else ()), plan.record_ticks,
+        round(plan["duration_max_s"] * tick_hz), round(plan["stand_s"] * tick_hz), np.array([speed_m_s]), sensor_of(plan), pole_wheel.memory(seed))
     tick.publish(machine)
     return machine
 

@@ -33,6 +33,8 @@ VERBS = (
          "rollerrig wsp --bus socketcand://127.0.0.1:29536/rig0"),
     Verb("compare", "verb_compare", "runs side by side, by value with tolerances, overlaid in Rerun",
          "rollerrig compare runs/a runs/b --tolerance m_s=0.1"),
+    Verb("campaign", "verb_campaign", "many runs from a plan, over processes or a Dask cluster",
+         "rollerrig campaign low_adhesion --out campaigns/soap"),
     Verb("view", "verb_view", "open a run, or several laid over one another, in Rerun",
          "rollerrig view runs/demo"),
     Verb("check", "verb_check", "what this machine can do, and how to enable what it cannot",

@@ -14,7 +14,7 @@ from rollerrig.rig.state import AXLES
 
 # values of the control slot HOLD: the run goes on; it is held; it is held until the next SYNC
 RUNNING, HOLDING, RELEASED = 0, 1, 2
-RATE_M_S2 = 2.0
+RATE_M_S2 = 5.0
 
 
 @kernel

@@ -80,7 +80,7 @@ def kernels() -> Finding:
 
     from rollerrig.rig import kernel
 
-    folder = numba.config.CACHE_DIR
+    folder = getattr(numba.config, "CACHE_DIR", "")
     if kernel.is_compiled():
         return Finding("compiled kernels", State.OK, f"in {folder}")
     if folder and os.access(folder, os.W_OK):

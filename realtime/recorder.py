@@ -194,7 +194,7 @@ def frame_of(row: list[int]) -> frames.Frame:
     remote = bool(word & ring.REMOTE_FLAG)
     body = b"" if remote else (data & (2**64 - 1)).to_bytes(8, "little")[:length]
     return frames.Frame(word & frames.EXTENDED_ID_MAX, body, bool(word & ring.EXTENDED_FLAG),
-                        remote, length, time_ns)
+                        remote, length, time_ns, bool(word & ring.ERROR_FLAG))
 
 
 def run(recorder: Recorder, rings: tuple[Ring, Ring, Ring], told: Mapping[str, bool]) -> str:

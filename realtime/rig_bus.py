@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import BusError
-from rollerrig.firmware_sim import drive402, encoder406, io401
-from rollerrig.firmware_sim.network import Network
+from rollerrig.firmware_sim import bench_node, drive402, encoder406, io401
+from rollerrig.firmware_sim.fault_bus import Gate
+from rollerrig.firmware_sim.fault_panel import Site
+from rollerrig.firmware_sim.network import SYNC_ID, Network
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime import tick
@@ -60,10 +62,10 @@ class RigBus:
 
     def __init__(self, hub: Hub, scenario: Scenario, row: np.ndarray,
                  on_command: Callable[[], None], on_event: Callable[[str, str], None],
-                 clock_ns: Callable[[], int]) -> None:
+                 clock_ns: Callable[[], int], pacing: str = "wall") -> None:
         self.hub, self.row, self.clock_ns = hub, row, clock_ns
         self.command = tick.first_command()
-        self.answered = asyncio.Event()
+        self.answered, self.harness_answered = asyncio.Event(), asyncio.Event()
         self._on_command = on_command
         bus = scenario["bus"]
         beat_ms = round(1000.0 * bus["heartbeat_s"])
@@ -78,14 +80,22 @@ class RigBus:
         nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell))
         self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
         self.nodes = {node.node_id: node for node in nodes}
+        self.bench_node = bench_node.build(row, self.command[tick.FRICTION:tick.DRIVES], self._tell,
+                                           pacing)
+        self.harness: bench_node.BenchNode = self.bench_node.device
         self.rack = Rack()
         # the master first: it hears the boot-up of the others
-        members: tuple[Any, ...] = (self.master, *nodes)
+        members: tuple[Any, ...] = (self.master, *nodes, self.bench_node)
         for member in members:
             member.on_event = on_event
             self.rack.add(member)
         self._produces_sync = bus["master"]
-        self.rack.start(hub.attach(self.rack.on_frame, "rig").send, clock_ns())
+        self._port = hub.attach(self.rack.on_frame, "rig")
+        self._numbers = {id(node): node.node_id for node in nodes}
+        self.gate = Gate(hub.destroy)
+        # SYNCs that the unit has still to answer; a frozen one shall answer them all when it is back
+        self.owed, self.frozen = 0, False
+        self.rack.start(self._port.send, clock_ns())
         hub.attach(self._listen, "bench")
 
     def _tell(self) -> None:
@@ -94,14 +104,56 @@ class RigBus:
         self._on_command()
 
     def _listen(self, frame: Frame) -> None:
-        if frame.can_id == ANSWER_ID:
+        if frame.can_id == SYNC_ID:
+            self.owed += 1
+            self.answered.clear()
+        elif frame.can_id == ANSWER_ID:
+            self._count_answer()
+        elif frame.can_id == bench_node.ANSWER_ID:
+            self.harness_answered.set()
+
+    def _count_answer(self) -> None:
+        self.owed = max(self.owed - 1, 0)
+        if not self.owed:
             self.answered.set()
+
+    def site(self, freeze: Callable[[bool], bool]) -> Site:
+        """What faults act on. `freeze(on)` stops the WSP unit's process, where there is one."""
+        def freezes(on: bool) -> bool:
+            self.frozen = freeze(on) and on
+            return self.frozen
+
+        return Site(self.command[tick.FAULTS:], self._tell, self.nodes, self.rack, self.gate,
+                    self.clock_ns, self.hub.load.bitrate, self.disturb, freezes)
+
+    def disturb(self) -> None:
+        """Let the gate of faults see every frame while it has something to do, else none."""
+        idle = self.gate.idle
+        self.rack.gate = None if idle else self._from_rack
+        self.hub.gate = None if idle else self._from_outside
+
+    def _from_rack(self, member: Any, frame: Frame, carry: Callable[[], None]) -> bool:
+        return self.gate.passes(frame, self._numbers.get(id(member), 0), carry)
+
+    def _from_outside(self, sender: Any, frame: Frame, carry: Callable[[], None]) -> bool:
+        if sender is self._port:
+            return True  # the rack has asked already
+        passes = self.gate.passes(frame, 0, carry)
+        if not passes and frame.can_id == ANSWER_ID:
+            self._count_answer()
+        return passes
 
     def sync(self) -> None:
         """Send SYNC; the nodes sample the row and send their PDOs before this returns."""
-        self.answered.clear()
+        self.harness_answered.clear()
+        if not self.frozen:
+            self.owed = 0
         if self._produces_sync:
+            # a SYNC that does not get through is none to wait for: one that does clears this
+            self.answered.set()
             self.master.sync()
+        else:
+            self.answered.clear()
         self.hub.flush()
 
     def poll(self) -> None:
@@ -123,7 +175,8 @@ def record_frames(hub: Hub, ring: rings.Ring, begun_ns: Callable[[], int] = lamb
             return
         row[0] = max(frame.time_ns - begun, 0)
         row[1] = (frame.can_id | (rings.EXTENDED_FLAG if frame.extended else 0)
-                  | (rings.REMOTE_FLAG if frame.remote else 0))
+                  | (rings.REMOTE_FLAG if frame.remote else 0)
+                  | (rings.ERROR_FLAG if frame.error else 0))
         row[2] = frame.dlc if frame.remote else len(frame.data)
         row[3] = 0
         body[: len(frame.data)] = np.frombuffer(frame.data, dtype=np.uint8)

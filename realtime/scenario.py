@@ -17,6 +17,7 @@ import tomli_w
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
+from rollerrig.firmware_sim import faults as catalogue
 from rollerrig.rig import params as physics
 from rollerrig.wsp_interface.signals import AXLES
 
@@ -82,17 +83,19 @@ class Scenario:
     rollers: physics.Params | None
     sync_ticks: int
     record_ticks: int
+    faults: tuple[catalogue.Fault, ...]
 
     def __getitem__(self, key: str) -> Any:
         return self.resolved[key]
 
 
 def load(name: str, model: str = "", settings: tuple[str, ...] = (),
-         tables: Mapping[str, Any] | None = None) -> Scenario:
+         tables: Mapping[str, Any] | None = None, faults: tuple[str, ...] = ()) -> Scenario:
     """Load a scenario by name or path, with an extended model and `section.key=value` settings.
 
     `tables` are whole tables that win over the scenario's own, as a rig that is already running has
-    them. Raises ConfigError saying where, what, what is allowed and how to mend it.
+    them, `faults` come beside the scenario's, as `firmware_sim.faults.parse` reads them. Raises
+    ConfigError saying where, what, what is allowed and how to mend it.
     """
     given, path = store.load("scenarios", name)
     told = _settings(settings)
@@ -112,6 +115,7 @@ def load(name: str, model: str = "", settings: tuple[str, ...] = (),
         layers.append((str(at), store.parse(at)))
     layers.append(("--set", {k: v for k, v in told.items() if isinstance(v, dict)}))
     layers.append(("the running rig", tables or {}))
+    layers.append(("--fault", {"fault": [catalogue.plain(catalogue.parse(one)) for one in faults]}))
     head = table.read(HEAD, {k: v for k, v in given.items() if k in head_keys}, str(path))
     name = path.parent.name if path.name == "scenario.toml" else path.stem
     return resolve(name, head, layers)
@@ -121,6 +125,7 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
     """Merge layers of tables, check them and build the parameters."""
     merged: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
     programme: dict[str, Any] = {"demand": [], "friction": []}
+    planned: tuple[catalogue.Fault, ...] = ()
     source = layers[0][0]
     for where, layer in layers:
         for key, content in layer.items():
@@ -132,10 +137,13 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
                 steps = isinstance(content, list) and all(isinstance(c, Mapping) for c in content)
                 _wanted(steps, where, key, content, f"[[{key}]] with two brackets, one for each step")
                 programme[key], source = content, where
+            elif key == "fault":
+                _wanted(isinstance(content, list), where, key, content, "[[fault]] with two brackets")
+                planned += catalogue.all_of(content, where)
             elif key in {row.name for row in HEAD}:
                 head |= table.read([r for r in HEAD if r.name == key], {key: content}, where)
             else:
-                allowed = [*SECTIONS, *programme, *(row.name for row in HEAD)]
+                allowed = [*SECTIONS, *programme, "fault", *(row.name for row in HEAD)]
                 raise ConfigError(f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}")
     checked: dict[str, Any] = dict(physics.check(merged, name))
     for section in ("loop", "bus", "modbus"):
@@ -143,11 +151,12 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
     tick_s, substeps, sync, record = _ratios(checked, name)
     demand, demand_rows = _demand(programme["demand"], source)
     friction, friction_rows = _friction(programme["friction"], checked["adhesion"], source)
-    resolved = {**head, **checked, "demand": demand_rows, "friction": friction_rows}
+    resolved = {**head, **checked, "demand": demand_rows, "friction": friction_rows,
+                "fault": [catalogue.plain(one) for one in planned]}
     params = physics.build(checked, friction, demand, tick_s, substeps)
     virtual = checked["rig"]["mode"] == physics.VIRTUAL_TRACK
     rollers = physics.build_rollers(checked, demand, tick_s, substeps) if virtual else None
-    return Scenario(name, resolved, params, rollers, sync, record)
+    return Scenario(name, resolved, params, rollers, sync, record, planned)
 
 
 def dump(scenario: Scenario) -> str:

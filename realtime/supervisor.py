@@ -149,7 +149,7 @@ class Supervisor:
         measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
         found: dict[int, Image] = {modbus_map.PLC_UNIT: Unit(
             rows, measured | self._states() | self._set_points() | self._health(), self._writers())}
-        for unit, node in zip(modbus_map.DRIVE_UNITS, signals.DRIVE_NODES, strict=True):
+        for node, unit in modbus_map.DRIVE_UNITS.items():
             found[unit] = modbus_unit.drive(bus.nodes[node])
         return found
 

@@ -28,9 +28,10 @@ from rollerrig.rig.state import AXLES, SLOTS, State
 from rollerrig.wsp_interface import signals
 
 # the command row: magnets of the axles, a brake demand from the bus (NaN: none), and the WSP's
-# reference speed (NaN: it tells none); the first two are what io401 writes; then what each drive is
-# asked, as drive402_axis lays it out; then the faults that act, as fault_effects lays them out
-MAGNETS, DEMAND, REFERENCE, DRIVES = 0, AXLES, AXLES + 1, AXLES + 2
+# reference speed (NaN: it tells none); the first two are what io401 writes; then friction asked for
+# under the axles (0: the scenario's), what each drive is asked, as drive402_axis lays it out; then the faults that act, as fault_effects lays them out
+MAGNETS, DEMAND, REFERENCE, FRICTION = 0, AXLES, AXLES + 1, AXLES + 2
+DRIVES = FRICTION + AXLES
 FAULTS = DRIVES + AXLES * drive402_axis.COMMANDS
 COMMANDS = FAULTS + fault_effects.SIZE
 
@@ -100,6 +101,7 @@ def first_command() -> np.ndarray:
     """The command row of a rig that nobody has asked for anything: drives enabled for the rig."""
     row = np.full(COMMANDS, np.nan)
     row[MAGNETS:MAGNETS + AXLES] = 0.0
+    row[FRICTION:DRIVES] = 0.0
     row[FAULTS:] = 0.0
     drives = row[DRIVES:FAULTS].reshape(AXLES, drive402_axis.COMMANDS)
     drives[:] = 0.0
@@ -194,6 +196,8 @@ def once(m):
                            m.params.tick_s)
     if faults[fault_effects.ANY] != 0.0:
         disturb(m, faults)
+    for j in range(AXLES):
+        m.state.friction_asked[j] = m.command[FRICTION + j]
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
     plant.observe(m.state, m.params)
     if m.virtual != 0:

@@ -25,9 +25,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    findings = look(given.port)
+    return tell(look(given.port), given.json)
+
+
+def tell(findings: list[Finding], as_json: bool) -> int:
+    """Print the findings; the exit status says whether a run is possible."""
     possible = all(one.state is not State.MISSING for one in findings)
-    if given.json:
+    if as_json:
         print(json.dumps({"possible": possible, "checks": [one._asdict() for one in findings]}))
     else:
         Console().print(table(findings))

@@ -30,8 +30,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of whatever is random (default: 0)")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
                         help="change one value, as in adhesion.mu_cd=0.05; may be repeated")
+    parser.add_argument("--fault", action="append", default=[], metavar="'KIND KEY=VALUE ...'",
+                        help="inject a fault of the catalogue, as in 'speed_sensor_stuck axle=2 at=5 "
+                        "for=3'; may be repeated")
     parser.add_argument("--start", choices=("now", "modbus"), default="now", help="modbus: hold the rig "
                         "rolling at its set speed until a Modbus client starts it (default: now)")
+    parser.add_argument("--harness", action="store_true", help="begin when a harness has joined "
+                        "(node 127), as 'rollerrig sequence --bus' does")
     parser.add_argument("--wait", type=float, default=60.0, metavar="S",
                         help="longest wait for a WSP unit to appear (default: 60)")
 
@@ -39,10 +44,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def call(given: argparse.Namespace) -> int:
     from rollerrig.realtime import bench, scenario, summary
 
-    plan = scenario.load(given.scenario, given.model, tuple(given.set))
+    plan = scenario.load(given.scenario, given.model, tuple(given.set), faults=tuple(given.fault))
     out = given.out or free_folder(plan.name)
     options = bench.Options(given.pacing, given.wsp, out, given.live, given.strict, given.seed,
-                            given.wait, given.start)
+                            given.wait, given.start, given.harness)
     bench.check_options(options)
     line = ProgressLine()
     if not kernel.is_compiled():

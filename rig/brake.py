@@ -13,7 +13,7 @@ and the discs give a torque in proportion [B4].
 First-order pneumatics with constants of PHYSICS: priors, not measurements of one brake.
 """
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES, FILL, VENT
 
 NORMAL_PRESSURE_PA = 101325.0
@@ -37,7 +37,7 @@ def target(demand, time_s):
     return pressure_Pa
 
 
-@kernel
+@kernel_inlined
 def switch(state, delayed_magnets):
     """Set the valves to magnets that have passed the dead time, shape (4,); count new vents."""
     for j in range(AXLES):
@@ -47,7 +47,7 @@ def switch(state, delayed_magnets):
         state.valve[j] = valve
 
 
-@kernel
+@kernel_inlined
 def fill(state, brake, target_Pa):
     """Advance demand and cylinder pressures by a step with constant valves and target.
 

@@ -4,7 +4,7 @@
 and no driving torque above the largest speed. Gear and converter are inside the lag: assumption.
 """
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES
 
 
@@ -18,7 +18,7 @@ def limit(demand_Nm, speed_rad_s, drive):
     return torque
 
 
-@kernel
+@kernel_inlined
 def respond(state, drive):
     """Advance the motor torques by a step, exactly for a constant demand [M1]."""
     for j in range(AXLES):

@@ -8,7 +8,7 @@ is what contacts, brakes and resistance take, less what the motors give.
 import numpy as np
 
 from rollerrig.rig import brake, motor, vehicle, wheelset
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SIZE, State, views
 
@@ -41,7 +41,7 @@ def start(state, params, initial_speed_m_s):
     observe(state, params)
 
 
-@kernel
+@kernel_inlined
 def friction(state, params):
     """Set the contaminant under each axle for this time and place."""
     plan = params.friction
@@ -54,9 +54,13 @@ def friction(state, params):
             if here >= plan.start[i] and (plan.axles[i] >> j) & 1:
                 state.friction_degraded[j] = plan.mu_cd[i]
                 state.friction_recovered[j] = plan.mu_cr[i]
+        asked = state.friction_asked[j]
+        if asked > 0.0:
+            state.friction_degraded[j] = asked
+            state.friction_recovered[j] = max(params.law.mu_cr, asked)
 
 
-@kernel
+@kernel_inlined
 def advance(state, delay, magnets, demand_Pa, tick, params):
     """Advance by tick number `tick` under magnets (4,); `delay` (dead time + 1, 4) is kept for it.
 
@@ -73,7 +77,7 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
         state.time[0] = (tick * params.substeps + i + 1) * params.step_s
 
 
-@kernel
+@kernel_inlined
 def step(state, target_Pa, params):
     """Advance by one step of the physics."""
     brake.fill(state, params.brake, target_Pa)
@@ -89,7 +93,7 @@ def step(state, target_Pa, params):
     vehicle.settle(state)
 
 
-@kernel
+@kernel_inlined
 def observe(state, params):
     """Write what can be seen of the present state: contact, torques, loads, sensors, locks."""
     r = params.vehicle.wheel_radius_m
@@ -118,7 +122,7 @@ def observe(state, params):
         watch_lock(state, j, params)
 
 
-@kernel
+@kernel_inlined
 def watch_lock(state, axle, params):
     """Count how long a wheelset has been locked while the vehicle still runs."""
     runs = state.vehicle_speed[0] > params.lock_above_m_s

@@ -41,6 +41,7 @@ class State(NamedTuple):
     sliding_work: np.ndarray  # J, integrate
     friction_degraded: np.ndarray  # -, friction
     friction_recovered: np.ndarray  # -, friction
+    friction_asked: np.ndarray  # -, kinematic friction that replaces the plan's, 0: none; the tick
     wheel_load: np.ndarray  # N, vehicle
     brake_torque: np.ndarray  # N m, what acts (a locked wheel needs less than the brake could give)
     brake_capacity: np.ndarray  # N m, what the discs can hold at this pressure; integrate

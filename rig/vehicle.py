@@ -10,7 +10,7 @@ The pitch of body and frames is not modelled here: the transfer follows the dece
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES
 
 # below this speed a braked or resisted vehicle stands: resistance is dry friction there
@@ -32,13 +32,13 @@ def load(axle, felt_acceleration_m_s2, vehicle):
     return max(0.0, vehicle.static_load_N - felt_acceleration_m_s2 * (body + bogie))
 
 
-@kernel
+@kernel_inlined
 def rest(state, vehicle, step_s):
     """Let body and bogies of a standing vehicle pitch back, so that its loads become the static ones."""
     state.felt_acceleration[0] *= math.exp(-step_s / vehicle.pitch_time_constant_s)
 
 
-@kernel
+@kernel_inlined
 def settle(state):
     """Bring a vehicle that hardly moves to rest, with its wheels and rollers."""
     if state.standing[0] == 0.0 and state.vehicle_speed[0] < STANDING_M_S:

@@ -25,7 +25,7 @@ import math
 
 from rollerrig.rig import vehicle as body
 from rollerrig.rig.contact import adhesion, creep_force
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
@@ -100,7 +100,7 @@ def damped(wheel_k, roller_k, g, locked, on_track, step_s, vehicle, drive):
     return wheel_k + p_wheel * share, roller_k + p_roller * share, share
 
 
-@kernel
+@kernel_inlined
 def integrate(state, params):
     """Advance wheels, rollers and vehicle by one step.
 
@@ -168,7 +168,7 @@ def integrate(state, params):
             state.sliding_work[j] += state.contact_force[j] * way_m
 
 
-@kernel
+@kernel_inlined
 def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params):
     """Add a step's change to the speeds of an axle (no wheel turns backwards) and turn its angles.
 

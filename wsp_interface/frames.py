@@ -15,6 +15,7 @@ BASE_ID_MAX = 0x7FF
 EXTENDED_ID_MAX = 0x1FFF_FFFF
 DATA_MAX = 8
 S_NS = 1_000_000_000
+ERROR_FLAG = 0x2000_0000  # of identifiers in logs, as Linux has it
 
 # a tenth of a second behind: no burst of a sane sender, the bus cannot carry what is offered
 OVERLOAD_BACKLOG_NS = 100_000_000
@@ -30,6 +31,7 @@ class Frame(NamedTuple):
     remote: bool = False  # remote transmission request (RTR)
     dlc: int = 0  # data length that a remote frame asks for; a data frame's is len(data)
     time_ns: int = 0  # stamped by the bus when it carries the frame
+    error: bool = False  # an error frame, which only taps see: can_id is its class
 
 
 def check(frame: Frame) -> Frame:
@@ -65,6 +67,8 @@ def candump_line(frame: Frame, channel: str = "rig0") -> str:
     """Return the frame as a line of a candump log, without the newline; [s] with six decimals."""
     seconds, rest_ns = divmod(frame.time_ns, S_NS)
     can_id = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
+    if frame.error:
+        can_id = f"{ERROR_FLAG | frame.can_id:08X}"
     body = f"R{frame.dlc or ''}" if frame.remote else frame.data.hex().upper()
     return f"({seconds:010d}.{rest_ns // 1000:06d}) {channel} {can_id}#{body}"
 

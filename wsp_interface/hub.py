@@ -7,8 +7,8 @@ slowly loses frames, counted, instead of holding up the rig. Nobody gets their o
 
 Threads: a hub lives in the thread of its event loop; call it from nowhere else.
 Limits: frames are delivered at once, the bit rate is accounted for (`load`) but delays nothing; no
-arbitration, acknowledge or error frames. The protocols have no authentication: loopback only,
-unless another host is asked for.
+arbitration or acknowledge; error frames only where a fault asks for them (`destroy`). The protocols
+have no authentication: loopback only, unless another host is asked for.
 """
 
 import asyncio
@@ -17,6 +17,7 @@ import ipaddress
 import logging
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rollerrig.configs.errors import BusError
@@ -28,8 +29,11 @@ log = logging.getLogger(__name__)
 
 BUFFER_BYTES = 1 << 20  # for each client; about 25 000 frames, or five seconds of a full bus
 CLOSE_TIMEOUT_S = 0.5
+# CAN_ERR_PROT and CAN_ERR_BUSERROR; CAN_ERR_PROT_TX
+_BUS_ERROR, _ON_TRANSMISSION = 0x088, 0x80
 
 Callback = Callable[[Frame], None]
+Gate = Callable[["Port | Client", Frame, Callable[[], None]], bool]
 
 
 class Port:
@@ -81,6 +85,8 @@ class Hub:
         self._ports: tuple[Port, ...] = ()
         self._clients: tuple[Client, ...] = ()
         self._servers: list[asyncio.Server] = []
+        # decides whether a frame goes on now, and may call what carries it later
+        self.gate: Gate | None = None
         self._gone_dropped = 0  # drops of those that have left
 
     # --- joining ---
@@ -145,6 +151,21 @@ class Hub:
 
         Without the queue an answer would overtake the question on its way to the nodes behind.
         """
+        if self.gate is None or self.gate(sender, frame, partial(self._queue, frame, sender)):
+            self._queue(frame, sender)
+
+    def destroy(self, frame: Frame, errors: int) -> None:
+        """An error frame ends a frame on the wire: taps see it, and its bits are counted.
+
+        `errors` is the sender's error counter. Source: Linux can/error.h for what the frame says.
+        """
+        now_ns = self._clock_ns()
+        told = bytes((0, 0, _ON_TRANSMISSION, 0, 0, 0, errors, 0))
+        self.load.carry(frame, now_ns)
+        for tap in self._taps:
+            self.call(tap, Frame(_BUS_ERROR, told, time_ns=now_ns, error=True))
+
+    def _queue(self, frame: Frame, sender: Port | Client) -> None:
         self._waiting.append((frame, sender))
         if self._carrying:
             return

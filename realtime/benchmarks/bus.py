@@ -25,6 +25,7 @@ from rollerrig.realtime.benchmarks import client, figures, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.wsp_interface import plugin
 from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.hub import Hub
 
 RATES_HZ = (100, 1000, 2000)
 SDO_WITHIN = 1.5
@@ -36,17 +37,18 @@ _LINE = re.compile(r"^\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)", re.MULTIL
 def run(given: argparse.Namespace, say: Say) -> Result:
     """Three kinds of runs: with a unit that switches all the time, with questions, and by rates."""
     say(f"speed TPDO to valve, {_TOGGLE_S:g} s ...")
-    to_valve, rates = _to_valve()
+    found, timing = to_valve(_TOGGLE_S)
+    rates = [timing]
     say(f"round trips, {_ASK_S:g} s ...")
-    trips = _round_trips()
+    trips = round_trips(_ASK_S)
     for hz in RATES_HZ[1:]:
         say(f"SYNC at {hz} Hz, {_RATE_S:g} s ...")
-        rates.append(_rate(hz))
+        rates.append(at_rate(hz, _RATE_S))
     limit_ms = 1000.0 / RATES_HZ[0] + 1000.0 / _TICK_HZ
     # how late a tick began is the loop's own benchmark's to judge
-    worst_us = to_valve["from_tpdo_less_lateness_us"].get("max")
+    worst_us = found["from_tpdo_less_lateness_us"].get("max")
     return {
-        "tpdo_to_valve": to_valve, "round_trip": trips, "sync": rates,
+        "tpdo_to_valve": found, "round_trip": trips, "sync": rates,
         "targets": [
             Target("speed TPDO to valve effect, the longest, less the tick's lateness",
                    None if worst_us is None else worst_us / 1000.0, limit_ms, "ms").plain(),
@@ -61,26 +63,28 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 
 # -- runs
 
-def _to_valve() -> tuple[Result, list[Result]]:
+def to_valve(seconds: float) -> tuple[Result, Result]:
+    """A run whose unit switches all magnets at every SYNC: latencies of `chain`, and timing."""
     settings = (f"loop.tick_hz={_TICK_HZ}", f"loop.record_hz={_TICK_HZ}",
                 f"bus.sync_period_s={1 / RATES_HZ[0]!r}")
-    with wall.held(_TOGGLE_S, "external", settings, beside=_beside("unit")) as measured:
-        found = chain(measured.folder)
-        return found, [_timing(RATES_HZ[0], _TOGGLE_S, measured)]
+    with wall.held(seconds, "external", settings, beside=_beside("unit")) as measured:
+        return chain(measured.folder), _timing(RATES_HZ[0], seconds, measured)
 
 
-def _round_trips() -> Result:
-    with wall.held(_ASK_S, "none", beside=_beside("ask")) as measured:
+def round_trips(seconds: float) -> Result:
+    """A run with questions, which must fit into the seconds: frame echo and SDO upload in us."""
+    with wall.held(seconds, "none", beside=_beside("ask")) as measured:
         told = measured.beside
     echo, sdo = (figures.quantiles(np.array(told[name]) / 1000.0) for name in ("echo", "sdo"))
     return {"echo_us": echo, "sdo_us": sdo,
             "ratio": sdo["p50"] / echo["p50"] if echo and sdo else None}
 
 
-def _rate(hz: int) -> Result:
+def at_rate(hz: int, seconds: float) -> Result:
+    """A run with SYNC at a rate, and a client that listens."""
     settings = (f"loop.tick_hz={max(hz, _TICK_HZ)}", f"bus.sync_period_s={1 / hz!r}")
-    with wall.held(_RATE_S, "none", settings, beside=_beside("listen")) as measured:
-        return _timing(hz, _RATE_S, measured)
+    with wall.held(seconds, "none", settings, beside=_beside("listen")) as measured:
+        return _timing(hz, seconds, measured)
 
 
 def _beside(role: str) -> wall.Beside:
@@ -89,9 +93,7 @@ def _beside(role: str) -> wall.Beside:
     async def beside(bench: Bench) -> Any:
         host, port, bus = plugin.parse_address(bench.place)
         if role == "ask":
-            port_of_echo = bench.hub.attach(
-                lambda frame: frame.can_id == client.ECHO_CALL and port_of_echo.send(
-                    Frame(client.ECHO_ANSWER, frame.data)), "echo")
+            _echo(bench.hub)
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "rollerrig.realtime.benchmarks.client", role, host, str(port),
             bus, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
@@ -107,6 +109,16 @@ def _beside(role: str) -> wall.Beside:
         return json.loads(out)
 
     return beside
+
+
+def _echo(hub: Hub) -> None:
+    """Put a node on the bus that does nothing but answer: the transport's own round trip."""
+
+    def answer(frame: Frame) -> None:
+        if frame.can_id == client.ECHO_CALL:
+            port.send(Frame(client.ECHO_ANSWER, frame.data))
+
+    port = hub.attach(answer, "echo")
 
 
 # -- what they tell

@@ -103,15 +103,15 @@ def ask(line: Line) -> dict[str, list[int]]:
     kinds = (("echo", ECHO_CALL, ECHO_ANSWER, bytes(8)),
              ("sdo", SDO_CALL, SDO_ANSWER, _DEVICE_TYPE))
     frames = line.frames()
-    for _ in range(_BLOCKS):
-        for name, call, answer, data in kinds:
+    # a run that ends early ends the questions
+    with contextlib.suppress(OSError):
+        for name, call, answer, data in kinds * _BLOCKS:
             for _ in range(_BLOCK):
                 begun_ns = time.monotonic_ns()
                 line.send(call, data)
-                for heard in frames:
-                    if heard.can_id == answer:
-                        found[name].append(heard.time_ns - begun_ns)
-                        break
+                heard = next((one for one in frames if one.can_id == answer), None)
+                if heard:
+                    found[name].append(heard.time_ns - begun_ns)
     return found
 
 

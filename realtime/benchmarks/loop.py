@@ -21,7 +21,7 @@ from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.realtime.tick import MISSED, TICK, WORST_NS
 
 WITHIN = 1.2
-_SLICE_S, _OTHER_SLICE_S = 10.0, 5.0
+_SLICE_S = 10.0
 INSTALL = "install rt-tests (Debian, Ubuntu: apt-get install rt-tests) for the comparison"
 _BIN = re.compile(r"^(\d{6}) (\d+)", re.MULTILINE)
 _MAX = re.compile(r"^# Max Latencies: (\d+)", re.MULTILINE)
@@ -57,15 +57,17 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     ours, theirs = Punctuality(), Punctuality()
     refused: list[str] = []
     slices = max(1, round(given.seconds / _SLICE_S))
+    slice_s = given.seconds / slices
+    other_s = max(1.0, round(0.5 * slice_s))  # cyclictest takes whole seconds
     for at in range(slices):
         if other:
-            say(f"cyclictest, {_OTHER_SLICE_S:g} s ...")
-            theirs.add(*cyclictest(other, rates["priority"], interval_us, _OTHER_SLICE_S))
+            say(f"cyclictest, {other_s:g} s ...")
+            theirs.add(*cyclictest(other, rates["priority"], interval_us, other_s))
         say(f"the loop, slice {at + 1} of {slices} ...")
-        refused = _slice(given.seconds / slices, settings, given.live, ours)
+        refused = _slice(slice_s, settings, given.live, ours)
     if other:
-        say(f"cyclictest, {_OTHER_SLICE_S:g} s ...")
-        theirs.add(*cyclictest(other, rates["priority"], interval_us, _OTHER_SLICE_S))
+        say(f"cyclictest, {other_s:g} s ...")
+        theirs.add(*cyclictest(other, rates["priority"], interval_us, other_s))
     result: Result = {"tick_hz": rates["tick_hz"], "priority": rates["priority"],
                       "live": given.live, "loop": ours.plain(),
                       "cyclictest": theirs.plain() if other else None, "refused": refused}
@@ -88,7 +90,7 @@ def cyclictest(program: str, priority: int, interval_us: int,
     """Run cyclictest: histogram in us, worst in ns, and how often it was late by an interval."""
     done = subprocess.run(
         [program, "-m", *(["-p", str(priority)] if priority else []), "-i", str(interval_us), "-q",
-         "-h", str(loop.BINS), "-D", str(max(1, round(seconds)))],
+         "-h", str(loop.BINS), "-D", str(round(seconds))],
         capture_output=True, text=True, timeout=seconds + 30.0, check=False)
     return parse(done.stdout, interval_us)
 

@@ -106,7 +106,7 @@ def _start() -> float:
 
 
 def _cache() -> Result:
-    folder = Path(numba.config.CACHE_DIR)
+    folder = Path(getattr(numba.config, "CACHE_DIR", ""))
     files = [path for path in folder.rglob("*") if path.is_file()] if folder.name else []
     return {"folder": str(folder), "compiled": kernel.is_compiled(),
             "kernels": sum(path.suffix == ".nbi" for path in files),

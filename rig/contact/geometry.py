@@ -4,8 +4,9 @@ Two smooth surfaces touch where their normals are parallel and the rail's normal
 vector between the points: six equations in four unknowns. A wheel is a surface of revolution, so
 for a given lateral coordinate y_w on it the other three unknowns follow in closed form, and one
 scalar equation F(y_w) = 0 is left. Its rising roots are the places where the surfaces come closest;
-all of them are found (tread, root and flange), refined by Newton's method and, from step to step,
-followed with a fixed number of operations. No look-up table over positions is needed.
+all of them are found (tread, root and flange) and refined by Newton's method. From step to step
+known ones are tracked from where they were, and the wheel is searched anew when it has moved: both
+cost a bounded number of operations. No look-up table over positions is needed.
 
 [G1] r_w = C + y_w e + w (rho), n_w = (rho - w' e) / sqrt(1 + w'^2): wheel point and outward normal,
      C the wheelset's centre, e its axis, rho a unit vector across e, w(y_w) the rolling radius
@@ -222,12 +223,10 @@ def detect(found, begin, F, row, pose, axle, roller_m, wheel, rail):
 
 
 @kernel
-def follow(found, begin, count, F, row, turn, turns, pose, axle, roller_m, wheel, rail):
-    """Contacts of the next time step: those known, refined, and new ones of a share of the wheel.
+def track(found, begin, count, pose, axle, roller_m, wheel, rail):
+    """Refine the contacts known from the step before; returns how many are left.
 
-    Each call renews every `turns`-th value of F, `turn` = 0 .. turns - 1 one after the other, so the
-    work of a call is bounded; after the last of them, new roots are taken up. Returns the number of
-    contacts; `found`, `begin`, F and `row` as in `detect`.
+    A few evaluations of F a contact. `found`, `begin`, pose and the rest as in `detect`.
     """
     width = STRIDE * wheel.spacing_m
     lowest = wheel.start_m
@@ -239,16 +238,26 @@ def follow(found, begin, count, F, row, turn, turns, pose, axle, roller_m, wheel
                     wheel, rail, found, to) and found[to, GAP] < KEEP_M):
             twin = to > begin and abs(found[to, S] - found[to - 1, S]) < 0.5 * width
             to += 0 if twin else 1
-    misfits(F, row, turn, turns, pose, axle, roller_m, wheel, rail)
-    if turn == turns - 1:
-        for i in range(1, wheel.coarse.shape[0]):
-            if F[row, i - 1] < 0.0 <= F[row, i]:
-                u = wheel.coarse[i, AT_M] - wheel.centre_m
-                known = False
-                for c in range(begin, to):
-                    known |= u - 2.0 * width <= found[c, S] <= u + width
-                if not known:
-                    to = added(found, to, begin + MOST, u, pose, axle, roller_m, wheel, rail)
+    return to - begin
+
+
+@kernel
+def renew(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
+    """Search the whole wheel for contacts beside the `count` known ones; returns how many there are.
+
+    To be called when a wheel has moved a little or has lost a contact; arguments as in `detect`.
+    """
+    misfits(F, row, 0, 1, pose, axle, roller_m, wheel, rail)
+    width = STRIDE * wheel.spacing_m
+    to = begin + count
+    for i in range(1, wheel.coarse.shape[0]):
+        if F[row, i - 1] < 0.0 <= F[row, i]:
+            u = wheel.coarse[i, AT_M] - wheel.centre_m
+            known = False
+            for c in range(begin, to):
+                known |= u - 2.0 * width <= found[c, S] <= u + width
+            if not known:
+                to = added(found, to, begin + MOST, u, pose, axle, roller_m, wheel, rail)
     return to - begin
 
 

@@ -172,10 +172,11 @@ def _base(w: _Writer, d: Design, inputs: Inputs, linear: Linear, torque: np.ndar
 
 # shapes that the search tries before it refines them
 SHAPES: dict[str, tuple[dict[str, float], ...]] = {
-    "rail_cleaning": ({"energy_J_m": 40.0}, {"energy_J_m": 150.0}, {"energy_J_m": 600.0}),
+    "rail_cleaning": ({"energy_J_m": 40.0}, {"energy_J_m": 150.0}, {"energy_J_m": 600.0},
+                      {"energy_J_m": 2000.0}),
     "speed_dependent_friction": ({},),
     "friction_trend": ({},),
-    "negative_conditioning": ({"distance_m": 5.0}, {"distance_m": 20.0}, {"distance_m": 80.0}),
+    "negative_conditioning": ({"distance_m": 10.0}, {"distance_m": 30.0}, {"distance_m": 100.0}),
 }
 
 

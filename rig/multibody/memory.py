@@ -29,7 +29,8 @@ class Motion(NamedTuple):
     Gx: np.ndarray  # (4, 4) N s/m ..., scratch; step
     Gy: np.ndarray  # (3, 3), scratch; step
     seen: np.ndarray  # (8, SEEN) of `treads`, left then right wheel of each wheelset; step
-    turn: np.ndarray  # (1,) which share of the wheels is searched next; step
+    searched: np.ndarray  # (8, 4) y, z, roll, yaw where the wheel was last searched; step
+    turn: np.ndarray  # (1,) which wheelset comes first in the next step; step
     damper_work: np.ndarray  # (1,) J; step
     approach_work: np.ndarray  # (1,) J, dampers of the contacts; step
     sliding_work: np.ndarray  # (4,) J; step
@@ -41,7 +42,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "q": (42,), "v": (42,), "force": (42,),
     "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS), "count": (WHEELS,),
     "misfit": (WHEELS, NODES), "given": (4, GIVEN), "Gx": (4, 4), "Gy": (3, 3),
-    "seen": (WHEELS, SEEN), "turn": (1,), "damper_work": (1,), "approach_work": (1,),
+    "seen": (WHEELS, SEEN), "searched": (WHEELS, 4), "turn": (1,), "damper_work": (1,), "approach_work": (1,),
     "sliding_work": (4,), "brake_work": (4,), "resistance_work": (1,),
 }
 SIZE = sum(int(np.prod(shape)) for shape in SHAPES.values())

@@ -41,8 +41,9 @@ def start(motion, coach, speed_m_s):
     for body in range(7):
         motion.v[6 * body] = speed_m_s
     for wheel in range(2 * WHEELSETS):
-        treads.follow(wheel, motion.q, 0.0, -1, motion.contacts, motion.count, motion.misfit,
-                      coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail)
+        treads.follow(wheel, motion.q, 0.0, motion.contacts, motion.count, motion.misfit,
+                      motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail,
+                      0)
     for j in range(WHEELSETS):
         radius = -motion.contacts[2 * j * treads.MOST, 4]
         motion.v[6 * (3 + j) + 4] = speed_m_s / radius
@@ -78,15 +79,18 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
     links.springs(q, force, coach.springs)
     motion.damper_work[0] += h * links.curves(q, v, force, coach.curves)
     force[0] -= resistance_N
-    turn = int(motion.turn[0])
-    motion.turn[0] = (turn + 1) % treads.TURNS
+    spare, first = treads.SEARCHES, int(motion.turn[0])
+    motion.turn[0] = (first + 1) % WHEELSETS
 
-    for j in range(WHEELSETS):
+    for k in range(WHEELSETS):
+        # another wheelset is first each step, so that all get their searches
+        j = (first + k) % WHEELSETS
         i = 6 * (3 + j)
         offset = q[i] - place if on_rollers else 0.0
         for wheel in range(2 * j, 2 * j + 2):
-            treads.follow(wheel, q, offset, turn, motion.contacts, motion.count, motion.misfit,
-                          coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail)
+            spare = treads.follow(wheel, q, offset, motion.contacts, motion.count, motion.misfit,
+                                  motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel,
+                                  coach.rail, spare)
         treads.press(j, q, v, speed if on_rollers else 0.0, roller_rad_s[j], motion.contacts,
                      motion.count, mu_cd[j], mu_cr[j], law, cleaning_creepage, coach.patches,
                      coach.contact_damping_N_s_m, coach.roller_m, motion.given, motion.Gx, motion.Gy, motion.seen)

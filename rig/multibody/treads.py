@@ -37,7 +37,9 @@ from rollerrig.rig.kernel import inlined, kernel
 from rollerrig.rig.multibody import patches as patch_table
 from rollerrig.rig.multibody.patches import Patches
 
-TURNS = 16  # steps in which the whole wheel is searched for new contacts once
+# a wheel that has moved by this since it was searched is searched again, so many a step at most
+MOVED_M, SEARCHES = 5e-5, 2
+ROLL_ARM_M, YAW_ARM_M = 0.75, 0.1
 # slots of what one wheelset's contacts give: force and moment (6), generalised force of sliding
 # along over (v_x, omega, yaw rate, roller) (4) and across over (v_y, v_z, roll rate) (3), their
 # g s J (4, 3), and power of sliding and of the approach damper
@@ -55,22 +57,31 @@ def axis(roll_rad, yaw_rad):
 
 
 @inlined
-def follow(wheel, q, offset_m, turn, contacts, count, F, axle_height_m, roller_m, profile, rail):
+def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roller_m, profile, rail,
+           spare):
     """Move the contacts of a wheel on: wheel 2 j the left one of wheelset j, 2 j + 1 the right one.
 
-    q (42,); offset_m of the wheelset before a roller's crown; turn < 0 searches from nothing.
+    q (42,); offset_m of the wheelset before a roller's crown. The wheel is searched anew if it has
+    lost a contact, or has moved since `searched` (8, 4) and `spare` searches are left in this step;
+    returns what is left of them.
     """
     first, side = 6 * (3 + wheel // 2), 1.0 - 2.0 * (wheel % 2)
     pose = (offset_m, side * q[first + 1], axle_height_m + q[first + 2])
-    ex, ey, ez = axis(q[first + 3], q[first + 5])
+    roll, yaw = q[first + 3], q[first + 5]
+    ex, ey, ez = axis(roll, yaw)
     axle = (side * ex, ey, side * ez)
-    begin = MOST * wheel
-    if turn < 0:
-        count[wheel] = geometry.detect(contacts, begin, F, wheel, pose, axle, roller_m, profile,
-                                       rail)
-    else:
-        count[wheel] = geometry.follow(contacts, begin, int(count[wheel]), F, wheel, turn, TURNS,
-                                       pose, axle, roller_m, profile, rail)
+    begin, before = MOST * wheel, int(count[wheel])
+    left = geometry.track(contacts, begin, before, pose, axle, roller_m, profile, rail)
+    moved = (abs(q[first + 1] - searched[wheel, 0]) + abs(pose[2] - searched[wheel, 1])
+             + ROLL_ARM_M * abs(roll - searched[wheel, 2]) + YAW_ARM_M * abs(yaw - searched[wheel, 3]))
+    lost = left < before or left == 0
+    if lost or (spare > 0 and moved > MOVED_M):
+        left = geometry.renew(contacts, begin, left, F, wheel, pose, axle, roller_m, profile, rail)
+        searched[wheel, 0], searched[wheel, 1] = q[first + 1], pose[2]
+        searched[wheel, 2], searched[wheel, 3] = roll, yaw
+        spare -= 0 if lost else 1
+    count[wheel] = left
+    return spare
 
 
 @inlined

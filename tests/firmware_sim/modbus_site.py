@@ -35,8 +35,7 @@ class Site:
         for node in self.drives:
             node.start(lambda frame: None, 0)
         self.units = {1: self._plc()} | {
-            unit: modbus_unit.drive(node)
-            for unit, node in zip(modbus_map.DRIVE_UNITS, self.drives, strict=True)}
+            modbus_map.DRIVE_UNITS[node.node_id]: modbus_unit.drive(node) for node in self.drives}
         self.loop = asyncio.new_event_loop()
         self.thread = threading.Thread(target=self.loop.run_forever, name="modbus site")
         self.thread.start()

@@ -67,7 +67,7 @@ def test_a_drives_rows_are_those_of_its_dictionary(drive):
 
 
 def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
-    drives = dict.fromkeys(modbus_map.DRIVE_UNITS, drive)
+    drives = dict.fromkeys(signals.DRIVE_NODES, drive)
     document, sheet = modbus_map.write(tmp_path, drives, ("dry_stop", "velim_a1"))
     lines = list(csv.DictReader(io.StringIO(sheet.read_text())))
     assert len(lines) == len(BITS) + len(WORDS) + 4 * len(modbus_map.drive_words(drive))
@@ -84,4 +84,4 @@ def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
 def test_the_same_devices_give_the_same_document(drive):
     row = np.zeros(len(signals.COLUMNS))
     again = drive402.build(1, 1, row, {"rated_torque_Nm": RATED_Nm}).dictionary
-    assert modbus_map.markdown({11: drive}) == modbus_map.markdown({11: again})
+    assert modbus_map.markdown({1: drive}) == modbus_map.markdown({1: again})

@@ -209,7 +209,6 @@ def make(folder: Path, effects: dict[str, float], seed: int) -> Path:
     e = np.zeros(28)
     for name, size in effects.items():
         e[INDEX[name]] = size
-    e[26] = 3.2947445e-5 * 4.6  # replaced below by the patch of the paper
     e[26] = _patch()
     axle = int(rng.integers(0, 4))
     rail, patch_m = irregularity(rng, 2000.0), rng.uniform(120.0, 320.0)
@@ -232,8 +231,8 @@ def make(folder: Path, effects: dict[str, float], seed: int) -> Path:
 
 def _patch() -> float:
     """c11 a b of the contact over N^(2/3): wheel 0.445 m on a rail, lateral radius 0.3 m."""
-    # shared material: N = 52.7 kN gives a = 5.692 mm, b = 4.377 mm; c11 at a/b = 1.30, nu = 0.3
-    return 4.578 * 5.692e-3 * 4.377e-3 / 52700.0 ** (2.0 / 3.0)
+    # shared material: N = 52.7 kN gives a = 5.692 mm, b = 4.377 mm; c11 4.593
+    return 4.593 * 5.692e-3 * 4.377e-3 / 52700.0 ** (2.0 / 3.0)
 
 
 def _write(path: Path, fine: np.ndarray, e: np.ndarray, mass: float, gain: float, lift: float,

@@ -1,0 +1,122 @@
+"""The bench as a device, node 127: what a test harness on the bus may read of it and ask of it.
+
+A harness joins by writing 1 to 2000h:1; from then on a bench in lockstep also waits, after each
+SYNC, for its frame 27Fh (RPDO1, any byte) before simulated time goes on. It asks for faults and
+notes in plain text, sets friction under axles, ends the run, and maps the quantities of 2100h on
+into TPDOs as it likes; no other way leads from a harness into the rig.
+Source: CiA 301 for the services; the objects of 2000h to 21FFh are this rig's own.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from rollerrig.configs.errors import RollerrigError
+from rollerrig.firmware_sim import process_image
+from rollerrig.firmware_sim.cia301 import communication, dictionary
+from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
+from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
+from rollerrig.firmware_sim.cia301.dictionary import Row, array
+from rollerrig.firmware_sim.cia301.nmt import Command, State
+from rollerrig.firmware_sim.cia301.node import Node
+from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE
+
+# no profile of CiA covers a test bench: device type 0
+DEVICE_TYPE, PRODUCT_CODE = 0, 0x127
+ANSWER_ID = communication.FIRST_RPDO[0] + BENCH_NODE
+HARNESS, PACING, FAULT, FRICTION, NOTE = 0x2000, 0x2001, 0x2010, 0x2020, 0x2030
+JOINED, CYCLE, END = 1, 2, 3
+INJECT, LIFT = 1, 2
+PACINGS = ("wall", "lockstep")
+FRICTION_SCALE = 1e-4
+TITLES = {
+    0x2100: "Time", 0x2101: "Vehicle speed", 0x2102: "Position", 0x2103: "Vehicle acceleration",
+    0x2104: "Adhesion", 0x2105: "Dump valve", 0x2106: "Air consumption", 0x2107: "Longest lock",
+    0x2108: "Sliding work", 0x2109: "Wheel load", 0x210A: "Vents", 0x210B: "Brake demand",
+}
+_AXLES = tuple(f"Axle {axle}" for axle in range(1, AXLES + 1))
+
+
+def rows(pacing: str) -> list[Row]:
+    """The objects beyond CiA 301."""
+    return [
+        *process_image.rows(BENCH_NODE, 0, {}, TITLES),
+        *array(HARNESS, "Harness", "U8", "rw", [0, 0, 0], ("Joined", "Cycle", "End of the run"),
+               mappable=True, high=255, text="1 joins or ends; cycle: any value, by RPDO1"),
+        Row(PACING, 0, "Pacing", "U8", "ro", PACINGS.index(pacing), text="0 wall, 1 lockstep"),
+        *array(FAULT, "Fault", "TEXT", "rw", ["", ""], ("Inject", "Lift"),
+               text="as in: speed_sensor_stuck axle=2 for=3"),
+        *array(FRICTION, "Friction under the axle", "U16", "rw", [0] * AXLES, _AXLES, mappable=True,
+               high=10_000, factor=FRICTION_SCALE, text="0: as the scenario has it"),
+        Row(NOTE, 0, "Operator note", "TEXT", "rw", "", text="stands in the events of the run"),
+    ]
+
+
+def build(row: np.ndarray, friction: np.ndarray, on_command: Callable[[], None],
+          pacing: str = "wall") -> Node:
+    """The node.
+
+    `row`: live float64 array of all signals; `friction`: float64 array of shape (4,), kinematic
+    friction asked for under each axle, 0 for none, written before `on_command()` is called.
+    """
+    profile = Profile(DEVICE_TYPE, "bench", rpdos=(Pdo(255, ((HARNESS, CYCLE, 8),)),),
+                      heartbeat_ms=0)
+    who = process_image.identity("bench", PRODUCT_CODE, BENCH_NODE)
+    node = Node(dictionary.build(communication.rows(profile, who) + rows(pacing), BENCH_NODE, who))
+    process_image.bind(node, row, BENCH_NODE, 0, {})
+    node.device = BenchNode(node, friction, on_command)
+    return node
+
+
+class BenchNode:
+    """What a harness asks. `joined`: it takes part; `wire` says what its wishes call."""
+
+    def __init__(self, node: Node, friction: np.ndarray, on_command: Callable[[], None]) -> None:
+        self.node, self.joined = node, False
+        self._friction, self._on_command = friction, on_command
+        self._wishes: Mapping[str, Callable[..., Any]] = {}
+        objects = node.objects
+        objects.effects[key(HARNESS, JOINED)] = self._join
+        objects.effects[key(HARNESS, END)] = lambda value: self._ask("end") if value else None
+        objects.effects[key(FAULT, INJECT)] = lambda text: self._ask("inject", text)
+        objects.effects[key(FAULT, LIFT)] = lambda text: self._ask("lift", text)
+        objects.effects[key(NOTE, 0)] = lambda text: node.on_event("info", f"note: {text}")
+        for axle in range(1, AXLES + 1):
+            objects.effects[key(FRICTION, axle)] = (
+                lambda raw, axle=axle: self._set_friction(axle, raw))
+        node.on_reset.append(lambda: self._join(0))
+        node.on_poll.append(lambda _: self._start())
+
+    def wire(self, **wishes: Callable[..., Any]) -> None:
+        """Say what is called: end(), inject(text), lift(text), left() when the harness leaves."""
+        self._wishes = wishes
+
+    def _start(self) -> None:
+        # as CiA 302-2 allows (1F80h): a bench waits for no master
+        if self.node.state is State.PRE_OPERATIONAL:
+            self.node.on_frame(Frame(0, bytes([Command.START, BENCH_NODE])))
+
+    def _join(self, value: int) -> None:
+        if self.joined != bool(value):
+            self.joined = bool(value)
+            self.node.on_event("info", "a harness has " + ("joined" if value else "left"))
+            if not value and "left" in self._wishes:
+                self._wishes["left"]()
+
+    def _ask(self, wish: str, *about: str) -> None:
+        if wish not in self._wishes:
+            raise AbortError(Abort.DEVICE_STATE)
+        try:
+            self._wishes[wish](*about)
+        except RollerrigError as error:
+            self.node.on_event("warning", f"refused to the harness: {error}")
+            raise AbortError(Abort.INVALID_VALUE) from None
+
+    def _set_friction(self, axle: int, raw: int) -> None:
+        self._friction[axle - 1] = raw * FRICTION_SCALE
+        self._on_command()
+
+

@@ -1,0 +1,213 @@
+"""Faults of the bus: a gate that each frame passes on its way, and what keeps a node off the wire.
+
+A frame may be lost, held until later or sent twice; error frames destroy those of a node, and its
+controller counts: each destroyed frame adds 8 to the transmit error counter, each that got through
+takes 1 away, above 127 it is error passive, above 255 off until 128 times 11 recessive bits have
+passed. A babbling node sends as fast as it is told to. Source: ISO 11898-1, fault confinement; CiA
+301, EMCY 8120h (error passive) and 8140h (recovered from bus-off).
+
+Limits: the hub delivers at once, so error frames and babbling cost load, but delay nobody.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from rollerrig.wsp_interface.frames import S_NS, Frame
+from rollerrig.wsp_interface.signals import WSP_NODE
+
+# what carries a frame on, once the gate lets it
+Carry = Callable[[], None]
+LOST, HELD, TWICE = "lost", "held", "twice"
+ERROR_PASSIVE, RECOVERED = 0x8120, 0x8140
+ERROR_PASSIVE_ABOVE, BUS_OFF_ABOVE, RECOVERY_BITS = 127, 255, 128 * 11
+# what a WSP unit sends: heartbeat, PDO1 to the brake I/O, reference speed
+UNIT_IDS = (0x700 + WSP_NODE, 0x211, 0x180 + WSP_NODE)
+FOREVER_NS = 1 << 62
+
+
+@dataclass
+class Rule:
+    """What happens to frames of one identifier. `count`: those seen so far, `hit` those it met."""
+
+    what: str
+    can_id: int
+    every: int = 1
+    delay_ns: int = 0
+    count: int = 0
+    hit: int = 0
+
+
+@dataclass
+class Controller:
+    """The CAN controller of a node under `attempts` error frames for each of its frames."""
+
+    attempts: int
+    errors: int = 0
+    passive: bool = False
+    off_until_ns: int = 0
+
+
+@dataclass
+class Babble:
+    """Frames of `can_id` from a node since `since_ns`: `sent` so far."""
+
+    can_id: int
+    rate_Hz: float
+    since_ns: int
+    sent: int = 0
+
+
+@dataclass
+class Gate:
+    """What frames pass between their sender and everybody else.
+
+    `destroyed(frame, errors)` tells the bus of an error frame. Rules are by identifier, controllers
+    by node. Times are those of the bus's clock.
+    """
+
+    destroyed: Callable[[Frame, int], None]
+    rules: dict[int, list[Rule]] = field(default_factory=dict)
+    controllers: dict[int, Controller] = field(default_factory=dict)
+    now_ns: int = 0
+    _held: list[tuple[int, Rule, Carry]] = field(default_factory=list)
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is to be done to any frame."""
+        return not (self.rules or self.controllers or self._held)
+
+    def add(self, rule: Rule) -> Rule:
+        """Let a rule act from now on."""
+        self.rules.setdefault(rule.can_id, []).append(rule)
+        return rule
+
+    def remove(self, rules: Iterable[Rule]) -> None:
+        """End rules; what they hold back goes out now."""
+        ended = list(rules)
+        for rule in ended:
+            self.rules[rule.can_id].remove(rule)
+            if not self.rules[rule.can_id]:
+                del self.rules[rule.can_id]
+        due = [one for one in self._held if any(one[1] is rule for rule in ended)]
+        self._held = [one for one in self._held if not any(one[1] is rule for rule in ended)]
+        for _, _, carry in due:
+            carry()
+
+    def passes(self, frame: Frame, node: int, carry: Carry) -> bool:
+        """Whether the frame goes on now; if not it is lost, or `carry` is called later."""
+        controller = self.controllers.get(node)
+        if controller is not None and not self._transmit(frame, controller):
+            return False
+        if frame.extended:
+            return True
+        return all([self._judge(rule, carry) for rule in self.rules.get(frame.can_id, ())])
+
+    def poll(self, now_ns: int) -> None:
+        """It is `now_ns`: what was held long enough goes out, in the order of its sending."""
+        self.now_ns = now_ns
+        due = [one for one in self._held if one[0] <= now_ns]
+        self._held = [one for one in self._held if one[0] > now_ns]
+        for _, _, carry in sorted(due, key=lambda one: one[0]):
+            carry()
+
+    def _judge(self, rule: Rule, carry: Carry) -> bool:
+        rule.count += 1
+        if rule.count % rule.every:
+            return True
+        rule.hit += 1
+        if rule.what == HELD:
+            self._held.append((self.now_ns + rule.delay_ns, rule, carry))
+        elif rule.what == TWICE:
+            carry()
+        return rule.what == TWICE
+
+    def _transmit(self, frame: Frame, controller: Controller) -> bool:
+        if controller.errors > BUS_OFF_ABOVE:
+            return False
+        for _ in range(controller.attempts):
+            controller.errors += 8
+            self.destroyed(frame, min(controller.errors, 255))
+            if controller.errors > BUS_OFF_ABOVE:
+                return False
+        controller.errors -= 1
+        return True
+
+
+class Confinement:
+    """Fault confinement of the nodes under error frames: EMCY, bus-off and recovery.
+
+    `members` are the nodes by number, `mute(node, on)` takes one off the wire.
+    """
+
+    def __init__(self, gate: Gate, members: dict[int, Any], mute: Callable[[int, bool], None],
+                 bitrate: int) -> None:
+        self.gate, self.members, self.mute = gate, members, mute
+        self._recovery_ns = RECOVERY_BITS * S_NS // bitrate
+
+    def begin(self, node: int, attempts: int) -> None:
+        """Error frames begin to destroy what a node sends."""
+        self.gate.controllers[node] = Controller(attempts)
+
+    def end(self, node: int) -> None:
+        """The error frames are over: the node recovers."""
+        controller = self.gate.controllers.pop(node)
+        if controller.off_until_ns:
+            self._recover(node)
+        self.members[node].emergency.clear(ERROR_PASSIVE)
+
+    def poll(self, now_ns: int) -> None:
+        """Follow the error counters."""
+        for node, one in list(self.gate.controllers.items()):
+            if one.off_until_ns:
+                if now_ns >= one.off_until_ns:
+                    one.errors, one.passive, one.off_until_ns = 0, False, 0
+                    self._recover(node)
+            elif one.errors > BUS_OFF_ABOVE:
+                one.off_until_ns = now_ns + self._recovery_ns
+                self.mute(node, True)
+                self.members[node].event("error", "bus-off: its error counter has passed 255")
+            elif one.errors > ERROR_PASSIVE_ABOVE and not one.passive:
+                one.passive = True
+                self.members[node].event("warning", "error passive: its error counter has passed 127")
+                self.members[node].emergency.report(ERROR_PASSIVE)
+
+    def _recover(self, node: int) -> None:
+        self.mute(node, False)
+        recover(self.members[node])
+
+
+def recover(member: Any) -> None:
+    """Let a node tell that it is back from bus-off."""
+    member.emergency.clear(ERROR_PASSIVE)
+    member.emergency.report(RECOVERED)
+    member.emergency.clear(RECOVERED)
+
+
+def babble(one: Babble, now_ns: int, transmit: Callable[[Frame], None]) -> None:
+    """Send what a babbling node should have sent by now."""
+    wanted = int((now_ns - one.since_ns) * one.rate_Hz / S_NS)
+    frame = Frame(one.can_id, b"\xff" * 8)
+    for _ in range(one.sent, wanted):
+        transmit(frame)
+    one.sent = max(one.sent, wanted)
+
+
+def rules_of(name: str, values: dict[str, Any]) -> list[Rule]:
+    """The rules of a fault of the catalogue, none where it needs none."""
+    make = {
+        "frame_lost": lambda: [Rule(LOST, values["can_id"], values["every"])],
+        "frame_duplicated": lambda: [Rule(TWICE, values["can_id"], values["every"])],
+        "frame_delayed": lambda: [Rule(HELD, values["can_id"], 1, _ns(values["delay_s"]))],
+        "heartbeat_late": lambda: [Rule(HELD, 0x700 + values["node"], 1, _ns(values["delay_s"]))],
+    }
+    return make.get(name, list)()
+
+
+def hold_unit() -> list[Rule]:
+    """The rules that hold back what a WSP unit sends."""
+    return [Rule(HELD, can_id, 1, FOREVER_NS) for can_id in UNIT_IDS]
+
+
+def _ns(delay_s: float) -> int:
+    return round(delay_s * S_NS)

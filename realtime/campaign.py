@@ -1,0 +1,270 @@
+"""Many runs from one plan: a matrix or a random design over any value of a scenario.
+
+A plan is resolved into numbered runs, cut into chunks; a chunk is one file of the result, written
+whole when its runs are done. So a campaign that was killed goes on where it stopped, nothing that
+is done is computed again, and the result is the same however the chunks were spread: over the
+cores of this machine, or over a Dask cluster.
+"""
+
+import hashlib
+import itertools
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from scipy.stats import qmc
+
+from rollerrig.configs import store, table
+from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.configs.table import choice, integer
+from rollerrig.realtime import batch, scenario
+
+DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
+ROWS = (
+    choice("title", "", (), "a sentence"),
+    choice("scenario", "velim_a1", (), "configs/scenarios"),
+    choice("unit", "reference", (), "reference, none, or package.module:function"),
+    choice("design", "matrix", DESIGNS, "how values are combined"),
+    integer("runs", 64, 1, 10_000_000, "of a random design"),
+    integer("seed", 0, 0, 2**31 - 1, "of a random design"),
+    integer("chunk", 20, 1, 10_000, "runs in one file of the result"),
+)
+RANGE = (table.number("low", None, -1e300, 1e300, "-"), table.number("high", None, -1e300, 1e300, "-"),
+         table.flag("log", False, "spread evenly in the logarithm"))
+# figures of a run: name, how to get it from a summary
+FIGURES: tuple[tuple[str, Callable[[dict[str, Any]], Any]], ...] = (
+    ("stopped", lambda s: s["stopped"]),
+    ("stop_time_s", lambda s: s["stop_time_s"]),
+    ("stop_distance_m", lambda s: s["stop_distance_m"]),
+    ("sliding_mean_m_s", lambda s: sum(a["sliding_mean_m_s"] for a in s["axles"]) / len(s["axles"])),
+    ("sliding_std_m_s", lambda s: sum(a["sliding_std_m_s"] for a in s["axles"]) / len(s["axles"])),
+    ("sliding_max_m_s", lambda s: max(a["sliding_max_m_s"] for a in s["axles"])),
+    ("longest_lock_s", lambda s: max(a["longest_lock_s"] for a in s["axles"])),
+    ("dissipated_energy_J", lambda s: sum(a["dissipated_energy_J"] for a in s["axles"])),
+    ("adhesion_mean", lambda s: sum(a["adhesion_mean"] for a in s["axles"]) / len(s["axles"])),
+    ("vents", lambda s: s["wsp"]["vents"]),
+    ("air_consumption_NL", lambda s: s["air_consumption_NL"]),
+)
+
+
+class Plan(NamedTuple):
+    """A campaign: `axes` names the varied values, `points` holds a row of them for each run."""
+
+    head: dict[str, Any]
+    axes: tuple[str, ...]
+    points: tuple[tuple[Any, ...], ...]
+
+    @property
+    def chunks(self) -> range:
+        return range(-(-len(self.points) // self.head["chunk"]))
+
+
+def load(name: str) -> Plan:
+    """A plan by name or path. Raises ConfigError; the first run is resolved to find bad values early."""
+    given, path = store.load("campaigns", name)
+    vary = given.pop("vary", {})
+    head = table.read(ROWS, given, str(path))
+    if not isinstance(vary, dict) or not vary:
+        raise ConfigError(f"{path}: [vary] names nothing; write, as in \"adhesion.mu_cd\" = [0.03, 0.06] "
+                          "or { low = 0.03, high = 0.1 }")
+    scene = head["scenario"]
+    if scene.endswith(".toml"):
+        head["scenario"] = str(store.find("scenarios", scene, path).resolve())
+    points = _matrix(vary, path) if head["design"] == "matrix" else _random(vary, head, path)
+    plan = Plan(head, tuple(vary), tuple(points))
+    _unit(head["unit"])
+    for at in (0, len(plan.points) - 1):
+        resolve(plan, at)
+    return plan
+
+
+def _matrix(vary: Mapping[str, Any], path: Path) -> list[tuple[Any, ...]]:
+    for key, values in vary.items():
+        if not isinstance(values, list) or not values:
+            raise ConfigError(f"{path} [vary] {key} = {values!r}: a matrix wants a list of values; "
+                              "for a range set design = \"sobol\"")
+    return list(itertools.product(*vary.values()))
+
+
+def _random(vary: Mapping[str, Any], head: dict[str, Any], path: Path) -> list[tuple[Any, ...]]:
+    bounds = []
+    for key, span in vary.items():
+        if not isinstance(span, dict):
+            raise ConfigError(f"{path} [vary] {key} = {span!r}: a {head['design']} design wants "
+                              "{ low = ..., high = ... }; for a list set design = \"matrix\"")
+        span = table.read(RANGE, span, f"{path} [vary] {key}")
+        if not span["low"] < span["high"] or (span["log"] and span["low"] <= 0.0):
+            raise ConfigError(f"{path} [vary] {key}: low = {span['low']:g} and high = {span['high']:g} "
+                              "must rise, and be above 0 where log = true")
+        bounds.append(span)
+    unit = _sample(head["design"], len(bounds), head["runs"], head["seed"])
+    return [tuple(_place(share, span) for share, span in zip(row, bounds, strict=True)) for row in unit]
+
+
+def _sample(design: str, width: int, runs: int, seed: int) -> Sequence[Sequence[float]]:
+    if design == "random":
+        import numpy as np
+
+        return np.random.default_rng(seed).random((runs, width)).tolist()
+    kinds = {"sobol": qmc.Sobol, "halton": qmc.Halton, "latin_hypercube": qmc.LatinHypercube}
+    sampler = kinds[design](width, rng=seed)
+    if design == "sobol":
+        # a Sobol sequence is balanced only in powers of two; take the first of enough
+        return sampler.random_base2(max(runs - 1, 1).bit_length())[:runs].tolist()
+    return sampler.random(runs).tolist()
+
+
+def _place(share: float, span: Mapping[str, Any]) -> float:
+    low, high = span["low"], span["high"]
+    return low * (high / low) ** share if span["log"] else low + (high - low) * share
+
+
+def _unit(name: str) -> str | batch.UnitCall:
+    if name in ("reference", "none"):
+        return name
+    module, _, function = name.partition(":")
+    try:
+        return getattr(import_module(module), function)()
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"unit = \"{name}\": {error}; write reference, none, or package.module:function, "
+                          "a function that returns a unit: a call from 8 integers to a byte") from None
+
+
+def resolve(plan: Plan, number: int) -> scenario.Scenario:
+    """The scenario of run `number`."""
+    return scenario.load(plan.head["scenario"], "", settings(plan, number))
+
+
+def settings(plan: Plan, number: int) -> tuple[str, ...]:
+    """What run `number` changes, as `--set` takes it."""
+    return tuple(f"{key}={json.dumps(value)}"
+                 for key, value in zip(plan.axes, plan.points[number], strict=True))
+
+
+def command(plan: Plan, number: int) -> str:
+    """The command line that replays a run with its record."""
+    sets = " ".join(f"--set {setting}" for setting in settings(plan, number))
+    unit = plan.head["unit"] if plan.head["unit"] in ("reference", "none") else "external"
+    pacing = "lockstep" if unit == "external" else "free"
+    return f"rollerrig run {plan.head['scenario']} --pacing {pacing} --wsp {unit} {sets}"
+
+
+def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
+    """Run one chunk; a row a run. A run that fails has its error in `error` and no figures."""
+    first = chunk * plan.head["chunk"]
+    return [run_one(plan, number)
+            for number in range(first, min(first + plan.head["chunk"], len(plan.points)))]
+
+
+def run_one(plan: Plan, number: int) -> dict[str, Any]:
+    """Run number `number`: its values, its figures, and its error if it had one."""
+    row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.points[number], strict=True))}
+    row |= {name: None for name, _ in FIGURES} | {"config_hash": None, "error": None}
+    try:
+        one = resolve(plan, number)
+        channels = batch.simulate(one, _unit(plan.head["unit"]))
+        figures = batch.summarize(one, channels, plan.head["unit"])
+        row |= {name: get(figures) for name, get in FIGURES}
+        row["config_hash"] = figures["config_hash"]
+    except RollerrigError as error:
+        row["error"] = str(error)
+    return row
+
+
+# --- the result ---
+
+def fingerprint(plan: Plan) -> str:
+    """What a result folder belongs to."""
+    text = json.dumps([plan.head, plan.axes, plan.points], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def open_result(plan: Plan, out: Path) -> list[int]:
+    """Make or reopen a result folder; the chunks that are still to be done. Raises ConfigError."""
+    results = out / "results"
+    mark = out / "plan.json"
+    if mark.is_file() and json.loads(mark.read_text())["fingerprint"] != fingerprint(plan):
+        raise ConfigError(f"{out} holds the results of another plan; give a new folder with --out, "
+                          "or remove it")
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        mark.write_text(json.dumps({"fingerprint": fingerprint(plan), "head": plan.head,
+                                    "axes": plan.axes, "runs": len(plan.points)}, indent=1))
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
+    return [chunk for chunk in plan.chunks if not part(out, chunk).is_file()]
+
+
+def part(out: Path, chunk: int) -> Path:
+    """The file of one chunk."""
+    return out / "results" / f"part-{chunk:06d}.parquet"
+
+
+def write_chunk(out: Path, chunk: int, rows: list[dict[str, Any]]) -> None:
+    """Put the rows of a chunk into its file, in one step."""
+    schema = _schema(rows)
+    new = part(out, chunk).with_suffix(".new")
+    pq.write_table(pa.Table.from_pylist(rows, schema=schema), new)
+    os.replace(new, part(out, chunk))
+
+
+def _schema(rows: list[dict[str, Any]]) -> pa.Schema:
+    fixed = {"run": pa.int64(), "stopped": pa.bool_(), "vents": pa.int64(), "config_hash": pa.string(),
+             "error": pa.string()}
+    names = [name for name, _ in FIGURES]
+    fields = []
+    for key, value in rows[0].items():
+        kind = fixed.get(key)
+        if kind is None:
+            kind = pa.string() if isinstance(value, str) and key not in names else pa.float64()
+        fields.append((key, kind))
+    return pa.schema(fields)
+
+
+def result(out: Path) -> pa.Table:
+    """All rows of a result folder, by run. Raises ConfigError if there is none."""
+    parts = sorted((out / "results").glob("part-*.parquet"))
+    if not parts:
+        raise ConfigError(f"{out}: no results; run 'rollerrig campaign PLAN --out {out}'")
+    return pa.concat_tables([pq.read_table(path) for path in parts]).sort_by("run")
+
+
+# --- spreading ---
+
+def spread_local(plan: Plan, chunks: Sequence[int], workers: int) -> Iterator[tuple[int, list[dict[str, Any]]]]:
+    """Run chunks in processes of this machine, as they are done."""
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(run_chunk, plan, chunk): chunk for chunk in chunks}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tuple[int, list[dict[str, Any]]]]:
+    """Run chunks on a Dask cluster, as they are done; work of a worker that dies is given to another."""
+    try:
+        from distributed import Client
+        from distributed import as_completed as completed
+    except ImportError:
+        raise ConfigError("--scheduler needs Dask: pip install 'rollerrig[cluster]'") from None
+    try:
+        client = Client(address, timeout=10)
+    except OSError as error:
+        raise ConfigError(f"--scheduler {address}: no Dask scheduler answers ({error}); start one with "
+                          "'dask scheduler' and workers with 'dask worker ADDRESS'") from None
+    with client:
+        whole = client.scatter(plan, broadcast=True)
+        futures = {client.submit(run_chunk, whole, chunk, pure=False, retries=3): chunk for chunk in chunks}
+        for future, rows in completed(futures, with_results=True):
+            yield futures[future], rows
+            future.release()

@@ -1,0 +1,84 @@
+"""Runs the search on simulated stops with nothing new in them, on all cores of the machine.
+
+Each clean set is simulated from the fitted explanation with its own seed, prepared and scored like
+the measured one; the seeds and thus the decision repeat.
+"""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.identify import evidence, preparation, simulate, tuning
+from rollerrig.rig.identify.candidates import Explanation
+from rollerrig.rig.identify.dataset import Dataset, Run
+from rollerrig.rig.identify.evidence import Scores
+
+Progress = Callable[[str, float], None]
+
+
+class Task(NamedTuple):
+    """One clean set to make."""
+
+    data: Dataset
+    measured: list[Run]
+    told: Explanation
+    seed: int
+    known: tuple[str, ...]
+
+
+@contextmanager
+def workers() -> Iterator[ProcessPoolExecutor | None]:
+    """A pool of processes, or None on a single core."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    if (cores or 1) < 2:
+        yield None
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(cores or 1, 8), context, initializer=_single) as pool:
+        yield pool
+
+
+def _single() -> None:
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)
+
+
+def one(task: Task) -> Scores:
+    """Simulate, prepare, score one set."""
+    design = preparation.prepare(task.data, task.measured)
+    rng = np.random.default_rng(task.seed)
+    made = simulate.runs(task.data, design, task.measured, task.told, rng)
+    prepared = preparation.prepare(task.data, made)
+    found = tuning.normal(prepared, task.told)[0]
+    result = evidence.scores(found, task.known)
+    return Scores(result.S.astype(np.float32), result.g)
+
+
+def sets(pool: ProcessPoolExecutor | None, data: Dataset, measured: list[Run], told: Explanation,
+         count: int, seed: int, known: Sequence[str], progress: Progress) -> list[Scores]:
+    """Scores of `count` clean sets."""
+    # tolerances are drawn afresh: the fitted ones do not belong to the clean sets
+    fresh = told._replace(base={k: v for k, v in told.base.items() if k.startswith("ln_")})
+    tasks = [Task(data, measured, fresh, seed * 100003 + k, tuple(known)) for k in range(count)]
+    return run_all(pool, one, tasks, "clean sets", progress)
+
+
+def run_all(pool: ProcessPoolExecutor | None, work: Callable[[Any], Any], tasks: Sequence[Any],
+            title: str, progress: Progress) -> list[Any]:
+    """work(task) for all tasks, in order, with progress."""
+    if pool is None:
+        found = []
+        for k, task in enumerate(tasks):
+            found.append(work(task))
+            progress(title, (k + 1) / len(tasks))
+        return found
+    futures: list[Future[Any]] = [pool.submit(work, task) for task in tasks]
+    for k, _ in enumerate(as_completed(futures)):
+        progress(title, (k + 1) / len(tasks))
+    return [future.result() for future in futures]

@@ -1,0 +1,100 @@
+"""Natural modes of the suspended bodies, and the speed above which the wheelsets hunt.
+
+Modes: the suspension's own forces, displaced coordinate by coordinate, give the stiffness of car
+and bogies on wheelsets held fast. Hunting: a wheelset that is set off to the side swings about the
+track's middle on its conical wheels; yaw and creep damp the swing at low speed and feed it at high
+speed. The critical speed is where a small swing neither grows nor dies.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from rollerrig.rig.contact.adhesion import Law
+from rollerrig.rig.multibody import links, stop
+from rollerrig.rig.multibody.coach import Coach
+
+_HELD = 18  # coordinates of car and bogies
+
+
+def stiffness(coach: Coach, move: float = 1e-6) -> np.ndarray:
+    """Stiffness matrix (42, 42) of the suspension at rest, from its own forces."""
+    matrix = np.zeros((42, 42))
+    for column in range(42):
+        for sign in (1.0, -1.0):
+            q, force = np.zeros(42), np.zeros(42)
+            q[column] = sign * move
+            links.springs(q, force, coach.springs)
+            links.curves(q, np.zeros(42), force, coach.curves)
+            matrix[:, column] -= sign * force / (2.0 * move)
+    return matrix
+
+
+def modes(coach: Coach) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies in Hz (18,), rising, and shapes (18, 18) of car and bogies, wheelsets held."""
+    root = np.sqrt(coach.inertia[:_HELD])
+    K = stiffness(coach)[:_HELD, :_HELD] / np.outer(root, root)
+    squares, shapes = np.linalg.eigh(0.5 * (K + K.T))
+    return np.sqrt(np.maximum(squares, 0.0)) / (2.0 * math.pi), shapes / root[:, None]
+
+
+def growth(
+    coach: Coach, law: Law, speed_m_s: float, shift_m: float = 5e-4, duration_s: float = 4.0
+) -> float:
+    """How a small lateral swing grows: rate in 1/s, negative where it dies away.
+
+    All wheelsets begin shift_m off the middle; the rate is that of the largest lateral displacement
+    of any wheelset in the second and the last quarter of the time.
+    """
+    state = stop.rolling(coach, speed_m_s)
+    for wheelset in range(3, 7):
+        state.q[6 * wheelset + 1] = shift_m
+    quarter = duration_s / 4.0
+    largest = []
+    for _ in range(4):
+        peak = 0.0
+        for _ in range(50):
+            stop.advance(state, coach, law, quarter / 50.0)
+            peak = max(peak, float(np.abs(state.q[19::6]).max()))
+        largest.append(max(peak, 1e-12))
+        if not np.isfinite(peak) or peak > 0.02:
+            return math.inf
+    return math.log(largest[3] / largest[1]) / (2.0 * quarter)
+
+
+def critical_speed(
+    coach: Coach,
+    law: Law,
+    speeds_m_s: np.ndarray | None = None,
+    say: Callable[[str], None] | None = print,
+    tolerance_m_s: float = 0.5,
+) -> float:
+    """Speed in m/s above which the coach hunts: a sweep, printed, and bisection.
+
+    Returns inf where it does not hunt at any of the speeds. `law` is the adhesion under the wheels;
+    dry rails (k = 1) hunt first.
+    """
+    speeds = np.arange(40.0, 141.0, 10.0) if speeds_m_s is None else speeds_m_s
+    stable = 0.0
+    if say:
+        say("speed m/s  km/h  growth 1/s")
+    for speed in speeds:
+        rate = growth(coach, law, float(speed))
+        if say:
+            say(f"{speed:9.1f} {3.6 * speed:5.0f} {rate:11.3f}")
+        if rate > 0.0:
+            low, high = stable, float(speed)
+            while high - low > tolerance_m_s:
+                middle = 0.5 * (low + high)
+                if growth(coach, law, middle) > 0.0:
+                    high = middle
+                else:
+                    low = middle
+            if say:
+                say(f"hunting from {high:.1f} m/s ({3.6 * high:.0f} km/h) on")
+            return high
+        stable = float(speed)
+    if say:
+        say(f"no hunting up to {stable:.0f} m/s")
+    return math.inf

@@ -1,0 +1,59 @@
+"""A coach on a track in batch: so many steps under constant brakes, as fast as they go.
+
+What the bench does tick by tick, without valves, cylinders and bus: for benchmarks of the contact
+models, for tests and for hunting.
+"""
+
+import numpy as np
+
+from rollerrig.rig.contact.adhesion import Law
+from rollerrig.rig.kernel import kernel
+from rollerrig.rig.multibody import memory, motion
+from rollerrig.rig.multibody.coach import Coach
+from rollerrig.rig.multibody.memory import Motion
+
+STEP_S = 1e-4
+
+
+def rolling(coach: Coach, speed_m_s: float) -> Motion:
+    """A coach in equilibrium that rolls freely at a speed in m/s."""
+    state = memory.views(np.zeros(memory.SIZE))
+    motion.start(state, coach, float(speed_m_s))
+    return state
+
+
+@kernel
+def _steps(state, coach, count, step_s, rest, brake_Nm, acts_Nm, resistance_A_N, resistance_C_N_s2_m2,
+           mu_cd, mu_cr, law, cleaning_creepage, end_m_s):
+    for i in range(count):
+        speed = motion.mean_speed(state.v, coach)
+        if speed < end_m_s:
+            return i
+        resistance_N = resistance_A_N + resistance_C_N_s2_m2 * speed * speed
+        motion.step(state, coach, step_s, rest, 0.0 * rest, 1.0, brake_Nm, acts_Nm, resistance_N,
+                    mu_cd, mu_cr, law, cleaning_creepage)
+    return count
+
+
+def advance(
+    state: Motion,
+    coach: Coach,
+    law: Law,
+    duration_s: float,
+    brake_Nm: float | np.ndarray = 0.0,
+    step_s: float = STEP_S,
+    resistance: tuple[float, float] = (0.0, 0.0),
+    cleaning_creepage: float = np.inf,
+    end_m_s: float = -np.inf,
+) -> float:
+    """Advance by a duration or until the speed falls below end_m_s; returns the time passed in s.
+
+    brake_Nm for each wheelset, or one for all; resistance (A in N, C in N s2/m2) of A + C v^2.
+    """
+    rest, acts = np.zeros(4), np.zeros(4)
+    count = _steps(
+        state, coach, round(duration_s / step_s), step_s, rest,
+        np.broadcast_to(np.asarray(brake_Nm, dtype=float), 4).copy(), acts, float(resistance[0]),
+        float(resistance[1]), np.full(4, law.mu_cd), np.full(4, law.mu_cr), law,
+        float(cleaning_creepage), float(end_m_s))
+    return count * step_s

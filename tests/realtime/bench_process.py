@@ -1,0 +1,150 @@
+"""`rollerrig run` as a process of its own, with free ports, and a simple WSP unit on its bus."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from rollerrig.realtime import records
+from rollerrig.wsp_interface import buses
+
+MAGNETS, HEARTBEAT, SYNC, SPEEDS = 0x211, 0x720, 0x080, 0x190
+ADDRESS = re.compile(r"socketcand://[\d.]+:\d+/rig0")
+PATIENCE_S = 240.0  # a first run compiles, perhaps on a busy machine
+
+
+def until(condition, what, timeout_s=PATIENCE_S):
+    """Wait for a condition and return its value; a test fails where it does not come."""
+    end = time.monotonic() + timeout_s
+    while not (found := condition()):
+        assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
+        time.sleep(0.02)
+    return found
+
+
+class BenchProcess:
+    """A run that has been started. `finish` waits for it and keeps what it said."""
+
+    def __init__(self, out, *arguments, scenario="velim_a1"):
+        self.out = Path(out)
+        self.said = self.out.parent / f"{self.out.name}.stderr"
+        command = [sys.executable, "-m", "rollerrig.realtime.cli", "run", scenario, "--json",
+                   "--out", str(out), "--set", "bus.socketcand_port=0",
+                   "--set", "modbus.enabled=false", *arguments]
+        with open(self.said, "wb") as stderr:
+            self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr,
+                                            stdout=subprocess.PIPE, start_new_session=True)
+        self.status = self.told = None
+
+    def finish(self, timeout_s=PATIENCE_S):
+        """Wait for the end; returns self."""
+        try:
+            stdout, _ = self.process.communicate(timeout=timeout_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            raise
+        self.status = self.process.returncode
+        self.told = json.loads(stdout) if stdout else None
+        return self
+
+    @property
+    def stderr(self):
+        return self.said.read_text()
+
+    @property
+    def record(self):
+        """The run's folder, read as anybody would."""
+        return records.load(self.out)
+
+    def heard(self, part):
+        """Texts of recorded events that contain a part."""
+        return [text for _, _, text in records.events(self.out) if part in text]
+
+    def address(self):
+        """Where its bus is, as soon as it says so."""
+        def told():
+            assert self.process.poll() is None, self.stderr
+            return ADDRESS.search(self.stderr + "".join(self.heard("the rig is on the bus")))
+        return until(told, "the address of the bus").group()
+
+    def runs_for(self, seconds):
+        """Wait until so much simulated time is recorded."""
+        def recorded():
+            assert self.process.poll() is None, self.stderr
+            try:
+                time_s = self.record.column("time_s")
+            except Exception:
+                return False
+            return len(time_s) and time_s[-1] >= seconds
+        until(recorded, f"{seconds} s of simulated time")
+
+    def child(self, word):
+        """The process number of the child whose command line has a word."""
+        def found():
+            children = Path(f"/proc/{self.process.pid}/task")
+            for task in children.glob("*/children"):
+                for pid in task.read_text().split():
+                    if word in Path(f"/proc/{pid}/cmdline").read_text().split("\0"):
+                        return int(pid)
+            return None
+        return until(found, f"a child process '{word}'")
+
+    def interrupt(self):
+        os.kill(self.process.pid, signal.SIGINT)
+
+
+def run(out, *arguments, **more):
+    """A whole run."""
+    return BenchProcess(out, *arguments, **more).finish()
+
+
+class SimpleUnit:
+    """Somebody's WSP unit: heartbeats, and answers every SYNC with what `answer(n)` gives.
+
+    `answer` returns messages as (identifier, data), or None to be silent for ever.
+    """
+
+    def __init__(self, address, answer):
+        self.bus = buses.open_client(address)
+        self.answer, self.syncs, self.speeds = answer, 0, []
+        self.thread = threading.Thread(target=self._serve, daemon=True)
+        self.thread.start()
+
+    def _serve(self):
+        import can
+
+        try:
+            self._send(HEARTBEAT, b"\0")
+            self._send(HEARTBEAT, b"\5")
+            while True:
+                message = self.bus.recv(0.1)
+                if message is None:
+                    self._send(HEARTBEAT, b"\5")
+                elif message.arbitration_id == SPEEDS:
+                    self.speeds.append(bytes(message.data))
+                elif message.arbitration_id == SYNC:
+                    self.syncs += 1
+                    if self.syncs % 5 == 0:
+                        self._send(HEARTBEAT, b"\5")
+                    messages = self.answer(self.syncs)
+                    if messages is None:
+                        return
+                    for identifier, data in messages:
+                        self._send(identifier, data)
+        except can.CanError:
+            return
+
+    def _send(self, identifier, data):
+        import can
+
+        self.bus.send(can.Message(arbitration_id=identifier, data=data,
+                                  is_extended_id=identifier > 0x7FF))
+
+    def close(self):
+        self.bus.shutdown()
+        self.thread.join(5.0)

@@ -1,0 +1,275 @@
+"""Bad input and bad luck: a clear message or event, no traceback, and the record is kept."""
+
+import os
+import signal
+import socket
+
+import bench_process
+import pytest
+from bench_process import MAGNETS, BenchProcess, SimpleUnit
+
+from rollerrig.realtime import cli, records
+
+HEAD = 'title = "t"\n[[demand]]\nfrom_s = 0.0\npressure_Pa = 3.8e5\n'
+
+
+def refused(capsys, *arguments):
+    """The message of a run that is refused before it begins."""
+    status = cli.main(["run", *arguments])
+    said = capsys.readouterr()
+    assert status == 2, said
+    assert said.out == ""
+    assert "Traceback" not in said.err
+    assert said.err.startswith("rollerrig run: ")
+    return said.err
+
+
+# --- configuration ---
+
+
+@pytest.mark.parametrize(("setting", "parts"), [
+    ("vehicle.mas_kg=1", ["--set [vehicle]", "unknown key 'mas_kg'", "did you mean 'mass_kg'"]),
+    ("vehicel.mass_kg=1", ["--set", "unknown table or key 'vehicel'", "did you mean 'vehicle'"]),
+    ("vehicle.mass_kg=-1", ["--set [vehicle]", "mass_kg = -1 is out of range", "1000 to 200000"]),
+    ("vehicle.mass_kg=heavy", ["mass_kg = 'heavy'", "number is wanted"]),
+    ("vehicle.mass_kg=nan", ["mass_kg = nan", "out of range"]),
+    ("vehicle.mass_kg=9000", ["mass_kg = 9000", "13280 kg", "raise it"]),
+    ("adhesion.mu_cd=0.9", ["recovered friction", "below the degraded"]),
+    ("rig.mode=moon", ["mode = 'moon'", "contaminated_rollers"]),
+    ("bus.master=1", ["master = 1", "true or false"]),
+    ("initial_speed_m_s=1e3", ["initial_speed_m_s = 1000 is out of range", "0.5 to 100"]),
+    ("loop.step_s=3e-4", ["step_s = 0.0003", "whole number"]),
+    ("loop.record_hz=300", ["record_hz = 300", "whole number"]),
+    ("bus.sync_period_s=0.0105", ["sync_period_s = 0.0105", "whole number"]),
+    ("loop.tick_hz=1000.5", ["tick_hz = 1000.5", "whole number"]),
+    ("adhesion=sope", ["'sope'", "did you mean 'soap'"]),
+    ("vehicle=3", ["vehicle", "'3'"]),
+    ("demand=3", ["demand = 3", "[[demand]]"]),
+    ("demand=[1, 2]", ["demand = [1, 2]", "[[demand]]"]),
+    ("friction=[{from_s=1.0, from_m=2.0}]", ["[[friction]] 1", "from_s (time) or from_m (place)"]),
+    ("friction=[{from_s=1.0, axles=[5]}]", ["[[friction]] 1", "axles = [5]", "1 to 4"]),
+    ("friction=[{from_s=1.0, axles=[1.5]}]", ["[[friction]] 1", "axles = [1.5]"]),
+    ("friction=[{from_s=1.0, mu_cd=0.9}]", ["[[friction]] 1", "below the degraded"]),
+    ("demand=[{from_s=3.0, pressure_Pa=1e5}, {from_s=1.0, pressure_Pa=0}]", ["[[demand]]", "rise"]),
+    ("demand=[{from_s=3.0}]", ["[[demand]] 1", "pressure_Pa is missing"]),
+    ("wsp_config=nobody", ["'nobody'", "reference"]),
+    ("mass_kg", ["--set mass_kg", "section.key=value"]),
+])
+def test_a_wrong_setting_is_refused_with_what_is_allowed(setting, parts, tmp_path, capsys):
+    text = refused(capsys, "velim_a1", "--set", setting, "--out", str(tmp_path / "run"))
+    for part in parts:
+        assert part in text
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("content", "parts"), [
+    (HEAD + "[adhesoin]\nmu_cd = 0.1\n", ["own.toml", "unknown table or key 'adhesoin'", "adhesion"]),
+    ("initial_speed = 3\n" + HEAD, ["own.toml", "'initial_speed'", "initial_speed_m_s"]),
+    ("vehicle = 7\n" + HEAD, ["own.toml", "vehicle = 7", "a table [vehicle]"]),
+    ('vehicle = "a"\nvehicle_set = "b"\n' + HEAD, ["own.toml", "vehicle and vehicle_set"]),
+    ("[demand]\nfrom_s = 0\n", ["own.toml", "[[demand]] with two brackets"]),
+    ("title = \n", ["own.toml", "not valid TOML", "line 1"]),
+    ('rig = "../nowhere.toml"\n' + HEAD, ["../nowhere.toml", "no such file", "full_scale"]),
+])
+def test_a_wrong_file_is_refused_with_its_name(content, parts, tmp_path, capsys):
+    (tmp_path / "own.toml").write_text(content)
+    text = refused(capsys, str(tmp_path / "own.toml"), "--out", str(tmp_path / "run"))
+    for part in parts:
+        assert part in text
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("arguments", "parts"), [
+    (["velim_a9"], ["'velim_a9'", "velim_a1"]),
+    (["no/such/file.toml"], ["no/such/file.toml: no such file"]),
+    (["velim_a1", "--model", "no/model.toml"], ["no/model.toml: no such file"]),
+    (["velim_a1", "--pacing", "free", "--wsp", "external"], ["--pacing free", "lockstep"]),
+])
+def test_a_file_that_is_missing_and_options_that_contradict_are_refused(arguments, parts, tmp_path,
+                                                                       capsys):
+    text = refused(capsys, *arguments, "--out", str(tmp_path / "run"))
+    for part in parts:
+        assert part in text
+
+
+def test_a_model_that_is_no_table_is_refused(tmp_path, capsys):
+    (tmp_path / "extended.toml").write_text("adhesion = 0.1\n")
+    text = refused(capsys, "velim_a1", "--model", str(tmp_path / "extended.toml"))
+    assert "extended.toml: adhesion = 0.1: write a table [adhesion]" in text
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, capsys):
+    (tmp_path / "thesis.txt").write_text("years of work")
+    text = refused(capsys, "velim_a1", "--pacing", "free", "--out", str(tmp_path))
+    assert "not a run's folder" in text
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_an_out_that_is_a_file_is_refused(tmp_path, capsys):
+    (tmp_path / "run").write_text("")
+    assert "--out" in refused(capsys, "velim_a1", "--pacing", "free", "--out", str(tmp_path / "run"))
+
+
+# --- the bus ---
+
+
+def failed(bench, *parts):
+    """The run ended with status 2 and a message, and its record is whole."""
+    assert bench.status == 2, bench.stderr
+    assert "Traceback" not in bench.stderr
+    for part in parts:
+        assert part in bench.stderr
+        assert part in bench.told["error"]
+    summary = records.summary(bench.out)
+    assert summary["ended"] == "error"
+    assert any(parts[0] in event["text"] for event in summary["events"])
+    assert bench.record.scenario["initial_speed_m_s"] > 0.0
+
+
+def test_a_port_in_use_is_named_with_how_to_mend(tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        bench = bench_process.run(tmp_path / "run", "--pacing", "lockstep",
+                                  "--set", f"bus.socketcand_port={port}")
+    failed(bench, str(port))
+
+
+def test_an_absent_interface_is_named_with_how_to_mend(tmp_path):
+    bench = bench_process.run(tmp_path / "run", "--pacing", "lockstep",
+                              "--set", "bus.interface=socketcan:nope")
+    failed(bench, "socketcan:nope", "to mend")
+
+
+# --- the unit ---
+
+
+def test_a_unit_that_never_comes_ends_the_run_with_how_to_start_one(tmp_path):
+    bench = bench_process.run(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
+                              "--wait", "1")
+    failed(bench, "no WSP unit on socketcand://", "within 1 s", "rollerrig wsp --bus", "--wait")
+
+
+def test_a_unit_that_dies_in_lockstep_ends_the_run_within_a_second_or_so(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external")
+    unit = SimpleUnit(bench.address(), lambda n: [(MAGNETS, b"\0")] if n < 200 else None)
+    bench.finish()
+    unit.close()
+    failed(bench, "has not answered SYNC within 1 s", "at 1.99", "211h")
+    assert bench.record.column("time_s")[-1] == pytest.approx(1.98, abs=0.02)
+
+
+def test_the_reference_unit_killed_in_lockstep_ends_the_run_and_is_named(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep")
+    bench.runs_for(0.5)
+    os.kill(bench.child("wsp"), signal.SIGKILL)
+    bench.finish()
+    failed(bench, "the reference WSP unit has ended with status -9", "wsp.log")
+    assert len(bench.record.table) > 50
+
+
+def test_a_unit_that_dies_in_real_time_lets_the_brakes_apply_and_the_run_go_on(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "external",
+                         "--set", "duration_max_s=3")
+    # it vents all axles, then goes without a word
+    unit = SimpleUnit(bench.address(), lambda n: [(MAGNETS, b"\xff")] if n < 100 else None)
+    bench.finish()
+    unit.close()
+    assert bench.status == 0, bench.stderr
+    assert "Traceback" not in bench.stderr
+    run = bench.record
+    time_s = run.column("time_s")
+    assert time_s[-1] > 2.9
+    lost_s, = (at for at, _, text in run.events if "heartbeat of node 32 lost" in text)
+    assert 1.0 < lost_s < 1.5
+    assert any("8130h" in text for _, _, text in run.events)
+    for axle in "1234":
+        valve = run.column(f"valve_{axle}")
+        assert valve[(time_s > 0.4) & (time_s < 0.95)].min() == 2.0
+        assert not valve[time_s > lost_s + 0.1].any()
+        assert run.column(f"cylinder_pressure_{axle}_Pa")[-1] > 1e5
+
+
+def test_short_pdos_and_garbage_of_a_unit_are_events_and_the_run_goes_on(tmp_path):
+    garbage = [(MAGNETS, b""), (MAGNETS, b"\1\2\3\4\5\6\7\x08"), (0x720, b""), (0x720, b"\xff\xff"),
+               (0x000, b"\x81"), (0x080, b"\1\2\3"), (0x611, b"\xff" * 8), (0x7FF, b""),
+               (0x1FFFFFFF, b"x"), (0x1A0, b"\0"), (0x77F, b"\5")]
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
+                         "--set", "duration_max_s=3")
+    unit = SimpleUnit(bench.address(), lambda n: [garbage[n % len(garbage)], (MAGNETS, b"\0")])
+    bench.finish()
+    unit.close()
+    assert bench.status == 0, bench.stderr
+    assert "Traceback" not in bench.stderr
+    assert len(bench.record.table) >= 295
+    assert bench.heard("8210h") or bench.heard("RPDO 1")
+
+
+# --- the end, wanted or not ---
+
+
+def test_ctrl_c_ends_a_run_with_its_summary(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep")
+    bench.runs_for(0.5)
+    wsp = bench.child("wsp")
+    bench.interrupt()
+    bench.finish()
+    assert bench.status == 0, bench.stderr
+    assert "Traceback" not in bench.stderr
+    assert bench.told["ended"] == "interrupted"
+    assert not bench.told["stopped"]
+    assert 0.5 < bench.record.column("time_s")[-1] < 30.0
+    assert not os.path.exists(f"/proc/{wsp}")
+    assert not (bench.out / "channels.tail").exists()
+
+
+def test_ctrl_c_ends_the_wait_for_a_unit(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external")
+    bench.address()
+    bench.interrupt()
+    bench.finish()
+    assert bench.status == 0, bench.stderr
+    assert "Traceback" not in bench.stderr
+    assert bench.told["ended"] == "interrupted"
+
+
+def test_a_bench_that_is_killed_leaves_its_files_whole_and_no_process(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", "duration_max_s=20")
+    bench.runs_for(1.0)
+    wsp, recorder = bench.child("wsp"), bench.child("rollerrig.realtime.recorder")
+    bench.process.kill()
+    killed_s = float(bench.record.column("time_s")[-1])
+    bench.process.communicate()
+    for pid in (wsp, recorder):
+        bench_process.until(lambda pid=pid: not _runs(pid), f"process {pid} to end", 30.0)
+    run = bench.record
+    assert run.column("time_s")[-1] >= killed_s
+    assert run.summary["ended"] == "killed"
+    assert not (bench.out / "channels.tail").exists()
+    assert (bench.out / "run.rrd").stat().st_size > 10_000
+    last_s = float((bench.out / "can.log").read_text().splitlines()[-1][1:18])
+    assert last_s > killed_s - 1.0
+
+
+def test_a_recorder_that_is_killed_is_an_event_and_its_files_are_readable(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "none",
+                         "--set", "duration_max_s=3")
+    bench.runs_for(1.0)
+    os.kill(bench.child("rollerrig.realtime.recorder"), signal.SIGKILL)
+    bench.finish()
+    assert bench.status == 0, bench.stderr
+    assert "Traceback" not in bench.stderr
+    assert "the recorder has ended with status -9" in bench.stderr
+    assert bench.told["loop"]["ticks"] == 3000
+    assert any("recorder" in event["text"] for event in bench.told["events"])
+    assert 1.0 <= bench.record.column("time_s")[-1] < 3.0
+    assert (bench.out / "can.log").stat().st_size > 1000
+
+
+def _runs(pid):
+    try:
+        with open(f"/proc/{pid}/status") as file:
+            return "\nState:\tZ" not in file.read()
+    except OSError:
+        return False

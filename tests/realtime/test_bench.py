@@ -1,0 +1,186 @@
+"""Whole runs over the bus: the WSP prevents locks, stops shorten, runs repeat bit for bit."""
+
+import json
+import os
+import signal
+import time
+
+import bench_process
+import numpy as np
+import pytest
+from bench_process import BenchProcess, SimpleUnit
+
+from rollerrig.realtime import records
+from rollerrig.wsp_interface.signals import COLUMNS
+
+CUT_OFF_M_S = 3.0
+
+
+def channels(run):
+    table = run.record.table
+    return np.array([table[name].to_numpy() for name in COLUMNS])
+
+
+def without_times(summary):
+    """A summary without what may differ: when it was made, and where."""
+    return {key: value for key, value in summary.items() if key not in ("folder", "made", "started")}
+
+
+# --- the main job ---
+
+
+def test_with_wsp_on_soap_no_axle_locks_longer_than_0_4_s(stop_with_wsp):
+    assert stop_with_wsp.status == 0, stop_with_wsp.stderr
+    assert stop_with_wsp.told["stopped"]
+    assert max(axle["longest_lock_s"] for axle in stop_with_wsp.told["axles"]) <= 0.4
+    assert sum(axle["vents"] for axle in stop_with_wsp.told["axles"]) > 10
+
+
+def test_without_wsp_on_soap_every_wheelset_locks(stop_without_wsp):
+    assert stop_without_wsp.status == 0, stop_without_wsp.stderr
+    assert min(axle["longest_lock_s"] for axle in stop_without_wsp.told["axles"]) > 5.0
+    assert stop_without_wsp.told["wsp"]["vents"] == 0
+
+
+def test_with_wsp_the_stop_is_shorter_than_without(stop_with_wsp, stop_without_wsp):
+    with_wsp, without = stop_with_wsp.told, stop_without_wsp.told
+    assert with_wsp["stop_distance_m"] < 0.95 * without["stop_distance_m"]
+    assert with_wsp["stop_time_s"] < without["stop_time_s"]
+
+
+def test_sliding_stays_moderate_with_wsp(stop_with_wsp):
+    run = stop_with_wsp.record
+    runs = run.column("vehicle_speed_m_s") > CUT_OFF_M_S
+    for axle in "1234":
+        assert run.column(f"sliding_{axle}_m_s")[runs].max() < 12.0
+        assert run.column(f"wheel_speed_{axle}_rad_s")[runs].min() > 0.0
+
+
+# --- the bus told the unit and obeyed it ---
+
+
+def test_the_record_has_speeds_magnets_and_heartbeats_of_every_cycle(stop_with_wsp):
+    lines = (stop_with_wsp.out / "can.log").read_text().splitlines()
+    assert len(lines) == stop_with_wsp.told["bus"]["frames"]
+    cycles = stop_with_wsp.told["loop"]["ticks"] // 10
+    for identifier in ("080#", "190#", "211#"):
+        assert abs(sum(f" {identifier}" in line for line in lines) - cycles) <= 2
+    assert sum(" 720#" in line for line in lines) >= cycles // 5
+    assert stop_with_wsp.told["bus"]["dropped"] == 0
+
+
+def test_magnets_on_the_bus_reach_the_valves_after_their_dead_time(stop_with_wsp):
+    run = stop_with_wsp.record
+    for axle in "1234":
+        asked = run.column(f"magnets_{axle}")
+        wanted = np.select([asked >= 2, asked == 1], [2.0, 1.0], 0.0)
+        # samples lie 10 ms apart, the dead time is 40 ms
+        np.testing.assert_array_equal(run.column(f"valve_{axle}")[4:], wanted[:-4])
+
+
+def test_the_units_reference_speed_is_recorded_and_near_the_vehicles(stop_with_wsp):
+    run = stop_with_wsp.record
+    speed, reference = run.column("vehicle_speed_m_s"), run.column("wsp_reference_speed_m_s")
+    runs = (speed > 5.0) & (run.column("time_s") > 1.0)
+    assert np.isfinite(reference[runs]).all()
+    assert np.abs(reference - speed)[runs].mean() < 2.0
+
+
+# --- runs repeat ---
+
+
+def test_lockstep_with_the_wsp_in_its_own_process_equals_free_bit_for_bit(stop_with_wsp, free_stop):
+    assert free_stop.status == 0, free_stop.stderr
+    over_bus, in_tick = channels(stop_with_wsp), channels(free_stop)
+    assert over_bus.shape == in_tick.shape
+    different = [name for name, a, b in zip(COLUMNS, over_bus, in_tick, strict=True)
+                 if a.tobytes() != b.tobytes()]
+    assert different == []
+
+
+def test_two_lockstep_runs_give_the_same_summary_channels_and_bus_log(folders):
+    first, second = (bench_process.run(folders / f"again{n}", "--pacing", "lockstep", "--set",
+                                       "duration_max_s=5") for n in range(2))
+    assert first.status == second.status == 0
+    summaries = [json.loads((run.out / "summary.json").read_text()) for run in (first, second)]
+    for summary in summaries:
+        # free ports differ
+        summary["events"] = [event for event in summary["events"] if "socketcand" not in event["text"]]
+    assert without_times(summaries[0]) == without_times(summaries[1])
+    assert channels(first).tobytes() == channels(second).tobytes()
+    log_of = [(run.out / "can.log").read_bytes() for run in (first, second)]
+    assert log_of[0] == log_of[1]
+
+
+def test_the_resolved_scenario_repeats_the_run(free_stop, folders):
+    again = bench_process.run(folders / "repeated", "--pacing", "free",
+                              scenario=str(free_stop.out / "scenario.toml"))
+    assert again.told["config_hash"] == free_stop.told["config_hash"]
+    assert channels(again).tobytes() == channels(free_stop).tobytes()
+
+
+def test_the_printed_summary_is_the_recorded_one(stop_with_wsp):
+    told = dict(stop_with_wsp.told)
+    assert told.pop("folder") == str(stop_with_wsp.out)
+    assert told == records.summary(stop_with_wsp.out)
+
+
+# --- somebody else's unit ---
+
+
+def test_an_external_unit_drives_a_stop_in_lockstep(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
+                         "--set", "initial_speed_m_s=8")
+    unit = SimpleUnit(bench.address(), lambda n: [(bench_process.MAGNETS, bytes([0b11 * (n < 50)]))])
+    bench.finish()
+    unit.close()
+    assert bench.status == 0, bench.stderr
+    assert bench.told["stopped"]
+    run = bench.record
+    vented = run.column("valve_1") == 2.0
+    assert 0.4 < run.column("time_s")[vented].max() < 0.6
+    assert not run.column("valve_2").any()
+    assert len(unit.speeds) >= unit.syncs - 1
+    # 0.01 rad/s a count, four axles
+    assert int.from_bytes(unit.speeds[0][:2], "little") == round(8.0 / 0.445 / 0.01)
+
+
+# --- real time ---
+
+
+def test_wall_pacing_keeps_real_time(wall_run):
+    assert wall_run.status == 0, wall_run.stderr
+    loop = wall_run.told["loop"]
+    assert loop["ticks"] == 4000
+    late = loop["lateness_us"]
+    assert 0.0 < late["p50"] <= late["p99"] <= late["p999"] <= late["max"]
+    assert late["p50"] < 1000.0
+
+
+def test_syncs_keep_their_period_in_wall_pacing(wall_run):
+    times_s = [float(line[1:18]) for line in (wall_run.out / "can.log").read_text().splitlines()
+               if " 080#" in line]
+    period_s = np.diff(times_s)
+    assert period_s.mean() == pytest.approx(0.01, rel=0.01)
+    assert np.median(np.abs(period_s - 0.01)) < 0.002
+
+
+def test_the_unit_is_not_lost_without_a_reason(wall_run):
+    stalled = wall_run.told["loop"]["lateness_us"]["max"] > 50_000
+    lost = [event for event in wall_run.told["events"] if "lost" in event["text"]]
+    assert stalled or lost == []
+
+
+def test_a_stall_is_counted_as_missed_ticks_and_strict_says_so(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--strict", "--wsp", "none",
+                         "--set", "duration_max_s=2.5")
+    bench.runs_for(0.5)
+    os.kill(bench.process.pid, signal.SIGSTOP)
+    time.sleep(0.4)
+    os.kill(bench.process.pid, signal.SIGCONT)
+    bench.finish()
+    assert bench.status == 3, bench.stderr
+    assert bench.told["loop"]["ticks"] == 2500
+    assert bench.told["loop"]["missed"] >= 350
+    assert bench.told["loop"]["lateness_us"]["max"] >= 350_000
+    assert bench.record.column("ticks_missed")[-1] >= 350

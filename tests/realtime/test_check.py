@@ -1,0 +1,84 @@
+"""`rollerrig check`: the questions it puts to this machine, and what it says of a poor one."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from rollerrig.realtime import cli, host, verb_check
+from rollerrig.realtime.host import Finding, State
+
+
+@pytest.fixture
+def taken():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+def test_check_says_of_every_row_how_it_is_and_how_to_enable_what_is_weaker():
+    findings = verb_check.look(0)
+    assert len({one.name for one in findings}) == len(findings) >= 15
+    for one in findings:
+        assert one.found
+        assert one.state is State.OK or one.mend, one.name
+
+
+def test_check_prints_one_json_object_and_a_run_is_possible_here(capsys):
+    status = cli.main(["check", "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert told["possible"] is (status == 0) is True
+    assert {"name", "state", "found", "mend"} == set(told["checks"][0])
+
+
+def test_a_port_in_use_is_reported_with_its_holder_and_a_way_out(taken):
+    finding = host.port(taken)
+    assert finding.state is State.WEAKER
+    assert "in use" in finding.found
+    assert str(taken) in finding.mend
+    assert "socketcand_port=0" in finding.mend
+    if host.shutil.which("ss"):
+        assert str(os.getpid()) in finding.found
+
+
+def test_a_free_port_is_free():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        number = server.getsockname()[1]
+    assert host.port(number).state is State.OK
+
+
+def test_a_port_that_cannot_exist_is_not_free():
+    assert host.port(70000).state is State.WEAKER
+
+
+def test_asking_for_priority_leaves_this_thread_an_ordinary_one():
+    host.priority()
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+
+
+def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
+    # limits of zero, and no capabilities: what a fresh user account has
+    script = (
+        "import resource, os\n"
+        "from rollerrig.realtime import clock, host\n"
+        "for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK):\n"
+        "    resource.setrlimit(limit, (0, 0))\n"
+        "if os.getuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
+        "for finding in (host.priority(), host.memory_lock()):\n"
+        "    print(finding.state, '|', finding.mend)\n")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
+                          check=False)
+    rights, memory = done.stdout.splitlines()
+    for line, named in ((rights, "rtprio"), (memory, "memlock")):
+        assert line.startswith("weaker")
+        assert named in line
+
+
+def test_one_missing_row_means_that_no_run_is_possible(capsys):
+    poor = [Finding("shared memory", State.MISSING, "1 MB free", "make room")]
+    assert verb_check.tell(poor, as_json=False) == 2
+    told = capsys.readouterr()
+    assert "make room" in told.out
+    assert "no run is possible" in told.err

@@ -1,0 +1,62 @@
+"""A held rig rolls, and its run has not begun."""
+
+import numpy as np
+import pytest
+
+from rollerrig.realtime import bench, hold, mailbox, ring, scenario
+from rollerrig.realtime.hold import HOLDING, RELEASED, RUNNING
+from rollerrig.realtime.tick import HELD, HOLD, TICK
+from rollerrig.wsp_interface import signals
+
+
+@pytest.fixture(params=["full_scale", "plain_track", "virtual_track"])
+def machine(request):
+    plan = scenario.load("velim_a1", settings=(f"rig={request.param}", "initial_speed_m_s=10"))
+    rows = ring.Ring(ring.place("held"), np.float64, 1 << 8, len(signals.COLUMNS))
+    made = bench.build_machine(plan, rows)
+    made.control[HOLD] = HOLDING
+    yield made
+    rows.close()
+    rows.unlink()
+
+
+def seen(machine):
+    row = np.zeros(len(signals.COLUMNS))
+    mailbox.fetch(machine.published, row)
+    return row
+
+
+def test_it_rolls_without_sliding_at_its_set_speed_and_time_stands_still(machine):
+    for _ in range(50):
+        hold.roll(machine)
+    row = seen(machine)
+    assert row[signals.column("vehicle_speed")] == 10.0
+    assert row[signals.span("wheel_circumferential_speed")] == pytest.approx([10.0] * 4)
+    assert row[signals.span("sliding")] == pytest.approx([0.0] * 4, abs=1e-9)
+    assert row[signals.span("wheel_angle")] == pytest.approx(
+        0.05 * row[signals.span("wheel_speed")], rel=1e-9)
+    assert row[signals.column("time")] == row[signals.column("position")] == 0.0
+    assert (machine.control[TICK], machine.control[HELD]) == (0, 50)
+    assert machine.ring_header[ring.WRITTEN] == 0
+
+
+@pytest.mark.parametrize("set_m_s", [12.0, 8.0, 0.0])
+def test_it_approaches_its_set_speed_at_its_rate_and_stays(set_m_s, machine):
+    machine.hold[0] = set_m_s
+    hold.roll(machine)
+    change = machine.params.tick_s * hold.RATE_M_S2
+    assert abs(seen(machine)[signals.column("vehicle_speed")] - 10.0) == pytest.approx(change)
+    for _ in range(round(abs(set_m_s - 10.0) / change) + 10):
+        hold.roll(machine)
+    assert seen(machine)[signals.column("vehicle_speed")] == set_m_s
+
+
+def test_its_run_begins_with_a_sync(machine):
+    machine.control[HELD] = 13
+    machine.control[HOLD] = RELEASED
+    ticks = 0
+    while hold.is_held(machine, 10):
+        hold.roll(machine)
+        ticks += 1
+    assert ticks == 7
+    assert machine.control[HOLD] == RUNNING

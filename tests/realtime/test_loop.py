@@ -1,0 +1,142 @@
+"""The real-time loop: deadlines, lateness, what it says when it is refused something."""
+
+import os
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from rollerrig.realtime import bench, clock, loop, scenario, tick
+from rollerrig.realtime import ring as rings
+from rollerrig.realtime.tick import DONE, MISSED, STOP, TICK, WORST_NS
+from rollerrig.wsp_interface import signals
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def machine(tmp_path):
+    ring = rings.Ring(tmp_path / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
+    return bench.build_machine(scenario.load("velim_a1", settings=("duration_max_s=0.5",)), ring)
+
+
+def wall(machine, begin_ns, sync_ticks=10):
+    """Run the loop to its end; histogram and how many SYNCs it called for."""
+    histogram = np.zeros(loop.BINS, dtype=np.int64)
+    descriptor = clock.eventfd()
+    loop.wall(machine, MS, sync_ticks, descriptor, histogram, np.zeros(3, dtype=np.int64), begin_ns)
+    calls = int.from_bytes(os.read(descriptor, 8), "little")
+    os.close(descriptor)
+    return histogram, calls
+
+
+def test_every_tick_is_run_once_and_has_its_lateness_counted(machine):
+    bench.warm_up(machine, "wall")
+    begin_ns = clock.monotonic_ns()
+    histogram, calls = wall(machine, begin_ns)
+    took_s = (clock.monotonic_ns() - begin_ns) / 1e9
+    assert machine.control[TICK] == histogram.sum() == 500
+    assert machine.control[DONE] == 1
+    assert calls == 50 + 1  # the last call says that the loop has ended
+    assert took_s >= 0.5
+    assert took_s < 1.5
+    assert machine.state.time[0] == pytest.approx(0.5)
+
+
+def test_a_loop_that_is_behind_catches_up_and_counts_what_it_missed(machine):
+    bench.warm_up(machine, "wall")
+    begin_ns = clock.monotonic_ns() - 60 * MS
+    histogram, _ = wall(machine, begin_ns)
+    took_s = (clock.monotonic_ns() - begin_ns) / 1e9
+    # deadlines are absolute: the 500th tick still belongs 500 ms after the beginning
+    assert machine.control[TICK] == 500
+    assert 20 <= machine.control[MISSED] <= 250
+    assert machine.control[WORST_NS] >= 59 * MS
+    assert histogram[loop.BINS - 1:].sum() >= 30  # all that is 20 ms late or more
+    assert 0.5 <= took_s < 1.5
+
+
+def test_a_long_stall_starts_afresh_and_counts_every_tick_of_it(machine):
+    bench.warm_up(machine, "wall")
+    begin_ns = clock.monotonic_ns() - 3000 * MS
+    wall(machine, begin_ns)
+    assert 2990 <= machine.control[MISSED] < 3400
+    assert (clock.monotonic_ns() - begin_ns) / 1e9 >= 3.0 + 0.49
+
+
+def test_a_flag_set_from_python_stops_the_loop(machine):
+    bench.warm_up(machine, "wall")
+    thread = threading.Thread(target=wall, args=(machine, clock.monotonic_ns()))
+    thread.start()
+    time.sleep(0.1)
+    machine.control[STOP] = 1
+    thread.join(2.0)
+    assert not thread.is_alive()
+    assert 20 <= machine.control[TICK] < 500
+
+
+def test_the_loop_lets_python_run_beside_it(machine):
+    bench.warm_up(machine, "wall")
+    thread = threading.Thread(target=wall, args=(machine, clock.monotonic_ns()))
+    thread.start()
+    counted = 0
+    while thread.is_alive():
+        counted += 1
+    assert counted > 10_000
+    assert machine.control[TICK] == 500
+
+
+def test_warming_up_runs_no_tick_and_changes_nothing(machine):
+    before = machine.buffer.copy()
+    for pacing in bench.PACINGS:
+        bench.warm_up(machine, pacing)
+    assert machine.control[TICK] == machine.control[STOP] == machine.control[DONE] == 0
+    assert before.tobytes() == machine.buffer.tobytes()
+    assert machine.ring_header[rings.WRITTEN] == 0
+
+
+def test_percentiles_are_the_upper_edges_of_their_bins():
+    histogram = np.zeros(loop.BINS, dtype=np.int64)
+    histogram[4], histogram[9], histogram[99] = 985, 10, 5
+    found = loop.percentiles(histogram, 99_500)
+    assert found == {"p50": 5.0, "p99": 10.0, "p999": 99.5, "max": 99.5}
+
+
+def test_percentiles_agree_with_those_of_the_values_themselves():
+    lateness_us = np.random.default_rng(5).gamma(2.0, 12.0, 50_000)
+    histogram = np.bincount(lateness_us.astype(int), minlength=loop.BINS)
+    found = loop.percentiles(histogram, round(lateness_us.max() * 1000))
+    for name, share in (("p50", 50), ("p99", 99), ("p999", 99.9)):
+        assert found[name] == pytest.approx(np.percentile(lateness_us, share), abs=1.01)
+
+
+def test_no_ticks_have_no_lateness():
+    assert loop.percentiles(np.zeros(loop.BINS, dtype=np.int64), 0) == {
+        "p50": 0.0, "p99": 0.0, "p999": 0.0, "max": 0.0}
+
+
+def test_a_core_that_is_not_there_is_refused_with_those_that_are():
+    said = []
+    thread = threading.Thread(target=lambda: said.extend(loop.ask_for_priority(0, 1023)))
+    thread.start()
+    thread.join()
+    text, = said
+    assert "core 1023" in text
+    assert "loop.cpu" in text
+    assert str(sorted(os.sched_getaffinity(0))[0]) in text
+
+
+def test_who_asks_for_nothing_is_refused_nothing():
+    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
+    assert loop.ask_for_priority(0, -1) == []
+    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
+
+
+def test_the_row_that_a_sample_keeps_tells_the_worst_lateness_since_the_last(machine):
+    bench.warm_up(machine, "wall")
+    wall(machine, clock.monotonic_ns() - 15 * MS)
+    rows = machine.ring_rows[: machine.ring_header[rings.WRITTEN]]
+    late_us = rows[:, signals.column("tick_lateness")]
+    assert late_us.max() == pytest.approx(machine.control[WORST_NS] / 1000.0)
+    assert rows[-1, signals.column("ticks_missed")] <= machine.control[tick.MISSED]

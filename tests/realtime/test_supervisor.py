@@ -1,0 +1,233 @@
+"""The supervisory PLC of a running bench: a Modbus client alone runs a scenario, start to stop."""
+
+import contextlib
+import json
+import re
+import socket
+import struct
+import subprocess
+import sys
+import time
+
+import pytest
+from pymodbus.client import ModbusTcpClient
+
+from rollerrig.configs import store
+from rollerrig.firmware_sim.modbus_map import BITS, WORDS, State
+from rollerrig.realtime import cli, records
+
+AT = {row.name: row.at for row in (*BITS, *WORDS)}
+START_S, END_S = 240.0, 60.0
+
+
+class Rig:
+    """`rollerrig run` in a process of its own, and a client of its PLC."""
+
+    def __init__(self, out, *more):
+        self.out = out
+        command = [sys.executable, "-m", "rollerrig.realtime.cli", "run", "dry_stop", "--wsp", "none",
+                   "--set", "bus.socketcand_port=0", "--out", str(out), "--json", *more]
+        self.said = open(out.with_suffix(".said"), "w+")  # noqa: SIM115: closed in close
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.said, text=True)
+
+    def connect(self):
+        deadline = time.monotonic() + START_S
+        while time.monotonic() < deadline and self.process.poll() is None:
+            if found := re.search(r"unit 1 on 127\.0\.0\.1:(\d+)", self.words()):
+                self.client = ModbusTcpClient("127.0.0.1", port=int(found[1]))
+                assert self.client.connect()
+                return
+            time.sleep(0.1)
+        raise AssertionError(self.words())
+
+    def words(self):
+        self.said.flush()
+        self.said.seek(0)
+        return self.said.read()
+
+    def read(self, name, count=1):
+        found = self.client.read_input_registers(AT[name], count=count, device_id=1).registers
+        return found[0] if count == 1 else found
+
+    def bit(self, name):
+        return self.client.read_coils(AT[name], count=1, device_id=1).bits[0]
+
+    def write(self, name, value):
+        """The exception code, or 0."""
+        return self.client.write_register(AT[name], value & 0xFFFF, device_id=1).exception_code
+
+    def set(self, name, on=True):
+        return self.client.write_coil(AT[name], on, device_id=1).exception_code
+
+    def until(self, name, wanted, patience_s=30.0):
+        deadline = time.monotonic() + patience_s
+        while time.monotonic() < deadline:
+            value = self.bit(name) if AT[name] < 8 and name in BIT_NAMES else self.read(name)
+            if wanted(value):
+                return value
+            time.sleep(0.05)
+        raise AssertionError(f"{name} stays at {value}")
+
+    def result(self):
+        output, _ = self.process.communicate(timeout=END_S)
+        return self.process.returncode, json.loads(output)
+
+    def close(self):
+        with contextlib.suppress(AttributeError):
+            self.client.close()
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.communicate()
+        self.said.close()
+
+
+BIT_NAMES = {row.name for row in BITS}
+HELD = ("--start", "modbus", "--set", "modbus.port=0")
+
+
+@pytest.fixture
+def rig(tmp_path):
+    started = []
+
+    def start(*more):
+        started.append(Rig(tmp_path / "run", *more))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.close()
+
+
+def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
+    one = rig(*HELD, "--set", "initial_speed_m_s=6")
+    one.connect()
+    one.until("state", lambda state: state == State.HELD)
+    # the rig rolls, and its bus lives: wheels and counters turn while time stands still
+    assert one.read("vehicle_speed") == 600
+    frames = one.read("bus_frames", 2)
+    assert one.until("held", bool)
+    # another scenario, another speed
+    wanted = store.names("scenarios").index("step_adhesion")
+    assert one.write("scenario", wanted) == 0
+    one.until("state", lambda state: state == State.HELD)
+    assert one.read("scenario") == wanted
+    assert one.write("scenario", 999) == 3
+    assert one.write("speed_set_point", 20) == 3
+    assert one.write("speed_set_point", 500) == 0
+    assert one.write("brake_demand_set_point", 0) == 0
+    one.until("at_set_speed", bool)
+    assert one.read("bus_frames", 2) > frames
+    assert one.read("time", 2) == [0, 0]
+    # an emergency stop bars the start
+    assert one.set("emergency_stop") == 0
+    assert one.set("run") == 6
+    assert one.set("emergency_stop", False) == 0
+    one.until("at_set_speed", bool)
+    # the run begins without brakes, because Modbus asks for none
+    assert one.set("run") == 0
+    one.until("state", lambda state: state == State.RUNNING)
+    assert one.bit("run")
+    one.until("time", lambda _: one.read("time", 2)[1] > 1000)
+    assert one.read("cylinder_pressure_1") == 0
+    assert one.read("vehicle_speed") > 490
+    assert (one.write("speed_set_point", 600), one.write("scenario", 0)) == (6, 6)
+    assert one.set("emergency_stop") == 0
+    one.until("cylinder_pressure_1", lambda mbar: mbar > 2000)
+    one.until("state", lambda state: state == State.ENDED)
+    status, summary = one.result()
+    assert status == 0
+    assert summary["stopped"] is True
+    assert summary["scenario"] == "step_adhesion"
+    assert summary["initial_speed_m_s"] == pytest.approx(5.0, abs=0.01)
+    assert summary["modbus"]["requests"] > 30
+    texts = [event["text"] for event in summary["events"]]
+    assert "the run is started over Modbus" in texts
+    assert "emergency stop over Modbus set" in texts
+    check_record(one.out, summary)
+
+
+def check_record(folder, summary):
+    """What was held is not in the record, which begins at 0 and can be run again."""
+    run = records.load(folder)
+    time_s, speed = run.column("time_s"), run.column("vehicle_speed_m_s")
+    assert time_s[0] == 0.0
+    assert speed[0] == pytest.approx(5.0, abs=0.02)
+    assert run.column("position_m")[0] == 0.0
+    assert run.column("time_s")[-1] == pytest.approx(summary["loop"]["ticks"] / 1000, abs=0.02)
+    assert run.scenario["initial_speed_m_s"] == pytest.approx(5.0, abs=0.01)
+    assert run.scenario["friction"]
+    stamps = [float(line[1:line.index(")")]) for line in (folder / "can.log").open()]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] == pytest.approx(time_s[-1], abs=0.1)
+    syncs = [float(line[1:line.index(")")]) for line in (folder / "can.log").open() if " 080#" in line]
+    assert syncs[0] < 0.02
+
+
+def test_a_held_rig_that_is_stopped_ends_well(rig):
+    one = rig(*HELD)
+    one.connect()
+    assert one.set("stop") == 0
+    status, summary = one.result()
+    assert status == 0
+    assert summary["stopped"] is False
+    assert summary["ended"] == "stopped over Modbus"
+    assert records.load(one.out).scenario
+
+
+@pytest.fixture
+def taken():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+def test_a_port_that_is_taken_does_not_keep_a_run_from_running(rig, taken):
+    one = rig("--set", f"modbus.port={taken}", "--set", "duration_max_s=0.3")
+    status, summary = one.result()
+    assert status == 0
+    assert summary["modbus"]["requests"] == 0
+    warning = next(event["text"] for event in summary["events"] if event["level"] == "warning")
+    assert str(taken) in warning
+    assert "modbus.port=N" in warning
+
+
+def test_a_port_that_is_taken_keeps_a_start_over_modbus_from_waiting_for_ever(rig, taken):
+    one = rig("--start", "modbus", "--set", f"modbus.port={taken}")
+    output, _ = one.process.communicate(timeout=START_S)
+    assert one.process.returncode == 2
+    assert f"127.0.0.1:{taken}" in json.loads(output)["error"]
+
+
+def test_a_port_beyond_this_machine_is_told_loudly(rig):
+    one = rig("--set", "modbus.host=0.0.0.0", "--set", "modbus.port=0", "--set", "duration_max_s=0.3")
+    status, summary = one.result()
+    assert status == 0
+    assert any("BEYOND THIS MACHINE" in event["text"] and event["level"] == "warning"
+               for event in summary["events"])
+
+
+@pytest.mark.parametrize("wrong", [
+    ["--pacing", "lockstep"], ["--pacing", "free"], ["--set", "modbus.enabled=false"],
+])
+def test_a_start_over_modbus_that_cannot_come_is_refused(wrong, tmp_path, capsys):
+    status = cli.main(["run", "dry_stop", "--start", "modbus", "--out", str(tmp_path / "run"), *wrong])
+    assert status == 2
+    assert "--start modbus" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_requests_are_answered_while_the_loop_keeps_its_deadlines(rig):
+    one = rig(*HELD, "--set", "initial_speed_m_s=6")
+    one.connect()
+    one.until("state", lambda state: state == State.HELD)
+    line = one.client.socket
+    request = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, AT["vehicle_speed"], 10)
+    begun, count = time.perf_counter(), 3000
+    for _ in range(count):
+        line.sendall(request)
+        assert len(line.recv(256)) == 29
+    rate = count / (time.perf_counter() - begun)
+    # the floor is for a busy machine; rollerrig bench bus measures it
+    assert rate > 1500
+    assert one.read("lateness_p50") < 1000
+    assert one.set("stop") == 0
+    assert one.result()[1]["modbus"]["requests"] >= count

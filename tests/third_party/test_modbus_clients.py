@@ -1,0 +1,146 @@
+"""Other people's Modbus clients against the rig's units: mbpoll, and simonvetter/modbus in Go."""
+
+import json
+import os
+import shutil
+import subprocess
+import threading
+from pathlib import Path
+
+import pytest
+from modbus_site import Site
+
+GO_CLIENT = Path(__file__).parent / "modbus_go"
+MBPOLL = shutil.which("mbpoll")
+GO = shutil.which("go")
+needs_mbpoll = pytest.mark.skipif(not MBPOLL, reason="needs mbpoll: apt-get install mbpoll")
+
+
+@pytest.fixture
+def site():
+    place = Site()
+    yield place
+    place.close()
+
+
+def run(*command, **more):
+    return subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=60, **more)
+
+
+def mbpoll(way, *arguments):
+    done = run(MBPOLL, *way, "-0", "-1", "-o", 2, *arguments)
+    return done.returncode, done.stdout + done.stderr
+
+
+def read_values(text):
+    """Value by reference, as mbpoll prints them."""
+    lines = (line.split(":") for line in text.splitlines() if line.startswith("["))
+    return {int(at.strip("[] ")): int(value.split()[0]) for at, value in lines}
+
+
+def tcp(site):
+    return ["-m", "tcp", "-p", str(site.listen()), "127.0.0.1"]
+
+
+def rtu(site):
+    return ["-m", "rtu", "-b", "19200", "-P", "even", site.serial()]
+
+
+@needs_mbpoll
+@pytest.mark.parametrize("way", [tcp, rtu])
+def test_mbpoll_reads_speeds_counters_and_bits(way, site):
+    at = way(site)
+    status, text = mbpoll(at, "-a", 1, "-t", 4, "-r", 208, "-c", 3)
+    assert (status, read_values(text)) == (0, {208: 100, 209: 200, 210: 300})
+    status, text = mbpoll(at, "-a", 1, "-t", "3:int", "-B", "-r", 260, "-c", 2)
+    assert (status, read_values(text)) == (0, {260: 70000, 262: 1})
+    status, text = mbpoll(at, "-a", 1, "-t", 1, "-r", 0, "-c", 8)
+    assert (status, read_values(text)) == (0, dict.fromkeys(range(8), 0))
+
+
+@needs_mbpoll
+@pytest.mark.parametrize("way", [tcp, rtu])
+def test_mbpoll_writes_set_points_and_walks_a_drive(way, site):
+    at = way(site)
+    assert mbpoll([*at, "2500"], "-a", 1, "-t", 4, "-r", 1)[0] == 0
+    assert mbpoll([*at, "1"], "-a", 1, "-t", 0, "-r", 0)[0] == 0
+    assert site.written == [("speed_set_point", 2500), ("run", 1)]
+    for word, state in ((6, 0x21), (7, 0x23), (15, 0x27)):
+        assert mbpoll([*at, str(word)], "-a", 14, "-t", 4, "-r", 0)[0] == 0
+        _, text = mbpoll(at, "-a", 14, "-t", 3, "-r", 100)
+        assert read_values(text)[100] & 0x6F == state
+
+
+@needs_mbpoll
+def test_mbpoll_is_told_what_it_may_not(site):
+    at = tcp(site)
+    assert "Illegal data address" in mbpoll(at, "-a", 1, "-t", 4, "-r", 9000)[1]
+    assert "Illegal data value" in mbpoll([*at, "60000"], "-a", 1, "-t", 4, "-r", 1)[1]
+    assert "Target device failed to respond" in mbpoll(at, "-a", 77, "-t", 4, "-r", 208)[1]
+
+
+@pytest.fixture(scope="session")
+def go_client(tmp_path_factory):
+    if not GO:
+        pytest.skip("needs Go: apt-get install golang-go, or an installation of Go 1.21 or newer")
+    quiet = os.environ | {"GOFLAGS": "-mod=readonly", "GOTOOLCHAIN": "local"}
+    fetched = run(GO, "mod", "download", cwd=GO_CLIENT, env=quiet)
+    if fetched.returncode:
+        pytest.skip(f"the Go module proxy cannot be reached: {fetched.stderr.strip()[-200:]}")
+    program = tmp_path_factory.mktemp("go") / "modbus_client"
+    built = run(GO, "build", "-o", program, ".", cwd=GO_CLIENT, env=quiet)
+    assert built.returncode == 0, built.stderr
+    return program
+
+
+def check_what_go_saw(done, site):
+    assert done.returncode == 0, done.stderr
+    seen = json.loads(done.stdout)
+    assert seen["speeds"] == [100, 200, 300, 65536 - 400]
+    assert seen["pulses"] == 70000
+    assert seen["bits"] == [True] + [False] * 7
+    assert seen["status"] & 0x6F == 0x27
+    assert seen["target"] == 123456
+    assert site.drives[1].objects.get(0x60FF) == 123456
+    assert site.written == [("speed_set_point", 2500), ("brake_demand_set_point", -1), ("run", 1)]
+
+
+def test_a_go_client_works_over_tcp(go_client, site):
+    check_what_go_saw(run(go_client, f"tcp://127.0.0.1:{site.listen()}"), site)
+
+
+def test_a_go_client_works_over_rtu(go_client, site):
+    check_what_go_saw(run(go_client, f"rtu://{site.serial()}"), site)
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="needs the command openssl")
+def test_a_go_client_works_over_tls_with_its_certificate_and_not_without(go_client, site, tmp_path):
+    from test_modbus_tls import authority, certificate
+
+    from rollerrig.firmware_sim.modbus_server import tls_context
+
+    for name in ("plant", "stranger"):
+        authority(tmp_path, name)
+    for name, signer in (("rig", "plant"), ("room", "plant"), ("intruder", "stranger")):
+        certificate(tmp_path, name, signer)
+    port = site.listen(tls_context(tmp_path / "rig.pem", tmp_path / "rig.key", tmp_path / "plant.pem"))
+    address = f"tcp+tls://127.0.0.1:{port}"
+    wrong = run(go_client, address, tmp_path / "intruder.pem", tmp_path / "intruder.key",
+                tmp_path / "plant.pem")
+    assert wrong.returncode == 1
+    assert site.server.counters.requests == 0
+    check_what_go_saw(run(go_client, address, tmp_path / "room.pem", tmp_path / "room.key",
+                          tmp_path / "plant.pem"), site)
+
+
+@needs_mbpoll
+def test_two_clients_at_once_do_not_disturb_each_other(site):
+    at = tcp(site)
+    found = []
+    threads = [threading.Thread(target=lambda: found.append(
+        mbpoll(at, "-a", 1, "-t", 4, "-r", 208, "-c", 2))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [read_values(text) for _, text in found] == [{208: 100, 209: 200}] * 4
