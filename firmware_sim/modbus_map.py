@@ -12,9 +12,9 @@ import io
 from collections.abc import Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
-from canopen.objectdictionary import ObjectDictionary, datatypes
+from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 
 from rollerrig.wsp_interface import signals
 
@@ -42,7 +42,7 @@ class State(IntEnum):
 class Register(NamedTuple):
     """One row. `at` counts from 0, as on the wire; `scale` is the unit per count.
 
-    `signal` and `axle` say which column of the live row it is; `index` and `sub` which object of
+    `signal` and `axle` say which column of the live row it is; `od_index` and `od_sub` which object of
     the drive; neither: a value of the bench. `wraps`: a counter, which begins again at its bound.
     """
 
@@ -55,8 +55,8 @@ class Register(NamedTuple):
     text: str
     signal: str = ""
     axle: int = 1
-    index: int = 0
-    sub: int = 0
+    od_index: int = 0
+    od_sub: int = 0
     of: str = ""
     wraps: bool = False
 
@@ -163,11 +163,11 @@ def drive_words(dictionary: ObjectDictionary) -> tuple[Register, ...]:
     found = []
     for access, rows in ((WRITE, _COMMANDED), (READ, _TOLD)):
         for at, index in rows:
-            one = dictionary[index]
+            one = cast(ODVariable, dictionary[index])
             name = one.name.lower().replace(" ", "_").replace("-", "_")
             text = f"{index:04X}h {one.name}"
-            found.append(Register(at, name, _TYPES[one.data_type], one.unit.replace("/", "_"),
-                                  one.factor, access, text, index=index))
+            found.append(Register(at, name, _TYPES[cast(int, one.data_type)], one.unit.replace("/", "_"),
+                                  one.factor, access, text, od_index=index))
     return tuple(found)
 
 
@@ -179,8 +179,9 @@ HEAD = ("unit", "space", "register", "reference", "name", "kind", "unit_of_value
 
 def table(drives: Mapping[int, ObjectDictionary]) -> list[tuple[str, ...]]:
     """All rows as text, in the order of `HEAD`; `drives` are the drives' dictionaries by node."""
-    units: dict[int, tuple[tuple[Register, ...], ...]] = {PLC_UNIT: (BITS, WORDS)} | {
-        DRIVE_UNITS[node]: ((), drive_words(one)) for node, one in drives.items()}
+    units: dict[int, tuple[tuple[Register, ...], ...]] = {PLC_UNIT: (BITS, WORDS)}
+    for node, one in drives.items():
+        units[DRIVE_UNITS[node]] = (), drive_words(one)
     return [_line(unit, space, row) for unit, spaces in units.items()
             for space, rows in zip(("bits", "registers"), spaces, strict=True) for row in rows]
 

@@ -124,7 +124,7 @@ def drive(node: Node) -> Unit:
     readers: dict[str, Reader] = {}
     writers: dict[str, Writer] = {}
     for row in rows:
-        at = key(row.index, row.sub)
+        at = key(row.od_index, row.od_sub)
         readers[row.name] = node.objects.getter(at)
         if row.access == WRITE:
             writers[row.name] = partial(_assign, node, at)

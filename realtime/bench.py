@@ -104,7 +104,8 @@ class Bench:
         self.bus: rig_bus.RigBus | None = None
         self.hub: Any = None
         self.supervisor: supervisor.Supervisor | None = None
-        self._next: Scenario | None = None
+        self.next_plan: Scenario | None = None
+        self.ports: dict[str, int] = {}
         self._zero_ns = 0
         supervisor.check(plan, options.pacing, options.start)
         fault_panel.check_pacing(plan.faults, options.pacing)
@@ -246,8 +247,8 @@ class Bench:
         loop.prefer_bus_thread(self.plan["loop"]["priority"])
         try:
             await self._run_thread(descriptor, woken)
-            while self._next and not self.ended_by:
-                self._take_scenario(self._next)
+            while self.next_plan and not self.ended_by:
+                self._take_scenario(self.next_plan)
                 await self._run_thread(descriptor, woken)
             if self.options.start == "modbus" and not self.ended_by:
                 # a client that polls sees the run end before the connection does
@@ -299,6 +300,9 @@ class Bench:
     async def _open_bus(self, clock_ns: Callable[[], int]) -> None:
         self.hub, self.place = await rig_bus.open_bus(self.plan, clock_ns, self._lost_bus)
         rig_bus.record_frames(self.hub, self.frames, lambda: self._zero_ns)
+        self.ports = await rig_bus.open_others(self.hub, self.plan)
+        for codec, port in self.ports.items():
+            self.event("info", f"the bus speaks {codec} on port {port}")
         mailbox.fetch(self.machine.published, self.row)
         self.bus = rig_bus.RigBus(self.hub, self.plan, self.row.copy(), self.post, self.event,
                                   clock_ns, self.options.pacing)
@@ -346,12 +350,12 @@ class Bench:
 
     def change_scenario(self, plan: Scenario) -> None:
         """Let a held rig go on with another scenario, at the speed that it has."""
-        self._next = plan
+        self.next_plan = plan
         self.machine.control[STOP] = 1
 
     def _take_scenario(self, plan: Scenario) -> None:
         assert self.supervisor
-        before, self.plan, self._next = self.machine, plan, None
+        before, self.plan, self.next_plan = self.machine, plan, None
         self.faults.schedule(plan.faults)
         self.machine = build_machine(plan, self.rows, float(before.state.vehicle_speed[0]),
                                      self.options.seed)
@@ -617,7 +621,8 @@ def build_machine(plan: Scenario, ring: rings.Ring, speed_m_s: float | None = No
         commands.values.copy(), mailbox.mailbox(width), np.zeros(width), tick.gather(), ring.header,
         ring.rows, int(plan.rollers is not None), rollers.params, rollers.state, rollers.buffer,
         rollers.delay, tick.gather(tick.OF_ROLLERS if plan.rollers else ()), plan.record_ticks,
-        round(plan["duration_max_s"] * tick_hz), round(plan["stand_s"] * tick_hz), np.array([speed_m_s]), sensor_of(plan), pole_wheel.memory(seed))
+        round(plan["duration_max_s"] * tick_hz), round(plan["stand_s"] * tick_hz),
+        np.array([speed_m_s]), sensor_of(plan), pole_wheel.memory(seed))
     tick.publish(machine)
     return machine
 

@@ -43,6 +43,10 @@ VERBS = (
          "rollerrig devices --out devices"),
     Verb("bench", "verb_bench", "the project's own benchmarks: a table, and JSON",
          "rollerrig bench loop --json"),
+    Verb("tune", "verb_tune", "tau of the recovery (or Polach's parameters) from measured data",
+         "rollerrig tune velim_synthetic --out reports/tune"),
+    Verb("validate", "verb_validate", "Table 6 on runs never fitted: measured, with and without recovery",
+         "rollerrig validate velim_synthetic --out reports/validate"),
 )
 
 

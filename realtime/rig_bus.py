@@ -22,6 +22,7 @@ from rollerrig.realtime import tick
 from rollerrig.realtime.scenario import Scenario
 from rollerrig.realtime.tick import REFERENCE
 from rollerrig.wsp_interface import buses, plugin, signals
+from rollerrig.wsp_interface.codecs import CODECS
 from rollerrig.wsp_interface.frames import Frame
 from rollerrig.wsp_interface.hub import Hub
 
@@ -51,6 +52,17 @@ async def open_bus(scenario: Scenario, clock_ns: Callable[[], int],
     hub = Hub(clock_ns, bitrate, name)
     port = await hub.listen("socketcand", host, port)
     return hub, f"socketcand://{host}:{port}/{name}"
+
+
+async def open_others(hub: Hub, scenario: Scenario) -> dict[str, int]:
+    """Let in the clients of the other protocols that [bus] gives ports; the ports by protocol.
+
+    Raises BusError for a port that cannot be used.
+    """
+    bus = scenario["bus"]
+    wanted = {codec: bus[f"{codec}_port"] for codec in CODECS if codec != "socketcand"}
+    return {codec: await hub.listen(codec, bus["host"], port)
+            for codec, port in wanted.items() if port >= 0}
 
 
 class RigBus:
@@ -104,7 +116,7 @@ class RigBus:
         self._on_command()
 
     def _listen(self, frame: Frame) -> None:
-        if frame.can_id == SYNC_ID:
+        if frame.can_id == SYNC_ID and len(frame.data) <= 1:  # longer ones are errors, not SYNCs
             self.owed += 1
             self.answered.clear()
         elif frame.can_id == ANSWER_ID:

@@ -46,6 +46,9 @@ BUS = (
     number("heartbeat_s", 0.1, 0.01, 10.0, "producer time of the rig's nodes"),
     choice("host", "127.0.0.1", (), "address of the hub: loopback unless named otherwise"),
     integer("socketcand_port", 29536, 0, 65535, "0 takes a free one"),
+    integer("virtualcan_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
+    integer("slcan_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
+    integer("cannelloni_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
     flag("master", True, "the bench starts the nodes and produces SYNC"),
 )
 MODBUS = (

@@ -28,7 +28,7 @@ from rollerrig.firmware_sim.modbus_unit import Reader, Unit, Writer
 from rollerrig.realtime import loop, scenario, tick
 from rollerrig.realtime.hold import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.scenario import Scenario
-from rollerrig.realtime.tick import DONE, HOLD, TICK, WORST_NS, Machine
+from rollerrig.realtime.tick import DONE, HELD, HOLD, TICK, WORST_NS, Machine
 from rollerrig.wsp_interface import signals
 
 # tables that a held rig cannot change: nodes and loop have been built from them
@@ -44,6 +44,7 @@ class Rig(Protocol):
     """What the supervisor needs of the bench."""
 
     plan: Scenario
+    next_plan: Scenario | None
     machine: Machine
     bus: Any
     hub: Any
@@ -70,6 +71,7 @@ class Supervisor:
         self.speed_m_s = float(rig.plan["initial_speed_m_s"])
         self.server: Server | None = None
         self.line: SerialLine | None = None
+        self.port = 0
         self._statistics: tuple[float, dict[str, float]] = (-math.inf, {})
 
     # -- the ways in
@@ -84,6 +86,7 @@ class Supervisor:
         self.server = Server(self.units(), self.counters)
         try:
             port = await self.server.listen(given["host"], given["port"], context)
+            self.port = port
             self._tell(given["host"], port, context is not None)
             if needed:
                 self.rig.report(f"the rig is held at {self.speed_m_s:g} m/s until a Modbus client "
@@ -136,8 +139,10 @@ class Supervisor:
         control = self.rig.machine.control
         if self.rig.ended_by or control[DONE]:
             return State.ENDED
+        if self.rig.next_plan:
+            return State.STARTING
         if control[HOLD] != RUNNING:
-            return State.HELD
+            return State.HELD if control[HELD] else State.STARTING
         return State.RUNNING if control[TICK] else State.STARTING
 
     # -- the units
@@ -173,11 +178,14 @@ class Supervisor:
 
     def _set_points(self) -> dict[str, Reader]:
         return {
-            "scenario": lambda: (self.scenarios.index(self.rig.plan.name)
-                                 if self.rig.plan.name in self.scenarios else _NOT_PACKAGED),
+            "scenario": self._number,
             "speed_set_point": lambda: round(self.speed_m_s / _SPEED.scale),
             "brake_demand_set_point": lambda: self.demand,
         }
+
+    def _number(self) -> int:
+        name = (self.rig.next_plan or self.rig.plan).name
+        return self.scenarios.index(name) if name in self.scenarios else _NOT_PACKAGED
 
     def _health(self) -> dict[str, Reader]:
         rig, counters = self.rig, self.counters
@@ -264,7 +272,7 @@ class Supervisor:
         if not 0 <= raw < len(self.scenarios):
             raise RefusedError(Code.VALUE)
         name = self.scenarios[raw]
-        if name == self.rig.plan.name:
+        if raw == self._number():
             return
         self._require_held()
         plan = self._load(name)
@@ -285,7 +293,7 @@ class Supervisor:
         return plan
 
     def _require_held(self) -> None:
-        if self.rig.machine.control[HOLD] != HOLDING:
+        if self.state is not State.HELD or self.rig.machine.control[HOLD] != HOLDING:
             raise RefusedError(Code.BUSY)
 
 

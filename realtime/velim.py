@@ -63,13 +63,18 @@ def contaminant(found: dict[str, float], test: str) -> float:
     return float(np.exp(np.mean([np.log(found[f"mu_cd_{name}"]) for name in GROUP_A])))
 
 
-def rows_of(test: str, found: dict[str, float], tau_m_J: float | None = None) -> np.ndarray:
-    """Samples of a test's stop under what was found; another recovery, as 0, if it is given."""
+def plan_of(test: str, found: dict[str, float], tau_m_J: float | None = None) -> scenario.Scenario:
+    """The scenario of a test on the track, under what was found."""
     told = ["rig.mode=track", f"adhesion.mu_cd={contaminant(found, test)!r}"]
     if tau_m_J is not None:
         told.append(f"adhesion.tau_m_J={tau_m_J!r}")
     demand = [{"from_s": 0.0, "pressure_Pa": found["pressure_Pa"]}]
-    plan = scenario.load(f"velim_{test}", settings=tuple(told), tables={"demand": demand})
+    return scenario.load(f"velim_{test}", settings=tuple(told), tables={"demand": demand})
+
+
+def rows_of(test: str, found: dict[str, float], tau_m_J: float | None = None) -> np.ndarray:
+    """Samples of a test's stop under what was found; another recovery, as 0, if it is given."""
+    plan = plan_of(test, found, tau_m_J)
     unit = wsp.load(plan["wsp_config"])._replace(
         band_low_m_s=found["band_low_m_s"], band_high_m_s=found["band_high_m_s"])
     return stops.run(plan, unit)

@@ -53,8 +53,6 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
         settings.CACHE_DIR = str(_cache_folder())
 
 kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
-# for parts of a step that are called once: passing structures of arrays costs more than their work
-inlined = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 # for what every step calls with the whole state: its hundreds of array fields would be copied for
 # each call; the arithmetic is the same to the last bit
 kernel_inlined = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

@@ -14,6 +14,9 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, integer, number, read
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
 from rollerrig.rig.contact.creep_force import MODELS
+from rollerrig.rig.multibody import coach as coaches
+from rollerrig.rig.multibody import table as coach_table
+from rollerrig.rig.multibody.coach import Coach
 
 _T1, _T2, _T4 = "paper Table 1", "paper Table 2", "paper Table 4"
 _A = "assumption"
@@ -49,6 +52,8 @@ ROWS: dict[str, tuple[Row, ...]] = {
                "creepage beyond which sliding cleans no better; inf is the paper's law"),
     ),
     "vehicle": (
+        choice("model", "planar", ("planar", "multibody"),
+               "planar: load transfer alone; multibody: 42 coordinates, table [multibody]"),
         number("mass_kg", 43000.0, 1000.0, 200000.0, _T1),
         number("wheel_radius_m", 0.445, 0.1, 1.0, _T1),
         number("wheelset_inertia_kgm2", 160.0, 1.0, 2000.0, _T2),
@@ -110,6 +115,7 @@ ROWS: dict[str, tuple[Row, ...]] = {
         choice("drives", "rig", ("rig", "bus"), "who has the drives: the rig control or a bus master"),
         number("lock_above_m_s", 3.0, 0.5, 20.0, _A + "; slower than this a lock is not counted"),
     ),
+    "multibody": coach_table.ROWS,
 }
 
 
@@ -196,6 +202,7 @@ class Params(NamedTuple):
     axle_position_m: np.ndarray
     friction: Friction
     demand: Demand
+    coach: Coach | None = None
 
 
 def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Any]]:
@@ -241,8 +248,15 @@ def build(
         sections["rig"]["lock_above_m_s"], patch,
         law, cleaning_creepage, _vehicle(vehicle), _brake(brake, valve, tick_s, substeps),
         _drive(sections["drive"], contact["roller_radius_m"], tick_s / substeps),
-        axle_positions(vehicle), friction, demand,
+        axle_positions(vehicle), friction, demand, _coach(sections, roller_radius_m),
     )
+
+
+def _coach(sections: Mapping[str, Mapping[str, Any]], roller_radius_m: float) -> Coach | None:
+    if sections["vehicle"]["model"] == "planar":
+        return None
+    contact = sections["contact"]
+    return coaches.build(sections, roller_radius_m, MODELS[contact["model"]], contact["fastsim_cells"])
 
 
 def build_rollers(
@@ -257,7 +271,9 @@ def build_rollers(
         keys = {"mu_c": ("mu_cd", "mu_cr"), "k_a": ("k_ad", "k_ar"), "k_s": ("k_sd", "k_sr")}
         adhesion |= dict.fromkeys(keys.get(name, (f"{stem}_d{tail}", f"{stem}_r{tail}")), value)
     none = Friction(*(np.zeros(0, dtype) for dtype in (np.bool_, float, float, float, np.int64)))
-    rollers = {**sections, "adhesion": adhesion, "rig": {**sections["rig"], "mode": "contaminated_rollers"}}
+    rollers = {**sections, "adhesion": adhesion,
+               "vehicle": {**sections["vehicle"], "model": "planar"},
+               "rig": {**sections["rig"], "mode": "contaminated_rollers"}}
     return build(rollers, none, demand, tick_s, substeps)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from rollerrig.rig import brake, motor, vehicle, wheelset
 from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.multibody import memory, on_rig
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SIZE, State, views
 
@@ -21,7 +22,7 @@ class Plant:
 
     def __init__(self, params: Params, initial_speed_m_s: float) -> None:
         self.params = params
-        self.buffer = np.zeros(SIZE)
+        self.buffer = np.zeros(SIZE if params.coach is None else SIZE + memory.SIZE)
         self.state: State = views(self.buffer)
         self.delay = np.zeros((params.brake.dead_time_ticks + 1, AXLES))
         start(self.state, params, initial_speed_m_s)
@@ -37,8 +38,16 @@ def start(state, params, initial_speed_m_s):
             state.roller_speed[j] = initial_speed_m_s / params.drive.roller_radius_m
         state.observer[j] = (params.drive.observer_rad_s * params.drive.roller_inertia_kgm2
                              * state.roller_speed[j])
+    begin(state, params, params.coach)
     friction(state, params)
     observe(state, params)
+
+
+@kernel_inlined
+def begin(state, params, coach):
+    """Set the multibody coach rolling, where the vehicle is one."""
+    if coach is not None:
+        on_rig.start(state, params, coach)
 
 
 @kernel_inlined
@@ -82,15 +91,33 @@ def step(state, target_Pa, params):
     """Advance by one step of the physics."""
     brake.fill(state, params.brake, target_Pa)
     if state.standing[0] != 0.0:
-        vehicle.rest(state, params.vehicle, params.step_s)
+        rest(state, params, params.coach)
         return
     if params.mode != 0:
         motor.respond(state, params.drive)
     # what the discs can hold at the step's end; `observe` writes what acts
     for j in range(AXLES):
         state.brake_torque[j] = brake.capacity(state.cylinder_pressure[j], params.brake)
-    wheelset.integrate(state, params)
+    integrate(state, params, params.coach)
     vehicle.settle(state)
+
+
+@kernel_inlined
+def integrate(state, params, coach):
+    """Advance the vehicle, planar or multibody, with its wheelsets and rollers by one step."""
+    if coach is None:
+        wheelset.integrate(state, params)
+    else:
+        on_rig.integrate(state, params, vehicle.resistance(state.vehicle_speed[0], params.vehicle),
+                         coach)
+
+
+@kernel_inlined
+def rest(state, params, coach):
+    """Let a standing vehicle swing out."""
+    vehicle.rest(state, params.vehicle, params.step_s)
+    if coach is not None:
+        on_rig.rest(state, params, coach)
 
 
 @kernel_inlined
@@ -98,14 +125,17 @@ def observe(state, params):
     """Write what can be seen of the present state: contact, torques, loads, sensors, locks."""
     r = params.vehicle.wheel_radius_m
     for j in range(AXLES):
-        load_N = vehicle.load(j, state.felt_acceleration[0], params.vehicle)
+        load_N = on_rig.load(j, vehicle.load(j, state.felt_acceleration[0], params.vehicle), state,
+                             params.coach)
         surface = state.vehicle_speed[0]
         if params.mode != 0:
             surface = params.drive.roller_radius_m * state.roller_speed[j]
         sliding = surface - r * state.wheel_speed[j]
         f, f_d, f_r, transition, energy, _ = wheelset.creep(
-            sliding, surface, load_N, state.friction_degraded[j], state.friction_recovered[j],
-            params.patch, params.law, params.cleaning_creepage)
+            on_rig.slip(j, sliding, state, params.coach), surface, load_N,
+            state.friction_degraded[j], state.friction_recovered[j], params.patch, params.law,
+            params.cleaning_creepage)
+        f = on_rig.adhesion(j, f, load_N, state, params.coach)
         state.sliding[j] = sliding
         state.creepage[j] = 0.0 if surface <= 0.0 else sliding / surface
         state.adhesion[j], state.transition[j], state.dissipated_energy[j] = f, transition, energy

@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.multibody import memory
+from rollerrig.rig.multibody.memory import Motion
+
 AXLES = 4
 # valve states
 FILL, HOLD, VENT = 0, 1, 2
@@ -62,6 +65,7 @@ class State(NamedTuple):
     brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate
     wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
+    coach: Motion | None = None  # the 42 coordinates and contacts of the multibody model
 
 
 PER_VEHICLE = frozenset((
@@ -70,7 +74,7 @@ PER_VEHICLE = frozenset((
 ))
 SLOTS: dict[str, slice] = {}
 _at = 0
-for _name in State._fields:
+for _name in State._fields[:-1]:
     _width = 1 if _name in PER_VEHICLE else AXLES
     SLOTS[_name] = slice(_at, _at + _width)
     _at += _width
@@ -78,5 +82,6 @@ SIZE = _at
 
 
 def views(buffer: np.ndarray) -> State:
-    """The state in a float64 buffer of shape (SIZE,)."""
-    return State(*(buffer[SLOTS[name]] for name in State._fields))
+    """The state in a float64 buffer of shape (SIZE,), or (SIZE + memory.SIZE,) with a coach."""
+    coach = memory.views(buffer[SIZE:]) if buffer.size > SIZE else None
+    return State(*(buffer[SLOTS[name]] for name in SLOTS), coach)

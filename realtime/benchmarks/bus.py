@@ -21,7 +21,7 @@ from rich.table import Table
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime import records
 from rollerrig.realtime.bench import Bench
-from rollerrig.realtime.benchmarks import client, figures, wall
+from rollerrig.realtime.benchmarks import client, figures, modbus, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.wsp_interface import plugin
 from rollerrig.wsp_interface.frames import Frame
@@ -31,6 +31,7 @@ RATES_HZ = (100, 1000, 2000)
 SDO_WITHIN = 1.5
 _TOGGLE_S, _ASK_S, _RATE_S = 10.0, 5.0, 4.0
 _TICK_HZ = 1000
+_JOINING_US, _JOINING_TRIPS = 200_000, client.BLOCK
 _LINE = re.compile(r"^\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)", re.MULTILINE)
 
 
@@ -44,15 +45,18 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     for hz in RATES_HZ[1:]:
         say(f"SYNC at {hz} Hz, {_RATE_S:g} s ...")
         rates.append(at_rate(hz, _RATE_S))
+    say(f"Modbus requests, {_RATE_S:g} s ...")
+    asked = modbus.requests(_RATE_S)
     limit_ms = 1000.0 / RATES_HZ[0] + 1000.0 / _TICK_HZ
     # how late a tick began is the loop's own benchmark's to judge
     worst_us = found["from_tpdo_less_lateness_us"].get("max")
     return {
-        "tpdo_to_valve": found, "round_trip": trips, "sync": rates,
+        "tpdo_to_valve": found, "round_trip": trips, "sync": rates, "modbus": asked,
         "targets": [
             Target("speed TPDO to valve effect, the longest, less the tick's lateness",
                    None if worst_us is None else worst_us / 1000.0, limit_ms, "ms").plain(),
             Target("SDO round trip over the hub's echo, p50", trips["ratio"], SDO_WITHIN).plain(),
+            modbus.target(asked).plain(),
         ],
         "notes": ["the hub carries what it is given: beyond the bit rate its load passes 100 %, "
                   "which no wire would do",
@@ -75,7 +79,7 @@ def round_trips(seconds: float) -> Result:
     """A run with questions, which must fit into the seconds: frame echo and SDO upload in us."""
     with wall.held(seconds, "none", beside=_beside("ask")) as measured:
         told = measured.beside
-    echo, sdo = (figures.quantiles(np.array(told[name]) / 1000.0) for name in ("echo", "sdo"))
+    echo, sdo = (figures.quantiles(np.array(told[name][_JOINING_TRIPS:]) / 1000.0) for name in ("echo", "sdo"))
     return {"echo_us": echo, "sdo_us": sdo,
             "ratio": sdo["p50"] / echo["p50"] if echo and sdo else None}
 
@@ -126,8 +130,10 @@ def _echo(hub: Hub) -> None:
 def _timing(hz: int, seconds: float, measured: wall.Measured) -> Result:
     """SYNC to last TPDO in a client's hands, and whether the rate was kept."""
     begun_ns = measured.bench._begun_ns
-    late_us = [(last_ns - begun_ns) / 1000.0 - stamp_us
-               for stamp_us, _, last_ns in measured.beside["syncs"][1:-1] if last_ns]
+    heard = measured.beside["syncs"][:-1]
+    # the hub holds the first frames of a client back until it has read the handshake
+    late_us = [(last_ns - begun_ns) / 1000.0 - stamp_us for stamp_us, _, last_ns in heard
+               if last_ns and stamp_us > heard[0][0] + _JOINING_US]
     frames = _frames(measured.folder)
     sent = len(_stamps(frames, client.SYNC))
     loop, bus = measured.summary["loop"], measured.summary["bus"]
@@ -208,6 +214,8 @@ def table(result: Result) -> Table:
              ("magnets' frame to valve effect", valve["from_command_us"], valve["switches"]),
              ("round trip of a frame (echo)", trips["echo_us"], ""),
              ("round trip of an SDO upload", trips["sdo_us"], "")]
+    asked = result["modbus"]
+    named += [("round trip of a Modbus request", asked["trip_us"], f"{asked['per_s']:.0f} a second")]
     named += [(f"SYNC to last TPDO at the hub, {one['hz']} Hz", one["last_tpdo_hub_us"], "")
               for one in result["sync"]]
     named += [(f"SYNC to last TPDO at a client, {one['hz']} Hz", one["last_tpdo_us"],

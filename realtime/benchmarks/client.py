@@ -27,7 +27,7 @@ _DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
 TPDOS = frozenset(first + node for first in (0x180, 0x280, 0x380, 0x480)
                    for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE))
 _HOLD_ALL = sum(1 << 2 * at for at in range(signals.AXLES))
-_BLOCK, _BLOCKS = 25, 60
+BLOCK, _BLOCKS = 25, 60
 PRIORITY = 50
 
 
@@ -106,7 +106,7 @@ def ask(line: Line) -> dict[str, list[int]]:
     # a run that ends early ends the questions
     with contextlib.suppress(OSError):
         for name, call, answer, data in kinds * _BLOCKS:
-            for _ in range(_BLOCK):
+            for _ in range(BLOCK):
                 begun_ns = time.monotonic_ns()
                 line.send(call, data)
                 heard = next((one for one in frames if one.can_id == answer), None)

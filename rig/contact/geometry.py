@@ -44,7 +44,7 @@ from rollerrig.rig.contact.profiles import (
     Y_M,
     Z_M,
 )
-from rollerrig.rig.kernel import inlined, kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 
 # columns of a contact: y_w, gap, point on the wheel relative to C (3), normal out of the rail (3),
 # rolling radius, y_r, z_r, lateral curvature and longitudinal curvature of both together
@@ -57,14 +57,14 @@ NEWTON_STEPS = 8
 FLATTEST_1_M, CURVEST_1_M = 0.2, 200.0  # bounds of the lateral curvature that Hertz is given
 
 
-@inlined
+@kernel_inlined
 def axis(roll_rad, yaw_rad):
     """The wheelset's axis e, outwards, after yaw about z and roll about x; pitch turns about it."""
     c = math.cos(roll_rad)
     return -math.sin(yaw_rad) * c, math.cos(yaw_rad) * c, math.sin(roll_rad)
 
 
-@inlined
+@kernel_inlined
 def matched(u, w, slope, pose, axle, roller_m, rail):
     """For y_w = u: (F, gap, rail radius of curvature, n_x, n_y, n_z, y_r, z_r, node) [G1 to G6].
 
@@ -105,7 +105,7 @@ def matched(u, w, slope, pose, axle, roller_m, rail):
     return F, length - w * math.sqrt(k) - out, radius, nx, ny, nz, y, z, node
 
 
-@inlined
+@kernel_inlined
 def on_rail(sine, cosine, rail):
     """The head's point with a slope: (y, z, radius of curvature, node) [Q2 of profiles]."""
     nodes = rail.nodes
@@ -160,7 +160,7 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
     return False
 
 
-@inlined
+@kernel_inlined
 def misfits(F, row, first, step, pose, axle, roller_m, wheel, rail):
     """F of [G4] or [G6] at the coarse nodes first, first + step .. of the wheel, into F[row].
 

@@ -18,6 +18,8 @@ from rollerrig.rig.identify.candidates import Explanation
 from rollerrig.rig.identify.dataset import Dataset, Run
 from rollerrig.rig.identify.evidence import Scores
 
+# normalised innovations of a simulated set above this: a wheel locked that did not in the stop
+RUNAWAY = 1.2
 Progress = Callable[[str, float], None]
 
 
@@ -49,13 +51,15 @@ def _single() -> None:
     threadpool_limits(1)
 
 
-def one(task: Task) -> Scores:
-    """Simulate, prepare, score one set."""
+def one(task: Task) -> Scores | None:
+    """Simulate, prepare, score one set; None where its wheels got out of hand."""
     design = preparation.prepare(task.data, task.measured)
     rng = np.random.default_rng(task.seed)
     made = simulate.runs(task.data, design, task.measured, task.told, rng)
-    prepared = preparation.prepare(task.data, made)
-    found = tuning.normal(prepared, task.told)[0]
+    prepared = preparation.prepare(task.data, made, design)
+    found, linear, _, _ = tuning.normal(prepared, task.told)
+    if np.mean(np.minimum(linear.nu**2 / linear.variance, 100.0)) > RUNAWAY:
+        return None
     result = evidence.scores(found, task.known)
     return Scores(result.S.astype(np.float32), result.g)
 
@@ -66,7 +70,7 @@ def sets(pool: ProcessPoolExecutor | None, data: Dataset, measured: list[Run], t
     # tolerances are drawn afresh: the fitted ones do not belong to the clean sets
     fresh = told._replace(base={k: v for k, v in told.base.items() if k.startswith("ln_")})
     tasks = [Task(data, measured, fresh, seed * 100003 + k, tuple(known)) for k in range(count)]
-    return run_all(pool, one, tasks, "clean sets", progress)
+    return [s for s in run_all(pool, one, tasks, "clean sets", progress) if s is not None]
 
 
 def run_all(pool: ProcessPoolExecutor | None, work: Callable[[Any], Any], tasks: Sequence[Any],

@@ -64,8 +64,10 @@ class _Writer:
             vehicle: np.ndarray | None = None, prior: float = _FREE) -> int:
         d = self.design
         self.columns.append(Column(owner, label, prior))
-        self.wheel.append(np.zeros(d.measured_rad_s.size) if wheel is None else wheel)
-        self.vehicle.append(np.zeros(d.vehicle_m_s.size) if vehicle is None else vehicle)
+        self.wheel.append(np.zeros(d.measured_rad_s.size, np.float32) if wheel is None
+                          else wheel.astype(np.float32))
+        self.vehicle.append(np.zeros(d.vehicle_m_s.size, np.float32) if vehicle is None
+                            else vehicle.astype(np.float32))
         return len(self.columns) - 1
 
     def variant(self, cause: str, columns: list[int], axle: int = 0, **shape: float) -> None:
@@ -264,14 +266,14 @@ def _load_causes(w: _Writer, d: Design, linear: Linear) -> None:
 
 def _windows(w: _Writer, d: Design, friction: np.ndarray) -> None:
     """Bins of place (all runs) and of time (each run): windows are runs of bins."""
-    lowest, highest = float(d.place_m.min()), float(d.place_m.max())
+    lowest, highest = d.places_m
     for i in range(int(np.ceil((highest - lowest) / PLACE_BIN_M))):
         low = lowest + i * PLACE_BIN_M
         inside = (d.place_m >= low) & (d.place_m < low + PLACE_BIN_M)
         w.add("place_bin", f"{low:.6g}", friction * inside)
     for run in range(d.mass_kg.size):
         mask = of_run(d, run)
-        for i in range(int(np.ceil(float((d.time_s * mask).max()) / TIME_BIN_S))):
+        for i in range(int(np.ceil(d.ends_s[run] / TIME_BIN_S))):
             inside = (d.time_s >= i * TIME_BIN_S) & (d.time_s < (i + 1) * TIME_BIN_S)
             w.add("time_bin", f"{run} {i * TIME_BIN_S:.6g}", friction * inside * mask)
 

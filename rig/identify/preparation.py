@@ -58,6 +58,8 @@ class Design(NamedTuple):
     resistance: np.ndarray  # A, B, C
     released_Nm: np.ndarray  # (segments,) mean torque while released, nan: never
     released_sd_Nm: np.ndarray
+    places_m: tuple[float, float]  # where the bins of place begin and end
+    ends_s: tuple[float, ...]  # where the bins of time of each run end
 
     @property
     def segments(self) -> int:
@@ -105,8 +107,8 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
     return out
 
 
-def prepare(data: Dataset, runs: list[Run]) -> Design:
-    """The design of some runs of a dataset."""
+def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Design:
+    """The design of some runs of a dataset; `like` another one it has the bins of that one."""
     v = data.sections["vehicle"]
     radius, inertia, step = v["wheel_radius_m"], v["wheelset_inertia_kgm2"], data.sample_time_s
     noises = [_noise(data, run) for run in runs]
@@ -130,6 +132,8 @@ def prepare(data: Dataset, runs: list[Run]) -> Design:
         wheels.append(inertia * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius))
         vehicle_start.append(vehicle_start[-1] + run.time_s.size)
     flat = {key: np.ascontiguousarray(np.concatenate(parts)) for key, parts in columns.items()}
+    places = (float(flat["place"].min()), float(flat["place"].max()))
+    ends = tuple(float(run.time_s[-1] - run.time_s[0]) for run in runs)
     return Design(
         tuple(run.name for run in runs), step, np.array(start),
         np.repeat(np.arange(len(runs)), AXLES), np.tile(np.arange(AXLES), len(runs)),
@@ -139,7 +143,8 @@ def prepare(data: Dataset, runs: list[Run]) -> Design:
         flat["angle"], np.array(vehicle_start), np.concatenate(vehicle), np.concatenate(wheels),
         speed_noise, wheel_noise, np.array([n[2] for n in noises]),
         data.accuracy["calibration_fraction"], base_parameters(data), resistance,
-        np.array(released), np.array(released_sd))
+        np.array(released), np.array(released_sd), places if like is None else like.places_m,
+        ends if like is None else like.ends_s)
 
 
 def base_parameters(data: Dataset) -> np.ndarray:

@@ -127,6 +127,10 @@ def gains(variance, co, p, step_s, speed, load, torque):
         p11 -= p01 * p01 / S
         p01 *= 1.0 - g0
         p00 = max(S - noise, 0.0) * (1.0 - g0)
+        if k + 1 < variance.size:
+            # the filter's own covariance bounds how fast it lets an error grow
+            most = math.sqrt(max(variance[k + 1] - noise, 0.0) / max(p00, 1e-12))
+            co[k, 0] = min(co[k, 0], most)
         F00, F01, keep = co[k, 0], co[k, 1], co[k, 2]
         n01 = keep * (F00 * p01 + F01 * p11)
         p11 = keep * keep * p11 + p[15] * p[15] * (1.0 - keep * keep)

@@ -62,7 +62,10 @@ def drive(torque, sliding, load, friction_log, surface, field, place, parameters
                 s = under - r * omega[j]
                 f, rise, late[j] = replay.wheel_adhesion(
                     s, under, 0.5 * N, log_mu, parameters[j], late[j], closes)
-                feedback[j] += (FEEDBACK_NS * (wanted - s) - feedback[j]) * h / FEEDBACK_LAG_S
+                off = wanted - s
+                # far too much sliding vents the brake
+                aim = FEEDBACK_NS * off + 3.0 * FEEDBACK_NS * min(off + 1.0, 0.0)
+                feedback[j] += (aim - feedback[j]) * h / FEEDBACK_LAG_S
                 C = max(0.0, (1.0 - w) * torque[k, j] + w * torque[k + 1, j] + feedback[j])
                 T = N * f * irregular
                 a = -r * r * N * rise * irregular / inertia
@@ -134,8 +137,15 @@ def _run(data: Dataset, design: Design, run: Run, r: int, i: candidates.Inputs, 
     # the sensors: causes that lie in torque or timing are taken out again
     shown = C - square(torque - columns.smooth_torque(design, design.torque_Nm))
     noise_N = float(np.std(run.load_N - gaussian_filter1d(run.load_N, 20.0, axis=0)))
+    # the recording ends at the speed at which the measured one did
+    slow = np.flatnonzero(speed < 0.98 * float(design.speed_m_s[spans[0]][-1]))
+    n = int(slow[0]) if slow.size else n
+    measured_wheel = wheel[:n] + rng.normal(0.0, design.wheel_noise_rad_s, (n, AXLES))
     return run._replace(
-        speed_m_s=speed + rng.normal(0.0, design.speed_noise_m_s, n),
-        wheel_speed_rad_s=wheel + rng.normal(0.0, design.wheel_noise_rad_s, wheel.shape),
-        load_N=given + rng.normal(0.0, noise_N, wheel.shape),
-        torque_Nm=shown * (1.0 + gain) + rng.normal(0.0, design.torque_noise_Nm[r], wheel.shape))
+        time_s=run.time_s[:n],
+        speed_m_s=speed[:n] + rng.normal(0.0, design.speed_noise_m_s, n),
+        wheel_speed_rad_s=measured_wheel,
+        load_N=given[:n] + rng.normal(0.0, noise_N, (n, AXLES)),
+        torque_Nm=shown[:n] * (1.0 + gain) + rng.normal(0.0, design.torque_noise_Nm[r], (n, AXLES)),
+        position_m=None if run.position_m is None else run.position_m[:n],
+        surface_m_s=None if run.surface_m_s is None else run.surface_m_s[:n])

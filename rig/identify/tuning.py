@@ -83,8 +83,8 @@ def normal(design: Design, told: Explanation, only: frozenset[str] | None = None
                                    design.speed_noise_m_s, design.step_s, V[at])
     z = np.clip(linear.nu / root, -6.0, 6.0)
     vz = np.clip(linear.vehicle_nu / np.sqrt(linear.vehicle_variance), -6.0, 6.0)
-    A = Z.T @ Z + V.T @ V
-    b = Z.T @ z + V.T @ vz
+    A = (Z.T @ Z).astype(float) + (V.T @ V)
+    b = (Z.T @ z.astype(Z.dtype)).astype(float) + V.T @ vz
     _priors(design, told, book, A, b)
     return Normal(A, b, book), linear, i, Z
 

@@ -9,14 +9,14 @@ Source: paper Tables 1 to 3 for linear stiffnesses; the curves [L2], [L3] are as
 
 import math
 
-from rollerrig.rig.kernel import inlined, kernel
+from rollerrig.rig.kernel import kernel_inlined
 
 STOP_BEND_M = 0.02
 # columns of a row after its six factors
 STIFFNESS_N_M, PRELOAD_N, DAMPING_N_S_M, DAMPING_MAX_N, STOP_GAP_M, STOP_N_M = range(6, 12)
 
 
-@inlined
+@kernel_inlined
 def elongation(i, q, links):
     """d of row i [L1], or its rate if q holds velocities."""
     at, by = links.at, links.row
@@ -24,7 +24,7 @@ def elongation(i, q, links):
             + q[at[i, 3]] * by[i, 3] + q[at[i, 4]] * by[i, 4] + q[at[i, 5]] * by[i, 5])
 
 
-@inlined
+@kernel_inlined
 def pull(i, f, force, links):
     """Add a row's generalised force f to `force` (42,)."""
     at, by = links.at, links.row
@@ -32,7 +32,7 @@ def pull(i, f, force, links):
         force[at[i, k]] += f * by[i, k]
 
 
-@inlined
+@kernel_inlined
 def springs(q, force, links):
     """Add the linear rows' forces [L1]."""
     row = links.row
@@ -41,7 +41,7 @@ def springs(q, force, links):
         pull(i, row[i, PRELOAD_N] - row[i, STIFFNESS_N_M] * d, force, links)
 
 
-@inlined
+@kernel_inlined
 def curves(q, v, force, links):
     """Add the nonlinear rows' forces [L1 to L3]; returns the power in W that the dampers take."""
     power = 0.0
@@ -63,7 +63,7 @@ def curves(q, v, force, links):
     return power
 
 
-@inlined
+@kernel_inlined
 def stored(q, links):
     """Energy in J that springs and stops hold, preload included."""
     energy = 0.0

@@ -19,7 +19,7 @@ the paper's section 2. Below 0.1 m/s creepage is sliding over 0.1 m/s.
 
 import math
 
-from rollerrig.rig.kernel import inlined, kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.multibody import links, treads
 from rollerrig.rig.multibody.treads import (
     ACROSS,
@@ -27,6 +27,7 @@ from rollerrig.rig.multibody.treads import (
     ALONG,
     ALONG_GS,
     APPROACH_W,
+    BRAKING_N,
     SLIDING_W,
 )
 
@@ -109,7 +110,7 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
         q[i] += half * v[i]
 
 
-@inlined
+@kernel_inlined
 def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm, on_rollers):
     """Speeds of a wheelset along the track, of its rotation, yaw and roller; returns the brake."""
     v, force, G, given = motion.v, motion.force, motion.Gx, motion.given
@@ -149,6 +150,8 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
     brake = min(max(free / (h * u1), -brake_Nm), brake_Nm)  # [M5]
     s0, s1 = h * (x0 - brake * u0), h * (x1 - brake * u1)
     s2, s3 = h * (x2 - brake * u2), h * (x3 - brake * u3)
+    given[j, BRAKING_N] = -given[j, ALONG] + w / h * (
+        G[0, 0] * s0 + G[1, 0] * s1 + G[2, 0] * s2 + G[3, 0] * s3)
     # [M6]
     work = given[j, SLIDING_W] + middle(given, j, ALONG, ALONG_GS, w / h, G, s0, s1, s2, s3)
     motion.sliding_work[j] += h * work
@@ -161,7 +164,7 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
     return brake
 
 
-@inlined
+@kernel_inlined
 def middle(given, j, force, gs, weight, G, s0, s1, s2, s3):
     """Power of sliding that the change of speeds s adds to that at the step's beginning [M6]."""
     s = (s0, s1, s2, s3)
@@ -173,7 +176,7 @@ def middle(given, j, force, gs, weight, G, s0, s1, s2, s3):
     return power + 0.5 * weight * quadratic
 
 
-@inlined
+@kernel_inlined
 def across(j, motion, inertia, h):
     """Speeds of a wheelset across the track, upwards and in roll."""
     v, force, G, given = motion.v, motion.force, motion.Gy, motion.given
@@ -206,7 +209,7 @@ def across(j, motion, inertia, h):
     v[i + 3] += s2
 
 
-@inlined
+@kernel_inlined
 def theta(z):
     """How implicit a step is, for its largest h G / M [M2]."""
     return 0.5 if z <= 1.0 else 1.0 - 0.5 / z

@@ -17,7 +17,7 @@ import numpy as np
 
 from rollerrig.rig.contact import hertz, kalker, polach
 from rollerrig.rig.contact.adhesion import Patch
-from rollerrig.rig.kernel import inlined, kernel
+from rollerrig.rig.kernel import kernel_inlined
 
 _NODES, _REACH = 513, math.log(1e3)
 
@@ -45,7 +45,7 @@ def tabulate(
     return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, model, cells, rows)
 
 
-@inlined
+@kernel_inlined
 def at(rolling_1_m, lateral_1_m, patches):
     """The `adhesion.Patch` of a contact, from the sums of both bodies' curvatures [T1]."""
     place = (math.log(lateral_1_m / rolling_1_m) + _REACH) * patches.nodes_per_log

@@ -33,7 +33,7 @@ from rollerrig.rig.contact.geometry import (
     Z,
 )
 from rollerrig.rig.contact.profiles import Rail, Wheel
-from rollerrig.rig.kernel import inlined, kernel
+from rollerrig.rig.kernel import kernel_inlined
 from rollerrig.rig.multibody import patches as patch_table
 from rollerrig.rig.multibody.patches import Patches
 
@@ -44,19 +44,21 @@ ROLL_ARM_M, YAW_ARM_M = 0.75, 0.1
 # along over (v_x, omega, yaw rate, roller) (4) and across over (v_y, v_z, roll rate) (3), their
 # g s J (4, 3), and power of sliding and of the approach damper
 FORCE, ALONG, ACROSS, ALONG_GS, ACROSS_GS, SLIDING_W, APPROACH_W = 0, 6, 10, 13, 17, 20, 21
-GIVEN = 22
+# and, written by the time step, the mean braking force in N of the wheelset in it
+BRAKING_N = 22
+GIVEN = 23
 # per wheel: vertical load N, longitudinal and lateral force N, sliding along m/s, touching contacts
 LOAD, PULL, SIDE, SLIP, TOUCHING = range(5)
 SEEN = 5
 
 
-@inlined
+@kernel_inlined
 def axis(roll_rad, yaw_rad):
     """A wheelset's axis, to the left, for the small rotations of the coach."""
     return -yaw_rad, math.sqrt(1.0 - roll_rad * roll_rad - yaw_rad * yaw_rad), roll_rad
 
 
-@inlined
+@kernel_inlined
 def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roller_m, profile, rail,
            spare):
     """Move the contacts of a wheel on: wheel 2 j the left one of wheelset j, 2 j + 1 the right one.
@@ -84,7 +86,7 @@ def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roll
     return spare
 
 
-@inlined
+@kernel_inlined
 def law_here(law, mu_cd, mu_cr, creepage, cleaning_creepage):
     """The adhesion law for the contaminant under an axle; cleaning has its limit as in `wheelset`."""
     tau = law.tau_m_J
@@ -94,7 +96,7 @@ def law_here(law, mu_cd, mu_cr, creepage, cleaning_creepage):
                         law.k_sd, law.k_ar, law.k_sr, tau)
 
 
-@inlined
+@kernel_inlined
 def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, cleaning_creepage,
           patches, damping_N_s_m, roller_m, given, Gx, Gy, seen):
     """Forces of both wheels of wheelset j into row j of `given`, `Gx` (4, 4), `Gy` (3, 3), `seen`.
@@ -166,7 +168,7 @@ def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, c
             seen[at, SLIP] /= seen[at, TOUCHING]
 
 
-@inlined
+@kernel_inlined
 def slopes(given, j, force_at, gs_at, G, size, J, f, g, s):
     """Add a contact's f J, g s J and g J'J (lower triangle) to what the time step is given [N4]."""
     for k in range(size):

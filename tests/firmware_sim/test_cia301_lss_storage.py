@@ -22,6 +22,7 @@ def identity(node):
     return [node.objects.get(0x1018, sub) for sub in range(1, 5)]
 
 
+@pytest.mark.conformance("CiA 305", "LSS switch state selective, configure node-ID")
 def test_a_node_is_selected_by_its_identity_and_gets_a_new_identifier(wire, lss):
     node = wire.encoder()
     wire.brake()
@@ -41,6 +42,7 @@ def test_a_node_is_selected_by_its_identity_and_gets_a_new_identifier(wire, lss)
     assert len(wire.take(0x1A8)) == 1
 
 
+@pytest.mark.conformance("CiA 305", "LSS refuses a node-ID out of range")
 def test_an_identifier_that_is_not_allowed_is_refused(wire, lss):
     wire.encoder()
     lss.send_switch_state_global(lss.CONFIGURATION_STATE)
@@ -49,6 +51,7 @@ def test_an_identifier_that_is_not_allowed_is_refused(wire, lss):
             lss.configure_node_id(wanted)
 
 
+@pytest.mark.conformance("CiA 305", "LSS fastscan")
 def test_fastscan_finds_a_node_without_identifier(wire, lss):
     node = encoder406.build(wire.row)
     node.lss.pending = UNCONFIGURED
@@ -64,11 +67,13 @@ def test_fastscan_finds_a_node_without_identifier(wire, lss):
     assert wire.take(0x710) == [b"\0"]
 
 
+@pytest.mark.conformance("CiA 305", "LSS fastscan is for nodes without node-ID")
 def test_a_configured_node_does_not_answer_a_fastscan(wire, lss):
     wire.encoder()
     assert lss.fast_scan() == (False, None)
 
 
+@pytest.mark.conformance("CiA 301", "store parameters, 1010h")
 def test_stored_parameters_outlive_a_reset_and_a_new_start(wire, tmp_path):
     file = tmp_path / "node16.json"
     wire.encoder(storage=file)
@@ -83,6 +88,7 @@ def test_stored_parameters_outlive_a_reset_and_a_new_start(wire, tmp_path):
     assert again.objects.get(0x1017) == 33
 
 
+@pytest.mark.conformance("CiA 301", "restore defaults, 1011h")
 def test_restored_defaults_take_effect_with_the_reset(wire, tmp_path):
     wire.brake(storage=tmp_path / "node17.json")
     wire.write(17, 0x1017, 0, 33, 2)
@@ -95,6 +101,7 @@ def test_restored_defaults_take_effect_with_the_reset(wire, tmp_path):
     assert wire.read(17, 0x6207, 1) == b"\x05"
 
 
+@pytest.mark.conformance("CiA 301", "1010h stores parameters, no commands")
 def test_commands_are_not_stored(wire, tmp_path):
     wire.brake(storage=tmp_path / "node17.json")
     wire.write(17, 0x6200, 1, 3, 1)
@@ -103,6 +110,7 @@ def test_commands_are_not_stored(wire, tmp_path):
     assert wire.read(17, 0x6200, 1) == b"\0"
 
 
+@pytest.mark.conformance("CiA 301", "1010h: a damaged file does no harm")
 @pytest.mark.parametrize("content", [
     "", "{", "[]", '{"101700": 3}', '{"values": [], "checksum": 0}', "\0\0",
     '{"values": {"1A0000": 200}, "checksum": 0}'])
@@ -115,6 +123,7 @@ def test_a_store_that_cannot_be_understood_does_no_harm(wire, tmp_path, content)
     assert wire.read(16, 0x1017) == b"\x64\0"
 
 
+@pytest.mark.conformance("CiA 301", "1010h without memory: 06060000")
 def test_a_node_without_memory_refuses_to_store(wire):
     wire.encoder()
     assert wire.write(16, 0x1010, 1, SAVE, 4) == 0x08000020

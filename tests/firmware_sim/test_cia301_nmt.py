@@ -12,12 +12,14 @@ def heartbeat_state(wire, node):
     return wire.take(0x700 + node)[-1][0]
 
 
+@pytest.mark.conformance("CiA 301", "NMT boot-up")
 def test_a_node_sends_its_boot_up_and_is_pre_operational_after_power_on(wire):
     wire.encoder()
     assert wire.take(0x710) == [b"\0"]
     assert heartbeat_state(wire, 16) == PRE_OPERATIONAL
 
 
+@pytest.mark.conformance("CiA 301", "NMT commands to a node and to all")
 @pytest.mark.parametrize(("command", "state"), [(START, OPERATIONAL), (STOP, STOPPED),
                                            (ENTER_PRE, PRE_OPERATIONAL)])
 @pytest.mark.parametrize("addressed", [0, 16])
@@ -28,6 +30,7 @@ def test_an_nmt_command_to_all_or_to_the_node_changes_its_state(wire, command, s
     assert heartbeat_state(wire, 16) == state
 
 
+@pytest.mark.conformance("CiA 301", "NMT: malformed messages change nothing")
 @pytest.mark.parametrize("frame", [b"\x01", b"\x01\x10\x00", b"", b"\x01\x11", b"\x07\x10"])
 def test_an_nmt_message_that_is_malformed_or_for_another_changes_nothing(wire, frame):
     wire.encoder()
@@ -35,6 +38,7 @@ def test_an_nmt_message_that_is_malformed_or_for_another_changes_nothing(wire, f
     assert heartbeat_state(wire, 16) == PRE_OPERATIONAL
 
 
+@pytest.mark.conformance("CiA 301", "NMT reset node restores power-on values")
 @pytest.mark.parametrize("before", [START, STOP, ENTER_PRE])
 def test_reset_node_restores_power_on_values_and_boots_from_every_state(wire, before):
     wire.brake()
@@ -49,6 +53,7 @@ def test_reset_node_restores_power_on_values_and_boots_from_every_state(wire, be
     assert heartbeat_state(wire, 17) == PRE_OPERATIONAL
 
 
+@pytest.mark.conformance("CiA 301", "NMT reset communication restores the communication profile")
 def test_reset_communication_restores_the_communication_profile_only(wire):
     wire.brake()
     wire.write(17, 0x6207, 1, 0x55, 1)
@@ -60,6 +65,7 @@ def test_reset_communication_restores_the_communication_profile_only(wire):
     assert wire.read(17, 0x1017) == b"\x64\0"
 
 
+@pytest.mark.conformance("CiA 301", "heartbeat producer, 1017h")
 def test_the_heartbeat_has_the_period_of_1017h_and_stops_at_zero(wire):
     wire.encoder()
     wire.write(16, 0x1017, 0, 20, 2)
@@ -71,6 +77,7 @@ def test_the_heartbeat_has_the_period_of_1017h_and_stops_at_zero(wire):
     assert wire.take(0x710) == []
 
 
+@pytest.mark.conformance("CiA 301", "SDO is silent in STOPPED")
 def test_sdo_is_silent_in_stopped_and_answers_again_afterwards(wire):
     wire.encoder()
     wire.nmt(STOP, 16)
@@ -79,6 +86,7 @@ def test_sdo_is_silent_in_stopped_and_answers_again_afterwards(wire):
     assert wire.read(16, 0x1000) == b"\x96\x01\x0a\x00"
 
 
+@pytest.mark.conformance("CiA 301", "PDO only in OPERATIONAL")
 def test_pdos_exist_only_in_operational(wire):
     wire.encoder()
     for command, expected in ((ENTER_PRE, 0), (START, 1), (STOP, 0), (START, 1), (ENTER_PRE, 0)):
@@ -88,6 +96,7 @@ def test_pdos_exist_only_in_operational(wire):
         assert len(wire.take(0x190)) == expected
 
 
+@pytest.mark.conformance("CiA 301", "heartbeat consumer, 1016h")
 def test_a_partner_is_watched_from_its_first_heartbeat_and_its_loss_is_reported(wire):
     node = wire.encoder()
     assert wire.write(16, 0x1016, 1, 5 << 16 | 50, 4) == 0
@@ -109,6 +118,7 @@ def test_a_partner_is_watched_from_its_first_heartbeat_and_its_loss_is_reported(
     assert lost == [(5, False), (5, True)]
 
 
+@pytest.mark.conformance("CiA 301", "1016h: one partner twice is refused (06040043)")
 def test_watching_one_partner_twice_is_refused(wire):
     wire.encoder()
     assert wire.write(16, 0x1016, 1, 5 << 16 | 50, 4) == 0
@@ -116,6 +126,7 @@ def test_watching_one_partner_twice_is_refused(wire):
     assert wire.write(16, 0x1016, 2, 200 << 16 | 70, 4) == 0x06090030
 
 
+@pytest.mark.conformance("CiA 301", "error behaviour, 1029h")
 @pytest.mark.parametrize(("behaviour", "state"), [
     (0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)])
 def test_1029h_decides_what_a_lost_heartbeat_does_to_the_state(wire, behaviour, state):
@@ -128,6 +139,7 @@ def test_1029h_decides_what_a_lost_heartbeat_does_to_the_state(wire, behaviour, 
     assert heartbeat_state(wire, 16) == state
 
 
+@pytest.mark.conformance("CiA 301", "node guarding, 100Ch and 100Dh")
 def test_node_guarding_answers_with_a_toggle_bit_when_no_heartbeat_is_produced(wire):
     wire.encoder()
     wire.send(0x710, remote=True, dlc=1)
@@ -145,6 +157,7 @@ def test_node_guarding_answers_with_a_toggle_bit_when_no_heartbeat_is_produced(w
     assert wire.take(0x90)[0][:2] == b"\x30\x81"
 
 
+@pytest.mark.conformance("CiA 301", "TIME consumer, 1012h")
 def test_a_time_message_is_taken_over_only_while_the_node_consumes_it(wire):
     node = wire.encoder()
     wire.send(0x100, b"\x01\x00\x00\x00\x02")

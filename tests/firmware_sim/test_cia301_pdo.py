@@ -35,6 +35,7 @@ def first(data):
     return int.from_bytes(data[:2], "little")
 
 
+@pytest.mark.conformance("CiA 301", "TPDO types 1 to 240")
 @pytest.mark.parametrize("every", [1, 2, 5, 240])
 def test_a_cyclic_tpdo_goes_out_with_every_nth_sync(wire, unit, every):
     configure(wire, 2, every, 1)
@@ -43,6 +44,7 @@ def test_a_cyclic_tpdo_goes_out_with_every_nth_sync(wire, unit, every):
     assert len(wire.take(TPDO)) == 3
 
 
+@pytest.mark.conformance("CiA 301", "TPDO is sampled at the SYNC")
 def test_a_tpdo_carries_the_values_at_the_sync(wire, unit):
     for speed in (1.0, 2.0, 3.0):
         turn(wire, speed)
@@ -50,6 +52,7 @@ def test_a_tpdo_carries_the_values_at_the_sync(wire, unit):
     assert [first(data) for data in wire.take(TPDO)] == [100, 200, 300]
 
 
+@pytest.mark.conformance("CiA 301", "TPDO type 0")
 def test_an_acyclic_synchronous_tpdo_goes_out_with_the_sync_after_a_change(wire, unit):
     configure(wire, 2, 0, 1)
     wire.sync()
@@ -62,6 +65,7 @@ def test_an_acyclic_synchronous_tpdo_goes_out_with_the_sync_after_a_change(wire,
     assert [first(data) for data in wire.take(TPDO)] == [500]
 
 
+@pytest.mark.conformance("CiA 301", "TPDO types 254 and 255, inhibit time")
 @pytest.mark.parametrize("kind", [254, 255])
 def test_an_event_driven_tpdo_goes_out_on_a_change_not_more_often_than_inhibited(wire, unit, kind):
     configure(wire, 3, 100, 2)
@@ -77,6 +81,7 @@ def test_an_event_driven_tpdo_goes_out_on_a_change_not_more_often_than_inhibited
     assert [first(data) for data in wire.take(TPDO)] == [3000]
 
 
+@pytest.mark.conformance("CiA 301", "TPDO event timer")
 def test_the_event_timer_sends_without_a_change(wire, unit):
     configure(wire, 5, 20, 2)
     configure(wire, 2, 254, 1)
@@ -84,11 +89,13 @@ def test_the_event_timer_sends_without_a_change(wire, unit):
     assert len(wire.take(TPDO)) == 6
 
 
+@pytest.mark.conformance("CiA 406", "cyclic timer 6200h is the event timer")
 def test_the_cyclic_timer_of_the_encoder_is_the_event_timer(wire, unit):
     assert wire.write(16, 0x6200, 0, 25, 2) == 0
     assert wire.read(16, 0x1800, 5) == wire.read(16, 0x6200) == b"\x19\0"
 
 
+@pytest.mark.conformance("CiA 301", "TPDO types 252 and 253, RTR")
 @pytest.mark.parametrize(("kind", "sent"), [(252, 200), (253, 300)])
 def test_a_tpdo_on_request_is_sampled_at_the_sync_or_at_the_request(wire, unit, kind, sent):
     configure(wire, 2, kind, 1)
@@ -100,6 +107,7 @@ def test_a_tpdo_on_request_is_sampled_at_the_sync_or_at_the_request(wire, unit, 
     assert [first(data) for data in wire.take(TPDO) if data] == [sent]
 
 
+@pytest.mark.conformance("CiA 301", "TPDO COB-ID bit 30: no RTR")
 def test_a_remote_request_is_not_answered_where_bit_30_forbids_it(wire, unit):
     assert wire.write(16, 0x1800, 1, 0x190 | 1 << 30, 4) == 0
     wire.take()
@@ -107,6 +115,7 @@ def test_a_remote_request_is_not_answered_where_bit_30_forbids_it(wire, unit):
     assert [data for data in wire.take(TPDO) if data] == []
 
 
+@pytest.mark.conformance("CiA 301", "SYNC start value")
 def test_a_tpdo_with_a_sync_start_value_waits_for_that_count(wire, unit):
     assert wire.write(16, 0x1019, 0, 10, 1) == 0
     configure(wire, 6, 3, 1)
@@ -118,6 +127,7 @@ def test_a_tpdo_with_a_sync_start_value_waits_for_that_count(wire, unit):
     assert sent == [0, 0, 1, 0, 1, 0, 1]
 
 
+@pytest.mark.conformance("CiA 301", "SYNC counter 1019h, EMCY 8240h")
 def test_a_sync_of_the_wrong_length_is_reported_once_and_obeyed(wire, unit):
     wire.sync(1)
     wire.sync(2)
@@ -126,6 +136,7 @@ def test_a_sync_of_the_wrong_length_is_reported_once_and_obeyed(wire, unit):
     assert len(wire.take(TPDO)) == 2
 
 
+@pytest.mark.conformance("CiA 301", "SYNC COB-ID 1005h")
 def test_the_node_listens_to_the_sync_identifier_of_1005h(wire, unit):
     assert wire.write(16, 0x1005, 0, 0x7A, 4) == 0x06090030
     assert wire.write(16, 0x1005, 0, 0xA0, 4) == 0
@@ -136,6 +147,7 @@ def test_the_node_listens_to_the_sync_identifier_of_1005h(wire, unit):
     assert len(wire.take(TPDO)) == 1
 
 
+@pytest.mark.conformance("CiA 301", "PDO with 29-bit identifier")
 def test_a_pdo_may_have_an_identifier_of_29_bits(wire, unit):
     for flags in (1 << 29 | 1 << 31, 1 << 29):
         assert wire.write(16, 0x1800, 1, 0x12345678 | flags, 4) == 0
@@ -145,6 +157,7 @@ def test_a_pdo_may_have_an_identifier_of_29_bits(wire, unit):
         (0x12345678, True)]
 
 
+@pytest.mark.conformance("CiA 301", "PDO remapping by SDO")
 def test_a_master_remaps_a_tpdo_and_decodes_it(wire, unit):
     remote = canopen.RemoteNode(16, unit.dictionary)
     wire.master.add_node(remote)
@@ -167,6 +180,7 @@ def unmap(wire, node=16, pdo=0x1800):
     assert wire.write(node, pdo + 0x200, 0, 0, 1) == 0
 
 
+@pytest.mark.conformance("CiA 301", "PDO mapping: 06020000, 06040041 for what cannot be transmitted")
 @pytest.mark.parametrize(("entry", "code"), [
     (0x30000020, 0x06020000), (0x60300910, 0x06020000), (0x10000020, 0x06040041),
     (0x60300120, 0x06040041), (0x60030020, 0x06040041), (0x60300110, 0),
@@ -176,6 +190,7 @@ def test_only_an_object_that_can_be_transmitted_is_mapped(wire, unit, entry, cod
     assert wire.write(16, 0x1A00, 1, entry, 4) == code
 
 
+@pytest.mark.conformance("CiA 301", "PDO mapping: what can be received")
 @pytest.mark.parametrize(("entry", "code"), [
     (0x60410010, 0x06040041), (0x60400010, 0), (0x00050008, 0), (0x00010001, 0x06020000),
 ])
@@ -185,6 +200,7 @@ def test_only_a_writable_object_or_a_filler_is_mapped_for_reception(wire, entry,
     assert wire.write(1, 0x1600, 1, entry, 4) == code
 
 
+@pytest.mark.conformance("CiA 301", "PDO mapping: 06040042 above eight bytes")
 def test_more_than_eight_bytes_are_refused_when_the_mapping_is_switched_on(wire, unit):
     unmap(wire)
     for sub in (1, 2, 3):
@@ -194,6 +210,7 @@ def test_more_than_eight_bytes_are_refused_when_the_mapping_is_switched_on(wire,
     assert wire.write(16, 0x1A00, 0, 2, 1) == 0
 
 
+@pytest.mark.conformance("CiA 301", "PDO parameters are fixed while the PDO exists")
 def test_what_must_not_change_while_the_pdo_exists_is_refused(wire, unit):
     assert wire.write(16, 0x1800, 1, 0x191, 4) == 0x08000022
     assert wire.write(16, 0x1800, 3, 5, 2) == 0x08000022
@@ -201,12 +218,14 @@ def test_what_must_not_change_while_the_pdo_exists_is_refused(wire, unit):
     assert wire.write(16, 0x1A00, 1, 0x60300110, 4) == 0x08000022
 
 
+@pytest.mark.conformance("CiA 301", "PDO: restricted COB-IDs are refused")
 @pytest.mark.parametrize("cob_id", [0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x601, 0x701, 0x7E5])
 def test_an_identifier_of_a_fixed_service_is_refused(wire, unit, cob_id):
     wire.write(16, 0x1800, 1, 0x190 | 1 << 31, 4)
     assert wire.write(16, 0x1800, 1, cob_id, 4) == 0x06090030
 
 
+@pytest.mark.conformance("CiA 301", "RPDO synchronous")
 def test_a_synchronous_rpdo_is_taken_with_the_next_sync(wire):
     wire.drive(1)
     wire.nmt(START)
@@ -217,6 +236,7 @@ def test_a_synchronous_rpdo_is_taken_with_the_next_sync(wire):
     assert wire.read(1, 0x6071) == b"\x10\0"
 
 
+@pytest.mark.conformance("CiA 301", "RPDO dummy mapping")
 def test_fillers_of_an_rpdo_are_skipped(wire):
     wire.drive(1)
     wire.nmt(START)
@@ -230,6 +250,7 @@ def test_fillers_of_an_rpdo_are_skipped(wire):
     assert wire.read(1, 0x6071) == b"\x22\0"
 
 
+@pytest.mark.conformance("CiA 301", "RPDO too short: EMCY 8210h")
 def test_a_short_rpdo_is_reported_and_ignored_and_the_next_good_one_ends_the_error(wire):
     wire.brake()
     wire.nmt(START)
@@ -249,6 +270,7 @@ def test_a_short_rpdo_is_reported_and_ignored_and_the_next_good_one_ends_the_err
     assert len(wire.said("RPDO 1 ignored")) == 1
 
 
+@pytest.mark.conformance("CiA 301", "RPDO too long is used as far as mapped")
 def test_a_longer_rpdo_is_used_as_far_as_it_is_mapped(wire):
     wire.brake()
     wire.nmt(START)
@@ -256,6 +278,7 @@ def test_a_longer_rpdo_is_used_as_far_as_it_is_mapped(wire):
     assert wire.read(17, 0x6200, 1) == b"\x0c"
 
 
+@pytest.mark.conformance("CiA 301", "RPDO event timer: EMCY 8250h")
 def test_a_late_rpdo_is_reported(wire):
     wire.brake()
     wire.write(17, 0x1400, 5, 30, 2)
@@ -266,6 +289,7 @@ def test_a_late_rpdo_is_reported(wire):
     assert wire.take(0x91)[0][:2] == b"\x50\x82"
 
 
+@pytest.mark.conformance("CiA 301", "EMCY history 1003h and error register 1001h")
 def test_the_error_history_is_cleared_by_writing_zero(wire):
     wire.brake()
     wire.nmt(START)
@@ -274,6 +298,7 @@ def test_the_error_history_is_cleared_by_writing_zero(wire):
     assert wire.read(17, 0x1003, 0) == b"\0"
 
 
+@pytest.mark.conformance("CiA 301", "EMCY inhibit time 1015h")
 def test_emergencies_keep_their_inhibit_time_and_none_is_lost(wire):
     node = wire.encoder()
     wire.write(16, 0x1014, 0, 0x90 | 1 << 31, 4)
@@ -291,6 +316,7 @@ def test_emergencies_keep_their_inhibit_time_and_none_is_lost(wire):
     assert [data[:2] for data in wire.take(EMCY)] == [b"\x00\x30"]
 
 
+@pytest.mark.conformance("CiA 301", "EMCY COB-ID 1014h")
 def test_no_emergency_is_sent_where_1014h_is_not_valid(wire):
     node = wire.encoder()
     wire.write(16, 0x1014, 0, 0x90 | 1 << 31, 4)

@@ -29,6 +29,7 @@ def remote(wire):
     return found
 
 
+@pytest.mark.conformance("CiA 301", "SDO expedited and segmented, both directions")
 def test_short_values_travel_expedited_and_long_ones_in_segments(remote):
     assert remote.sdo[0x1018][1].raw == 1
     assert remote.sdo[0x2000].raw == "a text that needs several segments"
@@ -36,6 +37,7 @@ def test_short_values_travel_expedited_and_long_ones_in_segments(remote):
     assert remote.sdo[0x2006].raw == 1.5
 
 
+@pytest.mark.conformance("CiA 301", "SDO block transfer, both directions, with CRC")
 @pytest.mark.parametrize("length", [0, 1, 3, 4, 5, 7, 8, 14, 15, 100, 889, 890, 5000])
 @pytest.mark.parametrize("block", [False, True])
 def test_data_of_any_length_comes_back_as_it_was_written(remote, length, block):
@@ -54,6 +56,8 @@ def test_data_of_any_length_comes_back_as_it_was_written(remote, length, block):
         assert file.read() == data
 
 
+@pytest.mark.conformance("CiA 301", "SDO download abort codes 06020000, 06090011, 06010001/2, "
+                         "06070010/12/13, 06090030..32, 08000022")
 @pytest.mark.parametrize(("index", "sub", "value", "size", "code"), [
     (0x3000, 0, 0, 1, 0x06020000),
     (0x1000, 1, 0, 4, 0x06090011),
@@ -80,6 +84,7 @@ def test_a_download_gets_the_abort_code_of_the_standard(wire, remote, index, sub
     assert wire.write(NODE, index, sub, value, size) == code
 
 
+@pytest.mark.conformance("CiA 301", "SDO upload abort codes")
 @pytest.mark.parametrize(("index", "sub", "code"), [
     (0x3000, 0, 0x06020000), (0x1000, 1, 0x06090011), (0x1018, 5, 0x06090011),
     (0x2003, 0, 0x06010001),
@@ -88,6 +93,7 @@ def test_an_upload_gets_the_abort_code_of_the_standard(wire, remote, index, sub,
     assert wire.read(NODE, index, sub) == code
 
 
+@pytest.mark.conformance("CiA 301", "SDO: a refused download changes nothing")
 def test_a_refused_download_changes_nothing(wire, remote):
     wire.write(NODE, 0x2002, 0, 42, 2)
     for value, size in ((101, 2), (7, 1), (7, 4)):
@@ -95,6 +101,7 @@ def test_a_refused_download_changes_nothing(wire, remote):
     assert wire.read(NODE, 0x2002) == b"\x2a\0"
 
 
+@pytest.mark.conformance("CiA 301", "SDO toggle bit: 05030000")
 def test_a_wrong_toggle_bit_aborts_the_transfer_in_both_directions(wire, remote):
     wire.ask(NODE, bytes.fromhex("4000200000000000"))
     assert wire.abort_of(NODE, b"\x70") == 0x05030000
@@ -104,11 +111,13 @@ def test_a_wrong_toggle_bit_aborts_the_transfer_in_both_directions(wire, remote)
     assert wire.abort_of(NODE, b"\x00") == 0x05040001
 
 
+@pytest.mark.conformance("CiA 301", "SDO unknown command: 05040001")
 @pytest.mark.parametrize("head", [0xE0, 0xFF, 0x00, 0x60, 0xC1, 0xA1, 0xA2, 0xA3])
 def test_a_command_that_is_unknown_or_out_of_place_is_aborted(wire, remote, head):
     assert wire.abort_of(NODE, [head]) == 0x05040001
 
 
+@pytest.mark.conformance("CiA 301", "SDO request of other than eight bytes: silence")
 @pytest.mark.parametrize("length", range(8))
 def test_a_request_that_has_not_eight_bytes_gets_no_answer(wire, remote, length):
     wire.take()
@@ -116,6 +125,7 @@ def test_a_request_that_has_not_eight_bytes_gets_no_answer(wire, remote, length)
     assert wire.take(0x580 + NODE) == []
 
 
+@pytest.mark.conformance("CiA 301", "SDO time-out: 05040000")
 def test_a_client_that_falls_silent_gets_a_time_out(wire, remote):
     wire.ask(NODE, bytes.fromhex("4000200000000000"))
     wire.run(999)
@@ -125,11 +135,13 @@ def test_a_client_that_falls_silent_gets_a_time_out(wire, remote):
     assert wire.abort_of(NODE, b"\x60") == 0x05040001
 
 
+@pytest.mark.conformance("CiA 301", "SDO: a new request ends the old transfer")
 def test_a_new_request_takes_the_place_of_an_unfinished_transfer(wire, remote):
     wire.ask(NODE, bytes.fromhex("4000200000000000"))
     assert wire.read(NODE, 0x1018, 1) == b"\x01\0\0\0"
 
 
+@pytest.mark.conformance("CiA 301", "SDO length mismatch: 06070010")
 def test_more_or_fewer_bytes_than_announced_are_a_length_mismatch(wire, remote):
     wire.ask(NODE, bytes.fromhex("2101200005000000"))
     assert wire.abort_of(NODE, bytes.fromhex("0101020304050607")) == 0x06070010
@@ -137,17 +149,20 @@ def test_more_or_fewer_bytes_than_announced_are_a_length_mismatch(wire, remote):
     assert wire.abort_of(NODE, bytes.fromhex("0901020300000000")) == 0x06070010
 
 
+@pytest.mark.conformance("CiA 301", "SDO size is checked before the data")
 def test_a_size_that_does_not_fit_is_refused_before_the_data(wire, remote):
     assert wire.abort_of(NODE, bytes.fromhex("2104200009000000")) == 0x06070012
     assert wire.abort_of(NODE, bytes.fromhex("2104200007000000")) == 0x06070013
     assert wire.abort_of(NODE, bytes.fromhex("21012000ffffff7f")) == 0x05040005
 
 
+@pytest.mark.conformance("CiA 301", "SDO expedited without size")
 def test_the_last_four_bytes_of_an_expedited_download_without_size_follow_the_object(wire, remote):
     assert wire.ask(NODE, bytes.fromhex("2202200011001100"))[0][0] == 0x60
     assert wire.read(NODE, 0x2002) == b"\x11\0"
 
 
+@pytest.mark.conformance("CiA 301", "SDO block download: lost segments")
 def test_a_lost_segment_of_a_block_is_asked_for_again(wire, remote):
     wire.ask(NODE, bytes.fromhex("c60120000e000000"))
     assert wire.ask(NODE, b"\x01abcdefg") == []
@@ -158,6 +173,7 @@ def test_a_lost_segment_of_a_block_is_asked_for_again(wire, remote):
     assert wire.abort_of(NODE, b"\xc1\x00\x00") == 0x05040004
 
 
+@pytest.mark.conformance("CiA 301", "SDO block upload: lost segments")
 def test_a_block_upload_sends_again_what_the_client_has_not_got(wire, remote):
     remote.sdo.download(0x2001, 0, bytes(range(50)))
     answer, = wire.ask(NODE, bytes.fromhex("a401200004000000"))
@@ -173,11 +189,13 @@ def test_a_block_upload_sends_again_what_the_client_has_not_got(wire, remote):
     assert wire.ask(NODE, b"\xa1") == []
 
 
+@pytest.mark.conformance("CiA 301", "SDO block size: 05040002")
 @pytest.mark.parametrize("size", [0, 128])
 def test_a_block_size_that_is_not_1_to_127_is_refused(wire, remote, size):
     assert wire.abort_of(NODE, bytes.fromhex("a4002000") + bytes([size])) == 0x05040002
 
 
+@pytest.mark.conformance("CiA 301", "several SDO clients, 1201h")
 def test_a_second_client_has_a_server_of_its_own(wire, remote):
     for sub, cob_id in ((1, 0x640 + 0x60), (2, 0x5C0 - 0x60)):
         assert wire.write(NODE, 0x1201, sub, cob_id, 4) == 0
@@ -188,6 +206,7 @@ def test_a_second_client_has_a_server_of_its_own(wire, remote):
     assert wire.ask(NODE, b"\x60")[0][1:] == b"a text "
 
 
+@pytest.mark.conformance("CiA 301", "every object of every node is readable")
 def test_every_object_of_every_node_is_readable_or_write_only(wire):
     for node in [wire.drive(1), wire.encoder(), wire.brake()]:
         found = canopen.RemoteNode(node.node_id, node.dictionary)

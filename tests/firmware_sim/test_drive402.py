@@ -50,6 +50,7 @@ def set_row(wire, name, value):
     wire.row[signals.column(name, 1)] = value
 
 
+@pytest.mark.conformance("CiA 402", "every state and transition by controlword")
 @pytest.mark.parametrize(("before", "word", "after"), [
     (DISABLED, SHUTDOWN, READY), (DISABLED, SWITCH_ON, DISABLED), (DISABLED, ENABLE, DISABLED),
     (READY, SWITCH_ON, ON), (READY, ENABLE, ENABLED), (READY, DISABLE_VOLTAGE, DISABLED),
@@ -64,6 +65,7 @@ def test_a_controlword_makes_the_transition_of_the_standard(wire, drive, before,
     assert state(wire) == after
 
 
+@pytest.mark.conformance("CiA 402", "transitions 0 to 16, numbered")
 def test_every_numbered_transition_stands_once_in_the_table():
     automatic = {0, states.SELF_TEST_PASSED, 12, states.FAULT_DETECTED, states.REACTION_COMPLETED}
     numbers = [row.number for row in states.TRANSITIONS]
@@ -71,6 +73,7 @@ def test_every_numbered_transition_stands_once_in_the_table():
     assert set(numbers) | automatic == set(range(17))
 
 
+@pytest.mark.conformance("CiA 402", "statusword: state, voltage enabled, remote")
 @pytest.mark.parametrize(("word", "pattern", "mask"), [
     ((), 0x40, 0x4F), ((6,), 0x21, 0x6F), ((6, 7), 0x23, 0x6F), ((6, 7, 15), 0x27, 0x6F)])
 def test_the_statusword_tells_state_voltage_and_remote(wire, drive, word, pattern, mask):
@@ -79,6 +82,7 @@ def test_the_statusword_tells_state_voltage_and_remote(wire, drive, word, patter
     assert status(wire) & 0x210 == 0x210
 
 
+@pytest.mark.conformance("CiA 402", "disable operation option code 605Ch")
 def test_disable_operation_brakes_first_and_then_switches_off(wire, drive):
     control(wire, *WALK[ENABLED])
     set_row(wire, "roller_speed", 10.0)
@@ -93,6 +97,7 @@ def test_disable_operation_brakes_first_and_then_switches_off(wire, drive):
     assert state(wire) == READY
 
 
+@pytest.mark.conformance("CiA 402", "transition 16 and a stop under way")
 def test_enabling_again_cancels_a_stop_under_way(wire, drive):
     control(wire, *WALK[ENABLED])
     set_row(wire, "roller_speed", 10.0)
@@ -103,6 +108,7 @@ def test_enabling_again_cancels_a_stop_under_way(wire, drive):
     assert state(wire) == ENABLED
 
 
+@pytest.mark.conformance("CiA 402", "quick stop option code 605Ah")
 @pytest.mark.parametrize(("option", "at_once", "after_rest"), [
     (0, DISABLED, DISABLED), (1, State.QUICK_STOP_ACTIVE, DISABLED),
     (2, State.QUICK_STOP_ACTIVE, DISABLED), (3, State.QUICK_STOP_ACTIVE, DISABLED),
@@ -123,6 +129,7 @@ def test_quick_stop_follows_its_option_code(wire, drive, option, at_once, after_
         assert state(wire) == ENABLED
 
 
+@pytest.mark.conformance("CiA 402", "quick stop deceleration 6085h")
 def test_the_quick_stop_ramp_is_that_of_6085h(wire, drive):
     control(wire, *WALK[ENABLED])
     set_row(wire, "roller_speed", 6.0)
@@ -134,6 +141,7 @@ def test_the_quick_stop_ramp_is_that_of_6085h(wire, drive):
     assert state(wire) == DISABLED
 
 
+@pytest.mark.conformance("CiA 402", "fault, 603Fh, EMCY, fault reset on the rising edge")
 def test_a_fault_brakes_reports_and_is_reset_by_the_rising_edge_only(wire, drive):
     control(wire, *WALK[ENABLED])
     set_row(wire, "roller_speed", 6.0)
@@ -157,6 +165,7 @@ def test_a_fault_brakes_reports_and_is_reset_by_the_rising_edge_only(wire, drive
     assert state(wire) == DISABLED
 
 
+@pytest.mark.conformance("CiA 402", "fault reaction option code 605Eh")
 @pytest.mark.parametrize("option", [0, 1, 2])
 def test_the_fault_reaction_follows_605eh(wire, drive, option):
     wire.write(1, 0x605E, 0, option, 2)
@@ -166,6 +175,7 @@ def test_the_fault_reaction_follows_605eh(wire, drive, option):
     assert state(wire) == (State.FAULT_REACTION_ACTIVE if option else State.FAULT)
 
 
+@pytest.mark.conformance("CiA 402", "DC link voltage 6079h and fault 3220h")
 def test_too_low_a_dc_link_trips_and_trips_again_while_it_lasts(wire, drive):
     drive.device.axis.dc_link_V = 300.0
     wire.run(1)
@@ -181,6 +191,7 @@ def test_too_low_a_dc_link_trips_and_trips_again_while_it_lasts(wire, drive):
     assert state(wire) == DISABLED
 
 
+@pytest.mark.conformance("CiA 402", "thermal warning (bit 7) and fault 4310h")
 def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
     wire.drive(1, control="bus", parameters={"thermal_time_constant_s": 1.0})
     control(wire, *WALK[ENABLED])
@@ -194,6 +205,7 @@ def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
     assert wire.read(1, 0x603F) == b"\x10\x43"
 
 
+@pytest.mark.conformance("CiA 402", "modes 3, 4, 9, 10: 6060h, 6061h, 6502h")
 @pytest.mark.parametrize(("mode", "code"), [(3, 0), (4, 0), (9, 0), (10, 0), (1, 0x06090030),
                                        (6, 0x06090030), (8, 0x06090030), (-1, 0x06090030)])
 def test_only_supported_modes_are_taken(wire, drive, mode, code):
@@ -202,6 +214,7 @@ def test_only_supported_modes_are_taken(wire, drive, mode, code):
         assert wire.read(1, 0x6061) == bytes([mode])
 
 
+@pytest.mark.conformance("CiA 402", "mode 3: ramps, target reached")
 def test_profile_velocity_ramps_to_the_target_and_says_when_it_is_there(wire, drive):
     wire.write(1, 0x6060, 0, 3, 1)
     wire.write(1, 0x6083, 0, 100_000, 4)
@@ -220,6 +233,7 @@ def test_profile_velocity_ramps_to_the_target_and_says_when_it_is_there(wire, dr
     assert wire.read(1, 0x606B) == (50_000).to_bytes(4, "little")
 
 
+@pytest.mark.conformance("CiA 402", "repeated PDOs do not disturb a ramp")
 def test_a_pdo_that_repeats_mode_and_controlword_does_not_disturb_the_ramp(wire, drive):
     wire.write(1, 0x60FF, 0, 500_000, 4)
     for word in (*WALK[ENABLED], *[ENABLE] * 100):
@@ -229,6 +243,7 @@ def test_a_pdo_that_repeats_mode_and_controlword_does_not_disturb_the_ramp(wire,
     assert drive.device.axis.commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(20.0 * 0.101)
 
 
+@pytest.mark.conformance("CiA 402", "halt bit and option code 605Dh")
 def test_halt_takes_the_velocity_to_zero_and_its_end_resumes(wire, drive):
     wire.write(1, 0x6060, 0, 9, 1)
     wire.write(1, 0x60FF, 0, 50_000, 4)
@@ -244,6 +259,7 @@ def test_halt_takes_the_velocity_to_zero_and_its_end_resumes(wire, drive):
     assert status(wire) & states.FOLLOWS
 
 
+@pytest.mark.conformance("CiA 402", "modes 4 and 10: torque slope 6087h and target")
 def test_profile_torque_follows_the_slope_and_cyclic_torque_the_target(wire, drive):
     wire.write(1, 0x6087, 0, 1000, 4)
     wire.write(1, 0x6071, 0, 500, 2)
@@ -259,6 +275,7 @@ def test_profile_torque_follows_the_slope_and_cyclic_torque_the_target(wire, dri
     assert drive.device.axis.commands[drive402_axis.TORQUE_Nm] == pytest.approx(0.5 * RATED_Nm)
 
 
+@pytest.mark.conformance("CiA 402", "max torque 6072h, internal limit (bit 11)")
 def test_a_torque_above_6072h_is_cut_and_told(wire, drive):
     wire.write(1, 0x6072, 0, 300, 2)
     wire.write(1, 0x6071, 0, -500, 2)
@@ -268,6 +285,7 @@ def test_a_torque_above_6072h_is_cut_and_told(wire, drive):
     assert status(wire) & states.INTERNAL_LIMIT
 
 
+@pytest.mark.conformance("CiA 402", "max slippage 60F8h (bit 13)")
 def test_slippage_is_told_when_the_speed_leaves_the_demand(wire, drive):
     wire.write(1, 0x60F8, 0, 1000, 4)
     wire.write(1, 0x6060, 0, 3, 1)
@@ -279,6 +297,7 @@ def test_slippage_is_told_when_the_speed_leaves_the_demand(wire, drive):
     assert status(wire) & states.SLIPPAGE
 
 
+@pytest.mark.conformance("CiA 402", "abort connection option code 6007h")
 @pytest.mark.parametrize(("option", "after"), [(0, ENABLED), (1, State.FAULT), (2, DISABLED),
                                           (3, DISABLED)])
 def test_a_lost_connection_follows_6007h(wire, drive, option, after):
@@ -290,6 +309,7 @@ def test_a_lost_connection_follows_6007h(wire, drive, option, after):
     assert state(wire) == after
 
 
+@pytest.mark.conformance("CiA 402", "NMT reset takes the power off the motor")
 def test_a_reset_takes_the_power_off_the_motor(wire, drive):
     control(wire, *WALK[ENABLED])
     wire.run(1)
@@ -300,6 +320,7 @@ def test_a_reset_takes_the_power_off_the_motor(wire, drive):
     assert state(wire) == DISABLED
 
 
+@pytest.mark.conformance("CiA 402", "control source: rig control, bit 9 cleared")
 def test_under_the_rig_control_the_drive_is_enabled_and_obeys_no_controlword(wire):
     node = wire.drive(1)
     drive402.enable_locally(node)
@@ -311,6 +332,7 @@ def test_under_the_rig_control_the_drive_is_enabled_and_obeys_no_controlword(wir
     assert status(wire) == 0x37
 
 
+@pytest.mark.conformance("CiA 402", "control source changes without a jump in torque")
 def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire):
     node = wire.drive(1)
     wire.nmt(1)
@@ -328,6 +350,7 @@ def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire)
     assert node.device.axis.commands[drive402_axis.LOOP] == drive402_axis.LOOP_RIG
 
 
+@pytest.mark.conformance("CiA 402", "default PDOs")
 def test_default_pdos_carry_the_signals_and_take_set_points(wire, drive):
     set_row(wire, "roller_speed", 12.3456)
     set_row(wire, "roller_angle", 7.0)
@@ -345,6 +368,7 @@ def test_default_pdos_carry_the_signals_and_take_set_points(wire, drive):
     assert wire.read(1, 0x60FF)[:1] == b"\x4d"
 
 
+@pytest.mark.conformance("Masters", "canopen BaseNode402 walks a drive to OPERATION ENABLED")
 def test_canopen_walks_a_drive_to_operation_enabled(wire, drive):
     remote = BaseNode402(1, drive.dictionary)
     wire.master.add_node(remote)

@@ -18,6 +18,7 @@ def unit(wire):
     return node
 
 
+@pytest.mark.conformance("CiA 406", "default PDOs: speeds 6030h and tooth frequencies 2100h")
 def test_default_pdos_carry_speeds_and_tooth_frequencies_of_four_axles(wire, unit):
     wire.row[signals.span("measured_speed")] = [90.0, 91.234, -1.0, 1000.0]
     wire.row[signals.span("tooth_frequency")] = [1432.5, 0.001, 5e6, 0.0]
@@ -28,12 +29,14 @@ def test_default_pdos_carry_speeds_and_tooth_frequencies_of_four_axles(wire, uni
     assert np.frombuffer(frames[0x390], "<u4").tolist() == [2**32 - 1, 0]
 
 
+@pytest.mark.conformance("CiA 406", "6030h saturates, 2102h has 32 bits")
 def test_a_speed_beyond_16_bits_stands_beside_it_in_32_bits(wire, unit):
     wire.row[signals.column("measured_speed", 4)] = 1000.00005
     assert wire.read(16, 0x6030, 4) == (32767).to_bytes(2, "little")
     assert int.from_bytes(wire.read(16, 0x2102, 4), "little") == 10_000_000
 
 
+@pytest.mark.conformance("CiA 406", "position 6020h, preset 6010h, counter wraps")
 def test_pulse_counters_wrap_and_positions_follow_their_preset(wire, unit):
     counter = signals.column("pulse_count", 2)
     wire.row[counter] = 2.0**32 + 5
@@ -44,6 +47,7 @@ def test_pulse_counters_wrap_and_positions_follow_their_preset(wire, unit):
     assert wire.read(16, 0x6020, 2) == (1007).to_bytes(4, "little")
 
 
+@pytest.mark.conformance("CiA 406", "acceleration 6040h")
 def test_acceleration_is_the_change_of_speed_between_two_syncs(wire, unit):
     for time_s, speed in ((0.00, 90.0), (0.01, 89.9), (0.02, 89.7)):
         wire.row[signals.column("time")] = time_s
@@ -53,6 +57,7 @@ def test_acceleration_is_the_change_of_speed_between_two_syncs(wire, unit):
     assert value == pytest.approx(-2000, abs=1)
 
 
+@pytest.mark.conformance("CiA 406", "measuring units 6001h, 6002h, 6501h, 6502h")
 def test_the_teeth_of_the_pole_wheel_are_the_measuring_units(wire, unit):
     assert wire.read(16, 0x6001) == wire.read(16, 0x6501) == (100).to_bytes(4, "little")
 

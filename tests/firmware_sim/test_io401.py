@@ -25,6 +25,7 @@ def magnets(wire):
     return wire.commands[io401.MAGNETS].tolist()
 
 
+@pytest.mark.conformance("CiA 401", "digital outputs 6200h, taken at once")
 def test_a_magnet_command_is_taken_at_once_and_handed_on_once(wire, brake):
     wire.told.clear()
     wire.send(0x211, [0b00_01_11_00])
@@ -32,6 +33,7 @@ def test_a_magnet_command_is_taken_at_once_and_handed_on_once(wire, brake):
     assert len(wire.told) == 1
 
 
+@pytest.mark.conformance("CiA 401", "vent without hold is reported and treated as vent")
 @pytest.mark.parametrize("axle", [1, 2, 3, 4])
 def test_vent_without_hold_is_treated_as_vent_and_told_once_per_occurrence(wire, brake, axle):
     alone = 0b10 << 2 * (axle - 1)
@@ -41,6 +43,7 @@ def test_vent_without_hold_is_treated_as_vent_and_told_once_per_occurrence(wire,
     assert len(wire.said(f"vent magnet of axle {axle} without its hold magnet")) == 2
 
 
+@pytest.mark.conformance("CiA 401", "fail-safe value on a lost heartbeat, EMCY 8130h")
 def test_magnets_fall_off_200_ms_after_the_last_heartbeat_and_emcy_tells(wire, brake):
     wire.send(0x211, [0xFF])
     wire.take()
@@ -55,6 +58,7 @@ def test_magnets_fall_off_200_ms_after_the_last_heartbeat_and_emcy_tells(wire, b
     assert wire.said("fail-safe value 00h")
 
 
+@pytest.mark.conformance("CiA 401", "fail-safe value holds until the heartbeat is back")
 def test_magnets_stay_at_the_fail_safe_value_until_the_heartbeat_is_back(wire, brake):
     wire.send(0x211, [0xFF])
     wire.run(201)
@@ -68,6 +72,7 @@ def test_magnets_stay_at_the_fail_safe_value_until_the_heartbeat_is_back(wire, b
     assert wire.said("heartbeat of node 32 is back")
 
 
+@pytest.mark.conformance("CiA 401", "error mode 6206h and error value 6207h")
 @pytest.mark.parametrize(("mask", "value", "after"), [(0xFF, 0x05, [HOLD, HOLD, FILL, FILL]),
                                               (0x0F, 0x00, [FILL, FILL, VENT, VENT]),
                                               (0x00, 0x00, [VENT, VENT, VENT, VENT])])
@@ -79,6 +84,7 @@ def test_6206h_says_which_magnets_take_the_value_of_6207h(wire, brake, mask, val
     assert magnets(wire) == after
 
 
+@pytest.mark.conformance("CiA 401", "fail-safe value when stopped or reset")
 @pytest.mark.parametrize("command", [STOP, RESET_NODE, RESET_COMMUNICATION])
 def test_magnets_fall_off_when_the_node_is_stopped_or_reset(wire, brake, command):
     wire.send(0x211, [0xFF])
@@ -101,6 +107,7 @@ def test_the_node_stays_operational_when_the_unit_is_lost(wire, brake):
     assert len(wire.take(0x191)) == 1
 
 
+@pytest.mark.conformance("CiA 401", "analogue inputs 6401h")
 def test_cylinder_pressures_go_out_in_millibar_and_saturate(wire, brake):
     wire.row[signals.span("cylinder_pressure")] = [380_000.0, 0.0, 1e9, math.nan]
     wire.take()
@@ -109,6 +116,7 @@ def test_cylinder_pressures_go_out_in_millibar_and_saturate(wire, brake):
     assert np.frombuffer(data, dtype="<i2").tolist() == [3800, 0, 32767, -32768]
 
 
+@pytest.mark.conformance("CiA 401", "analogue output 6411h")
 def test_the_brake_demand_reads_as_it_is_and_a_write_asks_for_another(wire, brake):
     assert math.isnan(wire.commands[io401.BRAKE_DEMAND])
     wire.row[signals.column("brake_demand")] = 250_000.0
@@ -126,6 +134,7 @@ def test_a_reset_forgets_the_brake_demand_of_the_bus(wire, brake):
     assert math.isnan(wire.commands[io401.BRAKE_DEMAND])
 
 
+@pytest.mark.conformance("CiA 401", "6423h global interrupt enable, analogue")
 def test_analogue_inputs_are_sent_on_change_only_where_6423h_allows(wire, brake):
     wire.write(17, 0x1800, 2, 255, 1)
     wire.run(5)
@@ -140,6 +149,7 @@ def test_analogue_inputs_are_sent_on_change_only_where_6423h_allows(wire, brake)
     assert len(wire.take(0x191)) == 1
 
 
+@pytest.mark.conformance("CiA 401", "digital inputs 6000h read the outputs back")
 def test_the_energised_magnets_can_be_read_back(wire, brake):
     wire.send(0x211, [0x0D])
     assert wire.read(17, 0x6000, 1) == b"\x0d"

@@ -60,7 +60,7 @@ def test_measured_ranges_hold_what_the_rig_can_do():
 
 def test_a_drives_rows_are_those_of_its_dictionary(drive):
     for row in modbus_map.drive_words(drive):
-        variable = drive[row.index]
+        variable = drive[row.od_index]
         assert row.scale == variable.factor
         assert row.access == "ro" or variable.writable
         assert row.width == (2 if len(variable) == 32 else 1)

@@ -72,6 +72,7 @@ def test_the_checksum_is_that_of_the_standards_example():
     assert modbus_rtu.checksum(b"\x02\x07") == b"\x41\x12"
 
 
+@pytest.mark.conformance("Modbus", "RTU: CRC")
 def test_a_request_is_answered_with_its_checksum(line):
     assert line.ask(READ) == sealed(TOLD)
 
@@ -92,6 +93,7 @@ def test_an_unknown_function_is_answered_after_the_silence(line):
     assert line.ask(bytes((0x55, 1, 2))) == sealed(bytes((1, 0xD5, 1)))
 
 
+@pytest.mark.conformance("Modbus", "RTU: a wrong checksum gets silence")
 def test_a_frame_with_a_wrong_checksum_is_not_answered_and_the_next_one_is(line, site):
     broken = bytearray(frame(READ))
     broken[-1] ^= 1
@@ -109,6 +111,7 @@ def test_another_unit_on_the_line_is_let_be(line):
     assert line.ask(READ) == sealed(TOLD)
 
 
+@pytest.mark.conformance("Modbus", "RTU: broadcast")
 def test_everybody_obeys_unit_0_and_nobody_answers(line, site):
     assert line.ask(struct.pack(">BHH", 6, 1, 1234), unit=0) == b""
     assert ("speed_set_point", 1234) in site.written
@@ -132,6 +135,7 @@ def test_a_frame_that_is_cut_is_forgotten_at_the_silence(line):
     assert line.ask(READ) == sealed(TOLD)
 
 
+@pytest.mark.conformance("Modbus", "RTU: fuzz")
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_harms_nobody(seed, line, site):
     rng = random.Random(seed)

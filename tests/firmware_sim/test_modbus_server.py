@@ -79,6 +79,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.conformance("Modbus", "exceptions 01, 02, 03 (counts 0 and 126, FC5 values, unknown function)")
 @pytest.mark.parametrize("what", REFUSED)
 def test_a_refused_request_gets_the_standards_exception_and_changes_nothing(what, client, site):
     request, wanted = REFUSED[what]
@@ -87,11 +88,13 @@ def test_a_refused_request_gets_the_standards_exception_and_changes_nothing(what
     assert client.words(202, 1) == [1234]
 
 
+@pytest.mark.conformance("Modbus", "unknown unit: exception 0B")
 @pytest.mark.parametrize("unit", [0, 2, 10, 15, 255])
 def test_an_unknown_unit_is_a_gateway_target_that_does_not_respond(unit, client):
     assert client.ask(two(3, 200, 1), unit).hex() == "830b"
 
 
+@pytest.mark.conformance("Modbus", "several requests in one segment")
 def test_requests_in_one_segment_are_answered_each_with_its_number(client):
     client.send(b"".join(adu(two(3, 202, 1), 1, number) for number in (5, 9, 700, 65535)))
     replies = [client.receive() for _ in range(4)]
@@ -99,6 +102,7 @@ def test_requests_in_one_segment_are_answered_each_with_its_number(client):
     assert {reply.hex() for _, _, reply in replies} == {"030204d2"}
 
 
+@pytest.mark.conformance("Modbus", "a request in single bytes")
 def test_a_request_that_comes_in_single_bytes_is_answered_once(client):
     for byte in adu(two(3, 202, 1), 1, 3):
         client.send(bytes((byte,)))
@@ -106,6 +110,7 @@ def test_a_request_that_comes_in_single_bytes_is_answered_once(client):
     assert client.receive() == (3, 1, bytes.fromhex("030204d2"))
 
 
+@pytest.mark.conformance("Modbus", "broken MBAP header closes the connection")
 @pytest.mark.parametrize("data", [
     adu(two(3, 200, 1), length=0), adu(two(3, 200, 1), length=1), adu(two(3, 200, 1), length=255),
     adu(two(3, 200, 1), length=2000), adu(two(3, 200, 1), protocol=1),
@@ -125,6 +130,7 @@ def test_what_was_sound_before_a_broken_header_is_answered(client):
     assert client.receive() is None
 
 
+@pytest.mark.conformance("Modbus", "functions 1 to 4: measured values")
 def test_signals_are_read_as_their_scale_says(client):
     assert client.words(202, 1, function=4) == [1234]
     assert client.words(208, 4) == [100, 200, 300, 65536 - 400]
@@ -137,6 +143,7 @@ def test_a_quantity_that_is_not_known_is_the_lowest_count(client, site):
     assert client.words(207, 1) == [0x8000]
 
 
+@pytest.mark.conformance("Modbus", "functions 5, 6, 15, 16, 22, 23")
 def test_registers_coils_and_masks_are_written(client, site):
     assert client.ask(two(5, 0, 0xFF00)) == two(5, 0, 0xFF00)
     assert client.ask(struct.pack(">BHHBB", 15, 0, 3, 1, 0b110)) == two(15, 0, 3)
@@ -151,12 +158,14 @@ def test_registers_coils_and_masks_are_written(client, site):
     assert client.ask(two(1, 0, 3)).hex() == "010106"
 
 
+@pytest.mark.conformance("Modbus", "a write is taken whole or not at all")
 def test_of_several_registers_with_a_bad_one_none_is_written(client, site):
     request = struct.pack(">BHHBHHH", 16, 0, 3, 6, 4, HIGHEST_SPEED + 1, 0)
     assert client.ask(request).hex() == "9003"
     assert site.written == []
 
 
+@pytest.mark.conformance("Modbus", "function 43/14 device identification")
 def test_the_device_tells_who_it_is(client):
     reply = client.ask(bytes((0x2B, 0x0E, 1, 0)))
     assert reply[:7] == bytes((0x2B, 0x0E, 1, 0x82, 0, 0, 3))
@@ -164,6 +173,7 @@ def test_the_device_tells_who_it_is(client):
     assert client.ask(bytes((0x2B, 0x0E, 4, 1))).endswith(b"\x01\x0aroller rig")
 
 
+@pytest.mark.conformance("Modbus", "drives on units 11 to 14: a drive walked by registers")
 def test_a_drive_is_walked_to_operation_enabled_by_its_registers(client):
     for word, state in ((6, 0x21), (7, 0x23), (15, 0x27)):
         assert client.ask(two(6, 0, word), unit=12) == two(6, 0, word)
@@ -186,6 +196,7 @@ def test_a_drive_refuses_a_value_that_its_object_refuses(at, value, client, site
     assert client.words(at, 1, unit=13) == before
 
 
+@pytest.mark.conformance("Modbus", "every row of every unit is readable")
 def test_every_row_of_every_unit_is_readable(client):
     for row in WORDS:
         assert len(client.words(row.at, row.width)) == row.width
@@ -195,6 +206,7 @@ def test_every_row_of_every_unit_is_readable(client):
     assert client.ask(two(2, 0, 8))[:2] == bytes((2, 1))
 
 
+@pytest.mark.conformance("Modbus", "pymodbus as a client agrees")
 def test_pymodbus_as_a_client_agrees(site):
     with ModbusTcpClient("127.0.0.1", port=site.port) as client:
         assert client.read_holding_registers(208, count=4, device_id=1).registers[:3] == [100, 200, 300]
@@ -227,6 +239,7 @@ def test_a_flooding_client_takes_turns_with_a_polite_one(site):
         assert flood.receive()[0] == number % 300
 
 
+@pytest.mark.conformance("Modbus", "a client that never reads harms nobody")
 def test_a_client_that_never_reads_is_not_read_and_harms_nobody(site):
     deaf, polite = site.connect(), site.connect()
     deaf.socket.setblocking(False)
@@ -277,6 +290,7 @@ def mutated(rng):
     return bytes((function,)) + body
 
 
+@pytest.mark.conformance("Modbus", "fuzz: random requests")
 @pytest.mark.parametrize("seed", range(4))
 def test_random_requests_get_an_answer_or_an_exception_each(seed, client, site):
     rng = random.Random(seed)
@@ -290,6 +304,7 @@ def test_random_requests_get_an_answer_or_an_exception_each(seed, client, site):
     assert site.thread.is_alive()
 
 
+@pytest.mark.conformance("Modbus", "fuzz: random bytes")
 @pytest.mark.parametrize("seed", range(4))
 def test_random_bytes_close_or_are_answered_and_the_server_lives(seed, site):
     rng = random.Random(1000 + seed)

@@ -71,6 +71,7 @@ def secured(site, context):
         raise
 
 
+@pytest.mark.conformance("Modbus", "TLS with client certificates")
 def test_a_client_with_a_certificate_of_the_plant_is_served(site, folder):
     client = secured(site, client_context(folder, "room"))
     site.clients.append(client)
@@ -91,6 +92,7 @@ def answer_to(site, context):
         return None
 
 
+@pytest.mark.conformance("Modbus", "TLS without a client certificate gets nothing")
 @pytest.mark.parametrize("name", [None, "intruder"])
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
 def test_a_client_without_one_gets_nothing(name, version, site, folder):

@@ -58,6 +58,7 @@ def test_every_node_is_operational_right_after_its_boot_up(rig):
     assert rig.network.all_operational()
 
 
+@pytest.mark.conformance("CiA 301", "SYNC producer")
 def test_one_sync_brings_the_process_data_of_all_nodes_once(rig):
     rig.frames.clear()
     rig.network.sync()
@@ -73,6 +74,7 @@ def test_the_bench_has_a_heartbeat_of_its_own(rig):
     assert rig.sent(0x77F)[1:] == [b"\x05"] * 3
 
 
+@pytest.mark.conformance("CiA 301", "NMT master: start after boot-up")
 def test_the_unit_is_started_when_it_appears_and_once_only(rig):
     rig.frames.clear()
     rig.tester.send(Frame(0x720, b"\0"))
@@ -90,6 +92,7 @@ def test_a_unit_that_was_there_before_the_bench_is_started_too(rig):
     assert rig.sent(0) == [b"\x01\x20"]
 
 
+@pytest.mark.conformance("CiA 301", "NMT master: heartbeat consumer")
 def test_a_silent_unit_is_lost_and_found_again(rig):
     rig.run(500, unit=5)
     assert rig.network.unit_is_operational
@@ -112,6 +115,7 @@ def test_a_node_that_boots_again_is_started_again(rig):
     assert rig.nodes[4].state is State.OPERATIONAL
 
 
+@pytest.mark.conformance("CiA 301", "NMT and SYNC left to an outside master")
 def test_a_bench_that_is_not_the_master_starts_nobody():
     rig = Rig(master=False)
     rig.run(200)
@@ -119,6 +123,7 @@ def test_a_bench_that_is_not_the_master_starts_nobody():
     assert rig.nodes[0].state is State.PRE_OPERATIONAL
 
 
+@pytest.mark.conformance("CiA 301", "SYNC producer: counter")
 def test_a_sync_counter_runs_from_one_to_its_overflow_value():
     rig = Rig(sync_overflow=3)
     for _ in range(5):

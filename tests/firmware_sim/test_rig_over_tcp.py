@@ -84,6 +84,7 @@ def test_a_foreign_master_finds_every_node_of_the_rig(rig, master):
     assert eventually(lambda: {1, 2, 3, 4, 16, 17} <= set(master.scanner.nodes))
 
 
+@pytest.mark.conformance("Masters", "canopen BaseNode402 over socketcand moves a set-point")
 def test_a_foreign_master_walks_a_drive_and_moves_its_set_point(rig, master):
     drive = BaseNode402(1, rig.nodes[0].dictionary)
     master.add_node(drive)
@@ -102,6 +103,7 @@ def test_a_foreign_master_walks_a_drive_and_moves_its_set_point(rig, master):
         drive.rpdo[1].stop()
 
 
+@pytest.mark.conformance("Masters", "canopen reads speeds by PDO and drives the valves")
 def test_a_foreign_unit_reads_speeds_by_pdo_and_drives_the_valves(rig, master):
     unit = canopen.RemoteNode(16, rig.nodes[4].dictionary)
     brake = canopen.RemoteNode(17, rig.nodes[5].dictionary)

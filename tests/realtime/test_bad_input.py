@@ -139,7 +139,7 @@ def test_a_port_in_use_is_named_with_how_to_mend(tmp_path):
 def test_an_absent_interface_is_named_with_how_to_mend(tmp_path):
     bench = bench_process.run(tmp_path / "run", "--pacing", "lockstep",
                               "--set", "bus.interface=socketcan:nope")
-    failed(bench, "socketcan:nope", "to mend")
+    failed(bench, "socketcan:nope", "or use the bench's own hub")
 
 
 # --- the unit ---

@@ -11,7 +11,7 @@ from rollerrig.realtime import scenario
 OWN = """
 title = "a stop of one's own"
 vehicle = "uic_z1"
-adhesion = "wet"
+adhesion_set = "wet"
 initial_speed_m_s = 20.0
 [adhesion]
 mu_cd = 0.09

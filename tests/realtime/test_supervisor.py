@@ -27,23 +27,19 @@ class Rig:
         self.out = out
         command = [sys.executable, "-m", "rollerrig.realtime.cli", "run", "dry_stop", "--wsp", "none",
                    "--set", "bus.socketcand_port=0", "--out", str(out), "--json", *more]
-        self.said = open(out.with_suffix(".said"), "w+")  # noqa: SIM115: closed in close
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.said, text=True)
+        self.said = out.with_suffix(".said")
+        with self.said.open("w") as said:
+            self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True)
 
     def connect(self):
         deadline = time.monotonic() + START_S
         while time.monotonic() < deadline and self.process.poll() is None:
-            if found := re.search(r"unit 1 on 127\.0\.0\.1:(\d+)", self.words()):
+            if found := re.search(r"unit 1 on 127\.0\.0\.1:(\d+)\n", self.said.read_text()):
                 self.client = ModbusTcpClient("127.0.0.1", port=int(found[1]))
                 assert self.client.connect()
                 return
             time.sleep(0.1)
-        raise AssertionError(self.words())
-
-    def words(self):
-        self.said.flush()
-        self.said.seek(0)
-        return self.said.read()
+        raise AssertionError(self.said.read_text())
 
     def read(self, name, count=1):
         found = self.client.read_input_registers(AT[name], count=count, device_id=1).registers
@@ -78,7 +74,6 @@ class Rig:
         if self.process.poll() is None:
             self.process.kill()
             self.process.communicate()
-        self.said.close()
 
 
 BIT_NAMES = {row.name for row in BITS}
@@ -98,6 +93,7 @@ def rig(tmp_path):
         one.close()
 
 
+@pytest.mark.conformance("Modbus", "a Modbus client alone runs a scenario from start to stop")
 def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     one = rig(*HELD, "--set", "initial_speed_m_s=6")
     one.connect()

@@ -1,0 +1,385 @@
+"""The fault catalogue: every row is seen on the bus and in the record, and is lifted again."""
+
+import filecmp
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+import faulty_run
+from faulty_run import PLAN, samples
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.firmware_sim import fault_effects, fault_panel, faults
+from rollerrig.realtime import bench, ring, scenario, tick
+from rollerrig.wsp_interface import signals
+
+TIMES = {kind: (begin, end) for kind, begin, end, _ in PLAN}
+# a change shows on the bus one SYNC later
+CYCLE_S = 0.01
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    return faulty_run.run(tmp_path_factory.mktemp("faults"))
+
+
+@pytest.fixture(scope="module")
+def again(tmp_path_factory):
+    return faulty_run.run(tmp_path_factory.mktemp("again"))
+
+
+def within(kind, settle_s=2 * CYCLE_S):
+    """The interval in which a fault holds and its beginning has settled."""
+    begin, end = TIMES[kind]
+    return begin + settle_s, end
+
+
+def after(kind, for_s=0.05):
+    """An interval after a fault has been lifted."""
+    end = TIMES[kind][1]
+    return end + 2 * CYCLE_S, end + 2 * CYCLE_S + for_s
+
+
+def speeds_on_bus(rig, from_s, to_s):
+    """Speeds of TPDO1 of node 16 in rad/s, shape (n, 4)."""
+    return np.array([np.frombuffer(one, "<i2") for one in rig.on_bus(0x190, from_s, to_s)]) * 0.01
+
+
+def measured(rig, from_s, to_s):
+    return samples(rig, "measured_speed:_rad_s", from_s, to_s)
+
+
+def turning(rig, from_s, to_s):
+    return samples(rig, "wheel_speed:_rad_s", from_s, to_s)
+
+
+@pytest.mark.parametrize("kind", [kind.name for kind in faults.CATALOGUE])
+def test_every_fault_of_the_catalogue_is_recorded_when_it_begins_and_when_it_is_lifted(rig, kind):
+    begin, end = TIMES[kind]
+    assert begin in rig.told(f"fault {kind}")
+    assert any("begins" in text for time, _, text in rig.run.events
+               if text.startswith(f"fault {kind}") and time == begin)
+    assert any("lifted" in text and time == pytest.approx(end, abs=1e-9)
+               for time, _, text in rig.run.events if text.startswith(f"fault {kind}"))
+
+
+def test_a_run_with_every_fault_repeats_bit_for_bit(rig, again):
+    assert filecmp.cmp(rig.run.folder / "can.log", again.run.folder / "can.log", shallow=False)
+    for name in rig.run.table.column_names:
+        if not name.startswith("tick_"):
+            assert np.array_equal(rig.run.column(name), again.run.column(name), equal_nan=True), name
+
+
+def test_before_a_fault_sensors_tell_the_wheels_own_speed(rig):
+    assert np.array_equal(measured(rig, 0.0, 0.5), turning(rig, 0.0, 0.5))
+
+
+def test_a_stuck_sensor_repeats_one_speed_while_the_wheel_slows_down(rig):
+    told, real = measured(rig, *within("speed_sensor_stuck")), turning(rig, *within("speed_sensor_stuck"))
+    assert np.ptp(told[0]) == 0.0
+    assert np.ptp(real[0]) > 0.3
+    assert np.ptp(speeds_on_bus(rig, *within("speed_sensor_stuck"))[:, 0]) == 0.0
+    assert np.ptp(rig.channel("pulse_count_1", *within("speed_sensor_stuck"))) == 0.0
+    assert np.array_equal(measured(rig, *after("speed_sensor_stuck"))[0],
+                          turning(rig, *after("speed_sensor_stuck"))[0])
+
+
+def test_a_sensor_that_drops_out_tells_zero_and_counts_no_pulses(rig):
+    span = within("speed_sensor_dropout")
+    assert not measured(rig, *span)[1].any()
+    assert not speeds_on_bus(rig, *span)[:, 1].any()
+    assert np.ptp(rig.channel("pulse_count_2", *span)) == 0.0
+    assert (speeds_on_bus(rig, *after("speed_sensor_dropout"))[:, 1] > 10.0).all()
+
+
+def test_missing_teeth_make_the_measured_speed_dip_once_a_turn(rig):
+    span = within("missing_tooth", 0.05)
+    ratio = measured(rig, *span)[2] / turning(rig, *span)[2]
+    dips = ratio < 0.95
+    turns = np.ptp(rig.channel("wheel_angle_3_rad", *span)) / (2 * np.pi)
+    assert turns - 1.5 <= dips.sum() <= turns + 1.5
+    assert np.abs(ratio[~dips] - 1.0).max() < 0.05
+    assert speeds_on_bus(rig, *span)[:, 2].min() < 0.95 * turning(rig, *span)[2].min()
+
+
+def test_a_noise_burst_scatters_the_measured_speed_by_its_standard_deviation(rig):
+    span = within("speed_noise_burst", 0.0)
+    error = (measured(rig, *span) - turning(rig, *span))[3]
+    assert 3.0 < error[1:].std() < 7.0
+    assert speeds_on_bus(rig, *span)[2:, 3].std() > 3.0
+    assert np.array_equal(measured(rig, *after("speed_noise_burst"))[3],
+                          turning(rig, *after("speed_noise_burst"))[3])
+
+
+def test_swapped_axles_tell_each_others_speed(rig):
+    told, real = measured(rig, *within("swapped_axles")), turning(rig, *within("swapped_axles"))
+    assert not np.array_equal(real[0], real[1])
+    assert np.array_equal(told[:2], real[[1, 0]])
+
+
+def test_a_larger_wheel_is_measured_slower_by_the_difference_of_the_diameters(rig):
+    span = within("wheel_diameter_mismatch")
+    assert measured(rig, *span)[2] * 1.05 == pytest.approx(turning(rig, *span)[2], rel=1e-12)
+    assert speeds_on_bus(rig, *span)[:, 2] == pytest.approx(
+        speeds_on_bus(rig, *span)[:, 1] / 1.05, rel=0.01)
+
+
+def pressures(rig, from_s, to_s):
+    """Cylinder pressures of TPDO1 of node 17 in mbar, shape (n, 4)."""
+    return np.array([np.frombuffer(one, "<i2") for one in rig.on_bus(0x191, from_s, to_s)])
+
+
+def test_a_stuck_hold_magnet_keeps_the_pressure_that_the_others_pass(rig):
+    span = within("hold_magnet_stuck", 0.1)
+    assert set(rig.channel("valve_1", *span)) == {1.0}
+    assert np.ptp(pressures(rig, *span)[:, 0]) <= 1
+    assert np.ptp(pressures(rig, *span)[:, 2]) > 100
+    assert set(rig.channel("valve_1", *(time + 0.05 for time in after("hold_magnet_stuck", 0.02)))) == {0.0}
+
+
+def test_a_stuck_vent_magnet_empties_the_cylinder(rig):
+    begin, end = TIMES["vent_magnet_stuck"]
+    assert set(rig.channel("valve_2", begin + 0.1, end)) == {2.0}
+    assert pressures(rig, end - 0.02, end)[-1, 1] < 0.2 * pressures(rig, begin, begin + 0.02)[0, 1]
+
+
+def test_a_dead_hold_magnet_lets_the_cylinder_fill_when_hold_is_asked(rig):
+    asked = rig.on_bus(0x211, 2.2, 2.4)
+    assert set(asked) == {b"\x55"}
+    assert set(rig.channel("valve_3", 2.2, 2.4)) == {0.0}
+    assert set(rig.channel("valve_1", 2.2, 2.4)) == {1.0}
+    assert np.ptp(pressures(rig, 2.2, 2.4)[:, 2]) > np.ptp(pressures(rig, 2.2, 2.4)[:, 0])
+
+
+def test_a_dead_vent_magnet_only_holds_when_vent_is_asked(rig):
+    assert set(rig.on_bus(0x211, 2.5, 2.7)) == {b"\xff"}
+    assert set(rig.channel("valve_4", 2.5, 2.7)) == {1.0}
+    assert set(rig.channel("magnets_4", 2.5, 2.7)) == {1.0}
+    assert set(rig.channel("valve_3", 2.5, 2.7)) == {2.0}
+    assert np.ptp(pressures(rig, 2.5, 2.7)[:, 3]) <= 1
+
+
+def test_a_leaking_cylinder_loses_pressure_and_gets_it_back(rig):
+    begin, end = TIMES["cylinder_leak"]
+    before, late = pressures(rig, begin - 0.05, begin)[-1], pressures(rig, end - 0.05, end)[-1]
+    # axle 2 has been vented like axle 1, and has no leak
+    assert before[0] == pytest.approx(before[1], rel=0.1)
+    assert late[0] < 0.75 * late[1]
+    assert pressures(rig, end + 0.9, end + 1.0)[-1, 0] > 0.9 * pressures(rig, end + 0.9, end + 1.0)[-1, 3]
+
+
+def test_torque_ripple_shows_in_demand_and_torque_on_the_bus(rig):
+    span, calm = within("torque_ripple"), (2.9, 3.0)
+    assert rig.channel("motor_torque_demand_2_Nm", *span).std() > 1000.0
+    actual = np.array([int.from_bytes(one[3:5], "little", signed=True)
+                       for one in rig.on_bus(0x182, *span)])
+    quiet = np.array([int.from_bytes(one[3:5], "little", signed=True)
+                      for one in rig.on_bus(0x182, *calm)])
+    assert actual.std() > 3 * quiet.std()
+    assert np.diff(np.sign(actual - actual.mean())).astype(bool).sum() > 6
+
+
+def words(rig, node, from_s, to_s):
+    """Statuswords of a drive."""
+    return [int.from_bytes(one[:2], "little") for one in rig.on_bus(0x180 + node, from_s, to_s)]
+
+
+def emergencies(rig, node, kind, more_s=0.05):
+    begin, end = TIMES[kind]
+    return [int.from_bytes(one[:2], "little") for one in rig.on_bus(0x080 + node, begin, end + more_s)]
+
+
+def in_fault(word):
+    return word & 0x4F == 0x08
+
+
+def runs(word):
+    return word & 0x6F == 0x27
+
+
+@pytest.mark.parametrize(("kind", "node", "code"), [
+    ("drive_trip", 1, 0x5112), ("drive_over_temperature", 2, 0x4310), ("power_dip", 3, 0x3220)])
+def test_a_drive_that_trips_tells_its_code_gives_no_torque_and_runs_again(rig, kind, node, code):
+    span = within(kind, 0.05)
+    assert emergencies(rig, node, kind) == [code, 0]
+    assert all(map(in_fault, words(rig, node, *span)))
+    assert np.abs(rig.channel(f"motor_torque_{node}_Nm", *span)).max() < 10.0
+    assert all(map(runs, words(rig, node, *after(kind))))
+    assert rig.channel(f"motor_torque_{node}_Nm", *after(kind)).mean() > 100.0
+
+
+def test_a_hot_drive_warns_with_bit_7(rig):
+    assert all(word & 0x80 for word in words(rig, 2, *within("drive_over_temperature")))
+    assert not any(word & 0x80 for word in words(rig, 2, *after("drive_over_temperature")))
+
+
+def test_a_power_dip_trips_every_drive_and_clears_voltage_enabled(rig):
+    for node in (1, 2, 3, 4):
+        assert all(in_fault(word) and not word & 0x10 for word in words(rig, node, *within("power_dip")))
+        assert all(word & 0x10 for word in words(rig, node, *after("power_dip")))
+
+
+def test_a_node_without_power_is_silent_and_boots_when_it_is_back(rig):
+    begin, end = TIMES["node_off"]
+    own = {0x190, 0x290, 0x390, 0x710, 0x090, 0x590}
+    assert [one for time, one, _ in rig.frames if one in own and begin <= time < end] == []
+    back = rig.on_bus(0x710, end, end + 0.05)
+    assert back[0] == b"\x00"
+    assert rig.on_bus(0x190, end + 0.02, end + 0.1)
+
+
+def test_a_babbling_node_fills_the_bus(rig):
+    begin, end = TIMES["node_babbling"]
+    babbled = len(rig.on_bus(0x07F, begin, end + CYCLE_S))
+    assert babbled == pytest.approx(2000.0 * (end - begin), abs=21)
+    assert rig.on_bus(0x07F, end + CYCLE_S, 9.0) == []
+
+
+def test_lost_frames_are_missing_on_the_bus_and_counted(rig):
+    begin, end = TIMES["frame_lost"]
+    assert len(rig.on_bus(0x191, begin, end)) == 10
+    assert len(rig.on_bus(0x190, begin, end)) == 20
+    assert any("it met 10 frames" in text for _, _, text in rig.run.events if "frame_lost" in text)
+
+
+def test_delayed_frames_carry_what_was_true_when_they_were_sent(rig):
+    begin, end = TIMES["frame_delayed"]
+    told = speeds_on_bus(rig, begin + 0.06, end)[:, 0]
+    real = rig.channel("measured_speed_1_rad_s", begin + 0.06, end)
+    late = rig.channel("measured_speed_1_rad_s", begin + 0.01, end - 0.05)
+    assert rig.on_bus(0x190, begin, begin + 0.045) == []
+    assert np.abs(told - late[: len(told)]).max() <= 0.011
+    assert np.abs(told - real[: len(told)]).max() > 0.05
+
+
+def test_duplicated_frames_come_twice(rig):
+    begin, end = TIMES["frame_duplicated"]
+    twice = rig.on_bus(0x191, begin, end)
+    assert len(twice) == 40
+    assert twice[0::2] == twice[1::2]
+
+
+def test_error_frames_drive_a_node_to_error_passive_to_bus_off_and_back(rig):
+    begin, end = TIMES["error_frame"]
+    errors = [data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end]
+    counters = [data[6] for data in errors]
+    assert counters[:3] == [8, 16, 23]
+    assert max(counters) == 255
+    codes = emergencies(rig, 17, "error_frame")
+    assert codes.index(0x8120) < codes.index(0x8140)
+    assert rig.told("node 17: error passive")
+    assert rig.told("node 17: bus-off")
+    assert not [one for time, one, _ in rig.frames if one == 0x20000088 and time >= end]
+
+
+def test_a_node_whose_controller_is_off_says_nothing_and_goes_on_without_booting(rig):
+    begin, end = TIMES["bus_off"]
+    own = {0x184, 0x284, 0x704, 0x084}
+    assert [one for time, one, _ in rig.frames if one in own and begin <= time < end] == []
+    assert emergencies(rig, 4, "bus_off")[:1] == [0x8140]
+    assert set(rig.on_bus(0x704, end, end + 0.3)) == {b"\x05"}
+    assert all(map(runs, words(rig, 4, end + 0.02, end + 0.1)))
+    assert rig.channel("motor_torque_4_Nm", begin, end).mean() > 100.0
+
+
+def test_late_heartbeats_make_the_master_miss_the_node(rig):
+    begin, end = TIMES["heartbeat_late"]
+    assert rig.on_bus(0x711, begin, end) == []
+    assert any(begin < time < end for time in rig.told("node 17 lost: no heartbeat"))
+    assert rig.on_bus(0x711, end, end + 0.05)
+
+
+def test_a_frozen_unit_lets_the_brakes_apply_after_its_heartbeat_is_lost(rig):
+    begin, end = TIMES["wsp_frozen"]
+    for can_id in (0x211, 0x720):
+        assert rig.on_bus(can_id, begin, end) == []
+    assert emergencies(rig, 17, "wsp_frozen", 0.1) == [0x8130, 0]
+    assert any(begin + 0.15 < time < begin + 0.3 for time in rig.told("fail-safe value 00h"))
+    # what was held back comes at once when the unit goes on
+    assert len(rig.on_bus(0x211, end, end + 0.005)) > 30
+
+
+def test_a_fault_can_be_injected_and_cleared_by_hand(rig):
+    begin, end, _ = faulty_run.BY_HAND
+    assert not measured(rig, begin + 0.02, end)[3].any()
+    assert measured(rig, end + 0.02, end + 0.1)[3].all()
+    assert len(rig.told("fault speed_sensor_dropout axle=4")) == 2
+
+
+def test_the_reference_units_process_is_stopped_and_goes_on(tmp_path):
+    import asyncio
+
+    path = tmp_path / "frozen.toml"
+    path.write_text('adhesion = "dry"\ninitial_speed_m_s = 20.0\nduration_max_s = 1.2\n[bus]\n'
+                    'interface = "hub"\nsocketcand_port = 0\n')
+    plan = scenario.load(str(path), faults=("wsp_frozen at=0.3 for=0.5",))
+    rig = bench.Bench(plan, bench.Options("lockstep", "reference", tmp_path / "run"), lambda one: None)
+    result = asyncio.run(rig.run())
+    recorded = faulty_run.Recorded(faulty_run.records.load(tmp_path / "run"))
+    assert result["ended"] == "finished"
+    assert recorded.on_bus(0x211, 0.3, 0.79) == []
+    assert recorded.told("magnets take the fail-safe value")
+    # every SYNC it has slept through is answered, and then each at its time
+    assert len(recorded.on_bus(0x211, 0.795, 0.805)) == 51
+    assert len(recorded.on_bus(0x211, 0.805, 1.195)) == 39
+
+
+def machine(path_of_plan, array=None, ticks=300):
+    """The row after some ticks of a machine whose faults array holds these values."""
+    plan = scenario.load(path_of_plan)
+    place = ring.Ring(ring.place("rows"), np.float64, 1 << 10, len(signals.COLUMNS))
+    try:
+        made = bench.build_machine(plan, place)
+        if array is not None:
+            made.commands.values[tick.FAULTS:] = array
+        tick.batch(made, ticks)
+        return made.row.copy()
+    finally:
+        place.close()
+        place.unlink()
+
+
+def test_a_faults_array_whose_values_are_zero_changes_no_bit():
+    zeros = np.zeros(fault_effects.SIZE)
+    zeros[fault_effects.ANY] = 1.0
+    row = machine("dry_stop")
+    assert np.array_equal(row, machine("dry_stop", zeros), equal_nan=True)
+    zeros[fault_effects.slot(fault_effects.LEAK_per_s, 1)] = 1.0
+    assert not np.array_equal(row, machine("dry_stop", zeros), equal_nan=True)
+
+
+def test_a_fault_of_the_command_line_is_the_scenarios_fault():
+    plan = scenario.load("dry_stop", faults=("frame_lost can_id=0x190 every=3 at=5 for=2",))
+    assert plan["fault"] == [{"kind": "frame_lost", "at_s": 5.0, "for_s": 2.0, "can_id": 0x190, "every": 3}]
+    assert plan.faults == faults.all_of(plan["fault"], "again")
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("speed_sensor_stuk axle=2", "did you mean 'speed_sensor_stuck'"),
+    ("speed_sensor_stuck axle=5", "allowed 1 to 4"),
+    ("speed_sensor_stuck axel=2", "did you mean 'axle'"),
+    ("node_off node=5", "allowed are 1, 2, 3, 4, 16, 17"),
+    ("swapped_axles axle=2 other=2", "give two axles"),
+    ("power_dip for=0", "out of range"),
+    ("node_off node", "write key=number"),
+])
+def test_a_wrong_fault_is_refused_with_what_is_allowed(text, said):
+    with pytest.raises(ConfigError, match="--fault") as refused:
+        faults.parse(text)
+    assert said in str(refused.value)
+
+
+def test_a_fault_of_the_bus_is_refused_where_there_is_no_bus():
+    planned = (faults.parse("node_off node=16"),)
+    with pytest.raises(ConfigError, match="--pacing free has none"):
+        fault_panel.check_pacing(planned, "free")
+    fault_panel.check_pacing(planned, "lockstep")
+
+
+def test_the_catalogue_is_documented_row_by_row():
+    text = faults.markdown()
+    for kind in faults.CATALOGUE:
+        assert f"| `{kind.name}` |" in text

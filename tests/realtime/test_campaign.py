@@ -1,0 +1,146 @@
+"""Campaigns: the same result however the runs are spread, whatever is killed on the way."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime import campaign
+
+PLAN = """
+title = "short stops"
+scenario = "{scenario}"
+design = "{design}"
+runs = 12
+seed = 3
+chunk = 2
+
+[vary]
+{vary}
+"""
+SCENARIO = """
+title = "A short stop"
+initial_speed_m_s = 3.0
+[[demand]]
+pressure_Pa = 3.8e5
+"""
+MATRIX = '"adhesion.mu_cd" = [0.03, 0.06, 0.1]\ninitial_speed_m_s = [2.0, 3.0, 4.0, 5.0]'
+RANGES = '"adhesion.mu_cd" = { low = 0.03, high = 0.1, log = true }\ninitial_speed_m_s = { low = 2.0, high = 5.0 }'
+
+
+@pytest.fixture()
+def plan_file(tmp_path):
+    (tmp_path / "short.toml").write_text(SCENARIO)
+
+    def write(design="matrix", vary=MATRIX) -> str:
+        path = tmp_path / f"{design}.toml"
+        path.write_text(PLAN.format(scenario=tmp_path / "short.toml", design=design, vary=vary))
+        return str(path)
+
+    return write
+
+
+def content(out: Path) -> dict[str, list]:
+    return campaign.result(out).to_pydict()
+
+
+def run_serially(plan, out, chunks=None) -> None:
+    for chunk in campaign.open_result(plan, out) if chunks is None else chunks:
+        campaign.write_chunk(out, chunk, campaign.run_chunk(plan, chunk))
+
+
+def test_a_matrix_runs_every_combination_once(plan_file, tmp_path):
+    plan = campaign.load(plan_file())
+    run_serially(plan, tmp_path / "out")
+    rows = content(tmp_path / "out")
+    assert rows["run"] == list(range(12))
+    assert len(set(zip(rows["adhesion.mu_cd"], rows["initial_speed_m_s"], strict=True))) == 12
+    assert all(rows["stopped"])
+    assert rows["error"] == [None] * 12
+
+
+@pytest.mark.parametrize("design", campaign.DESIGNS[1:])
+def test_a_random_design_repeats_and_stays_within_its_bounds(plan_file, design):
+    first, second = (campaign.load(plan_file(design, RANGES)) for _ in range(2))
+    assert first.points == second.points
+    assert len(set(first.points)) == 12
+    assert all(0.03 <= mu <= 0.1 and 2.0 <= speed <= 5.0 for mu, speed in first.points)
+
+
+def test_a_campaign_that_was_cut_off_computes_only_what_is_missing(plan_file, tmp_path):
+    plan, out = campaign.load(plan_file()), tmp_path / "out"
+    todo = campaign.open_result(plan, out)
+    run_serially(plan, out, todo[:4])
+    before = {path: path.stat().st_mtime_ns for path in (out / "results").iterdir()}
+    assert campaign.open_result(plan, out) == todo[4:]
+    run_serially(plan, out)
+    assert all(path.stat().st_mtime_ns == then for path, then in before.items())
+    assert content(out)["run"] == list(range(12))
+
+
+def test_a_result_folder_of_another_plan_is_refused(plan_file, tmp_path):
+    campaign.open_result(campaign.load(plan_file()), tmp_path / "out")
+    with pytest.raises(ConfigError, match="another plan"):
+        campaign.open_result(campaign.load(plan_file("sobol", RANGES)), tmp_path / "out")
+
+
+@pytest.mark.parametrize(("design", "vary", "says"), [
+    ("matrix", '"adhesion.mu_cd" = 0.05', "list of values"),
+    ("sobol", '"adhesion.mu_cd" = [0.03, 0.06]', "low = "),
+    ("sobol", '"adhesion.mu_cd" = { low = 0.1, high = 0.03 }', "must rise"),
+    ("matrix", '"adhesion.mu_kd" = [0.03]', "mu_cd"),
+    ("matrix", '"adhesion.mu_cd" = [7.0]', "out of range"),
+])
+def test_a_bad_plan_is_refused_before_the_first_run(plan_file, design, vary, says):
+    with pytest.raises(ConfigError, match=says):
+        campaign.load(plan_file(design, vary))
+
+
+def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(plan_file, tmp_path):
+    pytest.importorskip("distributed")
+    plan = campaign.load(plan_file())
+    run_serially(plan, tmp_path / "local")
+    scheduler, address = start_scheduler()
+    workers = [start_worker(address) for _ in range(3)]
+    try:
+        out = tmp_path / "cluster"
+        for done, (chunk, rows) in enumerate(
+                campaign.spread_dask(plan, campaign.open_result(plan, out), address)):
+            campaign.write_chunk(out, chunk, rows)
+            if done == 0:
+                workers[0].send_signal(signal.SIGKILL)
+    finally:
+        for process in (*workers, scheduler):
+            process.kill()
+            process.wait()
+    parts = sorted(path.name for path in (tmp_path / "local" / "results").iterdir())
+    assert sorted(path.name for path in (out / "results").iterdir()) == parts
+    for name in parts:
+        assert pq.read_table(out / "results" / name).equals(
+            pq.read_table(tmp_path / "local" / "results" / name))
+
+
+def start_scheduler() -> tuple[subprocess.Popen, str]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
+         "--no-dashboard"], stderr=subprocess.PIPE, text=True)
+    assert process.stderr
+    until = time.monotonic() + 60.0
+    while time.monotonic() < until:
+        line = process.stderr.readline()
+        if "tcp://127.0.0.1:" in line:
+            return process, "tcp://127.0.0.1:" + line.split("tcp://127.0.0.1:")[1].split()[0].strip("'\",")
+    raise AssertionError("the scheduler did not say where it listens")
+
+
+def start_worker(address: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_worker", address, "--host", "127.0.0.1",
+         "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+        stderr=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})

@@ -1,0 +1,162 @@
+"""Verdicts: measures against limits, each with its margin and the source of its number.
+
+A criteria profile is a TOML file of limits; a sequence may add limits of its own, which replace
+those of the profile for the same measure. A run that could not be measured is an error, never a
+pass; a measure that a run cannot have (the WSP did not act) is left out and says so. Nothing here
+certifies anything.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rollerrig.configs import store
+from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.table import nearest
+from rollerrig.wsp_interface import measures
+from rollerrig.wsp_interface.measures import Record
+
+DISCLAIMER = "not a certification"
+UNVERIFIED = "memory, unverified"
+_KEYS = ("measure", "unit", "max", "min", "source")
+
+
+class Result(StrEnum):
+    """How a limit, a check or a whole sequence came out; the worst decides."""
+
+    PASS = "pass"
+    ABSENT = "not applicable"
+    FAIL = "fail"
+    ERROR = "error"
+
+
+_ORDER = (Result.PASS, Result.ABSENT, Result.FAIL, Result.ERROR)
+
+
+class Limit(NamedTuple):
+    """A bound on a measure; inf where there is none on that side."""
+
+    measure: str
+    unit: str
+    low: float
+    high: float
+    source: str
+    origin: str
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Named limits."""
+
+    name: str
+    title: str
+    limits: tuple[Limit, ...]
+
+    def with_limits(self, more: tuple[Limit, ...]) -> "Profile":
+        """The same with limits that replace those of the same measure."""
+        named = {one.measure for one in more}
+        return replace(self, limits=(*(one for one in self.limits if one.measure not in named),
+                                     *more))
+
+
+class Verdict(NamedTuple):
+    """One line of a report. `margin` is the distance to the nearer limit over that limit."""
+
+    what: str
+    unit: str
+    value: float
+    limit: str
+    margin: float
+    result: Result
+    source: str
+    text: str = ""
+
+
+def load(name: str, beside: Path | None = None) -> Profile:
+    """A criteria profile by name or path; "none" has no limits. Raises ConfigError."""
+    if name == "none":
+        return Profile("none", "no limits of its own", ())
+    content, path = store.load("criteria", name, beside)
+    for key in content:
+        if key not in ("title", "limit"):
+            raise ConfigError(f"{path}: unknown key '{key}'{nearest(key, ('title', 'limit'))}")
+    found = limits(content.get("limit", []), lambda at, key: f"{path} [[limit]] {at + 1}: {key}",
+                   path.stem)
+    return Profile(path.stem, str(content.get("title", path.stem)), found)
+
+
+def limits(given: Any, where: Callable[[int, str], str], origin: str) -> tuple[Limit, ...]:
+    """Limits from their tables. Raises ConfigError: unknown measure, wrong unit, contradiction."""
+    if not isinstance(given, list):
+        raise ConfigError(f"{where(0, '')}: write the table with two brackets, one for each limit")
+    return tuple(_limit(one, lambda key, at=at: where(at, key), origin)  # type: ignore[misc]
+                 for at, one in enumerate(given))
+
+
+def _limit(given: Any, where: Callable[[str], str], origin: str) -> Limit:
+    for key in given:
+        if key not in _KEYS:
+            raise ConfigError(f"{where(key)}: unknown key{nearest(key, _KEYS)}")
+    name = given.get("measure")
+    if name not in measures.BY_NAME:
+        raise ConfigError(f"{where('measure')} = {name!r}: no measure is called so"
+                          f"{nearest(str(name), measures.BY_NAME)}")
+    measure = measures.BY_NAME[name]
+    if given.get("unit") != measure.unit:
+        raise ConfigError(f"{where('unit')} = {given.get('unit')!r}: {name} is in '{measure.unit}'; "
+                          f"write unit = \"{measure.unit}\"")
+    if not given.get("source"):
+        raise ConfigError(f"{where('source')} is missing; say where the number comes from, or "
+                          f"'{UNVERIFIED}'")
+    low, high = given.get("min", -math.inf), given.get("max", math.inf)
+    for key, bound in (("min", low), ("max", high)):
+        if isinstance(bound, bool) or not isinstance(bound, int | float) or math.isnan(bound):
+            raise ConfigError(f"{where(key)} = {bound!r}: a number is wanted")
+    if "min" not in given and "max" not in given:
+        raise ConfigError(f"{where('measure')}: a limit has a min, a max or both")
+    if low > high:
+        raise ConfigError(f"{where('max')} = {high:g} is below min = {low:g}; nothing can meet both")
+    if high < measure.least:
+        raise ConfigError(f"{where('max')} = {high:g} is below {measure.least:g}, the least that "
+                          f"{name} can be; nothing can meet it")
+    return Limit(name, measure.unit, float(low), float(high), str(given["source"]), origin)
+
+
+def judge(profile: Profile, record: Record) -> list[Verdict]:
+    """A verdict for each limit of a profile."""
+    return [_judge(limit, record) for limit in profile.limits]
+
+
+def _judge(limit: Limit, record: Record) -> Verdict:
+    bounds = " and ".join(
+        [f"at least {limit.low:g}"] * math.isfinite(limit.low)
+        + [f"at most {limit.high:g}"] * math.isfinite(limit.high))
+    try:
+        value = float(measures.BY_NAME[limit.measure].of(record))
+    except (KeyError, IndexError, ValueError) as error:
+        return Verdict(limit.measure, limit.unit, math.nan, bounds, math.nan, Result.ERROR,
+                       limit.source, f"cannot be computed: {error!r}")
+    text = measures.BY_NAME[limit.measure].text
+    if math.isnan(value):
+        absent = measures.MAY_BE_ABSENT.get(limit.measure)
+        return Verdict(limit.measure, limit.unit, value, bounds, math.nan,
+                       Result.ABSENT if absent else Result.ERROR, limit.source,
+                       absent or "was not measured: did the vehicle stop?")
+    passed = limit.low <= value <= limit.high
+    return Verdict(limit.measure, limit.unit, value, bounds, _margin(limit, value),
+                   Result.PASS if passed else Result.FAIL, limit.source, text)
+
+
+def _margin(limit: Limit, value: float) -> float:
+    rooms = [(limit.high - value) / (abs(limit.high) or 1.0)] * math.isfinite(limit.high)
+    rooms += [(value - limit.low) / (abs(limit.low) or 1.0)] * math.isfinite(limit.low)
+    return min(rooms)
+
+
+def worst(results: list[Result]) -> Result:
+    """The result of a whole: what is not applicable does not count; nothing at all is an error."""
+    counted = [one for one in results if one is not Result.ABSENT]
+    return max(counted, key=_ORDER.index) if counted else Result.ERROR
