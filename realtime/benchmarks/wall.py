@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime import bench, scenario
 from rollerrig.realtime.bench import Bench
+from rollerrig.realtime.tick import TICK
 
 SCENARIO = "velim_a1"
 Beside = Callable[[Bench], Awaitable[Any]]
@@ -67,14 +68,14 @@ async def _run(run: Bench, beside: Beside | None) -> tuple[dict[str, Any], Any, 
 
 
 async def _when_open(run: Bench, beside: Beside) -> Any:
-    while run.bus is None:
+    while run.bus is None and not run.stopping:
         await asyncio.sleep(0.01)
-    return await beside(run)
+    return None if run.stopping else await beside(run)
 
 
 async def _share(run: Bench) -> float:
     """The share of a core that the bus thread takes between the first tick and the last."""
-    while not run.machine.control[bench.TICK]:
+    while not (run.machine.control[TICK] or run.stopping):
         await asyncio.sleep(0.01)
     begun_s, cpu_s = time.monotonic(), time.thread_time()
     share = 0.0

@@ -71,7 +71,7 @@ def scores(normal: Normal, keep: Sequence[str] = ()) -> Scores:
     small += 1e-8 * np.eye(len(base))
     taken = np.linalg.solve(small, scale[base][:, None] * A[base])
     left = A[:, base] * scale[base]
-    return Scores(A - left @ taken, b - taken.T @ b[base])
+    return Scores(A - left @ taken, b - taken.T @ (scale[base] * b[base]))
 
 
 def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

@@ -69,15 +69,17 @@ def free_run(omega_measured, surface_m_s, load_N, torque_Nm, mu_cd, step_s, wind
         total = 0.0
         sliding[k] = surface_m_s[k] - r * omega
         for i in range(SUBSTEPS):
-            part = (i + 0.5) / SUBSTEPS
+            part = (i + 1.0) / SUBSTEPS
             v = surface_m_s[k] + part * (surface_m_s[last] - surface_m_s[k])
             N = load_N[k] + part * (load_N[last] - load_N[k])
             C = torque_Nm[k] + part * (torque_Nm[last] - torque_Nm[k])
             f, _, _, _, _, slope = wheelset.creep(v - r * omega, v, N, mu_cd, mu_cr, patch, law,
                                                   cleaning_creepage)
-            damping = max(slope, 0.0) * N * r * r / inertia
+            slope = max(slope, 0.0)
+            damping = slope * N * r * r / inertia
+            before = omega
             omega = max(0.0, omega + h * (r * f * N - C) / inertia / (1.0 + h * damping))
-            total += f * N
+            total += N * (f - slope * r * (omega - before))  # at the end of the step, as the balance has it
         force_N[k] = total / SUBSTEPS
 
 

@@ -37,12 +37,16 @@ def test_bits_are_bits_and_registers_hold_integers(drive):
         assert all(row.scale > 0 for row in rows)
 
 
-def test_what_stands_on_the_can_bus_has_the_same_scale_here():
-    for row in WORDS:
-        signal = signals.BY_NAME.get(row.signal)
-        if signal and signal.places and signal.places[0].kind in ("I16", "I32", "U32"):
-            place = signal.places[0]
-            assert (row.kind, row.scale, row.unit) == (place.kind, place.scale, signal.unit)
+@pytest.mark.parametrize("name", [
+    "brake_demand", "cylinder_pressure", MEASURED_SPEED, "roller_speed", "motor_torque",
+    "tooth_frequency", "pulse_count", "wsp_reference_speed",
+])
+def test_what_the_can_nodes_tell_has_the_same_scale_here(name):
+    signal, rows = signals.BY_NAME[name], [row for row in WORDS if row.signal == name]
+    assert len(rows) == signal.axles
+    for row in rows:
+        place = signal.places[0]
+        assert (row.kind, row.scale, row.unit) == (place.kind, place.scale, signal.unit)
 
 
 def test_speeds_and_pressures_of_every_axle_have_registers():

@@ -6,7 +6,7 @@ import pytest
 from rollerrig.firmware_sim import wsp
 from rollerrig.realtime import bench, mailbox, scenario, tick
 from rollerrig.realtime import ring as rings
-from rollerrig.realtime.tick import DEMAND, DONE, REFERENCE, STOP, TICK
+from rollerrig.realtime.tick import DEMAND, DONE, MAGNETS, REFERENCE, STOP, TICK
 from rollerrig.rig.state import SLOTS
 from rollerrig.wsp_interface import signals
 
@@ -30,7 +30,10 @@ def sampled(machine):
 
 
 def ask(machine, magnets, demand_Pa=np.nan, reference=np.nan):
-    mailbox.post(machine.commands, np.array([*magnets, demand_Pa, reference]))
+    command = machine.commands.values.copy()
+    command[MAGNETS : MAGNETS + 4] = magnets
+    command[DEMAND], command[REFERENCE] = demand_Pa, reference
+    mailbox.post(machine.commands, command)
 
 
 def test_a_sample_is_taken_every_tenth_tick_beginning_with_the_first_state(build):

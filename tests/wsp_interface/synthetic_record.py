@@ -1,0 +1,51 @@
+"""A stop that can be computed by hand: constant deceleration, one axle locked for a while."""
+
+import numpy as np
+
+from rollerrig.realtime import scenario
+from rollerrig.wsp_interface.harness import COLUMNS
+from rollerrig.wsp_interface.measures import Record
+
+GOOD = """title = "A stop from forty on soap"
+criteria = "stop"
+
+[start]
+speed = "40 km/h"
+adhesion = "soap"
+
+[[step]]
+title = "brake"
+at = "1 s"
+set = { brake_demand = "3.8 bar" }
+until = "vehicle_speed < 1 km/h"
+timeout = "60 s"
+"""
+
+SPEED_M_S, RATE_M_S2, COAST_S = 20.0, 1.0, 1.0
+LOCK_S, SLIP_M_S = 0.5, 1.0
+
+
+def record(told: bool = True, vents: float = 0.0) -> Record:
+    """Coasts 1 s, then brakes at 1 m/s2 to standstill; axle 2 is locked from 5.0 to 5.5 s."""
+    plan = scenario.load("velim_a1").resolved
+    time_s = np.round(np.arange(0.0, COAST_S + SPEED_M_S / RATE_M_S2 + 1.0, 0.01), 2)
+    speed = np.clip(SPEED_M_S - RATE_M_S2 * np.clip(time_s - COAST_S, 0.0, None), 0.0, None)
+    columns = {name: np.zeros(len(time_s)) for name in COLUMNS}
+    columns["time_s"], columns["vehicle_speed_m_s"] = time_s, speed
+    columns["position_m"] = np.concatenate(
+        ([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))))
+    radius_m = plan["vehicle"]["wheel_radius_m"]
+    for axle in range(1, 5):
+        columns[f"measured_speed_{axle}_rad_s"] = speed / radius_m
+        columns[f"adhesion_{axle}"] = np.full(len(time_s), 0.08)
+    locked = (time_s >= 5.0) & (time_s < 5.0 + LOCK_S)
+    columns["measured_speed_2_rad_s"] = np.where(locked, 0.0, speed / radius_m)
+    columns["valve_2"] = np.where(locked, 2.0, 0.0)
+    columns["brake_demand_Pa"] = np.where(time_s > COAST_S, 3.8e5, 0.0)
+    columns["wsp_reference_speed_m_s"] = speed - SLIP_M_S if told else np.full(len(time_s), np.nan)
+    for axle in range(1, 5):
+        columns[f"cylinder_pressure_{axle}_Pa"] = columns["brake_demand_Pa"].copy()
+    finals = {"wheel_load": (1e5,) * 4, "longest_lock": (0.0, LOCK_S, 0.0, 0.0),
+              "sliding_work": (0.0, 2e6, 0.0, 0.0), "vents": (0.0, vents, 0.0, 0.0),
+              "air_consumption": (100.0,)}
+    return Record(columns, ((COAST_S, 3.8e5),), finals, plan, dry_m=180.0)

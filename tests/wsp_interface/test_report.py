@@ -1,0 +1,72 @@
+"""Reports: one file, the same verdicts three times, and no pass where something went wrong."""
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from html import escape
+
+import pytest
+import synthetic_record
+from synthetic_record import GOOD
+
+from rollerrig.configs.errors import RollerrigError
+from rollerrig.firmware_sim import faults
+from rollerrig.wsp_interface import report, sequence, verdict
+from rollerrig.wsp_interface.harness import Event
+from rollerrig.wsp_interface.play import Outcome
+from rollerrig.wsp_interface.verdict import Result
+
+
+def outcome(folder, text=GOOD, **changes):
+    path = folder / "one.toml"
+    path.write_text(text, encoding="utf-8")
+    found = Outcome(sequence.load(path, faults.parse), folder / "one",
+                    events=[Event(1.0, "step", "brake <hard> & fast")])
+    found.record = synthetic_record.record()
+    found.verdicts = verdict.judge(found.sequence.criteria, found.record)
+    for name, value in changes.items():
+        setattr(found, name, value)
+    return found
+
+
+def test_the_page_needs_nothing_from_elsewhere(tmp_path):
+    page = report.write([outcome(tmp_path)], tmp_path / "out")[0].read_text(encoding="utf-8")
+    assert not re.search(r'(src|href)="(https?:)?//', page)
+    assert "<script" not in page
+    assert "not a certification" in page.lower()
+    assert page.count("<svg") == 4
+    assert "brake &lt;hard&gt; &amp; fast" in page
+
+
+def test_the_page_names_the_source_of_every_limit(tmp_path):
+    found = outcome(tmp_path)
+    page = report.html([found], tmp_path, report.datetime.now(report.UTC))
+    assert all(escape(one.source) in page for one in found.sequence.criteria.limits)
+
+
+def test_junit_and_json_tell_the_same_as_the_verdicts(tmp_path):
+    found = outcome(tmp_path)
+    _, data_path, junit_path = report.write([found], tmp_path / "out")
+    data, suite = json.loads(data_path.read_text()), ET.parse(junit_path).getroot()[0]
+    failed = [one.what for one in found.verdicts if one.result is Result.FAIL]
+    assert failed
+    assert [one["what"] for one in data["sequences"][0]["verdicts"] if one["result"] == "fail"] == failed
+    assert len(suite.findall(".//failure")) == int(suite.get("failures")) == len(failed)
+    assert int(suite.get("tests")) == len(found.verdicts)
+    assert data["result"] == "fail"
+
+
+def test_a_bench_that_vanished_is_an_error_however_good_the_rest_was(tmp_path):
+    found = outcome(tmp_path, error="the bench has gone \x07", verdicts=[])
+    assert found.result is Result.ERROR
+    assert report.overall([found]) is Result.ERROR
+    suite = ET.fromstring(report.junit_xml([found]).partition("\n")[2])[0]
+    assert suite.get("errors") == "1"
+    assert "the bench has gone" in report.html([found], tmp_path, report.datetime.now(report.UTC))
+
+
+def test_a_report_that_cannot_be_written_says_so(tmp_path):
+    in_the_way = tmp_path / "out"
+    in_the_way.write_text("a file")
+    with pytest.raises(RollerrigError, match="cannot be written"):
+        report.write([outcome(tmp_path)], in_the_way)

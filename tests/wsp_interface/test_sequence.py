@@ -1,0 +1,122 @@
+"""Sequences: what is read, what is refused and where, and that the packaged library is in order."""
+
+from pathlib import Path
+
+import pytest
+
+from synthetic_record import GOOD
+
+from rollerrig.configs import store
+from rollerrig.configs.errors import ConfigError
+from rollerrig.firmware_sim import faults
+from rollerrig.wsp_interface import conditions, sequence
+
+def read(folder: Path, text: str) -> sequence.Sequence:
+    path = folder / "one.toml"
+    path.write_text(text, encoding="utf-8")
+    return sequence.load(path, faults.parse)
+
+
+def test_quantities_become_si_at_the_edge(tmp_path):
+    found = read(tmp_path, GOOD)
+    step = found.steps[0]
+    assert found.speed_m_s == pytest.approx(40 / 3.6)
+    assert step.brake_Pa == pytest.approx(3.8e5)
+    assert (step.at_s, step.timeout_s) == (1.0, 60.0)
+    assert step.until.bound == pytest.approx(1 / 3.6)
+    assert found.criteria.limits
+
+
+# what is changed in the good one, and what the message must say
+REFUSED = (
+    ('title = "A stop from forty on soap"', 'title = "stop"', "line 1", "sentence"),
+    ("set = {", "sett = {", "line 11", "unknown key"),
+    ('vehicle_speed < 1 km/h', "vehicle_sped < 1 km/h", "line 12", "vehicle_speed"),
+    ('vehicle_speed < 1 km/h', "vehicle_speed < 1 bar", "line 12", "does not belong"),
+    ('vehicle_speed < 1 km/h', "vehicle_speed < 1 furlong", "line 12", "no unit"),
+    ('vehicle_speed < 1 km/h', "vehicle_speed < 0 km/h", "line 12", "can never be"),
+    ('vehicle_speed < 1 km/h', "vehicle_speed > 50 km/h", "line 12", "nothing drives it"),
+    ('vehicle_speed < 1 km/h', "time < 1 s", "line 12", "can never be"),
+    ('vehicle_speed < 1 km/h', "any valve > 2", "line 12", "can never be"),
+    ("timeout =", 'for = "2 s"\ntimeout =', "line 13", "either"),
+    ("timeout =", 'hold = "99 s"\ntimeout =', "line 13", "never be within"),
+    ('"3.8 bar"', '"38 bar"', "line 11", "0 to 10 bar"),
+    ('"3.8 bar"', "3.8", "line 11", "with its unit"),
+    ("brake_demand", "brake_demands", "line 11", "brake_demand"),
+    ("timeout =", 'fault = "speed_sensor_lost axle=2"\ntimeout =', "line 13", "no fault"),
+    ("timeout =", 'fault = "speed_sensor_stuck axle=7"\ntimeout =', "line 13", "allowed 1 to 4"),
+    ("timeout =", "friction = { mu = 0.05, axles = [9] }\ntimeout =", "line 13", "axle numbers"),
+)
+
+
+@pytest.mark.parametrize(("old", "new", "line", "said"), REFUSED)
+def test_a_wrong_sequence_is_refused_with_file_and_line(tmp_path, old, new, line, said):
+    assert old in GOOD
+    with pytest.raises(ConfigError) as refusal:
+        read(tmp_path, GOOD.replace(old, new, 1))
+    text = str(refusal.value)
+    assert "one.toml" in text
+    assert line in text
+    assert said in text
+
+
+def test_a_step_that_would_begin_in_the_past_is_refused(tmp_path):
+    late = GOOD + '\n[[step]]\ntitle = "again"\nat = "0.5 s"\nfor = "1 s"\n'
+    with pytest.raises(ConfigError, match=r"line 17.*is over before"):
+        read(tmp_path, late)
+
+
+MEASURE = '\n[[measure]]\nmeasure = "longest_lock"\nunit = "s"\nmax = 0.4\nsource = "memory"\n'
+
+
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ('unit = "s"', 'unit = "ms"', "is in 's'"),
+    ("max = 0.4", "max = -1", "least that longest_lock can be"),
+    ("max = 0.4", "max = 0.4\nmin = 0.5", "below min"),
+    ('source = "memory"\n', "", "source"),
+    ('"longest_lock"', '"longest_look"', "longest_lock"),
+    ("max = 0.4\n", "", "min, a max or both"),
+])
+def test_a_limit_that_nothing_can_meet_or_nobody_knows_is_refused(tmp_path, old, new, said):
+    assert read(tmp_path, GOOD + MEASURE)
+    with pytest.raises(ConfigError, match="one.toml, line 1[5-9]|one.toml, line 2") as refusal:
+        read(tmp_path, GOOD + MEASURE.replace(old, new))
+    assert said in str(refusal.value)
+
+
+def test_a_limit_of_the_sequence_replaces_that_of_its_profile(tmp_path):
+    found = read(tmp_path, GOOD + MEASURE.replace("0.4", "0.7"))
+    locks = [one for one in found.criteria.limits if one.measure == "longest_lock"]
+    assert [one.high for one in locks] == [0.7]
+
+
+def test_a_condition_of_every_axle_needs_all_and_of_any_needs_one():
+    every = conditions.condition("every cylinder_pressure > 1 bar", "here")
+    some = conditions.condition("any cylinder_pressure > 1 bar", "here")
+    values = dict(zip(every.columns, (2e5, 2e5, 2e5, 0.0), strict=True))
+    assert not every.holds(values)
+    assert some.holds(values)
+    assert not some.holds(dict.fromkeys(every.columns, float("nan")))
+
+
+@pytest.mark.parametrize("name", store.names("sequences"))
+def test_every_packaged_sequence_is_in_order_and_has_limits(name):
+    found = sequence.load(name, faults.parse)
+    assert found.criteria.limits
+    assert found.steps
+
+
+def test_the_library_has_every_fault_of_the_catalogue():
+    texts = [text for name in store.names("sequences")
+             for step in sequence.load(name, faults.parse).steps for text in step.faults]
+    missing = {kind.name for kind in faults.CATALOGUE} - {text.split()[0] for text in texts}
+    assert not missing
+
+
+@pytest.mark.parametrize("name", store.names("criteria"))
+def test_every_number_of_a_profile_has_a_source(name):
+    from rollerrig.wsp_interface import verdict
+
+    profile = verdict.load(name)
+    assert profile.limits
+    assert all(one.source for one in profile.limits)

@@ -1,0 +1,105 @@
+"""Measures against stops computed by hand, and verdicts that never pass what was not measured."""
+
+import math
+
+import numpy as np
+import pytest
+import synthetic_record as stop
+
+from rollerrig.wsp_interface import measures, verdict
+from rollerrig.wsp_interface.measures import BY_NAME
+from rollerrig.wsp_interface.verdict import Limit, Profile, Result
+
+
+def of(name, record=None):
+    return BY_NAME[name].of(record or stop.record())
+
+
+def limit(name, low=-math.inf, high=math.inf):
+    return Limit(name, BY_NAME[name].unit, low, high, "test", "test")
+
+
+def judged(one, record=None):
+    return verdict.judge(Profile("t", "t", (one,)), record or stop.record())[0]
+
+
+def test_the_stop_counts_from_the_first_brake_demand():
+    assert of("stop_distance") == pytest.approx(stop.SPEED_M_S**2 / 2 / stop.RATE_M_S2, rel=2e-3)
+    assert of("stop_time") == pytest.approx(stop.SPEED_M_S / stop.RATE_M_S2, rel=2e-3)
+
+
+def test_the_reference_stop_is_response_time_and_equivalent_deceleration():
+    record = stop.record()
+    brake, vehicle = record.scenario["brake"], record.scenario["vehicle"]
+    torque_Nm = (3.8e5 - brake["spring_pressure_Pa"]) * 0.0324 * 2.1 * 0.95 * 2 * 0.35 * 0.247 * 2
+    force_N = 4 * torque_Nm / vehicle["wheel_radius_m"]
+    drag_N = 600.0 + 0.9375 * stop.SPEED_M_S**2 / 2
+    rate_m_s2 = (force_N + drag_N) / (43000.0 + 4 * 160.0 / 0.445**2)
+    by_hand_m = 20.0 * (1.3 + 0.3) + 400.0 / 2 / rate_m_s2
+    assert measures.reference_distance_m(record) == pytest.approx(by_hand_m, rel=1e-6)
+
+
+def test_a_demand_of_twice_the_rate_falls_short_by_the_difference():
+    record = stop.record()
+    asked_m_s2 = (float(measures.brake_force_N(record, 3.8e5)) + 600.0) / measures.dynamic_mass_kg(record)
+    # drag adds at most 0.9375 * 20^2 N
+    assert of("deceleration_shortfall") == pytest.approx(asked_m_s2 - stop.RATE_M_S2, abs=0.01)
+
+
+def test_a_stop_shorter_than_a_segment_has_no_shortfall():
+    record = stop.record()
+    short = record._replace(columns={name: values[-900:] for name, values in record.columns.items()},
+                            demands=((record.columns["time_s"][-900], 3.8e5),))
+    assert math.isnan(of("deceleration_shortfall", short))
+    assert judged(limit("deceleration_shortfall", high=1.0), short).result is Result.ABSENT
+
+
+def test_the_damage_index_counts_the_energy_of_a_lock():
+    # 0.08 of 100 kN at about 15.75 m/s for 0.5 s, and 2 MJ of sliding
+    by_hand = 0.08 * 1e5 * 15.75 * stop.LOCK_S / 1e6 + 2e6 / 1e8
+    assert of("wheel_damage_index") == pytest.approx(by_hand, rel=0.03)
+
+
+def test_sliding_reference_error_and_adhesion_are_those_of_the_record():
+    assert of("sliding_max") == pytest.approx(16.0, abs=0.1)
+    assert of("reference_speed_error") == pytest.approx(stop.SLIP_M_S)
+    assert of("utilised_adhesion") == pytest.approx(0.08)
+
+
+def test_full_brake_after_a_fault_waits_for_the_last_cylinder():
+    record = stop.record()
+    pressure = np.where(record.columns["time_s"] < 7.0, 1e5, 3.8e5)
+    record.columns["cylinder_pressure_3_Pa"][:] = pressure
+    assert of("full_brake_after_fault", record._replace(fault_s=5.0)) == pytest.approx(2.0)
+
+
+def test_a_margin_is_the_room_to_the_limit_in_its_own_measure():
+    one = judged(limit("longest_lock", high=1.0))
+    assert one.result is Result.PASS
+    assert one.margin == pytest.approx(0.5)
+    assert judged(limit("longest_lock", high=0.4)).result is Result.FAIL
+    assert judged(limit("longest_lock", high=0.4)).margin == pytest.approx(-0.25)
+
+
+def test_a_limit_itself_passes():
+    assert judged(limit("longest_lock", high=stop.LOCK_S)).result is Result.PASS
+
+
+def test_a_train_that_does_not_stop_is_an_error_and_no_pass():
+    record = stop.record()
+    record.columns["vehicle_speed_m_s"][:] += 1.0
+    assert judged(limit("stop_distance", high=1e9), record).result is Result.ERROR
+
+
+def test_a_unit_that_tells_no_reference_speed_is_not_judged_by_it():
+    one = judged(limit("reference_speed_error", high=0.1), stop.record(told=False))
+    assert one.result is Result.ABSENT
+    assert "tells no reference speed" in one.text
+
+
+def test_the_worst_decides_and_nothing_is_no_pass():
+    assert verdict.worst([Result.PASS, Result.FAIL]) is Result.FAIL
+    assert verdict.worst([Result.ERROR, Result.FAIL]) is Result.ERROR
+    assert verdict.worst([Result.PASS, Result.ABSENT]) is Result.PASS
+    assert verdict.worst([]) is Result.ERROR
+    assert verdict.worst([Result.ABSENT]) is Result.ERROR
