@@ -64,7 +64,7 @@ def nearest(key: str, allowed: Iterable[str]) -> str:
     """The tail of a message on an unknown name: what was probably meant, and what is allowed."""
     allowed = sorted(allowed)
     close = difflib.get_close_matches(key, allowed, n=1, cutoff=0.6)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
+    hint = f"; did you mean '{close[0]}'?" if close else "."
     return f"{hint} Allowed: {', '.join(allowed)}"
 
 
@@ -96,7 +96,7 @@ def _number(row: Row, value: Any, at: str) -> float | int:
     whole = isinstance(row.default, int)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(f"{at} = {value!r}: a {'whole ' if whole else ''}number is wanted")
-    if whole and value != int(value):
+    if whole and (not math.isfinite(value) or value != int(value)):
         raise ConfigError(f"{at} = {value!r}: a whole number is wanted")
     if math.isnan(value) or not row.low <= value <= row.high:
         raise ConfigError(f"{at} = {value:g} is out of range; allowed {row.low:g} to {row.high:g}")

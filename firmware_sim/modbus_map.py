@@ -16,6 +16,7 @@ from typing import NamedTuple, cast
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 
+from rollerrig.firmware_sim.faults import CATALOGUE
 from rollerrig.wsp_interface import signals
 
 PLC_UNIT = 1
@@ -81,6 +82,9 @@ BITS: tuple[Register, ...] = (
     _bench(5, "standing", BIT, "the vehicle stands"),
     _bench(6, "wsp_unit_operational", BIT, "the WSP unit's heartbeat says OPERATIONAL"),
     _bench(7, "nodes_operational", BIT, "drives, speed unit and brake I/O are OPERATIONAL"),
+    _bench(16, "inject_fault", BIT, "writing 1 injects the fault chosen in registers 20 to 22; 1 while "
+           "any is active", access=WRITE),
+    _bench(17, "lift_faults", BIT, "writing 1 lifts every active fault", access=WRITE),
 )
 
 _SET_POINTS = (
@@ -90,6 +94,12 @@ _SET_POINTS = (
            "is held", "m_s", 0.01, WRITE),
     _bench(2, "brake_demand_set_point", "I16", "brake cylinder pressure asked for; -1: node 17 or "
            "the scenario decides", "Pa", signals.BY_NAME["brake_demand"].places[0].scale, WRITE),
+)
+_FAULTS = (
+    _bench(20, "fault", "U16", "number of a fault, see the list; its other parameters take their "
+           "defaults", access=WRITE),
+    _bench(21, "fault_target", "U16", "its axle, node or identifier; 0: the default", access=WRITE),
+    _bench(22, "fault_duration", "U16", "how long it holds; 0: until it is lifted", "s", 0.1, WRITE),
 )
 _STATES = (
     _bench(100, "state", "U16", "0 starting, 1 held, 2 running, 3 ended"),
@@ -115,6 +125,7 @@ _HEALTH = (
     _bench(322, "modbus_exceptions", "U32", "of these with an exception", wraps=True),
     _bench(324, "modbus_malformed", "U32", "connections closed, or serial frames ignored, for "
            "malformed framing", wraps=True),
+    _bench(326, "faults_active", "U16", "faults that are active"),
 )
 
 # first register, signal, and kind and scale where the CAN bus does not give them
@@ -147,7 +158,7 @@ def _measured() -> Iterator[Register]:
             yield row._replace(at=first + (axle - 1) * row.width)
 
 
-WORDS: tuple[Register, ...] = (*_SET_POINTS, *_STATES, *_measured(), *_HEALTH)
+WORDS: tuple[Register, ...] = (*_SET_POINTS, *_FAULTS, *_STATES, *_measured(), *_HEALTH)
 
 # a drive's registers: (first register, index), written and read, then read only
 _COMMANDED = ((0, 0x6040), (1, 0x6060), (2, 0x60FF), (4, 0x6071), (5, 0x6072), (6, 0x6083),
@@ -219,6 +230,8 @@ def markdown(drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] 
     if scenarios:
         lines += ["## Scenarios, register 0 of unit 1", "", "| number | scenario |", "|---|---|"]
         lines += [f"| {number} | {name} |" for number, name in enumerate(scenarios)]
+    lines += ["", "## Faults, register 20 of unit 1", "", "| number | fault | what it does |", "|---|---|---|"]
+    lines += [f"| {number} | {kind.name} | {kind.text} |" for number, kind in enumerate(CATALOGUE)]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 

@@ -22,9 +22,9 @@ PERFECT = {"speed_m_s": 0.0, "wheel_speed_rad_s": 0.0, "torque_fraction": 0.0, "
 # one standard deviation each: what sensors of a test train may reach (assumption)
 SENSORS = {"speed_m_s": 0.03, "wheel_speed_rad_s": 0.067, "torque_fraction": 0.015,
            "load_fraction": 0.01, "calibration_fraction": 0.003}
-# digits after the point: far below the noise
-_DIGITS = {"time_s": 3, "vehicle_speed_m_s": 3, "wheel_speed_rad_s": 3, "wheel_load_N": 0,
-           "brake_torque_Nm": 1}
+# digits after the point: what is cut off is a tenth of the noise and less
+_DIGITS = {"time_s": 2, "vehicle_speed_m_s": 2, "wheel_speed_rad_s": 2, "wheel_load_N": 0,
+           "brake_torque_Nm": 0}
 _VEHICLE = ("mass_kg", "wheel_radius_m", "wheelset_inertia_kgm2", "resistance_A_N",
             "resistance_B_N_s_m", "resistance_C_N_s2_m2")
 _ADHESION_LEFT_OUT = ("mu_cd",)

@@ -70,3 +70,25 @@ def validated(path: Path, data: Dataset, verdicts: list[Verdict]) -> None:
                      rrb.TimeSeriesView(origin=f"/sliding/{v.run}", name="sliding of wheelset 1, m/s"),
                      name=v.run) for v in verdicts)), collapse_panels=True))
     recording.disconnect()
+
+
+def explained(path: Path, courses: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    """Measured, base and extended adhesion of every wheelset: path -> (time s, values (n, 3))."""
+    with rr.RecordingStream("rollerrig_explain") as recording:
+        recording.save(path)
+        for entity, (time_s, values) in courses.items():
+            recording.log(entity, rr.SeriesLines(
+                names=["measured", "base", "extended"],
+                colors=[[34, 34, 34], [213, 94, 0], [0, 114, 178]]), static=True)
+            stamps = (time_s * 1e9).astype("int64").astype("timedelta64[ns]")
+            recording.send_columns(entity, [rr.TimeColumn("time", duration=stamps)],
+                                   rr.Scalars.columns(scalars=values))
+
+
+def creep_points(path: Path, data: Dataset) -> None:
+    """The points of a measured creep curve, both axes in percent."""
+    assert data.curve is not None
+    with rr.RecordingStream("rollerrig_explain") as recording:
+        recording.save(path)
+        points = np.column_stack([100.0 * data.curve.creepage, -100.0 * data.curve.adhesion])
+        recording.log("/creep_curve/measured", rr.Points2D(points), static=True)

@@ -20,12 +20,14 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
 from rollerrig.firmware_sim import modbus_map, modbus_unit
 from rollerrig.firmware_sim.cia301.nmt import State as Nmt
+from rollerrig.firmware_sim.fault_panel import Panel
 from rollerrig.firmware_sim.modbus_map import BITS, NO_DEMAND, UNHEARD, WORDS, State
 from rollerrig.firmware_sim.modbus_pdu import Code, Image, RefusedError
 from rollerrig.firmware_sim.modbus_rtu import SerialLine
 from rollerrig.firmware_sim.modbus_server import Counters, Server, tls_context
 from rollerrig.firmware_sim.modbus_unit import Reader, Unit, Writer
 from rollerrig.realtime import loop, scenario, tick
+from rollerrig.realtime.fault_desk import FaultDesk
 from rollerrig.realtime.hold import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.scenario import Scenario
 from rollerrig.realtime.tick import DONE, HELD, HOLD, TICK, WORST_NS, Machine
@@ -51,6 +53,7 @@ class Rig(Protocol):
     events: list[dict[str, Any]]
     histogram: np.ndarray
     ended_by: str
+    faults: Panel
 
     def event(self, level: str, text: str) -> None: ...
     def report(self, message: str = "") -> None: ...
@@ -68,6 +71,7 @@ class Supervisor:
         self.scenarios = store.names("scenarios")
         self.emergency = False
         self.demand = NO_DEMAND
+        self.desk = FaultDesk(rig)
         self.speed_m_s = float(rig.plan["initial_speed_m_s"])
         self.server: Server | None = None
         self.line: SerialLine | None = None
@@ -153,7 +157,8 @@ class Supervisor:
         rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
         measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
         found: dict[int, Image] = {modbus_map.PLC_UNIT: Unit(
-            rows, measured | self._states() | self._set_points() | self._health(), self._writers())}
+            rows, measured | self._states() | self._set_points() | self._health() | self.desk.readers(),
+            self._writers() | self.desk.writers())}
         for node, unit in modbus_map.DRIVE_UNITS.items():
             found[unit] = modbus_unit.drive(bus.nodes[node])
         return found

@@ -75,8 +75,8 @@ def plan_of(test: str, found: dict[str, float], tau_m_J: float | None = None) ->
 def rows_of(test: str, found: dict[str, float], tau_m_J: float | None = None) -> np.ndarray:
     """Samples of a test's stop under what was found; another recovery, as 0, if it is given."""
     plan = plan_of(test, found, tau_m_J)
-    unit = wsp.load(plan["wsp_config"])._replace(
-        band_low_m_s=found["band_low_m_s"], band_high_m_s=found["band_high_m_s"])
+    band = {name: found[name] for name in ("band_low_m_s", "band_high_m_s")}
+    unit = wsp.load(plan["wsp_config"])._replace(**band)
     return stops.run(plan, unit)
 
 

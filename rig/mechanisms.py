@@ -126,3 +126,21 @@ TABLE: tuple[Mechanism, ...] = (
 )
 
 BY_NAME: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in TABLE}
+
+# those that the plant itself has; the others change recordings only, or are not built in yet
+IN_PLANT = (
+    "rail_cleaning", "speed_dependent_friction", "negative_conditioning", "contaminated_patch",
+    "friction_trend", "brake_gain", "pad_fade", "torque_offset", "running_resistance",
+    "track_gradient", "wheel_radius", "wheel_inertia", "load_transfer", "sanding",
+    "roller_curvature", "interfacial_layer", "falling_friction",
+)
+# of these the plant has one value for all axles
+_WHOLE = ("wheel_radius", "wheel_inertia")
+
+
+def rows() -> tuple[Row, ...]:
+    """Rows of the section [mechanisms] of a model: `<mechanism>_<parameter>`, default 0."""
+    return tuple(
+        row._replace(name=f"{name}_{row.name}",
+                     high=0.0 if name in _WHOLE and row.name == "axle" else row.high)
+        for name in IN_PLANT for row in BY_NAME[name].parameters)

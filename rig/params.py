@@ -12,11 +12,13 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, integer, number, read
+from rollerrig.rig import effects, mechanisms
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
 from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.multibody import coach as coaches
+from rollerrig.rig.multibody import port
 from rollerrig.rig.multibody import table as coach_table
-from rollerrig.rig.multibody.coach import Coach
+from rollerrig.rig.multibody.port import Packed
 
 _T1, _T2, _T4 = "paper Table 1", "paper Table 2", "paper Table 4"
 _A = "assumption"
@@ -110,6 +112,7 @@ ROWS: dict[str, tuple[Row, ...]] = {
         number("k_a", 1.0, 0.001, 10.0, _T4 + ", recovered"),
         number("k_s", 0.4, 0.001, 10.0, _T4 + ", recovered"),
     ),
+    "mechanisms": mechanisms.rows(),
     "rig": (
         choice("mode", "contaminated_rollers", tuple(MODES), "how the rig is run"),
         choice("drives", "rig", ("rig", "bus"), "who has the drives: the rig control or a bus master"),
@@ -202,7 +205,8 @@ class Params(NamedTuple):
     axle_position_m: np.ndarray
     friction: Friction
     demand: Demand
-    coach: Coach | None = None
+    effects: effects.Effects
+    coach: Packed | None = None
 
 
 def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Any]]:
@@ -234,29 +238,63 @@ def build(
     substeps: int,
 ) -> Params:
     """The constant structures from checked sections, a programme, and the rates of the loop."""
-    contact, vehicle, brake, valve = (sections[k] for k in ("contact", "vehicle", "brake", "valve"))
+    contact, brake, valve = (sections[k] for k in ("contact", "brake", "valve"))
+    extra = sections["mechanisms"]
+    vehicle = extended_vehicle(sections["vehicle"], extra)
     mode = MODES[sections["rig"]["mode"]]
     roller_radius_m = math.inf if mode == TRACK else contact["roller_radius_m"]
     patch = patch_for(vehicle["wheel_radius_m"], roller_radius_m, contact["lateral_radius_m"],
                       contact["young_Pa"], contact["shear_Pa"], contact["poisson"],
                       MODELS[contact["model"]], contact["fastsim_cells"])
-    adhesion = dict(sections["adhesion"])
+    patch = patch._replace(eps1=patch.eps1 * (1.0 + extra["roller_curvature_stiffness_fraction"]))
+    adhesion = extended_law(sections["adhesion"], extra)
     cleaning_creepage = adhesion.pop("cleaning_creepage")
     law = Law(**adhesion)
     return Params(
         mode, tick_s, tick_s / substeps, substeps, sections["sensor"]["teeth"],
         sections["rig"]["lock_above_m_s"], patch,
-        law, cleaning_creepage, _vehicle(vehicle), _brake(brake, valve, tick_s, substeps),
+        law, cleaning_creepage, _transfers(_vehicle(vehicle), extra), _brake(brake, valve, tick_s, substeps),
         _drive(sections["drive"], contact["roller_radius_m"], tick_s / substeps),
-        axle_positions(vehicle), friction, demand, _coach(sections, roller_radius_m),
+        axle_positions(vehicle), friction, demand, effects.build(extra),
+        _coach({**sections, "vehicle": vehicle}, roller_radius_m),
     )
 
 
-def _coach(sections: Mapping[str, Mapping[str, Any]], roller_radius_m: float) -> Coach | None:
+def extended_vehicle(vehicle: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str, Any]:
+    """Vehicle values with the resistance, radius and inertia of an extended model."""
+    found = dict(vehicle)
+    found["resistance_A_N"] += (extra["running_resistance_force_N"]
+                                + 9.80665 * vehicle["mass_kg"] * extra["track_gradient_gradient"])
+    found["wheel_radius_m"] *= 1.0 + extra["wheel_radius_fraction"]
+    found["wheelset_inertia_kgm2"] *= 1.0 + extra["wheel_inertia_fraction"]
+    return found
+
+
+def extended_law(law: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str, Any]:
+    """Adhesion values with the layer and the falling friction of an extended model."""
+    found = dict(law)
+    for key in ("k_ad", "k_ar"):
+        found[key] *= 1.0 - extra["interfacial_layer_reduction"]
+    for key in ("gamma_d_s_m", "gamma_r_s_m"):
+        found[key] *= 1.0 + extra["falling_friction_fraction"]
+    return found
+
+
+def _transfers(vehicle: Vehicle, extra: Mapping[str, float]) -> Vehicle:
+    return vehicle._replace(
+        body_transfer_kg=vehicle.body_transfer_kg
+        + 2.0 * vehicle.static_load_N * extra["load_transfer_body_s2_m"],
+        bogie_transfer_kg=vehicle.bogie_transfer_kg
+        + vehicle.static_load_N * extra["load_transfer_bogie_s2_m"])
+
+
+def _coach(sections: Mapping[str, Mapping[str, Any]], roller_radius_m: float) -> Packed | None:
     if sections["vehicle"]["model"] == "planar":
         return None
     contact = sections["contact"]
-    return coaches.build(sections, roller_radius_m, MODELS[contact["model"]], contact["fastsim_cells"])
+    port.prepare()
+    return port.packed(coaches.build(
+        sections, roller_radius_m, MODELS[contact["model"]], contact["fastsim_cells"]))
 
 
 def build_rollers(

@@ -7,7 +7,7 @@ is what contacts, brakes and resistance take, less what the motors give.
 
 import numpy as np
 
-from rollerrig.rig import brake, motor, vehicle, wheelset
+from rollerrig.rig import brake, effects, motor, vehicle, wheelset
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.multibody import memory, on_rig
 from rollerrig.rig.params import Params
@@ -54,6 +54,8 @@ def begin(state, params, coach):
 def friction(state, params):
     """Set the contaminant under each axle for this time and place."""
     plan = params.friction
+    if params.effects.on_friction:
+        effects.remember(state, params.axle_position_m, params.tick_s)
     for j in range(AXLES):
         state.friction_degraded[j] = params.law.mu_cd
         state.friction_recovered[j] = params.law.mu_cr
@@ -67,6 +69,10 @@ def friction(state, params):
         if asked > 0.0:
             state.friction_degraded[j] = asked
             state.friction_recovered[j] = max(params.law.mu_cr, asked)
+        if params.effects.on_friction:
+            factor = effects.friction_factor(state, j, place, params.effects)
+            state.friction_degraded[j] *= factor
+            state.friction_recovered[j] *= factor
 
 
 @kernel_inlined
@@ -97,9 +103,18 @@ def step(state, target_Pa, params):
         motor.respond(state, params.drive)
     # what the discs can hold at the step's end; `observe` writes what acts
     for j in range(AXLES):
-        state.brake_torque[j] = brake.capacity(state.cylinder_pressure[j], params.brake)
+        state.brake_torque[j] = capacity(state, j, params)
     integrate(state, params, params.coach)
     vehicle.settle(state)
+
+
+@kernel
+def capacity(state, axle, params):
+    """Torque in N m that the discs of an axle can hold now."""
+    found = brake.capacity(state.cylinder_pressure[axle], params.brake)
+    if params.effects.on_torque:
+        found = effects.torque(found, axle, state.brake_work[axle], params.effects)
+    return found
 
 
 @kernel_inlined
@@ -141,7 +156,7 @@ def observe(state, params):
         state.adhesion[j], state.transition[j], state.dissipated_energy[j] = f, transition, energy
         state.adhesion_degraded[j], state.adhesion_recovered[j] = f_d, f_r
         state.wheel_load[j] = load_N
-        torque = brake.capacity(state.cylinder_pressure[j], params.brake)
+        torque = capacity(state, j, params)
         if state.wheel_speed[j] <= 0.0:
             torque = min(torque, max(0.0, r * f * load_N))
         state.brake_torque[j] = torque

@@ -8,9 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.multibody import memory
-from rollerrig.rig.multibody.memory import Motion
-
 AXLES = 4
 # valve states
 FILL, HOLD, VENT = 0, 1, 2
@@ -45,6 +42,8 @@ class State(NamedTuple):
     friction_degraded: np.ndarray  # -, friction
     friction_recovered: np.ndarray  # -, friction
     friction_asked: np.ndarray  # -, kinematic friction that replaces the plan's, 0: none; the tick
+    slid: np.ndarray  # m, sliding distance so far, kept while an extended model asks; friction
+    rail_work: np.ndarray  # J/m, work of the wheels before on this metre, likewise; friction
     wheel_load: np.ndarray  # N, vehicle
     brake_torque: np.ndarray  # N m, what acts (a locked wheel needs less than the brake could give)
     brake_capacity: np.ndarray  # N m, what the discs can hold at this pressure; integrate
@@ -65,7 +64,7 @@ class State(NamedTuple):
     brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate
     wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
-    coach: Motion | None = None  # the 42 coordinates and contacts of the multibody model
+    coach: np.ndarray | None = None  # (memory.SIZE,) of the multibody model
 
 
 PER_VEHICLE = frozenset((
@@ -83,5 +82,5 @@ SIZE = _at
 
 def views(buffer: np.ndarray) -> State:
     """The state in a float64 buffer of shape (SIZE,), or (SIZE + memory.SIZE,) with a coach."""
-    coach = memory.views(buffer[SIZE:]) if buffer.size > SIZE else None
-    return State(*(buffer[SLOTS[name]] for name in SLOTS), coach)
+    coach = buffer[SIZE:] if buffer.size > SIZE else None
+    return State(**{name: buffer[place] for name, place in SLOTS.items()}, coach=coach)

@@ -11,25 +11,27 @@ ROOMS = ("rig", "firmware_sim", "wsp_interface", "realtime", "configs")
 # outside packages of each part of the house; the longest prefix that fits a file counts
 OUTSIDE = {
     "rig": {"numpy", "numba"},
+    "rig/multibody": {"numpy", "numba", "llvmlite"},  # numba's own: a compiled function by its name
     "rig/identify": {"numpy", "numba", "scipy", "pyarrow", "threadpoolctl", "matplotlib"},
     "firmware_sim": {"numpy", "can", "canopen", "pymodbus"},
-    "wsp_interface": {"numpy", "can", "canopen", "tomli_w", "pytest"},  # pytest: a fixture's own
+    "wsp_interface": {"numpy", "can", "canopen", "tomli_w", "cantools", "pytest"},  # pytest: a fixture's own
     "configs": set(),
 }
 # rooms and modules of our own; realtime, which composes, may take all of them
 INSIDE = {
     "rig": ("configs", "rig"),
+    "rig/multibody": ("configs", "rig"),
     "rig/identify": ("configs", "rig"),
     "firmware_sim": ("configs", "firmware_sim", "wsp_interface", "rig.kernel"),
     "wsp_interface": ("configs", "wsp_interface"),
     "configs": ("configs",),
     "realtime": ROOMS,
 }
-DRAWS = {"recorder", "live", "views", "viewer", "drawing", "scene", "study_view"}
+DRAWS = {"recorder", "live", "views", "viewer", "drawing", "scene", "study_view", "verb_explain"}
 PACKAGES = {"contact", "multibody"}
 # what each file of the physics may know of its siblings; only the plant names them all
 SIBLINGS = {
-    "kernel": set(), "state": set(), "params": set(),
+    "kernel": set(), "state": set(), "params": {"effects", "mechanisms"},
     "brake": {"kernel", "state"}, "motor": {"kernel", "state"}, "vehicle": {"kernel", "state"},
     "wheelset": {"kernel", "state", "vehicle"},
 }

@@ -9,7 +9,7 @@ signal of the table of signals (of one axle as `cylinder_pressure_2`, else of al
 import operator
 import re
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
@@ -39,19 +39,30 @@ _KNOWN = tuple(dict.fromkeys(
     signal.name for signal in signals.SIGNALS if signals.columns(signal)[0] in COLUMNS))
 
 
-class Condition(NamedTuple):
-    """A comparison of columns with a bound in SI. `all_of`: it shall hold for each column."""
+@dataclass(frozen=True)
+class Condition:
+    """A comparison of columns with a bound in SI. `all_of`: it shall hold for each column.
+
+    `unit` as it was written, of `factor` in SI.
+    """
 
     text: str
     columns: tuple[str, ...]
     compare: str
     bound: float
     all_of: bool
+    unit: str = ""
+    factor: float = 1.0
 
     def holds(self, values: Mapping[str, float]) -> bool:
         """Whether it holds for the newest values; a value that is not known does not."""
         met = (_OPERATORS[self.compare](values[name], self.bound) for name in self.columns)
         return all(met) if self.all_of else any(met)
+
+    def told(self, values: Mapping[str, float]) -> str:
+        """The newest values in the unit of the condition."""
+        found = ", ".join(f"{values[name] / self.factor:.4g}" for name in self.columns)
+        return f"{found} {self.unit}".strip()
 
 
 def quantity(text: object, unit: str, where: str) -> float:
@@ -82,7 +93,9 @@ def condition(text: object, where: str) -> Condition:
     signal = signals.BY_NAME[name]
     bound = quantity(found[4], signal.unit, f"{where}: {found[2]}")
     _check_reachable(name, found[3], bound, f"{where} = '{text}'")
-    return Condition(text, columns, found[3], bound, found[1] != "any")
+    match = _QUANTITY.match(found[4])
+    unit = (match[2] or "") if match else ""
+    return Condition(text, columns, found[3], bound, found[1] != "any", unit, UNITS[unit][1])
 
 
 def _columns(name: str, where: str) -> tuple[str, tuple[str, ...]]:

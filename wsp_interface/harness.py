@@ -18,7 +18,8 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, Self
+from dataclasses import dataclass
+from typing import Any, Self
 
 import can
 
@@ -31,7 +32,8 @@ HARNESS, PACING, FAULT, FRICTION, NOTE, DEMAND = 0x2000, 0x2001, 0x2010, 0x2020,
 ANSWER_ID, SYNC_ID = 0x200 + BENCH_NODE, 0x080
 MAGNETS_ID, EMERGENCY_ID = 0x200 + BRAKE_NODE, 0x080
 FRICTION_SCALE = 1e-4
-SILENCE_S = 30.0
+# before the first cycle others may still be starting or compiling
+FIRST_CYCLE_S, SILENCE_S = 600.0, 30.0
 _AXLES = range(1, AXLES + 1)
 
 
@@ -39,7 +41,8 @@ class TimeOutError(RollerrigError):
     """What was waited for has not come within its time."""
 
 
-class Layout(NamedTuple):
+@dataclass(frozen=True)
+class Layout:
     """A frame and the columns it brings: one scale each."""
 
     can_id: int
@@ -53,7 +56,9 @@ _LETTERS = {"U8": "B", "I8": "b", "U16": "H", "I16": "h", "U32": "I", "I32": "i"
 
 def _layout(can_id: int, node: int, *names: str) -> Layout:
     """The layout of a frame that carries whole signals of a node, all axles of each."""
-    letters, columns, scales = "<", [], []
+    letters = "<"
+    columns: list[str] = []
+    scales: list[float] = []
     for name in names:
         signal = signals.BY_NAME[name]
         place = next(one for one in signal.places if one.node == node)
@@ -83,7 +88,8 @@ COLUMNS: tuple[str, ...] = tuple(name for one in HEARD for name in one.names) + 
     f"magnets_{axle}" for axle in _AXLES)
 
 
-class Event(NamedTuple):
+@dataclass(frozen=True)
+class Event:
     """Something that happened, or was done: simulated time, who, and what."""
 
     time_s: float
@@ -296,12 +302,13 @@ class Harness:
 
     def _cycle(self) -> None:
         """Take frames up to the end of a cycle's burst, and write a row."""
-        deadline = time.monotonic() + SILENCE_S
+        patience_s = SILENCE_S if self.trace else FIRST_CYCLE_S
+        deadline = time.monotonic() + patience_s
         while True:
             message = self._inbox.popleft() if self._inbox else self._call(lambda: self._recv(1.0))
             if message is None:
                 if time.monotonic() > deadline:
-                    raise BusError(f"the bench has been silent for {SILENCE_S:g} s at "
+                    raise BusError(f"the bench has been silent for {patience_s:g} s at "
                                    f"{self.time_s:.3f} s of simulated time")
             elif self._take(message):
                 break

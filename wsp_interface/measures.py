@@ -10,12 +10,13 @@ rollers. The index of wheel damage [M3] is this project's, and no standard's.
     [M3] D = E_locked / 1 MJ + E_sliding / 100 MJ, of the worst wheelset
 
 Source: [M1] EN 14531-1 in its simple form (equivalent response time and deceleration; memory,
-unverified). Limits: level track; pressures as asked, so a demand that moves counts by its largest.
+unverified). Limits: one gradient; pressures as asked, so a demand that moves counts by its largest.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,13 +24,15 @@ from rollerrig.wsp_interface.signals import AXLES
 
 STANDS_M_S, LOCKED_M_S, LOCK_COUNTS_ABOVE_M_S = 0.01, 0.1, 3.0
 SEGMENT_S = 10.0
+GRAVITY_M_S2 = 9.80665
 REFERENCE_ABOVE_M_S = 5.0
 LOCKED_MJ, SLIDING_MJ = 1.0, 100.0
 _AXLES = range(1, AXLES + 1)
 NAN = float("nan")
 
 
-class Record(NamedTuple):
+@dataclass(frozen=True)
+class Record:
     """What a sequence left behind.
 
     `columns`: name to values, shape (n,), one a bus cycle. `demands`: (time_s, pressure_Pa) asked.
@@ -45,7 +48,8 @@ class Record(NamedTuple):
     fault_s: float = NAN
 
 
-class Braking(NamedTuple):
+@dataclass(frozen=True)
+class Braking:
     """The part of a record that counts: rows begin..end, and the largest pressure asked."""
 
     begin: int
@@ -83,9 +87,10 @@ def dynamic_mass_kg(record: Record) -> float:
 
 
 def resistance_N(record: Record, speed_m_s: Any) -> Any:
-    """Running resistance at a speed."""
-    vehicle = record.scenario["vehicle"]
-    return (vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * speed_m_s
+    """Running resistance at a speed, with that of the gradient."""
+    vehicle, extra = record.scenario["vehicle"], record.scenario.get("mechanisms", {})
+    climbing_N = GRAVITY_M_S2 * vehicle["mass_kg"] * extra.get("track_gradient_gradient", 0.0)
+    return (climbing_N + vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * speed_m_s
             + vehicle["resistance_C_N_s2_m2"] * speed_m_s**2)
 
 
@@ -194,7 +199,8 @@ def _over(value: float, base: float) -> float:
     return value / base if base > 0.0 else NAN
 
 
-class Measure(NamedTuple):
+@dataclass(frozen=True)
+class Measure:
     """One row. `least` is the least value it can have at all."""
 
     name: str

@@ -9,11 +9,12 @@ that does not end is terminated.
 import contextlib
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,13 @@ from typing import Any
 import tomli_w
 
 from rollerrig.configs import store
-from rollerrig.configs.errors import BusError, RollerrigError
+from rollerrig.configs.errors import BusError, RollerrigError, UnitError
 from rollerrig.wsp_interface import buses
 from rollerrig.wsp_interface.harness import Harness
 
-START_S, END_S = 240.0, 60.0
+START_S, END_S = 900.0, 60.0
 DEFAULT_SCENARIO = "velim_a1"
+Companion = Callable[[str], contextlib.AbstractContextManager[Any]]
 # the run goes on after standstill until the harness ends it
 _GOES_ON = {"stand_s": 60.0, "duration_max_s": 3600.0}
 
@@ -49,7 +51,7 @@ def scenario_of(name: str = "", initial_speed_m_s: float | None = None,
     `tables` are tables of the scenario ([vehicle], [[friction]] ...) that win key by key.
     Raises ConfigError.
     """
-    given, path = store.load("scenarios", name or DEFAULT_SCENARIO)
+    given, _ = store.load("scenarios", name or DEFAULT_SCENARIO)
     given = dict(given) | _GOES_ON
     given.pop("demand", None)
     for short in ("vehicle", "rig", "adhesion", "bus"):
@@ -72,8 +74,12 @@ def scenario_of(name: str = "", initial_speed_m_s: float | None = None,
 
 @contextlib.contextmanager
 def start(folder: Path, scenario: str = "", *, wsp: str = "reference", pacing: str = "lockstep",
-          seed: int = 0, arguments: Sequence[str] = (), **asked: Any) -> Iterator[OwnBench]:
-    """A bench with its harness joined; `asked` goes to `scenario_of`. Raises RollerrigError."""
+          seed: int = 0, arguments: Sequence[str] = (),
+          companions: Sequence[Companion] = (), **asked: Any) -> Iterator[OwnBench]:
+    """A bench with its harness joined; `asked` goes to `scenario_of`. Raises RollerrigError.
+
+    `companions` are called with the bus's address and live as long as the run: a unit of one's own.
+    """
     content = scenario_of(scenario, **asked)
     # beside the folder's own files: the bench clears its folder when it begins
     with tempfile.TemporaryDirectory(prefix="rollerrig-") as place:
@@ -90,8 +96,11 @@ def start(folder: Path, scenario: str = "", *, wsp: str = "reference", pacing: s
             address = _address(process, Path(log.name))
             harness = Harness(buses.open_client(address))
             try:
-                harness.join()
-                yield OwnBench(folder, harness, process, content)
+                with contextlib.ExitStack() as beside:
+                    for companion in companions:
+                        beside.enter_context(companion(address))
+                    harness.join()
+                    yield OwnBench(folder, harness, process, content)
             except BusError as error:
                 raise BusError(f"{error}{_last_words(process, Path(log.name))}") from None
         finally:
@@ -101,11 +110,34 @@ def start(folder: Path, scenario: str = "", *, wsp: str = "reference", pacing: s
             log.close()
 
 
+def program(command: str) -> Companion:
+    """A unit of one's own as a companion: a command in which {address}, {host} and {port} are put in."""
+    @contextlib.contextmanager
+    def beside(address: str) -> Iterator[subprocess.Popen[bytes]]:
+        place = address.removeprefix("socketcand://").partition("/")[0]
+        host, _, port = place.rpartition(":")
+        words = [word.format(address=address, host=host, port=port) for word in shlex.split(command)]
+        try:
+            process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=sys.stderr)
+        except OSError as error:
+            raise UnitError(f"--unit '{command}': cannot be started: {error.strerror}") from None
+        try:
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+    return beside
+
+
 def _address(process: subprocess.Popen[str], log: Path) -> str:
     """Where the bench says that it waits. Raises BusError with its own words when it does not."""
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline:
-        told = re.search(r"waiting for a harness .* on (\S+) \.\.\.", log.read_text(encoding="utf-8"))
+        told = re.search(r"waiting for a .* on (\S+) \.\.\.", log.read_text(encoding="utf-8"))
         if told:
             return told[1]
         if process.poll() is not None:

@@ -10,8 +10,7 @@ import math
 import tempfile
 import tomllib
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from rollerrig.wsp_interface.sequence import Sequence, Step
 from rollerrig.wsp_interface.verdict import Result, Verdict
 
 TRACE = "harness.csv"
+SETTLED_S = 0.05
 FINALS = ("longest_lock", "sliding_work", "vents", "air_consumption")
 STEP_SOURCE = "the sequence"
 
@@ -53,8 +53,7 @@ class Outcome:
 
 def on_own_bench(sequence: Sequence, folder: Path, pacing: str = "lockstep", seed: int = 0,
                  dry_m: Callable[[dict[str, Any], tuple[tuple[float, float], ...]], float] | None = None,
-                 wsp: str = "", companion: Callable[[Harness], AbstractContextManager[Any]] | None = None,
-                 ) -> Outcome:
+                 wsp: str = "", companions: tuple[own_bench.Companion, ...] = ()) -> Outcome:
     """Start a bench for the sequence, play it, and judge. Never raises for what a run can meet.
 
     `dry_m(scenario, demands)` gives the distance of the dry stop where a limit asks for it.
@@ -65,7 +64,8 @@ def on_own_bench(sequence: Sequence, folder: Path, pacing: str = "lockstep", see
     try:
         with own_bench.start(folder, sequence.scenario, wsp=wsp or sequence.wsp, pacing=pacing,
                              seed=seed, initial_speed_m_s=sequence.speed_m_s,
-                             adhesion=sequence.adhesion, tables=sequence.tables) as bench:
+                             adhesion=sequence.adhesion, tables=sequence.tables,
+                             companions=companions) as bench:
             harness = bench.harness
             play(sequence, harness, outcome, finals)
         outcome.summary = own_bench.summary(folder)
@@ -124,6 +124,7 @@ def play(sequence: Sequence, harness: Harness, outcome: Outcome,
             checks += [_check(name, one, harness) for one in step.expects]
         else:
             checks += [_check("post-condition", one, harness) for one in sequence.after]
+    harness.wait(SETTLED_S)  # the record also gets the last rows
     for quantity in FINALS:
         finals[quantity] = harness.read(quantity)
 
@@ -136,7 +137,7 @@ def _play_step(step: Step, harness: Harness) -> None:
     for text in step.notes:
         harness.note(text)
     if step.friction:
-        harness.friction(*step.friction)
+        harness.friction(step.friction.mu, step.friction.axles)
     for text in step.lifts:
         harness.lift(text)
     for text in step.faults:
@@ -167,10 +168,9 @@ def _ramp(step: Step, harness: Harness) -> None:
 
 
 def _check(name: str, condition: Condition, harness: Harness) -> Verdict:
-    told = ", ".join(f"{column} = {harness.values[column]:.4g}" for column in condition.columns)
     met = condition.holds(harness.values)
     return _line(name, condition.text, Result.PASS if met else Result.FAIL,
-                 f"at {harness.time_s:.2f} s: {told}")
+                 f"at {harness.time_s:.2f} s: {condition.told(harness.values)}")
 
 
 def _line(name: str, wanted: str, result: Result, text: str) -> Verdict:
@@ -205,7 +205,7 @@ def _conclude(outcome: Outcome, harness: Harness, finals: dict[str, tuple[float,
         asks = any(one.measure == "stop_distance_over_dry" for one in outcome.sequence.criteria.limits)
         if asks and dry_m:
             found = dry_m(dict(outcome.record.scenario), outcome.record.demands)
-            outcome.record = outcome.record._replace(dry_m=found)
+            outcome.record = replace(outcome.record, dry_m=found)
         outcome.verdicts += verdict.judge(outcome.sequence.criteria, outcome.record)
     except (RollerrigError, OSError, KeyError) as error:
         outcome.error = f"the run cannot be judged: {error}"

@@ -21,7 +21,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
@@ -35,19 +35,21 @@ DEFAULT_TIMEOUT_S = 300.0
 HIGHEST_DEMAND_Pa = 1e6
 HEAD = ("title", "criteria", "scenario", "notes", "start", "friction", "before", "after", "step",
         "measure", "wsp")
-START = ("speed", "adhesion", "mass", "tables")
+START = ("speed", "adhesion", "mass", "gradient", "tables")
 STEP = ("title", "at", "for", "until", "hold", "timeout", "set", "ramp", "friction", "fault", "lift",
         "note", "expect")
 
 
-class Ramp(NamedTuple):
+@dataclass(frozen=True)
+class Ramp:
     """Brake demand that moves evenly to a pressure within a time."""
 
     to_Pa: float
     in_s: float
 
 
-class Patch(NamedTuple):
+@dataclass(frozen=True)
+class Patch:
     """Friction under axles, 0 to give it back to the scenario."""
 
     mu: float
@@ -140,9 +142,14 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
     if "mass" in start:
         mass_kg = conditions.quantity(start["mass"], "kg", source.where("start", 0, "mass"))
         tables["vehicle"] = {**tables.get("vehicle", {}), "mass_kg": mass_kg}
+    if "gradient" in start:
+        # uphill is positive; the plant has it as one of its mechanisms
+        gradient = conditions.quantity(start["gradient"], "", source.where("start", 0, "gradient"))
+        tables["mechanisms"] = {**tables.get("mechanisms", {}), "track_gradient_gradient": gradient}
+    level = tables.get("mechanisms", {}).get("track_gradient_gradient", 0.0) >= 0.0
     if "friction" in given:
         tables["friction"] = given["friction"]
-    steps = tuple(_steps(given.get("step", []), source, speed_m_s, check_fault))
+    steps = tuple(_steps(given.get("step", []), source, speed_m_s if level else None, check_fault))
     if not steps:
         raise ConfigError(f"{path}: there is no [[step]]; a sequence has at least one")
     profile = verdict.load(str(given.get("criteria", "none")), path)
@@ -218,11 +225,11 @@ def _contradictions(step: Step, content: Mapping[str, Any], at: Callable[..., st
                           f"steps before it take at least {passed_s:g} s")
     if step.brake_Pa is not None and step.ramp is not None:
         raise ConfigError(f"{at('ramp')}: the step also sets brake_demand; keep one")
-    until = step.until
+    until, begins_s = step.until, max(passed_s, step.at_s or 0.0)
     if until is None:
         return
-    if until.columns == ("time_s",) and until.compare in ("<", "<=") and until.bound <= passed_s:
-        raise ConfigError(f"{at('until')} = '{until.text}': can never be, {passed_s:g} s have passed "
+    if until.columns == ("time_s",) and until.compare in ("<", "<=") and until.bound <= begins_s:
+        raise ConfigError(f"{at('until')} = '{until.text}': can never be, {begins_s:g} s have passed "
                           "by then")
     if (until.columns == ("vehicle_speed_m_s",) and until.compare in (">", ">=")
             and speed_m_s is not None and until.bound > speed_m_s):

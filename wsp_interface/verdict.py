@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
@@ -36,7 +36,8 @@ class Result(StrEnum):
 _ORDER = (Result.PASS, Result.ABSENT, Result.FAIL, Result.ERROR)
 
 
-class Limit(NamedTuple):
+@dataclass(frozen=True)
+class Limit:
     """A bound on a measure; inf where there is none on that side."""
 
     measure: str
@@ -62,7 +63,8 @@ class Profile:
                                      *more))
 
 
-class Verdict(NamedTuple):
+@dataclass(frozen=True)
+class Verdict:
     """One line of a report. `margin` is the distance to the nearer limit over that limit."""
 
     what: str
@@ -151,9 +153,10 @@ def _judge(limit: Limit, record: Record) -> Verdict:
 
 
 def _margin(limit: Limit, value: float) -> float:
-    rooms = [(limit.high - value) / (abs(limit.high) or 1.0)] * math.isfinite(limit.high)
-    rooms += [(value - limit.low) / (abs(limit.low) or 1.0)] * math.isfinite(limit.low)
-    return min(rooms)
+    # a limit of nothing has no room to speak of
+    rooms = [(limit.high - value) / abs(limit.high)] * (math.isfinite(limit.high) and limit.high != 0)
+    rooms += [(value - limit.low) / abs(limit.low)] * (math.isfinite(limit.low) and limit.low != 0)
+    return min(rooms, default=math.nan)
 
 
 def worst(results: list[Result]) -> Result:

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from rollerrig.realtime import loop, scenario
+from rollerrig.realtime import loop, records, scenario
 from rollerrig.realtime.benchmarks import figures, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
-from rollerrig.realtime.tick import MISSED, TICK, WORST_NS
+from rollerrig.realtime.tick import MISSED, WORST_NS
 
 WITHIN = 1.2
 _SLICE_S = 10.0
@@ -77,17 +77,29 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 
 
 def _slice(seconds: float, settings: tuple[str, ...], live: bool, ours: Punctuality) -> list[str]:
-    with wall.held(seconds, settings=settings, live=live) as measured:
-        control = measured.bench.machine.control
-        ours.add(measured.bench.histogram, int(control[WORST_NS]), int(control[MISSED]))
-        if not control[TICK]:
-            return ["every tick"]
+    tick_hz = scenario.load(wall.SCENARIO, settings=settings)["loop"]["tick_hz"]
+    with wall.held(seconds, settings=(*settings, f"loop.record_hz={tick_hz}"), live=live) as measured:
+        run, control = records.load(measured.folder), measured.bench.machine.control
+        woken_us = wakes(run.column("tick_lateness_us"), run.column("tick_duration_us"),
+                         1e6 / tick_hz)
+        ours.add(np.bincount(np.minimum(woken_us.astype(np.int64), loop.BINS - 1),
+                             minlength=loop.BINS), int(control[WORST_NS]), int(control[MISSED]))
         return [one["text"] for one in measured.bench.events if "was refused" in one["text"]]
+
+
+def wakes(lateness_us: np.ndarray, duration_us: np.ndarray, interval_us: float) -> np.ndarray:
+    """Lateness of the ticks that the loop slept for, of samples of every tick, shape (n,).
+
+    A sample has its own tick's lateness and the duration of the tick before.
+    """
+    slept = np.ones(len(lateness_us), dtype=bool)
+    slept[1:] = lateness_us[:-1] + duration_us[1:] < interval_us
+    return lateness_us[slept]
 
 
 def cyclictest(program: str, priority: int, interval_us: int,
                seconds: float) -> tuple[np.ndarray, int, int]:
-    """Run cyclictest: histogram in us, worst in ns, and how often it was late by an interval."""
+    """Run cyclictest: histogram in us, worst in ns, and the deadlines that it missed."""
     done = subprocess.run(
         [program, "-m", *(["-p", str(priority)] if priority else []), "-i", str(interval_us), "-q",
          "-h", str(loop.BINS), "-D", str(round(seconds))],
@@ -96,13 +108,14 @@ def cyclictest(program: str, priority: int, interval_us: int,
 
 
 def parse(text: str, interval_us: int) -> tuple[np.ndarray, int, int]:
-    """What cyclictest -q -h prints: histogram in us, worst in ns, latenesses of an interval."""
+    """What cyclictest -q -h prints: histogram in us, worst in ns, deadlines that latencies cost."""
     histogram = np.zeros(loop.BINS, dtype=np.int64)
     for at, count in _BIN.findall(text):
         histogram[min(int(at), loop.BINS - 1)] += int(count)
     beyond, worst = _BEYOND.search(text), _MAX.search(text)
     histogram[-1] += int(beyond[1]) if beyond else 0
-    return histogram, 1000 * int(worst[1]) if worst else 0, int(histogram[interval_us:].sum())
+    missed = int((histogram * (np.arange(loop.BINS) // interval_us)).sum())
+    return histogram, 1000 * int(worst[1]) if worst else 0, missed
 
 
 def compared(ours: Punctuality, theirs: Punctuality | None) -> Result:
@@ -115,7 +128,7 @@ def compared(ours: Punctuality, theirs: Punctuality | None) -> Result:
     ratio = {name: mine[name] / max(his[name], 1.0) for name in mine}
     targets = [Target(f"lateness {name} over cyclictest's", ratio[name], WITHIN).plain()
                for name in ("p99", "p999")]
-    # as many as cyclictest would have missed in as many ticks, and as chance adds to so few
+    # as many as cyclictest would have missed in as many ticks, and what chance adds to so few stalls
     share = ours.histogram.sum() / theirs.histogram.sum()
     expected = WITHIN * theirs.missed * share
     limit = float(expected + 2.0 * np.sqrt(expected)) if expected else 0.0
@@ -136,7 +149,7 @@ def table(result: Result) -> Table:
         rows.append(("ratio", None, *(result["ratio"][name] for name in _NAMES), None))
     title = (f"lateness in us, {result['tick_hz']} Hz, SCHED_FIFO {result['priority']}"
              + (", live view" if result["live"] else ""))
-    return figures.table(title, ("", "ticks", *_NAMES, "missed"), rows)
+    return figures.table(title, ("", "wakes", *_NAMES, "missed"), rows)
 
 
 _NAMES = ("p50", "p99", "p999", "max")

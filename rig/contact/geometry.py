@@ -16,7 +16,7 @@ cost a bounded number of operations. No look-up table over positions is needed.
 [G4] F = (r_w - r_r) cross n_r along x;  gap = (r_w - r_r) . n_r, negative where they interpenetrate
 [G5] roller: the common normal meets both axes, at Q = C + (y_w + w w') e and at T on the roller's;
      T follows from (T - Q) . e = -w' / sqrt(1 + w'^2) |T - Q|, a quadratic equation
-[G6] F = t - y_r - (R + z_r) b', gap = |Q - T| - w sqrt(1 + w'^2) - (R + z_r) sqrt(1 + b'^2)
+[G6] F = (t - y_r - (R + z_r) b') cos b, gap = (r_w - r_r) . n_r as on the rail
 [G7] dF/dy_w = sqrt(1 + w'^2) (1 + kappa_w (R_r + gap)): Newton's slope
 
 Source: paper eqs. 1 to 3 (n_w parallel n_r, n_r parallel to the distance), reduced here to F.
@@ -102,7 +102,8 @@ def matched(u, w, slope, pose, axle, roller_m, rail):
     y, z, radius, node = on_rail(-ny, radial, rail)
     out = (roller_m + z) / radial
     F = (tau + qy - y + out * ny) * radial  # [G6], as a distance from the common normal
-    return F, length - w * math.sqrt(k) - out, radius, nx, ny, nz, y, z, node
+    gap = qx * nx + (qy - y) * ny + qz * nz - out * radial * radial - w * math.sqrt(k)
+    return F, gap, radius, nx, ny, nz, y, z, node
 
 
 @kernel_inlined

@@ -65,7 +65,8 @@ def _numbers(path: Path, kind: Kind) -> tuple[list[int], list[tuple[float, float
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: the {kind.name} profile cannot be read ({error}); give s1002, "
                           "uic60 or a CSV file of two columns in mm") from None
-    lines, points = [], []
+    lines: list[int] = []
+    points: list[tuple[float, float]] = []
     for number, line in enumerate(text.splitlines(), 1):
         cells = [cell.strip() for cell in line.replace(";", ",").replace("\t", ",").split(",")]
         if not line.strip() or line.startswith("#"):

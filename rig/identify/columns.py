@@ -57,7 +57,10 @@ class _Writer:
     """Collects columns: a wheel part (flat) and a vehicle part (flat)."""
 
     def __init__(self, design: Design) -> None:
-        self.design, self.columns, self.wheel, self.vehicle = design, [], [], []
+        self.design = design
+        self.columns: list[Column] = []
+        self.wheel: list[np.ndarray] = []
+        self.vehicle: list[np.ndarray] = []
         self.variants: list[Variant] = []
 
     def add(self, owner: str, label: str, wheel: np.ndarray | None,
@@ -186,7 +189,7 @@ def _friction_causes(w: _Writer, d: Design, friction: np.ndarray) -> None:
     for name, shapes in SHAPES.items():
         for shape in shapes:
             at = w.add(name, "", friction * courses.course(d, name, shape))
-            w.variant(name, [at], **shape)
+            w.variants.append(Variant(name, (at,), shape, 0))
 
 
 def _shaped(w: _Writer, d: Design, friction: np.ndarray, shaped: Shaped) -> None:
@@ -194,7 +197,7 @@ def _shaped(w: _Writer, d: Design, friction: np.ndarray, shaped: Shaped) -> None
     for name, shape in shaped:
         if name in courses.NAMES and (name, tuple(sorted(shape.items()))) not in known:
             at = w.add(name, "", friction * courses.course(d, name, shape))
-            w.variant(name, [at], **shape)
+            w.variants.append(Variant(name, (at,), shape, 0))
 
 
 def _torque_causes(w: _Writer, d: Design, inputs: Inputs, torque: np.ndarray) -> None:

@@ -251,7 +251,7 @@ def _run(folder: Path, row: Mapping[str, Any], index: int, sections: Mapping[str
               each("wheel_load", "N"), each("brake_torque", "Nm"), maybe("position_m"), None)
     from rollerrig.rig.identify import quality
 
-    quality.check_run(run, path, sections, sample_time_s, given["initial_speed_m_s"], warnings)
+    quality.check_run(run, path, dict(sections), sample_time_s, given["initial_speed_m_s"], warnings)
     return run
 
 

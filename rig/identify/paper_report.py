@@ -85,7 +85,8 @@ def _plain(v: Interval) -> dict[str, Any]:
 def tune_page(data: Dataset, t: Tuned) -> str:
     """The report of a tuning."""
     rows = [["tau, 1e-4 m/J", _interval(t.tau_m_J, 1e4)],
-            ["the same by the paper's least squares (eq. 21), biased by an irregular rail", f"{t.tau_paper_m_J * 1e4:.4g}"],
+            ["the same by the paper's least squares (eq. 21), biased by an irregular rail",
+             f"{t.tau_paper_m_J * 1e4:.4g}"],
             ["base of the dataset", f"{data.sections['adhesion']['tau_m_J'] * 1e4:.4g}"],
             *([f"mu_cd of {run}", _interval(v)] for run, v in t.mu_cd.items())]
     errors = [["tuned", f"{t.rmse:.5f}"], ["dataset's tau, mu_cd fitted", f"{t.rmse_base:.5f}"],

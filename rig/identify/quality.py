@@ -4,6 +4,7 @@ Units, signs, sample times, gaps, excitation, copies: each check names the file,
 unit, what is allowed, and how to mend it.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ LEAST_SAMPLES = 200
 LEAST_SLIDING_M_S = 0.15
 
 
-def check_run(run: "Run", path: Path, sections: dict[str, Any], sample_time_s: float,
+def check_run(run: "Run", path: Path, sections: Mapping[str, Any], sample_time_s: float,
               initial_speed_m_s: float, warnings: list[str]) -> None:
     """Raises ConfigError for a run that cannot be what it says; appends what is only doubtful."""
     _check_time(run, path, sample_time_s)
@@ -48,7 +49,7 @@ def _check_time(run: "Run", path: Path, sample_time_s: float) -> None:
                           f"t = {run.time_s[gaps[0]]:.4g} s; split the run there or resample it")
 
 
-def _check_units(run: "Run", path: Path, sections: dict[str, Any], initial: float) -> None:
+def _check_units(run: "Run", path: Path, sections: Mapping[str, Any], initial: float) -> None:
     v, radius = run.speed_m_s, sections["vehicle"]["wheel_radius_m"]
     top = float(np.max(v))
     if not 1.0 < top < 150.0:
@@ -87,7 +88,7 @@ def _check_constant(run: "Run", path: Path) -> None:
                                   f"({values[0, j]:g}); a channel that does not move cannot be used")
 
 
-def _check_signs(run: "Run", path: Path, sections: dict[str, Any]) -> None:
+def _check_signs(run: "Run", path: Path, sections: Mapping[str, Any]) -> None:
     sliding = run.speed_m_s[:, None] - sections["vehicle"]["wheel_radius_m"] * run.wheel_speed_rad_s
     if np.mean(run.torque_Nm) < 0.0:
         raise ConfigError(f"{path}: the mean brake torque is {np.mean(run.torque_Nm):.4g} N m; "

@@ -119,7 +119,6 @@ def gains(variance, co, p, step_s, speed, load, torque):
     """Second gain of the filter, rebuilt with the covariances of [S1] into co[:, 5]."""
     noise = p[17] * p[17]
     p00, p01, p11 = noise, 0.0, p[15] * p[15]
-    q_omega = (step_s * p[18] / p[1]) ** 2
     for k in range(variance.size):
         S = variance[k]
         co[k, 5] = p01 / S

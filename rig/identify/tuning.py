@@ -131,18 +131,24 @@ def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit(design: Design, told: Explanation, steps: int = 9, noise: bool = True,
-        tolerance: float = 0.05) -> tuple[Explanation, float, np.ndarray]:
-    """Best explanation of the same causes: (explanation, deviance, covariance of cause values)."""
+        tolerance: float = 0.05, free: tuple[str, ...] = ()
+        ) -> tuple[Explanation, float, np.ndarray]:
+    """Best explanation of the same causes: (explanation, deviance, covariance of cause values).
+
+    With `free` only the base parameters whose labels begin so are fitted, and no cause.
+    """
     value = deviance(design, told)
     covariance = np.zeros((0, 0))
     only = frozenset({BASE, *(cause.name for cause in told.causes)})
     for step in range(steps):
-        if noise and step in (1, 3, 5):
+        if noise and step in (1, 3, 5) and step + 1 < steps:
             told, value = fit_noise(design, told, value)
         found, _, _, _ = normal(design, told, only)
-        at = base_columns(found.book) + _cause_columns(found.book, told)
+        own = [c for c in base_columns(found.book)
+               if not free or found.book.columns[c].label.startswith(free)]
+        at = own + ([] if free else _cause_columns(found.book, told))
         change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
-        labels = [found.book.columns[c].label for c in base_columns(found.book)]
+        labels = [found.book.columns[c].label for c in own]
         told, better = _search(design, told, labels, change, value)
         gained, value = value - better, better
         if gained < tolerance and step > 3:
@@ -177,6 +183,9 @@ def _search(design: Design, told: Explanation, labels: list[str], change: np.nda
             base[label] = float(np.clip(base.get(label, 0.0) + share * x, -bound, bound))
         causes, at = [], len(labels)
         for cause in told.causes:
+            if at + len(cause.values) > len(change):  # causes are not fitted
+                causes.append(cause)
+                continue
             moved = np.array(cause.values) + share * change[at:at + len(cause.values)]
             causes.append(bounded(cause._replace(values=tuple(float(x) for x in moved))))
             at += len(cause.values)

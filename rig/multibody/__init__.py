@@ -5,5 +5,6 @@ a rolling wheelset turns with a positive pitch rate. Bodies: 0 car, 1 and 2 bogi
 
 Reading order: `table` (the numbers), `coach` (bodies, degrees of freedom, links), `patches` (Hertz
 and Kalker over the curvatures), `links` (suspension), `treads` (contacts), `motion` (a time step),
-`energy`, `stability` (modes, hunting), `stop` (a whole stop in batch).
+`energy`, `stability` (modes, hunting), `stop` (a whole stop in batch); `memory` and `port` (state, and
+the coach behind one address), `on_rig` (the coach as the plant's vehicle).
 """

@@ -143,21 +143,21 @@ def _springs(v: Mapping[str, Any], m: Mapping[str, Any], mass: np.ndarray) -> li
         bogie = 1 + (wheelset - 3) // 2
         for side in (1.0, -1.0):
             y, up = side * m["primary_half_width_m"], height[wheelset] - height[bogie]
-            at = (bogie, (x[wheelset] - x[bogie], y, up), wheelset, (0.0, y, 0.0))
-            rows += [_Row(X, *at, m["primary_x_N_m"]), _Row(Y, *at, m["primary_y_N_m"]),
-                     _Row(Z, *at, m["primary_z_N_m"], on_primary),
-                     _Row(ROLL, *at, m["primary_roll_Nm_rad"])]
+            at: Any = (bogie, (x[wheelset] - x[bogie], y, up), wheelset, (0.0, y, 0.0))
+            rows += [_Row(X, *at, k=m["primary_x_N_m"]), _Row(Y, *at, k=m["primary_y_N_m"]),
+                     _Row(Z, *at, k=m["primary_z_N_m"], preload=on_primary),
+                     _Row(ROLL, *at, k=m["primary_roll_Nm_rad"])]
     for bogie in BOGIES:
         for side in (1.0, -1.0):
             at = _secondary(bogie, side * m["secondary_half_width_m"], m["secondary_height_m"], v)
-            rows += [_Row(X, *at, m["secondary_x_N_m"]), _Row(Y, *at, m["secondary_y_N_m"]),
-                     _Row(Z, *at, m["secondary_z_N_m"], on_secondary)]
-        rows.append(_Row(ROLL, *_secondary(bogie, 0.0, 0.0, v), m["anti_roll_bar_Nm_rad"]))
+            rows += [_Row(X, *at, k=m["secondary_x_N_m"]), _Row(Y, *at, k=m["secondary_y_N_m"]),
+                     _Row(Z, *at, k=m["secondary_z_N_m"], preload=on_secondary)]
+        rows.append(_Row(ROLL, *_secondary(bogie, 0.0, 0.0, v), k=m["anti_roll_bar_Nm_rad"]))
     return rows
 
 
 def _curves(v: Mapping[str, Any], m: Mapping[str, Any]) -> list[_Row]:
-    x, height = places(v)
+    x, _ = places(v)
     rows = []
     for wheelset in WHEELSETS:
         bogie = 1 + (wheelset - 3) // 2
@@ -182,7 +182,7 @@ def _curves(v: Mapping[str, Any], m: Mapping[str, Any]) -> list[_Row]:
     return rows
 
 
-def _secondary(bogie: int, y: float, level: float, v: Mapping[str, Any]) -> tuple[Any, ...]:
+def _secondary(bogie: int, y: float, level: float, v: Mapping[str, Any]) -> Any:
     """Car and bogie, and the place over the bogie's middle at a height above the rail, on each."""
     x, height = places(v)
     return (CAR, (x[bogie], y, level - height[CAR]), bogie, (0.0, y, level - height[bogie]))

@@ -16,14 +16,21 @@ NODES = round((profiles.FIELD_END_M - profiles.FLANGE_END_M)
               / (profiles.STRIDE * profiles.SPACING_M)) + 1
 
 
+# what a caller hands over and takes back: see `port`
+(ACTION, STEP_S, SPEED_M_S, RESISTANCE_N, ROLLER_INERTIA_KGM2, CLEANING_CREEPAGE, LAW) = range(7)
+ROLLER_RAD_S, MOTOR_NM, BRAKE_NM, BRAKE_ACTS_NM, MU_CD, MU_CR = range(18, 42, 4)
+PORTS = 42
+
+
 class Motion(NamedTuple):
     """Views; stages are functions of `motion`."""
 
+    ports: np.ndarray  # (PORTS,) one step's inputs and outputs; port
     q: np.ndarray  # (42,) m, rad; step
     v: np.ndarray  # (42,) m/s, rad/s; step
     force: np.ndarray  # (42,) N, N m: suspension and weight; step
     contacts: np.ndarray  # (8 MOST, COLUMNS) of `geometry`, MOST rows a wheel; step
-    count: np.ndarray  # (8,) contacts in use; step
+    near: np.ndarray  # (8,) contacts and near contacts in use; step
     misfit: np.ndarray  # (8, NODES) m, F at the coarse nodes of each wheel; step
     given: np.ndarray  # (4, GIVEN) of `treads`; step
     Gx: np.ndarray  # (4, 4) N s/m ..., scratch; step
@@ -39,20 +46,21 @@ class Motion(NamedTuple):
 
 
 SHAPES: dict[str, tuple[int, ...]] = {
-    "q": (42,), "v": (42,), "force": (42,),
-    "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS), "count": (WHEELS,),
+    "ports": (PORTS,), "q": (42,), "v": (42,), "force": (42,),
+    "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS), "near": (WHEELS,),
     "misfit": (WHEELS, NODES), "given": (4, GIVEN), "Gx": (4, 4), "Gy": (3, 3),
     "seen": (WHEELS, SEEN), "searched": (WHEELS, 4), "turn": (1,), "damper_work": (1,), "approach_work": (1,),
     "sliding_work": (4,), "brake_work": (4,), "resistance_work": (1,),
 }
-SIZE = sum(int(np.prod(shape)) for shape in SHAPES.values())
+BEGIN: dict[str, int] = {}
+SIZE = 0
+for _name in Motion._fields:
+    BEGIN[_name] = SIZE
+    SIZE += int(np.prod(SHAPES[_name]))
 
 
 def views(buffer: np.ndarray) -> Motion:
     """The state in a contiguous float64 buffer of shape (SIZE,)."""
-    parts, at = [], 0
-    for name in Motion._fields:
-        size = int(np.prod(SHAPES[name]))
-        parts.append(buffer[at:at + size].reshape(SHAPES[name]))
-        at += size
-    return Motion(*parts)
+    return Motion(*(
+        buffer[BEGIN[name]:BEGIN[name] + int(np.prod(SHAPES[name]))].reshape(SHAPES[name])
+        for name in Motion._fields))

@@ -42,12 +42,17 @@ def start(motion, coach, speed_m_s):
     for body in range(7):
         motion.v[6 * body] = speed_m_s
     for wheel in range(2 * WHEELSETS):
-        treads.follow(wheel, motion.q, 0.0, motion.contacts, motion.count, motion.misfit,
+        treads.follow(wheel, motion.q, 0.0, motion.contacts, motion.near, motion.misfit,
                       motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail,
                       0)
     for j in range(WHEELSETS):
         radius = -motion.contacts[2 * j * treads.MOST, 4]
         motion.v[6 * (3 + j) + 4] = speed_m_s / radius
+        # what will be seen before the first step
+        motion.given[j, :] = 0.0
+        for wheel in range(2 * j, 2 * j + 2):
+            motion.seen[wheel, :] = 0.0
+            motion.seen[wheel, treads.LOAD] = coach.weight_N.sum() / (2 * WHEELSETS)
 
 
 @kernel
@@ -89,11 +94,11 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
         i = 6 * (3 + j)
         offset = q[i] - place if on_rollers else 0.0
         for wheel in range(2 * j, 2 * j + 2):
-            spare = treads.follow(wheel, q, offset, motion.contacts, motion.count, motion.misfit,
+            spare = treads.follow(wheel, q, offset, motion.contacts, motion.near, motion.misfit,
                                   motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel,
                                   coach.rail, spare)
         treads.press(j, q, v, speed if on_rollers else 0.0, roller_rad_s[j], motion.contacts,
-                     motion.count, mu_cd[j], mu_cr[j], law, cleaning_creepage, coach.patches,
+                     motion.near, mu_cd[j], mu_cr[j], law, cleaning_creepage, coach.patches,
                      coach.contact_damping_N_s_m, coach.roller_m, motion.given, motion.Gx, motion.Gy, motion.seen)
         brake = along(j, motion, coach.inertia, h, roller_rad_s, motor_Nm[j], roller_inertia_kgm2,
                       brake_Nm[j], on_rollers)

@@ -2,32 +2,43 @@
 
 Every function takes the coach last and is nothing at all where it is None: the planar model then
 compiles to what it was. The plant's state stays the one that is seen and recorded; the coach's own
-42 coordinates stand beside it in `state.coach`.
+memory stands beside it in `state.coach`, its constants in `params.coach`.
 """
 
-from rollerrig.rig.kernel import kernel, kernel_inlined
-from rollerrig.rig.multibody import motion
-from rollerrig.rig.multibody.treads import BRAKING_N, LOAD, SLIP, TOUCHING
+from rollerrig.rig.kernel import kernel_inlined
+from rollerrig.rig.multibody import memory, port
+from rollerrig.rig.multibody.memory import (
+    ACTION,
+    BRAKE_ACTS_NM,
+    BRAKE_NM,
+    CLEANING_CREEPAGE,
+    LAW,
+    MOTOR_NM,
+    MU_CD,
+    MU_CR,
+    RESISTANCE_N,
+    ROLLER_INERTIA_KGM2,
+    ROLLER_RAD_S,
+    SPEED_M_S,
+    STEP_S,
+)
+from rollerrig.rig.multibody.treads import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
 
 AXLES = 4
+_V, _SEEN, _GIVEN = (memory.BEGIN[name] for name in ("v", "seen", "given"))
+_SLIDING, _BRAKING, _RESISTING = (
+    memory.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work"))
+_TURNING = _V + 22  # pitch rate of the first wheelset; the others 6 apart
 
 
-@kernel
+@kernel_inlined
 def start(state, params, coach):
     """Set the coach rolling at the plant's vehicle speed, wheels without sliding on their contacts."""
-    motion.start(state.coach, coach, state.vehicle_speed[0])
+    own = state.coach
+    own[ACTION], own[SPEED_M_S] = port.START, state.vehicle_speed[0]
+    port.run(own, coach.tape, coach.layout)
     for j in range(AXLES):
-        state.wheel_speed[j] = state.coach.v[22 + 6 * j]
-    see_loads(state, coach)
-
-
-@kernel
-def see_loads(state, coach):
-    """Before the first step every wheelset carries the static load."""
-    seen = state.coach.seen
-    for wheel in range(2 * AXLES):
-        seen[wheel, LOAD] = coach.weight_N.sum() / (2 * AXLES)
-        seen[wheel, SLIP] = 0.0
+        state.wheel_speed[j] = own[_TURNING + 6 * j]
 
 
 @kernel_inlined
@@ -40,27 +51,25 @@ def integrate(state, params, resistance_N, coach):
     v = state.vehicle_speed[0]
     for j in range(AXLES):
         # torques are given at both ends of the step; the coach wants their means
-        state.wheel_rate[j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
-        state.roller_rate[j] = state.roller_speed[j]
-        state.brake_capacity[j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
-    motion.step(own, coach, h, state.roller_speed, state.wheel_rate,
-                params.drive.roller_inertia_kgm2, state.brake_capacity, state.brake_mean,
-                resistance_N, state.friction_degraded, state.friction_recovered, params.law,
-                params.cleaning_creepage)
+        own[MOTOR_NM + j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
+        own[BRAKE_NM + j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
+        own[ROLLER_RAD_S + j] = state.roller_speed[j]
+    step(state, params, resistance_N, coach)
     for j in range(AXLES):
-        state.contact_force[j] = own.given[j, BRAKING_N]
-        before = state.wheel_speed[j]
-        state.wheel_speed[j] = max(0.0, own.v[22 + 6 * j])
-        state.wheel_angle[j] += 0.5 * h * (before + state.wheel_speed[j])
-        turned_rad = 0.5 * h * (state.roller_rate[j] + state.roller_speed[j])
+        turned_rad = 0.5 * h * (state.roller_speed[j] + own[ROLLER_RAD_S + j])
+        state.roller_speed[j] = own[ROLLER_RAD_S + j]
         state.roller_angle[j] += turned_rad
-        state.motor_work[j] += state.wheel_rate[j] * turned_rad
-        state.sliding_work[j] = own.sliding_work[j]
-        state.brake_work[j] = own.brake_work[j]
+        state.motor_work[j] += own[MOTOR_NM + j] * turned_rad
+        before = state.wheel_speed[j]
+        state.wheel_speed[j] = max(0.0, own[_TURNING + 6 * j])
+        state.wheel_angle[j] += 0.5 * h * (before + state.wheel_speed[j])
+        state.sliding_work[j], state.brake_work[j] = own[_SLIDING + j], own[_BRAKING + j]
+        state.contact_force[j] = own[_GIVEN + GIVEN * j + BRAKING_N]
+        state.brake_mean[j] = own[BRAKE_ACTS_NM + j]
         state.brake_capacity[j] = state.brake_torque[j]
         state.motor_before[j] = state.motor_torque[j]
-    state.resistance_work[0] = own.resistance_work[0]
-    state.vehicle_speed[0] = max(0.0, motion.mean_speed(own.v, coach))
+    state.resistance_work[0] = own[_RESISTING]
+    state.vehicle_speed[0] = max(0.0, own[SPEED_M_S])
     state.vehicle_acceleration[0] = (state.vehicle_speed[0] - v) / h
     state.position[0] += 0.5 * h * (v + state.vehicle_speed[0])
     # rollers beside a virtual track take their loads from this, as from the planar vehicle
@@ -72,14 +81,27 @@ def integrate(state, params, resistance_N, coach):
 @kernel_inlined
 def rest(state, params, coach):
     """Let a coach whose wheels stand swing out on its springs, brakes as they are."""
-    own = state.coach
     for j in range(AXLES):
-        state.wheel_rate[j] = 0.0
-        state.roller_rate[j] = 0.0
-    motion.step(own, coach, params.step_s, state.roller_rate, state.wheel_rate,
-                params.drive.roller_inertia_kgm2, state.brake_capacity, state.brake_mean, 0.0,
-                state.friction_degraded, state.friction_recovered, params.law,
-                params.cleaning_creepage)
+        state.coach[MOTOR_NM + j] = 0.0
+        state.coach[BRAKE_NM + j] = state.brake_capacity[j]
+        state.coach[ROLLER_RAD_S + j] = 0.0
+    step(state, params, 0.0, coach)
+
+
+@kernel_inlined
+def step(state, params, resistance_N, coach):
+    """Fill the other ports and let the coach step."""
+    own, law = state.coach, params.law
+    own[ACTION], own[STEP_S], own[RESISTANCE_N] = port.STEP, params.step_s, resistance_N
+    own[ROLLER_INERTIA_KGM2] = params.drive.roller_inertia_kgm2
+    own[CLEANING_CREEPAGE] = params.cleaning_creepage
+    own[LAW], own[LAW + 1], own[LAW + 2], own[LAW + 3] = law.mu_cd, law.mu_cr, law.A_d, law.A_r
+    own[LAW + 4], own[LAW + 5] = law.gamma_d_s_m, law.gamma_r_s_m
+    own[LAW + 6], own[LAW + 7], own[LAW + 8], own[LAW + 9] = law.k_ad, law.k_sd, law.k_ar, law.k_sr
+    own[LAW + 10] = law.tau_m_J
+    for j in range(AXLES):
+        own[MU_CD + j], own[MU_CR + j] = state.friction_degraded[j], state.friction_recovered[j]
+    port.run(own, coach.tape, coach.layout)
 
 
 @kernel_inlined
@@ -87,8 +109,8 @@ def load(axle, planar_N, state, coach):
     """Load in N of a wheelset: what its contacts carry, not below 0; planar_N where there is no coach."""
     if coach is None:
         return planar_N
-    seen = state.coach.seen
-    return max(seen[2 * axle, LOAD] + seen[2 * axle + 1, LOAD], 0.0)
+    at = _SEEN + 2 * SEEN * axle + LOAD
+    return max(state.coach[at] + state.coach[at + SEEN], 0.0)
 
 
 @kernel_inlined
@@ -96,11 +118,11 @@ def slip(axle, planar_m_s, state, coach):
     """Sliding in m/s of a wheelset's contacts, on the radii on which they roll."""
     if coach is None:
         return planar_m_s
-    seen = state.coach.seen
-    left, right = seen[2 * axle, TOUCHING], seen[2 * axle + 1, TOUCHING]
+    at, seen = _SEEN + 2 * SEEN * axle, state.coach
+    left, right = seen[at + TOUCHING], seen[at + SEEN + TOUCHING]
     if left + right <= 0.0:
         return planar_m_s
-    return (left * seen[2 * axle, SLIP] + right * seen[2 * axle + 1, SLIP]) / (left + right)
+    return (left * seen[at + SLIP] + right * seen[at + SEEN + SLIP]) / (left + right)
 
 
 @kernel_inlined
@@ -108,4 +130,4 @@ def adhesion(axle, planar, load_N, state, coach):
     """Adhesion of a wheelset: the braking force of its contacts over their load."""
     if coach is None:
         return planar
-    return state.coach.given[axle, BRAKING_N] / load_N if load_N > 0.0 else 0.0
+    return state.coach[_GIVEN + GIVEN * axle + BRAKING_N] / load_N if load_N > 0.0 else 0.0

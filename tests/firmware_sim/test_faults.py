@@ -1,19 +1,18 @@
 """The fault catalogue: every row is seen on the bus and in the record, and is lifted again."""
 
+import asyncio
 import filecmp
-import sys
 from pathlib import Path
 
+import faulty_run
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-import faulty_run
 from faulty_run import PLAN, samples
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim import fault_effects, fault_panel, faults
-from rollerrig.realtime import bench, ring, scenario, tick
+from rollerrig.firmware_sim.modbus_pdu import RefusedError
+from rollerrig.realtime import bench, fault_desk, ring, scenario, tick
 from rollerrig.wsp_interface import signals
 
 TIMES = {kind: (begin, end) for kind, begin, end, _ in PLAN}
@@ -310,8 +309,6 @@ def test_a_fault_can_be_injected_and_cleared_by_hand(rig):
 
 
 def test_the_reference_units_process_is_stopped_and_goes_on(tmp_path):
-    import asyncio
-
     path = tmp_path / "frozen.toml"
     path.write_text('adhesion = "dry"\ninitial_speed_m_s = 20.0\nduration_max_s = 1.2\n[bus]\n'
                     'interface = "hub"\nsocketcand_port = 0\n')
@@ -379,7 +376,51 @@ def test_a_fault_of_the_bus_is_refused_where_there_is_no_bus():
     fault_panel.check_pacing(planned, "lockstep")
 
 
-def test_the_catalogue_is_documented_row_by_row():
-    text = faults.markdown()
-    for kind in faults.CATALOGUE:
-        assert f"| `{kind.name}` |" in text
+class Told:
+    """A rig without a bus: a panel on an array, and the events."""
+
+    def __init__(self):
+        self.events = []
+        self.array = np.zeros(fault_effects.SIZE)
+        self.faults = fault_panel.Panel((), self.event)
+        self.faults.connect(fault_panel.Site(self.array, lambda: None))
+
+    def event(self, level, text):
+        self.events.append(text)
+
+
+@pytest.mark.conformance("Modbus", "faults are chosen, injected and lifted by registers")
+def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
+    told = Told()
+    desk = fault_desk.FaultDesk(told)
+    write, read = desk.writers(), desk.readers()
+    number = [kind.name for kind in faults.CATALOGUE].index("cylinder_leak")
+    for name, raw in (("fault", number), ("fault_target", 3), ("fault_duration", 20), ("inject_fault", 1)):
+        write[name](raw, True)
+        assert read["faults_active"]() == 0
+        write[name](raw, False)
+    assert told.array[fault_effects.slot(fault_effects.LEAK_per_s, 3)] == 0.5
+    assert (read["faults_active"](), read["fault"]()) == (1, number)
+    told.faults.poll(2.1)
+    assert not told.array.any()
+    write["inject_fault"](1, False)
+    write["lift_faults"](1, False)
+    assert not told.array.any()
+    assert [text.rpartition(": ")[2] for text in told.events] == ["begins", "lifted"] * 2
+
+
+def test_a_fault_that_cannot_be_is_refused_over_modbus_and_told():
+    told = Told()
+    write = fault_desk.FaultDesk(told).writers()
+    with pytest.raises(RefusedError):
+        write["fault"](len(faults.CATALOGUE), True)
+    write["fault_target"](9, False)
+    with pytest.raises(RefusedError):
+        write["inject_fault"](1, False)
+    assert "allowed 1 to 4" in told.events[0]
+
+
+def test_the_document_of_the_faults_is_the_catalogue():
+    text = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
+    assert text == faults.markdown()
+    assert all(f"| `{kind.name}` |" in text for kind in faults.CATALOGUE)

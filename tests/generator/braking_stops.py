@@ -80,8 +80,8 @@ def stop(v0, mass, mu_cd, most, e, rail, own, positions, sand_s, patch_m, axle, 
     omega = np.full(4, v0 / RADIUS)
     if e[11] != 0.0:
         omega[axle] /= 1.0 + e[11]
-    pressure, late, heat, spent, angle = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4)
-    phase = np.zeros(4)
+    pressure, late, heat = np.zeros(4), np.zeros(4), np.zeros(4)
+    spent, angle = np.zeros(4), np.zeros(4)
     state = np.zeros(4, dtype=np.int64)
     before = np.zeros(4)
     work = np.zeros((4, 4000))
@@ -150,8 +150,9 @@ def stop(v0, mass, mu_cd, most, e, rail, own, positions, sand_s, patch_m, axle, 
                 f = math.copysign(f_d + (f_r - f_d) * late[j], s)
             # local slope for a linearly implicit step
             ds = 1e-4 + 1e-4 * abs(s)
+            f1, _ = adhesion(abs(s), v, 0.5 * N, mu_cd, scale, e)
             f2, _ = adhesion(abs(s) + ds, v, 0.5 * N, mu_cd, scale, e)
-            slope = max((f2 - abs(f)) / ds, 0.0)
+            slope = max((f2 - f1) / ds, 0.0)
             T = N * f * irregular
             C0 = pressure[j]
             C = C0 * (1.0 + e[6]) / (1.0 + e[7] * heat[j]) + e[8] * (C0 > 200.0)

@@ -74,7 +74,13 @@ def test_the_output_of_cyclictest_is_read_with_what_lies_beyond_the_histogram():
     assert histogram.sum() == 1000
     assert histogram[12] == 900
     assert worst_ns == 25_000_000
-    assert late == 10
+    assert late == 9 * 1 + 19  # of 1.2 ms each one, and of what lies beyond the last bin's 20 ms
+
+
+def test_only_ticks_that_the_loop_slept_for_are_compared():
+    # the second tick is 2.5 ms late, the next two begin late because of it
+    lateness, duration = np.array([10.0, 2500.0, 1550.0, 600.0, 15.0]), np.full(5, 50.0)
+    assert loop_benchmark.wakes(lateness, duration, 1000.0).tolist() == [10.0, 2500.0, 15.0]
 
 
 def test_a_loop_as_punctual_as_cyclictest_meets_its_targets():
@@ -119,7 +125,7 @@ def test_bench_contact_times_every_law(capsys):
 def test_bench_loop_measures_a_real_run(capsys):
     assert cli.main(["bench", "loop", "--seconds", "1", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["loop"]
-    assert told["loop"]["samples"] == 1000
+    assert 500 < told["loop"]["samples"] <= 1000
     assert told["loop"]["lateness_us"]["max"] >= told["loop"]["lateness_us"]["p99"] > 0.0
 
 

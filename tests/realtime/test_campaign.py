@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -34,7 +35,7 @@ MATRIX = '"adhesion.mu_cd" = [0.03, 0.06, 0.1]\ninitial_speed_m_s = [2.0, 3.0, 4
 RANGES = '"adhesion.mu_cd" = { low = 0.03, high = 0.1, log = true }\ninitial_speed_m_s = { low = 2.0, high = 5.0 }'
 
 
-@pytest.fixture()
+@pytest.fixture
 def plan_file(tmp_path):
     (tmp_path / "short.toml").write_text(SCENARIO)
 
@@ -127,16 +128,19 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(pla
 
 
 def start_scheduler() -> tuple[subprocess.Popen, str]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
     process = subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
-         "--no-dashboard"], stderr=subprocess.PIPE, text=True)
-    assert process.stderr
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port),
+         "--no-dashboard"], stderr=subprocess.DEVNULL)
     until = time.monotonic() + 60.0
     while time.monotonic() < until:
-        line = process.stderr.readline()
-        if "tcp://127.0.0.1:" in line:
-            return process, "tcp://127.0.0.1:" + line.split("tcp://127.0.0.1:")[1].split()[0].strip("'\",")
-    raise AssertionError("the scheduler did not say where it listens")
+        with socket.socket() as probe:
+            if not probe.connect_ex(("127.0.0.1", port)):
+                return process, f"tcp://127.0.0.1:{port}"
+        time.sleep(0.2)
+    raise AssertionError("the scheduler did not listen within a minute")
 
 
 def start_worker(address: str) -> subprocess.Popen:

@@ -11,6 +11,7 @@ from synthetic_record import GOOD
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim import faults
+from rollerrig.realtime import verb_sequence
 from rollerrig.wsp_interface import report, sequence, verdict
 from rollerrig.wsp_interface.harness import Event
 from rollerrig.wsp_interface.play import Outcome
@@ -70,3 +71,15 @@ def test_a_report_that_cannot_be_written_says_so(tmp_path):
     in_the_way.write_text("a file")
     with pytest.raises(RollerrigError, match="cannot be written"):
         report.write([outcome(tmp_path)], in_the_way)
+
+
+def test_what_nobody_expected_is_an_error_of_its_own_sequence(tmp_path):
+    good = outcome(tmp_path)
+
+    def breaks():
+        raise ZeroDivisionError("a bug")
+
+    found = verb_sequence._guarded(breaks, (good.sequence, tmp_path))
+    assert found.result is Result.ERROR
+    assert "a bug" in found.error
+    assert verb_sequence._guarded(lambda: good, (good.sequence, tmp_path)) is good

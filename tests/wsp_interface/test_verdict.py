@@ -1,6 +1,7 @@
 """Measures against stops computed by hand, and verdicts that never pass what was not measured."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ def test_a_demand_of_twice_the_rate_falls_short_by_the_difference():
 
 def test_a_stop_shorter_than_a_segment_has_no_shortfall():
     record = stop.record()
-    short = record._replace(columns={name: values[-900:] for name, values in record.columns.items()},
+    short = replace(record, columns={name: values[-900:] for name, values in record.columns.items()},
                             demands=((record.columns["time_s"][-900], 3.8e5),))
     assert math.isnan(of("deceleration_shortfall", short))
     assert judged(limit("deceleration_shortfall", high=1.0), short).result is Result.ABSENT
@@ -70,7 +71,7 @@ def test_full_brake_after_a_fault_waits_for_the_last_cylinder():
     record = stop.record()
     pressure = np.where(record.columns["time_s"] < 7.0, 1e5, 3.8e5)
     record.columns["cylinder_pressure_3_Pa"][:] = pressure
-    assert of("full_brake_after_fault", record._replace(fault_s=5.0)) == pytest.approx(2.0)
+    assert of("full_brake_after_fault", replace(record, fault_s=5.0)) == pytest.approx(2.0)
 
 
 def test_a_margin_is_the_room_to_the_limit_in_its_own_measure():

@@ -12,7 +12,7 @@ const DRIVES = [1, 2, 3, 4], SPEED_UNIT = 16, BRAKE_IO = 17, UNIT = 32;
 const CYCLE_MS = 10, CSV = 9, OPERATION_ENABLED = 0x27;
 // the rig's data sheet: rollers, wheels, vehicle
 const ROLLER_M = 1.0, WHEEL_M = 0.445, MASS_KG = 43000, INERTIA_KGM2 = 1200, RATED_NM = 15000;
-const SPEED_UP = 1.05, TURN_CYCLES = 60;
+const SPEED_UP = 1.05, TURN_CYCLES = 60, ROLLING_MRAD = 4000;
 
 const device = new Device({ id: UNIT });
 const eds = device.eds;
@@ -65,7 +65,7 @@ function connect() {
       const words = text.slice(text.indexOf('<') + 1, end).trim().split(/\s+/);
       if (words[0] === 'hi') socket.write('< open rig0 >');
       else if (words[0] === 'ok' && !socket.opened) { socket.opened = true; socket.write('< rawmode >'); }
-      else if (words[0] === 'ok') socket.emit('ready');
+      else if (words[0] === 'ok') socket.emit('raw');
       else if (words[0] === 'frame') {
         const data = Buffer.from(words.slice(3).join(''), 'hex');
         device.receive({ id: parseInt(words[1], 16), data, len: data.length });
@@ -75,7 +75,7 @@ function connect() {
   // the bench closes the bus when the train has stood for a while
   socket.on('close', finish);
   socket.on('error', finish);
-  return new Promise((resolve) => socket.once('ready', resolve));
+  return new Promise((resolve) => socket.once('raw', resolve));
 }
 
 // --- the sequence
@@ -96,17 +96,20 @@ async function enable(one) {
   told.enabled.push(one.id);
 }
 
-let speed_m_s = 0, factor = 1, turning = 0;
+let speed_m_s = 0, factor = 1, turning = 0, before_ms = 0;
 
 // inertia of the vehicle at the rollers, which the master simulates from the drives' torques
 function simulate() {
+  const now_ms = performance.now(), elapsed_s = (now_ms - before_ms) / 1000;
+  before_ms = now_ms;
   if (pressures.every((one) => one.value < 100)) {
-    speed_m_s = wheels.reduce((sum, one) => sum + one.value, 0) / 4 * 0.01 * WHEEL_M;
+    // once the rollers are held they tell what they were told: the speed of before counts
+    if (!turning) speed_m_s = wheels.slice(1).reduce((sum, one) => sum + one.value, 0) / 3 * 0.01 * WHEEL_M;
     return;
   }
   const torque_Nm = drives.reduce((sum, one) => sum + one.torque.value, 0) * 1e-3 * RATED_NM;
   const rolling_kg = MASS_KG - 4 * INERTIA_KGM2 / ROLLER_M ** 2;
-  speed_m_s = Math.max(0, speed_m_s - torque_Nm / ROLLER_M / rolling_kg * CYCLE_MS / 1000);
+  speed_m_s = Math.max(0, speed_m_s - torque_Nm / ROLLER_M / rolling_kg * elapsed_s);
 }
 
 // a simple slide protection: vent a wheel that slides much, hold one that slides
@@ -131,11 +134,13 @@ function cycle() {
   }
   device.pdo.write(0x200 + BRAKE_IO);
   device.sync.write();
-  if (told.enabled.length === DRIVES.length && turning < TURN_CYCLES) {
+  // the rig may have waited for its unit: it rolls when its rollers' angles grow
+  const rolls = drives[1].position.value > ROLLING_MRAD;
+  if (rolls && told.enabled.length === DRIVES.length && turning < TURN_CYCLES) {
     factor = ++turning < TURN_CYCLES ? SPEED_UP : 1;
     told.turned = Math.max(told.turned, drives[0].speed.value / Math.max(drives[1].speed.value, 1));
   }
-  told.stopped = told.cycles > 200 && wheels.every((one) => one.value === 0)
+  told.stopped = told.speeds_read > 200 && wheels.every((one) => one.value === 0)
     && drives.every((one) => one.speed.value === 0);
 }
 
@@ -158,8 +163,8 @@ async function main() {
   mapPdos();
   await connect();
   device.start();
-  device.nmt.startNode();      // itself
-  device.nmt.startNode(0);     // everybody
+  device.nmt.startNode();   // itself
+  device.nmt.startNode(0);  // and everybody
   const timer = setInterval(cycle, CYCLE_MS);
   await sleep(200);
   for (const one of drives) await enable(one);

@@ -1,0 +1,72 @@
+"""Faults over Modbus: choose one by its number, say where and for how long, and inject it.
+
+Unit 1 has three registers to choose with, a coil that injects and a coil that lifts; parameters that
+have no register take the catalogue's defaults. A fault that cannot be is refused with exception 03,
+and an event says why.
+"""
+
+from typing import Any, Protocol
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.firmware_sim.fault_panel import Panel
+from rollerrig.firmware_sim.faults import CATALOGUE, LASTS
+from rollerrig.firmware_sim.modbus_pdu import Code, RefusedError
+from rollerrig.firmware_sim.modbus_unit import Reader, Writer
+
+AIMS = ("axle", "node", "can_id")
+DURATION_UNIT_S = 0.1
+
+
+class Rig(Protocol):
+    """What the desk needs of the bench."""
+
+    faults: Panel
+
+    def event(self, level: str, text: str) -> None: ...
+
+
+class FaultDesk:
+    """Readers and writers of the fault registers. 0 of `target`: the default; of `duration`: no end."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.chosen = {"fault": 0, "fault_target": 0, "fault_duration": 0}
+
+    def readers(self) -> dict[str, Reader]:
+        """Raw values by name of the register."""
+        active = self.rig.faults.active
+        chosen: dict[str, Reader] = {
+            name: (lambda name=name: self.chosen[name]) for name in self.chosen}
+        return chosen | {"inject_fault": lambda: bool(active), "lift_faults": lambda: False,
+                         "faults_active": lambda: len(active)}
+
+    def writers(self) -> dict[str, Writer]:
+        """What a write does, by name of the register."""
+        chosen: dict[str, Writer] = {
+            name: (lambda raw, only, name=name: self._choose(name, raw, only)) for name in self.chosen}
+        return chosen | {"inject_fault": self._inject, "lift_faults": self._lift}
+
+    def _choose(self, name: str, raw: int, only: bool) -> None:
+        if name == "fault" and raw >= len(CATALOGUE):
+            raise RefusedError(Code.VALUE)
+        if not only:
+            self.chosen[name] = raw
+
+    def _inject(self, raw: int, only: bool) -> None:
+        if not raw or only:
+            return
+        kind, target = CATALOGUE[self.chosen["fault"]], self.chosen["fault_target"]
+        values: dict[str, Any] = {
+            "for_s": self.chosen["fault_duration"] * DURATION_UNIT_S or LASTS}
+        aim = next((row.name for row in kind.parameters if row.name in AIMS), "")
+        if target and aim:
+            values[aim] = target
+        try:
+            self.rig.faults.inject(kind.name, **values)
+        except ConfigError as error:
+            self.rig.event("warning", f"a fault asked for over Modbus is refused: {error}")
+            raise RefusedError(Code.VALUE) from None
+
+    def _lift(self, raw: int, only: bool) -> None:
+        if raw and not only:
+            self.rig.faults.clear()

@@ -1,0 +1,104 @@
+"""The mechanisms of an extended model inside the plant: friction under a wheel, torque at a brake.
+
+Resistance, load transfer, contact stiffness, radius and inertia are changed once, where the
+parameters are built; what depends on time, place, speed or past work is computed here in each
+tick. While all coefficients are 0 nothing is computed and no bit changes.
+
+    [X1] mu_cd, mu_cr *= exp(sum of terms), terms as `mechanisms.TABLE` writes them
+    [X2] C = (1 + gain) C_0 (1 - fade H) + offset while the brake is applied, not below 0
+
+The work on a metre of rail reaches the next wheel after the distance between them, as a first-order
+lag of that length: an approximation of the pure delay.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.kernel import kernel
+
+AXLES = 4
+MIDDLE_SPEED_M_S = 20.0
+CONDITIONS = ("rail_cleaning_gain", "speed_dependent_friction_slope_per_m_s",
+              "negative_conditioning_loss", "contaminated_patch_depth", "friction_trend_rate_1_s",
+              "sanding_gain")
+TORQUES = ("brake_gain_gain", "pad_fade_fade_1_MJ", "torque_offset_offset_Nm")
+
+
+class Effects(NamedTuple):
+    """Coefficients of the extended model; gain and offset for each axle, shape (4,)."""
+
+    on_friction: bool
+    on_torque: bool
+    cleaning: float
+    cleaning_J_m: float
+    speed_slope_s_m: float
+    conditioning: float
+    conditioning_m: float
+    patch: float
+    patch_from_m: float
+    patch_to_m: float
+    trend_1_s: float
+    sand: float
+    sand_from_s: float
+    sand_to_s: float
+    gain: np.ndarray
+    fade_1_J: float
+    offset_Nm: np.ndarray
+
+
+def build(m: Mapping[str, Any]) -> Effects:
+    """From the checked section `mechanisms`."""
+    return Effects(
+        any(m[name] != 0.0 for name in CONDITIONS), any(m[name] != 0.0 for name in TORQUES),
+        m["rail_cleaning_gain"], m["rail_cleaning_energy_J_m"],
+        m["speed_dependent_friction_slope_per_m_s"], m["negative_conditioning_loss"],
+        m["negative_conditioning_distance_m"], m["contaminated_patch_depth"],
+        m["contaminated_patch_start_m"],
+        m["contaminated_patch_start_m"] + m["contaminated_patch_length_m"],
+        m["friction_trend_rate_1_s"], m["sanding_gain"], m["sanding_start_s"],
+        m["sanding_start_s"] + m["sanding_duration_s"],
+        _by_axle(m["brake_gain_gain"], m["brake_gain_axle"]), 1e-6 * m["pad_fade_fade_1_MJ"],
+        _by_axle(m["torque_offset_offset_Nm"], m["torque_offset_axle"]))
+
+
+def _by_axle(value: float, axle: float) -> np.ndarray:
+    return np.array([value if axle in (0, j + 1) else 0.0 for j in range(AXLES)])
+
+
+@kernel
+def friction_factor(state, axle, place_m, effects):
+    """What the friction of an axle is multiplied by [X1]."""
+    log_mu = effects.cleaning * -math.expm1(-state.rail_work[axle] / effects.cleaning_J_m)
+    log_mu += effects.speed_slope_s_m * (state.vehicle_speed[0] - MIDDLE_SPEED_M_S)
+    log_mu += effects.conditioning * math.expm1(-state.slid[axle] / effects.conditioning_m)
+    if effects.patch_from_m <= place_m < effects.patch_to_m:
+        log_mu -= effects.patch
+    log_mu += effects.trend_1_s * state.time[0]
+    if effects.sand_from_s <= state.time[0] < effects.sand_to_s:
+        log_mu += effects.sand
+    return math.exp(log_mu)
+
+
+@kernel
+def remember(state, positions_m, tick_s):
+    """Advance sliding distance and the work of the wheels before, by a tick."""
+    before = 0.0
+    for j in range(AXLES):
+        state.slid[j] += tick_s * abs(state.sliding[j])
+        if j > 0:
+            length = positions_m[j] - positions_m[j - 1]
+            share = -math.expm1(-state.vehicle_speed[0] * tick_s / length)
+            state.rail_work[j] += (before - state.rail_work[j]) * share
+        before += max(state.dissipated_energy[j], 0.0)
+
+
+@kernel
+def torque(capacity_Nm, axle, work_J, effects):
+    """Brake torque in N m of an axle that has done an amount of brake work [X2]."""
+    if capacity_Nm <= 0.0:
+        return capacity_Nm
+    changed = capacity_Nm * (1.0 + effects.gain[axle]) * (1.0 - effects.fade_1_J * work_J)
+    return max(0.0, changed + effects.offset_Nm[axle])

@@ -1,0 +1,69 @@
+"""Writes what was found as a model: a TOML file with the tuned base and the causes' coefficients.
+
+Every value passes the rows of `mechanisms` like one written by hand; `rollerrig run --model` and
+`explain` load it. Causes that live in the sensors of the recording change no plant and stand there
+as comments only.
+"""
+
+import math
+from typing import Any
+
+from rollerrig.rig.identify.explain import Account, Named
+from rollerrig.rig.mechanisms import BY_NAME, SENSOR
+
+
+def parameters(named: Named) -> dict[str, dict[str, Any]]:
+    """Coefficients of a named cause: value, 95 % interval, unit."""
+    rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
+    free = [row for row in rows.values() if row.default == 0.0 and row.name != "axle"]
+    found: dict[str, dict[str, Any]] = {}
+    if named.cause.name == "wheel_out_of_round":
+        return _swing(named)
+    bias = named.finding.bias if len(named.finding.bias) == len(named.cause.values) else (0.0,)
+    for k, value in enumerate(named.cause.values):
+        row, sd = free[k], named.deviation[min(k, len(named.deviation) - 1)]
+        middle = value - (bias[k] if k < len(bias) else 0.0)
+        found[row.name] = {"value": middle, "ci95": [middle - 1.96 * sd, middle + 1.96 * sd],
+                           "unit": row.source}
+    for name, value in named.cause.shape.items():
+        known = rows.get(name)
+        wide = [value / 2.0, value * 2.0] if name in ("energy_J_m", "distance_m") else [
+            value - 25.0, value + 25.0] if name.endswith("_m") else [value - 2.0, value + 2.0]
+        found[name] = {"value": value, "ci95": wide, "unit": known.source if known else "s"}
+    return found
+
+
+def _swing(named: Named) -> dict[str, dict[str, Any]]:
+    values, sd = named.cause.values, float(max(named.deviation))
+    runs = max(len(values) // 2, 1)
+    square = sum(v * v for v in values) / runs - 2.0 * sd * sd
+    amplitude, wide = math.sqrt(max(square, 0.0)), 1.96 * sd / math.sqrt(runs)
+    return {"amplitude": {"value": amplitude, "ci95": [max(amplitude - wide, 0.0), amplitude + wide],
+                          "unit": "-"},
+            "phase_rad": {"value": math.atan2(-values[1], values[0]), "ci95": [-math.pi, math.pi],
+                          "unit": "rad"}}
+
+
+def toml(account: Account) -> str:
+    """The extended model."""
+    law = account.data.sections["adhesion"]
+    tau = law["tau_m_J"] * math.exp(account.final.base.get("ln_tau", 0.0))
+    lines = [f"# extended model, found by rollerrig explain on {account.data.name}",
+             f"# verdict: {account.verdict}", "", "[adhesion]", f"tau_m_J = {tau:.6g}"]
+    kept = [n for n in account.causes if BY_NAME[n.cause.name].acts_on != SENSOR]
+    if kept:
+        lines += ["", "[mechanisms]"]
+    for named in kept:
+        rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
+        lines.append(f"# {BY_NAME[named.cause.name].text}: {BY_NAME[named.cause.name].formula}")
+        for name, entry in parameters(named).items():
+            if name in rows:
+                value = min(max(entry["value"], rows[name].low), rows[name].high)
+                lines.append(f"{named.cause.name}_{name} = {value:.6g}")
+        if "axle" in rows:
+            lines.append(f"{named.cause.name}_axle = {float(named.cause.axle)}")
+    for named in account.causes:
+        if named not in kept:
+            told = ", ".join(f"{k} = {v['value']:.4g}" for k, v in parameters(named).items())
+            lines.append(f"# in the recording, not in the plant: {named.cause.name}, {told}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,109 @@
+"""The six stops of the paper, their published numbers, and datasets made of runs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime import cli, run_dataset, scenario, stops, velim
+from rollerrig.rig.identify import dataset, paper_tuning
+from rollerrig.wsp_interface import signals
+
+TABLE_5_M_S = {"a1": 42.3, "a2": 40.4, "a3": 40.8, "b1": 40.8, "b2": 41.1, "b3": 41.8}
+
+
+@pytest.fixture(scope="module")
+def rows():
+    plan = scenario.load("velim_a1", settings=(
+        "rig.mode=track", "initial_speed_m_s=14.0", "adhesion.mu_cd=0.03", "stand_s=0.0"))
+    return stops.run(plan)
+
+
+@pytest.mark.parametrize("test", velim.TESTS)
+def test_each_stop_begins_at_table_5s_speed_on_the_track(test):
+    plan = velim.plan_of(test, velim.settings())
+    assert plan["initial_speed_m_s"] == TABLE_5_M_S[test]
+    assert plan["rig"]["mode"] == "track"
+    assert plan["demand"][0]["pressure_Pa"] == velim.settings()["pressure_Pa"]
+
+
+def test_group_b_knows_nothing_but_group_a():
+    found = velim.settings()
+    expected = np.exp(np.mean(np.log([found[f"mu_cd_{t}"] for t in velim.GROUP_A])))
+    for test in velim.GROUP_B:
+        assert velim.contaminant(found, test) == pytest.approx(expected, rel=1e-12)
+        assert f"mu_cd_{test}" not in found
+
+
+def test_the_published_rows_are_those_of_table_6():
+    assert list(velim.MEASURED_MEAN.values()) == [5.00, 5.25, 4.23, 5.49, 5.41, 5.83]
+    assert list(velim.PAPER_STD.values()) == [1.49, 1.79, 1.59, 1.58, 1.45, 1.84]
+    exact = {t: velim.Stop(np.full(4, velim.MEASURED_MEAN[t]), np.full(4, velim.MEASURED_STD[t]),
+                           40.0, 900.0, 0.0) for t in velim.TESTS}
+    off = velim.errors(exact)
+    assert off["mean_m_s"] == off["deviation_m_s"] == 0.0
+    assert off["paper_mean_m_s"] == pytest.approx((0.35 + 0.11 + 0.10) / 3)
+    assert off["paper_deviation_m_s"] == pytest.approx((0.17 + 0.32 + 0.06) / 3)
+    told = dict(velim.rows_for_table(exact))
+    assert told["mean sliding, ours"] == told["mean sliding of wheelset 1, measured"]
+
+
+def test_a_stop_is_the_same_as_a_run_in_free_pacing(rows):
+    speed = rows[:, signals.column("vehicle_speed")]
+    assert speed[0] == 14.0
+    assert speed[-1] == 0.0
+    # the last sample stands where the run ended
+    time_s = rows[:-1, signals.column("time")]
+    assert time_s == pytest.approx(0.01 * np.arange(len(time_s)), abs=1e-9)
+    assert len(stops.moving(rows)) < len(rows)
+
+
+def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, tmp_path):
+    rng = np.random.default_rng(5)
+    plan = scenario.load("velim_a1", settings=("rig.mode=track",))
+    courses = [run_dataset.measured(run_dataset.of_rows(name, group, stops.moving(rows)),
+                                    run_dataset.SENSORS, rng)
+               for name, group in (("one", "tune"), ("two", "validate"))]
+    out = run_dataset.write(tmp_path / "made", courses, plan.resolved, run_dataset.SENSORS, "a test", "-")
+    data = dataset.load(out)
+    assert (out / "dataset.toml").read_text().startswith("# SYNTHETIC")
+    assert [run.group for run in data.runs] == ["tune", "validate"]
+    assert data.accuracy["speed_m_s"] == 0.03
+    assert np.isinf(data.sections["contact"]["roller_radius_m"])
+    true = stops.moving(rows)
+    off = data.runs[0].speed_m_s - true[:, signals.column("vehicle_speed")]
+    assert off.std() == pytest.approx(0.03, rel=0.15)
+    torque = true[:, signals.span("brake_torque")]
+    assert (data.runs[0].torque_Nm - torque).std() == pytest.approx(0.015 * torque.max(), rel=0.15)
+
+
+def test_the_packaged_synthetic_set_says_so_and_gives_its_own_recovery_back():
+    data = dataset.load("velim_synthetic")
+    assert "SYNTHETIC" in (data.folder / "dataset.toml").read_text()
+    assert [run.name for run in data.runs] == list(velim.TESTS)
+    tau = paper_tuning.tune(data).tau_m_J
+    assert tau.value == pytest.approx(1.9e-4, rel=0.02)
+
+
+def test_tune_on_the_command_line_writes_its_report(tmp_path, capsys):
+    assert cli.main(["tune", "eurosprinter_127001", "--out", str(tmp_path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((tmp_path / "tune.json").read_text())
+    assert told["rms"] == pytest.approx(0.0250, abs=1e-4)
+    assert (tmp_path / "tune.html").read_text().startswith("<!doctype html>")
+
+
+def test_a_creep_curve_cannot_be_validated(tmp_path, capsys):
+    assert cli.main(["validate", "eurosprinter_127001", "--out", str(tmp_path)]) == 2
+    assert "rollerrig tune" in capsys.readouterr().err
+
+
+def test_a_recovery_out_of_range_is_refused(capsys):
+    assert cli.main(["validate", "velim_synthetic", "--tau", "-1"]) == 2
+    assert "0 to 1" in capsys.readouterr().err
+
+
+def test_folders_that_hold_no_run_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no such file"):
+        run_dataset.from_folders([tmp_path], tmp_path / "out", "tune")

@@ -1,0 +1,37 @@
+"""The whole explanation, on stops of a generator that shares no code with it."""
+
+from pathlib import Path
+
+import pytest
+from generator import braking_stops
+
+from rollerrig.rig.identify import dataset, explain
+
+
+def silent(title: str, share: float) -> None:
+    """No progress."""
+
+
+def test_stops_with_nothing_hidden_are_consistent() -> None:
+    found = explain.braking_runs(dataset.load("open_none"), 0, silent)
+    assert found.verdict == "consistent"
+    assert found.causes == []
+    assert found.gain is None
+
+
+def test_cleaning_by_leading_wheels_is_named_and_improves_runs_never_fitted() -> None:
+    found = explain.braking_runs(dataset.load("open_rail_cleaning"), 0, silent)
+    assert found.verdict == "explained"
+    assert [named.finding.name for named in found.causes] == ["rail_cleaning"]
+    assert found.gain is not None
+    assert found.gain.claimed
+    assert found.gain.reduction > 0.05
+
+
+@pytest.mark.parametrize(("cause", "seed"), [("wheel_radius", 11)])
+def test_a_hidden_cause_of_another_form_is_named(tmp_path: Path, cause: str, seed: int) -> None:
+    size = 1.5 * braking_stops.SMALLEST[cause]
+    folder = braking_stops.make(tmp_path / cause, {cause: size}, seed)
+    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    assert cause in {n.finding.name for n in found.causes} | {
+        other for n in found.causes for other in n.confusable}
