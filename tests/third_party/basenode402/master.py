@@ -70,6 +70,9 @@ class Master:
             drive.controlword = WORDS[wanted]
             # a synchronous PDO counts as one that is sent by a timer
             drive.rpdo[1].transmit()
+            # the rig may roll already: a drive that is enabled shall find its speed
+            self.simulate()
+            self.aim()
             self.network.sync.transmit()
             time.sleep(CYCLE_S)
 
@@ -103,6 +106,13 @@ class Master:
                 bits |= 1 << 2 * (axle - 1)
         return bits
 
+    def aim(self, factor=1.0):
+        """Send each drive the speed of the train, the first one `factor` times that."""
+        for number in DRIVES:
+            target = self.nodes[number].rpdo[2]
+            target[0].raw = round(self.speed_m_s * (factor if number == 1 else 1.0) / ROLLER_M * 1e4)
+            target.transmit()
+
     def cycle(self):
         """One bus cycle."""
         self.told["cycles"] += 1
@@ -115,11 +125,7 @@ class Master:
             self.turning += 1
             second = max(self.nodes[2].tpdo[2][0].raw, 1)
             self.told["turned"] = max(self.told["turned"], self.nodes[1].tpdo[2][0].raw / second)
-        factor = SPEED_UP if rolls and self.turning < TURN_CYCLES else 1.0
-        for number in DRIVES:
-            target = self.nodes[number].rpdo[2]
-            target[0].raw = round(self.speed_m_s * (factor if number == 1 else 1.0) / ROLLER_M * 1e4)
-            target.transmit()
+        self.aim(SPEED_UP if rolls and self.turning < TURN_CYCLES else 1.0)
         self.network.sync.transmit()
         wheels = [self.wheel(axle) for axle in DRIVES]
         self.told["speeds_read"] += any(wheels)
