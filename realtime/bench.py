@@ -27,7 +27,7 @@ from rollerrig.realtime import (
     clock,
     loop,
     mailbox,
-    recorder,
+    recording,
     records,
     rig_bus,
     scenario,
@@ -495,11 +495,11 @@ class Bench:
                 "config_hash": scenario.digest(self.plan), "scenario": self.plan.name}
 
     async def _start_recorder(self) -> None:
-        self.recorder = recorder.start(self.options.out, self.rows, self.frames, self.event_ring,
+        self.recorder = recording.start(self.options.out, self.rows, self.frames, self.event_ring,
                                        self._identity())
         self._processes.append(self.recorder)
         ready = await asyncio.get_running_loop().run_in_executor(
-            None, recorder.wait_ready, self.recorder, self.rows)
+            None, recording.wait_ready, self.recorder, self.rows)
         if not ready:
             raise RollerrigError("the recorder did not start; its message stands above")
         if self.options.live:

@@ -13,7 +13,6 @@ import contextlib
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 import uuid
@@ -35,29 +34,6 @@ _PERIOD_S = 0.06
 _BLOCK_S = 0.4  # rows go to run.rrd in blocks of this much wall time
 _LINGER_S = 2.0  # how long the other rings may still be open when the rows have ended
 _FINAL_ROWS = 20_000
-
-
-def start(run_dir: Path, rows: Ring, frame: Ring, event: Ring,
-          counters: Mapping[str, Any] | None = None) -> subprocess.Popen:
-    """Start the recorder of a run in a session of its own; wait for it with `wait_ready`.
-
-    `counters` (pacing, seed, unit, scenario, config_hash) go into the summary of a killed run.
-    """
-    return subprocess.Popen(
-        [sys.executable, "-m", "rollerrig.realtime.recorder", str(run_dir),
-         "--rows", str(rows.path), "--frames", str(frame.path), "--events", str(event.path),
-         "--counters", json.dumps(dict(counters or {}))],
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
-
-
-def wait_ready(process: subprocess.Popen, rows: Ring, timeout_s: float = 30.0) -> bool:
-    """Wait until the recorder drains its rings; False if it died or did not come in time."""
-    until = time.monotonic() + timeout_s
-    while time.monotonic() < until and process.poll() is None:
-        if rows.header[ring.RECORDER_BEAT_NS]:
-            return True
-        time.sleep(0.01)
-    return False
 
 
 def recording_id(run_dir: Path, rows: Ring) -> str:
