@@ -41,6 +41,7 @@ class Effects(NamedTuple):
     patch_from_m: float
     patch_to_m: float
     trend_1_s: float
+    trend_s: float
     sand: float
     sand_from_s: float
     sand_to_s: float
@@ -58,7 +59,7 @@ def build(m: Mapping[str, Any]) -> Effects:
         m["negative_conditioning_distance_m"], m["contaminated_patch_depth"],
         m["contaminated_patch_start_m"],
         m["contaminated_patch_start_m"] + m["contaminated_patch_length_m"],
-        m["friction_trend_rate_1_s"], m["sanding_gain"], m["sanding_start_s"],
+        m["friction_trend_rate_1_s"], m["friction_trend_time_s"], m["sanding_gain"], m["sanding_start_s"],
         m["sanding_start_s"] + m["sanding_duration_s"],
         _by_axle(m["brake_gain_gain"], m["brake_gain_axle"]), 1e-6 * m["pad_fade_fade_1_MJ"],
         _by_axle(m["torque_offset_offset_Nm"], m["torque_offset_axle"]))
@@ -76,7 +77,7 @@ def friction_factor(state, axle, place_m, effects):
     log_mu += effects.conditioning * math.expm1(-state.slid[axle] / effects.conditioning_m)
     if effects.patch_from_m <= place_m < effects.patch_to_m:
         log_mu -= effects.patch
-    log_mu += effects.trend_1_s * state.time[0]
+    log_mu -= effects.trend_1_s * effects.trend_s * math.expm1(-state.time[0] / effects.trend_s)
     if effects.sand_from_s <= state.time[0] < effects.sand_to_s:
         log_mu += effects.sand
     return math.exp(log_mu)

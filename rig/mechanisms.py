@@ -65,8 +65,10 @@ TABLE: tuple[Mechanism, ...] = (
         "ln mu -= depth for start <= place < start + length", "friction depends on the place",
         "assumption"),
     Mechanism(
-        "friction_trend", FRICTION, (_row("rate_1_s", -0.05, 0.05, "1/s"),),
-        "ln mu += rate t", "friction drifts with time in a stop", "assumption"),
+        "friction_trend", FRICTION,
+        (_row("rate_1_s", -0.2, 0.2, "1/s"), _row("time_s", 0.1, 1e4, "s", 1e4)),
+        "ln mu += rate time (1 - exp(-t / time)), rate t for a long time",
+        "friction drifts with time in a stop", "assumption"),
     Mechanism(
         "brake_gain", TORQUE, (_row("gain", -0.3, 0.3, "-"), _AXLE),
         "C = (1 + gain) C_0", "the brake gives another torque than told", "PHYSICS 6", True),

@@ -60,6 +60,8 @@ def one(task: Task) -> Scores | None:
     found, linear, _, _ = tuning.normal(prepared, task.told)
     if np.mean(np.minimum(linear.nu**2 / linear.variance, 100.0)) > RUNAWAY:
         return None
+    if not (np.all(np.isfinite(found.A)) and np.all(np.isfinite(found.b))):
+        return None
     result = evidence.scores(found, task.known)
     return Scores(result.S.astype(np.float32), result.g)
 

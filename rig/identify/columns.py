@@ -180,7 +180,7 @@ SHAPES: dict[str, tuple[dict[str, float], ...]] = {
     "rail_cleaning": ({"energy_J_m": 40.0}, {"energy_J_m": 150.0}, {"energy_J_m": 600.0},
                       {"energy_J_m": 2000.0}),
     "speed_dependent_friction": ({},),
-    "friction_trend": ({},),
+    "friction_trend": ({}, {"time_s": 10.0}),
     "negative_conditioning": ({"distance_m": 10.0}, {"distance_m": 30.0}, {"distance_m": 100.0}),
 }
 

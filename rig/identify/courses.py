@@ -20,7 +20,9 @@ def course(d: Design, name: str, shape: dict[str, float]) -> np.ndarray:
     if name == "speed_dependent_friction":
         return d.speed_m_s - MIDDLE_SPEED_M_S
     if name == "friction_trend":
-        return d.time_s
+        if "time_s" not in shape:
+            return d.time_s
+        return -shape["time_s"] * np.expm1(-d.time_s / shape["time_s"])
     if name == "negative_conditioning":
         return np.expm1(-d.slid_m / shape["distance_m"])
     if name == "contaminated_patch":

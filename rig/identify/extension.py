@@ -1,15 +1,15 @@
 """Writes what was found as a model: a TOML file with the tuned base and the causes' coefficients.
 
 Every value passes the rows of `mechanisms` like one written by hand; `rollerrig run --model` and
-`explain` load it. Causes that live in the sensors of the recording change no plant and stand there
-as comments only.
+`explain` load it. Causes that live in the sensors of the recording, or that the plant has not built in,
+stand there as comments.
 """
 
 import math
 from typing import Any
 
 from rollerrig.rig.identify.explain import Account, Named
-from rollerrig.rig.mechanisms import BY_NAME, SENSOR
+from rollerrig.rig.mechanisms import BY_NAME, IN_PLANT
 
 
 def parameters(named: Named) -> dict[str, dict[str, Any]]:
@@ -27,7 +27,7 @@ def parameters(named: Named) -> dict[str, dict[str, Any]]:
                            "unit": row.source}
     for name, value in named.cause.shape.items():
         known = rows.get(name)
-        wide = [value / 2.0, value * 2.0] if name in ("energy_J_m", "distance_m") else [
+        wide = [value / 2.0, value * 2.0] if name in ("energy_J_m", "distance_m", "time_s") else [
             value - 25.0, value + 25.0] if name.endswith("_m") else [value - 2.0, value + 2.0]
         found[name] = {"value": value, "ci95": wide, "unit": known.source if known else "s"}
     return found
@@ -50,7 +50,8 @@ def toml(account: Account) -> str:
     tau = law["tau_m_J"] * math.exp(account.final.base.get("ln_tau", 0.0))
     lines = [f"# extended model, found by rollerrig explain on {account.data.name}",
              f"# verdict: {account.verdict}", "", "[adhesion]", f"tau_m_J = {tau:.6g}"]
-    kept = [n for n in account.causes if BY_NAME[n.cause.name].acts_on != SENSOR]
+    kept = [n for n in account.causes if n.cause.name in IN_PLANT and not (
+        n.cause.name in ("wheel_radius", "wheel_inertia") and n.cause.axle)]
     if kept:
         lines += ["", "[mechanisms]"]
     for named in kept:

@@ -147,6 +147,8 @@ def fit(design: Design, told: Explanation, steps: int = 9, noise: bool = True,
         own = [c for c in base_columns(found.book)
                if not free or found.book.columns[c].label.startswith(free)]
         at = own + ([] if free else _cause_columns(found.book, told))
+        if not np.all(np.isfinite(found.A[np.ix_(at, at)])):
+            break
         change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
         labels = [found.book.columns[c].label for c in own]
         told, better = _search(design, told, labels, change, value)
@@ -154,6 +156,8 @@ def fit(design: Design, told: Explanation, steps: int = 9, noise: bool = True,
         if gained < tolerance and step > 3:
             break
     size = sum(len(cause.values) for cause in told.causes)
+    if size > len(covariance):
+        return told, value, np.full((size, size), np.inf)
     return told, value, covariance[-size:, -size:] if size else np.zeros((0, 0))
 
 
