@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rollerrig.realtime import recorder, ring
+from rollerrig.realtime import recording, ring
 from rollerrig.realtime.ring import Ring
 from rollerrig.wsp_interface import signals
 
@@ -48,8 +48,8 @@ def main():
     folder = Path(sys.argv[1])
     (folder / "scenario.toml").write_text(SCENARIO)
     to = rings()
-    process = recorder.start(folder, *to, {"pacing": "wall", "seed": 7})
-    if not recorder.wait_ready(process, to[0]):
+    process = recording.start(folder, *to, {"pacing": "wall", "seed": 7})
+    if not recording.wait_ready(process, to[0]):
         sys.exit("the recorder did not come")
     print(json.dumps({"rings": [str(one.path) for one in to], "recorder": process.pid}), flush=True)
     number = 0

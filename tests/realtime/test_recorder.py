@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
-from rollerrig.realtime import channels, recorder, records, ring
+from rollerrig.realtime import channels, recorder, recording, records, ring
 from rollerrig.realtime.ring import Ring
 from rollerrig.wsp_interface import signals
 
@@ -151,7 +151,7 @@ def begun(tmp_path):
     """Rings that this process writes, and the recorder that drains them."""
     (tmp_path / "scenario.toml").write_text(paced_writer.SCENARIO)
     to = paced_writer.rings()
-    process = recorder.start(tmp_path, *to)
+    process = recording.start(tmp_path, *to)
     yield tmp_path, to, process
     process.kill()
     process.wait()
@@ -167,7 +167,7 @@ def finish(to, process):
 
 def test_a_finished_run_is_recorded_whole(begun):
     folder, to, process = begun
-    assert recorder.wait_ready(process, to[0])
+    assert recording.wait_ready(process, to[0])
     for number in range(1000):
         paced_writer.write(to, number)
     finish(to, process)
@@ -186,7 +186,7 @@ def test_a_finished_run_is_recorded_whole(begun):
 
 def test_the_recording_holds_the_values_of_the_channels(begun):
     folder, to, process = begun
-    assert recorder.wait_ready(process, to[0])
+    assert recording.wait_ready(process, to[0])
     for number in range(300):
         paced_writer.write(to, number)
     finish(to, process)
@@ -207,7 +207,7 @@ def test_rows_that_were_overrun_are_counted_and_told(begun):
     folder, to, process = begun
     for number in range(6000):  # the recorder has not started yet, and the ring holds 4096
         to[0].push(paced_writer.row(number))
-    assert recorder.wait_ready(process, to[0])
+    assert recording.wait_ready(process, to[0])
     finish(to, process)
     run = records.load(folder)
     assert len(run.table) == 4095
@@ -217,7 +217,7 @@ def test_rows_that_were_overrun_are_counted_and_told(begun):
 
 def test_ctrl_c_is_left_to_the_bench(begun):
     folder, to, process = begun
-    assert recorder.wait_ready(process, to[0])
+    assert recording.wait_ready(process, to[0])
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGHUP)
     time.sleep(0.3)
@@ -228,7 +228,7 @@ def test_ctrl_c_is_left_to_the_bench(begun):
 
 def test_a_recorder_that_is_asked_to_end_completes_the_files(begun):
     folder, to, process = begun
-    assert recorder.wait_ready(process, to[0])
+    assert recording.wait_ready(process, to[0])
     for number in range(50):
         paced_writer.write(to, number)
     process.terminate()
@@ -239,7 +239,7 @@ def test_a_recorder_that_is_asked_to_end_completes_the_files(begun):
 
 def test_the_recorder_gives_way_to_the_bench(begun):
     _, to, process = begun
-    assert recorder.wait_ready(process, to[0])
+    assert recording.wait_ready(process, to[0])
     own = os.getpriority(os.PRIO_PROCESS, 0)
     assert os.getpriority(os.PRIO_PROCESS, process.pid) >= min(own + 5, 19)
     assert os.getsid(process.pid) == process.pid
