@@ -5,7 +5,7 @@ parameters are built; what depends on time, place, speed or past work is compute
 tick. While all coefficients are 0 nothing is computed and no bit changes.
 
     [X1] mu_cd, mu_cr *= exp(sum of terms), terms as `mechanisms.TABLE` writes them
-    [X2] C = (1 + gain) C_0 (1 - fade H) + offset while the brake is applied, not below 0
+    [X2] C = (1 + gain) C_0 (1 - fade H0 (1 - e^(-H / H0))) + offset while the brake is applied, not below 0
 
 The work on a metre of rail reaches the next wheel after the distance between them, as a first-order
 lag of that length: an approximation of the pure delay.
@@ -23,7 +23,7 @@ AXLES = 4
 MIDDLE_SPEED_M_S = 20.0
 CONDITIONS = ("rail_cleaning_gain", "speed_dependent_friction_slope_per_m_s",
               "negative_conditioning_loss", "contaminated_patch_depth", "friction_trend_rate_1_s",
-              "sanding_gain")
+              "sanding_gain", "empirical_linear", "empirical_quadratic")
 TORQUES = ("brake_gain_gain", "pad_fade_fade_1_MJ", "torque_offset_offset_Nm")
 
 
@@ -35,6 +35,7 @@ class Effects(NamedTuple):
     cleaning: float
     cleaning_J_m: float
     speed_slope_s_m: float
+    speed_knee_m_s: float
     conditioning: float
     conditioning_m: float
     patch: float
@@ -45,9 +46,18 @@ class Effects(NamedTuple):
     sand: float
     sand_from_s: float
     sand_to_s: float
+    sand_first: int  # first wheelset that runs on sand, from 0
     gain: np.ndarray
     fade_1_J: float
+    heat_J: float
     offset_Nm: np.ndarray
+    offset_from_Nm: float
+    empirical: int  # covariate by its code in `mechanisms.EMPIRICAL`, 0: none
+    linear: float
+    quadratic: float
+    centre: float
+    scale: float
+    period: float
 
 
 def build(m: Mapping[str, Any]) -> Effects:
@@ -55,14 +65,18 @@ def build(m: Mapping[str, Any]) -> Effects:
     return Effects(
         any(m[name] != 0.0 for name in CONDITIONS), any(m[name] != 0.0 for name in TORQUES),
         m["rail_cleaning_gain"], m["rail_cleaning_energy_J_m"],
-        m["speed_dependent_friction_slope_per_m_s"], m["negative_conditioning_loss"],
-        m["negative_conditioning_distance_m"], m["contaminated_patch_depth"],
+        m["speed_dependent_friction_slope_per_m_s"], m["speed_dependent_friction_knee_m_s"],
+        m["negative_conditioning_loss"], m["negative_conditioning_distance_m"],
+        m["contaminated_patch_depth"],
         m["contaminated_patch_start_m"],
         m["contaminated_patch_start_m"] + m["contaminated_patch_length_m"],
         m["friction_trend_rate_1_s"], m["friction_trend_time_s"], m["sanding_gain"], m["sanding_start_s"],
-        m["sanding_start_s"] + m["sanding_duration_s"],
+        m["sanding_start_s"] + m["sanding_duration_s"], int(m["sanding_behind"] >= 0.5),
         _by_axle(m["brake_gain_gain"], m["brake_gain_axle"]), 1e-6 * m["pad_fade_fade_1_MJ"],
-        _by_axle(m["torque_offset_offset_Nm"], m["torque_offset_axle"]))
+        1e6 * m["pad_fade_heat_MJ"],
+        _by_axle(m["torque_offset_offset_Nm"], m["torque_offset_axle"]),
+        m["torque_offset_from_Nm"], int(m["empirical_covariate"]),
+        *(m[f"empirical_{name}"] for name in ("linear", "quadratic", "centre", "scale", "period")))
 
 
 def _by_axle(value: float, axle: float) -> np.ndarray:
@@ -73,14 +87,35 @@ def _by_axle(value: float, axle: float) -> np.ndarray:
 def friction_factor(state, axle, place_m, effects):
     """What the friction of an axle is multiplied by [X1]."""
     log_mu = effects.cleaning * -math.expm1(-state.rail_work[axle] / effects.cleaning_J_m)
-    log_mu += effects.speed_slope_s_m * (state.vehicle_speed[0] - MIDDLE_SPEED_M_S)
+    log_mu -= effects.speed_slope_s_m * effects.speed_knee_m_s * math.expm1(
+        (MIDDLE_SPEED_M_S - state.vehicle_speed[0]) / effects.speed_knee_m_s)
     log_mu += effects.conditioning * math.expm1(-state.slid[axle] / effects.conditioning_m)
     if effects.patch_from_m <= place_m < effects.patch_to_m:
         log_mu -= effects.patch
     log_mu -= effects.trend_1_s * effects.trend_s * math.expm1(-state.time[0] / effects.trend_s)
-    if effects.sand_from_s <= state.time[0] < effects.sand_to_s:
+    if axle >= effects.sand_first and effects.sand_from_s <= state.time[0] < effects.sand_to_s:
         log_mu += effects.sand
+    if effects.empirical > 0:
+        log_mu += empirical(covariate(state, axle, place_m, effects.empirical), effects)
     return math.exp(log_mu)
+
+
+@kernel
+def covariate(state, axle, place_m, code):
+    """What an empirical term depends on; the codes of `mechanisms.EMPIRICAL`."""
+    return (state.vehicle_speed[0], state.time[0], place_m, state.sliding[axle],
+            state.wheel_load[axle], state.dissipated_energy[axle], 1e-6 * state.brake_work[axle],
+            state.slid[axle], state.wheel_angle[axle])[code - 1]
+
+
+@kernel
+def empirical(x, effects):
+    """Change of ln mu by the empirical term."""
+    if effects.period > 0.0:
+        turn = 2.0 * math.pi * x / effects.period
+        return effects.linear * math.cos(turn) + effects.quadratic * math.sin(turn)
+    z = (x - effects.centre) / effects.scale
+    return effects.linear * z + effects.quadratic * z * z
 
 
 @kernel
@@ -101,5 +136,8 @@ def torque(capacity_Nm, axle, work_J, effects):
     """Brake torque in N m of an axle that has done an amount of brake work [X2]."""
     if capacity_Nm <= 0.0:
         return capacity_Nm
-    changed = capacity_Nm * (1.0 + effects.gain[axle]) * (1.0 - effects.fade_1_J * work_J)
-    return max(0.0, changed + effects.offset_Nm[axle])
+    faded = -effects.fade_1_J * effects.heat_J * math.expm1(-work_J / effects.heat_J)
+    changed = capacity_Nm * (1.0 + effects.gain[axle]) * (1.0 - faded)
+    if capacity_Nm > effects.offset_from_Nm:
+        changed += effects.offset_Nm[axle]
+    return max(0.0, changed)

@@ -6,7 +6,7 @@ default 0 is the base model itself, to the last bit. The same rows give the iden
 bounds, the extended model its keys and the report its words.
 
     friction:  mu_cd and mu_cr of an axle are multiplied by exp(sum of the friction terms)   [X1]
-    torque:    C = (1 + gain) C_0 (1 - fade H) + offset, H the brake work of the wheelset    [X2]
+    torque:    C = (1 + gain) C_0 (1 - fade h(H)) + offset, H the brake work of the wheelset [X2]
     vehicle:   M dv/dt = -sum T - (R + dR + M g gradient)                                    [X3]
     contact:   d lambda/dx = (lambda_0 - lambda) / L, lambda_0 of the base model             [X4]
 
@@ -22,7 +22,11 @@ FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
 
 
 class Mechanism(NamedTuple):
-    """One possible cause. `acts_on` is the place in the model, `axlewise` one axle at a time."""
+    """One possible cause. `acts_on` is the place in the model, `axlewise` one axle at a time.
+
+    The first `free` parameters are coefficients, 0 when the mechanism is absent; the others give
+    its shape. A coefficient whose lower bound is 0 has a sign by nature.
+    """
 
     name: str
     acts_on: str
@@ -31,6 +35,7 @@ class Mechanism(NamedTuple):
     text: str
     source: str
     axlewise: bool = False
+    free: int = 1
 
 
 def _row(name: str, low: float, high: float, text: str, default: float = 0.0) -> Row:
@@ -42,25 +47,29 @@ _AXLE = _row("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
 TABLE: tuple[Mechanism, ...] = (
     Mechanism(
         "rail_cleaning", FRICTION,
-        (_row("gain", -0.5, 1.0, "-"), _row("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
+        (_row("gain", 0.0, 1.0, "-"), _row("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
         "ln mu += gain (1 - exp(-W / energy)), W: work on this metre of rail by the wheels before",
         "leading wheels clean the rail for the following ones", "Allotta et al. 2014; PHYSICS 8"),
     Mechanism(
-        "adhesion_memory", CONTACT, (_row("length_m", 0.0, 50.0, "m"),),
-        "d lambda/dx = (lambda_0 - lambda) / length", "recovery lags the dissipated energy",
+        "adhesion_memory", CONTACT,
+        (_row("length_m", 0.0, 50.0, "m"), _row("speed_power", 0.0, 1.0, "-")),
+        "d lambda/dx = (lambda_0 - lambda) / (length (v / 20 m/s)^speed_power)",
+        "recovery lags the dissipated energy",
         "assumption; PHYSICS 8"),
     Mechanism(
-        "speed_dependent_friction", FRICTION, (_row("slope_per_m_s", -0.05, 0.05, "s/m"),),
-        "ln mu += slope (v - 20 m/s)", "friction depends on the vehicle's speed",
+        "speed_dependent_friction", FRICTION,
+        (_row("slope_per_m_s", -0.05, 0.05, "s/m"), _row("knee_m_s", 2.0, 1e4, "m/s", 1e4)),
+        "ln mu += slope knee (1 - exp(-(v - 20 m/s) / knee)), slope (v - 20 m/s) for a wide knee",
+        "friction depends on the vehicle's speed",
         "Curtius and Kniffler 1950"),
     Mechanism(
         "negative_conditioning", FRICTION,
-        (_row("loss", -0.3, 0.9, "-"), _row("distance_m", 1.0, 500.0, "m", 30.0)),
+        (_row("loss", 0.0, 0.9, "-"), _row("distance_m", 1.0, 500.0, "m", 30.0)),
         "ln mu -= loss (1 - exp(-S / distance)), S: sliding distance of the wheel so far",
         "sliding destroys adhesion", "oil paste: Beagley and Pritchard 1975"),
     Mechanism(
         "contaminated_patch", FRICTION,
-        (_row("depth", -1.0, 1.0, "-"), _row("start_m", -100.0, 1e5, "m"),
+        (_row("depth", 0.0, 1.0, "-"), _row("start_m", -100.0, 1e5, "m"),
          _row("length_m", 0.0, 1e4, "m")),
         "ln mu -= depth for start <= place < start + length", "friction depends on the place",
         "assumption"),
@@ -73,15 +82,19 @@ TABLE: tuple[Mechanism, ...] = (
         "brake_gain", TORQUE, (_row("gain", -0.3, 0.3, "-"), _AXLE),
         "C = (1 + gain) C_0", "the brake gives another torque than told", "PHYSICS 6", True),
     Mechanism(
-        "pad_fade", TORQUE, (_row("fade_1_MJ", -0.1, 0.2, "1/MJ"),),
-        "C = C_0 (1 - fade H), H: brake work of the wheelset so far",
+        "pad_fade", TORQUE,
+        (_row("fade_1_MJ", 0.0, 0.2, "1/MJ"), _row("heat_MJ", 0.1, 1e4, "MJ", 1e4)),
+        "C = C_0 (1 - fade heat (1 - exp(-H / heat))), H: brake work of the wheelset so far",
         "torque falls with the heat of the discs", "PHYSICS 6"),
     Mechanism(
-        "torque_offset", TORQUE, (_row("offset_Nm", -1500.0, 1500.0, "N m"), _AXLE),
-        "C = C_0 + offset", "the torque has an offset", "PHYSICS 6", True),
+        "torque_offset", TORQUE,
+        (_row("offset_Nm", -1500.0, 1500.0, "N m"), _row("from_Nm", -1e4, 1e4, "N m", -1e4), _AXLE),
+        "C = C_0 + offset where C_0 > from", "the torque has an offset", "PHYSICS 6", True),
     Mechanism(
-        "running_resistance", VEHICLE, (_row("force_N", -5000.0, 5000.0, "N"),),
-        "R = R_0 + force", "the vehicle runs with another resistance", "PHYSICS 8"),
+        "running_resistance", VEHICLE,
+        (_row("force_N", -5000.0, 5000.0, "N"), _row("speed_power", 0.0, 2.0, "-")),
+        "R = R_0 + force (v / 20 m/s)^speed_power", "the vehicle runs with another resistance",
+        "PHYSICS 8"),
     Mechanism(
         "track_gradient", VEHICLE, (_row("gradient", -0.03, 0.03, "-"),),
         "R = R_0 + M g gradient; uphill is positive", "the track is not level", "PHYSICS 8"),
@@ -92,10 +105,10 @@ TABLE: tuple[Mechanism, ...] = (
         "wheel_inertia", WHEEL, (_row("fraction", -0.5, 1.0, "-"), _AXLE),
         "J = J_0 (1 + fraction)", "the wheelsets have another inertia", "PHYSICS 8", True),
     Mechanism(
-        "speed_sensor_delay", SENSOR, (_row("delay_s", -0.05, 0.2, "s"), _AXLE),
+        "speed_sensor_delay", SENSOR, (_row("delay_s", 0.0, 0.2, "s"), _AXLE),
         "measured omega(t) = omega(t - delay)", "the wheel speed is told late", "PHYSICS 6", True),
     Mechanism(
-        "torque_sensor_delay", SENSOR, (_row("delay_s", -0.05, 0.2, "s"),),
+        "torque_sensor_delay", SENSOR, (_row("delay_s", 0.0, 0.2, "s"),),
         "measured C(t) = C(t - delay)", "the torque is told late", "PHYSICS 6"),
     Mechanism(
         "wheel_out_of_round", LOAD,
@@ -106,19 +119,20 @@ TABLE: tuple[Mechanism, ...] = (
         "load_transfer", LOAD,
         (_row("body_s2_m", -0.1, 0.1, "s2/m"), _row("bogie_s2_m", -0.1, 0.1, "s2/m")),
         "N = N_0 (1 + d (body b_j + bogie g_j)), d: deceleration, b = ++--, g = +-+-",
-        "braking shifts more load than told", "PHYSICS 8"),
+        "braking shifts more load than told", "PHYSICS 8", free=2),
     Mechanism(
         "sanding", FRICTION,
-        (_row("gain", -1.0, 2.0, "-"), _row("start_s", 0.0, 1e4, "s"),
-         _row("duration_s", 0.0, 1e4, "s")),
-        "ln mu += gain for start <= t < start + duration, each run with its own window",
+        (_row("gain", 0.0, 2.0, "-"), _row("start_s", 0.0, 1e4, "s"),
+         _row("duration_s", 0.0, 1e4, "s"), _row("behind", 0.0, 1.0, "-")),
+        "ln mu += gain for start <= t < start + duration, each run with its own window; behind = 1: "
+        "not under the first wheelset",
         "sand raises friction for a while", "assumption"),
     Mechanism(
         "roller_curvature", CONTACT, (_row("stiffness_fraction", -0.9, 2.0, "-"),),
         "eps = (1 + stiffness_fraction) eps_0", "the patch is that of another curvature",
         "PHYSICS 7"),
     Mechanism(
-        "interfacial_layer", CONTACT, (_row("reduction", -2.0, 0.95, "-"),),
+        "interfacial_layer", CONTACT, (_row("reduction", 0.0, 0.95, "-"),),
         "k_ad, k_ar = (1 - reduction) of the base", "a layer softens the sticking part",
         "Polach 2005; PHYSICS 8"),
     Mechanism(
@@ -127,14 +141,25 @@ TABLE: tuple[Mechanism, ...] = (
         "friction falls with sliding otherwise than told", "Polach 2005; CONTACT user guide"),
 )
 
-BY_NAME: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in TABLE}
+# what `explain` writes down when none of the table explains: a formula, not a cause
+EMPIRICAL = Mechanism(
+    "empirical", FRICTION,
+    (_row("linear", -1e4, 1e4, "-"), _row("quadratic", -1e4, 1e4, "-"),
+     _row("covariate", 0.0, 9.0, "-"), _row("centre", -1e6, 1e6, "of the covariate"),
+     _row("scale", 1e-6, 1e6, "of the covariate", 1.0), _row("period", 0.0, 1e4, "of the covariate")),
+    "ln mu += linear z + quadratic z^2, z = (x - centre) / scale; with a period linear cos(2 pi x / "
+    "period) + quadratic sin(2 pi x / period); x = 1 speed m/s, 2 time s, 3 place m, 4 sliding m/s, "
+    "5 load N, 6 energy J/m, 7 disc heat MJ, 8 sliding distance m, 9 wheel angle rad",
+    "an empirical term of one covariate", "fitted, no physics", free=2)
+
+BY_NAME: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in (*TABLE, EMPIRICAL)}
 
 # those that the plant itself has; the others change recordings only, or are not built in yet
 IN_PLANT = (
     "rail_cleaning", "speed_dependent_friction", "negative_conditioning", "contaminated_patch",
     "friction_trend", "brake_gain", "pad_fade", "torque_offset", "running_resistance",
     "track_gradient", "wheel_radius", "wheel_inertia", "load_transfer", "sanding",
-    "roller_curvature", "interfacial_layer", "falling_friction",
+    "roller_curvature", "interfacial_layer", "falling_friction", "empirical",
 )
 # of these the plant has one value for all axles
 _WHOLE = ("wheel_radius", "wheel_inertia")

@@ -260,11 +260,19 @@ def build(
     )
 
 
+# coefficient of the running resistance that grows with this power of the speed
+RESISTANCE = {0.0: "resistance_A_N", 1.0: "resistance_B_N_s_m", 2.0: "resistance_C_N_s2_m2"}
+
+
 def extended_vehicle(vehicle: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str, Any]:
     """Vehicle values with the resistance, radius and inertia of an extended model."""
     found = dict(vehicle)
-    found["resistance_A_N"] += (extra["running_resistance_force_N"]
-                                + 9.80665 * vehicle["mass_kg"] * extra["track_gradient_gradient"])
+    found["resistance_A_N"] += 9.80665 * vehicle["mass_kg"] * extra["track_gradient_gradient"]
+    power = extra["running_resistance_speed_power"]
+    if power not in RESISTANCE:
+        raise ConfigError(f"[mechanisms] running_resistance_speed_power = {power:g}; allowed are 0 "
+                          "(constant), 1 and 2 (with the speed, with its square)")
+    found[RESISTANCE[power]] += extra["running_resistance_force_N"] / 20.0**power
     found["wheel_radius_m"] *= 1.0 + extra["wheel_radius_fraction"]
     found["wheelset_inertia_kgm2"] *= 1.0 + extra["wheel_inertia_fraction"]
     return found

@@ -8,6 +8,7 @@ wheel parameters of the replay, exactly (the columns of `columns` are its deriva
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import shift
 
 from rollerrig.rig.identify import columns, courses, replay
 from rollerrig.rig.identify.preparation import Design
@@ -63,7 +64,8 @@ def inputs(design: Design, told: Explanation) -> Inputs:
     load = load * np.repeat(1.0 + lift, sizes)
     for run in range(mass.size):
         mass[run] *= 1.0 + base.get(f"mass_{run}", 0.0)
-    found = Inputs(torque, load, design.speed_m_s, friction, p, mass, np.zeros(mass.size))
+    found = Inputs(torque, load, design.speed_m_s, friction, p, mass,
+                   np.zeros(design.vehicle_m_s.size))
     for cause in told.causes:
         found = _with(design, found, cause)
     return found
@@ -76,6 +78,11 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
     if cause.name in courses.NAMES:
         return i._replace(friction_log=i.friction_log
                           + value * courses.course(d, cause.name, cause.shape))
+    if cause.name == "empirical":
+        change = courses.empirical(d, cause.shape) @ np.array(cause.values)
+        if "on_vehicle" in cause.shape:
+            return i._replace(force_N=i.force_N + courses.of_vehicle(d, change))
+        return i._replace(friction_log=i.friction_log + change)
     if cause.name in _COLUMN:
         p = i.parameters.copy()
         for at, sign in _COLUMN[cause.name]:
@@ -84,17 +91,20 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
     if cause.name == "adhesion_memory":
         p = i.parameters.copy()
         p[:, replay.MEMORY] = max(value, 0.0)
+        p[:, replay.MEMORY_POWER] = cause.shape.get("speed_power", 0.0)
         return i._replace(parameters=p)
     if cause.name == "brake_gain":
         return i._replace(torque_Nm=i.torque_Nm * (1.0 + value * mask))
     if cause.name == "torque_offset":
-        return i._replace(torque_Nm=i.torque_Nm + value * mask)
+        return i._replace(torque_Nm=i.torque_Nm
+                          + value * mask * courses.applied(d, cause.shape))
     if cause.name == "pad_fade":
-        return i._replace(torque_Nm=i.torque_Nm * (1.0 - value * d.heat_MJ))
+        return i._replace(torque_Nm=i.torque_Nm * (1.0 - value * courses.heat(d, cause.shape)))
     if cause.name == "running_resistance":
-        return i._replace(force_N=i.force_N + value)
+        return i._replace(force_N=i.force_N + value * courses.resistance(d, cause.shape))
     if cause.name == "track_gradient":
-        return i._replace(force_N=i.force_N + value * GRAVITY * i.mass_kg)
+        mass = np.repeat(i.mass_kg, np.diff(d.vehicle_start))
+        return i._replace(force_N=i.force_N + value * GRAVITY * mass)
     if cause.name == "torque_sensor_delay":
         return i._replace(torque_Nm=shifted(d, i.torque_Nm, np.full(d.segments, value)))
     if cause.name == "speed_sensor_delay":
@@ -130,11 +140,13 @@ def _swing(d: Design, cause: Cause) -> np.ndarray:
 
 
 def shifted(d: Design, values: np.ndarray, by_s: np.ndarray) -> np.ndarray:
-    """values(t + by) in each segment, linear between samples."""
+    """values(t + by) in each segment, by splines of fifth order.
+
+    A straight line between samples would take noise away, which alone looks like a better model.
+    """
     out = values.copy()
     for s in range(d.segments):
         if by_s[s] != 0.0:
             at = d.span(s)
-            index = np.arange(at.stop - at.start, dtype=float)
-            out[at] = np.interp(index + by_s[s] / d.step_s, index, values[at])
+            out[at] = shift(values[at], -by_s[s] / d.step_s, order=5, mode="nearest")
     return out

@@ -21,6 +21,7 @@ from rollerrig.rig.identify.evidence import Scores
 # normalised innovations of a simulated set above this: a wheel locked that did not in the stop
 RUNAWAY = 1.2
 Progress = Callable[[str, float], None]
+Pool = ProcessPoolExecutor | None
 
 
 class Task(NamedTuple):
@@ -34,7 +35,7 @@ class Task(NamedTuple):
 
 
 @contextmanager
-def workers() -> Iterator[ProcessPoolExecutor | None]:
+def workers() -> Iterator[Pool]:
     """A pool of processes, or None on a single core."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     if (cores or 1) < 2:
@@ -66,7 +67,7 @@ def one(task: Task) -> Scores | None:
     return Scores(result.S.astype(np.float32), result.g)
 
 
-def sets(pool: ProcessPoolExecutor | None, data: Dataset, measured: list[Run], told: Explanation,
+def sets(pool: Pool, data: Dataset, measured: list[Run], told: Explanation,
          count: int, seed: int, known: Sequence[str], progress: Progress) -> list[Scores]:
     """Scores of `count` clean sets."""
     # tolerances are drawn afresh: the fitted ones do not belong to the clean sets
@@ -75,7 +76,7 @@ def sets(pool: ProcessPoolExecutor | None, data: Dataset, measured: list[Run], t
     return [s for s in run_all(pool, one, tasks, "clean sets", progress) if s is not None]
 
 
-def run_all(pool: ProcessPoolExecutor | None, work: Callable[[Any], Any], tasks: Sequence[Any],
+def run_all(pool: Pool, work: Callable[[Any], Any], tasks: Sequence[Any],
             title: str, progress: Progress) -> list[Any]:
     """work(task) for all tasks, in order, with progress."""
     if pool is None:

@@ -73,8 +73,11 @@ class _Writer:
                             else vehicle.astype(np.float32))
         return len(self.columns) - 1
 
-    def variant(self, cause: str, columns: list[int], axle: int = 0, **shape: float) -> None:
-        self.variants.append(Variant(cause, tuple(columns), shape, axle))
+    def variant(self, cause: str, columns: list[int], axle: int = 0) -> None:
+        self.variants.append(Variant(cause, tuple(columns), {}, axle))
+
+    def shaped(self, cause: str, column: int, axle: int, shape: dict[str, float]) -> None:
+        self.variants.append(Variant(cause, (column,), shape, axle))
 
 
 def of_axle(design: Design, axle: int) -> np.ndarray:
@@ -175,46 +178,70 @@ def _base(w: _Writer, d: Design, inputs: Inputs, linear: Linear, torque: np.ndar
         w.add(BASE, f"mass_{run}", None, force * mask, tolerance)
 
 
+def _empirical(w: _Writer, d: Design, friction: np.ndarray, shape: dict[str, float]) -> None:
+    found = []
+    for k, course in enumerate(courses.empirical(d, shape).T):
+        if "on_vehicle" in shape:
+            found.append(w.add("empirical", str(k), None,
+                               -courses.of_vehicle(d, course) / vehicle_mass(d)))
+        else:
+            found.append(w.add("empirical", str(k), friction * course))
+    w.variants.append(Variant("empirical", tuple(found), shape, 0))
+
+
 # shapes that the search tries before it refines them
 SHAPES: dict[str, tuple[dict[str, float], ...]] = {
-    "rail_cleaning": ({"energy_J_m": 40.0}, {"energy_J_m": 150.0}, {"energy_J_m": 600.0},
-                      {"energy_J_m": 2000.0}),
-    "speed_dependent_friction": ({},),
-    "friction_trend": ({}, {"time_s": 10.0}),
+    "rail_cleaning": ({"energy_J_m": 10.0}, {"energy_J_m": 40.0}, {"energy_J_m": 150.0},
+                      {"energy_J_m": 600.0}, {"energy_J_m": 2000.0}),
+    "speed_dependent_friction": ({}, {"knee_m_s": 12.0}),
+    "friction_trend": ({}, {"time_s": 10.0}, {"time_s": 4.0}),
     "negative_conditioning": ({"distance_m": 10.0}, {"distance_m": 30.0}, {"distance_m": 100.0}),
 }
+TORQUE_SHAPES: dict[str, tuple[dict[str, float], ...]] = {
+    "torque_offset": ({}, {"from_Nm": 300.0}),
+    "pad_fade": ({}, {"heat_MJ": 3.0}),
+    "running_resistance": ({}, {"speed_power": 1.0}, {"speed_power": 2.0}),
+}
+MEMORY_SHAPES: tuple[dict[str, float], ...] = ({}, {"speed_power": 1.0})
 
 
 def _friction_causes(w: _Writer, d: Design, friction: np.ndarray) -> None:
     for name, shapes in SHAPES.items():
         for shape in shapes:
             at = w.add(name, "", friction * courses.course(d, name, shape))
-            w.variants.append(Variant(name, (at,), shape, 0))
+            w.shaped(name, at, 0, shape)
 
 
 def _shaped(w: _Writer, d: Design, friction: np.ndarray, shaped: Shaped) -> None:
     known = {(v.cause, tuple(sorted(v.shape.items()))) for v in w.variants}
     for name, shape in shaped:
-        if name in courses.NAMES and (name, tuple(sorted(shape.items()))) not in known:
+        if name == "empirical":
+            _empirical(w, d, friction, shape)
+        elif name in courses.NAMES and (name, tuple(sorted(shape.items()))) not in known:
             at = w.add(name, "", friction * courses.course(d, name, shape))
-            w.variants.append(Variant(name, (at,), shape, 0))
+            w.shaped(name, at, 0, shape)
 
 
 def _torque_causes(w: _Writer, d: Design, inputs: Inputs, torque: np.ndarray) -> None:
-    for name, label, change in (("brake_gain", "gain", torque),
-                                ("torque_offset", "offset_Nm", np.ones_like(torque))):
-        at = _torque_column(w, d, inputs, name, label, change)
-        w.variant(name, [at])
+    def axles(name: str, label: str, change: np.ndarray, shape: dict[str, float]) -> None:
+        w.shaped(name, _torque_column(w, d, inputs, name, label, change), 0, shape)
         for j in range(AXLES):
             at = _torque_column(w, d, inputs, name, label, change * of_axle(d, j))
-            w.variant(name, [at], axle=j + 1)
-    at = _torque_column(w, d, inputs, "pad_fade", "fade_1_MJ", -torque * d.heat_MJ)
-    w.variant("pad_fade", [at])
+            w.shaped(name, at, j + 1, shape)
+
+    axles("brake_gain", "gain", torque, {})
+    for shape in TORQUE_SHAPES["torque_offset"]:
+        axles("torque_offset", "offset_Nm", courses.applied(d, shape), shape)
+    for shape in TORQUE_SHAPES["pad_fade"]:
+        at = _torque_column(w, d, inputs, "pad_fade", "fade_1_MJ",
+                            -torque * courses.heat(d, shape))
+        w.shaped("pad_fade", at, 0, shape)
     mass = vehicle_mass(d)
-    at = w.add("running_resistance", "force_N", None, -1.0 / mass)
-    w.variant("running_resistance", [at])
+    for shape in TORQUE_SHAPES["running_resistance"]:
+        at = w.add("running_resistance", "force_N", None, -courses.resistance(d, shape) / mass)
+        w.shaped("running_resistance", at, 0, shape)
     at = w.add("track_gradient", "gradient", None, np.full(mass.size, -9.80665))
-    w.variant("track_gradient", [at])
+    w.shaped("track_gradient", at, 0, {})
 
 
 def _contact_causes(w: _Writer, d: Design, linear: Linear) -> None:
@@ -224,8 +251,9 @@ def _contact_causes(w: _Writer, d: Design, linear: Linear) -> None:
         at = w.add(name, label, linear.rates[:, index])
         w.variant(name, [at])
     # its answer is a finite step of the whole filter, see `tuning`
-    at = w.add("adhesion_memory", "length_m", None)
-    w.variant("adhesion_memory", [at])
+    for shape in MEMORY_SHAPES:
+        w.shaped("adhesion_memory", w.add("adhesion_memory", f"{shape.get('speed_power', 0.0):g}",
+                                          None), 0, shape)
 
 
 def _sensor_causes(w: _Writer, d: Design, inputs: Inputs, linear: Linear,
@@ -274,11 +302,14 @@ def _windows(w: _Writer, d: Design, friction: np.ndarray) -> None:
         low = lowest + i * PLACE_BIN_M
         inside = (d.place_m >= low) & (d.place_m < low + PLACE_BIN_M)
         w.add("place_bin", f"{low:.6g}", friction * inside)
+    behind = 1.0 - of_axle(d, 0)
     for run in range(d.mass_kg.size):
         mask = of_run(d, run)
         for i in range(int(np.ceil(d.ends_s[run] / TIME_BIN_S))):
             inside = (d.time_s >= i * TIME_BIN_S) & (d.time_s < (i + 1) * TIME_BIN_S)
-            w.add("time_bin", f"{run} {i * TIME_BIN_S:.6g}", friction * inside * mask)
+            label, change = f"{run} {i * TIME_BIN_S:.6g}", friction * inside * mask
+            w.add("time_bin", label, change)
+            w.add("time_bin behind", label, change * behind)
 
 
 COVARIATES: dict[str, Callable[[Design, Linear], np.ndarray]] = {

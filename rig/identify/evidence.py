@@ -22,10 +22,11 @@ from rollerrig.rig.identify.candidates import Cause
 from rollerrig.rig.identify.columns import Variant
 from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.identify.tuning import Normal
+from rollerrig.rig.mechanisms import BY_NAME
 
 # what the filter's own numerics may pretend, one deviation, in the unit of the coefficient
 SYSTEMATIC = {
-    "speed_sensor_delay": 0.0015, "torque_sensor_delay": 0.0015, "adhesion_memory": 0.15,
+    "speed_sensor_delay": 0.001, "torque_sensor_delay": 0.001, "adhesion_memory": 0.15,
     "wheel_inertia": 0.012, "wheel_radius": 3e-5, "roller_curvature": 0.02,
     "interfacial_layer": 0.03, "falling_friction": 0.01, "negative_conditioning": 0.005,
 }
@@ -102,6 +103,22 @@ def findings(design: Design, normal: Normal, clean: list[Scores],
     return sorted(chosen, key=lambda f: (f.p_value, -f.statistic))
 
 
+def likely(normal: Normal, count: int) -> list[Cause]:
+    """Causes of greatest nominal score, one shape of each, not yet judged by clean sets."""
+    real, best = scores(normal), {}
+    for variant in normal.book.variants:
+        if generic(variant.cause):
+            continue
+        x, S = _coefficients(real, list(variant.columns))
+        value = 0.0 if _wrong_sign(variant.cause, float(x[0])) else float(x @ S @ x)
+        value -= 3.0 * len(x)
+        if value > best.get(variant.cause, (10.0, None))[0]:
+            best[variant.cause] = (value, Cause(variant.cause, variant.axle, variant.shape,
+                                                tuple(float(v) for v in x)))
+    ranked = sorted(best.values(), key=lambda pair: -pair[0])[:count]
+    return [tuning.bounded(cause) for _, cause in ranked if cause is not None]
+
+
 def _judge(real: Scores, clean: list[Scores], variant: Variant) -> Finding:
     at, size = list(variant.columns), len(variant.columns)
     x, S = _coefficients(real, at)
@@ -116,9 +133,18 @@ def _judge(real: Scores, clean: list[Scores], variant: Variant) -> Finding:
         scale += (SYSTEMATIC[variant.cause] / nominal[0]) ** 2
     statistic = float((x - bias) @ S @ (x - bias)) / scale
     raw = float(np.mean([n @ T @ n for n, T in null]))
+    if _wrong_sign(variant.cause, float(x[0] - bias[0])):
+        statistic = 0.0
     p_value = float(stats.f.sf(statistic / size, size, freedom))
     return Finding(variant.cause, variant.axle, variant.shape, tuple(x - bias), tuple(bias),
                    tuple(nominal * np.sqrt(scale)), statistic, p_value, raw, float(np.sqrt(scale)))
+
+
+def _wrong_sign(cause: str, value: float) -> bool:
+    """Whether a coefficient lies on the side of 0 where the cause does not exist."""
+    row = BY_NAME.get(cause)
+    return row is not None and row.parameters[0].low == 0.0 and value < 0.0 \
+        and cause != "wheel_out_of_round"
 
 
 def _bins(normal: Normal, owner: str) -> list[int]:
@@ -144,14 +170,21 @@ def _tail(value: float, null: np.ndarray) -> float:
     return float(stats.gumbel_r.sf(value, float(null.mean()) - 0.5772 * width, width))
 
 
+def _lowered(windows: np.ndarray) -> np.ndarray:
+    return windows[windows[:, 2] < 0.0]
+
+
 def _patch(normal: Normal, real: Scores, clean: list[Scores]) -> Finding | None:
     at = _bins(normal, "place_bin")
     if len(at) < 4:
         return None
     grid = np.ix_(at, at)
     bias = np.mean([s.g[at] for s in clean], axis=0)
-    null = np.array([_windows(s.S[grid], s.g[at] - bias, 1, MOST_BINS)[:, 3].max() for s in clean])
-    seen = _windows(real.S[grid], real.g[at] - bias, 1, MOST_BINS)
+    null = np.array([_lowered(_windows(s.S[grid], s.g[at] - bias, 1, MOST_BINS))[:, 3].max(initial=0.0)
+                     for s in clean])
+    seen = _lowered(_windows(real.S[grid], real.g[at] - bias, 1, MOST_BINS))
+    if not len(seen):
+        return None
     low, high, x, T = seen[np.argmax(seen[:, 3])]
     label = float(normal.book.columns[at[int(low)]].label)
     length = (high - low) * columns.PLACE_BIN_M
@@ -162,7 +195,16 @@ def _patch(normal: Normal, real: Scores, clean: list[Scores]) -> Finding | None:
 
 
 def _sand(design: Design, normal: Normal, real: Scores, clean: list[Scores]) -> Finding | None:
-    at = _bins(normal, "time_bin")
+    """Sand under all wheelsets, or not under the first: the better of both."""
+    found = [_sand_on(design, normal, real, clean, owner, shape)
+             for owner, shape in (("time_bin", {}), ("time_bin behind", {"behind": 1.0}))]
+    return max((f for f in found if f is not None), key=lambda f: f.statistic - f.expected,
+               default=None)
+
+
+def _sand_on(design: Design, normal: Normal, real: Scores, clean: list[Scores], owner: str,
+             shape: dict[str, float]) -> Finding | None:
+    at = _bins(normal, owner)
     runs = [int(normal.book.columns[c].label.split()[0]) for c in at]
     bias = np.mean([s.g[at] for s in clean], axis=0)
 
@@ -182,7 +224,7 @@ def _sand(design: Design, normal: Normal, real: Scores, clean: list[Scores]) -> 
         return None
     null = np.array([scan(s)[0] for s in clean])
     T, chosen = scan(real)
-    shape, weights, sizes = {}, [], []
+    shape, weights, sizes = dict(shape), [], []
     for run, (low, high, x, t) in chosen.items():
         if t > 0.15 * T:
             shape[f"start_s {design.names[run]}"] = float(low * columns.TIME_BIN_S)

@@ -11,15 +11,25 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify import candidates, clean, evidence, gain, preparation, sensitivity, tuning
+from rollerrig.rig.identify import (
+    candidates,
+    clean,
+    evidence,
+    gain,
+    preparation,
+    sensitivity,
+    tuning,
+    unknown,
+)
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.dataset import Dataset, Run
 from rollerrig.rig.identify.evidence import Finding
 from rollerrig.rig.identify.gain import Gain
 from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.unknown import Formula
 
 CLEAN_SETS, CHECK_SETS = 60, 40
-MOST_FITTED, MOST_CAUSES = 5, 2
+MOST_PROMISING, MOST_FITTED, MOST_BESIDE, MOST_CAUSES = 4, 5, 3, 2
 # a remainder above this share of the first cause's likelihood is not a matter of its shape
 REMAINDER_SHARE = 0.25
 # a second cause below this share of the first is taken for the first one's shape
@@ -57,6 +67,7 @@ class Account(NamedTuple):
     gain: Gain | None
     p_value: float
     notes: list[str]
+    unknown: Formula | None
     elapsed_s: float
 
 
@@ -85,10 +96,12 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
         base, value, _ = tuning.fit(design, candidates.start(design))
         progress("fit of the base", 1.0)
         _check(design, base)
-        nulls = clean.sets(pool, data, measured, base, CLEAN_SETS, seed, (), progress)
+        quiet = _quiet(pool, data, measured, design, base, progress)
+        nulls = clean.sets(pool, data, measured, quiet, CLEAN_SETS, seed, (), progress)
         _enough(nulls)
-        found = evidence.findings(design, tuning.normal(design, base)[0], nulls)
-        told, causes = _choose(pool, data, measured, design, base, value, found, progress)
+        found = evidence.findings(design, tuning.normal(design, quiet)[0], nulls)
+        told, causes = _choose(pool, data, measured, design, base, value, found, MOST_FITTED,
+                               progress)
         remainder: list[Finding] = [f for f in found if evidence.generic(f.name)]
         if causes:
             told, causes, remainder = _second(pool, data, measured, design, told, causes, seed,
@@ -98,14 +111,35 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
         notes: list[str] = list(data.warnings)
         won = _gain(held, base, told, causes, seed, notes)
         verdict = _verdict(causes, remainder, won, notes)
-        if verdict != "explained" and causes:
-            causes, told = (causes, told) if verdict == "partly" else ([], base)
-    verdict = "explained" if verdict == "partly" else verdict
-    if verdict != "explained":
-        won = None
+        formula = None
+        if verdict != "explained":
+            causes, told, won = [], base, None
+        if verdict == "unexplained":
+            progress("formula", 0.0)
+            formula = unknown.find(design, held, quiet, [f for f in found if evidence.generic(f.name)],
+                                   seed)
+            progress("formula", 1.0)
+        if formula is not None:
+            told, won = formula.told, formula.gain
     p_value = min([f.p_value for f in found], default=1.0)
     return Account(data, design, held, base, told, verdict, causes, found, remainder, won,
-                   float(1.0 - (1.0 - p_value) ** 30), notes, time.monotonic() - began)
+                   float(1.0 - (1.0 - p_value) ** 30), notes, formula, time.monotonic() - began)
+
+
+def _quiet(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
+           base: Explanation, progress: clean.Progress) -> Explanation:
+    """The base with the irregularity that is left beside the most promising causes.
+
+    A cause that the base does not have looks like a rougher rail, and would hide in it.
+    """
+    likely = evidence.likely(tuning.normal(design, base)[0], MOST_PROMISING)
+    tasks = [_Fit(data, measured, base._replace(causes=(cause,))) for cause in likely]
+    fits: list[_Fitted] = clean.run_all(pool, fit_one, tasks, "irregularity of the rail", progress)
+    best = min(fits, key=lambda fit: fit.value, default=None)
+    if best is None or best.told.sigma >= base.sigma:
+        return base
+    calm = base._replace(sigma=best.told.sigma, length_m=best.told.length_m)
+    return tuning.fit(design, calm, 4, False)[0]
 
 
 def _check(design: Design, base: Explanation) -> None:
@@ -145,18 +179,18 @@ def blocks(design: Design, told: Explanation) -> np.ndarray:
     return np.array(found)
 
 
-def _choose(pool: object, data: Dataset, measured: list[Run], design: Design, told: Explanation,
-            value: float, found: list[Finding], progress: clean.Progress
+def _choose(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
+            value: float, found: list[Finding], most: int, progress: clean.Progress
             ) -> tuple[Explanation, list[Named]]:
     """The best further cause, with those that cannot be told from it."""
     present = {cause.name for cause in told.causes}
     counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)
                and f.name not in present]
-    counted = sorted(counted, key=lambda f: -f.statistic)[:MOST_FITTED]
+    counted = sorted(counted, key=lambda f: -f.statistic)[:most]
     if not counted:
         return told, []
     tasks = [_Fit(data, measured, told._replace(causes=(*told.causes, f.cause()))) for f in counted]
-    fits: list[_Fitted] = clean.run_all(pool, fit_one, tasks, "fit of causes", progress)  # type: ignore[arg-type]
+    fits: list[_Fitted] = clean.run_all(pool, fit_one, tasks, "fit of causes", progress)
     ratio = [value - fit.value - max(f.expected - len(f.estimate), 0.0)
              - PRICE * EXTRA.get(f.name, 0) for f, fit in zip(counted, fits, strict=True)]
     order = np.argsort(ratio)[::-1]
@@ -192,14 +226,14 @@ def _alike(best: _Fitted, other: _Fitted, ratio: float, less: float) -> bool:
     return ratio - less < 1.64 * max(spread, 1e-9) or ratio - less < 4.0
 
 
-def _second(pool: object, data: Dataset, measured: list[Run], design: Design, told: Explanation,
+def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
             causes: list[Named], seed: int, progress: clean.Progress
             ) -> tuple[Explanation, list[Named], list[Finding]]:
     """Further causes beside the first, and the remainder behind all of them."""
     remainder: list[Finding] = []
     for turn in range(MOST_CAUSES):
         known = tuple(named.finding.name for named in causes)
-        nulls = clean.sets(pool, data, measured, told, CHECK_SETS, seed + 7 + turn, known, progress)  # type: ignore[arg-type]
+        nulls = clean.sets(pool, data, measured, told, CHECK_SETS, seed + 7 + turn, known, progress)
         if len(nulls) < CHECK_SETS // 2:
             break
         value = tuning.deviance(design, told)
@@ -209,7 +243,8 @@ def _second(pool: object, data: Dataset, measured: list[Run], design: Design, to
         found = [f for f in found if f.statistic > floor]
         if len(causes) >= MOST_CAUSES:
             break
-        better, more = _choose(pool, data, measured, design, told, value, found, progress)
+        better, more = _choose(pool, data, measured, design, told, value, found, MOST_BESIDE,
+                               progress)
         if not more or more[0].ratio < floor or more[0].finding.name in causes[0].confusable:
             break
         if not _both_needed(data, measured, better, value):
@@ -243,7 +278,7 @@ def _gain(held: Design | None, base: Explanation, told: Explanation, causes: lis
 
 def _verdict(causes: list[Named], remainder: list[Finding], won: Gain | None,
              notes: list[str]) -> str:
-    """consistent, explained, partly (explained with a remainder), unexplained."""
+    """consistent, explained or unexplained; a small remainder becomes a note."""
     left = [f for f in remainder if evidence.significant(f, 20.0)]
     if not causes:
         return "unexplained" if left else "consistent"
@@ -258,5 +293,4 @@ def _verdict(causes: list[Named], remainder: list[Finding], won: Gain | None,
         return "unexplained"
     if left:
         notes.append(f"a small part remains along {left[0].name.removeprefix('along ')}")
-        return "partly"
     return "explained"

@@ -9,13 +9,14 @@ import math
 from typing import Any
 
 from rollerrig.rig.identify.explain import Account, Named
+from rollerrig.rig.identify.unknown import Formula
 from rollerrig.rig.mechanisms import BY_NAME, IN_PLANT
 
 
 def parameters(named: Named) -> dict[str, dict[str, Any]]:
     """Coefficients of a named cause: value, 95 % interval, unit."""
     rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
-    free = [row for row in rows.values() if row.default == 0.0 and row.name != "axle"]
+    free = BY_NAME[named.cause.name].parameters[: BY_NAME[named.cause.name].free]
     found: dict[str, dict[str, Any]] = {}
     if named.cause.name == "wheel_out_of_round":
         return _swing(named)
@@ -27,10 +28,20 @@ def parameters(named: Named) -> dict[str, dict[str, Any]]:
                            "unit": row.source}
     for name, value in named.cause.shape.items():
         known = rows.get(name)
-        wide = [value / 2.0, value * 2.0] if name in ("energy_J_m", "distance_m", "time_s") else [
-            value - 25.0, value + 25.0] if name.endswith("_m") else [value - 2.0, value + 2.0]
-        found[name] = {"value": value, "ci95": wide, "unit": known.source if known else "s"}
+        found[name] = {"value": value, "ci95": _width(name, value),
+                       "unit": known.source if known else "s"}
     return found
+
+
+def _width(name: str, value: float) -> list[float]:
+    """Interval of a shape: the grid on which it was searched."""
+    if name in ("energy_J_m", "distance_m", "time_s", "knee_m_s", "heat_MJ"):
+        return [value / 2.0, value * 2.0]
+    if name in ("start_m", "length_m"):
+        return [value - 25.0, value + 25.0]
+    if name.startswith(("start_s", "duration_s")):
+        return [value - 2.0, value + 2.0]
+    return [value, value]
 
 
 def _swing(named: Named) -> dict[str, dict[str, Any]]:
@@ -42,6 +53,15 @@ def _swing(named: Named) -> dict[str, dict[str, Any]]:
                           "unit": "-"},
             "phase_rad": {"value": math.atan2(-values[1], values[0]), "ci95": [-math.pi, math.pi],
                           "unit": "rad"}}
+
+
+def _empirical(formula: Formula) -> list[str]:
+    lines = ["", f"# empirical, no physics: {formula.text}"]
+    if "on_vehicle" in formula.cause.shape:
+        return [*lines, "# a force on the vehicle: the plant has no such term"]
+    entries = dict(zip(("linear", "quadratic"), formula.cause.values, strict=True))
+    entries |= formula.cause.shape
+    return [*lines, "[mechanisms]", *(f"empirical_{k} = {v:.6g}" for k, v in entries.items())]
 
 
 def toml(account: Account) -> str:
@@ -63,6 +83,8 @@ def toml(account: Account) -> str:
                 lines.append(f"{named.cause.name}_{name} = {value:.6g}")
         if "axle" in rows:
             lines.append(f"{named.cause.name}_axle = {float(named.cause.axle)}")
+    if account.unknown is not None:
+        lines += _empirical(account.unknown)
     for named in account.causes:
         if named not in kept:
             told = ", ".join(f"{k} = {v['value']:.4g}" for k, v in parameters(named).items())

@@ -50,7 +50,7 @@ def predicted(sliding, speed, load, friction_log, p, step_s, out):
     for k in range(sliding.size):
         share = 1.0
         if p[14] > 0.0:
-            share = 1.0 - np.exp(-speed[k] * step_s / p[14])
+            share = replay.closes(speed[k], step_s, p)
         f, _, late = replay.wheel_adhesion(sliding[k], speed[k], 0.5 * load[k], friction_log[k], p,
                                            late, share)
         out[k] = f

@@ -35,6 +35,7 @@ class Design(NamedTuple):
     mass_kg: np.ndarray  # (runs,)
     measured_rad_s: np.ndarray
     torque_Nm: np.ndarray
+    brake_Nm: np.ndarray  # the same, smoothed over 0.2 s
     load_N: np.ndarray
     speed_m_s: np.ndarray  # of the surface under the wheel, smoothed
     time_s: np.ndarray
@@ -137,7 +138,8 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
     return Design(
         tuple(run.name for run in runs), step, np.array(start),
         np.repeat(np.arange(len(runs)), AXLES), np.tile(np.arange(AXLES), len(runs)),
-        np.array([run.mass_kg for run in runs]), flat["measured"], flat["torque"], flat["load"],
+        np.array([run.mass_kg for run in runs]), flat["measured"], flat["torque"], flat["brake"],
+        flat["load"],
         flat["speed"], flat["time"], flat["place"], flat["sliding"], flat["adhesion"],
         flat["energy"], flat["cleaned"], flat["heat"], flat["slid"], flat["deceleration"],
         flat["angle"], np.array(vehicle_start), np.concatenate(vehicle), np.concatenate(wheels),
@@ -217,7 +219,7 @@ def _run(run: Run, data: Dataset, radius: float, inertia: float, step: float, sp
     place = travelled[:, None] - data.axle_position_m
     on_track = run.surface_m_s is None
     return {
-        "measured": run.wheel_speed_rad_s, "torque": run.torque_Nm, "load": load,
+        "measured": run.wheel_speed_rad_s, "torque": run.torque_Nm, "brake": torque, "load": load,
         "speed": surface, "time": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
         "place": place, "sliding": sliding, "adhesion": adhesion, "energy": energy,
         "cleaned": _work_before(place, energy) if on_track else np.zeros_like(energy),

@@ -9,7 +9,10 @@ their predicted deviation, are white with variance 1 if the model is right.
     [R1] J domega/dt = r N f(v - r omega, v, N) exp(m) - C;  exponential step, exact when linear
     [R2] m: Ornstein-Uhlenbeck in distance, deviation sigma, correlation length L
     [R3] u = v + sum J omega / (M r), du/dt = -(sum C / r + resistance) / M
-    [R4] lambda follows its base value with a share 1 - exp(-v h / length) in each step
+    [R5] cov of (omega, m) after a step h: (b^2 q / 3, b q / 2, q), q = sigma^2 (1 - e^(-2vh/L)),
+         b = d omega / d m in h; without it m would come half a step late and look like a delay
+    [R4] lambda follows its base value with a share 1 - exp(-v h / length) in each step,
+         length = length_0 (v / 20 m/s)^power: power 1 is a lag in time
 
 Source: Simon, Optimal State Estimation (2006), section 13.2; DISCOVERY section 1.
 Limits: first-order filter; two substeps a sample keep its bias below the noise.
@@ -25,9 +28,9 @@ LAW_KEYS = ("mu_cd", "mu_cr", "A_d", "A_r", "gamma_d_s_m", "gamma_r_s_m", "k_ad"
 # columns of a segment's parameters
 RADIUS, INERTIA = 0, 1
 LAW = slice(2, 13)
-EPS1, MEMORY, SIGMA, LENGTH, NOISE, TORQUE_NOISE, CLEANING = 13, 14, 15, 16, 17, 18, 19
+EPS1, MEMORY, SIGMA, LENGTH, NOISE, TORQUE_NOISE, CLEANING, MEMORY_POWER = 13, 14, 15, 16, 17, 18, 19, 20
 MU_CD, GAMMA_D, GAMMA_R, K_AD, K_AR, TAU = 2, 6, 7, 8, 10, 12
-PARAMETERS = 20
+PARAMETERS = 21
 SUBSTEPS = 2
 
 
@@ -57,6 +60,12 @@ def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
         rise = (1.0 - late) * low + late * high + share * (rise - mixed)
         f, done = (1.0 - late) * f_d + late * f_r, late
     return math.copysign(f, sliding), rise, done
+
+
+@kernel
+def closes(speed, step_s, p):
+    """Share of its way that lambda goes in a step [R4]."""
+    return -math.expm1(-speed * step_s / (p[14] * (speed / 20.0) ** p[20]))
 
 
 @kernel
@@ -93,7 +102,7 @@ def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, var
             log_mu = (1.0 - w) * friction_log[k] + w * friction_log[k + 1]
             share = 1.0
             if p[14] > 0.0:
-                share = -math.expm1(-v * h / p[14])
+                share = closes(v, h, p)
             f, rise, late = wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, late, share)
             field = math.exp(m)
             drive = r * N * f * field
@@ -111,8 +120,11 @@ def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, var
             m *= keep
             n00 = growth * growth * p00 + 2.0 * growth * b * p01 + b * b * p11
             n01 = keep * (growth * p01 + b * p11)
-            p11 = keep * keep * p11 + p[15] * p[15] * (1.0 - keep * keep)
-            p00, p01 = n00 + q_omega * phi * phi / SUBSTEPS, n01
+            # noise of m acts while it comes up: [R5]
+            q = p[15] * p[15] * (1.0 - keep * keep)
+            p11 = keep * keep * p11 + q
+            p00 = n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS
+            p01 = n01 + 0.5 * b * q
 
 
 @kernel

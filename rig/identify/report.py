@@ -92,14 +92,10 @@ def _screened(a: Account, name: str) -> dict[str, Any]:
 def _unknown(a: Account) -> dict[str, Any] | None:
     if a.verdict != "unexplained":
         return None
-    left = [f for f in (a.remainder or a.findings) if evidence.generic(f.name)
-            and evidence.significant(f, 20.0)][:2]
-    if not left:
-        left = [f for f in a.findings if evidence.generic(f.name)][:1]
-    terms = " ".join(f"{x:+.3g} b{k}({f.name.removeprefix('along ')})"
-                     for f in left[:1] for k, x in enumerate(f.estimate))
-    return {"formula": f"ln mu += {terms}; b: bumps at quantiles, empirical",
-            "against": [f.name.removeprefix("along ") for f in left], "heldout_gain": None}
+    if a.unknown is not None:
+        return {"formula": a.unknown.text + "; empirical", "against": list(a.unknown.against),
+                "heldout_gain": a.unknown.gain.reduction}
+    return {"formula": None, "against": _worst(a), "heldout_gain": None}
 
 
 def story(a: Account) -> list[str]:
@@ -120,6 +116,8 @@ def story(a: Account) -> list[str]:
     if a.verdict == "unexplained":
         lines.append("Something is wrong that no mechanism of the library explains; it shows "
                      f"against {', '.join(_worst(a))}.")
+        lines.append(f"Empirical: {a.unknown.text}." if a.unknown else
+                     "No formula was found that holds on runs never fitted.")
     if a.gain is not None:
         g = a.gain
         lines.append(

@@ -47,7 +47,7 @@ class Inputs(NamedTuple):
     friction_log: np.ndarray
     parameters: np.ndarray
     mass_kg: np.ndarray
-    force_N: np.ndarray  # (runs,) added to the resistance
+    force_N: np.ndarray  # (vehicle samples,) added to the resistance
 
 
 @kernel
@@ -67,7 +67,7 @@ def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, 
         v, N, C, log_mu = speed[k], load[k], torque[k], friction_log[k]
         share = 1.0
         if p[14] > 0.0:
-            share = -math.expm1(-v * step_s / p[14])
+            share = replay.closes(v, step_s, p)
         before = late
         f, rise, late = replay.wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, before, share)
         force = r * N * math.exp(field[k]) / inertia
@@ -131,9 +131,9 @@ def gains(variance, co, p, step_s, speed, load, torque):
             most = math.sqrt(max(variance[k + 1] - noise, 0.0) / max(p00, 1e-12))
             co[k, 0] = min(co[k, 0], most)
         F00, F01, keep = co[k, 0], co[k, 1], co[k, 2]
-        n01 = keep * (F00 * p01 + F01 * p11)
-        p11 = keep * keep * p11 + p[15] * p[15] * (1.0 - keep * keep)
-        p01 = n01
+        q = p[15] * p[15] * (1.0 - keep * keep)
+        p01 = keep * (F00 * p01 + F01 * p11) + 0.5 * F01 * q
+        p11 = keep * keep * p11 + q
 
 
 @kernel
@@ -200,7 +200,8 @@ def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     spans = [design.span(run * 4 + j) for j in range(4)]
     v = design.speed_m_s[spans[0]]
     A, B, C = design.resistance
-    force = A + B * v + C * v * v + inputs.force_N[run]
+    own = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
+    force = A + B * v + C * v * v + inputs.force_N[own]
     for j, at in enumerate(spans):
         force = force + inputs.torque_Nm[at] / inputs.parameters[run * 4 + j, replay.RADIUS]
     return force / inputs.mass_kg[run]

@@ -21,7 +21,7 @@ from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.kernel import kernel
 
 SUBSTEPS = 5
-FEEDBACK_NS, FEEDBACK_LAG_S = 2000.0, 0.15
+FEEDBACK_NS, FEEDBACK_LAG_S = 2000.0, 0.4
 _GRID_M = 0.25
 
 
@@ -45,7 +45,7 @@ def drive(torque, sliding, load, friction_log, surface, field, place, parameters
             break
         for i in range(SUBSTEPS):
             w = (i + 0.5) / SUBSTEPS
-            force = (resistance[0] + resistance[1] * v + resistance[2] * v * v + extra_N)
+            force = (resistance[0] + resistance[1] * v + resistance[2] * v * v + extra_N[k])
             for j in range(axles):
                 r, inertia = parameters[j, 0], parameters[j, 1]
                 N = (1.0 - w) * load[k, j] + w * load[k + 1, j]
@@ -120,6 +120,7 @@ def _run(data: Dataset, design: Design, run: Run, r: int, i: candidates.Inputs, 
          weight: float, rng: np.random.Generator) -> Run:
     spans = [design.span(AXLES * r + j) for j in range(AXLES)]
     n = run.time_s.size
+    own = slice(int(design.vehicle_start[r]), int(design.vehicle_start[r + 1]))
 
     def square(flat: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.column_stack([flat[at] for at in spans]))
@@ -132,7 +133,7 @@ def _run(data: Dataset, design: Design, run: Run, r: int, i: candidates.Inputs, 
     speed, wheel, C = np.empty(n), np.empty((n, AXLES)), np.empty((n, AXLES))
     drive(square(torque), square(sliding), told_load * (1.0 + lift), square(i.friction_log),
           surface, grid, data.axle_position_m, i.parameters[AXLES * r:AXLES * (r + 1)],
-          i.mass_kg[r] * (1.0 + weight), i.force_N[r], design.resistance, float(surface[0, 0]),
+          i.mass_kg[r] * (1.0 + weight), i.force_N[own], design.resistance, float(surface[0, 0]),
           design.step_s, run.surface_m_s is not None, speed, wheel, C)
     # the sensors: causes that lie in torque or timing are taken out again
     shown = C - square(torque - columns.smooth_torque(design, design.torque_Nm))

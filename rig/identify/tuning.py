@@ -13,13 +13,15 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from rollerrig.rig.identify import candidates, columns, sensitivity
+from rollerrig.rig.identify import candidates, columns, replay, sensitivity
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.columns import BASE, Book
 from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.identify.sensitivity import Inputs, Linear
 
 MEMORY_STEP_M = 2.0
+# irregularity of the rail is short: what lasts longer is to be explained, not to be called noise
+LONGEST_M = 16.0
 # deviation of the offset of a released brake's torque, N m
 _RELEASED_NM = 30.0
 _BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1}
@@ -54,7 +56,7 @@ def prior_deviance(design: Design, told: Explanation) -> float:
                if label.startswith(("torque_gain", "load_gain", "mass")))
     offsets = np.zeros(design.segments)
     for cause in told.causes:
-        if cause.name == "torque_offset":
+        if cause.name == "torque_offset" and not cause.shape:
             offsets += cause.values[0] * ((design.axle == cause.axle - 1) | (cause.axle == 0))
     seen = np.isfinite(design.released_Nm)
     off = (design.released_Nm + offsets)[seen] / np.hypot(design.released_sd_Nm[seen], _RELEASED_NM)
@@ -75,7 +77,7 @@ def normal(design: Design, told: Explanation, only: frozenset[str] | None = None
     root = np.sqrt(linear.variance)
     for c, column in enumerate(book.columns):
         if column.owner == "adhesion_memory":
-            Z[:, c] = _memory_answer(design, told, i, linear) / root
+            Z[:, c] = _memory_answer(design, i, linear, float(column.label)) / root
     V = np.empty_like(book.vehicle)
     for run in range(design.mass_kg.size):
         at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
@@ -89,10 +91,14 @@ def normal(design: Design, told: Explanation, only: frozenset[str] | None = None
     return Normal(A, b, book), linear, i, Z
 
 
-def _memory_answer(design: Design, told: Explanation, i: Inputs, linear: Linear) -> np.ndarray:
+def _memory_answer(design: Design, i: Inputs, linear: Linear, power: float) -> np.ndarray:
     # no derivative exists at length 0 that a filter's noise would not spoil: a finite step
     p = i.parameters.copy()
-    p[:, 14] = p[:, 14] + MEMORY_STEP_M
+    known = bool(np.any(p[:, replay.MEMORY] > 0.0))
+    if known and np.any(p[:, replay.MEMORY_POWER] != power):
+        return np.zeros(design.measured_rad_s.size)  # the other shape is taken already
+    p[:, replay.MEMORY] += MEMORY_STEP_M
+    p[:, replay.MEMORY_POWER] = power
     return (sensitivity.innovations(design, i._replace(parameters=p))[0]
             - linear.nu) / MEMORY_STEP_M
 
@@ -102,14 +108,15 @@ def _priors(design: Design, told: Explanation, book: Book, A: np.ndarray, b: np.
         if column.prior > 0.0:
             A[c, c] += 1.0 / column.prior**2
             b[c] += told.base.get(column.label, 0.0) / column.prior**2
-    present = {(cause.name, cause.axle): cause.values[0] for cause in told.causes if cause.values}
+    present = {(cause.name, cause.axle): cause.values[0] for cause in told.causes
+               if cause.values and not cause.shape}
     offset = sum(v for (name, axle), v in present.items() if name == "torque_offset" and axle == 0)
     for s in range(design.segments):
         if not np.isfinite(design.released_Nm[s]):
             continue
         sd2 = design.released_sd_Nm[s] ** 2 + _RELEASED_NM**2
         own = offset + present.get(("torque_offset", int(design.axle[s]) + 1), 0.0)
-        acts = [v.columns[0] for v in book.variants if v.cause == "torque_offset"
+        acts = [v.columns[0] for v in book.variants if v.cause == "torque_offset" and not v.shape
                 and v.axle in (0, int(design.axle[s]) + 1)]
         for c in acts:
             b[c] += (design.released_Nm[s] + own) / sd2
@@ -205,7 +212,7 @@ def bounded(cause: Cause) -> Cause:
     """The cause with its coefficients inside the bounds of the table of mechanisms."""
     from rollerrig.rig.mechanisms import BY_NAME
 
-    rows = [row for row in BY_NAME[cause.name].parameters if row.default == 0.0]
+    rows = BY_NAME[cause.name].parameters[: BY_NAME[cause.name].free]
     if cause.name == "wheel_out_of_round":
         return cause._replace(values=tuple(float(np.clip(v, -0.3, 0.3)) for v in cause.values))
     limited = [float(np.clip(v, rows[min(k, len(rows) - 1)].low, rows[min(k, len(rows) - 1)].high))
@@ -223,7 +230,7 @@ def fit_noise(design: Design, told: Explanation, value: float) -> tuple[Explanat
     x0 = np.log([told.sigma, told.length_m])
     simplex = x0 + np.array([[0.0, 0.0], [-0.15, 0.0], [0.0, -0.3]])
     best = minimize(cost, x0, method="Nelder-Mead", bounds=[(np.log(1e-3), np.log(0.5)),
-                                                              (np.log(1.0), np.log(60.0))],
+                                                              (np.log(1.0), np.log(LONGEST_M))],
                     options={"maxfev": 18, "initial_simplex": simplex, "fatol": 0.3})
     if best.fun < value:
         return told._replace(sigma=float(np.exp(best.x[0])), length_m=float(np.exp(best.x[1]))), \

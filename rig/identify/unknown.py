@@ -1,0 +1,101 @@
+"""A formula for what no mechanism explains: one covariate, two coefficients, marked as empirical.
+
+The covariates along which the remainder is smooth are tried with a polynomial of second order, those
+of place and wheel angle with a wave as well. A formula is kept only when it makes runs better that
+were never fitted; otherwise the report says against what the remainder shows, and no more.
+
+    [N1] ln mu += a z + b z^2, z = (x - centre) / scale;  or a cos(2 pi x / p) + b sin(2 pi x / p)
+    [N2] R += a z + b z^2 in N, x the vehicle's speed or time
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.identify import courses, gain, sensitivity, tuning
+from rollerrig.rig.identify.candidates import Cause, Explanation, inputs
+from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.gain import Gain
+from rollerrig.rig.identify.preparation import Design
+
+MOST_TRIED = 3
+# likelihood that two coefficients (and a period) must earn
+LEAST = 20.0
+PERIODS_M = np.geomspace(4.0, 150.0, 400)
+UNITS = {"speed": "m/s", "time": "s", "place": "m", "sliding": "m/s", "load": "N",
+         "energy": "J/m", "disc_heat": "MJ", "slid": "m", "wheel_angle": "rad"}
+
+
+class Formula(NamedTuple):
+    """An empirical term: its cause, the explanation with it, its words, its worth."""
+
+    cause: Cause
+    told: Explanation
+    text: str
+    against: tuple[str, ...]
+    gain: Gain
+
+
+def find(design: Design, held: Design | None, base: Explanation, remainder: Sequence[Finding],
+         seed: int) -> Formula | None:
+    """The best formula that holds on runs never fitted, or None."""
+    if held is None:
+        return None
+    value = tuning.deviance(design, base)
+    tried = []
+    for shape in _shapes(design, base, remainder):
+        told, better, _ = tuning.fit(
+            design, base._replace(causes=(*base.causes, Cause("empirical", 0, shape, (0.0, 0.0)))), 6)
+        if value - better > LEAST:
+            tried.append((better, told))
+    for _, told in sorted(tried, key=lambda pair: pair[0]):
+        won = gain.measure(held, base, told, seed)
+        if won.claimed:
+            cause = told.causes[-1]
+            name = courses.COVARIATES[int(cause.shape["covariate"])]
+            return Formula(cause, told, text(cause), (name,), won)
+    return None
+
+
+def _shapes(design: Design, base: Explanation, remainder: Sequence[Finding]
+            ) -> list[dict[str, float]]:
+    names = [f.name.removeprefix("along ") for f in sorted(remainder, key=lambda f: f.p_value)]
+    found = []
+    for name in names:
+        on_vehicle = name.startswith("vehicle ")
+        name = name.removeprefix("vehicle ")
+        if name not in courses.COVARIATES:
+            continue
+        code = float(courses.COVARIATES.index(name))
+        if name == "wheel_angle":
+            found += [{"covariate": code, "period": 2.0 * np.pi / k} for k in (1, 2)]
+            continue
+        x = courses.covariate(design, name)
+        shape = {"covariate": code, "centre": float(np.mean(x)), "scale": float(np.std(x))}
+        found.append({**shape, "on_vehicle": 1.0} if on_vehicle else shape)
+    found = found[:MOST_TRIED]
+    found.append({"covariate": float(courses.COVARIATES.index("place")),
+                  "period": _period(design, base)})
+    return found
+
+
+def _period(design: Design, base: Explanation) -> float:
+    """Period in m of the strongest wave of the filtered irregularity along the rail."""
+    _, _, field, _, _ = sensitivity.innovations(design, inputs(design, base))
+    x = courses.covariate(design, "place")
+    use = slice(None, None, 5)
+    wave = np.exp(2j * np.pi * x[use][:, None] / PERIODS_M)
+    return float(PERIODS_M[np.argmax(np.abs((field[use] - field.mean()) @ wave))])
+
+
+def text(cause: Cause) -> str:
+    """The formula in words and numbers."""
+    name = courses.COVARIATES[int(cause.shape["covariate"])]
+    unit, (a, b) = UNITS[name], cause.values
+    left, number = ("R", "N") if "on_vehicle" in cause.shape else ("ln mu", "")
+    if "period" in cause.shape:
+        turn = f"2 pi {name} / {cause.shape['period']:.4g} {unit}"
+        return f"{left} += {a:+.3g} cos({turn}) {b:+.3g} sin({turn})"
+    z = f"z = ({name} - {cause.shape['centre']:.4g} {unit}) / {cause.shape['scale']:.4g} {unit}"
+    return f"{left} += {a:+.3g} {number} z {b:+.3g} {number} z^2, {z}".replace("  ", " ")
