@@ -149,7 +149,7 @@ class Bench:
             running.add_signal_handler(signum, self.stop, "interrupted")
         try:
             await self._start_recorder()
-            warm_up(self.machine, self.options.pacing)
+            warm_up(self.machine, self.options.pacing, self.options.unit)
             await getattr(self, f"_run_{self.options.pacing}")()
         except RollerrigError as error:
             failure = error
@@ -635,8 +635,8 @@ def sensor_of(plan: Scenario) -> pole_wheel.Sensor:
                              given["timer_Hz"], 1.0 / tick_hz)
 
 
-def warm_up(machine: Machine, pacing: str) -> None:
-    """Compile, or load, what the pacing calls, without running a tick."""
+def warm_up(machine: Machine, pacing: str, unit: str = "none") -> None:
+    """Compile, or load, what the pacing calls with a unit, without running a tick."""
     if pacing == "wall":
         stop = machine.control[STOP]
         machine.control[STOP] = 1
@@ -645,7 +645,8 @@ def warm_up(machine: Machine, pacing: str) -> None:
                   np.zeros(3, dtype=np.int64), 0)
         os.close(descriptor)
         machine.control[STOP] = stop
-    else:
+    elif pacing == "lockstep" or unit != "reference":
+        # a free run with the reference unit calls that inside its own loop, and compiles it there
         tick.batch(machine, 0)
     # the bus thread's own calls: a compiler in the first SYNC cycle would look like a lost unit
     mailbox.fetch(machine.published, machine.row.copy())

@@ -49,7 +49,7 @@ def call(given: argparse.Namespace) -> int:
     if not 1.0 <= given.seconds <= 3600.0:
         raise ConfigError(f"--seconds {given.seconds:g}: allowed are 1 to 3600 s")
     if not kernel.is_compiled():
-        say("compiling the kernels, once after an installation (one to one and a half minutes) ...")
+        say("compiling the kernels, once after an installation (about half a minute) ...")
     console, results = Console(), {}
     for name in dict.fromkeys(given.name):
         module = importlib.import_module(f"rollerrig.realtime.benchmarks.{name}")

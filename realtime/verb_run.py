@@ -51,7 +51,7 @@ def call(given: argparse.Namespace) -> int:
     bench.check_options(options)
     line = ProgressLine()
     if not kernel.is_compiled():
-        line.message("compiling the kernels, once after an installation (one to one and a half minutes) ...")
+        line.message("compiling the kernels, once after an installation (about half a minute) ...")
     result = asyncio.run(bench.Bench(plan, options, line).run())
     line.end()
     if given.json:

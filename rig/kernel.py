@@ -54,7 +54,9 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
     with contextlib.suppress(OSError):
         settings.CACHE_DIR = str(_cache_folder())
 
-kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
+# no kernel is handed to another as a function, so none needs a C function of its own beside it
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+kernel = numba.njit(**_OPTIONS)
 # for what every step calls with the whole state: its hundreds of array fields would be copied for
 # each call; the arithmetic is the same to the last bit
-kernel_inlined = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+kernel_inlined = numba.njit(**_OPTIONS, forceinline=True)

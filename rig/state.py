@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig import state_type
+from rollerrig.rig.multibody import memory
+
 AXLES = 4
 # valve states
 FILL, HOLD, VENT = 0, 1, 2
@@ -78,6 +81,7 @@ for _name in State._fields[:-1]:
     SLOTS[_name] = slice(_at, _at + _width)
     _at += _width
 SIZE = _at
+state_type.tell(State, SLOTS | {"coach": slice(SIZE, SIZE + memory.SIZE)})
 
 
 def views(buffer: np.ndarray) -> State:

@@ -31,7 +31,7 @@ DRAWS = {"recorder", "live", "views", "viewer", "drawing", "scene", "study_view"
 PACKAGES = {"contact", "multibody"}
 # what each file of the physics may know of its siblings; only the plant names them all
 SIBLINGS = {
-    "kernel": set(), "state": set(), "params": {"effects", "mechanisms"},
+    "kernel": set(), "state_type": set(), "state": {"state_type"}, "params": {"effects", "mechanisms"},
     "brake": {"kernel", "state"}, "motor": {"kernel", "state"}, "vehicle": {"kernel", "state"},
     "wheelset": {"kernel", "state", "vehicle"},
 }

@@ -21,13 +21,14 @@ creepage is sliding over that floor. Doubt: a locked wheel (e = 1) recovers; the
 import math
 from typing import NamedTuple
 
-from rollerrig.rig.contact import hertz, kalker, polach
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.contact import hertz, kalker, polach, polach_spin
+from rollerrig.rig.kernel import kernel, kernel_inlined
 
 SPEED_FLOOR_M_S = 0.1
 LARGEST = 1e30  # sliding, load and k beyond it count as it, so that infinity makes no NaN
 SMALLEST = 1e-290  # energy exponents k f below it count as 0, before they lose digits
 INVERSE_E, INVERSE_E_REST = 0.36787944117144233, -1.2428753672788363e-17  # 1/e in two doubles
+FEW_DIGITS = 0.02  # energy exponents k f below it have lost digits in a difference, above it none of 12
 NEAR_BRANCH = 0.05  # below this p = sqrt(2 (1 + e x)) the series of W0 is exact to the last digit
 
 
@@ -36,7 +37,8 @@ class Patch(NamedTuple):
 
     Semi-axes a = a1 N^(1/3) along and b = b1 N^(1/3) across the rolling direction, a1 and b1 in
     m N^(-1/3); c11 to c33 are Kalker's, constant as a/b is; mu eps / |e| = eps1 N^(-1/3) [P2].
-    `model` and `cells` choose the tangential model (`creep_force.MODELS`) and FASTSIM's grid.
+    `model` and `cells` choose the tangential model (`creep_force.MODELS`) and FASTSIM's grid; `slim`
+    is `polach_spin.slimness`.
     """
 
     a1: float
@@ -50,6 +52,7 @@ class Patch(NamedTuple):
     c33: float
     model: int
     cells: int
+    slim: float
 
 
 class Law(NamedTuple):
@@ -105,6 +108,7 @@ def patch_for(
     return Patch(
         a1, b1, c11, shear_Pa, hertz.stiffness(A, B, young_Pa, poisson),
         polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0), c22, c23, c33, model, cells,
+        polach_spin.slimness(a1 / b1),
     )
 
 
@@ -125,7 +129,7 @@ def lambert_w0(x):
     return w
 
 
-@kernel
+@kernel_inlined
 def _w0(x, p2):
     """W0(x) for x <= 0, given p2 = 2 (1 + e x), which a caller may know better than x tells."""
     p = math.sqrt(max(p2, 0.0))
@@ -144,7 +148,7 @@ def _near_branch(p):
             -1963.0 / 204120.0 + p * 226287557.0 / 37623398400.0))))))))
 
 
-@kernel
+@kernel_inlined
 def _refined(w, log_x_over_w):
     """A better w of w exp(w) = x, of fourth order; source: Fritsch, Shafer and Crowley 1973."""
     z = log_x_over_w - w
@@ -158,7 +162,7 @@ def recover(f_d, f_r, k):
     return recovery(f_d, f_r, k)[0]
 
 
-@kernel
+@kernel_inlined
 def recovery(f_d, f_r, k):
     """The pair (f, lambda) of [A5] and [A2]; without energy (k = 0) exactly (f_d, 0).
 
@@ -184,7 +188,7 @@ def recovery(f_d, f_r, k):
         p2 = -2.0 * (fall + (most - 1.0 - least) * (1.0 + fall))
     w = _w0(argument, p2)
     y = most + w  # y = k f = tau W_sp [A5]
-    if y > 0.2:
+    if y > FEW_DIGITS:
         done = 1.0 + w / drive  # exp(-y) = -w / drive
     else:  # few digits of y are left: one step of Newton on y = least + drive (1 - exp(-y))
         done = -math.expm1(-y)

@@ -10,7 +10,7 @@ paper's Table 8 compares the same four.
 """
 
 from rollerrig.rig.contact import degraded_force, fastsim, johnson_vermeulen, polach, polach_spin
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 
 DEGRADED, POLACH, FASTSIM, JOHNSON_VERMEULEN = range(4)
 MODELS = {"degraded": DEGRADED, "polach": POLACH, "fastsim": FASTSIM,
@@ -18,7 +18,7 @@ MODELS = {"degraded": DEGRADED, "polach": POLACH, "fastsim": FASTSIM,
 LARGEST = 1e6  # creepage and spin count as no more: the contact slides fully long before
 
 
-@kernel
+@kernel_inlined
 def creep_force(model, xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """Creep force and moment on one wheel: (fx_N, fy_N, mz_Nm), against creepage and spin.
 
@@ -40,7 +40,7 @@ def creep_force(model, xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     return johnson_vermeulen.force(x, y, z, mu, load_N, patch)
 
 
-@kernel
+@kernel_inlined
 def limited(creepage):
     """A creepage or spin within what the models can square."""
     return min(max(creepage, -LARGEST), LARGEST)

@@ -14,13 +14,13 @@ Source: Kalker 1967 for [Z2]; the shape [Z1] is ours, read off 54 results of CON
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel_inlined
 
 TURNING = 0.58  # m_max over mu N sqrt(a b); 0.589 for a Hertzian circle on the spot (3 pi / 16)
 FADE = 0.7
 
 
-@kernel
+@kernel_inlined
 def moment(xi, eta, phi_1_m, limit_N, a_m, b_m, patch):
     """Moment in N m on the wheel [Z1] for limit_N = mu N > 0, spin phi_1_m, semi-axes a_m and b_m."""
     if eta == 0.0 and phi_1_m == 0.0:

@@ -16,10 +16,10 @@ nothing recovers. Without lateral creepage and spin all is as in `adhesion.degra
 """
 
 from rollerrig.rig.contact import adhesion, creep_moment, polach, polach_spin
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel_inlined
 
 
-@kernel
+@kernel_inlined
 def force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """(fx_N, fy_N, mz_Nm, lambda_, W_sp_J_m) of one wheel; forces act on it, against creepage.
 
@@ -32,8 +32,9 @@ def force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     a, b = patch.a1 * growth, patch.b1 * growth
     limit_d = load_N * polach.friction(sliding_m_s, law.mu_cd, law.A_d, law.gamma_d_s_m)
     limit_r = load_N * polach.friction(sliding_m_s, law.mu_cr, law.A_r, law.gamma_r_s_m)
-    dx, dy = polach_spin.within(xi, eta, phi_1_m, limit_d, a, b, patch, law.k_ad, law.k_sd)
-    rx, ry = polach_spin.within(xi, eta, phi_1_m, limit_r, a, b, patch, law.k_ar, law.k_sr)
+    approached = polach_spin.approach(xi, eta, phi_1_m, a, b, patch)
+    dx, dy = polach_spin.within(approached, xi, eta, limit_d, law.k_ad, law.k_sd)
+    rx, ry = polach_spin.within(approached, xi, eta, limit_r, law.k_ar, law.k_sr)
     W_d = max(-(dx * xi + dy * eta), 0.0)  # [D2]
     W_r = max(-(rx * xi + ry * eta), 0.0)
     W, lambda_ = adhesion.recovery(W_d, W_r, law.tau_m_J)  # [D3]

@@ -33,7 +33,6 @@ from rollerrig.rig.contact.profiles import (
     AT_COSINE,
     AT_M,
     AT_NORMAL_M,
-    AT_RADIUS_M,
     AT_SLOPE,
     COSINE,
     CURVATURE_1_M,
@@ -171,9 +170,7 @@ def misfits(F, row, first, step, pose, axle, roller_m, wheel, rail):
     coarse, nodes = wheel.coarse, rail.nodes
     count = coarse.shape[0]
     if not math.isinf(roller_m):
-        for i in range(first, count, step):
-            F[row, i] = matched(coarse[i, AT_M], coarse[i, AT_RADIUS_M], coarse[i, AT_SLOPE], pose,
-                                axle, roller_m, rail)[0]
+        misfits_on_roller(F, row, first, step, pose, axle, roller_m, wheel, rail)
         return
     s2 = 1.0 - ex * ex
     s = math.sqrt(s2)
@@ -194,6 +191,42 @@ def misfits(F, row, first, step, pose, axle, roller_m, wheel, rail):
         z = nodes[k, Z_M] + fall * rail.sines_per_node * (nz - nodes[k, COSINE])
         q = coarse[i, AT_NORMAL_M]
         F[row, i] = (pose[1] + q * ey - y) * nz - (pose[2] + q * ez - z) * ny
+
+
+@kernel_inlined
+def misfits_on_roller(F, row, first, step, pose, axle, roller_m, wheel, rail):
+    """`misfits` on a roller: [G6] with n = (c q_x / h, n_y, c q_z / h), for q from the roller's axis.
+
+    n . e is the sine of the wheel's slope, which gives n_y and c; h and 1 - e_y^2 to second order.
+    """
+    ex, ey, ez = axle
+    coarse, nodes = wheel.coarse, rail.nodes
+    px, pz = pose[0], pose[2] + roller_m
+    h0 = math.sqrt(px * px + pz * pz)
+    unit = 1.0 / h0
+    along, sideways = (px * ex + pz * ez) * unit, ex * ex + ez * ez
+    last = nodes.shape[0] - 2
+    middle = 0.5 * (last + 1)
+    for i in range(first, coarse.shape[0], step):
+        q = coarse[i, AT_NORMAL_M]
+        part = q * unit
+        grown = part * (along + 0.5 * part * sideways)
+        grown -= 0.5 * grown * grown
+        # how far e leans along q
+        lean = (along + part * sideways) * (1.0 - grown + grown * grown)
+        rest = sideways - lean * lean
+        more = 1.0 + rest + rest * rest
+        cosine = coarse[i, AT_COSINE]
+        sine = coarse[i, AT_SLOPE] * cosine
+        upright = math.sqrt(max(cosine * cosine - rest, 0.0))
+        ny = (sine * ey - lean * upright) * more
+        c = (sine * lean + ey * upright) * more
+        place = middle - ny * rail.sines_per_node
+        k = min(max(int(place), 0), last)
+        fall = nodes[k, Y_M] - nodes[k + 1, Y_M]
+        y = nodes[k, Y_M] - fall * min(max(place - k, 0.0), 1.0)
+        z = nodes[k, Z_M] + fall * rail.sines_per_node * (c - nodes[k, COSINE])
+        F[row, i] = (roller_m + z - h0 * (1.0 + grown)) * ny + (pose[1] + q * ey - y) * c
 
 
 @kernel

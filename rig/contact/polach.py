@@ -16,12 +16,12 @@ average and 0.054 mu N at most over 25 creepages on a rail (lateral radius 0.3 m
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 
 LARGEST_EPS = 1e150  # its square is still finite; the force is saturated long before
 
 
-@kernel
+@kernel_inlined
 def friction(sliding_m_s, mu_c, A, gamma_s_m):
     """Friction coefficient at a sliding speed of either sign [P1], paper eq. 13; 0 < A."""
     # without decay infinite sliding would give 0 * inf
@@ -40,7 +40,7 @@ def eps_per_creepage(a_m, b_m, c11, shear_Pa, load_N):
     return 0.25 * math.pi * shear_Pa * c11 * a_m * b_m / load_N
 
 
-@kernel
+@kernel_inlined
 def shape(eps, k_a, k_s):
     """Adhesion over friction, f / mu of [P3], and its derivative to eps: (odd, even) in eps.
 

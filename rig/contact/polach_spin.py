@@ -13,6 +13,7 @@ adds a lateral force of its own, exact at small spin and gone at full sliding.
 [S6] q = 8/3 G b sqrt(a b) c23 / (mu N) eta_c / (1 + 6.3 (1 - exp(-a/b)))
 [S7] M_z by `creep_moment`
 
+What holds for any friction limit is computed once (`approach`): degraded adhesion has two limits.
 Source: Polach, Vehicle System Dynamics Suppl. 33 (1999) 728-739; paper eqs. 14 and 18. Doubt: [S7]
 is ours, and so is n, where Polach has (xi, eta) / e throughout. Limits: the sum of both parts may
 exceed mu N a little; with spin the error against CONTACT is 0.10 mu N in the mean and reaches 0.33
@@ -21,11 +22,20 @@ exceed mu N a little; with spin the error against CONTACT is 0.10 mu N in the me
 
 import math
 
-from rollerrig.rig.contact import creep_moment, johnson_vermeulen, polach
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.contact import creep_moment, polach
+from rollerrig.rig.contact.johnson_vermeulen import TURN
+from rollerrig.rig.kernel import kernel, kernel_inlined
+
+QUARTER_PI = 0.25 * math.pi
 
 
 @kernel
+def slimness(a_over_b):
+    """What the shape of a patch does to the force of spin, in [S4] and [S6]."""
+    return 1.0 - 6.3 * math.expm1(-a_over_b)
+
+
+@kernel_inlined
 def force(xi, eta, phi_1_m, mu, load_N, patch, k_a, k_s):
     """Creep force and moment on the wheel (fx_N, fy_N, mz_Nm), against creepage and spin.
 
@@ -36,43 +46,64 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, k_a, k_s):
         return 0.0, 0.0, 0.0
     growth = load_N ** (1.0 / 3.0)
     a, b = patch.a1 * growth, patch.b1 * growth
-    fx, fy = within(xi, eta, phi_1_m, limit, a, b, patch, k_a, k_s)
+    fx, fy = within(approach(xi, eta, phi_1_m, a, b, patch), xi, eta, limit, k_a, k_s)
     return fx, fy, creep_moment.moment(xi, eta, phi_1_m, limit, a, b, patch)  # [S7]
 
 
-@kernel
-def within(xi, eta, phi_1_m, limit_N, a_m, b_m, patch, k_a, k_s):
-    """The force (fx_N, fy_N) alone, for limit_N = mu N > 0 and semi-axes a_m along and b_m across."""
+@kernel_inlined
+def approach(xi, eta, phi_1_m, a_m, b_m, patch):
+    """All of [S1] to [S6] that holds for any friction limit: (lx, ly, size, size_e, eps, part, pull, q).
+
+    Kalker's force and its size in N; the size over e, eps mu N and e / e_c (0 without creepage); of
+    the spin's force [S4] its share of mu N |K|, signed, and q mu N. Semi-axes a_m along, b_m across.
+    """
     eta_c = corrected(eta, phi_1_m * a_m)
-    e2, e_c = xi * xi + eta * eta, math.sqrt(xi * xi + eta_c * eta_c)
+    e, e_c = math.sqrt(xi * xi + eta * eta), math.sqrt(xi * xi + eta_c * eta_c)
+    stiff = patch.shear_Pa * a_m * b_m
+    lx, ly = -stiff * patch.c11 * xi, -stiff * patch.c22 * eta
+    size = math.sqrt(lx * lx + ly * ly)
+    size_e, eps_limit, part, pull, q_limit = 0.0, 0.0, 0.0, 0.0, 0.0
+    if e > 0.0:
+        size_e, part = size / e, e / e_c
+        eps_limit = QUARTER_PI * size_e * e_c
+    if phi_1_m != 0.0 and e_c > 0.0:
+        q_limit = (8.0 / 3.0 * patch.shear_Pa * b_m * math.sqrt(a_m * b_m) * patch.c23 * abs(eta_c)
+                   / patch.slim)
+        pull = 0.5625 * a_m * patch.slim * phi_1_m / e_c
+    return lx, ly, size, size_e, eps_limit, part, pull, q_limit
+
+
+@kernel_inlined
+def within(approached, xi, eta, limit_N, k_a, k_s):
+    """The force (fx_N, fy_N) for limit_N = mu N > 0; `approached` by `approach`, for this creepage."""
+    lx, ly, size, size_e, eps_limit, part, pull, q_limit = approached
+    inverse = 1.0 / limit_N
     fx, fy = 0.0, 0.0
-    if e2 > 0.0:
-        lx, ly = johnson_vermeulen.linear(xi, eta, 0.0, a_m, b_m, patch)
-        u = math.sqrt(lx * lx + ly * ly) / limit_N
-        e = math.sqrt(e2)
-        size = limit_N * polach.shape(0.25 * math.pi * u * e_c / e, k_a, k_s)[0] * e / e_c  # [S2]
-        nx, ny = johnson_vermeulen.direction(lx, ly, u, patch)
-        fx, fy = size * nx, size * ny  # [S3]
-    if phi_1_m != 0.0:
-        fy -= math.copysign(spin_force(phi_1_m, eta_c, e_c, a_m, b_m, limit_N, patch), phi_1_m)
+    if part > 0.0:
+        f = limit_N * part * polach.shape(eps_limit * inverse, k_a, k_s)[0]  # [S2]
+        if ly == 0.0:
+            fx = math.copysign(f, lx)
+        else:
+            # towards the creepage's own direction [S3]
+            turn = size * inverse * (1.0 / TURN)
+            turn = min(turn * turn * turn, 1e9) * size_e
+            tx, ty = lx - turn * xi, ly - turn * eta
+            f /= math.sqrt(tx * tx + ty * ty)
+            fx, fy = f * tx, f * ty
+    if pull != 0.0:
+        fy -= limit_N * pull * spin_part(q_limit * inverse)  # [S4]
     return fx, fy
 
 
-@kernel
+@kernel_inlined
 def corrected(eta, spin):
     """Lateral creepage with spin a phi [S1], paper eq. 18."""
     return eta + spin if abs(eta + spin) > abs(eta) else eta
 
 
-@kernel
-def spin_force(phi_1_m, eta_c, e_c, a_m, b_m, limit_N, patch):
-    """Size in N of the lateral force of spin [S4]; 0 without corrected creepage."""
-    if e_c == 0.0:
-        return 0.0
-    slim = 1.0 - 6.3 * math.expm1(-a_m / b_m)
-    q = (8.0 / 3.0 * patch.shear_Pa * b_m * math.sqrt(a_m * b_m) * patch.c23 * abs(eta_c)
-         / (limit_N * slim))  # [S6]
+@kernel_inlined
+def spin_part(q):
+    """|K| of [S5], for q >= 0."""
     inverse = 1.0 / (q * q + 1.0)
     d, rest = (q * q - 1.0) * inverse, 2.0 * q * inverse  # rest = sqrt(1 - d^2)
-    K = q * (d * d * (d / 3.0 - 0.5) + 1.0 / 6.0) - rest * rest * rest / 3.0  # [S5]
-    return 0.5625 * a_m * limit_N * abs(K) * slim * abs(phi_1_m) / e_c
+    return abs(q * (d * d * (d / 3.0 - 0.5) + 1.0 / 6.0) - rest * rest * rest / 3.0)

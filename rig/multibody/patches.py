@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.contact import hertz, kalker, polach
+from rollerrig.rig.contact import hertz, kalker, polach, polach_spin
 from rollerrig.rig.contact.adhesion import Patch
 from rollerrig.rig.kernel import kernel_inlined
 
@@ -23,7 +23,7 @@ _NODES, _REACH = 513, math.log(1e3)
 
 
 class Patches(NamedTuple):
-    """Rows over log(B / A): a1, b1, k_h of a patch of A + B = 1 1/m, c11, c22, c23, c33; (nodes, 7)."""
+    """Rows over log(B / A), (nodes, 8): a1, b1, k_h for A + B = 1 1/m, c11, c22, c23, c33, slim."""
 
     nodes_per_log: float
     shear_Pa: float
@@ -36,12 +36,12 @@ def tabulate(
     young_Pa: float, shear_Pa: float, poisson: float, model: int = 0, cells: int = 10
 ) -> Patches:
     """The table of a material; `model` and `cells` choose the tangential model (`adhesion.Patch`)."""
-    rows = np.empty((_NODES, 7))
+    rows = np.empty((_NODES, 8))
     for i, log in enumerate(np.linspace(-_REACH, _REACH, _NODES)):
         A = 1.0 / (1.0 + math.exp(log))
         a1, b1, _, _ = hertz.semi_axes(A, 1.0 - A, 1.0, young_Pa, poisson)
         rows[i] = (a1, b1, hertz.stiffness(A, 1.0 - A, young_Pa, poisson),
-                   *kalker.coefficients(a1 / b1, poisson))
+                   *kalker.coefficients(a1 / b1, poisson), polach_spin.slimness(a1 / b1))
     return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, model, cells, rows)
 
 
@@ -62,4 +62,5 @@ def at(rolling_1_m, lateral_1_m, patches):
         a1, b1, c11, patches.shear_Pa, (rows[i, 2] + (rows[i + 1, 2] - rows[i, 2]) * part) / root,
         polach.eps_per_creepage(a1, b1, c11, patches.shear_Pa, 1.0),
         rows[i, 4] + (rows[i + 1, 4] - rows[i, 4]) * part, rows[i, 5] + (rows[i + 1, 5] - rows[i, 5]) * part,
-        rows[i, 6] + (rows[i + 1, 6] - rows[i, 6]) * part, patches.model, patches.cells)
+        rows[i, 6] + (rows[i + 1, 6] - rows[i, 6]) * part, patches.model, patches.cells,
+        rows[i, 7] + (rows[i + 1, 7] - rows[i, 7]) * part)

@@ -113,7 +113,7 @@ def _act(memory_at, tape_at, layout_at):
         one[0], Links(carray(_shifted(layout_at, _COUNTS), (n_s, 6)), row_s),
         Links(carray(_shifted(layout_at, _COUNTS + 6 * n_s), (n_c, 6)), row_c), one[1],
         Wheel(one[4], one[5], one[6], fine, coarse), Rail(one[7], nodes),
-        Patches(one[8], one[9], layout[6], layout[7], carray(_shifted(tape_at, at), (n_p, 7))),
+        Patches(one[8], one[9], layout[6], layout[7], carray(_shifted(tape_at, at), (n_p, 8))),
         one[2], one[3], carray(_shifted(layout_at, 8), (4,)))
     _obey(state, coach)
 

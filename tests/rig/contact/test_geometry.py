@@ -172,12 +172,37 @@ def test_following_a_wheel_costs_at_most_two_microseconds(roller_m):
     assert best < 2e-6
 
 
-def test_a_search_from_nothing_on_a_rail_costs_at_most_two_microseconds():
+@pytest.mark.parametrize("roller_m", [math.inf, 1.0])
+def test_a_search_from_nothing_costs_at_most_two_microseconds(roller_m):
     found, F = _scratch()
-    _detect(found, F, 10, math.inf, WHEEL, RAIL)
+    _detect(found, F, 10, roller_m, WHEEL, RAIL)
     best = math.inf
     for _ in range(5):
         begun = time.thread_time()
-        _detect(found, F, 10000, math.inf, WHEEL, RAIL)
+        _detect(found, F, 10000, roller_m, WHEEL, RAIL)
         best = min(best, (time.thread_time() - begun) / 10000)
     assert best < 2e-6
+
+
+@kernel
+def _quick(F, pose, axle, roller_m, wheel, rail):
+    geometry.misfits(F, 0, 0, 1, pose, axle, roller_m, wheel, rail)
+
+
+@kernel
+def _exact(F, pose, axle, roller_m, wheel, rail):
+    for i in range(wheel.coarse.shape[0]):
+        F[0, i] = geometry.matched(wheel.coarse[i, 0], wheel.coarse[i, 1], wheel.coarse[i, 2], pose,
+                                   axle, roller_m, rail)[0]
+
+
+@pytest.mark.parametrize("roller_m", [math.inf, 0.5, 1.0])
+def test_the_search_sees_the_equation_within_ten_micrometres(roller_m):
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        pose = (0.0 if math.isinf(roller_m) else rng.normal(0.0, 5e-3), rng.normal(0.0, 5e-3), 0.4447)
+        axle = geometry.axis(rng.normal(0.0, 5e-3), rng.normal(0.0, 1e-2))
+        (_, F), (_, exact) = _scratch(), _scratch()
+        _quick(F, pose, axle, roller_m, WHEEL, RAIL)
+        _exact(exact, pose, axle, roller_m, WHEEL, RAIL)
+        assert np.abs(F - exact).max() < 1e-5

@@ -1,0 +1,82 @@
+"""How compiled code sees a state: as one address, whose fields are views at known places.
+
+A named tuple of forty arrays would be handed from kernel to kernel as three hundred values, and that
+costs more to compile than the physics does. In Python the state stays the named tuple that it is;
+only its type is told to numba here, and reading a field gives the same view.
+
+Source: numba's documentation, "Extending Numba", low-level interface.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from numba.core import cgutils, imputils, types
+from numba.core.typing import templates
+from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
+from numba.np import arrayobj
+
+_VIEW = types.Array(types.float64, 1, "C")
+_WORD = 8
+
+
+class Address(types.Type):
+    """The type of a state: where each field stands in its buffer; a field that is None has no place."""
+
+    def __init__(self, places: Mapping[str, slice | None]) -> None:
+        self.places = dict(places)
+        ends = (f"{name}:{at.stop}" if at else name for name, at in places.items())
+        super().__init__(name=f"State({' '.join(ends)})")
+
+
+@register_model(Address)
+class _Model(models.StructModel):
+    def __init__(self, manager: Any, kind: Address) -> None:
+        super().__init__(manager, kind, [("first", types.CPointer(types.float64))])
+
+
+def tell(named_tuple: type, places: Mapping[str, slice]) -> None:
+    """Let numba take a named tuple of float64 views, or None, as the address of their buffer.
+
+    The first field must stand at the buffer's beginning. Once, before any kernel is given one.
+    """
+    fields: tuple[str, ...] = named_tuple._fields  # type: ignore[attr-defined]
+
+    @typeof_impl.register(named_tuple)
+    def _(state: Any, context: Any) -> Address:
+        return Address({name: None if view is None else places[name]
+                        for name, view in zip(fields, state, strict=True)})
+
+
+@unbox(Address)
+def _from_python(kind, state, c):
+    # the caller keeps the buffer alive as long as the kernel runs
+    view = c.unbox(_VIEW, c.pyapi.tuple_getitem(state, 0))
+    value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
+    value.first = arrayobj.make_array(_VIEW)(c.context, c.builder, view.value).data
+    c.context.nrt.decref(c.builder, _VIEW, view.value)
+    return NativeValue(value._getvalue(), is_error=view.is_error)
+
+
+@templates.infer_getattr
+class _Fields(templates.AttributeTemplate):
+    key = Address
+
+    def generic_resolve(self, kind: Address, field: str) -> Any:
+        if field not in kind.places:
+            return None
+        return _VIEW if kind.places[field] else types.none
+
+
+@imputils.lower_getattr_generic(Address)
+def _field(context, builder, kind, state, field):
+    place = kind.places[field]
+    if place is None:
+        return context.get_dummy_value()
+    first = cgutils.create_struct_proxy(kind)(context, builder, state).first
+    word = context.get_constant(types.intp, _WORD)
+    view = arrayobj.make_array(_VIEW)(context, builder)
+    arrayobj.populate_array(
+        view, data=builder.gep(first, [context.get_constant(types.intp, place.start)]),
+        shape=[context.get_constant(types.intp, place.stop - place.start)], strides=[word],
+        itemsize=word, meminfo=None)
+    return view._getvalue()
