@@ -6,7 +6,8 @@ takes 1 away, above 127 it is error passive, above 255 off until 128 times 11 re
 passed. A babbling node sends as fast as it is told to. Source: ISO 11898-1, fault confinement; CiA
 301, EMCY 8120h (error passive) and 8140h (recovered from bus-off).
 
-Limits: the hub delivers at once, so error frames and babbling cost load, but delay nobody.
+Limits: on an ideal bus error frames and babbling cost load, but delay nobody; with `[bus]
+arbitration` they take the wire's time.
 """
 
 from collections.abc import Callable, Iterable
