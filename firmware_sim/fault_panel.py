@@ -40,6 +40,7 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
     "vent_magnet_stuck": lambda v: [(fault_effects.MAGNETS_ON, v["axle"], VENT)],
     "vent_magnet_dead": lambda v: [(fault_effects.MAGNETS_OFF, v["axle"], VENT)],
     "cylinder_leak": lambda v: [(fault_effects.LEAK_per_s, v["axle"], 1.0 / v["time_constant_s"])],
+    "drive_over_temperature": lambda v: [(fault_effects.MOTOR_LOAD, v["axle"], v["load"])],
     "torque_ripple": lambda v: [(fault_effects.RIPPLE_Nm, v["axle"], v["amplitude_Nm"]),
                                 (fault_effects.RIPPLE_ORDER, v["axle"], v["order"])],
 }

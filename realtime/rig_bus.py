@@ -83,6 +83,7 @@ class RigBus:
         beat_ms = round(1000.0 * bus["heartbeat_s"])
         parameters = {"rated_torque_Nm": scenario["drive"]["rated_torque_Nm"],
                       "max_speed_rad_s": scenario["drive"]["max_speed_rad_s"],
+                      "thermal_time_constant_s": scenario["drive"]["thermal_time_constant_s"],
                       "teeth": float(scenario["sensor"]["teeth"]), "heartbeat_ms": float(beat_ms)}
         asked = self.command[tick.DRIVES:tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
         nodes = [drive402.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,

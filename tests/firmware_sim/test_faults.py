@@ -215,6 +215,14 @@ def test_a_hot_drive_warns_with_bit_7(rig):
     assert not any(word & 0x80 for word in words(rig, 2, *after("drive_over_temperature")))
 
 
+def test_a_hot_motor_tells_its_temperature_and_the_others_tell_the_airs(rig):
+    air_K, rise_K = 293.15, rig.run.scenario["drive"]["rated_temperature_rise_K"]
+    hot = samples(rig, "motor_temperature:_K", *within("drive_over_temperature"))
+    assert hot[1] == pytest.approx(air_K + 1.25 * rise_K, abs=0.01)
+    assert np.abs(hot[[0, 2, 3]] - air_K).max() < 3.0
+    assert np.abs(samples(rig, "motor_temperature:_K", *after("drive_over_temperature")) - air_K).max() < 3.0
+
+
 def test_a_power_dip_trips_every_drive_and_clears_voltage_enabled(rig):
     for node in (1, 2, 3, 4):
         assert all(in_fault(word) and not word & 0x10 for word in words(rig, node, *within("power_dip")))
