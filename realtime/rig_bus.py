@@ -14,6 +14,7 @@ import numpy as np
 from rollerrig.configs.errors import BusError, ConfigError
 from rollerrig.firmware_sim import bench_node, drive402, encoder406, io401
 from rollerrig.firmware_sim.fault_bus import Gate
+from rollerrig.firmware_sim.fault_confinement import Controllers
 from rollerrig.firmware_sim.fault_panel import Site
 from rollerrig.firmware_sim.network import SYNC_ID, Network
 from rollerrig.firmware_sim.rack import Rack
@@ -106,7 +107,7 @@ class RigBus:
         self._arbitration = bus["arbitration"]
         self._port = hub.attach(self._from_bus, "rig")
         self._numbers = {id(node): node.node_id for node in nodes}
-        self.gate = Gate(hub.destroy)
+        self.gate = Gate(Controllers(hub.destroy))
         # SYNCs that the unit has still to answer; a frozen one shall answer them all when it is back
         self.owed, self.frozen = 0, False
         # SYNCs of somebody else, though the bench is to send them

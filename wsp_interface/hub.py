@@ -175,13 +175,16 @@ class Hub:
         if self.gate is None or self.gate(sender, frame, carry):
             carry()
 
-    def destroy(self, frame: Frame, errors: int) -> None:
+    def destroy(self, frame: Frame, transmit_errors: int, receive_errors: int = 0,
+                by_sender: bool = True) -> None:
         """An error frame ends a frame on the wire: taps see it, and its bits are counted.
 
-        `errors` is the sender's error counter. Source: Linux can/error.h for what the frame says.
+        The counters are those of the controller that found the error: the sender's, or a
+        receiver's. Source: Linux can/error.h for what the frame says.
         """
         now_ns = self._now_ns()
-        told = bytes((0, 0, _ON_TRANSMISSION, 0, 0, 0, errors, 0))
+        told = bytes((0, 0, _ON_TRANSMISSION if by_sender else 0, 0, 0, 0, transmit_errors,
+                      receive_errors))
         self.load.carry(frame, now_ns)
         if self.wire is not None:
             self.wire.occupy(frame, now_ns)

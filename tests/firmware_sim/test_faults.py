@@ -279,7 +279,23 @@ def test_error_frames_drive_a_node_to_error_passive_to_bus_off_and_back(rig):
     assert codes.index(0x8120) < codes.index(0x8140)
     assert rig.told("node 17: error passive")
     assert rig.told("node 17: bus-off")
-    assert not [one for time, one, _ in rig.frames if one == 0x20000088 and time >= end]
+    assert not [one for time, one, _ in rig.frames if one == 0x20000088 and end <= time < 9.0]
+
+
+def test_a_faulty_receiver_destroys_frames_until_it_is_error_passive_and_then_only_misses_them(rig):
+    begin, end = TIMES["receive_error"]
+    errors = [data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end]
+    assert [data[7] for data in errors][:3] == [9, 17, 25]
+    assert not any(data[2] for data in errors)
+    assert len(errors) < 30
+    assert emergencies(rig, 16, "receive_error") == [0x8120, 0]
+    assert rig.told("node 16: error passive: its receive error counter")
+    assert rig.told("node 16: error active again")
+    # without SYNC it sends no speeds; its neighbours hear and are heard, its heartbeat goes on
+    assert rig.on_bus(0x190, begin + 0.03, end) == []
+    assert len(rig.on_bus(0x191, begin + 0.03, end)) == 37
+    assert set(rig.on_bus(0x710, begin, end)) == {b"\x05"}
+    assert len(rig.on_bus(0x190, end + 0.015, end + 0.115)) == 10
 
 
 def test_a_node_whose_controller_is_off_says_nothing_and_goes_on_without_booting(rig):
