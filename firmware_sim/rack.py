@@ -19,6 +19,7 @@ Gate = Callable[[Any, Frame, Callable[[], None]], bool]
 class Member(Protocol):
     """What a rack wants of a node; `cia301.node.Node` and `network.Network` have it."""
 
+    now_ns: int
     handlers: dict[int, Handler]
     remote_handlers: dict[int, Handler]
     on_rewired: Callable[[], None]
@@ -93,6 +94,11 @@ class Rack:
         """A frame from outside the rack."""
         for _, handler in self._listeners(frame):
             handler(frame)
+
+    def tell_time(self, now_ns: int) -> None:
+        """It is `now_ns`: members note it, and do nothing yet."""
+        for member in self.members:
+            member.now_ns = now_ns
 
     def poll(self, now_ns: int) -> None:
         """It is `now_ns`, for all members."""

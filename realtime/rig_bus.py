@@ -7,6 +7,7 @@ one fact: whether the unit has answered this SYNC.
 
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -87,11 +88,14 @@ class RigBus:
                       "thermal_time_constant_s": scenario["drive"]["thermal_time_constant_s"],
                       "teeth": float(scenario["sensor"]["teeth"]), "heartbeat_ms": float(beat_ms)}
         asked = self.command[tick.DRIVES:tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
+        store = {node: Path(bus["store"], f"node_{node:03d}.json") if bus["store"] else None
+                 for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE)}
         nodes = [drive402.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,
-                                scenario["rig"]["drives"])
+                                scenario["rig"]["drives"], store[node_id])
                  for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]
-        nodes.append(encoder406.build(row, parameters))
-        nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell))
+        nodes.append(encoder406.build(row, parameters, store[signals.SPEED_NODE]))
+        nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell,
+                                 store[signals.BRAKE_NODE]))
         self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
         self.nodes = {node.node_id: node for node in nodes}
         self.bench_node = bench_node.build(row, self.command[tick.FRICTION:tick.DRIVES], self._tell,
@@ -189,6 +193,7 @@ class RigBus:
     def sync(self) -> None:
         """Send SYNC; the nodes sample the row and send their PDOs before this returns."""
         self.harness_answered.clear()
+        self.rack.tell_time(self.clock_ns())
         if not self.frozen:
             self.owed = 0
         if self._produces_sync:
