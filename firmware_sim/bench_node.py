@@ -36,6 +36,7 @@ TITLES = {
     0x2100: "Time", 0x2101: "Vehicle speed", 0x2102: "Position", 0x2103: "Vehicle acceleration",
     0x2104: "Adhesion", 0x2105: "Dump valve", 0x2106: "Air consumption", 0x2107: "Longest lock",
     0x2108: "Sliding work", 0x2109: "Wheel load", 0x210A: "Vents", 0x210B: "Brake demand",
+    0x210C: "Disc temperature", 0x210D: "Motor temperature",
 }
 _AXLES = tuple(f"Axle {axle}" for axle in range(1, AXLES + 1))
 

@@ -3,7 +3,8 @@
 Either the bench's own rig control moves the motor: then the drive is walked to OPERATION ENABLED
 from inside, tells so with bit 9 (remote) cleared, and does not obey controlwords. Or a master on
 the bus does: then states, option codes, ramps and modes are the standard's, and the demands stand
-in the array of commands for the control loops of the tick. Source: CiA 402-2 / IEC 61800-7-201.
+in the array of commands for the control loops of the tick. Whoever has it, an emergency stop makes a
+quick stop of it, and bars it from being enabled until it is taken back. Source: CiA 402-2 / IEC 61800-7-201.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,6 +29,8 @@ _SHUTDOWN, _DISABLE_OPERATION, _QUICK_STOP, _REACTION, _ABORT = (
     0x605B, 0x605C, 0x605A, 0x605E, 0x6007)
 # option codes above this leave the drive in QUICK STOP ACTIVE
 _LAST_LEAVING_OPTION = 4
+# what an emergency stop bars
+_ENABLING = (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION)
 
 
 def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, float] | None = None,
@@ -63,12 +66,16 @@ def release_to_bus(node: Node) -> None:
 
 
 class Drive:
-    """State machine and demands of one drive. `local`: the rig control has it."""
+    """State machine and demands of one drive.
+
+    `local`: the rig control has it; `stopped`: an emergency stop holds it.
+    """
 
     def __init__(self, node: Node, axis: Axis, local: bool) -> None:
         self.node, self.axis, self.demand, self.local = node, axis, axis.demand, local
         self.state, self.word = State.NOT_READY_TO_SWITCH_ON, 0
         self.before, self.mode, self.error = 0, 0, 0
+        self.stopped = False
         self._then: Transition | State | None = None
         self._last_ns = 0
         objects = node.objects
@@ -107,6 +114,20 @@ class Drive:
         values[key(0x60FF, 0)] = integer(self.demand.velocity, "I32")
         self.before = values[key(0x6040, 0)]
         self._take_mode()
+        self._publish()
+
+    def emergency_stop(self, on: bool) -> None:
+        """Begin an emergency stop, or take it back; a drive of the rig control is then enabled again.
+
+        The motor brakes as option code 605Ah says, and is switched off when it stands.
+        """
+        if on == self.stopped:
+            return
+        self.stopped = on
+        if on:
+            self._obey(Command.QUICK_STOP)
+        elif self.local:
+            self.control_from_rig()
         self._publish()
 
     def _take_source(self, bus: int) -> None:
@@ -152,6 +173,8 @@ class Drive:
         self._publish()
 
     def _obey(self, command: Command) -> None:
+        if self.stopped and command in _ENABLING:
+            return
         # enabling from ready takes two transitions, every other command at most one
         for _ in range(2):
             row = states.FROM_COMMAND.get((self.state, command))
@@ -224,11 +247,12 @@ class Drive:
         """What the drive does by itself; called with every poll."""
         dt_s, self._last_ns = max(now_ns - self._last_ns, 0) / S_NS, now_ns
         self._supervise(dt_s)
-        if self.local:
+        if self.local and not self.stopped:
             return
         if self.enabled:
             self.demand.step(self.axis.set_points(self.mode, self._halt), self._halt, dt_s)
-            if self.demand.stopping is not None and self.demand.velocity == 0.0:
+            if self.demand.stopping is not None and self.demand.velocity == 0.0 and (
+                    not self.stopped or self.axis.rests()):
                 self._stopped()
         self._publish()
 
@@ -245,7 +269,7 @@ class Drive:
     def _publish(self) -> None:
         """Statusword and commands follow the state."""
         self.word = self._statusword()
-        self.axis.publish(self.enabled, self.local, self.mode)
+        self.axis.publish(self.enabled, self.local, self.mode, self.stopped)
 
     def _statusword(self) -> int:
         word = int(self.state)

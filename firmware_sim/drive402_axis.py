@@ -26,7 +26,8 @@ from rollerrig.wsp_interface import signals
 
 # the array of commands of one drive; LOOP: what of it the control loop should follow
 ENABLED, LOOP, TORQUE_Nm, VELOCITY_rad_s, TORQUE_LIMIT_Nm, COMMANDS = range(6)
-LOOP_RIG, LOOP_TORQUE, LOOP_VELOCITY = 0, 1, 2
+# LOOP_STOP: a velocity loop as well, and the simulated vehicle stops with its rollers
+LOOP_RIG, LOOP_TORQUE, LOOP_VELOCITY, LOOP_STOP = 0, 1, 2, 3
 _SLOW_DOWN, _QUICK_STOP = 0x6084, 0x6085
 
 
@@ -61,6 +62,10 @@ class Axis:
         speed, torque = self.row.item(self._speed), self.row.item(self._torque)
         counts = speed / table.SPEED.scale, torque / (table.TORQUE.scale * self._rated_Nm)
         return counts if math.isfinite(sum(counts)) else (0.0, 0.0)
+
+    def rests(self) -> bool:
+        """Whether the motor is slower than the threshold 606Fh."""
+        return bool(abs(self.actual()[0]) <= self.objects.values[key(0x606F, 0)])
 
     def take_over(self) -> None:
         """The demands begin at what the motor does now."""
@@ -108,11 +113,13 @@ class Axis:
         values = self.objects.values
         return since.holds(size <= values[key(bound, 0)], values[key(time, 0)], now_ns)
 
-    def publish(self, enabled: bool, local: bool, mode: int) -> None:
+    def publish(self, enabled: bool, local: bool, mode: int, stopped: bool = False) -> None:
         """The commands follow the state and the demands; told only when they change."""
         values, per_mille_Nm = self.objects.values, table.TORQUE.scale * self._rated_Nm
         velocity = mode in VELOCITY_MODES or self.demand.stopping is not None
         loop = LOOP_RIG if local else LOOP_VELOCITY if velocity else LOOP_TORQUE
+        if stopped:
+            loop = LOOP_STOP
         # in a speed loop the torque is what is fed forward
         torque = values[key(0x60B2, 0)] if velocity else self.demand.torque
         wanted = (float(enabled), float(loop), torque * per_mille_Nm,

@@ -1,7 +1,8 @@
 """The inner loops of the roller drives, called in the tick: torque and velocity.
 
 While the rig control has a drive its demand stands. A master on the bus asks for a torque [D1] or a
-velocity, which a proportional-integral loop holds [D2]; a drive that is not enabled gives no torque.
+velocity, which a proportional-integral loop holds [D2], also in a stop; a drive that is not enabled
+gives no torque.
 While somebody else has the motor the integral follows the demand, so a change of hands makes no
 jump in torque.
 

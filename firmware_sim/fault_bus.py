@@ -1,26 +1,23 @@
-"""Faults of the bus: a gate that each frame passes on its way, and what keeps a node off the wire.
+"""Faults of the bus: a gate that each frame passes on its way.
 
-A frame may be lost, held until later or sent twice; error frames destroy those of a node, and its
-controller counts: each destroyed frame adds 8 to the transmit error counter, each that got through
-takes 1 away, above 127 it is error passive, above 255 off until 128 times 11 recessive bits have
-passed. A babbling node sends as fast as it is told to. Source: ISO 11898-1, fault confinement; CiA
-301, EMCY 8120h (error passive) and 8140h (recovered from bus-off).
+A frame may be lost, held until later or sent twice, or destroyed by error frames, which the
+controllers count (`fault_confinement`). A babbling node sends as fast as it is told to.
 
-Limits: the hub delivers at once, so error frames and babbling cost load, but delay nobody.
+Limits: on an ideal bus error frames and babbling cost load, but delay nobody; with `[bus]
+arbitration` they take the wire's time.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
+from rollerrig.firmware_sim.fault_confinement import Controllers
 from rollerrig.wsp_interface.frames import S_NS, Frame
 from rollerrig.wsp_interface.signals import WSP_NODE
 
 # what carries a frame on, once the gate lets it
 Carry = Callable[[], None]
 LOST, HELD, TWICE = "lost", "held", "twice"
-ERROR_PASSIVE, RECOVERED = 0x8120, 0x8140
-ERROR_PASSIVE_ABOVE, BUS_OFF_ABOVE, RECOVERY_BITS = 127, 255, 128 * 11
 # what a WSP unit sends: heartbeat, PDO1 to the brake I/O, reference speed
 UNIT_IDS = (0x700 + WSP_NODE, 0x211, 0x180 + WSP_NODE)
 FOREVER_NS = 1 << 62
@@ -39,16 +36,6 @@ class Rule:
 
 
 @dataclass
-class Controller:
-    """The CAN controller of a node under `attempts` error frames for each of its frames."""
-
-    attempts: int
-    errors: int = 0
-    passive: bool = False
-    off_until_ns: int = 0
-
-
-@dataclass
 class Babble:
     """Frames of `can_id` from a node since `since_ns`: `sent` so far."""
 
@@ -62,20 +49,19 @@ class Babble:
 class Gate:
     """What frames pass between their sender and everybody else.
 
-    `destroyed(frame, errors)` tells the bus of an error frame. Rules are by identifier, controllers
-    by node. Times are those of the bus's clock.
+    `controllers` say whether error frames destroy it; rules are by identifier. Times are those of
+    the bus's clock.
     """
 
-    destroyed: Callable[[Frame, int], None]
+    controllers: Controllers
     rules: dict[int, list[Rule]] = field(default_factory=dict)
-    controllers: dict[int, Controller] = field(default_factory=dict)
     now_ns: int = 0
     _held: list[tuple[int, Rule, Carry]] = field(default_factory=list)
 
     @property
     def idle(self) -> bool:
         """Whether nothing is to be done to any frame."""
-        return not (self.rules or self.controllers or self._held)
+        return not (self.rules or self.controllers.nodes or self._held)
 
     def add(self, rule: Rule) -> Rule:
         """Let a rule act from now on."""
@@ -96,8 +82,7 @@ class Gate:
 
     def passes(self, frame: Frame, node: int, carry: Carry) -> bool:
         """Whether the frame goes on now; if not it is lost, or `carry` is called later."""
-        controller = self.controllers.get(node)
-        if controller is not None and not self._transmit(frame, controller):
+        if self.controllers.nodes and not self.controllers.passes(frame, node):
             return False
         if frame.extended:
             return True
@@ -121,67 +106,6 @@ class Gate:
         elif rule.what == TWICE:
             carry()
         return rule.what == TWICE
-
-    def _transmit(self, frame: Frame, controller: Controller) -> bool:
-        if controller.errors > BUS_OFF_ABOVE:
-            return False
-        for _ in range(controller.attempts):
-            controller.errors += 8
-            self.destroyed(frame, min(controller.errors, 255))
-            if controller.errors > BUS_OFF_ABOVE:
-                return False
-        controller.errors -= 1
-        return True
-
-
-class Confinement:
-    """Fault confinement of the nodes under error frames: EMCY, bus-off and recovery.
-
-    `members` are the nodes by number, `mute(node, on)` takes one off the wire.
-    """
-
-    def __init__(self, gate: Gate, members: dict[int, Any], mute: Callable[[int, bool], None],
-                 bitrate: int) -> None:
-        self.gate, self.members, self.mute = gate, members, mute
-        self._recovery_ns = RECOVERY_BITS * S_NS // bitrate
-
-    def begin(self, node: int, attempts: int) -> None:
-        """Error frames begin to destroy what a node sends."""
-        self.gate.controllers[node] = Controller(attempts)
-
-    def end(self, node: int) -> None:
-        """The error frames are over: the node recovers."""
-        controller = self.gate.controllers.pop(node)
-        if controller.off_until_ns:
-            self._recover(node)
-        self.members[node].emergency.clear(ERROR_PASSIVE)
-
-    def poll(self, now_ns: int) -> None:
-        """Follow the error counters."""
-        for node, one in list(self.gate.controllers.items()):
-            if one.off_until_ns:
-                if now_ns >= one.off_until_ns:
-                    one.errors, one.passive, one.off_until_ns = 0, False, 0
-                    self._recover(node)
-            elif one.errors > BUS_OFF_ABOVE:
-                one.off_until_ns = now_ns + self._recovery_ns
-                self.mute(node, True)
-                self.members[node].event("error", "bus-off: its error counter has passed 255")
-            elif one.errors > ERROR_PASSIVE_ABOVE and not one.passive:
-                one.passive = True
-                self.members[node].event("warning", "error passive: its error counter has passed 127")
-                self.members[node].emergency.report(ERROR_PASSIVE)
-
-    def _recover(self, node: int) -> None:
-        self.mute(node, False)
-        recover(self.members[node])
-
-
-def recover(member: Any) -> None:
-    """Let a node tell that it is back from bus-off."""
-    member.emergency.clear(ERROR_PASSIVE)
-    member.emergency.report(RECOVERED)
-    member.emergency.clear(RECOVERED)
 
 
 def babble(one: Babble, now_ns: int, transmit: Callable[[Frame], None]) -> None:

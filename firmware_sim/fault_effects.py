@@ -3,11 +3,13 @@
 The faults that act are a flat array of numbers which travels with the commands; all zero is a rig
 without faults, and then not one bit is touched. Each effect stands between the stage that makes a
 quantity and the one that uses it: magnets before the valves [F1], leaks before the pneumatics [F2],
-ripple between drive control and motor [F3], and sensors between the wheel and the published row.
+ripple between drive control and motor [F3], and sensors between wheel or winding and the published
+row [F4].
 
     [F1] magnets = (asked or stuck) and not dead
     [F2] dp/dt = -p / T
     [F3] u = u_demand + a sin(n phi), phi the angle of the roller
+    [F4] T = max(T, T_air + load dT_rated), the temperature at which a motor has this thermal load
 
 What a leak lets out counts as no air used; the cylinders that fill again do.
 """
@@ -20,7 +22,7 @@ from rollerrig.wsp_interface.signals import AXLES
 # slots of the faults array: ANY is 1 while one of these faults acts; then a value for each axle
 ANY = 0
 (STUCK, DROPOUT, MISSING_TEETH, SOURCE, NOISE_rad_s, LARGER, MAGNETS_ON, MAGNETS_OFF,
- LEAK_per_s, RIPPLE_Nm, RIPPLE_ORDER, _KINDS) = range(12)
+ LEAK_per_s, RIPPLE_Nm, RIPPLE_ORDER, MOTOR_LOAD, _KINDS) = range(13)
 SIZE = 1 + _KINDS * AXLES
 
 
@@ -60,3 +62,12 @@ def ripple(state, faults):
         if amplitude_Nm != 0.0:
             angle = value(faults, RIPPLE_ORDER, j) * state.roller_angle[j]
             state.motor_torque_demand[j] += amplitude_Nm * np.sin(angle)
+
+
+@kernel
+def heat(temperatures_K, faults, air_K, rise_K):
+    """Let hot motors tell their temperature, shape (4,) [F4]."""
+    for j in range(AXLES):
+        load = value(faults, MOTOR_LOAD, j)
+        if load != 0.0:
+            temperatures_K[j] = max(temperatures_K[j], air_K + load * rise_K)

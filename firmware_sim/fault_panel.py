@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim import fault_bus, fault_effects, faults
+from rollerrig.firmware_sim import fault_bus, fault_confinement, fault_effects, faults
 from rollerrig.firmware_sim.cia301.node import Node
-from rollerrig.firmware_sim.fault_bus import Babble, Confinement, Gate, Rule
+from rollerrig.firmware_sim.fault_bus import Babble, Gate, Rule
+from rollerrig.firmware_sim.fault_confinement import Confinement, Controllers
 from rollerrig.firmware_sim.faults import LASTS, TICK, Fault
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.wsp_interface.frames import Frame
@@ -40,6 +41,7 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
     "vent_magnet_stuck": lambda v: [(fault_effects.MAGNETS_ON, v["axle"], VENT)],
     "vent_magnet_dead": lambda v: [(fault_effects.MAGNETS_OFF, v["axle"], VENT)],
     "cylinder_leak": lambda v: [(fault_effects.LEAK_per_s, v["axle"], 1.0 / v["time_constant_s"])],
+    "drive_over_temperature": lambda v: [(fault_effects.MOTOR_LOAD, v["axle"], v["load"])],
     "torque_ripple": lambda v: [(fault_effects.RIPPLE_Nm, v["axle"], v["amplitude_Nm"]),
                                 (fault_effects.RIPPLE_ORDER, v["axle"], v["order"])],
 }
@@ -56,7 +58,7 @@ class Site:
     post: Callable[[], None]
     nodes: dict[int, Node] = field(default_factory=dict)
     rack: Rack = field(default_factory=Rack)
-    gate: Gate = field(default_factory=lambda: Gate(lambda frame, errors: None))
+    gate: Gate = field(default_factory=lambda: Gate(Controllers(lambda *told: None)))
     clock_ns: Callable[[], int] = lambda: 0
     bitrate: int = 500_000
     disturb: Callable[[], None] = lambda: None
@@ -90,7 +92,8 @@ class Panel:
     def connect(self, site: Site) -> None:
         """Say what the faults act on."""
         self.site = site
-        self._confinement = Confinement(site.gate, dict(site.nodes), self._mute, site.bitrate)
+        self._confinement = Confinement(site.gate.controllers, dict(site.nodes), self._mute, self._deafen,
+                                        site.bitrate)
         self._links_V = {node: site.nodes[node].device.axis.dc_link_V
                          for node in DRIVE_NODES if node in site.nodes}
 
@@ -123,7 +126,7 @@ class Panel:
     def poll(self, now_s: float) -> None:
         """It is `now_s` of simulated time: begin, lift and go on with what is due."""
         self.now_s = now_s
-        if not self.active and not (self.waiting and self.waiting[0].at_s <= now_s):
+        if not (self.active or self._confinement.busy) and not (self.waiting and self.waiting[0].at_s <= now_s):
             return
         for key in [key for key, one in self.active.items() if one.until_s <= now_s]:
             self._lift(key)
@@ -164,7 +167,9 @@ class Panel:
         for rule in one.rules:
             site.gate.add(rule)
         if name == "error_frame":
-            self._confinement.begin(values["node"], values["attempts"])
+            self._confinement.disturb(values["node"], attempts=values["attempts"])
+        elif name == "receive_error":
+            self._confinement.disturb(values["node"], finds=values["attempts"])
         elif name == "node_babbling":
             one.babble = Babble(values["can_id"], values["rate_Hz"], site.clock_ns())
         elif name == "drive_over_temperature":
@@ -176,7 +181,9 @@ class Panel:
         if name == "wsp_frozen":
             site.freeze(False)
         elif name == "error_frame":
-            self._confinement.end(values["node"])
+            self._confinement.disturb(values["node"], attempts=0)
+        elif name == "receive_error":
+            self._confinement.disturb(values["node"], finds=0)
         elif name == "drive_over_temperature":
             self._drive(values).axis.heat.load = 0.0
         if name in ("drive_trip", "drive_over_temperature"):
@@ -221,7 +228,7 @@ class Panel:
             if (id(node) in site.rack.muted) != (number in muted):
                 self._mute(number, number in muted)
                 if number not in muted:
-                    fault_bus.recover(node)
+                    fault_confinement.recover(node)
             if link_V is not None and number in self._links_V:
                 node.device.axis.dc_link_V = link_V
 
@@ -229,7 +236,10 @@ class Panel:
         """What active faults do again and again."""
         site, now_ns = self._site, self._site.clock_ns()
         site.gate.poll(now_ns)
-        self._confinement.poll(now_ns)
+        if self._confinement.busy:
+            self._confinement.poll(now_ns)
+            if not self._confinement.busy:
+                site.disturb()
         for one in list(self.active.values()):
             name, values = one.fault.kind.name, one.fault.values
             if one.babble:
@@ -246,6 +256,9 @@ class Panel:
 
     def _mute(self, number: int, on: bool) -> None:
         self._site.rack.mute(self._site.nodes[number], on)
+
+    def _deafen(self, number: int, on: bool) -> None:
+        self._site.rack.deafen(self._site.nodes[number], on)
 
     def _drive(self, values: dict[str, Any]) -> Any:
         return self._site.nodes[DRIVE_NODES[values["axle"] - 1]].device

@@ -111,6 +111,20 @@ CATALOGUE: tuple[Kind, ...] = (
     Kind("power_dip", DEVICE, "the rig's supply dips: below their lowest voltage the drives trip "
          "(3220h), below 200 V all nodes of the rig are without power",
          (number("dc_link_V", 300.0, 0.0, 1000.0, "what is left of the DC link"),)),
+    Kind("receive_error", BUS, "a node takes every frame of others for faulty and destroys it, until its "
+         "receive error counter makes it error passive (EMCY 8120h); from then on it alone misses them",
+         (_NODE, integer("attempts", 1, 1, 31, "destroyed attempts of each frame"))),
+)
+# why one row acts on a sensor though it is about a wheel
+_WHY_ON_THE_SENSOR = (
+    "## Wheel diameters: why on the sensor", "",
+    "`wheel_diameter_mismatch` changes what the sensor of an axle tells, by 1 / (1 + difference), and",
+    "leaves the wheel itself as it is. What a WSP unit gets wrong is the radius that it believes in,",
+    "and it meets that error in the speeds alone: this part is exact. A wheel that is d % larger would",
+    "besides brake with d % less force at its rim for the same torque (and its inertia at the rim, a",
+    "thirteenth of the mass that a wheelset of the coach carries, would be 2 d % less), but a wheel does",
+    "not change its size while it rolls: a fault that begins at 5 s would have to give or take turning",
+    "energy. A stop on other wheels from its start, all of one size: `--set vehicle.wheel_radius_m=0.467`.",
 )
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
 _SHORT = {"at": "at_s", "for": "for_s"}
@@ -173,7 +187,7 @@ def markdown() -> str:
         told = "; ".join(f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
                          for row in kind.parameters) or "none"
         lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {told} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", *_WHY_ON_THE_SENSOR]) + "\n"
 
 
 def _check_target(fault: Fault, where: str) -> None:

@@ -75,8 +75,8 @@ def _bench(at: int, name: str, kind: str, text: str, unit: str = "", scale: floa
 BITS: tuple[Register, ...] = (
     _bench(0, "run", BIT, "1 while the rig runs; writing 1 starts a held rig", access=WRITE),
     _bench(1, "stop", BIT, "1 when the run is ending; writing 1 ends it", access=WRITE),
-    _bench(2, "emergency_stop", BIT, "1 applies the emergency brake, whatever else is asked; stays "
-           "until 0 is written", access=WRITE),
+    _bench(2, "emergency_stop", BIT, "1 applies the emergency brake, whatever else is asked, and "
+           "makes a quick stop of every drive; stays until 0 is written", access=WRITE),
     _bench(3, "held", BIT, "the rig rolls at its set speed and waits for run"),
     _bench(4, "at_set_speed", BIT, "a held rig rolls at its speed set-point"),
     _bench(5, "standing", BIT, "the vehicle stands"),
@@ -140,14 +140,12 @@ _MEASURED: tuple[tuple[int, str, str, float], ...] = (
     (268, "vents", "U16", 1.0), (272, "wheel_load", "U32", 1.0), (280, "longest_lock", "U16", 1e-3),
     (284, "air_consumption", "U32", 0.1), (286, "tick_lateness", "U32", 1.0),
     (288, "tick_duration", "U32", 1.0), (290, "ticks_missed", "U32", 1.0),
+    (400, "disc_temperature", "", 0.0), (404, "motor_temperature", "", 0.0),
 )
-# signals that appear here when the table of signals has them
-_OPTIONAL = ((400, "disc_temperature", "I16", 0.1), (404, "motor_temperature", "I16", 0.1))
 
 
 def _measured() -> Iterator[Register]:
-    optional = tuple(row for row in _OPTIONAL if row[1] in signals.BY_NAME)
-    for first, name, kind, scale in (*_MEASURED, *optional):
+    for first, name, kind, scale in _MEASURED:
         signal = signals.BY_NAME[name]
         place = signal.places[0] if signal.places and not kind else None
         kind, scale = (place.kind, place.scale) if place else (kind, scale)

@@ -19,6 +19,7 @@ Gate = Callable[[Any, Frame, Callable[[], None]], bool]
 class Member(Protocol):
     """What a rack wants of a node; `cia301.node.Node` and `network.Network` have it."""
 
+    now_ns: int
     handlers: dict[int, Handler]
     remote_handlers: dict[int, Handler]
     on_rewired: Callable[[], None]
@@ -38,13 +39,17 @@ class Rack:
 
     `off`: members without power; `muted`: members whose controller is off the bus; neither hear nor
     speak. `gate(member, frame, carry)`, where there is one, decides whether a frame goes on now; it
-    may call `carry` later.
+    may call `carry` later. `deferred(frame, then, origin)`, where there is one, puts a frame on a bus
+    that takes time: members hear one another when it calls `then`. `deaf`: members whose
+    controller takes in nothing, though it sends.
     """
 
     def __init__(self) -> None:
         self.members: list[Member] = []
         self.off: set[int] = set()
         self.muted: set[int] = set()
+        self.deaf: set[int] = set()
+        self.deferred: Callable[[Frame, Callable[[], None], int], Any] | None = None
         self.gate: Gate | None = None
         self._send: Callable[[Frame], Any] = lambda frame: None
         self._tables: tuple[dict[int, list[tuple[Member, Handler]]], ...] | None = None
@@ -76,6 +81,11 @@ class Rack:
         (self.muted.add if on else self.muted.discard)(id(member))
         self._forget()
 
+    def deafen(self, member: Member, on: bool) -> None:
+        """Let a member's controller take in nothing, or everything again; it sends on."""
+        (self.deaf.add if on else self.deaf.discard)(id(member))
+        self._forget()
+
     def transmit(self, member: Member, frame: Frame) -> None:
         """Send a frame as if the member had."""
         self._from(member, frame)
@@ -84,6 +94,11 @@ class Rack:
         """A frame from outside the rack."""
         for _, handler in self._listeners(frame):
             handler(frame)
+
+    def tell_time(self, now_ns: int) -> None:
+        """It is `now_ns`: members note it, and do nothing yet."""
+        for member in self.members:
+            member.now_ns = now_ns
 
     def poll(self, now_ns: int) -> None:
         """It is `now_ns`, for all members."""
@@ -98,7 +113,13 @@ class Rack:
             self._carry(sender, frame)
 
     def _carry(self, sender: Member, frame: Frame) -> None:
+        if self.deferred is not None:
+            self.deferred(frame, partial(self._hear, sender, frame), id(sender))
+            return
         self._send(frame)
+        self._hear(sender, frame)
+
+    def _hear(self, sender: Member, frame: Frame) -> None:
         for member, handler in self._listeners(frame):
             if member is not sender:
                 handler(frame)
@@ -114,7 +135,7 @@ class Rack:
     def _build(self) -> tuple[dict[int, list[tuple[Member, Handler]]], ...]:
         tables: tuple[dict[int, list[tuple[Member, Handler]]], ...] = ({}, {})
         for member in self.members:
-            if id(member) in self.off or id(member) in self.muted:
+            if {id(member)} & (self.off | self.muted | self.deaf):
                 continue
             both = (member.handlers, member.remote_handlers)
             for table, handlers in zip(tables, both, strict=True):

@@ -10,9 +10,13 @@ slide; a virtual vehicle on the degraded track runs beside, and each motor makes
 turn as the virtual one does [R3]. Both wheelsets feel the same brake torque, so the roller must
 give the virtual contact force.
 
+In an emergency stop the drives stop the rollers, and the inertia of the vehicle is simulated no more:
+it is as fast as its rollers are on average, at most as fast as it was [R4].
+
     [R1] u = J w_c (v / R - Omega) + J a / R + d
     [R2] dz/dt = w_o (u_motor - d), d = z - w_o J Omega, which follows R T with bandwidth w_o
     [R3] u = R T_v + J_R (r / R) domega_v/dt + w_c (J_R r / R + J R / r) (omega_v - omega)
+    [R4] v = min(v, mean of R Omega), not below 0
 
 `state` and `drive` are those of rig.state and rig.params; v and a come from the virtual vehicle,
 whose contact forces are taken as measured without error (assumption: an ideal load cell).
@@ -50,3 +54,10 @@ def follow_virtual_wheels(state, virtual, drive, vehicle):
         error = virtual.wheel_speed[j] - state.wheel_speed[j]
         state.motor_torque_demand[j] = (R * force_N + rolled * wheel_rate
                                         + drive.speed_loop_rad_s * (rolled + J * R / r) * error)  # [R3]
+
+
+@kernel
+def stop_with_rollers(state, rollers, drive):
+    """Let the simulated vehicle be no faster than its rollers [R4]; `rollers` is the rollers' state."""
+    rim_m_s = drive.roller_radius_m * rollers.roller_speed.mean()
+    state.vehicle_speed[0] = min(state.vehicle_speed[0], max(rim_m_s, 0.0))

@@ -60,6 +60,7 @@ HARNESS_TIMEOUT_S = 60.0
 LINGER_S = 1.0
 _ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 12
 _FREE_TICKS = 500
+_EXCEPTIONS_TOLD = 20
 _RECORD_FILES = ("scenario.toml", "channels.parquet", "run.rrd", "can.log", "events.jsonl",
                  "summary.json", "wsp.log")
 
@@ -99,6 +100,8 @@ class Bench:
         self.ended_by = ""
         self.unit_exit: int | None = None
         self._unrecorded = False
+        self._failure: RollerrigError | None = None
+        self._exceptions: set[str] = set()
         self._processes: list[subprocess.Popen[bytes]] = []
         self._begun_ns = 0
         self.bus: rig_bus.RigBus | None = None
@@ -109,6 +112,7 @@ class Bench:
         self._zero_ns = 0
         supervisor.check(plan, options.pacing, options.start)
         fault_panel.check_pacing(plan.faults, options.pacing)
+        rig_bus.check_pacing(plan, options.pacing)
         self.faults = fault_panel.Panel(plan.faults, self.event)
         if options.unit == "reference":
             wsp.load(plan["wsp_config"])
@@ -145,12 +149,15 @@ class Bench:
         """Run to the end and return the summary. Raises RollerrigError after closing the record."""
         failure: RollerrigError | None = None
         running = asyncio.get_running_loop()
+        running.set_exception_handler(self._note_exception)
         for signum in (signal.SIGINT, signal.SIGTERM):
             running.add_signal_handler(signum, self.stop, "interrupted")
         try:
             await self._start_recorder()
             warm_up(self.machine, self.options.pacing, self.options.unit)
             await getattr(self, f"_run_{self.options.pacing}")()
+            if self._failure:
+                raise self._failure
         except RollerrigError as error:
             failure = error
             self.ended_by = "error"
@@ -200,6 +207,7 @@ class Bench:
         assert self.bus
         await self._await_unit()
         await self._await_joining()
+        self.bus.start_wire(timed=False)
         said = time.monotonic()
         while not self.stopping:
             mailbox.fetch(self.machine.published, self.bus.row)
@@ -209,17 +217,49 @@ class Bench:
                 await self._catch_up()
             self.bus.sync()
             self.bus.poll()
-            if self.options.unit != "none" and not self.bus.frozen:
-                await self._await_answer()
+            if self.hub.wire is None:
+                await self._await_answers()
+                tick.batch(self.machine, self.plan.sync_ticks)
             else:
-                await asyncio.sleep(0)
-            if self.bus.harness.joined:
-                await self._await_harness()
-            tick.batch(self.machine, self.plan.sync_ticks)
+                await self._cycle_on_wire()
             await self._make_room()
             if time.monotonic() - said > 0.5:
                 self.report()
                 said = time.monotonic()
+
+    async def _await_answers(self) -> None:
+        """Let unit and harness answer this SYNC; simulated time stands still meanwhile."""
+        assert self.bus
+        if self.options.unit != "none" and not self.bus.frozen:
+            await self._await_answer()
+        else:
+            await asyncio.sleep(0)
+        if self.bus.harness.joined:
+            await self._await_harness()
+
+    async def _cycle_on_wire(self) -> None:
+        """A bus cycle whose frames take their time: ticks go on while the wire carries them.
+
+        The answers count as ready when all that the SYNC has set off is through, or at the end of a
+        cycle in which the wire never falls silent.
+        """
+        asked = False
+        for _ in range(self.plan.sync_ticks):
+            self.hub.advance(self._simulated_ns())
+            if not asked and not self.hub.wire:
+                asked = True
+                await self._in_standstill()
+            tick.batch(self.machine, 1)
+        self.hub.advance(self._simulated_ns())
+        if not asked and not self.stopping:
+            await self._in_standstill()
+
+    async def _in_standstill(self) -> None:
+        self.hub.still = True
+        try:
+            await self._await_answers()
+        finally:
+            self.hub.still = False
 
     async def _run_wall(self) -> None:
         await self._open_bus(self._elapsed_ns)
@@ -239,6 +279,7 @@ class Bench:
             if self.stopping:
                 woken.set()
             else:
+                bus.start_wire(timed=True)
                 self._poll_faults()
                 bus.sync()
             bus.poll()
@@ -368,8 +409,17 @@ class Bench:
         self.post()
 
     def _lost_bus(self, error: RollerrigError) -> None:
-        self.event("error", str(error))
-        self.stop("without a bus")
+        """The bus is gone: the run ends here, as a failure, and its record is kept."""
+        self._failure = self._failure or error
+        self.stop("ended: its bus is lost")
+
+    def _note_exception(self, running: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """What fails inside the bus thread is told and recorded, and harms only who failed."""
+        text = f"{context.get('message', 'bus thread')}: {context.get('exception')!r}"
+        if text not in self._exceptions and len(self._exceptions) < _EXCEPTIONS_TOLD:
+            self._exceptions.add(text)
+            self.event("error", text)
+            running.default_exception_handler(context)
 
     async def _await_unit(self) -> None:
         """Start the reference unit, or wait for anybody's heartbeat."""
@@ -574,7 +624,12 @@ class Bench:
         if self.hub is None:
             return {"frames": 0, "dropped": 0, "load_percent": 0.0}
         stats = self.hub.stats()
-        return {key: stats[key] for key in ("frames", "dropped", "load_percent")}
+        counts = {key: stats[key] for key in ("frames", "dropped", "load_percent")}
+        if self.hub.wire is not None:
+            counts["longest_wait_us"] = stats["longest_wait_us"]
+        if self.bus and self.bus.stray_syncs:
+            counts["stray_syncs"] = self.bus.stray_syncs
+        return counts
 
     async def _end(self, process: subprocess.Popen[bytes], patience_s: float, ask: bool = True) -> None:
         deadline = time.monotonic() + patience_s

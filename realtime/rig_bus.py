@@ -7,13 +7,15 @@ one fact: whether the unit has answered this SYNC.
 
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.errors import BusError
+from rollerrig.configs.errors import BusError, ConfigError
 from rollerrig.firmware_sim import bench_node, drive402, encoder406, io401
 from rollerrig.firmware_sim.fault_bus import Gate
+from rollerrig.firmware_sim.fault_confinement import Controllers
 from rollerrig.firmware_sim.fault_panel import Site
 from rollerrig.firmware_sim.network import SYNC_ID, Network
 from rollerrig.firmware_sim.rack import Rack
@@ -83,13 +85,17 @@ class RigBus:
         beat_ms = round(1000.0 * bus["heartbeat_s"])
         parameters = {"rated_torque_Nm": scenario["drive"]["rated_torque_Nm"],
                       "max_speed_rad_s": scenario["drive"]["max_speed_rad_s"],
+                      "thermal_time_constant_s": scenario["drive"]["thermal_time_constant_s"],
                       "teeth": float(scenario["sensor"]["teeth"]), "heartbeat_ms": float(beat_ms)}
         asked = self.command[tick.DRIVES:tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
+        store = {node: Path(bus["store"], f"node_{node:03d}.json") if bus["store"] else None
+                 for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE)}
         nodes = [drive402.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,
-                                scenario["rig"]["drives"])
+                                scenario["rig"]["drives"], store[node_id])
                  for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]
-        nodes.append(encoder406.build(row, parameters))
-        nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell))
+        nodes.append(encoder406.build(row, parameters, store[signals.SPEED_NODE]))
+        nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell,
+                                 store[signals.BRAKE_NODE]))
         self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
         self.nodes = {node.node_id: node for node in nodes}
         self.bench_node = bench_node.build(row, self.command[tick.FRICTION:tick.DRIVES], self._tell,
@@ -102,11 +108,15 @@ class RigBus:
             member.on_event = on_event
             self.rack.add(member)
         self._produces_sync = bus["master"]
-        self._port = hub.attach(self.rack.on_frame, "rig")
+        self._arbitration = bus["arbitration"]
+        self._port = hub.attach(self._from_bus, "rig")
         self._numbers = {id(node): node.node_id for node in nodes}
-        self.gate = Gate(hub.destroy)
+        self.gate = Gate(Controllers(hub.destroy))
         # SYNCs that the unit has still to answer; a frozen one shall answer them all when it is back
         self.owed, self.frozen = 0, False
+        # SYNCs of somebody else, though the bench is to send them
+        self.stray_syncs, self._stray = 0, False
+        self._on_event = on_event
         self.rack.start(self._port.send, clock_ns())
         hub.attach(self._listen, "bench")
 
@@ -115,11 +125,36 @@ class RigBus:
         self.command[REFERENCE] = master.reference_speed_m_s if master else np.nan
         self._on_command()
 
+    def start_wire(self, timed: bool) -> None:
+        """From now on frames wait for the wire, where [bus] says so; `timed` as `Hub.arbitrate` has it."""
+        if self._arbitration and self.hub.wire is None:
+            self.hub.arbitrate(timed)
+            self.hub.arrived = self._note_answer
+            self.rack.deferred = self._port.send
+
+    def _from_bus(self, frame: Frame) -> None:
+        # the rig's own frames do not come this way
+        self._stray = self._produces_sync and _is_sync(frame)
+        if self._stray:
+            self.stray_syncs += 1
+            if self.stray_syncs == 1:
+                self._on_event("warning", "somebody else sends SYNC (080h), which is the bench's to send: the "
+                               "rig's nodes obey it, the run does not wait for an answer to it; let the "
+                               "unit be silent there, or leave SYNC to it with bus.master=false")
+        self.rack.on_frame(frame)
+
     def _listen(self, frame: Frame) -> None:
-        if frame.can_id == SYNC_ID and len(frame.data) <= 1:  # longer ones are errors, not SYNCs
-            self.owed += 1
-            self.answered.clear()
-        elif frame.can_id == ANSWER_ID:
+        if _is_sync(frame):
+            stray, self._stray = self._stray, False
+            if not stray:
+                self.owed += 1
+                self.answered.clear()
+        elif self.hub.wire is None:
+            self._note_answer(frame)
+
+    def _note_answer(self, frame: Frame) -> None:
+        """An answer counts when it has come to the bus, whenever the wire carries it."""
+        if frame.can_id == ANSWER_ID:
             self._count_answer()
         elif frame.can_id == bench_node.ANSWER_ID:
             self.harness_answered.set()
@@ -158,6 +193,7 @@ class RigBus:
     def sync(self) -> None:
         """Send SYNC; the nodes sample the row and send their PDOs before this returns."""
         self.harness_answered.clear()
+        self.rack.tell_time(self.clock_ns())
         if not self.frozen:
             self.owed = 0
         if self._produces_sync:
@@ -171,6 +207,18 @@ class RigBus:
     def poll(self) -> None:
         """Let heartbeats, time-outs and event timers pass."""
         self.rack.poll(self.clock_ns())
+
+
+def _is_sync(frame: Frame) -> bool:
+    # longer ones are errors, not SYNCs
+    return frame.can_id == SYNC_ID and len(frame.data) <= 1 and not frame.extended
+
+
+def check_pacing(scenario: Scenario, pacing: str) -> None:
+    """Refuse a wire where there is no bus. Raises ConfigError."""
+    if scenario["bus"]["arbitration"] and pacing == "free":
+        raise ConfigError("[bus] arbitration = true lets frames wait for the wire, and --pacing free has no bus "
+                          "to wait for; use --pacing lockstep (simulated time) or wall")
 
 
 def record_frames(hub: Hub, ring: rings.Ring, begun_ns: Callable[[], int] = lambda: 0) -> None:

@@ -49,6 +49,8 @@ BUS = (
     integer("virtualcan_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
     integer("slcan_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
     integer("cannelloni_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
+    choice("store", "", (), "folder in which the nodes keep stored parameters (1010h, LSS); empty: none"),
+    flag("arbitration", False, "frames wait for the wire, lowest identifier first; false: an ideal bus"),
     flag("master", True, "the bench starts the nodes and produces SYNC"),
 )
 MODBUS = (

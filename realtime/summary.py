@@ -185,8 +185,15 @@ def _footline(summary: Mapping[str, Any]) -> str:
         f"loop: {_show(loop['ticks'], 0)} ticks, {_show(loop['missed'], 0)} missed, late "
         f"p50 {_show(late['p50'], 0)} p99 {_show(late['p99'], 0)} max {_show(late['max'], 0)} us\n"
         f"bus: {_show(bus['frames'], 0)} frames, {_show(bus['dropped'], 0)} dropped, "
-        f"load {_show(bus['load_percent'], 1)} %; Modbus: "
+        f"load {_show(bus['load_percent'], 1)} %{_more(bus)}; Modbus: "
         f"{_show(summary['modbus']['requests'], 0)} requests")
+
+
+def _more(bus: Mapping[str, Any]) -> str:
+    waits = bus.get("longest_wait_us")
+    stray = bus.get("stray_syncs")
+    return ((f", longest wait {waits:.0f} us" if waits is not None else "")
+            + (f", {stray} stray SYNCs" if stray else ""))
 
 
 def _show(value: float | None, places: int = 2) -> str:

@@ -252,6 +252,8 @@ class Supervisor:
         self.emergency = bool(raw)
         self.rig.event("warning", f"emergency stop over Modbus {'' if raw else 're'}set")
         self.roll()
+        for node in signals.DRIVE_NODES:
+            self.rig.bus.nodes[node].device.emergency_stop(self.emergency)
         self.rig.post()
 
     def _set_speed(self, raw: int, only: bool) -> None:

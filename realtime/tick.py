@@ -83,6 +83,7 @@ _DURATION = signals.column("tick_duration")
 _MISSED = signals.column("ticks_missed")
 _SPEED = signals.column("measured_speed")
 _PRESSURE = signals.column("cylinder_pressure")
+_MOTOR_K = signals.column("motor_temperature")
 _SPEED_RAW = signals.BY_NAME["measured_speed"].places[0]
 _PRESSURE_RAW = signals.BY_NAME["cylinder_pressure"].places[0]
 _SPEED_SCALE, _PRESSURE_SCALE = _SPEED_RAW.scale, _PRESSURE_RAW.scale
@@ -94,7 +95,7 @@ _WSP_SCALE = signals.BY_NAME["wsp_reference_speed"].places[0].scale
 # what the real wheelsets and rollers tell where a virtual track runs beside them
 OF_ROLLERS = frozenset((
     "wheel_speed", "wheel_circumferential_speed", "wheel_angle",
-    "roller_speed", "roller_angle", "motor_torque", "motor_torque_demand",
+    "roller_speed", "roller_angle", "motor_torque", "motor_torque_demand", "motor_temperature",
 ))
 
 
@@ -135,6 +136,10 @@ def publish(m):
         m.row[_MAGNETS + j] = m.command[MAGNETS + j]
         m.row[_TRACKING + j] = tracking_error(m, j)
     pole_wheel.sense(m.row, m.pulses, m.sensor, m.command[FAULTS:])
+    if m.command[FAULTS + fault_effects.ANY] != 0.0:
+        heat = m.params.heat
+        fault_effects.heat(m.row[_MOTOR_K:_MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K,
+                           heat.motor_rise_K)
     m.row[_REFERENCE] = m.command[REFERENCE]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
@@ -200,6 +205,9 @@ def once(m):
     for j in range(AXLES):
         m.state.friction_asked[j] = m.command[FRICTION + j]
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
+    if m.command[DRIVES + drive402_axis.LOOP] == drive402_axis.LOOP_STOP and (
+            m.virtual != 0 or m.params.mode != 0):
+        rig_control.stop_with_rollers(m.state, m.roller_state, m.roller_params.drive)
     plant.observe(m.state, m.params)
     if m.virtual != 0:
         rollers_beside(m, tick)

@@ -82,6 +82,8 @@ ROWS: dict[str, tuple[Row, ...]] = {
         integer("discs", 2, 1, 8, _A),
         number("fill_time_constant_s", 1.3, 0.01, 20.0, "3 to 5 s to 95 %; memory"),
         number("release_time_constant_s", 6.0, 0.01, 60.0, "15 to 20 s to 95 %; memory"),
+        number("disc_heat_capacity_J_K", 1.15e5, 1e3, 1e7, _A + "; both discs: 2 x 120 kg, 480 J/(kg K)"),
+        number("disc_cooling_time_s", 600.0, 1.0, 1e5, _A + "; ventilated disc, mean over a stop"),
     ),
     "valve": (
         number("dead_time_s", 0.04, 0.0, 0.25, "20 to 60 ms; memory"),
@@ -97,6 +99,8 @@ ROWS: dict[str, tuple[Row, ...]] = {
         number("torque_time_constant_s", 0.005, 1e-4, 1.0, _A),
         number("speed_loop_rad_s", 40.0, 0.1, 1000.0, _A + "; bandwidth of the roller speed loop"),
         number("observer_rad_s", 100.0, 0.1, 1000.0, _A + "; bandwidth of the contact torque observer"),
+        number("thermal_time_constant_s", 1200.0, 1.0, 1e5, _A + "; winding and iron as one body"),
+        number("rated_temperature_rise_K", 105.0, 1.0, 300.0, "IEC 60034-1, class F by resistance"),
     ),
     "sensor": (
         choice("model", "ideal", ("ideal", "pole_wheel"), "pole_wheel: speed from pulses"),
@@ -116,6 +120,7 @@ ROWS: dict[str, tuple[Row, ...]] = {
     "rig": (
         choice("mode", "contaminated_rollers", tuple(MODES), "how the rig is run"),
         choice("drives", "rig", ("rig", "bus"), "who has the drives: the rig control or a bus master"),
+        number("air_temperature_K", 293.15, 223.0, 323.0, _A + "; 20 degrees Celsius in the hall"),
         number("lock_above_m_s", 3.0, 0.5, 20.0, _A + "; slower than this a lock is not counted"),
     ),
     "multibody": coach_table.ROWS,
@@ -166,6 +171,17 @@ class Drive(NamedTuple):
     observer_rad_s: float
 
 
+class Heat(NamedTuple):
+    """Discs of a wheelset and a motor as bodies that warm up; shares are those of a tick."""
+
+    air_K: float
+    disc_J_K: float
+    disc_share: float
+    rated_torque_Nm: float
+    motor_rise_K: float
+    motor_share: float
+
+
 class Friction(NamedTuple):
     """Changes of the contaminant, in the order in which they apply; arrays of one length.
 
@@ -206,6 +222,7 @@ class Params(NamedTuple):
     friction: Friction
     demand: Demand
     effects: effects.Effects
+    heat: Heat
     coach: Packed | None = None
 
 
@@ -255,7 +272,7 @@ def build(
         sections["rig"]["lock_above_m_s"], patch,
         law, cleaning_creepage, _transfers(_vehicle(vehicle), extra), _brake(brake, valve, tick_s, substeps),
         _drive(sections["drive"], contact["roller_radius_m"], tick_s / substeps),
-        axle_positions(vehicle), friction, demand, effects.build(extra),
+        axle_positions(vehicle), friction, demand, effects.build(extra), _heat(sections, tick_s),
         _coach({**sections, "vehicle": vehicle}, roller_radius_m),
     )
 
@@ -359,6 +376,13 @@ def _brake(
     fill, release, valve_fill, valve_vent = (_share(tick_s / substeps, lag_s) for lag_s in lags_s)
     return Brake(torque_Nm_Pa, b["spring_pressure_Pa"], b["cylinder_volume_L"], fill, release,
                  valve_fill, valve_vent, round(valve["dead_time_s"] / tick_s))
+
+
+def _heat(sections: Mapping[str, Mapping[str, Any]], tick_s: float) -> Heat:
+    brake, drive = sections["brake"], sections["drive"]
+    return Heat(sections["rig"]["air_temperature_K"], brake["disc_heat_capacity_J_K"],
+                _share(tick_s, brake["disc_cooling_time_s"]), drive["rated_torque_Nm"],
+                drive["rated_temperature_rise_K"], _share(tick_s, drive["thermal_time_constant_s"]))
 
 
 def _drive(d: Mapping[str, float], roller_radius_m: float, step_s: float) -> Drive:

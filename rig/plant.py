@@ -7,7 +7,7 @@ is what contacts, brakes and resistance take, less what the motors give.
 
 import numpy as np
 
-from rollerrig.rig import brake, effects, motor, vehicle, wheelset
+from rollerrig.rig import brake, effects, heat, motor, vehicle, wheelset
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.multibody import memory, on_rig
 from rollerrig.rig.params import Params
@@ -39,6 +39,7 @@ def start(state, params, initial_speed_m_s):
         state.observer[j] = (params.drive.observer_rad_s * params.drive.roller_inertia_kgm2
                              * state.roller_speed[j])
     begin(state, params, params.coach)
+    heat.begin(state, params.heat)
     friction(state, params)
     observe(state, params)
 
@@ -91,6 +92,7 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
     for i in range(params.substeps):
         step(state, target_Pa, params)
         state.time[0] = (tick * params.substeps + i + 1) * params.step_s
+    heat.warm(state, params.heat)
 
 
 @kernel_inlined

@@ -51,6 +51,8 @@ class State(NamedTuple):
     brake_torque: np.ndarray  # N m, what acts (a locked wheel needs less than the brake could give)
     brake_capacity: np.ndarray  # N m, what the discs can hold at this pressure; integrate
     brake_work: np.ndarray  # J, integrate
+    brake_work_felt: np.ndarray  # J, of which the discs have the heat; heat
+    disc_temperature: np.ndarray  # K, heat
     cylinder_pressure: np.ndarray  # Pa, brake
     valve: np.ndarray  # FILL, HOLD, VENT after the dead time; brake
     vents: np.ndarray  # -, brake
@@ -60,6 +62,7 @@ class State(NamedTuple):
     motor_torque_demand: np.ndarray  # N m, written by the rig control
     motor_torque: np.ndarray  # N m, motor
     motor_work: np.ndarray  # J, integrate
+    motor_temperature: np.ndarray  # K, heat
     observer: np.ndarray  # N m, memory of the rig control's observer
     speed_integral: np.ndarray  # N m, memory of the drives' velocity loops
     motor_before: np.ndarray  # N m, motor torque at the beginning of the step; integrate

@@ -5,9 +5,12 @@ the process (a plain call) and, encoded once for each protocol, to the clients. 
 one callback of the event loop leaves in one write for each client, and a client that reads too
 slowly loses frames, counted, instead of holding up the rig. Nobody gets their own frames back.
 
+By default the bus is ideal: a frame is delivered at once, and the bit rate is only accounted for
+(`load`). After `arbitrate` frames wait for the wire as on a real bus, lowest identifier first, each
+for its bits' time; time is that of the hub's clock, simulated or real.
+
 Threads: a hub lives in the thread of its event loop; call it from nowhere else.
-Limits: frames are delivered at once, the bit rate is accounted for (`load`) but delays nothing; no
-arbitration or acknowledge; error frames only where a fault asks for them (`destroy`). The protocols
+Limits: no acknowledge; error frames only where a fault asks for them (`destroy`). The protocols
 have no authentication: loopback only, unless another host is asked for.
 """
 
@@ -16,14 +19,15 @@ import errno
 import ipaddress
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import partial
 from typing import Any
 
 from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface.client import Client
 from rollerrig.wsp_interface.codecs import CODECS
-from rollerrig.wsp_interface.frames import BusLoad, Frame, check
+from rollerrig.wsp_interface.frames import OVERLOAD_BACKLOG_NS, BusLoad, Frame, check
+from rollerrig.wsp_interface.wire import Alarm, Wire
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +37,10 @@ CLOSE_TIMEOUT_S = 0.5
 _BUS_ERROR, _ON_TRANSMISSION = 0x088, 0x80
 
 Callback = Callable[[Frame], None]
+Then = Callable[[], None] | None
 Gate = Callable[["Port | Client", Frame, Callable[[], None]], bool]
+# NMT, and SDO, heartbeats and LSS: see `Hub.still`
+_SERVICES_BELOW, _SERVICES_FROM = 0x080, 0x580
 
 
 class Port:
@@ -47,12 +54,16 @@ class Port:
         self._callback = callback
         self._on_close = on_close
 
-    def send(self, frame: Frame) -> None:
-        """Put a frame on the bus; ValueError when it is no CAN frame, counted when closed."""
+    def send(self, frame: Frame, then: Then = None, origin: Hashable = None) -> None:
+        """Put a frame on the bus; ValueError when it is no CAN frame, counted when closed.
+
+        `then()` is called when the bus has carried it; `origin` is whose transmit queue it waits in,
+        where several nodes share a port.
+        """
         if self._hub is None:
             self.dropped += 1
             return
-        self._hub.submit(check(frame), self)
+        self._hub.submit(check(frame), self, then, origin)
 
     def deliver(self, frame: Frame) -> None:
         """Hand the node a frame of somebody else; its exceptions harm nobody else."""
@@ -77,8 +88,16 @@ class Hub:
         self.buffer_bytes = buffer_bytes
         self.load = BusLoad(bitrate, clock_ns())
         self._clock_ns = clock_ns
-        self._waiting: deque[tuple[Frame, Port | Client]] = deque()
+        self._waiting: deque[tuple[Frame, Port | Client, Then]] = deque()
         self._carrying = False
+        self.wire: Wire | None = None
+        # simulated time waits for somebody: services, which nobody may have to wait for, then pass
+        # beside the wire, or a client that asks before it answers would wait for ever
+        self.still = False
+        # told what has come to the bus, whether or not the wire has carried it
+        self.arrived: Callback | None = None
+        self._alarm: Alarm | None = None
+        self._at_ns: int | None = None  # the end of the frame that the wire carries
         self._flush_due = False
         # tuples are replaced, not changed: a callback may attach or close while frames go out
         self._taps: tuple[Callback, ...] = ()
@@ -146,41 +165,52 @@ class Hub:
 
     # --- carrying ---
 
-    def submit(self, frame: Frame, sender: Port | Client) -> None:
+    def submit(self, frame: Frame, sender: Port | Client, then: Then = None,
+               origin: Hashable = None) -> None:
         """Queue a frame and carry what waits: a node that answers inside its callback comes next.
 
         Without the queue an answer would overtake the question on its way to the nodes behind.
         """
-        if self.gate is None or self.gate(sender, frame, partial(self._queue, frame, sender)):
-            self._queue(frame, sender)
+        carry = partial(self._queue, frame, sender, then, origin)
+        if self.gate is None or self.gate(sender, frame, carry):
+            carry()
 
-    def destroy(self, frame: Frame, errors: int) -> None:
+    def destroy(self, frame: Frame, transmit_errors: int, receive_errors: int = 0,
+                by_sender: bool = True) -> None:
         """An error frame ends a frame on the wire: taps see it, and its bits are counted.
 
-        `errors` is the sender's error counter. Source: Linux can/error.h for what the frame says.
+        The counters are those of the controller that found the error: the sender's, or a
+        receiver's. Source: Linux can/error.h for what the frame says.
         """
-        now_ns = self._clock_ns()
-        told = bytes((0, 0, _ON_TRANSMISSION, 0, 0, 0, errors, 0))
+        now_ns = self._now_ns()
+        told = bytes((0, 0, _ON_TRANSMISSION if by_sender else 0, 0, 0, 0, transmit_errors,
+                      receive_errors))
         self.load.carry(frame, now_ns)
+        if self.wire is not None:
+            self.wire.occupy(frame, now_ns)
         for tap in self._taps:
             self.call(tap, Frame(_BUS_ERROR, told, time_ns=now_ns, error=True))
 
-    def _queue(self, frame: Frame, sender: Port | Client) -> None:
-        self._waiting.append((frame, sender))
+    def _now_ns(self) -> int:
+        return self._clock_ns() if self._at_ns is None else self._at_ns
+
+    def _queue(self, frame: Frame, sender: Port | Client, then: Then, origin: Hashable) -> None:
+        if self.wire is not None and not (self.still and _is_service(frame)):
+            self._offer(self.wire, frame, sender, then, origin)
+            return
+        self._waiting.append((frame, sender, then))
         if self._carrying:
             return
         self._carrying = True
         try:
             while self._waiting:
-                self._carry(*self._waiting.popleft())
+                self._carry(*self._waiting.popleft(), self._now_ns())
         finally:
             self._carrying = False
 
-    def _carry(self, frame: Frame, sender: Port | Client) -> None:
+    def _carry(self, frame: Frame, sender: Port | Client, then: Then, now_ns: int) -> None:
         """Stamp one frame and give it to everybody but its sender."""
-        now_ns = self._clock_ns()
         stamped = Frame(frame.can_id, frame.data, frame.extended, frame.remote, frame.dlc, now_ns)
-        # a hub that delays as the wire does would deliver at the time which `carry` returns
         self.load.carry(stamped, now_ns)
         for tap in self._taps:
             self.call(tap, stamped)
@@ -194,9 +224,62 @@ class Hub:
                 if wire is None:
                     wire = wires[client.codec] = client.encode(stamped)
                 client.put(wire)
+        if then is not None:
+            then()
         if wires and not self._flush_due:
             self._flush_due = True
             asyncio.get_running_loop().call_soon(self.flush)
+
+    # --- the wire ---
+
+    def arbitrate(self, timed: bool) -> None:
+        """From now on frames wait for the wire; once done it stays so.
+
+        `timed`: they are carried by the event loop as the clock goes; else by `advance`, which
+        whoever moves simulated time has to call. To be called in the event loop.
+        """
+        if self.wire is not None:
+            return
+        self.wire = Wire(self.load.bitrate, self._clock_ns())
+        if timed:
+            self._alarm = Alarm()
+            asyncio.get_running_loop().add_reader(self._alarm.fileno, self._ring)
+
+    def advance(self, now_ns: int) -> None:
+        """Carry every frame whose last bit has left the wire by now, each at its own time."""
+        if self.wire is None or self._at_ns is not None:
+            return
+        try:
+            while (found := self.wire.take(now_ns)) is not None:
+                one, self._at_ns = found
+                one.carry(self._at_ns)
+                if self._at_ns - one.ready_ns > OVERLOAD_BACKLOG_NS:
+                    self.load.overloaded = True
+        finally:
+            self._at_ns = None
+        self._set_alarm()
+
+    def _offer(self, wire: Wire, frame: Frame, sender: Port | Client, then: Then,
+               origin: Hashable) -> None:
+        idle = not wire
+        if not wire.offer(frame, self._now_ns(), sender if origin is None else origin,
+                          partial(self._carry, frame, sender, then)):
+            sender.dropped += 1
+        elif idle and self._at_ns is None:
+            self._set_alarm()
+        if self.arrived is not None:
+            self.arrived(frame)
+
+    def _ring(self) -> None:
+        if self._alarm is not None:
+            self._alarm.hear()
+            self.advance(self._clock_ns())
+
+    def _set_alarm(self) -> None:
+        if self._alarm is not None and self.wire is not None:
+            end_ns = self.wire.end_ns()
+            if end_ns is not None:
+                self._alarm.set(end_ns - self._clock_ns())
 
     def flush(self) -> None:
         """Write now what waits for the clients; happens by itself after the current callback."""
@@ -226,7 +309,7 @@ class Hub:
         return self._gone_dropped + sum(member.dropped for member in members)
 
     def stats(self) -> dict[str, Any]:
-        """Return the counters: frames, dropped, bits, load [percent], overloaded, clients."""
+        """Return the counters: frames, dropped, bits, load [percent], overloaded, longest wait, clients."""
         now_ns = self._clock_ns()
         return {
             "frames": self.load.frames,
@@ -235,6 +318,7 @@ class Hub:
             "load_percent": round(self.load.run_percent(now_ns), 3),
             "load_last_second_percent": round(self.load.last_second_percent(now_ns), 3),
             "overloaded": self.load.overloaded,
+            "longest_wait_us": self.wire.longest_wait_ns / 1000.0 if self.wire is not None else 0.0,
             "clients": [client.stats() for client in self._clients],
         }
 
@@ -242,12 +326,18 @@ class Hub:
         """Set all counters to zero, at the start of a run."""
         self.load = BusLoad(self.load.bitrate, self._clock_ns())
         self._gone_dropped = 0
+        if self.wire is not None:
+            self.wire.longest_wait_ns = 0
         members: tuple[Port | Client, ...] = (*self._ports, *self._clients)
         for member in members:
             member.dropped = 0
 
     async def close(self) -> None:
         """Close ports, servers and clients; what clients have still to get is sent for 0.5 s."""
+        if self._alarm is not None:
+            asyncio.get_running_loop().remove_reader(self._alarm.fileno)
+            self._alarm.close()
+            self._alarm = None
         for server in self._servers:
             server.close()
         for port in self._ports:
@@ -262,6 +352,10 @@ class Hub:
         for server in self._servers:
             await server.wait_closed()
         self._servers.clear()
+
+
+def _is_service(frame: Frame) -> bool:
+    return frame.extended or not _SERVICES_BELOW <= frame.can_id < _SERVICES_FROM
 
 
 def _why_not(name: str, codec: str, host: str, port: int, error: Exception) -> str:

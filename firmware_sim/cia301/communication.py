@@ -55,6 +55,8 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
         Row(0x1001, 0, "Error register", "U8", "ro", 0, True),
         *_history(),
         Row(0x1005, 0, "COB-ID SYNC message", "U32", "rw", 0x80),
+        Row(0x1006, 0, "Communication cycle period", "U32", "rw", 0, unit="us"),
+        Row(0x1007, 0, "Synchronous window length", "U32", "rw", 0, unit="us"),
         Row(0x1008, 0, "Manufacturer device name", "TEXT", "const", profile.name),
         Row(0x1009, 0, "Manufacturer hardware version", "TEXT", "const", "simulated"),
         Row(0x100A, 0, "Manufacturer software version", "TEXT", "const", "0.1"),

@@ -20,6 +20,8 @@ _WAITING = 32
 # error register bits by the first hexadecimal digit of the code; bit 0 is always set
 _REGISTER = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10, 0xF: 0x20, 0x6: 0x80}
 SYNC_LENGTH, PDO_LENGTH, HEARTBEAT_LOST, RPDO_LATE = 0x8240, 0x8210, 0x8130, 0x8250
+# no code of its own is defined for a SYNC that stays away: communication, generic
+SYNC_MISSING = 0x8100
 
 
 class Emergency:

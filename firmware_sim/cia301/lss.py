@@ -3,7 +3,8 @@
 A node waits until a switch command selects it, all nodes at once or one by its four identity
 numbers; then it takes an identifier, which becomes active with the next reset of communication.
 Fastscan finds a node without identifier by asking for its identity bit by bit. Source: CiA 305;
-written from its published descriptions, the bit timing is taken note of and changes nothing here.
+written from its published descriptions. Identifier and bit timing are kept in the node's file when
+the master says so; the bit timing is taken note of and changes nothing here.
 """
 
 from collections.abc import Callable
@@ -22,7 +23,8 @@ _SELECT, _SELECTED = (0x40, 0x41, 0x42, 0x43), 0x44
 _IDENTIFY, _IDENTIFIED = (0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B), 0x4F
 _NON_CONFIGURED, _IS_NON_CONFIGURED, _FASTSCAN = 0x4C, 0x50, 0x51
 _INQUIRE, _INQUIRE_NODE_ID = (0x5A, 0x5B, 0x5C, 0x5D), 0x5E
-_STANDARD_TABLE, _LAST_RATE = 0, 8
+# CiA 305: index 2 of the standard table is 500 kbit/s
+_STANDARD_TABLE, _LAST_RATE, _DEFAULT_RATE = 0, 8, 2
 
 
 class LssSlave:
@@ -31,7 +33,7 @@ class LssSlave:
     def __init__(self, node: "Node") -> None:
         self.node, self.configuring, self.pending = node, False, node.node_id
         self._selected, self._identified, self._position = 0, 0, 0
-        self._range_low = 0
+        self.bit_timing = _DEFAULT_RATE
         steps: dict[int, Callable[[bytes], None]] = {
             _SWITCH_GLOBAL: self._switch_global, _NODE_ID: self._set_node_id,
             _BIT_TIMING: self._set_bit_timing, _STORE: self._store,
@@ -40,6 +42,13 @@ class LssSlave:
         }
         steps |= dict.fromkeys(_SELECT, self._select) | dict.fromkeys(_IDENTIFY, self._identify)
         self._steps = steps | dict.fromkeys(_INQUIRE, self._inquire)
+
+    def power_on(self) -> None:
+        """Begin with what has been stored, where anything has."""
+        kept = self.node.storage.kept_settings()
+        if kept is not None:
+            self.pending, self.bit_timing = kept
+        self.configuring = False
 
     def on_frame(self, frame: "Frame") -> None:
         """A message of the LSS master; one that has not eight bytes is not LSS."""
@@ -83,12 +92,13 @@ class LssSlave:
     def _set_bit_timing(self, data: bytes) -> None:
         if self.configuring:
             known = data[1] == _STANDARD_TABLE and data[2] <= _LAST_RATE and data[2] != 5
+            if known:
+                self.bit_timing = data[2]
             self._answer(_BIT_TIMING, bytes([not known]))
 
     def _store(self, _: bytes) -> None:
-        # 1: this node keeps its identifier no longer than its power
         if self.configuring:
-            self._answer(_STORE, b"\x01")
+            self._answer(_STORE, bytes([self.node.storage.keep_settings(self.pending, self.bit_timing)]))
 
     def _inquire(self, data: bytes) -> None:
         self._inquired(self._identity()[data[0] - _INQUIRE[0]].to_bytes(4, "little"), data[0])

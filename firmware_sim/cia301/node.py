@@ -78,6 +78,7 @@ class Node:
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
         """Power on: power-on values, boot-up message, PRE-OPERATIONAL."""
         self.send, self.now_ns = send, now_ns
+        self.lss.power_on()
         self.reset_node()
 
     def power_off(self) -> None:
@@ -143,7 +144,7 @@ class Node:
         self.timers.clear()
         self.node_id = self.objects.node_id = self.lss.pending
         self.objects.power_on(first, 0xFFFF if everything else 0x1FFF, self.storage.load())
-        for part in (self.consumer, self.guarding):
+        for part in (self.consumer, self.guarding, self.sync):
             part.forget()
         self.emergency.forget(everything)
         for server in self._servers:

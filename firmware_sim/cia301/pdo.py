@@ -162,7 +162,8 @@ class Rpdo:
         if self.deadline_ns:
             node.timers.set(f"rpdo {self.number}", node.now_ns + self.deadline_ns, self._late)
         if self.synchronous:
-            self.waiting = data
+            if not node.sync.window_is_over(frame):
+                self.waiting = data
         else:
             self.apply(data)
 

@@ -2,14 +2,17 @@
 
 What came for synchronous receive PDOs is taken over first, then every synchronous transmit PDO is
 sampled and sent. A SYNC may carry a counter from 1 to the overflow value 1019h; one of another
-length is reported and still obeyed. Source: CiA 301, SYNC protocol, objects 1005h and 1019h.
+length is reported and still obeyed. Where 1006h tells the cycle, a SYNC that stays away for half as
+long again is reported; where 1007h tells the window, what comes for synchronous receive PDOs after
+its end is too late for the next SYNC. Source: CiA 301, SYNC protocol, objects 1005h, 1006h, 1007h
+and 1019h; how long a node waits for a SYNC is left to it there.
 """
 
 from typing import TYPE_CHECKING
 
 from rollerrig.firmware_sim.cia301 import identifiers
 from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
-from rollerrig.firmware_sim.cia301.emergency import SYNC_LENGTH
+from rollerrig.firmware_sim.cia301.emergency import SYNC_LENGTH, SYNC_MISSING
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import key
 
@@ -18,21 +21,33 @@ if TYPE_CHECKING:
     from rollerrig.wsp_interface.frames import Frame
 
 
+US = 1000
+_ALARM = "sync"
+
+
 class SyncConsumer:
-    """What a node does at a SYNC."""
+    """What a node does at a SYNC. `at_ns`: when the last one came, None before the first."""
 
     def __init__(self, node: "Node") -> None:
         self.node = node
-        self._length = 0
+        self.at_ns: int | None = None
+        self._length = self._patience_ns = self._window_ns = 0
+        for index in (0x1006, 0x1007):
+            node.objects.effects[key(index, 0)] = lambda _: self.configure()
         node.objects.checks[key(0x1005, 0)] = self._check_cob_id
         node.objects.effects[key(0x1005, 0)] = lambda _: node.rewire()
         node.objects.checks[key(0x1019, 0)] = self._check_overflow
         node.objects.effects[key(0x1019, 0)] = lambda _: node.rewire()
 
     def configure(self) -> None:
-        """Take 1005h, 1019h and the PDOs over."""
+        """Take 1005h, 1006h, 1007h, 1019h and the PDOs over."""
         node = self.node
         self._length = 1 if node.objects.values[key(0x1019, 0)] else 0
+        self._patience_ns = node.objects.values[key(0x1006, 0)] * US * 3 // 2
+        self._window_ns = node.objects.values[key(0x1007, 0)] * US
+        if not self._patience_ns or not node.state.has_emergencies:
+            node.timers.cancel(_ALARM)
+            node.emergency.clear(SYNC_MISSING)
         self._receive = [rpdo.on_sync for rpdo in node.rpdos if rpdo.live and rpdo.synchronous]
         self._transmit = [tpdo.on_sync for tpdo in node.tpdos if tpdo.live and tpdo.on_sync]
 
@@ -47,6 +62,10 @@ class SyncConsumer:
             node.emergency.report(SYNC_LENGTH, 0, bytes([len(data), self._length]))
         elif node.emergency.active:
             node.emergency.clear(SYNC_LENGTH)
+            node.emergency.clear(SYNC_MISSING)
+        self.at_ns = max(frame.time_ns, node.now_ns)
+        if self._patience_ns:
+            node.timers.set(_ALARM, self.at_ns + self._patience_ns, self._miss)
         for take in self._receive:
             take()
         for react in node.on_sync:
@@ -55,6 +74,21 @@ class SyncConsumer:
             counter = data[0] if data else None
             for transmit in self._transmit:
                 transmit(counter)
+
+    def forget(self) -> None:
+        """After a reset no SYNC has come."""
+        self.at_ns = None
+
+    def window_is_over(self, frame: "Frame") -> bool:
+        """Whether a message comes too late for the next SYNC."""
+        if not self._window_ns or self.at_ns is None:
+            return False
+        return max(frame.time_ns, self.node.now_ns) > self.at_ns + self._window_ns
+
+    def _miss(self) -> None:
+        node = self.node
+        node.event("warning", f"no SYNC for {self._patience_ns / 1e6:g} ms, half as long again as 1006h says")
+        node.emergency.report(SYNC_MISSING)
 
     def _check_cob_id(self, wanted: int) -> None:
         # bit 30 would make this node the producer of SYNC, which it cannot be

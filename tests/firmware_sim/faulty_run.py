@@ -43,11 +43,12 @@ PLAN = (
     ("bus_off", 6.9, 7.2, {"node": 4}),
     ("heartbeat_late", 7.3, 7.8, {"node": 17, "delay_s": 0.6}),
     ("wsp_frozen", 8.0, 8.4, {}),
+    ("receive_error", 9.0, 9.4, {"node": 16, "attempts": 1}),
 )
 # what the unit asks of the magnets
 SCRIPT = ((2.1, 2.4, HOLD_ALL), (2.4, 2.7, VENT_ALL))
 BY_HAND = (8.6, 8.7, {"name": "speed_sensor_dropout", "axle": 4})
-END_S = 8.9
+END_S = 9.9
 
 
 @dataclass

@@ -123,8 +123,53 @@ def test_a_store_that_cannot_be_understood_does_no_harm(wire, tmp_path, content)
     assert wire.read(16, 0x1017) == b"\x64\0"
 
 
-@pytest.mark.conformance("CiA 301", "1010h without memory: 06060000")
+@pytest.mark.conformance("CiA 301", "1010h without memory: 08000020")
 def test_a_node_without_memory_refuses_to_store(wire):
     wire.encoder()
     assert wire.write(16, 0x1010, 1, SAVE, 4) == 0x08000020
     assert wire.read(16, 0x1010, 1) == bytes(4)
+
+
+@pytest.mark.conformance("CiA 305", "LSS store configuration")
+def test_an_identifier_that_lss_has_stored_outlives_a_new_start_and_stored_parameters_stay(wire, lss, tmp_path):
+    file = tmp_path / "memory" / "node16.json"
+    node = wire.encoder(storage=file)
+    wire.write(16, 0x1017, 0, 33, 2)
+    assert wire.write(16, 0x1010, 1, SAVE, 4) == 0
+    assert lss.send_switch_state_selective(*identity(node))
+    lss.configure_node_id(40)
+    lss.configure_bit_timing(3)
+    lss.store_configuration()
+    lss.send_switch_state_global(lss.WAITING_STATE)
+    again = encoder406.build(wire.row, storage=file)
+    wire.take()
+    wire.plug(again)
+    assert wire.take(0x728) == [b"\0"]
+    assert wire.read(40, 0x1017) == b"\x21\0"
+    assert again.lss.bit_timing == 3
+    # restored defaults are those of the parameters: the identifier stays
+    assert wire.write(40, 0x1011, 1, LOAD, 4) == 0
+    once_more = encoder406.build(wire.row, storage=file)
+    once_more.start(lambda frame: None, 0)
+    assert (once_more.node_id, once_more.objects.get(0x1017)) == (40, 100)
+
+
+@pytest.mark.conformance("CiA 305", "LSS store configuration without memory: error 1")
+def test_a_node_without_memory_says_so_to_lss_and_forgets_the_identifier(wire, lss):
+    wire.encoder()
+    lss.send_switch_state_global(lss.CONFIGURATION_STATE)
+    lss.configure_node_id(40)
+    with pytest.raises(Exception, match="1"):
+        lss.store_configuration()
+    again = encoder406.build(wire.row)
+    again.start(lambda frame: None, 0)
+    assert again.node_id == 16
+
+
+@pytest.mark.conformance("CiA 305", "LSS store configuration: no access to the memory, error 2")
+def test_a_memory_that_cannot_be_written_is_told_to_lss(wire, lss, tmp_path):
+    (tmp_path / "taken").write_text("")
+    wire.encoder(storage=tmp_path / "taken" / "node16.json")
+    lss.send_switch_state_global(lss.CONFIGURATION_STATE)
+    with pytest.raises(Exception, match="2"):
+        lss.store_configuration()

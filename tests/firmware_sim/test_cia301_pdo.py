@@ -236,6 +236,52 @@ def test_a_synchronous_rpdo_is_taken_with_the_next_sync(wire):
     assert wire.read(1, 0x6071) == b"\x10\0"
 
 
+@pytest.mark.conformance("CiA 301", "synchronous window length, 1007h")
+def test_a_synchronous_rpdo_after_the_window_waits_for_no_sync(wire):
+    wire.drive(1)
+    wire.nmt(START)
+    # before the first SYNC there is no window
+    assert wire.write(1, 0x1007, 0, 3000, 4) == 0
+    wire.send(0x201, b"\x06\0\x0a\x10\0")
+    wire.sync()
+    assert wire.read(1, 0x6071) == b"\x10\0"
+    wire.run(3)
+    wire.send(0x201, b"\x06\0\x0a\x20\0")
+    wire.sync()
+    assert wire.read(1, 0x6071) == b"\x20\0"
+    wire.run(4)
+    wire.send(0x201, b"\x06\0\x0a\x30\0")
+    wire.sync()
+    assert wire.read(1, 0x6071) == b"\x20\0"
+    assert wire.write(1, 0x1007, 0, 0, 4) == 0
+    wire.run(4)
+    wire.send(0x201, b"\x06\0\x0a\x30\0")
+    wire.sync()
+    assert wire.read(1, 0x6071) == b"\x30\0"
+
+
+@pytest.mark.conformance("CiA 301", "communication cycle period, 1006h: EMCY 8100h when SYNC stays away")
+def test_a_sync_that_stays_away_half_a_cycle_longer_than_1006h_is_reported_until_it_is_back(wire, unit):
+    assert wire.write(16, 0x1006, 0, 10_000, 4) == 0
+    wire.run(100)
+    # nobody is missed who never was there
+    assert wire.take(0x090) == []
+    wire.sync()
+    wire.run(14)
+    wire.sync()
+    wire.run(15)
+    emergency, = wire.take(0x090)
+    assert emergency[:3] == b"\x00\x81\x11"
+    wire.run(100)
+    assert wire.take(0x090) == []
+    wire.sync()
+    assert wire.take(0x090) == [bytes([0, 0, 0, 0, 0x81, 0, 0, 0])]
+    assert wire.read(16, 0x1001) == b"\0"
+    assert wire.write(16, 0x1006, 0, 0, 4) == 0
+    wire.run(100)
+    assert wire.take(0x090) == []
+
+
 @pytest.mark.conformance("CiA 301", "RPDO dummy mapping")
 def test_fillers_of_an_rpdo_are_skipped(wire):
     wire.drive(1)

@@ -350,6 +350,40 @@ def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire)
     assert node.device.axis.commands[drive402_axis.LOOP] == drive402_axis.LOOP_RIG
 
 
+@pytest.mark.conformance("CiA 402", "emergency stop from outside the bus: quick stop, barred until taken back")
+@pytest.mark.parametrize("control_source", ["rig", "bus"])
+def test_an_emergency_stop_brakes_the_motor_and_bars_the_drive_until_it_is_taken_back(wire, control_source):
+    node = wire.drive(1, control=control_source)
+    wire.nmt(1)
+    if control_source == "bus":
+        control(wire, *WALK[ENABLED])
+    assert state(wire) == ENABLED
+    set_row(wire, "roller_speed", 40.0)
+    node.device.emergency_stop(True)
+    assert state(wire) == State.QUICK_STOP_ACTIVE
+    wire.run(500)
+    commands = node.device.axis.commands
+    assert commands[drive402_axis.LOOP] == drive402_axis.LOOP_STOP
+    # 40 rad/s less half a second of 60 rad/s2
+    assert commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(10.0, abs=0.2)
+    wire.run(500)
+    # the ramp has ended, the motor has not: it brakes on
+    assert commands[drive402_axis.VELOCITY_rad_s] == 0.0
+    assert commands[drive402_axis.ENABLED] == 1.0
+    set_row(wire, "roller_speed", 0.0)
+    wire.run(2)
+    assert state(wire) == DISABLED
+    assert commands[drive402_axis.ENABLED] == 0.0
+    control(wire, SHUTDOWN, SWITCH_ON, ENABLE)
+    drive402.enable_locally(node) if control_source == "rig" else None
+    assert state(wire) == DISABLED
+    node.device.emergency_stop(False)
+    assert state(wire) == (ENABLED if control_source == "rig" else DISABLED)
+    if control_source == "bus":
+        control(wire, *WALK[ENABLED])
+        assert state(wire) == ENABLED
+
+
 @pytest.mark.conformance("CiA 402", "default PDOs")
 def test_default_pdos_carry_the_signals_and_take_set_points(wire, drive):
     set_row(wire, "roller_speed", 12.3456)

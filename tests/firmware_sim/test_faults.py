@@ -215,6 +215,14 @@ def test_a_hot_drive_warns_with_bit_7(rig):
     assert not any(word & 0x80 for word in words(rig, 2, *after("drive_over_temperature")))
 
 
+def test_a_hot_motor_tells_its_temperature_and_the_others_tell_the_airs(rig):
+    air_K, rise_K = 293.15, rig.run.scenario["drive"]["rated_temperature_rise_K"]
+    hot = samples(rig, "motor_temperature:_K", *within("drive_over_temperature"))
+    assert hot[1] == pytest.approx(air_K + 1.25 * rise_K, abs=0.01)
+    assert np.abs(hot[[0, 2, 3]] - air_K).max() < 3.0
+    assert np.abs(samples(rig, "motor_temperature:_K", *after("drive_over_temperature")) - air_K).max() < 3.0
+
+
 def test_a_power_dip_trips_every_drive_and_clears_voltage_enabled(rig):
     for node in (1, 2, 3, 4):
         assert all(in_fault(word) and not word & 0x10 for word in words(rig, node, *within("power_dip")))
@@ -271,7 +279,23 @@ def test_error_frames_drive_a_node_to_error_passive_to_bus_off_and_back(rig):
     assert codes.index(0x8120) < codes.index(0x8140)
     assert rig.told("node 17: error passive")
     assert rig.told("node 17: bus-off")
-    assert not [one for time, one, _ in rig.frames if one == 0x20000088 and time >= end]
+    assert not [one for time, one, _ in rig.frames if one == 0x20000088 and end <= time < 9.0]
+
+
+def test_a_faulty_receiver_destroys_frames_until_it_is_error_passive_and_then_only_misses_them(rig):
+    begin, end = TIMES["receive_error"]
+    errors = [data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end]
+    assert [data[7] for data in errors][:3] == [9, 17, 25]
+    assert not any(data[2] for data in errors)
+    assert len(errors) < 30
+    assert emergencies(rig, 16, "receive_error") == [0x8120, 0]
+    assert rig.told("node 16: error passive: its receive error counter")
+    assert rig.told("node 16: error active again")
+    # without SYNC it sends no speeds; its neighbours hear and are heard, its heartbeat goes on
+    assert rig.on_bus(0x190, begin + 0.03, end) == []
+    assert len(rig.on_bus(0x191, begin + 0.03, end)) == 37
+    assert set(rig.on_bus(0x710, begin, end)) == {b"\x05"}
+    assert len(rig.on_bus(0x190, end + 0.015, end + 0.115)) == 10
 
 
 def test_a_node_whose_controller_is_off_says_nothing_and_goes_on_without_booting(rig):

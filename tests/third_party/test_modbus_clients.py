@@ -12,7 +12,6 @@ from modbus_site import Site
 
 GO_CLIENT = Path(__file__).parent / "modbus_go"
 MBPOLL = shutil.which("mbpoll")
-GO = shutil.which("go")
 needs_mbpoll = pytest.mark.skipif(not MBPOLL, reason="needs mbpoll: apt-get install mbpoll")
 
 
@@ -80,15 +79,13 @@ def test_mbpoll_is_told_what_it_may_not(site):
 
 
 @pytest.fixture(scope="session")
-def go_client(tmp_path_factory):
-    if not GO:
-        pytest.skip("needs Go: apt-get install golang-go, or an installation of Go 1.21 or newer")
+def go_client(tmp_path_factory, go):
     quiet = os.environ | {"GOFLAGS": "-mod=readonly", "GOTOOLCHAIN": "local"}
-    fetched = run(GO, "mod", "download", cwd=GO_CLIENT, env=quiet)
+    fetched = run(go, "mod", "download", cwd=GO_CLIENT, env=quiet)
     if fetched.returncode:
         pytest.skip(f"the Go module proxy cannot be reached: {fetched.stderr.strip()[-200:]}")
     program = tmp_path_factory.mktemp("go") / "modbus_client"
-    built = run(GO, "build", "-o", program, ".", cwd=GO_CLIENT, env=quiet)
+    built = run(go, "build", "-o", program, ".", cwd=GO_CLIENT, env=quiet)
     assert built.returncode == 0, built.stderr
     return program
 

@@ -1,0 +1,159 @@
+"""A bus that is lost, that somebody else gives the time on, or whose frames take their time."""
+
+import asyncio
+import contextlib
+import filecmp
+import threading
+import time
+
+import numpy as np
+import pytest
+from bench_process import MAGNETS, SYNC, BenchProcess, SimpleUnit
+
+from rollerrig.realtime import records
+from rollerrig.wsp_interface.hub import Hub
+
+ANSWERS = 0x211
+
+
+@contextlib.contextmanager
+def foreign_bus():
+    """A bus of another program, which the bench joins as a python-can bus; yields (address, end)."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+
+    def do(coroutine):
+        return asyncio.run_coroutine_threadsafe(coroutine, loop).result(10)
+
+    hub = Hub(time.monotonic_ns)
+    port = do(hub.listen("socketcand", port=0))
+    yield f"rollerrig:127.0.0.1:{port}/rig0", lambda: do(hub.close())
+    do(hub.close())
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join(5)
+    loop.close()
+
+
+@pytest.mark.parametrize("pacing", ["wall", "lockstep"])
+def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_keeps_its_record(
+        pacing, tmp_path):
+    with foreign_bus() as (address, end):
+        bench = BenchProcess(tmp_path / "run", "--pacing", pacing, "--wsp", "none",
+                             "--set", f"bus.interface={address}", "--set", "duration_max_s=3000",
+                             "--set", "adhesion.mu_cd=0.001", "--set", "stand_s=60")
+        bench.runs_for(1.0)
+        end()
+        bench.finish(60)
+    assert bench.status == 2, bench.stderr
+    assert "Traceback" not in bench.stderr
+    assert "failed" in bench.told["error"]
+    assert "check the interface" in bench.told["error"]
+    summary = records.summary(bench.out)
+    assert summary["ended"] == "error"
+    assert any("CAN bus" in event["text"] and event["level"] == "error" for event in summary["events"])
+    run = bench.record
+    assert run.column("time_s")[-1] >= 1.0
+    assert (bench.out / "can.log").stat().st_size > 1000
+
+
+def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_run(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
+                         "--set", "duration_max_s=2")
+    # in every tenth cycle a SYNC that nobody asked for, before the answer or after it
+    extra = {3: [(SYNC, b""), (MAGNETS, b"\0")], 7: [(MAGNETS, b"\0"), (SYNC, b"")]}
+    unit = SimpleUnit(bench.address(), lambda n: extra.get(n % 10, [(MAGNETS, b"\0")]))
+    bench.finish()
+    unit.close()
+    assert bench.status == 0, bench.stderr
+    assert len(bench.record.table) >= 199
+    assert bench.told["bus"]["stray_syncs"] == 40
+    assert len(bench.heard("somebody else sends SYNC")) == 1
+
+
+# --- the wire ---
+
+
+def frames(folder):
+    """(time in us, identifier) of every frame of a run, in the order of the log."""
+    found = []
+    for line in (folder / records.CAN_LOG).read_text().splitlines():
+        stamp, _, body = line.split()
+        found.append((round(1e6 * float(stamp.strip("()"))), int(body.partition("#")[0], 16)))
+    return found
+
+
+def run_on_wire(out, pacing, *more):
+    bench = BenchProcess(out, "--pacing", pacing, "--set", "bus.interface=hub", "--set",
+                         "bus.arbitration=true", "--set", "duration_max_s=1.5", *more)
+    bench.finish()
+    assert bench.status == 0, bench.stderr
+    return bench
+
+
+def check_wire(bench):
+    """Each frame after the one before by at least its bits' time; after SYNC in order of identifiers."""
+    log = frames(bench.out)
+    begin = next(at for at, (_, can_id) in enumerate(log) if can_id == SYNC)
+    # what was sent before the run, and services while simulated time stood still, did not wait
+    ends = np.array([at for at, can_id in log[begin:] if can_id < 0x580])
+    # the shortest frame of the rig, SYNC, has 47 bits of 2 us; stamps are rounded to 1 us
+    assert np.diff(ends).min() >= 93
+    bursts, burst = [], []
+    for at, can_id in log[begin:]:
+        if can_id == SYNC:
+            bursts.append(burst)
+            burst = []
+        if 0x180 < can_id < 0x580 and can_id not in (0x1A0, ANSWERS):
+            burst.append((can_id, at))
+    for burst in bursts[2:]:
+        assert [can_id for can_id, _ in burst] == sorted(can_id for can_id, _ in burst)
+    return log
+
+
+@pytest.mark.conformance("CAN", "arbitration in simulated time: lockstep repeats bit for bit")
+def test_in_lockstep_frames_wait_for_the_wire_and_the_run_repeats_bit_for_bit(tmp_path):
+    one = run_on_wire(tmp_path / "one", "lockstep")
+    two = run_on_wire(tmp_path / "two", "lockstep")
+    check_wire(one)
+    assert filecmp.cmp(one.out / "can.log", two.out / "can.log", shallow=False)
+    for name in one.record.table.column_names:
+        if not name.startswith("tick_"):
+            assert np.array_equal(one.record.column(name), two.record.column(name), equal_nan=True), name
+    # twelve process data frames behind one another
+    assert 2000 < one.told["bus"]["longest_wait_us"] < 4000
+    assert 25.0 < one.told["bus"]["load_percent"] < 45.0
+
+
+@pytest.mark.conformance("CAN", "arbitration by the clock")
+def test_in_real_time_frames_wait_for_the_wire_and_no_answer_is_lost(tmp_path):
+    bench = run_on_wire(tmp_path / "run", "wall")
+    log = check_wire(bench)
+    assert bench.told["bus"]["dropped"] == 0
+    answers = sum(1 for _, can_id in log if can_id == ANSWERS)
+    assert answers >= sum(1 for _, can_id in log if can_id == SYNC) - 5
+
+
+def test_a_valve_command_acts_later_where_its_frame_has_to_wait_for_a_slower_wire(tmp_path):
+    def first_vent(out, *more):
+        bench = BenchProcess(out, "--pacing", "lockstep", "--wsp", "external", "--set", "duration_max_s=0.6",
+                             "--set", "bus.interface=hub", "--set", "loop.record_hz=1000", *more)
+        unit = SimpleUnit(bench.address(), lambda n: [(MAGNETS, b"\xff" if n > 20 else b"\0")])
+        bench.finish()
+        unit.close()
+        assert bench.status == 0, bench.stderr
+        run = bench.record
+        return run.column("time_s")[np.flatnonzero(run.column("magnets_1"))[0]]
+
+    ideal = first_vent(tmp_path / "ideal")
+    fast = first_vent(tmp_path / "fast", "--set", "bus.arbitration=true")
+    slow = first_vent(tmp_path / "slow", "--set", "bus.arbitration=true", "--set", "bus.bitrate=250000")
+    assert 0.001 < fast - ideal < 0.006
+    assert 0.001 < slow - fast < 0.006
+
+
+def test_free_pacing_has_no_wire_and_says_so(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "free", "--set", "bus.arbitration=true")
+    bench.finish()
+    assert bench.status == 2
+    assert "use --pacing lockstep" in bench.told["error"]

@@ -1,0 +1,207 @@
+"""The wire: who goes first, how long it takes, who is refused; and the hub that makes frames wait."""
+
+import asyncio
+import random
+
+import pytest
+
+from rollerrig.wsp_interface import frames
+from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.wire import QUEUE_FRAMES, Wire, arbitration_field
+
+BITRATE = 500_000
+BIT_NS = 2000
+EIGHT = bytes(8)
+
+
+class Site:
+    """A hub whose clock somebody sets, and what its bus has carried: (end in us, identifier)."""
+
+    def __init__(self, bitrate=BITRATE):
+        self.now_ns, self.carried = 0, []
+        self.hub = Hub(lambda: self.now_ns, bitrate)
+        self.hub.tap(lambda frame: self.carried.append((frame.time_ns / 1000, frame.can_id)))
+        self.a, self.b = (self.hub.attach(lambda frame: None) for _ in range(2))
+
+    def until(self, now_us):
+        self.now_ns = round(1000 * now_us)
+        self.hub.advance(self.now_ns)
+        found, self.carried = self.carried, []
+        return found
+
+
+@pytest.fixture
+def site():
+    made = Site()
+    made.hub.arbitrate(timed=False)
+    return made
+
+
+@pytest.mark.conformance("CAN", "arbitration: the lowest identifier of several senders first")
+def test_of_frames_that_are_ready_together_the_lowest_identifier_goes_first_whoever_sends_it(site):
+    for port, can_id in ((site.a, 0x300), (site.b, 0x081), (site.a, 0x181), (site.b, 0x7FF)):
+        port.send(Frame(can_id, b""))
+    assert [can_id for _, can_id in site.until(10_000)] == [0x081, 0x181, 0x300, 0x7FF]
+
+
+@pytest.mark.conformance("CAN", "a frame that has begun is not interrupted")
+def test_a_frame_that_has_begun_is_not_interrupted_by_a_more_important_one(site):
+    site.a.send(Frame(0x700, EIGHT))
+    assert site.until(100) == []
+    site.b.send(Frame(0x001, EIGHT))
+    site.b.send(Frame(0x000, EIGHT))
+    assert site.until(1000) == [(222, 0x700), (444, 0x000), (666, 0x001)]
+
+
+@pytest.mark.conformance("CAN", "each frame takes its bits' time, one at a time")
+@pytest.mark.parametrize(("size", "extended", "bits"), [
+    (0, False, 47), (1, False, 55), (8, False, 111), (0, True, 67), (8, True, 131)])
+def test_a_frame_comes_its_bits_time_after_it_was_sent(site, size, extended, bits):
+    site.now_ns = 5_000_000
+    site.a.send(Frame(0x100, bytes(size), extended))
+    end_us = 5000 + bits * BIT_NS / 1000
+    assert site.until(end_us - 0.001) == []
+    assert site.until(end_us) == [(end_us, 0x100)]
+
+
+def test_on_an_ideal_bus_nothing_waits():
+    site = Site()
+    site.a.send(Frame(0x700, EIGHT))
+    site.b.send(Frame(0x001, EIGHT))
+    assert [can_id for _, can_id in site.carried] == [0x700, 0x001]
+
+
+def test_a_node_hears_a_frame_when_its_last_bit_is_through_and_its_answer_waits_from_then(site):
+    heard = []
+    site.hub.attach(lambda frame: heard.append((frame.can_id, frame.time_ns)))
+    answering = site.hub.attach(lambda frame: answering.send(Frame(0x300, b"")) if frame.can_id == 0x80 else None)
+    site.a.send(Frame(0x80, b""))
+    site.b.send(Frame(0x400, EIGHT))
+    site.until(1000)
+    # SYNC ends at 94 us, its answer begins there and goes before what had waited longer
+    assert heard == [(0x80, 94_000), (0x300, 188_000), (0x400, 410_000)]
+
+
+@pytest.mark.parametrize(("first", "second"), [
+    (Frame(0x100, b""), Frame(0x100, b"", remote=True)),
+    (Frame(0x100, b"", remote=True), Frame(0x100 << 18, b"", extended=True)),
+    (Frame(0x100 << 18, b"", extended=True), Frame(0x100 << 18, b"", extended=True, remote=True)),
+    (Frame(0x0FF << 18 | 0x3FFFF, b"", extended=True), Frame(0x100, b"")),
+    (Frame(0x100 << 18 | 1, b"", extended=True), Frame(0x100 << 18 | 2, b"", extended=True))])
+def test_base_beats_extended_and_data_beats_remote_on_the_same_identifier(first, second):
+    assert arbitration_field(first) < arbitration_field(second)
+
+
+@pytest.mark.conformance("CAN", "bus load from the bits that were carried")
+def test_the_load_is_the_share_of_time_in_which_the_wire_is_taken(site):
+    sent = 0
+    for at_us in range(0, 1_000_000, 1000):
+        site.until(at_us)
+        for can_id in (0x181, 0x182):
+            site.a.send(Frame(can_id, EIGHT))
+            sent += 111
+    site.until(1_000_000)
+    stats = site.hub.stats()
+    assert stats["bits"] == sent
+    assert stats["load_percent"] == pytest.approx(44.4, abs=0.001)
+    assert stats["longest_wait_us"] == 222.0
+    assert not stats["overloaded"]
+
+
+def test_more_than_the_wire_can_carry_is_told_and_its_load_is_100_percent():
+    site = Site(bitrate=10_000)
+    site.hub.arbitrate(timed=False)
+    for at_us in range(0, 1_000_000, 5000):
+        site.until(at_us)
+        site.a.send(Frame(0x181, EIGHT))
+    site.until(1_000_000)
+    stats = site.hub.stats()
+    assert stats["overloaded"]
+    assert 98.0 < stats["load_percent"] <= 100.0
+
+
+@pytest.mark.conformance("CAN", "bounded transmit queues with counted drops")
+def test_a_sender_whose_queue_is_full_loses_frames_counted_and_others_lose_none(site):
+    for number in range(QUEUE_FRAMES + 50):
+        site.a.send(Frame(0x001, number.to_bytes(8, "little")))
+    site.b.send(Frame(0x7FF, b""))
+    assert site.a.dropped == site.hub.dropped == 50
+    carried = site.until(1e6)
+    assert len(carried) == QUEUE_FRAMES + 1
+    assert carried[-1][1] == 0x7FF
+    # the room is there again
+    site.a.send(Frame(0x001, b""))
+    assert len(site.until(2e6)) == 1
+
+
+def test_nodes_that_share_a_port_have_queues_of_their_own(site):
+    for _ in range(QUEUE_FRAMES + 1):
+        site.a.send(Frame(0x001, b""), origin="babbler")
+    site.a.send(Frame(0x181, b""), origin="neighbour")
+    assert site.a.dropped == 1
+    assert site.until(1e6)[-1][1] == 0x181
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_any_traffic_keeps_the_laws_of_the_wire(seed):
+    """One frame at a time, none before it is ready, none idle while one waits, none out of turn."""
+    source = random.Random(seed)
+    wire, done, ready, offered = Wire(BITRATE, 0), [], {}, 0
+    now = 0
+    for _ in range(2000):
+        now += source.choice((0, 0, source.randrange(400_000)))
+        while (found := wire.take(now)) is not None:
+            done.append((found[0].number, found[1]))
+        frame = Frame(source.randrange(0x800), bytes(source.randrange(9)))
+        if wire.offer(frame, now, source.randrange(3), lambda end_ns: None):
+            offered += 1
+            ready[offered] = (now, arbitration_field(frame), frames.bits(frame) * BIT_NS)
+    while (found := wire.take(1 << 60)) is not None:
+        done.append((found[0].number, found[1]))
+    assert sorted(number for number, _ in done) == list(range(1, offered + 1))
+    free, left = 0, dict(ready)
+    for number, end in done:
+        at, field, takes = left.pop(number)
+        begin = end - takes
+        assert begin == max(free, min([at, *(one[0] for one in left.values())]))
+        assert at <= begin
+        assert all(one[1] >= field for one in left.values() if one[0] <= begin)
+        free = end
+
+
+def test_an_error_frame_takes_the_wires_time(site):
+    site.hub.destroy(Frame(0x181, EIGHT), 8)
+    site.a.send(Frame(0x181, EIGHT))
+    assert site.until(443) == [(0, 0x088)]
+    assert site.until(444) == [(444, 0x181)]
+
+
+def test_services_pass_beside_the_wire_while_simulated_time_stands_still(site):
+    site.hub.still = True
+    site.a.send(Frame(0x211, b"\0"))
+    site.a.send(Frame(0x601, EIGHT))
+    assert site.carried == [(0, 0x601)]
+    site.hub.still = False
+    site.a.send(Frame(0x601, EIGHT))
+    assert site.until(10_000) == [(0, 0x601), (110, 0x211), (332, 0x601)]
+
+
+def test_by_the_clock_frames_come_at_their_time_and_not_a_millisecond_later():
+    async def run():
+        loop = asyncio.get_running_loop()
+        hub, late_ns = Hub(lambda: round(1e9 * loop.time()), BITRATE), []
+        a, b = hub.attach(lambda frame: None), hub.attach(lambda frame: None)
+        hub.tap(lambda frame: late_ns.append(round(1e9 * loop.time()) - frame.time_ns))
+        hub.arbitrate(timed=True)
+        for _ in range(100):
+            for port, can_id in ((a, 0x300), (b, 0x200), (a, 0x100)):
+                port.send(Frame(can_id, EIGHT))
+            await asyncio.sleep(0.003)
+        await hub.close()
+        return late_ns
+
+    late_ns = asyncio.run(run())
+    assert len(late_ns) == 300
+    assert min(late_ns) >= 0
+    assert sorted(late_ns)[150] < 500_000
