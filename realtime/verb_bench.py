@@ -22,6 +22,7 @@ BENCHMARKS = (
     Benchmark("contact", "what one evaluation of the contact costs"),
     Benchmark("loop", "lateness of the real-time loop against cyclictest's"),
     Benchmark("bus", "TPDO to valve, SYNC to last TPDO, round trips, on a running bench"),
+    Benchmark("explain", "how often explain is right, on sets with known hidden effects (an hour)"),
     Benchmark("vehicle", "45 s of four axles without deadlines, and the start of a run"),
 )
 
@@ -35,6 +36,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S",
                         help="how long the loop runs, all slices together (default: 20)")
     parser.add_argument("--live", action="store_true", help="loop: with the live view on")
+    parser.add_argument("--sets", type=int, default=0, metavar="N",
+                        help="explain: only the first N sets of the matrix (default: all)")
     parser.add_argument("--seed", type=int, default=0, help="seed of whatever is random (default: 0)")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
                         help="loop: change one value of the scenario, as in loop.priority=0")

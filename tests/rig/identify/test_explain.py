@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 from generator import braking_stops
 
-from rollerrig.rig.identify import dataset, explain
+from rollerrig.realtime import scenario
+from rollerrig.rig.identify import dataset, explain, extension
 
 
 def silent(title: str, share: float) -> None:
@@ -35,3 +36,20 @@ def test_a_hidden_cause_of_another_form_is_named(tmp_path: Path, cause: str, see
     found = explain.braking_runs(dataset.load(folder), 0, silent)
     assert cause in {n.finding.name for n in found.causes} | {
         other for n in found.causes for other in n.confusable}
+
+
+def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path: Path) -> None:
+    folder = braking_stops.make(tmp_path / "joints", {"joints": 0.12}, 12)
+    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    assert found.verdict == "unexplained"
+    assert found.causes == []
+    assert found.unknown is not None
+    # the rail of this generator has a dip every 30 m
+    assert found.unknown.cause.shape["period"] == pytest.approx(30.0, rel=0.02)
+    assert found.gain is not None
+    assert found.gain.claimed
+    model = tmp_path / "extended.toml"
+    model.write_text(extension.toml(found))
+    params = scenario.load("velim_a1", str(model)).params
+    assert params.effects.empirical == 3
+    assert params.effects.period == pytest.approx(found.unknown.cause.shape["period"], rel=1e-4)

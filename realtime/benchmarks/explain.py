@@ -1,0 +1,172 @@
+"""How often `explain` is right: stops with known hidden effects, from a generator of its own.
+
+The generator is that of the project's tests (`tests/generator`); it shares no code with the rig and
+hides each cause in another form than the rig's table writes it. The sets are dealt out in turns, so
+that the first N of the matrix are a fair share of all kinds. Rates stand beside their counts, for
+a rate from a few sets says little.
+"""
+
+import argparse
+import importlib.util
+import tempfile
+from collections.abc import Iterable
+from itertools import zip_longest
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from rich.table import Table
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.benchmarks import figures
+from rollerrig.realtime.benchmarks.figures import Result, Say
+
+_GENERATOR = Path(__file__).resolve().parents[2] / "tests" / "generator" / "braking_stops.py"
+NOTHING, SIZES = 20, (1.0, 1.5, 2.0)
+PAIRS = (("rail_cleaning", "running_resistance"), ("brake_gain", "friction_trend"),
+         ("wheel_radius", "adhesion_memory"), ("pad_fade", "rail_cleaning"),
+         ("torque_sensor_delay", "contaminated_patch"), ("load_transfer", "running_resistance"))
+# causes whose size the generator means as the rig's table does: the coefficient to compare
+SAME_MEANING = {
+    "brake_gain": "gain", "torque_offset": "offset_Nm", "track_gradient": "gradient",
+    "wheel_radius": "fraction", "wheel_inertia": "fraction", "speed_sensor_delay": "delay_s",
+    "torque_sensor_delay": "delay_s", "wheel_out_of_round": "amplitude",
+    "roller_curvature": "stiffness_fraction", "interfacial_layer": "reduction",
+    "falling_friction": "fraction",
+}
+LONGEST_S = 90.0
+
+
+class Case(NamedTuple):
+    """One set to be made: its kind, what is hidden at which size, its seed."""
+
+    kind: str  # none, one, two, unknown
+    effects: dict[str, float]
+    seed: int
+
+
+class Judged(NamedTuple):
+    """What was said of a case."""
+
+    case: Case
+    verdict: str
+    named: list[str]
+    sets: list[set[str]]  # each named cause with those that it is confused with
+    covered: bool | None
+    reduction: float | None
+    seconds: float
+
+
+def cases(make: ModuleType, seed: int) -> list[Case]:
+    """The whole matrix, kinds in turn."""
+    none = [Case("none", {}, seed + 1000 + k) for k in range(NOTHING)]
+    one = [Case("one", {cause: size * least}, seed + 2000 + 10 * k + i)
+           for i, size in enumerate(SIZES) for k, (cause, least) in enumerate(make.SMALLEST.items())]
+    two = [Case("two", {cause: 2.0 * make.SMALLEST[cause] for cause in pair}, seed + 3000 + k)
+           for k, pair in enumerate(PAIRS)]
+    unknown = [Case("unknown", {name: size}, seed + 4000 + k)
+               for k, (name, size) in enumerate(make.UNKNOWN.items())]
+    # three sets with one cause for each of another kind
+    one_in_threes = [tuple(one[k:k + 3]) for k in range(0, len(one), 3)]
+    dealt = zip_longest(one_in_threes, none, two, unknown)
+    found: list[Case] = []
+    for threes, *others in dealt:
+        found += list(threes or ()) + [case for case in others if case is not None]
+    return found
+
+
+def judge(make: ModuleType, case: Case, folder: Path) -> Judged:
+    """Make a set and have it explained."""
+    from rollerrig.rig.identify import dataset, explain, extension
+
+    data = dataset.load(make.make(folder / f"set_{case.seed}", case.effects, case.seed))
+    account = explain.braking_runs(data, 0, lambda *_: None)
+    covered = None
+    for named in account.causes:
+        parameter = SAME_MEANING.get(named.cause.name)
+        if parameter and named.cause.name in case.effects:
+            low, high = extension.parameters(named)[parameter]["ci95"]
+            covered = low <= case.effects[named.cause.name] <= high
+    return Judged(case, account.verdict, [n.finding.name for n in account.causes],
+                  [{n.finding.name, *n.confusable} for n in account.causes], covered,
+                  None if account.gain is None else account.gain.reduction, account.elapsed_s)
+
+
+def run(given: argparse.Namespace, say: Say) -> Result:
+    """Rows (measure, right, of, share, wanted) over the first `--sets` of the matrix."""
+    make = _generator()
+    chosen = cases(make, given.seed)[: given.sets or None]
+    found = []
+    with tempfile.TemporaryDirectory() as place:
+        for k, case in enumerate(chosen):
+            found.append(judge(make, case, Path(place)))
+            last = found[-1]
+            say(f"{k + 1} of {len(chosen)}: hidden {case.effects or 'nothing'}; {last.verdict} "
+                f"{' + '.join('/'.join(sorted(s)) for s in last.sets)} ({last.seconds:.0f} s)")
+    return {"sets": len(found), "rows": rows(found),
+            "seconds": figures.quantiles([f.seconds for f in found]),
+            "each": [_plain(f) for f in found], "notes": [
+                "gain against an oracle's is not measured: the generator's own forms are not fitted"]}
+
+
+def rows(found: list[Judged]) -> list[Result]:
+    """The measures of DISCOVERY section 4."""
+    kinds: dict[str, list[Judged]] = {kind: [f for f in found if f.case.kind == kind]
+                                      for kind in ("none", "one", "two", "unknown")}
+    seen = [f for f in kinds["one"] if f.verdict != "consistent"]
+    return [
+        _row("nothing hidden: consistent", ">= 0.98", (f.verdict == "consistent" for f in kinds["none"])),
+        _row("one cause: detected", "", (f.verdict != "consistent" for f in kinds["one"])),
+        _row("one cause: named first or in a set of two, of detected", ">= 0.97",
+             (_first(f) for f in seen)),
+        _row("one cause: in the named set, of detected", ">= 0.99",
+             (any(_truth(f) <= s for s in f.sets) for f in seen)),
+        _row("one cause: a false second cause", "<= 0.05", (len(f.named) > 1 for f in kinds["one"])),
+        _row("two causes: both named", ">= 0.85",
+             (_truth(f) <= set().union(*f.sets) and len(f.named) == 2 for f in kinds["two"])),
+        _row("cause not in the library: given a name", "<= 0.05", (bool(f.named) for f in kinds["unknown"])),
+        _row("95 % intervals hold the truth", "0.88 to 0.99",
+             (f.covered for f in found if f.covered is not None)),
+        _row(f"within {LONGEST_S:g} s", "all", (f.seconds <= LONGEST_S for f in found)),
+    ]
+
+
+def table(result: Result) -> Table:
+    """The measures, with counts."""
+    return figures.table(
+        f"explain on {result['sets']} sets with known hidden effects",
+        ("measure", "yes", "of", "share", "wanted"),
+        [[row["measure"], row["yes"], row["of"], row["share"], row["wanted"]]
+         for row in result["rows"]])
+
+
+def _truth(f: Judged) -> set[str]:
+    return set(f.case.effects)
+
+
+def _first(f: Judged) -> bool:
+    if not f.sets:
+        return False
+    return f.named[0] in f.case.effects or (len(f.sets[0]) == 2 and _truth(f) <= f.sets[0])
+
+
+def _row(measure: str, wanted: str, hits: Iterable[bool]) -> Result:
+    seen = list(hits)
+    return {"measure": measure, "yes": sum(seen), "of": len(seen), "wanted": wanted,
+            "share": sum(seen) / len(seen) if seen else None}
+
+
+def _plain(f: Judged) -> dict[str, Any]:
+    return {"hidden": f.case.effects, "verdict": f.verdict, "named": f.named,
+            "sets": [sorted(s) for s in f.sets], "covered": f.covered, "gain": f.reduction,
+            "seconds": f.seconds}
+
+
+def _generator() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("braking_stops", _GENERATOR)
+    if spec is None or spec.loader is None or not _GENERATOR.is_file():
+        raise ConfigError("bench explain needs tests/generator, which only a clone of the project "
+                          "has; run it there")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
