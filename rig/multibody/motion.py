@@ -32,6 +32,7 @@ from rollerrig.rig.multibody.treads import (
 )
 
 WHEELSETS = 4
+LEAST_PLACE_M = 1e-3  # where a wheel that was off its rail from the beginning has left it
 
 
 @kernel
@@ -117,6 +118,9 @@ def touch(j, motion, coach, offset_m, base_m_s, roller_rad_s, mu_cd, mu_cr, law,
         spare = treads.follow(wheel, motion.q, offset_m, motion.contacts, motion.near, motion.misfit,
                               motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel,
                               coach.rail, spare)
+        if motion.near[wheel] == 0.0 and motion.left[wheel] == 0.0:
+            # nothing within reach of it any more: it will not come back
+            motion.left[wheel] = max(motion.q[6 * (3 + j)], LEAST_PLACE_M)
     treads.press(j, motion.q, motion.v, base_m_s, roller_rad_s, motion.contacts, motion.near, mu_cd,
                  mu_cr, law, cleaning_creepage, coach.patches, coach.contact_damping_N_s_m,
                  coach.roller_m, motion.given, motion.Gx, motion.Gy, motion.seen)
