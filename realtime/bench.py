@@ -25,6 +25,7 @@ from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.realtime import (
     channels,
     clock,
+    derailment,
     loop,
     mailbox,
     recording,
@@ -114,6 +115,7 @@ class Bench:
         fault_panel.check_pacing(plan.faults, options.pacing)
         rig_bus.check_pacing(plan, options.pacing)
         self.faults = fault_panel.Panel(plan.faults, self.event)
+        self.derailment = derailment.Watch(self.event, self.stop)
         if options.unit == "reference":
             wsp.load(plan["wsp_config"])
         prepare_folder(options.out)
@@ -364,6 +366,7 @@ class Bench:
     def _poll_faults(self) -> int:
         """Begin and lift what is due; how many ticks a batch may have until something is again."""
         self.faults.poll(self._simulated_ns() / clock.SECOND_NS)
+        self.derailment.look(self.machine.buffer)
         rest_s = self.faults.next_change_s() - self.faults.now_s
         return max(1, min(_FREE_TICKS, round(min(rest_s, 3600.0) * self.plan["loop"]["tick_hz"])))
 
@@ -570,6 +573,7 @@ class Bench:
 
     async def _finish(self) -> dict[str, Any]:
         """Close bus, unit and recorder, and write the summary."""
+        self.derailment.look(self.machine.buffer)
         bus_counts = self._bus_counts()
         requests = self.supervisor.counters.requests if self.supervisor else 0
         if self.supervisor:

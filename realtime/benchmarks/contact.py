@@ -1,25 +1,29 @@
-"""What one evaluation of a contact costs, on one core, after compilation.
+"""What one evaluation of a contact costs, on one core, after compilation, and Table 8 of the paper.
 
 Each law is called for many slidings in a row inside one kernel, as a step of the physics calls it;
-the sum of the results is returned so that no call can be left out.
+the sum of the results is returned so that no call can be left out. The last rows are the four models of
+the coach's wheels, with lateral creepage and spin; then `table8` lets them brake the coach.
 """
 
 import argparse
+import math
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
+from rich.console import Group
 
 from rollerrig.realtime import scenario
-from rollerrig.realtime.benchmarks import figures
-from rollerrig.realtime.benchmarks.figures import Result, Say
+from rollerrig.realtime.benchmarks import figures, table8
+from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.rig import wheelset
-from rollerrig.rig.contact import adhesion, polach
+from rollerrig.rig.contact import adhesion, creep_force, polach
 from rollerrig.rig.kernel import kernel
 
 _CALLS = 200_000
+# lateral creepage and spin of the contacts in both directions, and what recovery may cost
+_LATERAL, _SPIN_1_m, RECOVERY_NS = 1e-3, 0.1, 100.0
 _REPEATS = 5
 _SPEED_m_s, _LOAD_N = 30.0, 105_000.0
 
@@ -34,11 +38,13 @@ class Contact(NamedTuple):
 
 @kernel
 def _polach(slidings, params):
-    total = 0.0
-    law, unit = params.law, params.patch.eps1 * (0.5 * _LOAD_N) ** (-1.0 / 3.0)
+    total, law = 0.0, params.law
     for s in slidings:
-        total += polach.curve(s, s / _SPEED_m_s, unit, law.mu_cd, law.A_d, law.gamma_d_s_m,
-                              law.k_ad, law.k_sd)[0]
+        # the load differs from call to call, as in a step
+        unit = params.patch.eps1 * math.exp(math.log(0.5 * _LOAD_N + s) / -3.0)
+        f, by_friction, by_creepage = polach.curve(s, s / _SPEED_m_s, unit, law.mu_cd, law.A_d,
+                                                   law.gamma_d_s_m, law.k_ad, law.k_sd)
+        total += f + by_friction + by_creepage / _SPEED_m_s
     return total
 
 
@@ -46,7 +52,9 @@ def _polach(slidings, params):
 def _degraded(slidings, params):
     total = 0.0
     for s in slidings:
-        total += adhesion.degraded(s, _SPEED_m_s, 0.5 * _LOAD_N, params.patch, params.law)[0]
+        f, _, _, _, _, slope = adhesion.degraded(s, _SPEED_m_s, 0.5 * _LOAD_N + s, params.patch,
+                                                 params.law)
+        total += f + slope
     return total
 
 
@@ -60,30 +68,63 @@ def _wheelset(slidings, params):
     return total
 
 
-# a contact law of rig/contact gets a row here; the first is what the others are compared with
+@kernel
+def _both_directions(slidings, params):
+    total, sideways = 0.0, _LATERAL
+    for s in slidings:
+        sideways = -sideways
+        fx, fy, mz = creep_force.creep_force(params.patch.model, s / _SPEED_m_s, sideways, _SPIN_1_m, s,
+                                             0.5 * _LOAD_N + s, params.patch, params.law)
+        total += fx + fy + mz
+    return total
+
+
+# a contact law of rig/contact gets a row here
 CONTACTS = (
     Contact("polach", "one creep curve with falling friction", _polach),
     Contact("degraded", "both curves and the closed form between them", _degraded),
     Contact("wheelset", "the same as the plant calls it, with the limit on cleaning", _wheelset),
 )
+# the same for a model of `creep_force`, with lateral creepage and spin
+MODELS = (
+    Contact("johnson_vermeulen", "Kalker's linear theory, saturated", _both_directions),
+    Contact("fastsim", "10 strips of 10 cells", _both_directions),
+    Contact("polach", "with spin", _both_directions),
+    Contact("degraded", "two Polach curves with spin, and what lies between", _both_directions),
+)
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
-    """Time every law; the best of some repeats, since whatever disturbs makes it slower."""
+    """Time every law, and the coach; the best of some repeats: whatever disturbs makes it slower."""
     params = scenario.load("velim_a1").params
     # from micro-slip to a locked wheel, in an order that no branch predictor knows
     slidings = np.random.default_rng(given.seed).permutation(
         np.geomspace(1e-4, _SPEED_m_s, _CALLS))
-    found: Result = {}
-    for contact in CONTACTS:
-        say(f"contact {contact.name} ...")
-        contact.sweep(slidings[:10], params)
-        best_s = min(_seconds(contact, slidings, params) for _ in range(_REPEATS))
-        found[contact.name] = {"time_ns": 1e9 * best_s / _CALLS}
-    first = found[CONTACTS[0].name]["time_ns"]
-    for one in found.values():
-        one["ratio"] = one["time_ns"] / first
-    return {"contacts": found}
+    found = {contact.name: _timed(contact, slidings, params, say) for contact in CONTACTS}
+    spinning = {}
+    for contact in MODELS:
+        chosen = params._replace(patch=params.patch._replace(
+            model=creep_force.MODELS[contact.name], cells=10))
+        spinning[contact.name] = _timed(contact, slidings, chosen, say)
+    for group in (found, spinning):
+        for one in group.values():
+            one["ratio"] = one["time_ns"] / group["polach"]["time_ns"]
+    along_ns, more_ns = (group["degraded"]["time_ns"] - group["polach"]["time_ns"]
+                         for group in (found, spinning))
+    whole = table8.run(say)
+    return {"contacts": found, "with_spin": spinning, "recovery_ns": more_ns, "table8": whole,
+            "targets": [Target("degraded over Polach, along the rail, one contact", along_ns, RECOVERY_NS,
+                               "ns").plain(),
+                        Target("degraded over Polach, with spin, one contact", more_ns, RECOVERY_NS,
+                               "ns").plain(), *whole["targets"]],
+            "notes": whole["notes"]}
+
+
+def _timed(contact: Contact, slidings: np.ndarray, params: Any, say: Say) -> Result:
+    say(f"contact {contact.name} ...")
+    contact.sweep(slidings[:10], params)
+    best_s = min(_seconds(contact, slidings, params) for _ in range(_REPEATS))
+    return {"time_ns": 1e9 * best_s / _CALLS}
 
 
 def _seconds(contact: Contact, slidings: np.ndarray, params: Any) -> float:
@@ -92,9 +133,12 @@ def _seconds(contact: Contact, slidings: np.ndarray, params: Any) -> float:
     return time.thread_time() - begun_s
 
 
-def table(result: Result) -> Table:
-    """The cost of each law, and over the first one's."""
-    texts = {contact.name: contact.text for contact in CONTACTS}
-    rows = [(name, one["time_ns"], one["ratio"], texts[name])
-            for name, one in result["contacts"].items()]
-    return figures.table("one contact", ("law", "ns", "ratio", "what"), rows)
+def table(result: Result) -> Group:
+    """The cost of each law, and over Polach's; then Table 8."""
+    heads = ("law", "ns", "over Polach", "what")
+    along, both = ([(contact.name, one[contact.name]["time_ns"], one[contact.name]["ratio"], contact.text)
+                    for contact in contacts]
+                   for contacts, one in ((CONTACTS, result["contacts"]), (MODELS, result["with_spin"])))
+    return Group(figures.table("one contact, along the rail", heads, along),
+                 figures.table("one contact, in two directions and with spin", heads, both),
+                 table8.table(result["table8"]))

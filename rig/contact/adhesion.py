@@ -29,7 +29,6 @@ LARGEST = 1e30  # sliding, load and k beyond it count as it, so that infinity ma
 SMALLEST = 1e-290  # energy exponents k f below it count as 0, before they lose digits
 INVERSE_E, INVERSE_E_REST = 0.36787944117144233, -1.2428753672788363e-17  # 1/e in two doubles
 FEW_DIGITS = 0.02  # energy exponents k f below it have lost digits in a difference, above it none of 12
-NEAR_BRANCH = 0.05  # below this p = sqrt(2 (1 + e x)) the series of W0 is exact to the last digit
 
 
 class Patch(NamedTuple):
@@ -119,7 +118,8 @@ def lambert_w0(x):
     Below -1/e, where no real value is, it gives the nearest one, -1. Bounded iterations.
     """
     if x <= 0.0:
-        return _w0(x, 2.0 * math.e * ((x + INVERSE_E) + INVERSE_E_REST))
+        p2 = 2.0 * math.e * ((x + INVERSE_E) + INVERSE_E_REST)
+        return max(math.e * x * _shrink(math.sqrt(max(p2, 0.0))), -1.0)
     if x == math.inf:
         return x
     L = math.log1p(x)
@@ -130,25 +130,20 @@ def lambert_w0(x):
 
 
 @kernel_inlined
-def _w0(x, p2):
-    """W0(x) for x <= 0, given p2 = 2 (1 + e x), which a caller may know better than x tells."""
-    p = math.sqrt(max(p2, 0.0))
-    if p < NEAR_BRANCH:
-        return _near_branch(p)
-    # Pade of exp(-1 - W) in p, within 3e-4: one step leaves less than 1e-16
-    ratio = (360.0 + 96.0 * p) / (360.0 + p * (456.0 + p * (156.0 + p * 11.0)))
-    return _refined(math.e * x * ratio, -1.0 - math.log(ratio))
+def _shrink(p):
+    """exp(-1 - W0(x)) for x in -1/e .. 0, given p = sqrt(2 (1 + e x)): W0 = e x times it.
+
+    A rational function that meets the exact one at 13 Chebyshev nodes, within 7e-17 of it.
+    """
+    q = p * p
+    above = (1.0 + q * (0.6418430424881612 + q * (7.234738250119583e-3 - q * 4.459593750671883e-7))
+             + p * (1.3747358298298924 + q * (0.11803369785050472 + q * 5.000513759881882e-5)))
+    below = (1.0 + q * (2.183245538984029 + q * (0.21685242692459342 + q * 7.218824756350326e-4))
+             + p * (2.3747358298299095 + q * (0.9751104897662368 + q * 2.1803135892675286e-2)))
+    return above / below
 
 
 @kernel
-def _near_branch(p):
-    """W0 where p = sqrt(2 (1 + e x)) is small; source: Corless et al. 1996, eq. 4.22."""
-    return -1.0 + p * (1.0 + p * (-1.0 / 3.0 + p * (11.0 / 72.0 + p * (-43.0 / 540.0 + p * (
-        769.0 / 17280.0 + p * (-221.0 / 8505.0 + p * (680863.0 / 43545600.0 + p * (
-            -1963.0 / 204120.0 + p * 226287557.0 / 37623398400.0))))))))
-
-
-@kernel_inlined
 def _refined(w, log_x_over_w):
     """A better w of w exp(w) = x, of fourth order; source: Fritsch, Shafer and Crowley 1973."""
     z = log_x_over_w - w
@@ -181,15 +176,15 @@ def recovery(f_d, f_r, k):
         return f, -math.expm1(-k * f)
     if least == 0.0 and most <= 1.0:
         return 0.0, 0.0
-    argument = -drive * math.exp(-most)
-    p2 = 2.0 + 2.0 * math.e * argument
+    fall = math.exp(1.0 - most)
+    p2 = 2.0 - 2.0 * drive * fall
     if p2 < 0.02:  # near the branch point the argument has lost what most and least still know
-        fall = math.expm1(1.0 - most)
-        p2 = -2.0 * (fall + (most - 1.0 - least) * (1.0 + fall))
-    w = _w0(argument, p2)
-    y = most + w  # y = k f = tau W_sp [A5]
+        rise = math.expm1(1.0 - most)
+        p2 = -2.0 * (rise + (most - 1.0 - least) * (1.0 + rise))
+    shrink = fall * _shrink(math.sqrt(max(p2, 0.0)))  # exp(-y)
+    y = most - drive * shrink  # y = k f = tau W_sp [A5]
     if y > FEW_DIGITS:
-        done = 1.0 + w / drive  # exp(-y) = -w / drive
+        done = 1.0 - shrink
     else:  # few digits of y are left: one step of Newton on y = least + drive (1 - exp(-y))
         done = -math.expm1(-y)
         steep = 1.0 - drive * (1.0 - done)

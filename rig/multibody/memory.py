@@ -37,6 +37,7 @@ class Motion(NamedTuple):
     Gy: np.ndarray  # (3, 3), scratch; step
     seen: np.ndarray  # (8, SEEN) of `treads`, left then right wheel of each wheelset; step
     searched: np.ndarray  # (8, 4) y, z, roll, yaw where the wheel was last searched; step
+    left: np.ndarray  # (8,) m, place on the track where a wheel left its rail, 0: it is on it; step
     turn: np.ndarray  # (1,) which wheelset comes first in the next step; step
     damper_work: np.ndarray  # (1,) J; step
     approach_work: np.ndarray  # (1,) J, dampers of the contacts; step
@@ -49,7 +50,8 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "ports": (PORTS,), "q": (42,), "v": (42,), "force": (42,),
     "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS), "near": (WHEELS,),
     "misfit": (WHEELS, NODES), "given": (4, GIVEN), "Gx": (4, 4), "Gy": (3, 3),
-    "seen": (WHEELS, SEEN), "searched": (WHEELS, 4), "turn": (1,), "damper_work": (1,), "approach_work": (1,),
+    "seen": (WHEELS, SEEN), "searched": (WHEELS, 4), "left": (WHEELS,), "turn": (1,),
+    "damper_work": (1,), "approach_work": (1,),
     "sliding_work": (4,), "brake_work": (4,), "resistance_work": (1,),
 }
 BEGIN: dict[str, int] = {}

@@ -32,6 +32,7 @@ from rollerrig.rig.multibody.treads import (
 )
 
 WHEELSETS = 4
+LEAST_PLACE_M = 1e-3  # where a wheel that was off its rail from the beginning has left it
 
 
 @kernel
@@ -91,15 +92,9 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
     for k in range(WHEELSETS):
         # another wheelset is first each step, so that all get their searches
         j = (first + k) % WHEELSETS
-        i = 6 * (3 + j)
-        offset = q[i] - place if on_rollers else 0.0
-        for wheel in range(2 * j, 2 * j + 2):
-            spare = treads.follow(wheel, q, offset, motion.contacts, motion.near, motion.misfit,
-                                  motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel,
-                                  coach.rail, spare)
-        treads.press(j, q, v, speed if on_rollers else 0.0, roller_rad_s[j], motion.contacts,
-                     motion.near, mu_cd[j], mu_cr[j], law, cleaning_creepage, coach.patches,
-                     coach.contact_damping_N_s_m, coach.roller_m, motion.given, motion.Gx, motion.Gy, motion.seen)
+        offset = q[6 * (3 + j)] - place if on_rollers else 0.0
+        spare = touch(j, motion, coach, offset, speed if on_rollers else 0.0, roller_rad_s[j],
+                      mu_cd[j], mu_cr[j], law, cleaning_creepage, spare)
         brake = along(j, motion, coach.inertia, h, roller_rad_s, motor_Nm[j], roller_inertia_kgm2,
                       brake_Nm[j], on_rollers)
         across(j, motion, coach.inertia, h)
@@ -113,6 +108,23 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
     motion.resistance_work[0] += half * resistance_N * (v[0] + v[0] - h * force[0] / coach.inertia[0])
     for i in range(42):
         q[i] += half * v[i]
+
+
+@kernel_inlined
+def touch(j, motion, coach, offset_m, base_m_s, roller_rad_s, mu_cd, mu_cr, law, cleaning_creepage,
+          spare):
+    """Contacts of wheelset j and what they give; arguments of `treads`. Returns what is left of `spare`."""
+    for wheel in range(2 * j, 2 * j + 2):
+        spare = treads.follow(wheel, motion.q, offset_m, motion.contacts, motion.near, motion.misfit,
+                              motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel,
+                              coach.rail, spare)
+        if motion.near[wheel] == 0.0 and motion.left[wheel] == 0.0:
+            # nothing within reach of it any more: it will not come back
+            motion.left[wheel] = max(motion.q[6 * (3 + j)], LEAST_PLACE_M)
+    treads.press(j, motion.q, motion.v, base_m_s, roller_rad_s, motion.contacts, motion.near, mu_cd,
+                 mu_cr, law, cleaning_creepage, coach.patches, coach.contact_damping_N_s_m,
+                 coach.roller_m, motion.given, motion.Gx, motion.Gy, motion.seen)
+    return spare
 
 
 @kernel_inlined

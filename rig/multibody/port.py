@@ -78,7 +78,7 @@ _shifted: Any = intrinsic(_shift)
 _B = tuple(memory.BEGIN[name] for name in Motion._fields)
 _S: Any = tuple(memory.SHAPES[name] for name in Motion._fields)
 (_S0, _S1, _S2, _S3, _S4, _S5, _S6, _S7, _S8, _S9, _S10, _S11, _S12, _S13, _S14, _S15, _S16,
- _S17) = _S
+ _S17, _S18) = _S
 _FLOATS, _INTS = types.CPointer(types.float64), types.CPointer(types.int64)
 _NAME = "rollerrig_coach"
 
@@ -93,7 +93,8 @@ def _act(memory_at, tape_at, layout_at):
         carray(_shifted(memory_at, _B[10]), _S10), carray(_shifted(memory_at, _B[11]), _S11),
         carray(_shifted(memory_at, _B[12]), _S12), carray(_shifted(memory_at, _B[13]), _S13),
         carray(_shifted(memory_at, _B[14]), _S14), carray(_shifted(memory_at, _B[15]), _S15),
-        carray(_shifted(memory_at, _B[16]), _S16), carray(_shifted(memory_at, _B[17]), _S17))
+        carray(_shifted(memory_at, _B[16]), _S16), carray(_shifted(memory_at, _B[17]), _S17),
+        carray(_shifted(memory_at, _B[18]), _S18))
     layout = carray(layout_at, (_COUNTS,))
     n_s, n_c, n_f, n_w, n_r, n_p = layout[0], layout[1], layout[2], layout[3], layout[4], layout[5]
     one = carray(tape_at, (_SCALARS,))

@@ -1,15 +1,19 @@
 """`rollerrig bench` and `rollerrig devices`: short runs of the real thing, and how they judge."""
 
+import argparse
 import json
 
 import cantools
 import numpy as np
 import pytest
 
-from rollerrig.realtime import cli, loop
-from rollerrig.realtime.benchmarks import bus, client, figures
+from rollerrig.realtime import cli, loop, scenario
+from rollerrig.realtime.benchmarks import bus, client, figures, hunting, table8
 from rollerrig.realtime.benchmarks import loop as loop_benchmark
 from rollerrig.realtime.benchmarks.figures import Target
+from rollerrig.rig import params
+from rollerrig.rig.contact.creep_force import MODELS
+from rollerrig.rig.multibody import coach
 from rollerrig.wsp_interface import signals
 
 PRINTED = """# /dev/cpu_dma_latency set to 0us
@@ -152,3 +156,32 @@ def test_a_wrong_benchmark_is_refused_with_status_2(wrong, capsys):
         status = left.code
     assert status == 2
     assert capsys.readouterr().err
+
+
+# -- the coach
+
+def test_contacts_found_twice_do_not_change_how_the_coach_brakes():
+    sections = params.check(scenario.load("velim_a1", settings=("rig=plain_track",)).resolved, "velim_a1")
+    law = params.Law(**{name: sections["adhesion"][name] for name in params.Law._fields})
+    one = coach.build(sections, np.inf, MODELS["degraded"], 10)
+    once, twice = (table8._seconds(one, law, twice, 4000)[1] for twice in (False, True))
+    assert once == twice < table8.SPEED_M_S
+
+
+def test_table_8_stands_beside_the_papers_figures():
+    for row in table8.ROWS:
+        assert row.model in MODELS
+        assert 300.0 < row.vehicle_s + row.contact_s < 450.0
+    assert [row.vehicle_s + row.contact_s for row in table8.ROWS][-2:] == [360.0, 362.0]
+
+
+def test_the_sweep_for_hunting_prints_the_critical_speed(monkeypatch):
+    monkeypatch.setattr(hunting, "SPEEDS_M_S", (30.0, 60.0, 90.0))
+    given = argparse.Namespace(set=["multibody.laying=0.025"])
+    said = []
+    result = hunting.run(given, said.append)
+    critical = result["critical_speed_m_s"]["soap"]
+    assert 20.0 < critical < 90.0
+    assert any(f"hunting from {critical:.1f} m/s" in note for note in result["notes"])
+    assert len(said) == 6
+    assert hunting.table(result).row_count == 3

@@ -1,0 +1,67 @@
+"""The critical speed of the coach in 3D: a sweep over speeds, on the track and on dry and degraded rails.
+
+All wheelsets are set half a millimetre off the middle, and the swing is watched for four seconds: it
+dies away below the critical speed and grows above. Dampers, bump-stops and traction rods are assumed
+curves (`[multibody]`), so the critical speed is theirs as much as the paper's; `--set
+multibody.laying=0.025` or `multibody.yaw_damper_N_s_m=0` show what moves it.
+"""
+
+import argparse
+import math
+
+import numpy as np
+from rich.table import Table
+
+from rollerrig.realtime import scenario
+from rollerrig.realtime.benchmarks import figures
+from rollerrig.realtime.benchmarks.figures import Result, Say
+from rollerrig.rig import params
+from rollerrig.rig.contact.adhesion import Law
+from rollerrig.rig.contact.creep_force import MODELS
+from rollerrig.rig.multibody import coach, stability
+
+SPEEDS_M_S = tuple(float(speed) for speed in np.arange(20.0, 141.0, 10.0))
+RAILS = ("dry", "soap")
+_TOLERANCE_M_S = 0.5
+
+
+def run(given: argparse.Namespace, say: Say) -> Result:
+    """Growth of a swing in 1/s at each speed, and the critical speed in m/s (None: none)."""
+    sweeps: dict[str, list[float]] = {}
+    critical: dict[str, float | None] = {}
+    for rail in RAILS:
+        told = ("rig=plain_track", f"adhesion={rail}", *given.set)
+        sections = params.check(scenario.load("velim_a1", settings=told).resolved, "velim_a1")
+        law = Law(**{name: sections["adhesion"][name] for name in Law._fields})
+        one = coach.build(sections, math.inf, MODELS[sections["contact"]["model"]],
+                          sections["contact"]["fastsim_cells"])
+        sweeps[rail] = []
+        for speed in SPEEDS_M_S:
+            sweeps[rail].append(stability.growth(one, law, speed))
+            say(f"{rail}: {speed:5.0f} m/s ({3.6 * speed:.0f} km/h)  growth {sweeps[rail][-1]:.3f} 1/s")
+        critical[rail] = _critical(one, law, sweeps[rail])
+    return {"speeds_m_s": list(SPEEDS_M_S), "growth_1_s": sweeps, "critical_speed_m_s": critical,
+            "notes": [_told(rail, speed) for rail, speed in critical.items()]
+            + ["dampers, bump-stops and traction rods are assumed curves: so is this speed"]}
+
+
+def _critical(one: coach.Coach, law: Law, growths: list[float]) -> float | None:
+    """The first speed at which a swing grows, to half a metre per second."""
+    unstable = [speed for speed, growth in zip(SPEEDS_M_S, growths, strict=True) if growth > 0.0]
+    if not unstable:
+        return None
+    return stability.critical_speed(one, law, np.array([max(unstable[0] - 10.0, 1.0), unstable[0]]), None,
+                                    _TOLERANCE_M_S)
+
+
+def _told(rail: str, speed_m_s: float | None) -> str:
+    if speed_m_s is None:
+        return f"{rail}: no hunting up to {SPEEDS_M_S[-1]:.0f} m/s"
+    return f"{rail}: hunting from {speed_m_s:.1f} m/s ({3.6 * speed_m_s:.0f} km/h) on"
+
+
+def table(result: Result) -> Table:
+    """The sweep: how fast a lateral swing grows (above 0) or dies away."""
+    rows = [(speed, 3.6 * speed, *(result["growth_1_s"][rail][i] for rail in RAILS))
+            for i, speed in enumerate(result["speeds_m_s"])]
+    return figures.table("growth of a lateral swing of the coach, 1/s", ("m/s", "km/h", *RAILS), rows)

@@ -1,0 +1,74 @@
+"""A wheel of the coach that leaves its rail: noted by the physics, told by the bench, ends the run."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rollerrig.realtime import cli, derailment, scenario, tick
+from rollerrig.realtime.bench import build_machine
+from rollerrig.rig.multibody import memory
+from rollerrig.rig.state import SIZE
+from rollerrig.wsp_interface import signals
+
+SETTINGS = ("vehicle.model=multibody", "rig=plain_track")
+
+
+class Rows:
+    """The memory that `build_machine` wants of a ring."""
+
+    def __init__(self):
+        self.header = np.zeros(16, dtype=np.int64)
+        self.rows = np.zeros((1000, len(signals.COLUMNS)))
+
+
+@pytest.fixture
+def machine():
+    return build_machine(scenario.load("velim_a1", settings=SETTINGS), Rows())
+
+
+@pytest.fixture
+def watch():
+    told, stopped = [], []
+    return derailment.Watch(lambda *event: told.append(event), stopped.append), told, stopped
+
+
+def test_a_wheelset_that_is_thrown_over_its_flange_is_told_once_and_the_run_ends(machine, watch):
+    look, told, stopped = watch
+    tick.batch(machine, 50)
+    look.look(machine.buffer)
+    assert not told
+    assert not stopped
+    memory.views(machine.buffer[SIZE:]).v[6 * 5 + 1] = 12.0  # the third wheelset, to the left
+    tick.batch(machine, 200)
+    look.look(machine.buffer)
+    assert {level for level, _ in told} == {"error"}
+    assert any("axle 3 left its rail after" in text for _, text in told)
+    assert stopped == ["derailed"]
+    count = len(told)
+    look.look(machine.buffer)
+    assert len(told) == count
+
+
+def test_a_planar_vehicle_cannot_derail(watch):
+    look, told, stopped = watch
+    planar = build_machine(scenario.load("velim_a1"), Rows())
+    look.look(planar.buffer)
+    assert not told
+    assert not stopped
+
+
+def test_a_sway_within_the_gauge_is_no_derailment(machine, watch):
+    look, told, _ = watch
+    memory.views(machine.buffer[SIZE:]).v[1::6] = 0.2
+    tick.batch(machine, 1500)
+    look.look(machine.buffer)
+    assert not told
+
+
+def test_a_run_of_the_coach_that_stays_on_its_rails_says_nothing_of_it(tmp_path):
+    status = cli.main(["run", "velim_a1", "--pacing", "free", "--out", str(tmp_path / "run"), "--set",
+                       "vehicle.model=multibody", "--set", "duration_max_s=0.2"])
+    assert status == 0
+    events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
+    assert not any("derailed" in event["text"] for event in events)
