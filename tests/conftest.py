@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-STANDARDS = ("CAN", "CiA 301", "CiA 305", "CiA 402", "CiA 406", "CiA 401", "Modbus", "Masters")
+STANDARDS = ("CAN", "Hub", "CiA 301", "CiA 305", "CiA 402", "CiA 406", "CiA 401", "Rig control", "Modbus",
+             "Faults", "Bad input", "Masters")
 _RESULTS = pytest.StashKey[dict[str, set[str]]]()
 _ROWS = pytest.StashKey[dict[tuple[str, str], dict[str, None]]]()
 _WORST = ("failed", "error", "skipped", "passed")

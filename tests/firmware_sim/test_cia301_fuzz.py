@@ -30,6 +30,7 @@ def garbage(source):
     return Frame(can_id, bytes(data))
 
 
+@pytest.mark.conformance("Bad input", "SDO, PDO, NMT, LSS, SYNC: seeded garbage")
 @pytest.mark.conformance("CiA 301", "malformed NMT, SDO, PDO, LSS, SYNC: an answer or silence")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_garbage_makes_a_node_raise_or_stops_it(wire, seed):

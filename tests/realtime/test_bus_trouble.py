@@ -35,6 +35,7 @@ def foreign_bus():
     loop.close()
 
 
+@pytest.mark.conformance("Bad input", "a lost bus ends the run with status 2 and its record")
 @pytest.mark.parametrize("pacing", ["wall", "lockstep"])
 def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_keeps_its_record(
         pacing, tmp_path):
@@ -57,6 +58,7 @@ def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_ke
     assert (bench.out / "can.log").stat().st_size > 1000
 
 
+@pytest.mark.conformance("Bad input", "a stray SYNC is counted, told and holds up nothing")
 def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_run(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
                          "--set", "duration_max_s=2")
