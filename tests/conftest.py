@@ -52,7 +52,7 @@ def pytest_sessionfinish(session):
 
 def table(rows, results):
     """The table as Markdown; `rows` tests by (standard, behaviour), `results` outcomes by test."""
-    lines = ["# Conformance", "", "Written by a run of the tests: `.venv/bin/python -m pytest "
+    lines = ["# Conformance", "", "Written by a run of the tests: `.venv/bin/python -m pytest -m conformance "
              "--conformance docs/conformance.md`. Each behaviour is held by the tests beside it.", ""]
     for standard in STANDARDS:
         mine = [(behaviour, tests) for (one, behaviour), tests in rows.items() if one == standard]
