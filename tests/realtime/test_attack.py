@@ -127,6 +127,7 @@ def test_nothing_that_strangers_send_ends_the_run_or_fails_inside_it(attacked):
     assert not [text for _, _, text in bench.record.events if "failed on frame" in text or "Exception" in text]
     assert bench.told["bus"]["frames"] > 20_000
     assert bench.told["modbus"]["requests"] > 100
+    assert bench.told["loop"]["ticks"] == round(1000 * END_S)
 
 
 @pytest.mark.conformance("Bad input", "no thread dies: SYNC and Modbus go on after the attack")
@@ -140,9 +141,10 @@ def test_bus_and_modbus_serve_a_polite_client_as_before(attacked):
 @pytest.mark.conformance("Bad input", "the loop's lateness is that of a rig left alone")
 def test_the_loop_is_as_punctual_under_attack_as_when_it_is_left_alone(attacked):
     bench, _ = attacked
+    if bench.heard("refused SCHED_FIFO"):
+        pytest.skip("no SCHED_FIFO here: the loop shares the processor with whoever attacks it")
     run = bench.record
     time_s, late_us = run.column("time_s"), run.column("tick_lateness_us")
     quiet, under = (np.median(late_us[(time_s > begin) & (time_s < end)]) for begin, end in (QUIET_S, ATTACK_S))
     # ten ticks' worst, half of the time: twice as late at most, or a scheduler's fraction of a tick
     assert under < max(2.0 * quiet, quiet + 300.0), (quiet, under)
-    assert bench.told["loop"]["ticks"] == round(1000 * END_S)
