@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from bench_process import MAGNETS, SYNC, BenchProcess, SimpleUnit
 
-from rollerrig.realtime import records
+from rollerrig.realtime import records, scenario
+from rollerrig.realtime.bench import Bench, Options
 from rollerrig.wsp_interface.hub import Hub
 
 ANSWERS = 0x211
@@ -71,6 +72,26 @@ def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_
     assert len(bench.record.table) >= 199
     assert bench.told["bus"]["stray_syncs"] == 40
     assert len(bench.heard("somebody else sends SYNC")) == 1
+
+
+def test_what_fails_inside_the_bus_thread_is_told_in_the_events_and_the_run_goes_on(tmp_path):
+    plan = scenario.load("dry_stop", settings=("duration_max_s=0.5", "bus.interface=hub", "bus.socketcand_port=0"))
+    rig = Bench(plan, Options("lockstep", "none", tmp_path / "run"), lambda progress: None)
+
+    async def both():
+        run = asyncio.ensure_future(rig.run())
+        while rig.bus is None and not run.done():
+            await asyncio.sleep(0.001)
+        rig.hub.attach(lambda frame: 1 // (frame.can_id - SYNC), "clumsy")
+        return await run
+
+    result = asyncio.run(both())
+    assert result["ended"] == "finished"
+    assert result["loop"]["ticks"] == 500
+    told = [event["text"] for event in result["events"] if event["level"] == "error"]
+    assert len(told) == 1
+    assert "failed on frame 80h" in told[0]
+    assert "ZeroDivisionError" in told[0]
 
 
 # --- the wire ---
