@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-STANDARDS = ("CAN", "CiA 301", "CiA 305", "CiA 402", "CiA 406", "CiA 401", "Modbus", "Masters")
+STANDARDS = ("CAN", "Hub", "CiA 301", "CiA 305", "CiA 402", "CiA 406", "CiA 401", "Rig control", "Modbus",
+             "Faults", "Bad input", "Masters")
 _RESULTS = pytest.StashKey[dict[str, set[str]]]()
 _ROWS = pytest.StashKey[dict[tuple[str, str], dict[str, None]]]()
 _WORST = ("failed", "error", "skipped", "passed")
@@ -51,7 +52,7 @@ def pytest_sessionfinish(session):
 
 def table(rows, results):
     """The table as Markdown; `rows` tests by (standard, behaviour), `results` outcomes by test."""
-    lines = ["# Conformance", "", "Written by a run of the tests: `.venv/bin/python -m pytest "
+    lines = ["# Conformance", "", "Written by a run of the tests: `.venv/bin/python -m pytest -m conformance "
              "--conformance docs/conformance.md`. Each behaviour is held by the tests beside it.", ""]
     for standard in STANDARDS:
         mine = [(behaviour, tests) for (one, behaviour), tests in rows.items() if one == standard]

@@ -171,9 +171,9 @@ class Hub:
 
         Without the queue an answer would overtake the question on its way to the nodes behind.
         """
-        carry = partial(self._queue, frame, sender, then, origin)
-        if self.gate is None or self.gate(sender, frame, carry):
-            carry()
+        if self.gate is None or self.gate(sender, frame,
+                                          partial(self._queue, frame, sender, then, origin)):
+            self._queue(frame, sender, then, origin)
 
     def destroy(self, frame: Frame, transmit_errors: int, receive_errors: int = 0,
                 by_sender: bool = True) -> None:

@@ -220,7 +220,8 @@ def table(result: Result) -> Table:
               for one in result["sync"]]
     named += [(f"SYNC to last TPDO at a client, {one['hz']} Hz", one["last_tpdo_us"],
                f"{one['syncs']} of {one['expected']}{'' if one['kept'] else ' NOT KEPT'}, bus "
-               f"thread {100 * one['bus_thread_share']:.0f} %, {one['dropped']} dropped")
+               f"thread {100 * one['bus_thread_share']:.0f} %, {one['dropped']} dropped, bus load "
+               f"{one['load_percent']:.0f} %")
               for one in result["sync"]]
     rows = [(name, *(found.get(key) for key in ("p50", "p99", "p999", "max")), note)
             for name, found, note in named]

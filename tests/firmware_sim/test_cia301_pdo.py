@@ -282,6 +282,7 @@ def test_a_sync_that_stays_away_half_a_cycle_longer_than_1006h_is_reported_until
     assert wire.take(0x090) == []
 
 
+@pytest.mark.conformance("CiA 301", "RPDO types 254 and 255: taken at once")
 @pytest.mark.conformance("CiA 301", "RPDO dummy mapping")
 def test_fillers_of_an_rpdo_are_skipped(wire):
     wire.drive(1)

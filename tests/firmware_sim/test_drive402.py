@@ -97,6 +97,32 @@ def test_disable_operation_brakes_first_and_then_switches_off(wire, drive):
     assert state(wire) == READY
 
 
+@pytest.mark.conformance("CiA 402", "shutdown option code 605Bh")
+@pytest.mark.parametrize(("option", "at_once"), [(0, True), (1, False)])
+def test_shutdown_switches_off_at_once_or_brakes_first(wire, drive, option, at_once):
+    wire.write(1, 0x605B, 0, option, 2)
+    set_row(wire, "roller_speed", 1.0)
+    control(wire, *WALK[ENABLED], SHUTDOWN)
+    wire.run(1)
+    assert (state(wire) == READY) is at_once
+    wire.run(1000)
+    assert state(wire) == READY
+
+
+@pytest.mark.conformance("CiA 402", "mode 9: target with offset 60B1h, follows command (bit 12)")
+def test_cyclic_velocity_follows_the_target_and_its_offset_and_says_so(wire, drive):
+    wire.write(1, 0x6060, 0, 9, 1)
+    control(wire, *WALK[ENABLED])
+    wire.write(1, 0x60FF, 0, 30_000, 4)
+    wire.write(1, 0x60B1, 0, 5_000, 4)
+    wire.run(1)
+    assert drive.device.axis.commands[drive402_axis.LOOP] == drive402_axis.LOOP_VELOCITY
+    assert drive.device.axis.commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(3.5)
+    assert status(wire) & states.FOLLOWS
+    control(wire, QUICK_STOP)
+    assert status(wire) & states.FOLLOWS == 0
+
+
 @pytest.mark.conformance("CiA 402", "transition 16 and a stop under way")
 def test_enabling_again_cancels_a_stop_under_way(wire, drive):
     control(wire, *WALK[ENABLED])

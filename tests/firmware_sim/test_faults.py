@@ -55,6 +55,7 @@ def turning(rig, from_s, to_s):
     return samples(rig, "wheel_speed:_rad_s", from_s, to_s)
 
 
+@pytest.mark.conformance("Faults", "every fault: begins and is lifted, recorded")
 @pytest.mark.parametrize("kind", [kind.name for kind in faults.CATALOGUE])
 def test_every_fault_of_the_catalogue_is_recorded_when_it_begins_and_when_it_is_lifted(rig, kind):
     begin, end = TIMES[kind]
@@ -76,6 +77,7 @@ def test_before_a_fault_sensors_tell_the_wheels_own_speed(rig):
     assert np.array_equal(measured(rig, 0.0, 0.5), turning(rig, 0.0, 0.5))
 
 
+@pytest.mark.conformance("Faults", "speed_sensor_stuck")
 def test_a_stuck_sensor_repeats_one_speed_while_the_wheel_slows_down(rig):
     told, real = measured(rig, *within("speed_sensor_stuck")), turning(rig, *within("speed_sensor_stuck"))
     assert np.ptp(told[0]) == 0.0
@@ -86,6 +88,7 @@ def test_a_stuck_sensor_repeats_one_speed_while_the_wheel_slows_down(rig):
                           turning(rig, *after("speed_sensor_stuck"))[0])
 
 
+@pytest.mark.conformance("Faults", "speed_sensor_dropout")
 def test_a_sensor_that_drops_out_tells_zero_and_counts_no_pulses(rig):
     span = within("speed_sensor_dropout")
     assert not measured(rig, *span)[1].any()
@@ -94,6 +97,7 @@ def test_a_sensor_that_drops_out_tells_zero_and_counts_no_pulses(rig):
     assert (speeds_on_bus(rig, *after("speed_sensor_dropout"))[:, 1] > 10.0).all()
 
 
+@pytest.mark.conformance("Faults", "missing_tooth")
 def test_missing_teeth_make_the_measured_speed_dip_once_a_turn(rig):
     span = within("missing_tooth", 0.05)
     ratio = measured(rig, *span)[2] / turning(rig, *span)[2]
@@ -104,6 +108,7 @@ def test_missing_teeth_make_the_measured_speed_dip_once_a_turn(rig):
     assert speeds_on_bus(rig, *span)[:, 2].min() < 0.95 * turning(rig, *span)[2].min()
 
 
+@pytest.mark.conformance("Faults", "speed_noise_burst")
 def test_a_noise_burst_scatters_the_measured_speed_by_its_standard_deviation(rig):
     span = within("speed_noise_burst", 0.0)
     error = (measured(rig, *span) - turning(rig, *span))[3]
@@ -113,12 +118,14 @@ def test_a_noise_burst_scatters_the_measured_speed_by_its_standard_deviation(rig
                           turning(rig, *after("speed_noise_burst"))[3])
 
 
+@pytest.mark.conformance("Faults", "swapped_axles")
 def test_swapped_axles_tell_each_others_speed(rig):
     told, real = measured(rig, *within("swapped_axles")), turning(rig, *within("swapped_axles"))
     assert not np.array_equal(real[0], real[1])
     assert np.array_equal(told[:2], real[[1, 0]])
 
 
+@pytest.mark.conformance("Faults", "wheel_diameter_mismatch")
 def test_a_larger_wheel_is_measured_slower_by_the_difference_of_the_diameters(rig):
     span = within("wheel_diameter_mismatch")
     assert measured(rig, *span)[2] * 1.05 == pytest.approx(turning(rig, *span)[2], rel=1e-12)
@@ -131,6 +138,7 @@ def pressures(rig, from_s, to_s):
     return np.array([np.frombuffer(one, "<i2") for one in rig.on_bus(0x191, from_s, to_s)])
 
 
+@pytest.mark.conformance("Faults", "hold_magnet_stuck")
 def test_a_stuck_hold_magnet_keeps_the_pressure_that_the_others_pass(rig):
     span = within("hold_magnet_stuck", 0.1)
     assert set(rig.channel("valve_1", *span)) == {1.0}
@@ -139,12 +147,14 @@ def test_a_stuck_hold_magnet_keeps_the_pressure_that_the_others_pass(rig):
     assert set(rig.channel("valve_1", *(time + 0.05 for time in after("hold_magnet_stuck", 0.02)))) == {0.0}
 
 
+@pytest.mark.conformance("Faults", "vent_magnet_stuck")
 def test_a_stuck_vent_magnet_empties_the_cylinder(rig):
     begin, end = TIMES["vent_magnet_stuck"]
     assert set(rig.channel("valve_2", begin + 0.1, end)) == {2.0}
     assert pressures(rig, end - 0.02, end)[-1, 1] < 0.2 * pressures(rig, begin, begin + 0.02)[0, 1]
 
 
+@pytest.mark.conformance("Faults", "hold_magnet_dead")
 def test_a_dead_hold_magnet_lets_the_cylinder_fill_when_hold_is_asked(rig):
     asked = rig.on_bus(0x211, 2.2, 2.4)
     assert set(asked) == {b"\x55"}
@@ -153,6 +163,7 @@ def test_a_dead_hold_magnet_lets_the_cylinder_fill_when_hold_is_asked(rig):
     assert np.ptp(pressures(rig, 2.2, 2.4)[:, 2]) > np.ptp(pressures(rig, 2.2, 2.4)[:, 0])
 
 
+@pytest.mark.conformance("Faults", "vent_magnet_dead")
 def test_a_dead_vent_magnet_only_holds_when_vent_is_asked(rig):
     assert set(rig.on_bus(0x211, 2.5, 2.7)) == {b"\xff"}
     assert set(rig.channel("valve_4", 2.5, 2.7)) == {1.0}
@@ -161,6 +172,7 @@ def test_a_dead_vent_magnet_only_holds_when_vent_is_asked(rig):
     assert np.ptp(pressures(rig, 2.5, 2.7)[:, 3]) <= 1
 
 
+@pytest.mark.conformance("Faults", "cylinder_leak")
 def test_a_leaking_cylinder_loses_pressure_and_gets_it_back(rig):
     begin, end = TIMES["cylinder_leak"]
     before, late = pressures(rig, begin - 0.05, begin)[-1], pressures(rig, end - 0.05, end)[-1]
@@ -170,6 +182,7 @@ def test_a_leaking_cylinder_loses_pressure_and_gets_it_back(rig):
     assert pressures(rig, end + 0.9, end + 1.0)[-1, 0] > 0.9 * pressures(rig, end + 0.9, end + 1.0)[-1, 3]
 
 
+@pytest.mark.conformance("Faults", "torque_ripple")
 def test_torque_ripple_shows_in_demand_and_torque_on_the_bus(rig):
     span, calm = within("torque_ripple"), (2.9, 3.0)
     assert rig.channel("motor_torque_demand_2_Nm", *span).std() > 1000.0
@@ -199,6 +212,7 @@ def runs(word):
     return word & 0x6F == 0x27
 
 
+@pytest.mark.conformance("Faults", "drive_trip, drive_over_temperature, power_dip: code, no torque, back")
 @pytest.mark.parametrize(("kind", "node", "code"), [
     ("drive_trip", 1, 0x5112), ("drive_over_temperature", 2, 0x4310), ("power_dip", 3, 0x3220)])
 def test_a_drive_that_trips_tells_its_code_gives_no_torque_and_runs_again(rig, kind, node, code):
@@ -210,11 +224,13 @@ def test_a_drive_that_trips_tells_its_code_gives_no_torque_and_runs_again(rig, k
     assert rig.channel(f"motor_torque_{node}_Nm", *after(kind)).mean() > 100.0
 
 
+@pytest.mark.conformance("Faults", "drive_over_temperature: warning")
 def test_a_hot_drive_warns_with_bit_7(rig):
     assert all(word & 0x80 for word in words(rig, 2, *within("drive_over_temperature")))
     assert not any(word & 0x80 for word in words(rig, 2, *after("drive_over_temperature")))
 
 
+@pytest.mark.conformance("Faults", "drive_over_temperature: temperature")
 def test_a_hot_motor_tells_its_temperature_and_the_others_tell_the_airs(rig):
     air_K, rise_K = 293.15, rig.run.scenario["drive"]["rated_temperature_rise_K"]
     hot = samples(rig, "motor_temperature:_K", *within("drive_over_temperature"))
@@ -223,12 +239,14 @@ def test_a_hot_motor_tells_its_temperature_and_the_others_tell_the_airs(rig):
     assert np.abs(samples(rig, "motor_temperature:_K", *after("drive_over_temperature")) - air_K).max() < 3.0
 
 
+@pytest.mark.conformance("Faults", "power_dip")
 def test_a_power_dip_trips_every_drive_and_clears_voltage_enabled(rig):
     for node in (1, 2, 3, 4):
         assert all(in_fault(word) and not word & 0x10 for word in words(rig, node, *within("power_dip")))
         assert all(word & 0x10 for word in words(rig, node, *after("power_dip")))
 
 
+@pytest.mark.conformance("Faults", "node_off")
 def test_a_node_without_power_is_silent_and_boots_when_it_is_back(rig):
     begin, end = TIMES["node_off"]
     own = {0x190, 0x290, 0x390, 0x710, 0x090, 0x590}
@@ -238,6 +256,7 @@ def test_a_node_without_power_is_silent_and_boots_when_it_is_back(rig):
     assert rig.on_bus(0x190, end + 0.02, end + 0.1)
 
 
+@pytest.mark.conformance("Faults", "node_babbling")
 def test_a_babbling_node_fills_the_bus(rig):
     begin, end = TIMES["node_babbling"]
     babbled = len(rig.on_bus(0x07F, begin, end + CYCLE_S))
@@ -245,6 +264,7 @@ def test_a_babbling_node_fills_the_bus(rig):
     assert rig.on_bus(0x07F, end + CYCLE_S, 9.0) == []
 
 
+@pytest.mark.conformance("Faults", "frame_lost")
 def test_lost_frames_are_missing_on_the_bus_and_counted(rig):
     begin, end = TIMES["frame_lost"]
     assert len(rig.on_bus(0x191, begin, end)) == 10
@@ -252,6 +272,7 @@ def test_lost_frames_are_missing_on_the_bus_and_counted(rig):
     assert any("it met 10 frames" in text for _, _, text in rig.run.events if "frame_lost" in text)
 
 
+@pytest.mark.conformance("Faults", "frame_delayed")
 def test_delayed_frames_carry_what_was_true_when_they_were_sent(rig):
     begin, end = TIMES["frame_delayed"]
     told = speeds_on_bus(rig, begin + 0.06, end)[:, 0]
@@ -262,6 +283,7 @@ def test_delayed_frames_carry_what_was_true_when_they_were_sent(rig):
     assert np.abs(told - real[: len(told)]).max() > 0.05
 
 
+@pytest.mark.conformance("Faults", "frame_duplicated")
 def test_duplicated_frames_come_twice(rig):
     begin, end = TIMES["frame_duplicated"]
     twice = rig.on_bus(0x191, begin, end)
@@ -269,6 +291,7 @@ def test_duplicated_frames_come_twice(rig):
     assert twice[0::2] == twice[1::2]
 
 
+@pytest.mark.conformance("Faults", "error_frame")
 def test_error_frames_drive_a_node_to_error_passive_to_bus_off_and_back(rig):
     begin, end = TIMES["error_frame"]
     errors = [data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end]
@@ -282,6 +305,7 @@ def test_error_frames_drive_a_node_to_error_passive_to_bus_off_and_back(rig):
     assert not [one for time, one, _ in rig.frames if one == 0x20000088 and end <= time < 9.0]
 
 
+@pytest.mark.conformance("Faults", "receive_error")
 def test_a_faulty_receiver_destroys_frames_until_it_is_error_passive_and_then_only_misses_them(rig):
     begin, end = TIMES["receive_error"]
     errors = [data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end]
@@ -298,6 +322,7 @@ def test_a_faulty_receiver_destroys_frames_until_it_is_error_passive_and_then_on
     assert len(rig.on_bus(0x190, end + 0.015, end + 0.115)) == 10
 
 
+@pytest.mark.conformance("Faults", "bus_off")
 def test_a_node_whose_controller_is_off_says_nothing_and_goes_on_without_booting(rig):
     begin, end = TIMES["bus_off"]
     own = {0x184, 0x284, 0x704, 0x084}
@@ -308,6 +333,7 @@ def test_a_node_whose_controller_is_off_says_nothing_and_goes_on_without_booting
     assert rig.channel("motor_torque_4_Nm", begin, end).mean() > 100.0
 
 
+@pytest.mark.conformance("Faults", "heartbeat_late")
 def test_late_heartbeats_make_the_master_miss_the_node(rig):
     begin, end = TIMES["heartbeat_late"]
     assert rig.on_bus(0x711, begin, end) == []
@@ -315,6 +341,7 @@ def test_late_heartbeats_make_the_master_miss_the_node(rig):
     assert rig.on_bus(0x711, end, end + 0.05)
 
 
+@pytest.mark.conformance("Faults", "wsp_frozen")
 def test_a_frozen_unit_lets_the_brakes_apply_after_its_heartbeat_is_lost(rig):
     begin, end = TIMES["wsp_frozen"]
     for can_id in (0x211, 0x720):
@@ -332,6 +359,7 @@ def test_a_fault_can_be_injected_and_cleared_by_hand(rig):
     assert len(rig.told("fault speed_sensor_dropout axle=4")) == 2
 
 
+@pytest.mark.conformance("Faults", "wsp_frozen: the reference unit")
 def test_the_reference_units_process_is_stopped_and_goes_on(tmp_path):
     path = tmp_path / "frozen.toml"
     path.write_text('adhesion = "dry"\ninitial_speed_m_s = 20.0\nduration_max_s = 1.2\n[bus]\n'
@@ -372,6 +400,7 @@ def test_a_faults_array_whose_values_are_zero_changes_no_bit():
     assert not np.array_equal(row, machine("dry_stop", zeros), equal_nan=True)
 
 
+@pytest.mark.conformance("Faults", "injected from the command line")
 def test_a_fault_of_the_command_line_is_the_scenarios_fault():
     plan = scenario.load("dry_stop", faults=("frame_lost can_id=0x190 every=3 at=5 for=2",))
     assert plan["fault"] == [{"kind": "frame_lost", "at_s": 5.0, "for_s": 2.0, "can_id": 0x190, "every": 3}]
@@ -413,6 +442,7 @@ class Told:
         self.events.append(text)
 
 
+@pytest.mark.conformance("Faults", "injected over Modbus")
 @pytest.mark.conformance("Modbus", "faults are chosen, injected and lifted by registers")
 def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
     told = Told()

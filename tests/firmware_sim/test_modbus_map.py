@@ -37,6 +37,7 @@ def test_bits_are_bits_and_registers_hold_integers(drive):
         assert all(row.scale > 0 for row in rows)
 
 
+@pytest.mark.conformance("Modbus", "speeds, pressures and temperatures with the scale of the CAN bus")
 @pytest.mark.parametrize("name", [
     "brake_demand", "cylinder_pressure", MEASURED_SPEED, "roller_speed", "motor_torque",
     "tooth_frequency", "pulse_count", "wsp_reference_speed",
@@ -70,6 +71,7 @@ def test_a_drives_rows_are_those_of_its_dictionary(drive):
         assert row.width == (2 if len(variable) == 32 else 1)
 
 
+@pytest.mark.conformance("Modbus", "map written by rollerrig devices")
 def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
     drives = dict.fromkeys(signals.DRIVE_NODES, drive)
     document, sheet = modbus_map.write(tmp_path, drives, ("dry_stop", "velim_a1"))

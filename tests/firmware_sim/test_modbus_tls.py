@@ -92,6 +92,7 @@ def answer_to(site, context):
         return None
 
 
+@pytest.mark.conformance("Bad input", "TLS without a client certificate gets nothing")
 @pytest.mark.conformance("Modbus", "TLS without a client certificate gets nothing")
 @pytest.mark.parametrize("name", [None, "intruder"])
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])

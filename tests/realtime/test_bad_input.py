@@ -169,6 +169,7 @@ def test_the_reference_unit_killed_in_lockstep_ends_the_run_and_is_named(tmp_pat
     assert len(bench.record.table) > 50
 
 
+@pytest.mark.conformance("Bad input", "a unit that dies: the brakes apply, the run goes on")
 def test_a_unit_that_dies_in_real_time_lets_the_brakes_apply_and_the_run_go_on(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "external",
                          "--set", "duration_max_s=3")
@@ -191,6 +192,7 @@ def test_a_unit_that_dies_in_real_time_lets_the_brakes_apply_and_the_run_go_on(t
         assert run.column(f"cylinder_pressure_{axle}_Pa")[-1] > 1e5
 
 
+@pytest.mark.conformance("Bad input", "short PDOs and garbage of a unit")
 def test_short_pdos_and_garbage_of_a_unit_are_events_and_the_run_goes_on(tmp_path):
     garbage = [(MAGNETS, b""), (MAGNETS, b"\1\2\3\4\5\6\7\x08"), (0x720, b""), (0x720, b"\xff\xff"),
                (0x000, b"\x81"), (0x080, b"\1\2\3"), (0x611, b"\xff" * 8), (0x7FF, b""),

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from bench_process import MAGNETS, SYNC, BenchProcess, SimpleUnit
 
-from rollerrig.realtime import records
+from rollerrig.realtime import records, scenario
+from rollerrig.realtime.bench import Bench, Options
 from rollerrig.wsp_interface.hub import Hub
 
 ANSWERS = 0x211
@@ -35,6 +36,7 @@ def foreign_bus():
     loop.close()
 
 
+@pytest.mark.conformance("Bad input", "a lost bus ends the run with status 2 and its record")
 @pytest.mark.parametrize("pacing", ["wall", "lockstep"])
 def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_keeps_its_record(
         pacing, tmp_path):
@@ -57,6 +59,7 @@ def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_ke
     assert (bench.out / "can.log").stat().st_size > 1000
 
 
+@pytest.mark.conformance("Bad input", "a stray SYNC is counted, told and holds up nothing")
 def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_run(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
                          "--set", "duration_max_s=2")
@@ -69,6 +72,26 @@ def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_
     assert len(bench.record.table) >= 199
     assert bench.told["bus"]["stray_syncs"] == 40
     assert len(bench.heard("somebody else sends SYNC")) == 1
+
+
+def test_what_fails_inside_the_bus_thread_is_told_in_the_events_and_the_run_goes_on(tmp_path):
+    plan = scenario.load("dry_stop", settings=("duration_max_s=0.5", "bus.interface=hub", "bus.socketcand_port=0"))
+    rig = Bench(plan, Options("lockstep", "none", tmp_path / "run"), lambda progress: None)
+
+    async def both():
+        run = asyncio.ensure_future(rig.run())
+        while rig.bus is None and not run.done():
+            await asyncio.sleep(0.001)
+        rig.hub.attach(lambda frame: 1 // (frame.can_id - SYNC), "clumsy")
+        return await run
+
+    result = asyncio.run(both())
+    assert result["ended"] == "finished"
+    assert result["loop"]["ticks"] == 500
+    told = [event["text"] for event in result["events"] if event["level"] == "error"]
+    assert len(told) == 1
+    assert "failed on frame 80h" in told[0]
+    assert "ZeroDivisionError" in told[0]
 
 
 # --- the wire ---

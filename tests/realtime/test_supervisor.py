@@ -231,6 +231,7 @@ def test_a_port_that_is_taken_keeps_a_start_over_modbus_from_waiting_for_ever(ri
     assert f"127.0.0.1:{taken}" in json.loads(output)["error"]
 
 
+@pytest.mark.conformance("Bad input", "another address than loopback is told loudly")
 def test_a_port_beyond_this_machine_is_told_loudly(rig):
     one = rig("--set", "modbus.host=0.0.0.0", "--set", "modbus.port=0", "--set", "duration_max_s=0.3")
     status, summary = one.result()
@@ -249,6 +250,7 @@ def test_a_start_over_modbus_that_cannot_come_is_refused(wrong, tmp_path, capsys
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.conformance("Modbus", "requests beside the real-time loop")
 def test_requests_are_answered_while_the_loop_keeps_its_deadlines(rig):
     one = rig(*HELD, "--set", "initial_speed_m_s=6")
     one.connect()

@@ -45,6 +45,7 @@ def rtu(site):
     return ["-m", "rtu", "-b", "19200", "-P", "even", site.serial()]
 
 
+@pytest.mark.conformance("Masters", "mbpoll over TCP and RTU on a pty: reads")
 @needs_mbpoll
 @pytest.mark.parametrize("way", [tcp, rtu])
 def test_mbpoll_reads_speeds_counters_and_bits(way, site):
@@ -57,6 +58,7 @@ def test_mbpoll_reads_speeds_counters_and_bits(way, site):
     assert (status, read_values(text)) == (0, dict.fromkeys(range(8), 0))
 
 
+@pytest.mark.conformance("Masters", "mbpoll over TCP and RTU on a pty: writes, walks a drive")
 @needs_mbpoll
 @pytest.mark.parametrize("way", [tcp, rtu])
 def test_mbpoll_writes_set_points_and_walks_a_drive(way, site):
@@ -102,14 +104,17 @@ def check_what_go_saw(done, site):
     assert site.written == [("speed_set_point", 2500), ("brake_demand_set_point", -1), ("run", 1)]
 
 
+@pytest.mark.conformance("Masters", "simonvetter/modbus (Go) over TCP")
 def test_a_go_client_works_over_tcp(go_client, site):
     check_what_go_saw(run(go_client, f"tcp://127.0.0.1:{site.listen()}"), site)
 
 
+@pytest.mark.conformance("Masters", "simonvetter/modbus (Go) over RTU")
 def test_a_go_client_works_over_rtu(go_client, site):
     check_what_go_saw(run(go_client, f"rtu://{site.serial()}"), site)
 
 
+@pytest.mark.conformance("Masters", "simonvetter/modbus (Go) over TLS")
 @pytest.mark.skipif(not shutil.which("openssl"), reason="needs the command openssl")
 def test_a_go_client_works_over_tls_with_its_certificate_and_not_without(go_client, site, tmp_path):
     from test_modbus_tls import authority, certificate

@@ -36,6 +36,7 @@ def data_of(number: int) -> bytes:
 # --- nodes on a python-can bus ---
 
 
+@pytest.mark.conformance("Hub", "nodes on a python-can bus")
 def test_nodes_on_a_python_can_bus_talk_to_it_and_to_each_other_in_order(bench, other):
     here, there = [], []
     node = bench.do(lambda: other.hub.attach(lambda frame: None))
@@ -187,6 +188,7 @@ def test_a_missing_interface_says_how_to_get_it(kernel, message):
         buses._require_kernel_can("socketcan:vcan0", "vcan0", kernel)
 
 
+@pytest.mark.conformance("Hub", "nodes on kernel SocketCAN")
 @pytest.mark.skipif("vcan0" not in available().up, reason="this machine has no vcan0")
 def test_the_benchs_nodes_sit_on_kernel_socketcan(bench):
     seen = []

@@ -35,6 +35,7 @@ def eds_of(folder, number):
     return found
 
 
+@pytest.mark.conformance("CiA 301", "EDS: canopen reads the objects that the node has")
 @pytest.mark.parametrize("number", [1, 2, 3, 4, 16, 17])
 def test_canopen_reads_from_the_eds_the_same_objects_that_the_node_has(rig, folder, number):
     node = rig[0][number]
@@ -50,6 +51,7 @@ def test_canopen_reads_from_the_eds_the_same_objects_that_the_node_has(rig, fold
     assert set(read) - dummies == set(node.dictionary)
 
 
+@pytest.mark.conformance("CiA 301", "EDS: PDOMapping 0 or 1, DeviceInfo counts")
 @pytest.mark.parametrize("number", [1, 16, 17])
 def test_the_eds_has_mapping_flags_of_0_or_1_and_the_numbers_of_pdos(folder, number):
     parser = configparser.ConfigParser()

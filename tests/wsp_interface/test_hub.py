@@ -184,6 +184,7 @@ def test_the_log_is_read_back_by_python_can_frame_by_frame(tmp_path):
 # --- socketcand ---
 
 
+@pytest.mark.conformance("Hub", "socketcand: python-can's own client; nobody gets their own frames back")
 def test_python_cans_own_client_gets_and_sends_every_frame_in_order_and_not_its_own(bench):
     seen = []
     node = bench.do(lambda: bench.hub.attach(seen.append))
@@ -200,6 +201,7 @@ def test_python_cans_own_client_gets_and_sends_every_frame_in_order_and_not_its_
     assert bench.hub.dropped == 0
 
 
+@pytest.mark.conformance("Hub", "one time stamp for each frame")
 def test_all_clients_and_the_log_see_the_same_time_stamp(bench):
     clients = [bench.raw_mode() for _ in range(2)]
     bench.do(lambda: bench.hub.attach(print).send(Frame(0x80, b"\x01")))
@@ -208,6 +210,7 @@ def test_all_clients_and_the_log_see_the_same_time_stamp(bench):
     assert bench.log[0].time_ns > 0
 
 
+@pytest.mark.conformance("Hub", "socketcand: handshake answers in segments of their own")
 def test_each_answer_of_the_handshake_comes_alone_and_frames_wait_until_it_is_read(bench):
     client = bench.connect()
     assert client.recv(256) == b"< hi >"
@@ -221,6 +224,7 @@ def test_each_answer_of_the_handshake_comes_alone_and_frames_wait_until_it_is_re
     assert time.monotonic() - began_s >= 0.05
 
 
+@pytest.mark.conformance("Hub", "socketcand: commands however they are cut, bytes as SavvyCAN sends them")
 def test_commands_are_understood_however_they_are_cut(bench):
     client = bench.connect()
     script = (b"< open rig0 >< rawmode ><send 1 0><  send\t7fF 2  a B >\r\n"
@@ -233,6 +237,7 @@ def test_commands_are_understood_however_they_are_cut(bench):
         (0x12345678, b"\x80\xff\x01", True), (0x123, b"\x7f", True)]
 
 
+@pytest.mark.conformance("Hub", "socketcand: 11-bit and 29-bit identifiers")
 def test_identifiers_of_11_and_29_bits_have_three_and_eight_digits(bench):
     client = bench.raw_mode()
     node = bench.do(lambda: bench.hub.attach(print))
@@ -243,6 +248,7 @@ def test_identifiers_of_11_and_29_bits_have_three_and_eight_digits(bench):
     assert words[7] == b"00000012"
 
 
+@pytest.mark.conformance("Hub", "socketcand: remote frames")
 def test_remote_frames_pass_in_both_directions(bench):
     a, b = bench.raw_mode(), bench.raw_mode()
     a.sendall(b"< sendrtr 701 1 >")
@@ -251,6 +257,7 @@ def test_remote_frames_pass_in_both_directions(bench):
     assert read_until(b, b">").split()[1:3] == [b"rtr", b"701"]
 
 
+@pytest.mark.conformance("Bad input", "socketcand: what cannot be understood is answered")
 @pytest.mark.parametrize(("command", "answer"), [
     (b"< echo >", b"< echo >"),
     (b"< subscribe 0 0 123 >", b"< error unknown command >"),
@@ -296,6 +303,7 @@ def test_bcmmode_stops_the_frames_and_rawmode_starts_them_again(bench):
     assert read_until(client, b">").startswith(b"< frame 002")
 
 
+@pytest.mark.conformance("Hub", "one write for each SYNC")
 def test_frames_sent_in_one_callback_leave_in_one_segment(bench):
     client = bench.raw_mode()
     node = bench.do(lambda: bench.hub.attach(print))
@@ -315,6 +323,7 @@ def test_frames_sent_in_one_callback_leave_in_one_segment(bench):
 # --- clients that misbehave ---
 
 
+@pytest.mark.conformance("Bad input", "a slow client loses frames, counted, and holds nobody up")
 def test_a_client_that_does_not_read_loses_frames_while_another_gets_all(start_hub):
     bench = start_hub(buffer_bytes=100_000)
     slow = bench.connect()
@@ -341,6 +350,7 @@ def test_a_client_that_does_not_read_loses_frames_while_another_gets_all(start_h
     assert bench.hub.dropped == slow_stats["dropped"]  # still counted after it has left
 
 
+@pytest.mark.conformance("Bad input", "a client that does not read its answers is bounded")
 def test_a_client_that_asks_without_reading_the_answers_is_bounded(start_hub):
     bench = start_hub(buffer_bytes=50_000)
     client = bench.connect()
@@ -352,6 +362,7 @@ def test_a_client_that_asks_without_reading_the_answers_is_bounded(start_hub):
     assert bench.until(lambda: len(bench.log) == 1)
 
 
+@pytest.mark.conformance("Bad input", "codecs: garbage never disturbs the bus")
 def test_garbage_never_disturbs_the_bus(bench):
     ports = {codec: bench.listen(codec) for codec in codecs.CODECS if codec != "socketcand"}
     ports["socketcand"] = bench.port
@@ -383,6 +394,7 @@ def test_garbage_never_disturbs_the_bus(bench):
     other.shutdown()
 
 
+@pytest.mark.conformance("Bad input", "a client that vanishes disturbs nobody")
 def test_a_client_that_vanishes_with_a_reset_disturbs_nobody(bench):
     node = bench.do(lambda: bench.hub.attach(print))
     client, witness = bench.raw_mode(), bench.raw_mode()
@@ -402,6 +414,7 @@ SAMPLES = [Frame(0x123, b"\x11\x22"), Frame(0x7FF, b""), Frame(0x1ABCDEF0, bytes
            Frame(0x1ABCDEF0, b"", True, True, 8)]
 
 
+@pytest.mark.conformance("Hub", "slcan, virtualcan, cannelloni: base, extended and remote frames both ways")
 @pytest.mark.parametrize(("codec", "hello", "greeting", "encode"), [
     ("slcan", b"C\rS6\rO\r", b"\r\r\r", codecs.slcan_event),
     ("virtualcan", b"", b"", codecs.virtualcan_event),
@@ -425,6 +438,7 @@ def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
     assert read_until(client, expected) == expected
 
 
+@pytest.mark.conformance("Hub", "virtualcan, cannelloni, slcan: the bytes of their documents")
 def test_the_bytes_of_the_binary_protocols_are_those_of_their_documents():
     frame, remote = Frame(0x123, b"\x11\x22"), Frame(0x701, b"", remote=True, dlc=1)
     assert codecs.virtualcan_event(frame).hex() == "0000000e" "00000123" "00" "02" "1122" + "00" * 6
@@ -443,6 +457,7 @@ def test_slcan_refuses_frames_until_open_and_in_listen_only(bench):
     assert len(bench.log) == 1
 
 
+@pytest.mark.conformance("Bad input", "virtualcan, cannelloni: a stream out of step is closed")
 @pytest.mark.parametrize(("codec", "wire"), [
     ("cannelloni", b"GET / HTTP/1.1\r\n\r\n"), ("cannelloni", b"CANNELLONIv1\0\0\1\x23\x7f"),
     ("virtualcan", b"GET / HTTP/1.1\r\n\r\n")])
@@ -478,6 +493,7 @@ def test_what_cannot_be_listened_on_says_what_is_allowed(bench, options, message
         bench.do(lambda: bench.hub.listen(**options))
 
 
+@pytest.mark.conformance("Bad input", "loopback unless told otherwise: CAN")
 def test_the_hub_listens_on_loopback_unless_told_otherwise(bench):
     assert bench.hub._servers[0].sockets[0].getsockname()[0] == "127.0.0.1"
 

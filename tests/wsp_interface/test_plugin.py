@@ -64,6 +64,7 @@ def play_handshake(server, chunks=(b"< hi >", b"< ok >", b"< ok >")) -> tuple:
 
 
 
+@pytest.mark.conformance("Hub", "python-can plugin: entry point can.interface")
 @pytest.mark.parametrize("prefix", ["", "socketcand://"])
 def test_python_can_finds_the_plugin_by_its_name_and_both_forms_of_address(bench, prefix):
     with can.Bus(interface="rollerrig", channel=prefix + bench.address()) as bus:
@@ -71,6 +72,7 @@ def test_python_can_finds_the_plugin_by_its_name_and_both_forms_of_address(bench
         assert "rig0" in bus.channel_info
 
 
+@pytest.mark.conformance("Hub", "python-can plugin: every kind of frame, RTR too")
 @pytest.mark.parametrize("frame", [
     Frame(0x123, b""), Frame(0x7FF, bytes(range(0xF8, 0x100))), Frame(0x12, b"\x01", True),
     Frame(0x1FFFFFFF, b"\x80", True), Frame(0x701, b"", remote=True, dlc=1),
@@ -182,6 +184,7 @@ def test_can_fd_and_error_frames_are_refused(bus):
 # --- the end of the connection ---
 
 
+@pytest.mark.conformance("Hub", "python-can plugin: end of the bus is noticed")
 def test_the_end_of_the_hub_raises_after_the_last_frame(bench, bus, node):
     send_numbers(bench, node, 3)
     bench.close()

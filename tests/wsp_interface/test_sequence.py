@@ -108,6 +108,7 @@ def test_every_packaged_sequence_is_in_order_and_has_limits(name):
     assert found.steps
 
 
+@pytest.mark.conformance("Faults", "every fault has a sequence in the library")
 def test_the_library_has_every_fault_of_the_catalogue():
     texts = [text for name in store.names("sequences")
              for step in sequence.load(name, faults.parse).steps for text in step.faults]

@@ -1,0 +1,67 @@
+"""Rig control: the same stop on the track, on contaminated rollers and on a virtual track."""
+
+import numpy as np
+import pytest
+
+from rollerrig.firmware_sim import wsp
+from rollerrig.realtime import bench, scenario, tick
+from rollerrig.realtime import ring as rings
+from rollerrig.wsp_interface import signals
+
+MODES = ("plain_track", "full_scale", "virtual_track")
+RECORD_HZ = 100
+
+
+def stop(folder, rig, *settings):
+    """The rows of a whole stop on soap with the reference WSP, (n, columns)."""
+    folder.mkdir()
+    ring = rings.Ring(folder / "rows", np.float64, 1 << 14, len(signals.COLUMNS))
+    plan = scenario.load("velim_a3", settings=(f"rig={rig}", "duration_max_s=100", *settings))
+    machine = bench.build_machine(plan, ring)
+    unit, inputs = wsp.new_unit(wsp.load("reference")), np.zeros(8, dtype=np.int64)
+    tick.batch_with_unit(machine, 100_000, plan.sync_ticks, unit, inputs)
+    return machine.ring_rows[: machine.ring_header[rings.WRITTEN]].copy()
+
+
+@pytest.fixture(scope="module")
+def stops(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stops")
+    return {rig: stop(folder / rig, rig) for rig in MODES}
+
+
+def signal(rows, name):
+    return rows[:, signals.span(name)]
+
+
+def rolling(rows):
+    """Samples in which the vehicle still runs."""
+    return signal(rows, "vehicle_speed")[:, 0] > 1.0
+
+
+@pytest.mark.conformance("Rig control", "electric inertia simulation: rollers keep the vehicle's speed")
+def test_contaminated_rollers_keep_the_speed_of_the_vehicle_whose_inertia_they_carry(stops):
+    rows = stops["full_scale"]
+    error = signal(rows, "tracking_error")[rolling(rows)]
+    assert np.abs(error).max() < 0.15
+    assert np.sqrt((error**2).mean()) < 0.01
+    # the rollers weigh a ninth of the coach: without the motors they would stop with their wheels
+    assert signal(rows, "motor_torque").max() > 2000.0
+
+
+@pytest.mark.conformance("Rig control", "virtual track: wheels turn as those of the virtual vehicle do, tracking error")
+def test_on_a_virtual_track_real_wheels_turn_as_those_of_the_virtual_vehicle_do(stops):
+    rows = stops["virtual_track"]
+    error = signal(rows, "tracking_error")[rolling(rows)]
+    assert np.abs(error).max() < 0.5
+    assert 0.0 < np.sqrt((error**2).mean()) < 0.02
+    # the wheels slide on the virtual track by far more than that
+    assert np.abs(signal(rows, "sliding")).max() > 1.0
+
+
+@pytest.mark.conformance("Rig control", "the same scenario on both rigs and on the plain track")
+@pytest.mark.parametrize("rig", ["full_scale", "virtual_track"])
+def test_a_rig_stops_where_the_vehicle_on_the_track_does(stops, rig):
+    distance = {name: signal(rows, "position")[-1, 0] for name, rows in stops.items()}
+    assert signal(stops[rig], "vehicle_speed")[-1, 0] == 0.0
+    # a roller's smaller patch and the drives' lag: half a per cent or so
+    assert distance[rig] == pytest.approx(distance["plain_track"], rel=0.02)
