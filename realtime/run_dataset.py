@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import tomli_w
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import records, velim
+from rollerrig.realtime import records, run_sensors, velim
+from rollerrig.rig import params
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES
 
@@ -110,29 +113,103 @@ def _csv(course: Course) -> str:
     return text.getvalue()
 
 
-def from_folders(folders: Sequence[Path], out: Path, group: str) -> Path:
-    """A dataset of recorded run folders, without sensor noise, all in one group.
+def from_folders(folders: Sequence[Path], out: Path, group: str, validate: Sequence[Path] = (),
+                 noise: Mapping[str, float] = PERFECT, slowest_m_s: float = 0.01) -> Path:
+    """A dataset of recorded run folders as their sensors tell them, those of `validate` in that group.
 
-    Raises ConfigError for folders that hold no run, or runs of different vehicles.
+    The first run's config is the base model; its mechanisms and faults are not told. `noise` is laid
+    over the channels and declared. Raises ConfigError for folders that hold no run, runs that are one
+    and the same, or of different vehicles, rigs or adhesion.
     """
-    runs = [records.load(folder) for folder in folders]
-    courses = []
+    runs = [records.load(folder) for folder in (*folders, *validate)]
     for run in runs:
-        for table in ("vehicle", "contact", "rig"):
-            if run.scenario.get(table) != runs[0].scenario.get(table):
-                raise ConfigError(f"{run.folder}: [{table}] differs from that of {runs[0].folder}; runs "
-                                  "that are tuned together need one vehicle and one rig")
-        still = np.flatnonzero(run.column("vehicle_speed_m_s") <= 0.01)
-        end = int(still[0]) if still.size and still[0] > 0 else len(run.table)
+        _same_base(run, runs[0])
+    told = [run_sensors.of_run(run, slowest_m_s) for run in runs]
+    _no_copies(runs, told)
+    names = _names(runs)
+    rng = np.random.default_rng(len(runs))
+    told = [run_sensors.noisy(one, noise, rng)._replace(name=name)
+            for one, name in zip(told, names, strict=True)]
+    groups = [group] * len(folders) + ["validate"] * len(validate)
+    head = _head(runs[0], told[0], noise) | {
+        "title": "runs of the bench", "source": ", ".join(str(run.folder) for run in runs),
+        "note": _notes(runs),
+        "run": [{"file": f"runs/{one.name}.parquet", "group": belongs, "mass_kg": one.mass_kg,
+                 "initial_speed_m_s": round(float(one.speed_m_s[:20].mean()), 2)}
+                for one, belongs in zip(told, groups, strict=True)]}
+    try:
+        (out / "runs").mkdir(parents=True, exist_ok=True)
+        text = tomli_w.dumps(head).replace("vehicle_set = ", "vehicle = ", 1)
+        (out / "dataset.toml").write_text(f"# recorded by rollerrig run\n{text}", encoding="utf-8")
+        for one in told:
+            pq.write_table(_table(one), out / "runs" / f"{one.name}.parquet")
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}; give another folder") from None
+    return out
 
-        def each(name: str, unit: str, run: records.Run = run, end: int = end) -> np.ndarray:
-            return np.column_stack([run.column(f"{name}_{j}_{unit}")[:end] for j in range(1, AXLES + 1)])
 
-        courses.append(Course(run.folder.name, group, run.column("time_s")[:end],
-                              run.column("vehicle_speed_m_s")[:end], each("wheel_speed", "rad_s"),
-                              each("wheel_load", "N"), each("brake_torque", "Nm")))
-    return write(out, courses, runs[0].scenario, PERFECT, "runs of the bench",
-                 ", ".join(str(run.folder) for run in runs))
+def _same_base(run: records.Run, first: records.Run) -> None:
+    free = {"vehicle": ("mass_kg",), "adhesion": ("mu_cd",), "contact": (), "brake": (), "rig": ()}
+    for table, left_out in free.items():
+        mine, its = ({k: v for k, v in one.scenario.get(table, {}).items() if k not in left_out}
+                     for one in (run, first))
+        if mine != its:
+            key = next(k for k in {**mine, **its} if mine.get(k) != its.get(k))
+            raise ConfigError(
+                f"{run.folder}: [{table}] {key} = {mine.get(key)!r} differs from {its.get(key)!r} in "
+                f"{first.folder}; runs that are judged together need one vehicle, rig and adhesion law "
+                "(vehicle.mass_kg and adhesion.mu_cd may differ): give them in separate calls")
+
+
+def _no_copies(runs: Sequence[records.Run], told: Sequence[run_sensors.Told]) -> None:
+    for i, one in enumerate(told):
+        for k in range(i):
+            if np.array_equal(one.wheel_speed_rad_s, told[k].wheel_speed_rad_s):
+                raise ConfigError(f"{runs[i].folder} and {runs[k].folder} hold the same samples; a copy "
+                                  "tells nothing new and cannot validate: brake from another speed or "
+                                  "with another demand (free and lockstep runs repeat bit for bit)")
+
+
+def _names(runs: Sequence[records.Run]) -> list[str]:
+    names = [run.folder.resolve().name for run in runs]
+    return [name if names.count(name) == 1 else f"{name}_{k}" for k, name in enumerate(names, start=1)]
+
+
+def _notes(runs: Sequence[records.Run]) -> str:
+    first = runs[0].scenario
+    told = []
+    if any(run.scenario.get("friction") for run in runs):
+        told.append("the scenario changes friction by place or time, which the base model does not "
+                    "know: it is looked for like a cause")
+    if first["contact"].get("model", "degraded") != "degraded":
+        told.append(f"the runs had contact.model = {first['contact']['model']!r}; the base model is the "
+                    "degraded adhesion law")
+    return "; ".join(told)
+
+
+def _head(run: records.Run, told: run_sensors.Told, noise: Mapping[str, float]) -> dict[str, Any]:
+    plan = run.scenario
+    contact = {key: plan["contact"][key] for key in _CONTACT}
+    if told.surface_m_s is None:
+        contact["roller_radius_m"] = float("inf")
+    accuracy = {key: value for key, value in noise.items() if value > 0.0}
+    return {
+        "kind": "braking_runs", "vehicle_set": "uic_z1",
+        "sample_time_s": round(float(np.median(np.diff(told.time_s))), 6),
+        "vehicle": {key: plan["vehicle"][key] for key in _VEHICLE},
+        "adhesion": plan["adhesion"], "contact": contact,
+        "axles": {"positions_m": params.axle_positions(plan["vehicle"]).tolist()},
+        **({"accuracy": accuracy} if accuracy else {})}
+
+
+def _table(told: run_sensors.Told) -> pa.Table:
+    columns = {"time_s": told.time_s, "vehicle_speed_m_s": told.speed_m_s, "position_m": told.position_m}
+    for name, values, unit in (("wheel_speed", told.wheel_speed_rad_s, "rad_s"),
+                               ("wheel_load", told.load_N, "N"), ("brake_torque", told.torque_Nm, "Nm"),
+                               ("surface_speed", told.surface_m_s, "m_s")):
+        if values is not None:
+            columns |= {f"{name}_{j}_{unit}": values[:, j - 1] for j in range(1, AXLES + 1)}
+    return pa.table(columns)
 
 
 def velim_synthetic(out: Path, seed: int = 1) -> Path:

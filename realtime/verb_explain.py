@@ -5,10 +5,16 @@ import json
 from pathlib import Path
 from typing import Any
 
+# a replay ends there: creepage grows beyond all bounds as the speed falls to nothing
+SLOWEST_M_S = 4.0
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", nargs="+",
                         help="folder of a dataset, name of a packaged one, or folders of runs")
+    parser.add_argument("--validate", nargs="+", type=Path, default=[], metavar="RUN",
+                        help="folders of runs that are never fitted, only judged (default: the last "
+                        "third of the runs)")
     parser.add_argument("--out", type=Path, metavar="DIR",
                         help="folder of the report (default: reports/explain_NAME)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the clean sets (default: 0)")
@@ -20,10 +26,9 @@ def call(given: argparse.Namespace) -> int:
     from rich.console import Console
 
     from rollerrig.realtime import study_view
-    from rollerrig.realtime.verb_tune import opened
     from rollerrig.rig.identify import creep_account
 
-    data, out = opened(given.dataset, given.out, "explain")
+    data, out = _opened(given)
     if data.kind == "creep_curve":
         from rollerrig.rig.identify import paper_report, polach_fit
 
@@ -47,6 +52,29 @@ def call(given: argparse.Namespace) -> int:
     console.print(f"report: {out / 'report.html'}, {out / 'report.rrd'}; model: "
                   f"{out / 'extended.toml'}", highlight=False)
     return 0
+
+
+def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
+    """The dataset of the command line, and the folder of its report (made)."""
+    from rollerrig.configs.errors import ConfigError
+    from rollerrig.realtime import run_dataset, run_sensors, verb_tune
+    from rollerrig.rig.identify import dataset
+
+    runs = [Path(name) for name in given.dataset]
+    if not all((run / "scenario.toml").is_file() for run in runs):
+        if given.validate:
+            raise ConfigError(f"--validate {given.validate[0]}: {given.dataset[0]} is no folder of a run; "
+                              "a dataset says in its dataset.toml which runs validate")
+        data, out = verb_tune.opened(given.dataset, given.out, "explain")
+        return data, out
+    out = given.out or Path("reports") / f"explain_{runs[0].resolve().name}"
+    held = list(given.validate)
+    if not held:
+        kept = len(runs) - len(runs) // 3
+        runs, held = runs[:kept], runs[kept:]
+    made = run_dataset.from_folders(runs, out / "dataset", "tune", held, run_sensors.NOISE, SLOWEST_M_S)
+    named = ", ".join(run.resolve().name for run in (*runs, *held))
+    return dataset.load(made)._replace(name=named), out
 
 
 def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]:

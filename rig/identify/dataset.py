@@ -30,6 +30,7 @@ HEAD = (
     choice("file", "", (), "the file of a creep curve"),
     choice("title", "", (), "a sentence"),
     choice("source", "", (), "where the data is from"),
+    choice("note", "", (), "what the reader of a report must know; the report repeats it"),
 )
 RUN = (
     choice("file", "", (), "CSV or Parquet"),
@@ -110,7 +111,7 @@ def load(folder: Path | str) -> Dataset:
     sections = base_sections(head["vehicle_set"], tables, str(path))
     accuracy = _given(ACCURACY, tables.get("accuracy", {}), f"{path} [accuracy]")
     positions = _positions(tables.get("axles", {}), sections, str(path))
-    warnings: list[str] = []
+    warnings: list[str] = [head["note"]] if head["note"] else []
     if head["kind"] == "creep_curve":
         curve = _creep_curve(folder, head, tables)
         return Dataset(folder.name, head["kind"], folder, head["sample_time_s"], sections, accuracy,
@@ -248,7 +249,8 @@ def _run(folder: Path, row: Mapping[str, Any], index: int, sections: Mapping[str
     run = Run(Path(given["file"]).stem, given["group"], mass,
               given["mu_cd"] if given["mu_cd"] > 0 else None, column(data, "time_s", path),
               column(data, "vehicle_speed_m_s", path), each("wheel_speed", "rad_s"),
-              each("wheel_load", "N"), each("brake_torque", "Nm"), maybe("position_m"), None)
+              each("wheel_load", "N"), each("brake_torque", "Nm"), maybe("position_m"),
+              each("surface_speed", "m_s") if "surface_speed_1_m_s" in data.column_names else None)
     from rollerrig.rig.identify import quality
 
     quality.check_run(run, path, dict(sections), sample_time_s, given["initial_speed_m_s"], warnings)

@@ -217,12 +217,11 @@ def _run(run: Run, data: Dataset, radius: float, inertia: float, step: float, sp
     if run.position_m is not None:
         travelled = run.position_m
     place = travelled[:, None] - data.axle_position_m
-    on_track = run.surface_m_s is None
     return {
         "measured": run.wheel_speed_rad_s, "torque": run.torque_Nm, "brake": torque, "load": load,
         "speed": surface, "time": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
         "place": place, "sliding": sliding, "adhesion": adhesion, "energy": energy,
-        "cleaned": _work_before(place, energy) if on_track else np.zeros_like(energy),
+        "cleaned": _work_before(place, energy),
         "heat": np.cumsum(np.maximum(torque * smooth_wheels, 0.0), axis=0) * step / 1e6,
         "slid": np.cumsum(np.abs(sliding), axis=0) * step,
         "deceleration": np.repeat(deceleration[:, None], AXLES, axis=1),

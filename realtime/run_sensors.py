@@ -1,0 +1,164 @@
+"""What the sensors of a rig tell of a recorded run: the channels that measured data has.
+
+A recording holds what the physics computed; an explanation must not see more of it than a train's
+sensors would. Wheel speed is that of the speed sensor, torque is what the brake's data make of the
+cylinder pressure [G1], and load is what the deceleration makes of the static one [G2], so that a
+brake or a load transfer other than told stays hidden in the motion. Rollers tell the speed of the
+surface under each wheelset.
+
+    [G1] C = c (p - p_spring), not below 0; of a locked wheel what acts, as the rig's load cell has it
+    [G2] N_j = N_static + d (+-body / 2 +- bogie), d the deceleration behind the lag of the pitch
+
+A pole wheel tells the mean of its window, so all other channels are averaged over it too; samples
+closer than the dataset's are filtered without phase and thinned (scipy.signal.resample_poly).
+"""
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter, resample_poly
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime import records
+from rollerrig.rig import params
+from rollerrig.wsp_interface.signals import AXLES
+
+SAMPLE_TIME_S = 0.01
+SLOWEST_SAMPLE_S = 0.05
+# one standard deviation: laid over a recording, which has no noise of its own, and declared
+NOISE = {"speed_m_s": 0.01, "wheel_speed_rad_s": 0.02, "torque_fraction": 0.005,
+         "load_fraction": 0.003, "calibration_fraction": 0.001}
+
+
+class Told(NamedTuple):
+    """One run as its sensors tell it: arrays (n,) or (n, 4), SI units; surface None on a track."""
+
+    name: str
+    mass_kg: float
+    time_s: np.ndarray
+    speed_m_s: np.ndarray
+    position_m: np.ndarray
+    wheel_speed_rad_s: np.ndarray
+    load_N: np.ndarray
+    torque_Nm: np.ndarray
+    surface_m_s: np.ndarray | None
+
+
+def of_run(run: records.Run, slowest_m_s: float) -> Told:
+    """The channels of a recorded run until it is slower than that, without added noise.
+
+    Raises ConfigError for a recording that is too coarse, or lacks a channel.
+    """
+    end = _end(run, slowest_m_s)
+    plan = run.scenario
+
+    def each(name: str, unit: str) -> np.ndarray:
+        tail = f"_{unit}" if unit else ""
+        return np.column_stack([run.column(f"{name}_{j}{tail}")[:end] for j in range(1, AXLES + 1)])
+
+    def one(name: str) -> np.ndarray:
+        return run.column(name)[:end]
+
+    time_s = one("time_s")
+    surface = None
+    if plan["rig"]["mode"] == "contaminated_rollers":
+        surface = plan["contact"]["roller_radius_m"] * each("roller_speed", "rad_s")
+    model = base(plan, str(run.folder / records.SCENARIO))
+    told = Told(run.folder.name, plan["vehicle"]["mass_kg"], time_s, one("vehicle_speed_m_s"),
+                one("position_m"), each("measured_speed", "rad_s"), _load(model.vehicle, run, end),
+                _torque(model.brake, each("cylinder_pressure", "Pa"), each("brake_torque", "Nm"),
+                        each("wheel_speed", "rad_s")), surface)
+    if plan["sensor"]["model"] == "pole_wheel":
+        told = _averaged(told, plan["sensor"]["window_s"])
+    return _thinned(told, run)
+
+
+def noisy(told: Told, noise: Mapping[str, float], rng: np.random.Generator) -> Told:
+    """The same with noise and scale errors of a declared size, as `NOISE` has them."""
+    n, axles = told.load_N.shape
+    scale = 1.0 + noise["calibration_fraction"] * rng.standard_normal((2, axles))
+    static = float(told.load_N.mean())
+    most = float(np.max(np.abs(told.torque_Nm)))
+    return told._replace(
+        speed_m_s=told.speed_m_s + noise["speed_m_s"] * rng.standard_normal(n),
+        wheel_speed_rad_s=told.wheel_speed_rad_s
+        + noise["wheel_speed_rad_s"] * rng.standard_normal((n, axles)),
+        load_N=told.load_N * scale[0] + noise["load_fraction"] * static * rng.standard_normal((n, axles)),
+        torque_Nm=told.torque_Nm * scale[1]
+        + noise["torque_fraction"] * most * rng.standard_normal((n, axles)))
+
+
+def _end(run: records.Run, slowest_m_s: float) -> int:
+    slow = np.flatnonzero(run.column("vehicle_speed_m_s") <= slowest_m_s)
+    return int(slow[0]) if slow.size and slow[0] > 0 else len(run.table)
+
+
+def base(plan: Mapping[str, Any], where: str) -> params.Params:
+    """What the run's scenario says of brake and vehicle, without mechanisms, as a planar vehicle.
+
+    Raises ConfigError for a scenario that does not hold them.
+    """
+    sections = {name: dict(plan[name]) for name in params.ROWS if name in plan}
+    sections["mechanisms"] = {}
+    sections["vehicle"] = {**sections.get("vehicle", {}), "model": "planar"}
+    nothing = params.Friction(*(np.zeros(0) for _ in params.Friction._fields))
+    return params.build(params.check(sections, where), nothing,
+                        params.Demand(np.zeros(0), np.zeros(0)), 1e-3, 10)
+
+
+def _torque(brake: params.Brake, pressure_Pa: np.ndarray, acts_Nm: np.ndarray,
+            wheel_rad_s: np.ndarray) -> np.ndarray:
+    held = np.maximum(brake.torque_Nm_Pa * (pressure_Pa - brake.spring_pressure_Pa), 0.0)  # [G1]
+    return np.where(wheel_rad_s > 0.0, held, acts_Nm)
+
+
+def _load(vehicle: params.Vehicle, run: records.Run, end: int) -> np.ndarray:
+    """Loads in N, shape (n, 4) [G2]; of the multibody coach, which has no such formula, as recorded."""
+    if run.scenario["vehicle"]["model"] != "planar":
+        return np.column_stack([run.column(f"wheel_load_{j}_N")[:end] for j in range(1, AXLES + 1)])
+    step_s = float(np.median(np.diff(run.column("time_s"))))
+    keep = np.exp(-step_s / vehicle.pitch_time_constant_s)
+    felt = lfilter([0.5 * (1.0 - keep)] * 2, [1.0, -keep],
+                   run.column("vehicle_acceleration_m_s2")[:end])
+    body = 0.5 * vehicle.body_transfer_kg * np.array([1.0, 1.0, -1.0, -1.0])
+    bogie = vehicle.bogie_transfer_kg * np.array([1.0, -1.0, 1.0, -1.0])
+    return np.maximum(vehicle.static_load_N - felt[:, None] * (body + bogie), 0.0)
+
+
+def _averaged(told: Told, window_s: float) -> Told:
+    """All channels but the wheel speeds as their mean over the window before each sample."""
+    step_s = float(np.median(np.diff(told.time_s)))
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        sums = np.zeros_like(values)
+        sums[1:] = np.cumsum(0.5 * step_s * (values[1:] + values[:-1]), axis=0)
+        index = np.arange(len(values), dtype=float)
+        flat = sums.reshape(len(values), -1)
+        before = np.column_stack([np.interp(index - window_s / step_s, index, column)
+                                  for column in flat.T]).reshape(values.shape)
+        out = (sums - before) / window_s
+        early = index * step_s < window_s
+        out[early] = values[early]
+        return out
+
+    return told._replace(
+        speed_m_s=mean(told.speed_m_s), position_m=mean(told.position_m), load_N=mean(told.load_N),
+        torque_Nm=mean(told.torque_Nm),
+        surface_m_s=None if told.surface_m_s is None else mean(told.surface_m_s))
+
+
+def _thinned(told: Told, run: records.Run) -> Told:
+    step_s = float(np.median(np.diff(told.time_s)))
+    if step_s > SLOWEST_SAMPLE_S:
+        raise ConfigError(f"{run.folder}: recorded every {step_s:g} s; a stop is explained from samples "
+                          f"at most {SLOWEST_SAMPLE_S:g} s apart: run it with loop.record_hz = 100")
+    ratio = Fraction(SAMPLE_TIME_S / step_s).limit_denominator(50)
+    if ratio <= 1:
+        return told
+    arrays = {name: resample_poly(values, ratio.denominator, ratio.numerator, axis=0, padtype="line")
+              for name, values in told._asdict().items()
+              if isinstance(values, np.ndarray) and name != "time_s"}
+    n = len(arrays["speed_m_s"])
+    return told._replace(time_s=told.time_s[0] + SAMPLE_TIME_S * np.arange(n), **arrays)

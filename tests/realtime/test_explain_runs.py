@@ -1,0 +1,130 @@
+"""Faults hidden in stops of the bench over the bus are found in the recordings alone."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_process import BenchProcess
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime import cli, records, run_dataset, run_sensors
+from rollerrig.rig.identify import dataset
+
+SPEEDS_M_S = (26.0, 20.0, 23.0)
+
+
+def stops(folder: Path, *hidden: str) -> list[str]:
+    """Stops in lockstep with the reference unit in its own process, all at a time."""
+    going = [BenchProcess(folder / f"from_{speed:g}", "--pacing", "lockstep", "--set", "stand_s=0",
+                          "--set", f"initial_speed_m_s={speed}", *hidden) for speed in SPEEDS_M_S]
+    for bench in going:
+        assert bench.finish().status == 0, bench.stderr
+        assert bench.told["bus"]["frames"] > 1000
+    return [str(bench.out) for bench in going]
+
+
+def explained(runs: list[str], out: Path, capsys: pytest.CaptureFixture[str]) -> dict:
+    assert cli.main(["explain", *runs, "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((out / "report.json").read_text())
+    return told
+
+
+def test_stops_of_a_sound_bench_over_the_bus_are_consistent(tmp_path, capsys) -> None:
+    told = explained(stops(tmp_path), tmp_path / "report", capsys)
+    assert told["verdict"] == "consistent"
+    assert told["causes"] == []
+
+
+def test_a_wheel_of_another_diameter_hidden_in_stops_over_the_bus_is_found(tmp_path, capsys) -> None:
+    told = explained(stops(tmp_path, "--fault", "wheel_diameter_mismatch axle=3 difference_percent=1"),
+                     tmp_path / "report", capsys)
+    assert told["causes"][0]["name"] == "wheel_radius"
+    assert told["causes"][0]["axles"] == [3]
+    assert told["causes"][0]["parameters"]["fraction"]["value"] == pytest.approx(0.01, abs=5e-4)
+
+
+# --- what the recording becomes ---
+
+
+@pytest.fixture(scope="module")
+def stop(tmp_path_factory) -> Path:
+    """A short stop on rollers without a bus, recorded a thousand times a second."""
+    bench = BenchProcess(tmp_path_factory.mktemp("short") / "stop", "--pacing", "free", "--set",
+                         "initial_speed_m_s=12", "--set", "loop.record_hz=1000", "--set", "stand_s=0")
+    assert bench.finish().status == 0, bench.stderr
+    return bench.out
+
+
+def rerecorded(stop: Path, folder: Path, every: int, **changed: float) -> Path:
+    """A copy of the run with every n-th row and changed values of its scenario's tables."""
+    import pyarrow.parquet as pq
+    import tomli_w
+
+    run = records.load(stop)
+    folder.mkdir()
+    pq.write_table(run.table.take(np.arange(0, len(run.table), every)), folder / "channels.parquet")
+    plan = run.scenario
+    for key, value in changed.items():
+        table, _, name = key.partition("__")
+        plan[table][name] = value
+    (folder / "scenario.toml").write_text(tomli_w.dumps(plan))
+    return folder
+
+
+def test_what_the_sensors_tell_is_what_acts_on_a_sound_bench(stop: Path) -> None:
+    run = records.load(stop)
+    told = run_sensors.of_run(run, 1.0)
+    step = round(run_sensors.SAMPLE_TIME_S / 0.001)
+    n = len(told.time_s)
+    inside = slice(5, n - 5)
+    for j in range(4):
+        truth = run.column(f"brake_torque_{j + 1}_Nm")[::step][:n]
+        assert np.abs(told.torque_Nm[inside, j] - truth[inside]).max() < 0.01 * truth.max()
+        load = run.column(f"wheel_load_{j + 1}_N")[::step][:n]
+        assert np.abs(told.load_N[inside, j] - load[inside]).max() < 0.002 * load.max()
+        surface = run.column(f"roller_speed_{j + 1}_rad_s")[::step][:n]
+        assert np.abs(told.surface_m_s[inside, j] - surface[inside]).max() < 2e-3
+
+
+def test_thinned_samples_have_no_frequencies_folded_down(stop: Path, tmp_path: Path) -> None:
+    run = records.load(rerecorded(stop, tmp_path / "run", 1))
+    ripple = 0.2 * np.sin(2.0 * np.pi * 97.0 * run.column("time_s"))
+    at = run.table.column_names.index("measured_speed_1_rad_s")
+    clean = run_sensors.of_run(run, 1.0).wheel_speed_rad_s[:, 0]
+    table = run.table.set_column(at, "measured_speed_1_rad_s", [run.column("measured_speed_1_rad_s") + ripple])
+    rippled = run_sensors.of_run(run._replace(table=table), 1.0).wheel_speed_rad_s[:, 0]
+    inside = slice(20, -20)
+    assert np.abs(rippled - clean)[inside].max() < 0.01
+
+
+def test_a_coarse_recording_is_refused(stop: Path, tmp_path: Path) -> None:
+    run = records.load(rerecorded(stop, tmp_path / "run", 100))
+    with pytest.raises(ConfigError, match="record_hz"):
+        run_sensors.of_run(run, 1.0)
+
+
+@pytest.mark.parametrize(("changed", "said"), [
+    ({}, "same samples"), ({"contact__roller_radius_m": 0.5}, "roller_radius_m"),
+    ({"adhesion__tau_m_J": 1e-4}, "tau_m_J"),
+])
+def test_runs_that_cannot_be_judged_together_are_refused(stop: Path, tmp_path: Path, changed, said) -> None:
+    other = rerecorded(stop, tmp_path / "run", 1, **changed)
+    with pytest.raises(ConfigError, match=said):
+        run_dataset.from_folders([stop, other], tmp_path / "out", "tune")
+
+
+def test_runs_of_another_mass_stand_in_one_dataset_each_with_its_own(stop: Path, tmp_path: Path) -> None:
+    other = rerecorded(stop, tmp_path / "run", 10, vehicle__mass_kg=48000.0)
+    out = run_dataset.from_folders([stop], tmp_path / "out", "tune", [other], run_sensors.NOISE, 1.0)
+    data = dataset.load(out)
+    assert [run.mass_kg for run in data.runs] == [43000.0, 48000.0]
+    assert [run.group for run in data.runs] == ["tune", "validate"]
+    assert data.sample_time_s == pytest.approx(0.01)
+    assert data.runs[0].surface_m_s is not None
+
+
+def test_runs_to_validate_are_only_named_beside_runs(tmp_path: Path, capsys) -> None:
+    assert cli.main(["explain", "open_none", "--validate", str(tmp_path), "--out", str(tmp_path)]) == 2
+    assert "dataset.toml" in capsys.readouterr().err
