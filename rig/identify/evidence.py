@@ -105,18 +105,19 @@ def findings(design: Design, normal: Normal, clean: list[Scores],
 
 def likely(normal: Normal, count: int) -> list[Cause]:
     """Causes of greatest nominal score, one shape of each, not yet judged by clean sets."""
-    real, best = scores(normal), {}
+    real = scores(normal)
+    best: dict[str, tuple[float, Cause]] = {}
     for variant in normal.book.variants:
         if generic(variant.cause):
             continue
         x, S = _coefficients(real, list(variant.columns))
         value = 0.0 if _wrong_sign(variant.cause, float(x[0])) else float(x @ S @ x)
         value -= 3.0 * len(x)
-        if value > best.get(variant.cause, (10.0, None))[0]:
+        if value > (best[variant.cause][0] if variant.cause in best else 10.0):
             best[variant.cause] = (value, Cause(variant.cause, variant.axle, variant.shape,
                                                 tuple(float(v) for v in x)))
     ranked = sorted(best.values(), key=lambda pair: -pair[0])[:count]
-    return [tuning.bounded(cause) for _, cause in ranked if cause is not None]
+    return [tuning.bounded(cause) for _, cause in ranked]
 
 
 def _judge(real: Scores, clean: list[Scores], variant: Variant) -> Finding:
