@@ -103,7 +103,7 @@ def findings(design: Design, normal: Normal, clean: list[Scores],
     return sorted(chosen, key=lambda f: (f.p_value, -f.statistic))
 
 
-def likely(normal: Normal, count: int) -> list[Cause]:
+def likely(design: Design, normal: Normal, count: int) -> list[Cause]:
     """Causes of greatest nominal score, one shape of each, not yet judged by clean sets."""
     real = scores(normal)
     best: dict[str, tuple[float, Cause]] = {}
@@ -116,6 +116,11 @@ def likely(normal: Normal, count: int) -> list[Cause]:
         if value > (best[variant.cause][0] if variant.cause in best else 10.0):
             best[variant.cause] = (value, Cause(variant.cause, variant.axle, variant.shape,
                                                 tuple(float(v) for v in x)))
+    # windows are searched, so they have to earn more
+    still = [Scores(real.S, np.zeros_like(real.g))] * 2
+    for window in (_patch(normal, real, still), _sand(design, normal, real, still)):
+        if window is not None and window.statistic > 50.0:
+            best[window.name] = (window.statistic - 40.0, window.cause())
     ranked = sorted(best.values(), key=lambda pair: -pair[0])[:count]
     return [tuning.bounded(cause) for _, cause in ranked]
 

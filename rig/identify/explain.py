@@ -132,7 +132,7 @@ def _quiet(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
 
     A cause that the base does not have looks like a rougher rail, and would hide in it.
     """
-    likely = evidence.likely(tuning.normal(design, base)[0], MOST_PROMISING)
+    likely = evidence.likely(design, tuning.normal(design, base)[0], MOST_PROMISING)
     tasks = [_Fit(data, measured, base._replace(causes=(cause,))) for cause in likely]
     fits: list[_Fitted] = clean.run_all(pool, fit_one, tasks, "irregularity of the rail", progress)
     best = min(fits, key=lambda fit: fit.value, default=None)

@@ -6,13 +6,15 @@ noise. Irregularity of the rail, noise and calibration are drawn afresh. With no
 what "nothing is wrong" looks like; with a cause it tells what the method would make of it.
 
     [Q1] C = C_measured + K (s_measured - s), smoothed; wheel and vehicle as in `replay`
-    [Q2] field = rail(x) + axle_j(x), equal shares, Ornstein-Uhlenbeck in distance
+    [Q2] field = rail(x) + axle_j(x), equal shares, Ornstein-Uhlenbeck in distance; rail(x) is the
+         same for all runs
 """
 
 import math
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
 
 from rollerrig.rig.identify import candidates, columns, replay
 from rollerrig.rig.identify.candidates import Explanation
@@ -80,16 +82,13 @@ def drive(torque, sliding, load, friction_log, surface, field, place, parameters
 
 
 def field(rng: np.random.Generator, length_m: float, sigma: float, correlation_m: float,
-          positions: np.ndarray) -> np.ndarray:
-    """Irregularity on a grid of 0.25 m from -100 m on, shape (cells, 4) [Q2]."""
+          columns_wanted: int) -> np.ndarray:
+    """Irregularity on a grid of 0.25 m from -100 m on, shape (cells, columns), deviation sigma."""
     cells = int((length_m + 150.0) / _GRID_M)
     keep = math.exp(-_GRID_M / correlation_m)
-    from scipy.signal import lfilter
-
-    white = rng.normal(size=(cells, AXLES + 1)) * sigma * math.sqrt(0.5 * (1.0 - keep * keep))
+    white = rng.normal(size=(cells, columns_wanted)) * sigma * math.sqrt(1.0 - keep * keep)
     white[0] /= math.sqrt(1.0 - keep * keep)
-    parts = lfilter([1.0], [1.0, -keep], white, axis=0)
-    return np.ascontiguousarray(parts[:, :1] + parts[:, 1:])
+    return lfilter([1.0], [1.0, -keep], white, axis=0)
 
 
 def runs(data: Dataset, design: Design, measured: list[Run], told: Explanation,
@@ -102,9 +101,14 @@ def runs(data: Dataset, design: Design, measured: list[Run], told: Explanation,
     weight = rng.normal(0.0, design.calibration)
     torque = columns.smooth_torque(design, i.torque_Nm)
     sliding = smooth_sliding(design, i)
+    # all runs go over the same rail: what it does to one it does to the next
+    longest = float(np.max(np.diff(design.start))) * design.step_s * float(design.speed_m_s.max())
+    half = told.sigma * math.sqrt(0.5)
+    rail = field(rng, longest, half, told.length_m, 1)
     made = []
     for r, run in enumerate(measured):
-        made.append(_run(data, design, run, r, i, told, torque, sliding, gain, lift, weight, rng))
+        grid = np.ascontiguousarray(rail + field(rng, longest, half, told.length_m, AXLES))
+        made.append(_run(data, design, run, r, i, grid, torque, sliding, gain, lift, weight, rng))
     return made
 
 
@@ -115,7 +119,7 @@ def smooth_sliding(design: Design, i: candidates.Inputs) -> np.ndarray:
     return design.speed_m_s - radius * wheel
 
 
-def _run(data: Dataset, design: Design, run: Run, r: int, i: candidates.Inputs, told: Explanation,
+def _run(data: Dataset, design: Design, run: Run, r: int, i: candidates.Inputs, grid: np.ndarray,
          torque: np.ndarray, sliding: np.ndarray, gain: np.ndarray, lift: np.ndarray,
          weight: float, rng: np.random.Generator) -> Run:
     spans = [design.span(AXLES * r + j) for j in range(AXLES)]
@@ -128,8 +132,6 @@ def _run(data: Dataset, design: Design, run: Run, r: int, i: candidates.Inputs, 
     told_load = square(i.load_N)
     given = square(design.load_N)
     surface = square(design.speed_m_s)
-    grid = field(rng, float(surface[:, 0].sum() * design.step_s), told.sigma, told.length_m,
-                 data.axle_position_m)
     speed, wheel, C = np.empty(n), np.empty((n, AXLES)), np.empty((n, AXLES))
     drive(square(torque), square(sliding), told_load * (1.0 + lift), square(i.friction_log),
           surface, grid, data.axle_position_m, i.parameters[AXLES * r:AXLES * (r + 1)],
