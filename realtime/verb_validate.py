@@ -82,7 +82,8 @@ def _velim(given: argparse.Namespace) -> int:
                          "sliding_std_m_s": one.deviation_m_s.tolist(), "stop_time_s": one.stop_time_s,
                          "stop_distance_m": one.stop_distance_m, "longest_lock_s": one.longest_lock_s}
                   for test, one in ours.items()},
-        "group_b_mean_absolute_error": off,
+        "group_a_left_over_rms_m_s": velim.left_over(ours), "group_b_mean_absolute_error": off,
+        "group_b_bounds": {bound.name: bound.error_m_s for bound in velim.bounds()},
     }
     if given.out:
         given.out.mkdir(parents=True, exist_ok=True)
@@ -95,12 +96,20 @@ def _velim(given: argparse.Namespace) -> int:
         table.add_row(title, *values)
     console = Console(highlight=False)
     console.print(table)
-    console.print("fitted on group A (A1 to A3): " + ", ".join(f"{k} {v:.4g}" for k, v in found.items()))
+    console.print("fitted on group A (A1 to A3): " + ", ".join(f"{k} {v:.4g}" for k, v in found.items())
+                  + f"; left over there: {result['group_a_left_over_rms_m_s']:.2f} m/s rms")
     console.print(f"predicted: group B, with Table 5's speeds alone and mu_cd = "
                   f"{result['predicted_mu_cd_group_b']:.4g}; Table 4 and tau as printed, wheels on the track")
     console.print(f"group B, mean absolute error against measured: mean {off['mean_m_s']:.2f} (paper's model "
                   f"{off['paper_mean_m_s']:.2f}), deviation {off['deviation_m_s']:.2f} (paper's model "
                   f"{off['paper_deviation_m_s']:.2f}) m/s")
+    limits = Table("found on group A's measured means, as a function of initial speed alone", "B1", "B2",
+                   "B3", "error", title="what can be foretold of group B's mean sliding, m/s",
+                   title_justify="left")
+    for bound in velim.bounds():
+        limits.add_row(bound.name, *(f"{x:.2f}" for x in bound.foretold_m_s), f"{bound.error_m_s:.2f}")
+    limits.add_row("measured", *(f"{velim.MEASURED_MEAN[test]:.2f}" for test in velim.GROUP_B), "")
+    console.print(limits)
     console.print("E1 needs the recordings, which are not public; it is printed by "
                   "'rollerrig validate DATASET' for data at hand")
     return 0
