@@ -3,7 +3,7 @@
 Tractions on a grid over the contact ellipse strain both bodies by Cerruti's solution for a loaded
 rectangle. Where the patch sticks, rigid creepage and strain cancel; where it slips, traction is at the
 friction limit and against the slip. Newton's method with an active set, as in Kalker's TANG. It shares
-no line with the models under test, and is within 0.03 mu N of CONTACT on 21 x 21 elements.
+no line with the models under test, and is within 0.04 mu N of CONTACT on 21 x 21 elements.
 
 Source: Johnson, Contact Mechanics, 1985, sections 3.6 and 8.3; Kalker 1990, chapter 4.
 """

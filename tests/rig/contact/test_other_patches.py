@@ -53,10 +53,10 @@ def test_the_half_space_itself_agrees_with_contact():
     judge = Judge(0.445, math.inf, 0.3, 52_700.0, 0.3, elements=21)
     with (DATA / "creep_curves_rail_r300.csv").open() as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    for row in rows[1::6]:
+    for row in rows[1::3]:
         fx, fy = judge.half_space.force(float(row["xi"]), float(row["eta"]), float(row["phi_1_per_m"]),
                                         judge.limit_N)
-        assert math.hypot(fx - float(row["CONTACT_fx"]), fy - float(row["CONTACT_fy"])) < 0.03, row
+        assert math.hypot(fx - float(row["CONTACT_fx"]), fy - float(row["CONTACT_fy"])) < 0.045, row
 
 
 @each_contact
@@ -68,11 +68,10 @@ def test_without_spin_every_model_stays_within_0_08_mu_N_of_the_half_space(conta
 
 
 @each_contact
-def test_with_spin_fastsim_stays_near_the_half_space(contact):
-    judge = Judge(*contact)
-    slender = judge.patch.a1 > 2.0 * judge.patch.b1  # a limit that its docstring tells
+def test_with_spin_fastsim_stays_within_0_08_mu_N_of_the_half_space(contact):
+    judge = Judge(*contact, elements=21)
     for creep in SPINNING:
-        assert judge.distance(FASTSIM, *creep) < (0.09 if slender else 0.08), creep
+        assert judge.distance(FASTSIM, *creep) < 0.08, creep
 
 
 @each_contact
