@@ -21,11 +21,13 @@ from scipy.optimize import least_squares
 from rollerrig.configs import store
 from rollerrig.configs.table import number, read
 from rollerrig.firmware_sim import wsp
-from rollerrig.realtime import scenario, stops
+from rollerrig.realtime import scenario, stops, velim_bounds
 from rollerrig.wsp_interface import signals
 
 GROUP_A, GROUP_B = ("a1", "a2", "a3"), ("b1", "b2", "b3")
 TESTS = GROUP_A + GROUP_B
+# paper Table 5
+SPEEDS_M_S = dict(zip(TESTS, (42.3, 40.4, 40.8, 40.8, 41.1, 41.8), strict=True))
 MEASURED_MEAN = dict(zip(TESTS, (5.00, 5.25, 4.23, 5.49, 5.41, 5.83), strict=True))
 MEASURED_STD = dict(zip(TESTS, (1.72, 2.19, 1.59, 1.75, 1.77, 1.78), strict=True))
 PAPER_MEAN = dict(zip(TESTS, (5.61, 4.96, 4.61, 5.14, 5.30, 5.73), strict=True))
@@ -111,6 +113,18 @@ def errors(ours: dict[str, Stop], tests: Iterable[str] = GROUP_B) -> dict[str, f
         "paper_mean_m_s": off(PAPER_MEAN.__getitem__, MEASURED_MEAN),
         "paper_deviation_m_s": off(PAPER_STD.__getitem__, MEASURED_STD),
     }
+
+
+def bounds() -> list[velim_bounds.Bound]:
+    """What functions of initial speed alone, found on group A's measured means, reach on group B."""
+    return velim_bounds.bounds(SPEEDS_M_S, MEASURED_MEAN, GROUP_A, GROUP_B)
+
+
+def left_over(ours: dict[str, Stop]) -> float:
+    """rms in m/s of what the fit on group A leaves over [Q1]."""
+    off = [[ours[t].mean_m_s[0] - MEASURED_MEAN[t], ours[t].deviation_m_s[0] - MEASURED_STD[t]]
+           for t in GROUP_A]
+    return float(np.sqrt(np.mean(np.square(off))))
 
 
 def calibrate(say: Callable[[str], None], start: dict[str, float] | None = None,

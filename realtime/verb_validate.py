@@ -68,39 +68,68 @@ def _show(table6: tuple[list[str], list[list[str]]], result: dict[str, Any], out
 
 
 def _velim(given: argparse.Namespace) -> int:
-    from rich.console import Console
-    from rich.table import Table
-
     from rollerrig.realtime import velim
 
     found = velim.settings()
+    show_velim(found, given.json, given.out)
+    return 0
+
+
+def show_velim(found: dict[str, float], as_json: bool, out: Path | None) -> None:
+    """Run the six stops under what was found on group A, and print Table 6, ours beside the paper's."""
+    from rollerrig.realtime import velim
+
     ours = velim.table6(found, lambda text: print(text, file=sys.stderr, flush=True))
-    off = velim.errors(ours)
-    result = {
+    result = velim_json(found, ours)
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "velim.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    if as_json:
+        print(json.dumps(result))
+    else:
+        _show_velim(found, ours, result)
+
+
+def velim_json(found: dict[str, float], ours: dict[str, Any]) -> dict[str, Any]:
+    """What was fitted, what was predicted, and how far off it is."""
+    from rollerrig.realtime import velim
+
+    return {
         "fitted_on_group_a": found, "predicted_mu_cd_group_b": velim.contaminant(found, "b1"),
         "stops": {test: {"sliding_mean_m_s": one.mean_m_s.tolist(),
                          "sliding_std_m_s": one.deviation_m_s.tolist(), "stop_time_s": one.stop_time_s,
                          "stop_distance_m": one.stop_distance_m, "longest_lock_s": one.longest_lock_s}
                   for test, one in ours.items()},
-        "group_b_mean_absolute_error": off,
+        "group_a_left_over_rms_m_s": velim.left_over(ours), "group_b_mean_absolute_error": velim.errors(ours),
+        "group_b_bounds": {bound.name: bound.error_m_s for bound in velim.bounds()},
     }
-    if given.out:
-        given.out.mkdir(parents=True, exist_ok=True)
-        (given.out / "velim.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    if given.json:
-        print(json.dumps(result))
-        return 0
+
+
+def _show_velim(found: dict[str, float], ours: dict[str, Any], result: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from rollerrig.realtime import velim
+
+    off = result["group_b_mean_absolute_error"]
     table = Table("m/s", *(test.upper() for test in velim.TESTS), title="Table 6", title_justify="left")
     for title, values in velim.rows_for_table(ours):
         table.add_row(title, *values)
     console = Console(highlight=False)
     console.print(table)
-    console.print("fitted on group A (A1 to A3): " + ", ".join(f"{k} {v:.4g}" for k, v in found.items()))
+    console.print("fitted on group A (A1 to A3): " + ", ".join(f"{k} {v:.4g}" for k, v in found.items())
+                  + f"; left over there: {result['group_a_left_over_rms_m_s']:.2f} m/s rms")
     console.print(f"predicted: group B, with Table 5's speeds alone and mu_cd = "
                   f"{result['predicted_mu_cd_group_b']:.4g}; Table 4 and tau as printed, wheels on the track")
     console.print(f"group B, mean absolute error against measured: mean {off['mean_m_s']:.2f} (paper's model "
                   f"{off['paper_mean_m_s']:.2f}), deviation {off['deviation_m_s']:.2f} (paper's model "
                   f"{off['paper_deviation_m_s']:.2f}) m/s")
+    limits = Table("found on group A's measured means, as a function of initial speed alone", "B1", "B2",
+                   "B3", "error", title="what can be foretold of group B's mean sliding, m/s",
+                   title_justify="left")
+    for bound in velim.bounds():
+        limits.add_row(bound.name, *(f"{x:.2f}" for x in bound.foretold_m_s), f"{bound.error_m_s:.2f}")
+    limits.add_row("measured", *(f"{velim.MEASURED_MEAN[test]:.2f}" for test in velim.GROUP_B), "")
+    console.print(limits)
     console.print("E1 needs the recordings, which are not public; it is printed by "
                   "'rollerrig validate DATASET' for data at hand")
-    return 0

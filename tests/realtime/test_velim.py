@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import cli, run_dataset, scenario, stops, velim
+from rollerrig.realtime import cli, run_dataset, scenario, stops, velim, velim_bounds
 from rollerrig.rig.identify import dataset, paper_tuning
 from rollerrig.wsp_interface import signals
 
@@ -47,6 +47,29 @@ def test_the_published_rows_are_those_of_table_6():
     assert off["paper_deviation_m_s"] == pytest.approx((0.17 + 0.32 + 0.06) / 3)
     told = dict(velim.rows_for_table(exact))
     assert told["mean sliding, ours"] == told["mean sliding of wheelset 1, measured"]
+
+
+def test_no_function_of_speed_found_on_group_a_foretells_group_b_within_0_37():
+    found = {bound.name: bound for bound in velim.bounds()}
+    assert found["one value, least squares (the mean)"].error_m_s == pytest.approx(0.75, abs=0.005)
+    assert found["a line, least absolute"].error_m_s == pytest.approx(0.436, abs=0.005)
+    # only who takes the largest of group A for the rule gets there, and no fit does
+    reached = [name for name, bound in found.items() if bound.error_m_s <= 0.37]
+    assert reached == ["the largest of group A, for all"]
+
+
+def test_a_rule_that_holds_is_found_by_every_fit_that_can_hold_it():
+    speeds = dict(zip("abcdef", (10.0, 12.0, 14.0, 11.0, 13.0, 12.5), strict=True))
+    measured = {test: 3.0 + 0.5 * speed for test, speed in speeds.items()}
+    found = {b.name: b.error_m_s for b in velim_bounds.bounds(speeds, measured, "abc", "def")}
+    for name in ("a line, least squares", "a line, least absolute", "rising with speed, least squares",
+                 "through all of group A"):
+        assert found[name] == pytest.approx(0.0, abs=1e-9)
+    assert found["falling with speed, least squares"] > 0.1
+
+
+def test_the_speeds_of_table_5_are_those_of_the_scenarios():
+    assert velim.SPEEDS_M_S == TABLE_5_M_S
 
 
 def test_a_stop_is_the_same_as_a_run_in_free_pacing(rows):
