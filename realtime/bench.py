@@ -35,6 +35,7 @@ from rollerrig.realtime import (
     summary,
     supervisor,
     tick,
+    wire_delay,
 )
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.hold import HOLDING
@@ -113,7 +114,7 @@ class Bench:
         self._zero_ns = 0
         supervisor.check(plan, options.pacing, options.start)
         fault_panel.check_pacing(plan.faults, options.pacing)
-        rig_bus.check_pacing(plan, options.pacing)
+        wire_delay.check(plan, options.pacing)
         self.faults = fault_panel.Panel(plan.faults, self.event)
         self.derailment = derailment.Watch(self.event, self.stop)
         if options.unit == "reference":
@@ -681,7 +682,8 @@ def build_machine(plan: Scenario, ring: rings.Ring, speed_m_s: float | None = No
         ring.rows, int(plan.rollers is not None), rollers.params, rollers.state, rollers.buffer,
         rollers.delay, tick.gather(tick.OF_ROLLERS if plan.rollers else ()), plan.record_ticks,
         round(plan["duration_max_s"] * tick_hz), round(plan["stand_s"] * tick_hz),
-        np.array([speed_m_s]), sensor_of(plan), pole_wheel.memory(seed))
+        np.array([speed_m_s]), np.array(wire_delay.answer_ticks(plan) or (0, 0, 1)), sensor_of(plan),
+        pole_wheel.memory(seed))
     tick.publish(machine)
     return machine
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.errors import BusError, ConfigError
+from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim import bench_node, drive402, encoder406, io401
 from rollerrig.firmware_sim.fault_bus import Gate
 from rollerrig.firmware_sim.fault_confinement import Controllers
@@ -212,13 +212,6 @@ class RigBus:
 def _is_sync(frame: Frame) -> bool:
     # longer ones are errors, not SYNCs
     return frame.can_id == SYNC_ID and len(frame.data) <= 1 and not frame.extended
-
-
-def check_pacing(scenario: Scenario, pacing: str) -> None:
-    """Refuse a wire where there is no bus. Raises ConfigError."""
-    if scenario["bus"]["arbitration"] and pacing == "free":
-        raise ConfigError("[bus] arbitration = true lets frames wait for the wire, and --pacing free has no bus "
-                          "to wait for; use --pacing lockstep (simulated time) or wall")
 
 
 def record_frames(hub: Hub, ring: rings.Ring, begun_ns: Callable[[], int] = lambda: 0) -> None:

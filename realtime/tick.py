@@ -45,6 +45,8 @@ class Machine(NamedTuple):
 
     `virtual` 1: the state is that of the virtual track, and the rollers have a plant of their own,
     whose slots `gather_rollers` (n,) a row copies. Else the rollers are the plant itself.
+    `answer` (3,) int64 is how many ticks after its SYNC an answer of the unit acts where none is on a bus
+    (`wire_delay`): in an ordinary cycle, in every n-th one, and n.
     `hold` (1,) is the speed in m/s at which a held rig rolls, `pulses` the memory of the sensors.
     """
 
@@ -70,6 +72,7 @@ class Machine(NamedTuple):
     end_tick: int
     stand_ticks: int
     hold: np.ndarray
+    answer: np.ndarray
     sensor: pole_wheel.Sensor
     pulses: np.ndarray
 
@@ -241,16 +244,18 @@ def batch_with_unit(m, ticks, sync_ticks, unit, inputs):
 
     `unit` is the unit's memory and parameters, `inputs` int64 scratch of shape (8,): it sees what
     the bus would tell it, speeds in 0.01 rad/s and pressures in mbar, and its answer takes effect
-    with the next tick, as in lockstep.
+    with the next tick, as in lockstep, or when a wire would have carried it.
     """
     command = m.commands.values
     for i in range(ticks):
         if m.control[DONE] != 0 or m.control[STOP] != 0:
             return i
-        if m.control[TICK] % sync_ticks == 0:
+        cycle, phase = divmod(m.control[TICK], sync_ticks)
+        if phase == 0:
             for j in range(AXLES):
                 inputs[j] = counts(m.row[_SPEED + j], _SPEED_SCALE)
                 inputs[AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
+        if phase == m.answer[1 if cycle > 0 and cycle % m.answer[2] == 0 else 0]:
             magnets, reference = wsp.cycle(unit, inputs)
             for j in range(AXLES):
                 command[MAGNETS + j] = (magnets >> (2 * j)) & 3

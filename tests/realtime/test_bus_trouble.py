@@ -175,8 +175,28 @@ def test_a_valve_command_acts_later_where_its_frame_has_to_wait_for_a_slower_wir
     assert 0.001 < slow - fast < 0.006
 
 
-def test_free_pacing_has_no_wire_and_says_so(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "free", "--set", "bus.arbitration=true")
+@pytest.mark.conformance("CAN", "arbitration in simulated time: free pacing equals lockstep")
+@pytest.mark.parametrize("bitrate", [500_000, 250_000])
+def test_free_pacing_lets_the_answers_act_as_late_as_the_wire_of_lockstep_does(bitrate, tmp_path):
+    def run(pacing):
+        bench = BenchProcess(tmp_path / pacing, "--pacing", pacing, "--set", "bus.interface=hub", "--set",
+                             "bus.arbitration=true", "--set", f"bus.bitrate={bitrate}", "--set", "duration_max_s=6",
+                             "--set", "adhesion.mu_cd=0.03")
+        bench.finish()
+        assert bench.status == 0, bench.stderr
+        return bench
+
+    free, lockstep = run("free"), run("lockstep")
+    assert free.told["wsp"]["vents"] == lockstep.told["wsp"]["vents"] > 3
+    for name in free.record.table.column_names:
+        if not name.startswith("tick_"):
+            assert np.array_equal(free.record.column(name), lockstep.record.column(name), equal_nan=True), name
+
+
+def test_a_wire_that_cannot_carry_the_answers_is_refused_where_there_is_no_bus(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "free", "--set", "bus.arbitration=true", "--set",
+                         "bus.bitrate=100000")
     bench.finish()
     assert bench.status == 2
-    assert "use --pacing lockstep" in bench.told["error"]
+    assert "bitrate = 100000 bit/s" in bench.told["error"]
+    assert "--pacing lockstep" in bench.told["error"]
