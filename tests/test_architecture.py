@@ -12,7 +12,8 @@ ROOMS = ("rig", "firmware_sim", "wsp_interface", "realtime", "configs")
 OUTSIDE = {
     "rig": {"numpy", "numba"},
     "rig/multibody": {"numpy", "numba", "llvmlite"},  # numba's own: a compiled function by its name
-    "rig/identify": {"numpy", "numba", "scipy", "pyarrow", "threadpoolctl", "matplotlib"},
+    "rig/identify": {"numpy", "numba", "scipy", "pyarrow", "threadpoolctl", "matplotlib",
+                     "asammdf"},
     "firmware_sim": {"numpy", "can", "canopen", "pymodbus"},
     "wsp_interface": {"numpy", "can", "canopen", "tomli_w", "cantools", "pytest"},  # pytest: a fixture's own
     "configs": set(),

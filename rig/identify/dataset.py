@@ -1,4 +1,4 @@
-"""Reads measured data: a folder with `dataset.toml` and CSV or Parquet files, and checks it.
+"""Reads measured data: a folder with `dataset.toml` and CSV, Parquet or MDF4 files, and checks it.
 
 Whatever would make a finding worthless is refused here with what is wrong and how to mend it; what
 only narrows what can be concluded becomes a warning that the report repeats.
@@ -21,6 +21,7 @@ from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, number
 from rollerrig.rig import params
+from rollerrig.rig.identify import mdf
 
 AXLES = 4
 HEAD = (
@@ -33,7 +34,7 @@ HEAD = (
     choice("note", "", (), "what the reader of a report must know; the report repeats it"),
 )
 RUN = (
-    choice("file", "", (), "CSV or Parquet"),
+    choice("file", "", (), "CSV, Parquet or MDF4"),
     choice("group", "tune", ("tune", "validate"), "validate: never fitted, only judged"),
     number("initial_speed_m_s", -1.0, 0.0, 150.0, "m/s"),
     number("mu_cd", -1.0, 1e-4, 1.0, "estimated where not given"),
@@ -49,7 +50,10 @@ ACCURACY = (
 )
 VEHICLE_KEYS = ("mass_kg", "wheel_radius_m", "wheelset_inertia_kgm2", "resistance_A_N",
                 "resistance_B_N_s_m", "resistance_C_N_s2_m2")
-FASTEST_M_S = 150.0
+CHANNELS = ("vehicle_speed_m_s", "position_m", *(
+    f"{name}_{j}_{unit}" for name, unit in (("wheel_speed", "rad_s"), ("wheel_load", "N"),
+                                            ("brake_torque", "Nm"), ("surface_speed", "m_s"))
+    for j in range(1, AXLES + 1)))
 
 
 class Run(NamedTuple):
@@ -236,7 +240,8 @@ def _run(folder: Path, row: Mapping[str, Any], index: int, sections: Mapping[str
     if not given["file"]:
         raise ConfigError(f"{toml} [[run]] {index}: file is missing; name the data of this run")
     path = folder / given["file"]
-    data = read_table(path)
+    data = (mdf.read(path, sample_time_s, CHANNELS, warnings) if path.suffix in mdf.SUFFIXES
+            else read_table(path))
 
     def each(prefix: str, unit: str) -> np.ndarray:
         return np.column_stack([column(data, f"{prefix}_{j}_{unit}", path)
