@@ -68,7 +68,9 @@ def sweep() -> list[Path]:
 def push(header, rows, row):
     """Append one row: shapes (16,) int64, (capacity, width), (width,). Never waits."""
     at = header[WRITTEN]
-    rows[at % rows.shape[0], :] = row
+    slot = at % rows.shape[0]
+    for i in range(row.size):
+        rows[slot, i] = row[i]
     fence()
     header[WRITTEN] = at + 1
 

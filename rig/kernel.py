@@ -54,7 +54,12 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
     with contextlib.suppress(OSError):
         settings.CACHE_DIR = str(_cache_folder())
 
-kernel = numba.njit(cache=True, nogil=True, error_model="numpy")
+# nothing is allocated in a step, so numba need not count references to arrays: with fifty of them
+# in the state that took twice the time of the physics, and much of the time to compile
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+kernel = numba.njit(**_OPTIONS, _nrt=False)
 # for what every step calls with the whole state: its hundreds of array fields would be copied for
 # each call; the arithmetic is the same to the last bit
-kernel_inlined = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+kernel_inlined = numba.njit(**_OPTIONS, _nrt=False, forceinline=True)
+# for batch work that makes arrays of its own; a step never calls these
+kernel_with_memory = numba.njit(**_OPTIONS)

@@ -81,7 +81,8 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
 
     `demand_Pa` is a brake demand from outside; NaN: the programme's own.
     """
-    delay[tick % delay.shape[0], :] = magnets
+    for j in range(AXLES):
+        delay[tick % delay.shape[0], j] = magnets[j]
     brake.switch(state, delay[(tick + 1) % delay.shape[0]])
     friction(state, params)
     target_Pa = demand_Pa

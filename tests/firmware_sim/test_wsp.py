@@ -15,7 +15,7 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim import wsp, wsp_phases
 from rollerrig.firmware_sim.wsp_phases import Event, Phase, Sliding, Trend
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_with_memory
 
 RADIUS_M, INERTIA_KGM2, LOAD_N, MASS_KG = 0.445, 160.0, 105.4e3, 43e3
 TORQUE_NM, DEAD_CYCLES, STEPS = 7300.0, 4, 10
@@ -62,7 +62,7 @@ def brake_coach(magnets, x, demand, mu, tau):
         x[1] += x[0] * DT_S
 
 
-@kernel
+@kernel_with_memory
 def run_stop(unit, mu, tau, log, protected):
     """Brake from 42 m/s under friction `mu` (one a cycle) until 0.1 m/s; returns rows of `log`."""
     x = np.zeros(10)
