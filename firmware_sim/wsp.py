@@ -18,6 +18,7 @@ the vehicle's speed in a run-up anchors nothing, a vehicle that can brake harder
 larger one.
 """
 
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -110,6 +111,8 @@ PER_UNIT = ("cycles", "reference_m_s", "deceleration_m_s2", "anchor_m_s", "ancho
             "runner", "run_ups")
 WIDTHS = tuple(1 if name in PER_UNIT else AXLES for name in State._fields)
 SIZE = sum(WIDTHS)
+PLACES = tuple(slice(end - width, end)
+               for width, end in zip(WIDTHS, itertools.accumulate(WIDTHS), strict=True))
 
 
 class Unit(NamedTuple):
@@ -126,7 +129,14 @@ def new_unit(params: Any) -> Unit:
 
 def views(buffer: np.ndarray) -> State:
     """The state in a float64 buffer of shape (SIZE,)."""
-    return State(*np.split(buffer, np.cumsum(WIDTHS)[:-1]))
+    return State(*(buffer[place] for place in PLACES))
+
+
+def buffer_of(unit: Unit) -> np.ndarray:
+    """The buffer (SIZE,) that the state of a new unit views."""
+    buffer = unit.state[0].base
+    assert buffer is not None
+    return buffer
 
 
 def load(name: str = "reference") -> Params:

@@ -159,23 +159,28 @@ def command(plan: Plan, number: int) -> str:
 def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
     """Run one chunk; a row a run. A run that fails has its error in `error` and no figures."""
     first = chunk * plan.head["chunk"]
-    return [run_one(plan, number)
-            for number in range(first, min(first + plan.head["chunk"], len(plan.points)))]
-
-
-def run_one(plan: Plan, number: int) -> dict[str, Any]:
-    """Run number `number`: its values, its figures, and its error if it had one."""
-    row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.points[number], strict=True))}
-    row |= {name: None for name, _ in FIGURES} | {"config_hash": None, "error": None}
-    try:
-        one = resolve(plan, number)
-        channels = batch.simulate(one, _unit(plan.head["unit"]))
+    rows = {number: _row(plan, number)
+            for number in range(first, min(first + plan.head["chunk"], len(plan.points)))}
+    for number, one, channels in batch.together(_resolved(plan, rows), _unit(plan.head["unit"])):
         figures = batch.summarize(one, channels, plan.head["unit"])
-        row |= {name: get(figures) for name, get in FIGURES}
-        row["config_hash"] = figures["config_hash"]
-    except RollerrigError as error:
-        row["error"] = str(error)
-    return row
+        rows[number] |= {name: get(figures) for name, get in FIGURES}
+        rows[number]["config_hash"] = figures["config_hash"]
+    return list(rows.values())
+
+
+def _row(plan: Plan, number: int) -> dict[str, Any]:
+    """The row of a run that has not been run."""
+    row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.points[number], strict=True))}
+    return row | {name: None for name, _ in FIGURES} | {"config_hash": None, "error": None}
+
+
+def _resolved(plan: Plan, rows: dict[int, dict[str, Any]]) -> Iterator[tuple[int, scenario.Scenario]]:
+    """The scenarios of rows; a row whose values make none gets the error."""
+    for number, row in rows.items():
+        try:
+            yield number, resolve(plan, number)
+        except RollerrigError as error:
+            row["error"] = str(error)
 
 
 # --- the result ---

@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,5 +62,14 @@ kernel = numba.njit(**_OPTIONS, _nrt=False)
 # for what every step calls with the whole state: its hundreds of array fields would be copied for
 # each call; the arithmetic is the same to the last bit
 kernel_inlined = numba.njit(**_OPTIONS, _nrt=False, forceinline=True)
+
 # for batch work that makes arrays of its own; a step never calls these
 kernel_with_memory = numba.njit(**_OPTIONS)
+
+
+def seeing(structure: Any, places: Sequence[slice | None]) -> Any:
+    """A kernel that views a flat buffer as a named tuple, `views` for compiled code; None stays None."""
+    fields = ", ".join("None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places)
+    space: dict[str, Any] = {"structure": structure}
+    exec(f"def see(buffer):\n    return structure({fields})", space)
+    return numba.njit(nogil=True, _nrt=False, forceinline=True)(space["see"])
