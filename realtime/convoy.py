@@ -92,14 +92,14 @@ def run(stops: Iterable[Stop]) -> Iterator[Stop]:
     while runs.any():
         syncs = np.array([stop.sync_ticks for stop in row], dtype=np.int64)
         together(tuple(rider(stop) for stop in row), syncs, runs, lanes, inputs, _TICKS)
-        for rig in np.flatnonzero(runs):
-            if row[rig].machine.control[DONE]:
+        for rig in range(RIGS):
+            if runs[rig] and row[rig].machine.control[DONE]:
                 yield row[rig]
                 following = next(waiting, None)
                 runs[rig] = following is not None
                 if following is not None:
                     row[rig] = following
-                    abreast.seat(lanes, int(rig), following.machine.params)
+                    abreast.seat(lanes, rig, following.machine.params)
 
 
 def rider(stop: Stop) -> Rider:
