@@ -10,6 +10,8 @@ to the vehicle's speed, which anchors the reference and teaches it the decelerat
     [W3] a_j = (v_j - l_j) / T_a,  l_j' = l_j + a_j T
     [W4] s_low = min(S_low, c_low v_ref), s_high likewise
     [W5] b = b_max while no axle slides, else b_learned + margin, at most b_max
+    [W6] a speed that does not change by a count while others do is a stuck sensor's: it anchors
+         nothing and counts as no fastest axle, and its valve vents as long as the timers let it
 
 The step has no clock and takes the integers of the bus, so the unit on the bus and the compiled
 loop get the same bits. Source: common practice of such units, from memory; every threshold says so
@@ -18,6 +20,7 @@ the vehicle's speed in a run-up anchors nothing, a vehicle that can brake harder
 larger one.
 """
 
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,6 +58,7 @@ ROWS = (
     table.number("run_up_shortest_s", 0.35, 0.1, 5.0, _A),
     table.number("run_up_longest_s", 4.0, 0.2, 10.0, _A),
     table.number("run_up_done_m_s2", 0.5, 0.0, 5.0, _A),
+    table.number("stuck_s", 0.5, 0.1, 60.0, _A + ": no wheel keeps its speed to a count so long"),
     table.number("learning_s", 0.5, 0.01, 60.0, _A),
     table.number("slide_begin_m_s", 0.5, 0.05, 5.0, _A),
     table.number("slide_begin_fraction", 0.02, 0.0, 0.2, _A),
@@ -100,6 +104,8 @@ class State(NamedTuple):
     runner: np.ndarray  # axle that runs up, -1 nobody; `choose_runner`, `finish_run_up`
     run_ups: np.ndarray  # begun since axles slide; `choose_runner`
     sliding_m_s: np.ndarray  # against the reference; `event_of`
+    raw: np.ndarray  # counts of the last cycle; `measure`
+    same: np.ndarray  # cycles in which only the others' counts have changed; `measure`
     phase: np.ndarray  # Phase; `act`
     phase_age: np.ndarray  # cycles since the phase (or its pulse) began; `act`
     vent_age: np.ndarray  # cycles of venting since the valve last filled; `act`
@@ -110,6 +116,8 @@ PER_UNIT = ("cycles", "reference_m_s", "deceleration_m_s2", "anchor_m_s", "ancho
             "runner", "run_ups")
 WIDTHS = tuple(1 if name in PER_UNIT else AXLES for name in State._fields)
 SIZE = sum(WIDTHS)
+PLACES = tuple(slice(end - width, end)
+               for width, end in zip(WIDTHS, itertools.accumulate(WIDTHS), strict=True))
 
 
 class Unit(NamedTuple):
@@ -126,7 +134,14 @@ def new_unit(params: Any) -> Unit:
 
 def views(buffer: np.ndarray) -> State:
     """The state in a float64 buffer of shape (SIZE,)."""
-    return State(*np.split(buffer, np.cumsum(WIDTHS)[:-1]))
+    return State(*(buffer[place] for place in PLACES))
+
+
+def buffer_of(unit: Unit) -> np.ndarray:
+    """The buffer (SIZE,) that the state of a new unit views."""
+    buffer = unit.state[0].base
+    assert buffer is not None
+    return buffer
 
 
 def load(name: str = "reference") -> Params:
@@ -170,6 +185,15 @@ def reference_raw(state):
 
 
 @kernel
+def stuck(unit):
+    """The axles whose speed sensors are taken for stuck, bit 0 the leading one."""
+    bits = 0
+    for j in range(AXLES):
+        bits |= int(reference.implausible(unit.state, j, unit.params)) << j
+    return bits
+
+
+@kernel
 def sliding_class(sliding_m_s, reference_m_s, params):
     """Row of the matrix: where the sliding stands to the band [W4]."""
     low = min(params.band_low_m_s, params.band_low_fraction * reference_m_s)
@@ -201,6 +225,8 @@ def event_of(state, j, params):
     event = WISHES[row, trend_class(state.acceleration_m_s2[j], params)]
     if state.runner[0] == j:
         event = np.int64(Event.RUN_UP)
+    if reference.implausible(state, j, params):
+        event = np.int64(Event.VENT)  # [W6]
     if (reference.passed(state.vent_age[j], params.vent_timer_s, params)
             or reference.passed(state.hold_age[j], params.hold_timer_s, params)):
         event = np.int64(Event.TIMER)

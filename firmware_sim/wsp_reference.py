@@ -32,6 +32,32 @@ def measure(state, speeds_raw, params):
         state.lagged_m_s[j] += state.acceleration_m_s2[j] * params.cycle_s  # [W3]
         falls = state.acceleration_m_s2[j] < -params.fall_m_s2
         state.falling[j] = state.falling[j] + 1.0 if falls else 0.0
+    doubt(state, speeds_raw)
+    for j in range(AXLES):
+        if implausible(state, j, params) and not implausible(state, j ^ 1, params):
+            state.speed_m_s[j] = state.speed_m_s[j ^ 1]  # [W6]
+            state.acceleration_m_s2[j] = state.acceleration_m_s2[j ^ 1]
+
+
+@kernel
+def doubt(state, speeds_raw):
+    """Count the cycles in which an axle's speed has not changed by one count while others' did [W6]."""
+    changed = 0
+    for j in range(AXLES):
+        changed += speeds_raw[j] != state.raw[j]
+    for j in range(AXLES):
+        if speeds_raw[j] != state.raw[j] or speeds_raw[j] == 0:
+            # a wheel that is locked tells zero, and that is plausible
+            state.same[j] = 0.0
+        elif changed > 1:
+            state.same[j] += 1.0
+        state.raw[j] = speeds_raw[j]
+
+
+@kernel
+def implausible(state, j, params):
+    """True where the speed sensor of axle j must be stuck [W6]."""
+    return passed(state.same[j], params.stuck_s, params)
 
 
 @kernel
@@ -47,9 +73,10 @@ def protecting(state, params):
 @kernel
 def advance(state, params):
     """Advance the reference speed by a cycle."""
-    fastest = state.speed_m_s[0]
-    for j in range(1, AXLES):
-        fastest = max(fastest, state.speed_m_s[j])
+    fastest = 0.0
+    for j in range(AXLES):
+        if not implausible(state, j, params):
+            fastest = max(fastest, state.speed_m_s[j])
     if state.cycles[0] == 0.0:
         state.reference_m_s[0] = fastest
         state.deceleration_m_s2[0] = params.first_deceleration_m_s2
@@ -78,8 +105,12 @@ def choose_runner(state, params):
         return
     first = state.run_ups[0] == 0.0
     wait_s = params.run_up_first_s if first else params.run_up_interval_s
+    if state.runner[0] != NOBODY and implausible(state, int(state.runner[0]), params):
+        state.runner[0] = NOBODY
     if state.runner[0] == NOBODY and passed(state.anchor_age[0], wait_s, params):
-        state.runner[0] = AXLES - 1 - int(state.run_ups[0]) % params.run_up_axles
+        chosen = AXLES - 1 - int(state.run_ups[0]) % params.run_up_axles
+        if not implausible(state, chosen, params):
+            state.runner[0] = chosen
         state.run_ups[0] += 1.0
 
 

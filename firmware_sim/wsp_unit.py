@@ -6,7 +6,8 @@ every fifth SYNC, before the answer, and by wall clock only while no SYNC comes:
 where time-outs count simulated time, the bus log repeats. Source: CiA 301 (NMT, heartbeat, PDO).
 
 Missing speeds: the last magnets are repeated for `MISSED_MAX` SYNCs, then all magnets fall (the
-brakes apply) until speeds are back. It starts itself after boot-up, as CiA 302-2 allows (1F80h).
+brakes apply) until speeds are back. A speed sensor that is found stuck is told by an EMCY (0A0h, code
+FF01h, axles as bits in its first manufacturer byte). It starts itself after boot-up, as CiA 302-2 allows (1F80h).
 """
 
 import logging
@@ -37,6 +38,9 @@ SPEEDS = 0x180 + SPEED_NODE
 REFERENCE = 0x180 + WSP_NODE
 MAGNETS = 0x200 + BRAKE_NODE
 HEARTBEAT = 0x700 + WSP_NODE
+EMERGENCY = 0x080 + WSP_NODE
+# CiA 301 Table 26: device specific; error register bit 0
+SENSOR_STUCK, GENERIC_ERROR = 0xFF01, 0x01
 
 HEARTBEAT_SYNCS = 5
 # longer than any pause between two SYNCs of a bench that runs, shorter than node 17's patience
@@ -59,6 +63,7 @@ class Unit:
         self._wsp = wsp.new_unit(params)
         self._inputs = np.zeros(AXLES, dtype=np.int64)
         self._magnets = ALL_OFF
+        self._stuck = 0
         self._syncs = 0
         self._missed = 0
         self._awaiting = False
@@ -98,7 +103,7 @@ class Unit:
 
     def _boot(self) -> None:
         """Reset, boot-up message, then OPERATIONAL without waiting for a master."""
-        self._wsp = wsp.new_unit(self._params)
+        self._wsp, self._stuck = wsp.new_unit(self._params), 0
         self._magnets, self._missed, self._syncs = ALL_OFF, 0, 0
         self._awaiting = False
         self.state = State.INITIALISING
@@ -146,7 +151,16 @@ class Unit:
         magnets, reference = wsp.cycle(self._wsp, self._inputs)
         self._magnets = int(magnets)
         self._send(REFERENCE, _REFERENCE.pack(int(reference)))
+        self._tell_stuck(int(wsp.stuck(self._wsp)))
         self._answer()
+
+    def _tell_stuck(self, axles: int) -> None:
+        """An EMCY when a speed sensor is found stuck, one without error when none is any more."""
+        if axles != self._stuck:
+            self._stuck = axles
+            log.info("WSP unit: stuck speed sensors, by axle: %s", f"{axles:04b}"[::-1])
+            code = SENSOR_STUCK if axles else 0
+            self._send(EMERGENCY, struct.pack("<HBB4x", code, GENERIC_ERROR if axles else 0, axles))
 
     def _answer_without_speeds(self) -> None:
         self._missed += 1
@@ -169,7 +183,9 @@ class Unit:
 
 def warm(params: wsp.Params) -> None:
     """Compile the cycle, or load it from numba's cache, before anybody waits for an answer."""
-    wsp.cycle(wsp.new_unit(params), np.zeros(AXLES, dtype=np.int64))
+    unit = wsp.new_unit(params)
+    wsp.cycle(unit, np.zeros(AXLES, dtype=np.int64))
+    wsp.stuck(unit)
 
 
 def main(bus_address: str = DEFAULT_ADDRESS, config: str = "reference") -> int:

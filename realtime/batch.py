@@ -4,13 +4,13 @@ The same ticks as `rollerrig run --pacing free`, collected in memory, so figures
 of a recorded run. The unit is the reference WSP inside the compiled loop, none, or a Python call.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
-from rollerrig.firmware_sim import wsp
-from rollerrig.realtime import bench, scenario, summary, tick
+from rollerrig.firmware_sim import fault_panel, wsp
+from rollerrig.realtime import bench, convoy, scenario, summary, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.scenario import Scenario
 from rollerrig.realtime.tick import AXLES, DONE
@@ -31,32 +31,78 @@ class Memory:
 
 def simulate(plan: Scenario, unit: str | UnitCall = "reference") -> dict[str, np.ndarray]:
     """Run a scenario to its end; channels by name, each of shape (samples,)."""
-    samples = int(plan["duration_max_s"] * plan["loop"]["record_hz"]) + 2
-    memory = Memory(samples)
+    memory = _memory(plan)
     machine = bench.build_machine(plan, memory)  # type: ignore[arg-type]
     inputs = np.zeros(2 * AXLES, dtype=np.int64)
-    if unit == "none":
-        while not machine.control[DONE]:
-            tick.batch(machine, 1 << 20)
-    elif unit == "reference":
-        own = wsp.new_unit(wsp.load(plan["wsp_config"]))
-        while not machine.control[DONE]:
-            tick.batch_with_unit(machine, 1 << 20, plan.sync_ticks, own, inputs)
-    else:
-        _with_call(machine, plan, unit, inputs)  # type: ignore[arg-type]
+    fault_panel.check_pacing(plan.faults, "free")
+    faults = fault_panel.Panel(plan.faults, lambda level, text: None)
+    faults.connect(fault_panel.Site(machine.commands.values[tick.FAULTS:], lambda: None))
+    own = wsp.new_unit(wsp.load(plan["wsp_config"]))
+    while not machine.control[DONE]:
+        ticks = _due(faults, machine, plan) if plan.faults else 1 << 20
+        if unit == "none":
+            tick.batch(machine, ticks)
+        elif unit == "reference":
+            tick.batch_with_unit(machine, ticks, plan.sync_ticks, own, inputs)
+        else:
+            _with_call(machine, plan, unit, inputs)  # type: ignore[arg-type]
+            tick.batch(machine, min(ticks, plan.sync_ticks))
+    return channels_of(memory)
+
+
+def together(
+    jobs: Iterable[tuple[Any, Scenario]], unit: str | UnitCall = "reference"
+) -> Iterator[tuple[Any, Scenario, dict[str, np.ndarray]]]:
+    """Run many scenarios, four at a time where they allow it: (tag, scenario, channels) as they end.
+
+    A result does not depend on which stops ran beside it; against `simulate` it differs by rounding.
+    """
+    groups: dict[int, list[tuple[Any, Scenario]]] = {}
+    for tag, plan in jobs:
+        if unit in ("reference", "none") and convoy.fits(plan):
+            groups.setdefault(plan.params.substeps, []).append((tag, plan))
+        else:
+            yield tag, plan, simulate(plan, unit)
+    for group in groups.values():
+        for stop in convoy.run(_stop(tag, plan, unit != "none") for tag, plan in group):
+            tag, plan, memory = stop.tag
+            yield tag, plan, channels_of(memory)
+
+
+def _stop(tag: Any, plan: Scenario, with_unit: bool) -> convoy.Stop:
+    memory = _memory(plan)
+    machine = bench.build_machine(plan, memory)  # type: ignore[arg-type]
+    return convoy.Stop(machine, wsp.new_unit(wsp.load(plan["wsp_config"])),
+                       plan.sync_ticks if with_unit else 0, (tag, plan, memory))
+
+
+def _memory(plan: Scenario) -> Memory:
+    return Memory(int(plan["duration_max_s"] * plan["loop"]["record_hz"]) + 2)
+
+
+def channels_of(memory: Memory) -> dict[str, np.ndarray]:
+    """What a machine has recorded, by the names of the table of signals."""
     written = int(memory.header[rings.WRITTEN])
     return {name: memory.rows[:written, i] for i, name in enumerate(signals.COLUMNS)}
 
 
+def _due(faults: fault_panel.Panel, machine: tick.Machine, plan: Scenario) -> int:
+    """Let faults begin and end; ticks until the next does."""
+    now_s = int(machine.control[tick.TICK]) / plan["loop"]["tick_hz"]
+    faults.poll(now_s)
+    return max(1, round(min(faults.next_change_s() - now_s, 3600.0) * plan["loop"]["tick_hz"]))
+
+
 def _with_call(machine: tick.Machine, plan: Scenario, unit: UnitCall, inputs: np.ndarray) -> None:
-    speeds, pressures = signals.BY_NAME["wheel_speed"], signals.BY_NAME["cylinder_pressure"]
-    while not machine.control[DONE]:
-        for at, signal in ((0, speeds), (AXLES, pressures)):
-            values = machine.row[signals.span(signal.name)]
-            inputs[at:at + AXLES] = [signals.count(value, signal.places[0]) for value in values]
-        byte = int(unit(inputs))
-        machine.commands.values[:AXLES] = [byte >> 2 * j & 3 for j in range(AXLES)]
-        tick.batch(machine, plan.sync_ticks)
+    """Ask an outside unit where its SYNC would come."""
+    if machine.control[tick.TICK] % plan.sync_ticks:
+        return
+    for at, name in ((0, "measured_speed"), (AXLES, "cylinder_pressure")):
+        signal = signals.BY_NAME[name]
+        values = machine.row[signals.span(name)]
+        inputs[at:at + AXLES] = [signals.count(value, signal.places[0]) for value in values]
+    byte = int(unit(inputs))
+    machine.commands.values[:AXLES] = [byte >> 2 * j & 3 for j in range(AXLES)]
 
 
 def summarize(plan: Scenario, channels: dict[str, np.ndarray], unit: str) -> dict[str, Any]:

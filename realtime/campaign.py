@@ -6,12 +6,14 @@ is done is computed again, and the result is the same however the chunks were sp
 cores of this machine, or over a Dask cluster.
 """
 
+import contextlib
 import hashlib
 import itertools
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
@@ -38,6 +40,8 @@ ROWS = (
 )
 RANGE = (table.number("low", None, -1e300, 1e300, "-"), table.number("high", None, -1e300, 1e300, "-"),
          table.flag("log", False, "spread evenly in the logarithm"))
+# how often worker processes of this machine may die before a campaign gives up
+DEATHS = 4
 # figures of a run: name, how to get it from a summary
 FIGURES: tuple[tuple[str, Callable[[dict[str, Any]], Any]], ...] = (
     ("stopped", lambda s: s["stopped"]),
@@ -66,9 +70,13 @@ class Plan(NamedTuple):
         return range(-(-len(self.points) // self.head["chunk"]))
 
 
-def load(name: str) -> Plan:
-    """A plan by name or path. Raises ConfigError; the first run is resolved to find bad values early."""
+def load(name: str, **heads: Any) -> Plan:
+    """A plan by name or path, with other head values. Raises ConfigError.
+
+    The first and the last run are resolved to find bad values early.
+    """
     given, path = store.load("campaigns", name)
+    given = given | heads
     vary = given.pop("vary", {})
     head = table.read(ROWS, given, str(path))
     if not isinstance(vary, dict) or not vary:
@@ -159,23 +167,28 @@ def command(plan: Plan, number: int) -> str:
 def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
     """Run one chunk; a row a run. A run that fails has its error in `error` and no figures."""
     first = chunk * plan.head["chunk"]
-    return [run_one(plan, number)
-            for number in range(first, min(first + plan.head["chunk"], len(plan.points)))]
-
-
-def run_one(plan: Plan, number: int) -> dict[str, Any]:
-    """Run number `number`: its values, its figures, and its error if it had one."""
-    row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.points[number], strict=True))}
-    row |= {name: None for name, _ in FIGURES} | {"config_hash": None, "error": None}
-    try:
-        one = resolve(plan, number)
-        channels = batch.simulate(one, _unit(plan.head["unit"]))
+    rows = {number: _row(plan, number)
+            for number in range(first, min(first + plan.head["chunk"], len(plan.points)))}
+    for number, one, channels in batch.together(_resolved(plan, rows), _unit(plan.head["unit"])):
         figures = batch.summarize(one, channels, plan.head["unit"])
-        row |= {name: get(figures) for name, get in FIGURES}
-        row["config_hash"] = figures["config_hash"]
-    except RollerrigError as error:
-        row["error"] = str(error)
-    return row
+        rows[number] |= {name: get(figures) for name, get in FIGURES}
+        rows[number]["config_hash"] = figures["config_hash"]
+    return list(rows.values())
+
+
+def _row(plan: Plan, number: int) -> dict[str, Any]:
+    """The row of a run that has not been run."""
+    row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.points[number], strict=True))}
+    return row | {name: None for name, _ in FIGURES} | {"config_hash": None, "error": None}
+
+
+def _resolved(plan: Plan, rows: dict[int, dict[str, Any]]) -> Iterator[tuple[int, scenario.Scenario]]:
+    """The scenarios of rows; a row whose values make none gets the error."""
+    for number, row in rows.items():
+        try:
+            yield number, resolve(plan, number)
+        except RollerrigError as error:
+            row["error"] = str(error)
 
 
 # --- the result ---
@@ -208,11 +221,17 @@ def part(out: Path, chunk: int) -> Path:
 
 
 def write_chunk(out: Path, chunk: int, rows: list[dict[str, Any]]) -> None:
-    """Put the rows of a chunk into its file, in one step."""
+    """Put the rows of a chunk into its file, in one step. Raises RollerrigError where it cannot."""
     schema = _schema(rows)
     new = part(out, chunk).with_suffix(".new")
-    pq.write_table(pa.Table.from_pylist(rows, schema=schema), new)
-    os.replace(new, part(out, chunk))
+    try:
+        pq.write_table(pa.Table.from_pylist(rows, schema=schema), new)
+        os.replace(new, part(out, chunk))
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            new.unlink()
+        raise RollerrigError(f"{part(out, chunk)}: cannot be written: {error}; what is done is kept: "
+                             "make room, and the same command goes on") from None
 
 
 def _schema(rows: list[dict[str, Any]]) -> pa.Schema:
@@ -239,22 +258,37 @@ def result(out: Path) -> pa.Table:
 # --- spreading ---
 
 def spread_local(plan: Plan, chunks: Sequence[int], workers: int) -> Iterator[tuple[int, list[dict[str, Any]]]]:
-    """Run chunks in processes of this machine, as they are done."""
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(run_chunk, plan, chunk): chunk for chunk in chunks}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    """Run chunks in processes of this machine, as they are done.
+
+    When a process dies the chunks that it took along are run again, in new processes. Raises
+    RollerrigError when they die again and again.
+    """
+    left = dict.fromkeys(chunks)
+    for _ in range(DEATHS):
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            futures = {pool.submit(run_chunk, plan, chunk): chunk for chunk in left}
+            try:
+                for future in as_completed(futures):
+                    rows = future.result()
+                    del left[futures[future]]
+                    yield futures[future], rows
+                return
+            except BrokenProcessPool:
+                continue
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+    raise RollerrigError(f"worker processes died {DEATHS} times (killed, or out of memory?): "
+                         f"{len(left)} chunks are left, what is done is kept; give --workers fewer, "
+                         "and the same command goes on")
 
 
 def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tuple[int, list[dict[str, Any]]]]:
     """Run chunks on a Dask cluster, as they are done; work of a worker that dies is given to another."""
     try:
-        from distributed import Client
+        from distributed import CancelledError, Client, KilledWorker
         from distributed import as_completed as completed
+        from distributed.comm import CommClosedError
     except ImportError:
         raise ConfigError("--scheduler needs Dask: pip install 'rollerrig[cluster]'") from None
     try:
@@ -265,6 +299,10 @@ def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tup
     with client:
         whole = client.scatter(plan, broadcast=True)
         futures = {client.submit(run_chunk, whole, chunk, pure=False, retries=3): chunk for chunk in chunks}
-        for future, rows in completed(futures, with_results=True):
-            yield futures[future], rows
-            future.release()
+        try:
+            for future, rows in completed(futures, with_results=True):
+                yield futures[future], rows
+                future.release()
+        except (KilledWorker, CommClosedError, CancelledError, OSError) as error:
+            raise RollerrigError(f"--scheduler {address}: the cluster gave up ({error}); what is done "
+                                 "is kept, and the same command goes on") from None

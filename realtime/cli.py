@@ -35,6 +35,8 @@ VERBS = (
          "rollerrig sequence emergency_120 --out report"),
     Verb("compare", "verb_compare", "runs side by side, by value with tolerances, overlaid in Rerun",
          "rollerrig compare runs/a runs/b --tolerance m_s=0.1"),
+    Verb("export", "verb_export", "a run as MDF4, MAT or CSV: all channels with units, and events",
+         "rollerrig export runs/demo --format csv --out demo.csv"),
     Verb("campaign", "verb_campaign", "many runs from a plan, over processes or a Dask cluster",
          "rollerrig campaign low_adhesion --out campaigns/soap"),
     Verb("explain", "verb_explain", "what the simulation gets wrong, why, the extended model, the gain",

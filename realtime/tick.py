@@ -22,7 +22,7 @@ from rollerrig.realtime import mailbox as box
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.mailbox import Mailbox
 from rollerrig.rig import plant
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SLOTS, State
 from rollerrig.wsp_interface import signals
@@ -186,6 +186,20 @@ def disturb(m, faults):
 def once(m):
     """Run one tick and count it; sets DONE when the vehicle has stood long enough or time is up."""
     tick = m.control[TICK]
+    begin(m, tick)
+    plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
+    if m.command[DRIVES + drive402_axis.LOOP] == drive402_axis.LOOP_STOP and (
+            m.virtual != 0 or m.params.mode != 0):
+        rig_control.stop_with_rollers(m.state, m.roller_state, m.roller_params.drive)
+    plant.observe(m.state, m.params)
+    if m.virtual != 0:
+        rollers_beside(m, tick)
+    end(m, tick)
+
+
+@kernel_inlined
+def begin(m, tick):
+    """What precedes the physics of a tick: record, commands, drive control, faults."""
     if tick % m.record_ticks == 0:
         # all since the last sample, this tick's own lateness too
         m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
@@ -207,13 +221,11 @@ def once(m):
         disturb(m, faults)
     for j in range(AXLES):
         m.state.friction_asked[j] = m.command[FRICTION + j]
-    plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
-    if m.command[DRIVES + drive402_axis.LOOP] == drive402_axis.LOOP_STOP and (
-            m.virtual != 0 or m.params.mode != 0):
-        rig_control.stop_with_rollers(m.state, m.roller_state, m.roller_params.drive)
-    plant.observe(m.state, m.params)
-    if m.virtual != 0:
-        rollers_beside(m, tick)
+
+
+@kernel_inlined
+def end(m, tick):
+    """What follows the physics of a tick: publish and count it."""
     publish(m)
     m.control[TICK] = tick + 1
     if m.state.standing[0] != 0.0:
@@ -246,19 +258,31 @@ def batch_with_unit(m, ticks, sync_ticks, unit, inputs):
     the bus would tell it, speeds in 0.01 rad/s and pressures in mbar, and its answer takes effect
     with the next tick, as in lockstep, or when a wire would have carried it.
     """
-    command = m.commands.values
     for i in range(ticks):
         if m.control[DONE] != 0 or m.control[STOP] != 0:
             return i
         cycle, phase = divmod(m.control[TICK], sync_ticks)
         if phase == 0:
-            for j in range(AXLES):
-                inputs[j] = counts(m.row[_SPEED + j], _SPEED_SCALE)
-                inputs[AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
+            ask_unit(m, inputs)
         if phase == m.answer[1 if cycle > 0 and cycle % m.answer[2] == 0 else 0]:
-            magnets, reference = wsp.cycle(unit, inputs)
-            for j in range(AXLES):
-                command[MAGNETS + j] = (magnets >> (2 * j)) & 3
-            command[REFERENCE] = reference * _WSP_SCALE
+            hear_unit(m, unit, inputs)
         once(m)
     return ticks
+
+
+@kernel_inlined
+def ask_unit(m, inputs):
+    """What the reference WSP unit sees with a SYNC, in counts."""
+    for j in range(AXLES):
+        inputs[j] = counts(m.row[_SPEED + j], _SPEED_SCALE)
+        inputs[AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
+
+
+@kernel_inlined
+def hear_unit(m, unit, inputs):
+    """One cycle of the reference WSP unit on what it saw: its answer as commands."""
+    magnets, reference = wsp.cycle(unit, inputs)
+    command = m.commands.values
+    for j in range(AXLES):
+        command[MAGNETS + j] = (magnets >> (2 * j)) & 3
+    command[REFERENCE] = reference * _WSP_SCALE

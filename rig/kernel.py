@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +55,23 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
     with contextlib.suppress(OSError):
         settings.CACHE_DIR = str(_cache_folder())
 
-# no kernel is handed to another as a function, so none needs a C function of its own beside it
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-kernel = numba.njit(**_OPTIONS)
+# nothing is allocated in a step, so numba need not count references to arrays: with fifty of them
+# in the state that took twice the time of the physics, and much of the time to compile
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy",
+                            # no kernel is handed to another as a function: none needs one for C
+                            "no_cfunc_wrapper": True}
+kernel = numba.njit(**_OPTIONS, _nrt=False)
 # for what every step calls with the whole state: its hundreds of array fields would be copied for
 # each call; the arithmetic is the same to the last bit
-kernel_inlined = numba.njit(**_OPTIONS, forceinline=True)
+kernel_inlined = numba.njit(**_OPTIONS, _nrt=False, forceinline=True)
+
+# for batch work that makes arrays of its own; a step never calls these
+kernel_with_memory = numba.njit(**_OPTIONS)
+
+
+def seeing(structure: Any, places: Sequence[slice | None]) -> Any:
+    """A kernel that views a flat buffer as a named tuple, `views` for compiled code; None stays None."""
+    fields = ", ".join("None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places)
+    space: dict[str, Any] = {"structure": structure}
+    exec(f"def see(buffer):\n    return structure({fields})", space)
+    return numba.njit(nogil=True, _nrt=False, forceinline=True)(space["see"])

@@ -82,17 +82,23 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
 
     `demand_Pa` is a brake demand from outside; NaN: the programme's own.
     """
-    for j in range(AXLES):
-        delay[tick % delay.shape[0], j] = magnets[j]
-    brake.switch(state, delay[(tick + 1) % delay.shape[0]])
-    friction(state, params)
-    target_Pa = demand_Pa
-    if np.isnan(demand_Pa):
-        target_Pa = brake.target(params.demand, state.time[0])
+    target_Pa = prepare(state, delay, magnets, demand_Pa, tick, params)
     for i in range(params.substeps):
         step(state, target_Pa, params)
         state.time[0] = (tick * params.substeps + i + 1) * params.step_s
     heat.warm(state, params.heat)
+
+
+@kernel_inlined
+def prepare(state, delay, magnets, demand_Pa, tick, params):
+    """Set what stays constant for a tick, valves and friction; returns the pressure asked for in Pa."""
+    for j in range(AXLES):
+        delay[tick % delay.shape[0], j] = magnets[j]
+    brake.switch(state, delay[(tick + 1) % delay.shape[0]])
+    friction(state, params)
+    if np.isnan(demand_Pa):
+        return brake.target(params.demand, state.time[0])
+    return demand_Pa
 
 
 @kernel_inlined

@@ -53,7 +53,8 @@ def _from_python(kind, state, c):
     view = c.unbox(_VIEW, c.pyapi.tuple_getitem(state, 0))
     value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
     value.first = arrayobj.make_array(_VIEW)(c.context, c.builder, view.value).data
-    c.context.nrt.decref(c.builder, _VIEW, view.value)
+    if c.context.enable_nrt:
+        c.context.nrt.decref(c.builder, _VIEW, view.value)
     return NativeValue(value._getvalue(), is_error=view.is_error)
 
 

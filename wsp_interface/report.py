@@ -34,7 +34,7 @@ body{font:14px/1.45 system-ui,sans-serif;color:#222;max-width:1180px;margin:2em 
 h1{font-size:1.5em;margin-bottom:.2em}h2{font-size:1.15em;margin:2.2em 0 .3em;border-top:1px solid #ccc;
 padding-top:1em}h3{font-size:1em;margin:1.2em 0 .3em}
 table{border-collapse:collapse;width:100%;font-size:.93em}th,td{text-align:left;padding:.25em .6em;
-border-bottom:1px solid #e4e4e4;vertical-align:top}th{background:#f4f4f4}td.n{text-align:right;
+border-bottom:1px solid #e4e4e4;vertical-align:top}th{background:#f4f4f4}td.n,th.n{text-align:right;
 font-variant-numeric:tabular-nums;white-space:nowrap}
 .r{font-weight:600;white-space:nowrap}.pass{color:#1b7a34}.fail{color:#c0271d}.error{color:#8a2be2}
 .not{color:#777}small,.dim{color:#666}
@@ -196,12 +196,21 @@ def _summary_table(outcomes: Sequence[Outcome], out: Path) -> str:
             ("air_consumption", 0))]
         rows.append(
             f'<tr><td><a href="#{escape(outcome.sequence.name)}">{escape(outcome.sequence.name)}</a>'
-            f"<br><small>{escape(outcome.sequence.title)}</small></td><td>{_result(outcome.result)}"
+            f"<br><small>{escape(outcome.sequence.title)}</small>{_reason(outcome)}</td>"
+            f"<td>{_result(outcome.result)}"
             f"</td><td>{told}</td>" + "".join(f'<td class="n">{one}</td>' for one in columns)
             + f"<td>{_links(outcome, out)}</td></tr>")
-    heads = ("sequence", "result", "least margin", "stop, m", "over dry", "lock, s", "air, NL", "")
-    return ("<table><tr>" + "".join(f"<th>{one}</th>" for one in heads) + "</tr>"
-            + "".join(rows) + "</table>")
+    heads = "".join(f"<th>{one}</th>" for one in ("sequence", "result", "least margin")) + "".join(
+        f'<th class="n">{one}</th>' for one in ("stop, m", "over dry", "lock, s", "air, NL"))
+    return f"<table><tr>{heads}<th>record</th></tr>" + "".join(rows) + "</table>"
+
+
+def _reason(outcome: Outcome) -> str:
+    """Why a sequence did not pass, for who reads no further than the summary."""
+    wrong = [f"{one.what} {_value(one)}, wanted {one.limit} {one.unit}".strip()
+             for one in outcome.verdicts if one.result in (Result.FAIL, Result.ERROR)]
+    told = [outcome.error] * bool(outcome.error) + wrong
+    return f'<br><small class="err">{escape("; ".join(told))}</small>' if told else ""
 
 
 def _section(outcome: Outcome, out: Path) -> str:

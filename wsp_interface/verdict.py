@@ -154,8 +154,8 @@ def _judge(limit: Limit, record: Record) -> Verdict:
 
 def _margin(limit: Limit, value: float) -> float:
     # a limit of nothing has no room to speak of
-    rooms = [(limit.high - value) / abs(limit.high)] * (math.isfinite(limit.high) and limit.high != 0)
-    rooms += [(value - limit.low) / abs(limit.low)] * (math.isfinite(limit.low) and limit.low != 0)
+    rooms = [sign * (bound - value) / abs(bound) for sign, bound in ((1, limit.high), (-1, limit.low))
+             if math.isfinite(bound) and bound != 0.0]
     return min(rooms, default=math.nan)
 
 

@@ -104,8 +104,9 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
                                progress)
         remainder: list[Finding] = [f for f in found if evidence.generic(f.name)]
         if causes:
-            told, causes, remainder = _second(pool, data, measured, design, told, causes, seed,
-                                              progress)
+            rivals = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)]
+            told, causes, remainder = _second(pool, data, measured, design, told, causes, rivals,
+                                              seed, progress)
         held_runs = data.group("validate")
         held = preparation.prepare(data, held_runs) if held_runs else None
         notes: list[str] = list(data.warnings)
@@ -206,13 +207,14 @@ def _choose(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design
                        if _alike(fits[top], fits[int(k)], ratio[top], ratio[int(k)]))
     best = fits[top]
     named = Named(counted[top], best.told.causes[-1], float(ratio[top]),
-                  _deviation(counted[top], best), confusable)
+                  _deviation(counted[top], best, len(best.covariance) - len(best.told.causes[-1].values)),
+                  confusable)
     return best.told, [named]
 
 
-def _deviation(finding: Finding, fit: _Fitted) -> tuple[float, ...]:
-    size = len(finding.estimate)
-    nominal = np.sqrt(np.diag(fit.covariance)[-size:])
+def _deviation(finding: Finding, fit: _Fitted, at: int) -> tuple[float, ...]:
+    """Deviations of a cause's coefficients, which stand from place `at` on in the covariance."""
+    nominal = np.sqrt(np.diag(fit.covariance)[at:at + len(finding.estimate)])
     floor = evidence.SYSTEMATIC.get(finding.name, 0.0)
     return tuple(float(np.hypot(s * max(finding.spread, 1.0), floor)) for s in nominal)
 
@@ -227,7 +229,7 @@ def _alike(best: _Fitted, other: _Fitted, ratio: float, less: float) -> bool:
 
 
 def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
-            causes: list[Named], seed: int, progress: clean.Progress
+            causes: list[Named], rivals: list[Finding], seed: int, progress: clean.Progress
             ) -> tuple[Explanation, list[Named], list[Finding]]:
     """Further causes beside the first, and the remainder behind all of them."""
     remainder: list[Finding] = []
@@ -249,9 +251,29 @@ def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design
             break
         if not _both_needed(data, measured, better, value):
             break
-        told = better
-        causes = [causes[0]._replace(cause=told.causes[0]), more[0]]
+        told, causes = _swapped(pool, data, measured, design, better,
+                                [causes[0]._replace(cause=better.causes[0]), more[0]], rivals, progress)
     return told, causes, remainder
+
+
+def _swapped(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
+             told: Explanation, causes: list[Named], rivals: list[Finding],
+             progress: clean.Progress) -> tuple[Explanation, list[Named]]:
+    """The first cause looked for again beside the second: one that had to stand for both gives way."""
+    names = {named.finding.name for named in causes}
+    others = sorted((f for f in rivals if f.name not in names), key=lambda f: -f.statistic)
+    others = others[:MOST_FITTED]
+    tasks = [_Fit(data, measured, told._replace(causes=(f.cause(), told.causes[1]))) for f in others]
+    fits: list[_Fitted] = clean.run_all(pool, fit_one, tasks, "first cause again", progress)
+    value = tuning.deviance(design, told) + PRICE * EXTRA.get(causes[0].finding.name, 0)
+    won = [value - fit.value - PRICE * EXTRA.get(f.name, 0) for f, fit in zip(others, fits, strict=True)]
+    if not won or max(won) < 4.0:
+        return told, causes
+    top = int(np.argmax(won))
+    better = fits[top].told
+    first = Named(others[top], better.causes[0], causes[0].ratio + won[top],
+                  _deviation(others[top], fits[top], 0), ())
+    return better, [first, causes[1]._replace(cause=better.causes[1])]
 
 
 def _both_needed(data: Dataset, measured: list[Run], told: Explanation, value: float) -> bool:

@@ -17,7 +17,7 @@ from scipy.signal import savgol_filter
 
 from rollerrig.rig.contact.adhesion import patch_for
 from rollerrig.rig.identify.dataset import AXLES, Dataset, Run
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel_with_memory
 
 # window of the derivative of wheel speed, s
 WINDOW_S = 0.21
@@ -70,7 +70,7 @@ class Design(NamedTuple):
         return slice(int(self.start[segment]), int(self.start[segment + 1]))
 
 
-@kernel
+@kernel_with_memory
 def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
     """Smoothed u of [P1], shape (n,): forward filter and backward smoother with a slow disturbance."""
     n = measured.size

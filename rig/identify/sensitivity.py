@@ -15,7 +15,7 @@ import numpy as np
 
 from rollerrig.rig.identify import replay
 from rollerrig.rig.identify.preparation import Design
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_with_memory
 
 # changes of the wheel's acceleration for a change of ln: friction, tau, gamma, stiffness, k_a, load,
 # radius, the field m, and mu_cd alone
@@ -50,7 +50,7 @@ class Inputs(NamedTuple):
     force_N: np.ndarray  # (vehicle samples,) added to the resistance
 
 
-@kernel
+@kernel_with_memory
 def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field, co,
                     rates, path):
     """One wheel: replays it, then stores [S1] along the filtered path."""
@@ -136,7 +136,7 @@ def gains(variance, co, p, step_s, speed, load, torque):
         p11 = keep * keep * p11 + q
 
 
-@kernel
+@kernel_with_memory
 def answer(changes, variance, co, out):
     """Whitened innovations' answer to changes of the acceleration, shape (n, columns) [S2]."""
     columns = changes.shape[1]
@@ -153,7 +153,7 @@ def answer(changes, variance, co, out):
             d_m[c] = keep * m
 
 
-@kernel
+@kernel_with_memory
 def vehicle_answer(changes, variance, noise, step_s, out):
     """The same for the vehicle's balance; changes of du/dt, shape (n, columns)."""
     columns = changes.shape[1]

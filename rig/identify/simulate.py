@@ -20,14 +20,14 @@ from rollerrig.rig.identify import candidates, columns, replay
 from rollerrig.rig.identify.candidates import Explanation
 from rollerrig.rig.identify.dataset import AXLES, Dataset, Run
 from rollerrig.rig.identify.preparation import Design
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel_with_memory
 
 SUBSTEPS = 5
 FEEDBACK_NS, FEEDBACK_LAG_S = 2000.0, 0.4
 _GRID_M = 0.25
 
 
-@kernel
+@kernel_with_memory
 def drive(torque, sliding, load, friction_log, surface, field, place, parameters, mass, extra_N,
           resistance, speed0, step_s, follows, out_speed, out_wheel, out_torque):
     """One stop [Q1]: inputs (n, 4), writes speed (n,), wheel speed and torque (n, 4)."""

@@ -7,7 +7,7 @@ models, for tests and for hunting.
 import numpy as np
 
 from rollerrig.rig.contact.adhesion import Law
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel_with_memory
 from rollerrig.rig.multibody import memory, motion
 from rollerrig.rig.multibody.coach import Coach
 from rollerrig.rig.multibody.memory import Motion
@@ -22,7 +22,7 @@ def rolling(coach: Coach, speed_m_s: float) -> Motion:
     return state
 
 
-@kernel
+@kernel_with_memory
 def _steps(state, coach, count, step_s, rest, brake_Nm, acts_Nm, resistance_A_N, resistance_C_N_s2_m2,
            mu_cd, mu_cr, law, cleaning_creepage, end_m_s):
     for i in range(count):

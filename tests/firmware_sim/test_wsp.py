@@ -15,7 +15,7 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim import wsp, wsp_phases
 from rollerrig.firmware_sim.wsp_phases import Event, Phase, Sliding, Trend
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, kernel_with_memory
 
 RADIUS_M, INERTIA_KGM2, LOAD_N, MASS_KG = 0.445, 160.0, 105.4e3, 43e3
 TORQUE_NM, DEAD_CYCLES, STEPS = 7300.0, 4, 10
@@ -62,7 +62,7 @@ def brake_coach(magnets, x, demand, mu, tau):
         x[1] += x[0] * DT_S
 
 
-@kernel
+@kernel_with_memory
 def run_stop(unit, mu, tau, log, protected):
     """Brake from 42 m/s under friction `mu` (one a cycle) until 0.1 m/s; returns rows of `log`."""
     x = np.zeros(10)
@@ -91,10 +91,10 @@ def run_stop(unit, mu, tau, log, protected):
     return log.shape[0]
 
 
-def stop(mu, tau=CLEANING_M_J, protected=True, cycles=14000):
+def stop(mu, tau=CLEANING_M_J, protected=True, cycles=14000, params=None):
     """The log of a stop; `mu` a number or one for each cycle."""
     log = np.zeros((cycles, COLUMNS))
-    unit = wsp.new_unit(wsp.load())
+    unit = wsp.new_unit(wsp.load() if params is None else params)
     return log[:run_stop(unit, np.broadcast_to(float(mu) if np.isscalar(mu) else mu, cycles).copy(),
                          tau, log, protected)]
 
@@ -283,3 +283,45 @@ def test_a_wrong_configuration_is_refused_by_name(tmp_path, line, told):
     with pytest.raises(ConfigError, match=told) as raised:
         wsp.load(str(path))
     assert str(path) in str(raised.value)
+
+
+@pytest.mark.parametrize("mu", [0.01, 0.02, 0.05, 0.3])
+def test_the_watch_for_stuck_sensors_changes_no_bit_of_an_ordinary_stop(mu):
+    watched, blind = stop(mu), stop(mu, params=wsp.load()._replace(stuck_s=60.0))
+    assert np.array_equal(watched, blind)
+
+
+def with_sensor_stuck_after(second, params=None):
+    """Counts of an ordinary stop, axle 2 stuck from then on, and the references told."""
+    raw = stop(0.03)[:, SPEED_RAW:SPEED_RAW + 4].astype(np.int64)
+    at = round(second / CYCLE_S)
+    raw[at:, 1] = raw[at, 1]
+    unit = wsp.new_unit(wsp.load() if params is None else params)
+    told = [wsp.cycle(unit, row)[1] * 0.01 for row in raw]
+    return at, np.array(told), wsp.stuck(unit)
+
+
+def test_a_stuck_sensor_does_not_hold_the_reference_up():
+    at, told, stuck = with_sensor_stuck_after(3.0)
+    speed = stop(0.03)[:, V]
+    later = slice(at + 400, None)
+    assert stuck == 0b0010
+    assert np.abs(told - speed)[later].max() < 3.0
+    _, blind, _ = with_sensor_stuck_after(3.0, wsp.load()._replace(stuck_s=60.0))
+    assert np.abs(blind - speed)[later].max() > 10.0
+
+
+def test_a_sensor_that_goes_on_is_trusted_again():
+    unit = wsp.new_unit(wsp.load())
+    for cycle in range(200):
+        row = np.array([8000 - 3 * cycle] * 4)
+        row[2] = 7970 if 10 <= cycle < 150 else row[2]
+        wsp.cycle(unit, row)
+        assert wsp.stuck(unit) == (0b0100 if 60 <= cycle < 150 else 0), cycle
+
+
+def test_a_locked_wheel_is_not_taken_for_a_stuck_sensor():
+    unit = wsp.new_unit(wsp.load())
+    for cycle in range(200):
+        wsp.cycle(unit, np.array([8000 - 3 * cycle, 0, 8000 - 3 * cycle, 8000 - 3 * cycle]))
+    assert wsp.stuck(unit) == 0

@@ -1,6 +1,8 @@
 """Campaigns: the same result however the runs are spread, whatever is killed on the way."""
 
+import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -101,6 +103,62 @@ def test_a_result_folder_of_another_plan_is_refused(plan_file, tmp_path):
 def test_a_bad_plan_is_refused_before_the_first_run(plan_file, design, vary, says):
     with pytest.raises(ConfigError, match=says):
         campaign.load(plan_file(design, vary))
+
+
+def dying_unit():
+    """A unit whose process dies the first time that it is asked, and holds the brakes ever after."""
+    dead = Path(os.environ["ROLLERRIG_TEST_DEAD"])
+
+    def unit(_inputs) -> int:
+        if not dead.exists():
+            dead.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 0
+
+    return unit
+
+
+def test_a_worker_that_dies_costs_no_run(plan_file, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROLLERRIG_TEST_DEAD", str(tmp_path / "dead"))
+    plan = campaign.load(plan_file(), unit=f"{__name__}:dying_unit", design="matrix")
+    out = tmp_path / "out"
+    for chunk, rows in campaign.spread_local(plan, campaign.open_result(plan, out), 2):
+        campaign.write_chunk(out, chunk, rows)
+    assert (tmp_path / "dead").exists()
+    assert content(out)["run"] == list(range(12))
+    assert all(content(out)["stopped"])
+
+
+def test_a_campaign_that_is_killed_goes_on_where_it_was(plan_file, tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "rollerrig.realtime.cli", "campaign", plan_file(), "--workers",
+               "1", "--out", str(out)]
+    first = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
+    until = time.monotonic() + 120.0
+    while len(list((out / "results").glob("*.parquet"))) < 2 and time.monotonic() < until:
+        time.sleep(0.02)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    done = {path: path.stat().st_mtime_ns for path in (out / "results").glob("*.parquet")}
+    assert len(done) >= 2
+    again = subprocess.run([*command, "--json"], capture_output=True, text=True)
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["runs"] == 12
+    assert all(path.stat().st_mtime_ns == then for path, then in done.items())
+
+
+def test_a_full_disk_ends_a_campaign_with_status_2_and_keeps_what_is_done(plan_file, tmp_path):
+    plan, out = campaign.load(plan_file()), tmp_path / "out"
+    todo = campaign.open_result(plan, out)
+    run_serially(plan, out, todo[:2])
+    kept = {path: path.read_bytes() for path in (out / "results").iterdir()}
+    full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))  # noqa: E731
+    done = subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", "campaign", plan_file(),
+                           "--workers", "1", "--out", str(out)], capture_output=True, text=True,
+                          preexec_fn=full)
+    assert done.returncode == 2
+    assert "make room" in done.stderr
+    assert {path: path.read_bytes() for path in (out / "results").iterdir()} == kept
 
 
 def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(plan_file, tmp_path):

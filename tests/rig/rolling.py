@@ -4,7 +4,7 @@ import numpy as np
 
 from rollerrig.firmware_sim import rig_control
 from rollerrig.rig import params, plant
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel_with_memory
 from rollerrig.rig.state import SLOTS
 
 FILL, HOLD, VENT = 0, 1, 3
@@ -16,7 +16,7 @@ TRACK = {"mode": "track"}
 NO_RESISTANCE = {"resistance_A_N": 0.0, "resistance_B_N_s_m": 0.0, "resistance_C_N_s2_m2": 0.0}
 
 
-@kernel
+@kernel_with_memory
 def _roll(state, buffer, delay, magnets, demand_Pa, first_tick, controlled, params, log):
     for i in range(log.shape[0]):
         if controlled:

@@ -82,6 +82,12 @@ def test_a_margin_is_the_room_to_the_limit_in_its_own_measure():
     assert judged(limit("longest_lock", high=0.4)).margin == pytest.approx(-0.25)
 
 
+def test_a_limit_of_nothing_has_no_margin_and_is_judged_all_the_same():
+    one = judged(limit("longest_lock", high=0.0))
+    assert one.result is Result.FAIL
+    assert np.isnan(one.margin)
+
+
 def test_a_limit_itself_passes():
     assert judged(limit("longest_lock", high=stop.LOCK_S)).result is Result.PASS
 

@@ -1,0 +1,76 @@
+"""Stops that run four at a time against the same stops alone."""
+
+import numpy as np
+import pytest
+
+from rollerrig.firmware_sim import wsp
+from rollerrig.realtime import batch, convoy, scenario
+from rollerrig.rig import state
+from rollerrig.wsp_interface import signals
+
+SHORT = ("initial_speed_m_s=8.0",)
+CASES = {
+    "soap": ("velim_a1", SHORT),
+    "soap, very low": ("velim_a1", (*SHORT, "adhesion.mu_cd=0.02")),
+    "dry": ("dry_stop", SHORT),
+    "plain track": ("velim_a1", (*SHORT, "rig=plain_track")),
+    "friction by place": ("step_adhesion", SHORT),
+    "pole wheels": ("velim_a1", (*SHORT, "sensor.model=\"pole_wheel\"")),
+    "other vehicle": ("velim_a1", (*SHORT, "vehicle.mass_kg=30000.0")),
+}
+# what is a small difference of large numbers
+LOOSE = {"tracking_error_1_m_s", "tracking_error_2_m_s", "tracking_error_3_m_s", "tracking_error_4_m_s"}
+
+
+@pytest.fixture(scope="module")
+def plans():
+    return {name: scenario.load(stem, settings=settings) for name, (stem, settings) in CASES.items()}
+
+
+@pytest.fixture(scope="module")
+def abreast(plans):
+    return {tag: channels for tag, _, channels in batch.together(plans.items())}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_stop_among_others_is_the_stop_alone(case, plans, abreast):
+    alone, among = batch.simulate(plans[case]), abreast[case]
+    for name in signals.COLUMNS:
+        if name not in LOOSE:
+            np.testing.assert_allclose(among[name], alone[name], rtol=1e-6, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_figures_of_a_stop_among_others_are_those_of_the_stop_alone(case, plans, abreast):
+    alone = batch.summarize(plans[case], batch.simulate(plans[case]), "reference")
+    among = batch.summarize(plans[case], abreast[case], "reference")
+    for key in ("stop_distance_m", "stop_time_s", "air_consumption_NL"):
+        assert among[key] == pytest.approx(alone[key], rel=1e-7)
+    assert among["wsp"]["vents"] == alone["wsp"]["vents"]
+
+
+def test_who_runs_beside_a_stop_changes_no_bit_of_it(plans, abreast):
+    [(_, _, alone)] = batch.together([("soap", plans["soap"])])
+    for name in signals.COLUMNS:
+        assert np.array_equal(alone[name], abreast["soap"][name], equal_nan=True), name
+
+
+def test_without_a_unit_no_magnet_is_energised(plans):
+    [(_, _, channels)] = batch.together([("soap", plans["soap"])], "none")
+    assert max(channels[f"magnets_{axle}"].max() for axle in (1, 2, 3, 4)) == 0.0
+
+
+@pytest.mark.parametrize("setting", ["rig=virtual_track", "contact.model=\"polach\"",
+                                     "mechanisms.brake_gain_gain=0.1"])
+def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
+    plan = scenario.load("velim_a1", settings=("initial_speed_m_s=2.0", setting))
+    assert not convoy.fits(plan)
+    [(_, _, among)] = batch.together([(0, plan)])
+    alone = batch.simulate(plan)
+    assert all(np.array_equal(among[name], alone[name], equal_nan=True) for name in signals.COLUMNS)
+
+
+def test_compiled_views_of_a_unit_are_the_views():
+    unit = np.arange(float(wsp.SIZE))
+    assert all(np.array_equal(here, there)
+               for here, there in zip(convoy.see_unit.py_func(unit), wsp.views(unit), strict=True))

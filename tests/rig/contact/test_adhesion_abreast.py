@@ -1,0 +1,83 @@
+"""The law for several wheels at once against the law itself."""
+
+import numpy as np
+import pytest
+
+from rollerrig.rig.contact import adhesion
+from rollerrig.rig.contact import adhesion_abreast as fast
+from rollerrig.rig.kernel import kernel
+
+PATCH = adhesion.patch_for(0.445, 1.0, 0.3, 2.1e11, 8.0e10, 0.3)
+
+
+@kernel
+def exponential(x):
+    return fast.exponential(x)
+
+
+@kernel
+def arc_tangent(x):
+    return fast.arc_tangent(x)
+
+
+@kernel
+def inverse_cube_root(u):
+    return fast.inverse_cube_root(u)
+
+
+@kernel
+def adhesion_of(sliding, speed, load, patch, law):
+    at = fast.eps_mu(sliding, speed, load, patch.eps1)
+    f_d = fast.curve(sliding, at, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
+    f_r = fast.curve(sliding, at, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
+    creepage = sliding / max(abs(speed), adhesion.SPEED_FLOOR_M_S)
+    return fast.recovered(f_d, f_r, law.tau_m_J * load * creepage)
+
+
+def laws():
+    for mu_cd in (0.01, 0.03, 0.06, 0.12, 0.25):
+        for tau_m_J in (0.0, 1e-6, 1.9e-4, 5e-3):
+            yield adhesion.Law(mu_cd, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, tau_m_J)
+
+
+def contacts():
+    rng = np.random.default_rng(5)
+    for _ in range(400):
+        speed = 10.0 ** rng.uniform(-1.0, 2.0)
+        yield speed * 10.0 ** rng.uniform(-7.0, 0.0), speed, 10.0 ** rng.uniform(4.2, 5.2)
+
+
+@pytest.mark.parametrize("law", list(laws()))
+def test_within_its_domain_the_fast_law_is_the_law(law):
+    inside = 0
+    for sliding, speed, load in contacts():
+        f, trusted = adhesion_of(sliding, speed, load, PATCH, law)
+        if trusted:
+            inside += 1
+            assert f == pytest.approx(adhesion.degraded(sliding, speed, load, PATCH, law)[0], rel=2e-12)
+    assert inside > 300
+
+
+def test_a_contaminant_that_sliding_makes_worse_is_outside_the_domain():
+    law = adhesion.Law(0.28, 0.06, 0.4, 0.4, 0.2, 0.2, 1.0, 0.4, 0.3, 0.1, 1.9e-4)
+    assert adhesion_of(1.0, 30.0, 5e4, PATCH, law)[1] == 0.0
+
+
+def test_nonsense_is_outside_the_domain():
+    law = next(laws())
+    assert adhesion_of(np.nan, 30.0, 5e4, PATCH, law)[1] == 0.0
+
+
+@pytest.mark.parametrize(("ours", "theirs", "x"), [
+    (exponential, np.exp, np.concatenate([-np.logspace(-9, 2.8, 3000), np.linspace(-3.0, 3.0, 3001)])),
+    (arc_tangent, np.arctan, np.logspace(-12, 12, 4000)),
+])
+def test_the_functions_agree_with_the_library_to_the_last_digits(ours, theirs, x):
+    found = np.array([ours(float(one)) for one in x])
+    assert np.abs(found / theirs(x) - 1.0).max() < 5e-16
+
+
+def test_the_cube_root_holds_over_its_range():
+    u = np.linspace(fast.LIGHTER, fast.HEAVIER, 3000)
+    found = np.array([inverse_cube_root(float(one)) for one in u])
+    assert np.abs(found * np.cbrt(u) - 1.0).max() < 1e-14
