@@ -61,7 +61,8 @@ def _from_python(kind, state, c):
 class _Fields(templates.AttributeTemplate):
     key = Address
 
-    def generic_resolve(self, kind: Address, field: str) -> Any:
+    # numba declares it as a value, NotImplemented
+    def generic_resolve(self, kind: Address, field: str) -> Any:  # type: ignore[override]
         if field not in kind.places:
             return None
         return _VIEW if kind.places[field] else types.none
