@@ -19,16 +19,17 @@ from numba.core import config as _config
 # numba fills this module with its settings when it loads it
 settings: Any = _config
 _ROOMS = ("rig", "firmware_sim", "realtime", "wsp_interface")
+_SEEN_BY_KERNELS = ("signals.py", "state_type.py")
 _KEPT = 24
 
 
 def _fingerprint(root: Path) -> str:
-    """A hash of every source with kernels, of their structures in rig, and of the table of signals."""
+    """A hash of all that compiled code depends on: kernels, their structures in rig, and two tables."""
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(path for room in _ROOMS for path in (root / room).rglob("*.py")):
         source = path.read_bytes()
         structures = b"NamedTuple" in source and root / "rig" in path.parents
-        if b"@kernel" in source or structures or path.name == "signals.py":
+        if b"@kernel" in source or structures or path.name in _SEEN_BY_KERNELS:
             digest.update(path.name.encode() + source)
     return digest.hexdigest()[:16]
 

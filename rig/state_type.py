@@ -62,6 +62,7 @@ def _from_python(kind, state, c):
 class _Fields(templates.AttributeTemplate):
     key = Address
 
+    # numba declares it as a value, NotImplemented
     def generic_resolve(self, kind: Address, field: str) -> Any:  # type: ignore[override]
         if field not in kind.places:
             return None

@@ -5,7 +5,6 @@ import pytest
 
 from rollerrig.firmware_sim import wsp
 from rollerrig.realtime import batch, convoy, scenario
-from rollerrig.rig import state
 from rollerrig.wsp_interface import signals
 
 SHORT = ("initial_speed_m_s=8.0",)
