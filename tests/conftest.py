@@ -1,7 +1,7 @@
 """The table of conformance: which behaviour of a standard is held by which test, and how it went.
 
 A test says so with `@pytest.mark.conformance("CiA 301", "SDO block download")`, more than once if it
-holds more than one; `pytest --conformance docs/conformance.md` writes the table of that run.
+holds more than one; `pytest --conformance=docs/conformance.md` writes the table of that run.
 """
 
 from collections import defaultdict
@@ -53,7 +53,7 @@ def pytest_sessionfinish(session):
 def table(rows, results):
     """The table as Markdown; `rows` tests by (standard, behaviour), `results` outcomes by test."""
     lines = ["# Conformance", "", "Written by a run of the tests: `.venv/bin/python -m pytest -m conformance "
-             "--conformance docs/conformance.md`. Each behaviour is held by the tests beside it.", ""]
+             "--conformance=docs/conformance.md`. Each behaviour is held by the tests beside it.", ""]
     for standard in STANDARDS:
         mine = [(behaviour, tests) for (one, behaviour), tests in rows.items() if one == standard]
         if not mine:
