@@ -8,8 +8,9 @@ surface under each wheelset.
 
     [G1] C = c (p - p_spring), not below 0; of a locked wheel what acts, as the rig's load cell has it
     [G2] N_j = N_static + d (+-body / 2 +- bogie), d the deceleration behind the lag of the pitch
+    [G3] mean from t - d - T to t - d, T the window, d a tick and the time of half a tooth
 
-A pole wheel tells the mean of its window, so all other channels are averaged over it too; samples
+A pole wheel tells the mean of a window past, so all other channels are averaged over it too; samples
 closer than the dataset's are filtered without phase and thinned (scipy.signal.resample_poly).
 """
 
@@ -18,6 +19,7 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter, resample_poly
 
 from rollerrig.configs.errors import ConfigError
@@ -65,13 +67,17 @@ def of_run(run: records.Run, slowest_m_s: float) -> Told:
     surface = None
     if plan["rig"]["mode"] == "contaminated_rollers":
         surface = plan["contact"]["roller_radius_m"] * each("roller_speed", "rad_s")
+    wheel_rad_s = each("measured_speed", "rad_s")
+    if plan["rig"]["mode"] == params.VIRTUAL_TRACK:
+        # the track is the virtual wheels'; what the motors miss of their turning is told beside it
+        wheel_rad_s = wheel_rad_s - each("tracking_error", "m_s") / plan["vehicle"]["wheel_radius_m"]
     model = base(plan, str(run.folder / records.SCENARIO))
     told = Told(run.folder.name, plan["vehicle"]["mass_kg"], time_s, one("vehicle_speed_m_s"),
-                one("position_m"), each("measured_speed", "rad_s"), _load(model.vehicle, run, end),
+                one("position_m"), wheel_rad_s, _load(model.vehicle, run, end),
                 _torque(model.brake, each("cylinder_pressure", "Pa"), each("brake_torque", "Nm"),
                         each("wheel_speed", "rad_s")), surface)
     if plan["sensor"]["model"] == "pole_wheel":
-        told = _averaged(told, plan["sensor"]["window_s"])
+        told = _averaged(told, plan)
     return _thinned(told, run)
 
 
@@ -127,26 +133,32 @@ def _load(vehicle: params.Vehicle, run: records.Run, end: int) -> np.ndarray:
     return np.maximum(vehicle.static_load_N - felt[:, None] * (body + bogie), 0.0)
 
 
-def _averaged(told: Told, window_s: float) -> Told:
-    """All channels but the wheel speeds as their mean over the window before each sample."""
-    step_s = float(np.median(np.diff(told.time_s)))
+def _averaged(told: Told, plan: Mapping[str, Any]) -> Told:
+    """All channels but the wheel speeds as their mean over what a pole wheel has measured [G3]."""
+    time_s, window_s = told.time_s, plan["sensor"]["window_s"]
+    pitch_rad = 2.0 * np.pi / plan["sensor"]["teeth"]
+    late_s = 1.0 / plan["loop"]["tick_hz"] + 0.5 * pitch_rad / np.maximum(told.wheel_speed_rad_s, 1.0)
 
-    def mean(values: np.ndarray) -> np.ndarray:
-        sums = np.zeros_like(values)
-        sums[1:] = np.cumsum(0.5 * step_s * (values[1:] + values[:-1]), axis=0)
-        index = np.arange(len(values), dtype=float)
-        flat = sums.reshape(len(values), -1)
-        before = np.column_stack([np.interp(index - window_s / step_s, index, column)
-                                  for column in flat.T]).reshape(values.shape)
-        out = (sums - before) / window_s
-        early = index * step_s < window_s
+    def mean(values: np.ndarray, late_s: np.ndarray) -> np.ndarray:
+        way = CubicSpline(time_s, values).antiderivative()
+        out = (way(time_s - late_s) - way(time_s - late_s - window_s)) / window_s
+        early = time_s - time_s[0] < window_s + late_s
         out[early] = values[early]
         return out
 
-    return told._replace(
-        speed_m_s=mean(told.speed_m_s), position_m=mean(told.position_m), load_N=mean(told.load_N),
-        torque_Nm=mean(told.torque_Nm),
-        surface_m_s=None if told.surface_m_s is None else mean(told.surface_m_s))
+    def each(values: np.ndarray) -> np.ndarray:
+        return np.column_stack([mean(values[:, j], late_s[:, j]) for j in range(AXLES)])
+
+    common = late_s.mean(axis=1)
+    found = told._replace(
+        speed_m_s=mean(told.speed_m_s, common), position_m=mean(told.position_m, common),
+        load_N=each(told.load_N), torque_Nm=each(told.torque_Nm),
+        surface_m_s=None if told.surface_m_s is None else each(told.surface_m_s))
+    # the reading is new once in a window and is held in between
+    every = max(round(window_s / float(np.median(np.diff(time_s)))), 1)
+    kept: dict[str, Any] = {name: values[::every] for name, values in found._asdict().items()
+                            if isinstance(values, np.ndarray)}
+    return found._replace(**kept)
 
 
 def _thinned(told: Told, run: records.Run) -> Told:

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]
     from rich.progress import Progress
 
     from rollerrig.realtime import study_view
-    from rollerrig.rig.identify import explain, extension, planning, report
+    from rollerrig.rig.identify import explain, extension, report
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, Any] = {}
@@ -93,16 +94,32 @@ def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]
             bar.update(tasks[title], completed=share)
 
         account = explain.braking_runs(data, given.seed, progress)
-    told = report.as_json(account)
-    for cause in told["causes"]:
-        if cause["separating_test"]:
-            (out / "separating_test.toml").write_text(cause["separating_test"], encoding="utf-8")
-    names = {n.cause.name for n in account.causes} | {
-        other for n in account.causes for other in n.confusable}
-    for k, stop in enumerate(planning.stops(names, given.more), start=1):
-        (out / f"next_{k}.toml").write_text(planning.scenario(stop), encoding="utf-8")
-    lines = report.story(account)
-    lines += [f"Next {k}: {stop.reason}: rollerrig run {out / f'next_{k}.toml'}"
-              for k, stop in enumerate(planning.stops(names, given.more), start=1)]
+        told = report.as_json(account)
+        lines = report.story(account) + _further(account, told, out, given.more, progress)
     study_view.explained(out / "report.rrd", report.courses(account))
     return told, lines, report.page(account, told), extension.toml(account)
+
+
+def _further(account: Any, told: dict[str, Any], out: Path, count: int,
+             progress: Callable[[str, float], None]) -> list[str]:
+    """Write the separating tests of causes and the proposed stops as sequences; names them in `told`."""
+    from rollerrig.rig.identify import planning
+
+    unclear = [k for k, named in enumerate(account.causes) if named.confusable]
+    if not (unclear or count):
+        return []
+    on = planning.ground(account)
+    lib = planning.library(on, planning.surviving(account), progress)
+    for k in unclear:
+        named = account.causes[k]
+        for test in planning.propose(lib, 1, (named.finding.name, *named.confusable)):
+            file = out / ("separating_test.toml" if k == 0 else f"separating_test_{k + 1}.toml")
+            file.write_text(planning.sequence(test, on), encoding="utf-8")
+            told["causes"][k]["separating_test"] = file.name
+    proposed = planning.propose(lib, count)
+    files = [out / f"next_{k}.toml" for k in range(1, len(proposed) + 1)]
+    for file, test in zip(files, proposed, strict=True):
+        file.write_text(planning.sequence(test, on), encoding="utf-8")
+    told["next"] = planning.as_json(proposed, [file.name for file in files])
+    return [f"Next: {test.stop.title}; {test.reason}: rollerrig sequence {file}"
+            for file, test in zip(files, proposed, strict=True)]

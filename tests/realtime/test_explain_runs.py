@@ -99,6 +99,34 @@ def test_thinned_samples_have_no_frequencies_folded_down(stop: Path, tmp_path: P
     assert np.abs(rippled - clean)[inside].max() < 0.01
 
 
+@pytest.mark.parametrize("record_hz", [100, 1000])
+def test_what_a_pole_wheel_tells_late_is_told_as_late_of_all_channels(tmp_path: Path, record_hz: int) -> None:
+    bench = BenchProcess(tmp_path / "stop", "--pacing", "free", "--set", "initial_speed_m_s=12", "--set",
+                         f"loop.record_hz={record_hz}", "--set", "sensor.model=pole_wheel")
+    assert bench.finish().status == 0, bench.stderr
+    run = bench.record
+    # a vehicle that moves exactly as wheel 1 turns must be told in step with it
+    at = run.table.column_names.index("vehicle_speed_m_s")
+    table = run.table.set_column(at, "vehicle_speed_m_s", [run.column("wheel_speed_1_rad_s")])
+    told = run_sensors.of_run(run._replace(table=table), 6.0)
+    off = (told.wheel_speed_rad_s[:, 0] - told.speed_m_s)[20:-20]
+    rate = np.gradient(told.speed_m_s, run_sensors.SAMPLE_TIME_S)[20:-20]
+    assert off.std() < run_sensors.NOISE["wheel_speed_rad_s"]
+    assert abs(np.dot(off, rate) / np.dot(rate, rate)) < 5e-4
+
+
+def test_on_a_virtual_track_the_wheels_are_those_of_the_track(tmp_path: Path) -> None:
+    bench = BenchProcess(tmp_path / "stop", "--pacing", "free", "--set", "initial_speed_m_s=12", "--set",
+                         "rig=virtual_track")
+    assert bench.finish().status == 0, bench.stderr
+    told = run_sensors.of_run(bench.record, 4.0)
+    n = len(told.time_s)
+    assert told.surface_m_s is None
+    for j in range(4):
+        sliding = told.speed_m_s - 0.445 * told.wheel_speed_rad_s[:, j]
+        np.testing.assert_allclose(sliding, bench.record.column(f"sliding_{j + 1}_m_s")[:n], atol=1e-9)
+
+
 def test_a_coarse_recording_is_refused(stop: Path, tmp_path: Path) -> None:
     run = records.load(rerecorded(stop, tmp_path / "run", 100))
     with pytest.raises(ConfigError, match="record_hz"):

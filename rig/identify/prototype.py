@@ -1,0 +1,147 @@
+"""A stop that has not been run: its rough course for the simulator, and the file that runs it.
+
+The rough course has the wheels slide as a WSP lets them, swinging about a share of the speed; where
+the brake is weaker than the adhesion there, the wheel creeps as much as its torque needs. Torque is
+what these courses take [K1]; the simulator then gives both their own dynamics.
+
+    [K1] C = r N f(s) - J domega/dt, not above what the brake gives at its pressure
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.rig import params
+from rollerrig.rig.identify import replay
+from rollerrig.rig.identify.candidates import Explanation
+from rollerrig.rig.identify.dataset import AXLES, Dataset, Run
+
+GRAVITY_M_S2 = 9.80665
+LONGEST_S, SLOWEST_M_S, RELEASED_S, FILL_S = 45.0, 4.0, 1.0, 1.3
+# sliding that a WSP lets wheels have: share of the speed, and how it swings
+SHARE, LEAST_M_S, SWING, PERIOD_S = 0.07, 0.4, 0.5, 1.6
+
+
+class Stop(NamedTuple):
+    """Where a stop begins, how it brakes, and on which wheelset (0: on all)."""
+
+    initial_speed_m_s: float
+    pressure_Pa: float
+    mass_kg: float
+    axle: int
+
+    @property
+    def last_speed_m_s(self) -> float:
+        """Where it ends; half its speed where one wheelset brakes alone, which would take for ever."""
+        return 0.5 * self.initial_speed_m_s if self.axle else SLOWEST_M_S
+
+    @property
+    def title(self) -> str:
+        """In words."""
+        where = f"on wheelset {self.axle} only" if self.axle else "on all wheelsets"
+        return (f"{self.pressure_Pa / 1e5:g} bar {where} from {self.initial_speed_m_s:g} m/s with "
+                f"{self.mass_kg / 1e3:.3g} t")
+
+
+def level(told: Explanation) -> float:
+    """Logarithm of the contaminant's level over the base model's, mean of the fitted runs."""
+    return float(np.mean([v for label, v in told.base.items() if label.startswith("ln_mu_cd")] or [0.0]))
+
+
+def run(data: Dataset, parameters: np.ndarray, stop: Stop, told: Explanation) -> Run:
+    """The rough course of a stop under a fitted explanation, without noise.
+
+    `parameters` (PARAMETERS,) are the replay's of the base model.
+    """
+    step_s = data.sample_time_s
+    vehicle = data.sections["vehicle"]
+    radius, inertia = vehicle["wheel_radius_m"], vehicle["wheelset_inertia_kgm2"]
+    p = parameters.copy()
+    p[replay.TAU] *= math.exp(told.base.get("ln_tau", 0.0))
+    p[replay.MU_CD] *= math.exp(level(told))
+    most_Nm = torque_at(data.sections, stop.pressure_Pa)
+    braked = np.array([stop.axle in (0, j + 1) for j in range(AXLES)])
+    n = int(LONGEST_S / step_s)
+    speed, sliding, force = np.empty(n), np.zeros((n, AXLES)), np.zeros((n, AXLES))
+    load_N = stop.mass_kg * GRAVITY_M_S2 / AXLES
+    v, every = stop.initial_speed_m_s, max(int(0.05 / step_s), 1)
+    for k in range(n):
+        time_s = k * step_s
+        if k % every == 0:
+            demand = most_Nm * -math.expm1(-max(time_s - RELEASED_S, 0.0) / FILL_S)
+            for j in np.flatnonzero(braked):
+                sliding[k:k + every, j], force[k:k + every, j] = _creeping(
+                    v, demand, load_N, radius, p, time_s + 0.3 * j)
+        speed[k] = v
+        coast = (vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * v
+                 + vehicle["resistance_C_N_s2_m2"] * v * v)
+        v -= step_s * (float(force[k].sum()) + coast) / stop.mass_kg
+        if v < stop.last_speed_m_s:
+            n = k + 1
+            break
+    speed, sliding, force = speed[:n], _smooth(sliding[:n], step_s), _smooth(force[:n], step_s)
+    wheel = (speed[:, None] - sliding) / radius
+    torque = np.maximum(radius * force - inertia * np.gradient(wheel, step_s, axis=0), 0.0) * braked
+    on_rollers = math.isfinite(data.sections["contact"]["roller_radius_m"])
+    return Run("planned", "tune", stop.mass_kg, None, step_s * np.arange(n), speed, wheel,
+               np.full((n, AXLES), load_N), torque, None,
+               np.repeat(speed[:, None], AXLES, axis=1) if on_rollers else None)
+
+
+def _creeping(speed: float, demand_Nm: float, load_N: float, radius: float, p: np.ndarray,
+              time_s: float) -> tuple[float, float]:
+    """(sliding in m/s, force in N) of a braked wheel: as the WSP lets it, or as its torque needs."""
+    wanted_N = demand_Nm / radius
+
+    def force(s: float) -> float:
+        return load_N * float(replay.wheel_adhesion(s, speed, 0.5 * load_N, 0.0, p, 0.0, 1.0)[0])
+
+    high = (SHARE * speed + LEAST_M_S) * (1.0 + SWING * math.sin(2.0 * math.pi * time_s / PERIOD_S))
+    if wanted_N >= force(high):
+        return high, force(high)
+    low = 0.0
+    for _ in range(14):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if force(middle) < wanted_N else (low, middle)
+    return 0.5 * (low + high), wanted_N
+
+
+def _smooth(values: np.ndarray, step_s: float) -> np.ndarray:
+    from scipy.ndimage import gaussian_filter1d
+
+    return gaussian_filter1d(values, 0.08 / step_s, axis=0, mode="nearest")
+
+
+def torque_at(sections: dict[str, dict[str, Any]], pressure_Pa: float) -> float:
+    """Brake torque in N m of a wheelset at a cylinder pressure, by the brake of some sections."""
+    nothing = params.Friction(*(np.zeros(0) for _ in params.Friction._fields))
+    brake = params.build(sections, nothing, params.Demand(np.zeros(0), np.zeros(0)), 1e-3, 10).brake
+    return max(brake.torque_Nm_Pa * (pressure_Pa - brake.spring_pressure_Pa), 0.0)
+
+
+def sequence(stop: Stop, reason: str, data: Dataset, told: Explanation) -> str:
+    """The stop as a sequence: TOML that `rollerrig sequence` runs, on the fitted base model."""
+    import tomli_w
+
+    sections = data.sections
+    law = dict(sections["adhesion"])
+    law["mu_cd"] = float(law["mu_cd"] * math.exp(level(told)))
+    law["tau_m_J"] = float(law["tau_m_J"] * math.exp(told.base.get("ln_tau", 0.0)))
+    rolled = math.isfinite(sections["contact"]["roller_radius_m"])
+    brake: dict[str, Any] = {"title": stop.title, "at": f"{RELEASED_S:g} s",
+                             "set": {"brake_demand": f"{stop.pressure_Pa / 1e5:g} bar"},
+                             "until": f"vehicle_speed < {stop.last_speed_m_s:g} m/s", "timeout": "280 s"}
+    if stop.axle:
+        # the dump valves of the others stay open: sliding at a speed that hardly falls
+        brake["fault"] = [f"vent_magnet_stuck axle={j}" for j in range(1, AXLES + 1) if j != stop.axle]
+    return tomli_w.dumps({
+        "title": f"Proposed by explain: {stop.title}", "criteria": "none",
+        "notes": reason,
+        "start": {"speed": f"{stop.initial_speed_m_s:g} m/s", "mass": f"{stop.mass_kg:.6g} kg",
+                  "adhesion": "soap",
+                  "tables": {"adhesion": law, "contact": dict(sections["contact"]),
+                             "vehicle": dict(sections["vehicle"]), "brake": dict(sections["brake"]),
+                             "rig": {"mode": "contaminated_rollers" if rolled else "track"},
+                             "loop": {"record_hz": round(1.0 / data.sample_time_s)}}},
+        "step": [brake]})

@@ -1,0 +1,107 @@
+"""Proposed stops part what the data cannot, and the bench runs them."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from rollerrig.realtime import cli, records
+from rollerrig.rig.identify import candidates, dataset, planning, preparation, tuning
+from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.planning import Ground, Library, Table
+
+
+def finding(name: str, size: float, axle: int = 0) -> Finding:
+    return Finding(name, axle, {}, (size,), (0.0,), (abs(size) / 5.0,), 25.0, 1e-6, 1.0, 1.0)
+
+
+def silent(title: str, share: float) -> None:
+    """No progress."""
+
+
+@pytest.fixture(scope="module")
+def on() -> Ground:
+    """One stop of the shipped set with its fitted base."""
+    data = dataset.load("open_none")
+    design = preparation.prepare(data, data.group("tune")[:1])
+    return Ground(data, design, tuning.fit(design, candidates.start(design), 3, False)[0])
+
+
+@pytest.fixture(scope="module")
+def speed_or_time(on: Ground) -> Library:
+    chosen = [finding("speed_dependent_friction", 0.004), finding("friction_trend", 0.01)]
+    return planning.library(on, chosen, silent)
+
+
+NAMES = ("speed_dependent_friction", "friction_trend")
+
+
+def test_stops_hardly_part_speed_from_time_and_sliding_at_a_steady_speed_does(
+        speed_or_time: Library) -> None:
+    worth = {stop: planning.separation([speed_or_time.known, table], NAMES)[0]
+             for stop, table in zip(speed_or_time.stops, speed_or_time.tables, strict=True)}
+    known, _ = planning.separation([speed_or_time.known], NAMES)
+    steady = max(value for stop, value in worth.items() if stop.axle)
+    like_the_known = min(worth, key=lambda stop: abs(stop.initial_speed_m_s - 42.3) + 100 * stop.axle)
+    assert steady > 3.0 * known
+    assert steady > 2.0 * worth[like_the_known]
+
+
+def test_the_first_proposal_is_the_best_and_each_further_one_adds(speed_or_time: Library) -> None:
+    proposals = planning.propose(speed_or_time, 3)
+    best = max(planning.separation([speed_or_time.known, table], NAMES)[0] for table in speed_or_time.tables)
+    assert proposals[0].after == pytest.approx(best)
+    values = [proposals[0].before, *(p.after for p in proposals)]
+    assert np.all(np.diff(values) > 0.0)
+    assert len({p.stop for p in proposals}) == 3
+
+
+def test_a_full_brake_tells_more_of_a_weak_brake_than_a_gentle_one(on: Ground) -> None:
+    lib = planning.library(on, [finding("brake_gain", 0.04, 2)], silent)
+    size = {stop: planning.separation([table], ["brake_gain"])[0]
+            for stop, table in zip(lib.stops, lib.tables, strict=True) if not stop.axle}
+    for stop, value in size.items():
+        if stop.pressure_Pa < 2e5 and stop.initial_speed_m_s > 20.0:
+            assert value < size[stop._replace(pressure_Pa=planning.PRESSURES_PA[-1])]
+    # only the wheelset in question is worth braking alone
+    assert {stop.axle for stop in lib.stops} == {0, 2}
+
+
+def test_what_the_base_could_take_up_parts_nothing() -> None:
+    keys = ("cause a", "cause b", "base ln_tau ")
+    alike = Table(keys, np.array([[4.0, 4.0, 0.0], [4.0, 4.0, 0.0], [0.0, 0.0, 1.0]]))
+    other = Table(keys, np.array([[4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 1.0]]))
+    hidden = Table(keys, np.array([[4.0, 0.0, 2.0], [0.0, 4.0, 0.0], [2.0, 0.0, 1.0]]))
+    assert planning.separation([alike], ["a", "b"])[0] == pytest.approx(0.0, abs=1e-6)
+    assert planning.separation([alike, other], ["a", "b"])[0] == pytest.approx(8.0 * 0.75)
+    assert planning.separation([hidden], ["a", "b"])[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_without_candidates_nothing_is_proposed(on: Ground) -> None:
+    assert planning.propose(planning.library(on, [], silent), 3) == []
+
+
+def test_every_possible_stop_is_a_sequence_that_is_accepted(on: Ground, speed_or_time: Library, tmp_path,
+                                                            capsys) -> None:
+    for k, stop in enumerate(speed_or_time.stops):
+        text = planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on)
+        (tmp_path / f"next_{k}.toml").write_text(text)
+    assert cli.main(["sequence", str(tmp_path), "--check"]) == 0
+    capsys.readouterr()
+
+
+def test_the_bench_runs_sliding_at_a_steady_speed(on: Ground, speed_or_time: Library, tmp_path,
+                                                  capsys) -> None:
+    stop = next(s for s in speed_or_time.stops if s.axle)
+    file = tmp_path / "next_1.toml"
+    file.write_text(planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on))
+    assert tomllib.loads(file.read_text())["start"]["tables"]["rig"]["mode"] == "track"
+    assert cli.main(["sequence", str(file), "--out", str(tmp_path / "report")]) == 0
+    capsys.readouterr()
+    run = records.load(tmp_path / "report" / "next_1")
+    speed, time_s = run.column("vehicle_speed_m_s"), run.column("time_s")
+    assert speed[0] == pytest.approx(stop.initial_speed_m_s, abs=0.01)
+    assert (speed[0] - speed[-1]) / time_s[-1] < 0.5
+    assert np.abs(run.column(f"sliding_{stop.axle}_m_s")).mean() > 0.3
+    for other in {1, 2, 3, 4} - {stop.axle}:
+        assert np.abs(run.column(f"sliding_{other}_m_s")).mean() < 0.02
