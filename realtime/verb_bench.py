@@ -25,6 +25,7 @@ BENCHMARKS = (
     Benchmark("bus", "TPDO to valve, SYNC to last TPDO, round trips, on a running bench"),
     Benchmark("explain", "how often explain is right, on sets with known hidden effects (an hour)"),
     Benchmark("campaign", "stops a minute and core, two workers against one, memory, Dask"),
+    Benchmark("harness", "lateness and missed ticks with and without a scripted sequence"),
     Benchmark("vehicle", "45 s of four axles without deadlines, and the start of a run"),
 )
 

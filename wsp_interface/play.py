@@ -90,7 +90,22 @@ def on_running_bench(sequence: Sequence, harness: Harness, folder: Path, scenari
     except (RollerrigError, OSError) as error:
         outcome.error = str(error)
     _conclude(outcome, harness, finals, dry_m, scenario)
+    outcome.summary = heard(harness)
     return outcome
+
+
+def heard(harness: Harness) -> dict[str, Any]:
+    """What the bus tells of a bench's time: pacing, cycles, and cycles of which no row came.
+
+    Missed ticks and lateness are the bench's own; its summary.json has them, the bus does not.
+    """
+    at = COLUMNS.index("time_s")
+    times_s = np.array([row[at] for row in harness.trace])
+    steps_s = np.diff(times_s[np.isfinite(times_s)])
+    cycle_s = float(np.median(steps_s)) if steps_s.size else math.nan
+    lost = int(np.maximum(np.rint(steps_s / cycle_s) - 1, 0).sum()) if steps_s.size else 0
+    return {"pacing": "lockstep" if harness.lockstep else "wall",
+            "over_the_bus": {"cycles": len(times_s), "cycle_s": cycle_s, "cycles_lost": lost}}
 
 
 def _check_start(sequence: Sequence, harness: Harness) -> None:

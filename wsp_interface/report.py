@@ -286,6 +286,11 @@ def _configuration(outcome: Outcome) -> str:
 
 
 def _punctuality(outcome: Outcome) -> str:
+    if seen := outcome.summary.get("over_the_bus"):
+        return escape(f"a bench that ran already · pacing {outcome.summary['pacing']} · "
+                      f"{seen['cycles']} cycles of {1e3 * seen['cycle_s']:g} ms seen, {seen['cycles_lost']} "
+                      "lost · missed ticks and lateness are not told over the bus: they stand in the "
+                      "bench's own summary.json")
     loop, bus = outcome.summary.get("loop") or {}, outcome.summary.get("bus") or {}
     late = (loop.get("lateness_us") or {}).get("p99")
     told = [f"pacing {outcome.summary.get('pacing', '-')}", f"ticks {loop.get('ticks', '-')}",

@@ -4,6 +4,8 @@ import contextlib
 import os
 import resource
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -133,3 +135,24 @@ def test_a_full_disk_is_an_error_and_no_pass(tmp_path):
         resource.setrlimit(*limit)
     assert outcome.result is Result.ERROR
     assert outcome.error
+
+
+def test_a_sequence_on_a_running_bench_tells_what_the_bus_knows_of_its_time(tmp_path):
+    log = (tmp_path / "stderr").open("w+")
+    bench = subprocess.Popen(
+        [sys.executable, "-m", "rollerrig.realtime.cli", "run", "velim_a1", "--pacing", "lockstep",
+         "--harness", "--out", str(tmp_path / "run"), "--set", "initial_speed_m_s=2.78", "--set",
+         "bus.socketcand_port=0", "--set", "modbus.enabled=false"],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log, text=True)
+    try:
+        address = own_bench._address(bench, tmp_path / "stderr")
+        done = subprocess.run(
+            [sys.executable, "-m", "rollerrig.realtime.cli", "sequence", "low_speed_010", "--bus",
+             address, "--out", str(tmp_path / "report")], capture_output=True, text=True)
+    finally:
+        bench.terminate()
+        bench.wait(60.0)
+    assert done.returncode in (0, 1), done.stderr
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert "cycles of 10 ms seen, 0 lost" in page
+    assert "missed ticks and lateness are not told over the bus" in page
