@@ -18,6 +18,8 @@ from numba.core import config as _config
 
 # numba fills this module with its settings when it loads it
 settings: Any = _config
+# its published types do not know all options
+_njit: Any = numba.njit
 _ROOMS = ("rig", "firmware_sim", "realtime", "wsp_interface")
 _SEEN_BY_KERNELS = ("signals.py", "state_type.py")
 _KEPT = 24
@@ -61,13 +63,13 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy",
                             # no kernel is handed to another as a function: none needs one for C
                             "no_cfunc_wrapper": True}
-kernel = numba.njit(**_OPTIONS, _nrt=False)
+kernel = _njit(**_OPTIONS, _nrt=False)
 # for what every step calls with the whole state: its hundreds of array fields would be copied for
 # each call; the arithmetic is the same to the last bit
-kernel_inlined = numba.njit(**_OPTIONS, _nrt=False, forceinline=True)
+kernel_inlined = _njit(**_OPTIONS, _nrt=False, forceinline=True)
 
 # for batch work that makes arrays of its own; a step never calls these
-kernel_with_memory = numba.njit(**_OPTIONS)
+kernel_with_memory = _njit(**_OPTIONS)
 
 
 def seeing(structure: Any, places: Sequence[slice | None]) -> Any:
@@ -75,4 +77,4 @@ def seeing(structure: Any, places: Sequence[slice | None]) -> Any:
     fields = ", ".join("None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places)
     space: dict[str, Any] = {"structure": structure}
     exec(f"def see(buffer):\n    return structure({fields})", space)
-    return numba.njit(nogil=True, _nrt=False, forceinline=True)(space["see"])
+    return _njit(nogil=True, _nrt=False, forceinline=True)(space["see"])
