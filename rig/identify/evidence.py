@@ -146,6 +146,14 @@ def _judge(real: Scores, clean: list[Scores], variant: Variant) -> Finding:
                    tuple(nominal * np.sqrt(scale)), statistic, p_value, raw, float(np.sqrt(scale)))
 
 
+def finding_of(normal: Normal, clean: list[Scores], cause: Cause) -> Finding | None:
+    """The finding of a cause in one given shape; None for a window."""
+    for variant in normal.book.variants:
+        if (variant.cause, variant.axle, variant.shape) == (cause.name, cause.axle, cause.shape):
+            return _judge(scores(normal), clean, variant)
+    return None
+
+
 def _wrong_sign(cause: str, value: float) -> bool:
     """Whether a coefficient lies on the side of 0 where the cause does not exist."""
     row = BY_NAME.get(cause)

@@ -34,6 +34,8 @@ MOST_PROMISING, MOST_FITTED, MOST_BESIDE, MOST_CAUSES = 4, 5, 3, 2
 REMAINDER_SHARE = 0.25
 # a second cause below this share of the first is taken for the first one's shape
 SECOND_SHARE = 0.05
+# a second cause that could be taken for the first must have this share of its likelihood
+OWN_SHARE = 0.3
 # likelihood that each further coefficient of a shape must earn
 PRICE = 5.0
 EXTRA = {"sanding": 6, "contaminated_patch": 2, "wheel_out_of_round": 2, "load_transfer": 1,
@@ -84,6 +86,11 @@ class _Fitted(NamedTuple):
     blocks: np.ndarray
 
 
+class _Rival(NamedTuple):
+    finding: Finding
+    fit: _Fitted
+
+
 def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
     """The account of a set of braking runs. Raises ConfigError where nothing can be concluded."""
     from threadpoolctl import threadpool_limits
@@ -96,15 +103,16 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
         base, value, _ = tuning.fit(design, candidates.start(design))
         progress("fit of the base", 1.0)
         _check(design, base)
-        quiet = _quiet(pool, data, measured, design, base, progress)
+        quiet, promising = _quiet(pool, data, measured, design, base, progress)
         nulls = clean.sets(pool, data, measured, quiet, CLEAN_SETS, seed, (), progress)
         _enough(nulls)
-        found = evidence.findings(design, tuning.normal(design, quiet)[0], nulls)
-        told, causes = _choose(pool, data, measured, design, base, value, found, MOST_FITTED,
-                               progress)
+        scored = tuning.normal(design, quiet)[0]
+        found = evidence.findings(design, scored, nulls)
+        rivals = _fitted(pool, data, measured, base, found, MOST_FITTED, progress)
+        rivals = [_better(rival, promising, scored, nulls) for rival in rivals]
+        told, causes = _choose(design, base, value, rivals)
         remainder: list[Finding] = [f for f in found if evidence.generic(f.name)]
         if causes:
-            rivals = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)]
             told, causes, remainder = _second(pool, data, measured, design, told, causes, rivals,
                                               seed, progress)
         held_runs = data.group("validate")
@@ -128,8 +136,8 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
 
 
 def _quiet(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
-           base: Explanation, progress: clean.Progress) -> Explanation:
-    """The base with the irregularity that is left beside the most promising causes.
+           base: Explanation, progress: clean.Progress) -> tuple[Explanation, list[_Fitted]]:
+    """The base with the irregularity that is left beside the most promising causes, and their fits.
 
     A cause that the base does not have looks like a rougher rail, and would hide in it.
     """
@@ -138,9 +146,9 @@ def _quiet(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
     fits: list[_Fitted] = clean.run_all(pool, fit_one, tasks, "irregularity of the rail", progress)
     best = min(fits, key=lambda fit: fit.value, default=None)
     if best is None or best.told.sigma >= base.sigma:
-        return base
+        return base, fits
     calm = base._replace(sigma=best.told.sigma, length_m=best.told.length_m)
-    return tuning.fit(design, calm, 4, False)[0]
+    return tuning.fit(design, calm, 4, False)[0], fits
 
 
 def _check(design: Design, base: Explanation) -> None:
@@ -180,36 +188,56 @@ def blocks(design: Design, told: Explanation) -> np.ndarray:
     return np.array(found)
 
 
-def _choose(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
-            value: float, found: list[Finding], most: int, progress: clean.Progress
-            ) -> tuple[Explanation, list[Named]]:
-    """The best further cause, with those that cannot be told from it."""
+def _fitted(pool: clean.Pool, data: Dataset, measured: list[Run], told: Explanation,
+            found: list[Finding], most: int, progress: clean.Progress) -> list[_Rival]:
+    """The causes that count beside an explanation, each fitted."""
     present = {cause.name for cause in told.causes}
     counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)
                and f.name not in present]
     counted = sorted(counted, key=lambda f: -f.statistic)[:most]
-    if not counted:
-        return told, []
     tasks = [_Fit(data, measured, told._replace(causes=(*told.causes, f.cause()))) for f in counted]
-    fits: list[_Fitted] = clean.run_all(pool, fit_one, tasks, "fit of causes", progress)
-    ratio = [value - fit.value - max(f.expected - len(f.estimate), 0.0)
-             - PRICE * EXTRA.get(f.name, 0) for f, fit in zip(counted, fits, strict=True)]
+    fits = clean.run_all(pool, fit_one, tasks, "fit of causes", progress)
+    return [_Rival(f, fit) for f, fit in zip(counted, fits, strict=True)]
+
+
+def _better(rival: _Rival, others: list[_Fitted], scored: tuning.Normal,
+            nulls: list[evidence.Scores]) -> _Rival:
+    """The same cause in another shape, where that was fitted already and is the better one."""
+    for fit in others:
+        cause = fit.told.causes[-1]
+        if cause.name == rival.finding.name and fit.value < rival.fit.value - 4.0:
+            finding = evidence.finding_of(scored, nulls, cause)
+            if finding is not None:
+                return _Rival(finding, fit)
+    return rival
+
+
+def _choose(design: Design, told: Explanation, value: float, rivals: list[_Rival]
+            ) -> tuple[Explanation, list[Named]]:
+    """The best further cause, with those that cannot be told from it."""
+    if not rivals:
+        return told, []
+    ratio = [value - fit.value - max(f.expected - len(f.estimate), 0.0) - _price(f)
+             for f, fit in rivals]
     order = np.argsort(ratio)[::-1]
     top = int(order[0])
     if ratio[top] < evidence.FLOOR:
         return told, []
-    before = blocks(design, told)
-    drop = before - fits[top].blocks
+    finding, best = rivals[top]
+    drop = blocks(design, told) - best.blocks
     # what tolerances had taken up stands in no block; the rest must not be one place of one run
-    if counted[top].name not in EVENTS and drop.max() > 0.6 * max(drop.sum(), ratio[top]):
+    if finding.name not in EVENTS and drop.max() > 0.6 * max(drop.sum(), ratio[top]):
         return told, []
-    confusable = tuple(counted[int(k)].name for k in order[1:]
-                       if _alike(fits[top], fits[int(k)], ratio[top], ratio[int(k)]))
-    best = fits[top]
-    named = Named(counted[top], best.told.causes[-1], float(ratio[top]),
-                  _deviation(counted[top], best, len(best.covariance) - len(best.told.causes[-1].values)),
+    confusable = tuple(rivals[int(k)].finding.name for k in order[1:]
+                       if _alike(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
+    at = len(best.covariance) - len(best.told.causes[-1].values)
+    named = Named(finding, best.told.causes[-1], float(ratio[top]), _deviation(finding, best, at),
                   confusable)
     return best.told, [named]
+
+
+def _price(finding: Finding) -> float:
+    return PRICE * EXTRA.get(finding.name, 0)
 
 
 def _deviation(finding: Finding, fit: _Fitted, at: int) -> tuple[float, ...]:
@@ -229,7 +257,7 @@ def _alike(best: _Fitted, other: _Fitted, ratio: float, less: float) -> bool:
 
 
 def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
-            causes: list[Named], rivals: list[Finding], seed: int, progress: clean.Progress
+            causes: list[Named], rivals: list[_Rival], seed: int, progress: clean.Progress
             ) -> tuple[Explanation, list[Named], list[Finding]]:
     """Further causes beside the first, and the remainder behind all of them."""
     remainder: list[Finding] = []
@@ -245,34 +273,40 @@ def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design
         found = [f for f in found if f.statistic > floor]
         if len(causes) >= MOST_CAUSES:
             break
-        better, more = _choose(pool, data, measured, design, told, value, found, MOST_BESIDE,
-                               progress)
-        if not more or more[0].ratio < floor or more[0].finding.name in causes[0].confusable:
+        beside = _fitted(pool, data, measured, told, found, MOST_BESIDE, progress)
+        better, more = _choose(design, told, value, beside)
+        if not more or more[0].ratio < floor:
+            break
+        first = causes[0]
+        if more[0].finding.name in first.confusable and more[0].ratio < OWN_SHARE * first.ratio:
             break
         if not _both_needed(data, measured, better, value):
             break
         told, causes = _swapped(pool, data, measured, design, better,
-                                [causes[0]._replace(cause=better.causes[0]), more[0]], rivals, progress)
+                                [first._replace(cause=better.causes[0]), more[0]], rivals, progress)
+        names = {named.finding.name for named in causes}
+        causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names))
+                  for named in causes]
     return told, causes, remainder
 
 
 def _swapped(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
-             told: Explanation, causes: list[Named], rivals: list[Finding],
+             told: Explanation, causes: list[Named], rivals: list[_Rival],
              progress: clean.Progress) -> tuple[Explanation, list[Named]]:
     """The first cause looked for again beside the second: one that had to stand for both gives way."""
     names = {named.finding.name for named in causes}
-    others = sorted((f for f in rivals if f.name not in names), key=lambda f: -f.statistic)
-    others = others[:MOST_FITTED]
-    tasks = [_Fit(data, measured, told._replace(causes=(f.cause(), told.causes[1]))) for f in others]
+    others = [rival for rival in rivals if rival.finding.name not in names]
+    tasks = [_Fit(data, measured, told._replace(causes=(rival.fit.told.causes[-1], told.causes[1])))
+             for rival in others]
     fits: list[_Fitted] = clean.run_all(pool, fit_one, tasks, "first cause again", progress)
-    value = tuning.deviance(design, told) + PRICE * EXTRA.get(causes[0].finding.name, 0)
-    won = [value - fit.value - PRICE * EXTRA.get(f.name, 0) for f, fit in zip(others, fits, strict=True)]
+    value = tuning.deviance(design, told) + _price(causes[0].finding)
+    won = [value - fit.value - _price(rival.finding) for rival, fit in zip(others, fits, strict=True)]
     if not won or max(won) < 4.0:
         return told, causes
     top = int(np.argmax(won))
-    better = fits[top].told
-    first = Named(others[top], better.causes[0], causes[0].ratio + won[top],
-                  _deviation(others[top], fits[top], 0), ())
+    finding, better = others[top].finding, fits[top].told
+    first = Named(finding, better.causes[0], causes[0].ratio + won[top],
+                  _deviation(finding, fits[top], 0), ())
     return better, [first, causes[1]._replace(cause=better.causes[1])]
 
 
