@@ -103,6 +103,8 @@ def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]
 def _further(account: Any, told: dict[str, Any], out: Path, count: int,
              progress: Callable[[str, float], None]) -> list[str]:
     """Write the separating tests of causes and the proposed stops as sequences; names them in `told`."""
+    import tomli_w
+
     from rollerrig.rig.identify import planning
 
     unclear = [k for k, named in enumerate(account.causes) if named.confusable]
@@ -114,12 +116,12 @@ def _further(account: Any, told: dict[str, Any], out: Path, count: int,
         named = account.causes[k]
         for test in planning.propose(lib, 1, (named.finding.name, *named.confusable)):
             file = out / ("separating_test.toml" if k == 0 else f"separating_test_{k + 1}.toml")
-            file.write_text(planning.sequence(test, on), encoding="utf-8")
+            file.write_text(tomli_w.dumps(planning.sequence(test, on)), encoding="utf-8")
             told["causes"][k]["separating_test"] = file.name
     proposed = planning.propose(lib, count)
     files = [out / f"next_{k}.toml" for k in range(1, len(proposed) + 1)]
     for file, test in zip(files, proposed, strict=True):
-        file.write_text(planning.sequence(test, on), encoding="utf-8")
+        file.write_text(tomli_w.dumps(planning.sequence(test, on)), encoding="utf-8")
     told["next"] = planning.as_json(proposed, [file.name for file in files])
     return [f"Next: {test.stop.title}; {test.reason}: rollerrig sequence {file}"
             for file, test in zip(files, proposed, strict=True)]

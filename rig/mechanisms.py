@@ -99,7 +99,7 @@ TABLE: tuple[Mechanism, ...] = (
         "track_gradient", VEHICLE, (_row("gradient", -0.03, 0.03, "-"),),
         "R = R_0 + M g gradient; uphill is positive", "the track is not level", "PHYSICS 8"),
     Mechanism(
-        "wheel_radius", WHEEL, (_row("fraction", -0.03, 0.03, "-"), _AXLE),
+        "wheel_radius", WHEEL, (_row("fraction", -0.06, 0.06, "-"), _AXLE),
         "r = r_0 (1 + fraction)", "the wheels of one axle have another radius", "PHYSICS 8", True),
     Mechanism(
         "wheel_inertia", WHEEL, (_row("fraction", -0.5, 1.0, "-"), _AXLE),

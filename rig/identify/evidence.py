@@ -77,6 +77,8 @@ def scores(normal: Normal, keep: Sequence[str] = ()) -> Scores:
 
 def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     S, g = s.S[np.ix_(at, at)], s.g[list(at)]
+    if not (np.all(np.isfinite(S)) and np.all(np.isfinite(g))):
+        return np.zeros(len(at)), np.zeros_like(S)  # out of the filter's range: says nothing
     scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-30))
     scaled = S * np.outer(scale, scale) + 1e-6 * np.eye(len(at))
     return -scale * np.linalg.solve(scaled, scale * g), S

@@ -20,6 +20,7 @@ from rollerrig.rig.identify import (
     sensitivity,
     tuning,
     unknown,
+    windows,
 )
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.dataset import Dataset, Run
@@ -172,6 +173,8 @@ def fit_one(task: _Fit) -> _Fitted:
     """Fit one explanation; its deviance by blocks of 3 s."""
     design = preparation.prepare(task.data, task.measured)
     told, value, covariance = tuning.fit(design, task.told, 6)
+    if any(cause.name in EVENTS for cause in told.causes):
+        told, value, covariance = tuning.fit(design, windows.refined(design, told), 4)
     return _Fitted(told, value, covariance, blocks(design, told))
 
 

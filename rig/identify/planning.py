@@ -220,8 +220,8 @@ def _noisy(design: Design, like: Design) -> Design:
         torque_noise_Nm=np.full(design.mass_kg.size, float(np.median(like.torque_noise_Nm))))
 
 
-def sequence(proposal: Proposal, on: Ground) -> str:
-    """A proposal as TOML for `rollerrig sequence`."""
+def sequence(proposal: Proposal, on: Ground) -> dict[str, Any]:
+    """A proposal as plain data that as TOML `rollerrig sequence` runs."""
     return prototype.sequence(proposal.stop, proposal.reason, on.data, on.told)
 
 

@@ -120,10 +120,8 @@ def torque_at(sections: dict[str, dict[str, Any]], pressure_Pa: float) -> float:
     return max(brake.torque_Nm_Pa * (pressure_Pa - brake.spring_pressure_Pa), 0.0)
 
 
-def sequence(stop: Stop, reason: str, data: Dataset, told: Explanation) -> str:
-    """The stop as a sequence: TOML that `rollerrig sequence` runs, on the fitted base model."""
-    import tomli_w
-
+def sequence(stop: Stop, reason: str, data: Dataset, told: Explanation) -> dict[str, Any]:
+    """The stop as a sequence, plain data that as TOML `rollerrig sequence` runs, on the fitted base."""
     sections = data.sections
     law = dict(sections["adhesion"])
     law["mu_cd"] = float(law["mu_cd"] * math.exp(level(told)))
@@ -135,7 +133,7 @@ def sequence(stop: Stop, reason: str, data: Dataset, told: Explanation) -> str:
     if stop.axle:
         # the dump valves of the others stay open: sliding at a speed that hardly falls
         brake["fault"] = [f"vent_magnet_stuck axle={j}" for j in range(1, AXLES + 1) if j != stop.axle]
-    return tomli_w.dumps({
+    return {
         "title": f"Proposed by explain: {stop.title}", "criteria": "none",
         "notes": reason,
         "start": {"speed": f"{stop.initial_speed_m_s:g} m/s", "mass": f"{stop.mass_kg:.6g} kg",
@@ -144,4 +142,4 @@ def sequence(stop: Stop, reason: str, data: Dataset, told: Explanation) -> str:
                              "vehicle": dict(sections["vehicle"]), "brake": dict(sections["brake"]),
                              "rig": {"mode": "contaminated_rollers" if rolled else "track"},
                              "loop": {"record_hz": round(1.0 / data.sample_time_s)}}},
-        "step": [brake]})
+        "step": [brake]}

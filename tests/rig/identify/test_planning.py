@@ -4,6 +4,7 @@ import tomllib
 
 import numpy as np
 import pytest
+import tomli_w
 
 from rollerrig.realtime import cli, records
 from rollerrig.rig.identify import candidates, dataset, planning, preparation, tuning
@@ -84,7 +85,7 @@ def test_without_candidates_nothing_is_proposed(on: Ground) -> None:
 def test_every_possible_stop_is_a_sequence_that_is_accepted(on: Ground, speed_or_time: Library, tmp_path,
                                                             capsys) -> None:
     for k, stop in enumerate(speed_or_time.stops):
-        text = planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on)
+        text = tomli_w.dumps(planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on))
         (tmp_path / f"next_{k}.toml").write_text(text)
     assert cli.main(["sequence", str(tmp_path), "--check"]) == 0
     capsys.readouterr()
@@ -94,7 +95,7 @@ def test_the_bench_runs_sliding_at_a_steady_speed(on: Ground, speed_or_time: Lib
                                                   capsys) -> None:
     stop = next(s for s in speed_or_time.stops if s.axle)
     file = tmp_path / "next_1.toml"
-    file.write_text(planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on))
+    file.write_text(tomli_w.dumps(planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on)))
     assert tomllib.loads(file.read_text())["start"]["tables"]["rig"]["mode"] == "track"
     assert cli.main(["sequence", str(file), "--out", str(tmp_path / "report")]) == 0
     capsys.readouterr()
