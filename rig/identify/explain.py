@@ -34,7 +34,7 @@ MOST_PROMISING, MOST_FITTED, MOST_BESIDE, MOST_CAUSES = 4, 5, 3, 2
 # a remainder above this share of the first cause's likelihood is not a matter of its shape
 REMAINDER_SHARE = 0.25
 # a second cause below this share of the first is taken for the first one's shape
-SECOND_SHARE = 0.05
+SECOND_SHARE, SECOND_FLOOR = 0.08, 20.0
 # a second cause that could be taken for the first must have this share of its likelihood
 OWN_SHARE = 0.3
 # likelihood that each further coefficient of a shape must earn
@@ -272,7 +272,7 @@ def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design
         value = tuning.deviance(design, told)
         found = evidence.findings(design, tuning.normal(design, told)[0], nulls, known)
         remainder = [f for f in found if evidence.generic(f.name)]
-        floor = max(15.0, SECOND_SHARE * causes[0].ratio)
+        floor = max(SECOND_FLOOR, SECOND_SHARE * causes[0].ratio)
         found = [f for f in found if f.statistic > floor]
         if len(causes) >= MOST_CAUSES:
             break
@@ -317,7 +317,7 @@ def _both_needed(data: Dataset, measured: list[Run], told: Explanation, value: f
     """Whether the first cause still earns its likelihood beside the second."""
     both = fit_one(_Fit(data, measured, told))
     alone = fit_one(_Fit(data, measured, told._replace(causes=told.causes[1:])))
-    return alone.value - both.value > max(15.0, SECOND_SHARE * (value - both.value))
+    return alone.value - both.value > max(SECOND_FLOOR, SECOND_SHARE * (value - both.value))
 
 
 def _gain(held: Design | None, base: Explanation, told: Explanation, causes: list[Named], seed: int,

@@ -204,7 +204,7 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     """tau and mu_cd of each run by [U4], with their intervals; keys "tau", "mu_cd_0" ...
 
     A replicate draws the 3 s blocks of each run anew and the declared tolerances, and takes one
-    Gauss-Newton step from the optimum.
+    Gauss-Newton step from the optimum. What whole runs pull apart is added: blocks do not know it.
     """
     told, _, _ = tuning.fit(design, candidates.start(design))
     found, linear, _, answers = tuning.normal(design, told, frozenset({BASE}))
@@ -218,8 +218,9 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     blocks, of = np.unique(run * 100_000 + (design.time_s // BLOCK_S).astype(int), return_inverse=True)
     A = np.array([Z[of == i].T @ Z[of == i] for i in range(blocks.size)])
     b = np.array([Z[of == i].T @ z[of == i] for i in range(blocks.size)])
-    b -= b.mean(axis=0)
     of_run = [np.flatnonzero(blocks // 100_000 == i) for i in range(design.mass_kg.size)]
+    between = _between_runs(rest + A.sum(axis=0), np.array([b[m].sum(axis=0) for m in of_run]))
+    b -= b.mean(axis=0)
     rng = np.random.default_rng(seed)
     spread = np.empty((REPLICATES, len(at)))
     for i in range(REPLICATES):
@@ -227,6 +228,8 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
         shift = np.where(prior > 0.0, rng.standard_normal(prior.size) / np.maximum(prior, 1e-12), 0.0)
         spread[i] = tuning.solve(rest + A[picked].sum(axis=0), b[picked].sum(axis=0) + shift)[0]
     low, high = np.percentile(spread, (2.5, 97.5), axis=0)
+    wider = np.hypot(1.0, between / np.maximum(spread.std(axis=0), 1e-12))
+    low, high = low * wider, high * wider
     out = {}
     for label, unit in (("ln_tau", float(design.base[TAU])),
                         *((f"ln_mu_cd_{i}", mu_cd) for i in range(design.mass_kg.size))):
@@ -234,6 +237,15 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
         out[label.removeprefix("ln_")] = Interval(*(float(unit * np.exp(x + y))
                                                     for y in (0.0, low[k], high[k])))
     return out
+
+
+def _between_runs(A: np.ndarray, pulls: np.ndarray) -> np.ndarray:
+    """Deviation of each coefficient from one run to another, `pulls` (runs, coefficients)."""
+    runs = len(pulls)
+    if runs < 2:
+        return np.zeros(len(A))
+    moves = np.array([tuning.solve(A, pull)[0] for pull in pulls])
+    return np.sqrt((moves**2).sum(axis=0) * runs / (runs - 1))
 
 
 def contaminant(s: Samples, model: tuple[Patch, Law, float], stated: float | None, tau_m_J: float,

@@ -10,7 +10,7 @@ from rollerrig.rig.identify.preparation import Design
 
 # first step of an edge in m or s, halved this often
 _STEPS = {"contaminated_patch": 12.0, "sanding": 1.0}
-_HALVINGS = 3
+_HALVINGS, _MOST_MOVES = 3, 8
 
 
 def refined(design: Design, told: Explanation) -> Explanation:
@@ -21,13 +21,20 @@ def refined(design: Design, told: Explanation) -> Explanation:
         for _ in range(_HALVINGS if step else 0):
             for key in [k for k in cause.shape if k.startswith(("start_", "length_", "duration_"))]:
                 for change in (step, -step):
-                    tried = _with(told, at, _moved(told.causes[at], key, change))
-                    better = tuning.deviance(design, tried)
-                    if better < value:
-                        told, value = tried, better
-                        break
+                    told, value = _as_far_as_it_pays(design, told, value, at, key, change)
             step *= 0.5
     return told
+
+
+def _as_far_as_it_pays(design: Design, told: Explanation, value: float, at: int, key: str,
+                       change: float) -> tuple[Explanation, float]:
+    for _ in range(_MOST_MOVES):
+        tried = _with(told, at, _moved(told.causes[at], key, change))
+        better = tuning.deviance(design, tried)
+        if better >= value:
+            break
+        told, value = tried, better
+    return told, value
 
 
 def _moved(cause: Cause, key: str, change: float) -> Cause:
