@@ -33,6 +33,8 @@ CLEAN_SETS, CHECK_SETS = 60, 40
 MOST_PROMISING, MOST_FITTED, MOST_BESIDE, MOST_CAUSES = 4, 5, 3, 2
 # a remainder above this share of the first cause's likelihood is not a matter of its shape
 REMAINDER_SHARE = 0.25
+# share of the evidence that must lie outside its best block
+ELSEWHERE = 0.2
 # a second cause below this share of the first is taken for the first one's shape
 SECOND_SHARE, SECOND_FLOOR = 0.08, 20.0
 # a second cause that could be taken for the first must have this share of its likelihood
@@ -229,7 +231,8 @@ def _choose(design: Design, told: Explanation, value: float, rivals: list[_Rival
     finding, best = rivals[top]
     drop = blocks(design, told) - best.blocks
     # what tolerances had taken up stands in no block; the rest must not be one place of one run
-    if finding.name not in EVENTS and drop.max() > 0.6 * max(drop.sum(), ratio[top]):
+    whole = max(float(drop.sum()), ratio[top])
+    if finding.name not in EVENTS and whole - drop.max() < max(evidence.FLOOR, ELSEWHERE * whole):
         return told, []
     confusable = tuple(rivals[int(k)].finding.name for k in order[1:]
                        if _alike(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
