@@ -165,8 +165,9 @@ def _course(figure: Figure, a: Account) -> None:
         for values, colour, label in ((measured, MEASURED, "measured"), (base, BASE, "base"),
                                       (better, EXTENDED, "extended")):
             axis.plot(a.design.time_s[at], values[at], color=colour, lw=0.8, label=label)
-        axis.set_ylabel(f"f, wheelset {j + 1}")
+        axis.set_ylabel(f"axle {j + 1}")
     axes[0].legend(ncol=3)
+    axes[0].set_title("adhesion coefficient f of each wheelset", fontsize="medium")
     axes[-1].set_xlabel(f"time in run {a.design.names[0]}, s")
 
 
