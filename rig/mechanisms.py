@@ -70,8 +70,9 @@ TABLE: tuple[Mechanism, ...] = (
     Mechanism(
         "contaminated_patch", FRICTION,
         (_row("depth", 0.0, 1.0, "-"), _row("start_m", -100.0, 1e5, "m"),
-         _row("length_m", 0.0, 1e4, "m")),
-        "ln mu -= depth for start <= place < start + length", "friction depends on the place",
+         _row("length_m", 0.0, 1e4, "m"), _row("ramp", 0.0, 1.0, "-")),
+        "ln mu -= depth for start <= place < start + length; over the share ramp of the length, half "
+        "at either end, it rises and falls as sin^2", "friction depends on the place",
         "assumption"),
     Mechanism(
         "friction_trend", FRICTION,

@@ -147,7 +147,8 @@ def write(design: Design, inputs: Inputs, linear: Linear,
     for owners, build in groups:
         if only is None or only & set(owners):
             build()
-    _shaped(w, design, friction, shaped)
+    _shaped(w, design, friction, lambda owner, label, change: _torque_column(
+        w, design, inputs, owner, label, change * torque), shaped)
     return Book(w.columns, np.column_stack(w.wheel), np.column_stack(w.vehicle), w.variants)
 
 
@@ -212,12 +213,18 @@ def _friction_causes(w: _Writer, d: Design, friction: np.ndarray) -> None:
             w.shaped(name, at, 0, shape)
 
 
-def _shaped(w: _Writer, d: Design, friction: np.ndarray, shaped: Shaped) -> None:
+def _shaped(w: _Writer, d: Design, friction: np.ndarray,
+            of_torque: Callable[[str, str, np.ndarray], int], shaped: Shaped) -> None:
+    """Causes in shapes off the search's grid, where they are not on it."""
     known = {(v.cause, tuple(sorted(v.shape.items()))) for v in w.variants}
     for name, shape in shaped:
+        if (name, tuple(sorted(shape.items()))) in known:
+            continue
         if name == "empirical":
             _empirical(w, d, friction, shape)
-        elif name in courses.NAMES and (name, tuple(sorted(shape.items()))) not in known:
+        elif name == "pad_fade":
+            w.shaped(name, of_torque(name, "fade_1_MJ", -courses.heat(d, shape)), 0, shape)
+        elif name in courses.NAMES:
             at = w.add(name, "", friction * courses.course(d, name, shape))
             w.shaped(name, at, 0, shape)
 

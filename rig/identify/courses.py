@@ -33,11 +33,18 @@ def course(d: Design, name: str, shape: dict[str, float]) -> np.ndarray:
     if name == "negative_conditioning":
         return np.expm1(-d.slid_m / shape["distance_m"])
     if name == "contaminated_patch":
-        low = shape["start_m"]
-        return -1.0 * ((d.place_m >= low) & (d.place_m < low + shape["length_m"]))
+        return -patch(d.place_m, shape["start_m"], shape["length_m"], shape.get("ramp", 0.0))
     if name == "sanding":
         return _windows(d, shape)
     raise KeyError(name)
+
+
+def patch(place_m: np.ndarray, start_m: float, length_m: float, ramp: float) -> np.ndarray:
+    """1 inside a patch, 0 outside, with cosine edges over a share `ramp` of its length."""
+    if ramp <= 0.0:
+        return ((place_m >= start_m) & (place_m < start_m + length_m)).astype(float)
+    edge = np.minimum(place_m - start_m, start_m + length_m - place_m)
+    return np.sin(0.5 * np.pi * np.clip(edge / (0.5 * ramp * max(length_m, 1e-9)), 0.0, 1.0)) ** 2
 
 
 def covariate(d: Design, name: str) -> np.ndarray:

@@ -18,9 +18,9 @@ from rollerrig.rig.identify import (
     gain,
     preparation,
     sensitivity,
+    shapes,
     tuning,
     unknown,
-    windows,
 )
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.dataset import Dataset, Run
@@ -37,6 +37,8 @@ REMAINDER_SHARE = 0.25
 ELSEWHERE = 0.2
 # a second cause below this share of the first is taken for the first one's shape
 SECOND_SHARE, SECOND_FLOOR = 0.08, 20.0
+# its score, before it is fitted, may be this share of that
+SCORE_SHARE = 0.3
 # a second cause that could be taken for the first must have this share of its likelihood
 OWN_SHARE = 0.3
 # likelihood that each further coefficient of a shape must earn
@@ -113,7 +115,7 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
         found = evidence.findings(design, scored, nulls)
         rivals = _fitted(pool, data, measured, base, found, MOST_FITTED, progress)
         rivals = [_better(rival, promising, scored, nulls) for rival in rivals]
-        told, causes = _choose(design, base, value, rivals)
+        told, causes = _scaled(design, *_choose(design, base, value, rivals))
         remainder: list[Finding] = [f for f in found if evidence.generic(f.name)]
         if causes:
             told, causes, remainder = _second(pool, data, measured, design, told, causes, rivals,
@@ -176,7 +178,7 @@ def fit_one(task: _Fit) -> _Fitted:
     design = preparation.prepare(task.data, task.measured)
     told, value, covariance = tuning.fit(design, task.told, 6)
     if any(cause.name in EVENTS for cause in told.causes):
-        told, value, covariance = tuning.fit(design, windows.refined(design, told), 4)
+        told, value, covariance = tuning.fit(design, shapes.refined(design, told), 4)
     return _Fitted(told, value, covariance, blocks(design, told))
 
 
@@ -242,6 +244,20 @@ def _choose(design: Design, told: Explanation, value: float, rivals: list[_Rival
     return best.told, [named]
 
 
+def _scaled(design: Design, told: Explanation, causes: list[Named]
+            ) -> tuple[Explanation, list[Named]]:
+    """The causes with their scales off the grid of the search, fitted again."""
+    better = shapes.scaled(design, told)
+    if better == told:
+        return told, causes
+    fit = _Fitted(*tuning.fit(design, better, 4), np.zeros(0))
+    found, at = [], 0
+    for named, cause in zip(causes, fit.told.causes, strict=True):
+        found.append(named._replace(cause=cause, deviation=_deviation(named.finding, fit, at)))
+        at += len(cause.values)
+    return fit.told, found
+
+
 def _price(finding: Finding) -> float:
     return PRICE * EXTRA.get(finding.name, 0)
 
@@ -276,7 +292,7 @@ def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design
         found = evidence.findings(design, tuning.normal(design, told)[0], nulls, known)
         remainder = [f for f in found if evidence.generic(f.name)]
         floor = max(SECOND_FLOOR, SECOND_SHARE * causes[0].ratio)
-        found = [f for f in found if f.statistic > floor]
+        found = [f for f in found if f.statistic > SCORE_SHARE * floor]
         if len(causes) >= MOST_CAUSES:
             break
         beside = _fitted(pool, data, measured, told, found, MOST_BESIDE, progress)
@@ -290,6 +306,7 @@ def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design
             break
         told, causes = _swapped(pool, data, measured, design, better,
                                 [first._replace(cause=better.causes[0]), more[0]], rivals, progress)
+        told, causes = _scaled(design, told, causes)
         names = {named.finding.name for named in causes}
         causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names))
                   for named in causes]

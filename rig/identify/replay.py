@@ -35,11 +35,8 @@ SUBSTEPS = 2
 
 
 @kernel
-def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
-    """(f, df/dsliding, lambda) of one wheel under its own load; f is odd in sliding.
-
-    `p` a row of parameters, `remembered` the lagging lambda, `share` what it closes [R4].
-    """
+def branches(sliding, speed, load_N, friction_log, p):
+    """Degraded and recovered f at |sliding|, d/dsliding of both, and tau N / v of one wheel."""
     s, v = abs(sliding), max(abs(speed), adhesion.SPEED_FLOOR_M_S)
     creepage = s / v
     scale = math.exp(friction_log)
@@ -49,12 +46,21 @@ def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
     tau = p[12]
     if creepage > p[19]:
         tau *= p[19] / creepage
-    k = tau * load_N * creepage
+    return f_d, f_r, ds_d + de_d / v, ds_r + de_r / v, tau * load_N / v
+
+
+@kernel
+def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
+    """(f, df/dsliding, lambda) of one wheel under its own load; f is odd in sliding.
+
+    `p` a row of parameters, `remembered` the lagging lambda, `share` what it closes [R4].
+    """
+    f_d, f_r, low, high, per_m_s = branches(sliding, speed, load_N, friction_log, p)
+    k = per_m_s * abs(sliding)
     f, done = adhesion.recovery(f_d, f_r, k)
     kept, gap = 1.0 - done, f_r - f_d
-    low, high = ds_d + de_d / v, ds_r + de_r / v
     mixed = kept * low + done * high
-    rise = (mixed + gap * kept * f * tau * load_N / v) / max(1.0 - gap * kept * k, 1e-9)
+    rise = (mixed + gap * kept * f * per_m_s) / max(1.0 - gap * kept * k, 1e-9)
     if share < 1.0:
         late = remembered + share * (done - remembered)
         rise = (1.0 - late) * low + late * high + share * (rise - mixed)
@@ -125,16 +131,6 @@ def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, var
             p11 = keep * keep * p11 + q
             p00 = n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS
             p01 = n01 + 0.5 * b * q
-
-
-@kernel
-def replay_wheels(start, measured, torque, load, speed, friction_log, parameters, step_s, nu,
-                  variance, state):
-    """All segments; `parameters` (segments, PARAMETERS)."""
-    for s in range(start.size - 1):
-        a, b = start[s], start[s + 1]
-        replay_wheel(measured[a:b], torque[a:b], load[a:b], speed[a:b], friction_log[a:b],
-                     parameters[s], step_s, nu[a:b], variance[a:b], state[a:b])
 
 
 @kernel

@@ -40,8 +40,8 @@ def as_json(a: Account) -> dict[str, Any]:
 def _levels(a: Account) -> tuple[float, float]:
     """Rms error of the base on the fitted runs, and on simulated stops with nothing else in them."""
     def rms(design: prepared.Design, told: Any) -> float:
-        measured, model, _ = gain.adhesion(design, told)
-        return float(np.sqrt(np.mean((measured - model)[design.speed_m_s > gain.SLOWEST_M_S] ** 2)))
+        lacking = gain.missing(design, told)[design.speed_m_s > gain.SLOWEST_M_S]
+        return float(np.sqrt(np.mean(lacking**2)))
 
     measured = a.data.group("tune")
     made = simulate.runs(a.data, a.design, measured, a.final, np.random.default_rng(1))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import replay
+from rollerrig.rig.identify import memory_replay, replay
 from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.kernel import kernel, kernel_with_memory
 
@@ -54,7 +54,7 @@ class Inputs(NamedTuple):
 def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field, co,
                     rates, path):
     """One wheel: replays it, then stores [S1] along the filtered path."""
-    replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field)
+    memory_replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field)
     r, inertia = p[0], p[1]
     noise = p[17] * p[17]
     h = 0.5 * step_s
@@ -189,9 +189,9 @@ def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
     """(nu, variance, filtered m, vehicle nu, vehicle variance)."""
     n = design.measured_rad_s.size
     nu, variance, field = np.empty(n), np.empty(n), np.empty(n)
-    replay.replay_wheels(design.start, design.measured_rad_s, inputs.torque_Nm, inputs.load_N,
-                         inputs.speed_m_s, inputs.friction_log, inputs.parameters, design.step_s,
-                         nu, variance, field)
+    memory_replay.replay_wheels(
+        design.start, design.measured_rad_s, inputs.torque_Nm, inputs.load_N, inputs.speed_m_s,
+        inputs.friction_log, inputs.parameters, design.step_s, nu, variance, field)
     return (nu, variance, field, *replay_vehicles(design, inputs))
 
 

@@ -60,7 +60,7 @@ def drive(torque, sliding, load, friction_log, surface, field, place, parameters
                 irregular = math.exp((1.0 - share) * field[cell, j] + share * field[cell + 1, j])
                 closes = 1.0
                 if parameters[j, 14] > 0.0:
-                    closes = -math.expm1(-under * h / parameters[j, 14])
+                    closes = replay.closes(under, h, parameters[j])
                 s = under - r * omega[j]
                 f, rise, late[j] = replay.wheel_adhesion(
                     s, under, 0.5 * N, log_mu, parameters[j], late[j], closes)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from rollerrig.rig.identify import candidates, columns, replay, sensitivity
 from rollerrig.rig.identify.candidates import Cause, Explanation
@@ -19,7 +19,7 @@ from rollerrig.rig.identify.columns import BASE, Book
 from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.identify.sensitivity import Inputs, Linear
 
-MEMORY_STEP_M = 2.0
+MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0
 # irregularity of the rail is short: what lasts longer is to be explained, not to be called noise
 LONGEST_M = 16.0
 # deviation of the offset of a released brake's torque, N m
@@ -76,7 +76,7 @@ def normal(design: Design, told: Explanation, only: frozenset[str] | None = None
         sensitivity.answer(book.wheel[at], linear.variance[at], linear.coefficients[at], Z[at])
     root = np.sqrt(linear.variance)
     for c, column in enumerate(book.columns):
-        if column.owner == "adhesion_memory":
+        if column.owner == MEMORY:
             Z[:, c] = _memory_answer(design, i, linear, float(column.label)) / root
     V = np.empty_like(book.vehicle)
     for run in range(design.mass_kg.size):
@@ -157,8 +157,14 @@ def fit(design: Design, told: Explanation, steps: int = 9, noise: bool = True,
         if not np.all(np.isfinite(found.A[np.ix_(at, at)])):
             break
         change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
+        rest = [k for k, c in enumerate(at) if found.book.columns[c].owner != MEMORY]
+        if len(rest) < len(at):
+            change = np.zeros(len(at))
+            left = [at[k] for k in rest]
+            change[rest] = solve(found.A[np.ix_(left, left)], found.b[left])[0]
         labels = [found.book.columns[c].label for c in own]
         told, better = _search(design, told, labels, change, value)
+        told, better = _memory(design, told, better)
         gained, value = value - better, better
         if gained < tolerance and step > 3:
             break
@@ -166,6 +172,22 @@ def fit(design: Design, told: Explanation, steps: int = 9, noise: bool = True,
     if size > len(covariance):
         return told, value, np.full((size, size), np.inf)
     return told, value, covariance[-size:, -size:] if size else np.zeros((0, 0))
+
+
+def _memory(design: Design, told: Explanation, value: float) -> tuple[Explanation, float]:
+    """The length of a memory by itself: the replay is not linear enough in it for a joint step."""
+    at = next((k for k, cause in enumerate(told.causes) if cause.name == MEMORY), None)
+    if at is None:
+        return told, value
+
+    def moved(length_m: float) -> Explanation:
+        cause = told.causes[at]._replace(values=(length_m,))
+        return told._replace(causes=(*told.causes[:at], cause, *told.causes[at + 1:]))
+
+    now = told.causes[at].values[0]
+    best = minimize_scalar(lambda x: deviance(design, moved(x)), method="bounded",
+                           bounds=(0.5 * now, 1.5 * now + 0.2), options={"maxiter": 9})
+    return (moved(float(best.x)), float(best.fun)) if best.fun < value else (told, value)
 
 
 def _cause_columns(book: Book, told: Explanation) -> list[int]:

@@ -7,9 +7,10 @@ from rollerrig.realtime.benchmarks.explain import Case, Judged
 
 
 def judged(kind: str, hidden: dict[str, float], verdict: str, *sets: tuple[str, ...],
-           covered: bool | None = None) -> Judged:
+           covered: bool | None = None, won: float | None = None, possible: float | None = None
+           ) -> Judged:
     return Judged(Case(kind, hidden, 0), verdict, [s[0] for s in sets], [set(s) for s in sets],
-                  covered, None, 1.0)
+                  covered, won, possible, 1.0)
 
 
 def counts(*found: Judged) -> dict[str, tuple[int, int]]:
@@ -50,3 +51,10 @@ def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidde
     assert found["two causes: both named"] == (1, 2)
     assert found["cause not in the library: given a name"] == (1, 1)
     assert found["95 % intervals hold the truth"] == (1, 2)
+
+
+def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gains_do_not_count() -> None:
+    sets = [judged("one", {"sanding": 0.1}, "explained", ("sanding",), won=w, possible=p)
+            for w, p in ((0.10, 0.20), (0.18, 0.20), (0.30, 0.30), (0.50, 0.01), (0.1, None))]
+    row = next(r for r in bench.rows(sets) if "possible" in r["measure"])
+    assert (row["of"], row["share"]) == (3, 0.18 / 0.20)

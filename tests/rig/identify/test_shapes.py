@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from generator import braking_stops
 
-from rollerrig.rig.identify import candidates, dataset, preparation, simulate, tuning, windows
+from rollerrig.rig.identify import candidates, dataset, preparation, shapes, simulate, tuning
 from rollerrig.rig.identify.candidates import Cause
 
 
@@ -20,7 +20,7 @@ def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path)
     seen = preparation.prepare(data, made, design)
     coarse = patch._replace(shape={"start_m": 200.0, "length_m": 125.0})
     told, before, _ = tuning.fit(seen, base._replace(causes=(coarse,)), 4)
-    better = windows.refined(seen, told)
+    better = shapes.refined(seen, told)
     found = better.causes[0].shape
     assert tuning.deviance(seen, better) < before
     assert found["start_m"] == pytest.approx(212.0, abs=4.0)

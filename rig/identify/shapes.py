@@ -1,0 +1,105 @@
+"""Moves the shape of causes off the grid on which they were searched.
+
+A window that stands half a bin beside the true one leaves a remainder at both edges, which would
+look like another cause; so does a wrong scale of speed, time, work or heat. Edges are moved by ever
+smaller steps while the likelihood grows, scales by factors, each with the coefficients fitted again.
+A patch may also rise and fall slowly, where that is the likelier form.
+"""
+
+from rollerrig.rig.identify import tuning
+from rollerrig.rig.identify.candidates import Cause, Explanation
+from rollerrig.rig.identify.preparation import Design
+
+# first step of an edge in m or s, halved this often
+_STEPS = {"contaminated_patch": 12.0, "sanding": 1.0}
+_HALVINGS, _MOST_MOVES = 3, 8
+# a patch with edges of this share of its length, and what its depth has to be for the same effect
+_RAMPS = ((0.5, 1.1), (1.0, 1.3))
+# likelihood that such edges must earn
+_RAMP_EARNS = 4.0
+# scales, and the factors by which they are moved: least and most of each
+_SCALES = {"energy_J_m": (3.0, 4000.0), "knee_m_s": (4.0, 80.0), "time_s": (1.5, 60.0),
+           "distance_m": (3.0, 400.0), "heat_MJ": (0.5, 40.0)}
+_FACTORS, _SCALE_EARNS = (1.5, 1.2), 1.0
+
+
+def refined(design: Design, told: Explanation) -> Explanation:
+    """The explanation with the windows of its causes where they fit best."""
+    told, value = _edges_moved(design, told, 1.0)
+    ramped = [_edges_moved(design, _with(told, at, _ramped(cause, ramp, deeper)), 0.5)
+              for at, cause in enumerate(told.causes) if cause.name == "contaminated_patch"
+              for ramp, deeper in _RAMPS]
+    better, least = min(ramped, key=lambda pair: pair[1], default=(told, value))
+    return better if least < value - _RAMP_EARNS else told
+
+
+def scaled(design: Design, told: Explanation) -> Explanation:
+    """The explanation with the scales of its causes where they fit best."""
+    value = tuning.deviance(design, told)
+    for at, cause in enumerate(told.causes):
+        for key in [k for k in cause.shape if k in _SCALES]:
+            for factor in _FACTORS:
+                for by in (factor, 1.0 / factor):
+                    told, value = _while_it_pays(design, told, value, at, key, by)
+    return told
+
+
+def _while_it_pays(design: Design, told: Explanation, value: float, at: int, key: str,
+                   by: float) -> tuple[Explanation, float]:
+    low, high = _SCALES[key]
+    for _ in range(_MOST_MOVES):
+        cause = told.causes[at]
+        moved = cause._replace(shape={**cause.shape, key: cause.shape[key] * by})
+        if not low <= moved.shape[key] <= high:
+            break
+        tried, better, _ = tuning.fit(design, _with(told, at, moved), 2, False)
+        if better > value - _SCALE_EARNS:
+            break
+        told, value = tried, better
+    return told, value
+
+
+def _ramped(cause: Cause, ramp: float, deeper: float) -> Cause:
+    """A patch with slow edges about where it was."""
+    wider = cause.shape["length_m"] * 0.5 * ramp / (2.0 - ramp)
+    shape = {"start_m": cause.shape["start_m"] - wider,
+             "length_m": cause.shape["length_m"] + 2.0 * wider, "ramp": ramp}
+    return tuning.bounded(cause._replace(shape=shape, values=(cause.values[0] * deeper,)))
+
+
+def _edges_moved(design: Design, told: Explanation, first: float) -> tuple[Explanation, float]:
+    """Edges by steps that begin with a share `first` of the table's."""
+    value = tuning.deviance(design, told)
+    for at, cause in enumerate(told.causes):
+        step = first * _STEPS.get(cause.name, 0.0)
+        for _ in range(_HALVINGS if step else 0):
+            for key in [k for k in cause.shape if k.startswith(("start_", "length_", "duration_"))]:
+                for change in (step, -step):
+                    told, value = _as_far_as_it_pays(design, told, value, at, key, change)
+            step *= 0.5
+    return told, value
+
+
+def _as_far_as_it_pays(design: Design, told: Explanation, value: float, at: int, key: str,
+                       change: float) -> tuple[Explanation, float]:
+    for _ in range(_MOST_MOVES):
+        tried = _with(told, at, _moved(told.causes[at], key, change))
+        better = tuning.deviance(design, tried)
+        if better >= value:
+            break
+        told, value = tried, better
+    return told, value
+
+
+def _moved(cause: Cause, key: str, change: float) -> Cause:
+    """A cause with one edge moved; a moved start keeps the end where it was."""
+    shape = dict(cause.shape)
+    shape[key] += change
+    if key.startswith("start_"):
+        end = key.replace("start_s", "duration_s").replace("start_m", "length_m")
+        shape[end] = max(shape[end] - change, 0.0)
+    return cause._replace(shape={k: v if k == "start_m" else max(v, 0.0) for k, v in shape.items()})
+
+
+def _with(told: Explanation, at: int, cause: Cause) -> Explanation:
+    return told._replace(causes=(*told.causes[:at], cause, *told.causes[at + 1:]))
