@@ -1,8 +1,9 @@
 """The mechanisms of an extended model inside the plant: friction under a wheel, torque at a brake.
 
-Resistance, load transfer, contact stiffness, radius and inertia are changed once, where the
+Resistance, load transfer, contact stiffness, radii and inertias are changed once, where the
 parameters are built; what depends on time, place, speed or past work is computed here in each
-tick. While all coefficients are 0 nothing is computed and no bit changes.
+tick, the memory of adhesion and the load on a wheel out of round in each step of `wheelset`. While
+all coefficients are 0 nothing is computed and no bit changes.
 
     [X1] mu_cd, mu_cr *= exp(sum of terms), terms as `mechanisms.TABLE` writes them
     [X2] C = (1 + gain) C_0 (1 - fade H0 (1 - e^(-H / H0))) + offset while the brake is applied, not below 0
@@ -58,6 +59,18 @@ class Effects(NamedTuple):
     centre: float
     scale: float
     period: float
+    memory_m: float  # way on which recovery lags at 20 m/s, 0: it does not
+    memory_power: float
+
+
+class Wheels(NamedTuple):
+    """The wheels of each axle, shape (4,): radius, inertia, and how they are out of round."""
+
+    radius_m: np.ndarray
+    inertia_kgm2: np.ndarray
+    swings: bool
+    swing: np.ndarray
+    swing_phase_rad: float
 
 
 def build(m: Mapping[str, Any]) -> Effects:
@@ -76,7 +89,19 @@ def build(m: Mapping[str, Any]) -> Effects:
         1e6 * m["pad_fade_heat_MJ"],
         _by_axle(m["torque_offset_offset_Nm"], m["torque_offset_axle"]),
         m["torque_offset_from_Nm"], int(m["empirical_covariate"]),
-        *(m[f"empirical_{name}"] for name in ("linear", "quadratic", "centre", "scale", "period")))
+        *(m[f"empirical_{name}"] for name in ("linear", "quadratic", "centre", "scale", "period")),
+        m["adhesion_memory_length_m"], m["adhesion_memory_speed_power"])
+
+
+def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
+    """From the checked sections `vehicle` (radius and inertia of all axles) and `mechanisms`."""
+    swing = _by_axle(m["wheel_out_of_round_amplitude"], m["wheel_out_of_round_axle"])
+    return Wheels(
+        vehicle["wheel_radius_m"]
+        * (1.0 + _by_axle(m["wheel_radius_fraction"], m["wheel_radius_axle"])),
+        vehicle["wheelset_inertia_kgm2"]
+        * (1.0 + _by_axle(m["wheel_inertia_fraction"], m["wheel_inertia_axle"])),
+        bool(swing.any()), swing, m["wheel_out_of_round_phase_rad"])
 
 
 def _by_axle(value: float, axle: float) -> np.ndarray:
