@@ -89,8 +89,9 @@ def build(m: Mapping[str, Any]) -> Effects:
         1e6 * m["pad_fade_heat_MJ"],
         _by_axle(m["torque_offset_offset_Nm"], m["torque_offset_axle"]),
         m["torque_offset_from_Nm"], int(m["empirical_covariate"]),
-        *(m[f"empirical_{name}"] for name in ("linear", "quadratic", "centre", "scale", "period")),
-        m["adhesion_memory_length_m"], m["adhesion_memory_speed_power"])
+        *(m[name] for name in ("empirical_linear", "empirical_quadratic", "empirical_centre",
+                               "empirical_scale", "empirical_period", "adhesion_memory_length_m",
+                               "adhesion_memory_speed_power")))
 
 
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
