@@ -64,10 +64,14 @@ class Effects(NamedTuple):
 
 
 class Wheels(NamedTuple):
-    """The wheels of each axle, shape (4,): radius, inertia, and how they are out of round."""
+    """The wheels of each axle, shape (4,): radius, inertia, and how they are out of round.
+
+    `answer_1_kgm` is radius over inertia, so that no step has to divide: the turning in rad/s2 a newton.
+    """
 
     radius_m: np.ndarray
     inertia_kgm2: np.ndarray
+    answer_1_kgm: np.ndarray
     swings: bool
     swing: np.ndarray
     swing_phase_rad: float
@@ -97,12 +101,12 @@ def build(m: Mapping[str, Any]) -> Effects:
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
     """From the checked sections `vehicle` (radius and inertia of all axles) and `mechanisms`."""
     swing = _by_axle(m["wheel_out_of_round_amplitude"], m["wheel_out_of_round_axle"])
-    return Wheels(
-        vehicle["wheel_radius_m"]
-        * (1.0 + _by_axle(m["wheel_radius_fraction"], m["wheel_radius_axle"])),
-        vehicle["wheelset_inertia_kgm2"]
-        * (1.0 + _by_axle(m["wheel_inertia_fraction"], m["wheel_inertia_axle"])),
-        bool(swing.any()), swing, m["wheel_out_of_round_phase_rad"])
+    radius_m = vehicle["wheel_radius_m"] * (
+        1.0 + _by_axle(m["wheel_radius_fraction"], m["wheel_radius_axle"]))
+    inertia_kgm2 = vehicle["wheelset_inertia_kgm2"] * (
+        1.0 + _by_axle(m["wheel_inertia_fraction"], m["wheel_inertia_axle"]))
+    return Wheels(radius_m, inertia_kgm2, radius_m / inertia_kgm2, bool(swing.any()), swing,
+                  m["wheel_out_of_round_phase_rad"])
 
 
 def _by_axle(value: float, axle: float) -> np.ndarray:

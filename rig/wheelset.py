@@ -128,7 +128,7 @@ def roller_rate(motor_Nm, T, on_track, drive):
 def damped(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels, drive):
     """The two slopes of a stage times (I - gamma h p q')^-1 [W3], and the force in N that this adds."""
     r, R = wheels.radius_m[axle], drive.roller_radius_m
-    p_wheel = 0.0 if locked else r / wheels.inertia_kgm2[axle]
+    p_wheel = 0.0 if locked else wheels.answer_1_kgm[axle]
     p_roller = 0.0 if on_track else -R / drive.roller_inertia_kgm2
     qk = g * (R * roller_k - r * wheel_k)
     share = _GAMMA * step_s * qk / (1.0 + _GAMMA * step_s * g * (r * p_wheel - R * p_roller))
