@@ -41,14 +41,15 @@ def hold_surface_speed(state, drive, tick_s):
 
 
 @kernel
-def follow_virtual_wheels(state, virtual, drive, vehicle):
+def follow_virtual_wheels(state, virtual, drive, wheels):
     """Write the motor torque demands in N m that make the wheels of `state` turn as `virtual`'s."""
-    r, R, J = vehicle.wheel_radius_m, drive.roller_radius_m, vehicle.wheelset_inertia_kgm2
-    rolled = drive.roller_inertia_kgm2 * r / R
+    R = drive.roller_radius_m
     for j in range(state.roller_speed.size):
         if virtual.standing[0] != 0.0:
             state.motor_torque_demand[j] = 0.0
             continue
+        r, J = wheels.radius_m[j], wheels.inertia_kgm2[j]
+        rolled = drive.roller_inertia_kgm2 * r / R
         force_N = virtual.adhesion[j] * virtual.wheel_load[j]
         wheel_rate = (r * force_N - virtual.brake_torque[j]) / J
         error = virtual.wheel_speed[j] - state.wheel_speed[j]

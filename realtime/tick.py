@@ -155,7 +155,7 @@ def tracking_error(m, axle):
     """How far the motors are from what they shall hold, in m/s: at the wheel's or roller's rim."""
     if m.virtual != 0:
         error = m.roller_state.wheel_speed[axle] - m.state.wheel_speed[axle]
-        return m.params.vehicle.wheel_radius_m * error
+        return m.params.wheels.radius_m[axle] * error
     if m.params.mode == 0:
         return 0.0
     return m.params.drive.roller_radius_m * m.state.roller_speed[axle] - m.state.vehicle_speed[0]
@@ -211,7 +211,7 @@ def begin(m, tick):
     faults = m.command[FAULTS:]
     if m.virtual != 0:
         rig_control.follow_virtual_wheels(m.roller_state, m.state, m.roller_params.drive,
-                                          m.params.vehicle)
+                                          m.params.wheels)
     elif m.params.mode != 0:
         rig_control.hold_surface_speed(m.state, m.params.drive, m.params.tick_s)
     if m.virtual != 0 or m.params.mode != 0:

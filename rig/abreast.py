@@ -6,8 +6,9 @@ in the lanes of one array, each quantity a row of sixteen, and the arithmetic of
 put into its lanes before a tick and taken out after it, so all else stays the plant's own code.
 
 The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W5] and vehicle [V1] to
-[V3], written without branches. Limits: planar vehicle, one plant, degraded adhesion, torque as the
-discs give it (`fits` tells). Results agree with `plant.advance` to rounding, not to the last bit.
+[V3], written without branches. Limits: planar vehicle, one plant, degraded adhesion without memory,
+round wheels, torque as the discs give it (`fits` tells). Results agree with `plant.advance` to
+rounding, not to the last bit.
 """
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
@@ -38,17 +39,19 @@ SIZE = _ROWS
 def fits(params: Params) -> bool:
     """Whether rigs with these parameters may run abreast."""
     return (params.coach is None and params.patch.model == creep_force.DEGRADED
-            and params.mode in (TRACK, ROLLERS) and not params.effects.on_torque)
+            and params.mode in (TRACK, ROLLERS) and not params.effects.on_torque
+            and not params.wheels.swings and params.effects.memory_m == 0.0)
 
 
 @kernel
 def seat(w, rig, params):
     """Write the constants of a rig (0 to 3) into its lanes."""
     vehicle, brake, drive, here = params.vehicle, params.brake, params.drive, params.law
+    wheels = params.wheels
     for j in range(AXLES):
         at = rig * AXLES + j
         w[STEP + at], w[ON_TRACK + at] = params.step_s, (1.0 if params.mode == 0 else 0.0)
-        w[WHEEL_M + at], w[WHEEL_KGM2 + at] = vehicle.wheel_radius_m, vehicle.wheelset_inertia_kgm2
+        w[WHEEL_M + at], w[WHEEL_KGM2 + at] = wheels.radius_m[j], wheels.inertia_kgm2[j]
         w[ROLLER_M + at], w[ROLLER_KGM2 + at] = drive.roller_radius_m, drive.roller_inertia_kgm2
         w[STATIC_N + at] = vehicle.static_load_N
         w[TRANSFER_KG + at] = ((0.5 if j < 2 else -0.5) * vehicle.body_transfer_kg

@@ -1,8 +1,9 @@
 """The mechanisms of an extended model inside the plant: friction under a wheel, torque at a brake.
 
-Resistance, load transfer, contact stiffness, radius and inertia are changed once, where the
+Resistance, load transfer, contact stiffness, radii and inertias are changed once, where the
 parameters are built; what depends on time, place, speed or past work is computed here in each
-tick. While all coefficients are 0 nothing is computed and no bit changes.
+tick, the memory of adhesion and the load on a wheel out of round in each step of `wheelset`. While
+all coefficients are 0 nothing is computed and no bit changes.
 
     [X1] mu_cd, mu_cr *= exp(sum of terms), terms as `mechanisms.TABLE` writes them
     [X2] C = (1 + gain) C_0 (1 - fade H0 (1 - e^(-H / H0))) + offset while the brake is applied, not below 0
@@ -41,6 +42,7 @@ class Effects(NamedTuple):
     patch: float
     patch_from_m: float
     patch_to_m: float
+    patch_edge_m: float
     trend_1_s: float
     trend_s: float
     sand: float
@@ -58,6 +60,22 @@ class Effects(NamedTuple):
     centre: float
     scale: float
     period: float
+    memory_m: float  # way on which recovery lags at 20 m/s, 0: it does not
+    memory_power: float
+
+
+class Wheels(NamedTuple):
+    """The wheels of each axle, shape (4,): radius, inertia, and how they are out of round.
+
+    `answer_1_kgm` is radius over inertia, so that no step has to divide: the turning in rad/s2 a newton.
+    """
+
+    radius_m: np.ndarray
+    inertia_kgm2: np.ndarray
+    answer_1_kgm: np.ndarray
+    swings: bool
+    swing: np.ndarray
+    swing_phase_rad: float
 
 
 def build(m: Mapping[str, Any]) -> Effects:
@@ -70,13 +88,27 @@ def build(m: Mapping[str, Any]) -> Effects:
         m["contaminated_patch_depth"],
         m["contaminated_patch_start_m"],
         m["contaminated_patch_start_m"] + m["contaminated_patch_length_m"],
+        0.5 * m["contaminated_patch_ramp"] * m["contaminated_patch_length_m"],
         m["friction_trend_rate_1_s"], m["friction_trend_time_s"], m["sanding_gain"], m["sanding_start_s"],
         m["sanding_start_s"] + m["sanding_duration_s"], int(m["sanding_behind"] >= 0.5),
         _by_axle(m["brake_gain_gain"], m["brake_gain_axle"]), 1e-6 * m["pad_fade_fade_1_MJ"],
         1e6 * m["pad_fade_heat_MJ"],
         _by_axle(m["torque_offset_offset_Nm"], m["torque_offset_axle"]),
         m["torque_offset_from_Nm"], int(m["empirical_covariate"]),
-        *(m[f"empirical_{name}"] for name in ("linear", "quadratic", "centre", "scale", "period")))
+        *(m[name] for name in ("empirical_linear", "empirical_quadratic", "empirical_centre",
+                               "empirical_scale", "empirical_period", "adhesion_memory_length_m",
+                               "adhesion_memory_speed_power")))
+
+
+def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
+    """From the checked sections `vehicle` (radius and inertia of all axles) and `mechanisms`."""
+    swing = _by_axle(m["wheel_out_of_round_amplitude"], m["wheel_out_of_round_axle"])
+    radius_m = vehicle["wheel_radius_m"] * (
+        1.0 + _by_axle(m["wheel_radius_fraction"], m["wheel_radius_axle"]))
+    inertia_kgm2 = vehicle["wheelset_inertia_kgm2"] * (
+        1.0 + _by_axle(m["wheel_inertia_fraction"], m["wheel_inertia_axle"]))
+    return Wheels(radius_m, inertia_kgm2, radius_m / inertia_kgm2, bool(swing.any()), swing,
+                  m["wheel_out_of_round_phase_rad"])
 
 
 def _by_axle(value: float, axle: float) -> np.ndarray:
@@ -91,7 +123,11 @@ def friction_factor(state, axle, place_m, effects):
         (MIDDLE_SPEED_M_S - state.vehicle_speed[0]) / effects.speed_knee_m_s)
     log_mu += effects.conditioning * math.expm1(-state.slid[axle] / effects.conditioning_m)
     if effects.patch_from_m <= place_m < effects.patch_to_m:
-        log_mu -= effects.patch
+        inside = min(place_m - effects.patch_from_m, effects.patch_to_m - place_m)
+        risen = 1.0
+        if inside < effects.patch_edge_m:
+            risen = math.sin(0.5 * math.pi * inside / effects.patch_edge_m) ** 2
+        log_mu -= effects.patch * risen
     log_mu -= effects.trend_1_s * effects.trend_s * math.expm1(-state.time[0] / effects.trend_s)
     if axle >= effects.sand_first and effects.sand_from_s <= state.time[0] < effects.sand_to_s:
         log_mu += effects.sand

@@ -155,20 +155,19 @@ EMPIRICAL = Mechanism(
 
 BY_NAME: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in (*TABLE, EMPIRICAL)}
 
-# those that the plant itself has; the others change recordings only, or are not built in yet
-IN_PLANT = (
-    "rail_cleaning", "speed_dependent_friction", "negative_conditioning", "contaminated_patch",
-    "friction_trend", "brake_gain", "pad_fade", "torque_offset", "running_resistance",
-    "track_gradient", "wheel_radius", "wheel_inertia", "load_transfer", "sanding",
-    "roller_curvature", "interfacial_layer", "falling_friction", "empirical",
-)
-# of these the plant has one value for all axles
-_WHOLE = ("wheel_radius", "wheel_inertia")
+# what a recording does to the truth; all else is in the plant
+OF_RECORDING = ("speed_sensor_delay", "torque_sensor_delay")
+IN_PLANT = tuple(name for name in BY_NAME if name not in OF_RECORDING)
+PLANT_AXLES = 4
+# the coach in 3D takes loads, radii and contacts from its own tables, where these have no place
+NOT_OF_COACH = ("adhesion_memory", "wheel_out_of_round", "load_transfer", "roller_curvature")
+# nor have these of one axle, while all axles may have another value
+WHOLE_COACH = ("wheel_radius", "wheel_inertia")
 
 
 def rows() -> tuple[Row, ...]:
     """Rows of the section [mechanisms] of a model: `<mechanism>_<parameter>`, default 0."""
     return tuple(
         row._replace(name=f"{name}_{row.name}",
-                     high=0.0 if name in _WHOLE and row.name == "axle" else row.high)
+                     high=PLANT_AXLES if row.name == "axle" else row.high)
         for name in IN_PLANT for row in BY_NAME[name].parameters)

@@ -222,6 +222,7 @@ class Params(NamedTuple):
     friction: Friction
     demand: Demand
     effects: effects.Effects
+    wheels: effects.Wheels
     heat: Heat
     coach: Packed | None = None
 
@@ -257,6 +258,8 @@ def build(
     """The constant structures from checked sections, a programme, and the rates of the loop."""
     contact, brake, valve = (sections[k] for k in ("contact", "brake", "valve"))
     extra = sections["mechanisms"]
+    if sections["vehicle"]["model"] != "planar":
+        check_coach(extra)
     vehicle = extended_vehicle(sections["vehicle"], extra)
     mode = MODES[sections["rig"]["mode"]]
     roller_radius_m = math.inf if mode == TRACK else contact["roller_radius_m"]
@@ -272,7 +275,8 @@ def build(
         sections["rig"]["lock_above_m_s"], patch,
         law, cleaning_creepage, _transfers(_vehicle(vehicle), extra), _brake(brake, valve, tick_s, substeps),
         _drive(sections["drive"], contact["roller_radius_m"], tick_s / substeps),
-        axle_positions(vehicle), friction, demand, effects.build(extra), _heat(sections, tick_s),
+        axle_positions(vehicle), friction, demand, effects.build(extra),
+        effects.wheels(sections["vehicle"], extra), _heat(sections, tick_s),
         _coach({**sections, "vehicle": vehicle}, roller_radius_m),
     )
 
@@ -282,7 +286,7 @@ RESISTANCE = {0.0: "resistance_A_N", 1.0: "resistance_B_N_s_m", 2.0: "resistance
 
 
 def extended_vehicle(vehicle: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str, Any]:
-    """Vehicle values with the resistance, radius and inertia of an extended model."""
+    """Vehicle values with the resistance of an extended model, radius and inertia where all axles have it."""
     found = dict(vehicle)
     found["resistance_A_N"] += 9.80665 * vehicle["mass_kg"] * extra["track_gradient_gradient"]
     power = extra["running_resistance_speed_power"]
@@ -290,9 +294,23 @@ def extended_vehicle(vehicle: Mapping[str, Any], extra: Mapping[str, float]) -> 
         raise ConfigError(f"[mechanisms] running_resistance_speed_power = {power:g}; allowed are 0 "
                           "(constant), 1 and 2 (with the speed, with its square)")
     found[RESISTANCE[power]] += extra["running_resistance_force_N"] / 20.0**power
-    found["wheel_radius_m"] *= 1.0 + extra["wheel_radius_fraction"]
-    found["wheelset_inertia_kgm2"] *= 1.0 + extra["wheel_inertia_fraction"]
+    for name, key in (("wheel_radius", "wheel_radius_m"), ("wheel_inertia", "wheelset_inertia_kgm2")):
+        if extra[f"{name}_axle"] == 0.0:
+            found[key] *= 1.0 + extra[f"{name}_fraction"]
     return found
+
+
+def check_coach(extra: Mapping[str, float]) -> None:
+    """Raise ConfigError where an extended model has a mechanism that the coach in 3D does not know."""
+    strange = [name for name in mechanisms.WHOLE_COACH if extra[f"{name}_axle"] != 0.0]
+    for name in (*mechanisms.NOT_OF_COACH, *strange):
+        known = mechanisms.BY_NAME[name]
+        for row in known.parameters[:known.free]:
+            value = extra[f"{name}_{row.name}"]
+            if value != 0.0:
+                raise ConfigError(
+                    f"[mechanisms] {name}_{row.name} = {value:g}: the coach in 3D does not know that "
+                    f"{known.text}; allowed is 0, or the planar vehicle, vehicle.model = \"planar\"")
 
 
 def extended_law(law: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str, Any]:

@@ -33,7 +33,7 @@ def start(state, params, initial_speed_m_s):
     """Set a rig that rolls at a speed in m/s, brakes released, wheels and rollers without sliding."""
     state.vehicle_speed[0] = initial_speed_m_s
     for j in range(AXLES):
-        state.wheel_speed[j] = initial_speed_m_s / params.vehicle.wheel_radius_m
+        state.wheel_speed[j] = initial_speed_m_s / params.wheels.radius_m[j]
         if params.mode != 0:
             state.roller_speed[j] = initial_speed_m_s / params.drive.roller_radius_m
         state.observer[j] = (params.drive.observer_rad_s * params.drive.roller_inertia_kgm2
@@ -147,10 +147,11 @@ def rest(state, params, coach):
 @kernel_inlined
 def observe(state, params):
     """Write what can be seen of the present state: contact, torques, loads, sensors, locks."""
-    r = params.vehicle.wheel_radius_m
     for j in range(AXLES):
-        load_N = on_rig.load(j, vehicle.load(j, state.felt_acceleration[0], params.vehicle), state,
-                             params.coach)
+        r = params.wheels.radius_m[j]
+        planar_N = vehicle.swung(vehicle.load(j, state.felt_acceleration[0], params.vehicle), j,
+                                 state.wheel_angle[j], params.wheels)
+        load_N = on_rig.load(j, planar_N, state, params.coach)
         surface = state.vehicle_speed[0]
         if params.mode != 0:
             surface = params.drive.roller_radius_m * state.roller_speed[j]
@@ -159,6 +160,10 @@ def observe(state, params):
             on_rig.slip(j, sliding, state, params.coach), surface, load_N,
             state.friction_degraded[j], state.friction_recovered[j], params.patch, params.law,
             params.cleaning_creepage)
+        if params.effects.memory_m > 0.0:
+            prompt, transition = f, state.late_transition[j]
+            f = wheelset.recovered(f, f_d, f_r, transition)
+            energy *= f / prompt if prompt != 0.0 else 0.0
         f = on_rig.adhesion(j, f, load_N, state, params.coach)
         state.sliding[j] = sliding
         state.creepage[j] = 0.0 if surface <= 0.0 else sliding / surface

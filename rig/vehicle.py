@@ -5,6 +5,7 @@
      m_body d (h_body - h_pivot) / bogie distance.
 [V3] Body, frame and wheelsets pull above the rail, so each bogie loads its leading wheelset:
      (m_body / 2 h_pivot + m_bogie h_bogie + 2 m_ws r) d / wheelbase.
+[V4] A wheel out of round swings the load of its axle once a turn: N (1 + a cos(angle + phase)).
 The pitch of body and frames is not modelled here: the transfer follows the deceleration with a lag.
 """
 
@@ -30,6 +31,14 @@ def load(axle, felt_acceleration_m_s2, vehicle):
     body = 0.5 * vehicle.body_transfer_kg if axle < 2 else -0.5 * vehicle.body_transfer_kg
     bogie = vehicle.bogie_transfer_kg if axle % 2 == 0 else -vehicle.bogie_transfer_kg
     return max(0.0, vehicle.static_load_N - felt_acceleration_m_s2 * (body + bogie))
+
+
+@kernel
+def swung(load_N, axle, angle_rad, wheels):
+    """Load in N of a wheelset whose wheels have turned by an angle, round or not [V4]."""
+    if not wheels.swings:
+        return load_N
+    return load_N * (1.0 + wheels.swing[axle] * math.cos(angle_rad + wheels.swing_phase_rad))
 
 
 @kernel_inlined

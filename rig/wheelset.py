@@ -16,6 +16,9 @@ can hold [W4].
     [W5] tau |e| -> tau min(|e|, e_c): the paper tuned its law on sliding wheels; for locked ones it
          would give the whole recovered adhesion at once (0.26 on soap at 40 m/s), which no rail
          does. e_c is a parameter, infinite by default; where a scenario sets it, it is an assumption
+    [W6] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), f = f_d + lambda (f_r - f_d), where an
+         extended model gives recovery a memory L: a state of each axle, whose lag is stepped exactly
+         under the mean of lambda_0 at both stages
 
 Second order in the step while no wheel locks or leaves its lock within it. Rotation backwards does
 not exist here: the vehicle only brakes.
@@ -31,6 +34,8 @@ from rollerrig.rig.state import AXLES
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # sliding in m/s below which the secant slope is taken at this sliding
 _SMALL_M_S = 1e-6
+NO_MEMORY = -1.0
+MIDDLE_SPEED_M_S = 20.0
 
 
 @kernel
@@ -64,21 +69,51 @@ def classic(sliding_m_s, surface_m_s, load_N, patch, law):
 @kernel
 def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage):
     """Contact force T in N of both wheels, and its secant slope g = T / s in N s/m, not negative."""
-    at = sliding_m_s
-    if abs(at) < _SMALL_M_S:
-        at = _SMALL_M_S
-    slope = creep(at, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage)[0]
-    slope *= load_N / at
-    return slope * sliding_m_s, max(slope, 0.0)
+    return late_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage,
+                      NO_MEMORY)[:2]
 
 
 @kernel
-def rates(wheel_rad_s, T, brake_Nm, vehicle):
+def late_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage, late):
+    """What `force` returns, and lambda_0, where the contact has recovered by `late`, 0 to 1 [W6].
+
+    NO_MEMORY: it has recovered by lambda_0.
+    """
+    at = sliding_m_s
+    if abs(at) < _SMALL_M_S:
+        at = _SMALL_M_S
+    slope, f_d, f_r, prompt, _, _ = creep(at, surface_m_s, load_N, mu_cd, mu_cr, patch, law,
+                                          cleaning_creepage)
+    if late >= 0.0:
+        slope = recovered(slope, f_d, f_r, late)
+    slope *= load_N / at
+    return slope * sliding_m_s, max(slope, 0.0), prompt
+
+
+@kernel
+def recovered(f, f_d, f_r, late):
+    """Adhesion of the sign of f between its limits, recovered by `late` [W6]."""
+    return math.copysign((1.0 - late) * f_d + late * f_r, f)
+
+
+@kernel
+def caught_up(late, prompt, speed_m_s, step_s, effects):
+    """What a wheel remembers of its recovery a step later, while lambda_0 is `prompt` [W6].
+
+    Written so that it is finite at standstill: v / (v / 20)^p = 20 (v / 20)^(1 - p).
+    """
+    rate_1_s = MIDDLE_SPEED_M_S / effects.memory_m * math.pow(
+        max(speed_m_s, 0.0) / MIDDLE_SPEED_M_S, 1.0 - effects.memory_power)
+    return late - (prompt - late) * math.expm1(-step_s * rate_1_s)
+
+
+@kernel
+def rates(wheel_rad_s, T, brake_Nm, axle, wheels):
     """A wheelset's acceleration in rad/s2 [W1], its brake torque in N m, and whether it is locked."""
-    drive_Nm = vehicle.wheel_radius_m * T
+    drive_Nm = wheels.radius_m[axle] * T
     if wheel_rad_s <= 0.0 and drive_Nm <= brake_Nm:
         return 0.0, max(drive_Nm, 0.0), True  # [W4]
-    return (drive_Nm - brake_Nm) / vehicle.wheelset_inertia_kgm2, brake_Nm, False
+    return (drive_Nm - brake_Nm) / wheels.inertia_kgm2[axle], brake_Nm, False
 
 
 @kernel
@@ -90,10 +125,10 @@ def roller_rate(motor_Nm, T, on_track, drive):
 
 
 @kernel
-def damped(wheel_k, roller_k, g, locked, on_track, step_s, vehicle, drive):
+def damped(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels, drive):
     """The two slopes of a stage times (I - gamma h p q')^-1 [W3], and the force in N that this adds."""
-    r, R = vehicle.wheel_radius_m, drive.roller_radius_m
-    p_wheel = 0.0 if locked else r / vehicle.wheelset_inertia_kgm2
+    r, R = wheels.radius_m[axle], drive.roller_radius_m
+    p_wheel = 0.0 if locked else wheels.answer_1_kgm[axle]
     p_roller = 0.0 if on_track else -R / drive.roller_inertia_kgm2
     qk = g * (R * roller_k - r * wheel_k)
     share = _GAMMA * step_s * qk / (1.0 + _GAMMA * step_s * g * (r * p_wheel - R * p_roller))
@@ -108,6 +143,7 @@ def integrate(state, params):
     `motor_before` at its beginning, `brake_torque` and `motor_torque` at its end.
     """
     vehicle, drive, patch, law = params.vehicle, params.drive, params.patch, params.law
+    wheels, remembers = params.wheels, params.effects.memory_m > 0.0
     h, on_track, pitch_s = params.step_s, params.mode == 0, vehicle.pitch_time_constant_s
     v, felt = state.vehicle_speed[0], state.felt_acceleration[0]
     resistance_N = body.resistance(v, vehicle)
@@ -118,13 +154,18 @@ def integrate(state, params):
     for j in range(AXLES):
         wheel, roller, motor_Nm = state.wheel_speed[j], state.roller_speed[j], state.motor_before[j]
         surface = v if on_track else drive.roller_radius_m * roller
-        sliding = surface - vehicle.wheel_radius_m * wheel
-        T, g = force(sliding, surface, body.load(j, felt, vehicle), state.friction_degraded[j],
-                     state.friction_recovered[j], patch, law, params.cleaning_creepage)
-        wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_capacity[j], vehicle)
+        sliding = surface - wheels.radius_m[j] * wheel
+        load_N = body.swung(body.load(j, felt, vehicle), j, state.wheel_angle[j], wheels)
+        late = state.late_transition[j] if remembers else NO_MEMORY
+        T, g, prompt = late_force(
+            sliding, surface, load_N, state.friction_degraded[j], state.friction_recovered[j], patch,
+            law, params.cleaning_creepage, late)
+        if remembers:
+            state.prompt_transition[j] = prompt
+        wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_capacity[j], j, wheels)
         roller_k = roller_rate(motor_Nm, T, on_track, drive)
         state.wheel_rate[j], state.roller_rate[j], added_N = damped(
-            wheel_k, roller_k, g, locked, on_track, h, vehicle, drive)
+            wheel_k, roller_k, g, locked, on_track, h, j, wheels, drive)
         # the vehicle feels what wheel and roller feel, or momentum would be lost where they are stiff
         total += T + added_N
         state.contact_force[j], state.brake_mean[j] = 0.5 * (T + added_N), 0.5 * brake_Nm
@@ -141,13 +182,23 @@ def integrate(state, params):
         wheel = max(0.0, state.wheel_speed[j] + h * wheel1)
         roller = state.roller_speed[j] + h * roller1
         surface = v2 if on_track else drive.roller_radius_m * roller
-        sliding = surface - vehicle.wheel_radius_m * wheel
-        T, g = force(sliding, surface, body.load(j, felt2, vehicle), state.friction_degraded[j],
-                     state.friction_recovered[j], patch, law, params.cleaning_creepage)
-        wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_torque[j], vehicle)
+        sliding = surface - wheels.radius_m[j] * wheel
+        turned_rad = state.wheel_angle[j] + h * state.wheel_speed[j]
+        load_N = body.swung(body.load(j, felt2, vehicle), j, turned_rad, wheels)
+        late = NO_MEMORY
+        if remembers:
+            late = caught_up(state.late_transition[j], state.prompt_transition[j], v, h, params.effects)
+        T, g, prompt = late_force(
+            sliding, surface, load_N, state.friction_degraded[j], state.friction_recovered[j], patch,
+            law, params.cleaning_creepage, late)
+        if remembers:
+            state.late_transition[j] = caught_up(
+                state.late_transition[j], 0.5 * (state.prompt_transition[j] + prompt), 0.5 * (v + v2), h,
+                params.effects)
+        wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_torque[j], j, wheels)
         roller_k = roller_rate(motor_Nm, T, on_track, drive)
         wheel_k, roller_k, added_N = damped(wheel_k - 2.0 * wheel1, roller_k - 2.0 * roller1, g,
-                                            locked, on_track, h, vehicle, drive)
+                                            locked, on_track, h, j, wheels, drive)
         total += T + added_N
         state.contact_force[j] += 0.5 * (T + added_N)
         state.brake_mean[j] += 0.5 * brake_Nm
@@ -181,7 +232,7 @@ def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params)
     roller_rad = 0.5 * params.step_s * (roller + state.roller_speed[axle])
     state.wheel_angle[axle] += wheel_rad
     state.roller_angle[axle] += roller_rad
-    slid_m = params.drive.roller_radius_m * roller_rad - params.vehicle.wheel_radius_m * wheel_rad
+    slid_m = params.drive.roller_radius_m * roller_rad - params.wheels.radius_m[axle] * wheel_rad
     state.sliding_work[axle] += state.contact_force[axle] * slid_m
     state.brake_work[axle] += state.brake_mean[axle] * wheel_rad
     state.motor_work[axle] += motor_Nm * roller_rad

@@ -1,8 +1,8 @@
 """Writes what was found as a model: a TOML file with the tuned base and the causes' coefficients.
 
 Every value passes the rows of `mechanisms` like one written by hand; `rollerrig run --model` and
-`explain` load it. Causes that live in the sensors of the recording, or that the plant has not built in,
-stand there as comments.
+`explain` load it. Delays of sensors live in the recording, not in the plant: they stand there as
+comments, that of the wheel speeds with the fault that does the same on the bench's bus.
 """
 
 import math
@@ -11,6 +11,9 @@ from typing import Any
 from rollerrig.rig.identify.explain import Account, Named
 from rollerrig.rig.identify.unknown import Formula
 from rollerrig.rig.mechanisms import BY_NAME, IN_PLANT
+
+# what a frame may be late by on the bench's bus
+_LEAST_S = 0.001
 
 
 def parameters(named: Named) -> dict[str, dict[str, Any]]:
@@ -70,8 +73,7 @@ def toml(account: Account) -> str:
     tau = law["tau_m_J"] * math.exp(account.final.base.get("ln_tau", 0.0))
     lines = [f"# extended model, found by rollerrig explain on {account.data.name}",
              f"# verdict: {account.verdict}", "", "[adhesion]", f"tau_m_J = {tau:.6g}"]
-    kept = [n for n in account.causes if n.cause.name in IN_PLANT and not (
-        n.cause.name in ("wheel_radius", "wheel_inertia") and n.cause.axle)]
+    kept = [n for n in account.causes if n.cause.name in IN_PLANT]
     if kept:
         lines += ["", "[mechanisms]"]
     for named in kept:
@@ -87,6 +89,21 @@ def toml(account: Account) -> str:
         lines += _empirical(account.unknown)
     for named in account.causes:
         if named not in kept:
-            told = ", ".join(f"{k} = {v['value']:.4g}" for k, v in parameters(named).items())
-            lines.append(f"# in the recording, not in the plant: {named.cause.name}, {told}")
+            lines += _of_recording(named)
     return "\n".join(lines) + "\n"
+
+
+def _of_recording(named: Named) -> list[str]:
+    """Comments on a cause that is a sensor's."""
+    found = parameters(named)
+    told = ", ".join(f"{k} = {v['value']:.4g}" for k, v in found.items())
+    place = f" of axle {named.cause.axle}" if named.cause.axle else ""
+    lines = [f"# in the recording, not in the plant: {named.cause.name}{place}, {told}"]
+    if named.cause.name == "speed_sensor_delay":
+        late_s = found["delay_s"]["value"]
+        if named.cause.axle:
+            lines.append("# one frame carries the speeds of all axles: the bus cannot delay that of one alone")
+        elif late_s >= _LEAST_S:
+            lines.append("# the same on the bus of the bench (not in batch): "
+                         f"--fault 'frame_delayed delay_s={late_s:.4g}'")
+    return lines

@@ -16,6 +16,10 @@ CASES = {
     "friction by place": ("step_adhesion", SHORT),
     "pole wheels": ("velim_a1", (*SHORT, "sensor.model=\"pole_wheel\"")),
     "other vehicle": ("velim_a1", (*SHORT, "vehicle.mass_kg=30000.0")),
+    "other wheels of one axle": ("velim_a1", (*SHORT, "mechanisms.wheel_radius_fraction=0.03",
+                                              "mechanisms.wheel_radius_axle=2.0",
+                                              "mechanisms.wheel_inertia_fraction=0.2",
+                                              "mechanisms.wheel_inertia_axle=3.0")),
 }
 # what is a small difference of large numbers
 LOOSE = {"tracking_error_1_m_s", "tracking_error_2_m_s", "tracking_error_3_m_s", "tracking_error_4_m_s"}
@@ -60,7 +64,9 @@ def test_without_a_unit_no_magnet_is_energised(plans):
 
 
 @pytest.mark.parametrize("setting", ["rig=virtual_track", "contact.model=\"polach\"",
-                                     "mechanisms.brake_gain_gain=0.1"])
+                                     "mechanisms.brake_gain_gain=0.1",
+                                     "mechanisms.adhesion_memory_length_m=2.0",
+                                     "mechanisms.wheel_out_of_round_amplitude=0.05"])
 def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
     plan = scenario.load("velim_a1", settings=("initial_speed_m_s=2.0", setting))
     assert not convoy.fits(plan)

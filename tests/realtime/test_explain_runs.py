@@ -1,6 +1,8 @@
 """Faults hidden in stops of the bench over the bus are found in the recordings alone."""
 
 import json
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +10,11 @@ import pytest
 from bench_process import BenchProcess
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import cli, records, run_dataset, run_sensors
-from rollerrig.rig.identify import dataset
+from rollerrig.firmware_sim import faults
+from rollerrig.realtime import batch, cli, records, run_dataset, run_sensors, scenario
+from rollerrig.rig.identify import candidates, dataset, explain, extension, preparation
+from rollerrig.rig.identify.candidates import Cause
+from rollerrig.rig.identify.evidence import Finding
 
 SPEEDS_M_S = (26.0, 20.0, 23.0)
 
@@ -156,3 +161,77 @@ def test_runs_of_another_mass_stand_in_one_dataset_each_with_its_own(stop: Path,
 def test_runs_to_validate_are_only_named_beside_runs(tmp_path: Path, capsys) -> None:
     assert cli.main(["explain", "open_none", "--validate", str(tmp_path), "--out", str(tmp_path)]) == 2
     assert "dataset.toml" in capsys.readouterr().err
+
+
+# --- what was found as a model ---
+
+FOUND = {
+    "adhesion_memory": Cause("adhesion_memory", 0, {"speed_power": 1.0}, (3.0,)),
+    "wheel_out_of_round": Cause("wheel_out_of_round", 2, {}, (0.03, 0.04)),
+    "wheel_radius": Cause("wheel_radius", 3, {}, (0.01,)),
+    "wheel_inertia": Cause("wheel_inertia", 1, {}, (0.25,)),
+    "speed_sensor_delay": Cause("speed_sensor_delay", 0, {}, (0.025,)),
+}
+
+
+def account(*causes: Cause) -> explain.Account:
+    """What `explain` would hand over had it found these causes."""
+    data = dataset.load("open_none")
+    design = preparation.prepare(data, data.group("tune")[:1])
+    base = candidates.start(design)
+    named = []
+    for cause in causes:
+        tiny = (1e-6,) * len(cause.values)
+        finding = Finding(cause.name, cause.axle, cause.shape, cause.values, (), tiny, 99.0, 0.001, 1.0, 1.0)
+        named.append(explain.Named(finding, cause, 99.0, tiny, ()))
+    return explain.Account(data, design, None, base, base._replace(causes=causes), "explained", named, [], [],
+                           None, 0.001, [], None, 1.0)
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_every_cause_of_wheel_and_contact_becomes_keys_that_run_in_batch(name, tmp_path) -> None:
+    model = tmp_path / "extended.toml"
+    model.write_text(extension.toml(account(FOUND[name])))
+    told = tomllib.loads(model.read_text()).get("mechanisms", {})
+    plan = scenario.load("velim_a1", str(model), ("initial_speed_m_s=6.0",))
+    felt = batch.simulate(plan)
+    plain = batch.simulate(scenario.load("velim_a1", settings=("initial_speed_m_s=6.0",)))
+    differs = not np.array_equal(felt["wheel_speed_2_rad_s"], plain["wheel_speed_2_rad_s"])
+    if name == "speed_sensor_delay":
+        assert told == {}
+        assert not differs
+        return
+    wheels, effects = plan.params.wheels, plan.params.effects
+    assert differs
+    assert {
+        "adhesion_memory": (effects.memory_m, effects.memory_power) == pytest.approx((3.0, 1.0)),
+        "wheel_out_of_round": wheels.swing == pytest.approx(np.array([0.0, 0.05, 0.0, 0.0]))
+        and wheels.swing_phase_rad == pytest.approx(-np.arctan2(0.04, 0.03)),
+        "wheel_radius": wheels.radius_m / 0.445 == pytest.approx(np.array([1.0, 1.0, 1.01, 1.0])),
+        "wheel_inertia": wheels.inertia_kgm2 / 160.0 == pytest.approx(np.array([1.25, 1.0, 1.0, 1.0])),
+    }[name]
+
+
+def test_a_late_speed_sensor_is_noted_with_the_fault_that_does_it_on_the_bus() -> None:
+    told = extension.toml(account(FOUND["speed_sensor_delay"]))
+    fault = faults.parse(re.search(r"--fault '([^']+)'", told).group(1))
+    assert fault.values["delay_s"] == pytest.approx(0.025)
+    assert fault.values["can_id"] == 0x190  # speeds of all axles
+    alone = extension.toml(account(FOUND["speed_sensor_delay"]._replace(axle=2)))
+    assert "--fault" not in alone
+    assert "cannot" in alone
+
+
+def test_an_extended_model_is_the_same_plant_in_batch_and_in_the_bench(tmp_path) -> None:
+    model = tmp_path / "extended.toml"
+    model.write_text(extension.toml(account(*FOUND.values())))
+    settings = ("initial_speed_m_s=8.0", "stand_s=0.0")
+    bench = BenchProcess(tmp_path / "run", "--model", str(model), "--pacing", "lockstep",
+                         *(part for one in settings for part in ("--set", one)))
+    assert bench.finish().status == 0, bench.stderr
+    plan = scenario.load("velim_a1", str(model), settings)
+    felt, run = batch.simulate(plan), bench.record
+    assert run.column("transition_1").max() > 0.0
+    for name in ("vehicle_speed_m_s", "wheel_speed_1_rad_s", "wheel_speed_3_rad_s", "wheel_load_2_N",
+                 "transition_1", "cylinder_pressure_4_Pa"):
+        assert np.array_equal(run.column(name), felt[name]), name

@@ -36,6 +36,13 @@ def test_a_hidden_cause_of_another_form_is_named(tmp_path: Path, cause: str, see
     found = explain.braking_runs(dataset.load(folder), 0, silent)
     assert cause in {n.finding.name for n in found.causes} | {
         other for n in found.causes for other in n.confusable}
+    model = tmp_path / "extended.toml"
+    model.write_text(extension.toml(found))
+    # every cause of this one is in the plant
+    assert "not in the plant" not in model.read_text()
+    wheels = scenario.load("velim_a1", str(model)).params.wheels
+    if cause in {n.finding.name for n in found.causes}:
+        assert wheels.radius_m.max() > wheels.radius_m.min()
 
 
 def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path: Path) -> None:
