@@ -32,7 +32,7 @@ from rollerrig.rig.identify.unknown import Formula
 CLEAN_SETS, CHECK_SETS = 60, 40
 MOST_PROMISING, MOST_FITTED, MOST_BESIDE, MOST_CAUSES = 4, 5, 3, 2
 # a remainder above this share of the first cause's likelihood is not a matter of its shape
-REMAINDER_SHARE = 0.25
+REMAINDER_SHARE = 0.15
 # share of the evidence that must lie outside its best block
 ELSEWHERE = 0.2
 # a second cause below this share of the first is taken for the first one's shape
