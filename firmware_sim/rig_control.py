@@ -41,14 +41,17 @@ def hold_surface_speed(state, drive, tick_s):
 
 
 @kernel
-def follow_virtual_wheels(state, virtual, drive, wheels):
-    """Write the motor torque demands in N m that make the wheels of `state` turn as `virtual`'s."""
+def follow_virtual_wheels(state, virtual, drive, radius_m, inertia_kgm2):
+    """Write the motor torque demands in N m that make the wheels of `state` turn as `virtual`'s.
+
+    radius_m and inertia_kgm2 (4,) are those of the wheelsets.
+    """
     R = drive.roller_radius_m
     for j in range(state.roller_speed.size):
         if virtual.standing[0] != 0.0:
             state.motor_torque_demand[j] = 0.0
             continue
-        r, J = wheels.radius_m[j], wheels.inertia_kgm2[j]
+        r, J = radius_m[j], inertia_kgm2[j]
         rolled = drive.roller_inertia_kgm2 * r / R
         force_N = virtual.adhesion[j] * virtual.wheel_load[j]
         wheel_rate = (r * force_N - virtual.brake_torque[j]) / J

@@ -21,7 +21,7 @@ from rollerrig.firmware_sim import (
 from rollerrig.realtime import mailbox as box
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.mailbox import Mailbox
-from rollerrig.rig import plant
+from rollerrig.rig import plant, vehicle
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SLOTS, State
@@ -155,7 +155,7 @@ def tracking_error(m, axle):
     """How far the motors are from what they shall hold, in m/s: at the wheel's or roller's rim."""
     if m.virtual != 0:
         error = m.roller_state.wheel_speed[axle] - m.state.wheel_speed[axle]
-        return m.params.wheels.radius_m[axle] * error
+        return m.params.wheels.table[vehicle.RADIUS_M + axle] * error
     if m.params.mode == 0:
         return 0.0
     return m.params.drive.roller_radius_m * m.state.roller_speed[axle] - m.state.vehicle_speed[0]
@@ -210,8 +210,10 @@ def begin(m, tick):
     box.fetch(m.commands, m.command)
     faults = m.command[FAULTS:]
     if m.virtual != 0:
+        table = m.params.wheels.table
         rig_control.follow_virtual_wheels(m.roller_state, m.state, m.roller_params.drive,
-                                          m.params.wheels)
+                                          table[vehicle.RADIUS_M:vehicle.RADIUS_M + AXLES],
+                                          table[vehicle.INERTIA_KGM2:vehicle.INERTIA_KGM2 + AXLES])
     elif m.params.mode != 0:
         rig_control.hold_surface_speed(m.state, m.params.drive, m.params.tick_s)
     if m.virtual != 0 or m.params.mode != 0:

@@ -16,6 +16,7 @@ from rollerrig.rig.contact import creep_force
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.params import ROLLERS, TRACK, Params
 from rollerrig.rig.state import AXLES
+from rollerrig.rig.vehicle import INERTIA_KGM2, RADIUS_M
 
 RIGS = 4
 LANES = RIGS * AXLES
@@ -51,7 +52,7 @@ def seat(w, rig, params):
     for j in range(AXLES):
         at = rig * AXLES + j
         w[STEP + at], w[ON_TRACK + at] = params.step_s, (1.0 if params.mode == 0 else 0.0)
-        w[WHEEL_M + at], w[WHEEL_KGM2 + at] = wheels.radius_m[j], wheels.inertia_kgm2[j]
+        w[WHEEL_M + at], w[WHEEL_KGM2 + at] = wheels.table[RADIUS_M + j], wheels.table[INERTIA_KGM2 + j]
         w[ROLLER_M + at], w[ROLLER_KGM2 + at] = drive.roller_radius_m, drive.roller_inertia_kgm2
         w[STATIC_N + at] = vehicle.static_load_N
         w[TRANSFER_KG + at] = ((0.5 if j < 2 else -0.5) * vehicle.body_transfer_kg

@@ -33,7 +33,7 @@ def start(state, params, initial_speed_m_s):
     """Set a rig that rolls at a speed in m/s, brakes released, wheels and rollers without sliding."""
     state.vehicle_speed[0] = initial_speed_m_s
     for j in range(AXLES):
-        state.wheel_speed[j] = initial_speed_m_s / params.wheels.radius_m[j]
+        state.wheel_speed[j] = initial_speed_m_s / params.wheels.table[vehicle.RADIUS_M + j]
         if params.mode != 0:
             state.roller_speed[j] = initial_speed_m_s / params.drive.roller_radius_m
         state.observer[j] = (params.drive.observer_rad_s * params.drive.roller_inertia_kgm2
@@ -148,7 +148,7 @@ def rest(state, params, coach):
 def observe(state, params):
     """Write what can be seen of the present state: contact, torques, loads, sensors, locks."""
     for j in range(AXLES):
-        r = params.wheels.radius_m[j]
+        r = params.wheels.table[vehicle.RADIUS_M + j]
         planar_N = vehicle.swung(vehicle.load(j, state.felt_acceleration[0], params.vehicle), j,
                                  state.wheel_angle[j], params.wheels)
         load_N = on_rig.load(j, planar_N, state, params.coach)

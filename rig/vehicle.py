@@ -16,6 +16,9 @@ from rollerrig.rig.state import AXLES
 
 # below this speed a braked or resisted vehicle stands: resistance is dry friction there
 STANDING_M_S = 0.005
+# where the wheels' table has what, one value for each axle: radius, inertia, radius over inertia (rad/s2 a
+# newton: no step has to divide), share of the load that swings
+RADIUS_M, INERTIA_KGM2, ANSWER_1_KGM, SWING = range(0, 4 * AXLES, AXLES)
 
 
 @kernel
@@ -38,7 +41,7 @@ def swung(load_N, axle, angle_rad, wheels):
     """Load in N of a wheelset whose wheels have turned by an angle, round or not [V4]."""
     if not wheels.swings:
         return load_N
-    return load_N * (1.0 + wheels.swing[axle] * math.cos(angle_rad + wheels.swing_phase_rad))
+    return load_N * (1.0 + wheels.table[SWING + axle] * math.cos(angle_rad + wheels.swing_phase_rad))
 
 
 @kernel_inlined

@@ -110,10 +110,10 @@ def caught_up(late, prompt, speed_m_s, step_s, effects):
 @kernel
 def rates(wheel_rad_s, T, brake_Nm, axle, wheels):
     """A wheelset's acceleration in rad/s2 [W1], its brake torque in N m, and whether it is locked."""
-    drive_Nm = wheels.radius_m[axle] * T
+    drive_Nm = wheels.table[body.RADIUS_M + axle] * T
     if wheel_rad_s <= 0.0 and drive_Nm <= brake_Nm:
         return 0.0, max(drive_Nm, 0.0), True  # [W4]
-    return (drive_Nm - brake_Nm) / wheels.inertia_kgm2[axle], brake_Nm, False
+    return (drive_Nm - brake_Nm) / wheels.table[body.INERTIA_KGM2 + axle], brake_Nm, False
 
 
 @kernel
@@ -127,8 +127,8 @@ def roller_rate(motor_Nm, T, on_track, drive):
 @kernel
 def damped(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels, drive):
     """The two slopes of a stage times (I - gamma h p q')^-1 [W3], and the force in N that this adds."""
-    r, R = wheels.radius_m[axle], drive.roller_radius_m
-    p_wheel = 0.0 if locked else wheels.answer_1_kgm[axle]
+    r, R = wheels.table[body.RADIUS_M + axle], drive.roller_radius_m
+    p_wheel = 0.0 if locked else wheels.table[body.ANSWER_1_KGM + axle]
     p_roller = 0.0 if on_track else -R / drive.roller_inertia_kgm2
     qk = g * (R * roller_k - r * wheel_k)
     share = _GAMMA * step_s * qk / (1.0 + _GAMMA * step_s * g * (r * p_wheel - R * p_roller))
@@ -154,7 +154,7 @@ def integrate(state, params):
     for j in range(AXLES):
         wheel, roller, motor_Nm = state.wheel_speed[j], state.roller_speed[j], state.motor_before[j]
         surface = v if on_track else drive.roller_radius_m * roller
-        sliding = surface - wheels.radius_m[j] * wheel
+        sliding = surface - wheels.table[body.RADIUS_M + j] * wheel
         load_N = body.swung(body.load(j, felt, vehicle), j, state.wheel_angle[j], wheels)
         late = state.late_transition[j] if remembers else NO_MEMORY
         T, g, prompt = late_force(
@@ -182,7 +182,7 @@ def integrate(state, params):
         wheel = max(0.0, state.wheel_speed[j] + h * wheel1)
         roller = state.roller_speed[j] + h * roller1
         surface = v2 if on_track else drive.roller_radius_m * roller
-        sliding = surface - wheels.radius_m[j] * wheel
+        sliding = surface - wheels.table[body.RADIUS_M + j] * wheel
         turned_rad = state.wheel_angle[j] + h * state.wheel_speed[j]
         load_N = body.swung(body.load(j, felt2, vehicle), j, turned_rad, wheels)
         late = NO_MEMORY
@@ -232,7 +232,7 @@ def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params)
     roller_rad = 0.5 * params.step_s * (roller + state.roller_speed[axle])
     state.wheel_angle[axle] += wheel_rad
     state.roller_angle[axle] += roller_rad
-    slid_m = params.drive.roller_radius_m * roller_rad - params.wheels.radius_m[axle] * wheel_rad
+    slid_m = params.drive.roller_radius_m * roller_rad - params.wheels.table[body.RADIUS_M + axle] * wheel_rad
     state.sliding_work[axle] += state.contact_force[axle] * slid_m
     state.brake_work[axle] += state.brake_mean[axle] * wheel_rad
     state.motor_work[axle] += motor_Nm * roller_rad

@@ -256,7 +256,7 @@ def test_with_such_wheels_and_memory_the_energy_of_a_stop_balances() -> None:
     run = rig.roll(40.0, np.tile([0, 0, 1, 3], (40_000, 1)))
     assert np.isfinite(run.log).all()
     mass = rig.params.vehicle.mass_kg * (run.vehicle_speed[0] ** 2 - run.vehicle_speed[-1] ** 2)
-    wheels = rig.params.wheels.inertia_kgm2 @ (run.wheel_speed[0] ** 2 - run.wheel_speed[-1] ** 2)
+    wheels = rig.params.wheels.table.reshape(4, 4)[1] @ (run.wheel_speed[0] ** 2 - run.wheel_speed[-1] ** 2)
     counted = (run.change("sliding_work").sum() + run.change("brake_work").sum()
                + run.change("resistance_work"))
     assert counted == pytest.approx(0.5 * (mass + wheels), rel=1e-6)
