@@ -41,6 +41,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--live", action="store_true", help="loop: with the live view on")
     parser.add_argument("--sets", type=int, default=0, metavar="N",
                         help="explain: only the first N sets of the matrix (default: all)")
+    parser.add_argument("--generator", choices=("first", "second"), default="first",
+                        help="explain: whose sets, by one author or by another (default: first)")
     parser.add_argument("--seed", type=int, default=0, help="seed of whatever is random (default: 0)")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
                         help="loop, hunting: change one value of the scenario, as in loop.priority=0")

@@ -137,8 +137,9 @@ TABLE: tuple[Mechanism, ...] = (
         "k_ad, k_ar = (1 - reduction) of the base", "a layer softens the sticking part",
         "Polach 2005; PHYSICS 8"),
     Mechanism(
-        "falling_friction", CONTACT, (_row("fraction", -0.95, 5.0, "-"),),
-        "gamma_d, gamma_r = (1 + fraction) of the base",
+        "falling_friction", CONTACT,
+        (_row("fraction", -0.95, 5.0, "-"), _row("height", 0.0, 1.0, "-")),
+        "gamma_d, gamma_r = (1 + fraction) of the base; height = 1: 1 / A_d - 1, 1 / A_r - 1 instead",
         "friction falls with sliding otherwise than told", "Polach 2005; CONTACT user guide"),
 )
 

@@ -318,8 +318,12 @@ def extended_law(law: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str
     found = dict(law)
     for key in ("k_ad", "k_ar"):
         found[key] *= 1.0 - extra["interfacial_layer_reduction"]
-    for key in ("gamma_d_s_m", "gamma_r_s_m"):
-        found[key] *= 1.0 + extra["falling_friction_fraction"]
+    if extra["falling_friction_height"] == 0.0:
+        for key in ("gamma_d_s_m", "gamma_r_s_m"):
+            found[key] *= 1.0 + extra["falling_friction_fraction"]
+    else:
+        for key in ("A_d", "A_r"):
+            found[key] /= 1.0 + (1.0 - found[key]) * extra["falling_friction_fraction"]
     return found
 
 

@@ -83,6 +83,11 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
         if "on_vehicle" in cause.shape:
             return i._replace(force_N=i.force_N + courses.of_vehicle(d, change))
         return i._replace(friction_log=i.friction_log + change)
+    if cause.name == "falling_friction" and "height" in cause.shape:
+        p = i.parameters.copy()
+        for at in (replay.A_D, replay.A_R):
+            p[:, at] /= 1.0 + (1.0 - p[:, at]) * value
+        return i._replace(parameters=p)
     if cause.name in _COLUMN:
         p = i.parameters.copy()
         for at, sign in _COLUMN[cause.name]:

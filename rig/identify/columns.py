@@ -257,6 +257,8 @@ def _contact_causes(w: _Writer, d: Design, linear: Linear) -> None:
                                ("falling_friction", "fraction", sensitivity.GAMMA)):
         at = w.add(name, label, linear.rates[:, index])
         w.variant(name, [at])
+    w.shaped("falling_friction", w.add("falling_friction", "fraction", linear.rates[:, sensitivity.HEIGHT]),
+             0, {"height": 1.0})
     # its answer is a finite step of the whole filter, see `tuning`
     for shape in MEMORY_SHAPES:
         w.shaped("adhesion_memory", w.add("adhesion_memory", f"{shape.get('speed_power', 0.0):g}",

@@ -31,8 +31,13 @@ from rollerrig.rig.identify.unknown import Formula
 
 CLEAN_SETS, CHECK_SETS = 60, 40
 MOST_PROMISING, MOST_FITTED, MOST_BESIDE, MOST_CAUSES = 4, 5, 3, 2
-# a remainder above this share of the first cause's likelihood is not a matter of its shape
-REMAINDER_SHARE = 0.15
+# likelihood that a cause must win at least
+TAKEN = 20.0
+# a remainder above this share of the causes' likelihood is not a matter of their shape, unless it
+# lies along what the cause itself goes by: there its shape may differ more
+REMAINDER_SHARE, OWN_REMAINDER_SHARE = 0.08, 0.2
+GOES_BY = {"rail_cleaning": "axle", "speed_dependent_friction": "speed", "friction_trend": "time",
+           "falling_friction": "sliding", "running_resistance": "vehicle speed", "pad_fade": "disc_heat"}
 # share of the evidence that must lie outside its best block
 ELSEWHERE = 0.2
 # a second cause below this share of the first is taken for the first one's shape
@@ -228,7 +233,7 @@ def _choose(design: Design, told: Explanation, value: float, rivals: list[_Rival
              for f, fit in rivals]
     order = np.argsort(ratio)[::-1]
     top = int(order[0])
-    if ratio[top] < evidence.FLOOR:
+    if ratio[top] < TAKEN:
         return told, []
     finding, best = rivals[top]
     drop = blocks(design, told) - best.blocks
@@ -366,9 +371,12 @@ def _verdict(causes: list[Named], remainder: list[Finding], won: Gain | None,
                      "not fitted worse: not named")
         return "unexplained"
     total = sum(named.ratio for named in causes)
-    if left and max(f.statistic for f in left) > REMAINDER_SHARE * total:
+    own = {f"along {GOES_BY.get(named.finding.name)}" for named in causes}
+    much = [f for f in left
+            if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)]
+    if much:
         notes.append(f"behind {causes[0].finding.name} much remains along "
-                     f"{left[0].name.removeprefix('along ')}: the cause is not in the library")
+                     f"{much[0].name.removeprefix('along ')}: the cause is not in the library")
         return "unexplained"
     if left:
         notes.append(f"a small part remains along {left[0].name.removeprefix('along ')}")

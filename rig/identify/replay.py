@@ -29,7 +29,7 @@ LAW_KEYS = ("mu_cd", "mu_cr", "A_d", "A_r", "gamma_d_s_m", "gamma_r_s_m", "k_ad"
 RADIUS, INERTIA = 0, 1
 LAW = slice(2, 13)
 EPS1, MEMORY, SIGMA, LENGTH, NOISE, TORQUE_NOISE, CLEANING, MEMORY_POWER = 13, 14, 15, 16, 17, 18, 19, 20
-MU_CD, GAMMA_D, GAMMA_R, K_AD, K_AR, TAU = 2, 6, 7, 8, 10, 12
+MU_CD, A_D, A_R, GAMMA_D, GAMMA_R, K_AD, K_AR, TAU = 2, 4, 5, 6, 7, 8, 10, 12
 PARAMETERS = 21
 SUBSTEPS = 2
 

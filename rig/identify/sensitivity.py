@@ -18,13 +18,13 @@ from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.kernel import kernel, kernel_with_memory
 
 # changes of the wheel's acceleration for a change of ln: friction, tau, gamma, stiffness, k_a, load,
-# radius, the field m, and mu_cd alone
-FRICTION, TAU, GAMMA, STIFFNESS, STICKING, LOAD, RADIUS, LATE, LEVEL = range(9)
-_COEFFICIENTS = 6
+# radius, the field m, mu_cd alone, and the height of the fall
+FRICTION, TAU, GAMMA, STIFFNESS, STICKING, LOAD, RADIUS, LATE, LEVEL, HEIGHT = range(10)
+_COEFFICIENTS, _RATES = 6, 10
 
 
 class Linear(NamedTuple):
-    """A replay with its coefficients: flat arrays (n,), (n, 6) and (n, 9)."""
+    """A replay with its coefficients: flat arrays (n,), (n, 6) and (n, 10)."""
 
     nu: np.ndarray
     variance: np.ndarray
@@ -89,7 +89,7 @@ def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, 
         d = 0.01
         rates[k, 0] = force * (replay.wheel_adhesion(s, v, 0.5 * N, log_mu + d, p, before, share)[0]
                                - f) / d
-        for i in range(6):
+        for i in range(7):
             for c in range(p.size):
                 q[c] = p[c]
             N1 = N
@@ -105,10 +105,13 @@ def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, 
                 q[10] *= 1.0 - d
             elif i == 4:
                 N1 = N * (1.0 + d)
-            else:
+            elif i == 5:
                 q[2] *= 1.0 + d
+            else:
+                q[4] /= 1.0 + (1.0 - q[4]) * d
+                q[5] /= 1.0 + (1.0 - q[5]) * d
             f1 = replay.wheel_adhesion(s, v, 0.5 * N1, log_mu, q, before, share)[0]
-            rates[k, 1 + i] = force * (f1 * N1 / N - f) / d
+            rates[k, 1 + i if i < 6 else HEIGHT] = force * (f1 * N1 / N - f) / d
         rates[k, 8] = rates[k, 6]
         rates[k, 6] = force * f + a * omega  # radius: lever, and sliding
         rates[k, 7] = force * f
@@ -172,7 +175,7 @@ def linearise(design: Design, inputs: Inputs) -> Linear:
     """Replay all wheels and vehicles and keep the coefficients."""
     n = design.measured_rad_s.size
     nu, variance, field = np.empty(n), np.empty(n), np.empty(n)
-    co, rates, path = np.empty((n, _COEFFICIENTS)), np.empty((n, 9)), np.empty((n, 3))
+    co, rates, path = np.empty((n, _COEFFICIENTS)), np.empty((n, _RATES)), np.empty((n, 3))
     for s in range(design.segments):
         at = design.span(s)
         p = inputs.parameters[s]

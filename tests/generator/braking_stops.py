@@ -36,6 +36,11 @@ SMALLEST = {
 }
 UNKNOWN = {"load_exponent": 1.0, "joints": 0.08, "sticky_turn": 0.08, "late_axle": 0.06,
            "sliding_resonance": 0.06}
+LARGEST: dict[str, float] = {}
+PAIRS = tuple({name: 2.0 * SMALLEST[name] for name in pair} for pair in (
+    ("rail_cleaning", "running_resistance"), ("brake_gain", "friction_trend"),
+    ("wheel_radius", "adhesion_memory"), ("pad_fade", "rail_cleaning"),
+    ("torque_sensor_delay", "contaminated_patch"), ("load_transfer", "running_resistance")))
 INDEX = {name: i for i, name in enumerate(EFFECTS)}
 
 

@@ -53,6 +53,9 @@ SMALLEST = {
     "falling_friction": 0.15,          # no figure given: loss at very large sliding
 }
 
+# sizes beyond which an effect leaves its own physics: a roller of 20 mm, a layer softer than the contact
+LARGEST = {"roller_curvature": 0.70, "interfacial_layer": 0.75}
+
 # effects that no name of the library covers: one clearly visible size each
 UNKNOWN = {
     "rail_joints": 0.08,            # friction wave along the rail

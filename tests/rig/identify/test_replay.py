@@ -63,7 +63,7 @@ ZERO = [Cause("rail_cleaning", 0, {"energy_J_m": 150.0}, (0.0,)),
         Cause("wheel_out_of_round", 1, {}, (0.0,) * 6), Cause("load_transfer", 0, {}, (0.0, 0.0)),
         Cause("sanding", 0, {"start_s a1": 4.0, "duration_s a1": 4.0}, (0.0,)),
         Cause("roller_curvature", 0, {}, (0.0,)), Cause("interfacial_layer", 0, {}, (0.0,)),
-        Cause("falling_friction", 0, {}, (0.0,))]
+        Cause("falling_friction", 0, {}, (0.0,)), Cause("falling_friction", 0, {"height": 1.0}, (0.0,))]
 
 
 @pytest.mark.parametrize("cause", ZERO, ids=lambda cause: cause.name)
@@ -75,18 +75,21 @@ def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(
     assert all(np.array_equal(a, b) for a, b in zip(plain, with_it, strict=True))
 
 
-SMALL = [("friction_trend", 0, 1e-4), ("roller_curvature", 0, 1e-3), ("falling_friction", 0, 1e-3),
-         ("brake_gain", 1, 1e-3), ("wheel_radius", 2, 1e-5), ("pad_fade", 0, 1e-4)]
+SMALL = [Cause("friction_trend", 0, {}, (1e-4,)), Cause("roller_curvature", 0, {}, (1e-3,)),
+         Cause("falling_friction", 0, {}, (1e-3,)), Cause("falling_friction", 0, {"height": 1.0}, (1e-3,)),
+         Cause("brake_gain", 1, {}, (1e-3,)), Cause("wheel_radius", 2, {}, (1e-5,)),
+         Cause("pad_fade", 0, {}, (1e-4,))]
 
 
-@pytest.mark.parametrize(("name", "axle", "size"), SMALL)
+@pytest.mark.parametrize("cause", SMALL, ids=lambda cause: cause.name)
 def test_the_linearised_answer_is_the_derivative_of_the_replay(
-        design: preparation.Design, told: Explanation, name: str, axle: int, size: float) -> None:
+        design: preparation.Design, told: Explanation, cause: Cause) -> None:
     found, linear, _, Z = tuning.normal(design, told)
-    column = next(v.columns[0] for v in found.book.variants if v.cause == name and v.axle == axle)
+    column = next(v.columns[0] for v in found.book.variants
+                  if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape))
     moved = sensitivity.innovations(design, candidates.inputs(
-        design, told._replace(causes=(Cause(name, axle, {}, (size,)),))))[0]
-    change = (moved - linear.nu) / np.sqrt(linear.variance) / size
+        design, told._replace(causes=(cause,))))[0]
+    change = (moved - linear.nu) / np.sqrt(linear.variance) / cause.values[0]
     answer = Z[:, column].astype(float)
     assert np.dot(change, answer) / np.linalg.norm(change) / np.linalg.norm(answer) > 0.99
     assert np.dot(change, answer) / np.dot(answer, answer) == pytest.approx(1.0, abs=0.06)
