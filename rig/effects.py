@@ -62,6 +62,7 @@ class Effects(NamedTuple):
     period: float
     memory_m: float  # way on which recovery lags at 20 m/s, 0: it does not
     memory_power: float
+    memory_of_work: float
 
 
 class Wheels(NamedTuple):
@@ -94,7 +95,7 @@ def build(m: Mapping[str, Any]) -> Effects:
         int(m["empirical_covariate"]),
         *(m[name] for name in ("empirical_linear", "empirical_quadratic", "empirical_centre",
                                "empirical_scale", "empirical_period", "adhesion_memory_length_m",
-                               "adhesion_memory_speed_power")))
+                               "adhesion_memory_speed_power", "adhesion_memory_of_work")))
 
 
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:

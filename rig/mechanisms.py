@@ -52,8 +52,10 @@ TABLE: tuple[Mechanism, ...] = (
         "leading wheels clean the rail for the following ones", "Allotta et al. 2014; PHYSICS 8"),
     Mechanism(
         "adhesion_memory", CONTACT,
-        (_row("length_m", 0.0, 50.0, "m"), _row("speed_power", 0.0, 1.0, "-")),
-        "d lambda/dx = (lambda_0 - lambda) / (length (v / 20 m/s)^speed_power)",
+        (_row("length_m", 0.0, 50.0, "m"), _row("speed_power", 0.0, 1.0, "-"),
+         _row("of_work", 0.0, 1.0, "-")),
+        "d lambda/dx = (lambda_0 - lambda) / (length (v / 20 m/s)^speed_power); of_work = 1: "
+        "lambda_0 = 1 - exp(-tau W) of the work W done meanwhile, not that of the base model",
         "recovery lags the dissipated energy",
         "assumption; PHYSICS 8"),
     Mechanism(
@@ -133,8 +135,10 @@ TABLE: tuple[Mechanism, ...] = (
         "eps = (1 + stiffness_fraction) eps_0", "the patch is that of another curvature",
         "PHYSICS 7"),
     Mechanism(
-        "interfacial_layer", CONTACT, (_row("reduction", 0.0, 0.95, "-"),),
-        "k_ad, k_ar = (1 - reduction) of the base", "a layer softens the sticking part",
+        "interfacial_layer", CONTACT,
+        (_row("reduction", 0.0, 0.95, "-"), _row("whole", 0.0, 1.0, "-")),
+        "k_ad, k_ar = (1 - reduction) of the base; whole = 1: k_sd, k_sr as well",
+        "a layer softens the contact",
         "Polach 2005; PHYSICS 8"),
     Mechanism(
         "falling_friction", CONTACT,

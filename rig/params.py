@@ -316,7 +316,8 @@ def check_coach(extra: Mapping[str, float]) -> None:
 def extended_law(law: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str, Any]:
     """Adhesion values with the layer and the falling friction of an extended model."""
     found = dict(law)
-    for key in ("k_ad", "k_ar"):
+    softened = ("k_ad", "k_ar") if extra["interfacial_layer_whole"] == 0.0 else ("k_ad", "k_ar", "k_sd", "k_sr")
+    for key in softened:
         found[key] *= 1.0 - extra["interfacial_layer_reduction"]
     if extra["falling_friction_height"] == 0.0:
         for key in ("gamma_d_s_m", "gamma_r_s_m"):

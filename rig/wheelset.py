@@ -19,6 +19,8 @@ can hold [W4].
     [W6] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), f = f_d + lambda (f_r - f_d), where an
          extended model gives recovery a memory L: a state of each axle, whose lag is stepped exactly
          under the mean of lambda_0 at both stages
+    [W7] lambda_0 = 1 - exp(-tau W) = 1 - (1 - lambda_b)^(f / f_b), W and f as they are, b of the base law,
+         where the memory is one of the work done
 
 Second order in the step while no wheel locks or leaves its lock within it. Rotation backwards does
 not exist here: the vehicle only brakes.
@@ -35,6 +37,8 @@ _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 # sliding in m/s below which the secant slope is taken at this sliding
 _SMALL_M_S = 1e-6
 NO_MEMORY = -1.0
+# lambda_0 counts no nearer to 1
+_WHOLE = 1.0 - 1e-12
 MIDDLE_SPEED_M_S = 20.0
 
 
@@ -70,14 +74,15 @@ def classic(sliding_m_s, surface_m_s, load_N, patch, law):
 def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage):
     """Contact force T in N of both wheels, and its secant slope g = T / s in N s/m, not negative."""
     return late_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage,
-                      NO_MEMORY)[:2]
+                      NO_MEMORY, 0.0)[:2]
 
 
 @kernel
-def late_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage, late):
+def late_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage, late,
+               of_work):
     """What `force` returns, and lambda_0, where the contact has recovered by `late`, 0 to 1 [W6].
 
-    NO_MEMORY: it has recovered by lambda_0.
+    NO_MEMORY: it has recovered by lambda_0. `of_work` above 0: lambda_0 is that of the work done [W7].
     """
     at = sliding_m_s
     if abs(at) < _SMALL_M_S:
@@ -85,7 +90,9 @@ def late_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, clean
     slope, f_d, f_r, prompt, _, _ = creep(at, surface_m_s, load_N, mu_cd, mu_cr, patch, law,
                                           cleaning_creepage)
     if late >= 0.0:
-        slope = recovered(slope, f_d, f_r, late)
+        base, slope = slope, recovered(slope, f_d, f_r, late)
+        if of_work > 0.0 and base != 0.0:
+            prompt = -math.expm1(math.log1p(-min(prompt, _WHOLE)) * slope / base)
     slope *= load_N / at
     return slope * sliding_m_s, max(slope, 0.0), prompt
 
@@ -159,7 +166,7 @@ def integrate(state, params):
         late = state.late_transition[j] if remembers else NO_MEMORY
         T, g, prompt = late_force(
             sliding, surface, load_N, state.friction_degraded[j], state.friction_recovered[j], patch,
-            law, params.cleaning_creepage, late)
+            law, params.cleaning_creepage, late, params.effects.memory_of_work)
         if remembers:
             state.prompt_transition[j] = prompt
         wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_capacity[j], j, wheels)
@@ -190,7 +197,7 @@ def integrate(state, params):
             late = caught_up(state.late_transition[j], state.prompt_transition[j], v, h, params.effects)
         T, g, prompt = late_force(
             sliding, surface, load_N, state.friction_degraded[j], state.friction_recovered[j], patch,
-            law, params.cleaning_creepage, late)
+            law, params.cleaning_creepage, late, params.effects.memory_of_work)
         if remembers:
             state.late_transition[j] = caught_up(
                 state.late_transition[j], 0.5 * (state.prompt_transition[j] + prompt), 0.5 * (v + v2), h,

@@ -89,14 +89,16 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
             p[:, at] /= 1.0 + (1.0 - p[:, at]) * value
         return i._replace(parameters=p)
     if cause.name in _COLUMN:
+        places = _COLUMN[cause.name] + (_WHOLE_LAYER if "whole" in cause.shape else ())
         p = i.parameters.copy()
-        for at, sign in _COLUMN[cause.name]:
+        for at, sign in places:
             p[rows, at] *= max(1.0 + sign * value, 0.02)
         return i._replace(parameters=p)
     if cause.name == "adhesion_memory":
         p = i.parameters.copy()
         p[:, replay.MEMORY] = max(value, 0.0)
         p[:, replay.MEMORY_POWER] = cause.shape.get("speed_power", 0.0)
+        p[:, replay.MEMORY_OF_WORK] = cause.shape.get("of_work", 0.0)
         return i._replace(parameters=p)
     if cause.name == "brake_gain":
         return i._replace(torque_Nm=i.torque_Nm * (1.0 + value * mask))
@@ -134,6 +136,8 @@ _COLUMN = {
     "interfacial_layer": ((replay.K_AD, -1.0), (replay.K_AR, -1.0)),
     "falling_friction": ((replay.GAMMA_D, 1.0), (replay.GAMMA_R, 1.0)),
 }
+
+_WHOLE_LAYER = ((replay.K_SD, -1.0), (replay.K_SR, -1.0))
 
 
 def _swing(d: Design, cause: Cause) -> np.ndarray:

@@ -203,7 +203,7 @@ TORQUE_SHAPES: dict[str, tuple[dict[str, float], ...]] = {
     "pad_fade": ({}, {"heat_MJ": 3.0}),
     "running_resistance": ({}, {"speed_power": 1.0}, {"speed_power": 2.0}),
 }
-MEMORY_SHAPES: tuple[dict[str, float], ...] = ({}, {"speed_power": 1.0})
+MEMORY_SHAPES: tuple[dict[str, float], ...] = ({}, {"speed_power": 1.0}, {"of_work": 1.0})
 
 
 def _friction_causes(w: _Writer, d: Design, friction: np.ndarray) -> None:
@@ -259,10 +259,11 @@ def _contact_causes(w: _Writer, d: Design, linear: Linear) -> None:
         w.variant(name, [at])
     w.shaped("falling_friction", w.add("falling_friction", "fraction", linear.rates[:, sensitivity.HEIGHT]),
              0, {"height": 1.0})
+    w.shaped("interfacial_layer", w.add("interfacial_layer", "reduction", -linear.rates[:, sensitivity.STIFFNESS]),
+             0, {"whole": 1.0})
     # its answer is a finite step of the whole filter, see `tuning`
-    for shape in MEMORY_SHAPES:
-        w.shaped("adhesion_memory", w.add("adhesion_memory", f"{shape.get('speed_power', 0.0):g}",
-                                          None), 0, shape)
+    for k, shape in enumerate(MEMORY_SHAPES):
+        w.shaped("adhesion_memory", w.add("adhesion_memory", str(k), None), 0, shape)
 
 
 def _sensor_causes(w: _Writer, d: Design, inputs: Inputs, linear: Linear,

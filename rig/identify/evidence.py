@@ -56,6 +56,7 @@ class Finding(NamedTuple):
     p_value: float
     expected: float  # mean of the uncorrected statistic on clean sets
     spread: float  # deviation of a coefficient over its nominal one
+    trials: int = 1  # shapes and axles among which this one is the best
 
     def cause(self) -> Cause:
         """The cause to begin a fit with."""
@@ -100,7 +101,7 @@ def findings(design: Design, normal: Normal, clean: list[Scores],
     for window in (_patch(normal, real, clean), _sand(design, normal, real, clean)):
         if window is not None and window.name not in known:
             best[window.name], trials[window.name] = window, 1
-    chosen = [f._replace(p_value=min(1.0, f.p_value * np.sqrt(trials[f.name])))
+    chosen = [f._replace(p_value=min(1.0, f.p_value * np.sqrt(trials[f.name])), trials=trials[f.name])
               for f in best.values()]
     return sorted(chosen, key=lambda f: (f.p_value, -f.statistic))
 

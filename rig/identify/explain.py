@@ -37,16 +37,21 @@ TAKEN = 20.0
 # lies along what the cause itself goes by: there its shape may differ more
 REMAINDER_SHARE, OWN_REMAINDER_SHARE = 0.08, 0.2
 GOES_BY = {"rail_cleaning": "axle", "speed_dependent_friction": "speed", "friction_trend": "time",
-           "falling_friction": "sliding", "running_resistance": "vehicle speed", "pad_fade": "disc_heat"}
+           "falling_friction": "sliding", "running_resistance": "vehicle speed", "pad_fade": "disc_heat",
+           "adhesion_memory": "energy"}
 # share of the evidence that must lie outside its best block
 ELSEWHERE = 0.2
 # a second cause below this share of the first is taken for the first one's shape
-SECOND_SHARE, SECOND_FLOOR = 0.08, 20.0
+SECOND_SHARE, SECOND_FLOOR = 0.11, 20.0
+# one of a single wheelset is no matter of the shape of a first one of all
+SECOND_SHARE_OF_AXLE = 0.05
+# likelihood beyond what a clean set can win
+CERTAIN = 300.0
 # its score, before it is fitted, may be this share of that
 SCORE_SHARE = 0.3
 # a second cause that could be taken for the first must have this share of its likelihood
 OWN_SHARE = 0.3
-# likelihood that each further coefficient of a shape must earn
+# likelihood that each further coefficient of a shape must earn, beside that of the choice of shape
 PRICE = 5.0
 EXTRA = {"sanding": 6, "contaminated_patch": 2, "wheel_out_of_round": 2, "load_transfer": 1,
          "rail_cleaning": 0, "negative_conditioning": 1}
@@ -120,6 +125,7 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
         found = evidence.findings(design, scored, nulls)
         rivals = _fitted(pool, data, measured, base, found, MOST_FITTED, progress)
         rivals = [_better(rival, promising, scored, nulls) for rival in rivals]
+        rivals += _certain(value, promising, rivals, scored, nulls)
         told, causes = _scaled(design, *_choose(design, base, value, rivals))
         remainder: list[Finding] = [f for f in found if evidence.generic(f.name)]
         if causes:
@@ -182,6 +188,10 @@ def fit_one(task: _Fit) -> _Fitted:
     """Fit one explanation; its deviance by blocks of 3 s."""
     design = preparation.prepare(task.data, task.measured)
     told, value, covariance = tuning.fit(design, task.told, 6)
+    if any(cause.name == tuning.MEMORY for cause in told.causes):
+        told, value, covariance = min(
+            (told, value, covariance), tuning.fit(design, shapes.remembered(design, told), 7),
+            key=lambda fit: fit[1])
     if any(cause.name in EVENTS for cause in told.causes):
         told, value, covariance = tuning.fit(design, shapes.refined(design, told), 4)
     return _Fitted(told, value, covariance, blocks(design, told))
@@ -220,8 +230,17 @@ def _better(rival: _Rival, others: list[_Fitted], scored: tuning.Normal,
         if cause.name == rival.finding.name and fit.value < rival.fit.value - 4.0:
             finding = evidence.finding_of(scored, nulls, cause)
             if finding is not None:
-                return _Rival(finding, fit)
+                return _Rival(finding._replace(trials=rival.finding.trials), fit)
     return rival
+
+
+def _certain(value: float, fits: list[_Fitted], rivals: list[_Rival], scored: tuning.Normal,
+             nulls: list[evidence.Scores]) -> list[_Rival]:
+    """Causes whose fit wins so much that no score is asked: far from the base, scores say little."""
+    known = {rival.finding.name for rival in rivals}
+    found = [(evidence.finding_of(scored, nulls, fit.told.causes[-1]), fit) for fit in fits
+             if fit.told.causes[-1].name not in known and value - fit.value > CERTAIN]
+    return [_Rival(finding, fit) for finding, fit in found if finding is not None]
 
 
 def _choose(design: Design, told: Explanation, value: float, rivals: list[_Rival]
@@ -264,7 +283,7 @@ def _scaled(design: Design, told: Explanation, causes: list[Named]
 
 
 def _price(finding: Finding) -> float:
-    return PRICE * EXTRA.get(finding.name, 0)
+    return PRICE * EXTRA.get(finding.name, 0) + 2.0 * float(np.log(finding.trials))
 
 
 def _deviation(finding: Finding, fit: _Fitted, at: int) -> tuple[float, ...]:
@@ -302,9 +321,11 @@ def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design
             break
         beside = _fitted(pool, data, measured, told, found, MOST_BESIDE, progress)
         better, more = _choose(design, told, value, beside)
+        first = causes[0]
+        if more and more[0].cause.axle and not first.cause.axle:
+            floor = max(SECOND_FLOOR, SECOND_SHARE_OF_AXLE * first.ratio)
         if not more or more[0].ratio < floor:
             break
-        first = causes[0]
         if more[0].finding.name in first.confusable and more[0].ratio < OWN_SHARE * first.ratio:
             break
         if not _both_needed(data, measured, better, value):

@@ -5,7 +5,8 @@ this tells a lag from irregularity of the rail. Speed and lambda take an exact s
 pair in each substep; the irregularity comes up meanwhile as in `replay`.
 
     [Y1] d/dt (omega, lambda) = A (omega, lambda) + ...,
-         A = [[-r^2 N f'_lambda e^m, r N (f_r - f_d) e^m] / J, [-r lambda_0', -1] v / length]
+         A = [[-r^2 N f'_lambda e^m, r N (f_r - f_d) e^m] / J, [-r lambda_0', h - 1] v / length],
+         h = d lambda_0 / d lambda, 0 unless lambda_0 is that of the work done
     [Y2] step e^(A h), inputs phi(A h) h with phi(z) = (e^z - 1) / z, on the two eigenvalues of A
 
 Source: Simon, Optimal State Estimation (2006), section 13.2; Hochbruck and Ostermann, Exponential
@@ -85,13 +86,19 @@ def replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, v
             kept, gap = 1.0 - done, f_r - f_d
             mixed = kept * low + done * high
             rise = (mixed + gap * kept * f * per_m_s) / max(1.0 - gap * kept * k_f, 1e-9)
+            hangs = 0.0  # d lambda_0 / d lambda
+            if p[21] > 0.0:
+                f = f_d + gap * late
+                done = -math.expm1(-k_f * f)
+                kept, rise = 1.0 - done, low + (high - low) * late
+                hangs = kept * k_f * gap
             target = math.copysign(kept * (per_m_s * f + k_f * rise), s)  # d lambda_0 / ds
             rate = max(v, adhesion.SPEED_FLOOR_M_S) / (p[14] * (v / 20.0) ** p[20])
             push = r * N * math.exp(m) / inertia
             sign = 1.0 if s >= 0.0 else -1.0
             f = sign * (f_d + gap * late)
             a, g = -r * push * (low + (high - low) * late), push * gap * sign
-            e00, e01, e10, e11, b00, b01, b10, b11 = step_of(a, g, -r * rate * target, -rate, h)
+            e00, e01, e10, e11, b00, b01, b10, b11 = step_of(a, g, -r * rate * target, -rate * (1.0 - hangs), h)
             drive, pull = push * f - C / inertia, rate * (done - late)
             omega += b00 * drive + b01 * pull
             late = min(max(late + b10 * drive + b11 * pull, 0.0), 1.0)

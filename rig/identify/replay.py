@@ -12,7 +12,8 @@ their predicted deviation, are white with variance 1 if the model is right.
     [R5] cov of (omega, m) after a step h: (b^2 q / 3, b q / 2, q), q = sigma^2 (1 - e^(-2vh/L)),
          b = d omega / d m in h; without it m would come half a step late and look like a delay
     [R4] lambda follows its base value with a share 1 - exp(-v h / length) in each step,
-         length = length_0 (v / 20 m/s)^power: power 1 is a lag in time
+         length = length_0 (v / 20 m/s)^power: power 1 is a lag in time; the base value is that of
+         the base law, or 1 - exp(-tau W) of the work W done meanwhile
 
 Source: Simon, Optimal State Estimation (2006), section 13.2; DISCOVERY section 1.
 Limits: first-order filter; two substeps a sample keep its bias below the noise.
@@ -28,9 +29,10 @@ LAW_KEYS = ("mu_cd", "mu_cr", "A_d", "A_r", "gamma_d_s_m", "gamma_r_s_m", "k_ad"
 # columns of a segment's parameters
 RADIUS, INERTIA = 0, 1
 LAW = slice(2, 13)
-EPS1, MEMORY, SIGMA, LENGTH, NOISE, TORQUE_NOISE, CLEANING, MEMORY_POWER = 13, 14, 15, 16, 17, 18, 19, 20
-MU_CD, A_D, A_R, GAMMA_D, GAMMA_R, K_AD, K_AR, TAU = 2, 4, 5, 6, 7, 8, 10, 12
-PARAMETERS = 21
+EPS1, MEMORY, SIGMA, LENGTH, NOISE, TORQUE_NOISE, CLEANING, MEMORY_POWER, MEMORY_OF_WORK = (
+    13, 14, 15, 16, 17, 18, 19, 20, 21)
+MU_CD, A_D, A_R, GAMMA_D, GAMMA_R, K_AD, K_SD, K_AR, K_SR, TAU = 2, 4, 5, 6, 7, 8, 9, 10, 11, 12
+PARAMETERS = 22
 SUBSTEPS = 2
 
 
@@ -62,8 +64,13 @@ def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
     mixed = kept * low + done * high
     rise = (mixed + gap * kept * f * per_m_s) / max(1.0 - gap * kept * k, 1e-9)
     if share < 1.0:
+        rise -= mixed
+        if p[21] > 0.0:
+            f = (1.0 - remembered) * f_d + remembered * f_r
+            done = -math.expm1(-k * f)
+            rise = gap * (1.0 - done) * (per_m_s * f + k * ((1.0 - remembered) * low + remembered * high))
         late = remembered + share * (done - remembered)
-        rise = (1.0 - late) * low + late * high + share * (rise - mixed)
+        rise = (1.0 - late) * low + late * high + share * rise
         f, done = (1.0 - late) * f_d + late * f_r, late
     return math.copysign(f, sliding), rise, done
 

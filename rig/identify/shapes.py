@@ -6,7 +6,7 @@ smaller steps while the likelihood grows, scales by factors, each with the coeff
 A patch may also rise and fall slowly, where that is the likelier form.
 """
 
-from rollerrig.rig.identify import tuning
+from rollerrig.rig.identify import candidates, columns, tuning
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.preparation import Design
 
@@ -22,6 +22,9 @@ _SCALES = {"energy_J_m": (3.0, 4000.0), "knee_m_s": (4.0, 80.0), "time_s": (1.5,
            "distance_m": (3.0, 400.0), "heat_MJ": (0.5, 40.0)}
 _FACTORS, _SCALE_EARNS = (1.5, 1.2), 1.0
 
+# irregularity with which a base is begun anew, so that all levels are in reach
+_BEGINS_ROUGH = 0.06
+
 
 def refined(design: Design, told: Explanation) -> Explanation:
     """The explanation with the windows of its causes where they fit best."""
@@ -31,6 +34,21 @@ def refined(design: Design, told: Explanation) -> Explanation:
               for ramp, deeper in _RAMPS]
     better, least = min(ramped, key=lambda pair: pair[1], default=(told, value))
     return better if least < value - _RAMP_EARNS else told
+
+
+def remembered(design: Design, told: Explanation) -> Explanation:
+    """The explanation with a memory in its likeliest form, its base begun anew.
+
+    Without the memory the base had to leave recovery out and take friction for high and rough; from
+    there no small step leads to the base that belongs to a memory.
+    """
+    found: list[tuple[float, int, Explanation]] = []
+    for shape in columns.MEMORY_SHAPES:
+        causes = tuple(c._replace(shape=shape) if c.name == tuning.MEMORY else c for c in told.causes)
+        begun = candidates.start(design)._replace(sigma=_BEGINS_ROUGH, causes=causes)
+        tried, value, _ = tuning.fit(design, begun, 5, False, free=("ln_mu",))
+        found.append((value, len(found), tried))
+    return min(found)[2]
 
 
 def scaled(design: Design, told: Explanation) -> Explanation:

@@ -77,7 +77,7 @@ def normal(design: Design, told: Explanation, only: frozenset[str] | None = None
     root = np.sqrt(linear.variance)
     for c, column in enumerate(book.columns):
         if column.owner == MEMORY:
-            Z[:, c] = _memory_answer(design, i, linear, float(column.label)) / root
+            Z[:, c] = _memory_answer(design, i, linear, columns.MEMORY_SHAPES[int(column.label)]) / root
     V = np.empty_like(book.vehicle)
     for run in range(design.mass_kg.size):
         at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
@@ -91,14 +91,17 @@ def normal(design: Design, told: Explanation, only: frozenset[str] | None = None
     return Normal(A, b, book), linear, i, Z
 
 
-def _memory_answer(design: Design, i: Inputs, linear: Linear, power: float) -> np.ndarray:
+def _memory_answer(design: Design, i: Inputs, linear: Linear, shape: dict[str, float]
+                   ) -> np.ndarray:
     # no derivative exists at length 0 that a filter's noise would not spoil: a finite step
     p = i.parameters.copy()
     known = bool(np.any(p[:, replay.MEMORY] > 0.0))
-    if known and np.any(p[:, replay.MEMORY_POWER] != power):
-        return np.zeros(design.measured_rad_s.size)  # the other shape is taken already
+    wanted = [shape.get(key, 0.0) for key in ("speed_power", "of_work")]
+    at = [replay.MEMORY_POWER, replay.MEMORY_OF_WORK]
+    if known and np.any(p[:, at] != wanted):
+        return np.zeros(design.measured_rad_s.size)  # another shape is taken already
     p[:, replay.MEMORY] += MEMORY_STEP_M
-    p[:, replay.MEMORY_POWER] = power
+    p[:, at] = wanted
     return (sensitivity.innovations(design, i._replace(parameters=p))[0]
             - linear.nu) / MEMORY_STEP_M
 

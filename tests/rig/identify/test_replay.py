@@ -63,6 +63,7 @@ ZERO = [Cause("rail_cleaning", 0, {"energy_J_m": 150.0}, (0.0,)),
         Cause("wheel_out_of_round", 1, {}, (0.0,) * 6), Cause("load_transfer", 0, {}, (0.0, 0.0)),
         Cause("sanding", 0, {"start_s a1": 4.0, "duration_s a1": 4.0}, (0.0,)),
         Cause("roller_curvature", 0, {}, (0.0,)), Cause("interfacial_layer", 0, {}, (0.0,)),
+        Cause("interfacial_layer", 0, {"whole": 1.0}, (0.0,)),
         Cause("falling_friction", 0, {}, (0.0,)), Cause("falling_friction", 0, {"height": 1.0}, (0.0,))]
 
 
@@ -77,6 +78,7 @@ def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(
 
 SMALL = [Cause("friction_trend", 0, {}, (1e-4,)), Cause("roller_curvature", 0, {}, (1e-3,)),
          Cause("falling_friction", 0, {}, (1e-3,)), Cause("falling_friction", 0, {"height": 1.0}, (1e-3,)),
+         Cause("interfacial_layer", 0, {}, (1e-3,)), Cause("interfacial_layer", 0, {"whole": 1.0}, (1e-3,)),
          Cause("brake_gain", 1, {}, (1e-3,)), Cause("wheel_radius", 2, {}, (1e-5,)),
          Cause("pad_fade", 0, {}, (1e-4,))]
 
