@@ -36,9 +36,10 @@ TAKEN = 20.0
 # a remainder above this share of the causes' likelihood is not a matter of their shape, unless it
 # lies along what the cause itself goes by: there its shape may differ more
 REMAINDER_SHARE, OWN_REMAINDER_SHARE = 0.08, 0.2
-GOES_BY = {"rail_cleaning": "axle", "speed_dependent_friction": "speed", "friction_trend": "time",
-           "falling_friction": "sliding", "running_resistance": "vehicle speed", "pad_fade": "disc_heat",
-           "adhesion_memory": "energy"}
+GOES_BY = {
+    "rail_cleaning": ("axle", "load"), "speed_dependent_friction": ("speed",), "friction_trend": ("time",),
+    "falling_friction": ("sliding",), "running_resistance": ("vehicle speed",), "pad_fade": ("disc_heat",),
+    "adhesion_memory": ("energy",)}
 # share of the evidence that must lie outside its best block
 ELSEWHERE = 0.2
 # a second cause below this share of the first is taken for the first one's shape
@@ -392,7 +393,7 @@ def _verdict(causes: list[Named], remainder: list[Finding], won: Gain | None,
                      "not fitted worse: not named")
         return "unexplained"
     total = sum(named.ratio for named in causes)
-    own = {f"along {GOES_BY.get(named.finding.name)}" for named in causes}
+    own = {f"along {name}" for named in causes for name in GOES_BY.get(named.finding.name, ())}
     much = [f for f in left
             if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)]
     if much:

@@ -46,7 +46,8 @@ def test_a_model_that_says_zero_of_every_mechanism_changes_no_bit(base) -> None:
     coefficients = {f"{name}_{row.name}": 0.0 for name in mechanisms.IN_PLANT
                     for row in mechanisms.BY_NAME[name].parameters[:mechanisms.BY_NAME[name].free]}
     axles = {row.name: 2.0 for row in mechanisms.rows() if row.name.endswith("_axle")}
-    shapes = {"adhesion_memory_speed_power": 1.0, "wheel_out_of_round_phase_rad": 2.0}
+    shapes = {"adhesion_memory_speed_power": 1.0, "adhesion_memory_of_work": 1.0,
+              "wheel_out_of_round_phase_rad": 2.0, "falling_friction_height": 1.0, "interfacial_layer_whole": 1.0}
     assert {"adhesion_memory_length_m", "wheel_out_of_round_amplitude",
             "wheel_radius_fraction", "wheel_inertia_fraction"} <= set(coefficients)
     told = extended(**coefficients, **axles, **shapes)
@@ -169,9 +170,25 @@ def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(spee
     np.testing.assert_allclose(run.adhesion[1:, 0], (1.0 - late) * f_d + late * f_r, rtol=1e-12)
 
 
-def test_a_memory_of_no_length_to_speak_of_is_the_base_model() -> None:
+def test_a_memory_of_the_work_done_recovers_by_the_work_as_it_is() -> None:
+    length_m = 2.0
+    rig = Rig(20.0, adhesion=SOAP, rig=TRACK, mechanisms={
+        "adhesion_memory_length_m": length_m, "adhesion_memory_of_work": 1.0})
+    rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 4e5
+    run = rig.roll(1.5, demand_Pa=4e5)
+    # the record's own work of one wheel on a metre of rail
+    wanted = 1.0 - np.exp(-rig.params.law.tau_m_J * run.dissipated_energy[:, 0])
+    middle = 0.5 * (wanted[1:] + wanted[:-1])
+    late = 0.5 * (run.transition[1:, 0] + run.transition[:-1, 0])
+    grown = np.diff(run.transition[:, 0]) / np.diff(run.position)
+    assert run.transition.max() > 0.05
+    np.testing.assert_allclose(grown, (middle - late) / length_m, atol=2e-3 * np.abs(grown).max())
+
+
+@pytest.mark.parametrize("of_work", [0.0, 1.0])
+def test_a_memory_of_no_length_to_speak_of_is_the_base_model(of_work) -> None:
     rigs = Rig(20.0, adhesion=SOAP), Rig(20.0, adhesion=SOAP, mechanisms={
-        "adhesion_memory_length_m": 1e-4})
+        "adhesion_memory_length_m": 1e-4, "adhesion_memory_of_work": of_work})
     for rig in rigs:
         rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 2.5e5
     plain, told = (rig.roll(3.0) for rig in rigs)
@@ -191,6 +208,26 @@ def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(powe
     standing = wheelset.caught_up(0.2, 1.0, 0.0, 0.01, built)
     assert 0.2 <= standing < 0.3
     assert power == 1.0 or standing == 0.2
+
+
+# --- the adhesion law ---
+
+
+def test_the_height_of_falling_friction_scales_the_fall_from_static_to_sliding() -> None:
+    base, told = extended().law, extended(falling_friction_fraction=0.5, falling_friction_height=1.0).law
+    assert 1.0 / told.A_d - 1.0 == pytest.approx(1.5 * (1.0 / base.A_d - 1.0), rel=1e-12)
+    assert 1.0 / told.A_r - 1.0 == pytest.approx(1.5 * (1.0 / base.A_r - 1.0), rel=1e-12)
+    assert (told.gamma_d_s_m, told.gamma_r_s_m) == (base.gamma_d_s_m, base.gamma_r_s_m)
+
+
+def test_a_layer_of_the_whole_contact_is_a_contact_of_less_creep_stiffness() -> None:
+    layer, soft = (extended(**told) for told in (
+        {"interfacial_layer_reduction": 0.4, "interfacial_layer_whole": 1.0},
+        {"roller_curvature_stiffness_fraction": -0.4}))
+    for sliding_m_s in (0.01, 0.3, 4.0):
+        forces = [wheelset.force(sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, p.cleaning_creepage)[0]
+                  for p in (layer, soft)]
+        assert forces[0] == pytest.approx(forces[1], rel=1e-9)
 
 
 # --- wheels ---

@@ -1,12 +1,12 @@
-"""Edges of windows: found between the bins on which they were searched."""
+"""Shapes of causes: found between the points on which they were searched."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from generator import braking_stops
+from generator import braking_stops, other_stops
 
-from rollerrig.rig.identify import candidates, dataset, preparation, shapes, simulate, tuning
+from rollerrig.rig.identify import candidates, dataset, explain, preparation, shapes, simulate, tuning
 from rollerrig.rig.identify.candidates import Cause
 
 
@@ -25,3 +25,34 @@ def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path)
     assert tuning.deviance(seen, better) < before
     assert found["start_m"] == pytest.approx(212.0, abs=4.0)
     assert found["start_m"] + found["length_m"] == pytest.approx(302.0, abs=4.0)
+
+
+def test_the_scale_of_a_cause_moves_to_that_of_the_rail(tmp_path: Path) -> None:
+    data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
+    runs = data.group("tune")
+    design = preparation.prepare(data, runs)
+    base, _, _ = tuning.fit(design, candidates.start(design))
+    cleaning = Cause("rail_cleaning", 0, {"energy_J_m": 60.0}, (0.25,))
+    made = simulate.runs(data, design, runs, base._replace(causes=(cleaning,)), np.random.default_rng(4))
+    seen = preparation.prepare(data, made, design)
+    coarse = cleaning._replace(shape={"energy_J_m": 600.0})
+    told, before, _ = tuning.fit(seen, base._replace(causes=(coarse,)), 4)
+    better = shapes.scaled(seen, told)
+    assert tuning.deviance(seen, better) < before - 20.0
+    assert 30.0 < better.causes[0].shape["energy_J_m"] < 130.0
+
+
+def test_a_long_memory_is_found_from_a_base_that_had_to_leave_recovery_out(tmp_path: Path) -> None:
+    folder = other_stops.make(tmp_path / "late", {"adhesion_memory": 4.0}, 9, ("a1", "a2", "a3", "b1"))
+    data = dataset.load(folder)
+    design = preparation.prepare(data, data.group("tune"))
+    base, value, _ = tuning.fit(design, candidates.start(design))
+    # to the base alone a late recovery looks like none, and like a rough rail
+    assert base.base["ln_tau"] < -1.0
+    assert base.sigma > 0.08
+    found = explain.fit_one(explain._Fit(data, data.group("tune"), base._replace(
+        causes=(Cause("adhesion_memory", 0, {}, (1.0,)),))))
+    assert value - found.value > 1000.0
+    assert abs(found.told.base.get("ln_tau", 0.0)) < 0.3
+    assert found.told.causes[0].values[0] == pytest.approx(4.0, abs=1.0)
+    assert found.told.sigma < 0.5 * base.sigma
