@@ -327,13 +327,14 @@ def _second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design
             floor = max(SECOND_FLOOR, SECOND_SHARE_OF_AXLE * first.ratio)
         if not more or more[0].ratio < floor:
             break
-        if more[0].finding.name in first.confusable and more[0].ratio < OWN_SHARE * first.ratio:
-            break
         if not _both_needed(data, measured, better, value):
             break
-        told, causes = _swapped(pool, data, measured, design, better,
+        better, both = _swapped(pool, data, measured, design, better,
                                 [first._replace(cause=better.causes[0]), more[0]], rivals, progress)
-        told, causes = _scaled(design, told, causes)
+        if more[0].finding.name in first.confusable and \
+                value - tuning.deviance(design, better) < OWN_SHARE * first.ratio:
+            break
+        told, causes = _scaled(design, better, both)
         names = {named.finding.name for named in causes}
         causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names))
                   for named in causes]
