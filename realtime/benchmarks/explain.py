@@ -124,6 +124,8 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     module = GENERATORS[given.generator]
     chosen = cases(generator(module), given.seed)[: given.sets or None]
     found: list[Judged] = []
+    notes = ["the possible gain leaves what the base leaves of the same stops without the cause",
+             "each set is explained on one core"]
     context = multiprocessing.get_context("spawn")
     own = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [-1]
     cores = context.Queue()
@@ -131,15 +133,22 @@ def run(given: argparse.Namespace, say: Say) -> Result:
         cores.put(core)
     with tempfile.TemporaryDirectory() as place, ProcessPoolExecutor(
             len(own), context, initializer=_keep_to, initargs=(cores,)) as pool:
-        for last in pool.map(partial(judge, module, Path(place)), chosen):
-            found.append(last)
-            say(f"{len(found)} of {len(chosen)}: hidden {last.case.effects or 'nothing'}; {last.verdict} "
-                f"{' + '.join('/'.join(sorted(s)) for s in last.sets)} ({last.seconds:.0f} s)")
-    return {"sets": len(found), "generator": given.generator, "rows": rows(found),
-            "seconds": figures.quantiles([f.seconds for f in found]),
-            "each": [_plain(f) for f in found], "notes": [
-                "the possible gain leaves what the base leaves of the same stops without the cause",
-                "each set is explained on one core"]}
+        try:
+            for last in pool.map(partial(judge, module, Path(place)), chosen):
+                found.append(last)
+                say(f"{len(found)} of {len(chosen)}: hidden {last.case.effects or 'nothing'}; {last.verdict} "
+                    f"{' + '.join('/'.join(sorted(s)) for s in last.sets)} ({last.seconds:.0f} s)")
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            notes.append(f"stopped after {len(found)} of {len(chosen)} sets")
+    measures, seconds = rows(found), figures.quantiles([f.seconds for f in found])
+    for row in measures:
+        if row.get("quartiles"):
+            notes.append("quartiles of the gain's share: {:.2f} and {:.2f}".format(*row["quartiles"]))
+    if seconds:
+        notes.append(f"seconds a set: median {seconds['p50']:.0f}, longest {seconds['max']:.0f}")
+    return {"sets": len(found), "generator": given.generator, "rows": measures, "seconds": seconds,
+            "each": [_plain(f) for f in found], "notes": notes}
 
 
 def rows(found: list[Judged]) -> list[Result]:
