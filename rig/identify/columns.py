@@ -349,6 +349,12 @@ def _smooth_functions(w: _Writer, d: Design, linear: Linear) -> None:
                                     for i in range(shapes.shape[1])])
     w.variant("along axle", [w.add("along axle", str(j), friction * of_axle(d, j))
                              for j in range(AXLES - 1)])
+    # what befalls one wheelset at some moment
+    shapes = bumps(d.time_s)
+    for j in range(AXLES):
+        w.variant("along time of one axle",
+                  [w.add("along time of one axle", f"{j} {i}", friction * shapes[:, i] * of_axle(d, j))
+                   for i in range(shapes.shape[1])], axle=j + 1)
     found = [w.add("along wheel_angle", str(k), friction * shape(k * d.angle_rad))
              for k in (1, 2) for shape in (np.cos, np.sin)]
     w.variant("along wheel_angle", found)

@@ -31,7 +31,7 @@ SYSTEMATIC = {
     "interfacial_layer": 0.03, "falling_friction": 0.01, "negative_conditioning": 0.005,
 }
 ALPHA_CAUSE = 0.02 / 30.0
-ALPHA_GENERIC = 0.005 / 12.0
+ALPHA_GENERIC = 0.005 / 13.0
 FLOOR = 12.0
 MOST_BINS = 10
 
