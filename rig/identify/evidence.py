@@ -27,7 +27,7 @@ from rollerrig.rig.mechanisms import BY_NAME
 # what the filter's own numerics may pretend, one deviation, in the unit of the coefficient
 SYSTEMATIC = {
     "speed_sensor_delay": 0.001, "torque_sensor_delay": 0.001, "adhesion_memory": 0.15,
-    "wheel_inertia": 0.012, "wheel_radius": 3e-5, "roller_curvature": 0.02,
+    "wheel_inertia": 0.006, "wheel_radius": 3e-5, "roller_curvature": 0.02,
     "interfacial_layer": 0.03, "falling_friction": 0.01, "negative_conditioning": 0.005,
 }
 ALPHA_CAUSE = 0.02 / 30.0
