@@ -261,6 +261,12 @@ def generic(name: str) -> bool:
     return name.startswith("along ")
 
 
+def against(found: Finding) -> str:
+    """What a smooth function goes along, in words; which wheelset where it is that of one."""
+    name = found.name.removeprefix("along ")
+    return name.replace("one axle", f"axle {found.axle}") if found.axle else name
+
+
 def significant(found: Finding, floor: float = FLOOR) -> bool:
     """Whether a finding counts by itself."""
     limit = ALPHA_GENERIC if generic(found.name) else ALPHA_CAUSE

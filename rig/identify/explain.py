@@ -399,8 +399,8 @@ def _verdict(causes: list[Named], remainder: list[Finding], won: Gain | None,
             if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)]
     if much:
         notes.append(f"behind {causes[0].finding.name} much remains along "
-                     f"{much[0].name.removeprefix('along ')}: the cause is not in the library")
+                     f"{evidence.against(much[0])}: the cause is not in the library")
         return "unexplained"
     if left:
-        notes.append(f"a small part remains along {left[0].name.removeprefix('along ')}")
+        notes.append(f"a small part remains along {evidence.against(left[0])}")
     return "explained"

@@ -51,7 +51,7 @@ def _levels(a: Account) -> tuple[float, float]:
 def _worst(a: Account) -> list[str]:
     smooth = [f for f in a.findings if evidence.generic(f.name)]
     smooth.sort(key=lambda f: f.p_value)
-    return [f.name.removeprefix("along ") for f in smooth[:3]]
+    return [evidence.against(f) for f in smooth[:3]]
 
 
 def _bic(a: Account, statistic: float, size: int) -> float:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from generator import braking_stops
+from generator import braking_stops, other_stops
 
 from rollerrig.realtime import scenario
 from rollerrig.rig.identify import dataset, explain, extension
@@ -61,3 +61,11 @@ def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path:
     params = scenario.load("velim_a1", str(model)).params
     assert params.effects.empirical == 3
     assert params.effects.period == pytest.approx(found.unknown.cause.shape["period"], rel=1e-4)
+
+
+def test_a_drop_under_the_first_wheelset_at_some_moment_is_not_told_as_cleaning(tmp_path: Path) -> None:
+    folder = other_stops.make(tmp_path / "drop", {"one_axle_drop": 0.12}, 24002)
+    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    assert found.verdict == "unexplained"
+    assert found.findings[0].name == "along time of one axle"
+    assert found.findings[0].axle == 1
