@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 
 from rollerrig.rig.identify import evidence, extension, gain, paper_report, simulate
 from rollerrig.rig.identify import preparation as prepared
-from rollerrig.rig.identify.explain import Account, Named
+from rollerrig.rig.identify.choice import Named
+from rollerrig.rig.identify.explain import Account
 from rollerrig.rig.mechanisms import BY_NAME, TABLE
 
 MEASURED, BASE, EXTENDED = "#222222", "#d55e00", "#0072b2"

@@ -12,7 +12,7 @@ from bench_process import BenchProcess
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim import faults
 from rollerrig.realtime import batch, cli, records, run_dataset, run_sensors, scenario
-from rollerrig.rig.identify import candidates, dataset, explain, extension, preparation
+from rollerrig.rig.identify import candidates, choice, dataset, explain, extension, preparation
 from rollerrig.rig.identify.candidates import Cause
 from rollerrig.rig.identify.evidence import Finding
 
@@ -183,7 +183,7 @@ def account(*causes: Cause) -> explain.Account:
     for cause in causes:
         tiny = (1e-6,) * len(cause.values)
         finding = Finding(cause.name, cause.axle, cause.shape, cause.values, (), tiny, 99.0, 0.001, 1.0, 1.0)
-        named.append(explain.Named(finding, cause, 99.0, tiny, ()))
+        named.append(choice.Named(finding, cause, 99.0, tiny, ()))
     return explain.Account(data, design, None, base, base._replace(causes=causes), "explained", named, [], [],
                            None, 0.001, [], None, 1.0)
 

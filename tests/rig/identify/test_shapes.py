@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from generator import braking_stops, other_stops
 
-from rollerrig.rig.identify import candidates, dataset, explain, preparation, shapes, simulate, tuning
+from rollerrig.rig.identify import candidates, choice, dataset, preparation, shapes, simulate, tuning
 from rollerrig.rig.identify.candidates import Cause
 
 
@@ -50,7 +50,7 @@ def test_a_long_memory_is_found_from_a_base_that_had_to_leave_recovery_out(tmp_p
     # to the base alone a late recovery looks like none, and like a rough rail
     assert base.base["ln_tau"] < -1.0
     assert base.sigma > 0.08
-    found = explain.fit_one(explain._Fit(data, data.group("tune"), base._replace(
+    found = choice.fit_one(choice.Fit(data, data.group("tune"), base._replace(
         causes=(Cause("adhesion_memory", 0, {}, (1.0,)),))))
     assert value - found.value > 1000.0
     assert abs(found.told.base.get("ln_tau", 0.0)) < 0.3

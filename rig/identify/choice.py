@@ -1,0 +1,255 @@
+"""Fits causes and chooses: the likeliest first, those that cannot be told from it, and a second one.
+
+A cause must win likelihood by more than its choice of shape costs, not in one place of one run only;
+a second one by more than the first one's wrong shape could lend it. When two are taken the first is
+looked for again beside the second, for one that had to stand for both gives way.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.identify import candidates, clean, evidence, preparation, sensitivity, shapes, tuning
+from rollerrig.rig.identify.candidates import Cause, Explanation
+from rollerrig.rig.identify.dataset import Dataset, Run
+from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.preparation import Design
+
+CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2
+# likelihood that a cause must win at least
+TAKEN = 20.0
+# share of the evidence that must lie outside its best block
+ELSEWHERE = 0.2
+# a second cause below this share of the first is taken for the first one's shape
+SECOND_SHARE, SECOND_FLOOR = 0.11, 20.0
+# one of a single wheelset is no matter of the shape of a first one of all
+SECOND_SHARE_OF_AXLE = 0.05
+# likelihood beyond what a clean set can win
+CERTAIN = 300.0
+# its score, before it is fitted, may be this share of that
+SCORE_SHARE = 0.3
+# a second cause that could be taken for the first must have this share of its likelihood
+OWN_SHARE = 0.3
+# likelihood that each further coefficient of a shape must earn, beside that of the choice of shape
+PRICE = 5.0
+EXTRA = {"sanding": 6, "contaminated_patch": 2, "wheel_out_of_round": 2, "load_transfer": 1,
+         "rail_cleaning": 0, "negative_conditioning": 1}
+BLOCK_S = 3.0
+EVENTS = ("sanding", "contaminated_patch")
+
+
+class Named(NamedTuple):
+    """A cause that is taken: its finding, its share of the likelihood, what it is confused with."""
+
+    finding: Finding
+    cause: Cause
+    ratio: float
+    deviation: tuple[float, ...]
+    confusable: tuple[str, ...]
+
+
+class Fit(NamedTuple):
+    """An explanation to be fitted to measured runs."""
+
+    data: Dataset
+    measured: list[Run]
+    told: Explanation
+
+
+class Fitted(NamedTuple):
+    """It fitted: deviance, covariance of the causes' coefficients, deviance by blocks of 3 s."""
+
+    told: Explanation
+    value: float
+    covariance: np.ndarray
+    blocks: np.ndarray
+
+
+class Rival(NamedTuple):
+    """A cause that may be the one: how it was found, and its fit."""
+
+    finding: Finding
+    fit: Fitted
+
+
+def fit_one(task: Fit) -> Fitted:
+    """Fit one explanation; its deviance by blocks of 3 s."""
+    design = preparation.prepare(task.data, task.measured)
+    told, value, covariance = tuning.fit(design, task.told, 6)
+    if any(cause.name == tuning.MEMORY for cause in told.causes):
+        told, value, covariance = min(
+            (told, value, covariance), tuning.fit(design, shapes.remembered(design, told), 7),
+            key=lambda fit: fit[1])
+    if any(cause.name in EVENTS for cause in told.causes):
+        told, value, covariance = tuning.fit(design, shapes.refined(design, told), 4)
+    return Fitted(told, value, covariance, blocks(design, told))
+
+
+def blocks(design: Design, told: Explanation) -> np.ndarray:
+    """Deviance in blocks of 3 s, wheels and vehicle of a run together."""
+    nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, told))
+    wheel, car = np.minimum(nu * nu / S, 36.0) + np.log(S), np.minimum(vnu**2 / vS, 36.0) + np.log(vS)
+    length, found = int(BLOCK_S / design.step_s), []
+    for run in range(design.mass_kg.size):
+        parts = [wheel[design.span(4 * run + j)] for j in range(4)]
+        parts.append(car[int(design.vehicle_start[run]):int(design.vehicle_start[run + 1])])
+        whole = np.sum(parts, axis=0)
+        found += [whole[k:k + length].sum() for k in range(0, whole.size, length)]
+    return np.array(found)
+
+
+def fitted(pool: clean.Pool, data: Dataset, measured: list[Run], told: Explanation,
+            found: list[Finding], most: int, progress: clean.Progress) -> list[Rival]:
+    """The causes that count beside an explanation, each fitted."""
+    present = {cause.name for cause in told.causes}
+    counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)
+               and f.name not in present]
+    counted = sorted(counted, key=lambda f: -f.statistic)[:most]
+    tasks = [Fit(data, measured, told._replace(causes=(*told.causes, f.cause()))) for f in counted]
+    fits = clean.run_all(pool, fit_one, tasks, "fit of causes", progress)
+    return [Rival(f, fit) for f, fit in zip(counted, fits, strict=True)]
+
+
+def in_better_shape(rival: Rival, others: list[Fitted], scored: tuning.Normal,
+            nulls: list[evidence.Scores]) -> Rival:
+    """The same cause in another shape, where that was fitted already and is the better one."""
+    for fit in others:
+        cause = fit.told.causes[-1]
+        if cause.name == rival.finding.name and fit.value < rival.fit.value - 4.0:
+            finding = evidence.finding_of(scored, nulls, cause)
+            if finding is not None:
+                return Rival(finding._replace(trials=rival.finding.trials), fit)
+    return rival
+
+
+def certain(value: float, fits: list[Fitted], rivals: list[Rival], scored: tuning.Normal,
+             nulls: list[evidence.Scores]) -> list[Rival]:
+    """Causes whose fit wins so much that no score is asked: far from the base, scores say little."""
+    known = {rival.finding.name for rival in rivals}
+    found = [(evidence.finding_of(scored, nulls, fit.told.causes[-1]), fit) for fit in fits
+             if fit.told.causes[-1].name not in known and value - fit.value > CERTAIN]
+    return [Rival(finding, fit) for finding, fit in found if finding is not None]
+
+
+def choose(design: Design, told: Explanation, value: float, rivals: list[Rival]
+            ) -> tuple[Explanation, list[Named]]:
+    """The best further cause, with those that cannot be told from it."""
+    if not rivals:
+        return told, []
+    ratio = [value - fit.value - max(f.expected - len(f.estimate), 0.0) - _price(f)
+             for f, fit in rivals]
+    order = np.argsort(ratio)[::-1]
+    top = int(order[0])
+    if ratio[top] < TAKEN:
+        return told, []
+    finding, best = rivals[top]
+    drop = blocks(design, told) - best.blocks
+    # what tolerances had taken up stands in no block; the rest must not be one place of one run
+    whole = max(float(drop.sum()), ratio[top])
+    if finding.name not in EVENTS and whole - drop.max() < max(evidence.FLOOR, ELSEWHERE * whole):
+        return told, []
+    confusable = tuple(rivals[int(k)].finding.name for k in order[1:]
+                       if _alike(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
+    at = len(best.covariance) - len(best.told.causes[-1].values)
+    named = Named(finding, best.told.causes[-1], float(ratio[top]), _deviation(finding, best, at),
+                  confusable)
+    return best.told, [named]
+
+
+def scaled(design: Design, told: Explanation, causes: list[Named]
+            ) -> tuple[Explanation, list[Named]]:
+    """The causes with their scales off the grid of the search, fitted again."""
+    better = shapes.scaled(design, told)
+    if better == told:
+        return told, causes
+    fit = Fitted(*tuning.fit(design, better, 4), np.zeros(0))
+    found, at = [], 0
+    for named, cause in zip(causes, fit.told.causes, strict=True):
+        found.append(named._replace(cause=cause, deviation=_deviation(named.finding, fit, at)))
+        at += len(cause.values)
+    return fit.told, found
+
+
+def _price(finding: Finding) -> float:
+    return PRICE * EXTRA.get(finding.name, 0) + 2.0 * float(np.log(finding.trials))
+
+
+def _deviation(finding: Finding, fit: Fitted, at: int) -> tuple[float, ...]:
+    """Deviations of a cause's coefficients, which stand from place `at` on in the covariance."""
+    nominal = np.sqrt(np.diag(fit.covariance)[at:at + len(finding.estimate)])
+    floor = evidence.SYSTEMATIC.get(finding.name, 0.0)
+    return tuple(float(np.hypot(s * max(finding.spread, 1.0), floor)) for s in nominal)
+
+
+def _alike(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
+    """Vuong's test on blocks: may the other be the better one?"""
+    if less < 0.75 * ratio and ratio - less > 10.0:
+        return False
+    difference = other.blocks - best.blocks
+    spread = float(difference.std(ddof=1) * np.sqrt(difference.size))
+    return ratio - less < 1.64 * max(spread, 1e-9) or ratio - less < 4.0
+
+
+def second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
+            causes: list[Named], rivals: list[Rival], seed: int, progress: clean.Progress
+            ) -> tuple[Explanation, list[Named], list[Finding]]:
+    """Further causes beside the first, and the remainder behind all of them."""
+    remainder: list[Finding] = []
+    for turn in range(MOST_CAUSES):
+        known = tuple(named.finding.name for named in causes)
+        nulls = clean.sets(pool, data, measured, told, CHECK_SETS, seed + 7 + turn, known, progress)
+        if len(nulls) < CHECK_SETS // 2:
+            break
+        value = tuning.deviance(design, told)
+        found = evidence.findings(design, tuning.normal(design, told)[0], nulls, known)
+        remainder = [f for f in found if evidence.generic(f.name)]
+        floor = max(SECOND_FLOOR, SECOND_SHARE * causes[0].ratio)
+        found = [f for f in found if f.statistic > SCORE_SHARE * floor]
+        if len(causes) >= MOST_CAUSES:
+            break
+        beside = fitted(pool, data, measured, told, found, MOST_BESIDE, progress)
+        better, more = choose(design, told, value, beside)
+        first = causes[0]
+        if more and more[0].cause.axle and not first.cause.axle:
+            floor = max(SECOND_FLOOR, SECOND_SHARE_OF_AXLE * first.ratio)
+        if not more or more[0].ratio < floor:
+            break
+        if not _both_needed(data, measured, better, value):
+            break
+        better, both = _swapped(pool, data, measured, design, better,
+                                [first._replace(cause=better.causes[0]), more[0]], rivals, progress)
+        if more[0].finding.name in first.confusable and \
+                value - tuning.deviance(design, better) < OWN_SHARE * first.ratio:
+            break
+        told, causes = scaled(design, better, both)
+        names = {named.finding.name for named in causes}
+        causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names))
+                  for named in causes]
+    return told, causes, remainder
+
+
+def _swapped(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
+             told: Explanation, causes: list[Named], rivals: list[Rival],
+             progress: clean.Progress) -> tuple[Explanation, list[Named]]:
+    """The first cause looked for again beside the second: one that had to stand for both gives way."""
+    names = {named.finding.name for named in causes}
+    others = [rival for rival in rivals if rival.finding.name not in names]
+    tasks = [Fit(data, measured, told._replace(causes=(rival.fit.told.causes[-1], told.causes[1])))
+             for rival in others]
+    fits: list[Fitted] = clean.run_all(pool, fit_one, tasks, "first cause again", progress)
+    value = tuning.deviance(design, told) + _price(causes[0].finding)
+    won = [value - fit.value - _price(rival.finding) for rival, fit in zip(others, fits, strict=True)]
+    if not won or max(won) < 4.0:
+        return told, causes
+    top = int(np.argmax(won))
+    finding, better = others[top].finding, fits[top].told
+    first = Named(finding, better.causes[0], causes[0].ratio + won[top],
+                  _deviation(finding, fits[top], 0), ())
+    return better, [first, causes[1]._replace(cause=better.causes[1])]
+
+
+def _both_needed(data: Dataset, measured: list[Run], told: Explanation, value: float) -> bool:
+    """Whether the first cause still earns its likelihood beside the second."""
+    both = fit_one(Fit(data, measured, told))
+    alone = fit_one(Fit(data, measured, told._replace(causes=told.causes[1:])))
+    return alone.value - both.value > max(SECOND_FLOOR, SECOND_SHARE * (value - both.value))
