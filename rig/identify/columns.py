@@ -349,8 +349,9 @@ def _smooth_functions(w: _Writer, d: Design, linear: Linear) -> None:
                                     for i in range(shapes.shape[1])])
     w.variant("along axle", [w.add("along axle", str(j), friction * of_axle(d, j))
                              for j in range(AXLES - 1)])
-    # what befalls one wheelset at some moment
+    # what befalls one wheelset at some moment, not all the time
     shapes = bumps(d.time_s)
+    shapes = shapes - shapes.mean(axis=0)
     for j in range(AXLES):
         w.variant("along time of one axle",
                   [w.add("along time of one axle", f"{j} {i}", friction * shapes[:, i] * of_axle(d, j))

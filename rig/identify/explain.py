@@ -34,7 +34,8 @@ CLEAN_SETS, MOST_PROMISING, MOST_FITTED = 60, 4, 5
 # lies along what the cause itself goes by: there its shape may differ more
 REMAINDER_SHARE, OWN_REMAINDER_SHARE = 0.08, 0.2
 GOES_BY = {
-    "rail_cleaning": ("axle", "load"), "speed_dependent_friction": ("speed",), "friction_trend": ("time",),
+    "rail_cleaning": ("axle", "load", "time of one axle"), "speed_dependent_friction": ("speed",),
+    "friction_trend": ("time",),
     "falling_friction": ("sliding",), "running_resistance": ("vehicle speed",), "pad_fade": ("disc_heat",),
     "adhesion_memory": ("energy",)}
 
