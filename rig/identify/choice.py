@@ -203,16 +203,13 @@ def second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
         value = tuning.deviance(design, told)
         found = evidence.findings(design, tuning.normal(design, told)[0], nulls, known)
         remainder = [f for f in found if evidence.generic(f.name)]
-        floor = max(SECOND_FLOOR, SECOND_SHARE * causes[0].ratio)
-        found = [f for f in found if f.statistic > SCORE_SHARE * floor]
+        first = causes[0]
+        found = [f for f in found if f.statistic > SCORE_SHARE * _least_beside(first, f.axle)]
         if len(causes) >= MOST_CAUSES:
             break
         beside = fitted(pool, data, measured, told, found, MOST_BESIDE, progress)
         better, more = choose(design, told, value, beside)
-        first = causes[0]
-        if more and more[0].cause.axle and not first.cause.axle:
-            floor = max(SECOND_FLOOR, SECOND_SHARE_OF_AXLE * first.ratio)
-        if not more or more[0].ratio < floor:
+        if not more or more[0].ratio < _least_beside(first, more[0].cause.axle):
             break
         if not _both_needed(data, measured, better, value):
             break
@@ -226,6 +223,12 @@ def second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
         causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names))
                   for named in causes]
     return told, causes, remainder
+
+
+def _least_beside(first: Named, axle: int) -> float:
+    """Likelihood that a second cause, of one axle or all (0), must win beside the first."""
+    own = axle != 0 and first.cause.axle == 0
+    return max(SECOND_FLOOR, first.ratio * (SECOND_SHARE_OF_AXLE if own else SECOND_SHARE))
 
 
 def _swapped(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,

@@ -33,7 +33,8 @@ SYSTEMATIC = {
 ALPHA_CAUSE = 0.02 / 30.0
 ALPHA_GENERIC = 0.005 / 13.0
 FLOOR = 12.0
-MOST_BINS = 10
+# a patch shorter than these bins of place could be the rail's irregularity
+LEAST_BINS, MOST_BINS = 2, 10
 
 
 class Scores(NamedTuple):
@@ -197,9 +198,9 @@ def _patch(normal: Normal, real: Scores, clean: list[Scores]) -> Finding | None:
         return None
     grid = np.ix_(at, at)
     bias = np.mean([s.g[at] for s in clean], axis=0)
-    null = np.array([_lowered(_windows(s.S[grid], s.g[at] - bias, 1, MOST_BINS))[:, 3].max(initial=0.0)
+    null = np.array([_lowered(_windows(s.S[grid], s.g[at] - bias, LEAST_BINS, MOST_BINS))[:, 3].max(initial=0.0)
                      for s in clean])
-    seen = _lowered(_windows(real.S[grid], real.g[at] - bias, 1, MOST_BINS))
+    seen = _lowered(_windows(real.S[grid], real.g[at] - bias, LEAST_BINS, MOST_BINS))
     if not len(seen):
         return None
     low, high, x, T = seen[np.argmax(seen[:, 3])]
