@@ -98,7 +98,7 @@ def judge(module: str, folder: Path, case: Case) -> Judged:
         meant = SAME_MEANING[module].get(named.cause.name)
         if meant and named.cause.name in case.effects:
             low, high = extension.parameters(named)[meant[0]]["ci95"]
-            covered = low <= meant[1] * case.effects[named.cause.name] <= high
+            covered = bool(low <= meant[1] * case.effects[named.cause.name] <= high)
     won = account.gain if account.gain is not None and account.gain.claimed else None
     possible = None
     if won is not None:
