@@ -8,9 +8,10 @@ rate from a few sets says little.
 """
 
 import argparse
-import importlib.util
+import importlib
 import multiprocessing
 import os
+import sys
 import tempfile
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
@@ -225,11 +226,10 @@ def _plain(f: Judged) -> dict[str, Any]:
 
 def generator(module: str) -> ModuleType:
     """A module of `tests/generator`. Raises ConfigError where there is none."""
-    path = _FOLDER / f"{module}.py"
-    spec = importlib.util.spec_from_file_location(module, path)
-    if spec is None or spec.loader is None or not path.is_file():
+    if not (_FOLDER / f"{module}.py").is_file():
         raise ConfigError("bench explain needs tests/generator, which only a clone of the project "
                           "has; run it there")
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
+    # by the name that it has in the tests: its compiled functions are kept under that name
+    if str(_FOLDER.parent) not in sys.path:
+        sys.path.insert(0, str(_FOLDER.parent))
+    return importlib.import_module(f"{_FOLDER.name}.{module}")
