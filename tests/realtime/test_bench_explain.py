@@ -1,7 +1,9 @@
 """The measures of `bench explain`: what counts as right, on verdicts written by hand."""
 
+import pytest
 from generator import braking_stops
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.benchmarks import explain as bench
 from rollerrig.realtime.benchmarks.explain import Case, Judged
 
@@ -58,3 +60,9 @@ def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gain
             for w, p in ((0.10, 0.20), (0.18, 0.20), (0.30, 0.30), (0.50, 0.01), (0.1, None))]
     row = next(r for r in bench.rows(sets) if "possible" in r["measure"])
     assert (row["of"], row["share"]) == (3, 0.18 / 0.20)
+
+
+def test_generators_are_those_of_the_tests_by_the_same_name() -> None:
+    assert bench.generator("braking_stops") is braking_stops
+    with pytest.raises(ConfigError, match="only a clone"):
+        bench.generator("no_stops")
