@@ -32,17 +32,16 @@ _FOLDER = Path(__file__).resolve().parents[2] / "tests" / "generator"
 GENERATORS = {"first": "braking_stops", "second": "other_stops"}
 NOTHING, SIZES = 20, (1.0, 1.5, 2.0)
 # causes whose size a generator means as the rig's table does: the coefficient to compare, its sign
+_BOTH_MEAN = {
+    "brake_gain": ("gain", 1.0), "wheel_radius": ("fraction", 1.0), "wheel_inertia": ("fraction", 1.0),
+    "speed_sensor_delay": ("delay_s", 1.0), "torque_sensor_delay": ("delay_s", 1.0),
+    "wheel_out_of_round": ("amplitude", 1.0)}
 SAME_MEANING: dict[str, dict[str, tuple[str, float]]] = {
-    "braking_stops": {
-        "brake_gain": ("gain", 1.0), "torque_offset": ("offset_Nm", 1.0), "track_gradient": ("gradient", 1.0),
-        "wheel_radius": ("fraction", 1.0), "wheel_inertia": ("fraction", 1.0),
-        "speed_sensor_delay": ("delay_s", 1.0), "torque_sensor_delay": ("delay_s", 1.0),
-        "wheel_out_of_round": ("amplitude", 1.0), "roller_curvature": ("stiffness_fraction", 1.0),
-        "interfacial_layer": ("reduction", 1.0), "falling_friction": ("fraction", 1.0)},
-    "other_stops": {
-        "brake_gain": ("gain", 1.0), "wheel_radius": ("fraction", 1.0), "wheel_inertia": ("fraction", 1.0),
-        "speed_sensor_delay": ("delay_s", 1.0), "torque_sensor_delay": ("delay_s", 1.0),
-        "wheel_out_of_round": ("amplitude", 1.0), "roller_curvature": ("stiffness_fraction", -1.0)},
+    "braking_stops": _BOTH_MEAN | {
+        "torque_offset": ("offset_Nm", 1.0), "track_gradient": ("gradient", 1.0),
+        "roller_curvature": ("stiffness_fraction", 1.0), "interfacial_layer": ("reduction", 1.0),
+        "falling_friction": ("fraction", 1.0)},
+    "other_stops": _BOTH_MEAN | {"roller_curvature": ("stiffness_fraction", -1.0)},
 }
 LONGEST_S = 90.0
 # a smaller gain than this share of the error is not worth a quotient
