@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import BusError
-from rollerrig.firmware_sim import bench_node, drive402, encoder406, io401
+from rollerrig.firmware_sim import bench_node, encoder406, io401
+from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.fault_bus import Gate
 from rollerrig.firmware_sim.fault_confinement import Controllers
 from rollerrig.firmware_sim.fault_panel import Site
@@ -90,7 +91,7 @@ class RigBus:
         asked = self.command[tick.DRIVES:tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
         store = {node: Path(bus["store"], f"node_{node:03d}.json") if bus["store"] else None
                  for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE)}
-        nodes = [drive402.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,
+        nodes = [drive.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,
                                 scenario["rig"]["drives"], store[node_id])
                  for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]
         nodes.append(encoder406.build(row, parameters, store[signals.SPEED_NODE]))

@@ -10,14 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.firmware_sim import (
-    drive402_axis,
-    drive_control,
-    fault_effects,
-    pole_wheel,
-    rig_control,
-    wsp,
-)
+from rollerrig.firmware_sim import fault_effects, pole_wheel, rig_control, wsp
+from rollerrig.firmware_sim.drive402 import axis
+from rollerrig.firmware_sim.drive402 import control as drive_control
 from rollerrig.realtime import mailbox as box
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.mailbox import Mailbox
@@ -33,7 +28,7 @@ from rollerrig.wsp_interface import signals
 # faults that act, as fault_effects lays them out
 MAGNETS, DEMAND, REFERENCE, FRICTION = 0, AXLES, AXLES + 1, AXLES + 2
 DRIVES = FRICTION + AXLES
-FAULTS = DRIVES + AXLES * drive402_axis.COMMANDS
+FAULTS = DRIVES + AXLES * axis.COMMANDS
 COMMANDS = FAULTS + fault_effects.SIZE
 
 # slots of the control array (int64)
@@ -108,10 +103,10 @@ def first_command() -> np.ndarray:
     row[MAGNETS:MAGNETS + AXLES] = 0.0
     row[FRICTION:DRIVES] = 0.0
     row[FAULTS:] = 0.0
-    drives = row[DRIVES:FAULTS].reshape(AXLES, drive402_axis.COMMANDS)
+    drives = row[DRIVES:FAULTS].reshape(AXLES, axis.COMMANDS)
     drives[:] = 0.0
-    drives[:, drive402_axis.ENABLED] = 1.0
-    drives[:, drive402_axis.LOOP] = drive402_axis.LOOP_RIG
+    drives[:, axis.ENABLED] = 1.0
+    drives[:, axis.LOOP] = axis.LOOP_RIG
     return row
 
 
@@ -188,7 +183,7 @@ def once(m):
     tick = m.control[TICK]
     begin(m, tick)
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
-    if m.command[DRIVES + drive402_axis.LOOP] == drive402_axis.LOOP_STOP and (
+    if m.command[DRIVES + axis.LOOP] == axis.LOOP_STOP and (
             m.virtual != 0 or m.params.mode != 0):
         rig_control.stop_with_rollers(m.state, m.roller_state, m.roller_params.drive)
     plant.observe(m.state, m.params)

@@ -7,7 +7,8 @@ import threading
 
 import numpy as np
 
-from rollerrig.firmware_sim import drive402, modbus_map, modbus_unit
+from rollerrig.firmware_sim import modbus_map, modbus_unit
+from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.modbus_map import BITS, WORDS
 from rollerrig.firmware_sim.modbus_pdu import Code, RefusedError
 from rollerrig.firmware_sim.modbus_rtu import SerialLine
@@ -30,7 +31,7 @@ class Site:
         self.row[signals.span("pulse_count")] = [70000.0, 1.0, 2.0, 2.0**32 + 5]
         self.values = {row.name: 0 for row in (*BITS, *WORDS) if not row.signal}
         self.written = []
-        self.drives = [drive402.build(node, node, self.row, {"rated_torque_Nm": RATED_Nm},
+        self.drives = [drive.build(node, node, self.row, {"rated_torque_Nm": RATED_Nm},
                                       control="bus") for node in signals.DRIVE_NODES]
         for node in self.drives:
             node.start(lambda frame: None, 0)

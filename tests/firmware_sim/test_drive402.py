@@ -3,12 +3,12 @@
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from rollerrig.firmware_sim import drive402, drive402_axis, drive402_objects
-from rollerrig.firmware_sim import drive402_states as states
-from rollerrig.firmware_sim.drive402_states import State
+from rollerrig.firmware_sim.drive402 import axis, objects, states
+from rollerrig.firmware_sim.drive402 import drive as drive402
+from rollerrig.firmware_sim.drive402.states import State
 from rollerrig.wsp_interface import signals
 
-RATED_Nm = drive402_objects.DEFAULTS["rated_torque_Nm"]
+RATED_Nm = objects.DEFAULTS["rated_torque_Nm"]
 DISABLED, READY, ON, ENABLED = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON,
                                 State.SWITCHED_ON, State.OPERATION_ENABLED)
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, RESET, HALT = 6, 7, 15, 0, 2, 0x80, 0x10F
@@ -116,8 +116,8 @@ def test_cyclic_velocity_follows_the_target_and_its_offset_and_says_so(wire, dri
     wire.write(1, 0x60FF, 0, 30_000, 4)
     wire.write(1, 0x60B1, 0, 5_000, 4)
     wire.run(1)
-    assert drive.device.axis.commands[drive402_axis.LOOP] == drive402_axis.LOOP_VELOCITY
-    assert drive.device.axis.commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(3.5)
+    assert drive.device.axis.commands[axis.LOOP] == axis.LOOP_VELOCITY
+    assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(3.5)
     assert status(wire) & states.FOLLOWS
     control(wire, QUICK_STOP)
     assert status(wire) & states.FOLLOWS == 0
@@ -162,7 +162,7 @@ def test_the_quick_stop_ramp_is_that_of_6085h(wire, drive):
     wire.write(1, 0x6085, 0, 600_000, 4)
     control(wire, QUICK_STOP)
     wire.run(50)
-    assert drive.device.axis.commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(3.0)
+    assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(3.0)
     wire.run(50)
     assert state(wire) == DISABLED
 
@@ -247,9 +247,9 @@ def test_profile_velocity_ramps_to_the_target_and_says_when_it_is_there(wire, dr
     wire.write(1, 0x60FF, 0, 50_000, 4)
     control(wire, *WALK[ENABLED])
     wire.run(250)
-    velocity = drive.device.axis.commands[drive402_axis.VELOCITY_rad_s]
+    velocity = drive.device.axis.commands[axis.VELOCITY_rad_s]
     assert velocity == pytest.approx(2.5)
-    assert drive.device.axis.commands[drive402_axis.LOOP] == drive402_axis.LOOP_VELOCITY
+    assert drive.device.axis.commands[axis.LOOP] == axis.LOOP_VELOCITY
     assert status(wire) & states.TARGET_REACHED == 0
     wire.run(300)
     set_row(wire, "roller_speed", 5.0)
@@ -266,7 +266,7 @@ def test_a_pdo_that_repeats_mode_and_controlword_does_not_disturb_the_ramp(wire,
         wire.send(0x201, bytes([word, 0, 3, 0, 0]))
         wire.sync()
         wire.run(1)
-    assert drive.device.axis.commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(20.0 * 0.101)
+    assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(20.0 * 0.101)
 
 
 @pytest.mark.conformance("CiA 402", "halt bit and option code 605Dh")
@@ -277,11 +277,11 @@ def test_halt_takes_the_velocity_to_zero_and_its_end_resumes(wire, drive):
     wire.run(2)
     control(wire, HALT)
     wire.run(1000)
-    assert drive.device.axis.commands[drive402_axis.VELOCITY_rad_s] == 0.0
+    assert drive.device.axis.commands[axis.VELOCITY_rad_s] == 0.0
     assert status(wire) & states.FOLLOWS == 0
     control(wire, ENABLE)
     wire.run(2)
-    assert drive.device.axis.commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(5.0)
+    assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(5.0)
     assert status(wire) & states.FOLLOWS
 
 
@@ -292,13 +292,13 @@ def test_profile_torque_follows_the_slope_and_cyclic_torque_the_target(wire, dri
     wire.write(1, 0x6060, 0, 4, 1)
     control(wire, *WALK[ENABLED])
     wire.run(250)
-    assert drive.device.axis.commands[drive402_axis.TORQUE_Nm] == pytest.approx(0.25 * RATED_Nm)
+    assert drive.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(0.25 * RATED_Nm)
     assert status(wire) & states.TARGET_REACHED == 0
     wire.run(300)
     assert status(wire) & states.TARGET_REACHED
     wire.write(1, 0x6060, 0, 10, 1)
     wire.run(1)
-    assert drive.device.axis.commands[drive402_axis.TORQUE_Nm] == pytest.approx(0.5 * RATED_Nm)
+    assert drive.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(0.5 * RATED_Nm)
 
 
 @pytest.mark.conformance("CiA 402", "max torque 6072h, internal limit (bit 11)")
@@ -307,7 +307,7 @@ def test_a_torque_above_6072h_is_cut_and_told(wire, drive):
     wire.write(1, 0x6071, 0, -500, 2)
     control(wire, *WALK[ENABLED])
     wire.run(2)
-    assert drive.device.axis.commands[drive402_axis.TORQUE_Nm] == pytest.approx(-0.3 * RATED_Nm)
+    assert drive.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(-0.3 * RATED_Nm)
     assert status(wire) & states.INTERNAL_LIMIT
 
 
@@ -339,10 +339,10 @@ def test_a_lost_connection_follows_6007h(wire, drive, option, after):
 def test_a_reset_takes_the_power_off_the_motor(wire, drive):
     control(wire, *WALK[ENABLED])
     wire.run(1)
-    assert drive.device.axis.commands[drive402_axis.ENABLED] == 1.0
+    assert drive.device.axis.commands[axis.ENABLED] == 1.0
     wire.nmt(129, 1)
     wire.run(1)
-    assert drive.device.axis.commands[drive402_axis.ENABLED] == 0.0
+    assert drive.device.axis.commands[axis.ENABLED] == 0.0
     assert state(wire) == DISABLED
 
 
@@ -366,14 +366,14 @@ def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire)
     drive402.release_to_bus(node)
     for _ in range(20):
         wire.run(1)
-        assert node.device.axis.commands[drive402_axis.TORQUE_Nm] == pytest.approx(-0.2 * RATED_Nm)
+        assert node.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(-0.2 * RATED_Nm)
     assert status(wire) & 0x26F == 0x227
     wire.write(1, 0x6071, 0, 0, 2)
     wire.run(1)
-    assert node.device.axis.commands[drive402_axis.TORQUE_Nm] == 0.0
+    assert node.device.axis.commands[axis.TORQUE_Nm] == 0.0
     drive402.enable_locally(node)
     assert status(wire) == 0x37
-    assert node.device.axis.commands[drive402_axis.LOOP] == drive402_axis.LOOP_RIG
+    assert node.device.axis.commands[axis.LOOP] == axis.LOOP_RIG
 
 
 @pytest.mark.conformance("CiA 402", "emergency stop from outside the bus: quick stop, barred until taken back")
@@ -389,17 +389,17 @@ def test_an_emergency_stop_brakes_the_motor_and_bars_the_drive_until_it_is_taken
     assert state(wire) == State.QUICK_STOP_ACTIVE
     wire.run(500)
     commands = node.device.axis.commands
-    assert commands[drive402_axis.LOOP] == drive402_axis.LOOP_STOP
+    assert commands[axis.LOOP] == axis.LOOP_STOP
     # 40 rad/s less half a second of 60 rad/s2
-    assert commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(10.0, abs=0.2)
+    assert commands[axis.VELOCITY_rad_s] == pytest.approx(10.0, abs=0.2)
     wire.run(500)
     # the ramp has ended, the motor has not: it brakes on
-    assert commands[drive402_axis.VELOCITY_rad_s] == 0.0
-    assert commands[drive402_axis.ENABLED] == 1.0
+    assert commands[axis.VELOCITY_rad_s] == 0.0
+    assert commands[axis.ENABLED] == 1.0
     set_row(wire, "roller_speed", 0.0)
     wire.run(2)
     assert state(wire) == DISABLED
-    assert commands[drive402_axis.ENABLED] == 0.0
+    assert commands[axis.ENABLED] == 0.0
     control(wire, SHUTDOWN, SWITCH_ON, ENABLE)
     drive402.enable_locally(node) if control_source == "rig" else None
     assert state(wire) == DISABLED

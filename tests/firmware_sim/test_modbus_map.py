@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from modbus_site import MEASURED_SPEED, RATED_Nm
 
-from rollerrig.firmware_sim import drive402, modbus_map
+from rollerrig.firmware_sim import modbus_map
+from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.firmware_sim.modbus_map import BIT, BITS, WORDS
 from rollerrig.wsp_interface import signals
 

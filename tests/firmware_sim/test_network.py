@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import drive402, encoder406, io401, network, rack
+from rollerrig.firmware_sim import encoder406, io401, network, rack
 from rollerrig.firmware_sim.cia301.nmt import State
+from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.frames import Frame
 from rollerrig.wsp_interface.hub import Hub

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from rollerrig.firmware_sim import drive402, drive402_axis, encoder406, io401, network, rack
+from rollerrig.firmware_sim import encoder406, io401, network, rack
+from rollerrig.firmware_sim.drive402 import axis
+from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.hub import Hub
 
@@ -97,8 +99,8 @@ def test_a_foreign_master_walks_a_drive_and_moves_its_set_point(rig, master):
         drive.op_mode = "PROFILED VELOCITY"
         drive.sdo[0x60FF].raw = 50_000
         commands = rig.nodes[0].device.axis.commands
-        assert eventually(lambda: commands[drive402_axis.VELOCITY_rad_s] == pytest.approx(5.0))
-        assert commands[drive402_axis.ENABLED] == 1.0
+        assert eventually(lambda: commands[axis.VELOCITY_rad_s] == pytest.approx(5.0))
+        assert commands[axis.ENABLED] == 1.0
     finally:
         drive.rpdo[1].stop()
 

@@ -7,7 +7,8 @@ import cantools
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import drive402, encoder406, io401
+from rollerrig.firmware_sim import encoder406, io401
+from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.wsp_interface import descriptions, signals
 from rollerrig.wsp_interface.frames import Frame
 
@@ -18,7 +19,7 @@ RATED_Nm = 5000.0
 def rig():
     """Nodes by number, and the live row they read."""
     row = np.zeros(len(signals.COLUMNS))
-    nodes = [drive402.build(node, axle, row, {"rated_torque_Nm": RATED_Nm})
+    nodes = [drive.build(node, axle, row, {"rated_torque_Nm": RATED_Nm})
              for axle, node in enumerate(signals.DRIVE_NODES, 1)]
     nodes += [encoder406.build(row), io401.build(row, np.zeros(io401.COMMANDS))]
     return {node.node_id: node for node in nodes}, row

@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from rollerrig.firmware_sim import drive402_objects as table
-from rollerrig.firmware_sim import drive402_states as states
 from rollerrig.firmware_sim.cia301.objects import Objects, key
-from rollerrig.firmware_sim.drive402_demand import (
+from rollerrig.firmware_sim.drive402 import objects as table
+from rollerrig.firmware_sim.drive402 import states
+from rollerrig.firmware_sim.drive402.demand import (
     PROFILE_TORQUE,
     PROFILE_VELOCITY,
     VELOCITY_MODES,

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from rollerrig.firmware_sim import drive402_objects as table
-from rollerrig.firmware_sim import drive402_states as states
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301 import communication, dictionary, nmt
 from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 from rollerrig.firmware_sim.cia301.communication import Profile
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
-from rollerrig.firmware_sim.drive402_axis import COMMANDS, Axis, integer
-from rollerrig.firmware_sim.drive402_demand import CYCLIC_TORQUE, MODES, S_NS, Heat
-from rollerrig.firmware_sim.drive402_states import Command, State, Transition
+from rollerrig.firmware_sim.drive402 import objects as table
+from rollerrig.firmware_sim.drive402 import states
+from rollerrig.firmware_sim.drive402.axis import COMMANDS, Axis, integer
+from rollerrig.firmware_sim.drive402.demand import CYCLIC_TORQUE, MODES, S_NS, Heat
+from rollerrig.firmware_sim.drive402.states import Command, State, Transition
 
 HEARTBEAT_FAULT, OVER_TEMPERATURE, UNDER_VOLTAGE = 0x8130, 0x4310, 0x3220
 _SHUTDOWN, _DISABLE_OPERATION, _QUICK_STOP, _REACTION, _ABORT = (

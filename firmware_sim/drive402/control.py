@@ -13,7 +13,7 @@ jump in torque.
 Gains are those of the rig's speed loop: w_c = drive.speed_loop_rad_s on the roller's inertia J.
 """
 
-from rollerrig.firmware_sim.drive402_axis import (
+from rollerrig.firmware_sim.drive402.axis import (
     COMMANDS,
     ENABLED,
     LOOP,
