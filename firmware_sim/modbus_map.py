@@ -16,7 +16,7 @@ from typing import NamedTuple, cast
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 
-from rollerrig.firmware_sim.faults import CATALOGUE
+from rollerrig.firmware_sim.faults.catalogue import CATALOGUE
 from rollerrig.wsp_interface import signals
 
 PLC_UNIT = 1

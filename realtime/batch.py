@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.firmware_sim import fault_panel, wsp
+from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.faults import panel
 from rollerrig.realtime import bench, convoy, scenario, summary, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.scenario import Scenario
@@ -34,9 +35,9 @@ def simulate(plan: Scenario, unit: str | UnitCall = "reference") -> dict[str, np
     memory = _memory(plan)
     machine = bench.build_machine(plan, memory)  # type: ignore[arg-type]
     inputs = np.zeros(2 * AXLES, dtype=np.int64)
-    fault_panel.check_pacing(plan.faults, "free")
-    faults = fault_panel.Panel(plan.faults, lambda level, text: None)
-    faults.connect(fault_panel.Site(machine.commands.values[tick.FAULTS:], lambda: None))
+    panel.check_pacing(plan.faults, "free")
+    faults = panel.Panel(plan.faults, lambda level, text: None)
+    faults.connect(panel.Site(machine.commands.values[tick.FAULTS:], lambda: None))
     own = wsp.new_unit(wsp.load(plan["wsp_config"]))
     while not machine.control[DONE]:
         ticks = _due(faults, machine, plan) if plan.faults else 1 << 20
@@ -86,7 +87,7 @@ def channels_of(memory: Memory) -> dict[str, np.ndarray]:
     return {name: memory.rows[:written, i] for i, name in enumerate(signals.COLUMNS)}
 
 
-def _due(faults: fault_panel.Panel, machine: tick.Machine, plan: Scenario) -> int:
+def _due(faults: panel.Panel, machine: tick.Machine, plan: Scenario) -> int:
     """Let faults begin and end; ticks until the next does."""
     now_s = int(machine.control[tick.TICK]) / plan["loop"]["tick_hz"]
     faults.poll(now_s)

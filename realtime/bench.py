@@ -20,8 +20,9 @@ import numpy as np
 import pyarrow as pa
 
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
-from rollerrig.firmware_sim import fault_panel, faults, pole_wheel, wsp
+from rollerrig.firmware_sim import pole_wheel, wsp
 from rollerrig.firmware_sim.cia301.nmt import State
+from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.realtime import (
     channels,
     clock,
@@ -113,9 +114,9 @@ class Bench:
         self.ports: dict[str, int] = {}
         self._zero_ns = 0
         supervisor.check(plan, options.pacing, options.start)
-        fault_panel.check_pacing(plan.faults, options.pacing)
+        panel.check_pacing(plan.faults, options.pacing)
         wire_delay.check(plan, options.pacing)
-        self.faults = fault_panel.Panel(plan.faults, self.event)
+        self.faults = panel.Panel(plan.faults, self.event)
         self.derailment = derailment.Watch(self.event, self.stop)
         if options.unit == "reference":
             wsp.load(plan["wsp_config"])
@@ -192,7 +193,7 @@ class Bench:
         unit = wsp.new_unit(wsp.load(self.plan["wsp_config"])) if self.options.unit == "reference" else None
         inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
         said = time.monotonic()
-        self.faults.connect(fault_panel.Site(self.machine.commands.values[tick.FAULTS:],
+        self.faults.connect(panel.Site(self.machine.commands.values[tick.FAULTS:],
                                              lambda: None))
         while not self.stopping:
             ticks = self._poll_faults()
@@ -486,12 +487,12 @@ class Bench:
         self.machine.control[DONE] = 1
 
     def _inject(self, text: str) -> None:
-        fault = faults.parse(text)
+        fault = catalogue.parse(text)
         self.faults.inject(fault.kind.name, for_s=fault.for_s, **fault.values)
 
     def _lift(self, text: str) -> None:
         name, *aims = text.split() or [""]
-        aim = faults.parse(text).values if aims else {}
+        aim = catalogue.parse(text).values if aims else {}
         self.faults.clear(name, **{key: value for key, value in aim.items()
                                    if any(one.startswith(f"{key}=") for one in aims)})
 

@@ -8,8 +8,8 @@ and an event says why.
 from typing import Any, Protocol
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.fault_panel import Panel
-from rollerrig.firmware_sim.faults import CATALOGUE, LASTS
+from rollerrig.firmware_sim.faults.catalogue import CATALOGUE, LASTS
+from rollerrig.firmware_sim.faults.panel import Panel
 from rollerrig.firmware_sim.modbus_pdu import Code, RefusedError
 from rollerrig.firmware_sim.modbus_unit import Reader, Writer
 

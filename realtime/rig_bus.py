@@ -15,9 +15,9 @@ import numpy as np
 from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim import bench_node, encoder406, io401
 from rollerrig.firmware_sim.drive402 import drive
-from rollerrig.firmware_sim.fault_bus import Gate
-from rollerrig.firmware_sim.fault_confinement import Controllers
-from rollerrig.firmware_sim.fault_panel import Site
+from rollerrig.firmware_sim.faults.bus import Gate
+from rollerrig.firmware_sim.faults.confinement import Controllers
+from rollerrig.firmware_sim.faults.panel import Site
 from rollerrig.firmware_sim.network import SYNC_ID, Network
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.realtime import ring as rings

@@ -17,7 +17,7 @@ import tomli_w
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
-from rollerrig.firmware_sim import faults as catalogue
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.rig import params as physics
 from rollerrig.wsp_interface.signals import AXLES
 

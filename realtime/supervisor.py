@@ -20,7 +20,7 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
 from rollerrig.firmware_sim import modbus_map, modbus_unit
 from rollerrig.firmware_sim.cia301.nmt import State as Nmt
-from rollerrig.firmware_sim.fault_panel import Panel
+from rollerrig.firmware_sim.faults.panel import Panel
 from rollerrig.firmware_sim.modbus_map import BITS, NO_DEMAND, UNHEARD, WORDS, State
 from rollerrig.firmware_sim.modbus_pdu import Code, Image, RefusedError
 from rollerrig.firmware_sim.modbus_rtu import SerialLine

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.firmware_sim import fault_effects, pole_wheel, rig_control, wsp
+from rollerrig.firmware_sim import pole_wheel, rig_control, wsp
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import control as drive_control
+from rollerrig.firmware_sim.faults import effects
 from rollerrig.realtime import mailbox as box
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.mailbox import Mailbox
@@ -29,7 +30,7 @@ from rollerrig.wsp_interface import signals
 MAGNETS, DEMAND, REFERENCE, FRICTION = 0, AXLES, AXLES + 1, AXLES + 2
 DRIVES = FRICTION + AXLES
 FAULTS = DRIVES + AXLES * axis.COMMANDS
-COMMANDS = FAULTS + fault_effects.SIZE
+COMMANDS = FAULTS + effects.SIZE
 
 # slots of the control array (int64)
 TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS, HOLD, HELD, SLOTS_OF_CONTROL = range(11)
@@ -134,9 +135,9 @@ def publish(m):
         m.row[_MAGNETS + j] = m.command[MAGNETS + j]
         m.row[_TRACKING + j] = tracking_error(m, j)
     pole_wheel.sense(m.row, m.pulses, m.sensor, m.command[FAULTS:])
-    if m.command[FAULTS + fault_effects.ANY] != 0.0:
+    if m.command[FAULTS + effects.ANY] != 0.0:
         heat = m.params.heat
-        fault_effects.heat(m.row[_MOTOR_K:_MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K,
+        effects.heat(m.row[_MOTOR_K:_MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K,
                            heat.motor_rise_K)
     m.row[_REFERENCE] = m.command[REFERENCE]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
@@ -170,11 +171,11 @@ def rollers_beside(m, tick):
 @kernel
 def disturb(m, faults):
     """Let faults act on magnets, motors and cylinders for the coming tick."""
-    fault_effects.energise(m.command[:AXLES], faults)
-    fault_effects.ripple(m.roller_state, faults)
-    fault_effects.leak(m.state, faults, m.params.tick_s)
+    effects.energise(m.command[:AXLES], faults)
+    effects.ripple(m.roller_state, faults)
+    effects.leak(m.state, faults, m.params.tick_s)
     if m.virtual != 0:
-        fault_effects.leak(m.roller_state, faults, m.params.tick_s)
+        effects.leak(m.roller_state, faults, m.params.tick_s)
 
 
 @kernel
@@ -214,7 +215,7 @@ def begin(m, tick):
     if m.virtual != 0 or m.params.mode != 0:
         drive_control.obey(m.roller_state, m.roller_params.drive, m.command[DRIVES:],
                            m.params.tick_s)
-    if faults[fault_effects.ANY] != 0.0:
+    if faults[effects.ANY] != 0.0:
         disturb(m, faults)
     for j in range(AXLES):
         m.state.friction_asked[j] = m.command[FRICTION + j]

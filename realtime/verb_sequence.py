@@ -63,7 +63,7 @@ def load(names: list[str]) -> list[Any]:
     """The sequences of names, files and folders, all checked. Raises ConfigError with all faults."""
     from rollerrig.configs import store
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.firmware_sim import faults
+    from rollerrig.firmware_sim.faults import catalogue
     from rollerrig.wsp_interface import sequence
 
     paths: list[Path] = []
@@ -79,7 +79,7 @@ def load(names: list[str]) -> list[Any]:
     loaded, wrong = [], []
     for path in paths:
         try:
-            loaded.append(sequence.load(path, faults.parse))
+            loaded.append(sequence.load(path, catalogue.parse))
         except ConfigError as error:
             wrong.append(str(error))
     twice = {one.name for one in loaded if sum(one.name == other.name for other in loaded) > 1}

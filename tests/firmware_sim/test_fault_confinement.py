@@ -2,7 +2,7 @@
 
 import pytest
 
-from rollerrig.firmware_sim.fault_confinement import Confinement, Controllers
+from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
 from rollerrig.wsp_interface.frames import Frame
 
 FRAME = Frame(0x181, bytes(8))

@@ -10,7 +10,7 @@ import pytest
 from faulty_run import PLAN, samples
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim import fault_effects, fault_panel, faults
+from rollerrig.firmware_sim.faults import catalogue, effects, panel
 from rollerrig.firmware_sim.modbus_pdu import RefusedError
 from rollerrig.realtime import bench, fault_desk, ring, scenario, tick
 from rollerrig.wsp_interface import signals
@@ -56,7 +56,7 @@ def turning(rig, from_s, to_s):
 
 
 @pytest.mark.conformance("Faults", "every fault: begins and is lifted, recorded")
-@pytest.mark.parametrize("kind", [kind.name for kind in faults.CATALOGUE])
+@pytest.mark.parametrize("kind", [kind.name for kind in catalogue.CATALOGUE])
 def test_every_fault_of_the_catalogue_is_recorded_when_it_begins_and_when_it_is_lifted(rig, kind):
     begin, end = TIMES[kind]
     assert begin in rig.told(f"fault {kind}")
@@ -392,11 +392,11 @@ def machine(path_of_plan, array=None, ticks=300):
 
 
 def test_a_faults_array_whose_values_are_zero_changes_no_bit():
-    zeros = np.zeros(fault_effects.SIZE)
-    zeros[fault_effects.ANY] = 1.0
+    zeros = np.zeros(effects.SIZE)
+    zeros[effects.ANY] = 1.0
     row = machine("dry_stop")
     assert np.array_equal(row, machine("dry_stop", zeros), equal_nan=True)
-    zeros[fault_effects.slot(fault_effects.LEAK_per_s, 1)] = 1.0
+    zeros[effects.slot(effects.LEAK_per_s, 1)] = 1.0
     assert not np.array_equal(row, machine("dry_stop", zeros), equal_nan=True)
 
 
@@ -404,7 +404,7 @@ def test_a_faults_array_whose_values_are_zero_changes_no_bit():
 def test_a_fault_of_the_command_line_is_the_scenarios_fault():
     plan = scenario.load("dry_stop", faults=("frame_lost can_id=0x190 every=3 at=5 for=2",))
     assert plan["fault"] == [{"kind": "frame_lost", "at_s": 5.0, "for_s": 2.0, "can_id": 0x190, "every": 3}]
-    assert plan.faults == faults.all_of(plan["fault"], "again")
+    assert plan.faults == catalogue.all_of(plan["fault"], "again")
 
 
 @pytest.mark.parametrize(("text", "said"), [
@@ -418,15 +418,15 @@ def test_a_fault_of_the_command_line_is_the_scenarios_fault():
 ])
 def test_a_wrong_fault_is_refused_with_what_is_allowed(text, said):
     with pytest.raises(ConfigError, match="--fault") as refused:
-        faults.parse(text)
+        catalogue.parse(text)
     assert said in str(refused.value)
 
 
 def test_a_fault_of_the_bus_is_refused_where_there_is_no_bus():
-    planned = (faults.parse("node_off node=16"),)
+    planned = (catalogue.parse("node_off node=16"),)
     with pytest.raises(ConfigError, match="--pacing free has none"):
-        fault_panel.check_pacing(planned, "free")
-    fault_panel.check_pacing(planned, "lockstep")
+        panel.check_pacing(planned, "free")
+    panel.check_pacing(planned, "lockstep")
 
 
 class Told:
@@ -434,9 +434,9 @@ class Told:
 
     def __init__(self):
         self.events = []
-        self.array = np.zeros(fault_effects.SIZE)
-        self.faults = fault_panel.Panel((), self.event)
-        self.faults.connect(fault_panel.Site(self.array, lambda: None))
+        self.array = np.zeros(effects.SIZE)
+        self.faults = panel.Panel((), self.event)
+        self.faults.connect(panel.Site(self.array, lambda: None))
 
     def event(self, level, text):
         self.events.append(text)
@@ -448,12 +448,12 @@ def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
     told = Told()
     desk = fault_desk.FaultDesk(told)
     write, read = desk.writers(), desk.readers()
-    number = [kind.name for kind in faults.CATALOGUE].index("cylinder_leak")
+    number = [kind.name for kind in catalogue.CATALOGUE].index("cylinder_leak")
     for name, raw in (("fault", number), ("fault_target", 3), ("fault_duration", 20), ("inject_fault", 1)):
         write[name](raw, True)
         assert read["faults_active"]() == 0
         write[name](raw, False)
-    assert told.array[fault_effects.slot(fault_effects.LEAK_per_s, 3)] == 0.5
+    assert told.array[effects.slot(effects.LEAK_per_s, 3)] == 0.5
     assert (read["faults_active"](), read["fault"]()) == (1, number)
     told.faults.poll(2.1)
     assert not told.array.any()
@@ -467,7 +467,7 @@ def test_a_fault_that_cannot_be_is_refused_over_modbus_and_told():
     told = Told()
     write = fault_desk.FaultDesk(told).writers()
     with pytest.raises(RefusedError):
-        write["fault"](len(faults.CATALOGUE), True)
+        write["fault"](len(catalogue.CATALOGUE), True)
     write["fault_target"](9, False)
     with pytest.raises(RefusedError):
         write["inject_fault"](1, False)
@@ -476,5 +476,5 @@ def test_a_fault_that_cannot_be_is_refused_over_modbus_and_told():
 
 def test_the_document_of_the_faults_is_the_catalogue():
     text = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
-    assert text == faults.markdown()
-    assert all(f"| `{kind.name}` |" in text for kind in faults.CATALOGUE)
+    assert text == catalogue.markdown()
+    assert all(f"| `{kind.name}` |" in text for kind in catalogue.CATALOGUE)

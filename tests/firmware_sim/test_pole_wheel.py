@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import fault_effects, pole_wheel
+from rollerrig.firmware_sim import pole_wheel
+from rollerrig.firmware_sim.faults import effects
 from rollerrig.wsp_interface import signals
 
 TICK_S, TEETH, WINDOW = 0.001, 100, 10
@@ -16,9 +17,9 @@ def drive(speeds, model="pole_wheel", timer_Hz=1e6, dropout_rad_s=1.0, faults=()
     """Rows of axle 1 that turns with speeds in rad/s, one a tick: measured speed and pulses."""
     sensor = pole_wheel.Sensor(pole_wheel.MODELS[model], TEETH, WINDOW, dropout_rad_s, timer_Hz, TICK_S)
     row, memory = np.zeros(len(signals.COLUMNS)), pole_wheel.memory(1)
-    array = np.zeros(fault_effects.SIZE)
+    array = np.zeros(effects.SIZE)
     for kind, value in faults:
-        array[fault_effects.slot(kind, 1)] = value
+        array[effects.slot(kind, 1)] = value
     told = []
     for speed in speeds:
         row[SPEED] = speed
@@ -87,13 +88,13 @@ def test_a_wheel_that_starts_again_is_measured_again():
 def test_a_missing_tooth_is_a_pulse_less_in_each_turn():
     speeds = np.full(1000, 62.8)
     _, all_of_them, _, angle = drive(speeds)
-    _, pulses, _, _ = drive(speeds, faults=[(fault_effects.MISSING_TEETH, 3.0)])
+    _, pulses, _, _ = drive(speeds, faults=[(effects.MISSING_TEETH, 3.0)])
     turns = angle[-1] / (2 * np.pi)
     assert all_of_them[-1] - pulses[-1] == pytest.approx(3 * turns, abs=3)
 
 
 def test_a_seed_repeats_the_noise_of_a_burst():
-    noisy = [(fault_effects.NOISE_rad_s, 2.0)]
+    noisy = [(effects.NOISE_rad_s, 2.0)]
     first, second = (drive(np.full(4000, 50.0), "ideal", faults=noisy)[0] for _ in range(2))
     assert np.array_equal(first, second)
     assert first.std() == pytest.approx(2.0, rel=0.1)

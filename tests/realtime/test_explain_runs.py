@@ -10,7 +10,7 @@ import pytest
 from bench_process import BenchProcess
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim import faults
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import batch, cli, records, run_dataset, run_sensors, scenario
 from rollerrig.rig.identify import candidates, choice, dataset, explain, extension, preparation
 from rollerrig.rig.identify.candidates import Cause
@@ -215,7 +215,7 @@ def test_every_cause_of_wheel_and_contact_becomes_keys_that_run_in_batch(name, t
 
 def test_a_late_speed_sensor_is_noted_with_the_fault_that_does_it_on_the_bus() -> None:
     told = extension.toml(account(FOUND["speed_sensor_delay"]))
-    fault = faults.parse(re.search(r"--fault '([^']+)'", told).group(1))
+    fault = catalogue.parse(re.search(r"--fault '([^']+)'", told).group(1))
     assert fault.values["delay_s"] == pytest.approx(0.025)
     assert fault.values["can_id"] == 0x190  # speeds of all axles
     alone = extension.toml(account(FOUND["speed_sensor_delay"]._replace(axle=2)))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rollerrig.firmware_sim import faults
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.wsp_interface import own_bench, play, sequence
 from rollerrig.wsp_interface.harness import COLUMNS, TimeOutError
 from rollerrig.wsp_interface.sdo_client import RefusedError
@@ -72,7 +72,7 @@ def test_what_a_harness_asks_happens_on_the_rig(tmp_path):
 def test_a_sequence_in_lockstep_repeats_bit_for_bit(tmp_path):
     path = tmp_path / "walk.toml"
     path.write_text(STOP, encoding="utf-8")
-    one = sequence.load(path, faults.parse)
+    one = sequence.load(path, catalogue.parse)
     first, second = (play.on_own_bench(one, tmp_path / name) for name in ("first", "second"))
     assert first.result is second.result is Result.PASS, (first.error, first.verdicts)
     rows = [(tmp_path / name / play.TRACE).read_bytes() for name in ("first", "second")]
@@ -83,7 +83,7 @@ def test_a_sequence_in_lockstep_repeats_bit_for_bit(tmp_path):
 def test_a_bench_that_vanishes_is_an_error_and_its_rows_are_kept(tmp_path):
     path = tmp_path / "walk.toml"
     path.write_text(STOP, encoding="utf-8")
-    one = sequence.load(path, faults.parse)
+    one = sequence.load(path, catalogue.parse)
     folder = tmp_path / "run"
 
     @contextlib.contextmanager
@@ -125,7 +125,7 @@ def bench_of(address):
 def test_a_full_disk_is_an_error_and_no_pass(tmp_path):
     path = tmp_path / "walk.toml"
     path.write_text(STOP, encoding="utf-8")
-    one = sequence.load(path, faults.parse)
+    one = sequence.load(path, catalogue.parse)
     # as with a full disk, nothing more can be written: for the bench and its recorder alone
     limit = (resource.RLIMIT_FSIZE, resource.getrlimit(resource.RLIMIT_FSIZE))
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limit[1][1]))

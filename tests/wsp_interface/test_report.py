@@ -10,7 +10,7 @@ import synthetic_record
 from synthetic_record import GOOD
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.firmware_sim import faults
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import verb_sequence
 from rollerrig.wsp_interface import report, sequence, verdict
 from rollerrig.wsp_interface.harness import Event
@@ -21,7 +21,7 @@ from rollerrig.wsp_interface.verdict import Result
 def outcome(folder, text=GOOD, **changes):
     path = folder / "one.toml"
     path.write_text(text, encoding="utf-8")
-    found = Outcome(sequence.load(path, faults.parse), folder / "one",
+    found = Outcome(sequence.load(path, catalogue.parse), folder / "one",
                     events=[Event(1.0, "step", "brake <hard> & fast")])
     found.record = synthetic_record.record()
     found.verdicts = verdict.judge(found.sequence.criteria, found.record)

@@ -8,7 +8,7 @@ from synthetic_record import GOOD
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim import faults
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.wsp_interface import conditions, sequence
 
@@ -16,7 +16,7 @@ from rollerrig.wsp_interface import conditions, sequence
 def read(folder: Path, text: str) -> sequence.Sequence:
     path = folder / "one.toml"
     path.write_text(text, encoding="utf-8")
-    return sequence.load(path, faults.parse)
+    return sequence.load(path, catalogue.parse)
 
 
 def test_quantities_become_si_at_the_edge(tmp_path):
@@ -103,7 +103,7 @@ def test_a_condition_of_every_axle_needs_all_and_of_any_needs_one():
 
 @pytest.mark.parametrize("name", store.names("sequences"))
 def test_every_packaged_sequence_is_in_order_and_has_limits(name):
-    found = sequence.load(name, faults.parse)
+    found = sequence.load(name, catalogue.parse)
     assert found.criteria.limits
     assert found.steps
 
@@ -111,8 +111,8 @@ def test_every_packaged_sequence_is_in_order_and_has_limits(name):
 @pytest.mark.conformance("Faults", "every fault has a sequence in the library")
 def test_the_library_has_every_fault_of_the_catalogue():
     texts = [text for name in store.names("sequences")
-             for step in sequence.load(name, faults.parse).steps for text in step.faults]
-    missing = {kind.name for kind in faults.CATALOGUE} - {text.split()[0] for text in texts}
+             for step in sequence.load(name, catalogue.parse).steps for text in step.faults]
+    missing = {kind.name for kind in catalogue.CATALOGUE} - {text.split()[0] for text in texts}
     assert not missing
 
 

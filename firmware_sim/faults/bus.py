@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from rollerrig.firmware_sim.fault_confinement import Controllers
+from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.wsp_interface.frames import S_NS, Frame
 from rollerrig.wsp_interface.signals import WSP_NODE
 

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim import fault_bus, fault_confinement, fault_effects, faults
 from rollerrig.firmware_sim.cia301.node import Node
-from rollerrig.firmware_sim.fault_bus import Babble, Gate, Rule
-from rollerrig.firmware_sim.fault_confinement import Confinement, Controllers
-from rollerrig.firmware_sim.faults import LASTS, TICK, Fault
+from rollerrig.firmware_sim.faults import bus, confinement
+from rollerrig.firmware_sim.faults import catalogue as faults
+from rollerrig.firmware_sim.faults import effects as fault_effects
+from rollerrig.firmware_sim.faults.bus import Babble, Gate, Rule
+from rollerrig.firmware_sim.faults.catalogue import LASTS, TICK, Fault
+from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.wsp_interface.frames import Frame
 from rollerrig.wsp_interface.signals import DRIVE_NODES
@@ -161,9 +163,9 @@ class Panel:
 
     def _set_up(self, one: Active) -> None:
         site, name, values = self._site, one.fault.kind.name, one.fault.values
-        one.rules = fault_bus.rules_of(name, values)
+        one.rules = bus.rules_of(name, values)
         if name == "wsp_frozen" and not site.freeze(True):
-            one.rules = fault_bus.hold_unit()
+            one.rules = bus.hold_unit()
         for rule in one.rules:
             site.gate.add(rule)
         if name == "error_frame":
@@ -228,7 +230,7 @@ class Panel:
             if (id(node) in site.rack.muted) != (number in muted):
                 self._mute(number, number in muted)
                 if number not in muted:
-                    fault_confinement.recover(node)
+                    confinement.recover(node)
             if link_V is not None and number in self._links_V:
                 node.device.axis.dc_link_V = link_V
 
@@ -244,7 +246,7 @@ class Panel:
             name, values = one.fault.kind.name, one.fault.values
             if one.babble:
                 node = site.nodes[values["node"]]
-                fault_bus.babble(one.babble, now_ns, lambda frame, node=node: self._send(node, frame))
+                bus.babble(one.babble, now_ns, lambda frame, node=node: self._send(node, frame))
             elif name == "drive_trip":
                 self._drive(values).trip(values["code"], "injected")
             elif name == "drive_over_temperature":
