@@ -10,8 +10,8 @@ from typing import Any, Protocol
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults.catalogue import CATALOGUE, LASTS
 from rollerrig.firmware_sim.faults.panel import Panel
-from rollerrig.firmware_sim.modbus_pdu import Code, RefusedError
-from rollerrig.firmware_sim.modbus_unit import Reader, Writer
+from rollerrig.firmware_sim.modbus.pdu import Code, RefusedError
+from rollerrig.firmware_sim.modbus.unit import Reader, Writer
 
 AIMS = ("axle", "node", "can_id")
 DURATION_UNIT_S = 0.1

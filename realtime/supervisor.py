@@ -18,14 +18,15 @@ import numpy as np
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
-from rollerrig.firmware_sim import modbus_map, modbus_unit
 from rollerrig.firmware_sim.cia301.nmt import State as Nmt
 from rollerrig.firmware_sim.faults.panel import Panel
-from rollerrig.firmware_sim.modbus_map import BITS, NO_DEMAND, UNHEARD, WORDS, State
-from rollerrig.firmware_sim.modbus_pdu import Code, Image, RefusedError
-from rollerrig.firmware_sim.modbus_rtu import SerialLine
-from rollerrig.firmware_sim.modbus_server import Counters, Server, tls_context
-from rollerrig.firmware_sim.modbus_unit import Reader, Unit, Writer
+from rollerrig.firmware_sim.modbus import map
+from rollerrig.firmware_sim.modbus import unit as modbus_unit
+from rollerrig.firmware_sim.modbus.map import BITS, NO_DEMAND, UNHEARD, WORDS, State
+from rollerrig.firmware_sim.modbus.pdu import Code, Image, RefusedError
+from rollerrig.firmware_sim.modbus.rtu import SerialLine
+from rollerrig.firmware_sim.modbus.server import Counters, Server, tls_context
+from rollerrig.firmware_sim.modbus.unit import Reader, Unit, Writer
 from rollerrig.realtime import loop, scenario, tick
 from rollerrig.realtime.fault_desk import FaultDesk
 from rollerrig.realtime.hold import HOLDING, RELEASED, RUNNING
@@ -156,10 +157,10 @@ class Supervisor:
         bus, rows = self.rig.bus, (*BITS, *WORDS)
         rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
         measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
-        found: dict[int, Image] = {modbus_map.PLC_UNIT: Unit(
+        found: dict[int, Image] = {map.PLC_UNIT: Unit(
             rows, measured | self._states() | self._set_points() | self._health() | self.desk.readers(),
             self._writers() | self.desk.writers())}
-        for node, unit in modbus_map.DRIVE_UNITS.items():
+        for node, unit in map.DRIVE_UNITS.items():
             found[unit] = modbus_unit.drive(bus.nodes[node])
         return found
 

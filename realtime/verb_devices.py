@@ -20,7 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def call(given: argparse.Namespace) -> int:
     from rollerrig.configs import store
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.firmware_sim import modbus_map
+    from rollerrig.firmware_sim.modbus import map
     from rollerrig.realtime import scenario
     from rollerrig.wsp_interface import descriptions, signals
 
@@ -29,7 +29,7 @@ def call(given: argparse.Namespace) -> int:
     drives = {one.node_id: one for one in nodes if one.node_id in signals.DRIVE_NODES}
     try:
         written = [*descriptions.write(given.out, nodes),
-                   *modbus_map.write(given.out, drives, tuple(store.names("scenarios")))]
+                   *map.write(given.out, drives, tuple(store.names("scenarios")))]
     except OSError as error:
         raise ConfigError(f"{given.out}: cannot be written: {error.strerror}; give another folder "
                           "with --out") from None

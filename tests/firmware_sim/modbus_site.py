@@ -7,12 +7,13 @@ import threading
 
 import numpy as np
 
-from rollerrig.firmware_sim import modbus_map, modbus_unit
 from rollerrig.firmware_sim.drive402 import drive
-from rollerrig.firmware_sim.modbus_map import BITS, WORDS
-from rollerrig.firmware_sim.modbus_pdu import Code, RefusedError
-from rollerrig.firmware_sim.modbus_rtu import SerialLine
-from rollerrig.firmware_sim.modbus_server import Server
+from rollerrig.firmware_sim.modbus import map
+from rollerrig.firmware_sim.modbus import unit as modbus_unit
+from rollerrig.firmware_sim.modbus.map import BITS, WORDS
+from rollerrig.firmware_sim.modbus.pdu import Code, RefusedError
+from rollerrig.firmware_sim.modbus.rtu import SerialLine
+from rollerrig.firmware_sim.modbus.server import Server
 from rollerrig.wsp_interface import signals
 
 RATED_Nm = 15000.0
@@ -36,7 +37,7 @@ class Site:
         for node in self.drives:
             node.start(lambda frame: None, 0)
         self.units = {1: self._plc()} | {
-            modbus_map.DRIVE_UNITS[node.node_id]: modbus_unit.drive(node) for node in self.drives}
+            map.DRIVE_UNITS[node.node_id]: modbus_unit.drive(node) for node in self.drives}
         self.loop = asyncio.new_event_loop()
         self.thread = threading.Thread(target=self.loop.run_forever, name="modbus site")
         self.thread.start()

@@ -11,7 +11,7 @@ from faulty_run import PLAN, samples
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue, effects, panel
-from rollerrig.firmware_sim.modbus_pdu import RefusedError
+from rollerrig.firmware_sim.modbus.pdu import RefusedError
 from rollerrig.realtime import bench, fault_desk, ring, scenario, tick
 from rollerrig.wsp_interface import signals
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from modbus_site import MEASURED_SPEED, RATED_Nm
 
-from rollerrig.firmware_sim import modbus_map
 from rollerrig.firmware_sim.drive402 import drive as drive402
-from rollerrig.firmware_sim.modbus_map import BIT, BITS, WORDS
+from rollerrig.firmware_sim.modbus import map
+from rollerrig.firmware_sim.modbus.map import BIT, BITS, WORDS
 from rollerrig.wsp_interface import signals
 
 
@@ -20,7 +20,7 @@ def drive():
 
 
 def spaces(drive):
-    return {"plc bits": BITS, "plc registers": WORDS, "drive": modbus_map.drive_words(drive)}
+    return {"plc bits": BITS, "plc registers": WORDS, "drive": map.drive_words(drive)}
 
 
 def test_no_register_is_taken_twice_and_no_name_is_used_twice(drive):
@@ -65,7 +65,7 @@ def test_measured_ranges_hold_what_the_rig_can_do():
 
 
 def test_a_drives_rows_are_those_of_its_dictionary(drive):
-    for row in modbus_map.drive_words(drive):
+    for row in map.drive_words(drive):
         variable = drive[row.od_index]
         assert row.scale == variable.factor
         assert row.access == "ro" or variable.writable
@@ -75,9 +75,9 @@ def test_a_drives_rows_are_those_of_its_dictionary(drive):
 @pytest.mark.conformance("Modbus", "map written by rollerrig devices")
 def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
     drives = dict.fromkeys(signals.DRIVE_NODES, drive)
-    document, sheet = modbus_map.write(tmp_path, drives, ("dry_stop", "velim_a1"))
+    document, sheet = map.write(tmp_path, drives, ("dry_stop", "velim_a1"))
     lines = list(csv.DictReader(io.StringIO(sheet.read_text())))
-    assert len(lines) == len(BITS) + len(WORDS) + 4 * len(modbus_map.drive_words(drive))
+    assert len(lines) == len(BITS) + len(WORDS) + 4 * len(map.drive_words(drive))
     found = {(line["unit"], line["space"], line["name"]): line for line in lines}
     speed = found["1", "registers", "speed_set_point"]
     assert (speed["register"], speed["scale"], speed["unit_of_value"]) == ("1", "0.01", "m/s")
@@ -91,4 +91,4 @@ def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
 def test_the_same_devices_give_the_same_document(drive):
     row = np.zeros(len(signals.COLUMNS))
     again = drive402.build(1, 1, row, {"rated_torque_Nm": RATED_Nm}).dictionary
-    assert modbus_map.markdown({1: drive}) == modbus_map.markdown({1: again})
+    assert map.markdown({1: drive}) == map.markdown({1: again})

@@ -11,7 +11,7 @@ import pytest
 from modbus_site import Site
 
 from rollerrig.configs.errors import BusError
-from rollerrig.firmware_sim import modbus_rtu
+from rollerrig.firmware_sim.modbus import rtu
 
 READ = struct.pack(">BHH", 3, 202, 1)
 TOLD = bytes.fromhex("01030204d2")
@@ -60,16 +60,16 @@ class Line:
 
 def frame(request, unit=1):
     data = bytes((unit,)) + request
-    return data + modbus_rtu.checksum(data)
+    return data + rtu.checksum(data)
 
 
 def sealed(data):
-    return data + modbus_rtu.checksum(data)
+    return data + rtu.checksum(data)
 
 
 def test_the_checksum_is_that_of_the_standards_example():
     # MODBUS over Serial Line V1.02, appendix B: 02 07 has the checksum 41 12
-    assert modbus_rtu.checksum(b"\x02\x07") == b"\x41\x12"
+    assert rtu.checksum(b"\x02\x07") == b"\x41\x12"
 
 
 @pytest.mark.conformance("Modbus", "RTU: CRC")
@@ -80,7 +80,7 @@ def test_a_request_is_answered_with_its_checksum(line):
 def test_a_drive_answers_on_its_own_unit(line):
     reply = line.ask(struct.pack(">BHH", 3, 100, 1), unit=13)
     assert reply[:3] == bytes((13, 3, 2))
-    assert modbus_rtu.is_sound(reply)
+    assert rtu.is_sound(reply)
 
 
 @pytest.mark.parametrize("request_", [struct.pack(">BHH", 3, 200, 0), struct.pack(">BHH", 5, 0, 0x1234)])

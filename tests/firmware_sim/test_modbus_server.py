@@ -9,9 +9,9 @@ from modbus_site import HIGHEST_SPEED, Site, adu
 from pymodbus.client import ModbusTcpClient
 
 from rollerrig.configs.errors import BusError
-from rollerrig.firmware_sim import modbus_pdu, modbus_server
-from rollerrig.firmware_sim.modbus_map import WORDS
-from rollerrig.firmware_sim.modbus_server import Server
+from rollerrig.firmware_sim.modbus import pdu, server
+from rollerrig.firmware_sim.modbus.map import WORDS
+from rollerrig.firmware_sim.modbus.server import Server
 
 SPEED_SET_POINT = 1
 
@@ -263,11 +263,11 @@ def test_a_client_that_never_reads_is_not_read_and_harms_nobody(site):
 def test_when_places_are_taken_the_idle_one_gives_way(site):
     first = site.connect()
     assert first.words(202, 1) == [1234]
-    others = [site.connect() for _ in range(modbus_server.CLIENTS_MAX)]
+    others = [site.connect() for _ in range(server.CLIENTS_MAX)]
     for one in others:
         assert one.words(202, 1) == [1234]
     assert first.receive() is None
-    assert site.server.counters.clients == modbus_server.CLIENTS_MAX
+    assert site.server.counters.clients == server.CLIENTS_MAX
 
 
 def test_a_client_that_vanishes_in_the_middle_of_a_request_is_forgotten(site):
@@ -283,7 +283,7 @@ def test_a_client_that_vanishes_in_the_middle_of_a_request_is_forgotten(site):
 
 def mutated(rng):
     """A request that is somewhat wrong: cut, stretched, flipped, or random from the beginning."""
-    function = rng.choice([*modbus_pdu.FUNCTIONS, rng.randrange(256)])
+    function = rng.choice([*pdu.FUNCTIONS, rng.randrange(256)])
     body = rng.randbytes(rng.choice([0, 1, 3, 4, 4, 4, 5, 6, 9, 12, 40, 200]))
     if rng.random() < 0.5:
         body = struct.pack(">HH", rng.choice([0, 1, 100, 200, 65535]), rng.randrange(130)) + body[4:]
@@ -300,7 +300,7 @@ def test_random_requests_get_an_answer_or_an_exception_each(seed, client, site):
         assert reply[0] & 0x7F == request[0] & 0x7F
         if reply[0] & 0x80 and not request[0] & 0x80:
             assert len(reply) == 2
-            assert reply[1] in iter(modbus_pdu.Code)
+            assert reply[1] in iter(pdu.Code)
     assert site.thread.is_alive()
 
 

@@ -10,7 +10,7 @@ import pytest
 from modbus_site import Client, Site, adu
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.modbus_server import tls_context
+from rollerrig.firmware_sim.modbus.server import tls_context
 
 pytestmark = pytest.mark.skipif(not shutil.which("openssl"), reason="needs the command openssl")
 READ = struct.pack(">BHH", 3, 202, 1)

@@ -13,7 +13,7 @@ import pytest
 from pymodbus.client import ModbusTcpClient
 
 from rollerrig.configs import store
-from rollerrig.firmware_sim.modbus_map import BITS, WORDS, State
+from rollerrig.firmware_sim.modbus.map import BITS, WORDS, State
 from rollerrig.realtime import cli, records
 
 AT = {row.name: row.at for row in (*BITS, *WORDS)}

@@ -119,7 +119,7 @@ def test_a_go_client_works_over_rtu(go_client, site):
 def test_a_go_client_works_over_tls_with_its_certificate_and_not_without(go_client, site, tmp_path):
     from test_modbus_tls import authority, certificate
 
-    from rollerrig.firmware_sim.modbus_server import tls_context
+    from rollerrig.firmware_sim.modbus.server import tls_context
 
     for name in ("plant", "stranger"):
         authority(tmp_path, name)

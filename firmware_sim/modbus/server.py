@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import cast
 
 from rollerrig.configs.errors import BusError, ConfigError
-from rollerrig.firmware_sim import modbus_pdu
-from rollerrig.firmware_sim.modbus_pdu import Image
+from rollerrig.firmware_sim.modbus import pdu
+from rollerrig.firmware_sim.modbus.pdu import Image
 
 HEADER_BYTES = 7
 # the length in the header counts the unit and the request: at least a function code
-SHORTEST, LONGEST = 2, modbus_pdu.LARGEST_PDU + 1
+SHORTEST, LONGEST = 2, pdu.LARGEST_PDU + 1
 CLIENTS_MAX = 32
 BURST = 16  # requests answered before others have their turn: less than half a millisecond
 _PORTION_BYTES = 4096
@@ -88,9 +88,9 @@ class Server:
 
     def answer(self, unit: int, request: bytes) -> bytes:
         """The answer to a request, counted."""
-        reply = modbus_pdu.answer(self.units, unit, request)
+        reply = pdu.answer(self.units, unit, request)
         self.counters.requests += 1
-        self.counters.exceptions += modbus_pdu.is_exception(reply)
+        self.counters.exceptions += pdu.is_exception(reply)
         return reply
 
 

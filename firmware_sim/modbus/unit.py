@@ -14,8 +14,8 @@ from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
-from rollerrig.firmware_sim.modbus_map import BIT, WRITE, Register, drive_words
-from rollerrig.firmware_sim.modbus_pdu import Code, RefusedError
+from rollerrig.firmware_sim.modbus.map import BIT, WRITE, Register, drive_words
+from rollerrig.firmware_sim.modbus.pdu import Code, RefusedError
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import Place
 

@@ -14,8 +14,8 @@ import tty
 from collections.abc import Callable
 
 from rollerrig.configs.errors import BusError
-from rollerrig.firmware_sim import modbus_pdu
-from rollerrig.firmware_sim.modbus_server import Server
+from rollerrig.firmware_sim.modbus import pdu
+from rollerrig.firmware_sim.modbus.server import Server
 
 BROADCAST = 0
 LARGEST_FRAME = 256
@@ -142,7 +142,7 @@ class SerialLine:
 
     def _whole(self, data: bytes) -> int:
         """Length of the sound request at the beginning; 0: there is none, or not yet."""
-        size = modbus_pdu.length(data[1:])
+        size = pdu.length(data[1:])
         if not size or len(data) < size + 3:
             return 0
         return size + 3 if is_sound(data[:size + 3]) else 0
@@ -157,10 +157,10 @@ class SerialLine:
     def _on_frame(self, frame: bytes) -> None:
         unit, request = frame[0], frame[1:-2]
         if unit == BROADCAST:
-            function = modbus_pdu.FUNCTIONS.get(request[0])
+            function = pdu.FUNCTIONS.get(request[0])
             for one in self.server.units if function and function.writes else ():
                 self.server.answer(one, request)
-        elif unit in self.server.units and not modbus_pdu.is_exception(request):
+        elif unit in self.server.units and not pdu.is_exception(request):
             reply = frame[:1] + self.server.answer(unit, request)
             self._send(reply + checksum(reply))
 
