@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.firmware_sim import wsp
 from rollerrig.firmware_sim.faults import panel
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import bench, convoy, scenario, summary, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.scenario import Scenario
@@ -38,7 +38,7 @@ def simulate(plan: Scenario, unit: str | UnitCall = "reference") -> dict[str, np
     panel.check_pacing(plan.faults, "free")
     faults = panel.Panel(plan.faults, lambda level, text: None)
     faults.connect(panel.Site(machine.commands.values[tick.FAULTS:], lambda: None))
-    own = wsp.new_unit(wsp.load(plan["wsp_config"]))
+    own = logic.new_unit(logic.load(plan["wsp_config"]))
     while not machine.control[DONE]:
         ticks = _due(faults, machine, plan) if plan.faults else 1 << 20
         if unit == "none":
@@ -73,7 +73,7 @@ def together(
 def _stop(tag: Any, plan: Scenario, with_unit: bool) -> convoy.Stop:
     memory = _memory(plan)
     machine = bench.build_machine(plan, memory)  # type: ignore[arg-type]
-    return convoy.Stop(machine, wsp.new_unit(wsp.load(plan["wsp_config"])),
+    return convoy.Stop(machine, logic.new_unit(logic.load(plan["wsp_config"])),
                        plan.sync_ticks if with_unit else 0, (tag, plan, memory))
 
 

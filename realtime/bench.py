@@ -20,9 +20,10 @@ import numpy as np
 import pyarrow as pa
 
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
-from rollerrig.firmware_sim import pole_wheel, wsp
+from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import (
     channels,
     clock,
@@ -119,7 +120,7 @@ class Bench:
         self.faults = panel.Panel(plan.faults, self.event)
         self.derailment = derailment.Watch(self.event, self.stop)
         if options.unit == "reference":
-            wsp.load(plan["wsp_config"])
+            logic.load(plan["wsp_config"])
         prepare_folder(options.out)
         (options.out / "scenario.toml").write_text(scenario.dump(plan), encoding="utf-8")
         rings.sweep()
@@ -190,7 +191,7 @@ class Bench:
         return bool(control[STOP] or control[DONE])
 
     async def _run_free(self) -> None:
-        unit = wsp.new_unit(wsp.load(self.plan["wsp_config"])) if self.options.unit == "reference" else None
+        unit = logic.new_unit(logic.load(self.plan["wsp_config"])) if self.options.unit == "reference" else None
         inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
         said = time.monotonic()
         self.faults.connect(panel.Site(self.machine.commands.values[tick.FAULTS:],

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import tick
 from rollerrig.realtime.mailbox import Mailbox
 from rollerrig.realtime.scenario import Scenario
@@ -24,7 +24,7 @@ from rollerrig.rig.state import State
 
 _TICKS = 1 << 20
 # the unit's state as views into its buffer, for compiled code
-see_unit = seeing(wsp.State, wsp.PLACES)
+see_unit = seeing(logic.State, logic.PLACES)
 
 
 class Rider(NamedTuple):
@@ -57,7 +57,7 @@ class Stop(NamedTuple):
     """A machine about to run; `sync_ticks` between two cycles of its unit, 0 where it has none."""
 
     machine: Machine
-    unit: wsp.Unit
+    unit: logic.Unit
     sync_ticks: int
     tag: Any = None
 
@@ -104,7 +104,7 @@ def run(stops: Iterable[Stop]) -> Iterator[Stop]:
 def rider(stop: Stop) -> Rider:
     """A stop as the compiled loop takes it."""
     shared = {name: value for name, value in stop.machine._asdict().items() if name in Rider._fields}
-    return Rider(**shared, unit_buffer=wsp.buffer_of(stop.unit), unit_params=stop.unit.params)
+    return Rider(**shared, unit_buffer=logic.buffer_of(stop.unit), unit_params=stop.unit.params)
 
 
 @kernel_inlined
@@ -145,7 +145,7 @@ def before(r, sync_ticks, runs, lanes, rig, inputs):
     now = m.control[TICK]
     if sync_ticks != 0 and now % sync_ticks == 0:
         tick.ask_unit(m, inputs)
-        tick.hear_unit(m, wsp.Unit(see_unit(r.unit_buffer), r.unit_params), inputs)
+        tick.hear_unit(m, logic.Unit(see_unit(r.unit_buffer), r.unit_params), inputs)
     tick.begin(m, now)
     target_Pa = plant.prepare(m.state, m.delay, m.command[:tick.AXLES], m.command[tick.DEMAND], now,
                               m.params)

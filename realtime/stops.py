@@ -6,7 +6,7 @@ The same ticks and the same reference WSP unit as a run with `--pacing free`, sa
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import bench, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.scenario import Scenario
@@ -16,7 +16,7 @@ from rollerrig.wsp_interface import signals
 SAMPLE_S = 0.01
 
 
-def run(plan: Scenario, unit: wsp.Params | None = None) -> np.ndarray:
+def run(plan: Scenario, unit: logic.Params | None = None) -> np.ndarray:
     """Samples of a whole stop, one row of all signals each, shape (n, columns).
 
     `unit` stands for the parameters of the reference WSP that the scenario names. Raises ConfigError
@@ -29,7 +29,7 @@ def run(plan: Scenario, unit: wsp.Params | None = None) -> np.ndarray:
     ring = rings.Ring(rings.place("stop"), np.float64, 1 << 12, len(signals.COLUMNS))
     try:
         machine = bench.build_machine(plan, ring)
-        memory = wsp.new_unit(wsp.load(plan["wsp_config"]) if unit is None else unit)
+        memory = logic.new_unit(logic.load(plan["wsp_config"]) if unit is None else unit)
         inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
         rows = [machine.row.copy()]
         while not machine.control[DONE]:

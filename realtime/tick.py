@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.firmware_sim import pole_wheel, rig_control, wsp
+from rollerrig.firmware_sim import pole_wheel, rig_control
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import control as drive_control
 from rollerrig.firmware_sim.faults import effects
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import mailbox as box
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.mailbox import Mailbox
@@ -279,7 +280,7 @@ def ask_unit(m, inputs):
 @kernel_inlined
 def hear_unit(m, unit, inputs):
     """One cycle of the reference WSP unit on what it saw: its answer as commands."""
-    magnets, reference = wsp.cycle(unit, inputs)
+    magnets, reference = logic.cycle(unit, inputs)
     command = m.commands.values
     for j in range(AXLES):
         command[MAGNETS + j] = (magnets >> (2 * j)) & 3

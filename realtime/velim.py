@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from rollerrig.configs import store
 from rollerrig.configs.table import number, read
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import scenario, stops, velim_bounds
 from rollerrig.wsp_interface import signals
 
@@ -78,7 +78,7 @@ def rows_of(test: str, found: dict[str, float], tau_m_J: float | None = None) ->
     """Samples of a test's stop under what was found; another recovery, as 0, if it is given."""
     plan = plan_of(test, found, tau_m_J)
     band = {name: found[name] for name in ("band_low_m_s", "band_high_m_s")}
-    unit = wsp.load(plan["wsp_config"])._replace(**band)
+    unit = logic.load(plan["wsp_config"])._replace(**band)
     return stops.run(plan, unit)
 
 

@@ -14,6 +14,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.firmware_sim import wsp_unit
+    from rollerrig.firmware_sim.wsp import node
 
-    return wsp_unit.main(given.bus, given.config)
+    return node.main(given.bus, given.config)

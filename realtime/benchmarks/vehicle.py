@@ -18,7 +18,7 @@ import numpy as np
 from rich.table import Table
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import bench, scenario, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.benchmarks import figures
@@ -65,7 +65,7 @@ def _stop(plan: scenario.Scenario, ticks: int) -> dict[str, float]:
     ring = rings.Ring(rings.place("rows"), np.float64, 1 << 13, len(signals.COLUMNS))
     try:
         machine = bench.build_machine(plan, ring)
-        unit, inputs = wsp.new_unit(wsp.load(plan["wsp_config"])), np.zeros(8, dtype=np.int64)
+        unit, inputs = logic.new_unit(logic.load(plan["wsp_config"])), np.zeros(8, dtype=np.int64)
         wall_s, cpu_s = time.perf_counter(), time.thread_time()
         tick.batch_with_unit(machine, ticks, plan.sync_ticks, unit, inputs)
         cpu_s, wall_s = time.thread_time() - cpu_s, time.perf_counter() - wall_s

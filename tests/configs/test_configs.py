@@ -7,7 +7,7 @@ import pytest
 
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import bench, scenario, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.wsp_interface import signals
@@ -66,7 +66,7 @@ def test_every_set_loads_in_a_scenario(kind, short):
 
 @pytest.mark.parametrize("name", store.names("wsp"))
 def test_every_wsp_configuration_loads(name):
-    assert wsp.new_unit(wsp.load(name))
+    assert logic.new_unit(logic.load(name))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def run(name, ring):
     plan = scenario.load(name, settings=(f"duration_max_s={RUN_S}",))
     ring.header[rings.WRITTEN] = 0
     machine = bench.build_machine(plan, ring)
-    unit = wsp.new_unit(wsp.load(plan["wsp_config"]))
+    unit = logic.new_unit(logic.load(plan["wsp_config"]))
     inputs = np.zeros(8, dtype=np.int64)
     tick.batch_with_unit(machine, round(RUN_S * plan["loop"]["tick_hz"]), plan.sync_ticks, unit, inputs)
     return ring.rows[: ring.header[rings.WRITTEN]].copy()

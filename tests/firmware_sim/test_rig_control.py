@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import bench, scenario, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.wsp_interface import signals
@@ -18,7 +18,7 @@ def stop(folder, rig, *settings):
     ring = rings.Ring(folder / "rows", np.float64, 1 << 14, len(signals.COLUMNS))
     plan = scenario.load("velim_a3", settings=(f"rig={rig}", "duration_max_s=100", *settings))
     machine = bench.build_machine(plan, ring)
-    unit, inputs = wsp.new_unit(wsp.load("reference")), np.zeros(8, dtype=np.int64)
+    unit, inputs = logic.new_unit(logic.load("reference")), np.zeros(8, dtype=np.int64)
     tick.batch_with_unit(machine, 100_000, plan.sync_ticks, unit, inputs)
     return machine.ring_rows[: machine.ring_header[rings.WRITTEN]].copy()
 

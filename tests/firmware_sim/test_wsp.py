@@ -13,8 +13,8 @@ import pytest
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim import wsp, wsp_phases
-from rollerrig.firmware_sim.wsp_phases import Event, Phase, Sliding, Trend
+from rollerrig.firmware_sim.wsp import logic, phases
+from rollerrig.firmware_sim.wsp.phases import Event, Phase, Sliding, Trend
 from rollerrig.rig.kernel import kernel, kernel_with_memory
 
 RADIUS_M, INERTIA_KGM2, LOAD_N, MASS_KG = 0.445, 160.0, 105.4e3, 43e3
@@ -73,7 +73,7 @@ def run_stop(unit, mu, tau, log, protected):
     for i in range(log.shape[0]):
         for j in range(4):
             raw[j] = round(x[2 + j] * 100.0)
-        magnets, reference = wsp.cycle(unit, raw)
+        magnets, reference = logic.cycle(unit, raw)
         row = log[i]
         row[V] = x[0]
         row[WHEEL:WHEEL + 4] = RADIUS_M * x[2:6]
@@ -94,7 +94,7 @@ def run_stop(unit, mu, tau, log, protected):
 def stop(mu, tau=CLEANING_M_J, protected=True, cycles=14000, params=None):
     """The log of a stop; `mu` a number or one for each cycle."""
     log = np.zeros((cycles, COLUMNS))
-    unit = wsp.new_unit(wsp.load() if params is None else params)
+    unit = logic.new_unit(logic.load() if params is None else params)
     return log[:run_stop(unit, np.broadcast_to(float(mu) if np.isscalar(mu) else mu, cycles).copy(),
                          tau, log, protected)]
 
@@ -111,9 +111,9 @@ def longest_lock_s(log, axle):
 
 def feed(speeds_m_s, cycles, unit=None):
     """Magnet bytes while four axle speeds stay as they are."""
-    unit = unit or wsp.new_unit(wsp.load())
+    unit = unit or logic.new_unit(logic.load())
     raw = np.array([round(v / RADIUS_M * 100.0) for v in speeds_m_s], dtype=np.int64)
-    return [wsp.cycle(unit, raw)[0] for _ in range(cycles)], unit
+    return [logic.cycle(unit, raw)[0] for _ in range(cycles)], unit
 
 
 @pytest.mark.parametrize("mu", [0.01, 0.02, 0.03])
@@ -164,12 +164,12 @@ def test_a_dry_stop_never_energises_a_magnet():
 def test_uneven_wheels_and_noisy_sensors_are_not_taken_for_sliding():
     # 0.3 % once a turn and three counts of noise on wheels that brake at 1.2 m/s2
     noise = np.random.default_rng(1)
-    unit = wsp.new_unit(wsp.load())
+    unit = logic.new_unit(logic.load())
     for i in range(3000):
         omega = (40.0 - 1.2 * i * CYCLE_S) / RADIUS_M
         turn = np.sin(40.0 / RADIUS_M * i * CYCLE_S + np.arange(4.0))
         raw = np.round(100.0 * omega * (1.0 + 0.003 * turn)) + noise.integers(-3, 4, 4)
-        assert wsp.cycle(unit, raw.astype(np.int64))[0] == 0
+        assert logic.cycle(unit, raw.astype(np.int64))[0] == 0
 
 
 def test_the_brakes_are_back_within_three_seconds_when_the_adhesion_returns():
@@ -190,7 +190,7 @@ def test_a_vent_magnet_is_never_energised_without_its_hold_magnet():
 
 def test_below_the_cut_off_speed_all_magnets_are_off():
     log = stop(0.02)
-    slow = log[:, REFERENCE] < wsp.load().cut_off_m_s
+    slow = log[:, REFERENCE] < logic.load().cut_off_m_s
     assert slow.any()
     assert not log[slow, MAGNETS].any()
 
@@ -225,8 +225,8 @@ def test_the_direction_of_travel_does_not_matter():
 
 def test_the_same_integers_give_the_same_bits_inside_a_compiled_loop_and_cycle_by_cycle():
     log = stop(0.02)
-    unit = wsp.new_unit(wsp.load())
-    again = [wsp.cycle(unit, row[SPEED_RAW:SPEED_RAW + 4].astype(np.int64)) for row in log]
+    unit = logic.new_unit(logic.load())
+    again = [logic.cycle(unit, row[SPEED_RAW:SPEED_RAW + 4].astype(np.int64)) for row in log]
     assert [magnets for magnets, _ in again] == log[:, MAGNETS].astype(int).tolist()
     assert [reference * 0.01 for _, reference in again] == log[:, REFERENCE].tolist()
 
@@ -247,29 +247,29 @@ def test_the_cycle_is_ordinary_python_too(tmp_path):
     plain = subprocess.run([sys.executable, "-c", PLAIN, tmp_path / "raw.npy"], check=True,
                            capture_output=True, text=True,
                            env={**os.environ, "NUMBA_DISABLE_JIT": "1"}).stdout
-    unit = wsp.new_unit(wsp.load())
-    assert plain.strip() == str([tuple(int(n) for n in wsp.cycle(unit, row)) for row in raw])
+    unit = logic.new_unit(logic.load())
+    assert plain.strip() == str([tuple(int(n) for n in logic.cycle(unit, row)) for row in raw])
 
 
 def test_the_tables_cover_every_phase_event_and_class():
-    assert wsp_phases.NEXT.shape == wsp_phases.INTERRUPTS.shape == (len(Phase), len(Event))
-    assert wsp_phases.WISHES.shape == (len(Sliding), len(Trend))
-    assert wsp_phases.MAGNETS.shape == (len(Phase), 2)
-    assert set(wsp_phases.NEXT.ravel()) == {int(phase) for phase in Phase}
+    assert phases.NEXT.shape == phases.INTERRUPTS.shape == (len(Phase), len(Event))
+    assert phases.WISHES.shape == (len(Sliding), len(Trend))
+    assert phases.MAGNETS.shape == (len(Phase), 2)
+    assert set(phases.NEXT.ravel()) == {int(phase) for phase in Phase}
     # deeper or faster falling never asks for more brake
-    assert (np.diff(wsp_phases.WISHES[:, ::-1], axis=1) >= 0).all()
-    assert (np.diff(wsp_phases.WISHES, axis=0) >= 0).all()
+    assert (np.diff(phases.WISHES[:, ::-1], axis=1) >= 0).all()
+    assert (np.diff(phases.WISHES, axis=0) >= 0).all()
 
 
 @pytest.mark.parametrize("name", store.names("wsp"))
 def test_every_packaged_configuration_loads(name):
-    assert wsp.load(name)._fields == tuple(row.name for row in wsp.ROWS)
+    assert logic.load(name)._fields == tuple(row.name for row in logic.ROWS)
 
 
 def test_the_reference_configuration_writes_out_the_defaults():
     written = store.load("wsp", "reference")[0]
     assert {name: tuple(value) if isinstance(value, list) else value
-            for name, value in written.items()} == {row.name: row.default for row in wsp.ROWS}
+            for name, value in written.items()} == {row.name: row.default for row in logic.ROWS}
 
 
 @pytest.mark.parametrize(("line", "told"), [
@@ -281,13 +281,13 @@ def test_a_wrong_configuration_is_refused_by_name(tmp_path, line, told):
     path = tmp_path / "mine.toml"
     path.write_text(line)
     with pytest.raises(ConfigError, match=told) as raised:
-        wsp.load(str(path))
+        logic.load(str(path))
     assert str(path) in str(raised.value)
 
 
 @pytest.mark.parametrize("mu", [0.01, 0.02, 0.05, 0.3])
 def test_the_watch_for_stuck_sensors_changes_no_bit_of_an_ordinary_stop(mu):
-    watched, blind = stop(mu), stop(mu, params=wsp.load()._replace(stuck_s=60.0))
+    watched, blind = stop(mu), stop(mu, params=logic.load()._replace(stuck_s=60.0))
     assert np.array_equal(watched, blind)
 
 
@@ -296,9 +296,9 @@ def with_sensor_stuck_after(second, params=None):
     raw = stop(0.03)[:, SPEED_RAW:SPEED_RAW + 4].astype(np.int64)
     at = round(second / CYCLE_S)
     raw[at:, 1] = raw[at, 1]
-    unit = wsp.new_unit(wsp.load() if params is None else params)
-    told = [wsp.cycle(unit, row)[1] * 0.01 for row in raw]
-    return at, np.array(told), wsp.stuck(unit)
+    unit = logic.new_unit(logic.load() if params is None else params)
+    told = [logic.cycle(unit, row)[1] * 0.01 for row in raw]
+    return at, np.array(told), logic.stuck(unit)
 
 
 def test_a_stuck_sensor_does_not_hold_the_reference_up():
@@ -307,21 +307,21 @@ def test_a_stuck_sensor_does_not_hold_the_reference_up():
     later = slice(at + 400, None)
     assert stuck == 0b0010
     assert np.abs(told - speed)[later].max() < 3.0
-    _, blind, _ = with_sensor_stuck_after(3.0, wsp.load()._replace(stuck_s=60.0))
+    _, blind, _ = with_sensor_stuck_after(3.0, logic.load()._replace(stuck_s=60.0))
     assert np.abs(blind - speed)[later].max() > 10.0
 
 
 def test_a_sensor_that_goes_on_is_trusted_again():
-    unit = wsp.new_unit(wsp.load())
+    unit = logic.new_unit(logic.load())
     for cycle in range(200):
         row = np.array([8000 - 3 * cycle] * 4)
         row[2] = 7970 if 10 <= cycle < 150 else row[2]
-        wsp.cycle(unit, row)
-        assert wsp.stuck(unit) == (0b0100 if 60 <= cycle < 150 else 0), cycle
+        logic.cycle(unit, row)
+        assert logic.stuck(unit) == (0b0100 if 60 <= cycle < 150 else 0), cycle
 
 
 def test_a_locked_wheel_is_not_taken_for_a_stuck_sensor():
-    unit = wsp.new_unit(wsp.load())
+    unit = logic.new_unit(logic.load())
     for cycle in range(200):
-        wsp.cycle(unit, np.array([8000 - 3 * cycle, 0, 8000 - 3 * cycle, 8000 - 3 * cycle]))
-    assert wsp.stuck(unit) == 0
+        logic.cycle(unit, np.array([8000 - 3 * cycle, 0, 8000 - 3 * cycle, 8000 - 3 * cycle]))
+    assert logic.stuck(unit) == 0

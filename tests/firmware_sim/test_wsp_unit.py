@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import BusError
-from rollerrig.firmware_sim import wsp, wsp_unit
 from rollerrig.firmware_sim.cia301.nmt import Command, State
+from rollerrig.firmware_sim.wsp import logic
+from rollerrig.firmware_sim.wsp import node as wsp_unit
 from rollerrig.wsp_interface.frames import Frame
 from rollerrig.wsp_interface.hub import Hub
 
@@ -43,7 +44,7 @@ class Bench:
     def __init__(self, channel):
         self.bus = can.Bus(interface="virtual", channel=channel)
         self.unit_bus = can.Bus(interface="virtual", channel=channel)
-        self.unit = wsp_unit.Unit(self.unit_bus, wsp.load())
+        self.unit = wsp_unit.Unit(self.unit_bus, logic.load())
         self.thread = threading.Thread(target=self.unit.run, daemon=True)
         self.thread.start()
 
@@ -114,10 +115,10 @@ def test_it_waits_for_the_speeds_of_this_sync(bench):
 def test_over_the_bus_it_decides_bit_for_bit_as_in_the_compiled_loop(bench):
     generator = np.random.default_rng(7)
     rows = np.round(6740.0 - np.cumsum(generator.uniform(0.0, 25.0, (400, 4)), axis=0)).astype(int)
-    unit = wsp.new_unit(wsp.load())
+    unit = logic.new_unit(logic.load())
     seen = []
     for row in rows:
-        magnets, reference = wsp.cycle(unit, row)
+        magnets, reference = logic.cycle(unit, row)
         said = dict(bench.cycle(struct.pack("<4h", *row)))
         assert said[MAGNETS] == bytes((magnets,))
         assert said[REFERENCE] == struct.pack("<h", reference)

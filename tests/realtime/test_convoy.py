@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import batch, convoy, scenario
 from rollerrig.wsp_interface import signals
 
@@ -76,6 +76,6 @@ def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
 
 
 def test_compiled_views_of_a_unit_are_the_views():
-    unit = np.arange(float(wsp.SIZE))
+    unit = np.arange(float(logic.SIZE))
     assert all(np.array_equal(here, there)
-               for here, there in zip(convoy.see_unit.py_func(unit), wsp.views(unit), strict=True))
+               for here, there in zip(convoy.see_unit.py_func(unit), logic.views(unit), strict=True))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import bench, mailbox, scenario, tick
 from rollerrig.realtime import ring as rings
 from rollerrig.realtime.tick import DEMAND, DONE, MAGNETS, REFERENCE, STOP, TICK
@@ -117,7 +117,7 @@ def test_batches_of_any_length_make_the_same_run(build):
 
 def test_the_unit_in_the_tick_sees_counts_and_answers_a_cycle_later(build):
     machine = build()
-    unit = wsp.new_unit(wsp.load("reference"))
+    unit = logic.new_unit(logic.load("reference"))
     inputs = np.zeros(8, dtype=np.int64)
     tick.batch_with_unit(machine, 4000, 10, unit, inputs)
     speed = machine.row[signals.span("wheel_speed")]

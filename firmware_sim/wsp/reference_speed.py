@@ -6,7 +6,7 @@ with the vehicle and is the anchor: the reference is set on it, and what the veh
 last anchor is the deceleration learned. Source and limits: see `wsp`.
 """
 
-from rollerrig.firmware_sim.wsp_phases import Phase
+from rollerrig.firmware_sim.wsp.phases import Phase
 from rollerrig.rig.kernel import kernel
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME
 

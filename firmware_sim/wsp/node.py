@@ -20,8 +20,8 @@ from types import FrameType
 import can
 import numpy as np
 
-from rollerrig.firmware_sim import wsp
 from rollerrig.firmware_sim.cia301.nmt import COMMANDED, Command, State
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface import buses
 from rollerrig.wsp_interface.signals import (
     AXLES,
@@ -54,13 +54,13 @@ _REFERENCE = struct.Struct("<h")
 class Unit:
     """One WSP unit on an open bus. `run` returns when the bus ends or after `stop`."""
 
-    def __init__(self, bus: can.BusABC, params: wsp.Params) -> None:
+    def __init__(self, bus: can.BusABC, params: logic.Params) -> None:
         """Compile the cycle and switch on; the bus is not touched before `run`."""
         self.state = State.INITIALISING
         self.answers = 0
         self._bus = bus
         self._params = params
-        self._wsp = wsp.new_unit(params)
+        self._wsp = logic.new_unit(params)
         self._inputs = np.zeros(AXLES, dtype=np.int64)
         self._magnets = ALL_OFF
         self._stuck = 0
@@ -103,7 +103,7 @@ class Unit:
 
     def _boot(self) -> None:
         """Reset, boot-up message, then OPERATIONAL without waiting for a master."""
-        self._wsp, self._stuck = wsp.new_unit(self._params), 0
+        self._wsp, self._stuck = logic.new_unit(self._params), 0
         self._magnets, self._missed, self._syncs = ALL_OFF, 0, 0
         self._awaiting = False
         self.state = State.INITIALISING
@@ -148,10 +148,10 @@ class Unit:
         if not self._awaiting:
             return
         self._inputs[:] = _SPEEDS.unpack(message.data)
-        magnets, reference = wsp.cycle(self._wsp, self._inputs)
+        magnets, reference = logic.cycle(self._wsp, self._inputs)
         self._magnets = int(magnets)
         self._send(REFERENCE, _REFERENCE.pack(int(reference)))
-        self._tell_stuck(int(wsp.stuck(self._wsp)))
+        self._tell_stuck(int(logic.stuck(self._wsp)))
         self._answer()
 
     def _tell_stuck(self, axles: int) -> None:
@@ -181,11 +181,11 @@ class Unit:
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
 
-def warm(params: wsp.Params) -> None:
+def warm(params: logic.Params) -> None:
     """Compile the cycle, or load it from numba's cache, before anybody waits for an answer."""
-    unit = wsp.new_unit(params)
-    wsp.cycle(unit, np.zeros(AXLES, dtype=np.int64))
-    wsp.stuck(unit)
+    unit = logic.new_unit(params)
+    logic.cycle(unit, np.zeros(AXLES, dtype=np.int64))
+    logic.stuck(unit)
 
 
 def main(bus_address: str = DEFAULT_ADDRESS, config: str = "reference") -> int:
@@ -194,7 +194,7 @@ def main(bus_address: str = DEFAULT_ADDRESS, config: str = "reference") -> int:
     Raises ConfigError for a wrong `config` (name or TOML path), BusError for a bus that cannot be
     opened.
     """
-    params = wsp.load(config)
+    params = logic.load(config)
     warm(params)
     with buses.open_client(bus_address) as bus:
         unit = Unit(bus, params)

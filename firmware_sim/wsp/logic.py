@@ -26,15 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs import store, table
-from rollerrig.firmware_sim import wsp_reference as reference
-from rollerrig.firmware_sim.wsp_phases import (
-    INTERRUPTS,
-    MAGNETS,
-    NEXT,
-    VENT_MAGNET,
-    WISHES,
-    Event,
-)
+from rollerrig.firmware_sim.wsp import reference_speed as reference
+from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, VENT_MAGNET, WISHES, Event
 from rollerrig.rig.kernel import kernel
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME
 
