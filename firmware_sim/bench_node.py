@@ -21,7 +21,7 @@ from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE
 
 # no profile of CiA covers a test bench: device type 0

@@ -12,7 +12,7 @@ from typing import Any
 
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.firmware_sim.cia301.timers import MS, Timers
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.signals import (
     BENCH_NODE,
     BRAKE_NODE,

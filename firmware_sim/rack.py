@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, Protocol
 
 from rollerrig.firmware_sim.cia301.identifiers import EXTENDED
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 
 Handler = Callable[[Frame], None]
 Gate = Callable[[Any, Frame, Callable[[], None]], bool]

@@ -116,7 +116,7 @@ def loopback() -> Finding:
 
 def socketcan() -> Finding:
     """Kernel CAN, which takes the place of the hub where its vcan0 is up."""
-    from rollerrig.wsp_interface import buses
+    from rollerrig.wsp_interface.bus import buses
 
     kernel_can = buses.available()
     if kernel_can.up:

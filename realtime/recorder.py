@@ -27,7 +27,8 @@ from rollerrig.configs import store
 from rollerrig.realtime import channels, records, ring, scene, summary, views
 from rollerrig.realtime.drawing import Drawing, Event
 from rollerrig.realtime.ring import Ring
-from rollerrig.wsp_interface import frames, signals
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus import frames
 
 READY = "recorder ready"
 _PERIOD_S = 0.06

@@ -24,10 +24,11 @@ from rollerrig.realtime import ring as rings
 from rollerrig.realtime import tick
 from rollerrig.realtime.scenario import Scenario
 from rollerrig.realtime.tick import REFERENCE
-from rollerrig.wsp_interface import buses, plugin, signals
-from rollerrig.wsp_interface.codecs import CODECS
-from rollerrig.wsp_interface.frames import Frame
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus import buses, plugin
+from rollerrig.wsp_interface.bus.codecs import CODECS
+from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.hub import Hub
 
 ANSWER_ID = 0x200 + signals.BRAKE_NODE
 KERNEL_CHANNEL = "vcan0"

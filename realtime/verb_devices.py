@@ -48,7 +48,7 @@ def dictionaries(plan: Any) -> list[Any]:
 
     from rollerrig.realtime import rig_bus
     from rollerrig.wsp_interface import signals
-    from rollerrig.wsp_interface.hub import Hub
+    from rollerrig.wsp_interface.bus.hub import Hub
 
     # a hub that listens nowhere: the nodes boot, and nobody hears them
     bus = rig_bus.RigBus(Hub(lambda: 0), plan, np.zeros(len(signals.COLUMNS)), lambda: None,

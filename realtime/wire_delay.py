@@ -15,8 +15,8 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import rig_bus
 from rollerrig.realtime.scenario import Scenario
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.frames import S_NS, Frame
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus.frames import S_NS, Frame
+from rollerrig.wsp_interface.bus.hub import Hub
 
 REFERENCE_ID = 0x180 + signals.WSP_NODE
 

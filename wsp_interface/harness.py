@@ -24,8 +24,9 @@ from typing import Any, Self
 import can
 
 from rollerrig.configs.errors import BusError, RollerrigError
-from rollerrig.wsp_interface import buses, signals
-from rollerrig.wsp_interface.sdo_client import SdoClient
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.bus.sdo_client import SdoClient
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE, SPEED_NODE, WSP_NODE
 
 HARNESS, PACING, FAULT, FRICTION, NOTE, DEMAND = 0x2000, 0x2001, 0x2010, 0x2020, 0x2030, 0x6411

@@ -39,7 +39,8 @@ from cantools.database.can import Message as DbcMessage
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
-from rollerrig.wsp_interface import buses, signals
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE, SPEED_NODE, WSP_NODE
 
 SYNC, SPEEDS, PRESSURES = 0x080, 0x180 + SPEED_NODE, 0x180 + BRAKE_NODE

@@ -23,7 +23,7 @@ import tomli_w
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, RollerrigError, UnitError
-from rollerrig.wsp_interface import buses
+from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.harness import Harness
 
 START_S, END_S = 900.0, 60.0

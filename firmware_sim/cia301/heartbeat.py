@@ -16,7 +16,7 @@ from rollerrig.firmware_sim.cia301.timers import MS
 
 if TYPE_CHECKING:
     from rollerrig.firmware_sim.cia301.node import Node
-    from rollerrig.wsp_interface.frames import Frame
+    from rollerrig.wsp_interface.bus.frames import Frame
 
 CONSUMERS = 4
 _ON_ERROR = {0: State.PRE_OPERATIONAL, 2: State.STOPPED}

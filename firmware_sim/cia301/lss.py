@@ -14,7 +14,7 @@ from rollerrig.firmware_sim.cia301.objects import key
 
 if TYPE_CHECKING:
     from rollerrig.firmware_sim.cia301.node import Node
-    from rollerrig.wsp_interface.frames import Frame
+    from rollerrig.wsp_interface.bus.frames import Frame
 
 REQUEST, ANSWER = 0x7E5, 0x7E4
 UNCONFIGURED = 255

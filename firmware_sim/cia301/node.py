@@ -22,7 +22,7 @@ from rollerrig.firmware_sim.cia301.pdo import EVENT, Rpdo, Tpdo
 from rollerrig.firmware_sim.cia301.sdo import SdoServer
 from rollerrig.firmware_sim.cia301.storage import Storage
 from rollerrig.firmware_sim.cia301.timers import MS, Timers
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 
 SDO_TIME_OUT_MS = 1000
 Handler = Callable[[Frame], None]

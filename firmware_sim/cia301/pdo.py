@@ -13,7 +13,7 @@ from rollerrig.firmware_sim.cia301.abort import AbortError
 from rollerrig.firmware_sim.cia301.objects import key, packer
 from rollerrig.firmware_sim.cia301.pdo_mapping import DUMMIES, mapped
 from rollerrig.firmware_sim.cia301.timers import MS
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 
 if TYPE_CHECKING:
     from rollerrig.firmware_sim.cia301.node import Node

@@ -18,7 +18,7 @@ from rollerrig.firmware_sim.cia301.objects import key
 
 if TYPE_CHECKING:
     from rollerrig.firmware_sim.cia301.node import Node
-    from rollerrig.wsp_interface.frames import Frame
+    from rollerrig.wsp_interface.bus.frames import Frame
 
 
 US = 1000

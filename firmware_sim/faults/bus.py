@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rollerrig.firmware_sim.faults.confinement import Controllers
-from rollerrig.wsp_interface.frames import S_NS, Frame
+from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 from rollerrig.wsp_interface.signals import WSP_NODE
 
 # what carries a frame on, once the gate lets it

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from rollerrig.wsp_interface.frames import S_NS, Frame
+from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 
 ERROR_PASSIVE, RECOVERED = 0x8120, 0x8140
 PASSIVE_ABOVE, OFF_ABOVE, HIGHEST, RECOVERY_BITS = 127, 255, 255, 128 * 11

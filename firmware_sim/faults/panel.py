@@ -21,7 +21,7 @@ from rollerrig.firmware_sim.faults.bus import Babble, Gate, Rule
 from rollerrig.firmware_sim.faults.catalogue import LASTS, TICK, Fault
 from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
 from rollerrig.firmware_sim.rack import Rack
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.signals import DRIVE_NODES
 
 # below this the supply of the electronics is gone too

@@ -22,7 +22,7 @@ import numpy as np
 
 from rollerrig.firmware_sim.cia301.nmt import COMMANDED, Command, State
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.wsp_interface import buses
+from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.signals import (
     AXLES,
     BRAKE_NODE,

@@ -23,9 +23,9 @@ from rollerrig.realtime import records
 from rollerrig.realtime.bench import Bench
 from rollerrig.realtime.benchmarks import client, figures, modbus, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
-from rollerrig.wsp_interface import plugin
-from rollerrig.wsp_interface.frames import Frame
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus import plugin
+from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.hub import Hub
 
 RATES_HZ = (100, 1000, 2000)
 SDO_WITHIN = 1.5

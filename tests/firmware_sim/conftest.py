@@ -7,8 +7,8 @@ import pytest
 from rollerrig.firmware_sim import encoder406, io401
 from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.frames import Frame
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.hub import Hub
 
 MS = 1_000_000
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.realtime import bench, records, scenario
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 
 NODE_UNIT, SYNC, ANSWER = 0x720, 0x080, 0x211
 HOLD_ALL, VENT_ALL = 0x55, 0xFF

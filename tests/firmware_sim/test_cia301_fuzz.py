@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim import bench_node, network
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 
 FRAMES = 20_000
 # identifiers that mean something to the nodes, and any others

@@ -3,7 +3,7 @@
 import pytest
 
 from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 
 FRAME = Frame(0x181, bytes(8))
 MS = 1_000_000

@@ -14,7 +14,7 @@ from rollerrig.firmware_sim import encoder406, io401, network, rack
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus.hub import Hub
 
 CYCLE_S, CYCLES_A_SYNC = 0.002, 5
 

@@ -20,8 +20,8 @@ from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.firmware_sim.wsp import node as wsp_unit
-from rollerrig.wsp_interface.frames import Frame
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.hub import Hub
 
 SYNC, SPEEDS, PRESSURES = 0x080, 0x190, 0x191
 HEARTBEAT, REFERENCE, MAGNETS = 0x720, 0x1A0, 0x211

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from rollerrig.realtime import records
-from rollerrig.wsp_interface import buses
+from rollerrig.wsp_interface.bus import buses
 
 MAGNETS, HEARTBEAT, SYNC, SPEEDS = 0x211, 0x720, 0x080, 0x190
 ADDRESS = re.compile(r"socketcand://[\d.]+:\d+/rig0")

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "firmware_sim"))
 from test_cia301_fuzz import garbage
 from test_modbus_server import mutated
 
-from rollerrig.wsp_interface import codecs
+from rollerrig.wsp_interface.bus import codecs
 
 QUIET_S, ATTACK_S, END_S = (1.0, 5.0), (5.5, 10.5), 13.0
 OPENINGS = {"socketcand": b"< open rig0 >< rawmode >", "slcan": b"C\rS6\rO\r", "virtualcan": b"",

@@ -12,7 +12,7 @@ from bench_process import MAGNETS, SYNC, BenchProcess, SimpleUnit
 
 from rollerrig.realtime import records, scenario
 from rollerrig.realtime.bench import Bench, Options
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus.hub import Hub
 
 ANSWERS = 0x211
 

@@ -259,7 +259,7 @@ def test_each_run_has_a_recording_of_its_own(tmp_path):
     (0x702 | ring.REMOTE_FLAG, 0, "(0000000001.500000) rig0 702#R"),
 ])
 def test_a_row_of_the_frame_ring_is_a_line_of_a_candump_log(word, length, line):
-    from rollerrig.wsp_interface import frames
+    from rollerrig.wsp_interface.bus import frames
 
     row = [1_500_000_000, word, length, 0x0102030405060708]
     assert frames.candump_line(recorder.frame_of(row), "rig0") == line

@@ -5,8 +5,8 @@ import pytest
 
 from rollerrig.realtime import rig_bus, scenario
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.frames import Frame
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.hub import Hub
 
 SAVE = b"save"
 

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus.hub import Hub
 
 
 class HubThread:

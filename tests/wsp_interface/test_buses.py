@@ -10,9 +10,9 @@ import can
 import pytest
 
 from rollerrig.configs.errors import BusError
-from rollerrig.wsp_interface import buses, plugin
-from rollerrig.wsp_interface.buses import available, open_client, open_hub
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus import buses, plugin
+from rollerrig.wsp_interface.bus.buses import available, open_client, open_hub
+from rollerrig.wsp_interface.bus.frames import Frame
 
 
 @pytest.fixture

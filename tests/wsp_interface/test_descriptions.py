@@ -10,7 +10,7 @@ import pytest
 from rollerrig.firmware_sim import encoder406, io401
 from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.wsp_interface import descriptions, signals
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus.frames import Frame
 
 RATED_Nm = 5000.0
 

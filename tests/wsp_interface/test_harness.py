@@ -14,8 +14,8 @@ import pytest
 
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.wsp_interface import own_bench, play, sequence
+from rollerrig.wsp_interface.bus.sdo_client import RefusedError
 from rollerrig.wsp_interface.harness import COLUMNS, TimeOutError
-from rollerrig.wsp_interface.sdo_client import RefusedError
 from rollerrig.wsp_interface.verdict import Result
 
 STOP = """title = "A stop from walking pace on soap"

@@ -10,9 +10,9 @@ import can
 import pytest
 
 from rollerrig.configs.errors import BusError
-from rollerrig.wsp_interface import codecs, frames
-from rollerrig.wsp_interface.frames import Frame
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus import codecs, frames
+from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.hub import Hub
 
 TCP_DATA_SEGMENTS_IN = 152  # offset of tcpi_data_segs_in in struct tcp_info, linux/tcp.h
 

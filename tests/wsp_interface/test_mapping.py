@@ -7,7 +7,8 @@ import cantools
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.wsp_interface import buses, mapping
+from rollerrig.wsp_interface import mapping
+from rollerrig.wsp_interface.bus import buses
 
 DBC = """VERSION ""
 NS_ :

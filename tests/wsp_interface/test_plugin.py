@@ -11,8 +11,8 @@ import can
 import canopen
 import pytest
 
-from rollerrig.wsp_interface import plugin
-from rollerrig.wsp_interface.frames import Frame
+from rollerrig.wsp_interface.bus import plugin
+from rollerrig.wsp_interface.bus.frames import Frame
 
 
 @pytest.fixture

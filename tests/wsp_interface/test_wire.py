@@ -5,10 +5,10 @@ import random
 
 import pytest
 
-from rollerrig.wsp_interface import frames
-from rollerrig.wsp_interface.frames import Frame
-from rollerrig.wsp_interface.hub import Hub
-from rollerrig.wsp_interface.wire import QUEUE_FRAMES, Wire, arbitration_field
+from rollerrig.wsp_interface.bus import frames
+from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.bus.wire import QUEUE_FRAMES, Wire, arbitration_field
 
 BITRATE = 500_000
 BIT_NS = 2000

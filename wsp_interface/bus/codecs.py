@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from enum import IntEnum
 from typing import NamedTuple, Protocol, TypeAlias
 
-from rollerrig.wsp_interface.frames import BASE_ID_MAX, DATA_MAX, EXTENDED_ID_MAX, S_NS, Frame
+from rollerrig.wsp_interface.bus.frames import BASE_ID_MAX, DATA_MAX, EXTENDED_ID_MAX, S_NS, Frame
 
 COMMAND_MAX = 256  # the longest legal text command has about 60 characters
 EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000  # linux/can.h

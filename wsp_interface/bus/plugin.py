@@ -20,8 +20,8 @@ from typing import Any, NamedTuple, NoReturn
 
 import can
 
-from rollerrig.wsp_interface import codecs
-from rollerrig.wsp_interface.frames import S_NS, Frame
+from rollerrig.wsp_interface.bus import codecs
+from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 
 log = logging.getLogger(__name__)
 

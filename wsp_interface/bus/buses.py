@@ -18,9 +18,9 @@ from typing import NamedTuple
 import can
 
 from rollerrig.configs.errors import BusError
-from rollerrig.wsp_interface import plugin
-from rollerrig.wsp_interface.frames import Frame
-from rollerrig.wsp_interface.hub import Hub
+from rollerrig.wsp_interface.bus import plugin
+from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.hub import Hub
 
 log = logging.getLogger(__name__)
 

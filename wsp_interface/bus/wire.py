@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
-from rollerrig.wsp_interface.frames import S_NS, Frame, bits
+from rollerrig.wsp_interface.bus.frames import S_NS, Frame, bits
 
 # of one sender; a transmit queue of Linux holds 10 by default, a busy one is given a hundred or so
 QUEUE_FRAMES = 128

@@ -24,10 +24,10 @@ from functools import partial
 from typing import Any
 
 from rollerrig.configs.errors import BusError
-from rollerrig.wsp_interface.client import Client
-from rollerrig.wsp_interface.codecs import CODECS
-from rollerrig.wsp_interface.frames import OVERLOAD_BACKLOG_NS, BusLoad, Frame, check
-from rollerrig.wsp_interface.wire import Alarm, Wire
+from rollerrig.wsp_interface.bus.client import Client
+from rollerrig.wsp_interface.bus.codecs import CODECS
+from rollerrig.wsp_interface.bus.frames import OVERLOAD_BACKLOG_NS, BusLoad, Frame, check
+from rollerrig.wsp_interface.bus.wire import Alarm, Wire
 
 log = logging.getLogger(__name__)
 
