@@ -64,7 +64,7 @@ def load(names: list[str]) -> list[Any]:
     from rollerrig.configs import store
     from rollerrig.configs.errors import ConfigError
     from rollerrig.firmware_sim.faults import catalogue
-    from rollerrig.wsp_interface import sequence
+    from rollerrig.wsp_interface.sequences import sequence
 
     paths: list[Path] = []
     for name in names or [str(store.ROOT / LIBRARY)]:
@@ -114,7 +114,7 @@ def _wrong_scenario(one: Any) -> list[str]:
 
 def _check_out(given: argparse.Namespace, sequences: list[Any]) -> None:
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.wsp_interface import mapping
+    from rollerrig.wsp_interface.sequences import mapping
 
     if given.bus and len(sequences) != 1:
         raise ConfigError(f"--bus plays one sequence on a running bench, not {len(sequences)}; "
@@ -151,7 +151,7 @@ def _play(given: argparse.Namespace, sequences: list[Any]) -> list[Any]:
 
 def _guarded(get: Callable[[], Any], job: tuple[Any, ...]) -> Any:
     """The outcome, or an error in its place: one sequence takes no other's verdict away."""
-    from rollerrig.wsp_interface.play import Outcome
+    from rollerrig.wsp_interface.sequences.play import Outcome
 
     try:
         return get()
@@ -165,8 +165,9 @@ def play(one: Any, folder: Path, pacing: str, seed: int, wsp: str, unit: str,
          unit_map: Path | None) -> Any:
     """One sequence on a bench of its own, and how it came out."""
     from rollerrig.realtime import dry_stop
-    from rollerrig.wsp_interface import mapping, own_bench
-    from rollerrig.wsp_interface import play as player
+    from rollerrig.wsp_interface import own_bench
+    from rollerrig.wsp_interface.sequences import mapping
+    from rollerrig.wsp_interface.sequences import play as player
 
     # the gateway first: the unit's program may answer it at once
     companions: list[Any] = [mapping.companion(unit_map)] if unit_map else []
@@ -185,7 +186,7 @@ def _on_bus(one: Any, given: argparse.Namespace) -> Any:
 
     from rollerrig.realtime import dry_stop, scenario
     from rollerrig.wsp_interface import harness, own_bench
-    from rollerrig.wsp_interface import play as player
+    from rollerrig.wsp_interface.sequences import play as player
 
     content = own_bench.scenario_of(one.scenario, one.speed_m_s, None, one.adhesion, one.tables)
     with tempfile.TemporaryDirectory() as place:

@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.wsp_interface import measures, plots
-from rollerrig.wsp_interface.play import Outcome
+from rollerrig.wsp_interface import plots
 from rollerrig.wsp_interface.plots import AXLE_COLOURS, DEMAND_COLOUR, VEHICLE_COLOUR, Line
+from rollerrig.wsp_interface.sequences import measures
+from rollerrig.wsp_interface.sequences.play import Outcome
+from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER, Result, Verdict, worst
 from rollerrig.wsp_interface.signals import AXLES
-from rollerrig.wsp_interface.verdict import DISCLAIMER, Result, Verdict, worst
 
 HTML, JUNIT, JSON = "report.html", "junit.xml", "report.json"
 _AXLES = range(1, AXLES + 1)

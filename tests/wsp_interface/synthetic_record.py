@@ -4,7 +4,7 @@ import numpy as np
 
 from rollerrig.realtime import scenario
 from rollerrig.wsp_interface.harness import COLUMNS
-from rollerrig.wsp_interface.measures import Record
+from rollerrig.wsp_interface.sequences.measures import Record
 
 GOOD = """title = "A stop from forty on soap"
 criteria = "stop"

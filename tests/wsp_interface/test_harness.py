@@ -13,10 +13,11 @@ from pathlib import Path
 import pytest
 
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.wsp_interface import own_bench, play, sequence
+from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError
 from rollerrig.wsp_interface.harness import COLUMNS, TimeOutError
-from rollerrig.wsp_interface.verdict import Result
+from rollerrig.wsp_interface.sequences import play, sequence
+from rollerrig.wsp_interface.sequences.verdict import Result
 
 STOP = """title = "A stop from walking pace on soap"
 criteria = "low_speed"

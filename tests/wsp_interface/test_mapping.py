@@ -7,8 +7,8 @@ import cantools
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.wsp_interface import mapping
 from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.sequences import mapping
 
 DBC = """VERSION ""
 NS_ :

@@ -12,10 +12,11 @@ from synthetic_record import GOOD
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import verb_sequence
-from rollerrig.wsp_interface import report, sequence, verdict
+from rollerrig.wsp_interface import report
 from rollerrig.wsp_interface.harness import Event
-from rollerrig.wsp_interface.play import Outcome
-from rollerrig.wsp_interface.verdict import Result
+from rollerrig.wsp_interface.sequences import sequence, verdict
+from rollerrig.wsp_interface.sequences.play import Outcome
+from rollerrig.wsp_interface.sequences.verdict import Result
 
 
 def outcome(folder, text=GOOD, **changes):

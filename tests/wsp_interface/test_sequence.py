@@ -10,7 +10,7 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
-from rollerrig.wsp_interface import conditions, sequence
+from rollerrig.wsp_interface.sequences import conditions, sequence
 
 
 def read(folder: Path, text: str) -> sequence.Sequence:
@@ -118,7 +118,7 @@ def test_the_library_has_every_fault_of_the_catalogue():
 
 @pytest.mark.parametrize("name", store.names("criteria"))
 def test_every_number_of_a_profile_has_a_source(name):
-    from rollerrig.wsp_interface import verdict
+    from rollerrig.wsp_interface.sequences import verdict
 
     profile = verdict.load(name)
     assert profile.limits

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import synthetic_record as stop
 
-from rollerrig.wsp_interface import measures, verdict
-from rollerrig.wsp_interface.measures import BY_NAME
-from rollerrig.wsp_interface.verdict import Limit, Profile, Result
+from rollerrig.wsp_interface.sequences import measures, verdict
+from rollerrig.wsp_interface.sequences.measures import BY_NAME
+from rollerrig.wsp_interface.sequences.verdict import Limit, Profile, Result
 
 
 def of(name, record=None):

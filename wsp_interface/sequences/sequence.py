@@ -26,8 +26,8 @@ from typing import Any
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
-from rollerrig.wsp_interface import conditions, verdict
-from rollerrig.wsp_interface.conditions import Condition
+from rollerrig.wsp_interface.sequences import conditions, verdict
+from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.signals import AXLES
 
 DEFAULT_TIMEOUT_S = 300.0

@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import BusError, RollerrigError, UnitError
-from rollerrig.wsp_interface import own_bench, verdict
-from rollerrig.wsp_interface.conditions import Condition
+from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.harness import COLUMNS, Event, Harness, TimeOutError
-from rollerrig.wsp_interface.measures import Record
-from rollerrig.wsp_interface.sequence import Sequence, Step
-from rollerrig.wsp_interface.verdict import Result, Verdict
+from rollerrig.wsp_interface.sequences import verdict
+from rollerrig.wsp_interface.sequences.conditions import Condition
+from rollerrig.wsp_interface.sequences.measures import Record
+from rollerrig.wsp_interface.sequences.sequence import Sequence, Step
+from rollerrig.wsp_interface.sequences.verdict import Result, Verdict
 
 TRACE = "harness.csv"
 SETTLED_S = 0.05

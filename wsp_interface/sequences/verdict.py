@@ -16,8 +16,8 @@ from typing import Any
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
-from rollerrig.wsp_interface import measures
-from rollerrig.wsp_interface.measures import Record
+from rollerrig.wsp_interface.sequences import measures
+from rollerrig.wsp_interface.sequences.measures import Record
 
 DISCLAIMER = "not a certification"
 UNVERIFIED = "memory, unverified"
