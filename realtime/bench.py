@@ -26,23 +26,19 @@ from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import (
     channels,
-    clock,
     derailment,
-    loop,
-    mailbox,
     recording,
     records,
     rig_bus,
     scenario,
     summary,
     supervisor,
-    tick,
     wire_delay,
 )
-from rollerrig.realtime import ring as rings
-from rollerrig.realtime.hold import HOLDING
-from rollerrig.realtime.scenario import Scenario
-from rollerrig.realtime.tick import (
+from rollerrig.realtime.loop import clock, loop, mailbox, tick
+from rollerrig.realtime.loop import ring as rings
+from rollerrig.realtime.loop.held_rig import HOLDING
+from rollerrig.realtime.loop.tick import (
     COMMANDS,
     DONE,
     HELD,
@@ -54,6 +50,7 @@ from rollerrig.realtime.tick import (
     WORST_NS,
     Machine,
 )
+from rollerrig.realtime.scenario import Scenario
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 

@@ -14,9 +14,10 @@ import numpy as np
 import tomli_w
 
 from rollerrig.configs import store
-from rollerrig.realtime import bench, scenario, tick
-from rollerrig.realtime import ring as rings
-from rollerrig.realtime.tick import DONE, TICK
+from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.loop import ring as rings
+from rollerrig.realtime.loop import tick
+from rollerrig.realtime.loop.tick import DONE, TICK
 from rollerrig.wsp_interface import signals
 
 _BATCH = 1000

@@ -92,7 +92,7 @@ def kernels() -> Finding:
 
 def shared_memory() -> Finding:
     """Whether there is room for the rings of a run."""
-    from rollerrig.realtime import ring
+    from rollerrig.realtime.loop import ring
 
     folder = ring.folder()
     free_MB = shutil.disk_usage(folder).free / 1e6
@@ -172,7 +172,7 @@ def priority() -> Finding:
 
 def memory_lock() -> Finding:
     """Whether pages may be kept in memory; they are let go again."""
-    from rollerrig.realtime import clock
+    from rollerrig.realtime.loop import clock
 
     reason = clock.lock_memory()
     ctypes.CDLL(None).munlockall()
@@ -186,7 +186,7 @@ def memory_lock() -> Finding:
 
 def idle_states() -> Finding:
     """Whether cores can be kept from sleeping deeply while a run is on."""
-    from rollerrig.realtime import clock
+    from rollerrig.realtime.loop import clock
 
     with clock.awake() as reason:
         if not reason:

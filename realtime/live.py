@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rollerrig.realtime import ring
-from rollerrig.realtime.ring import Ring
+from rollerrig.realtime.loop import ring
+from rollerrig.realtime.loop.ring import Ring
 from rollerrig.wsp_interface import signals
 
 _PERIOD_S = 0.1

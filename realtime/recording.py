@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rollerrig.realtime import ring
-from rollerrig.realtime.ring import Ring
+from rollerrig.realtime.loop import ring
+from rollerrig.realtime.loop.ring import Ring
 
 
 def start(run_dir: Path, rows: Ring, frame: Ring, event: Ring,

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from rollerrig.realtime import loop, records, scenario
+from rollerrig.realtime import records, scenario
 from rollerrig.realtime.benchmarks import figures, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
-from rollerrig.realtime.tick import MISSED, WORST_NS
+from rollerrig.realtime.loop import loop
+from rollerrig.realtime.loop.tick import MISSED, WORST_NS
 
 WITHIN = 1.2
 _SLICE_S = 10.0

@@ -19,10 +19,11 @@ from rich.table import Table
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import bench, scenario, tick
-from rollerrig.realtime import ring as rings
+from rollerrig.realtime import bench, scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
+from rollerrig.realtime.loop import ring as rings
+from rollerrig.realtime.loop import tick
 from rollerrig.rig import kernel
 from rollerrig.wsp_interface import signals
 

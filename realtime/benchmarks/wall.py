@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime import bench, scenario
 from rollerrig.realtime.bench import Bench
-from rollerrig.realtime.tick import TICK
+from rollerrig.realtime.loop.tick import TICK
 
 SCENARIO = "velim_a1"
 Beside = Callable[[Bench], Awaitable[Any]]

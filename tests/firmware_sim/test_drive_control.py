@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.drive402 import axis
-from rollerrig.realtime import bench, mailbox, scenario, tick
-from rollerrig.realtime import ring as rings
+from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.loop import mailbox, tick
+from rollerrig.realtime.loop import ring as rings
 from rollerrig.wsp_interface import signals
 
 SPEED_M_S = 10.0

@@ -12,7 +12,8 @@ from faulty_run import PLAN, samples
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue, effects, panel
 from rollerrig.firmware_sim.modbus.pdu import RefusedError
-from rollerrig.realtime import bench, fault_desk, ring, scenario, tick
+from rollerrig.realtime import bench, fault_desk, scenario
+from rollerrig.realtime.loop import ring, tick
 from rollerrig.wsp_interface import signals
 
 TIMES = {kind: (begin, end) for kind, begin, end, _ in PLAN}

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import bench, scenario, tick
-from rollerrig.realtime import ring as rings
+from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.loop import ring as rings
+from rollerrig.realtime.loop import tick
 from rollerrig.wsp_interface import signals
 
 MODES = ("plain_track", "full_scale", "virtual_track")

@@ -7,10 +7,11 @@ import cantools
 import numpy as np
 import pytest
 
-from rollerrig.realtime import cli, loop, scenario
+from rollerrig.realtime import cli, scenario
 from rollerrig.realtime.benchmarks import bus, client, figures, hunting, table8
 from rollerrig.realtime.benchmarks import loop as loop_benchmark
 from rollerrig.realtime.benchmarks.figures import Target
+from rollerrig.realtime.loop import loop
 from rollerrig.rig import params
 from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.multibody import coach

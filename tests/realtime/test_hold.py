@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from rollerrig.realtime import bench, hold, mailbox, ring, scenario
-from rollerrig.realtime.hold import HOLDING, RELEASED, RUNNING
-from rollerrig.realtime.tick import HELD, HOLD, TICK
+from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.loop import held_rig, mailbox, ring
+from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
+from rollerrig.realtime.loop.tick import HELD, HOLD, TICK
 from rollerrig.wsp_interface import signals
 
 
@@ -28,7 +29,7 @@ def seen(machine):
 
 def test_it_rolls_without_sliding_at_its_set_speed_and_time_stands_still(machine):
     for _ in range(50):
-        hold.roll(machine)
+        held_rig.roll(machine)
     row = seen(machine)
     assert row[signals.column("vehicle_speed")] == 10.0
     assert row[signals.span("wheel_circumferential_speed")] == pytest.approx([10.0] * 4)
@@ -43,11 +44,11 @@ def test_it_rolls_without_sliding_at_its_set_speed_and_time_stands_still(machine
 @pytest.mark.parametrize("set_m_s", [12.0, 8.0, 0.0])
 def test_it_approaches_its_set_speed_at_its_rate_and_stays(set_m_s, machine):
     machine.hold[0] = set_m_s
-    hold.roll(machine)
-    change = machine.params.tick_s * hold.RATE_M_S2
+    held_rig.roll(machine)
+    change = machine.params.tick_s * held_rig.RATE_M_S2
     assert abs(seen(machine)[signals.column("vehicle_speed")] - 10.0) == pytest.approx(change)
     for _ in range(round(abs(set_m_s - 10.0) / change) + 10):
-        hold.roll(machine)
+        held_rig.roll(machine)
     assert seen(machine)[signals.column("vehicle_speed")] == set_m_s
 
 
@@ -55,8 +56,8 @@ def test_its_run_begins_with_a_sync(machine):
     machine.control[HELD] = 13
     machine.control[HOLD] = RELEASED
     ticks = 0
-    while hold.is_held(machine, 10):
-        hold.roll(machine)
+    while held_rig.is_held(machine, 10):
+        held_rig.roll(machine)
         ticks += 1
     assert ticks == 7
     assert machine.control[HOLD] == RUNNING

@@ -12,7 +12,8 @@ import paced_writer
 import pytest
 from rerun.experimental import ViewerClient
 
-from rollerrig.realtime import live, recorder, ring, viewer
+from rollerrig.realtime import live, recorder, viewer
+from rollerrig.realtime.loop import ring
 from rollerrig.wsp_interface import signals
 
 

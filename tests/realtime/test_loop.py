@@ -7,9 +7,10 @@ import time
 import numpy as np
 import pytest
 
-from rollerrig.realtime import bench, clock, loop, scenario, tick
-from rollerrig.realtime import ring as rings
-from rollerrig.realtime.tick import DONE, MISSED, STOP, TICK, WORST_NS
+from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.loop import clock, loop, tick
+from rollerrig.realtime.loop import ring as rings
+from rollerrig.realtime.loop.tick import DONE, MISSED, STOP, TICK, WORST_NS
 from rollerrig.wsp_interface import signals
 
 MS = 1_000_000

@@ -14,8 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
-from rollerrig.realtime import channels, recorder, recording, records, ring
-from rollerrig.realtime.ring import Ring
+from rollerrig.realtime import channels, recorder, recording, records
+from rollerrig.realtime.loop import ring
+from rollerrig.realtime.loop.ring import Ring
 from rollerrig.wsp_interface import signals
 
 RAN_S = 2.2

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime import ring
-from rollerrig.realtime.ring import Ring
+from rollerrig.realtime.loop import ring
+from rollerrig.realtime.loop.ring import Ring
 
 _WRITER = """
 import sys, time

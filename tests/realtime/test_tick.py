@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import bench, mailbox, scenario, tick
-from rollerrig.realtime import ring as rings
-from rollerrig.realtime.tick import DEMAND, DONE, MAGNETS, REFERENCE, STOP, TICK
+from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.loop import mailbox, tick
+from rollerrig.realtime.loop import ring as rings
+from rollerrig.realtime.loop.tick import DEMAND, DONE, MAGNETS, REFERENCE, STOP, TICK
 from rollerrig.rig.state import SLOTS
 from rollerrig.wsp_interface import signals
 

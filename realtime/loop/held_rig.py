@@ -5,9 +5,9 @@ distance of the run stand still, and nothing is recorded. Bus, sensors and drive
 that a unit sees a train that runs. The run begins with a SYNC, from the speed of that moment.
 """
 
-from rollerrig.realtime import mailbox as box
-from rollerrig.realtime import tick
-from rollerrig.realtime.tick import HELD, HOLD
+from rollerrig.realtime.loop import mailbox as box
+from rollerrig.realtime.loop import tick
+from rollerrig.realtime.loop.tick import HELD, HOLD
 from rollerrig.rig import plant
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.state import AXLES

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime.clock import fence
+from rollerrig.realtime.loop.clock import fence
 from rollerrig.rig.kernel import kernel
 
 # slots of the header (int64): written by the writer, or by the one reader that is named there.

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.realtime.clock import fence
+from rollerrig.realtime.loop.clock import fence
 from rollerrig.rig.kernel import kernel
 
 

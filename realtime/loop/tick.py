@@ -15,9 +15,9 @@ from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import control as drive_control
 from rollerrig.firmware_sim.faults import effects
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import mailbox as box
-from rollerrig.realtime import ring as rings
-from rollerrig.realtime.mailbox import Mailbox
+from rollerrig.realtime.loop import mailbox as box
+from rollerrig.realtime.loop import ring as rings
+from rollerrig.realtime.loop.mailbox import Mailbox
 from rollerrig.rig import plant, vehicle
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.params import Params

@@ -10,9 +10,9 @@ import os
 
 import numpy as np
 
-from rollerrig.realtime import clock, hold, tick
-from rollerrig.realtime.clock import now_ns, sleep_until, wake
-from rollerrig.realtime.tick import BUSY_NS, DONE, HELD, LATE_NS, MISSED, STOP, TICK, WORST_NS
+from rollerrig.realtime.loop import clock, held_rig, tick
+from rollerrig.realtime.loop.clock import now_ns, sleep_until, wake
+from rollerrig.realtime.loop.tick import BUSY_NS, DONE, HELD, LATE_NS, MISSED, STOP, TICK, WORST_NS
 from rollerrig.rig.kernel import kernel
 
 # histogram of lateness: bins of 1 us, the last one holds all that is later
@@ -44,8 +44,8 @@ def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
             if late > _STALL_TICKS * tick_ns:
                 m.control[MISSED] += late // tick_ns - 1
                 deadline = began
-        if hold.is_held(m, sync_ticks):
-            hold.roll(m)
+        if held_rig.is_held(m, sync_ticks):
+            held_rig.roll(m)
         else:
             tick.once(m)
         if (m.control[TICK] + m.control[HELD]) % sync_ticks == 0:
