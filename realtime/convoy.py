@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.firmware_sim.wsp import logic
+from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.mailbox import Mailbox
 from rollerrig.realtime.loop.tick import DONE, TICK, Machine
-from rollerrig.realtime.scenario import Scenario
 from rollerrig.rig import abreast, heat, plant, step_abreast
 from rollerrig.rig.abreast import RIGS
 from rollerrig.rig.kernel import kernel, kernel_inlined, seeing

@@ -14,7 +14,7 @@ import numpy as np
 import tomli_w
 
 from rollerrig.configs import store
-from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.bench import bench, scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import DONE, TICK

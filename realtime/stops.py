@@ -7,11 +7,11 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import bench
+from rollerrig.realtime.bench import bench
+from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import DONE
-from rollerrig.realtime.scenario import Scenario
 from rollerrig.wsp_interface import signals
 
 SAMPLE_S = 0.01

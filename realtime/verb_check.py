@@ -13,8 +13,8 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.table import Table
 
-from rollerrig.realtime import host
-from rollerrig.realtime.host import Finding, State
+from rollerrig.realtime.bench import machine_check
+from rollerrig.realtime.bench.machine_check import Finding, State
 
 PASS, USAGE = 0, 2
 
@@ -43,10 +43,10 @@ def tell(findings: list[Finding], as_json: bool) -> int:
 def look(port: int) -> list[Finding]:
     """Ask the machine all questions, in the order of the table."""
     checks: tuple[Callable[[], Finding], ...] = (
-        host.python, host.packages, host.kernels, host.shared_memory, host.loopback,
-        host.socketcan, lambda: host.port(port), host.cores, host.priority,
-        host.memory_lock, host.idle_states, host.governor, host.preemption,
-        host.display, host.pictures, host.cyclictest)
+        machine_check.python, machine_check.packages, machine_check.kernels, machine_check.shared_memory, machine_check.loopback,
+        machine_check.socketcan, lambda: machine_check.port(port), machine_check.cores, machine_check.priority,
+        machine_check.memory_lock, machine_check.idle_states, machine_check.governor, machine_check.preemption,
+        machine_check.display, machine_check.pictures, machine_check.cyclictest)
     return [check() for check in checks]
 
 

@@ -21,7 +21,7 @@ def call(given: argparse.Namespace) -> int:
     from rollerrig.configs import store
     from rollerrig.configs.errors import ConfigError
     from rollerrig.firmware_sim.modbus import map
-    from rollerrig.realtime import scenario
+    from rollerrig.realtime.bench import scenario
     from rollerrig.wsp_interface import descriptions, signals
 
     plan = scenario.load(given.scenario, settings=tuple(given.set))
@@ -46,7 +46,7 @@ def dictionaries(plan: Any) -> list[Any]:
     """The object dictionaries of a scenario's nodes, from the very nodes that a run makes."""
     import numpy as np
 
-    from rollerrig.realtime import rig_bus
+    from rollerrig.realtime.bench import rig_bus
     from rollerrig.wsp_interface import signals
     from rollerrig.wsp_interface.bus.hub import Hub
 

@@ -42,7 +42,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.realtime import bench, scenario, summary
+    from rollerrig.realtime import summary
+    from rollerrig.realtime.bench import bench, scenario
 
     plan = scenario.load(given.scenario, given.model, tuple(given.set), faults=tuple(given.fault))
     out = given.out or free_folder(plan.name)

@@ -98,7 +98,7 @@ def _wrong_scenario(one: Any) -> list[str]:
     import tomli_w
 
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.realtime import scenario
+    from rollerrig.realtime.bench import scenario
     from rollerrig.wsp_interface import own_bench
 
     try:
@@ -184,7 +184,8 @@ def _on_bus(one: Any, given: argparse.Namespace) -> Any:
 
     import tomli_w
 
-    from rollerrig.realtime import dry_stop, scenario
+    from rollerrig.realtime import dry_stop
+    from rollerrig.realtime.bench import scenario
     from rollerrig.wsp_interface import harness, own_bench
     from rollerrig.wsp_interface.sequences import play as player
 

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime import records
-from rollerrig.realtime.bench import Bench
+from rollerrig.realtime.bench.bench import Bench
 from rollerrig.realtime.benchmarks import client, figures, modbus, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.wsp_interface.bus import plugin

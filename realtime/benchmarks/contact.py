@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Group
 
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures, table8
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.rig import wheelset

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from rich.table import Table
 
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say
 from rollerrig.rig import params

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from rollerrig.realtime import records, scenario
+from rollerrig.realtime import records
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.realtime.loop import loop

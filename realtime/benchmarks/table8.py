@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from rich.table import Table
 
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.rig import params

@@ -19,7 +19,7 @@ from rich.table import Table
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.bench import bench, scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.realtime.loop import ring as rings

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime import bench, scenario
-from rollerrig.realtime.bench import Bench
+from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench.bench import Bench
 from rollerrig.realtime.loop.tick import TICK
 
 SCENARIO = "velim_a1"

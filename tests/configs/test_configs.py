@@ -8,7 +8,7 @@ import pytest
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.bench import bench, scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.wsp_interface import signals

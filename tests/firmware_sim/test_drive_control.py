@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.drive402 import axis
-from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.bench import bench, scenario
 from rollerrig.realtime.loop import mailbox, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.wsp_interface import signals

@@ -12,7 +12,7 @@ from faulty_run import PLAN, samples
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue, effects, panel
 from rollerrig.firmware_sim.modbus.pdu import RefusedError
-from rollerrig.realtime import bench, fault_desk, scenario
+from rollerrig.realtime.bench import bench, fault_registers, scenario
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.wsp_interface import signals
 
@@ -447,7 +447,7 @@ class Told:
 @pytest.mark.conformance("Modbus", "faults are chosen, injected and lifted by registers")
 def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
     told = Told()
-    desk = fault_desk.FaultDesk(told)
+    desk = fault_registers.FaultDesk(told)
     write, read = desk.writers(), desk.readers()
     number = [kind.name for kind in catalogue.CATALOGUE].index("cylinder_leak")
     for name, raw in (("fault", number), ("fault_target", 3), ("fault_duration", 20), ("inject_fault", 1)):
@@ -466,7 +466,7 @@ def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
 
 def test_a_fault_that_cannot_be_is_refused_over_modbus_and_told():
     told = Told()
-    write = fault_desk.FaultDesk(told).writers()
+    write = fault_registers.FaultDesk(told).writers()
     with pytest.raises(RefusedError):
         write["fault"](len(catalogue.CATALOGUE), True)
     write["fault_target"](9, False)

@@ -7,7 +7,8 @@ import cantools
 import numpy as np
 import pytest
 
-from rollerrig.realtime import cli, scenario
+from rollerrig.realtime import cli
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import bus, client, figures, hunting, table8
 from rollerrig.realtime.benchmarks import loop as loop_benchmark
 from rollerrig.realtime.benchmarks.figures import Target

@@ -8,8 +8,9 @@ import sys
 
 import pytest
 
-from rollerrig.realtime import cli, host, verb_check
-from rollerrig.realtime.host import Finding, State
+from rollerrig.realtime import cli, verb_check
+from rollerrig.realtime.bench import machine_check
+from rollerrig.realtime.bench.machine_check import Finding, State
 
 
 @pytest.fixture
@@ -34,27 +35,27 @@ def test_check_prints_one_json_object_and_a_run_is_possible_here(capsys):
 
 
 def test_a_port_in_use_is_reported_with_its_holder_and_a_way_out(taken):
-    finding = host.port(taken)
+    finding = machine_check.port(taken)
     assert finding.state is State.WEAKER
     assert "in use" in finding.found
     assert str(taken) in finding.mend
     assert "socketcand_port=0" in finding.mend
-    if host.shutil.which("ss"):
+    if machine_check.shutil.which("ss"):
         assert str(os.getpid()) in finding.found
 
 
 def test_a_free_port_is_free():
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
-    assert host.port(number).state is State.OK
+    assert machine_check.port(number).state is State.OK
 
 
 def test_a_port_that_cannot_exist_is_not_free():
-    assert host.port(70000).state is State.WEAKER
+    assert machine_check.port(70000).state is State.WEAKER
 
 
 def test_asking_for_priority_leaves_this_thread_an_ordinary_one():
-    host.priority()
+    machine_check.priority()
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import batch, convoy, scenario
+from rollerrig.realtime import batch, convoy
+from rollerrig.realtime.bench import scenario
 from rollerrig.wsp_interface import signals
 
 SHORT = ("initial_speed_m_s=8.0",)

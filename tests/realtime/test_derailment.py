@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from rollerrig.realtime import cli, derailment, scenario
-from rollerrig.realtime.bench import build_machine
+from rollerrig.realtime import cli
+from rollerrig.realtime.bench import derailment, scenario
+from rollerrig.realtime.bench.bench import build_machine
 from rollerrig.realtime.loop import tick
 from rollerrig.rig.multibody import memory
 from rollerrig.rig.state import SIZE

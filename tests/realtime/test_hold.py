@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.bench import bench, scenario
 from rollerrig.realtime.loop import held_rig, mailbox, ring
 from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.loop.tick import HELD, HOLD, TICK

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from rollerrig.realtime import bench, scenario
+from rollerrig.realtime.bench import bench, scenario
 from rollerrig.realtime.loop import clock, loop, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop.tick import DONE, MISSED, STOP, TICK, WORST_NS

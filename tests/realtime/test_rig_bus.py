@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollerrig.realtime import rig_bus, scenario
+from rollerrig.realtime.bench import rig_bus, scenario
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 
 OWN = """
 title = "a stop of one's own"

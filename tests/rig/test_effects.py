@@ -5,7 +5,7 @@ import pytest
 from rolling import DRY, SOAP, TRACK, Rig
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.rig import effects, mechanisms, plant, vehicle, wheelset
 from rollerrig.rig.identify import replay
 from rollerrig.rig.plant import Plant

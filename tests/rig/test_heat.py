@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.rig import heat
 from rollerrig.rig.plant import Plant
 from rollerrig.rig.state import SIZE, views

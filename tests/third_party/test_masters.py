@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rollerrig.realtime import bench, records, scenario
+from rollerrig.realtime import records
+from rollerrig.realtime.bench import bench, scenario
 
 HERE = Path(__file__).parent
 DRIVES = (1, 2, 3, 4)

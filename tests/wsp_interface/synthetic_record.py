@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.wsp_interface.harness import COLUMNS
 from rollerrig.wsp_interface.sequences.measures import Record
 

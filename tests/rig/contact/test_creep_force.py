@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.rig import wheelset
 from rollerrig.rig.contact import adhesion, creep_force, degraded_force, polach_spin
 from rollerrig.rig.contact.creep_force import DEGRADED, FASTSIM, MODELS, POLACH

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from generator import braking_stops, other_stops
 
-from rollerrig.realtime import scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.rig.identify import dataset, explain, extension
 
 

@@ -24,17 +24,9 @@ from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import (
-    channels,
-    derailment,
-    recording,
-    records,
-    rig_bus,
-    scenario,
-    summary,
-    supervisor,
-    wire_delay,
-)
+from rollerrig.realtime import channels, recording, records, summary
+from rollerrig.realtime.bench import derailment, rig_bus, scenario, supervisor, wire_delay
+from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop.held_rig import HOLDING
@@ -50,7 +42,6 @@ from rollerrig.realtime.loop.tick import (
     WORST_NS,
     Machine,
 )
-from rollerrig.realtime.scenario import Scenario
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 

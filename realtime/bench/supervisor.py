@@ -27,12 +27,12 @@ from rollerrig.firmware_sim.modbus.pdu import Code, Image, RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
 from rollerrig.firmware_sim.modbus.server import Counters, Server, tls_context
 from rollerrig.firmware_sim.modbus.unit import Reader, Unit, Writer
-from rollerrig.realtime import scenario
-from rollerrig.realtime.fault_desk import FaultDesk
+from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.bench.fault_registers import FaultDesk
+from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import loop, tick
 from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.loop.tick import DONE, HELD, HOLD, TICK, WORST_NS, Machine
-from rollerrig.realtime.scenario import Scenario
 from rollerrig.wsp_interface import signals
 
 # tables that a held rig cannot change: nodes and loop have been built from them

@@ -20,10 +20,10 @@ from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.firmware_sim.faults.panel import Site
 from rollerrig.firmware_sim.network import SYNC_ID, Network
 from rollerrig.firmware_sim.rack import Rack
+from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import REFERENCE
-from rollerrig.realtime.scenario import Scenario
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.bus.codecs import CODECS

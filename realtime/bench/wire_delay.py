@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import rig_bus
-from rollerrig.realtime.scenario import Scenario
+from rollerrig.realtime.bench import rig_bus
+from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 from rollerrig.wsp_interface.bus.hub import Hub
