@@ -11,12 +11,13 @@ import numpy as np
 
 from rollerrig.firmware_sim.faults import panel
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import convoy, summary
+from rollerrig.realtime import convoy
 from rollerrig.realtime.bench import bench, scenario
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import AXLES, DONE
+from rollerrig.realtime.record import summary
 from rollerrig.wsp_interface import signals
 
 # an outside unit: axle speeds in 0.01 rad/s and cylinder pressures in mbar, int64 (8,), to the byte

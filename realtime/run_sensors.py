@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter, resample_poly
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import records
+from rollerrig.realtime.record import records
 from rollerrig.rig import params
 from rollerrig.wsp_interface.signals import AXLES
 

@@ -17,7 +17,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.realtime import compare, viewer
+    from rollerrig.realtime import viewer
+    from rollerrig.realtime.record import compare
 
     limits = compare.tolerances(given.tolerance)
     runs = compare.load(given.run)
@@ -42,7 +43,7 @@ def _show(runs, rows, failed, limits, overlay) -> None:  # type: ignore[no-untyp
     from rich.console import Console
     from rich.table import Table
 
-    from rollerrig.realtime import compare
+    from rollerrig.realtime.record import compare
 
     console = Console()
     table = Table("", "unit", *(run.folder.name for run in runs))

@@ -15,7 +15,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.realtime import export, records
+    from rollerrig.realtime.record import export, records
 
     run = records.load(given.run)
     suffix = export.SUFFIX.get(given.format, "")

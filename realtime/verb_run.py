@@ -42,8 +42,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.realtime import summary
     from rollerrig.realtime.bench import bench, scenario
+    from rollerrig.realtime.record import summary
 
     plan = scenario.load(given.scenario, given.model, tuple(given.set), faults=tuple(given.fault))
     out = given.out or free_folder(plan.name)

@@ -25,8 +25,9 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime import records, scene, views
+from rollerrig.realtime import scene, views
 from rollerrig.realtime.drawing import Drawing
+from rollerrig.realtime.record import records
 
 LOOPBACK = "127.0.0.1"
 GRPC_PORT, WEB_PORT = 9876, 9090

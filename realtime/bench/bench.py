@@ -24,7 +24,7 @@ from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import channels, recording, records, summary
+from rollerrig.realtime import recording
 from rollerrig.realtime.bench import derailment, rig_bus, scenario, supervisor, wire_delay
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, tick
@@ -42,6 +42,7 @@ from rollerrig.realtime.loop.tick import (
     WORST_NS,
     Machine,
 )
+from rollerrig.realtime.record import channels, records, summary
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 

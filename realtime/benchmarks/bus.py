@@ -19,10 +19,10 @@ import numpy as np
 from rich.table import Table
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime import records
 from rollerrig.realtime.bench.bench import Bench
 from rollerrig.realtime.benchmarks import client, figures, modbus, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
+from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import plugin
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub

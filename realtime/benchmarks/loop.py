@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from rollerrig.realtime import records
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.realtime.loop import loop
 from rollerrig.realtime.loop.tick import MISSED, WORST_NS
+from rollerrig.realtime.record import records
 
 WITHIN = 1.2
 _SLICE_S = 10.0

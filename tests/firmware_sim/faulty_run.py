@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rollerrig.realtime import records
 from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus.frames import Frame
 
 NODE_UNIT, SYNC, ANSWER = 0x720, 0x080, 0x211

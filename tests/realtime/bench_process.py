@@ -10,7 +10,7 @@ import threading
 import time
 from pathlib import Path
 
-from rollerrig.realtime import records
+from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
 
 MAGNETS, HEARTBEAT, SYNC, SPEEDS = 0x211, 0x720, 0x080, 0x190

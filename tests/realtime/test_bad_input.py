@@ -8,7 +8,8 @@ import bench_process
 import pytest
 from bench_process import MAGNETS, BenchProcess, SimpleUnit
 
-from rollerrig.realtime import cli, records
+from rollerrig.realtime import cli
+from rollerrig.realtime.record import records
 
 HEAD = 'title = "t"\n[[demand]]\nfrom_s = 0.0\npressure_Pa = 3.8e5\n'
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bench_process import BenchProcess, SimpleUnit
 
-from rollerrig.realtime import records
+from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.signals import COLUMNS
 
 CUT_OFF_M_S = 3.0

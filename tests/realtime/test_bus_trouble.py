@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from bench_process import MAGNETS, SYNC, BenchProcess, SimpleUnit
 
-from rollerrig.realtime import records
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.bench import Bench, Options
+from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus.hub import Hub
 
 ANSWERS = 0x211

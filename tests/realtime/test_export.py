@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import export, records
-from rollerrig.realtime.channels import Channels
+from rollerrig.realtime.record import export, records
+from rollerrig.realtime.record.channels import Channels
 from rollerrig.wsp_interface.signals import COLUMNS
 
 EVENTS = [(0.5, "info", "the rig is on the bus"), (1.25, "warning", "Ölstand, „niedrig“")]

@@ -7,8 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import channels, records
-from rollerrig.realtime.channels import Channels
+from rollerrig.realtime.record import channels, records
+from rollerrig.realtime.record.channels import Channels
 from rollerrig.wsp_interface.signals import COLUMNS
 
 

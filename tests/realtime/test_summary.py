@@ -8,7 +8,7 @@ import pytest
 import synthetic_stop
 from rich.console import Console
 
-from rollerrig.realtime import summary
+from rollerrig.realtime.record import summary
 from rollerrig.wsp_interface.signals import COLUMNS
 
 SCENARIO = {"title": "a stop", "loop": {"tick_hz": 1000, "step_s": 1e-4, "record_hz": 100}}

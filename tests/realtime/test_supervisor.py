@@ -14,7 +14,8 @@ from pymodbus.client import ModbusTcpClient
 
 from rollerrig.configs import store
 from rollerrig.firmware_sim.modbus.map import BITS, WORDS, State
-from rollerrig.realtime import cli, records
+from rollerrig.realtime import cli
+from rollerrig.realtime.record import records
 
 AT = {row.name: row.at for row in (*BITS, *WORDS)}
 START_S, END_S = 240.0, 60.0

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rollerrig.realtime import records
 from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.record import records
 
 HERE = Path(__file__).parent
 DRIVES = (1, 2, 3, 4)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import tomli_w
 
-from rollerrig.realtime import cli, records
+from rollerrig.realtime import cli
+from rollerrig.realtime.record import records
 from rollerrig.rig.identify import candidates, dataset, planning, preparation, tuning
 from rollerrig.rig.identify.evidence import Finding
 from rollerrig.rig.identify.planning import Ground, Library, Table

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import channels
+from rollerrig.realtime.record import channels
 from rollerrig.wsp_interface.signals import COLUMNS
 
 SCENARIO, EVENTS, SUMMARY, CAN_LOG, RRD = (

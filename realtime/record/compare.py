@@ -13,7 +13,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
-from rollerrig.realtime import records
+from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
 
 _NO_RESULT = frozenset(("time", "tick_lateness", "tick_duration", "ticks_missed"))

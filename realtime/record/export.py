@@ -19,7 +19,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
-from rollerrig.realtime.records import Run
+from rollerrig.realtime.record.records import Run
 from rollerrig.wsp_interface import signals
 
 # unit suffixes as other programs write them
