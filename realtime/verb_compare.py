@@ -17,8 +17,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.realtime import viewer
     from rollerrig.realtime.record import compare
+    from rollerrig.realtime.telemetry import viewer
 
     limits = compare.tolerances(given.tolerance)
     runs = compare.load(given.run)

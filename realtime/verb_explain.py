@@ -26,7 +26,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def call(given: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from rollerrig.realtime import study_view
+    from rollerrig.realtime.telemetry import study_view
     from rollerrig.rig.identify import creep_account
 
     data, out = _opened(given)
@@ -82,7 +82,7 @@ def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]
     from rich.console import Console
     from rich.progress import Progress
 
-    from rollerrig.realtime import study_view
+    from rollerrig.realtime.telemetry import study_view
     from rollerrig.rig.identify import explain, extension, report
 
     with Progress(console=Console(stderr=True), transient=True) as bar:

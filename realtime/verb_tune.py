@@ -22,7 +22,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def call(given: argparse.Namespace) -> int:
     if given.dataset == [VELIM]:
         return _velim(given)
-    from rollerrig.realtime import study_view
+    from rollerrig.realtime.telemetry import study_view
     from rollerrig.rig.identify import paper_report, paper_tuning, polach_fit
 
     data, out = opened(given.dataset, given.out, "tune")

@@ -23,7 +23,8 @@ def call(given: argparse.Namespace) -> int:
     if given.dataset == [VELIM]:
         return _velim(given)
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.realtime import study_view, verb_tune
+    from rollerrig.realtime import verb_tune
+    from rollerrig.realtime.telemetry import study_view
     from rollerrig.rig.identify import paper_report, paper_tuning, validation
 
     if given.tau is not None and not 0.0 <= given.tau <= 1.0:

@@ -15,7 +15,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def call(given: argparse.Namespace) -> int:
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.realtime import viewer
+    from rollerrig.realtime.telemetry import viewer
 
     if given.png:
         try:

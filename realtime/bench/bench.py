@@ -24,7 +24,6 @@ from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import recording
 from rollerrig.realtime.bench import derailment, rig_bus, scenario, supervisor, wire_delay
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, tick
@@ -43,6 +42,7 @@ from rollerrig.realtime.loop.tick import (
     Machine,
 )
 from rollerrig.realtime.record import channels, records, summary
+from rollerrig.realtime.telemetry import recording
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 
@@ -548,7 +548,7 @@ class Bench:
         if not ready:
             raise RollerrigError("the recorder did not start; its message stands above")
         if self.options.live:
-            from rollerrig.realtime import live
+            from rollerrig.realtime.telemetry import live
 
             self._processes.append(live.start(self.options.out, self.rows, self.event_ring))
 

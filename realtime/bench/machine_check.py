@@ -222,7 +222,7 @@ def preemption() -> Finding:
 def display() -> Finding:
     """Whether the viewer can open a window."""
     try:
-        from rollerrig.realtime import viewer
+        from rollerrig.realtime.telemetry import viewer
     except ImportError as error:
         return Finding("viewer", State.WEAKER, str(error), "pip install rerun-sdk")
     if viewer.has_display():

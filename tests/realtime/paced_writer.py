@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rollerrig.realtime import recording
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
+from rollerrig.realtime.telemetry import recording
 from rollerrig.wsp_interface import signals
 
 WIDTH = len(signals.COLUMNS)

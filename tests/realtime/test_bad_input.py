@@ -240,7 +240,7 @@ def test_ctrl_c_ends_the_wait_for_a_unit(tmp_path):
 def test_a_bench_that_is_killed_leaves_its_files_whole_and_no_process(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", "duration_max_s=20")
     bench.runs_for(1.0)
-    wsp, recorder = bench.child("wsp"), bench.child("rollerrig.realtime.recorder")
+    wsp, recorder = bench.child("wsp"), bench.child("rollerrig.realtime.telemetry.recorder")
     bench.process.kill()
     killed_s = float(bench.record.column("time_s")[-1])
     bench.process.communicate()
@@ -259,7 +259,7 @@ def test_a_recorder_that_is_killed_is_an_event_and_its_files_are_readable(tmp_pa
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "none",
                          "--set", "duration_max_s=3")
     bench.runs_for(1.0)
-    os.kill(bench.child("rollerrig.realtime.recorder"), signal.SIGKILL)
+    os.kill(bench.child("rollerrig.realtime.telemetry.recorder"), signal.SIGKILL)
     bench.finish()
     assert bench.status == 0, bench.stderr
     assert "Traceback" not in bench.stderr

@@ -12,8 +12,8 @@ import paced_writer
 import pytest
 from rerun.experimental import ViewerClient
 
-from rollerrig.realtime import live, recorder, viewer
 from rollerrig.realtime.loop import ring
+from rollerrig.realtime.telemetry import live, recorder, viewer
 from rollerrig.wsp_interface import signals
 
 

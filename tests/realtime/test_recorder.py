@@ -14,10 +14,10 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
-from rollerrig.realtime import recorder, recording
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records
+from rollerrig.realtime.telemetry import recorder, recording
 from rollerrig.wsp_interface import signals
 
 RAN_S = 2.2

@@ -13,8 +13,8 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
-from rollerrig.realtime import drawing, scene, viewer, views
 from rollerrig.realtime.record import channels
+from rollerrig.realtime.telemetry import drawing, scene, viewer, views
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS
 

@@ -19,7 +19,7 @@ def start(run_dir: Path, rows: Ring, frame: Ring, event: Ring,
     `counters` (pacing, seed, unit, scenario, config_hash) go into the summary of a killed run.
     """
     return subprocess.Popen(
-        [sys.executable, "-m", "rollerrig.realtime.recorder", str(run_dir),
+        [sys.executable, "-m", "rollerrig.realtime.telemetry.recorder", str(run_dir),
          "--rows", str(rows.path), "--frames", str(frame.path), "--events", str(event.path),
          "--counters", json.dumps(dict(counters or {}))],
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)

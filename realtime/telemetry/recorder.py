@@ -24,11 +24,11 @@ import numpy as np
 import rerun as rr
 
 from rollerrig.configs import store
-from rollerrig.realtime import scene, views
-from rollerrig.realtime.drawing import Drawing, Event
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records, summary
+from rollerrig.realtime.telemetry import scene, views
+from rollerrig.realtime.telemetry.drawing import Drawing, Event
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import frames
 

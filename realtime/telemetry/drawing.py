@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from rollerrig.realtime import scene, views
+from rollerrig.realtime.telemetry import scene, views
 from rollerrig.wsp_interface import signals
 
 Event = tuple[float, str, str]

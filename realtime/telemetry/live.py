@@ -6,7 +6,7 @@ the watcher kills the worker and starts another. A worker that has fallen behind
 drops the oldest rows. The rig knows nothing of all this. Recording and application name are the
 recorder's, so a viewer that has both shows one run.
 
-    python -m rollerrig.realtime.live RUN_DIR --rows PATH --events PATH
+    python -m rollerrig.realtime.telemetry.live RUN_DIR --rows PATH --events PATH
 """
 
 import argparse
@@ -41,7 +41,7 @@ def start(run_dir: Path, rows: Ring, events: Ring) -> subprocess.Popen:
 
 
 def _command(run_dir: Path, rows: Path, events: Path, *more: str) -> list[str]:
-    return [sys.executable, "-m", "rollerrig.realtime.live", str(run_dir), "--rows", str(rows),
+    return [sys.executable, "-m", "rollerrig.realtime.telemetry.live", str(run_dir), "--rows", str(rows),
             "--events", str(events), *more]
 
 
@@ -81,8 +81,8 @@ def serve(run_dir: Path, rows: Ring, events: Ring, port: int) -> None:
     """The worker: serve the run on loopback until it has ended."""
     import rerun as rr
 
-    from rollerrig.realtime import recorder, scene, viewer, views
-    from rollerrig.realtime.drawing import Drawing
+    from rollerrig.realtime.telemetry import recorder, scene, viewer, views
+    from rollerrig.realtime.telemetry.drawing import Drawing
 
     scenario = recorder.scenario_of(run_dir)
     stream = rr.RecordingStream(views.APPLICATION,
@@ -105,7 +105,7 @@ def serve(run_dir: Path, rows: Ring, events: Ring, port: int) -> None:
 
 def watch(given: argparse.Namespace, rows: Ring) -> None:
     """The watcher: keep a worker serving, and open the viewer once."""
-    from rollerrig.realtime import viewer
+    from rollerrig.realtime.telemetry import viewer
 
     port = viewer.free_port(given.port or viewer.GRPC_PORT)
     worker: subprocess.Popen | None = None
@@ -147,7 +147,7 @@ def alive(beat_s: float, begun_s: float, now_s: float) -> bool:
 
 def show(port: int) -> None:
     """Open the viewer on the worker's address, or say how to see it in a browser."""
-    from rollerrig.realtime import viewer
+    from rollerrig.realtime.telemetry import viewer
 
     address = f"rerun+http://{viewer.LOOPBACK}:{port}/proxy"
     if viewer.has_display():

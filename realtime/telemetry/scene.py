@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rollerrig.realtime import views
+from rollerrig.realtime.telemetry import views
 from rollerrig.wsp_interface import signals
 
 GEARING = 20.0

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rollerrig.realtime.views import APPLICATION, TIMELINE
+from rollerrig.realtime.telemetry.views import APPLICATION, TIMELINE
 from rollerrig.rig.identify.dataset import Dataset
 from rollerrig.rig.identify.paper_tuning import Tuned
 from rollerrig.rig.identify.validation import Verdict

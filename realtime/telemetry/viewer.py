@@ -25,9 +25,9 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime import scene, views
-from rollerrig.realtime.drawing import Drawing
 from rollerrig.realtime.record import records
+from rollerrig.realtime.telemetry import scene, views
+from rollerrig.realtime.telemetry.drawing import Drawing
 
 LOOPBACK = "127.0.0.1"
 GRPC_PORT, WEB_PORT = 9876, 9090
