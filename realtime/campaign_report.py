@@ -11,7 +11,7 @@ import pyarrow as pa
 from rich.console import Console
 from rich.table import Table
 
-from rollerrig.realtime import campaign
+from rollerrig.realtime.campaign import campaign
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 _WORST = 5

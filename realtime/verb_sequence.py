@@ -164,7 +164,7 @@ def _guarded(get: Callable[[], Any], job: tuple[Any, ...]) -> Any:
 def play(one: Any, folder: Path, pacing: str, seed: int, wsp: str, unit: str,
          unit_map: Path | None) -> Any:
     """One sequence on a bench of its own, and how it came out."""
-    from rollerrig.realtime import dry_stop
+    from rollerrig.realtime.campaign import dry_stop
     from rollerrig.wsp_interface import own_bench
     from rollerrig.wsp_interface.sequences import mapping
     from rollerrig.wsp_interface.sequences import play as player
@@ -184,8 +184,8 @@ def _on_bus(one: Any, given: argparse.Namespace) -> Any:
 
     import tomli_w
 
-    from rollerrig.realtime import dry_stop
     from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.campaign import dry_stop
     from rollerrig.wsp_interface import harness, own_bench
     from rollerrig.wsp_interface.sequences import play as player
 

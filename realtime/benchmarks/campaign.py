@@ -15,9 +15,9 @@ from typing import Any
 
 from rich.table import Table
 
-from rollerrig.realtime import campaign
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
+from rollerrig.realtime.campaign import campaign
 
 PLAN = "low_adhesion"
 RATE, SPEED_UP, MEMORY_MB, OVERHEAD = 300.0, 1.8, 500.0, 0.05

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import campaign
+from rollerrig.realtime.campaign import campaign
 
 PLAN = """
 title = "short stops"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import batch, convoy
 from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.campaign import batch, four_stops
 from rollerrig.wsp_interface import signals
 
 SHORT = ("initial_speed_m_s=8.0",)
@@ -70,7 +70,7 @@ def test_without_a_unit_no_magnet_is_energised(plans):
                                      "mechanisms.wheel_out_of_round_amplitude=0.05"])
 def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
     plan = scenario.load("velim_a1", settings=("initial_speed_m_s=2.0", setting))
-    assert not convoy.fits(plan)
+    assert not four_stops.fits(plan)
     [(_, _, among)] = batch.together([(0, plan)])
     alone = batch.simulate(plan)
     assert all(np.array_equal(among[name], alone[name], equal_nan=True) for name in signals.COLUMNS)
@@ -79,4 +79,4 @@ def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
 def test_compiled_views_of_a_unit_are_the_views():
     unit = np.arange(float(logic.SIZE))
     assert all(np.array_equal(here, there)
-               for here, there in zip(convoy.see_unit.py_func(unit), logic.views(unit), strict=True))
+               for here, there in zip(four_stops.see_unit.py_func(unit), logic.views(unit), strict=True))

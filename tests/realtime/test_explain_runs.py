@@ -11,8 +11,9 @@ from bench_process import BenchProcess
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.realtime import batch, cli, run_dataset, run_sensors
+from rollerrig.realtime import cli, run_dataset, run_sensors
 from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.campaign import batch
 from rollerrig.realtime.record import records
 from rollerrig.rig.identify import candidates, choice, dataset, explain, extension, preparation
 from rollerrig.rig.identify.candidates import Cause

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import cli, run_dataset, stops, velim, velim_bounds
+from rollerrig.realtime import cli, run_dataset, velim, velim_bounds
 from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.campaign import stops
 from rollerrig.rig.identify import dataset, paper_tuning
 from rollerrig.wsp_interface import signals
 

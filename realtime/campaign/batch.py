@@ -11,9 +11,9 @@ import numpy as np
 
 from rollerrig.firmware_sim.faults import panel
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import convoy
 from rollerrig.realtime.bench import bench, scenario
 from rollerrig.realtime.bench.scenario import Scenario
+from rollerrig.realtime.campaign import four_stops
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import AXLES, DONE
@@ -63,20 +63,20 @@ def together(
     """
     groups: dict[int, list[tuple[Any, Scenario]]] = {}
     for tag, plan in jobs:
-        if unit in ("reference", "none") and convoy.fits(plan):
+        if unit in ("reference", "none") and four_stops.fits(plan):
             groups.setdefault(plan.params.substeps, []).append((tag, plan))
         else:
             yield tag, plan, simulate(plan, unit)
     for group in groups.values():
-        for stop in convoy.run(_stop(tag, plan, unit != "none") for tag, plan in group):
+        for stop in four_stops.run(_stop(tag, plan, unit != "none") for tag, plan in group):
             tag, plan, memory = stop.tag
             yield tag, plan, channels_of(memory)
 
 
-def _stop(tag: Any, plan: Scenario, with_unit: bool) -> convoy.Stop:
+def _stop(tag: Any, plan: Scenario, with_unit: bool) -> four_stops.Stop:
     memory = _memory(plan)
     machine = bench.build_machine(plan, memory)  # type: ignore[arg-type]
-    return convoy.Stop(machine, logic.new_unit(logic.load(plan["wsp_config"])),
+    return four_stops.Stop(machine, logic.new_unit(logic.load(plan["wsp_config"])),
                        plan.sync_ticks if with_unit else 0, (tag, plan, memory))
 
 

@@ -26,8 +26,8 @@ from scipy.stats import qmc
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.table import choice, integer
-from rollerrig.realtime import batch
 from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.campaign import batch
 
 DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
 ROWS = (
