@@ -26,8 +26,8 @@ def call(given: argparse.Namespace) -> int:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.realtime import campaign_report
     from rollerrig.realtime.campaign import campaign
+    from rollerrig.realtime.reports import campaign as campaign_report
 
     plan = campaign.load(given.plan)
     if given.worst not in [name for name, _ in campaign.FIGURES]:

@@ -31,11 +31,12 @@ def call(given: argparse.Namespace) -> int:
 
     data, out = _opened(given)
     if data.kind == "creep_curve":
-        from rollerrig.rig.identify import paper_report, polach_fit
+        from rollerrig.realtime.reports import paper
+        from rollerrig.rig.identify import polach_fit
 
         report = creep_account.as_json(data, given.seed)
         lines = creep_account.story(report)
-        html = paper_report.polach_page(data, polach_fit.fit(data, given.seed))
+        html = paper.polach_page(data, polach_fit.fit(data, given.seed))
         extended = f"# {data.name}: nothing that a scenario could load\n"
         study_view.creep_points(out / "report.rrd", data)
     else:
@@ -82,8 +83,9 @@ def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]
     from rich.console import Console
     from rich.progress import Progress
 
+    from rollerrig.realtime.reports import explain as report
     from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify import explain, extension, report
+    from rollerrig.rig.identify import explain, extension
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, Any] = {}

@@ -41,7 +41,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.wsp_interface import report
+    from rollerrig.realtime.reports import sequences as report
 
     sequences = load(given.sequences)
     if given.check:

@@ -22,19 +22,20 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def call(given: argparse.Namespace) -> int:
     if given.dataset == [VELIM]:
         return _velim(given)
+    from rollerrig.realtime.reports import paper
     from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify import paper_report, paper_tuning, polach_fit
+    from rollerrig.rig.identify import paper_tuning, polach_fit
 
     data, out = opened(given.dataset, given.out, "tune")
     if data.kind == "creep_curve":
         fitted = polach_fit.fit(data, given.seed)
-        result = paper_report.polach_json(data, fitted)
-        write(out, "tune", result, paper_report.polach_page(data, fitted))
+        result = paper.polach_json(data, fitted)
+        write(out, "tune", result, paper.polach_page(data, fitted))
         _show_curve(result, out) if not given.json else print(json.dumps(result))
         return 0
     found = paper_tuning.tune(data, given.seed)
-    result = paper_report.tune_json(data, found)
-    write(out, "tune", result, paper_report.tune_page(data, found))
+    result = paper.tune_json(data, found)
+    write(out, "tune", result, paper.tune_page(data, found))
     study_view.tuned(out / "tune.rrd", data, found)
     (out / "tuned.toml").write_text(
         f"# tuned on {data.name} by rollerrig tune; load it with: rollerrig run ... --model\n"

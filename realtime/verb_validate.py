@@ -24,8 +24,9 @@ def call(given: argparse.Namespace) -> int:
         return _velim(given)
     from rollerrig.configs.errors import ConfigError
     from rollerrig.realtime import verb_tune
+    from rollerrig.realtime.reports import paper
     from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify import paper_report, paper_tuning, validation
+    from rollerrig.rig.identify import paper_tuning, validation
 
     if given.tau is not None and not 0.0 <= given.tau <= 1.0:
         raise ConfigError(f"--tau {given.tau:g} m/J is out of range; allowed 0 to 1, the paper has 1.9e-4")
@@ -37,13 +38,13 @@ def call(given: argparse.Namespace) -> int:
            else paper_tuning.tune(data, given.seed).tau_m_J)
     group = "validate" if data.group("validate") or given.tau is None else "tune"
     verdicts = validation.validate(data, tau.value, group)
-    result = paper_report.validate_json(data, tau, verdicts)
-    verb_tune.write(out, "validate", result, paper_report.validate_page(data, tau, verdicts))
+    result = paper.validate_json(data, tau, verdicts)
+    verb_tune.write(out, "validate", result, paper.validate_page(data, tau, verdicts))
     study_view.validated(out / "validate.rrd", data, verdicts)
     if given.json:
         print(json.dumps(result))
     else:
-        _show(paper_report.table6(verdicts), result, out)
+        _show(paper.table6(verdicts), result, out)
     return 0
 
 

@@ -12,7 +12,7 @@ from synthetic_record import GOOD
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import verb_sequence
-from rollerrig.wsp_interface import report
+from rollerrig.realtime.reports import sequences
 from rollerrig.wsp_interface.harness import Event
 from rollerrig.wsp_interface.sequences import sequence, verdict
 from rollerrig.wsp_interface.sequences.play import Outcome
@@ -32,7 +32,7 @@ def outcome(folder, text=GOOD, **changes):
 
 
 def test_the_page_needs_nothing_from_elsewhere(tmp_path):
-    page = report.write([outcome(tmp_path)], tmp_path / "out")[0].read_text(encoding="utf-8")
+    page = sequences.write([outcome(tmp_path)], tmp_path / "out")[0].read_text(encoding="utf-8")
     assert not re.search(r'(src|href)="(https?:)?//', page)
     assert "<script" not in page
     assert "not a certification" in page.lower()
@@ -42,13 +42,13 @@ def test_the_page_needs_nothing_from_elsewhere(tmp_path):
 
 def test_the_page_names_the_source_of_every_limit(tmp_path):
     found = outcome(tmp_path)
-    page = report.html([found], tmp_path, report.datetime.now(report.UTC))
+    page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
     assert all(escape(one.source) in page for one in found.sequence.criteria.limits)
 
 
 def test_junit_and_json_tell_the_same_as_the_verdicts(tmp_path):
     found = outcome(tmp_path)
-    _, data_path, junit_path = report.write([found], tmp_path / "out")
+    _, data_path, junit_path = sequences.write([found], tmp_path / "out")
     data, suite = json.loads(data_path.read_text()), ET.parse(junit_path).getroot()[0]
     failed = [one.what for one in found.verdicts if one.result is Result.FAIL]
     assert failed
@@ -61,17 +61,17 @@ def test_junit_and_json_tell_the_same_as_the_verdicts(tmp_path):
 def test_a_bench_that_vanished_is_an_error_however_good_the_rest_was(tmp_path):
     found = outcome(tmp_path, error="the bench has gone \x07", verdicts=[])
     assert found.result is Result.ERROR
-    assert report.overall([found]) is Result.ERROR
-    suite = ET.fromstring(report.junit_xml([found]).partition("\n")[2])[0]
+    assert sequences.overall([found]) is Result.ERROR
+    suite = ET.fromstring(sequences.junit_xml([found]).partition("\n")[2])[0]
     assert suite.get("errors") == "1"
-    assert "the bench has gone" in report.html([found], tmp_path, report.datetime.now(report.UTC))
+    assert "the bench has gone" in sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
 
 
 def test_a_report_that_cannot_be_written_says_so(tmp_path):
     in_the_way = tmp_path / "out"
     in_the_way.write_text("a file")
     with pytest.raises(RollerrigError, match="cannot be written"):
-        report.write([outcome(tmp_path)], in_the_way)
+        sequences.write([outcome(tmp_path)], in_the_way)
 
 
 def test_what_nobody_expected_is_an_error_of_its_own_sequence(tmp_path):

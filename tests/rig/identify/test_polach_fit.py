@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.reports import paper
 from rollerrig.rig.contact import polach
-from rollerrig.rig.identify import dataset, paper_report, polach_fit
+from rollerrig.rig.identify import dataset, polach_fit
 from rollerrig.rig.identify.dataset import Curve
 
 
@@ -79,7 +80,7 @@ def test_the_model_is_the_kernels(locomotive):
 
 
 def test_the_report_shows_points_and_parameters(locomotive, fitted):
-    page = paper_report.polach_page(locomotive, fitted)
+    page = paper.polach_page(locomotive, fitted)
     assert "<svg" in page
     assert "0.0250" in page
 

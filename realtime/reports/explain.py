@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from rollerrig.rig.identify import evidence, extension, gain, paper_report, simulate
+from rollerrig.realtime.reports import paper
+from rollerrig.rig.identify import evidence, extension, gain, simulate
 from rollerrig.rig.identify import preparation as prepared
 from rollerrig.rig.identify.choice import Named
 from rollerrig.rig.identify.explain import Account
@@ -129,13 +130,13 @@ def story(a: Account) -> list[str]:
 
 def page(a: Account, report: dict[str, Any]) -> str:
     """The HTML page, without outside parts."""
-    parts = [paper_report.paragraph(f"Verdict: {a.verdict}")]
-    parts += [paper_report.paragraph(line) for line in story(a)]
-    parts.append(paper_report.picture(lambda figure: _against(figure, a)))
-    parts.append(paper_report.picture(lambda figure: _course(figure, a)))
+    parts = [paper.paragraph(f"Verdict: {a.verdict}")]
+    parts += [paper.paragraph(line) for line in story(a)]
+    parts.append(paper.picture(lambda figure: _against(figure, a)))
+    parts.append(paper.picture(lambda figure: _course(figure, a)))
     rows = [[s["name"], f"{s['delta_bic']:.1f}", s["rejected_because"]] for s in report["screened"]]
-    parts.append(paper_report.table(["rejected", "delta BIC", "because"], rows))
-    return paper_report.page(f"What the model gets wrong: {a.data.name}", parts)
+    parts.append(paper.table(["rejected", "delta BIC", "because"], rows))
+    return paper.page(f"What the model gets wrong: {a.data.name}", parts)
 
 
 def _against(figure: Figure, a: Account) -> None:

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.wsp_interface import plots
-from rollerrig.wsp_interface.plots import AXLE_COLOURS, DEMAND_COLOUR, VEHICLE_COLOUR, Line
+from rollerrig.realtime.reports import plots
+from rollerrig.realtime.reports.plots import AXLE_COLOURS, DEMAND_COLOUR, VEHICLE_COLOUR, Line
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.play import Outcome
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER, Result, Verdict, worst
