@@ -59,7 +59,8 @@ def call(given: argparse.Namespace) -> int:
 def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
     """The dataset of the command line, and the folder of its report (made)."""
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.realtime import run_dataset, run_sensors, verb_tune
+    from rollerrig.realtime import verb_tune
+    from rollerrig.realtime.studies import run_dataset, run_sensors
     from rollerrig.rig.identify import dataset
 
     runs = [Path(name) for name in given.dataset]

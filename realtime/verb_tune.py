@@ -47,7 +47,7 @@ def call(given: argparse.Namespace) -> int:
 def opened(names: list[str], out: Path | None, verb: str, group: str = "tune") -> tuple[Any, Path]:
     """The dataset of the command line, and the folder of its report (made)."""
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.realtime import run_dataset
+    from rollerrig.realtime.studies import run_dataset
     from rollerrig.rig.identify import dataset
 
     folder = out or Path("reports") / f"{verb}_{Path(names[0]).resolve().name}"
@@ -116,7 +116,8 @@ def _show_curve(result: dict[str, Any], out: Path) -> None:
 def _velim(given: argparse.Namespace) -> int:
     import tomli_w
 
-    from rollerrig.realtime import run_dataset, velim, verb_validate
+    from rollerrig.realtime import verb_validate
+    from rollerrig.realtime.studies import run_dataset, velim
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)

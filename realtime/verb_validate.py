@@ -70,7 +70,7 @@ def _show(table6: tuple[list[str], list[list[str]]], result: dict[str, Any], out
 
 
 def _velim(given: argparse.Namespace) -> int:
-    from rollerrig.realtime import velim
+    from rollerrig.realtime.studies import velim
 
     found = velim.settings()
     show_velim(found, given.json, given.out)
@@ -79,7 +79,7 @@ def _velim(given: argparse.Namespace) -> int:
 
 def show_velim(found: dict[str, float], as_json: bool, out: Path | None) -> None:
     """Run the six stops under what was found on group A, and print Table 6, ours beside the paper's."""
-    from rollerrig.realtime import velim
+    from rollerrig.realtime.studies import velim
 
     ours = velim.table6(found, lambda text: print(text, file=sys.stderr, flush=True))
     result = velim_json(found, ours)
@@ -94,7 +94,7 @@ def show_velim(found: dict[str, float], as_json: bool, out: Path | None) -> None
 
 def velim_json(found: dict[str, float], ours: dict[str, Any]) -> dict[str, Any]:
     """What was fitted, what was predicted, and how far off it is."""
-    from rollerrig.realtime import velim
+    from rollerrig.realtime.studies import velim
 
     return {
         "fitted_on_group_a": found, "predicted_mu_cd_group_b": velim.contaminant(found, "b1"),
@@ -111,7 +111,7 @@ def _show_velim(found: dict[str, float], ours: dict[str, Any], result: dict[str,
     from rich.console import Console
     from rich.table import Table
 
-    from rollerrig.realtime import velim
+    from rollerrig.realtime.studies import velim
 
     off = result["group_b_mean_absolute_error"]
     table = Table("m/s", *(test.upper() for test in velim.TESTS), title="Table 6", title_justify="left")

@@ -11,10 +11,11 @@ from bench_process import BenchProcess
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.realtime import cli, run_dataset, run_sensors
+from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import batch
 from rollerrig.realtime.record import records
+from rollerrig.realtime.studies import run_dataset, run_sensors
 from rollerrig.rig.identify import candidates, choice, dataset, explain, extension, preparation
 from rollerrig.rig.identify.candidates import Cause
 from rollerrig.rig.identify.evidence import Finding

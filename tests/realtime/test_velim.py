@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import cli, run_dataset, velim, velim_bounds
+from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import stops
+from rollerrig.realtime.studies import run_dataset, velim, velim_bounds
 from rollerrig.rig.identify import dataset, paper_tuning
 from rollerrig.wsp_interface import signals
 

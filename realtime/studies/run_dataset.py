@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 import tomli_w
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime import run_sensors, velim
 from rollerrig.realtime.record import records
+from rollerrig.realtime.studies import run_sensors, velim
 from rollerrig.rig import params
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES

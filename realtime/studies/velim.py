@@ -21,9 +21,9 @@ from scipy.optimize import least_squares
 from rollerrig.configs import store
 from rollerrig.configs.table import number, read
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime import velim_bounds
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import stops
+from rollerrig.realtime.studies import velim_bounds
 from rollerrig.wsp_interface import signals
 
 GROUP_A, GROUP_B = ("a1", "a2", "a3"), ("b1", "b2", "b3")
