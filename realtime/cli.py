@@ -27,31 +27,31 @@ class Verb(NamedTuple):
 
 
 VERBS = (
-    Verb("run", "verb_run", "one bench run: brake the vehicle, record everything",
+    Verb("run", "run", "one bench run: brake the vehicle, record everything",
          "rollerrig run velim_a1 --pacing lockstep --out runs/a1"),
-    Verb("wsp", "verb_wsp", "the reference WSP unit as a separate program on a bus",
+    Verb("wsp", "wsp", "the reference WSP unit as a separate program on a bus",
          "rollerrig wsp --bus socketcand://127.0.0.1:29536/rig0"),
-    Verb("sequence", "verb_sequence", "scripted tests over the buses, with verdicts and a report",
+    Verb("sequence", "sequence", "scripted tests over the buses, with verdicts and a report",
          "rollerrig sequence emergency_120 --out report"),
-    Verb("compare", "verb_compare", "runs side by side, by value with tolerances, overlaid in Rerun",
+    Verb("compare", "compare", "runs side by side, by value with tolerances, overlaid in Rerun",
          "rollerrig compare runs/a runs/b --tolerance m_s=0.1"),
-    Verb("export", "verb_export", "a run as MDF4, MAT or CSV: all channels with units, and events",
+    Verb("export", "export", "a run as MDF4, MAT or CSV: all channels with units, and events",
          "rollerrig export runs/demo --format csv --out demo.csv"),
-    Verb("campaign", "verb_campaign", "many runs from a plan, over processes or a Dask cluster",
+    Verb("campaign", "campaign", "many runs from a plan, over processes or a Dask cluster",
          "rollerrig campaign low_adhesion --out campaigns/soap"),
-    Verb("explain", "verb_explain", "what the simulation gets wrong, why, the extended model, the gain",
+    Verb("explain", "explain", "what the simulation gets wrong, why, the extended model, the gain",
          "rollerrig explain open_rail_cleaning --out reports/cleaning"),
-    Verb("view", "verb_view", "open a run, or several laid over one another, in Rerun",
+    Verb("view", "view", "open a run, or several laid over one another, in Rerun",
          "rollerrig view runs/demo"),
-    Verb("check", "verb_check", "what this machine can do, and how to enable what it cannot",
+    Verb("check", "check", "what this machine can do, and how to enable what it cannot",
          "rollerrig check"),
-    Verb("devices", "verb_devices", "write the EDS of every node, one DBC and the signal table",
+    Verb("devices", "devices", "write the EDS of every node, one DBC and the signal table",
          "rollerrig devices --out devices"),
-    Verb("bench", "verb_bench", "the project's own benchmarks: a table, and JSON",
+    Verb("bench", "bench", "the project's own benchmarks: a table, and JSON",
          "rollerrig bench loop --json"),
-    Verb("tune", "verb_tune", "tau of the recovery (or Polach's parameters) from measured data",
+    Verb("tune", "tune", "tau of the recovery (or Polach's parameters) from measured data",
          "rollerrig tune velim_synthetic --out reports/tune"),
-    Verb("validate", "verb_validate", "Table 6 on runs never fitted: measured, with and without recovery",
+    Verb("validate", "validate", "Table 6 on runs never fitted: measured, with and without recovery",
          "rollerrig validate velim_synthetic --out reports/validate"),
 )
 
@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     for verb in VERBS:
         sub = verbs.add_parser(verb.name, help=verb.text, description=verb.text.capitalize() + ".",
                                epilog=f"example: {verb.example}")
-        module = importlib.import_module(f"rollerrig.realtime.{verb.module}")
+        module = importlib.import_module(f"rollerrig.realtime.verbs.{verb.module}")
         module.arguments(sub)
         sub.add_argument("--json", action="store_true",
                          help="print one JSON object on standard output and nothing else there")

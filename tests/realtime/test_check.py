@@ -8,9 +8,10 @@ import sys
 
 import pytest
 
-from rollerrig.realtime import cli, verb_check
+from rollerrig.realtime import cli
 from rollerrig.realtime.bench import machine_check
 from rollerrig.realtime.bench.machine_check import Finding, State
+from rollerrig.realtime.verbs import check
 
 
 @pytest.fixture
@@ -20,7 +21,7 @@ def taken():
 
 
 def test_check_says_of_every_row_how_it_is_and_how_to_enable_what_is_weaker():
-    findings = verb_check.look(0)
+    findings = check.look(0)
     assert len({one.name for one in findings}) == len(findings) >= 15
     for one in findings:
         assert one.found
@@ -79,7 +80,7 @@ def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
 
 def test_one_missing_row_means_that_no_run_is_possible(capsys):
     poor = [Finding("shared memory", State.MISSING, "1 MB free", "make room")]
-    assert verb_check.tell(poor, as_json=False) == 2
+    assert check.tell(poor, as_json=False) == 2
     told = capsys.readouterr()
     assert "make room" in told.out
     assert "no run is possible" in told.err

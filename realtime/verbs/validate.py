@@ -23,14 +23,14 @@ def call(given: argparse.Namespace) -> int:
     if given.dataset == [VELIM]:
         return _velim(given)
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.realtime import verb_tune
     from rollerrig.realtime.reports import paper
     from rollerrig.realtime.telemetry import study_view
+    from rollerrig.realtime.verbs import tune
     from rollerrig.rig.identify import paper_tuning, validation
 
     if given.tau is not None and not 0.0 <= given.tau <= 1.0:
         raise ConfigError(f"--tau {given.tau:g} m/J is out of range; allowed 0 to 1, the paper has 1.9e-4")
-    data, out = verb_tune.opened(given.dataset, given.out, "validate")
+    data, out = tune.opened(given.dataset, given.out, "validate")
     if data.kind != "braking_runs":
         raise ConfigError(f"{given.dataset[0]}: a {data.kind} cannot be validated, it has no runs; use "
                           "rollerrig tune")
@@ -39,7 +39,7 @@ def call(given: argparse.Namespace) -> int:
     group = "validate" if data.group("validate") or given.tau is None else "tune"
     verdicts = validation.validate(data, tau.value, group)
     result = paper.validate_json(data, tau, verdicts)
-    verb_tune.write(out, "validate", result, paper.validate_page(data, tau, verdicts))
+    tune.write(out, "validate", result, paper.validate_page(data, tau, verdicts))
     study_view.validated(out / "validate.rrd", data, verdicts)
     if given.json:
         print(json.dumps(result))

@@ -59,8 +59,8 @@ def call(given: argparse.Namespace) -> int:
 def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
     """The dataset of the command line, and the folder of its report (made)."""
     from rollerrig.configs.errors import ConfigError
-    from rollerrig.realtime import verb_tune
     from rollerrig.realtime.studies import run_dataset, run_sensors
+    from rollerrig.realtime.verbs import tune
     from rollerrig.rig.identify import dataset
 
     runs = [Path(name) for name in given.dataset]
@@ -68,7 +68,7 @@ def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
         if given.validate:
             raise ConfigError(f"--validate {given.validate[0]}: {given.dataset[0]} is no folder of a run; "
                               "a dataset says in its dataset.toml which runs validate")
-        data, out = verb_tune.opened(given.dataset, given.out, "explain")
+        data, out = tune.opened(given.dataset, given.out, "explain")
         return data, out
     out = given.out or Path("reports") / f"explain_{runs[0].resolve().name}"
     held = list(given.validate)

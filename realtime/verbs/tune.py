@@ -116,8 +116,8 @@ def _show_curve(result: dict[str, Any], out: Path) -> None:
 def _velim(given: argparse.Namespace) -> int:
     import tomli_w
 
-    from rollerrig.realtime import verb_validate
     from rollerrig.realtime.studies import run_dataset, velim
+    from rollerrig.realtime.verbs import validate
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -130,7 +130,7 @@ def _velim(given: argparse.Namespace) -> int:
     out = given.out or Path("reports/tune_velim")
     out.mkdir(parents=True, exist_ok=True)
     (out / "velim.toml").write_text("# found on group A of Table 6\n" + tomli_w.dumps(found), encoding="utf-8")
-    verb_validate.show_velim(found, given.json, out)
+    validate.show_velim(found, given.json, out)
     if not given.json:
         print(f"written to {out / 'velim.toml'}; it takes effect as configs/velim.toml")
     return 0
