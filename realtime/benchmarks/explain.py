@@ -88,7 +88,8 @@ def cases(make: ModuleType, seed: int) -> list[Case]:
 
 def judge(module: str, folder: Path, case: Case) -> Judged:
     """Make a set with a module of `tests/generator` and have it explained."""
-    from rollerrig.rig.identify import dataset, explain, extension
+    from rollerrig.rig.identify import explain, extension
+    from rollerrig.rig.identify.data import dataset
 
     make = generator(module)
     data = dataset.load(make.make(folder / f"set_{case.seed}", case.effects, case.seed))
@@ -111,7 +112,8 @@ def judge(module: str, folder: Path, case: Case) -> Judged:
 
 def _floor(make: ModuleType, case: Case, metric: str, folder: Path) -> float:
     """What the base leaves of the same stops, same seed, when nothing is hidden in them."""
-    from rollerrig.rig.identify import candidates, dataset, gain, preparation, tuning
+    from rollerrig.rig.identify import candidates, gain, tuning
+    from rollerrig.rig.identify.data import dataset, preparation
 
     data = dataset.load(make.make(folder / f"twin_{case.seed}", {}, case.seed))
     design, held = (preparation.prepare(data, data.group(g)) for g in ("tune", "validate"))

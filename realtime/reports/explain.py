@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from rollerrig.realtime.reports import paper
 from rollerrig.rig.identify import evidence, extension, gain, simulate
-from rollerrig.rig.identify import preparation as prepared
 from rollerrig.rig.identify.choice import Named
+from rollerrig.rig.identify.data import preparation as prepared
 from rollerrig.rig.identify.explain import Account
 from rollerrig.rig.mechanisms import BY_NAME, TABLE
 

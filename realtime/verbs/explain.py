@@ -61,7 +61,7 @@ def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
     from rollerrig.configs.errors import ConfigError
     from rollerrig.realtime.studies import run_dataset, run_sensors
     from rollerrig.realtime.verbs import tune
-    from rollerrig.rig.identify import dataset
+    from rollerrig.rig.identify.data import dataset
 
     runs = [Path(name) for name in given.dataset]
     if not all((run / "scenario.toml").is_file() for run in runs):

@@ -48,7 +48,7 @@ def opened(names: list[str], out: Path | None, verb: str, group: str = "tune") -
     """The dataset of the command line, and the folder of its report (made)."""
     from rollerrig.configs.errors import ConfigError
     from rollerrig.realtime.studies import run_dataset
-    from rollerrig.rig.identify import dataset
+    from rollerrig.rig.identify.data import dataset
 
     folder = out or Path("reports") / f"{verb}_{Path(names[0]).resolve().name}"
     try:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import shift
 
 from rollerrig.rig.identify import columns, courses, replay
-from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.sensitivity import Inputs
 
 GRAVITY = 9.80665

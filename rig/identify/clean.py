@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import evidence, preparation, simulate, tuning
+from rollerrig.rig.identify import evidence, simulate, tuning
 from rollerrig.rig.identify.candidates import Explanation
-from rollerrig.rig.identify.dataset import Dataset, Run
+from rollerrig.rig.identify.data import preparation
+from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.evidence import Scores
 
 # normalised innovations of a simulated set above this: a wheel locked that did not in the stop

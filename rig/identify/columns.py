@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rollerrig.rig.identify import courses, sensitivity
-from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.sensitivity import Inputs, Linear
 
 AXLES = 4

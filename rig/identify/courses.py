@@ -6,7 +6,7 @@ from here, so that they cannot drift apart.
 
 import numpy as np
 
-from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.data.preparation import Design
 
 NAMES = ("rail_cleaning", "speed_dependent_friction", "friction_trend", "negative_conditioning",
          "contaminated_patch", "sanding")

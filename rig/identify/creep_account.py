@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from rollerrig.rig.identify import polach_fit
-from rollerrig.rig.identify.dataset import Dataset
+from rollerrig.rig.identify.data.dataset import Dataset
 from rollerrig.rig.mechanisms import TABLE
 
 

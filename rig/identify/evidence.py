@@ -20,7 +20,7 @@ from scipy import stats
 from rollerrig.rig.identify import columns, tuning
 from rollerrig.rig.identify.candidates import Cause
 from rollerrig.rig.identify.columns import Variant
-from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.tuning import Normal
 from rollerrig.rig.mechanisms import BY_NAME
 

@@ -17,7 +17,7 @@ from scipy.signal import savgol_filter
 
 from rollerrig.rig.identify import candidates, replay, sensitivity, tuning
 from rollerrig.rig.identify.candidates import Explanation
-from rollerrig.rig.identify.preparation import WINDOW_S, Design
+from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.mechanisms import BY_NAME, TORQUE, VEHICLE
 

@@ -29,8 +29,8 @@ from rollerrig.rig import wheelset
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
 from rollerrig.rig.identify import candidates, tuning
 from rollerrig.rig.identify.columns import BASE
-from rollerrig.rig.identify.dataset import Dataset
-from rollerrig.rig.identify.preparation import Design, prepare
+from rollerrig.rig.identify.data.dataset import Dataset
+from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.replay import TAU
 from rollerrig.rig.kernel import kernel
 

@@ -18,13 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import preparation, prototype, simulate, tuning
+from rollerrig.rig.identify import prototype, simulate, tuning
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.columns import BASE
-from rollerrig.rig.identify.dataset import Dataset
+from rollerrig.rig.identify.data import preparation
+from rollerrig.rig.identify.data.dataset import Dataset
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.evidence import Finding, generic
 from rollerrig.rig.identify.explain import Account
-from rollerrig.rig.identify.preparation import Design
 from rollerrig.rig.identify.prototype import Stop
 from rollerrig.rig.identify.tuning import Normal
 

@@ -8,7 +8,7 @@ A patch may also rise and fall slowly, where that is the likelier form.
 
 from rollerrig.rig.identify import candidates, columns, tuning
 from rollerrig.rig.identify.candidates import Cause, Explanation
-from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.data.preparation import Design
 
 # first step of an edge in m or s, halved this often
 _STEPS = {"contaminated_patch": 12.0, "sanding": 1.0}

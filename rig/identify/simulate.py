@@ -18,8 +18,8 @@ from scipy.signal import lfilter
 
 from rollerrig.rig.identify import candidates, columns, replay
 from rollerrig.rig.identify.candidates import Explanation
-from rollerrig.rig.identify.dataset import AXLES, Dataset, Run
-from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.data.dataset import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.kernel import kernel_with_memory
 
 SUBSTEPS = 5

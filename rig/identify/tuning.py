@@ -16,7 +16,7 @@ from scipy.optimize import minimize, minimize_scalar
 from rollerrig.rig.identify import candidates, columns, replay, sensitivity
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.columns import BASE, Book
-from rollerrig.rig.identify.preparation import Design
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.sensitivity import Inputs, Linear
 
 MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0

@@ -15,9 +15,9 @@ import numpy as np
 
 from rollerrig.rig.identify import courses, gain, sensitivity, tuning
 from rollerrig.rig.identify.candidates import Cause, Explanation, inputs
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.evidence import Finding
 from rollerrig.rig.identify.gain import Gain
-from rollerrig.rig.identify.preparation import Design
 
 MOST_TRIED = 3
 # likelihood that two coefficients (and a period) must earn

@@ -22,8 +22,8 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import wheelset
 from rollerrig.rig.identify import paper_tuning
-from rollerrig.rig.identify.dataset import AXLES, Dataset
-from rollerrig.rig.identify.preparation import Design, prepare
+from rollerrig.rig.identify.data.dataset import AXLES, Dataset
+from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.kernel import kernel
 
 WINDOW_S = 1.0

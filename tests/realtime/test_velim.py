@@ -10,7 +10,8 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import stops
 from rollerrig.realtime.studies import run_dataset, velim, velim_bounds
-from rollerrig.rig.identify import dataset, paper_tuning
+from rollerrig.rig.identify import paper_tuning
+from rollerrig.rig.identify.data import dataset
 from rollerrig.wsp_interface import signals
 
 TABLE_5_M_S = {"a1": 42.3, "a2": 40.4, "a3": 40.8, "b1": 40.8, "b2": 41.1, "b3": 41.8}

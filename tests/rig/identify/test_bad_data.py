@@ -9,7 +9,7 @@ import pytest
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify import dataset
+from rollerrig.rig.identify.data import dataset
 
 SHIPPED = store.ROOT / "datasets" / "open_none"
 RADIUS_M = 0.445

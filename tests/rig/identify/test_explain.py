@@ -7,7 +7,8 @@ import pytest
 from generator import braking_stops, other_stops
 
 from rollerrig.realtime.bench import scenario
-from rollerrig.rig.identify import dataset, explain, extension
+from rollerrig.rig.identify import explain, extension
+from rollerrig.rig.identify.data import dataset
 
 
 def silent(title: str, share: float) -> None:

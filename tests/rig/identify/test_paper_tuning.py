@@ -11,8 +11,9 @@ sys.path.insert(0, str(Path(__file__).parents[3]))
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.reports import paper
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.identify import dataset, paper_tuning, validation
-from rollerrig.rig.identify.preparation import prepare
+from rollerrig.rig.identify import paper_tuning, validation
+from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.data.preparation import prepare
 from tests.generator import braking_stops
 
 TRUE_TAU_M_J = 1.9e-4

@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.identify import (
-    candidates,
-    dataset,
-    preparation,
-    replay,
-    sensitivity,
-    simulate,
-    tuning,
-)
+from rollerrig.rig.identify import candidates, replay, sensitivity, simulate, tuning
 from rollerrig.rig.identify.candidates import Cause, Explanation
+from rollerrig.rig.identify.data import dataset, preparation
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from generator import braking_stops, other_stops
 
-from rollerrig.rig.identify import candidates, choice, dataset, preparation, shapes, simulate, tuning
+from rollerrig.rig.identify import candidates, choice, shapes, simulate, tuning
 from rollerrig.rig.identify.candidates import Cause
+from rollerrig.rig.identify.data import dataset, preparation
 
 
 def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path) -> None:

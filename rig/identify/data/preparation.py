@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_filter
 
 from rollerrig.rig.contact.adhesion import patch_for
-from rollerrig.rig.identify.dataset import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.dataset import AXLES, Dataset, Run
 from rollerrig.rig.kernel import kernel_with_memory
 
 # window of the derivative of wheel speed, s

@@ -19,7 +19,7 @@ from scipy.signal import savgol_filter
 from rollerrig.configs.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rollerrig.rig.identify.dataset import Run
+    from rollerrig.rig.identify.data.dataset import Run
 
 GRAVITY_M_S2 = 9.80665
 # ratio [D1] -> what it tells; within 6 %

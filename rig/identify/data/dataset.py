@@ -21,7 +21,7 @@ from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, number
 from rollerrig.rig import params
-from rollerrig.rig.identify import mdf
+from rollerrig.rig.identify.data import mdf
 
 AXLES = 4
 HEAD = (
@@ -124,7 +124,7 @@ def load(folder: Path | str) -> Dataset:
             for i, row in enumerate(tables.get("run", []), start=1)]
     found = Dataset(folder.name, head["kind"], folder, head["sample_time_s"], sections, accuracy,
                     positions, runs, None, warnings)
-    from rollerrig.rig.identify import quality
+    from rollerrig.rig.identify.data import quality
 
     quality.check(found, str(path))
     return found
@@ -256,7 +256,7 @@ def _run(folder: Path, row: Mapping[str, Any], index: int, sections: Mapping[str
               column(data, "vehicle_speed_m_s", path), each("wheel_speed", "rad_s"),
               each("wheel_load", "N"), each("brake_torque", "Nm"), maybe("position_m"),
               each("surface_speed", "m_s") if "surface_speed_1_m_s" in data.column_names else None)
-    from rollerrig.rig.identify import quality
+    from rollerrig.rig.identify.data import quality
 
     quality.check_run(run, path, dict(sections), sample_time_s, given["initial_speed_m_s"], warnings)
     return run

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify import units
+from rollerrig.rig.identify.data import units
 
 if TYPE_CHECKING:
-    from rollerrig.rig.identify.dataset import Dataset, Run
+    from rollerrig.rig.identify.data.dataset import Dataset, Run
 
 LEAST_SAMPLES = 200
 # mean sliding below which a stop tells nothing about adhesion, m/s
