@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import shift
 
-from rollerrig.rig.identify import columns, courses, replay
+from rollerrig.rig.identify import columns, courses
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.sensitivity import Inputs
+from rollerrig.rig.identify.filter import replay
+from rollerrig.rig.identify.filter.sensitivity import Inputs
 
 GRAVITY = 9.80665
 

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import candidates, clean, evidence, sensitivity, shapes, tuning
+from rollerrig.rig.identify import candidates, clean, evidence, shapes, tuning
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.filter import sensitivity
 
 CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2
 # likelihood that a cause must win at least

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rollerrig.rig.identify import courses, sensitivity
+from rollerrig.rig.identify import courses
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.sensitivity import Inputs, Linear
+from rollerrig.rig.identify.filter import sensitivity
+from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear
 
 AXLES = 4
 PLACE_BIN_M = 25.0

@@ -11,12 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify import candidates, choice, clean, evidence, gain, sensitivity, tuning, unknown
+from rollerrig.rig.identify import candidates, choice, clean, evidence, gain, tuning, unknown
 from rollerrig.rig.identify.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.filter import sensitivity
 from rollerrig.rig.identify.gain import Gain
 from rollerrig.rig.identify.unknown import Formula
 

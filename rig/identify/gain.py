@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import savgol_filter
 
-from rollerrig.rig.identify import candidates, replay, sensitivity, tuning
+from rollerrig.rig.identify import candidates, tuning
 from rollerrig.rig.identify.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
+from rollerrig.rig.identify.filter import replay, sensitivity
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.mechanisms import BY_NAME, TORQUE, VEHICLE
 

@@ -31,7 +31,7 @@ from rollerrig.rig.identify import candidates, tuning
 from rollerrig.rig.identify.columns import BASE
 from rollerrig.rig.identify.data.dataset import Dataset
 from rollerrig.rig.identify.data.preparation import Design, prepare
-from rollerrig.rig.identify.replay import TAU
+from rollerrig.rig.identify.filter.replay import TAU
 from rollerrig.rig.kernel import kernel
 
 LEAST_SLIDING_M_S, LEAST_SPEED_M_S = 0.3, 4.0

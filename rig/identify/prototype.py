@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.rig import params
-from rollerrig.rig.identify import replay
 from rollerrig.rig.identify.candidates import Explanation
 from rollerrig.rig.identify.data.dataset import AXLES, Dataset, Run
+from rollerrig.rig.identify.filter import replay
 
 GRAVITY_M_S2 = 9.80665
 LONGEST_S, SLOWEST_M_S, RELEASED_S, FILL_S = 45.0, 4.0, 1.0, 1.3

@@ -13,11 +13,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize, minimize_scalar
 
-from rollerrig.rig.identify import candidates, columns, replay, sensitivity
+from rollerrig.rig.identify import candidates, columns
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.columns import BASE, Book
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.sensitivity import Inputs, Linear
+from rollerrig.rig.identify.filter import replay, sensitivity
+from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear
 
 MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0
 # irregularity of the rail is short: what lasts longer is to be explained, not to be called noise

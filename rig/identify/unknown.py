@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import courses, gain, sensitivity, tuning
+from rollerrig.rig.identify import courses, gain, tuning
 from rollerrig.rig.identify.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.filter import sensitivity
 from rollerrig.rig.identify.gain import Gain
 
 MOST_TRIED = 3

@@ -7,7 +7,7 @@ from rolling import DRY, SOAP, TRACK, Rig
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig import effects, mechanisms, plant, vehicle, wheelset
-from rollerrig.rig.identify import replay
+from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.plant import Plant
 
 TICKS = 3000

@@ -151,7 +151,7 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
 
 def base_parameters(data: Dataset) -> np.ndarray:
     """One row of the replay's parameters from the dataset's base model."""
-    from rollerrig.rig.identify import replay
+    from rollerrig.rig.identify.filter import replay
 
     v, law, c = (data.sections[k] for k in ("vehicle", "adhesion", "contact"))
     patch = patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"],

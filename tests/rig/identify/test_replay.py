@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.identify import candidates, replay, sensitivity, simulate, tuning
+from rollerrig.rig.identify import candidates, simulate, tuning
 from rollerrig.rig.identify.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, preparation
+from rollerrig.rig.identify.filter import replay, sensitivity
 
 
 @pytest.fixture(scope="module")

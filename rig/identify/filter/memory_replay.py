@@ -17,7 +17,7 @@ import cmath
 import math
 
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.identify import replay
+from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.kernel import kernel
 
 # deviation of lambda at the start, when the wheel rolls

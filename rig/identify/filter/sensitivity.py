@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import memory_replay, replay
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.filter import memory_replay, replay
 from rollerrig.rig.kernel import kernel, kernel_with_memory
 
 # changes of the wheel's acceleration for a change of ln: friction, tau, gamma, stiffness, k_a, load,
