@@ -112,7 +112,8 @@ def judge(module: str, folder: Path, case: Case) -> Judged:
 
 def _floor(make: ModuleType, case: Case, metric: str, folder: Path) -> float:
     """What the base leaves of the same stops, same seed, when nothing is hidden in them."""
-    from rollerrig.rig.identify import candidates, gain, tuning
+    from rollerrig.rig.identify import gain, tuning
+    from rollerrig.rig.identify.causes import candidates
     from rollerrig.rig.identify.data import dataset, preparation
 
     data = dataset.load(make.make(folder / f"twin_{case.seed}", {}, case.seed))

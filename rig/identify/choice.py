@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import candidates, clean, evidence, shapes, tuning
-from rollerrig.rig.identify.candidates import Cause, Explanation
+from rollerrig.rig.identify import clean, evidence, shapes, tuning
+from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.rig.identify import evidence, simulate, tuning
-from rollerrig.rig.identify.candidates import Explanation
+from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.evidence import Scores

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from rollerrig.rig.identify import columns, tuning
-from rollerrig.rig.identify.candidates import Cause
-from rollerrig.rig.identify.columns import Variant
+from rollerrig.rig.identify import tuning
+from rollerrig.rig.identify.causes import columns
+from rollerrig.rig.identify.causes.candidates import Cause
+from rollerrig.rig.identify.causes.columns import Variant
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.tuning import Normal
 from rollerrig.rig.mechanisms import BY_NAME

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify import candidates, choice, clean, evidence, gain, tuning, unknown
-from rollerrig.rig.identify.candidates import Explanation
+from rollerrig.rig.identify import choice, clean, evidence, gain, tuning, unknown
+from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design

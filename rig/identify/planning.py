@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.rig.identify import prototype, simulate, tuning
-from rollerrig.rig.identify.candidates import Cause, Explanation
-from rollerrig.rig.identify.columns import BASE
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation
+from rollerrig.rig.identify.causes.columns import BASE
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset
 from rollerrig.rig.identify.data.preparation import Design

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.rig import params
-from rollerrig.rig.identify.candidates import Explanation
+from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.dataset import AXLES, Dataset, Run
 from rollerrig.rig.identify.filter import replay
 

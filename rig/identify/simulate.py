@@ -16,8 +16,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from rollerrig.rig.identify import candidates, columns
-from rollerrig.rig.identify.candidates import Explanation
+from rollerrig.rig.identify.causes import candidates, columns
+from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.dataset import AXLES, Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.filter import replay

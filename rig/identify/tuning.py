@@ -13,9 +13,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize, minimize_scalar
 
-from rollerrig.rig.identify import candidates, columns
-from rollerrig.rig.identify.candidates import Cause, Explanation
-from rollerrig.rig.identify.columns import BASE, Book
+from rollerrig.rig.identify.causes import candidates, columns
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation
+from rollerrig.rig.identify.causes.columns import BASE, Book
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.filter import replay, sensitivity
 from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear

@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import courses, gain, tuning
-from rollerrig.rig.identify.candidates import Cause, Explanation, inputs
+from rollerrig.rig.identify import gain, tuning
+from rollerrig.rig.identify.causes import courses
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.evidence import Finding
 from rollerrig.rig.identify.filter import sensitivity

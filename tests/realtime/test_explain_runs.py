@@ -16,8 +16,9 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import batch
 from rollerrig.realtime.record import records
 from rollerrig.realtime.studies import run_dataset, run_sensors
-from rollerrig.rig.identify import candidates, choice, explain, extension
-from rollerrig.rig.identify.candidates import Cause
+from rollerrig.rig.identify import choice, explain, extension
+from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.evidence import Finding
 

@@ -316,6 +316,6 @@ def test_a_patch_with_slow_edges_has_half_its_depth_on_the_middle_of_its_edge() 
     places = (99.0, 110.0, 140.0, 170.0, 181.0)
     lost = [-np.log(effects.friction_factor(rig.state, 0, x, params.effects)) for x in places]
     assert lost == pytest.approx([0.0, 0.2, 0.4, 0.2, 0.0], abs=1e-12)
-    from rollerrig.rig.identify import courses
+    from rollerrig.rig.identify.causes import courses
 
     assert 0.4 * courses.patch(np.array(places), 100.0, 80.0, 0.5) == pytest.approx(lost, abs=1e-12)

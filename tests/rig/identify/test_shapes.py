@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from generator import braking_stops, other_stops
 
-from rollerrig.rig.identify import candidates, choice, shapes, simulate, tuning
-from rollerrig.rig.identify.candidates import Cause
+from rollerrig.rig.identify import choice, shapes, simulate, tuning
+from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import shift
 
-from rollerrig.rig.identify import columns, courses
+from rollerrig.rig.identify.causes import columns, courses
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.identify.filter.sensitivity import Inputs

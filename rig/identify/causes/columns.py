@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rollerrig.rig.identify import courses
+from rollerrig.rig.identify.causes import courses
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.filter import sensitivity
 from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear
