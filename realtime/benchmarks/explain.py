@@ -88,8 +88,8 @@ def cases(make: ModuleType, seed: int) -> list[Case]:
 
 def judge(module: str, folder: Path, case: Case) -> Judged:
     """Make a set with a module of `tests/generator` and have it explained."""
-    from rollerrig.rig.identify import explain, extension
     from rollerrig.rig.identify.data import dataset
+    from rollerrig.rig.identify.decide import explain, extension
 
     make = generator(module)
     data = dataset.load(make.make(folder / f"set_{case.seed}", case.effects, case.seed))
@@ -112,9 +112,9 @@ def judge(module: str, folder: Path, case: Case) -> Judged:
 
 def _floor(make: ModuleType, case: Case, metric: str, folder: Path) -> float:
     """What the base leaves of the same stops, same seed, when nothing is hidden in them."""
-    from rollerrig.rig.identify import gain, tuning
     from rollerrig.rig.identify.causes import candidates
     from rollerrig.rig.identify.data import dataset, preparation
+    from rollerrig.rig.identify.decide import gain, tuning
 
     data = dataset.load(make.make(folder / f"twin_{case.seed}", {}, case.seed))
     design, held = (preparation.prepare(data, data.group(g)) for g in ("tune", "validate"))

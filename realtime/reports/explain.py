@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rollerrig.realtime.reports import paper
-from rollerrig.rig.identify import evidence, extension, gain, simulate
-from rollerrig.rig.identify.choice import Named
 from rollerrig.rig.identify.data import preparation as prepared
-from rollerrig.rig.identify.explain import Account
+from rollerrig.rig.identify.decide import evidence, extension, gain, simulate
+from rollerrig.rig.identify.decide.choice import Named
+from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.mechanisms import BY_NAME, TABLE
 
 MEASURED, BASE, EXTENDED = "#222222", "#d55e00", "#0072b2"

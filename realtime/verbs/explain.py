@@ -86,7 +86,7 @@ def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]
 
     from rollerrig.realtime.reports import explain as report
     from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify import explain, extension
+    from rollerrig.rig.identify.decide import explain, extension
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         tasks: dict[str, Any] = {}

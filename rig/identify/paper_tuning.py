@@ -27,11 +27,11 @@ from scipy.optimize import least_squares
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import wheelset
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
-from rollerrig.rig.identify import tuning
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.columns import BASE
 from rollerrig.rig.identify.data.dataset import Dataset
 from rollerrig.rig.identify.data.preparation import Design, prepare
+from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.filter.replay import TAU
 from rollerrig.rig.kernel import kernel
 

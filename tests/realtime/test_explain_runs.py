@@ -16,11 +16,11 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import batch
 from rollerrig.realtime.record import records
 from rollerrig.realtime.studies import run_dataset, run_sensors
-from rollerrig.rig.identify import choice, explain, extension
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.decide import choice, explain, extension
+from rollerrig.rig.identify.decide.evidence import Finding
 
 SPEEDS_M_S = (26.0, 20.0, 23.0)
 

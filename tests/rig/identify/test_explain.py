@@ -7,8 +7,8 @@ import pytest
 from generator import braking_stops, other_stops
 
 from rollerrig.realtime.bench import scenario
-from rollerrig.rig.identify import explain, extension
 from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.decide import explain, extension
 
 
 def silent(title: str, share: float) -> None:

@@ -8,10 +8,11 @@ import tomli_w
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
-from rollerrig.rig.identify import planning, tuning
+from rollerrig.rig.identify import planning
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.decide import tuning
+from rollerrig.rig.identify.decide.evidence import Finding
 from rollerrig.rig.identify.planning import Ground, Library, Table
 
 

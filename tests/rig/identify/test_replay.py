@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.identify import simulate, tuning
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, preparation
+from rollerrig.rig.identify.decide import simulate, tuning
 from rollerrig.rig.identify.filter import replay, sensitivity
 
 

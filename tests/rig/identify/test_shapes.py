@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from generator import braking_stops, other_stops
 
-from rollerrig.rig.identify import choice, shapes, simulate, tuning
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
+from rollerrig.rig.identify.decide import choice, shapes, simulate, tuning
 
 
 def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path) -> None:

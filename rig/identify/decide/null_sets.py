@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import evidence, simulate, tuning
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset, Run
-from rollerrig.rig.identify.evidence import Scores
+from rollerrig.rig.identify.decide import evidence, simulate, tuning
+from rollerrig.rig.identify.decide.evidence import Scores
 
 # normalised innovations of a simulated set above this: a wheel locked that did not in the stop
 RUNAWAY = 1.2

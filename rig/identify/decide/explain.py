@@ -11,16 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify import choice, clean, evidence, gain, tuning, unknown
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.decide import choice, evidence, gain, null_sets, tuning, unknown
+from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.identify.decide.gain import Gain
+from rollerrig.rig.identify.decide.unknown import Formula
 from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.identify.gain import Gain
-from rollerrig.rig.identify.unknown import Formula
 
 CLEAN_SETS, MOST_PROMISING, MOST_FITTED = 60, 4, 5
 # a remainder above this share of the causes' likelihood is not a matter of their shape, unless it
@@ -52,12 +52,12 @@ class Account(NamedTuple):
     elapsed_s: float
 
 
-def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
+def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Account:
     """The account of a set of braking runs. Raises ConfigError where nothing can be concluded."""
     from threadpoolctl import threadpool_limits
 
     began = time.monotonic()
-    with threadpool_limits(1), clean.workers() as pool:
+    with threadpool_limits(1), null_sets.workers() as pool:
         measured = data.group("tune")
         design = preparation.prepare(data, measured)
         progress("fit of the base", 0.0)
@@ -65,7 +65,7 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
         progress("fit of the base", 1.0)
         _check(design, base)
         quiet, promising = _quiet(pool, data, measured, design, base, progress)
-        nulls = clean.sets(pool, data, measured, quiet, CLEAN_SETS, seed, (), progress)
+        nulls = null_sets.sets(pool, data, measured, quiet, CLEAN_SETS, seed, (), progress)
         _enough(nulls)
         scored = tuning.normal(design, quiet)[0]
         found = evidence.findings(design, scored, nulls)
@@ -97,15 +97,15 @@ def braking_runs(data: Dataset, seed: int, progress: clean.Progress) -> Account:
                    float(1.0 - (1.0 - p_value) ** 30), notes, formula, time.monotonic() - began)
 
 
-def _quiet(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
-           base: Explanation, progress: clean.Progress) -> tuple[Explanation, list[choice.Fitted]]:
+def _quiet(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design,
+           base: Explanation, progress: null_sets.Progress) -> tuple[Explanation, list[choice.Fitted]]:
     """The base with the irregularity that is left beside the most promising causes, and their fits.
 
     A cause that the base does not have looks like a rougher rail, and would hide in it.
     """
     likely = evidence.likely(design, tuning.normal(design, base)[0], MOST_PROMISING)
     tasks = [choice.Fit(data, measured, base._replace(causes=(cause,))) for cause in likely]
-    fits: list[choice.Fitted] = clean.run_all(pool, choice.fit_one, tasks, "irregularity of the rail", progress)
+    fits: list[choice.Fitted] = null_sets.run_all(pool, choice.fit_one, tasks, "irregularity of the rail", progress)
     best = min(fits, key=lambda fit: fit.value, default=None)
     if best is None or best.told.sigma >= base.sigma:
         return base, fits

@@ -6,10 +6,10 @@ smaller steps while the likelihood grows, scales by factors, each with the coeff
 A patch may also rise and fall slowly, where that is the likelier form.
 """
 
-from rollerrig.rig.identify import tuning
 from rollerrig.rig.identify.causes import candidates, columns
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.decide import tuning
 
 # first step of an edge in m or s, halved this often
 _STEPS = {"contaminated_patch": 12.0, "sanding": 1.0}

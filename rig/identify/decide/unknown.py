@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import gain, tuning
 from rollerrig.rig.identify.causes import courses
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.decide import gain, tuning
+from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.identify.gain import Gain
 
 MOST_TRIED = 3
 # likelihood that two coefficients (and a period) must earn

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import savgol_filter
 
-from rollerrig.rig.identify import tuning
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
+from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.filter import replay, sensitivity
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.mechanisms import BY_NAME, TORQUE, VEHICLE

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import clean, evidence, shapes, tuning
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.evidence import Finding
+from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
+from rollerrig.rig.identify.decide.evidence import Finding
 from rollerrig.rig.identify.filter import sensitivity
 
 CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2
@@ -101,15 +101,15 @@ def blocks(design: Design, told: Explanation) -> np.ndarray:
     return np.array(found)
 
 
-def fitted(pool: clean.Pool, data: Dataset, measured: list[Run], told: Explanation,
-            found: list[Finding], most: int, progress: clean.Progress) -> list[Rival]:
+def fitted(pool: null_sets.Pool, data: Dataset, measured: list[Run], told: Explanation,
+            found: list[Finding], most: int, progress: null_sets.Progress) -> list[Rival]:
     """The causes that count beside an explanation, each fitted."""
     present = {cause.name for cause in told.causes}
     counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)
                and f.name not in present]
     counted = sorted(counted, key=lambda f: -f.statistic)[:most]
     tasks = [Fit(data, measured, told._replace(causes=(*told.causes, f.cause()))) for f in counted]
-    fits = clean.run_all(pool, fit_one, tasks, "fit of causes", progress)
+    fits = null_sets.run_all(pool, fit_one, tasks, "fit of causes", progress)
     return [Rival(f, fit) for f, fit in zip(counted, fits, strict=True)]
 
 
@@ -193,14 +193,14 @@ def _alike(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
     return ratio - less < 1.64 * max(spread, 1e-9) or ratio - less < 4.0
 
 
-def second(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
-            causes: list[Named], rivals: list[Rival], seed: int, progress: clean.Progress
+def second(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
+            causes: list[Named], rivals: list[Rival], seed: int, progress: null_sets.Progress
             ) -> tuple[Explanation, list[Named], list[Finding]]:
     """Further causes beside the first, and the remainder behind all of them."""
     remainder: list[Finding] = []
     for turn in range(MOST_CAUSES):
         known = tuple(named.finding.name for named in causes)
-        nulls = clean.sets(pool, data, measured, told, CHECK_SETS, seed + 7 + turn, known, progress)
+        nulls = null_sets.sets(pool, data, measured, told, CHECK_SETS, seed + 7 + turn, known, progress)
         if len(nulls) < CHECK_SETS // 2:
             break
         value = tuning.deviance(design, told)
@@ -234,15 +234,15 @@ def _least_beside(first: Named, axle: int) -> float:
     return max(SECOND_FLOOR, first.ratio * (SECOND_SHARE_OF_AXLE if own else SECOND_SHARE))
 
 
-def _swapped(pool: clean.Pool, data: Dataset, measured: list[Run], design: Design,
+def _swapped(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design,
              told: Explanation, causes: list[Named], rivals: list[Rival],
-             progress: clean.Progress) -> tuple[Explanation, list[Named]]:
+             progress: null_sets.Progress) -> tuple[Explanation, list[Named]]:
     """The first cause looked for again beside the second: one that had to stand for both gives way."""
     names = {named.finding.name for named in causes}
     others = [rival for rival in rivals if rival.finding.name not in names]
     tasks = [Fit(data, measured, told._replace(causes=(rival.fit.told.causes[-1], told.causes[1])))
              for rival in others]
-    fits: list[Fitted] = clean.run_all(pool, fit_one, tasks, "first cause again", progress)
+    fits: list[Fitted] = null_sets.run_all(pool, fit_one, tasks, "first cause again", progress)
     value = tuning.deviance(design, told) + _price(causes[0].finding)
     won = [value - fit.value - _price(rival.finding) for rival, fit in zip(others, fits, strict=True)]
     if not won or max(won) < 4.0:

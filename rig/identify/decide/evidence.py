@@ -17,12 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from rollerrig.rig.identify import tuning
 from rollerrig.rig.identify.causes import columns
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.causes.columns import Variant
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.tuning import Normal
+from rollerrig.rig.identify.decide import tuning
+from rollerrig.rig.identify.decide.tuning import Normal
 from rollerrig.rig.mechanisms import BY_NAME
 
 # what the filter's own numerics may pretend, one deviation, in the unit of the coefficient

@@ -8,9 +8,9 @@ comments, that of the wheel speeds with the fault that does the same on the benc
 import math
 from typing import Any
 
-from rollerrig.rig.identify.choice import Named
-from rollerrig.rig.identify.explain import Account
-from rollerrig.rig.identify.unknown import Formula
+from rollerrig.rig.identify.decide.choice import Named
+from rollerrig.rig.identify.decide.explain import Account
+from rollerrig.rig.identify.decide.unknown import Formula
 from rollerrig.rig.mechanisms import BY_NAME, IN_PLANT
 
 # what a frame may be late by on the bench's bus
