@@ -18,9 +18,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rollerrig.rig.identify.data.dataset import Dataset
-from rollerrig.rig.identify.paper_tuning import Interval, Tuned
-from rollerrig.rig.identify.polach_fit import NAMES, RECOMMENDED, Fitted, falls, model, patch_of
-from rollerrig.rig.identify.validation import Verdict
+from rollerrig.rig.identify.paper.polach_fit import NAMES, RECOMMENDED, Fitted, falls, model, patch_of
+from rollerrig.rig.identify.paper.tuning import Interval, Tuned
+from rollerrig.rig.identify.paper.validation import Verdict
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 MODELS = {"measured": ("#222222", "measured"), "new": ("#0072b2", "with recovery"),

@@ -12,8 +12,8 @@ import rerun.blueprint as rrb
 
 from rollerrig.realtime.telemetry.views import APPLICATION, TIMELINE
 from rollerrig.rig.identify.data.dataset import Dataset
-from rollerrig.rig.identify.paper_tuning import Tuned
-from rollerrig.rig.identify.validation import Verdict
+from rollerrig.rig.identify.paper.tuning import Tuned
+from rollerrig.rig.identify.paper.validation import Verdict
 
 _GREY, _BLUE, _RED = (150, 150, 150), (86, 180, 233), (213, 94, 0)
 _COLOURS = {"measured": (235, 235, 235), "new": _BLUE, "classic": _RED}

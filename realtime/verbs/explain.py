@@ -27,15 +27,15 @@ def call(given: argparse.Namespace) -> int:
     from rich.console import Console
 
     from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify import creep_account
+    from rollerrig.rig.identify.paper import creep_curve
 
     data, out = _opened(given)
     if data.kind == "creep_curve":
         from rollerrig.realtime.reports import paper
-        from rollerrig.rig.identify import polach_fit
+        from rollerrig.rig.identify.paper import polach_fit
 
-        report = creep_account.as_json(data, given.seed)
-        lines = creep_account.story(report)
+        report = creep_curve.as_json(data, given.seed)
+        lines = creep_curve.story(report)
         html = paper.polach_page(data, polach_fit.fit(data, given.seed))
         extended = f"# {data.name}: nothing that a scenario could load\n"
         study_view.creep_points(out / "report.rrd", data)

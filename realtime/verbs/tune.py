@@ -24,7 +24,7 @@ def call(given: argparse.Namespace) -> int:
         return _velim(given)
     from rollerrig.realtime.reports import paper
     from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify import paper_tuning, polach_fit
+    from rollerrig.rig.identify.paper import polach_fit, tuning
 
     data, out = opened(given.dataset, given.out, "tune")
     if data.kind == "creep_curve":
@@ -33,7 +33,7 @@ def call(given: argparse.Namespace) -> int:
         write(out, "tune", result, paper.polach_page(data, fitted))
         _show_curve(result, out) if not given.json else print(json.dumps(result))
         return 0
-    found = paper_tuning.tune(data, given.seed)
+    found = tuning.tune(data, given.seed)
     result = paper.tune_json(data, found)
     write(out, "tune", result, paper.tune_page(data, found))
     study_view.tuned(out / "tune.rrd", data, found)

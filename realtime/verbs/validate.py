@@ -26,7 +26,7 @@ def call(given: argparse.Namespace) -> int:
     from rollerrig.realtime.reports import paper
     from rollerrig.realtime.telemetry import study_view
     from rollerrig.realtime.verbs import tune
-    from rollerrig.rig.identify import paper_tuning, validation
+    from rollerrig.rig.identify.paper import tuning, validation
 
     if given.tau is not None and not 0.0 <= given.tau <= 1.0:
         raise ConfigError(f"--tau {given.tau:g} m/J is out of range; allowed 0 to 1, the paper has 1.9e-4")
@@ -34,8 +34,8 @@ def call(given: argparse.Namespace) -> int:
     if data.kind != "braking_runs":
         raise ConfigError(f"{given.dataset[0]}: a {data.kind} cannot be validated, it has no runs; use "
                           "rollerrig tune")
-    tau = (paper_tuning.Interval(given.tau, given.tau, given.tau) if given.tau is not None
-           else paper_tuning.tune(data, given.seed).tau_m_J)
+    tau = (tuning.Interval(given.tau, given.tau, given.tau) if given.tau is not None
+           else tuning.tune(data, given.seed).tau_m_J)
     group = "validate" if data.group("validate") or given.tau is None else "tune"
     verdicts = validation.validate(data, tau.value, group)
     result = paper.validate_json(data, tau, verdicts)

@@ -10,8 +10,8 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import stops
 from rollerrig.realtime.studies import run_dataset, velim, velim_bounds
-from rollerrig.rig.identify import paper_tuning
 from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.paper import tuning
 from rollerrig.wsp_interface import signals
 
 TABLE_5_M_S = {"a1": 42.3, "a2": 40.4, "a3": 40.8, "b1": 40.8, "b2": 41.1, "b3": 41.8}
@@ -109,7 +109,7 @@ def test_the_packaged_synthetic_set_says_so_and_gives_its_own_recovery_back():
     data = dataset.load("velim_synthetic")
     assert "SYNTHETIC" in (data.folder / "dataset.toml").read_text()
     assert [run.name for run in data.runs] == list(velim.TESTS)
-    tau = paper_tuning.tune(data).tau_m_J
+    tau = tuning.tune(data).tau_m_J
     assert tau.value == pytest.approx(1.9e-4, rel=0.02)
 
 

@@ -11,9 +11,9 @@ sys.path.insert(0, str(Path(__file__).parents[3]))
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.reports import paper
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.identify import paper_tuning, validation
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.preparation import prepare
+from rollerrig.rig.identify.paper import tuning, validation
 from tests.generator import braking_stops
 
 TRUE_TAU_M_J = 1.9e-4
@@ -26,7 +26,7 @@ def data(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tuned(data):
-    return paper_tuning.tune(data)
+    return tuning.tune(data)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_measured_transitions_follow_the_exponential(tuned):
 
 
 def test_the_same_seed_gives_the_same_interval(data, tuned):
-    assert paper_tuning.tune(data, 0).tau_m_J == tuned.tau_m_J
+    assert tuning.tune(data, 0).tau_m_J == tuned.tau_m_J
 
 
 def test_on_runs_never_fitted_the_new_model_beats_the_classic(verdicts):
@@ -110,7 +110,7 @@ def test_runs_without_enough_sliding_are_refused(data):
     calm = data._replace(runs=[run._replace(
         wheel_speed_rad_s=np.repeat(run.speed_m_s[:, None] / 0.445, 4, axis=1)) for run in data.runs])
     with pytest.raises(ConfigError, match="wheels slide by more than"):
-        paper_tuning.tune(calm)
+        tuning.tune(calm)
 
 
 def test_a_dataset_without_runs_to_judge_is_refused(data):
@@ -119,7 +119,7 @@ def test_a_dataset_without_runs_to_judge_is_refused(data):
 
 
 def test_samples_are_those_in_which_wheels_slide(data):
-    s = paper_tuning.collect(prepare(data, data.group("tune")), 0.2)
-    assert s.sliding_m_s.min() > paper_tuning.LEAST_SLIDING_M_S
-    assert s.speed_m_s.min() > paper_tuning.LEAST_SPEED_M_S
+    s = tuning.collect(prepare(data, data.group("tune")), 0.2)
+    assert s.sliding_m_s.min() > tuning.LEAST_SLIDING_M_S
+    assert s.speed_m_s.min() > tuning.LEAST_SPEED_M_S
     assert s.creepage.max() <= 0.2

@@ -6,9 +6,9 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.reports import paper
 from rollerrig.rig.contact import polach
-from rollerrig.rig.identify import polach_fit
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.dataset import Curve
+from rollerrig.rig.identify.paper import polach_fit
 
 
 @pytest.fixture(scope="module")

@@ -21,9 +21,9 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import wheelset
-from rollerrig.rig.identify import paper_tuning
 from rollerrig.rig.identify.data.dataset import AXLES, Dataset
 from rollerrig.rig.identify.data.preparation import Design, prepare
+from rollerrig.rig.identify.paper import tuning
 from rollerrig.rig.kernel import kernel
 
 WINDOW_S = 1.0
@@ -116,12 +116,12 @@ def _measured(design: Design, run: int, length: int) -> Statistics:
 
 def _simulated(data: Dataset, design: Design, run: int, length: int, tau_m_J: float,
                stated: float | None) -> tuple[Statistics, np.ndarray, np.ndarray]:
-    model = paper_tuning.contact(data)
-    samples = paper_tuning.collect(design, model[2])
+    model = tuning.contact(data)
+    samples = tuning.collect(design, model[2])
     own = samples.run == run
-    s = paper_tuning.Samples(*(part[own] for part in samples))
+    s = tuning.Samples(*(part[own] for part in samples))
     s = s._replace(run=np.zeros_like(s.run))
-    mu_cd, rmse = paper_tuning.contaminant(s, model, stated, tau_m_J)
+    mu_cd, rmse = tuning.contaminant(s, model, stated, tau_m_J)
     patch, law, cleaning = model
     v = data.sections["vehicle"]
     params = np.array([v["wheel_radius_m"], v["wheelset_inertia_kgm2"], law.mu_cr])
