@@ -108,7 +108,7 @@ def _further(account: Any, told: dict[str, Any], out: Path, count: int,
     """Write the separating tests of causes and the proposed stops as sequences; names them in `told`."""
     import tomli_w
 
-    from rollerrig.rig.identify import planning
+    from rollerrig.rig.identify.next import planning
 
     unclear = [k for k, named in enumerate(account.causes) if named.confusable]
     if not (unclear or count):

@@ -8,12 +8,12 @@ import tomli_w
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
-from rollerrig.rig.identify import planning
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.decide.evidence import Finding
-from rollerrig.rig.identify.planning import Ground, Library, Table
+from rollerrig.rig.identify.next import planning
+from rollerrig.rig.identify.next.planning import Ground, Library, Table
 
 
 def finding(name: str, size: float, axle: int = 0) -> Finding:

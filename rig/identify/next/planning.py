@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify import prototype
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.causes.columns import BASE
 from rollerrig.rig.identify.data import preparation
@@ -28,7 +27,8 @@ from rollerrig.rig.identify.decide import simulate, tuning
 from rollerrig.rig.identify.decide.evidence import Finding, generic
 from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.identify.decide.tuning import Normal
-from rollerrig.rig.identify.prototype import Stop
+from rollerrig.rig.identify.next import prototype
+from rollerrig.rig.identify.next.prototype import Stop
 
 SPEEDS_M_S = (14.0, 24.0, 36.0, 50.0)
 PRESSURES_PA = (1.2e5, 3.8e5)
