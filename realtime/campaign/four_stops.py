@@ -16,9 +16,10 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.mailbox import Mailbox
 from rollerrig.realtime.loop.tick import DONE, TICK, Machine
-from rollerrig.rig import abreast, heat, plant, step_abreast
-from rollerrig.rig.abreast import RIGS
+from rollerrig.rig import heat, plant
 from rollerrig.rig.kernel import kernel, kernel_inlined, seeing
+from rollerrig.rig.lanes import layout, step
+from rollerrig.rig.lanes.layout import RIGS
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import State
 
@@ -65,7 +66,7 @@ class Stop(NamedTuple):
 def fits(plan: Scenario) -> bool:
     """Whether a scenario may run beside others: one planar plant, no faults."""
     return (plan.rollers is None and not plan.faults and not plan["bus"]["arbitration"]
-            and abreast.fits(plan.params))
+            and layout.fits(plan.params))
 
 
 def run(stops: Iterable[Stop]) -> Iterator[Stop]:
@@ -73,7 +74,7 @@ def run(stops: Iterable[Stop]) -> Iterator[Stop]:
 
     All must have the same number of steps in a tick and fit `abreast.fits`.
     """
-    waiting, lanes = iter(stops), np.zeros(abreast.SIZE)
+    waiting, lanes = iter(stops), np.zeros(layout.SIZE)
     inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
     row: list[Stop] = []
     for stop in waiting:
@@ -87,7 +88,7 @@ def run(stops: Iterable[Stop]) -> Iterator[Stop]:
     row += [row[0]] * (RIGS - given)
     runs = np.array([rig < given for rig in range(RIGS)], dtype=np.int64)
     for rig in range(RIGS):
-        abreast.seat(lanes, rig, row[rig].machine.params)
+        layout.seat(lanes, rig, row[rig].machine.params)
     while runs.any():
         syncs = np.array([stop.sync_ticks for stop in row], dtype=np.int64)
         together(tuple(rider(stop) for stop in row), syncs, runs, lanes, inputs, _TICKS)
@@ -98,7 +99,7 @@ def run(stops: Iterable[Stop]) -> Iterator[Stop]:
                 runs[rig] = following is not None
                 if following is not None:
                     row[rig] = following
-                    abreast.seat(lanes, rig, following.machine.params)
+                    layout.seat(lanes, rig, following.machine.params)
 
 
 def rider(stop: Stop) -> Rider:
@@ -127,7 +128,7 @@ def together(riders, syncs, runs, lanes, inputs, ticks):
         before(m2, syncs[2], runs[2], lanes, 2, inputs)
         before(m3, syncs[3], runs[3], lanes, 3, inputs)
         for _ in range(m0.params.substeps):
-            step_abreast.step(lanes, rigs)
+            step.step(lanes, rigs)
         done = after(m0, runs[0], lanes, 0)
         done += after(m1, runs[1], lanes, 1)
         done += after(m2, runs[2], lanes, 2)
@@ -149,7 +150,7 @@ def before(r, sync_ticks, runs, lanes, rig, inputs):
     tick.begin(m, now)
     target_Pa = plant.prepare(m.state, m.delay, m.command[:tick.AXLES], m.command[tick.DEMAND], now,
                               m.params)
-    abreast.put(lanes, rig, m.state, target_Pa)
+    layout.put(lanes, rig, m.state, target_Pa)
 
 
 @kernel
@@ -159,7 +160,7 @@ def after(r, runs, lanes, rig):
         return 0
     m = machine_of(r)
     now, params = m.control[TICK], m.params
-    abreast.take(lanes, rig, m.state)
+    layout.take(lanes, rig, m.state)
     m.state.time[0] = (now * params.substeps + params.substeps) * params.step_s
     heat.warm(m.state, params.heat)
     plant.observe(m.state, params)

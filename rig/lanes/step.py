@@ -7,13 +7,13 @@ stands keeps its lanes as they are, but for its air and its pitch.
 
 import math
 
-from rollerrig.rig import abreast as a
 from rollerrig.rig import vehicle as body
 from rollerrig.rig import wheelset
-from rollerrig.rig.abreast import LANES, RIGS
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.contact import adhesion_abreast as law
 from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.lanes import adhesion as law
+from rollerrig.rig.lanes import layout as a
+from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.state import AXLES, FILL, VENT
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
