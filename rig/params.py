@@ -12,9 +12,10 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, integer, number, read
-from rollerrig.rig import effects, mechanisms
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
 from rollerrig.rig.contact.creep_force import MODELS
+from rollerrig.rig.mechanisms import plant as effects
+from rollerrig.rig.mechanisms import table
 from rollerrig.rig.multibody import coach as coaches
 from rollerrig.rig.multibody import port
 from rollerrig.rig.multibody import table as coach_table
@@ -116,7 +117,7 @@ ROWS: dict[str, tuple[Row, ...]] = {
         number("k_a", 1.0, 0.001, 10.0, _T4 + ", recovered"),
         number("k_s", 0.4, 0.001, 10.0, _T4 + ", recovered"),
     ),
-    "mechanisms": mechanisms.rows(),
+    "mechanisms": table.rows(),
     "rig": (
         choice("mode", "contaminated_rollers", tuple(MODES), "how the rig is run"),
         choice("drives", "rig", ("rig", "bus"), "who has the drives: the rig control or a bus master"),
@@ -302,9 +303,9 @@ def extended_vehicle(vehicle: Mapping[str, Any], extra: Mapping[str, float]) -> 
 
 def check_coach(extra: Mapping[str, float]) -> None:
     """Raise ConfigError where an extended model has a mechanism that the coach in 3D does not know."""
-    strange = [name for name in mechanisms.WHOLE_COACH if extra[f"{name}_axle"] != 0.0]
-    for name in (*mechanisms.NOT_OF_COACH, *strange):
-        known = mechanisms.BY_NAME[name]
+    strange = [name for name in table.WHOLE_COACH if extra[f"{name}_axle"] != 0.0]
+    for name in (*table.NOT_OF_COACH, *strange):
+        known = table.BY_NAME[name]
         for row in known.parameters[:known.free]:
             value = extra[f"{name}_{row.name}"]
             if value != 0.0:

@@ -7,8 +7,9 @@ is what contacts, brakes and resistance take, less what the motors give.
 
 import numpy as np
 
-from rollerrig.rig import brake, effects, heat, motor, vehicle, wheelset
+from rollerrig.rig import brake, heat, motor, vehicle, wheelset
 from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.mechanisms import plant
 from rollerrig.rig.multibody import memory, on_rig
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SIZE, State, views
@@ -56,7 +57,7 @@ def friction(state, params):
     """Set the contaminant under each axle for this time and place."""
     plan = params.friction
     if params.effects.on_friction:
-        effects.remember(state, params.axle_position_m, params.tick_s)
+        plant.remember(state, params.axle_position_m, params.tick_s)
     for j in range(AXLES):
         state.friction_degraded[j] = params.law.mu_cd
         state.friction_recovered[j] = params.law.mu_cr
@@ -71,7 +72,7 @@ def friction(state, params):
             state.friction_degraded[j] = asked
             state.friction_recovered[j] = max(params.law.mu_cr, asked)
         if params.effects.on_friction:
-            factor = effects.friction_factor(state, j, place, params.effects)
+            factor = plant.friction_factor(state, j, place, params.effects)
             state.friction_degraded[j] *= factor
             state.friction_recovered[j] *= factor
 
@@ -122,7 +123,7 @@ def capacity(state, axle, params):
     """Torque in N m that the discs of an axle can hold now."""
     found = brake.capacity(state.cylinder_pressure[axle], params.brake)
     if params.effects.on_torque:
-        found = effects.torque(found, axle, state.brake_work[axle], params.effects)
+        found = plant.torque(found, axle, state.brake_work[axle], params.effects)
     return found
 
 

@@ -14,7 +14,7 @@ from rollerrig.rig.identify.data import preparation as prepared
 from rollerrig.rig.identify.decide import evidence, extension, gain, simulate
 from rollerrig.rig.identify.decide.choice import Named
 from rollerrig.rig.identify.decide.explain import Account
-from rollerrig.rig.mechanisms import BY_NAME, TABLE
+from rollerrig.rig.mechanisms.table import BY_NAME, TABLE
 
 MEASURED, BASE, EXTENDED = "#222222", "#d55e00", "#0072b2"
 # deviations that a cause must lie from nothing to be found in nine of ten sets

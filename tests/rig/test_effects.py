@@ -6,8 +6,10 @@ from rolling import DRY, SOAP, TRACK, Rig
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import scenario
-from rollerrig.rig import effects, mechanisms, plant, vehicle, wheelset
+from rollerrig.rig import plant, vehicle, wheelset
 from rollerrig.rig.identify.filter import replay
+from rollerrig.rig.mechanisms import plant as effects
+from rollerrig.rig.mechanisms import table
 from rollerrig.rig.plant import Plant
 
 TICKS = 3000
@@ -43,9 +45,9 @@ def test_mechanisms_at_zero_change_no_bit_even_when_they_are_computed(base) -> N
 
 
 def test_a_model_that_says_zero_of_every_mechanism_changes_no_bit(base) -> None:
-    coefficients = {f"{name}_{row.name}": 0.0 for name in mechanisms.IN_PLANT
-                    for row in mechanisms.BY_NAME[name].parameters[:mechanisms.BY_NAME[name].free]}
-    axles = {row.name: 2.0 for row in mechanisms.rows() if row.name.endswith("_axle")}
+    coefficients = {f"{name}_{row.name}": 0.0 for name in table.IN_PLANT
+                    for row in table.BY_NAME[name].parameters[:table.BY_NAME[name].free]}
+    axles = {row.name: 2.0 for row in table.rows() if row.name.endswith("_axle")}
     shapes = {"adhesion_memory_speed_power": 1.0, "adhesion_memory_of_work": 1.0,
               "wheel_out_of_round_phase_rad": 2.0, "falling_friction_height": 1.0, "interfacial_layer_whole": 1.0}
     assert {"adhesion_memory_length_m", "wheel_out_of_round_amplitude",

@@ -23,7 +23,7 @@ from rollerrig.rig.identify.causes.columns import Variant
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.decide.tuning import Normal
-from rollerrig.rig.mechanisms import BY_NAME
+from rollerrig.rig.mechanisms.table import BY_NAME
 
 # what the filter's own numerics may pretend, one deviation, in the unit of the coefficient
 SYSTEMATIC = {

@@ -11,7 +11,7 @@ from typing import Any
 from rollerrig.rig.identify.decide.choice import Named
 from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.identify.decide.unknown import Formula
-from rollerrig.rig.mechanisms import BY_NAME, IN_PLANT
+from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
 
 # what a frame may be late by on the bench's bus
 _LEAST_S = 0.001

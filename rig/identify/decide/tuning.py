@@ -236,7 +236,7 @@ def _search(design: Design, told: Explanation, labels: list[str], change: np.nda
 
 def bounded(cause: Cause) -> Cause:
     """The cause with its coefficients inside the bounds of the table of mechanisms."""
-    from rollerrig.rig.mechanisms import BY_NAME
+    from rollerrig.rig.mechanisms.table import BY_NAME
 
     rows = BY_NAME[cause.name].parameters[: BY_NAME[cause.name].free]
     if cause.name == "wheel_out_of_round":

@@ -9,7 +9,7 @@ from typing import Any
 
 from rollerrig.rig.identify.data.dataset import Dataset
 from rollerrig.rig.identify.paper import polach_fit
-from rollerrig.rig.mechanisms import TABLE
+from rollerrig.rig.mechanisms.table import TABLE
 
 
 def as_json(data: Dataset, seed: int) -> dict[str, Any]:
