@@ -1,1 +1,1 @@
-"""TODO."""
+"""The catalogue of faults and how each acts on bus, devices and brakes."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""The bench as a Modbus server: map, process image, TCP, RTU and TLS."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""The reference WSP: its control law, and the unit on the bus that runs it."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""The bench: a scenario, its pacing, its bus, its processes."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Many stops: in memory, four at a time, over processes or a cluster."""

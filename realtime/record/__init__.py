@@ -1,1 +1,1 @@
-"""TODO."""
+"""A run's folder: channels, records, summary, comparison, export."""

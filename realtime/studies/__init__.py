@@ -1,1 +1,1 @@
-"""TODO."""
+"""Runs as measured data, and the paper's six stops on the bench."""

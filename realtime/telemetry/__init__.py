@@ -1,1 +1,1 @@
-"""TODO."""
+"""Everything that Rerun draws: recorder, live view, blueprints, pictures."""

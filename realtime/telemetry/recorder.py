@@ -5,7 +5,7 @@ last second is lost whoever is killed. When the bench dies the recorder finishes
 in summary.json, removes the rings and leaves. It never holds the bench up, except that a bench
 without deadlines waits for it when a ring is nearly full.
 
-    python -m rollerrig.realtime.recorder RUN_DIR --rows PATH --frames PATH --events PATH
+    python -m rollerrig.realtime.telemetry.recorder RUN_DIR --rows PATH --frames PATH --events PATH
 """
 
 import argparse

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Several stops abreast in the vector lanes of a core."""

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Scripted tests: steps, conditions, measures and verdicts."""

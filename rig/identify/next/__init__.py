@@ -1,1 +1,1 @@
-"""TODO."""
+"""Which further stops would part the causes still possible."""
