@@ -43,7 +43,8 @@ def tell(findings: list[Finding], as_json: bool) -> int:
 def look(port: int) -> list[Finding]:
     """Ask the machine all questions, in the order of the table."""
     checks: tuple[Callable[[], Finding], ...] = (
-        machine_check.python, machine_check.packages, machine_check.kernels, machine_check.shared_memory, machine_check.loopback,
+        machine_check.python, machine_check.packages, machine_check.kernels, machine_check.shared_memory,
+        machine_check.loopback,
         machine_check.socketcan, lambda: machine_check.port(port), machine_check.cores, machine_check.priority,
         machine_check.memory_lock, machine_check.idle_states, machine_check.governor, machine_check.preemption,
         machine_check.display, machine_check.pictures, machine_check.cyclictest)
