@@ -1,135 +1,218 @@
-"""Who may import whom: the table of rooms, read from every source file."""
+"""The rooms of the house, their floors, their sizes: read from every source file.
+
+A room (a folder, or a file beside folders) imports only from floors below its own. Every import counts:
+inside functions and for types only, too.
+"""
 
 import ast
 import sys
+import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parent.parent
-ROOMS = ("rig", "firmware_sim", "wsp_interface", "realtime", "configs")
-# outside packages of each part of the house; the longest prefix that fits a file counts
+# floors of each folder from the ground up, divided by a bar; rooms on one floor do not import one another
+FLOORS = {
+    "": "configs | rig wsp_interface | firmware_sim | realtime",
+    "rig": "kernel state_type | contact mechanisms | multibody | params state | brake heat motor vehicle | "
+           "wheelset | lanes plant | identify",
+    "rig/identify": "data | filter | causes | decide | paper next",
+    "wsp_interface": "bus signals | descriptions harness | own_bench | sequences",
+    "firmware_sim": "cia301 rig_control | network process_image rack wsp | "
+                    "bench_node drive402 encoder406 faults io401 | modbus pole_wheel",
+    "realtime": "loop record | telemetry | bench | campaign | benchmarks reports studies | verbs | cli",
+}
+# all that a room may import of a room below it, where that is less than everything
+NARROW = {("firmware_sim", "rig"): {"rig/kernel"}}
+# outside packages of each room; the longest prefix that fits a file counts
 OUTSIDE = {
-    "rig": {"numpy", "numba"},
-    "rig/multibody": {"numpy", "numba", "llvmlite"},  # numba's own: a compiled function by its name
-    "rig/identify": {"numpy", "numba", "scipy", "pyarrow", "threadpoolctl", "matplotlib",
-                     "asammdf"},
-    "firmware_sim": {"numpy", "can", "canopen", "pymodbus"},
-    "wsp_interface": {"numpy", "can", "canopen", "tomli_w", "cantools", "pytest"},  # pytest: a fixture's own
-    "configs": set(),
+    "configs": "",
+    "rig": "numpy numba",
+    "rig/multibody": "numpy numba llvmlite",  # numba's own: a compiled function by its name
+    "rig/identify": "numpy scipy threadpoolctl",
+    "rig/identify/data": "numpy scipy pyarrow asammdf",
+    "wsp_interface": "numpy can canopen tomli_w pytest",  # pytest: the fixture for a WSP team's own tests
+    "wsp_interface/bus": "can",
+    "wsp_interface/sequences": "numpy can cantools",
+    "firmware_sim": "numpy",
+    "firmware_sim/cia301": "canopen",
+    "firmware_sim/modbus": "numpy canopen pymodbus",
+    "firmware_sim/wsp": "numpy can",
+    "realtime": "",
+    "realtime/loop": "numpy numba",
+    "realtime/record": "numpy scipy pyarrow asammdf rich",
+    "realtime/telemetry": "numpy rerun PIL",
+    "realtime/bench": "numpy numba pyarrow tomli_w",
+    "realtime/campaign": "numpy scipy pyarrow tomli_w distributed",
+    "realtime/studies": "numpy scipy pyarrow tomli_w",
+    "realtime/reports": "numpy pyarrow matplotlib rich",
+    "realtime/benchmarks": "numpy numba rich distributed",
+    "realtime/verbs": "numpy rich tomli_w",
 }
-# rooms and modules of our own; realtime, which composes, may take all of them
-INSIDE = {
-    "rig": ("configs", "rig"),
-    "rig/multibody": ("configs", "rig"),
-    "rig/identify": ("configs", "rig"),
-    "firmware_sim": ("configs", "firmware_sim", "wsp_interface", "rig.kernel"),
-    "wsp_interface": ("configs", "wsp_interface"),
-    "configs": ("configs",),
-    "realtime": ROOMS,
+# these may call importlib.import_module: verbs and benchmarks by name, a campaign's own unit, the generator of stops
+BY_COMPUTED_NAME = {"realtime/cli", "realtime/verbs/bench", "realtime/campaign/campaign", "realtime/benchmarks/explain"}
+MODULES, LINES, ALL_LINES = 14, 400, 28_000
+# what does not hold yet; the mark goes when it does (a strict xfail that passes fails)
+NOT_YET = {
+    "circle rig/identify": "data and filter know one another",
+    "circle rig/identify/data": "dataset, quality and units know one another",
+    "circle wsp_interface": "harness and own_bench know one another",
+    "circle firmware_sim/cia301": "services know the node that holds them",
+    "circle realtime/verbs": "tune and validate know one another",
+    "floors rig/identify": "data imports filter",
+    "floors wsp_interface": "harness imports own_bench",
+    "modules firmware_sim/cia301": "17 modules",
+    "lines realtime/bench/bench": "705 lines",
+    "lines rig/params": "417 lines",
+    "all lines": "31,265 lines",
 }
-DRAWS = {"recorder", "live", "views", "viewer", "drawing", "scene", "study_view", "verb_explain"}
-PACKAGES = {"contact", "multibody"}
-# what each file of the physics may know of its siblings; only the plant names them all
-SIBLINGS = {
-    "kernel": set(), "state_type": set(), "state": {"state_type"}, "params": {"effects", "mechanisms"},
-    "brake": {"kernel", "state"}, "motor": {"kernel", "state"}, "vehicle": {"kernel", "state"},
-    "wheelset": {"kernel", "state", "vehicle"},
-}
 
 
-def sources(room):
-    return sorted(path for path in (ROOT / room).rglob("*.py") if "__pycache__" not in path.parts)
+def unless_not_yet(kind, values):
+    """Parameters of a test, those in NOT_YET marked."""
+    rows = [(value, NOT_YET.get(f"{kind} {value}".rstrip())) for value in values]
+    return [pytest.param(value, id=value or "house", marks=[pytest.mark.xfail(strict=True, reason=why)] if why else [])
+            for value, why in rows]
 
 
-def imports(path):
-    """Full names of all that a file imports, also inside functions; relative ones resolved."""
+ROOMS = FLOORS[""].replace("|", " ").split()
+# every source file by its path without `.py`, a package by its folder
+FILES = {(path.parent if path.name == "__init__.py" else path.with_suffix("")).relative_to(ROOT).as_posix(): path
+         for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))}
+FOLDERS = [""] + [name for name, path in FILES.items() if path.name == "__init__.py"]
+MODULE_FILES = [name for name in FILES if name not in FOLDERS]
+
+
+@cache
+def tree(name):
+    return ast.parse(FILES[name].read_text(encoding="utf-8"))
+
+
+@cache
+def imports(name):
+    """Full dotted names of all that a file imports; relative ones resolved."""
     found = set()
-    package = ".".join(("rollerrig", *path.relative_to(ROOT).parent.parts))
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    package = ["rollerrig", *FILES[name].relative_to(ROOT).parent.parts]
+    for node in ast.walk(tree(name)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                base = ".".join(filter(None, [package.rsplit(".", node.level - 1)[0], base]))
+            base = package[:len(package) - node.level + 1] if node.level else []
+            base = ".".join([*base, *filter(None, [node.module])])
             found |= {f"{base}.{alias.name}" for alias in node.names}
     return found
 
 
-def rule(table, path):
+@cache
+def own_imports(name):
+    """Those of our own files that a file imports, named as in FILES; a package counts too."""
+    found = set()
+    for one in imports(name):
+        parts = one.split(".")[1:] if one.startswith("rollerrig.") else []
+        while parts and "/".join(parts) not in FILES:
+            parts.pop()  # a name inside a module
+        found |= {"/".join(parts)} - {"", name}
+    return found
+
+
+def child(folder, name):
+    """The room of a folder that a file is in, None outside the folder."""
+    inside = name.removeprefix(f"{folder}/") if folder else name
+    return inside.partition("/")[0] if inside != name or not folder else None
+
+
+def imports_among(folder):
+    """(room, imported room, file, imported file) for all imports from one room of a folder to another."""
+    for name in FILES:
+        for other in own_imports(name):
+            here, there = child(folder, name), child(folder, other)
+            if here and there and here != there:
+                yield here, there, name, other
+
+
+def rule(table, name):
     """The entry of a table that fits a file best."""
-    inside = path.relative_to(ROOT).as_posix()
-    fits = [key for key in table if inside.startswith(f"{key}/")]
-    return table[max(fits, key=len)] if fits else None
+    fits = [key for key in table if f"{name}/".startswith(f"{key}/")]
+    return table[max(fits, key=len)]
 
 
-def begins(name, prefixes):
-    return any(name == prefix or name.startswith(f"{prefix}.") for prefix in prefixes)
+@pytest.mark.parametrize("folder", unless_not_yet("floors", FLOORS))
+def test_a_room_imports_only_from_floors_below(folder):
+    floor = {room: number for number, rooms in enumerate(FLOORS[folder].split("|")) for room in rooms.split()}
+    assert {child(folder, name) for name in FILES} - {None} == set(floor)
+    upward = {f"{name} imports {other}" for here, there, name, other in imports_among(folder)
+              if floor[there] >= floor[here]}
+    assert upward == set()
 
 
-FILES = [path for room in ROOMS for path in sources(room)]
-NAMES = [path.relative_to(ROOT).as_posix() for path in FILES]
+@pytest.mark.parametrize("folder", unless_not_yet("circle", FOLDERS))
+def test_no_rooms_import_one_another_in_a_circle(folder):
+    graph = {}
+    for here, there, _, _ in imports_among(folder):
+        graph.setdefault(here, set()).add(there)
+    while ends := {room for room, below in graph.items() if not below & set(graph)}:
+        graph = {room: below for room, below in graph.items() if room not in ends}
+    assert graph == {}  # what is left stands in a circle, or above one
 
 
-@pytest.mark.parametrize("path", FILES, ids=NAMES)
-def test_a_file_imports_only_rooms_that_it_may(path):
-    allowed = rule(INSIDE, path)
-    own = {name.removeprefix("rollerrig.") for name in imports(path) if begins(name, ["rollerrig"])}
-    assert {name for name in own if not begins(name, allowed)} == set()
+@pytest.mark.parametrize(("room", "below"), NARROW)
+def test_of_some_rooms_only_a_part_is_open(room, below):
+    seen = {other for name in FILES if name.startswith(f"{room}/") for other in own_imports(name)
+            if other.startswith(f"{below}/")}
+    assert seen <= NARROW[room, below]
 
 
-@pytest.mark.parametrize("path", FILES, ids=NAMES)
-def test_a_file_imports_only_outside_packages_that_it_may(path):
-    allowed = rule(OUTSIDE, path)
-    if allowed is None:
-        return  # realtime, which composes
-    outside = {name.partition(".")[0] for name in imports(path)} - {"rollerrig"}
-    assert outside - set(sys.stdlib_module_names) - allowed == set()
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_imports_only_outside_packages_that_its_room_may(name):
+    outside = {one.partition(".")[0] for one in imports(name)} - {"rollerrig"} - set(sys.stdlib_module_names)
+    assert outside <= set(rule(OUTSIDE, name).split())
 
 
-def test_nothing_but_realtime_imports_realtime():
-    users = {path.relative_to(ROOT).parts[0] for path in FILES
-             if any(begins(name, ["rollerrig.realtime"]) for name in imports(path))}
-    assert users == {"realtime"}
-
-
-def test_the_physics_does_not_know_its_identification():
-    for path in sources("rig"):
-        if "identify" not in path.parts:
-            assert not any(begins(name, ["rollerrig.rig.identify"]) for name in imports(path)), path
-
-
-@pytest.mark.parametrize("stem", SIBLINGS)
-def test_only_the_plant_names_all_of_the_physics(stem):
-    own = {name.split(".")[2] for name in imports(ROOT / "rig" / f"{stem}.py")
-           if begins(name, ["rollerrig.rig"])}
-    assert own - PACKAGES <= SIBLINGS[stem]
-    named = {name.split(".")[2] for name in imports(ROOT / "rig" / "plant.py")
-             if begins(name, ["rollerrig.rig"])}
-    assert named >= {"brake", "motor", "wheelset", "vehicle"}
-
-
-def test_only_what_draws_imports_rerun():
-    users = {path.stem for path in sources("realtime")
-             if any(begins(name, ["rerun"]) for name in imports(path))}
-    assert {"recorder", "live", "views"} <= users <= DRAWS
-
-
-def test_rooms_are_never_imported_under_their_bare_names():
+def test_imports_are_written_so_that_they_can_be_read():
     # PyPI has other packages called rig and realtime
-    for path in FILES:
-        assert not any(begins(name, ROOMS) for name in imports(path)), path
+    bare = {name for name in FILES if {one.partition(".")[0] for one in imports(name)} & set(ROOMS)}
+    computed = {name for name in FILES if "importlib.import_module" in imports(name) or any(
+        isinstance(node, ast.Attribute) and node.attr == "import_module" for node in ast.walk(tree(name)))}
+    assert (bare, computed) == (set(), BY_COMPUTED_NAME)
 
 
-def test_every_package_says_what_it_is_and_holds_nothing_else():
-    for path in FILES:
-        if path.name == "__init__.py":
-            body = ast.parse(path.read_text(encoding="utf-8")).body
-            assert len(body) == 1, path
-            assert isinstance(body[0], ast.Expr), path
+@pytest.mark.parametrize("folder", unless_not_yet("modules", FOLDERS[1:]))
+def test_a_folder_holds_no_more_modules_than_one_can_oversee(folder):
+    assert sum(name.rpartition("/")[0] == folder for name in MODULE_FILES) <= MODULES
 
 
-def test_every_file_begins_with_what_happens_in_it():
-    for path in FILES:
-        assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path
+@pytest.mark.parametrize("name", unless_not_yet("lines", MODULE_FILES))
+def test_a_file_is_short(name):
+    assert lines(name) <= LINES
+
+
+@pytest.mark.parametrize("house", unless_not_yet("all lines", [""]))
+def test_the_house_is_small(house):
+    assert sum(map(lines, FILES)) <= ALL_LINES
+
+
+def lines(name):
+    return FILES[name].read_text(encoding="utf-8").count("\n")
+
+
+def test_every_package_is_installed():
+    setup = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    folders = {"rollerrig." + folder.replace("/", "."): folder for folder in FOLDERS[1:]}
+    holding = {path.parent.relative_to(ROOT).as_posix() for path in FILES.values()}
+    assert holding == set(folders.values())
+    assert setup["packages"] == sorted(folders)
+    assert setup["package-dir"] == folders
+
+
+@pytest.mark.parametrize("folder", FOLDERS[1:])
+def test_a_package_says_what_it_is_and_holds_nothing_else(folder):
+    body = tree(folder).body
+    assert len(body) == 1
+    assert isinstance(body[0], ast.Expr)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_begins_with_what_happens_in_it(name):
+    assert ast.get_docstring(tree(name))
