@@ -14,12 +14,11 @@ import numpy as np
 
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301 import communication, dictionary
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
-from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME, WSP_NODE
 

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
+from rollerrig.firmware_sim.cia301.host import MS, Timers
 from rollerrig.firmware_sim.cia301.nmt import Command, State
-from rollerrig.firmware_sim.cia301.timers import MS, Timers
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.signals import (
     BENCH_NODE,

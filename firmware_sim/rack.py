@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
-from rollerrig.firmware_sim.cia301.identifiers import EXTENDED
+from rollerrig.firmware_sim.cia301.communication import EXTENDED
 from rollerrig.wsp_interface.bus.frames import Frame
 
 Handler = Callable[[Frame], None]

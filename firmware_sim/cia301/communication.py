@@ -2,17 +2,25 @@
 
 A device says its type, its PDOs and a few defaults; the rest is the same for all. Four PDOs stand
 ready in each direction; those a device does not use are there, not valid, for an outside master to
-map as it likes. Source: CiA 301, section on the communication profile objects.
+map as it likes. A COB-ID entry is 29 bits of identifier and three flags: bit 31 says that the
+message does not exist, bit 30 means what its object says, bit 29 that the identifier has 29 bits.
+Source: CiA 301, section on the communication profile objects, description of COB-ID entries, table
+of restricted CAN-IDs.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from rollerrig.firmware_sim.cia301.dictionary import Identity, Row, array
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError
 
 PDOS = 4
 MAPPED = 8
-INVALID = 0x80000000
+INVALID, FLAG, EXTENDED = 1 << 31, 1 << 30, 1 << 29
+STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
+# identifiers that belong to fixed services
+RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF),
+              (0x701, 0x7FF))
 FIRST_RPDO = (0x200, 0x300, 0x400, 0x500)
 FIRST_TPDO = (0x180, 0x280, 0x380, 0x480)
 SDO_SERVERS = 3
@@ -140,3 +148,37 @@ def _mapping(index: int, name: str, pdo: Pdo) -> list[Row]:
     return [Row(index, 0, f"{name}/Number of mapped objects", "U8", "rw", len(pdo.mapped)),
             *(Row(index, at, f"{name}/Mapped object {at}", "U32", "rw", entry)
               for at, entry in enumerate(entries, 1))]
+
+
+def valid(cob_id: int) -> bool:
+    """Whether the message exists."""
+    return not cob_id & INVALID
+
+
+def split(cob_id: int) -> tuple[int, bool]:
+    """The identifier, and whether it is one of 29 bits."""
+    extended = bool(cob_id & EXTENDED)
+    return cob_id & (EXTENDED_MASK if extended else STANDARD_MASK), extended
+
+
+def dispatch_key(can_id: int, extended: bool) -> int:
+    """Identifier and format as one number."""
+    return can_id | EXTENDED if extended else can_id
+
+
+def check_identifier(cob_id: int) -> None:
+    """AbortError unless the identifier may be given to a configurable message."""
+    can_id, extended = split(cob_id)
+    if not extended and cob_id & EXTENDED_MASK != can_id:
+        raise AbortError(Abort.INVALID_VALUE)
+    if not extended and any(low <= can_id <= high for low, high in RESTRICTED):
+        raise AbortError(Abort.INVALID_VALUE)
+
+
+def check_change(current: int, wanted: int) -> None:
+    """AbortError if a message that exists would get another identifier without a switch-off."""
+    if not valid(wanted):
+        return
+    check_identifier(wanted)
+    if valid(current) and (current ^ wanted) & (EXTENDED | EXTENDED_MASK):
+        raise AbortError(Abort.DEVICE_STATE)

@@ -6,15 +6,10 @@ two messages lies at least the inhibit time; what has to wait is sent later, in 
 """
 
 from collections import deque
-from typing import TYPE_CHECKING
 
-from rollerrig.firmware_sim.cia301 import identifiers
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
-from rollerrig.firmware_sim.cia301.communication import HISTORY
-from rollerrig.firmware_sim.cia301.objects import key
-
-if TYPE_CHECKING:
-    from rollerrig.firmware_sim.cia301.node import Node
+from rollerrig.firmware_sim.cia301.communication import HISTORY, check_change, valid
+from rollerrig.firmware_sim.cia301.host import Host
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 
 _WAITING = 32
 # error register bits by the first hexadecimal digit of the code; bit 0 is always set
@@ -27,7 +22,7 @@ SYNC_MISSING = 0x8100
 class Emergency:
     """The errors of a node. Sources of errors are told apart by code and `source`."""
 
-    def __init__(self, node: "Node") -> None:
+    def __init__(self, node: Host) -> None:
         self.node = node
         self.active: dict[tuple[int, int], int] = {}
         self.history: deque[int] = deque(maxlen=HISTORY)
@@ -81,7 +76,7 @@ class Emergency:
         """Send what waits, as far as state and inhibit time allow."""
         node = self.node
         cob_id = node.objects.values[key(0x1014, 0)]
-        if not identifiers.valid(cob_id):
+        if not valid(cob_id):
             self._waiting.clear()
         while self._waiting and node.state.has_emergencies:
             if node.now_ns < self._free_ns:
@@ -99,10 +94,10 @@ class Emergency:
         self.history.clear()
 
     def _check_cob_id(self, wanted: int) -> None:
-        identifiers.check_change(self.node.objects.values[key(0x1014, 0)], wanted)
+        check_change(self.node.objects.values[key(0x1014, 0)], wanted)
 
     def _check_inhibit(self, value: int) -> None:
         objects = self.node.objects
         changed = value != objects.values[key(0x1015, 0)]
-        if changed and identifiers.valid(objects.values[key(0x1014, 0)]):
+        if changed and valid(objects.values[key(0x1014, 0)]):
             raise AbortError(Abort.DEVICE_STATE)

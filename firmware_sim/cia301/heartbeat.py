@@ -6,17 +6,11 @@ request with the state and a toggle bit, and notices when the requests stop. Sou
 control protocols; boot-up counts as a sign of life only of a partner that is being watched.
 """
 
-from typing import TYPE_CHECKING
-
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 from rollerrig.firmware_sim.cia301.emergency import HEARTBEAT_LOST
+from rollerrig.firmware_sim.cia301.host import MS, Host
 from rollerrig.firmware_sim.cia301.nmt import State
-from rollerrig.firmware_sim.cia301.objects import key
-from rollerrig.firmware_sim.cia301.timers import MS
-
-if TYPE_CHECKING:
-    from rollerrig.firmware_sim.cia301.node import Node
-    from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
+from rollerrig.wsp_interface.bus.frames import Frame
 
 CONSUMERS = 4
 _ON_ERROR = {0: State.PRE_OPERATIONAL, 2: State.STOPPED}
@@ -25,7 +19,7 @@ _ON_ERROR = {0: State.PRE_OPERATIONAL, 2: State.STOPPED}
 class Producer:
     """Sends the node's state every 1017h milliseconds."""
 
-    def __init__(self, node: "Node") -> None:
+    def __init__(self, node: Host) -> None:
         self.node = node
         node.objects.effects[key(0x1017, 0)] = lambda _: self.configure()
 
@@ -45,7 +39,7 @@ class Producer:
 class Consumer:
     """Watches the partners of 1016h. `watched`: time in ns by node; `lost`: those now silent."""
 
-    def __init__(self, node: "Node") -> None:
+    def __init__(self, node: Host) -> None:
         self.node = node
         self.watched: dict[int, int] = {}
         self.lost: set[int] = set()
@@ -69,7 +63,7 @@ class Consumer:
         """After a reset nobody is watched until the first heartbeat."""
         self.watched, self.lost = {}, set()
 
-    def on_frame(self, frame: "Frame") -> None:
+    def on_frame(self, frame: Frame) -> None:
         """A message on 700h + partner."""
         partner, timers = frame.can_id - 0x700, self.node.timers
         if len(frame.data) != 1 or partner not in self.watched:
@@ -107,14 +101,14 @@ class Consumer:
 class Guarding:
     """Node guarding: silent while the node produces heartbeats, as the standard wants."""
 
-    def __init__(self, node: "Node") -> None:
+    def __init__(self, node: Host) -> None:
         self.node, self.toggle, self.lost = node, 0, False
 
     def forget(self) -> None:
         """After a reset the toggle bit begins with 0 and no request is expected."""
         self.toggle, self.lost = 0, False
 
-    def on_request(self, _: "Frame") -> None:
+    def on_request(self, _: Frame) -> None:
         """A remote request on 700h + node."""
         node = self.node
         if node.objects.values[key(0x1017, 0)]:

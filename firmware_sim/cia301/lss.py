@@ -8,13 +8,11 @@ the master says so; the bit timing is taken note of and changes nothing here.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
+from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.objects import key
-
-if TYPE_CHECKING:
-    from rollerrig.firmware_sim.cia301.node import Node
-    from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.firmware_sim.cia301.storage import Storage
+from rollerrig.wsp_interface.bus.frames import Frame
 
 REQUEST, ANSWER = 0x7E5, 0x7E4
 UNCONFIGURED = 255
@@ -30,8 +28,8 @@ _STANDARD_TABLE, _LAST_RATE, _DEFAULT_RATE = 0, 8, 2
 class LssSlave:
     """The LSS side of a node. `configuring`: selected; `pending`: the identifier to come."""
 
-    def __init__(self, node: "Node") -> None:
-        self.node, self.configuring, self.pending = node, False, node.node_id
+    def __init__(self, node: Host, storage: Storage) -> None:
+        self.node, self.storage, self.configuring, self.pending = node, storage, False, node.node_id
         self._selected, self._identified, self._position = 0, 0, 0
         self.bit_timing = _DEFAULT_RATE
         steps: dict[int, Callable[[bytes], None]] = {
@@ -45,12 +43,12 @@ class LssSlave:
 
     def power_on(self) -> None:
         """Begin with what has been stored, where anything has."""
-        kept = self.node.storage.kept_settings()
+        kept = self.storage.kept_settings()
         if kept is not None:
             self.pending, self.bit_timing = kept
         self.configuring = False
 
-    def on_frame(self, frame: "Frame") -> None:
+    def on_frame(self, frame: Frame) -> None:
         """A message of the LSS master; one that has not eight bytes is not LSS."""
         if len(frame.data) == 8:
             step = self._steps.get(frame.data[0])
@@ -98,7 +96,7 @@ class LssSlave:
 
     def _store(self, _: bytes) -> None:
         if self.configuring:
-            self._answer(_STORE, bytes([self.node.storage.keep_settings(self.pending, self.bit_timing)]))
+            self._answer(_STORE, bytes([self.storage.keep_settings(self.pending, self.bit_timing)]))
 
     def _inquire(self, data: bytes) -> None:
         self._inquired(self._identity()[data[0] - _INQUIRE[0]].to_bytes(4, "little"), data[0])

@@ -12,16 +12,16 @@ from typing import Any
 
 from canopen.objectdictionary import ObjectDictionary
 
-from rollerrig.firmware_sim.cia301 import heartbeat, identifiers, pdo_mapping, sync
+from rollerrig.firmware_sim.cia301 import communication, heartbeat, pdo_mapping, sync
 from rollerrig.firmware_sim.cia301.communication import PDOS, SDO_SERVERS
 from rollerrig.firmware_sim.cia301.emergency import Emergency
+from rollerrig.firmware_sim.cia301.host import MS, Timers
 from rollerrig.firmware_sim.cia301.lss import REQUEST, UNCONFIGURED, LssSlave
 from rollerrig.firmware_sim.cia301.nmt import COMMANDED, Command, State
 from rollerrig.firmware_sim.cia301.objects import Objects, key
 from rollerrig.firmware_sim.cia301.pdo import EVENT, Rpdo, Tpdo
 from rollerrig.firmware_sim.cia301.sdo import SdoServer
 from rollerrig.firmware_sim.cia301.storage import Storage
-from rollerrig.firmware_sim.cia301.timers import MS, Timers
 from rollerrig.wsp_interface.bus.frames import Frame
 
 SDO_TIME_OUT_MS = 1000
@@ -58,11 +58,12 @@ class Node:
         self.objects = Objects(dictionary, self.node_id)
         self.emergency = Emergency(self)
         self.producer, self.consumer = heartbeat.Producer(self), heartbeat.Consumer(self)
-        self.guarding, self.lss = heartbeat.Guarding(self), LssSlave(self)
+        self.guarding = heartbeat.Guarding(self)
         self.tpdos = [Tpdo(self, number) for number in range(PDOS)]
-        self.rpdos = [Rpdo(self, number) for number in range(PDOS)]
         self.sync, self.time = sync.SyncConsumer(self), sync.TimeConsumer(self)
+        self.rpdos = [Rpdo(self, number, self.sync.window_is_over) for number in range(PDOS)]
         self.storage = Storage(self, storage)
+        self.lss = LssSlave(self, self.storage)
         self._servers = [SdoServer(self.objects, partial(self._reply, server))
                          for server in range(SDO_SERVERS)]
         self._watched: list[Tpdo] = []
@@ -93,7 +94,7 @@ class Node:
 
     def on_frame(self, frame: Frame) -> None:
         """A frame from the bus. Never raises, whatever it contains."""
-        at = frame.can_id | identifiers.EXTENDED if frame.extended else frame.can_id
+        at = frame.can_id | communication.EXTENDED if frame.extended else frame.can_id
         handler = (self.remote_handlers if frame.remote else self.handlers).get(at)
         if handler is not None:
             handler(frame)
@@ -110,7 +111,7 @@ class Node:
 
     def transmit(self, cob_id: int, data: bytes) -> None:
         """Send a message on the identifier of a COB-ID entry."""
-        can_id, extended = identifiers.split(cob_id)
+        can_id, extended = communication.split(cob_id)
         self.send(Frame(can_id, data, extended))
 
     def event(self, level: str, text: str) -> None:
@@ -206,7 +207,8 @@ class Node:
 
     def rewire(self) -> None:
         """Decide anew which identifiers the node listens to, and what a SYNC sets off."""
-        self.sync.configure()
+        self.sync.configure([rpdo.on_sync for rpdo in self.rpdos if rpdo.live and rpdo.synchronous],
+                            [tpdo.on_sync for tpdo in self.tpdos if tpdo.live and tpdo.on_sync])
         self.consumer.configure()
         self._watched = [one for one in self.tpdos if one.live and one.kind >= EVENT]
         self.handlers, self.remote_handlers = {REQUEST: self.lss.on_frame}, {}
@@ -226,7 +228,7 @@ class Node:
         values = self.objects.values
         for server in range(SDO_SERVERS):
             request, reply = values[key(0x1200 + server, 1)], values[key(0x1200 + server, 2)]
-            if identifiers.valid(request) and identifiers.valid(reply):
+            if communication.valid(request) and communication.valid(reply):
                 self._listen(request, partial(self._on_sdo, server))
         self._listen(self.sync.cob_id, self.sync.on_frame)
         if self.time.consumes():
@@ -235,15 +237,15 @@ class Node:
     def _listen_to_pdos(self) -> None:
         for rpdo in self.rpdos:
             if rpdo.live:
-                self._listen(identifiers.dispatch_key(rpdo.can_id, rpdo.extended), rpdo.on_frame)
+                self._listen(communication.dispatch_key(rpdo.can_id, rpdo.extended), rpdo.on_frame)
         for tpdo in self.tpdos:
             cob_id = self.objects.values[key(tpdo.index, 1)]
-            if tpdo.live and not cob_id & identifiers.FLAG:
-                at = identifiers.dispatch_key(tpdo.can_id, tpdo.extended)
+            if tpdo.live and not cob_id & communication.FLAG:
+                at = communication.dispatch_key(tpdo.can_id, tpdo.extended)
                 self.remote_handlers[at] = tpdo.on_remote
 
     def _listen(self, cob_id: int, handler: Handler) -> None:
-        at = identifiers.dispatch_key(*identifiers.split(cob_id))
+        at = communication.dispatch_key(*communication.split(cob_id))
         first = self.handlers.get(at)
         if first is None:
             self.handlers[at] = handler
@@ -256,11 +258,11 @@ class Node:
 
     def _govern(self) -> None:
         for rpdo, tpdo in zip(self.rpdos, self.tpdos, strict=True):
-            pdo_mapping.govern(self, rpdo, False)
-            pdo_mapping.govern(self, tpdo, True)
+            pdo_mapping.govern(self, rpdo.index, rpdo.configure, False)
+            pdo_mapping.govern(self, tpdo.index, tpdo.configure, True)
         values, checks = self.objects.values, self.objects.checks
         for server in range(1, SDO_SERVERS):
             for sub in (1, 2):
                 at = key(0x1200 + server, sub)
-                checks[at] = lambda wanted, at=at: identifiers.check_change(values[at], wanted)
+                checks[at] = lambda wanted, at=at: communication.check_change(values[at], wanted)
                 self.objects.effects[at] = lambda _: self.rewire()

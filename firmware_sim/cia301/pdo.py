@@ -6,17 +6,14 @@ calls when they are configured. Source: CiA 301, PDO protocols and transmission 
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rollerrig.firmware_sim.cia301 import emergency, identifiers
-from rollerrig.firmware_sim.cia301.abort import AbortError
-from rollerrig.firmware_sim.cia301.objects import key, packer
+from rollerrig.firmware_sim.cia301.communication import split, valid
+from rollerrig.firmware_sim.cia301.emergency import PDO_LENGTH, RPDO_LATE
+from rollerrig.firmware_sim.cia301.host import MS, Host
+from rollerrig.firmware_sim.cia301.objects import AbortError, key, packer
 from rollerrig.firmware_sim.cia301.pdo_mapping import DUMMIES, mapped
-from rollerrig.firmware_sim.cia301.timers import MS
 from rollerrig.wsp_interface.bus.frames import Frame
-
-if TYPE_CHECKING:
-    from rollerrig.firmware_sim.cia301.node import Node
 
 ACYCLIC, LAST_SYNCHRONOUS, RTR_SYNCHRONOUS, RTR, EVENT = 0, 240, 252, 253, 254
 
@@ -24,7 +21,7 @@ ACYCLIC, LAST_SYNCHRONOUS, RTR_SYNCHRONOUS, RTR, EVENT = 0, 240, 252, 253, 254
 class Tpdo:
     """One transmit PDO. `live`: it exists, carries something, and the node is OPERATIONAL."""
 
-    def __init__(self, node: "Node", number: int) -> None:
+    def __init__(self, node: Host, number: int) -> None:
         self.node, self.index, self.number = node, 0x1800 + number, number + 1
         self.live, self.can_id, self.extended = False, 0, False
         self.kind, self.every, self.passed = EVENT, 1, 0
@@ -41,11 +38,11 @@ class Tpdo:
         cob_id, self.kind, inhibit, event, start = (
             objects.values[key(self.index, sub)] for sub in (1, 2, 3, 5, 6))
         entries = mapped(objects, self.index + 0x200)
-        self.live = operational and identifiers.valid(cob_id) and bool(entries)
+        self.live = operational and valid(cob_id) and bool(entries)
         self.node.timers.cancel(alarm)
         if not self.live:
             return
-        self.can_id, self.extended = identifiers.split(cob_id)
+        self.can_id, self.extended = split(cob_id)
         self.getters = [objects.getter(at) for at in entries]
         self.pack = packer([objects.variables[at] for at in entries]).pack
         enabling = self.node.event_enablers
@@ -121,10 +118,11 @@ class Tpdo:
 
 
 class Rpdo:
-    """One receive PDO."""
+    """One receive PDO. `too_late(frame)`: the window of synchronous messages is over (1007h)."""
 
-    def __init__(self, node: "Node", number: int) -> None:
+    def __init__(self, node: Host, number: int, too_late: Callable[[Frame], bool]) -> None:
         self.node, self.index, self.number = node, 0x1400 + number, number + 1
+        self.too_late = too_late
         self.live, self.synchronous, self.size = False, False, 0
         self.entries: list[int] = []
         self.refused: set[int] = set()
@@ -136,12 +134,12 @@ class Rpdo:
         objects = self.node.objects
         cob_id, kind, event = (objects.values[key(self.index, sub)] for sub in (1, 2, 5))
         self.entries = mapped(objects, self.index + 0x200)
-        self.live = operational and identifiers.valid(cob_id) and bool(self.entries)
+        self.live = operational and valid(cob_id) and bool(self.entries)
         self.node.timers.cancel(f"rpdo {self.number}")
         self.waiting = None
         if not self.live:
             return
-        self.can_id, self.extended = identifiers.split(cob_id)
+        self.can_id, self.extended = split(cob_id)
         self.synchronous = kind <= LAST_SYNCHRONOUS
         self.deadline_ns = event * MS
         layout = packer([DUMMIES.get(at) or objects.variables[at] for at in self.entries])
@@ -151,18 +149,18 @@ class Rpdo:
         """A message for this PDO: one that is too short is reported and not used."""
         node, data = self.node, frame.data
         if len(data) < self.size:
-            if node.emergency.report(emergency.PDO_LENGTH, self.number,
+            if node.emergency.report(PDO_LENGTH, self.number,
                                      bytes([self.number, len(data), self.size])):
                 node.event("warning", f"RPDO {self.number} ignored: {len(data)} bytes instead of "
                                       f"{self.size}")
             return
         if node.emergency.active:
-            node.emergency.clear(emergency.PDO_LENGTH, self.number)
-            node.emergency.clear(emergency.RPDO_LATE, self.number)
+            node.emergency.clear(PDO_LENGTH, self.number)
+            node.emergency.clear(RPDO_LATE, self.number)
         if self.deadline_ns:
             node.timers.set(f"rpdo {self.number}", node.now_ns + self.deadline_ns, self._late)
         if self.synchronous:
-            if not node.sync.window_is_over(frame):
+            if not self.too_late(frame):
                 self.waiting = data
         else:
             self.apply(data)
@@ -194,5 +192,5 @@ class Rpdo:
 
     def _late(self) -> None:
         self.node.event("warning", f"RPDO {self.number} is late")
-        self.node.emergency.report(emergency.RPDO_LATE, self.number, bytes([self.number]))
+        self.node.emergency.report(RPDO_LATE, self.number, bytes([self.number]))
 

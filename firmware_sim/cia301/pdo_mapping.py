@@ -5,19 +5,14 @@ object that exists, may be mapped in this direction and has that length; all tog
 bytes. Source: CiA 301, PDO communication and mapping parameter records.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from canopen.objectdictionary import ODVariable, datatypes
 
-from rollerrig.firmware_sim.cia301 import identifiers
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
-from rollerrig.firmware_sim.cia301.communication import MAPPED
+from rollerrig.firmware_sim.cia301.communication import MAPPED, check_change, valid
+from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.nmt import State
-from rollerrig.firmware_sim.cia301.objects import Objects, key
-
-if TYPE_CHECKING:
-    from rollerrig.firmware_sim.cia301.node import Node
-    from rollerrig.firmware_sim.cia301.pdo import Rpdo, Tpdo
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, Objects, key
 
 PDO_BITS = 64
 _FIRST_RESERVED, _LAST_RESERVED, _FIRST_EVENT = 241, 251, 254
@@ -64,16 +59,16 @@ def _direction(variable: ODVariable, transmits: bool) -> bool:
     return variable.readable if transmits else variable.writable
 
 
-def govern(node: "Node", pdo: "Tpdo | Rpdo", transmits: bool) -> None:
-    """Hang the rules of the standard on a PDO's communication and mapping records."""
-    objects, index = node.objects, pdo.index
+def govern(node: Host, index: int, configure: Callable[[bool], None], transmits: bool) -> None:
+    """Hang the rules of the standard on the records of the PDO at `index`, which `configure` compiles anew."""
+    objects = node.objects
     values, mapping = objects.values, index + 0x200
 
     def exists() -> bool:
-        return identifiers.valid(values[key(index, 1)])
+        return valid(values[key(index, 1)])
 
     def check_cob_id(wanted: int) -> None:
-        identifiers.check_change(values[key(index, 1)], wanted)
+        check_change(values[key(index, 1)], wanted)
 
     def check_kind(kind: int) -> None:
         rtr = kind in (252, 253)
@@ -100,7 +95,7 @@ def govern(node: "Node", pdo: "Tpdo | Rpdo", transmits: bool) -> None:
             check_entry(objects, entry, transmits)
 
     def take_over(_: int) -> None:
-        pdo.configure(node.state is State.OPERATIONAL)
+        configure(node.state is State.OPERATIONAL)
         node.rewire()
 
     objects.checks[key(index, 1)] = check_cob_id

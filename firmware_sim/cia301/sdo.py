@@ -1,21 +1,24 @@
 """One SDO server: answers a client's requests on one pair of identifiers, one transfer at a time.
 
 Up to four bytes travel in the first exchange; longer values follow in segments with a toggle bit,
-or in blocks (`sdo_block`). Anything that breaks the protocol is answered by an abort code, and a
-transfer that the client leaves lying is aborted after a time. Source: CiA 301, SDO protocols.
+or in blocks of up to 127 segments for each confirmation: the receiver confirms the last segment that
+came in sequence, the sender goes on from there, and the end carries a checksum over all the data.
+Anything that breaks the protocol is answered by an abort code, and a transfer that the client leaves
+lying is aborted after a time. Source: CiA 301, SDO protocols; checksum x^16 + x^12 + x^5 + 1,
+initial value 0.
 """
 
+from binascii import crc_hqx
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
-from rollerrig.firmware_sim.cia301.objects import LARGEST_BYTES, Objects
-from rollerrig.firmware_sim.cia301.sdo_block import BlockDownload, BlockUpload
+from rollerrig.firmware_sim.cia301.objects import LARGEST_BYTES, Abort, AbortError, Objects
 
-_SEGMENT = 7
+_SEGMENT, BLOCK = 7, 127
 # client command specifiers
 _DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT = range(5)
 _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = 5, 6
+_BLOCK_END, _BLOCK_ACKNOWLEDGE, _BLOCK_START = 1, 2, 3
 
 
 class Place(NamedTuple):
@@ -61,6 +64,92 @@ class Download:
         answer = bytes([0x20 | self.toggle << 4]).ljust(8, b"\0")
         self.toggle ^= 1
         return answer, bool(request[0] & 1)
+
+
+class BlockDownload:
+    """A block download under way; the client may check the data by `checksum`."""
+
+    def __init__(self, place: Place, size: int | None, checksum: bool) -> None:
+        self.place, self.size, self.checksum = place, size, checksum
+        self.data = bytearray()
+        self.sequence, self.takes_segments = 0, True
+
+    def confirmation(self) -> bytes:
+        """The answer to the client's initiate request."""
+        return b"\xa4" + self.place.raw + bytes([BLOCK, 0, 0, 0])
+
+    def segment(self, data: bytes) -> bytes | None:
+        """Take one segment; an answer is due after the last of the block or of the transfer."""
+        number, last = data[0] & 0x7F, bool(data[0] & 0x80)
+        if number == 0:
+            raise AbortError(Abort.SEQUENCE_NUMBER)
+        in_sequence = number == self.sequence + 1
+        if in_sequence:
+            self.sequence = number
+            self.data += data[1:]
+            if len(self.data) > LARGEST_BYTES + _SEGMENT:
+                raise AbortError(Abort.OUT_OF_MEMORY)
+        if not last and number != BLOCK:
+            return None
+        answer = bytes([0xA2, self.sequence, BLOCK]).ljust(8, b"\0")
+        self.sequence = 0
+        self.takes_segments = not (last and in_sequence)
+        return answer
+
+    def end(self, request: bytes) -> bytes:
+        """The whole data, when the client's end agrees with what came. Raises AbortError."""
+        if self.takes_segments:
+            raise AbortError(Abort.UNKNOWN_COMMAND)
+        filling = request[0] >> 2 & 7
+        data = bytes(self.data[:len(self.data) - filling])
+        if self.checksum and crc_hqx(data, 0) != int.from_bytes(request[1:3], "little"):
+            raise AbortError(Abort.CRC)
+        if self.size is not None and self.size != len(data):
+            raise AbortError(Abort.LENGTH_MISMATCH)
+        return data
+
+
+class BlockUpload:
+    """A block upload under way: `at` is the byte that the next block begins with."""
+
+    def __init__(self, place: Place, data: bytes, block: int, checksum: bool) -> None:
+        self.place, self.data, self.block, self.checksum = place, data, block, checksum
+        self.at, self.sent, self.done = 0, 0, False
+        self._started = self._ending = False
+
+    def step(self, command: int, request: bytes) -> list[bytes]:
+        """The frames that answer the client's start, acknowledgement or end. Raises AbortError."""
+        if command == _BLOCK_END and self._ending:
+            self.done = True
+            return []
+        if command == _BLOCK_START and not self._started:
+            self._started = True
+            return self._block()
+        if command == _BLOCK_ACKNOWLEDGE and self._started and not self._ending:
+            return self._acknowledged(request[1], request[2])
+        raise AbortError(Abort.UNKNOWN_COMMAND)
+
+    def _acknowledged(self, number: int, block: int) -> list[bytes]:
+        if number > self.sent:
+            raise AbortError(Abort.SEQUENCE_NUMBER)
+        if not 1 <= block <= BLOCK:
+            raise AbortError(Abort.BLOCK_SIZE)
+        whole = self.at + number * _SEGMENT >= len(self.data) and number == self.sent
+        self.at, self.block = min(self.at + number * _SEGMENT, len(self.data)), block
+        if not whole:
+            return self._block()
+        self._ending = True
+        filling = -len(self.data) % _SEGMENT if self.data else _SEGMENT
+        checksum = crc_hqx(self.data, 0) if self.checksum else 0
+        return [bytes([0xC1 | filling << 2]) + checksum.to_bytes(2, "little") + bytes(5)]
+
+    def _block(self) -> list[bytes]:
+        parts = [self.data[at:at + _SEGMENT] for at in range(self.at, len(self.data), _SEGMENT)]
+        parts = parts[:self.block] or [b""]
+        last = self.at + len(parts) * _SEGMENT >= len(self.data)
+        self.sent = len(parts)
+        return [bytes([number | (last and number == len(parts)) << 7]) + part.ljust(_SEGMENT, b"\0")
+                for number, part in enumerate(parts, 1)]
 
 
 class SdoServer:
@@ -190,7 +279,7 @@ class SdoServer:
         place, block, threshold = _place(request), request[4], request[5]
         self.active = None
         data = self.objects.upload(place.index, place.sub)
-        if not 1 <= block <= 127:
+        if not 1 <= block <= BLOCK:
             raise AbortError(Abort.BLOCK_SIZE)
         if threshold and len(data) <= threshold:
             # the client asked for the ordinary protocol where the value is short

@@ -9,13 +9,10 @@ defaults take effect with the next reset, as the standard wants. Source: CiA 301
 import json
 from binascii import crc32
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
-from rollerrig.firmware_sim.cia301.objects import key
-
-if TYPE_CHECKING:
-    from rollerrig.firmware_sim.cia301.node import Node
+from rollerrig.firmware_sim.cia301.host import Host
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 
 SAVE, LOAD = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little")
 # what each sub-index of 1010h and 1011h covers
@@ -28,7 +25,7 @@ STORED, NO_MEMORY, ACCESS_ERROR = 0, 1, 2
 class Storage:
     """The file of a node; `path` None: the node has no memory, and storing is refused."""
 
-    def __init__(self, node: "Node", path: Path | None) -> None:
+    def __init__(self, node: Host, path: Path | None) -> None:
         self.node, self.path = node, path
         for sub in RANGES:
             node.objects.checks[key(0x1010, sub)] = lambda value, sub=sub: self._store(sub, value)

@@ -8,18 +8,14 @@ its end is too late for the next SYNC. Source: CiA 301, SYNC protocol, objects 1
 and 1019h; how long a node waits for a SYNC is left to it there.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-from rollerrig.firmware_sim.cia301 import identifiers
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
+from rollerrig.firmware_sim.cia301.communication import EXTENDED, FLAG, INVALID, check_identifier, split
 from rollerrig.firmware_sim.cia301.emergency import SYNC_LENGTH, SYNC_MISSING
+from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.nmt import State
-from rollerrig.firmware_sim.cia301.objects import key
-
-if TYPE_CHECKING:
-    from rollerrig.firmware_sim.cia301.node import Node
-    from rollerrig.wsp_interface.bus.frames import Frame
-
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
+from rollerrig.wsp_interface.bus.frames import Frame
 
 US = 1000
 _ALARM = "sync"
@@ -28,19 +24,18 @@ _ALARM = "sync"
 class SyncConsumer:
     """What a node does at a SYNC. `at_ns`: when the last one came, None before the first."""
 
-    def __init__(self, node: "Node") -> None:
+    def __init__(self, node: Host) -> None:
         self.node = node
         self.at_ns: int | None = None
         self._length = self._patience_ns = self._window_ns = 0
-        for index in (0x1006, 0x1007):
-            node.objects.effects[key(index, 0)] = lambda _: self.configure()
+        for index in (0x1005, 0x1006, 0x1007, 0x1019):
+            node.objects.effects[key(index, 0)] = lambda _: node.rewire()
         node.objects.checks[key(0x1005, 0)] = self._check_cob_id
-        node.objects.effects[key(0x1005, 0)] = lambda _: node.rewire()
         node.objects.checks[key(0x1019, 0)] = self._check_overflow
-        node.objects.effects[key(0x1019, 0)] = lambda _: node.rewire()
 
-    def configure(self) -> None:
-        """Take 1005h, 1006h, 1007h, 1019h and the PDOs over."""
+    def configure(self, receive: list[Callable[[], None]],
+                  transmit: list[Callable[[int | None], None]]) -> None:
+        """Take 1006h, 1007h and 1019h over, and what the PDOs do at a SYNC."""
         node = self.node
         self._length = 1 if node.objects.values[key(0x1019, 0)] else 0
         self._patience_ns = node.objects.values[key(0x1006, 0)] * US * 3 // 2
@@ -48,14 +43,13 @@ class SyncConsumer:
         if not self._patience_ns or not node.state.has_emergencies:
             node.timers.cancel(_ALARM)
             node.emergency.clear(SYNC_MISSING)
-        self._receive = [rpdo.on_sync for rpdo in node.rpdos if rpdo.live and rpdo.synchronous]
-        self._transmit = [tpdo.on_sync for tpdo in node.tpdos if tpdo.live and tpdo.on_sync]
+        self._receive, self._transmit = receive, transmit
 
     @property
     def cob_id(self) -> int:
         return self.node.objects.values[key(0x1005, 0)]
 
-    def on_frame(self, frame: "Frame") -> None:
+    def on_frame(self, frame: Frame) -> None:
         """A SYNC message."""
         node, data = self.node, frame.data
         if len(data) != self._length:
@@ -79,7 +73,7 @@ class SyncConsumer:
         """After a reset no SYNC has come."""
         self.at_ns = None
 
-    def window_is_over(self, frame: "Frame") -> bool:
+    def window_is_over(self, frame: Frame) -> bool:
         """Whether a message comes too late for the next SYNC."""
         if not self._window_ns or self.at_ns is None:
             return False
@@ -92,10 +86,10 @@ class SyncConsumer:
 
     def _check_cob_id(self, wanted: int) -> None:
         # bit 30 would make this node the producer of SYNC, which it cannot be
-        if wanted & identifiers.FLAG:
+        if wanted & FLAG:
             raise AbortError(Abort.INVALID_VALUE)
-        if identifiers.split(wanted)[0] != 0x80 or wanted & identifiers.EXTENDED:
-            identifiers.check_identifier(wanted)
+        if split(wanted)[0] != 0x80 or wanted & EXTENDED:
+            check_identifier(wanted)
 
     def _check_overflow(self, value: int) -> None:
         if value == 1:
@@ -105,7 +99,7 @@ class SyncConsumer:
 class TimeConsumer:
     """Takes TIME messages: milliseconds of the day, and days since 1 January 1984."""
 
-    def __init__(self, node: "Node") -> None:
+    def __init__(self, node: Host) -> None:
         self.node = node
         node.objects.checks[key(0x1012, 0)] = self._check_cob_id
         node.objects.effects[key(0x1012, 0)] = lambda _: node.rewire()
@@ -116,15 +110,15 @@ class TimeConsumer:
 
     def consumes(self) -> bool:
         """Whether bit 31 of 1012h is set: it means "consume" there."""
-        return bool(self.cob_id & identifiers.INVALID)
+        return bool(self.cob_id & INVALID)
 
-    def on_frame(self, frame: "Frame") -> None:
+    def on_frame(self, frame: Frame) -> None:
         """A TIME message; one that has not six bytes is left alone."""
         if len(frame.data) == 6:
             milliseconds = int.from_bytes(frame.data[:4], "little") & 0x0FFFFFFF
             self.node.time_of_day = int.from_bytes(frame.data[4:], "little"), milliseconds
 
     def _check_cob_id(self, wanted: int) -> None:
-        if wanted & identifiers.FLAG:
+        if wanted & FLAG:
             raise AbortError(Abort.INVALID_VALUE)
-        identifiers.check_identifier(wanted & ~identifiers.INVALID)
+        check_identifier(wanted & ~INVALID)

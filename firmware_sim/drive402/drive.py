@@ -14,10 +14,9 @@ import numpy as np
 
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301 import communication, dictionary, nmt
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 from rollerrig.firmware_sim.cia301.communication import Profile
 from rollerrig.firmware_sim.cia301.node import Node
-from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.firmware_sim.drive402 import objects as table
 from rollerrig.firmware_sim.drive402 import states
 from rollerrig.firmware_sim.drive402.axis import COMMANDS, Axis, integer

@@ -11,9 +11,8 @@ from functools import partial
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301.abort import Abort, AbortError
 from rollerrig.firmware_sim.cia301.node import Node
-from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.firmware_sim.modbus.map import BIT, WRITE, Register, drive_words
 from rollerrig.firmware_sim.modbus.pdu import Code, RefusedError
 from rollerrig.wsp_interface import signals
