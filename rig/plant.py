@@ -157,14 +157,14 @@ def observe(state, params):
         if params.mode != 0:
             surface = params.drive.roller_radius_m * state.roller_speed[j]
         sliding = surface - r * state.wheel_speed[j]
-        f, f_d, f_r, transition, energy, _ = wheelset.creep(
+        f, f_d, f_r, transition, energy, _ = wheelset.adhesion_under(
             on_rig.slip(j, sliding, state, params.coach), surface, load_N,
             state.friction_degraded[j], state.friction_recovered[j], params.patch, params.law,
             params.cleaning_creepage)
         if params.effects.memory_m > 0.0:
-            prompt, transition = f, state.late_transition[j]
+            instantaneous, transition = f, state.lagged_transition[j]
             f = wheelset.recovered(f, f_d, f_r, transition)
-            energy *= f / prompt if prompt != 0.0 else 0.0
+            energy *= f / instantaneous if instantaneous != 0.0 else 0.0
         f = on_rig.adhesion(j, f, load_N, state, params.coach)
         state.sliding[j] = sliding
         state.creepage[j] = 0.0 if surface <= 0.0 else sliding / surface

@@ -47,8 +47,8 @@ class State(NamedTuple):
     friction_asked: np.ndarray  # -, kinematic friction that replaces the plan's, 0: none; the tick
     slid: np.ndarray  # m, sliding distance so far, kept while an extended model asks; friction
     rail_work: np.ndarray  # J/m, work of the wheels before on this metre, likewise; friction
-    late_transition: np.ndarray  # -, lambda as a wheel remembers it, likewise; integrate
-    prompt_transition: np.ndarray  # -, lambda without memory, first stage of a step; integrate
+    lagged_transition: np.ndarray  # -, lambda as a wheel remembers it, likewise; integrate
+    instantaneous_transition: np.ndarray  # -, lambda without memory, first stage of a step; integrate
     wheel_load: np.ndarray  # N, vehicle
     brake_torque: np.ndarray  # N m, what acts (a locked wheel needs less than the brake could give)
     brake_capacity: np.ndarray  # N m, what the discs can hold at this pressure; integrate

@@ -43,7 +43,7 @@ MIDDLE_SPEED_M_S = 20.0
 
 
 @kernel
-def creep(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage):
+def adhesion_under(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage):
     """Adhesion of a wheelset: what `adhesion.degraded` returns, for the contaminant under it.
 
     Beyond `cleaning_creepage` the energy of sliding cleans no better than at it [W5]. With another
@@ -78,44 +78,44 @@ def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_c
 
 
 @kernel
-def late_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage, late,
+def late_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, cleaning_creepage, lagged,
                of_work):
-    """What `force` returns, and lambda_0, where the contact has recovered by `late`, 0 to 1 [W6].
+    """What `force` returns, and lambda_0, where the contact has recovered by `lagged`, 0 to 1 [W6].
 
     NO_MEMORY: it has recovered by lambda_0. `of_work` above 0: lambda_0 is that of the work done [W7].
     """
     at = sliding_m_s
     if abs(at) < _SMALL_M_S:
         at = _SMALL_M_S
-    slope, f_d, f_r, prompt, _, _ = creep(at, surface_m_s, load_N, mu_cd, mu_cr, patch, law,
+    slope, f_d, f_r, instantaneous, _, _ = adhesion_under(at, surface_m_s, load_N, mu_cd, mu_cr, patch, law,
                                           cleaning_creepage)
-    if late >= 0.0:
-        base, slope = slope, recovered(slope, f_d, f_r, late)
+    if lagged >= 0.0:
+        base, slope = slope, recovered(slope, f_d, f_r, lagged)
         if of_work > 0.0 and base != 0.0:
-            prompt = -math.expm1(math.log1p(-min(prompt, _WHOLE)) * slope / base)
+            instantaneous = -math.expm1(math.log1p(-min(instantaneous, _WHOLE)) * slope / base)
     slope *= load_N / at
-    return slope * sliding_m_s, max(slope, 0.0), prompt
+    return slope * sliding_m_s, max(slope, 0.0), instantaneous
 
 
 @kernel
-def recovered(f, f_d, f_r, late):
-    """Adhesion of the sign of f between its limits, recovered by `late` [W6]."""
-    return math.copysign((1.0 - late) * f_d + late * f_r, f)
+def recovered(f, f_d, f_r, lagged):
+    """Adhesion of the sign of f between its limits, recovered by `lagged` [W6]."""
+    return math.copysign((1.0 - lagged) * f_d + lagged * f_r, f)
 
 
 @kernel
-def caught_up(late, prompt, speed_m_s, step_s, effects):
-    """What a wheel remembers of its recovery a step later, while lambda_0 is `prompt` [W6].
+def relaxed(lagged, instantaneous, speed_m_s, step_s, effects):
+    """What a wheel remembers of its recovery a step later, while lambda_0 is `instantaneous` [W6].
 
     Written so that it is finite at standstill: v / (v / 20)^p = 20 (v / 20)^(1 - p).
     """
     rate_1_s = MIDDLE_SPEED_M_S / effects.memory_m * math.pow(
         max(speed_m_s, 0.0) / MIDDLE_SPEED_M_S, 1.0 - effects.memory_power)
-    return late - (prompt - late) * math.expm1(-step_s * rate_1_s)
+    return lagged - (instantaneous - lagged) * math.expm1(-step_s * rate_1_s)
 
 
 @kernel
-def rates(wheel_rad_s, T, brake_Nm, axle, wheels):
+def wheel_acceleration(wheel_rad_s, T, brake_Nm, axle, wheels):
     """A wheelset's acceleration in rad/s2 [W1], its brake torque in N m, and whether it is locked."""
     drive_Nm = wheels.table[body.RADIUS_M + axle] * T
     if wheel_rad_s <= 0.0 and drive_Nm <= brake_Nm:
@@ -132,7 +132,7 @@ def roller_rate(motor_Nm, T, on_track, drive):
 
 
 @kernel
-def damped(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels, drive):
+def implicit_slopes(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels, drive):
     """The two slopes of a stage times (I - gamma h p q')^-1 [W3], and the force in N that this adds."""
     r, R = wheels.table[body.RADIUS_M + axle], drive.roller_radius_m
     p_wheel = 0.0 if locked else wheels.table[body.ANSWER_1_KGM + axle]
@@ -163,15 +163,15 @@ def integrate(state, params):
         surface = v if on_track else drive.roller_radius_m * roller
         sliding = surface - wheels.table[body.RADIUS_M + j] * wheel
         load_N = body.swung(body.load(j, felt, vehicle), j, state.wheel_angle[j], wheels)
-        late = state.late_transition[j] if remembers else NO_MEMORY
-        T, g, prompt = late_force(
+        lagged = state.lagged_transition[j] if remembers else NO_MEMORY
+        T, g, instantaneous = late_force(
             sliding, surface, load_N, state.friction_degraded[j], state.friction_recovered[j], patch,
-            law, params.cleaning_creepage, late, params.effects.memory_of_work)
+            law, params.cleaning_creepage, lagged, params.effects.memory_of_work)
         if remembers:
-            state.prompt_transition[j] = prompt
-        wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_capacity[j], j, wheels)
+            state.instantaneous_transition[j] = instantaneous
+        wheel_k, brake_Nm, locked = wheel_acceleration(wheel, T, state.brake_capacity[j], j, wheels)
         roller_k = roller_rate(motor_Nm, T, on_track, drive)
-        state.wheel_rate[j], state.roller_rate[j], added_N = damped(
+        state.wheel_rate[j], state.roller_rate[j], added_N = implicit_slopes(
             wheel_k, roller_k, g, locked, on_track, h, j, wheels, drive)
         # the vehicle feels what wheel and roller feel, or momentum would be lost where they are stiff
         total += T + added_N
@@ -192,19 +192,19 @@ def integrate(state, params):
         sliding = surface - wheels.table[body.RADIUS_M + j] * wheel
         turned_rad = state.wheel_angle[j] + h * state.wheel_speed[j]
         load_N = body.swung(body.load(j, felt2, vehicle), j, turned_rad, wheels)
-        late = NO_MEMORY
+        lagged = NO_MEMORY
         if remembers:
-            late = caught_up(state.late_transition[j], state.prompt_transition[j], v, h, params.effects)
-        T, g, prompt = late_force(
+            lagged = relaxed(state.lagged_transition[j], state.instantaneous_transition[j], v, h, params.effects)
+        T, g, instantaneous = late_force(
             sliding, surface, load_N, state.friction_degraded[j], state.friction_recovered[j], patch,
-            law, params.cleaning_creepage, late, params.effects.memory_of_work)
+            law, params.cleaning_creepage, lagged, params.effects.memory_of_work)
         if remembers:
-            state.late_transition[j] = caught_up(
-                state.late_transition[j], 0.5 * (state.prompt_transition[j] + prompt), 0.5 * (v + v2), h,
-                params.effects)
-        wheel_k, brake_Nm, locked = rates(wheel, T, state.brake_torque[j], j, wheels)
+            mean = 0.5 * (state.instantaneous_transition[j] + instantaneous)
+            state.lagged_transition[j] = relaxed(state.lagged_transition[j], mean, 0.5 * (v + v2), h,
+                                                 params.effects)
+        wheel_k, brake_Nm, locked = wheel_acceleration(wheel, T, state.brake_torque[j], j, wheels)
         roller_k = roller_rate(motor_Nm, T, on_track, drive)
-        wheel_k, roller_k, added_N = damped(wheel_k - 2.0 * wheel1, roller_k - 2.0 * roller1, g,
+        wheel_k, roller_k, added_N = implicit_slopes(wheel_k - 2.0 * wheel1, roller_k - 2.0 * roller1, g,
                                             locked, on_track, h, j, wheels, drive)
         total += T + added_N
         state.contact_force[j] += 0.5 * (T + added_N)

@@ -1,7 +1,7 @@
 """Four stops at a time: the ticks of four machines, with their reference WSP units, in one call.
 
 Each machine does before and after its physics what `tick.once` does; the physics between runs for
-all four in lanes (`rig.abreast`). A machine that is done waits until its place is given to the next
+all four in lanes (`rig.lanes`). A machine that is done waits until its place is given to the next
 stop. No bus, no clock and no Python stand between two ticks, and a stop's samples are those of
 `--pacing free` to rounding.
 """
@@ -72,7 +72,7 @@ def fits(plan: Scenario) -> bool:
 def run(stops: Iterable[Stop]) -> Iterator[Stop]:
     """Run stops to their ends, four at a time; gives each back when it is done.
 
-    All must have the same number of steps in a tick and fit `abreast.fits`.
+    All must have the same number of steps in a tick and fit `lanes.layout.fits`.
     """
     waiting, lanes = iter(stops), np.zeros(layout.SIZE)
     inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
@@ -88,7 +88,7 @@ def run(stops: Iterable[Stop]) -> Iterator[Stop]:
     row += [row[0]] * (RIGS - given)
     runs = np.array([rig < given for rig in range(RIGS)], dtype=np.int64)
     for rig in range(RIGS):
-        layout.seat(lanes, rig, row[rig].machine.params)
+        layout.load_constants(lanes, rig, row[rig].machine.params)
     while runs.any():
         syncs = np.array([stop.sync_ticks for stop in row], dtype=np.int64)
         together(tuple(rider(stop) for stop in row), syncs, runs, lanes, inputs, _TICKS)
@@ -99,7 +99,7 @@ def run(stops: Iterable[Stop]) -> Iterator[Stop]:
                 runs[rig] = following is not None
                 if following is not None:
                     row[rig] = following
-                    layout.seat(lanes, rig, following.machine.params)
+                    layout.load_constants(lanes, rig, following.machine.params)
 
 
 def rider(stop: Stop) -> Rider:
@@ -150,7 +150,7 @@ def before(r, sync_ticks, runs, lanes, rig, inputs):
     tick.begin(m, now)
     target_Pa = plant.prepare(m.state, m.delay, m.command[:tick.AXLES], m.command[tick.DEMAND], now,
                               m.params)
-    layout.put(lanes, rig, m.state, target_Pa)
+    layout.scatter(lanes, rig, m.state, target_Pa)
 
 
 @kernel
@@ -160,7 +160,7 @@ def after(r, runs, lanes, rig):
         return 0
     m = machine_of(r)
     now, params = m.control[TICK], m.params
-    layout.take(lanes, rig, m.state)
+    layout.gather(lanes, rig, m.state)
     m.state.time[0] = (now * params.substeps + params.substeps) * params.step_s
     heat.warm(m.state, params.heat)
     plant.observe(m.state, params)

@@ -45,7 +45,7 @@ def fits(params: Params) -> bool:
 
 
 @kernel
-def seat(w, rig, params):
+def load_constants(w, rig, params):
     """Write the constants of a rig (0 to 3) into its lanes."""
     vehicle, brake, drive, here = params.vehicle, params.brake, params.drive, params.law
     wheels = params.wheels
@@ -71,7 +71,7 @@ def seat(w, rig, params):
 
 
 @kernel_inlined
-def put(w, rig, state, target_Pa):
+def scatter(w, rig, state, target_Pa):
     """Write the state of a rig into its lanes."""
     for j in range(AXLES):
         at = rig * AXLES + j
@@ -92,7 +92,7 @@ def put(w, rig, state, target_Pa):
 
 
 @kernel_inlined
-def take(w, rig, state):
+def gather(w, rig, state):
     """Write the lanes of a rig into its state."""
     for j in range(AXLES):
         at = rig * AXLES + j

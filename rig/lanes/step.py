@@ -23,19 +23,19 @@ _SMALL_M_S = 1e-6
 @kernel
 def step(w, rigs):
     """Advance all lanes by one step; `rigs` are the four vehicles' parameters."""
-    supply(w)
-    touch(w)
-    mend(w)
+    pneumatics_and_motors(w)
+    contacts(w)
+    contacts_outside_domain(w)
     begin(w)
     predict(w, rigs)
-    touch(w)
-    mend(w)
+    contacts(w)
+    contacts_outside_domain(w)
     finish(w)
     move(w, rigs)
 
 
 @kernel
-def supply(w):
+def pneumatics_and_motors(w):
     """Demand, cylinders, motors and what the discs can hold [B1] to [B4], [M1]."""
     for j in range(LANES):
         # the first stage looks at the beginning of the step
@@ -63,7 +63,7 @@ def supply(w):
 
 
 @kernel
-def touch(w):
+def contacts(w):
     """Sliding, load and secant slope T / s of every contact, where the rows ..._END say."""
     for j in range(LANES):
         v = w[a.V_END + j]
@@ -85,15 +85,15 @@ def touch(w):
 
 
 @kernel
-def mend(w):
+def contacts_outside_domain(w):
     """Ask the law itself for the few contacts that lie outside the fast one's domain."""
     for j in range(LANES):
         if w[a.INSIDE + j] == 0.0 and w[a.MOVING + j] > 0.0:
-            w[a.SLOPE + j] = asked(w, j)
+            w[a.SLOPE + j] = exact_slope(w, j)
 
 
 @kernel
-def asked(w, j):
+def exact_slope(w, j):
     """The secant slope of lane j by `wheelset.force`, whatever the contact."""
     here = adhesion.Law(w[a.MU_CD + j], w[a.MU_CR + j], w[a.A_D + j], w[a.A_R + j], w[a.GAMMA_D + j],
                         w[a.GAMMA_R + j], w[a.K_AD + j], w[a.K_SD + j], w[a.K_AR + j], w[a.K_SR + j],
@@ -201,7 +201,7 @@ def move(w, rigs):
         at, vehicle = rig * AXLES, rigs[rig]
         h, v, felt = w[a.STEP + at], w[a.V + at], w[a.FELT + at]
         if w[a.MOVING + at] == 0.0:
-            spread(w, a.FELT, at, felt * math.exp(-h / vehicle.pitch_time_constant_s))
+            broadcast(w, a.FELT, at, felt * math.exp(-h / vehicle.pitch_time_constant_s))
             continue
         v2, felt2 = w[a.V_END + at], w[a.FELT_END + at]
         resistance_N = body.resistance(v2, vehicle)
@@ -210,12 +210,12 @@ def move(w, rigs):
         mean = 0.5 * (w[a.RATE_BEFORE + at] + rate)
         end = max(0.0, v + h * mean)
         way_m = 0.5 * h * (v + end)
-        spread(w, a.FELT, at, felt + 0.5 * h * (w[a.FELT_RATE + at] + felt_rate))
-        spread(w, a.PLACE, at, w[a.PLACE + at] + way_m)
+        broadcast(w, a.FELT, at, felt + 0.5 * h * (w[a.FELT_RATE + at] + felt_rate))
+        broadcast(w, a.PLACE, at, w[a.PLACE + at] + way_m)
         resisting_N = w[a.RESISTING + at] + 0.5 * resistance_N
-        spread(w, a.RESISTANCE_WORK, at, w[a.RESISTANCE_WORK + at] + resisting_N * way_m)
-        spread(w, a.V, at, end)
-        spread(w, a.RATE, at, mean)
+        broadcast(w, a.RESISTANCE_WORK, at, w[a.RESISTANCE_WORK + at] + resisting_N * way_m)
+        broadcast(w, a.V, at, end)
+        broadcast(w, a.RATE, at, mean)
         for j in range(at, at + AXLES):
             w[a.SLIDING_WORK + j] += w[a.ON_TRACK + j] * w[a.FORCE + j] * way_m
         if end < body.STANDING_M_S:
@@ -223,7 +223,7 @@ def move(w, rigs):
 
 
 @kernel
-def spread(w, row, first, value):
+def broadcast(w, row, first, value):
     """Write a vehicle's value into its four lanes."""
     for j in range(first, first + AXLES):
         w[row + j] = value
@@ -233,4 +233,4 @@ def spread(w, row, first, value):
 def settle(w, first):
     """Bring a vehicle to rest, with its wheels and rollers."""
     for row in (a.V, a.RATE, a.WHEEL, a.ROLLER, a.MOTOR, a.BRAKE, a.MOVING):
-        spread(w, row, first, 0.0)
+        broadcast(w, row, first, 0.0)

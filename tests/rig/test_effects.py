@@ -159,7 +159,7 @@ def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(spee
     way_m = length_m * (speed_m_s / 20.0) ** power
     run = rig.roll(2.5 * way_m / speed_m_s, demand_Pa=4e5)
     assert run.wheel_speed.max() == 0.0
-    prompt = np.array([wheelset.creep(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law,
+    prompt = np.array([wheelset.adhesion_under(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law,
                                       rig.params.cleaning_creepage)[3]
                        for s, v, N in zip(run.sliding[1:, 0], run.vehicle_speed[1:],
                                           run.wheel_load[1:, 0], strict=True)])
@@ -205,9 +205,9 @@ def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(powe
     row = np.zeros(replay.PARAMETERS)
     row[replay.MEMORY], row[replay.MEMORY_POWER] = 3.0, power
     for speed_m_s in (0.1, 5.0, 20.0, 44.0):
-        assert wheelset.caught_up(0.0, 1.0, speed_m_s, 0.01, built) == pytest.approx(
+        assert wheelset.relaxed(0.0, 1.0, speed_m_s, 0.01, built) == pytest.approx(
             replay.closes(speed_m_s, 0.01, row), rel=1e-12)
-    standing = wheelset.caught_up(0.2, 1.0, 0.0, 0.01, built)
+    standing = wheelset.relaxed(0.2, 1.0, 0.0, 0.01, built)
     assert 0.2 <= standing < 0.3
     assert power == 1.0 or standing == 0.2
 

@@ -46,7 +46,7 @@ def test_both_wheels_of_a_wheelset_carry_half_its_load():
 
 def test_cleaning_is_the_papers_law_below_its_creepage_and_bounded_beyond():
     def creep(sliding_m_s, bound):
-        return wheelset.creep(sliding_m_s, 30.0, LOAD_N, 0.06, 0.28, RIG.patch, RIG.law, bound)
+        return wheelset.adhesion_under(sliding_m_s, 30.0, LOAD_N, 0.06, 0.28, RIG.patch, RIG.law, bound)
 
     assert creep(5.9, 0.2) == creep(5.9, np.inf)
     paper, bounded = creep(30.0, np.inf), creep(30.0, 0.2)
@@ -57,7 +57,7 @@ def test_cleaning_is_the_papers_law_below_its_creepage_and_bounded_beyond():
 
 def test_the_wheelset_accelerates_by_contact_less_brake():
     wheels = RIG.wheels
-    rate, brake_Nm, locked = wheelset.rates(60.0, 10e3, 2000.0, 0, wheels)
+    rate, brake_Nm, locked = wheelset.wheel_acceleration(60.0, 10e3, 2000.0, 0, wheels)
     assert not locked
     assert brake_Nm == 2000.0
     assert rate == near((0.445 * 10e3 - 2000.0) / 160.0)
@@ -65,13 +65,13 @@ def test_the_wheelset_accelerates_by_contact_less_brake():
 
 def test_a_wheel_at_rest_stays_locked_until_the_contact_beats_the_brake():
     wheels = RIG.wheels
-    assert wheelset.rates(0.0, 4000.0, 2000.0, 0, wheels) == (0.0, 0.445 * 4000.0, True)
-    rate, brake_Nm, locked = wheelset.rates(0.0, 5000.0, 2000.0, 0, wheels)
+    assert wheelset.wheel_acceleration(0.0, 4000.0, 2000.0, 0, wheels) == (0.0, 0.445 * 4000.0, True)
+    rate, brake_Nm, locked = wheelset.wheel_acceleration(0.0, 5000.0, 2000.0, 0, wheels)
     assert not locked
     assert brake_Nm == 2000.0
     assert rate == near((0.445 * 5000.0 - 2000.0) / 160.0)
     # nothing pulls it backwards
-    assert wheelset.rates(0.0, -500.0, 2000.0, 0, wheels) == (0.0, 0.0, True)
+    assert wheelset.wheel_acceleration(0.0, -500.0, 2000.0, 0, wheels) == (0.0, 0.0, True)
 
 
 @pytest.mark.parametrize(("locked", "on_track"), [(0, 0), (0, 1), (1, 0), (1, 1)])
@@ -83,7 +83,7 @@ def test_a_stage_solves_its_linear_system(locked, on_track):
     q = g * np.array([-r, R])
     gamma = 1.0 - 1.0 / np.sqrt(2.0)
     k = np.array([-3.0, 2.0])
-    *found, added_N = wheelset.damped(*k, g, bool(locked), bool(on_track), h, 0, RIG.wheels, drive)
+    *found, added_N = wheelset.implicit_slopes(*k, g, bool(locked), bool(on_track), h, 0, RIG.wheels, drive)
     expected = np.linalg.solve(np.eye(2) - gamma * h * np.outer(p, q), k)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     np.testing.assert_allclose(k + p * added_N, found, rtol=1e-12)

@@ -116,7 +116,7 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
 def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, cleaning_creepage, out):
     """f, f_d, f_r of the model at each sample, into out (n, 3)."""
     for i in range(sliding_m_s.size):
-        f, f_d, f_r, _, _, _ = wheelset.creep(sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i],
+        f, f_d, f_r, _, _, _ = wheelset.adhesion_under(sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i],
                                               law.mu_cr, patch, law, cleaning_creepage)
         out[i, 0], out[i, 1], out[i, 2] = f, f_d, f_r
 

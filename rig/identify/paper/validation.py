@@ -73,7 +73,7 @@ def free_run(omega_measured, surface_m_s, load_N, torque_Nm, mu_cd, step_s, wind
             v = surface_m_s[k] + part * (surface_m_s[last] - surface_m_s[k])
             N = load_N[k] + part * (load_N[last] - load_N[k])
             C = torque_Nm[k] + part * (torque_Nm[last] - torque_Nm[k])
-            f, _, _, _, _, slope = wheelset.creep(v - r * omega, v, N, mu_cd, mu_cr, patch, law,
+            f, _, _, _, _, slope = wheelset.adhesion_under(v - r * omega, v, N, mu_cd, mu_cr, patch, law,
                                                   cleaning_creepage)
             slope = max(slope, 0.0)
             damping = slope * N * r * r / inertia

@@ -148,7 +148,7 @@ def test_a_scenario_chooses_the_model_of_the_plant(model):
     plan = scenario.load("velim_a1", settings=(f"contact.model={name}",))
     p = plan.params
     assert p.patch.model == model
-    f, f_d, f_r, lambda_, W, _ = wheelset.creep(4.0, 40.0, 2 * N, 0.06, 0.28, p.patch, p.law,
+    f, f_d, f_r, lambda_, W, _ = wheelset.adhesion_under(4.0, 40.0, 2 * N, 0.06, 0.28, p.patch, p.law,
                                                 p.cleaning_creepage)
     if model == DEGRADED:
         assert f_d < f < f_r
