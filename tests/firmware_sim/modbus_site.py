@@ -4,6 +4,7 @@ import asyncio
 import socket
 import struct
 import threading
+import time
 
 import numpy as np
 
@@ -20,6 +21,14 @@ RATED_Nm = 15000.0
 HIGHEST_SPEED = 10000
 # the signal that a speed sensor tells stands in register 208
 MEASURED_SPEED = next(row.signal for row in WORDS if row.at == 208)
+
+
+def until(condition):
+    """Wait for a condition; a test fails where it does not come within a minute."""
+    end_s = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end_s, "waited in vain"
+        time.sleep(0.01)
 
 
 class Site:
@@ -64,7 +73,7 @@ class Site:
         return Server(self.units)
 
     def call(self, coroutine):
-        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(10.0)
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(60.0)
 
     def listen(self, context=None):
         self.port = self.call(self.server.listen("127.0.0.1", 0, context))
@@ -94,7 +103,7 @@ class Site:
 
         self.call(end())
         self.loop.call_soon_threadsafe(self.loop.stop)
-        self.thread.join(10.0)
+        self.thread.join(60.0)
         self.loop.close()
 
 
@@ -109,7 +118,7 @@ class Client:
 
     def __init__(self, port, sock=None):
         self.socket = sock or socket.create_connection(("127.0.0.1", port))
-        self.socket.settimeout(5.0)
+        self.socket.settimeout(60.0)
 
     def send(self, data):
         self.socket.sendall(data)

@@ -63,7 +63,7 @@ def client_context(folder, name=None):
 
 def secured(site, context):
     plain = socket.create_connection(("127.0.0.1", site.port))
-    plain.settimeout(5.0)
+    plain.settimeout(60.0)
     try:
         return Client(0, context.wrap_socket(plain, server_hostname="127.0.0.1"))
     except BaseException:

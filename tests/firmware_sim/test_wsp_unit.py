@@ -51,7 +51,7 @@ class Bench:
     def send(self, can_id, data=b""):
         self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
-    def heard(self, until=None, timeout_s=2.0):
+    def heard(self, until=None, timeout_s=60.0):
         """Frames (identifier, data) up to one with identifier `until`, or until time is over."""
         frames, end_s = [], time.monotonic() + timeout_s
         while (rest_s := end_s - time.monotonic()) > 0.0:
@@ -80,7 +80,7 @@ def bench():
     assert bench.heard(HEARTBEAT) == [(HEARTBEAT, bytes((State.OPERATIONAL,)))]
     yield bench
     bench.unit.stop()
-    bench.thread.join(2.0)
+    bench.thread.join(60.0)
     bench.bus.shutdown()
     bench.unit_bus.shutdown()
 
@@ -127,16 +127,17 @@ def test_over_the_bus_it_decides_bit_for_bit_as_in_the_compiled_loop(bench):
 
 
 def test_while_no_sync_comes_it_still_heartbeats(bench):
-    beats = [frame for frame in bench.heard(timeout_s=0.65) if frame == (HEARTBEAT, b"\x05")]
-    assert 4 <= len(beats) <= 7
+    beats = [bench.bus.recv(60.0) for _ in range(6)]
+    assert {(beat.arbitration_id, bytes(beat.data)) for beat in beats} == {(HEARTBEAT, b"\x05")}
+    assert np.median(np.diff([beat.timestamp for beat in beats])) > 0.05
 
 
 def test_other_traffic_does_not_keep_it_from_heartbeating(bench):
-    end_s = time.monotonic() + 0.5
-    while time.monotonic() < end_s:
+    beats, end_s = 0, time.monotonic() + 60.0
+    while beats < 3 and time.monotonic() < end_s:
         bench.send(0x701, b"\x05")
-        time.sleep(0.02)
-    assert ids(bench.heard(timeout_s=0.1)).count(HEARTBEAT) >= 3
+        beats += ids(bench.heard(timeout_s=0.02)).count(HEARTBEAT)
+    assert beats == 3
 
 
 def test_stopped_by_the_master_it_drops_the_magnets_and_is_silent_until_started(bench):
@@ -147,7 +148,7 @@ def test_stopped_by_the_master_it_drops_the_magnets_and_is_silent_until_started(
     assert bench.heard(MAGNETS)[-1] == (MAGNETS, b"\x00")
     bench.send(SYNC)
     bench.send(SPEEDS, RUNNING)
-    said = bench.heard(timeout_s=0.25)
+    said = bench.heard(HEARTBEAT) + bench.heard(timeout_s=0.05)
     assert set(said) == {(HEARTBEAT, bytes((State.STOPPED,)))}
     bench.command(Command.START, node=0)
     assert ids(bench.cycle())[-2:] == [REFERENCE, MAGNETS]
@@ -163,7 +164,7 @@ def test_a_reset_makes_it_boot_again_with_an_empty_memory(bench, command):
     for _ in range(3):
         bench.cycle(LOCKED)
     bench.command(command)
-    said = bench.heard(timeout_s=0.05)
+    said = bench.heard(HEARTBEAT) + bench.heard(HEARTBEAT)
     assert said == [(MAGNETS, b"\x00"), (HEARTBEAT, b"\x00"), (HEARTBEAT, b"\x05")]
     still = speeds(0.0, 0.0, 0.0, 0.0)
     assert bench.cycle(still) == [(REFERENCE, b"\x00\x00"), (MAGNETS, b"\x00")]
@@ -172,11 +173,12 @@ def test_a_reset_makes_it_boot_again_with_an_empty_memory(bench, command):
 def test_without_speeds_it_repeats_the_magnets_five_times_and_then_drops_them(bench):
     for _ in range(3):
         bench.cycle(LOCKED)
+    bench.send(SYNC)  # answered when the second comes; then at once
     answers = []
-    for _ in range(9):
+    for n in range(2, 10):
         bench.send(SYNC)
-        answers += [data for can_id, data in bench.heard(timeout_s=0.03) if can_id == MAGNETS]
-    # the first of these SYNCs is answered when the second comes, and so on; then at once
+        while len(answers) < n:
+            answers.append(bench.heard(MAGNETS)[-1][1])
     assert answers == [b"\x03"] * 5 + [b"\x00"] * 4
     assert bench.cycle(LOCKED)[-1] == (MAGNETS, b"\x00")  # answered at the SYNC
     assert bench.cycle(LOCKED)[-1] == (MAGNETS, b"\x03")  # speeds are back
@@ -185,7 +187,7 @@ def test_without_speeds_it_repeats_the_magnets_five_times_and_then_drops_them(be
 def test_in_lockstep_a_sync_whose_speeds_never_come_is_answered_all_the_same(bench):
     bench.cycle()
     bench.send(SYNC)
-    assert bench.heard(MAGNETS, timeout_s=0.5)[-1] == (MAGNETS, b"\x00")
+    assert bench.heard(MAGNETS)[-1] == (MAGNETS, b"\x00")
 
 
 def test_speeds_of_a_wrong_length_are_not_speeds(bench):
@@ -201,14 +203,14 @@ def test_when_it_is_told_to_end_the_magnets_are_off_first(bench):
         bench.cycle(LOCKED)
     bench.unit.stop()
     assert bench.heard(MAGNETS)[-1] == (MAGNETS, b"\x00")
-    bench.thread.join(1.0)
+    bench.thread.join(60.0)
     assert not bench.thread.is_alive()
 
 
 def test_it_ends_when_the_bus_ends(bench):
     bench.cycle()
     bench.unit_bus.shutdown()
-    bench.thread.join(1.0)
+    bench.thread.join(60.0)
     assert not bench.thread.is_alive()
 
 
@@ -227,7 +229,7 @@ class LockstepBench:
         self.frames = []
         self.port = self.do(self._open())
 
-    def do(self, coroutine, timeout_s=10.0):
+    def do(self, coroutine, timeout_s=60.0):
         return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(timeout_s)
 
     async def _open(self):
@@ -244,7 +246,13 @@ class LockstepBench:
         """Wait until so many frames have come from the unit."""
         while len(self.frames) < count:
             self.heard.clear()
-            await asyncio.wait_for(self.heard.wait(), 30.0)
+            await asyncio.wait_for(self.heard.wait(), 240.0)
+
+    async def until_last(self, frame):
+        """Wait until a frame is the last that has come."""
+        while self.frames[-1] != frame:
+            self.heard.clear()
+            await asyncio.wait_for(self.heard.wait(), 60.0)
 
     async def cycles(self, count):
         """Run SYNC cycles, in the second half of them with a locked wheel; each waits."""
@@ -254,12 +262,12 @@ class LockstepBench:
             self.rig.send(Frame(PRESSURES, bytes(8)))
             while ids(self.frames).count(MAGNETS) <= i:
                 self.heard.clear()
-                await asyncio.wait_for(self.heard.wait(), 5.0)
+                await asyncio.wait_for(self.heard.wait(), 60.0)
 
     def close(self):
         self.do(self.hub.close())
         self.loop.call_soon_threadsafe(self.loop.stop)
-        self.thread.join(5.0)
+        self.thread.join(60.0)
 
 
 @pytest.fixture
@@ -283,8 +291,8 @@ def go_unit(tmp_path_factory):
 
 REFERENCE_UNIT = """
 import sys
-from rollerrig.firmware_sim import wsp_unit
-sys.exit(wsp_unit.main(sys.argv[1]))
+from rollerrig.firmware_sim.wsp import node
+sys.exit(node.main(sys.argv[1]))
 """
 
 
@@ -302,10 +310,10 @@ def test_every_unit_is_a_good_citizen_in_lockstep_and_ends_with_the_bus(kind, lo
     command = start(kind, lockstep.port, request)
     with subprocess.Popen(command, stderr=subprocess.PIPE) as unit:
         try:
-            lockstep.do(lockstep.until(2), 40.0)
+            lockstep.do(lockstep.until(2), 240.0)
             assert lockstep.frames[:2] == [(HEARTBEAT, b"\x00"), (HEARTBEAT, b"\x05")]
             lockstep.frames.clear()
-            lockstep.do(lockstep.cycles(200), 30.0)
+            lockstep.do(lockstep.cycles(200), 240.0)
             said = [frame for frame in lockstep.frames if frame[0] != REFERENCE]
             answers = [data for can_id, data in said if can_id == MAGNETS]
             assert len(answers) == 200
@@ -316,7 +324,7 @@ def test_every_unit_is_a_good_citizen_in_lockstep_and_ends_with_the_bus(kind, lo
                       if frame[0] == HEARTBEAT]
             assert [n for n in before if n] == list(range(4, 200, 5))
             lockstep.close()
-            assert unit.wait(5.0) == 0
+            assert unit.wait(60.0) == 0
         finally:
             unit.kill()
 
@@ -324,12 +332,11 @@ def test_every_unit_is_a_good_citizen_in_lockstep_and_ends_with_the_bus(kind, lo
 def test_a_terminated_unit_leaves_the_magnets_off_and_status_zero(lockstep, request):
     with subprocess.Popen(start("reference", lockstep.port, request)) as unit:
         try:
-            lockstep.do(lockstep.until(2), 40.0)
-            lockstep.do(lockstep.cycles(50), 30.0)
+            lockstep.do(lockstep.until(2), 240.0)
+            lockstep.do(lockstep.cycles(50), 240.0)
             assert lockstep.frames[-1] == (MAGNETS, b"\x03")
             unit.send_signal(signal.SIGTERM)
-            assert unit.wait(5.0) == 0
+            assert unit.wait(60.0) == 0
         finally:
             unit.kill()
-    time.sleep(0.05)
-    assert lockstep.frames[-1] == (MAGNETS, b"\x00")
+    lockstep.do(lockstep.until_last((MAGNETS, b"\x00")))

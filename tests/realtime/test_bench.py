@@ -154,33 +154,41 @@ def test_wall_pacing_keeps_real_time(wall_run):
     assert loop["ticks"] == 4000
     late = loop["lateness_us"]
     assert 0.0 < late["p50"] <= late["p99"] <= late["p999"] <= late["max"]
-    assert late["p50"] < 1000.0
+
+
+def times_s(run, frame):
+    """When a frame was on the bus, read from the log."""
+    return np.array([float(line[1:18]) for line in (run.out / "can.log").read_text().splitlines()
+                     if f" {frame}" in line])
 
 
 def test_syncs_keep_their_period_in_wall_pacing(wall_run):
-    times_s = [float(line[1:18]) for line in (wall_run.out / "can.log").read_text().splitlines()
-               if " 080#" in line]
-    period_s = np.diff(times_s)
-    assert period_s.mean() == pytest.approx(0.01, rel=0.01)
-    assert np.median(np.abs(period_s - 0.01)) < 0.002
+    # deadlines are absolute: however late single ones are, they do not drift
+    assert np.diff(times_s(wall_run, "080#")).mean() == pytest.approx(0.01, rel=0.05)
 
 
-def test_the_unit_is_not_lost_without_a_reason(wall_run):
-    stalled = wall_run.told["loop"]["lateness_us"]["max"] > 50_000
-    lost = [event for event in wall_run.told["events"] if "lost" in event["text"]]
-    assert stalled or lost == []
+def test_the_unit_is_lost_only_where_its_heartbeat_is_missing_on_the_bus(stop_with_wsp, wall_run):
+    assert [event for event in stop_with_wsp.told["events"] if "lost" in event["text"]] == []
+    beats_s = times_s(wall_run, "720#")
+    assert len(beats_s) >= 20
+    for event in wall_run.told["events"]:
+        if "lost" in event["text"]:
+            silent, stalled = (np.diff(at[at < event["time_s"]][-30:], append=event["time_s"]).max()
+                               for at in (beats_s, times_s(wall_run, "080#")))
+            # it beats every 100 ms and may be silent for 200; or the bench itself stood still
+            assert silent > 0.15 or stalled > 0.05, event
 
 
 def test_a_stall_is_counted_as_missed_ticks_and_strict_says_so(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--strict", "--wsp", "none",
-                         "--set", "duration_max_s=2.5")
+                         "--set", "duration_max_s=5")
     bench.runs_for(0.5)
     os.kill(bench.process.pid, signal.SIGSTOP)
     time.sleep(0.4)
     os.kill(bench.process.pid, signal.SIGCONT)
     bench.finish()
     assert bench.status == 3, bench.stderr
-    assert bench.told["loop"]["ticks"] == 2500
+    assert bench.told["loop"]["ticks"] == 5000
     assert bench.told["loop"]["missed"] >= 350
     assert bench.told["loop"]["lateness_us"]["max"] >= 350_000
     assert bench.record.column("ticks_missed")[-1] >= 350

@@ -26,7 +26,7 @@ def foreign_bus():
     thread.start()
 
     def do(coroutine):
-        return asyncio.run_coroutine_threadsafe(coroutine, loop).result(10)
+        return asyncio.run_coroutine_threadsafe(coroutine, loop).result(60)
 
     hub = Hub(time.monotonic_ns)
     port = do(hub.listen("socketcand", port=0))
@@ -47,7 +47,7 @@ def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_ke
                              "--set", "adhesion.mu_cd=0.001", "--set", "stand_s=60")
         bench.runs_for(1.0)
         end()
-        bench.finish(60)
+        bench.finish()
     assert bench.status == 2, bench.stderr
     assert "Traceback" not in bench.stderr
     assert "failed" in bench.told["error"]

@@ -40,7 +40,7 @@ def listening(process):
     return found
 
 
-def until(condition, timeout_s=25.0):
+def until(condition, timeout_s=120.0):
     end = time.monotonic() + timeout_s
     while not (found := condition()):
         assert time.monotonic() < end, "waited in vain"
@@ -101,7 +101,7 @@ def test_a_viewer_sees_the_run_under_the_recorders_name(run, tmp_path):
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(shown.pid, signal.SIGTERM)
-        shown.wait(10)
+        shown.wait(60)
 
 
 def test_a_live_view_that_stands_still_is_replaced_and_the_rows_go_on(run):
@@ -112,7 +112,7 @@ def test_a_live_view_that_stands_still_is_replaced_and_the_rows_go_on(run):
     while worker in children(process.pid):
         paced_writer.write(to, number)
         number += 1
-        assert time.monotonic() - begun < 20.0
+        assert time.monotonic() - begun < 120.0
         time.sleep(0.01)
     assert to[0].header[ring.WRITTEN] == number
     until(lambda: children(process.pid))
@@ -123,7 +123,7 @@ def test_a_live_view_that_is_told_to_end_leaves_no_process(run):
     _, process = run
     worker = children(process.pid)[0]
     process.terminate()
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0
     until(lambda: not Path(f"/proc/{worker}").exists())
 
 
@@ -132,7 +132,7 @@ def test_the_live_view_ends_by_itself_after_the_run(run):
     for one in to:
         one.close()
     process.terminate()  # as a bench does at once; the viewer may still be fetching
-    assert process.wait(15) == 0
+    assert process.wait(60) == 0
 
 
 def test_a_feed_drops_the_oldest_rows_when_it_has_fallen_behind(tmp_path):

@@ -16,10 +16,14 @@ from rollerrig.wsp_interface import signals
 MS = 1_000_000
 
 
+def built(folder, duration_s):
+    ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
+    return bench.build_machine(scenario.load("velim_a1", settings=(f"duration_max_s={duration_s}",)), ring)
+
+
 @pytest.fixture
 def machine(tmp_path):
-    ring = rings.Ring(tmp_path / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
-    return bench.build_machine(scenario.load("velim_a1", settings=("duration_max_s=0.5",)), ring)
+    return built(tmp_path, 0.5)
 
 
 def wall(machine, begin_ns, sync_ticks=10):
@@ -36,12 +40,10 @@ def test_every_tick_is_run_once_and_has_its_lateness_counted(machine):
     bench.warm_up(machine, "wall")
     begin_ns = clock.monotonic_ns()
     histogram, calls = wall(machine, begin_ns)
-    took_s = (clock.monotonic_ns() - begin_ns) / 1e9
+    assert clock.monotonic_ns() - begin_ns >= 500 * MS
     assert machine.control[TICK] == histogram.sum() == 500
     assert machine.control[DONE] == 1
     assert calls == 50 + 1  # the last call says that the loop has ended
-    assert took_s >= 0.5
-    assert took_s < 3.0
     assert machine.state.time[0] == pytest.approx(0.5)
 
 
@@ -49,13 +51,12 @@ def test_a_loop_that_is_behind_catches_up_and_counts_what_it_missed(machine):
     bench.warm_up(machine, "wall")
     begin_ns = clock.monotonic_ns() - 60 * MS
     histogram, _ = wall(machine, begin_ns)
-    took_s = (clock.monotonic_ns() - begin_ns) / 1e9
     # deadlines are absolute: the 500th tick still belongs 500 ms after the beginning
+    assert clock.monotonic_ns() - begin_ns >= 500 * MS
     assert machine.control[TICK] == 500
     assert 20 <= machine.control[MISSED] <= 500
     assert machine.control[WORST_NS] >= 59 * MS
     assert histogram[loop.BINS - 1:].sum() >= 30  # all that is 20 ms late or more
-    assert 0.5 <= took_s < 3.0
 
 
 def test_a_long_stall_starts_afresh_and_counts_every_tick_of_it(machine):
@@ -66,15 +67,17 @@ def test_a_long_stall_starts_afresh_and_counts_every_tick_of_it(machine):
     assert (clock.monotonic_ns() - begin_ns) / 1e9 >= 3.0 + 0.49
 
 
-def test_a_flag_set_from_python_stops_the_loop(machine):
+def test_a_flag_set_from_python_stops_the_loop(tmp_path):
+    machine = built(tmp_path, 60)
     bench.warm_up(machine, "wall")
-    thread = threading.Thread(target=wall, args=(machine, clock.monotonic_ns()))
+    thread = threading.Thread(target=wall, args=(machine, clock.monotonic_ns()), daemon=True)
     thread.start()
-    time.sleep(0.1)
+    while machine.control[TICK] < 20:
+        time.sleep(0.001)
     machine.control[STOP] = 1
-    thread.join(2.0)
+    thread.join(60.0)
     assert not thread.is_alive()
-    assert 20 <= machine.control[TICK] < 500
+    assert 20 <= machine.control[TICK] < 60_000
 
 
 def test_the_loop_lets_python_run_beside_it(machine):
@@ -84,7 +87,7 @@ def test_the_loop_lets_python_run_beside_it(machine):
     counted = 0
     while thread.is_alive():
         counted += 1
-    assert counted > 10_000
+    assert counted > 10  # one that keeps the GIL lets it count to 1
     assert machine.control[TICK] == 500
 
 

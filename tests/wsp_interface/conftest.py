@@ -32,7 +32,7 @@ class HubThread:
             result = function()
             return await result if asyncio.iscoroutine(result) else result
 
-        return asyncio.run_coroutine_threadsafe(run(), self.loop).result(10)
+        return asyncio.run_coroutine_threadsafe(run(), self.loop).result(60)
 
     def listen(self, codec: str) -> int:
         return self.do(lambda: self.hub.listen(codec, port=0))
@@ -42,7 +42,7 @@ class HubThread:
 
     def connect(self, port: int | None = None) -> socket.socket:
         """A raw client."""
-        connection = socket.create_connection(("127.0.0.1", port or self.port), 5)
+        connection = socket.create_connection(("127.0.0.1", port or self.port), 60)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return connection
 
@@ -56,8 +56,8 @@ class HubThread:
         return client
 
     def until(self, condition) -> bool:
-        """Whether the condition comes true within five seconds."""
-        end_s = time.monotonic() + 5.0
+        """Whether the condition comes true within a minute."""
+        end_s = time.monotonic() + 60.0
         while time.monotonic() < end_s:
             if condition():
                 return True
@@ -68,7 +68,7 @@ class HubThread:
         if self.loop.is_running():
             self.do(self.hub.close)
             self.loop.call_soon_threadsafe(self.loop.stop)
-            self.thread.join(5)
+            self.thread.join(60)
             self.loop.close()
 
 

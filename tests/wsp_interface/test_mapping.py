@@ -58,7 +58,7 @@ def files(tmp_path):
     return write
 
 
-def until(bus, can_id, timeout_s=5.0):
+def until(bus, can_id, timeout_s=60.0):
     while (message := bus.recv(timeout_s)) is not None:
         if message.arbitration_id == can_id:
             return message

@@ -57,7 +57,7 @@ def play_handshake(server, chunks=(b"< hi >", b"< ok >", b"< ok >")) -> tuple:
     thread.start()
     try:
         opened = plugin.RollerrigBus(f"127.0.0.1:{server.getsockname()[1]}/rig0",
-                                     connect_timeout=0.3)
+                                     connect_timeout=10.0)
     finally:
         thread.join()
     return opened, accepted[0]
@@ -82,7 +82,7 @@ def test_a_frame_of_any_kind_arrives_unchanged_in_both_directions(bench, bus, no
     assert bench.until(lambda: bench.log)
     assert bench.log[0]._replace(time_ns=0) == frame
     bench.do(lambda: node.send(frame))
-    message = bus.recv(5)
+    message = bus.recv(60)
     assert plugin.frame_of(message) == frame
     assert message.timestamp == pytest.approx(bench.log[1].time_ns / 1e9, abs=1e-6)
     assert bus.recv(0.05) is None  # not its own
@@ -90,13 +90,13 @@ def test_a_frame_of_any_kind_arrives_unchanged_in_both_directions(bench, bus, no
 
 def test_a_blocking_reader_gets_all_frames_in_order(bench, bus, node):
     send_numbers(bench, node, 2000)
-    assert numbers(bus.recv(5) for _ in range(2000)) == list(range(2000))
+    assert numbers(bus.recv(60) for _ in range(2000)) == list(range(2000))
 
 
 def test_filters_let_only_the_wanted_frames_through(bench, bus, node):
     bus.set_filters([{"can_id": 0x181, "can_mask": 0x7FF}])
     bench.do(lambda: [node.send(Frame(can_id, b"")) for can_id in (0x180, 0x181, 0x182)])
-    assert bus.recv(5).arbitration_id == 0x181
+    assert bus.recv(60).arbitration_id == 0x181
     assert bus.recv(0.05) is None
 
 
@@ -104,7 +104,7 @@ def test_the_descriptor_is_readable_exactly_while_a_whole_frame_is_there(bench, 
     assert not select.select([bus], [], [], 0.05)[0]
     send_numbers(bench, node, 3)
     for _ in range(3):
-        assert select.select([bus], [], [], 5)[0]
+        assert select.select([bus], [], [], 60)[0]
         assert bus.recv(0) is not None
     assert not select.select([bus], [], [], 0)[0]
     assert bus.recv(0) is None
@@ -113,11 +113,11 @@ def test_the_descriptor_is_readable_exactly_while_a_whole_frame_is_there(bench, 
 def test_half_a_message_does_not_keep_the_descriptor_readable(server):
     bus, connection = play_handshake(server)
     connection.sendall(b"< frame 123 1.0000")
-    assert select.select([bus], [], [], 5)[0]
+    assert select.select([bus], [], [], 60)[0]
     assert bus.recv(0) is None
     assert not select.select([bus], [], [], 0.05)[0]
     connection.sendall(b"07 AA >< fra")
-    message = bus.recv(5)
+    message = bus.recv(60)
     assert (message.arbitration_id, bytes(message.data)) == (0x123, b"\xaa")
     assert message.timestamp == pytest.approx(1.000007)
     assert bus.recv(0) is None
@@ -130,7 +130,7 @@ def test_a_notifier_in_an_event_loop_gets_every_frame_of_a_burst(bench, bus, nod
         got = []
         notifier = can.Notifier(bus, [got.append], loop=asyncio.get_running_loop())
         await asyncio.to_thread(send_numbers, bench, node, 1500)
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(60):
             while len(got) < 1500:
                 await asyncio.sleep(0.005)
         notifier.stop()
@@ -188,9 +188,9 @@ def test_can_fd_and_error_frames_are_refused(bus):
 def test_the_end_of_the_hub_raises_after_the_last_frame(bench, bus, node):
     send_numbers(bench, node, 3)
     bench.close()
-    assert numbers(bus.recv(5) for _ in range(3)) == [0, 1, 2]
+    assert numbers(bus.recv(60) for _ in range(3)) == [0, 1, 2]
     with pytest.raises(can.CanOperationError, match=r"127\.0\.0\.1.*closed"):
-        bus.recv(5)
+        bus.recv(60)
     with pytest.raises(can.CanOperationError, match="closed"):
         bus.send(can.Message())
 
@@ -212,14 +212,16 @@ def test_an_event_loop_is_told_of_the_end_once_and_does_not_spin(bench, bus):
         loop.set_exception_handler(lambda loop, context: problems.append(context["exception"]))
         notifier = can.Notifier(bus, [lambda message: None], loop=loop)
         await asyncio.to_thread(bench.close)
-        began_s = time.process_time()
+        asked = []
+        receive = bus._recv_internal
+        bus._recv_internal = lambda timeout: asked.append(timeout) or receive(timeout)
         await asyncio.sleep(0.5)
         notifier.stop()
-        return problems, time.process_time() - began_s
+        return problems, len(asked)
 
-    problems, busy_s = asyncio.run(run())
+    problems, asked = asyncio.run(run())
     assert [type(problem) for problem in problems] == [can.CanOperationError]
-    assert busy_s < 0.1
+    assert asked < 10
 
 
 def test_the_end_found_while_sending_is_told_to_the_reader_too(server):
@@ -234,7 +236,7 @@ def test_the_end_found_while_sending_is_told_to_the_reader_too(server):
 
     with pytest.raises(can.CanOperationError):
         send_on()
-    assert select.select([bus], [], [], 5)[0]
+    assert select.select([bus], [], [], 60)[0]
     with pytest.raises(can.CanOperationError):
         bus.recv(0)
     assert not select.select([bus], [], [], 0.05)[0]
@@ -254,7 +256,7 @@ def test_shutdown_wakes_a_reader_in_another_thread(bus):
     thread.start()
     time.sleep(0.05)
     bus.shutdown()
-    thread.join(5)
+    thread.join(60)
     assert not thread.is_alive()
     assert "shut down" in ends[0]
 
@@ -267,7 +269,7 @@ def test_a_hub_that_appears_late_is_waited_for(start_hub):
         port = free.getsockname()[1]
     bench = start_hub()
     threading.Timer(0.3, lambda: bench.do(lambda: bench.hub.listen(port=port))).start()
-    with plugin.RollerrigBus(f"127.0.0.1:{port}/rig0", connect_timeout=5.0) as bus:
+    with plugin.RollerrigBus(f"127.0.0.1:{port}/rig0", connect_timeout=60.0) as bus:
         bus.send(can.Message(arbitration_id=1, is_extended_id=False))
         assert bench.until(lambda: bench.log)
 
@@ -300,7 +302,7 @@ def test_a_handshake_in_one_piece_or_in_many_is_understood(server):
     for chunks in ([b"< hi >\n< ok >< ok >< frame 001 0.0 >"],
                    [b"< h", b"i >< o", b"k ><", b" ok >< frame 001", b" 0.0 >"]):
         bus, connection = play_handshake(server, chunks)
-        assert bus.recv(5).arbitration_id == 1
+        assert bus.recv(60).arbitration_id == 1
         bus.shutdown()
         connection.close()
 
@@ -309,7 +311,7 @@ def test_errors_and_nonsense_of_the_server_are_skipped(server):
     bus, connection = play_handshake(server)
     connection.sendall(b"< error unknown command >< frame >< frame zz 1.0 00 ><frame 1 1.0 0>"
                        b"< frame 123 x.0 00 >>>><< frame 7FF 2.5 00 11 >")
-    message = bus.recv(5)
+    message = bus.recv(60)
     assert (message.arbitration_id, bytes(message.data)) == (0x7FF, b"\x00\x11")
     bus.shutdown()
     connection.close()
@@ -339,7 +341,7 @@ def test_a_full_connection_times_out_and_cuts_no_frame_in_half(server):
     thread.start()
     bus.send(can.Message(arbitration_id=2))
     bus.shutdown()
-    thread.join(10)
+    thread.join(60)
     commands = received.split(b">")[2:-1]  # after open and rawmode
     assert len(commands) == accepted + 1
     assert all(command.startswith(b"< send 0000000") for command in commands)
