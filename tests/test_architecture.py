@@ -56,11 +56,8 @@ BY_COMPUTED_NAME = {"realtime/cli", "realtime/verbs/bench", "realtime/campaign/c
 MODULES, LINES, ALL_LINES = 14, 400, 28_000
 # what does not hold yet; the mark goes when it does (a strict xfail that passes fails)
 NOT_YET = {
-    "circle rig/identify": "data and filter know one another",
-    "circle rig/identify/data": "dataset, quality and units know one another",
     "circle wsp_interface": "harness and own_bench know one another",
     "circle realtime/verbs": "tune and validate know one another",
-    "floors rig/identify": "data imports filter",
     "floors wsp_interface": "harness imports own_bench",
     "lines realtime/bench/bench": "705 lines",
     "lines rig/params": "417 lines",

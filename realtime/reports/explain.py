@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from rollerrig.realtime.reports import paper
 from rollerrig.rig.identify.data import preparation as prepared
 from rollerrig.rig.identify.decide import evidence, extension, gain, simulate
-from rollerrig.rig.identify.decide.choice import Named
+from rollerrig.rig.identify.decide.choice import NamedCause
 from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.mechanisms.table import BY_NAME, TABLE
 
@@ -60,7 +60,7 @@ def _bic(a: Account, statistic: float, size: int) -> float:
     return statistic - size * math.log(a.design.measured_rad_s.size)
 
 
-def _cause(a: Account, named: Named) -> dict[str, Any]:
+def _cause(a: Account, named: NamedCause) -> dict[str, Any]:
     name = named.cause.name
     size = len(named.cause.values) + len(named.cause.shape)
     return {

@@ -17,7 +17,7 @@ matplotlib.use("Agg")
 import numpy as np
 from matplotlib.figure import Figure
 
-from rollerrig.rig.identify.data.dataset import Dataset
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.paper.polach_fit import NAMES, RECOMMENDED, Fitted, falls, model, patch_of
 from rollerrig.rig.identify.paper.tuning import Interval, Tuned
 from rollerrig.rig.identify.paper.validation import Verdict

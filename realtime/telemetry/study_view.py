@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from rollerrig.realtime.telemetry.views import APPLICATION, TIMELINE
-from rollerrig.rig.identify.data.dataset import Dataset
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.paper.tuning import Tuned
 from rollerrig.rig.identify.paper.validation import Verdict
 

@@ -7,6 +7,7 @@ from rolling import DRY, SOAP, TRACK, Rig
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig import plant, vehicle, wheelset
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.mechanisms import plant as effects
 from rollerrig.rig.mechanisms import table
@@ -202,8 +203,8 @@ def test_a_memory_of_no_length_to_speak_of_is_the_base_model(of_work) -> None:
 @pytest.mark.parametrize("power", [0.0, 0.5, 1.0])
 def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(power) -> None:
     built = extended(adhesion_memory_length_m=3.0, adhesion_memory_speed_power=power).effects
-    row = np.zeros(replay.PARAMETERS)
-    row[replay.MEMORY], row[replay.MEMORY_POWER] = 3.0, power
+    row = np.zeros(parameters.PARAMETERS)
+    row[parameters.MEMORY], row[parameters.MEMORY_POWER] = 3.0, power
     for speed_m_s in (0.1, 5.0, 20.0, 44.0):
         assert wheelset.relaxed(0.0, 1.0, speed_m_s, 0.01, built) == pytest.approx(
             replay.closes(speed_m_s, 0.01, row), rel=1e-12)

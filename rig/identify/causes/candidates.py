@@ -11,8 +11,8 @@ import numpy as np
 from scipy.ndimage import shift
 
 from rollerrig.rig.identify.causes import columns, courses
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.identify.filter.sensitivity import Inputs
 
 GRAVITY = 9.80665
@@ -42,22 +42,22 @@ def start(design: Design) -> Explanation:
                        ())
 
 
-def inputs(design: Design, told: Explanation) -> Inputs:
+def inputs(design: Design, explanation: Explanation) -> Inputs:
     """Inputs of the replay under an explanation."""
     n = design.measured_rad_s.size
     p = np.tile(design.base, (design.segments, 1))
-    p[:, replay.SIGMA], p[:, replay.LENGTH] = told.sigma, told.length_m
-    p[:, replay.NOISE] = design.wheel_noise_rad_s
-    p[:, replay.TORQUE_NOISE] = design.torque_noise_Nm[design.run]
-    base = told.base
-    p[:, replay.TAU] *= np.exp(base.get("ln_tau", 0.0))
+    p[:, parameters.SIGMA], p[:, parameters.LENGTH] = explanation.sigma, explanation.length_m
+    p[:, parameters.NOISE] = design.wheel_noise_rad_s
+    p[:, parameters.TORQUE_NOISE] = design.torque_noise_Nm[design.run]
+    base = explanation.base
+    p[:, parameters.TAU] *= np.exp(base.get("ln_tau", 0.0))
     friction = np.zeros(n)
     torque, load = design.torque_Nm, design.load_N
     mass = design.mass_kg.copy()
     gain, lift = np.zeros(design.segments), np.zeros(design.segments)
     for s in range(design.segments):
         run, axle = int(design.run[s]), int(design.axle[s])
-        p[s, replay.MU_CD] *= np.exp(base.get(f"ln_mu_cd_{run}", 0.0))
+        p[s, parameters.MU_CD] *= np.exp(base.get(f"ln_mu_cd_{run}", 0.0))
         gain[s] = base.get("torque_gain", 0.0) + base.get(f"torque_gain_{axle}", 0.0)
         lift[s] = base.get(f"load_gain_{axle}", 0.0)
     sizes = np.diff(design.start)
@@ -67,7 +67,7 @@ def inputs(design: Design, told: Explanation) -> Inputs:
         mass[run] *= 1.0 + base.get(f"mass_{run}", 0.0)
     found = Inputs(torque, load, design.speed_m_s, friction, p, mass,
                    np.zeros(design.vehicle_m_s.size))
-    for cause in told.causes:
+    for cause in explanation.causes:
         found = _with(design, found, cause)
     return found
 
@@ -86,7 +86,7 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
         return i._replace(friction_log=i.friction_log + change)
     if cause.name == "falling_friction" and "height" in cause.shape:
         p = i.parameters.copy()
-        for at in (replay.A_D, replay.A_R):
+        for at in (parameters.A_D, parameters.A_R):
             p[:, at] /= 1.0 + (1.0 - p[:, at]) * value
         return i._replace(parameters=p)
     if cause.name in _COLUMN:
@@ -97,9 +97,9 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
         return i._replace(parameters=p)
     if cause.name == "adhesion_memory":
         p = i.parameters.copy()
-        p[:, replay.MEMORY] = max(value, 0.0)
-        p[:, replay.MEMORY_POWER] = cause.shape.get("speed_power", 0.0)
-        p[:, replay.MEMORY_OF_WORK] = cause.shape.get("of_work", 0.0)
+        p[:, parameters.MEMORY] = max(value, 0.0)
+        p[:, parameters.MEMORY_POWER] = cause.shape.get("speed_power", 0.0)
+        p[:, parameters.MEMORY_OF_WORK] = cause.shape.get("of_work", 0.0)
         return i._replace(parameters=p)
     if cause.name == "brake_gain":
         return i._replace(torque_Nm=i.torque_Nm * (1.0 + value * mask))
@@ -131,14 +131,14 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
 
 # (column of the parameters, sign of the coefficient)
 _COLUMN = {
-    "wheel_radius": ((replay.RADIUS, 1.0),),
-    "wheel_inertia": ((replay.INERTIA, 1.0),),
-    "roller_curvature": ((replay.EPS1, 1.0),),
-    "interfacial_layer": ((replay.K_AD, -1.0), (replay.K_AR, -1.0)),
-    "falling_friction": ((replay.GAMMA_D, 1.0), (replay.GAMMA_R, 1.0)),
+    "wheel_radius": ((parameters.RADIUS, 1.0),),
+    "wheel_inertia": ((parameters.INERTIA, 1.0),),
+    "roller_curvature": ((parameters.EPS1, 1.0),),
+    "interfacial_layer": ((parameters.K_AD, -1.0), (parameters.K_AR, -1.0)),
+    "falling_friction": ((parameters.GAMMA_D, 1.0), (parameters.GAMMA_R, 1.0)),
 }
 
-_WHOLE_LAYER = ((replay.K_SD, -1.0), (replay.K_SR, -1.0))
+_WHOLE_LAYER = ((parameters.K_SD, -1.0), (parameters.K_SR, -1.0))
 
 
 def _swing(d: Design, cause: Cause) -> np.ndarray:

@@ -45,7 +45,7 @@ class Variant(NamedTuple):
     axle: int  # 0: all
 
 
-class Book(NamedTuple):
+class SensitivityMatrix(NamedTuple):
     """Columns, their courses and variants. `wheel` (n, columns), `vehicle` (nv, columns)."""
 
     columns: list[Column]
@@ -126,7 +126,7 @@ def vehicle_mass(design: Design) -> np.ndarray:
 
 
 def write(design: Design, inputs: Inputs, linear: Linear,
-          only: frozenset[str] | None = None, shaped: Shaped = ()) -> Book:
+          only: frozenset[str] | None = None, shaped: Shaped = ()) -> SensitivityMatrix:
     """Columns of a design around a replay: all, or those of some owners; and shapes of causes."""
     w = _Writer(design)
     torque = smooth_torque(design, inputs.torque_Nm)
@@ -150,7 +150,7 @@ def write(design: Design, inputs: Inputs, linear: Linear,
             build()
     _shaped(w, design, friction, lambda owner, label, change: _torque_column(
         w, design, inputs, owner, label, change * torque), shaped)
-    return Book(w.columns, np.column_stack(w.wheel), np.column_stack(w.vehicle), w.variants)
+    return SensitivityMatrix(w.columns, np.column_stack(w.wheel), np.column_stack(w.vehicle), w.variants)
 
 
 def _torque_column(w: _Writer, d: Design, inputs: Inputs, owner: str, label: str,

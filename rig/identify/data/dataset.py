@@ -2,7 +2,7 @@
 
 Whatever would make a finding worthless is refused here with what is wrong and how to mend it; what
 only narrows what can be concluded becomes a warning that the report repeats.
-Format: INTERFACES section 6 of the project (README: measured data).
+Format: README, measured data.
 """
 
 import math
@@ -10,7 +10,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,9 +21,9 @@ from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, number
 from rollerrig.rig import params
-from rollerrig.rig.identify.data import mdf
+from rollerrig.rig.identify.data import mdf, quality
+from rollerrig.rig.identify.data.runs import AXLES, Curve, Dataset, Run
 
-AXLES = 4
 HEAD = (
     choice("kind", "braking_runs", ("braking_runs", "creep_curve"), "what the data is"),
     choice("vehicle_set", "uic_z1", (), "configs/vehicles; written `vehicle`"),
@@ -56,51 +56,6 @@ CHANNELS = ("vehicle_speed_m_s", "position_m", *(
     for j in range(1, AXLES + 1)))
 
 
-class Run(NamedTuple):
-    """One stop: arrays (n,) or (n, 4), SI units; `position_m` may be None."""
-
-    name: str
-    group: str
-    mass_kg: float
-    mu_cd: float | None
-    time_s: np.ndarray
-    speed_m_s: np.ndarray
-    wheel_speed_rad_s: np.ndarray
-    load_N: np.ndarray
-    torque_Nm: np.ndarray
-    position_m: np.ndarray | None
-    surface_m_s: np.ndarray | None  # (n, 4): roller surface speed on a rig; None on a track
-
-
-class Curve(NamedTuple):
-    """Measured creep curve: arrays (n,)."""
-
-    creepage: np.ndarray
-    adhesion: np.ndarray
-    speed_m_s: np.ndarray
-    load_N: np.ndarray
-    series: np.ndarray
-
-
-class Dataset(NamedTuple):
-    """Checked data. `sections` are checked parameter tables as `params.check` gives them."""
-
-    name: str
-    kind: str
-    folder: Path
-    sample_time_s: float
-    sections: dict[str, dict[str, Any]]
-    accuracy: dict[str, float]
-    axle_position_m: np.ndarray
-    runs: list[Run]
-    curve: Curve | None
-    warnings: list[str]
-
-    def group(self, name: str) -> list[Run]:
-        """The runs of a group."""
-        return [run for run in self.runs if run.group == name]
-
-
 def load(folder: Path | str) -> Dataset:
     """A dataset's folder (or the name of a packaged one). Raises ConfigError saying how to mend it."""
     folder = _find(folder)
@@ -124,8 +79,6 @@ def load(folder: Path | str) -> Dataset:
             for i, row in enumerate(tables.get("run", []), start=1)]
     found = Dataset(folder.name, head["kind"], folder, head["sample_time_s"], sections, accuracy,
                     positions, runs, None, warnings)
-    from rollerrig.rig.identify.data import quality
-
     quality.check(found, str(path))
     return found
 
@@ -256,8 +209,6 @@ def _run(folder: Path, row: Mapping[str, Any], index: int, sections: Mapping[str
               column(data, "vehicle_speed_m_s", path), each("wheel_speed", "rad_s"),
               each("wheel_load", "N"), each("brake_torque", "Nm"), maybe("position_m"),
               each("surface_speed", "m_s") if "surface_speed_1_m_s" in data.column_names else None)
-    from rollerrig.rig.identify.data import quality
-
     quality.check_run(run, path, dict(sections), sample_time_s, given["initial_speed_m_s"], warnings)
     return run
 

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_filter
 
-from rollerrig.rig.contact.adhesion import patch_for
-from rollerrig.rig.identify.data.dataset import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.parameters import base_parameters
+from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.kernel import kernel_with_memory
 
 # window of the derivative of wheel speed, s
@@ -55,7 +55,7 @@ class Design(NamedTuple):
     wheel_noise_rad_s: float
     torque_noise_Nm: np.ndarray  # (runs,)
     calibration: float
-    base: np.ndarray  # (PARAMETERS,) of `replay`
+    base: np.ndarray  # (PARAMETERS,) of `parameters`
     resistance: np.ndarray  # A, B, C
     released_Nm: np.ndarray  # (segments,) mean torque while released, nan: never
     released_sd_Nm: np.ndarray
@@ -147,21 +147,6 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
         data.accuracy["calibration_fraction"], base_parameters(data), resistance,
         np.array(released), np.array(released_sd), places if like is None else like.places_m,
         ends if like is None else like.ends_s)
-
-
-def base_parameters(data: Dataset) -> np.ndarray:
-    """One row of the replay's parameters from the dataset's base model."""
-    from rollerrig.rig.identify.filter import replay
-
-    v, law, c = (data.sections[k] for k in ("vehicle", "adhesion", "contact"))
-    patch = patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"],
-                      c["young_Pa"], c["shear_Pa"], c["poisson"])
-    row = np.zeros(replay.PARAMETERS)
-    row[replay.RADIUS], row[replay.INERTIA] = v["wheel_radius_m"], v["wheelset_inertia_kgm2"]
-    row[replay.LAW] = [law[k] for k in replay.LAW_KEYS]
-    row[replay.EPS1] = patch.eps1
-    row[replay.CLEANING] = law["cleaning_creepage"]
-    return row
 
 
 def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:

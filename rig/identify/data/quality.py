@@ -6,15 +6,13 @@ unit, what is allowed, and how to mend it.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.data import units
-
-if TYPE_CHECKING:
-    from rollerrig.rig.identify.data.dataset import Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset, Run
 
 LEAST_SAMPLES = 200
 # mean sliding below which a stop tells nothing about adhesion, m/s
@@ -22,7 +20,7 @@ LEAST_SLIDING_M_S = 0.15
 LONGEST_HELD_S = 1.0
 
 
-def check_run(run: "Run", path: Path, sections: Mapping[str, Any], sample_time_s: float,
+def check_run(run: Run, path: Path, sections: Mapping[str, Any], sample_time_s: float,
               initial_speed_m_s: float, warnings: list[str]) -> None:
     """Raises ConfigError for a run that cannot be what it says; appends what is only doubtful."""
     _check_time(run, path, sample_time_s)
@@ -35,7 +33,7 @@ def check_run(run: "Run", path: Path, sections: Mapping[str, Any], sample_time_s
     _check_held(run, path, warnings)
 
 
-def _check_time(run: "Run", path: Path, sample_time_s: float) -> None:
+def _check_time(run: Run, path: Path, sample_time_s: float) -> None:
     n = run.time_s.size
     if n < LEAST_SAMPLES:
         raise ConfigError(f"{path}: {n} samples; a stop needs at least {LEAST_SAMPLES}; give a longer "
@@ -68,7 +66,7 @@ def _check_time(run: "Run", path: Path, sample_time_s: float) -> None:
                           "clock drifts; correct time_s or sample_time_s")
 
 
-def _check_speed(run: "Run", path: Path, initial: float) -> None:
+def _check_speed(run: Run, path: Path, initial: float) -> None:
     v, top = run.speed_m_s, float(np.max(run.speed_m_s))
     if not 1.0 < top < 150.0:
         raise ConfigError(f"{path}: vehicle_speed_m_s reaches {top:.4g}; 1 to 150 m/s are allowed: "
@@ -78,7 +76,7 @@ def _check_speed(run: "Run", path: Path, initial: float) -> None:
                           f"initial_speed_m_s = {initial:g}; is vehicle_speed_m_s in km/h?")
 
 
-def _check_constant(run: "Run", path: Path) -> None:
+def _check_constant(run: Run, path: Path) -> None:
     for name, values in (("vehicle_speed_m_s", run.speed_m_s[:, None]),
                          ("wheel_speed_rad_s", run.wheel_speed_rad_s),
                          ("brake_torque_Nm", run.torque_Nm)):
@@ -88,7 +86,7 @@ def _check_constant(run: "Run", path: Path) -> None:
                                   f"({values[0, j]:g}); a channel that does not move cannot be used")
 
 
-def _check_signs(run: "Run", path: Path) -> None:
+def _check_signs(run: Run, path: Path) -> None:
     if np.mean(run.torque_Nm) < 0.0:
         raise ConfigError(f"{path}: the mean brake torque is {np.mean(run.torque_Nm):.4g} N m; "
                           "braking torque is positive: change its sign")
@@ -101,7 +99,7 @@ def _check_signs(run: "Run", path: Path) -> None:
                               "positive speed: change its sign")
 
 
-def _check_sliding(run: "Run", path: Path, sections: Mapping[str, Any], warnings: list[str]) -> None:
+def _check_sliding(run: Run, path: Path, sections: Mapping[str, Any], warnings: list[str]) -> None:
     sliding = run.speed_m_s[:, None] - sections["vehicle"]["wheel_radius_m"] * run.wheel_speed_rad_s
     if np.mean(sliding) < -0.2:
         raise ConfigError(f"{path}: the mean sliding is {np.mean(sliding):.3g} m/s; speed - radius x "
@@ -116,7 +114,7 @@ def _check_sliding(run: "Run", path: Path, sections: Mapping[str, Any], warnings
         warnings.append(f"{path.name}: the speed falls by {lost:.3g} m/s only")
 
 
-def _check_held(run: "Run", path: Path, warnings: list[str]) -> None:
+def _check_held(run: Run, path: Path, warnings: list[str]) -> None:
     """Channels that repeat their samples: stuck, or sampled slower than told."""
     moves = (run.speed_m_s > 5.0)[1:]
     if not np.any(moves):
@@ -136,7 +134,7 @@ def _check_held(run: "Run", path: Path, warnings: list[str]) -> None:
                             "told, or rounded; delays cannot be judged")
 
 
-def check(found: "Dataset", where: str) -> None:
+def check(found: Dataset, where: str) -> None:
     """The dataset as a whole. Raises ConfigError where nothing can be concluded."""
     if not found.runs:
         raise ConfigError(f"{where}: no [[run]]; name at least two files")
@@ -157,7 +155,7 @@ def check(found: "Dataset", where: str) -> None:
         found.warnings.append("no run has group = \"validate\": no gain can be claimed")
 
 
-def _check_copies(found: "Dataset", where: str) -> None:
+def _check_copies(found: Dataset, where: str) -> None:
     for i, one in enumerate(found.runs):
         for other in found.runs[i + 1:]:
             if _shared(one, other):
@@ -165,7 +163,7 @@ def _check_copies(found: "Dataset", where: str) -> None:
                                   "copy tells nothing new and cannot validate: remove one")
 
 
-def _shared(one: "Run", other: "Run", length: int = 50) -> bool:
+def _shared(one: Run, other: Run, length: int = 50) -> bool:
     """Whether a stretch from the middle of a run, of wheel or vehicle speed, stands in another one too."""
     middle = one.time_s.size // 2
     for mine, its in ((one.wheel_speed_rad_s[:, 0], other.wheel_speed_rad_s[:, 0]),

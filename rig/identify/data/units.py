@@ -10,16 +10,14 @@ move against each other while a wheel slides, so a shift between their clocks sh
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_filter
 
 from rollerrig.configs.errors import ConfigError
-
-if TYPE_CHECKING:
-    from rollerrig.rig.identify.data.dataset import Run
+from rollerrig.rig.identify.data.runs import Run
 
 GRAVITY_M_S2 = 9.80665
 # ratio [D1] -> what it tells; within 6 %
@@ -38,7 +36,7 @@ _TORQUE = ((1e-3, "it is in kN m: multiply by 1000"), (0.5, "it is of one wheel:
 LATEST_S = 0.2
 
 
-def check(run: "Run", path: Path, sections: Mapping[str, Any], warnings: list[str]) -> None:
+def check(run: Run, path: Path, sections: Mapping[str, Any], warnings: list[str]) -> None:
     """Raises ConfigError where a channel cannot be in its unit; warns where torque and speed disagree."""
     _rolling(run, path, sections["vehicle"]["wheel_radius_m"])
     _weight(run, path)
@@ -49,7 +47,7 @@ def _guess(ratio: float, table: tuple[tuple[float, str], ...], otherwise: str) -
     return next((text for size, text in table if abs(ratio / size - 1.0) < 0.06), otherwise)
 
 
-def _rolling(run: "Run", path: Path, radius_m: float) -> None:
+def _rolling(run: Run, path: Path, radius_m: float) -> None:
     speed = max(float(np.median(run.speed_m_s[:50])), 1e-9)
     for j in range(run.wheel_speed_rad_s.shape[1]):
         turning = float(np.median(run.wheel_speed_rad_s[:50, j]))
@@ -65,7 +63,7 @@ def _rolling(run: "Run", path: Path, radius_m: float) -> None:
                           f"wheel_radius_m = {radius_m:g}; rolling wheels give 1: {why}")
 
 
-def _weight(run: "Run", path: Path) -> None:
+def _weight(run: Run, path: Path) -> None:
     static_N = run.mass_kg * GRAVITY_M_S2 / run.load_N.shape[1]
     for j in range(run.load_N.shape[1]):
         ratio = float(np.median(run.load_N[:, j])) / static_N
@@ -75,7 +73,7 @@ def _weight(run: "Run", path: Path) -> None:
                               f"wheelset of this vehicle carries {static_N:.4g} N: {why}")
 
 
-def _momentum(run: "Run", path: Path, vehicle: Mapping[str, float], warnings: list[str]) -> None:
+def _momentum(run: Run, path: Path, vehicle: Mapping[str, float], warnings: list[str]) -> None:
     """Share of the lost momentum that the torques account for [D1]."""
     step_s = float(np.mean(np.diff(run.time_s)))
     radius_m, v = vehicle["wheel_radius_m"], run.speed_m_s
@@ -92,15 +90,15 @@ def _momentum(run: "Run", path: Path, vehicle: Mapping[str, float], warnings: li
     share = float(run.torque_Nm.sum()) * step_s / radius_m / momentum
     if 0.6 < share < 1.6:
         return
-    told = f"{path}: brake_torque accounts for {share:.3g} of the momentum that the vehicle loses"
+    said = f"{path}: brake_torque accounts for {share:.3g} of the momentum that the vehicle loses"
     why = _guess(share, _TORQUE, "")
     if why or not 0.1 < share < 10.0:
-        raise ConfigError(f"{told}; 1 is right: {why or 'is it N m a wheelset?'}")
-    warnings.append(f"{told}: another brake, a gradient or mass_kg is missing; causes in torque and "
+        raise ConfigError(f"{said}; 1 is right: {why or 'is it N m a wheelset?'}")
+    warnings.append(f"{said}: another brake, a gradient or mass_kg is missing; causes in torque and "
                     "resistance will be named for it")
 
 
-def check_clocks(run: "Run", path: Path, sections: Mapping[str, Any]) -> None:
+def check_clocks(run: Run, path: Path, sections: Mapping[str, Any]) -> None:
     """Raises ConfigError where torque and wheel speed of a sliding wheel are shifted in time [D2]."""
     vehicle = sections["vehicle"]
     sliding = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s
@@ -115,7 +113,7 @@ def check_clocks(run: "Run", path: Path, sections: Mapping[str, Any]) -> None:
                 f"may differ by {LATEST_S:g} s at most: shift one channel by that time")
 
 
-def _shift(run: "Run", axle: int, inertia_kgm2: float) -> tuple[float, float, float]:
+def _shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float, float]:
     """(shift in s of greatest correlation, that correlation, correlation without shift)."""
     step_s = float(np.mean(np.diff(run.time_s)))
     window, second = 2 * max(int(0.1 / step_s), 3) + 1, max(int(1.0 / step_s), 4)

@@ -12,8 +12,8 @@ import numpy as np
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import preparation
-from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
 from rollerrig.rig.identify.decide.evidence import Finding
 from rollerrig.rig.identify.filter import sensitivity
@@ -41,7 +41,7 @@ BLOCK_S = 3.0
 EVENTS = ("sanding", "contaminated_patch")
 
 
-class Named(NamedTuple):
+class NamedCause(NamedTuple):
     """A cause that is taken: its finding, its share of the likelihood, what it is confused with."""
 
     finding: Finding
@@ -56,19 +56,19 @@ class Fit(NamedTuple):
 
     data: Dataset
     measured: list[Run]
-    told: Explanation
+    explanation: Explanation
 
 
 class Fitted(NamedTuple):
     """It fitted: deviance, covariance of the causes' coefficients, deviance by blocks of 3 s."""
 
-    told: Explanation
+    explanation: Explanation
     value: float
     covariance: np.ndarray
     blocks: np.ndarray
 
 
-class Rival(NamedTuple):
+class Candidate(NamedTuple):
     """A cause that may be the one: how it was found, and its fit."""
 
     finding: Finding
@@ -78,19 +78,19 @@ class Rival(NamedTuple):
 def fit_one(task: Fit) -> Fitted:
     """Fit one explanation; its deviance by blocks of 3 s."""
     design = preparation.prepare(task.data, task.measured)
-    told, value, covariance = tuning.fit(design, task.told, 6)
-    if any(cause.name == tuning.MEMORY for cause in told.causes):
-        told, value, covariance = min(
-            (told, value, covariance), tuning.fit(design, shapes.remembered(design, told), 7),
+    explanation, value, covariance = tuning.fit(design, task.explanation, 6)
+    if any(cause.name == tuning.MEMORY for cause in explanation.causes):
+        explanation, value, covariance = min(
+            (explanation, value, covariance), tuning.fit(design, shapes.remembered(design, explanation), 7),
             key=lambda fit: fit[1])
-    if any(cause.name in EVENTS for cause in told.causes):
-        told, value, covariance = tuning.fit(design, shapes.refined(design, told), 4)
-    return Fitted(told, value, covariance, blocks(design, told))
+    if any(cause.name in EVENTS for cause in explanation.causes):
+        explanation, value, covariance = tuning.fit(design, shapes.refined(design, explanation), 4)
+    return Fitted(explanation, value, covariance, blocks(design, explanation))
 
 
-def blocks(design: Design, told: Explanation) -> np.ndarray:
+def blocks(design: Design, explanation: Explanation) -> np.ndarray:
     """Deviance in blocks of 3 s, wheels and vehicle of a run together."""
-    nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, told))
+    nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, explanation))
     wheel, car = np.minimum(nu * nu / S, 36.0) + np.log(S), np.minimum(vnu**2 / vS, 36.0) + np.log(vS)
     length, found = int(BLOCK_S / design.step_s), []
     for run in range(design.mass_kg.size):
@@ -101,76 +101,76 @@ def blocks(design: Design, told: Explanation) -> np.ndarray:
     return np.array(found)
 
 
-def fitted(pool: null_sets.Pool, data: Dataset, measured: list[Run], told: Explanation,
-            found: list[Finding], most: int, progress: null_sets.Progress) -> list[Rival]:
+def fitted(pool: null_sets.Pool, data: Dataset, measured: list[Run], explanation: Explanation,
+            found: list[Finding], most: int, progress: null_sets.Progress) -> list[Candidate]:
     """The causes that count beside an explanation, each fitted."""
-    present = {cause.name for cause in told.causes}
+    present = {cause.name for cause in explanation.causes}
     counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)
                and f.name not in present]
     counted = sorted(counted, key=lambda f: -f.statistic)[:most]
-    tasks = [Fit(data, measured, told._replace(causes=(*told.causes, f.cause()))) for f in counted]
+    tasks = [Fit(data, measured, explanation._replace(causes=(*explanation.causes, f.cause()))) for f in counted]
     fits = null_sets.run_all(pool, fit_one, tasks, "fit of causes", progress)
-    return [Rival(f, fit) for f, fit in zip(counted, fits, strict=True)]
+    return [Candidate(f, fit) for f, fit in zip(counted, fits, strict=True)]
 
 
-def in_better_shape(rival: Rival, others: list[Fitted], scored: tuning.Normal,
-            nulls: list[evidence.Scores]) -> Rival:
+def in_better_shape(rival: Candidate, others: list[Fitted], scored: tuning.Normal,
+            nulls: list[evidence.Scores]) -> Candidate:
     """The same cause in another shape, where that was fitted already and is the better one."""
     for fit in others:
-        cause = fit.told.causes[-1]
+        cause = fit.explanation.causes[-1]
         if cause.name == rival.finding.name and fit.value < rival.fit.value - 4.0:
             finding = evidence.finding_of(scored, nulls, cause)
             if finding is not None:
-                return Rival(finding._replace(trials=rival.finding.trials), fit)
+                return Candidate(finding._replace(trials=rival.finding.trials), fit)
     return rival
 
 
-def certain(value: float, fits: list[Fitted], rivals: list[Rival], scored: tuning.Normal,
-             nulls: list[evidence.Scores]) -> list[Rival]:
+def overwhelming(value: float, fits: list[Fitted], rivals: list[Candidate], scored: tuning.Normal,
+             nulls: list[evidence.Scores]) -> list[Candidate]:
     """Causes whose fit wins so much that no score is asked: far from the base, scores say little."""
     known = {rival.finding.name for rival in rivals}
-    found = [(evidence.finding_of(scored, nulls, fit.told.causes[-1]), fit) for fit in fits
-             if fit.told.causes[-1].name not in known and value - fit.value > CERTAIN]
-    return [Rival(finding, fit) for finding, fit in found if finding is not None]
+    found = [(evidence.finding_of(scored, nulls, fit.explanation.causes[-1]), fit) for fit in fits
+             if fit.explanation.causes[-1].name not in known and value - fit.value > CERTAIN]
+    return [Candidate(finding, fit) for finding, fit in found if finding is not None]
 
 
-def choose(design: Design, told: Explanation, value: float, rivals: list[Rival]
-            ) -> tuple[Explanation, list[Named]]:
+def choose(design: Design, explanation: Explanation, value: float, rivals: list[Candidate]
+            ) -> tuple[Explanation, list[NamedCause]]:
     """The best further cause, with those that cannot be told from it."""
     if not rivals:
-        return told, []
+        return explanation, []
     ratio = [value - fit.value - max(f.expected - len(f.estimate), 0.0) - _price(f)
              for f, fit in rivals]
     order = np.argsort(ratio)[::-1]
     top = int(order[0])
     if ratio[top] < TAKEN:
-        return told, []
+        return explanation, []
     finding, best = rivals[top]
-    drop = blocks(design, told) - best.blocks
+    drop = blocks(design, explanation) - best.blocks
     # what tolerances had taken up stands in no block; the rest must not be one place of one run
     whole = max(float(drop.sum()), ratio[top])
     if finding.name not in EVENTS and whole - drop.max() < max(evidence.FLOOR, ELSEWHERE * whole):
-        return told, []
+        return explanation, []
     confusable = tuple(rivals[int(k)].finding.name for k in order[1:]
-                       if _alike(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
-    at = len(best.covariance) - len(best.told.causes[-1].values)
-    named = Named(finding, best.told.causes[-1], float(ratio[top]), _deviation(finding, best, at),
+                       if indistinguishable(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
+    at = len(best.covariance) - len(best.explanation.causes[-1].values)
+    named = NamedCause(finding, best.explanation.causes[-1], float(ratio[top]), _deviation(finding, best, at),
                   confusable)
-    return best.told, [named]
+    return best.explanation, [named]
 
 
-def scaled(design: Design, told: Explanation, causes: list[Named]
-            ) -> tuple[Explanation, list[Named]]:
+def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]
+            ) -> tuple[Explanation, list[NamedCause]]:
     """The causes with their scales off the grid of the search, fitted again."""
-    better = shapes.scaled(design, told)
-    if better == told:
-        return told, causes
+    better = shapes.scaled(design, explanation)
+    if better == explanation:
+        return explanation, causes
     fit = Fitted(*tuning.fit(design, better, 4), np.zeros(0))
     found, at = [], 0
-    for named, cause in zip(causes, fit.told.causes, strict=True):
+    for named, cause in zip(causes, fit.explanation.causes, strict=True):
         found.append(named._replace(cause=cause, deviation=_deviation(named.finding, fit, at)))
         at += len(cause.values)
-    return fit.told, found
+    return fit.explanation, found
 
 
 def _price(finding: Finding) -> float:
@@ -184,7 +184,7 @@ def _deviation(finding: Finding, fit: Fitted, at: int) -> tuple[float, ...]:
     return tuple(float(np.hypot(s * max(finding.spread, 1.0), floor)) for s in nominal)
 
 
-def _alike(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
+def indistinguishable(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
     """Vuong's test on blocks: may the other be the better one?"""
     if less < 0.75 * ratio and ratio - less > 10.0:
         return False
@@ -193,25 +193,25 @@ def _alike(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
     return ratio - less < 1.64 * max(spread, 1e-9) or ratio - less < 4.0
 
 
-def second(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design, told: Explanation,
-            causes: list[Named], rivals: list[Rival], seed: int, progress: null_sets.Progress
-            ) -> tuple[Explanation, list[Named], list[Finding]]:
+def second_cause(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design, explanation: Explanation,
+            causes: list[NamedCause], rivals: list[Candidate], seed: int, progress: null_sets.Progress
+            ) -> tuple[Explanation, list[NamedCause], list[Finding]]:
     """Further causes beside the first, and the remainder behind all of them."""
     remainder: list[Finding] = []
     for turn in range(MOST_CAUSES):
         known = tuple(named.finding.name for named in causes)
-        nulls = null_sets.sets(pool, data, measured, told, CHECK_SETS, seed + 7 + turn, known, progress)
+        nulls = null_sets.null_sets(pool, data, measured, explanation, CHECK_SETS, seed + 7 + turn, known, progress)
         if len(nulls) < CHECK_SETS // 2:
             break
-        value = tuning.deviance(design, told)
-        found = evidence.findings(design, tuning.normal(design, told)[0], nulls, known)
+        value = tuning.deviance(design, explanation)
+        found = evidence.findings(design, tuning.normal(design, explanation)[0], nulls, known)
         remainder = [f for f in found if evidence.generic(f.name)]
         first = causes[0]
         found = [f for f in found if f.statistic > SCORE_SHARE * _least_beside(first, f.axle)]
         if len(causes) >= MOST_CAUSES:
             break
-        beside = fitted(pool, data, measured, told, found, MOST_BESIDE, progress)
-        better, more = choose(design, told, value, beside)
+        beside = fitted(pool, data, measured, explanation, found, MOST_BESIDE, progress)
+        better, more = choose(design, explanation, value, beside)
         if not more or more[0].ratio < _least_beside(first, more[0].cause.axle):
             break
         if not _both_needed(data, measured, better, value):
@@ -221,41 +221,41 @@ def second(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Des
         if more[0].finding.name in first.confusable and \
                 value - tuning.deviance(design, better) < OWN_SHARE * first.ratio:
             break
-        told, causes = scaled(design, better, both)
+        explanation, causes = scaled(design, better, both)
         names = {named.finding.name for named in causes}
         causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names))
                   for named in causes]
-    return told, causes, remainder
+    return explanation, causes, remainder
 
 
-def _least_beside(first: Named, axle: int) -> float:
+def _least_beside(first: NamedCause, axle: int) -> float:
     """Likelihood that a second cause, of one axle or all (0), must win beside the first."""
     own = axle != 0 and first.cause.axle == 0
     return max(SECOND_FLOOR, first.ratio * (SECOND_SHARE_OF_AXLE if own else SECOND_SHARE))
 
 
 def _swapped(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design,
-             told: Explanation, causes: list[Named], rivals: list[Rival],
-             progress: null_sets.Progress) -> tuple[Explanation, list[Named]]:
+             explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate],
+             progress: null_sets.Progress) -> tuple[Explanation, list[NamedCause]]:
     """The first cause looked for again beside the second: one that had to stand for both gives way."""
     names = {named.finding.name for named in causes}
     others = [rival for rival in rivals if rival.finding.name not in names]
-    tasks = [Fit(data, measured, told._replace(causes=(rival.fit.told.causes[-1], told.causes[1])))
+    tasks = [Fit(data, measured, explanation._replace(causes=(rival.fit.explanation.causes[-1], explanation.causes[1])))
              for rival in others]
     fits: list[Fitted] = null_sets.run_all(pool, fit_one, tasks, "first cause again", progress)
-    value = tuning.deviance(design, told) + _price(causes[0].finding)
+    value = tuning.deviance(design, explanation) + _price(causes[0].finding)
     won = [value - fit.value - _price(rival.finding) for rival, fit in zip(others, fits, strict=True)]
     if not won or max(won) < 4.0:
-        return told, causes
+        return explanation, causes
     top = int(np.argmax(won))
-    finding, better = others[top].finding, fits[top].told
-    first = Named(finding, better.causes[0], causes[0].ratio + won[top],
+    finding, better = others[top].finding, fits[top].explanation
+    first = NamedCause(finding, better.causes[0], causes[0].ratio + won[top],
                   _deviation(finding, fits[top], 0), ())
     return better, [first, causes[1]._replace(cause=better.causes[1])]
 
 
-def _both_needed(data: Dataset, measured: list[Run], told: Explanation, value: float) -> bool:
+def _both_needed(data: Dataset, measured: list[Run], explanation: Explanation, value: float) -> bool:
     """Whether the first cause still earns its likelihood beside the second."""
-    both = fit_one(Fit(data, measured, told))
-    alone = fit_one(Fit(data, measured, told._replace(causes=told.causes[1:])))
+    both = fit_one(Fit(data, measured, explanation))
+    alone = fit_one(Fit(data, measured, explanation._replace(causes=explanation.causes[1:])))
     return alone.value - both.value > max(SECOND_FLOOR, SECOND_SHARE * (value - both.value))

@@ -68,8 +68,8 @@ class Finding(NamedTuple):
 
 def scores(normal: Normal, keep: Sequence[str] = ()) -> Scores:
     """Scores of all columns [E1]; causes already in the explanation (`keep`) join the base."""
-    base = tuning.base_columns(normal.book) + [
-        c for c, column in enumerate(normal.book.columns) if column.owner in keep]
+    base = tuning.base_columns(normal.matrix) + [
+        c for c, column in enumerate(normal.matrix.columns) if column.owner in keep]
     A, b = normal.A, normal.b
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
     small = A[np.ix_(base, base)] * np.outer(scale[base], scale[base])
@@ -94,7 +94,7 @@ def findings(design: Design, normal: Normal, clean: list[Scores],
     real = scores(normal, known)
     best: dict[str, Finding] = {}
     trials: dict[str, int] = {}
-    for variant in normal.book.variants:
+    for variant in normal.matrix.variants:
         if variant.cause in known:
             continue
         found = _judge(real, clean, variant)
@@ -113,7 +113,7 @@ def likely(design: Design, normal: Normal, count: int) -> list[Cause]:
     """Causes of greatest nominal score, one shape of each, not yet judged by clean sets."""
     real = scores(normal)
     best: dict[str, tuple[float, Cause]] = {}
-    for variant in normal.book.variants:
+    for variant in normal.matrix.variants:
         if generic(variant.cause):
             continue
         x, S = _coefficients(real, list(variant.columns))
@@ -154,7 +154,7 @@ def _judge(real: Scores, clean: list[Scores], variant: Variant) -> Finding:
 
 def finding_of(normal: Normal, clean: list[Scores], cause: Cause) -> Finding | None:
     """The finding of a cause in one given shape; None for a window."""
-    for variant in normal.book.variants:
+    for variant in normal.matrix.variants:
         if (variant.cause, variant.axle, variant.shape) == (cause.name, cause.axle, cause.shape):
             return _judge(scores(normal), clean, variant)
     return None
@@ -168,7 +168,7 @@ def _wrong_sign(cause: str, value: float) -> bool:
 
 
 def _bins(normal: Normal, owner: str) -> list[int]:
-    return [c for c, column in enumerate(normal.book.columns) if column.owner == owner]
+    return [c for c, column in enumerate(normal.matrix.columns) if column.owner == owner]
 
 
 def _windows(S: np.ndarray, g: np.ndarray, first: int, longest: int) -> np.ndarray:
@@ -206,7 +206,7 @@ def _patch(normal: Normal, real: Scores, clean: list[Scores]) -> Finding | None:
     if not len(seen):
         return None
     low, high, x, T = seen[np.argmax(seen[:, 3])]
-    label = float(normal.book.columns[at[int(low)]].label)
+    label = float(normal.matrix.columns[at[int(low)]].label)
     length = (high - low) * columns.PLACE_BIN_M
     spread = max(float(np.sqrt(null.mean() / 8.0)), 1.0)
     return Finding("contaminated_patch", 0, {"start_m": label, "length_m": float(length)}, (-x,),
@@ -225,7 +225,7 @@ def _sand(design: Design, normal: Normal, real: Scores, clean: list[Scores]) -> 
 def _sand_on(design: Design, normal: Normal, real: Scores, clean: list[Scores], owner: str,
              shape: dict[str, float]) -> Finding | None:
     at = _bins(normal, owner)
-    runs = [int(normal.book.columns[c].label.split()[0]) for c in at]
+    runs = [int(normal.matrix.columns[c].label.split()[0]) for c in at]
     bias = np.mean([s.g[at] for s in clean], axis=0)
 
     def scan(s: Scores) -> tuple[float, dict[int, np.ndarray]]:

@@ -14,8 +14,8 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
-from rollerrig.rig.identify.data.dataset import Dataset, Run
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import choice, evidence, gain, null_sets, tuning, unknown
 from rollerrig.rig.identify.decide.evidence import Finding
 from rollerrig.rig.identify.decide.gain import Gain
@@ -42,7 +42,7 @@ class Account(NamedTuple):
     base: Explanation
     final: Explanation
     verdict: str
-    causes: list[choice.Named]
+    causes: list[choice.NamedCause]
     findings: list[Finding]
     remainder: list[Finding]
     gain: Gain | None
@@ -65,35 +65,35 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
         progress("fit of the base", 1.0)
         _check(design, base)
         quiet, promising = _quiet(pool, data, measured, design, base, progress)
-        nulls = null_sets.sets(pool, data, measured, quiet, CLEAN_SETS, seed, (), progress)
+        nulls = null_sets.null_sets(pool, data, measured, quiet, CLEAN_SETS, seed, (), progress)
         _enough(nulls)
         scored = tuning.normal(design, quiet)[0]
         found = evidence.findings(design, scored, nulls)
         rivals = choice.fitted(pool, data, measured, base, found, MOST_FITTED, progress)
         rivals = [choice.in_better_shape(rival, promising, scored, nulls) for rival in rivals]
-        rivals += choice.certain(value, promising, rivals, scored, nulls)
-        told, causes = choice.scaled(design, *choice.choose(design, base, value, rivals))
+        rivals += choice.overwhelming(value, promising, rivals, scored, nulls)
+        explanation, causes = choice.scaled(design, *choice.choose(design, base, value, rivals))
         remainder: list[Finding] = [f for f in found if evidence.generic(f.name)]
         if causes:
-            told, causes, remainder = choice.second(pool, data, measured, design, told, causes, rivals,
-                                                    seed, progress)
+            explanation, causes, remainder = choice.second_cause(
+                pool, data, measured, design, explanation, causes, rivals, seed, progress)
         held_runs = data.group("validate")
         held = preparation.prepare(data, held_runs) if held_runs else None
         notes: list[str] = list(data.warnings)
-        won = _gain(held, base, told, causes, seed, notes)
+        won = _gain(held, base, explanation, causes, seed, notes)
         verdict = _verdict(causes, remainder, won, notes)
         formula = None
         if verdict != "explained":
-            causes, told, won = [], base, None
+            causes, explanation, won = [], base, None
         if verdict == "unexplained":
             progress("formula", 0.0)
             formula = unknown.find(design, held, quiet, [f for f in found if evidence.generic(f.name)],
                                    seed)
             progress("formula", 1.0)
         if formula is not None:
-            told, won = formula.told, formula.gain
+            explanation, won = formula.explanation, formula.gain
     p_value = min([f.p_value for f in found], default=1.0)
-    return Account(data, design, held, base, told, verdict, causes, found, remainder, won,
+    return Account(data, design, held, base, explanation, verdict, causes, found, remainder, won,
                    float(1.0 - (1.0 - p_value) ** 30), notes, formula, time.monotonic() - began)
 
 
@@ -107,9 +107,9 @@ def _quiet(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Des
     tasks = [choice.Fit(data, measured, base._replace(causes=(cause,))) for cause in likely]
     fits: list[choice.Fitted] = null_sets.run_all(pool, choice.fit_one, tasks, "irregularity of the rail", progress)
     best = min(fits, key=lambda fit: fit.value, default=None)
-    if best is None or best.told.sigma >= base.sigma:
+    if best is None or best.explanation.sigma >= base.sigma:
         return base, fits
-    calm = base._replace(sigma=best.told.sigma, length_m=best.told.length_m)
+    calm = base._replace(sigma=best.explanation.sigma, length_m=best.explanation.length_m)
     return tuning.fit(design, calm, 4, False)[0], fits
 
 
@@ -130,7 +130,7 @@ def _enough(nulls: list[evidence.Scores]) -> None:
                           "vehicle, loads and torques in dataset.toml")
 
 
-def _gain(held: Design | None, base: Explanation, told: Explanation, causes: list[choice.Named], seed: int,
+def _gain(held: Design | None, base: Explanation, explanation: Explanation, causes: list[choice.NamedCause], seed: int,
           notes: list[str]) -> Gain | None:
     if held is None or not causes:
         return None
@@ -142,10 +142,10 @@ def _gain(held: Design | None, base: Explanation, told: Explanation, causes: lis
         notes.append("the angle of an out-of-round wheel at the start is not known for the runs that "
                      "were not fitted: the gain cannot be judged there")
         return None
-    return gain.measure(held, base, told, seed)
+    return gain.measure(held, base, explanation, seed)
 
 
-def _verdict(causes: list[choice.Named], remainder: list[Finding], won: Gain | None,
+def _verdict(causes: list[choice.NamedCause], remainder: list[Finding], won: Gain | None,
              notes: list[str]) -> str:
     """consistent, explained or unexplained; a small remainder becomes a note."""
     left = [f for f in remainder if evidence.significant(f, 20.0)]

@@ -8,7 +8,7 @@ comments, that of the wheel speeds with the fault that does the same on the benc
 import math
 from typing import Any
 
-from rollerrig.rig.identify.decide.choice import Named
+from rollerrig.rig.identify.decide.choice import NamedCause
 from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.identify.decide.unknown import Formula
 from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
@@ -17,7 +17,7 @@ from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
 _LEAST_S = 0.001
 
 
-def parameters(named: Named) -> dict[str, dict[str, Any]]:
+def parameters(named: NamedCause) -> dict[str, dict[str, Any]]:
     """Coefficients of a named cause: value, 95 % interval, unit."""
     rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
     free = BY_NAME[named.cause.name].parameters[: BY_NAME[named.cause.name].free]
@@ -48,7 +48,7 @@ def _width(name: str, value: float) -> list[float]:
     return [value, value]
 
 
-def _swing(named: Named) -> dict[str, dict[str, Any]]:
+def _swing(named: NamedCause) -> dict[str, dict[str, Any]]:
     values, sd = named.cause.values, float(max(named.deviation))
     runs = max(len(values) // 2, 1)
     square = sum(v * v for v in values) / runs - 2.0 * sd * sd
@@ -94,12 +94,12 @@ def toml(account: Account) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _of_recording(named: Named) -> list[str]:
+def _of_recording(named: NamedCause) -> list[str]:
     """Comments on a cause that is a sensor's."""
     found = parameters(named)
-    told = ", ".join(f"{k} = {v['value']:.4g}" for k, v in found.items())
+    values = ", ".join(f"{k} = {v['value']:.4g}" for k, v in found.items())
     place = f" of axle {named.cause.axle}" if named.cause.axle else ""
-    lines = [f"# in the recording, not in the plant: {named.cause.name}{place}, {told}"]
+    lines = [f"# in the recording, not in the plant: {named.cause.name}{place}, {values}"]
     if named.cause.name == "speed_sensor_delay":
         late_s = found["delay_s"]["value"]
         if named.cause.axle:

@@ -17,6 +17,7 @@ from scipy.signal import savgol_filter
 
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Explanation
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
 from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.filter import replay, sensitivity
@@ -60,9 +61,9 @@ def predicted(sliding, speed, load, friction_log, p, step_s, out):
         out[k] = f
 
 
-def adhesion(design: Design, told: Explanation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def adhesion(design: Design, explanation: Explanation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(measured [G1], modelled, sliding) adhesion at every sample, flat."""
-    i = candidates.inputs(design, told)
+    i = candidates.inputs(design, explanation)
     n = design.measured_rad_s.size
     measured, model, sliding = np.empty(n), np.empty(n), np.empty(n)
     window = max(5, 2 * int(0.5 * WINDOW_S / design.step_s) + 1)
@@ -71,17 +72,17 @@ def adhesion(design: Design, told: Explanation) -> tuple[np.ndarray, np.ndarray,
         omega = savgol_filter(design.measured_rad_s[at], window, 3)
         rate = savgol_filter(design.measured_rad_s[at], window, 3, deriv=1, delta=design.step_s)
         torque = savgol_filter(i.torque_Nm[at], window, 3)
-        measured[at] = (p[replay.INERTIA] * rate + torque) / (p[replay.RADIUS] * i.load_N[at])
-        sliding[at] = i.speed_m_s[at] - p[replay.RADIUS] * omega
+        measured[at] = (p[parameters.INERTIA] * rate + torque) / (p[parameters.RADIUS] * i.load_N[at])
+        sliding[at] = i.speed_m_s[at] - p[parameters.RADIUS] * omega
         predicted(sliding[at], i.speed_m_s[at], i.load_N[at], i.friction_log[at], p,
                   design.step_s, model[at])
         model[at] = savgol_filter(model[at], window, 3)
     return measured, model, sliding
 
 
-def free_running(design: Design, told: Explanation) -> np.ndarray:
+def free_running(design: Design, explanation: Explanation) -> np.ndarray:
     """Error in m/s of the speed that the force balance gives 5 s ahead, per vehicle sample."""
-    i = candidates.inputs(design, told)
+    i = candidates.inputs(design, explanation)
     out = np.zeros(design.vehicle_m_s.size)
     ahead = int(FREE_RUN_S / design.step_s)
     for run in range(design.mass_kg.size):
@@ -96,41 +97,41 @@ def free_running(design: Design, told: Explanation) -> np.ndarray:
     return out
 
 
-def level(design: Design, told: Explanation) -> tuple[Explanation, float]:
+def level(design: Design, explanation: Explanation) -> tuple[Explanation, float]:
     """An explanation on new runs: only their contaminant level, mass and irregularity are fitted."""
-    base = {k: v for k, v in told.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
-    mean = float(np.mean([v for k, v in told.base.items() if k.startswith("ln_mu_cd")] or [0.0]))
+    base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
+    mean = float(np.mean([v for k, v in explanation.base.items() if k.startswith("ln_mu_cd")] or [0.0]))
     base |= {f"ln_mu_cd_{run}": mean for run in range(design.mass_kg.size)}
-    found, value, _ = tuning.fit(design, told._replace(base=base), 4, False,
+    found, value, _ = tuning.fit(design, explanation._replace(base=base), 4, False,
                                  free=("ln_mu_cd", "mass"))
     return found, value
 
 
-def _errors(design: Design, told: Explanation, metric: str) -> np.ndarray:
+def _errors(design: Design, explanation: Explanation, metric: str) -> np.ndarray:
     """Errors of a metric at every sample, 0 where it is not judged."""
-    return free_running(design, told) if metric == FREE_RUN else missing(design, told)
+    return free_running(design, explanation) if metric == FREE_RUN else missing(design, explanation)
 
 
-def missing(design: Design, told: Explanation) -> np.ndarray:
+def missing(design: Design, explanation: Explanation) -> np.ndarray:
     """Adhesion that a model lacks [G2] at every sample, flat; 0 below 5 m/s.
 
     The difference of measured and modelled adhesion at measured sliding would punish a stiffer
     contact, which turns the noise of measured sliding into more adhesion.
     """
-    i = candidates.inputs(design, told)
+    i = candidates.inputs(design, explanation)
     nu, S, field, _, _ = sensitivity.innovations(design, i)
     out = np.empty(nu.size)
     for s in range(design.segments):
         at, p = design.span(s), i.parameters[s]
-        omega = design.measured_rad_s[at] - nu[at] * p[replay.NOISE] ** 2 / S[at]
-        predicted(i.speed_m_s[at] - p[replay.RADIUS] * omega, i.speed_m_s[at], i.load_N[at],
+        omega = design.measured_rad_s[at] - nu[at] * p[parameters.NOISE] ** 2 / S[at]
+        predicted(i.speed_m_s[at] - p[parameters.RADIUS] * omega, i.speed_m_s[at], i.load_N[at],
                   i.friction_log[at], p, design.step_s, out[at])
     return np.where(design.speed_m_s > SLOWEST_M_S, out * np.expm1(field), 0.0)
 
 
-def error(design: Design, told: Explanation, metric: str) -> float:
+def error(design: Design, explanation: Explanation, metric: str) -> float:
     """Root mean square error of a model in a metric on new runs, their level found anew."""
-    errors = _errors(design, level(design, told)[0], metric)
+    errors = _errors(design, level(design, explanation)[0], metric)
     return float(np.sqrt(np.mean(errors * errors)))
 
 
@@ -143,7 +144,7 @@ def measure(design: Design, base: Explanation, extended: Explanation, seed: int)
     vehicle = all(BY_NAME[c.name].acts_on in (VEHICLE, TORQUE) for c in extended.causes)
     metric = FREE_RUN if vehicle else ADHESION
     size = np.diff(design.vehicle_start if vehicle else design.start)
-    errors = [_errors(design, told, metric) for told in (before, after)]
+    errors = [_errors(design, explanation, metric) for explanation in (before, after)]
     squares = np.array([e * e for e in errors])
     owner = np.repeat(np.arange(design.mass_kg.size) if vehicle else design.run, size)
     rms = np.sqrt(squares.mean(axis=1))

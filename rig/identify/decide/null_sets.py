@@ -15,7 +15,7 @@ import numpy as np
 
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
-from rollerrig.rig.identify.data.dataset import Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, simulate, tuning
 from rollerrig.rig.identify.decide.evidence import Scores
 
@@ -30,7 +30,7 @@ class Task(NamedTuple):
 
     data: Dataset
     measured: list[Run]
-    told: Explanation
+    explanation: Explanation
     seed: int
     known: tuple[str, ...]
 
@@ -57,9 +57,9 @@ def one(task: Task) -> Scores | None:
     """Simulate, prepare, score one set; None where its wheels got out of hand."""
     design = preparation.prepare(task.data, task.measured)
     rng = np.random.default_rng(task.seed)
-    made = simulate.runs(task.data, design, task.measured, task.told, rng)
+    made = simulate.runs(task.data, design, task.measured, task.explanation, rng)
     prepared = preparation.prepare(task.data, made, design)
-    found, linear, _, _ = tuning.normal(prepared, task.told)
+    found, linear, _, _ = tuning.normal(prepared, task.explanation)
     if np.mean(np.minimum(linear.nu**2 / linear.variance, 100.0)) > RUNAWAY:
         return None
     if not (np.all(np.isfinite(found.A)) and np.all(np.isfinite(found.b))):
@@ -68,11 +68,11 @@ def one(task: Task) -> Scores | None:
     return Scores(result.S.astype(np.float32), result.g)
 
 
-def sets(pool: Pool, data: Dataset, measured: list[Run], told: Explanation,
+def null_sets(pool: Pool, data: Dataset, measured: list[Run], explanation: Explanation,
          count: int, seed: int, known: Sequence[str], progress: Progress) -> list[Scores]:
     """Scores of `count` clean sets."""
     # tolerances are drawn afresh: the fitted ones do not belong to the clean sets
-    fresh = told._replace(base={k: v for k, v in told.base.items() if k.startswith("ln_")})
+    fresh = explanation._replace(base={k: v for k, v in explanation.base.items() if k.startswith("ln_")})
     tasks = [Task(data, measured, fresh, seed * 100003 + k, tuple(known)) for k in range(count)]
     return [s for s in run_all(pool, one, tasks, "clean sets", progress) if s is not None]
 

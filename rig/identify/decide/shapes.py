@@ -27,17 +27,17 @@ _FACTORS, _SCALE_EARNS = (1.5, 1.2), 1.0
 _BEGINS_ROUGH = 0.06
 
 
-def refined(design: Design, told: Explanation) -> Explanation:
+def refined(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the windows of its causes where they fit best."""
-    told, value = _edges_moved(design, told, 1.0)
-    ramped = [_edges_moved(design, _with(told, at, _ramped(cause, ramp, deeper)), 0.5)
-              for at, cause in enumerate(told.causes) if cause.name == "contaminated_patch"
+    explanation, value = _edges_moved(design, explanation, 1.0)
+    ramped = [_edges_moved(design, _with(explanation, at, _ramped(cause, ramp, deeper)), 0.5)
+              for at, cause in enumerate(explanation.causes) if cause.name == "contaminated_patch"
               for ramp, deeper in _RAMPS]
-    better, least = min(ramped, key=lambda pair: pair[1], default=(told, value))
-    return better if least < value - _RAMP_EARNS else told
+    better, least = min(ramped, key=lambda pair: pair[1], default=(explanation, value))
+    return better if least < value - _RAMP_EARNS else explanation
 
 
-def remembered(design: Design, told: Explanation) -> Explanation:
+def remembered(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with a memory in its likeliest form, its base begun anew.
 
     Without the memory the base had to leave recovery out and take friction for high and rough; from
@@ -45,37 +45,37 @@ def remembered(design: Design, told: Explanation) -> Explanation:
     """
     found: list[tuple[float, int, Explanation]] = []
     for shape in columns.MEMORY_SHAPES:
-        causes = tuple(c._replace(shape=shape) if c.name == tuning.MEMORY else c for c in told.causes)
+        causes = tuple(c._replace(shape=shape) if c.name == tuning.MEMORY else c for c in explanation.causes)
         begun = candidates.start(design)._replace(sigma=_BEGINS_ROUGH, causes=causes)
         tried, value, _ = tuning.fit(design, begun, 5, False, free=("ln_mu",))
         found.append((value, len(found), tried))
     return min(found)[2]
 
 
-def scaled(design: Design, told: Explanation) -> Explanation:
+def scaled(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the scales of its causes where they fit best."""
-    value = tuning.deviance(design, told)
-    for at, cause in enumerate(told.causes):
+    value = tuning.deviance(design, explanation)
+    for at, cause in enumerate(explanation.causes):
         for key in [k for k in cause.shape if k in _SCALES]:
             for factor in _FACTORS:
                 for by in (factor, 1.0 / factor):
-                    told, value = _while_it_pays(design, told, value, at, key, by)
-    return told
+                    explanation, value = _while_it_pays(design, explanation, value, at, key, by)
+    return explanation
 
 
-def _while_it_pays(design: Design, told: Explanation, value: float, at: int, key: str,
+def _while_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str,
                    by: float) -> tuple[Explanation, float]:
     low, high = _SCALES[key]
     for _ in range(_MOST_MOVES):
-        cause = told.causes[at]
+        cause = explanation.causes[at]
         moved = cause._replace(shape={**cause.shape, key: cause.shape[key] * by})
         if not low <= moved.shape[key] <= high:
             break
-        tried, better, _ = tuning.fit(design, _with(told, at, moved), 2, False)
+        tried, better, _ = tuning.fit(design, _with(explanation, at, moved), 2, False)
         if better > value - _SCALE_EARNS:
             break
-        told, value = tried, better
-    return told, value
+        explanation, value = tried, better
+    return explanation, value
 
 
 def _ramped(cause: Cause, ramp: float, deeper: float) -> Cause:
@@ -86,28 +86,28 @@ def _ramped(cause: Cause, ramp: float, deeper: float) -> Cause:
     return tuning.bounded(cause._replace(shape=shape, values=(cause.values[0] * deeper,)))
 
 
-def _edges_moved(design: Design, told: Explanation, first: float) -> tuple[Explanation, float]:
+def _edges_moved(design: Design, explanation: Explanation, first: float) -> tuple[Explanation, float]:
     """Edges by steps that begin with a share `first` of the table's."""
-    value = tuning.deviance(design, told)
-    for at, cause in enumerate(told.causes):
+    value = tuning.deviance(design, explanation)
+    for at, cause in enumerate(explanation.causes):
         step = first * _STEPS.get(cause.name, 0.0)
         for _ in range(_HALVINGS if step else 0):
             for key in [k for k in cause.shape if k.startswith(("start_", "length_", "duration_"))]:
                 for change in (step, -step):
-                    told, value = _as_far_as_it_pays(design, told, value, at, key, change)
+                    explanation, value = _as_far_as_it_pays(design, explanation, value, at, key, change)
             step *= 0.5
-    return told, value
+    return explanation, value
 
 
-def _as_far_as_it_pays(design: Design, told: Explanation, value: float, at: int, key: str,
+def _as_far_as_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str,
                        change: float) -> tuple[Explanation, float]:
     for _ in range(_MOST_MOVES):
-        tried = _with(told, at, _moved(told.causes[at], key, change))
+        tried = _with(explanation, at, _moved(explanation.causes[at], key, change))
         better = tuning.deviance(design, tried)
         if better >= value:
             break
-        told, value = tried, better
-    return told, value
+        explanation, value = tried, better
+    return explanation, value
 
 
 def _moved(cause: Cause, key: str, change: float) -> Cause:
@@ -120,5 +120,5 @@ def _moved(cause: Cause, key: str, change: float) -> Cause:
     return cause._replace(shape={k: v if k == "start_m" else max(v, 0.0) for k, v in shape.items()})
 
 
-def _with(told: Explanation, at: int, cause: Cause) -> Explanation:
-    return told._replace(causes=(*told.causes[:at], cause, *told.causes[at + 1:]))
+def _with(explanation: Explanation, at: int, cause: Cause) -> Explanation:
+    return explanation._replace(causes=(*explanation.causes[:at], cause, *explanation.causes[at + 1:]))

@@ -18,8 +18,9 @@ from scipy.signal import lfilter
 
 from rollerrig.rig.identify.causes import candidates, columns
 from rollerrig.rig.identify.causes.candidates import Explanation
-from rollerrig.rig.identify.data.dataset import AXLES, Dataset, Run
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.kernel import kernel_with_memory
 
@@ -92,10 +93,10 @@ def field(rng: np.random.Generator, length_m: float, sigma: float, correlation_m
     return lfilter([1.0], [1.0, -keep], white, axis=0)
 
 
-def runs(data: Dataset, design: Design, measured: list[Run], told: Explanation,
+def runs(data: Dataset, design: Design, measured: list[Run], explanation: Explanation,
          rng: np.random.Generator) -> list[Run]:
     """Simulated stops like the measured ones, under an explanation, with fresh noise."""
-    i = candidates.inputs(design, told)
+    i = candidates.inputs(design, explanation)
     tolerance = design.calibration / math.sqrt(2.0)
     gain = rng.normal(0.0, tolerance) + rng.normal(0.0, tolerance, AXLES)
     lift = rng.normal(0.0, design.calibration, AXLES)
@@ -104,19 +105,19 @@ def runs(data: Dataset, design: Design, measured: list[Run], told: Explanation,
     sliding = smooth_sliding(design, i)
     # all runs go over the same rail: what it does to one it does to the next
     longest = float(np.max(np.diff(design.start))) * design.step_s * float(design.speed_m_s.max())
-    half = told.sigma * math.sqrt(0.5)
-    rail = field(rng, longest, half, told.length_m, 1)
+    half = explanation.sigma * math.sqrt(0.5)
+    rail = field(rng, longest, half, explanation.length_m, 1)
     made = []
     for r, run in enumerate(measured):
-        grid = np.ascontiguousarray(rail + field(rng, longest, half, told.length_m, AXLES))
+        grid = np.ascontiguousarray(rail + field(rng, longest, half, explanation.length_m, AXLES))
         made.append(_run(data, design, run, r, i, grid, torque, sliding, gain, lift, weight, rng))
     return made
 
 
 def smooth_sliding(design: Design, i: candidates.Inputs) -> np.ndarray:
     """Sliding that the feedback aims at, with the wheel radius of the explanation."""
-    radius = np.repeat(i.parameters[:, replay.RADIUS], np.diff(design.start))
-    wheel = (design.speed_m_s - design.sliding_m_s) / design.base[replay.RADIUS]
+    radius = np.repeat(i.parameters[:, parameters.RADIUS], np.diff(design.start))
+    wheel = (design.speed_m_s - design.sliding_m_s) / design.base[parameters.RADIUS]
     return design.speed_m_s - radius * wheel
 
 

@@ -15,9 +15,10 @@ from scipy.optimize import minimize, minimize_scalar
 
 from rollerrig.rig.identify.causes import candidates, columns
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
-from rollerrig.rig.identify.causes.columns import BASE, Book
+from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.filter import replay, sensitivity
+from rollerrig.rig.identify.filter import sensitivity
 from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear
 
 MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0
@@ -33,14 +34,14 @@ class Normal(NamedTuple):
 
     A: np.ndarray
     b: np.ndarray
-    book: Book
+    matrix: SensitivityMatrix
 
 
-def deviance(design: Design, told: Explanation) -> float:
+def deviance(design: Design, explanation: Explanation) -> float:
     """-2 ln L without constants [T1], outliers bounded."""
-    i = candidates.inputs(design, told)
+    i = candidates.inputs(design, explanation)
     nu, S, _, vnu, vS = sensitivity.innovations(design, i)
-    return total(nu, S, vnu, vS) + prior_deviance(design, told)
+    return total(nu, S, vnu, vS) + prior_deviance(design, explanation)
 
 
 def total(nu: np.ndarray, S: np.ndarray, vnu: np.ndarray, vS: np.ndarray) -> float:
@@ -49,14 +50,14 @@ def total(nu: np.ndarray, S: np.ndarray, vnu: np.ndarray, vS: np.ndarray) -> flo
                  + np.sum(np.minimum(vnu * vnu / vS, 36.0) + np.log(vS)))
 
 
-def prior_deviance(design: Design, told: Explanation) -> float:
+def prior_deviance(design: Design, explanation: Explanation) -> float:
     """What the declared tolerances and the released brake say."""
     tolerance = max(design.calibration, 1e-4)
     cost = sum((value / tolerance) ** 2 * (2.0 if label.startswith("torque") else 1.0)
-               for label, value in told.base.items()
+               for label, value in explanation.base.items()
                if label.startswith(("torque_gain", "load_gain", "mass")))
     offsets = np.zeros(design.segments)
-    for cause in told.causes:
+    for cause in explanation.causes:
         if cause.name == "torque_offset" and not cause.shape:
             offsets += cause.values[0] * ((design.axle == cause.axle - 1) | (cause.axle == 0))
     seen = np.isfinite(design.released_Nm)
@@ -64,55 +65,55 @@ def prior_deviance(design: Design, told: Explanation) -> float:
     return cost + float(np.sum(off * off))
 
 
-def normal(design: Design, told: Explanation, only: frozenset[str] | None = None
+def normal(design: Design, explanation: Explanation, only: frozenset[str] | None = None
            ) -> tuple[Normal, Linear, Inputs, np.ndarray]:
     """Normal equations around an explanation, its replay, its inputs, the whitened answers."""
-    i = candidates.inputs(design, told)
+    i = candidates.inputs(design, explanation)
     linear = sensitivity.linearise(design, i)
-    book = columns.write(design, i, linear, only,
-                         tuple((cause.name, cause.shape) for cause in told.causes))
-    Z = np.empty_like(book.wheel)
+    matrix = columns.write(design, i, linear, only,
+                         tuple((cause.name, cause.shape) for cause in explanation.causes))
+    Z = np.empty_like(matrix.wheel)
     for s in range(design.segments):
         at = design.span(s)
-        sensitivity.answer(book.wheel[at], linear.variance[at], linear.coefficients[at], Z[at])
+        sensitivity.answer(matrix.wheel[at], linear.variance[at], linear.coefficients[at], Z[at])
     root = np.sqrt(linear.variance)
-    for c, column in enumerate(book.columns):
+    for c, column in enumerate(matrix.columns):
         if column.owner == MEMORY:
             Z[:, c] = _memory_answer(design, i, linear, columns.MEMORY_SHAPES[int(column.label)]) / root
-    V = np.empty_like(book.vehicle)
+    V = np.empty_like(matrix.vehicle)
     for run in range(design.mass_kg.size):
         at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
-        sensitivity.vehicle_answer(book.vehicle[at], linear.vehicle_variance[at],
+        sensitivity.vehicle_answer(matrix.vehicle[at], linear.vehicle_variance[at],
                                    design.speed_noise_m_s, design.step_s, V[at])
     z = np.clip(linear.nu / root, -6.0, 6.0)
     vz = np.clip(linear.vehicle_nu / np.sqrt(linear.vehicle_variance), -6.0, 6.0)
     A = (Z.T @ Z).astype(float) + (V.T @ V)
     b = (Z.T @ z.astype(Z.dtype)).astype(float) + V.T @ vz
-    _priors(design, told, book, A, b)
-    return Normal(A, b, book), linear, i, Z
+    _priors(design, explanation, matrix, A, b)
+    return Normal(A, b, matrix), linear, i, Z
 
 
 def _memory_answer(design: Design, i: Inputs, linear: Linear, shape: dict[str, float]
                    ) -> np.ndarray:
     # no derivative exists at length 0 that a filter's noise would not spoil: a finite step
     p = i.parameters.copy()
-    known = bool(np.any(p[:, replay.MEMORY] > 0.0))
+    known = bool(np.any(p[:, parameters.MEMORY] > 0.0))
     wanted = [shape.get(key, 0.0) for key in ("speed_power", "of_work")]
-    at = [replay.MEMORY_POWER, replay.MEMORY_OF_WORK]
+    at = [parameters.MEMORY_POWER, parameters.MEMORY_OF_WORK]
     if known and np.any(p[:, at] != wanted):
         return np.zeros(design.measured_rad_s.size)  # another shape is taken already
-    p[:, replay.MEMORY] += MEMORY_STEP_M
+    p[:, parameters.MEMORY] += MEMORY_STEP_M
     p[:, at] = wanted
     return (sensitivity.innovations(design, i._replace(parameters=p))[0]
             - linear.nu) / MEMORY_STEP_M
 
 
-def _priors(design: Design, told: Explanation, book: Book, A: np.ndarray, b: np.ndarray) -> None:
-    for c, column in enumerate(book.columns):
+def _priors(design: Design, explanation: Explanation, matrix: SensitivityMatrix, A: np.ndarray, b: np.ndarray) -> None:
+    for c, column in enumerate(matrix.columns):
         if column.prior > 0.0:
             A[c, c] += 1.0 / column.prior**2
-            b[c] += told.base.get(column.label, 0.0) / column.prior**2
-    present = {(cause.name, cause.axle): cause.values[0] for cause in told.causes
+            b[c] += explanation.base.get(column.label, 0.0) / column.prior**2
+    present = {(cause.name, cause.axle): cause.values[0] for cause in explanation.causes
                if cause.values and not cause.shape}
     offset = sum(v for (name, axle), v in present.items() if name == "torque_offset" and axle == 0)
     for s in range(design.segments):
@@ -120,7 +121,7 @@ def _priors(design: Design, told: Explanation, book: Book, A: np.ndarray, b: np.
             continue
         sd2 = design.released_sd_Nm[s] ** 2 + _RELEASED_NM**2
         own = offset + present.get(("torque_offset", int(design.axle[s]) + 1), 0.0)
-        acts = [v.columns[0] for v in book.variants if v.cause == "torque_offset" and not v.shape
+        acts = [v.columns[0] for v in matrix.variants if v.cause == "torque_offset" and not v.shape
                 and v.axle in (0, int(design.axle[s]) + 1)]
         for c in acts:
             b[c] += (design.released_Nm[s] + own) / sd2
@@ -128,9 +129,9 @@ def _priors(design: Design, told: Explanation, book: Book, A: np.ndarray, b: np.
                 A[c, other] += 1.0 / sd2
 
 
-def base_columns(book: Book) -> list[int]:
+def base_columns(matrix: SensitivityMatrix) -> list[int]:
     """Columns of the base."""
-    return [c for c, column in enumerate(book.columns) if column.owner == BASE]
+    return [c for c, column in enumerate(matrix.columns) if column.owner == BASE]
 
 
 def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,97 +142,97 @@ def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return -inverse @ b, inverse
 
 
-def fit(design: Design, told: Explanation, steps: int = 9, noise: bool = True,
+def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = True,
         tolerance: float = 0.05, free: tuple[str, ...] = ()
         ) -> tuple[Explanation, float, np.ndarray]:
     """Best explanation of the same causes: (explanation, deviance, covariance of cause values).
 
     With `free` only the base parameters whose labels begin so are fitted, and no cause.
     """
-    value = deviance(design, told)
+    value = deviance(design, explanation)
     covariance = np.zeros((0, 0))
-    only = frozenset({BASE, *(cause.name for cause in told.causes)})
+    only = frozenset({BASE, *(cause.name for cause in explanation.causes)})
     for step in range(steps):
         if noise and step in (1, 3, 5) and step + 1 < steps:
-            told, value = fit_noise(design, told, value)
-        found, _, _, _ = normal(design, told, only)
-        own = [c for c in base_columns(found.book)
-               if not free or found.book.columns[c].label.startswith(free)]
-        at = own + ([] if free else _cause_columns(found.book, told))
+            explanation, value = fit_noise(design, explanation, value)
+        found, _, _, _ = normal(design, explanation, only)
+        own = [c for c in base_columns(found.matrix)
+               if not free or found.matrix.columns[c].label.startswith(free)]
+        at = own + ([] if free else _cause_columns(found.matrix, explanation))
         if not np.all(np.isfinite(found.A[np.ix_(at, at)])):
             break
         change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
-        rest = [k for k, c in enumerate(at) if found.book.columns[c].owner != MEMORY]
+        rest = [k for k, c in enumerate(at) if found.matrix.columns[c].owner != MEMORY]
         if len(rest) < len(at):
             change = np.zeros(len(at))
             left = [at[k] for k in rest]
             change[rest] = solve(found.A[np.ix_(left, left)], found.b[left])[0]
-        labels = [found.book.columns[c].label for c in own]
-        told, better = _search(design, told, labels, change, value)
-        told, better = _memory(design, told, better)
+        labels = [found.matrix.columns[c].label for c in own]
+        explanation, better = _search(design, explanation, labels, change, value)
+        explanation, better = _memory(design, explanation, better)
         gained, value = value - better, better
         if gained < tolerance and step > 3:
             break
-    size = sum(len(cause.values) for cause in told.causes)
+    size = sum(len(cause.values) for cause in explanation.causes)
     if size > len(covariance):
-        return told, value, np.full((size, size), np.inf)
-    return told, value, covariance[-size:, -size:] if size else np.zeros((0, 0))
+        return explanation, value, np.full((size, size), np.inf)
+    return explanation, value, covariance[-size:, -size:] if size else np.zeros((0, 0))
 
 
-def _memory(design: Design, told: Explanation, value: float) -> tuple[Explanation, float]:
+def _memory(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
     """The length of a memory by itself: the replay is not linear enough in it for a joint step."""
-    at = next((k for k, cause in enumerate(told.causes) if cause.name == MEMORY), None)
+    at = next((k for k, cause in enumerate(explanation.causes) if cause.name == MEMORY), None)
     if at is None:
-        return told, value
+        return explanation, value
 
     def moved(length_m: float) -> Explanation:
-        cause = told.causes[at]._replace(values=(length_m,))
-        return told._replace(causes=(*told.causes[:at], cause, *told.causes[at + 1:]))
+        cause = explanation.causes[at]._replace(values=(length_m,))
+        return explanation._replace(causes=(*explanation.causes[:at], cause, *explanation.causes[at + 1:]))
 
-    now = told.causes[at].values[0]
+    now = explanation.causes[at].values[0]
     best = minimize_scalar(lambda x: deviance(design, moved(x)), method="bounded",
                            bounds=(0.5 * now, 1.5 * now + 0.2), options={"maxiter": 9})
-    return (moved(float(best.x)), float(best.fun)) if best.fun < value else (told, value)
+    return (moved(float(best.x)), float(best.fun)) if best.fun < value else (explanation, value)
 
 
-def _cause_columns(book: Book, told: Explanation) -> list[int]:
+def _cause_columns(matrix: SensitivityMatrix, explanation: Explanation) -> list[int]:
     found: list[int] = []
-    for cause in told.causes:
-        found += _matching(book, cause)
+    for cause in explanation.causes:
+        found += _matching(matrix, cause)
     return found
 
 
-def _matching(book: Book, cause: Cause) -> list[int]:
-    fits = [v for v in book.variants if v.cause == cause.name and v.axle == cause.axle
+def _matching(matrix: SensitivityMatrix, cause: Cause) -> list[int]:
+    fits = [v for v in matrix.variants if v.cause == cause.name and v.axle == cause.axle
             and v.shape == cause.shape]
     if not fits:
         raise KeyError(f"{cause.name} {cause.shape}")
     return list(fits[0].columns)
 
 
-def _search(design: Design, told: Explanation, labels: list[str], change: np.ndarray,
+def _search(design: Design, explanation: Explanation, labels: list[str], change: np.ndarray,
             value: float) -> tuple[Explanation, float]:
     """The step, halved until it improves."""
     share = 1.0
     for _ in range(5):
-        base = dict(told.base)
+        base = dict(explanation.base)
         for label, x in zip(labels, change[: len(labels)], strict=True):
             bound = next((b for k, b in _BASE_BOUNDS.items() if label.startswith(k)), 1.0)
             base[label] = float(np.clip(base.get(label, 0.0) + share * x, -bound, bound))
         causes, at = [], len(labels)
-        for cause in told.causes:
+        for cause in explanation.causes:
             if at + len(cause.values) > len(change):  # causes are not fitted
                 causes.append(cause)
                 continue
             moved = np.array(cause.values) + share * change[at:at + len(cause.values)]
             causes.append(bounded(cause._replace(values=tuple(float(x) for x in moved))))
             at += len(cause.values)
-        tried = told._replace(base=base, causes=tuple(causes))
+        tried = explanation._replace(base=base, causes=tuple(causes))
         better = deviance(design, tried)
         if better < value:
             return tried, better
         share *= 0.35
-    return told, value
+    return explanation, value
 
 
 def bounded(cause: Cause) -> Cause:
@@ -246,19 +247,19 @@ def bounded(cause: Cause) -> Cause:
     return cause._replace(values=tuple(limited))
 
 
-def fit_noise(design: Design, told: Explanation, value: float) -> tuple[Explanation, float]:
+def fit_noise(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
     """Strength and length of the irregularity of greatest likelihood, the rest kept."""
 
     def cost(x: np.ndarray) -> float:
-        return deviance(design, told._replace(sigma=float(np.exp(x[0])),
+        return deviance(design, explanation._replace(sigma=float(np.exp(x[0])),
                                               length_m=float(np.exp(x[1]))))
 
-    x0 = np.log([told.sigma, told.length_m])
+    x0 = np.log([explanation.sigma, explanation.length_m])
     simplex = x0 + np.array([[0.0, 0.0], [-0.15, 0.0], [0.0, -0.3]])
     best = minimize(cost, x0, method="Nelder-Mead", bounds=[(np.log(1e-3), np.log(0.5)),
                                                               (np.log(1.0), np.log(LONGEST_M))],
                     options={"maxfev": 18, "initial_simplex": simplex, "fatol": 0.3})
     if best.fun < value:
-        return told._replace(sigma=float(np.exp(best.x[0])), length_m=float(np.exp(best.x[1]))), \
+        return explanation._replace(sigma=float(np.exp(best.x[0])), length_m=float(np.exp(best.x[1]))), \
             float(best.fun)
-    return told, value
+    return explanation, value

@@ -33,7 +33,7 @@ class Formula(NamedTuple):
     """An empirical term: its cause, the explanation with it, its words, its worth."""
 
     cause: Cause
-    told: Explanation
+    explanation: Explanation
     text: str
     against: tuple[str, ...]
     gain: Gain
@@ -47,16 +47,16 @@ def find(design: Design, held: Design | None, base: Explanation, remainder: Sequ
     value = tuning.deviance(design, base)
     tried = []
     for shape in _shapes(design, base, remainder):
-        told, better, _ = tuning.fit(
+        explanation, better, _ = tuning.fit(
             design, base._replace(causes=(*base.causes, Cause("empirical", 0, shape, (0.0, 0.0)))), 6)
         if value - better > LEAST:
-            tried.append((better, told))
-    for _, told in sorted(tried, key=lambda pair: pair[0]):
-        won = gain.measure(held, base, told, seed)
+            tried.append((better, explanation))
+    for _, explanation in sorted(tried, key=lambda pair: pair[0]):
+        won = gain.measure(held, base, explanation, seed)
         if won.claimed:
-            cause = told.causes[-1]
+            cause = explanation.causes[-1]
             name = courses.COVARIATES[int(cause.shape["covariate"])]
-            return Formula(cause, told, text(cause), (name,), won)
+            return Formula(cause, explanation, text(cause), (name,), won)
     return None
 
 

@@ -24,15 +24,6 @@ import math
 from rollerrig.rig.contact import adhesion, polach
 from rollerrig.rig.kernel import kernel
 
-LAW_KEYS = ("mu_cd", "mu_cr", "A_d", "A_r", "gamma_d_s_m", "gamma_r_s_m", "k_ad", "k_sd", "k_ar",
-            "k_sr", "tau_m_J")
-# columns of a segment's parameters
-RADIUS, INERTIA = 0, 1
-LAW = slice(2, 13)
-EPS1, MEMORY, SIGMA, LENGTH, NOISE, TORQUE_NOISE, CLEANING, MEMORY_POWER, MEMORY_OF_WORK = (
-    13, 14, 15, 16, 17, 18, 19, 20, 21)
-MU_CD, A_D, A_R, GAMMA_D, GAMMA_R, K_AD, K_SD, K_AR, K_SR, TAU = 2, 4, 5, 6, 7, 8, 9, 10, 11, 12
-PARAMETERS = 22
 SUBSTEPS = 2
 
 

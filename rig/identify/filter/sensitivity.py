@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.filter import memory_replay, replay
 from rollerrig.rig.kernel import kernel, kernel_with_memory
@@ -206,7 +207,7 @@ def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     own = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
     force = A + B * v + C * v * v + inputs.force_N[own]
     for j, at in enumerate(spans):
-        force = force + inputs.torque_Nm[at] / inputs.parameters[run * 4 + j, replay.RADIUS]
+        force = force + inputs.torque_Nm[at] / inputs.parameters[run * 4 + j, parameters.RADIUS]
     return force / inputs.mass_kg[run]
 
 

@@ -21,8 +21,8 @@ import numpy as np
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.causes.columns import BASE
 from rollerrig.rig.identify.data import preparation
-from rollerrig.rig.identify.data.dataset import Dataset
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import simulate, tuning
 from rollerrig.rig.identify.decide.evidence import Finding, generic
 from rollerrig.rig.identify.decide.explain import Account
@@ -65,7 +65,7 @@ class Ground(NamedTuple):
 
     data: Dataset
     design: Design
-    told: Explanation
+    explanation: Explanation
 
 
 class Library(NamedTuple):
@@ -108,11 +108,11 @@ def library(on: Ground, chosen: Sequence[Finding], progress: Progress) -> Librar
     """Information of the data at hand and of each possible stop; a fifth of a second a stop."""
     if not chosen:
         return Library((), Table((), np.zeros((0, 0))), (), ())
-    told = _zero(on.told, chosen)
-    known = _table(tuning.normal(on.design, told, _owners(chosen))[0], chosen, "known")
+    explanation = _zero(on.explanation, chosen)
+    known = _table(tuning.normal(on.design, explanation, _owners(chosen))[0], chosen, "known")
     stops, kept, tables = possible(on.data, chosen), [], []
     for k, stop in enumerate(stops):
-        design, expected = _simulated(on, stop, told)
+        design, expected = _simulated(on, stop, explanation)
         found = tuning.normal(design, expected, _owners(chosen))[0]
         if np.all(np.isfinite(found.A)):
             kept.append(stop)
@@ -163,9 +163,9 @@ def _schur(tables: Sequence[Table], names: Sequence[str]) -> np.ndarray:
     return A[:n, :n] - cross.T @ np.linalg.solve(inner, cross)  # [L1]
 
 
-def _zero(told: Explanation, chosen: Sequence[Finding]) -> Explanation:
+def _zero(explanation: Explanation, chosen: Sequence[Finding]) -> Explanation:
     """The base with all candidates at size 0, so that their shapes have columns."""
-    return told._replace(causes=tuple(
+    return explanation._replace(causes=tuple(
         Cause(f.name, f.axle, f.shape, (0.0,) * len(f.estimate)) for f in chosen))
 
 
@@ -175,7 +175,7 @@ def _owners(chosen: Sequence[Finding]) -> frozenset[str]:
 
 def _table(normal: Normal, chosen: Sequence[Finding], name: str) -> Table:
     """One column for each candidate, times its size; base columns of single runs get the set's name."""
-    columns = normal.book.columns
+    columns = normal.matrix.columns
     base = [c for c, column in enumerate(columns) if column.owner == BASE]
     P = np.zeros((len(columns), len(base) + len(chosen)))
     A, keys = normal.A.copy(), []
@@ -194,7 +194,7 @@ def _table(normal: Normal, chosen: Sequence[Finding], name: str) -> Table:
 
 
 def _direction(normal: Normal, f: Finding) -> tuple[list[int], list[float]]:
-    fits = [v for v in normal.book.variants if v.cause == f.name and v.axle == f.axle]
+    fits = [v for v in normal.matrix.variants if v.cause == f.name and v.axle == f.axle]
     same = [v for v in fits if v.shape == f.shape] or fits
     if not same:
         return [], []
@@ -206,10 +206,10 @@ def _direction(normal: Normal, f: Finding) -> tuple[list[int], list[float]]:
     return at, [amplitude if k % 2 == 0 else 0.0 for k in range(len(at))]
 
 
-def _simulated(on: Ground, stop: Stop, told: Explanation) -> tuple[Design, Explanation]:
+def _simulated(on: Ground, stop: Stop, explanation: Explanation) -> tuple[Design, Explanation]:
     """A stop as the fitted base would run it, prepared like a measured one."""
-    base = {k: v for k, v in told.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
-    expected = told._replace(base=base | {"ln_mu_cd_0": prototype.level(told)})
+    base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
+    expected = explanation._replace(base=base | {"ln_mu_cd_0": prototype.level(explanation)})
     rough = prototype.run(on.data, on.design.base, stop, expected)
     design = _noisy(preparation.prepare(on.data, [rough]), on.design)
     made = simulate.runs(on.data, design, [rough], expected, np.random.default_rng(3))
@@ -224,7 +224,7 @@ def _noisy(design: Design, like: Design) -> Design:
 
 def sequence(proposal: Proposal, on: Ground) -> dict[str, Any]:
     """A proposal as plain data that as TOML `rollerrig sequence` runs."""
-    return prototype.sequence(proposal.stop, proposal.reason, on.data, on.told)
+    return prototype.sequence(proposal.stop, proposal.reason, on.data, on.explanation)
 
 
 def as_json(proposals: Sequence[Proposal], files: Sequence[str]) -> list[dict[str, Any]]:

@@ -14,7 +14,8 @@ import numpy as np
 
 from rollerrig.rig import params
 from rollerrig.rig.identify.causes.candidates import Explanation
-from rollerrig.rig.identify.data.dataset import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.parameters import MU_CD, TAU
+from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.filter import replay
 
 GRAVITY_M_S2 = 9.80665
@@ -44,12 +45,12 @@ class Stop(NamedTuple):
                 f"{self.mass_kg / 1e3:.3g} t")
 
 
-def level(told: Explanation) -> float:
+def level(explanation: Explanation) -> float:
     """Logarithm of the contaminant's level over the base model's, mean of the fitted runs."""
-    return float(np.mean([v for label, v in told.base.items() if label.startswith("ln_mu_cd")] or [0.0]))
+    return float(np.mean([v for label, v in explanation.base.items() if label.startswith("ln_mu_cd")] or [0.0]))
 
 
-def run(data: Dataset, parameters: np.ndarray, stop: Stop, told: Explanation) -> Run:
+def run(data: Dataset, parameters: np.ndarray, stop: Stop, explanation: Explanation) -> Run:
     """The rough course of a stop under a fitted explanation, without noise.
 
     `parameters` (PARAMETERS,) are the replay's of the base model.
@@ -58,8 +59,8 @@ def run(data: Dataset, parameters: np.ndarray, stop: Stop, told: Explanation) ->
     vehicle = data.sections["vehicle"]
     radius, inertia = vehicle["wheel_radius_m"], vehicle["wheelset_inertia_kgm2"]
     p = parameters.copy()
-    p[replay.TAU] *= math.exp(told.base.get("ln_tau", 0.0))
-    p[replay.MU_CD] *= math.exp(level(told))
+    p[TAU] *= math.exp(explanation.base.get("ln_tau", 0.0))
+    p[MU_CD] *= math.exp(level(explanation))
     most_Nm = torque_at(data.sections, stop.pressure_Pa)
     braked = np.array([stop.axle in (0, j + 1) for j in range(AXLES)])
     n = int(LONGEST_S / step_s)
@@ -120,12 +121,12 @@ def torque_at(sections: dict[str, dict[str, Any]], pressure_Pa: float) -> float:
     return max(brake.torque_Nm_Pa * (pressure_Pa - brake.spring_pressure_Pa), 0.0)
 
 
-def sequence(stop: Stop, reason: str, data: Dataset, told: Explanation) -> dict[str, Any]:
+def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -> dict[str, Any]:
     """The stop as a sequence, plain data that as TOML `rollerrig sequence` runs, on the fitted base."""
     sections = data.sections
     law = dict(sections["adhesion"])
-    law["mu_cd"] = float(law["mu_cd"] * math.exp(level(told)))
-    law["tau_m_J"] = float(law["tau_m_J"] * math.exp(told.base.get("ln_tau", 0.0)))
+    law["mu_cd"] = float(law["mu_cd"] * math.exp(level(explanation)))
+    law["tau_m_J"] = float(law["tau_m_J"] * math.exp(explanation.base.get("ln_tau", 0.0)))
     rolled = math.isfinite(sections["contact"]["roller_radius_m"])
     brake: dict[str, Any] = {"title": stop.title, "at": f"{RELEASED_S:g} s",
                              "set": {"brake_demand": f"{stop.pressure_Pa / 1e5:g} bar"},

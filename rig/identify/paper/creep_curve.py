@@ -7,7 +7,7 @@ with and without it against the scatter of the points themselves.
 import math
 from typing import Any
 
-from rollerrig.rig.identify.data.dataset import Dataset
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.paper import polach_fit
 from rollerrig.rig.mechanisms.table import TABLE
 

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.identify.data.dataset import Curve, Dataset
+from rollerrig.rig.identify.data.runs import Curve, Dataset
 from rollerrig.rig.identify.paper.tuning import Interval
 
 NAMES = ("mu_0", "A", "gamma_s_m", "k_a", "k_s")

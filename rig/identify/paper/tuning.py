@@ -29,10 +29,10 @@ from rollerrig.rig import wheelset
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.columns import BASE
-from rollerrig.rig.identify.data.dataset import Dataset
+from rollerrig.rig.identify.data.parameters import TAU
 from rollerrig.rig.identify.data.preparation import Design, prepare
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import tuning
-from rollerrig.rig.identify.filter.replay import TAU
 from rollerrig.rig.kernel import kernel
 
 LEAST_SLIDING_M_S, LEAST_SPEED_M_S = 0.3, 4.0
@@ -207,11 +207,11 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     A replicate draws the 3 s blocks of each run anew and the declared tolerances, and takes one
     Gauss-Newton step from the optimum. What whole runs pull apart is added: blocks do not know it.
     """
-    told, _, _ = tuning.fit(design, candidates.start(design))
-    found, linear, _, answers = tuning.normal(design, told, frozenset({BASE}))
-    at = tuning.base_columns(found.book)
-    labels = [found.book.columns[c].label for c in at]
-    prior = np.array([found.book.columns[c].prior for c in at])
+    explanation, _, _ = tuning.fit(design, candidates.start(design))
+    found, linear, _, answers = tuning.normal(design, explanation, frozenset({BASE}))
+    at = tuning.base_columns(found.matrix)
+    labels = [found.matrix.columns[c].label for c in at]
+    prior = np.array([found.matrix.columns[c].prior for c in at])
     Z = answers[:, at]
     z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
     rest = found.A[np.ix_(at, at)] - Z.T @ Z  # the vehicle's balance and the tolerances
@@ -234,7 +234,7 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     out = {}
     for label, unit in (("ln_tau", float(design.base[TAU])),
                         *((f"ln_mu_cd_{i}", mu_cd) for i in range(design.mass_kg.size))):
-        k, x = labels.index(label), told.base.get(label, 0.0)
+        k, x = labels.index(label), explanation.base.get(label, 0.0)
         out[label.removeprefix("ln_")] = Interval(*(float(unit * np.exp(x + y))
                                                     for y in (0.0, low[k], high[k])))
     return out

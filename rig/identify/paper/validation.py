@@ -21,8 +21,8 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import wheelset
-from rollerrig.rig.identify.data.dataset import AXLES, Dataset
 from rollerrig.rig.identify.data.preparation import Design, prepare
+from rollerrig.rig.identify.data.runs import AXLES, Dataset
 from rollerrig.rig.identify.paper import tuning
 from rollerrig.rig.kernel import kernel
 

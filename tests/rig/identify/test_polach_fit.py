@@ -7,7 +7,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.reports import paper
 from rollerrig.rig.contact import polach
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.identify.data.dataset import Curve
+from rollerrig.rig.identify.data.runs import Curve
 from rollerrig.rig.identify.paper import polach_fit
 
 

@@ -8,7 +8,7 @@ import pytest
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
-from rollerrig.rig.identify.data import dataset, preparation
+from rollerrig.rig.identify.data import dataset, parameters, preparation
 from rollerrig.rig.identify.decide import simulate, tuning
 from rollerrig.rig.identify.filter import replay, sensitivity
 
@@ -30,7 +30,7 @@ def told(design: preparation.Design) -> Explanation:
 
 
 def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) -> None:
-    law = adhesion.Law(*(float(x) for x in design.base[replay.LAW]))
+    law = adhesion.Law(*(float(x) for x in design.base[parameters.LAW]))
     patch = adhesion.patch_for(0.445, math.inf, 0.3, 2.1e11, 8.0e10, 0.3)
     for sliding in (0.01, 0.3, 2.0, 8.0, -1.0):
         f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 0.0, design.base, 0.0, 1.0)
@@ -82,7 +82,7 @@ SMALL = [Cause("friction_trend", 0, {}, (1e-4,)), Cause("roller_curvature", 0, {
 def test_the_linearised_answer_is_the_derivative_of_the_replay(
         design: preparation.Design, told: Explanation, cause: Cause) -> None:
     found, linear, _, Z = tuning.normal(design, told)
-    column = next(v.columns[0] for v in found.book.variants
+    column = next(v.columns[0] for v in found.matrix.variants
                   if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape))
     moved = sensitivity.innovations(design, candidates.inputs(
         design, told._replace(causes=(cause,))))[0]
