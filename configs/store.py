@@ -26,15 +26,22 @@ def find(kind: str, name: str, beside: Path | None = None) -> Path:
     given = Path(name)
     if given.suffix == ".toml" or len(given.parts) > 1:
         for candidate in [given] + ([beside.parent / given] if beside else []):
-            if candidate.is_file():
+            if _is_file(candidate):
                 return candidate
         raise ConfigError(f"{name}: no such file; give a path to a TOML file or one of: "
                           f"{', '.join(names(kind))}")
     packaged = ROOT / kind / f"{name}.toml"
-    if not packaged.is_file():
+    if not _is_file(packaged):
         raise ConfigError(f"no {kind.rstrip('s')} is called '{name}'{nearest(name, names(kind))}; "
                           "or give the path of a TOML file")
     return packaged
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False  # a name too long, or with a NUL: no file is called so
 
 
 def parse(path: Path) -> dict[str, Any]:

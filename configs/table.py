@@ -53,6 +53,8 @@ def read(rows: Iterable[Row], given: Mapping[str, Any], where: str) -> dict[str,
     `where` is what messages begin with: file and table. Raises ConfigError for an unknown key, a
     missing one, a wrong type or a value out of bounds.
     """
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"{where} = {given!r}: a table with keys and values is wanted")
     table = {row.name: row for row in rows}
     for key in given:
         if key not in table:

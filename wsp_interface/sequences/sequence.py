@@ -157,7 +157,7 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
                             lambda at, key: source.where("measure", at, key), "sequence")
     return Sequence(
         path.stem, path, title, str(given.get("scenario", "")), str(given.get("wsp", "reference")),
-        speed_m_s, str(start.get("adhesion", "")), tables, _texts(given.get("notes", [])),
+        speed_m_s, str(start.get("adhesion", "")), tables, _texts(given.get("notes", []), source.where(key="notes")),
         _conditions(given.get("before", []), source.where(key="before")),
         _conditions(given.get("after", []), source.where(key="after")), steps,
         profile.with_limits(limits))
@@ -203,8 +203,8 @@ def _step(content: Mapping[str, Any], at: Callable[..., str], line: int) -> Step
         conditions.condition(content["until"], at("until")) if "until" in content else None,
         seconds("hold") or 0.0, DEFAULT_TIMEOUT_S if timeout_s is None else timeout_s,
         None if brake is None else _pressure(brake, at("set")), _ramp(content.get("ramp"), at),
-        _patch(content.get("friction"), at), _texts(content.get("fault", [])),
-        _texts(content.get("lift", [])), _texts(content.get("note", [])),
+        _patch(content.get("friction"), at), _texts(content.get("fault", []), at("fault")),
+        _texts(content.get("lift", []), at("lift")), _texts(content.get("note", []), at("note")),
         _conditions(content.get("expect", []), at("expect")))
 
 
@@ -287,9 +287,12 @@ def _keys(given: Any, allowed: tuple[str, ...], source: _Source, table: str, num
                               f"{nearest(key, allowed)}")
 
 
-def _texts(given: Any) -> tuple[str, ...]:
-    return (given,) if isinstance(given, str) else tuple(str(one) for one in given)
+def _texts(given: Any, where: str) -> tuple[str, ...]:
+    texts = [given] if isinstance(given, str) else given
+    if not isinstance(texts, list) or not all(isinstance(one, str) for one in texts):
+        raise ConfigError(f"{where} = {given!r}: a text in quotes is wanted, or a list of texts")
+    return tuple(texts)
 
 
 def _conditions(given: Any, where: str) -> tuple[Condition, ...]:
-    return tuple(conditions.condition(one, where) for one in _texts(given))
+    return tuple(conditions.condition(one, where) for one in _texts(given, where))

@@ -92,7 +92,7 @@ def load(name: str, beside: Path | None = None) -> Profile:
 
 def limits(given: Any, where: Callable[[int, str], str], origin: str) -> tuple[Limit, ...]:
     """Limits from their tables. Raises ConfigError: unknown measure, wrong unit, contradiction."""
-    if not isinstance(given, list):
+    if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
         raise ConfigError(f"{where(0, '')}: write the table with two brackets, one for each limit")
     return tuple(_limit(one, lambda key, at=at: where(at, key), origin)  # type: ignore[misc]
                  for at, one in enumerate(given))
@@ -103,7 +103,7 @@ def _limit(given: Any, where: Callable[[str], str], origin: str) -> Limit:
         if key not in _KEYS:
             raise ConfigError(f"{where(key)}: unknown key{nearest(key, _KEYS)}")
     name = given.get("measure")
-    if name not in measures.BY_NAME:
+    if not isinstance(name, str) or name not in measures.BY_NAME:
         raise ConfigError(f"{where('measure')} = {name!r}: no measure is called so"
                           f"{nearest(str(name), measures.BY_NAME)}")
     measure = measures.BY_NAME[name]

@@ -130,6 +130,8 @@ def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[s
 
 def _given(rows: tuple[Row, ...], content: Mapping[str, Any], where: str) -> dict[str, Any]:
     # a default outside the bounds stands for "not given" and is not checked
+    if not isinstance(content, Mapping):
+        return table.read(rows, content, where)  # refuses it
     known = {row.name for row in rows}
     checked = table.read([r for r in rows if r.name in content or r.low <= _size(r) <= r.high],
                          {k: v for k, v in content.items() if k in known}, where)
