@@ -1,9 +1,10 @@
 """Modbus RTU on a serial port or a pseudo-terminal: framing by length and checksum, and by silence.
 
-A frame is known to be whole when its function tells its length and the checksum fits. Whatever else
-comes is thrown away at the next silence, unless it is a sound frame of a function that this device
-has not: that is answered. Other units on the line are let be, and unit 0 is everybody: it is obeyed
-and not answered. Source: MODBUS over Serial Line V1.02, section 2.
+Checksums are pymodbus'. Its framer drops what follows a frame and its transport needs pyserial; here
+a frame is whole when its function tells its length and the checksum fits, and the line is an asyncio
+pipe. Whatever else comes is thrown away at the next silence, unless it is a sound frame of a function
+that this device has not: that is answered. Other units on the line are let be, and unit 0 is
+everybody: it is obeyed and not answered. Source: MODBUS over Serial Line V1.02, section 2.
 """
 
 import asyncio
@@ -13,13 +14,14 @@ import termios
 import tty
 from collections.abc import Callable
 
+from pymodbus.framer import FramerRTU
+
 from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus import pdu
 from rollerrig.firmware_sim.modbus.server import Server
 
 BROADCAST = 0
 LARGEST_FRAME = 256
-SHORTEST_FRAME = 4
 PSEUDO = "pty"
 # silence that ends a frame: 3.5 characters, but no less than serial adapters pause inside a frame
 CHARACTERS, SILENCE_MIN_S = 3.5, 0.02
@@ -28,33 +30,23 @@ _UNSENT_BYTES = 1024
 _REOPEN_S = 1.0
 
 
-def _table() -> tuple[int, ...]:
-    found = []
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
-        found.append(crc)
-    return tuple(found)
+class Frame(FramerRTU):
+    """A frame with its checksum, and not a byte of what follows it."""
+
+    def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
+        """Bytes used (0: no whole sound request), unit, 0 and request."""
+        kind = self.decoder.lookupPduClass(data) if len(data) >= self.MIN_SIZE else None
+        size = kind.calculateRtuFrameSize(data) if kind else 0
+        return self.sound(data[:size]) if 0 < size <= len(data) else (0, 0, 0, b"")
+
+    def sound(self, frame: bytes) -> tuple[int, int, int, bytes]:
+        """As `decode`, of a frame that the silence has ended."""
+        whole = (self.MIN_SIZE <= len(frame) <= LARGEST_FRAME
+                 and self.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")))
+        return (len(frame), frame[0], 0, frame[1:-2]) if whole else (0, 0, 0, b"")
 
 
-_CRC = _table()
-
-
-def checksum(data: bytes) -> bytes:
-    """The two checksum bytes of a frame, as they are sent."""
-    crc = 0xFFFF
-    for byte in data:
-        crc = crc >> 8 ^ _CRC[(crc ^ byte) & 0xFF]
-    return crc.to_bytes(2, "little")
-
-
-def is_sound(frame: bytes) -> bool:
-    """Whether a frame ends with its checksum."""
-    return len(frame) >= SHORTEST_FRAME and checksum(frame[:-2]) == frame[-2:]
-
-
-class SerialLine:
+class SerialLine(asyncio.Protocol):
     """A server's units on a serial line; all in the running loop.
 
     `port` is a device, or "pty" for a new pseudo-terminal; `on_event(level, text)` hears when the
@@ -66,132 +58,100 @@ class SerialLine:
         self.server, self.port = server, port
         self.baud_rate, self.parity, self.on_event = baud_rate, parity, on_event
         self.silence_s = max(CHARACTERS * _BITS_PER_CHARACTER / baud_rate, SILENCE_MIN_S)
-        self._loop = asyncio.get_running_loop()
-        self._line, self._other = -1, -1
-        self._received, self._unsent = b"", b""
+        self._frame = Frame(pdu.DECODER)
+        self._received = b""
+        self._ends: tuple[asyncio.ReadTransport, asyncio.WriteTransport] | None = None
+        self._other = -1
         self._quiet: asyncio.TimerHandle | None = None
-        self._later: asyncio.TimerHandle | None = None
+        self._reopening: asyncio.Task[None] | None = None
 
-    def open(self) -> str:
+    async def open(self) -> str:
         """Open the line; returns the device that a client opens. Raises BusError."""
+        running = asyncio.get_running_loop()
         try:
-            name = self._open()
+            name, line = self._open()
+            reading, _ = await running.connect_read_pipe(lambda: self, os.fdopen(line, "rb", 0))
+            writing, _ = await running.connect_write_pipe(asyncio.Protocol, os.fdopen(os.dup(line), "wb", 0))
         except (OSError, termios.error) as error:
-            self._shut()
             reason = error.args[-1] if error.args else error
             raise BusError(f"[modbus] serial = '{self.port}' at {self.baud_rate} baud: {reason}; "
                            "give a serial device, \"pty\", or \"\" for none") from None
-        self._loop.add_reader(self._line, self._on_readable)
+        self._ends = reading, writing
         return name
 
-    def _open(self) -> str:
+    def _open(self) -> tuple[str, int]:
         if self.port == PSEUDO:
-            self._line, self._other = os.openpty()
-            os.set_blocking(self._line, False)
+            line, self._other = os.openpty()
             # the other side stays open here, else the line would hang up between two clients
             tty.setraw(self._other)
-            return os.ttyname(self._other)
-        self._line = os.open(self.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        _set_up(self._line, self.baud_rate, self.parity)
-        return self.port
+            return os.ttyname(self._other), line
+        line = os.open(self.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            _set_up(line, self.baud_rate, self.parity)
+        except BaseException:
+            os.close(line)
+            raise
+        return self.port, line
 
     def close(self) -> None:
         """Let the line go."""
-        for timer in (self._quiet, self._later):
-            if timer:
-                timer.cancel()
-        self._shut()
+        for waiting in (self._quiet, self._reopening):
+            if waiting:
+                waiting.cancel()
+        if self._ends:
+            self._ends[0].close()
+            self._ends[1].abort()
+            self._ends = None
+        if self._other >= 0:
+            os.close(self._other)
+            self._other = -1
 
-    def _shut(self) -> None:
-        if self._line >= 0:
-            self._loop.remove_reader(self._line)
-            self._loop.remove_writer(self._line)
-        for descriptor in (self._line, self._other):
-            if descriptor >= 0:
-                os.close(descriptor)
-        self._line = self._other = -1
-        self._received = self._unsent = b""
-
-    # -- in
-
-    def _on_readable(self) -> None:
-        try:
-            data = os.read(self._line, LARGEST_FRAME)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._lose()
-            return
-        self.on_data(data)
-
-    def on_data(self, data: bytes) -> None:
-        """Bytes from the line."""
+    def data_received(self, data: bytes) -> None:
         self._received += data
-        while size := self._whole(self._received):
-            frame, self._received = self._received[:size], self._received[size:]
-            self._on_frame(frame)
+        used, unit, _, request = self._frame.decode(self._received)
+        while used:
+            self._received = self._received[used:]
+            self._obey(unit, request)
+            used, unit, _, request = self._frame.decode(self._received)
         if self._quiet:
             self._quiet.cancel()
         self._quiet = None
         if self._received:
-            self._quiet = self._loop.call_later(self.silence_s, self._on_silence)
+            self._quiet = asyncio.get_running_loop().call_later(self.silence_s, self._on_silence)
             # more than any frame: only its end is still of interest
             self._received = self._received[-LARGEST_FRAME - 1:]
 
-    def _whole(self, data: bytes) -> int:
-        """Length of the sound request at the beginning; 0: there is none, or not yet."""
-        size = pdu.length(data[1:])
-        if not size or len(data) < size + 3:
-            return 0
-        return size + 3 if is_sound(data[:size + 3]) else 0
-
     def _on_silence(self) -> None:
-        frame, self._received, self._quiet = self._received, b"", None
-        if len(frame) <= LARGEST_FRAME and is_sound(frame):
-            self._on_frame(frame)
+        used, unit, _, request = self._frame.sound(self._received)
+        self._received, self._quiet = b"", None
+        if used:
+            self._obey(unit, request)
         else:
             self.server.counters.malformed += 1
 
-    def _on_frame(self, frame: bytes) -> None:
-        unit, request = frame[0], frame[1:-2]
+    def _obey(self, unit: int, request: bytes) -> None:
         if unit == BROADCAST:
-            function = pdu.FUNCTIONS.get(request[0])
-            for one in self.server.units if function and function.writes else ():
+            for one in self.server.units if request[0] in pdu.WRITES else ():
                 self.server.answer(one, request)
-        elif unit in self.server.units and not pdu.is_exception(request):
-            reply = frame[:1] + self.server.answer(unit, request)
-            self._send(reply + checksum(reply))
-
-    # -- out
-
-    def _send(self, data: bytes) -> None:
-        if len(self._unsent) + len(data) <= _UNSENT_BYTES:
-            self._unsent += data
-        self._on_writable()
-
-    def _on_writable(self) -> None:
-        with contextlib.suppress(OSError):
-            self._unsent = self._unsent[os.write(self._line, self._unsent):]
-        if self._unsent:
-            self._loop.add_writer(self._line, self._on_writable)
-        else:
-            self._loop.remove_writer(self._line)
+        elif unit in self.server.units and request[0] < pdu.EXCEPTION and self._ends:
+            reply = self._frame.encode(self.server.answer(unit, request), unit, 0)
+            # what a client does not read is lost, as on a wire
+            if self._ends[1].get_write_buffer_size() + len(reply) <= _UNSENT_BYTES:
+                self._ends[1].write(reply)
 
     # -- lost and found
 
-    def _lose(self) -> None:
-        self._shut()
-        self.on_event("warning", f"Modbus: the serial line {self.port} is lost")
-        self._later = self._loop.call_later(_REOPEN_S, self._reopen)
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._ends:
+            self.close()
+            self.on_event("warning", f"Modbus: the serial line {self.port} is lost")
+            self._reopening = asyncio.get_running_loop().create_task(self._reopen())
 
-    def _reopen(self) -> None:
-        try:
-            self.open()
-        except BusError:
-            self._later = self._loop.call_later(_REOPEN_S, self._reopen)
-            return
+    async def _reopen(self) -> None:
+        while self._ends is None:
+            await asyncio.sleep(_REOPEN_S)
+            with contextlib.suppress(BusError):
+                await self.open()
         self.on_event("info", f"Modbus: the serial line {self.port} is back")
 
 

@@ -1,10 +1,11 @@
-"""Modbus TCP, and Modbus over TLS with client certificates: framing, limits, counters.
+"""Modbus TCP, and Modbus over TLS with client certificates: connections, limits, counters.
 
-Requests that come in one segment are answered one by one, in order, each with its own transaction
-number. What cannot be a Modbus header closes the connection. A client that floods takes turns with
-everybody else, one that does not read its answers is not read either, and when all places are
-taken the connection that has been idle longest gives way. Source: MODBUS Messaging on TCP/IP
-Implementation Guide V1.0b, sections 3 and 4; MODBUS/TCP Security v2.1.
+Headers are pymodbus'; the connections are ours, because pymodbus' own server answers one of several
+requests in a segment, forgets long ones and hides why it cannot listen. What cannot be a Modbus
+header closes the connection. A client that floods takes turns with everybody else, one that does
+not read its answers is not read either, and when all places are taken the connection that has been
+idle longest gives way. Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3
+and 4; MODBUS/TCP Security v2.1.
 """
 
 import asyncio
@@ -15,26 +16,40 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
 
+from pymodbus.framer import FramerSocket
+
 from rollerrig.configs.errors import BusError, ConfigError
 from rollerrig.firmware_sim.modbus import pdu
 from rollerrig.firmware_sim.modbus.pdu import Image
 
-HEADER_BYTES = 7
 # the length in the header counts the unit and the request: at least a function code
-SHORTEST, LONGEST = 2, pdu.LARGEST_PDU + 1
+SHORTEST, LONGEST = 2, 254
 CLIENTS_MAX = 32
 BURST = 16  # requests answered before others have their turn: less than half a millisecond
 _PORTION_BYTES = 4096
 _HANDSHAKE_S = 5.0
 # a client that has vanished is noticed after about half a minute
-_KEEPALIVE = ((socket.TCP_KEEPIDLE, 15), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 3))
+_KEEPALIVE = ((socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1), (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 15),
+              (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 5), (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3))
+
+
+class Header(FramerSocket):
+    """The header of Modbus TCP, checked as soon as it can be."""
+
+    def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
+        """Bytes used (0: not all there), unit, number and request. Raises ValueError: not Modbus."""
+        length = int.from_bytes(data[4:6], "big")
+        if any(data[2:4]) or (len(data) >= 6 and not SHORTEST <= length <= LONGEST):
+            raise ValueError(data[:6].hex())
+        # pymodbus takes a byte behind the shortest request for part of it
+        return super().decode(data[:6 + length])
 
 
 class Counters:
     """What the server has seen."""
 
     def __init__(self) -> None:
-        self.clients = self.requests = self.exceptions = self.malformed = self.displaced = 0
+        self.clients = self.requests = self.exceptions = self.malformed = 0
 
 
 class Server:
@@ -42,14 +57,15 @@ class Server:
 
     def __init__(self, units: Mapping[int, Image], counters: Counters | None = None) -> None:
         self.units, self.counters = units, counters or Counters()
+        self.header = Header(pdu.DECODER)
         self.connections: set[Connection] = set()
         self._listener: asyncio.Server | None = None
+        pdu.identify()
 
     async def listen(self, host: str, port: int, context: ssl.SSLContext | None = None) -> int:
         """Take clients at an address; returns the port (0 takes a free one). Raises BusError."""
-        running = asyncio.get_running_loop()
         try:
-            self._listener = await running.create_server(
+            self._listener = await asyncio.get_running_loop().create_server(
                 lambda: Connection(self), host, port, ssl=context, reuse_address=True,
                 ssl_handshake_timeout=_HANDSHAKE_S if context else None)
         except OSError as error:
@@ -63,19 +79,16 @@ class Server:
         """End all connections and listen no more."""
         if self._listener:
             self._listener.close()
-        for connection in tuple(self.connections):
-            connection.transport.close()
-        await asyncio.sleep(0)
-        if self._listener:
-            for connection in tuple(self.connections):
+            for connection in self.connections:
                 connection.transport.abort()
+            # their ends are told in the next turn of the loop
+            await asyncio.sleep(0)
             await self._listener.wait_closed()
 
     def join(self, connection: "Connection") -> None:
         """A client has come; the one idle longest leaves when there are too many."""
         if len(self.connections) >= CLIENTS_MAX:
             idle = min(self.connections, key=lambda one: one.used_s)
-            self.counters.displaced += 1
             self.leave(idle)
             idle.transport.abort()
         self.connections.add(connection)
@@ -90,32 +103,28 @@ class Server:
         """The answer to a request, counted."""
         reply = pdu.answer(self.units, unit, request)
         self.counters.requests += 1
-        self.counters.exceptions += pdu.is_exception(reply)
+        self.counters.exceptions += reply[0] >= pdu.EXCEPTION
         return reply
 
 
 class Connection(asyncio.BufferedProtocol):
-    """One client."""
+    """One client. asyncio's streams would take twice the time for a request."""
 
     transport: asyncio.Transport
 
     def __init__(self, server: Server) -> None:
         self.server = server
         self.used_s = time.monotonic()
-        self._portion = bytearray(_PORTION_BYTES)
-        self._received = b""
-        self._blocked = self._waiting = False
+        self._portion, self._received = bytearray(_PORTION_BYTES), b""
+        self._blocked = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
-        line = self.transport.get_extra_info("socket")
-        line.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for option, value in _KEEPALIVE:
-            line.setsockopt(socket.IPPROTO_TCP, option, value)
+        for option in _KEEPALIVE:
+            transport.get_extra_info("socket").setsockopt(*option)
         self.server.join(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._received = b""
         self.server.leave(self)
 
     def pause_writing(self) -> None:
@@ -133,55 +142,28 @@ class Connection(asyncio.BufferedProtocol):
     def buffer_updated(self, nbytes: int) -> None:
         self._received += self._portion[:nbytes]
         self.used_s = time.monotonic()
-        if not self._waiting and not self._blocked:
-            self._serve()
+        self._serve()
 
     def _serve(self) -> None:
         """Answer what has come in whole, at most a burst, and then let others have their turn."""
-        self._waiting = False
-        if self.transport.is_closing():
-            return
-        data, at, answers, sound = self._received, 0, [], True
-        for _ in range(BURST):
-            size = adu_length(data, at)
-            if size is None:
-                sound = False
-            if not size:
-                break
-            answers.append(self._answer(data[at:at + size]))
-            at += size
-        self._received = data[at:]
-        if answers:
-            self.transport.write(b"".join(answers))
-        if not sound:
+        header, answers = self.server.header, 0
+        try:
+            while self._received and not (self._blocked or self.transport.is_closing()):
+                used, unit, number, request = header.decode(self._received)
+                if not used:
+                    break
+                if answers == BURST:
+                    self.transport.pause_reading()
+                    asyncio.get_running_loop().call_soon(self._serve)
+                    return
+                self._received = self._received[used:]
+                self.transport.write(header.encode(self.server.answer(unit, request), unit, number))
+                answers += 1
+        except ValueError:
             self.server.counters.malformed += 1
             self.transport.close()
-        elif not self._blocked:
-            self._go_on(len(answers) == BURST)
-
-    def _go_on(self, more: bool) -> None:
-        if more:
-            self._waiting = True
-            self.transport.pause_reading()
-            asyncio.get_running_loop().call_soon(self._serve)
-        else:
+        if not self._blocked:
             self.transport.resume_reading()
-
-    def _answer(self, adu: bytes) -> bytes:
-        reply = self.server.answer(adu[6], adu[HEADER_BYTES:])
-        return adu[:4] + (len(reply) + 1).to_bytes(2, "big") + adu[6:7] + reply
-
-
-def adu_length(data: bytes, at: int) -> int | None:
-    """Bytes of the request that begins at `at`; 0: not all there; None: it cannot be one."""
-    if len(data) - at >= 4 and (data[at + 2] or data[at + 3]):
-        return None
-    if len(data) - at < 6:
-        return 0
-    length = data[at + 4] << 8 | data[at + 5]
-    if not SHORTEST <= length <= LONGEST:
-        return None
-    return 6 + length if len(data) - at >= 6 + length else 0
 
 
 def tls_context(certificate: Path, key: Path, client_ca: Path) -> ssl.SSLContext:

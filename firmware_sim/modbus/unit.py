@@ -9,19 +9,19 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 import numpy as np
+from pymodbus.constants import ExcCodes
 
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.firmware_sim.modbus.map import BIT, WRITE, Register, drive_words
-from rollerrig.firmware_sim.modbus.pdu import Code, RefusedError
+from rollerrig.firmware_sim.modbus.pdu import BITS, RefusedError
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import Place
 
 Reader = Callable[[], int]
 # called with a raw value, first with only=True to ask whether it would be taken: RefusedError if not
 Writer = Callable[[int, bool], None]
-_LAST_ADDRESS = 0xFFFF
 
 
 class Unit:
@@ -29,79 +29,45 @@ class Unit:
 
     def __init__(self, rows: Iterable[Register], readers: Mapping[str, Reader],
                  writers: Mapping[str, Writer]) -> None:
-        self._bits: dict[int, Reader] = {}
-        self._words: dict[int, Callable[[], bytes]] = {}
+        self._spaces: dict[bool, dict[int, Reader]] = {True: {}, False: {}}
         self._rows: dict[tuple[bool, int], Register] = {}
         self._writers = writers
         for row in rows:
-            read = readers[row.name]
-            self._rows[row.kind == BIT, row.at] = row
-            if row.kind == BIT:
-                self._bits[row.at] = read
-            elif row.width == 1:
-                self._words[row.at] = partial(_word, read, 0)
-            else:
-                self._words[row.at] = partial(_word, read, 16)
-                self._words[row.at + 1] = partial(_word, read, 0)
+            is_bit, read = row.kind == BIT, readers[row.name]
+            self._rows[is_bit, row.at] = row
+            for at in range(row.width):
+                self._spaces[is_bit][row.at + at] = (
+                    read if is_bit else partial(_word, read, 16 * (row.width - 1 - at)))
 
-    def read_bits(self, at: int, count: int) -> bytes:
-        """`count` bits, eight a byte, the first one lowest. Raises RefusedError."""
-        _check_span(at, count)
+    async def async_getValues(self, unit: int, function: int, at: int, count: int) -> list[int]:
+        """Bits or registers, as `function` wants. Raises RefusedError."""
+        space = self._spaces[function in BITS]
         try:
-            packed = sum(1 << i for i in range(count) if self._bits[at + i]())
+            found = [space[one] for one in range(at, at + count)]
         except KeyError:
-            raise RefusedError(Code.ADDRESS) from None
-        return packed.to_bytes((count + 7) // 8, "little")
+            raise RefusedError(ExcCodes.ILLEGAL_ADDRESS) from None
+        return [read() for read in found]
 
-    def read_words(self, at: int, count: int) -> bytes:
-        """`count` registers, two bytes each. Raises RefusedError."""
-        words = self._words
-        try:
-            found = [words[one] for one in range(at, at + count)]
-        except KeyError:
-            raise RefusedError(Code.ADDRESS) from None
-        return b"".join([read() for read in found])
-
-    def write_bits(self, at: int, bits: list[bool]) -> None:
-        """Set bits. Raises RefusedError, and then nothing has changed."""
-        _check_span(at, len(bits))
-        self._write([(self._writable(True, at + i), int(bit)) for i, bit in enumerate(bits)])
-
-    def write_words(self, at: int, words: list[int]) -> None:
-        """Set registers. Raises RefusedError, and then nothing has changed."""
-        _check_span(at, len(words))
+    async def async_setValues(self, unit: int, function: int, at: int, values: list[int]) -> None:
+        """Set bits or registers. Raises RefusedError, and then nothing has changed."""
         wanted, i = [], 0
-        while i < len(words):
-            row = self._writable(False, at + i)
-            if row.width > len(words) - i:
-                raise RefusedError(Code.ADDRESS)
-            raw = words[i] if row.width == 1 else words[i] << 16 | words[i + 1]
+        while i < len(values):
+            row = self._rows.get((function in BITS, at + i))
+            if row is None or row.access != WRITE or row.width > len(values) - i:
+                raise RefusedError(ExcCodes.ILLEGAL_ADDRESS)
+            raw = int(values[i]) if row.width == 1 else values[i] << 16 | values[i + 1]
             bits = 16 * row.width
             if row.kind.startswith("I") and raw >> bits - 1:
                 raw -= 1 << bits
-            wanted.append((row, raw))
+            wanted.append((self._writers[row.name], raw))
             i += row.width
-        self._write(wanted)
-
-    def _writable(self, bit: bool, at: int) -> Register:
-        row = self._rows.get((bit, at))
-        if row is None or row.access != WRITE:
-            raise RefusedError(Code.ADDRESS)
-        return row
-
-    def _write(self, wanted: list[tuple[Register, int]]) -> None:
         for only in (True, False):
-            for row, raw in wanted:
-                self._writers[row.name](raw, only)
+            for write, raw in wanted:
+                write(raw, only)
 
 
-def _word(read: Reader, shift: int) -> bytes:
-    return (read() >> shift & 0xFFFF).to_bytes(2, "big")
-
-
-def _check_span(at: int, count: int) -> None:
-    if at + count - 1 > _LAST_ADDRESS:
-        raise RefusedError(Code.ADDRESS)
+def _word(read: Reader, shift: int) -> int:
+    return read() >> shift & 0xFFFF
 
 
 def signal_readers(rows: Iterable[Register], row: np.ndarray, parameters: Mapping[str, float]
@@ -145,10 +111,10 @@ def _assign(node: Node, at: int, raw: int, only: bool) -> None:
         variable.encode_raw(raw)
         low, high = variable.min, variable.max
         if (low is not None and raw < low) or (high is not None and raw > high):
-            raise RefusedError(Code.VALUE)
+            raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if at in objects.checks:
             objects.checks[at](raw)
     except (ValueError, struct.error):
-        raise RefusedError(Code.VALUE) from None
+        raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
     except AbortError as error:
-        raise RefusedError(Code.VALUE if error.code in _OUT_OF_RANGE else Code.BUSY) from None
+        raise RefusedError(ExcCodes.ILLEGAL_VALUE if error.code in _OUT_OF_RANGE else ExcCodes.DEVICE_BUSY) from None

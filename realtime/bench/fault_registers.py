@@ -7,10 +7,12 @@ and an event says why.
 
 from typing import Any, Protocol
 
+from pymodbus.constants import ExcCodes
+
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults.catalogue import CATALOGUE, LASTS
 from rollerrig.firmware_sim.faults.panel import Panel
-from rollerrig.firmware_sim.modbus.pdu import Code, RefusedError
+from rollerrig.firmware_sim.modbus.pdu import RefusedError
 from rollerrig.firmware_sim.modbus.unit import Reader, Writer
 
 AIMS = ("axle", "node", "can_id")
@@ -48,7 +50,7 @@ class FaultDesk:
 
     def _choose(self, name: str, raw: int, only: bool) -> None:
         if name == "fault" and raw >= len(CATALOGUE):
-            raise RefusedError(Code.VALUE)
+            raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not only:
             self.chosen[name] = raw
 
@@ -65,7 +67,7 @@ class FaultDesk:
             self.rig.faults.inject(kind.name, **values)
         except ConfigError as error:
             self.rig.event("warning", f"a fault asked for over Modbus is refused: {error}")
-            raise RefusedError(Code.VALUE) from None
+            raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
 
     def _lift(self, raw: int, only: bool) -> None:
         if raw and not only:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from pymodbus.constants import ExcCodes
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
@@ -23,7 +24,7 @@ from rollerrig.firmware_sim.faults.panel import Panel
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
 from rollerrig.firmware_sim.modbus.map import BITS, NO_DEMAND, UNHEARD, WORDS, State
-from rollerrig.firmware_sim.modbus.pdu import Code, Image, RefusedError
+from rollerrig.firmware_sim.modbus.pdu import Image, RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
 from rollerrig.firmware_sim.modbus.server import Counters, Server, tls_context
 from rollerrig.firmware_sim.modbus.unit import Reader, Unit, Writer
@@ -104,7 +105,7 @@ class Supervisor:
         if given["serial"]:
             self.line = SerialLine(self.server, given["serial"], given["baud_rate"],
                                    given["parity"], self.rig.event)
-            device = self.line.open()
+            device = await self.line.open()
             text = f"Modbus RTU is served on {device}, {given['baud_rate']} baud"
             self.rig.event("info", text)
             self.rig.report(text)
@@ -235,7 +236,7 @@ class Supervisor:
         if not raw or self.state is State.RUNNING:
             return
         if self.emergency:
-            raise RefusedError(Code.BUSY)
+            raise RefusedError(ExcCodes.DEVICE_BUSY)
         self._require_held()
         if not only:
             machine = self.rig.machine
@@ -264,7 +265,7 @@ class Supervisor:
         drive, contact = self.rig.plan["drive"], self.rig.plan["contact"]
         fastest = min(bounds.high, drive["max_speed_rad_s"] * contact["roller_radius_m"])
         if not bounds.low <= speed_m_s <= fastest:
-            raise RefusedError(Code.VALUE)
+            raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         self._require_held()
         if not only:
             self.speed_m_s = speed_m_s
@@ -272,14 +273,14 @@ class Supervisor:
 
     def _set_demand(self, raw: int, only: bool) -> None:
         if raw != NO_DEMAND and not 0 <= raw * _DEMAND.scale <= _HIGHEST_DEMAND_Pa:
-            raise RefusedError(Code.VALUE)
+            raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not only:
             self.demand = raw
             self.rig.post()
 
     def _choose(self, raw: int, only: bool) -> None:
         if not 0 <= raw < len(self.scenarios):
-            raise RefusedError(Code.VALUE)
+            raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         name = self.scenarios[raw]
         if raw == self._number():
             return
@@ -298,12 +299,12 @@ class Supervisor:
             plan = scenario.load(name, tables=tables)
         except RollerrigError as error:
             self.rig.event("warning", f"a scenario asked for over Modbus is refused: {error}")
-            raise RefusedError(Code.VALUE) from None
+            raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
         return plan
 
     def _require_held(self) -> None:
         if self.state is not State.HELD or self.rig.machine.control[HOLD] != HOLDING:
-            raise RefusedError(Code.BUSY)
+            raise RefusedError(ExcCodes.DEVICE_BUSY)
 
 
 def check(plan: Scenario, pacing: str, start: str) -> None:

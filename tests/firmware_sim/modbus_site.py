@@ -7,12 +7,13 @@ import threading
 import time
 
 import numpy as np
+from pymodbus.constants import ExcCodes
 
 from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
 from rollerrig.firmware_sim.modbus.map import BITS, WORDS
-from rollerrig.firmware_sim.modbus.pdu import Code, RefusedError
+from rollerrig.firmware_sim.modbus.pdu import RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
 from rollerrig.firmware_sim.modbus.server import Server
 from rollerrig.wsp_interface import signals
@@ -64,7 +65,7 @@ class Site:
         if name == "scenario" and raw == 666:
             raise RuntimeError("a writer that fails")
         if name == "speed_set_point" and raw > HIGHEST_SPEED:
-            raise RefusedError(Code.VALUE)
+            raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not only:
             self.values[name] = raw
             self.written.append((name, raw))
@@ -83,7 +84,7 @@ class Site:
         async def open_line():
             line = SerialLine(self.server, port, **more)
             self.lines.append(line)
-            return line.open()
+            return await line.open()
 
         return self.call(open_line())
 

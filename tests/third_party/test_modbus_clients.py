@@ -23,7 +23,8 @@ def site():
 
 
 def run(*command, **more):
-    return subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=60, **more)
+    # the first one compiles, and beside a busy machine that takes minutes
+    return subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=600, **more)
 
 
 def mbpoll(way, *arguments):
