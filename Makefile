@@ -1,11 +1,11 @@
-# demo: brake the coach on the degraded track. test, lint, bench: what the names say.
+# demo: brake the coach on the degraded track. docs: write the pages that are made from tables and tests.
 # Each target works from nothing: it creates .venv and installs pinned versions when needed.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint docs bench clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --out runs/demo
@@ -19,6 +19,9 @@ lint: $(VENV)/ready-dev
 	@for room in rig firmware_sim wsp_interface realtime configs; do \
 	  ln -sfn "$(CURDIR)/$$room" $(VENV)/typed/rollerrig/$$room; done
 	MYPYPATH=$(VENV)/typed $(BIN)/mypy -p rollerrig
+
+docs: $(VENV)/ready-dev
+	$(BIN)/python -m pytest tests --collect-only -qq --write-docs=docs
 
 bench: $(VENV)/ready
 	$(BIN)/rollerrig bench loop bus vehicle

@@ -2,7 +2,6 @@
 
 import asyncio
 import filecmp
-from pathlib import Path
 
 import faulty_run
 import numpy as np
@@ -473,9 +472,3 @@ def test_a_fault_that_cannot_be_is_refused_over_modbus_and_told():
     with pytest.raises(RefusedError):
         write["inject_fault"](1, False)
     assert "allowed 1 to 4" in told.events[0]
-
-
-def test_the_document_of_the_faults_is_the_catalogue():
-    text = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
-    assert text == catalogue.markdown()
-    assert all(f"| `{kind.name}` |" in text for kind in catalogue.CATALOGUE)
