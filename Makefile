@@ -1,11 +1,12 @@
-# demo: brake the coach on the degraded track. docs: write the pages that are made from tables and tests.
+# demo: brake the coach on the degraded track. docs: write the pages that are made from tables and tests,
+# and the site of all pages in build/site. performance: measure what docs/performance.md tells.
 # Each target works from nothing: it creates .venv and installs pinned versions when needed.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint docs bench clean
+.PHONY: demo test lint docs bench performance clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --out runs/demo
@@ -22,9 +23,13 @@ lint: $(VENV)/ready-dev
 
 docs: $(VENV)/ready-dev
 	$(BIN)/python -m pytest tests --collect-only -qq --write-docs=docs
+	$(BIN)/python -m mkdocs build --quiet --strict
 
 bench: $(VENV)/ready
 	$(BIN)/rollerrig bench loop bus vehicle
+
+performance: $(VENV)/ready
+	$(BIN)/rollerrig bench loop bus vehicle contact hunting harness campaign --markdown docs/performance.md
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \

@@ -1,12 +1,18 @@
-"""Pages of docs/ that are written, not typed: `make docs` writes them, test_written_docs.py compares.
+"""Pages of docs/ and tables of pages that are written, not typed: `make docs` writes them, tests compare.
 
 A test says which behaviour of a standard it holds with `@pytest.mark.conformance("CiA 301", "SDO block
 download")`, more than once if it holds more than one; that is the table of conformance.
 """
 
+import re
+
 import pytest
+import test_architecture
 
 from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.rig import params
+from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.mechanisms.table import TABLE
 
 STANDARDS = ("CAN", "Hub", "CiA 301", "CiA 305", "CiA 402", "CiA 406", "CiA 401", "Rig control", "Modbus",
              "Faults", "Bad input", "Masters")
@@ -17,6 +23,9 @@ def write(folder, items):
     """Write the pages into a folder; `items`: all tests."""
     (folder / "faults.md").write_text(catalogue.markdown(), encoding="utf-8")
     (folder / "conformance.md").write_text(conformance(items), encoding="utf-8")
+    for name in TABLES:
+        text = (folder / name).read_text(encoding="utf-8")
+        (folder / name).write_text(with_tables(name, text), encoding="utf-8")
 
 
 def conformance(items):
@@ -33,3 +42,49 @@ def conformance(items):
     for standard, mine in rows.items():
         lines += ["", f"## {standard}", "", "| behaviour | test |", "|---|---|", *mine] if mine else []
     return "\n".join(lines) + "\n"
+
+
+def keys(rows):
+    """Lines of a table of keys; a default outside the bounds stands for "not given"."""
+    for row in rows:
+        if isinstance(row.default, str):
+            default, allowed = f'`"{row.default}"`' if row.default else "", ", ".join(row.choices)
+        else:
+            default = f"{row.default:g}" if row.low <= row.default <= row.high else ""
+            allowed = f"{row.low:g} to {row.high:g}"
+        yield f"| `{row.name.removesuffix('_set')}` | {default} | {allowed} | {row.source} |"
+
+
+def floors():
+    """Lines of the table of rooms."""
+    for folder, line in test_architecture.FLOORS.items():
+        told = [", ".join(floor.split()) for floor in line.split("|")]
+        yield f"| `{folder + '/' if folder else 'rollerrig'}` | {' < '.join(told)} |"
+
+
+def overrides():
+    """Lines of the table of parameters that a dataset may override."""
+    for section in ("vehicle", "adhesion", "contact", "brake"):
+        yield f"| `[{section}]` | {', '.join(f'`{row.name}`' for row in params.ROWS[section])} |"
+    yield "| `[axles]` | `positions_m`: metres behind the first wheelset, rising |"
+
+
+# page -> tables of it by the line of their heads
+TABLES = {
+    "architecture.md": {"| room | floors, the lowest first |": floors},
+    "datasets.md": {"| key | default | allowed | what |": lambda: keys(dataset.HEAD),
+                    "| key of a run | default | allowed | what |": lambda: keys(dataset.RUN),
+                    "| key of the accuracy | default | allowed | what |": lambda: keys(dataset.ACCURACY),
+                    "| table | its keys |": overrides},
+    "explain.md": {"| cause | what happens |": lambda: (f"| `{one.name}` | {one.text} |" for one in TABLE)},
+}
+
+
+def with_tables(name, text):
+    """A page with its written tables as they are now."""
+    for head, rows in TABLES[name].items():
+        assert f"\n{head}\n" in text, f"{name} has no table {head}"
+        found = re.compile(rf"(?<=^{re.escape(head)}\n)(?:\|.*\n)+", re.MULTILINE)
+        text = found.sub(lambda _, rows=rows, head=head: "\n".join(
+            ["|---" * (head.count("|") - 1) + "|", *rows()]) + "\n", text)
+    return text

@@ -1,15 +1,22 @@
 """The form of a benchmark's result: figures, and the targets that some of them have to meet.
 
 A result is a plain table of numbers that goes into JSON as it stands; `targets` is the list of
-verdicts in it. The targets are those of the project's own requirements (the README lists them).
+verdicts in it, against the project's own requirements. `put` writes what was printed into a page of Markdown.
 """
 
 import argparse
-from collections.abc import Callable, Iterable, Sequence
+import os
+import platform
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich.console import Group
 from rich.table import Table
+
+from rollerrig.configs.errors import ConfigError
 
 Result = dict[str, Any]
 Say = Callable[[str], None]
@@ -74,3 +81,42 @@ def lines(result: Result) -> list[str]:
 def all_met(results: Iterable[Result]) -> bool:
     """Whether every target of every result is met."""
     return all(one["met"] for result in results for one in result.get("targets", []))
+
+
+def put(path: Path, name: str, command: str, shown: Table | Group, lines: Sequence[str]) -> None:
+    """Replace (or append) the section `## NAME` of a page: machine, command, tables, what stands below.
+
+    Raises ConfigError where it cannot be written.
+    """
+    below = [f"- {line}" for line in lines]
+    section = "\n".join([f"## {name}", "", machine(), "", f"    {command}", "", *_tables(shown), *below]).rstrip()
+    try:
+        text = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
+        head, *sections = text.rstrip().split("\n## ")
+        kept = {one.partition("\n")[0]: f"## {one.rstrip()}" for one in sections} | {name: section}
+        path.write_text("\n\n".join([head.rstrip(), *kept.values()]) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; give another file") from None
+
+
+def machine() -> str:
+    """The machine and the moment in a sentence; no name of a host."""
+    model = next((line.partition(":")[2].strip() for line in
+                  Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+                  if line.startswith(("model name", "Model"))), platform.machine())
+    return (f"{datetime.now(UTC):%Y-%m-%d}, {len(os.sched_getaffinity(0))} cores of {model}, Linux "
+            f"{platform.release().partition('-')[0]}, Python {platform.python_version()}; load average "
+            f"{os.getloadavg()[0]:.1f} at the end.")
+
+
+def _tables(shown: Any) -> Iterator[str]:
+    """Tables as lines of Markdown."""
+    if isinstance(shown, Group):
+        for one in shown.renderables:
+            yield from _tables(one)
+        return
+    yield from (f"**{shown.title}**", "")
+    rows = [[str(column.header) for column in shown.columns], ["---"] * len(shown.columns),
+            *zip(*(map(str, column.cells) for column in shown.columns), strict=True)]
+    yield from (f"| {' | '.join(row)} |" for row in rows)
+    yield ""

@@ -4,6 +4,7 @@ import argparse
 import importlib
 import json
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 from rich.console import Console
@@ -47,6 +48,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
                         help="loop, hunting: change one value of the scenario, as in loop.priority=0")
     parser.add_argument("--strict", action="store_true", help="exit status 1 when a target is missed")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables into a page, in "
+                        "place of the same benchmark's section, as in docs/performance.md")
 
 
 def call(given: argparse.Namespace) -> int:
@@ -66,6 +69,9 @@ def call(given: argparse.Namespace) -> int:
             console.print(module.table(results[name]))
             for line in figures.lines(results[name]):
                 console.print(line, highlight=False)
+        if given.markdown:
+            figures.put(given.markdown, name, " ".join(["rollerrig", *sys.argv[1:]]),
+                        module.table(results[name]), figures.lines(results[name]))
     if given.json:
         print(json.dumps(results))
     return FAILED if given.strict and not figures.all_met(results.values()) else PASS

@@ -1,0 +1,128 @@
+"""The documentation says what is so: commands parse, files exist, values and tables are the code's."""
+
+import ast
+import importlib
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import written_docs
+
+from rollerrig.realtime import cli
+from rollerrig.realtime.benchmarks import figures
+from rollerrig.rig.identify.data import dataset
+from rollerrig.wsp_interface import signals
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+NAMES = [path.name for path in PAGES]
+ROOMS = ("rig", "firmware_sim", "wsp_interface", "realtime", "configs", "tests", "docs", ".ci")
+LONGEST_README = 130
+# what a page says of files that a command writes, or of a reader's own
+MADE = re.compile(r"^(runs|report|reports|campaigns|devices|stops|my|build)/")
+
+
+def text_of(name):
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def commands(path):
+    """Command lines of `rollerrig` that a page shows, in blocks and between backticks, as lists of words."""
+    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = [line.strip() for line in text.splitlines() if line.startswith("    ")]
+    lines += re.findall(r"`(rollerrig [^`]*)`", text.replace("\n", " "))
+    for line in lines:
+        begin = re.match(r"(?:\.venv/bin/)?rollerrig (?=[a-z])", line)
+        if begin:
+            words = shlex.split(line, comments=True)
+            yield [word for word in words if word not in ("&", "...")][1:]
+
+
+@pytest.mark.parametrize("path", PAGES, ids=NAMES)
+def test_every_command_of_a_page_parses(path):
+    parser = cli.parser()
+    for words in commands(path):
+        if len(words) == 1:  # a verb by its name
+            assert words[0] in {verb.name for verb in cli.VERBS}
+            continue
+        parser.parse_args(words)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=NAMES)
+def test_every_file_that_a_page_names_exists(path):
+    text = path.read_text(encoding="utf-8")
+    told = re.findall(r"`([\w.{}*-]+(?:/[\w.{}*-]+)*/?[\w.*-]*)`", text)
+    named = {one for one in told if one.split("/")[0] in ROOMS and "/" in one and not MADE.match(one)}
+    named |= {one for one in re.findall(r"(?<![\w./-])((?:\w+/)+\w+\.(?:py|go|toml|md))\b", text)
+              if not MADE.match(one)}
+    bases = (ROOT, ROOT / "tests", path.parent)
+    assert {one for one in named if not any(list(base.glob(one.rstrip("/"))) for base in bases)} == set()
+
+
+def test_the_readme_is_one_page():
+    assert len(text_of("README.md").splitlines()) <= LONGEST_README
+
+
+def test_the_thresholds_of_explain_are_those_of_the_code():
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| `([\w/]+)\.py` \|", text_of("docs/explain.md"), re.MULTILINE)
+    assert len(rows) > 30
+    for name, told, path in rows:
+        share = [float(ast.literal_eval(part.strip())) for part in told.split("/")]
+        value = share[0] / share[1] if len(share) == 2 else share[0]
+        module = importlib.import_module("rollerrig." + path.replace("/", "."))
+        assert getattr(module, name) == pytest.approx(value), f"{path}: {name}"
+
+
+@pytest.mark.parametrize("name", written_docs.TABLES)
+def test_the_written_tables_of_a_page_are_up_to_date(name):
+    text = text_of(f"docs/{name}")
+    assert text == written_docs.with_tables(name, text), "run: make docs"
+
+
+def test_every_column_that_the_loader_reads_is_on_its_page():
+    text = text_of("docs/datasets.md")
+    assert [name for name in dataset.CHANNELS if f"`{name}`" not in text and not re.search(r"_[23]_", name)] == []
+
+
+def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = text_of("docs/datasets.md")
+    for speed in (30, 27, 24):
+        assert cli.main(["run", "velim_a1", "--pacing", "free", "--set", "rig=plain_track", "--set",
+                         f"initial_speed_m_s={speed}", "--out", f"runs/from_{speed}"]) == 0
+    cut = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    subprocess.run([sys.executable, "-c", cut[1]], check=True)
+    (tmp_path / "stops" / "dataset.toml").write_text(re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1])
+    found = dataset.load("stops")
+    assert [run.name for run in found.group("validate")] == ["from_27"]
+    assert all(run.load_N.shape == (run.time_s.size, 4) for run in found.runs)
+    assert np.all(found.runs[0].position_m[1:] >= found.runs[0].position_m[:-1])
+
+
+def test_the_identifiers_of_the_page_of_units_are_those_of_the_rig():
+    text = text_of("docs/units.md")
+    for base, node in ((0x180, signals.SPEED_NODE), (0x180, signals.BRAKE_NODE), (0x200, signals.BRAKE_NODE),
+                       (0x700, signals.WSP_NODE), (0x180, signals.WSP_NODE)):
+        assert f"| {base + node:X}h |" in text
+    scales = {signals.BY_NAME["measured_speed"].places[0]: "0.01 rad/s",
+              signals.BY_NAME["wsp_reference_speed"].places[0]: "0.01 m/s"}
+    for place, told in scales.items():
+        assert f"{place.scale:g} {told.split()[1]}" == told
+        assert f"{place.kind}, {told}" in text
+
+
+def test_a_benchmark_replaces_its_own_section_of_the_page(tmp_path):
+    path = tmp_path / "performance.md"
+    path.write_text("# Performance\n\nHead.\n\n## loop\n\nold\n\n## bus\n\nkept\n")
+    shown = figures.table("lateness", ("what", "us"), [("p50", 12.0)])
+    figures.put(path, "loop", "rollerrig bench loop", shown, ["met"])
+    text = path.read_text()
+    assert text.index("## loop") < text.index("## bus")
+    assert "old" not in text
+    assert "kept" in text
+    assert "| what | us |\n| --- | --- |\n| p50 | 12 |" in text
+    assert "    rollerrig bench loop\n" in text
