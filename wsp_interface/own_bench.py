@@ -24,7 +24,7 @@ import tomli_w
 from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, RollerrigError, UnitError
 from rollerrig.wsp_interface.bus import buses
-from rollerrig.wsp_interface.harness import Harness
+from rollerrig.wsp_interface.harness_client import Harness
 
 START_S, END_S = 900.0, 60.0
 DEFAULT_SCENARIO = "velim_a1"

@@ -186,7 +186,7 @@ def _on_bus(one: Any, given: argparse.Namespace) -> Any:
 
     from rollerrig.realtime.bench import scenario
     from rollerrig.realtime.campaign import dry_stop
-    from rollerrig.wsp_interface import harness, own_bench
+    from rollerrig.wsp_interface import harness_client, own_bench
     from rollerrig.wsp_interface.sequences import play as player
 
     content = own_bench.scenario_of(one.scenario, one.speed_m_s, None, one.adhesion, one.tables)
@@ -195,7 +195,7 @@ def _on_bus(one: Any, given: argparse.Namespace) -> Any:
         path.write_text(tomli_w.dumps(content), encoding="utf-8")
         resolved = scenario.load(str(path)).resolved
     begun = time.monotonic()
-    outcome = player.on_running_bench(one, harness.connect(given.bus), given.out / one.name, resolved,
+    outcome = player.on_running_bench(one, harness_client.connect(given.bus), given.out / one.name, resolved,
                                       dry_stop.distance_m)
     outcome.wall_s = time.monotonic() - begun
     return _say(outcome)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rollerrig.realtime.bench import scenario
-from rollerrig.wsp_interface.harness import COLUMNS
+from rollerrig.wsp_interface.harness_client import COLUMNS
 from rollerrig.wsp_interface.sequences.measures import Record
 
 GOOD = """title = "A stop from forty on soap"

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ import pytest
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError
-from rollerrig.wsp_interface.harness import COLUMNS, TimeOutError
+from rollerrig.wsp_interface.harness_client import COLUMNS, TimeOutError
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 
@@ -157,3 +158,13 @@ def test_a_sequence_on_a_running_bench_tells_what_the_bus_knows_of_its_time(tmp_
     page = (tmp_path / "report" / "report.html").read_text()
     assert "cycles of 10 ms seen, 0 lost" in page
     assert "missed ticks and lateness are not told over the bus" in page
+
+
+def test_pytest_finds_the_fixture_by_entry_point_and_loads_little_for_it():
+    project = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text())["project"]
+    module = project["entry-points"]["pytest11"]["rollerrig"]
+    code = (f"import {module} as plugin; from rollerrig.wsp_interface.harness import rollerrig_bench as own\n"
+            "assert plugin.rollerrig_bench is own")
+    light = f"import sys, {module}; assert not {{'can', 'numpy', 'numba'}} & set(sys.modules)"
+    for one in (code, light):
+        assert subprocess.run([sys.executable, "-c", one]).returncode == 0

@@ -13,7 +13,7 @@ from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.reports import sequences
 from rollerrig.realtime.verbs import sequence as verb_sequence
-from rollerrig.wsp_interface.harness import Event
+from rollerrig.wsp_interface.harness_client import Event
 from rollerrig.wsp_interface.sequences import sequence, verdict
 from rollerrig.wsp_interface.sequences.play import Outcome
 from rollerrig.wsp_interface.sequences.verdict import Result

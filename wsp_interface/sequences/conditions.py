@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.harness import COLUMNS
+from rollerrig.wsp_interface.harness_client import COLUMNS
 
 # unit as written: (unit of the table of signals, factor to it)
 UNITS: dict[str, tuple[str, float]] = {

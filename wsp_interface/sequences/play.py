@@ -18,7 +18,7 @@ import numpy as np
 
 from rollerrig.configs.errors import BusError, RollerrigError, UnitError
 from rollerrig.wsp_interface import own_bench
-from rollerrig.wsp_interface.harness import COLUMNS, Event, Harness, TimeOutError
+from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.sequences.measures import Record

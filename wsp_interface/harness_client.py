@@ -1,0 +1,332 @@
+"""A test harness on the bus: it sets what the rig shall do, watches, and writes down what it sees.
+
+It is a member of the bus like any other. Brake demand goes by SDO to node 17, friction, faults and
+notes to node 127; speeds, pressures, magnets and the rig's own quantities come by PDO. On a bench in
+lockstep it answers every SYNC, so simulated time passes only when the test lets it, and a test
+repeats bit for bit; in real time it follows.
+"""
+
+import struct
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Self
+
+import can
+
+from rollerrig.configs.errors import BusError, RollerrigError
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.bus.sdo_client import SdoClient
+from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE, SPEED_NODE, WSP_NODE
+
+HARNESS, PACING, FAULT, FRICTION, NOTE, DEMAND = 0x2000, 0x2001, 0x2010, 0x2020, 0x2030, 0x6411
+ANSWER_ID, SYNC_ID = 0x200 + BENCH_NODE, 0x080
+MAGNETS_ID, EMERGENCY_ID = 0x200 + BRAKE_NODE, 0x080
+FRICTION_SCALE = 1e-4
+# before the first cycle others may still be starting or compiling
+FIRST_CYCLE_S, SILENCE_S = 600.0, 30.0
+_AXLES = range(1, AXLES + 1)
+
+
+class TimeOutError(RollerrigError):
+    """What was waited for has not come within its time."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A frame and the columns it brings: one scale each."""
+
+    can_id: int
+    struct: struct.Struct
+    names: tuple[str, ...]
+    scales: tuple[float, ...]
+
+
+_LETTERS = {"U8": "B", "I8": "b", "U16": "H", "I16": "h", "U32": "I", "I32": "i"}
+
+
+def _layout(can_id: int, node: int, *names: str) -> Layout:
+    """The layout of a frame that carries whole signals of a node, all axles of each."""
+    letters = "<"
+    columns: list[str] = []
+    scales: list[float] = []
+    for name in names:
+        signal = signals.BY_NAME[name]
+        place = next(one for one in signal.places if one.node == node)
+        letters += _LETTERS[place.kind] * signal.axles
+        columns += signals.columns(signal)
+        scales += [place.scale] * signal.axles
+    return Layout(can_id, struct.Struct(letters), tuple(columns), tuple(scales))
+
+
+# what the bench's node is asked to send; the last of them ends a cycle
+MAPPED: tuple[Layout, ...] = (
+    _layout(0x180 + BENCH_NODE, BENCH_NODE, "time", "vehicle_speed"),
+    _layout(0x280 + BENCH_NODE, BENCH_NODE, "position", "vehicle_acceleration", "brake_demand"),
+    _layout(0x380 + BENCH_NODE, BENCH_NODE, "adhesion"),
+    _layout(0x480 + BENCH_NODE, BENCH_NODE, "valve"),
+)
+_MAPPED_SIGNALS = (("time", "vehicle_speed"), ("position", "vehicle_acceleration", "brake_demand"),
+                   ("adhesion",), ("valve",))
+HEARD: tuple[Layout, ...] = (
+    *MAPPED,
+    _layout(0x180 + SPEED_NODE, SPEED_NODE, "measured_speed"),
+    _layout(0x180 + BRAKE_NODE, BRAKE_NODE, "cylinder_pressure"),
+    _layout(0x180 + WSP_NODE, WSP_NODE, "wsp_reference_speed"),
+)
+CYCLE_ENDS = MAPPED[-1].can_id
+COLUMNS: tuple[str, ...] = tuple(name for one in HEARD for name in one.names) + tuple(
+    f"magnets_{axle}" for axle in _AXLES)
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened, or was done: simulated time, who, and what."""
+
+    time_s: float
+    who: str
+    text: str
+
+
+class Harness:
+    """A bench, as a test sees it. `values` are the newest by column name, `trace` one row a cycle.
+
+    Use it as a context: it leaves the bus at the end, and ends the run if it `ends` it.
+    """
+
+    def __init__(self, bus: can.BusABC, ends: bool = True) -> None:
+        self.bus, self.ends = bus, ends
+        self.values = dict.fromkeys(COLUMNS, float("nan"))
+        self.trace: list[tuple[float, ...]] = []
+        self.events: list[Event] = []
+        self.demands: list[tuple[float, float]] = []
+        self.lockstep = self.joined = False
+        self._owes = False
+        self._inbox: deque[can.Message] = deque()
+        self._sdo = SdoClient(bus.send, self._recv, self._inbox.append)
+        self._heard = {one.can_id: one for one in HEARD}
+
+    # -- joining and leaving
+
+    def join(self) -> Self:
+        """Map the bench's quantities, join, and wait for the first cycle. Raises BusError."""
+        try:
+            pacing = self._sdo.read(BENCH_NODE, PACING, 0)
+            self.lockstep = bool(pacing[0])
+            for number, names in enumerate(_MAPPED_SIGNALS):
+                self._map(number, names)
+            self._sdo.write(BENCH_NODE, HARNESS, 1, b"\x01")
+        except can.CanError as error:
+            raise BusError(f"the bench has gone: {error}") from None
+        self.joined = True
+        self._cycle()
+        return self
+
+    def _map(self, number: int, names: Iterable[str]) -> None:
+        """Let TPDO `number` (from 0) of the bench carry signals, at every SYNC."""
+        entries = []
+        for name in names:
+            signal = signals.BY_NAME[name]
+            place = next(one for one in signal.places if one.node == BENCH_NODE)
+            low, high = signals.KINDS[place.kind]
+            bits = (high - low).bit_length()
+            entries += [place.index << 16 | (place.sub + at) << 8 | bits
+                        for at in range(signal.axles)]
+        cob_id = struct.pack("<I", (0x180 + 0x100 * number) + BENCH_NODE)
+        off = struct.pack("<I", 0x80000000 | (0x180 + 0x100 * number) + BENCH_NODE)
+        self._sdo.write(BENCH_NODE, 0x1800 + number, 1, off)
+        self._sdo.write(BENCH_NODE, 0x1A00 + number, 0, b"\x00")
+        for at, entry in enumerate(entries, start=1):
+            self._sdo.write(BENCH_NODE, 0x1A00 + number, at, struct.pack("<I", entry))
+        self._sdo.write(BENCH_NODE, 0x1A00 + number, 0, bytes([len(entries)]))
+        self._sdo.write(BENCH_NODE, 0x1800 + number, 2, b"\x01")
+        self._sdo.write(BENCH_NODE, 0x1800 + number, 1, cob_id)
+
+    def close(self) -> None:
+        """Leave the bench, end its run where it is ours, and close the bus. Never raises."""
+        try:
+            if self.joined:
+                if self.ends:
+                    self._sdo.write(BENCH_NODE, HARNESS, 3, b"\x01")
+                self._sdo.write(BENCH_NODE, HARNESS, 1, b"\x00")
+        except (can.CanError, RollerrigError):
+            pass  # a bench that has gone needs no farewell
+        self.joined = False
+        self.bus.shutdown()
+
+    def __enter__(self) -> Self:
+        return self if self.joined else self.join()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- setting
+
+    def brake(self, pressure_Pa: float | None = None, bar: float | None = None) -> None:
+        """Ask for a brake cylinder pressure, in Pa or bar."""
+        wanted_Pa = pressure_Pa if pressure_Pa is not None else (bar or 0.0) * 1e5
+        raw = signals.count(wanted_Pa, signals.BY_NAME["brake_demand"].places[0])
+        self._write(BRAKE_NODE, DEMAND, 1, struct.pack("<h", raw))
+        self.demands.append((self.time_s, wanted_Pa))
+
+    def release(self) -> None:
+        """Release the brakes."""
+        self.brake(0.0)
+
+    def friction(self, mu: float, axles: Iterable[int] = _AXLES) -> None:
+        """Set the kinematic friction under axles from now on; 0 gives it back to the scenario."""
+        axles = tuple(axles)
+        for axle in axles:
+            self._write(BENCH_NODE, FRICTION, axle, struct.pack("<H", round(mu / FRICTION_SCALE)))
+        self.log("harness", f"friction {mu:g} under axles {', '.join(map(str, axles))}"
+                 if mu else "friction as the scenario has it")
+
+    def inject(self, fault: str) -> None:
+        """Let a fault of the catalogue begin: `inject("speed_sensor_stuck axle=2 for=3")`."""
+        self._write(BENCH_NODE, FAULT, 1, fault.encode())
+        self.log("harness", f"fault {fault}")
+
+    def lift(self, fault: str) -> None:
+        """Lift the faults of a name (and aim): `lift("speed_sensor_stuck axle=2")`."""
+        self._write(BENCH_NODE, FAULT, 2, fault.encode())
+        self.log("harness", f"fault {fault} lifted")
+
+    def note(self, text: str) -> None:
+        """Put an operator's note into the events of the run."""
+        self._write(BENCH_NODE, NOTE, 0, text.encode("ascii", "replace"))
+        self.log("note", text)
+
+    def log(self, who: str, text: str) -> None:
+        """Write down an event at the present simulated time."""
+        self.events.append(Event(self.time_s, who, text))
+
+    # -- letting time pass
+
+    def step(self) -> None:
+        """Let one bus cycle pass. Raises BusError when the bench has gone."""
+        if self._owes:
+            self._owes = False
+            self._send(can.Message(arbitration_id=ANSWER_ID, data=[len(self.trace) & 0xFF],
+                                   is_extended_id=False))
+        self._cycle()
+
+    def wait(self, duration_s: float) -> None:
+        """Let simulated time pass."""
+        end_s = self.time_s + duration_s - 1e-9
+        while self.time_s < end_s:
+            self.step()
+
+    def until(self, reached: Callable[[], bool], timeout_s: float = 300.0,
+              hold_s: float = 0.0) -> None:
+        """Go on until a condition has held for a time. Raises TimeOutError."""
+        begin_s, since_s = self.time_s, None
+        while True:
+            if reached():
+                since_s = self.time_s if since_s is None else since_s
+                if self.time_s >= since_s + hold_s - 1e-9:
+                    return
+            else:
+                since_s = None
+            if self.time_s > begin_s + timeout_s:
+                raise TimeOutError(f"at {self.time_s:.2f} s: what was waited for has not come within "
+                                   f"{timeout_s:g} s")
+            self.step()
+
+    def stop(self, timeout_s: float = 300.0) -> None:
+        """Go on until the vehicle stands."""
+        self.until(lambda: self.vehicle_speed_m_s < 0.005, timeout_s)
+
+    # -- seeing
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time; 0 before the first cycle."""
+        time_s = self.values["time_s"]
+        return time_s if time_s == time_s else 0.0
+
+    @property
+    def vehicle_speed_m_s(self) -> float:
+        return self.values["vehicle_speed_m_s"]
+
+    @property
+    def position_m(self) -> float:
+        return self.values["position_m"]
+
+    @property
+    def longest_lock_s(self) -> float:
+        """The longest lock of any wheelset so far."""
+        return max(self.read("longest_lock"))
+
+    def axles(self, name: str) -> tuple[float, ...]:
+        """The newest values of a signal of all axles, such as "cylinder_pressure"."""
+        return tuple(self.values[column] for column in signals.columns(signals.BY_NAME[name]))
+
+    def read(self, name: str) -> tuple[float, ...]:
+        """A quantity of the bench by SDO, all its axles. Raises BusError, KeyError if unknown."""
+        signal = signals.BY_NAME[name]
+        place = next((one for one in signal.places if one.node == BENCH_NODE), None)
+        if place is None:
+            raise BusError(f"the bench's node carries no '{name}'")
+        letter = "<" + _LETTERS[place.kind]
+        found = []
+        for at in range(signal.axles):
+            data = self._call(lambda at=at: self._sdo.read(BENCH_NODE, place.index, place.sub + at))
+            found.append(signals.value(struct.unpack(letter, data)[0], place))
+        return tuple(found)
+
+    # -- the bus
+
+    def _call(self, what: Callable[[], Any]) -> Any:
+        try:
+            return what()
+        except can.CanError as error:
+            raise BusError(f"the bench has gone: {error}") from None
+
+    def _write(self, node: int, index: int, sub: int, data: bytes) -> None:
+        self._call(lambda: self._sdo.write(node, index, sub, data))
+
+    def _send(self, message: can.Message) -> None:
+        self._call(lambda: self.bus.send(message))
+
+    def _recv(self, timeout_s: float) -> can.Message | None:
+        return self.bus.recv(timeout_s)
+
+    def _cycle(self) -> None:
+        """Take frames up to the end of a cycle's burst, and write a row."""
+        patience_s = SILENCE_S if self.trace else FIRST_CYCLE_S
+        deadline = time.monotonic() + patience_s
+        while True:
+            message = self._inbox.popleft() if self._inbox else self._call(lambda: self._recv(1.0))
+            if message is None:
+                if time.monotonic() > deadline:
+                    raise BusError(f"the bench has been silent for {patience_s:g} s at "
+                                   f"{self.time_s:.3f} s of simulated time")
+            elif self._take(message):
+                break
+        self._owes = self.lockstep
+        self.trace.append(tuple(self.values.values()))
+
+    def _take(self, message: can.Message) -> bool:
+        """Take one frame; True when it ends the cycle."""
+        can_id, data = message.arbitration_id, message.data
+        layout = self._heard.get(can_id)
+        if layout is not None and len(data) == layout.struct.size:
+            raw = layout.struct.unpack(data)
+            for name, scale, count in zip(layout.names, layout.scales, raw, strict=True):
+                self.values[name] = count * scale
+            return can_id == CYCLE_ENDS
+        if can_id == MAGNETS_ID and len(data) == 1:
+            for axle in _AXLES:
+                self.values[f"magnets_{axle}"] = float(data[0] >> 2 * (axle - 1) & 3)
+        elif EMERGENCY_ID < can_id < EMERGENCY_ID + 128 and len(data) == 8:
+            code = int.from_bytes(data[:2], "little")
+            if code:
+                self.log(f"node {can_id - EMERGENCY_ID}", f"EMCY {code:04X}h")
+        return False
+
+
+def connect(address: str = signals.DEFAULT_ADDRESS, ends: bool = False) -> Harness:
+    """A harness on a bench that runs already. Raises BusError."""
+    return Harness(buses.open_client(address), ends)
