@@ -1,7 +1,7 @@
 """The bench as a device, node 127: what a test harness on the bus may read of it and ask of it.
 
-A harness joins by writing 1 to 2000h:1; from then on a bench in lockstep also waits, after each
-SYNC, for its frame 27Fh (RPDO1, any byte) before simulated time goes on. It asks for faults and
+A harness joins by writing 1 to HARNESS:JOINED; from then on a bench in lockstep also waits, after
+each SYNC, for its RPDO1 (any byte) before simulated time goes on. It asks for faults and
 notes in plain text, sets friction under axles, ends the run, and maps the quantities of 2100h on
 into TPDOs as it likes; no other way leads from a harness into the rig.
 Source: CiA 301 for the services; the objects of 2000h to 21FFh are this rig's own.
@@ -21,16 +21,24 @@ from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.rig_objects import (
+    CYCLE,
+    END,
+    FAULT,
+    FRICTION,
+    FRICTION_SCALE,
+    HARNESS,
+    INJECT,
+    JOINED,
+    LIFT,
+    NOTE,
+    PACING,
+    PACINGS,
+)
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE
 
 # no profile of CiA covers a test bench: device type 0
 DEVICE_TYPE, PRODUCT_CODE = 0, 0x127
-ANSWER_ID = communication.FIRST_RPDO[0] + BENCH_NODE
-HARNESS, PACING, FAULT, FRICTION, NOTE = 0x2000, 0x2001, 0x2010, 0x2020, 0x2030
-JOINED, CYCLE, END = 1, 2, 3
-INJECT, LIFT = 1, 2
-PACINGS = ("wall", "lockstep")
-FRICTION_SCALE = 1e-4
 TITLES = {
     0x2100: "Time", 0x2101: "Vehicle speed", 0x2102: "Position", 0x2103: "Vehicle acceleration",
     0x2104: "Adhesion", 0x2105: "Dump valve", 0x2106: "Air consumption", 0x2107: "Longest lock",

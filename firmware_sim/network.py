@@ -2,7 +2,7 @@
 
 A node is started once after its boot-up, or when its first heartbeat says PRE-OPERATIONAL; what an
 outside master commands later is left alone. The states of all nodes are known from their
-heartbeats, those of the WSP unit on 720h above all. Source: CiA 301, NMT, SYNC and heartbeat.
+heartbeats, those of the WSP unit above all. Source: CiA 301, NMT, SYNC and heartbeat.
 """
 
 import math
@@ -12,20 +12,12 @@ from typing import Any
 
 from rollerrig.firmware_sim.cia301.host import MS, Timers
 from rollerrig.firmware_sim.cia301.nmt import Command, State
+from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NMT, SYNC
 from rollerrig.wsp_interface.bus.frames import Frame
-from rollerrig.wsp_interface.signals import (
-    BENCH_NODE,
-    BRAKE_NODE,
-    BY_NAME,
-    DRIVE_NODES,
-    SPEED_NODE,
-    WSP_NODE,
-)
+from rollerrig.wsp_interface.rig_objects import REFERENCE_SPEED
+from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODE
 
-NMT_ID, SYNC_ID, FIRST_HEARTBEAT, FIRST_EMERGENCY, FIRST_TPDO = 0x000, 0x080, 0x700, 0x080, 0x180
-RIG_NODES = (*DRIVE_NODES, SPEED_NODE, BRAKE_NODE)
-REFERENCE_SPEED = BY_NAME["wsp_reference_speed"].places[0]
-_SYNC = Frame(SYNC_ID, b"")
+_SYNC = Frame(SYNC, b"")
 
 
 class Health:
@@ -84,11 +76,11 @@ class Network:
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
         """Boot-up, and then heartbeats as OPERATIONAL."""
         self.send, self.now_ns = send, now_ns
-        self.handlers = {FIRST_HEARTBEAT + node: self._on_heartbeat for node in self.health}
-        self.handlers |= {FIRST_EMERGENCY + node: self._on_emergency for node in self.health}
-        self.handlers[FIRST_TPDO + WSP_NODE] = self._on_reference_speed
+        self.handlers = {HEARTBEAT + node: self._on_heartbeat for node in self.health}
+        self.handlers |= {EMERGENCY + node: self._on_emergency for node in self.health}
+        self.handlers[REFERENCE_SPEED.can_id] = self._on_reference_speed
         self.on_rewired()
-        send(Frame(FIRST_HEARTBEAT + BENCH_NODE, bytes(1)))
+        send(Frame(HEARTBEAT + BENCH_NODE, bytes(1)))
         self._beat()
 
     def power_off(self) -> None:
@@ -115,11 +107,11 @@ class Network:
             self.send(_SYNC)
             return
         self.counter = self.counter % self.sync_overflow + 1
-        self.send(Frame(SYNC_ID, bytes([self.counter])))
+        self.send(Frame(SYNC, bytes([self.counter])))
 
     def command(self, command: Command, node: int = 0) -> None:
         """Send an NMT command to a node, or to all (0)."""
-        self.send(Frame(NMT_ID, bytes([command, node])))
+        self.send(Frame(NMT, bytes([command, node])))
         if command in (Command.RESET_NODE, Command.RESET_COMMUNICATION):
             self.counter = 0
 
@@ -129,11 +121,11 @@ class Network:
             self._timers.set("heartbeat", due_ns, self._send_heartbeat)
 
     def _send_heartbeat(self) -> None:
-        self.send(Frame(FIRST_HEARTBEAT + BENCH_NODE, bytes([State.OPERATIONAL])))
+        self.send(Frame(HEARTBEAT + BENCH_NODE, bytes([State.OPERATIONAL])))
         self._beat()
 
     def _on_heartbeat(self, frame: Frame) -> None:
-        node = frame.can_id - FIRST_HEARTBEAT
+        node = frame.can_id - HEARTBEAT
         state = _STATES.get(frame.data[0] & 0x7F) if len(frame.data) == 1 else None
         if state is None:
             return
@@ -165,21 +157,21 @@ class Network:
             self.reference_speed_m_s = math.nan
 
     def _on_emergency(self, frame: Frame) -> None:
-        # 080h + node never is SYNC: node identifiers begin with 1
+        # an EMCY never is SYNC: node identifiers begin with 1
         code = int.from_bytes(frame.data[:2], "little") if len(frame.data) == 8 else 0
         if code:
-            node = frame.can_id - FIRST_EMERGENCY
+            node = frame.can_id - EMERGENCY
             text = f"EMCY {code:04X}h, error register {frame.data[2]:02X}h"
             self.on_event("warning", f"{_name(node)}: {text}")
 
     def _on_reference_speed(self, frame: Frame) -> None:
-        if len(frame.data) >= 2:
-            raw = int.from_bytes(frame.data[:2], "little", signed=True)
-            self.reference_speed_m_s = raw * REFERENCE_SPEED.scale
+        # a unit may add what it likes
+        for value in REFERENCE_SPEED.read(frame.data[:2]).values():
+            self.reference_speed_m_s = value
 
 
 _STATES = {int(state): state for state in State}
 
 
 def _name(node: int) -> str:
-    return "the WSP unit (node 32)" if node == WSP_NODE else f"node {node}"
+    return f"the WSP unit (node {node})" if node == WSP_NODE else f"node {node}"

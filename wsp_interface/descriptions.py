@@ -14,6 +14,7 @@ from typing import NamedTuple
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus import connection_set
 
 _VAR, _ARRAY, _RECORD, _DOMAIN = 0x7, 0x8, 0x9, 0x2
 _BAUD_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)
@@ -224,12 +225,10 @@ def unit_message() -> Message:
     start = 0
     for signal in signals.SIGNALS:
         for place in (one for one in signal.places if one.node == signals.WSP_NODE):
-            low, high = signals.KINDS[place.kind]
-            bits = (high - low).bit_length()
-            carried.append(Carried(signals.columns(signal)[0], start, bits, low < 0, place.scale,
-                                   signal.unit.replace("_", "/"), signal.text))
-            start += bits
-    return Message(f"node_{signals.WSP_NODE}_TPDO1", 0x180 + signals.WSP_NODE, False,
+            carried.append(Carried(signals.columns(signal)[0], start, signals.bits(place), place.kind[0] == "I",
+                                   place.scale, signal.unit.replace("_", "/"), signal.text))
+            start += carried[-1].bits
+    return Message(f"node_{signals.WSP_NODE}_TPDO1", connection_set.TPDO[0] + signals.WSP_NODE, False,
                    signals.WSP_NODE, True, tuple(carried))
 
 
@@ -243,15 +242,15 @@ def dbc(dictionaries: Iterable[ObjectDictionary]) -> str:
         every.append(unit_message())
     names = list((nodes | others).values())
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {' '.join(names)}", ""]
-    lines += [f"BO_ 128 SYNC: 0 {others[signals.BENCH_NODE]}", ""]
+    lines += [f"BO_ {connection_set.SYNC} SYNC: 0 {others[signals.BENCH_NODE]}", ""]
     for message in every:
         lines += _message_lines(message, nodes | others)
     for node, name in (nodes | others).items():
-        lines += [f"BO_ {0x700 + node} {name}_heartbeat: 1 {name}",
+        lines += [f"BO_ {connection_set.HEARTBEAT + node} {name}_heartbeat: 1 {name}",
                   f' SG_ {name}_nmt_state : 0|7@1+ (1,0) [0|127] "" Vector__XXX', ""]
     lines += [f'CM_ SG_ {_dbc_id(message)} {one.name} "{one.text}";'
               for message in every for one in message.carried if one.text]
-    lines += [f'VAL_ {0x700 + node} {name}_nmt_state 0 "INITIALISING" 4 "STOPPED" '
+    lines += [f'VAL_ {connection_set.HEARTBEAT + node} {name}_nmt_state 0 "INITIALISING" 4 "STOPPED" '
               '5 "OPERATIONAL" 127 "PRE_OPERATIONAL" ;' for node, name in (nodes | others).items()]
     return "\n".join(lines) + "\n"
 

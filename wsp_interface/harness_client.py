@@ -16,15 +16,13 @@ from typing import Any, Self
 import can
 
 from rollerrig.configs.errors import BusError, RollerrigError
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import rig_objects, signals
 from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, TPDO
 from rollerrig.wsp_interface.bus.sdo_client import SdoClient
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE, SPEED_NODE, WSP_NODE
+from rollerrig.wsp_interface.rig_objects import layout
+from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE
 
-HARNESS, PACING, FAULT, FRICTION, NOTE, DEMAND = 0x2000, 0x2001, 0x2010, 0x2020, 0x2030, 0x6411
-ANSWER_ID, SYNC_ID = 0x200 + BENCH_NODE, 0x080
-MAGNETS_ID, EMERGENCY_ID = 0x200 + BRAKE_NODE, 0x080
-FRICTION_SCALE = 1e-4
 # before the first cycle others may still be starting or compiling
 FIRST_CYCLE_S, SILENCE_S = 600.0, 30.0
 _AXLES = range(1, AXLES + 1)
@@ -34,48 +32,11 @@ class TimeOutError(RollerrigError):
     """What was waited for has not come within its time."""
 
 
-@dataclass(frozen=True)
-class Layout:
-    """A frame and the columns it brings: one scale each."""
-
-    can_id: int
-    struct: struct.Struct
-    names: tuple[str, ...]
-    scales: tuple[float, ...]
-
-
-_LETTERS = {"U8": "B", "I8": "b", "U16": "H", "I16": "h", "U32": "I", "I32": "i"}
-
-
-def _layout(can_id: int, node: int, *names: str) -> Layout:
-    """The layout of a frame that carries whole signals of a node, all axles of each."""
-    letters = "<"
-    columns: list[str] = []
-    scales: list[float] = []
-    for name in names:
-        signal = signals.BY_NAME[name]
-        place = next(one for one in signal.places if one.node == node)
-        letters += _LETTERS[place.kind] * signal.axles
-        columns += signals.columns(signal)
-        scales += [place.scale] * signal.axles
-    return Layout(can_id, struct.Struct(letters), tuple(columns), tuple(scales))
-
-
-# what the bench's node is asked to send; the last of them ends a cycle
-MAPPED: tuple[Layout, ...] = (
-    _layout(0x180 + BENCH_NODE, BENCH_NODE, "time", "vehicle_speed"),
-    _layout(0x280 + BENCH_NODE, BENCH_NODE, "position", "vehicle_acceleration", "brake_demand"),
-    _layout(0x380 + BENCH_NODE, BENCH_NODE, "adhesion"),
-    _layout(0x480 + BENCH_NODE, BENCH_NODE, "valve"),
-)
+# what the bench's node is asked to send, TPDO by TPDO; the last of them ends a cycle
 _MAPPED_SIGNALS = (("time", "vehicle_speed"), ("position", "vehicle_acceleration", "brake_demand"),
                    ("adhesion",), ("valve",))
-HEARD: tuple[Layout, ...] = (
-    *MAPPED,
-    _layout(0x180 + SPEED_NODE, SPEED_NODE, "measured_speed"),
-    _layout(0x180 + BRAKE_NODE, BRAKE_NODE, "cylinder_pressure"),
-    _layout(0x180 + WSP_NODE, WSP_NODE, "wsp_reference_speed"),
-)
+MAPPED = tuple(layout(first + BENCH_NODE, *names) for first, names in zip(TPDO, _MAPPED_SIGNALS, strict=True))
+HEARD = (*MAPPED, rig_objects.SPEEDS, rig_objects.PRESSURES, rig_objects.REFERENCE_SPEED)
 CYCLE_ENDS = MAPPED[-1].can_id
 COLUMNS: tuple[str, ...] = tuple(name for one in HEARD for name in one.names) + tuple(
     f"magnets_{axle}" for axle in _AXLES)
@@ -113,11 +74,11 @@ class Harness:
     def join(self) -> Self:
         """Map the bench's quantities, join, and wait for the first cycle. Raises BusError."""
         try:
-            pacing = self._sdo.read(BENCH_NODE, PACING, 0)
+            pacing = self._sdo.read(BENCH_NODE, rig_objects.PACING, 0)
             self.lockstep = bool(pacing[0])
             for number, names in enumerate(_MAPPED_SIGNALS):
                 self._map(number, names)
-            self._sdo.write(BENCH_NODE, HARNESS, 1, b"\x01")
+            self._sdo.write(BENCH_NODE, rig_objects.HARNESS, rig_objects.JOINED, b"\x01")
         except can.CanError as error:
             raise BusError(f"the bench has gone: {error}") from None
         self.joined = True
@@ -126,31 +87,25 @@ class Harness:
 
     def _map(self, number: int, names: Iterable[str]) -> None:
         """Let TPDO `number` (from 0) of the bench carry signals, at every SYNC."""
-        entries = []
-        for name in names:
-            signal = signals.BY_NAME[name]
-            place = next(one for one in signal.places if one.node == BENCH_NODE)
-            low, high = signals.KINDS[place.kind]
-            bits = (high - low).bit_length()
-            entries += [place.index << 16 | (place.sub + at) << 8 | bits
-                        for at in range(signal.axles)]
-        cob_id = struct.pack("<I", (0x180 + 0x100 * number) + BENCH_NODE)
-        off = struct.pack("<I", 0x80000000 | (0x180 + 0x100 * number) + BENCH_NODE)
-        self._sdo.write(BENCH_NODE, 0x1800 + number, 1, off)
-        self._sdo.write(BENCH_NODE, 0x1A00 + number, 0, b"\x00")
-        for at, entry in enumerate(entries, start=1):
-            self._sdo.write(BENCH_NODE, 0x1A00 + number, at, struct.pack("<I", entry))
-        self._sdo.write(BENCH_NODE, 0x1A00 + number, 0, bytes([len(entries)]))
-        self._sdo.write(BENCH_NODE, 0x1800 + number, 2, b"\x01")
-        self._sdo.write(BENCH_NODE, 0x1800 + number, 1, cob_id)
+        places = [(signals.place(name, BENCH_NODE), signals.BY_NAME[name].axles) for name in names]
+        entries = [place.index << 16 | (place.sub + at) << 8 | signals.bits(place)
+                   for place, axles in places for at in range(axles)]
+        can_id, parameters, mapping = MAPPED[number].can_id, 0x1800 + number, 0x1A00 + number
+        # bit 31 switches the PDO off, and so does a mapping of no objects
+        steps = [(parameters, 1, struct.pack("<I", 1 << 31 | can_id)), (mapping, 0, b"\x00"),
+                 *((mapping, at, struct.pack("<I", entry)) for at, entry in enumerate(entries, start=1)),
+                 (mapping, 0, bytes([len(entries)])), (parameters, 2, b"\x01"),
+                 (parameters, 1, struct.pack("<I", can_id))]
+        for index, sub, data in steps:
+            self._sdo.write(BENCH_NODE, index, sub, data)
 
     def close(self) -> None:
         """Leave the bench, end its run where it is ours, and close the bus. Never raises."""
         try:
             if self.joined:
                 if self.ends:
-                    self._sdo.write(BENCH_NODE, HARNESS, 3, b"\x01")
-                self._sdo.write(BENCH_NODE, HARNESS, 1, b"\x00")
+                    self._sdo.write(BENCH_NODE, rig_objects.HARNESS, rig_objects.END, b"\x01")
+                self._sdo.write(BENCH_NODE, rig_objects.HARNESS, rig_objects.JOINED, b"\x00")
         except (can.CanError, RollerrigError):
             pass  # a bench that has gone needs no farewell
         self.joined = False
@@ -167,8 +122,9 @@ class Harness:
     def brake(self, pressure_Pa: float | None = None, bar: float | None = None) -> None:
         """Ask for a brake cylinder pressure, in Pa or bar."""
         wanted_Pa = pressure_Pa if pressure_Pa is not None else (bar or 0.0) * 1e5
-        raw = signals.count(wanted_Pa, signals.BY_NAME["brake_demand"].places[0])
-        self._write(BRAKE_NODE, DEMAND, 1, struct.pack("<h", raw))
+        place = signals.place("brake_demand", BRAKE_NODE)
+        raw = signals.count(wanted_Pa, place)
+        self._write(BRAKE_NODE, place.index, place.sub, struct.pack("<h", raw))
         self.demands.append((self.time_s, wanted_Pa))
 
     def release(self) -> None:
@@ -179,23 +135,24 @@ class Harness:
         """Set the kinematic friction under axles from now on; 0 gives it back to the scenario."""
         axles = tuple(axles)
         for axle in axles:
-            self._write(BENCH_NODE, FRICTION, axle, struct.pack("<H", round(mu / FRICTION_SCALE)))
+            raw = round(mu / rig_objects.FRICTION_SCALE)
+            self._write(BENCH_NODE, rig_objects.FRICTION, axle, struct.pack("<H", raw))
         self.log("harness", f"friction {mu:g} under axles {', '.join(map(str, axles))}"
                  if mu else "friction as the scenario has it")
 
     def inject(self, fault: str) -> None:
         """Let a fault of the catalogue begin: `inject("speed_sensor_stuck axle=2 for=3")`."""
-        self._write(BENCH_NODE, FAULT, 1, fault.encode())
+        self._write(BENCH_NODE, rig_objects.FAULT, rig_objects.INJECT, fault.encode())
         self.log("harness", f"fault {fault}")
 
     def lift(self, fault: str) -> None:
         """Lift the faults of a name (and aim): `lift("speed_sensor_stuck axle=2")`."""
-        self._write(BENCH_NODE, FAULT, 2, fault.encode())
+        self._write(BENCH_NODE, rig_objects.FAULT, rig_objects.LIFT, fault.encode())
         self.log("harness", f"fault {fault} lifted")
 
     def note(self, text: str) -> None:
         """Put an operator's note into the events of the run."""
-        self._write(BENCH_NODE, NOTE, 0, text.encode("ascii", "replace"))
+        self._write(BENCH_NODE, rig_objects.NOTE, 0, text.encode("ascii", "replace"))
         self.log("note", text)
 
     def log(self, who: str, text: str) -> None:
@@ -208,7 +165,7 @@ class Harness:
         """Let one bus cycle pass. Raises BusError when the bench has gone."""
         if self._owes:
             self._owes = False
-            self._send(can.Message(arbitration_id=ANSWER_ID, data=[len(self.trace) & 0xFF],
+            self._send(can.Message(arbitration_id=rig_objects.HARNESS_ANSWER_ID, data=[len(self.trace) & 0xFF],
                                    is_extended_id=False))
         self._cycle()
 
@@ -266,14 +223,14 @@ class Harness:
     def read(self, name: str) -> tuple[float, ...]:
         """A quantity of the bench by SDO, all its axles. Raises BusError, KeyError if unknown."""
         signal = signals.BY_NAME[name]
-        place = next((one for one in signal.places if one.node == BENCH_NODE), None)
-        if place is None:
-            raise BusError(f"the bench's node carries no '{name}'")
-        letter = "<" + _LETTERS[place.kind]
+        try:
+            place = signals.place(name, BENCH_NODE)
+        except LookupError as error:
+            raise BusError(f"the bench: {error}") from None
         found = []
         for at in range(signal.axles):
             data = self._call(lambda at=at: self._sdo.read(BENCH_NODE, place.index, place.sub + at))
-            found.append(signals.value(struct.unpack(letter, data)[0], place))
+            found.append(signals.value(struct.unpack(rig_objects.letter(place), data)[0], place))
         return tuple(found)
 
     # -- the bus
@@ -311,19 +268,17 @@ class Harness:
     def _take(self, message: can.Message) -> bool:
         """Take one frame; True when it ends the cycle."""
         can_id, data = message.arbitration_id, message.data
-        layout = self._heard.get(can_id)
-        if layout is not None and len(data) == layout.struct.size:
-            raw = layout.struct.unpack(data)
-            for name, scale, count in zip(layout.names, layout.scales, raw, strict=True):
-                self.values[name] = count * scale
+        heard = self._heard.get(can_id)
+        if heard is not None and (found := heard.read(data)):
+            self.values |= found
             return can_id == CYCLE_ENDS
-        if can_id == MAGNETS_ID and len(data) == 1:
+        if can_id == rig_objects.MAGNETS_ID and len(data) == 1:
             for axle in _AXLES:
                 self.values[f"magnets_{axle}"] = float(data[0] >> 2 * (axle - 1) & 3)
-        elif EMERGENCY_ID < can_id < EMERGENCY_ID + 128 and len(data) == 8:
+        elif EMERGENCY < can_id <= EMERGENCY + NODE_MASK and len(data) == 8:
             code = int.from_bytes(data[:2], "little")
             if code:
-                self.log(f"node {can_id - EMERGENCY_ID}", f"EMCY {code:04X}h")
+                self.log(f"node {can_id - EMERGENCY}", f"EMCY {code:04X}h")
         return False
 
 

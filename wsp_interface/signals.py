@@ -19,6 +19,8 @@ SPEED_NODE = 16
 BRAKE_NODE = 17
 WSP_NODE = 32
 BENCH_NODE = 127
+# those that the bench simulates, besides its own
+RIG_NODES = (*DRIVE_NODES, SPEED_NODE, BRAKE_NODE)
 
 # bounds of the integer types that objects carry on the bus
 KINDS = {
@@ -126,6 +128,19 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("tick_duration", "us", 1, OUT, "loop", "longest tick since the last sample"),
     Signal("ticks_missed", "", 1, OUT, "", "ticks that began after the next one was due, so far"),
 )
+
+
+def place(name: str, node: int) -> Place:
+    """Where a signal stands at a node. KeyError if there is no such signal, LookupError if not there."""
+    for one in BY_NAME[name].places:
+        if one.node == node:
+            return one
+    raise LookupError(f"node {node} carries no '{name}'")
+
+
+def bits(place: Place) -> int:
+    """How many bits one count takes."""
+    return int(place.kind[1:])
 
 
 def columns(signal: Signal) -> tuple[str, ...]:

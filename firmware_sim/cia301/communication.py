@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from rollerrig.firmware_sim.cia301.dictionary import Identity, Row, array
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError
+from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, RPDO, SDO_REPLY, SDO_REQUEST, SYNC, TIME, TPDO
 
 PDOS = 4
 MAPPED = 8
@@ -21,8 +22,6 @@ STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
 # identifiers that belong to fixed services
 RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF),
               (0x701, 0x7FF))
-FIRST_RPDO = (0x200, 0x300, 0x400, 0x500)
-FIRST_TPDO = (0x180, 0x280, 0x380, 0x480)
 SDO_SERVERS = 3
 HISTORY = 8
 _STORED = ("All", "Communication", "Application")
@@ -62,7 +61,7 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
         Row(0x1000, 0, "Device type", "U32", "const", profile.device_type),
         Row(0x1001, 0, "Error register", "U8", "ro", 0, True),
         *_history(),
-        Row(0x1005, 0, "COB-ID SYNC message", "U32", "rw", 0x80),
+        Row(0x1005, 0, "COB-ID SYNC message", "U32", "rw", SYNC),
         Row(0x1006, 0, "Communication cycle period", "U32", "rw", 0, unit="us"),
         Row(0x1007, 0, "Synchronous window length", "U32", "rw", 0, unit="us"),
         Row(0x1008, 0, "Manufacturer device name", "TEXT", "const", profile.name),
@@ -72,8 +71,8 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
         Row(0x100D, 0, "Life time factor", "U8", "rw", 0),
         *array(0x1010, "Store parameters", "U32", "rw", [1] * 3, _STORED),
         *array(0x1011, "Restore default parameters", "U32", "rw", [1] * 3, _STORED),
-        Row(0x1012, 0, "COB-ID TIME message", "U32", "rw", 0x80000100),
-        Row(0x1014, 0, "COB-ID EMCY message", "U32", "rw", 0x80, relative=True),
+        Row(0x1012, 0, "COB-ID TIME message", "U32", "rw", INVALID | TIME),
+        Row(0x1014, 0, "COB-ID EMCY message", "U32", "rw", EMERGENCY, relative=True),
         Row(0x1015, 0, "Inhibit time EMCY", "U16", "rw", 0, unit="100us"),
         *array(0x1016, "Consumer heartbeat time", "U32", "rw", consumed),
         Row(0x1017, 0, "Producer heartbeat time", "U16", "rw", profile.heartbeat_ms, unit="ms"),
@@ -83,8 +82,8 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
         *array(0x1029, "Error behaviour", "U8", "rw", [profile.on_error],
                ("Communication error",), high=2),
         *_sdo_servers(),
-        *_pdos(0x1400, "RPDO", FIRST_RPDO, profile.rpdos),
-        *_pdos(0x1800, "TPDO", FIRST_TPDO, profile.tpdos),
+        *_pdos(0x1400, "RPDO", RPDO, profile.rpdos),
+        *_pdos(0x1800, "TPDO", TPDO, profile.tpdos),
     ]
 
 
@@ -106,7 +105,7 @@ def _sdo_servers() -> list[Row]:
         index, access = 0x1200 + server, "ro" if server == 0 else "rw"
         name = f"SDO server parameter {server}"
         first = server == 0
-        request, reply = (0x600, 0x580) if first else (INVALID, INVALID)
+        request, reply = (SDO_REQUEST, SDO_REPLY) if first else (INVALID, INVALID)
         found += [
             Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", 2 if first else 3),
             Row(index, 1, f"{name}/COB-ID client to server", "U32", access, request,

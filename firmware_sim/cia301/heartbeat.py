@@ -10,6 +10,7 @@ from rollerrig.firmware_sim.cia301.emergency import HEARTBEAT_LOST
 from rollerrig.firmware_sim.cia301.host import MS, Host
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
+from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT
 from rollerrig.wsp_interface.bus.frames import Frame
 
 CONSUMERS = 4
@@ -32,7 +33,7 @@ class Producer:
 
     def _send(self) -> None:
         node = self.node
-        node.transmit(0x700 + node.node_id, bytes([node.state]))
+        node.transmit(HEARTBEAT + node.node_id, bytes([node.state]))
         self.configure()
 
 
@@ -64,8 +65,8 @@ class Consumer:
         self.watched, self.lost = {}, set()
 
     def on_frame(self, frame: Frame) -> None:
-        """A message on 700h + partner."""
-        partner, timers = frame.can_id - 0x700, self.node.timers
+        """A heartbeat of a partner."""
+        partner, timers = frame.can_id - HEARTBEAT, self.node.timers
         if len(frame.data) != 1 or partner not in self.watched:
             return
         alarm = f"partner {partner}"
@@ -109,11 +110,11 @@ class Guarding:
         self.toggle, self.lost = 0, False
 
     def on_request(self, _: Frame) -> None:
-        """A remote request on 700h + node."""
+        """A remote request for the node's heartbeat."""
         node = self.node
         if node.objects.values[key(0x1017, 0)]:
             return
-        node.transmit(0x700 + node.node_id, bytes([self.toggle | node.state]))
+        node.transmit(HEARTBEAT + node.node_id, bytes([self.toggle | node.state]))
         self.toggle ^= 0x80
         values = node.objects.values
         life_ns = values[key(0x100C, 0)] * values[key(0x100D, 0)] * MS

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.firmware_sim.cia301.storage import Storage
+from rollerrig.wsp_interface.bus.connection_set import LSS_ANSWER
 from rollerrig.wsp_interface.bus.frames import Frame
 
-REQUEST, ANSWER = 0x7E5, 0x7E4
 UNCONFIGURED = 255
 _SWITCH_GLOBAL, _NODE_ID, _BIT_TIMING, _STORE = 0x04, 0x11, 0x13, 0x17
 _SELECT, _SELECTED = (0x40, 0x41, 0x42, 0x43), 0x44
@@ -60,7 +60,7 @@ class LssSlave:
         return [values[key(0x1018, sub)] for sub in range(1, 5)]
 
     def _answer(self, command: int, rest: bytes = b"") -> None:
-        self.node.transmit(ANSWER, (bytes([command]) + rest).ljust(8, b"\0"))
+        self.node.transmit(LSS_ANSWER, (bytes([command]) + rest).ljust(8, b"\0"))
 
     def _switch_global(self, data: bytes) -> None:
         if data[1] not in (0, 1):

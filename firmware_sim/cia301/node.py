@@ -16,12 +16,13 @@ from rollerrig.firmware_sim.cia301 import communication, heartbeat, pdo_mapping,
 from rollerrig.firmware_sim.cia301.communication import PDOS, SDO_SERVERS
 from rollerrig.firmware_sim.cia301.emergency import Emergency
 from rollerrig.firmware_sim.cia301.host import MS, Timers
-from rollerrig.firmware_sim.cia301.lss import REQUEST, UNCONFIGURED, LssSlave
+from rollerrig.firmware_sim.cia301.lss import UNCONFIGURED, LssSlave
 from rollerrig.firmware_sim.cia301.nmt import COMMANDED, Command, State
 from rollerrig.firmware_sim.cia301.objects import Objects, key
 from rollerrig.firmware_sim.cia301.pdo import EVENT, Rpdo, Tpdo
 from rollerrig.firmware_sim.cia301.sdo import SdoServer
 from rollerrig.firmware_sim.cia301.storage import Storage
+from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT, LSS_REQUEST, NMT
 from rollerrig.wsp_interface.bus.frames import Frame
 
 SDO_TIME_OUT_MS = 1000
@@ -164,7 +165,7 @@ class Node:
         self._tell_state(old)
         if boot_up:
             # last, and after all is in place: a master may answer before this call returns
-            self.transmit(0x700 + self.node_id, boot_up)
+            self.transmit(HEARTBEAT + self.node_id, boot_up)
         self.emergency.flush()
 
     def _tell_state(self, old: State) -> None:
@@ -211,14 +212,14 @@ class Node:
                             [tpdo.on_sync for tpdo in self.tpdos if tpdo.live and tpdo.on_sync])
         self.consumer.configure()
         self._watched = [one for one in self.tpdos if one.live and one.kind >= EVENT]
-        self.handlers, self.remote_handlers = {REQUEST: self.lss.on_frame}, {}
+        self.handlers, self.remote_handlers = {LSS_REQUEST: self.lss.on_frame}, {}
         self.on_rewired()
         if self.node_id == UNCONFIGURED:
             return
-        self.handlers[0] = self._on_nmt
-        self.remote_handlers[0x700 + self.node_id] = self.guarding.on_request
+        self.handlers[NMT] = self._on_nmt
+        self.remote_handlers[HEARTBEAT + self.node_id] = self.guarding.on_request
         for partner in self.consumer.watched:
-            self._listen(0x700 + partner, self.consumer.on_frame)
+            self._listen(HEARTBEAT + partner, self.consumer.on_frame)
         if self.state.has_emergencies:
             self._listen_to_services()
         if self.state is State.OPERATIONAL:

@@ -15,6 +15,7 @@ from rollerrig.firmware_sim.cia301.emergency import SYNC_LENGTH, SYNC_MISSING
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
+from rollerrig.wsp_interface.bus import connection_set
 from rollerrig.wsp_interface.bus.frames import Frame
 
 US = 1000
@@ -88,7 +89,7 @@ class SyncConsumer:
         # bit 30 would make this node the producer of SYNC, which it cannot be
         if wanted & FLAG:
             raise AbortError(Abort.INVALID_VALUE)
-        if split(wanted)[0] != 0x80 or wanted & EXTENDED:
+        if split(wanted)[0] != connection_set.SYNC or wanted & EXTENDED:
             check_identifier(wanted)
 
     def _check_overflow(self, value: int) -> None:

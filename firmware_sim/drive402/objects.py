@@ -48,8 +48,8 @@ def _control() -> list[Row]:
         Row(0x2000, 0, "Control source", "U8", "rw", 0, low=0, high=1,
             text="0 the bench's rig control, 1 a master on the bus"),
         Row(0x603F, 0, "Error code", "U16", "ro", 0, True),
-        Row(0x6040, 0, "Controlword", "U16", "rw", 0, True),
-        Row(0x6041, 0, "Statusword", "U16", "ro", 0, True),
+        Row(0x6040, 0, "Controlword", "U16", "rw", 0, True),  # 6040h
+        Row(0x6041, 0, "Statusword", "U16", "ro", 0, True),  # 6041h
         Row(0x6060, 0, "Modes of operation", "I8", "rw", 10, True),
         Row(0x6061, 0, "Modes of operation display", "I8", "ro", 10, True),
         Row(0x6502, 0, "Supported drive modes", "U32", "const", SUPPORTED_MODES),

@@ -12,14 +12,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rollerrig.firmware_sim.faults.confinement import Controllers
+from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
-from rollerrig.wsp_interface.signals import WSP_NODE
+from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED, UNIT_HEARTBEAT_ID
 
 # what carries a frame on, once the gate lets it
 Carry = Callable[[], None]
 LOST, HELD, TWICE = "lost", "held", "twice"
 # what a WSP unit sends: heartbeat, PDO1 to the brake I/O, reference speed
-UNIT_IDS = (0x700 + WSP_NODE, 0x211, 0x180 + WSP_NODE)
+UNIT_IDS = (UNIT_HEARTBEAT_ID, MAGNETS_ID, REFERENCE_SPEED.can_id)
 FOREVER_NS = 1 << 62
 
 
@@ -123,7 +124,7 @@ def rules_of(name: str, values: dict[str, Any]) -> list[Rule]:
         "frame_lost": lambda: [Rule(LOST, values["can_id"], values["every"])],
         "frame_duplicated": lambda: [Rule(TWICE, values["can_id"], values["every"])],
         "frame_delayed": lambda: [Rule(HELD, values["can_id"], 1, _ns(values["delay_s"]))],
-        "heartbeat_late": lambda: [Rule(HELD, 0x700 + values["node"], 1, _ns(values["delay_s"]))],
+        "heartbeat_late": lambda: [Rule(HELD, HEARTBEAT + values["node"], 1, _ns(values["delay_s"]))],
     }
     return make.get(name, list)()
 

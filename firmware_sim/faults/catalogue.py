@@ -16,16 +16,16 @@ from typing import Any
 from rollerrig.configs import table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, integer, number
-from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, DRIVE_NODES, SPEED_NODE, WSP_NODE
+from rollerrig.wsp_interface.rig_objects import SPEEDS
+from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODE
 
 # where a fault acts: in the tick, on the bus, in a device
 TICK, BUS, DEVICE = "tick", "bus", "device"
-RIG_NODES = (*DRIVE_NODES, SPEED_NODE, BRAKE_NODE)
 LASTS = math.inf
 
 _AXLE = integer("axle", 1, 1, AXLES, "axle, counted from the leading end")
 _NODE = integer("node", BRAKE_NODE, 1, 127, "a node of the rig")
-_CAN_ID = integer("can_id", 0x180 + SPEED_NODE, 0, 0x7FF, "11-bit identifier")
+_CAN_ID = integer("can_id", SPEEDS.can_id, 0, 0x7FF, "11-bit identifier")
 _EVERY = integer("every", 1, 1, 100_000, "1 is each frame, 2 every second one")
 WHEN = (number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
         number("for_s", LASTS, 1e-3, LASTS, "how long it holds; inf: to the end"))
@@ -33,8 +33,12 @@ WHEN = (number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
 
 @dataclass(frozen=True)
 class Kind:
-    """One row of the catalogue. `parameters` carry the unit in their names, and their bounds."""
+    """One row of the catalogue. `parameters` carry the unit in their names, and their bounds.
 
+    `number` is its name over Modbus (register 20 of unit 1), which plants have in their programs.
+    """
+
+    number: int
     name: str
     acts: str
     text: str
@@ -65,53 +69,53 @@ class Fault:
 
 
 CATALOGUE: tuple[Kind, ...] = (
-    Kind("speed_sensor_stuck", TICK, "the speed of an axle stays what it was, no pulse is counted",
+    Kind(0, "speed_sensor_stuck", TICK, "the speed of an axle stays what it was, no pulse is counted",
          (_AXLE,)),
-    Kind("speed_sensor_dropout", TICK, "the sensor of an axle gives no pulses: speed 0", (_AXLE,)),
-    Kind("missing_tooth", TICK, "teeth of an axle's pole wheel are gone: once a turn the speed "
+    Kind(1, "speed_sensor_dropout", TICK, "the sensor of an axle gives no pulses: speed 0", (_AXLE,)),
+    Kind(2, "missing_tooth", TICK, "teeth of an axle's pole wheel are gone: once a turn the speed "
          "that is measured from pulses dips", (_AXLE, integer("teeth", 1, 1, 50, "missing teeth"))),
-    Kind("swapped_axles", TICK, "the sensors of two axles are connected the wrong way round",
+    Kind(3, "swapped_axles", TICK, "the sensors of two axles are connected the wrong way round",
          (_AXLE, integer("other", 2, 1, AXLES, "the other axle"))),
-    Kind("speed_noise_burst", TICK, "Gaussian noise on the measured speed of an axle, seeded",
+    Kind(4, "speed_noise_burst", TICK, "Gaussian noise on the measured speed of an axle, seeded",
          (_AXLE, number("std_rad_s", 5.0, 0.01, 100.0, "standard deviation"))),
-    Kind("wheel_diameter_mismatch", TICK, "the wheels of an axle are larger than the unit believes: "
+    Kind(5, "wheel_diameter_mismatch", TICK, "the wheels of an axle are larger than the unit believes: "
          "they turn slower at the same speed of the train",
          (_AXLE, number("difference_percent", 5.0, -50.0, 50.0, "real over nominal diameter, less 1"))),
-    Kind("hold_magnet_stuck", TICK, "the hold magnet of an axle stays energised", (_AXLE,)),
-    Kind("hold_magnet_dead", TICK, "the hold magnet of an axle is never energised", (_AXLE,)),
-    Kind("vent_magnet_stuck", TICK, "the vent magnet of an axle stays energised", (_AXLE,)),
-    Kind("vent_magnet_dead", TICK, "the vent magnet of an axle is never energised", (_AXLE,)),
-    Kind("cylinder_leak", TICK, "the brake cylinders of an axle leak: dp/dt = -p / T",
+    Kind(6, "hold_magnet_stuck", TICK, "the hold magnet of an axle stays energised", (_AXLE,)),
+    Kind(7, "hold_magnet_dead", TICK, "the hold magnet of an axle is never energised", (_AXLE,)),
+    Kind(8, "vent_magnet_stuck", TICK, "the vent magnet of an axle stays energised", (_AXLE,)),
+    Kind(9, "vent_magnet_dead", TICK, "the vent magnet of an axle is never energised", (_AXLE,)),
+    Kind(10, "cylinder_leak", TICK, "the brake cylinders of an axle leak: dp/dt = -p / T",
          (_AXLE, number("time_constant_s", 2.0, 0.1, 1000.0, "T"))),
-    Kind("torque_ripple", TICK, "a roller motor's torque demand ripples with its angle",
+    Kind(11, "torque_ripple", TICK, "a roller motor's torque demand ripples with its angle",
          (_AXLE, number("amplitude_Nm", 2000.0, 0.0, 30000.0, "amplitude"),
           number("order", 6.0, 0.1, 100.0, "periods in a turn"))),
-    Kind("drive_trip", DEVICE, "a drive trips with an error code; it can be reset when the fault is "
+    Kind(12, "drive_trip", DEVICE, "a drive trips with an error code; it can be reset when the fault is "
          "lifted", (_AXLE, integer("code", 0x5112, 1, 0xFFFF, "603Fh error code"))),
-    Kind("drive_over_temperature", DEVICE, "a motor is hot: above 1 the drive warns, above 1.2 it "
+    Kind(13, "drive_over_temperature", DEVICE, "a motor is hot: above 1 the drive warns, above 1.2 it "
          "trips", (_AXLE, number("load", 1.25, 1.0, 3.0, "thermal load, 1 is what it bears for ever"))),
-    Kind("node_off", BUS, "a node has no power; it boots when the fault is lifted", (_NODE,)),
-    Kind("node_babbling", BUS, "a node floods the bus with frames of one identifier",
+    Kind(14, "node_off", BUS, "a node has no power; it boots when the fault is lifted", (_NODE,)),
+    Kind(15, "node_babbling", BUS, "a node floods the bus with frames of one identifier",
          (_NODE, integer("can_id", 0x07F, 0, 0x7FF, "what it babbles"),
           number("rate_Hz", 2000.0, 1.0, 20000.0, "frames a second"))),
-    Kind("frame_lost", BUS, "frames of an identifier reach nobody", (_CAN_ID, _EVERY)),
-    Kind("frame_delayed", BUS, "frames of an identifier come late",
+    Kind(16, "frame_lost", BUS, "frames of an identifier reach nobody", (_CAN_ID, _EVERY)),
+    Kind(17, "frame_delayed", BUS, "frames of an identifier come late",
          (_CAN_ID, number("delay_s", 0.05, 0.001, 10.0, "delay"))),
-    Kind("frame_duplicated", BUS, "frames of an identifier come twice", (_CAN_ID, _EVERY)),
-    Kind("error_frame", BUS, "each frame of a node is destroyed by error frames and sent again; its "
+    Kind(18, "frame_duplicated", BUS, "frames of an identifier come twice", (_CAN_ID, _EVERY)),
+    Kind(19, "error_frame", BUS, "each frame of a node is destroyed by error frames and sent again; its "
          "error counter rises, to error passive (EMCY 8120h) and bus-off",
          (_NODE, integer("attempts", 2, 1, 31, "destroyed attempts of each frame"))),
-    Kind("bus_off", BUS, "a node's CAN controller is off: it neither hears nor speaks, and runs on; "
+    Kind(20, "bus_off", BUS, "a node's CAN controller is off: it neither hears nor speaks, and runs on; "
          "EMCY 8140h when it is back", (_NODE,)),
-    Kind("heartbeat_late", BUS, "the heartbeats of a node come late",
+    Kind(21, "heartbeat_late", BUS, "the heartbeats of a node come late",
          (integer("node", BRAKE_NODE, 1, 127, "a node of the rig, or the WSP unit"),
           number("delay_s", 0.6, 0.01, 10.0, "delay"))),
-    Kind("wsp_frozen", DEVICE, "the WSP unit freezes: the reference unit's process is stopped, the "
+    Kind(22, "wsp_frozen", DEVICE, "the WSP unit freezes: the reference unit's process is stopped, the "
          "frames of an external one are held back"),
-    Kind("power_dip", DEVICE, "the rig's supply dips: below their lowest voltage the drives trip "
+    Kind(23, "power_dip", DEVICE, "the rig's supply dips: below their lowest voltage the drives trip "
          "(3220h), below 200 V all nodes of the rig are without power",
          (number("dc_link_V", 300.0, 0.0, 1000.0, "what is left of the DC link"),)),
-    Kind("receive_error", BUS, "a node takes every frame of others for faulty and destroys it, until its "
+    Kind(24, "receive_error", BUS, "a node takes every frame of others for faulty and destroys it, until its "
          "receive error counter makes it error passive (EMCY 8120h); from then on it alone misses them",
          (_NODE, integer("attempts", 1, 1, 31, "destroyed attempts of each frame"))),
 )
@@ -127,6 +131,7 @@ _WHY_ON_THE_SENSOR = (
     "energy. A stop on other wheels from its start, all of one size: `--set vehicle.wheel_radius_m=0.467`.",
 )
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
+BY_NUMBER = {kind.number: kind for kind in CATALOGUE}
 _SHORT = {"at": "at_s", "for": "for_s"}
 
 
@@ -160,7 +165,7 @@ def parse(text: str) -> Fault:
         try:
             given[key] = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
-            raise ConfigError(f"{where}: '{pair}': write key=number, as in axle=2 or can_id=0x190"
+            raise ConfigError(f"{where}: '{pair}': write key=number, as in axle=2 or can_id={SPEEDS.can_id:#x}"
                               ) from None
         if not equals:
             raise ConfigError(f"{where}: '{pair}': write key=value, as in axle=2")

@@ -107,7 +107,7 @@ _STATES = (
     _bench(102, "wsp_unit_state", "U16", "NMT state of node 32: 0 booted, 4 stopped, 5 operational, "
            "127 pre-operational, 65535 never heard"),
     *(_bench(103 + at, f"node_{node}_state", "U16", f"NMT state of node {node}, as above")
-      for at, node in enumerate((*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE))),
+      for at, node in enumerate(signals.RIG_NODES)),
 )
 _HEALTH = (
     _bench(300, "ticks", "U32", "ticks of the run", wraps=True),
@@ -229,7 +229,7 @@ def markdown(drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] 
         lines += ["## Scenarios, register 0 of unit 1", "", "| number | scenario |", "|---|---|"]
         lines += [f"| {number} | {name} |" for number, name in enumerate(scenarios)]
     lines += ["", "## Faults, register 20 of unit 1", "", "| number | fault | what it does |", "|---|---|---|"]
-    lines += [f"| {number} | {kind.name} | {kind.text} |" for number, kind in enumerate(CATALOGUE)]
+    lines += [f"| {kind.number} | {kind.name} | {kind.text} |" for kind in CATALOGUE]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 

@@ -6,7 +6,7 @@ every fifth SYNC, before the answer, and by wall clock only while no SYNC comes:
 where time-outs count simulated time, the bus log repeats. Source: CiA 301 (NMT, heartbeat, PDO).
 
 Missing speeds: the last magnets are repeated for `MISSED_MAX` SYNCs, then all magnets fall (the
-brakes apply) until speeds are back. A speed sensor that is found stuck is told by an EMCY (0A0h, code
+brakes apply) until speeds are back. A speed sensor that is found stuck is told by an EMCY (code
 FF01h, axles as bits in its first manufacturer byte). It starts itself after boot-up, as CiA 302-2 allows (1F80h).
 """
 
@@ -23,22 +23,18 @@ import numpy as np
 from rollerrig.firmware_sim.cia301.nmt import COMMANDED, Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface.bus import buses
-from rollerrig.wsp_interface.signals import (
-    AXLES,
-    BRAKE_NODE,
-    DEFAULT_ADDRESS,
-    SPEED_NODE,
-    WSP_NODE,
+from rollerrig.wsp_interface.bus.connection_set import NMT, SYNC
+from rollerrig.wsp_interface.rig_objects import (
+    MAGNETS_ID,
+    REFERENCE_SPEED,
+    SPEEDS,
+    UNIT_EMERGENCY_ID,
+    UNIT_HEARTBEAT_ID,
 )
+from rollerrig.wsp_interface.signals import AXLES, DEFAULT_ADDRESS, WSP_NODE
 
 log = logging.getLogger(__name__)
 
-NMT, SYNC = 0x000, 0x080
-SPEEDS = 0x180 + SPEED_NODE
-REFERENCE = 0x180 + WSP_NODE
-MAGNETS = 0x200 + BRAKE_NODE
-HEARTBEAT = 0x700 + WSP_NODE
-EMERGENCY = 0x080 + WSP_NODE
 # CiA 301 Table 26: device specific; error register bit 0
 SENSOR_STUCK, GENERIC_ERROR = 0xFF01, 0x01
 
@@ -47,8 +43,6 @@ HEARTBEAT_SYNCS = 5
 QUIET_S = 0.1
 MISSED_MAX = 5
 ALL_OFF = 0
-_SPEEDS = struct.Struct(f"<{AXLES}h")
-_REFERENCE = struct.Struct("<h")
 
 
 class Unit:
@@ -70,7 +64,7 @@ class Unit:
         self._stopping = False
         self._quiet_until_s = 0.0
         self._take: dict[int, Callable[[can.Message], None]] = {
-            NMT: self._command, SYNC: self._sync, SPEEDS: self._speeds,
+            NMT: self._command, SYNC: self._sync, SPEEDS.can_id: self._speeds,
         }
         warm(params)
 
@@ -127,7 +121,7 @@ class Unit:
     def _leave_operational(self) -> None:
         """Drop the magnets while PDOs are still allowed."""
         if self.state is State.OPERATIONAL:
-            self._send(MAGNETS, bytes((ALL_OFF,)))
+            self._send(MAGNETS_ID, bytes((ALL_OFF,)))
         self._awaiting = False
 
     def _sync(self, message: can.Message) -> None:
@@ -142,15 +136,15 @@ class Unit:
             self._answer_without_speeds()
 
     def _speeds(self, message: can.Message) -> None:
-        if len(message.data) != _SPEEDS.size:
+        if len(message.data) != SPEEDS.struct.size:
             return
         self._missed = 0
         if not self._awaiting:
             return
-        self._inputs[:] = _SPEEDS.unpack(message.data)
+        self._inputs[:] = SPEEDS.struct.unpack(message.data)
         magnets, reference = logic.cycle(self._wsp, self._inputs)
         self._magnets = int(magnets)
-        self._send(REFERENCE, _REFERENCE.pack(int(reference)))
+        self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(int(reference)))
         self._tell_stuck(int(logic.stuck(self._wsp)))
         self._answer()
 
@@ -160,7 +154,7 @@ class Unit:
             self._stuck = axles
             log.info("WSP unit: stuck speed sensors, by axle: %s", f"{axles:04b}"[::-1])
             code = SENSOR_STUCK if axles else 0
-            self._send(EMERGENCY, struct.pack("<HBB4x", code, GENERIC_ERROR if axles else 0, axles))
+            self._send(UNIT_EMERGENCY_ID, struct.pack("<HBB4x", code, GENERIC_ERROR if axles else 0, axles))
 
     def _answer_without_speeds(self) -> None:
         self._missed += 1
@@ -170,12 +164,12 @@ class Unit:
 
     def _answer(self) -> None:
         self._awaiting = False
-        self._send(MAGNETS, bytes((self._magnets,)))
+        self._send(MAGNETS_ID, bytes((self._magnets,)))
         self.answers += 1
 
     def _heartbeat(self) -> None:
         self._quiet_until_s = time.monotonic() + QUIET_S
-        self._send(HEARTBEAT, bytes((self.state,)))
+        self._send(UNIT_HEARTBEAT_ID, bytes((self.state,)))
 
     def _send(self, can_id: int, data: bytes) -> None:
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))

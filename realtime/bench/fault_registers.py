@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from pymodbus.constants import ExcCodes
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.faults.catalogue import CATALOGUE, LASTS
+from rollerrig.firmware_sim.faults.catalogue import BY_NUMBER, LASTS
 from rollerrig.firmware_sim.faults.panel import Panel
 from rollerrig.firmware_sim.modbus.pdu import RefusedError
 from rollerrig.firmware_sim.modbus.unit import Reader, Writer
@@ -49,7 +49,7 @@ class FaultDesk:
         return chosen | {"inject_fault": self._inject, "lift_faults": self._lift}
 
     def _choose(self, name: str, raw: int, only: bool) -> None:
-        if name == "fault" and raw >= len(CATALOGUE):
+        if name == "fault" and raw not in BY_NUMBER:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not only:
             self.chosen[name] = raw
@@ -57,7 +57,7 @@ class FaultDesk:
     def _inject(self, raw: int, only: bool) -> None:
         if not raw or only:
             return
-        kind, target = CATALOGUE[self.chosen["fault"]], self.chosen["fault_target"]
+        kind, target = BY_NUMBER[self.chosen["fault"]], self.chosen["fault_target"]
         values: dict[str, Any] = {
             "for_s": self.chosen["fault_duration"] * DURATION_UNIT_S or LASTS}
         aim = next((row.name for row in kind.parameters if row.name in AIMS), "")

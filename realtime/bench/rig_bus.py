@@ -18,7 +18,7 @@ from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.faults.bus import Gate
 from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.firmware_sim.faults.panel import Site
-from rollerrig.firmware_sim.network import SYNC_ID, Network
+from rollerrig.firmware_sim.network import Network
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring as rings
@@ -27,10 +27,11 @@ from rollerrig.realtime.loop.tick import REFERENCE
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.bus.codecs import CODECS
+from rollerrig.wsp_interface.bus.connection_set import SYNC
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.rig_objects import HARNESS_ANSWER_ID, MAGNETS_ID
 
-ANSWER_ID = 0x200 + signals.BRAKE_NODE
 KERNEL_CHANNEL = "vcan0"
 
 
@@ -91,7 +92,7 @@ class RigBus:
                       "teeth": float(scenario["sensor"]["teeth"]), "heartbeat_ms": float(beat_ms)}
         asked = self.command[tick.DRIVES:tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
         store = {node: Path(bus["store"], f"node_{node:03d}.json") if bus["store"] else None
-                 for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE)}
+                 for node in signals.RIG_NODES}
         nodes = [drive.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,
                                 scenario["rig"]["drives"], store[node_id])
                  for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]
@@ -156,9 +157,9 @@ class RigBus:
 
     def _note_answer(self, frame: Frame) -> None:
         """An answer counts when it has come to the bus, whenever the wire carries it."""
-        if frame.can_id == ANSWER_ID:
+        if frame.can_id == MAGNETS_ID:
             self._count_answer()
-        elif frame.can_id == bench_node.ANSWER_ID:
+        elif frame.can_id == HARNESS_ANSWER_ID:
             self.harness_answered.set()
 
     def _count_answer(self) -> None:
@@ -188,7 +189,7 @@ class RigBus:
         if sender is self._port:
             return True  # the rack has asked already
         passes = self.gate.passes(frame, 0, carry)
-        if not passes and frame.can_id == ANSWER_ID:
+        if not passes and frame.can_id == MAGNETS_ID:
             self._count_answer()
         return passes
 
@@ -213,7 +214,7 @@ class RigBus:
 
 def _is_sync(frame: Frame) -> bool:
     # longer ones are errors, not SYNCs
-    return frame.can_id == SYNC_ID and len(frame.data) <= 1 and not frame.extended
+    return frame.can_id == SYNC and len(frame.data) <= 1 and not frame.extended
 
 
 def record_frames(hub: Hub, ring: rings.Ring, begun_ns: Callable[[], int] = lambda: 0) -> None:

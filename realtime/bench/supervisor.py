@@ -169,7 +169,6 @@ class Supervisor:
     def _states(self) -> dict[str, Reader]:
         rig, master = self.rig, self.rig.bus.master
         standing = signals.column("vehicle_speed")
-        nodes = (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE)
         return {
             "run": lambda: self.state is State.RUNNING,
             "stop": lambda: self.state is State.ENDED,
@@ -182,7 +181,7 @@ class Supervisor:
             "nodes_operational": master.all_operational,
             "state": lambda: self.state, "scenarios": lambda: len(self.scenarios),
             "wsp_unit_state": _nmt(master, signals.WSP_NODE),
-        } | {f"node_{node}_state": _nmt(master, node) for node in nodes}
+        } | {f"node_{node}_state": _nmt(master, node) for node in signals.RIG_NODES}
 
     def _set_points(self) -> dict[str, Reader]:
         return {

@@ -17,8 +17,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 from rollerrig.wsp_interface.bus.hub import Hub
-
-REFERENCE_ID = 0x180 + signals.WSP_NODE
+from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED
 
 
 class Rehearsal:
@@ -39,7 +38,7 @@ class Rehearsal:
         return self.tick * self.tick_ns
 
     def _note(self, frame: Frame) -> None:
-        if frame.can_id == rig_bus.ANSWER_ID:
+        if frame.can_id == MAGNETS_ID:
             self.answered_at = self.tick
 
     def cycle(self) -> int | None:
@@ -51,8 +50,8 @@ class Rehearsal:
             self.hub.advance(self._now_ns())
             if not asked and not self.hub.wire:
                 asked = True
-                self.unit.send(Frame(REFERENCE_ID, bytes(2)))
-                self.unit.send(Frame(rig_bus.ANSWER_ID, bytes(1)))
+                self.unit.send(Frame(REFERENCE_SPEED.can_id, bytes(2)))
+                self.unit.send(Frame(MAGNETS_ID, bytes(1)))
             self.tick += 1
         last = self.answered_at
         return None if last is None else last - begin

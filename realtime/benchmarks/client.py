@@ -17,15 +17,14 @@ import time
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import rig_objects, signals
+from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SDO_REQUEST, SYNC, TPDO
 
-SYNC, SPEEDS, MAGNETS = 0x080, 0x180 + signals.SPEED_NODE, 0x200 + signals.BRAKE_NODE
-HEARTBEAT = 0x700 + signals.WSP_NODE
+SPEEDS, MAGNETS = rig_objects.SPEEDS.can_id, rig_objects.MAGNETS_ID
 ECHO_CALL, ECHO_ANSWER = 0x7F0, 0x7F1
-SDO_CALL, SDO_ANSWER = 0x600 + signals.SPEED_NODE, 0x580 + signals.SPEED_NODE
+SDO_CALL, SDO_ANSWER = SDO_REQUEST + signals.SPEED_NODE, SDO_REPLY + signals.SPEED_NODE
 _DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
-TPDOS = frozenset(first + node for first in (0x180, 0x280, 0x380, 0x480)
-                   for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE))
+TPDOS = frozenset(first + node for first in TPDO for node in signals.RIG_NODES)
 _HOLD_ALL = sum(1 << 2 * at for at in range(signals.AXLES))
 BLOCK, _BLOCKS = 25, 60
 PRIORITY = 50
@@ -78,13 +77,13 @@ def listen(line: Line, answers: bool = False) -> dict[str, list[list[int]]]:
     """For each SYNC its stamp in us, and when it and the last TPDO that followed it were here."""
     syncs: list[list[int]] = []
     if answers:
-        line.send(HEARTBEAT, b"\x00")
-        line.send(HEARTBEAT, b"\x05")
+        line.send(rig_objects.UNIT_HEARTBEAT_ID, b"\x00")
+        line.send(rig_objects.UNIT_HEARTBEAT_ID, b"\x05")
     for heard in line.frames():
         if heard.can_id == SYNC:
             syncs.append([heard.stamp_us, heard.time_ns, 0])
             if answers and len(syncs) % 5 == 0:
-                line.send(HEARTBEAT, b"\x05")
+                line.send(rig_objects.UNIT_HEARTBEAT_ID, b"\x05")
         elif heard.can_id in TPDOS and syncs:
             syncs[-1][2] = heard.time_ns
             if answers and heard.can_id == SPEEDS:

@@ -448,7 +448,7 @@ def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
     told = Told()
     desk = fault_registers.FaultDesk(told)
     write, read = desk.writers(), desk.readers()
-    number = [kind.name for kind in catalogue.CATALOGUE].index("cylinder_leak")
+    number = catalogue.BY_NAME["cylinder_leak"].number
     for name, raw in (("fault", number), ("fault_target", 3), ("fault_duration", 20), ("inject_fault", 1)):
         write[name](raw, True)
         assert read["faults_active"]() == 0

@@ -26,6 +26,7 @@ from typing import Any
 from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
+from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SYNC
 from rollerrig.wsp_interface.bus.frames import OVERLOAD_BACKLOG_NS, BusLoad, Frame, check
 from rollerrig.wsp_interface.bus.wire import Alarm, Wire
 
@@ -40,7 +41,7 @@ Callback = Callable[[Frame], None]
 Then = Callable[[], None] | None
 Gate = Callable[["Port | Client", Frame, Callable[[], None]], bool]
 # NMT, and SDO, heartbeats and LSS: see `Hub.still`
-_SERVICES_BELOW, _SERVICES_FROM = 0x080, 0x580
+_SERVICES_BELOW, _SERVICES_FROM = SYNC, SDO_REPLY
 
 
 class Port:

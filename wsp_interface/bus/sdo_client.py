@@ -12,8 +12,8 @@ from collections.abc import Callable
 import can
 
 from rollerrig.configs.errors import BusError
+from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SDO_REQUEST
 
-REQUEST, REPLY = 0x600, 0x580
 PATIENCE_S = 5.0
 _ABORT, _DOWNLOADED, _SEGMENT_TAKEN, _UPLOAD = 0x80, 0x60, 0x20, 0x40
 _SIZES = {1: 0x2F, 2: 0x2B, 3: 0x27, 4: 0x23}
@@ -57,13 +57,13 @@ class SdoClient:
         return reply[4:4 + size]
 
     def _ask(self, node: int, data: bytes, wanted: int) -> bytes:
-        self._send(can.Message(arbitration_id=REQUEST + node, data=data, is_extended_id=False))
+        self._send(can.Message(arbitration_id=SDO_REQUEST + node, data=data, is_extended_id=False))
         deadline = time.monotonic() + PATIENCE_S
         while (rest_s := deadline - time.monotonic()) > 0.0:
             message = self._read(rest_s)
             if message is None:
                 continue
-            if message.arbitration_id != REPLY + node or len(message.data) != 8:
+            if message.arbitration_id != SDO_REPLY + node or len(message.data) != 8:
                 self._pass_on(message)
                 continue
             reply = bytes(message.data)

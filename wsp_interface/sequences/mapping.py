@@ -1,8 +1,8 @@
 """A unit that speaks plain CAN messages of its own: a DBC file and a mapping lead it to the rig.
 
 After each SYNC the gateway waits for the axle speeds of node 16, sends the unit its messages,
-encoded as the DBC says, and turns the unit's answer into the magnets of node 17 (211h), its
-reference speed (1A0h) and the heartbeat of node 32. So such a unit runs the same sequences, in
+encoded as the DBC says, and turns the unit's answer into the magnets of node 17, its
+reference speed and the heartbeat of node 32. So such a unit runs the same sequences, in
 lockstep too if it answers each of the last messages to it; one that keeps its own time is for real
 time. A unit that is silent is soon without heartbeat, and the brakes apply. Before the first SYNC it
 is asked with the speeds of a standing train until it answers.
@@ -23,7 +23,6 @@ Source: cantools for the DBC.
 """
 
 import contextlib
-import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -41,17 +40,19 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE, SPEED_NODE, WSP_NODE
+from rollerrig.wsp_interface.bus.connection_set import LSS_ANSWER, LSS_REQUEST, NMT, NODE_MASK, SYNC, TIME
+from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, PRESSURES, REFERENCE_SPEED, SPEEDS, UNIT_HEARTBEAT_ID
+from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, WSP_NODE
 
-SYNC, SPEEDS, PRESSURES = 0x080, 0x180 + SPEED_NODE, 0x180 + BRAKE_NODE
-MAGNETS, REFERENCE, HEARTBEAT = 0x200 + BRAKE_NODE, 0x180 + WSP_NODE, 0x700 + WSP_NODE
 OPERATIONAL, HEARTBEAT_SYNCS, QUIET_S = 5, 5, 0.1
-_RIG_NODES = (*signals.DRIVE_NODES, SPEED_NODE, BRAKE_NODE, WSP_NODE, BENCH_NODE)
+_NODES = (*signals.RIG_NODES, WSP_NODE, BENCH_NODE)
 _KEYS = ("title", "dbc", "to_unit", "from_unit")
 _TO, _FROM = ("message", "signals", "factor"), ("message", "hold", "vent", "reference",
                                                 "reference_factor")
-_SOURCES = tuple(name for one in ("measured_speed", "cylinder_pressure")
-                 for axle in range(1, AXLES + 1) for name in (f"{one}_{axle}",))
+# what a mapping calls the quantities: their columns without unit
+_PLAIN = {column: f"{one}_{axle}" for one in ("measured_speed", "cylinder_pressure")
+          for axle, column in enumerate(signals.columns(signals.BY_NAME[one]), start=1)}
+_SOURCES = tuple(_PLAIN.values())
 
 
 @dataclass(frozen=True)
@@ -135,8 +136,8 @@ def _message(given: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
 
 def _is_taken(can_id: int) -> bool:
     """Whether the predefined connection set of the rig's nodes has an identifier."""
-    return can_id in (0, SYNC, 0x100, 0x7E4, 0x7E5) or (
-        can_id & 0x7F in _RIG_NODES and can_id >> 7 in (*range(1, 13), 14))
+    return can_id in (NMT, SYNC, TIME, LSS_ANSWER, LSS_REQUEST) or (
+        can_id & NODE_MASK in _NODES and can_id >> 7 in (*range(1, 13), 14))
 
 
 def _known(given: Any, allowed: tuple[str, ...], where: str) -> None:
@@ -162,7 +163,6 @@ class Gateway:
         self.values = dict.fromkeys(_SOURCES, 0.0)
         self.answers = 0
         self._syncs, self._stopping, self._alive = 0, False, False
-        self._speed = struct.Struct(f"<{AXLES}h")
 
     def stop(self) -> None:
         """Ask `run` to end; it does within 0.1 s."""
@@ -178,7 +178,7 @@ class Gateway:
                     quiet_s = time.monotonic() + QUIET_S
                     self._tell_unit()
                     if self._alive:
-                        self._send(HEARTBEAT, bytes([OPERATIONAL]))
+                        self._send(UNIT_HEARTBEAT_ID, bytes([OPERATIONAL]))
                 message = self.bus.recv(QUIET_S)
                 if message is not None and message.arbitration_id == SYNC:
                     self._sync()
@@ -190,7 +190,7 @@ class Gateway:
     def _sync(self) -> None:
         self._syncs += 1
         if self._syncs % HEARTBEAT_SYNCS == 0 and self._alive:
-            self._send(HEARTBEAT, bytes([OPERATIONAL]))
+            self._send(UNIT_HEARTBEAT_ID, bytes([OPERATIONAL]))
             self._alive = False
 
     def _take(self, message: can.Message) -> None:
@@ -198,14 +198,13 @@ class Gateway:
         if message.is_extended_id == self.mapping.incoming.is_extended_frame and (
                 can_id == self.mapping.incoming.frame_id):
             self._answer(bytes(data))
-        elif can_id in (SPEEDS, PRESSURES) and len(data) == self._speed.size:
-            name, scale = (("measured_speed", 0.01) if can_id == SPEEDS
-                           else ("cylinder_pressure", 100.0))
-            for axle, raw in enumerate(self._speed.unpack(data), start=1):
-                self.values[f"{name}_{axle}"] = raw * scale
-            # pressures come last in a cycle: what the unit gets is then of one SYNC
-            if can_id == PRESSURES:
-                self._tell_unit()
+            return
+        for layout in (SPEEDS, PRESSURES):
+            if can_id == layout.can_id and (found := layout.read(data)):
+                self.values |= {_PLAIN[name]: value for name, value in found.items()}
+                # pressures come last in a cycle: what the unit gets is then of one SYNC
+                if layout is PRESSURES:
+                    self._tell_unit()
 
     def _tell_unit(self) -> None:
         for one in self.mapping.outgoing:
@@ -223,12 +222,12 @@ class Gateway:
         mapping = self.mapping
         if mapping.reference:
             raw = signals.count(float(told[mapping.reference]) * mapping.reference_factor,
-                                signals.BY_NAME["wsp_reference_speed"].places[0])
-            self._send(REFERENCE, struct.pack("<h", raw))
+                                signals.place("wsp_reference_speed", WSP_NODE))
+            self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(raw))
         magnets = 0
         for at, (hold, vent) in enumerate(zip(mapping.hold, mapping.vent, strict=True)):
             magnets |= (bool(told[hold]) | bool(told[vent]) << 1) << 2 * at
-        self._send(MAGNETS, bytes([magnets]))
+        self._send(MAGNETS_ID, bytes([magnets]))
         self.answers += 1
 
     def _send(self, can_id: int, data: bytes) -> None:
