@@ -8,8 +8,8 @@ there; values of two registers have the higher one first.
 """
 
 import csv
-import io
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Iterable, Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -182,69 +182,57 @@ def drive_words(dictionary: ObjectDictionary) -> tuple[Register, ...]:
 
 # -- the map as files
 
-HEAD = ("unit", "space", "register", "reference", "name", "kind", "unit_of_value", "scale",
-        "access", "meaning")
+HEAD = ("unit", "space", "register", "reference", "name", "kind", "unit_of_value", "scale", "access", "meaning")
+_INTRODUCTION = """# Modbus map
+
+Addresses count from 0, as on the wire; the references of other tools count from 1 and are
+given beside them. Functions 1 and 2 read the same bits, 3 and 4 the same registers; only
+rows marked rw can be written (5, 6, 15, 16, 22, 23). A value of two registers has the
+higher one first and is written whole. Value = count x scale; a quantity that is not known
+is the lowest count of its kind.
+"""
 
 
 def table(drives: Mapping[int, ObjectDictionary]) -> list[tuple[str, ...]]:
     """All rows as text, in the order of `HEAD`; `drives` are the drives' dictionaries by node."""
-    units: dict[int, tuple[tuple[Register, ...], ...]] = {PLC_UNIT: (BITS, WORDS)}
-    for node, one in drives.items():
-        units[DRIVE_UNITS[node]] = (), drive_words(one)
-    return [_line(unit, space, row) for unit, spaces in units.items()
-            for space, rows in zip(("bits", "registers"), spaces, strict=True) for row in rows]
-
-
-def _line(unit: int, space: str, row: Register) -> tuple[str, ...]:
-    last = f"..{row.at + row.width - 1}" if row.width > 1 else ""
-    # the references of Modicon count from 1 and tell the table in front
-    if space == "bits":
-        reference = f"{row.at + 1:05d}" if row.access == WRITE else f"{10001 + row.at}"
-    else:
-        reference = f"{(40001 if row.access == WRITE else 30001) + row.at}"
-    scale = f"{row.scale:.6g}" + (f" x {row.of}" if row.of else "")
-    return (str(unit), space, f"{row.at}{last}", reference, row.name, row.kind,
-            row.unit.replace("_", "/"), scale, row.access, row.text)
+    found = []
+    units = ((PLC_UNIT, BITS, WORDS), *((DRIVE_UNITS[node], (), drive_words(one)) for node, one in drives.items()))
+    for unit, bits, words in units:
+        # the references of Modicon count from 1 and tell the table in front
+        for space, rows, written, read in (("bits", bits, 1, 10001), ("registers", words, 40001, 30001)):
+            for row in rows:
+                last = f"..{row.at + row.width - 1}" if row.width > 1 else ""
+                scale = f"{row.scale:.6g}" + (f" x {row.of}" if row.of else "")
+                reference = f"{row.at + (written if row.access == WRITE else read):05d}"
+                found.append((str(unit), space, f"{row.at}{last}", reference, row.name, row.kind,
+                              row.unit.replace("_", "/"), scale, row.access, row.text))
+    return found
 
 
 def markdown(drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()) -> str:
     """The map as a document. `scenarios`: their names, in the order of their numbers."""
-    rows = table(drives)
-    lines = [
-        "# Modbus map", "",
-        "Addresses count from 0, as on the wire; the references of other tools count from 1 and are",
-        "given beside them. Functions 1 and 2 read the same bits, 3 and 4 the same registers; only",
-        "rows marked rw can be written (5, 6, 15, 16, 22, 23). A value of two registers has the",
-        "higher one first and is written whole. Value = count x scale; a quantity that is not known",
-        "is the lowest count of its kind.", "",
-    ]
-    for unit in dict.fromkeys(row[0] for row in rows):
-        what = "the rig" if unit == str(PLC_UNIT) else (
-            f"roller drive {int(unit) - FIRST_DRIVE_UNIT + 1}")
-        lines += [f"## Unit {unit}: {what}", "", f"| {' | '.join(HEAD[1:])} |",
-                  "|" + "---|" * (len(HEAD) - 1)]
-        lines += [f"| {' | '.join(row[1:])} |" for row in rows if row[0] == unit]
-        lines.append("")
+    lines = [_INTRODUCTION]
+    for unit, rows in itertools.groupby(table(drives), key=lambda row: int(row[0])):
+        what = "the rig" if unit == PLC_UNIT else f"roller drive {unit - FIRST_DRIVE_UNIT + 1}"
+        lines += [f"## Unit {unit}: {what}", "", *_lines(HEAD[1:], (row[1:] for row in rows)), ""]
     if scenarios:
-        lines += ["## Scenarios, register 0 of unit 1", "", "| number | scenario |", "|---|---|"]
-        lines += [f"| {number} | {name} |" for number, name in enumerate(scenarios)]
-    lines += ["", "## Faults, register 20 of unit 1", "", "| number | fault | what it does |", "|---|---|---|"]
-    lines += [f"| {kind.number} | {kind.name} | {kind.text} |" for kind in CATALOGUE]
-    return "\n".join(lines).rstrip("\n") + "\n"
+        lines += ["## Scenarios, register 0 of unit 1", "", *_lines(("number", "scenario"), enumerate(scenarios))]
+    faults = ((kind.number, kind.name, kind.text) for kind in CATALOGUE)
+    lines += ["", "## Faults, register 20 of unit 1", "", *_lines(("number", "fault", "what it does"), faults)]
+    return "\n".join(lines) + "\n"
 
 
-def table_csv(drives: Mapping[int, ObjectDictionary]) -> str:
-    """The map as CSV, with a line of heads."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([HEAD, *table(drives)])
-    return text.getvalue()
+def _lines(heads: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
+    yield f"| {' | '.join(heads)} |"
+    yield "|" + "---|" * len(heads)
+    yield from (f"| {' | '.join(map(str, row))} |" for row in rows)
 
 
-def write(folder: Path, drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()
-          ) -> list[Path]:
+def write(folder: Path, drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()) -> list[Path]:
     """Write `modbus.md` and `modbus.csv` into a folder; what was written."""
     folder.mkdir(parents=True, exist_ok=True)
-    texts = {"modbus.md": markdown(drives, scenarios), "modbus.csv": table_csv(drives)}
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
+    document, sheet = folder / "modbus.md", folder / "modbus.csv"
+    document.write_text(markdown(drives, scenarios), encoding="utf-8")
+    with sheet.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([HEAD, *table(drives)])
+    return [document, sheet]

@@ -8,7 +8,7 @@ Application Protocol Specification V1.1b3, section 6.
 
 from collections.abc import Mapping
 from importlib import metadata
-from typing import Any, Protocol
+from typing import Any
 
 from pymodbus.constants import DeviceInformation, ExcCodes, ModbusStatus
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
@@ -17,10 +17,12 @@ from pymodbus.pdu import register_message as words
 from pymodbus.pdu.device import ModbusControlBlock
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 
-IDENTITY = {0: "rollerrig", 1: "roller rig", 2: metadata.version("rollerrig"), 4: "rollerrig",
-            5: "roller-rig emulator for wheel slide protection"}
+# what function 43/14 tells; pymodbus knows one identity a process
+ModbusControlBlock().Identity.update({
+    0: "rollerrig", 1: "roller rig", 2: metadata.version("rollerrig"), 4: "rollerrig",
+    5: "roller-rig emulator for wheel slide protection"})
 _REGULAR_CONFORMITY = 0x82  # basic and regular objects, as a stream and one by one
-_CHECKSUM_BYTES = 2
+EXCEPTION = 0x80
 
 
 class RefusedError(Exception):
@@ -31,25 +33,11 @@ class RefusedError(Exception):
         self.code = code
 
 
-class Image(Protocol):
-    """A unit as pymodbus' requests see it; `function` tells bits from registers, `at` counts from 0.
-
-    Both raise RefusedError, and then nothing has changed; neither waits.
-    """
-
-    async def async_getValues(self, unit: int, function: int, at: int, count: int) -> list[int]:
-        """Bits or registers."""
-
-    async def async_setValues(self, unit: int, function: int, at: int, values: list[int]) -> None:
-        """Set bits or registers."""
-
-
 class _Echoed(ModbusPDU):
     """A write that is its own answer."""
 
     async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
-        values = self.bits or self.registers
-        await context.async_setValues(device_id, self.function_code, self.address, values)
+        await context.async_setValues(device_id, self.function_code, self.address, self.bits or self.registers)
         return self
 
 
@@ -58,7 +46,7 @@ class WriteCoil(_Echoed, bits.WriteSingleCoilRequest):
 
     def decode(self, data: bytes) -> None:
         super().decode(data)
-        if int.from_bytes(data[2:4], "big") not in (ModbusStatus.ON, ModbusStatus.OFF):
+        if int.from_bytes(data[2:], "big") not in (ModbusStatus.ON, ModbusStatus.OFF):
             raise ValueError(data)
 
 
@@ -73,7 +61,7 @@ class WriteCoils(bits.WriteMultipleCoilsRequest):
 
 
 class Exchange(words.ReadWriteMultipleRegistersRequest):
-    """Function 23: what cannot be read is not written either."""
+    """Function 23: where nothing can be read, nothing is written."""
 
     async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
         await context.async_getValues(device_id, self.function_code, self.read_address, self.read_count)
@@ -89,8 +77,8 @@ class Identify(ReadDeviceInformationRequest):
             self.object_id = 0
 
     async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
-        reply = await super().datastore_update(context, device_id)
-        reply.conformity = _REGULAR_CONFORMITY  # type: ignore[attr-defined]
+        reply: Any = await super().datastore_update(context, device_id)
+        reply.conformity = _REGULAR_CONFORMITY
         return reply
 
 
@@ -99,14 +87,13 @@ FUNCTIONS: dict[int, type[ModbusPDU]] = {kind.function_code: kind for kind in (
     words.ReadInputRegistersRequest, WriteCoil, WriteRegister, WriteCoils,
     words.WriteMultipleRegistersRequest, words.MaskWriteRegisterRequest, Exchange, Identify)}
 BITS, WRITES = (1, 2, 5, 15), (5, 6, 15, 16, 22, 23)
-EXCEPTION = 0x80
 
 
 class Decoder(DecodePDU):
-    """Which class a request is of, for pymodbus' framers."""
+    """Tells pymodbus' framers, and `answer`, of which class a request is."""
 
     def lookupPduClass(self, data: bytes) -> type[ModbusPDU] | None:
-        """The class of a request behind its unit; None: it is not served."""
+        """The class of the request behind a unit; None: it is not served."""
         kind = FUNCTIONS.get(data[1])
         return None if kind is Identify and data[2:3] != bytes((Identify.sub_function_code,)) else kind
 
@@ -114,15 +101,11 @@ class Decoder(DecodePDU):
 DECODER = Decoder(True)
 
 
-def identify() -> None:
-    """Tell pymodbus, which knows one identity a process, what functions 43/14 answer."""
-    ModbusControlBlock().Identity.update(IDENTITY)
-
-
-def answer(units: Mapping[int, Image], unit: int, request: bytes) -> bytes:
+def answer(units: Mapping[int, Any], unit: int, request: bytes) -> bytes:
     """The answer of a unit to a request (function code and data, at least one byte).
 
-    Never raises: what fails inside is exception 04.
+    A unit has pymodbus' `async_getValues` and `async_setValues`, which never wait and raise
+    RefusedError. Never raises: what fails inside is exception 04.
     """
     try:
         reply = _execute(units, unit, bytes((unit,)) + request)
@@ -132,11 +115,10 @@ def answer(units: Mapping[int, Image], unit: int, request: bytes) -> bytes:
     except Exception:
         # a fault in a reader or a writer must not end the connection, let alone the bench
         code = ExcCodes.DEVICE_FAILURE
-    reply = ExceptionResponse(request[0], code)
-    return bytes((reply.function_code,)) + reply.encode()
+    return bytes((request[0] | EXCEPTION,)) + ExceptionResponse(request[0], code).encode()
 
 
-def _execute(units: Mapping[int, Image], unit: int, frame: bytes) -> ModbusPDU:
+def _execute(units: Mapping[int, Any], unit: int, frame: bytes) -> ModbusPDU:
     if unit not in units:
         raise RefusedError(ExcCodes.GATEWAY_NO_RESPONSE)
     kind = DECODER.lookupPduClass(frame)
@@ -144,14 +126,15 @@ def _execute(units: Mapping[int, Image], unit: int, frame: bytes) -> ModbusPDU:
         raise RefusedError(ExcCodes.ILLEGAL_FUNCTION)
     request = kind()
     try:
-        if kind.calculateRtuFrameSize(frame) != len(frame) + _CHECKSUM_BYTES:
+        # a frame of RTU has two bytes more
+        if kind.calculateRtuFrameSize(frame) != len(frame) + 2:
             raise ValueError(frame)
         request.decode(frame[2:])
     except ValueError:
         raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
     try:
-        # an image never waits, so the first step of the coroutine is its last
-        request.datastore_update(units[unit], unit).send(None)  # type: ignore[arg-type]
+        # the first step of a coroutine that never waits is its last
+        request.datastore_update(units[unit], unit).send(None)
     except StopIteration as done:
         return done.value
-    raise RuntimeError("an image has waited")
+    raise RuntimeError("a unit has waited")

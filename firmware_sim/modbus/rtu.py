@@ -37,10 +37,10 @@ class Frame(FramerRTU):
         """Bytes used (0: no whole sound request), unit, 0 and request."""
         kind = self.decoder.lookupPduClass(data) if len(data) >= self.MIN_SIZE else None
         size = kind.calculateRtuFrameSize(data) if kind else 0
-        return self.sound(data[:size]) if 0 < size <= len(data) else (0, 0, 0, b"")
+        return self.sound(data[:size]) if size <= len(data) else (0, 0, 0, b"")
 
     def sound(self, frame: bytes) -> tuple[int, int, int, bytes]:
-        """As `decode`, of a frame that the silence has ended."""
+        """As `decode`, of bytes that the silence has ended."""
         whole = (self.MIN_SIZE <= len(frame) <= LARGEST_FRAME
                  and self.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")))
         return (len(frame), frame[0], 0, frame[1:-2]) if whole else (0, 0, 0, b"")
@@ -107,37 +107,32 @@ class SerialLine(asyncio.Protocol):
             self._other = -1
 
     def data_received(self, data: bytes) -> None:
-        self._received += data
-        used, unit, _, request = self._frame.decode(self._received)
-        while used:
-            self._received = self._received[used:]
-            self._obey(unit, request)
-            used, unit, _, request = self._frame.decode(self._received)
         if self._quiet:
             self._quiet.cancel()
-        self._quiet = None
+        self._received += data
+        while self._obey(*self._frame.decode(self._received)):
+            pass
         if self._received:
             self._quiet = asyncio.get_running_loop().call_later(self.silence_s, self._on_silence)
             # more than any frame: only its end is still of interest
             self._received = self._received[-LARGEST_FRAME - 1:]
 
     def _on_silence(self) -> None:
-        used, unit, _, request = self._frame.sound(self._received)
-        self._received, self._quiet = b"", None
-        if used:
-            self._obey(unit, request)
-        else:
-            self.server.counters.malformed += 1
+        self.server.counters.malformed += not self._obey(*self._frame.sound(self._received))
+        self._received = b""
 
-    def _obey(self, unit: int, request: bytes) -> None:
-        if unit == BROADCAST:
+    def _obey(self, used: int, unit: int, _: int, request: bytes) -> bool:
+        """Take a frame from what has come, and answer it; False if there is none."""
+        self._received = self._received[used:]
+        if used and unit == BROADCAST:
             for one in self.server.units if request[0] in pdu.WRITES else ():
                 self.server.answer(one, request)
-        elif unit in self.server.units and request[0] < pdu.EXCEPTION and self._ends:
+        elif used and unit in self.server.units and request[0] < pdu.EXCEPTION and self._ends:
             reply = self._frame.encode(self.server.answer(unit, request), unit, 0)
             # what a client does not read is lost, as on a wire
             if self._ends[1].get_write_buffer_size() + len(reply) <= _UNSENT_BYTES:
                 self._ends[1].write(reply)
+        return bool(used)
 
     # -- lost and found
 

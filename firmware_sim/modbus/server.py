@@ -1,11 +1,10 @@
 """Modbus TCP, and Modbus over TLS with client certificates: connections, limits, counters.
 
-Headers are pymodbus'; the connections are ours, because pymodbus' own server answers one of several
-requests in a segment, forgets long ones and hides why it cannot listen. What cannot be a Modbus
-header closes the connection. A client that floods takes turns with everybody else, one that does
-not read its answers is not read either, and when all places are taken the connection that has been
-idle longest gives way. Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3
-and 4; MODBUS/TCP Security v2.1.
+The header is pymodbus', the connections are ours: its own server answers one of several requests in a
+segment, forgets what is long and hides why it cannot listen. What cannot be a Modbus header closes the
+connection. A client that floods takes turns with everybody else, one that does not read its answers is
+not read either, and when all places are taken the connection that has been idle longest gives way.
+Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3 and 4; MODBUS/TCP Security v2.1.
 """
 
 import asyncio
@@ -20,7 +19,7 @@ from pymodbus.framer import FramerSocket
 
 from rollerrig.configs.errors import BusError, ConfigError
 from rollerrig.firmware_sim.modbus import pdu
-from rollerrig.firmware_sim.modbus.pdu import Image
+from rollerrig.firmware_sim.modbus.unit import Unit
 
 # the length in the header counts the unit and the request: at least a function code
 SHORTEST, LONGEST = 2, 254
@@ -49,18 +48,17 @@ class Counters:
     """What the server has seen."""
 
     def __init__(self) -> None:
-        self.clients = self.requests = self.exceptions = self.malformed = 0
+        self.requests = self.exceptions = self.malformed = 0
 
 
 class Server:
     """Units behind sockets, or a serial line; all in the running loop."""
 
-    def __init__(self, units: Mapping[int, Image], counters: Counters | None = None) -> None:
+    def __init__(self, units: Mapping[int, Unit], counters: Counters | None = None) -> None:
         self.units, self.counters = units, counters or Counters()
         self.header = Header(pdu.DECODER)
         self.connections: set[Connection] = set()
         self._listener: asyncio.Server | None = None
-        pdu.identify()
 
     async def listen(self, host: str, port: int, context: ssl.SSLContext | None = None) -> int:
         """Take clients at an address; returns the port (0 takes a free one). Raises BusError."""
@@ -81,23 +79,9 @@ class Server:
             self._listener.close()
             for connection in self.connections:
                 connection.transport.abort()
-            # their ends are told in the next turn of the loop
+            # they hear of it in the next turn of the loop
             await asyncio.sleep(0)
             await self._listener.wait_closed()
-
-    def join(self, connection: "Connection") -> None:
-        """A client has come; the one idle longest leaves when there are too many."""
-        if len(self.connections) >= CLIENTS_MAX:
-            idle = min(self.connections, key=lambda one: one.used_s)
-            self.leave(idle)
-            idle.transport.abort()
-        self.connections.add(connection)
-        self.counters.clients = len(self.connections)
-
-    def leave(self, connection: "Connection") -> None:
-        """A client has gone."""
-        self.connections.discard(connection)
-        self.counters.clients = len(self.connections)
 
     def answer(self, unit: int, request: bytes) -> bytes:
         """The answer to a request, counted."""
@@ -122,10 +106,15 @@ class Connection(asyncio.BufferedProtocol):
         self.transport = cast(asyncio.Transport, transport)
         for option in _KEEPALIVE:
             transport.get_extra_info("socket").setsockopt(*option)
-        self.server.join(self)
+        others = self.server.connections
+        if len(others) >= CLIENTS_MAX:
+            idle = min(others, key=lambda one: one.used_s)
+            others.discard(idle)
+            idle.transport.abort()
+        others.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self.server.leave(self)
+        self.server.connections.discard(self)
 
     def pause_writing(self) -> None:
         # its answers are not read: its requests have to wait

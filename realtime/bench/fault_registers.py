@@ -7,12 +7,10 @@ and an event says why.
 
 from typing import Any, Protocol
 
-from pymodbus.constants import ExcCodes
-
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults.catalogue import BY_NUMBER, LASTS
 from rollerrig.firmware_sim.faults.panel import Panel
-from rollerrig.firmware_sim.modbus.pdu import RefusedError
+from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.unit import Reader, Writer
 
 AIMS = ("axle", "node", "can_id")

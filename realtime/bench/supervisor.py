@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from pymodbus.constants import ExcCodes
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
@@ -24,7 +23,7 @@ from rollerrig.firmware_sim.faults.panel import Panel
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
 from rollerrig.firmware_sim.modbus.map import BITS, NO_DEMAND, UNHEARD, WORDS, State
-from rollerrig.firmware_sim.modbus.pdu import Image, RefusedError
+from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
 from rollerrig.firmware_sim.modbus.server import Counters, Server, tls_context
 from rollerrig.firmware_sim.modbus.unit import Reader, Unit, Writer
@@ -154,12 +153,12 @@ class Supervisor:
 
     # -- the units
 
-    def units(self) -> dict[int, Image]:
+    def units(self) -> dict[int, Unit]:
         """The image of every unit."""
         bus, rows = self.rig.bus, (*BITS, *WORDS)
         rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
         measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
-        found: dict[int, Image] = {map.PLC_UNIT: Unit(
+        found: dict[int, Unit] = {map.PLC_UNIT: Unit(
             rows, measured | self._states() | self._set_points() | self._health() | self.desk.readers(),
             self._writers() | self.desk.writers())}
         for node, unit in map.DRIVE_UNITS.items():
@@ -210,7 +209,7 @@ class Supervisor:
             "bus_frames": lambda: rig.hub.stats()["frames"],
             "bus_frames_dropped": lambda: rig.hub.stats()["dropped"],
             "bus_load": lambda: round(10.0 * rig.hub.stats()["load_percent"]),
-            "modbus_clients": lambda: counters.clients,
+            "modbus_clients": lambda: len(self.server.connections) if self.server else 0,
             "modbus_requests": lambda: counters.requests,
             "modbus_exceptions": lambda: counters.exceptions,
             "modbus_malformed": lambda: counters.malformed,

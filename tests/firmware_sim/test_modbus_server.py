@@ -274,7 +274,7 @@ def test_when_places_are_taken_the_idle_one_gives_way(site):
     for one in others:
         assert one.words(202, 1) == [1234]
     assert first.receive() is None
-    assert site.server.counters.clients == server.CLIENTS_MAX
+    assert len(site.server.connections) == server.CLIENTS_MAX
 
 
 def test_a_client_that_vanishes_in_the_middle_of_a_request_is_forgotten(site):
@@ -282,7 +282,7 @@ def test_a_client_that_vanishes_in_the_middle_of_a_request_is_forgotten(site):
     gone.send(adu(two(3, 200, 1))[:9])
     gone.socket.close()
     assert polite.words(202, 1) == [1234]
-    until(lambda: site.server.counters.clients == 1)
+    until(lambda: len(site.server.connections) == 1)
 
 
 def mutated(rng):
