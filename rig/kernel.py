@@ -9,7 +9,7 @@ import contextlib
 import hashlib
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +70,13 @@ kernel_inlined = _njit(**_OPTIONS, _nrt=False, forceinline=True)
 
 # for batch work that makes arrays of its own; a step never calls these
 kernel_with_memory = _njit(**_OPTIONS)
+
+
+def written(name: str, lines: Sequence[str], file: str, module: str, names: Mapping[str, Any]) -> Any:
+    """The kernel `name` from lines that a table gave; it is cached as if it stood in `file`."""
+    space: dict[str, Any] = {"__name__": module, **names}
+    exec(compile("\n".join(lines), file, "exec"), space)
+    return kernel(space[name])
 
 
 def seeing(structure: Any, places: Sequence[slice | None]) -> Any:

@@ -16,6 +16,7 @@ from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
 from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.mechanisms import plant as effects
 from rollerrig.rig.mechanisms import table
+from rollerrig.rig.mechanisms.mechanism import ALL_AXLES_ALIKE, NOT
 from rollerrig.rig.multibody import coach as coaches
 from rollerrig.rig.multibody import port
 from rollerrig.rig.multibody import table as coach_table
@@ -261,14 +262,14 @@ def build(
     extra = sections["mechanisms"]
     if sections["vehicle"]["model"] != "planar":
         check_coach(extra)
-    vehicle = extended_vehicle(sections["vehicle"], extra)
+    vehicle = effects.extended(sections["vehicle"], extra)
     mode = MODES[sections["rig"]["mode"]]
     roller_radius_m = math.inf if mode == TRACK else contact["roller_radius_m"]
     patch = patch_for(vehicle["wheel_radius_m"], roller_radius_m, contact["lateral_radius_m"],
                       contact["young_Pa"], contact["shear_Pa"], contact["poisson"],
                       MODELS[contact["model"]], contact["fastsim_cells"])
-    patch = patch._replace(eps1=patch.eps1 * (1.0 + extra["roller_curvature_stiffness_fraction"]))
-    adhesion = extended_law(sections["adhesion"], extra)
+    patch = patch._replace(**effects.extended({"eps1": patch.eps1}, extra))
+    adhesion = effects.extended(sections["adhesion"], extra)
     cleaning_creepage = adhesion.pop("cleaning_creepage")
     law = Law(**adhesion)
     return Params(
@@ -282,51 +283,15 @@ def build(
     )
 
 
-# coefficient of the running resistance that grows with this power of the speed
-RESISTANCE = {0.0: "resistance_A_N", 1.0: "resistance_B_N_s_m", 2.0: "resistance_C_N_s2_m2"}
-
-
-def extended_vehicle(vehicle: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str, Any]:
-    """Vehicle values with the resistance of an extended model, radius and inertia where all axles have it."""
-    found = dict(vehicle)
-    found["resistance_A_N"] += 9.80665 * vehicle["mass_kg"] * extra["track_gradient_gradient"]
-    power = extra["running_resistance_speed_power"]
-    if power not in RESISTANCE:
-        raise ConfigError(f"[mechanisms] running_resistance_speed_power = {power:g}; allowed are 0 "
-                          "(constant), 1 and 2 (with the speed, with its square)")
-    found[RESISTANCE[power]] += extra["running_resistance_force_N"] / 20.0**power
-    for name, key in (("wheel_radius", "wheel_radius_m"), ("wheel_inertia", "wheelset_inertia_kgm2")):
-        if extra[f"{name}_axle"] == 0.0:
-            found[key] *= 1.0 + extra[f"{name}_fraction"]
-    return found
-
-
 def check_coach(extra: Mapping[str, float]) -> None:
     """Raise ConfigError where an extended model has a mechanism that the coach in 3D does not know."""
-    strange = [name for name in table.WHOLE_COACH if extra[f"{name}_axle"] != 0.0]
-    for name in (*table.NOT_OF_COACH, *strange):
-        known = table.BY_NAME[name]
-        for row in known.parameters[:known.free]:
-            value = extra[f"{name}_{row.name}"]
-            if value != 0.0:
-                raise ConfigError(
-                    f"[mechanisms] {name}_{row.name} = {value:g}: the coach in 3D does not know that "
-                    f"{known.text}; allowed is 0, or the planar vehicle, vehicle.model = \"planar\"")
-
-
-def extended_law(law: Mapping[str, Any], extra: Mapping[str, float]) -> dict[str, Any]:
-    """Adhesion values with the layer and the falling friction of an extended model."""
-    found = dict(law)
-    softened = ("k_ad", "k_ar") if extra["interfacial_layer_whole"] == 0.0 else ("k_ad", "k_ar", "k_sd", "k_sr")
-    for key in softened:
-        found[key] *= 1.0 - extra["interfacial_layer_reduction"]
-    if extra["falling_friction_height"] == 0.0:
-        for key in ("gamma_d_s_m", "gamma_r_s_m"):
-            found[key] *= 1.0 + extra["falling_friction_fraction"]
-    else:
-        for key in ("A_d", "A_r"):
-            found[key] /= 1.0 + (1.0 - found[key]) * extra["falling_friction_fraction"]
-    return found
+    for known in table.IN_PLANT:
+        if known.in_coach == NOT or (known.in_coach == ALL_AXLES_ALIKE and extra[f"{known.name}_axle"] != 0.0):
+            for key in known.coefficients:
+                if extra[key] != 0.0:
+                    raise ConfigError(
+                        f"[mechanisms] {key} = {extra[key]:g}: the coach in 3D does not know that {known.text}; "
+                        "allowed is 0, or the planar vehicle, vehicle.model = \"planar\"")
 
 
 def _transfers(vehicle: Vehicle, extra: Mapping[str, float]) -> Vehicle:

@@ -56,7 +56,7 @@ def begin(state, params, coach):
 def friction(state, params):
     """Set the contaminant under each axle for this time and place."""
     plan = params.friction
-    if params.effects.on_friction:
+    if params.effects.on_friction or params.effects.on_torque:
         plant.remember(state, params.axle_position_m, params.tick_s)
     for j in range(AXLES):
         state.friction_degraded[j] = params.law.mu_cd
@@ -123,7 +123,8 @@ def capacity(state, axle, params):
     """Torque in N m that the discs of an axle can hold now."""
     found = brake.capacity(state.cylinder_pressure[axle], params.brake)
     if params.effects.on_torque:
-        found = plant.torque(found, axle, state.brake_work[axle], params.effects)
+        place_m = state.position[0] - params.axle_position_m[axle]
+        found = plant.torque(found, state, axle, place_m, params.effects)
     return found
 
 

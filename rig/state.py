@@ -46,6 +46,7 @@ class State(NamedTuple):
     friction_recovered: np.ndarray  # -, friction
     friction_asked: np.ndarray  # -, kinematic friction that replaces the plan's, 0: none; the tick
     slid: np.ndarray  # m, sliding distance so far, kept while an extended model asks; friction
+    braked_angle: np.ndarray  # rad, turned while the brake was applied, likewise; friction
     rail_work: np.ndarray  # J/m, work of the wheels before on this metre, likewise; friction
     lagged_transition: np.ndarray  # -, lambda as a wheel remembers it, likewise; integrate
     instantaneous_transition: np.ndarray  # -, lambda without memory, first stage of a step; integrate

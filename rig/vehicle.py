@@ -12,6 +12,7 @@ The pitch of body and frames is not modelled here: the transfer follows the dece
 import math
 
 from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.mechanisms.elsewhere import wheel_out_of_round
 from rollerrig.rig.state import AXLES
 
 # below this speed a braked or resisted vehicle stands: resistance is dry friction there
@@ -41,7 +42,7 @@ def swung(load_N, axle, angle_rad, wheels):
     """Load in N of a wheelset whose wheels have turned by an angle, round or not [V4]."""
     if not wheels.swings:
         return load_N
-    return load_N * (1.0 + wheels.table[SWING + axle] * math.cos(angle_rad + wheels.swing_phase_rad))
+    return load_N * (1.0 + wheels.table[SWING + axle] * wheel_out_of_round(angle_rad, wheels.swing_phase_rad))
 
 
 @kernel_inlined

@@ -1,12 +1,9 @@
 """The mechanisms of an extended model inside the plant: friction under a wheel, torque at a brake.
 
-Resistance, load transfer, contact stiffness, radii and inertias are changed once, where the
-parameters are built; what depends on time, place, speed or past work is computed here in each
-tick, the memory of adhesion and the load on a wheel out of round in each step of `wheelset`. While
-all coefficients are 0 nothing is computed and no bit changes.
-
-    [X1] mu_cd, mu_cr *= exp(sum of terms), terms as `mechanisms.TABLE` writes them
-    [X2] C = (1 + gain) C_0 (1 - fade H0 (1 - e^(-H / H0))) + offset while the brake is applied, not below 0
+What depends on time, place, speed or past work is computed here in each tick, by the courses of the
+table; the memory of adhesion and the load on a wheel out of round in each step of `wheelset`; constants
+of the model are changed once, where the parameters are built. While all coefficients are 0 nothing is
+computed and no bit changes.
 
 The work on a metre of rail reaches the next wheel after the distance between them, as a first-order
 lag of that length: an approximation of the pure delay.
@@ -18,48 +15,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.kernel import kernel, written
+from rollerrig.rig.mechanisms import constants, friction
+from rollerrig.rig.mechanisms.mechanism import AXLES, COVARIATES, FRICTION, TORQUE, Mechanism, arguments
+from rollerrig.rig.mechanisms.table import IN_PLANT, rows
 
-AXLES = 4
-MIDDLE_SPEED_M_S = 20.0
-GAIN, OFFSET_NM = 0, AXLES  # where `own` has what
-CONDITIONS = ("rail_cleaning_gain", "speed_dependent_friction_slope_per_m_s",
-              "negative_conditioning_loss", "contaminated_patch_depth", "friction_trend_rate_1_s",
-              "sanding_gain", "empirical_linear", "empirical_quadratic")
-TORQUES = ("brake_gain_gain", "pad_fade_fade_1_MJ", "torque_offset_offset_Nm")
+# where `Effects.values` has what
+PLACE = {row.name: i for i, row in enumerate(rows())}
+_EMPIRICAL = PLACE["empirical_linear"]
 
 
 class Effects(NamedTuple):
-    """Coefficients of the extended model; `own` (8,) has gain and offset of the torque for each axle."""
+    """What a tick and a step read of an extended model."""
 
     on_friction: bool
     on_torque: bool
-    cleaning: float
-    cleaning_J_m: float
-    speed_slope_s_m: float
-    speed_knee_m_s: float
-    conditioning: float
-    conditioning_m: float
-    patch: float
-    patch_from_m: float
-    patch_to_m: float
-    patch_edge_m: float
-    trend_1_s: float
-    trend_s: float
-    sand: float
-    sand_from_s: float
-    sand_to_s: float
-    sand_first: int  # first wheelset that runs on sand, from 0
-    own: np.ndarray
-    fade_1_J: float
-    heat_J: float
-    offset_from_Nm: float
-    empirical: int  # covariate by its code in `mechanisms.EMPIRICAL`, 0: none
-    linear: float
-    quadratic: float
-    centre: float
-    scale: float
-    period: float
+    values: np.ndarray  # all of the section `mechanisms`, in the order of `table.rows`
     memory_m: float  # way on which recovery lags at 20 m/s, 0: it does not
     memory_power: float
     memory_of_work: float
@@ -78,33 +49,29 @@ class Wheels(NamedTuple):
 
 def build(m: Mapping[str, Any]) -> Effects:
     """From the checked section `mechanisms`."""
+    acting = {mechanism.acts_on for mechanism in IN_PLANT if any(m[key] != 0.0 for key in mechanism.coefficients)}
     return Effects(
-        any(m[name] != 0.0 for name in CONDITIONS), any(m[name] != 0.0 for name in TORQUES),
-        m["rail_cleaning_gain"], m["rail_cleaning_energy_J_m"],
-        m["speed_dependent_friction_slope_per_m_s"], m["speed_dependent_friction_knee_m_s"],
-        m["negative_conditioning_loss"], m["negative_conditioning_distance_m"],
-        m["contaminated_patch_depth"],
-        m["contaminated_patch_start_m"],
-        m["contaminated_patch_start_m"] + m["contaminated_patch_length_m"],
-        0.5 * m["contaminated_patch_ramp"] * m["contaminated_patch_length_m"],
-        m["friction_trend_rate_1_s"], m["friction_trend_time_s"], m["sanding_gain"], m["sanding_start_s"],
-        m["sanding_start_s"] + m["sanding_duration_s"], int(m["sanding_behind"] >= 0.5),
-        np.concatenate([_by_axle(m["brake_gain_gain"], m["brake_gain_axle"]),
-                        _by_axle(m["torque_offset_offset_Nm"], m["torque_offset_axle"])]),
-        1e-6 * m["pad_fade_fade_1_MJ"], 1e6 * m["pad_fade_heat_MJ"], m["torque_offset_from_Nm"],
-        int(m["empirical_covariate"]),
-        *(m[name] for name in ("empirical_linear", "empirical_quadratic", "empirical_centre",
-                               "empirical_scale", "empirical_period", "adhesion_memory_length_m",
-                               "adhesion_memory_speed_power", "adhesion_memory_of_work")))
+        on_friction=FRICTION in acting, on_torque=TORQUE in acting, values=np.array([m[key] for key in PLACE]),
+        memory_m=m["adhesion_memory_length_m"], memory_power=m["adhesion_memory_speed_power"],
+        memory_of_work=m["adhesion_memory_of_work"])
+
+
+def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
+    """Constants of the model, those changed that an extended model changes for all axles alike."""
+    found = dict(model)
+    for one in IN_PLANT:
+        if one.constants and found.keys() >= set(one.changes) and m.get(f"{one.name}_axle", 0.0) == 0.0:
+            found |= one.constants(found, *(m[f"{one.name}_{row.name}"] for row in one.own_parameters))
+    return found
 
 
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
     """From the checked sections `vehicle` (radius and inertia of all axles) and `mechanisms`."""
     swing = _by_axle(m["wheel_out_of_round_amplitude"], m["wheel_out_of_round_axle"])
-    radius_m = vehicle["wheel_radius_m"] * (
-        1.0 + _by_axle(m["wheel_radius_fraction"], m["wheel_radius_axle"]))
-    inertia_kgm2 = vehicle["wheelset_inertia_kgm2"] * (
-        1.0 + _by_axle(m["wheel_inertia_fraction"], m["wheel_inertia_axle"]))
+    radius_m, = constants.wheel_radius(
+        vehicle, _by_axle(m["wheel_radius_fraction"], m["wheel_radius_axle"])).values()
+    inertia_kgm2, = constants.wheel_inertia(
+        vehicle, _by_axle(m["wheel_inertia_fraction"], m["wheel_inertia_axle"])).values()
     table = np.concatenate([radius_m, inertia_kgm2, radius_m / inertia_kgm2, swing])
     return Wheels(table, bool(swing.any()), m["wheel_out_of_round_phase_rad"])
 
@@ -113,65 +80,61 @@ def _by_axle(value: float, axle: float) -> np.ndarray:
     return np.array([value if axle in (0, j + 1) else 0.0 for j in range(AXLES)])
 
 
+def _sum_of(name: str, mechanisms: list[Mechanism]) -> Any:
+    """A kernel that adds what mechanisms of the table make of a value, or of its share, one after another.
+
+    It reads, for each: if values[3] != 0.0: value += values[3] * rail_cleaning(state.rail_work[axle], values[4])
+    """
+    of_plant = {c.name: c.of_plant for c in COVARIATES}
+    lines = [f"def {name}(value, state, axle, place_m, capacity_Nm, effects):", "    values = effects.values"]
+    for m in mechanisms:
+        size = f"values[{PLACE[m.coefficients[0]]}]"
+        shape = [f"values[{PLACE[f'{m.name}_{row.name}']}]" for row in m.own_parameters[m.free:]]
+        course = f"{m.name}({', '.join([of_plant[c] for c in arguments(m.courses[0], len(shape))] + shape)})"
+        own = f" and values[{PLACE[f'{m.name}_axle']}] in (0.0, axle + 1.0)" if m.axlewise else ""
+        whole = "value * " if m.share else ""
+        lines += [f"    if {size} != 0.0{own}:", f"        value += {whole}{size} * {course}"]
+    space = {m.name: m.courses[0] for m in mechanisms}
+    return written(name, [*lines, "    return value"], __file__, __name__, space)
+
+
+_changed_log = _sum_of("_changed_log", [m for m in IN_PLANT if m.acts_on == FRICTION and m.courses])
+_changed_torque = _sum_of("_changed_torque", [m for m in IN_PLANT if m.acts_on == TORQUE])
+# what an empirical term depends on, by its code
+_covariate = written("_covariate", [
+    "def _covariate(state, axle, place_m, code):",
+    f"    return ({', '.join(c.of_plant for c in COVARIATES if c.word)})[code - 1]"], __file__, __name__, {})
+
+
 @kernel
 def friction_factor(state, axle, place_m, effects):
     """What the friction of an axle is multiplied by [X1]."""
-    log_mu = effects.cleaning * -math.expm1(-state.rail_work[axle] / effects.cleaning_J_m)
-    log_mu -= effects.speed_slope_s_m * effects.speed_knee_m_s * math.expm1(
-        (MIDDLE_SPEED_M_S - state.vehicle_speed[0]) / effects.speed_knee_m_s)
-    log_mu += effects.conditioning * math.expm1(-state.slid[axle] / effects.conditioning_m)
-    if effects.patch_from_m <= place_m < effects.patch_to_m:
-        inside = min(place_m - effects.patch_from_m, effects.patch_to_m - place_m)
-        risen = 1.0
-        if inside < effects.patch_edge_m:
-            risen = math.sin(0.5 * math.pi * inside / effects.patch_edge_m) ** 2
-        log_mu -= effects.patch * risen
-    log_mu -= effects.trend_1_s * effects.trend_s * math.expm1(-state.time[0] / effects.trend_s)
-    if axle >= effects.sand_first and effects.sand_from_s <= state.time[0] < effects.sand_to_s:
-        log_mu += effects.sand
-    if effects.empirical > 0:
-        log_mu += empirical(covariate(state, axle, place_m, effects.empirical), effects)
+    log_mu = _changed_log(0.0, state, axle, place_m, state.brake_torque[axle], effects)
+    v = effects.values[_EMPIRICAL:]
+    if v[2] > 0.0:
+        x = _covariate(state, axle, place_m, int(v[2]))
+        log_mu += friction.empirical(x, v[0], v[1], v[3], v[4], v[5])
     return math.exp(log_mu)
 
 
 @kernel
-def covariate(state, axle, place_m, code):
-    """What an empirical term depends on; the codes of `mechanisms.EMPIRICAL`."""
-    return (state.vehicle_speed[0], state.time[0], place_m, state.sliding[axle],
-            state.wheel_load[axle], state.dissipated_energy[axle], 1e-6 * state.brake_work[axle],
-            state.slid[axle], state.wheel_angle[axle])[code - 1]
-
-
-@kernel
-def empirical(x, effects):
-    """Change of ln mu by the empirical term."""
-    if effects.period > 0.0:
-        turn = 2.0 * math.pi * x / effects.period
-        return effects.linear * math.cos(turn) + effects.quadratic * math.sin(turn)
-    z = (x - effects.centre) / effects.scale
-    return effects.linear * z + effects.quadratic * z * z
+def torque(capacity_Nm, state, axle, place_m, effects):
+    """Brake torque in N m of an axle whose brake would give `capacity_Nm` [X2]."""
+    if capacity_Nm <= 0.0:
+        return capacity_Nm
+    return max(0.0, _changed_torque(capacity_Nm, state, axle, place_m, capacity_Nm, effects))
 
 
 @kernel
 def remember(state, positions_m, tick_s):
-    """Advance sliding distance and the work of the wheels before, by a tick."""
+    """Advance sliding distance, angle turned under the brake and the work of the wheels before, by a tick."""
     before = 0.0
     for j in range(AXLES):
         state.slid[j] += tick_s * abs(state.sliding[j])
+        if state.brake_capacity[j] > 0.0:
+            state.braked_angle[j] += tick_s * state.wheel_speed[j]
         if j > 0:
             length = positions_m[j] - positions_m[j - 1]
             share = -math.expm1(-state.vehicle_speed[0] * tick_s / length)
             state.rail_work[j] += (before - state.rail_work[j]) * share
         before += max(state.dissipated_energy[j], 0.0)
-
-
-@kernel
-def torque(capacity_Nm, axle, work_J, effects):
-    """Brake torque in N m of an axle that has done an amount of brake work [X2]."""
-    if capacity_Nm <= 0.0:
-        return capacity_Nm
-    faded = -effects.fade_1_J * effects.heat_J * math.expm1(-work_J / effects.heat_J)
-    changed = capacity_Nm * (1.0 + effects.own[GAIN + axle]) * (1.0 - faded)
-    if capacity_Nm > effects.offset_from_Nm:
-        changed += effects.own[OFFSET_NM + axle]
-    return max(0.0, changed)

@@ -5,35 +5,38 @@ unit of one coefficient. Base parameters always stay in the fit, those with a de
 under a prior; a cause is one or several columns, some causes have variants of shape.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rollerrig.rig.identify.causes import courses
+from rollerrig.rig.identify.causes import candidates, courses, table
+from rollerrig.rig.identify.causes.courses import of_axle, of_run, of_vehicle
+from rollerrig.rig.identify.causes.table import Search, Shape
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.runs import AXLES
 from rollerrig.rig.identify.filter import sensitivity
 from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear
+from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, TORQUE, VEHICLE
 
-AXLES = 4
 PLACE_BIN_M = 25.0
 TIME_BIN_S = 2.0
 BASE = "base"
 # tolerance of ln tau and of the contact's constants, which the base may use freely
 _FREE = 0.0
+# causes in given shapes
+Shaped = tuple[tuple[str, Shape], ...]
+Part = tuple[np.ndarray | None, np.ndarray | None]  # of the wheels and of the vehicles
 
 
 class Column(NamedTuple):
-    """One coefficient: whose it is, its label, prior deviation (0: free)."""
+    """One coefficient: the cause whose it is, its label, prior deviation (0: free)."""
 
-    owner: str
+    cause: str
     label: str
     prior: float
-
-
-# causes in given shapes
-Shaped = tuple[tuple[str, dict[str, float]], ...]
 
 
 class Variant(NamedTuple):
@@ -41,7 +44,7 @@ class Variant(NamedTuple):
 
     cause: str
     columns: tuple[int, ...]
-    shape: dict[str, float]
+    shape: Shape
     axle: int  # 0: all
 
 
@@ -57,38 +60,38 @@ class SensitivityMatrix(NamedTuple):
 class _Writer:
     """Collects columns: a wheel part (flat) and a vehicle part (flat)."""
 
-    def __init__(self, design: Design) -> None:
-        self.design = design
+    def __init__(self, design: Design, inputs: Inputs, linear: Linear) -> None:
+        self.design, self.inputs, self.linear = design, inputs, linear
+        self.torque = smooth_torque(design, inputs.torque_Nm)
         self.columns: list[Column] = []
         self.wheel: list[np.ndarray] = []
         self.vehicle: list[np.ndarray] = []
         self.variants: list[Variant] = []
 
-    def add(self, owner: str, label: str, wheel: np.ndarray | None,
+    def add(self, cause: str, label: str, wheel: np.ndarray | None,
             vehicle: np.ndarray | None = None, prior: float = _FREE) -> int:
         d = self.design
-        self.columns.append(Column(owner, label, prior))
+        self.columns.append(Column(cause, label, prior))
         self.wheel.append(np.zeros(d.measured_rad_s.size, np.float32) if wheel is None
                           else wheel.astype(np.float32))
         self.vehicle.append(np.zeros(d.vehicle_m_s.size, np.float32) if vehicle is None
                             else vehicle.astype(np.float32))
         return len(self.columns) - 1
 
-    def variant(self, cause: str, columns: list[int], axle: int = 0) -> None:
-        self.variants.append(Variant(cause, tuple(columns), {}, axle))
+    def variant(self, cause: str, parts: Iterable[Part], shape: Shape, axle: int = 0) -> None:
+        """A cause in a shape, with a column for each part."""
+        found = tuple(self.add(cause, str(k), *part) for k, part in enumerate(parts))
+        self.variants.append(Variant(cause, found, shape, axle))
 
-    def shaped(self, cause: str, column: int, axle: int, shape: dict[str, float]) -> None:
-        self.variants.append(Variant(cause, (column,), shape, axle))
+    def rate(self, name: str) -> np.ndarray:
+        """Change of a wheel's acceleration for one of `sensitivity.RATES`."""
+        return self.linear.rates[:, sensitivity.RATES.index(name)]
 
-
-def of_axle(design: Design, axle: int) -> np.ndarray:
-    """1 on the samples of an axle (0 the leading), shape (n,)."""
-    return np.repeat((design.axle == axle).astype(float), np.diff(design.start))
-
-
-def of_run(design: Design, run: int) -> np.ndarray:
-    """1 on the samples of a run."""
-    return np.repeat((design.run == run).astype(float), np.diff(design.start))
+    def of_torque(self, change: np.ndarray) -> Part:
+        """What a change of the brake torque does to wheels and vehicles."""
+        d = self.design
+        return (-change / self.inputs.parameters[0, parameters.INERTIA],
+                -to_vehicle(d, change) / (d.base[parameters.RADIUS] * vehicle_mass(d)))
 
 
 def smooth_torque(design: Design, torque: np.ndarray) -> np.ndarray:
@@ -103,21 +106,13 @@ def smooth_torque(design: Design, torque: np.ndarray) -> np.ndarray:
 
 def rate(design: Design, values: np.ndarray) -> np.ndarray:
     """d/dt within each segment."""
-    out = np.empty_like(values)
-    for s in range(design.segments):
-        at = design.span(s)
-        out[at] = np.gradient(values[at], design.step_s)
-    return out
+    return np.concatenate([np.gradient(values[design.span(s)], design.step_s) for s in range(design.segments)])
 
 
 def to_vehicle(design: Design, force: np.ndarray) -> np.ndarray:
     """Sum over the wheelsets of a flat array, as one flat array of vehicles."""
-    out = np.zeros(design.vehicle_m_s.size)
-    for s in range(design.segments):
-        run = int(design.run[s])
-        at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
-        out[at] += force[design.span(s)]
-    return out
+    return np.concatenate([sum(force[design.span(AXLES * run + j)] for j in range(AXLES))
+                           for run in range(design.mass_kg.size)])
 
 
 def vehicle_mass(design: Design) -> np.ndarray:
@@ -125,198 +120,109 @@ def vehicle_mass(design: Design) -> np.ndarray:
     return np.repeat(design.mass_kg, np.diff(design.vehicle_start))
 
 
-def write(design: Design, inputs: Inputs, linear: Linear,
-          only: frozenset[str] | None = None, shaped: Shaped = ()) -> SensitivityMatrix:
-    """Columns of a design around a replay: all, or those of some owners; and shapes of causes."""
-    w = _Writer(design)
-    torque = smooth_torque(design, inputs.torque_Nm)
-    _base(w, design, inputs, linear, torque)
-    friction = linear.rates[:, sensitivity.FRICTION]
-    groups: tuple[tuple[tuple[str, ...], Callable[[], None]], ...] = (
-        (("rail_cleaning", "speed_dependent_friction", "friction_trend", "negative_conditioning"),
-         lambda: _friction_causes(w, design, friction)),
-        (("brake_gain", "torque_offset", "pad_fade", "running_resistance", "track_gradient"),
-         lambda: _torque_causes(w, design, inputs, torque)),
-        (("roller_curvature", "interfacial_layer", "falling_friction", "adhesion_memory"),
-         lambda: _contact_causes(w, design, linear)),
-        (("torque_sensor_delay", "speed_sensor_delay", "wheel_inertia", "wheel_radius"),
-         lambda: _sensor_causes(w, design, inputs, linear, torque)),
-        (("load_transfer", "wheel_out_of_round"), lambda: _load_causes(w, design, linear)),
-        (("windows",), lambda: _windows(w, design, friction)),
-        (("along",), lambda: _smooth_functions(w, design, linear)),
-    )
-    for owners, build in groups:
-        if only is None or only & set(owners):
-            build()
-    _shaped(w, design, friction, lambda owner, label, change: _torque_column(
-        w, design, inputs, owner, label, change * torque), shaped)
-    return SensitivityMatrix(w.columns, np.column_stack(w.wheel), np.column_stack(w.vehicle), w.variants)
+def write(design: Design, inputs: Inputs, only: frozenset[str] | None = None,
+          shaped: Shaped = ()) -> tuple[SensitivityMatrix, Linear]:
+    """Columns of a design around a replay, and that replay: all, or those of some causes and shapes."""
+    wanted = [(row, shape) for row in table.TABLE if only is None or row.name in only
+              for shape in (*row.shapes, *(s for name, s in shaped if name == row.name and s not in row.shapes))]
+    constants = [(row, shape) for row, shape in wanted if row.mechanism.acts_on == CONTACT and row.mechanism.constants]
+    w = _Writer(design, inputs, sensitivity.linearise(design, inputs, _changed(inputs, constants)))
+    _base(w)
+    for row, shape in wanted:
+        for axle in row.axles:
+            w.variant(row.name, _parts(w, row, shape, axle, constants), shape, axle)
+    if only is None:
+        _windows(w)
+        _smooth_functions(w)
+    return SensitivityMatrix(w.columns, np.column_stack(w.wheel), np.column_stack(w.vehicle), w.variants), w.linear
 
 
-def _torque_column(w: _Writer, d: Design, inputs: Inputs, owner: str, label: str,
-                   change: np.ndarray, prior: float = _FREE) -> int:
-    inertia = inputs.parameters[0, 1]
-    return w.add(owner, label, -change / inertia,
-                 -to_vehicle(d, change) / (d.base[0] * vehicle_mass(d)), prior)
+def _changed(inputs: Inputs, constants: list[tuple[Search, Shape]]) -> np.ndarray:
+    """Rows of parameters with the recovery, the level and each of some causes a step larger."""
+    found = [inputs.parameters.copy() for _ in range(2)]
+    for p, at in zip(found, (parameters.TAU, parameters.MU_CD), strict=True):
+        p[:, at] *= 1.0 + sensitivity.STEP
+    found += [candidates.changed_parameters(inputs.parameters, row, shape, sensitivity.STEP)
+              for row, shape in constants]
+    return np.stack(found, axis=1)
 
 
-def _base(w: _Writer, d: Design, inputs: Inputs, linear: Linear, torque: np.ndarray) -> None:
-    load = linear.rates[:, sensitivity.LOAD]
-    tolerance = max(d.calibration, 1e-4)
-    runs = d.mass_kg.size
-    for run in range(runs):
-        w.add(BASE, f"ln_mu_cd_{run}", linear.rates[:, sensitivity.LEVEL] * of_run(d, run))
-    w.add(BASE, "ln_tau", linear.rates[:, sensitivity.TAU])
-    _torque_column(w, d, inputs, BASE, "torque_gain", torque,
-                   tolerance / np.sqrt(2.0))
+def _base(w: _Writer) -> None:
+    d, tolerance = w.design, max(w.design.calibration, 1e-4)
+    level, load = w.linear.constants[:, 1], w.rate("load")
+    runs = range(d.mass_kg.size)
+    for run in runs:
+        w.add(BASE, f"ln_mu_cd_{run}", level * of_run(d, run))
+    w.add(BASE, "ln_tau", w.linear.constants[:, 0])
+    w.add(BASE, "torque_gain", *w.of_torque(w.torque), tolerance / np.sqrt(2.0))
     for j in range(AXLES):
-        _torque_column(w, d, inputs, BASE, f"torque_gain_{j}", torque * of_axle(d, j),
-                       tolerance / np.sqrt(2.0))
-        w.add(BASE, f"load_gain_{j}", load * of_axle(d, j), None, tolerance)
-    force = np.concatenate([sensitivity.vehicle_force(d, inputs, run) for run in range(runs)])
-    for run in range(runs):
-        mask = np.zeros_like(force)
-        mask[d.vehicle_start[run]:d.vehicle_start[run + 1]] = 1.0
-        w.add(BASE, f"mass_{run}", None, force * mask, tolerance)
+        w.add(BASE, f"torque_gain_{j}", *w.of_torque(w.torque * of_axle(d, j + 1)), tolerance / np.sqrt(2.0))
+        w.add(BASE, f"load_gain_{j}", load * of_axle(d, j + 1), None, tolerance)
+    force = np.concatenate([sensitivity.vehicle_force(d, w.inputs, run) for run in runs])
+    of_vehicle_run = np.repeat(runs, np.diff(d.vehicle_start))
+    for run in runs:
+        w.add(BASE, f"mass_{run}", None, force * (of_vehicle_run == run), tolerance)
 
 
-def _empirical(w: _Writer, d: Design, friction: np.ndarray, shape: dict[str, float]) -> None:
-    found = []
-    for k, course in enumerate(courses.empirical(d, shape).T):
+def _parts(w: _Writer, row: Search, shape: Shape, axle: int, constants: list[tuple[Search, Shape]]) -> Iterator[Part]:
+    """The columns of a cause in a shape on an axle, one for each coefficient."""
+    d, m, on = w.design, row.mechanism, of_axle(w.design, axle)
+    if row.name in _OWN:
+        yield from _OWN[row.name](w, on)
+    elif (row, shape) in constants:
+        yield w.linear.constants[:, 2 + constants.index((row, shape))] * on, None
+    elif m.acts_on == VEHICLE:
+        yield None, -candidates.resistance(d, d.mass_kg, row, shape, 1.0) / vehicle_mass(d)
+    for course in courses.courses(d, row.name, shape):
         if "on_vehicle" in shape:
-            found.append(w.add("empirical", str(k), None,
-                               -courses.of_vehicle(d, course) / vehicle_mass(d)))
-        else:
-            found.append(w.add("empirical", str(k), friction * course))
-    w.variants.append(Variant("empirical", tuple(found), shape, 0))
+            yield None, -of_vehicle(d, course) / vehicle_mass(d)
+        elif m.acts_on == FRICTION:
+            yield w.rate("friction") * course * on, None
+        elif m.acts_on == TORQUE:
+            yield w.of_torque((w.torque * course if m.share else course) * on)
+        elif m.acts_on == LOAD:
+            yield w.rate("load") * course * on, None
 
 
-# shapes that the search tries before it refines them
-SHAPES: dict[str, tuple[dict[str, float], ...]] = {
-    "rail_cleaning": ({"energy_J_m": 10.0}, {"energy_J_m": 40.0}, {"energy_J_m": 150.0},
-                      {"energy_J_m": 600.0}, {"energy_J_m": 2000.0}),
-    "speed_dependent_friction": ({}, {"knee_m_s": 12.0}),
-    "friction_trend": ({}, {"time_s": 10.0}, {"time_s": 4.0}),
-    "negative_conditioning": ({"distance_m": 10.0}, {"distance_m": 30.0}, {"distance_m": 100.0}),
-}
-TORQUE_SHAPES: dict[str, tuple[dict[str, float], ...]] = {
-    "torque_offset": ({}, {"from_Nm": 300.0}),
-    "pad_fade": ({}, {"heat_MJ": 3.0}),
-    "running_resistance": ({}, {"speed_power": 1.0}, {"speed_power": 2.0}),
-}
-MEMORY_SHAPES: tuple[dict[str, float], ...] = ({}, {"speed_power": 1.0}, {"of_work": 1.0})
+def _memory(w: _Writer, on: np.ndarray) -> Iterator[Part]:
+    yield None, None  # its answer is a finite step of the whole filter, see `tuning`
 
 
-def _friction_causes(w: _Writer, d: Design, friction: np.ndarray) -> None:
-    for name, shapes in SHAPES.items():
-        for shape in shapes:
-            at = w.add(name, "", friction * courses.course(d, name, shape))
-            w.shaped(name, at, 0, shape)
+def _torque_delay(w: _Writer, on: np.ndarray) -> Iterator[Part]:
+    yield w.of_torque(rate(w.design, w.torque))
 
 
-def _shaped(w: _Writer, d: Design, friction: np.ndarray,
-            of_torque: Callable[[str, str, np.ndarray], int], shaped: Shaped) -> None:
-    """Causes in shapes off the search's grid, where they are not on it."""
-    known = {(v.cause, tuple(sorted(v.shape.items()))) for v in w.variants}
-    for name, shape in shaped:
-        if (name, tuple(sorted(shape.items()))) in known:
-            continue
-        if name == "empirical":
-            _empirical(w, d, friction, shape)
-        elif name == "pad_fade":
-            w.shaped(name, of_torque(name, "fade_1_MJ", -courses.heat(d, shape)), 0, shape)
-        elif name in courses.NAMES:
-            at = w.add(name, "", friction * courses.course(d, name, shape))
-            w.shaped(name, at, 0, shape)
+def _speed_delay(w: _Writer, on: np.ndarray) -> Iterator[Part]:
+    """A late wheel speed: the wheel lives on the inputs of a moment ago."""
+    d, p = w.design, w.inputs.parameters[0]
+    growth = np.log(np.maximum(w.linear.coefficients[:, 0], 1e-12)) / d.step_s
+    yield (rate(d, w.torque) / p[parameters.INERTIA] + growth / p[parameters.RADIUS] * rate(d, d.speed_m_s)) * on, None
 
 
-def _torque_causes(w: _Writer, d: Design, inputs: Inputs, torque: np.ndarray) -> None:
-    def axles(name: str, label: str, change: np.ndarray, shape: dict[str, float]) -> None:
-        w.shaped(name, _torque_column(w, d, inputs, name, label, change), 0, shape)
-        for j in range(AXLES):
-            at = _torque_column(w, d, inputs, name, label, change * of_axle(d, j))
-            w.shaped(name, at, j + 1, shape)
-
-    axles("brake_gain", "gain", torque, {})
-    for shape in TORQUE_SHAPES["torque_offset"]:
-        axles("torque_offset", "offset_Nm", courses.applied(d, shape), shape)
-    for shape in TORQUE_SHAPES["pad_fade"]:
-        at = _torque_column(w, d, inputs, "pad_fade", "fade_1_MJ",
-                            -torque * courses.heat(d, shape))
-        w.shaped("pad_fade", at, 0, shape)
-    mass = vehicle_mass(d)
-    for shape in TORQUE_SHAPES["running_resistance"]:
-        at = w.add("running_resistance", "force_N", None, -courses.resistance(d, shape) / mass)
-        w.shaped("running_resistance", at, 0, shape)
-    at = w.add("track_gradient", "gradient", None, np.full(mass.size, -9.80665))
-    w.shaped("track_gradient", at, 0, {})
+def _inertia(w: _Writer, on: np.ndarray) -> Iterator[Part]:
+    yield -(w.rate("irregularity") - w.torque / w.inputs.parameters[0, parameters.INERTIA]) * on, None
 
 
-def _contact_causes(w: _Writer, d: Design, linear: Linear) -> None:
-    for name, label, index in (("roller_curvature", "stiffness_fraction", sensitivity.STIFFNESS),
-                               ("interfacial_layer", "reduction", sensitivity.STICKING),
-                               ("falling_friction", "fraction", sensitivity.GAMMA)):
-        at = w.add(name, label, linear.rates[:, index])
-        w.variant(name, [at])
-    w.shaped("falling_friction", w.add("falling_friction", "fraction", linear.rates[:, sensitivity.HEIGHT]),
-             0, {"height": 1.0})
-    w.shaped("interfacial_layer", w.add("interfacial_layer", "reduction", -linear.rates[:, sensitivity.STIFFNESS]),
-             0, {"whole": 1.0})
-    # its answer is a finite step of the whole filter, see `tuning`
-    for k, shape in enumerate(MEMORY_SHAPES):
-        w.shaped("adhesion_memory", w.add("adhesion_memory", str(k), None), 0, shape)
+def _radius(w: _Writer, on: np.ndarray) -> Iterator[Part]:
+    yield w.rate("radius") * on, None
 
 
-def _sensor_causes(w: _Writer, d: Design, inputs: Inputs, linear: Linear,
-                   torque: np.ndarray) -> None:
-    inertia = inputs.parameters[0, 1]
-    at = _torque_column(w, d, inputs, "torque_sensor_delay", "delay_s", rate(d, torque))
-    w.variant("torque_sensor_delay", [at])
-    # a late wheel speed: the wheel lives on the inputs of a moment ago
-    surface = -linear.coefficients[:, 0]
-    growth = np.log(np.maximum(-surface, 1e-12)) / d.step_s
-    r = inputs.parameters[0, 0]
-    late = rate(d, torque) / inertia + growth / r * rate(d, d.speed_m_s)
-    accelerated = linear.rates[:, sensitivity.LATE] - torque / inertia
-    for axle in range(AXLES + 1):
-        mask = 1.0 if axle == 0 else of_axle(d, axle - 1)
-        at = w.add("speed_sensor_delay", "delay_s", late * mask)
-        w.variant("speed_sensor_delay", [at], axle=axle)
-        at = w.add("wheel_inertia", "fraction", -accelerated * mask)
-        w.variant("wheel_inertia", [at], axle=axle)
-        if axle:
-            at = w.add("wheel_radius", "fraction", linear.rates[:, sensitivity.RADIUS] * mask)
-            w.variant("wheel_radius", [at], axle=axle)
+_OWN: dict[str, Callable[[_Writer, np.ndarray], Iterator[Part]]] = {
+    "adhesion_memory": _memory, "torque_sensor_delay": _torque_delay, "speed_sensor_delay": _speed_delay,
+    "wheel_inertia": _inertia, "wheel_radius": _radius}
 
 
-def _load_causes(w: _Writer, d: Design, linear: Linear) -> None:
-    load = linear.rates[:, sensitivity.LOAD]
-    body = np.repeat(np.where(d.axle < 2, 1.0, -1.0), np.diff(d.start))
-    bogie = np.repeat(np.where(d.axle % 2 == 0, 1.0, -1.0), np.diff(d.start))
-    first = w.add("load_transfer", "body_s2_m", load * d.deceleration_m_s2 * body)
-    second = w.add("load_transfer", "bogie_s2_m", load * d.deceleration_m_s2 * bogie)
-    w.variant("load_transfer", [first, second])
-    for j in range(AXLES):
-        found = []
-        for run in range(d.mass_kg.size):
-            mask = of_axle(d, j) * of_run(d, run)
-            for part, shape in (("cos", np.cos), ("sin", np.sin)):
-                found.append(w.add("wheel_out_of_round", f"{part}_{run}",
-                                   load * mask * shape(d.angle_rad)))
-        w.variant("wheel_out_of_round", found, axle=j + 1)
-
-
-def _windows(w: _Writer, d: Design, friction: np.ndarray) -> None:
+def _windows(w: _Writer) -> None:
     """Bins of place (all runs) and of time (each run): windows are runs of bins."""
+    d, friction = w.design, w.rate("friction")
     lowest, highest = d.places_m
     for i in range(int(np.ceil((highest - lowest) / PLACE_BIN_M))):
         low = lowest + i * PLACE_BIN_M
-        inside = (d.place_m >= low) & (d.place_m < low + PLACE_BIN_M)
-        w.add("place_bin", f"{low:.6g}", friction * inside)
-    behind = 1.0 - of_axle(d, 0)
-    for run in range(d.mass_kg.size):
+        w.add("place_bin", f"{low:.6g}", friction * ((d.place_m >= low) & (d.place_m < low + PLACE_BIN_M)))
+    behind = 1.0 - of_axle(d, 1)
+    for run, end_s in enumerate(d.ends_s):
         mask = of_run(d, run)
-        for i in range(int(np.ceil(d.ends_s[run] / TIME_BIN_S))):
+        for i in range(int(np.ceil(end_s / TIME_BIN_S))):
             inside = (d.time_s >= i * TIME_BIN_S) & (d.time_s < (i + 1) * TIME_BIN_S)
             label, change = f"{run} {i * TIME_BIN_S:.6g}", friction * inside * mask
             w.add("time_bin", label, change)
@@ -342,29 +248,20 @@ def bumps(values: np.ndarray, count: int = 4) -> np.ndarray:
     return np.exp(-0.5 * ((values[:, None] - knots) / width) ** 2)
 
 
-def _smooth_functions(w: _Writer, d: Design, linear: Linear) -> None:
-    friction = linear.rates[:, sensitivity.FRICTION]
+def _smooth_functions(w: _Writer) -> None:
+    d, friction = w.design, w.rate("friction")
+
+    def along(name: str, changes: Iterable[np.ndarray], axle: int = 0) -> None:
+        on = of_axle(d, axle)
+        w.variant(f"along {name}", ((friction * change * on, None) for change in changes), {}, axle)
+
     for name, of in COVARIATES.items():
-        shapes = bumps(of(d, linear))
-        w.variant(f"along {name}", [w.add(f"along {name}", str(i), friction * shapes[:, i])
-                                    for i in range(shapes.shape[1])])
-    w.variant("along axle", [w.add("along axle", str(j), friction * of_axle(d, j))
-                             for j in range(AXLES - 1)])
+        along(name, bumps(of(d, w.linear)).T)
+    along("axle", (of_axle(d, j + 1) for j in range(AXLES - 1)))
     # what befalls one wheelset at some moment, not all the time
     shapes = bumps(d.time_s)
-    shapes = shapes - shapes.mean(axis=0)
     for j in range(AXLES):
-        w.variant("along time of one axle",
-                  [w.add("along time of one axle", f"{j} {i}", friction * shapes[:, i] * of_axle(d, j))
-                   for i in range(shapes.shape[1])], axle=j + 1)
-    found = [w.add("along wheel_angle", str(k), friction * shape(k * d.angle_rad))
-             for k in (1, 2) for shape in (np.cos, np.sin)]
-    w.variant("along wheel_angle", found)
-    time = d.time_s[np.concatenate([np.arange(d.start[4 * r], d.start[4 * r + 1])
-                                    for r in range(d.mass_kg.size)])]
-    speed = d.speed_m_s[np.concatenate([np.arange(d.start[4 * r], d.start[4 * r + 1])
-                                        for r in range(d.mass_kg.size)])]
-    for name, values in (("vehicle time", time), ("vehicle speed", speed)):
-        shapes = bumps(values)
-        w.variant(f"along {name}", [w.add(f"along {name}", str(i), None, shapes[:, i])
-                                    for i in range(shapes.shape[1])])
+        along("time of one axle", (shapes - shapes.mean(axis=0)).T, j + 1)
+    along("wheel_angle", (shape(k * d.angle_rad) for k in (1, 2) for shape in (np.cos, np.sin)))
+    for name, values in (("time", d.time_s), ("speed", d.speed_m_s)):
+        w.variant(f"along vehicle {name}", ((None, bump) for bump in bumps(of_vehicle(d, values)).T), {})

@@ -14,6 +14,9 @@ EPS1, MEMORY, SIGMA, LENGTH, NOISE, TORQUE_NOISE, CLEANING, MEMORY_POWER, MEMORY
     13, 14, 15, 16, 17, 18, 19, 20, 21)
 MU_CD, A_D, A_R, GAMMA_D, GAMMA_R, K_AD, K_SD, K_AR, K_SR, TAU = 2, 4, 5, 6, 7, 8, 9, 10, 11, 12
 PARAMETERS = 22
+# column of each constant that a mechanism may change
+COLUMN = {"wheel_radius_m": RADIUS, "wheelset_inertia_kgm2": INERTIA, "eps1": EPS1,
+          **{key: at for at, key in enumerate(LAW_KEYS, start=LAW.start)}}
 
 
 def base_parameters(data: Dataset) -> np.ndarray:

@@ -22,6 +22,8 @@ from rollerrig.rig.kernel import kernel_with_memory
 # window of the derivative of wheel speed, s
 WINDOW_S = 0.21
 LOAD_SMOOTHING_S = 0.2
+# above this share of a wheelset's largest torque its brake is applied
+BRAKED_SHARE = 0.06
 
 
 class Design(NamedTuple):
@@ -46,6 +48,7 @@ class Design(NamedTuple):
     cleaned_J_m: np.ndarray  # work of the wheels before on this metre
     heat_MJ: np.ndarray
     slid_m: np.ndarray
+    braked_rad: np.ndarray  # turned while the brake was applied
     deceleration_m_s2: np.ndarray
     angle_rad: np.ndarray
     vehicle_start: np.ndarray  # (runs + 1,)
@@ -133,20 +136,17 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
         wheels.append(inertia * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius))
         vehicle_start.append(vehicle_start[-1] + run.time_s.size)
     flat = {key: np.ascontiguousarray(np.concatenate(parts)) for key, parts in columns.items()}
-    places = (float(flat["place"].min()), float(flat["place"].max()))
+    places = (float(flat["place_m"].min()), float(flat["place_m"].max()))
     ends = tuple(float(run.time_s[-1] - run.time_s[0]) for run in runs)
     return Design(
-        tuple(run.name for run in runs), step, np.array(start),
-        np.repeat(np.arange(len(runs)), AXLES), np.tile(np.arange(AXLES), len(runs)),
-        np.array([run.mass_kg for run in runs]), flat["measured"], flat["torque"], flat["brake"],
-        flat["load"],
-        flat["speed"], flat["time"], flat["place"], flat["sliding"], flat["adhesion"],
-        flat["energy"], flat["cleaned"], flat["heat"], flat["slid"], flat["deceleration"],
-        flat["angle"], np.array(vehicle_start), np.concatenate(vehicle), np.concatenate(wheels),
-        speed_noise, wheel_noise, np.array([n[2] for n in noises]),
-        data.accuracy["calibration_fraction"], base_parameters(data), resistance,
-        np.array(released), np.array(released_sd), places if like is None else like.places_m,
-        ends if like is None else like.ends_s)
+        names=tuple(run.name for run in runs), step_s=step, start=np.array(start),
+        run=np.repeat(np.arange(len(runs)), AXLES), axle=np.tile(np.arange(AXLES), len(runs)),
+        mass_kg=np.array([run.mass_kg for run in runs]), **flat,
+        vehicle_start=np.array(vehicle_start), vehicle_m_s=np.concatenate(vehicle), wheels_m_s=np.concatenate(wheels),
+        speed_noise_m_s=speed_noise, wheel_noise_rad_s=wheel_noise, torque_noise_Nm=np.array([n[2] for n in noises]),
+        calibration=data.accuracy["calibration_fraction"], base=base_parameters(data), resistance=resistance,
+        released_Nm=np.array(released), released_sd_Nm=np.array(released_sd),
+        places_m=places if like is None else like.places_m, ends_s=ends if like is None else like.ends_s)
 
 
 def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
@@ -168,7 +168,7 @@ def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
 def _released(torque: np.ndarray, step_s: float) -> tuple[float, float]:
     """Mean torque before the brake applies and its standard error; nan where it is never released."""
     smooth = gaussian_filter1d(torque, 0.05 / step_s)
-    above = np.flatnonzero(smooth > 0.06 * np.max(smooth))
+    above = np.flatnonzero(smooth > BRAKED_SHARE * np.max(smooth))
     still = int(above[0]) - int(0.15 / step_s) if above.size else 0
     if still < 0.3 / step_s:
         return float("nan"), float("nan")
@@ -202,16 +202,17 @@ def _run(run: Run, data: Dataset, radius: float, inertia: float, step: float, sp
     if run.position_m is not None:
         travelled = run.position_m
     place = travelled[:, None] - data.axle_position_m
+    turned = step * run.wheel_speed_rad_s
     return {
-        "measured": run.wheel_speed_rad_s, "torque": run.torque_Nm, "brake": torque, "load": load,
-        "speed": surface, "time": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
-        "place": place, "sliding": sliding, "adhesion": adhesion, "energy": energy,
-        "cleaned": _work_before(place, energy),
-        "heat": np.cumsum(np.maximum(torque * smooth_wheels, 0.0), axis=0) * step / 1e6,
-        "slid": np.cumsum(np.abs(sliding), axis=0) * step,
-        "deceleration": np.repeat(deceleration[:, None], AXLES, axis=1),
-        "angle": np.cumsum(run.wheel_speed_rad_s, axis=0) * step - 0.5 * step
-        * run.wheel_speed_rad_s,
+        "measured_rad_s": run.wheel_speed_rad_s, "torque_Nm": run.torque_Nm, "brake_Nm": torque, "load_N": load,
+        "speed_m_s": surface, "time_s": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
+        "place_m": place, "sliding_m_s": sliding, "adhesion": adhesion, "energy_J_m": energy,
+        "cleaned_J_m": _work_before(place, energy),
+        "heat_MJ": np.cumsum(np.maximum(torque * smooth_wheels, 0.0), axis=0) * step / 1e6,
+        "slid_m": np.cumsum(np.abs(sliding), axis=0) * step,
+        "braked_rad": np.cumsum(turned * (torque > BRAKED_SHARE * torque.max(axis=0)), axis=0),
+        "deceleration_m_s2": np.repeat(deceleration[:, None], AXLES, axis=1),
+        "angle_rad": np.cumsum(run.wheel_speed_rad_s, axis=0) * step - 0.5 * turned,
     }
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.preparation import Design
@@ -35,10 +35,7 @@ SCORE_SHARE = 0.3
 OWN_SHARE = 0.3
 # likelihood that each further coefficient of a shape must earn, beside that of the choice of shape
 PRICE = 5.0
-EXTRA = {"sanding": 6, "contaminated_patch": 2, "wheel_out_of_round": 2, "load_transfer": 1,
-         "rail_cleaning": 0, "negative_conditioning": 1}
 BLOCK_S = 3.0
-EVENTS = ("sanding", "contaminated_patch")
 
 
 class NamedCause(NamedTuple):
@@ -83,7 +80,7 @@ def fit_one(task: Fit) -> Fitted:
         explanation, value, covariance = min(
             (explanation, value, covariance), tuning.fit(design, shapes.remembered(design, explanation), 7),
             key=lambda fit: fit[1])
-    if any(cause.name in EVENTS for cause in explanation.causes):
+    if any(table.OF[cause.name].edge_step for cause in explanation.causes):
         explanation, value, covariance = tuning.fit(design, shapes.refined(design, explanation), 4)
     return Fitted(explanation, value, covariance, blocks(design, explanation))
 
@@ -149,7 +146,7 @@ def choose(design: Design, explanation: Explanation, value: float, rivals: list[
     drop = blocks(design, explanation) - best.blocks
     # what tolerances had taken up stands in no block; the rest must not be one place of one run
     whole = max(float(drop.sum()), ratio[top])
-    if finding.name not in EVENTS and whole - drop.max() < max(evidence.FLOOR, ELSEWHERE * whole):
+    if not table.OF[finding.name].edge_step and whole - drop.max() < max(evidence.FLOOR, ELSEWHERE * whole):
         return explanation, []
     confusable = tuple(rivals[int(k)].finding.name for k in order[1:]
                        if indistinguishable(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
@@ -174,13 +171,13 @@ def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]
 
 
 def _price(finding: Finding) -> float:
-    return PRICE * EXTRA.get(finding.name, 0) + 2.0 * float(np.log(finding.trials))
+    return PRICE * table.OF[finding.name].price + 2.0 * float(np.log(finding.trials))
 
 
 def _deviation(finding: Finding, fit: Fitted, at: int) -> tuple[float, ...]:
     """Deviations of a cause's coefficients, which stand from place `at` on in the covariance."""
     nominal = np.sqrt(np.diag(fit.covariance)[at:at + len(finding.estimate)])
-    floor = evidence.SYSTEMATIC.get(finding.name, 0.0)
+    floor = table.OF[finding.name].floor
     return tuple(float(np.hypot(s * max(finding.spread, 1.0), floor)) for s in nominal)
 
 

@@ -8,7 +8,7 @@ that bias, lies outside that spread so far that among all causes a false alarm s
     [E1] x = -S^-1 g, S and g the normal equations less what the base takes up (Schur complement)
     [E2] T = (x - mean)' S (x - mean) / scale, scale the mean of the same over clean sets
 Source: Engle, Wald, likelihood ratio and Lagrange multiplier tests, Handbook of Econometrics 2
-(1984); DISCOVERY section 1 of the project's material.
+(1984).
 """
 
 from collections.abc import Sequence
@@ -17,23 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from rollerrig.rig.identify.causes import columns
+from rollerrig.rig.identify.causes import columns, table
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.causes.columns import Variant
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.decide.tuning import Normal
-from rollerrig.rig.mechanisms.table import BY_NAME
 
-# what the filter's own numerics may pretend, one deviation, in the unit of the coefficient
-SYSTEMATIC = {
-    "speed_sensor_delay": 0.001, "torque_sensor_delay": 0.001, "adhesion_memory": 0.15,
-    "wheel_inertia": 0.006, "wheel_radius": 3e-5, "roller_curvature": 0.02,
-    "interfacial_layer": 0.03, "falling_friction": 0.01, "negative_conditioning": 0.005,
-}
-ALPHA_CAUSE = 0.02 / 30.0
-# all runs go over the same rail: an irregularity of longer waves than the clean sets' looks like a patch
-ALPHA_PATCH = 2e-5
 ALPHA_GENERIC = 0.005 / 13.0
 FLOOR = 12.0
 MOST_BINS = 10
@@ -69,7 +59,7 @@ class Finding(NamedTuple):
 def scores(normal: Normal, keep: Sequence[str] = ()) -> Scores:
     """Scores of all columns [E1]; causes already in the explanation (`keep`) join the base."""
     base = tuning.base_columns(normal.matrix) + [
-        c for c, column in enumerate(normal.matrix.columns) if column.owner in keep]
+        c for c, column in enumerate(normal.matrix.columns) if column.cause in keep]
     A, b = normal.A, normal.b
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
     small = A[np.ix_(base, base)] * np.outer(scale[base], scale[base])
@@ -141,8 +131,8 @@ def _judge(real: Scores, clean: list[Scores], variant: Variant) -> Finding:
     off = np.array([(n - bias) @ T @ (n - bias) for n, T in null])
     freedom = len(clean) - 1
     scale = max(float(off.mean()) * len(clean) / freedom / size, 0.7)
-    if variant.cause in SYSTEMATIC:
-        scale += (SYSTEMATIC[variant.cause] / nominal[0]) ** 2
+    if variant.cause in table.OF:
+        scale += (table.OF[variant.cause].floor / nominal[0]) ** 2
     statistic = float((x - bias) @ S @ (x - bias)) / scale
     raw = float(np.mean([n @ T @ n for n, T in null]))
     if _wrong_sign(variant.cause, float(x[0] - bias[0])):
@@ -162,13 +152,12 @@ def finding_of(normal: Normal, clean: list[Scores], cause: Cause) -> Finding | N
 
 def _wrong_sign(cause: str, value: float) -> bool:
     """Whether a coefficient lies on the side of 0 where the cause does not exist."""
-    row = BY_NAME.get(cause)
-    return row is not None and row.parameters[0].low == 0.0 and value < 0.0 \
-        and cause != "wheel_out_of_round"
+    row = table.OF.get(cause)
+    return row is not None and row.mechanism.parameters[0].low == 0.0 and value < 0.0 and not row.phase
 
 
 def _bins(normal: Normal, owner: str) -> list[int]:
-    return [c for c, column in enumerate(normal.matrix.columns) if column.owner == owner]
+    return [c for c, column in enumerate(normal.matrix.columns) if column.cause == owner]
 
 
 def _windows(S: np.ndarray, g: np.ndarray, first: int, longest: int) -> np.ndarray:
@@ -272,6 +261,5 @@ def against(found: Finding) -> str:
 
 def significant(found: Finding, floor: float = FLOOR) -> bool:
     """Whether a finding counts by itself."""
-    limit = ALPHA_GENERIC if generic(found.name) else \
-        ALPHA_PATCH if found.name == "contaminated_patch" else ALPHA_CAUSE
+    limit = ALPHA_GENERIC if generic(found.name) else table.OF[found.name].alpha
     return found.p_value < limit and found.statistic - len(found.estimate) > floor

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.preparation import Design
@@ -26,11 +26,6 @@ CLEAN_SETS, MOST_PROMISING, MOST_FITTED = 60, 4, 5
 # a remainder above this share of the causes' likelihood is not a matter of their shape, unless it
 # lies along what the cause itself goes by: there its shape may differ more
 REMAINDER_SHARE, OWN_REMAINDER_SHARE = 0.08, 0.2
-GOES_BY = {
-    "rail_cleaning": ("axle", "load", "time of one axle"), "speed_dependent_friction": ("speed",),
-    "friction_trend": ("time",),
-    "falling_friction": ("sliding",), "running_resistance": ("vehicle speed",), "pad_fade": ("disc_heat",),
-    "adhesion_memory": ("energy",)}
 
 
 class Account(NamedTuple):
@@ -134,14 +129,10 @@ def _gain(held: Design | None, base: Explanation, explanation: Explanation, caus
           notes: list[str]) -> Gain | None:
     if held is None or not causes:
         return None
-    if any(named.finding.name == "sanding" for named in causes):
-        notes.append("the moments of sanding are not known for the runs that were not fitted: the "
-                     "gain cannot be judged there")
-        return None
-    if any(named.finding.name == "wheel_out_of_round" for named in causes):
-        notes.append("the angle of an out-of-round wheel at the start is not known for the runs that "
-                     "were not fitted: the gain cannot be judged there")
-        return None
+    for unknown_of in (table.OF[named.finding.name].not_elsewhere for named in causes):
+        if unknown_of:
+            notes.append(f"{unknown_of} not known for the runs that were not fitted: the gain cannot be judged there")
+            return None
     return gain.measure(held, base, explanation, seed)
 
 
@@ -156,7 +147,7 @@ def _verdict(causes: list[choice.NamedCause], remainder: list[Finding], won: Gai
                      "not fitted worse: not named")
         return "unexplained"
     total = sum(named.ratio for named in causes)
-    own = {f"along {name}" for named in causes for name in GOES_BY.get(named.finding.name, ())}
+    own = {f"along {name}" for named in causes for name in table.OF[named.finding.name].goes_by}
     much = [f for f in left
             if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)]
     if much:

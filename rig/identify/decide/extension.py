@@ -8,6 +8,8 @@ comments, that of the wheel speeds with the fault that does the same on the benc
 import math
 from typing import Any
 
+from rollerrig.rig.identify.causes import table
+from rollerrig.rig.identify.causes.columns import PLACE_BIN_M, TIME_BIN_S
 from rollerrig.rig.identify.decide.choice import NamedCause
 from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.identify.decide.unknown import Formula
@@ -22,7 +24,7 @@ def parameters(named: NamedCause) -> dict[str, dict[str, Any]]:
     rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
     free = BY_NAME[named.cause.name].parameters[: BY_NAME[named.cause.name].free]
     found: dict[str, dict[str, Any]] = {}
-    if named.cause.name == "wheel_out_of_round":
+    if table.OF[named.cause.name].phase:
         return _swing(named)
     bias = named.finding.bias if len(named.finding.bias) == len(named.cause.values) else (0.0,)
     for k, value in enumerate(named.cause.values):
@@ -32,20 +34,18 @@ def parameters(named: NamedCause) -> dict[str, dict[str, Any]]:
                            "unit": row.source}
     for name, value in named.cause.shape.items():
         known = rows.get(name)
-        found[name] = {"value": value, "ci95": _width(name, value),
+        found[name] = {"value": value, "ci95": _width(named.cause.name, name, value),
                        "unit": known.source if known else "s"}
     return found
 
 
-def _width(name: str, value: float) -> list[float]:
+def _width(cause: str, name: str, value: float) -> list[float]:
     """Interval of a shape: the grid on which it was searched."""
-    if name in ("energy_J_m", "distance_m", "time_s", "knee_m_s", "heat_MJ"):
+    if name in table.OF[cause].scales:
         return [value / 2.0, value * 2.0]
-    if name in ("start_m", "length_m"):
-        return [value - 25.0, value + 25.0]
-    if name.startswith(("start_s", "duration_s")):
-        return [value - 2.0, value + 2.0]
-    return [value, value]
+    edge = PLACE_BIN_M if name in ("start_m", "length_m") else \
+        TIME_BIN_S if name.startswith(("start_s", "duration_s")) else 0.0
+    return [value - edge, value + edge]
 
 
 def _swing(named: NamedCause) -> dict[str, dict[str, Any]]:
@@ -74,7 +74,7 @@ def toml(account: Account) -> str:
     tau = law["tau_m_J"] * math.exp(account.final.base.get("ln_tau", 0.0))
     lines = [f"# extended model, found by rollerrig explain on {account.data.name}",
              f"# verdict: {account.verdict}", "", "[adhesion]", f"tau_m_J = {tau:.6g}"]
-    kept = [n for n in account.causes if n.cause.name in IN_PLANT]
+    kept = [n for n in account.causes if BY_NAME[n.cause.name] in IN_PLANT]
     if kept:
         lines += ["", "[mechanisms]"]
     for named in kept:

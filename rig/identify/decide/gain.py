@@ -22,7 +22,8 @@ from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
 from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.filter import replay, sensitivity
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.mechanisms.table import BY_NAME, TORQUE, VEHICLE
+from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
+from rollerrig.rig.mechanisms.table import BY_NAME
 
 BLOCK_S = 3.0
 FREE_RUN_S = 5.0

@@ -6,21 +6,18 @@ smaller steps while the likelihood grows, scales by factors, each with the coeff
 A patch may also rise and fall slowly, where that is the likelier form.
 """
 
-from rollerrig.rig.identify.causes import candidates, columns
+from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import tuning
 
-# first step of an edge in m or s, halved this often
-_STEPS = {"contaminated_patch": 12.0, "sanding": 1.0}
+# the first step of an edge is halved this often
 _HALVINGS, _MOST_MOVES = 3, 8
 # a patch with edges of this share of its length, and what its depth has to be for the same effect
 _RAMPS = ((0.5, 1.1), (1.0, 1.3))
 # likelihood that such edges must earn
 _RAMP_EARNS = 4.0
-# scales, and the factors by which they are moved: least and most of each
-_SCALES = {"energy_J_m": (3.0, 4000.0), "knee_m_s": (4.0, 80.0), "time_s": (1.5, 60.0),
-           "distance_m": (3.0, 400.0), "heat_MJ": (0.5, 40.0)}
+# factors by which scales are moved
 _FACTORS, _SCALE_EARNS = (1.5, 1.2), 1.0
 
 # irregularity with which a base is begun anew, so that all levels are in reach
@@ -44,7 +41,7 @@ def remembered(design: Design, explanation: Explanation) -> Explanation:
     there no small step leads to the base that belongs to a memory.
     """
     found: list[tuple[float, int, Explanation]] = []
-    for shape in columns.MEMORY_SHAPES:
+    for shape in table.OF[tuning.MEMORY].shapes:
         causes = tuple(c._replace(shape=shape) if c.name == tuning.MEMORY else c for c in explanation.causes)
         begun = candidates.start(design)._replace(sigma=_BEGINS_ROUGH, causes=causes)
         tried, value, _ = tuning.fit(design, begun, 5, False, free=("ln_mu",))
@@ -56,7 +53,7 @@ def scaled(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the scales of its causes where they fit best."""
     value = tuning.deviance(design, explanation)
     for at, cause in enumerate(explanation.causes):
-        for key in [k for k in cause.shape if k in _SCALES]:
+        for key in [k for k in cause.shape if k in table.OF[cause.name].scales]:
             for factor in _FACTORS:
                 for by in (factor, 1.0 / factor):
                     explanation, value = _while_it_pays(design, explanation, value, at, key, by)
@@ -65,7 +62,7 @@ def scaled(design: Design, explanation: Explanation) -> Explanation:
 
 def _while_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str,
                    by: float) -> tuple[Explanation, float]:
-    low, high = _SCALES[key]
+    low, high = table.OF[explanation.causes[at].name].scales[key]
     for _ in range(_MOST_MOVES):
         cause = explanation.causes[at]
         moved = cause._replace(shape={**cause.shape, key: cause.shape[key] * by})
@@ -90,7 +87,7 @@ def _edges_moved(design: Design, explanation: Explanation, first: float) -> tupl
     """Edges by steps that begin with a share `first` of the table's."""
     value = tuning.deviance(design, explanation)
     for at, cause in enumerate(explanation.causes):
-        step = first * _STEPS.get(cause.name, 0.0)
+        step = first * table.OF[cause.name].edge_step
         for _ in range(_HALVINGS if step else 0):
             for key in [k for k in cause.shape if k.startswith(("start_", "length_", "duration_"))]:
                 for change in (step, -step):

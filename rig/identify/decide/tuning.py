@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize, minimize_scalar
 
-from rollerrig.rig.identify.causes import candidates, columns
+from rollerrig.rig.identify.causes import candidates, columns, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix
 from rollerrig.rig.identify.data import parameters
@@ -69,17 +69,15 @@ def normal(design: Design, explanation: Explanation, only: frozenset[str] | None
            ) -> tuple[Normal, Linear, Inputs, np.ndarray]:
     """Normal equations around an explanation, its replay, its inputs, the whitened answers."""
     i = candidates.inputs(design, explanation)
-    linear = sensitivity.linearise(design, i)
-    matrix = columns.write(design, i, linear, only,
-                         tuple((cause.name, cause.shape) for cause in explanation.causes))
+    matrix, linear = columns.write(design, i, only, tuple((cause.name, cause.shape) for cause in explanation.causes))
     Z = np.empty_like(matrix.wheel)
     for s in range(design.segments):
         at = design.span(s)
         sensitivity.answer(matrix.wheel[at], linear.variance[at], linear.coefficients[at], Z[at])
     root = np.sqrt(linear.variance)
-    for c, column in enumerate(matrix.columns):
-        if column.owner == MEMORY:
-            Z[:, c] = _memory_answer(design, i, linear, columns.MEMORY_SHAPES[int(column.label)]) / root
+    for variant in matrix.variants:
+        if variant.cause == MEMORY:
+            Z[:, variant.columns[0]] = _memory_answer(design, i, linear, variant.shape) / root
     V = np.empty_like(matrix.vehicle)
     for run in range(design.mass_kg.size):
         at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
@@ -131,7 +129,7 @@ def _priors(design: Design, explanation: Explanation, matrix: SensitivityMatrix,
 
 def base_columns(matrix: SensitivityMatrix) -> list[int]:
     """Columns of the base."""
-    return [c for c, column in enumerate(matrix.columns) if column.owner == BASE]
+    return [c for c, column in enumerate(matrix.columns) if column.cause == BASE]
 
 
 def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -162,7 +160,7 @@ def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = 
         if not np.all(np.isfinite(found.A[np.ix_(at, at)])):
             break
         change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
-        rest = [k for k, c in enumerate(at) if found.matrix.columns[c].owner != MEMORY]
+        rest = [k for k, c in enumerate(at) if found.matrix.columns[c].cause != MEMORY]
         if len(rest) < len(at):
             change = np.zeros(len(at))
             left = [at[k] for k in rest]
@@ -237,13 +235,10 @@ def _search(design: Design, explanation: Explanation, labels: list[str], change:
 
 def bounded(cause: Cause) -> Cause:
     """The cause with its coefficients inside the bounds of the table of mechanisms."""
-    from rollerrig.rig.mechanisms.table import BY_NAME
-
-    rows = BY_NAME[cause.name].parameters[: BY_NAME[cause.name].free]
-    if cause.name == "wheel_out_of_round":
-        return cause._replace(values=tuple(float(np.clip(v, -0.3, 0.3)) for v in cause.values))
-    limited = [float(np.clip(v, rows[min(k, len(rows) - 1)].low, rows[min(k, len(rows) - 1)].high))
-               for k, v in enumerate(cause.values)]
+    mechanism, limited = table.OF[cause.name].mechanism, []
+    for k, value in enumerate(cause.values):
+        row = mechanism.parameters[min(k, mechanism.free - 1)]
+        limited.append(float(np.clip(value, -row.high if table.OF[cause.name].phase else row.low, row.high)))
     return cause._replace(values=tuple(limited))
 
 

@@ -20,13 +20,13 @@ from rollerrig.rig.identify.decide import gain, tuning
 from rollerrig.rig.identify.decide.evidence import Finding
 from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.filter import sensitivity
+from rollerrig.rig.mechanisms.mechanism import COVARIATES, Covariate
 
 MOST_TRIED = 3
 # likelihood that two coefficients (and a period) must earn
 LEAST = 20.0
 PERIODS_M = np.geomspace(4.0, 150.0, 400)
-UNITS = {"speed": "m/s", "time": "s", "place": "m", "sliding": "m/s", "load": "N",
-         "energy": "J/m", "disc_heat": "MJ", "slid": "m", "wheel_angle": "rad"}
+_WORDS = {c.word: (code, c) for code, c in enumerate(COVARIATES, start=1) if c.word}
 
 
 class Formula(NamedTuple):
@@ -55,8 +55,7 @@ def find(design: Design, held: Design | None, base: Explanation, remainder: Sequ
         won = gain.measure(held, base, explanation, seed)
         if won.claimed:
             cause = explanation.causes[-1]
-            name = courses.COVARIATES[int(cause.shape["covariate"])]
-            return Formula(cause, explanation, text(cause), (name,), won)
+            return Formula(cause, explanation, text(cause), (_of(cause).word,), won)
     return None
 
 
@@ -67,17 +66,17 @@ def _shapes(design: Design, base: Explanation, remainder: Sequence[Finding]
     for name in names:
         on_vehicle = name.startswith("vehicle ")
         name = name.removeprefix("vehicle ")
-        if name not in courses.COVARIATES:
+        if name not in _WORDS:
             continue
-        code = float(courses.COVARIATES.index(name))
+        code, known = _WORDS[name]
         if name == "wheel_angle":
-            found += [{"covariate": code, "period": 2.0 * np.pi / k} for k in (1, 2)]
+            found += [{"covariate": float(code), "period": 2.0 * np.pi / k} for k in (1, 2)]
             continue
-        x = courses.covariate(design, name)
-        shape = {"covariate": code, "centre": float(np.mean(x)), "scale": float(np.std(x))}
+        x = courses.covariate(design, known.name)
+        shape = {"covariate": float(code), "centre": float(np.mean(x)), "scale": float(np.std(x))}
         found.append({**shape, "on_vehicle": 1.0} if on_vehicle else shape)
     found = found[:MOST_TRIED]
-    found.append({"covariate": float(courses.COVARIATES.index("place")),
+    found.append({"covariate": float(_WORDS["place"][0]),
                   "period": _period(design, base)})
     return found
 
@@ -85,16 +84,19 @@ def _shapes(design: Design, base: Explanation, remainder: Sequence[Finding]
 def _period(design: Design, base: Explanation) -> float:
     """Period in m of the strongest wave of the filtered irregularity along the rail."""
     _, _, field, _, _ = sensitivity.innovations(design, inputs(design, base))
-    x = courses.covariate(design, "place")
+    x = design.place_m
     use = slice(None, None, 5)
     wave = np.exp(2j * np.pi * x[use][:, None] / PERIODS_M)
     return float(PERIODS_M[np.argmax(np.abs((field[use] - field.mean()) @ wave))])
 
 
+def _of(cause: Cause) -> Covariate:
+    return COVARIATES[int(cause.shape["covariate"]) - 1]
+
+
 def text(cause: Cause) -> str:
     """The formula in words and numbers."""
-    name = courses.COVARIATES[int(cause.shape["covariate"])]
-    unit, (a, b) = UNITS[name], cause.values
+    (_, _, name, unit), (a, b) = _of(cause), cause.values
     left, number = ("R", "N") if "on_vehicle" in cause.shape else ("ln mu", "")
     if "period" in cause.shape:
         turn = f"2 pi {name} / {cause.shape['period']:.4g} {unit}"

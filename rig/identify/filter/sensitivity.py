@@ -18,20 +18,22 @@ from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.filter import memory_replay, replay
 from rollerrig.rig.kernel import kernel, kernel_with_memory
 
-# changes of the wheel's acceleration for a change of ln: friction, tau, gamma, stiffness, k_a, load,
-# radius, the field m, mu_cd alone, and the height of the fall
-FRICTION, TAU, GAMMA, STIFFNESS, STICKING, LOAD, RADIUS, LATE, LEVEL, HEIGHT = range(10)
-_COEFFICIENTS, _RATES = 6, 10
+# changes of the wheel's acceleration for a change of ln: friction, load, radius, the irregularity m
+RATES = ("friction", "load", "radius", "irregularity")
+_COEFFICIENTS = 6
+# change of ln for which parameters are given
+STEP = 0.01
 
 
 class Linear(NamedTuple):
-    """A replay with its coefficients: flat arrays (n,), (n, 6) and (n, 10)."""
+    """A replay with its coefficients: flat arrays (n,), (n, 6), (n, RATES)."""
 
     nu: np.ndarray
     variance: np.ndarray
     field: np.ndarray
     coefficients: np.ndarray
     rates: np.ndarray
+    constants: np.ndarray  # (n, changes): the same for a step of other parameters, over the step
     sliding_m_s: np.ndarray  # (n,) known before the next sample, so are the next two
     energy_J_m: np.ndarray
     acceleration_rad_s2: np.ndarray
@@ -52,14 +54,13 @@ class Inputs(NamedTuple):
 
 
 @kernel_with_memory
-def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field, co,
-                    rates, path):
-    """One wheel: replays it, then stores [S1] along the filtered path."""
+def coefficients_of(measured, torque, load, speed, friction_log, p, changed, step_s, nu, variance, field, co,
+                    rates, constants, path):
+    """One wheel: replays it, then stores [S1] along the filtered path; `changed` (changes, PARAMETERS)."""
     memory_replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field)
     r, inertia = p[0], p[1]
     noise = p[17] * p[17]
     h = 0.5 * step_s
-    q = p.copy()
     late = 0.0
     for k in range(measured.size):
         S = variance[k]
@@ -87,35 +88,16 @@ def coefficients_of(measured, torque, load, speed, friction_log, p, step_s, nu, 
         co[k, 3] = h * phi * (1.0 + growth)
         co[k, 4] = p00 / S
         s = v - r * omega
-        d = 0.01
-        rates[k, 0] = force * (replay.wheel_adhesion(s, v, 0.5 * N, log_mu + d, p, before, share)[0]
-                               - f) / d
-        for i in range(7):
-            for c in range(p.size):
-                q[c] = p[c]
-            N1 = N
-            if i == 0:
-                q[12] *= 1.0 + d
-            elif i == 1:
-                q[6] *= 1.0 + d
-                q[7] *= 1.0 + d
-            elif i == 2:
-                q[13] *= 1.0 + d
-            elif i == 3:
-                q[8] *= 1.0 - d
-                q[10] *= 1.0 - d
-            elif i == 4:
-                N1 = N * (1.0 + d)
-            elif i == 5:
-                q[2] *= 1.0 + d
-            else:
-                q[4] /= 1.0 + (1.0 - q[4]) * d
-                q[5] /= 1.0 + (1.0 - q[5]) * d
-            f1 = replay.wheel_adhesion(s, v, 0.5 * N1, log_mu, q, before, share)[0]
-            rates[k, 1 + i if i < 6 else HEIGHT] = force * (f1 * N1 / N - f) / d
-        rates[k, 8] = rates[k, 6]
-        rates[k, 6] = force * f + a * omega  # radius: lever, and sliding
-        rates[k, 7] = force * f
+        rates[k, 0] = force * (replay.wheel_adhesion(s, v, 0.5 * N, log_mu + STEP, p, before, share)[0]
+                               - f) / STEP
+        more = N * (1.0 + STEP)
+        rates[k, 1] = force * (replay.wheel_adhesion(s, v, 0.5 * more, log_mu, p, before, share)[0]
+                               * more / N - f) / STEP
+        rates[k, 2] = force * f + a * omega  # lever, and sliding
+        rates[k, 3] = force * f
+        for i in range(changed.shape[0]):
+            constants[k, i] = force * (replay.wheel_adhesion(s, v, 0.5 * N, log_mu, changed[i], before, share)[0]
+                                       - f) / STEP
 
 
 @kernel
@@ -172,21 +154,28 @@ def vehicle_answer(changes, variance, noise, step_s, out):
                 d_u[c] = kept * d_u[c] + 0.5 * step_s * (changes[k, c] + changes[k + 1, c])
 
 
-def linearise(design: Design, inputs: Inputs) -> Linear:
-    """Replay all wheels and vehicles and keep the coefficients."""
+def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> Linear:
+    """Replay all wheels and vehicles and keep the coefficients.
+
+    `changed` (segments, changes, PARAMETERS) are parameters of which one differs by STEP of its ln.
+    """
     n = design.measured_rad_s.size
     nu, variance, field = np.empty(n), np.empty(n), np.empty(n)
-    co, rates, path = np.empty((n, _COEFFICIENTS)), np.empty((n, _RATES)), np.empty((n, 3))
+    co, rates, path = np.empty((n, _COEFFICIENTS)), np.empty((n, len(RATES))), np.empty((n, 3))
+    constants = np.empty((n, changed.shape[1]))
     for s in range(design.segments):
         at = design.span(s)
         p = inputs.parameters[s]
         coefficients_of(design.measured_rad_s[at], inputs.torque_Nm[at], inputs.load_N[at],
-                        inputs.speed_m_s[at], inputs.friction_log[at], p, design.step_s, nu[at],
-                        variance[at], field[at], co[at], rates[at], path[at])
+                        inputs.speed_m_s[at], inputs.friction_log[at], p, changed[s], design.step_s, nu[at],
+                        variance[at], field[at], co[at], rates[at], constants[at], path[at])
         gains(variance[at], co[at], p, design.step_s, inputs.speed_m_s[at], inputs.load_N[at],
               inputs.torque_Nm[at])
     vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
-    return Linear(nu, variance, field, co, rates, path[:, 0], path[:, 1], path[:, 2], vehicle_nu, vehicle_variance)
+    return Linear(
+        nu=nu, variance=variance, field=field, coefficients=co, rates=rates, constants=constants,
+        sliding_m_s=path[:, 0], energy_J_m=path[:, 1], acceleration_rad_s2=path[:, 2], vehicle_nu=vehicle_nu,
+        vehicle_variance=vehicle_variance)
 
 
 def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:

@@ -79,7 +79,8 @@ class Library(NamedTuple):
 
 def surviving(account: Account) -> tuple[Finding, ...]:
     """The causes that are named or may stand in their place; beside a single one its likeliest rivals."""
-    causes = [f for f in account.findings if not generic(f.name) and f.name != "sanding"
+    # a shape of single runs is not known for a stop to come
+    causes = [f for f in account.findings if not generic(f.name) and not any(" " in key for key in f.shape)
               and np.all(np.isfinite(f.estimate))]
     names = [name for n in account.causes for name in (n.finding.name, *n.confusable)]
     chosen = {f.name: f for f in causes if f.name in names}
@@ -176,7 +177,7 @@ def _owners(chosen: Sequence[Finding]) -> frozenset[str]:
 def _table(normal: Normal, chosen: Sequence[Finding], name: str) -> Table:
     """One column for each candidate, times its size; base columns of single runs get the set's name."""
     columns = normal.matrix.columns
-    base = [c for c, column in enumerate(columns) if column.owner == BASE]
+    base = [c for c, column in enumerate(columns) if column.cause == BASE]
     P = np.zeros((len(columns), len(base) + len(chosen)))
     A, keys = normal.A.copy(), []
     for k, c in enumerate(base):

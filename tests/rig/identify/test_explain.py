@@ -9,6 +9,7 @@ from generator import braking_stops, other_stops
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import explain, extension
+from rollerrig.rig.mechanisms import plant as effects
 
 
 def silent(title: str, share: float) -> None:
@@ -66,8 +67,9 @@ def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path:
     model = tmp_path / "extended.toml"
     model.write_text(extension.toml(found))
     params = scenario.load("velim_a1", str(model)).params
-    assert params.effects.empirical == 3
-    assert params.effects.period == pytest.approx(found.unknown.cause.shape["period"], rel=1e-4)
+    effect = dict(zip(effects.PLACE, params.effects.values, strict=True))
+    assert effect["empirical_covariate"] == 3
+    assert effect["empirical_period"] == pytest.approx(found.unknown.cause.shape["period"], rel=1e-4)
 
 
 def test_a_drop_under_the_first_wheelset_at_some_moment_is_not_told_as_cleaning(tmp_path: Path) -> None:

@@ -1,0 +1,112 @@
+"""The type of a mechanism's row: what it acts on, its parameters, its formula.
+
+A formula is either a course, a kernel of covariates by their names (COVARIATES) and then of the row's
+shape parameters in their order; or a function of constants of the model by their names, which returns
+those that it changes. Plant, coach and replay call the same one.
+"""
+
+import inspect
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from rollerrig.configs.table import Row, number
+from rollerrig.rig.kernel import kernel
+
+FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
+    "friction", "torque", "load", "vehicle", "sensor", "wheel", "contact")
+AXLES = 4
+MIDDLE_SPEED_M_S, GRAVITY_M_S2 = 20.0, 9.80665
+# a scale as wide as this is none
+WIDE = 1e4
+# what the coach in 3D knows of a mechanism: it, it for all axles alike, nothing
+WHOLLY, ALL_AXLES_ALIKE, NOT = "wholly", "all axles alike", "not"
+
+
+class Covariate(NamedTuple):
+    """What a course may depend on, under the name by which prepared runs have it.
+
+    `of_plant` says where the plant has it, for `axle` at `place_m`; `word` is its name in the formula of
+    an empirical term, whose code is its place in the table, from 1.
+    """
+
+    name: str
+    of_plant: str
+    word: str = ""
+    unit: str = ""
+
+
+COVARIATES = (
+    Covariate("speed_m_s", "state.vehicle_speed[0]", "speed", "m/s"),
+    Covariate("time_s", "state.time[0]", "time", "s"),
+    Covariate("place_m", "place_m", "place", "m"),
+    Covariate("sliding_m_s", "state.sliding[axle]", "sliding", "m/s"),
+    Covariate("load_N", "state.wheel_load[axle]", "load", "N"),
+    Covariate("energy_J_m", "state.dissipated_energy[axle]", "energy", "J/m"),
+    Covariate("heat_MJ", "1e-6 * state.brake_work[axle]", "disc_heat", "MJ"),
+    Covariate("slid_m", "state.slid[axle]", "slid", "m"),
+    Covariate("angle_rad", "state.wheel_angle[axle]", "wheel_angle", "rad"),
+    Covariate("axle", "axle"),
+    Covariate("cleaned_J_m", "state.rail_work[axle]"),
+    Covariate("braked_rad", "state.braked_angle[axle]"),
+    Covariate("brake_Nm", "capacity_Nm"),
+    Covariate("deceleration_m_s2", "-state.felt_acceleration[0]"),
+)
+EMPIRICAL_WORDS = tuple(c.word for c in COVARIATES if c.word)
+
+
+class Mechanism(NamedTuple):
+    """One possible cause: `acts_on` is the place in the model, `courses` or `constants` its formula.
+
+    The first `free` parameters are coefficients, 0 when the mechanism is absent, each with its course;
+    the others give its shape. A coefficient whose lower bound is 0 has a sign by nature. With `share`
+    a course is a share of the torque or load itself. `constants` changes those of `changes`.
+    """
+
+    name: str
+    acts_on: str
+    parameters: tuple[Row, ...]
+    formula: str
+    text: str
+    source: str
+    courses: tuple[Any, ...] = ()
+    share: bool = False
+    constants: Callable[..., dict[str, Any]] | None = None
+    changes: tuple[str, ...] = ()
+    free: int = 1
+    in_coach: str = WHOLLY
+
+    @property
+    def axlewise(self) -> bool:
+        """Whether it may act on one axle alone."""
+        return self.parameters[-1].name == "axle"
+
+    @property
+    def own_parameters(self) -> tuple[Row, ...]:
+        """All but the axle."""
+        return self.parameters[:-1] if self.axlewise else self.parameters
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Keys of its coefficients in the section [mechanisms]."""
+        return tuple(f"{self.name}_{row.name}" for row in self.parameters[:self.free])
+
+
+def arguments(course: Any, shape: int) -> list[str]:
+    """The covariates of a course that has this many shape parameters."""
+    names = list(inspect.signature(getattr(course, "py_func", course)).parameters)
+    return names[:len(names) - shape]
+
+
+def parameter(name: str, low: float, high: float, text: str, default: float = 0.0) -> Row:
+    """A number of a mechanism; `text` is its unit."""
+    return number(name, default, low, high, text)
+
+
+AXLE = parameter("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
+
+
+@kernel
+def saturating(x, scale):
+    """x that levels off at a scale: scale (1 - exp(-x / scale)), x itself where the scale is wide."""
+    return x if scale >= WIDE else -scale * math.expm1(-x / scale)
