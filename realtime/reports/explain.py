@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from rollerrig.realtime.reports import paper
+from rollerrig.realtime.reports import page as html
+from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, MEASURED
 from rollerrig.rig.identify.data import preparation as prepared
 from rollerrig.rig.identify.decide import evidence, extension, gain, simulate
 from rollerrig.rig.identify.decide.choice import NamedCause
 from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.mechanisms.table import BY_NAME, TABLE
 
-MEASURED, BASE, EXTENDED = "#222222", "#d55e00", "#0072b2"
 # deviations that a cause must lie from nothing to be found in nine of ten sets
 _SEEN = 5.0
 
@@ -130,13 +130,13 @@ def story(a: Account) -> list[str]:
 
 def page(a: Account, report: dict[str, Any]) -> str:
     """The HTML page, without outside parts."""
-    parts = [paper.paragraph(f"Verdict: {a.verdict}")]
-    parts += [paper.paragraph(line) for line in story(a)]
-    parts.append(paper.picture(lambda figure: _against(figure, a)))
-    parts.append(paper.picture(lambda figure: _course(figure, a)))
-    rows = [[s["name"], f"{s['delta_bic']:.1f}", s["rejected_because"]] for s in report["screened"]]
-    parts.append(paper.table(["rejected", "delta BIC", "because"], rows))
-    return paper.page(f"What the model gets wrong: {a.data.name}", parts)
+    return html.page(
+        f"What the model gets wrong: {a.data.name}",
+        html.paragraph(f"Verdict: {a.verdict}"), *(html.paragraph(line) for line in story(a)),
+        html.picture(lambda figure: _against(figure, a)),
+        html.picture(lambda figure: _course(figure, a), (11.0, 7.0)),
+        html.table(["rejected", "delta BIC", "because"],
+                   [[s["name"], f"{s['delta_bic']:.1f}", s["rejected_because"]] for s in report["screened"]]))
 
 
 def _against(figure: Figure, a: Account) -> None:
@@ -152,7 +152,7 @@ def _against(figure: Figure, a: Account) -> None:
             error = [(measured - model)[at == k].mean() if np.any(at == k) else np.nan
                      for k in range(12)]
             axis.plot(middle, error, "o-", color=colour, label=label)
-        axis.axhline(0.0, color="#999999", lw=0.8)
+        axis.axhline(0.0, color=GREY)
         axis.set_xlabel(name)
     axes[0].set_ylabel("measured - model adhesion")
     axes[0].legend()

@@ -1,64 +1,23 @@
-"""Reports of tune and validate: pictures and tables in one HTML file without outside parts, and JSON.
+"""Reports of tune and validate: what stands in their pages, and the same as plain data."""
 
-Every number of a picture stands in the JSON too. Colours are Okabe and Ito's, safe for the
-colour-blind; one colour means one run (or one model) throughout.
-"""
-
-import html
-import io
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
 import numpy as np
 from matplotlib.figure import Figure
 
+from rollerrig.realtime.reports import page
+from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED, RUNS, element, paragraph, table
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.paper.polach_fit import NAMES, RECOMMENDED, Fitted, falls, model, patch_of
 from rollerrig.rig.identify.paper.tuning import Interval, Tuned
 from rollerrig.rig.identify.paper.validation import Verdict
 
-COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
-MODELS = {"measured": ("#222222", "measured"), "new": ("#0072b2", "with recovery"),
-          "classic": ("#d55e00", "classic, no recovery")}
-_STYLE = ("body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;"
-          "color:#222}table{border-collapse:collapse;margin:1rem 0}td,th{padding:.2rem .7rem;"
-          "border-bottom:1px solid #ddd;text-align:right}td:first-child,th:first-child{text-align:left}"
-          "svg{width:100%;height:auto}.warn{color:#a33}.small{color:#666;font-size:13px}")
-
-
-def page(title: str, parts: Sequence[str]) -> str:
-    """A whole HTML page."""
-    return (f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
-            f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>{''.join(parts)}</html>\n")
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """An HTML table of text."""
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) + "</tr>"
-
-    return f"<table>{line(head, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
-
-
-def paragraph(text: str, kind: str = "") -> str:
-    """A paragraph of text."""
-    return f"<p{f' class={kind}' if kind else ''}>{html.escape(text)}</p>"
-
-
-def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (9.0, 4.0)) -> str:
-    """What a function draws, as SVG."""
-    figure = Figure(figsize=size, layout="constrained")
-    draw(figure)
-    out = io.StringIO()
-    # no date and a fixed salt: the same data give the same file
-    with matplotlib.rc_context({"svg.hashsalt": "rollerrig"}):
-        figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()[out.getvalue().index("<svg"):]
+MODELS = {"measured": (MEASURED, "measured"), "new": (EXTENDED, "with recovery"),
+          "classic": (BASE, "classic, no recovery")}
+_POINTS = {"linestyle": "", "marker": ".", "markersize": 2, "alpha": 0.3, "rasterized": True}
 
 
 def _interval(v: Interval, scale: float = 1.0) -> str:
@@ -91,17 +50,18 @@ def tune_page(data: Dataset, t: Tuned) -> str:
             *([f"mu_cd of {run}", _interval(v)] for run, v in t.mu_cd.items())]
     errors = [["tuned", f"{t.rmse:.5f}"], ["dataset's tau, mu_cd fitted", f"{t.rmse_base:.5f}"],
               ["no recovery, mu_cd fitted", f"{t.rmse_classic:.5f}"]]
-    return page(f"Tuning on {data.name}", [
+    return page.page(
+        f"Tuning on {data.name}",
         paragraph(f"{len(t.model)} samples of {len(data.group('tune'))} runs in which wheels slide. "
                   "Intervals hold the value in 95 of 100 cases (bootstrap over 3 s blocks of each run)."),
-        *[paragraph(w, "warn") for w in t.warnings], table(["", "value (95 %)"], rows),
+        *(paragraph(w, kind="warn") for w in t.warnings), table(["", "value (95 %)"], rows),
         table(["model", "rms error of f"], errors),
-        "<h2>Transition against dissipated energy</h2>", picture(lambda f: _transition(f, data, t)),
-        "<h2>Adhesion against sliding</h2>", picture(lambda f: _adhesion(f, data, t)),
-        "<h2>Transition in time, wheelset 1</h2>", picture(lambda f: _course(f, data, t), (9.0, 5.0)),
+        element("h2", "Transition against dissipated energy"), page.picture(lambda f: _transition(f, data, t)),
+        element("h2", "Adhesion against sliding"), page.picture(lambda f: _adhesion(f, t)),
+        element("h2", "Transition in time, wheelset 1"),
+        page.picture(lambda f: _course(f, data, t), (11.0, 6.0)),
         paragraph("lambda: 0 as contaminated, 1 fully recovered. Points: measured, by the wheel "
-                  "balance. Line: 1 - exp(-tau W).", "small"),
-    ])
+                  "balance. Line: 1 - exp(-tau W)."))
 
 
 def _transition(figure: Figure, data: Dataset, t: Tuned) -> None:
@@ -109,54 +69,42 @@ def _transition(figure: Figure, data: Dataset, t: Tuned) -> None:
     W = t.energy_J_m
     top = float(np.percentile(W, 99.5))
     edges = np.linspace(0.0, top, 25)
-    for i, run in enumerate(data.group("tune")):
+    for i, (run, colour) in enumerate(zip(data.group("tune"), itertools.cycle(RUNS))):
         own = t.samples.run == i
-        axes.plot(W[own][::3], t.transition[own][::3], ".", ms=2, alpha=0.25, color=COLOURS[i % 6],
-                  rasterized=True)
-        middle, low, high, at = [], [], [], []
-        for a, b in itertools.pairwise(edges):
-            inside = t.transition[own & (a <= W) & (b > W)]
-            if inside.size > 15:
-                q = np.percentile(inside, (25, 50, 75))
-                low.append(q[1] - q[0])
-                middle.append(q[1])
-                high.append(q[2] - q[1])
-                at.append(0.5 * (a + b))
-        axes.errorbar(at, middle, (low, high), fmt="o", ms=4, color=COLOURS[i % 6], label=run.name)
+        axes.plot(W[own][::3], t.transition[own][::3], color=colour, **_POINTS)
+        known = [(0.5 * (a + b), np.percentile(inside, (25, 50, 75)))
+                 for a, b in itertools.pairwise(edges)
+                 if (inside := t.transition[own & (a <= W) & (b > W)]).size > 15]
+        at, (low, middle, high) = [x for x, _ in known], np.reshape([q for _, q in known], (-1, 3)).T
+        axes.errorbar(at, middle, (middle - low, high - middle), fmt="o", ms=4, color=colour, label=run.name)
     grid = np.linspace(0.0, top, 200)
-    axes.plot(grid, -np.expm1(-t.tau_m_J.value * grid), "k", label="tuned")
-    axes.plot(grid, -np.expm1(-data.sections["adhesion"]["tau_m_J"] * grid), "k--", lw=1, label="base")
+    axes.plot(grid, -np.expm1(-t.tau_m_J.value * grid), INK, label="tuned")
+    axes.plot(grid, -np.expm1(-data.sections["adhesion"]["tau_m_J"] * grid), "--", color=INK, label="base")
     axes.fill_between(grid, -np.expm1(-t.tau_m_J.low * grid), -np.expm1(-t.tau_m_J.high * grid),
-                      color="k", alpha=0.15, lw=0)
-    axes.set(xlabel="dissipated energy W_sp of one wheel, J/m", ylabel="transition lambda",
-             xlim=(0.0, top),
+                      color=INK, alpha=0.15, lw=0)
+    axes.set(xlabel="dissipated energy W_sp of one wheel, J/m", ylabel="transition lambda", xlim=(0.0, top),
              ylim=(-0.05, min(1.1, 1.4 * -np.expm1(-t.tau_m_J.value * top) + 0.05)))
-    axes.legend(fontsize=8)
+    axes.legend()
 
 
-def _adhesion(figure: Figure, data: Dataset, t: Tuned) -> None:
+def _adhesion(figure: Figure, t: Tuned) -> None:
     axes = figure.subplots()
-    s = t.samples
-    axes.plot(s.sliding_m_s, s.adhesion, ".", ms=2, alpha=0.3, color=COLOURS[0], label="measured",
-              rasterized=True)
-    axes.plot(s.sliding_m_s, t.model, ".", ms=1, alpha=0.3, color=COLOURS[1], label="model",
-              rasterized=True)
-    axes.plot(s.sliding_m_s, t.degraded, ".", ms=1, alpha=0.2, color="#888888", label="f_d degraded",
-              rasterized=True)
+    for values, colour, label in ((t.samples.adhesion, RUNS[0], "measured"), (t.model, RUNS[1], "model"),
+                                  (t.degraded, GREY, "f_d degraded")):
+        axes.plot(t.samples.sliding_m_s, values, color=colour, label=label, **_POINTS)
     axes.set(xlabel="sliding, m/s", ylabel="adhesion coefficient", xlim=(0.0, None), ylim=(0.0, None))
-    axes.legend(fontsize=8, markerscale=4)
+    axes.legend(markerscale=4)
 
 
 def _course(figure: Figure, data: Dataset, t: Tuned) -> None:
     runs = data.group("tune")
     many = figure.subplots(len(runs), 1, sharex=True, squeeze=False)[:, 0]
-    for i, (axes, run) in enumerate(zip(many, runs, strict=True)):
+    for i, (axes, run, colour) in enumerate(zip(many, runs, itertools.cycle(RUNS))):
         own = (t.samples.run == i) & (t.samples.axle == 0)
-        time = t.samples.time_s[own]
-        axes.plot(time, t.transition[own], ".", ms=2, color=COLOURS[i % 6])
         spread = np.maximum(t.recovered - t.degraded, 1e-9)[own]
-        axes.plot(time, (t.model - t.degraded)[own] / spread, ".", ms=1, color="k")
-        axes.set(ylabel=run.name, ylim=(-0.2, 1.2))
+        axes.plot(t.samples.time_s[own], t.transition[own], ".", ms=2, color=colour)
+        axes.plot(t.samples.time_s[own], (t.model - t.degraded)[own] / spread, ".", ms=1, color=INK)
+        axes.set(ylabel=f"lambda in {run.name}", ylim=(-0.2, 1.2))
     many[-1].set_xlabel("time, s")
 
 
@@ -214,28 +162,25 @@ def validate_page(data: Dataset, tau: Interval, verdicts: list[Verdict]) -> str:
     head, rows = table6(verdicts)
     off = [[MODELS[name][1], *(f"{value:.4f}" for value in mean_errors(verdicts, name).values())]
            for name in ("new", "classic")]
-    parts = [
+    return page.page(
+        f"Validation on {data.name}",
         paragraph(f"tau = {_interval(tau, 1e4)} 1e-4 m/J from the tuning runs. The runs below were not "
                   "fitted, except that both models get the contaminant level mu_cd of a run that does not "
                   "state it. Wheels run free in windows of 1 s under measured torque and load."),
-        *[paragraph(w, "warn") for w in data.warnings],
-        "<h2>Table 6</h2>", table(head, rows),
-        "<h2>Mean absolute errors</h2>",
-        table(["model", "mean, wheelset 1", "mean, all", "std, wheelset 1", "std, all", "E1",
-               "rms of f"], off),
-    ]
-    for v in verdicts:
-        parts += [f"<h2>{html.escape(v.run)}</h2>", picture(lambda f, v=v: _stop(f, v), (9.0, 5.5))]
-    return page(f"Validation on {data.name}", parts)
+        *(paragraph(w, kind="warn") for w in data.warnings),
+        element("h2", "Table 6, m/s"), table(head, rows), element("h2", "Mean absolute errors, m/s"),
+        table(["model", "mean, wheelset 1", "mean, all", "std, wheelset 1", "std, all", "E1", "rms of f"], off),
+        *(part for v in verdicts for part in (
+            element("h2", v.run), page.picture(lambda f, v=v: _stop(f, v), (11.0, 6.0)))))
 
 
 def _stop(figure: Figure, v: Verdict) -> None:
     speed, sliding = figure.subplots(2, 1, sharex=True)
     for name, (colour, label) in MODELS.items():
-        speed.plot(v.time_s, v.speed_m_s[name], color=colour, lw=1.2, label=label)
-        sliding.plot(v.time_s, v.sliding_m_s[name][:, 0], color=colour, lw=0.8)
+        speed.plot(v.time_s, v.speed_m_s[name], color=colour, label=label)
+        sliding.plot(v.time_s, v.sliding_m_s[name][:, 0], color=colour)
     speed.set_ylabel("vehicle speed, m/s")
-    speed.legend(fontsize=8)
+    speed.legend()
     sliding.set(xlabel="time, s", ylabel="sliding of wheelset 1, m/s")
 
 
@@ -257,7 +202,8 @@ def polach_page(data: Dataset, found: Fitted) -> str:
     """The report of a creep-curve fit."""
     rows = [[name, _interval(v)] for name, v in found.values.items()]
     supported = "is" if polach_json(data, found)["falling_friction_supported"] else "is not"
-    return page(f"Creep curve of {data.name}", [
+    return page.page(
+        f"Creep curve of {data.name}",
         table(["Polach's parameter", "value (95 %)"], rows),
         table(["fit", "rms error"], [
             ["five parameters", f"{found.rms:.4f}"],
@@ -266,30 +212,26 @@ def polach_page(data: Dataset, found: Fitted) -> str:
             ["scatter of the points about their neighbours", f"{found.floor:.4f}"]]),
         paragraph(f"Falling friction {supported} supported. Mean errors of the recommended sets: "
                   + ", ".join(f"{k} {v:+.3f}" for k, v in found.means.items()) + "."),
-        picture(lambda f: creep_figure(f, data, found))])
+        page.picture(lambda f: _creep_curve(f, data, found), (11.0, 6.0)))
 
 
-def creep_figure(figure: Figure, data: Dataset, found: Fitted) -> None:
+def _creep_curve(figure: Figure, data: Dataset, found: Fitted) -> None:
     """Points, fits and recommended sets against creepage."""
     assert data.curve is not None
     curve, patch = data.curve, patch_of(data)
     axes = figure.subplots()
-    axes.plot(100 * curve.creepage, curve.adhesion, ".", color="#666666", label="measured",
-              rasterized=True)
+    axes.plot(100 * curve.creepage, curve.adhesion, ".", color=GREY, label="measured", rasterized=True)
     grid = np.linspace(0.0, float(curve.creepage.max()), 400)
     fine = curve._replace(creepage=grid, adhesion=grid, series=grid,
                           speed_m_s=np.full(grid.size, np.median(curve.speed_m_s)),
                           load_N=np.full(grid.size, np.median(curve.load_N)))
-    fitted = np.array([found.values[name].value for name in NAMES])
-    flat = np.array([found.values_no_fall[name] for name in NAMES])
-    axes.plot(100 * grid, model(fitted, fine, patch), color=COLOURS[0],
-              label=f"Polach, five parameters, rms {found.rms:.4f}")
-    axes.plot(100 * grid, model(flat, fine, patch), color=COLOURS[1],
-              label=f"friction that does not fall, rms {found.rms_no_fall:.4f}")
-    for (name, at), style in zip(RECOMMENDED.items(), ("--", ":"), strict=True):
-        axes.plot(100 * grid, model(np.array(at), fine, patch), style, color="#999999", lw=1,
-                  label=f"Polach's {name} set, {found.means[name]:+.3f} off")
+    sets = [("-", RUNS[0], f"Polach, five parameters, rms {found.rms:.4f}",
+             [found.values[name].value for name in NAMES]),
+            ("-", RUNS[1], f"friction that does not fall, rms {found.rms_no_fall:.4f}",
+             [found.values_no_fall[name] for name in NAMES]),
+            *((style, INK, f"Polach's {name} set, {found.means[name]:+.3f} off", at)
+              for style, (name, at) in zip(("--", ":"), RECOMMENDED.items(), strict=True))]
+    for style, colour, label, at in sets:
+        axes.plot(100 * grid, model(np.array(at), fine, patch), style, color=colour, label=label)
     axes.set(xlabel="creepage, %", ylabel="adhesion coefficient", xlim=(0.0, None), ylim=(0.0, None))
-    axes.legend(fontsize=8)
-
-
+    axes.legend()

@@ -13,43 +13,23 @@ import platform
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from html import escape
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime.reports import plots
-from rollerrig.realtime.reports.plots import AXLE_COLOURS, DEMAND_COLOUR, VEHICLE_COLOUR, Line
+from rollerrig.realtime.reports import page
+from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
+from rollerrig.realtime.telemetry import colours
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.play import Outcome
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER, Result, Verdict, worst
 from rollerrig.wsp_interface.signals import AXLES
 
 HTML, JUNIT, JSON = "report.html", "junit.xml", "report.json"
-_AXLES = range(1, AXLES + 1)
-_STYLE = """
-body{font:14px/1.45 system-ui,sans-serif;color:#222;max-width:1180px;margin:2em auto;padding:0 1.2em}
-h1{font-size:1.5em;margin-bottom:.2em}h2{font-size:1.15em;margin:2.2em 0 .3em;border-top:1px solid #ccc;
-padding-top:1em}h3{font-size:1em;margin:1.2em 0 .3em}
-table{border-collapse:collapse;width:100%;font-size:.93em}th,td{text-align:left;padding:.25em .6em;
-border-bottom:1px solid #e4e4e4;vertical-align:top}th{background:#f4f4f4}td.n,th.n{text-align:right;
-font-variant-numeric:tabular-nums;white-space:nowrap}
-.r{font-weight:600;white-space:nowrap}.pass{color:#1b7a34}.fail{color:#c0271d}.error{color:#8a2be2}
-.not{color:#777}small,.dim{color:#666}
-figure{margin:.6em 0;display:inline-block;width:49%;min-width:480px;vertical-align:top}
-figcaption{font-size:.9em}figcaption span{margin-left:.7em;white-space:nowrap}
-figcaption i{display:inline-block;width:.9em;height:.5em;margin-right:.3em;vertical-align:middle}
-svg{width:100%;height:auto}svg polyline{fill:none;stroke-width:1.3}svg .g{stroke:#e6e6e6}
-svg .m{stroke:#c0271d;stroke-dasharray:2 3;opacity:.6}svg text{font-size:11px;fill:#555}
-svg .v{text-anchor:end;dominant-baseline:middle}svg .t{text-anchor:middle}
-details{margin:.4em 0}summary{cursor:pointer;color:#335}pre{background:#f7f7f7;padding:.8em;
-overflow:auto;font-size:.85em}.box{background:#fff8e6;border:1px solid #f0dca8;padding:.5em .8em}
-.err{background:#f6effd;border:1px solid #d9c2f0;padding:.5em .8em}
-@media print{figure{width:48%}details{display:none}}
-"""
 
 
 def write(outcomes: Sequence[Outcome], out: Path, junit: Path | None = None,
@@ -91,10 +71,9 @@ def _sequence_data(outcome: Outcome) -> dict[str, Any]:
         "file": str(outcome.sequence.path), "criteria": outcome.sequence.criteria.name,
         "result": outcome.result, "error": outcome.error or None, "folder": str(outcome.folder),
         "wall_s": round(outcome.wall_s, 3),
-        "verdicts": [{"what": one.what, "unit": one.unit, "value": _number(one.value),
-                      "limit": one.limit, "margin": _number(one.margin), "result": one.result,
-                      "source": one.source, "text": one.text} for one in outcome.verdicts],
-        "figures": {name: _number(value) for name, value in figures(outcome).items()},
+        "verdicts": [dataclasses.asdict(one) | {"value": _number(one.value), "margin": _number(one.margin)}
+                     for one in outcome.verdicts],
+        "figures": figures(outcome),
         "events": [dataclasses.asdict(event) for event in outcome.events],
         "config_hash": summary.get("config_hash"), "seed": summary.get("seed"),
         "pacing": summary.get("pacing"), "loop": summary.get("loop"), "bus": summary.get("bus"),
@@ -106,7 +85,7 @@ def figures(outcome: Outcome) -> dict[str, float]:
     found = {}
     for one in measures.MEASURES if outcome.record else ():
         try:
-            found[one.name] = one.of(outcome.record)  # type: ignore[arg-type]
+            found[one.name] = float(one.of(outcome.record))  # type: ignore[arg-type]
         except (KeyError, IndexError, ValueError):
             continue
     return {name: value for name, value in found.items() if math.isfinite(value)}
@@ -168,158 +147,132 @@ def _printable(text: str) -> str:
 
 def html(outcomes: Sequence[Outcome], out: Path, when: datetime) -> str:
     """The whole report as one document; links to recordings are relative to `out`."""
-    result = overall(outcomes)
-    counts = {one: sum(outcome.result is one for outcome in outcomes) for one in Result}
-    told = ", ".join(f"{count} {one}" for one, count in counts.items() if count)
+    counts = [f"{count} {one}" for one in Result
+              if (count := sum(outcome.result is one for outcome in outcomes))]
     versions = " · ".join(f"{name} {version}" for name, version in _versions().items())
-    body = [
-        "<h1>WSP test sequences on the roller rig</h1>",
-        f'<p>Result: {_result(result)} ({told}) · {when:%Y-%m-%d %H:%M} UTC<br>'
-        f'<span class="dim">{escape(versions)}</span></p>',
-        f'<p class="box"><b>{DISCLAIMER.capitalize()}.</b> Simulated rig and vehicle; limits are '
-        "those of the named criteria profiles, whose sources stand beside each number.</p>",
-        _summary_table(outcomes, out),
-        *(_section(outcome, out) for outcome in outcomes),
-    ]
-    return ('<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>WSP test sequences: '
-            f"{result}</title><style>{_STYLE}</style></head><body>{''.join(body)}</body></html>\n")
+    return page.page(
+        "WSP test sequences on the roller rig",
+        paragraph("Result: ", _result(overall(outcomes)),
+                  f" ({', '.join(counts)}) · {when:%Y-%m-%d %H:%M} UTC"),
+        paragraph(element("small", versions)),
+        paragraph(element("b", f"{DISCLAIMER.capitalize()}."), " Simulated rig and vehicle; limits are those of "
+                  "the named criteria profiles, whose sources stand beside each number.", kind="note"),
+        table(("sequence", "result", "least margin", "", "stop, m", "over dry", "lock, s", "air, NL", "record"),
+              [_summary(outcome, out) for outcome in outcomes]),
+        *(part for outcome in outcomes for part in _section(outcome, out)))
 
 
-def _summary_table(outcomes: Sequence[Outcome], out: Path) -> str:
-    rows = []
-    for outcome in outcomes:
-        found = figures(outcome)
-        margins = [(one.margin, one.what) for one in outcome.verdicts if math.isfinite(one.margin)]
-        margin = min(margins, default=(math.nan, ""))
-        told = f"{100 * margin[0]:+.0f} % <small>{escape(margin[1])}</small>" if margins else "-"
-        columns = [_show(found.get(name), places) for name, places in (
-            ("stop_distance", 0), ("stop_distance_over_dry", 2), ("longest_lock", 2),
-            ("air_consumption", 0))]
-        rows.append(
-            f'<tr><td><a href="#{escape(outcome.sequence.name)}">{escape(outcome.sequence.name)}</a>'
-            f"<br><small>{escape(outcome.sequence.title)}</small>{_reason(outcome)}</td>"
-            f"<td>{_result(outcome.result)}"
-            f"</td><td>{told}</td>" + "".join(f'<td class="n">{one}</td>' for one in columns)
-            + f"<td>{_links(outcome, out)}</td></tr>")
-    heads = "".join(f"<th>{one}</th>" for one in ("sequence", "result", "least margin")) + "".join(
-        f'<th class="n">{one}</th>' for one in ("stop, m", "over dry", "lock, s", "air, NL"))
-    return f"<table><tr>{heads}<th>record</th></tr>" + "".join(rows) + "</table>"
-
-
-def _reason(outcome: Outcome) -> str:
-    """Why a sequence did not pass, for who reads no further than the summary."""
+def _summary(outcome: Outcome, out: Path) -> list[str]:
+    """A row: the sequence and why it did not pass, its least margin, some figures, its records."""
     wrong = [f"{one.what} {_value(one)}, wanted {one.limit} {one.unit}".strip()
              for one in outcome.verdicts if one.result in (Result.FAIL, Result.ERROR)]
-    told = [outcome.error] * bool(outcome.error) + wrong
-    return f'<br><small class="err">{escape("; ".join(told))}</small>' if told else ""
+    why = "; ".join([outcome.error] * bool(outcome.error) + wrong)
+    least = min((one for one in outcome.verdicts if math.isfinite(one.margin)),
+                key=lambda one: one.margin, default=None)
+    found = figures(outcome)
+    name = outcome.sequence.name
+    return [
+        element("span", element("a", name, href=f"#{name}"), page.BREAK,
+                element("small", outcome.sequence.title),
+                *((page.BREAK, element("small", why, kind="fail")) if why else ())),
+        _result(outcome.result), _margin(least) if least else "-", least.what if least else "",
+        *(f"{found[key]:.{places}f}" if key in found else "-" for key, places in (
+            ("stop_distance", 0), ("stop_distance_over_dry", 2), ("longest_lock", 2),
+            ("air_consumption", 0))),
+        _links(outcome, out)]
 
 
-def _section(outcome: Outcome, out: Path) -> str:
+def _section(outcome: Outcome, out: Path) -> list[Markup]:
     sequence = outcome.sequence
-    parts = [f'<h2 id="{escape(sequence.name)}">{escape(sequence.title)} · '
-             f"{_result(outcome.result)}</h2>",
-             f'<p class="dim">{escape(sequence.name)} · criteria: {escape(sequence.criteria.name)} '
-             f"({escape(sequence.criteria.title)}) · {_punctuality(outcome)} · "
-             f"{_links(outcome, out)}</p>"]
+    parts = [element("h2", f"{sequence.title} · ", _result(outcome.result), id=sequence.name),
+             paragraph(element("small", f"{sequence.name} · criteria: {sequence.criteria.name} "
+                               f"({sequence.criteria.title}) · {_punctuality(outcome)} · ",
+                               _links(outcome, out)))]
     if outcome.error:
-        parts.append(f'<p class="err"><b>Error:</b> {escape(outcome.error)}</p>')
-    parts += [_verdict_table(outcome.verdicts), _plots(outcome), _events(outcome),
-              _configuration(outcome)]
-    return "".join(parts)
+        parts.append(paragraph(element("b", "Error: "), outcome.error, kind="note"))
+    parts.append(table(
+        ("measure or check", "value", "limit", "margin", "result", "source of the limit"),
+        [(element("span", one.what, page.BREAK, element("small", one.text)), _value(one),
+          f"{one.limit} {one.unit}", _margin(one), _result(one.result), element("small", one.source))
+         for one in outcome.verdicts]))
+    if outcome.record is not None and len(outcome.record.columns["time_s"]) > 1:
+        parts.append(page.picture(lambda figure: _stop(figure, outcome), (11.0, 8.0)))
+    if outcome.events:
+        parts.append(folded(f"{len(outcome.events)} events", table(
+            ("s", "who", "what"),
+            [(f"{event.time_s:.3f}", event.who, event.text) for event in outcome.events])))
+    for title, path in (("sequence", sequence.path), ("resolved scenario", outcome.folder / "scenario.toml")):
+        if path.is_file():
+            parts.append(folded(f"{title}: {path.name}", element("pre", path.read_text(encoding="utf-8"))))
+    return parts
 
 
-def _verdict_table(verdicts: Sequence[Verdict]) -> str:
-    rows = "".join(
-        f"<tr><td>{escape(one.what)}<br><small>{escape(one.text)}</small></td>"
-        f'<td class="n">{escape(_value(one))}</td><td>{escape(one.limit)} {escape(one.unit)}</td>'
-        f'<td class="n">{f"{100 * one.margin:+.0f} %" if math.isfinite(one.margin) else ""}</td>'
-        f"<td>{_result(one.result)}</td><td><small>{escape(one.source)}</small></td></tr>"
-        for one in verdicts)
-    heads = ("measure or check", "value", "limit", "margin", "result", "source of the limit")
-    return ("<table><tr>" + "".join(f"<th>{one}</th>" for one in heads) + f"</tr>{rows}</table>"
-            if rows else "")
-
-
-def _plots(outcome: Outcome) -> str:
-    record = outcome.record
-    if record is None or len(record.columns["time_s"]) < 2:
-        return ""
-    columns, time_s = record.columns, record.columns["time_s"]
-    radius_m = record.scenario.get("vehicle", {}).get("wheel_radius_m", np.nan)
-    marks = [event.time_s for event in outcome.events
-             if event.who == "harness" and event.text.startswith("fault ")]
-
-    def of_axles(name: str, factor: float = 1.0) -> list[Line]:
-        pattern = {"adhesion": "adhesion_{}", "speed": "measured_speed_{}_rad_s",
-                   "pressure": "cylinder_pressure_{}_Pa"}[name]
-        return [Line(f"axle {axle}", AXLE_COLOURS[axle - 1], factor * columns[pattern.format(axle)])
-                for axle in _AXLES]
-
-    reference = Line("WSP reference", DEMAND_COLOUR, 3.6 * columns["wsp_reference_speed_m_s"], True)
-    return "".join((
-        plots.plot("speeds", "km/h", time_s, [*of_axles("speed", 3.6 * radius_m), reference, Line(
-            "vehicle", VEHICLE_COLOUR, 3.6 * columns["vehicle_speed_m_s"])], marks),
-        plots.plot("brake cylinders", "bar", time_s, [*of_axles("pressure", 1e-5), Line(
-            "demand", DEMAND_COLOUR, 1e-5 * columns["brake_demand_Pa"], True)], marks),
-        plots.plot("adhesion used", "", time_s, of_axles("adhesion"), marks),
-        plots.lanes("dump valves", time_s, [(f"axle {axle}", columns[f"valve_{axle}"])
-                                            for axle in _AXLES])))
-
-
-def _events(outcome: Outcome) -> str:
-    rows = "".join(f'<tr><td class="n">{event.time_s:.3f}</td><td>{escape(event.who)}</td>'
-                   f"<td>{escape(event.text)}</td></tr>" for event in outcome.events)
-    return (f"<details><summary>{len(outcome.events)} events</summary><table><tr><th>s</th>"
-            f"<th>who</th><th>what</th></tr>{rows}</table></details>") if rows else ""
-
-
-def _configuration(outcome: Outcome) -> str:
-    parts = []
-    for title, path in (("sequence", outcome.sequence.path),
-                        ("resolved scenario", outcome.folder / "scenario.toml")):
-        try:
-            text = path.read_text(encoding="utf-8")
-        except OSError:
-            continue
-        parts.append(f"<details><summary>{title}: {escape(path.name)}</summary>"
-                     f"<pre>{escape(text)}</pre></details>")
-    return "".join(parts)
+def _stop(figure: Figure, outcome: Outcome) -> None:
+    """Speeds, pressures, adhesion and valves over time, with the instants at which faults began."""
+    assert outcome.record is not None
+    columns, radius_m = outcome.record.columns, outcome.record.scenario["vehicle"]["wheel_radius_m"]
+    time_s = columns["time_s"]
+    plots = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 2))
+    speed, pressure, adhesion, valves = plots
+    for axle, colour in enumerate(page.AXLES, start=1):
+        for plot, name, factor in ((speed, "measured_speed_{}_rad_s", 3.6 * radius_m),
+                                   (pressure, "cylinder_pressure_{}_Pa", 1e-5), (adhesion, "adhesion_{}", 1.0)):
+            plot.plot(time_s, factor * columns[name.format(axle)], color=colour,
+                      label=f"axle {axle}" if plot is speed else None)
+        for state, (_, shade) in enumerate(colours.VALVE_STATES[1:], start=1):
+            # the edge keeps a pulse of one cycle in sight
+            valves.fill_between(time_s, axle - 0.4, axle + 0.4, columns[f"valve_{axle}"] == state,
+                                step="post", color=colours.on_page(shade), linewidth=0.5)
+    speed.plot(time_s, 3.6 * columns["wsp_reference_speed_m_s"], "--", color=page.GREY,
+               label="WSP reference, brake demand")
+    speed.plot(time_s, 3.6 * columns["vehicle_speed_m_s"], color=page.INK, label="vehicle")
+    pressure.plot(time_s, 1e-5 * columns["brake_demand_Pa"], "--", color=page.GREY)
+    for plot, title in zip(plots, ("speeds, km/h", "brake cylinders, bar", "adhesion used", "valve of axle"),
+                           strict=True):
+        plot.set_ylabel(title)
+        for event in outcome.events:
+            if event.who == "harness" and event.text.startswith("fault "):
+                plot.axvline(event.time_s, linestyle=":", color=page.VERMILION)
+    adhesion.set_ylim(0.0, None)
+    figure.align_ylabels()
+    valves.set(yticks=range(1, AXLES + 1), ylim=(AXLES + 0.5, 0.5), xlabel="time, s")
+    lines, _ = speed.get_legend_handles_labels()
+    states = [Patch(color=colours.on_page(shade), label=name) for name, shade in colours.VALVE_STATES[1:]]
+    figure.legend(handles=[*lines, *states], loc="outside upper center", ncols=8)
 
 
 def _punctuality(outcome: Outcome) -> str:
-    if seen := outcome.summary.get("over_the_bus"):
-        return escape(f"a bench that ran already · pacing {outcome.summary['pacing']} · "
-                      f"{seen['cycles']} cycles of {1e3 * seen['cycle_s']:g} ms seen, {seen['cycles_lost']} "
-                      "lost · missed ticks and lateness are not told over the bus: they stand in the "
-                      "bench's own summary.json")
-    loop, bus = outcome.summary.get("loop") or {}, outcome.summary.get("bus") or {}
+    summary = outcome.summary
+    if seen := summary.get("over_the_bus"):
+        return (f"a bench that ran already · pacing {summary['pacing']} · {seen['cycles']} cycles of "
+                f"{1e3 * seen['cycle_s']:g} ms seen, {seen['cycles_lost']} lost · missed ticks and lateness "
+                "are not told over the bus: they stand in the bench's own summary.json")
+    loop, bus = summary.get("loop") or {}, summary.get("bus") or {}
     late = (loop.get("lateness_us") or {}).get("p99")
-    told = [f"pacing {outcome.summary.get('pacing', '-')}", f"ticks {loop.get('ticks', '-')}",
-            f"missed {loop.get('missed', '-')}"]
-    if outcome.summary.get("pacing") == "wall" and late is not None:
-        told.append(f"late p99 {late:.0f} us")
-    told += [f"bus load {bus.get('load_percent', 0):.0f} %", f"dropped {bus.get('dropped', '-')}",
-             f"configuration {outcome.summary.get('config_hash', '-')}",
-             f"seed {outcome.summary.get('seed', '-')}"]
-    return escape(" · ".join(told))
+    return " · ".join((
+        f"pacing {summary.get('pacing', '-')}", f"ticks {loop.get('ticks', '-')}",
+        f"missed {loop.get('missed', '-')}",
+        *([f"late p99 {late:.0f} us"] if summary.get("pacing") == "wall" and late is not None else ()),
+        f"bus load {bus.get('load_percent', 0):.0f} %", f"dropped {bus.get('dropped', '-')}",
+        f"configuration {summary.get('config_hash', '-')}", f"seed {summary.get('seed', '-')}"))
 
 
-def _links(outcome: Outcome, out: Path) -> str:
-    found = [f'<a href="{escape(os.path.relpath(outcome.folder / name, out))}">{name}</a>'
-             for name in ("run.rrd", "can.log", "summary.json", "harness.csv")
-             if (outcome.folder / name).is_file()]
-    return " ".join(found)
+def _links(outcome: Outcome, out: Path) -> Markup:
+    return element("span", *(
+        element("a", f"{name} ", href=os.path.relpath(outcome.folder / name, out))
+        for name in ("run.rrd", "can.log", "summary.json", "harness.csv")
+        if (outcome.folder / name).is_file()))
 
 
-def _result(result: Result) -> str:
-    return f'<span class="r {result.split()[0]}">{result}</span>'
+def _result(result: Result) -> Markup:
+    return element("b", result, kind=result.split()[0])
+
+
+def _margin(verdict: Verdict) -> str:
+    return f"{100 * verdict.margin:+.0f} %" if math.isfinite(verdict.margin) else ""
 
 
 def _value(verdict: Verdict) -> str:
     if not math.isfinite(verdict.value):
         return "never" if math.isinf(verdict.value) else ""
     return f"{verdict.value:.4g} {verdict.unit}".strip()
-
-
-def _show(value: float | None, places: int) -> str:
-    return "-" if value is None else f"{value:.{places}f}"

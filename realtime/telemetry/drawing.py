@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from rollerrig.realtime.telemetry import scene, views
+from rollerrig.realtime.telemetry import colours, scene, views
 from rollerrig.wsp_interface import signals
 
 Event = tuple[float, str, str]
@@ -51,7 +51,7 @@ class Drawing:
             self._turning.rows(rows, ns)
 
     def _valves(self, rows: np.ndarray, ns: np.ndarray) -> None:
-        names = [name for name, _ in views.VALVE_STATES]
+        names = [name for name, _ in colours.VALVE_STATES]
         for j in range(signals.AXLES):
             state = views.valve_states(rows, j + 1)
             change = np.flatnonzero(np.diff(state, prepend=self._valve[j]) != 0)

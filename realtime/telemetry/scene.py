@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rollerrig.realtime.telemetry import views
+from rollerrig.realtime.telemetry import colours, views
 from rollerrig.wsp_interface import signals
 
 GEARING = 20.0
@@ -62,7 +62,7 @@ def eye(place: Scene) -> rrb.EyeControls3D:
 def draw(stream: rr.RecordingStream, place: Scene) -> None:
     """Log what never changes: bodies, spokes, frames, names."""
     stream.log(views.RIG, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for j, colour in enumerate(views.AXLE_COLOURS):
+    for j, colour in enumerate(colours.AXLES):
         at = f"{views.RIG}/axle_{j + 1}"
         _bodies(stream, f"{at}/wheels", place.wheel_radius_m, colour, place.wheels[j])
         stream.log(f"{at}/valve", rr.Points3D(
@@ -151,12 +151,12 @@ class Turning:
         valve = views.valve_states(rows, j + 1)
         for path, state, memory, archetype, table in (
             (f"{at}/wheels/spokes", locked, self._locked, rr.LineStrips3D, (RUNNING, LOCKED)),
-            (f"{at}/valve", valve, self._valve, rr.Points3D, [c for _, c in views.VALVE_STATES]),
+            (f"{at}/valve", valve, self._valve, rr.Points3D, [c for _, c in colours.VALVE_STATES]),
         ):
             change = np.flatnonzero(np.diff(state, prepend=memory[j]) != 0)
             memory[j] = state[-1]
             if change.size:
-                colours = np.array(table, dtype=np.uint8)[state[change]]
+                shades = np.array(table, dtype=np.uint8)[state[change]]
                 self._stream.send_columns(
                     path, [rr.TimeColumn(views.TIMELINE, duration=ns[change])],
-                    archetype.columns(colors=colours))
+                    archetype.columns(colors=shades))

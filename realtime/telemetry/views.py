@@ -14,10 +14,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint import encodings
 
+from rollerrig.realtime.telemetry import colours
+from rollerrig.realtime.telemetry.colours import Colour
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS, Signal
-
-Colour = tuple[int, int, int]
 
 APPLICATION = "rollerrig"
 TIMELINE = "t"
@@ -27,20 +27,16 @@ VALVES = "/valves"
 MORE = "/more"
 REFERENCES = "/ref"
 
-# Okabe and Ito: sky blue, orange, bluish green, reddish purple
-AXLE_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
-VEHICLE_COLOUR, REFERENCE_COLOUR, LIMIT_COLOUR = (235, 235, 235), (240, 228, 66), (140, 140, 140)
-VALVE_STATES = (("fill", (120, 130, 140)), ("hold", (240, 228, 66)), ("vent", (213, 94, 0)))
-LEVELS = {"info": ("INFO", (170, 190, 210)), "warning": ("WARN", (240, 228, 66)),
-          "error": ("ERROR", (213, 94, 0))}
+LEVELS = {"info": ("INFO", (170, 190, 210)), "warning": ("WARN", colours.YELLOW),
+          "error": ("ERROR", colours.VERMILION)}
 
 # groups whose axles are drawn each in a plot of its own: one entity a column
 _BY_AXLE = ("adhesion",)
 # how a signal differs from "all axles in their colours, 1.5 points wide"
 _WIDTHS = {"adhesion": 2.5, "adhesion_degraded": 1.0, "adhesion_recovered": 1.0,
            "vehicle_speed": 2.5, "motor_torque_demand": 0.8}
-_COLOURS = {"adhesion_degraded": LIMIT_COLOUR, "adhesion_recovered": LIMIT_COLOUR,
-            "wsp_reference_speed": REFERENCE_COLOUR, "brake_demand": REFERENCE_COLOUR}
+_COLOURS = {"adhesion_degraded": colours.LIMIT, "adhesion_recovered": colours.LIMIT,
+            "wsp_reference_speed": colours.REFERENCE, "brake_demand": colours.REFERENCE}
 _LEGEND = {"adhesion_degraded": "f_d degraded", "adhesion_recovered": "f_r recovered",
            "adhesion": "f utilised", "wsp_reference_speed": "WSP reference"}
 # groups with a place of their own, and those behind tabs; a new group gets a tab by itself
@@ -95,14 +91,14 @@ def _legend(signal: Signal, axle: int) -> str:
 
 
 def _colour(signal: Signal, axle: int) -> Colour:
-    default = VEHICLE_COLOUR if signal.axles == 1 else AXLE_COLOURS[axle - 1]
+    default = colours.VEHICLE if signal.axles == 1 else colours.AXLES[axle - 1]
     return _COLOURS.get(signal.name, default)
 
 
 def valve_states(rows: np.ndarray, axle: int) -> np.ndarray:
-    """Positions in VALVE_STATES of an axle's dump valve in rows of all signals; int64 (n,)."""
+    """Positions in colours.VALVE_STATES of an axle's dump valve in rows of all signals; int64 (n,)."""
     valve = np.nan_to_num(rows[:, signals.column("valve", axle)])
-    return np.clip(valve, 0, len(VALVE_STATES) - 1).astype(np.int64)
+    return np.clip(valve, 0, len(colours.VALVE_STATES) - 1).astype(np.int64)
 
 
 def style(stream: rr.RecordingStream, prefix: str = "", faint: bool = False) -> None:
@@ -114,11 +110,10 @@ def style(stream: rr.RecordingStream, prefix: str = "", faint: bool = False) -> 
             names=[f"{run}: {name}" if run else name for name in one.names],
             widths=[one.width * (0.6 if faint else 1.0)] * len(one.names),
             aggregation_policy=rr.components.AggregationPolicy.MinMax), static=True)
-    names = [name for name, _ in VALVE_STATES]
-    colours = [colour for _, colour in VALVE_STATES]
+    names, shades = zip(*colours.VALVE_STATES, strict=True)
     for axle in range(1, signals.AXLES + 1):
         stream.log(f"{prefix}{VALVES}/valve_{axle}", rr.StateConfiguration(
-            values=names, labels=names, colors=colours), static=True)
+            values=names, labels=names, colors=shades), static=True)
 
 
 def _faint(colour: Colour) -> Colour:

@@ -99,7 +99,7 @@ def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]
         account = explain.braking_runs(data, given.seed, progress)
         told = report.as_json(account)
         lines = report.story(account) + _further(account, told, out, given.more, progress)
-    study_view.explained(out / "report.rrd", report.courses(account))
+    study_view.explained(out / "report.rrd", data.name, report.courses(account))
     return told, lines, report.page(account, told), extension.toml(account)
 
 

@@ -14,7 +14,7 @@ from rerun.chunk import RrdReader
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.realtime.record import channels
-from rollerrig.realtime.telemetry import drawing, scene, viewer, views
+from rollerrig.realtime.telemetry import colours, drawing, scene, viewer, views
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS
 
@@ -110,13 +110,13 @@ def test_one_colour_means_one_axle_in_every_view():
         for axle in range(1, signal.axles + 1):
             place = signals.column(signal.name, axle)
             one = next(one for one in views.lines() if place in one.columns)
-            assert one.colours[one.columns.index(place)] == views.AXLE_COLOURS[axle - 1]
+            assert one.colours[one.columns.index(place)] == colours.AXLES[axle - 1]
 
 
 def test_the_colours_of_axles_and_limits_differ():
-    others = (views.VEHICLE_COLOUR, views.REFERENCE_COLOUR, views.LIMIT_COLOUR)
-    colours = np.array([*views.AXLE_COLOURS, *others])
-    apart = [np.abs(one - other).sum() for i, one in enumerate(colours) for other in colours[:i]]
+    others = (colours.VEHICLE, colours.REFERENCE, colours.LIMIT)
+    shades = np.array([*colours.AXLES, *others])
+    apart = [np.abs(one - other).sum() for i, one in enumerate(shades) for other in shades[:i]]
     assert min(apart) > 60
 
 
@@ -257,6 +257,6 @@ def test_a_picture_shows_every_axle_in_its_colour(folder, tmp_path):
         raise
     image = np.asarray(Image.open(tmp_path / "run.png").convert("RGB")).astype(int)
     assert image.shape == (800, 1200, 3)
-    for colour in views.AXLE_COLOURS:
+    for colour in colours.AXLES:
         near = np.abs(image - colour).sum(axis=2) < 40
         assert near.sum() > 200
