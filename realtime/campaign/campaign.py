@@ -11,7 +11,7 @@ import hashlib
 import itertools
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
@@ -28,6 +28,7 @@ from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import batch
+from rollerrig.realtime.record import figures
 
 DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
 ROWS = (
@@ -43,20 +44,6 @@ RANGE = (table.number("low", None, -1e300, 1e300, "-"), table.number("high", Non
          table.flag("log", False, "spread evenly in the logarithm"))
 # how often worker processes of this machine may die before a campaign gives up
 DEATHS = 4
-# figures of a run: name, how to get it from a summary
-FIGURES: tuple[tuple[str, Callable[[dict[str, Any]], Any]], ...] = (
-    ("stopped", lambda s: s["stopped"]),
-    ("stop_time_s", lambda s: s["stop_time_s"]),
-    ("stop_distance_m", lambda s: s["stop_distance_m"]),
-    ("sliding_mean_m_s", lambda s: sum(a["sliding_mean_m_s"] for a in s["axles"]) / len(s["axles"])),
-    ("sliding_std_m_s", lambda s: sum(a["sliding_std_m_s"] for a in s["axles"]) / len(s["axles"])),
-    ("sliding_max_m_s", lambda s: max(a["sliding_max_m_s"] for a in s["axles"])),
-    ("longest_lock_s", lambda s: max(a["longest_lock_s"] for a in s["axles"])),
-    ("dissipated_energy_J", lambda s: sum(a["dissipated_energy_J"] for a in s["axles"])),
-    ("adhesion_mean", lambda s: sum(a["adhesion_mean"] for a in s["axles"]) / len(s["axles"])),
-    ("vents", lambda s: s["wsp"]["vents"]),
-    ("air_consumption_NL", lambda s: s["air_consumption_NL"]),
-)
 
 
 class Plan(NamedTuple):
@@ -171,16 +158,16 @@ def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
     rows = {number: _row(plan, number)
             for number in range(first, min(first + plan.head["chunk"], len(plan.points)))}
     for number, one, channels in batch.together(_resolved(plan, rows), _unit(plan.head["unit"])):
-        figures = batch.summarize(one, channels, plan.head["unit"])
-        rows[number] |= {name: get(figures) for name, get in FIGURES}
-        rows[number]["config_hash"] = figures["config_hash"]
+        summary = batch.summarize(one, channels, plan.head["unit"])
+        rows[number] |= {figure.name: figure.of(summary) for figure in figures.FIGURES}
+        rows[number] |= {key: summary[key] for key in ("stopped", "config_hash")}
     return list(rows.values())
 
 
 def _row(plan: Plan, number: int) -> dict[str, Any]:
     """The row of a run that has not been run."""
     row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.points[number], strict=True))}
-    return row | {name: None for name, _ in FIGURES} | {"config_hash": None, "error": None}
+    return row | dict.fromkeys(("stopped", *figures.BY_NAME, "config_hash", "error"))
 
 
 def _resolved(plan: Plan, rows: dict[int, dict[str, Any]]) -> Iterator[tuple[int, scenario.Scenario]]:
@@ -238,12 +225,11 @@ def write_chunk(out: Path, chunk: int, rows: list[dict[str, Any]]) -> None:
 def _schema(rows: list[dict[str, Any]]) -> pa.Schema:
     fixed = {"run": pa.int64(), "stopped": pa.bool_(), "vents": pa.int64(), "config_hash": pa.string(),
              "error": pa.string()}
-    names = [name for name, _ in FIGURES]
     fields = []
     for key, value in rows[0].items():
         kind = fixed.get(key)
         if kind is None:
-            kind = pa.string() if isinstance(value, str) and key not in names else pa.float64()
+            kind = pa.string() if isinstance(value, str) else pa.float64()
         fields.append((key, kind))
     return pa.schema(fields)
 

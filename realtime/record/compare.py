@@ -7,31 +7,17 @@ Ticks' lateness is no result and is left out.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 from rollerrig.realtime.record import records
+from rollerrig.realtime.record.figures import FIGURES
 from rollerrig.wsp_interface import signals
 
 _NO_RESULT = frozenset(("time", "tick_lateness", "tick_duration", "ticks_missed"))
-# figures of a summary: title, unit, how to get it
-FIGURES = (
-    ("stop time", "s", lambda s: s["stop_time_s"]),
-    ("stop distance", "m", lambda s: s["stop_distance_m"]),
-    ("mean sliding, all axles", "m/s", lambda s: _mean(s, "sliding_mean_m_s")),
-    ("standard deviation of sliding", "m/s", lambda s: _mean(s, "sliding_std_m_s")),
-    ("largest sliding", "m/s", lambda s: max(a["sliding_max_m_s"] for a in s["axles"])),
-    ("longest lock", "s", lambda s: max(a["longest_lock_s"] for a in s["axles"])),
-    ("mean adhesion", "", lambda s: _mean(s, "adhesion_mean")),
-    ("energy of sliding", "MJ", lambda s: sum(a["dissipated_energy_J"] for a in s["axles"]) / 1e6),
-    ("vents", "", lambda s: s["wsp"]["vents"]),
-    ("air", "NL", lambda s: s["air_consumption_NL"]),
-    ("tracking error, largest", "m/s", lambda s: s.get("tracking", {}).get("max_m_s")),
-    ("tracking error, rms", "m/s", lambda s: s.get("tracking", {}).get("rms_m_s")),
-)
 
 
 class Difference(NamedTuple):
@@ -49,22 +35,9 @@ class Difference(NamedTuple):
         return self.largest > self.tolerance
 
 
-def _mean(summary: Mapping[str, Any], key: str) -> float:
-    return float(np.mean([axle[key] for axle in summary["axles"]]))
-
-
 def figures(runs: Sequence[records.Run]) -> list[tuple[str, str, list[float | None]]]:
     """Rows of (title, unit, a value a run); None where a run has no such figure."""
-    rows = []
-    for title, unit, get in FIGURES:
-        values: list[float | None] = []
-        for run in runs:
-            try:
-                values.append(get(run.summary))  # type: ignore[no-untyped-call]
-            except (KeyError, TypeError, ValueError):
-                values.append(None)
-        rows.append((title, unit, values))
-    return rows
+    return [(one.title, one.unit, [one.shown(run.summary) for run in runs]) for one in FIGURES]
 
 
 def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) -> list[Difference]:

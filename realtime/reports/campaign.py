@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rollerrig.realtime.campaign import campaign
+from rollerrig.realtime.record import figures
 from rollerrig.realtime.reports import page
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -21,21 +22,21 @@ _WORST = 5
 def quantiles(table: pa.Table) -> list[tuple[str, list[float]]]:
     """Rows of (figure, its quantiles); figures that no run has are left out."""
     rows = []
-    for name, _ in campaign.FIGURES:
+    for name in figures.BY_NAME:
         values = table[name].to_numpy().astype(float)
         values = values[np.isfinite(values)]
-        if values.size and name != "stopped":
+        if values.size:
             rows.append((name, np.quantile(values, QUANTILES).tolist()))
     return rows
 
 
 def worst(plan: campaign.Plan, table: pa.Table, figure: str) -> list[dict[str, Any]]:
-    """The runs with the largest figure, and those that did not stop, with their replay commands."""
+    """The runs that have none of a figure (as those that did not stop), and those with the worst."""
     values = table[figure].to_numpy().astype(float)
-    values = np.where(np.isfinite(values), values, np.inf)
-    order = np.argsort(-values, kind="stable")[:_WORST]
+    badness = np.where(np.isfinite(values), -(figures.BY_NAME[figure].better or -1) * values, np.inf)
+    order = np.argsort(-badness, kind="stable")[:_WORST]
     runs = table["run"].to_numpy()
-    return [{"run": int(runs[i]), figure: None if np.isinf(values[i]) else float(values[i]),
+    return [{"run": int(runs[i]), figure: float(values[i]) if np.isfinite(values[i]) else None,
              "replay": campaign.command(plan, int(runs[i]))} for i in order]
 
 
@@ -50,7 +51,7 @@ def show(plan: campaign.Plan, table: pa.Table, figure: str, report: Path) -> Non
     for row in _cells(table):
         shown.add_row(*row)
     console.print(shown)
-    console.print(f"{table.num_rows} runs; the largest {figure}:")
+    console.print(f"{table.num_rows} runs; the worst {figure}:")
     for case in worst(plan, table, figure):
         console.print(f"  run {case['run']}: {case[figure]}: {case['replay']}", highlight=False,
                       soft_wrap=True)
@@ -66,7 +67,7 @@ def write(plan: campaign.Plan, table: pa.Table, out: Path, figure: str) -> Path:
                        f"{', '.join(plan.axes)}."),
         page.table(_HEAD, _cells(table)),
         page.picture(lambda drawn: _distributions(drawn, plan, table), (11.0, 2.3 * len(_cells(table)))),
-        page.element("h2", f"Largest {figure}"),
+        page.element("h2", f"Worst {figure}"),
         page.table(("run", figure, "to see it"), [
             (str(case["run"]), f"{case[figure]:.4g}" if case[figure] is not None else "not stopped",
              page.element("code", case["replay"])) for case in worst(plan, table, figure)])),

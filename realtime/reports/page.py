@@ -33,6 +33,7 @@ td,th{padding:.2rem .7rem;border-bottom:1px solid #8884;text-align:left;vertical
 svg{width:100%;height:auto}pre{overflow:auto;font-size:.85em}summary{cursor:pointer}
 small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
 .pass{color:#009e73}.fail,.warn{color:#d55e00}.error{color:#cc79a7}
+@media (prefers-color-scheme:dark){svg{filter:brightness(1.3)}}
 @media print{details{display:none}}
 """
 _MATPLOTLIB = {

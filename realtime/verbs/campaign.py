@@ -27,12 +27,12 @@ def call(given: argparse.Namespace) -> int:
 
     from rollerrig.configs.errors import ConfigError
     from rollerrig.realtime.campaign import campaign
+    from rollerrig.realtime.record import figures
     from rollerrig.realtime.reports import campaign as campaign_report
 
     plan = campaign.load(given.plan)
-    if given.worst not in [name for name, _ in campaign.FIGURES]:
-        raise ConfigError(f"--worst {given.worst}: allowed are "
-                          f"{', '.join(name for name, _ in campaign.FIGURES)}")
+    if given.worst not in figures.BY_NAME:
+        raise ConfigError(f"--worst {given.worst}: allowed are {', '.join(figures.BY_NAME)}")
     out = given.out or Path("campaigns") / Path(given.plan).stem
     todo = campaign.open_result(plan, out)
     workers = given.workers or os.cpu_count() or 1

@@ -1,0 +1,61 @@
+"""The figures of a stop: what a run is judged by, compared in and ranked by, read from its summary."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+Summary = Mapping[str, Any]
+
+
+class Figure(NamedTuple):
+    """One figure: `get` takes it from a summary in the unit of its name.
+
+    `better` is -1 where less is better, 1 where more is, 0 where neither; `scale` brings the value to
+    `unit`, in which people read it.
+    """
+
+    name: str
+    title: str
+    unit: str
+    get: Callable[[Summary], Any]
+    better: int = -1
+    scale: float = 1.0
+
+    def of(self, summary: Summary) -> Any:
+        """The figure of a run; None where it has none."""
+        try:
+            return self.get(summary)
+        except (KeyError, TypeError, ValueError):
+            return None
+
+    def shown(self, summary: Summary) -> float | None:
+        """The same in the unit that people read."""
+        value = self.of(summary)
+        return None if value is None else value * self.scale
+
+
+def _axles(summary: Summary, key: str) -> list[float]:
+    return [axle[key] for axle in summary["axles"]]
+
+
+def _mean(summary: Summary, key: str) -> float:
+    values = _axles(summary, key)
+    return sum(values) / len(values)
+
+
+FIGURES = (
+    Figure("stop_time_s", "stop time", "s", lambda s: s["stop_time_s"]),
+    Figure("stop_distance_m", "stop distance", "m", lambda s: s["stop_distance_m"]),
+    Figure("sliding_mean_m_s", "mean sliding, all axles", "m/s", lambda s: _mean(s, "sliding_mean_m_s"),
+           better=0),
+    Figure("sliding_std_m_s", "standard deviation of sliding", "m/s", lambda s: _mean(s, "sliding_std_m_s")),
+    Figure("sliding_max_m_s", "largest sliding", "m/s", lambda s: max(_axles(s, "sliding_max_m_s"))),
+    Figure("longest_lock_s", "longest lock", "s", lambda s: max(_axles(s, "longest_lock_s"))),
+    Figure("adhesion_mean", "mean adhesion", "", lambda s: _mean(s, "adhesion_mean"), better=1),
+    Figure("dissipated_energy_J", "energy of sliding", "MJ", lambda s: sum(_axles(s, "dissipated_energy_J")),
+           scale=1e-6),
+    Figure("vents", "vents", "", lambda s: s["wsp"]["vents"]),
+    Figure("air_consumption_NL", "air", "NL", lambda s: s["air_consumption_NL"]),
+    Figure("tracking_max_m_s", "tracking error, largest", "m/s", lambda s: s["tracking"]["max_m_s"]),
+    Figure("tracking_rms_m_s", "tracking error, rms", "m/s", lambda s: s["tracking"]["rms_m_s"]),
+)
+BY_NAME = {figure.name: figure for figure in FIGURES}
