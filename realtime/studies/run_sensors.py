@@ -1,10 +1,10 @@
 """What the sensors of a rig tell of a recorded run: the channels that measured data has.
 
 A recording holds what the physics computed; an explanation must not see more of it than a train's
-sensors would. Wheel speed is that of the speed sensor, torque is what the brake's data make of the
-cylinder pressure [G1], and load is what the deceleration makes of the static one [G2], so that a
-brake or a load transfer other than told stays hidden in the motion. Rollers tell the speed of the
-surface under each wheelset.
+sensors would, so what comes out is a run as measured data has it. Wheel speed is that of the speed
+sensor, torque is what the brake's data make of the cylinder pressure [G1], and load is what the
+deceleration makes of the static one [G2], so that a brake or a load transfer other than the data say
+stays hidden in the motion. Rollers give the speed of the surface under each wheelset.
 
     [G1] C = c (p - p_spring), not below 0; of a locked wheel what acts, as the rig's load cell has it
     [G2] N_j = N_static + d (+-body / 2 +- bogie), d the deceleration behind the lag of the pitch
@@ -16,7 +16,8 @@ closer than the dataset's are filtered without phase and thinned (scipy.signal.r
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,74 +26,63 @@ from scipy.signal import lfilter, resample_poly
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import records
 from rollerrig.rig import params
+from rollerrig.rig.identify.data.dataset import Run
 from rollerrig.wsp_interface.signals import AXLES
 
 SAMPLE_TIME_S = 0.01
 SLOWEST_SAMPLE_S = 0.05
-# one standard deviation: laid over a recording, which has no noise of its own, and declared
+# one standard deviation each; a recording has no noise of its own: it is laid over it, and declared
 NOISE = {"speed_m_s": 0.01, "wheel_speed_rad_s": 0.02, "torque_fraction": 0.005,
          "load_fraction": 0.003, "calibration_fraction": 0.001}
+PERFECT = dict.fromkeys(NOISE, 0.0)
+# what sensors of a test train may reach (assumption)
+TRAIN = {"speed_m_s": 0.03, "wheel_speed_rad_s": 0.067, "torque_fraction": 0.015,
+         "load_fraction": 0.01, "calibration_fraction": 0.003}
 
 
-class Told(NamedTuple):
-    """One run as its sensors tell it: arrays (n,) or (n, 4), SI units; surface None on a track."""
-
-    name: str
-    mass_kg: float
-    time_s: np.ndarray
-    speed_m_s: np.ndarray
-    position_m: np.ndarray
-    wheel_speed_rad_s: np.ndarray
-    load_N: np.ndarray
-    torque_Nm: np.ndarray
-    surface_m_s: np.ndarray | None
-
-
-def of_run(run: records.Run, slowest_m_s: float) -> Told:
+def of_run(recorded: records.Run, slowest_m_s: float) -> Run:
     """The channels of a recorded run until it is slower than that, without added noise.
 
     Raises ConfigError for a recording that is too coarse, or lacks a channel.
     """
-    end = _end(run, slowest_m_s)
-    plan = run.scenario
+    end = _end(recorded, slowest_m_s)
+    plan = recorded.scenario
 
     def each(name: str, unit: str) -> np.ndarray:
-        tail = f"_{unit}" if unit else ""
-        return np.column_stack([run.column(f"{name}_{j}{tail}")[:end] for j in range(1, AXLES + 1)])
+        return np.column_stack([recorded.column(f"{name}_{j}_{unit}")[:end] for j in range(1, AXLES + 1)])
 
-    def one(name: str) -> np.ndarray:
-        return run.column(name)[:end]
-
-    time_s = one("time_s")
     surface = None
     if plan["rig"]["mode"] == "contaminated_rollers":
         surface = plan["contact"]["roller_radius_m"] * each("roller_speed", "rad_s")
     wheel_rad_s = each("measured_speed", "rad_s")
     if plan["rig"]["mode"] == params.VIRTUAL_TRACK:
-        # the track is the virtual wheels'; what the motors miss of their turning is told beside it
+        # the track is the virtual wheels'; what the motors miss of their turning is recorded beside it
         wheel_rad_s = wheel_rad_s - each("tracking_error", "m_s") / plan["vehicle"]["wheel_radius_m"]
-    model = base(plan, str(run.folder / records.SCENARIO))
-    told = Told(run.folder.name, plan["vehicle"]["mass_kg"], time_s, one("vehicle_speed_m_s"),
-                one("position_m"), wheel_rad_s, _load(model.vehicle, run, end),
-                _torque(model.brake, each("cylinder_pressure", "Pa"), each("brake_torque", "Nm"),
-                        each("wheel_speed", "rad_s")), surface)
+    model = base(plan, str(recorded.folder / records.SCENARIO))
+    run = Run(
+        name=recorded.folder.resolve().name, group="tune", mass_kg=plan["vehicle"]["mass_kg"], mu_cd=None,
+        time_s=recorded.column("time_s")[:end], speed_m_s=recorded.column("vehicle_speed_m_s")[:end],
+        wheel_speed_rad_s=wheel_rad_s, load_N=_load(model.vehicle, recorded, end),
+        torque_Nm=_torque(model.brake, each("cylinder_pressure", "Pa"), each("brake_torque", "Nm"),
+                          each("wheel_speed", "rad_s")),
+        position_m=recorded.column("position_m")[:end], surface_m_s=surface)
     if plan["sensor"]["model"] == "pole_wheel":
-        told = _averaged(told, plan)
-    return _thinned(told, run)
+        run = _averaged(run, plan)
+    return _thinned(run, recorded.folder)
 
 
-def noisy(told: Told, noise: Mapping[str, float], rng: np.random.Generator) -> Told:
+def noisy(run: Run, noise: Mapping[str, float], rng: np.random.Generator) -> Run:
     """The same with noise and scale errors of a declared size, as `NOISE` has them."""
-    n, axles = told.load_N.shape
+    n, axles = run.load_N.shape
     scale = 1.0 + noise["calibration_fraction"] * rng.standard_normal((2, axles))
-    static = float(told.load_N.mean())
-    most = float(np.max(np.abs(told.torque_Nm)))
-    return told._replace(
-        speed_m_s=told.speed_m_s + noise["speed_m_s"] * rng.standard_normal(n),
-        wheel_speed_rad_s=told.wheel_speed_rad_s
+    static = float(run.load_N.mean())
+    most = float(np.max(np.abs(run.torque_Nm)))
+    return run._replace(
+        speed_m_s=run.speed_m_s + noise["speed_m_s"] * rng.standard_normal(n),
+        wheel_speed_rad_s=run.wheel_speed_rad_s
         + noise["wheel_speed_rad_s"] * rng.standard_normal((n, axles)),
-        load_N=told.load_N * scale[0] + noise["load_fraction"] * static * rng.standard_normal((n, axles)),
-        torque_Nm=told.torque_Nm * scale[1]
+        load_N=run.load_N * scale[0] + noise["load_fraction"] * static * rng.standard_normal((n, axles)),
+        torque_Nm=run.torque_Nm * scale[1]
         + noise["torque_fraction"] * most * rng.standard_normal((n, axles)))
 
 
@@ -133,11 +123,11 @@ def _load(vehicle: params.Vehicle, run: records.Run, end: int) -> np.ndarray:
     return np.maximum(vehicle.static_load_N - felt[:, None] * (body + bogie), 0.0)
 
 
-def _averaged(told: Told, plan: Mapping[str, Any]) -> Told:
+def _averaged(run: Run, plan: Mapping[str, Any]) -> Run:
     """All channels but the wheel speeds as their mean over what a pole wheel has measured [G3]."""
-    time_s, window_s = told.time_s, plan["sensor"]["window_s"]
+    time_s, window_s = run.time_s, plan["sensor"]["window_s"]
     pitch_rad = 2.0 * np.pi / plan["sensor"]["teeth"]
-    late_s = 1.0 / plan["loop"]["tick_hz"] + 0.5 * pitch_rad / np.maximum(told.wheel_speed_rad_s, 1.0)
+    late_s = 1.0 / plan["loop"]["tick_hz"] + 0.5 * pitch_rad / np.maximum(run.wheel_speed_rad_s, 1.0)
 
     def mean(values: np.ndarray, late_s: np.ndarray) -> np.ndarray:
         way = CubicSpline(time_s, values).antiderivative()
@@ -150,27 +140,29 @@ def _averaged(told: Told, plan: Mapping[str, Any]) -> Told:
         return np.column_stack([mean(values[:, j], late_s[:, j]) for j in range(AXLES)])
 
     common = late_s.mean(axis=1)
-    found = told._replace(
-        speed_m_s=mean(told.speed_m_s, common), position_m=mean(told.position_m, common),
-        load_N=each(told.load_N), torque_Nm=each(told.torque_Nm),
-        surface_m_s=None if told.surface_m_s is None else each(told.surface_m_s))
+    found = run._replace(
+        speed_m_s=mean(run.speed_m_s, common), position_m=mean(run.position_m, common),
+        load_N=each(run.load_N), torque_Nm=each(run.torque_Nm),
+        surface_m_s=None if run.surface_m_s is None else each(run.surface_m_s))
     # the reading is new once in a window and is held in between
     every = max(round(window_s / float(np.median(np.diff(time_s)))), 1)
-    kept: dict[str, Any] = {name: values[::every] for name, values in found._asdict().items()
-                            if isinstance(values, np.ndarray)}
+    kept: dict[str, Any] = {name: values[::every] for name, values in _arrays(found).items()}
     return found._replace(**kept)
 
 
-def _thinned(told: Told, run: records.Run) -> Told:
-    step_s = float(np.median(np.diff(told.time_s)))
+def _arrays(run: Run) -> dict[str, np.ndarray]:
+    return {name: values for name, values in run._asdict().items() if isinstance(values, np.ndarray)}
+
+
+def _thinned(run: Run, folder: Path) -> Run:
+    step_s = float(np.median(np.diff(run.time_s)))
     if step_s > SLOWEST_SAMPLE_S:
-        raise ConfigError(f"{run.folder}: recorded every {step_s:g} s; a stop is explained from samples "
+        raise ConfigError(f"{folder}: recorded every {step_s:g} s; a stop is explained from samples "
                           f"at most {SLOWEST_SAMPLE_S:g} s apart: run it with loop.record_hz = 100")
     ratio = Fraction(SAMPLE_TIME_S / step_s).limit_denominator(50)
     if ratio <= 1:
-        return told
-    arrays = {name: resample_poly(values, ratio.denominator, ratio.numerator, axis=0, padtype="line")
-              for name, values in told._asdict().items()
-              if isinstance(values, np.ndarray) and name != "time_s"}
-    n = len(arrays["speed_m_s"])
-    return told._replace(time_s=told.time_s[0] + SAMPLE_TIME_S * np.arange(n), **arrays)
+        return run
+    kept: dict[str, Any] = {
+        name: resample_poly(values, ratio.denominator, ratio.numerator, axis=0, padtype="line")
+        for name, values in _arrays(run).items()}
+    return run._replace(**kept | {"time_s": run.time_s[0] + SAMPLE_TIME_S * np.arange(len(kept["speed_m_s"]))})

@@ -69,11 +69,11 @@ def contaminant(found: dict[str, float], test: str) -> float:
 
 def plan_of(test: str, found: dict[str, float], tau_m_J: float | None = None) -> scenario.Scenario:
     """The scenario of a test on the track, under what was found."""
-    told = ["rig.mode=track", f"adhesion.mu_cd={contaminant(found, test)!r}"]
+    settings = ["rig.mode=track", f"adhesion.mu_cd={contaminant(found, test)!r}"]
     if tau_m_J is not None:
-        told.append(f"adhesion.tau_m_J={tau_m_J!r}")
+        settings.append(f"adhesion.tau_m_J={tau_m_J!r}")
     demand = [{"from_s": 0.0, "pressure_Pa": found["pressure_Pa"]}]
-    return scenario.load(f"velim_{test}", settings=tuple(told), tables={"demand": demand})
+    return scenario.load(f"velim_{test}", settings=tuple(settings), tables={"demand": demand})
 
 
 def rows_of(test: str, found: dict[str, float], tau_m_J: float | None = None) -> np.ndarray:

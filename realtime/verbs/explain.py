@@ -75,7 +75,7 @@ def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
     if not held:
         kept = len(runs) - len(runs) // 3
         runs, held = runs[:kept], runs[kept:]
-    made = run_dataset.from_folders(runs, out / "dataset", "tune", held, run_sensors.NOISE, SLOWEST_M_S)
+    made = run_dataset.from_folders(runs, out / "dataset", held, run_sensors.NOISE, SLOWEST_M_S)
     named = ", ".join(run.resolve().name for run in (*runs, *held))
     return dataset.load(made)._replace(name=named), out
 

@@ -44,7 +44,7 @@ def call(given: argparse.Namespace) -> int:
     return 0
 
 
-def opened(names: list[str], out: Path | None, verb: str, group: str = "tune") -> tuple[Any, Path]:
+def opened(names: list[str], out: Path | None, verb: str) -> tuple[Any, Path]:
     """The dataset of the command line, and the folder of its report (made)."""
     from rollerrig.configs.errors import ConfigError
     from rollerrig.realtime.studies import run_dataset
@@ -57,7 +57,7 @@ def opened(names: list[str], out: Path | None, verb: str, group: str = "tune") -
         raise ConfigError(f"{folder}: cannot be made: {error.strerror}; give another --out") from None
     runs = [Path(name) for name in names if (Path(name) / "scenario.toml").is_file()]
     if runs and len(runs) == len(names):
-        return dataset.load(run_dataset.from_folders(runs, folder / "dataset", group)), folder
+        return dataset.load(run_dataset.from_folders(runs, folder / "dataset")), folder
     if len(names) > 1:
         raise ConfigError(f"{', '.join(names)}: several names must all be folders of runs; give one "
                           "dataset, or only runs")
