@@ -15,7 +15,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import records
 from rollerrig.realtime.studies import run_sensors, velim
 from rollerrig.rig import params
-from rollerrig.rig.identify.data.dataset import Run
+from rollerrig.rig.identify.data.runs import Run
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES
 

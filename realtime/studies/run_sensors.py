@@ -26,7 +26,7 @@ from scipy.signal import lfilter, resample_poly
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import records
 from rollerrig.rig import params
-from rollerrig.rig.identify.data.dataset import Run
+from rollerrig.rig.identify.data.runs import Run
 from rollerrig.wsp_interface.signals import AXLES
 
 SAMPLE_TIME_S = 0.01

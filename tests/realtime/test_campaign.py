@@ -10,11 +10,13 @@ import sys
 import time
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.campaign import campaign
+from rollerrig.realtime.reports import campaign as report
 
 PLAN = """
 title = "short stops"
@@ -103,6 +105,23 @@ def test_a_result_folder_of_another_plan_is_refused(plan_file, tmp_path):
 def test_a_bad_plan_is_refused_before_the_first_run(plan_file, design, vary, says):
     with pytest.raises(ConfigError, match=says):
         campaign.load(plan_file(design, vary))
+
+
+def test_the_worst_runs_are_worst_in_the_direction_of_their_figure(plan_file):
+    plan = campaign.load(plan_file())
+    table = pa.table({"run": range(12), "stop_distance_m": [*map(float, range(11)), None],
+                      "adhesion_mean": [0.1 + 0.01 * k for k in range(12)]})
+    assert [row["run"] for row in report.worst(plan, table, "stop_distance_m")] == [11, 10, 9, 8, 7]
+    assert [row["run"] for row in report.worst(plan, table, "adhesion_mean")] == [0, 1, 2, 3, 4]
+
+
+def test_the_page_shows_every_figure_against_what_was_varied(plan_file, tmp_path):
+    plan = campaign.load(plan_file())
+    run_serially(plan, tmp_path)
+    page = report.write(plan, campaign.result(tmp_path), tmp_path, "stop_distance_m").read_text()
+    assert page.count("<svg") == 1
+    assert "rollerrig run " in page
+    assert all(name in page for name in (*plan.axes, "stop_distance_m", "vents"))
 
 
 def dying_unit():

@@ -151,12 +151,12 @@ def test_a_coarse_recording_is_refused(stop: Path, tmp_path: Path) -> None:
 def test_runs_that_cannot_be_judged_together_are_refused(stop: Path, tmp_path: Path, changed, said) -> None:
     other = rerecorded(stop, tmp_path / "run", 1, **changed)
     with pytest.raises(ConfigError, match=said):
-        run_dataset.from_folders([stop, other], tmp_path / "out", "tune")
+        run_dataset.from_folders([stop, other], tmp_path / "out")
 
 
 def test_runs_of_another_mass_stand_in_one_dataset_each_with_its_own(stop: Path, tmp_path: Path) -> None:
     other = rerecorded(stop, tmp_path / "run", 10, vehicle__mass_kg=48000.0)
-    out = run_dataset.from_folders([stop], tmp_path / "out", "tune", [other], run_sensors.NOISE, 1.0)
+    out = run_dataset.from_folders([stop], tmp_path / "out", [other], run_sensors.NOISE, 1.0)
     data = dataset.load(out)
     assert [run.mass_kg for run in data.runs] == [43000.0, 48000.0]
     assert [run.group for run in data.runs] == ["tune", "validate"]

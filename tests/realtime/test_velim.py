@@ -9,7 +9,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import stops
-from rollerrig.realtime.studies import run_dataset, velim, velim_bounds
+from rollerrig.realtime.studies import run_dataset, run_sensors, velim, velim_bounds
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.paper import tuning
 from rollerrig.wsp_interface import signals
@@ -89,12 +89,13 @@ def test_a_stop_is_the_same_as_a_run_in_free_pacing(rows):
 def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, tmp_path):
     rng = np.random.default_rng(5)
     plan = scenario.load("velim_a1", settings=("rig.mode=track",))
-    courses = [run_dataset.measured(run_dataset.of_rows(name, group, stops.moving(rows)),
-                                    run_dataset.SENSORS, rng)
-               for name, group in (("one", "tune"), ("two", "validate"))]
-    out = run_dataset.write(tmp_path / "made", courses, plan.resolved, run_dataset.SENSORS, "a test", "-")
+    runs = [run_sensors.noisy(run_dataset.of_rows(name, group, plan["vehicle"]["mass_kg"], stops.moving(rows)),
+                              run_sensors.TRAIN, rng)
+            for name, group in (("one", "tune"), ("two", "validate"))]
+    out = run_dataset.write(tmp_path / "made", runs, plan.resolved, run_sensors.TRAIN, rounded=True,
+                            title="a test")
     data = dataset.load(out)
-    assert (out / "dataset.toml").read_text().startswith("# SYNTHETIC")
+    assert (out / "dataset.toml").read_text().startswith("# a test")
     assert [run.group for run in data.runs] == ["tune", "validate"]
     assert data.accuracy["speed_m_s"] == 0.03
     assert np.isinf(data.sections["contact"]["roller_radius_m"])
@@ -133,4 +134,4 @@ def test_a_recovery_out_of_range_is_refused(capsys):
 
 def test_folders_that_hold_no_run_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
-        run_dataset.from_folders([tmp_path], tmp_path / "out", "tune")
+        run_dataset.from_folders([tmp_path], tmp_path / "out")
