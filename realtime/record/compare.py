@@ -41,28 +41,22 @@ def figures(runs: Sequence[records.Run]) -> list[tuple[str, str, list[float | No
 
 
 def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) -> list[Difference]:
-    """Every channel of every further run against the first, the largest first within a run."""
+    """Every channel of every further run against the first; a tolerance of the channel itself counts first."""
     first, found = runs[0], []
     time_s = first.column("time_s")
+    units = {name: signal.unit or "1" for signal in signals.SIGNALS if signal.name not in _NO_RESULT
+             for name in signals.columns(signal) if name in first.table.column_names}
     for run in runs[1:]:
-        rows = []
-        for signal in signals.SIGNALS:
-            if signal.name in _NO_RESULT:
-                continue
-            for name in signals.columns(signal):
-                if name not in first.table.column_names or name not in run.table.column_names:
-                    continue
-                other = np.interp(time_s, run.column("time_s"), run.column(name), right=np.nan)
-                gap = np.abs(first.column(name) - other)
-                known = np.isfinite(gap)
-                if not known.any():
-                    continue
-                worst = int(np.nanargmax(np.where(known, gap, -1.0)))
-                limit = tolerances.get(name, tolerances.get(signal.unit or "1", np.nan))
-                rows.append(Difference(str(run.folder), name, float(gap[worst]),
-                                       float(np.sqrt(np.mean(gap[known] ** 2))),
-                                       float(time_s[worst]), limit))
-        found += rows
+        for name in [name for name in units if name in run.table.column_names]:
+            other = np.interp(time_s, run.column("time_s"), run.column(name), right=np.nan)
+            gap = np.abs(first.column(name) - other)
+            known = np.flatnonzero(np.isfinite(gap))
+            if known.size:
+                worst = known[np.argmax(gap[known])]
+                found.append(Difference(
+                    run=str(run.folder), channel=name, largest=float(gap[worst]),
+                    rms=float(np.sqrt(np.mean(gap[known] ** 2))), at_s=float(time_s[worst]),
+                    tolerance=tolerances.get(name, tolerances.get(units[name], np.nan))))
     return found
 
 

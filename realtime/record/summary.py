@@ -8,7 +8,7 @@ knows (ticks, frames, requests) comes as counters and is null where it is not kn
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import metadata
 from typing import Any
 
@@ -19,31 +19,28 @@ from rich.table import Table
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME, columns
 
 STANDSTILL_M_S = 0.01
+Channel = Callable[[str], np.ndarray]
 
 
 def of(columns: pa.Table | Mapping[str, Any], counters: Mapping[str, Any],
        scenario: Mapping[str, Any]) -> dict[str, Any]:
-    """The summary of recorded channels: the keys of INTERFACES section 4, and a few more.
+    """The summary of recorded channels, as summary.json has it.
 
     `columns` by the names of the table of signals, each of shape (n,). `counters` may hold
     version, config_hash, scenario, pacing, seed, unit, ended, and the tables loop, bus and modbus.
     `scenario` is the resolved one. The same input gives the same output.
     """
-    channels = _Channels(columns)
-    speed, time_s = channels.get("vehicle_speed_m_s"), channels.get("time_s")
+    channel = _reader(columns)
+    speed, time_s = channel("vehicle_speed_m_s"), channel("time_s")
     still = np.flatnonzero(speed <= STANDSTILL_M_S)
     # a vehicle that stands at the first sample has not been driven, let alone stopped
     stopped = bool(still.size and still[0] > 0)
-    end = int(still[0]) if stopped else len(speed) - 1
-    stop = slice(0, end + 1)
-    position = channels.get("position_m")
+    stop = slice(0, int(still[0]) + 1 if stopped else len(speed))
     loop = scenario.get("loop", {})
     text = json.dumps(scenario, sort_keys=True, default=str)
-    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
-    bus = {"frames": None, "dropped": None, "load_percent": None}
     return {
         "version": counters.get("version") or metadata.version("rollerrig"),
-        "config_hash": counters.get("config_hash") or digest,
+        "config_hash": counters.get("config_hash") or hashlib.sha256(text.encode()).hexdigest()[:16],
         "scenario": counters.get("scenario"),
         "title": scenario.get("title") or None,
         "pacing": counters.get("pacing"),
@@ -52,90 +49,76 @@ def of(columns: pa.Table | Mapping[str, Any], counters: Mapping[str, Any],
         "tick_hz": loop.get("tick_hz"),
         "step_s": loop.get("step_s"),
         "samples": len(speed),
-        "duration_s": _span(time_s, len(time_s) - 1),
+        "duration_s": _span(time_s),
         "initial_speed_m_s": _number(speed[0]) if len(speed) else None,
-        "stop_time_s": _span(time_s, end) if stopped else None,
-        "stop_distance_m": _span(position, end) if stopped else None,
+        "stop_time_s": _span(time_s[stop]) if stopped else None,
+        "stop_distance_m": _span(channel("position_m")[stop]) if stopped else None,
         "stopped": stopped,
-        "axles": [_axle(channels, j, stop) for j in range(1, AXLES + 1)],
-        "wsp": _wsp(channels, stop, counters),
-        "tracking": _tracking(channels, stop),
-        "air_consumption_NL": _last(channels.get("air_consumption_NL")),
-        "loop": _loop(channels, counters, loop),
-        "bus": bus | dict(counters.get("bus") or {}),
+        "axles": [_axle(channel, j, stop) for j in range(1, AXLES + 1)],
+        "wsp": _wsp(channel, stop) | {"unit": counters.get("unit")} | dict(counters.get("wsp") or {}),
+        "tracking": _tracking(channel, stop),
+        "air_consumption_NL": _last(channel("air_consumption_NL")),
+        "loop": _loop(channel, loop) | dict(counters.get("loop") or {}),
+        "bus": dict.fromkeys(("frames", "dropped", "load_percent")) | dict(counters.get("bus") or {}),
         "modbus": {"requests": None} | dict(counters.get("modbus") or {}),
         "recorder": {"lost": 0} | dict(counters.get("recorder") or {}),
     }
 
 
-class _Channels:
-    """Columns as arrays; one that was not recorded is NaN throughout."""
-
-    def __init__(self, columns: pa.Table | Mapping[str, Any]) -> None:
-        self._columns = columns
-        self._names = set(columns.column_names if isinstance(columns, pa.Table) else columns)
-
-    def get(self, name: str) -> np.ndarray:
-        if name in self._names:
-            return np.asarray(self._columns[name], dtype=np.float64)
-        return np.full(len(self.get("time_s")) if name != "time_s" else 0, np.nan)
+def _reader(columns: pa.Table | Mapping[str, Any]) -> Channel:
+    """Gives columns as arrays; one that was not recorded is NaN throughout."""
+    names = set(columns.column_names if isinstance(columns, pa.Table) else columns)
+    count = len(columns["time_s"]) if "time_s" in names else 0
+    return lambda name: (np.asarray(columns[name], dtype=np.float64) if name in names
+                         else np.full(count, np.nan))
 
 
-def _axle(channels: _Channels, axle: int, stop: slice) -> dict[str, Any]:
-    sliding = channels.get(f"sliding_{axle}_m_s")[stop]
-    work = channels.get(f"sliding_work_{axle}_J")[stop]
+def _axle(channel: Channel, axle: int, stop: slice) -> dict[str, Any]:
+    sliding = channel(f"sliding_{axle}_m_s")[stop]
     return {
         "sliding_mean_m_s": _of(np.mean, sliding),
         "sliding_std_m_s": _of(np.std, sliding),
         "sliding_max_m_s": _of(np.max, sliding),
-        "longest_lock_s": _last(channels.get(f"longest_lock_{axle}_s")[stop]),
-        "dissipated_energy_J": _number(work[-1] - work[0]) if len(work) else None,
-        "adhesion_mean": _of(np.mean, channels.get(f"adhesion_{axle}")[stop]),
-        "vents": _whole(_last(channels.get(f"vents_{axle}"))),
+        "longest_lock_s": _last(channel(f"longest_lock_{axle}_s")[stop]),
+        "dissipated_energy_J": _span(channel(f"sliding_work_{axle}_J")[stop]),
+        "adhesion_mean": _of(np.mean, channel(f"adhesion_{axle}")[stop]),
+        "vents": _count(channel(f"vents_{axle}")),
     }
 
 
-def _wsp(channels: _Channels, stop: slice, counters: Mapping[str, Any]) -> dict[str, Any]:
+def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
     """How long any dump valve did not fill, and how often one began to vent, all axles together."""
-    time_s = channels.get("time_s")[stop]
-    valves = np.array([channels.get(f"valve_{axle}")[stop] for axle in range(1, AXLES + 1)])
-    acting = np.any(valves > 0.5, axis=0)[:-1] if len(time_s) > 1 else np.zeros(0, dtype=bool)
-    vents = [_whole(_last(channels.get(f"vents_{axle}"))) for axle in range(1, AXLES + 1)]
-    known = [count for count in vents if count is not None]
-    return {
-        "unit": counters.get("unit"),
-        "active_s": _number(np.sum(np.diff(time_s)[acting])) if acting.size else 0.0,
-        "vents": sum(known) if len(known) == AXLES else None,
-    } | dict(counters.get("wsp") or {})
+    valves = np.array([channel(f"valve_{axle}")[stop] for axle in range(1, AXLES + 1)])
+    acting = np.any(valves > 0.5, axis=0)[:-1]
+    vents = [_count(channel(f"vents_{axle}")) for axle in range(1, AXLES + 1)]
+    return {"unit": None, "active_s": float(np.sum(np.diff(channel("time_s")[stop])[acting])),
+            "vents": None if None in vents else sum(vents)}  # type: ignore[arg-type]
 
 
-def _tracking(channels: _Channels, stop: slice) -> dict[str, Any]:
+def _tracking(channel: Channel, stop: slice) -> dict[str, Any]:
     """How well the motors held what they were to hold, all axles: largest error and rms in m/s."""
-    errors = np.concatenate([channels.get(name)[stop] for name in columns(BY_NAME["tracking_error"])])
-    errors = errors[np.isfinite(errors)]
-    if not errors.size:
-        return {"max_m_s": None, "rms_m_s": None}
-    return {"max_m_s": float(np.abs(errors).max()), "rms_m_s": float(np.sqrt(np.mean(errors**2)))}
+    errors = np.concatenate([channel(name)[stop] for name in columns(BY_NAME["tracking_error"])])
+    return {"max_m_s": _of(np.max, np.abs(errors)),
+            "rms_m_s": _of(lambda known: np.sqrt(np.mean(known**2)), errors)}
 
 
-def _loop(channels: _Channels, counters: Mapping[str, Any],
-          loop: Mapping[str, Any]) -> dict[str, Any]:
-    """The bench's own count; without it what the samples tell (a killed run)."""
-    time_s, lateness = channels.get("time_s"), channels.get("tick_lateness_us")
-    told = {
+def _loop(channel: Channel, loop: Mapping[str, Any]) -> dict[str, Any]:
+    """What the samples tell of the loop: all that there is of a killed run, the bench counts itself."""
+    time_s = channel("time_s")
+    return {
         "ticks": round(time_s[-1] * loop["tick_hz"]) if len(time_s) and "tick_hz" in loop else None,
-        "missed": _whole(_last(channels.get("ticks_missed"))),
-        "lateness_us": {"p50": None, "p99": None, "p999": None, "max": _of(np.max, lateness)},
+        "missed": _count(channel("ticks_missed")),
+        "lateness_us": {"p50": None, "p99": None, "p999": None,
+                        "max": _of(np.max, channel("tick_lateness_us"))},
     }
-    return told | dict(counters.get("loop") or {})
 
 
-def _of(what: Any, values: np.ndarray) -> float | None:
+def _of(what: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
     known = values[np.isfinite(values)]
     return _number(what(known)) if known.size else None
 
 
-def _number(value: Any) -> float | None:
+def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
@@ -143,12 +126,13 @@ def _last(values: np.ndarray) -> float | None:
     return _number(values[-1]) if len(values) else None
 
 
-def _whole(value: float | None) -> int | None:
-    return None if value is None else round(value)
+def _count(values: np.ndarray) -> int | None:
+    last = _last(values)
+    return None if last is None else round(last)
 
 
-def _span(values: np.ndarray, end: int) -> float | None:
-    return _number(values[end] - values[0]) if len(values) else None
+def _span(values: np.ndarray) -> float | None:
+    return _number(values[-1] - values[0]) if len(values) else None
 
 
 def table(summary: Mapping[str, Any]) -> Table:
@@ -158,18 +142,18 @@ def table(summary: Mapping[str, Any]) -> Table:
     for name in ("axle", "sliding m/s", "std", "max", "lock s", "energy MJ", "adhesion", "vents"):
         shown.add_column(name, justify="right")
     for number, axle in enumerate(summary["axles"], start=1):
-        energy = axle["dissipated_energy_J"]
+        energy_J = axle["dissipated_energy_J"]
         shown.add_row(
-            str(number), _show(axle["sliding_mean_m_s"]), _show(axle["sliding_std_m_s"]),
-            _show(axle["sliding_max_m_s"]), _show(axle["longest_lock_s"]),
-            _show(None if energy is None else energy / 1e6), _show(axle["adhesion_mean"], 4),
+            str(number), *(_show(axle[key]) for key in (
+                "sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_lock_s")),
+            _show(None if energy_J is None else energy_J / 1e6), _show(axle["adhesion_mean"], 4),
             _show(axle.get("vents"), 0))
     return shown
 
 
 def _headline(summary: Mapping[str, Any]) -> str:
-    speed = f"from {_show(summary['initial_speed_m_s'], 1)} m/s"
     name = summary["scenario"] or summary.get("title") or "run"
+    speed = f"from {_show(summary['initial_speed_m_s'], 1)} m/s"
     if summary["stopped"]:
         return (f"{name}: stopped {speed} in {_show(summary['stop_time_s'])} s and "
                 f"{_show(summary['stop_distance_m'], 1)} m")
@@ -179,21 +163,16 @@ def _headline(summary: Mapping[str, Any]) -> str:
 def _footline(summary: Mapping[str, Any]) -> str:
     wsp, loop, bus = summary["wsp"], summary["loop"], summary["bus"]
     late = loop["lateness_us"]
+    more = "".join((f", longest wait {bus['longest_wait_us']:.0f} us" if bus.get("longest_wait_us") is not None else "",
+                    f", {bus['stray_syncs']} stray SYNCs" if bus.get("stray_syncs") else ""))
     return (
         f"WSP {wsp['unit'] or '-'}: active {_show(wsp['active_s'])} s, "
         f"{_show(wsp['vents'], 0)} vents, air {_show(summary['air_consumption_NL'], 1)} NL\n"
         f"loop: {_show(loop['ticks'], 0)} ticks, {_show(loop['missed'], 0)} missed, late "
         f"p50 {_show(late['p50'], 0)} p99 {_show(late['p99'], 0)} max {_show(late['max'], 0)} us\n"
         f"bus: {_show(bus['frames'], 0)} frames, {_show(bus['dropped'], 0)} dropped, "
-        f"load {_show(bus['load_percent'], 1)} %{_more(bus)}; Modbus: "
+        f"load {_show(bus['load_percent'], 1)} %{more}; Modbus: "
         f"{_show(summary['modbus']['requests'], 0)} requests")
-
-
-def _more(bus: Mapping[str, Any]) -> str:
-    waits = bus.get("longest_wait_us")
-    stray = bus.get("stray_syncs")
-    return ((f", longest wait {waits:.0f} us" if waits is not None else "")
-            + (f", {stray} stray SYNCs" if stray else ""))
 
 
 def _show(value: float | None, places: int = 2) -> str:

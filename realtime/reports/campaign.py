@@ -66,7 +66,7 @@ def write(plan: campaign.Plan, table: pa.Table, out: Path, figure: str) -> Path:
         page.paragraph(f"{table.num_rows} runs of {plan.head['scenario']}, {plan.head['design']} design over "
                        f"{', '.join(plan.axes)}."),
         page.table(_HEAD, _cells(table)),
-        page.picture(lambda drawn: _distributions(drawn, plan, table), (11.0, 2.3 * len(_cells(table)))),
+        page.picture(lambda drawn: _distributions(drawn, plan, table), (11.0, 2.3 * len(quantiles(table)))),
         page.element("h2", f"Worst {figure}"),
         page.table(("run", figure, "to see it"), [
             (str(case["run"]), f"{case[figure]:.4g}" if case[figure] is not None else "not stopped",
@@ -76,11 +76,13 @@ def write(plan: campaign.Plan, table: pa.Table, out: Path, figure: str) -> Path:
 
 
 def _distributions(drawn: Figure, plan: campaign.Plan, table: pa.Table) -> None:
-    names = [name for name, _ in quantiles(table)]
-    for row, name in zip(drawn.subplots(len(names), 1 + len(plan.axes), squeeze=False), names, strict=True):
-        values = table[name].to_numpy().astype(float)
-        row[0].hist(values[np.isfinite(values)], bins=40, color=page.BLUE)
-        row[0].set(xlabel=name, ylabel="runs")
-        for plot, key in zip(row[1:], plan.axes, strict=True):
+    shown = [figures.BY_NAME[name] for name, _ in quantiles(table)]
+    plots = drawn.subplots(len(shown), 1 + len(plan.axes), squeeze=False)
+    for (counts, *others), figure in zip(plots, shown, strict=True):
+        values = figure.scale * table[figure.name].to_numpy().astype(float)
+        title = f"{figure.title}, {figure.unit}" if figure.unit else figure.title
+        counts.hist(values[np.isfinite(values)], bins=40)
+        counts.set(xlabel=title, ylabel="runs")
+        for plot, key in zip(others, plan.axes, strict=True):
             plot.plot(table[key].to_numpy(), values, ".", markersize=3)
-            plot.set(xlabel=key, ylabel=name)
+            plot.set(xlabel=key, ylabel=title)

@@ -145,7 +145,7 @@ def velim_synthetic(out: Path, seed: int = 1) -> Path:
     resolved = resolved | {"adhesion": {k: v for k, v in resolved["adhesion"].items() if k != "mu_cd"}}
     runs = []
     for test in velim.TESTS:
-        rows = velim.stops.moving(velim.rows_of(test, found))
+        rows = velim.rows_of(test, found)
         group = "tune" if test in velim.GROUP_A else "validate"
         runs.append(run_sensors.noisy(of_rows(test, group, resolved["vehicle"]["mass_kg"], rows),
                                       run_sensors.TRAIN, rng))

@@ -12,8 +12,8 @@ Doubt: the recordings are not public, so E1 cannot be computed, and sliding is c
 a test. Table 6's B rows are never used for fitting.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -67,26 +67,23 @@ def contaminant(found: dict[str, float], test: str) -> float:
     return float(np.exp(np.mean([np.log(found[f"mu_cd_{name}"]) for name in GROUP_A])))
 
 
-def plan_of(test: str, found: dict[str, float], tau_m_J: float | None = None) -> scenario.Scenario:
+def plan_of(test: str, found: dict[str, float]) -> scenario.Scenario:
     """The scenario of a test on the track, under what was found."""
-    settings = ["rig.mode=track", f"adhesion.mu_cd={contaminant(found, test)!r}"]
-    if tau_m_J is not None:
-        settings.append(f"adhesion.tau_m_J={tau_m_J!r}")
-    demand = [{"from_s": 0.0, "pressure_Pa": found["pressure_Pa"]}]
-    return scenario.load(f"velim_{test}", settings=tuple(settings), tables={"demand": demand})
+    return scenario.load(
+        f"velim_{test}", settings=("rig.mode=track", f"adhesion.mu_cd={contaminant(found, test)!r}"),
+        tables={"demand": [{"from_s": 0.0, "pressure_Pa": found["pressure_Pa"]}]})
 
 
-def rows_of(test: str, found: dict[str, float], tau_m_J: float | None = None) -> np.ndarray:
-    """Samples of a test's stop under what was found; another recovery, as 0, if it is given."""
-    plan = plan_of(test, found, tau_m_J)
+def rows_of(test: str, found: dict[str, float]) -> np.ndarray:
+    """Samples of a test's stop up to standstill, under what was found."""
+    plan = plan_of(test, found)
     band = {name: found[name] for name in ("band_low_m_s", "band_high_m_s")}
-    unit = logic.load(plan["wsp_config"])._replace(**band)
-    return stops.run(plan, unit)
+    return stops.moving(stops.run(plan, logic.load(plan["wsp_config"])._replace(**band)))
 
 
-def stop(test: str, found: dict[str, float], tau_m_J: float | None = None) -> Stop:
+def stop(test: str, found: dict[str, float]) -> Stop:
     """Run a test and reduce it to Table 6's numbers [Q2]."""
-    rows = stops.moving(rows_of(test, found, tau_m_J))
+    rows = rows_of(test, found)
     sliding = rows[:, signals.span("sliding")]
     return Stop(sliding.mean(axis=0), sliding.std(axis=0), stops.SAMPLE_S * len(rows),
                 float(rows[-1, signals.column("position")]),
@@ -102,19 +99,22 @@ def table6(found: dict[str, float], say: Callable[[str], None] = lambda _: None)
     return out
 
 
-def errors(ours: dict[str, Stop], tests: Iterable[str] = GROUP_B) -> dict[str, float]:
+def errors(ours: dict[str, Stop], tests: Sequence[str] = GROUP_B) -> dict[str, float]:
     """Mean absolute errors against the measured rows of Table 6, ours and the paper's model's."""
-    tests = list(tests)
+    mean, deviation = _first_wheelset(ours)
 
-    def off(mine: Callable[[str], float], measured: dict[str, float]) -> float:
-        return float(np.mean([abs(mine(test) - measured[test]) for test in tests]))
+    def off(values: dict[str, float], measured: dict[str, float]) -> float:
+        return float(np.mean([abs(values[test] - measured[test]) for test in tests]))
 
-    return {
-        "mean_m_s": off(lambda t: float(ours[t].mean_m_s[0]), MEASURED_MEAN),
-        "deviation_m_s": off(lambda t: float(ours[t].deviation_m_s[0]), MEASURED_STD),
-        "paper_mean_m_s": off(PAPER_MEAN.__getitem__, MEASURED_MEAN),
-        "paper_deviation_m_s": off(PAPER_STD.__getitem__, MEASURED_STD),
-    }
+    return {"mean_m_s": off(mean, MEASURED_MEAN), "deviation_m_s": off(deviation, MEASURED_STD),
+            "paper_mean_m_s": off(PAPER_MEAN, MEASURED_MEAN),
+            "paper_deviation_m_s": off(PAPER_STD, MEASURED_STD)}
+
+
+def _first_wheelset(ours: dict[str, Stop]) -> tuple[dict[str, float], dict[str, float]]:
+    """Mean and standard deviation of its sliding in each test, m/s."""
+    return ({test: float(one.mean_m_s[0]) for test, one in ours.items()},
+            {test: float(one.deviation_m_s[0]) for test, one in ours.items()})
 
 
 def bounds() -> list[velim_bounds.Bound]:
@@ -124,8 +124,8 @@ def bounds() -> list[velim_bounds.Bound]:
 
 def left_over(ours: dict[str, Stop]) -> float:
     """rms in m/s of what the fit on group A leaves over [Q1]."""
-    off = [[ours[t].mean_m_s[0] - MEASURED_MEAN[t], ours[t].deviation_m_s[0] - MEASURED_STD[t]]
-           for t in GROUP_A]
+    mean, deviation = _first_wheelset(ours)
+    off = [(mean[t] - MEASURED_MEAN[t], deviation[t] - MEASURED_STD[t]) for t in GROUP_A]
     return float(np.sqrt(np.mean(np.square(off))))
 
 
@@ -165,15 +165,14 @@ def calibrate(say: Callable[[str], None], start: dict[str, float] | None = None,
 
 def rows_for_table(ours: dict[str, Stop]) -> list[tuple[str, list[str]]]:
     """Table 6 in the paper's form, with ours, as text."""
-    def line(values: Iterable[Any]) -> list[str]:
-        return [f"{v:.2f}" for v in values]
-
-    return [
-        ("E1, largest velocity error, paper's model", line(PAPER_E1[t] for t in TESTS)),
-        ("mean sliding of wheelset 1, measured", line(MEASURED_MEAN[t] for t in TESTS)),
-        ("mean sliding, paper's model", line(PAPER_MEAN[t] for t in TESTS)),
-        ("mean sliding, ours", line(ours[t].mean_m_s[0] for t in TESTS)),
-        ("standard deviation, measured", line(MEASURED_STD[t] for t in TESTS)),
-        ("standard deviation, paper's model", line(PAPER_STD[t] for t in TESTS)),
-        ("standard deviation, ours", line(ours[t].deviation_m_s[0] for t in TESTS)),
-    ]
+    mean, deviation = _first_wheelset(ours)
+    rows = (
+        ("E1, largest velocity error, paper's model", PAPER_E1),
+        ("mean sliding of wheelset 1, measured", MEASURED_MEAN),
+        ("mean sliding, paper's model", PAPER_MEAN),
+        ("mean sliding, ours", mean),
+        ("standard deviation, measured", MEASURED_STD),
+        ("standard deviation, paper's model", PAPER_STD),
+        ("standard deviation, ours", deviation),
+    )
+    return [(title, [f"{values[test]:.2f}" for test in TESTS]) for title, values in rows]

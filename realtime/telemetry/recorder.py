@@ -14,6 +14,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Mapping
@@ -82,48 +83,32 @@ class Recorder:
 
     def drain(self) -> None:
         """Take what is new in the rings, and write what is due."""
-        self._drain_rows()
-        self._drain_frames()
-        self._drain_events()
+        rows = self._take(0, self._rows, "rows of channels")
+        if len(rows):
+            self._time_s = float(rows[-1, signals.column("time")])
+            self.channels.add(rows)
+            self._pending.append(rows)
+        found = self._take(1, self._frames, "CAN frames")
+        if len(found):
+            self.frames += len(found)
+            lines = [frames.candump_line(frame_of(row), signals.BUS_CHANNEL) for row in found.tolist()]
+            self._can.write(("\n".join(lines) + "\n").encode())
+        self._write_events([ring.read_event(row) for row in self._take(2, self._events, "events")])
         if self._pending and time.monotonic() - self._sent_s > _BLOCK_S:
             self._send()
         self.channels.write_if_due()
         self._rows.header[ring.RECORDER_BEAT_NS] = time.monotonic_ns()
 
-    def _take(self, which: int, source: Ring) -> tuple[np.ndarray, int]:
+    def _take(self, which: int, source: Ring, what: str) -> np.ndarray:
         found, self._cursors[which], lost = source.read(self._cursors[which])
         source.header[ring.READ] = self._cursors[which]
         source.header[ring.LOST] += lost
-        return found, lost
-
-    def _drain_rows(self) -> None:
-        rows, lost = self._take(0, self._rows)
-        if len(rows):
-            self._time_s = float(rows[-1, signals.column("time")])
-            self.channels.add(rows)
-            self._pending.append(rows)
-        self._tell_lost(lost, "rows of channels")
-
-    def _drain_frames(self) -> None:
-        rows, lost = self._take(1, self._frames)
-        self.frames += len(rows)
-        if len(rows):
-            lines = [frames.candump_line(frame_of(row), signals.BUS_CHANNEL)
-                     for row in rows.tolist()]
-            self._can.write(("\n".join(lines) + "\n").encode())
-        self._tell_lost(lost, "CAN frames")
-
-    def _drain_events(self) -> None:
-        rows, lost = self._take(2, self._events)
-        self._tell([ring.read_event(row) for row in rows])
-        self._tell_lost(lost, "events")
-
-    def _tell_lost(self, lost: int, what: str) -> None:
         if lost:
-            self._tell([(self._time_s, "error",
-                         f"{lost} {what} lost: the recorder was held up and the ring overran")])
+            self._write_events([(self._time_s, "error",
+                                 f"{lost} {what} lost: the recorder was held up and the ring overran")])
+        return found
 
-    def _tell(self, events: list[Event]) -> None:
+    def _write_events(self, events: list[Event]) -> None:
         if events:
             self._all_events += events
             lines = [json.dumps({"time_s": time_s, "level": level, "text": text})
@@ -140,8 +125,8 @@ class Recorder:
         """Complete all files. `ended` says how: finished, killed (the bench died) or terminated."""
         self.drain()
         if ended == "killed":
-            self._tell([(self._time_s, "error",
-                         "the bench was killed; the recorder completed the files")])
+            self._write_events([(self._time_s, "error",
+                                 "the bench was killed; the recorder completed the files")])
         table = self.channels.finish()
         self._stream.disconnect()
         self._compact(records.rows(table))
@@ -176,7 +161,7 @@ def frame_of(row: list[int]) -> frames.Frame:
                         remote, length, time_ns, bool(word & ring.ERROR_FLAG))
 
 
-def run(recorder: Recorder, rings: tuple[Ring, Ring, Ring], told: Mapping[str, bool]) -> str:
+def run(recorder: Recorder, rings: tuple[Ring, Ring, Ring], stop: threading.Event) -> str:
     """Drain until the rows have ended, the writer died, or a signal asks to stop; returns which."""
     rows = rings[0]
     closed_s: float | None = None
@@ -190,7 +175,7 @@ def run(recorder: Recorder, rings: tuple[Ring, Ring, Ring], told: Mapping[str, b
             return "finished"
         if not alive:
             return "finished" if rows.closed else "killed"
-        if told["stop"]:
+        if stop.is_set():
             return "terminated"
         # half a ring is waiting (a run without deadlines): go on at once
         if min(r.room / r.header[ring.CAPACITY] for r in rings) > 0.5:
@@ -206,21 +191,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--counters", type=json.loads, default={}, metavar="JSON",
                         help="what the summary of a killed run shall say")
     given = parser.parse_args(arguments)
-    told = {"stop": False}
+    stop = threading.Event()
     # Ctrl-C and a closed terminal are the bench's to answer
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: told.update(stop=True))
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
     with contextlib.suppress(OSError):
         os.setsid()
     with contextlib.suppress(OSError):
         os.nice(5)
-    rings = (Ring(given.rows, np.float64), Ring(given.frames, np.int64),
-             Ring(given.events, np.int64))
+    rings = Ring(given.rows, np.float64), Ring(given.frames, np.int64), Ring(given.events, np.int64)
     recorder = Recorder(given.run_dir, *rings, given.counters)
     recorder.drain()
     print(READY, flush=True)
-    ended = run(recorder, rings, told)
+    ended = run(recorder, rings, stop)
     recorder.finish(ended)
     if ended == "killed":
         for one in rings:

@@ -114,16 +114,17 @@ def recording(path: Path | str) -> Path:
     return path / records.RRD
 
 
-def overlay(runs: Sequence[Path | str], into: Path) -> Path:
+def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
     """Draw runs over one another into a new .rrd: the first bold, the others faint under /ref.
 
-    Drawn from the channels, so it works for a run whose own .rrd is lost. All begin at t = 0.
+    Drawn from the channels, so it works for a run whose own .rrd is lost. All begin at t = 0. `bare`
+    leaves out the viewer's own bars.
     """
     loaded = [records.load(run) for run in runs]
     names = _names([run.folder for run in loaded[1:]])
     first = loaded[0]
     stream = rr.RecordingStream(views.APPLICATION)
-    layout = views.blueprint(eye=scene.eye(scene.scene(first.scenario)), references=names,
+    layout = views.blueprint(bare=bare, eye=scene.eye(scene.scene(first.scenario)), references=names,
                              top=views.tops(records.rows(first.table)))
     stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
     stream.send_recording_name(" over ".join(run.folder.resolve().name for run in loaded))
@@ -171,20 +172,12 @@ def picture(paths: Sequence[Path | str], png: Path | str, size: tuple[int, int] 
     folder that is not a run's, RollerrigError where nothing can be drawn.
     """
     png = Path(png).resolve()
-    runs = [records.load(path) for path in paths]
     if time_s is None:
-        time_s = float(runs[0].column("time_s").max(initial=0.0)) / 2.0
+        time_s = float(records.load(paths[0]).column("time_s").max(initial=0.0)) / 2.0
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
         # drawn anew: an old recording gets today's layout, and a killed one its tail
-        file, layout = overlay(paths, folder / "run.rrd"), folder / "picture.rbl"
-        eye = scene.eye(scene.scene(runs[0].scenario))
-        references = _names([run.folder for run in runs[1:]])
-        views.blueprint(bare=True, eye=eye, references=references,
-                        top=views.tops(records.rows(runs[0].table))).save(
-            views.APPLICATION, str(layout))
-        shot = _headless([str(file), str(layout)], size, time_s, folder / "log",
-                         time.monotonic() + timeout_s)
+        file = overlay(paths, Path(name) / "run.rrd", bare=True)
+        shot = _headless(file, size, time_s, time.monotonic() + timeout_s)
     png.parent.mkdir(parents=True, exist_ok=True)
     # the viewer keeps the place of its title bar, empty
     image = Image.open(io.BytesIO(shot))
@@ -192,36 +185,30 @@ def picture(paths: Sequence[Path | str], png: Path | str, size: tuple[int, int] 
     return png
 
 
-def _headless(files: list[str], size: tuple[int, int], time_s: float, log: Path,
-              until_s: float) -> bytes:
-    port = free_port()
+def _headless(file: Path, size: tuple[int, int], time_s: float, until_s: float) -> bytes:
+    """The picture, once two in a row are the same: the viewer fetches what it draws as it draws."""
+    port, log = free_port(), file.with_name("log")
     with open(log, "wb") as sink:
         process = subprocess.Popen(
             command("--headless", "--port", str(port), "--window-size",
-                    f"{size[0]}x{size[1] + _TITLE_BAR}", *files),
+                    f"{size[0]}x{size[1] + _TITLE_BAR}", str(file)),
             env=environment(), start_new_session=True, stdin=subprocess.DEVNULL, stdout=sink,
             stderr=sink)
     try:
-        return _shoot(process, port, time_s, log, until_s)
+        client = _connected(process, port, log, until_s)
+        client.set_time(views.TIMELINE, duration=time_s, play_state="paused")
+        time.sleep(0.8)
+        last = b""
+        while time.monotonic() < until_s:
+            shot = client.take_screenshot()
+            if shot == last:
+                return shot
+            last = shot
+            time.sleep(0.3)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGTERM)
         process.wait(10)
-
-
-def _shoot(process: subprocess.Popen, port: int, time_s: float, log: Path,
-           until_s: float) -> bytes:
-    """The picture, once two in a row are the same: the viewer fetches what it draws as it draws."""
-    client = _connected(process, port, log, until_s)
-    client.set_time(views.TIMELINE, duration=time_s, play_state="paused")
-    time.sleep(0.8)
-    last = b""
-    while time.monotonic() < until_s:
-        shot = client.take_screenshot()
-        if shot == last:
-            return shot
-        last = shot
-        time.sleep(0.3)
     raise RollerrigError("no picture: the viewer did not come to rest; try again when the machine "
                          "is less busy")
 

@@ -127,10 +127,10 @@ def _show_velim(found: dict[str, float], ours: dict[str, Any], result: dict[str,
                   f"{off['paper_mean_m_s']:.2f}), deviation {off['deviation_m_s']:.2f} (paper's model "
                   f"{off['paper_deviation_m_s']:.2f}) m/s")
     limits = Table("found on group A's measured means, as a function of initial speed alone", "B1", "B2",
-                   "B3", "error", title="what can be foretold of group B's mean sliding, m/s",
+                   "B3", "error", title="what can be predicted of group B's mean sliding, m/s",
                    title_justify="left")
     for bound in velim.bounds():
-        limits.add_row(bound.name, *(f"{x:.2f}" for x in bound.foretold_m_s), f"{bound.error_m_s:.2f}")
+        limits.add_row(bound.name, *(f"{x:.2f}" for x in bound.predicted_m_s), f"{bound.error_m_s:.2f}")
     limits.add_row("measured", *(f"{velim.MEASURED_MEAN[test]:.2f}" for test in velim.GROUP_B), "")
     console.print(limits)
     console.print("E1 needs the recordings, which are not public; it is printed by "
