@@ -6,11 +6,9 @@ is done is computed again, and the result is the same however the chunks were sp
 cores of this machine, or over a Dask cluster.
 """
 
-import contextlib
 import hashlib
 import itertools
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -29,6 +27,7 @@ from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import batch
 from rollerrig.realtime.record import figures
+from rollerrig.realtime.record.files import replaced
 
 DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
 ROWS = (
@@ -210,14 +209,10 @@ def part(out: Path, chunk: int) -> Path:
 
 def write_chunk(out: Path, chunk: int, rows: list[dict[str, Any]]) -> None:
     """Put the rows of a chunk into its file, in one step. Raises RollerrigError where it cannot."""
-    schema = _schema(rows)
-    new = part(out, chunk).with_suffix(".new")
     try:
-        pq.write_table(pa.Table.from_pylist(rows, schema=schema), new)
-        os.replace(new, part(out, chunk))
+        with replaced(part(out, chunk)) as new:
+            pq.write_table(pa.Table.from_pylist(rows, schema=_schema(rows)), new)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            new.unlink()
         raise RollerrigError(f"{part(out, chunk)}: cannot be written: {error}; what is done is kept: "
                              "make room, and the same command goes on") from None
 

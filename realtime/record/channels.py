@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.record.files import replaced
 from rollerrig.wsp_interface.signals import COLUMNS
 
 FILE, TAIL = "channels.parquet", "channels.tail"
@@ -84,11 +85,10 @@ def schema() -> pa.Schema:
 
 def save(folder: Path, table: pa.Table, compression: str = "none") -> None:
     """Put a table in place of channels.parquet in one step: a reader sees the old or the new."""
-    new = folder / f".{FILE}.new"
     final = compression != "none"
-    pq.write_table(table, new, compression=compression, use_dictionary=False,
-                   use_byte_stream_split=final, write_statistics=final)
-    new.replace(folder / FILE)
+    with replaced(folder / FILE) as new:
+        pq.write_table(table, new, compression=compression, use_dictionary=False,
+                       use_byte_stream_split=final, write_statistics=final)
 
 
 def load(folder: Path) -> pa.Table:

@@ -8,9 +8,7 @@ second, with the events in a file of their own beside it. Files appear whole or 
 Source: ASAM MDF 4.1 as asammdf writes it; MAT-file level 5 as scipy does.
 """
 
-import contextlib
 import csv
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +17,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
+from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.records import Run
 from rollerrig.wsp_interface import signals
 
@@ -77,7 +76,9 @@ def _mdf4(run: Run, out: Path) -> list[Path]:
             at_s = np.array([event[0] for event in run.events])
             text = np.array([f"{level}: {text}".encode() for _, level, text in run.events])
             made.append([Signal(text, at_s, name=EVENTS, encoding="utf-8")], comment=EVENTS)
-        return [_replaced(out, lambda new: made.save(new, overwrite=True, compression=2), ".mf4")]
+        with replaced(out, ".mf4") as new:
+            made.save(new, overwrite=True, compression=2)
+    return [out]
 
 
 def _mat(run: Run, out: Path) -> list[Path]:
@@ -92,39 +93,23 @@ def _mat(run: Run, out: Path) -> list[Path]:
         "time_s": np.array([event[0] for event in run.events]),
         "level": np.array([event[1] for event in run.events], dtype=object),
         "text": np.array([event[2] for event in run.events], dtype=object)}
-    return [_replaced(out, lambda new: savemat(new, content, long_field_names=True, oned_as="column",
-                                               do_compression=True), ".mat")]
+    with replaced(out, ".mat") as new:
+        savemat(new, content, long_field_names=True, oned_as="column", do_compression=True)
+    return [out]
 
 
 def _csv(run: Run, out: Path) -> list[Path]:
     found = columns(run)
     table = np.column_stack([run.column("time_s"), *(one.values for one in found)])
-
-    def channels(new: Path) -> None:
-        with new.open("w", encoding="utf-8", newline="") as file:
-            head = csv.writer(file)
-            head.writerow(["time_s", *(one.name for one in found)])
-            head.writerow(["s", *(one.unit for one in found)])
-            np.savetxt(file, table, fmt="%.17g", delimiter=",")
-
-    def events(new: Path) -> None:
-        with new.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows([("time_s", "level", "text"), *run.events])
-
     beside = out.with_name(f"{out.stem}.{EVENTS}.csv")
-    return [_replaced(out, channels, ".csv"), _replaced(beside, events, ".csv")]
-
-
-def _replaced(out: Path, save: Callable[[Path], Any], suffix: str) -> Path:
-    """Save beside a file and put it in its place in one step; nothing is left of what failed."""
-    new = out.with_name(f".{out.stem}.new{suffix}")
-    try:
-        save(new)
-        os.replace(new, out)
-    finally:
-        with contextlib.suppress(OSError):
-            new.unlink(missing_ok=True)
-    return out
+    with replaced(out) as new, new.open("w", encoding="utf-8", newline="") as file:
+        head = csv.writer(file)
+        head.writerow(["time_s", *(one.name for one in found)])
+        head.writerow(["s", *(one.unit for one in found)])
+        np.savetxt(file, table, fmt="%.17g", delimiter=",")
+    with replaced(beside) as new, new.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([("time_s", "level", "text"), *run.events])
+    return [out, beside]
 
 
 WRITERS: dict[str, Callable[[Run, Path], list[Path]]] = {"mdf4": _mdf4, "mat": _mat, "csv": _csv}

@@ -14,6 +14,7 @@ import pyarrow as pa
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import channels
+from rollerrig.realtime.record.files import replaced
 from rollerrig.wsp_interface.signals import COLUMNS
 
 SCENARIO, EVENTS, SUMMARY, CAN_LOG, RRD = (
@@ -84,9 +85,8 @@ def summary(folder: Path) -> dict[str, Any]:
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Put a summary in place of the old one in one step."""
-    new = folder / f".{SUMMARY}.new"
-    new.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    new.replace(folder / SUMMARY)
+    with replaced(folder / SUMMARY) as new:
+        new.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def rows(table: pa.Table) -> np.ndarray:

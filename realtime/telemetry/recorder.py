@@ -28,6 +28,7 @@ from rollerrig.configs import store
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records, summary
+from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.telemetry import scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing, Event
 from rollerrig.wsp_interface import signals
@@ -143,13 +144,12 @@ class Recorder:
 
     def _compact(self, rows: np.ndarray) -> None:
         """Write run.rrd anew in large blocks: smaller, faster to open, and with an index."""
-        new = self._folder / f".{records.RRD}.new"
-        stream, drawing = self._open(new, top=views.tops(rows))
-        for first in range(0, len(rows), _FINAL_ROWS):
-            drawing.rows(rows[first: first + _FINAL_ROWS])
-        drawing.events(self._all_events)
-        stream.disconnect()
-        new.replace(self._folder / records.RRD)
+        with replaced(self._folder / records.RRD) as new:
+            stream, drawing = self._open(new, top=views.tops(rows))
+            for first in range(0, len(rows), _FINAL_ROWS):
+                drawing.rows(rows[first: first + _FINAL_ROWS])
+            drawing.events(self._all_events)
+            stream.disconnect()
 
 
 def frame_of(row: list[int]) -> frames.Frame:
