@@ -6,13 +6,20 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint docs bench performance clean
+.PHONY: demo test check lint docs bench performance clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --out runs/demo
 
+# kernels are compiled before the workers start, each once
 test: $(VENV)/ready-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python tests/compile_kernels.py
+	$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+# what to run before each commit: without the whole explanations
+check: lint
+	$(BIN)/python tests/compile_kernels.py
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not explanation"
 
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .

@@ -1,9 +1,19 @@
-"""Options and marks of the whole suite."""
+"""Options and marks of the whole suite, and which of its tests a worker keeps together.
+
+With `-n` each file is one worker's, so that its kernels are compiled and its fixtures made once; runs
+that several files look at are one worker's too; whole explanations, the longest tests, come first and
+each goes to the next worker that is free.
+"""
 
 from pathlib import Path
 
 import pytest
 from written_docs import ALL_ITEMS, write
+
+# fixtures of tests/realtime/conftest.py
+RUNS = {"stop_with_wsp", "stop_without_wsp", "free_stop", "wall_run"}
+# after the explanations: what takes long, and waits as often as it computes
+LONG = ("tests/realtime/", "tests/rig/identify/", "tests/third_party/", "tests/wsp_interface/", "tests/firmware_sim/")
 
 
 def pytest_addoption(parser):
@@ -14,11 +24,26 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     config.addinivalue_line("markers", "conformance(standard, behaviour): what of a standard this "
                             "test holds, for the table of conformance")
+    config.addinivalue_line("markers", "explanation: explains whole sets of runs; `make check` leaves these out")
+    config.addinivalue_line("markers", "xdist_group(name): tests of one worker")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     config.stash[ALL_ITEMS] = list(items)  # before any is left out
+    for item in items:
+        file, _, test = item.nodeid.partition("::")
+        alone = item.get_closest_marker("explanation")
+        item.add_marker(pytest.mark.xdist_group("runs" if RUNS & set(item.fixturenames) else test if alone else file))
+    if config.getoption("numprocesses", None) or hasattr(config, "workerinput"):
+        items.sort(key=turn)
+
+
+def turn(item):
+    """When a test has its turn among workers; equal ones keep their order."""
+    if item.get_closest_marker("explanation"):
+        return -1
+    return next((n for n, folder in enumerate(LONG) if item.nodeid.startswith(folder)), len(LONG))
 
 
 def pytest_collection_finish(session):

@@ -45,7 +45,7 @@ OUTSIDE = {
     "realtime/loop": "numpy numba",
     "realtime/record": "numpy scipy pyarrow asammdf rich",
     "realtime/telemetry": "numpy rerun PIL",
-    "realtime/bench": "numpy numba pyarrow tomli_w",
+    "realtime/bench": "numpy numba pyarrow pymodbus tomli_w",
     "realtime/campaign": "numpy scipy pyarrow tomli_w distributed",
     "realtime/studies": "numpy scipy pyarrow tomli_w",
     "realtime/reports": "numpy pyarrow matplotlib rich",

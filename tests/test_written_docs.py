@@ -23,7 +23,7 @@ def rows_of(page, files):
 def test_the_page_of_conformance_is_up_to_date(docs, request):
     # as far as this session sees: all of it in `make test`
     items = request.config.stash[ALL_ITEMS]
-    files = {item.nodeid.partition("::")[0] for item in items}
+    files = {item.path.relative_to(ROOT).as_posix() for item in items}
     page = (docs / "conformance.md").read_text(encoding="utf-8")
     assert rows_of(page, files) == rows_of(conformance(items), files), "run: make docs"
 

@@ -32,12 +32,11 @@ def conformance(items):
     """The table of conformance of some tests, as Markdown."""
     rows = {standard: {} for standard in STANDARDS}
     for item in items:
-        test = item.nodeid.partition("[")[0]
+        name = item.path.relative_to(item.config.rootpath).as_posix()
         for mark in reversed(list(item.iter_markers("conformance"))):
             standard, behaviour = mark.args
             assert standard in STANDARDS, f"{item.nodeid}: no standard is called {standard!r}"
-            name, _, function = test.rpartition("::")
-            rows[standard][f"| {behaviour} | `{name}` {function} |"] = None
+            rows[standard][f"| {behaviour} | `{name}` {item.originalname} |"] = None
     lines = ["# Conformance", "", "Written by `make docs`. Each behaviour is held by the test beside it."]
     for standard, mine in rows.items():
         lines += ["", f"## {standard}", "", "| behaviour | test |", "|---|---|", *mine] if mine else []

@@ -42,12 +42,14 @@ def explained(runs: list[str], out: Path, capsys: pytest.CaptureFixture[str]) ->
     return told
 
 
+@pytest.mark.explanation
 def test_stops_of_a_sound_bench_over_the_bus_are_consistent(tmp_path, capsys) -> None:
     told = explained(stops(tmp_path), tmp_path / "report", capsys)
     assert told["verdict"] == "consistent"
     assert told["causes"] == []
 
 
+@pytest.mark.explanation
 def test_a_wheel_of_another_diameter_hidden_in_stops_over_the_bus_is_found(tmp_path, capsys) -> None:
     told = explained(stops(tmp_path, "--fault", "wheel_diameter_mismatch axle=3 difference_percent=1"),
                      tmp_path / "report", capsys)

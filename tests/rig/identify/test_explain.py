@@ -11,6 +11,8 @@ from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import explain, extension
 from rollerrig.rig.mechanisms import plant as effects
 
+pytestmark = pytest.mark.explanation
+
 
 def silent(title: str, share: float) -> None:
     """No progress."""
