@@ -85,15 +85,8 @@ def wait_for_rig(host, port, patience_s=60.0):
     sys.exit(f"nobody listens at {host}:{port}: start 'rollerrig run velim_a1 --wsp external'")
 
 
-def await_rig(host, port):
-    """Wait until the rig listens: python-can's client gives up after ten seconds."""
-    while socket.socket().connect_ex((host, int(port))):
-        time.sleep(0.2)
-
-
 def main(host="127.0.0.1", port="29536", channel="rig0"):
     """Connect, serve, leave."""
-    await_rig(host, port)
     wait_for_rig(host, int(port))
     with can.Bus(interface="socketcand", host=host, port=int(port), channel=channel,
                  tcp_tune=True) as bus:
