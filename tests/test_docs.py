@@ -15,7 +15,7 @@ import written_docs
 from rollerrig.realtime import cli
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.rig.identify.data import dataset
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import rig_objects
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -105,14 +105,11 @@ def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
 
 def test_the_identifiers_of_the_page_of_units_are_those_of_the_rig():
     text = text_of("docs/units.md")
-    for base, node in ((0x180, signals.SPEED_NODE), (0x180, signals.BRAKE_NODE), (0x200, signals.BRAKE_NODE),
-                       (0x700, signals.WSP_NODE), (0x180, signals.WSP_NODE)):
-        assert f"| {base + node:X}h |" in text
-    scales = {signals.BY_NAME["measured_speed"].places[0]: "0.01 rad/s",
-              signals.BY_NAME["wsp_reference_speed"].places[0]: "0.01 m/s"}
-    for place, told in scales.items():
-        assert f"{place.scale:g} {told.split()[1]}" == told
-        assert f"{place.kind}, {told}" in text
+    for can_id in (rig_objects.SPEEDS.can_id, rig_objects.PRESSURES.can_id, rig_objects.REFERENCE_SPEED.can_id,
+                   rig_objects.MAGNETS_ID, rig_objects.UNIT_HEARTBEAT_ID):
+        assert f"| {can_id:X}h |" in text
+    assert f"I16, {rig_objects.SPEEDS.scales[0]:g} rad/s" in text
+    assert f"I16, {rig_objects.REFERENCE_SPEED.scales[0]:g} m/s" in text
 
 
 def test_a_benchmark_replaces_its_own_section_of_the_page(tmp_path):
