@@ -11,8 +11,8 @@ import test_architecture
 
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.rig import params
+from rollerrig.rig.identify.causes import table as causes
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.mechanisms.table import TABLE
 
 STANDARDS = ("CAN", "Hub", "CiA 301", "CiA 305", "CiA 402", "CiA 406", "CiA 401", "Rig control", "Modbus",
              "Faults", "Bad input", "Masters")
@@ -68,6 +68,14 @@ def overrides():
     yield "| `[axles]` | `positions_m`: metres behind the first wheelset, rising |"
 
 
+def searches():
+    """Lines of the table of causes; a cause in a window is searched in bins."""
+    for one in causes.TABLE[:-1]:  # the last is the empirical formula, no cause
+        cells = (len(one.shapes) or "bins", f"{one.floor:g}" if one.floor else "", one.price or "",
+                 f"{one.alpha:.1g}", ", ".join(one.goes_by))
+        yield f"| `{one.name}` | {one.mechanism.text} | {' | '.join(map(str, cells))} |"
+
+
 # page -> tables of it by the line of their heads
 TABLES = {
     "architecture.md": {"| room | floors, the lowest first |": floors},
@@ -75,7 +83,7 @@ TABLES = {
                     "| key of a run | default | allowed | what |": lambda: keys(dataset.RUN),
                     "| key of the accuracy | default | allowed | what |": lambda: keys(dataset.ACCURACY),
                     "| table | its keys |": overrides},
-    "explain.md": {"| cause | what happens |": lambda: (f"| `{one.name}` | {one.text} |" for one in TABLE)},
+    "explain.md": {"| cause | what happens | forms tried | floor | price | p below | may go by |": searches},
 }
 
 
