@@ -49,7 +49,7 @@ OUTSIDE = {
     "realtime/campaign": "numpy scipy pyarrow tomli_w distributed",
     "realtime/studies": "numpy scipy pyarrow tomli_w",
     "realtime/reports": "numpy pyarrow matplotlib rich",
-    "realtime/benchmarks": "numpy numba rich distributed",
+    "realtime/benchmarks": "numpy numba rich distributed pymodbus",
     "realtime/verbs": "numpy rich tomli_w",
 }
 # these may call importlib.import_module: verbs and benchmarks by name, a campaign's own unit, the generator of stops

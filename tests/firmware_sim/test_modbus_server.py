@@ -7,7 +7,7 @@ import time
 
 import pytest
 from modbus_site import HIGHEST_SPEED, Site, adu, until
-from pymodbus.client import ModbusTcpClient
+from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.constants import ExcCodes
 
 from rollerrig.configs.errors import BusError
@@ -210,13 +210,17 @@ def test_every_row_of_every_unit_is_readable(client):
 
 @pytest.mark.conformance("Modbus", "pymodbus as a client agrees")
 def test_pymodbus_as_a_client_agrees(site):
-    with ModbusTcpClient("127.0.0.1", port=site.port) as client:
-        assert client.read_holding_registers(208, count=4, device_id=1).registers[:3] == [100, 200, 300]
-        assert client.read_coils(0, count=8, device_id=1).bits == [False] * 8
-        assert client.write_register(1, 4000, device_id=1).isError() is False
-        assert client.read_input_registers(9999, count=1, device_id=1).exception_code == 2
-        found = client.read_device_information(read_code=1, device_id=1)
-        assert found.information[0] == b"rollerrig"
+    async def talk():
+        async with AsyncModbusTcpClient("127.0.0.1", port=site.port) as client:
+            speeds = await client.read_holding_registers(208, count=4, device_id=1)
+            assert speeds.registers[:3] == [100, 200, 300]
+            assert (await client.read_coils(0, count=8, device_id=1)).bits == [False] * 8
+            assert not (await client.write_register(1, 4000, device_id=1)).isError()
+            assert (await client.read_input_registers(9999, count=1, device_id=1)).exception_code == 2
+            found = await client.read_device_information(read_code=1, device_id=1)
+            assert found.information[0] == b"rollerrig"
+
+    site.call(talk())
     assert site.written == [("speed_set_point", 4000)]
 
 

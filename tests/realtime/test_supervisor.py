@@ -1,16 +1,15 @@
 """The supervisory PLC of a running bench: a Modbus client alone runs a scenario, start to stop."""
 
-import contextlib
+import asyncio
 import json
 import re
 import socket
-import struct
 import subprocess
 import sys
 import time
 
 import pytest
-from pymodbus.client import ModbusTcpClient
+from pymodbus.client import AsyncModbusTcpClient
 
 from rollerrig.configs import store
 from rollerrig.firmware_sim.modbus.map import BITS, WORDS, State
@@ -25,7 +24,7 @@ class Rig:
     """`rollerrig run` in a process of its own, and a client of its PLC."""
 
     def __init__(self, out, *more):
-        self.out = out
+        self.out, self.runner = out, asyncio.Runner()
         command = [sys.executable, "-m", "rollerrig.realtime.cli", "run", "dry_stop", "--wsp", "none",
                    "--set", "bus.socketcand_port=0", "--out", str(out), "--json", *more]
         self.said = out.with_suffix(".said")
@@ -37,25 +36,33 @@ class Rig:
         while time.monotonic() < deadline and self.process.poll() is None:
             if found := re.search(r"unit 1 on 127\.0\.0\.1:(\d+)\n", self.said.read_text()):
                 self.port = int(found[1])
-                self.client = ModbusTcpClient("127.0.0.1", port=self.port)
-                assert self.client.connect()
+                self.client = self.runner.run(self.meet())
                 return
             time.sleep(0.1)
         raise AssertionError(self.said.read_text())
 
+    async def meet(self):
+        client = AsyncModbusTcpClient("127.0.0.1", port=self.port, timeout=60.0, reconnect_delay=0.0)
+        assert await client.connect()
+        return client
+
+    def ask(self, function, *arguments, device_id=1, **more):
+        """The answer to a request, `function` by its name in pymodbus' client."""
+        return self.runner.run(getattr(self.client, function)(*arguments, device_id=device_id, **more))
+
     def read(self, name, count=1):
-        found = self.client.read_input_registers(AT[name], count=count, device_id=1).registers
+        found = self.ask("read_input_registers", AT[name], count=count).registers
         return found[0] if count == 1 else found
 
     def bit(self, name):
-        return self.client.read_coils(AT[name], count=1, device_id=1).bits[0]
+        return self.ask("read_coils", AT[name], count=1).bits[0]
 
     def write(self, name, value):
         """The exception code, or 0."""
-        return self.client.write_register(AT[name], value & 0xFFFF, device_id=1).exception_code
+        return self.ask("write_register", AT[name], value & 0xFFFF).exception_code
 
     def set(self, name, on=True):
-        return self.client.write_coil(AT[name], on, device_id=1).exception_code
+        return self.ask("write_coil", AT[name], on).exception_code
 
     def until(self, name, wanted, patience_s=120.0):
         deadline = time.monotonic() + patience_s
@@ -71,8 +78,7 @@ class Rig:
         return self.process.returncode, json.loads(output)
 
     def close(self):
-        with contextlib.suppress(AttributeError):
-            self.client.close()
+        self.runner.close()
         if self.process.poll() is None:
             self.process.kill()
             self.process.communicate()
@@ -174,7 +180,7 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
     one.until("standing", bool, 10.0)
     assert drive_words(one) == [0x40] * 4
     # while it holds nobody can enable a drive, and taking it back gives the drives to the rig again
-    one.client.write_register(0, 15, device_id=11)
+    one.ask("write_register", 0, 15, device_id=11)
     assert drive_words(one) == [0x40] * 4
     assert one.set("emergency_stop", False) == 0
     assert drive_words(one) == [0x27] * 4
@@ -194,7 +200,7 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
 
 def drive_words(one):
     """The state in the statusword of every drive."""
-    return [one.client.read_input_registers(100, count=1, device_id=unit).registers[0] & 0x6F
+    return [one.ask("read_input_registers", 100, count=1, device_id=unit).registers[0] & 0x6F
             for unit in (11, 12, 13, 14)]
 
 
@@ -256,12 +262,9 @@ def test_every_request_is_answered_while_the_loop_runs(rig):
     one = rig(*HELD, "--set", "initial_speed_m_s=6")
     one.connect()
     one.until("state", lambda state: state == State.HELD)
-    request = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, AT["vehicle_speed"], 10)
-    with socket.create_connection(("127.0.0.1", one.port), 5.0) as line:
-        count = 3000  # rollerrig bench modbus tells how many a second
-        for _ in range(count):
-            line.sendall(request)
-            assert len(line.recv(256)) == 29
+    count = 3000  # rollerrig bench bus tells how many a second
+    for _ in range(count):
+        assert len(one.read("vehicle_speed", 10)) == 10
     assert one.read("lateness_p50") < 65535
     assert one.set("stop") == 0
     status, summary = one.result()
