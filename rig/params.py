@@ -12,6 +12,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, integer, number, read
+from rollerrig.configs.vehicle import AXLES, GRAVITY_M_S2, brake_torque_Nm_Pa
 from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
 from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.mechanisms import plant as effects
@@ -347,7 +348,7 @@ def _vehicle(v: Mapping[str, float]) -> Vehicle:
     return Vehicle(
         v["mass_kg"], v["wheel_radius_m"], v["wheelset_inertia_kgm2"], v["resistance_A_N"],
         v["resistance_B_N_s_m"], v["resistance_C_N_s2_m2"], v["pitch_time_constant_s"],
-        9.80665 * v["mass_kg"] / 4.0, body, bogie)
+        GRAVITY_M_S2 * v["mass_kg"] / AXLES, body, bogie)
 
 
 def _share(step_s: float, time_constant_s: float) -> float:
@@ -357,13 +358,10 @@ def _share(step_s: float, time_constant_s: float) -> float:
 def _brake(
     b: Mapping[str, float], valve: Mapping[str, float], tick_s: float, substeps: int
 ) -> Brake:
-    # two pads press on each disc
-    torque_Nm_Pa = (b["cylinder_area_m2"] * b["lever_ratio"] * b["efficiency"]
-                    * 2.0 * b["pad_friction"] * b["disc_radius_m"] * b["discs"])
     lags_s = (b["fill_time_constant_s"], b["release_time_constant_s"],
               valve["fill_time_constant_s"], valve["vent_time_constant_s"])
     fill, release, valve_fill, valve_vent = (_share(tick_s / substeps, lag_s) for lag_s in lags_s)
-    return Brake(torque_Nm_Pa, b["spring_pressure_Pa"], b["cylinder_volume_L"], fill, release,
+    return Brake(brake_torque_Nm_Pa(b), b["spring_pressure_Pa"], b["cylinder_volume_L"], fill, release,
                  valve_fill, valve_vent, round(valve["dead_time_s"] / tick_s))
 
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig import state_type
 from rollerrig.rig.multibody import memory
 
-AXLES = 4
 # valve states
 FILL, HOLD, VENT = 0, 1, 2
 

@@ -28,6 +28,7 @@ not exist here: the vehicle only brakes.
 
 import math
 
+from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
 from rollerrig.rig import vehicle as body
 from rollerrig.rig.contact import adhesion, creep_force
 from rollerrig.rig.kernel import kernel, kernel_inlined
@@ -39,7 +40,6 @@ _SMALL_M_S = 1e-6
 NO_MEMORY = -1.0
 # lambda_0 counts no nearer to 1
 _WHOLE = 1.0 - 1e-12
-MIDDLE_SPEED_M_S = 20.0
 
 
 @kernel

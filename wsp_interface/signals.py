@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-AXLES = 4
+from rollerrig.configs.vehicle import AXLES
+
 BUS_CHANNEL = "rig0"
 DEFAULT_ADDRESS = "socketcand://127.0.0.1:29536/rig0"
 
 # node identifiers of the default rig
-DRIVE_NODES = (1, 2, 3, 4)
+DRIVE_NODES = tuple(range(1, AXLES + 1))
 SPEED_NODE = 16
 BRAKE_NODE = 17
 WSP_NODE = 32

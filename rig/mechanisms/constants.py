@@ -6,36 +6,17 @@ Their formulas take the constants by name, numbers or arrays, and return those t
 from collections.abc import Mapping
 from typing import Any
 
-from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import RESISTANCE, running_resistance, track_gradient
 from rollerrig.rig.mechanisms.mechanism import (
     ALL_AXLES_ALIKE,
     AXLE,
     CONTACT,
-    GRAVITY_M_S2,
-    MIDDLE_SPEED_M_S,
     NOT,
     VEHICLE,
     WHEEL,
     Mechanism,
     parameter,
 )
-
-# coefficient of the running resistance that grows with this power of the speed
-RESISTANCE = {0.0: "resistance_A_N", 1.0: "resistance_B_N_s_m", 2.0: "resistance_C_N_s2_m2"}
-
-
-def running_resistance(model: Mapping[str, Any], force_N: float, speed_power: float) -> dict[str, Any]:
-    """One coefficient of the resistance. Raises ConfigError for a power that it has not."""
-    if speed_power not in RESISTANCE:
-        raise ConfigError(f"[mechanisms] running_resistance_speed_power = {speed_power:g}; allowed are 0 "
-                          "(constant), 1 and 2 (with the speed, with its square)")
-    key = RESISTANCE[speed_power]
-    return {key: model[key] + force_N / MIDDLE_SPEED_M_S**speed_power}
-
-
-def track_gradient(model: Mapping[str, Any], gradient: float) -> dict[str, Any]:
-    """The constant resistance, by the weight's share along the track."""
-    return {"resistance_A_N": model["resistance_A_N"] + GRAVITY_M_S2 * model["mass_kg"] * gradient}
 
 
 def wheel_radius(model: Mapping[str, Any], fraction: Any) -> dict[str, Any]:

@@ -3,10 +3,10 @@
 
 import math
 
+from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.mechanisms.mechanism import (
     FRICTION,
-    MIDDLE_SPEED_M_S,
     WIDE,
     Mechanism,
     parameter,

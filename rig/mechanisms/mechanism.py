@@ -15,8 +15,6 @@ from rollerrig.rig.kernel import kernel
 
 FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
     "friction", "torque", "load", "vehicle", "sensor", "wheel", "contact")
-AXLES = 4
-MIDDLE_SPEED_M_S, GRAVITY_M_S2 = 20.0, 9.80665
 # a scale as wide as this is none
 WIDE = 1e4
 # what the coach in 3D knows of a mechanism: it, it for all axles alike, nothing

@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel, written
 from rollerrig.rig.mechanisms import constants, friction
-from rollerrig.rig.mechanisms.mechanism import AXLES, COVARIATES, FRICTION, TORQUE, Mechanism, arguments
+from rollerrig.rig.mechanisms.mechanism import COVARIATES, FRICTION, TORQUE, Mechanism, arguments
 from rollerrig.rig.mechanisms.table import IN_PLANT, rows
 
 # where `Effects.values` has what

@@ -14,8 +14,9 @@ Doubt: the shapes are the simplest ones.
 """
 
 from rollerrig.configs.table import Row
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.mechanisms import constants, elsewhere, friction, torque
-from rollerrig.rig.mechanisms.mechanism import AXLES, SENSOR, Mechanism
+from rollerrig.rig.mechanisms.mechanism import SENSOR, Mechanism
 
 TABLE: tuple[Mechanism, ...] = (*friction.ROWS, *torque.ROWS, *constants.ROWS, *elsewhere.ROWS)
 BY_NAME: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in (*TABLE, friction.EMPIRICAL)}

@@ -23,13 +23,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import GRAVITY_M_S2
 from rollerrig.rig.contact import profiles
 from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.multibody import patches as patch_table
 from rollerrig.rig.multibody import treads
 from rollerrig.rig.multibody.patches import Patches
 
-GRAVITY_M_S2 = 9.80665
 BODIES, COORDINATES = 7, 42
 CAR, BOGIES, WHEELSETS = 0, (1, 2), (3, 4, 5, 6)
 X, Y, Z, ROLL, PITCH, YAW = range(6)

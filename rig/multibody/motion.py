@@ -19,6 +19,7 @@ the paper's section 2. Below 0.1 m/s creepage is sliding over 0.1 m/s.
 
 import math
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.multibody import links, treads
 from rollerrig.rig.multibody.treads import (
@@ -31,7 +32,6 @@ from rollerrig.rig.multibody.treads import (
     SLIDING_W,
 )
 
-WHEELSETS = 4
 LEAST_PLACE_M = 1e-3  # where a wheel that was off its rail from the beginning has left it
 
 
@@ -42,18 +42,18 @@ def start(motion, coach, speed_m_s):
     motion.v[:] = 0.0
     for body in range(7):
         motion.v[6 * body] = speed_m_s
-    for wheel in range(2 * WHEELSETS):
+    for wheel in range(2 * AXLES):
         treads.follow(wheel, motion.q, 0.0, motion.contacts, motion.near, motion.misfit,
                       motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail,
                       0)
-    for j in range(WHEELSETS):
+    for j in range(AXLES):
         radius = -motion.contacts[2 * j * treads.MOST, 4]
         motion.v[6 * (3 + j) + 4] = speed_m_s / radius
         # what will be seen before the first step
         motion.given[j, :] = 0.0
         for wheel in range(2 * j, 2 * j + 2):
             motion.seen[wheel, :] = 0.0
-            motion.seen[wheel, treads.LOAD] = coach.weight_N.sum() / (2 * WHEELSETS)
+            motion.seen[wheel, treads.LOAD] = coach.weight_N.sum() / (2 * AXLES)
 
 
 @kernel
@@ -87,11 +87,11 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
     motion.damper_work[0] += h * links.curves(q, v, force, coach.curves)
     force[0] -= resistance_N
     spare, first = treads.SEARCHES, int(motion.turn[0])
-    motion.turn[0] = (first + 1) % WHEELSETS
+    motion.turn[0] = (first + 1) % AXLES
 
-    for k in range(WHEELSETS):
+    for k in range(AXLES):
         # another wheelset is first each step, so that all get their searches
-        j = (first + k) % WHEELSETS
+        j = (first + k) % AXLES
         offset = q[6 * (3 + j)] - place if on_rollers else 0.0
         spare = touch(j, motion, coach, offset, speed if on_rollers else 0.0, roller_rad_s[j],
                       mu_cd[j], mu_cr[j], law, cleaning_creepage, spare)

@@ -5,6 +5,7 @@ compiles to what it was. The plant's state stays the one that is seen and record
 memory stands beside it in `state.coach`, its constants in `params.coach`.
 """
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel_inlined
 from rollerrig.rig.multibody import memory, port
 from rollerrig.rig.multibody.memory import (
@@ -24,7 +25,6 @@ from rollerrig.rig.multibody.memory import (
 )
 from rollerrig.rig.multibody.treads import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
 
-AXLES = 4
 _V, _SEEN, _GIVEN = (memory.BEGIN[name] for name in ("v", "seen", "given"))
 _SLIDING, _BRAKING, _RESISTING = (
     memory.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work"))

@@ -40,6 +40,14 @@ def test_the_reference_stop_is_response_time_and_equivalent_deceleration():
     assert measures.reference_distance_m(record) == pytest.approx(by_hand_m, rel=1e-6)
 
 
+def test_the_reference_stop_has_the_running_resistance_of_an_extended_model():
+    record = stop.record()
+    extra = record.scenario["mechanisms"] | {"running_resistance_force_N": 2000.0, "running_resistance_speed_power": 2.0}
+    dragged = replace(record, scenario=record.scenario | {"mechanisms": extra})
+    assert measures.resistance_N(dragged, 10.0) - measures.resistance_N(record, 10.0) == pytest.approx(500.0)
+    assert measures.reference_distance_m(dragged) < measures.reference_distance_m(record)
+
+
 def test_a_demand_of_twice_the_rate_falls_short_by_the_difference():
     record = stop.record()
     asked_m_s2 = (float(measures.brake_force_N(record, 3.8e5)) + 600.0) / measures.dynamic_mass_kg(record)

@@ -9,8 +9,9 @@ rollers. The index of wheel damage [M3] is this project's, and no standard's.
     [M2] shortfall = worst mean over 10 s of (a_demanded - a), with a_demanded from the pressure asked
     [M3] D = E_locked / 1 MJ + E_sliding / 100 MJ, of the worst wheelset
 
-Source: [M1] EN 14531-1 in its simple form (equivalent response time and deceleration; memory,
-unverified). Limits: one gradient; pressures as asked, so a demand that moves counts by its largest.
+Source: [M1] EN 14531-1 in its simple form (equivalent response time and deceleration; recollection,
+to be checked against the standard). Limits: one gradient; pressures as asked, so a demand that moves
+counts by its largest.
 """
 
 import math
@@ -20,11 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.wsp_interface.signals import AXLES
+from rollerrig.configs.vehicle import AXLES, brake_torque_Nm_Pa, running_resistance, track_gradient
 
 STANDS_M_S, LOCKED_M_S, LOCK_COUNTS_ABOVE_M_S = 0.01, 0.1, 3.0
 SEGMENT_S = 10.0
-GRAVITY_M_S2 = 9.80665
 REFERENCE_ABOVE_M_S = 5.0
 LOCKED_MJ, SLIDING_MJ = 1.0, 100.0
 _AXLES = range(1, AXLES + 1)
@@ -72,26 +72,24 @@ def braking(record: Record) -> Braking:
 
 def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
     """Force at the rim of all wheelsets at a cylinder pressure, as the brake's data have it."""
-    brake, radius_m = record.scenario["brake"], record.scenario["vehicle"]["wheel_radius_m"]
-    torque_Nm_Pa = (brake["cylinder_area_m2"] * brake["lever_ratio"] * brake["efficiency"]
-                    * 2.0 * brake["pad_friction"] * brake["disc_radius_m"] * brake["discs"])
-    return AXLES * torque_Nm_Pa / radius_m * np.maximum(
+    brake = record.scenario["brake"]
+    return AXLES * brake_torque_Nm_Pa(brake) / record.scenario["vehicle"]["wheel_radius_m"] * np.maximum(
         0.0, np.asarray(pressure_Pa) - brake["spring_pressure_Pa"])
 
 
 def dynamic_mass_kg(record: Record) -> float:
     """The mass with what its wheelsets' rotation adds."""
-    vehicle = record.scenario["vehicle"]
-    return float(vehicle["mass_kg"] + AXLES * vehicle["wheelset_inertia_kgm2"]
-                 / vehicle["wheel_radius_m"] ** 2)
+    v = record.scenario["vehicle"]
+    return float(v["mass_kg"] + AXLES * v["wheelset_inertia_kgm2"] / v["wheel_radius_m"] ** 2)
 
 
 def resistance_N(record: Record, speed_m_s: Any) -> Any:
-    """Running resistance at a speed, with that of the gradient."""
-    vehicle, extra = record.scenario["vehicle"], record.scenario.get("mechanisms", {})
-    climbing_N = GRAVITY_M_S2 * vehicle["mass_kg"] * extra.get("track_gradient_gradient", 0.0)
-    return (climbing_N + vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * speed_m_s
-            + vehicle["resistance_C_N_s2_m2"] * speed_m_s**2)
+    """Running resistance at a speed, with that of the gradient and of an extended model."""
+    v, extra = record.scenario["vehicle"], record.scenario["mechanisms"]
+    v = v | running_resistance(v, extra["running_resistance_force_N"], extra["running_resistance_speed_power"])
+    v |= track_gradient(v, extra["track_gradient_gradient"])
+    return (v["resistance_A_N"] + v["resistance_B_N_s_m"] * speed_m_s
+            + v["resistance_C_N_s2_m2"] * speed_m_s**2)
 
 
 def reference_distance_m(record: Record) -> float:

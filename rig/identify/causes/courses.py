@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.identify.causes.table import OF, Shape
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.kernel import written
@@ -75,4 +76,4 @@ def of_run(d: Design, run: int) -> np.ndarray:
 
 def of_vehicle(d: Design, values: np.ndarray) -> np.ndarray:
     """Those of the samples that belong to the first wheelset of each run, the vehicle's."""
-    return np.concatenate([values[d.span(4 * run)] for run in range(d.mass_kg.size)])
+    return np.concatenate([values[d.span(AXLES * run)] for run in range(d.mass_kg.size)])

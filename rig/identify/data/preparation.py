@@ -27,7 +27,7 @@ BRAKED_SHARE = 0.06
 
 
 class Design(NamedTuple):
-    """Prepared runs. Segment s = run * 4 + axle holds samples start[s]:start[s+1] of flat arrays."""
+    """Prepared runs. Segment s = run * AXLES + axle holds samples start[s]:start[s+1] of flat arrays."""
 
     names: tuple[str, ...]
     step_s: float

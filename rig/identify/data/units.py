@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_filter
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import AXLES, GRAVITY_M_S2
 from rollerrig.rig.identify.data.runs import Run
 
-GRAVITY_M_S2 = 9.80665
 # ratio [D1] -> what it tells; within 6 %
 _WHEEL = ((1000.0, "wheel_radius_m is in millimetres: divide it by 1000"),
           (60.0 / (2.0 * np.pi), "wheel_speed is in rpm: multiply it by 2 pi / 60"),
@@ -28,11 +28,11 @@ _WHEEL = ((1000.0, "wheel_radius_m is in millimetres: divide it by 1000"),
           (1.0 / 3.6, "vehicle_speed_m_s is in km/h: divide it by 3.6"),
           (2.0, "wheel_radius_m is a diameter: halve it"))
 _LOAD = ((1e-3, "it is in kN: multiply by 1000"), (0.5, "it is of one wheel: double it"),
-         (4.0, "it is the vehicle's weight: divide by 4"),
+         (AXLES, f"it is the vehicle's weight: divide by {AXLES}"),
          (1.0 / GRAVITY_M_S2, "it is in kg: multiply by 9.80665"),
          (1e-3 / GRAVITY_M_S2, "it is in t: multiply by 9806.65"))
 _TORQUE = ((1e-3, "it is in kN m: multiply by 1000"), (0.5, "it is of one wheel: double it"),
-           (4.0, "it is the vehicle's: divide by 4"))
+           (AXLES, f"it is the vehicle's: divide by {AXLES}"))
 LATEST_S = 0.2
 
 

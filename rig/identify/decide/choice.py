@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import preparation
@@ -91,7 +92,7 @@ def blocks(design: Design, explanation: Explanation) -> np.ndarray:
     wheel, car = np.minimum(nu * nu / S, 36.0) + np.log(S), np.minimum(vnu**2 / vS, 36.0) + np.log(vS)
     length, found = int(BLOCK_S / design.step_s), []
     for run in range(design.mass_kg.size):
-        parts = [wheel[design.span(4 * run + j)] for j in range(4)]
+        parts = [wheel[design.span(AXLES * run + j)] for j in range(AXLES)]
         parts.append(car[int(design.vehicle_start[run]):int(design.vehicle_start[run + 1])])
         whole = np.sum(parts, axis=0)
         found += [whole[k:k + length].sum() for k in range(0, whole.size, length)]

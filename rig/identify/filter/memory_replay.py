@@ -16,6 +16,7 @@ integrators (2010), section 2.
 import cmath
 import math
 
+from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.kernel import kernel
@@ -93,7 +94,7 @@ def replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, v
                 kept, rise = 1.0 - done, low + (high - low) * late
                 hangs = kept * k_f * gap
             target = math.copysign(kept * (per_m_s * f + k_f * rise), s)  # d lambda_0 / ds
-            rate = max(v, adhesion.SPEED_FLOOR_M_S) / (p[14] * (v / 20.0) ** p[20])
+            rate = max(v, adhesion.SPEED_FLOOR_M_S) / (p[14] * (v / MIDDLE_SPEED_M_S) ** p[20])
             push = r * N * math.exp(m) / inertia
             sign = 1.0 if s >= 0.0 else -1.0
             f = sign * (f_d + gap * late)

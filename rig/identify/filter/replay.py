@@ -21,6 +21,7 @@ Limits: first-order filter; two substeps a sample keep its bias below the noise.
 
 import math
 
+from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
 from rollerrig.rig.contact import adhesion, polach
 from rollerrig.rig.kernel import kernel
 
@@ -69,7 +70,7 @@ def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
 @kernel
 def closes(speed, step_s, p):
     """Share of its way that lambda goes in a step [R4]."""
-    return -math.expm1(-speed * step_s / (p[14] * (speed / 20.0) ** p[20]))
+    return -math.expm1(-speed * step_s / (p[14] * (speed / MIDDLE_SPEED_M_S) ** p[20]))
 
 
 @kernel

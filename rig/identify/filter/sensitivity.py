@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.filter import memory_replay, replay
@@ -190,13 +191,13 @@ def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
 
 def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     """Force over mass on a vehicle, m/s2, shape (samples,)."""
-    spans = [design.span(run * 4 + j) for j in range(4)]
+    spans = [design.span(run * AXLES + j) for j in range(AXLES)]
     v = design.speed_m_s[spans[0]]
     A, B, C = design.resistance
     own = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
     force = A + B * v + C * v * v + inputs.force_N[own]
     for j, at in enumerate(spans):
-        force = force + inputs.torque_Nm[at] / inputs.parameters[run * 4 + j, parameters.RADIUS]
+        force = force + inputs.torque_Nm[at] / inputs.parameters[run * AXLES + j, parameters.RADIUS]
     return force / inputs.mass_kg[run]
 
 

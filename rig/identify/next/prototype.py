@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import GRAVITY_M_S2
 from rollerrig.rig import params
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.parameters import MU_CD, TAU
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.filter import replay
 
-GRAVITY_M_S2 = 9.80665
 LONGEST_S, SLOWEST_M_S, RELEASED_S, FILL_S = 45.0, 4.0, 1.0, 1.3
 # sliding that a WSP lets wheels have: share of the speed, and how it swings
 SHARE, LEAST_M_S, SWING, PERIOD_S = 0.07, 0.4, 0.5, 1.6
