@@ -42,7 +42,8 @@ def test_the_reference_stop_is_response_time_and_equivalent_deceleration():
 
 def test_the_reference_stop_has_the_running_resistance_of_an_extended_model():
     record = stop.record()
-    extra = record.scenario["mechanisms"] | {"running_resistance_force_N": 2000.0, "running_resistance_speed_power": 2.0}
+    extra = record.scenario["mechanisms"] | {"running_resistance_force_N": 2000.0,
+                                             "running_resistance_speed_power": 2.0}
     dragged = replace(record, scenario=record.scenario | {"mechanisms": extra})
     assert measures.resistance_N(dragged, 10.0) - measures.resistance_N(record, 10.0) == pytest.approx(500.0)
     assert measures.reference_distance_m(dragged) < measures.reference_distance_m(record)
