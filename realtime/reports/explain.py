@@ -22,7 +22,7 @@ _SEEN = 5.0
 
 
 def as_json(a: Account) -> dict[str, Any]:
-    """The report of INTERFACES section 6; `notes` and `detectable` are added."""
+    """What report.json holds."""
     before, floor = _levels(a)
     return {
         "verdict": a.verdict,
@@ -41,8 +41,8 @@ def as_json(a: Account) -> dict[str, Any]:
 
 def _levels(a: Account) -> tuple[float, float]:
     """Rms error of the base on the fitted runs, and on simulated stops with nothing else in them."""
-    def rms(design: prepared.Design, told: Any) -> float:
-        lacking = gain.missing(design, told)[design.speed_m_s > gain.SLOWEST_M_S]
+    def rms(design: prepared.Design, found: Any) -> float:
+        lacking = gain.missing(design, found)[design.speed_m_s > gain.SLOWEST_M_S]
         return float(np.sqrt(np.mean(lacking**2)))
 
     measured = a.data.group("tune")

@@ -129,13 +129,13 @@ def junit_xml(outcomes: Sequence[Outcome]) -> str:
 def _case(suite: ET.Element, classname: str, verdict: Verdict) -> None:
     name = _printable(f"{verdict.what}: {verdict.limit}")
     case = ET.SubElement(suite, "testcase", name=name, classname=classname)
-    told = _printable(f"{_value(verdict)} ({verdict.limit}); {verdict.text}; "
+    text = _printable(f"{_value(verdict)} ({verdict.limit}); {verdict.text}; "
                       f"source: {verdict.source}")
     tag = {Result.FAIL: "failure", Result.ERROR: "error", Result.ABSENT: "skipped"}.get(verdict.result)
     if tag:
-        ET.SubElement(case, tag, message=told)
+        ET.SubElement(case, tag, message=text)
     else:
-        ET.SubElement(case, "system-out").text = told
+        ET.SubElement(case, "system-out").text = text
 
 
 def _printable(text: str) -> str:

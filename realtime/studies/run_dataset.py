@@ -84,7 +84,7 @@ def from_folders(folders: Sequence[Path], out: Path, validate: Sequence[Path] = 
                  noise: Mapping[str, float] = run_sensors.PERFECT, slowest_m_s: float = 0.01) -> Path:
     """A dataset of recorded run folders as their sensors tell them, those of `validate` in that group.
 
-    The first run's config is the base model; its mechanisms and faults are not told. `noise` is laid
+    The first run's config is the base model; its mechanisms and faults stay hidden. `noise` is laid
     over the channels and declared. Raises ConfigError for folders that hold no run, runs that are one
     and the same, or of different vehicles, rigs or adhesion.
     """

@@ -9,6 +9,7 @@ import synthetic_stop
 from rich.console import Console
 
 from rollerrig.realtime.record import summary
+from rollerrig.realtime.record.figures import BY_NAME, FIGURES
 from rollerrig.wsp_interface.signals import COLUMNS
 
 SCENARIO = {"title": "a stop", "loop": {"tick_hz": 1000, "step_s": 1e-4, "record_hz": 100}}
@@ -120,6 +121,23 @@ def test_what_a_killed_bench_could_not_count_comes_from_the_samples():
     loop = summary.of(columns, {}, SCENARIO)["loop"]
     assert (loop["ticks"], loop["missed"], loop["lateness_us"]["max"]) == (15000, 3, 80.0)
     assert loop["lateness_us"]["p50"] is None
+
+
+def test_every_figure_of_a_stop_is_read_from_its_summary(stop):
+    found = summary.of(stop, COUNTERS, SCENARIO)
+    axles = found["axles"]
+    values = {figure.name: figure.of(found) for figure in FIGURES}
+    # this stop has no motors that hold a speed
+    assert {name for name, value in values.items() if value is None} == {"tracking_max_m_s", "tracking_rms_m_s"}
+    assert values["stop_distance_m"] == found["stop_distance_m"]
+    assert values["longest_lock_s"] == axles[0]["longest_lock_s"] > 0.0
+    assert values["dissipated_energy_J"] == pytest.approx(sum(axle["dissipated_energy_J"] for axle in axles))
+    assert BY_NAME["dissipated_energy_J"].shown(found) == pytest.approx(1e-6 * values["dissipated_energy_J"])
+
+
+def test_a_run_without_a_sample_has_no_figures():
+    empty = summary.of({name: np.empty(0) for name in COLUMNS}, {}, {})
+    assert {figure.name for figure in FIGURES if figure.of(empty) is not None} == set()
 
 
 def test_the_table_shows_stop_and_axles(stop):
