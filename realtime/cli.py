@@ -6,52 +6,57 @@ configuration, 3 deadlines missed under --strict. Only this file catches Rollerr
 """
 
 import argparse
-import importlib
 import json
 import sys
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.realtime.verbs import bench, campaign, check, devices, explain, paper, results, run, sequence, wsp
 
 PASS, FAILED, USAGE, LATE = 0, 1, 2, 3
 
 
 class Verb(NamedTuple):
-    """One verb: the module (imported only when it is called) with `arguments` and `call`."""
+    """One verb: its name, what declares its arguments, what it does (to the exit status), and its help."""
 
     name: str
-    module: str
+    arguments: Callable[[argparse.ArgumentParser], None]
+    call: Callable[[argparse.Namespace], int]
     text: str
     example: str
 
 
 VERBS = (
-    Verb("run", "run", "one bench run: brake the vehicle, record everything",
+    Verb("run", run.arguments, run.call, "one bench run: brake the vehicle, record everything",
          "rollerrig run velim_a1 --pacing lockstep --out runs/a1"),
-    Verb("wsp", "wsp", "the reference WSP unit as a separate program on a bus",
+    Verb("wsp", wsp.arguments, wsp.call, "the reference WSP unit as a separate program on a bus",
          "rollerrig wsp --bus socketcand://127.0.0.1:29536/rig0"),
-    Verb("sequence", "sequence", "scripted tests over the buses, with verdicts and a report",
+    Verb("sequence", sequence.arguments, sequence.call, "scripted tests over the buses, with verdicts and a report",
          "rollerrig sequence emergency_120 --out report"),
-    Verb("compare", "compare", "runs side by side, by value with tolerances, overlaid in Rerun",
+    Verb("compare", results.compare_arguments, results.compare,
+         "runs side by side, by value with tolerances, overlaid in Rerun",
          "rollerrig compare runs/a runs/b --tolerance m_s=0.1"),
-    Verb("export", "export", "a run as MDF4, MAT or CSV: all channels with units, and events",
+    Verb("export", results.export_arguments, results.export,
+         "a run as MDF4, MAT or CSV: all channels with units, and events",
          "rollerrig export runs/demo --format csv --out demo.csv"),
-    Verb("campaign", "campaign", "many runs from a plan, over processes or a Dask cluster",
+    Verb("campaign", campaign.arguments, campaign.call, "many runs from a plan, over processes or a Dask cluster",
          "rollerrig campaign low_adhesion --out campaigns/soap"),
-    Verb("explain", "explain", "what the simulation gets wrong, why, the extended model, the gain",
+    Verb("explain", explain.arguments, explain.call,
+         "what the simulation gets wrong, why, the extended model, the gain",
          "rollerrig explain open_rail_cleaning --out reports/cleaning"),
-    Verb("view", "view", "open a run, or several laid over one another, in Rerun",
+    Verb("view", results.view_arguments, results.view, "open a run, or several laid over one another, in Rerun",
          "rollerrig view runs/demo"),
-    Verb("check", "check", "what this machine can do, and how to enable what it cannot",
+    Verb("check", check.arguments, check.call, "what this machine can do, and how to enable what it cannot",
          "rollerrig check"),
-    Verb("devices", "devices", "write the EDS of every node, one DBC and the signal table",
+    Verb("devices", devices.arguments, devices.call, "write the EDS of every node, one DBC and the signal table",
          "rollerrig devices --out devices"),
-    Verb("bench", "bench", "the project's own benchmarks: a table, and JSON",
+    Verb("bench", bench.arguments, bench.call, "the project's own benchmarks: a table, and JSON",
          "rollerrig bench loop --json"),
-    Verb("tune", "tune", "tau of the recovery (or Polach's parameters) from measured data",
+    Verb("tune", paper.tune_arguments, paper.tune, "tau of the recovery (or Polach's parameters) from measured data",
          "rollerrig tune velim_synthetic --out reports/tune"),
-    Verb("validate", "validate", "Table 6 on runs never fitted: measured, with and without recovery",
+    Verb("validate", paper.validate_arguments, paper.validate,
+         "Table 6 on runs never fitted: measured, with and without recovery",
          "rollerrig validate velim_synthetic --out reports/validate"),
 )
 
@@ -65,20 +70,18 @@ def parser() -> argparse.ArgumentParser:
     for verb in VERBS:
         sub = verbs.add_parser(verb.name, help=verb.text, description=verb.text.capitalize() + ".",
                                epilog=f"example: {verb.example}")
-        module = importlib.import_module(f"rollerrig.realtime.verbs.{verb.module}")
-        module.arguments(sub)
+        verb.arguments(sub)
         sub.add_argument("--json", action="store_true",
                          help="print one JSON object on standard output and nothing else there")
-        sub.set_defaults(call=module.call)
+        sub.set_defaults(call=verb.call)
     return top
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     arguments = parser().parse_args(argv)
-    call: Callable[[argparse.Namespace], int] = arguments.call
     try:
-        return call(arguments)
+        return arguments.call(arguments)
     except RollerrigError as error:
         print(f"rollerrig {arguments.verb}: {error}", file=sys.stderr)
         if arguments.json:

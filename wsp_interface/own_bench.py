@@ -137,9 +137,9 @@ def _address(process: subprocess.Popen[str], log: Path) -> str:
     """Where the bench says that it waits. Raises BusError with its own words when it does not."""
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline:
-        told = re.search(r"waiting for a .* on (\S+) \.\.\.", log.read_text(encoding="utf-8"))
-        if told:
-            return told[1]
+        address = re.search(r"waiting for a .* on (\S+) \.\.\.", log.read_text(encoding="utf-8"))
+        if address:
+            return address[1]
         if process.poll() is not None:
             break
         time.sleep(0.02)
@@ -151,8 +151,8 @@ def _last_words(process: subprocess.Popen[str], log: Path) -> str:
         process.wait(2.0)
     status = process.poll()
     lines = [line for line in log.read_text(encoding="utf-8").splitlines() if line.strip()]
-    told = f"; its last words: {lines[-1]}" if lines else ""
-    return f" (status {status if status is not None else 'running'}{told})"
+    words = f"; its last words: {lines[-1]}" if lines else ""
+    return f" (status {status if status is not None else 'running'}{words})"
 
 
 def _end(process: subprocess.Popen[str]) -> None:

@@ -63,9 +63,9 @@ class Fault:
     @property
     def title(self) -> str:
         """Name and parameters, for events."""
-        told = [f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
+        values = [f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
                 for name, value in self.values.items()]
-        return " ".join([self.kind.name, *told])
+        return " ".join([self.kind.name, *values])
 
 
 CATALOGUE: tuple[Kind, ...] = (
@@ -189,9 +189,9 @@ def markdown() -> str:
              "'NAME parameter=value at=5 for=3'`, and lifted after `for_s`.", "",
              "| fault | acts in | what it does | parameters: default (allowed) |", "|---|---|---|---|"]
     for kind in CATALOGUE:
-        told = "; ".join(f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
+        parameters = "; ".join(f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
                          for row in kind.parameters) or "none"
-        lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {told} |")
+        lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {parameters} |")
     return "\n".join([*lines, "", *_WHY_ON_THE_SENSOR]) + "\n"
 
 

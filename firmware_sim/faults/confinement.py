@@ -33,14 +33,14 @@ class Controller:
     """One node's controller.
 
     `attempts`: how often each of its own frames is destroyed; `finds`: how often it takes a frame
-    of somebody else for faulty; `told`: it has told that it is error passive.
+    of somebody else for faulty; `reported_passive`: it has said that it is error passive.
     """
 
     attempts: int = 0
     finds: int = 0
     transmit: int = 0
     receive: int = 0
-    told: bool = False
+    reported_passive: bool = False
     off_until_ns: int = 0
 
     @property
@@ -56,7 +56,7 @@ class Controller:
     @property
     def sound(self) -> bool:
         """Whether nothing is the matter with it any more."""
-        return not (self.attempts or self.finds or self.transmit or self.receive or self.told
+        return not (self.attempts or self.finds or self.transmit or self.receive or self.reported_passive
                     or self.off_until_ns)
 
 
@@ -144,14 +144,14 @@ class Confinement:
             if one.off_until_ns:
                 if now_ns >= one.off_until_ns:
                     one.transmit = one.receive = one.off_until_ns = 0
-                    one.told = False
+                    one.reported_passive = False
                     self.mute(node, False)
                     recover(self.members[node])
             elif one.transmit > OFF_ABOVE:
                 one.off_until_ns = now_ns + self._recovery_ns
                 self.mute(node, True)
                 self.members[node].event("error", "bus-off: its transmit error counter has passed 255")
-            elif one.passive != one.told:
+            elif one.passive != one.reported_passive:
                 self._tell(node, one)
             if one.deaf != (node in self._deaf):
                 (self._deaf.add if one.deaf else self._deaf.discard)(node)
@@ -160,7 +160,7 @@ class Confinement:
             nodes.clear()
 
     def _tell(self, node: int, one: Controller) -> None:
-        member, one.told = self.members[node], one.passive
+        member, one.reported_passive = self.members[node], one.passive
         if not one.passive:
             member.event("info", "error active again")
             member.emergency.clear(ERROR_PASSIVE)

@@ -60,7 +60,7 @@ class Site:
     post: Callable[[], None]
     nodes: dict[int, Node] = field(default_factory=dict)
     rack: Rack = field(default_factory=Rack)
-    gate: Gate = field(default_factory=lambda: Gate(Controllers(lambda *told: None)))
+    gate: Gate = field(default_factory=lambda: Gate(Controllers(lambda *lost: None)))
     clock_ns: Callable[[], int] = lambda: 0
     bitrate: int = 500_000
     disturb: Callable[[], None] = lambda: None
@@ -156,8 +156,8 @@ class Panel:
     def _lift(self, key: tuple[str, Any]) -> None:
         one = self.active.pop(key)
         met = sum(rule.hit for rule in one.rules)
-        told = f", it met {met} frames" if one.rules else ""
-        self._on_event("info", f"fault {one.fault.title}: lifted{told}")
+        met_text = f", it met {met} frames" if one.rules else ""
+        self._on_event("info", f"fault {one.fault.title}: lifted{met_text}")
         self._tear_down(one)
         self._settle()
 

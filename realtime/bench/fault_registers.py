@@ -5,7 +5,8 @@ have no register take the catalogue's defaults. A fault that cannot be is refuse
 and an event says why.
 """
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults.catalogue import BY_NUMBER, LASTS
@@ -17,24 +18,16 @@ AIMS = ("axle", "node", "can_id")
 DURATION_UNIT_S = 0.1
 
 
-class Rig(Protocol):
-    """What the desk needs of the bench."""
-
-    faults: Panel
-
-    def event(self, level: str, text: str) -> None: ...
-
-
-class FaultDesk:
+class FaultRegisters:
     """Readers and writers of the fault registers. 0 of `target`: the default; of `duration`: no end."""
 
-    def __init__(self, rig: Rig) -> None:
-        self.rig = rig
+    def __init__(self, faults: Panel, event: Callable[[str, str], None]) -> None:
+        self.faults, self.event = faults, event
         self.chosen = {"fault": 0, "fault_target": 0, "fault_duration": 0}
 
     def readers(self) -> dict[str, Reader]:
         """Raw values by name of the register."""
-        active = self.rig.faults.active
+        active = self.faults.active
         chosen: dict[str, Reader] = {
             name: (lambda name=name: self.chosen[name]) for name in self.chosen}
         return chosen | {"inject_fault": lambda: bool(active), "lift_faults": lambda: False,
@@ -62,11 +55,11 @@ class FaultDesk:
         if target and aim:
             values[aim] = target
         try:
-            self.rig.faults.inject(kind.name, **values)
+            self.faults.inject(kind.name, **values)
         except ConfigError as error:
-            self.rig.event("warning", f"a fault asked for over Modbus is refused: {error}")
+            self.event("warning", f"a fault asked for over Modbus is refused: {error}")
             raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
 
     def _lift(self, raw: int, only: bool) -> None:
         if raw and not only:
-            self.rig.faults.clear()
+            self.faults.clear()

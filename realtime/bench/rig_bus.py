@@ -74,18 +74,20 @@ class RigBus:
     """Six nodes and a master on one bus.
 
     `row` is the live row of all signals, `command` (tick.COMMANDS,) float64 what the bus asks of the rig;
-    `on_command()` is called when it has changed.
+    `on_command(command)` is called when it has changed.
     """
 
     def __init__(self, hub: Hub, scenario: Scenario, row: np.ndarray,
-                 on_command: Callable[[], None], on_event: Callable[[str, str], None],
+                 on_command: Callable[[np.ndarray], None], on_event: Callable[[str, str], None],
                  clock_ns: Callable[[], int], pacing: str = "wall") -> None:
         self.hub, self.row, self.clock_ns = hub, row, clock_ns
         self.command = tick.first_command()
         self.answered, self.harness_answered = asyncio.Event(), asyncio.Event()
-        self._on_command = on_command
+        # nobody asks for anything before all nodes stand
+        self._on_command: Callable[[np.ndarray], None] = lambda command: None
         bus = scenario["bus"]
         beat_ms = round(1000.0 * bus["heartbeat_s"])
+        self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
         parameters = {"rated_torque_Nm": scenario["drive"]["rated_torque_Nm"],
                       "max_speed_rad_s": scenario["drive"]["max_speed_rad_s"],
                       "thermal_time_constant_s": scenario["drive"]["thermal_time_constant_s"],
@@ -93,15 +95,14 @@ class RigBus:
         asked = self.command[tick.DRIVES:tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
         store = {node: Path(bus["store"], f"node_{node:03d}.json") if bus["store"] else None
                  for node in signals.RIG_NODES}
-        nodes = [drive.build(node_id, axle, row, parameters, asked[axle - 1], self._tell,
-                                scenario["rig"]["drives"], store[node_id])
+        nodes = [drive.build(node_id, axle, row, parameters, asked[axle - 1], self.post,
+                             scenario["rig"]["drives"], store[node_id])
                  for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]
         nodes.append(encoder406.build(row, parameters, store[signals.SPEED_NODE]))
-        nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self._tell,
+        nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self.post,
                                  store[signals.BRAKE_NODE]))
-        self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
         self.nodes = {node.node_id: node for node in nodes}
-        self.bench_node = bench_node.build(row, self.command[tick.FRICTION:tick.DRIVES], self._tell,
+        self.bench_node = bench_node.build(row, self.command[tick.FRICTION:tick.DRIVES], self.post,
                                            pacing)
         self.harness: bench_node.BenchNode = self.bench_node.device
         self.rack = Rack()
@@ -122,11 +123,12 @@ class RigBus:
         self._on_event = on_event
         self.rack.start(self._port.send, clock_ns())
         hub.attach(self._listen, "bench")
+        self._on_command = on_command
 
-    def _tell(self) -> None:
-        master = getattr(self, "master", None)
-        self.command[REFERENCE] = master.reference_speed_m_s if master else np.nan
-        self._on_command()
+    def post(self) -> None:
+        """Hand on what the bus asks of the rig."""
+        self.command[REFERENCE] = self.master.reference_speed_m_s
+        self._on_command(self.command)
 
     def start_wire(self, timed: bool) -> None:
         """From now on frames wait for the wire, where [bus] says so; `timed` as `Hub.arbitrate` has it."""
@@ -173,7 +175,7 @@ class RigBus:
             self.frozen = freeze(on) and on
             return self.frozen
 
-        return Site(self.command[tick.FAULTS:], self._tell, self.nodes, self.rack, self.gate,
+        return Site(self.command[tick.FAULTS:], self.post, self.nodes, self.rack, self.gate,
                     self.clock_ns, self.hub.load.bitrate, self.disturb, freezes)
 
     def disturb(self) -> None:

@@ -103,9 +103,15 @@ def load(name: str, model: str = "", settings: tuple[str, ...] = (),
     ConfigError saying where, what, what is allowed and how to mend it.
     """
     given, path = store.load("scenarios", name)
-    told = _settings(settings)
+    return read(given, path, model, settings, tables, faults)
+
+
+def read(given: dict[str, Any], path: Path, model: str = "", settings: tuple[str, ...] = (),
+         tables: Mapping[str, Any] | None = None, faults: tuple[str, ...] = ()) -> Scenario:
+    """As `load`, of the content of a scenario's file; `path` names it and is where it looks for others."""
+    single = _settings(settings)
     # single keys, among them the names of sets, before the sets are looked up
-    heads = {key: value for key, value in told.items() if not isinstance(value, dict)}
+    heads = {key: value for key, value in single.items() if not isinstance(value, dict)}
     given = {**_aliases(given, path), **_aliases(heads, Path("--set"))}
     layers: list[tuple[str, Mapping[str, Any]]] = []
     head_keys = {row.name for row in HEAD}
@@ -118,7 +124,7 @@ def load(name: str, model: str = "", settings: tuple[str, ...] = (),
     if model:
         at = store.find("models", model)
         layers.append((str(at), store.parse(at)))
-    layers.append(("--set", {k: v for k, v in told.items() if isinstance(v, dict)}))
+    layers.append(("--set", {k: v for k, v in single.items() if isinstance(v, dict)}))
     layers.append(("the running rig", tables or {}))
     layers.append(("--fault", {"fault": [catalogue.plain(catalogue.parse(one)) for one in faults]}))
     head = table.read(HEAD, {k: v for k, v in given.items() if k in head_keys}, str(path))
@@ -203,7 +209,7 @@ def _settings(settings: tuple[str, ...]) -> dict[str, Any]:
         if not name or not text:
             raise ConfigError(f"--set {setting}: write section.key=value, as in adhesion.mu_cd=0.05")
         if not section and name in SETS:
-            name = f"{name}_set"  # a set by name beside single values of it: both may be told
+            name = f"{name}_set"  # a set by name beside single values of it: both may be given
         (tables.setdefault(section, {}) if section else tables)[name] = value
     return tables
 

@@ -12,27 +12,28 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
 from rollerrig.firmware_sim.cia301.nmt import State as Nmt
-from rollerrig.firmware_sim.faults.panel import Panel
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
 from rollerrig.firmware_sim.modbus.map import BITS, NO_DEMAND, UNHEARD, WORDS, State
 from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
-from rollerrig.firmware_sim.modbus.server import Counters, Server, tls_context
+from rollerrig.firmware_sim.modbus.server import Server, tls_context
 from rollerrig.firmware_sim.modbus.unit import Reader, Unit, Writer
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.bench.fault_registers import FaultDesk
+from rollerrig.realtime.bench.fault_registers import FaultRegisters
+from rollerrig.realtime.bench.parts import Parts
+from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import loop, tick
 from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
-from rollerrig.realtime.loop.tick import DONE, HELD, HOLD, TICK, WORST_NS, Machine
+from rollerrig.realtime.loop.tick import DONE, HELD, HOLD, STOP, TICK, WORST_NS
 from rollerrig.wsp_interface import signals
 
 # tables that a held rig cannot change: nodes and loop have been built from them
@@ -44,40 +45,17 @@ _DEMAND = next(row for row in WORDS if row.name == "brake_demand_set_point")
 _HIGHEST_DEMAND_Pa = 1e6
 
 
-class Rig(Protocol):
-    """What the supervisor needs of the bench."""
-
-    plan: Scenario
-    next_plan: Scenario | None
-    machine: Machine
-    bus: Any
-    hub: Any
-    events: list[dict[str, Any]]
-    histogram: np.ndarray
-    ended_by: str
-    faults: Panel
-
-    def event(self, level: str, text: str) -> None: ...
-    def report(self, message: str = "") -> None: ...
-    def stop(self, why: str) -> None: ...
-    def change_scenario(self, plan: Scenario) -> None: ...
-    def post(self) -> None: ...
-
-
 class Supervisor:
-    """Readers and writers of the PLC. `speed_m_s`: at which a held rig rolls, then: began."""
+    """Readers and writers of the PLC."""
 
-    def __init__(self, rig: Rig) -> None:
-        self.rig = rig
-        self.counters = Counters()
+    def __init__(self, rig: Parts, bus: RigBus) -> None:
+        self.rig, self.bus = rig, bus
         self.scenarios = store.names("scenarios")
         self.emergency = False
         self.demand = NO_DEMAND
-        self.desk = FaultDesk(rig)
-        self.speed_m_s = float(rig.plan["initial_speed_m_s"])
+        self.fault_registers = FaultRegisters(rig.faults, rig.event)
         self.server: Server | None = None
         self.line: SerialLine | None = None
-        self.port = 0
         self._statistics: tuple[float, dict[str, float]] = (-math.inf, {})
 
     # -- the ways in
@@ -89,13 +67,13 @@ class Supervisor:
         if given["tls_certificate"]:
             context = tls_context(*(Path(given[key]) for key in
                                     ("tls_certificate", "tls_key", "tls_client_ca")))
-        self.server = Server(self.units(), self.counters)
+        self.server = Server(self.units(), self.rig.modbus)
         try:
             port = await self.server.listen(given["host"], given["port"], context)
-            self.port = port
-            self._tell(given["host"], port, context is not None)
+            self.rig.ports["modbus"] = port
+            self._record_port(given["host"], port, context is not None)
             if needed:
-                self.rig.report(f"the rig is held at {self.speed_m_s:g} m/s until a Modbus client "
+                self.rig.report(f"the rig is held at {self.rig.speed_m_s:g} m/s until a Modbus client "
                                 f"writes 1 to coil 0 of unit 1 on {given['host']}:{port}")
         except BusError as error:
             if needed:
@@ -109,7 +87,7 @@ class Supervisor:
             self.rig.event("info", text)
             self.rig.report(text)
 
-    def _tell(self, host: str, port: int, safe: bool) -> None:
+    def _record_port(self, host: str, port: int, safe: bool) -> None:
         self.rig.event("info", f"Modbus {'over TLS' if safe else 'TCP'} is served on {host}:{port}")
         local = host == "localhost"
         with contextlib.suppress(ValueError):
@@ -137,12 +115,12 @@ class Supervisor:
 
     def roll(self) -> None:
         """Tell a held rig its speed."""
-        self.rig.machine.hold[0] = 0.0 if self.emergency else self.speed_m_s
+        self.rig.data.hold[0] = 0.0 if self.emergency else self.rig.speed_m_s
 
     @property
     def state(self) -> State:
         """What the rig does."""
-        control = self.rig.machine.control
+        control = self.rig.data.control
         if self.rig.ended_by or control[DONE]:
             return State.ENDED
         if self.rig.next_plan:
@@ -155,18 +133,18 @@ class Supervisor:
 
     def units(self) -> dict[int, Unit]:
         """The image of every unit."""
-        bus, rows = self.rig.bus, (*BITS, *WORDS)
+        bus, rows = self.bus, (*BITS, *WORDS)
         rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
         measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
         found: dict[int, Unit] = {map.PLC_UNIT: Unit(
-            rows, measured | self._states() | self._set_points() | self._health() | self.desk.readers(),
-            self._writers() | self.desk.writers())}
+            rows, measured | self._states() | self._set_points() | self._health() | self.fault_registers.readers(),
+            self._writers() | self.fault_registers.writers())}
         for node, unit in map.DRIVE_UNITS.items():
             found[unit] = modbus_unit.drive(bus.nodes[node])
         return found
 
     def _states(self) -> dict[str, Reader]:
-        rig, master = self.rig, self.rig.bus.master
+        rig, bus, master = self.rig, self.bus, self.bus.master
         standing = signals.column("vehicle_speed")
         return {
             "run": lambda: self.state is State.RUNNING,
@@ -174,8 +152,8 @@ class Supervisor:
             "emergency_stop": lambda: self.emergency,
             "held": lambda: self.state is State.HELD,
             "at_set_speed": lambda: (self.state is State.HELD
-                                     and abs(rig.bus.row[standing] - rig.machine.hold[0]) < 1e-6),
-            "standing": lambda: rig.bus.row[standing] == 0.0,
+                                     and abs(bus.row[standing] - rig.data.hold[0]) < 1e-6),
+            "standing": lambda: bus.row[standing] == 0.0,
             "wsp_unit_operational": lambda: master.unit_is_operational,
             "nodes_operational": master.all_operational,
             "state": lambda: self.state, "scenarios": lambda: len(self.scenarios),
@@ -185,7 +163,7 @@ class Supervisor:
     def _set_points(self) -> dict[str, Reader]:
         return {
             "scenario": self._number,
-            "speed_set_point": lambda: round(self.speed_m_s / _SPEED.scale),
+            "speed_set_point": lambda: round(self.rig.speed_m_s / _SPEED.scale),
             "brake_demand_set_point": lambda: self.demand,
         }
 
@@ -194,21 +172,21 @@ class Supervisor:
         return self.scenarios.index(name) if name in self.scenarios else _NOT_PACKAGED
 
     def _health(self) -> dict[str, Reader]:
-        rig, counters = self.rig, self.counters
+        rig, hub, counters = self.rig, self.bus.hub, self.rig.modbus
 
         def events(level: str) -> Reader:
             return lambda: sum(1 for one in rig.events if one["level"] == level)
 
         return {
-            "ticks": lambda: int(rig.machine.control[TICK]),
+            "ticks": lambda: int(rig.data.control[TICK]),
             "lateness_p50": lambda: self._lateness("p50"),
             "lateness_p99": lambda: self._lateness("p99"),
-            "lateness_max": lambda: int(rig.machine.control[WORST_NS]) // 1000,
+            "lateness_max": lambda: int(rig.data.control[WORST_NS]) // 1000,
             "events_info": events("info"), "events_warning": events("warning"),
             "events_error": events("error"),
-            "bus_frames": lambda: rig.hub.stats()["frames"],
-            "bus_frames_dropped": lambda: rig.hub.stats()["dropped"],
-            "bus_load": lambda: round(10.0 * rig.hub.stats()["load_percent"]),
+            "bus_frames": lambda: hub.stats()["frames"],
+            "bus_frames_dropped": lambda: hub.stats()["dropped"],
+            "bus_load": lambda: round(10.0 * hub.stats()["load_percent"]),
             "modbus_clients": lambda: len(self.server.connections) if self.server else 0,
             "modbus_requests": lambda: counters.requests,
             "modbus_exceptions": lambda: counters.exceptions,
@@ -219,7 +197,7 @@ class Supervisor:
         """A percentile in us; counted anew now and then, because counting takes long."""
         now = time.monotonic()
         if now - self._statistics[0] > _STATISTICS_S:
-            worst = int(self.rig.machine.control[WORST_NS])
+            worst = int(self.rig.data.control[WORST_NS])
             self._statistics = now, loop.percentiles(self.rig.histogram, worst)
         return round(self._statistics[1][which])
 
@@ -237,10 +215,10 @@ class Supervisor:
             raise RefusedError(ExcCodes.DEVICE_BUSY)
         self._require_held()
         if not only:
-            machine = self.rig.machine
-            self.speed_m_s = round(float(machine.state.vehicle_speed[0]), 6)
+            data = self.rig.data
+            self.rig.speed_m_s = round(float(data.state.vehicle_speed[0]), 6)
             self.roll()
-            machine.control[HOLD] = RELEASED
+            data.control[HOLD] = RELEASED
             self.rig.event("info", "the run is started over Modbus")
 
     def _stop(self, raw: int, only: bool) -> None:
@@ -254,8 +232,8 @@ class Supervisor:
         self.rig.event("warning", f"emergency stop over Modbus {'' if raw else 're'}set")
         self.roll()
         for node in signals.DRIVE_NODES:
-            self.rig.bus.nodes[node].device.emergency_stop(self.emergency)
-        self.rig.post()
+            self.bus.nodes[node].device.emergency_stop(self.emergency)
+        self.bus.post()
 
     def _set_speed(self, raw: int, only: bool) -> None:
         speed_m_s = raw * _SPEED.scale
@@ -266,7 +244,7 @@ class Supervisor:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         self._require_held()
         if not only:
-            self.speed_m_s = speed_m_s
+            self.rig.speed_m_s = speed_m_s
             self.roll()
 
     def _set_demand(self, raw: int, only: bool) -> None:
@@ -274,7 +252,7 @@ class Supervisor:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not only:
             self.demand = raw
-            self.rig.post()
+            self.bus.post()
 
     def _choose(self, raw: int, only: bool) -> None:
         if not 0 <= raw < len(self.scenarios):
@@ -285,8 +263,10 @@ class Supervisor:
         self._require_held()
         plan = self._load(name)
         if not only:
-            self.speed_m_s = float(plan["initial_speed_m_s"])
-            self.rig.change_scenario(plan)
+            self.rig.speed_m_s = float(plan["initial_speed_m_s"])
+            # the real-time thread ends, and begins again with the next plan
+            self.rig.next_plan = plan
+            self.rig.data.control[STOP] = 1
             self.rig.event("info", f"scenario '{name}' is chosen over Modbus")
 
     def _load(self, name: str) -> Scenario:
@@ -301,7 +281,7 @@ class Supervisor:
         return plan
 
     def _require_held(self) -> None:
-        if self.state is not State.HELD or self.rig.machine.control[HOLD] != HOLDING:
+        if self.state is not State.HELD or self.rig.data.control[HOLD] != HOLDING:
             raise RefusedError(ExcCodes.DEVICE_BUSY)
 
 

@@ -27,7 +27,7 @@ class Rehearsal:
         self.plan, self.tick = plan, 0
         self.tick_ns = S_NS // plan["loop"]["tick_hz"]
         self.hub = Hub(self._now_ns, plan["bus"]["bitrate"])
-        self.bus = rig_bus.RigBus(self.hub, _without_store(plan), np.zeros(len(signals.COLUMNS)), lambda: None,
+        self.bus = rig_bus.RigBus(self.hub, _without_store(plan), np.zeros(len(signals.COLUMNS)), lambda row: None,
                                   lambda level, text: None, self._now_ns, "lockstep")
         self.unit = self.hub.attach(lambda frame: None, "unit")
         self.answered_at: int | None = None

@@ -7,10 +7,7 @@ dead time is pneumatics and comes after it.
 """
 
 import argparse
-import asyncio
-import json
 import re
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -18,8 +15,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime.bench.bench import Bench
+from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.benchmarks import client, figures, modbus, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.realtime.record import records
@@ -78,8 +74,8 @@ def to_valve(seconds: float) -> tuple[Result, Result]:
 def round_trips(seconds: float) -> Result:
     """A run with questions, which must fit into the seconds: frame echo and SDO upload in us."""
     with wall.held(seconds, "none", beside=_beside("ask")) as measured:
-        told = measured.beside
-    echo, sdo = (figures.quantiles(np.array(told[name][_JOINING_TRIPS:]) / 1000.0) for name in ("echo", "sdo"))
+        trips_ns = measured.beside
+    echo, sdo = (figures.quantiles(np.array(trips_ns[name][_JOINING_TRIPS:]) / 1000.0) for name in ("echo", "sdo"))
     return {"echo_us": echo, "sdo_us": sdo,
             "ratio": sdo["p50"] / echo["p50"] if echo and sdo else None}
 
@@ -92,25 +88,13 @@ def at_rate(hz: int, seconds: float) -> Result:
 
 
 def _beside(role: str) -> wall.Beside:
-    """Start a client of the run's hub in a process, and return what it tells at the end."""
+    """A client of the run's hub."""
 
-    async def beside(bench: Bench) -> Any:
-        host, port, bus = plugin.parse_address(bench.place)
-        if role == "ask":
-            _echo(bench.hub)
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "rollerrig.realtime.benchmarks.client", role, host, str(port),
-            bus, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE)
-        try:
-            out, error = await process.communicate()
-        finally:
-            if process.returncode is None:
-                process.kill()
-        if process.returncode:
-            raise RollerrigError("the benchmark's client has ended: "
-                                 + error.decode(errors="replace").strip()[-300:])
-        return json.loads(out)
+    async def beside(parts: Parts) -> Any:
+        host, port, bus = plugin.parse_address(parts.place)
+        if role == "ask" and parts.hub:
+            _echo(parts.hub)
+        return await wall.client("client", role, host, str(port), bus)
 
     return beside
 
@@ -129,7 +113,7 @@ def _echo(hub: Hub) -> None:
 
 def _timing(hz: int, seconds: float, measured: wall.Measured) -> Result:
     """SYNC to last TPDO in a client's hands, and whether the rate was kept."""
-    begun_ns = measured.bench._begun_ns
+    begun_ns = measured.parts.begun_ns
     heard = measured.beside["syncs"][:-1]
     # the hub holds the first frames of a client back until it has read the handshake
     late_us = [(last_ns - begun_ns) / 1000.0 - stamp_us for stamp_us, _, last_ns in heard

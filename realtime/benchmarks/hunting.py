@@ -30,8 +30,8 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     sweeps: dict[str, list[float]] = {}
     critical: dict[str, float | None] = {}
     for rail in RAILS:
-        told = ("rig=plain_track", f"adhesion={rail}", *given.set)
-        sections = params.check(scenario.load("velim_a1", settings=told).resolved, "velim_a1")
+        settings = ("rig=plain_track", f"adhesion={rail}", *given.set)
+        sections = params.check(scenario.load("velim_a1", settings=settings).resolved, "velim_a1")
         law = Law(**{name: sections["adhesion"][name] for name in Law._fields})
         one = coach.build(sections, math.inf, MODELS[sections["contact"]["model"]],
                           sections["contact"]["fastsim_cells"])
@@ -41,7 +41,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             say(f"{rail}: {speed:5.0f} m/s ({3.6 * speed:.0f} km/h)  growth {sweeps[rail][-1]:.3f} 1/s")
         critical[rail] = _critical(one, law, sweeps[rail])
     return {"speeds_m_s": list(SPEEDS_M_S), "growth_1_s": sweeps, "critical_speed_m_s": critical,
-            "notes": [_told(rail, speed) for rail, speed in critical.items()]
+            "notes": [_sentence(rail, speed) for rail, speed in critical.items()]
             + ["dampers, bump-stops and traction rods are assumed curves: so is this speed"]}
 
 
@@ -54,7 +54,7 @@ def _critical(one: coach.Coach, law: Law, growths: list[float]) -> float | None:
                                     _TOLERANCE_M_S)
 
 
-def _told(rail: str, speed_m_s: float | None) -> str:
+def _sentence(rail: str, speed_m_s: float | None) -> str:
     if speed_m_s is None:
         return f"{rail}: no hunting up to {SPEEDS_M_S[-1]:.0f} m/s"
     return f"{rail}: hunting from {speed_m_s:.1f} m/s ({3.6 * speed_m_s:.0f} km/h) on"

@@ -81,12 +81,12 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 def _slice(seconds: float, settings: tuple[str, ...], live: bool, ours: Punctuality) -> list[str]:
     tick_hz = scenario.load(wall.SCENARIO, settings=settings)["loop"]["tick_hz"]
     with wall.held(seconds, settings=(*settings, f"loop.record_hz={tick_hz}"), live=live) as measured:
-        run, control = records.load(measured.folder), measured.bench.machine.control
+        run, control = records.load(measured.folder), measured.parts.data.control
         woken_us = wakes(run.column("tick_lateness_us"), run.column("tick_duration_us"),
                          1e6 / tick_hz)
         ours.add(np.bincount(np.minimum(woken_us.astype(np.int64), loop.BINS - 1),
                              minlength=loop.BINS), int(control[WORST_NS]), int(control[MISSED]))
-        return [one["text"] for one in measured.bench.events if "was refused" in one["text"]]
+        return [one["text"] for one in measured.parts.events if "was refused" in one["text"]]
 
 
 def wakes(lateness_us: np.ndarray, duration_us: np.ndarray, interval_us: float) -> np.ndarray:

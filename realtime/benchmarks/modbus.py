@@ -5,11 +5,9 @@ real run in wall pacing with nodes, recorder and real-time thread.
 """
 
 import asyncio
-import json
-import sys
 from typing import Any
 
-from rollerrig.configs.errors import RollerrigError
+from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.benchmarks import figures, modbus_client, wall
 from rollerrig.realtime.benchmarks.figures import Result, Target
 
@@ -35,21 +33,9 @@ def target(result: Result) -> Target:
 
 
 def _client(seconds: float) -> wall.Beside:
-    async def beside(bench: Any) -> Any:
-        while not (bench.supervisor and bench.supervisor.port):
+    async def beside(parts: Parts) -> Any:
+        while "modbus" not in parts.ports:
             await asyncio.sleep(0.01)
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "rollerrig.realtime.benchmarks.modbus_client", "127.0.0.1",
-            str(bench.supervisor.port), f"{seconds:g}", stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE)
-        try:
-            out, error = await process.communicate()
-        finally:
-            if process.returncode is None:
-                process.kill()
-        if process.returncode:
-            raise RollerrigError("the benchmark's client has ended: "
-                                 + error.decode(errors="replace").strip()[-300:])
-        return json.loads(out)
+        return await wall.client("modbus_client", "127.0.0.1", str(parts.ports["modbus"]), f"{seconds:g}")
 
     return beside

@@ -14,16 +14,13 @@ import time
 from pathlib import Path
 
 import numba
-import numpy as np
 from rich.table import Table
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import free, scenario, tick_data
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
-from rollerrig.realtime.loop import ring as rings
-from rollerrig.realtime.loop import tick
+from rollerrig.realtime.loop.tick import TICK
 from rollerrig.rig import kernel
 from rollerrig.wsp_interface import signals
 
@@ -63,21 +60,16 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 
 def _stop(plan: scenario.Scenario, ticks: int) -> dict[str, float]:
     """Run some ticks in one call and say how long it took and how much was slid."""
-    ring = rings.Ring(rings.place("rows"), np.float64, 1 << 13, len(signals.COLUMNS))
-    try:
-        machine = bench.build_machine(plan, ring)
-        unit, inputs = logic.new_unit(logic.load(plan["wsp_config"])), np.zeros(8, dtype=np.int64)
-        wall_s, cpu_s = time.perf_counter(), time.thread_time()
-        tick.batch_with_unit(machine, ticks, plan.sync_ticks, unit, inputs)
-        cpu_s, wall_s = time.thread_time() - cpu_s, time.perf_counter() - wall_s
-        rows, _, _ = ring.read(0)
-    finally:
-        ring.close()
-        ring.unlink()
-    if machine.control[tick.TICK] != ticks:
-        raise RollerrigError(f"the rig stood after {machine.control[tick.TICK]} of {ticks} ticks: "
+    memory = free.memory_of(plan)
+    stop = free.Stop(plan, tick_data.build(plan, memory))
+    wall_s, cpu_s = time.perf_counter(), time.thread_time()
+    stop.advance(ticks)
+    cpu_s, wall_s = time.thread_time() - cpu_s, time.perf_counter() - wall_s
+    done = stop.data.control[TICK]
+    if done != ticks:
+        raise RollerrigError(f"the rig stood after {done} of {ticks} ticks: "
                              "nothing to time; the scenario of this benchmark must slide longer")
-    sliding = rows[:, signals.span("sliding")] > _SLIDING_M_S
+    sliding = memory.written[:, signals.span("sliding")] > _SLIDING_M_S
     return {"wall_s": wall_s, "cpu_s": cpu_s,
             "sliding_share": float(sliding.mean()) if sliding.size else 0.0}
 

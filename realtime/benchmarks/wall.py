@@ -6,6 +6,8 @@ to be measured runs beside it in the bus thread's own event loop.
 
 import asyncio
 import contextlib
+import json
+import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable, Iterator
@@ -13,18 +15,20 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.bench import Bench
+from rollerrig.realtime.bench.options import Options
+from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.loop.tick import TICK
 
 SCENARIO = "velim_a1"
-Beside = Callable[[Bench], Awaitable[Any]]
+Beside = Callable[[Parts], Awaitable[Any]]
 
 
 class Measured(NamedTuple):
-    """A run that has ended: its bench, folder, summary, and what was measured beside it."""
+    """A run that has ended: its parts, folder, summary, and what was measured beside it."""
 
-    bench: Bench
+    parts: Parts
     folder: Path
     summary: dict[str, Any]
     beside: Any
@@ -36,7 +40,7 @@ def held(seconds: float, unit: str = "reference", settings: tuple[str, ...] = ()
          live: bool = False, beside: Beside | None = None) -> Iterator[Measured]:
     """Run the scenario for some seconds on a hub with a free port; the record lives in the block.
 
-    `beside(bench)` runs once the bus is open. Raises RollerrigError as a run does, and
+    `beside(parts)` runs once the bus is open. Raises RollerrigError as a run does, and
     KeyboardInterrupt where the user broke it off.
     """
     plan = scenario.load(SCENARIO, settings=(
@@ -44,17 +48,36 @@ def held(seconds: float, unit: str = "reference", settings: tuple[str, ...] = ()
         "modbus.port=0", *settings))
     with tempfile.TemporaryDirectory(prefix="rollerrig-bench-") as name:
         folder = Path(name) / "run"
-        run = Bench(plan, bench.Options("wall", unit, folder, live), lambda progress: None)
+        run = Bench(plan, Options("wall", unit, folder, live), lambda progress: None)
         summary, found, share = asyncio.run(_run(run, beside))
-        if run.ended_by == "interrupted":
+        if run.parts.ended_by == "interrupted":
             raise KeyboardInterrupt
-        yield Measured(run, folder, summary, found, share)
+        yield Measured(run.parts, folder, summary, found, share)
+
+
+async def client(module: str, *arguments: str) -> Any:
+    """Run a client of `benchmarks` in a process of its own to its end, and return what it measured.
+
+    Raises RollerrigError with its last words when it fails.
+    """
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", f"rollerrig.realtime.benchmarks.{module}", *arguments,
+        stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE)
+    try:
+        out, error = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+    if process.returncode:
+        raise RollerrigError("the benchmark's client has ended: "
+                             + error.decode(errors="replace").strip()[-300:])
+    return json.loads(out)
 
 
 async def _run(run: Bench, beside: Beside | None) -> tuple[dict[str, Any], Any, float]:
-    tasks = [asyncio.ensure_future(_share(run))]
+    tasks = [asyncio.ensure_future(_share(run.parts))]
     if beside:
-        tasks.append(asyncio.ensure_future(_when_open(run, beside)))
+        tasks.append(asyncio.ensure_future(_when_open(run.parts, beside)))
     try:
         summary = await run.run()
         found = await asyncio.wait_for(asyncio.gather(*tasks), 10.0)
@@ -67,19 +90,19 @@ async def _run(run: Bench, beside: Beside | None) -> tuple[dict[str, Any], Any, 
     return summary, found[1] if beside else None, found[0]
 
 
-async def _when_open(run: Bench, beside: Beside) -> Any:
-    while run.bus is None and not run.stopping:
+async def _when_open(parts: Parts, beside: Beside) -> Any:
+    while parts.bus is None and not parts.stopping:
         await asyncio.sleep(0.01)
-    return None if run.stopping else await beside(run)
+    return None if parts.stopping else await beside(parts)
 
 
-async def _share(run: Bench) -> float:
+async def _share(parts: Parts) -> float:
     """The share of a core that the bus thread takes between the first tick and the last."""
-    while not (run.machine.control[TICK] or run.stopping):
+    while not (parts.data.control[TICK] or parts.stopping):
         await asyncio.sleep(0.01)
     begun_s, cpu_s = time.monotonic(), time.thread_time()
     share = 0.0
-    while not run.stopping:
+    while not parts.stopping:
         await asyncio.sleep(0.05)
         share = (time.thread_time() - cpu_s) / (time.monotonic() - begun_s)
     return share

@@ -17,6 +17,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.stats import qmc
@@ -24,9 +25,9 @@ from scipy.stats import qmc
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.table import choice, integer
-from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.campaign import batch
-from rollerrig.realtime.record import figures
+from rollerrig.realtime.bench import free, scenario
+from rollerrig.realtime.campaign import four_stops
+from rollerrig.realtime.record import figures, summary
 from rollerrig.realtime.record.files import replaced
 
 DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
@@ -105,8 +106,6 @@ def _random(vary: Mapping[str, Any], head: dict[str, Any], path: Path) -> list[t
 
 def _sample(design: str, width: int, runs: int, seed: int) -> Sequence[Sequence[float]]:
     if design == "random":
-        import numpy as np
-
         return np.random.default_rng(seed).random((runs, width)).tolist()
     kinds = {"sobol": qmc.Sobol, "halton": qmc.Halton, "latin_hypercube": qmc.LatinHypercube}
     sampler = kinds[design](width, rng=seed)
@@ -121,7 +120,7 @@ def _place(share: float, span: Mapping[str, Any]) -> float:
     return low * (high / low) ** share if span["log"] else low + (high - low) * share
 
 
-def _unit(name: str) -> str | batch.UnitCall:
+def _unit(name: str) -> str | free.UnitCall:
     if name in ("reference", "none"):
         return name
     module, _, function = name.partition(":")
@@ -156,11 +155,19 @@ def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
     first = chunk * plan.head["chunk"]
     rows = {number: _row(plan, number)
             for number in range(first, min(first + plan.head["chunk"], len(plan.points)))}
-    for number, one, channels in batch.together(_resolved(plan, rows), _unit(plan.head["unit"])):
-        summary = batch.summarize(one, channels, plan.head["unit"])
-        rows[number] |= {figure.name: figure.of(summary) for figure in figures.FIGURES}
-        rows[number] |= {key: summary[key] for key in ("stopped", "config_hash")}
+    for number, one, channels in four_stops.together(_resolved(plan, rows), _unit(plan.head["unit"])):
+        found = summarize(one, channels, plan.head["unit"])
+        rows[number] |= {figure.name: figure.of(found) for figure in figures.FIGURES}
+        rows[number] |= {key: found[key] for key in ("stopped", "config_hash")}
     return list(rows.values())
+
+
+def summarize(plan: scenario.Scenario, channels: dict[str, np.ndarray], unit: str) -> dict[str, Any]:
+    """The summary of a run in memory, as a recorded run in free pacing has it."""
+    ticks = round(float(channels["time_s"][-1]) * plan["loop"]["tick_hz"])
+    counters = {"pacing": "free", "seed": 0, "unit": unit, "config_hash": scenario.digest(plan),
+                "scenario": plan.name, "loop": {"ticks": ticks, "missed": 0}}
+    return summary.of(channels, counters, plan.resolved)
 
 
 def _row(plan: Plan, number: int) -> dict[str, Any]:

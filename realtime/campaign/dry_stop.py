@@ -5,22 +5,18 @@ stop leaves out: filling, load transfer, rotating masses, resistance. Runs of th
 demands are computed once.
 """
 
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tomli_w
 
 from rollerrig.configs import store
-from rollerrig.realtime.bench import bench, scenario
-from rollerrig.realtime.loop import ring as rings
-from rollerrig.realtime.loop import tick
-from rollerrig.realtime.loop.tick import DONE, TICK
+from rollerrig.realtime.bench import free, scenario, tick_data
+from rollerrig.realtime.loop import ring
+from rollerrig.realtime.loop.tick import DONE
 from rollerrig.wsp_interface import signals
 
-_BATCH = 1000
 _known: dict[str, float] = {}
 
 
@@ -32,9 +28,10 @@ def distance_m(resolved: Mapping[str, Any], demands: tuple[tuple[float, float], 
     braked = [time_s for time_s, pressure_Pa in demands if pressure_Pa > 0.0]
     if not braked:
         return float("nan")
-    text = tomli_w.dumps(_dry(resolved, demands))
+    dry = _dry(resolved, demands)
+    text = tomli_w.dumps(dry)
     if text not in _known:
-        _known[text] = _run(text, braked[0])
+        _known[text] = _run(scenario.read(dry, Path("dry.toml")), braked[0])
     return _known[text]
 
 
@@ -49,22 +46,12 @@ def _dry(resolved: Mapping[str, Any], demands: tuple[tuple[float, float], ...]) 
     return given | {"stand_s": 0.0, "duration_max_s": 3600.0}
 
 
-def _run(text: str, begin_s: float) -> float:
-    with tempfile.TemporaryDirectory() as place:
-        path = Path(place) / "dry.toml"
-        path.write_text(text, encoding="utf-8")
-        plan = scenario.load(str(path))
-    # its rows are lost on purpose: nobody reads them
-    ring = rings.Ring(rings.place("dry"), np.float64, 64, len(signals.COLUMNS))
-    try:
-        machine = bench.build_machine(plan, ring)
-        begin = round(begin_s * plan["loop"]["tick_hz"])
-        tick.batch(machine, begin)
-        from_m = float(machine.state.position[0])
-        while not machine.control[DONE] and machine.control[TICK] < machine.end_tick:
-            tick.batch(machine, _BATCH)
-        stands = machine.state.standing[0] != 0.0
-        return float(machine.state.position[0]) - from_m if stands else float("nan")
-    finally:
-        ring.close()
-        ring.unlink()
+def _run(plan: scenario.Scenario, begin_s: float) -> float:
+    # its samples are lost on purpose: nobody reads them
+    stop = free.Stop(plan, tick_data.build(plan, ring.Memory(1, len(signals.COLUMNS))), "none")
+    data = stop.data
+    stop.advance(round(begin_s * plan["loop"]["tick_hz"]))
+    from_m = float(data.state.position[0])
+    while not data.control[DONE]:
+        stop.advance()
+    return float(data.state.position[0]) - from_m if data.state.standing[0] else float("nan")

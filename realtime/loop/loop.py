@@ -47,7 +47,7 @@ def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
         if held_rig.is_held(m, sync_ticks):
             held_rig.roll(m)
         else:
-            tick.once(m)
+            tick.run_tick(m)
         if (m.control[TICK] + m.control[HELD]) % sync_ticks == 0:
             wake(descriptor, one)
         m.control[BUSY_NS] = max(m.control[BUSY_NS], now_ns(spec) - began)

@@ -75,6 +75,19 @@ def push(header, rows, row):
     header[WRITTEN] = at + 1
 
 
+class Memory:
+    """What `push` fills, for one process alone: `rows` of shape (capacity, width) float64."""
+
+    def __init__(self, capacity: int, width: int) -> None:
+        self.header = np.zeros(_HEADER, dtype=np.int64)
+        self.rows = np.zeros((capacity, width))
+
+    @property
+    def written(self) -> np.ndarray:
+        """All rows so far, where they have not been more than the capacity."""
+        return self.rows[:int(self.header[WRITTEN])]
+
+
 class Ring:
     """A ring on a mapped file. `rows` has shape (capacity, width) and 8 bytes an item.
 

@@ -2,7 +2,7 @@
 
 The order is fixed: read the command mailbox, let the rig control ask its motors, advance the
 physics, observe, publish a row of all signals, and put it into the ring when a sample is due.
-`batch` runs ticks back to back (lockstep and free pacing), `loop` gives them their deadlines.
+`run_ticks` runs ticks back to back (lockstep and free pacing), `loop` gives them their deadlines.
 """
 
 from collections.abc import Iterable
@@ -37,7 +37,7 @@ COMMANDS = FAULTS + effects.SIZE
 TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS, HOLD, HELD, SLOTS_OF_CONTROL = range(11)
 
 
-class Machine(NamedTuple):
+class TickData(NamedTuple):
     """All that a tick touches. `gather` (n,) are the slots of the state that a row copies.
 
     `virtual` 1: the state is that of the virtual track, and the rollers have a plant of their own,
@@ -180,7 +180,7 @@ def disturb(m, faults):
 
 
 @kernel
-def once(m):
+def run_tick(m):
     """Run one tick and count it; sets DONE when the vehicle has stood long enough or time is up."""
     tick = m.control[TICK]
     begin(m, tick)
@@ -234,12 +234,12 @@ def end(m, tick):
 
 
 @kernel
-def batch(m, ticks):
+def run_ticks(m, ticks):
     """Run some ticks back to back, fewer if the run is done; returns how many."""
     for i in range(ticks):
         if m.control[DONE] != 0 or m.control[STOP] != 0:
             return i
-        once(m)
+        run_tick(m)
     return ticks
 
 
@@ -250,8 +250,8 @@ def counts(value, scale):
 
 
 @kernel
-def batch_with_unit(m, ticks, sync_ticks, unit, inputs):
-    """As `batch`, with the reference WSP unit called where its SYNC would come.
+def run_ticks_with_unit(m, ticks, sync_ticks, unit, inputs):
+    """As `run_ticks`, with the reference WSP unit called where its SYNC would come.
 
     `unit` is the unit's memory and parameters, `inputs` int64 scratch of shape (8,): it sees what
     the bus would tell it, speeds in 0.01 rad/s and pressures in mbar, and its answer takes effect
@@ -265,7 +265,7 @@ def batch_with_unit(m, ticks, sync_ticks, unit, inputs):
             ask_unit(m, inputs)
         if phase == m.answer[1 if cycle > 0 and cycle % m.answer[2] == 0 else 0]:
             hear_unit(m, unit, inputs)
-        once(m)
+        run_tick(m)
     return ticks
 
 

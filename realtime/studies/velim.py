@@ -21,8 +21,7 @@ from scipy.optimize import least_squares
 from rollerrig.configs import store
 from rollerrig.configs.table import number, read
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.campaign import stops
+from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.studies import velim_bounds
 from rollerrig.wsp_interface import signals
 
@@ -35,6 +34,7 @@ MEASURED_STD = dict(zip(TESTS, (1.72, 2.19, 1.59, 1.75, 1.77, 1.78), strict=True
 PAPER_MEAN = dict(zip(TESTS, (5.61, 4.96, 4.61, 5.14, 5.30, 5.73), strict=True))
 PAPER_STD = dict(zip(TESTS, (1.49, 1.79, 1.59, 1.58, 1.45, 1.84), strict=True))
 PAPER_E1 = dict(zip(TESTS, (2.05, 0.90, 1.84, 1.51, 0.91, 1.68), strict=True))
+SAMPLE_S = 0.01
 _FIT = "fitted on group A of Table 6"
 ROWS = (
     number("pressure_Pa", 3.8e5, 1e5, 5e5, _FIT),
@@ -78,14 +78,14 @@ def rows_of(test: str, found: dict[str, float]) -> np.ndarray:
     """Samples of a test's stop up to standstill, under what was found."""
     plan = plan_of(test, found)
     band = {name: found[name] for name in ("band_low_m_s", "band_high_m_s")}
-    return stops.moving(stops.run(plan, logic.load(plan["wsp_config"])._replace(**band)))
+    return free.moving(free.simulate(plan, logic.load(plan["wsp_config"])._replace(**band)))
 
 
 def stop(test: str, found: dict[str, float]) -> Stop:
     """Run a test and reduce it to Table 6's numbers [Q2]."""
     rows = rows_of(test, found)
     sliding = rows[:, signals.span("sliding")]
-    return Stop(sliding.mean(axis=0), sliding.std(axis=0), stops.SAMPLE_S * len(rows),
+    return Stop(sliding.mean(axis=0), sliding.std(axis=0), SAMPLE_S * len(rows),
                 float(rows[-1, signals.column("position")]),
                 float(rows[-1, signals.span("longest_lock")].max()))
 

@@ -51,7 +51,7 @@ def dictionaries(plan: Any) -> list[Any]:
     from rollerrig.wsp_interface.bus.hub import Hub
 
     # a hub that listens nowhere: the nodes boot, and nobody hears them
-    bus = rig_bus.RigBus(Hub(lambda: 0), plan, np.zeros(len(signals.COLUMNS)), lambda: None,
+    bus = rig_bus.RigBus(Hub(lambda: 0), plan, np.zeros(len(signals.COLUMNS)), lambda row: None,
                          lambda level, text: None, lambda: 0)
     members: list[Any] = bus.rack.members
     return [member.dictionary for member in members if hasattr(member, "dictionary")]

@@ -60,7 +60,7 @@ def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
     """The dataset of the command line, and the folder of its report (made)."""
     from rollerrig.configs.errors import ConfigError
     from rollerrig.realtime.studies import run_dataset, run_sensors
-    from rollerrig.realtime.verbs import tune
+    from rollerrig.realtime.verbs import paper
     from rollerrig.rig.identify.data import dataset
 
     runs = [Path(name) for name in given.dataset]
@@ -68,7 +68,7 @@ def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
         if given.validate:
             raise ConfigError(f"--validate {given.validate[0]}: {given.dataset[0]} is no folder of a run; "
                               "a dataset says in its dataset.toml which runs validate")
-        data, out = tune.opened(given.dataset, given.out, "explain")
+        data, out = paper.opened(given.dataset, given.out, "explain")
         return data, out
     out = given.out or Path("reports") / f"explain_{runs[0].resolve().name}"
     held = list(given.validate)
@@ -97,15 +97,15 @@ def _braking(data: Any, out: Path, given: argparse.Namespace) -> tuple[Any, ...]
             bar.update(tasks[title], completed=share)
 
         account = explain.braking_runs(data, given.seed, progress)
-        told = report.as_json(account)
-        lines = report.story(account) + _further(account, told, out, given.more, progress)
+        found = report.as_json(account)
+        lines = report.story(account) + _further(account, found, out, given.more, progress)
     study_view.explained(out / "report.rrd", data.name, report.courses(account))
-    return told, lines, report.page(account, told), extension.toml(account)
+    return found, lines, report.page(account, found), extension.toml(account)
 
 
-def _further(account: Any, told: dict[str, Any], out: Path, count: int,
+def _further(account: Any, found: dict[str, Any], out: Path, count: int,
              progress: Callable[[str, float], None]) -> list[str]:
-    """Write the separating tests of causes and the proposed stops as sequences; names them in `told`."""
+    """Write the separating tests of causes and the proposed stops as sequences; names them in `found`."""
     import tomli_w
 
     from rollerrig.rig.identify.next import planning
@@ -120,11 +120,11 @@ def _further(account: Any, told: dict[str, Any], out: Path, count: int,
         for test in planning.propose(lib, 1, (named.finding.name, *named.confusable)):
             file = out / ("separating_test.toml" if k == 0 else f"separating_test_{k + 1}.toml")
             file.write_text(tomli_w.dumps(planning.sequence(test, on)), encoding="utf-8")
-            told["causes"][k]["separating_test"] = file.name
+            found["causes"][k]["separating_test"] = file.name
     proposed = planning.propose(lib, count)
     files = [out / f"next_{k}.toml" for k in range(1, len(proposed) + 1)]
     for file, test in zip(files, proposed, strict=True):
         file.write_text(tomli_w.dumps(planning.sequence(test, on)), encoding="utf-8")
-    told["next"] = planning.as_json(proposed, [file.name for file in files])
+    found["next"] = planning.as_json(proposed, [file.name for file in files])
     return [f"Next: {test.stop.title}; {test.reason}: rollerrig sequence {file}"
             for file, test in zip(files, proposed, strict=True)]

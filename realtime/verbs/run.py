@@ -42,18 +42,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.realtime.bench import bench, scenario
+    from rollerrig.realtime.bench import bench, options, scenario
     from rollerrig.realtime.record import summary
 
     plan = scenario.load(given.scenario, given.model, tuple(given.set), faults=tuple(given.fault))
     out = given.out or free_folder(plan.name)
-    options = bench.Options(given.pacing, given.wsp, out, given.live, given.strict, given.seed,
-                            given.wait, given.start, given.harness)
-    bench.check_options(options)
+    how = options.Options(pacing=given.pacing, unit=given.wsp, out=out, live=given.live, seed=given.seed,
+                          unit_wait_s=given.wait, start=given.start, harness=given.harness)
+    options.check_options(how)
     line = ProgressLine()
     if not kernel.is_compiled():
         line.message("compiling the kernels, once after an installation (about half a minute) ...")
-    result = asyncio.run(bench.Bench(plan, options, line).run())
+    result = asyncio.run(bench.Bench(plan, how, line).run())
     line.end()
     if given.json:
         print(json.dumps(result | {"folder": str(out)}))

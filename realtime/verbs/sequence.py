@@ -45,14 +45,14 @@ def call(given: argparse.Namespace) -> int:
 
     sequences = load(given.sequences)
     if given.check:
-        return _told(given, {"checked": [one.name for one in sequences]},
+        return _print(given, {"checked": [one.name for one in sequences]},
                      f"{len(sequences)} sequences are in order")
     _check_out(given, sequences)
     outcomes = _play(given, sequences)
     written = report.write(outcomes, given.out, given.junit)
     result = report.overall(outcomes)
     counts = {name: sum(one.result == name for one in outcomes) for name in ("pass", "fail", "error")}
-    _told(given, {"result": result, **counts, "report": str(written[0]), "sequences": {
+    _print(given, {"result": result, **counts, "report": str(written[0]), "sequences": {
         one.sequence.name: one.result for one in outcomes}},
         f"{result}: {counts['pass']} passed, {counts['fail']} failed, {counts['error']} with an error; "
         f"report in {written[0]} (not a certification)")
@@ -85,31 +85,22 @@ def load(names: list[str]) -> list[Any]:
     twice = {one.name for one in loaded if sum(one.name == other.name for other in loaded) > 1}
     wrong += [f"two sequences are called '{name}'; rename one" for name in sorted(twice)]
     for one in loaded:
-        wrong += _wrong_scenario(one)
+        try:
+            _plan(one)
+        except ConfigError as error:
+            wrong.append(f"{one.path} [start]: {error}")
     if wrong:
         raise ConfigError("nothing was run:\n  " + "\n  ".join(wrong))
     return loaded
 
 
-def _wrong_scenario(one: Any) -> list[str]:
-    """What is wrong with the bench that a sequence wants; nothing where it can be built."""
-    import tempfile
-
-    import tomli_w
-
-    from rollerrig.configs.errors import ConfigError
+def _plan(one: Any) -> Any:
+    """The scenario of the bench that a sequence wants. Raises ConfigError where it cannot be built."""
     from rollerrig.realtime.bench import scenario
     from rollerrig.wsp_interface import own_bench
 
-    try:
-        content = own_bench.scenario_of(one.scenario, one.speed_m_s, None, one.adhesion, one.tables)
-        with tempfile.TemporaryDirectory() as place:
-            path = Path(place) / one.path.name
-            path.write_text(tomli_w.dumps(content), encoding="utf-8")
-            scenario.load(str(path))
-    except ConfigError as error:
-        return [f"{one.path} [start]: {error}"]
-    return []
+    return scenario.read(own_bench.scenario_of(one.scenario, one.speed_m_s, None, one.adhesion, one.tables),
+                         Path(one.path.name))
 
 
 def _check_out(given: argparse.Namespace, sequences: list[Any]) -> None:
@@ -180,20 +171,12 @@ def play(one: Any, folder: Path, pacing: str, seed: int, wsp: str, unit: str,
 
 
 def _on_bus(one: Any, given: argparse.Namespace) -> Any:
-    import tempfile
-
-    import tomli_w
-
-    from rollerrig.realtime.bench import scenario
+    """One sequence on a bench that runs already."""
     from rollerrig.realtime.campaign import dry_stop
-    from rollerrig.wsp_interface import harness_client, own_bench
+    from rollerrig.wsp_interface import harness_client
     from rollerrig.wsp_interface.sequences import play as player
 
-    content = own_bench.scenario_of(one.scenario, one.speed_m_s, None, one.adhesion, one.tables)
-    with tempfile.TemporaryDirectory() as place:
-        path = Path(place) / one.path.name
-        path.write_text(tomli_w.dumps(content), encoding="utf-8")
-        resolved = scenario.load(str(path)).resolved
+    resolved = _plan(one).resolved
     begun = time.monotonic()
     outcome = player.on_running_bench(one, harness_client.connect(given.bus), given.out / one.name, resolved,
                                       dry_stop.distance_m)
@@ -202,8 +185,8 @@ def _on_bus(one: Any, given: argparse.Namespace) -> Any:
 
 
 def _say(outcome: Any) -> Any:
-    told = f": {outcome.error}" if outcome.error else ""
-    print(f"{outcome.result:>6}  {outcome.sequence.name} ({outcome.wall_s:.1f} s){told}",
+    error = f": {outcome.error}" if outcome.error else ""
+    print(f"{outcome.result:>6}  {outcome.sequence.name} ({outcome.wall_s:.1f} s){error}",
           file=sys.stderr, flush=True)
     for one in outcome.verdicts:
         if one.result in ("fail", "error"):
@@ -213,7 +196,7 @@ def _say(outcome: Any) -> Any:
     return outcome
 
 
-def _told(given: argparse.Namespace, data: dict[str, Any], text: str) -> int:
+def _print(given: argparse.Namespace, data: dict[str, Any], text: str) -> int:
     if given.json:
         print(json.dumps(data))
     else:

@@ -8,7 +8,7 @@ import pytest
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.wsp_interface import signals
@@ -80,10 +80,10 @@ def run(name, ring):
     """Some seconds without deadlines, with the reference unit in the tick; all samples."""
     plan = scenario.load(name, settings=(f"duration_max_s={RUN_S}",))
     ring.header[rings.WRITTEN] = 0
-    machine = bench.build_machine(plan, ring)
+    machine = tick_data.build(plan, ring)
     unit = logic.new_unit(logic.load(plan["wsp_config"]))
     inputs = np.zeros(8, dtype=np.int64)
-    tick.batch_with_unit(machine, round(RUN_S * plan["loop"]["tick_hz"]), plan.sync_ticks, unit, inputs)
+    tick.run_ticks_with_unit(machine, round(RUN_S * plan["loop"]["tick_hz"]), plan.sync_ticks, unit, inputs)
     return ring.rows[: ring.header[rings.WRITTEN]].copy()
 
 

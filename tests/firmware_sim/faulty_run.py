@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import bench, options, scenario
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus.frames import Frame
 
@@ -135,8 +135,8 @@ def run(folder: Path) -> Recorded:
     out = folder / "run"
 
     async def both():
-        rig = bench.Bench(plan, bench.Options("lockstep", "external", out), lambda progress: None)
-        unit = asyncio.ensure_future(ScriptedUnit(rig).join())
+        rig = bench.Bench(plan, options.Options("lockstep", "external", out), lambda progress: None)
+        unit = asyncio.ensure_future(ScriptedUnit(rig.parts).join())
         try:
             await rig.run()
         finally:

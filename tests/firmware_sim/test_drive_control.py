@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.drive402 import axis
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.loop import mailbox, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.wsp_interface import signals
@@ -19,7 +19,7 @@ class Rig:
         ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
         plan = scenario.load("dry_stop", settings=(f"initial_speed_m_s={SPEED_M_S}", "duration_max_s=60",
                                                   "brake.cylinder_area_m2=0.0001", *settings))
-        self.machine = bench.build_machine(plan, ring)
+        self.machine = tick_data.build(plan, ring)
 
     def ask(self, loop, torque_Nm=0.0, velocity_rad_s=0.0, limit_Nm=1e9, enabled=1.0):
         command = self.machine.commands.values.copy()
@@ -28,7 +28,7 @@ class Rig:
         mailbox.post(self.machine.commands, command)
 
     def run(self, seconds):
-        tick.batch(self.machine, round(1000 * seconds))
+        tick.run_ticks(self.machine, round(1000 * seconds))
         return {name: self.machine.row[signals.span(name)].copy()
                 for name in ("roller_speed", "motor_torque", "motor_torque_demand", "vehicle_speed")}
 

@@ -11,7 +11,7 @@ from faulty_run import PLAN, samples
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue, effects, panel
 from rollerrig.firmware_sim.modbus.pdu import RefusedError
-from rollerrig.realtime.bench import bench, fault_registers, scenario
+from rollerrig.realtime.bench import bench, fault_registers, options, scenario, tick_data
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.wsp_interface import signals
 
@@ -365,7 +365,7 @@ def test_the_reference_units_process_is_stopped_and_goes_on(tmp_path):
     path.write_text('adhesion = "dry"\ninitial_speed_m_s = 20.0\nduration_max_s = 1.2\n[bus]\n'
                     'interface = "hub"\nsocketcand_port = 0\n')
     plan = scenario.load(str(path), faults=("wsp_frozen at=0.3 for=0.5",))
-    rig = bench.Bench(plan, bench.Options("lockstep", "reference", tmp_path / "run"), lambda one: None)
+    rig = bench.Bench(plan, options.Options("lockstep", "reference", tmp_path / "run"), lambda one: None)
     result = asyncio.run(rig.run())
     recorded = faulty_run.Recorded(faulty_run.records.load(tmp_path / "run"))
     assert result["ended"] == "finished"
@@ -381,10 +381,10 @@ def machine(path_of_plan, array=None, ticks=300):
     plan = scenario.load(path_of_plan)
     place = ring.Ring(ring.place("rows"), np.float64, 1 << 10, len(signals.COLUMNS))
     try:
-        made = bench.build_machine(plan, place)
+        made = tick_data.build(plan, place)
         if array is not None:
             made.commands.values[tick.FAULTS:] = array
-        tick.batch(made, ticks)
+        tick.run_ticks(made, ticks)
         return made.row.copy()
     finally:
         place.close()
@@ -446,7 +446,7 @@ class Told:
 @pytest.mark.conformance("Modbus", "faults are chosen, injected and lifted by registers")
 def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
     told = Told()
-    desk = fault_registers.FaultDesk(told)
+    desk = fault_registers.FaultRegisters(told.faults, told.event)
     write, read = desk.writers(), desk.readers()
     number = catalogue.BY_NAME["cylinder_leak"].number
     for name, raw in (("fault", number), ("fault_target", 3), ("fault_duration", 20), ("inject_fault", 1)):
@@ -465,7 +465,7 @@ def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
 
 def test_a_fault_that_cannot_be_is_refused_over_modbus_and_told():
     told = Told()
-    write = fault_registers.FaultDesk(told).writers()
+    write = fault_registers.FaultRegisters(told.faults, told.event).writers()
     with pytest.raises(RefusedError):
         write["fault"](len(catalogue.CATALOGUE), True)
     write["fault_target"](9, False)

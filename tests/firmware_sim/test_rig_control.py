@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.wsp_interface import signals
@@ -18,9 +18,9 @@ def stop(folder, rig, *settings):
     folder.mkdir()
     ring = rings.Ring(folder / "rows", np.float64, 1 << 14, len(signals.COLUMNS))
     plan = scenario.load("velim_a3", settings=(f"rig={rig}", "duration_max_s=100", *settings))
-    machine = bench.build_machine(plan, ring)
+    machine = tick_data.build(plan, ring)
     unit, inputs = logic.new_unit(logic.load("reference")), np.zeros(8, dtype=np.int64)
-    tick.batch_with_unit(machine, 100_000, plan.sync_ticks, unit, inputs)
+    tick.run_ticks_with_unit(machine, 100_000, plan.sync_ticks, unit, inputs)
     return machine.ring_rows[: machine.ring_header[rings.WRITTEN]].copy()
 
 

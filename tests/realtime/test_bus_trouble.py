@@ -11,7 +11,8 @@ import pytest
 from bench_process import MAGNETS, SYNC, BenchProcess, SimpleUnit
 
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.bench.bench import Bench, Options
+from rollerrig.realtime.bench.bench import Bench
+from rollerrig.realtime.bench.options import Options
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus.hub import Hub
 
@@ -81,9 +82,9 @@ def test_what_fails_inside_the_bus_thread_is_told_in_the_events_and_the_run_goes
 
     async def both():
         run = asyncio.ensure_future(rig.run())
-        while rig.bus is None and not run.done():
+        while rig.parts.bus is None and not run.done():
             await asyncio.sleep(0.001)
-        rig.hub.attach(lambda frame: 1 // (frame.can_id - SYNC), "clumsy")
+        rig.parts.hub.attach(lambda frame: 1 // (frame.can_id - SYNC), "clumsy")
         return await run
 
     result = asyncio.run(both())

@@ -9,9 +9,8 @@ import sys
 import pytest
 
 from rollerrig.realtime import cli
-from rollerrig.realtime.bench import machine_check
-from rollerrig.realtime.bench.machine_check import Finding, State
 from rollerrig.realtime.verbs import check
+from rollerrig.realtime.verbs.check import Finding, State
 
 
 @pytest.fixture
@@ -36,27 +35,27 @@ def test_check_prints_one_json_object_and_a_run_is_possible_here(capsys):
 
 
 def test_a_port_in_use_is_reported_with_its_holder_and_a_way_out(taken):
-    finding = machine_check.port(taken)
+    finding = check.port(taken)
     assert finding.state is State.WEAKER
     assert "in use" in finding.found
     assert str(taken) in finding.mend
     assert "socketcand_port=0" in finding.mend
-    if machine_check.shutil.which("ss"):
+    if check.shutil.which("ss"):
         assert str(os.getpid()) in finding.found
 
 
 def test_a_free_port_is_free():
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
-    assert machine_check.port(number).state is State.OK
+    assert check.port(number).state is State.OK
 
 
 def test_a_port_that_cannot_exist_is_not_free():
-    assert machine_check.port(70000).state is State.WEAKER
+    assert check.port(70000).state is State.WEAKER
 
 
 def test_asking_for_priority_leaves_this_thread_an_ordinary_one():
-    machine_check.priority()
+    check.priority()
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 
@@ -64,11 +63,11 @@ def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
     # limits of zero, and no capabilities: what a fresh user account has
     script = (
         "import resource, os\n"
-        "from rollerrig.realtime import clock, host\n"
+        "from rollerrig.realtime.verbs import check\n"
         "for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK):\n"
         "    resource.setrlimit(limit, (0, 0))\n"
         "if os.getuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
-        "for finding in (host.priority(), host.memory_lock()):\n"
+        "for finding in (check.priority(), check.memory_lock()):\n"
         "    print(finding.state, '|', finding.mend)\n")
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
                           check=False)
@@ -80,7 +79,7 @@ def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
 
 def test_one_missing_row_means_that_no_run_is_possible(capsys):
     poor = [Finding("shared memory", State.MISSING, "1 MB free", "make room")]
-    assert check.tell(poor, as_json=False) == 2
+    assert check.show(poor, as_json=False) == 2
     told = capsys.readouterr()
     assert "make room" in told.out
     assert "no run is possible" in told.err

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.campaign import batch, four_stops
+from rollerrig.realtime.bench import free, scenario
+from rollerrig.realtime.campaign import campaign, four_stops
 from rollerrig.wsp_interface import signals
 
 SHORT = ("initial_speed_m_s=8.0",)
@@ -26,6 +26,10 @@ CASES = {
 LOOSE = {"tracking_error_1_m_s", "tracking_error_2_m_s", "tracking_error_3_m_s", "tracking_error_4_m_s"}
 
 
+def simulate(plan):
+    return free.channels(free.simulate(plan))
+
+
 @pytest.fixture(scope="module")
 def plans():
     return {name: scenario.load(stem, settings=settings) for name, (stem, settings) in CASES.items()}
@@ -33,12 +37,12 @@ def plans():
 
 @pytest.fixture(scope="module")
 def abreast(plans):
-    return {tag: channels for tag, _, channels in batch.together(plans.items())}
+    return {tag: channels for tag, _, channels in four_stops.together(plans.items())}
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_stop_among_others_is_the_stop_alone(case, plans, abreast):
-    alone, among = batch.simulate(plans[case]), abreast[case]
+    alone, among = simulate(plans[case]), abreast[case]
     for name in signals.COLUMNS:
         if name not in LOOSE:
             np.testing.assert_allclose(among[name], alone[name], rtol=1e-6, atol=1e-6, err_msg=name)
@@ -46,21 +50,21 @@ def test_a_stop_among_others_is_the_stop_alone(case, plans, abreast):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_figures_of_a_stop_among_others_are_those_of_the_stop_alone(case, plans, abreast):
-    alone = batch.summarize(plans[case], batch.simulate(plans[case]), "reference")
-    among = batch.summarize(plans[case], abreast[case], "reference")
+    alone = campaign.summarize(plans[case], simulate(plans[case]), "reference")
+    among = campaign.summarize(plans[case], abreast[case], "reference")
     for key in ("stop_distance_m", "stop_time_s", "air_consumption_NL"):
         assert among[key] == pytest.approx(alone[key], rel=1e-7)
     assert among["wsp"]["vents"] == alone["wsp"]["vents"]
 
 
 def test_who_runs_beside_a_stop_changes_no_bit_of_it(plans, abreast):
-    [(_, _, alone)] = batch.together([("soap", plans["soap"])])
+    [(_, _, alone)] = four_stops.together([("soap", plans["soap"])])
     for name in signals.COLUMNS:
         assert np.array_equal(alone[name], abreast["soap"][name], equal_nan=True), name
 
 
 def test_without_a_unit_no_magnet_is_energised(plans):
-    [(_, _, channels)] = batch.together([("soap", plans["soap"])], "none")
+    [(_, _, channels)] = four_stops.together([("soap", plans["soap"])], "none")
     assert max(channels[f"magnets_{axle}"].max() for axle in (1, 2, 3, 4)) == 0.0
 
 
@@ -71,8 +75,8 @@ def test_without_a_unit_no_magnet_is_energised(plans):
 def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
     plan = scenario.load("velim_a1", settings=("initial_speed_m_s=2.0", setting))
     assert not four_stops.fits(plan)
-    [(_, _, among)] = batch.together([(0, plan)])
-    alone = batch.simulate(plan)
+    [(_, _, among)] = four_stops.together([(0, plan)])
+    alone = simulate(plan)
     assert all(np.array_equal(among[name], alone[name], equal_nan=True) for name in signals.COLUMNS)
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rollerrig.realtime import cli
-from rollerrig.realtime.bench import derailment, scenario
-from rollerrig.realtime.bench.bench import build_machine
+from rollerrig.realtime.bench import derailment, scenario, tick_data
 from rollerrig.realtime.loop import tick
 from rollerrig.rig.multibody import memory
 from rollerrig.rig.state import SIZE
@@ -26,7 +25,7 @@ class Rows:
 
 @pytest.fixture
 def machine():
-    return build_machine(scenario.load("velim_a1", settings=SETTINGS), Rows())
+    return tick_data.build(scenario.load("velim_a1", settings=SETTINGS), Rows())
 
 
 @pytest.fixture
@@ -37,12 +36,12 @@ def watch():
 
 def test_a_wheelset_that_is_thrown_over_its_flange_is_told_once_and_the_run_ends(machine, watch):
     look, told, stopped = watch
-    tick.batch(machine, 50)
+    tick.run_ticks(machine, 50)
     look.look(machine.buffer)
     assert not told
     assert not stopped
     memory.views(machine.buffer[SIZE:]).v[6 * 5 + 1] = 12.0  # the third wheelset, to the left
-    tick.batch(machine, 200)
+    tick.run_ticks(machine, 200)
     look.look(machine.buffer)
     assert {level for level, _ in told} == {"error"}
     assert any("axle 3 left its rail after" in text for _, text in told)
@@ -54,7 +53,7 @@ def test_a_wheelset_that_is_thrown_over_its_flange_is_told_once_and_the_run_ends
 
 def test_a_planar_vehicle_cannot_derail(watch):
     look, told, stopped = watch
-    planar = build_machine(scenario.load("velim_a1"), Rows())
+    planar = tick_data.build(scenario.load("velim_a1"), Rows())
     look.look(planar.buffer)
     assert not told
     assert not stopped
@@ -63,7 +62,7 @@ def test_a_planar_vehicle_cannot_derail(watch):
 def test_a_sway_within_the_gauge_is_no_derailment(machine, watch):
     look, told, _ = watch
     memory.views(machine.buffer[SIZE:]).v[1::6] = 0.2
-    tick.batch(machine, 1500)
+    tick.run_ticks(machine, 1500)
     look.look(machine.buffer)
     assert not told
 

@@ -12,8 +12,7 @@ from bench_process import BenchProcess
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
-from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.campaign import batch
+from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.record import records
 from rollerrig.realtime.studies import run_dataset, run_sensors
 from rollerrig.rig.identify.causes import candidates
@@ -202,8 +201,8 @@ def test_every_cause_of_wheel_and_contact_becomes_keys_that_run_in_batch(name, t
     model.write_text(extension.toml(account(FOUND[name])))
     told = tomllib.loads(model.read_text()).get("mechanisms", {})
     plan = scenario.load("velim_a1", str(model), ("initial_speed_m_s=6.0",))
-    felt = batch.simulate(plan)
-    plain = batch.simulate(scenario.load("velim_a1", settings=("initial_speed_m_s=6.0",)))
+    felt = free.channels(free.simulate(plan))
+    plain = free.channels(free.simulate(scenario.load("velim_a1", settings=("initial_speed_m_s=6.0",))))
     differs = not np.array_equal(felt["wheel_speed_2_rad_s"], plain["wheel_speed_2_rad_s"])
     if name == "speed_sensor_delay":
         assert told == {}
@@ -239,7 +238,7 @@ def test_an_extended_model_is_the_same_plant_in_batch_and_in_the_bench(tmp_path)
                          *(part for one in settings for part in ("--set", one)))
     assert bench.finish().status == 0, bench.stderr
     plan = scenario.load("velim_a1", str(model), settings)
-    felt, run = batch.simulate(plan), bench.record
+    felt, run = free.channels(free.simulate(plan)), bench.record
     assert run.column("transition_1").max() > 0.0
     for name in ("vehicle_speed_m_s", "wheel_speed_1_rad_s", "wheel_speed_3_rad_s", "wheel_load_2_N",
                  "transition_1", "cylinder_pressure_4_Pa"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.loop import held_rig, mailbox, ring
 from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.loop.tick import HELD, HOLD, TICK
@@ -14,7 +14,7 @@ from rollerrig.wsp_interface import signals
 def machine(request):
     plan = scenario.load("velim_a1", settings=(f"rig={request.param}", "initial_speed_m_s=10"))
     rows = ring.Ring(ring.place("held"), np.float64, 1 << 8, len(signals.COLUMNS))
-    made = bench.build_machine(plan, rows)
+    made = tick_data.build(plan, rows)
     made.control[HOLD] = HOLDING
     yield made
     rows.close()

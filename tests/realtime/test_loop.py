@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import bench, scenario, tick_data
 from rollerrig.realtime.loop import clock, loop, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop.tick import DONE, MISSED, STOP, TICK, WORST_NS
@@ -18,7 +18,7 @@ MS = 1_000_000
 
 def built(folder, duration_s):
     ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
-    return bench.build_machine(scenario.load("velim_a1", settings=(f"duration_max_s={duration_s}",)), ring)
+    return tick_data.build(scenario.load("velim_a1", settings=(f"duration_max_s={duration_s}",)), ring)
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def wall(machine, begin_ns, sync_ticks=10):
 
 
 def test_every_tick_is_run_once_and_has_its_lateness_counted(machine):
-    bench.warm_up(machine, "wall")
+    tick_data.warm_up(machine, "wall")
     begin_ns = clock.monotonic_ns()
     histogram, calls = wall(machine, begin_ns)
     assert clock.monotonic_ns() - begin_ns >= 500 * MS
@@ -48,7 +48,7 @@ def test_every_tick_is_run_once_and_has_its_lateness_counted(machine):
 
 
 def test_a_loop_that_is_behind_catches_up_and_counts_what_it_missed(machine):
-    bench.warm_up(machine, "wall")
+    tick_data.warm_up(machine, "wall")
     begin_ns = clock.monotonic_ns() - 60 * MS
     histogram, _ = wall(machine, begin_ns)
     # deadlines are absolute: the 500th tick still belongs 500 ms after the beginning
@@ -60,7 +60,7 @@ def test_a_loop_that_is_behind_catches_up_and_counts_what_it_missed(machine):
 
 
 def test_a_long_stall_starts_afresh_and_counts_every_tick_of_it(machine):
-    bench.warm_up(machine, "wall")
+    tick_data.warm_up(machine, "wall")
     begin_ns = clock.monotonic_ns() - 3000 * MS
     wall(machine, begin_ns)
     assert 2990 <= machine.control[MISSED] <= 3500
@@ -69,7 +69,7 @@ def test_a_long_stall_starts_afresh_and_counts_every_tick_of_it(machine):
 
 def test_a_flag_set_from_python_stops_the_loop(tmp_path):
     machine = built(tmp_path, 60)
-    bench.warm_up(machine, "wall")
+    tick_data.warm_up(machine, "wall")
     thread = threading.Thread(target=wall, args=(machine, clock.monotonic_ns()), daemon=True)
     thread.start()
     while machine.control[TICK] < 20:
@@ -81,7 +81,7 @@ def test_a_flag_set_from_python_stops_the_loop(tmp_path):
 
 
 def test_the_loop_lets_python_run_beside_it(machine):
-    bench.warm_up(machine, "wall")
+    tick_data.warm_up(machine, "wall")
     thread = threading.Thread(target=wall, args=(machine, clock.monotonic_ns()))
     thread.start()
     counted = 0
@@ -94,7 +94,7 @@ def test_the_loop_lets_python_run_beside_it(machine):
 def test_warming_up_runs_no_tick_and_changes_nothing(machine):
     before = machine.buffer.copy()
     for pacing in bench.PACINGS:
-        bench.warm_up(machine, pacing)
+        tick_data.warm_up(machine, pacing)
     assert machine.control[TICK] == machine.control[STOP] == machine.control[DONE] == 0
     assert before.tobytes() == machine.buffer.tobytes()
     assert machine.ring_header[rings.WRITTEN] == 0
@@ -138,7 +138,7 @@ def test_who_asks_for_nothing_is_refused_nothing():
 
 
 def test_the_row_that_a_sample_keeps_tells_the_worst_lateness_since_the_last(machine):
-    bench.warm_up(machine, "wall")
+    tick_data.warm_up(machine, "wall")
     wall(machine, clock.monotonic_ns() - 15 * MS)
     rows = machine.ring_rows[: machine.ring_header[rings.WRITTEN]]
     late_us = rows[:, signals.column("tick_lateness")]

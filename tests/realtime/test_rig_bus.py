@@ -17,7 +17,7 @@ class Rig:
     def __init__(self, *settings):
         self.hub, self.answers = Hub(lambda: 0), []
         plan = scenario.load("dry_stop", settings=settings)
-        rig_bus.RigBus(self.hub, plan, np.zeros(len(signals.COLUMNS)), lambda: None, lambda level, text: None,
+        rig_bus.RigBus(self.hub, plan, np.zeros(len(signals.COLUMNS)), lambda row: None, lambda level, text: None,
                        lambda: 0)
         self.port = self.hub.attach(lambda frame: self.answers.append(frame.data), "client")
 

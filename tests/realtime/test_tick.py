@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.loop import mailbox, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop.tick import DEMAND, DONE, MAGNETS, REFERENCE, STOP, TICK
@@ -21,7 +21,7 @@ def build(tmp_path):
     def one(*settings):
         ring = rings.Ring(tmp_path / f"rows{len(made)}", np.float64, 1 << 14, len(signals.COLUMNS))
         made.append(ring)
-        return bench.build_machine(scenario.load("velim_a1", settings=(*SETTINGS, *settings)), ring)
+        return tick_data.build(scenario.load("velim_a1", settings=(*SETTINGS, *settings)), ring)
 
     return one
 
@@ -39,7 +39,7 @@ def ask(machine, magnets, demand_Pa=np.nan, reference=np.nan):
 
 def test_a_sample_is_taken_every_tenth_tick_beginning_with_the_first_state(build):
     machine = build()
-    tick.batch(machine, 205)
+    tick.run_ticks(machine, 205)
     rows = sampled(machine)
     assert len(rows) == 21
     np.testing.assert_allclose(rows[:, signals.column("time")], np.arange(21) * 0.01, atol=1e-12)
@@ -49,7 +49,7 @@ def test_a_sample_is_taken_every_tenth_tick_beginning_with_the_first_state(build
 
 def test_the_published_row_is_the_state_under_the_names_of_the_signals(build):
     machine = build()
-    tick.batch(machine, 300)
+    tick.run_ticks(machine, 300)
     row = np.empty(len(signals.COLUMNS))
     mailbox.fetch(machine.published, row)
     shared = [signal for signal in signals.SIGNALS if signal.name in SLOTS]
@@ -63,7 +63,7 @@ def test_every_signal_of_the_table_is_written(build):
     machine = build()
     ask(machine, (0, 0, 0, 0), reference=40.0)
     machine.row[:] = np.nan
-    tick.batch(machine, 20)
+    tick.run_ticks(machine, 20)
     unwritten = [name for name, value in zip(signals.COLUMNS, machine.row, strict=True)
                  if np.isnan(value)]
     assert unwritten == []
@@ -72,46 +72,46 @@ def test_every_signal_of_the_table_is_written(build):
 def test_magnets_and_demand_of_the_mailbox_act_with_the_next_tick(build):
     machine = build("valve.dead_time_s=0.0")
     ask(machine, (1, 3, 0, 2))
-    tick.batch(machine, 1)
+    tick.run_ticks(machine, 1)
     assert machine.state.valve.tolist() == [1, 2, 0, 2]
     assert machine.row[signals.span("magnets")].tolist() == [1, 3, 0, 2]
     ask(machine, (0, 0, 0, 0), demand_Pa=1e5)
-    tick.batch(machine, 6000)
+    tick.run_ticks(machine, 6000)
     assert machine.state.brake_demand[0] == pytest.approx(1e5, rel=0.05)
     ask(machine, (0, 0, 0, 0), demand_Pa=0.0)
-    tick.batch(machine, 1)
+    tick.run_ticks(machine, 1)
     assert machine.state.brake_demand[0] < 1e5
 
 
 def test_a_batch_ends_when_the_vehicle_has_stood_long_enough(build):
     machine = build("initial_speed_m_s=1.0", "adhesion=dry")
-    ran = tick.batch(machine, 60_000)
+    ran = tick.run_ticks(machine, 60_000)
     assert machine.control[DONE] == 1
     assert ran == machine.control[TICK] < 60_000
     still_s = machine.state.time[0] - sampled(machine)[
         np.argmax(sampled(machine)[:, signals.column("vehicle_speed")] == 0.0), 0]
     assert still_s == pytest.approx(0.2, abs=0.011)
-    assert tick.batch(machine, 10) == 0
+    assert tick.run_ticks(machine, 10) == 0
 
 
 def test_a_batch_ends_with_the_longest_time(build):
     machine = build("duration_max_s=0.123")
-    assert tick.batch(machine, 1000) == 123
+    assert tick.run_ticks(machine, 1000) == 123
     assert machine.control[DONE] == 1
 
 
 def test_a_batch_ends_at_once_when_told(build):
     machine = build()
     machine.control[STOP] = 1
-    assert tick.batch(machine, 10) == 0
+    assert tick.run_ticks(machine, 10) == 0
     assert machine.control[TICK] == 0
 
 
 def test_batches_of_any_length_make_the_same_run(build):
     whole, parts = build(), build()
-    tick.batch(whole, 1000)
+    tick.run_ticks(whole, 1000)
     for length in (1, 9, 90, 400, 500):
-        tick.batch(parts, length)
+        tick.run_ticks(parts, length)
     assert whole.buffer.tobytes() == parts.buffer.tobytes()
     assert sampled(whole).tobytes() == sampled(parts).tobytes()
 
@@ -120,7 +120,7 @@ def test_the_unit_in_the_tick_sees_counts_and_answers_a_cycle_later(build):
     machine = build()
     unit = logic.new_unit(logic.load("reference"))
     inputs = np.zeros(8, dtype=np.int64)
-    tick.batch_with_unit(machine, 4000, 10, unit, inputs)
+    tick.run_ticks_with_unit(machine, 4000, 10, unit, inputs)
     speed = machine.row[signals.span("wheel_speed")]
     assert np.abs(inputs[:4] * 0.01 - speed).max() < 0.5
     assert np.isfinite(machine.command[REFERENCE])

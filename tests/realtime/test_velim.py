@@ -7,8 +7,7 @@ import pytest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
-from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.campaign import stops
+from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.studies import run_dataset, run_sensors, velim, velim_bounds
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.paper import tuning
@@ -20,8 +19,8 @@ TABLE_5_M_S = {"a1": 42.3, "a2": 40.4, "a3": 40.8, "b1": 40.8, "b2": 41.1, "b3":
 @pytest.fixture(scope="module")
 def rows():
     plan = scenario.load("velim_a1", settings=(
-        "rig.mode=track", "initial_speed_m_s=14.0", "adhesion.mu_cd=0.03", "stand_s=0.0"))
-    return stops.run(plan)
+        "rig.mode=track", "initial_speed_m_s=14.0", "adhesion.mu_cd=0.03", "stand_s=0.1"))
+    return free.simulate(plan)
 
 
 @pytest.mark.parametrize("test", velim.TESTS)
@@ -80,16 +79,15 @@ def test_a_stop_is_the_same_as_a_run_in_free_pacing(rows):
     speed = rows[:, signals.column("vehicle_speed")]
     assert speed[0] == 14.0
     assert speed[-1] == 0.0
-    # the last sample stands where the run ended
-    time_s = rows[:-1, signals.column("time")]
+    time_s = rows[:, signals.column("time")]
     assert time_s == pytest.approx(0.01 * np.arange(len(time_s)), abs=1e-9)
-    assert len(stops.moving(rows)) < len(rows)
+    assert len(free.moving(rows)) < len(rows)
 
 
 def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, tmp_path):
     rng = np.random.default_rng(5)
     plan = scenario.load("velim_a1", settings=("rig.mode=track",))
-    runs = [run_sensors.noisy(run_dataset.of_rows(name, group, plan["vehicle"]["mass_kg"], stops.moving(rows)),
+    runs = [run_sensors.noisy(run_dataset.of_rows(name, group, plan["vehicle"]["mass_kg"], free.moving(rows)),
                               run_sensors.TRAIN, rng)
             for name, group in (("one", "tune"), ("two", "validate"))]
     out = run_dataset.write(tmp_path / "made", runs, plan.resolved, run_sensors.TRAIN, rounded=True,
@@ -99,7 +97,7 @@ def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, t
     assert [run.group for run in data.runs] == ["tune", "validate"]
     assert data.accuracy["speed_m_s"] == 0.03
     assert np.isinf(data.sections["contact"]["roller_radius_m"])
-    true = stops.moving(rows)
+    true = free.moving(rows)
     off = data.runs[0].speed_m_s - true[:, signals.column("vehicle_speed")]
     assert off.std() == pytest.approx(0.03, rel=0.15)
     torque = true[:, signals.span("brake_torque")]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rollerrig.realtime.bench import bench, scenario
+from rollerrig.realtime.bench import bench, options, scenario
 from rollerrig.realtime.record import records
 
 HERE = Path(__file__).parent
@@ -72,12 +72,12 @@ def stop_with(command, protocol, out, eds_folder):
     plan = scenario.load(str(HERE / "stop.toml"))
 
     async def both():
-        rig = bench.Bench(plan, bench.Options("wall", "external", out), lambda progress: None)
+        rig = bench.Bench(plan, options.Options("wall", "external", out), lambda progress: None)
         run = asyncio.ensure_future(rig.run())
-        while not rig.ports and not run.done():
+        while not rig.parts.ports and not run.done():
             await asyncio.sleep(0.02)
-        port = rig.ports[protocol] if protocol in rig.ports else int(
-            rig.place.rpartition(":")[2].partition("/")[0])
+        port = rig.parts.ports[protocol] if protocol in rig.parts.ports else int(
+            rig.parts.place.rpartition(":")[2].partition("/")[0])
         master = await asyncio.create_subprocess_exec(
             *command, "127.0.0.1", str(port), str(eds_folder), stdout=subprocess.PIPE,
             stderr=subprocess.PIPE)

@@ -184,13 +184,13 @@ class Hub:
         receiver's. Source: Linux can/error.h for what the frame says.
         """
         now_ns = self._now_ns()
-        told = bytes((0, 0, _ON_TRANSMISSION if by_sender else 0, 0, 0, 0, transmit_errors,
+        state = bytes((0, 0, _ON_TRANSMISSION if by_sender else 0, 0, 0, 0, transmit_errors,
                       receive_errors))
         self.load.carry(frame, now_ns)
         if self.wire is not None:
             self.wire.occupy(frame, now_ns)
         for tap in self._taps:
-            self.call(tap, Frame(_BUS_ERROR, told, time_ns=now_ns, error=True))
+            self.call(tap, Frame(_BUS_ERROR, state, time_ns=now_ns, error=True))
 
     def _now_ns(self) -> int:
         return self._clock_ns() if self._at_ns is None else self._at_ns

@@ -215,18 +215,18 @@ class Gateway:
 
     def _answer(self, data: bytes) -> None:
         try:
-            told: Any = self.mapping.incoming.decode(data, decode_choices=False)
+            message: Any = self.mapping.incoming.decode(data, decode_choices=False)
         except (cantools.Error, ValueError):
             return  # too short: as if it had not been sent
         self._alive = True
         mapping = self.mapping
         if mapping.reference:
-            raw = signals.count(float(told[mapping.reference]) * mapping.reference_factor,
+            raw = signals.count(float(message[mapping.reference]) * mapping.reference_factor,
                                 signals.place("wsp_reference_speed", WSP_NODE))
             self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(raw))
         magnets = 0
         for at, (hold, vent) in enumerate(zip(mapping.hold, mapping.vent, strict=True)):
-            magnets |= (bool(told[hold]) | bool(told[vent]) << 1) << 2 * at
+            magnets |= (bool(message[hold]) | bool(message[vent]) << 1) << 2 * at
         self._send(MAGNETS_ID, bytes([magnets]))
         self.answers += 1
 

@@ -179,9 +179,9 @@ def _reference_error_m_s(record: Record) -> float:
     part, active = braking(record), _active(record)
     rows = slice(part.begin, part.end + 1)
     speed = record.columns["vehicle_speed_m_s"][rows]
-    told = record.columns["wsp_reference_speed_m_s"][rows]
-    counts = active & (speed > REFERENCE_ABOVE_M_S) & np.isfinite(told)
-    return float(np.max(np.abs(told - speed)[counts])) if counts.any() else NAN
+    reference = record.columns["wsp_reference_speed_m_s"][rows]
+    counts = active & (speed > REFERENCE_ABOVE_M_S) & np.isfinite(reference)
+    return float(np.max(np.abs(reference - speed)[counts])) if counts.any() else NAN
 
 
 def _full_brake_after_s(record: Record) -> float:

@@ -1,0 +1,210 @@
+"""What the pacings of a run share: scenario, tick data, rings, bus and faults, and what all of them do.
+
+The bench builds it, hands it to one pacing and closes it. `data` and `plan` change when a held rig is
+given another scenario. Clocks: `simulated_ns` counts ticks, `elapsed_ns` the time since the real-time
+thread began.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rollerrig.configs.errors import RollerrigError, UnitError
+from rollerrig.firmware_sim.cia301.nmt import State
+from rollerrig.firmware_sim.faults import catalogue, panel
+from rollerrig.firmware_sim.modbus.server import Counters
+from rollerrig.realtime.bench import derailment, rig_bus, scenario, tick_data
+from rollerrig.realtime.bench.options import Options, Progress
+from rollerrig.realtime.bench.processes import Processes
+from rollerrig.realtime.bench.scenario import Scenario
+from rollerrig.realtime.loop import clock, loop, mailbox, ring
+from rollerrig.realtime.loop.ring import Ring
+from rollerrig.realtime.loop.tick import DONE, MISSED, STOP, TICK
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus.hub import Hub
+
+_ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 12
+_REPORT_S = 0.5
+
+
+class Parts:
+    """One run. `say` is called with a `Progress` now and then; `ended_by` is "" as long as nobody ended it."""
+
+    def __init__(self, plan: Scenario, options: Options, say: Callable[[Progress], None]) -> None:
+        self.plan, self.options, self.say = plan, options, say
+        self.events: list[dict[str, Any]] = []
+        self.ended_by = ""
+        self.failure: RollerrigError | None = None
+        self.histogram = np.zeros(loop.BINS, dtype=np.int64)
+        # when the real-time thread began, by CLOCK_MONOTONIC; 0: it has not
+        self.begun_ns = 0
+        # when the run began, by the clock of the bus; -1: it has not, the rig is held
+        self.zero_ns = 0
+        # a held rig: the scenario that it is given, and the speed at which it rolls (then: began)
+        self.next_plan: Scenario | None = None
+        self.speed_m_s = float(plan["initial_speed_m_s"])
+        self.hub: Hub | None = None
+        self.bus: rig_bus.RigBus | None = None
+        self.place = ""
+        self.ports: dict[str, int] = {}
+        self.modbus = Counters()
+        # changes a row of commands on its way from the bus to the tick
+        self.govern: Callable[[np.ndarray], None] = lambda command: None
+        self.faults = panel.Panel(plan.faults, self.event)
+        self.derailment = derailment.Watch(self.event, self.stop)
+        self.processes = Processes(options, self.event)
+        self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(signals.COLUMNS))
+        self.frames = Ring(ring.place("frames"), np.int64, _FRAMES, ring.FRAME_WORDS)
+        self.event_ring = Ring(ring.place("events"), np.int64, _EVENTS, ring.EVENT_WORDS)
+        self.data = tick_data.build(plan, self.rows, seed=options.seed)
+        self.row = self.data.row.copy()
+        self._reported_s = 0.0
+
+    @property
+    def rings(self) -> tuple[Ring, Ring, Ring]:
+        """What the recorder reads."""
+        return self.rows, self.frames, self.event_ring
+
+    def identity(self) -> dict[str, Any]:
+        """What a summary says of a run before it has begun."""
+        return {"pacing": self.options.pacing, "seed": self.options.seed, "unit": self.options.unit,
+                "config_hash": scenario.digest(self.plan), "scenario": self.plan.name}
+
+    # --- what happens ---
+
+    def event(self, level: str, text: str) -> None:
+        """Record an event (info, warning, error) at the present simulated time."""
+        time_s = int(self.data.control[TICK]) / self.plan["loop"]["tick_hz"]
+        self.events.append({"time_s": time_s, "level": level, "text": text})
+        ring.push_event(self.event_ring, time_s, level, text)
+        if level != "info":
+            self.report(f"{time_s:.3f} s: {level}: {text}")
+
+    def report(self, message: str = "") -> None:
+        """Say how far the run is."""
+        mailbox.fetch(self.data.published, self.row)
+        row = self.row
+        self.say(Progress(row[signals.column("time")], row[signals.column("vehicle_speed")],
+                          float(row[signals.span("sliding")].max()),
+                          int(self.data.control[MISSED]), message))
+
+    def stop(self, why: str) -> None:
+        """End the run at the next tick."""
+        if not self.ended_by:
+            self.ended_by = why
+            self.event("warning", f"the run is {why}")
+        self.data.control[STOP] = 1
+        if self.bus:
+            self.bus.answered.set()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether no further tick shall be run."""
+        return bool(self.data.control[STOP] or self.data.control[DONE])
+
+    def simulated_ns(self) -> int:
+        """Simulated time by the ticks that have been run."""
+        return int(self.data.control[TICK]) * (clock.SECOND_NS // self.plan["loop"]["tick_hz"])
+
+    def elapsed_ns(self) -> int:
+        """Wall time since the real-time thread began; 0 before."""
+        return clock.monotonic_ns() - self.begun_ns if self.begun_ns else 0
+
+    def poll_faults(self) -> None:
+        """Begin and lift faults that are due, and see whether the coach has derailed."""
+        self.faults.poll(self.simulated_ns() / clock.SECOND_NS)
+        self.derailment.look(self.data.buffer)
+
+    async def pause(self) -> None:
+        """Between two batches of ticks: yield to the bus, and to a recorder that is half a ring behind."""
+        header = self.rows.header
+        while (header[ring.WRITTEN] - header[ring.READ] > _ROWS // 2
+               and self.processes.recording and not self.stopping):
+            await asyncio.sleep(0.005)
+        self.processes.watch_recorder()
+        await asyncio.sleep(0)
+        if time.monotonic() - self._reported_s > _REPORT_S:
+            self.report()
+            self._reported_s = time.monotonic()
+
+    # --- the bus ---
+
+    async def open_bus(self, clock_ns: Callable[[], int]) -> rig_bus.RigBus:
+        """Open the scenario's bus with the rig on it. Raises BusError."""
+        self.hub, self.place = await rig_bus.open_bus(self.plan, clock_ns, self._lost_bus)
+        rig_bus.record_frames(self.hub, self.frames, lambda: self.zero_ns)
+        self.ports = await rig_bus.open_others(self.hub, self.plan)
+        for codec, port in self.ports.items():
+            self.event("info", f"the bus speaks {codec} on port {port}")
+        mailbox.fetch(self.data.published, self.row)
+        bus = rig_bus.RigBus(self.hub, self.plan, self.row.copy(), self._post, self.event, clock_ns,
+                             self.options.pacing)
+        bus.harness.wire(end=self._end_run, inject=self._inject, lift=self._lift, left=bus.harness_answered.set)
+        self.faults.connect(bus.site(self.processes.freeze))
+        self.bus = bus
+        self.event("info", f"the rig is on the bus {self.place}")
+        return bus
+
+    def _post(self, command: np.ndarray) -> None:
+        """Hand what the bus asks of the rig to the tick."""
+        command = command.copy()
+        self.govern(command)
+        mailbox.post(self.data.commands, command)
+
+    def _lost_bus(self, error: RollerrigError) -> None:
+        """The bus is gone: the run ends here, as a failure, and its record is kept."""
+        self.failure = self.failure or error
+        self.stop("ended: its bus is lost")
+
+    def _end_run(self) -> None:
+        self.event("info", "the harness ends the run")
+        self.data.control[DONE] = 1
+
+    def _inject(self, text: str) -> None:
+        fault = catalogue.parse(text)
+        self.faults.inject(fault.kind.name, for_s=fault.for_s, **fault.values)
+
+    def _lift(self, text: str) -> None:
+        name, *aims = text.split() or [""]
+        aim = catalogue.parse(text).values if aims else {}
+        self.faults.clear(name, **{key: value for key, value in aim.items()
+                                   if any(one.startswith(f"{key}=") for one in aims)})
+
+    async def await_unit(self, bus: rig_bus.RigBus) -> None:
+        """Start the reference unit, or wait for anybody's heartbeat, then for a harness. Raises UnitError."""
+        if self.options.unit == "reference":
+            self.processes.start_unit(self.place, self.plan["wsp_config"])
+        elif self.options.unit == "external":
+            self.report(f"waiting for a WSP unit's heartbeat (720h) on {self.place} ...")
+        if self.options.unit != "none":
+            heard_s: list[float] = []
+
+            def there() -> bool:
+                if bus.master.unit.state is not None:
+                    heard_s.append(time.monotonic())
+                # a simple unit may not obey NMT; half a second is enough for one that does
+                return bool(heard_s) and (bus.master.unit.state == State.OPERATIONAL
+                                          or heard_s[-1] > heard_s[0] + 0.5)
+
+            await self._await(bus, there, f"no WSP unit on {self.place}: no heartbeat on 720h", "start one "
+                              f"('rollerrig wsp --bus {self.place}') or wait longer with --wait")
+            if not self.stopping:
+                self.event("info", "the WSP unit is on the bus")
+        if self.options.harness:
+            self.report(f"waiting for a harness (node {signals.BENCH_NODE}, 2000h:1) on {self.place} ...")
+            await self._await(bus, lambda: bus.harness.joined, f"no harness on {self.place}", "start one "
+                              f"('rollerrig sequence ... --bus {self.place}') or run without --harness")
+
+    async def _await(self, bus: rig_bus.RigBus, there: Callable[[], bool], missing: str, mend: str) -> None:
+        deadline_s = time.monotonic() + self.options.unit_wait_s
+        while not self.stopping:
+            bus.poll()
+            if there():
+                return
+            if time.monotonic() > deadline_s:
+                raise UnitError(f"{missing} within {self.options.unit_wait_s:g} s; {mend}")
+            self.processes.watch(starting=True)
+            await asyncio.sleep(0.005)
