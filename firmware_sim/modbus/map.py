@@ -195,7 +195,7 @@ is the lowest count of its kind.
 
 def table(drives: Mapping[int, ObjectDictionary]) -> list[tuple[str, ...]]:
     """All rows as text, in the order of `HEAD`; `drives` are the drives' dictionaries by node."""
-    found = []
+    found: list[tuple[str, ...]] = []
     units = ((PLC_UNIT, BITS, WORDS), *((DRIVE_UNITS[node], (), drive_words(one)) for node, one in drives.items()))
     for unit, bits, words in units:
         # the references of Modicon count from 1 and tell the table in front
