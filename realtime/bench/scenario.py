@@ -41,8 +41,8 @@ LOOP = (
 )
 BUS = (
     choice("interface", "auto", (), "auto, hub, or python-can's interface:channel"),
-    integer("bitrate", 500_000, 10_000, 1_000_000, "INTERFACES section 5"),
-    number("sync_period_s", 0.01, 0.0005, 1.0, "INTERFACES section 5"),
+    integer("bitrate", 500_000, 10_000, 1_000_000, "assumption: a usual rate of vehicle buses"),
+    number("sync_period_s", 0.01, 0.0005, 1.0, "assumption: period of a WSP unit"),
     number("heartbeat_s", 0.1, 0.01, 10.0, "producer time of the rig's nodes"),
     choice("host", "127.0.0.1", (), "address of the hub: loopback unless named otherwise"),
     integer("socketcand_port", 29536, 0, 65535, "0 takes a free one"),

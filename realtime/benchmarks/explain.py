@@ -155,7 +155,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 
 
 def rows(found: list[Judged]) -> list[Result]:
-    """The measures of DISCOVERY section 4."""
+    """What is counted, and the share that is wanted."""
     kinds: dict[str, list[Judged]] = {kind: [f for f in found if f.case.kind == kind]
                                       for kind in ("none", "one", "two", "unknown")}
     seen = [f for f in kinds["one"] if f.verdict != "consistent"]
