@@ -9,7 +9,7 @@ import contextlib
 import hashlib
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,9 +79,17 @@ def written(name: str, lines: Sequence[str], file: str, module: str, names: Mapp
     return kernel(space[name])
 
 
-def seeing(structure: Any, places: Sequence[slice | None]) -> Any:
+def constructor(structure: Any, arguments: str, fields: Iterable[str], counted: bool = False, **names: Any) -> Any:
+    """A kernel that makes a named tuple: of its arguments, an expression for each field.
+
+    `counted`: with references to arrays counted, which numba wants for arrays at an address.
+    """
+    space: dict[str, Any] = {"structure": structure, **names}
+    exec(f"def made({arguments}):\n    return structure({', '.join(fields)})", space)
+    return _njit(nogil=True, _nrt=counted, forceinline=True)(space["made"])
+
+
+def seeing(structure: Any, places: Iterable[slice | None]) -> Any:
     """A kernel that views a flat buffer as a named tuple, `views` for compiled code; None stays None."""
-    fields = ", ".join("None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places)
-    space: dict[str, Any] = {"structure": structure}
-    exec(f"def see(buffer):\n    return structure({fields})", space)
-    return _njit(nogil=True, _nrt=False, forceinline=True)(space["see"])
+    return constructor(structure, "buffer", ("None" if place is None else f"buffer[{place.start}:{place.stop}]"
+                                             for place in places))

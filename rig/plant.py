@@ -5,9 +5,12 @@ stay constant; `observe` writes what can be seen. Energy: what vehicle, wheelset
 is what contacts, brakes and resistance take, less what the motors give.
 """
 
+import math
+
 import numpy as np
 
 from rollerrig.rig import brake, heat, motor, vehicle, wheelset
+from rollerrig.rig.contact import adhesion
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.mechanisms import plant
 from rollerrig.rig.multibody import memory, on_rig
@@ -49,7 +52,7 @@ def start(state, params, initial_speed_m_s):
 def begin(state, params, coach):
     """Set the multibody coach rolling, where the vehicle is one."""
     if coach is not None:
-        on_rig.start(state, params, coach)
+        on_rig.start(state, coach)
 
 
 @kernel_inlined
@@ -143,7 +146,7 @@ def rest(state, params, coach):
     """Let a standing vehicle swing out."""
     vehicle.rest(state, params.vehicle, params.step_s)
     if coach is not None:
-        on_rig.rest(state, params, coach)
+        on_rig.rest(state, coach)
 
 
 @kernel_inlined
@@ -151,8 +154,8 @@ def observe(state, params):
     """Write what can be seen of the present state: contact, torques, loads, sensors, locks."""
     for j in range(AXLES):
         r = params.wheels.table[vehicle.RADIUS_M + j]
-        planar_N = vehicle.swung(vehicle.load(j, state.felt_acceleration[0], params.vehicle), j,
-                                 state.wheel_angle[j], params.wheels)
+        planar_N = vehicle.swinging_load(vehicle.load(j, state.felt_acceleration[0], params.vehicle), j,
+                                         state.wheel_angle[j], params.wheels)
         load_N = on_rig.load(j, planar_N, state, params.coach)
         surface = state.vehicle_speed[0]
         if params.mode != 0:
@@ -160,11 +163,10 @@ def observe(state, params):
         sliding = surface - r * state.wheel_speed[j]
         f, f_d, f_r, transition, energy, _ = wheelset.adhesion_under(
             on_rig.slip(j, sliding, state, params.coach), surface, load_N,
-            state.friction_degraded[j], state.friction_recovered[j], params.patch, params.law,
-            params.cleaning_creepage)
+            state.friction_degraded[j], state.friction_recovered[j], params.patch, params.law)
         if params.effects.memory_m > 0.0:
             instantaneous, transition = f, state.lagged_transition[j]
-            f = wheelset.recovered(f, f_d, f_r, transition)
+            f = math.copysign(adhesion.between(f_d, f_r, transition), f)
             energy *= f / instantaneous if instantaneous != 0.0 else 0.0
         f = on_rig.adhesion(j, f, load_N, state, params.coach)
         state.sliding[j] = sliding

@@ -87,7 +87,7 @@ for _name in State._fields[:-1]:
     SLOTS[_name] = slice(_at, _at + _width)
     _at += _width
 SIZE = _at
-state_type.tell(State, SLOTS | {"coach": slice(SIZE, SIZE + memory.SIZE)})
+state_type.register(State, SLOTS | {"coach": slice(SIZE, SIZE + memory.SIZE)})
 
 
 def views(buffer: np.ndarray) -> State:

@@ -2,7 +2,7 @@
 
 A named tuple of forty arrays would be handed from kernel to kernel as three hundred values, and that
 costs more to compile than the physics does. In Python the state stays the named tuple that it is;
-only its type is told to numba here, and reading a field gives the same view.
+only its type is registered with numba here, and reading a field gives the same view.
 
 Source: numba's documentation, "Extending Numba", low-level interface.
 """
@@ -34,7 +34,7 @@ class _Model(models.StructModel):
         super().__init__(manager, kind, [("first", types.CPointer(types.float64))])
 
 
-def tell(named_tuple: type, places: Mapping[str, slice]) -> None:
+def register(named_tuple: type, places: Mapping[str, slice]) -> None:
     """Let numba take a named tuple of float64 views, or None, as the address of their buffer.
 
     The first field must stand at the buffer's beginning. Once, before any kernel is given one.

@@ -38,7 +38,7 @@ def load(axle, felt_acceleration_m_s2, vehicle):
 
 
 @kernel
-def swung(load_N, axle, angle_rad, wheels):
+def swinging_load(load_N, axle, angle_rad, wheels):
     """Load in N of a wheelset whose wheels have turned by an angle, round or not [V4]."""
     if not wheels.swings:
         return load_N

@@ -63,8 +63,7 @@ def _wheelset(slidings, params):
     total = 0.0
     law = params.law
     for s in slidings:
-        total += wheelset.adhesion_under(s, _SPEED_m_s, _LOAD_N, law.mu_cd, law.mu_cr, params.patch, law,
-                                params.cleaning_creepage)[0]
+        total += wheelset.adhesion_under(s, _SPEED_m_s, _LOAD_N, law.mu_cd, law.mu_cr, params.patch, law)[0]
     return total
 
 

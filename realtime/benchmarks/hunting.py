@@ -32,7 +32,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     for rail in RAILS:
         settings = ("rig=plain_track", f"adhesion={rail}", *given.set)
         sections = params.check(scenario.load("velim_a1", settings=settings).resolved, "velim_a1")
-        law = Law(**{name: sections["adhesion"][name] for name in Law._fields})
+        law = Law(**sections["adhesion"])
         one = coach.build(sections, math.inf, MODELS[sections["contact"]["model"]],
                           sections["contact"]["fastsim_cells"])
         sweeps[rail] = []
@@ -50,7 +50,7 @@ def _critical(one: coach.Coach, law: Law, growths: list[float]) -> float | None:
     unstable = [speed for speed, growth in zip(SPEEDS_M_S, growths, strict=True) if growth > 0.0]
     if not unstable:
         return None
-    return stability.critical_speed(one, law, np.array([max(unstable[0] - 10.0, 1.0), unstable[0]]), None,
+    return stability.critical_speed(one, law, np.array([max(unstable[0] - 10.0, 1.0), unstable[0]]),
                                     _TOLERANCE_M_S)
 
 

@@ -5,6 +5,7 @@ work done the contact follows a degraded creep curve f_d, fully cleaned a recove
 are Polach's, with their own friction. The specific work W_sp done on each metre of rail moves the
 contact from one to the other; and since the work depends on the adhesion itself, f is the root of
 an equation, which Lambert's function W0 gives in closed form: a bounded cost at every step.
+The plant, the coach in 3D, stops abreast and the replay of measured runs all take the law from here.
 
 [A1] f = (1 - lambda) f_d + lambda f_r                                      paper eq. 9
 [A2] lambda = 1 - exp(-tau W_sp)                                            paper eq. 10
@@ -12,50 +13,35 @@ an equation, which Lambert's function W0 gives in closed form: a bounded cost at
 [A4] f_d, f_r: `polach` with (mu_cd, A_d, gamma_d), (mu_cr, A_r, gamma_r)   paper eqs. 11 to 13
 [A5] with D = f_r - f_d and k = tau N |e|:  f = f_r - D exp(-k f), paper eq. 15, solved by
      f = f_r + W0(-k D exp(-k f_r)) / k
+[A6] tau |e| -> tau min(|e|, e_c): the paper tuned its law on sliding wheels; for locked ones it
+     would give the whole recovered adhesion at once (0.26 on soap at 40 m/s), which no rail
+     does. e_c is a parameter, infinite by default; where a scenario sets it, it is an assumption
+[A7] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), where an extended model gives recovery a
+     memory L; lambda_0 is the transition of [A2]: of the work that [A5] has done, or of the one done
+     by the f that lambda gives: assumption
 
 Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937; mu_cs of its section 4 is read as mu_cr.
-Limits: longitudinal creepage only; no memory along the rail; below SPEED_FLOOR_M_S of vehicle speed
-creepage is sliding over that floor. Doubt: a locked wheel (e = 1) recovers; the model says so.
+Limits: longitudinal creepage only; below SPEED_FLOOR_M_S of vehicle speed creepage is sliding over
+that floor. Doubt: without [A6] a locked wheel (e = 1) recovers; the model says so.
 """
 
 import math
 from typing import NamedTuple
 
-from rollerrig.rig.contact import hertz, kalker, polach, polach_spin
+from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
+from rollerrig.rig.contact import polach
 from rollerrig.rig.kernel import kernel, kernel_inlined
 
 SPEED_FLOOR_M_S = 0.1
+NO_MEMORY = -1.0
 LARGEST = 1e30  # sliding, load and k beyond it count as it, so that infinity makes no NaN
 SMALLEST = 1e-290  # energy exponents k f below it count as 0, before they lose digits
 INVERSE_E, INVERSE_E_REST = 0.36787944117144233, -1.2428753672788363e-17  # 1/e in two doubles
 FEW_DIGITS = 0.02  # energy exponents k f below it have lost digits in a difference, above it none of 12
 
 
-class Patch(NamedTuple):
-    """A contact patch of a given wheel, roller and material, for any load N.
-
-    Semi-axes a = a1 N^(1/3) along and b = b1 N^(1/3) across the rolling direction, a1 and b1 in
-    m N^(-1/3); c11 to c33 are Kalker's, constant as a/b is; mu eps / |e| = eps1 N^(-1/3) [P2].
-    `model` and `cells` choose the tangential model (`creep_force.MODELS`) and FASTSIM's grid; `slim`
-    is `polach_spin.slimness`.
-    """
-
-    a1: float
-    b1: float
-    c11: float
-    shear_Pa: float
-    k_h_N_m32: float
-    eps1: float
-    c22: float
-    c23: float
-    c33: float
-    model: int
-    cells: int
-    slim: float
-
-
 class Law(NamedTuple):
-    """Parameters of the adhesion law (paper Table 4): degraded _d, recovered _r, recovery tau."""
+    """Parameters of the adhesion law (paper Table 4): degraded _d, recovered _r, recovery tau, e_c [A6]."""
 
     mu_cd: float
     mu_cr: float
@@ -68,47 +54,74 @@ class Law(NamedTuple):
     k_ar: float
     k_sr: float
     tau_m_J: float
+    cleaning_creepage: float = math.inf
 
 
-def patch_for(
-    wheel_radius_m: float,
-    roller_radius_m: float,
-    lateral_radius_m: float,
-    young_Pa: float,
-    shear_Pa: float,
-    poisson: float,
-    model: int = 0,
-    cells: int = 10,
-) -> Patch:
-    """The constants of a contact patch; roller_radius_m = inf is a rail.
+@kernel_inlined
+def creepage_of(sliding_m_s, speed_m_s):
+    """Magnitude of creepage, sliding over speed."""
+    return abs(sliding_m_s) / max(abs(speed_m_s), SPEED_FLOOR_M_S)
 
-    Raises ValueError for a radius or modulus that is not positive, or Poisson's ratio outside
-    0 .. 0.5.
+
+@kernel_inlined
+def under(mu_cd, mu_cr, creepage, law):
+    """The law for the contaminant under a wheel, with the tau that acts at a creepage [A6]."""
+    tau = law.tau_m_J
+    if creepage > law.cleaning_creepage:
+        tau *= law.cleaning_creepage / creepage
+    return Law(mu_cd, mu_cr, law.A_d, law.A_r, law.gamma_d_s_m, law.gamma_r_s_m, law.k_ad, law.k_sd,
+               law.k_ar, law.k_sr, tau, law.cleaning_creepage)
+
+
+@kernel_inlined
+def curves(sliding_m_s, speed_m_s, load_N, eps1, law):
+    """What a contact can give at |sliding|: (f_d, f_r, slope_d_s_m, slope_r_s_m, k, slope_k_s_m).
+
+    For one wheel with 0 < load_N and sliding, `law` from `under`, eps1 of a `patch.Patch`; slopes are
+    derivatives to sliding at constant speed and load, k is that of [A5].
     """
-    given = {
-        "wheel_radius_m": wheel_radius_m, "roller_radius_m": roller_radius_m,
-        "lateral_radius_m": lateral_radius_m, "young_Pa": young_Pa, "shear_Pa": shear_Pa,
-    }
-    for name, value in given.items():
-        endless = math.isinf(value) and name != "roller_radius_m"
-        if not value > 0.0 or endless:
-            raise ValueError(
-                f"contact patch: {name} = {value!r}; must be positive and finite (only "
-                "roller_radius_m may be inf, a rail); correct the contact parameters"
-            )
-    if not 0.0 <= poisson <= 0.5:
-        raise ValueError(
-            f"contact patch: poisson = {poisson!r}; must be 0 .. 0.5 (steel 0.3); "
-            "correct the contact parameters"
-        )
-    A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)
-    a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
-    c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
-    return Patch(
-        a1, b1, c11, shear_Pa, hertz.stiffness(A, B, young_Pa, poisson),
-        polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0), c22, c23, c33, model, cells,
-        polach_spin.slimness(a1 / b1),
-    )
+    speed = max(abs(speed_m_s), SPEED_FLOOR_M_S)
+    sliding = abs(sliding_m_s)
+    creepage = sliding / speed
+    eps_unit = eps1 * math.exp(math.log(load_N) / -3.0)
+    f_d, ds_d, de_d = polach.curve(  # [A4]
+        sliding, creepage, eps_unit, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
+    f_r, ds_r, de_r = polach.curve(
+        sliding, creepage, eps_unit, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
+    work = law.tau_m_J * load_N
+    return f_d, f_r, ds_d + de_d / speed, ds_r + de_r / speed, work * creepage, work / speed
+
+
+@kernel_inlined
+def between(degraded, recovered, lambda_):
+    """What lies between its degraded and its recovered value, by lambda [A1]."""
+    return (1.0 - lambda_) * degraded + lambda_ * recovered
+
+
+@kernel_inlined
+def transition(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work):
+    """(f, lambda_0, df/ds, dlambda_0/ds) of [A5], from what `curves` gives; of the work done at once.
+
+    Where recovery lags (`lagging` lambda, else NO_MEMORY) and of_work > 0, of the work that f does
+    at this lambda [A7].
+    """
+    if lagging >= 0.0 and of_work > 0.0:
+        f, rise = between(f_d, f_r, lagging), between(slope_d, slope_r, lagging)
+        lambda_ = -math.expm1(-k * f)  # [A2]
+        kept = 1.0 - lambda_
+    else:
+        f, lambda_ = recovery(f_d, f_r, k)
+        # [A1] and [A2], differentiated together
+        kept = 1.0 - lambda_
+        freed = (f_r - f_d) * kept
+        rise = (between(slope_d, slope_r, lambda_) + freed * f * slope_k) / max(1.0 - freed * k, 1e-9)
+    return f, lambda_, rise, kept * (slope_k * f + k * rise)
+
+
+@kernel_inlined
+def lag_rate_1_s(speed_m_s, length_m, power):
+    """How fast lambda follows lambda_0 [A7], in 1/s; finite at standstill for a power up to 1."""
+    return MIDDLE_SPEED_M_S / length_m * math.pow(max(speed_m_s, 0.0) / MIDDLE_SPEED_M_S, 1.0 - power)
 
 
 @kernel
@@ -149,12 +162,6 @@ def _refined(w, log_x_over_w):
     z = log_x_over_w - w
     q = 2.0 * (1.0 + w) * (1.0 + w + 2.0 / 3.0 * z)
     return w + w * z * (q - z) / ((1.0 + w) * (q - 2.0 * z))
-
-
-@kernel
-def recover(f_d, f_r, k):
-    """The adhesion coefficient between f_d >= 0 and f_r >= 0 for k = tau N |e| >= 0 [A5]."""
-    return recovery(f_d, f_r, k)[0]
 
 
 @kernel_inlined
@@ -198,35 +205,15 @@ def recovery(f_d, f_r, k):
 def degraded(sliding_m_s, speed_m_s, load_N, patch, law):
     """Degraded adhesion of one wheel: (f, f_d, f_r, lambda_, W_sp_J_m, slope_s_m).
 
-    sliding_m_s of either sign, speed_m_s of the vehicle, load_N on one wheel, a `Patch`, a `Law`.
+    sliding_m_s of either sign, speed_m_s of the vehicle, load_N on one wheel, a `patch.Patch`, a `Law`.
     f is signed like the sliding (the contact force is f load_N), all else are magnitudes.
     slope_s_m is df/dsliding at constant speed and load, negative where adhesion falls. Without
     load all is 0.
     """
     if load_N <= 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    load = min(load_N, LARGEST)
-    sliding = min(abs(sliding_m_s), LARGEST)
-    speed = max(abs(speed_m_s), SPEED_FLOOR_M_S)
-    creepage = sliding / speed
-    eps_unit = patch.eps1 * math.exp(math.log(load) / -3.0)
-    f_d, ds_d, de_d = polach.curve(  # [A4]
-        sliding, creepage, eps_unit, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
-    f_r, ds_r, de_r = polach.curve(
-        sliding, creepage, eps_unit, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
-    k = law.tau_m_J * load * creepage
-    f, lambda_ = recovery(f_d, f_r, k)
-    # [A1] and [A2], differentiated together
-    kept = 1.0 - lambda_
-    freed = (f_r - f_d) * kept
-    rise = (
-        kept * ds_d + lambda_ * ds_r
-        + (kept * de_d + lambda_ * de_r + freed * f * law.tau_m_J * load) / speed
-    ) / max(1.0 - freed * k, 1e-9)
-    return math.copysign(f, sliding_m_s), f_d, f_r, lambda_, f * load * creepage, rise
-
-
-@kernel
-def slope(sliding_m_s, speed_m_s, load_N, patch, law):
-    """df/dsliding in s/m, never negative: a damping that an implicit step may rely on."""
-    return max(degraded(sliding_m_s, speed_m_s, load_N, patch, law)[5], 0.0)
+    load, sliding = min(load_N, LARGEST), min(abs(sliding_m_s), LARGEST)
+    f_d, f_r, slope_d, slope_r, k, slope_k = curves(sliding, speed_m_s, load, patch.eps1, law)
+    f, lambda_, rise, _ = transition(f_d, f_r, slope_d, slope_r, k, slope_k, NO_MEMORY, 0.0)
+    return (math.copysign(f, sliding_m_s), f_d, f_r, lambda_, f * load * creepage_of(sliding, speed_m_s),
+            rise)

@@ -34,7 +34,7 @@ OPPOSITE = -0.999999  # cosine of traction against its goal, from where the turn
 def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
     """Creep force and moment on the wheel, (fx_N, fy_N, mz_Nm), against creepage and spin.
 
-    `patch` an `adhesion.Patch`, phi_1_m the spin in 1/m, `across` strips of `along` cells each.
+    `patch` a `patch.Patch`, phi_1_m the spin in 1/m, `across` strips of `along` cells each.
     Without load or friction all three are 0.
     """
     limit = mu * load_N

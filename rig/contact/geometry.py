@@ -161,8 +161,8 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
 
 
 @kernel_inlined
-def misfits(F, row, first, step, pose, axle, roller_m, wheel, rail):
-    """F of [G4] or [G6] at the coarse nodes first, first + step .. of the wheel, into F[row].
+def misfits(F, row, pose, axle, roller_m, wheel, rail):
+    """F of [G4] or [G6] at the coarse nodes of the wheel, into F[row].
 
     Roots lie where it turns from negative to positive. On a rail to second order in the yaw angle.
     """
@@ -170,7 +170,7 @@ def misfits(F, row, first, step, pose, axle, roller_m, wheel, rail):
     coarse, nodes = wheel.coarse, rail.nodes
     count = coarse.shape[0]
     if not math.isinf(roller_m):
-        misfits_on_roller(F, row, first, step, pose, axle, roller_m, wheel, rail)
+        misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail)
         return
     s2 = 1.0 - ex * ex
     s = math.sqrt(s2)
@@ -178,7 +178,7 @@ def misfits(F, row, first, step, pose, axle, roller_m, wheel, rail):
     across, up = ey / s2, ez / s2
     last = nodes.shape[0] - 2
     middle = 0.5 * (last + 1)
-    for i in range(first, count, step):
+    for i in range(count):
         slope, scale = coarse[i, AT_SLOPE], coarse[i, AT_COSINE]
         alpha = slope * lean
         beta = 1.0 - 0.5 * alpha * alpha
@@ -194,7 +194,7 @@ def misfits(F, row, first, step, pose, axle, roller_m, wheel, rail):
 
 
 @kernel_inlined
-def misfits_on_roller(F, row, first, step, pose, axle, roller_m, wheel, rail):
+def misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail):
     """`misfits` on a roller: [G6] with n = (c q_x / h, n_y, c q_z / h), for q from the roller's axis.
 
     n . e is the sine of the wheel's slope, which gives n_y and c; h and 1 - e_y^2 to second order.
@@ -207,7 +207,7 @@ def misfits_on_roller(F, row, first, step, pose, axle, roller_m, wheel, rail):
     along, sideways = (px * ex + pz * ez) * unit, ex * ex + ez * ez
     last = nodes.shape[0] - 2
     middle = 0.5 * (last + 1)
-    for i in range(first, coarse.shape[0], step):
+    for i in range(coarse.shape[0]):
         q = coarse[i, AT_NORMAL_M]
         part = q * unit
         grown = part * (along + 0.5 * part * sideways)
@@ -230,33 +230,6 @@ def misfits_on_roller(F, row, first, step, pose, axle, roller_m, wheel, rail):
 
 
 @kernel
-def added(found, to, end, u, pose, axle, roller_m, wheel, rail):
-    """Refine the root in the last interval before u into row `to`; returns the next free row."""
-    width = STRIDE * wheel.spacing_m
-    if to < end and refined(u - 0.5 * width, u - width, u, pose, axle, roller_m, wheel, rail, found,
-                            to) and found[to, GAP] < KEEP_M:
-        return to + 1
-    return to
-
-
-@kernel
-def detect(found, begin, F, row, pose, axle, roller_m, wheel, rail):
-    """All contacts and near contacts of one wheel, from nothing; returns their number.
-
-    Writes rows begin .. begin + MOST - 1 of `found` (.., COLUMNS) and row `row` of F (.., coarse
-    nodes); pose (x, y, z) in m of the wheelset's centre in the frame of one side; axle from `axis`;
-    roller_m inf for a rail.
-    """
-    misfits(F, row, 0, 1, pose, axle, roller_m, wheel, rail)
-    to = begin
-    for i in range(1, wheel.coarse.shape[0]):
-        if F[row, i - 1] < 0.0 <= F[row, i]:
-            to = added(found, to, begin + MOST, wheel.coarse[i, AT_M] - wheel.centre_m, pose, axle,
-                       roller_m, wheel, rail)
-    return to - begin
-
-
-@kernel
 def track(found, begin, count, pose, axle, roller_m, wheel, rail):
     """Refine the contacts known from the step before; returns how many are left.
 
@@ -276,12 +249,14 @@ def track(found, begin, count, pose, axle, roller_m, wheel, rail):
 
 
 @kernel
-def renew(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
-    """Search the whole wheel for contacts beside the `count` known ones; returns how many there are.
+def detect(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
+    """Search a whole wheel for contacts and near contacts beside `count` known ones; returns how many there are.
 
-    To be called when a wheel has moved a little or has lost a contact; arguments as in `detect`.
+    Writes rows begin .. begin + MOST - 1 of `found` (.., COLUMNS) and row `row` of F (.., coarse
+    nodes); pose (x, y, z) in m of the wheelset's centre in the frame of one side; axle from `axis`;
+    roller_m inf for a rail. To be called when a wheel has moved a little or has lost a contact.
     """
-    misfits(F, row, 0, 1, pose, axle, roller_m, wheel, rail)
+    misfits(F, row, pose, axle, roller_m, wheel, rail)
     width = STRIDE * wheel.spacing_m
     to = begin + count
     for i in range(1, wheel.coarse.shape[0]):
@@ -290,8 +265,11 @@ def renew(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
             known = False
             for c in range(begin, to):
                 known |= u - 2.0 * width <= found[c, S] <= u + width
-            if not known:
-                to = added(found, to, begin + MOST, u, pose, axle, roller_m, wheel, rail)
+            # the root lies in the interval before u
+            if (not known and to < begin + MOST
+                    and refined(u - 0.5 * width, u - width, u, pose, axle, roller_m, wheel, rail, found, to)
+                    and found[to, GAP] < KEEP_M):
+                to += 1
     return to - begin
 
 
@@ -307,7 +285,7 @@ def contacts(
     found = np.zeros((MOST, COLUMNS))
     axle = axis(pose[3], pose[5])
     F = np.zeros((1, wheel.coarse.shape[0]))
-    count = detect(found, 0, F, 0, (pose[0], pose[1], pose[2]), axle, float(roller_m), wheel, rail)
+    count = detect(found, 0, 0, F, 0, (pose[0], pose[1], pose[2]), axle, float(roller_m), wheel, rail)
     if count == 0:
         raise ValueError(
             f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, "

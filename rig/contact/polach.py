@@ -56,18 +56,6 @@ def shape(eps, k_a, k_s):
 
 
 @kernel
-def adhesion(eps, mu, k_a, k_s):
-    """Creep force over load [P3], odd in eps; never above mu while k_s <= k_a."""
-    return mu * shape(eps, k_a, k_s)[0]
-
-
-@kernel
-def adhesion_slope(eps, mu, k_a, k_s):
-    """Derivative of `adhesion` to eps at constant mu, even in eps."""
-    return mu * shape(eps, k_a, k_s)[1]
-
-
-@kernel
 def curve(sliding_m_s, creepage, eps_unit, mu_c, A, gamma_s_m, k_a, k_s):
     """Adhesion coefficient with falling friction [P1] [P3], and its slopes: (f, df_ds_s_m, df_de).
 

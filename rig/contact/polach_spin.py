@@ -11,7 +11,7 @@ adds a lateral force of its own, exact at small spin and gone at full sliding.
 [S4] F_s = 9/16 a mu N |K| (1 + 6.3 (1 - exp(-a/b))) |phi| / e_c
 [S5] K = |q| (d^3/3 - d^2/2 + 1/6) - (1 - d^2)^1.5 / 3,  d = (q^2 - 1) / (q^2 + 1)
 [S6] q = 8/3 G b sqrt(a b) c23 / (mu N) eta_c / (1 + 6.3 (1 - exp(-a/b)))
-[S7] M_z by `creep_moment`
+[S7] M_z by `johnson_vermeulen.moment`
 
 What holds for any friction limit is computed once (`approach`): degraded adhesion has two limits.
 Source: Polach, Vehicle System Dynamics Suppl. 33 (1999) 728-739; paper eqs. 14 and 18. Doubt: [S7]
@@ -22,7 +22,7 @@ exceed mu N a little; with spin the error against CONTACT is 0.10 mu N in the me
 
 import math
 
-from rollerrig.rig.contact import creep_moment, polach
+from rollerrig.rig.contact import johnson_vermeulen, polach
 from rollerrig.rig.contact.johnson_vermeulen import TURN
 from rollerrig.rig.kernel import kernel, kernel_inlined
 
@@ -39,7 +39,7 @@ def slimness(a_over_b):
 def force(xi, eta, phi_1_m, mu, load_N, patch, k_a, k_s):
     """Creep force and moment on the wheel (fx_N, fy_N, mz_Nm), against creepage and spin.
 
-    `patch` an `adhesion.Patch`, phi_1_m the spin in 1/m. Without load or friction all three are 0.
+    `patch` a `patch.Patch`, phi_1_m the spin in 1/m. Without load or friction all three are 0.
     """
     limit = mu * load_N
     if not limit > 0.0 or (xi == 0.0 and eta == 0.0 and phi_1_m == 0.0):
@@ -47,7 +47,7 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, k_a, k_s):
     growth = load_N ** (1.0 / 3.0)
     a, b = patch.a1 * growth, patch.b1 * growth
     fx, fy = within(approach(xi, eta, phi_1_m, a, b, patch), xi, eta, limit, k_a, k_s)
-    return fx, fy, creep_moment.moment(xi, eta, phi_1_m, limit, a, b, patch)  # [S7]
+    return fx, fy, johnson_vermeulen.moment(xi, eta, phi_1_m, limit, a, b, patch)  # [S7]
 
 
 @kernel_inlined

@@ -2,13 +2,13 @@
 
 A profile comes as points or as a formula, is freed of measuring noise and turned into tables that a
 kernel reads in a few nanoseconds: a wheel's radius over its lateral coordinate, a rail's point over
-the sine of its slope (arcs are exactly linear there). What smoothing and convexity changed is told
-in `Told`, never hidden.
+the sine of its slope (arcs are exactly linear there). What smoothing and convexity changed is given
+as `Changes`, never hidden.
 
 [Q1] wheel: slope linear between nodes, radius its integral
 [Q2] rail: y = y_i - R (sin b - sin b_i), z = z_i + R (cos b - cos b_i), exact on an arc of radius R
 [Q3] point curvature, for Hertz: the change of slope over +-`smoothing_m`, for the patch is as wide
-[Q4] a rail head is taken as convex: slopes that rise are pooled (isotonic regression), and told
+[Q4] a rail head is taken as convex: slopes that rise are pooled (isotonic regression), and this is said
 
 Coordinates of one side, the other is its mirror image: y outwards (to the field), z up; a wheel's s
 is 0 on the nominal running circle and negative towards the flange. Lengths in m.
@@ -75,7 +75,7 @@ class Rail(NamedTuple):
     nodes: np.ndarray
 
 
-class Told(NamedTuple):
+class Changes(NamedTuple):
     """What preparing a profile changed: largest shift in m by smoothing and by convexity [Q4]."""
 
     smoothing_m: float
@@ -127,7 +127,7 @@ def wheel(
     centre_m: float = 0.75,
     smoothing_m: float = 0.0,
     patch_m: float = 0.003,
-) -> tuple[Wheel, Told]:
+) -> tuple[Wheel, Changes]:
     """Tables of a wheel from points (s_m, z_m) with s rising; z is over the nominal radius.
 
     `smoothing_m` is the width of a moving mean over the slope, `patch_m` the half width over which
@@ -141,12 +141,12 @@ def wheel(
     steps = 0.5 * SPACING_M * (slope[1:] + slope[:-1])  # [Q1]
     height = np.concatenate(([0.0], np.cumsum(steps)))
     height += np.interp(0.0, nodes, z - height)
-    curvature = -_spread(slope, patch_m / SPACING_M) / SPACING_M / (1.0 + slope**2) ** 1.5
-    told = Told(smoothing_m, float(np.abs(height - z).max()), 0.0)
+    curvature = -_mean_change(slope, patch_m / SPACING_M) / SPACING_M / (1.0 + slope**2) ** 1.5
+    changes = Changes(smoothing_m, float(np.abs(height - z).max()), 0.0)
     fine = np.column_stack((nominal_radius_m + height, slope, curvature))
     at, radius, slope = centre_m + nodes[::STRIDE], fine[::STRIDE, RADIUS_M], slope[::STRIDE]
     coarse = np.column_stack((at, radius, slope, 1.0 / np.sqrt(1.0 + slope**2), at + radius * slope))
-    return Wheel(float(first), SPACING_M, centre_m, fine, coarse), told
+    return Wheel(float(first), SPACING_M, centre_m, fine, coarse), changes
 
 
 def rail(
@@ -156,7 +156,7 @@ def rail(
     gauge_m: float = 1.435,
     smoothing_m: float = 0.0,
     patch_m: float = 0.003,
-) -> tuple[Rail, Told]:
+) -> tuple[Rail, Changes]:
     """Tables of a rail from points of the upright head, y_m rising from gauge to field side, z up.
 
     The head is inclined by `laying` towards the track's middle and laid so that its gauge face, 14
@@ -180,12 +180,12 @@ def rail(
     smoothed = np.hypot(y_smooth - y_smooth[top] + y[top] - y_given,
                         z_smooth - z_smooth[top] + z[top] - z_given)
     moved = np.hypot(y - y_given, z - z_given)
-    told = Told(smoothing_m, float(smoothed[touched].max()),
+    changes = Changes(smoothing_m, float(smoothed[touched].max()),
                 float(np.abs(moved - smoothed)[touched].max()))
     z = z - z.max()
     gauge_side = slice(None, top + 1)
     face = np.interp(-0.014, z[gauge_side], y[gauge_side])
-    return _rail_table(y + 0.5 * gauge_m - face, z, convex, patch_m, step), told
+    return _rail_table(y + 0.5 * gauge_m - face, z, convex, patch_m, step), changes
 
 
 def _walk(angle: np.ndarray, step_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -208,7 +208,7 @@ def _rail_table(
     radius = -np.diff(y_nodes) / np.diff(sines)
     z_nodes = np.concatenate(([0.0], np.cumsum(radius * np.diff(cosine))))  # [Q2]
     z_nodes -= np.interp(0.0, sines, z_nodes)
-    curvature = -_spread(angle, patch_m / step_m) / step_m
+    curvature = -_mean_change(angle, patch_m / step_m) / step_m
     return Rail((SINES - 1) / (2.0 * STEEPEST),
                 np.column_stack((y_nodes, z_nodes, cosine, np.interp(place, at, curvature))))
 
@@ -224,7 +224,7 @@ def _mean(values: np.ndarray, width: float) -> np.ndarray:
     return (total[at + reach + 1] - total[at - reach]) / (2 * reach + 1)
 
 
-def _spread(values: np.ndarray, half_width: float) -> np.ndarray:
+def _mean_change(values: np.ndarray, half_width: float) -> np.ndarray:
     """Mean change from node to node over +-half_width nodes [Q3]."""
     half, at = max(int(half_width), 1), np.arange(values.size)
     low, high = np.maximum(at - half, 0), np.minimum(at + half, values.size - 1)

@@ -3,12 +3,12 @@
 A campaign wants many stops and no single one soon. The axles of four rigs then stand side by side
 in the lanes of one array, each quantity a row of sixteen, and the arithmetic of `brake`, `motor` and
 `wheelset` runs along the rows, which a compiler turns into vector instructions. The state of a rig is
-put into its lanes before a tick and taken out after it, so all else stays the plant's own code.
+scattered into its lanes before a tick and gathered after it, so all else stays the plant's own code.
 
-The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W5] and vehicle [V1] to
-[V3], written without branches. Limits: planar vehicle, one plant, degraded adhesion without memory,
-round wheels, torque as the discs give it (`fits` tells). Results agree with `plant.advance` to
-rounding, not to the last bit.
+The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W4], adhesion [A1] to
+[A6] and vehicle [V1] to [V3], written without branches. Limits: planar vehicle, one plant, degraded
+adhesion without memory, round wheels, torque as the discs give it (`fits` tells). Results agree with
+`plant.advance` to rounding, not to the last bit: a test holds every kernel to its twin in the plant.
 """
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
@@ -67,7 +67,7 @@ def load_constants(w, rig, params):
         w[A_D + at], w[A_R + at] = here.A_d, here.A_r
         w[GAMMA_D + at], w[GAMMA_R + at] = here.gamma_d_s_m, here.gamma_r_s_m
         w[K_AD + at], w[K_SD + at], w[K_AR + at], w[K_SR + at] = here.k_ad, here.k_sd, here.k_ar, here.k_sr
-        w[CLEANING + at] = params.cleaning_creepage
+        w[CLEANING + at] = here.cleaning_creepage
 
 
 @kernel_inlined

@@ -10,6 +10,7 @@ import math
 from rollerrig.rig import vehicle as body
 from rollerrig.rig import wheelset
 from rollerrig.rig.contact import adhesion
+from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.lanes import adhesion as law
 from rollerrig.rig.lanes import layout as a
@@ -17,7 +18,6 @@ from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.state import AXLES, FILL, VENT
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
-_SMALL_M_S = 1e-6
 
 
 @kernel
@@ -71,13 +71,13 @@ def contacts(w):
         sliding = surface - w[a.WHEEL_M + j] * w[a.WHEEL_END + j]
         load = max(0.0, w[a.STATIC_N + j] - w[a.FELT_END + j] * w[a.TRANSFER_KG + j])
         w[a.SLIDING + j], w[a.SURFACE + j], w[a.LOAD + j] = sliding, surface, load
-        at, half = max(abs(sliding), _SMALL_M_S), 0.5 * load
+        at, half = max(abs(sliding), wheelset.SMALL_M_S), 0.5 * load
         eps_mu = law.eps_mu(at, surface, half, w[a.EPS1 + j])
         f_d = law.curve(at, eps_mu, w[a.MU_CD + j], w[a.A_D + j], w[a.GAMMA_D + j], w[a.K_AD + j],
                         w[a.K_SD + j])
         f_r = law.curve(at, eps_mu, w[a.MU_CR + j], w[a.A_R + j], w[a.GAMMA_R + j], w[a.K_AR + j],
                         w[a.K_SR + j])
-        creepage = min(at / max(abs(surface), law.SPEED_FLOOR_M_S), w[a.CLEANING + j])  # [W5]
+        creepage = min(at / max(abs(surface), law.SPEED_FLOOR_M_S), w[a.CLEANING + j])  # [A6]
         f, inside = law.recovered(f_d, f_r, w[a.TAU + j] * half * creepage)
         w[a.SLOPE + j] = f * load / at
         u = half * (1.0 / law.LOAD_N)
@@ -97,11 +97,11 @@ def exact_slope(w, j):
     """The secant slope of lane j by `wheelset.force`, whatever the contact."""
     here = adhesion.Law(w[a.MU_CD + j], w[a.MU_CR + j], w[a.A_D + j], w[a.A_R + j], w[a.GAMMA_D + j],
                         w[a.GAMMA_R + j], w[a.K_AD + j], w[a.K_SD + j], w[a.K_AR + j], w[a.K_SR + j],
-                        w[a.TAU + j])
-    patch = adhesion.Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[a.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
-    at = max(abs(w[a.SLIDING + j]), _SMALL_M_S)
-    T, _ = wheelset.force(at, w[a.SURFACE + j], w[a.LOAD + j], w[a.MU_CD + j], w[a.MU_CR + j], patch,
-                          here, w[a.CLEANING + j])
+                        w[a.TAU + j], w[a.CLEANING + j])
+    patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[a.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
+    at = max(abs(w[a.SLIDING + j]), wheelset.SMALL_M_S)
+    T, _, _ = wheelset.force(at, w[a.SURFACE + j], w[a.LOAD + j], here.mu_cd, here.mu_cr, patch, here,
+                             adhesion.NO_MEMORY, 0.0)
     return T / at
 
 

@@ -24,11 +24,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.vehicle import GRAVITY_M_S2
+from rollerrig.rig.contact import patch as patch_table
 from rollerrig.rig.contact import profiles
+from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
-from rollerrig.rig.multibody import patches as patch_table
 from rollerrig.rig.multibody import treads
-from rollerrig.rig.multibody.patches import Patches
 
 BODIES, COORDINATES = 7, 42
 CAR, BOGIES, WHEELSETS = 0, (1, 2), (3, 4, 5, 6)
@@ -80,7 +80,7 @@ def build(
 ) -> Coach:
     """The coach of checked sections `vehicle`, `contact` and `multibody`.
 
-    roller_m is the rollers' radius, inf on a rail; `model` and `cells` as in `adhesion.Patch`.
+    roller_m is the rollers' radius, inf on a rail; `model` and `cells` as in `patch.Patch`.
     Raises ConfigError or ValueError for profiles that cannot be used.
     """
     v, m, c = sections["vehicle"], sections["multibody"], sections["contact"]

@@ -61,17 +61,3 @@ def curves(q, v, force, links):
         power += damper * rate
         pull(i, -f, force, links)
     return power
-
-
-@kernel_inlined
-def stored(q, links):
-    """Energy in J that springs and stops hold, preload included."""
-    energy = 0.0
-    row = links.row
-    for i in range(row.shape[0]):
-        d = elongation(i, q, links)
-        energy += 0.5 * row[i, STIFFNESS_N_M] * d * d - row[i, PRELOAD_N] * d
-        e = abs(d) - row[i, STOP_GAP_M]
-        if row[i, STOP_N_M] > 0.0 and e > 0.0:
-            energy += row[i, STOP_N_M] * e * e * (0.5 + e / (3.0 * STOP_BEND_M))
-    return energy

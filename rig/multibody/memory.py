@@ -15,11 +15,9 @@ WHEELS = 8
 NODES = round((profiles.FIELD_END_M - profiles.FLANGE_END_M)
               / (profiles.STRIDE * profiles.SPACING_M)) + 1
 
-
-# what a caller hands over and takes back: see `port`
-(ACTION, STEP_S, SPEED_M_S, RESISTANCE_N, ROLLER_INERTIA_KGM2, CLEANING_CREEPAGE, LAW) = range(7)
-ROLLER_RAD_S, MOTOR_NM, BRAKE_NM, BRAKE_ACTS_NM, MU_CD, MU_CR = range(18, 42, 4)
-PORTS = 42
+# what a caller hands over and takes back in each step: see `port`
+(ACTION, SPEED_M_S, RESISTANCE_N) = range(3)
+ROLLER_RAD_S, MOTOR_NM, BRAKE_NM, BRAKE_ACTS_NM, MU_CD, MU_CR, PORTS = range(3, 28, 4)
 
 
 class Motion(NamedTuple):

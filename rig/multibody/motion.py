@@ -13,8 +13,8 @@ system a wheelset; the brake is dry friction, solved exactly: it stops a wheel i
 [M5] brake C = min(C_max, what stops the wheel within the step); it turns the bogie frame
 [M6] work of sliding with the creep force and the speeds in the middle of the step, exactly
 
-Source: [M1] position Verlet with a W-method for the creep, Hairer and Wanner 1996, IV.7; PHYSICS of
-the paper's section 2. Below 0.1 m/s creepage is sliding over 0.1 m/s.
+Source: [M1] position Verlet with a W-method for the creep, Hairer and Wanner 1996, IV.7; the
+paper's section 2. Below 0.1 m/s creepage is sliding over 0.1 m/s.
 """
 
 import math
@@ -22,15 +22,7 @@ import math
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.multibody import links, treads
-from rollerrig.rig.multibody.treads import (
-    ACROSS,
-    ACROSS_GS,
-    ALONG,
-    ALONG_GS,
-    APPROACH_W,
-    BRAKING_N,
-    SLIDING_W,
-)
+from rollerrig.rig.multibody.treads import ACROSS, ACROSS_GS, ALONG, ALONG_GS, APPROACH_W, BRAKING_N, SLIDING_W
 
 LEAST_PLACE_M = 1e-3  # where a wheel that was off its rail from the beginning has left it
 
@@ -67,7 +59,7 @@ def mean_speed(v, coach):
 
 @kernel
 def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm, brake_acts_Nm,
-         resistance_N, mu_cd, mu_cr, law, cleaning_creepage):
+         resistance_N, mu_cd, mu_cr, law):
     """Advance by h seconds; arrays of shape (4,) belong to the wheelsets.
 
     `roller_rad_s` is advanced too (all 0 and untouched on a track); `brake_Nm` is what the brakes
@@ -93,8 +85,8 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
         # another wheelset is first each step, so that all get their searches
         j = (first + k) % AXLES
         offset = q[6 * (3 + j)] - place if on_rollers else 0.0
-        spare = touch(j, motion, coach, offset, speed if on_rollers else 0.0, roller_rad_s[j],
-                      mu_cd[j], mu_cr[j], law, cleaning_creepage, spare)
+        spare = contacts(j, motion, coach, offset, speed if on_rollers else 0.0, roller_rad_s[j],
+                         mu_cd[j], mu_cr[j], law, spare)
         brake = along(j, motion, coach.inertia, h, roller_rad_s, motor_Nm[j], roller_inertia_kgm2,
                       brake_Nm[j], on_rollers)
         across(j, motion, coach.inertia, h)
@@ -111,8 +103,7 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
 
 
 @kernel_inlined
-def touch(j, motion, coach, offset_m, base_m_s, roller_rad_s, mu_cd, mu_cr, law, cleaning_creepage,
-          spare):
+def contacts(j, motion, coach, offset_m, base_m_s, roller_rad_s, mu_cd, mu_cr, law, spare):
     """Contacts of wheelset j and what they give; arguments of `treads`. Returns what is left of `spare`."""
     for wheel in range(2 * j, 2 * j + 2):
         spare = treads.follow(wheel, motion.q, offset_m, motion.contacts, motion.near, motion.misfit,
@@ -122,8 +113,8 @@ def touch(j, motion, coach, offset_m, base_m_s, roller_rad_s, mu_cd, mu_cr, law,
             # nothing within reach of it any more: it will not come back
             motion.left[wheel] = max(motion.q[6 * (3 + j)], LEAST_PLACE_M)
     treads.press(j, motion.q, motion.v, base_m_s, roller_rad_s, motion.contacts, motion.near, mu_cd,
-                 mu_cr, law, cleaning_creepage, coach.patches, coach.contact_damping_N_s_m,
-                 coach.roller_m, motion.given, motion.Gx, motion.Gy, motion.seen)
+                 mu_cr, law, coach.patches, coach.contact_damping_N_s_m, coach.roller_m, motion.given,
+                 motion.Gx, motion.Gy, motion.seen)
     return spare
 
 

@@ -8,21 +8,6 @@ memory stands beside it in `state.coach`, its constants in `params.coach`.
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel_inlined
 from rollerrig.rig.multibody import memory, port
-from rollerrig.rig.multibody.memory import (
-    ACTION,
-    BRAKE_ACTS_NM,
-    BRAKE_NM,
-    CLEANING_CREEPAGE,
-    LAW,
-    MOTOR_NM,
-    MU_CD,
-    MU_CR,
-    RESISTANCE_N,
-    ROLLER_INERTIA_KGM2,
-    ROLLER_RAD_S,
-    SPEED_M_S,
-    STEP_S,
-)
 from rollerrig.rig.multibody.treads import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
 
 _V, _SEEN, _GIVEN = (memory.BEGIN[name] for name in ("v", "seen", "given"))
@@ -32,10 +17,10 @@ _TURNING = _V + 22  # pitch rate of the first wheelset; the others 6 apart
 
 
 @kernel_inlined
-def start(state, params, coach):
+def start(state, coach):
     """Set the coach rolling at the plant's vehicle speed, wheels without sliding on their contacts."""
     own = state.coach
-    own[ACTION], own[SPEED_M_S] = port.START, state.vehicle_speed[0]
+    own[memory.ACTION], own[memory.SPEED_M_S] = port.START, state.vehicle_speed[0]
     port.run(own, coach.tape, coach.layout)
     for j in range(AXLES):
         state.wheel_speed[j] = own[_TURNING + 6 * j]
@@ -51,25 +36,25 @@ def integrate(state, params, resistance_N, coach):
     v = state.vehicle_speed[0]
     for j in range(AXLES):
         # torques are given at both ends of the step; the coach wants their means
-        own[MOTOR_NM + j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
-        own[BRAKE_NM + j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
-        own[ROLLER_RAD_S + j] = state.roller_speed[j]
-    step(state, params, resistance_N, coach)
+        own[memory.MOTOR_NM + j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
+        own[memory.BRAKE_NM + j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
+        own[memory.ROLLER_RAD_S + j] = state.roller_speed[j]
+    step(state, resistance_N, coach)
     for j in range(AXLES):
-        turned_rad = 0.5 * h * (state.roller_speed[j] + own[ROLLER_RAD_S + j])
-        state.roller_speed[j] = own[ROLLER_RAD_S + j]
+        turned_rad = 0.5 * h * (state.roller_speed[j] + own[memory.ROLLER_RAD_S + j])
+        state.roller_speed[j] = own[memory.ROLLER_RAD_S + j]
         state.roller_angle[j] += turned_rad
-        state.motor_work[j] += own[MOTOR_NM + j] * turned_rad
+        state.motor_work[j] += own[memory.MOTOR_NM + j] * turned_rad
         before = state.wheel_speed[j]
         state.wheel_speed[j] = max(0.0, own[_TURNING + 6 * j])
         state.wheel_angle[j] += 0.5 * h * (before + state.wheel_speed[j])
         state.sliding_work[j], state.brake_work[j] = own[_SLIDING + j], own[_BRAKING + j]
         state.contact_force[j] = own[_GIVEN + GIVEN * j + BRAKING_N]
-        state.brake_mean[j] = own[BRAKE_ACTS_NM + j]
+        state.brake_mean[j] = own[memory.BRAKE_ACTS_NM + j]
         state.brake_capacity[j] = state.brake_torque[j]
         state.motor_before[j] = state.motor_torque[j]
     state.resistance_work[0] = own[_RESISTING]
-    state.vehicle_speed[0] = max(0.0, own[SPEED_M_S])
+    state.vehicle_speed[0] = max(0.0, own[memory.SPEED_M_S])
     state.vehicle_acceleration[0] = (state.vehicle_speed[0] - v) / h
     state.position[0] += 0.5 * h * (v + state.vehicle_speed[0])
     # rollers beside a virtual track take their loads from this, as from the planar vehicle
@@ -79,28 +64,22 @@ def integrate(state, params, resistance_N, coach):
 
 
 @kernel_inlined
-def rest(state, params, coach):
+def rest(state, coach):
     """Let a coach whose wheels stand swing out on its springs, brakes as they are."""
     for j in range(AXLES):
-        state.coach[MOTOR_NM + j] = 0.0
-        state.coach[BRAKE_NM + j] = state.brake_capacity[j]
-        state.coach[ROLLER_RAD_S + j] = 0.0
-    step(state, params, 0.0, coach)
+        state.coach[memory.MOTOR_NM + j] = 0.0
+        state.coach[memory.BRAKE_NM + j] = state.brake_capacity[j]
+        state.coach[memory.ROLLER_RAD_S + j] = 0.0
+    step(state, 0.0, coach)
 
 
 @kernel_inlined
-def step(state, params, resistance_N, coach):
+def step(state, resistance_N, coach):
     """Fill the other ports and let the coach step."""
-    own, law = state.coach, params.law
-    own[ACTION], own[STEP_S], own[RESISTANCE_N] = port.STEP, params.step_s, resistance_N
-    own[ROLLER_INERTIA_KGM2] = params.drive.roller_inertia_kgm2
-    own[CLEANING_CREEPAGE] = params.cleaning_creepage
-    own[LAW], own[LAW + 1], own[LAW + 2], own[LAW + 3] = law.mu_cd, law.mu_cr, law.A_d, law.A_r
-    own[LAW + 4], own[LAW + 5] = law.gamma_d_s_m, law.gamma_r_s_m
-    own[LAW + 6], own[LAW + 7], own[LAW + 8], own[LAW + 9] = law.k_ad, law.k_sd, law.k_ar, law.k_sr
-    own[LAW + 10] = law.tau_m_J
+    own = state.coach
+    own[memory.ACTION], own[memory.RESISTANCE_N] = port.STEP, resistance_N
     for j in range(AXLES):
-        own[MU_CD + j], own[MU_CR + j] = state.friction_degraded[j], state.friction_recovered[j]
+        own[memory.MU_CD + j], own[memory.MU_CR + j] = state.friction_degraded[j], state.friction_recovered[j]
     port.run(own, coach.tape, coach.layout)
 
 

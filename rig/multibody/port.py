@@ -14,31 +14,17 @@ from numba import carray, types
 from numba.extending import intrinsic
 
 from rollerrig.rig.contact.adhesion import Law
+from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
-from rollerrig.rig.kernel import kernel_inlined
+from rollerrig.rig.kernel import constructor, kernel_inlined
 from rollerrig.rig.multibody import memory, motion
 from rollerrig.rig.multibody.coach import Coach, Links
-from rollerrig.rig.multibody.memory import (
-    ACTION,
-    BRAKE_ACTS_NM,
-    BRAKE_NM,
-    CLEANING_CREEPAGE,
-    LAW,
-    MOTOR_NM,
-    MU_CD,
-    MU_CR,
-    PORTS,
-    RESISTANCE_N,
-    ROLLER_INERTIA_KGM2,
-    ROLLER_RAD_S,
-    SPEED_M_S,
-    STEP_S,
-    Motion,
-)
-from rollerrig.rig.multibody.patches import Patches
+from rollerrig.rig.multibody.memory import BRAKE_ACTS_NM, BRAKE_NM, MOTOR_NM, MU_CD, MU_CR, ROLLER_RAD_S, Motion
 
 STEP, START = 0, 1  # values of the port ACTION
-_SCALARS = 11
+# on the tape: scalars of the coach, step and roller inertia, the law, inertia and weight of 42 coordinates
+_LAW, _INERTIA = 12, 12 + len(Law._fields)
+_TABLES = _INERTIA + 84
 # how many of each the layout tells: springs, curves, nodes of the wheel, coarse ones, of the rail, of
 # the patches' table; then model, cells, four bogies, and the coordinates of springs and curves
 _COUNTS = 12
@@ -51,13 +37,13 @@ class Packed(NamedTuple):
     layout: np.ndarray
 
 
-def packed(coach: Coach) -> Packed:
-    """The constants of a coach for `run`."""
+def packed(coach: Coach, law: Law, step_s: float, roller_inertia_kgm2: float) -> Packed:
+    """The constants of a coach, the adhesion under it and its time step for `run`."""
     wheel, rail, patches = coach.wheel, coach.rail, coach.patches
     tables = (coach.springs.row, coach.curves.row, wheel.fine, wheel.coarse, rail.nodes, patches.rows)
     scalars = (coach.mass_kg, coach.axle_height_m, coach.contact_damping_N_s_m, coach.roller_m,
                wheel.start_m, wheel.spacing_m, wheel.centre_m, rail.sines_per_node,
-               patches.nodes_per_log, patches.shear_Pa, 0.0)
+               patches.nodes_per_log, patches.shear_Pa, step_s, roller_inertia_kgm2, *law)
     tape = np.concatenate([np.array(scalars), coach.inertia, coach.weight_N,
                            *(table.ravel() for table in tables)])
     layout = np.concatenate([
@@ -75,30 +61,18 @@ def _shift(typing_context, pointer, count):
 
 _shifted: Any = intrinsic(_shift)
 
-_B = tuple(memory.BEGIN[name] for name in Motion._fields)
-_S: Any = tuple(memory.SHAPES[name] for name in Motion._fields)
-(_S0, _S1, _S2, _S3, _S4, _S5, _S6, _S7, _S8, _S9, _S10, _S11, _S12, _S13, _S14, _S15, _S16,
- _S17, _S18) = _S
 _FLOATS, _INTS = types.CPointer(types.float64), types.CPointer(types.int64)
 _NAME = "rollerrig_coach"
+_motion_at = constructor(Motion, "at", (f"carray(shifted(at, {memory.BEGIN[name]}), {memory.SHAPES[name]})"
+                                        for name in Motion._fields), True, carray=carray, shifted=_shifted)
+_law_of = constructor(Law, "one", (f"one[{_LAW + i}]" for i in range(len(Law._fields))))
 
 
 def _act(memory_at, tape_at, layout_at):
-    state = Motion(
-        carray(memory_at, _S0), carray(_shifted(memory_at, _B[1]), _S1),
-        carray(_shifted(memory_at, _B[2]), _S2), carray(_shifted(memory_at, _B[3]), _S3),
-        carray(_shifted(memory_at, _B[4]), _S4), carray(_shifted(memory_at, _B[5]), _S5),
-        carray(_shifted(memory_at, _B[6]), _S6), carray(_shifted(memory_at, _B[7]), _S7),
-        carray(_shifted(memory_at, _B[8]), _S8), carray(_shifted(memory_at, _B[9]), _S9),
-        carray(_shifted(memory_at, _B[10]), _S10), carray(_shifted(memory_at, _B[11]), _S11),
-        carray(_shifted(memory_at, _B[12]), _S12), carray(_shifted(memory_at, _B[13]), _S13),
-        carray(_shifted(memory_at, _B[14]), _S14), carray(_shifted(memory_at, _B[15]), _S15),
-        carray(_shifted(memory_at, _B[16]), _S16), carray(_shifted(memory_at, _B[17]), _S17),
-        carray(_shifted(memory_at, _B[18]), _S18))
     layout = carray(layout_at, (_COUNTS,))
     n_s, n_c, n_f, n_w, n_r, n_p = layout[0], layout[1], layout[2], layout[3], layout[4], layout[5]
-    one = carray(tape_at, (_SCALARS,))
-    at = _SCALARS + 84
+    one = carray(tape_at, (_INERTIA,))
+    at = _TABLES
     row_s = carray(_shifted(tape_at, at), (n_s, 12))
     at += 12 * n_s
     row_c = carray(_shifted(tape_at, at), (n_c, 12))
@@ -110,30 +84,27 @@ def _act(memory_at, tape_at, layout_at):
     nodes = carray(_shifted(tape_at, at), (n_r, 4))
     at += 4 * n_r
     coach = Coach(
-        carray(_shifted(tape_at, _SCALARS), (42,)), carray(_shifted(tape_at, _SCALARS + 42), (42,)),
+        carray(_shifted(tape_at, _INERTIA), (42,)), carray(_shifted(tape_at, _INERTIA + 42), (42,)),
         one[0], Links(carray(_shifted(layout_at, _COUNTS), (n_s, 6)), row_s),
         Links(carray(_shifted(layout_at, _COUNTS + 6 * n_s), (n_c, 6)), row_c), one[1],
         Wheel(one[4], one[5], one[6], fine, coarse), Rail(one[7], nodes),
         Patches(one[8], one[9], layout[6], layout[7], carray(_shifted(tape_at, at), (n_p, 8))),
         one[2], one[3], carray(_shifted(layout_at, 8), (4,)))
-    _obey(state, coach)
+    _obey(_motion_at(memory_at), coach, one[10], one[11], _law_of(one))
 
 
 @kernel_inlined
-def _obey(state, coach):
+def _obey(state, coach, step_s, roller_inertia_kgm2, law):
     """Do what the ports ask."""
     io = state.ports
-    if io[ACTION] == START:
-        motion.start(state, coach, io[SPEED_M_S])
+    if io[memory.ACTION] == START:
+        motion.start(state, coach, io[memory.SPEED_M_S])
         return
-    k = LAW
-    law = Law(io[k], io[k + 1], io[k + 2], io[k + 3], io[k + 4], io[k + 5], io[k + 6], io[k + 7],
-              io[k + 8], io[k + 9], io[k + 10])
     motion.step(
-        state, coach, io[STEP_S], io[ROLLER_RAD_S:ROLLER_RAD_S + 4], io[MOTOR_NM:MOTOR_NM + 4],
-        io[ROLLER_INERTIA_KGM2], io[BRAKE_NM:BRAKE_NM + 4], io[BRAKE_ACTS_NM:BRAKE_ACTS_NM + 4],
-        io[RESISTANCE_N], io[MU_CD:MU_CD + 4], io[MU_CR:MU_CR + 4], law, io[CLEANING_CREEPAGE])
-    io[SPEED_M_S] = motion.mean_speed(state.v, coach)
+        state, coach, step_s, io[ROLLER_RAD_S:ROLLER_RAD_S + 4], io[MOTOR_NM:MOTOR_NM + 4],
+        roller_inertia_kgm2, io[BRAKE_NM:BRAKE_NM + 4], io[BRAKE_ACTS_NM:BRAKE_ACTS_NM + 4],
+        io[memory.RESISTANCE_N], io[MU_CD:MU_CD + 4], io[MU_CR:MU_CR + 4], law)
+    io[memory.SPEED_M_S] = motion.mean_speed(state.v, coach)
 
 
 _external: Any = types.ExternalFunction(_NAME, types.void(_FLOATS, _FLOATS, _INTS))
@@ -156,5 +127,3 @@ def run(buffer, tape, layout):
     """
     _external(buffer.ctypes, tape.ctypes, layout.ctypes)
 
-
-assert PORTS == MU_CR + 4

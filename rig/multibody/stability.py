@@ -7,7 +7,6 @@ speed. The critical speed is where a small swing neither grows nor dies.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -67,23 +66,17 @@ def critical_speed(
     coach: Coach,
     law: Law,
     speeds_m_s: np.ndarray | None = None,
-    say: Callable[[str], None] | None = print,
     tolerance_m_s: float = 0.5,
 ) -> float:
-    """Speed in m/s above which the coach hunts: a sweep, printed, and bisection.
+    """Speed in m/s above which the coach hunts: a sweep and bisection.
 
     Returns inf where it does not hunt at any of the speeds. `law` is the adhesion under the wheels;
     dry rails (k = 1) hunt first.
     """
     speeds = np.arange(40.0, 141.0, 10.0) if speeds_m_s is None else speeds_m_s
     stable = 0.0
-    if say:
-        say("speed m/s  km/h  growth 1/s")
     for speed in speeds:
-        rate = growth(coach, law, float(speed))
-        if say:
-            say(f"{speed:9.1f} {3.6 * speed:5.0f} {rate:11.3f}")
-        if rate > 0.0:
+        if growth(coach, law, float(speed)) > 0.0:
             low, high = stable, float(speed)
             while high - low > tolerance_m_s:
                 middle = 0.5 * (low + high)
@@ -91,10 +84,6 @@ def critical_speed(
                     high = middle
                 else:
                     low = middle
-            if say:
-                say(f"hunting from {high:.1f} m/s ({3.6 * high:.0f} km/h) on")
             return high
         stable = float(speed)
-    if say:
-        say(f"no hunting up to {stable:.0f} m/s")
     return math.inf

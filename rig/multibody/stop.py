@@ -24,14 +24,14 @@ def rolling(coach: Coach, speed_m_s: float) -> Motion:
 
 @kernel_with_memory
 def _steps(state, coach, count, step_s, rest, brake_Nm, acts_Nm, resistance_A_N, resistance_C_N_s2_m2,
-           mu_cd, mu_cr, law, cleaning_creepage, end_m_s):
+           mu_cd, mu_cr, law, end_m_s):
     for i in range(count):
         speed = motion.mean_speed(state.v, coach)
         if speed < end_m_s:
             return i
         resistance_N = resistance_A_N + resistance_C_N_s2_m2 * speed * speed
         motion.step(state, coach, step_s, rest, 0.0 * rest, 1.0, brake_Nm, acts_Nm, resistance_N,
-                    mu_cd, mu_cr, law, cleaning_creepage)
+                    mu_cd, mu_cr, law)
     return count
 
 
@@ -43,7 +43,6 @@ def advance(
     brake_Nm: float | np.ndarray = 0.0,
     step_s: float = STEP_S,
     resistance: tuple[float, float] = (0.0, 0.0),
-    cleaning_creepage: float = np.inf,
     end_m_s: float = -np.inf,
 ) -> float:
     """Advance by a duration or until the speed falls below end_m_s; returns the time passed in s.
@@ -54,6 +53,5 @@ def advance(
     count = _steps(
         state, coach, round(duration_s / step_s), step_s, rest,
         np.broadcast_to(np.asarray(brake_Nm, dtype=float), 4).copy(), acts, float(resistance[0]),
-        float(resistance[1]), np.full(4, law.mu_cd), np.full(4, law.mu_cr), law,
-        float(cleaning_creepage), float(end_m_s))
+        float(resistance[1]), np.full(4, law.mu_cd), np.full(4, law.mu_cr), law, float(end_m_s))
     return count * step_s

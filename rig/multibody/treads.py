@@ -19,23 +19,11 @@ import math
 import numpy as np
 
 from rollerrig.rig.contact import adhesion, creep_force, geometry
-from rollerrig.rig.contact.geometry import (
-    GAP,
-    LATERAL,
-    MOST,
-    NX,
-    NY,
-    NZ,
-    RAIL_Z,
-    ROLLING,
-    X,
-    Y,
-    Z,
-)
+from rollerrig.rig.contact import patch as patch_table
+from rollerrig.rig.contact.geometry import GAP, LATERAL, MOST, NX, NY, NZ, RAIL_Z, ROLLING, X, Y, Z
+from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.kernel import kernel_inlined
-from rollerrig.rig.multibody import patches as patch_table
-from rollerrig.rig.multibody.patches import Patches
 
 # a wheel that has moved by this since it was searched is searched again, so many a step at most
 MOVED_M, SEARCHES = 5e-5, 2
@@ -78,7 +66,7 @@ def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roll
              + ROLL_ARM_M * abs(roll - searched[wheel, 2]) + YAW_ARM_M * abs(yaw - searched[wheel, 3]))
     lost = left < before or left == 0
     if lost or (spare > 0 and moved > MOVED_M):
-        left = geometry.renew(contacts, begin, left, F, wheel, pose, axle, roller_m, profile, rail)
+        left = geometry.detect(contacts, begin, left, F, wheel, pose, axle, roller_m, profile, rail)
         searched[wheel, 0], searched[wheel, 1] = q[first + 1], pose[2]
         searched[wheel, 2], searched[wheel, 3] = roll, yaw
         spare -= 0 if lost else 1
@@ -87,18 +75,8 @@ def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roll
 
 
 @kernel_inlined
-def law_here(law, mu_cd, mu_cr, creepage, cleaning_creepage):
-    """The adhesion law for the contaminant under an axle; cleaning has its limit as in `wheelset`."""
-    tau = law.tau_m_J
-    if creepage > cleaning_creepage:
-        tau *= cleaning_creepage / creepage
-    return adhesion.Law(mu_cd, mu_cr, law.A_d, law.A_r, law.gamma_d_s_m, law.gamma_r_s_m, law.k_ad,
-                        law.k_sd, law.k_ar, law.k_sr, tau)
-
-
-@kernel_inlined
-def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, cleaning_creepage,
-          patches, damping_N_s_m, roller_m, given, Gx, Gy, seen):
+def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, patches, damping_N_s_m,
+          roller_m, given, Gx, Gy, seen):
     """Forces of both wheels of wheelset j into row j of `given`, `Gx` (4, 4), `Gy` (3, 3), `seen`.
 
     base_m_s is the vehicle's speed on rollers, 0 on a track; roller_rad_s 0 on a track.
@@ -137,7 +115,7 @@ def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, c
             N = patch.k_h_N_m32 * p * math.sqrt(p) + damping_N_s_m * approach  # [N1]
             speed = max(abs(v[i] - base_m_s + arm * roller_rad_s), adhesion.SPEED_FLOOR_M_S)
             s = math.sqrt(sx * sx + sy * sy)
-            here = law_here(law, mu_cd, mu_cr, s / speed, cleaning_creepage)
+            here = adhesion.under(mu_cd, mu_cr, s / speed, law)
             fx, fy, mz = creep_force.creep_force(patch.model, sx / speed, sy / speed, spin / speed,
                                                  s, N, patch, here)
             # [N4]
@@ -192,7 +170,7 @@ def axle_height(
         z = 0.5 * (low + high)
         found = np.zeros((geometry.MOST, geometry.COLUMNS))
         F = np.zeros((1, wheel.coarse.shape[0]))
-        n = geometry.detect(found, 0, F, 0, (0.0, 0.0, z), (0.0, 1.0, 0.0), roller_m, wheel, rail)
+        n = geometry.detect(found, 0, 0, F, 0, (0.0, 0.0, z), (0.0, 1.0, 0.0), roller_m, wheel, rail)
         total = 0.0
         for row in found[:n]:
             if row[GAP] < 0.0:

@@ -165,8 +165,7 @@ def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(spee
     way_m = length_m * (speed_m_s / 20.0) ** power
     run = rig.roll(2.5 * way_m / speed_m_s, demand_Pa=4e5)
     assert run.wheel_speed.max() == 0.0
-    prompt = np.array([wheelset.adhesion_under(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law,
-                                      rig.params.cleaning_creepage)[3]
+    prompt = np.array([wheelset.adhesion_under(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law)[3]
                        for s, v, N in zip(run.sliding[1:, 0], run.vehicle_speed[1:],
                                           run.wheel_load[1:, 0], strict=True)])
     assert np.ptp(prompt) < 0.07 * prompt[0]
@@ -233,7 +232,7 @@ def test_a_layer_of_the_whole_contact_is_a_contact_of_less_creep_stiffness() -> 
         {"interfacial_layer_reduction": 0.4, "interfacial_layer_whole": 1.0},
         {"roller_curvature_stiffness_fraction": -0.4}))
     for sliding_m_s in (0.01, 0.3, 4.0):
-        forces = [wheelset.force(sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, p.cleaning_creepage)[0]
+        forces = [wheelset.force(sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, -1.0, 0.0)[0]
                   for p in (layer, soft)]
         assert forces[0] == pytest.approx(forces[1], rel=1e-9)
 

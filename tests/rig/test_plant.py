@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rolling import DRY, FULL_BRAKE_PA, HOLD, NO_RESISTANCE, SOAP, TRACK, VENT, Rig
 
-from rollerrig.rig.contact import adhesion
+from rollerrig.rig.contact.patch import patch_for
 
 LONGEST_S = 50.0
 MU_SOAP, MU_CLEAN = 0.06, 0.28
@@ -142,8 +142,8 @@ def test_a_locked_wheel_recovers_when_the_valve_vents():
 @pytest.mark.parametrize("law", [DRY, SOAP])
 def test_a_roller_of_infinite_radius_is_a_rail(law):
     wheel = (0.445, 0.3, 2.1e11, 8e10, 0.3)
-    rail = adhesion.patch_for(wheel[0], np.inf, *wheel[1:])
-    np.testing.assert_allclose(adhesion.patch_for(wheel[0], 1e9, *wheel[1:]), rail, rtol=1e-8)
+    rail = patch_for(wheel[0], np.inf, *wheel[1:])
+    np.testing.assert_allclose(patch_for(wheel[0], 1e9, *wheel[1:]), rail, rtol=1e-8)
     track = Rig(42.3, adhesion=law, rig=TRACK)
     endless = Rig(42.3, adhesion=law, contact={"roller_radius_m": np.inf})
     assert endless.params.patch == track.params.patch == rail

@@ -15,7 +15,7 @@ near = pytest.approx
 
 def force(sliding_m_s, surface_m_s=30.0, load_N=LOAD_N):
     return wheelset.force(sliding_m_s, surface_m_s, load_N, 0.06, 0.28, RIG.patch, RIG.law,
-                          RIG.cleaning_creepage)
+                          adhesion.NO_MEMORY, 0.0)
 
 
 @pytest.mark.parametrize("sliding_m_s", SLIDINGS_M_S)
@@ -28,13 +28,13 @@ def test_the_force_opposes_sliding_alike_in_both_directions(sliding_m_s):
 
 @pytest.mark.parametrize("sliding_m_s", SLIDINGS_M_S)
 def test_the_secant_slope_times_sliding_is_the_force(sliding_m_s):
-    T, slope = force(sliding_m_s)
+    T, slope, _ = force(sliding_m_s)
     assert slope * sliding_m_s == near(T, rel=1e-12)
 
 
 def test_without_sliding_or_load_there_is_no_force():
     assert force(0.0)[0] == 0.0
-    assert force(1.0, load_N=0.0) == (0.0, 0.0)
+    assert force(1.0, load_N=0.0) == (0.0, 0.0, 0.0)
     assert np.isfinite(force(0.0, surface_m_s=0.0)).all()
     assert np.isfinite(force(1e-300, surface_m_s=0.0)).all()
 
@@ -46,7 +46,8 @@ def test_both_wheels_of_a_wheelset_carry_half_its_load():
 
 def test_cleaning_is_the_papers_law_below_its_creepage_and_bounded_beyond():
     def creep(sliding_m_s, bound):
-        return wheelset.adhesion_under(sliding_m_s, 30.0, LOAD_N, 0.06, 0.28, RIG.patch, RIG.law, bound)
+        law = RIG.law._replace(cleaning_creepage=bound)
+        return wheelset.adhesion_under(sliding_m_s, 30.0, LOAD_N, 0.06, 0.28, RIG.patch, law)
 
     assert creep(5.9, 0.2) == creep(5.9, np.inf)
     paper, bounded = creep(30.0, np.inf), creep(30.0, 0.2)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rollerrig.rig.contact.adhesion import patch_for
+from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.data.runs import Dataset
 
 LAW_KEYS = ("mu_cd", "mu_cr", "A_d", "A_r", "gamma_d_s_m", "gamma_r_s_m", "k_ad", "k_sd", "k_ar",

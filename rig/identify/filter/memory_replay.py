@@ -16,7 +16,6 @@ integrators (2010), section 2.
 import cmath
 import math
 
-from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.kernel import kernel
@@ -81,24 +80,15 @@ def replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, v
             C = (1.0 - w) * torque[k] + w * torque[k + 1]
             log_mu = (1.0 - w) * friction_log[k] + w * friction_log[k + 1]
             s = v - r * omega
-            f_d, f_r, low, high, per_m_s = replay.branches(s, v, 0.5 * N, log_mu, p)
-            k_f = per_m_s * abs(s)
-            f, done = adhesion.recovery(f_d, f_r, k_f)
-            kept, gap = 1.0 - done, f_r - f_d
-            mixed = kept * low + done * high
-            rise = (mixed + gap * kept * f * per_m_s) / max(1.0 - gap * kept * k_f, 1e-9)
-            hangs = 0.0  # d lambda_0 / d lambda
-            if p[21] > 0.0:
-                f = f_d + gap * late
-                done = -math.expm1(-k_f * f)
-                kept, rise = 1.0 - done, low + (high - low) * late
-                hangs = kept * k_f * gap
-            target = math.copysign(kept * (per_m_s * f + k_f * rise), s)  # d lambda_0 / ds
-            rate = max(v, adhesion.SPEED_FLOOR_M_S) / (p[14] * (v / MIDDLE_SPEED_M_S) ** p[20])
+            f_d, f_r, low, high, k_f, slope_k = replay.curves(s, v, 0.5 * N, log_mu, p)
+            _, done, _, steep = adhesion.transition(f_d, f_r, low, high, k_f, slope_k, late, p[21])
+            hangs = (1.0 - done) * k_f * (f_r - f_d) if p[21] > 0.0 else 0.0  # d lambda_0 / d lambda
+            target = math.copysign(steep, s)  # d lambda_0 / ds
+            rate = adhesion.lag_rate_1_s(max(v, adhesion.SPEED_FLOOR_M_S), p[14], p[20])
             push = r * N * math.exp(m) / inertia
             sign = 1.0 if s >= 0.0 else -1.0
-            f = sign * (f_d + gap * late)
-            a, g = -r * push * (low + (high - low) * late), push * gap * sign
+            f = sign * adhesion.between(f_d, f_r, late)
+            a, g = -r * push * adhesion.between(low, high, late), push * (f_r - f_d) * sign
             e00, e01, e10, e11, b00, b01, b10, b11 = step_of(a, g, -r * rate * target, -rate * (1.0 - hangs), h)
             drive, pull = push * f - C / inertia, rate * (done - late)
             omega += b00 * drive + b01 * pull

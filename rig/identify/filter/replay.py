@@ -11,36 +11,27 @@ their predicted deviation, are white with variance 1 if the model is right.
     [R3] u = v + sum J omega / (M r), du/dt = -(sum C / r + resistance) / M
     [R5] cov of (omega, m) after a step h: (b^2 q / 3, b q / 2, q), q = sigma^2 (1 - e^(-2vh/L)),
          b = d omega / d m in h; without it m would come half a step late and look like a delay
-    [R4] lambda follows its base value with a share 1 - exp(-v h / length) in each step,
-         length = length_0 (v / 20 m/s)^power: power 1 is a lag in time; the base value is that of
-         the base law, or 1 - exp(-tau W) of the work W done meanwhile
+    [R4] lambda lags by `adhesion` [A7], in each step by a share 1 - exp(-h rate)
 
-Source: Simon, Optimal State Estimation (2006), section 13.2; DISCOVERY section 1.
+Source: Simon, Optimal State Estimation (2006), section 13.2.
 Limits: first-order filter; two substeps a sample keep its bias below the noise.
 """
 
 import math
 
-from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
-from rollerrig.rig.contact import adhesion, polach
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.contact import adhesion
+from rollerrig.rig.kernel import kernel, kernel_inlined
 
 SUBSTEPS = 2
 
 
-@kernel
-def branches(sliding, speed, load_N, friction_log, p):
-    """Degraded and recovered f at |sliding|, d/dsliding of both, and tau N / v of one wheel."""
-    s, v = abs(sliding), max(abs(speed), adhesion.SPEED_FLOOR_M_S)
-    creepage = s / v
+@kernel_inlined
+def curves(sliding, speed, load_N, friction_log, p):
+    """What `adhesion.curves` gives of one wheel under its own load, friction times exp(friction_log)."""
     scale = math.exp(friction_log)
-    eps_unit = p[13] * math.exp(math.log(load_N) / -3.0)
-    f_d, ds_d, de_d = polach.curve(s, creepage, eps_unit, p[2] * scale, p[4], p[6], p[8], p[9])
-    f_r, ds_r, de_r = polach.curve(s, creepage, eps_unit, p[3] * scale, p[5], p[7], p[10], p[11])
-    tau = p[12]
-    if creepage > p[19]:
-        tau *= p[19] / creepage
-    return f_d, f_r, ds_d + de_d / v, ds_r + de_r / v, tau * load_N / v
+    base = adhesion.Law(p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[19])
+    here = adhesion.under(p[2] * scale, p[3] * scale, adhesion.creepage_of(sliding, speed), base)
+    return adhesion.curves(sliding, speed, load_N, p[13], here)
 
 
 @kernel
@@ -49,28 +40,20 @@ def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
 
     `p` a row of parameters, `remembered` the lagging lambda, `share` what it closes [R4].
     """
-    f_d, f_r, low, high, per_m_s = branches(sliding, speed, load_N, friction_log, p)
-    k = per_m_s * abs(sliding)
-    f, done = adhesion.recovery(f_d, f_r, k)
-    kept, gap = 1.0 - done, f_r - f_d
-    mixed = kept * low + done * high
-    rise = (mixed + gap * kept * f * per_m_s) / max(1.0 - gap * kept * k, 1e-9)
+    f_d, f_r, low, high, k, slope_k = curves(sliding, speed, load_N, friction_log, p)
+    lagging = remembered if share < 1.0 else adhesion.NO_MEMORY
+    f, done, rise, steep = adhesion.transition(f_d, f_r, low, high, k, slope_k, lagging, p[21])
     if share < 1.0:
-        rise -= mixed
-        if p[21] > 0.0:
-            f = (1.0 - remembered) * f_d + remembered * f_r
-            done = -math.expm1(-k * f)
-            rise = gap * (1.0 - done) * (per_m_s * f + k * ((1.0 - remembered) * low + remembered * high))
-        late = remembered + share * (done - remembered)
-        rise = (1.0 - late) * low + late * high + share * rise
-        f, done = (1.0 - late) * f_d + late * f_r, late
+        done = remembered + share * (done - remembered)
+        f = adhesion.between(f_d, f_r, done)
+        rise = adhesion.between(low, high, done) + share * (f_r - f_d) * steep
     return math.copysign(f, sliding), rise, done
 
 
 @kernel
 def closes(speed, step_s, p):
     """Share of its way that lambda goes in a step [R4]."""
-    return -math.expm1(-speed * step_s / (p[14] * (speed / MIDDLE_SPEED_M_S) ** p[20]))
+    return -math.expm1(-step_s * adhesion.lag_rate_1_s(speed, p[14], p[20]))
 
 
 @kernel

@@ -5,7 +5,7 @@ decay, and the two factors of the contaminated patch. A second fit without falli
 what the decay is worth; the scatter of neighbouring points shows what no smooth curve can reach.
 
     [C1] mu = mu_c + (mu_c / A - mu_c) exp(-gamma s), s = creepage x speed       Polach 2005
-    [C2] f = `polach.adhesion`(eps; mu, k_A, k_S); A, k_A and k_S within 0 .. 1
+    [C2] f = mu `polach.shape`(eps; k_A, k_S); A, k_A and k_S within 0 .. 1
 
 Intervals: bootstrap of points in blocks along creepage (neighbours share their errors). Source:
 Polach, Wear 258 (2005) 992-1000, which also recommends the "dry" and "wet" sets. Doubt: k_A and k_S
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.contact import adhesion
+from rollerrig.rig.contact.patch import Patch, patch_for
 from rollerrig.rig.identify.data.runs import Curve, Dataset
 from rollerrig.rig.identify.paper.tuning import Interval
 
@@ -46,7 +46,7 @@ class Fitted(NamedTuple):
     correlation: np.ndarray  # (5, 5)
 
 
-def model(x: np.ndarray, curve: Curve, patch: adhesion.Patch) -> np.ndarray:
+def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
     """Adhesion [C1] [C2] at the points of a curve, shape (n,); x in the order of NAMES."""
     mu_0, A, gamma, k_a, k_s = x
     creepage = np.abs(curve.creepage)
@@ -78,14 +78,14 @@ def fit(data: Dataset, seed: int = 0) -> Fitted:
                   _correlation(spread))
 
 
-def patch_of(data: Dataset) -> adhesion.Patch:
+def patch_of(data: Dataset) -> Patch:
     """The contact patch of a dataset's wheel."""
     v, c = data.sections["vehicle"], data.sections["contact"]
-    return adhesion.patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"],
+    return patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"],
                               c["young_Pa"], c["shear_Pa"], c["poisson"])
 
 
-def _best(curve: Curve, patch: adhesion.Patch, free: np.ndarray,
+def _best(curve: Curve, patch: Patch, free: np.ndarray,
           starts: tuple[tuple[float, ...], ...] = STARTS) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and residuals of least squares; without A friction does not fall, without k_S k_S = k_A."""
 
@@ -103,7 +103,7 @@ def _best(curve: Curve, patch: adhesion.Patch, free: np.ndarray,
     return filled(best.x), best.fun
 
 
-def _bootstrap(curve: Curve, patch: adhesion.Patch, x: np.ndarray, seed: int) -> np.ndarray:
+def _bootstrap(curve: Curve, patch: Patch, x: np.ndarray, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     blocks = np.array_split(np.argsort(np.abs(curve.creepage)), min(BLOCKS, curve.creepage.size // 2))
     out = np.empty((REPLICATES, 5))

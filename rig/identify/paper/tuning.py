@@ -26,7 +26,8 @@ from scipy.optimize import least_squares
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import wheelset
-from rollerrig.rig.contact.adhesion import Law, Patch, patch_for
+from rollerrig.rig.contact.adhesion import Law
+from rollerrig.rig.contact.patch import Patch, patch_for
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.columns import BASE
 from rollerrig.rig.identify.data.parameters import TAU
@@ -88,14 +89,12 @@ class Tuned(NamedTuple):
         return 0.5 * self.samples.adhesion * self.samples.load_N * self.samples.creepage
 
 
-def contact(data: Dataset) -> tuple[Patch, Law, float]:
-    """Patch, law and largest cleaning creepage of a dataset's base model."""
+def contact(data: Dataset) -> tuple[Patch, Law]:
+    """Patch and law of a dataset's base model."""
     v, law, c = (data.sections[k] for k in ("vehicle", "adhesion", "contact"))
     patch = patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"], c["young_Pa"],
                       c["shear_Pa"], c["poisson"])
-    law = dict(law)
-    cleaning = law.pop("cleaning_creepage")
-    return patch, Law(**law), cleaning
+    return patch, Law(**law)
 
 
 def collect(design: Design, cleaning_creepage: float) -> Samples:
@@ -113,28 +112,27 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
 
 
 @kernel
-def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, cleaning_creepage, out):
+def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, out):
     """f, f_d, f_r of the model at each sample, into out (n, 3)."""
     for i in range(sliding_m_s.size):
         f, f_d, f_r, _, _, _ = wheelset.adhesion_under(sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i],
-                                              law.mu_cr, patch, law, cleaning_creepage)
+                                                       law.mu_cr, patch, law)
         out[i, 0], out[i, 1], out[i, 2] = f, f_d, f_r
 
 
-def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law, float],
+def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law],
               ) -> np.ndarray:
     """(n, 3) f, f_d, f_r for a recovery and the contaminants of the runs, mu_cd (runs,)."""
-    patch, law, cleaning = model
+    patch, law = model
     out = np.empty((s.run.size, 3))
-    curves(s.sliding_m_s, s.speed_m_s, s.load_N, mu_cd[s.run], patch, law._replace(tau_m_J=tau_m_J),
-           cleaning, out)
+    curves(s.sliding_m_s, s.speed_m_s, s.load_N, mu_cd[s.run], patch, law._replace(tau_m_J=tau_m_J), out)
     return out
 
 
 class _Fit:
     """Free parameters as logarithms: tau if it is free, then mu_cd of the runs that leave it free."""
 
-    def __init__(self, s: Samples, model: tuple[Patch, Law, float], stated: list[float | None],
+    def __init__(self, s: Samples, model: tuple[Patch, Law], stated: list[float | None],
                  tau_m_J: float | None) -> None:
         self.s, self.model, self.stated, self.tau = s, model, stated, tau_m_J
         self.free = [i for i, mu in enumerate(stated) if mu is None and np.any(s.run == i)]
@@ -176,7 +174,7 @@ def tune(data: Dataset, seed: int = 0) -> Tuned:
     runs = data.group("tune")
     design = prepare(data, runs)
     model = contact(data)
-    s = collect(design, model[2])
+    s = collect(design, model[1].cleaning_creepage)
     if s.run.size < LEAST_SAMPLES:
         raise ConfigError(
             f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "
@@ -249,7 +247,7 @@ def _between_runs(A: np.ndarray, pulls: np.ndarray) -> np.ndarray:
     return np.sqrt((moves**2).sum(axis=0) * runs / (runs - 1))
 
 
-def contaminant(s: Samples, model: tuple[Patch, Law, float], stated: float | None, tau_m_J: float,
+def contaminant(s: Samples, model: tuple[Patch, Law], stated: float | None, tau_m_J: float,
                 ) -> tuple[float, float]:
     """(mu_cd, rmse of f) of one run for a given recovery; mu_cd is fitted unless it is stated."""
     if s.run.size < 10:

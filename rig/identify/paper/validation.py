@@ -54,7 +54,7 @@ class Verdict(NamedTuple):
 
 @kernel
 def free_run(omega_measured, surface_m_s, load_N, torque_Nm, mu_cd, step_s, window, params, patch, law,
-             cleaning_creepage, sliding, force_N):
+             sliding, force_N):
     """Sliding and contact force of one wheelset in windows of `window` samples [V1]; arrays (n,).
 
     `params` (3,): wheel radius, inertia, mu_cr. Linearly implicit Euler steps, ten a sample.
@@ -73,8 +73,7 @@ def free_run(omega_measured, surface_m_s, load_N, torque_Nm, mu_cd, step_s, wind
             v = surface_m_s[k] + part * (surface_m_s[last] - surface_m_s[k])
             N = load_N[k] + part * (load_N[last] - load_N[k])
             C = torque_Nm[k] + part * (torque_Nm[last] - torque_Nm[k])
-            f, _, _, _, _, slope = wheelset.adhesion_under(v - r * omega, v, N, mu_cd, mu_cr, patch, law,
-                                                  cleaning_creepage)
+            f, _, _, _, _, slope = wheelset.adhesion_under(v - r * omega, v, N, mu_cd, mu_cr, patch, law)
             slope = max(slope, 0.0)
             damping = slope * N * r * r / inertia
             before = omega
@@ -117,12 +116,12 @@ def _measured(design: Design, run: int, length: int) -> Statistics:
 def _simulated(data: Dataset, design: Design, run: int, length: int, tau_m_J: float,
                stated: float | None) -> tuple[Statistics, np.ndarray, np.ndarray]:
     model = tuning.contact(data)
-    samples = tuning.collect(design, model[2])
+    samples = tuning.collect(design, model[1].cleaning_creepage)
     own = samples.run == run
     s = tuning.Samples(*(part[own] for part in samples))
     s = s._replace(run=np.zeros_like(s.run))
     mu_cd, rmse = tuning.contaminant(s, model, stated, tau_m_J)
-    patch, law, cleaning = model
+    patch, law = model
     v = data.sections["vehicle"]
     params = np.array([v["wheel_radius_m"], v["wheelset_inertia_kgm2"], law.mu_cr])
     sliding, force = np.empty((length, AXLES)), np.empty((length, AXLES))
@@ -133,7 +132,7 @@ def _simulated(data: Dataset, design: Design, run: int, length: int, tau_m_J: fl
         one, other = np.empty(length), np.empty(length)
         free_run(omega, design.speed_m_s[at][:length], design.load_N[at][:length],
                  design.torque_Nm[at][:length], mu_cd, design.step_s, round(WINDOW_S / design.step_s),
-                 params, patch, law._replace(tau_m_J=tau_m_J), cleaning, one, other)
+                 params, patch, law._replace(tau_m_J=tau_m_J), one, other)
         sliding[:, j], force[:, j] = one, other
     measured = design.speed_m_s[design.span(run * AXLES)][:length]
     A, B, C = design.resistance

@@ -11,15 +11,16 @@ import pytest
 
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig import wheelset
-from rollerrig.rig.contact import adhesion, creep_force, degraded_force, polach_spin
+from rollerrig.rig.contact import adhesion, creep_force, polach_spin
 from rollerrig.rig.contact.creep_force import DEGRADED, FASTSIM, MODELS, POLACH
+from rollerrig.rig.contact.patch import patch_for
 
 DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)
 LAW = adhesion.Law(0.06, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
 CLEAN = LAW._replace(mu_cd=0.3, A_d=1.0, k_ad=1.0, k_sd=1.0, mu_cr=0.3, A_r=1.0, k_sr=1.0)
 N = 52_700.0
-PATCHES = tuple(adhesion.patch_for(0.445, R, lateral, 2.1e11, 8.0e10, 0.3, 0, 20)
+PATCHES = tuple(patch_for(0.445, R, lateral, 2.1e11, 8.0e10, 0.3, 0, 20)
                 for R, lateral in ((math.inf, 0.3), (0.5, 0.3), (math.inf, 0.05), (1.0, 2.0)))
 each_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 each_patch = pytest.mark.parametrize("patch", PATCHES)
@@ -37,7 +38,7 @@ def contact_curves():
 
 @each_model
 def test_without_spin_each_model_stays_within_0_08_mu_N_of_contact(model):
-    patch = adhesion.patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
+    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
     for row in contact_curves():
         if row["phi_1_per_m"] == 0.0:
             fx, fy, _ = force(model, row["xi"], row["eta"], 0.0, patch) / (0.3 * N)
@@ -67,7 +68,7 @@ def test_large_creepage_slides_at_the_friction_limit(model, patch):
 
 @each_model
 def test_the_moment_stays_near_contacts(model):
-    patch = adhesion.patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
+    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
     unit = 0.3 * N * math.sqrt(patch.a1 * patch.b1) * N ** (1 / 3)
     errors = [abs(force(model, row["xi"], row["eta"], row["phi_1_per_m"], patch)[2] / unit
                   - row["CONTACT_mz"]) for row in contact_curves()]
@@ -106,7 +107,7 @@ def test_nothing_acts_without_load_or_creepage(model):
 def test_degraded_adhesion_along_the_rail_is_the_scalar_law(s_m_s):
     for patch in PATCHES:
         f, _, _, lambda_, W, _ = adhesion.degraded(s_m_s, 40.0, N, patch, LAW)
-        fx, fy, mz, recovered, work = degraded_force.force(s_m_s / 40, 0, 0, s_m_s, N, patch, LAW)
+        fx, fy, mz, recovered, work = creep_force.degraded(s_m_s / 40, 0, 0, s_m_s, N, patch, LAW)
         assert fx == near(-f * N, rel=1e-12)
         assert (fy, mz) == (0.0, 0.0)
         assert recovered == pytest.approx(lambda_, rel=1e-10, abs=1e-15)
@@ -117,14 +118,14 @@ def test_in_two_directions_and_with_spin_the_energy_equation_holds():
     rng = np.random.default_rng(7)
     for xi, eta, phi in rng.normal(0.0, (0.1, 0.05, 0.3), (200, 3)):
         sliding = 30.0 * math.hypot(xi, eta)
-        fx, fy, _, lambda_, W = degraded_force.force(xi, eta, phi, sliding, N, PATCHES[0], LAW)
+        fx, fy, _, lambda_, W = creep_force.degraded(xi, eta, phi, sliding, N, PATCHES[0], LAW)
         assert pytest.approx(1.0 - math.exp(-LAW.tau_m_J * W), abs=1e-12) == lambda_
         assert pytest.approx(-(fx * xi + fy * eta), rel=1e-9, abs=1e-9) == W
         assert 0.0 <= lambda_ <= 1.0
 
 
 def test_polach_with_spin_stays_as_near_contact_as_its_source():
-    patch = adhesion.patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
+    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
     distances = []
     for row in contact_curves():
         if row["phi_1_per_m"]:
@@ -148,8 +149,7 @@ def test_a_scenario_chooses_the_model_of_the_plant(model):
     plan = scenario.load("velim_a1", settings=(f"contact.model={name}",))
     p = plan.params
     assert p.patch.model == model
-    f, f_d, f_r, lambda_, W, _ = wheelset.adhesion_under(4.0, 40.0, 2 * N, 0.06, 0.28, p.patch, p.law,
-                                                p.cleaning_creepage)
+    f, f_d, f_r, lambda_, W, _ = wheelset.adhesion_under(4.0, 40.0, 2 * N, 0.06, 0.28, p.patch, p.law)
     if model == DEGRADED:
         assert f_d < f < f_r
         assert lambda_ > 0.1

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rollerrig.rig.contact import adhesion, fastsim, johnson_vermeulen
+from rollerrig.rig.contact import fastsim, johnson_vermeulen
+from rollerrig.rig.contact.patch import patch_for
 
 DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)
 MU, LOAD_N = 0.3, 52_700.0
-PATCH = adhesion.patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
-LONG = adhesion.patch_for(0.625, math.inf, 0.1, 2.1e11, 8.2e10, 0.28)  # a/b = 2.3
-ROLLER = adhesion.patch_for(0.445, 0.5, 0.3, 2.1e11, 8.0e10, 0.3)  # a/b = 0.85
+PATCH = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
+LONG = patch_for(0.625, math.inf, 0.1, 2.1e11, 8.2e10, 0.28)  # a/b = 2.3
+ROLLER = patch_for(0.445, 0.5, 0.3, 2.1e11, 8.0e10, 0.3)  # a/b = 0.85
 SIZE_M = math.sqrt(PATCH.a1 * PATCH.b1) * LOAD_N ** (1.0 / 3.0)
 
 

@@ -3,10 +3,11 @@
 import math
 from pathlib import Path
 
+import conicity
 import numpy as np
 import pytest
 
-from rollerrig.rig.contact import conicity, geometry, profiles
+from rollerrig.rig.contact import geometry, profiles
 from rollerrig.rig.contact.geometry import COLUMNS, GAP, MOST, NX, NY, NZ, RADIUS, RAIL_Y, S, X, Y, Z
 from rollerrig.rig.kernel import kernel
 
@@ -122,13 +123,13 @@ def test_a_wheel_off_the_rail_is_refused():
 
 @kernel
 def _sway(found, F, steps, roller_m, wheel, rail, log):
-    count = geometry.detect(found, 0, F, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail)
+    count = geometry.detect(found, 0, 0, F, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail)
     for i in range(steps):
         y = 0.004 * math.sin(i * 1e-3)
         pose, axle = (0.0, y, 0.4447), geometry.axis(0.0, 0.005 * math.cos(i * 1e-3))
         count = geometry.track(found, 0, count, pose, axle, roller_m, wheel, rail)
         if i % 16 == 0:
-            count = geometry.renew(found, 0, count, F, 0, pose, axle, roller_m, wheel, rail)
+            count = geometry.detect(found, 0, count, F, 0, pose, axle, roller_m, wheel, rail)
         if i < log.shape[0]:
             log[i, 0], log[i, 1], log[i, 2] = y, count, found[0, 0]
 
@@ -150,7 +151,7 @@ def test_tracking_step_by_step_finds_what_a_search_from_nothing_finds():
 
 @kernel
 def _quick(F, pose, axle, roller_m, wheel, rail):
-    geometry.misfits(F, 0, 0, 1, pose, axle, roller_m, wheel, rail)
+    geometry.misfits(F, 0, pose, axle, roller_m, wheel, rail)
 
 
 @kernel

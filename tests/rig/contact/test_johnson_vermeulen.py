@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rollerrig.rig.contact import adhesion, johnson_vermeulen
+from rollerrig.rig.contact import johnson_vermeulen
+from rollerrig.rig.contact.patch import patch_for
 
 DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)
-PATCH = adhesion.patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
+PATCH = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
 
 
 def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():

@@ -10,6 +10,7 @@ from halfspace import HalfSpace
 
 from rollerrig.rig.contact import adhesion, creep_force
 from rollerrig.rig.contact.creep_force import FASTSIM, JOHNSON_VERMEULEN, MODELS, POLACH
+from rollerrig.rig.contact.patch import patch_for
 
 DATA = Path(__file__).parents[2] / "data"
 E_PA, NU = 2.1e11, 0.3
@@ -34,7 +35,7 @@ class Judge:
     """The half-space solution of a contact, and what a model says in the same unit."""
 
     def __init__(self, r, R, lateral, load_N, mu, elements=15):
-        self.patch = adhesion.patch_for(r, R, lateral, E_PA, G_PA, NU, 0, 30)
+        self.patch = patch_for(r, R, lateral, E_PA, G_PA, NU, 0, 30)
         growth = load_N ** (1.0 / 3.0)
         a, b = self.patch.a1 * growth, self.patch.b1 * growth
         self.half_space, self.size = HalfSpace(a, b, G_PA, NU, elements), math.sqrt(a * b)

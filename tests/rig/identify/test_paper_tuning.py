@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[3]))
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.reports import paper
 from rollerrig.rig.contact import adhesion
+from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.preparation import prepare
 from rollerrig.rig.identify.paper import tuning, validation
@@ -95,12 +96,12 @@ def test_reports_hold_what_was_found_without_outside_parts(data, tuned, verdicts
 
 def test_a_wheel_that_is_not_braked_rolls_on_at_the_speed_of_the_vehicle():
     n = 200
-    patch = adhesion.patch_for(0.445, np.inf, 0.3, 2.1e11, 8e10, 0.3)
+    patch = patch_for(0.445, np.inf, 0.3, 2.1e11, 8e10, 0.3)
     law = adhesion.Law(0.06, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
     speed = 30.0 - 0.005 * np.arange(n)
     sliding, force = np.empty(n), np.empty(n)
     validation.free_run(speed / 0.445, speed, np.full(n, 1.05e5), np.zeros(n), 0.06, 0.01, 100,
-                        np.array([0.445, 160.0, 0.28]), patch, law, np.inf, sliding, force)
+                        np.array([0.445, 160.0, 0.28]), patch, law, sliding, force)
     assert np.max(np.abs(sliding)) < 0.02
     # the wheelset's inertia is slowed down by the contact: J a / r^2
     assert np.mean(force[50:]) == pytest.approx(-160.0 * 0.5 / 0.445**2, rel=0.02)

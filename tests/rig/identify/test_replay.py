@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rollerrig.rig.contact import adhesion
+from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, parameters, preparation
@@ -31,7 +32,7 @@ def told(design: preparation.Design) -> Explanation:
 
 def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) -> None:
     law = adhesion.Law(*(float(x) for x in design.base[parameters.LAW]))
-    patch = adhesion.patch_for(0.445, math.inf, 0.3, 2.1e11, 8.0e10, 0.3)
+    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 8.0e10, 0.3)
     for sliding in (0.01, 0.3, 2.0, 8.0, -1.0):
         f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 0.0, design.base, 0.0, 1.0)
         want = adhesion.degraded(sliding, 25.0, 52700.0, patch, law)

@@ -1,6 +1,7 @@
 """The coach in 3D: statics, energy, modes against matrices of its own, symmetry, stability, speed."""
 
 
+import coach_energy
 import numpy as np
 import pytest
 import scipy.linalg
@@ -8,7 +9,7 @@ import scipy.linalg
 from rollerrig.configs.table import read
 from rollerrig.rig import params
 from rollerrig.rig.contact.adhesion import Law
-from rollerrig.rig.multibody import coach, energy, motion, stability, stop, table
+from rollerrig.rig.multibody import coach, motion, stability, stop
 
 G = 9.80665
 
@@ -16,13 +17,13 @@ G = 9.80665
 def _sections(vehicle=None, **multibody):
     found = {name: read(params.ROWS[name], {}, name) for name in ("contact", "adhesion")}
     found["vehicle"] = read(params.ROWS["vehicle"], vehicle or {}, "vehicle")
-    found["multibody"] = read(table.ROWS, multibody, "multibody")
+    found["multibody"] = read(params.ROWS["multibody"], multibody, "multibody")
     return found
 
 
 def _law(**changes):
     values = {**_sections()["adhesion"], **changes}
-    return Law(**{name: values[name] for name in Law._fields})
+    return Law(**values)
 
 
 COACH = coach.build(_sections())
@@ -58,11 +59,11 @@ def test_a_coach_set_down_too_high_settles_to_its_weight():
 def test_energy_is_balanced_in_a_stop():
     state = stop.rolling(COACH, 42.3)
     stop.advance(state, COACH, SOAP, 0.01)
-    begin = energy.held(state, COACH) + energy.taken(state)
+    begin = coach_energy.held(state, COACH) + coach_energy.taken(state)
     kinetic = 0.5 * 43000.0 * 42.3**2
     taken = stop.advance(state, COACH, SOAP, 90.0, 6000.0, resistance=(600.0, 0.94), end_m_s=0.02)
     assert 20.0 < taken < 60.0
-    assert abs(energy.held(state, COACH) + energy.taken(state) - begin) < 1e-3 * kinetic
+    assert abs(coach_energy.held(state, COACH) + coach_energy.taken(state) - begin) < 1e-3 * kinetic
     # and none of the ways by which energy leaves is idle
     assert min(state.sliding_work.min(), state.brake_work.min(), state.damper_work[0]) > 0.0
 
@@ -71,10 +72,10 @@ def test_energy_is_balanced_while_it_sways_and_hits_its_flanges():
     state = stop.rolling(COACH, 30.0)
     state.v[1::6] = 0.2
     stop.advance(state, COACH, DRY, 0.002)
-    begin = energy.held(state, COACH) + energy.taken(state)
+    begin = coach_energy.held(state, COACH) + coach_energy.taken(state)
     stop.advance(state, COACH, DRY, 2.0)
     lateral = 0.5 * 43000.0 * 0.2**2
-    assert abs(energy.held(state, COACH) + energy.taken(state) - begin) < 0.05 * lateral
+    assert abs(coach_energy.held(state, COACH) + coach_energy.taken(state) - begin) < 0.05 * lateral
 
 
 def test_momentum_lost_is_what_contacts_took():
@@ -234,18 +235,17 @@ def test_lateral_motion_dies_away_at_42_m_s_on_straight_track():
         assert stability.growth(COACH, law, 42.0) < -0.05
 
 
-def test_a_speed_sweep_prints_where_hunting_begins(capsys):
+def test_a_speed_sweep_finds_where_hunting_begins():
     conical = coach.build(_sections(laying=1 / 40))
     found = stability.critical_speed(conical, SOAP, np.array([30.0, 45.0, 60.0, 75.0]), tolerance_m_s=2.0)
     assert 35.0 < found < 75.0
     assert stability.growth(conical, SOAP, 0.7 * found) < 0.0
-    assert f"hunting from {found:.1f} m/s" in capsys.readouterr().out
 
 
 def test_more_yaw_damping_raises_the_critical_speed():
     found = [stability.critical_speed(coach.build(_sections(laying=1 / 40, yaw_damper_N_s_m=damping,
                                                             yaw_damper_max_N=2e4)),
-                                      SOAP, np.array([20.0, 40.0, 60.0, 80.0]), None, 2.0)
+                                      SOAP, np.array([20.0, 40.0, 60.0, 80.0]), 2.0)
              for damping in (0.0, 500e3)]
     assert found[1] > found[0]
 

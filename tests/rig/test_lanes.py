@@ -1,0 +1,324 @@
+"""Every kernel of the lanes against its twin in the plant: random rigs in random states, by seed.
+
+`TWINS` names for each kernel of `rig/lanes` the check that holds it to what the plant does. A kernel
+without one fails, so nobody adds arithmetic to the lanes that the plant does not know. Both write the
+same equations in another order: they agree to 1e-9 of the largest value of a row.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from numba.core.dispatcher import Dispatcher
+from rolling import Rig
+
+from rollerrig.rig import plant, vehicle, wheelset
+from rollerrig.rig.contact import adhesion, polach
+from rollerrig.rig.kernel import kernel
+from rollerrig.rig.lanes import adhesion as fast
+from rollerrig.rig.lanes import layout, step
+from rollerrig.rig.lanes.layout import LANES, RIGS
+from rollerrig.rig.state import AXLES, SLOTS, views
+
+SEEDS, MODES = range(20), ("track", "contaminated_rollers")
+CLOSE = 1e-9
+ORDER = ("pneumatics_and_motors", "contacts", "contacts_outside_domain", "begin", "predict", "contacts",
+         "contacts_outside_domain", "finish", "move")
+# what a kernel leaves in its rows, and where the plant has it after the same step
+LEAVES = {
+    "pneumatics_and_motors": {"DEMAND": "brake_demand", "PRESSURE": "cylinder_pressure",
+                              "MOTOR": "motor_torque", "BRAKE": "brake_torque"},
+    "begin": {"WHEEL_K": "wheel_rate", "ROLLER_K": "roller_rate"},
+    "finish": {"WHEEL": "wheel_speed", "ROLLER": "roller_speed", "WHEEL_RAD": "wheel_angle",
+               "ROLLER_RAD": "roller_angle", "BRAKE_WORK": "brake_work", "MOTOR_WORK": "motor_work",
+               "FORCE": "contact_force", "BRAKE_MEAN": "brake_mean", "CAPACITY": "brake_capacity",
+               "MOTOR_BEFORE": "motor_before"},
+    "move": {"V": "vehicle_speed", "FELT": "felt_acceleration", "RATE": "vehicle_acceleration",
+             "PLACE": "position", "RESISTANCE_WORK": "resistance_work", "SLIDING_WORK": "sliding_work"},
+}
+
+
+@kernel
+def plant_step(state, target_Pa, params):
+    plant.step(state, target_Pa, params)
+
+
+@kernel
+def scatter(w, rig, state, target_Pa):
+    layout.scatter(w, rig, state, target_Pa)
+
+
+@kernel
+def gather(w, rig, state):
+    layout.gather(w, rig, state)
+
+
+def near(found, wanted, what=""):
+    wanted = np.asarray(wanted, dtype=float)
+    np.testing.assert_allclose(found, wanted, rtol=CLOSE, atol=CLOSE * np.abs(wanted).max(initial=0.0), err_msg=what)
+
+
+def random_rig(rng, mode):
+    """A rig that the lanes take, of any mass, brake, wheels and contaminant."""
+    adhesion_of = {"mu_cd": rng.uniform(0.01, 0.15), "mu_cr": rng.uniform(0.16, 0.4),
+                   "gamma_d_s_m": rng.uniform(0.0, 0.5), "tau_m_J": rng.choice([0.0, 1e-5, 1.9e-4, 1e-3]),
+                   "cleaning_creepage": rng.choice([0.05, 0.2, math.inf])}
+    return Rig(
+        30.0, step_s=1e-4, adhesion=adhesion_of, rig={"mode": mode},
+        vehicle={"mass_kg": rng.uniform(2.5e4, 8e4), "wheel_radius_m": rng.uniform(0.35, 0.55),
+                 "wheelset_inertia_kgm2": rng.uniform(60.0, 300.0),
+                 "resistance_B_N_s_m": rng.uniform(0.0, 50.0), "body_height_m": rng.uniform(1.0, 2.5)},
+        brake={"pad_friction": rng.uniform(0.1, 0.5), "fill_time_constant_s": rng.uniform(0.3, 3.0)},
+        contact={"roller_radius_m": rng.uniform(0.5, 2.0)},
+        drive={"roller_inertia_kgm2": rng.uniform(300.0, 3000.0), "max_speed_rad_s": rng.uniform(10.0, 80.0)},
+        mechanisms={"wheel_radius_fraction": rng.uniform(-0.05, 0.05), "wheel_radius_axle": float(rng.integers(1, 5)),
+                    "wheel_inertia_fraction": rng.uniform(-0.2, 0.2), "wheel_inertia_axle": float(rng.integers(1, 5))})
+
+
+def shake(rng, rig):
+    """Any state that a run may come to, from micro-slip to a locked wheel; some vehicles stand."""
+    s, p, four = rig.state, rig.params, (4,)
+    v = 0.0 if rng.random() < 0.1 else 10.0 ** rng.uniform(-3.0, 1.8)
+    creepage = 10.0 ** rng.uniform(-6.0, 0.0, four) * rng.choice([1.0, 1.0, 1.0, -1.0], four)
+    creepage[rng.random(4) < 0.15] = 1.0  # locked
+    radius_m = p.wheels.table[vehicle.RADIUS_M:vehicle.RADIUS_M + 4]
+    s.vehicle_speed[0], s.standing[0] = v, float(v == 0.0)
+    s.roller_speed[:] = 0.0 if p.mode == 0 else v / p.drive.roller_radius_m * rng.uniform(0.95, 1.05, four)
+    surface_m_s = v if p.mode == 0 else p.drive.roller_radius_m * s.roller_speed
+    s.wheel_speed[:] = np.maximum(0.0, surface_m_s * (1.0 - creepage) / radius_m)
+    s.felt_acceleration[0], s.position[0] = rng.uniform(-3.0, 1.0), rng.uniform(0.0, 1e3)
+    s.brake_demand[0], s.valve[:] = rng.uniform(0.0, 5e5), rng.integers(0, 3, four)
+    for name, most in (("cylinder_pressure", 5e5), ("brake_capacity", 2e4), ("brake_torque", 2e4),
+                       ("motor_torque", 3e4), ("motor_before", 3e4), ("wheel_angle", 1e3),
+                       ("roller_angle", 1e3), ("brake_work", 1e6), ("sliding_work", 1e6),
+                       ("motor_work", 1e6), ("contact_force", 2e4), ("brake_mean", 2e4)):
+        getattr(s, name)[:] = rng.uniform(0.0, most, four)
+    s.motor_torque_demand[:] = rng.uniform(-4e4, 4e4, four)
+    s.friction_degraded[:] = p.law.mu_cd * rng.uniform(0.5, 1.5, four)
+    s.friction_recovered[:] = p.law.mu_cr * rng.uniform(0.9, 1.2, four)
+
+
+class Case:
+    """Four rigs in their lanes, and the same four after a step of the plant."""
+
+    def __init__(self, seed, mode):
+        rng = np.random.default_rng([seed, MODES.index(mode)])
+        self.rng = rng
+        self.rigs = [random_rig(rng, mode) for _ in range(RIGS)]
+        self.vehicles = tuple(rig.params.vehicle for rig in self.rigs)
+        self.targets = rng.uniform(0.0, 5e5, RIGS)
+        self.w = np.zeros(layout.SIZE)
+        self.before, self.after = [], []
+        for number, rig in enumerate(self.rigs):
+            shake(rng, rig)
+            layout.load_constants(self.w, number, rig.params)
+            scatter(self.w, number, rig.state, self.targets[number])
+            self.before.append(rig.plant.buffer.copy())
+            buffer = rig.plant.buffer.copy()
+            plant_step(views(buffer), self.targets[number], rig.params)
+            self.after.append(views(buffer))
+
+    def row(self, name):
+        """A row of the lanes, (rigs, axles)."""
+        at = getattr(layout, name)
+        return self.w[at:at + LANES].reshape(RIGS, AXLES)
+
+    def upto(self, name):
+        """Run the kernels of a step up to the first of this name."""
+        for each in ORDER[:ORDER.index(name) + 1]:
+            (getattr(step, each))(*((self.w, self.vehicles) if each in ("predict", "move") else (self.w,)))
+        return self
+
+    def moving(self):
+        """Rigs that move before and after the step."""
+        return [n for n, state in enumerate(self.after) if state.standing[0] == 0.0]
+
+
+def of_the_step(name):
+    def check(case):
+        case.upto(name)
+        for row, slot in LEAVES[name].items():
+            for n in case.moving():
+                near(case.row(row)[n], np.broadcast_to(getattr(case.after[n], slot), 4), f"{name}: {row}")
+    return check
+
+
+def whole_step(case):
+    step.step(case.w, case.vehicles)
+    for n, wanted in enumerate(case.after):
+        found = views(case.before[n].copy())
+        gather(case.w, n, found)
+        for name in SLOTS:
+            if name not in ("wheel_rate", "roller_rate", "instantaneous_transition"):  # of a stage, not of the state
+                near(getattr(found, name), getattr(wanted, name), name)
+
+
+def round_trip(case):
+    # what the plant's step changes is what the lanes carry there and back
+    for n, wanted in enumerate(case.after):
+        scatter(case.w, n, wanted, 0.0)
+        found = views(case.before[n].copy())
+        gather(case.w, n, found)
+        found.air_consumption[0] = wanted.air_consumption[0]  # the lanes count what is added
+        for name in SLOTS:
+            if name not in ("wheel_rate", "roller_rate", "instantaneous_transition"):
+                assert np.array_equal(getattr(found, name), getattr(wanted, name)), name
+
+
+def constants(case):
+    for n, rig in enumerate(case.rigs):
+        law, p = rig.params.law, rig.params
+        for row, value in (("TAU", law.tau_m_J), ("CLEANING", law.cleaning_creepage), ("A_D", law.A_d),
+                           ("K_SR", law.k_sr), ("EPS1", p.patch.eps1), ("STEP", p.step_s), ("ON_TRACK", p.mode == 0),
+                           ("ROLLER_M", p.drive.roller_radius_m), ("TORQUE_PER_PA", p.brake.torque_Nm_Pa)):
+            assert (case.row(row)[n] == value).all(), row
+        for j in range(AXLES):
+            near(case.row("STATIC_N")[n, j] - 2.0 * case.row("TRANSFER_KG")[n, j], vehicle.load(j, 2.0, p.vehicle))
+
+
+def force_of(case, n, j):
+    """(T, secant slope) of an axle at the beginning of the step, by `wheelset`."""
+    s, p = views(case.before[n]), case.rigs[n].params
+    surface = s.vehicle_speed[0] if p.mode == 0 else p.drive.roller_radius_m * s.roller_speed[j]
+    sliding = surface - p.wheels.table[vehicle.RADIUS_M + j] * s.wheel_speed[j]
+    at = max(abs(sliding), wheelset.SMALL_M_S)
+    T, _, _ = wheelset.force(at, surface, vehicle.load(j, s.felt_acceleration[0], p.vehicle),
+                             s.friction_degraded[j], s.friction_recovered[j], p.patch, p.law,
+                             adhesion.NO_MEMORY, 0.0)
+    return T / at * sliding, T / at
+
+
+def of_the_contacts(name):
+    def check(case):
+        case.upto(name)
+        inside = 0
+        for n in case.moving():
+            for j in range(AXLES):
+                slope = force_of(case, n, j)[1]
+                near(step.exact_slope(case.w, AXLES * n + j), slope)
+                if name != "contacts" or case.row("INSIDE")[n, j]:
+                    inside += 1
+                    near(case.row("SLOPE")[n, j], slope)
+        assert inside > 2 * len(case.moving())
+    return check
+
+
+def stages_of(case, n, j):
+    """Slopes, pull and acting brake of the first stage, by `wheelset`."""
+    s, after, p = views(case.before[n]), case.after[n], case.rigs[n].params
+    T, g = force_of(case, n, j)
+    wheel_k, brake_Nm, locked = wheelset.wheel_acceleration(s.wheel_speed[j], T, s.brake_capacity[j], j, p.wheels)
+    roller_k = wheelset.roller_acceleration(s.motor_before[j], T, p.mode == 0, p.drive)
+    wheel_k, roller_k, added_N = wheelset.implicit_slopes(wheel_k, roller_k, max(g, 0.0), locked, p.mode == 0, p.step_s,
+                                                          j, p.wheels, p.drive)
+    near((wheel_k, roller_k), (after.wheel_rate[j], after.roller_rate[j]))
+    return wheel_k, roller_k, T + added_N, brake_Nm
+
+
+@kernel
+def stage(w, j, wheel, brake_Nm, motor_Nm):
+    return step.stage(w, j, wheel, brake_Nm, motor_Nm, 0.0, 0.0)
+
+
+def one_stage(case):
+    case.upto("contacts_outside_domain")
+    for n in case.moving():
+        s = views(case.before[n])
+        for j in range(AXLES):
+            found = stage(case.w, AXLES * n + j, s.wheel_speed[j], s.brake_capacity[j], s.motor_before[j])
+            near(found, stages_of(case, n, j))
+
+
+def prediction(case):
+    case.upto("predict")
+    for n in case.moving():
+        s, p = views(case.before[n]), case.rigs[n].params
+        v, felt, h = s.vehicle_speed[0], s.felt_acceleration[0], p.step_s
+        held_N = vehicle.resistance(v, p.vehicle) + sum(stages_of(case, n, j)[2] for j in range(AXLES))
+        near(step.total(case.w, AXLES * n, 0.0) + vehicle.resistance(v, p.vehicle), held_N)
+        rate = -held_N / p.vehicle.mass_kg
+        near(case.row("V_END")[n], np.full(4, v + h * rate))
+        near(case.row("FELT_END")[n], np.full(4, felt + h * (rate - felt) / p.vehicle.pitch_time_constant_s))
+
+
+def standstill(case):
+    for n, rig in enumerate(case.rigs):
+        step.broadcast(case.w, layout.V, AXLES * n, 0.001)
+        step.settle(case.w, AXLES * n)
+        rig.state.standing[0], rig.state.vehicle_speed[0] = 0.0, 0.001
+        vehicle.settle(rig.state)
+        found = views(case.before[n].copy())
+        gather(case.w, n, found)
+        for name in ("vehicle_speed", "vehicle_acceleration", "wheel_speed", "roller_speed", "motor_torque",
+                     "brake_torque", "standing"):
+            assert np.array_equal(getattr(found, name), getattr(rig.state, name)), name
+
+
+@kernel
+def of_the_library(x, u):
+    return fast.exponential(x), fast.arc_tangent(u), fast.inverse_cube_root(0.25 + 3.75 * u), fast._nearer_root(
+        1.0 + 1e-4 * u, 1.0 - (1.0 + 1e-4 * u) ** 3)
+
+
+def functions(case):
+    for x, u in zip(case.rng.uniform(-40.0, 5.0, 200), case.rng.uniform(0.0, 1.0, 200), strict=True):
+        near(of_the_library(x, u)[0], math.exp(x))
+        near(of_the_library(x, 50.0 * u)[1], math.atan(50.0 * u))
+        near(of_the_library(x, u)[2:], ((0.25 + 3.75 * u) ** (-1 / 3), 1.0))
+
+
+@kernel
+def fast_law(sliding, speed, load, eps1, law):
+    at = fast.eps_mu(sliding, speed, load, eps1)
+    f_d = fast.curve(sliding, at, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
+    f_r = fast.curve(sliding, at, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
+    k = law.tau_m_J * load * adhesion.creepage_of(sliding, speed)
+    return at, f_d, f_r, fast.recovered(f_d, f_r, k), k
+
+
+def curves_and_recovery(case):
+    for rig in case.rigs:
+        law, eps1 = rig.params.law, rig.params.patch.eps1
+        for _ in range(50):
+            speed, load = 10.0 ** case.rng.uniform(-1.0, 1.9), case.rng.uniform(1.3e4, 1.9e5)
+            sliding = speed * 10.0 ** case.rng.uniform(-6.0, 0.0)
+            at, f_d, f_r, (f, inside), k = fast_law(sliding, speed, load, eps1, law)
+            near(at, eps1 * load ** (-1 / 3) * adhesion.creepage_of(sliding, speed))
+            near(f_d, polach.curve(sliding, 1.0, at, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)[0])
+            near(f_r, polach.curve(sliding, 1.0, at, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)[0])
+            if inside:
+                near(f, adhesion.recovery(f_d, f_r, k)[0])
+
+
+TWINS = {
+    "layout.load_constants": constants, "layout.scatter": round_trip, "layout.gather": round_trip,
+    "step.step": whole_step, "step.stage": one_stage, "step.predict": prediction, "step.total": prediction,
+    "step.broadcast": standstill, "step.settle": standstill, "step.exact_slope": of_the_contacts("contacts"),
+    "step.contacts": of_the_contacts("contacts"),
+    "step.contacts_outside_domain": of_the_contacts("contacts_outside_domain"),
+    **{f"step.{name}": of_the_step(name) for name in LEAVES},
+    "adhesion.exponential": functions, "adhesion.arc_tangent": functions,
+    "adhesion.inverse_cube_root": functions, "adhesion._nearer_root": functions,
+    "adhesion.curve": curves_and_recovery, "adhesion.eps_mu": curves_and_recovery,
+    "adhesion.recovered": curves_and_recovery,
+}
+
+
+def test_every_kernel_of_the_lanes_has_a_twin():
+    kernels = {f"{module.__name__.rpartition('.')[2]}.{name}" for module in (layout, step, fast)
+               for name, one in vars(module).items()
+               if isinstance(one, Dispatcher) and one.py_func.__module__ == module.__name__}
+    assert kernels == set(TWINS)
+
+
+def test_the_kernels_of_a_step_are_held_to_the_plant_in_their_order():
+    called = step.step.py_func.__code__.co_names
+    assert tuple(dict.fromkeys(name for name in called if hasattr(step, name))) == tuple(dict.fromkeys(ORDER))
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("name", TWINS)
+def test_a_kernel_does_what_its_twin_in_the_plant_does(name, mode):
+    for seed in SEEDS:
+        TWINS[name](Case(seed, mode))
+
