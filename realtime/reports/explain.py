@@ -147,10 +147,9 @@ def _against(figure: Figure, a: Account) -> None:
                                   ("sliding, m/s", "speed, m/s", "time, s"), strict=True):
         edges = np.quantile(values, np.linspace(0.0, 1.0, 13))
         at = np.clip(np.digitize(values, edges) - 1, 0, 11)
-        middle = [values[at == k].mean() if np.any(at == k) else np.nan for k in range(12)]
         for model, colour, label in ((base, BASE, "base"), (better, EXTENDED, "extended")):
-            error = [(measured - model)[at == k].mean() if np.any(at == k) else np.nan
-                     for k in range(12)]
+            middle, error = ([part[at == k].mean() for k in np.unique(at)]
+                             for part in (values, measured - model))
             axis.plot(middle, error, "o-", color=colour, label=label)
         axis.axhline(0.0, color=GREY)
         axis.set_xlabel(name)
