@@ -9,9 +9,9 @@ from pathlib import Path
 def replaced(path: Path, suffix: str = "") -> Iterator[Path]:
     """Gives a place beside a file, for the file anew; it takes the old one's place in one step.
 
-    The place has the suffix of the file, or the one given. Nothing is left of what failed.
+    Nothing is left of what failed. `suffix` is for writers that look at how a name ends.
     """
-    new = path.with_name(f".{path.stem}.new{suffix or path.suffix}")
+    new = path.with_name(f".{path.name}.new{suffix}")
     try:
         yield new
         new.replace(path)
