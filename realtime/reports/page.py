@@ -17,8 +17,7 @@ from rollerrig.realtime.telemetry import colours
 
 INK = "#222222"
 AXLES = tuple(map(colours.on_page, colours.AXLES))
-GREY, BLUE, YELLOW, VERMILION = map(colours.on_page, (
-    colours.GREY, colours.BLUE, colours.YELLOW, colours.VERMILION))
+GREY, VERMILION = map(colours.on_page, (colours.GREY, colours.VERMILION))
 MEASURED, BASE, EXTENDED = INK, *map(colours.on_page, (colours.BASE, colours.EXTENDED))
 # of several runs, in their order
 RUNS = tuple(map(colours.on_page, (colours.BLUE, colours.ORANGE, colours.GREEN, colours.PURPLE,
@@ -32,10 +31,10 @@ td,th{padding:.2rem .7rem;border-bottom:1px solid #8884;text-align:left;vertical
 .number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
 svg{width:100%;height:auto}pre{overflow:auto;font-size:.85em}summary{cursor:pointer}
 small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
-.pass{color:#009e73}.fail,.warn{color:#d55e00}.error{color:#cc79a7}
 @media (prefers-color-scheme:dark){svg{filter:brightness(1.3)}}
 @media print{details{display:none}}
-"""
+""" + "".join(f".{kind}{{color:{colours.on_page(colour)}}}" for kind, colour in (
+    ("pass", colours.GREEN), ("fail", colours.VERMILION), ("warn", colours.VERMILION), ("error", colours.PURPLE)))
 _MATPLOTLIB = {
     # a fixed salt: the same data give the same file
     "svg.hashsalt": "rollerrig", "svg.fonttype": "none", "font.size": 9, "legend.fontsize": 8,
