@@ -24,7 +24,10 @@ def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:
 
 
 def running_resistance(vehicle: Mapping[str, Any], force_N: float, speed_power: float) -> dict[str, Any]:
-    """One coefficient of the resistance. Raises ConfigError for a power that it has not."""
+    """R = R_0 + force (v / 20 m/s)^speed_power
+
+    Raises ConfigError for a power that is not 0, 1 or 2.
+    """
     if speed_power not in RESISTANCE:
         raise ConfigError(f"[mechanisms] running_resistance_speed_power = {speed_power:g}; allowed are 0 "
                           "(constant), 1 and 2 (with the speed, with its square)")
@@ -33,5 +36,5 @@ def running_resistance(vehicle: Mapping[str, Any], force_N: float, speed_power: 
 
 
 def track_gradient(vehicle: Mapping[str, Any], gradient: float) -> dict[str, Any]:
-    """The constant resistance, by the weight's share along the track."""
+    """R = R_0 + M g gradient; uphill is positive"""
     return {"resistance_A_N": vehicle["resistance_A_N"] + GRAVITY_M_S2 * vehicle["mass_kg"] * gradient}

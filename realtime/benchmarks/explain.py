@@ -31,18 +31,6 @@ from rollerrig.realtime.benchmarks.figures import Result, Say
 _FOLDER = Path(__file__).resolve().parents[2] / "tests" / "generator"
 GENERATORS = {"first": "braking_stops", "second": "other_stops"}
 NOTHING, SIZES = 20, (1.0, 1.5, 2.0)
-# causes whose size a generator means as the rig's table does: the coefficient to compare, its sign
-_BOTH_MEAN = {
-    "brake_gain": ("gain", 1.0), "wheel_radius": ("fraction", 1.0), "wheel_inertia": ("fraction", 1.0),
-    "speed_sensor_delay": ("delay_s", 1.0), "torque_sensor_delay": ("delay_s", 1.0),
-    "wheel_out_of_round": ("amplitude", 1.0)}
-SAME_MEANING: dict[str, dict[str, tuple[str, float]]] = {
-    "braking_stops": _BOTH_MEAN | {
-        "torque_offset": ("offset_Nm", 1.0), "track_gradient": ("gradient", 1.0),
-        "roller_curvature": ("stiffness_fraction", 1.0), "interfacial_layer": ("reduction", 1.0),
-        "falling_friction": ("fraction", 1.0)},
-    "other_stops": _BOTH_MEAN | {"roller_curvature": ("stiffness_fraction", -1.0)},
-}
 LONGEST_S = 90.0
 # a smaller gain than this share of the error is not worth a quotient
 LEAST_POSSIBLE = 0.02
@@ -96,7 +84,7 @@ def judge(module: str, folder: Path, case: Case) -> Judged:
     account = explain.braking_runs(data, 0, lambda *_: None)
     covered = None
     for named in account.causes:
-        meant = SAME_MEANING[module].get(named.cause.name)
+        meant = make.SAME_MEANING.get(named.cause.name)
         if meant and named.cause.name in case.effects:
             low, high = extension.parameters(named)[meant[0]]["ci95"]
             covered = bool(low <= meant[1] * case.effects[named.cause.name] <= high)

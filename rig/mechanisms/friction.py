@@ -1,40 +1,40 @@
-"""Mechanisms of friction: their courses are what one unit of the coefficient adds to ln mu.
-"""
+"""Mechanisms of friction: their courses are what one unit of the coefficient adds to ln mu."""
 
 import math
 
 from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.mechanisms.mechanism import (
-    FRICTION,
-    WIDE,
-    Mechanism,
-    parameter,
-    saturating,
-)
+from rollerrig.rig.mechanisms.mechanism import FRICTION, WIDE, number, of_course, saturating
 
 
 @kernel
 def rail_cleaning(cleaned_J_m, energy_J_m):
-    """1 - exp(-W / energy)."""
+    """ln mu += gain (1 - exp(-W / energy)), W: work on this metre of rail by the wheels before"""
     return -math.expm1(-cleaned_J_m / energy_J_m)
 
 
 @kernel
 def speed_dependent_friction(speed_m_s, knee_m_s):
-    """knee (1 - exp(-(v - 20 m/s) / knee))."""
+    """ln mu += slope knee (1 - exp(-(v - 20 m/s) / knee)), slope (v - 20 m/s) for a wide knee"""
     return saturating(speed_m_s - MIDDLE_SPEED_M_S, knee_m_s)
 
 
 @kernel
+def friction_trend(time_s, scale_s):
+    """ln mu += rate time (1 - exp(-t / time)), rate t for a long time"""
+    return saturating(time_s, scale_s)
+
+
+@kernel
 def negative_conditioning(slid_m, distance_m):
-    """-(1 - exp(-S / distance))."""
+    """ln mu -= loss (1 - exp(-S / distance)), S: sliding distance of the wheel so far"""
     return math.expm1(-slid_m / distance_m)
 
 
 @kernel
 def contaminated_patch(place_m, start_m, length_m, ramp):
-    """-1 inside, with edges of sin^2 over the share `ramp` of the length, half at either end."""
+    """ln mu -= depth for start <= place < start + length; over the share ramp of the length, half at either
+    end, it rises and falls as sin^2"""
     if not start_m <= place_m < start_m + length_m:
         return 0.0
     inside, edge = min(place_m - start_m, start_m + length_m - place_m), 0.5 * ramp * length_m
@@ -42,20 +42,17 @@ def contaminated_patch(place_m, start_m, length_m, ramp):
 
 
 @kernel
-def friction_trend(time_s, scale_s):
-    """time (1 - exp(-t / time))."""
-    return saturating(time_s, scale_s)
-
-
-@kernel
 def sanding(time_s, axle, start_s, duration_s, behind):
-    """1 while sand falls before the axle."""
+    """ln mu += gain for start <= t < start + duration, each run with its own window; behind = 1: not under
+    the first wheelset"""
     return 1.0 if start_s <= time_s < start_s + duration_s and (axle > 0 or behind < 0.5) else 0.0
 
 
 @kernel
 def empirical(x, linear, quadratic, centre, scale, period):
-    """Change of ln mu by an empirical term of a covariate x."""
+    """ln mu += linear z + quadratic z^2, z = (x - centre) / scale; with a period linear cos(2 pi x / period)
+    + quadratic sin(2 pi x / period); x = 1 speed m/s, 2 time s, 3 place m, 4 sliding m/s, 5 load N, 6 energy
+    J/m, 7 disc heat MJ, 8 sliding distance m, 9 wheel angle rad"""
     if period > 0.0:
         turn = 2.0 * math.pi * x / period
         return linear * math.cos(turn) + quadratic * math.sin(turn)
@@ -64,52 +61,29 @@ def empirical(x, linear, quadratic, centre, scale, period):
 
 
 ROWS = (
-    Mechanism(
-        "rail_cleaning", FRICTION,
-        (parameter("gain", 0.0, 1.0, "-"), parameter("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
-        "ln mu += gain (1 - exp(-W / energy)), W: work on this metre of rail by the wheels before",
-        "leading wheels clean the rail for the following ones", "Allotta et al. 2014; form: assumption",
-        (rail_cleaning,)),
-    Mechanism(
-        "speed_dependent_friction", FRICTION,
-        (parameter("slope_per_m_s", -0.05, 0.05, "s/m"), parameter("knee_m_s", 2.0, WIDE, "m/s", WIDE)),
-        "ln mu += slope knee (1 - exp(-(v - 20 m/s) / knee)), slope (v - 20 m/s) for a wide knee",
-        "friction depends on the vehicle's speed", "Curtius and Kniffler 1950; form: assumption",
-        (speed_dependent_friction,)),
-    Mechanism(
-        "friction_trend", FRICTION,
-        (parameter("rate_1_s", -0.2, 0.2, "1/s"), parameter("time_s", 0.1, WIDE, "s", WIDE)),
-        "ln mu += rate time (1 - exp(-t / time)), rate t for a long time",
-        "friction drifts with time in a stop", "assumption", (friction_trend,)),
-    Mechanism(
-        "negative_conditioning", FRICTION,
-        (parameter("loss", 0.0, 0.9, "-"), parameter("distance_m", 1.0, 500.0, "m", 30.0)),
-        "ln mu -= loss (1 - exp(-S / distance)), S: sliding distance of the wheel so far",
-        "sliding destroys adhesion", "oil paste: Beagley and Pritchard 1975; form: assumption",
-        (negative_conditioning,)),
-    Mechanism(
-        "contaminated_patch", FRICTION,
-        (parameter("depth", 0.0, 1.0, "-"), parameter("start_m", -100.0, 1e5, "m"),
-         parameter("length_m", 0.0, 1e4, "m"), parameter("ramp", 0.0, 1.0, "-")),
-        "ln mu -= depth for start <= place < start + length; over the share ramp of the length, half "
-        "at either end, it rises and falls as sin^2", "friction depends on the place", "assumption",
-        (contaminated_patch,)),
-    Mechanism(
-        "sanding", FRICTION,
-        (parameter("gain", 0.0, 2.0, "-"), parameter("start_s", 0.0, 1e4, "s"),
-         parameter("duration_s", 0.0, 1e4, "s"), parameter("behind", 0.0, 1.0, "-")),
-        "ln mu += gain for start <= t < start + duration, each run with its own window; behind = 1: "
-        "not under the first wheelset", "sand raises friction for a while", "assumption", (sanding,)),
+    of_course(FRICTION, rail_cleaning, (number("gain", 0.0, 1.0, "-"), number("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
+              "leading wheels clean the rail for the following ones", "Allotta et al. 2014; form: assumption"),
+    of_course(FRICTION, speed_dependent_friction,
+              (number("slope_per_m_s", -0.05, 0.05, "s/m"), number("knee_m_s", 2.0, WIDE, "m/s", WIDE)),
+              "friction depends on the vehicle's speed", "Curtius and Kniffler 1950; form: assumption"),
+    of_course(FRICTION, friction_trend, (number("rate_1_s", -0.2, 0.2, "1/s"), number("time_s", 0.1, WIDE, "s", WIDE)),
+              "friction drifts with time in a stop", "assumption"),
+    of_course(FRICTION, negative_conditioning,
+              (number("loss", 0.0, 0.9, "-"), number("distance_m", 1.0, 500.0, "m", 30.0)),
+              "sliding destroys adhesion", "oil paste: Beagley and Pritchard 1975; form: assumption"),
+    of_course(FRICTION, contaminated_patch,
+              (number("depth", 0.0, 1.0, "-"), number("start_m", -100.0, 1e5, "m"),
+               number("length_m", 0.0, 1e4, "m"), number("ramp", 0.0, 1.0, "-")),
+              "friction depends on the place", "assumption"),
+    of_course(FRICTION, sanding,
+              (number("gain", 0.0, 2.0, "-"), number("start_s", 0.0, 1e4, "s"),
+               number("duration_s", 0.0, 1e4, "s"), number("behind", 0.0, 1.0, "-")),
+              "sand raises friction for a while", "assumption"),
 )
-
 # what `explain` writes down when none of the table explains: a formula, not a cause
-EMPIRICAL = Mechanism(
-    "empirical", FRICTION,
-    (parameter("linear", -1e4, 1e4, "-"), parameter("quadratic", -1e4, 1e4, "-"),
-     parameter("covariate", 0.0, 9.0, "-"), parameter("centre", -1e6, 1e6, "of the covariate"),
-     parameter("scale", 1e-6, 1e6, "of the covariate", 1.0), parameter("period", 0.0, 1e4, "of the covariate")),
-    "ln mu += linear z + quadratic z^2, z = (x - centre) / scale; with a period linear cos(2 pi x / "
-    "period) + quadratic sin(2 pi x / period); x = 1 speed m/s, 2 time s, 3 place m, 4 sliding m/s, "
-    "5 load N, 6 energy J/m, 7 disc heat MJ, 8 sliding distance m, 9 wheel angle rad",
-    "an empirical term of one covariate", "fitted, no physics", free=2)
-
+EMPIRICAL = of_course(
+    FRICTION, empirical,
+    (number("linear", -1e4, 1e4, "-"), number("quadratic", -1e4, 1e4, "-"), number("covariate", 0.0, 9.0, "-"),
+     number("centre", -1e6, 1e6, "of the covariate"), number("scale", 1e-6, 1e6, "of the covariate", 1.0),
+     number("period", 0.0, 1e4, "of the covariate")),
+    "an empirical term of one covariate", "fitted, no physics", free=2, courses=())

@@ -2,7 +2,7 @@
 
 A formula is either a course, a kernel of covariates by their names (COVARIATES) and then of the row's
 shape parameters in their order; or a function of constants of the model by their names, which returns
-those that it changes. Plant, coach and replay call the same one.
+those that it changes. Its docstring is the formula that reports show. Plant, coach and replay call it.
 """
 
 import inspect
@@ -10,7 +10,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from rollerrig.configs.table import Row, number
+from rollerrig.configs import table
+from rollerrig.configs.table import Row
 from rollerrig.rig.kernel import kernel
 
 FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
@@ -50,7 +51,6 @@ COVARIATES = (
     Covariate("brake_Nm", "capacity_Nm"),
     Covariate("deceleration_m_s2", "-state.felt_acceleration[0]"),
 )
-EMPIRICAL_WORDS = tuple(c.word for c in COVARIATES if c.word)
 
 
 class Mechanism(NamedTuple):
@@ -96,12 +96,29 @@ def arguments(course: Any, shape: int) -> list[str]:
     return names[:len(names) - shape]
 
 
-def parameter(name: str, low: float, high: float, text: str, default: float = 0.0) -> Row:
-    """A number of a mechanism; `text` is its unit."""
-    return number(name, default, low, high, text)
+def number(name: str, low: float, high: float, unit: str, default: float = 0.0) -> Row:
+    """A parameter of a mechanism."""
+    return table.number(name, default, low, high, unit)
 
 
-AXLE = parameter("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
+def _formula(function: Any) -> str:
+    return " ".join(function.__doc__.split("\n\n")[0].split())
+
+
+def of_course(acts_on: str, course: Any, parameters: tuple[Row, ...], text: str, source: str, **more: Any) -> Mechanism:
+    """The row of a course, which gives it its name and the text of its formula."""
+    given: dict[str, Any] = {"courses": (course,)} | more
+    return Mechanism(course.__name__, acts_on, parameters, _formula(course), text, source, **given)
+
+
+def of_constants(acts_on: str, change: Callable[..., dict[str, Any]], changes: tuple[str, ...],
+                 parameters: tuple[Row, ...], text: str, source: str, in_coach: str = WHOLLY) -> Mechanism:
+    """The row of a function that changes constants, which gives it its name and the text of its formula."""
+    return Mechanism(change.__name__, acts_on, parameters, _formula(change), text, source, constants=change,
+                     changes=changes, in_coach=in_coach)
+
+
+AXLE = number("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
 
 
 @kernel

@@ -37,6 +37,13 @@ SMALLEST = {
 UNKNOWN = {"load_exponent": 1.0, "joints": 0.08, "sticky_turn": 0.08, "late_axle": 0.06,
            "sliding_resonance": 0.06}
 LARGEST: dict[str, float] = {}
+# causes whose size means here what the rig's table means by it: the coefficient to compare, its sign
+SAME_MEANING = {
+    "brake_gain": ("gain", 1.0), "wheel_radius": ("fraction", 1.0), "wheel_inertia": ("fraction", 1.0),
+    "speed_sensor_delay": ("delay_s", 1.0), "torque_sensor_delay": ("delay_s", 1.0),
+    "wheel_out_of_round": ("amplitude", 1.0), "torque_offset": ("offset_Nm", 1.0),
+    "track_gradient": ("gradient", 1.0), "roller_curvature": ("stiffness_fraction", 1.0),
+    "interfacial_layer": ("reduction", 1.0), "falling_friction": ("fraction", 1.0)}
 PAIRS = tuple({name: 2.0 * SMALLEST[name] for name in pair} for pair in (
     ("rail_cleaning", "running_resistance"), ("brake_gain", "friction_trend"),
     ("wheel_radius", "adhesion_memory"), ("pad_fade", "rail_cleaning"),

@@ -28,6 +28,11 @@ from numba import njit
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
+# causes whose size means here what the rig's table means by it: the coefficient to compare, its sign
+SAME_MEANING = {
+    "brake_gain": ("gain", 1.0), "wheel_radius": ("fraction", 1.0), "wheel_inertia": ("fraction", 1.0),
+    "speed_sensor_delay": ("delay_s", 1.0), "torque_sensor_delay": ("delay_s", 1.0),
+    "wheel_out_of_round": ("amplitude", 1.0), "roller_curvature": ("stiffness_fraction", -1.0)}
 # smallest size worth a set: shared material's "smallest size with 9 of 10 named", where it gives one
 SMALLEST = {
     "rail_cleaning": 0.05,             # friction gained behind one wheelset that has cleaned well

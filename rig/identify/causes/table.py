@@ -60,6 +60,7 @@ TABLE = (
     Search("brake_gain"),
     Search("torque_offset", _of("from_Nm", 0.0, 300.0)),
     Search("pad_fade", _of("heat_MJ", 0.0, 3.0), {"heat_MJ": (0.5, 40.0)}, goes_by=("disc_heat",)),
+    Search("wet_pads", _of("turns", 3.0, 12.0), {"turns": (0.5, 100.0)}, goes_by=("time",)),
     Search("running_resistance", _of("speed_power", 0.0, 1.0, 2.0), goes_by=("vehicle speed",)),
     Search("track_gradient"),
     Search("roller_curvature", floor=0.02),

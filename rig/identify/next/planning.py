@@ -8,7 +8,7 @@ two candidates [L2], and stops are chosen one after another, each beside those a
     [L1] S = sum A_cc - A_cb A_bb^-1 A_bc over candidates c and base b, of columns times their size
     [L2] max over stops of min over pairs of min(S_aa, S_bb) (1 - rho^2), rho^2 = S_ab^2 / (S_aa S_bb)
 
-Source: Atkinson and Donev, Optimum Experimental Designs (1992), chapter 20; DISCOVERY sections 3, 5.
+Source: Atkinson and Donev, Optimum Experimental Designs (1992), chapter 20.
 A stop with the brake on one wheelset only keeps its speed for long: sliding at a steady speed.
 """
 

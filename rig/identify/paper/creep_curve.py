@@ -13,7 +13,7 @@ from rollerrig.rig.mechanisms.table import TABLE
 
 
 def as_json(data: Dataset, seed: int) -> dict[str, Any]:
-    """The report of INTERFACES section 6 for a creep curve."""
+    """The content of report.json for a creep curve."""
     assert data.curve is not None
     found = polach_fit.fit(data, seed)
     n = data.curve.creepage.size
