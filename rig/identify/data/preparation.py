@@ -23,7 +23,7 @@ from rollerrig.rig.kernel import kernel_with_memory
 WINDOW_S = 0.21
 LOAD_SMOOTHING_S = 0.2
 # above this share of a wheelset's largest torque its brake is applied
-BRAKED_SHARE = 0.06
+BRAKED_SHARE = 0.02
 
 
 class Design(NamedTuple):
@@ -70,7 +70,12 @@ class Design(NamedTuple):
         return self.run.size
 
     def span(self, segment: int) -> slice:
+        """Samples of a segment."""
         return slice(int(self.start[segment]), int(self.start[segment + 1]))
+
+    def vehicle_span(self, run: int) -> slice:
+        """Samples of the vehicle in a run."""
+        return slice(int(self.vehicle_start[run]), int(self.vehicle_start[run + 1]))
 
 
 @kernel_with_memory
@@ -168,7 +173,7 @@ def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
 def _released(torque: np.ndarray, step_s: float) -> tuple[float, float]:
     """Mean torque before the brake applies and its standard error; nan where it is never released."""
     smooth = gaussian_filter1d(torque, 0.05 / step_s)
-    above = np.flatnonzero(smooth > BRAKED_SHARE * np.max(smooth))
+    above = np.flatnonzero(smooth > 0.06 * np.max(smooth))
     still = int(above[0]) - int(0.15 / step_s) if above.size else 0
     if still < 0.3 / step_s:
         return float("nan"), float("nan")

@@ -5,6 +5,7 @@ a second one by more than the first one's wrong shape could lend it. When two ar
 looked for again beside the second, for one that had to stand for both gives way.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
 from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.identify.decide.null_sets import Setting
 from rollerrig.rig.identify.filter import sensitivity
 
 CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2
@@ -86,6 +88,11 @@ def fit_one(task: Fit) -> Fitted:
     return Fitted(explanation, value, covariance, blocks(design, explanation))
 
 
+def fit_all(setting: Setting, explanations: Sequence[Explanation], title: str) -> list[Fitted]:
+    """Fit explanations, each in a process of its own."""
+    return setting.run_all(fit_one, [Fit(setting.data, setting.measured, one) for one in explanations], title)
+
+
 def blocks(design: Design, explanation: Explanation) -> np.ndarray:
     """Deviance in blocks of 3 s, wheels and vehicle of a run together."""
     nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, explanation))
@@ -93,26 +100,25 @@ def blocks(design: Design, explanation: Explanation) -> np.ndarray:
     length, found = int(BLOCK_S / design.step_s), []
     for run in range(design.mass_kg.size):
         parts = [wheel[design.span(AXLES * run + j)] for j in range(AXLES)]
-        parts.append(car[int(design.vehicle_start[run]):int(design.vehicle_start[run + 1])])
+        parts.append(car[design.vehicle_span(run)])
         whole = np.sum(parts, axis=0)
         found += [whole[k:k + length].sum() for k in range(0, whole.size, length)]
     return np.array(found)
 
 
-def fitted(pool: null_sets.Pool, data: Dataset, measured: list[Run], explanation: Explanation,
-            found: list[Finding], most: int, progress: null_sets.Progress) -> list[Candidate]:
+def fitted(setting: Setting, explanation: Explanation, found: list[Finding], most: int) -> list[Candidate]:
     """The causes that count beside an explanation, each fitted."""
     present = {cause.name for cause in explanation.causes}
     counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)
                and f.name not in present]
     counted = sorted(counted, key=lambda f: -f.statistic)[:most]
-    tasks = [Fit(data, measured, explanation._replace(causes=(*explanation.causes, f.cause()))) for f in counted]
-    fits = null_sets.run_all(pool, fit_one, tasks, "fit of causes", progress)
+    fits = fit_all(setting, [explanation._replace(causes=(*explanation.causes, f.cause())) for f in counted],
+                   "fit of causes")
     return [Candidate(f, fit) for f, fit in zip(counted, fits, strict=True)]
 
 
 def in_better_shape(rival: Candidate, others: list[Fitted], scored: tuning.Normal,
-            nulls: list[evidence.Scores]) -> Candidate:
+                    nulls: list[evidence.Scores]) -> Candidate:
     """The same cause in another shape, where that was fitted already and is the better one."""
     for fit in others:
         cause = fit.explanation.causes[-1]
@@ -124,7 +130,7 @@ def in_better_shape(rival: Candidate, others: list[Fitted], scored: tuning.Norma
 
 
 def overwhelming(value: float, fits: list[Fitted], rivals: list[Candidate], scored: tuning.Normal,
-             nulls: list[evidence.Scores]) -> list[Candidate]:
+                 nulls: list[evidence.Scores]) -> list[Candidate]:
     """Causes whose fit wins so much that no score is asked: far from the base, scores say little."""
     known = {rival.finding.name for rival in rivals}
     found = [(evidence.finding_of(scored, nulls, fit.explanation.causes[-1]), fit) for fit in fits
@@ -133,7 +139,7 @@ def overwhelming(value: float, fits: list[Fitted], rivals: list[Candidate], scor
 
 
 def choose(design: Design, explanation: Explanation, value: float, rivals: list[Candidate]
-            ) -> tuple[Explanation, list[NamedCause]]:
+           ) -> tuple[Explanation, list[NamedCause]]:
     """The best further cause, with those that cannot be told from it."""
     if not rivals:
         return explanation, []
@@ -152,9 +158,8 @@ def choose(design: Design, explanation: Explanation, value: float, rivals: list[
     confusable = tuple(rivals[int(k)].finding.name for k in order[1:]
                        if indistinguishable(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
     at = len(best.covariance) - len(best.explanation.causes[-1].values)
-    named = NamedCause(finding, best.explanation.causes[-1], float(ratio[top]), _deviation(finding, best, at),
-                  confusable)
-    return best.explanation, [named]
+    return best.explanation, [NamedCause(finding, best.explanation.causes[-1], float(ratio[top]),
+                                         _deviation(finding, best, at), confusable)]
 
 
 def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]
@@ -191,14 +196,14 @@ def indistinguishable(best: Fitted, other: Fitted, ratio: float, less: float) ->
     return ratio - less < 1.64 * max(spread, 1e-9) or ratio - less < 4.0
 
 
-def second_cause(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design, explanation: Explanation,
-            causes: list[NamedCause], rivals: list[Candidate], seed: int, progress: null_sets.Progress
-            ) -> tuple[Explanation, list[NamedCause], list[Finding]]:
+def second_cause(setting: Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate],
+                 seed: int) -> tuple[Explanation, list[NamedCause], list[Finding]]:
     """Further causes beside the first, and the remainder behind all of them."""
+    design = setting.design
     remainder: list[Finding] = []
     for turn in range(MOST_CAUSES):
         known = tuple(named.finding.name for named in causes)
-        nulls = null_sets.null_sets(pool, data, measured, explanation, CHECK_SETS, seed + 7 + turn, known, progress)
+        nulls = null_sets.null_sets(setting, explanation, CHECK_SETS, seed + 7 + turn, known)
         if len(nulls) < CHECK_SETS // 2:
             break
         value = tuning.deviance(design, explanation)
@@ -208,14 +213,13 @@ def second_cause(pool: null_sets.Pool, data: Dataset, measured: list[Run], desig
         found = [f for f in found if f.statistic > SCORE_SHARE * _least_beside(first, f.axle)]
         if len(causes) >= MOST_CAUSES:
             break
-        beside = fitted(pool, data, measured, explanation, found, MOST_BESIDE, progress)
+        beside = fitted(setting, explanation, found, MOST_BESIDE)
         better, more = choose(design, explanation, value, beside)
         if not more or more[0].ratio < _least_beside(first, more[0].cause.axle):
             break
-        if not _both_needed(data, measured, better, value):
+        if not _both_needed(setting, better, value):
             break
-        better, both = _swapped(pool, data, measured, design, better,
-                                [first._replace(cause=better.causes[0]), more[0]], rivals, progress)
+        better, both = _swapped(setting, better, [first._replace(cause=better.causes[0]), more[0]], rivals)
         if more[0].finding.name in first.confusable and \
                 value - tuning.deviance(design, better) < OWN_SHARE * first.ratio:
             break
@@ -232,28 +236,25 @@ def _least_beside(first: NamedCause, axle: int) -> float:
     return max(SECOND_FLOOR, first.ratio * (SECOND_SHARE_OF_AXLE if own else SECOND_SHARE))
 
 
-def _swapped(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design,
-             explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate],
-             progress: null_sets.Progress) -> tuple[Explanation, list[NamedCause]]:
+def _swapped(setting: Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate]
+             ) -> tuple[Explanation, list[NamedCause]]:
     """The first cause looked for again beside the second: one that had to stand for both gives way."""
     names = {named.finding.name for named in causes}
     others = [rival for rival in rivals if rival.finding.name not in names]
-    tasks = [Fit(data, measured, explanation._replace(causes=(rival.fit.explanation.causes[-1], explanation.causes[1])))
-             for rival in others]
-    fits: list[Fitted] = null_sets.run_all(pool, fit_one, tasks, "first cause again", progress)
-    value = tuning.deviance(design, explanation) + _price(causes[0].finding)
+    fits = fit_all(setting, [explanation._replace(causes=(rival.fit.explanation.causes[-1], explanation.causes[1]))
+                             for rival in others], "first cause again")
+    value = tuning.deviance(setting.design, explanation) + _price(causes[0].finding)
     won = [value - fit.value - _price(rival.finding) for rival, fit in zip(others, fits, strict=True)]
     if not won or max(won) < 4.0:
         return explanation, causes
     top = int(np.argmax(won))
     finding, better = others[top].finding, fits[top].explanation
-    first = NamedCause(finding, better.causes[0], causes[0].ratio + won[top],
-                  _deviation(finding, fits[top], 0), ())
+    first = NamedCause(finding, better.causes[0], causes[0].ratio + won[top], _deviation(finding, fits[top], 0), ())
     return better, [first, causes[1]._replace(cause=better.causes[1])]
 
 
-def _both_needed(data: Dataset, measured: list[Run], explanation: Explanation, value: float) -> bool:
+def _both_needed(setting: Setting, explanation: Explanation, value: float) -> bool:
     """Whether the first cause still earns its likelihood beside the second."""
-    both = fit_one(Fit(data, measured, explanation))
-    alone = fit_one(Fit(data, measured, explanation._replace(causes=explanation.causes[1:])))
+    both, alone = (fit_one(Fit(setting.data, setting.measured, one))
+                   for one in (explanation, explanation._replace(causes=explanation.causes[1:])))
     return alone.value - both.value > max(SECOND_FLOOR, SECOND_SHARE * (value - both.value))

@@ -15,10 +15,11 @@ from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.data.runs import Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import choice, evidence, gain, null_sets, tuning, unknown
 from rollerrig.rig.identify.decide.evidence import Finding
 from rollerrig.rig.identify.decide.gain import Gain
+from rollerrig.rig.identify.decide.null_sets import Setting
 from rollerrig.rig.identify.decide.unknown import Formula
 from rollerrig.rig.identify.filter import sensitivity
 
@@ -55,23 +56,23 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
     with threadpool_limits(1), null_sets.workers() as pool:
         measured = data.group("tune")
         design = preparation.prepare(data, measured)
+        setting = Setting(data, measured, design, pool, progress)
         progress("fit of the base", 0.0)
         base, value, _ = tuning.fit(design, candidates.start(design))
         progress("fit of the base", 1.0)
         _check(design, base)
-        quiet, promising = _quiet(pool, data, measured, design, base, progress)
-        nulls = null_sets.null_sets(pool, data, measured, quiet, CLEAN_SETS, seed, (), progress)
+        quiet, promising = _quiet(setting, base)
+        nulls = null_sets.null_sets(setting, quiet, CLEAN_SETS, seed, ())
         _enough(nulls)
         scored = tuning.normal(design, quiet)[0]
         found = evidence.findings(design, scored, nulls)
-        rivals = choice.fitted(pool, data, measured, base, found, MOST_FITTED, progress)
+        rivals = choice.fitted(setting, base, found, MOST_FITTED)
         rivals = [choice.in_better_shape(rival, promising, scored, nulls) for rival in rivals]
         rivals += choice.overwhelming(value, promising, rivals, scored, nulls)
         explanation, causes = choice.scaled(design, *choice.choose(design, base, value, rivals))
         remainder: list[Finding] = [f for f in found if evidence.generic(f.name)]
         if causes:
-            explanation, causes, remainder = choice.second_cause(
-                pool, data, measured, design, explanation, causes, rivals, seed, progress)
+            explanation, causes, remainder = choice.second_cause(setting, explanation, causes, rivals, seed)
         held_runs = data.group("validate")
         held = preparation.prepare(data, held_runs) if held_runs else None
         notes: list[str] = list(data.warnings)
@@ -92,20 +93,18 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
                    float(1.0 - (1.0 - p_value) ** 30), notes, formula, time.monotonic() - began)
 
 
-def _quiet(pool: null_sets.Pool, data: Dataset, measured: list[Run], design: Design,
-           base: Explanation, progress: null_sets.Progress) -> tuple[Explanation, list[choice.Fitted]]:
+def _quiet(setting: Setting, base: Explanation) -> tuple[Explanation, list[choice.Fitted]]:
     """The base with the irregularity that is left beside the most promising causes, and their fits.
 
     A cause that the base does not have looks like a rougher rail, and would hide in it.
     """
-    likely = evidence.likely(design, tuning.normal(design, base)[0], MOST_PROMISING)
-    tasks = [choice.Fit(data, measured, base._replace(causes=(cause,))) for cause in likely]
-    fits: list[choice.Fitted] = null_sets.run_all(pool, choice.fit_one, tasks, "irregularity of the rail", progress)
+    likely = evidence.likely(setting.design, tuning.normal(setting.design, base)[0], MOST_PROMISING)
+    fits = choice.fit_all(setting, [base._replace(causes=(cause,)) for cause in likely], "irregularity of the rail")
     best = min(fits, key=lambda fit: fit.value, default=None)
     if best is None or best.explanation.sigma >= base.sigma:
         return base, fits
     calm = base._replace(sigma=best.explanation.sigma, length_m=best.explanation.length_m)
-    return tuning.fit(design, calm, 4, False)[0], fits
+    return tuning.fit(setting.design, calm, 4, False)[0], fits
 
 
 def _check(design: Design, base: Explanation) -> None:

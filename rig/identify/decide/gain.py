@@ -87,7 +87,7 @@ def free_running(design: Design, explanation: Explanation) -> np.ndarray:
     out = np.zeros(design.vehicle_m_s.size)
     ahead = int(FREE_RUN_S / design.step_s)
     for run in range(design.mass_kg.size):
-        at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
+        at = design.vehicle_span(run)
         u = design.vehicle_m_s[at] + design.wheels_m_s[at]
         lost = np.cumsum(sensitivity.vehicle_force(design, i, run)) * design.step_s
         balance = u + lost

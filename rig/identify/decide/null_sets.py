@@ -7,7 +7,7 @@ the measured one; the seeds and thus the decision repeat.
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data import preparation
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, simulate, tuning
 from rollerrig.rig.identify.decide.evidence import Scores
@@ -23,6 +24,29 @@ from rollerrig.rig.identify.decide.evidence import Scores
 RUNAWAY = 1.2
 Progress = Callable[[str, float], None]
 Pool = ProcessPoolExecutor | None
+
+
+class Setting(NamedTuple):
+    """What is explained and with what: measured runs, prepared, and the processes that work on them."""
+
+    data: Dataset
+    measured: list[Run]
+    design: Design
+    pool: Pool
+    progress: Progress
+
+    def run_all(self, work: Callable[[Any], Any], tasks: Sequence[Any], title: str) -> list[Any]:
+        """work(task) for all tasks, in order, with progress."""
+        if self.pool is None:
+            results: Iterator[Any] = map(work, tasks)
+        else:
+            futures: list[Future[Any]] = [self.pool.submit(work, task) for task in tasks]
+            results = (future.result() for future in futures)
+        found = []
+        for result in results:
+            found.append(result)
+            self.progress(title, len(found) / len(tasks))
+        return found
 
 
 class Task(NamedTuple):
@@ -68,25 +92,10 @@ def one(task: Task) -> Scores | None:
     return Scores(result.S.astype(np.float32), result.g)
 
 
-def null_sets(pool: Pool, data: Dataset, measured: list[Run], explanation: Explanation,
-         count: int, seed: int, known: Sequence[str], progress: Progress) -> list[Scores]:
+def null_sets(setting: Setting, explanation: Explanation, count: int, seed: int, known: Sequence[str]) -> list[Scores]:
     """Scores of `count` clean sets."""
     # tolerances are drawn afresh: the fitted ones do not belong to the clean sets
     fresh = explanation._replace(base={k: v for k, v in explanation.base.items() if k.startswith("ln_")})
-    tasks = [Task(data, measured, fresh, seed * 100003 + k, tuple(known)) for k in range(count)]
-    return [s for s in run_all(pool, one, tasks, "clean sets", progress) if s is not None]
+    tasks = [Task(setting.data, setting.measured, fresh, seed * 100003 + k, tuple(known)) for k in range(count)]
+    return [s for s in setting.run_all(one, tasks, "clean sets") if s is not None]
 
-
-def run_all(pool: Pool, work: Callable[[Any], Any], tasks: Sequence[Any],
-            title: str, progress: Progress) -> list[Any]:
-    """work(task) for all tasks, in order, with progress."""
-    if pool is None:
-        found = []
-        for k, task in enumerate(tasks):
-            found.append(work(task))
-            progress(title, (k + 1) / len(tasks))
-        return found
-    futures: list[Future[Any]] = [pool.submit(work, task) for task in tasks]
-    for k, _ in enumerate(as_completed(futures)):
-        progress(title, (k + 1) / len(tasks))
-    return [future.result() for future in futures]

@@ -126,7 +126,7 @@ def _run(data: Dataset, design: Design, run: Run, r: int, i: candidates.Inputs, 
          weight: float, rng: np.random.Generator) -> Run:
     spans = [design.span(AXLES * r + j) for j in range(AXLES)]
     n = run.time_s.size
-    own = slice(int(design.vehicle_start[r]), int(design.vehicle_start[r + 1]))
+    own = design.vehicle_span(r)
 
     def square(flat: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.column_stack([flat[at] for at in spans]))

@@ -80,7 +80,7 @@ def normal(design: Design, explanation: Explanation, only: frozenset[str] | None
             Z[:, variant.columns[0]] = _memory_answer(design, i, linear, variant.shape) / root
     V = np.empty_like(matrix.vehicle)
     for run in range(design.mass_kg.size):
-        at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
+        at = design.vehicle_span(run)
         sensitivity.vehicle_answer(matrix.vehicle[at], linear.vehicle_variance[at],
                                    design.speed_noise_m_s, design.step_s, V[at])
     z = np.clip(linear.nu / root, -6.0, 6.0)

@@ -194,7 +194,7 @@ def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     spans = [design.span(run * AXLES + j) for j in range(AXLES)]
     v = design.speed_m_s[spans[0]]
     A, B, C = design.resistance
-    own = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
+    own = design.vehicle_span(run)
     force = A + B * v + C * v * v + inputs.force_N[own]
     for j, at in enumerate(spans):
         force = force + inputs.torque_Nm[at] / inputs.parameters[run * AXLES + j, parameters.RADIUS]
@@ -211,7 +211,7 @@ def replay_vehicles(design: Design, inputs: Inputs) -> tuple[np.ndarray, np.ndar
     total = int(design.vehicle_start[-1])
     nu, variance = np.empty(total), np.empty(total)
     for run in range(design.mass_kg.size):
-        at = slice(int(design.vehicle_start[run]), int(design.vehicle_start[run + 1]))
+        at = design.vehicle_span(run)
         replay.replay_vehicle(
             design.vehicle_m_s[at] + design.wheels_m_s[at], vehicle_force(design, inputs, run),
             design.step_s, design.speed_noise_m_s, vehicle_torque_noise(design, run), nu[at],
