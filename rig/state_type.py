@@ -48,7 +48,7 @@ def register(named_tuple: type, places: Mapping[str, slice]) -> None:
 
 
 @unbox(Address)
-def _from_python(kind, state, c):
+def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
     # the caller keeps the buffer alive as long as the kernel runs
     view = c.unbox(_VIEW, c.pyapi.tuple_getitem(state, 0))
     value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
@@ -70,7 +70,7 @@ class _Fields(templates.AttributeTemplate):
 
 
 @imputils.lower_getattr_generic(Address)
-def _field(context, builder, kind, state, field):
+def _field(context: Any, builder: Any, kind: Address, state: Any, field: str) -> Any:
     place = kind.places[field]
     if place is None:
         return context.get_dummy_value()

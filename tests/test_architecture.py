@@ -205,5 +205,20 @@ def test_a_package_says_what_it_is_and_holds_nothing_else(folder):
 
 
 @pytest.mark.parametrize("name", FILES)
+def test_every_function_but_a_kernel_says_its_types(name):
+    # the types of a kernel are found by numba; mypy holds this where no kernels are
+    untyped = {one.name for one in ast.walk(tree(name)) if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)
+               and not any(ast.unparse(mark).startswith("kernel") for mark in one.decorator_list)
+               and not (one.returns and all(given.annotation for given in arguments(one)))}
+    assert untyped == set()
+
+
+def arguments(function):
+    given = function.args
+    named = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+    return [one for one in named if one and one.arg not in ("self", "cls")]
+
+
+@pytest.mark.parametrize("name", FILES)
 def test_a_file_begins_with_what_happens_in_it(name):
     assert ast.get_docstring(tree(name))

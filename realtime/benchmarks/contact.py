@@ -1,8 +1,9 @@
 """What one evaluation of a contact costs, on one core, after compilation, and Table 8 of the paper.
 
 Each law is called for many slidings in a row inside one kernel, as a step of the physics calls it;
-the sum of the results is returned so that no call can be left out. The last rows are the four models of
-the coach's wheels, with lateral creepage and spin; then `table8` lets them brake the coach.
+the sum of the results is returned so that no call can be left out. Then come the four models of the
+coach's wheels, with lateral creepage and spin, and the search for the contact points of a swaying wheel;
+then `table8` lets them brake the coach.
 """
 
 import argparse
@@ -18,13 +19,15 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures, table8
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
 from rollerrig.rig import wheelset
-from rollerrig.rig.contact import adhesion, creep_force, polach
+from rollerrig.rig.contact import adhesion, creep_force, geometry, polach, profiles
 from rollerrig.rig.kernel import kernel
 
 _CALLS = 200_000
 # lateral creepage and spin of the contacts in both directions, and what recovery may cost
 _LATERAL, _SPIN_1_m, RECOVERY_NS = 1e-3, 0.1, 100.0
 _REPEATS = 5
+# what the points of one wheel may cost, as a multiple of Polach's curve
+POINTS_OVER_POLACH = 60.0
 _SPEED_m_s, _LOAD_N = 30.0, 105_000.0
 
 
@@ -78,6 +81,29 @@ def _both_directions(slidings, params):
     return total
 
 
+@kernel
+def _search(slidings, given):
+    wheel, rail, roller_m, found, misfits = given
+    total = 0
+    for i in range(slidings.size):
+        total += geometry.detect(found, 0, misfits, 0, (0.0, 0.004 * math.sin(i * 1e-3), 0.4447),
+                                 geometry.axis(0.0, 0.005), roller_m, wheel, rail)
+    return float(total)
+
+
+@kernel
+def _follow(slidings, given):
+    wheel, rail, roller_m, found, misfits = given
+    count = geometry.detect(found, 0, misfits, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail)
+    for i in range(slidings.size):
+        pose = 0.0, 0.004 * math.sin(i * 1e-3), 0.4447
+        axle = geometry.axis(0.0, 0.005 * math.cos(i * 1e-3))
+        count = geometry.track(found, 0, count, pose, axle, roller_m, wheel, rail)
+        if i % 16 == 0:
+            count = geometry.renew(found, 0, count, misfits, 0, pose, axle, roller_m, wheel, rail)
+    return float(count)
+
+
 # a contact law of rig/contact gets a row here
 CONTACTS = (
     Contact("polach", "one creep curve with falling friction", _polach),
@@ -90,6 +116,10 @@ MODELS = (
     Contact("fastsim", "10 strips of 10 cells", _both_directions),
     Contact("polach", "with spin", _both_directions),
     Contact("degraded", "two Polach curves with spin, and what lies between", _both_directions),
+)
+POINTS = (
+    Contact("search", "all points of a wheel, from nothing", _search),
+    Contact("follow", "the same from step to step, searched anew every 16", _follow),
 )
 
 
@@ -105,17 +135,27 @@ def run(given: argparse.Namespace, say: Say) -> Result:
         chosen = params._replace(patch=params.patch._replace(
             model=creep_force.MODELS[contact.name], cells=10))
         spinning[contact.name] = _timed(contact, slidings, chosen, say)
-    for group in (found, spinning):
+    wheel, rail = profiles.s1002(), profiles.uic60()
+    points = {}
+    for contact in POINTS:
+        for where, roller_m in (("rail", math.inf), ("roller", 1.0)):
+            touched = (wheel, rail, roller_m, np.zeros((geometry.MOST, geometry.COLUMNS)),
+                       np.zeros((1, len(wheel.coarse))))
+            points[f"{contact.name} on a {where}"] = _timed(contact, slidings, touched, say)
+    for group in (found, spinning, points):
         for one in group.values():
-            one["ratio"] = one["time_ns"] / group["polach"]["time_ns"]
+            one["ratio"] = one["time_ns"] / (found if group is points else group)["polach"]["time_ns"]
     along_ns, more_ns = (group["degraded"]["time_ns"] - group["polach"]["time_ns"]
                          for group in (found, spinning))
     whole = table8.run(say)
-    return {"contacts": found, "with_spin": spinning, "recovery_ns": more_ns, "table8": whole,
+    dearest = max(one["ratio"] for one in points.values())
+    return {"contacts": found, "with_spin": spinning, "points": points, "recovery_ns": more_ns, "table8": whole,
             "targets": [Target("degraded over Polach, along the rail, one contact", along_ns, RECOVERY_NS,
                                "ns").plain(),
                         Target("degraded over Polach, with spin, one contact", more_ns, RECOVERY_NS,
-                               "ns").plain(), *whole["targets"]],
+                               "ns").plain(),
+                        Target("contact points of one wheel over one Polach curve", dearest,
+                               POINTS_OVER_POLACH).plain(), *whole["targets"]],
             "notes": whole["notes"]}
 
 
@@ -140,4 +180,6 @@ def table(result: Result) -> Group:
                    for contacts, one in ((CONTACTS, result["contacts"]), (MODELS, result["with_spin"])))
     return Group(figures.table("one contact, along the rail", heads, along),
                  figures.table("one contact, in two directions and with spin", heads, both),
+                 figures.table("contact points of one wheel", ("what", "ns", "over Polach"),
+                               [(name, one["time_ns"], one["ratio"]) for name, one in result["points"].items()]),
                  table8.table(result["table8"]))

@@ -28,8 +28,8 @@ _write: Any = types.ExternalFunction("write", types.int64(types.int32, types.int
 
 
 @intrinsic
-def _fence(typing_context):
-    def generate(context, builder, signature, args):
+def _fence(typing_context: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         builder.fence("seq_cst")
         return context.get_dummy_value()
 

@@ -141,7 +141,8 @@ def _averaged(run: Run, plan: Mapping[str, Any]) -> Run:
 
     common = late_s.mean(axis=1)
     found = run._replace(
-        speed_m_s=mean(run.speed_m_s, common), position_m=mean(run.position_m, common),
+        speed_m_s=mean(run.speed_m_s, common),
+        position_m=None if run.position_m is None else mean(run.position_m, common),
         load_N=each(run.load_N), torque_Nm=each(run.torque_Nm),
         surface_m_s=None if run.surface_m_s is None else each(run.surface_m_s))
     # the reading is new once in a window and is held in between

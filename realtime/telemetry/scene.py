@@ -88,7 +88,7 @@ def _across(count: int) -> list[rr.RotationAxisAngle]:
     return [rr.RotationAxisAngle(axis=(1, 0, 0), radians=math.pi / 2)] * count
 
 
-def _bodies(stream, path: str, radius_m: float, colour, centre) -> None:
+def _bodies(stream: Any, path: str, radius_m: float, colour: Any, centre: Any) -> None:
     """Two wheels (or rollers) on a shaft, with spokes on the faces that look outwards."""
     half = _GAUGE_M / 2
     stream.log(path, rr.Transform3D(translation=centre), static=True)

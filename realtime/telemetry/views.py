@@ -110,7 +110,7 @@ def style(stream: rr.RecordingStream, prefix: str = "", faint: bool = False) -> 
             names=[f"{run}: {name}" if run else name for name in one.names],
             widths=[one.width * (0.6 if faint else 1.0)] * len(one.names),
             aggregation_policy=rr.components.AggregationPolicy.MinMax), static=True)
-    names, shades = zip(*colours.VALVE_STATES, strict=True)
+    names, shades = [name for name, _ in colours.VALVE_STATES], [shade for _, shade in colours.VALVE_STATES]
     for axle in range(1, signals.AXLES + 1):
         stream.log(f"{prefix}{VALVES}/valve_{axle}", rr.StateConfiguration(
             values=names, labels=names, colors=shades), static=True)

@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -81,7 +82,7 @@ class ProgressLine:
         self._said = -5.0
         self._open = False
 
-    def __call__(self, progress) -> None:  # type: ignore[no-untyped-def]
+    def __call__(self, progress: Any) -> None:
         if progress.message:
             self.message(progress.message)
             return

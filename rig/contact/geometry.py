@@ -42,6 +42,8 @@ from rollerrig.rig.contact.profiles import (
     STRIDE,
     Y_M,
     Z_M,
+    Rail,
+    Wheel,
 )
 from rollerrig.rig.kernel import kernel, kernel_inlined
 
@@ -274,7 +276,7 @@ def detect(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
 
 
 def contacts(
-    pose: tuple[float, float, float, float, float, float], wheel, rail, roller_m: float = math.inf
+    pose: tuple[float, float, float, float, float, float], wheel: Wheel, rail: Rail, roller_m: float = math.inf
 ) -> np.ndarray:
     """All near contacts of one wheel as rows of shape (n, COLUMNS), deepest first.
 

@@ -52,8 +52,8 @@ def packed(coach: Coach, law: Law, step_s: float, roller_inertia_kgm2: float) ->
     return Packed(tape, layout)
 
 
-def _shift(typing_context, pointer, count):
-    def generate(context, builder, signature, args):
+def _shift(typing_context: Any, pointer: Any, count: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.gep(args[0], [args[1]])
 
     return pointer(pointer, types.intp), generate
@@ -68,7 +68,7 @@ _motion_at = constructor(Motion, "at", (f"carray(shifted(at, {memory.BEGIN[name]
 _law_of = constructor(Law, "one", (f"one[{_LAW + i}]" for i in range(len(Law._fields))))
 
 
-def _act(memory_at, tape_at, layout_at):
+def _act(memory_at: Any, tape_at: Any, layout_at: Any) -> None:
     layout = carray(layout_at, (_COUNTS,))
     n_s, n_c, n_f, n_w, n_r, n_p = layout[0], layout[1], layout[2], layout[3], layout[4], layout[5]
     one = carray(tape_at, (_INERTIA,))

@@ -59,12 +59,14 @@ def test_speeds_and_pressures_of_every_axle_have_registers():
 def test_measured_ranges_hold_what_the_rig_can_do():
     most = {"vehicle_speed": 100.0, "position": 1e5, "time": 36000.0, "cylinder_pressure": 1e6,
             "brake_torque": 30000.0, "wheel_load": 3e5, "wheel_circumferential_speed": 100.0}
+    assert most.keys() <= {row.signal for row in WORDS}
     for row in WORDS:
         if row.signal in most:
             assert most[row.signal] / row.scale <= signals.KINDS[row.kind][1], row.name
 
 
 def test_a_drives_rows_are_those_of_its_dictionary(drive):
+    assert len(map.drive_words(drive)) > 20
     for row in map.drive_words(drive):
         variable = drive[row.od_index]
         assert row.scale == variable.factor

@@ -25,6 +25,7 @@ def _deepest(y_m, z_m, roll, side, roller_m=math.inf, yaw=0.0, x_m=0.0):
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_contact_points_are_those_of_the_rigid_contact_table(side):
+    assert WELL.sum() > 10
     for row in RIGID[WELL]:
         found = _deepest(row[0] * 1e-3, row[8] * 1e-3, row[1], side)
         k = 0 if side == 1 else 1
