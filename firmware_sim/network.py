@@ -63,11 +63,6 @@ class Network:
         """Whether the WSP unit is heard and OPERATIONAL."""
         return self.unit.state is State.OPERATIONAL and not self.unit.lost
 
-    @property
-    def unit_is_lost(self) -> bool:
-        """Whether the WSP unit was heard once and is silent now."""
-        return self.unit.lost
-
     def all_operational(self) -> bool:
         """Whether every node of the rig (not the WSP unit) is OPERATIONAL."""
         return all(one.state is State.OPERATIONAL and not one.lost

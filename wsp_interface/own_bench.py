@@ -8,7 +8,6 @@ that does not end is terminated.
 
 import contextlib
 import json
-import re
 import shlex
 import subprocess
 import sys
@@ -134,12 +133,12 @@ def program(command: str) -> Companion:
 
 
 def _address(process: subprocess.Popen[str], log: Path) -> str:
-    """Where the bench says that it waits. Raises BusError with its own words when it does not."""
+    """Where the bench waits, from its line of JSON. Raises BusError with its own words when there is none."""
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline:
-        address = re.search(r"waiting for a .* on (\S+) \.\.\.", log.read_text(encoding="utf-8"))
-        if address:
-            return address[1]
+        for line in log.read_text(encoding="utf-8").splitlines(keepends=True):
+            if line.startswith('{"waiting_for"') and line.endswith("\n"):
+                return str(json.loads(line)["address"])
         if process.poll() is not None:
             break
         time.sleep(0.02)

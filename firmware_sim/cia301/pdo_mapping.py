@@ -15,7 +15,7 @@ from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, Objects, key
 
 PDO_BITS = 64
-_FIRST_RESERVED, _LAST_RESERVED, _FIRST_EVENT = 241, 251, 254
+_FIRST_RESERVED, _LAST_RESERVED = 241, 251
 
 
 def _dummy(kind: int) -> ODVariable:

@@ -54,16 +54,6 @@ def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, flo
     return node
 
 
-def enable_locally(node: Node) -> None:
-    """Hand the drive to the bench's rig control and walk it to OPERATION ENABLED."""
-    node.device.control_from_rig()
-
-
-def release_to_bus(node: Node) -> None:
-    """Hand the drive to the master on the bus; state and torque stay as they are."""
-    node.device.control_from_bus()
-
-
 class Drive:
     """State machine and demands of one drive.
 

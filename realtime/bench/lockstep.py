@@ -8,6 +8,7 @@ from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.loop import clock, mailbox, tick
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.rig_objects import HARNESS, HARNESS_ANSWER_ID, MAGNETS_ID
 
 ANSWER_TIMEOUT_S = 1.0
 HARNESS_TIMEOUT_S = 60.0
@@ -42,7 +43,7 @@ async def _answers(parts: Parts, bus: RigBus) -> None:
         except TimeoutError:
             parts.processes.watch(starting=True)
             raise _silent(parts, "WSP unit", ANSWER_TIMEOUT_S, "a unit answers every SYNC with RPDO1 of node "
-                          f"{signals.BRAKE_NODE} (211h), changed or not") from None
+                          f"{signals.BRAKE_NODE} ({MAGNETS_ID:X}h), changed or not") from None
     else:
         await asyncio.sleep(0)
     if bus.harness.joined:
@@ -50,7 +51,8 @@ async def _answers(parts: Parts, bus: RigBus) -> None:
             await asyncio.wait_for(bus.harness_answered.wait(), HARNESS_TIMEOUT_S)
         except TimeoutError:
             raise _silent(parts, "harness", HARNESS_TIMEOUT_S, "one that has joined sends RPDO1 of node "
-                          f"{signals.BENCH_NODE} (27Fh) in every cycle, or leaves (2000h:1 = 0)") from None
+                          f"{signals.BENCH_NODE} ({HARNESS_ANSWER_ID:X}h) in every cycle, or leaves "
+                          f"({HARNESS:X}h:1 = 0)") from None
 
 
 def _silent(parts: Parts, who: str, timeout_s: float, rule: str) -> UnitError:

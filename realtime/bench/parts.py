@@ -6,6 +6,7 @@ thread began.
 """
 
 import asyncio
+import json
 import time
 from collections.abc import Callable
 from typing import Any
@@ -25,6 +26,7 @@ from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.loop.tick import DONE, MISSED, STOP, TICK
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.rig_objects import HARNESS, JOINED, UNIT_HEARTBEAT_ID
 
 _ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 12
 _REPORT_S = 0.5
@@ -178,7 +180,7 @@ class Parts:
         if self.options.unit == "reference":
             self.processes.start_unit(self.place, self.plan["wsp_config"])
         elif self.options.unit == "external":
-            self.report(f"waiting for a WSP unit's heartbeat (720h) on {self.place} ...")
+            self._say_waiting(f"a WSP unit's heartbeat ({UNIT_HEARTBEAT_ID:X}h)")
         if self.options.unit != "none":
             heard_s: list[float] = []
 
@@ -189,14 +191,19 @@ class Parts:
                 return bool(heard_s) and (bus.master.unit.state == State.OPERATIONAL
                                           or heard_s[-1] > heard_s[0] + 0.5)
 
-            await self._await(bus, there, f"no WSP unit on {self.place}: no heartbeat on 720h", "start one "
-                              f"('rollerrig wsp --bus {self.place}') or wait longer with --wait")
+            await self._await(bus, there, f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
+                              f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait")
             if not self.stopping:
                 self.event("info", "the WSP unit is on the bus")
         if self.options.harness:
-            self.report(f"waiting for a harness (node {signals.BENCH_NODE}, 2000h:1) on {self.place} ...")
+            self._say_waiting(f"a harness (node {signals.BENCH_NODE}, {HARNESS:X}h:{JOINED})")
             await self._await(bus, lambda: bus.harness.joined, f"no harness on {self.place}", "start one "
                               f"('rollerrig sequence ... --bus {self.place}') or run without --harness")
+
+    def _say_waiting(self, what: str) -> None:
+        self.report(f"waiting for {what} on {self.place} ...")
+        if self.options.harness:  # for the program that has started this bench
+            self.report(json.dumps({"waiting_for": what, "address": self.place}))
 
     async def _await(self, bus: rig_bus.RigBus, there: Callable[[], bool], missing: str, mend: str) -> None:
         deadline_s = time.monotonic() + self.options.unit_wait_s

@@ -4,7 +4,6 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from rollerrig.firmware_sim.drive402 import axis, objects, states
-from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.firmware_sim.drive402.states import State
 from rollerrig.wsp_interface import signals
 
@@ -349,7 +348,7 @@ def test_a_reset_takes_the_power_off_the_motor(wire, drive):
 @pytest.mark.conformance("CiA 402", "control source: rig control, bit 9 cleared")
 def test_under_the_rig_control_the_drive_is_enabled_and_obeys_no_controlword(wire):
     node = wire.drive(1)
-    drive402.enable_locally(node)
+    node.device.control_from_rig()
     for word in (0, SHUTDOWN, QUICK_STOP, 0):
         control(wire, word)
         wire.run(1)
@@ -363,7 +362,7 @@ def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire)
     node = wire.drive(1)
     wire.nmt(1)
     set_row(wire, "motor_torque", -0.2 * RATED_Nm)
-    drive402.release_to_bus(node)
+    node.device.control_from_bus()
     for _ in range(20):
         wire.run(1)
         assert node.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(-0.2 * RATED_Nm)
@@ -371,7 +370,7 @@ def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire)
     wire.write(1, 0x6071, 0, 0, 2)
     wire.run(1)
     assert node.device.axis.commands[axis.TORQUE_Nm] == 0.0
-    drive402.enable_locally(node)
+    node.device.control_from_rig()
     assert status(wire) == 0x37
     assert node.device.axis.commands[axis.LOOP] == axis.LOOP_RIG
 
@@ -401,7 +400,7 @@ def test_an_emergency_stop_brakes_the_motor_and_bars_the_drive_until_it_is_taken
     assert state(wire) == DISABLED
     assert commands[axis.ENABLED] == 0.0
     control(wire, SHUTDOWN, SWITCH_ON, ENABLE)
-    drive402.enable_locally(node) if control_source == "rig" else None
+    node.device.control_from_rig() if control_source == "rig" else None
     assert state(wire) == DISABLED
     node.device.emergency_stop(False)
     assert state(wire) == (ENABLED if control_source == "rig" else DISABLED)

@@ -98,7 +98,7 @@ def test_a_silent_unit_is_lost_and_found_again(rig):
     rig.run(500, unit=5)
     assert rig.network.unit_is_operational
     rig.run(250)
-    assert rig.network.unit_is_lost
+    assert rig.network.unit.lost
     assert not rig.network.unit_is_operational
     assert any("lost" in text for text in rig.events)
     rig.run(10, unit=5)
