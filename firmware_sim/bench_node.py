@@ -14,7 +14,6 @@ import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301 import communication, dictionary
 from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import Command, State
@@ -38,7 +37,7 @@ from rollerrig.wsp_interface.rig_objects import (
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE
 
 # no profile of CiA covers a test bench: device type 0
-DEVICE_TYPE, PRODUCT_CODE = 0, 0x127
+DEVICE_TYPE, PRODUCT = 0, ("bench", 0x127)
 TITLES = {
     0x2100: "Time", 0x2101: "Vehicle speed", 0x2102: "Position", 0x2103: "Vehicle acceleration",
     0x2104: "Adhesion", 0x2105: "Dump valve", 0x2106: "Air consumption", 0x2107: "Longest lock",
@@ -70,11 +69,9 @@ def build(row: np.ndarray, friction: np.ndarray, on_command: Callable[[], None],
     `row`: live float64 array of all signals; `friction`: float64 array of shape (4,), kinematic
     friction asked for under each axle, 0 for none, written before `on_command()` is called.
     """
-    profile = Profile(DEVICE_TYPE, "bench", rpdos=(Pdo(255, ((HARNESS, CYCLE, 8),)),),
+    profile = Profile(DEVICE_TYPE, PRODUCT[0], rpdos=(Pdo(255, ((HARNESS, CYCLE, 8),)),),
                       heartbeat_ms=0)
-    who = process_image.identity("bench", PRODUCT_CODE, BENCH_NODE)
-    node = Node(dictionary.build(communication.rows(profile, who) + rows(pacing), BENCH_NODE, who))
-    process_image.bind(node, row, BENCH_NODE, 0, {})
+    node = process_image.build(BENCH_NODE, profile, PRODUCT, rows(pacing), row, {})
     node.device = BenchNode(node, friction, on_command)
     return node
 

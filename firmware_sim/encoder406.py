@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301 import communication, dictionary
 from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.node import Node
@@ -20,7 +19,7 @@ from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES, SPEED_NODE, Place
 
 DEVICE_TYPE = 0x000A0196
-PRODUCT_CODE = 0x406
+PRODUCT = "axle speed unit", 0x406
 TITLES = {0x6030: "Speed value", 0x2100: "Tooth frequency", 0x2101: "Pulse counter",
           0x2102: "Speed value fine"}
 ACCELERATION = Place(SPEED_NODE, 0x6040, 1, "I16", 0.01)
@@ -71,12 +70,8 @@ def build(row: np.ndarray, parameters: Mapping[str, float] | None = None,
           storage: Path | None = None) -> Node:
     """The node. `row`: live float64 array of all signals; `storage`: the file of 1010h."""
     parameters = DEFAULTS | dict(parameters or {})
-    profile = Profile(DEVICE_TYPE, "axle speed unit", tpdos=TPDOS,
-                      sync_counter=int(parameters.get("sync_counter", 0)))
-    who = process_image.identity("axle speed unit", PRODUCT_CODE, SPEED_NODE)
-    objects = communication.rows(profile, who) + rows(parameters)
-    node = Node(dictionary.build(objects, SPEED_NODE, who), storage)
-    process_image.bind(node, row, SPEED_NODE, 0, parameters)
+    profile = Profile(DEVICE_TYPE, PRODUCT[0], tpdos=TPDOS)
+    node = process_image.build(SPEED_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage)
     node.device = SpeedUnit(node, row)
     return node
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301 import communication, dictionary
 from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
@@ -29,7 +28,7 @@ BRAKE_DEMAND = AXLES
 COMMANDS = AXLES + 1
 
 DEVICE_TYPE = 0x000F0191
-PRODUCT_CODE = 0x401
+PRODUCT = "brake I/O", 0x401
 HEARTBEAT_MS = 200
 HOLD, VENT = 1, 2
 TITLES = {0x6401: "Read analogue input 16-bit"}
@@ -69,13 +68,9 @@ def build(row: np.ndarray, commands: np.ndarray, parameters: Mapping[str, float]
     the node writes before it calls `on_command()`.
     """
     parameters = dict(parameters or {})
-    profile = Profile(DEVICE_TYPE, "brake I/O", RPDOS, TPDOS, consumed=((WSP_NODE, HEARTBEAT_MS),),
-                      sync_counter=int(parameters.get("sync_counter", 0)))
-    who = process_image.identity("brake I/O", PRODUCT_CODE, BRAKE_NODE)
-    objects = communication.rows(profile, who) + rows(parameters)
-    node = Node(dictionary.build(objects, BRAKE_NODE, who), storage)
+    profile = Profile(DEVICE_TYPE, PRODUCT[0], RPDOS, TPDOS, consumed=((WSP_NODE, HEARTBEAT_MS),))
+    node = process_image.build(BRAKE_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage)
     node.event_enablers = {0x6000: key(0x6005, 0), 0x6401: key(0x6423, 0)}
-    process_image.bind(node, row, BRAKE_NODE, 0, parameters)
     node.device = BrakeIo(node, row, commands, on_command)
     return node
 

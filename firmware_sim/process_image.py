@@ -6,10 +6,13 @@ because it runs for every signal at every SYNC.
 """
 
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from rollerrig.firmware_sim.cia301 import communication, dictionary
+from rollerrig.firmware_sim.cia301.communication import Profile
 from rollerrig.firmware_sim.cia301.dictionary import Identity, Row
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
@@ -30,9 +33,21 @@ class Carried(NamedTuple):
     parameter: float
 
 
-def identity(product: str, product_code: int, node_id: int) -> Identity:
-    """Object 1018h of a device: the node number is the serial number."""
-    return Identity(_VENDOR, product, _VENDOR_ID, product_code, _REVISION, node_id)
+def build(node_id: int, profile: Profile, product: tuple[str, int], own: list[Row], row: np.ndarray,
+          parameters: Mapping[str, float], axle: int = 0, storage: Path | None = None) -> Node:
+    """A node of the rig, whose objects read the live row (float64, one item a column of the table).
+
+    `product`: its name and code; `own`: the rows beyond CiA 301; `axle`: that of a drive, else 0. The node
+    number is the serial number.
+    """
+    who = Identity(_VENDOR, product[0], _VENDOR_ID, product[1], _REVISION, node_id)
+    node = Node(dictionary.build(communication.rows(profile, who) + own, node_id, who), storage)
+    for one in carried(0 if axle else node_id, axle, parameters):
+        at = key(one.place.index, one.sub)
+        if one.signal.direction == signals.OUT and at in node.objects.variables:
+            column = signals.column(one.signal.name, one.axle)
+            node.objects.readers[at] = reader(row, column, one.place, one.parameter)
+    return node
 
 
 def carried(node_number: int, axle: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
@@ -71,16 +86,6 @@ def rows(node_number: int, axle: int, parameters: Mapping[str, float],
                                         "U8", "const", highest)
         found[place.index, one.sub] = Row(place.index, one.sub, **unit)
     return list(found.values())
-
-
-def bind(node: Node, row: np.ndarray, node_number: int, axle: int,
-         parameters: Mapping[str, float]) -> None:
-    """Let the node's objects read the live row (float64, one item a column of the table)."""
-    for one in carried(node_number, axle, parameters):
-        at = key(one.place.index, one.sub)
-        if one.signal.direction == signals.OUT and at in node.objects.variables:
-            column = signals.column(one.signal.name, one.axle)
-            node.objects.readers[at] = reader(row, column, one.place, one.parameter)
 
 
 def reader(row: np.ndarray, column: int, place: Place, parameter: float = 1.0) -> Callable[[], int]:

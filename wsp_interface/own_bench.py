@@ -123,11 +123,7 @@ def program(command: str) -> Companion:
         try:
             yield process
         finally:
-            process.terminate()
-            try:
-                process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
+            _end(process, 0.0)
 
     return beside
 
@@ -154,16 +150,15 @@ def _last_words(process: subprocess.Popen[str], log: Path) -> str:
     return f" (status {status if status is not None else 'running'}{words})"
 
 
-def _end(process: subprocess.Popen[str]) -> None:
-    try:
-        process.wait(END_S)
-    except subprocess.TimeoutExpired:
-        process.terminate()
-        try:
-            process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait(5.0)
+def _end(process: subprocess.Popen[Any], patience_s: float = END_S) -> None:
+    """Wait for a process to end, then ask it to, then make it."""
+    for ask in (process.terminate, process.kill):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(patience_s)
+            return
+        ask()
+        patience_s = 10.0
+    process.wait(patience_s)
 
 
 def summary(folder: Path) -> dict[str, Any]:

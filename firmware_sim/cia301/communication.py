@@ -40,7 +40,7 @@ class Profile(NamedTuple):
     """What distinguishes one device's communication profile from another's.
 
     `consumed`: (node, time in ms) for 1016h. `on_error`: 1029h:1, what a lost heartbeat does to the
-    NMT state (0 pre-operational, 1 nothing, 2 stopped). `sync_counter`: 1019h, 0 without.
+    NMT state (0 pre-operational, 1 nothing, 2 stopped).
     """
 
     device_type: int
@@ -50,7 +50,6 @@ class Profile(NamedTuple):
     consumed: Sequence[tuple[int, int]] = ()
     heartbeat_ms: int = 100
     on_error: int = 1
-    sync_counter: int = 0
 
 
 def rows(profile: Profile, identity: Identity) -> list[Row]:
@@ -77,8 +76,7 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
         *array(0x1016, "Consumer heartbeat time", "U32", "rw", consumed),
         Row(0x1017, 0, "Producer heartbeat time", "U16", "rw", profile.heartbeat_ms, unit="ms"),
         *_identity(identity),
-        Row(0x1019, 0, "Synchronous counter overflow value", "U8", "rw", profile.sync_counter,
-            high=240),
+        Row(0x1019, 0, "Synchronous counter overflow value", "U8", "rw", 0, high=240),
         *array(0x1029, "Error behaviour", "U8", "rw", [profile.on_error],
                ("Communication error",), high=2),
         *_sdo_servers(),

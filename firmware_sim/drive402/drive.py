@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301 import communication, dictionary, nmt
+from rollerrig.firmware_sim.cia301 import nmt
 from rollerrig.firmware_sim.cia301.communication import Profile
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
@@ -42,12 +42,9 @@ def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, flo
     `control`: "rig" or "bus".
     """
     parameters = table.DEFAULTS | dict(parameters or {})
-    profile = Profile(table.DEVICE_TYPE, f"roller drive {axle}", table.RPDOS, table.TPDOS,
-                      sync_counter=int(parameters.get("sync_counter", 0)))
-    who = process_image.identity("roller drive", table.PRODUCT_CODE, node_id)
-    objects = communication.rows(profile, who) + table.rows(axle, parameters)
-    node = Node(dictionary.build(objects, node_id, who), storage)
-    process_image.bind(node, row, 0, axle, parameters)
+    profile = Profile(table.DEVICE_TYPE, f"roller drive {axle}", table.RPDOS, table.TPDOS)
+    node = process_image.build(node_id, profile, ("roller drive", table.PRODUCT_CODE),
+                               table.rows(axle, parameters), row, parameters, axle, storage)
     commands = np.zeros(COMMANDS) if commands is None else commands
     axis = Axis(node.objects, axle, row, parameters, commands, on_command)
     node.device = Drive(node, axis, control == "rig")
