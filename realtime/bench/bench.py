@@ -2,8 +2,6 @@
 
 It builds the parts, runs one of the three pacings, and closes everything in order whatever happens:
 the record of a run that failed, was interrupted or killed is kept.
-
-Reading order: options, scenario, tick_data, rig_bus, processes, parts, then free, lockstep, wall.
 """
 
 import asyncio
