@@ -63,6 +63,12 @@ def test_every_file_that_a_page_names_exists(path):
     assert {one for one in named if not any(list(base.glob(one.rstrip("/"))) for base in bases)} == set()
 
 
+@pytest.mark.parametrize("path", PAGES, ids=NAMES)
+def test_every_name_that_a_page_places_in_a_file_is_there(path):
+    placed = re.findall(r"`(\w+)`\s+of\s+`([\w/]+\.py)`", path.read_text(encoding="utf-8"))
+    assert [(name, file) for name, file in placed if not re.search(rf"\b{name}\b", text_of(file))] == []
+
+
 def test_the_readme_is_one_page():
     assert len(text_of("README.md").splitlines()) <= LONGEST_README
 
