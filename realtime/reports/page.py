@@ -9,6 +9,7 @@ import html
 import io
 import re
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -35,7 +36,7 @@ small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
 @media print{details{display:none}}
 """ + "".join(f".{kind}{{color:{colours.on_page(colour)}}}" for kind, colour in (
     ("pass", colours.GREEN), ("fail", colours.VERMILION), ("warn", colours.VERMILION), ("error", colours.PURPLE)))
-_MATPLOTLIB = {
+_MATPLOTLIB: Any = {
     # a fixed salt: the same data give the same file
     "svg.hashsalt": "rollerrig", "svg.fonttype": "none", "font.size": 9, "legend.fontsize": 8,
     "figure.facecolor": "none", "axes.facecolor": "none", "savefig.facecolor": "none",
@@ -43,7 +44,7 @@ _MATPLOTLIB = {
                     INK),
     "axes.grid": True, "grid.color": GREY, "grid.alpha": 0.25, "axes.spines.top": False,
     "axes.spines.right": False, "legend.frameon": False, "lines.linewidth": 1.0,
-    "axes.prop_cycle": matplotlib.cycler(color=RUNS),
+    "axes.prop_cycle": matplotlib.cycler(color=RUNS),  # type: ignore[attr-defined]
 }
 
 
