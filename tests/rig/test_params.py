@@ -7,6 +7,7 @@ import pytest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import params
+from rollerrig.rig.contact.creep_force import MODELS
 
 ROWS = [(section, row) for section, rows in params.ROWS.items() for row in rows]
 # names of mechanisms follow the report of `explain`, which tells their units
@@ -109,4 +110,11 @@ def test_the_papers_tables_are_the_defaults():
     assert built.vehicle.wheelset_inertia_kgm2 == 160.0
     assert built.law._asdict() == {
         "mu_cd": 0.06, "mu_cr": 0.28, "A_d": 0.40, "A_r": 0.40, "gamma_d_s_m": 0.20,
-        "gamma_r_s_m": 0.60, "k_ad": 0.3, "k_sd": 0.1, "k_ar": 1.0, "k_sr": 0.4, "tau_m_J": 1.9e-4}
+        "gamma_r_s_m": 0.60, "k_ad": 0.3, "k_sd": 0.1, "k_ar": 1.0, "k_sr": 0.4, "tau_m_J": 1.9e-4,
+        "cleaning_creepage": math.inf}
+
+
+@pytest.mark.parametrize(("section", "name", "known"), [("contact", "model", MODELS), ("rig", "mode", params.MODES)])
+def test_the_words_of_a_choice_are_those_that_the_code_knows(section, name, known):
+    choices, = (row.choices for row in params.ROWS[section] if row.name == name)
+    assert choices == tuple(known)
