@@ -86,7 +86,7 @@ def _search(slidings, given):
     wheel, rail, roller_m, found, misfits = given
     total = 0
     for i in range(slidings.size):
-        total += geometry.detect(found, 0, misfits, 0, (0.0, 0.004 * math.sin(i * 1e-3), 0.4447),
+        total += geometry.detect(found, 0, 0, misfits, 0, (0.0, 0.004 * math.sin(i * 1e-3), 0.4447),
                                  geometry.axis(0.0, 0.005), roller_m, wheel, rail)
     return float(total)
 
@@ -94,13 +94,14 @@ def _search(slidings, given):
 @kernel
 def _follow(slidings, given):
     wheel, rail, roller_m, found, misfits = given
-    count = geometry.detect(found, 0, misfits, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail)
+    count = geometry.detect(found, 0, 0, misfits, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel,
+                            rail)
     for i in range(slidings.size):
         pose = 0.0, 0.004 * math.sin(i * 1e-3), 0.4447
         axle = geometry.axis(0.0, 0.005 * math.cos(i * 1e-3))
         count = geometry.track(found, 0, count, pose, axle, roller_m, wheel, rail)
         if i % 16 == 0:
-            count = geometry.renew(found, 0, count, misfits, 0, pose, axle, roller_m, wheel, rail)
+            count = geometry.detect(found, 0, count, misfits, 0, pose, axle, roller_m, wheel, rail)
     return float(count)
 
 
