@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.realtime import unread
 from rollerrig.realtime.verbs import bench, campaign, check, devices, explain, paper, results, run, sequence, wsp
 
 PASS, FAILED, USAGE, LATE = 0, 1, 2, 3
@@ -79,6 +80,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
+    unread.make_harmless()
     arguments = parser().parse_args(argv)
     try:
         return arguments.call(arguments)
@@ -90,8 +92,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"rollerrig {arguments.verb}: interrupted", file=sys.stderr)
         return USAGE
-    except BrokenPipeError:
-        return PASS
 
 
 if __name__ == "__main__":
