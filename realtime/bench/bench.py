@@ -21,7 +21,7 @@ from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import loop, ring
 from rollerrig.realtime.loop.tick import MISSED, STOP, TICK, WORST_NS
-from rollerrig.realtime.record import channels, records, summary
+from rollerrig.realtime.record import channels, records, run_folder, summary
 
 PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
     "wall": wall.run, "lockstep": lockstep.run, "free": free.run}
@@ -38,8 +38,8 @@ class Bench:
         wire_delay.check(plan, given.pacing)
         if given.unit == "reference":
             logic.load(plan["wsp_config"])
-        options.prepare_folder(given.out)
-        (given.out / "scenario.toml").write_text(scenario.dump(plan), encoding="utf-8")
+        run_folder.begin(given.out)
+        (given.out / run_folder.SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
         ring.sweep()
         self.parts = Parts(plan, given, say)
         self._exceptions: set[str] = set()
@@ -112,7 +112,7 @@ class Bench:
         if parts.options.start == "modbus":
             resolved = parts.plan.resolved | {"initial_speed_m_s": parts.speed_m_s}
             parts.plan = dataclasses.replace(parts.plan, resolved=resolved)
-            (parts.options.out / "scenario.toml").write_text(scenario.dump(parts.plan), encoding="utf-8")
+            (parts.options.out / run_folder.SCENARIO).write_text(scenario.dump(parts.plan), encoding="utf-8")
 
     def _recorded(self) -> pa.Table:
         """What the recorder wrote; nothing where it did not come that far: a summary stands anyway."""

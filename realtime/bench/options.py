@@ -1,4 +1,4 @@
-"""How a run is run, and the folder it leaves behind."""
+"""How a run is run."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -34,17 +34,3 @@ def check_options(options: Options) -> None:
     if options.pacing == "free" and options.unit == "external":
         raise ConfigError("--pacing free waits for no bus, so no external unit can answer; use "
                           "--pacing lockstep (repeatable) or wall (real time)")
-
-
-def prepare_folder(out: Path) -> None:
-    """Make the run's folder, without what an earlier run left there. Raises ConfigError."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        foreign = [path.name for path in out.iterdir() if path.is_dir()]
-        if foreign or (any(out.iterdir()) and not (out / "scenario.toml").is_file()):
-            raise ConfigError(f"{out} is not empty and not a run's folder; give a new one with --out")
-        for path in out.iterdir():
-            path.unlink()
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}; give another folder with "
-                          "--out") from None

@@ -11,6 +11,7 @@ from typing import Any
 from rollerrig.configs.errors import RollerrigError, UnitError
 from rollerrig.realtime.bench.options import Options
 from rollerrig.realtime.loop.ring import Ring
+from rollerrig.realtime.record import run_folder
 from rollerrig.realtime.telemetry import recording
 
 Process = subprocess.Popen[bytes]
@@ -42,7 +43,7 @@ class Processes:
     def start_unit(self, place: str, config: str) -> None:
         """Start the reference unit on the bus at an address."""
         command = [sys.executable, "-m", "rollerrig.realtime.cli", "wsp", "--bus", place, "--config", config]
-        with open(self.options.out / "wsp.log", "wb") as log:
+        with open(self.options.out / run_folder.UNIT_LOG, "wb") as log:
             self.unit = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                                          start_new_session=True)
 
@@ -62,7 +63,7 @@ class Processes:
         self.watch_recorder()
         if (process := self._newly_ended(self.unit)) is not None:
             text = (f"the reference WSP unit has ended with status {process.returncode}; its last words "
-                    f"stand in {self.options.out / 'wsp.log'}")
+                    f"stand in {self.options.out / run_folder.UNIT_LOG}")
             if starting:
                 raise UnitError(text)
             self.event("error", text)

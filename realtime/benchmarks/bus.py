@@ -18,7 +18,7 @@ from rich.table import Table
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.benchmarks import client, figures, modbus, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, Target
-from rollerrig.realtime.record import records
+from rollerrig.realtime.record import records, run_folder
 from rollerrig.wsp_interface.bus import plugin
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
@@ -144,7 +144,7 @@ def bursts(frames: Iterable[tuple[int, int, str]]) -> list[int]:
 
 def _frames(folder: Path) -> list[tuple[int, int, str]]:
     """Stamp in us, identifier and data in hex of every frame in can.log."""
-    text = (folder / records.CAN_LOG).read_text(encoding="ascii")
+    text = (folder / run_folder.CAN_LOG).read_text(encoding="ascii")
     return [(1_000_000 * int(seconds) + int(micros), int(can_id, 16), data)
             for seconds, micros, can_id, data in _LINE.findall(text)]
 

@@ -16,9 +16,9 @@ import pyarrow.parquet as pq
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record.files import replaced
+from rollerrig.realtime.record.run_folder import CHANNELS, TAIL
 from rollerrig.wsp_interface.signals import COLUMNS
 
-FILE, TAIL = "channels.parquet", "channels.tail"
 _PERIOD_S = 0.8
 _DUTY = 0.1
 _BYTES_S = 50e6
@@ -86,7 +86,7 @@ def schema() -> pa.Schema:
 def save(folder: Path, table: pa.Table, compression: str = "none") -> None:
     """Put a table in place of channels.parquet in one step: a reader sees the old or the new."""
     final = compression != "none"
-    with replaced(folder / FILE) as new:
+    with replaced(folder / CHANNELS) as new:
         pq.write_table(table, new, compression=compression, use_dictionary=False,
                        use_byte_stream_split=final, write_statistics=final)
 
@@ -96,7 +96,7 @@ def load(folder: Path) -> pa.Table:
 
     Raises ConfigError for a file that is missing or cannot be read.
     """
-    path = folder / FILE
+    path = folder / CHANNELS
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; a run's folder holds one: give the folder that "
                           "'rollerrig run ... --out DIR' has written")

@@ -15,10 +15,8 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import channels
 from rollerrig.realtime.record.files import replaced
+from rollerrig.realtime.record.run_folder import EVENTS, SCENARIO, SUMMARY
 from rollerrig.wsp_interface.signals import COLUMNS
-
-SCENARIO, EVENTS, SUMMARY, CAN_LOG, RRD = (
-    "scenario.toml", "events.jsonl", "summary.json", "can.log", "run.rrd")
 
 
 class Run(NamedTuple):

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter, resample_poly
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.record import records
+from rollerrig.realtime.record import records, run_folder
 from rollerrig.rig import params
 from rollerrig.rig.identify.data.runs import Run
 from rollerrig.wsp_interface.signals import AXLES
@@ -58,7 +58,7 @@ def of_run(recorded: records.Run, slowest_m_s: float) -> Run:
     if plan["rig"]["mode"] == params.VIRTUAL_TRACK:
         # the track is the virtual wheels'; what the motors miss of their turning is recorded beside it
         wheel_rad_s = wheel_rad_s - each("tracking_error", "m_s") / plan["vehicle"]["wheel_radius_m"]
-    model = base(plan, str(recorded.folder / records.SCENARIO))
+    model = base(plan, str(recorded.folder / run_folder.SCENARIO))
     run = Run(
         name=recorded.folder.resolve().name, group="tune", mass_kg=plan["vehicle"]["mass_kg"], mu_cd=None,
         time_s=recorded.column("time_s")[:end], speed_m_s=recorded.column("vehicle_speed_m_s")[:end],

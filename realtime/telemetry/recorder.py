@@ -27,7 +27,7 @@ import rerun as rr
 from rollerrig.configs import store
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
-from rollerrig.realtime.record import channels, records, summary
+from rollerrig.realtime.record import channels, records, run_folder, summary
 from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.telemetry import scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing, Event
@@ -50,7 +50,7 @@ def recording_id(run_dir: Path, rows: Ring) -> str:
 def scenario_of(run_dir: Path) -> dict[str, Any]:
     """The resolved scenario of a run; empty where there is none: a recorder never gives up."""
     with contextlib.suppress(Exception):
-        return store.parse(Path(run_dir) / records.SCENARIO)
+        return store.parse(Path(run_dir) / run_folder.SCENARIO)
     return {}
 
 
@@ -70,10 +70,10 @@ class Recorder:
         self.frames = 0
         self.channels = channels.Channels(self._folder)
         # unbuffered: what has been written survives the process
-        self._can = open(self._folder / records.CAN_LOG, "wb", buffering=0)  # noqa: SIM115
-        self._log = open(self._folder / records.EVENTS, "wb", buffering=0)  # noqa: SIM115
+        self._can = open(self._folder / run_folder.CAN_LOG, "wb", buffering=0)  # noqa: SIM115
+        self._log = open(self._folder / run_folder.EVENTS, "wb", buffering=0)  # noqa: SIM115
         self._id = recording_id(run_dir, rows)
-        self._stream, self._drawing = self._open(self._folder / records.RRD)
+        self._stream, self._drawing = self._open(self._folder / run_folder.RRD)
 
     def _open(self, path: Path, **known: Any) -> tuple[rr.RecordingStream, Drawing]:
         stream = rr.RecordingStream(views.APPLICATION, recording_id=self._id)
@@ -144,7 +144,7 @@ class Recorder:
 
     def _compact(self, rows: np.ndarray) -> None:
         """Write run.rrd anew in large blocks: smaller, faster to open, and with an index."""
-        with replaced(self._folder / records.RRD) as new:
+        with replaced(self._folder / run_folder.RRD) as new:
             stream, drawing = self._open(new, top=views.tops(rows))
             for first in range(0, len(rows), _FINAL_ROWS):
                 drawing.rows(rows[first: first + _FINAL_ROWS])

@@ -25,7 +25,7 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime.record import records
+from rollerrig.realtime.record import records, run_folder
 from rollerrig.realtime.telemetry import scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing
 
@@ -109,9 +109,9 @@ def recording(path: Path | str) -> Path:
     if path.suffix == ".rrd" and path.is_file():
         return path
     records.load(path)  # says what is wrong with the folder
-    if not (path / records.RRD).is_file():
-        return overlay([path], path / records.RRD)
-    return path / records.RRD
+    if not (path / run_folder.RRD).is_file():
+        return overlay([path], path / run_folder.RRD)
+    return path / run_folder.RRD
 
 
 def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:

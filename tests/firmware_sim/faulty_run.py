@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.realtime.bench import bench, options, scenario
-from rollerrig.realtime.record import records
+from rollerrig.realtime.record import records, run_folder
 from rollerrig.wsp_interface.bus.frames import Frame
 
 NODE_UNIT, SYNC, ANSWER = 0x720, 0x080, 0x211
@@ -60,7 +60,7 @@ class Recorded:
 
     @cached_property
     def frames(self):
-        lines = (self.run.folder / records.CAN_LOG).read_text().splitlines()
+        lines = (self.run.folder / run_folder.CAN_LOG).read_text().splitlines()
         found = []
         for line in lines:
             time, _, body = line.split()

@@ -106,6 +106,30 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+def test_a_scenario_of_the_user_survives_a_run_that_is_to_go_where_it_stands(tmp_path, capsys):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "scenario.toml").write_text("vehicle = \"uic_z1\"\n")
+    (mine / "notes.txt").write_text("what I saw")
+    text = refused(capsys, str(mine / "scenario.toml"), "--pacing", "free", "--out", str(mine))
+    assert "nothing in it is replaced" in text
+    assert sorted(path.name for path in mine.iterdir()) == ["notes.txt", "scenario.toml"]
+    assert (mine / "scenario.toml").read_text() == "vehicle = \"uic_z1\"\n"
+
+
+def test_a_second_run_replaces_the_files_of_the_first_and_keeps_all_else(tmp_path):
+    out = tmp_path / "run"
+    words = ("run", "dry_stop", "--wsp", "none", "--pacing", "free", "--out", str(out), "--set", "initial_speed_m_s=3")
+    assert cli.main([*words]) == 0
+    (out / "notes.txt").write_text("what I saw")
+    (out / "exports").mkdir()
+    (out / "exports" / "run.csv").write_text("1")
+    assert cli.main([*words[:-1], "initial_speed_m_s=4"]) == 0
+    assert records.load(out).scenario["initial_speed_m_s"] == 4.0
+    assert (out / "notes.txt").read_text() == "what I saw"
+    assert (out / "exports" / "run.csv").read_text() == "1"
+
+
 def test_an_out_that_is_a_file_is_refused(tmp_path, capsys):
     (tmp_path / "run").write_text("")
     assert "--out" in refused(capsys, "velim_a1", "--pacing", "free", "--out", str(tmp_path / "run"))

@@ -13,7 +13,7 @@ from bench_process import MAGNETS, SYNC, BenchProcess, SimpleUnit
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.bench import Bench
 from rollerrig.realtime.bench.options import Options
-from rollerrig.realtime.record import records
+from rollerrig.realtime.record import records, run_folder
 from rollerrig.wsp_interface.bus.hub import Hub
 
 ANSWERS = 0x211
@@ -102,7 +102,7 @@ def test_what_fails_inside_the_bus_thread_is_told_in_the_events_and_the_run_goes
 def frames(folder):
     """(time in us, identifier) of every frame of a run, in the order of the log."""
     found = []
-    for line in (folder / records.CAN_LOG).read_text().splitlines():
+    for line in (folder / run_folder.CAN_LOG).read_text().splitlines():
         stamp, _, body = line.split()
         found.append((round(1e6 * float(stamp.strip("()"))), int(body.partition("#")[0], 16)))
     return found
