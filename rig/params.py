@@ -35,7 +35,8 @@ def _row(name: str, given: list[Any]) -> Row:
     default, *allowed, source = given
     if isinstance(default, str):
         return choice(name, default, tuple(allowed[0]), source)
-    return (integer if isinstance(default, int) else number)(name, default, *allowed, source)
+    low, high = allowed
+    return (integer if isinstance(default, int) else number)(name, default, low, high, source)
 
 
 ROWS: dict[str, tuple[Row, ...]] = {

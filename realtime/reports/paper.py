@@ -17,7 +17,7 @@ from rollerrig.rig.identify.paper.validation import Verdict
 
 MODELS = {"measured": (MEASURED, "measured"), "new": (EXTENDED, "with recovery"),
           "classic": (BASE, "classic, no recovery")}
-_POINTS = {"linestyle": "", "marker": ".", "markersize": 2, "alpha": 0.3, "rasterized": True}
+_POINTS: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 2, "alpha": 0.3, "rasterized": True}
 
 
 def _interval(v: Interval, scale: float = 1.0) -> str:
