@@ -75,7 +75,7 @@ def serve(bus):
             quiet_until = send(HEARTBEAT, 0x05)
 
 
-def wait_for_rig(host, port, patience_s=60.0):
+def wait_for_rig(host, port, patience_s=300.0):
     """Return when somebody listens; the stock client would ask without a pause."""
     end = time.monotonic() + patience_s
     while time.monotonic() < end:
