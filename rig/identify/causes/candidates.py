@@ -36,6 +36,11 @@ class Explanation(NamedTuple):
     length_m: float
     causes: tuple[Cause, ...]
 
+    @property
+    def level(self) -> float:
+        """Logarithm of the contaminant's level over the base model's, mean of the fitted runs."""
+        return float(np.mean([v for label, v in self.base.items() if label.startswith("ln_mu_cd")] or [0.0]))
+
 
 def start(design: Design) -> Explanation:
     """The untuned base."""

@@ -120,18 +120,19 @@ def vehicle_mass(design: Design) -> np.ndarray:
     return np.repeat(design.mass_kg, np.diff(design.vehicle_start))
 
 
-def write(design: Design, inputs: Inputs, only: frozenset[str] | None = None,
-          shaped: Shaped = ()) -> tuple[SensitivityMatrix, Linear]:
-    """Columns of a design around a replay, and that replay: all, or those of some causes and shapes."""
-    wanted = [(row, shape) for row in table.TABLE if only is None or row.name in only
-              for shape in (*row.shapes, *(s for name, s in shaped if name == row.name and s not in row.shapes))]
+def write(design: Design, inputs: Inputs, shaped: Shaped = (), search: bool = True
+          ) -> tuple[SensitivityMatrix, Linear]:
+    """Columns of a design around a replay, and that replay: base, causes in given shapes, all of the search."""
+    tried = {row.name: row.shapes if search else () for row in table.TABLE}
+    wanted = [(row, shape) for row in table.TABLE
+              for shape in (*tried[row.name], *(s for name, s in shaped if name == row.name and s not in tried[name]))]
     constants = [(row, shape) for row, shape in wanted if row.mechanism.acts_on == CONTACT and row.mechanism.constants]
     w = _Writer(design, inputs, sensitivity.linearise(design, inputs, _changed(inputs, constants)))
     _base(w)
     for row, shape in wanted:
         for axle in row.axles:
             w.variant(row.name, _parts(w, row, shape, axle, constants), shape, axle)
-    if only is None:
+    if search:
         _windows(w)
         _smooth_functions(w)
     return SensitivityMatrix(w.columns, np.column_stack(w.wheel), np.column_stack(w.vehicle), w.variants), w.linear

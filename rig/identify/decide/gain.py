@@ -101,8 +101,7 @@ def free_running(design: Design, explanation: Explanation) -> np.ndarray:
 def level(design: Design, explanation: Explanation) -> tuple[Explanation, float]:
     """An explanation on new runs: only their contaminant level, mass and irregularity are fitted."""
     base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
-    mean = float(np.mean([v for k, v in explanation.base.items() if k.startswith("ln_mu_cd")] or [0.0]))
-    base |= {f"ln_mu_cd_{run}": mean for run in range(design.mass_kg.size)}
+    base |= {f"ln_mu_cd_{run}": explanation.level for run in range(design.mass_kg.size)}
     found, value, _ = tuning.fit(design, explanation._replace(base=base), 4, False,
                                  free=("ln_mu_cd", "mass"))
     return found, value

@@ -65,11 +65,14 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
     return cost + float(np.sum(off * off))
 
 
-def normal(design: Design, explanation: Explanation, only: frozenset[str] | None = None
+def normal(design: Design, explanation: Explanation, search: bool = True
            ) -> tuple[Normal, Linear, Inputs, np.ndarray]:
-    """Normal equations around an explanation, its replay, its inputs, the whitened answers."""
+    """Normal equations around an explanation, its replay, its inputs, the whitened answers.
+
+    Without `search` they have columns for the base and the causes of the explanation only.
+    """
     i = candidates.inputs(design, explanation)
-    matrix, linear = columns.write(design, i, only, tuple((cause.name, cause.shape) for cause in explanation.causes))
+    matrix, linear = columns.write(design, i, tuple((cause.name, cause.shape) for cause in explanation.causes), search)
     Z = np.empty_like(matrix.wheel)
     for s in range(design.segments):
         at = design.span(s)
@@ -149,11 +152,10 @@ def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = 
     """
     value = deviance(design, explanation)
     covariance = np.zeros((0, 0))
-    only = frozenset({BASE, *(cause.name for cause in explanation.causes)})
     for step in range(steps):
         if noise and step in (1, 3, 5) and step + 1 < steps:
             explanation, value = fit_noise(design, explanation, value)
-        found, _, _, _ = normal(design, explanation, only)
+        found, _, _, _ = normal(design, explanation, False)
         own = [c for c in base_columns(found.matrix)
                if not free or found.matrix.columns[c].label.startswith(free)]
         at = own + ([] if free else _cause_columns(found.matrix, explanation))
@@ -194,18 +196,8 @@ def _memory(design: Design, explanation: Explanation, value: float) -> tuple[Exp
 
 
 def _cause_columns(matrix: SensitivityMatrix, explanation: Explanation) -> list[int]:
-    found: list[int] = []
-    for cause in explanation.causes:
-        found += _matching(matrix, cause)
-    return found
-
-
-def _matching(matrix: SensitivityMatrix, cause: Cause) -> list[int]:
-    fits = [v for v in matrix.variants if v.cause == cause.name and v.axle == cause.axle
-            and v.shape == cause.shape]
-    if not fits:
-        raise KeyError(f"{cause.name} {cause.shape}")
-    return list(fits[0].columns)
+    return [c for cause in explanation.causes for c in next(
+        v.columns for v in matrix.variants if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape))]
 
 
 def _search(design: Design, explanation: Explanation, labels: list[str], change: np.ndarray,

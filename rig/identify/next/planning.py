@@ -110,11 +110,11 @@ def library(on: Ground, chosen: Sequence[Finding], progress: Progress) -> Librar
     if not chosen:
         return Library((), Table((), np.zeros((0, 0))), (), ())
     explanation = _zero(on.explanation, chosen)
-    known = _table(tuning.normal(on.design, explanation, _owners(chosen))[0], chosen, "known")
+    known = _table(tuning.normal(on.design, explanation, False)[0], chosen, "known")
     stops, kept, tables = possible(on.data, chosen), [], []
     for k, stop in enumerate(stops):
         design, expected = _simulated(on, stop, explanation)
-        found = tuning.normal(design, expected, _owners(chosen))[0]
+        found = tuning.normal(design, expected, False)[0]
         if np.all(np.isfinite(found.A)):
             kept.append(stop)
             tables.append(_table(found, chosen, f"stop {k}"))
@@ -170,10 +170,6 @@ def _zero(explanation: Explanation, chosen: Sequence[Finding]) -> Explanation:
         Cause(f.name, f.axle, f.shape, (0.0,) * len(f.estimate)) for f in chosen))
 
 
-def _owners(chosen: Sequence[Finding]) -> frozenset[str]:
-    return frozenset({BASE, *(f.name for f in chosen)})
-
-
 def _table(normal: Normal, chosen: Sequence[Finding], name: str) -> Table:
     """One column for each candidate, times its size; base columns of single runs get the set's name."""
     columns = normal.matrix.columns
@@ -210,7 +206,7 @@ def _direction(normal: Normal, f: Finding) -> tuple[list[int], list[float]]:
 def _simulated(on: Ground, stop: Stop, explanation: Explanation) -> tuple[Design, Explanation]:
     """A stop as the fitted base would run it, prepared like a measured one."""
     base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
-    expected = explanation._replace(base=base | {"ln_mu_cd_0": prototype.level(explanation)})
+    expected = explanation._replace(base=base | {"ln_mu_cd_0": explanation.level})
     rough = prototype.run(on.data, on.design.base, stop, expected)
     design = _noisy(preparation.prepare(on.data, [rough]), on.design)
     made = simulate.runs(on.data, design, [rough], expected, np.random.default_rng(3))

@@ -45,11 +45,6 @@ class Stop(NamedTuple):
                 f"{self.mass_kg / 1e3:.3g} t")
 
 
-def level(explanation: Explanation) -> float:
-    """Logarithm of the contaminant's level over the base model's, mean of the fitted runs."""
-    return float(np.mean([v for label, v in explanation.base.items() if label.startswith("ln_mu_cd")] or [0.0]))
-
-
 def run(data: Dataset, parameters: np.ndarray, stop: Stop, explanation: Explanation) -> Run:
     """The rough course of a stop under a fitted explanation, without noise.
 
@@ -60,7 +55,7 @@ def run(data: Dataset, parameters: np.ndarray, stop: Stop, explanation: Explanat
     radius, inertia = vehicle["wheel_radius_m"], vehicle["wheelset_inertia_kgm2"]
     p = parameters.copy()
     p[TAU] *= math.exp(explanation.base.get("ln_tau", 0.0))
-    p[MU_CD] *= math.exp(level(explanation))
+    p[MU_CD] *= math.exp(explanation.level)
     most_Nm = torque_at(data.sections, stop.pressure_Pa)
     braked = np.array([stop.axle in (0, j + 1) for j in range(AXLES)])
     n = int(LONGEST_S / step_s)
@@ -125,7 +120,7 @@ def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -
     """The stop as a sequence, plain data that as TOML `rollerrig sequence` runs, on the fitted base."""
     sections = data.sections
     law = dict(sections["adhesion"])
-    law["mu_cd"] = float(law["mu_cd"] * math.exp(level(explanation)))
+    law["mu_cd"] = float(law["mu_cd"] * math.exp(explanation.level))
     law["tau_m_J"] = float(law["tau_m_J"] * math.exp(explanation.base.get("ln_tau", 0.0)))
     rolled = math.isfinite(sections["contact"]["roller_radius_m"])
     brake: dict[str, Any] = {"title": stop.title, "at": f"{RELEASED_S:g} s",

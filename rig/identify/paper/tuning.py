@@ -29,7 +29,6 @@ from rollerrig.rig import wheelset
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import Patch, patch_for
 from rollerrig.rig.identify.causes import candidates
-from rollerrig.rig.identify.causes.columns import BASE
 from rollerrig.rig.identify.data.parameters import TAU
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
@@ -206,7 +205,7 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     Gauss-Newton step from the optimum. What whole runs pull apart is added: blocks do not know it.
     """
     explanation, _, _ = tuning.fit(design, candidates.start(design))
-    found, linear, _, answers = tuning.normal(design, explanation, frozenset({BASE}))
+    found, linear, _, answers = tuning.normal(design, explanation, False)
     at = tuning.base_columns(found.matrix)
     labels = [found.matrix.columns[c].label for c in at]
     prior = np.array([found.matrix.columns[c].prior for c in at])
