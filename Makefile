@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check lint docs bench performance clean
+.PHONY: demo test check lint format docs bench performance clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --out runs/demo
@@ -23,10 +23,15 @@ check: lint
 
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .
+	$(BIN)/python -m autopep8 --diff --exit-code rig firmware_sim wsp_interface realtime configs tests docs
 	@mkdir -p $(VENV)/typed/rollerrig
 	@for room in rig firmware_sim wsp_interface realtime configs; do \
 	  ln -sfn "$(CURDIR)/$$room" $(VENV)/typed/rollerrig/$$room; done
 	MYPYPATH=$(VENV)/typed $(BIN)/mypy -p rollerrig
+
+format: $(VENV)/ready-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/python -m autopep8 --in-place rig firmware_sim wsp_interface realtime configs tests docs
 
 docs: $(VENV)/ready-dev
 	$(BIN)/python -m pytest tests --collect-only -qq --write-docs=docs

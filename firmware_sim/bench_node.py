@@ -123,5 +123,3 @@ class BenchNode:
     def _set_friction(self, axle: int, raw: int) -> None:
         self._friction[axle - 1] = raw * FRICTION_SCALE
         self._on_command()
-
-

@@ -42,7 +42,7 @@ TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
     """The device profile's objects."""
     demand: dict[str, Any] = {"mappable": True, "low": 0, "high": HIGHEST_DEMAND_mbar, "unit": "Pa",
-              "factor": DEMAND.scale, "text": BY_NAME["brake_demand"].text}
+                              "factor": DEMAND.scale, "text": BY_NAME["brake_demand"].text}
     return [
         *process_image.rows(BRAKE_NODE, 0, parameters, TITLES),
         *array(0x6000, "Read input 8-bit", "U8", "ro", [0], ("Magnets energised",), mappable=True),

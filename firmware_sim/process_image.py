@@ -77,8 +77,8 @@ def rows(node_number: int, axle: int, parameters: Mapping[str, float],
             continue
         title = titles[place.index]
         unit: dict[str, Any] = {"name": title, "kind": place.kind, "access": "ro", "default": 0, "mappable": True,
-                "unit": signal.unit.replace("_", "/"), "factor": place.scale * one.parameter,
-                "text": signal.text}
+                                "unit": signal.unit.replace("_", "/"), "factor": place.scale * one.parameter,
+                                "text": signal.text}
         if one.sub:
             unit["name"] = f"{title}/{title} axle {one.axle}"
             highest = place.sub + signal.axles - 1

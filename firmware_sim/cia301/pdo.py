@@ -193,4 +193,3 @@ class Rpdo:
     def _late(self) -> None:
         self.node.event("warning", f"RPDO {self.number} is late")
         self.node.emergency.report(RPDO_LATE, self.number, bytes([self.number]))
-

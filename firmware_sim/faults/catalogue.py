@@ -64,7 +64,7 @@ class Fault:
     def title(self) -> str:
         """Name and parameters, for events."""
         values = [f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
-                for name, value in self.values.items()]
+                  for name, value in self.values.items()]
         return " ".join([self.kind.name, *values])
 
 
@@ -190,7 +190,7 @@ def markdown() -> str:
              "| fault | acts in | what it does | parameters: default (allowed) |", "|---|---|---|---|"]
     for kind in CATALOGUE:
         parameters = "; ".join(f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
-                         for row in kind.parameters) or "none"
+                               for row in kind.parameters) or "none"
         lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {parameters} |")
     return "\n".join([*lines, "", *_WHY_ON_THE_SENSOR]) + "\n"
 

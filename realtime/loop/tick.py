@@ -139,7 +139,7 @@ def publish(m):
     if m.command[FAULTS + effects.ANY] != 0.0:
         heat = m.params.heat
         effects.heat(m.row[_MOTOR_K:_MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K,
-                           heat.motor_rise_K)
+                     heat.motor_rise_K)
     m.row[_REFERENCE] = m.command[REFERENCE]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3

@@ -96,8 +96,8 @@ def from_folders(folders: Sequence[Path], out: Path, validate: Sequence[Path] = 
     names = [run.name for run in runs]
     rng = np.random.default_rng(len(runs))
     runs = [run_sensors.noisy(run, noise, rng)._replace(
-                name=run.name if names.count(run.name) == 1 else f"{run.name}_{k}",
-                group="tune" if k <= len(folders) else "validate") for k, run in enumerate(runs, start=1)]
+        name=run.name if names.count(run.name) == 1 else f"{run.name}_{k}",
+        group="tune" if k <= len(folders) else "validate") for k, run in enumerate(runs, start=1)]
     return write(out, runs, recorded[0].scenario, noise, title="runs recorded by the bench",
                  source=", ".join(str(one.folder) for one in recorded), note=_note(recorded))
 

@@ -317,7 +317,7 @@ def _holder(number: int) -> str:
     if not program:
         return ""
     listing = subprocess.run([program, "-ltnpH", f"sport = :{number}"], capture_output=True, text=True,
-                          timeout=5.0, check=False).stdout
+                             timeout=5.0, check=False).stdout
     names = re.findall(r'\("([^"]+)",pid=(\d+)', listing)
     return " by " + ", ".join(f"{name} (process {pid})" for name, pid in names) if names else ""
 

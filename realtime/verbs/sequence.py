@@ -46,7 +46,7 @@ def call(given: argparse.Namespace) -> int:
     sequences = load(given.sequences)
     if given.check:
         return _print(given, {"checked": [one.name for one in sequences]},
-                     f"{len(sequences)} sequences are in order")
+                      f"{len(sequences)} sequences are in order")
     _check_out(given, sequences)
     outcomes = _play(given, sequences)
     written = report.write(outcomes, given.out, given.junit)
@@ -165,7 +165,7 @@ def play(one: Any, folder: Path, pacing: str, seed: int, wsp: str, unit: str,
     companions += [own_bench.program(unit)] if unit else []
     begun = time.monotonic()
     outcome = player.on_own_bench(one, folder, pacing, seed, dry_stop.distance_m, wsp,
-                                    tuple(companions))
+                                  tuple(companions))
     outcome.wall_s = time.monotonic() - begun
     return outcome
 

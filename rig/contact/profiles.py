@@ -181,7 +181,7 @@ def rail(
                         z_smooth - z_smooth[top] + z[top] - z_given)
     moved = np.hypot(y - y_given, z - z_given)
     changes = Changes(smoothing_m, float(smoothed[touched].max()),
-                float(np.abs(moved - smoothed)[touched].max()))
+                      float(np.abs(moved - smoothed)[touched].max()))
     z = z - z.max()
     gauge_side = slice(None, top + 1)
     face = np.interp(-0.014, z[gauge_side], y[gauge_side])

@@ -126,4 +126,3 @@ def run(buffer, tape, layout):
     buffer (memory.SIZE,) is its memory, tape and layout from `packed`.
     """
     _external(buffer.ctypes, tape.ctypes, layout.ctypes)
-

@@ -43,7 +43,7 @@ class Site:
         self.values = {row.name: 0 for row in (*BITS, *WORDS) if not row.signal}
         self.written = []
         self.drives = [drive.build(node, node, self.row, {"rated_torque_Nm": RATED_Nm},
-                                      control="bus") for node in signals.DRIVE_NODES]
+                                   control="bus") for node in signals.DRIVE_NODES]
         for node in self.drives:
             node.start(lambda frame: None, 0)
         self.units = {1: self._plc()} | {

@@ -21,7 +21,7 @@ def test_a_node_sends_its_boot_up_and_is_pre_operational_after_power_on(wire):
 
 @pytest.mark.conformance("CiA 301", "NMT commands to a node and to all")
 @pytest.mark.parametrize(("command", "state"), [(START, OPERATIONAL), (STOP, STOPPED),
-                                           (ENTER_PRE, PRE_OPERATIONAL)])
+                                                (ENTER_PRE, PRE_OPERATIONAL)])
 @pytest.mark.parametrize("addressed", [0, 16])
 def test_an_nmt_command_to_all_or_to_the_node_changes_its_state(wire, command, state, addressed):
     wire.encoder()

@@ -232,7 +232,7 @@ def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
 
 @pytest.mark.conformance("CiA 402", "modes 3, 4, 9, 10: 6060h, 6061h, 6502h")
 @pytest.mark.parametrize(("mode", "code"), [(3, 0), (4, 0), (9, 0), (10, 0), (1, 0x06090030),
-                                       (6, 0x06090030), (8, 0x06090030), (-1, 0x06090030)])
+                                            (6, 0x06090030), (8, 0x06090030), (-1, 0x06090030)])
 def test_only_supported_modes_are_taken(wire, drive, mode, code):
     assert wire.write(1, 0x6060, 0, mode, 1) == code
     if not code:
@@ -324,7 +324,7 @@ def test_slippage_is_told_when_the_speed_leaves_the_demand(wire, drive):
 
 @pytest.mark.conformance("CiA 402", "abort connection option code 6007h")
 @pytest.mark.parametrize(("option", "after"), [(0, ENABLED), (1, State.FAULT), (2, DISABLED),
-                                          (3, DISABLED)])
+                                               (3, DISABLED)])
 def test_a_lost_connection_follows_6007h(wire, drive, option, after):
     wire.write(1, 0x6007, 0, option, 2)
     wire.write(1, 0x1016, 1, 5 << 16 | 50, 4)

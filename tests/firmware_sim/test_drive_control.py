@@ -18,7 +18,7 @@ class Rig:
     def __init__(self, folder, *settings):
         ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
         plan = scenario.load("dry_stop", settings=(f"initial_speed_m_s={SPEED_M_S}", "duration_max_s=60",
-                                                  "brake.cylinder_area_m2=0.0001", *settings))
+                                                   "brake.cylinder_area_m2=0.0001", *settings))
         self.machine = tick_data.build(plan, ring)
 
     def ask(self, loop, torque_Nm=0.0, velocity_rad_s=0.0, limit_Nm=1e9, enabled=1.0):

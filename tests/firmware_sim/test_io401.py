@@ -74,8 +74,8 @@ def test_magnets_stay_at_the_fail_safe_value_until_the_heartbeat_is_back(wire, b
 
 @pytest.mark.conformance("CiA 401", "error mode 6206h and error value 6207h")
 @pytest.mark.parametrize(("mask", "value", "after"), [(0xFF, 0x05, [HOLD, HOLD, FILL, FILL]),
-                                              (0x0F, 0x00, [FILL, FILL, VENT, VENT]),
-                                              (0x00, 0x00, [VENT, VENT, VENT, VENT])])
+                                                      (0x0F, 0x00, [FILL, FILL, VENT, VENT]),
+                                                      (0x00, 0x00, [VENT, VENT, VENT, VENT])])
 def test_6206h_says_which_magnets_take_the_value_of_6207h(wire, brake, mask, value, after):
     wire.write(17, 0x6206, 1, mask, 1)
     wire.write(17, 0x6207, 1, value, 1)

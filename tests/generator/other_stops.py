@@ -64,7 +64,7 @@ LARGEST = {"roller_curvature": 0.70, "interfacial_layer": 0.75}
 # effects that no name of the library covers: one clearly visible size each
 UNKNOWN = {
     "rail_joints": 0.08,            # friction wave along the rail
-    "acceleration_softening": 0.12, # friction falls while the wheel's speed changes fast
+    "acceleration_softening": 0.12,  # friction falls while the wheel's speed changes fast
     "one_axle_drop": 0.12,          # one wheelset, from some moment of a stop on
     "sliding_hysteresis": 0.10,     # friction differs between growing and shrinking sliding
     "torsional_swing": 0.9,         # share of the torque that comes through a soft shaft

@@ -87,7 +87,7 @@ def test_a_wrong_file_is_refused_with_its_name(content, parts, tmp_path, capsys)
     (["velim_a1", "--pacing", "free", "--wsp", "external"], ["--pacing free", "lockstep"]),
 ])
 def test_a_file_that_is_missing_and_options_that_contradict_are_refused(arguments, parts, tmp_path,
-                                                                       capsys):
+                                                                        capsys):
     text = refused(capsys, *arguments, "--out", str(tmp_path / "run"))
     for part in parts:
         assert part in text

@@ -32,7 +32,7 @@ def sampled(machine):
 
 def ask(machine, magnets, demand_Pa=np.nan, reference=np.nan):
     command = machine.commands.values.copy()
-    command[MAGNETS : MAGNETS + 4] = magnets
+    command[MAGNETS: MAGNETS + 4] = magnets
     command[DEMAND], command[REFERENCE] = demand_Pa, reference
     mailbox.post(machine.commands, command)
 

@@ -321,4 +321,3 @@ def test_the_kernels_of_a_step_are_held_to_the_plant_in_their_order():
 def test_a_kernel_does_what_its_twin_in_the_plant_does(name, mode):
     for seed in SEEDS:
         TWINS[name](Case(seed, mode))
-

@@ -100,7 +100,7 @@ def test_cantools_decodes_the_frames_of_a_sync_into_the_signals_of_the_table(rig
                 decoded |= base.decode_message(frame.can_id, frame.data)
     expected = {name for signal in signals.SIGNALS if signal.direction == signals.OUT
                 for place in signal.places[:1] if place.index not in (0x6411, 0x2101)
-                    and place.node != signals.BENCH_NODE  # its PDOs are the harness's to map
+                and place.node != signals.BENCH_NODE  # its PDOs are the harness's to map
                 for name in signals.columns(signal)}
     assert expected <= set(decoded)
     for name in expected:
@@ -108,8 +108,6 @@ def test_cantools_decodes_the_frames_of_a_sync_into_the_signals_of_the_table(rig
         place = signal.places[0]
         count = place.scale * (RATED_Nm if place.of else 1.0)
         assert decoded[name] == pytest.approx(row[signals.COLUMNS.index(name)], abs=0.5001 * count)
-
-
 
 
 def test_the_dbc_encodes_magnets_axle_by_axle(folder):

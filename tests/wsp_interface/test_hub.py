@@ -230,7 +230,7 @@ def test_commands_are_understood_however_they_are_cut(bench):
     script = (b"< open rig0 >< rawmode ><send 1 0><  send\t7fF 2  a B >\r\n"
               b"< send 92345678 3 ffffff80 ffffffff 1 >< send 00000123 1 7F >")
     for index in range(len(script)):
-        client.sendall(script[index : index + 1])
+        client.sendall(script[index: index + 1])
     assert bench.until(lambda: len(bench.log) == 4)
     assert [frame[:3] for frame in bench.log] == [
         (0x001, b"", False), (0x7FF, b"\x0a\x0b", False),

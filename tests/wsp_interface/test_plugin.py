@@ -63,7 +63,6 @@ def play_handshake(server, chunks=(b"< hi >", b"< ok >", b"< ok >")) -> tuple:
     return opened, accepted[0]
 
 
-
 @pytest.mark.conformance("Hub", "python-can plugin: entry point can.interface")
 @pytest.mark.parametrize("prefix", ["", "socketcand://"])
 def test_python_can_finds_the_plugin_by_its_name_and_both_forms_of_address(bench, prefix):

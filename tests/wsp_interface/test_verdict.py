@@ -59,7 +59,7 @@ def test_a_demand_of_twice_the_rate_falls_short_by_the_difference():
 def test_a_stop_shorter_than_a_segment_has_no_shortfall():
     record = stop.record()
     short = replace(record, columns={name: values[-900:] for name, values in record.columns.items()},
-                            demands=((record.columns["time_s"][-900], 3.8e5),))
+                    demands=((record.columns["time_s"][-900], 3.8e5),))
     assert math.isnan(of("deceleration_shortfall", short))
     assert judged(limit("deceleration_shortfall", high=1.0), short).result is Result.ABSENT
 

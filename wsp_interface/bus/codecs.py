@@ -272,7 +272,7 @@ class VirtualcanSession:
                 return
             if len(rest) < 4 + size:
                 break
-            packet, rest = rest[4 : 4 + size], rest[4 + size :]
+            packet, rest = rest[4: 4 + size], rest[4 + size:]
             if size == _VIRTUALCAN.size:
                 can_id, flags, dlc, data = _VIRTUALCAN.unpack(packet)
                 if frame := _flagged_frame(can_id | (EXTENDED_FLAG * (flags & 1)), dlc, data):

@@ -102,7 +102,7 @@ def load(path: Path) -> UnitMap:
     if reference:
         _check_signals((reference,), incoming, f"{where}: reference")
     return UnitMap(outgoing, incoming, hold, vent, reference,
-                    float(back.get("reference_factor", 1.0)))
+                   float(back.get("reference_factor", 1.0)))
 
 
 def _outgoing(given: Any, database: Any, where: str) -> Outgoing:

@@ -262,5 +262,5 @@ def _write(folder: Path, harness: Harness) -> Path:
 def merged(seen: list[Event], summary: dict[str, Any]) -> list[Event]:
     """Events of the harness and of the bench, in the order of time."""
     reported = [Event(float(one["time_s"]), f"bench, {one['level']}", str(one["text"]))
-            for one in summary.get("events", [])]
+                for one in summary.get("events", [])]
     return sorted([*seen, *reported], key=lambda event: event.time_s)

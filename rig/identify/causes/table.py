@@ -80,4 +80,3 @@ TABLE = (
     Search("empirical", ()),
 )
 OF: dict[str, Search] = {row.name: row for row in TABLE}
-

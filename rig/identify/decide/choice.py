@@ -163,7 +163,7 @@ def choose(design: Design, explanation: Explanation, value: float, rivals: list[
 
 
 def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]
-            ) -> tuple[Explanation, list[NamedCause]]:
+           ) -> tuple[Explanation, list[NamedCause]]:
     """The causes with their scales off the grid of the search, fitted again."""
     better = shapes.scaled(design, explanation)
     if better == explanation:

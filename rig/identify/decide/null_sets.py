@@ -98,4 +98,3 @@ def null_sets(setting: Setting, explanation: Explanation, count: int, seed: int,
     fresh = explanation._replace(base={k: v for k, v in explanation.base.items() if k.startswith("ln_")})
     tasks = [Task(setting.data, setting.measured, fresh, seed * 100003 + k, tuple(known)) for k in range(count)]
     return [s for s in setting.run_all(one, tasks, "clean sets") if s is not None]
-

@@ -239,12 +239,12 @@ def fit_noise(design: Design, explanation: Explanation, value: float) -> tuple[E
 
     def cost(x: np.ndarray) -> float:
         return deviance(design, explanation._replace(sigma=float(np.exp(x[0])),
-                                              length_m=float(np.exp(x[1]))))
+                                                     length_m=float(np.exp(x[1]))))
 
     x0 = np.log([explanation.sigma, explanation.length_m])
     simplex = x0 + np.array([[0.0, 0.0], [-0.15, 0.0], [0.0, -0.3]])
     best = minimize(cost, x0, method="Nelder-Mead", bounds=[(np.log(1e-3), np.log(0.5)),
-                                                              (np.log(1.0), np.log(LONGEST_M))],
+                                                            (np.log(1.0), np.log(LONGEST_M))],
                     options={"maxfev": 18, "initial_simplex": simplex, "fatol": 0.3})
     if best.fun < value:
         return explanation._replace(sigma=float(np.exp(best.x[0])), length_m=float(np.exp(best.x[1]))), \

@@ -82,7 +82,7 @@ def patch_of(data: Dataset) -> Patch:
     """The contact patch of a dataset's wheel."""
     v, c = data.sections["vehicle"], data.sections["contact"]
     return patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"],
-                              c["young_Pa"], c["shear_Pa"], c["poisson"])
+                     c["young_Pa"], c["shear_Pa"], c["poisson"])
 
 
 def _best(curve: Curve, patch: Patch, free: np.ndarray,
@@ -139,5 +139,3 @@ def _rms(values: np.ndarray) -> float:
 def falls(found: Fitted, points: int) -> bool:
     """Whether falling friction is supported: two parameters more earn more than they cost (BIC)."""
     return bool(points * np.log(found.rms_no_fall**2 / found.rms**2) > 2.0 * np.log(points))
-
-

@@ -98,7 +98,7 @@ def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Ver
         sliding = {"measured": _stack(design, design.sliding_m_s, index, length)}
         for name, tau in (("new", tau_m_J), ("classic", 0.0)):
             found[name], speed[name], sliding[name] = _simulated(data, design, index, length, tau,
-                                                                run.mu_cd)
+                                                                 run.mu_cd)
         verdicts.append(Verdict(run.name, float(np.median(run.speed_m_s[:20])), found,
                                 run.time_s[:length], speed, sliding))
     return verdicts
