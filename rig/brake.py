@@ -10,7 +10,7 @@ and the discs give a torque in proportion [B4].
     [B3] air in normal litres: V dp / 101325 Pa for dp > 0
     [B4] C = c (p - p_spring), not below 0
 
-First-order pneumatics with constants of PHYSICS: priors, not measurements of one brake.
+First-order pneumatics with assumed constants: priors, not measurements of one brake.
 """
 
 from rollerrig.rig.kernel import kernel, kernel_inlined

@@ -34,7 +34,7 @@ from rollerrig.wsp_interface.signals import AXLES, BY_NAME
 REFERENCE_SCALE_M_S = BY_NAME["wsp_reference_speed"].places[0].scale
 
 _A = "assumption"
-_M = "memory of typical units, unverified"
+_M = "recollection of typical units, to be checked against UIC 541-05"
 ROWS = (
     table.Row("wheel_diameter_m", (0.89,) * AXLES, 0.3, 1.4, "paper Table 1"),
     table.number("cycle_s", 0.01, 0.001, 0.1, "SYNC period of the default rig"),

@@ -22,7 +22,7 @@ SCENARIOS = store.names("scenarios")
 KINDS = (*SETS, "scenarios", "wsp", "campaigns")
 FILES = sorted(path for kind in KINDS for path in (store.ROOT / kind).glob("*.toml"))
 RUN_S = 4.0
-SOURCE = re.compile(r"assumption|paper|Table \d|EN 1\d{4}|rail head R|recollection|memory|unverified|as on soap|"
+SOURCE = re.compile(r"assumption|paper|Table \d|EN 1\d{4}|rail head R|recollection|as on soap|"
                     r"as in \w+\.toml|this project|the rig's", re.IGNORECASE)
 ALL = re.compile(r"every number|all data|throughout", re.IGNORECASE)
 PROMISED = {"velim_a1", "velim_a2", "velim_a3", "velim_b1", "velim_b2", "velim_b3", "dry_stop",

@@ -24,7 +24,7 @@ EFFECTS = (
     # not in the library
     "load_exponent", "joints", "sticky_turn", "late_axle", "sliding_resonance",
 )
-# sizes that can be seen in six stops (DISCOVERY section 3), smallest
+# sizes that can be seen in six stops, smallest
 SMALLEST = {
     "rail_cleaning": 0.06, "adhesion_memory": 2.0, "speed_dependent_friction": 0.06,
     "negative_conditioning": 0.12, "contaminated_patch": 0.07, "friction_trend": 0.12,

@@ -134,7 +134,7 @@ def test_a_frame_of_eight_bytes_has_111_bits_and_135_at_most():
 
 
 def test_the_default_rig_at_100_hz_loads_500_kbit_by_38_percent():
-    # 16 drive frames, sensor, valves and SYNC, most with eight bytes: BUSES section 1
+    # 16 drive frames, sensor, valves and SYNC, most with eight bytes
     now = [0]
     hub = Hub(lambda: now[0], bitrate=500_000)
     port = hub.attach(lambda frame: None)

@@ -59,7 +59,7 @@ class Condition:
         met = (_OPERATORS[self.compare](values[name], self.bound) for name in self.columns)
         return all(met) if self.all_of else any(met)
 
-    def told(self, values: Mapping[str, float]) -> str:
+    def readings(self, values: Mapping[str, float]) -> str:
         """The newest values in the unit of the condition."""
         found = ", ".join(f"{values[name] / self.factor:.4g}" for name in self.columns)
         return f"{found} {self.unit}".strip()

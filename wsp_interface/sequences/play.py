@@ -186,7 +186,7 @@ def _ramp(step: Step, harness: Harness) -> None:
 def _check(name: str, condition: Condition, harness: Harness) -> Verdict:
     met = condition.holds(harness.values)
     return _line(name, condition.text, Result.PASS if met else Result.FAIL,
-                 f"at {harness.time_s:.2f} s: {condition.told(harness.values)}")
+                 f"at {harness.time_s:.2f} s: {condition.readings(harness.values)}")
 
 
 def _line(name: str, wanted: str, result: Result, text: str) -> Verdict:

@@ -20,7 +20,7 @@ from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.measures import Record
 
 DISCLAIMER = "not a certification"
-UNVERIFIED = "memory, unverified"
+UNVERIFIED = "recollection, to be checked against ..."
 _KEYS = ("measure", "unit", "max", "min", "source")
 
 
