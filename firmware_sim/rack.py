@@ -17,7 +17,7 @@ Gate = Callable[[Any, Frame, Callable[[], None]], bool]
 
 
 class Member(Protocol):
-    """What a rack wants of a node; `cia301.node.Node` and `network.Network` have it."""
+    """What a rack wants of a node; `cia301.node.Node` and `nmt_master.NmtMaster` have it."""
 
     now_ns: int
     handlers: dict[int, Handler]

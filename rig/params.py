@@ -18,12 +18,12 @@ from rollerrig.configs.vehicle import AXLES, GRAVITY_M_S2, brake_torque_Nm_Pa
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.contact.patch import Patch, patch_for
-from rollerrig.rig.mechanisms import plant as effects
+from rollerrig.rig.mechanisms import applied as effects
 from rollerrig.rig.mechanisms import table
 from rollerrig.rig.mechanisms.mechanism import ALL_AXLES_ALIKE, NOT
 from rollerrig.rig.multibody import coach as coaches
-from rollerrig.rig.multibody import port
-from rollerrig.rig.multibody.port import Packed
+from rollerrig.rig.multibody import compiled_coach
+from rollerrig.rig.multibody.compiled_coach import Packed
 
 # how a plant's wheels run; a virtual track is a plant on the track and one on dry rollers beside it
 TRACK, ROLLERS = 0, 1
@@ -212,9 +212,9 @@ def _coach(sections: Mapping[str, Mapping[str, Any]], roller_radius_m: float, la
     if sections["vehicle"]["model"] == "planar":
         return None
     contact = sections["contact"]
-    port.prepare()
+    compiled_coach.prepare()
     coach = coaches.build(sections, roller_radius_m, MODELS[contact["model"]], contact["fastsim_cells"])
-    return port.packed(coach, law, step_s, sections["drive"]["roller_inertia_kgm2"])
+    return compiled_coach.packed(coach, law, step_s, sections["drive"]["roller_inertia_kgm2"])
 
 
 def build_rollers(

@@ -12,8 +12,8 @@ import numpy as np
 from rollerrig.rig import brake, heat, motor, vehicle, wheelset
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.kernel import kernel, kernel_inlined
-from rollerrig.rig.mechanisms import plant
-from rollerrig.rig.multibody import memory, on_rig
+from rollerrig.rig.mechanisms import applied
+from rollerrig.rig.multibody import coach_state, on_rig
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SIZE, State, views
 
@@ -26,7 +26,7 @@ class Plant:
 
     def __init__(self, params: Params, initial_speed_m_s: float) -> None:
         self.params = params
-        self.buffer = np.zeros(SIZE if params.coach is None else SIZE + memory.SIZE)
+        self.buffer = np.zeros(SIZE if params.coach is None else SIZE + coach_state.SIZE)
         self.state: State = views(self.buffer)
         self.delay = np.zeros((params.brake.dead_time_ticks + 1, AXLES))
         start(self.state, params, initial_speed_m_s)
@@ -60,7 +60,7 @@ def friction(state, params):
     """Set the contaminant under each axle for this time and place."""
     plan = params.friction
     if params.effects.on_friction or params.effects.on_torque:
-        plant.remember(state, params.axle_position_m, params.tick_s)
+        applied.remember(state, params.axle_position_m, params.tick_s)
     for j in range(AXLES):
         state.friction_degraded[j] = params.law.mu_cd
         state.friction_recovered[j] = params.law.mu_cr
@@ -75,7 +75,7 @@ def friction(state, params):
             state.friction_degraded[j] = asked
             state.friction_recovered[j] = max(params.law.mu_cr, asked)
         if params.effects.on_friction:
-            factor = plant.friction_factor(state, j, place, params.effects)
+            factor = applied.friction_factor(state, j, place, params.effects)
             state.friction_degraded[j] *= factor
             state.friction_recovered[j] *= factor
 
@@ -127,7 +127,7 @@ def capacity(state, axle, params):
     found = brake.capacity(state.cylinder_pressure[axle], params.brake)
     if params.effects.on_torque:
         place_m = state.position[0] - params.axle_position_m[axle]
-        found = plant.torque(found, state, axle, place_m, params.effects)
+        found = applied.torque(found, state, axle, place_m, params.effects)
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig import state_type
-from rollerrig.rig.multibody import memory
+from rollerrig.rig.multibody import coach_state
 
 # valve states
 FILL, HOLD, VENT = 0, 1, 2
@@ -73,7 +73,7 @@ class State(NamedTuple):
     brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate
     wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
-    coach: np.ndarray | None = None  # (memory.SIZE,) of the multibody model
+    coach: np.ndarray | None = None  # (coach_state.SIZE,) of the multibody model
 
 
 PER_VEHICLE = frozenset((
@@ -87,7 +87,7 @@ for _name in State._fields[:-1]:
     SLOTS[_name] = slice(_at, _at + _width)
     _at += _width
 SIZE = _at
-state_type.register(State, SLOTS | {"coach": slice(SIZE, SIZE + memory.SIZE)})
+state_type.register(State, SLOTS | {"coach": slice(SIZE, SIZE + coach_state.SIZE)})
 
 
 def views(buffer: np.ndarray) -> State:

@@ -33,20 +33,20 @@ SMALL_M_S = 1e-6
 
 @kernel
 def adhesion_under(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law):
-    """Adhesion of a wheelset: what `adhesion.degraded` returns, for the contaminant under it.
+    """Adhesion of a wheelset: what `adhesion.recovering` returns, for the contaminant under it.
 
     With another model of `creep_force` nothing is cleaned: f_d, f_r and |f| are the same, the slope
     is secant. One wheel carries half of the wheelset's load.
     """
     if patch.model != creep_force.DEGRADED:
-        return classic(sliding_m_s, surface_m_s, 0.5 * load_N, patch, adhesion.under(mu_cd, mu_cr, 0.0, law))
-    here = adhesion.under(mu_cd, mu_cr, adhesion.creepage_of(sliding_m_s, surface_m_s), law)
-    return adhesion.degraded(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
+        return classic(sliding_m_s, surface_m_s, 0.5 * load_N, patch, adhesion.law_under(mu_cd, mu_cr, 0.0, law))
+    here = adhesion.law_under(mu_cd, mu_cr, adhesion.creepage_of(sliding_m_s, surface_m_s), law)
+    return adhesion.recovering(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
 
 
 @kernel
 def classic(sliding_m_s, surface_m_s, load_N, patch, law):
-    """What `adhesion.degraded` returns, by a model without recovery, for one wheel."""
+    """What `adhesion.recovering` returns, by a model without recovery, for one wheel."""
     creepage = sliding_m_s / max(abs(surface_m_s), adhesion.SPEED_FLOOR_M_S)
     f = creep_force.adhesion_of(sliding_m_s, creepage, load_N, patch, law)
     slope = f / sliding_m_s if sliding_m_s != 0.0 else 0.0
@@ -63,12 +63,12 @@ def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, o
     at = sliding_m_s if abs(sliding_m_s) >= SMALL_M_S else SMALL_M_S
     f, lambda_0, half_N = 0.0, 0.0, 0.5 * load_N
     if patch.model != creep_force.DEGRADED:
-        f = classic(at, surface_m_s, half_N, patch, adhesion.under(mu_cd, mu_cr, 0.0, law))[0]
+        f = classic(at, surface_m_s, half_N, patch, adhesion.law_under(mu_cd, mu_cr, 0.0, law))[0]
     elif load_N > 0.0:
-        here = adhesion.under(mu_cd, mu_cr, adhesion.creepage_of(at, surface_m_s), law)
+        here = adhesion.law_under(mu_cd, mu_cr, adhesion.creepage_of(at, surface_m_s), law)
         f_d, f_r, slope_d, slope_r, k, slope_k = adhesion.curves(
             min(abs(at), adhesion.LARGEST), surface_m_s, min(half_N, adhesion.LARGEST), patch.eps1, here)
-        f, lambda_0, _, _ = adhesion.transition(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work)
+        f, lambda_0, _, _ = adhesion.f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work)
         if lagging >= 0.0:
             f = adhesion.between(f_d, f_r, lagging)
         f = math.copysign(f, at)

@@ -21,7 +21,7 @@ FLOORS = {
     "rig/identify": "data | filter | causes | decide | paper next",
     "wsp_interface": "bus signals | descriptions rig_objects | harness_client | own_bench | "
                      "fixture sequences | harness",
-    "firmware_sim": "cia301 rig_control | network process_image rack wsp | "
+    "firmware_sim": "cia301 rig_control | nmt_master process_image rack wsp | "
                     "bench_node drive402 encoder406 faults io401 | modbus pole_wheel",
     "realtime": "loop record unread | telemetry | bench | campaign | benchmarks reports studies | verbs | cli",
 }

@@ -37,7 +37,7 @@ def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, flo
           control: str = "rig", storage: Path | None = None) -> Node:
     """The node of the drive under `axle` (from 1).
 
-    `row`: live float64 array of all signals; `parameters` as in `drive402_objects.DEFAULTS`;
+    `row`: live float64 array of all signals; `parameters` as in `objects.DEFAULTS`;
     `commands`: float64 array of shape (COMMANDS,) written before `on_command()` is called;
     `control`: "rig" or "bus".
     """

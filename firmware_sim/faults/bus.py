@@ -1,7 +1,7 @@
 """Faults of the bus: a gate that each frame passes on its way.
 
 A frame may be lost, held until later or sent twice, or destroyed by error frames, which the
-controllers count (`fault_confinement`). A babbling node sends as fast as it is told to.
+controllers count (`confinement`). A babbling node sends as fast as it is told to.
 
 Limits: on an ideal bus error frames and babbling cost load, but delay nobody; with `[bus]
 arbitration` they take the wire's time.

@@ -3,7 +3,7 @@
 A fault is injected by a scenario's [[fault]] table, by `--fault` on the command line, or by a call
 of the bench; it begins at a time, holds for a while and is lifted again. Rows say what a fault is
 aimed at, which parameters it takes with their bounds, what it does and where it acts: in the
-compiled tick (`fault_effects`), on the bus (`fault_bus`), or in a device (`fault_panel`).
+compiled tick (`effects`), on the bus (`bus`), or in a device (`panel`).
 """
 
 import difflib

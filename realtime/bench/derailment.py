@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rollerrig.rig.multibody import memory
+from rollerrig.rig.multibody import coach_state
 from rollerrig.rig.state import SIZE
 
 SIDES = ("left", "right")
@@ -19,13 +19,13 @@ class Watch:
 
     def __init__(self, tell: Callable[[str, str], None], stop: Callable[[str], None]) -> None:
         self._tell, self._stop = tell, stop
-        self._seen = np.zeros(memory.WHEELS, dtype=bool)
+        self._seen = np.zeros(coach_state.WHEELS, dtype=bool)
 
     def look(self, buffer: np.ndarray) -> None:
         """Tell of wheels that have newly left; `buffer` as of `rig.state`, nothing to see without a coach."""
         if buffer.size == SIZE or self._seen.all():
             return
-        left_m = memory.views(buffer[SIZE:]).left
+        left_m = coach_state.views(buffer[SIZE:]).left
         for wheel in np.flatnonzero((left_m != 0.0) & ~self._seen):
             self._seen[wheel] = True
             self._tell("error", f"derailed: the {SIDES[wheel % 2]} wheel of axle {wheel // 2 + 1} left its "

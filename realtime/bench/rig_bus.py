@@ -18,7 +18,7 @@ from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.faults.bus import Gate
 from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.firmware_sim.faults.panel import Site
-from rollerrig.firmware_sim.network import Network
+from rollerrig.firmware_sim.nmt_master import NmtMaster
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring as rings
@@ -87,7 +87,7 @@ class RigBus:
         self._on_command: Callable[[np.ndarray], None] = lambda command: None
         bus = scenario["bus"]
         beat_ms = round(1000.0 * bus["heartbeat_s"])
-        self.master = Network(master=bus["master"], heartbeat_ms=beat_ms)
+        self.master = NmtMaster(master=bus["master"], heartbeat_ms=beat_ms)
         parameters = {"rated_torque_Nm": scenario["drive"]["rated_torque_Nm"],
                       "max_speed_rad_s": scenario["drive"]["max_speed_rad_s"],
                       "thermal_time_constant_s": scenario["drive"]["thermal_time_constant_s"],

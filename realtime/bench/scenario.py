@@ -99,7 +99,7 @@ def load(name: str, model: str = "", settings: tuple[str, ...] = (),
     """Load a scenario by name or path, with an extended model and `section.key=value` settings.
 
     `tables` are whole tables that win over the scenario's own, as a rig that is already running has
-    them, `faults` come beside the scenario's, as `firmware_sim.faults.parse` reads them. Raises
+    them, `faults` come beside the scenario's, as `faults.catalogue.parse` reads them. Raises
     ConfigError saying where, what, what is allowed and how to mend it.
     """
     given, path = store.load("scenarios", name)

@@ -3,7 +3,7 @@
 Free pacing calls the reference unit in the tick. Where the scenario's bus has a wire the magnets must
 act as late as they do in lockstep, so the rig's own nodes are put on that wire for a few cycles, and
 the ticks are counted from a SYNC to the end of the frame that answers it. A cycle in which the nodes
-also send their heartbeats is longer. Source: `wsp_interface.wire`; lockstep's rule is the bench's.
+also send their heartbeats is longer. Source: `wsp_interface.bus.wire`; lockstep's rule is the bench's.
 """
 
 import math

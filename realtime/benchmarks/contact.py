@@ -55,8 +55,8 @@ def _polach(slidings, params):
 def _degraded(slidings, params):
     total = 0.0
     for s in slidings:
-        f, _, _, _, _, slope = adhesion.degraded(s, _SPEED_m_s, 0.5 * _LOAD_N + s, params.patch,
-                                                 params.law)
+        f, _, _, _, _, slope = adhesion.recovering(s, _SPEED_m_s, 0.5 * _LOAD_N + s, params.patch,
+                                                   params.law)
         total += f + slope
     return total
 

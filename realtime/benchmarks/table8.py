@@ -21,7 +21,7 @@ from rollerrig.rig import params
 from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.multibody import coach as coaches
-from rollerrig.rig.multibody import memory, motion, stop, treads
+from rollerrig.rig.multibody import coach_state, motion, stop, wheel_rail_forces
 
 SPEED_M_S, STEP_S, DURATION_S = 42.3, 1e-4, 30.0
 # sliding between which the brake of a wheelset is modulated, its torque and its lag
@@ -52,7 +52,7 @@ ROWS = (
 def _modulate(state, speed_m_s, brake_Nm, target_Nm):
     """Release the brake of a wheelset that slides much, apply that of one that slides little."""
     for j in range(4):
-        sliding = speed_m_s + state.contacts[2 * j * treads.MOST, 4] * state.v[22 + 6 * j]
+        sliding = speed_m_s + state.contacts[2 * j * wheel_rail_forces.MOST, 4] * state.v[22 + 6 * j]
         if sliding > _MOST_M_S:
             target_Nm[j] = 0.0
         elif sliding < _LEAST_M_S:
@@ -69,7 +69,7 @@ def _run(state, twin, twice, steps, coach, law, brake_Nm, target_Nm, acts_Nm, re
         if twice:
             for i in range(42):
                 twin.q[i], twin.v[i] = state.q[i], state.v[i]
-            spare = treads.SEARCHES
+            spare = wheel_rail_forces.SEARCHES
             for j in range(4):
                 spare = motion.contacts(j, twin, coach, 0.0, 0.0, 0.0, mu_cd[j], mu_cr[j], law, spare)
         motion.step(state, coach, STEP_S, rest, rest, 1.0, brake_Nm, acts_Nm,
@@ -79,7 +79,7 @@ def _run(state, twin, twice, steps, coach, law, brake_Nm, target_Nm, acts_Nm, re
 def _seconds(coach: coaches.Coach, law: params.Law, twice: bool, steps: int) -> tuple[float, float]:
     """Processor time in s of so many steps, and the speed in m/s at their end."""
     state = stop.rolling(coach, SPEED_M_S)
-    twin = memory.views(np.zeros(memory.SIZE))
+    twin = coach_state.views(np.zeros(coach_state.SIZE))
     motion.start(twin, coach, SPEED_M_S)
     brake, target, acts, rest = np.zeros(4), np.full(4, _BRAKE_NM), np.zeros(4), np.zeros(4)
     begun_s = time.thread_time()

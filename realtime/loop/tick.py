@@ -26,8 +26,8 @@ from rollerrig.wsp_interface import signals
 
 # the command row: magnets of the axles, a brake demand from the bus (NaN: none), and the WSP's
 # reference speed (NaN: it tells none); the first two are what io401 writes; then friction asked for
-# under the axles (0: the scenario's), what each drive is asked, as drive402_axis lays it out, and the
-# faults that act, as fault_effects lays them out
+# under the axles (0: the scenario's), what each drive is asked, as drive402.axis lays it out, and the
+# faults that act, as faults.effects lays them out
 MAGNETS, DEMAND, REFERENCE, FRICTION = 0, AXLES, AXLES + 1, AXLES + 2
 DRIVES = FRICTION + AXLES
 FAULTS = DRIVES + AXLES * axis.COMMANDS

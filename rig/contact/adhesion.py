@@ -64,7 +64,7 @@ def creepage_of(sliding_m_s, speed_m_s):
 
 
 @kernel_inlined
-def under(mu_cd, mu_cr, creepage, law):
+def law_under(mu_cd, mu_cr, creepage, law):
     """The law for the contaminant under a wheel, with the tau that acts at a creepage [A6]."""
     tau = law.tau_m_J
     if creepage > law.cleaning_creepage:
@@ -77,7 +77,7 @@ def under(mu_cd, mu_cr, creepage, law):
 def curves(sliding_m_s, speed_m_s, load_N, eps1, law):
     """What a contact can give at |sliding|: (f_d, f_r, slope_d_s_m, slope_r_s_m, k, slope_k_s_m).
 
-    For one wheel with 0 < load_N and sliding, `law` from `under`, eps1 of a `patch.Patch`; slopes are
+    For one wheel with 0 < load_N and sliding, `law` from `law_under`, eps1 of a `patch.Patch`; slopes are
     derivatives to sliding at constant speed and load, k is that of [A5].
     """
     speed = max(abs(speed_m_s), SPEED_FLOOR_M_S)
@@ -99,7 +99,7 @@ def between(degraded, recovered, lambda_):
 
 
 @kernel_inlined
-def transition(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work):
+def f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work):
     """(f, lambda_0, df/ds, dlambda_0/ds) of [A5], from what `curves` gives; of the work done at once.
 
     Where recovery lags (`lagging` lambda, else NO_MEMORY) and of_work > 0, of the work that f does
@@ -202,8 +202,8 @@ def recovery(f_d, f_r, k):
 
 
 @kernel
-def degraded(sliding_m_s, speed_m_s, load_N, patch, law):
-    """Degraded adhesion of one wheel: (f, f_d, f_r, lambda_, W_sp_J_m, slope_s_m).
+def recovering(sliding_m_s, speed_m_s, load_N, patch, law):
+    """Adhesion of one wheel between its degraded and its recovered limit: (f, f_d, f_r, lambda_, W_sp_J_m, slope_s_m).
 
     sliding_m_s of either sign, speed_m_s of the vehicle, load_N on one wheel, a `patch.Patch`, a `Law`.
     f is signed like the sliding (the contact force is f load_N), all else are magnitudes.
@@ -214,6 +214,6 @@ def degraded(sliding_m_s, speed_m_s, load_N, patch, law):
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     load, sliding = min(load_N, LARGEST), min(abs(sliding_m_s), LARGEST)
     f_d, f_r, slope_d, slope_r, k, slope_k = curves(sliding, speed_m_s, load, patch.eps1, law)
-    f, lambda_, rise, _ = transition(f_d, f_r, slope_d, slope_r, k, slope_k, NO_MEMORY, 0.0)
+    f, lambda_, rise, _ = f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, NO_MEMORY, 0.0)
     return (math.copysign(f, sliding_m_s), f_d, f_r, lambda_, f * load * creepage_of(sliding, speed_m_s),
             rise)

@@ -34,11 +34,11 @@ def creep_force(model, xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
 
     `model` one of `MODELS`; longitudinal and lateral creepage xi and eta, spin phi_1_m in 1/m;
     sliding_m_s, the magnitude of the sliding speed, lowers friction; load_N on the wheel; `patch` a
-    `patch.Patch` (its `cells` squared is FASTSIM's grid), `law` from `adhesion.under`.
+    `patch.Patch` (its `cells` squared is FASTSIM's grid), `law` from `adhesion.law_under`.
     """
     x, y, z = limited(xi), limited(eta), limited(phi_1_m)
     if model == DEGRADED:
-        fx, fy, mz, _, _ = degraded(x, y, z, sliding_m_s, load_N, patch, law)
+        fx, fy, mz, _, _ = recovering(x, y, z, sliding_m_s, load_N, patch, law)
         return fx, fy, mz
     if load_N <= 0.0:
         return 0.0, 0.0, 0.0
@@ -64,11 +64,11 @@ def adhesion_of(sliding_m_s, creepage, load_N, patch, law):
 
 
 @kernel_inlined
-def degraded(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
+def recovering(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """(fx_N, fy_N, mz_Nm, lambda_, W_sp_J_m) of one wheel; forces act on it, against creepage.
 
     sliding_m_s is the speed of sliding in the contact that friction falls with, a magnitude;
-    phi_1_m the spin in 1/m; `law` from `adhesion.under`.
+    phi_1_m the spin in 1/m; `law` from `adhesion.law_under`.
     """
     if load_N <= 0.0 or (xi == 0.0 and eta == 0.0 and phi_1_m == 0.0):
         return 0.0, 0.0, 0.0, 0.0, 0.0

@@ -10,7 +10,7 @@ itself. A wheel beyond the domain is told by `inside` = 0; the caller then asks 
     [V2] f = f_d + D (1 - exp(-y))                               adhesion [A1], [A2]
 
 Source: Cody and Waite 1980 (reduction of exp), Moshier, Cephes 2.9 (atan). Within the domain f agrees
-with `adhesion.degraded` to 2e-12 (tests). Domain: loads of 12.5 to 200 kN on a wheel, contaminants
+with `adhesion.recovering` to 2e-12 (tests). Domain: loads of 12.5 to 200 kN on a wheel, contaminants
 that clean (f_r >= f_d), roots that are not double.
 """
 

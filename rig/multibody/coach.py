@@ -28,7 +28,7 @@ from rollerrig.rig.contact import patch as patch_table
 from rollerrig.rig.contact import profiles
 from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
-from rollerrig.rig.multibody import treads
+from rollerrig.rig.multibody import wheel_rail_forces
 
 BODIES, COORDINATES = 7, 42
 CAR, BOGIES, WHEELSETS = 0, (1, 2), (3, 4, 5, 6)
@@ -91,7 +91,7 @@ def build(
     weight = np.zeros(COORDINATES)
     weight[Z::6] = GRAVITY_M_S2 * mass
     total = float(mass.sum())
-    height = treads.axle_height(total * GRAVITY_M_S2 / 8.0, wheel, rail, patches, roller_m)
+    height = wheel_rail_forces.axle_height(total * GRAVITY_M_S2 / 8.0, wheel, rail, patches, roller_m)
     springs, curves = _springs(v, m, mass), _curves(v, m)
     return Coach(inertia, weight, total, _links(springs), _links(curves), height, wheel, rail,
                  patches, m["contact_damping_N_s_m"], roller_m, np.array((1, 1, 2, 2)))

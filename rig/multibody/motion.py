@@ -21,8 +21,16 @@ import math
 
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel, kernel_inlined
-from rollerrig.rig.multibody import links, treads
-from rollerrig.rig.multibody.treads import ACROSS, ACROSS_GS, ALONG, ALONG_GS, APPROACH_W, BRAKING_N, SLIDING_W
+from rollerrig.rig.multibody import links, wheel_rail_forces
+from rollerrig.rig.multibody.wheel_rail_forces import (
+    ACROSS,
+    ACROSS_GS,
+    ALONG,
+    ALONG_GS,
+    APPROACH_W,
+    BRAKING_N,
+    SLIDING_W,
+)
 
 LEAST_PLACE_M = 1e-3  # where a wheel that was off its rail from the beginning has left it
 
@@ -35,17 +43,17 @@ def start(motion, coach, speed_m_s):
     for body in range(7):
         motion.v[6 * body] = speed_m_s
     for wheel in range(2 * AXLES):
-        treads.follow(wheel, motion.q, 0.0, motion.contacts, motion.near, motion.misfit,
-                      motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail,
-                      0)
+        wheel_rail_forces.follow(wheel, motion.q, 0.0, motion.contacts, motion.near, motion.misfit,
+                                 motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail,
+                                 0)
     for j in range(AXLES):
-        radius = -motion.contacts[2 * j * treads.MOST, 4]
+        radius = -motion.contacts[2 * j * wheel_rail_forces.MOST, 4]
         motion.v[6 * (3 + j) + 4] = speed_m_s / radius
         # what will be seen before the first step
         motion.given[j, :] = 0.0
         for wheel in range(2 * j, 2 * j + 2):
             motion.seen[wheel, :] = 0.0
-            motion.seen[wheel, treads.LOAD] = coach.weight_N.sum() / (2 * AXLES)
+            motion.seen[wheel, wheel_rail_forces.LOAD] = coach.weight_N.sum() / (2 * AXLES)
 
 
 @kernel
@@ -78,7 +86,7 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
     links.springs(q, force, coach.springs)
     motion.damper_work[0] += h * links.curves(q, v, force, coach.curves)
     force[0] -= resistance_N
-    spare, first = treads.SEARCHES, int(motion.turn[0])
+    spare, first = wheel_rail_forces.SEARCHES, int(motion.turn[0])
     motion.turn[0] = (first + 1) % AXLES
 
     for k in range(AXLES):
@@ -104,17 +112,17 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
 
 @kernel_inlined
 def contacts(j, motion, coach, offset_m, base_m_s, roller_rad_s, mu_cd, mu_cr, law, spare):
-    """Contacts of wheelset j and what they give; arguments of `treads`. Returns what is left of `spare`."""
+    """Contacts of wheelset j and what they give; arguments of `wheel_rail_forces`. Returns what is left of `spare`."""
     for wheel in range(2 * j, 2 * j + 2):
-        spare = treads.follow(wheel, motion.q, offset_m, motion.contacts, motion.near, motion.misfit,
-                              motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel,
-                              coach.rail, spare)
+        spare = wheel_rail_forces.follow(wheel, motion.q, offset_m, motion.contacts, motion.near, motion.misfit,
+                                         motion.searched, coach.axle_height_m, coach.roller_m, coach.wheel,
+                                         coach.rail, spare)
         if motion.near[wheel] == 0.0 and motion.left[wheel] == 0.0:
             # nothing within reach of it any more: it will not come back
             motion.left[wheel] = max(motion.q[6 * (3 + j)], LEAST_PLACE_M)
-    treads.press(j, motion.q, motion.v, base_m_s, roller_rad_s, motion.contacts, motion.near, mu_cd,
-                 mu_cr, law, coach.patches, coach.contact_damping_N_s_m, coach.roller_m, motion.given,
-                 motion.Gx, motion.Gy, motion.seen)
+    wheel_rail_forces.press(j, motion.q, motion.v, base_m_s, roller_rad_s, motion.contacts, motion.near, mu_cd,
+                            mu_cr, law, coach.patches, coach.contact_damping_N_s_m, coach.roller_m, motion.given,
+                            motion.Gx, motion.Gy, motion.seen)
     return spare
 
 
@@ -123,7 +131,7 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
     """Speeds of a wheelset along the track, of its rotation, yaw and roller; returns the brake."""
     v, force, G, given = motion.v, motion.force, motion.Gx, motion.given
     i = 6 * (3 + j)
-    ex, ey, ez = treads.axis(motion.q[i + 3], motion.q[i + 5])
+    ex, ey, ez = wheel_rail_forces.axis(motion.q[i + 3], motion.q[i + 5])
     about = given[j, 3] * ex + given[j, 4] * ey + given[j, 5] * ez
     gyro = inertia[i + 4] * v[i + 4]
     # generalised forces
@@ -189,7 +197,7 @@ def across(j, motion, inertia, h):
     """Speeds of a wheelset across the track, upwards and in roll."""
     v, force, G, given = motion.v, motion.force, motion.Gy, motion.given
     i = 6 * (3 + j)
-    ex, ey, ez = treads.axis(motion.q[i + 3], motion.q[i + 5])
+    ex, ey, ez = wheel_rail_forces.axis(motion.q[i + 3], motion.q[i + 5])
     about = given[j, 3] * ex + given[j, 4] * ey + given[j, 5] * ez
     f0, f1 = force[i + 1] + given[j, 1], force[i + 2] + given[j, 2]
     # the yaw rate is new by now: roll follows with it, which keeps the gyroscope's energy

@@ -7,12 +7,12 @@ memory stands beside it in `state.coach`, its constants in `params.coach`.
 
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel_inlined
-from rollerrig.rig.multibody import memory, port
-from rollerrig.rig.multibody.treads import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
+from rollerrig.rig.multibody import coach_state, compiled_coach
+from rollerrig.rig.multibody.wheel_rail_forces import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
 
-_V, _SEEN, _GIVEN = (memory.BEGIN[name] for name in ("v", "seen", "given"))
+_V, _SEEN, _GIVEN = (coach_state.BEGIN[name] for name in ("v", "seen", "given"))
 _SLIDING, _BRAKING, _RESISTING = (
-    memory.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work"))
+    coach_state.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work"))
 _TURNING = _V + 22  # pitch rate of the first wheelset; the others 6 apart
 
 
@@ -20,8 +20,8 @@ _TURNING = _V + 22  # pitch rate of the first wheelset; the others 6 apart
 def start(state, coach):
     """Set the coach rolling at the plant's vehicle speed, wheels without sliding on their contacts."""
     own = state.coach
-    own[memory.ACTION], own[memory.SPEED_M_S] = port.START, state.vehicle_speed[0]
-    port.run(own, coach.tape, coach.layout)
+    own[coach_state.ACTION], own[coach_state.SPEED_M_S] = compiled_coach.START, state.vehicle_speed[0]
+    compiled_coach.run(own, coach.tape, coach.layout)
     for j in range(AXLES):
         state.wheel_speed[j] = own[_TURNING + 6 * j]
 
@@ -36,25 +36,25 @@ def integrate(state, params, resistance_N, coach):
     v = state.vehicle_speed[0]
     for j in range(AXLES):
         # torques are given at both ends of the step; the coach wants their means
-        own[memory.MOTOR_NM + j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
-        own[memory.BRAKE_NM + j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
-        own[memory.ROLLER_RAD_S + j] = state.roller_speed[j]
+        own[coach_state.MOTOR_NM + j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
+        own[coach_state.BRAKE_NM + j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
+        own[coach_state.ROLLER_RAD_S + j] = state.roller_speed[j]
     step(state, resistance_N, coach)
     for j in range(AXLES):
-        turned_rad = 0.5 * h * (state.roller_speed[j] + own[memory.ROLLER_RAD_S + j])
-        state.roller_speed[j] = own[memory.ROLLER_RAD_S + j]
+        turned_rad = 0.5 * h * (state.roller_speed[j] + own[coach_state.ROLLER_RAD_S + j])
+        state.roller_speed[j] = own[coach_state.ROLLER_RAD_S + j]
         state.roller_angle[j] += turned_rad
-        state.motor_work[j] += own[memory.MOTOR_NM + j] * turned_rad
+        state.motor_work[j] += own[coach_state.MOTOR_NM + j] * turned_rad
         before = state.wheel_speed[j]
         state.wheel_speed[j] = max(0.0, own[_TURNING + 6 * j])
         state.wheel_angle[j] += 0.5 * h * (before + state.wheel_speed[j])
         state.sliding_work[j], state.brake_work[j] = own[_SLIDING + j], own[_BRAKING + j]
         state.contact_force[j] = own[_GIVEN + GIVEN * j + BRAKING_N]
-        state.brake_mean[j] = own[memory.BRAKE_ACTS_NM + j]
+        state.brake_mean[j] = own[coach_state.BRAKE_ACTS_NM + j]
         state.brake_capacity[j] = state.brake_torque[j]
         state.motor_before[j] = state.motor_torque[j]
     state.resistance_work[0] = own[_RESISTING]
-    state.vehicle_speed[0] = max(0.0, own[memory.SPEED_M_S])
+    state.vehicle_speed[0] = max(0.0, own[coach_state.SPEED_M_S])
     state.vehicle_acceleration[0] = (state.vehicle_speed[0] - v) / h
     state.position[0] += 0.5 * h * (v + state.vehicle_speed[0])
     # rollers beside a virtual track take their loads from this, as from the planar vehicle
@@ -67,9 +67,9 @@ def integrate(state, params, resistance_N, coach):
 def rest(state, coach):
     """Let a coach whose wheels stand swing out on its springs, brakes as they are."""
     for j in range(AXLES):
-        state.coach[memory.MOTOR_NM + j] = 0.0
-        state.coach[memory.BRAKE_NM + j] = state.brake_capacity[j]
-        state.coach[memory.ROLLER_RAD_S + j] = 0.0
+        state.coach[coach_state.MOTOR_NM + j] = 0.0
+        state.coach[coach_state.BRAKE_NM + j] = state.brake_capacity[j]
+        state.coach[coach_state.ROLLER_RAD_S + j] = 0.0
     step(state, 0.0, coach)
 
 
@@ -77,10 +77,10 @@ def rest(state, coach):
 def step(state, resistance_N, coach):
     """Fill the other ports and let the coach step."""
     own = state.coach
-    own[memory.ACTION], own[memory.RESISTANCE_N] = port.STEP, resistance_N
+    own[coach_state.ACTION], own[coach_state.RESISTANCE_N] = compiled_coach.STEP, resistance_N
     for j in range(AXLES):
-        own[memory.MU_CD + j], own[memory.MU_CR + j] = state.friction_degraded[j], state.friction_recovered[j]
-    port.run(own, coach.tape, coach.layout)
+        own[coach_state.MU_CD + j], own[coach_state.MU_CR + j] = state.friction_degraded[j], state.friction_recovered[j]
+    compiled_coach.run(own, coach.tape, coach.layout)
 
 
 @kernel_inlined

@@ -8,16 +8,16 @@ import numpy as np
 
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.kernel import kernel_with_memory
-from rollerrig.rig.multibody import memory, motion
+from rollerrig.rig.multibody import coach_state, motion
 from rollerrig.rig.multibody.coach import Coach
-from rollerrig.rig.multibody.memory import Motion
+from rollerrig.rig.multibody.coach_state import Motion
 
 STEP_S = 1e-4
 
 
 def rolling(coach: Coach, speed_m_s: float) -> Motion:
     """A coach in equilibrium that rolls freely at a speed in m/s."""
-    state = memory.views(np.zeros(memory.SIZE))
+    state = coach_state.views(np.zeros(coach_state.SIZE))
     motion.start(state, coach, float(speed_m_s))
     return state
 

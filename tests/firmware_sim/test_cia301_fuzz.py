@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import bench_node, network
+from rollerrig.firmware_sim import bench_node, nmt_master
 from rollerrig.wsp_interface.bus.frames import Frame
 
 FRAMES = 20_000
@@ -45,7 +45,7 @@ def test_no_garbage_makes_a_node_raise_or_stops_it(wire, seed):
     source = random.Random(seed)
     harness = wire.plug(bench_node.build(wire.row, np.zeros(4), lambda: None))
     nodes = [wire.drive(1, control="bus"), wire.encoder(), wire.brake(), harness]
-    bench = network.Network()
+    bench = nmt_master.NmtMaster()
     bench.start(lambda frame: None, 0)
     wire.nmt(1)
     for at in range(FRAMES):

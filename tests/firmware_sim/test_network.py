@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import encoder406, io401, network, rack
+from rollerrig.firmware_sim import encoder406, io401, nmt_master, rack
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import signals
@@ -25,7 +25,7 @@ class Rig:
         self.hub.tap(self.frames.append)
         self.tester = self.hub.attach(lambda frame: None, "tester")
         self.row, self.commands = np.zeros(len(signals.COLUMNS)), np.zeros(io401.COMMANDS)
-        self.network = network.Network(**options)
+        self.network = nmt_master.NmtMaster(**options)
         self.network.on_event = lambda level, text: self.events.append(text)
         drives = [drive402.build(node, axle, self.row)
                   for axle, node in enumerate(signals.DRIVE_NODES, 1)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from rollerrig.firmware_sim import encoder406, io401, network, rack
+from rollerrig.firmware_sim import encoder406, io401, nmt_master, rack
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import signals
@@ -39,7 +39,7 @@ class RigThread:
         asyncio.get_running_loop().set_exception_handler(lambda _, what: self.errors.append(what))
         hub = Hub(time.monotonic_ns)
         self.port = await hub.listen("socketcand", port=0)
-        bench, slots = network.Network(), rack.Rack()
+        bench, slots = nmt_master.NmtMaster(), rack.Rack()
         self.nodes = [drive402.build(node, axle, self.row, control="bus")
                       for axle, node in enumerate(signals.DRIVE_NODES, 1)]
         self.nodes += [encoder406.build(self.row), io401.build(self.row, self.commands)]

@@ -8,7 +8,7 @@ import pytest
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import derailment, scenario, tick_data
 from rollerrig.realtime.loop import tick
-from rollerrig.rig.multibody import memory
+from rollerrig.rig.multibody import coach_state
 from rollerrig.rig.state import SIZE
 from rollerrig.wsp_interface import signals
 
@@ -40,7 +40,7 @@ def test_a_wheelset_that_is_thrown_over_its_flange_is_told_once_and_the_run_ends
     look.look(machine.buffer)
     assert not told
     assert not stopped
-    memory.views(machine.buffer[SIZE:]).v[6 * 5 + 1] = 12.0  # the third wheelset, to the left
+    coach_state.views(machine.buffer[SIZE:]).v[6 * 5 + 1] = 12.0  # the third wheelset, to the left
     tick.run_ticks(machine, 200)
     look.look(machine.buffer)
     assert {level for level, _ in told} == {"error"}
@@ -61,7 +61,7 @@ def test_a_planar_vehicle_cannot_derail(watch):
 
 def test_a_sway_within_the_gauge_is_no_derailment(machine, watch):
     look, told, _ = watch
-    memory.views(machine.buffer[SIZE:]).v[1::6] = 0.2
+    coach_state.views(machine.buffer[SIZE:]).v[1::6] = 0.2
     tick.run_ticks(machine, 1500)
     look.look(machine.buffer)
     assert not told

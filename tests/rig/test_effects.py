@@ -10,8 +10,8 @@ from rollerrig.rig import plant, vehicle, wheelset
 from rollerrig.rig.identify.causes import courses
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.filter import replay
+from rollerrig.rig.mechanisms import applied as effects
 from rollerrig.rig.mechanisms import friction, table
-from rollerrig.rig.mechanisms import plant as effects
 from rollerrig.rig.plant import Plant
 from rollerrig.rig.state import SIZE, SLOTS, views
 

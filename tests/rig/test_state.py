@@ -6,7 +6,7 @@ from numba.core.errors import TypingError
 
 from rollerrig.rig import state as states
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.multibody import memory
+from rollerrig.rig.multibody import coach_state
 
 
 @kernel
@@ -61,7 +61,7 @@ def test_fields_have_in_a_kernel_the_shape_they_have_in_python():
 
 def test_a_coach_is_a_field_only_where_there_is_one():
     _, planar = _numbered()
-    whole, with_coach = _numbered(states.SIZE + memory.SIZE)
+    whole, with_coach = _numbered(states.SIZE + coach_state.SIZE)
     assert _coach_end(planar) == 0.0
     assert _coach_end(with_coach) == whole[-1]
 

@@ -40,7 +40,7 @@ def test_without_sliding_or_load_there_is_no_force():
 
 
 def test_both_wheels_of_a_wheelset_carry_half_its_load():
-    f = adhesion.degraded(0.3, 30.0, 0.5 * LOAD_N, RIG.patch, RIG.law)[0]
+    f = adhesion.recovering(0.3, 30.0, 0.5 * LOAD_N, RIG.patch, RIG.law)[0]
     assert force(0.3)[0] == near(f * LOAD_N, rel=1e-12)
 
 

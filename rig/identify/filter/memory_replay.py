@@ -81,7 +81,7 @@ def replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, v
             log_mu = (1.0 - w) * friction_log[k] + w * friction_log[k + 1]
             s = v - r * omega
             f_d, f_r, low, high, k_f, slope_k = replay.curves(s, v, 0.5 * N, log_mu, p)
-            _, done, _, steep = adhesion.transition(f_d, f_r, low, high, k_f, slope_k, late, p[21])
+            _, done, _, steep = adhesion.f_and_lambda(f_d, f_r, low, high, k_f, slope_k, late, p[21])
             hangs = (1.0 - done) * k_f * (f_r - f_d) if p[21] > 0.0 else 0.0  # d lambda_0 / d lambda
             target = math.copysign(steep, s)  # d lambda_0 / ds
             rate = adhesion.lag_rate_1_s(max(v, adhesion.SPEED_FLOOR_M_S), p[14], p[20])

@@ -30,7 +30,7 @@ def curves(sliding, speed, load_N, friction_log, p):
     """What `adhesion.curves` gives of one wheel under its own load, friction times exp(friction_log)."""
     scale = math.exp(friction_log)
     base = adhesion.Law(p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[19])
-    here = adhesion.under(p[2] * scale, p[3] * scale, adhesion.creepage_of(sliding, speed), base)
+    here = adhesion.law_under(p[2] * scale, p[3] * scale, adhesion.creepage_of(sliding, speed), base)
     return adhesion.curves(sliding, speed, load_N, p[13], here)
 
 
@@ -42,7 +42,7 @@ def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
     """
     f_d, f_r, low, high, k, slope_k = curves(sliding, speed, load_N, friction_log, p)
     lagging = remembered if share < 1.0 else adhesion.NO_MEMORY
-    f, done, rise, steep = adhesion.transition(f_d, f_r, low, high, k, slope_k, lagging, p[21])
+    f, done, rise, steep = adhesion.f_and_lambda(f_d, f_r, low, high, k, slope_k, lagging, p[21])
     if share < 1.0:
         done = remembered + share * (done - remembered)
         f = adhesion.between(f_d, f_r, done)

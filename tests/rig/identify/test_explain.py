@@ -9,7 +9,7 @@ from generator import braking_stops, other_stops
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import explain, extension
-from rollerrig.rig.mechanisms import plant as effects
+from rollerrig.rig.mechanisms import applied as effects
 
 pytestmark = pytest.mark.explanation
 

@@ -115,7 +115,7 @@ def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, p
             N = patch.k_h_N_m32 * p * math.sqrt(p) + damping_N_s_m * approach  # [N1]
             speed = max(abs(v[i] - base_m_s + arm * roller_rad_s), adhesion.SPEED_FLOOR_M_S)
             s = math.sqrt(sx * sx + sy * sy)
-            here = adhesion.under(mu_cd, mu_cr, s / speed, law)
+            here = adhesion.law_under(mu_cd, mu_cr, s / speed, law)
             fx, fy, mz = creep_force.creep_force(patch.model, sx / speed, sy / speed, spin / speed,
                                                  s, N, patch, here)
             # [N4]

@@ -17,9 +17,9 @@ from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.kernel import constructor, kernel_inlined
-from rollerrig.rig.multibody import memory, motion
+from rollerrig.rig.multibody import coach_state, motion
 from rollerrig.rig.multibody.coach import Coach, Links
-from rollerrig.rig.multibody.memory import BRAKE_ACTS_NM, BRAKE_NM, MOTOR_NM, MU_CD, MU_CR, ROLLER_RAD_S, Motion
+from rollerrig.rig.multibody.coach_state import BRAKE_ACTS_NM, BRAKE_NM, MOTOR_NM, MU_CD, MU_CR, ROLLER_RAD_S, Motion
 
 STEP, START = 0, 1  # values of the port ACTION
 # on the tape: scalars of the coach, step and roller inertia, the law, inertia and weight of 42 coordinates
@@ -63,7 +63,7 @@ _shifted: Any = intrinsic(_shift)
 
 _FLOATS, _INTS = types.CPointer(types.float64), types.CPointer(types.int64)
 _NAME = "rollerrig_coach"
-_motion_at = constructor(Motion, "at", (f"carray(shifted(at, {memory.BEGIN[name]}), {memory.SHAPES[name]})"
+_motion_at = constructor(Motion, "at", (f"carray(shifted(at, {coach_state.BEGIN[name]}), {coach_state.SHAPES[name]})"
                                         for name in Motion._fields), True, carray=carray, shifted=_shifted)
 _law_of = constructor(Law, "one", (f"one[{_LAW + i}]" for i in range(len(Law._fields))))
 
@@ -97,14 +97,14 @@ def _act(memory_at: Any, tape_at: Any, layout_at: Any) -> None:
 def _obey(state, coach, step_s, roller_inertia_kgm2, law):
     """Do what the ports ask."""
     io = state.ports
-    if io[memory.ACTION] == START:
-        motion.start(state, coach, io[memory.SPEED_M_S])
+    if io[coach_state.ACTION] == START:
+        motion.start(state, coach, io[coach_state.SPEED_M_S])
         return
     motion.step(
         state, coach, step_s, io[ROLLER_RAD_S:ROLLER_RAD_S + 4], io[MOTOR_NM:MOTOR_NM + 4],
         roller_inertia_kgm2, io[BRAKE_NM:BRAKE_NM + 4], io[BRAKE_ACTS_NM:BRAKE_ACTS_NM + 4],
-        io[memory.RESISTANCE_N], io[MU_CD:MU_CD + 4], io[MU_CR:MU_CR + 4], law)
-    io[memory.SPEED_M_S] = motion.mean_speed(state.v, coach)
+        io[coach_state.RESISTANCE_N], io[MU_CD:MU_CD + 4], io[MU_CR:MU_CR + 4], law)
+    io[coach_state.SPEED_M_S] = motion.mean_speed(state.v, coach)
 
 
 _external: Any = types.ExternalFunction(_NAME, types.void(_FLOATS, _FLOATS, _INTS))
@@ -123,6 +123,6 @@ def prepare() -> None:
 def run(buffer, tape, layout):
     """Let the coach do what its ports ask: start, or advance by a step.
 
-    buffer (memory.SIZE,) is its memory, tape and layout from `packed`.
+    buffer (coach_state.SIZE,) is its memory, tape and layout from `packed`.
     """
     _external(buffer.ctypes, tape.ctypes, layout.ctypes)

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.rig.contact import geometry, profiles
-from rollerrig.rig.multibody.treads import GIVEN, SEEN
+from rollerrig.rig.multibody.wheel_rail_forces import GIVEN, SEEN
 
 WHEELS = 8
 NODES = round((profiles.FIELD_END_M - profiles.FLANGE_END_M)
               / (profiles.STRIDE * profiles.SPACING_M)) + 1
 
-# what a caller hands over and takes back in each step: see `port`
+# what a caller hands over and takes back in each step: see `compiled_coach`
 (ACTION, SPEED_M_S, RESISTANCE_N) = range(3)
 ROLLER_RAD_S, MOTOR_NM, BRAKE_NM, BRAKE_ACTS_NM, MU_CD, MU_CR, PORTS = range(3, 28, 4)
 
@@ -30,10 +30,10 @@ class Motion(NamedTuple):
     contacts: np.ndarray  # (8 MOST, COLUMNS) of `geometry`, MOST rows a wheel; step
     near: np.ndarray  # (8,) contacts and near contacts in use; step
     misfit: np.ndarray  # (8, NODES) m, F at the coarse nodes of each wheel; step
-    given: np.ndarray  # (4, GIVEN) of `treads`; step
+    given: np.ndarray  # (4, GIVEN) of `wheel_rail_forces`; step
     Gx: np.ndarray  # (4, 4) N s/m ..., scratch; step
     Gy: np.ndarray  # (3, 3), scratch; step
-    seen: np.ndarray  # (8, SEEN) of `treads`, left then right wheel of each wheelset; step
+    seen: np.ndarray  # (8, SEEN) of `wheel_rail_forces`, left then right wheel of each wheelset; step
     searched: np.ndarray  # (8, 4) y, z, roll, yaw where the wheel was last searched; step
     left: np.ndarray  # (8,) m, place on the track where a wheel left its rail, 0: it is on it; step
     turn: np.ndarray  # (1,) which wheelset comes first in the next step; step

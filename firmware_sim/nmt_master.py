@@ -29,7 +29,7 @@ class Health:
         self.lost = self.started = False
 
 
-class Network:
+class NmtMaster:
     """Node 127. It needs calls only: `on_frame`, `poll`, `sync`.
 
     `master`: start the nodes; `sync_overflow`: highest value of the SYNC counter (0: no counter);
