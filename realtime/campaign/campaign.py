@@ -52,10 +52,15 @@ class Plan(NamedTuple):
     head: dict[str, Any]
     axes: tuple[str, ...]
     points: tuple[tuple[Any, ...], ...]
+    first: int = 0  # number of the first run in `points`
 
     @property
     def chunks(self) -> range:
         return range(-(-len(self.points) // self.head["chunk"]))
+
+    def point(self, number: int) -> tuple[Any, ...]:
+        """The values of run `number`, in the order of `axes`."""
+        return self.points[number - self.first]
 
 
 def load(name: str, **heads: Any) -> Plan:
@@ -139,7 +144,7 @@ def resolve(plan: Plan, number: int) -> scenario.Scenario:
 def settings(plan: Plan, number: int) -> tuple[str, ...]:
     """What run `number` changes, as `--set` takes it."""
     return tuple(f"{key}={json.dumps(value)}"
-                 for key, value in zip(plan.axes, plan.points[number], strict=True))
+                 for key, value in zip(plan.axes, plan.point(number), strict=True))
 
 
 def command(plan: Plan, number: int) -> str:
@@ -150,11 +155,20 @@ def command(plan: Plan, number: int) -> str:
     return f"rollerrig run {plan.head['scenario']} --pacing {pacing} --wsp {unit} {sets}"
 
 
+def _runs(plan: Plan, chunk: int) -> range:
+    first = chunk * plan.head["chunk"]
+    return range(first, min(first + plan.head["chunk"], plan.first + len(plan.points)))
+
+
+def _piece(plan: Plan, chunk: int) -> Plan:
+    """The plan with the runs of one chunk, which is all that a worker needs."""
+    runs = _runs(plan, chunk)
+    return plan._replace(points=plan.points[runs.start:runs.stop], first=runs.start)
+
+
 def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
     """Run one chunk; a row a run. A run that fails has its error in `error` and no figures."""
-    first = chunk * plan.head["chunk"]
-    rows = {number: _row(plan, number)
-            for number in range(first, min(first + plan.head["chunk"], len(plan.points)))}
+    rows = {number: _row(plan, number) for number in _runs(plan, chunk)}
     for number, one, channels in four_stops.together(_resolved(plan, rows), _unit(plan.head["unit"])):
         found = summarize(one, channels, plan.head["unit"])
         rows[number] |= {figure.name: figure.of(found) for figure in figures.FIGURES}
@@ -172,7 +186,7 @@ def summarize(plan: scenario.Scenario, channels: dict[str, np.ndarray], unit: st
 
 def _row(plan: Plan, number: int) -> dict[str, Any]:
     """The row of a run that has not been run."""
-    row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.points[number], strict=True))}
+    row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.point(number), strict=True))}
     return row | dict.fromkeys(("stopped", *figures.BY_NAME, "config_hash", "error"))
 
 
@@ -255,7 +269,7 @@ def spread_local(plan: Plan, chunks: Sequence[int], workers: int) -> Iterator[tu
     left = dict.fromkeys(chunks)
     for _ in range(DEATHS):
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            futures = {pool.submit(run_chunk, plan, chunk): chunk for chunk in left}
+            futures = {pool.submit(run_chunk, _piece(plan, chunk), chunk): chunk for chunk in left}
             try:
                 for future in as_completed(futures):
                     rows = future.result()
@@ -286,8 +300,9 @@ def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tup
         raise ConfigError(f"--scheduler {address}: no Dask scheduler answers ({error}); start one with "
                           "'dask scheduler' and workers with 'dask worker ADDRESS'") from None
     with client:
-        whole = client.scatter(plan, broadcast=True)
-        futures = {client.submit(run_chunk, whole, chunk, pure=False, retries=3): chunk for chunk in chunks}
+        # nothing is scattered: data that only a lost worker had would take the work with it
+        futures = {client.submit(run_chunk, _piece(plan, chunk), chunk, pure=False, retries=3): chunk
+                   for chunk in chunks}
         try:
             for future, rows in completed(futures, with_results=True):
                 yield futures[future], rows

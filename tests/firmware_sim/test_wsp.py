@@ -234,7 +234,7 @@ def test_the_same_integers_give_the_same_bits_inside_a_compiled_loop_and_cycle_b
 PLAIN = """
 import sys
 import numpy as np
-from rollerrig.firmware_sim import wsp
+from rollerrig.firmware_sim.wsp import logic as wsp
 rows = np.load(sys.argv[1])
 unit = wsp.new_unit(wsp.load())
 print([tuple(int(n) for n in wsp.cycle(unit, row)) for row in rows])

@@ -17,7 +17,7 @@ from rollerrig.realtime.loop.ring import Ring
 _WRITER = """
 import sys, time
 import numpy as np
-from rollerrig.realtime import ring
+from rollerrig.realtime.loop import ring
 one = ring.Ring(ring.place("rows"), np.float64, 8, 2)
 print(one.path, flush=True)
 time.sleep(60)
