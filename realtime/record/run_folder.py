@@ -37,5 +37,5 @@ def _is_run(folder: Path) -> bool:
         return True
     try:
         return "config_hash" in json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, TypeError):
         return False

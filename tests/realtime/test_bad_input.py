@@ -117,6 +117,12 @@ def test_a_scenario_of_the_user_survives_a_run_that_is_to_go_where_it_stands(tmp
     assert (mine / "scenario.toml").read_text() == "vehicle = \"uic_z1\"\n"
 
 
+def test_a_summary_that_is_no_table_does_not_make_a_folder_a_runs(tmp_path, capsys):
+    (tmp_path / "summary.json").write_text("5")
+    assert "not a run's folder" in refused(capsys, "velim_a1", "--pacing", "free", "--out", str(tmp_path))
+    assert (tmp_path / "summary.json").read_text() == "5"
+
+
 def test_a_second_run_replaces_the_files_of_the_first_and_keeps_all_else(tmp_path):
     out = tmp_path / "run"
     words = ("run", "dry_stop", "--wsp", "none", "--pacing", "free", "--out", str(out), "--set", "initial_speed_m_s=3")
