@@ -6,7 +6,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check lint format docs bench performance clean
+# each test starts processes: bytecode is kept also where the shell says that it shall not be
+export PYTHONDONTWRITEBYTECODE :=
+
+.PHONY: demo test kernel-can check lint format docs bench performance clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --out runs/demo
@@ -15,6 +18,12 @@ demo: $(VENV)/ready
 test: $(VENV)/ready-dev
 	$(BIN)/python tests/compile_kernels.py
 	$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+# on kernel SocketCAN, in a guest that has it: a run to the byte as on the hub, the harness, what goes wrong on a bus
+kernel-can: $(VENV)/ready-dev
+	$(BIN)/python tests/compile_kernels.py
+	$(BIN)/python tests/kernel_can/guest.py $(BIN)/python -m pytest -rs -p no:xdist -p no:cacheprovider \
+	  tests/kernel_can tests/wsp_interface/test_buses.py tests/wsp_interface/test_hub.py
 
 # what to run before each commit: without the whole explanations
 check: lint
@@ -41,7 +50,7 @@ bench: $(VENV)/ready
 	$(BIN)/rollerrig bench loop bus vehicle
 
 performance: $(VENV)/ready
-	$(BIN)/rollerrig bench loop bus vehicle contact hunting harness campaign --markdown docs/performance.md
+	$(BIN)/rollerrig bench loop bus vehicle contact hunting harness campaign soak fuzz kill --markdown docs/performance.md
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \

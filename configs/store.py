@@ -3,6 +3,7 @@
 `load("scenarios", "velim_a1")` and `load("scenarios", "my/own.toml")` both work, from any folder.
 """
 
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -19,29 +20,19 @@ def names(kind: str) -> list[str]:
 
 
 def find(kind: str, name: str, beside: Path | None = None) -> Path:
-    """The file of a configuration: a path (also relative to the file that names it), or a packaged one.
-
-    Raises ConfigError naming what is there.
-    """
+    """The file of a packaged configuration, or a path (also beside the file that names it). Raises ConfigError."""
     given = Path(name)
+    # of os.path: no error for a name too long or with a NUL
     if given.suffix == ".toml" or len(given.parts) > 1:
         for candidate in [given] + ([beside.parent / given] if beside else []):
-            if _is_file(candidate):
+            if os.path.isfile(candidate):
                 return candidate
-        raise ConfigError(f"{name}: no such file; give a path to a TOML file or one of: "
-                          f"{', '.join(names(kind))}")
+        raise ConfigError(f"{name}: no such file; give a path to a TOML file or one of: {', '.join(names(kind))}")
     packaged = ROOT / kind / f"{name}.toml"
-    if not _is_file(packaged):
+    if not os.path.isfile(packaged):
         raise ConfigError(f"no {kind.rstrip('s')} is called '{name}'{nearest(name, names(kind))}; "
                           "or give the path of a TOML file")
     return packaged
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False  # a name too long, or with a NUL: no file is called so
 
 
 def parse(path: Path) -> dict[str, Any]:

@@ -6,7 +6,7 @@ a program found passes the same gate as one that a person wrote.
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
@@ -53,13 +53,18 @@ def read(rows: Iterable[Row], given: Mapping[str, Any], where: str) -> dict[str,
     `where` is what messages begin with: file and table. Raises ConfigError for an unknown key, a
     missing one, a wrong type or a value out of bounds.
     """
-    if not isinstance(given, Mapping):
-        raise ConfigError(f"{where} = {given!r}: a table with keys and values is wanted")
     table = {row.name: row for row in rows}
-    for key in given:
-        if key not in table:
-            raise ConfigError(f"{where}: unknown key '{key}'{nearest(key, table)}")
+    known(given, table, lambda key: where)
     return {name: check(row, given.get(name, row.default), where) for name, row in table.items()}
+
+
+def known(given: Any, allowed: Collection[str], where: Callable[[str], str]) -> None:
+    """Raise ConfigError where `given` is no table, or has a key that is not allowed; `where(key)` is its place."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"{where('')} = {given!r}: a table with keys and values is wanted")
+    for key in given:
+        if key not in allowed:
+            raise ConfigError(f"{where(key)}: unknown key '{key}'{nearest(key, allowed)}")
 
 
 def nearest(key: str, allowed: Iterable[str]) -> str:

@@ -23,11 +23,15 @@ def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:
             * 2.0 * brake["pad_friction"] * brake["disc_radius_m"] * brake["discs"])
 
 
-def running_resistance(vehicle: Mapping[str, Any], force_N: float, speed_power: float) -> dict[str, Any]:
-    """R = R_0 + force (v / 20 m/s)^speed_power
+def weighed_share(air: Mapping[str, float], vehicle: Mapping[str, Any]) -> float:
+    """Share of the pressure asked for that the weighing valve of [air] lets through at this vehicle's mass."""
+    if air["weighed_mass_kg"] == 0.0:
+        return 1.0
+    return float(min(max(vehicle["mass_kg"] / air["weighed_mass_kg"], air["weighed_least"]), 1.0))
 
-    Raises ConfigError for a power that is not 0, 1 or 2.
-    """
+
+def running_resistance(vehicle: Mapping[str, Any], force_N: float, speed_power: float) -> dict[str, Any]:
+    """R = R_0 + force (v / 20 m/s)^speed_power. Raises ConfigError for a power that is not 0, 1 or 2."""
     if speed_power not in RESISTANCE:
         raise ConfigError(f"[mechanisms] running_resistance_speed_power = {speed_power:g}; allowed are 0 "
                           "(constant), 1 and 2 (with the speed, with its square)")

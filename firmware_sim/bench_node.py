@@ -1,49 +1,33 @@
 """The bench as a device, node 127: what a test harness on the bus may read of it and ask of it.
 
-A harness joins by writing 1 to HARNESS:JOINED; from then on a bench in lockstep also waits, after
-each SYNC, for its RPDO1 (any byte) before simulated time goes on. It asks for faults and
-notes in plain text, sets friction under axles, ends the run, and maps the quantities of 2100h on
-into TPDOs as it likes; no other way leads from a harness into the rig.
-Source: CiA 301 for the services; the objects of 2000h to 21FFh are this rig's own.
+A harness joins by writing 1 to HARNESS:JOINED; from then on a bench in lockstep also waits, after each SYNC, for its
+RPDO1 (any byte) before simulated time goes on. It asks for faults and notes in plain text, sets friction under axles,
+ends the run, and maps the quantities of 2100h on into TPDOs as it likes; no other way leads from a harness into the
+rig. Source: CiA 301 for the services; the objects of 2000h to 21FFh are this rig's own.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
+from rollerrig.firmware_sim.cia301.communication import AT_ONCE, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.firmware_sim.cia301.node import Node
-from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError
+from rollerrig.wsp_interface import rig_objects as rig
 from rollerrig.wsp_interface.bus.frames import Frame
-from rollerrig.wsp_interface.rig_objects import (
-    CYCLE,
-    END,
-    FAULT,
-    FRICTION,
-    FRICTION_SCALE,
-    HARNESS,
-    INJECT,
-    JOINED,
-    LIFT,
-    NOTE,
-    PACING,
-    PACINGS,
-)
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE
+from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
 
 # no profile of CiA covers a test bench: device type 0
 DEVICE_TYPE, PRODUCT = 0, ("bench", 0x127)
-TITLES = {
-    0x2100: "Time", 0x2101: "Vehicle speed", 0x2102: "Position", 0x2103: "Vehicle acceleration",
-    0x2104: "Adhesion", 0x2105: "Dump valve", 0x2106: "Air consumption", 0x2107: "Longest lock",
-    0x2108: "Sliding work", 0x2109: "Wheel load", 0x210A: "Vents", 0x210B: "Brake demand",
-    0x210C: "Disc temperature", 0x210D: "Motor temperature",
-}
+# every signal that this node carries is an object named after it
+TITLES = {place.index: signal.name.replace("_", " ").capitalize() for signal in SIGNALS for place in signal.places
+          if place.node == BENCH_NODE} | {0x2105: "Dump valve"}
 _AXLES = tuple(f"Axle {axle}" for axle in range(1, AXLES + 1))
 
 
@@ -51,26 +35,24 @@ def rows(pacing: str) -> list[Row]:
     """The objects beyond CiA 301."""
     return [
         *process_image.rows(BENCH_NODE, 0, {}, TITLES),
-        *array(HARNESS, "Harness", "U8", "rw", [0, 0, 0], ("Joined", "Cycle", "End of the run"),
+        *array(rig.HARNESS, "Harness", "U8", "rw", [0, 0, 0], ("Joined", "Cycle", "End of the run"),
                mappable=True, high=255, text="1 joins or ends; cycle: any value, by RPDO1"),
-        Row(PACING, 0, "Pacing", "U8", "ro", PACINGS.index(pacing), text="0 wall, 1 lockstep"),
-        *array(FAULT, "Fault", "TEXT", "rw", ["", ""], ("Inject", "Lift"),
+        Row(rig.PACING, 0, "Pacing", "U8", "ro", rig.PACINGS.index(pacing), text="0 wall, 1 lockstep"),
+        *array(rig.FAULT, "Fault", "TEXT", "rw", ["", ""], ("Inject", "Lift"),
                text="as in: speed_sensor_stuck axle=2 for=3"),
-        *array(FRICTION, "Friction under the axle", "U16", "rw", [0] * AXLES, _AXLES, mappable=True,
-               high=10_000, factor=FRICTION_SCALE, text="0: as the scenario has it"),
-        Row(NOTE, 0, "Operator note", "TEXT", "rw", "", text="stands in the events of the run"),
+        *array(rig.FRICTION, "Friction under the axle", "U16", "rw", [0] * AXLES, _AXLES, mappable=True,
+               high=10_000, factor=rig.FRICTION_SCALE, text="0: as the scenario has it"),
+        Row(rig.NOTE, 0, "Operator note", "TEXT", "rw", "", text="stands in the events of the run"),
     ]
 
 
-def build(row: np.ndarray, friction: np.ndarray, on_command: Callable[[], None],
-          pacing: str = "wall") -> Node:
+def build(row: np.ndarray, friction: np.ndarray, on_command: Callable[[], None], pacing: str = "wall") -> Node:
     """The node.
 
     `row`: live float64 array of all signals; `friction`: float64 array of shape (4,), kinematic
     friction asked for under each axle, 0 for none, written before `on_command()` is called.
     """
-    profile = Profile(DEVICE_TYPE, PRODUCT[0], rpdos=(Pdo(255, ((HARNESS, CYCLE, 8),)),),
-                      heartbeat_ms=0)
+    profile = Profile(DEVICE_TYPE, PRODUCT[0], rpdos=(Pdo(AT_ONCE, ((rig.HARNESS, rig.CYCLE, 8),)),), heartbeat_ms=0)
     node = process_image.build(BENCH_NODE, profile, PRODUCT, rows(pacing), row, {})
     node.device = BenchNode(node, friction, on_command)
     return node
@@ -83,15 +65,14 @@ class BenchNode:
         self.node, self.joined = node, False
         self._friction, self._on_command = friction, on_command
         self._wishes: Mapping[str, Callable[..., Any]] = {}
-        objects = node.objects
-        objects.effects[key(HARNESS, JOINED)] = self._join
-        objects.effects[key(HARNESS, END)] = lambda value: self._ask("end") if value else None
-        objects.effects[key(FAULT, INJECT)] = lambda text: self._ask("inject", text)
-        objects.effects[key(FAULT, LIFT)] = lambda text: self._ask("lift", text)
-        objects.effects[key(NOTE, 0)] = lambda text: node.on_event("info", f"note: {text}")
+        own = node.objects.own
+        own(rig.HARNESS, rig.JOINED, effect=self._join)
+        own(rig.HARNESS, rig.END, effect=lambda value: self._ask("end") if value else None)
+        own(rig.FAULT, rig.INJECT, effect=partial(self._ask, "inject"))
+        own(rig.FAULT, rig.LIFT, effect=partial(self._ask, "lift"))
+        own(rig.NOTE, effect=lambda text: node.on_event("info", f"note: {text}"))
         for axle in range(1, AXLES + 1):
-            objects.effects[key(FRICTION, axle)] = (
-                lambda raw, axle=axle: self._set_friction(axle, raw))
+            own(rig.FRICTION, axle, effect=partial(self._set_friction, axle))
         node.on_reset.append(lambda: self._join(0))
         node.on_poll.append(lambda _: self._start())
 
@@ -121,5 +102,5 @@ class BenchNode:
             raise AbortError(Abort.INVALID_VALUE) from None
 
     def _set_friction(self, axle: int, raw: int) -> None:
-        self._friction[axle - 1] = raw * FRICTION_SCALE
+        self._friction[axle - 1] = raw * rig.FRICTION_SCALE
         self._on_command()

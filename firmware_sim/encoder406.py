@@ -6,12 +6,13 @@ Source: CiA 406 (objects 6000h to 65xxh, multi-sensor objects); 2100h to 2102h a
 """
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
+from rollerrig.firmware_sim.cia301.communication import SYNCHRONOUS, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
@@ -20,23 +21,17 @@ from rollerrig.wsp_interface.signals import AXLES, SPEED_NODE, Place
 
 DEVICE_TYPE = 0x000A0196
 PRODUCT = "axle speed unit", 0x406
-TITLES = {0x6030: "Speed value", 0x2100: "Tooth frequency", 0x2101: "Pulse counter",
-          0x2102: "Speed value fine"}
+TITLES = {0x6030: "Speed value", 0x2100: "Tooth frequency", 0x2101: "Pulse counter", 0x2102: "Speed value fine"}
 ACCELERATION = Place(SPEED_NODE, 0x6040, 1, "I16", 0.01)
 DEFAULTS = {"teeth": 80.0}
 _AXLES = range(1, AXLES + 1)
-
-SYNCHRONOUS = 1
-TPDOS = (
-    Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in _AXLES)),
-    Pdo(SYNCHRONOUS, ((0x2100, 1, 32), (0x2100, 2, 32))),
-    Pdo(SYNCHRONOUS, ((0x2100, 3, 32), (0x2100, 4, 32))),
-)
+TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in _AXLES)),
+         *(Pdo(SYNCHRONOUS, ((0x2100, axle, 32), (0x2100, axle + 1, 32))) for axle in _AXLES[::2]))
 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
     """The device profile's objects. `parameters`: teeth (of each pole wheel)."""
-    teeth = round(parameters["teeth"])
+    teeth, none = round(parameters["teeth"]), [0] * AXLES
     by_axle = [f"Axle {axle}" for axle in _AXLES]
     return [
         *process_image.rows(SPEED_NODE, 0, parameters, TITLES),
@@ -45,11 +40,11 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
         Row(0x6002, 0, "Total measuring range in measuring units", "U32", "const", 0xFFFFFFFF),
         Row(0x6003, 0, "Preset value", "U32", "rw", 0),
         Row(0x6004, 0, "Position value", "U32", "ro", 0, True, text="teeth, axle 1"),
-        *array(0x6010, "Preset values for multi-sensor devices", "U32", "rw", [0] * AXLES, by_axle),
-        *array(0x6020, "Position value for multi-sensor devices", "U32", "ro", [0] * AXLES, by_axle,
-               mappable=True, text="teeth"),
-        *array(0x6040, "Acceleration value", "I16", "ro", [0] * AXLES, by_axle, mappable=True,
-               unit="rad/s2", factor=ACCELERATION.scale),
+        *array(0x6010, "Preset values for multi-sensor devices", "U32", "rw", none, by_axle),
+        *array(0x6020, "Position value for multi-sensor devices", "U32", "ro", none, by_axle, mappable=True,
+               text="teeth"),
+        *array(0x6040, "Acceleration value", "I16", "ro", none, by_axle, mappable=True, unit="rad/s2",
+               factor=ACCELERATION.scale),
         Row(0x6200, 0, "Cyclic timer", "U16", "rw", 0, unit="ms"),
         Row(0x6500, 0, "Operating status", "U16", "ro", 0, True),
         Row(0x6501, 0, "Single-turn resolution", "U32", "const", teeth),
@@ -61,13 +56,12 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
         Row(0x6506, 0, "Supported warnings", "U16", "const", 0),
         Row(0x6507, 0, "Profile and software version", "U32", "const", 0x00010302),
         Row(0x6508, 0, "Operating time", "U32", "ro", 0, unit="h", factor=0.1),
-        *array(0x6509, "Offset value", "I32", "ro", [0] * AXLES, by_axle),
+        *array(0x6509, "Offset value", "I32", "ro", none, by_axle),
         Row(0x650B, 0, "Serial number", "U32", "const", SPEED_NODE),
     ]
 
 
-def build(row: np.ndarray, parameters: Mapping[str, float] | None = None,
-          storage: Path | None = None) -> Node:
+def build(row: np.ndarray, parameters: Mapping[str, float] | None = None, storage: Path | None = None) -> Node:
     """The node. `row`: live float64 array of all signals; `storage`: the file of 1010h."""
     parameters = DEFAULTS | dict(parameters or {})
     profile = Profile(DEVICE_TYPE, PRODUCT[0], tpdos=TPDOS)
@@ -82,19 +76,19 @@ class SpeedUnit:
     def __init__(self, node: Node, row: np.ndarray) -> None:
         self.node, self._row = node, row
         self._time, self._speeds = signals.column("time"), signals.span("measured_speed")
-        self._now = self._before = (row.item(self._time), row[self._speeds].tolist())
-        node.on_sync.append(self._sample)
+        self._now = self._before = self._sample()
+        node.on_sync.append(self._keep)
         objects = node.objects
         for axle in _AXLES:
-            objects.readers[key(0x6020, axle)] = lambda axle=axle: self.position(axle)
-            objects.readers[key(0x6040, axle)] = lambda axle=axle: self.acceleration(axle)
-            objects.effects[key(0x6010, axle)] = lambda value, axle=axle: self._preset(axle, value)
-        objects.readers[key(0x6004, 0)] = lambda: self.position(1)
-        objects.effects[key(0x6003, 0)] = lambda value: self._preset(1, value)
-        objects.readers[key(0x6508, 0)] = self._tenths_of_hours
+            objects.own(0x6020, axle, read=partial(self.position, axle))
+            objects.own(0x6040, axle, read=partial(self.acceleration, axle))
+            objects.own(0x6010, axle, effect=partial(self._preset, axle))
+        objects.own(0x6004, read=partial(self.position, 1))
+        objects.own(0x6003, effect=partial(self._preset, 1))
+        objects.own(0x6508, read=lambda: int(row.item(self._time) / 360.0) & 0xFFFFFFFF)
         # the cyclic timer is another name of the event timer of TPDO1
-        objects.readers[key(0x6200, 0)] = lambda: objects.values[key(0x1800, 5)]
-        objects.effects[key(0x6200, 0)] = lambda value: objects.assign(key(0x1800, 5), value)
+        objects.own(0x6200, read=lambda: objects.values[key(0x1800, 5)],
+                    effect=lambda value: objects.assign(key(0x1800, 5), value))
 
     def position(self, axle: int) -> int:
         """Teeth counted on an axle (from 1), plus the offset, in 32 bits."""
@@ -108,13 +102,12 @@ class SpeedUnit:
             return 0
         return signals.count((now[axle - 1] - before[axle - 1]) / (now_s - before_s), ACCELERATION)
 
-    def _sample(self) -> None:
-        self._before, self._now = self._now, (self._row.item(self._time),
-                                              self._row[self._speeds].tolist())
+    def _sample(self) -> tuple[float, list[float]]:
+        return self._row.item(self._time), self._row[self._speeds].tolist()
+
+    def _keep(self) -> None:
+        self._before, self._now = self._now, self._sample()
 
     def _preset(self, axle: int, wanted: int) -> None:
         offset = (wanted - self.node.objects.get(0x2101, axle)) & 0xFFFFFFFF
         self.node.objects.values[key(0x6509, axle)] = offset - (offset >> 31 << 32)
-
-    def _tenths_of_hours(self) -> int:
-        return int(self._row.item(self._time) / 360.0) & 0xFFFFFFFF

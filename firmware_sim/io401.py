@@ -8,17 +8,17 @@ Source: CiA 401 (6200h outputs, 6206h and 6207h error mode and value, 6401h and 
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301.communication import Pdo, Profile
+from rollerrig.firmware_sim.cia301.communication import AT_ONCE, SYNCHRONOUS, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME, WSP_NODE
 
 # the array of commands: energised magnets of each axle (bit 0 hold, bit 1 vent), then the brake
@@ -29,20 +29,16 @@ COMMANDS = AXLES + 1
 
 DEVICE_TYPE = 0x000F0191
 PRODUCT = "brake I/O", 0x401
-HEARTBEAT_MS = 200
 HOLD, VENT = 1, 2
 TITLES = {0x6401: "Read analogue input 16-bit"}
 DEMAND = BY_NAME["brake_demand"].places[0]
 HIGHEST_DEMAND_mbar = 10_000
-AT_ONCE, SYNCHRONOUS = 255, 1
 RPDOS = (Pdo(AT_ONCE, ((0x6200, 1, 8),)),)
 TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 1))),)
 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
     """The device profile's objects."""
-    demand: dict[str, Any] = {"mappable": True, "low": 0, "high": HIGHEST_DEMAND_mbar, "unit": "Pa",
-                              "factor": DEMAND.scale, "text": BY_NAME["brake_demand"].text}
     return [
         *process_image.rows(BRAKE_NODE, 0, parameters, TITLES),
         *array(0x6000, "Read input 8-bit", "U8", "ro", [0], ("Magnets energised",), mappable=True),
@@ -51,8 +47,8 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
                text="bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1"),
         *array(0x6206, "Error mode output 8-bit", "U8", "rw", [0xFF], ("Magnets",)),
         *array(0x6207, "Error value output 8-bit", "U8", "rw", [0], ("Magnets",)),
-        *array(0x6411, "Write analogue output 16-bit", "I16", "rw", [0], ("Brake demand",),
-               **demand),
+        *array(0x6411, "Write analogue output 16-bit", "I16", "rw", [0], ("Brake demand",), mappable=True,
+               low=0, high=HIGHEST_DEMAND_mbar, unit="Pa", factor=DEMAND.scale, text=BY_NAME["brake_demand"].text),
         Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
         *array(0x6443, "Analogue output error mode", "U8", "rw", [0], ("Brake demand",), high=1),
         *array(0x6444, "Analogue output error value integer", "I32", "rw", [0], ("Brake demand",),
@@ -68,8 +64,10 @@ def build(row: np.ndarray, commands: np.ndarray, parameters: Mapping[str, float]
     the node writes before it calls `on_command()`.
     """
     parameters = dict(parameters or {})
-    profile = Profile(DEVICE_TYPE, PRODUCT[0], RPDOS, TPDOS, consumed=((WSP_NODE, HEARTBEAT_MS),))
+    profile = Profile(DEVICE_TYPE, PRODUCT[0], RPDOS, TPDOS, consumed=(
+        (WSP_NODE, int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))),))
     node = process_image.build(BRAKE_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage)
+    node.commands = frozenset({0x6200, 0x6411})
     node.event_enablers = {0x6000: key(0x6005, 0), 0x6401: key(0x6423, 0)}
     node.device = BrakeIo(node, row, commands, on_command)
     return node
@@ -78,21 +76,18 @@ def build(row: np.ndarray, commands: np.ndarray, parameters: Mapping[str, float]
 class BrakeIo:
     """The outputs. `held`: they stay at the fail-safe value, because a partner is lost."""
 
-    def __init__(self, node: Node, row: np.ndarray, commands: np.ndarray,
-                 on_command: Callable[[], None]) -> None:
+    def __init__(self, node: Node, row: np.ndarray, commands: np.ndarray, on_command: Callable[[], None]) -> None:
         self.node, self.commands, self.on_command, self.held = node, commands, on_command, False
         self._venting_alone = [False] * AXLES
-        objects = node.objects
-        objects.readers[key(0x6000, 1)] = lambda: objects.values[key(0x6200, 1)]
-        objects.readers[key(0x6411, 1)] = process_image.reader(
-            row, signals.column("brake_demand"), DEMAND)
-        objects.checks[key(0x6200, 1)] = self._check_free
-        objects.effects[key(0x6200, 1)] = self._energise
-        objects.effects[key(0x6411, 1)] = self._demand
+        objects, demanded = node.objects, process_image.reader(row, signals.column("brake_demand"), DEMAND)
+        objects.own(0x6000, 1, read=lambda: objects.values[key(0x6200, 1)])
+        objects.own(0x6200, 1, check=self._check_free, effect=self._energise)
+        objects.own(0x6411, 1, read=demanded, effect=self._demand)
         node.on_partner.append(self._on_partner)
         node.on_state.append(self._on_state)
         node.on_reset.append(self._forget_demand)
-        node.on_power_off.append(self._power_off)
+        # without power no magnet is energised, whatever 6207h says
+        node.on_power_off += [self._forget_demand, lambda: self._energise(0)]
         commands[MAGNETS], commands[BRAKE_DEMAND] = 0.0, np.nan
 
     def fail_safe(self, why: str) -> None:
@@ -115,8 +110,7 @@ class BrakeIo:
             pair = magnets >> 2 * at & 3
             alone = pair == VENT
             if alone and not self._venting_alone[at]:
-                self.node.event("warning", f"vent magnet of axle {at + 1} without its hold magnet: "
-                                           "treated as vent")
+                self.node.event("warning", f"vent magnet of axle {at + 1} without its hold magnet: treated as vent")
             self._venting_alone[at] = alone
             self.commands[at] = HOLD | VENT if alone else pair
         self.on_command()
@@ -128,13 +122,8 @@ class BrakeIo:
     def _forget_demand(self) -> None:
         self.commands[BRAKE_DEMAND] = np.nan
 
-    def _power_off(self) -> None:
-        # without power no magnet is energised, whatever 6207h says
-        self._forget_demand()
-        self._energise(0)
-
     def _on_partner(self, partner: int, alive: bool) -> None:
-        self.held = bool(self.node.consumer.lost) or self.node.guarding.lost
+        self.held = bool(self.node.consumer.lost)
         if not alive:
             self.fail_safe(f"node {partner} is lost" if partner else "the guarding master is lost")
 

@@ -6,7 +6,7 @@ heartbeats, those of the WSP unit above all. Source: CiA 301, NMT, SYNC and hear
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -14,49 +14,42 @@ from rollerrig.firmware_sim.cia301.host import MS, Timers
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NMT, SYNC
 from rollerrig.wsp_interface.bus.frames import Frame
-from rollerrig.wsp_interface.rig_objects import REFERENCE_SPEED
+from rollerrig.wsp_interface.rig_objects import REFERENCE_SPEED, UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODE
 
-_SYNC = Frame(SYNC, b"")
+# silence after which a node of the rig counts as lost
+LOST_AFTER_MS = 500
 
 
 class Health:
-    """What is known of a node: its NMT state (None: never heard), when heard, and whether lost."""
+    """What is known of a node: its NMT state (None: never heard), and whether it is lost."""
 
     def __init__(self) -> None:
         self.state: State | None = None
-        self.heard_ns = 0
         self.lost = self.started = False
 
 
 class NmtMaster:
     """Node 127. It needs calls only: `on_frame`, `poll`, `sync`.
 
-    `master`: start the nodes; `sync_overflow`: highest value of the SYNC counter (0: no counter);
-    `lost_after_ms`: silence after which a node counts as lost; `unit_lost_after_ms`: the same for
-    the WSP unit. `on_event(level, text)` is for the run's events.
+    `master`: start the nodes; `sync_overflow`: highest value of the SYNC counter (0: no counter).
+    `on_event(level, text)` is for the run's events.
     """
 
-    def __init__(self, nodes: Iterable[int] = RIG_NODES, master: bool = True,
-                 sync_overflow: int = 0, heartbeat_ms: int = 100, lost_after_ms: int = 500,
-                 unit_lost_after_ms: int = 200) -> None:
+    def __init__(self, master: bool = True, sync_overflow: int = 0, heartbeat_ms: int = 100,
+                 unit_lost_after_ms: int = UNIT_LOST_AFTER_MS, nodes: Sequence[int] = RIG_NODES) -> None:
+        self.patience_ms = dict.fromkeys(nodes, LOST_AFTER_MS) | {WSP_NODE: unit_lost_after_ms}
         self.master, self.sync_overflow, self.heartbeat_ms = master, sync_overflow, heartbeat_ms
         self.health = {node: Health() for node in (*nodes, WSP_NODE)}
+        self.unit = self.health[WSP_NODE]
         self.reference_speed_m_s = math.nan
         self.now_ns, self.counter = 0, 0
         self.on_event: Callable[[str, str], None] = lambda level, text: None
         self.on_rewired: Callable[[], None] = lambda: None
         self.send: Callable[[Frame], Any] = lambda frame: None
-        self._timers = Timers()
-        self._after_ns = dict.fromkeys(self.health, lost_after_ms * MS)
-        self._after_ns[WSP_NODE] = unit_lost_after_ms * MS
+        self.timers = Timers()
         self.handlers: dict[int, Callable[[Frame], None]] = {}
         self.remote_handlers: dict[int, Callable[[Frame], None]] = {}
-
-    @property
-    def unit(self) -> Health:
-        """The WSP unit's health."""
-        return self.health[WSP_NODE]
 
     @property
     def unit_is_operational(self) -> bool:
@@ -75,14 +68,13 @@ class NmtMaster:
         self.handlers |= {EMERGENCY + node: self._on_emergency for node in self.health}
         self.handlers[REFERENCE_SPEED.can_id] = self._on_reference_speed
         self.on_rewired()
-        send(Frame(HEARTBEAT + BENCH_NODE, bytes(1)))
-        self._beat()
+        self._beat(State.INITIALISING)
 
     def power_off(self) -> None:
         """The bench is silent and deaf until the next `start`."""
         self.send = lambda frame: None
         self.handlers = {}
-        self._timers.clear()
+        self.timers.clear()
         self.on_rewired()
 
     def on_frame(self, frame: Frame) -> None:
@@ -93,16 +85,13 @@ class NmtMaster:
 
     def poll(self, now_ns: int) -> None:
         """It is `now_ns`: send and notice what is due."""
-        self.now_ns = now_ns
-        self._timers.poll(now_ns)
+        self.timers.poll(now_ns, self)
 
     def sync(self) -> None:
         """Send SYNC, with the counter if there is one."""
-        if not self.sync_overflow:
-            self.send(_SYNC)
-            return
-        self.counter = self.counter % self.sync_overflow + 1
-        self.send(Frame(SYNC, bytes([self.counter])))
+        if self.sync_overflow:
+            self.counter = self.counter % self.sync_overflow + 1
+        self.send(Frame(SYNC, bytes([self.counter] if self.sync_overflow else [])))
 
     def command(self, command: Command, node: int = 0) -> None:
         """Send an NMT command to a node, or to all (0)."""
@@ -110,14 +99,10 @@ class NmtMaster:
         if command in (Command.RESET_NODE, Command.RESET_COMMUNICATION):
             self.counter = 0
 
-    def _beat(self) -> None:
+    def _beat(self, state: State = State.OPERATIONAL) -> None:
+        self.send(Frame(HEARTBEAT + BENCH_NODE, bytes([state])))
         if self.heartbeat_ms:
-            due_ns = self.now_ns + self.heartbeat_ms * MS
-            self._timers.set("heartbeat", due_ns, self._send_heartbeat)
-
-    def _send_heartbeat(self) -> None:
-        self.send(Frame(HEARTBEAT + BENCH_NODE, bytes([State.OPERATIONAL])))
-        self._beat()
+            self.timers.set("heartbeat", self.now_ns + self.heartbeat_ms * MS, self._beat)
 
     def _on_heartbeat(self, frame: Frame) -> None:
         node = frame.can_id - HEARTBEAT
@@ -131,23 +116,17 @@ class NmtMaster:
             # the rig's own nodes tell their states themselves
             seen = "has appeared: " if health.state is None else "is "
             self.on_event("info", f"{_name(node)} {seen}{state.title}")
-        health.state, health.heard_ns, health.lost = state, self.now_ns, False
-        due_ns = self.now_ns + self._after_ns[node]
-        self._timers.set(f"lost {node}", due_ns, partial(self._lose, node))
-        self._start_once(node, health)
-
-    def _start_once(self, node: int, health: Health) -> None:
-        if health.state is State.INITIALISING:
+        health.state, health.lost = state, False
+        self.timers.set(f"lost {node}", self.now_ns + self.patience_ms[node] * MS, partial(self._lose, node))
+        if state is State.INITIALISING:
             health.started = False
-        wants = health.state in (State.INITIALISING, State.PRE_OPERATIONAL)
-        if self.master and wants and not health.started:
+        if self.master and state in (State.INITIALISING, State.PRE_OPERATIONAL) and not health.started:
             health.started = True
             self.command(Command.START, node)
 
     def _lose(self, node: int) -> None:
         self.health[node].lost, self.health[node].started = True, False
-        silent_ms = self._after_ns[node] // MS
-        self.on_event("error", f"{_name(node)} lost: no heartbeat for {silent_ms} ms")
+        self.on_event("error", f"{_name(node)} lost: no heartbeat for {self.patience_ms[node]} ms")
         if node == WSP_NODE:
             self.reference_speed_m_s = math.nan
 
@@ -155,9 +134,8 @@ class NmtMaster:
         # an EMCY never is SYNC: node identifiers begin with 1
         code = int.from_bytes(frame.data[:2], "little") if len(frame.data) == 8 else 0
         if code:
-            node = frame.can_id - EMERGENCY
-            text = f"EMCY {code:04X}h, error register {frame.data[2]:02X}h"
-            self.on_event("warning", f"{_name(node)}: {text}")
+            self.on_event("warning", f"{_name(frame.can_id - EMERGENCY)}: EMCY {code:04X}h, "
+                                     f"error register {frame.data[2]:02X}h")
 
     def _on_reference_speed(self, frame: Frame) -> None:
         # a unit may add what it likes

@@ -33,13 +33,16 @@ _MODULUS, _FACTOR, _SUMMANDS = 2147483647.0, 16807.0, 12
 
 _SPEED, _ANGLE = signals.column("wheel_speed"), signals.column("wheel_angle")
 _MEASURED, _FREQUENCY = signals.column("measured_speed"), signals.column("tooth_frequency")
-_PULSES = signals.column("pulse_count")
+_PULSES, _FLAT = signals.column("pulse_count"), signals.column("flat_length")
 # what this file writes into a row, and nobody else does
 COLUMNS = frozenset(("measured_speed", "tooth_frequency", "pulse_count"))
 
 
 class Sensor(NamedTuple):
-    """Pole wheels and unit: `dropout_rad_s` below which there are no pulses, window in ticks."""
+    """Pole wheels and unit: `dropout_rad_s` below which there are no pulses, window in ticks.
+
+    `flat_noise_rad_s_m`: standard deviation that each m of a flat adds to the speed of a turning wheel.
+    """
 
     model: int
     teeth: int
@@ -47,6 +50,7 @@ class Sensor(NamedTuple):
     dropout_rad_s: float
     timer_Hz: float
     tick_s: float
+    flat_noise_rad_s_m: float = 0.0
 
 
 def memory(seed: int) -> np.ndarray:
@@ -71,6 +75,9 @@ def sense(row, memory, sensor, faults):
         speed = reading(row[_SPEED + wheel], wheel, memory, sensor, faults)
         if faulty.value(faults, faulty.NOISE_rad_s, j) != 0.0:
             speed += faulty.value(faults, faulty.NOISE_rad_s, j) * noise(memory, j)
+        flat_m = row[_FLAT + wheel]
+        if flat_m > 0.0 and row[_SPEED + wheel] > 0.0 and sensor.flat_noise_rad_s_m > 0.0:
+            speed = max(0.0, speed + sensor.flat_noise_rad_s_m * flat_m * noise(memory, j))
         row[_MEASURED + j] = speed
         row[_FREQUENCY + j] = speed * (sensor.teeth / (2.0 * np.pi))
         row[_PULSES + j] = np.floor(memory[COUNT, wheel] - memory[MISSED, wheel])
@@ -104,8 +111,7 @@ def count_teeth(speed, angle, j, memory, sensor, faults):
         memory[BEGIN_s, j] = now_s - (passed - count) / max(rate, 1.0)
         return
     pulses, last = pulses_of(int(count), new, j, sensor, faults)
-    if faulty.value(faults, faulty.DROPOUT, j) != 0.0 or (
-            sensor.model != IDEAL and abs(speed) < sensor.dropout_rad_s):
+    if faulty.value(faults, faulty.DROPOUT, j) != 0.0 or (sensor.model != IDEAL and abs(speed) < sensor.dropout_rad_s):
         pulses = 0
     larger = faulty.value(faults, faulty.LARGER, j)
     memory[MISSED, j] += new - pulses / (1.0 + larger)

@@ -7,7 +7,6 @@ because it runs for every signal at every SYNC.
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,16 +22,6 @@ from rollerrig.wsp_interface.signals import Place, Signal
 _VENDOR, _VENDOR_ID, _REVISION = "rollerrig", 0, 0x00010000
 
 
-class Carried(NamedTuple):
-    """One axle of a signal on one object: `parameter` multiplies the scale of the place."""
-
-    signal: Signal
-    place: Place
-    axle: int
-    sub: int
-    parameter: float
-
-
 def build(node_id: int, profile: Profile, product: tuple[str, int], own: list[Row], row: np.ndarray,
           parameters: Mapping[str, float], axle: int = 0, storage: Path | None = None) -> Node:
     """A node of the rig, whose objects read the live row (float64, one item a column of the table).
@@ -42,49 +31,41 @@ def build(node_id: int, profile: Profile, product: tuple[str, int], own: list[Ro
     """
     who = Identity(_VENDOR, product[0], _VENDOR_ID, product[1], _REVISION, node_id)
     node = Node(dictionary.build(communication.rows(profile, who) + own, node_id, who), storage)
-    for one in carried(0 if axle else node_id, axle, parameters):
-        at = key(one.place.index, one.sub)
-        if one.signal.direction == signals.OUT and at in node.objects.variables:
-            column = signals.column(one.signal.name, one.axle)
-            node.objects.readers[at] = reader(row, column, one.place, one.parameter)
+    for signal, place, its_axle, sub, parameter in carried(0 if axle else node_id, axle, parameters):
+        if signal.direction == signals.OUT and key(place.index, sub) in node.objects.variables:
+            column = signals.column(signal.name, its_axle)
+            node.objects.own(place.index, sub, read=reader(row, column, place, parameter))
     return node
 
 
-def carried(node_number: int, axle: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
-    """What a node carries: `node_number` 0 with an axle is the drive under that axle.
+def carried(node_number: int, axle: int, parameters: Mapping[str, float]
+            ) -> Iterator[tuple[Signal, Place, int, int, float]]:
+    """What a node carries: signal, place, axle, sub-index, and the parameter that multiplies the place's scale.
 
-    KeyError if a scale needs a parameter that is not given.
+    `node_number` 0 with an axle is the drive under that axle. KeyError if a scale needs a parameter that is not given.
     """
     for signal in signals.SIGNALS:
         for place in signal.places:
-            if place.node != node_number:
-                continue
-            parameter = parameters[place.of] if place.of else 1.0
-            if node_number == 0:
-                yield Carried(signal, place, axle, place.sub, parameter)
-                continue
-            for at in range(signal.axles):
-                yield Carried(signal, place, at + 1, place.sub + at, parameter)
+            if place.node == node_number:
+                parameter = parameters[place.of] if place.of else 1.0
+                for at in range(signal.axles if node_number else 1):
+                    yield signal, place, at + 1 if node_number else axle, place.sub + at, parameter
 
 
-def rows(node_number: int, axle: int, parameters: Mapping[str, float],
-         titles: Mapping[int, str]) -> list[Row]:
+def rows(node_number: int, axle: int, parameters: Mapping[str, float], titles: Mapping[int, str]) -> list[Row]:
     """Rows of the objects that carry measured signals; `titles` names the objects."""
     found: dict[tuple[int, int], Row] = {}
-    for one in carried(node_number, axle, parameters):
-        signal, place = one.signal, one.place
+    for signal, place, at, sub, parameter in carried(node_number, axle, parameters):
         if signal.direction != signals.OUT or place.index not in titles:
             continue
-        title = titles[place.index]
-        unit: dict[str, Any] = {"name": title, "kind": place.kind, "access": "ro", "default": 0, "mappable": True,
-                                "unit": signal.unit.replace("_", "/"), "factor": place.scale * one.parameter,
-                                "text": signal.text}
-        if one.sub:
-            unit["name"] = f"{title}/{title} axle {one.axle}"
-            highest = place.sub + signal.axles - 1
-            found[place.index, 0] = Row(place.index, 0, f"{title}/Highest sub-index supported",
-                                        "U8", "const", highest)
-        found[place.index, one.sub] = Row(place.index, one.sub, **unit)
+        name = title = titles[place.index]
+        if sub:
+            name = f"{title}/{title} axle {at}"
+            found[place.index, 0] = Row(place.index, 0, f"{title}/Highest sub-index supported", "U8", "const",
+                                        place.sub + signal.axles - 1)
+        found[place.index, sub] = Row(
+            index=place.index, sub=sub, name=name, kind=place.kind, access="ro", default=0, mappable=True,
+            unit=signal.unit.replace("_", "/"), factor=place.scale * parameter, text=signal.text)
     return list(found.values())
 
 
@@ -92,20 +73,15 @@ def reader(row: np.ndarray, column: int, place: Place, parameter: float = 1.0) -
     """A call that gives `signals.count(row[column], place, parameter)`, prepared for speed."""
     item, unit = row.item, place.scale * parameter
     low, high = signals.KINDS[place.kind]
-    span = high - low + 1
 
-    def wrapped() -> int:
+    def read() -> int:
         value = item(column)
         # a value that is not finite differs from itself here
         if value - value != 0.0:
             return low
-        return (round(value / unit) - low) % span + low
-
-    def saturated() -> int:
-        value = item(column)
-        if value - value != 0.0:
-            return low
         raw = round(value / unit)
-        return raw if low <= raw <= high else low if raw < low else high
+        if low <= raw <= high:
+            return raw
+        return (raw - low) % (high - low + 1) + low if place.wraps else low if raw < low else high
 
-    return wrapped if place.wraps else saturated
+    return read

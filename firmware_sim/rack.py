@@ -5,11 +5,12 @@ at each frame cost more than the sampling itself. Inside the rack nodes hear one
 wire: everybody but the sender. The order is that of adding.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, Protocol
 
 from rollerrig.firmware_sim.cia301.communication import EXTENDED
+from rollerrig.firmware_sim.cia301.host import NEVER, Timers
 from rollerrig.wsp_interface.bus.frames import Frame
 
 Handler = Callable[[Frame], None]
@@ -20,28 +21,23 @@ class Member(Protocol):
     """What a rack wants of a node; `cia301.node.Node` and `nmt_master.NmtMaster` have it."""
 
     now_ns: int
+    timers: Timers
     handlers: dict[int, Handler]
     remote_handlers: dict[int, Handler]
     on_rewired: Callable[[], None]
 
-    def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
-        """Power on."""
-
-    def power_off(self) -> None:
-        """Power is gone."""
-
-    def poll(self, now_ns: int) -> None:
-        """It is `now_ns`."""
+    def start(self, send: Callable[[Frame], Any], now_ns: int) -> None: ...  # power on
+    def power_off(self) -> None: ...
+    def poll(self, now_ns: int) -> None: ...  # it is `now_ns`
 
 
 class Rack:
     """Nodes that share a port.
 
-    `off`: members without power; `muted`: members whose controller is off the bus; neither hear nor
-    speak. `gate(member, frame, carry)`, where there is one, decides whether a frame goes on now; it
-    may call `carry` later. `deferred(frame, then, origin)`, where there is one, puts a frame on a bus
-    that takes time: members hear one another when it calls `then`. `deaf`: members whose
-    controller takes in nothing, though it sends.
+    `off`: members without power; `muted`: members whose controller is off the bus; neither hear nor speak.
+    `gate(member, frame, carry)`, where there is one, decides whether a frame goes on now; it may call `carry` later.
+    `deferred(frame, then, origin)`, where there is one, puts a frame on a bus that takes time: members hear one
+    another when it calls `then`. `deaf`: members whose controller takes in nothing, though it sends.
     """
 
     def __init__(self) -> None:
@@ -52,7 +48,8 @@ class Rack:
         self.deferred: Callable[[Frame, Callable[[], None], int], Any] | None = None
         self.gate: Gate | None = None
         self._send: Callable[[Frame], Any] = lambda frame: None
-        self._tables: tuple[dict[int, list[tuple[Member, Handler]]], ...] | None = None
+        # who listens to which identifier, and to which remote request (~identifier)
+        self._table: dict[int, list[tuple[Member, Handler]]] = {}
 
     def add(self, member: Member) -> None:
         """Put a node into the rack, before or after `start`."""
@@ -64,7 +61,7 @@ class Rack:
         """Power on all members, in the order of adding."""
         self._send = send
         for member in self.members:
-            member.start(partial(self._from, member), now_ns)
+            member.start(partial(self.transmit, member), now_ns)
 
     def power(self, member: Member, on: bool, now_ns: int) -> None:
         """Switch one member off, or on again (it boots)."""
@@ -74,7 +71,7 @@ class Rack:
             member.power_off()
         elif id(member) in self.off:
             self.off.discard(id(member))
-            member.start(partial(self._from, member), now_ns)
+            member.start(partial(self.transmit, member), now_ns)
 
     def mute(self, member: Member, on: bool) -> None:
         """Take a member's controller off the bus, or put it back; the member runs on."""
@@ -86,9 +83,12 @@ class Rack:
         (self.deaf.add if on else self.deaf.discard)(id(member))
         self._forget()
 
-    def transmit(self, member: Member, frame: Frame) -> None:
-        """Send a frame as if the member had."""
-        self._from(member, frame)
+    def transmit(self, sender: Member, frame: Frame) -> None:
+        """A frame from a member."""
+        if id(sender) in self.off or id(sender) in self.muted:
+            return
+        if self.gate is None or self.gate(sender, frame, partial(self._carry, sender, frame)):
+            self._carry(sender, frame)
 
     def on_frame(self, frame: Frame) -> None:
         """A frame from outside the rack."""
@@ -98,19 +98,24 @@ class Rack:
     def tell_time(self, now_ns: int) -> None:
         """It is `now_ns`: members note it, and do nothing yet."""
         for member in self.members:
-            member.now_ns = now_ns
+            member.now_ns = max(member.now_ns, now_ns)
 
     def poll(self, now_ns: int) -> None:
         """It is `now_ns`, for all members."""
-        for member in self.members:
-            if id(member) not in self.off:
-                member.poll(now_ns)
+        for member in self._powered():
+            member.poll(now_ns)
 
-    def _from(self, sender: Member, frame: Frame) -> None:
-        if id(sender) in self.off or id(sender) in self.muted:
-            return
-        if self.gate is None or self.gate(sender, frame, partial(self._carry, sender, frame)):
-            self._carry(sender, frame)
+    def next_ns(self) -> int:
+        """When the first alarm of any member is due."""
+        return min((member.timers.next_ns for member in self._powered()), default=NEVER)
+
+    def ring(self, now_ns: int) -> None:
+        """Let alarms go off that are due; all else waits for `poll`."""
+        for member in self._powered():
+            member.timers.poll(now_ns, member)
+
+    def _powered(self) -> Iterable[Member]:
+        return (member for member in self.members if id(member) not in self.off)
 
     def _carry(self, sender: Member, frame: Frame) -> None:
         if self.deferred is not None:
@@ -124,25 +129,17 @@ class Rack:
             if member is not sender:
                 handler(frame)
 
-    def _listeners(self, frame: Frame) -> "list[tuple[Member, Handler]]":
-        data, remote = self._tables or self._build()
+    def _listeners(self, frame: Frame) -> Iterable[tuple[Member, Handler]]:
         at = frame.can_id | EXTENDED if frame.extended else frame.can_id
-        return (remote if frame.remote else data).get(at, _NOBODY)
+        return (self._table or self._build()).get(~at if frame.remote else at, ())
 
     def _forget(self) -> None:
-        self._tables = None
+        self._table = {}
 
-    def _build(self) -> tuple[dict[int, list[tuple[Member, Handler]]], ...]:
-        tables: tuple[dict[int, list[tuple[Member, Handler]]], ...] = ({}, {})
+    def _build(self) -> dict[int, list[tuple[Member, Handler]]]:
         for member in self.members:
-            if {id(member)} & (self.off | self.muted | self.deaf):
-                continue
-            both = (member.handlers, member.remote_handlers)
-            for table, handlers in zip(tables, both, strict=True):
-                for at, handler in handlers.items():
-                    table.setdefault(at, []).append((member, handler))
-        self._tables = tables
-        return tables
-
-
-_NOBODY: list[tuple[Member, Handler]] = []
+            if id(member) not in self.off | self.muted | self.deaf:
+                remote = {~at: handler for at, handler in member.remote_handlers.items()}
+                for at, handler in (member.handlers | remote).items():
+                    self._table.setdefault(at, []).append((member, handler))
+        return self._table

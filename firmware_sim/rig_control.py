@@ -5,10 +5,9 @@ so each motor makes its roller's surface keep the virtual vehicle's speed. The d
 loop [R1] with the vehicle's own deceleration fed forward and the contact torque estimated by a
 disturbance observer from motor torque and roller speed alone [R2].
 
-Virtual track (Allotta, Conti, Meli, Ridolfi: Firenze-Osmannoro): the rollers are dry and hardly
-slide; a virtual vehicle on the degraded track runs beside, and each motor makes its real wheelset
-turn as the virtual one does [R3]. Both wheelsets feel the same brake torque, so the roller must
-give the virtual contact force.
+Virtual track (Allotta, Conti, Meli, Ridolfi: Firenze-Osmannoro): the rollers are dry and hardly slide; a virtual
+vehicle on the degraded track runs beside, and each motor makes its real wheelset turn as the virtual one does [R3].
+Both wheelsets feel the same brake torque, so the roller must give the virtual contact force.
 
 In an emergency stop the drives stop the rollers, and the inertia of the vehicle is simulated no more:
 it is as fast as its rollers are on average, at most as fast as it was [R4].

@@ -1,17 +1,21 @@
 """Brake pneumatics and disc brake: demand, dump valve, cylinder, torque, air.
 
-The distributor lets the demanded pressure rise and fall slowly [B1]. The dump valve of an axle
-fills its cylinder towards that pressure, holds it or vents it [B2], each a dead time after its
-magnets changed; only filling uses air [B3]. The pads press with the pressure beyond their springs
-and the discs give a torque in proportion [B4].
+The distributor lets the demanded pressure rise and fall slowly [B1]. The dump valve of an axle fills its cylinder
+towards that pressure, holds it or vents it [B2], each a dead time after its magnets changed; only filling uses air
+[B3]. The pads press with the pressure beyond their springs and the discs give a torque in proportion [B4].
 
     [B1] dp_d/dt = (p_target - p_d) / T_fill or T_release
     [B2] dp/dt = (p_d - p) / T_fill while filling, 0 while holding, -p / T_vent while venting
     [B3] air in normal litres: V dp / 101325 Pa for dp > 0
     [B4] C = c (p - p_spring), not below 0
+    [B5] with a reservoir, q = K p_1 up to p_2 / p_1 = b, K p_1 sqrt(1 - ((p_2 / p_1 - b) / (1 - b))^2) beyond, absolute
+    [B6] V_r dp_r/dt = -(V dp/dt of all cylinders that fill) + 101325 Pa q of the supply
 
-First-order pneumatics with assumed constants: priors, not measurements of one brake.
+Source: [B5] ISO 6358-1. First-order pneumatics with assumed constants, air of one temperature: priors, not
+measurements of one brake. A cylinder whose valve fills and whose demand falls is vented by the distributor [B2].
 """
+
+import math
 
 from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES, FILL, VENT
@@ -49,14 +53,14 @@ def switch(state, delayed_magnets):
 
 @kernel_inlined
 def fill(state, brake, target_Pa):
-    """Advance demand and cylinder pressures by a step with constant valves and target.
-
-    The demand is exact; the cylinders see its mean over the step, which is of second order.
-    """
+    """Advance demand (exactly) and cylinders (under its mean: second order) by a step of constant valves and target."""
     before = state.brake_demand[0]
     share = brake.demand_fill_share if target_Pa > before else brake.demand_release_share
     state.brake_demand[0] = before + (target_Pa - before) * share  # [B1]
     p_d = before + 0.5 * (target_Pa - before) * share
+    if brake.air.reservoir_L > 0.0:
+        blow(state, brake, p_d)
+        return
     for j in range(AXLES):
         p = state.cylinder_pressure[j]
         if state.valve[j] == VENT:
@@ -65,6 +69,52 @@ def fill(state, brake, target_Pa):
             gain = (p_d - p) * brake.valve_fill_share
             state.cylinder_pressure[j] = p + gain
             state.air_consumption[0] += max(gain, 0.0) * brake.volume_L / NORMAL_PRESSURE_PA  # [B3]
+
+
+@kernel_inlined
+def begin(state, air):
+    """Fill the reservoir, where there is one."""
+    state.reservoir_pressure[0] = air.begin_Pa if air.reservoir_L > 0.0 else 0.0
+    state.reservoir_least[0] = state.reservoir_pressure[0]
+
+
+@kernel
+def flow(from_Pa, to_Pa, conductance, critical_ratio):
+    """Air in NL/s from one pressure above the atmosphere's to a lower one, 0 to a higher one [B5]."""
+    p_1 = from_Pa + NORMAL_PRESSURE_PA
+    ratio = (to_Pa + NORMAL_PRESSURE_PA) / p_1
+    if ratio >= 1.0:
+        return 0.0
+    x = max(ratio - critical_ratio, 0.0) / (1.0 - critical_ratio)
+    return conductance * p_1 * math.sqrt(1.0 - x * x)
+
+
+@kernel
+def blow(state, brake, p_d):
+    """Advance cylinders and reservoir by a step of choked flow [B5], [B6]."""
+    air, p_r = brake.air, state.reservoir_pressure[0]
+    room = air.reservoir_L / NORMAL_PRESSURE_PA  # NL a Pa
+    cylinder = brake.volume_L / NORMAL_PRESSURE_PA
+    fed_NL = flow(air.supply_Pa, p_r, air.supply, air.critical_ratio) * air.step_s
+    fed_NL = min(fed_NL, max(air.supply_Pa - p_r, 0.0) * room)
+    state.air_supplied[0] += fed_NL
+    p_r += fed_NL / room
+    for j in range(AXLES):
+        p = state.cylinder_pressure[j]
+        if state.valve[j] == VENT:
+            gone_NL = flow(p, 0.0, air.vent, air.critical_ratio) * air.step_s
+            state.cylinder_pressure[j] = max(0.0, p - gone_NL / cylinder)
+        elif state.valve[j] == FILL and p_d <= p:
+            state.cylinder_pressure[j] = p + (p_d - p) * brake.valve_fill_share  # [B2]
+        elif state.valve[j] == FILL:
+            # neither beyond what is asked nor beyond what both have in common
+            gain_NL = min(flow(p_r, p, air.fill, air.critical_ratio) * air.step_s, (p_d - p) * cylinder,
+                          max(p_r - p, 0.0) * cylinder * room / (cylinder + room))
+            state.cylinder_pressure[j] = p + gain_NL / cylinder
+            state.air_consumption[0] += gain_NL
+            p_r -= gain_NL / room  # [B6]
+    state.reservoir_pressure[0] = p_r
+    state.reservoir_least[0] = min(state.reservoir_least[0], p_r)
 
 
 @kernel

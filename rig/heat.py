@@ -2,8 +2,8 @@
 
 All work of a wheelset's brake becomes heat of its discs, which give it to the air [H1]. The losses
 of a motor grow with the square of its torque, so its winding approaches a rise above the air that
-is the rated one at the rated torque [H2]. Nothing depends on these temperatures but what a drive
-makes of its own: friction of hot pads is a mechanism (`pad_fade`).
+is the rated one at the rated torque [H2]. A drive acts on its own temperature; that of the discs acts
+back where pads vary (`mechanisms.pads`). The mechanism `pad_fade` goes by the work alone.
 
     [H1] C dT/dt = dW/dt - C (T - T_air) / t_d, W the brake work, C of all discs of a wheelset
     [H2] t_m dT/dt = (u / u_rated)^2 dT_rated - (T - T_air), u the motor torque

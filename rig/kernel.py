@@ -1,75 +1,43 @@
-"""How every numerical kernel of the project is compiled: cached, without the GIL, IEEE arithmetic.
+"""How every numerical kernel of the project, marked @kernel, is compiled: cached, without the GIL, IEEE arithmetic.
 
-No fastmath: a run repeats bit for bit. No function arguments: they never hit numba's cache. Numba
-does not notice when a function that a cached one calls has changed, so the cache lives in a folder
-named after all sources that hold kernels or their structures: a changed source compiles afresh.
+No fastmath: a run repeats bit for bit. No function arguments: they never hit numba's cache, which `kernel_cache` keeps.
 """
 
-import contextlib
-import hashlib
-import os
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from types import FunctionType
 from typing import Any
 
-import numba
-from numba.core import config as _config
+from rollerrig.rig import kernel_cache
 
-# numba fills this module with its settings when it loads it
-settings: Any = _config
-# its published types do not know all options
-_njit: Any = numba.njit
-_ROOMS = ("rig", "firmware_sim", "realtime", "wsp_interface")
-_SEEN_BY_KERNELS = ("signals.py", "state_type.py")
-_KEPT = 24
-
-
-def _fingerprint(root: Path) -> str:
-    """A hash of all that compiled code depends on: kernels, their structures in rig, and two tables."""
-    digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(path for room in _ROOMS for path in (root / room).rglob("*.py")):
-        source = path.read_bytes()
-        structures = b"NamedTuple" in source and root / "rig" in path.parents
-        if b"@kernel" in source or structures or path.name in _SEEN_BY_KERNELS:
-            digest.update(path.name.encode() + source)
-    return digest.hexdigest()[:16]
-
-
-def _cache_folder() -> Path:
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rollerrig"
-    folder = base / f"kernels-{_fingerprint(Path(__file__).resolve().parent.parent)}"
-    new = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
-    if new:
-        old = sorted(base.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
-        for path in old[:-_KEPT]:
-            shutil.rmtree(path, ignore_errors=True)
-    return folder
-
-
-def is_compiled() -> bool:
-    """Whether an earlier process has compiled these sources."""
-    return any(Path(settings.CACHE_DIR).rglob("*.nbi"))
-
-
-if not os.environ.get("NUMBA_CACHE_DIR"):
-    # without a writable home numba finds a place of its own
-    with contextlib.suppress(OSError):
-        settings.CACHE_DIR = str(_cache_folder())
-
+settings: Any = kernel_cache.settings
+_njit: Any = kernel_cache.numba.njit  # its published types do not know all options
 # nothing is allocated in a step, so numba need not count references to arrays: with fifty of them
 # in the state that took twice the time of the physics, and much of the time to compile
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy",
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy",
                             # no kernel is handed to another as a function: none needs one for C
                             "no_cfunc_wrapper": True}
-kernel = _njit(**_OPTIONS, _nrt=False)
+
+
+def _kept(**options: Any) -> Any:
+    """A decorator that has numba compile a function and keep what it compiled."""
+    compiled = _njit(**_OPTIONS, **options)
+
+    def kept(function: Any) -> Any:
+        made = compiled(function)
+        if made is not function:  # as it is without a compiler
+            made._cache = kernel_cache.Kept(function, options.get("_nrt", True))
+        return made
+
+    return kept
+
+
+kernel = _kept(_nrt=False)
 # for what every step calls with the whole state: its hundreds of array fields would be copied for
 # each call; the arithmetic is the same to the last bit
-kernel_inlined = _njit(**_OPTIONS, _nrt=False, forceinline=True)
+kernel_inlined = _kept(_nrt=False, forceinline=True)
 
 # for batch work that makes arrays of its own; a step never calls these
-kernel_with_memory = _njit(**_OPTIONS)
+kernel_with_memory = _kept()
 
 
 def written(name: str, lines: Sequence[str], file: str, module: str, names: Mapping[str, Any]) -> Any:
@@ -80,13 +48,17 @@ def written(name: str, lines: Sequence[str], file: str, module: str, names: Mapp
 
 
 def constructor(structure: Any, arguments: str, fields: Iterable[str], counted: bool = False, **names: Any) -> Any:
-    """A kernel that makes a named tuple: of its arguments, an expression for each field.
-
-    `counted`: with references to arrays counted, which numba wants for arrays at an address.
-    """
+    """A kernel that makes a named tuple, of an expression a field; `counted` as numba wants arrays at an address."""
     space: dict[str, Any] = {"structure": structure, **names}
     exec(f"def made({arguments}):\n    return structure({', '.join(fields)})", space)
     return _njit(nogil=True, _nrt=counted, forceinline=True)(space["made"])
+
+
+def again(formula: Any, **names: Any) -> Any:
+    """The same kernel once more, inlined, with other things under some names that it uses; compiled with its caller."""
+    plain = getattr(formula, "py_func", formula)  # itself where numba is told to compile nothing
+    made = FunctionType(plain.__code__, plain.__globals__ | names)
+    return _njit(nogil=True, error_model="numpy", _nrt=False, forceinline=True)(made)
 
 
 def seeing(structure: Any, places: Iterable[slice | None]) -> Any:

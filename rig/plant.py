@@ -9,16 +9,16 @@ import math
 
 import numpy as np
 
-from rollerrig.rig import brake, heat, motor, vehicle, wheelset
+from rollerrig.rig import brake, heat, motor, surface, vehicle, wheelset
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.kernel import kernel, kernel_inlined
-from rollerrig.rig.mechanisms import applied
+from rollerrig.rig.mechanisms import applied, pads, wheel_flat
+from rollerrig.rig.mechanisms.friction import dose_share, film_share
 from rollerrig.rig.multibody import coach_state, on_rig
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SIZE, State, views
 
-# a wheel slower than this at its rim counts as locked, m/s
-LOCKED_BELOW_M_S = 0.1
+LOCKED_BELOW_M_S = 0.1  # a wheel slower than this at its rim counts as locked, m/s
 
 
 class Plant:
@@ -40,10 +40,11 @@ def start(state, params, initial_speed_m_s):
         state.wheel_speed[j] = initial_speed_m_s / params.wheels.table[vehicle.RADIUS_M + j]
         if params.mode != 0:
             state.roller_speed[j] = initial_speed_m_s / params.drive.roller_radius_m
-        state.observer[j] = (params.drive.observer_rad_s * params.drive.roller_inertia_kgm2
-                             * state.roller_speed[j])
+        state.observer[j] = (params.drive.observer_rad_s * params.drive.roller_inertia_kgm2 * state.roller_speed[j])
     begin(state, params, params.coach)
     heat.begin(state, params.heat)
+    brake.begin(state, params.brake.air)
+    surface.begin(state, params)
     friction(state, params)
     observe(state, params)
 
@@ -78,19 +79,51 @@ def friction(state, params):
             factor = applied.friction_factor(state, j, place, params.effects)
             state.friction_degraded[j] *= factor
             state.friction_recovered[j] *= factor
+        if params.sanders.axles != 0:
+            share = dose_share(state.sand_dose[j], params.sanders.dose_scale_kg_m)
+            loosen(state, j, params.sanders.gain * share, params)
+        if params.film.acts:
+            loosen(state, j, params.film.gain * film_share(state.film[j]), params)
+
+
+@kernel
+def loosen(state, axle, log_factor, params):
+    """Raise the degraded friction of an axle, at most to what the recovered one gives in its stead."""
+    most = state.friction_recovered[axle] * params.law.A_d / params.law.A_r
+    mu = state.friction_degraded[axle]
+    state.friction_degraded[axle] = max(mu, min(mu * math.exp(log_factor), most))
 
 
 @kernel_inlined
 def advance(state, delay, magnets, demand_Pa, tick, params):
-    """Advance by tick number `tick` under magnets (4,); `delay` (dead time + 1, 4) is kept for it.
-
-    `demand_Pa` is a brake demand from outside; NaN: the programme's own.
-    """
+    """Advance by a tick under magnets (4,) and a demand (NaN: the programme's); `delay` (dead time + 1, 4) is kept."""
     target_Pa = prepare(state, delay, magnets, demand_Pa, tick, params)
     for i in range(params.substeps):
         step(state, target_Pa, params)
         state.time[0] = (tick * params.substeps + i + 1) * params.step_s
     heat.warm(state, params.heat)
+    if params.flats.wear_m3_J > 0.0:
+        wear(state, params)
+    if params.sanders.axles != 0:
+        surface.strew(state, params.sanders, params.axle_position_m, params.tick_s)
+    if params.film.acts:
+        surface.turn(state, params.film, params.tick_s)
+
+
+@kernel
+def wear(state, params):
+    """Let the sliding of locked wheels in this tick grind their flats."""
+    for j in range(AXLES):
+        work_J = state.sliding_work[j] - state.sliding_work_felt[j]
+        state.sliding_work_felt[j] = state.sliding_work[j]
+        if state.wheel_speed[j] > 0.0:
+            state.lock_work[j] = 0.0
+            continue
+        state.lock_work[j] += 0.5 * max(work_J, 0.0)  # of one of two wheels
+        length_m = wheel_flat.length_m(state.lock_work[j], params.flats.wear_m3_J, params.flats.width_m,
+                                       params.wheels.table[vehicle.RADIUS_M + j])
+        if length_m > state.flat_length[j]:
+            state.flat_length[j], state.flat_angle[j] = length_m, state.wheel_angle[j]
 
 
 @kernel_inlined
@@ -101,14 +134,18 @@ def prepare(state, delay, magnets, demand_Pa, tick, params):
     brake.switch(state, delay[(tick + 1) % delay.shape[0]])
     friction(state, params)
     if np.isnan(demand_Pa):
-        return brake.target(params.demand, state.time[0])
-    return demand_Pa
+        return brake.target(params.demand, state.time[0]) * params.brake.weighed_share
+    return demand_Pa * params.brake.weighed_share
 
 
 @kernel_inlined
 def step(state, target_Pa, params):
     """Advance by one step of the physics."""
     brake.fill(state, params.brake, target_Pa)
+    if params.pads.vary:
+        for j in range(AXLES):
+            state.clamp_pressure[j] = pads.clamped(state.clamp_pressure[j], state.cylinder_pressure[j],
+                                                   params.pads.clamp_hysteresis)
     if state.standing[0] != 0.0:
         rest(state, params, params.coach)
         return
@@ -124,7 +161,13 @@ def step(state, target_Pa, params):
 @kernel
 def capacity(state, axle, params):
     """Torque in N m that the discs of an axle can hold now."""
-    found = brake.capacity(state.cylinder_pressure[axle], params.brake)
+    if params.pads.vary:
+        pressure_Pa = state.clamp_pressure[axle]
+        rim_m_s = params.wheels.table[vehicle.RADIUS_M + axle] * state.wheel_speed[axle]
+        found = brake.capacity(pressure_Pa, params.brake) * pads.friction_share(
+            rim_m_s, pressure_Pa, state.disc_temperature[axle], params.pads)
+    else:
+        found = brake.capacity(state.cylinder_pressure[axle], params.brake)
     if params.effects.on_torque:
         place_m = state.position[0] - params.axle_position_m[axle]
         found = applied.torque(found, state, axle, place_m, params.effects)
@@ -137,8 +180,7 @@ def integrate(state, params, coach):
     if coach is None:
         wheelset.integrate(state, params)
     else:
-        on_rig.integrate(state, params, vehicle.resistance(state.vehicle_speed[0], params.vehicle),
-                         coach)
+        on_rig.integrate(state, params, vehicle.resistance(state.vehicle_speed[0], params.vehicle), coach)
 
 
 @kernel_inlined
@@ -154,8 +196,7 @@ def observe(state, params):
     """Write what can be seen of the present state: contact, torques, loads, sensors, locks."""
     for j in range(AXLES):
         r = params.wheels.table[vehicle.RADIUS_M + j]
-        planar_N = vehicle.swinging_load(vehicle.load(j, state.felt_acceleration[0], params.vehicle), j,
-                                         state.wheel_angle[j], params.wheels)
+        planar_N = wheelset.load(j, state.felt_acceleration[0], state.wheel_angle[j], state, params)
         load_N = on_rig.load(j, planar_N, state, params.coach)
         surface = state.vehicle_speed[0]
         if params.mode != 0:

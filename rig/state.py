@@ -12,12 +12,12 @@ from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig import state_type
 from rollerrig.rig.multibody import coach_state
 
-# valve states
-FILL, HOLD, VENT = 0, 1, 2
+FILL, HOLD, VENT = 0, 1, 2  # valve states
+CELLS, SECTORS = 256, 16  # of the rail below and ahead of the vehicle, of a roller
 
 
 class State(NamedTuple):
-    """Views of shape (4,) for axles or (1,); stage names are functions of `plant`."""
+    """Views of shape (4,) for axles, (1,), or as WIDTHS has them; stage names are functions of `plant`."""
 
     time: np.ndarray  # s, advance
     standing: np.ndarray  # 1: vehicle, wheels and rollers rest; vehicle
@@ -57,10 +57,38 @@ class State(NamedTuple):
     brake_work_felt: np.ndarray  # J, of which the discs have the heat; heat
     disc_temperature: np.ndarray  # K, heat
     cylinder_pressure: np.ndarray  # Pa, brake
+    clamp_pressure: np.ndarray  # Pa, by which pads are clamped, kept where they vary; plant
     valve: np.ndarray  # FILL, HOLD, VENT after the dead time; brake
     vents: np.ndarray  # -, brake
+    reservoir_pressure: np.ndarray  # Pa, 0 where air never runs out; brake
+    reservoir_least: np.ndarray  # Pa, least pressure of the reservoir so far; brake
+    air_supplied: np.ndarray  # NL, into the reservoir so far; brake
+    sand_asked: np.ndarray  # 1: the bus asks the axle's sander to strew; the tick
+    sand_flaw: np.ndarray  # -, what a fault adds to the factor 1 on the rate; the tick
+    sand_late: np.ndarray  # s, what a fault adds to the hose's lag; the tick
+    sand_box: np.ndarray  # kg, left in the box; surface
+    sand_taken: np.ndarray  # kg, that the sander took from its box; surface
+    sand_hose: np.ndarray  # kg, surface
+    sand_rate: np.ndarray  # kg/s, that leaves the hose; surface
+    sand_dose: np.ndarray  # kg/m, that the wheels meet; surface
+    sand_used: np.ndarray  # kg, that the wheels have crushed; surface
+    sand_blown: np.ndarray  # kg, blown aside; surface
+    sand_left: np.ndarray  # kg, left behind the vehicle; surface
+    rail_sand: np.ndarray  # kg, in each cell of the rail; surface
+    rail_cell: np.ndarray  # the cell under each axle; surface
+    rail_front: np.ndarray  # the foremost cell; surface
+    film: np.ndarray  # -, contaminant that the wheel meets on its roller, of what was prepared; surface
+    roller_film: np.ndarray  # -, the same of each sector of each roller; surface
+    film_sector: np.ndarray  # turned to by now; surface
+    film_sprayed: np.ndarray  # -, of what a whole roller carries; surface
+    film_run_off: np.ndarray  # -, likewise; surface
+    film_worn: np.ndarray  # -, likewise, taken by the wheel; surface
     locked_since: np.ndarray  # s, length of the present lock; observe
     longest_lock: np.ndarray  # s, observe
+    flat_length: np.ndarray  # m, longest flat on the wheels; wear
+    flat_angle: np.ndarray  # rad, of the wheel where its middle is below; wear
+    lock_work: np.ndarray  # J, of one wheel in the present lock, kept where wheels wear; wear
+    sliding_work_felt: np.ndarray  # J, of which wheels have the wear, likewise; wear
     air_consumption: np.ndarray  # NL, brake
     motor_torque_demand: np.ndarray  # N m, written by the rig control
     motor_torque: np.ndarray  # N m, motor
@@ -78,12 +106,14 @@ class State(NamedTuple):
 
 PER_VEHICLE = frozenset((
     "time", "standing", "vehicle_speed", "position", "vehicle_acceleration", "felt_acceleration",
-    "resistance_work", "brake_demand", "air_consumption",
+    "resistance_work", "brake_demand", "air_consumption", "reservoir_pressure", "reservoir_least", "air_supplied",
+    "sand_blown", "sand_left", "rail_front",
 ))
+WIDTHS = dict.fromkeys(PER_VEHICLE, 1) | {"rail_sand": CELLS, "roller_film": AXLES * SECTORS}
 SLOTS: dict[str, slice] = {}
 _at = 0
 for _name in State._fields[:-1]:
-    _width = 1 if _name in PER_VEHICLE else AXLES
+    _width = WIDTHS.get(_name, AXLES)
     SLOTS[_name] = slice(_at, _at + _width)
     _at += _width
 SIZE = _at

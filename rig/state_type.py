@@ -13,7 +13,6 @@ from typing import Any
 from numba.core import cgutils, imputils, types
 from numba.core.typing import templates
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
-from numba.np import arrayobj
 
 _VIEW = types.Array(types.float64, 1, "C")
 _WORD = 8
@@ -43,12 +42,13 @@ def register(named_tuple: type, places: Mapping[str, slice]) -> None:
 
     @typeof_impl.register(named_tuple)
     def _(state: Any, context: Any) -> Address:
-        return Address({name: None if view is None else places[name]
-                        for name, view in zip(fields, state, strict=True)})
+        return Address({name: None if view is None else places[name] for name, view in zip(fields, state, strict=True)})
 
 
 @unbox(Address)
 def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
+    from numba.np import arrayobj  # loaded only to compile
+
     # the caller keeps the buffer alive as long as the kernel runs
     view = c.unbox(_VIEW, c.pyapi.tuple_getitem(state, 0))
     value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
@@ -71,14 +71,15 @@ class _Fields(templates.AttributeTemplate):
 
 @imputils.lower_getattr_generic(Address)
 def _field(context: Any, builder: Any, kind: Address, state: Any, field: str) -> Any:
+    from numba.np import arrayobj
+
     place = kind.places[field]
     if place is None:
         return context.get_dummy_value()
     first = cgutils.create_struct_proxy(kind)(context, builder, state).first
     word = context.get_constant(types.intp, _WORD)
     view = arrayobj.make_array(_VIEW)(context, builder)
-    arrayobj.populate_array(
-        view, data=builder.gep(first, [context.get_constant(types.intp, place.start)]),
-        shape=[context.get_constant(types.intp, place.stop - place.start)], strides=[word],
-        itemsize=word, meminfo=None)
+    arrayobj.populate_array(view, data=builder.gep(first, [context.get_constant(types.intp, place.start)]),
+                            shape=[context.get_constant(types.intp, place.stop - place.start)], strides=[word],
+                            itemsize=word, meminfo=None)
     return view._getvalue()

@@ -15,8 +15,7 @@ from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.mechanisms.elsewhere import wheel_out_of_round
 from rollerrig.rig.state import AXLES
 
-# below this speed a braked or resisted vehicle stands: resistance is dry friction there
-STANDING_M_S = 0.005
+STANDING_M_S = 0.005  # below this speed a braked or resisted vehicle stands: resistance is dry friction there
 # where the wheels' table has what, one value for each axle: radius, inertia, radius over inertia (rad/s2 a
 # newton: no step has to divide), share of the load that swings
 RADIUS_M, INERTIA_KGM2, ANSWER_1_KGM, SWING = range(0, 4 * AXLES, AXLES)

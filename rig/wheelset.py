@@ -22,13 +22,12 @@ import math
 
 from rollerrig.rig import vehicle as body
 from rollerrig.rig.contact import adhesion, creep_force
-from rollerrig.rig.contact.adhesion import NO_MEMORY
 from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.mechanisms import wheel_flat
 from rollerrig.rig.state import AXLES
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
-# sliding in m/s below which the secant slope is taken at this sliding
-SMALL_M_S = 1e-6
+SMALL_M_S = 1e-6  # sliding in m/s below which the secant slope is taken at this sliding
 
 
 @kernel
@@ -38,9 +37,9 @@ def adhesion_under(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law):
     With another model of `creep_force` nothing is cleaned: f_d, f_r and |f| are the same, the slope
     is secant. One wheel carries half of the wheelset's load.
     """
+    here = adhesion.law_under(mu_cd, mu_cr, 1.0, law)
     if patch.model != creep_force.DEGRADED:
-        return classic(sliding_m_s, surface_m_s, 0.5 * load_N, patch, adhesion.law_under(mu_cd, mu_cr, 0.0, law))
-    here = adhesion.law_under(mu_cd, mu_cr, adhesion.creepage_of(sliding_m_s, surface_m_s), law)
+        return classic(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
     return adhesion.recovering(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
 
 
@@ -57,15 +56,15 @@ def classic(sliding_m_s, surface_m_s, load_N, patch, law):
 def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, of_work):
     """Contact force T in N of both wheels, its secant slope T / s in N s/m, not negative, and lambda_0.
 
-    `lagging` is the lambda by which the contact has recovered, NO_MEMORY where it has by lambda_0;
+    `lagging` is the lambda by which the contact has recovered, adhesion.NO_MEMORY where it has by lambda_0;
     `of_work` above 0: lambda_0 is of the work that it does [A7 of `adhesion`].
     """
     at = sliding_m_s if abs(sliding_m_s) >= SMALL_M_S else SMALL_M_S
     f, lambda_0, half_N = 0.0, 0.0, 0.5 * load_N
+    here = adhesion.law_under(mu_cd, mu_cr, 1.0, law)
     if patch.model != creep_force.DEGRADED:
-        f = classic(at, surface_m_s, half_N, patch, adhesion.law_under(mu_cd, mu_cr, 0.0, law))[0]
+        f = classic(at, surface_m_s, half_N, patch, here)[0]
     elif load_N > 0.0:
-        here = adhesion.law_under(mu_cd, mu_cr, adhesion.creepage_of(at, surface_m_s), law)
         f_d, f_r, slope_d, slope_r, k, slope_k = adhesion.curves(
             min(abs(at), adhesion.LARGEST), surface_m_s, min(half_N, adhesion.LARGEST), patch.eps1, here)
         f, lambda_0, _, _ = adhesion.f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work)
@@ -112,12 +111,22 @@ def implicit_slopes(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels
 
 
 @kernel_inlined
+def load(axle, felt_m_s2, turned_rad, state, params):
+    """Load in N of an axle at this pitch and angle of its wheels, round or not."""
+    found = body.load(axle, felt_m_s2, params.vehicle)
+    found = body.swinging_load(found, axle, turned_rad, params.wheels)
+    if params.flats.wear_m3_J > 0.0:
+        found *= wheel_flat.load_share(turned_rad - state.flat_angle[axle], state.flat_length[axle],
+                                       params.wheels.table[body.RADIUS_M + axle], params.flats.load_1_m)
+    return found
+
+
+@kernel_inlined
 def contact(axle, v, felt_m_s2, wheel_rad_s, roller_rad_s, turned_rad, lagging, state, params):
     """What `force` gives for an axle at these speeds, pitch and angle of its wheels."""
     surface = v if params.mode == 0 else params.drive.roller_radius_m * roller_rad_s
     sliding = surface - params.wheels.table[body.RADIUS_M + axle] * wheel_rad_s
-    load_N = body.load(axle, felt_m_s2, params.vehicle)
-    load_N = body.swinging_load(load_N, axle, turned_rad, params.wheels)
+    load_N = load(axle, felt_m_s2, turned_rad, state, params)
     return force(sliding, surface, load_N, state.friction_degraded[axle], state.friction_recovered[axle],
                  params.patch, params.law, lagging, params.effects.memory_of_work)
 
@@ -140,7 +149,7 @@ def integrate(state, params):
     total = resistance_N
     for j in range(AXLES):
         wheel, roller = state.wheel_speed[j], state.roller_speed[j]
-        lagging = state.lagged_transition[j] if remembers else NO_MEMORY
+        lagging = state.lagged_transition[j] if remembers else adhesion.NO_MEMORY
         T, g, lambda_0 = contact(j, v, felt, wheel, roller, state.wheel_angle[j], lagging, state, params)
         if remembers:
             state.instantaneous_transition[j] = lambda_0
@@ -163,7 +172,7 @@ def integrate(state, params):
         wheel1, roller1, motor_Nm = state.wheel_rate[j], state.roller_rate[j], state.motor_torque[j]
         wheel = max(0.0, state.wheel_speed[j] + h * wheel1)
         roller = state.roller_speed[j] + h * roller1
-        before, lagging = state.instantaneous_transition[j], NO_MEMORY
+        before, lagging = state.instantaneous_transition[j], adhesion.NO_MEMORY
         if remembers:
             lagging = relaxed(state.lagged_transition[j], before, v, h, effects)
         turned_rad = state.wheel_angle[j] + h * state.wheel_speed[j]
@@ -197,10 +206,7 @@ def integrate(state, params):
 
 @kernel_inlined
 def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params):
-    """Add a step's change to the speeds of an axle (no wheel turns backwards) and turn its angles.
-
-    Work is mean force times way, so the energy balance holds to rounding however stiff the contact.
-    """
+    """Add a step's change to the speeds of an axle (no wheel turns backwards) and turn its angles."""
     wheel, roller = state.wheel_speed[axle], state.roller_speed[axle]
     state.wheel_speed[axle] = max(0.0, wheel + wheel_change_rad_s)
     state.roller_speed[axle] = roller + roller_change_rad_s
@@ -208,6 +214,7 @@ def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params)
     roller_rad = 0.5 * params.step_s * (roller + state.roller_speed[axle])
     state.wheel_angle[axle] += wheel_rad
     state.roller_angle[axle] += roller_rad
+    # mean force times way: the energy balance holds to rounding however stiff the contact
     slid_m = params.drive.roller_radius_m * roller_rad - params.wheels.table[body.RADIUS_M + axle] * wheel_rad
     state.sliding_work[axle] += state.contact_force[axle] * slid_m
     state.brake_work[axle] += state.brake_mean[axle] * wheel_rad

@@ -15,6 +15,7 @@ import written_docs
 from rollerrig.realtime import cli
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.recorder import thresholds
 from rollerrig.wsp_interface import rig_objects
 
 ROOT = Path(__file__).parent.parent
@@ -74,8 +75,10 @@ def test_the_readme_is_one_page():
 
 
 def test_the_thresholds_of_explain_are_those_of_the_code():
-    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| `([\w/]+)\.py` \|", text_of("docs/explain.md"), re.MULTILINE)
-    assert len(rows) > 30
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| `([\w/]+)\.py` \|",
+                      text_of("docs/explain.md") + text_of("docs/recorders.md"), re.MULTILINE)
+    assert {name for name, _, path in rows if path.endswith("recorder/thresholds")} == {
+        name for name in vars(thresholds) if name.isupper()}
     for name, told, path in rows:
         share = [float(ast.literal_eval(part.strip())) for part in told.split("/")]
         value = share[0] / share[1] if len(share) == 2 else share[0]

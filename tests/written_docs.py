@@ -4,15 +4,19 @@ A test says which behaviour of a standard it holds with `@pytest.mark.conformanc
 download")`, more than once if it holds more than one; that is the table of conformance.
 """
 
+import inspect
 import re
 
 import pytest
 import test_architecture
+from robot.libdocpkg import LibraryDocumentation
 
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.rig import params
 from rollerrig.rig.identify.causes import table as causes
 from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.recorder import recording
+from rollerrig.wsp_interface import harness_client
 
 STANDARDS = ("CAN", "Hub", "CiA 301", "CiA 305", "CiA 402", "CiA 406", "CiA 401", "Rig control", "Modbus",
              "Faults", "Bad input", "Masters")
@@ -76,6 +80,25 @@ def searches():
         yield f"| `{one.name}` | {one.mechanism.text} | {' | '.join(map(str, cells))} |"
 
 
+def harness():
+    """Lines of the table of what a harness has."""
+    for name, one in vars(harness_client.Harness).items():
+        what = (inspect.getdoc(one) or "").partition("\n")[0]
+        if inspect.isfunction(one) and not name.startswith("_"):
+            given = list(inspect.signature(one).parameters.values())[1:]
+            arguments = ", ".join(re.sub(r": .+?(?= = |$)", "", str(each)).replace(" = ", "=") for each in given)
+            yield f"| `{name}({arguments})` | {what} |"
+        elif isinstance(one, property):
+            yield f"| `{name}` | {what} |"
+
+
+def keywords():
+    """Lines of the table of Robot Framework's keywords, as its libdoc has them."""
+    for one in LibraryDocumentation("rollerrig.wsp_interface.robot").keywords:
+        arguments = ", ".join(f"`{re.sub(': [a-z]+', '', str(argument)).replace(' = ', '=')}`" for argument in one.args)
+        yield f"| `{one.name}` | {arguments} | {one.short_doc.replace('``', '`')} |"
+
+
 # page -> tables of it by the line of their heads
 TABLES = {
     "architecture.md": {"| room | floors, the lowest first |": floors},
@@ -83,6 +106,11 @@ TABLES = {
                     "| key of a run | default | allowed | what |": lambda: keys(dataset.RUN),
                     "| key of the accuracy | default | allowed | what |": lambda: keys(dataset.ACCURACY),
                     "| table | its keys |": overrides},
+    "recorders.md": {"| key | default | allowed | what |": lambda: keys(recording.HEAD),
+                     "| key of a channel | default | allowed | what |": lambda: keys(recording.CHANNEL),
+                     "| key of a run | default | allowed | what |": lambda: keys(recording.RUN)},
+    "robot.md": {"| keyword | arguments | what |": keywords},
+    "sequences.md": {"| of the harness | what |": harness},
     "explain.md": {"| cause | what happens | forms tried | floor | price | p below | may go by |": searches},
 }
 

@@ -1,13 +1,12 @@
 """A test harness on the bus: it sets what the rig shall do, watches, and writes down what it sees.
 
-It is a member of the bus like any other. Brake demand goes by SDO to node 17, friction, faults and
-notes to node 127; speeds, pressures, magnets and the rig's own quantities come by PDO. On a bench in
-lockstep it answers every SYNC, so simulated time passes only when the test lets it, and a test
-repeats bit for bit; in real time it follows.
+It is a member of the bus like any other. Brake demand goes by SDO to node 17, friction, faults and notes to node 127;
+speeds, pressures, magnets and the rig's own quantities come by PDO. On a bench in lockstep it answers every SYNC, so
+simulated time passes only when the test lets it, and a test repeats bit for bit; in real time it follows.
 """
 
+import contextlib
 import struct
-import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -23,8 +22,8 @@ from rollerrig.wsp_interface.bus.sdo_client import SdoClient
 from rollerrig.wsp_interface.rig_objects import layout
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE
 
-# before the first cycle others may still be starting or compiling
-FIRST_CYCLE_S, SILENCE_S = 600.0, 30.0
+# before the first cycle others may still be starting or compiling; later a bench waits for a slow unit itself
+FIRST_CYCLE_S, SILENCE_S = 600, 90
 _AXLES = range(1, AXLES + 1)
 
 
@@ -64,23 +63,31 @@ class Harness:
         self.events: list[Event] = []
         self.demands: list[tuple[float, float]] = []
         self.lockstep = self.joined = False
+        # called while the bench is silent; may raise a RollerrigError that says why
+        self.watch: Callable[[], None] = lambda: None
+        # called with each event that is written down
+        self.tell: Callable[[Event], None] = lambda event: None
         self._owes = False
         self._inbox: deque[can.Message] = deque()
-        self._sdo = SdoClient(bus.send, self._recv, self._inbox.append)
+        self._sdo = SdoClient(bus.send, bus.recv, self._inbox.append)
         self._heard = {one.can_id: one for one in HEARD}
+
+    def __repr__(self) -> str:
+        """Where the bench stands, by what came last."""
+        stand = ", ".join(str(axle) for axle in _AXLES if self.values[f"measured_speed_{axle}_rad_s"] == 0.0)
+        pressures = ", ".join(f"{value / 1e5:.2f}" for value in self.axles("cylinder_pressure"))
+        return (f"<Harness at {self.time_s:.2f} s: {3.6 * self.vehicle_speed_m_s:.1f} km/h after "
+                f"{self.position_m:.1f} m, cylinders {pressures} bar, axles that stand: {stand or 'none'}"
+                f"{'' if self.joined else ', has left'}>")
 
     # -- joining and leaving
 
     def join(self) -> Self:
         """Map the bench's quantities, join, and wait for the first cycle. Raises BusError."""
-        try:
-            pacing = self._sdo.read(BENCH_NODE, rig_objects.PACING, 0)
-            self.lockstep = bool(pacing[0])
-            for number, names in enumerate(_MAPPED_SIGNALS):
-                self._map(number, names)
-            self._sdo.write(BENCH_NODE, rig_objects.HARNESS, rig_objects.JOINED, b"\x01")
-        except can.CanError as error:
-            raise BusError(f"the bench has gone: {error}") from None
+        self.lockstep = bool(self._call(self._sdo.read, BENCH_NODE, rig_objects.PACING, 0)[0])
+        for number, names in enumerate(_MAPPED_SIGNALS):
+            self._map(number, names)
+        self._write(rig_objects.HARNESS, rig_objects.JOINED, b"\x01")
         self.joined = True
         self._cycle()
         return self
@@ -97,17 +104,15 @@ class Harness:
                  (mapping, 0, bytes([len(entries)])), (parameters, 2, b"\x01"),
                  (parameters, 1, struct.pack("<I", can_id))]
         for index, sub, data in steps:
-            self._sdo.write(BENCH_NODE, index, sub, data)
+            self._write(index, sub, data)
 
     def close(self) -> None:
         """Leave the bench, end its run where it is ours, and close the bus. Never raises."""
-        try:
+        with contextlib.suppress(RollerrigError):  # a bench that has gone needs no farewell
+            if self.joined and self.ends:
+                self._write(rig_objects.HARNESS, rig_objects.END, b"\x01")
             if self.joined:
-                if self.ends:
-                    self._sdo.write(BENCH_NODE, rig_objects.HARNESS, rig_objects.END, b"\x01")
-                self._sdo.write(BENCH_NODE, rig_objects.HARNESS, rig_objects.JOINED, b"\x00")
-        except (can.CanError, RollerrigError):
-            pass  # a bench that has gone needs no farewell
+                self._write(rig_objects.HARNESS, rig_objects.JOINED, b"\x00")
         self.joined = False
         self.bus.shutdown()
 
@@ -123,8 +128,8 @@ class Harness:
         """Ask for a brake cylinder pressure, in Pa or bar."""
         wanted_Pa = pressure_Pa if pressure_Pa is not None else (bar or 0.0) * 1e5
         place = signals.place("brake_demand", BRAKE_NODE)
-        raw = signals.count(wanted_Pa, place)
-        self._write(BRAKE_NODE, place.index, place.sub, struct.pack("<h", raw))
+        data = struct.pack("<h", signals.count(wanted_Pa, place))
+        self._write(place.index, place.sub, data, BRAKE_NODE)
         self.demands.append((self.time_s, wanted_Pa))
 
     def release(self) -> None:
@@ -135,29 +140,35 @@ class Harness:
         """Set the kinematic friction under axles from now on; 0 gives it back to the scenario."""
         axles = tuple(axles)
         for axle in axles:
-            raw = round(mu / rig_objects.FRICTION_SCALE)
-            self._write(BENCH_NODE, rig_objects.FRICTION, axle, struct.pack("<H", raw))
+            self._write(rig_objects.FRICTION, axle, struct.pack("<H", round(mu / rig_objects.FRICTION_SCALE)))
         self.log("harness", f"friction {mu:g} under axles {', '.join(map(str, axles))}"
                  if mu else "friction as the scenario has it")
 
+    def sand(self, on: bool = True) -> None:
+        """Switch all sanders that the vehicle has, as a driver does. Raises BusError where it has none."""
+        place = signals.place("sand_demand", signals.SANDER_NODE)
+        self._write(place.index, place.sub, bytes((rig_objects.ALL_SANDERS * on,)), signals.SANDER_NODE)
+        self.log("harness", "sand on" if on else "sand off")
+
     def inject(self, fault: str) -> None:
         """Let a fault of the catalogue begin: `inject("speed_sensor_stuck axle=2 for=3")`."""
-        self._write(BENCH_NODE, rig_objects.FAULT, rig_objects.INJECT, fault.encode())
+        self._write(rig_objects.FAULT, rig_objects.INJECT, fault.encode())
         self.log("harness", f"fault {fault}")
 
     def lift(self, fault: str) -> None:
         """Lift the faults of a name (and aim): `lift("speed_sensor_stuck axle=2")`."""
-        self._write(BENCH_NODE, rig_objects.FAULT, rig_objects.LIFT, fault.encode())
+        self._write(rig_objects.FAULT, rig_objects.LIFT, fault.encode())
         self.log("harness", f"fault {fault} lifted")
 
     def note(self, text: str) -> None:
         """Put an operator's note into the events of the run."""
-        self._write(BENCH_NODE, rig_objects.NOTE, 0, text.encode("ascii", "replace"))
+        self._write(rig_objects.NOTE, 0, text.encode("ascii", "replace"))
         self.log("note", text)
 
     def log(self, who: str, text: str) -> None:
         """Write down an event at the present simulated time."""
         self.events.append(Event(self.time_s, who, text))
+        self.tell(self.events[-1])
 
     # -- letting time pass
 
@@ -165,8 +176,8 @@ class Harness:
         """Let one bus cycle pass. Raises BusError when the bench has gone."""
         if self._owes:
             self._owes = False
-            self._send(can.Message(arbitration_id=rig_objects.HARNESS_ANSWER_ID, data=[len(self.trace) & 0xFF],
-                                   is_extended_id=False))
+            self._call(self.bus.send, can.Message(arbitration_id=rig_objects.HARNESS_ANSWER_ID, is_extended_id=False,
+                                                  data=[len(self.trace) & 0xFF]))
         self._cycle()
 
     def wait(self, duration_s: float) -> None:
@@ -175,20 +186,15 @@ class Harness:
         while self.time_s < end_s:
             self.step()
 
-    def until(self, reached: Callable[[], bool], timeout_s: float = 300.0,
-              hold_s: float = 0.0) -> None:
+    def until(self, reached: Callable[[], bool], timeout_s: float = 300.0, hold_s: float = 0.0) -> None:
         """Go on until a condition has held for a time. Raises TimeOutError."""
         begin_s, since_s = self.time_s, None
         while True:
-            if reached():
-                since_s = self.time_s if since_s is None else since_s
-                if self.time_s >= since_s + hold_s - 1e-9:
-                    return
-            else:
-                since_s = None
+            since_s = (self.time_s if since_s is None else since_s) if reached() else None
+            if since_s is not None and self.time_s >= since_s + hold_s - 1e-9:
+                return
             if self.time_s > begin_s + timeout_s:
-                raise TimeOutError(f"at {self.time_s:.2f} s: what was waited for has not come within "
-                                   f"{timeout_s:g} s")
+                raise TimeOutError(f"at {self.time_s:.2f} s: what was waited for has not come within {timeout_s:g} s")
             self.step()
 
     def stop(self, timeout_s: float = 300.0) -> None:
@@ -205,10 +211,12 @@ class Harness:
 
     @property
     def vehicle_speed_m_s(self) -> float:
+        """Speed of the vehicle."""
         return self.values["vehicle_speed_m_s"]
 
     @property
     def position_m(self) -> float:
+        """Distance run by the vehicle."""
         return self.values["position_m"]
 
     @property
@@ -227,58 +235,47 @@ class Harness:
             place = signals.place(name, BENCH_NODE)
         except LookupError as error:
             raise BusError(f"the bench: {error}") from None
-        found = []
-        for at in range(signal.axles):
-            data = self._call(lambda at=at: self._sdo.read(BENCH_NODE, place.index, place.sub + at))
-            found.append(signals.value(struct.unpack(rig_objects.letter(place), data)[0], place))
-        return tuple(found)
+        read = (self._call(self._sdo.read, BENCH_NODE, place.index, place.sub + at) for at in range(signal.axles))
+        return tuple(signals.value(struct.unpack(rig_objects.letter(place), data)[0], place) for data in read)
 
     # -- the bus
 
-    def _call(self, what: Callable[[], Any]) -> Any:
+    def _call(self, what: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return what()
+            return what(*arguments)
         except can.CanError as error:
             raise BusError(f"the bench has gone: {error}") from None
 
-    def _write(self, node: int, index: int, sub: int, data: bytes) -> None:
-        self._call(lambda: self._sdo.write(node, index, sub, data))
-
-    def _send(self, message: can.Message) -> None:
-        self._call(lambda: self.bus.send(message))
-
-    def _recv(self, timeout_s: float) -> can.Message | None:
-        return self.bus.recv(timeout_s)
+    def _write(self, index: int, sub: int, data: bytes, node: int = BENCH_NODE) -> None:
+        self._call(self._sdo.write, node, index, sub, data)
 
     def _cycle(self) -> None:
         """Take frames up to the end of a cycle's burst, and write a row."""
-        patience_s = SILENCE_S if self.trace else FIRST_CYCLE_S
-        deadline = time.monotonic() + patience_s
+        # counted, not by the clock: a test that was stopped itself has not waited
+        silent_s, patience_s = 0, SILENCE_S if self.trace else FIRST_CYCLE_S
         while True:
-            message = self._inbox.popleft() if self._inbox else self._call(lambda: self._recv(1.0))
-            if message is None:
-                if time.monotonic() > deadline:
-                    raise BusError(f"the bench has been silent for {patience_s:g} s at "
-                                   f"{self.time_s:.3f} s of simulated time")
-            elif self._take(message):
+            message = self._inbox.popleft() if self._inbox else self._call(self.bus.recv, 1.0)
+            if message is not None and self._take(message):
                 break
+            if message is None:
+                self.watch()
+                silent_s += 1
+            if silent_s > patience_s:
+                raise BusError(f"the bench has been silent for {patience_s} s at {self.time_s:.3f} s of simulated time")
         self._owes = self.lockstep
         self.trace.append(tuple(self.values.values()))
 
     def _take(self, message: can.Message) -> bool:
         """Take one frame; True when it ends the cycle."""
         can_id, data = message.arbitration_id, message.data
-        heard = self._heard.get(can_id)
-        if heard is not None and (found := heard.read(data)):
+        if can_id in self._heard and (found := self._heard[can_id].read(data)):
             self.values |= found
             return can_id == CYCLE_ENDS
         if can_id == rig_objects.MAGNETS_ID and len(data) == 1:
             for axle in _AXLES:
                 self.values[f"magnets_{axle}"] = float(data[0] >> 2 * (axle - 1) & 3)
-        elif EMERGENCY < can_id <= EMERGENCY + NODE_MASK and len(data) == 8:
-            code = int.from_bytes(data[:2], "little")
-            if code:
-                self.log(f"node {can_id - EMERGENCY}", f"EMCY {code:04X}h")
+        elif EMERGENCY < can_id <= EMERGENCY + NODE_MASK and len(data) == 8 and any(data[:2]):
+            self.log(f"node {can_id - EMERGENCY}", f"EMCY {int.from_bytes(data[:2], 'little'):04X}h")
         return False
 
 

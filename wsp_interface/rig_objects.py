@@ -9,10 +9,17 @@ import struct
 from dataclasses import dataclass
 
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NODE_MASK, RPDO, TPDO
-from rollerrig.wsp_interface.signals import BENCH_NODE, BRAKE_NODE, SPEED_NODE, WSP_NODE
+from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NMT, NODE_MASK, RPDO, SYNC, TPDO
+from rollerrig.wsp_interface.signals import BENCH_NODE, BRAKE_NODE, SANDER_NODE, SPEED_NODE, WSP_NODE
 
+# assumption
+UNIT_LOST_AFTER_MS = 200
 _LETTERS = {"U8": "B", "I8": "b", "U16": "H", "I16": "h", "U32": "I", "I32": "i"}
+
+
+def unit_lost_after_ms(sync_period_s: float) -> int:
+    """After how long a silence in ms the rig believes the unit lost: in lockstep SYNCs are its clock, two at least."""
+    return max(UNIT_LOST_AFTER_MS, round(2000.0 * sync_period_s))
 
 
 @dataclass(frozen=True)
@@ -51,8 +58,11 @@ SPEEDS = layout(TPDO[0] + SPEED_NODE, "measured_speed")  # 190h
 PRESSURES = layout(TPDO[0] + BRAKE_NODE, "cylinder_pressure")  # 191h
 REFERENCE_SPEED = layout(TPDO[0] + WSP_NODE, "wsp_reference_speed")  # 1A0h
 MAGNETS_ID = RPDO[0] + BRAKE_NODE  # 211h
+SAND_ID, ALL_SANDERS = RPDO[0] + SANDER_NODE, 0x55  # 212h: bit 2j asks the sander of axle j + 1
 UNIT_HEARTBEAT_ID = HEARTBEAT + WSP_NODE  # 720h
 UNIT_EMERGENCY_ID = EMERGENCY + WSP_NODE  # 0A0h
+# all that the unit takes or sends
+UNIT_FRAMES = (NMT, SYNC, SPEEDS.can_id, REFERENCE_SPEED.can_id, MAGNETS_ID, UNIT_HEARTBEAT_ID, UNIT_EMERGENCY_ID)
 # any byte: a harness on a bench in lockstep has seen this cycle
 HARNESS_ANSWER_ID = RPDO[0] + BENCH_NODE  # 27Fh
 

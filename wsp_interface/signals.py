@@ -18,6 +18,7 @@ DEFAULT_ADDRESS = "socketcand://127.0.0.1:29536/rig0"
 DRIVE_NODES = tuple(range(1, AXLES + 1))
 SPEED_NODE = 16
 BRAKE_NODE = 17
+SANDER_NODE = 18  # where the vehicle has sanders
 WSP_NODE = 32
 BENCH_NODE = 127
 # those that the bench simulates, besides its own
@@ -34,10 +35,9 @@ KINDS = {
 class Place(NamedTuple):
     """Where a signal stands in an object dictionary.
 
-    `node` 0 means the drive under the signal's own axle. `sub` is the sub-index of axle 1; the
-    other axles follow (drives have one axle each: the same sub-index). `scale` is the unit per
-    count; where `of` names a parameter, the scale is multiplied by that parameter's value. A
-    counter wraps round instead of saturating.
+    `node` 0 means the drive under the signal's own axle. `sub` is the sub-index of axle 1; the other axles follow
+    (drives have one axle each: the same sub-index). `scale` is the unit per count; where `of` names a parameter, the
+    scale is multiplied by that parameter's value. A counter wraps round instead of saturating.
     """
 
     node: int
@@ -98,7 +98,9 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("dissipated_energy", "J_m", AXLES, OUT, "energy", "W_sp: energy dissipated per metre, one wheel"),
     Signal("sliding_work", "J", AXLES, OUT, "", "energy dissipated in the contacts of the wheelset so far",
            (Place(BENCH_NODE, 0x2108, 1, "U32", 1.0),)),
-    Signal("friction_degraded", "", AXLES, OUT, "", "kinematic friction mu_cd of the contaminant under the axle"),
+    Signal("friction_degraded", "", AXLES, OUT, "friction",
+           "kinematic friction mu_cd of the contaminant under the axle"),
+    Signal("film", "", AXLES, OUT, "film", "contaminant on the roller under the wheel, of what was prepared"),
     Signal("wheel_load", "N", AXLES, OUT, "loads", "vertical load of the wheelset (both wheels)",
            (Place(BENCH_NODE, 0x2109, 1, "U32", 1.0),)),
     Signal("brake_torque", "Nm", AXLES, OUT, "torques", "brake torque on the wheelset, positive when it brakes"),
@@ -108,10 +110,26 @@ SIGNALS: tuple[Signal, ...] = (
            (Place(BENCH_NODE, 0x2105, 1, "U16", 1.0),)),
     Signal("vents", "", AXLES, OUT, "", "times the dump valve began to vent",
            (Place(BENCH_NODE, 0x210A, 1, "U32", 1.0),)),
-    Signal("longest_lock", "s", AXLES, OUT, "", "longest lock of the wheelset so far above the cut-off speed",
+    Signal("longest_lock", "s", AXLES, OUT, "", "longest lock of the wheelset so far above lock_above_m_s",
            (Place(BENCH_NODE, 0x2107, 1, "U32", 1e-3),)),
+    Signal("flat_length", "m", AXLES, OUT, "flats", "longest flat on the wheels of the wheelset",
+           (Place(BENCH_NODE, 0x2110, 1, "U16", 1e-4),)),
     Signal("air_consumption", "NL", 1, OUT, "air", "air used by the brake cylinders so far",
            (Place(BENCH_NODE, 0x2106, 0, "U32", 0.01),)),
+    Signal("reservoir_pressure", "Pa", 1, OUT, "pressures", "auxiliary reservoir (0: air never runs out)",
+           (Place(BENCH_NODE, 0x210E, 0, "U16", 100.0),)),
+    Signal("reservoir_least", "Pa", 1, OUT, "", "least pressure of the auxiliary reservoir so far",
+           (Place(BENCH_NODE, 0x210F, 0, "U16", 100.0),)),
+    Signal("air_supplied", "NL", 1, OUT, "air", "air that the supply gave the reservoir so far"),
+    Signal("sand_rate", "kg_s", AXLES, OUT, "sand", "sand that leaves the hose of the axle's sander",
+           (Place(SANDER_NODE, 0x6401, 1, "I16", 1e-4),)),
+    Signal("sand_box", "kg", AXLES, OUT, "", "sand left in the box of the axle's sander",
+           (Place(SANDER_NODE, 0x6401, 5, "I16", 1e-2), Place(BENCH_NODE, 0x2112, 1, "U16", 1e-2))),
+    Signal("sand_taken", "kg", AXLES, OUT, "", "sand that the axle's sander took from its box",
+           (Place(BENCH_NODE, 0x2113, 1, "U16", 1e-2),)),
+    Signal("sand_dose", "kg_m", AXLES, OUT, "sand_dose", "sand that the wheels meet on a metre of track"),
+    Signal("sand_demand", "", AXLES, IN, "", "sanders asked to strew",
+           (Place(SANDER_NODE, 0x6200, 1, "U8", 1.0),)),
     Signal("motor_torque_demand", "Nm", AXLES, OUT, "motors", "torque asked of the roller motor"),
     Signal("motor_torque", "Nm", AXLES, OUT, "motors", "torque of the roller motor on the roller shaft",
            (Place(_DRIVE, 0x6077, 0, "I16", 1e-3, of="rated_torque_Nm"),)),
@@ -155,9 +173,7 @@ def columns(signal: Signal) -> tuple[str, ...]:
 COLUMNS: tuple[str, ...] = tuple(name for signal in SIGNALS for name in columns(signal))
 BY_NAME: dict[str, Signal] = {signal.name: signal for signal in SIGNALS}
 
-_FIRST: dict[str, int] = {
-    signal.name: sum(before.axles for before in SIGNALS[:at]) for at, signal in enumerate(SIGNALS)
-}
+_FIRST: dict[str, int] = {signal.name: COLUMNS.index(columns(signal)[0]) for signal in SIGNALS}
 
 
 def column(name: str, axle: int = 1) -> int:

@@ -11,28 +11,20 @@ from typing import Any, NamedTuple
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
 KINDS = {
-    "BOOL": datatypes.BOOLEAN,
-    "U8": datatypes.UNSIGNED8, "I8": datatypes.INTEGER8,
-    "U16": datatypes.UNSIGNED16, "I16": datatypes.INTEGER16,
-    "U32": datatypes.UNSIGNED32, "I32": datatypes.INTEGER32,
-    "U64": datatypes.UNSIGNED64, "I64": datatypes.INTEGER64,
-    "F32": datatypes.REAL32, "TEXT": datatypes.VISIBLE_STRING,
-    "BYTES": datatypes.OCTET_STRING, "DOMAIN": datatypes.DOMAIN,
+    "BOOL": datatypes.BOOLEAN, "F32": datatypes.REAL32, "TEXT": datatypes.VISIBLE_STRING, "DOMAIN": datatypes.DOMAIN,
+    "U8": datatypes.UNSIGNED8, "I8": datatypes.INTEGER8, "U16": datatypes.UNSIGNED16, "I16": datatypes.INTEGER16,
+    "U32": datatypes.UNSIGNED32, "I32": datatypes.INTEGER32, "U64": datatypes.UNSIGNED64, "I64": datatypes.INTEGER64,
 }
 # records of CiA 301; any other object with sub-indices of one type is an array
 _RECORDS = ((0x1018, 0x1018), (0x1023, 0x1025), (0x1200, 0x12FF), (0x1400, 0x1BFF))
-
-# where canopen keeps a default that depends on the node identifier, as an EDS file writes it
-RAW_DEFAULT = "default_raw"
 
 
 class Row(NamedTuple):
     """One object or sub-index. An `index` that has one row is a VAR, with more an ARRAY or RECORD.
 
-    `name` is "object/sub-index" for a row of an array or record. `access`: const, ro, wo, rw, or
-    rwr / rww (rw, mappable in that direction only). `low` and `high` bound what may be written.
-    `relative`: the node identifier is added to the default. `factor` and `unit`: the value of one
-    count.
+    `name` is "object/sub-index" for a row of an array or record. `access`: const, ro, wo, rw, or rwr / rww (rw,
+    mappable in that direction only). `low` and `high` bound what may be written. `relative`: the node identifier is
+    added to the default. `factor` and `unit`: the value of one count.
     """
 
     index: int  # type: ignore[assignment]
@@ -66,17 +58,16 @@ def array(index: int, name: str, kind: str, access: str, defaults: Iterable[Any]
     """Rows of an array: sub-index 0 and one row for each default (named by `subs` or numbered)."""
     defaults = list(defaults)
     names = list(subs) or [f"{name} {at}" for at in range(1, len(defaults) + 1)]
-    rows = [Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", len(defaults))]
-    return rows + [Row(index, at, f"{name}/{sub}", kind, access, default, **more)
-                   for at, (sub, default) in enumerate(zip(names, defaults, strict=True), 1)]
+    return [Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", len(defaults)),
+            *(Row(index, at, f"{name}/{sub}", kind, access, default, **more)
+              for at, (sub, default) in enumerate(zip(names, defaults, strict=True), 1))]
 
 
 def build(rows: Iterable[Row], node_id: int, identity: Identity) -> ObjectDictionary:
     """The dictionary of a node. ValueError where two rows claim the same place."""
     dictionary = ObjectDictionary()
     dictionary.node_id = node_id
-    in_order = sorted(rows, key=lambda row: row[:2])
-    for index, group in itertools.groupby(in_order, lambda row: row.index):
+    for index, group in itertools.groupby(sorted(rows, key=lambda row: row[:2]), lambda row: row.index):
         members = list(group)
         if len({row.sub for row in members}) != len(members):
             raise ValueError(f"object {index:04X}h has two rows for one sub-index")
@@ -88,8 +79,8 @@ def build(rows: Iterable[Row], node_id: int, identity: Identity) -> ObjectDictio
 def _object(index: int, rows: list[Row], node_id: int) -> ODVariable | ODArray | ODRecord:
     if len(rows) == 1 and rows[0].sub == 0:
         return _variable(rows[0], rows[0].name, node_id)
-    same = len({row.kind for row in rows[1:]}) == 1
-    record = any(first <= index <= last for first, last in _RECORDS) or not same
+    mixed = len({row.kind for row in rows[1:]}) != 1
+    record = mixed or any(first <= index <= last for first, last in _RECORDS)
     holder = (ODRecord if record else ODArray)(rows[0].name.partition("/")[0], index)
     for row in rows:
         holder.add_member(_variable(row, row.name.partition("/")[2], node_id))
@@ -98,15 +89,14 @@ def _object(index: int, rows: list[Row], node_id: int) -> ODVariable | ODArray |
 
 def _variable(row: Row, name: str, node_id: int) -> ODVariable:
     variable = ODVariable(name, row.index, row.sub)
-    variable.data_type = KINDS[row.kind]
-    variable.access_type = row.access
-    variable.pdo_mappable = row.mappable
+    variable.data_type, variable.access_type, variable.pdo_mappable = KINDS[row.kind], row.access, row.mappable
     variable.min, variable.max = row.low, row.high
     variable.unit, variable.factor, variable.description = row.unit, row.factor, row.text
     variable.default, variable.relative = row.default, row.relative
     if row.relative:
         variable.default = row.default + node_id
-        setattr(variable, RAW_DEFAULT, f"$NODEID+0x{row.default:X}")
+        # where canopen keeps a default that depends on the node identifier, as an EDS file writes it
+        variable.default_raw = f"$NODEID+0x{row.default:X}"  # type: ignore[attr-defined]
     return variable
 
 
@@ -116,12 +106,9 @@ def _describe(dictionary: ObjectDictionary, identity: Identity) -> None:
     about.product_name, about.product_number = identity.product, identity.product_code
     about.revision_number, about.order_code = identity.revision, identity.product
     about.simple_boot_up_master, about.simple_boot_up_slave = False, True
+    about.dynamic_channels_supported, about.group_messaging, about.LSS_supported = False, False, True
     # canopen declares these numbers as bool
     about.granularity = 8  # type: ignore[assignment]
-    about.dynamic_channels_supported, about.group_messaging = False, False
-    about.nr_of_RXPDO = sum(  # type: ignore[assignment]
-        0x1400 <= index < 0x1600 for index in dictionary)
-    about.nr_of_TXPDO = sum(  # type: ignore[assignment]
-        0x1800 <= index < 0x1A00 for index in dictionary)
-    about.LSS_supported = True
+    about.nr_of_RXPDO = sum(0x1400 <= index < 0x1600 for index in dictionary)  # type: ignore[assignment]
+    about.nr_of_TXPDO = sum(0x1800 <= index < 0x1A00 for index in dictionary)  # type: ignore[assignment]
     about.allowed_baudrates = {rate * 1000 for rate in (10, 20, 50, 125, 250, 500, 800, 1000)}

@@ -7,7 +7,7 @@ two messages lies at least the inhibit time; what has to wait is sent later, in 
 
 from collections import deque
 
-from rollerrig.firmware_sim.cia301.communication import HISTORY, check_change, valid
+from rollerrig.firmware_sim.cia301.communication import HISTORY, own_cob_id, valid
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 
@@ -20,22 +20,21 @@ SYNC_MISSING = 0x8100
 
 
 class Emergency:
-    """The errors of a node. Sources of errors are told apart by code and `source`."""
+    """The errors of a node. `active`: codes with their sources, which tell errors of one code apart."""
 
     def __init__(self, node: Host) -> None:
         self.node = node
-        self.active: dict[tuple[int, int], int] = {}
+        self.active: set[tuple[int, int]] = set()
         self.history: deque[int] = deque(maxlen=HISTORY)
         self._waiting: deque[bytes] = deque(maxlen=_WAITING)
         self._free_ns = 0
         objects = node.objects
-        objects.readers[key(0x1001, 0)] = self.register
-        objects.readers[key(0x1003, 0)] = lambda: len(self.history)
-        for at in range(1, HISTORY + 1):
-            objects.readers[key(0x1003, at)] = lambda at=at: self._field(at)
-        objects.checks[key(0x1003, 0)] = self._clear_history
-        objects.checks[key(0x1014, 0)] = self._check_cob_id
-        objects.checks[key(0x1015, 0)] = self._check_inhibit
+        objects.own(0x1001, read=self.register)
+        objects.own(0x1003, read=lambda: len(self.history), check=self._clear_history)
+        for at in range(HISTORY):
+            objects.own(0x1003, at + 1, read=lambda at=at: self.history[at] if at < len(self.history) else 0)
+        own_cob_id(objects, 0x1014)
+        objects.own(0x1015, check=self._check_inhibit)
 
     def register(self) -> int:
         """The error register 1001h."""
@@ -48,20 +47,20 @@ class Emergency:
         """An error has begun. Nothing happens, and False comes back, if it is already known."""
         if (code, source) in self.active:
             return False
-        self.active[code, source] = code
+        self.active.add((code, source))
         self.history.appendleft(code | int.from_bytes(information[:2], "little") << 16)
         self._queue(code, information)
         return True
 
     def clear(self, code: int, source: int = 0) -> None:
         """An error has ended: tell it with code 0 and what is left in the error register."""
-        if self.active.pop((code, source), None) is not None:
+        if (code, source) in self.active:
+            self.active.remove((code, source))
             self._queue(0, code.to_bytes(2, "little"))
 
     def forget(self, everything: bool) -> None:
         """After a reset: no communication error, or none at all, and nothing waits."""
-        self.active = {at: code for at, code in self.active.items()
-                       if code >> 12 != 8 and not everything}
+        self.active = {(code, source) for code, source in self.active if code >> 12 != 8 and not everything}
         if everything:
             self.history.clear()
         self._waiting.clear()
@@ -82,22 +81,15 @@ class Emergency:
             if node.now_ns < self._free_ns:
                 node.timers.set("emergency", self._free_ns, self.flush)
                 return
-            self._free_ns = node.now_ns + node.objects.values[key(0x1015, 0)] * 100_000
             node.transmit(cob_id, self._waiting.popleft())
-
-    def _field(self, at: int) -> int:
-        return self.history[at - 1] if at <= len(self.history) else 0
+            self._free_ns = node.clock_ns() + node.objects.values[key(0x1015, 0)] * 100_000
 
     def _clear_history(self, value: int) -> None:
         if value != 0:
             raise AbortError(Abort.INVALID_VALUE)
         self.history.clear()
 
-    def _check_cob_id(self, wanted: int) -> None:
-        check_change(self.node.objects.values[key(0x1014, 0)], wanted)
-
     def _check_inhibit(self, value: int) -> None:
-        objects = self.node.objects
-        changed = value != objects.values[key(0x1015, 0)]
-        if changed and valid(objects.values[key(0x1014, 0)]):
+        values = self.node.objects.values
+        if value != values[key(0x1015, 0)] and valid(values[key(0x1014, 0)]):
             raise AbortError(Abort.DEVICE_STATE)

@@ -1,25 +1,29 @@
-"""What a service of CiA 301 needs of the node it belongs to, and the alarms of that node.
+"""A node as its services know it: state, time, objects, alarms, and the way to the bus and to the events.
 
-The services (emergencies, heartbeats, SYNC, PDOs, LSS, storage) know their node as a `Host`; only
-`node` knows them all. A node owns no clock: whoever runs it says what time it is, in simulated or in
-wall nanoseconds.
+The services (emergencies, heartbeats, SYNC, PDOs, LSS, storage) know their node as a `Host`; only `node` knows them
+all. Whoever runs a node says what time it is, in simulated or in wall nanoseconds.
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
+from canopen.objectdictionary import ObjectDictionary
+
+from rollerrig.firmware_sim.cia301 import communication
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Objects
 from rollerrig.wsp_interface.bus.frames import Frame
 
 NEVER = 1 << 62
 MS = 1_000_000
+# an alarm that is called late is told its own time, so that what repeats does not drift, but none before this
+_CATCH_UP_NS = 5 * MS
 
 
 class Timers:
     """A few named alarms on a time that somebody else tells; setting a name again moves its alarm.
 
-    Nothing is done before the earliest alarm is due, so an idle poll costs one comparison.
+    Nothing is done before `next_ns`, so an idle poll costs one comparison.
     """
 
     def __init__(self) -> None:
@@ -44,65 +48,61 @@ class Timers:
         """Whether an alarm of this name waits."""
         return name in self._due
 
-    def poll(self, now_ns: int) -> None:
-        """Call every alarm that is due, the earliest first."""
-        if now_ns < self.next_ns:
-            return
-        due = sorted((at, name) for name, (at, _) in self._due.items() if at <= now_ns)
-        for at, name in due:
-            # an earlier alarm may have cancelled or moved this one
-            waiting = self._due.get(name)
-            if waiting is not None and waiting[0] == at:
-                del self._due[name]
-                waiting[1]()
-        self.next_ns = min((at for at, _ in self._due.values()), default=NEVER)
+    def poll(self, now_ns: int, owner: Any) -> None:
+        """Call every alarm that is due, the earliest first, with its time in `owner.now_ns`; then that is `now_ns`."""
+        while self.next_ns <= now_ns:
+            at, name = min(((at, name) for name, (at, _) in self._due.items()), default=(NEVER, ""))
+            self.next_ns = at
+            if at <= now_ns:
+                owner.now_ns = max(at, now_ns - _CATCH_UP_NS)
+                self._due.pop(name)[1]()
+        owner.now_ns = now_ns
 
 
-class Errors(Protocol):
-    """The errors of a node, as `emergency.Emergency` keeps them."""
+class Host:
+    """The part of a node that its services share: `dictionary` is what its EDS file says, `emergency` its errors.
 
-    @property
-    def active(self) -> object:
-        """True-like while there is any."""
+    `on_sync()` is called before PDOs are sampled, `on_partner(node, alive)` for heartbeats (node 0: the
+    guarding master), `on_event(level, text)` for the run's events. `event_enablers`: which object lets
+    changes of another go out. `commands`: objects that may be mapped and are asked for from cycle to cycle, so
+    that they are never stored.
+    """
 
-    def report(self, code: int, source: int = 0, information: bytes = b"") -> bool:
-        """An error has begun; False if it is already known."""
+    emergency: Any
 
-    def clear(self, code: int, source: int = 0) -> None:
-        """An error has ended, if it was there."""
-
-
-class Host(Protocol):
-    """A node, as its services see it."""
-
-    node_id: int
-    state: State
-    now_ns: int
-    time_of_day: tuple[int, int] | None
-    objects: Objects
-    timers: Timers
-    event_enablers: dict[int, int]
-    send: Callable[[Frame], Any]
-    on_sync: list[Callable[[], None]]
-
-    @property
-    def emergency(self) -> Errors:
-        """Where errors are reported."""
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        assert dictionary.node_id is not None
+        self.dictionary, self.node_id = dictionary, int(dictionary.node_id)
+        self.state, self.now_ns = State.INITIALISING, 0
+        # what the sender of a frame looks at that must not follow too soon: an alarm's own time may be a little past
+        self.clock_ns: Callable[[], int] = lambda: self.now_ns
+        self.objects, self.timers = Objects(dictionary, self.node_id), Timers()
+        self.send: Callable[[Frame], Any] = lambda frame: None
+        self.on_event: Callable[[str, str], None] = lambda level, text: None
+        self.on_sync: list[Callable[[], None]] = []
+        self.on_partner: list[Callable[[int, bool], None]] = []
+        self.event_enablers: dict[int, int] = {}
+        self.commands: frozenset[int] = frozenset()
 
     def transmit(self, cob_id: int, data: bytes) -> None:
         """Send a message on the identifier of a COB-ID entry."""
+        can_id, extended = communication.split(cob_id)
+        self.send(Frame(can_id, data, extended))
 
     def event(self, level: str, text: str) -> None:
         """Tell the run's events about something that happened to this node."""
+        self.on_event(level, f"node {self.node_id}: {text}")
 
     def tell_partner(self, partner: int, alive: bool) -> None:
         """Tell the application that a partner's heartbeat is lost or back."""
+        for call in self.on_partner:
+            call(partner, alive)
 
     def communication_error(self) -> None:
-        """Do what 1029h:1 says after a communication error."""
+        """Do what 1029h:1 says about the NMT state after a communication error."""
 
-    def reset_communication(self) -> None:
-        """Begin anew with the communication's power-on values."""
+    def reset_node(self, everything: bool = True) -> None:
+        """The application's and the communication's power-on values, or the latter alone, and boot-up."""
 
     def rewire(self) -> None:
         """Decide anew which identifiers the node listens to, and what a SYNC sets off."""

@@ -1,10 +1,9 @@
 """Layer setting services: a master finds a node by its identity and gives it a node identifier.
 
-A node waits until a switch command selects it, all nodes at once or one by its four identity
-numbers; then it takes an identifier, which becomes active with the next reset of communication.
-Fastscan finds a node without identifier by asking for its identity bit by bit. Source: CiA 305;
-written from its published descriptions. Identifier and bit timing are kept in the node's file when
-the master says so; the bit timing is taken note of and changes nothing here.
+A node waits until a switch command selects it, all nodes at once or one by its four identity numbers; then it takes
+an identifier, which becomes active with the next reset of communication. Fastscan finds a node without identifier by
+asking for its identity bit by bit. Source: CiA 305; written from its published descriptions. Identifier and bit
+timing are kept in the node's file when the master says so; the bit timing is taken note of and changes nothing here.
 """
 
 from collections.abc import Callable
@@ -20,9 +19,10 @@ _SWITCH_GLOBAL, _NODE_ID, _BIT_TIMING, _STORE = 0x04, 0x11, 0x13, 0x17
 _SELECT, _SELECTED = (0x40, 0x41, 0x42, 0x43), 0x44
 _IDENTIFY, _IDENTIFIED = (0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B), 0x4F
 _NON_CONFIGURED, _IS_NON_CONFIGURED, _FASTSCAN = 0x4C, 0x50, 0x51
-_INQUIRE, _INQUIRE_NODE_ID = (0x5A, 0x5B, 0x5C, 0x5D), 0x5E
-# CiA 305: index 2 of the standard table is 500 kbit/s
-_STANDARD_TABLE, _LAST_RATE, _DEFAULT_RATE = 0, 8, 2
+# the four identity numbers, then the node identifier
+_INQUIRE = (0x5A, 0x5B, 0x5C, 0x5D, 0x5E)
+# CiA 305: index 2 of the standard table is 500 kbit/s, index 5 is reserved
+_STANDARD_TABLE, _RATES, _DEFAULT_RATE = 0, (0, 1, 2, 3, 4, 6, 7, 8), 2
 
 
 class LssSlave:
@@ -30,13 +30,13 @@ class LssSlave:
 
     def __init__(self, node: Host, storage: Storage) -> None:
         self.node, self.storage, self.configuring, self.pending = node, storage, False, node.node_id
-        self._selected, self._identified, self._position = 0, 0, 0
-        self.bit_timing = _DEFAULT_RATE
+        self._position, self.bit_timing = 0, _DEFAULT_RATE
+        # how many numbers of a selection or an identification have matched, one after the other
+        self._matched = {_SELECT: 0, _IDENTIFY: 0}
         steps: dict[int, Callable[[bytes], None]] = {
             _SWITCH_GLOBAL: self._switch_global, _NODE_ID: self._set_node_id,
             _BIT_TIMING: self._set_bit_timing, _STORE: self._store,
             _NON_CONFIGURED: self._identify_non_configured, _FASTSCAN: self._fastscan,
-            _INQUIRE_NODE_ID: lambda _: self._inquired(bytes([self.node.node_id])),
         }
         steps |= dict.fromkeys(_SELECT, self._select) | dict.fromkeys(_IDENTIFY, self._identify)
         self._steps = steps | dict.fromkeys(_INQUIRE, self._inquire)
@@ -50,10 +50,9 @@ class LssSlave:
 
     def on_frame(self, frame: Frame) -> None:
         """A message of the LSS master; one that has not eight bytes is not LSS."""
-        if len(frame.data) == 8:
-            step = self._steps.get(frame.data[0])
-            if step is not None:
-                step(frame.data)
+        step = self._steps.get(frame.data[0]) if len(frame.data) == 8 else None
+        if step is not None:
+            step(frame.data)
 
     def _identity(self) -> list[int]:
         values = self.node.objects.values
@@ -68,30 +67,38 @@ class LssSlave:
         self.configuring = data[1] == 1
         if not self.configuring and self.node.node_id == UNCONFIGURED != self.pending:
             # a node that had no identifier starts as soon as it has been given one
-            self.node.reset_communication()
+            self.node.reset_node(everything=False)
+
+    def _completes(self, commands: tuple[int, ...], data: bytes, matches: bool) -> bool:
+        """Whether this command is the last of a series that have all matched, in their order."""
+        at = data[0] - commands[0]
+        before = self._matched[commands] if at else 0
+        self._matched[commands] = (at + 1) % len(commands) if matches and before == at else 0
+        return matches and before == at == len(commands) - 1
 
     def _select(self, data: bytes) -> None:
-        at = data[0] - _SELECT[0]
-        if at == 0:
-            self._selected = 0
-        matches = int.from_bytes(data[1:5], "little") == self._identity()[at]
-        self._selected = at + 1 if matches and self._selected == at else 0
-        if self._selected == len(_SELECT):
-            self._selected, self.configuring = 0, True
+        matches = _number(data) == self._identity()[data[0] - _SELECT[0]]
+        if self._completes(_SELECT, data, matches):
+            self.configuring = True
             self._answer(_SELECTED)
+
+    def _identify(self, data: bytes) -> None:
+        number, (vendor, product, revision, serial) = _number(data), self._identity()
+        matches = (number == vendor, number == product, number <= revision, number >= revision,
+                   number <= serial, number >= serial)[data[0] - _IDENTIFY[0]]
+        if self._completes(_IDENTIFY, data, matches):
+            self._answer(_IDENTIFIED)
 
     def _set_node_id(self, data: bytes) -> None:
         if self.configuring:
             allowed = 1 <= data[1] <= 127 or data[1] == UNCONFIGURED
-            if allowed:
-                self.pending = data[1]
+            self.pending = data[1] if allowed else self.pending
             self._answer(_NODE_ID, bytes([not allowed]))
 
     def _set_bit_timing(self, data: bytes) -> None:
         if self.configuring:
-            known = data[1] == _STANDARD_TABLE and data[2] <= _LAST_RATE and data[2] != 5
-            if known:
-                self.bit_timing = data[2]
+            known = data[1] == _STANDARD_TABLE and data[2] in _RATES
+            self.bit_timing = data[2] if known else self.bit_timing
             self._answer(_BIT_TIMING, bytes([not known]))
 
     def _store(self, _: bytes) -> None:
@@ -99,23 +106,9 @@ class LssSlave:
             self._answer(_STORE, bytes([self.storage.keep_settings(self.pending, self.bit_timing)]))
 
     def _inquire(self, data: bytes) -> None:
-        self._inquired(self._identity()[data[0] - _INQUIRE[0]].to_bytes(4, "little"), data[0])
-
-    def _inquired(self, value: bytes, command: int = _INQUIRE_NODE_ID) -> None:
         if self.configuring:
-            self._answer(command, value)
-
-    def _identify(self, data: bytes) -> None:
-        at, number = data[0] - _IDENTIFY[0], int.from_bytes(data[1:5], "little")
-        vendor, product, revision, serial = self._identity()
-        if at == 0:
-            self._identified = 0
-        matches = (number == vendor, number == product, number <= revision, number >= revision,
-                   number <= serial, number >= serial)[at]
-        self._identified = at + 1 if matches and self._identified == at else 0
-        if self._identified == len(_IDENTIFY):
-            self._identified = 0
-            self._answer(_IDENTIFIED)
+            numbers = [number.to_bytes(4, "little") for number in self._identity()]
+            self._answer(data[0], [*numbers, bytes([self.node.node_id])][data[0] - _INQUIRE[0]])
 
     def _identify_non_configured(self, _: bytes) -> None:
         if self.node.node_id == UNCONFIGURED:
@@ -124,15 +117,17 @@ class LssSlave:
     def _fastscan(self, data: bytes) -> None:
         if self.node.node_id != UNCONFIGURED or self.configuring:
             return
-        number, (bit, part, following) = int.from_bytes(data[1:5], "little"), data[5:8]
+        bit, part, following = data[5:8]
         if bit == 0x80:
             self._position = 0
             self._answer(_IDENTIFIED)
+        elif bit > 31 or part > 3 or following > 3 or part != self._position:
             return
-        if bit > 31 or part > 3 or following > 3 or part != self._position:
-            return
-        if number >> bit == self._identity()[part] >> bit:
+        elif _number(data) >> bit == self._identity()[part] >> bit:
             self._answer(_IDENTIFIED)
             self._position = following
-            if bit == 0 and following < part:
-                self.configuring = True
+            self.configuring = self.configuring or (bit == 0 and following < part)
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(data[1:5], "little")

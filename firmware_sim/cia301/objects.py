@@ -11,7 +11,7 @@ from enum import IntEnum
 from functools import partial
 from typing import Any
 
-from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
+from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 LARGEST_BYTES = 1 << 16
 Key = int
@@ -58,30 +58,37 @@ def key(index: int, sub: int) -> Key:
 
 
 class Objects:
-    """Values of a dictionary, by key. `node_id` is what relative defaults are counted from."""
+    """Values of a dictionary, by key. `node_id` is what relative defaults are counted from.
+
+    `readers` are live sources, `checks` may refuse a value by AbortError, `effects` follow a stored one.
+    """
 
     def __init__(self, dictionary: ObjectDictionary, node_id: int) -> None:
         self.dictionary, self.node_id = dictionary, node_id
-        self.variables: dict[Key, ODVariable] = {
-            key(index, sub): variable
-            for index in dictionary
-            for sub, variable in _members(dictionary[index])
-        }
-        self.readers: dict[Key, Callable[[], Any]] = {}
-        self.checks: dict[Key, Callable[[Any], None]] = {}
-        self.effects: dict[Key, Callable[[Any], None]] = {}
+        self.variables: dict[Key, ODVariable] = {}
+        for index, thing in dictionary.items():
+            members = {0: thing} if isinstance(thing, ODVariable) else thing.subindices
+            self.variables |= {key(index, sub): one for sub, one in sorted(members.items())}
+        self.readers: dict[Key, Callable[..., Any]] = {}
+        self.checks: dict[Key, Callable[..., Any]] = {}
+        self.effects: dict[Key, Callable[..., Any]] = {}
         self.values: dict[Key, Any] = {}
-        self.power_on(0, 0xFFFF)
+        self.power_on(0, 0xFFFF, {})
 
-    def power_on(self, first: int, last: int, kept: dict[Key, Any] | None = None) -> None:
+    def own(self, index: int, sub: int = 0, *, read: Callable[[], Any] | None = None,
+            check: Callable[[Any], Any] | None = None, effect: Callable[[Any], Any] | None = None) -> None:
+        """Say who an object belongs to: its live source, who checks a value, what a stored one sets off."""
+        for calls, call in ((self.readers, read), (self.checks, check), (self.effects, effect)):
+            if call is not None:
+                calls[key(index, sub)] = call
+
+    def power_on(self, first: int, last: int, kept: dict[Key, Any]) -> None:
         """Give the objects first..last their defaults, or the values of `kept` (stored ones)."""
         moved = self.node_id - (self.dictionary.node_id or 0)
         for at, one in self.variables.items():
             if first <= at >> 8 <= last:
-                value: Any = one.default
-                if one.relative:
-                    value += moved
-                self.values[at] = (kept or {}).get(at, value)
+                default: Any = one.default
+                self.values[at] = kept.get(at, default + moved if one.relative else default)
 
     def getter(self, at: Key) -> Callable[[], Any]:
         """A call that gives an object's value now: its live source, or what is stored."""
@@ -95,8 +102,7 @@ class Objects:
         """The variable, or AbortError: no object, or no such sub-index."""
         variable = self.variables.get(key(index, sub))
         if variable is None:
-            known = index in self.dictionary.indices
-            raise AbortError(Abort.NO_SUB_INDEX if known else Abort.NO_OBJECT)
+            raise AbortError(Abort.NO_SUB_INDEX if index in self.dictionary.indices else Abort.NO_OBJECT)
         return variable
 
     def upload(self, index: int, sub: int) -> bytes:
@@ -104,15 +110,17 @@ class Objects:
         variable = self.find(index, sub)
         if not variable.readable:
             raise AbortError(Abort.WRITE_ONLY)
-        return variable.encode_raw(self.getter(key(index, sub))())
+        return variable.encode_raw(self.get(index, sub))
 
     def announce(self, index: int, sub: int, size: int | None) -> ODVariable:
         """What can be told before the data of a download is there. Raises AbortError."""
         variable = self.find(index, sub)
         if not variable.writable:
             raise AbortError(Abort.READ_ONLY)
-        if size is not None:
-            self._check_size(variable, size)
+        if size is not None and variable.fixed_size and size != len(variable) // 8:
+            raise AbortError(Abort.TOO_LONG if size > len(variable) // 8 else Abort.TOO_SHORT)
+        if size is not None and size > LARGEST_BYTES:
+            raise AbortError(Abort.OUT_OF_MEMORY)
         return variable
 
     def download(self, index: int, sub: int, data: bytes) -> None:
@@ -122,6 +130,14 @@ class Objects:
 
     def assign(self, at: Key, value: Any) -> None:
         """Store a value of the object's type; AbortError if its range or its owner refuse it."""
+        self.check(at, value)
+        self.values[at] = value
+        effect = self.effects.get(at)
+        if effect is not None:
+            effect(value)
+
+    def check(self, at: Key, value: Any) -> None:
+        """AbortError unless the object may have a value: its range, then its owner."""
         variable = self.variables[at]
         if variable.max is not None and value > variable.max:
             raise AbortError(Abort.TOO_HIGH)
@@ -130,35 +146,8 @@ class Objects:
         check = self.checks.get(at)
         if check is not None:
             check(value)
-        self.values[at] = value
-        effect = self.effects.get(at)
-        if effect is not None:
-            effect(value)
-
-    def _check_size(self, variable: ODVariable, size: int) -> None:
-        if not variable.fixed_size:
-            if size > LARGEST_BYTES:
-                raise AbortError(Abort.OUT_OF_MEMORY)
-            return
-        wanted = len(variable) // 8
-        if size > wanted:
-            raise AbortError(Abort.TOO_LONG)
-        if size < wanted:
-            raise AbortError(Abort.TOO_SHORT)
-
-
-def _members(thing: Any) -> list[tuple[int, ODVariable]]:
-    if isinstance(thing, ODVariable):
-        return [(0, thing)]
-    return sorted(thing.subindices.items())
 
 
 def packer(variables: list[ODVariable]) -> struct.Struct:
-    """The layout of a PDO that carries these integer variables, little-endian and packed."""
-    letters: dict[int | None, str] = {
-        datatypes.BOOLEAN: "B", datatypes.REAL32: "f", datatypes.REAL64: "d"}
-    plain = {True: {1: "b", 2: "h", 4: "i", 8: "q"}, False: {1: "B", 2: "H", 4: "I", 8: "Q"}}
-    return struct.Struct("<" + "".join(
-        letters.get(one.data_type)
-        or plain[one.data_type in datatypes.SIGNED_TYPES][len(one) // 8]
-        for one in variables))
+    """The layout of a PDO that carries these variables, little-endian and packed."""
+    return struct.Struct("<" + "".join(one.STRUCT_TYPES[one.data_type or 0].format[-1] for one in variables))

@@ -9,13 +9,13 @@ from collections.abc import Callable
 
 from canopen.objectdictionary import ODVariable, datatypes
 
-from rollerrig.firmware_sim.cia301.communication import MAPPED, check_change, valid
+from rollerrig.firmware_sim.cia301.communication import MAPPED, own_cob_id, valid
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, Objects, key
 
 PDO_BITS = 64
-_FIRST_RESERVED, _LAST_RESERVED = 241, 251
+_RESERVED, _ON_REQUEST = range(241, 252), (252, 253)
 
 
 def _dummy(kind: int) -> ODVariable:
@@ -40,43 +40,31 @@ def mapped(objects: Objects, index: int) -> list[int]:
 def check_entry(objects: Objects, entry: int, transmits: bool) -> None:
     """AbortError unless an object may be mapped: it exists, in this direction, with this length."""
     at, bits = entry >> 8, entry & 0xFF
-    if not transmits and at in DUMMIES:
-        variable = DUMMIES[at]
-    else:
+    variable = None if transmits else DUMMIES.get(at)
+    if variable is None:
         # NO_OBJECT or NO_SUB_INDEX, both told as "does not exist"
         if at not in objects.variables:
             raise AbortError(Abort.NO_OBJECT)
         variable = objects.variables[at]
-        if not variable.pdo_mappable or not _direction(variable, transmits):
+        one_way = {"rwr": transmits, "rww": not transmits}
+        either = variable.readable if transmits else variable.writable
+        if not variable.pdo_mappable or not one_way.get(variable.access_type, either):
             raise AbortError(Abort.NOT_MAPPABLE)
     if bits != len(variable):
         raise AbortError(Abort.NOT_MAPPABLE)
 
 
-def _direction(variable: ODVariable, transmits: bool) -> bool:
-    if variable.access_type in ("rwr", "rww"):
-        return variable.access_type == ("rwr" if transmits else "rww")
-    return variable.readable if transmits else variable.writable
-
-
 def govern(node: Host, index: int, configure: Callable[[bool], None], transmits: bool) -> None:
     """Hang the rules of the standard on the records of the PDO at `index`, which `configure` compiles anew."""
-    objects = node.objects
-    values, mapping = objects.values, index + 0x200
-
-    def exists() -> bool:
-        return valid(values[key(index, 1)])
-
-    def check_cob_id(wanted: int) -> None:
-        check_change(values[key(index, 1)], wanted)
+    objects, mapping = node.objects, index + 0x200
+    values = objects.values
 
     def check_kind(kind: int) -> None:
-        rtr = kind in (252, 253)
-        if _FIRST_RESERVED <= kind <= _LAST_RESERVED or (rtr and not transmits):
+        if kind in _RESERVED or (kind in _ON_REQUEST and not transmits):
             raise AbortError(Abort.INVALID_VALUE)
 
     def check_frozen(sub: int, value: int) -> None:
-        if exists() and value != values[key(index, sub)]:
+        if valid(values[key(index, 1)]) and value != values[key(index, sub)]:
             raise AbortError(Abort.DEVICE_STATE)
 
     def check_count(count: int) -> None:
@@ -98,15 +86,12 @@ def govern(node: Host, index: int, configure: Callable[[bool], None], transmits:
         configure(node.state is State.OPERATIONAL)
         node.rewire()
 
-    objects.checks[key(index, 1)] = check_cob_id
-    objects.checks[key(index, 2)] = check_kind
-    objects.checks[key(index, 3)] = lambda value: check_frozen(3, value)
+    own_cob_id(objects, index, 1, take_over)
+    objects.own(index, 2, check=check_kind, effect=take_over)
+    objects.own(index, 3, check=lambda value: check_frozen(3, value), effect=take_over)
+    objects.own(index, 5, effect=take_over)
     if transmits:
-        objects.checks[key(index, 6)] = lambda value: check_frozen(6, value)
-    objects.checks[key(mapping, 0)] = check_count
+        objects.own(index, 6, check=lambda value: check_frozen(6, value), effect=take_over)
+    objects.own(mapping, check=check_count, effect=take_over)
     for sub in range(1, MAPPED + 1):
-        objects.checks[key(mapping, sub)] = check_mapped
-    for at in [key(index, sub) for sub in (1, 2, 3, 5)] + [key(mapping, 0)]:
-        objects.effects[at] = take_over
-    if transmits:
-        objects.effects[key(index, 6)] = take_over
+        objects.own(mapping, sub, check=check_mapped)

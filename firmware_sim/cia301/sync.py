@@ -1,25 +1,22 @@
 """SYNC: the moment at which all nodes sample and act together.
 
-What came for synchronous receive PDOs is taken over first, then every synchronous transmit PDO is
-sampled and sent. A SYNC may carry a counter from 1 to the overflow value 1019h; one of another
-length is reported and still obeyed. Where 1006h tells the cycle, a SYNC that stays away for half as
-long again is reported; where 1007h tells the window, what comes for synchronous receive PDOs after
-its end is too late for the next SYNC. Source: CiA 301, SYNC protocol, objects 1005h, 1006h, 1007h
-and 1019h; how long a node waits for a SYNC is left to it there.
+What came for synchronous receive PDOs is taken over first, then every synchronous transmit PDO is sampled and sent. A
+SYNC may carry a counter from 1 to the overflow value 1019h; one of another length is reported and still obeyed. Where
+1006h tells the cycle, a SYNC that stays away for half as long again is reported; where 1007h tells the window, what
+comes for synchronous receive PDOs after its end is too late for the next SYNC. Source: CiA 301, SYNC protocol,
+objects 1005h, 1006h, 1007h and 1019h; how long a node waits for a SYNC is left to it there.
 """
 
 from collections.abc import Callable
 
-from rollerrig.firmware_sim.cia301.communication import EXTENDED, FLAG, INVALID, check_identifier, split
+from rollerrig.firmware_sim.cia301.communication import FLAG, check_identifier
 from rollerrig.firmware_sim.cia301.emergency import SYNC_LENGTH, SYNC_MISSING
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
-from rollerrig.wsp_interface.bus import connection_set
 from rollerrig.wsp_interface.bus.frames import Frame
 
 US = 1000
-_ALARM = "sync"
 
 
 class SyncConsumer:
@@ -29,26 +26,20 @@ class SyncConsumer:
         self.node = node
         self.at_ns: int | None = None
         self._length = self._patience_ns = self._window_ns = 0
-        for index in (0x1005, 0x1006, 0x1007, 0x1019):
-            node.objects.effects[key(index, 0)] = lambda _: node.rewire()
-        node.objects.checks[key(0x1005, 0)] = self._check_cob_id
-        node.objects.checks[key(0x1019, 0)] = self._check_overflow
+        checks = {0x1005: check_consumed, 0x1006: None, 0x1007: None, 0x1019: self._check_overflow}
+        for index, check in checks.items():
+            node.objects.own(index, check=check, effect=lambda _: node.rewire())
 
-    def configure(self, receive: list[Callable[[], None]],
-                  transmit: list[Callable[[int | None], None]]) -> None:
+    def configure(self, receive: list[Callable[[], None]], transmit: list[Callable[[int | None], None]]) -> None:
         """Take 1006h, 1007h and 1019h over, and what the PDOs do at a SYNC."""
-        node = self.node
-        self._length = 1 if node.objects.values[key(0x1019, 0)] else 0
-        self._patience_ns = node.objects.values[key(0x1006, 0)] * US * 3 // 2
-        self._window_ns = node.objects.values[key(0x1007, 0)] * US
+        node, values = self.node, self.node.objects.values
+        self._length = 1 if values[key(0x1019, 0)] else 0
+        self._patience_ns = values[key(0x1006, 0)] * US * 3 // 2
+        self._window_ns = values[key(0x1007, 0)] * US
         if not self._patience_ns or not node.state.has_emergencies:
-            node.timers.cancel(_ALARM)
+            node.timers.cancel("sync")
             node.emergency.clear(SYNC_MISSING)
         self._receive, self._transmit = receive, transmit
-
-    @property
-    def cob_id(self) -> int:
-        return self.node.objects.values[key(0x1005, 0)]
 
     def on_frame(self, frame: Frame) -> None:
         """A SYNC message."""
@@ -60,7 +51,7 @@ class SyncConsumer:
             node.emergency.clear(SYNC_MISSING)
         self.at_ns = max(frame.time_ns, node.now_ns)
         if self._patience_ns:
-            node.timers.set(_ALARM, self.at_ns + self._patience_ns, self._miss)
+            node.timers.set("sync", self.at_ns + self._patience_ns, self._miss)
         for take in self._receive:
             take()
         for react in node.on_sync:
@@ -80,46 +71,21 @@ class SyncConsumer:
             return False
         return max(frame.time_ns, self.node.now_ns) > self.at_ns + self._window_ns
 
-    def _miss(self) -> None:
-        node = self.node
-        node.event("warning", f"no SYNC for {self._patience_ns / 1e6:g} ms, half as long again as 1006h says")
-        node.emergency.report(SYNC_MISSING)
-
-    def _check_cob_id(self, wanted: int) -> None:
-        # bit 30 would make this node the producer of SYNC, which it cannot be
-        if wanted & FLAG:
-            raise AbortError(Abort.INVALID_VALUE)
-        if split(wanted)[0] != connection_set.SYNC or wanted & EXTENDED:
-            check_identifier(wanted)
-
     def _check_overflow(self, value: int) -> None:
+        values = self.node.objects.values
         if value == 1:
             raise AbortError(Abort.INVALID_VALUE)
+        if values[key(0x1006, 0)] and value != values[key(0x1019, 0)]:
+            raise AbortError(Abort.DEVICE_STATE)
+
+    def _miss(self) -> None:
+        self.node.event("warning", f"no SYNC for {self._patience_ns / 1e6:g} ms, half as long again as 1006h says")
+        self.node.emergency.report(SYNC_MISSING)
 
 
-class TimeConsumer:
-    """Takes TIME messages: milliseconds of the day, and days since 1 January 1984."""
-
-    def __init__(self, node: Host) -> None:
-        self.node = node
-        node.objects.checks[key(0x1012, 0)] = self._check_cob_id
-        node.objects.effects[key(0x1012, 0)] = lambda _: node.rewire()
-
-    @property
-    def cob_id(self) -> int:
-        return self.node.objects.values[key(0x1012, 0)]
-
-    def consumes(self) -> bool:
-        """Whether bit 31 of 1012h is set: it means "consume" there."""
-        return bool(self.cob_id & INVALID)
-
-    def on_frame(self, frame: Frame) -> None:
-        """A TIME message; one that has not six bytes is left alone."""
-        if len(frame.data) == 6:
-            milliseconds = int.from_bytes(frame.data[:4], "little") & 0x0FFFFFFF
-            self.node.time_of_day = int.from_bytes(frame.data[4:], "little"), milliseconds
-
-    def _check_cob_id(self, wanted: int) -> None:
-        if wanted & FLAG:
-            raise AbortError(Abort.INVALID_VALUE)
-        check_identifier(wanted & ~INVALID)
+def check_consumed(cob_id: int) -> None:
+    """AbortError unless SYNC or TIME may have this COB-ID."""
+    # bit 30 would make this node the producer, which it cannot be
+    if cob_id & FLAG:
+        raise AbortError(Abort.INVALID_VALUE)
+    check_identifier(cob_id)

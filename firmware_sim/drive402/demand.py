@@ -11,7 +11,6 @@ from typing import NamedTuple
 PROFILE_VELOCITY, PROFILE_TORQUE, CYCLIC_VELOCITY, CYCLIC_TORQUE = 3, 4, 9, 10
 MODES = (PROFILE_VELOCITY, PROFILE_TORQUE, CYCLIC_VELOCITY, CYCLIC_TORQUE)
 VELOCITY_MODES = (PROFILE_VELOCITY, CYCLIC_VELOCITY)
-S_NS = 1_000_000_000
 
 
 class Set(NamedTuple):
@@ -30,12 +29,6 @@ class Set(NamedTuple):
 def approach(value: float, target: float, step: float) -> float:
     """`value` moved towards `target` by at most `step`."""
     return min(value + step, target) if target >= value else max(value - step, target)
-
-
-def limited(value: float, bound: float) -> tuple[float, bool]:
-    """A value inside plus and minus `bound`, and whether it had to be cut."""
-    cut = min(max(value, -bound), bound)
-    return cut, cut != value
 
 
 class Demand:
@@ -61,7 +54,7 @@ class Demand:
             self._torque(given, halt, dt_s)
 
     def _velocity(self, given: Set, halt: bool, dt_s: float) -> None:
-        target, self.limited = limited(given.target_velocity, given.highest_velocity)
+        target = self._limit(given.target_velocity, given.highest_velocity)
         if halt:
             self.velocity = approach(self.velocity, 0.0, given.deceleration * dt_s)
         elif given.mode == CYCLIC_VELOCITY:
@@ -72,13 +65,17 @@ class Demand:
             self.velocity = approach(self.velocity, target, ramp * dt_s)
 
     def _torque(self, given: Set, halt: bool, dt_s: float) -> None:
-        target, self.limited = limited(given.target_torque, given.highest_torque)
-        if halt:
-            target = 0.0
+        target = self._limit(given.target_torque, given.highest_torque)
         if given.mode == CYCLIC_TORQUE and not halt:
             self.torque = target
         else:
-            self.torque = approach(self.torque, target, given.torque_slope * dt_s)
+            self.torque = approach(self.torque, 0.0 if halt else target, given.torque_slope * dt_s)
+
+    def _limit(self, target: float, bound: float) -> float:
+        """The target inside plus and minus `bound`; `limited` tells whether it had to be cut."""
+        cut = min(max(target, -bound), bound)
+        self.limited = cut != target
+        return cut
 
 
 class Since:
@@ -91,10 +88,9 @@ class Since:
         """Whether `so` has been true for at least `time_ms`."""
         if not so:
             self.since_ns = None
-            return False
-        if self.since_ns is None:
+        elif self.since_ns is None:
             self.since_ns = now_ns
-        return now_ns - self.since_ns >= time_ms * 1_000_000
+        return self.since_ns is not None and now_ns - self.since_ns >= time_ms * 1_000_000
 
 
 class Heat:

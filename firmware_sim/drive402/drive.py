@@ -20,15 +20,17 @@ from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.firmware_sim.drive402 import objects as table
 from rollerrig.firmware_sim.drive402 import states
 from rollerrig.firmware_sim.drive402.axis import COMMANDS, Axis, integer
-from rollerrig.firmware_sim.drive402.demand import CYCLIC_TORQUE, MODES, S_NS, Heat
+from rollerrig.firmware_sim.drive402.demand import CYCLIC_TORQUE, MODES, Heat
 from rollerrig.firmware_sim.drive402.states import Command, State, Transition
+from rollerrig.wsp_interface.bus.frames import S_NS
 
 HEARTBEAT_FAULT, OVER_TEMPERATURE, UNDER_VOLTAGE = 0x8130, 0x4310, 0x3220
-_SHUTDOWN, _DISABLE_OPERATION, _QUICK_STOP, _REACTION, _ABORT = (
-    0x605B, 0x605C, 0x605A, 0x605E, 0x6007)
+_QUICK_STOP, _REACTION, _ABORT = 0x605A, 0x605E, 0x6007
+# option codes of the transitions that may brake first
+_RAMPS = {5: 0x605C, 8: 0x605B}
 # option codes above this leave the drive in QUICK STOP ACTIVE
 _LAST_LEAVING_OPTION = 4
-# what an emergency stop bars
+# the way to OPERATION ENABLED, which an emergency stop bars
 _ENABLING = (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION)
 
 
@@ -37,15 +39,15 @@ def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, flo
           control: str = "rig", storage: Path | None = None) -> Node:
     """The node of the drive under `axle` (from 1).
 
-    `row`: live float64 array of all signals; `parameters` as in `objects.DEFAULTS`;
-    `commands`: float64 array of shape (COMMANDS,) written before `on_command()` is called;
-    `control`: "rig" or "bus".
+    `row`: live float64 array of all signals; `parameters` as in `objects.DEFAULTS`; `commands`: float64 array of
+    shape (COMMANDS,) written before `on_command()` is called; `control`: "rig" or "bus".
     """
     parameters = table.DEFAULTS | dict(parameters or {})
     profile = Profile(table.DEVICE_TYPE, f"roller drive {axle}", table.RPDOS, table.TPDOS)
     node = process_image.build(node_id, profile, ("roller drive", table.PRODUCT_CODE),
                                table.rows(axle, parameters), row, parameters, axle, storage)
     commands = np.zeros(COMMANDS) if commands is None else commands
+    node.commands = table.COMMANDS
     axis = Axis(node.objects, axle, row, parameters, commands, on_command)
     node.device = Drive(node, axis, control == "rig")
     return node
@@ -54,32 +56,27 @@ def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, flo
 class Drive:
     """State machine and demands of one drive.
 
-    `local`: the rig control has it; `stopped`: an emergency stop holds it.
+    `local`: the rig control has it; `stopped`: an emergency stop holds it; `_then`: the state to enter
+    when a ramp has come to rest, and the number of the transition.
     """
 
     def __init__(self, node: Node, axis: Axis, local: bool) -> None:
         self.node, self.axis, self.demand, self.local = node, axis, axis.demand, local
-        self.state, self.word = State.NOT_READY_TO_SWITCH_ON, 0
-        self.before, self.mode, self.error = 0, 0, 0
-        self.stopped = False
-        self._then: Transition | State | None = None
-        self._last_ns = 0
-        objects = node.objects
-        objects.readers[key(0x6041, 0)] = lambda: self.word
-        objects.readers[key(0x6061, 0)] = lambda: self.mode
-        objects.readers[key(0x603F, 0)] = lambda: self.error
-        objects.readers[key(0x2000, 0)] = lambda: int(not self.local)
-        objects.effects[key(0x2000, 0)] = self._take_source
-        objects.effects[key(0x6040, 0)] = self.on_controlword
-        objects.checks[key(0x6060, 0)] = _check_mode
-        objects.effects[key(0x6060, 0)] = lambda _: self._take_mode()
+        self.state, self.stopped = State.NOT_READY_TO_SWITCH_ON, False
+        self.word = self.before = self.mode = self.error = self._last_ns = 0
+        self._then: tuple[State, int] | None = None
+        own = node.objects.own
+        own(0x6041, read=lambda: self.word)
+        own(0x6061, read=lambda: self.mode)
+        own(0x603F, read=lambda: self.error)
+        own(0x2000, read=lambda: int(not self.local), effect=self._take_source)
+        own(0x6040, effect=self.on_controlword)
+        own(0x6060, check=_check_mode, effect=lambda _: self._take_mode())
         node.on_reset.append(self._on_reset)
-        node.on_power_off.append(self._power_off)
+        node.on_power_off += [self._on_reset, self._publish]
         node.on_poll.append(self.step)
         node.on_state.append(self._on_nmt)
         node.on_partner.append(self._on_partner)
-
-    # -- who has the drive
 
     def control_from_rig(self) -> None:
         """The rig control moves the motor from now on; a fault has to be reset first."""
@@ -87,7 +84,7 @@ class Drive:
         self._take_mode()
         if self.state is State.QUICK_STOP_ACTIVE:
             self._obey(Command.DISABLE_VOLTAGE)
-        for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
+        for command in _ENABLING:
             self._obey(command)
         self._publish()
 
@@ -103,10 +100,7 @@ class Drive:
         self._publish()
 
     def emergency_stop(self, on: bool) -> None:
-        """Begin an emergency stop, or take it back; a drive of the rig control is then enabled again.
-
-        The motor brakes as option code 605Ah says, and is switched off when it stands.
-        """
+        """Begin an emergency stop (the motor brakes as 605Ah says, and is off when it stands), or take it back."""
         if on == self.stopped:
             return
         self.stopped = on
@@ -117,19 +111,14 @@ class Drive:
         self._publish()
 
     def _take_source(self, bus: int) -> None:
-        if bus and self.local:
-            self.control_from_bus()
-        elif not bus and not self.local:
-            self.control_from_rig()
+        if bool(bus) == self.local:
+            (self.control_from_bus if bus else self.control_from_rig)()
 
     @property
     def enabled(self) -> bool:
         """Whether the motor is powered."""
-        moving = self.demand.stopping is not None
-        return self.state is State.OPERATION_ENABLED or (
-            self.state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE) and moving)
-
-    # -- the state machine
+        stops = self.state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+        return self.state is State.OPERATION_ENABLED or (stops and self.demand.stopping is not None)
 
     def on_controlword(self, word: int) -> None:
         """A controlword has been written."""
@@ -148,15 +137,16 @@ class Drive:
         self.node.emergency.report(code)
         option = self._option(_REACTION)
         if was_enabled and option != 0 and not self.local:
-            self._brake(self.axis.deceleration(option), State.FAULT)
+            self._brake(self.axis.deceleration(option), (State.FAULT, states.REACTION_COMPLETED))
         else:
             self._enter(State.FAULT, states.REACTION_COMPLETED)
         self._publish()
 
-    def reset_fault(self) -> None:
-        """Fault reset from the inside (transition 15), for a drive that the rig control has."""
-        self._obey(Command.FAULT_RESET)
-        self._publish()
+    def recover(self) -> None:
+        """Reset a fault (transition 15) and enable the drive again, if the rig control has it."""
+        if self.local:
+            self._obey(Command.FAULT_RESET)
+            self.control_from_rig()
 
     def _obey(self, command: Command) -> None:
         if self.stopped and command in _ENABLING:
@@ -164,20 +154,22 @@ class Drive:
         # enabling from ready takes two transitions, every other command at most one
         for _ in range(2):
             row = states.FROM_COMMAND.get((self.state, command))
-            if row is None:
-                if command is Command.ENABLE_OPERATION and self.state is State.OPERATION_ENABLED:
-                    self._cancel_stop()
-                return
-            self._perform(row)
+            if row is not None:
+                self._perform(row)
+            elif (command is Command.ENABLE_OPERATION and self.state is State.OPERATION_ENABLED
+                  and self.demand.stopping is not None):
+                # a stop that is under way is cancelled
+                self.axis.take_over()
+                self._then = None
 
     def _perform(self, row: Transition) -> None:
         if row.number == 16 and self._option(_QUICK_STOP) <= _LAST_LEAVING_OPTION:
             return
         if row.number == 15:
-            self._reset_fault()
-        ramps = {5: _DISABLE_OPERATION, 8: _SHUTDOWN}
-        if row.number in ramps and self._option(ramps[row.number]) and not self.local:
-            self._brake(self.axis.deceleration(1), row)
+            self.node.emergency.clear(self.error)
+            self.error = 0
+        if row.number in _RAMPS and self._option(_RAMPS[row.number]) and not self.local:
+            self._brake(self.axis.deceleration(1), (row.target, row.number))
             return
         self._enter(row.target, row.number)
         if row.number == 11:
@@ -199,35 +191,14 @@ class Drive:
             return
         stays = option > _LAST_LEAVING_OPTION
         self._brake(self.axis.deceleration(option - _LAST_LEAVING_OPTION if stays else option),
-                    None if stays else State.SWITCH_ON_DISABLED)
+                    None if stays else (State.SWITCH_ON_DISABLED, 12))
 
-    def _brake(self, deceleration: float, then: "Transition | State | None") -> None:
-        """Take the motor to rest along a ramp, and then make a transition."""
+    def _brake(self, deceleration: float, then: tuple[State, int] | None) -> None:
+        """Take the motor to rest along a ramp, and then enter a state by the transition of a number."""
         if self.demand.stopping is None:
             self.demand.velocity = self.axis.actual()[0]
         self.demand.torque = 0.0
         self.demand.stopping, self._then = deceleration, then
-
-    def _cancel_stop(self) -> None:
-        if self.demand.stopping is not None:
-            self.axis.take_over()
-            self._then = None
-
-    def _stopped(self) -> None:
-        """The ramp of a stop has reached rest."""
-        then = self._then
-        if isinstance(then, Transition):
-            self._enter(then.target, then.number)
-        elif then is State.FAULT:
-            self._enter(State.FAULT, states.REACTION_COMPLETED)
-        elif then is State.SWITCH_ON_DISABLED:
-            self._enter(State.SWITCH_ON_DISABLED, 12)
-
-    def _reset_fault(self) -> None:
-        self.node.emergency.clear(self.error)
-        self.error = 0
-
-    # -- time
 
     def step(self, now_ns: int) -> None:
         """What the drive does by itself; called with every poll."""
@@ -238,8 +209,8 @@ class Drive:
         if self.enabled:
             self.demand.step(self.axis.set_points(self.mode, self._halt), self._halt, dt_s)
             if self.demand.stopping is not None and self.demand.velocity == 0.0 and (
-                    not self.stopped or self.axis.rests()):
-                self._stopped()
+                    not self.stopped or self.axis.rests()) and self._then is not None:
+                self._enter(*self._then)
         self._publish()
 
     def _supervise(self, dt_s: float) -> None:
@@ -250,24 +221,17 @@ class Drive:
         if axis.heat.load > Heat.TRIP:
             self.trip(OVER_TEMPERATURE, f"thermal load {axis.heat.load:.0%} of the motor")
 
-    # -- what others see
-
     def _publish(self) -> None:
         """Statusword and commands follow the state."""
         self.word = self._statusword()
         self.axis.publish(self.enabled, self.local, self.mode, self.stopped)
 
     def _statusword(self) -> int:
-        word = int(self.state)
-        if not self.axis.voltage_is_low:
-            word |= states.VOLTAGE_ENABLED
-        if self.axis.heat.load > Heat.WARNING:
-            word |= states.WARNING
+        hot = self.axis.heat.load > Heat.WARNING
+        word = self.state | (not self.axis.voltage_is_low) * states.VOLTAGE_ENABLED | hot * states.WARNING
         if self.local:
             return word
-        word |= states.REMOTE
-        if self.demand.limited:
-            word |= states.INTERNAL_LIMIT
+        word |= states.REMOTE | self.demand.limited * states.INTERNAL_LIMIT
         if self.state is State.OPERATION_ENABLED:
             word |= self.axis.mode_bits(self.mode, self._halt, self._last_ns)
         return word
@@ -285,8 +249,6 @@ class Drive:
         # a PDO writes the same mode again and again
         if self.mode != before and self.enabled and self.demand.stopping is None:
             self.axis.take_over()
-
-    # -- the connection
 
     def _on_nmt(self, old: nmt.State, new: nmt.State) -> None:
         if new is nmt.State.STOPPED:
@@ -310,10 +272,6 @@ class Drive:
         """The application starts anew, without the fault it had."""
         self.state, self.error, self._then = State.NOT_READY_TO_SWITCH_ON, 0, None
         self.demand.take_over(0.0, 0.0)
-
-    def _power_off(self) -> None:
-        self._on_reset()
-        self._publish()
 
     def _on_partner(self, partner: int, alive: bool) -> None:
         if not alive:

@@ -7,10 +7,11 @@ Limits: on an ideal bus error frames and babbling cost load, but delay nobody; w
 arbitration` they take the wire's time.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from rollerrig.firmware_sim.cia301.host import NEVER
 from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
@@ -19,12 +20,10 @@ from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED, UNI
 # what carries a frame on, once the gate lets it
 Carry = Callable[[], None]
 LOST, HELD, TWICE = "lost", "held", "twice"
-# what a WSP unit sends: heartbeat, PDO1 to the brake I/O, reference speed
-UNIT_IDS = (UNIT_HEARTBEAT_ID, MAGNETS_ID, REFERENCE_SPEED.can_id)
-FOREVER_NS = 1 << 62
+_WHAT = {"frame_lost": LOST, "frame_duplicated": TWICE, "frame_delayed": HELD, "heartbeat_late": HELD}
 
 
-@dataclass
+@dataclass(eq=False)
 class Rule:
     """What happens to frames of one identifier. `count`: those seen so far, `hit` those it met."""
 
@@ -45,13 +44,19 @@ class Babble:
     since_ns: int
     sent: int = 0
 
+    def go_on(self, now_ns: int, transmit: Callable[[Frame], None]) -> None:
+        """Send what should have been sent by now."""
+        wanted = int((now_ns - self.since_ns) * self.rate_Hz / S_NS)
+        for _ in range(self.sent, wanted):
+            transmit(Frame(self.can_id, b"\xff" * 8))
+        self.sent = max(self.sent, wanted)
+
 
 @dataclass
 class Gate:
     """What frames pass between their sender and everybody else.
 
-    `controllers` say whether error frames destroy it; rules are by identifier. Times are those of
-    the bus's clock.
+    `controllers` say whether error frames destroy it; rules are by identifier. Times are those of the bus's clock.
     """
 
     controllers: Controllers
@@ -69,17 +74,13 @@ class Gate:
         self.rules.setdefault(rule.can_id, []).append(rule)
         return rule
 
-    def remove(self, rules: Iterable[Rule]) -> None:
+    def remove(self, rules: list[Rule]) -> None:
         """End rules; what they hold back goes out now."""
-        ended = list(rules)
-        for rule in ended:
+        for rule in rules:
             self.rules[rule.can_id].remove(rule)
             if not self.rules[rule.can_id]:
                 del self.rules[rule.can_id]
-        due = [one for one in self._held if any(one[1] is rule for rule in ended)]
-        self._held = [one for one in self._held if not any(one[1] is rule for rule in ended)]
-        for _, _, carry in due:
-            carry()
+        self._release(lambda due_ns, rule: rule in rules)
 
     def passes(self, frame: Frame, node: int, carry: Carry) -> bool:
         """Whether the frame goes on now; if not it is lost, or `carry` is called later."""
@@ -92,8 +93,11 @@ class Gate:
     def poll(self, now_ns: int) -> None:
         """It is `now_ns`: what was held long enough goes out, in the order of its sending."""
         self.now_ns = now_ns
-        due = [one for one in self._held if one[0] <= now_ns]
-        self._held = [one for one in self._held if one[0] > now_ns]
+        self._release(lambda due_ns, rule: due_ns <= now_ns)
+
+    def _release(self, ends: Callable[[int, Rule], bool]) -> None:
+        due = [one for one in self._held if ends(one[0], one[1])]
+        self._held = [one for one in self._held if not ends(one[0], one[1])]
         for _, _, carry in sorted(due, key=lambda one: one[0]):
             carry()
 
@@ -109,30 +113,12 @@ class Gate:
         return rule.what == TWICE
 
 
-def babble(one: Babble, now_ns: int, transmit: Callable[[Frame], None]) -> None:
-    """Send what a babbling node should have sent by now."""
-    wanted = int((now_ns - one.since_ns) * one.rate_Hz / S_NS)
-    frame = Frame(one.can_id, b"\xff" * 8)
-    for _ in range(one.sent, wanted):
-        transmit(frame)
-    one.sent = max(one.sent, wanted)
-
-
 def rules_of(name: str, values: dict[str, Any]) -> list[Rule]:
     """The rules of a fault of the catalogue, none where it needs none."""
-    make = {
-        "frame_lost": lambda: [Rule(LOST, values["can_id"], values["every"])],
-        "frame_duplicated": lambda: [Rule(TWICE, values["can_id"], values["every"])],
-        "frame_delayed": lambda: [Rule(HELD, values["can_id"], 1, _ns(values["delay_s"]))],
-        "heartbeat_late": lambda: [Rule(HELD, HEARTBEAT + values["node"], 1, _ns(values["delay_s"]))],
-    }
-    return make.get(name, list)()
-
-
-def hold_unit() -> list[Rule]:
-    """The rules that hold back what a WSP unit sends."""
-    return [Rule(HELD, can_id, 1, FOREVER_NS) for can_id in UNIT_IDS]
-
-
-def _ns(delay_s: float) -> int:
-    return round(delay_s * S_NS)
+    if name == "wsp_frozen":
+        # what a WSP unit sends: heartbeat, PDO1 to the brake I/O, reference speed
+        return [Rule(HELD, one, 1, NEVER) for one in (UNIT_HEARTBEAT_ID, MAGNETS_ID, REFERENCE_SPEED.can_id)]
+    if name not in _WHAT:
+        return []
+    can_id = values["can_id"] if "can_id" in values else HEARTBEAT + values["node"]
+    return [Rule(_WHAT[name], can_id, values.get("every", 1), round(values.get("delay_s", 0.0) * S_NS))]

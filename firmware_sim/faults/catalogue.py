@@ -6,7 +6,6 @@ aimed at, which parameters it takes with their bounds, what it does and where it
 compiled tick (`effects`), on the bus (`bus`), or in a device (`panel`).
 """
 
-import difflib
 import math
 import tomllib
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from typing import Any
 from rollerrig.configs import table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, integer, number
-from rollerrig.wsp_interface.rig_objects import SPEEDS
+from rollerrig.wsp_interface.rig_objects import SPEEDS, UNIT_FRAMES
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODE
 
 # where a fault acts: in the tick, on the bus, in a device
@@ -27,6 +26,7 @@ _AXLE = integer("axle", 1, 1, AXLES, "axle, counted from the leading end")
 _NODE = integer("node", BRAKE_NODE, 1, 127, "a node of the rig")
 _CAN_ID = integer("can_id", SPEEDS.can_id, 0, 0x7FF, "11-bit identifier")
 _EVERY = integer("every", 1, 1, 100_000, "1 is each frame, 2 every second one")
+_LOSES_UNIT = ("wsp_frozen", "node_babbling", "error_frame", "receive_error")
 WHEN = (number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
         number("for_s", LASTS, 1e-3, LASTS, "how long it holds; inf: to the end"))
 
@@ -47,12 +47,13 @@ class Kind:
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault to be: its kind, when, and the values of the kind's parameters."""
+    """One fault to be: its kind, when, the values of the kind's parameters, and whether events tell of it."""
 
     kind: Kind
     at_s: float = 0.0
     for_s: float = LASTS
     values: dict[str, Any] = field(default_factory=dict)
+    told: bool = True
 
     @property
     def target(self) -> tuple[str, Any]:
@@ -61,25 +62,29 @@ class Fault:
         return self.kind.name, next((self.values[aim] for aim in aims if aim in self.values), 0)
 
     @property
+    def reaches_unit(self) -> bool:
+        """Whether it aims at the WSP unit, at frames from or to it, or at the whole bus: it may lose the unit."""
+        node, can_id = self.values.get("node"), self.values.get("can_id")
+        return self.kind.name in _LOSES_UNIT or node == WSP_NODE or can_id in UNIT_FRAMES
+
+    @property
     def title(self) -> str:
         """Name and parameters, for events."""
-        values = [f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
-                  for name, value in self.values.items()]
-        return " ".join([self.kind.name, *values])
+        return " ".join([self.kind.name, *(f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
+                                           for name, value in self.values.items())])
 
 
 CATALOGUE: tuple[Kind, ...] = (
-    Kind(0, "speed_sensor_stuck", TICK, "the speed of an axle stays what it was, no pulse is counted",
-         (_AXLE,)),
+    Kind(0, "speed_sensor_stuck", TICK, "the speed of an axle stays what it was, no pulse is counted", (_AXLE,)),
     Kind(1, "speed_sensor_dropout", TICK, "the sensor of an axle gives no pulses: speed 0", (_AXLE,)),
-    Kind(2, "missing_tooth", TICK, "teeth of an axle's pole wheel are gone: once a turn the speed "
-         "that is measured from pulses dips", (_AXLE, integer("teeth", 1, 1, 50, "missing teeth"))),
+    Kind(2, "missing_tooth", TICK, "teeth of an axle's pole wheel are gone: once a turn the speed that is measured "
+         "from pulses dips", (_AXLE, integer("teeth", 1, 1, 50, "missing teeth"))),
     Kind(3, "swapped_axles", TICK, "the sensors of two axles are connected the wrong way round",
          (_AXLE, integer("other", 2, 1, AXLES, "the other axle"))),
     Kind(4, "speed_noise_burst", TICK, "Gaussian noise on the measured speed of an axle, seeded",
          (_AXLE, number("std_rad_s", 5.0, 0.01, 100.0, "standard deviation"))),
-    Kind(5, "wheel_diameter_mismatch", TICK, "the wheels of an axle are larger than the unit believes: "
-         "they turn slower at the same speed of the train",
+    Kind(5, "wheel_diameter_mismatch", TICK, "the wheels of an axle are larger than the unit believes: they turn "
+         "slower at the same speed of the train",
          (_AXLE, number("difference_percent", 5.0, -50.0, 50.0, "real over nominal diameter, less 1"))),
     Kind(6, "hold_magnet_stuck", TICK, "the hold magnet of an axle stays energised", (_AXLE,)),
     Kind(7, "hold_magnet_dead", TICK, "the hold magnet of an axle is never energised", (_AXLE,)),
@@ -90,10 +95,10 @@ CATALOGUE: tuple[Kind, ...] = (
     Kind(11, "torque_ripple", TICK, "a roller motor's torque demand ripples with its angle",
          (_AXLE, number("amplitude_Nm", 2000.0, 0.0, 30000.0, "amplitude"),
           number("order", 6.0, 0.1, 100.0, "periods in a turn"))),
-    Kind(12, "drive_trip", DEVICE, "a drive trips with an error code; it can be reset when the fault is "
-         "lifted", (_AXLE, integer("code", 0x5112, 1, 0xFFFF, "603Fh error code"))),
-    Kind(13, "drive_over_temperature", DEVICE, "a motor is hot: above 1 the drive warns, above 1.2 it "
-         "trips", (_AXLE, number("load", 1.25, 1.0, 3.0, "thermal load, 1 is what it bears for ever"))),
+    Kind(12, "drive_trip", DEVICE, "a drive trips with an error code; it can be reset when the fault is lifted",
+         (_AXLE, integer("code", 0x5112, 1, 0xFFFF, "603Fh error code"))),
+    Kind(13, "drive_over_temperature", DEVICE, "a motor is hot: above 1 the drive warns, above 1.2 it trips",
+         (_AXLE, number("load", 1.25, 1.0, 3.0, "thermal load, 1 is what it bears for ever"))),
     Kind(14, "node_off", BUS, "a node has no power; it boots when the fault is lifted", (_NODE,)),
     Kind(15, "node_babbling", BUS, "a node floods the bus with frames of one identifier",
          (_NODE, integer("can_id", 0x07F, 0, 0x7FF, "what it babbles"),
@@ -102,22 +107,28 @@ CATALOGUE: tuple[Kind, ...] = (
     Kind(17, "frame_delayed", BUS, "frames of an identifier come late",
          (_CAN_ID, number("delay_s", 0.05, 0.001, 10.0, "delay"))),
     Kind(18, "frame_duplicated", BUS, "frames of an identifier come twice", (_CAN_ID, _EVERY)),
-    Kind(19, "error_frame", BUS, "each frame of a node is destroyed by error frames and sent again; its "
-         "error counter rises, to error passive (EMCY 8120h) and bus-off",
+    Kind(19, "error_frame", BUS, "each frame of a node is destroyed by error frames and sent again; its error counter "
+         "rises, to error passive (EMCY 8120h) and bus-off",
          (_NODE, integer("attempts", 2, 1, 31, "destroyed attempts of each frame"))),
-    Kind(20, "bus_off", BUS, "a node's CAN controller is off: it neither hears nor speaks, and runs on; "
-         "EMCY 8140h when it is back", (_NODE,)),
+    Kind(20, "bus_off", BUS, "a node's CAN controller is off: it neither hears nor speaks, and runs on; EMCY 8140h "
+         "when it is back", (_NODE,)),
     Kind(21, "heartbeat_late", BUS, "the heartbeats of a node come late",
          (integer("node", BRAKE_NODE, 1, 127, "a node of the rig, or the WSP unit"),
           number("delay_s", 0.6, 0.01, 10.0, "delay"))),
-    Kind(22, "wsp_frozen", DEVICE, "the WSP unit freezes: the reference unit's process is stopped, the "
-         "frames of an external one are held back"),
-    Kind(23, "power_dip", DEVICE, "the rig's supply dips: below their lowest voltage the drives trip "
-         "(3220h), below 200 V all nodes of the rig are without power",
+    Kind(22, "wsp_frozen", DEVICE, "the WSP unit freezes: the reference unit's process is stopped, the frames of an "
+         "external one are held back"),
+    Kind(23, "power_dip", DEVICE, "the rig's supply dips: below their lowest voltage the drives trip (3220h), below "
+         "200 V all nodes of the rig are without power",
          (number("dc_link_V", 300.0, 0.0, 1000.0, "what is left of the DC link"),)),
-    Kind(24, "receive_error", BUS, "a node takes every frame of others for faulty and destroys it, until its "
-         "receive error counter makes it error passive (EMCY 8120h); from then on it alone misses them",
+    Kind(24, "receive_error", BUS, "a node takes every frame of others for faulty and destroys it, until its receive "
+         "error counter makes it error passive (EMCY 8120h); from then on it alone misses them",
          (_NODE, integer("attempts", 1, 1, 31, "destroyed attempts of each frame"))),
+    Kind(25, "sander_empty", TICK, "the sand box of an axle is empty; it stays so when the fault is lifted", (_AXLE,)),
+    Kind(26, "sander_blocked", TICK, "the sander of an axle is blocked: no sand leaves its box", (_AXLE,)),
+    Kind(27, "sander_wrong_orifice", TICK, "the sander of an axle has a wrong orifice: another rate",
+         (_AXLE, number("factor", 0.3, 0.0, 10.0, "of the rate"))),
+    Kind(28, "sander_late", TICK, "the sand of an axle comes late: its hose holds it back longer",
+         (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "longer lag of the hose"))),
 )
 # why one row acts on a sensor though it is about a wheel
 _WHY_ON_THE_SENSOR = (
@@ -136,18 +147,13 @@ _SHORT = {"at": "at_s", "for": "for_s"}
 
 
 def make(given: Mapping[str, Any], where: str) -> Fault:
-    """A checked fault from a table with `kind`, times and parameters.
-
-    Raises ConfigError with what is allowed; `where` is what its message begins with.
-    """
+    """A checked fault from a table with `kind`, times and parameters. ConfigError begins with `where`."""
     if not isinstance(given, Mapping):
         raise ConfigError(f"{where}: {given!r}: a table with kind, at_s and for_s is wanted")
     given = {_SHORT.get(key, key): value for key, value in given.items()}
     name = given.pop("kind", None)
     if name not in BY_NAME:
-        close = difflib.get_close_matches(str(name), BY_NAME, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else ""
-        raise ConfigError(f"{where}: kind = {name!r} is no fault{hint} Allowed: {', '.join(BY_NAME)}")
+        raise ConfigError(f"{where}: kind = {name!r} is no fault{table.nearest(str(name), BY_NAME)}")
     kind = BY_NAME[name]
     read = table.read((*WHEN, *kind.parameters), given, f"{where} {name}")
     fault = Fault(kind, read.pop("at_s"), read.pop("for_s"), read)
@@ -161,14 +167,12 @@ def parse(text: str) -> Fault:
     name, *pairs = text.split() or [""]
     given: dict[str, Any] = {"kind": name}
     for pair in pairs:
-        key, equals, value = pair.partition("=")
+        key, _, value = pair.partition("=")
         try:
             given[key] = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
-            raise ConfigError(f"{where}: '{pair}': write key=number, as in axle=2 or can_id={SPEEDS.can_id:#x}"
-                              ) from None
-        if not equals:
-            raise ConfigError(f"{where}: '{pair}': write key=value, as in axle=2")
+            hint = f"write key=number, as in axle=2 or can_id={SPEEDS.can_id:#x}"
+            raise ConfigError(f"{where}: '{pair}': {hint}") from None
     return make(given, where)
 
 
@@ -179,8 +183,7 @@ def plain(fault: Fault) -> dict[str, Any]:
 
 def all_of(given: list[Any], where: str) -> tuple[Fault, ...]:
     """The faults of a scenario's [[fault]] tables. Raises ConfigError."""
-    found = [make(one, f"{where} [[fault]] {at}") for at, one in enumerate(given, start=1)]
-    return tuple(found)
+    return tuple(make(one, f"{where} [[fault]] {at}") for at, one in enumerate(given, start=1))
 
 
 def markdown() -> str:
@@ -190,8 +193,8 @@ def markdown() -> str:
              "| fault | acts in | what it does | parameters: default (allowed) |", "|---|---|---|---|"]
     for kind in CATALOGUE:
         parameters = "; ".join(f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
-                               for row in kind.parameters) or "none"
-        lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {parameters} |")
+                               for row in kind.parameters)
+        lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {parameters or 'none'} |")
     return "\n".join([*lines, "", *_WHY_ON_THE_SENSOR]) + "\n"
 
 
@@ -201,5 +204,4 @@ def _check_target(fault: Fault, where: str) -> None:
         raise ConfigError(f"{at}: axle and other are both {values['axle']}; give two axles")
     allowed = (*RIG_NODES, WSP_NODE) if fault.kind.name == "heartbeat_late" else RIG_NODES
     if "node" in values and values["node"] not in allowed:
-        raise ConfigError(f"{at}: node = {values['node']}; allowed are "
-                          f"{', '.join(map(str, allowed))}")
+        raise ConfigError(f"{at}: node = {values['node']}; allowed are {', '.join(map(str, allowed))}")

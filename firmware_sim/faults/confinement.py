@@ -14,8 +14,8 @@ bus-off). Limits: only while a fault is at work or its counters are still above 
 transmits well; programs outside count for themselves.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
@@ -53,12 +53,6 @@ class Controller:
         """Whether it misses every frame, and nobody else does."""
         return bool(self.finds) and self.passive
 
-    @property
-    def sound(self) -> bool:
-        """Whether nothing is the matter with it any more."""
-        return not (self.attempts or self.finds or self.transmit or self.receive or self.reported_passive
-                    or self.off_until_ns)
-
 
 @dataclass
 class Controllers:
@@ -72,7 +66,9 @@ class Controllers:
         sender = self.nodes.get(node)
         if sender is not None and sender.transmit > OFF_ABOVE:
             return False
-        for finder, times in self._finders(sender):
+        finders = [] if sender is None else [(sender, sender.attempts)]
+        finders += [(one, one.finds) for one in self.nodes.values() if one is not sender and not one.off_until_ns]
+        for finder, times in finders:
             for _ in range(times):
                 # a receiver's flags destroy nothing once they are passive
                 if finder is not sender and finder.passive:
@@ -82,13 +78,6 @@ class Controllers:
                     return False
         self._succeed(sender)
         return True
-
-    def _finders(self, sender: Controller | None) -> Iterator[tuple[Controller, int]]:
-        if sender is not None:
-            yield sender, sender.attempts
-        for one in self.nodes.values():
-            if one is not sender and not one.off_until_ns:
-                yield one, one.finds
 
     def _destroy(self, frame: Frame, sender: Controller | None, finder: Controller) -> None:
         for one in self.nodes.values():
@@ -115,11 +104,9 @@ class Confinement:
     keeps frames from it.
     """
 
-    def __init__(self, controllers: Controllers, members: dict[int, Any],
-                 mute: Callable[[int, bool], None], deafen: Callable[[int, bool], None],
-                 bitrate: int) -> None:
-        self.controllers, self.members = controllers, members
-        self.mute, self.deafen = mute, deafen
+    def __init__(self, controllers: Controllers, members: dict[int, Any], mute: Callable[[int, bool], None],
+                 deafen: Callable[[int, bool], None], bitrate: int) -> None:
+        self.controllers, self.members, self.mute, self.deafen = controllers, members, mute, deafen
         self._recovery_ns = RECOVERY_BITS * S_NS // bitrate
         self._deaf: set[int] = set()
 
@@ -128,14 +115,12 @@ class Confinement:
         """Whether any counter has still to be followed."""
         return bool(self.controllers.nodes)
 
-    def disturb(self, node: int, attempts: int | None = None, finds: int | None = None) -> None:
-        """Let error frames begin, or end (0), on what a node sends or on what it receives."""
+    def disturb(self, node: int, **often: Any) -> None:
+        """Let error frames begin, or end (0): `attempts` on what a node sends, `finds` on what it receives."""
         nodes = self.controllers.nodes
         if not nodes:
             nodes.update((number, Controller()) for number in self.members)
-        one = nodes[node]
-        one.attempts = one.attempts if attempts is None else attempts
-        one.finds = one.finds if finds is None else finds
+        nodes[node] = replace(nodes[node], **often)
 
     def poll(self, now_ns: int) -> None:
         """Follow the counters; forget them when all nodes are sound."""
@@ -156,7 +141,8 @@ class Confinement:
             if one.deaf != (node in self._deaf):
                 (self._deaf.add if one.deaf else self._deaf.discard)(node)
                 self.deafen(node, one.deaf)
-        if all(one.sound for one in nodes.values()):
+        # nothing is the matter with any of them
+        if all(one == Controller() for one in nodes.values()):
             nodes.clear()
 
     def _tell(self, node: int, one: Controller) -> None:

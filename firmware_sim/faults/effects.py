@@ -1,14 +1,14 @@
 """What faults do in the tick: magnets, cylinders, motors, and what speed sensors tell.
 
-The faults that act are a flat array of numbers which travels with the commands; all zero is a rig
-without faults, and then not one bit is touched. Each effect stands between the stage that makes a
-quantity and the one that uses it: magnets before the valves [F1], leaks before the pneumatics [F2],
-ripple between drive control and motor [F3], and sensors between wheel or winding and the published
-row [F4].
+The faults that act are a flat array of numbers which travels with the commands; all zero is a rig without faults, and
+then not one bit is touched. Each effect stands between the stage that makes a quantity and the one that uses it:
+magnets before the valves [F1], leaks before the pneumatics [F2], ripple between drive control and motor [F3], and
+sensors between wheel or winding and the published row [F4].
 
     [F1] magnets = (asked or stuck) and not dead
     [F2] dp/dt = -p / T
     [F3] u = u_demand + a sin(n phi), phi the angle of the roller
+    [F5] sand: rate (1 + flaw), lag + late, or no sand in the box
     [F4] T = max(T, T_air + load dT_rated), the temperature at which a motor has this thermal load
 
 What a leak lets out counts as no air used; the cylinders that fill again do.
@@ -22,7 +22,7 @@ from rollerrig.wsp_interface.signals import AXLES
 # slots of the faults array: ANY is 1 while one of these faults acts; then a value for each axle
 ANY = 0
 (STUCK, DROPOUT, MISSING_TEETH, SOURCE, NOISE_rad_s, LARGER, MAGNETS_ON, MAGNETS_OFF,
- LEAK_per_s, RIPPLE_Nm, RIPPLE_ORDER, MOTOR_LOAD, _KINDS) = range(13)
+ LEAK_per_s, RIPPLE_Nm, RIPPLE_ORDER, MOTOR_LOAD, SAND_FLAW, SAND_LATE_s, SAND_EMPTY, _KINDS) = range(16)
 SIZE = 1 + _KINDS * AXLES
 
 
@@ -52,6 +52,14 @@ def leak(state, faults, tick_s):
         rate = value(faults, LEAK_per_s, j)
         if rate != 0.0:
             state.cylinder_pressure[j] *= np.exp(-rate * tick_s)
+
+
+@kernel
+def spill(state, faults):
+    """Let the boxes of sanders be empty [F5]."""
+    for j in range(AXLES):
+        if value(faults, SAND_EMPTY, j) != 0.0:
+            state.sand_box[j] = 0.0
 
 
 @kernel

@@ -1,10 +1,9 @@
 """The Modbus map: every bit and register of the supervisory PLC and of the drives, one row each.
 
-Unit 1 is the rig as a plant's control room sees it, units 11 to 14 are the roller drives with what
-stands in their object dictionaries. A unit has one space of bits and one of registers: coils and
-discrete inputs read the same bits, holding and input registers the same registers, and what can be
-written says so. Rows that carry a signal or an object take its name, unit, scale and meaning from
-there; values of two registers have the higher one first.
+Unit 1 is the rig as a plant's control room sees it, units 11 to 14 are the roller drives with what stands in their
+object dictionaries. A unit has one space of bits and one of registers: coils and discrete inputs read the same bits,
+holding and input registers the same registers, and what can be written says so. Rows that carry a signal or an object
+take its name, unit, scale and meaning from there; values of two registers have the higher one first.
 """
 
 import csv
@@ -43,23 +42,22 @@ class State(IntEnum):
 class Register(NamedTuple):
     """One row. `at` counts from 0, as on the wire; `scale` is the unit per count.
 
-    `signal` and `axle` say which column of the live row it is; `od_index` and `od_sub` which object of
+    `signal` and `axle` say which column of the live row it is; `od_index` which object of
     the drive; neither: a value of the bench. `wraps`: a counter, which begins again at its bound.
     """
 
     at: int
     name: str
     kind: str
-    unit: str
-    scale: float
-    access: str
     text: str
+    unit: str = ""
+    scale: float = 1.0
+    access: str = READ
+    wraps: bool = False
     signal: str = ""
     axle: int = 1
-    od_index: int = 0
-    od_sub: int = 0
     of: str = ""
-    wraps: bool = False
+    od_index: int = 0
 
     @property
     def width(self) -> int:
@@ -67,65 +65,57 @@ class Register(NamedTuple):
         return 2 if self.kind in ("U32", "I32") else 1
 
 
-def _bench(at: int, name: str, kind: str, text: str, unit: str = "", scale: float = 1.0,
-           access: str = READ, wraps: bool = False) -> Register:
-    return Register(at, name, kind, unit, scale, access, text, wraps=wraps)
-
-
 BITS: tuple[Register, ...] = (
-    _bench(0, "run", BIT, "1 while the rig runs; writing 1 starts a held rig", access=WRITE),
-    _bench(1, "stop", BIT, "1 when the run is ending; writing 1 ends it", access=WRITE),
-    _bench(2, "emergency_stop", BIT, "1 applies the emergency brake, whatever else is asked, and "
-           "makes a quick stop of every drive; stays until 0 is written", access=WRITE),
-    _bench(3, "held", BIT, "the rig rolls at its set speed and waits for run"),
-    _bench(4, "at_set_speed", BIT, "a held rig rolls at its speed set-point"),
-    _bench(5, "standing", BIT, "the vehicle stands"),
-    _bench(6, "wsp_unit_operational", BIT, "the WSP unit's heartbeat says OPERATIONAL"),
-    _bench(7, "nodes_operational", BIT, "drives, speed unit and brake I/O are OPERATIONAL"),
-    _bench(16, "inject_fault", BIT, "writing 1 injects the fault chosen in registers 20 to 22; 1 while "
-           "any is active", access=WRITE),
-    _bench(17, "lift_faults", BIT, "writing 1 lifts every active fault", access=WRITE),
+    Register(0, "run", BIT, "1 while the rig runs; writing 1 starts a held rig", access=WRITE),
+    Register(1, "stop", BIT, "1 when the run is ending; writing 1 ends it", access=WRITE),
+    Register(2, "emergency_stop", BIT, "1 applies the emergency brake, whatever else is asked, and "
+             "makes a quick stop of every drive; stays until 0 is written", access=WRITE),
+    Register(3, "held", BIT, "the rig rolls at its set speed and waits for run"),
+    Register(4, "at_set_speed", BIT, "a held rig rolls at its speed set-point"),
+    Register(5, "standing", BIT, "the vehicle stands"),
+    Register(6, "wsp_unit_operational", BIT, "the WSP unit's heartbeat says OPERATIONAL"),
+    Register(7, "nodes_operational", BIT, "drives, speed unit and brake I/O are OPERATIONAL"),
+    Register(16, "inject_fault", BIT, "writing 1 injects the fault chosen in registers 20 to 22; 1 while any is active",
+             access=WRITE),
+    Register(17, "lift_faults", BIT, "writing 1 lifts every active fault", access=WRITE),
 )
 
-_SET_POINTS = (
-    _bench(0, "scenario", "U16", "number of the packaged scenario, see the list; while the rig is "
-           "held", access=WRITE),
-    _bench(1, "speed_set_point", "U16", "speed at which a held rig rolls and begins; while the rig "
-           "is held", "m_s", 0.01, WRITE),
-    _bench(2, "brake_demand_set_point", "I16", "brake cylinder pressure asked for; -1: node 17 or "
-           "the scenario decides", "Pa", signals.BY_NAME["brake_demand"].places[0].scale, WRITE),
-)
-_FAULTS = (
-    _bench(20, "fault", "U16", "number of a fault, see the list; its other parameters take their "
-           "defaults", access=WRITE),
-    _bench(21, "fault_target", "U16", "its axle, node or identifier; 0: the default", access=WRITE),
-    _bench(22, "fault_duration", "U16", "how long it holds; 0: until it is lifted", "s", 0.1, WRITE),
-)
-_STATES = (
-    _bench(100, "state", "U16", "0 starting, 1 held, 2 running, 3 ended"),
-    _bench(101, "scenarios", "U16", "how many packaged scenarios there are"),
-    _bench(102, "wsp_unit_state", "U16", "NMT state of node 32: 0 booted, 4 stopped, 5 operational, "
-           "127 pre-operational, 65535 never heard"),
-    *(_bench(103 + at, f"node_{node}_state", "U16", f"NMT state of node {node}, as above")
+# set-points, faults and states, which stand before what is measured
+_ASKED = (
+    Register(0, "scenario", "U16", "number of the packaged scenario, see the list; while the rig is held",
+             access=WRITE),
+    Register(1, "speed_set_point", "U16", "speed at which a held rig rolls and begins; while the rig is held",
+             "m_s", 0.01, WRITE),
+    Register(2, "brake_demand_set_point", "I16", "brake cylinder pressure asked for; -1: node 17 or the scenario "
+             "decides", "Pa", signals.BY_NAME["brake_demand"].places[0].scale, WRITE),
+    Register(20, "fault", "U16", "number of a fault, see the list; its other parameters take their defaults",
+             access=WRITE),
+    Register(21, "fault_target", "U16", "its axle, node or identifier; 0: the default", access=WRITE),
+    Register(22, "fault_duration", "U16", "how long it holds; 0: until it is lifted", "s", 0.1, WRITE),
+    Register(100, "state", "U16", "0 starting, 1 held, 2 running, 3 ended"),
+    Register(101, "scenarios", "U16", "how many packaged scenarios there are"),
+    Register(102, "wsp_unit_state", "U16", "NMT state of node 32: 0 booted, 4 stopped, 5 operational, "
+             "127 pre-operational, 65535 never heard"),
+    *(Register(103 + at, f"node_{node}_state", "U16", f"NMT state of node {node}, as above")
       for at, node in enumerate(signals.RIG_NODES)),
 )
 _HEALTH = (
-    _bench(300, "ticks", "U32", "ticks of the run", wraps=True),
-    _bench(302, "lateness_p50", "U32", "lateness of half of the ticks", "us"),
-    _bench(304, "lateness_p99", "U32", "lateness of 99 % of the ticks", "us"),
-    _bench(306, "lateness_max", "U32", "latest tick of the run", "us"),
-    _bench(308, "events_info", "U32", "events of the run: information", wraps=True),
-    _bench(310, "events_warning", "U32", "events of the run: warnings", wraps=True),
-    _bench(312, "events_error", "U32", "events of the run: errors", wraps=True),
-    _bench(314, "bus_frames", "U32", "frames on the CAN bus", wraps=True),
-    _bench(316, "bus_frames_dropped", "U32", "frames that a slow client did not get", wraps=True),
-    _bench(318, "bus_load", "U16", "load of the CAN bus", "percent", 0.1),
-    _bench(319, "modbus_clients", "U16", "connected Modbus clients"),
-    _bench(320, "modbus_requests", "U32", "Modbus requests answered", wraps=True),
-    _bench(322, "modbus_exceptions", "U32", "of these with an exception", wraps=True),
-    _bench(324, "modbus_malformed", "U32", "connections closed, or serial frames ignored, for "
-           "malformed framing", wraps=True),
-    _bench(326, "faults_active", "U16", "faults that are active"),
+    Register(300, "ticks", "U32", "ticks of the run", wraps=True),
+    Register(302, "lateness_p50", "U32", "lateness of half of the ticks", "us"),
+    Register(304, "lateness_p99", "U32", "lateness of 99 % of the ticks", "us"),
+    Register(306, "lateness_max", "U32", "latest tick of the run", "us"),
+    Register(308, "events_info", "U32", "events of the run: information", wraps=True),
+    Register(310, "events_warning", "U32", "events of the run: warnings", wraps=True),
+    Register(312, "events_error", "U32", "events of the run: errors", wraps=True),
+    Register(314, "bus_frames", "U32", "frames on the CAN bus", wraps=True),
+    Register(316, "bus_frames_dropped", "U32", "frames that a slow client did not get", wraps=True),
+    Register(318, "bus_load", "U16", "load of the CAN bus", "percent", 0.1),
+    Register(319, "modbus_clients", "U16", "connected Modbus clients"),
+    Register(320, "modbus_requests", "U32", "Modbus requests answered", wraps=True),
+    Register(322, "modbus_exceptions", "U32", "of these with an exception", wraps=True),
+    Register(324, "modbus_malformed", "U32", "connections closed, or serial frames ignored, for malformed framing",
+             wraps=True),
+    Register(326, "faults_active", "U16", "faults that are active"),
 )
 
 # first register, signal, and kind and scale where the CAN bus does not give them
@@ -150,13 +140,13 @@ def _measured() -> Iterator[Register]:
         place = signal.places[0] if signal.places and not kind else None
         kind, scale = (place.kind, place.scale) if place else (kind, scale)
         for axle, column in enumerate(signals.columns(signal), start=1):
-            row = Register(first, column.removesuffix(f"_{signal.unit}"), kind, signal.unit, scale,
-                           READ, signal.text, name, axle, of=place.of if place else "",
-                           wraps=bool(place and place.wraps))
+            row = Register(
+                at=first, name=column.removesuffix(f"_{signal.unit}"), kind=kind, text=signal.text, unit=signal.unit,
+                scale=scale, wraps=bool(place and place.wraps), signal=name, axle=axle, of=place.of if place else "")
             yield row._replace(at=first + (axle - 1) * row.width)
 
 
-WORDS: tuple[Register, ...] = (*_SET_POINTS, *_FAULTS, *_STATES, *_measured(), *_HEALTH)
+WORDS: tuple[Register, ...] = (*_ASKED, *_measured(), *_HEALTH)
 
 # a drive's registers: (first register, index), written and read, then read only
 _COMMANDED = ((0, 0x6040), (1, 0x6060), (2, 0x60FF), (4, 0x6071), (5, 0x6072), (6, 0x6083),
@@ -174,13 +164,11 @@ def drive_words(dictionary: ObjectDictionary) -> tuple[Register, ...]:
         for at, index in rows:
             one = cast(ODVariable, dictionary[index])
             name = one.name.lower().replace(" ", "_").replace("-", "_")
-            text = f"{index:04X}h {one.name}"
-            found.append(Register(at, name, _TYPES[cast(int, one.data_type)], one.unit.replace("/", "_"),
-                                  one.factor, access, text, od_index=index))
+            found.append(Register(
+                at=at, name=name, kind=_TYPES[cast(int, one.data_type)], text=f"{index:04X}h {one.name}",
+                unit=one.unit.replace("/", "_"), scale=one.factor, access=access, od_index=index))
     return tuple(found)
 
-
-# -- the map as files
 
 HEAD = ("unit", "space", "register", "reference", "name", "kind", "unit_of_value", "scale", "access", "meaning")
 _INTRODUCTION = """# Modbus map

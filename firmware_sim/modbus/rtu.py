@@ -55,8 +55,8 @@ class SerialLine(asyncio.Protocol):
 
     def __init__(self, server: Server, port: str, baud_rate: int = 19200, parity: str = "even",
                  on_event: Callable[[str, str], None] = lambda level, text: None) -> None:
-        self.server, self.port = server, port
-        self.baud_rate, self.parity, self.on_event = baud_rate, parity, on_event
+        self.server, self.port, self.on_event = server, port, on_event
+        self.baud_rate, self.parity = baud_rate, parity
         self.silence_s = max(CHARACTERS * _BITS_PER_CHARACTER / baud_rate, SILENCE_MIN_S)
         self._frame = Frame(pdu.DECODER)
         self._received = b""
@@ -134,8 +134,6 @@ class SerialLine(asyncio.Protocol):
                 self._ends[1].write(reply)
         return bool(used)
 
-    # -- lost and found
-
     def connection_lost(self, exc: Exception | None) -> None:
         if self._ends:
             self.close()
@@ -159,7 +157,6 @@ def _set_up(line: int, baud_rate: int, parity: str) -> None:
     mode = termios.tcgetattr(line)
     mode[2] &= ~(termios.PARENB | termios.PARODD | termios.CSTOPB | termios.CRTSCTS)
     mode[2] |= termios.CLOCAL | termios.CREAD
-    mode[2] |= {"none": termios.CSTOPB, "even": termios.PARENB,
-                "odd": termios.PARENB | termios.PARODD}[parity]
+    mode[2] |= {"none": termios.CSTOPB, "even": termios.PARENB, "odd": termios.PARENB | termios.PARODD}[parity]
     mode[4] = mode[5] = speed
     termios.tcsetattr(line, termios.TCSANOW, mode)

@@ -12,13 +12,13 @@ import socket
 import ssl
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import cast
 
 from pymodbus.framer import FramerSocket
 
-from rollerrig.configs.errors import BusError, ConfigError
+from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus import pdu
+from rollerrig.firmware_sim.modbus.access import Counters
 from rollerrig.firmware_sim.modbus.unit import Unit
 
 # the length in the header counts the unit and the request: at least a function code
@@ -42,13 +42,6 @@ class Header(FramerSocket):
             raise ValueError(data[:6].hex())
         # pymodbus takes a byte behind the shortest request for part of it
         return super().decode(data[:6 + length])
-
-
-class Counters:
-    """What the server has seen."""
-
-    def __init__(self) -> None:
-        self.requests = self.exceptions = self.malformed = 0
 
 
 class Server:
@@ -153,25 +146,3 @@ class Connection(asyncio.BufferedProtocol):
             self.transport.close()
         if not self._blocked:
             self.transport.resume_reading()
-
-
-def tls_context(certificate: Path, key: Path, client_ca: Path) -> ssl.SSLContext:
-    """TLS 1.2 or newer; a client needs a certificate that `client_ca` has signed.
-
-    Raises ConfigError naming the file.
-    """
-    for name, path in (("tls_certificate", certificate), ("tls_key", key),
-                       ("tls_client_ca", client_ca)):
-        if not path.is_file():
-            raise ConfigError(f"[modbus] {name} = '{path}': no such file; all three of "
-                              "tls_certificate, tls_key and tls_client_ca are needed (PEM)")
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.verify_mode = ssl.CERT_REQUIRED
-    try:
-        context.load_cert_chain(certificate, key)
-        context.load_verify_locations(client_ca)
-    except (ssl.SSLError, OSError) as error:
-        raise ConfigError(f"[modbus] certificate {certificate}, key {key} or client CA {client_ca} "
-                          f"cannot be used: {error}") from None
-    return context

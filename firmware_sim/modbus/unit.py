@@ -6,14 +6,14 @@ value changes. Two registers that carry one value are read from one sample and w
 
 import struct
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from pymodbus.constants import ExcCodes
 
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.node import Node
-from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
+from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, Objects, key
 from rollerrig.firmware_sim.modbus.map import BIT, WRITE, Register, drive_words
 from rollerrig.firmware_sim.modbus.pdu import BITS, RefusedError
 from rollerrig.wsp_interface import signals
@@ -27,26 +27,35 @@ Writer = Callable[[int, bool], None]
 class Unit:
     """Bits and registers of a unit. `readers` and `writers` are raw values by name of the row."""
 
-    def __init__(self, rows: Iterable[Register], readers: Mapping[str, Reader],
-                 writers: Mapping[str, Writer]) -> None:
-        self._spaces: dict[bool, dict[int, Reader]] = {True: {}, False: {}}
+    def __init__(self, rows: Iterable[Register], readers: Mapping[str, Reader], writers: Mapping[str, Writer]) -> None:
+        self._spaces: dict[bool, dict[int, tuple[Reader, int]]] = {True: {}, False: {}}
         self._rows: dict[tuple[bool, int], Register] = {}
         self._writers = writers
         for row in rows:
             is_bit, read = row.kind == BIT, readers[row.name]
             self._rows[is_bit, row.at] = row
             for at in range(row.width):
-                self._spaces[is_bit][row.at + at] = (
-                    read if is_bit else partial(_word, read, 16 * (row.width - 1 - at)))
+                self._spaces[is_bit][row.at + at] = read, 16 * (row.width - 1 - at)
+        # clients ask for the same registers again and again
+        self._plan = lru_cache(256)(self._plan_of)
 
     async def async_getValues(self, unit: int, function: int, at: int, count: int) -> list[int]:
         """Bits or registers, as `function` wants. Raises RefusedError."""
-        space = self._spaces[function in BITS]
-        try:
-            found = [space[one] for one in range(at, at + count)]
-        except KeyError:
-            raise RefusedError(ExcCodes.ILLEGAL_ADDRESS) from None
-        return [read() for read in found]
+        return [raw >> shift & 0xFFFF for read, shifts in self._plan(function in BITS, at, count)
+                for raw in (read(),) for shift in shifts]
+
+    def _plan_of(self, is_bit: bool, at: int, count: int) -> list[tuple[Reader, list[int]]]:
+        """What to read, each value once, and by how much to shift it. Raises RefusedError."""
+        plan: list[tuple[Reader, list[int]]] = []
+        for one in range(at, at + count):
+            if one not in self._spaces[is_bit]:
+                raise RefusedError(ExcCodes.ILLEGAL_ADDRESS)
+            read, shift = self._spaces[is_bit][one]
+            if plan and plan[-1][0] is read and plan[-1][1][-1] > shift:
+                plan[-1][1].append(shift)
+            else:
+                plan.append((read, [shift]))
+        return plan
 
     async def async_setValues(self, unit: int, function: int, at: int, values: list[int]) -> None:
         """Set bits or registers. Raises RefusedError, and then nothing has changed."""
@@ -66,55 +75,35 @@ class Unit:
                 write(raw, only)
 
 
-def _word(read: Reader, shift: int) -> int:
-    return read() >> shift & 0xFFFF
-
-
-def signal_readers(rows: Iterable[Register], row: np.ndarray, parameters: Mapping[str, float]
-                   ) -> dict[str, Reader]:
+def signal_readers(rows: Iterable[Register], row: np.ndarray, parameters: Mapping[str, float]) -> dict[str, Reader]:
     """Readers of the rows that carry a signal; `row` is the live float64 row of all signals."""
-    found = {}
-    for one in rows:
-        if one.signal:
-            place = Place(0, 0, 0, one.kind, one.scale, one.of, one.wraps)
-            found[one.name] = process_image.reader(
-                row, signals.column(one.signal, one.axle), place,
-                parameters[one.of] if one.of else 1.0)
-    return found
+    return {one.name: process_image.reader(row, signals.column(one.signal, one.axle),
+                                           Place(0, 0, 0, one.kind, one.scale, one.of, one.wraps),
+                                           parameters[one.of] if one.of else 1.0)
+            for one in rows if one.signal}
 
 
 def drive(node: Node) -> Unit:
     """The unit of a drive: its registers are objects of its dictionary."""
     rows = drive_words(node.dictionary)
-    readers: dict[str, Reader] = {}
-    writers: dict[str, Writer] = {}
-    for row in rows:
-        at = key(row.od_index, row.od_sub)
-        readers[row.name] = node.objects.getter(at)
-        if row.access == WRITE:
-            writers[row.name] = partial(_assign, node, at)
-    return Unit(rows, readers, writers)
+    return Unit(rows, {row.name: node.objects.getter(key(row.od_index, 0)) for row in rows},
+                {row.name: partial(_assign, node.objects, key(row.od_index, 0)) for row in rows if row.access == WRITE})
 
 
 _OUT_OF_RANGE = (Abort.TOO_HIGH, Abort.TOO_LOW, Abort.INVALID_VALUE)
 
 
-def _assign(node: Node, at: int, raw: int, only: bool) -> None:
+def _assign(objects: Objects, at: int, raw: int, only: bool) -> None:
     """Write an object by the rules of an SDO client; `only` asks whether it would be taken."""
-    objects = node.objects
-    variable = objects.variables[at]
     try:
-        if not only:
+        if only:
+            # a register may be wider than its object
+            objects.variables[at].encode_raw(raw)
+            objects.check(at, raw)
+        else:
             objects.assign(at, raw)
-            return
-        # a register may be wider than its object
-        variable.encode_raw(raw)
-        low, high = variable.min, variable.max
-        if (low is not None and raw < low) or (high is not None and raw > high):
-            raise RefusedError(ExcCodes.ILLEGAL_VALUE)
-        if at in objects.checks:
-            objects.checks[at](raw)
     except (ValueError, struct.error):
         raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
     except AbortError as error:
-        raise RefusedError(ExcCodes.ILLEGAL_VALUE if error.code in _OUT_OF_RANGE else ExcCodes.DEVICE_BUSY) from None
+        code = ExcCodes.ILLEGAL_VALUE if error.code in _OUT_OF_RANGE else ExcCodes.DEVICE_BUSY
+        raise RefusedError(code) from None

@@ -13,11 +13,10 @@ to the vehicle's speed, which anchors the reference and teaches it the decelerat
     [W6] a speed that does not change by a count while others do is a stuck sensor's: it anchors
          nothing and counts as no fastest axle, and its valve vents as long as the timers let it
 
-The step has no clock and takes the integers of the bus, so the unit on the bus and the compiled
-loop get the same bits. Source: common practice of such units, from memory; every threshold says so
-in `configs/wsp/`. Limits: braking only, wheel diameters as configured, a wheel that never reaches
-the vehicle's speed in a run-up anchors nothing, a vehicle that can brake harder than b_max needs a
-larger one.
+The cycle has no clock and takes the integers of the bus, so the unit on the bus and the compiled loop get the same
+bits. Source: common practice of such units, from memory; every threshold says so in `configs/wsp/`. Limits: braking
+only, wheel diameters as configured, a wheel that never reaches the vehicle's speed in a run-up anchors nothing, a
+vehicle that can brake harder than b_max needs a larger one.
 """
 
 import itertools
@@ -71,6 +70,7 @@ ROWS = (
     table.number("vent_timer_s", 10.0, 0.5, 60.0, _M),
     table.number("hold_timer_s", 5.0, 0.5, 60.0, _M),
     table.number("lock_out_s", 0.5, 0.1, 60.0, _A),
+    table.flag("sand", False, _A + ": asks node 18 for sand from the first sliding until calm_s after the last"),
     table.number("cut_off_m_s", 2.0, 0.3, 10.0, _M + ": 1.4 to 3"),
 )
 
@@ -81,10 +81,10 @@ Params = NamedTuple("Params", [(row.name, Any) for row in ROWS])  # type: ignore
 class State(NamedTuple):
     """What the unit remembers: views of shape (4,) for axles, or (1,), into one float64 buffer.
 
-    Each slot says which stage of `step` writes it.
+    Each slot says which stage of `cycle` writes it.
     """
 
-    cycles: np.ndarray  # done so far; `step`
+    cycles: np.ndarray  # done so far; `cycle`
     speed_m_s: np.ndarray  # circumferential speed; `measure`
     lagged_m_s: np.ndarray  # the same behind the filter's lag; `measure`
     acceleration_m_s2: np.ndarray  # filtered; `measure`
@@ -105,12 +105,10 @@ class State(NamedTuple):
     hold_age: np.ndarray  # cycles of holding since the valve last filled; `act`
 
 
-PER_UNIT = ("cycles", "reference_m_s", "deceleration_m_s2", "anchor_m_s", "anchor_age", "calm",
-            "runner", "run_ups")
+PER_UNIT = ("cycles", "reference_m_s", "deceleration_m_s2", "anchor_m_s", "anchor_age", "calm", "runner", "run_ups")
 WIDTHS = tuple(1 if name in PER_UNIT else AXLES for name in State._fields)
 SIZE = sum(WIDTHS)
-PLACES = tuple(slice(end - width, end)
-               for width, end in zip(WIDTHS, itertools.accumulate(WIDTHS), strict=True))
+PLACES = tuple(slice(end - width, end) for width, end in zip(WIDTHS, itertools.accumulate(WIDTHS), strict=True))
 
 
 class Unit(NamedTuple):
@@ -138,29 +136,20 @@ def buffer_of(unit: Unit) -> np.ndarray:
 
 
 def load(name: str = "reference") -> Params:
-    """Parameters of a packaged configuration (under configs/wsp) or of a TOML file.
-
-    Raises ConfigError that names file and key.
-    """
+    """Parameters of a packaged configuration (under configs/wsp) or of a TOML file. ConfigError names file and key."""
     given, path = store.load("wsp", name)
     return Params(**table.read(ROWS, given, str(path)))
 
 
 @kernel
 def cycle(unit, inputs):
-    """One cycle of a `Unit`: the byte of magnets and the reference speed in counts of 0.01 m/s.
+    """One cycle of a `Unit`: the byte of magnets and the reference speed in counts of 0.01 m/s, as an I16.
 
     `inputs` int64 of shape (4,) or more: axle speeds in counts of 0.01 rad/s as node 16's TPDO1
     carries them; what follows (pressures) is not used. Changes the unit's state in place.
     """
-    magnets = step(unit.state, inputs, unit.params)
-    return magnets, reference_raw(unit.state)
-
-
-@kernel
-def step(state, speeds_raw, params):
-    """One cycle: axle speeds (4,) in counts in, the byte of magnets out."""
-    reference.measure(state, speeds_raw, params)
+    state, params = unit.state, unit.params
+    reference.measure(state, inputs, params)
     reference.advance(state, params)
     reference.choose_runner(state, params)
     reference.finish_run_up(state, params)
@@ -168,13 +157,7 @@ def step(state, speeds_raw, params):
     magnets = 0
     for j in range(AXLES):
         magnets |= act(state, j, event_of(state, j, params), params) << (2 * j)
-    return magnets
-
-
-@kernel
-def reference_raw(state):
-    """The reference speed in counts of 0.01 m/s, as an I16."""
-    return min(32767, max(-32768, round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)))
+    return magnets, min(32767, max(-32768, round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)))
 
 
 @kernel
@@ -187,26 +170,12 @@ def stuck(unit):
 
 
 @kernel
-def sliding_class(sliding_m_s, reference_m_s, params):
-    """Row of the matrix: where the sliding stands to the band [W4]."""
-    low = min(params.band_low_m_s, params.band_low_fraction * reference_m_s)
-    high = min(params.band_high_m_s, params.band_high_fraction * reference_m_s)
-    begin = params.slide_begin_m_s + params.slide_begin_fraction * reference_m_s
-    edges = (begin, low, high, high * params.deep_factor)
-    row = 0
+def above(value, edges):
+    """How many of the edges a value is above: its class."""
+    count = 0
     for edge in edges:
-        row += sliding_m_s > edge
-    return row
-
-
-@kernel
-def trend_class(acceleration_m_s2, params):
-    """Column of the matrix: how the wheel speed changes."""
-    edges = (-params.fast_fall_m_s2, -params.fall_m_s2, params.rise_m_s2, params.fast_rise_m_s2)
-    column = 0
-    for edge in edges:
-        column += acceleration_m_s2 > edge
-    return column
+        count += value > edge
+    return count
 
 
 @kernel
@@ -214,8 +183,13 @@ def event_of(state, j, params):
     """What axle j asks for, the strongest last; sets its sliding."""
     v_ref = state.reference_m_s[0]
     state.sliding_m_s[j] = v_ref - state.speed_m_s[j]  # [W2]
-    row = sliding_class(state.sliding_m_s[j], v_ref, params)
-    event = WISHES[row, trend_class(state.acceleration_m_s2[j], params)]
+    begin = params.slide_begin_m_s + params.slide_begin_fraction * v_ref
+    low = min(params.band_low_m_s, params.band_low_fraction * v_ref)  # [W4]
+    high = min(params.band_high_m_s, params.band_high_fraction * v_ref)
+    row = above(state.sliding_m_s[j], (begin, low, high, high * params.deep_factor))
+    column = above(state.acceleration_m_s2[j],
+                   (-params.fast_fall_m_s2, -params.fall_m_s2, params.rise_m_s2, params.fast_rise_m_s2))
+    event = WISHES[row, column]
     if state.runner[0] == j:
         event = np.int64(Event.RUN_UP)
     if reference.implausible(state, j, params):

@@ -1,9 +1,8 @@
 """The phase machine of one axle's dump valve, as tables: wishes, transitions, interrupts, magnets.
 
-Sliding and wheel acceleration, each in five classes, pick a wish. Phase and event (a wish, or
-something stronger) pick the next phase, unless the present one must finish its pulse and pause.
-Source: the usual matrix of slip and deceleration criteria; its entries are assumptions, tuned on
-the project's own plant.
+Sliding and wheel acceleration, each in five classes, pick a wish. Phase and event (a wish, or something stronger)
+pick the next phase, unless the present one must finish its pulse and pause. Source: the usual matrix of slip and
+deceleration criteria; its entries are assumptions, tuned on the project's own plant.
 """
 
 from enum import IntEnum
@@ -39,45 +38,22 @@ class Event(IntEnum):
     CUT_OFF = 7
 
 
-class Sliding(IntEnum):
-    """Classes of sliding against the reference: rows of the matrix."""
-
-    NONE = 0
-    BELOW = 1
-    BAND = 2
-    ABOVE = 3
-    DEEP = 4
-
-
-class Trend(IntEnum):
-    """Classes of wheel acceleration: columns of the matrix."""
-
-    FALLS_FAST = 0
-    FALLS = 1
-    STEADY = 2
-    RISES = 3
-    RISES_FAST = 4
-
-
 F, SF, H, SV, V, R, L = (int(phase) for phase in Phase)
 
+# rows: sliding against the reference; columns: wheel acceleration
 WISHES = np.array([
     # falls fast, falls, steady, rises, rises fast
-    [F, F, F, F, F],  # NONE
-    [H, SF, SF, F, F],  # BELOW
-    [V, SV, SF, SF, SF],  # BAND
-    [V, V, SV, H, H],  # ABOVE
-    [V, V, V, V, H],  # DEEP
+    [F, F, F, F, F],  # no sliding
+    [H, SF, SF, F, F],  # below the band
+    [V, SV, SF, SF, SF],  # in the band
+    [V, V, SV, H, H],  # above it
+    [V, V, V, V, H],  # deep
 ])
 
+# events: fill, step fill, hold, step vent, vent, run-up, timer, cut-off
 NEXT = np.array([
-    # fill, step fill, hold, step vent, vent, run-up, timer, cut-off
     [F, F, H, SV, V, R, L, F],  # FILL: has not slid yet, so no steps
-    [F, SF, H, SV, V, R, L, F],  # STEP_FILL
-    [F, SF, H, SV, V, R, L, F],  # HOLD
-    [F, SF, H, SV, V, R, L, F],  # STEP_VENT
-    [F, SF, H, SV, V, R, L, F],  # VENT
-    [F, SF, H, SV, V, R, L, F],  # RUN_UP
+    *[[F, SF, H, SV, V, R, L, F]] * 5,  # STEP_FILL to RUN_UP
     [F, F, F, F, F, F, F, F],  # LOCKED_OUT
 ])
 

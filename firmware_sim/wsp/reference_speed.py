@@ -93,8 +93,7 @@ def advance(state, params):
     # when nothing has slid for a while the reference needs no anchor: it is one
     if passed(state.calm[0], params.calm_s, params):
         state.anchor_m_s[0] = state.reference_m_s[0]
-        state.anchor_age[0] = 0.0
-        state.run_ups[0] = 0.0
+        state.anchor_age[0] = state.run_ups[0] = 0.0
 
 
 @kernel
@@ -121,14 +120,13 @@ def finish_run_up(state, params):
     if j < 0 or int(state.phase[j]) != Phase.RUN_UP:
         return
     age = state.phase_age[j]
-    if passed(age, params.run_up_shortest_s, params) and (
-            state.acceleration_m_s2[j] < params.run_up_done_m_s2):
+    if passed(age, params.run_up_shortest_s, params) and state.acceleration_m_s2[j] < params.run_up_done_m_s2:
         anchor(state, state.speed_m_s[j], params)
-        state.runner[0] = NOBODY
     elif passed(age, params.run_up_longest_s, params):
-        state.anchor_m_s[0] = state.reference_m_s[0]
-        state.anchor_age[0] = 0.0
-        state.runner[0] = NOBODY
+        state.anchor_m_s[0], state.anchor_age[0] = state.reference_m_s[0], 0.0
+    else:
+        return
+    state.runner[0] = NOBODY
 
 
 @kernel
@@ -139,6 +137,5 @@ def anchor(state, speed_m_s, params):
     trust = elapsed_s / (elapsed_s + params.learning_s)
     learned = state.deceleration_m_s2[0] + trust * (mean - state.deceleration_m_s2[0])
     state.deceleration_m_s2[0] = min(max(learned, 0.0), params.reference_fall_m_s2)
-    state.reference_m_s[0] = speed_m_s
-    state.anchor_m_s[0] = speed_m_s
+    state.reference_m_s[0] = state.anchor_m_s[0] = speed_m_s
     state.anchor_age[0] = 0.0

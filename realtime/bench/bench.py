@@ -1,30 +1,32 @@
 """The bench: composition root of a run, from a scenario to a folder with its record.
 
-It builds the parts, runs one of the three pacings, and closes everything in order whatever happens:
-the record of a run that failed, was interrupted or killed is kept.
+It builds the parts, runs one of the three pacings, and closes everything in order whatever happens: the record of a
+run that failed, was interrupted or killed is kept.
 """
 
 import asyncio
+import contextlib
 import dataclasses
 import signal
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Any
 
 import pyarrow as pa
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.firmware_sim.faults import panel
+from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import free, lockstep, options, scenario, supervisor, tick_data, wall, wire_delay
+from rollerrig.realtime.bench import free, lockstep, options, scenario, tick_data, wall, wire_delay
 from rollerrig.realtime.bench.options import Options, Progress
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.loop import loop, ring
-from rollerrig.realtime.loop.tick import MISSED, STOP, TICK, WORST_NS
-from rollerrig.realtime.record import channels, records, run_folder, summary
+from rollerrig.realtime.loop import clock, loop, ring
+from rollerrig.realtime.loop.tick import MISSED, STALLED_NS, STOP, TICK, WORST_NS
+from rollerrig.realtime.record import channels, records, run_folder, summary, validity
+from rollerrig.realtime.record.files import writing
 
-PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
-    "wall": wall.run, "lockstep": lockstep.run, "free": free.run}
+PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {"wall": wall.run, "lockstep": lockstep.run, "free": free.run}
 _EXCEPTIONS_RECORDED = 20
 
 
@@ -32,14 +34,20 @@ class Bench:
     """One run. `say` is called with a `Progress` now and then. Raises ConfigError."""
 
     def __init__(self, plan: Scenario, given: Options, say: Callable[[Progress], None]) -> None:
-        options.check_options(given)
-        supervisor.check(plan, given.pacing, given.start)
+        options.check(given, plan["modbus"]["enabled"])
         panel.check_pacing(plan.faults, given.pacing)
         wire_delay.check(plan, given.pacing)
         if given.unit == "reference":
             logic.load(plan["wsp_config"])
+        if given.fmus:
+            from rollerrig.firmware_sim.wsp import fmu_file
+
+            fmu_file.fit_all(given.fmus, given.unit_map, plan["bus"]["sync_period_s"])
+        if plan["modbus"]["enabled"]:
+            tls_context(plan["modbus"])
         run_folder.begin(given.out)
-        (given.out / run_folder.SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
+        with writing(given.out):
+            (given.out / run_folder.SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
         ring.sweep()
         self.parts = Parts(plan, given, say)
         self._exceptions: set[str] = set()
@@ -50,12 +58,18 @@ class Bench:
         given = parts.options
         running = asyncio.get_running_loop()
         running.set_exception_handler(self._note_exception)
-        for signum in (signal.SIGINT, signal.SIGTERM):
-            running.add_signal_handler(signum, parts.stop, "interrupted")
+        # a run under nohup goes on when its terminal closes
+        heard = [signal.SIGINT, signal.SIGTERM, *[signal.SIGHUP] * (signal.getsignal(signal.SIGHUP) != signal.SIG_IGN)]
+        for signum in heard:
+            running.add_signal_handler(signum, parts.stop, "interrupted", f" by {signum.name}")
         try:
-            await parts.processes.start_recorder(*parts.rings, parts.identity())
+            parts.processes.start_recorder(*parts.rings, parts.identity())
             tick_data.warm_up(parts.data, given.pacing, given.unit)
-            await PACINGS[given.pacing](parts)
+            if given.hold:
+                parts.report("held until a viewer has joined the live view")
+            await parts.processes.await_viewer(parts.rows, lambda: parts.ended_by)
+            if not parts.ended_by:
+                await PACINGS[given.pacing](parts)
             if parts.failure:
                 raise parts.failure
         except RollerrigError as error:
@@ -64,10 +78,10 @@ class Bench:
             parts.event("error", str(error))
         finally:
             parts.data.control[STOP] = 1
+            for signum in heard:  # the event loop's end takes the handlers away
+                running.add_signal_handler(signum, lambda: None)
             result = await self._close()
-            for signum in (signal.SIGINT, signal.SIGTERM):
-                running.remove_signal_handler(signum)
-        if failure:
+        if failure := failure or parts.processes.unwritten:
             raise failure
         return result
 
@@ -81,10 +95,15 @@ class Bench:
 
     async def _close(self) -> dict[str, Any]:
         """Close bus, unit and recorder, and write the summary."""
-        parts = self.parts
+        parts, out = self.parts, self.parts.options.out
         parts.derailment.look(parts.data.buffer)
         bus_counts = self._bus_counts()
-        self._note_start()
+        if parts.options.start == "modbus":
+            # the record's scenario is the one that was run, from the speed at which it began
+            resolved = parts.plan.resolved | {"initial_speed_m_s": parts.speed_m_s}
+            parts.plan = dataclasses.replace(parts.plan, resolved=resolved)
+            with contextlib.suppress(OSError):  # a full disk is told by what became of the record
+                (out / run_folder.SCENARIO).write_text(scenario.dump(parts.plan), encoding="utf-8")
         if parts.hub is not None:
             await parts.hub.close()
         await parts.processes.end_unit()
@@ -97,39 +116,32 @@ class Bench:
         counters = parts.identity() | {
             "ended": parts.ended_by or "finished",
             "loop": {"ticks": int(control[TICK]), "missed": int(control[MISSED]),
-                     "lateness_us": loop.percentiles(parts.histogram, int(control[WORST_NS]))},
+                     "stalled_s": int(control[STALLED_NS]) / clock.SECOND_NS,
+                     "lateness_us": loop.percentiles(parts.histogram, int(control[WORST_NS])),
+                     **parts.interruptions},
             "bus": bus_counts, "modbus": {"requests": parts.modbus.requests},
-            "recorder": {"lost": sum(int(one.header[ring.LOST]) for one in parts.rings)},
-        }
-        table = self._recorded()
-        result = summary.of(table, counters, parts.plan.resolved) | {"events": parts.events}
-        records.write_summary(parts.options.out, result)
-        return result
-
-    def _note_start(self) -> None:
-        """The record's scenario is the one that was run, from the speed at which it began."""
-        parts = self.parts
-        if parts.options.start == "modbus":
-            resolved = parts.plan.resolved | {"initial_speed_m_s": parts.speed_m_s}
-            parts.plan = dataclasses.replace(parts.plan, resolved=resolved)
-            (parts.options.out / run_folder.SCENARIO).write_text(scenario.dump(parts.plan), encoding="utf-8")
-
-    def _recorded(self) -> pa.Table:
-        """What the recorder wrote; nothing where it did not come that far: a summary stands anyway."""
+            "recorder": {"lost": sum(int(one.header[ring.LOST]) for one in parts.rings)}}
         try:
-            return channels.load(self.parts.options.out)
+            found: channels.Columns | pa.Table = channels.Columns(out)
+        except ConfigError as error:  # the recorder did not come that far: a summary stands anyway
+            parts.event("error", str(error))
+            found = channels.schema().empty_table()
+        told: Iterable[validity.Event] = parts.events.rows()
+        if parts.events.left_out:  # judged by all of them, as far as they were recorded
+            with contextlib.suppress(ConfigError):
+                if sum(1 for _ in records.each_event(out)) > len(parts.events.rows()):
+                    told = records.each_event(out)
+        result = summary.of(found, counters, parts.plan.resolved, told) | {"events": list(parts.events)}
+        try:
+            records.write_summary(out, result)
         except ConfigError as error:
-            self.parts.event("error", str(error))
-            return channels.schema().empty_table()
+            parts.processes.unwritten = error
+        return result
 
     def _bus_counts(self) -> dict[str, Any]:
         hub, bus = self.parts.hub, self.parts.bus
         if hub is None:
             return {"frames": 0, "dropped": 0, "load_percent": 0.0}
-        stats = hub.stats()
-        counts = {key: stats[key] for key in ("frames", "dropped", "load_percent")}
-        if hub.wire is not None:
-            counts["longest_wait_us"] = stats["longest_wait_us"]
-        if bus and bus.stray_syncs:
-            counts["stray_syncs"] = bus.stray_syncs
-        return counts
+        names = ("frames", "dropped", "load_percent", *(("longest_wait_us",) if hub.wire is not None else ()))
+        counts = {name: hub.stats()[name] for name in names}
+        return counts | ({"stray_syncs": bus.stray_syncs} if bus and bus.stray_syncs else {})

@@ -1,7 +1,9 @@
-"""Watches whether a wheel of the coach in 3D has left its rail or roller.
+"""Watches what the plant alone knows: a wheel of the coach in 3D off its rail, exhausted air, empty sand boxes, flats.
 
 The physics notes the place where a wheel had nothing within reach any more; what it computes from then
-on is a wheel in the air. Here that becomes an event of the run, once for each wheel, and the run ends.
+on is a wheel in the air. Here that becomes an event of the run, once for each wheel, and the run ends. Air is
+exhausted when the reservoir holds less than the cylinders are asked to have: from there on brakes are weak. A flat is
+told when its wheel turns again, or the train stands.
 """
 
 from collections.abc import Callable
@@ -9,9 +11,12 @@ from collections.abc import Callable
 import numpy as np
 
 from rollerrig.rig.multibody import coach_state
-from rollerrig.rig.state import SIZE
+from rollerrig.rig.state import AXLES, SIZE, SLOTS
 
 SIDES = ("left", "right")
+_LACK_PA = 5e3  # so much less than is asked counts
+_NEW_FLAT_M = 2e-3  # so much longer is a flat worth telling of
+_RESERVOIR, _DEMAND = (SLOTS[name].start for name in ("reservoir_pressure", "brake_demand"))
 
 
 class Watch:
@@ -20,9 +25,25 @@ class Watch:
     def __init__(self, tell: Callable[[str, str], None], stop: Callable[[str], None]) -> None:
         self._tell, self._stop = tell, stop
         self._seen = np.zeros(coach_state.WHEELS, dtype=bool)
+        self._exhausted = False
+        self._flat_m, self._box_kg = [0.0] * AXLES, [0.0] * AXLES
 
     def look(self, buffer: np.ndarray) -> None:
-        """Tell of wheels that have newly left; `buffer` as of `rig.state`, nothing to see without a coach."""
+        """Tell of what is new; `buffer` as of `rig.state`."""
+        held_Pa, asked_Pa = buffer.item(_RESERVOIR), buffer.item(_DEMAND)  # 0 where air never runs out
+        if not self._exhausted and 0.0 < held_Pa < asked_Pa - _LACK_PA:
+            self._exhausted = True
+            self._tell("warning", f"air exhausted: the reservoir holds {held_Pa / 1e5:.2f} bar, and the cylinders are "
+                                  f"asked to have {asked_Pa / 1e5:.2f} bar: brakes are weak from here on")
+        held_kg, self._box_kg = self._box_kg, buffer[SLOTS["sand_box"]].tolist()
+        for j in range(AXLES):
+            if self._box_kg[j] <= 0.0 < held_kg[j]:
+                self._tell("warning", f"sand box empty: the sander of axle {j + 1} strews no more")
+        for j, flat_m in enumerate(buffer[SLOTS["flat_length"]].tolist()):
+            if flat_m > self._flat_m[j] + _NEW_FLAT_M and (
+                    buffer[SLOTS["wheel_speed"]][j] > 0.0 or buffer[SLOTS["standing"]][0] != 0.0):
+                self._flat_m[j] = flat_m
+                self._tell("warning", f"wheel flat: the wheels of axle {j + 1} have flats of {1e3 * flat_m:.0f} mm")
         if buffer.size == SIZE or self._seen.all():
             return
         left_m = coach_state.views(buffer[SIZE:]).left

@@ -1,11 +1,11 @@
 """Faults over Modbus: choose one by its number, say where and for how long, and inject it.
 
-Unit 1 has three registers to choose with, a coil that injects and a coil that lifts; parameters that
-have no register take the catalogue's defaults. A fault that cannot be is refused with exception 03,
-and an event says why.
+Unit 1 has three registers to choose with, a coil that injects and a coil that lifts; parameters that have no register
+take the catalogue's defaults. A fault that cannot be is refused with exception 03, and an event says why.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rollerrig.configs.errors import ConfigError
@@ -27,17 +27,14 @@ class FaultRegisters:
 
     def readers(self) -> dict[str, Reader]:
         """Raw values by name of the register."""
-        active = self.faults.active
-        chosen: dict[str, Reader] = {
-            name: (lambda name=name: self.chosen[name]) for name in self.chosen}
-        return chosen | {"inject_fault": lambda: bool(active), "lift_faults": lambda: False,
-                         "faults_active": lambda: len(active)}
+        return {name: (lambda name=name: self.chosen[name]) for name in self.chosen} | {
+            "inject_fault": lambda: bool(self.faults.active), "lift_faults": lambda: False,
+            "faults_active": lambda: len(self.faults.active)}
 
     def writers(self) -> dict[str, Writer]:
         """What a write does, by name of the register."""
-        chosen: dict[str, Writer] = {
-            name: (lambda raw, only, name=name: self._choose(name, raw, only)) for name in self.chosen}
-        return chosen | {"inject_fault": self._inject, "lift_faults": self._lift}
+        return {name: partial(self._choose, name) for name in self.chosen} | {
+            "inject_fault": self._inject, "lift_faults": self._lift}
 
     def _choose(self, name: str, raw: int, only: bool) -> None:
         if name == "fault" and raw not in BY_NUMBER:
@@ -49,8 +46,7 @@ class FaultRegisters:
         if not raw or only:
             return
         kind, target = BY_NUMBER[self.chosen["fault"]], self.chosen["fault_target"]
-        values: dict[str, Any] = {
-            "for_s": self.chosen["fault_duration"] * DURATION_UNIT_S or LASTS}
+        values: dict[str, Any] = {"for_s": self.chosen["fault_duration"] * DURATION_UNIT_S or LASTS}
         aim = next((row.name for row in kind.parameters if row.name in AIMS), "")
         if target and aim:
             values[aim] = target

@@ -34,31 +34,28 @@ class Stop:
         self.plan, self.data = plan, data
         self.faults = faults or panel.Panel(plan.faults, lambda level, text: None)
         self.faults.connect(panel.Site(data.commands.values[tick.FAULTS:], lambda: None))
-        self._call: UnitCall | None = None
-        self._own: logic.Unit | None = None
-        if isinstance(unit, logic.Params):
-            self._own = logic.new_unit(unit)
-        elif callable(unit):
-            self._call = unit
-        elif unit == "reference":
-            self._own = logic.new_unit(logic.load(plan["wsp_config"]))
+        self._call: UnitCall | None = unit if callable(unit) else None
+        self.own: logic.Unit | None = None
+        if isinstance(unit, logic.Params) or unit == "reference":
+            self.own = logic.new_unit(unit if isinstance(unit, logic.Params) else logic.load(plan["wsp_config"]))
         self._inputs = np.zeros(2 * AXLES, dtype=np.int64)
+        self._ticks = None if self.own else tick.Ticks(data)
 
     def advance(self, most: int = _MOST_TICKS) -> None:
         """Run ticks: `most`, or fewer until a fault begins or ends, an outside unit is asked, or the end."""
         tick_hz = self.plan["loop"]["tick_hz"]
         self.faults.poll(int(self.data.control[TICK]) / tick_hz)
-        rest_s = self.faults.next_change_s() - self.faults.now_s
-        ticks = min(most, max(1, round(min(rest_s, 3600.0) * tick_hz)))
-        if self._own:
-            tick.run_ticks_with_unit(self.data, ticks, self.plan.sync_ticks, self._own, self._inputs)
+        ticks = min(most, max(1, round(min(self.faults.next_change_s() - self.faults.now_s, 3600.0) * tick_hz)))
+        if self.own:
+            tick.run_ticks_with_unit(self.data, ticks, self.plan.sync_ticks, self.own, self._inputs)
             return
         if self._call:
             past = int(self.data.control[TICK]) % self.plan.sync_ticks
             if not past:
                 self._ask(self._call)
             ticks = min(ticks, self.plan.sync_ticks - past)
-        tick.run_ticks(self.data, ticks)
+        assert self._ticks
+        self._ticks.run(ticks)
 
     def _ask(self, call: UnitCall) -> None:
         for at, name in ((0, "measured_speed"), (AXLES, "cylinder_pressure")):
@@ -68,16 +65,16 @@ class Stop:
         self.data.commands.values[:AXLES] = [byte >> 2 * j & 3 for j in range(AXLES)]
 
 
-def memory_of(plan: Scenario) -> ring.Memory:
-    """Room for all samples of a stop."""
-    return ring.Memory(int(plan["duration_max_s"] * plan["loop"]["record_hz"]) + 2, len(signals.COLUMNS))
+def remembered(plan: Scenario, unit: Unit = "reference") -> tuple[Stop, ring.Memory]:
+    """A stop, and the memory that its samples are collected in."""
+    memory = ring.Memory(int(plan["duration_max_s"] * plan["loop"]["record_hz"]) + 2, len(signals.COLUMNS))
+    return Stop(plan, tick_data.build(plan, memory), unit), memory
 
 
 def simulate(plan: Scenario, unit: Unit = "reference") -> np.ndarray:
     """Run a scenario to its end; its samples, shape (samples, columns). Raises ConfigError."""
     panel.check_pacing(plan.faults, "free")
-    memory = memory_of(plan)
-    stop = Stop(plan, tick_data.build(plan, memory), unit)
+    stop, memory = remembered(plan, unit)
     while not stop.data.control[DONE]:
         stop.advance()
     return memory.written
@@ -88,15 +85,16 @@ def channels(rows: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip(signals.COLUMNS, rows.T, strict=True))
 
 
-def moving(rows: np.ndarray) -> np.ndarray:
-    """The part of a stop's samples up to standstill."""
-    still = np.flatnonzero(rows[:, signals.column("vehicle_speed")] <= 0.01)
+def moving(rows: np.ndarray, slowest_m_s: float = 0.01) -> np.ndarray:
+    """The part of a stop's samples up to standstill, or to a speed in m/s."""
+    still = np.flatnonzero(rows[:, signals.column("vehicle_speed")] <= slowest_m_s)
     return rows[: still[0] if still.size else len(rows)]
 
 
 async def run(parts: Parts) -> None:
     """Run ticks as fast as they go, with a look at recorder and faults now and then."""
     stop = Stop(parts.plan, parts.data, parts.options.unit, parts.faults)
+    await parts.processes.await_recorder(parts.rows)
     while not parts.stopping:
         parts.derailment.look(parts.data.buffer)
         stop.advance(_TICKS_BETWEEN_LOOKS)

@@ -1,8 +1,7 @@
 """What the pacings of a run share: scenario, tick data, rings, bus and faults, and what all of them do.
 
-The bench builds it, hands it to one pacing and closes it. `data` and `plan` change when a held rig is
-given another scenario. Clocks: `simulated_ns` counts ticks, `elapsed_ns` the time since the real-time
-thread began.
+The bench builds it, hands it to one pacing and closes it. `data` and `plan` change when a held rig is given another
+scenario. Clocks: `simulated_ns` counts ticks, `elapsed_ns` the time since the real-time thread began.
 """
 
 import asyncio
@@ -16,19 +15,20 @@ import numpy as np
 from rollerrig.configs.errors import RollerrigError, UnitError
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
-from rollerrig.firmware_sim.modbus.server import Counters
+from rollerrig.firmware_sim.modbus.access import Counters
 from rollerrig.realtime.bench import derailment, rig_bus, scenario, tick_data
 from rollerrig.realtime.bench.options import Options, Progress
 from rollerrig.realtime.bench.processes import Processes
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, ring
 from rollerrig.realtime.loop.ring import Ring
-from rollerrig.realtime.loop.tick import DONE, MISSED, STOP, TICK
+from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
+from rollerrig.realtime.record.events import Events
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
-from rollerrig.wsp_interface.rig_objects import HARNESS, JOINED, UNIT_HEARTBEAT_ID
+from rollerrig.wsp_interface.rig_objects import HARNESS, JOINED, PRESSURES, SPEEDS, UNIT_HEARTBEAT_ID
 
-_ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 12
+_ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 14
 _REPORT_S = 0.5
 
 
@@ -37,10 +37,11 @@ class Parts:
 
     def __init__(self, plan: Scenario, options: Options, say: Callable[[Progress], None]) -> None:
         self.plan, self.options, self.say = plan, options, say
-        self.events: list[dict[str, Any]] = []
-        self.ended_by = ""
+        self.events = Events()
+        self.ended_by, self.place = "", ""
         self.failure: RollerrigError | None = None
         self.histogram = np.zeros(loop.BINS, dtype=np.int64)
+        self.interruptions: dict[str, int] = {}
         # when the real-time thread began, by CLOCK_MONOTONIC; 0: it has not
         self.begun_ns = 0
         # when the run began, by the clock of the bus; -1: it has not, the rig is held
@@ -50,7 +51,6 @@ class Parts:
         self.speed_m_s = float(plan["initial_speed_m_s"])
         self.hub: Hub | None = None
         self.bus: rig_bus.RigBus | None = None
-        self.place = ""
         self.ports: dict[str, int] = {}
         self.modbus = Counters()
         # changes a row of commands on its way from the bus to the tick
@@ -61,14 +61,13 @@ class Parts:
         self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(signals.COLUMNS))
         self.frames = Ring(ring.place("frames"), np.int64, _FRAMES, ring.FRAME_WORDS)
         self.event_ring = Ring(ring.place("events"), np.int64, _EVENTS, ring.EVENT_WORDS)
+        # what the recorder reads
+        self.rings = self.rows, self.frames, self.event_ring
         self.data = tick_data.build(plan, self.rows, seed=options.seed)
         self.row = self.data.row.copy()
-        self._reported_s = 0.0
-
-    @property
-    def rings(self) -> tuple[Ring, Ring, Ring]:
-        """What the recorder reads."""
-        return self.rows, self.frames, self.event_ring
+        self._reported_s = self._stalled_s = 0.0
+        # a master on the bus shall move the drives, and has not been looked for
+        self._master_awaited = plan["rig"]["drives"] == "bus"
 
     def identity(self) -> dict[str, Any]:
         """What a summary says of a run before it has begun."""
@@ -80,7 +79,7 @@ class Parts:
     def event(self, level: str, text: str) -> None:
         """Record an event (info, warning, error) at the present simulated time."""
         time_s = int(self.data.control[TICK]) / self.plan["loop"]["tick_hz"]
-        self.events.append({"time_s": time_s, "level": level, "text": text})
+        self.events.add(time_s, level, text)
         ring.push_event(self.event_ring, time_s, level, text)
         if level != "info":
             self.report(f"{time_s:.3f} s: {level}: {text}")
@@ -88,19 +87,27 @@ class Parts:
     def report(self, message: str = "") -> None:
         """Say how far the run is."""
         mailbox.fetch(self.data.published, self.row)
-        row = self.row
-        self.say(Progress(row[signals.column("time")], row[signals.column("vehicle_speed")],
-                          float(row[signals.span("sliding")].max()),
+        time_s, speed_m_s = (float(self.row[signals.column(name)]) for name in ("time", "vehicle_speed"))
+        self.say(Progress(time_s, speed_m_s, float(self.row[signals.span("sliding")].max()),
                           int(self.data.control[MISSED]), message))
 
-    def stop(self, why: str) -> None:
+    def stop(self, why: str, how: str = "") -> None:
         """End the run at the next tick."""
         if not self.ended_by:
             self.ended_by = why
-            self.event("warning", f"the run is {why}")
+            self.event("warning", f"the run is {why}{how}")
         self.data.control[STOP] = 1
         if self.bus:
             self.bus.answered.set()
+            self.bus.harness_answered.set()
+
+    def tell_stall(self) -> None:
+        """Say where the loop has stood still since it was last asked: the two clocks of a record part there."""
+        stalled_s = int(self.data.control[STALLED_NS]) / clock.SECOND_NS
+        if stalled_s > self._stalled_s:
+            self.event("warning", f"the loop stood still for {stalled_s - self._stalled_s:.3f} s: from here times of "
+                       f"can.log are {stalled_s:.3f} s ahead of simulated time")
+            self._stalled_s = stalled_s
 
     @property
     def stopping(self) -> bool:
@@ -113,17 +120,23 @@ class Parts:
 
     def elapsed_ns(self) -> int:
         """Wall time since the real-time thread began; 0 before."""
-        return clock.monotonic_ns() - self.begun_ns if self.begun_ns else 0
+        return time.monotonic_ns() - self.begun_ns if self.begun_ns else 0
 
     def poll_faults(self) -> None:
-        """Begin and lift faults that are due, and see whether the coach has derailed."""
+        """Begin and lift faults that are due, and see whether the coach has derailed and drives have their master."""
         self.faults.poll(self.simulated_ns() / clock.SECOND_NS)
         self.derailment.look(self.data.buffer)
+        if self._master_awaited and self.simulated_ns() >= clock.SECOND_NS and self.bus:
+            self._master_awaited = False
+            off = [node for node in signals.DRIVE_NODES if not self.bus.nodes[node].device.enabled]
+            if off:
+                self.event("warning", f"rig.drives=bus, and after 1 s no master has enabled the drives of nodes "
+                           f"{', '.join(map(str, off))}: their rollers run without motors; let a master write the "
+                           "controlwords 6, 7, 15 (6040h), or leave the motors to the bench with --set rig.drives=rig")
 
     async def pause(self) -> None:
         """Between two batches of ticks: yield to the bus, and to a recorder that is half a ring behind."""
-        header = self.rows.header
-        while (header[ring.WRITTEN] - header[ring.READ] > _ROWS // 2
+        while (any(one.room < one.header[ring.CAPACITY] // 2 for one in self.rings)
                and self.processes.recording and not self.stopping):
             await asyncio.sleep(0.005)
         self.processes.watch_recorder()
@@ -136,15 +149,18 @@ class Parts:
 
     async def open_bus(self, clock_ns: Callable[[], int]) -> rig_bus.RigBus:
         """Open the scenario's bus with the rig on it. Raises BusError."""
-        self.hub, self.place = await rig_bus.open_bus(self.plan, clock_ns, self._lost_bus)
+        self.hub, self.place = await rig_bus.open_bus(
+            self.plan, clock_ns, self._lost_bus, self.event, self.options.pacing == "wall")
         rig_bus.record_frames(self.hub, self.frames, lambda: self.zero_ns)
-        self.ports = await rig_bus.open_others(self.hub, self.plan)
+        self.ports = await rig_bus.open_others(self.hub, self.place, self.plan)
         for codec, port in self.ports.items():
             self.event("info", f"the bus speaks {codec} on port {port}")
         mailbox.fetch(self.data.published, self.row)
         bus = rig_bus.RigBus(self.hub, self.plan, self.row.copy(), self._post, self.event, clock_ns,
-                             self.options.pacing)
+                             self.options.pacing, lambda row: mailbox.fetch(self.data.published, row))
         bus.harness.wire(end=self._end_run, inject=self._inject, lift=self._lift, left=bus.harness_answered.set)
+        bus.own_unit = self.options.own_unit
+        bus.awaited = PRESSURES.can_id if self.options.fmus else SPEEDS.can_id
         self.faults.connect(bus.site(self.processes.freeze))
         self.bus = bus
         self.event("info", f"the rig is on the bus {self.place}")
@@ -171,14 +187,17 @@ class Parts:
 
     def _lift(self, text: str) -> None:
         name, *aims = text.split() or [""]
-        aim = catalogue.parse(text).values if aims else {}
-        self.faults.clear(name, **{key: value for key, value in aim.items()
-                                   if any(one.startswith(f"{key}=") for one in aims)})
+        named = {one.partition("=")[0] for one in aims}
+        values = catalogue.parse(text).values if aims else {}
+        self.faults.clear(name, **{key: value for key, value in values.items() if key in named})
 
     async def await_unit(self, bus: rig_bus.RigBus) -> None:
-        """Start the reference unit, or wait for anybody's heartbeat, then for a harness. Raises UnitError."""
-        if self.options.unit == "reference":
-            self.processes.start_unit(self.place, self.plan["wsp_config"])
+        """Start the bench's own unit, or wait for anybody's heartbeat, then for a harness. Raises UnitError."""
+        if self.options.own_unit:
+            priority = self.plan["loop"]["priority"] if self.options.pacing == "wall" else 0
+            self.processes.start_unit(self.place, self.plan["wsp_config"],
+                                      priority and max(priority - loop.BUS_BELOW, 1),
+                                      self.plan["bus"]["sync_period_s"], self.plan["bus"]["bitrate"])
         elif self.options.unit == "external":
             self._say_waiting(f"a WSP unit's heartbeat ({UNIT_HEARTBEAT_ID:X}h)")
         if self.options.unit != "none":
@@ -188,8 +207,8 @@ class Parts:
                 if bus.master.unit.state is not None:
                     heard_s.append(time.monotonic())
                 # a simple unit may not obey NMT; half a second is enough for one that does
-                return bool(heard_s) and (bus.master.unit.state == State.OPERATIONAL
-                                          or heard_s[-1] > heard_s[0] + 0.5)
+                longer = bool(heard_s) and not bus.own_unit and heard_s[-1] > heard_s[0] + 0.5
+                return longer or bus.master.unit.state == State.OPERATIONAL
 
             await self._await(bus, there, f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
                               f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait")
@@ -199,6 +218,7 @@ class Parts:
             self._say_waiting(f"a harness (node {signals.BENCH_NODE}, {HARNESS:X}h:{JOINED})")
             await self._await(bus, lambda: bus.harness.joined, f"no harness on {self.place}", "start one "
                               f"('rollerrig sequence ... --bus {self.place}') or run without --harness")
+        await self.processes.await_recorder(self.rows)
 
     def _say_waiting(self, what: str) -> None:
         self.report(f"waiting for {what} on {self.place} ...")
@@ -206,7 +226,9 @@ class Parts:
             self.report(json.dumps({"waiting_for": what, "address": self.place}))
 
     async def _await(self, bus: rig_bus.RigBus, there: Callable[[], bool], missing: str, mend: str) -> None:
-        deadline_s = time.monotonic() + self.options.unit_wait_s
+        # the bench's own unit, whose process lives, may come late on a busy machine
+        patience = 10 if bus.own_unit and bus.master.unit.state is None else 1
+        deadline_s = time.monotonic() + patience * self.options.unit_wait_s
         while not self.stopping:
             bus.poll()
             if there():

@@ -1,20 +1,27 @@
-"""The processes beside the bench: recorder, live view and the reference WSP unit, and how they end."""
+"""The processes beside the bench: recorder, live view and the WSP unit (reference or FMU), and how they end."""
 
 import asyncio
+import json
+import os
 import signal
 import subprocess
-import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-from rollerrig.configs.errors import RollerrigError, UnitError
-from rollerrig.realtime.bench.options import Options
+from rollerrig.configs import children
+from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
+from rollerrig.realtime.bench.options import Options, begin_recorder, tell, unit_command
+from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import run_folder
-from rollerrig.realtime.telemetry import recording
+from rollerrig.realtime.record.files import writing
 
 Process = subprocess.Popen[bytes]
+# how long a recorder may take to complete its files: much, on a busy machine
+_RECORDER_S = 300.0
 
 
 class Processes:
@@ -25,27 +32,52 @@ class Processes:
         self.recorder: Process | None = None
         self.unit: Process | None = None
         self.live: Process | None = None
+        # where an FMU is unpacked
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
         # those whose end has been told already
         self._ended: set[int] = set()
+        # why the record is not whole
+        self.unwritten: ConfigError | None = None
 
-    async def start_recorder(self, rows: Ring, frames: Ring, events: Ring, identity: Mapping[str, Any]) -> None:
-        """Start recorder and live view, and wait for the recorder. Raises RollerrigError."""
-        self.recorder = recording.start(self.options.out, rows, frames, events, identity)
-        ready = await asyncio.get_running_loop().run_in_executor(
-            None, recording.wait_ready, self.recorder, rows)
-        if not ready:
-            raise RollerrigError("the recorder did not start; its message stands above")
+    def start_recorder(self, rows: Ring, frames: Ring, events: Ring, identity: Mapping[str, Any]) -> None:
+        """Start recorder and live view; neither is waited for."""
+        self.recorder = record(self.options.out, rows, frames, events, identity, self.options.recorder)
         if self.options.live:
             from rollerrig.realtime.telemetry import live
 
-            self.live = live.start(self.options.out, rows, events)
+            self.live = live.start(self.options.out, rows, events, self.options.unit)
 
-    def start_unit(self, place: str, config: str) -> None:
-        """Start the reference unit on the bus at an address."""
-        command = [sys.executable, "-m", "rollerrig.realtime.cli", "wsp", "--bus", place, "--config", config]
-        with open(self.options.out / run_folder.UNIT_LOG, "wb") as log:
-            self.unit = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                                         start_new_session=True)
+    async def await_viewer(self, rows: Ring, given_up: Callable[[], object]) -> None:
+        """With --hold wait until somebody looks at the live view, it has ended, or the run is `given_up`."""
+        while self.options.hold and not rows.header[ring.VIEWED] and _runs(self.live) and not given_up():
+            await asyncio.sleep(0.1)
+
+    async def await_recorder(self, rows: Ring) -> None:
+        """Wait until the recorder drains its rings. Raises RollerrigError."""
+        assert self.recorder is not None
+        if not await asyncio.get_running_loop().run_in_executor(None, wait_ready, self.recorder, rows):
+            self.watch_recorder()
+            raise self.unwritten or RollerrigError("the recorder did not start; its message stands above")
+
+    def start_unit(self, place: str, config: str, priority: int, sync_period_s: float, bitrate: int) -> None:
+        """Start the unit on the bus at an address, of `bitrate` bit/s; it asks for a real-time `priority` above 0."""
+        given = self.options
+        words = ["--bus", place, "--config", config, "--priority", str(priority),
+                 *(["--lockstep", str(sync_period_s)] if given.pacing == "lockstep" else [])]
+        if given.fmus:
+            # what it unpacks there goes with the bench, also when it has crashed
+            self._scratch = tempfile.TemporaryDirectory(prefix="rollerrig-fmu-")
+            words += ["--step", str(sync_period_s), "--step-wait", str(given.answer_wait_s), "--bitrate", str(bitrate),
+                      *(word for one in given.fmus for word in ("--fmu", str(one))),
+                      *(["--unit-map", str(given.unit_map)] if given.unit_map else [])]
+        environment = os.environ | ({"TMPDIR": self._scratch.name} if self._scratch else {})
+        with writing(given.out), open(given.out / run_folder.UNIT_LOG, "wb") as log:
+            if given.begun_unit:
+                self.unit = given.begun_unit
+                tell(self.unit, [*words, "--log", str(given.out / run_folder.UNIT_LOG)])
+            else:
+                self.unit = subprocess.Popen(unit_command(*words), stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                                             start_new_session=True, env=environment)
 
     @property
     def recording(self) -> bool:
@@ -54,16 +86,23 @@ class Processes:
 
     def watch_recorder(self) -> None:
         """Say it, once, when the recorder has ended."""
-        if (process := self._newly_ended(self.recorder)) is not None:
-            self.event("error", f"the recorder has ended with status {process.returncode}; the "
-                       "run goes on, its record ends about here")
+        if process := self._newly_ended(self.recorder):
+            status, why = process.returncode, ""
+            if status > 2:  # the number of an error, as the recorder has it
+                why = f": {self.options.out} cannot be written: {os.strerror(status)}"
+                self.unwritten = ConfigError(f"{why[2:]}; what was recorded before is kept; make room, or give a "
+                                             "folder elsewhere with --out, and run again")
+            self.event("error", f"the recorder has ended with status {status}{why}; the run goes on, its record ends "
+                       "about here")
 
     def watch(self, starting: bool = False) -> None:
         """Say what has ended. Raises UnitError where the run is `starting` and has lost its unit."""
         self.watch_recorder()
-        if (process := self._newly_ended(self.unit)) is not None:
-            text = (f"the reference WSP unit has ended with status {process.returncode}; its last words "
-                    f"stand in {self.options.out / run_folder.UNIT_LOG}")
+        if process := self._newly_ended(self.unit):
+            log = self.options.out / run_folder.UNIT_LOG
+            names = ", ".join(one.name for one in self.options.fmus)
+            kind = f"WSP unit {names}" if names else "reference WSP unit"
+            text = f"the {kind} has ended with status {process.returncode}{children.last_words(log)} ({log})"
             if starting:
                 raise UnitError(text)
             self.event("error", text)
@@ -75,7 +114,7 @@ class Processes:
         return process
 
     def freeze(self, on: bool) -> bool:
-        """Stop the reference unit's process, or let it go on; False where there is none."""
+        """Stop the process of the bench's own unit, or let it go on; False where there is none."""
         if self.unit is None or not _runs(self.unit):
             return False
         self.unit.send_signal(signal.SIGSTOP if on else signal.SIGCONT)
@@ -85,10 +124,14 @@ class Processes:
         """Wait for the unit, which ends with its bus, and end it when it does not."""
         self.freeze(False)  # a stopped process would not hear that it shall end
         await _end(self.unit, 2.0)
+        if self._scratch:
+            self._scratch.cleanup()
 
     async def end_recorder(self) -> None:
         """Wait until the recorder has written all that its closed rings hold, and end the live view."""
-        await _end(self.recorder, 30.0, ask=False)
+        await _end(self.recorder, _RECORDER_S, ask=False)
+        if self.recorder is not None and self.recorder.returncode:
+            self.watch_recorder()
         if self.live is not None and _runs(self.live):
             self.live.terminate()
 
@@ -104,3 +147,26 @@ async def _end(process: Process | None, patience_s: float, ask: bool = True) -> 
     if process is not None and process.poll() is None:
         process.terminate() if ask else process.kill()
         process.wait(5.0)
+
+
+def record(run_dir: Path, rows: Ring, frames: Ring, events: Ring, counters: Mapping[str, Any] | None = None,
+           begun: Process | None = None) -> Process:
+    """Tell the recorder that has `begun`, or a new one, what to record.
+
+    `counters` (pacing, seed, unit ...) go into the summary of a killed run.
+    """
+    process = begun or begin_recorder()
+    words = [str(run_dir), "--rows", str(rows.path), "--frames", str(frames.path), "--events", str(events.path),
+             "--counters", json.dumps(dict(counters or {}))]
+    tell(process, words)
+    return process
+
+
+def wait_ready(process: Process, rows: Ring, timeout_s: float = 120.0) -> bool:
+    """Wait until the recorder drains its rings; False if it died or did not come in time."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until and process.poll() is None:
+        if rows.header[ring.RECORDER_BEAT_NS]:
+            return True
+        time.sleep(0.01)
+    return False

@@ -1,10 +1,10 @@
 """A scenario, resolved: names looked up, tables merged, every default written out, all checked.
 
-The order is defaults, vehicle, rig, adhesion, bus, the scenario's own tables, an extended model,
-and single values from the command line; what comes later wins. The resolved scenario is a scenario
-again: `rollerrig run runs/demo/scenario.toml` repeats a run.
+The order is defaults, vehicle, rig, adhesion, bus, the scenario's own tables, an extended model, and single values from
+the command line; what comes later wins. The resolved one is a scenario again, which repeats a run.
 """
 
+import dataclasses
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
 from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.realtime.record import seal
 from rollerrig.rig import params as physics
 from rollerrig.wsp_interface.signals import AXLES
 
@@ -27,10 +28,12 @@ HEAD = (
     choice("rig_set", "full_scale", (), "configs/rigs"),
     choice("adhesion_set", "soap", (), "configs/adhesion"),
     choice("bus_set", "default", (), "configs/buses"),
+    choice("pads_set", "constant", (), "configs/pads"),
     choice("wsp_config", "reference", (), "configs/wsp: what the reference unit loads"),
     number("initial_speed_m_s", 42.3, 0.5, 100.0, "Table 5"),
     number("duration_max_s", 180.0, 0.1, 36000.0, "the run ends then, stopped or not"),
     number("stand_s", 0.5, 0.0, 60.0, "recorded after standstill"),
+    choice("sealed", "", (), "what acts and is told nowhere: rollerrig hide"),
 )
 LOOP = (
     integer("tick_hz", 1000, 100, 10000, "rig control and commands"),
@@ -46,9 +49,8 @@ BUS = (
     number("heartbeat_s", 0.1, 0.01, 10.0, "producer time of the rig's nodes"),
     choice("host", "127.0.0.1", (), "address of the hub: loopback unless named otherwise"),
     integer("socketcand_port", 29536, 0, 65535, "0 takes a free one"),
-    integer("virtualcan_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
-    integer("slcan_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
-    integer("cannelloni_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none"),
+    *(integer(f"{codec}_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none")
+      for codec in ("virtualcan", "slcan", "cannelloni")),
     choice("store", "", (), "folder in which the nodes keep stored parameters (1010h, LSS); empty: none"),
     flag("arbitration", False, "frames wait for the wire, lowest identifier first; false: an ideal bus"),
     flag("master", True, "the bench starts the nodes and produces SYNC"),
@@ -66,13 +68,11 @@ MODBUS = (
     number("emergency_pressure_Pa", 3.8e5, 0.0, 1e6, "assumption: that of full service"),
 )
 DEMAND = (number("from_s", 0.0, 0.0, 36000.0, "s"), number("pressure_Pa", None, 0.0, 1e6, "Pa"))
-FRICTION = (
-    number("from_s", -1.0, 0.0, 36000.0, "s"), number("from_m", -1.0, -1e3, 1e6, "m"),
-    number("mu_cd", -1.0, 1e-4, 1.0, "-"), number("mu_cr", -1.0, 1e-4, 1.0, "-"),
-)
+FRICTION = (number("from_s", -1.0, 0.0, 36000.0, "s"), number("from_m", -1.0, -1e3, 1e6, "m"),
+            number("mu_cd", -1.0, 1e-4, 1.0, "-"), number("mu_cr", -1.0, 1e-4, 1.0, "-"))
 SECTIONS = {**physics.ROWS, "loop": LOOP, "bus": BUS, "modbus": MODBUS}
 # tables that come from files of their own: the table, and the folder of its files
-SETS = {"vehicle": "vehicles", "rig": "rigs", "adhesion": "adhesion", "bus": "buses"}
+SETS = {"vehicle": "vehicles", "rig": "rigs", "adhesion": "adhesion", "bus": "buses", "pads": "pads"}
 
 
 @dataclass(frozen=True)
@@ -114,22 +114,19 @@ def read(given: dict[str, Any], path: Path, model: str = "", settings: tuple[str
     heads = {key: value for key, value in single.items() if not isinstance(value, dict)}
     given = {**_aliases(given, path), **_aliases(heads, Path("--set"))}
     layers: list[tuple[str, Mapping[str, Any]]] = []
-    head_keys = {row.name for row in HEAD}
+    defaults = {row.name: row.default for row in HEAD}
     for short, kind in SETS.items():
         key = f"{short}_set"
-        default = next(row.default for row in HEAD if row.name == key)
-        content, at = store.load(kind, str(given.get(key, default)), path)
+        content, at = store.load(kind, str(given.get(key, defaults[key])), path)
         layers.append((str(at), content))
-    layers.append((str(path), {k: v for k, v in given.items() if k not in head_keys}))
+    layers.append((str(path), {k: v for k, v in given.items() if k not in defaults}))
     if model:
         at = store.find("models", model)
         layers.append((str(at), store.parse(at)))
-    layers.append(("--set", {k: v for k, v in single.items() if isinstance(v, dict)}))
-    layers.append(("the running rig", tables or {}))
-    layers.append(("--fault", {"fault": [catalogue.plain(catalogue.parse(one)) for one in faults]}))
-    head = table.read(HEAD, {k: v for k, v in given.items() if k in head_keys}, str(path))
-    name = path.parent.name if path.name == "scenario.toml" else path.stem
-    return resolve(name, head, layers)
+    layers += [("--set", {k: v for k, v in single.items() if isinstance(v, dict)}), ("the running rig", tables or {}),
+               ("--fault", {"fault": [catalogue.plain(catalogue.parse(one)) for one in faults]})]
+    head = table.read(HEAD, {k: v for k, v in given.items() if k in defaults}, str(path))
+    return resolve(path.parent.name if path.name == "scenario.toml" else path.stem, head, layers)
 
 
 def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str, Any]]]) -> Scenario:
@@ -143,10 +140,12 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
             if key in merged:
                 _wanted(isinstance(content, Mapping), where, key, content, f"a table [{key}]")
                 table.read(SECTIONS[key], content, f"{where} [{key}]")
+                if key == "adhesion" and "mu_cd" in content:
+                    merged[key].pop("initial_adhesion", None)  # what comes later wins over what mu_cd followed from
                 merged[key].update(content)
             elif key in programme:
-                steps = isinstance(content, list) and all(isinstance(c, Mapping) for c in content)
-                _wanted(steps, where, key, content, f"[[{key}]] with two brackets, one for each step")
+                _wanted(isinstance(content, list) and all(isinstance(c, Mapping) for c in content), where, key, content,
+                        f"[[{key}]] with two brackets, one for each step")
                 programme[key], source = content, where
             elif key == "fault":
                 _wanted(isinstance(content, list), where, key, content, "[[fault]] with two brackets")
@@ -157,17 +156,36 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
                 allowed = [*SECTIONS, *programme, "fault", *(row.name for row in HEAD)]
                 raise ConfigError(f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}")
     checked: dict[str, Any] = dict(physics.check(merged, name))
+    if checked["rig"]["speed"] == "held" and (checked["rig"]["mode"], checked["vehicle"]["model"]) != (
+            "contaminated_rollers", "planar"):
+        raise ConfigError(f"{name} [rig] speed = 'held': only drives hold a speed, and on the coach in 3D none do; "
+                          "allowed with rig.mode = \"contaminated_rollers\" and vehicle.model = \"planar\"")
     for section in ("loop", "bus", "modbus"):
         checked[section] = table.read(SECTIONS[section], merged[section], f"{name} [{section}]")
+    acting, hidden = _with_sealed(checked, head.get("sealed", ""))
     tick_s, substeps, sync, record = _ratios(checked, name)
-    demand, demand_rows = _demand(programme["demand"], source)
+    steps = [table.read(DEMAND, row, f"{source} [[demand]] {i}") for i, row in enumerate(programme["demand"], start=1)]
+    if (starts := [row["from_s"] for row in steps]) != sorted(starts):
+        raise ConfigError(f"{source} [[demand]]: from_s must rise from step to step, not {starts}")
+    demand = physics.Demand(np.array(starts), np.array([row["pressure_Pa"] for row in steps]))
     friction, friction_rows = _friction(programme["friction"], checked["adhesion"], source)
-    resolved = {**head, **checked, "demand": demand_rows, "friction": friction_rows,
+    resolved = {**head, **checked, "demand": steps, "friction": friction_rows,
                 "fault": [catalogue.plain(one) for one in planned]}
-    params = physics.build(checked, friction, demand, tick_s, substeps)
     virtual = checked["rig"]["mode"] == physics.VIRTUAL_TRACK
-    rollers = physics.build_rollers(checked, demand, tick_s, substeps) if virtual else None
-    return Scenario(name, resolved, params, rollers, sync, record, planned)
+    return Scenario(
+        name=name, resolved=resolved, params=physics.build(acting, friction, demand, tick_s, substeps),
+        rollers=physics.build_rollers(acting, demand, tick_s, substeps) if virtual else None,
+        sync_ticks=sync, record_ticks=record, faults=planned + hidden)
+
+
+def _with_sealed(checked: dict[str, Any], text: str) -> tuple[dict[str, Any], tuple[catalogue.Fault, ...]]:
+    """The sections as they act, and the faults, where a scenario hides some; `resolved` has them sealed only."""
+    if not text:
+        return checked, ()
+    content = seal.opened(text, "sealed")
+    mechanisms = table.read(physics.ROWS["mechanisms"], checked["mechanisms"] | content.get("mechanisms", {}), "sealed")
+    faults = catalogue.all_of(content.get("fault", []), "sealed")
+    return checked | {"mechanisms": mechanisms}, tuple(dataclasses.replace(one, told=False) for one in faults)
 
 
 def dump(scenario: Scenario) -> str:
@@ -223,32 +241,21 @@ def _ratios(checked: dict[str, Any], name: str) -> tuple[float, int, int, int]:
             raise ConfigError(f"{name}: {what} is {ratio:.6g}; it must be a whole number, at least 1")
         return round(ratio)
 
-    return (tick_s,
-            whole(tick_s / loop["step_s"],
-                  f"[loop] a tick of {tick_s:g} s over step_s = {loop['step_s']:g} s"),
-            whole(bus["sync_period_s"] / tick_s,
-                  f"[bus] sync_period_s = {bus['sync_period_s']:g} s over a tick of {tick_s:g} s"),
-            whole(loop["tick_hz"] / loop["record_hz"],
-                  f"[loop] tick_hz = {loop['tick_hz']} over record_hz = {loop['record_hz']}"))
+    return (
+        tick_s, whole(tick_s / loop["step_s"], f"[loop] a tick of {tick_s:g} s over step_s = {loop['step_s']:g} s"),
+        whole(bus["sync_period_s"] / tick_s,
+              f"[bus] sync_period_s = {bus['sync_period_s']:g} s over a tick of {tick_s:g} s"),
+        whole(loop["tick_hz"] / loop["record_hz"],
+              f"[loop] tick_hz = {loop['tick_hz']} over record_hz = {loop['record_hz']}"))
 
 
-def _demand(rows: list[dict[str, Any]], where: str) -> tuple[physics.Demand, list[dict[str, Any]]]:
-    read = [table.read(DEMAND, row, f"{where} [[demand]] {i + 1}") for i, row in enumerate(rows)]
-    starts = [row["from_s"] for row in read]
-    if starts != sorted(starts):
-        raise ConfigError(f"{where} [[demand]]: from_s must rise from step to step, not {starts}")
-    return physics.Demand(np.array(starts), np.array([row["pressure_Pa"] for row in read])), read
-
-
-def _friction(
-    rows: list[dict[str, Any]], adhesion: dict[str, float], where: str
-) -> tuple[physics.Friction, list[dict[str, Any]]]:
+def _friction(rows: list[dict[str, Any]], adhesion: dict[str, float], where: str
+              ) -> tuple[physics.Friction, list[dict[str, Any]]]:
     read, masks = [], []
     for i, row in enumerate(rows):
         at, row = f"{where} [[friction]] {i + 1}", dict(row)
         axles = row.pop("axles", list(range(1, AXLES + 1)))
-        if not (isinstance(axles, list) and axles
-                and all(type(axle) is int and 1 <= axle <= AXLES for axle in axles)):
+        if not (isinstance(axles, list) and axles and all(type(axle) is int and 1 <= axle <= AXLES for axle in axles)):
             raise ConfigError(f"{at}: axles = {axles!r}; a list of axle numbers from 1 to {AXLES}")
         if ("from_s" in row) == ("from_m" in row):
             raise ConfigError(f"{at}: give from_s (time) or from_m (place), one of them")
@@ -258,9 +265,7 @@ def _friction(
         read.append({"mu_cd": adhesion["mu_cd"], "mu_cr": adhesion["mu_cr"], "axles": axles} | given)
         physics.check_recovery(adhesion | read[-1], at)
         masks.append(sum(1 << (axle - 1) for axle in set(axles)))
-    by_place = np.array(["from_m" in row for row in read], dtype=np.bool_)
     start = np.array([row.get("from_m", row.get("from_s", 0.0)) for row in read])
-    friction = physics.Friction(by_place, start, np.array([row["mu_cd"] for row in read]),
-                                np.array([row["mu_cr"] for row in read]),
-                                np.array(masks, dtype=np.int64))
-    return friction, read
+    return physics.Friction(
+        np.array(["from_m" in row for row in read], dtype=np.bool_), start, np.array([row["mu_cd"] for row in read]),
+        np.array([row["mu_cr"] for row in read]), np.array(masks, dtype=np.int64)), read

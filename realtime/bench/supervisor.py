@@ -1,40 +1,35 @@
 """The supervisory PLC: what a Modbus client may read of the bench, and ask of it.
 
-Unit 1 reads the live row, the loop's health and the run's events, and writes run, stop, emergency
-stop, scenario, speed and brake demand; units 11 to 14 are the drives. A held rig can be given
-another scenario or speed; an emergency stop goes before every other brake demand, a demand over
-Modbus before node 17 and the scenario. All of it happens in the bus thread.
+Unit 1 reads the live row, the loop's health and the run's events, and writes run, stop, emergency stop, scenario,
+speed and brake demand; units 11 to 14 are the drives. A held rig can be given another scenario or speed; an emergency
+stop goes before every other demand, one over Modbus before node 17 and the scenario. All happens in the bus thread.
 """
 
-import contextlib
-import ipaddress
 import math
 import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rollerrig.configs import store
-from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
-from rollerrig.firmware_sim.cia301.nmt import State as Nmt
+from rollerrig.configs.errors import BusError, RollerrigError
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
+from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.modbus.map import BITS, NO_DEMAND, UNHEARD, WORDS, State
 from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
-from rollerrig.firmware_sim.modbus.server import Server, tls_context
+from rollerrig.firmware_sim.modbus.server import Server
 from rollerrig.firmware_sim.modbus.unit import Reader, Unit, Writer
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.fault_registers import FaultRegisters
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.rig_bus import RigBus
-from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import loop, tick
 from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.loop.tick import DONE, HELD, HOLD, STOP, TICK, WORST_NS
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus.hub import beyond_loopback
 
 # tables that a held rig cannot change: nodes and loop have been built from them
 BUILT_IN = ("loop", "bus", "modbus", "contact", "drive", "sensor", "rig")
@@ -51,8 +46,7 @@ class Supervisor:
     def __init__(self, rig: Parts, bus: RigBus) -> None:
         self.rig, self.bus = rig, bus
         self.scenarios = store.names("scenarios")
-        self.emergency = False
-        self.demand = NO_DEMAND
+        self.emergency, self.demand = False, NO_DEMAND
         self.fault_registers = FaultRegisters(rig.faults, rig.event)
         self.server: Server | None = None
         self.line: SerialLine | None = None
@@ -63,15 +57,15 @@ class Supervisor:
     async def open(self, needed: bool) -> None:
         """Listen as [modbus] says. A port that is taken is an event, or BusError if `needed`."""
         given = self.rig.plan["modbus"]
-        context = None
-        if given["tls_certificate"]:
-            context = tls_context(*(Path(given[key]) for key in
-                                    ("tls_certificate", "tls_key", "tls_client_ca")))
+        context = tls_context(given)
         self.server = Server(self.units(), self.rig.modbus)
         try:
             port = await self.server.listen(given["host"], given["port"], context)
             self.rig.ports["modbus"] = port
-            self._record_port(given["host"], port, context is not None)
+            self.rig.event("info", f"Modbus {'over TLS' if context else 'TCP'} is served on {given['host']}:{port}")
+            who = "who has a certificate" if context else "WITHOUT ANY AUTHENTICATION"
+            if warning := beyond_loopback("MODBUS", given["host"], port, who):
+                self.rig.event("warning", warning)
             if needed:
                 self.rig.report(f"the rig is held at {self.rig.speed_m_s:g} m/s until a Modbus client "
                                 f"writes 1 to coil 0 of unit 1 on {given['host']}:{port}")
@@ -80,22 +74,11 @@ class Supervisor:
                 raise
             self.rig.event("warning", f"this run has no Modbus TCP: {error}")
         if given["serial"]:
-            self.line = SerialLine(self.server, given["serial"], given["baud_rate"],
-                                   given["parity"], self.rig.event)
+            self.line = SerialLine(self.server, given["serial"], given["baud_rate"], given["parity"], self.rig.event)
             device = await self.line.open()
             text = f"Modbus RTU is served on {device}, {given['baud_rate']} baud"
             self.rig.event("info", text)
             self.rig.report(text)
-
-    def _record_port(self, host: str, port: int, safe: bool) -> None:
-        self.rig.event("info", f"Modbus {'over TLS' if safe else 'TCP'} is served on {host}:{port}")
-        local = host == "localhost"
-        with contextlib.suppress(ValueError):
-            local = local or ipaddress.ip_address(host).is_loopback
-        if not local:
-            who = "who has a certificate" if safe else "WITHOUT ANY AUTHENTICATION"
-            self.rig.event("warning", f"MODBUS LISTENS BEYOND THIS MACHINE, on {host}:{port}: "
-                           f"everybody there {who} can start and stop the rig")
 
     async def close(self) -> None:
         """End all connections."""
@@ -136,14 +119,15 @@ class Supervisor:
         bus, rows = self.bus, (*BITS, *WORDS)
         rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
         measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
-        found: dict[int, Unit] = {map.PLC_UNIT: Unit(
-            rows, measured | self._states() | self._set_points() | self._health() | self.fault_registers.readers(),
-            self._writers() | self.fault_registers.writers())}
-        for node, unit in map.DRIVE_UNITS.items():
-            found[unit] = modbus_unit.drive(bus.nodes[node])
-        return found
+        writers: dict[str, Writer] = {
+            "run": self._run, "stop": self._stop, "emergency_stop": self._emergency_stop, "scenario": self._choose,
+            "speed_set_point": self._set_speed, "brake_demand_set_point": self._set_demand}
+        return {map.PLC_UNIT: Unit(rows, measured | self._states() | self._health() | self.fault_registers.readers(),
+                                   writers | self.fault_registers.writers())
+                } | {unit: modbus_unit.drive(bus.nodes[node]) for node, unit in map.DRIVE_UNITS.items()}
 
     def _states(self) -> dict[str, Reader]:
+        """What the rig does and is set to."""
         rig, bus, master = self.rig, self.bus, self.bus.master
         standing = signals.column("vehicle_speed")
         return {
@@ -151,62 +135,50 @@ class Supervisor:
             "stop": lambda: self.state is State.ENDED,
             "emergency_stop": lambda: self.emergency,
             "held": lambda: self.state is State.HELD,
+            # not as the bus last saw it: a client that has just changed the set speed would be told the old answer
             "at_set_speed": lambda: (self.state is State.HELD
-                                     and abs(bus.row[standing] - rig.data.hold[0]) < 1e-6),
+                                     and abs(rig.data.state.vehicle_speed[0] - rig.data.hold[0]) < 1e-6),
             "standing": lambda: bus.row[standing] == 0.0,
             "wsp_unit_operational": lambda: master.unit_is_operational,
             "nodes_operational": master.all_operational,
             "state": lambda: self.state, "scenarios": lambda: len(self.scenarios),
+            "scenario": self._number,
+            "speed_set_point": lambda: round(rig.speed_m_s / _SPEED.scale),
+            "brake_demand_set_point": lambda: self.demand,
             "wsp_unit_state": _nmt(master, signals.WSP_NODE),
         } | {f"node_{node}_state": _nmt(master, node) for node in signals.RIG_NODES}
-
-    def _set_points(self) -> dict[str, Reader]:
-        return {
-            "scenario": self._number,
-            "speed_set_point": lambda: round(self.rig.speed_m_s / _SPEED.scale),
-            "brake_demand_set_point": lambda: self.demand,
-        }
 
     def _number(self) -> int:
         name = (self.rig.next_plan or self.rig.plan).name
         return self.scenarios.index(name) if name in self.scenarios else _NOT_PACKAGED
 
     def _health(self) -> dict[str, Reader]:
+        """How loop, buses and PLC are, and how many events there were."""
         rig, hub, counters = self.rig, self.bus.hub, self.rig.modbus
-
-        def events(level: str) -> Reader:
-            return lambda: sum(1 for one in rig.events if one["level"] == level)
-
-        return {
+        events: dict[str, Reader] = {
+            f"events_{level}": lambda level=level: rig.events.counts[level]
+            for level in ("info", "warning", "error")}
+        return events | {
             "ticks": lambda: int(rig.data.control[TICK]),
             "lateness_p50": lambda: self._lateness("p50"),
             "lateness_p99": lambda: self._lateness("p99"),
             "lateness_max": lambda: int(rig.data.control[WORST_NS]) // 1000,
-            "events_info": events("info"), "events_warning": events("warning"),
-            "events_error": events("error"),
             "bus_frames": lambda: hub.stats()["frames"],
             "bus_frames_dropped": lambda: hub.stats()["dropped"],
             "bus_load": lambda: round(10.0 * hub.stats()["load_percent"]),
             "modbus_clients": lambda: len(self.server.connections) if self.server else 0,
             "modbus_requests": lambda: counters.requests,
             "modbus_exceptions": lambda: counters.exceptions,
-            "modbus_malformed": lambda: counters.malformed,
-        }
+            "modbus_malformed": lambda: counters.malformed}
 
     def _lateness(self, which: str) -> int:
         """A percentile in us; counted anew now and then, because counting takes long."""
         now = time.monotonic()
         if now - self._statistics[0] > _STATISTICS_S:
-            worst = int(self.rig.data.control[WORST_NS])
-            self._statistics = now, loop.percentiles(self.rig.histogram, worst)
+            self._statistics = now, loop.percentiles(self.rig.histogram, int(self.rig.data.control[WORST_NS]))
         return round(self._statistics[1][which])
 
     # -- what a client writes: each is first asked with only=True whether it would take the value
-
-    def _writers(self) -> dict[str, Writer]:
-        return {"run": self._run, "stop": self._stop, "emergency_stop": self._emergency_stop,
-                "scenario": self._choose, "speed_set_point": self._set_speed,
-                "brake_demand_set_point": self._set_demand}
 
     def _run(self, raw: int, only: bool) -> None:
         if not raw or self.state is State.RUNNING:
@@ -239,8 +211,7 @@ class Supervisor:
         speed_m_s = raw * _SPEED.scale
         bounds = next(row for row in scenario.HEAD if row.name == "initial_speed_m_s")
         drive, contact = self.rig.plan["drive"], self.rig.plan["contact"]
-        fastest = min(bounds.high, drive["max_speed_rad_s"] * contact["roller_radius_m"])
-        if not bounds.low <= speed_m_s <= fastest:
+        if not bounds.low <= speed_m_s <= min(bounds.high, drive["max_speed_rad_s"] * contact["roller_radius_m"]):
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         self._require_held()
         if not only:
@@ -257,49 +228,27 @@ class Supervisor:
     def _choose(self, raw: int, only: bool) -> None:
         if not 0 <= raw < len(self.scenarios):
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
-        name = self.scenarios[raw]
         if raw == self._number():
             return
         self._require_held()
-        plan = self._load(name)
-        if not only:
-            self.rig.speed_m_s = float(plan["initial_speed_m_s"])
-            # the real-time thread ends, and begins again with the next plan
-            self.rig.next_plan = plan
-            self.rig.data.control[STOP] = 1
-            self.rig.event("info", f"scenario '{name}' is chosen over Modbus")
-
-    def _load(self, name: str) -> Scenario:
-        """A scenario on this rig, or RefusedError with an event that says why."""
-        present = self.rig.plan
-        tables = {key: present[key] for key in BUILT_IN}
+        rig, name = self.rig, self.scenarios[raw]
         try:
-            plan = scenario.load(name, tables=tables)
+            plan = scenario.load(name, tables={key: rig.plan[key] for key in BUILT_IN})
         except RollerrigError as error:
-            self.rig.event("warning", f"a scenario asked for over Modbus is refused: {error}")
+            rig.event("warning", f"a scenario asked for over Modbus is refused: {error}")
             raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
-        return plan
+        if not only:
+            rig.speed_m_s = float(plan["initial_speed_m_s"])
+            # the real-time thread ends, and begins again with the next plan
+            rig.next_plan = plan
+            rig.data.control[STOP] = 1
+            rig.event("info", f"scenario '{name}' is chosen over Modbus")
 
     def _require_held(self) -> None:
         if self.state is not State.HELD or self.rig.data.control[HOLD] != HOLDING:
             raise RefusedError(ExcCodes.DEVICE_BUSY)
 
 
-def check(plan: Scenario, pacing: str, start: str) -> None:
-    """Refuse a start over Modbus that cannot come. Raises ConfigError."""
-    if start == "modbus" and pacing != "wall":
-        raise ConfigError(f"--start modbus holds the rig in real time; --pacing {pacing} has none: "
-                          "use --pacing wall")
-    if start == "modbus" and not plan["modbus"]["enabled"]:
-        raise ConfigError("--start modbus waits for a Modbus client, but [modbus] enabled is false; "
-                          "set modbus.enabled=true")
-
-
-def _nmt(master: Any, node: int) -> Callable[[], int]:
+def _nmt(master: Any, node: int) -> Reader:
     health = master.health[node]
-
-    def state() -> int:
-        known: Nmt | None = None if health.lost else health.state
-        return UNHEARD if known is None else int(known)
-
-    return state
+    return lambda: UNHEARD if health.lost or health.state is None else int(health.state)

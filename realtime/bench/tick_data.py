@@ -5,11 +5,13 @@ import os
 import numpy as np
 
 from rollerrig.firmware_sim import pole_wheel
+from rollerrig.firmware_sim.wsp import logic, node
 from rollerrig.realtime.bench import wire_delay
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, tick
 from rollerrig.realtime.loop.ring import Memory, Ring
 from rollerrig.realtime.loop.tick import STOP, TickData
+from rollerrig.rig import kernel_cache
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 
@@ -19,7 +21,7 @@ def build(plan: Scenario, ring: Ring | Memory, speed_m_s: float | None = None, s
     speed_m_s = plan["initial_speed_m_s"] if speed_m_s is None else speed_m_s
     plant = Plant(plan.params, speed_m_s)
     rollers = Plant(plan.rollers, speed_m_s) if plan.rollers else plant
-    tick_hz, width = plan["loop"]["tick_hz"], len(signals.COLUMNS)
+    tick_hz, width, sensor = plan["loop"]["tick_hz"], len(signals.COLUMNS), plan["sensor"]
     commands = mailbox.mailbox(tick.COMMANDS)
     commands.values[:] = tick.first_command()
     data = TickData(
@@ -33,18 +35,12 @@ def build(plan: Scenario, ring: Ring | Memory, speed_m_s: float | None = None, s
         gather_rollers=tick.gather(tick.OF_ROLLERS if plan.rollers else ()),
         record_ticks=plan.record_ticks, end_tick=round(plan["duration_max_s"] * tick_hz),
         stand_ticks=round(plan["stand_s"] * tick_hz), hold=np.array([speed_m_s]),
-        answer=np.array(wire_delay.answer_ticks(plan) or (0, 0, 1)), sensor=_sensor(plan),
-        pulses=pole_wheel.memory(seed))
+        answer=np.array(wire_delay.answer_ticks(plan) or (0, 0, 1)), pulses=pole_wheel.memory(seed),
+        sensor=pole_wheel.Sensor(
+            pole_wheel.MODELS[sensor["model"]], sensor["teeth"], max(1, round(sensor["window_s"] * tick_hz)),
+            sensor["dropout_rad_s"], sensor["timer_Hz"], 1.0 / tick_hz, plan["flats"]["noise_rad_s_m"]))
     tick.publish(data)
     return data
-
-
-def _sensor(plan: Scenario) -> pole_wheel.Sensor:
-    """Pole wheels and speed unit as [sensor] says, times in ticks."""
-    given, tick_hz = plan["sensor"], plan["loop"]["tick_hz"]
-    return pole_wheel.Sensor(pole_wheel.MODELS[given["model"]], given["teeth"],
-                             max(1, round(given["window_s"] * tick_hz)), given["dropout_rad_s"],
-                             given["timer_Hz"], 1.0 / tick_hz)
 
 
 def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
@@ -53,13 +49,15 @@ def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
         stop = data.control[STOP]
         data.control[STOP] = 1
         descriptor = clock.eventfd()
-        loop.wall(data, 1_000_000, 1, descriptor, np.zeros(loop.BINS, dtype=np.int64),
-                  np.zeros(3, dtype=np.int64), 0)
+        loop.wall(data, 1_000_000, 1, descriptor, np.zeros(loop.BINS, dtype=np.int64), np.zeros(3, dtype=np.int64), 0)
         os.close(descriptor)
         data.control[STOP] = stop
     elif pacing == "lockstep" or unit != "reference":
         # a free run with the reference unit calls that inside its own loop, and compiles it there
         tick.run_ticks(data, 0)
+    if unit == "reference" and kernel_cache.has_compiled():
+        # what the unit's process would compile, while its heartbeat is waited for
+        node.warm(logic.load("reference"))
     # the bus thread's own calls: a compiler in the first SYNC cycle would look like a lost unit
     mailbox.fetch(data.published, data.row.copy())
     mailbox.post(data.commands, data.commands.values.copy())

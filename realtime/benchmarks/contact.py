@@ -1,9 +1,8 @@
 """What one evaluation of a contact costs, on one core, after compilation, and Table 8 of the paper.
 
-Each law is called for many slidings in a row inside one kernel, as a step of the physics calls it;
-the sum of the results is returned so that no call can be left out. Then come the four models of the
-coach's wheels, with lateral creepage and spin, and the search for the contact points of a swaying wheel;
-then `table8` lets them brake the coach.
+Each law is called for many slidings in a row inside one kernel, as a step of the physics calls it; the sum of the
+results is returned so that no call can be left out. Then come the four models of the coach's wheels, with lateral
+creepage and spin, and the search for the contact points of a swaying wheel; then `table8` lets them brake the coach.
 """
 
 import argparse
@@ -17,7 +16,7 @@ from rich.console import Group
 
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures, table8
-from rollerrig.realtime.benchmarks.figures import Result, Say, Target
+from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.rig import wheelset
 from rollerrig.rig.contact import adhesion, creep_force, geometry, polach, profiles
 from rollerrig.rig.kernel import kernel
@@ -55,8 +54,7 @@ def _polach(slidings, params):
 def _degraded(slidings, params):
     total = 0.0
     for s in slidings:
-        f, _, _, _, _, slope = adhesion.recovering(s, _SPEED_m_s, 0.5 * _LOAD_N + s, params.patch,
-                                                   params.law)
+        f, _, _, _, _, slope = adhesion.recovering(s, _SPEED_m_s, 0.5 * _LOAD_N + s, params.patch, params.law)
         total += f + slope
     return total
 
@@ -94,8 +92,7 @@ def _search(slidings, given):
 @kernel
 def _follow(slidings, given):
     wheel, rail, roller_m, found, misfits = given
-    count = geometry.detect(found, 0, 0, misfits, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel,
-                            rail)
+    count = geometry.detect(found, 0, 0, misfits, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail)
     for i in range(slidings.size):
         pose = 0.0, 0.004 * math.sin(i * 1e-3), 0.4447
         axle = geometry.axis(0.0, 0.005 * math.cos(i * 1e-3))
@@ -112,12 +109,7 @@ CONTACTS = (
     Contact("wheelset", "the same as the plant calls it, with the limit on cleaning", _wheelset),
 )
 # the same for a model of `creep_force`, with lateral creepage and spin
-MODELS = (
-    Contact("johnson_vermeulen", "Kalker's linear theory, saturated", _both_directions),
-    Contact("fastsim", "10 strips of 10 cells", _both_directions),
-    Contact("polach", "with spin", _both_directions),
-    Contact("degraded", "two Polach curves with spin, and what lies between", _both_directions),
-)
+MODELS = tuple(Contact(row.model, row.name, _both_directions) for row in table8.ROWS)
 POINTS = (
     Contact("search", "all points of a wheel, from nothing", _search),
     Contact("follow", "the same from step to step, searched anew every 16", _follow),
@@ -128,59 +120,47 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     """Time every law, and the coach; the best of some repeats: whatever disturbs makes it slower."""
     params = scenario.load("velim_a1").params
     # from micro-slip to a locked wheel, in an order that no branch predictor knows
-    slidings = np.random.default_rng(given.seed).permutation(
-        np.geomspace(1e-4, _SPEED_m_s, _CALLS))
+    slidings = np.random.default_rng(given.seed).permutation(np.geomspace(1e-4, _SPEED_m_s, _CALLS))
     found = {contact.name: _timed(contact, slidings, params, say) for contact in CONTACTS}
-    spinning = {}
-    for contact in MODELS:
-        chosen = params._replace(patch=params.patch._replace(
-            model=creep_force.MODELS[contact.name], cells=10))
-        spinning[contact.name] = _timed(contact, slidings, chosen, say)
+    spinning = {contact.name: _timed(contact, slidings, params._replace(patch=params.patch._replace(
+        model=creep_force.MODELS[contact.name], cells=10)), say) for contact in MODELS}
     wheel, rail = profiles.s1002(), profiles.uic60()
-    points = {}
-    for contact in POINTS:
-        for where, roller_m in (("rail", math.inf), ("roller", 1.0)):
-            touched = (wheel, rail, roller_m, np.zeros((geometry.MOST, geometry.COLUMNS)),
-                       np.zeros((1, len(wheel.coarse))))
-            points[f"{contact.name} on a {where}"] = _timed(contact, slidings, touched, say)
+    points = {f"{contact.name} on a {where}": _timed(contact, slidings, (
+        wheel, rail, roller_m, np.zeros((geometry.MOST, geometry.COLUMNS)), np.zeros((1, len(wheel.coarse)))), say)
+        for contact in POINTS for where, roller_m in (("rail", math.inf), ("roller", 1.0))}
     for group in (found, spinning, points):
         for one in group.values():
             one["ratio"] = one["time_ns"] / (found if group is points else group)["polach"]["time_ns"]
-    along_ns, more_ns = (group["degraded"]["time_ns"] - group["polach"]["time_ns"]
-                         for group in (found, spinning))
+    along_ns, more_ns = (group["degraded"]["time_ns"] - group["polach"]["time_ns"] for group in (found, spinning))
     whole = table8.run(say)
     dearest = max(one["ratio"] for one in points.values())
     return {"contacts": found, "with_spin": spinning, "points": points, "recovery_ns": more_ns, "table8": whole,
-            "targets": [Target("degraded over Polach, along the rail, one contact", along_ns, RECOVERY_NS,
-                               "ns").plain(),
-                        Target("degraded over Polach, with spin, one contact", more_ns, RECOVERY_NS,
-                               "ns").plain(),
-                        Target("contact points of one wheel over one Polach curve", dearest,
-                               POINTS_OVER_POLACH).plain(), *whole["targets"]],
+            "targets": [target("degraded over Polach, along the rail, one contact", along_ns, RECOVERY_NS, "ns"),
+                        target("degraded over Polach, with spin, one contact", more_ns, RECOVERY_NS, "ns"),
+                        target("contact points of one wheel over one Polach curve", dearest, POINTS_OVER_POLACH),
+                        *whole["targets"]],
             "notes": whole["notes"]}
 
 
 def _timed(contact: Contact, slidings: np.ndarray, params: Any, say: Say) -> Result:
+    """The best of some repeats, in ns a call."""
     say(f"contact {contact.name} ...")
     contact.sweep(slidings[:10], params)
-    best_s = min(_seconds(contact, slidings, params) for _ in range(_REPEATS))
-    return {"time_ns": 1e9 * best_s / _CALLS}
-
-
-def _seconds(contact: Contact, slidings: np.ndarray, params: Any) -> float:
-    begun_s = time.thread_time()
-    contact.sweep(slidings, params)
-    return time.thread_time() - begun_s
+    taken_s = []
+    for _ in range(_REPEATS):
+        begun_s = time.thread_time()
+        contact.sweep(slidings, params)
+        taken_s.append(time.thread_time() - begun_s)
+    return {"time_ns": 1e9 * min(taken_s) / _CALLS}
 
 
 def table(result: Result) -> Group:
     """The cost of each law, and over Polach's; then Table 8."""
     heads = ("law", "ns", "over Polach", "what")
-    along, both = ([(contact.name, one[contact.name]["time_ns"], one[contact.name]["ratio"], contact.text)
-                    for contact in contacts]
-                   for contacts, one in ((CONTACTS, result["contacts"]), (MODELS, result["with_spin"])))
-    return Group(figures.table("one contact, along the rail", heads, along),
-                 figures.table("one contact, in two directions and with spin", heads, both),
+    laws = (("one contact, along the rail", CONTACTS, "contacts"),
+            ("one contact, in two directions and with spin", MODELS, "with_spin"))
+    return Group(*(figures.table(title, heads, [(law.name, *result[key][law.name].values(), law.text) for law in group])
+                   for title, group, key in laws),
                  figures.table("contact points of one wheel", ("what", "ns", "over Polach"),
-                               [(name, one["time_ns"], one["ratio"]) for name, one in result["points"].items()]),
+                               [(name, *one.values()) for name, one in result["points"].items()]),
                  table8.table(result["table8"]))

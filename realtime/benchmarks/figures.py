@@ -1,47 +1,35 @@
 """The form of a benchmark's result: figures, and the targets that some of them have to meet.
 
-A result is a plain table of numbers that goes into JSON as it stands; `targets` is the list of
-verdicts in it, against the project's own requirements. `put` writes what was printed into a page of Markdown.
+A result is a plain table of numbers that goes into JSON as it stands; `targets` in it are verdicts against the
+project's own requirements. `put` writes what was printed into a page of Markdown.
 """
 
-import argparse
 import os
 import platform
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.record.files import writing
 
 Result = dict[str, Any]
 Say = Callable[[str], None]
-# what a benchmark is handed: the parsed command line, and how to tell how far it is
-Run = Callable[[argparse.Namespace, Say], Result]
-QUANTILES = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999))
+SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
+QUANTILES = (*SHARES, "max")
 
 
-class Target(NamedTuple):
-    """A requirement: a figure and the limit that it must not exceed."""
+def target(name: str, value: float | None, limit: float, unit: str = "", spread: float = 0.0) -> Result:
+    """A requirement: a figure, the limit that it must not exceed, and whether it is known and within it.
 
-    name: str
-    value: float | None
-    limit: float
-    unit: str = ""
-
-    @property
-    def met(self) -> bool:
-        """Whether the figure is known and within its limit."""
-        return self.value is not None and self.value <= self.limit
-
-    def plain(self) -> Result:
-        """As it stands in JSON."""
-        return {"name": self.name, "value": self.value, "limit": self.limit, "unit": self.unit,
-                "met": self.met}
+    With a spread it is met only where the figure and the spread together are within the limit.
+    """
+    return {"name": name, "value": value, "limit": limit, "unit": unit, **({"spread": spread} if spread else {}),
+            "met": value is not None and value + spread <= limit}
 
 
 def quantiles(values: Sequence[float] | np.ndarray) -> dict[str, float]:
@@ -49,38 +37,33 @@ def quantiles(values: Sequence[float] | np.ndarray) -> dict[str, float]:
     found = np.sort(np.asarray(values, dtype=np.float64))
     if not found.size:
         return {}
-    named = {name: float(found[min(int(share * found.size), found.size - 1)])
-             for name, share in QUANTILES}
-    return named | {"max": float(found[-1])}
+    at = [min(int(share * found.size), found.size - 1) for share in SHARES.values()]
+    return dict(zip(QUANTILES, map(float, found[[*at, -1]]), strict=True))
 
 
 def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
     """A table of figures."""
     shown = Table(title=title, title_justify="left")
     for at, head in enumerate(heads):
-        shown.add_column(head, justify="right" if at else "left")
+        shown.add_column(head, overflow="fold", justify="right" if at else "left")
     for row in rows:
-        shown.add_row(*(show(cell) for cell in row))
+        shown.add_row(*map(show, row))
     return shown
 
 
 def show(value: object) -> str:
     """A cell: four significant digits for a number, a dash for nothing."""
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def lines(result: Result) -> list[str]:
     """What stands below the table: each target, met or not, and the notes."""
-    found = [f"{'met    ' if one['met'] else 'NOT MET'} {one['name']}: {show(one['value'])} "
-             f"{one['unit']} (at most {show(one['limit'])})" for one in result.get("targets", [])]
+    found = []
+    for one in result.get("targets", []):
+        beside = f"+- {one['spread']:.2g} " if "spread" in one else ""
+        found.append(f"{'met    ' if one['met'] else 'NOT MET'} {one['name']}: {show(one['value'])} {beside}"
+                     f"{one['unit']} (at most {show(one['limit'])})")
     return found + list(result.get("notes", []))
-
-
-def all_met(results: Iterable[Result]) -> bool:
-    """Whether every target of every result is met."""
-    return all(one["met"] for result in results for one in result.get("targets", []))
 
 
 def put(path: Path, name: str, command: str, shown: Table | Group, lines: Sequence[str]) -> None:
@@ -88,15 +71,13 @@ def put(path: Path, name: str, command: str, shown: Table | Group, lines: Sequen
 
     Raises ConfigError where it cannot be written.
     """
-    below = [f"- {line}" for line in lines]
-    section = "\n".join([f"## {name}", "", machine(), "", f"    {command}", "", *_tables(shown), *below]).rstrip()
-    try:
+    section = "\n".join([f"## {name}", "", machine(), "", f"    {command}", "", *_markdown(shown),
+                         *(f"- {line}" for line in lines)]).rstrip()
+    with writing(path, "give another file"):
         text = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
         head, *sections = text.rstrip().split("\n## ")
         kept = {one.partition("\n")[0]: f"## {one.rstrip()}" for one in sections} | {name: section}
         path.write_text("\n\n".join([head.rstrip(), *kept.values()]) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}; give another file") from None
 
 
 def machine() -> str:
@@ -109,14 +90,9 @@ def machine() -> str:
             f"{os.getloadavg()[0]:.1f} at the end.")
 
 
-def _tables(shown: Any) -> Iterator[str]:
-    """Tables as lines of Markdown."""
-    if isinstance(shown, Group):
-        for one in shown.renderables:
-            yield from _tables(one)
-        return
-    yield from (f"**{shown.title}**", "")
-    rows = [[str(column.header) for column in shown.columns], ["---"] * len(shown.columns),
-            *zip(*(map(str, column.cells) for column in shown.columns), strict=True)]
-    yield from (f"| {' | '.join(row)} |" for row in rows)
-    yield ""
+def _markdown(shown: Table | Group) -> Iterator[str]:
+    tables: Any = shown.renderables if isinstance(shown, Group) else [shown]
+    for one in tables:
+        rows = [[str(column.header) for column in one.columns], ["---"] * len(one.columns),
+                *zip(*(map(str, column.cells) for column in one.columns), strict=True)]
+        yield from (f"**{one.title}**", "", *(f"| {' | '.join(row)} |" for row in rows), "")

@@ -1,9 +1,8 @@
 """The critical speed of the coach in 3D: a sweep over speeds, on the track and on dry and degraded rails.
 
-All wheelsets are set half a millimetre off the middle, and the swing is watched for four seconds: it
-dies away below the critical speed and grows above. Dampers, bump-stops and traction rods are assumed
-curves (`[multibody]`), so the critical speed is theirs as much as the paper's; `--set
-multibody.laying=0.025` or `multibody.yaw_damper_N_s_m=0` show what moves it.
+All wheelsets are set half a millimetre off the middle, and the swing is watched for four seconds: it dies away below
+the critical speed and grows above. Dampers, bump-stops and traction rods are assumed curves (`[multibody]`), so this
+speed is theirs as much as the paper's; `--set multibody.laying=0.025` or `multibody.yaw_damper_N_s_m=0` move it.
 """
 
 import argparse
@@ -16,7 +15,6 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say
 from rollerrig.rig import params
-from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.multibody import coach, stability
 
@@ -32,32 +30,22 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     for rail in RAILS:
         settings = ("rig=plain_track", f"adhesion={rail}", *given.set)
         sections = params.check(scenario.load("velim_a1", settings=settings).resolved, "velim_a1")
-        law = Law(**sections["adhesion"])
+        law = params.law_of(sections["adhesion"])
         one = coach.build(sections, math.inf, MODELS[sections["contact"]["model"]],
                           sections["contact"]["fastsim_cells"])
         sweeps[rail] = []
         for speed in SPEEDS_M_S:
             sweeps[rail].append(stability.growth(one, law, speed))
             say(f"{rail}: {speed:5.0f} m/s ({3.6 * speed:.0f} km/h)  growth {sweeps[rail][-1]:.3f} 1/s")
-        critical[rail] = _critical(one, law, sweeps[rail])
+        unstable = [speed for speed, growth in zip(SPEEDS_M_S, sweeps[rail], strict=True) if growth > 0.0]
+        # the first speed at which a swing grows
+        critical[rail] = stability.critical_speed(
+            one, law, np.array([max(unstable[0] - 10.0, 1.0), unstable[0]]), _TOLERANCE_M_S) if unstable else None
     return {"speeds_m_s": list(SPEEDS_M_S), "growth_1_s": sweeps, "critical_speed_m_s": critical,
-            "notes": [_sentence(rail, speed) for rail, speed in critical.items()]
-            + ["dampers, bump-stops and traction rods are assumed curves: so is this speed"]}
-
-
-def _critical(one: coach.Coach, law: Law, growths: list[float]) -> float | None:
-    """The first speed at which a swing grows, to half a metre per second."""
-    unstable = [speed for speed, growth in zip(SPEEDS_M_S, growths, strict=True) if growth > 0.0]
-    if not unstable:
-        return None
-    return stability.critical_speed(one, law, np.array([max(unstable[0] - 10.0, 1.0), unstable[0]]),
-                                    _TOLERANCE_M_S)
-
-
-def _sentence(rail: str, speed_m_s: float | None) -> str:
-    if speed_m_s is None:
-        return f"{rail}: no hunting up to {SPEEDS_M_S[-1]:.0f} m/s"
-    return f"{rail}: hunting from {speed_m_s:.1f} m/s ({3.6 * speed_m_s:.0f} km/h) on"
+            "notes": [*(f"{rail}: no hunting up to {SPEEDS_M_S[-1]:.0f} m/s" if speed is None else
+                        f"{rail}: hunting from {speed:.1f} m/s ({3.6 * speed:.0f} km/h) on"
+                        for rail, speed in critical.items()),
+                      "dampers, bump-stops and traction rods are assumed curves: so is this speed"]}
 
 
 def table(result: Result) -> Table:

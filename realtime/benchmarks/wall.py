@@ -1,7 +1,7 @@
 """A wall-paced run to measure on: the real bench with bus, recorder and unit, for some seconds.
 
-It leaves its record in a temporary folder for as long as the caller looks at it. Whatever else is
-to be measured runs beside it in the bus thread's own event loop.
+Its record lives in a temporary folder as long as the caller looks at it. Whatever else is to be measured runs beside
+it in the bus thread's own event loop.
 """
 
 import asyncio
@@ -14,6 +14,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rollerrig.configs import children
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.bench import Bench
@@ -36,32 +37,31 @@ class Measured(NamedTuple):
 
 
 @contextlib.contextmanager
-def held(seconds: float, unit: str = "reference", settings: tuple[str, ...] = (),
-         live: bool = False, beside: Beside | None = None) -> Iterator[Measured]:
+def held(seconds: float, unit: str = "reference", settings: tuple[str, ...] = (), live: bool = False,
+         beside: Beside | None = None) -> Iterator[Measured]:
     """Run the scenario for some seconds on a hub with a free port; the record lives in the block.
 
     `beside(parts)` runs once the bus is open. Raises RollerrigError as a run does, and
     KeyboardInterrupt where the user broke it off.
     """
-    plan = scenario.load(SCENARIO, settings=(
-        f"duration_max_s={seconds:g}", "bus.interface=hub", "bus.socketcand_port=0",
-        "modbus.port=0", *settings))
+    plan = scenario.load(SCENARIO, settings=(f"duration_max_s={seconds:g}", "bus.interface=hub",
+                                             "bus.socketcand_port=0", "modbus.port=0", *settings))
     with tempfile.TemporaryDirectory(prefix="rollerrig-bench-") as name:
         folder = Path(name) / "run"
         run = Bench(plan, Options("wall", unit, folder, live), lambda progress: None)
-        summary, found, share = asyncio.run(_run(run, beside))
+        summary, share, *found = asyncio.run(_run(run, beside))
         if run.parts.ended_by == "interrupted":
             raise KeyboardInterrupt
-        yield Measured(run.parts, folder, summary, found, share)
+        yield Measured(run.parts, folder, summary, found[0] if found else None, share)
 
 
-async def client(module: str, *arguments: str) -> Any:
-    """Run a client of `benchmarks` in a process of its own to its end, and return what it measured.
+async def client(*arguments: object) -> Any:
+    """Run `benchmarks.client` in a process of its own to its end, and return what it measured.
 
     Raises RollerrigError with its last words when it fails.
     """
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", f"rollerrig.realtime.benchmarks.{module}", *arguments,
+        *children.command(sys.executable, "-m", "rollerrig.realtime.benchmarks.client", *map(str, arguments)),
         stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE)
     try:
         out, error = await process.communicate()
@@ -69,25 +69,23 @@ async def client(module: str, *arguments: str) -> Any:
         if process.returncode is None:
             process.kill()
     if process.returncode:
-        raise RollerrigError("the benchmark's client has ended: "
-                             + error.decode(errors="replace").strip()[-300:])
+        raise RollerrigError("the benchmark's client has ended: " + error.decode(errors="replace").strip()[-300:])
     return json.loads(out)
 
 
-async def _run(run: Bench, beside: Beside | None) -> tuple[dict[str, Any], Any, float]:
+async def _run(run: Bench, beside: Beside | None) -> list[Any]:
+    """The summary, the bus thread's share, and what was measured beside."""
     tasks = [asyncio.ensure_future(_share(run.parts))]
     if beside:
         tasks.append(asyncio.ensure_future(_when_open(run.parts, beside)))
     try:
-        summary = await run.run()
-        found = await asyncio.wait_for(asyncio.gather(*tasks), 10.0)
+        return [await run.run(), *await asyncio.wait_for(asyncio.gather(*tasks), 10.0)]
     except TimeoutError:
-        raise RollerrigError("what was measured beside the run has not ended with it; the machine "
-                             "may be overloaded: try again when it is less busy") from None
+        raise RollerrigError("what was measured beside the run has not ended with it; the machine may be overloaded: "
+                             "try again when it is less busy") from None
     finally:
         for task in tasks:
             task.cancel()
-    return summary, found[1] if beside else None, found[0]
 
 
 async def _when_open(parts: Parts, beside: Beside) -> Any:
@@ -100,8 +98,7 @@ async def _share(parts: Parts) -> float:
     """The share of a core that the bus thread takes between the first tick and the last."""
     while not (parts.data.control[TICK] or parts.stopping):
         await asyncio.sleep(0.01)
-    begun_s, cpu_s = time.monotonic(), time.thread_time()
-    share = 0.0
+    begun_s, cpu_s, share = time.monotonic(), time.thread_time(), 0.0
     while not parts.stopping:
         await asyncio.sleep(0.05)
         share = (time.thread_time() - cpu_s) / (time.monotonic() - begun_s)

@@ -1,19 +1,17 @@
 """Many runs from one plan: a matrix or a random design over any value of a scenario.
 
-A plan is resolved into numbered runs, cut into chunks; a chunk is one file of the result, written
-whole when its runs are done. So a campaign that was killed goes on where it stopped, nothing that
-is done is computed again, and the result is the same however the chunks were spread: over the
-cores of this machine, or over a Dask cluster.
+A plan is resolved into numbered runs, cut into chunks; a chunk is one file of the result, written whole when its runs
+are done. So a campaign that was killed goes on where it stopped, nothing that is done is computed again, and the result
+is the same however the chunks were spread: over the cores of this machine, or over a Dask cluster.
 """
 
 import hashlib
 import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,13 +20,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.stats import qmc
 
-from rollerrig.configs import store, table
+from rollerrig.configs import children, store, table
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import four_stops
 from rollerrig.realtime.record import figures, summary
-from rollerrig.realtime.record.files import replaced
+from rollerrig.realtime.record.files import replaced, writing
 
 DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
 ROWS = (
@@ -58,10 +56,6 @@ class Plan(NamedTuple):
     def chunks(self) -> range:
         return range(-(-len(self.points) // self.head["chunk"]))
 
-    def point(self, number: int) -> tuple[Any, ...]:
-        """The values of run `number`, in the order of `axes`."""
-        return self.points[number - self.first]
-
 
 def load(name: str, **heads: Any) -> Plan:
     """A plan by name or path, with other head values. Raises ConfigError.
@@ -73,24 +67,24 @@ def load(name: str, **heads: Any) -> Plan:
     vary = given.pop("vary", {})
     head = table.read(ROWS, given, str(path))
     if not isinstance(vary, dict) or not vary:
-        raise ConfigError(f"{path}: [vary] names nothing; write, as in \"adhesion.mu_cd\" = [0.03, 0.06] "
-                          "or { low = 0.03, high = 0.1 }")
+        raise ConfigError(f'{path}: [vary] names nothing; write, as in "adhesion.mu_cd" = [0.03, 0.06] or '
+                          "{ low = 0.03, high = 0.1 }")
     scene = head["scenario"]
     if scene.endswith(".toml"):
         head["scenario"] = str(store.find("scenarios", scene, path).resolve())
     points = _matrix(vary, path) if head["design"] == "matrix" else _random(vary, head, path)
     plan = Plan(head, tuple(vary), tuple(points))
     _unit(head["unit"])
-    for at in (0, len(plan.points) - 1):
-        resolve(plan, at)
+    resolve(plan, 0)
+    resolve(plan, len(plan.points) - 1)
     return plan
 
 
 def _matrix(vary: Mapping[str, Any], path: Path) -> list[tuple[Any, ...]]:
     for key, values in vary.items():
         if not isinstance(values, list) or not values:
-            raise ConfigError(f"{path} [vary] {key} = {values!r}: a matrix wants a list of values; "
-                              "for a range set design = \"sobol\"")
+            raise ConfigError(f"{path} [vary] {key} = {values!r}: a matrix wants a list of values; for a range set "
+                              'design = "sobol"')
     return list(itertools.product(*vary.values()))
 
 
@@ -105,24 +99,18 @@ def _random(vary: Mapping[str, Any], head: dict[str, Any], path: Path) -> list[t
             raise ConfigError(f"{path} [vary] {key}: low = {span['low']:g} and high = {span['high']:g} "
                               "must rise, and be above 0 where log = true")
         bounds.append(span)
-    unit = _sample(head["design"], len(bounds), head["runs"], head["seed"])
-    return [tuple(_place(share, span) for share, span in zip(row, bounds, strict=True)) for row in unit]
-
-
-def _sample(design: str, width: int, runs: int, seed: int) -> Sequence[Sequence[float]]:
+    design, runs, seed = head["design"], head["runs"], head["seed"]
     if design == "random":
-        return np.random.default_rng(seed).random((runs, width)).tolist()
-    kinds = {"sobol": qmc.Sobol, "halton": qmc.Halton, "latin_hypercube": qmc.LatinHypercube}
-    sampler = kinds[design](width, rng=seed)
-    if design == "sobol":
+        sample = np.random.default_rng(seed).random((runs, len(bounds)))
+    elif design == "sobol":
         # a Sobol sequence is balanced only in powers of two; take the first of enough
-        return sampler.random_base2(max(runs - 1, 1).bit_length())[:runs].tolist()
-    return sampler.random(runs).tolist()
-
-
-def _place(share: float, span: Mapping[str, Any]) -> float:
-    low, high = span["low"], span["high"]
-    return low * (high / low) ** share if span["log"] else low + (high - low) * share
+        sample = qmc.Sobol(len(bounds), rng=seed).random_base2(max(runs - 1, 1).bit_length())[:runs]
+    else:
+        kind = qmc.Halton if design == "halton" else qmc.LatinHypercube
+        sample = kind(len(bounds), rng=seed).random(runs)
+    return [tuple(span["low"] * (span["high"] / span["low"]) ** share if span["log"] else
+                  span["low"] + (span["high"] - span["low"]) * share for share, span in zip(row, bounds, strict=True))
+            for row in sample.tolist()]
 
 
 def _unit(name: str) -> str | free.UnitCall:
@@ -143,8 +131,8 @@ def resolve(plan: Plan, number: int) -> scenario.Scenario:
 
 def settings(plan: Plan, number: int) -> tuple[str, ...]:
     """What run `number` changes, as `--set` takes it."""
-    return tuple(f"{key}={json.dumps(value)}"
-                 for key, value in zip(plan.axes, plan.point(number), strict=True))
+    values = plan.points[number - plan.first]
+    return tuple(f"{key}={json.dumps(value)}" for key, value in zip(plan.axes, values, strict=True))
 
 
 def command(plan: Plan, number: int) -> str:
@@ -155,71 +143,57 @@ def command(plan: Plan, number: int) -> str:
     return f"rollerrig run {plan.head['scenario']} --pacing {pacing} --wsp {unit} {sets}"
 
 
-def _runs(plan: Plan, chunk: int) -> range:
-    first = chunk * plan.head["chunk"]
-    return range(first, min(first + plan.head["chunk"], plan.first + len(plan.points)))
-
-
 def _piece(plan: Plan, chunk: int) -> Plan:
     """The plan with the runs of one chunk, which is all that a worker needs."""
-    runs = _runs(plan, chunk)
-    return plan._replace(points=plan.points[runs.start:runs.stop], first=runs.start)
+    size = plan.head["chunk"]
+    begin = chunk * size - plan.first
+    return plan._replace(points=plan.points[begin:begin + size], first=chunk * size)
 
 
 def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
-    """Run one chunk; a row a run. A run that fails has its error in `error` and no figures."""
-    rows = {number: _row(plan, number) for number in _runs(plan, chunk)}
-    for number, one, channels in four_stops.together(_resolved(plan, rows), _unit(plan.head["unit"])):
+    """Run one chunk; a row a run. One that fails has its error, one that is not valid its reasons, and no figures."""
+    piece, nothing = _piece(plan, chunk), dict.fromkeys(
+        ("stopped", "valid", "invalid_because", *figures.BY_NAME, "config_hash", "error"))
+    rows: dict[int, dict[str, Any]] = {
+        number: {"run": number, **dict(zip(plan.axes, point, strict=True)), **nothing}
+        for number, point in enumerate(piece.points, start=piece.first)}
+
+    def resolved() -> Iterator[tuple[int, scenario.Scenario]]:
+        for number, row in rows.items():
+            try:
+                yield number, resolve(plan, number)
+            except RollerrigError as error:
+                row["error"] = str(error)
+
+    for number, one, channels in four_stops.together(resolved(), _unit(plan.head["unit"])):
         found = summarize(one, channels, plan.head["unit"])
         rows[number] |= {figure.name: figure.of(found) for figure in figures.FIGURES}
-        rows[number] |= {key: found[key] for key in ("stopped", "config_hash")}
+        rows[number] |= {key: found[key] for key in ("stopped", "valid", "config_hash")}
+        rows[number]["invalid_because"] = "; ".join(found["invalid_because"]) or None
     return list(rows.values())
 
 
 def summarize(plan: scenario.Scenario, channels: dict[str, np.ndarray], unit: str) -> dict[str, Any]:
     """The summary of a run in memory, as a recorded run in free pacing has it."""
     ticks = round(float(channels["time_s"][-1]) * plan["loop"]["tick_hz"])
-    counters = {"pacing": "free", "seed": 0, "unit": unit, "config_hash": scenario.digest(plan),
-                "scenario": plan.name, "loop": {"ticks": ticks, "missed": 0}}
-    return summary.of(channels, counters, plan.resolved)
-
-
-def _row(plan: Plan, number: int) -> dict[str, Any]:
-    """The row of a run that has not been run."""
-    row: dict[str, Any] = {"run": number, **dict(zip(plan.axes, plan.point(number), strict=True))}
-    return row | dict.fromkeys(("stopped", *figures.BY_NAME, "config_hash", "error"))
-
-
-def _resolved(plan: Plan, rows: dict[int, dict[str, Any]]) -> Iterator[tuple[int, scenario.Scenario]]:
-    """The scenarios of rows; a row whose values make none gets the error."""
-    for number, row in rows.items():
-        try:
-            yield number, resolve(plan, number)
-        except RollerrigError as error:
-            row["error"] = str(error)
+    return summary.of(channels, {
+        "pacing": "free", "seed": 0, "unit": unit, "config_hash": scenario.digest(plan), "scenario": plan.name,
+        "loop": {"ticks": ticks, "missed": 0}}, plan.resolved)
 
 
 # --- the result ---
 
-def fingerprint(plan: Plan) -> str:
-    """What a result folder belongs to."""
-    text = json.dumps([plan.head, plan.axes, plan.points], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
 def open_result(plan: Plan, out: Path) -> list[int]:
     """Make or reopen a result folder; the chunks that are still to be done. Raises ConfigError."""
-    results = out / "results"
-    mark = out / "plan.json"
-    if mark.is_file() and json.loads(mark.read_text())["fingerprint"] != fingerprint(plan):
-        raise ConfigError(f"{out} holds the results of another plan; give a new folder with --out, "
-                          "or remove it")
-    try:
-        results.mkdir(parents=True, exist_ok=True)
-        mark.write_text(json.dumps({"fingerprint": fingerprint(plan), "head": plan.head,
-                                    "axes": plan.axes, "runs": len(plan.points)}, indent=1))
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
+    mark, text = out / "plan.json", json.dumps([plan.head, plan.axes, plan.points, "valid"], sort_keys=True)
+    found = hashlib.sha256(text.encode()).hexdigest()[:16]  # what the folder belongs to
+    if mark.is_file() and json.loads(mark.read_text())["fingerprint"] != found:
+        raise ConfigError(f"{out} holds the results of another plan or version; give a new folder with --out, or "
+                          "remove it")
+    with writing(out):
+        (out / "results").mkdir(parents=True, exist_ok=True)
+        mark.write_text(json.dumps({"fingerprint": found, "head": plan.head, "axes": plan.axes,
+                                    "runs": len(plan.points)}, indent=1))
     return [chunk for chunk in plan.chunks if not part(out, chunk).is_file()]
 
 
@@ -230,24 +204,16 @@ def part(out: Path, chunk: int) -> Path:
 
 def write_chunk(out: Path, chunk: int, rows: list[dict[str, Any]]) -> None:
     """Put the rows of a chunk into its file, in one step. Raises RollerrigError where it cannot."""
+    fixed = {"run": pa.int64(), "stopped": pa.bool_(), "valid": pa.bool_(), "vents": pa.int64(),
+             **dict.fromkeys(("invalid_because", "config_hash", "error"), pa.string())}
+    schema = pa.schema([(key, fixed.get(key, pa.string() if isinstance(value, str) else pa.float64()))
+                        for key, value in rows[0].items()])
     try:
         with replaced(part(out, chunk)) as new:
-            pq.write_table(pa.Table.from_pylist(rows, schema=_schema(rows)), new)
+            pq.write_table(pa.Table.from_pylist(rows, schema=schema), new)
     except OSError as error:
         raise RollerrigError(f"{part(out, chunk)}: cannot be written: {error}; what is done is kept: "
                              "make room, and the same command goes on") from None
-
-
-def _schema(rows: list[dict[str, Any]]) -> pa.Schema:
-    fixed = {"run": pa.int64(), "stopped": pa.bool_(), "vents": pa.int64(), "config_hash": pa.string(),
-             "error": pa.string()}
-    fields = []
-    for key, value in rows[0].items():
-        kind = fixed.get(key)
-        if kind is None:
-            kind = pa.string() if isinstance(value, str) else pa.float64()
-        fields.append((key, kind))
-    return pa.schema(fields)
 
 
 def result(out: Path) -> pa.Table:
@@ -261,14 +227,10 @@ def result(out: Path) -> pa.Table:
 # --- spreading ---
 
 def spread_local(plan: Plan, chunks: Sequence[int], workers: int) -> Iterator[tuple[int, list[dict[str, Any]]]]:
-    """Run chunks in processes of this machine, as they are done.
-
-    When a process dies the chunks that it took along are run again, in new processes. Raises
-    RollerrigError when they die again and again.
-    """
+    """Run chunks in processes, as they are done, anew those that a dead one took along. Raises RollerrigError."""
     left = dict.fromkeys(chunks)
     for _ in range(DEATHS):
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        with children.pool(workers) as pool:
             futures = {pool.submit(run_chunk, _piece(plan, chunk), chunk): chunk for chunk in left}
             try:
                 for future in as_completed(futures):
@@ -281,9 +243,8 @@ def spread_local(plan: Plan, chunks: Sequence[int], workers: int) -> Iterator[tu
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
-    raise RollerrigError(f"worker processes died {DEATHS} times (killed, or out of memory?): "
-                         f"{len(left)} chunks are left, what is done is kept; give --workers fewer, "
-                         "and the same command goes on")
+    raise RollerrigError(f"worker processes died {DEATHS} times (killed, or out of memory?): {len(left)} chunks are "
+                         "left, what is done is kept; give --workers fewer, and the same command goes on")
 
 
 def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tuple[int, list[dict[str, Any]]]]:
@@ -298,7 +259,7 @@ def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tup
         client = Client(address, timeout=10)
     except OSError as error:
         raise ConfigError(f"--scheduler {address}: no Dask scheduler answers ({error}); start one with "
-                          "'dask scheduler' and workers with 'dask worker ADDRESS'") from None
+                          "'dask scheduler --host 127.0.0.1' and workers with 'dask worker ADDRESS'") from None
     with client:
         # nothing is scattered: data that only a lost worker had would take the work with it
         futures = {client.submit(run_chunk, _piece(plan, chunk), chunk, pure=False, retries=3): chunk
@@ -308,5 +269,5 @@ def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tup
                 yield futures[future], rows
                 future.release()
         except (KilledWorker, CommClosedError, CancelledError, OSError) as error:
-            raise RollerrigError(f"--scheduler {address}: the cluster gave up ({error}); what is done "
-                                 "is kept, and the same command goes on") from None
+            raise RollerrigError(f"--scheduler {address}: the cluster gave up ({error}); what is done is kept, and the "
+                                 "same command goes on") from None

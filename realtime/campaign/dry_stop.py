@@ -1,8 +1,7 @@
 """The dry stop: how far the same vehicle runs under the same brake demands on clean, dry rollers.
 
-It is the plant itself, without bus, WSP, faults or changes of friction, so it holds what a computed
-stop leaves out: filling, load transfer, rotating masses, resistance. Runs of the same vehicle and
-demands are computed once.
+It is the plant itself, without bus, WSP, faults or changes of friction, so it holds what a computed stop leaves out:
+filling, load transfer, rotating masses, resistance. Runs of the same vehicle and demands are computed once.
 """
 
 from collections.abc import Mapping
@@ -28,30 +27,20 @@ def distance_m(resolved: Mapping[str, Any], demands: tuple[tuple[float, float], 
     braked = [time_s for time_s, pressure_Pa in demands if pressure_Pa > 0.0]
     if not braked:
         return float("nan")
-    dry = _dry(resolved, demands)
+    given = {key: value for key, value in resolved.items() if key not in ("friction", "fault")}
+    # dry.toml leaves out what the defaults say already, and those are the paper's law
+    dry = given | {"adhesion": dict(store.load("adhesion", "dry")[0]["adhesion"]), "adhesion_set": "dry",
+                   "demand": [{"from_s": time_s, "pressure_Pa": pressure_Pa} for time_s, pressure_Pa in demands],
+                   "stand_s": 0.0, "duration_max_s": 3600.0}
     text = tomli_w.dumps(dry)
     if text not in _known:
-        _known[text] = _run(scenario.read(dry, Path("dry.toml")), braked[0])
+        plan = scenario.read(dry, Path("dry.toml"))
+        # its samples are lost on purpose: nobody reads them
+        stop = free.Stop(plan, tick_data.build(plan, ring.Memory(1, len(signals.COLUMNS))), "none")
+        data = stop.data
+        stop.advance(round(braked[0] * plan["loop"]["tick_hz"]))
+        from_m = float(data.state.position[0])
+        while not data.control[DONE]:
+            stop.advance()
+        _known[text] = float(data.state.position[0]) - from_m if data.state.standing[0] else float("nan")
     return _known[text]
-
-
-def _dry(resolved: Mapping[str, Any], demands: tuple[tuple[float, float], ...]) -> dict[str, Any]:
-    given = {key: value for key, value in resolved.items() if key not in ("friction", "fault")}
-    dry, _ = store.load("adhesion", "dry")
-    # dry.toml leaves out what the defaults say already, and those are the paper's law
-    given["adhesion"] = dict(dry["adhesion"])
-    given["adhesion_set"] = "dry"
-    given["demand"] = [{"from_s": time_s, "pressure_Pa": pressure_Pa}
-                       for time_s, pressure_Pa in demands]
-    return given | {"stand_s": 0.0, "duration_max_s": 3600.0}
-
-
-def _run(plan: scenario.Scenario, begin_s: float) -> float:
-    # its samples are lost on purpose: nobody reads them
-    stop = free.Stop(plan, tick_data.build(plan, ring.Memory(1, len(signals.COLUMNS))), "none")
-    data = stop.data
-    stop.advance(round(begin_s * plan["loop"]["tick_hz"]))
-    from_m = float(data.state.position[0])
-    while not data.control[DONE]:
-        stop.advance()
-    return float(data.state.position[0]) - from_m if data.state.standing[0] else float("nan")

@@ -7,35 +7,26 @@ no clock and no Python stand between two ticks; the samples are those of `--paci
 
 import itertools
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import free, tick_data
+from rollerrig.realtime.bench import free
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.ring import Memory
-from rollerrig.realtime.loop.tick import DONE, TICK, TickData
+from rollerrig.realtime.loop.tick import DONE, TICK
 from rollerrig.rig import heat, plant
 from rollerrig.rig.kernel import kernel, seeing
 from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import RIGS
 
+# a stop with what it is called by, and the memory of its samples
+Placed = tuple[Any, free.Stop, Memory]
 _TICKS = 1 << 20
 # the unit's state as views into its buffer, for compiled code
 see_unit = seeing(logic.State, logic.PLACES)
-
-
-class Stop(NamedTuple):
-    """A stop about to run; `sync_ticks` between two cycles of its unit, 0 where it has none."""
-
-    tag: Any
-    plan: Scenario
-    memory: Memory
-    data: TickData
-    unit: logic.Unit
-    sync_ticks: int
 
 
 def together(jobs: Iterable[tuple[Any, Scenario]],
@@ -46,32 +37,24 @@ def together(jobs: Iterable[tuple[Any, Scenario]],
     """
     groups: dict[int, list[tuple[Any, Scenario]]] = {}
     for tag, plan in jobs:
-        if unit in ("reference", "none") and fits(plan):
+        if (unit in ("reference", "none") or isinstance(unit, logic.Params)) and fits(plan):
             groups.setdefault(plan.params.substeps, []).append((tag, plan))
         else:
             yield tag, plan, free.channels(free.simulate(plan, unit))
     for group in groups.values():
-        for stop in _run(_stop(tag, plan, unit != "none") for tag, plan in group):
-            yield stop.tag, stop.plan, free.channels(stop.memory.written)
+        # without a unit one that is never asked takes its place
+        own = "reference" if unit == "none" else unit
+        for tag, stop, memory in _run(((tag, *free.remembered(plan, own)) for tag, plan in group), unit != "none"):
+            yield tag, stop.plan, free.channels(memory.written)
 
 
 def fits(plan: Scenario) -> bool:
     """Whether a scenario may run beside others: one planar plant, no faults."""
-    return (plan.rollers is None and not plan.faults and not plan["bus"]["arbitration"]
-            and layout.fits(plan.params))
+    return (plan.rollers is None and not plan.faults and not plan["bus"]["arbitration"] and layout.fits(plan.params))
 
 
-def _stop(tag: Any, plan: Scenario, with_unit: bool) -> Stop:
-    memory = free.memory_of(plan)
-    return Stop(tag, plan, memory, tick_data.build(plan, memory), logic.new_unit(logic.load(plan["wsp_config"])),
-                plan.sync_ticks if with_unit else 0)
-
-
-def _run(stops: Iterable[Stop]) -> Iterator[Stop]:
-    """Run stops to their ends, four at a time; gives each back when it is done.
-
-    All must have the same number of steps in a tick and fit `layout.fits`.
-    """
+def _run(stops: Iterable[Placed], with_unit: bool) -> Iterator[Placed]:
+    """Run stops with like steps in a tick that all fit `layout.fits`, four at a time; gives back each that is done."""
     waiting, lanes = iter(stops), np.zeros(layout.SIZE)
     inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
     row = list(itertools.islice(waiting, RIGS))
@@ -80,20 +63,21 @@ def _run(stops: Iterable[Stop]) -> Iterator[Stop]:
     # places without a stop of their own repeat one; they are not asked to run
     runs = np.array([rig < len(row) for rig in range(RIGS)], dtype=np.int64)
     row += [row[0]] * (RIGS - len(row))
-    for rig, stop in enumerate(row):
+    for rig, (_, stop, _) in enumerate(row):
         layout.load_constants(lanes, rig, stop.data.params)
     while runs.any():
-        syncs = np.array([stop.sync_ticks for stop in row], dtype=np.int64)
-        units = tuple((logic.buffer_of(stop.unit), stop.unit.params) for stop in row)
-        run_ticks(tuple(stop.data for stop in row), units, syncs, runs, lanes, inputs, _TICKS)
+        # ticks between two cycles of a unit, 0 where it is not asked
+        syncs = np.array([stop.plan.sync_ticks * with_unit for _, stop, _ in row], dtype=np.int64)
+        units = tuple((logic.buffer_of(stop.own), stop.own.params) for _, stop, _ in row if stop.own)
+        run_ticks(tuple(stop.data for _, stop, _ in row), units, syncs, runs, lanes, inputs, _TICKS)
         for rig in range(RIGS):
-            if runs[rig] and row[rig].data.control[DONE]:
+            if runs[rig] and row[rig][1].data.control[DONE]:
                 yield row[rig]
                 following = next(waiting, None)
                 runs[rig] = following is not None
                 if following is not None:
                     row[rig] = following
-                    layout.load_constants(lanes, rig, following.data.params)
+                    layout.load_constants(lanes, rig, following[1].data.params)
 
 
 @kernel
@@ -129,8 +113,7 @@ def before(m, unit, sync_ticks, runs, lanes, rig, inputs):
         tick.ask_unit(m, inputs)
         tick.hear_unit(m, logic.Unit(see_unit(unit[0]), unit[1]), inputs)
     tick.begin(m, now)
-    target_Pa = plant.prepare(m.state, m.delay, m.command[:tick.AXLES], m.command[tick.DEMAND], now,
-                              m.params)
+    target_Pa = plant.prepare(m.state, m.delay, m.command[:tick.AXLES], m.command[tick.DEMAND], now, m.params)
     layout.scatter(lanes, rig, m.state, target_Pa)
 
 

@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
@@ -19,6 +18,7 @@ from rollerrig.rig.kernel import kernel
 MONOTONIC = 1
 _ABSOLUTE = 1
 SECOND_NS = 1_000_000_000
+_CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # of mlockall(2)
 IDLE_LIMIT = "/dev/cpu_dma_latency"
 
 _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
@@ -67,15 +67,20 @@ def eventfd() -> int:
 
 
 def lock_memory() -> str:
-    """Keep the process's pages in memory. Returns "" or why not.
+    """Keep pages in memory when touched; "" or why not. Future ones only without a limit: allocations would fail.
 
-    Future pages only where there is no limit: with one, later allocations would fail.
+    Without MCL_ONFAULT all that libraries merely reserve would be filled, 1 GB for Arrow, and stay.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     unlimited = os.geteuid() == 0
-    if libc.mlockall(3 if unlimited else 1) == 0:
+    if libc.mlockall(_ON_FAULT | _CURRENT | (_FUTURE if unlimited else 0)) == 0:
         return ""
     return os.strerror(ctypes.get_errno())
+
+
+def unlock_memory() -> None:
+    """Let pages go again."""
+    ctypes.CDLL(None).munlockall()
 
 
 @contextlib.contextmanager
@@ -97,8 +102,3 @@ def awake(asked: bool = True) -> Iterator[str]:
     finally:
         if asked:
             os.close(descriptor)
-
-
-def monotonic_ns() -> int:
-    """The same clock for Python."""
-    return int(now_ns(np.zeros(2, dtype=np.int64)))

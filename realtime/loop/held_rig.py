@@ -34,7 +34,6 @@ def roll(m):
 
 @kernel
 def _turn(state, tick_s):
-    """Turn wheels and rollers by what they turn in a tick."""
     for j in range(AXLES):
         state.wheel_angle[j] += tick_s * state.wheel_speed[j]
         state.roller_angle[j] += tick_s * state.roller_speed[j]

@@ -1,23 +1,28 @@
 """The real-time loop: one compiled call that gives every tick an absolute deadline.
 
-It holds no GIL, allocates nothing and logs nothing. Each tick sleeps until its deadline, notes how
-late it woke, runs, and wakes the bus thread when a SYNC is due. A tick that starts after the next
-one was due counts as missed; the loop then catches up, or, after a stall of more than a hundred
-ticks, starts afresh from now.
+It holds no GIL, allocates nothing and logs nothing. Each tick sleeps until its deadline, notes how late it woke, runs,
+and wakes the bus thread when a SYNC is due. A tick that starts after the next one was due counts as missed; the loop
+then catches up, or, after a stall of more than a hundred ticks, starts afresh from now: simulated time has then
+fallen behind the clock of the bus for good, by what STALLED_NS has summed up.
 """
 
+import contextlib
 import os
+import resource
+from collections.abc import Iterator
 
 import numpy as np
 
 from rollerrig.realtime.loop import clock, held_rig, tick
 from rollerrig.realtime.loop.clock import now_ns, sleep_until, wake
-from rollerrig.realtime.loop.tick import BUSY_NS, DONE, HELD, LATE_NS, MISSED, STOP, TICK, WORST_NS
+from rollerrig.realtime.loop.tick import BUSY_NS, DONE, HELD, LATE_NS, MISSED, STALLED_NS, STOP, TICK, WORST_NS
 from rollerrig.rig.kernel import kernel
 
 # histogram of lateness: bins of 1 us, the last one holds all that is later
 BINS = 20_000
 _STALL_TICKS = 100
+# by name in the summary, as getrusage(2) counts them
+INTERRUPTIONS = {"page_faults": "ru_minflt", "pages_read": "ru_majflt", "preempted": "ru_nivcsw"}
 # how far the bus thread's priority lies below the real-time thread's
 BUS_BELOW = 20
 
@@ -43,6 +48,7 @@ def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
             m.control[MISSED] += 1
             if late > _STALL_TICKS * tick_ns:
                 m.control[MISSED] += late // tick_ns - 1
+                m.control[STALLED_NS] += late
                 deadline = began
         if held_rig.is_held(m, sync_ticks):
             held_rig.roll(m)
@@ -56,10 +62,7 @@ def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
 
 
 def ask_for_priority(priority: int, cpu: int) -> list[str]:
-    """Ask for SCHED_FIFO, locked memory and a core for the calling thread; returns what was refused.
-
-    `priority` 0 and `cpu` -1 ask for nothing.
-    """
+    """Ask for SCHED_FIFO, locked memory (0: not) and a core (-1: not) for this thread; returns what was refused."""
     refused = []
     if priority:
         try:
@@ -95,13 +98,18 @@ def prefer_bus_thread(priority: int) -> str:
     return ""
 
 
+@contextlib.contextmanager
+def interruptions(found: dict[str, int]) -> Iterator[None]:
+    """Count into `found` what held up the calling thread inside the block: page faults, and others that went before."""
+    before = resource.getrusage(resource.RUSAGE_THREAD)
+    yield
+    after = resource.getrusage(resource.RUSAGE_THREAD)
+    for name, counter in INTERRUPTIONS.items():
+        found[name] = found.get(name, 0) + getattr(after, counter) - getattr(before, counter)
+
+
 def percentiles(histogram: np.ndarray, worst_ns: int) -> dict[str, float]:
     """Lateness in us at 50, 99 and 99.9 % of the ticks (upper edge of the bin), and the largest."""
-    total = int(histogram.sum())
-    reached = np.cumsum(histogram)
-    worst_us = worst_ns / 1000.0
-    found = {}
-    for name, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999)):
-        at = int(np.searchsorted(reached, share * total)) + 1 if total else 0
-        found[name] = float(min(at, worst_us)) if total else 0.0
-    return found | {"max": worst_us}
+    reached, worst_us = np.cumsum(histogram), worst_ns / 1000.0
+    edges = np.searchsorted(reached, np.array((0.5, 0.99, 0.999)) * reached[-1]) + 1 if reached[-1] else np.zeros(3)
+    return dict(zip(("p50", "p99", "p999"), np.minimum(edges, worst_us).tolist(), strict=True)) | {"max": worst_us}

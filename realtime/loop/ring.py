@@ -20,14 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.realtime.loop.clock import fence
-from rollerrig.rig.kernel import kernel
 
 # slots of the header (int64): written by the writer, or by the one reader that is named there.
-# READER_BEAT_NS is the live view's heartbeat, RECORDER_BEAT_NS the recorder's (0: not ready yet),
-# READ and LOST are the recorder's count of rows, all on CLOCK_MONOTONIC
-(WRITTEN, CLOSED, WRITER_PID, CAPACITY, WIDTH, READER_BEAT_NS,
- READ, LOST, CREATED_NS, RECORDER_BEAT_NS) = range(10)
+# READER_BEAT_NS is the live view's heartbeat, RECORDER_BEAT_NS the recorder's (0: not ready yet), VIEWED whether
+# anybody looks at the live view, READ and LOST are the recorder's count of rows, all on CLOCK_MONOTONIC
+(WRITTEN, CLOSED, WRITER_PID, CAPACITY, WIDTH, READER_BEAT_NS, READ, LOST, CREATED_NS, RECORDER_BEAT_NS,
+ VIEWED) = range(11)
 _HEADER = 16
 EVENT_WORDS = 64
 FRAME_WORDS = 4
@@ -46,37 +44,22 @@ def place(kind: str) -> Path:
 
 
 def sweep() -> list[Path]:
-    """Remove rings that nobody writes any more and no recorder reads; returns what was removed.
-
-    They remain when the bench and its recorder are both killed. A writer's lock tells.
-    """
+    """Remove rings that no writer locks and no recorder reads: both were killed. Returns what was removed."""
     removed = []
     for path in sorted(folder().glob(_PREFIX + "*")):
         try:
             ring = Ring(path, np.int64)
         except (OSError, ValueError, RollerrigError):
             continue
-        idle_ns = time.monotonic_ns() - max(int(ring.header[RECORDER_BEAT_NS]),
-                                            int(ring.header[CREATED_NS]))
+        idle_ns = time.monotonic_ns() - max(int(ring.header[RECORDER_BEAT_NS]), int(ring.header[CREATED_NS]))
         if not ring.writer_alive and idle_ns > 60_000_000_000:
             ring.unlink()
             removed.append(path)
     return removed
 
 
-@kernel
-def push(header, rows, row):
-    """Append one row: shapes (16,) int64, (capacity, width), (width,). Never waits."""
-    at = header[WRITTEN]
-    slot = at % rows.shape[0]
-    for i in range(row.size):
-        rows[slot, i] = row[i]
-    fence()
-    header[WRITTEN] = at + 1
-
-
 class Memory:
-    """What `push` fills, for one process alone: `rows` of shape (capacity, width) float64."""
+    """What `appending.push` fills, for one process alone: `rows` of shape (capacity, width) float64."""
 
     def __init__(self, capacity: int, width: int) -> None:
         self.header = np.zeros(_HEADER, dtype=np.int64)
@@ -120,14 +103,17 @@ class Ring:
             raise RollerrigError(f"{self.path}: not a ring ({shape} rows in {size} bytes)")
         self.rows: np.ndarray = words[_HEADER:].view(dtype).reshape(shape)
         if capacity:
+            from rollerrig.realtime.loop import appending
+
+            self._append = appending.push
             # compiled now: the first row of a run shall not wait for the compiler
-            push(self.header, self.rows, np.zeros_like(self.rows[0]))
+            self.push(np.zeros_like(self.rows[0]))
             self.header[WRITTEN] = 0
 
     def push(self, row: np.ndarray) -> None:
         """Append one row of `width` items; any thread of the writing process may."""
         with self._one_at_a_time:
-            push(self.header, self.rows, row)
+            self._append(self.header, self.rows, row)
 
     def read(self, cursor: int) -> tuple[np.ndarray, int, int]:
         """Rows since `cursor` as a copy, the new cursor, and how many rows were lost.
@@ -157,11 +143,7 @@ class Ring:
 
     @property
     def writer_alive(self) -> bool:
-        """Whether the process that made the ring still runs (and still has it).
-
-        Its lock tells, not its number: numbers are used again, and a dead process that nobody
-        has waited for keeps its own.
-        """
+        """Whether the process that made the ring lives: its lock tells, for a number may be another's or a zombie's."""
         with open(f"/proc/self/fd/{self._file.fileno()}") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

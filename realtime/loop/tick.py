@@ -2,7 +2,7 @@
 
 The order is fixed: read the command mailbox, let the rig control ask its motors, advance the
 physics, observe, publish a row of all signals, and put it into the ring when a sample is due.
-`run_ticks` runs ticks back to back (lockstep and free pacing), `loop` gives them their deadlines.
+`Ticks` runs ticks back to back (lockstep and free pacing), `loop` gives them their deadlines.
 """
 
 from collections.abc import Iterable
@@ -15,8 +15,8 @@ from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import control as drive_control
 from rollerrig.firmware_sim.faults import effects
 from rollerrig.firmware_sim.wsp import logic
+from rollerrig.realtime.loop import appending
 from rollerrig.realtime.loop import mailbox as box
-from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop.mailbox import Mailbox
 from rollerrig.rig import plant, vehicle
 from rollerrig.rig.kernel import kernel, kernel_inlined
@@ -26,25 +26,26 @@ from rollerrig.wsp_interface import signals
 
 # the command row: magnets of the axles, a brake demand from the bus (NaN: none), and the WSP's
 # reference speed (NaN: it tells none); the first two are what io401 writes; then friction asked for
-# under the axles (0: the scenario's), what each drive is asked, as drive402.axis lays it out, and the
-# faults that act, as faults.effects lays them out
+# under the axles (0: the scenario's), sanders asked to strew, what each drive is asked, as drive402.axis
+# lays it out, and the faults that act, as faults.effects lays them out
 MAGNETS, DEMAND, REFERENCE, FRICTION = 0, AXLES, AXLES + 1, AXLES + 2
-DRIVES = FRICTION + AXLES
+SAND = FRICTION + AXLES
+DRIVES = SAND + AXLES
 FAULTS = DRIVES + AXLES * axis.COMMANDS
 COMMANDS = FAULTS + effects.SIZE
 
 # slots of the control array (int64)
-TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS, HOLD, HELD, SLOTS_OF_CONTROL = range(11)
+(TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS, HOLD, HELD, STALLED_NS,
+ SLOTS_OF_CONTROL) = range(12)
 
 
 class TickData(NamedTuple):
     """All that a tick touches. `gather` (n,) are the slots of the state that a row copies.
 
-    `virtual` 1: the state is that of the virtual track, and the rollers have a plant of their own,
-    whose slots `gather_rollers` (n,) a row copies. Else the rollers are the plant itself.
-    `answer` (3,) int64 is how many ticks after its SYNC an answer of the unit acts where none is on a bus
-    (`wire_delay`): in an ordinary cycle, in every n-th one, and n.
-    `hold` (1,) is the speed in m/s at which a held rig rolls, `pulses` the memory of the sensors.
+    `virtual` 1: the state is that of the virtual track, and the rollers have a plant of their own, whose slots
+    `gather_rollers` (n,) a row copies. Else the rollers are the plant itself. `answer` (3,) int64 is how many ticks
+    after its SYNC an answer of the unit acts where none is on a bus (`wire_delay`): in an ordinary cycle, in every n-th
+    one, and n. `hold` (1,) is the speed in m/s at which a held rig rolls, `pulses` the memory of the sensors.
     """
 
     params: Params
@@ -74,23 +75,14 @@ class TickData(NamedTuple):
     pulses: np.ndarray
 
 
-_TIME = signals.column("time")
-_REFERENCE = signals.column("wsp_reference_speed")
-_MAGNETS = signals.column("magnets")
-_TRACKING = signals.column("tracking_error")
-_LATENESS = signals.column("tick_lateness")
-_DURATION = signals.column("tick_duration")
-_MISSED = signals.column("ticks_missed")
-_SPEED = signals.column("measured_speed")
-_PRESSURE = signals.column("cylinder_pressure")
-_MOTOR_K = signals.column("motor_temperature")
-_SPEED_RAW = signals.BY_NAME["measured_speed"].places[0]
-_PRESSURE_RAW = signals.BY_NAME["cylinder_pressure"].places[0]
-_SPEED_SCALE, _PRESSURE_SCALE = _SPEED_RAW.scale, _PRESSURE_RAW.scale
-_I16 = signals.KINDS["I16"]
-_LOW, _HIGH = float(_I16[0]), float(_I16[1])
-_WSP_SCALE = signals.BY_NAME["wsp_reference_speed"].places[0].scale
-
+_MAGNETS, _TRACKING, _MOTOR_K = (signals.column(name) for name in ("magnets", "tracking_error", "motor_temperature"))
+_SAND = signals.column("sand_demand")
+_LATENESS, _DURATION, _MISSED = (signals.column(name) for name in ("tick_lateness", "tick_duration", "ticks_missed"))
+# what the WSP unit sees and tells, and the scale of its counts on the bus
+_OF_UNIT = ("measured_speed", "cylinder_pressure", "wsp_reference_speed")
+_SPEED, _PRESSURE, _REFERENCE = (signals.column(name) for name in _OF_UNIT)
+_SPEED_SCALE, _PRESSURE_SCALE, _REFERENCE_SCALE = (signals.BY_NAME[name].places[0].scale for name in _OF_UNIT)
+_LOW, _HIGH = (float(bound) for bound in signals.KINDS["I16"])
 
 # what the real wheelsets and rollers tell where a virtual track runs beside them
 OF_ROLLERS = frozenset((
@@ -102,11 +94,8 @@ OF_ROLLERS = frozenset((
 def first_command() -> np.ndarray:
     """The command row of a rig that nobody has asked for anything: drives enabled for the rig."""
     row = np.full(COMMANDS, np.nan)
-    row[MAGNETS:MAGNETS + AXLES] = 0.0
-    row[FRICTION:DRIVES] = 0.0
-    row[FAULTS:] = 0.0
+    row[MAGNETS:MAGNETS + AXLES] = row[FRICTION:] = 0.0
     drives = row[DRIVES:FAULTS].reshape(AXLES, axis.COMMANDS)
-    drives[:] = 0.0
     drives[:, axis.ENABLED] = 1.0
     drives[:, axis.LOOP] = axis.LOOP_RIG
     return row
@@ -134,12 +123,12 @@ def publish(m):
             m.row[i] = m.roller_buffer[m.gather_rollers[i]]
     for j in range(AXLES):
         m.row[_MAGNETS + j] = m.command[MAGNETS + j]
+        m.row[_SAND + j] = m.command[SAND + j]
         m.row[_TRACKING + j] = tracking_error(m, j)
     pole_wheel.sense(m.row, m.pulses, m.sensor, m.command[FAULTS:])
     if m.command[FAULTS + effects.ANY] != 0.0:
         heat = m.params.heat
-        effects.heat(m.row[_MOTOR_K:_MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K,
-                     heat.motor_rise_K)
+        effects.heat(m.row[_MOTOR_K:_MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K, heat.motor_rise_K)
     m.row[_REFERENCE] = m.command[REFERENCE]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
@@ -175,6 +164,7 @@ def disturb(m, faults):
     effects.energise(m.command[:AXLES], faults)
     effects.ripple(m.roller_state, faults)
     effects.leak(m.state, faults, m.params.tick_s)
+    effects.spill(m.state, faults)
     if m.virtual != 0:
         effects.leak(m.roller_state, faults, m.params.tick_s)
 
@@ -185,8 +175,7 @@ def run_tick(m):
     tick = m.control[TICK]
     begin(m, tick)
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
-    if m.command[DRIVES + axis.LOOP] == axis.LOOP_STOP and (
-            m.virtual != 0 or m.params.mode != 0):
+    if m.command[DRIVES + axis.LOOP] == axis.LOOP_STOP and (m.virtual != 0 or m.params.mode != 0):
         rig_control.stop_with_rollers(m.state, m.roller_state, m.roller_params.drive)
     plant.observe(m.state, m.params)
     if m.virtual != 0:
@@ -201,7 +190,7 @@ def begin(m, tick):
         # all since the last sample, this tick's own lateness too
         m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
         m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
-        rings.push(m.ring_header, m.ring_rows, m.row)
+        appending.push(m.ring_header, m.ring_rows, m.row)
         m.control[LATE_NS] = 0
         m.control[BUSY_NS] = 0
     box.fetch(m.commands, m.command)
@@ -214,12 +203,14 @@ def begin(m, tick):
     elif m.params.mode != 0:
         rig_control.hold_surface_speed(m.state, m.params.drive, m.params.tick_s)
     if m.virtual != 0 or m.params.mode != 0:
-        drive_control.obey(m.roller_state, m.roller_params.drive, m.command[DRIVES:],
-                           m.params.tick_s)
+        drive_control.obey(m.roller_state, m.roller_params.drive, m.command[DRIVES:], m.params.tick_s)
     if faults[effects.ANY] != 0.0:
         disturb(m, faults)
     for j in range(AXLES):
         m.state.friction_asked[j] = m.command[FRICTION + j]
+        m.state.sand_asked[j] = m.command[SAND + j]
+        m.state.sand_flaw[j] = effects.value(faults, effects.SAND_FLAW, j)
+        m.state.sand_late[j] = effects.value(faults, effects.SAND_LATE_s, j)
 
 
 @kernel_inlined
@@ -234,13 +225,33 @@ def end(m, tick):
 
 
 @kernel
-def run_ticks(m, ticks):
-    """Run some ticks back to back, fewer if the run is done; returns how many."""
-    for i in range(ticks):
-        if m.control[DONE] != 0 or m.control[STOP] != 0:
-            return i
-        run_tick(m)
-    return ticks
+def stepping(m, ticks):
+    """With each `next` run ticks[0] ticks back to back, fewer if the run is done, and yield how many."""
+    while True:
+        ran = 0
+        while ran < ticks[0] and m.control[DONE] == 0 and m.control[STOP] == 0:
+            run_tick(m)
+            ran += 1
+        yield ran
+
+
+class Ticks:
+    """Runs ticks of `m` a few at a time: its hundreds of fields are handed to the kernel once, not with each call."""
+
+    def __init__(self, m: TickData) -> None:
+        # what the kernel looks at lives as long as this does
+        self._m, self._asked = m, np.zeros(1, dtype=np.int64)
+        self._stepping = stepping(m, self._asked)
+
+    def run(self, ticks: int) -> int:
+        """Run some ticks, fewer if the run is done; returns how many."""
+        self._asked[0] = ticks
+        return next(self._stepping)
+
+
+def run_ticks(m: TickData, ticks: int) -> int:
+    """Run some ticks once; returns how many."""
+    return Ticks(m).run(ticks)
 
 
 @kernel
@@ -284,4 +295,4 @@ def hear_unit(m, unit, inputs):
     command = m.commands.values
     for j in range(AXLES):
         command[MAGNETS + j] = (magnets >> (2 * j)) & 3
-    command[REFERENCE] = reference * _WSP_SCALE
+    command[REFERENCE] = reference * _REFERENCE_SCALE

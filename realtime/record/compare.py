@@ -6,7 +6,6 @@ Ticks' lateness is no result and is left out.
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 from rollerrig.realtime.record import records
-from rollerrig.realtime.record.figures import FIGURES
 from rollerrig.wsp_interface import signals
 
 _NO_RESULT = frozenset(("time", "tick_lateness", "tick_duration", "ticks_missed"))
@@ -35,11 +33,6 @@ class Difference(NamedTuple):
         return self.largest > self.tolerance
 
 
-def figures(runs: Sequence[records.Run]) -> list[tuple[str, str, list[float | None]]]:
-    """Rows of (title, unit, a value a run); None where a run has no such figure."""
-    return [(one.title, one.unit, [one.shown(run.summary) for run in runs]) for one in FIGURES]
-
-
 def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) -> list[Difference]:
     """Every channel of every further run against the first; a tolerance of the channel itself counts first."""
     first, found = runs[0], []
@@ -54,10 +47,31 @@ def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) ->
             if known.size:
                 worst = known[np.argmax(gap[known])]
                 found.append(Difference(
-                    run=str(run.folder), channel=name, largest=float(gap[worst]),
-                    rms=float(np.sqrt(np.mean(gap[known] ** 2))), at_s=float(time_s[worst]),
-                    tolerance=tolerances.get(name, tolerances.get(units[name], np.nan))))
+                    str(run.folder), name, largest=float(gap[worst]), rms=float(np.sqrt(np.mean(gap[known] ** 2))),
+                    at_s=float(time_s[worst]), tolerance=tolerances.get(name, tolerances.get(units[name], np.nan))))
     return found
+
+
+def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
+    """What a stop's adhesion becomes: means of all wheelsets in each third of its way.
+
+    None where no wheel slides, and all None of a run that is not valid. `adhesion while sliding` counts where a wheel
+    slides by more than 0.5 m/s, `friction mu_cd` everywhere. On a track the contaminant is always fresh; on rollers it
+    is not, and the difference of two runs is what the rig adds.
+    """
+    place_m = run.column("position_m")
+    third = np.minimum(3.0 * (place_m - place_m[0]) / max(float(place_m[-1] - place_m[0]), 1e-9), 2.999).astype(int)
+    names = [f"_{axle}" for axle in range(1, signals.AXLES + 1)]
+    f, s, mu = (np.array([run.column(f"{stem}{name}{unit}") for name in names]) for stem, unit in (
+        ("adhesion", ""), ("sliding", "_m_s"), ("friction_degraded", "")))
+    valid = bool(run.summary.get("valid", True))
+    slides, known = valid & (s > 0.5), valid & np.isfinite(mu)
+    return {"adhesion while sliding": tuple(_mean(f[:, third == k], slides[:, third == k]) for k in range(3)),
+            "friction mu_cd": tuple(_mean(mu[:, third == k], known[:, third == k]) for k in range(3))}
+
+
+def _mean(values: np.ndarray, counts: np.ndarray) -> float | None:
+    return float(values[counts].mean()) if counts.any() else None
 
 
 def tolerances(given: Sequence[str]) -> dict[str, float]:
@@ -72,16 +86,7 @@ def tolerances(given: Sequence[str]) -> dict[str, float]:
         try:
             found[name] = float(value)
         except ValueError:
-            raise ConfigError(f"--tolerance {text}: '{value}' is not a number; write as in "
-                              "m_s=0.1") from None
+            raise ConfigError(f"--tolerance {text}: '{value}' is not a number; write as in m_s=0.1") from None
         if not found[name] >= 0.0:
             raise ConfigError(f"--tolerance {text}: must be 0 or more")
     return found
-
-
-def load(folders: Sequence[Path]) -> list[records.Run]:
-    """The runs of folders, at least two. Raises ConfigError."""
-    if len(folders) < 2:
-        raise ConfigError("compare needs at least two run folders, as in: "
-                          "rollerrig compare runs/a runs/b")
-    return [records.load(folder) for folder in folders]

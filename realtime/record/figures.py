@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from rollerrig.realtime.record import validity
+
 Summary = Mapping[str, Any]
 
 
@@ -21,7 +23,9 @@ class Figure(NamedTuple):
     scale: float = 1.0
 
     def of(self, summary: Summary) -> Any:
-        """The figure of a run; None where it has none."""
+        """The figure of a run; None where it has none, as all of a run that is not valid."""
+        if validity.because(summary):
+            return None
         try:
             return self.get(summary)
         except (KeyError, TypeError, ValueError):
@@ -38,8 +42,7 @@ def _axles(summary: Summary, key: str) -> list[float]:
 
 
 def _mean(summary: Summary, key: str) -> float:
-    values = _axles(summary, key)
-    return sum(values) / len(values)
+    return sum(values := _axles(summary, key)) / len(values)
 
 
 FIGURES = (

@@ -1,10 +1,13 @@
 """Reads a run's folder back: scenario, channels, events, summary.
 
-A run that was killed reads like any other: what its recorder had not yet put into the Parquet file
-is taken from the tail, and a last line that was cut off is left out.
+A run that was killed reads like any other: what its recorder had not yet put into the Parquet file is taken from the
+tail, and a last line that was cut off is left out.
 """
 
+import contextlib
 import json
+import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +16,7 @@ import pyarrow as pa
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.record import channels
+from rollerrig.realtime.record import channels, validity
 from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.run_folder import EVENTS, SCENARIO, SUMMARY
 from rollerrig.wsp_interface.signals import COLUMNS
@@ -33,38 +36,40 @@ class Run(NamedTuple):
         if name not in self.table.column_names:
             raise ConfigError(f"{self.folder}: no channel is called '{name}'; there are "
                               f"{', '.join(self.table.column_names)}")
-        return self.table[name].to_numpy()
+        return channels.values(self.table[name])
 
 
 def load(folder: Path | str) -> Run:
     """A run's folder. Raises ConfigError for what is missing or damaged."""
     folder = Path(folder)
     if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder; give one that 'rollerrig run ... --out DIR' "
-                          "has written")
+        raise ConfigError(f"{folder}: no such folder; give one that 'rollerrig run ... --out DIR' has written")
     if not (folder / SCENARIO).is_file():
         raise ConfigError(f"{folder / SCENARIO}: no such file; {folder} is not a run's folder")
-    return Run(folder, channels.load(folder), store.parse(folder / SCENARIO), events(folder),
-               summary(folder))
+    return Run(folder, channels.load(folder), store.parse(folder / SCENARIO), events(folder), summary(folder))
 
 
 def events(folder: Path) -> list[tuple[float, str, str]]:
     """The events of a run, (time_s, level, text); none where there is no file."""
+    return list(each_event(folder))
+
+
+def each_event(folder: Path) -> Iterator[tuple[float, str, str]]:
+    """As `events`, one after another: a flood of them may be more than memory holds."""
     path = folder / EVENTS
     if not path.is_file():
-        return []
-    found = []
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
-    for number, line in enumerate(lines, start=1):
-        try:
-            event = json.loads(line)
-            found.append((float(event["time_s"]), str(event["level"]), str(event["text"])))
-        except (ValueError, KeyError, TypeError):
-            if number == len(lines) and not line.endswith("\n"):
-                break  # cut off by a kill
-            raise ConfigError(f"{path}, line {number}: not an event; a line is "
-                              '{"time_s": 0.0, "level": "info", "text": "..."}') from None
-    return found
+        return
+    with path.open(encoding="utf-8", errors="replace", newline="\n") as lines:
+        for number, line in enumerate(lines, start=1):
+            try:
+                event = json.loads(line)
+                found = float(event["time_s"]), str(event["level"]), str(event["text"])
+            except (ValueError, KeyError, TypeError):
+                if not line.endswith("\n"):
+                    break  # cut off by a kill
+                raise ConfigError(f"{path}, line {number}: not an event; a line is "
+                                  '{"time_s": 0.0, "level": "info", "text": "..."}') from None
+            yield found
 
 
 def summary(folder: Path) -> dict[str, Any]:
@@ -81,16 +86,32 @@ def summary(folder: Path) -> dict[str, Any]:
     return content
 
 
+def not_valid(folders: Iterable[Path]) -> list[str]:
+    """A sentence for each run that is not valid, with its reasons."""
+    found = ((folder, validity.because(summary(folder))) for folder in folders)
+    return [f"{folder} is not valid: {'; '.join(why)}" for folder, why in found if why]
+
+
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
-    """Put a summary in place of the old one in one step."""
-    with replaced(folder / SUMMARY) as new:
-        new.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    """Put a summary in place of the old one in one step. Raises ConfigError, and keeps it elsewhere if that goes."""
+    text = json.dumps(content, indent=2) + "\n"
+    try:
+        with replaced(folder / SUMMARY) as new:
+            new.write_text(text, encoding="utf-8")
+    except OSError as error:
+        kept = "its summary is lost"
+        with contextlib.suppress(OSError):
+            spare = Path(tempfile.mkdtemp(prefix=f"rollerrig-{folder.name}-"), SUMMARY)
+            spare.write_text(text, encoding="utf-8")
+            kept = f"its summary is kept in {spare}"
+        raise ConfigError(f"{folder} cannot be written: {error.strerror}; {kept}, what was recorded is in the "
+                          "folder; make room, or give a folder elsewhere with --out, and run again") from None
 
 
-def rows(table: pa.Table) -> np.ndarray:
+def rows(table: pa.Table | pa.RecordBatch) -> np.ndarray:
     """A table as rows of all signals, shape (n, columns); channels it lacks are NaN."""
     found = np.full((len(table), len(COLUMNS)), np.nan)
     for at, name in enumerate(COLUMNS):
-        if name in table.column_names:
-            found[:, at] = table[name].to_numpy()
+        if name in table.schema.names:
+            found[:, at] = channels.values(table[name])
     return found

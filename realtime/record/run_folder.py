@@ -8,17 +8,17 @@ import json
 from pathlib import Path
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.record.files import writing
 
-SCENARIO, CHANNELS, TAIL, EVENTS, SUMMARY, CAN_LOG, RRD, UNIT_LOG, TRACE = (
+SCENARIO, CHANNELS, TAIL, EVENTS, SUMMARY, CAN_LOG, RRD, UNIT_LOG, TRACE = FILES = (
     "scenario.toml", "channels.parquet", "channels.tail", "events.jsonl", "summary.json", "can.log", "run.rrd",
     "wsp.log", "harness.csv")
-FILES = (SCENARIO, CHANNELS, TAIL, EVENTS, SUMMARY, CAN_LOG, RRD, UNIT_LOG, TRACE)
 MARK = ".rollerrig"
 
 
 def begin(folder: Path) -> None:
     """Make a run's folder, or take away what an earlier run left in one. Raises ConfigError."""
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()) and not _is_run(folder):
             raise ConfigError(f"{folder} is not empty and not a run's folder: nothing in it is replaced; give a new "
@@ -27,8 +27,6 @@ def begin(folder: Path) -> None:
                                    encoding="utf-8")
         for name in FILES:
             (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written: {error.strerror}; give another folder with --out") from None
 
 
 def _is_run(folder: Path) -> bool:

@@ -1,36 +1,44 @@
 """The summary of a run: stop, axles, WSP, air, loop and buses, from what was recorded.
 
-The stop lasts from the first sample to the first sample at standstill. Means and standard
-deviations of sliding are over all its samples, as in the paper's Table 6; what only the bench
-knows (ticks, frames, requests) comes as counters and is null where it is not known.
+The stop lasts from the first sample to the first sample at standstill. Means and standard deviations of sliding are
+over all its samples, as in the paper's Table 6; what only the bench knows (ticks, frames, requests) comes as counters
+and is null where it is not known.
 """
 
+import functools
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from rich.table import Table
 
+from rollerrig.realtime.record import channels, validity
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME, columns
 
 STANDSTILL_M_S = 0.01
+_SHOWN = ("sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_lock_s")
 Channel = Callable[[str], np.ndarray]
 
 
 def of(columns: pa.Table | Mapping[str, Any], counters: Mapping[str, Any],
-       scenario: Mapping[str, Any]) -> dict[str, Any]:
+       scenario: Mapping[str, Any], events: Iterable[validity.Event] = ()) -> dict[str, Any]:
     """The summary of recorded channels, as summary.json has it.
 
     `columns` by the names of the table of signals, each of shape (n,). `counters` may hold
     version, config_hash, scenario, pacing, seed, unit, ended, and the tables loop, bus and modbus.
-    `scenario` is the resolved one. The same input gives the same output.
+    `scenario` is the resolved one, `events` (time_s, level, text). The same input gives the same output.
     """
-    channel = _reader(columns)
+    names = columns.column_names if isinstance(columns, pa.Table) else columns
+    count = len(columns["time_s"]) if "time_s" in names else 0
+
+    def channel(name: str) -> np.ndarray:
+        # one that was not recorded is NaN throughout
+        return channels.values(columns[name]) if name in names else np.full(count, np.nan)
+
     speed, time_s = channel("vehicle_speed_m_s"), channel("time_s")
     still = np.flatnonzero(speed <= STANDSTILL_M_S)
     # a vehicle that stands at the first sample has not been driven, let alone stopped
@@ -38,19 +46,14 @@ def of(columns: pa.Table | Mapping[str, Any], counters: Mapping[str, Any],
     stop = slice(0, int(still[0]) + 1 if stopped else len(speed))
     loop = scenario.get("loop", {})
     text = json.dumps(scenario, sort_keys=True, default=str)
-    return {
+    found = {
         "version": counters.get("version") or metadata.version("rollerrig"),
         "config_hash": counters.get("config_hash") or hashlib.sha256(text.encode()).hexdigest()[:16],
-        "scenario": counters.get("scenario"),
-        "title": scenario.get("title") or None,
-        "pacing": counters.get("pacing"),
-        "seed": counters.get("seed"),
-        "ended": counters.get("ended", "finished"),
-        "tick_hz": loop.get("tick_hz"),
-        "step_s": loop.get("step_s"),
-        "samples": len(speed),
-        "duration_s": _span(time_s),
-        "initial_speed_m_s": _number(speed[0]) if len(speed) else None,
+        "scenario": counters.get("scenario"), "title": scenario.get("title") or None,
+        "pacing": counters.get("pacing"), "seed": counters.get("seed"), "ended": counters.get("ended", "finished"),
+        "tick_hz": loop.get("tick_hz"), "step_s": loop.get("step_s"),
+        "samples": len(speed), "duration_s": _span(time_s),
+        "initial_speed_m_s": finite(speed[0]) if len(speed) else None, "final_speed_m_s": _last(speed),
         "stop_time_s": _span(time_s[stop]) if stopped else None,
         "stop_distance_m": _span(channel("position_m")[stop]) if stopped else None,
         "stopped": stopped,
@@ -58,19 +61,13 @@ def of(columns: pa.Table | Mapping[str, Any], counters: Mapping[str, Any],
         "wsp": _wsp(channel, stop) | {"unit": counters.get("unit")} | dict(counters.get("wsp") or {}),
         "tracking": _tracking(channel, stop),
         "air_consumption_NL": _last(channel("air_consumption_NL")),
+        "reservoir_least_Pa": _last(channel("reservoir_least_Pa")),
         "loop": _loop(channel, loop) | dict(counters.get("loop") or {}),
         "bus": dict.fromkeys(("frames", "dropped", "load_percent")) | dict(counters.get("bus") or {}),
         "modbus": {"requests": None} | dict(counters.get("modbus") or {}),
-        "recorder": {"lost": 0} | dict(counters.get("recorder") or {}),
-    }
-
-
-def _reader(columns: pa.Table | Mapping[str, Any]) -> Channel:
-    """Gives columns as arrays; one that was not recorded is NaN throughout."""
-    names = set(columns.column_names if isinstance(columns, pa.Table) else columns)
-    count = len(columns["time_s"]) if "time_s" in names else 0
-    return lambda name: (np.asarray(columns[name], dtype=np.float64) if name in names
-                         else np.full(count, np.nan))
+        "recorder": {"lost": 0} | dict(counters.get("recorder") or {})}
+    because = validity.reasons(found, scenario, events)
+    return found | {"valid": not because, "invalid_because": because}
 
 
 def _axle(channel: Channel, axle: int, stop: slice) -> dict[str, Any]:
@@ -80,16 +77,16 @@ def _axle(channel: Channel, axle: int, stop: slice) -> dict[str, Any]:
         "sliding_std_m_s": _of(np.std, sliding),
         "sliding_max_m_s": _of(np.max, sliding),
         "longest_lock_s": _last(channel(f"longest_lock_{axle}_s")[stop]),
+        "wheel_flat_m": _last(channel(f"flat_length_{axle}_m")),
         "dissipated_energy_J": _span(channel(f"sliding_work_{axle}_J")[stop]),
         "adhesion_mean": _of(np.mean, channel(f"adhesion_{axle}")[stop]),
-        "vents": _count(channel(f"vents_{axle}")),
-    }
+        "vents": _count(channel(f"vents_{axle}"))}
 
 
 def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
     """How long any dump valve did not fill, and how often one began to vent, all axles together."""
-    valves = np.array([channel(f"valve_{axle}")[stop] for axle in range(1, AXLES + 1)])
-    acting = np.any(valves > 0.5, axis=0)[:-1]
+    valves = (channel(f"valve_{axle}")[stop] > 0.5 for axle in range(1, AXLES + 1))
+    acting = functools.reduce(np.logical_or, valves)[:-1]
     vents = [_count(channel(f"vents_{axle}")) for axle in range(1, AXLES + 1)]
     return {"unit": None, "active_s": float(np.sum(np.diff(channel("time_s")[stop])[acting])),
             "vents": None if None in vents else sum(vents)}  # type: ignore[arg-type]
@@ -97,9 +94,14 @@ def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
 
 def _tracking(channel: Channel, stop: slice) -> dict[str, Any]:
     """How well the motors held what they were to hold, all axles: largest error and rms in m/s."""
-    errors = np.concatenate([channel(name)[stop] for name in columns(BY_NAME["tracking_error"])])
-    return {"max_m_s": _of(np.max, np.abs(errors)),
-            "rms_m_s": _of(lambda known: np.sqrt(np.mean(known**2)), errors)}
+    worst, count, squares = [], 0, 0.0
+    for name in columns(BY_NAME["tracking_error"]):  # one after another: a long run's are large
+        error = channel(name)[stop]
+        error = error[np.isfinite(error)]
+        worst.append(_of(np.max, np.abs(error)))
+        count, squares = count + error.size, squares + float(np.sum(error**2))
+    return {"max_m_s": max((one for one in worst if one is not None), default=None),
+            "rms_m_s": math.sqrt(squares / count) if count else None}
 
 
 def _loop(channel: Channel, loop: Mapping[str, Any]) -> dict[str, Any]:
@@ -108,22 +110,21 @@ def _loop(channel: Channel, loop: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "ticks": round(time_s[-1] * loop["tick_hz"]) if len(time_s) and "tick_hz" in loop else None,
         "missed": _count(channel("ticks_missed")),
-        "lateness_us": {"p50": None, "p99": None, "p999": None,
-                        "max": _of(np.max, channel("tick_lateness_us"))},
-    }
+        "lateness_us": {"p50": None, "p99": None, "p999": None, "max": _of(np.max, channel("tick_lateness_us"))}}
 
 
 def _of(what: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
     known = values[np.isfinite(values)]
-    return _number(what(known)) if known.size else None
+    return finite(what(known)) if known.size else None
 
 
-def _number(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """The number, or None where it is none."""
     return float(value) if math.isfinite(value) else None
 
 
 def _last(values: np.ndarray) -> float | None:
-    return _number(values[-1]) if len(values) else None
+    return finite(values[-1]) if len(values) else None
 
 
 def _count(values: np.ndarray) -> int | None:
@@ -132,47 +133,35 @@ def _count(values: np.ndarray) -> int | None:
 
 
 def _span(values: np.ndarray) -> float | None:
-    return _number(values[-1] - values[0]) if len(values) else None
+    return finite(values[-1] - values[0]) if len(values) else None
 
 
-def table(summary: Mapping[str, Any]) -> Table:
+def table(summary: Mapping[str, Any]) -> Any:
     """The summary for a terminal: a rich table of the axles under a line on the stop."""
-    shown = Table(title=_headline(summary), title_justify="left", caption=_footline(summary),
-                  caption_justify="left")
-    for name in ("axle", "sliding m/s", "std", "max", "lock s", "energy MJ", "adhesion", "vents"):
-        shown.add_column(name, justify="right")
-    for number, axle in enumerate(summary["axles"], start=1):
-        energy_J = axle["dissipated_energy_J"]
-        shown.add_row(
-            str(number), *(_show(axle[key]) for key in (
-                "sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_lock_s")),
-            _show(None if energy_J is None else energy_J / 1e6), _show(axle["adhesion_mean"], 4),
-            _show(axle.get("vents"), 0))
-    return shown
+    from rich.table import Table
 
-
-def _headline(summary: Mapping[str, Any]) -> str:
-    name = summary["scenario"] or summary.get("title") or "run"
-    speed = f"from {_show(summary['initial_speed_m_s'], 1)} m/s"
-    if summary["stopped"]:
-        return (f"{name}: stopped {speed} in {_show(summary['stop_time_s'])} s and "
-                f"{_show(summary['stop_distance_m'], 1)} m")
-    return f"{name}: not stopped {speed} after {_show(summary.get('duration_s'))} s"
-
-
-def _footline(summary: Mapping[str, Any]) -> str:
-    wsp, loop, bus = summary["wsp"], summary["loop"], summary["bus"]
-    late = loop["lateness_us"]
+    wsp, loop, bus, late = summary["wsp"], summary["loop"], summary["bus"], summary["loop"]["lateness_us"]
+    speed = f"{_show(summary['initial_speed_m_s'], 1)} m/s"
+    how = (f"stopped from {speed} in {_show(summary['stop_time_s'])} s and {_show(summary['stop_distance_m'], 1)} m"
+           if summary["stopped"] else f"not stopped from {speed} after {_show(summary.get('duration_s'))} s")
     more = "".join((f", longest wait {bus['longest_wait_us']:.0f} us" if bus.get("longest_wait_us") is not None else "",
                     f", {bus['stray_syncs']} stray SYNCs" if bus.get("stray_syncs") else ""))
-    return (
-        f"WSP {wsp['unit'] or '-'}: active {_show(wsp['active_s'])} s, "
-        f"{_show(wsp['vents'], 0)} vents, air {_show(summary['air_consumption_NL'], 1)} NL\n"
+    shown = Table(
+        title=f"{summary['scenario'] or summary.get('title') or 'run'}: {how}", title_justify="left",
+        caption=f"WSP {wsp['unit'] or '-'}: active {_show(wsp['active_s'])} s, {_show(wsp['vents'], 0)} vents, "
+        f"air {_show(summary['air_consumption_NL'], 1)} NL\n"
         f"loop: {_show(loop['ticks'], 0)} ticks, {_show(loop['missed'], 0)} missed, late "
         f"p50 {_show(late['p50'], 0)} p99 {_show(late['p99'], 0)} max {_show(late['max'], 0)} us\n"
-        f"bus: {_show(bus['frames'], 0)} frames, {_show(bus['dropped'], 0)} dropped, "
-        f"load {_show(bus['load_percent'], 1)} %{more}; Modbus: "
-        f"{_show(summary['modbus']['requests'], 0)} requests")
+        f"bus: {_show(bus['frames'], 0)} frames, {_show(bus['dropped'], 0)} dropped, load "
+        f"{_show(bus['load_percent'], 1)} %{more}; Modbus: {_show(summary['modbus']['requests'], 0)} requests",
+        caption_justify="left")
+    for name in ("axle", "sliding m/s", "std", "max", "lock s", "energy MJ", "adhesion", "vents"):
+        shown.add_column(name, justify="right", overflow="fold")
+    for number, axle in enumerate(summary["axles"], start=1):
+        energy_J = axle["dissipated_energy_J"]
+        shown.add_row(str(number), *(_show(axle[key]) for key in _SHOWN), _show(energy_J and energy_J / 1e6),
+                      _show(axle["adhesion_mean"], 4), _show(axle.get("vents"), 0))
+    return shown
 
 
 def _show(value: float | None, places: int = 2) -> str:

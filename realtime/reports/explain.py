@@ -4,15 +4,16 @@ All words come from the table of mechanisms; every number of the page stands in 
 """
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from rollerrig.realtime.reports import explain_pictures as pictures
 from rollerrig.realtime.reports import page as html
-from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, MEASURED
+from rollerrig.realtime.telemetry.panel import Panel
 from rollerrig.rig.identify.data import preparation as prepared
-from rollerrig.rig.identify.decide import evidence, extension, gain, simulate
+from rollerrig.rig.identify.decide import evidence, explain, extension, gain, simulate
 from rollerrig.rig.identify.decide.choice import NamedCause
 from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.mechanisms.table import BY_NAME, TABLE
@@ -23,37 +24,41 @@ _SEEN = 5.0
 
 def as_json(a: Account) -> dict[str, Any]:
     """What report.json holds."""
-    before, floor = _levels(a)
+    # the noise floor: simulated stops with nothing else in them
+    made = simulate.runs(a.data, a.design, a.data.group("tune"), a.final, np.random.default_rng(1))
+    found = {named.cause.name for named in a.causes}
+    unknown = {"formula": None, "against": _worst(a), "heldout_gain": None} if a.unknown is None else {
+        "formula": a.unknown.text + "; empirical", "against": list(a.unknown.against),
+        "heldout_gain": a.unknown.gain.reduction}
     return {
-        "verdict": a.verdict,
-        "dataset": a.data.name,
-        "misfit": {"metric": "adhesion_rmse", "before": before, "noise_floor": floor,
-                   "p_value": a.p_value, "worst_against": _worst(a)},
-        "causes": [_cause(a, named) for named in a.causes],
-        "gain": gain.as_json(a.gain),
-        "unknown": _unknown(a),
-        "screened": [_screened(a, row.name) for row in TABLE
-                     if row.name not in {n.cause.name for n in a.causes}],
-        "notes": a.notes,
-        "elapsed_s": round(a.elapsed_s, 1),
-    }
+        "verdict": a.verdict, "dataset": a.data.name,
+        "misfit": {"metric": "adhesion_rmse", "before": _rms(a.design, a.base),
+                   "noise_floor": _rms(prepared.prepare(a.data, made, a.design), a.final), "p_value": a.p_value,
+                   "worst_against": _worst(a)},
+        "causes": [_cause(a, named) for named in a.causes], "gain": gain.as_json(a.gain),
+        "unknown": unknown if a.verdict == "unexplained" else None,
+        "remainder": _remainder(a) if a.verdict == "partly" else None,
+        "screened": [_screened(a, row.name) for row in TABLE if row.name not in found],
+        "notes": a.notes, "elapsed_s": round(a.elapsed_s, 1)}
 
 
-def _levels(a: Account) -> tuple[float, float]:
-    """Rms error of the base on the fitted runs, and on simulated stops with nothing else in them."""
-    def rms(design: prepared.Design, found: Any) -> float:
-        lacking = gain.missing(design, found)[design.speed_m_s > gain.SLOWEST_M_S]
-        return float(np.sqrt(np.mean(lacking**2)))
-
-    measured = a.data.group("tune")
-    made = simulate.runs(a.data, a.design, measured, a.final, np.random.default_rng(1))
-    return rms(a.design, a.base), rms(prepared.prepare(a.data, made, a.design), a.final)
+def _rms(design: prepared.Design, found: Any) -> float:
+    return float(np.sqrt(np.mean(gain.missing(design, found)[design.speed_m_s > gain.SLOWEST_M_S]**2)))
 
 
 def _worst(a: Account) -> list[str]:
-    smooth = [f for f in a.findings if evidence.generic(f.name)]
-    smooth.sort(key=lambda f: f.p_value)
+    smooth = sorted((f for f in a.findings if evidence.generic(f.name)), key=lambda f: f.p_value)
     return [evidence.against(f) for f in smooth[:3]]
+
+
+def _number(value: float, digits: int = 3) -> str:
+    """Three significant digits without an exponent where a reader needs none."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
+def _remainder(a: Account) -> dict[str, Any]:
+    left = sorted((f for f in a.remainder if evidence.significant(f, 20.0)), key=lambda f: -f.statistic)
+    return {"share": explain.remainder_share(a.causes, a.remainder), "against": [evidence.against(f) for f in left]}
 
 
 def _bic(a: Account, statistic: float, size: int) -> float:
@@ -61,27 +66,25 @@ def _bic(a: Account, statistic: float, size: int) -> float:
 
 
 def _cause(a: Account, named: NamedCause) -> dict[str, Any]:
-    name = named.cause.name
-    size = len(named.cause.values) + len(named.cause.shape)
     return {
-        "name": name, "axles": [named.cause.axle] if named.cause.axle else None,
+        "name": named.cause.name, "axles": [named.cause.axle] if named.cause.axle else None,
         "parameters": extension.parameters(named),
-        "evidence": {"delta_bic": _bic(a, named.ratio, size),
+        "evidence": {"delta_bic": _bic(a, named.ratio, len(named.cause.values) + len(named.cause.shape)),
                      "heldout_gain": None if a.gain is None else a.gain.reduction,
                      "detectability": _SEEN * named.deviation[0]},
         "confusable_with": list(named.confusable),
-        "separating_test": "",  # the file's name, where one is written: see `planning`
-    }
+        "separating_test": ""}  # the file's name, where one is written: see `planning`
 
 
 def _screened(a: Account, name: str) -> dict[str, Any]:
     found = next((f for f in a.findings if f.name == name), None)
     if found is None:
-        return {"name": name, "delta_bic": 0.0, "rejected_because": "these runs cannot show it"}
-    smallest = _SEEN * found.deviation[0]
+        return {"name": name, "delta_bic": None, "rejected_because": "these runs cannot show it"}
+    smallest, row = _SEEN * found.deviation[0], BY_NAME[name].parameters[0]
     if not evidence.significant(found):
-        why = (f"not beyond chance (p = {found.p_value:.2g}); this data would have shown "
-               f"{smallest:.2g} or more")
+        unit = f" {row.source}" if row.source not in ("", "-") else ""
+        why = (f"not beyond chance (p = {found.p_value:.2g}); these runs would have shown "
+               f"{row.name} = {_number(smallest, 2)}{unit} or more")
     elif a.causes:
         why = f"explained by {a.causes[0].cause.name}, which fits better"
     else:
@@ -90,86 +93,71 @@ def _screened(a: Account, name: str) -> dict[str, Any]:
             "p_value": found.p_value, "detectability": smallest, "rejected_because": why}
 
 
-def _unknown(a: Account) -> dict[str, Any] | None:
-    if a.verdict != "unexplained":
-        return None
-    if a.unknown is not None:
-        return {"formula": a.unknown.text + "; empirical", "against": list(a.unknown.against),
-                "heldout_gain": a.unknown.gain.reduction}
-    return {"formula": None, "against": _worst(a), "heldout_gain": None}
-
-
 def story(a: Account) -> list[str]:
     """What is wrong, by how much, where, why, and what it is worth: a few sentences."""
     lines = []
     if a.verdict == "consistent":
         lines.append("Nothing is wrong beyond chance: the base model is consistent with this data "
-                     "(one clean set in fifty would say otherwise).")
+                     f"(p = {a.p_value:.2g}).")
     for named in a.causes:
         row = BY_NAME[named.cause.name]
-        values = ", ".join(f"{k} = {v['value']:.3g} ({v['ci95'][0]:.3g} to {v['ci95'][1]:.3g}) "
-                           f"{v['unit']}" for k, v in extension.parameters(named).items())
+        values = ", ".join(f"{k} = {_number(v['value'])} ({' to '.join(map(_number, v['ci95']))}) {v['unit']}"
+                           for k, v in extension.parameters(named).items())
         axle = f" on wheelset {named.cause.axle}" if named.cause.axle else ""
         lines.append(f"Cause: {row.text}{axle} [{row.name}]; {values}.")
         if named.confusable:
-            lines.append(f"  It cannot be told from {', '.join(named.confusable)} here; "
-                         "separating_test.toml would tell.")
+            lines.append(f"  It cannot be told from {', '.join(named.confusable)} here; separating_test.toml would "
+                         "tell.")
+    if a.verdict == "partly":
+        left = _remainder(a)
+        lines.append(f"That is not all: along {', '.join(left['against'])} something remains, {left['share']:.0%} of "
+                     "what was found, and no further cause of the library accounts for it.")
     if a.verdict == "unexplained":
-        lines.append("Something is wrong that no mechanism of the library explains; it shows "
-                     f"against {', '.join(_worst(a))}.")
-        lines.append(f"Empirical: {a.unknown.text}." if a.unknown else
-                     "No formula was found that holds on runs never fitted.")
+        lines += ["Something is wrong that no mechanism of the library explains; it shows against "
+                  f"{', '.join(_worst(a))}.", f"Empirical: {a.unknown.text}." if a.unknown else "No formula was found "
+                  "that holds on runs never fitted."]
     if a.gain is not None:
         g = a.gain
-        lines.append(
-            f"On runs never fitted ({', '.join(g.runs)}) {g.metric} falls from {g.before:.3g} to "
-            f"{g.after:.3g}: {100 * g.reduction:.1f} % ({100 * g.ci95[0]:.1f} to "
-            f"{100 * g.ci95[1]:.1f} %)" + ("." if g.claimed else "; no gain is claimed."))
+        lines.append(f"On runs never fitted ({', '.join(g.runs)}) {g.metric} falls from {g.before:.3g} to "
+                     f"{g.after:.3g}: {100 * g.reduction:.1f} % ({100 * g.ci95[0]:.1f} to {100 * g.ci95[1]:.1f} %)"
+                     + ("." if g.claimed else "; no gain is claimed."))
     return lines + [f"Note: {note}." for note in a.notes]
 
 
+def panels(a: Account, report: dict[str, Any]) -> tuple[list[Panel], list[Panel]]:
+    """Where it shows, and each cause."""
+    return pictures.where(a, report["misfit"]["worst_against"]), [pictures.cause(a, named) for named in a.causes]
+
+
 def page(a: Account, report: dict[str, Any]) -> str:
-    """The HTML page, without outside parts."""
+    """The HTML page, without outside parts: verdict, where it shows, the cause, the gain, what was ruled out."""
+    where, of_causes = panels(a, report)
+    causes = [html.picture(partial(pictures.draw, panels=[one]), (7.5, 3.8)) for one in of_causes]
+    changed = a.final is not a.base
+    proposed = [f"{one['title']}; {one['reason']}: rollerrig sequence {one['file']}" for one in report.get("next", [])]
     return html.page(
         f"What the model gets wrong: {a.data.name}",
-        html.paragraph(f"Verdict: {a.verdict}"), *(html.paragraph(line) for line in story(a)),
-        html.picture(lambda figure: _against(figure, a)),
-        html.picture(lambda figure: _course(figure, a), (11.0, 7.0)),
-        html.table(["rejected", "delta BIC", "because"],
-                   [[s["name"], f"{s['delta_bic']:.1f}", s["rejected_because"]] for s in report["screened"]]))
+        html.paragraph(f"Verdict: {a.verdict}", kind="note"), *(html.paragraph(line) for line in story(a)),
+        html.element("h2", "Where it shows"),
+        html.picture(partial(pictures.draw, panels=where)),
+        *((html.element("h2", "The cause" if len(causes) == 1 else "The causes"), *causes) if causes else ()),
+        *((html.element("h2", "Where base and extended model differ most"),
+           html.picture(partial(pictures.stretch, a=a), (11.0, 5.0))) if changed else ()),
+        *((html.element("h2", "On runs never fitted"), _gains(a.gain)) if a.gain else ()),
+        *((html.element("h2", "What to run next"), *map(html.paragraph, proposed)) if proposed else ()),
+        html.element("h2", "What was ruled out"),
+        html.table(["cause", "name", "why not"], [[BY_NAME[s["name"]].text, s["name"], s["rejected_because"]]
+                                                  for s in report["screened"] if s["name"] != "empirical"]))
 
 
-def _against(figure: Figure, a: Account) -> None:
-    measured, base, sliding = gain.adhesion(a.design, a.base)
-    _, better, _ = gain.adhesion(a.design, a.final)
-    axes = figure.subplots(1, 3)
-    for axis, values, name in zip(axes, (sliding, a.design.speed_m_s, a.design.time_s),
-                                  ("sliding, m/s", "speed, m/s", "time, s"), strict=True):
-        edges = np.quantile(values, np.linspace(0.0, 1.0, 13))
-        at = np.clip(np.digitize(values, edges) - 1, 0, 11)
-        for model, colour, label in ((base, BASE, "base"), (better, EXTENDED, "extended")):
-            middle, error = ([part[at == k].mean() for k in np.unique(at)]
-                             for part in (values, measured - model))
-            axis.plot(middle, error, "o-", color=colour, label=label)
-        axis.axhline(0.0, color=GREY)
-        axis.set_xlabel(name)
-    axes[0].set_ylabel("measured - model adhesion")
-    axes[0].legend()
+def _gains(g: gain.Gain) -> html.Markup:
+    return html.picture(lambda figure: pictures.gains(figure.subplots(), g.by_run, g.metric), (7.5, 2.6))
 
 
-def _course(figure: Figure, a: Account) -> None:
-    measured, base, _ = gain.adhesion(a.design, a.base)
-    _, better, _ = gain.adhesion(a.design, a.final)
-    axes = figure.subplots(4, 1, sharex=True)
-    for j, axis in enumerate(axes):
-        at = a.design.span(j)
-        for values, colour, label in ((measured, MEASURED, "measured"), (base, BASE, "base"),
-                                      (better, EXTENDED, "extended")):
-            axis.plot(a.design.time_s[at], values[at], color=colour, lw=0.8, label=label)
-        axis.set_ylabel(f"axle {j + 1}")
-    axes[0].legend(ncol=3)
-    axes[0].set_title("adhesion coefficient f of each wheelset", fontsize="medium")
-    axes[-1].set_xlabel(f"time in run {a.design.names[0]}, s")
+def in_words(a: Account, report: dict[str, Any]) -> str:
+    """Verdict, story and what was ruled out, as Markdown."""
+    out = [f"- {BY_NAME[s['name']].text}: {s['rejected_because']}" for s in report["screened"] if s["name"] in BY_NAME]
+    return "\n\n".join((f"# {a.verdict}", *story(a), "## What was ruled out", "\n".join(out)))
 
 
 def courses(a: Account) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -1,14 +1,16 @@
 """The page that every report is: one HTML file that needs nothing else, in light and dark.
 
-A report is made of elements; plain text in them is escaped. Pictures are drawn by matplotlib and
-stand in the page as SVG, in the colours of the Rerun views; what is drawn in INK takes the colour
-of the text around it.
+A report is made of elements; plain text in them is escaped. Pictures are drawn by matplotlib and stand in the page as
+SVG, in the colours of the Rerun views; what is drawn in INK takes the colour of the text around it.
 """
 
+import base64
+import contextlib
 import html
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 import matplotlib
@@ -16,7 +18,8 @@ from matplotlib.figure import Figure
 
 from rollerrig.realtime.telemetry import colours
 
-INK = "#222222"
+INK, PNG = "#222222", "data:image/png;base64,"
+_PIXELS = ContextVar("pixels", default=False)
 AXLES = tuple(map(colours.on_page, colours.AXLES))
 GREY, VERMILION = map(colours.on_page, (colours.GREY, colours.VERMILION))
 MEASURED, BASE, EXTENDED = INK, *map(colours.on_page, (colours.BASE, colours.EXTENDED))
@@ -32,6 +35,7 @@ td,th{padding:.2rem .7rem;border-bottom:1px solid #8884;text-align:left;vertical
 .number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
 svg{width:100%;height:auto}pre{overflow:auto;font-size:.85em}summary{cursor:pointer}
 small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
+tr.marked td{background:#d55e0033}tr.void td{opacity:.6}td{overflow-wrap:anywhere}th.number{white-space:normal}
 @media (prefers-color-scheme:dark){svg{filter:brightness(1.3)}}
 @media print{details{display:none}}
 """ + "".join(f".{kind}{{color:{colours.on_page(colour)}}}" for kind, colour in (
@@ -74,21 +78,42 @@ def paragraph(*parts: str, kind: str = "") -> Markup:
     return element("p", *parts, kind=kind)
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Markup:
-    """A table; columns of numbers stand to the right. Nothing where there are no rows."""
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], marked: Sequence[str] = ()) -> Markup:
+    """A table; columns of numbers stand to the right, rows that are `marked` or void stand out.
+
+    Nothing where there are no rows.
+    """
     kinds = ["number" if all(re.match(r"[-+]?\d|-?$|never|nan", cell) for cell in column) else ""
              for column in zip(*rows, strict=True)]
 
-    def line(tag: str, cells: Sequence[str]) -> Markup:
-        return element("tr", *(element(tag, cell, kind=kind)
-                               for cell, kind in zip(cells, kinds, strict=True)))
+    def line(tag: str, cells: Sequence[str], mark: str = "") -> Markup:
+        return element("tr", *(element(tag, cell, kind=kind) for cell, kind in zip(cells, kinds, strict=True)),
+                       kind=mark)
 
-    return element("table", line("th", head), *(line("td", row) for row in rows)) if rows else Markup()
+    marks = marked or [""] * len(rows)
+    return element("table", line("th", head), *(
+        line("td", row, mark) for row, mark in zip(rows, marks, strict=True))) if rows else Markup()
+
+
+def facts(rows: Mapping[str, str]) -> Markup:
+    """A table of names and what they are, as the title block of a report."""
+    return element("table", *(element("tr", element("th", name), element("td", text)) for name, text in rows.items()),
+                   kind="facts")
 
 
 def folded(title: str, *parts: str) -> Markup:
     """What is shown only when its title is clicked on."""
     return element("details", element("summary", title), *parts)
+
+
+@contextlib.contextmanager
+def on_paper() -> Iterator[None]:
+    """While it lasts pictures are pixels, as `pdf.write` wants them."""
+    token = _PIXELS.set(True)
+    try:
+        yield
+    finally:
+        _PIXELS.reset(token)
 
 
 def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (11.0, 4.5)) -> Markup:
@@ -97,6 +122,10 @@ def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (11.0, 4
     with matplotlib.rc_context(_MATPLOTLIB):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
+        if _PIXELS.get():
+            pixels = io.BytesIO()
+            figure.savefig(pixels, format="png", dpi=150, facecolor="white")
+            return element("img", src=f"{PNG}{base64.b64encode(pixels.getvalue()).decode()}")
         # without date, creator and format, matplotlib writes no metadata
         figure.savefig(out, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     svg = out.getvalue()

@@ -1,17 +1,18 @@
 """Reports of tune and validate: what stands in their pages, and the same as plain data."""
 
 import itertools
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from rollerrig.realtime.record.summary import finite
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED, RUNS, element, paragraph, table
+from rollerrig.rig.identify.data.parameters import patch_of
 from rollerrig.rig.identify.data.runs import Dataset
-from rollerrig.rig.identify.paper.polach_fit import NAMES, RECOMMENDED, Fitted, falls, model, patch_of
+from rollerrig.rig.identify.paper.polach_fit import NAMES, RECOMMENDED, Fitted, falls, model
 from rollerrig.rig.identify.paper.tuning import Interval, Tuned
 from rollerrig.rig.identify.paper.validation import Verdict
 
@@ -20,11 +21,16 @@ MODELS = {"measured": (MEASURED, "measured"), "new": (EXTENDED, "with recovery")
 _POINTS: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 2, "alpha": 0.3, "rasterized": True}
 
 
-def _interval(v: Interval, scale: float = 1.0) -> str:
-    return f"{v.value * scale:.4g} ({v.low * scale:.4g} to {v.high * scale:.4g})"
+HEAD = ("", "value (95 %)")
 
 
-# --- tune ---
+def _interval(v: Mapping[str, Any], scale: float = 1.0) -> str:
+    return "{:.4g} ({:.4g} to {:.4g})".format(*(scale * x for x in (v["value"], *v["ci95"])))
+
+
+def _plain(v: Interval) -> dict[str, Any]:
+    return {"value": v.value, "ci95": [v.low, v.high]}
+
 
 def tune_json(data: Dataset, t: Tuned) -> dict[str, Any]:
     """What tune found, as plain data."""
@@ -33,29 +39,27 @@ def tune_json(data: Dataset, t: Tuned) -> dict[str, Any]:
         "tau_m_J": _plain(t.tau_m_J), "tau_paper_form_m_J": t.tau_paper_m_J,
         "mu_cd": {run: _plain(v) for run, v in t.mu_cd.items()},
         "adhesion_rmse": {"tuned": t.rmse, "base": t.rmse_base, "classic": t.rmse_classic},
-        "base_tau_m_J": data.sections["adhesion"]["tau_m_J"], "warnings": t.warnings,
-    }
+        "base_tau_m_J": data.sections["adhesion"]["tau_m_J"], "warnings": t.warnings}
 
 
-def _plain(v: Interval) -> dict[str, Any]:
-    return {"value": v.value, "ci95": [v.low, v.high]}
+def tune_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What `tune_json` has, for people."""
+    return [("tau, 1e-4 m/J", _interval(found["tau_m_J"], 1e4)),
+            ("the same by the paper's least squares (eq. 21), biased by an irregular rail",
+             f"{found['tau_paper_form_m_J'] * 1e4:.4g}"),
+            ("base of the dataset", f"{found['base_tau_m_J'] * 1e4:.4g}"),
+            *((f"mu_cd of {run}", _interval(v)) for run, v in found["mu_cd"].items()),
+            *((f"rms error of f, {title}", f"{found['adhesion_rmse'][key]:.5f}") for title, key in (
+                ("tuned", "tuned"), ("dataset's tau, mu_cd fitted", "base"), ("no recovery, mu_cd fitted", "classic")))]
 
 
 def tune_page(data: Dataset, t: Tuned) -> str:
     """The report of a tuning."""
-    rows = [["tau, 1e-4 m/J", _interval(t.tau_m_J, 1e4)],
-            ["the same by the paper's least squares (eq. 21), biased by an irregular rail",
-             f"{t.tau_paper_m_J * 1e4:.4g}"],
-            ["base of the dataset", f"{data.sections['adhesion']['tau_m_J'] * 1e4:.4g}"],
-            *([f"mu_cd of {run}", _interval(v)] for run, v in t.mu_cd.items())]
-    errors = [["tuned", f"{t.rmse:.5f}"], ["dataset's tau, mu_cd fitted", f"{t.rmse_base:.5f}"],
-              ["no recovery, mu_cd fitted", f"{t.rmse_classic:.5f}"]]
     return page.page(
         f"Tuning on {data.name}",
         paragraph(f"{len(t.model)} samples of {len(data.group('tune'))} runs in which wheels slide. "
                   "Intervals hold the value in 95 of 100 cases (bootstrap over 3 s blocks of each run)."),
-        *(paragraph(w, kind="warn") for w in t.warnings), table(["", "value (95 %)"], rows),
-        table(["model", "rms error of f"], errors),
+        *(paragraph(w, kind="warn") for w in t.warnings), table(HEAD, tune_rows(tune_json(data, t))),
         element("h2", "Transition against dissipated energy"), page.picture(lambda f: _transition(f, data, t)),
         element("h2", "Adhesion against sliding"), page.picture(lambda f: _adhesion(f, t)),
         element("h2", "Transition in time, wheelset 1"),
@@ -66,14 +70,13 @@ def tune_page(data: Dataset, t: Tuned) -> str:
 
 def _transition(figure: Figure, data: Dataset, t: Tuned) -> None:
     axes = figure.subplots()
-    W = t.energy_J_m
+    W = t.samples.energy_J_m
     top = float(np.percentile(W, 99.5))
     edges = np.linspace(0.0, top, 25)
     for i, (run, colour) in enumerate(zip(data.group("tune"), itertools.cycle(RUNS))):
         own = t.samples.run == i
         axes.plot(W[own][::3], t.transition[own][::3], color=colour, **_POINTS)
-        known = [(0.5 * (a + b), np.percentile(inside, (25, 50, 75)))
-                 for a, b in itertools.pairwise(edges)
+        known = [(0.5 * (a + b), np.percentile(inside, (25, 50, 75))) for a, b in itertools.pairwise(edges)
                  if (inside := t.transition[own & (a <= W) & (b > W)]).size > 15]
         at, (low, middle, high) = [x for x, _ in known], np.reshape([q for _, q in known], (-1, 3)).T
         axes.errorbar(at, middle, (middle - low, high - middle), fmt="o", ms=4, color=colour, label=run.name)
@@ -108,53 +111,38 @@ def _course(figure: Figure, data: Dataset, t: Tuned) -> None:
     many[-1].set_xlabel("time, s")
 
 
-# --- validate ---
-
 def validate_json(data: Dataset, tau: Interval, verdicts: list[Verdict]) -> dict[str, Any]:
     """Table 6 and what belongs to it, as plain data."""
-    runs = {}
-    for v in verdicts:
-        runs[v.run] = {"initial_speed_m_s": v.initial_speed_m_s} | {name: {
-            "mu_cd": _finite(s.mu_cd), "E1_m_s": _finite(s.speed_error_m_s),
-            "sliding_mean_m_s": s.mean_m_s.tolist(), "sliding_std_m_s": s.deviation_m_s.tolist(),
-            "adhesion_rmse": _finite(s.adhesion_rmse)} for name, s in v.statistics.items()}
+    runs = {v.run: {"initial_speed_m_s": v.initial_speed_m_s} | {name: {
+        "mu_cd": finite(s.mu_cd), "E1_m_s": finite(s.speed_error_m_s), "sliding_mean_m_s": s.mean_m_s.tolist(),
+        "sliding_std_m_s": s.deviation_m_s.tolist(), "adhesion_rmse": finite(s.adhesion_rmse)}
+        for name, s in v.statistics.items()} for v in verdicts}
     return {"dataset": data.name, "tau_m_J": _plain(tau), "runs": runs,
-            "errors": {name: mean_errors(verdicts, name) for name in ("new", "classic")},
-            "warnings": data.warnings}
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+            "errors": {name: mean_errors(verdicts, name) for name in ("new", "classic")}, "warnings": data.warnings}
 
 
 def mean_errors(verdicts: list[Verdict], name: str) -> dict[str, float]:
     """Mean absolute errors of a model over runs, wheelset 1 as in the paper and all wheelsets."""
-    mean = np.array([v.statistics[name].mean_m_s - v.statistics["measured"].mean_m_s for v in verdicts])
-    spread = np.array([v.statistics[name].deviation_m_s - v.statistics["measured"].deviation_m_s
-                       for v in verdicts])
-    return {"mean_1_m_s": float(np.abs(mean[:, 0]).mean()), "mean_m_s": float(np.abs(mean).mean()),
-            "std_1_m_s": float(np.abs(spread[:, 0]).mean()), "std_m_s": float(np.abs(spread).mean()),
+    mean, spread = (np.abs([getattr(v.statistics[name], field) - getattr(v.statistics["measured"], field)
+                            for v in verdicts]) for field in ("mean_m_s", "deviation_m_s"))
+    return {"mean_1_m_s": float(mean[:, 0].mean()), "mean_m_s": float(mean.mean()),
+            "std_1_m_s": float(spread[:, 0].mean()), "std_m_s": float(spread.mean()),
             "E1_m_s": float(np.mean([v.statistics[name].speed_error_m_s for v in verdicts])),
             "adhesion_rmse": float(np.mean([v.statistics[name].adhesion_rmse for v in verdicts]))}
 
 
 def table6(verdicts: list[Verdict]) -> tuple[list[str], list[list[str]]]:
     """Head and rows in the form of the paper's Table 6, for wheelset 1; classic beside new."""
-    head = ["", *(v.run for v in verdicts)]
-
     def row(title: str, pick: Callable[[Verdict], float]) -> list[str]:
         return [title, *(f"{pick(v):.2f}" for v in verdicts)]
 
-    rows = [row("initial speed, m/s", lambda v: v.initial_speed_m_s)]
-    for name in ("new", "classic"):
-        rows.append(row(f"E1, largest velocity error, {MODELS[name][1]}",
-                        lambda v, name=name: v.statistics[name].speed_error_m_s))
-    for title, field in (("mean sliding of wheelset 1", "mean_m_s"),
-                         ("standard deviation", "deviation_m_s")):
-        for name in MODELS:
-            rows.append(row(f"{title}, {MODELS[name][1]}", lambda v, name=name, field=field: float(
-                getattr(v.statistics[name], field)[0])))
-    return head, rows
+    return ["", *(v.run for v in verdicts)], [
+        row("initial speed, m/s", lambda v: v.initial_speed_m_s),
+        *(row(f"E1, largest velocity error, {MODELS[name][1]}", lambda v, name=name: v.statistics[name].speed_error_m_s)
+          for name in ("new", "classic")),
+        *(row(f"{title}, {label}", lambda v, name=name, field=field: float(getattr(v.statistics[name], field)[0]))
+          for title, field in (("mean sliding of wheelset 1", "mean_m_s"), ("standard deviation", "deviation_m_s"))
+          for name, (_, label) in MODELS.items())]
 
 
 def validate_page(data: Dataset, tau: Interval, verdicts: list[Verdict]) -> str:
@@ -164,7 +152,7 @@ def validate_page(data: Dataset, tau: Interval, verdicts: list[Verdict]) -> str:
            for name in ("new", "classic")]
     return page.page(
         f"Validation on {data.name}",
-        paragraph(f"tau = {_interval(tau, 1e4)} 1e-4 m/J from the tuning runs. The runs below were not "
+        paragraph(f"tau = {_interval(_plain(tau), 1e4)} 1e-4 m/J from the tuning runs. The runs below were not "
                   "fitted, except that both models get the contaminant level mu_cd of a run that does not "
                   "state it. Wheels run free in windows of 1 s under measured torque and load."),
         *(paragraph(w, kind="warn") for w in data.warnings),
@@ -184,8 +172,6 @@ def _stop(figure: Figure, v: Verdict) -> None:
     sliding.set(xlabel="time, s", ylabel="sliding of wheelset 1, m/s")
 
 
-# --- creep curves ---
-
 def polach_json(data: Dataset, found: Fitted) -> dict[str, Any]:
     """What a creep-curve fit found, as plain data."""
     points = data.curve.creepage.size if data.curve else 0
@@ -195,23 +181,28 @@ def polach_json(data: Dataset, found: Fitted) -> dict[str, Any]:
             "rms_without_falling_friction_k_s_below_k_a": found.rms_no_fall_ordered,
             "scatter_floor": found.floor, "falling_friction_supported": falls(found, points),
             "mean_error_of_recommended_sets": found.means, "names": list(NAMES),
-            "correlation": np.round(found.correlation, 3).tolist()}
+            "correlation": np.round(found.correlation, 3).tolist(), "warnings": data.warnings}
+
+
+def polach_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What `polach_json` has, for people."""
+    return [*((f"Polach's {name}", _interval(v)) for name, v in found["parameters"].items()),
+            *((title, f"{found[key]:.4f}") for title, key in (
+                ("rms error, five parameters", "rms"),
+                ("rms error, friction does not fall (k_A, k_S free within 0 .. 1)", "rms_without_falling_friction"),
+                ("the same with k_S <= k_A", "rms_without_falling_friction_k_s_below_k_a"),
+                ("scatter of the points about their neighbours", "scatter_floor"))),
+            *((f"mean error of Polach's {name} set", f"{off:+.3f}")
+              for name, off in found["mean_error_of_recommended_sets"].items())]
 
 
 def polach_page(data: Dataset, found: Fitted) -> str:
     """The report of a creep-curve fit."""
-    rows = [[name, _interval(v)] for name, v in found.values.items()]
-    supported = "is" if polach_json(data, found)["falling_friction_supported"] else "is not"
+    plain = polach_json(data, found)
     return page.page(
-        f"Creep curve of {data.name}",
-        table(["Polach's parameter", "value (95 %)"], rows),
-        table(["fit", "rms error"], [
-            ["five parameters", f"{found.rms:.4f}"],
-            ["friction that does not fall (k_A, k_S free within 0 .. 1)", f"{found.rms_no_fall:.4f}"],
-            ["the same with k_S <= k_A", f"{found.rms_no_fall_ordered:.4f}"],
-            ["scatter of the points about their neighbours", f"{found.floor:.4f}"]]),
-        paragraph(f"Falling friction {supported} supported. Mean errors of the recommended sets: "
-                  + ", ".join(f"{k} {v:+.3f}" for k, v in found.means.items()) + "."),
+        f"Creep curve of {data.name}", *(paragraph(w, kind="warn") for w in data.warnings),
+        table(HEAD, polach_rows(plain)),
+        paragraph(f"Falling friction {'is' if plain['falling_friction_supported'] else 'is not'} supported."),
         page.picture(lambda f: _creep_curve(f, data, found), (11.0, 6.0)))
 
 

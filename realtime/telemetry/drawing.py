@@ -1,7 +1,7 @@
 """Sends rows of signals and events to Rerun, in blocks of columns.
 
 One call costs about 0.1 ms whatever its length, so rows are sent in blocks: one call for each
-entity of `views.lines`, and states only where they change.
+entity of `views.lines` and `derived.curves`, and states only where they change.
 """
 
 from collections.abc import Iterable, Mapping
@@ -10,26 +10,25 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from rollerrig.realtime.telemetry import colours, scene, views
+from rollerrig.realtime.telemetry import colours, derived, scene, views
 from rollerrig.wsp_interface import signals
 
 Event = tuple[float, str, str]
+_MARKS = "/speeds/marks"
 
 
 class Drawing:
-    """One run on a stream: styles it, and remembers what the last block left behind.
-
-    `prefix` and `faint` lay a run beneath another; `everything` also sends signals of no group.
-    """
+    """One run on a stream, beneath another by `prefix` and `faint`; `everything`: also signals of no group."""
 
     def __init__(self, stream: rr.RecordingStream, scenario: Mapping[str, Any], prefix: str = "",
-                 faint: bool = False, everything: bool = True) -> None:
+                 faint: bool = False, everything: bool = True, unit: str = "") -> None:
         self._stream, self._prefix = stream, prefix
-        self._lines = [one for one in views.lines()
-                       if everything or not one.path.startswith(views.MORE)]
-        self._valve = np.full(signals.AXLES, -1)
-        self._turning = None
-        views.style(stream, prefix, faint)
+        self._lines = [one for one in views.lines() if everything or not one.path.startswith(views.MORE)]
+        self._curves = derived.curves(scenario, unit, band=not faint)
+        self._changes = views.Changes(stream)
+        self._turning, self._top = None, 3.6 * float(scenario.get("initial_speed_m_s", 0.0))
+        marks = derived.Curve(_MARKS, ("fault, warning",), (colours.VERMILION,), 0.8, np.asarray)
+        views.style(stream, prefix, faint, [*self._curves, marks])
         if not prefix:
             place = scene.scene(scenario)
             scene.draw(stream, place)
@@ -39,39 +38,49 @@ class Drawing:
         """Send rows of all signals, shape (n, columns), times rising."""
         if not len(rows):
             return
-        ns = np.rint(rows[:, signals.column("time")] * 1e9).astype("timedelta64[ns]")
-        times = rr.TimeColumn(views.TIMELINE, duration=ns)
+        time_s = rows[:, signals.column("time")]
+        times = views.times(time_s)
         for one in self._lines:
-            columns = rr.Scalars.columns(scalars=np.ascontiguousarray(rows[:, one.columns]).ravel())
-            if len(one.columns) > 1:
-                columns = columns.partition([len(one.columns)] * len(rows))
-            self._stream.send_columns(self._prefix + one.path, [times], columns)
-        self._valves(rows, ns)
+            self._scalars(one.path, times, one.factor * rows[:, one.columns])
+        for curve in self._curves:
+            self._scalars(curve.path, times, curve.of(rows))
+        for axle in range(1, signals.AXLES + 1):
+            self._changes.send(
+                views.valve(axle, self._prefix), time_s, views.valve_states(rows, axle),
+                lambda states: rr.StateChange.columns(state=[colours.VALVE_STATES[one][0] for one in states]))
         if self._turning:
-            self._turning.rows(rows, ns)
+            self._turning.rows(rows)
 
-    def _valves(self, rows: np.ndarray, ns: np.ndarray) -> None:
-        names = [name for name, _ in colours.VALVE_STATES]
-        for j in range(signals.AXLES):
-            state = views.valve_states(rows, j + 1)
-            change = np.flatnonzero(np.diff(state, prepend=self._valve[j]) != 0)
-            self._valve[j] = state[-1]
-            if change.size:
-                self._stream.send_columns(
-                    f"{self._prefix}{views.VALVES}/valve_{j + 1}",
-                    [rr.TimeColumn(views.TIMELINE, duration=ns[change])],
-                    rr.StateChange.columns(state=[names[k] for k in state[change]]))
+    def _scalars(self, path: str, times: rr.TimeColumn, values: np.ndarray) -> None:
+        columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values).ravel())
+        if values.shape[1] > 1:
+            columns = columns.partition([values.shape[1]] * len(values))
+        self._stream.send_columns(self._prefix + path, [times], columns)
+
+    def result(self, text: str, time_s: float | None = None) -> None:
+        """Show Markdown in the box, from an instant on or always."""
+        if time_s is not None:
+            self._stream.set_time(views.TIMELINE, duration=time_s)
+        self._stream.log(views.BOX, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=time_s is None)
 
     def events(self, events: Iterable[Event]) -> None:
-        """Send events: (time in s, level, text)."""
+        """Send events, (time in s, level, text): those of the network apart, faults and warnings as marks as well."""
         events = list(events)
+        for path, some in ((views.EVENTS, [one for one in events if not derived.of_network(one[2])]),
+                           (views.NETWORK, [one for one in events if derived.of_network(one[2])])):
+            self._log(path, some)
+        if at_s := [time_s for time_s, _, _ in derived.marks(events)]:
+            # an upright stroke: two points at an instant, and a gap behind it
+            times = views.times(np.repeat(at_s, 3) + np.tile((0.0, 0.0, 1e-9), len(at_s)))
+            self._scalars(_MARKS, times, np.tile((0.0, self._top, np.nan), len(at_s))[:, np.newaxis])
+
+    def _log(self, path: str, events: list[Event]) -> None:
         if not events:
             return
-        ns = np.array([round(e[0] * 1e9) for e in events], dtype="timedelta64[ns]")
         levels = [views.LEVELS.get(level, views.LEVELS["info"]) for _, level, _ in events]
         # the viewer's own column of times is too narrow to read
-        texts = [f"{time_s:7.2f} s  {text}" for time_s, _, text in events]
+        run = self._prefix.rpartition("/")[2]
+        texts = [f"{time_s:7.2f} s  {run}{': ' if run else ''}{text}" for time_s, _, text in events]
         self._stream.send_columns(
-            self._prefix + views.EVENTS, [rr.TimeColumn(views.TIMELINE, duration=ns)],
-            rr.TextLog.columns(text=texts, level=[name for name, _ in levels],
-                               color=[colour for _, colour in levels]))
+            self._prefix + path, [views.times(np.array([time_s for time_s, _, _ in events]))],
+            rr.TextLog.columns(text=texts, level=[name for name, _ in levels], color=[colour for _, colour in levels]))

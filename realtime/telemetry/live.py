@@ -1,10 +1,9 @@
 """The live view: a process that shows a run as it goes, and can never hold the run up.
 
-The worker serves Rerun on loopback and beats a heartbeat into the ring of rows. A viewer that
-stands still makes it stand still too, since Rerun waits for its clients: then the heart stops, and
-the watcher kills the worker and starts another. A worker that has fallen behind by ten seconds
-drops the oldest rows. The rig knows nothing of all this. Recording and application name are the
-recorder's, so a viewer that has both shows one run.
+The worker serves Rerun on loopback and beats a heartbeat into the ring of rows. A viewer that stands still makes it
+stand still too, since Rerun waits for its clients: then the heart stops, and the watcher kills the worker and starts
+another. A worker that has fallen behind by ten seconds drops the oldest rows. The rig knows nothing of all this.
+Recording and application name are the recorder's, so a viewer that has both shows one run.
 
     python -m rollerrig.realtime.telemetry.live RUN_DIR --rows PATH --events PATH
 """
@@ -13,6 +12,7 @@ import argparse
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -34,9 +34,9 @@ _POINTS_HZ = 1000.0
 _MEMORY = "512MiB"
 
 
-def start(run_dir: Path, rows: Ring, events: Ring) -> subprocess.Popen:
-    """Start the live view of a run; it ends by itself some seconds after the run."""
-    return subprocess.Popen(_command(run_dir, rows.path, events.path), stdin=subprocess.DEVNULL,
+def start(run_dir: Path, rows: Ring, events: Ring, unit: str = "") -> subprocess.Popen:
+    """Start the live view of a run that a `unit` protects; it ends by itself some seconds after the run."""
+    return subprocess.Popen(_command(run_dir, rows.path, events.path, "--unit", unit), stdin=subprocess.DEVNULL,
                             stdout=subprocess.DEVNULL, start_new_session=True)
 
 
@@ -46,10 +46,7 @@ def _command(run_dir: Path, rows: Path, events: Path, *more: str) -> list[str]:
 
 
 def thin(rows: np.ndarray, most: int) -> np.ndarray:
-    """Rows (n, columns) as at most `most`: each bin's smallest and largest value of every signal.
-
-    Times stay those of the bin's first and last row, so a spike of one sample is still seen.
-    """
+    """Rows (n, columns) as at most `most`: each bin's least and largest value of every signal: no spike is lost."""
     bins = max(most // 2, 1)
     if len(rows) <= 2 * bins:
         return rows
@@ -77,7 +74,7 @@ class Feed:
         return rows, [ring.read_event(event) for event in events]
 
 
-def serve(run_dir: Path, rows: Ring, events: Ring, port: int) -> None:
+def serve(run_dir: Path, rows: Ring, events: Ring, port: int, unit: str = "") -> None:
     """The worker: serve the run on loopback until it has ended."""
     import rerun as rr
 
@@ -85,12 +82,11 @@ def serve(run_dir: Path, rows: Ring, events: Ring, port: int) -> None:
     from rollerrig.realtime.telemetry.drawing import Drawing
 
     scenario = recorder.scenario_of(run_dir)
-    stream = rr.RecordingStream(views.APPLICATION,
-                                recording_id=recorder.recording_id(run_dir, rows))
+    stream = rr.RecordingStream(views.APPLICATION, recording_id=recorder.recording_id(run_dir, rows))
     sink = rr.GrpcServerSink(bind_ip=viewer.LOOPBACK, port=port, server_memory_limit=_MEMORY)
     layout = views.blueprint(live=True, eye=scene.eye(scene.scene(scenario)))
     stream.set_sinks(sink, default_blueprint=layout)
-    drawing = Drawing(stream, scenario, everything=False)
+    drawing = Drawing(stream, scenario, everything=False, unit=unit)
     feed = Feed(rows, events, float(scenario.get("loop", {}).get("record_hz", 100)))
     ended_s: float | None = None
     while ended_s is None or time.monotonic() - ended_s < _LINGER_S:
@@ -99,6 +95,10 @@ def serve(run_dir: Path, rows: Ring, events: Ring, port: int) -> None:
         found, happened = feed.take()
         drawing.rows(found)
         drawing.events(happened)
+        if len(found):
+            at = {name: found[-1, signals.column(name)] for name in ("time", "vehicle_speed", "position")}
+            drawing.result(f"### {at['time']:.1f} s · {3.6 * at['vehicle_speed']:.0f} km/h · {at['position']:.0f} m",
+                           at["time"])
         rows.header[ring.READER_BEAT_NS] = time.monotonic_ns()
         time.sleep(_PERIOD_S)
 
@@ -109,35 +109,34 @@ def watch(given: argparse.Namespace, rows: Ring) -> None:
 
     port = viewer.free_port(given.port or viewer.GRPC_PORT)
     worker: subprocess.Popen | None = None
-    opened, starts, begun_s = False, 0, 0.0
+    shown: subprocess.Popen | None = None
+    starts, begun_s = 0, 0.0
     try:
         while starts <= _RESTARTS:
             if worker is None:
                 rows.header[ring.READER_BEAT_NS] = 0
                 worker = subprocess.Popen(_command(given.run_dir, given.rows, given.events,
-                                                   "--port", str(port), "--worker"))
+                                                   "--port", str(port), "--unit", given.unit, "--worker"))
                 starts, begun_s = starts + 1, time.monotonic()
             beat_s = int(rows.header[ring.READER_BEAT_NS]) / 1e9
             over = rows.closed or not rows.writer_alive
+            if worker.poll() is None and not alive(beat_s, begun_s, time.monotonic()):
+                worker.kill()
+                worker.wait()
             if worker.poll() is not None:
                 if worker.returncode == 0 or over:
                     return
                 worker = None
-            elif not alive(beat_s, begun_s, time.monotonic()):
-                worker.kill()
-                worker.wait()
-                worker = None
-                if over:
-                    return
-            elif beat_s and not opened:
-                opened = True
-                show(port)
+            elif beat_s and not shown:
+                shown = show(port)
+            rows.header[ring.VIEWED] |= bool(beat_s) and viewer.connected(port)
             time.sleep(0.2)
-        print("live view: given up, it stood still again and again; the recording goes on",
-              file=sys.stderr)
+        print("live view: given up, it stood still again and again; the recording goes on", file=sys.stderr)
     finally:
         if worker and worker.poll() is None:
             worker.kill()
+        if shown and not viewer.has_display():  # a browser that has the page keeps it
+            viewer.end(shown)
 
 
 def alive(beat_s: float, begun_s: float, now_s: float) -> bool:
@@ -145,16 +144,19 @@ def alive(beat_s: float, begun_s: float, now_s: float) -> bool:
     return now_s - beat_s < _STALE_S if beat_s else now_s - begun_s < _START_S
 
 
-def show(port: int) -> None:
-    """Open the viewer on the worker's address, or say how to see it in a browser."""
+def show(port: int) -> subprocess.Popen:
+    """Open the viewer on the worker's address, or serve its page and say where."""
     from rollerrig.realtime.telemetry import viewer
 
     address = f"rerun+http://{viewer.LOOPBACK}:{port}/proxy"
     if viewer.has_display():
-        viewer.spawn("--port", "auto", "--connect", address)
-        return
-    print(f"live view at {address}; no display here, so for a browser on this machine type:\n"
-          f"  {viewer.serve_command(address)}", file=sys.stderr, flush=True)
+        return viewer.spawn("--port", "auto", "--connect", address)
+    web = viewer.free_port(viewer.WEB_PORT)
+    served = viewer.serve_page(web, address)
+    tunnel = " ".join(f"-L {one}:{viewer.LOOPBACK}:{one}" for one in (web, port))
+    print(f"live view: {viewer.page(web, port)}\n"
+          f"  seen from another machine after: ssh {tunnel} {socket.gethostname()}", file=sys.stderr, flush=True)
+    return served
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -164,6 +166,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--rows", type=Path, required=True)
     parser.add_argument("--events", type=Path, required=True)
     parser.add_argument("--port", type=int, default=0, help="wanted port of the server")
+    parser.add_argument("--unit", default="", help="whose bands of slip are drawn")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args(arguments)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -171,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.nice(10)
     rows = Ring(given.rows, np.float64)
     if given.worker:
-        serve(given.run_dir, rows, Ring(given.events, np.int64), given.port)
+        serve(given.run_dir, rows, Ring(given.events, np.int64), given.port, given.unit)
         # Rerun's own goodbye waits for its clients, and one may stand still
         sys.stderr.flush()
         os._exit(0)

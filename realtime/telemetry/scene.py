@@ -37,17 +37,12 @@ def scene(scenario: Mapping[str, Any]) -> Scene:
     """The geometry of a resolved scenario; what it does not say is taken as the default rig's."""
     vehicle, contact = scenario.get("vehicle", {}), scenario.get("contact", {})
     wheel = float(vehicle.get("wheel_radius_m", 0.445))
-    roller = float(contact.get("roller_radius_m", 1.0))
-    if scenario.get("rig", {}).get("mode") == "track":
-        roller = math.inf
-    base = float(vehicle.get("bogie_wheelbase_m", 2.56))
-    pivots = float(vehicle.get("bogie_distance_m", 19.0))
+    on_track = scenario.get("rig", {}).get("mode") == "track"
+    roller = math.inf if on_track else float(contact.get("roller_radius_m", 1.0))
+    base, pivots = float(vehicle.get("bogie_wheelbase_m", 2.56)), float(vehicle.get("bogie_distance_m", 19.0))
     behind = np.cumsum([0.0, *np.minimum(np.diff([0.0, base, pivots, pivots + base]), _GAP_M)])
-    middle = behind - behind.mean()
-    height = 0.0 if math.isinf(roller) else roller
-    wheels = np.column_stack([-middle, np.zeros(4), np.full(4, height + wheel)])
-    rollers = np.column_stack([-middle, np.zeros(4), np.zeros(4)])
-    return Scene(wheel, roller, wheels, rollers)
+    rollers = np.column_stack([behind.mean() - behind, np.zeros((4, 2))])
+    return Scene(wheel, roller, np.add(rollers, (0.0, 0.0, wheel + (0.0 if math.isinf(roller) else roller))), rollers)
 
 
 def eye(place: Scene) -> rrb.EyeControls3D:
@@ -70,8 +65,7 @@ def draw(stream: rr.RecordingStream, place: Scene) -> None:
             labels=[f"axle {j + 1}"], show_labels=True), static=True)
         if not math.isinf(place.roller_radius_m):
             _bodies(stream, f"{at}/rollers", place.roller_radius_m, STEEL, place.rollers[j])
-            stream.log(f"{at}/rollers/spokes", rr.LineStrips3D.from_fields(colors=RUNNING),
-                       static=True)
+            stream.log(f"{at}/rollers/spokes", rr.LineStrips3D.from_fields(colors=RUNNING), static=True)
     if math.isinf(place.roller_radius_m):
         ends = np.array([place.wheels[0, 0] + 1.5, place.wheels[-1, 0] - 1.5])
         stream.log(f"{views.RIG}/rails", rr.LineStrips3D(
@@ -83,18 +77,14 @@ def draw(stream: rr.RecordingStream, place: Scene) -> None:
             colors=STEEL, radii=0.05), static=True)
 
 
-def _across(count: int) -> list[rr.RotationAxisAngle]:
-    """Turns cylinders from upright to across the track."""
-    return [rr.RotationAxisAngle(axis=(1, 0, 0), radians=math.pi / 2)] * count
-
-
 def _bodies(stream: Any, path: str, radius_m: float, colour: Any, centre: Any) -> None:
     """Two wheels (or rollers) on a shaft, with spokes on the faces that look outwards."""
     half = _GAUGE_M / 2
+    across = rr.RotationAxisAngle(axis=(1, 0, 0), radians=math.pi / 2)  # a cylinder is upright by itself
     stream.log(path, rr.Transform3D(translation=centre), static=True)
     stream.log(f"{path}/body", rr.Cylinders3D(
         lengths=[_WIDTH_M, _WIDTH_M, _GAUGE_M], radii=[radius_m, radius_m, 0.09],
-        centers=[(0, -half, 0), (0, half, 0), (0, 0, 0)], rotation_axis_angles=_across(3),
+        centers=[(0, -half, 0), (0, half, 0), (0, 0, 0)], rotation_axis_angles=[across] * 3,
         colors=[colour, colour, STEEL], fill_mode=rr.components.FillMode.Solid), static=True)
     angles = np.arange(_SPOKES) * math.tau / _SPOKES
     rim = np.linspace(0, math.tau, 40)
@@ -105,36 +95,30 @@ def _bodies(stream: Any, path: str, radius_m: float, colour: Any, centre: Any) -
         strips += [[(0, y, 0), (reach * math.sin(a), y, reach * math.cos(a))] for a in angles]
         strips.append([(reach * math.sin(a), y, reach * math.cos(a)) for a in rim])
     # no colour here: what is static would hide the colours that `Turning` sends
-    stream.log(f"{path}/spokes", rr.LineStrips3D(strips, radii=0.035 * radius_m + 0.005),
-               static=True)
+    stream.log(f"{path}/spokes", rr.LineStrips3D(strips, radii=0.035 * radius_m + 0.005), static=True)
 
 
 class Turning:
-    """Sends the angles of wheels and rollers at most 25 times a simulated second.
-
-    Remembers the last instant drawn and the last colours, since only changes are sent.
-    """
+    """Sends angles of wheels and rollers at most 25 times a simulated second, and colours where they change."""
 
     def __init__(self, stream: rr.RecordingStream, place: Scene) -> None:
         self._stream, self._place = stream, place
-        self._last_frame = -1
-        self._locked = np.full(signals.AXLES, -1)
-        self._valve = np.full(signals.AXLES, -1)
+        self._changes, self._last_frame = views.Changes(stream), -1
 
-    def rows(self, rows: np.ndarray, ns: np.ndarray) -> None:
-        """Rows of all signals, shape (n, columns), and their times (n,) timedelta64[ns]."""
-        frame = np.floor(rows[:, signals.column("time")] * RATE_HZ + 1e-6).astype(np.int64)
+    def rows(self, rows: np.ndarray) -> None:
+        """Rows of all signals, shape (n, columns)."""
+        time_s = rows[:, signals.column("time")]
+        frame = np.floor(time_s * RATE_HZ + 1e-6).astype(np.int64)
         due = np.flatnonzero(np.diff(frame, prepend=self._last_frame) > 0)
         self._last_frame = int(frame[-1])
-        when = rr.TimeColumn(views.TIMELINE, duration=ns[due])
+        when = views.times(time_s[due])
         for j in range(signals.AXLES):
             at = f"{views.RIG}/axle_{j + 1}"
             if due.size:
-                self._turn(f"{at}/wheels", rows[due, signals.column("wheel_angle", j + 1)], when,
-                           self._place.wheels[j])
+                self._turn(f"{at}/wheels", rows[due, signals.column("wheel_angle", j + 1)], when, self._place.wheels[j])
                 self._turn(f"{at}/rollers", -rows[due, signals.column("roller_angle", j + 1)], when,
                            self._place.rollers[j])
-            self._colours(at, j, rows, ns)
+            self._colours(at, j, rows, time_s)
 
     def _turn(self, path: str, angle: np.ndarray, when: rr.TimeColumn, centre: np.ndarray) -> None:
         half = np.where(np.isfinite(angle), angle, 0.0) / (2.0 * GEARING)
@@ -144,19 +128,13 @@ class Turning:
             translation=np.tile(centre, (half.size, 1)),
             quaternion=np.column_stack([zero, np.sin(half), zero, np.cos(half)])))
 
-    def _colours(self, at: str, j: int, rows: np.ndarray, ns: np.ndarray) -> None:
+    def _colours(self, at: str, j: int, rows: np.ndarray, time_s: np.ndarray) -> None:
         speed = rows[:, signals.column("vehicle_speed")]
         rim = rows[:, signals.column("wheel_circumferential_speed", j + 1)]
         locked = ((speed > 0.5) & (rim < 0.1 * speed)).astype(np.int64)
-        valve = views.valve_states(rows, j + 1)
-        for path, state, memory, archetype, table in (
-            (f"{at}/wheels/spokes", locked, self._locked, rr.LineStrips3D, (RUNNING, LOCKED)),
-            (f"{at}/valve", valve, self._valve, rr.Points3D, [c for _, c in colours.VALVE_STATES]),
-        ):
-            change = np.flatnonzero(np.diff(state, prepend=memory[j]) != 0)
-            memory[j] = state[-1]
-            if change.size:
-                shades = np.array(table, dtype=np.uint8)[state[change]]
-                self._stream.send_columns(
-                    path, [rr.TimeColumn(views.TIMELINE, duration=ns[change])],
-                    archetype.columns(colors=shades))
+        lamps = np.array([shade for _, shade in colours.VALVE_STATES], dtype=np.uint8)
+        spokes = np.array((RUNNING, LOCKED), dtype=np.uint8)
+        self._changes.send(f"{at}/wheels/spokes", time_s, locked,
+                           lambda states: rr.LineStrips3D.columns(colors=spokes[states]))
+        self._changes.send(f"{at}/valve", time_s, views.valve_states(rows, j + 1),
+                           lambda states: rr.Points3D.columns(colors=lamps[states]))

@@ -24,9 +24,10 @@ import rerun as rr
 from PIL import Image
 from rerun.experimental import ViewerClient
 
+from rollerrig.configs import children
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime.record import records, run_folder
-from rollerrig.realtime.telemetry import scene, views
+from rollerrig.realtime.telemetry import derived, scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing
 
 LOOPBACK = "127.0.0.1"
@@ -40,8 +41,7 @@ _NO_GRAPHICS = (
 
 def has_display() -> bool:
     """Whether a window can be opened here."""
-    return sys.platform in ("darwin", "win32") or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 def environment() -> dict[str, str]:
@@ -73,21 +73,47 @@ def _switched_off(home: Path) -> Path:
 
 def command(*arguments: str) -> list[str]:
     """The viewer's command line, bound to loopback."""
-    return [sys.executable, "-m", "rerun_cli", "--bind", LOOPBACK, "--hide-welcome-screen",
-            *arguments]
+    return [sys.executable, "-m", "rerun_cli", "--bind", LOOPBACK, "--hide-welcome-screen", *arguments]
 
 
 def serve_command(target: str, web_port: int = WEB_PORT) -> str:
     """What to type to see a file or an address in a browser on this machine."""
-    return (f"rerun --serve-web --bind {LOOPBACK} --web-viewer-port {web_port} "
-            f"{shlex.quote(str(target))}")
+    return f"rerun --serve-web --bind {LOOPBACK} --web-viewer-port {web_port} {shlex.quote(target)}"
+
+
+def page(web_port: int, port: int) -> str:
+    """The address of the viewer's page that shows what a server on another port has."""
+    return f"http://{LOOPBACK}:{web_port}/?url=rerun%2Bhttp://{LOOPBACK}:{port}/proxy"
 
 
 def spawn(*arguments: str) -> subprocess.Popen:
     """Start a viewer that outlives us."""
     return subprocess.Popen(command(*arguments), env=environment(), stdin=subprocess.DEVNULL,
-                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                            start_new_session=True)
+                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def serve_page(web_port: int, address: str) -> subprocess.Popen:
+    """Serve the page that shows what a server at an address has, as long as the calling thread lives."""
+    program = Path(rr.__file__).parents[1] / "rerun_cli" / "rerun"
+    words = command("--serve-web", "--web-viewer-port", str(web_port), address)
+    words[:3] = [str(program)] if program.is_file() else words[:3]  # Python's would leave its own child behind
+    return subprocess.Popen(children.command(*words), env=environment(), stdin=subprocess.DEVNULL,
+                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def end(process: subprocess.Popen) -> None:
+    """End a viewer that `spawn` has started: it is a child of the process that we know."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGTERM)
+
+
+def connected(port: int) -> bool:
+    """Whether anybody is connected to a TCP port of this machine; where the system does not tell: yes."""
+    try:
+        rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    except OSError:
+        return True
+    return any(row[3] == "01" and int(row[1].rpartition(":")[2], 16) == port for row in rows)
 
 
 def free_port(wanted: int = 0) -> int:
@@ -109,9 +135,8 @@ def recording(path: Path | str) -> Path:
     if path.suffix == ".rrd" and path.is_file():
         return path
     records.load(path)  # says what is wrong with the folder
-    if not (path / run_folder.RRD).is_file():
-        return overlay([path], path / run_folder.RRD)
-    return path / run_folder.RRD
+    own = path / run_folder.RRD
+    return own if own.is_file() else overlay([path], own)
 
 
 def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
@@ -125,14 +150,17 @@ def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
     first = loaded[0]
     stream = rr.RecordingStream(views.APPLICATION)
     layout = views.blueprint(bare=bare, eye=scene.eye(scene.scene(first.scenario)), references=names,
-                             top=views.tops(records.rows(first.table)))
+                             top=views.tops(dict(zip(first.table.column_names, first.table.columns,
+                                                     strict=True))))
     stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
     stream.send_recording_name(" over ".join(run.folder.resolve().name for run in loaded))
     for run, name in zip(loaded, ["", *names], strict=True):
         prefix = f"{views.REFERENCES}/{name}" if name else ""
-        drawing = Drawing(stream, run.scenario, prefix, faint=bool(name))
+        unit = str((run.summary.get("wsp") or {}).get("unit") or "")
+        drawing = Drawing(stream, run.scenario, prefix, faint=bool(name), unit=unit)
         drawing.rows(records.rows(run.table))
         drawing.events(run.events)
+    drawing.result("\n\n".join(derived.box(run.summary) for run in loaded))
     stream.disconnect()
     return into
 
@@ -147,19 +175,14 @@ def _names(folders: Sequence[Path]) -> list[str]:
 
 
 def open_run(paths: Sequence[Path | str]) -> dict[str, Any]:
-    """Open a run, or several over one another, in the viewer.
-
-    Returns `file` (what is shown), `opened` (whether a window was) and `command` (what serves it
-    to a browser). Raises ConfigError for a folder that is not a run's.
-    """
+    """Open runs in the viewer: `file` shown, `opened` a window, `command` for a browser. Raises ConfigError."""
     if len(paths) == 1:
         file = recording(paths[0])
     else:
         handle, name = tempfile.mkstemp(prefix="rollerrig-overlay-", suffix=".rrd")
         os.close(handle)
         file = overlay(paths, Path(name))
-    opened = has_display()
-    if opened:
+    if opened := has_display():
         spawn("--port", "auto", str(file))
     return {"file": str(file), "opened": opened, "command": serve_command(str(file))}
 
@@ -190,10 +213,8 @@ def _headless(file: Path, size: tuple[int, int], time_s: float, until_s: float) 
     port, log = free_port(), file.with_name("log")
     with open(log, "wb") as sink:
         process = subprocess.Popen(
-            command("--headless", "--port", str(port), "--window-size",
-                    f"{size[0]}x{size[1] + _TITLE_BAR}", str(file)),
-            env=environment(), start_new_session=True, stdin=subprocess.DEVNULL, stdout=sink,
-            stderr=sink)
+            command("--headless", "--port", str(port), "--window-size", f"{size[0]}x{size[1] + _TITLE_BAR}", str(file)),
+            env=environment(), start_new_session=True, stdin=subprocess.DEVNULL, stdout=sink, stderr=sink)
     try:
         client = _connected(process, port, log, until_s)
         client.set_time(views.TIMELINE, duration=time_s, play_state="paused")
@@ -209,8 +230,7 @@ def _headless(file: Path, size: tuple[int, int], time_s: float, until_s: float) 
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGTERM)
         process.wait(10)
-    raise RollerrigError("no picture: the viewer did not come to rest; try again when the machine "
-                         "is less busy")
+    raise RollerrigError("no picture: the viewer did not come to rest; try again when the machine is less busy")
 
 
 def _connected(process: subprocess.Popen, port: int, log: Path, until_s: float) -> ViewerClient:
@@ -223,8 +243,7 @@ def _connected(process: subprocess.Popen, port: int, log: Path, until_s: float) 
         try:
             client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
             state = client.get_state()
-            if state.active_recording and not state.loading and any(
-                    one.timelines for one in state.recordings):
+            if state.active_recording and not state.loading and any(one.timelines for one in state.recordings):
                 return client
         except Exception:
             # not listening yet; what the client raises then is not documented

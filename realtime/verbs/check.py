@@ -1,14 +1,13 @@
-"""`rollerrig check`: what this machine offers a bench, and how to enable what it does not.
+"""`rollerrig check`: what this machine offers a bench, and how to enable what it does not; or whether an FMU fits.
 
-Each function puts one question to the machine itself and not to a list of known machines: the port is
-bound, the priority asked for in a thread that then ends, memory locked and let go. Exit status 0 when
-a run is possible at all, 2 when it is not. Source of the remedies: the manual pages of sched(7),
-mlock(2) and limits.conf(5), and the kernel's documentation of cpufreq and PM QoS.
+Each function puts one question to the machine itself and not to a list of known machines: the port is bound, the
+priority asked for in a thread that then ends, memory locked and let go. Exit status 2 when no run is possible at all.
+Source of the remedies: the manual pages of sched(7), mlock(2) and limits.conf(5), the kernel's of cpufreq and PM QoS.
 """
 
 import argparse
+import contextlib
 import ctypes
-import json
 import os
 import platform
 import re
@@ -17,14 +16,13 @@ import shutil
 import socket
 import subprocess
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
-from rich.console import Console
-from rich.table import Table
+from rollerrig.realtime.verbs import output, wsp
 
 PASS, USAGE = 0, 2
 OLDEST, NEWEST = (3, 11), (3, 13)
@@ -44,6 +42,9 @@ class State(StrEnum):
     MISSING = "missing"
 
 
+_COLOURS = {State.OK: "green", State.WEAKER: "yellow", State.MISSING: "bold red"}
+
+
 class Finding(NamedTuple):
     """One answer: what was asked, how it is, what was found, and how to enable what is not there."""
 
@@ -54,23 +55,38 @@ class Finding(NamedTuple):
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("fmu", nargs="?", type=Path, metavar="FMU", help="a WSP unit: what it is and whether it fits, "
+                        "without running it (default: look at this machine)")
+    wsp.map_argument(parser)
+    parser.add_argument("--step", type=float, default=0.01, metavar="S",
+                        help="with an FMU: the SYNC period that it is to be stepped by (default: 0.01)")
     parser.add_argument("--port", type=int, default=29536, metavar="N",
                         help="the hub's port to look at (default: 29536)")
 
 
 def call(given: argparse.Namespace) -> int:
-    return show(look(given.port), given.json)
+    if given.fmu:
+        return show(given, fits(given.fmu, given.unit_map, given.step), f"{given.fmu.name}: whether it fits the rig")
+    return show(given, look(given.port))
 
 
-def show(findings: list[Finding], as_json: bool) -> int:
+def fits(path: Path, unit_map: Path | None, period_s: float) -> list[Finding]:
+    """What an FMU is, and whether it fits. Raises ConfigError where it cannot be read."""
+    from rollerrig.firmware_sim.wsp import fmu_file
+
+    return [_answer(one.name, one.fits, one.found, one.found, one.mend, State.MISSING)
+            for one in fmu_file.look(path, unit_map, period_s)[1]]
+
+
+def show(given: argparse.Namespace, findings: list[Finding], title: str = "what this machine can do") -> int:
     """Print the findings; the exit status says whether a run is possible."""
     possible = all(one.state is not State.MISSING for one in findings)
-    if as_json:
-        print(json.dumps({"possible": possible, "checks": [one._asdict() for one in findings]}))
-    else:
-        Console().print(table(findings))
-        print("a run is possible" if possible else "no run is possible before the rows that say "
-              "'missing' are remedied", file=sys.stderr)
+    output.show(given, {"possible": possible, "checks": [one._asdict() for one in findings]},
+                (title, ("what", "state", "found", "how to enable"),
+                 ((one.name, f"[{_COLOURS[one.state]}]{one.state}[/]", one.found, one.mend) for one in findings)))
+    if not given.json:
+        output.say("a run is possible" if possible else
+                   "no run is possible before the rows that say 'missing' are remedied")
     return PASS if possible else USAGE
 
 
@@ -80,61 +96,44 @@ def look(hub_port: int) -> list[Finding]:
             priority(), memory_lock(), idle_states(), governor(), preemption(), display(), pictures(), cyclictest()]
 
 
-_COLOURS = {State.OK: "green", State.WEAKER: "yellow", State.MISSING: "bold red"}
+def _answer(name: str, right: object, found: str, wrong: str, mend: str, state: State = State.WEAKER) -> Finding:
+    """`found` where it is right, else what is wrong and how to enable it."""
+    return Finding(name, State.OK, found) if right else Finding(name, state, wrong, mend)
 
-
-def table(findings: list[Finding]) -> Table:
-    """The findings for a terminal."""
-    shown = Table(title="what this machine can do", title_justify="left")
-    for head in ("what", "state", "found", "how to enable"):
-        shown.add_column(head, overflow="fold")
-    for one in findings:
-        shown.add_row(one.name, f"[{_COLOURS[one.state]}]{one.state}[/]", one.found, one.mend)
-    return shown
-
-
-# --- the questions ---
 
 def python() -> Finding:
-    """Whether this Python is one that the project is tested with."""
+    """Whether this Python, on this system, is one that the project is tested with."""
     here = f"{platform.python_version()}, {platform.system()} {platform.release()}"
     if not OLDEST <= sys.version_info[:2] <= NEWEST:
-        return Finding("Python", State.MISSING, here, "make a new environment with Python 3.11 to "
-                       "3.13: make PYTHON=python3.12 ...")
-    if sys.platform != "linux":
-        return Finding("Python", State.MISSING, here, "the real-time loop needs Linux; a virtual "
-                       "machine or container will do")
-    return Finding("Python", State.OK, here)
+        return Finding("Python", State.MISSING, here, "make a new environment with Python 3.11 to 3.13: make "
+                       "PYTHON=python3.12 ...")
+    return _answer("Python", sys.platform == "linux", here, here,
+                   "the real-time loop needs Linux; a virtual machine or container will do", State.MISSING)
 
 
 def packages() -> Finding:
     """Whether every package that the project requires is installed."""
     wanted = [re.split(r"[^A-Za-z0-9_.-]", one, maxsplit=1)[0]
               for one in metadata.requires("rollerrig") or () if "extra ==" not in one]
-    found, absent = [f"rollerrig {metadata.version('rollerrig')}"], []
-    for name in wanted:
+    found, absent = [], []
+    for name in ("rollerrig", *wanted):
         try:
             found.append(f"{name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
             absent.append(name)
-    if absent:
-        return Finding("packages", State.MISSING, f"without {', '.join(absent)}",
-                       f"pip install {' '.join(absent)} (or make demo)")
-    return Finding("packages", State.OK, ", ".join(found))
+    return _answer("packages", not absent, ", ".join(found), f"without {', '.join(absent)}",
+                   f"pip install {' '.join(absent)} (or make demo)", State.MISSING)
 
 
 def kernels() -> Finding:
     """Whether the first run has to compile, and whether it can keep what it compiles."""
-    from rollerrig.rig import kernel
+    from rollerrig.rig import kernel_cache
 
-    folder = getattr(kernel.settings, "CACHE_DIR", "")
-    if kernel.is_compiled():
-        return Finding("compiled kernels", State.OK, f"in {folder}")
-    if folder and os.access(folder, os.W_OK):
-        return Finding("compiled kernels", State.OK, "none yet: the first run compiles, half a "
-                       "minute")
-    return Finding("compiled kernels", State.WEAKER, "every run compiles: no folder to keep them in",
-                   "make ~/.cache writable, or set XDG_CACHE_HOME")
+    folder = getattr(kernel_cache.settings, "CACHE_DIR", "")
+    compiled = kernel_cache.is_compiled()
+    return _answer("compiled kernels", compiled or (folder and os.access(folder, os.W_OK)),
+                   f"in {folder}" if compiled else "none yet: the first run compiles, half a minute",
+                   "every run compiles: no folder to keep them in", "make ~/.cache writable, or set XDG_CACHE_HOME")
 
 
 def shared_memory() -> Finding:
@@ -147,74 +146,52 @@ def shared_memory() -> Finding:
     if free_MB < _ROOM_MB:
         return Finding("shared memory", State.MISSING, found,
                        f"make {_ROOM_MB} MB of room in {folder} (in a container: --shm-size=64m)")
-    if str(folder) != "/dev/shm":
-        return Finding("shared memory", State.WEAKER, found, "mount a tmpfs on /dev/shm: a disk may "
-                       "hold the loop up")
-    return Finding("shared memory", State.OK, found)
+    return _answer("shared memory", str(folder) == "/dev/shm", found, found,
+                   "mount a tmpfs on /dev/shm: a disk may hold the loop up")
 
 
 def loopback() -> Finding:
     """Whether the hub can listen at all."""
-    if _bind(0):
-        return Finding("hub on loopback", State.OK, f"can listen on {_LOOPBACK}")
-    return Finding("hub on loopback", State.MISSING, f"cannot listen on {_LOOPBACK}",
-                   "sudo ip link set lo up")
+    return _answer("hub on loopback", _bind(0), f"can listen on {_LOOPBACK}", f"cannot listen on {_LOOPBACK}",
+                   "sudo ip link set lo up", State.MISSING)
 
 
 def socketcan() -> Finding:
     """Kernel CAN, which takes the place of the hub where its vcan0 is up."""
-    from rollerrig.wsp_interface.bus import buses
+    from rollerrig.wsp_interface.bus import kernel
 
-    kernel_can = buses.available()
-    if kernel_can.up:
-        return Finding("SocketCAN", State.OK, f"up: {', '.join(kernel_can.up)}",
-                       "; ".join(kernel_can.hints))
+    kernel_can = kernel.available()
     found = "no interface is up" if kernel_can.af_can else "not in this kernel"
-    return Finding("SocketCAN", State.WEAKER, f"{found}: the bench's own hub is the bus",
-                   "; ".join(kernel_can.hints))
+    return _answer("SocketCAN", kernel_can.up, f"up: {', '.join(kernel_can.up)}",
+                   f"{found}: the bench's own hub is the bus", "")._replace(mend="; ".join(kernel_can.hints))
 
 
 def port(number: int) -> Finding:
     """Whether the hub's port is free, and who has it if not."""
-    name = f"port {number}"
-    if _bind(number):
-        return Finding(name, State.OK, "free")
-    mend = (f"end its holder, or give the bench another: --set bus.socketcand_port=0 takes any; "
-            f"ss -ltnp 'sport = :{number}' shows who it is")
-    return Finding(name, State.WEAKER, f"in use{_holder(number)}", mend)
+    free = _bind(number)
+    return _answer(f"port {number}", free, "free", "in use" if free else f"in use{_holder(number)}",
+                   "end its holder, or give the bench another: --set bus.socketcand_port=0 takes any; "
+                   f"ss -ltnp 'sport = :{number}' shows who it is")
 
 
 def cores() -> Finding:
     """The real-time thread wants one core, and the bus, recorder and unit another."""
-    allowed = sorted(os.sched_getaffinity(0))
+    allowed = len(os.sched_getaffinity(0))
     isolated = _ISOLATED.read_text().strip() if _ISOLATED.is_file() else ""
-    found = f"{len(allowed)} may be used" + (f", isolated: {isolated}" if isolated else "")
-    if len(allowed) < 2:
-        return Finding("cores", State.WEAKER, found, "give the process a second core (taskset, "
-                       "cpuset or container limits): bus and loop now share one")
-    return Finding("cores", State.OK, found)
+    found = f"{allowed} may be used" + (f", isolated: {isolated}" if isolated else "")
+    return _answer("cores", allowed > 1, found, found, "give the process a second core (taskset, cpuset or container "
+                   "limits): bus and loop now share one")
 
 
 def priority() -> Finding:
     """Whether a thread may have SCHED_FIFO."""
-    refused: list[str] = []
-
-    def ask() -> None:
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        except OSError as error:
-            refused.append(error.strerror or "refused")
-
     # of a thread, not of the process: it ends with its priority
-    thread = threading.Thread(target=ask)
-    thread.start()
-    thread.join()
-    name = f"SCHED_FIFO {PRIORITY}"
-    if not refused:
-        return Finding(name, State.OK, "allowed")
-    return Finding(name, State.WEAKER, f"{refused[0]}: late ticks where the machine is busy",
-                   f"'{_user()} - rtprio 90' in /etc/security/limits.conf and a new login, or "
-                   "CAP_SYS_NICE (container: --cap-add=sys_nice --ulimit rtprio=90)")
+    with ThreadPoolExecutor(1) as thread:
+        refused = thread.submit(os.sched_setscheduler, 0, os.SCHED_FIFO, os.sched_param(PRIORITY)).exception()
+    return _answer(f"SCHED_FIFO {PRIORITY}", not refused, "allowed",
+                   f"{getattr(refused, 'strerror', None) or 'refused'}: late ticks where the machine is busy",
+                   f"'{_user()} - rtprio 90' in /etc/security/limits.conf and a new login, or CAP_SYS_NICE "
+                   "(container: --cap-add=sys_nice --ulimit rtprio=90)")
 
 
 def memory_lock() -> Finding:
@@ -222,13 +199,11 @@ def memory_lock() -> Finding:
     from rollerrig.realtime.loop import clock
 
     reason = clock.lock_memory()
-    ctypes.CDLL(None).munlockall()
-    if not reason:
-        return Finding("memory lock", State.OK, "allowed")
+    clock.unlock_memory()
     soft = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    return Finding("memory lock", State.WEAKER, f"{reason} (limit {soft // 1024} KiB)",
-                   f"'{_user()} - memlock unlimited' in /etc/security/limits.conf and a new login, "
-                   "or CAP_IPC_LOCK (container: --cap-add=ipc_lock --ulimit memlock=-1)")
+    return _answer("memory lock", not reason, "allowed", f"{reason} (limit {soft // 1024} KiB)",
+                   f"'{_user()} - memlock unlimited' in /etc/security/limits.conf and a new login, or CAP_IPC_LOCK "
+                   "(container: --cap-add=ipc_lock --ulimit memlock=-1)")
 
 
 def idle_states() -> Finding:
@@ -236,34 +211,24 @@ def idle_states() -> Finding:
     from rollerrig.realtime.loop import clock
 
     with clock.awake() as reason:
-        if not reason:
-            return Finding("idle states", State.OK, "a run keeps the cores awake")
-    return Finding("idle states", State.WEAKER, f"{clock.IDLE_LIMIT}: {reason}; a sleeping core "
-                   "takes tens of us to wake", f"sudo chmod o+w {clock.IDLE_LIMIT} (until the next "
-                   "boot), or a udev rule for it")
+        return _answer("idle states", not reason, "a run keeps the cores awake",
+                       f"{clock.IDLE_LIMIT}: {reason}; a sleeping core takes tens of us to wake",
+                       f"sudo chmod o+w {clock.IDLE_LIMIT} (until the next boot), or a udev rule for it")
 
 
 def governor() -> Finding:
     """Whether the processor's clock is free to fall."""
-    if not _FREQUENCY.is_file():
-        return Finding("processor governor", State.OK, "none here: a virtual machine, or fixed")
-    found = _FREQUENCY.read_text().strip()
-    if found == "performance":
-        return Finding("processor governor", State.OK, found)
-    return Finding("processor governor", State.WEAKER, found,
+    found = _FREQUENCY.read_text().strip() if _FREQUENCY.is_file() else "none here: a virtual machine, or fixed"
+    return _answer("processor governor", not _FREQUENCY.is_file() or found == "performance", found, found,
                    "sudo cpupower frequency-set -g performance")
 
 
 def preemption() -> Finding:
     """How the kernel lets a real-time thread interrupt it."""
-    version = platform.version()
-    kind = re.search(r"PREEMPT\w*", version)
-    if Path("/sys/kernel/realtime").is_file() or "PREEMPT_RT" in version:
-        return Finding("kernel preemption", State.OK, "PREEMPT_RT")
-    if kind:
-        return Finding("kernel preemption", State.OK, f"{kind[0]} (PREEMPT_RT is best)")
-    return Finding("kernel preemption", State.WEAKER, "none named", "boot with preempt=full, or a "
-                   "PREEMPT_RT kernel")
+    kind = re.search(r"PREEMPT\w*", platform.version())
+    best = Path("/sys/kernel/realtime").is_file() or "PREEMPT_RT" in platform.version()
+    return _answer("kernel preemption", best or kind, "PREEMPT_RT" if best or not kind else f"{kind[0]} (PREEMPT_RT is "
+                   "best)", "none named", "boot with preempt=full, or a PREEMPT_RT kernel")
 
 
 def display() -> Finding:
@@ -272,9 +237,7 @@ def display() -> Finding:
         from rollerrig.realtime.telemetry import viewer
     except ImportError as error:
         return Finding("viewer", State.WEAKER, str(error), "pip install rerun-sdk")
-    if viewer.has_display():
-        return Finding("viewer", State.OK, "a display is there")
-    return Finding("viewer", State.WEAKER, "no display: a run is served to a browser",
+    return _answer("viewer", viewer.has_display(), "a display is there", "no display: a run is served to a browser",
                    "set DISPLAY (ssh -X), or open what 'rollerrig view' prints in a browser")
 
 
@@ -284,19 +247,16 @@ def pictures() -> Finding:
     drivers = [Path(one) for one in named.split(os.pathsep) if one] or [
         path for folder in _ICDS for path in sorted(Path(folder).glob("*.json"))]
     found = sorted({path.stem.split("_icd")[0] for path in drivers if path.is_file()})
-    if found and _has_library("libvulkan.so.1"):
-        return Finding("pictures (Vulkan)", State.OK, ", ".join(found))
-    return Finding("pictures (Vulkan)", State.WEAKER, "no driver: 'rollerrig view --png' cannot draw",
+    return _answer("pictures (Vulkan)", found and _has_library("libvulkan.so.1"), ", ".join(found),
+                   "no driver: 'rollerrig view --png' cannot draw",
                    "sudo apt-get install mesa-vulkan-drivers libvulkan1 (draws in software)")
 
 
 def cyclictest() -> Finding:
     """Whether the loop can be compared with cyclictest."""
     program = shutil.which("cyclictest")
-    if program:
-        return Finding("cyclictest", State.OK, program)
-    return Finding("cyclictest", State.WEAKER, "not here: 'rollerrig bench loop' has nothing to "
-                   "compare with", "sudo apt-get install rt-tests")
+    return _answer("cyclictest", program, program or "", "not here: 'rollerrig bench loop' has nothing to compare with",
+                   "sudo apt-get install rt-tests")
 
 
 def _bind(number: int) -> bool:
@@ -323,11 +283,9 @@ def _holder(number: int) -> str:
 
 
 def _has_library(name: str) -> bool:
-    try:
-        ctypes.CDLL(name)
-    except OSError:
-        return False
-    return True
+    with contextlib.suppress(OSError):
+        return bool(ctypes.CDLL(name))
+    return False
 
 
 def _user() -> str:

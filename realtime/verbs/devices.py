@@ -1,45 +1,38 @@
 """`rollerrig devices`: the files that tell other tools what stands on the rig's buses."""
 
 import argparse
-import json
-import sys
 from pathlib import Path
 from typing import Any
+
+from rollerrig.realtime.verbs import output
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("devices"), metavar="DIR",
                         help="folder to write into (default: devices)")
-    parser.add_argument("--scenario", default="velim_a1", metavar="NAME",
-                        help="whose rig: its rated torques and pole wheels stand in the objects' "
-                        "units (default: velim_a1)")
+    parser.add_argument("--scenario", default="velim_a1", metavar="NAME", help="whose rig: its rated torques and pole "
+                        "wheels stand in the objects' units (default: velim_a1)")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
                         help="change one value, as in sensor.teeth=80; may be repeated")
 
 
 def call(given: argparse.Namespace) -> int:
     from rollerrig.configs import store
-    from rollerrig.configs.errors import ConfigError
     from rollerrig.firmware_sim.modbus import map
     from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.record.files import writing
     from rollerrig.wsp_interface import descriptions, signals
 
-    plan = scenario.load(given.scenario, settings=tuple(given.set))
-    nodes = dictionaries(plan)
+    nodes = dictionaries(scenario.load(given.scenario, settings=tuple(given.set)))
     drives = {one.node_id: one for one in nodes if one.node_id in signals.DRIVE_NODES}
-    try:
+    with writing(given.out):
         written = [*descriptions.write(given.out, nodes),
                    *map.write(given.out, drives, tuple(store.names("scenarios")))]
-    except OSError as error:
-        raise ConfigError(f"{given.out}: cannot be written: {error.strerror}; give another folder "
-                          "with --out") from None
-    if given.json:
-        print(json.dumps({"folder": str(given.out), "files": [path.name for path in written]}))
-    else:
-        for path in written:
-            print(path)
-        print(f"{len(written)} files for tools that read EDS, DBC, Modbus maps and tables", file=sys.stderr)
-    return 0
+    output.show(given, {"folder": str(given.out), "files": [path.name for path in written]},
+                *(str(path) for path in written))
+    if not given.json:
+        output.say(f"{len(written)} files for tools that read EDS, DBC, Modbus maps and tables")
+    return output.PASS
 
 
 def dictionaries(plan: Any) -> list[Any]:

@@ -1,11 +1,11 @@
-"""What is done with finished runs: `rollerrig compare`, `rollerrig view` and `rollerrig export`."""
+"""Finished runs: `rollerrig compare`, `view` and `export`; and a rig to take elsewhere: `rollerrig export-fmu`."""
 
 import argparse
-import json
-import sys
 from pathlib import Path
 
-PASS, FAILED = 0, 1
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.verbs import output
+
 _SHOWN = 12
 
 
@@ -18,43 +18,36 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def compare(given: argparse.Namespace) -> int:
-    from rich.console import Console
-    from rich.table import Table
-
     from rollerrig.realtime.record import compare as by_value
+    from rollerrig.realtime.record import figures, records
     from rollerrig.realtime.telemetry import viewer
 
     limits = by_value.tolerances(given.tolerance)
-    runs = by_value.load(given.run)
-    rows = by_value.differences(runs, limits)
-    figures = by_value.figures(runs)
+    if len(given.run) < 2:
+        raise ConfigError("compare needs at least two run folders, as in: rollerrig compare runs/a runs/b")
+    runs = [records.load(folder) for folder in given.run]
+    rows, not_valid = by_value.differences(runs, limits), records.not_valid(given.run)
+    shown = [(one.title, one.unit, [one.shown(run.summary) for run in runs]) for one in figures.FIGURES]
     failed = [row for row in rows if row.failed]
+    drifts = [by_value.drifts(run) for run in runs]
+    shown += [(f"{name}, {part} third", "", [drift[name][k] for drift in drifts])
+              for name in drifts[0] for k, part in enumerate(("first", "second", "last"))]
     if given.out:
         viewer.overlay(given.run, given.out)
-    if given.json:
-        print(json.dumps({
-            "runs": [str(run.folder) for run in runs],
-            "figures": [{"name": title, "unit": unit, "values": values} for title, unit, values in figures],
-            "differences": [row._asdict() | {"failed": row.failed} for row in rows],
-            "overlay": str(given.out) if given.out else None, "passed": not failed,
-        }))
-        return FAILED if failed else PASS
-    console = Console()
-    table = Table("", "unit", *(run.folder.name for run in runs))
-    for title, unit, values in figures:
-        table.add_row(title, unit, *("-" if value is None else f"{value:.4g}" for value in values))
-    console.print(table)
-    if failed:
-        table = Table("run", "channel", "largest difference", "rms", "at s", "tolerance")
-        for row in failed[:_SHOWN]:
-            table.add_row(Path(row.run).name, row.channel, f"{row.largest:.4g}", f"{row.rms:.4g}",
-                          f"{row.at_s:.2f}", f"{row.tolerance:.4g}")
-        console.print(table)
-    if limits:
-        console.print(f"{len(failed)} of {len(rows)} channels beyond their tolerance")
-    if given.out:
-        console.print(f"overlay: {given.out}", highlight=False)
-    return FAILED if failed else PASS
+    output.show(
+        given, {"runs": [str(run.folder) for run in runs], "warnings": not_valid,
+                "figures": [{"name": title, "unit": unit, "values": values} for title, unit, values in shown],
+                "differences": [row._asdict() | {"failed": row.failed} for row in rows],
+                "overlay": str(given.out) if given.out else None, "passed": not (failed or not_valid)},
+        (None, ("", "unit", *(run.folder.name for run in runs)), (
+            (title, unit, *("-" if value is None else f"{value:.4g}" for value in values))
+            for title, unit, values in shown)),
+        *([(None, ("run", "channel", "largest difference", "rms", "at s", "tolerance"), (
+            (Path(row.run).name, row.channel, f"{row.largest:.4g}", f"{row.rms:.4g}", f"{row.at_s:.2f}",
+             f"{row.tolerance:.4g}") for row in failed[:_SHOWN]))] if failed else ()),
+        *([f"{len(failed)} of {len(rows)} channels beyond their tolerance"] if limits else ()),
+        *([f"overlay: {given.out}"] if given.out else ()))
+    return output.FAILED if failed else output.INVALID if not_valid and limits else output.PASS
 
 
 def view_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,9 +58,10 @@ def view_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def view(given: argparse.Namespace) -> int:
-    from rollerrig.configs.errors import ConfigError
+    from rollerrig.realtime.record import records
     from rollerrig.realtime.telemetry import viewer
 
+    warnings = records.not_valid(run for run in given.run if run.is_dir())
     if given.png:
         try:
             width, height = (int(part) for part in given.size.split("x"))
@@ -76,17 +70,13 @@ def view(given: argparse.Namespace) -> int:
         result = {"picture": str(viewer.picture(given.run, given.png, (width, height), given.time))}
     else:
         result = viewer.open_run(given.run)
-    if given.json:
-        print(json.dumps(result, default=str))
-    else:
-        for key, value in result.items():
-            print(f"{key}: {value}", file=sys.stderr)
-    return PASS
+    return output.show(given, result | {"warnings": warnings}, *(f"{key}: {value}" for key, value in result.items()))
 
 
 def export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path, help="folder of a run")
-    parser.add_argument("--format", required=True, metavar="FORMAT", help="mdf4, mat or csv")
+    parser.add_argument("--format", required=True, metavar="FORMAT",
+                        help="mdf4, mat, csv, or svg: a picture of the stop")
     parser.add_argument("--out", type=Path, metavar="FILE",
                         help="the file (default: in the run's folder, called as the run)")
 
@@ -94,16 +84,35 @@ def export_arguments(parser: argparse.ArgumentParser) -> None:
 def export(given: argparse.Namespace) -> int:
     from rollerrig.realtime.record import export as formats
     from rollerrig.realtime.record import records
+    from rollerrig.realtime.reports import stop
 
     run = records.load(given.run)
-    suffix = formats.SUFFIX.get(given.format, "")
-    out = given.out or given.run / f"{given.run.resolve().name}{suffix}"
-    files = formats.write(run, given.format, out)
-    columns = run.table.column_names
-    if given.json:
-        print(json.dumps({"files": [str(file) for file in files], "samples": len(run.table),
-                          "channels": len(columns), "events": len(run.events)}))
-    else:
-        print(f"{len(run.table)} samples of {len(columns)} channels and {len(run.events)} events in "
-              f"{', '.join(str(file) for file in files)}")
-    return PASS
+    out = given.out or given.run / f"{given.run.resolve().name}{formats.SUFFIX.get(given.format, '')}"
+    files = formats.write(run, given.format, out, {"svg": stop.write})
+    samples, channels, events = len(run.table), len(run.table.column_names), len(run.events)
+    return output.show(given, {"files": [str(file) for file in files], "samples": samples, "channels": channels,
+                               "events": events,
+                               "warnings": records.not_valid([given.run])},
+                       f"{samples} samples of {channels} channels and {events} events in {', '.join(map(str, files))}")
+
+
+def fmu_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", help="name of a packaged scenario, or a TOML file")
+    parser.add_argument("--out", type=Path, default=Path("rig.fmu"), metavar="FILE",
+                        help="the FMU to write (default: rig.fmu)")
+    parser.add_argument("--model", default="", metavar="FILE", help="an extended model to load")
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
+                        help="change one value, as in adhesion.mu_cd=0.05; may be repeated")
+
+
+def export_fmu(given: argparse.Namespace) -> int:
+    from rollerrig.firmware_sim.faults import panel
+    from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.studies import rig_fmu
+
+    plan = scenario.load(given.scenario, given.model, tuple(given.set))
+    panel.check_pacing(plan.faults, "free")
+    count = rig_fmu.write(plan, given.out)
+    return output.show(given, {"file": str(given.out), "variables": count, "step_s": rig_fmu.STEP_S},
+                       f"{given.out}: {count} variables, FMI 3.0, steps of {rig_fmu.STEP_S:g} s; where it runs, Python "
+                       "with rollerrig has to be installed")

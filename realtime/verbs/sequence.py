@@ -1,18 +1,20 @@
 """`rollerrig sequence`: scripted tests against a bench, their verdicts and their report."""
 
 import argparse
-import json
-import multiprocessing
 import os
-import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-PASS, FAILED = 0, 1
+from rollerrig.configs import children
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.record import run_folder
+from rollerrig.realtime.record.files import writing
+from rollerrig.realtime.verbs import output, wsp
+
 LIBRARY = "sequences"
 
 
@@ -27,55 +29,68 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         "that runs already ('rollerrig run ... --harness') instead of starting one")
     parser.add_argument("--pacing", choices=("lockstep", "wall"), default="lockstep",
                         help="of benches that are started (default: lockstep, repeatable)")
-    parser.add_argument("--wsp", choices=("reference", "external", "none"), default="",
-                        help="whose WSP (default: what the sequence says, else reference)")
+    parser.add_argument("--wsp", type=wsp.unit, action=wsp.Units, default="",
+                        metavar="{reference,external,none,fmu:FILE}", help="whose WSP; again for further FMUs that "
+                        "share the bus by CAN ports (default: what the sequence says, else reference)")
     parser.add_argument("--unit", default="", metavar="COMMAND", help="with --wsp external: starts your "
                         "unit for each run; {address}, {host}, {port} are put in, as in "
                         "'python docs/examples/wsp_unit.py {host} {port}'")
     parser.add_argument("--unit-map", type=Path, metavar="FILE", help="mapping of the unit's own CAN "
-                        "messages to the rig's (with --wsp external)")
+                        "messages to the rig's (with --wsp external), or of an FMU's variables")
     parser.add_argument("--seed", type=int, default=0, help="seed of whatever is random (default: 0)")
     parser.add_argument("--jobs", type=int, default=0, metavar="N", help="benches at a time (default: "
                         "in lockstep as many as there are cores, in real time one)")
+    parser.add_argument("--steps", action="store_true", help="say which step each sequence is at")
     parser.add_argument("--check", action="store_true", help="only read and check the sequences")
+    parser.add_argument("--about", action="append", default=[], metavar="'WHAT=TEXT'", help="for the title block of "
+                        "the report, as in 'unit under test=ACME 7' or 'tested by=A. Meier'; may be repeated")
+    parser.add_argument("--pdf", action="store_true", help="write the report as PDF as well (report.pdf)")
 
 
 def call(given: argparse.Namespace) -> int:
+    from rollerrig.realtime.reports import pdf
     from rollerrig.realtime.reports import sequences as report
 
     sequences = load(given.sequences)
     if given.check:
-        return _print(given, {"checked": [one.name for one in sequences]},
-                      f"{len(sequences)} sequences are in order")
+        names = [one.name for one in sequences]
+        return output.show(given, {"checked": names}, f"{len(names)} sequences are in order")
     _check_out(given, sequences)
-    outcomes = _play(given, sequences)
-    written = report.write(outcomes, given.out, given.junit)
+    about = dict(_about(one) for one in given.about)
+    if given.pdf:
+        pdf.check()
+    played: list[str] = []
+    with output.progress_of(lambda: f"{len(played)} of {len(sequences)} sequences played"):
+        outcomes = _play(given, sequences, played)
+    written = report.write(outcomes, given.out, given.junit, about, given.pdf)
     result = report.overall(outcomes)
     counts = {name: sum(one.result == name for one in outcomes) for name in ("pass", "fail", "error")}
-    _print(given, {"result": result, **counts, "report": str(written[0]), "sequences": {
-        one.sequence.name: one.result for one in outcomes}},
-        f"{result}: {counts['pass']} passed, {counts['fail']} failed, {counts['error']} with an error; "
-        f"report in {written[0]} (not a certification)")
-    return PASS if result == "pass" else FAILED
+    output.show(given, {"result": result, **counts, "report": str(written[0]),
+                        "sequences": {one.sequence.name: one.result for one in outcomes}},
+                f"{result}: {counts['pass']} passed, {counts['fail']} failed, {counts['error']} with an error; "
+                f"report in {written[0]} (not a certification)")
+    return output.PASS if result == "pass" else output.FAILED
+
+
+def _about(given: str) -> tuple[str, str]:
+    what, found, text = given.partition("=")
+    if not (found and what.strip()):
+        raise ConfigError(f"--about '{given}': write WHAT=TEXT, as in 'tested by=A. Meier'")
+    return what.strip(), text.strip()
 
 
 def load(names: list[str]) -> list[Any]:
     """The sequences of names, files and folders, all checked. Raises ConfigError with all faults."""
     from rollerrig.configs import store
-    from rollerrig.configs.errors import ConfigError
     from rollerrig.firmware_sim.faults import catalogue
     from rollerrig.wsp_interface.sequences import sequence
 
     paths: list[Path] = []
     for name in names or [str(store.ROOT / LIBRARY)]:
-        folder = Path(name)
-        if folder.is_dir():
-            found = sorted(folder.glob("*.toml"))
-            if not found:
-                raise ConfigError(f"{folder}: holds no sequence (*.toml)")
-            paths += found
-        else:
-            paths.append(store.find(LIBRARY, name))
+        found = sorted(Path(name).glob("*.toml")) if Path(name).is_dir() else [store.find(LIBRARY, name)]
+        if not found:
+            raise ConfigError(f"{name}: holds no sequence (*.toml)")
+        paths += found
     loaded, wrong = [], []
     for path in paths:
         try:
@@ -104,40 +119,41 @@ def _plan(one: Any) -> Any:
 
 
 def _check_out(given: argparse.Namespace, sequences: list[Any]) -> None:
-    from rollerrig.configs.errors import ConfigError
+    from rollerrig.firmware_sim.wsp import fmu_file
+    from rollerrig.realtime.bench import options
     from rollerrig.wsp_interface.sequences import mapping
 
     if given.bus and len(sequences) != 1:
-        raise ConfigError(f"--bus plays one sequence on a running bench, not {len(sequences)}; "
-                          "name one")
+        raise ConfigError(f"--bus plays one sequence on a running bench, not {len(sequences)}; name one")
     if given.jobs < 0:
         raise ConfigError(f"--jobs {given.jobs}: at least 1, or 0 for as many as there are cores")
-    if (given.unit_map or given.unit) and given.wsp != "external":
+    fmus = options.fmus_of(given.wsp)
+    if ((given.unit_map and not fmus) or given.unit) and given.wsp != "external":
         raise ConfigError("--unit and --unit-map belong to a unit outside: give --wsp external as well")
+    if fmus and given.bus:
+        raise ConfigError("--wsp fmu:FILE and --bus: a bench that runs already has its unit; give the FMU to its "
+                          "'rollerrig run'")
+    for period_s in sorted({_plan(one)["bus"]["sync_period_s"] for one in sequences} if fmus else ()):
+        fmu_file.fit_all(fmus, given.unit_map, period_s)
     if given.wsp == "external" and not (given.bus or given.unit):
-        raise ConfigError("--wsp external: each run is a bus of its own; say with --unit COMMAND how "
-                          "your unit is started on it")
-    if given.unit_map:
+        raise ConfigError("--wsp external: each run is a bus of its own; say with --unit COMMAND how your unit is "
+                          "started on it")
+    if given.unit_map and not fmus:
         mapping.load(given.unit_map)
-    try:
+    with writing(given.out):
         given.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{given.out}: cannot be written: {error.strerror}; give another folder "
-                          "with --out") from None
 
 
-def _play(given: argparse.Namespace, sequences: list[Any]) -> list[Any]:
+def _play(given: argparse.Namespace, sequences: list[Any], played: list[str]) -> list[Any]:
     if given.bus:
-        return [_on_bus(sequences[0], given)]
-    jobs = [(one, given.out / one.name, given.pacing, given.seed, given.wsp, given.unit, given.unit_map)
-            for one in sequences]
+        return [_say(played, play(sequences[0], given))]
     at_once = given.jobs or (len(os.sched_getaffinity(0)) if given.pacing == "lockstep" else 1)
-    if at_once == 1 or len(jobs) == 1:
-        return [_say(_guarded(lambda job=job: play(*job), job)) for job in jobs]
-    with ProcessPoolExecutor(min(at_once, len(jobs)),
-                             multiprocessing.get_context("spawn")) as pool:
-        waiting = [pool.submit(play, *job) for job in jobs]
-        return [_say(_guarded(one.result, job)) for one, job in zip(waiting, jobs, strict=True)]
+    if at_once == 1 or len(sequences) == 1:
+        return [_say(played, _guarded(partial(play, one, given), (one, given.out / one.name))) for one in sequences]
+    with children.pool(min(at_once, len(sequences))) as pool:
+        waiting = [pool.submit(play, one, given) for one in sequences]
+        return [_say(played, _guarded(future.result, (one, given.out / one.name)))
+                for future, one in zip(waiting, sequences, strict=True)]
 
 
 def _guarded(get: Callable[[], Any], job: tuple[Any, ...]) -> Any:
@@ -152,53 +168,41 @@ def _guarded(get: Callable[[], Any], job: tuple[Any, ...]) -> Any:
         return Outcome(job[0], job[1], error=f"unexpected: {error!r}")
 
 
-def play(one: Any, folder: Path, pacing: str, seed: int, wsp: str, unit: str,
-         unit_map: Path | None) -> Any:
-    """One sequence on a bench of its own, and how it came out."""
+def play(one: Any, given: argparse.Namespace) -> Any:
+    """One sequence on a bench of its own, or on one that runs already, and how it came out."""
     from rollerrig.realtime.campaign import dry_stop
-    from rollerrig.wsp_interface import own_bench
+    from rollerrig.wsp_interface import harness_client, own_bench
     from rollerrig.wsp_interface.sequences import mapping
     from rollerrig.wsp_interface.sequences import play as player
 
-    # the gateway first: the unit's program may answer it at once
-    companions: list[Any] = [mapping.companion(unit_map)] if unit_map else []
-    companions += [own_bench.program(unit)] if unit else []
-    begun = time.monotonic()
-    outcome = player.on_own_bench(one, folder, pacing, seed, dry_stop.distance_m, wsp,
-                                  tuple(companions))
+    folder, begun = given.out / one.name, time.monotonic()
+    if given.bus:
+        resolved = _plan(one).resolved
+        outcome = player.on_running_bench(one, harness_client.connect(given.bus), folder, resolved, dry_stop.distance_m)
+    else:
+        # the gateway first: the unit's program may answer it at once
+        gateway = given.unit_map and given.wsp == "external"
+        companions: list[Any] = [mapping.companion(given.unit_map)] if gateway else []
+        companions += [own_bench.program(given.unit, folder / run_folder.UNIT_LOG)] if given.unit else []
+        outcome = player.on_own_bench(one, folder, given.pacing, given.seed, dry_stop.distance_m, given.wsp,
+                                      tuple(companions), partial(_step, one.name, given.steps),
+                                      ("--unit-map", str(given.unit_map)) if given.unit_map and not gateway else ())
     outcome.wall_s = time.monotonic() - begun
     return outcome
 
 
-def _on_bus(one: Any, given: argparse.Namespace) -> Any:
-    """One sequence on a bench that runs already."""
-    from rollerrig.realtime.campaign import dry_stop
-    from rollerrig.wsp_interface import harness_client
-    from rollerrig.wsp_interface.sequences import play as player
-
-    resolved = _plan(one).resolved
-    begun = time.monotonic()
-    outcome = player.on_running_bench(one, harness_client.connect(given.bus), given.out / one.name, resolved,
-                                      dry_stop.distance_m)
-    outcome.wall_s = time.monotonic() - begun
-    return _say(outcome)
+def _step(name: str, wanted: bool, event: Any) -> None:
+    if wanted and event.who == "step":
+        output.say(f"  step  {name}: {event.text} ({event.time_s:.2f} s)")
 
 
-def _say(outcome: Any) -> Any:
+def _say(played: list[str], outcome: Any) -> Any:
+    played.append(outcome.sequence.name)
     error = f": {outcome.error}" if outcome.error else ""
-    print(f"{outcome.result:>6}  {outcome.sequence.name} ({outcome.wall_s:.1f} s){error}",
-          file=sys.stderr, flush=True)
+    output.say(f"{outcome.result:>6}  {outcome.sequence.name} ({outcome.wall_s:.1f} s){error}")
     for one in outcome.verdicts:
         if one.result in ("fail", "error"):
             value = f" {one.value:.4g} {one.unit}".rstrip() if one.value == one.value else ""
-            print(f"        {one.what}{value}, wanted {one.limit} {one.unit}".rstrip()
-                  + f": {one.result}, {one.text}", file=sys.stderr, flush=True)
+            wanted = f"{one.what}{value}, wanted {one.limit} {one.unit}".rstrip()
+            output.say(f"        {wanted}: {one.result}, {one.text}")
     return outcome
-
-
-def _print(given: argparse.Namespace, data: dict[str, Any], text: str) -> int:
-    if given.json:
-        print(json.dumps(data))
-    else:
-        print(text)
-    return PASS

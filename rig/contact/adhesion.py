@@ -1,11 +1,10 @@
 """Degraded adhesion: a contaminated contact that cleans itself by the work of sliding.
 
-Between wheel and rail lies a contaminant (water, leaves, oil) that sliding destroys. Without any
-work done the contact follows a degraded creep curve f_d, fully cleaned a recovered one f_r; both
-are Polach's, with their own friction. The specific work W_sp done on each metre of rail moves the
-contact from one to the other; and since the work depends on the adhesion itself, f is the root of
-an equation, which Lambert's function W0 gives in closed form: a bounded cost at every step.
-The plant, the coach in 3D, stops abreast and the replay of measured runs all take the law from here.
+Between wheel and rail lies a contaminant (water, leaves, oil) that sliding destroys. Without any work done the contact
+follows a degraded creep curve f_d, fully cleaned a recovered one f_r; both are Polach's, with their own friction. The
+specific work W_sp done on each metre of rail moves the contact from one to the other; and since the work depends on the
+adhesion itself, f is the root of an equation, which Lambert's function W0 gives in closed form: a bounded cost at every
+step. The plant, the coach in 3D, stops abreast and the replay of measured runs all take the law from here.
 
 [A1] f = (1 - lambda) f_d + lambda f_r                                      paper eq. 9
 [A2] lambda = 1 - exp(-tau W_sp)                                            paper eq. 10
@@ -13,16 +12,19 @@ The plant, the coach in 3D, stops abreast and the replay of measured runs all ta
 [A4] f_d, f_r: `polach` with (mu_cd, A_d, gamma_d), (mu_cr, A_r, gamma_r)   paper eqs. 11 to 13
 [A5] with D = f_r - f_d and k = tau N |e|:  f = f_r - D exp(-k f), paper eq. 15, solved by
      f = f_r + W0(-k D exp(-k f_r)) / k
-[A6] tau |e| -> tau min(|e|, e_c): the paper tuned its law on sliding wheels; for locked ones it
-     would give the whole recovered adhesion at once (0.26 on soap at 40 m/s), which no rail
-     does. e_c is a parameter, infinite by default; where a scenario sets it, it is an assumption
+[A6] tau |e| -> tau |e| (1 - x^2 (3 - 2 x)), x = (|s / v| - e_c) / (1 - e_c), from 0 to 1. Up to a
+     creepage e_c this is the paper's law, to the bit. A locked wheel would have the whole recovered
+     adhesion at once by it (0.26 on soap at 40 m/s), which no rail gives: what sliding loosens leaves
+     the contact on the tread that turns out of it, and a locked wheel keeps it there. So cleaning
+     fades with the turning, and a locked wheel stays on f_d. Reason, form and e_c: assumption; e_c of
+     1 or more, as by default, is the paper's law throughout
 [A7] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), where an extended model gives recovery a
      memory L; lambda_0 is the transition of [A2]: of the work that [A5] has done, or of the one done
      by the f that lambda gives: assumption
 
 Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937; mu_cs of its section 4 is read as mu_cr.
 Limits: longitudinal creepage only; below SPEED_FLOOR_M_S of vehicle speed creepage is sliding over
-that floor. Doubt: without [A6] a locked wheel (e = 1) recovers; the model says so.
+that floor.
 """
 
 import math
@@ -33,6 +35,7 @@ from rollerrig.rig.contact import polach
 from rollerrig.rig.kernel import kernel, kernel_inlined
 
 SPEED_FLOOR_M_S = 0.1
+STILL_M_S = 1e-9  # a wheel on a slower surface counts as locked
 NO_MEMORY = -1.0
 LARGEST = 1e30  # sliding, load and k beyond it count as it, so that infinity makes no NaN
 SMALLEST = 1e-290  # energy exponents k f below it count as 0, before they lose digits
@@ -64,13 +67,20 @@ def creepage_of(sliding_m_s, speed_m_s):
 
 
 @kernel_inlined
-def law_under(mu_cd, mu_cr, creepage, law):
-    """The law for the contaminant under a wheel, with the tau that acts at a creepage [A6]."""
-    tau = law.tau_m_J
-    if creepage > law.cleaning_creepage:
-        tau *= law.cleaning_creepage / creepage
+def law_under(mu_cd, mu_cr, share, law):
+    """The law for the contaminant under a wheel, with a share of its tau; 1 where `curves` has the share [A6]."""
     return Law(mu_cd, mu_cr, law.A_d, law.A_r, law.gamma_d_s_m, law.gamma_r_s_m, law.k_ad, law.k_sd,
-               law.k_ar, law.k_sr, tau, law.cleaning_creepage)
+               law.k_ar, law.k_sr, share * law.tau_m_J, law.cleaning_creepage)
+
+
+@kernel_inlined
+def cleaning(sliding_m_s, speed_m_s, cleaning_creepage):
+    """Share of the work that cleans, at a magnitude of sliding, and its slope to the sliding in s/m [A6]."""
+    speed, fades = max(abs(speed_m_s), STILL_M_S), cleaning_creepage < 1.0
+    least = cleaning_creepage * speed if fades else math.inf
+    room = (1.0 - cleaning_creepage) * speed if fades else 1.0
+    x = min(max(sliding_m_s - least, 0.0) / room, 1.0)
+    return 1.0 - x * x * (3.0 - 2.0 * x), -6.0 * x * (1.0 - x) / room
 
 
 @kernel_inlined
@@ -78,7 +88,7 @@ def curves(sliding_m_s, speed_m_s, load_N, eps1, law):
     """What a contact can give at |sliding|: (f_d, f_r, slope_d_s_m, slope_r_s_m, k, slope_k_s_m).
 
     For one wheel with 0 < load_N and sliding, `law` from `law_under`, eps1 of a `patch.Patch`; slopes are
-    derivatives to sliding at constant speed and load, k is that of [A5].
+    derivatives to sliding at constant speed and load, k is that of [A5], by [A6].
     """
     speed = max(abs(speed_m_s), SPEED_FLOOR_M_S)
     sliding = abs(sliding_m_s)
@@ -86,10 +96,11 @@ def curves(sliding_m_s, speed_m_s, load_N, eps1, law):
     eps_unit = eps1 * math.exp(math.log(load_N) / -3.0)
     f_d, ds_d, de_d = polach.curve(  # [A4]
         sliding, creepage, eps_unit, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
-    f_r, ds_r, de_r = polach.curve(
-        sliding, creepage, eps_unit, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
+    f_r, ds_r, de_r = polach.curve(sliding, creepage, eps_unit, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
+    share, share_slope = cleaning(sliding, speed_m_s, law.cleaning_creepage)
     work = law.tau_m_J * load_N
-    return f_d, f_r, ds_d + de_d / speed, ds_r + de_r / speed, work * creepage, work / speed
+    return (f_d, f_r, ds_d + de_d / speed, ds_r + de_r / speed, work * share * creepage,
+            work * (share / speed + share_slope * creepage))
 
 
 @kernel_inlined
@@ -102,8 +113,7 @@ def between(degraded, recovered, lambda_):
 def f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work):
     """(f, lambda_0, df/ds, dlambda_0/ds) of [A5], from what `curves` gives; of the work done at once.
 
-    Where recovery lags (`lagging` lambda, else NO_MEMORY) and of_work > 0, of the work that f does
-    at this lambda [A7].
+    Where recovery lags (`lagging` lambda, else NO_MEMORY) and of_work > 0, of the work that f does at this lambda [A7].
     """
     if lagging >= 0.0 and of_work > 0.0:
         f, rise = between(f_d, f_r, lagging), between(slope_d, slope_r, lagging)
@@ -126,10 +136,7 @@ def lag_rate_1_s(speed_m_s, length_m, power):
 
 @kernel
 def lambert_w0(x):
-    """Principal branch of Lambert's function: w exp(w) = x, w >= -1, to 1e-14 for x >= -1/e.
-
-    Below -1/e, where no real value is, it gives the nearest one, -1. Bounded iterations.
-    """
+    """Principal branch of Lambert's function: w exp(w) = x, w >= -1, to 1e-14; -1 for x < -1/e. Bounded iterations."""
     if x <= 0.0:
         p2 = 2.0 * math.e * ((x + INVERSE_E) + INVERSE_E_REST)
         return max(math.e * x * _shrink(math.sqrt(max(p2, 0.0))), -1.0)
@@ -205,15 +212,13 @@ def recovery(f_d, f_r, k):
 def recovering(sliding_m_s, speed_m_s, load_N, patch, law):
     """Adhesion of one wheel between its degraded and its recovered limit: (f, f_d, f_r, lambda_, W_sp_J_m, slope_s_m).
 
-    sliding_m_s of either sign, speed_m_s of the vehicle, load_N on one wheel, a `patch.Patch`, a `Law`.
-    f is signed like the sliding (the contact force is f load_N), all else are magnitudes.
-    slope_s_m is df/dsliding at constant speed and load, negative where adhesion falls. Without
-    load all is 0.
+    sliding_m_s of either sign, speed_m_s of the vehicle, load_N on one wheel, a `patch.Patch`, a `Law`. f is signed
+    like the sliding (the contact force is f load_N), all else are magnitudes. slope_s_m is df/dsliding at constant
+    speed and load, negative where adhesion falls. Without load all is 0.
     """
     if load_N <= 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     load, sliding = min(load_N, LARGEST), min(abs(sliding_m_s), LARGEST)
     f_d, f_r, slope_d, slope_r, k, slope_k = curves(sliding, speed_m_s, load, patch.eps1, law)
     f, lambda_, rise, _ = f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, NO_MEMORY, 0.0)
-    return (math.copysign(f, sliding_m_s), f_d, f_r, lambda_, f * load * creepage_of(sliding, speed_m_s),
-            rise)
+    return (math.copysign(f, sliding_m_s), f_d, f_r, lambda_, f * load * creepage_of(sliding, speed_m_s), rise)

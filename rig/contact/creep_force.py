@@ -1,12 +1,11 @@
 """Creep force in two directions with spin: four tangential models behind one interface.
 
-Creepages, spin, sliding speed, load, patch and contaminant in; force and moment on the wheel out.
-Degraded adhesion knows recovery; the three classical models take the contaminant as it lies there
-(friction mu_cd, A_d, gamma_d; Polach also k_ad, k_sd), which is the paper's comparison without
-recovery. In the degraded model the clean and the contaminated contact each have a creep force with
-spin (`polach_spin`). The work that the force between them does on a metre of rail is the scalar
-product of force and creepage, so it lies between theirs in the same proportion, and one scalar
-equation is left, the one of `adhesion` [A5] with the two works in place of f_d and f_r.
+Creepages, spin, sliding speed, load, patch and contaminant in; force and moment on the wheel out. Degraded adhesion
+knows recovery; the three classical models take the contaminant as it lies there (friction mu_cd, A_d, gamma_d; Polach
+also k_ad, k_sd), which is the paper's comparison without recovery. In the degraded model the clean and the contaminated
+contact each have a creep force with spin (`polach_spin`). The work that the force between them does on a metre of rail
+is the scalar product of force and creepage, so it lies between theirs in the same proportion, and one scalar equation
+is left, the one of `adhesion` [A5] with the two works in place of f_d and f_r.
 
 [D1] T = (1 - lambda) T_d + lambda T_r                                       paper eqs. 9, 18
 [D2] W_sp = -(T_x xi + T_y eta), not below 0                                 paper eqs. 8, 17
@@ -68,7 +67,7 @@ def recovering(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """(fx_N, fy_N, mz_Nm, lambda_, W_sp_J_m) of one wheel; forces act on it, against creepage.
 
     sliding_m_s is the speed of sliding in the contact that friction falls with, a magnitude;
-    phi_1_m the spin in 1/m; `law` from `adhesion.law_under`.
+    phi_1_m the spin in 1/m; `law` from `adhesion.law_under`, with the share of its tau that cleans.
     """
     if load_N <= 0.0 or (xi == 0.0 and eta == 0.0 and phi_1_m == 0.0):
         return 0.0, 0.0, 0.0, 0.0, 0.0

@@ -10,23 +10,23 @@ lateral and spin creepage, make the sum right at small creepage.
 [F3] limit: g = 2 mu N / (pi a b) (1 - x^2/a^2 - y^2/b^2)
 [F4] slip: |p| = g, and d(theta)/dx = |w| / (L g) sin(theta - theta_w), theta_w against w = (xi - phi y,
      eta + phi x), which holds exactly over a step with constant w, L and g
-[F5] 1/L = S (|xi| + |eta| + l |phi|) / (L1 |xi| + L2 |eta| + L3 l |phi|),  l = sqrt(a b)
+[F5] 1/L = S (|xi| + |eta| + l |phi|) / (L1 |xi| + L2 |eta| + L3 l |phi|),  l = sqrt(a b),
+     S = 1.6 - |xi| / (|xi| + |eta| + l |phi|)
 
-Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip,
-whose pole three flexibilities would shift, with one mean flexibility [F5], by an exact step [F4]
-where Kalker cuts the traction back radially (first order in the step only). S = 1.35: traction that
-turns within the patch meets a stiffer half-space than a traction that grows over all of it; found
-on 54 CONTACT results for a/b = 1.3 and on a coarse half-space solution of our own for a/b = 0.4, 0.85
-and 2.4. Sums are divided by the sum of the limit, so that full sliding
-gives mu N on any grid. Limits: long patches with much spin, where the error reaches 0.09 mu N
-(a/b = 2.4); elsewhere it stays below 0.08.
+Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip, whose pole three
+flexibilities would shift, with one mean flexibility [F5], by an exact step [F4] where Kalker cuts the traction back
+radially (first order in the step only). S: traction that turns within the patch meets a stiffer half-space than a
+traction that grows over all of it, the more so the less of it is longitudinal; found on 54 CONTACT results for a/b =
+1.3 and on a coarse half-space solution of our own for a/b = 0.4 to 4.8 (a constant 1.35 is too much for long patches
+with spin and longitudinal creepage). Sums are divided by the sum of the limit, so that full sliding gives mu N on any
+grid. Limits: long patches with much spin, where the error reaches 0.08 mu N.
 """
 
 import math
 
 from rollerrig.rig.kernel import kernel
 
-STIFFENING = 1.35  # S of [F5]
+STIFFENING = 1.6  # S of [F5] without longitudinal creepage
 OPPOSITE = -0.999999  # cosine of traction against its goal, from where the turn is no longer defined
 
 
@@ -49,9 +49,8 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
         edge = math.sqrt(1.0 - y * y)
         # slip per unit of x/a, in units of the largest traction: as stick and as slip see it
         spin = phi_1_m * a
-        px, py, mp, top = strip(
-            s1 * xi - s3 * phi_1_m * b * y, s2 * eta, s3 * spin, s * (xi - phi_1_m * b * y),
-            s * eta, s * spin, edge, along)
+        px, py, mp, top = strip(s1 * xi - s3 * phi_1_m * b * y, s2 * eta, s3 * spin, s * (xi - phi_1_m * b * y),
+                                s * eta, s * spin, edge, along)
         fx += px
         fy += py
         mz += a * mp - b * y * px
@@ -70,7 +69,7 @@ def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
     whole = x + y + z
     if whole == 0.0:
         return s1, s2, s3, s1
-    return s1, s2, s3, STIFFENING * whole / (x / s1 + y / s2 + z / s3)
+    return s1, s2, s3, (STIFFENING * whole - x) / (x / s1 + y / s2 + z / s3)
 
 
 @kernel

@@ -1,11 +1,10 @@
 """Contact point detection: where a wheel touches a rail or a roller, in closed form but for one root.
 
-Two smooth surfaces touch where their normals are parallel and the rail's normal is parallel to the
-vector between the points: six equations in four unknowns. A wheel is a surface of revolution, so
-for a given lateral coordinate y_w on it the other three unknowns follow in closed form, and one
-scalar equation F(y_w) = 0 is left. Its rising roots are the places where the surfaces come closest;
-all of them are found (tread, root and flange) and refined by Newton's method. From step to step
-known ones are tracked from where they were, and the wheel is searched anew when it has moved: both
+Two smooth surfaces touch where their normals are parallel and the rail's normal is parallel to the vector between the
+points: six equations in four unknowns. A wheel is a surface of revolution, so for a given lateral coordinate y_w on it
+the other three unknowns follow in closed form, and one scalar equation F(y_w) = 0 is left. Its rising roots are the
+places where the surfaces come closest; all of them are found (tread, root and flange) and refined by Newton's method.
+From step to step known ones are tracked from where they were, and the wheel is searched anew when it has moved: both
 cost a bounded number of operations. No look-up table over positions is needed.
 
 [G1] r_w = C + y_w e + w (rho), n_w = (rho - w' e) / sqrt(1 + w'^2): wheel point and outward normal,
@@ -19,32 +18,17 @@ cost a bounded number of operations. No look-up table over positions is needed.
 [G6] F = (t - y_r - (R + z_r) b') cos b, gap = (r_w - r_r) . n_r as on the rail
 [G7] dF/dy_w = sqrt(1 + w'^2) (1 + kappa_w (R_r + gap)): Newton's slope
 
-Source: paper eqs. 1 to 3 (n_w parallel n_r, n_r parallel to the distance), reduced here to F.
-Frame of one side: x forwards, y outwards, z up; the rail's highest point at z = 0, a roller's axis
-under it. The mirrored side is computed with y, roll and yaw reversed. Rail heads are convex
-(`profiles` [Q4]); two roots closer than 1 mm count as one.
+Source: paper eqs. 1 to 3 (n_w parallel n_r, n_r parallel to the distance), reduced here to F. Frame of one side: x
+forwards, y outwards, z up; the rail's highest point at z = 0, a roller's axis under it. The mirrored side is computed
+with y, roll and yaw reversed. Rail heads are convex (`profiles` [Q4]); two roots closer than 1 mm count as one.
 """
 
 import math
 
 import numpy as np
 
-from rollerrig.rig.contact.profiles import (
-    AT_COSINE,
-    AT_M,
-    AT_NORMAL_M,
-    AT_SLOPE,
-    COSINE,
-    CURVATURE_1_M,
-    RADIUS_M,
-    RAIL_CURVATURE_1_M,
-    SLOPE,
-    STRIDE,
-    Y_M,
-    Z_M,
-    Rail,
-    Wheel,
-)
+from rollerrig.rig.contact import profiles
+from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.kernel import kernel, kernel_inlined
 
 # columns of a contact: y_w, gap, point on the wheel relative to C (3), normal out of the rail (3),
@@ -87,8 +71,7 @@ def matched(u, w, slope, pose, axle, roller_m, rail):
         q = u + w * slope
         py = pose[1] + q * ey - y
         pz = pose[2] + q * ez - z
-        return (py * nz - pz * ny, py * ny + pz * nz - w / scale, radius, nx, ny, nz, y, z,
-                node)
+        return (py * nz - pz * ny, py * ny + pz * nz - w / scale, radius, nx, ny, nz, y, z, node)
     q = u + w * slope
     qx, qy, qz = pose[0] + q * ex, pose[1] + q * ey, pose[2] + q * ez + roller_m
     # [G5] with tau = t - q_y
@@ -115,10 +98,10 @@ def on_rail(sine, cosine, rail):
     place = sine * rail.sines_per_node + 0.5 * (last + 1)
     i = min(max(int(place), 0), last)
     part = min(max(place - i, 0.0), 1.0)
-    y = nodes[i, Y_M]
-    fall = y - nodes[i + 1, Y_M]
+    y = nodes[i, profiles.Y_M]
+    fall = y - nodes[i + 1, profiles.Y_M]
     radius = fall * rail.sines_per_node
-    return y - fall * part, nodes[i, Z_M] + radius * (cosine - nodes[i, COSINE]), radius, i
+    return y - fall * part, nodes[i, profiles.Z_M] + radius * (cosine - nodes[i, profiles.COSINE]), radius, i
 
 
 @kernel
@@ -129,11 +112,10 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
     for _ in range(NEWTON_STEPS):
         i = min(max(int((u - wheel.start_m) / wheel.spacing_m), 0), last)
         t = u - wheel.start_m - i * wheel.spacing_m
-        bend = (fine[i + 1, SLOPE] - fine[i, SLOPE]) / wheel.spacing_m
-        slope = fine[i, SLOPE] + bend * t
-        w = fine[i, RADIUS_M] + t * (fine[i, SLOPE] + 0.5 * bend * t)
-        F, gap, radius, nx, ny, nz, y, z, node = matched(
-            u + wheel.centre_m, w, slope, pose, axle, roller_m, rail)
+        bend = (fine[i + 1, profiles.SLOPE] - fine[i, profiles.SLOPE]) / wheel.spacing_m
+        slope = fine[i, profiles.SLOPE] + bend * t
+        w = fine[i, profiles.RADIUS_M] + t * (fine[i, profiles.SLOPE] + 0.5 * bend * t)
+        F, gap, radius, nx, ny, nz, y, z, node = matched(u + wheel.centre_m, w, slope, pose, axle, roller_m, rail)
         root = math.sqrt(1.0 + slope * slope)
         steep = root - bend * (radius + max(gap, 0.0)) / (root * root)  # [G7]
         move = u - F / steep if steep > 0.05 else lower - 1.0
@@ -146,7 +128,7 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
             found[to, Z] = q * axle[2] - reach * nz
             found[to, NX], found[to, NY], found[to, NZ] = nx, ny, nz
             found[to, RADIUS], found[to, RAIL_Y], found[to, RAIL_Z] = w, y, z
-            lateral = fine[i, CURVATURE_1_M] + rail.nodes[node, RAIL_CURVATURE_1_M]
+            lateral = fine[i, profiles.CURVATURE_1_M] + rail.nodes[node, profiles.RAIL_CURVATURE_1_M]
             found[to, LATERAL] = min(max(lateral, FLATTEST_1_M), CURVEST_1_M)
             found[to, ROLLING] = 1.0 / reach
             if not math.isinf(roller_m):
@@ -164,13 +146,9 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
 
 @kernel_inlined
 def misfits(F, row, pose, axle, roller_m, wheel, rail):
-    """F of [G4] or [G6] at the coarse nodes of the wheel, into F[row].
-
-    Roots lie where it turns from negative to positive. On a rail to second order in the yaw angle.
-    """
+    """F of [G4] or [G6] at the coarse nodes, into F[row]; roots where it rises through 0. On rails yaw to 2nd order."""
     ex, ey, ez = axle
-    coarse, nodes = wheel.coarse, rail.nodes
-    count = coarse.shape[0]
+    coarse = wheel.coarse
     if not math.isinf(roller_m):
         misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail)
         return
@@ -178,20 +156,14 @@ def misfits(F, row, pose, axle, roller_m, wheel, rail):
     s = math.sqrt(s2)
     lean, leaning, upright = ex / s, ez / s, ey / s
     across, up = ey / s2, ez / s2
-    last = nodes.shape[0] - 2
-    middle = 0.5 * (last + 1)
-    for i in range(count):
-        slope, scale = coarse[i, AT_SLOPE], coarse[i, AT_COSINE]
+    for i in range(coarse.shape[0]):
+        slope, scale = coarse[i, profiles.AT_SLOPE], coarse[i, profiles.AT_COSINE]
         alpha = slope * lean
         beta = 1.0 - 0.5 * alpha * alpha
         ny = (slope * across - beta * leaning) * scale
         nz = (slope * up + beta * upright) * scale
-        place = middle - ny * rail.sines_per_node
-        k = min(max(int(place), 0), last)
-        fall = nodes[k, Y_M] - nodes[k + 1, Y_M]
-        y = nodes[k, Y_M] - fall * min(max(place - k, 0.0), 1.0)
-        z = nodes[k, Z_M] + fall * rail.sines_per_node * (nz - nodes[k, COSINE])
-        q = coarse[i, AT_NORMAL_M]
+        y, z, _, _ = on_rail(-ny, nz, rail)
+        q = coarse[i, profiles.AT_NORMAL_M]
         F[row, i] = (pose[1] + q * ey - y) * nz - (pose[2] + q * ez - z) * ny
 
 
@@ -202,15 +174,13 @@ def misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail):
     n . e is the sine of the wheel's slope, which gives n_y and c; h and 1 - e_y^2 to second order.
     """
     ex, ey, ez = axle
-    coarse, nodes = wheel.coarse, rail.nodes
+    coarse = wheel.coarse
     px, pz = pose[0], pose[2] + roller_m
     h0 = math.sqrt(px * px + pz * pz)
     unit = 1.0 / h0
     along, sideways = (px * ex + pz * ez) * unit, ex * ex + ez * ez
-    last = nodes.shape[0] - 2
-    middle = 0.5 * (last + 1)
     for i in range(coarse.shape[0]):
-        q = coarse[i, AT_NORMAL_M]
+        q = coarse[i, profiles.AT_NORMAL_M]
         part = q * unit
         grown = part * (along + 0.5 * part * sideways)
         grown -= 0.5 * grown * grown
@@ -218,26 +188,19 @@ def misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail):
         lean = (along + part * sideways) * (1.0 - grown + grown * grown)
         rest = sideways - lean * lean
         more = 1.0 + rest + rest * rest
-        cosine = coarse[i, AT_COSINE]
-        sine = coarse[i, AT_SLOPE] * cosine
+        cosine = coarse[i, profiles.AT_COSINE]
+        sine = coarse[i, profiles.AT_SLOPE] * cosine
         upright = math.sqrt(max(cosine * cosine - rest, 0.0))
         ny = (sine * ey - lean * upright) * more
         c = (sine * lean + ey * upright) * more
-        place = middle - ny * rail.sines_per_node
-        k = min(max(int(place), 0), last)
-        fall = nodes[k, Y_M] - nodes[k + 1, Y_M]
-        y = nodes[k, Y_M] - fall * min(max(place - k, 0.0), 1.0)
-        z = nodes[k, Z_M] + fall * rail.sines_per_node * (c - nodes[k, COSINE])
+        y, z, _, _ = on_rail(-ny, c, rail)
         F[row, i] = (roller_m + z - h0 * (1.0 + grown)) * ny + (pose[1] + q * ey - y) * c
 
 
 @kernel
 def track(found, begin, count, pose, axle, roller_m, wheel, rail):
-    """Refine the contacts known from the step before; returns how many are left.
-
-    A few evaluations of F a contact. `found`, `begin`, pose and the rest as in `detect`.
-    """
-    width = STRIDE * wheel.spacing_m
+    """Refine the contacts of the step before, by a few evaluations of F each; returns how many are left."""
+    width = profiles.STRIDE * wheel.spacing_m
     lowest = wheel.start_m
     highest = lowest + (wheel.fine.shape[0] - 1) * wheel.spacing_m
     to = begin
@@ -259,11 +222,11 @@ def detect(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
     roller_m inf for a rail. To be called when a wheel has moved a little or has lost a contact.
     """
     misfits(F, row, pose, axle, roller_m, wheel, rail)
-    width = STRIDE * wheel.spacing_m
+    width = profiles.STRIDE * wheel.spacing_m
     to = begin + count
     for i in range(1, wheel.coarse.shape[0]):
         if F[row, i - 1] < 0.0 <= F[row, i]:
-            u = wheel.coarse[i, AT_M] - wheel.centre_m
+            u = wheel.coarse[i, profiles.AT_M] - wheel.centre_m
             known = False
             for c in range(begin, to):
                 known |= u - 2.0 * width <= found[c, S] <= u + width
@@ -275,22 +238,19 @@ def detect(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
     return to - begin
 
 
-def contacts(
-    pose: tuple[float, float, float, float, float, float], wheel: Wheel, rail: Rail, roller_m: float = math.inf
-) -> np.ndarray:
+def contacts(pose: tuple[float, float, float, float, float, float], wheel: Wheel, rail: Rail,
+             roller_m: float = math.inf) -> np.ndarray:
     """All near contacts of one wheel as rows of shape (n, COLUMNS), deepest first.
 
-    pose = (x, y, z, roll, pitch, yaw) of the wheelset's centre against the rail, in m and rad;
-    pitch turns a surface of revolution into itself. Raises ValueError where nothing is within
-    KEEP_M: the wheel is off the rail.
+    pose = (x, y, z, roll, pitch, yaw) of the wheelset's centre against the rail, in m and rad; pitch turns a surface of
+    revolution into itself. Raises ValueError where nothing is within KEEP_M: the wheel is off the rail.
     """
     found = np.zeros((MOST, COLUMNS))
     axle = axis(pose[3], pose[5])
     F = np.zeros((1, wheel.coarse.shape[0]))
     count = detect(found, 0, 0, F, 0, (pose[0], pose[1], pose[2]), axle, float(roller_m), wheel, rail)
     if count == 0:
-        raise ValueError(
-            f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, "
-            f"z = {pose[2] * 1e3:.5g} mm is off the rail; a centred one stands at y = 0 and z near "
-            "its rolling radius")
+        raise ValueError(f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, z = "
+                         f"{pose[2] * 1e3:.5g} mm is off the rail; a centred one stands at y = 0 and z near its "
+                         "rolling radius")
     return found[:count][np.argsort(found[:count, GAP])].copy()

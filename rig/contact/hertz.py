@@ -25,23 +25,16 @@ NEWTON_STEPS = 6  # 4 are enough for curvature ratios up to 1e200
 
 @kernel
 def curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m):
-    """Relative half curvatures (A, B) in 1/m, along and across the rolling direction [H1].
-
-    An infinite roller radius is a rail. Radii must be positive.
-    """
-    return (
-        0.5 * (1.0 / wheel_radius_m + 1.0 / roller_radius_m),
-        0.5 / lateral_radius_m,
-    )
+    """Relative half curvatures (A, B) in 1/m, along and across [H1]; radii positive, that of a rail is infinite."""
+    return (0.5 * (1.0 / wheel_radius_m + 1.0 / roller_radius_m), 0.5 / lateral_radius_m)
 
 
 @kernel
 def elliptic_integrals(kappa):
     """Complete elliptic integrals (K, D) for the complementary modulus 0 < kappa <= 1.
 
-    K of the first kind; D = (K - E) / (1 - kappa^2), kept free of cancellation up to kappa = 1 by
-    summing the terms of the arithmetic-geometric mean divided by m = 1 - kappa^2. Source:
-    Abramowitz and Stegun 17.6.
+    K of the first kind; D = (K - E) / (1 - kappa^2), kept free of cancellation up to kappa = 1 by summing the terms of
+    the arithmetic-geometric mean divided by m = 1 - kappa^2. Source: Abramowitz and Stegun 17.6.
     """
     m = (1.0 - kappa) * (1.0 + kappa)
     mean, geometric = 1.0, kappa

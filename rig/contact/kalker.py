@@ -49,10 +49,7 @@ SLENDEREST = 1e-6  # patches more slender than this are taken as this
 
 @kernel
 def coefficients(a_over_b, poisson):
-    """(c11, c22, c23, c33) for semi-axes a along and b across the rolling direction.
-
-    a_over_b > 0, taken within 1e-6 .. 1e6; poisson is taken within 0 .. 0.5.
-    """
+    """(c11, c22, c23, c33) for semi-axes a along and b across; a_over_b counts as 1e-6 .. 1e6, poisson as 0 .. 0.5."""
     nu = min(max(poisson, 0.0), 0.5)
     ratio = min(max(a_over_b, SLENDEREST), 1.0 / SLENDEREST)
     long_patch = ratio > 1.0
@@ -66,12 +63,8 @@ def coefficients(a_over_b, poisson):
     e11, e22, e23, e33 = _asymptote(END, long_patch, nu)
     s11, s22, s23, s33 = _asymptote(g, long_patch, nu)
     part = g / END
-    return (  # [K3]
-        s11 * (1.0 + (c11 / e11 - 1.0) * part),
-        s22 * (1.0 + (c22 / e22 - 1.0) * part),
-        s23 * (1.0 + (c23 / e23 - 1.0) * part),
-        s33 * (1.0 + (c33 / e33 - 1.0) * part),
-    )
+    return (s11 * (1.0 + (c11 / e11 - 1.0) * part), s22 * (1.0 + (c22 / e22 - 1.0) * part),  # [K3]
+            s23 * (1.0 + (c23 / e23 - 1.0) * part), s33 * (1.0 + (c33 / e33 - 1.0) * part))
 
 
 @kernel
@@ -79,10 +72,7 @@ def _interpolated(place, nu):
     """The four coefficients at a fractional row of TABLE and a Poisson's ratio."""
     row = min(max(int(place), 0), LAST - 1)
     share = place - row
-    return (
-        _one(row, share, nu, 0), _one(row, share, nu, 1),
-        _one(row, share, nu, 2), _one(row, share, nu, 3),
-    )
+    return (_one(row, share, nu, 0), _one(row, share, nu, 1), _one(row, share, nu, 2), _one(row, share, nu, 3))
 
 
 @kernel
@@ -91,12 +81,8 @@ def _one(row, share, nu, which):
     low = TABLE[row, 0, which] * (1.0 - share) + TABLE[row + 1, 0, which] * share  # [K1]
     mid = TABLE[row, 1, which] * (1.0 - share) + TABLE[row + 1, 1, which] * share
     top = TABLE[row, 2, which] * (1.0 - share) + TABLE[row + 1, 2, which] * share
-    compliance = (  # [K2], Lagrange
-        (1.0 - 4.0 * nu) * (1.0 - 2.0 * nu) / low
-        + 8.0 * nu * (1.0 - 2.0 * nu) / mid
-        + 2.0 * nu * (4.0 * nu - 1.0) / top
-    )
-    return 1.0 / compliance
+    return 1.0 / ((1.0 - 4.0 * nu) * (1.0 - 2.0 * nu) / low + 8.0 * nu * (1.0 - 2.0 * nu) / mid  # [K2], Lagrange
+                  + 2.0 * nu * (4.0 * nu - 1.0) / top)
 
 
 @kernel
@@ -106,15 +92,10 @@ def _asymptote(g, long_patch, nu):
     s = (1.0 - nu) * L
     tail = 3.0 - math.log(4.0)
     if long_patch:
-        return (
-            2.0 * math.pi / ((L - 2.0 * nu) * g) * (1.0 + tail / (L - 2.0 * nu)),
-            2.0 * math.pi / ((s + 2.0 * nu) * g) * (1.0 + (1.0 - nu) * tail / (s + 2.0 * nu)),
-            2.0 * math.pi / (3.0 * g * math.sqrt(g) * (s - 2.0 + 4.0 * nu)),
-            0.25 * math.pi * (1.0 - nu * (L - 2.0) / (s - 2.0 + 4.0 * nu)),
-        )
-    return (
-        0.25 * math.pi**2 / (1.0 - nu),
-        0.25 * math.pi**2,
-        math.pi * math.sqrt(g) / (3.0 * (1.0 - nu)) * (1.0 + nu * (0.5 * L + math.log(4.0) - 5.0)),
-        math.pi**2 / (16.0 * (1.0 - nu) * g),
-    )
+        return (2.0 * math.pi / ((L - 2.0 * nu) * g) * (1.0 + tail / (L - 2.0 * nu)),
+                2.0 * math.pi / ((s + 2.0 * nu) * g) * (1.0 + (1.0 - nu) * tail / (s + 2.0 * nu)),
+                2.0 * math.pi / (3.0 * g * math.sqrt(g) * (s - 2.0 + 4.0 * nu)),
+                0.25 * math.pi * (1.0 - nu * (L - 2.0) / (s - 2.0 + 4.0 * nu)))
+    return (0.25 * math.pi**2 / (1.0 - nu), 0.25 * math.pi**2,
+            math.pi * math.sqrt(g) / (3.0 * (1.0 - nu)) * (1.0 + nu * (0.5 * L + math.log(4.0) - 5.0)),
+            math.pi**2 / (16.0 * (1.0 - nu) * g))

@@ -25,10 +25,9 @@ _NODES, _REACH = 513, math.log(1e3)
 class Patch(NamedTuple):
     """A contact patch of a given wheel, roller and material, for any load N.
 
-    Semi-axes a = a1 N^(1/3) along and b = b1 N^(1/3) across the rolling direction, a1 and b1 in
-    m N^(-1/3); c11 to c33 are Kalker's, constant as a/b is; mu eps / |e| = eps1 N^(-1/3) [P2].
-    `model` and `cells` choose the tangential model (`creep_force.MODELS`) and FASTSIM's grid; `slim`
-    is `polach_spin.slimness`.
+    Semi-axes a = a1 N^(1/3) along and b = b1 N^(1/3) across the rolling direction, a1 and b1 in m N^(-1/3); c11 to c33
+    are Kalker's, constant as a/b is; mu eps / |e| = eps1 N^(-1/3) [P2]. `model` and `cells` choose the tangential model
+    (`creep_force.MODELS`) and FASTSIM's grid; `slim` is `polach_spin.slimness`.
     """
 
     a1: float
@@ -45,45 +44,25 @@ class Patch(NamedTuple):
     slim: float
 
 
-def patch_for(
-    wheel_radius_m: float,
-    roller_radius_m: float,
-    lateral_radius_m: float,
-    young_Pa: float,
-    shear_Pa: float,
-    poisson: float,
-    model: int = 0,
-    cells: int = 10,
-) -> Patch:
-    """The constants of a contact patch; roller_radius_m = inf is a rail.
-
-    Raises ValueError for a radius or modulus that is not positive, or Poisson's ratio outside
-    0 .. 0.5.
-    """
-    given = {
-        "wheel_radius_m": wheel_radius_m, "roller_radius_m": roller_radius_m,
-        "lateral_radius_m": lateral_radius_m, "young_Pa": young_Pa, "shear_Pa": shear_Pa,
-    }
+def patch_for(wheel_radius_m: float, roller_radius_m: float, lateral_radius_m: float, young_Pa: float, shear_Pa: float,
+              poisson: float, model: int = 0, cells: int = 10) -> Patch:
+    """The constants of a patch, on a rail for an infinite roller. Raises ValueError for what lies out of range."""
+    given = {"wheel_radius_m": wheel_radius_m, "roller_radius_m": roller_radius_m, "lateral_radius_m": lateral_radius_m,
+             "young_Pa": young_Pa, "shear_Pa": shear_Pa}
     for name, value in given.items():
         endless = math.isinf(value) and name != "roller_radius_m"
         if not value > 0.0 or endless:
-            raise ValueError(
-                f"contact patch: {name} = {value!r}; must be positive and finite (only "
-                "roller_radius_m may be inf, a rail); correct the contact parameters"
-            )
+            raise ValueError(f"contact patch: {name} = {value!r}; must be positive and finite (only roller_radius_m "
+                             "may be inf, a rail); correct the contact parameters")
     if not 0.0 <= poisson <= 0.5:
-        raise ValueError(
-            f"contact patch: poisson = {poisson!r}; must be 0 .. 0.5 (steel 0.3); "
-            "correct the contact parameters"
-        )
+        raise ValueError(f"contact patch: poisson = {poisson!r}; must be 0 .. 0.5 (steel 0.3); correct the contact "
+                         "parameters")
     A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)
     a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
     c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
-    return Patch(
-        a1, b1, c11, shear_Pa, hertz.stiffness(A, B, young_Pa, poisson),
-        polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0), c22, c23, c33, model, cells,
-        polach_spin.slimness(a1 / b1),
-    )
+    return Patch(a1, b1, c11, shear_Pa, hertz.stiffness(A, B, young_Pa, poisson),
+                 polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0), c22, c23, c33, model, cells,
+                 polach_spin.slimness(a1 / b1))
 
 
 class Patches(NamedTuple):
@@ -96,9 +75,7 @@ class Patches(NamedTuple):
     rows: np.ndarray
 
 
-def tabulate(
-    young_Pa: float, shear_Pa: float, poisson: float, model: int = 0, cells: int = 10
-) -> Patches:
+def tabulate(young_Pa: float, shear_Pa: float, poisson: float, model: int = 0, cells: int = 10) -> Patches:
     """The table of a material; `model` and `cells` choose the tangential model (`Patch`)."""
     rows = np.empty((_NODES, 8))
     for i, log in enumerate(np.linspace(-_REACH, _REACH, _NODES)):
@@ -122,9 +99,8 @@ def at(rolling_1_m, lateral_1_m, patches):
     a1 = (rows[i, 0] + (rows[i + 1, 0] - rows[i, 0]) * part) * shrink
     b1 = (rows[i, 1] + (rows[i + 1, 1] - rows[i, 1]) * part) * shrink
     c11 = rows[i, 3] + (rows[i + 1, 3] - rows[i, 3]) * part
-    return Patch(
-        a1, b1, c11, patches.shear_Pa, (rows[i, 2] + (rows[i + 1, 2] - rows[i, 2]) * part) / root,
-        polach.eps_per_creepage(a1, b1, c11, patches.shear_Pa, 1.0),
-        rows[i, 4] + (rows[i + 1, 4] - rows[i, 4]) * part, rows[i, 5] + (rows[i + 1, 5] - rows[i, 5]) * part,
-        rows[i, 6] + (rows[i + 1, 6] - rows[i, 6]) * part, patches.model, patches.cells,
-        rows[i, 7] + (rows[i + 1, 7] - rows[i, 7]) * part)
+    return Patch(a1, b1, c11, patches.shear_Pa, (rows[i, 2] + (rows[i + 1, 2] - rows[i, 2]) * part) / root,
+                 polach.eps_per_creepage(a1, b1, c11, patches.shear_Pa, 1.0),
+                 rows[i, 4] + (rows[i + 1, 4] - rows[i, 4]) * part, rows[i, 5] + (rows[i + 1, 5] - rows[i, 5]) * part,
+                 rows[i, 6] + (rows[i + 1, 6] - rows[i, 6]) * part, patches.model, patches.cells,
+                 rows[i, 7] + (rows[i + 1, 7] - rows[i, 7]) * part)

@@ -8,10 +8,9 @@ and the slipping part for contaminated surfaces, and the friction itself falls w
 [P2] eps = pi G a b c11 |e| / (4 mu N): gradient of the tangential stress, with creepage e
 [P3] f = F / N = (2 mu / pi) [k_A eps / (1 + (k_A eps)^2) + atan(k_S eps)]
 
-Source: Polach, Wear 258 (2005) 992-1000; paper eqs. 11 to 14 ([P1] is eq. 13; for longitudinal
-creepage eq. 14 gives C = 3 G c11 / (8 a), hence [P2]). Limits: no spin.
-Against the half-space program CONTACT, with k_A = k_S = 1, the formula errs by 0.018 mu N on
-average and 0.054 mu N at most over 25 creepages on a rail (lateral radius 0.3 m).
+Source: Polach, Wear 258 (2005) 992-1000; paper eqs. 11 to 14 ([P1] is eq. 13; for longitudinal creepage eq. 14 gives C
+= 3 G c11 / (8 a), hence [P2]). Limits: no spin. Against the half-space program CONTACT, with k_A = k_S = 1, the formula
+errs by 0.018 mu N on average and 0.054 mu N at most over 25 creepages on a rail (lateral radius 0.3 m).
 """
 
 import math
@@ -31,10 +30,7 @@ def friction(sliding_m_s, mu_c, A, gamma_s_m):
 
 @kernel
 def eps_per_creepage(a_m, b_m, c11, shear_Pa, load_N):
-    """mu eps / |e| of [P2]: eps = this * creepage / mu. 0 without load.
-
-    a_m along and b_m across the rolling direction; c11 from `kalker.coefficients`.
-    """
+    """mu eps / |e| of [P2], eps = this * creepage / mu, 0 without load; a_m along, b_m across, c11 of `kalker`."""
     if not load_N > 0.0:
         return 0.0
     return 0.25 * math.pi * shear_Pa * c11 * a_m * b_m / load_N
@@ -42,17 +38,12 @@ def eps_per_creepage(a_m, b_m, c11, shear_Pa, load_N):
 
 @kernel_inlined
 def shape(eps, k_a, k_s):
-    """Adhesion over friction, f / mu of [P3], and its derivative to eps: (odd, even) in eps.
-
-    The first stays below 1 for k_s <= k_a, its limit at full sliding.
-    """
+    """Adhesion over friction, f / mu of [P3], below 1 for k_s <= k_a, and its derivative to eps: (odd, even) in eps."""
     x = min(max(eps, -LARGEST_EPS), LARGEST_EPS)
     stick, slip = k_a * x, k_s * x
     bend = 1.0 / (1.0 + stick * stick)  # (1 - stick^2) bend^2 = (2 bend - 1) bend
-    return (
-        (2.0 / math.pi) * (stick * bend + math.atan(slip)),
-        (2.0 / math.pi) * (k_a * (2.0 * bend - 1.0) * bend + k_s / (1.0 + slip * slip)),
-    )
+    return ((2.0 / math.pi) * (stick * bend + math.atan(slip)),
+            (2.0 / math.pi) * (k_a * (2.0 * bend - 1.0) * bend + k_s / (1.0 + slip * slip)))
 
 
 @kernel

@@ -13,17 +13,15 @@ adds a lateral force of its own, exact at small spin and gone at full sliding.
 [S6] q = 8/3 G b sqrt(a b) c23 / (mu N) eta_c / (1 + 6.3 (1 - exp(-a/b)))
 [S7] M_z by `johnson_vermeulen.moment`
 
-What holds for any friction limit is computed once (`approach`): degraded adhesion has two limits.
-Source: Polach, Vehicle System Dynamics Suppl. 33 (1999) 728-739; paper eqs. 14 and 18. Doubt: [S7]
-is ours, and so is n, where Polach has (xi, eta) / e throughout. Limits: the sum of both parts may
-exceed mu N a little; with spin the error against CONTACT is 0.10 mu N in the mean and reaches 0.33
-(29 creepages, a/b = 1.3); q is Polach's for an isotropic patch.
+What holds for any friction limit is computed once (`approach`): degraded adhesion has two limits. Source: Polach,
+Vehicle System Dynamics Suppl. 33 (1999) 728-739; paper eqs. 14 and 18. Doubt: [S7] is ours, and so is n, where Polach
+has (xi, eta) / e throughout. Limits: the sum of both parts may exceed mu N a little; with spin the error against
+CONTACT is 0.10 mu N in the mean and reaches 0.33 (29 creepages, a/b = 1.3); q is Polach's for an isotropic patch.
 """
 
 import math
 
 from rollerrig.rig.contact import johnson_vermeulen, polach
-from rollerrig.rig.contact.johnson_vermeulen import TURN
 from rollerrig.rig.kernel import kernel, kernel_inlined
 
 QUARTER_PI = 0.25 * math.pi
@@ -37,10 +35,7 @@ def slimness(a_over_b):
 
 @kernel_inlined
 def force(xi, eta, phi_1_m, mu, load_N, patch, k_a, k_s):
-    """Creep force and moment on the wheel (fx_N, fy_N, mz_Nm), against creepage and spin.
-
-    `patch` a `patch.Patch`, phi_1_m the spin in 1/m. Without load or friction all three are 0.
-    """
+    """Creep force and moment on the wheel (fx_N, fy_N, mz_Nm), spin phi_1_m in 1/m; all 0 without load or friction."""
     limit = mu * load_N
     if not limit > 0.0 or (xi == 0.0 and eta == 0.0 and phi_1_m == 0.0):
         return 0.0, 0.0, 0.0
@@ -64,28 +59,33 @@ def approach(xi, eta, phi_1_m, a_m, b_m, patch):
     size = math.sqrt(lx * lx + ly * ly)
     size_e, eps_limit, part, pull, q_limit = 0.0, 0.0, 0.0, 0.0, 0.0
     if e > 0.0:
-        size_e, part = size / e, e / e_c
+        size_e, part = size / e, e * (1.0 / e_c)
         eps_limit = QUARTER_PI * size_e * e_c
     if phi_1_m != 0.0 and e_c > 0.0:
-        q_limit = (8.0 / 3.0 * patch.shear_Pa * b_m * math.sqrt(a_m * b_m) * patch.c23 * abs(eta_c)
-                   / patch.slim)
-        pull = 0.5625 * a_m * patch.slim * phi_1_m / e_c
+        q_limit = (8.0 / 3.0 * patch.shear_Pa * b_m * math.sqrt(a_m * b_m) * patch.c23 * abs(eta_c) / patch.slim)
+        pull = 0.5625 * a_m * patch.slim * phi_1_m * (1.0 / e_c)
     return lx, ly, size, size_e, eps_limit, part, pull, q_limit
 
 
 @kernel_inlined
 def within(approached, xi, eta, limit_N, k_a, k_s):
     """The force (fx_N, fy_N) for limit_N = mu N > 0; `approached` by `approach`, for this creepage."""
-    lx, ly, size, size_e, eps_limit, part, pull, q_limit = approached
+    return shared(approached, xi, eta, limit_N, polach.shape(approached[4] * (1.0 / limit_N), k_a, k_s)[0])
+
+
+@kernel_inlined
+def shared(approached, xi, eta, limit_N, share):
+    """What `within` gives, for the share of the limit by `polach.shape`."""
+    lx, ly, size, size_e, _, part, pull, q_limit = approached
     inverse = 1.0 / limit_N
     fx, fy = 0.0, 0.0
     if part > 0.0:
-        f = limit_N * part * polach.shape(eps_limit * inverse, k_a, k_s)[0]  # [S2]
+        f = limit_N * part * share  # [S2]
         if ly == 0.0:
-            fx = math.copysign(f, lx)
+            fx = f if lx > 0.0 else -f
         else:
             # towards the creepage's own direction [S3]
-            turn = size * inverse * (1.0 / TURN)
+            turn = size * inverse * (1.0 / johnson_vermeulen.TURN)
             turn = min(turn * turn * turn, 1e9) * size_e
             tx, ty = lx - turn * xi, ly - turn * eta
             f /= math.sqrt(tx * tx + ty * ty)

@@ -1,11 +1,11 @@
 """Profiles from CSV files: two columns in millimetres, checked before anything is built on them.
 
-A wheel is `s_mm, z_mm` (s = 0 on the nominal running circle, negative to the flange, z positive
-where the rolling radius is larger); a rail `y_mm, z_mm` (y = 0 in the head's symmetry axis, negative
-to the gauge side, z upwards, the head upright). A first line of names is optional, further columns
-are ignored, lines that begin with # are comments.
+A wheel is `s_mm, z_mm` (s = 0 on the nominal running circle, negative to the flange, z positive where the rolling
+radius is larger); a rail `y_mm, z_mm` (y = 0 in the head's symmetry axis, negative to the gauge side, z upwards, the
+head upright). A first line of names is optional, further columns are ignored, lines that begin with # are comments.
 """
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,70 +30,55 @@ RAIL = Kind("rail", 3.0, -32.0, 20.0, (50.0, 90.0), (3.0, 60.0))
 
 
 def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
-    """Lateral and vertical coordinates in m, rising in the first.
-
-    Raises ConfigError naming file and line: unreadable numbers, units that are not mm, gaps, folds.
-    """
-    lines, points = _numbers(Path(path), kind)
+    """Lateral (rising) and vertical coordinates in m. Raises ConfigError: numbers, units other than mm, gaps, folds."""
+    points = _numbers(Path(path), kind)
     if len(points) < 10:
         raise ConfigError(f"{path}: {len(points)} points; a {kind.name} profile needs at least 10")
-    y, z = np.array(points).T
-    if y[0] > y[-1]:
-        y, z, lines = y[::-1], z[::-1], lines[::-1]
+    lines, y, z = np.array(points if points[0][1] <= points[-1][1] else points[::-1]).T
     _check_units(path, kind, y, z)
     step = np.diff(y)
     if np.any(step <= 0.0):
         i = int(np.argmax(step <= 0.0))
-        raise ConfigError(
-            f"{path}, line {lines[i + 1]}: the profile folds back, from {y[i]:g} to {y[i + 1]:g} mm; "
-            "the first column must rise from point to point: sort or cut the points")
+        raise ConfigError(f"{path}, line {lines[i + 1]:.0f}: the profile folds back, from {y[i]:g} to {y[i + 1]:g} mm; "
+                          "the first column must rise from point to point: sort or cut the points")
     if step.max() > kind.gap_mm:
         i = int(np.argmax(step))
-        raise ConfigError(
-            f"{path}, line {lines[i + 1]}: a gap of {step[i]:g} mm after {y[i]:g} mm; at most "
-            f"{kind.gap_mm:g} mm are bridged: measure or interpolate the points between")
+        raise ConfigError(f"{path}, line {lines[i + 1]:.0f}: a gap of {step[i]:g} mm after {y[i]:g} mm; at most "
+                          f"{kind.gap_mm:g} mm are bridged: measure or interpolate the points between")
     if y[0] > kind.from_mm or y[-1] < kind.to_mm:
-        raise ConfigError(
-            f"{path}: the {kind.name} profile runs from {y[0]:g} to {y[-1]:g} mm; it must reach from "
-            f"{kind.from_mm:g} to {kind.to_mm:g} mm: move its origin or measure farther")
+        raise ConfigError(f"{path}: the {kind.name} profile runs from {y[0]:g} to {y[-1]:g} mm; it must reach from "
+                          f"{kind.from_mm:g} to {kind.to_mm:g} mm: move its origin or measure farther")
     return y * 1e-3, z * 1e-3
 
 
-def _numbers(path: Path, kind: Kind) -> tuple[list[int], list[tuple[float, float]]]:
+def _numbers(path: Path, kind: Kind) -> list[tuple[int, float, float]]:
+    """Number of the line and both coordinates in mm of each point."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: the {kind.name} profile cannot be read ({error}); give s1002, "
                           "uic60 or a CSV file of two columns in mm") from None
-    lines: list[int] = []
-    points: list[tuple[float, float]] = []
+    points: list[tuple[int, float, float]] = []
     for number, line in enumerate(text.splitlines(), 1):
-        cells = [cell.strip() for cell in line.replace(";", ",").replace("\t", ",").split(",")]
+        cells = re.split("[,;\t]", line)
         if not line.strip() or line.startswith("#"):
             continue
         try:
             pair = (float(cells[0]), float(cells[1]))
         except (ValueError, IndexError):
-            if not points and not lines and not _begins_with_number(cells[0]):
+            if not points and not re.match(r"[-+.\d]|$", cells[0].strip()):
                 continue  # the line of names
             raise ConfigError(f"{path}, line {number}: '{line.strip()[:40]}' is not two numbers; "
                               "write y, z in mm, with a decimal point") from None
         if not np.all(np.isfinite(pair)):
-            raise ConfigError(f"{path}, line {number}: {pair[0]}, {pair[1]}: both must be finite; "
-                              "remove the point")
-        lines.append(number)
-        points.append(pair)
-    return lines, points
-
-
-def _begins_with_number(cell: str) -> bool:
-    return cell[:1].isdigit() or cell[:1] in "-+."
+            raise ConfigError(f"{path}, line {number}: {pair[0]}, {pair[1]}: both must be finite; remove the point")
+        points.append((number, *pair))
+    return points
 
 
 def _check_units(path: str | Path, kind: Kind, y: np.ndarray, z: np.ndarray) -> None:
-    for what, extent, (low, high) in (
-        ("wide", float(np.ptp(y)), kind.width_mm), ("high", float(np.ptp(z)), kind.height_mm),
-    ):
+    for what, extent, (low, high) in (("wide", float(np.ptp(y)), kind.width_mm),
+                                      ("high", float(np.ptp(z)), kind.height_mm)):
         if low <= extent <= high:
             continue
         hint = "cut what is not the running surface"

@@ -1,9 +1,8 @@
 """Wheel and rail profiles: the ORE S1002 wheel, the UIC60 head, and any other from a CSV file.
 
-A profile comes as points or as a formula, is freed of measuring noise and turned into tables that a
-kernel reads in a few nanoseconds: a wheel's radius over its lateral coordinate, a rail's point over
-the sine of its slope (arcs are exactly linear there). What smoothing and convexity changed is given
-as `Changes`, never hidden.
+A profile comes as points or as a formula, is freed of measuring noise and turned into tables that a kernel reads in a
+few nanoseconds: a wheel's radius over its lateral coordinate, a rail's point over the sine of its slope (arcs are
+exactly linear there). What smoothing and convexity changed is given as `Changes`, never hidden.
 
 [Q1] wheel: slope linear between nodes, radius its integral
 [Q2] rail: y = y_i - R (sin b - sin b_i), z = z_i + R (cos b - cos b_i), exact on an arc of radius R
@@ -27,7 +26,7 @@ AT_M, AT_RADIUS_M, AT_SLOPE, AT_COSINE, AT_NORMAL_M = range(5)
 Y_M, Z_M, COSINE, RAIL_CURVATURE_1_M = range(4)
 SPACING_M = 1e-4  # of a wheel's table
 STRIDE = 10  # nodes between those that a search for contacts visits (1 mm)
-SINES = 2049  # nodes of a rail's table
+SINES = 8193  # nodes of a rail's table: between two of them a joint of arcs is cut short by 0.013 mm at most
 STEEPEST = 0.9995  # largest sine of a slope that is kept
 FLANGE_END_M, FIELD_END_M = -0.0560, 0.0600  # what of a wheel can meet a rail head
 
@@ -99,11 +98,7 @@ def s1002_height(s_m: np.ndarray) -> np.ndarray:
 
 
 def uic60_depth(y_m: np.ndarray) -> np.ndarray:
-    """Depth in m of the UIC60 head under its top, at |y_m| <= 0.0365, rail upright.
-
-    Arcs R300, R80 and R13 join tangentially at 10.5 and 26.0 mm; the side runs at 1:20 from the
-    vertical.
-    """
+    """Depth in m of the UIC60 head under its top, at |y_m| <= 0.0365, upright: tangential arcs, then the side 1:20."""
     y = np.abs(np.asarray(y_m, dtype=float)) * 1e3
     depth = np.empty_like(y)
     begin, sine, level = 0.0, 0.0, 0.0
@@ -120,14 +115,8 @@ def uic60_depth(y_m: np.ndarray) -> np.ndarray:
     return depth * 1e-3
 
 
-def wheel(
-    s_m: np.ndarray,
-    z_m: np.ndarray,
-    nominal_radius_m: float = 0.445,
-    centre_m: float = 0.75,
-    smoothing_m: float = 0.0,
-    patch_m: float = 0.003,
-) -> tuple[Wheel, Changes]:
+def wheel(s_m: np.ndarray, z_m: np.ndarray, nominal_radius_m: float = 0.445, centre_m: float = 0.75,
+          smoothing_m: float = 0.0, patch_m: float = 0.003) -> tuple[Wheel, Changes]:
     """Tables of a wheel from points (s_m, z_m) with s rising; z is over the nominal radius.
 
     `smoothing_m` is the width of a moving mean over the slope, `patch_m` the half width over which
@@ -149,14 +138,8 @@ def wheel(
     return Wheel(float(first), SPACING_M, centre_m, fine, coarse), changes
 
 
-def rail(
-    y_m: np.ndarray,
-    z_m: np.ndarray,
-    laying: float = 1.0 / 20.0,
-    gauge_m: float = 1.435,
-    smoothing_m: float = 0.0,
-    patch_m: float = 0.003,
-) -> tuple[Rail, Changes]:
+def rail(y_m: np.ndarray, z_m: np.ndarray, laying: float = 1.0 / 20.0, gauge_m: float = 1.435, smoothing_m: float = 0.0,
+         patch_m: float = 0.003) -> tuple[Rail, Changes]:
     """Tables of a rail from points of the upright head, y_m rising from gauge to field side, z up.
 
     The head is inclined by `laying` towards the track's middle and laid so that its gauge face, 14
@@ -177,11 +160,9 @@ def rail(
     # how far smoothing alone, and all of it, moved the head where a wheel can touch it
     y_smooth, z_smooth = _walk(angle + tilt, step)
     touched = np.abs(np.sin(convex)) < 0.9
-    smoothed = np.hypot(y_smooth - y_smooth[top] + y[top] - y_given,
-                        z_smooth - z_smooth[top] + z[top] - z_given)
+    smoothed = np.hypot(y_smooth - y_smooth[top] + y[top] - y_given, z_smooth - z_smooth[top] + z[top] - z_given)
     moved = np.hypot(y - y_given, z - z_given)
-    changes = Changes(smoothing_m, float(smoothed[touched].max()),
-                      float(np.abs(moved - smoothed)[touched].max()))
+    changes = Changes(smoothing_m, float(smoothed[touched].max()), float(np.abs(moved - smoothed)[touched].max()))
     z = z - z.max()
     gauge_side = slice(None, top + 1)
     face = np.interp(-0.014, z[gauge_side], y[gauge_side])
@@ -195,11 +176,9 @@ def _walk(angle: np.ndarray, step_m: float) -> tuple[np.ndarray, np.ndarray]:
             np.concatenate(([0.0], np.cumsum(step_m * np.sin(middle)))))
 
 
-def _rail_table(
-    y: np.ndarray, z: np.ndarray, angle: np.ndarray, patch_m: float, step_m: float
-) -> Rail:
-    # a straight stretch has one slope: bend it by 1e-9 rad a step so that its points keep an order
-    falling = np.sin(angle) - 1e-9 * np.arange(angle.size)
+def _rail_table(y: np.ndarray, z: np.ndarray, angle: np.ndarray, patch_m: float, step_m: float) -> Rail:
+    # a straight stretch has one slope: bent by 1e-12 rad a step its points keep an order
+    falling = np.sin(angle) - 1e-12 * np.arange(angle.size)
     sines = np.linspace(-STEEPEST, STEEPEST, SINES)
     place = np.interp(sines, falling[::-1], np.arange(angle.size)[::-1])
     at = np.arange(angle.size)
@@ -261,9 +240,7 @@ def uic60(laying: float = 1.0 / 20.0, gauge_m: float = 1.435) -> Rail:
     return rail(y, -uic60_depth(y), laying, gauge_m)[0]
 
 
-def wheel_named(
-    name: str, nominal_radius_m: float, centre_m: float, smoothing_m: float
-) -> Wheel:
+def wheel_named(name: str, nominal_radius_m: float, centre_m: float, smoothing_m: float) -> Wheel:
     """The wheel called s1002, or the one in a CSV file. Raises ConfigError."""
     if name == "s1002":
         return s1002(nominal_radius_m, centre_m)

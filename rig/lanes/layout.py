@@ -7,8 +7,9 @@ scattered into its lanes before a tick and gathered after it, so all else stays 
 
 The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W4], adhesion [A1] to
 [A6] and vehicle [V1] to [V3], written without branches. Limits: planar vehicle, one plant, degraded
-adhesion without memory, round wheels, torque as the discs give it (`fits` tells). Results agree with
-`plant.advance` to rounding, not to the last bit: a test holds every kernel to its twin in the plant.
+adhesion without memory, round wheels, torque as the discs give it, pads that do not vary, air that never runs
+out, no flats, no sand, rollers that stay as they were prepared (`fits` tells). Results agree with `plant.advance`
+to rounding, not to the last bit: a test holds every kernel to its twin in the plant.
 """
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
@@ -41,7 +42,9 @@ def fits(params: Params) -> bool:
     """Whether rigs with these parameters may run abreast."""
     return (params.coach is None and params.patch.model == creep_force.DEGRADED
             and params.mode in (TRACK, ROLLERS) and not params.effects.on_torque
-            and not params.wheels.swings and params.effects.memory_m == 0.0)
+            and not params.wheels.swings and params.effects.memory_m == 0.0 and params.brake.air.reservoir_L == 0.0
+            and not params.pads.vary and params.flats.wear_m3_J == 0.0
+            and params.sanders.axles == 0 and not params.film.acts)
 
 
 @kernel

@@ -9,10 +9,10 @@ import math
 
 from rollerrig.rig import vehicle as body
 from rollerrig.rig import wheelset
+from rollerrig.rig.contact import abreast as law
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.kernel import kernel, kernel_inlined
-from rollerrig.rig.lanes import adhesion as law
 from rollerrig.rig.lanes import layout as a
 from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.state import AXLES, FILL, VENT
@@ -73,12 +73,11 @@ def contacts(w):
         w[a.SLIDING + j], w[a.SURFACE + j], w[a.LOAD + j] = sliding, surface, load
         at, half = max(abs(sliding), wheelset.SMALL_M_S), 0.5 * load
         eps_mu = law.eps_mu(at, surface, half, w[a.EPS1 + j])
-        f_d = law.curve(at, eps_mu, w[a.MU_CD + j], w[a.A_D + j], w[a.GAMMA_D + j], w[a.K_AD + j],
-                        w[a.K_SD + j])
-        f_r = law.curve(at, eps_mu, w[a.MU_CR + j], w[a.A_R + j], w[a.GAMMA_R + j], w[a.K_AR + j],
-                        w[a.K_SR + j])
-        creepage = min(at / max(abs(surface), law.SPEED_FLOOR_M_S), w[a.CLEANING + j])  # [A6]
-        f, inside = law.recovered(f_d, f_r, w[a.TAU + j] * half * creepage)
+        f_d = law.curve(at, eps_mu, w[a.MU_CD + j], w[a.A_D + j], w[a.GAMMA_D + j], w[a.K_AD + j], w[a.K_SD + j])
+        f_r = law.curve(at, eps_mu, w[a.MU_CR + j], w[a.A_R + j], w[a.GAMMA_R + j], w[a.K_AR + j], w[a.K_SR + j])
+        share, _ = adhesion.cleaning(at, surface, w[a.CLEANING + j])
+        creepage = at / max(abs(surface), law.SPEED_FLOOR_M_S)
+        f, _, inside = law.recovered(f_d, f_r, w[a.TAU + j] * half * creepage * share)
         w[a.SLOPE + j] = f * load / at
         u = half * (1.0 / law.LOAD_N)
         w[a.INSIDE + j] = inside if (u > law.LIGHTER) & (u < law.HEAVIER) else 0.0
@@ -95,9 +94,8 @@ def contacts_outside_domain(w):
 @kernel
 def exact_slope(w, j):
     """The secant slope of lane j by `wheelset.force`, whatever the contact."""
-    here = adhesion.Law(w[a.MU_CD + j], w[a.MU_CR + j], w[a.A_D + j], w[a.A_R + j], w[a.GAMMA_D + j],
-                        w[a.GAMMA_R + j], w[a.K_AD + j], w[a.K_SD + j], w[a.K_AR + j], w[a.K_SR + j],
-                        w[a.TAU + j], w[a.CLEANING + j])
+    here = adhesion.Law(w[a.MU_CD + j], w[a.MU_CR + j], w[a.A_D + j], w[a.A_R + j], w[a.GAMMA_D + j], w[a.GAMMA_R + j],
+                        w[a.K_AD + j], w[a.K_SD + j], w[a.K_AR + j], w[a.K_SR + j], w[a.TAU + j], w[a.CLEANING + j])
     patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[a.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
     at = max(abs(w[a.SLIDING + j]), wheelset.SMALL_M_S)
     T, _, _ = wheelset.force(at, w[a.SURFACE + j], w[a.LOAD + j], here.mu_cd, here.mu_cr, patch, here,
@@ -107,10 +105,7 @@ def exact_slope(w, j):
 
 @kernel_inlined
 def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
-    """One stage of the step in lane j: (wheel_k, roller_k, pull_N, brake_Nm) [W1] to [W4].
-
-    `wheel_before` and `roller_before` are what the stage takes off the slopes before it damps them.
-    """
+    """A stage in lane j: (wheel_k, roller_k, pull_N, brake_Nm) [W1] to [W4]; `.._before` is taken off undamped."""
     r, R = w[a.WHEEL_M + j], w[a.ROLLER_M + j]
     slope, track = w[a.SLOPE + j], w[a.ON_TRACK + j] != 0.0
     T, g = slope * w[a.SLIDING + j], max(slope, 0.0)
@@ -124,8 +119,7 @@ def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
     p_wheel = 0.0 if locked else r / w[a.WHEEL_KGM2 + j]
     p_roller = 0.0 if track else -R / w[a.ROLLER_KGM2 + j]
     reach = _GAMMA * w[a.STEP + j]
-    share = reach * (g * (R * roller_k - r * wheel_k)) / (
-        1.0 + reach * g * (r * p_wheel - R * p_roller))
+    share = reach * (g * (R * roller_k - r * wheel_k)) / (1.0 + reach * g * (r * p_wheel - R * p_roller))
     return wheel_k + p_wheel * share, roller_k + p_roller * share, T + share, acts_Nm
 
 
@@ -134,8 +128,7 @@ def begin(w):
     """First stage: slopes at the beginning of the step, and what they predict for its end."""
     for j in range(LANES):
         wheel = w[a.WHEEL + j]
-        wheel_k, roller_k, pull_N, brake_Nm = stage(w, j, wheel, w[a.CAPACITY + j],
-                                                    w[a.MOTOR_BEFORE + j], 0.0, 0.0)
+        wheel_k, roller_k, pull_N, brake_Nm = stage(w, j, wheel, w[a.CAPACITY + j], w[a.MOTOR_BEFORE + j], 0.0, 0.0)
         w[a.WHEEL_K + j], w[a.ROLLER_K + j], w[a.PULL + j] = wheel_k, roller_k, pull_N
         w[a.PULL_BEFORE + j], w[a.BRAKE_BEFORE + j] = pull_N, brake_Nm
         w[a.WHEEL_END + j] = max(0.0, wheel + w[a.STEP + j] * wheel_k)

@@ -1,9 +1,8 @@
 """The mechanisms of an extended model inside the plant: friction under a wheel, torque at a brake.
 
-What depends on time, place, speed or past work is computed here in each tick, by the courses of the
-table; the memory of adhesion and the load on a wheel out of round in each step of `wheelset`; constants
-of the model are changed once, where the parameters are built. While all coefficients are 0 nothing is
-computed and no bit changes.
+What depends on time, place, speed or past work is computed here in each tick, by the courses of the table; the memory
+of adhesion and the load on a wheel out of round in each step of `wheelset`; constants of the model are changed once,
+where the parameters are built. While all coefficients are 0 nothing is computed and no bit changes.
 
 The work on a metre of rail reaches the next wheel after the distance between them, as a first-order
 lag of that length: an approximation of the pure delay.
@@ -21,8 +20,7 @@ from rollerrig.rig.mechanisms import constants, friction
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, FRICTION, TORQUE, Mechanism, arguments
 from rollerrig.rig.mechanisms.table import IN_PLANT, rows
 
-# where `Effects.values` has what
-PLACE = {row.name: i for i, row in enumerate(rows())}
+PLACE = {row.name: i for i, row in enumerate(rows())}  # where `Effects.values` has what
 _EMPIRICAL = PLACE["empirical_linear"]
 
 
@@ -38,10 +36,7 @@ class Effects(NamedTuple):
 
 
 class Wheels(NamedTuple):
-    """The wheels of each axle, `table` (16,) as `vehicle` lays it out.
-
-    One array: each that goes from kernel to kernel costs stops abreast some 4 % of their time.
-    """
+    """The wheels of each axle, `table` (16,) as in `vehicle`: an array more costs stops abreast 4 % of their time."""
 
     table: np.ndarray
     swings: bool
@@ -51,10 +46,9 @@ class Wheels(NamedTuple):
 def build(m: Mapping[str, Any]) -> Effects:
     """From the checked section `mechanisms`."""
     acting = {mechanism.acts_on for mechanism in IN_PLANT if any(m[key] != 0.0 for key in mechanism.coefficients)}
-    return Effects(
-        on_friction=FRICTION in acting, on_torque=TORQUE in acting, values=np.array([m[key] for key in PLACE]),
-        memory_m=m["adhesion_memory_length_m"], memory_power=m["adhesion_memory_speed_power"],
-        memory_of_work=m["adhesion_memory_of_work"])
+    return Effects(on_friction=FRICTION in acting, on_torque=TORQUE in acting,
+                   values=np.array([m[key] for key in PLACE]), memory_m=m["adhesion_memory_length_m"],
+                   memory_power=m["adhesion_memory_speed_power"], memory_of_work=m["adhesion_memory_of_work"])
 
 
 def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
@@ -68,17 +62,14 @@ def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
 
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
     """From the checked sections `vehicle` (radius and inertia of all axles) and `mechanisms`."""
-    swing = _by_axle(m["wheel_out_of_round_amplitude"], m["wheel_out_of_round_axle"])
-    radius_m, = constants.wheel_radius(
-        vehicle, _by_axle(m["wheel_radius_fraction"], m["wheel_radius_axle"])).values()
-    inertia_kgm2, = constants.wheel_inertia(
-        vehicle, _by_axle(m["wheel_inertia_fraction"], m["wheel_inertia_axle"])).values()
+    swing, radius, inertia = (np.array([m[key] if m[f"{name}_axle"] in (0, j + 1) else 0.0 for j in range(AXLES)])
+                              for name, key in (("wheel_out_of_round", "wheel_out_of_round_amplitude"),
+                                                ("wheel_radius", "wheel_radius_fraction"),
+                                                ("wheel_inertia", "wheel_inertia_fraction")))
+    radius_m, = constants.wheel_radius(vehicle, radius).values()
+    inertia_kgm2, = constants.wheel_inertia(vehicle, inertia).values()
     table = np.concatenate([radius_m, inertia_kgm2, radius_m / inertia_kgm2, swing])
     return Wheels(table, bool(swing.any()), m["wheel_out_of_round_phase_rad"])
-
-
-def _by_axle(value: float, axle: float) -> np.ndarray:
-    return np.array([value if axle in (0, j + 1) else 0.0 for j in range(AXLES)])
 
 
 def _sum_of(name: str, mechanisms: list[Mechanism]) -> Any:

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rollerrig.configs.vehicle import RESISTANCE, running_resistance, track_gradient
-from rollerrig.rig.mechanisms import mechanism as m
-from rollerrig.rig.mechanisms.mechanism import CONTACT, VEHICLE, WHEEL, number, of_constants
+from rollerrig.rig.mechanisms.mechanism import ALL_AXLES_ALIKE, AXLE, CONTACT, NOT, VEHICLE, WHEEL, number, row_of
 
 Model = Mapping[str, Any]
 
@@ -42,21 +41,20 @@ def falling_friction(model: Model, fraction: float, height: float) -> dict[str, 
 
 
 ROWS = (
-    of_constants(VEHICLE, running_resistance, tuple(RESISTANCE.values()),
-                 (number("force_N", -5000.0, 5000.0, "N"), number("speed_power", 0.0, 2.0, "-")),
-                 "the vehicle runs with another resistance", "form: Davis 1926"),
-    of_constants(VEHICLE, track_gradient, ("resistance_A_N",), (number("gradient", -0.03, 0.03, "-"),),
-                 "the track is not level", "mechanics"),
-    of_constants(WHEEL, wheel_radius, ("wheel_radius_m",), (number("fraction", -0.06, 0.06, "-"), m.AXLE),
-                 "the wheels of one axle have another radius", "assumption", in_coach=m.ALL_AXLES_ALIKE),
-    of_constants(WHEEL, wheel_inertia, ("wheelset_inertia_kgm2",), (number("fraction", -0.5, 1.0, "-"), m.AXLE),
-                 "the wheelsets have another inertia", "assumption", in_coach=m.ALL_AXLES_ALIKE),
-    of_constants(CONTACT, roller_curvature, ("eps1",), (number("stiffness_fraction", -0.9, 2.0, "-"),),
-                 "the patch is that of another curvature", "Hertz 1882; Kalker 1967", in_coach=m.NOT),
-    of_constants(CONTACT, interfacial_layer, ("k_ad", "k_sd", "k_ar", "k_sr"),
-                 (number("reduction", 0.0, 0.95, "-"), number("whole", 0.0, 1.0, "-")),
-                 "a layer softens the contact", "Polach 2005"),
-    of_constants(CONTACT, falling_friction, ("gamma_d_s_m", "gamma_r_s_m", "A_d", "A_r"),
-                 (number("fraction", -0.95, 5.0, "-"), number("height", 0.0, 1.0, "-")),
-                 "friction falls with sliding otherwise than told", "Polach 2005; CONTACT user guide"),
+    row_of(VEHICLE, running_resistance,
+           (number("force_N", -5000.0, 5000.0, "N"), number("speed_power", 0.0, 2.0, "-")),
+           "the vehicle runs with another resistance", "form: Davis 1926", tuple(RESISTANCE.values())),
+    row_of(VEHICLE, track_gradient, (number("gradient", -0.03, 0.03, "-"),), "the track is not level", "mechanics",
+           ("resistance_A_N",)),
+    row_of(WHEEL, wheel_radius, (number("fraction", -0.06, 0.06, "-"), AXLE),
+           "the wheels of one axle have another radius", "assumption", ("wheel_radius_m",), in_coach=ALL_AXLES_ALIKE),
+    row_of(WHEEL, wheel_inertia, (number("fraction", -0.5, 1.0, "-"), AXLE),
+           "the wheelsets have another inertia", "assumption", ("wheelset_inertia_kgm2",), in_coach=ALL_AXLES_ALIKE),
+    row_of(CONTACT, roller_curvature, (number("stiffness_fraction", -0.9, 2.0, "-"),),
+           "the patch is that of another curvature", "Hertz 1882; Kalker 1967", ("eps1",), in_coach=NOT),
+    row_of(CONTACT, interfacial_layer, (number("reduction", 0.0, 0.95, "-"), number("whole", 0.0, 1.0, "-")),
+           "a layer softens the contact", "Polach 2005", ("k_ad", "k_sd", "k_ar", "k_sr")),
+    row_of(CONTACT, falling_friction, (number("fraction", -0.95, 5.0, "-"), number("height", 0.0, 1.0, "-")),
+           "friction falls with sliding otherwise than told", "Polach 2005; CONTACT user guide",
+           ("gamma_d_s_m", "gamma_r_s_m", "A_d", "A_r")),
 )

@@ -7,7 +7,7 @@ Courses of a load are shares of it. The memory of recovery [X4] stands in `wheel
 import math
 
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.mechanisms.mechanism import AXLE, CONTACT, LOAD, NOT, SENSOR, Mechanism, number, of_course
+from rollerrig.rig.mechanisms.mechanism import AXLE, CONTACT, LOAD, NOT, SENSOR, Mechanism, number, row_of
 
 
 @kernel
@@ -39,10 +39,10 @@ ROWS = (
               "measured omega(t) = omega(t - delay)", "the wheel speed is told late", "assumption"),
     Mechanism("torque_sensor_delay", SENSOR, (number("delay_s", 0.0, 0.2, "s"),),
               "measured C(t) = C(t - delay)", "the torque is told late", "assumption"),
-    of_course(LOAD, wheel_out_of_round,
-              (number("amplitude", 0.0, 0.3, "-"), number("phase_rad", -6.3, 6.3, "rad"), AXLE),
-              "the load swings once a turn", "assumption", share=True, in_coach=NOT),
-    of_course(LOAD, load_transfer, (number("body_s2_m", -0.1, 0.1, "s2/m"), number("bogie_s2_m", -0.1, 0.1, "s2/m")),
-              "braking shifts more load than told", "mechanics", courses=(load_transfer, bogie_transfer), share=True,
-              free=2, in_coach=NOT),
+    row_of(LOAD, wheel_out_of_round,
+           (number("amplitude", 0.0, 0.3, "-"), number("phase_rad", -6.3, 6.3, "rad"), AXLE),
+           "the load swings once a turn", "assumption", share=True, in_coach=NOT),
+    row_of(LOAD, load_transfer, (number("body_s2_m", -0.1, 0.1, "s2/m"), number("bogie_s2_m", -0.1, 0.1, "s2/m")),
+           "braking shifts more load than told", "mechanics", courses=(load_transfer, bogie_transfer), share=True,
+           free=2, in_coach=NOT),
 )

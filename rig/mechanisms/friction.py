@@ -4,7 +4,7 @@ import math
 
 from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.mechanisms.mechanism import FRICTION, WIDE, number, of_course, saturating
+from rollerrig.rig.mechanisms.mechanism import FRICTION, WIDE, number, row_of, saturating
 
 
 @kernel
@@ -49,6 +49,18 @@ def sanding(time_s, axle, start_s, duration_s, behind):
 
 
 @kernel
+def dose_share(dose_kg_m, scale_kg_m):
+    """ln mu += gain (1 - exp(-D / D_0)), D: sand that the wheel meets on a metre of track"""
+    return -math.expm1(-dose_kg_m / scale_kg_m)
+
+
+@kernel
+def film_share(film):
+    """ln mu += gain (1 - h), h: film of contaminant under the wheel, of what was prepared"""
+    return 1.0 - film
+
+
+@kernel
 def empirical(x, linear, quadratic, centre, scale, period):
     """ln mu += linear z + quadratic z^2, z = (x - centre) / scale; with a period linear cos(2 pi x / period)
     + quadratic sin(2 pi x / period); x = 1 speed m/s, 2 time s, 3 place m, 4 sliding m/s, 5 load N, 6 energy
@@ -61,27 +73,27 @@ def empirical(x, linear, quadratic, centre, scale, period):
 
 
 ROWS = (
-    of_course(FRICTION, rail_cleaning, (number("gain", 0.0, 1.0, "-"), number("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
-              "leading wheels clean the rail for the following ones", "Allotta et al. 2014; form: assumption"),
-    of_course(FRICTION, speed_dependent_friction,
-              (number("slope_per_m_s", -0.05, 0.05, "s/m"), number("knee_m_s", 2.0, WIDE, "m/s", WIDE)),
-              "friction depends on the vehicle's speed", "Curtius and Kniffler 1950; form: assumption"),
-    of_course(FRICTION, friction_trend, (number("rate_1_s", -0.2, 0.2, "1/s"), number("time_s", 0.1, WIDE, "s", WIDE)),
-              "friction drifts with time in a stop", "assumption"),
-    of_course(FRICTION, negative_conditioning,
-              (number("loss", 0.0, 0.9, "-"), number("distance_m", 1.0, 500.0, "m", 30.0)),
-              "sliding destroys adhesion", "oil paste: Beagley and Pritchard 1975; form: assumption"),
-    of_course(FRICTION, contaminated_patch,
-              (number("depth", 0.0, 1.0, "-"), number("start_m", -100.0, 1e5, "m"),
-               number("length_m", 0.0, 1e4, "m"), number("ramp", 0.0, 1.0, "-")),
-              "friction depends on the place", "assumption"),
-    of_course(FRICTION, sanding,
-              (number("gain", 0.0, 2.0, "-"), number("start_s", 0.0, 1e4, "s"),
-               number("duration_s", 0.0, 1e4, "s"), number("behind", 0.0, 1.0, "-")),
-              "sand raises friction for a while", "assumption"),
+    row_of(FRICTION, rail_cleaning, (number("gain", 0.0, 1.0, "-"), number("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
+           "leading wheels clean the rail for the following ones", "Allotta et al. 2014; form: assumption"),
+    row_of(FRICTION, speed_dependent_friction,
+           (number("slope_per_m_s", -0.05, 0.05, "s/m"), number("knee_m_s", 2.0, WIDE, "m/s", WIDE)),
+           "friction depends on the vehicle's speed", "Curtius and Kniffler 1950; form: assumption"),
+    row_of(FRICTION, friction_trend, (number("rate_1_s", -0.2, 0.2, "1/s"), number("time_s", 0.1, WIDE, "s", WIDE)),
+           "friction drifts with time in a stop", "assumption"),
+    row_of(FRICTION, negative_conditioning,
+           (number("loss", 0.0, 0.9, "-"), number("distance_m", 1.0, 500.0, "m", 30.0)),
+           "sliding destroys adhesion", "oil paste: Beagley and Pritchard 1975; form: assumption"),
+    row_of(FRICTION, contaminated_patch,
+           (number("depth", 0.0, 1.0, "-"), number("start_m", -100.0, 1e5, "m"),
+            number("length_m", 0.0, 1e4, "m"), number("ramp", 0.0, 1.0, "-")),
+           "friction depends on the place", "assumption"),
+    row_of(FRICTION, sanding,
+           (number("gain", 0.0, 2.0, "-"), number("start_s", 0.0, 1e4, "s"),
+            number("duration_s", 0.0, 1e4, "s"), number("behind", 0.0, 1.0, "-")),
+           "sand raises friction for a while", "assumption"),
 )
 # what `explain` writes down when none of the table explains: a formula, not a cause
-EMPIRICAL = of_course(
+EMPIRICAL = row_of(
     FRICTION, empirical,
     (number("linear", -1e4, 1e4, "-"), number("quadratic", -1e4, 1e4, "-"), number("covariate", 0.0, 9.0, "-"),
      number("centre", -1e6, 1e6, "of the covariate"), number("scale", 1e-6, 1e6, "of the covariate", 1.0),

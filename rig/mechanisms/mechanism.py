@@ -16,8 +16,7 @@ from rollerrig.rig.kernel import kernel
 
 FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
     "friction", "torque", "load", "vehicle", "sensor", "wheel", "contact")
-# a scale as wide as this is none
-WIDE = 1e4
+WIDE = 1e4  # a scale as wide as this is none
 # what the coach in 3D knows of a mechanism: it, it for all axles alike, nothing
 WHOLLY, ALL_AXLES_ALIKE, NOT = "wholly", "all axles alike", "not"
 
@@ -101,21 +100,12 @@ def number(name: str, low: float, high: float, unit: str, default: float = 0.0) 
     return table.number(name, default, low, high, unit)
 
 
-def _formula(function: Any) -> str:
-    return " ".join(function.__doc__.split("\n\n")[0].split())
-
-
-def of_course(acts_on: str, course: Any, parameters: tuple[Row, ...], text: str, source: str, **more: Any) -> Mechanism:
-    """The row of a course, which gives it its name and the text of its formula."""
-    given: dict[str, Any] = {"courses": (course,)} | more
-    return Mechanism(course.__name__, acts_on, parameters, _formula(course), text, source, **given)
-
-
-def of_constants(acts_on: str, change: Callable[..., dict[str, Any]], changes: tuple[str, ...],
-                 parameters: tuple[Row, ...], text: str, source: str, in_coach: str = WHOLLY) -> Mechanism:
-    """The row of a function that changes constants, which gives it its name and the text of its formula."""
-    return Mechanism(change.__name__, acts_on, parameters, _formula(change), text, source, constants=change,
-                     changes=changes, in_coach=in_coach)
+def row_of(acts_on: str, formula: Callable[..., Any], parameters: tuple[Row, ...], text: str, source: str,
+           changes: tuple[str, ...] = (), **more: Any) -> Mechanism:
+    """The row of a course or, with `changes`, of a function of constants, which gives it its name and formula."""
+    given: dict[str, Any] = {"constants": formula, "changes": changes} if changes else {"courses": (formula,)}
+    words = " ".join((formula.__doc__ or "").split("\n\n")[0].split())
+    return Mechanism(formula.__name__, acts_on, parameters, words, text, source, **given | more)
 
 
 AXLE = number("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")

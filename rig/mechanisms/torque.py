@@ -6,7 +6,7 @@ Those that are shares act one after another: C = C_0 (1 + gain) (1 - fade ...).
 import math
 
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.mechanisms.mechanism import AXLE, TORQUE, WIDE, number, of_course, saturating
+from rollerrig.rig.mechanisms.mechanism import AXLE, TORQUE, WIDE, number, row_of, saturating
 
 
 @kernel
@@ -34,14 +34,14 @@ def torque_offset(brake_Nm, from_Nm):
 
 
 ROWS = (
-    of_course(TORQUE, brake_gain, (number("gain", -0.3, 0.3, "-"), AXLE),
-              "the brake gives another torque than told", "assumption", share=True),
-    of_course(TORQUE, pad_fade, (number("fade_1_MJ", 0.0, 0.2, "1/MJ"), number("heat_MJ", 0.1, WIDE, "MJ", WIDE)),
-              "torque falls with the heat of the discs", "assumption", share=True),
-    of_course(TORQUE, wet_pads, (number("loss", 0.0, 0.9, "-"), number("turns", 0.1, 500.0, "turns", 10.0)),
-              "wet brake pads give less torque until they have run dry",
-              "UIC 541-3 has pads tested under water; form: assumption", share=True),
-    of_course(TORQUE, torque_offset,
-              (number("offset_Nm", -1500.0, 1500.0, "N m"), number("from_Nm", -WIDE, WIDE, "N m", -WIDE), AXLE),
-              "the torque has an offset", "assumption"),
+    row_of(TORQUE, brake_gain, (number("gain", -0.3, 0.3, "-"), AXLE),
+           "the brake gives another torque than told", "assumption", share=True),
+    row_of(TORQUE, pad_fade, (number("fade_1_MJ", 0.0, 0.2, "1/MJ"), number("heat_MJ", 0.1, WIDE, "MJ", WIDE)),
+           "torque falls with the heat of the discs", "assumption", share=True),
+    row_of(TORQUE, wet_pads, (number("loss", 0.0, 0.9, "-"), number("turns", 0.1, 500.0, "turns", 10.0)),
+           "wet brake pads give less torque until they have run dry",
+           "UIC 541-3 has pads tested under water; form: assumption", share=True),
+    row_of(TORQUE, torque_offset,
+           (number("offset_Nm", -1500.0, 1500.0, "N m"), number("from_Nm", -WIDE, WIDE, "N m", -WIDE), AXLE),
+           "the torque has an offset", "assumption"),
 )

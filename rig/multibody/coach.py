@@ -1,12 +1,11 @@
 """The coach as bodies, degrees of freedom and links: constant arrays that the time loop reads.
 
-Degrees of freedom, declared and derived: 15 rigid bodies would be 23 with the axleboxes and links
-apart (car 1, bogies 2, wheelsets 4, axleboxes 8, links 8): 138. A revolute joint between axlebox
-and wheelset takes 5 from each of 8 axleboxes (-40) and leaves its pitch; the link is rigid with its
-axlebox (-48), and its trailing arm, long against the play of the primary spring, makes both turn in
-pitch with the bogie frame (-8): 138 - 40 - 48 - 8 = 42 = 7 bodies (car, two bogies, four wheelsets)
-of 6. The masses, roll and yaw inertias of axleboxes and links are the wheelset's, their pitch
-inertia the frame's. (The paper counts 40, which cannot be derived from the joints it names.)
+Degrees of freedom, declared and derived: 15 rigid bodies would be 23 with the axleboxes and links apart (car 1, bogies
+2, wheelsets 4, axleboxes 8, links 8): 138. A revolute joint between axlebox and wheelset takes 5 from each of 8
+axleboxes (-40) and leaves its pitch; the link is rigid with its axlebox (-48), and its trailing arm, long against the
+play of the primary spring, makes both turn in pitch with the bogie frame (-8): 138 - 40 - 48 - 8 = 42 = 7 bodies (car,
+two bogies, four wheelsets) of 6. The masses, roll and yaw inertias of axleboxes and links are the wheelset's, their
+pitch inertia the frame's. (The paper counts 40, which cannot be derived from the joints it names.)
 
 [C1] a link's elongation d = c . q over six coordinates, three of either body; force f pulls them
      with c f: springs, dampers, bump-stops, traction rods and anti-roll bars are all rows of it
@@ -26,8 +25,6 @@ import numpy as np
 from rollerrig.configs.vehicle import GRAVITY_M_S2
 from rollerrig.rig.contact import patch as patch_table
 from rollerrig.rig.contact import profiles
-from rollerrig.rig.contact.patch import Patches
-from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.multibody import wheel_rail_forces
 
 BODIES, COORDINATES = 7, 42
@@ -51,9 +48,9 @@ class Coach(NamedTuple):
     springs: Links  # linear: stiffness and preload alone
     curves: Links  # nonlinear: dampers, stops, traction rods
     axle_height_m: float
-    wheel: Wheel
-    rail: Rail
-    patches: Patches
+    wheel: profiles.Wheel
+    rail: profiles.Rail
+    patches: patch_table.Patches
     contact_damping_N_s_m: float
     roller_m: float
     bogie_of: np.ndarray
@@ -75,19 +72,20 @@ class _Row(NamedTuple):
     stop: float = 0.0
 
 
-def build(
-    sections: Mapping[str, Mapping[str, Any]], roller_m: float = math.inf, model: int = 0, cells: int = 10
-) -> Coach:
+def build(sections: Mapping[str, Mapping[str, Any]], roller_m: float = math.inf, model: int = 0,
+          cells: int = 10) -> Coach:
     """The coach of checked sections `vehicle`, `contact` and `multibody`.
 
     roller_m is the rollers' radius, inf on a rail; `model` and `cells` as in `patch.Patch`.
     Raises ConfigError or ValueError for profiles that cannot be used.
     """
     v, m, c = sections["vehicle"], sections["multibody"], sections["contact"]
-    wheel, rail = _profiles(v, m)
+    wheel = profiles.wheel_named(m["wheel_profile"], v["wheel_radius_m"], 0.5 * m["running_circles_m"],
+                                 m["profile_smoothing_m"])
+    rail = profiles.rail_named(m["rail_profile"], m["laying"], m["gauge_m"], m["profile_smoothing_m"])
     patches = patch_table.tabulate(c["young_Pa"], c["shear_Pa"], c["poisson"], model, cells)
     mass = masses(v)
-    inertia = np.concatenate([_six(mass[body], *_inertia(body, v, m)) for body in range(BODIES)])
+    inertia = np.concatenate([[*3 * (mass[body],), *_inertia(body, v, m)] for body in range(BODIES)])
     weight = np.zeros(COORDINATES)
     weight[Z::6] = GRAVITY_M_S2 * mass
     total = float(mass.sum())
@@ -110,20 +108,11 @@ def _inertia(body: int, v: Mapping[str, Any], m: Mapping[str, Any]) -> tuple[flo
     if body in BOGIES:
         # axleboxes and links of two wheelsets pitch with the frame
         pitch = 4.0 * (m["axlebox_inertia_y_kgm2"] + m["link_inertia_y_kgm2"])
-        return (m["bogie_inertia_x_kgm2"], m["bogie_inertia_y_kgm2"] + pitch,
-                m["bogie_inertia_z_kgm2"])
+        return (m["bogie_inertia_x_kgm2"], m["bogie_inertia_y_kgm2"] + pitch, m["bogie_inertia_z_kgm2"])
     arm = 2.0 * (m["axlebox_mass_kg"] + m["link_mass_kg"]) * m["primary_half_width_m"] ** 2
-    return (
-        m["wheelset_inertia_x_kgm2"] + arm
-        + 2.0 * (m["axlebox_inertia_x_kgm2"] + m["link_inertia_x_kgm2"]),
-        v["wheelset_inertia_kgm2"],
-        m["wheelset_inertia_z_kgm2"] + arm
-        + 2.0 * (m["axlebox_inertia_z_kgm2"] + m["link_inertia_z_kgm2"]),
-    )
-
-
-def _six(mass: float, ix: float, iy: float, iz: float) -> np.ndarray:
-    return np.array([mass, mass, mass, ix, iy, iz])
+    return (m["wheelset_inertia_x_kgm2"] + arm + 2.0 * (m["axlebox_inertia_x_kgm2"] + m["link_inertia_x_kgm2"]),
+            v["wheelset_inertia_kgm2"], m["wheelset_inertia_z_kgm2"] + arm
+            + 2.0 * (m["axlebox_inertia_z_kgm2"] + m["link_inertia_z_kgm2"]))
 
 
 def places(v: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -177,8 +166,7 @@ def _curves(v: Mapping[str, Any], m: Mapping[str, Any]) -> list[_Row]:
                          gap=m["lateral_stop_gap_m"], stop=m["lateral_stop_N_m"]))
         at = _secondary(bogie, 0.0, v["pivot_height_m"], v)
         rows.append(_Row(X, *at, k=m["traction_rod_N_m"], c=m["traction_rod_damping_N_s_m"],
-                         c_max=1e9, gap=m["traction_rod_stop_gap_m"],
-                         stop=m["traction_rod_stop_N_m"]))
+                         c_max=1e9, gap=m["traction_rod_stop_gap_m"], stop=m["traction_rod_stop_N_m"]))
     return rows
 
 
@@ -201,10 +189,3 @@ def _links(rows: list[_Row]) -> Links:
                 at[i, first + j], by[i, first + j] = 6 * body + coordinate, sign * factor
     values = [(row.k, row.preload, row.c, row.c_max, row.gap, row.stop) for row in rows]
     return Links(at, np.column_stack((by, np.array(values))))
-
-
-def _profiles(v: Mapping[str, Any], m: Mapping[str, Any]) -> tuple[Wheel, Rail]:
-    return (profiles.wheel_named(m["wheel_profile"], v["wheel_radius_m"],
-                                 0.5 * m["running_circles_m"], m["profile_smoothing_m"]),
-            profiles.rail_named(m["rail_profile"], m["laying"], m["gauge_m"],
-                                m["profile_smoothing_m"]))

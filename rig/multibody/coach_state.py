@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.rig.contact import geometry, profiles
+from rollerrig.rig.multibody import eight_contacts
 from rollerrig.rig.multibody.wheel_rail_forces import GIVEN, SEEN
 
 WHEELS = 8
-NODES = round((profiles.FIELD_END_M - profiles.FLANGE_END_M)
-              / (profiles.STRIDE * profiles.SPACING_M)) + 1
+NODES = round((profiles.FIELD_END_M - profiles.FLANGE_END_M) / (profiles.STRIDE * profiles.SPACING_M)) + 1
 
 # what a caller hands over and takes back in each step: see `compiled_coach`
 (ACTION, SPEED_M_S, RESISTANCE_N) = range(3)
@@ -31,8 +31,9 @@ class Motion(NamedTuple):
     near: np.ndarray  # (8,) contacts and near contacts in use; step
     misfit: np.ndarray  # (8, NODES) m, F at the coarse nodes of each wheel; step
     given: np.ndarray  # (4, GIVEN) of `wheel_rail_forces`; step
-    Gx: np.ndarray  # (4, 4) N s/m ..., scratch; step
-    Gy: np.ndarray  # (3, 3), scratch; step
+    lanes: np.ndarray  # (SIZE,) of `eight_contacts`; step
+    Gx: np.ndarray  # (4, 4, 4) N s/m ..., of each wheelset; step
+    Gy: np.ndarray  # (4, 3, 3), of each wheelset; step
     seen: np.ndarray  # (8, SEEN) of `wheel_rail_forces`, left then right wheel of each wheelset; step
     searched: np.ndarray  # (8, 4) y, z, roll, yaw where the wheel was last searched; step
     left: np.ndarray  # (8,) m, place on the track where a wheel left its rail, 0: it is on it; step
@@ -47,7 +48,7 @@ class Motion(NamedTuple):
 SHAPES: dict[str, tuple[int, ...]] = {
     "ports": (PORTS,), "q": (42,), "v": (42,), "force": (42,),
     "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS), "near": (WHEELS,),
-    "misfit": (WHEELS, NODES), "given": (4, GIVEN), "Gx": (4, 4), "Gy": (3, 3),
+    "misfit": (WHEELS, NODES), "given": (4, GIVEN), "lanes": (eight_contacts.SIZE,), "Gx": (4, 4, 4), "Gy": (4, 3, 3),
     "seen": (WHEELS, SEEN), "searched": (WHEELS, 4), "left": (WHEELS,), "turn": (1,),
     "damper_work": (1,), "approach_work": (1,),
     "sliding_work": (4,), "brake_work": (4,), "resistance_work": (1,),
@@ -61,6 +62,5 @@ for _name in Motion._fields:
 
 def views(buffer: np.ndarray) -> Motion:
     """The state in a contiguous float64 buffer of shape (SIZE,)."""
-    return Motion(*(
-        buffer[BEGIN[name]:BEGIN[name] + int(np.prod(SHAPES[name]))].reshape(SHAPES[name])
-        for name in Motion._fields))
+    return Motion(*(buffer[BEGIN[name]:BEGIN[name] + int(np.prod(SHAPES[name]))].reshape(SHAPES[name])
+                    for name in Motion._fields))

@@ -44,11 +44,9 @@ def packed(coach: Coach, law: Law, step_s: float, roller_inertia_kgm2: float) ->
     scalars = (coach.mass_kg, coach.axle_height_m, coach.contact_damping_N_s_m, coach.roller_m,
                wheel.start_m, wheel.spacing_m, wheel.centre_m, rail.sines_per_node,
                patches.nodes_per_log, patches.shear_Pa, step_s, roller_inertia_kgm2, *law)
-    tape = np.concatenate([np.array(scalars), coach.inertia, coach.weight_N,
-                           *(table.ravel() for table in tables)])
-    layout = np.concatenate([
-        np.array([len(table) for table in tables]), np.array([patches.model, patches.cells]),
-        coach.bogie_of, coach.springs.at.ravel(), coach.curves.at.ravel()]).astype(np.int64)
+    tape = np.concatenate([np.array(scalars), coach.inertia, coach.weight_N, *(table.ravel() for table in tables)])
+    layout = np.concatenate([np.array([len(table) for table in tables]), np.array([patches.model, patches.cells]),
+                             coach.bogie_of, coach.springs.at.ravel(), coach.curves.at.ravel()]).astype(np.int64)
     return Packed(tape, layout)
 
 
@@ -72,24 +70,21 @@ def _act(memory_at: Any, tape_at: Any, layout_at: Any) -> None:
     layout = carray(layout_at, (_COUNTS,))
     n_s, n_c, n_f, n_w, n_r, n_p = layout[0], layout[1], layout[2], layout[3], layout[4], layout[5]
     one = carray(tape_at, (_INERTIA,))
-    at = _TABLES
-    row_s = carray(_shifted(tape_at, at), (n_s, 12))
-    at += 12 * n_s
-    row_c = carray(_shifted(tape_at, at), (n_c, 12))
-    at += 12 * n_c
-    fine = carray(_shifted(tape_at, at), (n_f, 3))
-    at += 3 * n_f
-    coarse = carray(_shifted(tape_at, at), (n_w, 5))
-    at += 5 * n_w
-    nodes = carray(_shifted(tape_at, at), (n_r, 4))
-    at += 4 * n_r
-    coach = Coach(
-        carray(_shifted(tape_at, _INERTIA), (42,)), carray(_shifted(tape_at, _INERTIA + 42), (42,)),
-        one[0], Links(carray(_shifted(layout_at, _COUNTS), (n_s, 6)), row_s),
-        Links(carray(_shifted(layout_at, _COUNTS + 6 * n_s), (n_c, 6)), row_c), one[1],
-        Wheel(one[4], one[5], one[6], fine, coarse), Rail(one[7], nodes),
-        Patches(one[8], one[9], layout[6], layout[7], carray(_shifted(tape_at, at), (n_p, 8))),
-        one[2], one[3], carray(_shifted(layout_at, 8), (4,)))
+    # where the tables of `packed` begin, one after another
+    at_s, at_c = _TABLES, _TABLES + 12 * n_s
+    at_f = at_c + 12 * n_c
+    at_w = at_f + 3 * n_f
+    at_r = at_w + 5 * n_w
+    at_p = at_r + 4 * n_r
+    row_s, row_c = carray(_shifted(tape_at, at_s), (n_s, 12)), carray(_shifted(tape_at, at_c), (n_c, 12))
+    fine, coarse = carray(_shifted(tape_at, at_f), (n_f, 3)), carray(_shifted(tape_at, at_w), (n_w, 5))
+    nodes, rows = carray(_shifted(tape_at, at_r), (n_r, 4)), carray(_shifted(tape_at, at_p), (n_p, 8))
+    coach = Coach(carray(_shifted(tape_at, _INERTIA), (42,)), carray(_shifted(tape_at, _INERTIA + 42), (42,)), one[0],
+                  Links(carray(_shifted(layout_at, _COUNTS), (n_s, 6)), row_s),
+                  Links(carray(_shifted(layout_at, _COUNTS + 6 * n_s), (n_c, 6)), row_c), one[1],
+                  Wheel(one[4], one[5], one[6], fine, coarse), Rail(one[7], nodes),
+                  Patches(one[8], one[9], layout[6], layout[7], rows), one[2],
+                  one[3], carray(_shifted(layout_at, 8), (4,)))
     _obey(_motion_at(memory_at), coach, one[10], one[11], _law_of(one))
 
 
@@ -100,10 +95,9 @@ def _obey(state, coach, step_s, roller_inertia_kgm2, law):
     if io[coach_state.ACTION] == START:
         motion.start(state, coach, io[coach_state.SPEED_M_S])
         return
-    motion.step(
-        state, coach, step_s, io[ROLLER_RAD_S:ROLLER_RAD_S + 4], io[MOTOR_NM:MOTOR_NM + 4],
-        roller_inertia_kgm2, io[BRAKE_NM:BRAKE_NM + 4], io[BRAKE_ACTS_NM:BRAKE_ACTS_NM + 4],
-        io[coach_state.RESISTANCE_N], io[MU_CD:MU_CD + 4], io[MU_CR:MU_CR + 4], law)
+    motion.step(state, coach, step_s, io[ROLLER_RAD_S:ROLLER_RAD_S + 4], io[MOTOR_NM:MOTOR_NM + 4], roller_inertia_kgm2,
+                io[BRAKE_NM:BRAKE_NM + 4], io[BRAKE_ACTS_NM:BRAKE_ACTS_NM + 4], io[coach_state.RESISTANCE_N],
+                io[MU_CD:MU_CD + 4], io[MU_CR:MU_CR + 4], law)
     io[coach_state.SPEED_M_S] = motion.mean_speed(state.v, coach)
 
 
@@ -114,15 +108,11 @@ _compiled: list[Any] = []
 def prepare() -> None:
     """Compile the coach, or load it, and give it its name: before anything that calls `run`."""
     if not _compiled and not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        _compiled.append(numba.cfunc(types.void(_FLOATS, _FLOATS, _INTS), cache=True,
-                                     error_model="numpy")(_act))
+        _compiled.append(numba.cfunc(types.void(_FLOATS, _FLOATS, _INTS), cache=True, error_model="numpy")(_act))
         binding.add_symbol(_NAME, _compiled[0].address)
 
 
 @kernel_inlined
 def run(buffer, tape, layout):
-    """Let the coach do what its ports ask: start, or advance by a step.
-
-    buffer (coach_state.SIZE,) is its memory, tape and layout from `packed`.
-    """
+    """Let the coach do what its ports ask; buffer (coach_state.SIZE,) is its memory, tape and layout from `packed`."""
     _external(buffer.ctypes, tape.ctypes, layout.ctypes)

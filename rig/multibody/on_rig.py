@@ -11,8 +11,7 @@ from rollerrig.rig.multibody import coach_state, compiled_coach
 from rollerrig.rig.multibody.wheel_rail_forces import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
 
 _V, _SEEN, _GIVEN = (coach_state.BEGIN[name] for name in ("v", "seen", "given"))
-_SLIDING, _BRAKING, _RESISTING = (
-    coach_state.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work"))
+_SLIDING, _BRAKING, _RESISTING = (coach_state.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work"))
 _TURNING = _V + 22  # pitch rate of the first wheelset; the others 6 apart
 
 
@@ -28,10 +27,7 @@ def start(state, coach):
 
 @kernel_inlined
 def integrate(state, params, resistance_N, coach):
-    """Advance coach, wheelsets and rollers by one step, as `wheelset.integrate` does.
-
-    resistance_N is the running resistance at the present speed.
-    """
+    """Advance coach, wheelsets and rollers by one step, as `wheelset.integrate` does, under this running resistance."""
     h, own = params.step_s, state.coach
     v = state.vehicle_speed[0]
     for j in range(AXLES):

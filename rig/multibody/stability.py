@@ -38,13 +38,11 @@ def modes(coach: Coach) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt(np.maximum(squares, 0.0)) / (2.0 * math.pi), shapes / root[:, None]
 
 
-def growth(
-    coach: Coach, law: Law, speed_m_s: float, shift_m: float = 5e-4, duration_s: float = 4.0
-) -> float:
+def growth(coach: Coach, law: Law, speed_m_s: float, shift_m: float = 5e-4, duration_s: float = 4.0) -> float:
     """How a small lateral swing grows: rate in 1/s, negative where it dies away.
 
-    All wheelsets begin shift_m off the middle; the rate is that of the largest lateral displacement
-    of any wheelset in the second and the last quarter of the time.
+    All wheelsets begin shift_m off the middle; the rate is that of the largest lateral displacement of any wheelset
+    from the second to the last quarter of the time, or from the beginning, for a swing that has grown to its limit.
     """
     state = stop.rolling(coach, speed_m_s)
     for wheelset in range(3, 7):
@@ -59,15 +57,10 @@ def growth(
         largest.append(max(peak, 1e-12))
         if not np.isfinite(peak) or peak > 0.02:
             return math.inf
-    return math.log(largest[3] / largest[1]) / (2.0 * quarter)
+    return max(math.log(largest[3] / largest[1]) / (2.0 * quarter), math.log(largest[3] / shift_m) / duration_s)
 
 
-def critical_speed(
-    coach: Coach,
-    law: Law,
-    speeds_m_s: np.ndarray | None = None,
-    tolerance_m_s: float = 0.5,
-) -> float:
+def critical_speed(coach: Coach, law: Law, speeds_m_s: np.ndarray | None = None, tolerance_m_s: float = 0.5) -> float:
     """Speed in m/s above which the coach hunts: a sweep and bisection.
 
     Returns inf where it does not hunt at any of the speeds. `law` is the adhesion under the wheels;

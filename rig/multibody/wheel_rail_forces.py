@@ -18,12 +18,12 @@ import math
 
 import numpy as np
 
-from rollerrig.rig.contact import adhesion, creep_force, geometry
+from rollerrig.rig.contact import geometry
 from rollerrig.rig.contact import patch as patch_table
 from rollerrig.rig.contact.geometry import GAP, LATERAL, MOST, NX, NY, NZ, RAIL_Z, ROLLING, X, Y, Z
-from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.kernel import kernel_inlined
+from rollerrig.rig.multibody import eight_contacts as lanes
 
 # a wheel that has moved by this since it was searched is searched again, so many a step at most
 MOVED_M, SEARCHES = 5e-5, 2
@@ -32,8 +32,7 @@ ROLL_ARM_M, YAW_ARM_M = 0.75, 0.1
 # along over (v_x, omega, yaw rate, roller) (4) and across over (v_y, v_z, roll rate) (3), their
 # g s J (4, 3), and power of sliding and of the approach damper
 FORCE, ALONG, ACROSS, ALONG_GS, ACROSS_GS, SLIDING_W, APPROACH_W = 0, 6, 10, 13, 17, 20, 21
-# and, written by the time step, the mean braking force in N of the wheelset in it
-BRAKING_N = 22
+BRAKING_N = 22  # and, written by the time step, the mean braking force in N of the wheelset in it
 GIVEN = 23
 # per wheel: vertical load N, longitudinal and lateral force N, sliding along m/s, touching contacts
 LOAD, PULL, SIDE, SLIP, TOUCHING = range(5)
@@ -47,13 +46,11 @@ def axis(roll_rad, yaw_rad):
 
 
 @kernel_inlined
-def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roller_m, profile, rail,
-           spare):
+def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roller_m, profile, rail, spare):
     """Move the contacts of a wheel on: wheel 2 j the left one of wheelset j, 2 j + 1 the right one.
 
-    q (42,); offset_m of the wheelset before a roller's crown. The wheel is searched anew if it has
-    lost a contact, or has moved since `searched` (8, 4) and `spare` searches are left in this step;
-    returns what is left of them.
+    q (42,); offset_m of the wheelset before a roller's crown. The wheel is searched anew if it has lost a contact, or
+    has moved since `searched` (8, 4) and `spare` searches are left in this step; returns what is left of them.
     """
     first, side = 6 * (3 + wheel // 2), 1.0 - 2.0 * (wheel % 2)
     pose = (offset_m, side * q[first + 1], axle_height_m + q[first + 2])
@@ -75,15 +72,11 @@ def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roll
 
 
 @kernel_inlined
-def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, patches, damping_N_s_m,
-          roller_m, given, Gx, Gy, seen):
-    """Forces of both wheels of wheelset j into row j of `given`, `Gx` (4, 4), `Gy` (3, 3), `seen`.
+def slide(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, patches, damping_N_s_m, roller_m, w, lane):
+    """Load and sliding of all contacts of wheelset j into the lanes `w` of `eight_contacts`, from `lane` on.
 
-    base_m_s is the vehicle's speed on rollers, 0 on a track; roller_rad_s 0 on a track.
+    base_m_s is the vehicle's speed on rollers, 0 on a track; roller_rad_s 0 on a track. Returns the next lane.
     """
-    given[j, :] = 0.0
-    Gx[:, :] = 0.0
-    Gy[:, :] = 0.0
     i = 6 * (3 + j)
     ex, ey, ez = axis(q[i + 3], q[i + 5])
     spin_rate = v[i + 4]
@@ -91,7 +84,6 @@ def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, p
     for wheel in range(2):
         side = 1.0 - 2.0 * wheel
         at = 2 * j + wheel
-        seen[at, :] = 0.0
         for c in range(MOST * at, MOST * at + int(count[at])):
             p = -contacts[c, GAP]
             if p <= 0.0:
@@ -107,20 +99,44 @@ def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, p
             vy = v[i + 1] + wz * x - wx * z
             vz = v[i + 2] + wx * y - wy * x
             t2x, t2y, t2z = ny * sin, nz * cos - nx * sin, -ny * cos
-            sx = vx * cos + vz * sin + arm * roller_rad_s
-            sy = vx * t2x + vy * t2y + vz * t2z
             approach = max(-(vx * nx + vy * ny + vz * nz), 0.0)
-            spin = wx * nx + wy * ny + wz * nz + roller_rad_s * ny
             patch = patch_table.at(contacts[c, ROLLING], contacts[c, LATERAL], patches)
-            N = patch.k_h_N_m32 * p * math.sqrt(p) + damping_N_s_m * approach  # [N1]
-            speed = max(abs(v[i] - base_m_s + arm * roller_rad_s), adhesion.SPEED_FLOOR_M_S)
-            s = math.sqrt(sx * sx + sy * sy)
-            here = adhesion.law_under(mu_cd, mu_cr, s / speed, law)
-            fx, fy, mz = creep_force.creep_force(patch.model, sx / speed, sy / speed, spin / speed,
-                                                 s, N, patch, here)
+            lanes.put(w, lane, patch)
+            w[lanes.SX + lane] = vx * cos + vz * sin + arm * roller_rad_s
+            w[lanes.SY + lane] = vx * t2x + vy * t2y + vz * t2z
+            w[lanes.SPIN + lane] = wx * nx + wy * ny + wz * nz + roller_rad_s * ny
+            w[lanes.SURFACE + lane] = v[i] - base_m_s + arm * roller_rad_s
+            w[lanes.LOAD + lane] = patch.k_h_N_m32 * p * math.sqrt(p) + damping_N_s_m * approach  # [N1]
+            w[lanes.MU_CD + lane], w[lanes.MU_CR + lane], w[lanes.APPROACH + lane] = mu_cd, mu_cr, approach
+            w[lanes.COS + lane], w[lanes.SIN + lane], w[lanes.ARM + lane] = cos, sin, arm
+            lane += 1
+    return lane
+
+
+@kernel_inlined
+def press(j, contacts, count, damping_N_s_m, given, Gx, Gy, seen, w, lane):
+    """Forces of both wheels of wheelset j into row j of `given`, `Gx` (4, 4), `Gy` (3, 3), `seen`; as `slide`."""
+    given[j, :] = 0.0
+    Gx[:, :] = 0.0
+    Gy[:, :] = 0.0
+    for wheel in range(2):
+        side = 1.0 - 2.0 * wheel
+        at = 2 * j + wheel
+        seen[at, :] = 0.0
+        for c in range(MOST * at, MOST * at + int(count[at])):
+            if -contacts[c, GAP] <= 0.0:
+                continue
+            x, y, z = contacts[c, X], side * contacts[c, Y], contacts[c, Z]
+            nx, ny, nz = contacts[c, NX], side * contacts[c, NY], contacts[c, NZ]
+            cos, sin, arm = w[lanes.COS + lane], w[lanes.SIN + lane], w[lanes.ARM + lane]
+            t2x, t2y, t2z = ny * sin, nz * cos - nx * sin, -ny * cos
+            sx, sy, spin = w[lanes.SX + lane], w[lanes.SY + lane], w[lanes.SPIN + lane]
+            fx, fy, mz, N = w[lanes.FX + lane], w[lanes.FY + lane], w[lanes.MZ + lane], w[lanes.LOAD + lane]
+            approach = w[lanes.APPROACH + lane]
+            lane += 1
             # [N4]
             reach = 0.005 * abs(spin)
-            g = math.sqrt(fx * fx + fy * fy) / (s + reach + 1e-9)
+            g = math.sqrt(fx * fx + fy * fy) / (math.sqrt(sx * sx + sy * sy) + reach + 1e-9)
             # [N3]
             Fx = N * nx + fx * cos + fy * t2x
             Fy = N * ny + fy * t2y
@@ -131,10 +147,8 @@ def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, p
             given[j, 3] += y * Fz - z * Fy + mz * nx
             given[j, 4] += z * Fx - x * Fz + mz * ny
             given[j, 5] += x * Fy - y * Fx + mz * nz
-            slopes(given, j, ALONG, ALONG_GS, Gx, 4, (cos, z * cos - x * sin, -y * cos, arm), fx,
-                   g, sx)
-            slopes(given, j, ACROSS, ACROSS_GS, Gy, 3, (t2y, t2z, y * t2z - z * t2y, 0.0), fy, g,
-                   sy)
+            slopes(given, j, ALONG, ALONG_GS, Gx, 4, (cos, z * cos - x * sin, -y * cos, arm), fx, g, sx)
+            slopes(given, j, ACROSS, ACROSS_GS, Gy, 3, (t2y, t2z, y * t2z - z * t2y, 0.0), fy, g, sy)
             given[j, SLIDING_W] -= fx * sx + fy * sy + mz * spin
             given[j, APPROACH_W] += damping_N_s_m * approach * approach
             seen[at, LOAD] += Fz
@@ -144,6 +158,7 @@ def press(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, law, p
             seen[at, TOUCHING] += N
         if seen[at, TOUCHING] > 0.0:
             seen[at, SLIP] /= seen[at, TOUCHING]
+    return lane
 
 
 @kernel_inlined
@@ -157,13 +172,8 @@ def slopes(given, j, force_at, gs_at, G, size, J, f, g, s):
             G[k, m] += gJ * J[m]
 
 
-def axle_height(
-    load_N: float, wheel: Wheel, rail: Rail, patches: Patches, roller_m: float
-) -> float:
-    """Height in m of a centred wheelset's axle at which each wheel presses upwards with load_N.
-
-    Raises ValueError where the profiles do not meet there.
-    """
+def axle_height(load_N: float, wheel: Wheel, rail: Rail, patches: patch_table.Patches, roller_m: float) -> float:
+    """Height in m of a centred wheelset's axle where each wheel bears load_N. Raises ValueError where there is none."""
     radius = wheel.fine[:, 0]
     low, high = float(radius.min()) - 0.03, float(radius.max()) + 0.03
     for _ in range(80):
@@ -183,7 +193,6 @@ def axle_height(
         else:
             high = z
     if high - low > 1e-9 or total <= 0.0:
-        raise ValueError(
-            f"a wheelset under {2.0 * load_N:g} N finds no height on which both wheels bear: wheel "
-            "and rail profile do not meet; check their units (mm), gauge_m and running_circles_m")
+        raise ValueError(f"a wheelset under {2.0 * load_N:g} N finds no height on which both wheels bear: wheel and "
+                         "rail profile do not meet; check their units (mm), gauge_m and running_circles_m")
     return z

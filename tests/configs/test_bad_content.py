@@ -74,10 +74,12 @@ def load_wsp(path):
 
 
 def load_dataset(path):
-    # a dataset is a folder; the packaged one lends its data files
+    # a dataset is a folder; the packaged one lends the first seconds of its data files
     folder = path.parent
     if not (folder / "runs").exists():
-        (folder / "runs").symlink_to(store.ROOT / "datasets" / "open_none" / "runs")
+        (folder / "runs").mkdir()
+        for file in (store.ROOT / "datasets" / "open_none" / "runs").iterdir():
+            (folder / "runs" / file.name).write_text("".join(file.read_text().splitlines(keepends=True)[:301]))
     (folder / "dataset.toml").write_bytes(path.read_bytes())
     return dataset.load(folder)
 

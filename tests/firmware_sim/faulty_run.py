@@ -45,6 +45,10 @@ PLAN = (
     ("heartbeat_late", 7.3, 7.8, {"node": 17, "delay_s": 0.6}),
     ("wsp_frozen", 8.0, 8.4, {}),
     ("receive_error", 9.0, 9.4, {"node": 16, "attempts": 1}),
+    ("sander_blocked", 1.0, 2.0, {"axle": 1}),
+    ("sander_wrong_orifice", 3.0, 4.0, {"axle": 1, "factor": 0.3}),
+    ("sander_late", 5.0, 6.0, {"axle": 2, "delay_s": 3.0}),
+    ("sander_empty", 7.0, 8.0, {"axle": 2}),
 )
 # what the unit asks of the magnets
 SCRIPT = ((2.1, 2.4, HOLD_ALL), (2.4, 2.7, VENT_ALL))
@@ -119,7 +123,8 @@ class ScriptedUnit:
 def scenario_file(folder: Path) -> Path:
     """The scenario as a file."""
     lines = ['title = "every fault in turn"', 'adhesion = "dry"', "initial_speed_m_s = 30.0",
-             f"duration_max_s = {END_S}", "[bus]", 'interface = "hub"', "socketcand_port = 0",
+             f"duration_max_s = {END_S}", "[sanders]", "axle = 1", "second_axle = 2", "from_s = 0.0",
+             "[bus]", 'interface = "hub"', "socketcand_port = 0",
              "[[demand]]", "from_s = 0.0", "pressure_Pa = 3.8e5"]
     for kind, begin, end, values in PLAN:
         lines += ["[[fault]]", f'kind = "{kind}"', f"at_s = {begin}", f"for_s = {end - begin:.6f}"]

@@ -194,6 +194,22 @@ def test_torque_ripple_shows_in_demand_and_torque_on_the_bus(rig):
     assert np.diff(np.sign(actual - actual.mean())).astype(bool).sum() > 6
 
 
+def test_a_sander_that_is_blocked_or_has_a_wrong_orifice_or_no_sand_strews_less_and_the_other_goes_on(rig):
+    def strewn(axle, from_s, to_s):
+        return rig.channel(f"sand_rate_{axle}_kg_s", from_s, to_s)
+
+    sound_kg_s = strewn(1, 0.9, 1.0)[-1]
+    assert sound_kg_s > 0.05
+    assert strewn(1, 1.9, 2.0)[-1] < 0.15 * sound_kg_s
+    assert np.ptp(rig.channel("sand_box_1_kg", 1.1, 2.0)) == 0.0
+    assert 0.25 * sound_kg_s < strewn(1, 3.9, 4.0)[-1] < 0.5 * sound_kg_s
+    assert (strewn(2, 1.1, 2.0) > 0.9 * sound_kg_s).all()
+    assert strewn(2, 6.9, 7.0)[-1] > 0.9 * sound_kg_s
+    assert rig.channel("sand_box_2_kg", 7.1, 9.0).max() == 0.0
+    assert np.ptp(rig.channel("sand_taken_2_kg", 7.1, 9.0)) == 0.0
+    assert strewn(2, 8.9, 9.0).max() < 0.1 * sound_kg_s
+
+
 def words(rig, node, from_s, to_s):
     """Statuswords of a drive."""
     return [int.from_bytes(one[:2], "little") for one in rig.on_bus(0x180 + node, from_s, to_s)]

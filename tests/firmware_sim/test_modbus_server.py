@@ -11,9 +11,10 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.constants import ExcCodes
 
 from rollerrig.configs.errors import BusError
-from rollerrig.firmware_sim.modbus import pdu, server
+from rollerrig.firmware_sim.modbus import server
 from rollerrig.firmware_sim.modbus.map import WORDS
 from rollerrig.firmware_sim.modbus.server import Server
+from rollerrig.realtime.benchmarks.endurance import fuzz
 
 SPEED_SET_POINT = 1
 
@@ -289,21 +290,12 @@ def test_a_client_that_vanishes_in_the_middle_of_a_request_is_forgotten(site):
     until(lambda: len(site.server.connections) == 1)
 
 
-def mutated(rng):
-    """A request that is somewhat wrong: cut, stretched, flipped, or random from the beginning."""
-    function = rng.choice([*pdu.FUNCTIONS, rng.randrange(256)])
-    body = rng.randbytes(rng.choice([0, 1, 3, 4, 4, 4, 5, 6, 9, 12, 40, 200]))
-    if rng.random() < 0.5:
-        body = struct.pack(">HH", rng.choice([0, 1, 100, 200, 65535]), rng.randrange(130)) + body[4:]
-    return bytes((function,)) + body
-
-
 @pytest.mark.conformance("Modbus", "fuzz: random requests")
 @pytest.mark.parametrize("seed", range(4))
 def test_random_requests_get_an_answer_or_an_exception_each(seed, client, site):
     rng = random.Random(seed)
     for _ in range(500):
-        request, unit = mutated(rng)[:253], rng.choice([1, 1, 11, 14, 0, 200])
+        request, unit = fuzz.mutated(rng), rng.choice([1, 1, 11, 14, 0, 200])
         reply = client.ask(request, unit)
         assert reply[0] & 0x7F == request[0] & 0x7F
         if reply[0] & 0x80 and not request[0] & 0x80:
@@ -319,7 +311,7 @@ def test_random_bytes_close_or_are_answered_and_the_server_lives(seed, site):
     for _ in range(60):
         client = site.connect()
         data = b"".join(
-            adu(mutated(rng), rng.randrange(256), rng.randrange(65536),
+            adu(fuzz.mutated(rng), rng.randrange(256), rng.randrange(65536),
                 rng.choice([0, 0, 0, 1, 256]), rng.choice([None, None, 0, 3, 254, 255, 65535]))
             for _ in range(rng.randrange(1, 6)))
         client.send(data[:rng.randrange(len(data)) + 1])

@@ -10,7 +10,8 @@ import pytest
 from modbus_site import Client, Site, adu
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.modbus.server import tls_context
+from rollerrig.firmware_sim.modbus.access import TLS_KEYS, tls_context
+from rollerrig.realtime import cli
 
 pytestmark = pytest.mark.skipif(not shutil.which("openssl"), reason="needs the command openssl")
 READ = struct.pack(">BHH", 3, 202, 1)
@@ -46,10 +47,16 @@ def folder(tmp_path_factory):
     return place
 
 
+def asked(folder, **other):
+    """[modbus] with the files of the rig, or others."""
+    files = (str(folder / name) for name in ("rig.pem", "rig.key", "plant.pem"))
+    return dict(zip(TLS_KEYS, files, strict=True)) | other
+
+
 @pytest.fixture
 def site(folder):
     place = Site()
-    place.listen(tls_context(folder / "rig.pem", folder / "rig.key", folder / "plant.pem"))
+    place.listen(tls_context(asked(folder)))
     yield place
     place.close()
 
@@ -113,13 +120,29 @@ def test_plain_modbus_gets_nothing_where_tls_is_spoken(site):
 
 
 def test_tls_below_1_2_is_not_spoken(folder):
-    context = tls_context(folder / "rig.pem", folder / "rig.key", folder / "plant.pem")
+    context = tls_context(asked(folder))
     assert context.minimum_version == ssl.TLSVersion.TLSv1_2
     assert context.verify_mode == ssl.CERT_REQUIRED
 
 
 def test_missing_or_wrong_files_are_named(folder):
     with pytest.raises(ConfigError, match="tls_client_ca"):
-        tls_context(folder / "rig.pem", folder / "rig.key", folder / "none.pem")
+        tls_context(asked(folder, tls_client_ca=str(folder / "none.pem")))
     with pytest.raises(ConfigError, match=r"room\.key"):
-        tls_context(folder / "rig.pem", folder / "room.key", folder / "plant.pem")
+        tls_context(asked(folder, tls_key=str(folder / "room.key")))
+
+
+@pytest.mark.conformance("Bad input", "TLS that is asked for in part is refused")
+@pytest.mark.parametrize("without", TLS_KEYS)
+def test_a_part_of_tls_is_refused_before_anything_is_served(folder, without, tmp_path, capsys):
+    given = asked(folder, **{without: ""})
+    with pytest.raises(ConfigError, match=without):
+        tls_context(given)
+    sets = [word for key, path in given.items() if path for word in ("--set", f"modbus.{key}={path}")]
+    assert cli.main(["run", "dry_stop", "--out", str(tmp_path / "run"), *sets]) == cli.USAGE
+    assert without in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_nothing_of_tls_is_plain_modbus():
+    assert tls_context(dict.fromkeys(TLS_KEYS, "")) is None

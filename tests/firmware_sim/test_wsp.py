@@ -14,7 +14,7 @@ import pytest
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.wsp import logic, phases
-from rollerrig.firmware_sim.wsp.phases import Event, Phase, Sliding, Trend
+from rollerrig.firmware_sim.wsp.phases import Event, Phase
 from rollerrig.rig.kernel import kernel, kernel_with_memory
 
 RADIUS_M, INERTIA_KGM2, LOAD_N, MASS_KG = 0.445, 160.0, 105.4e3, 43e3
@@ -253,7 +253,7 @@ def test_the_cycle_is_ordinary_python_too(tmp_path):
 
 def test_the_tables_cover_every_phase_event_and_class():
     assert phases.NEXT.shape == phases.INTERRUPTS.shape == (len(Phase), len(Event))
-    assert phases.WISHES.shape == (len(Sliding), len(Trend))
+    assert phases.WISHES.shape == (5, 5)
     assert phases.MAGNETS.shape == (len(Phase), 2)
     assert set(phases.NEXT.ravel()) == {int(phase) for phase in Phase}
     # deeper or faster falling never asks for more brake

@@ -41,10 +41,10 @@ LOCKED = speeds(0.0, 67.4, 67.4, 67.4)
 class Bench:
     """The other end of a virtual bus, and the unit in a thread of its own."""
 
-    def __init__(self, channel):
+    def __init__(self, channel, lockstep_s=0.0):
         self.bus = can.Bus(interface="virtual", channel=channel)
         self.unit_bus = can.Bus(interface="virtual", channel=channel)
-        self.unit = wsp_unit.Unit(self.unit_bus, logic.load())
+        self.unit = wsp_unit.Unit(self.unit_bus, wsp_unit.Reference(logic.load()), lockstep_s)
         self.thread = threading.Thread(target=self.unit.run, daemon=True)
         self.thread.start()
 
@@ -173,21 +173,37 @@ def test_a_reset_makes_it_boot_again_with_an_empty_memory(bench, command):
 def test_without_speeds_it_repeats_the_magnets_five_times_and_then_drops_them(bench):
     for _ in range(3):
         bench.cycle(LOCKED)
-    bench.send(SYNC)  # answered when the second comes; then at once
+    bench.send(SYNC)  # each is answered when the next comes
     answers = []
-    for n in range(2, 10):
+    for _ in range(9):
         bench.send(SYNC)
-        while len(answers) < n:
-            answers.append(bench.heard(MAGNETS)[-1][1])
+        answers.append(bench.heard(MAGNETS)[-1][1])
     assert answers == [b"\x03"] * 5 + [b"\x00"] * 4
-    assert bench.cycle(LOCKED)[-1] == (MAGNETS, b"\x00")  # answered at the SYNC
-    assert bench.cycle(LOCKED)[-1] == (MAGNETS, b"\x03")  # speeds are back
+    bench.send(SPEEDS, LOCKED)  # speeds are back
+    assert bench.heard(MAGNETS)[-1] == (MAGNETS, b"\x03")
+    assert bench.cycle(LOCKED)[-1] == (MAGNETS, b"\x03")
 
 
-def test_in_lockstep_a_sync_whose_speeds_never_come_is_answered_all_the_same(bench):
+def test_a_sync_whose_speeds_never_come_is_answered_by_the_clock_where_no_other_comes(bench):
     bench.cycle()
     bench.send(SYNC)
     assert bench.heard(MAGNETS)[-1] == (MAGNETS, b"\x00")
+
+
+def test_in_lockstep_it_sends_nothing_by_the_clock_and_answers_without_speeds_at_the_next_sync():
+    bench = Bench(f"wsp-unit-{os.getpid()}-{next(CHANNELS)}", lockstep_s=0.01)
+    assert bench.heard(HEARTBEAT) + bench.heard(HEARTBEAT) == [(HEARTBEAT, b"\x00"), (HEARTBEAT, b"\x05")]
+    assert bench.heard(timeout_s=0.5) == []
+    bench.cycle()
+    bench.send(SYNC)
+    assert bench.heard(timeout_s=0.5) == []
+    for n in range(3, 8):
+        bench.send(SYNC)
+        # the heartbeat of the fifth goes out before its answer, and so late with it
+        assert ids(bench.heard(MAGNETS)) == ([HEARTBEAT, MAGNETS] if n == 6 else [MAGNETS])
+    bench.unit.stop()
+    bench.thread.join(60.0)
+    assert not bench.thread.is_alive()
 
 
 def test_speeds_of_a_wrong_length_are_not_speeds(bench):
@@ -340,3 +356,19 @@ def test_a_terminated_unit_leaves_the_magnets_off_and_status_zero(lockstep, requ
         finally:
             unit.kill()
     lockstep.do(lockstep.until_last((MAGNETS, b"\x00")))
+
+
+def test_a_unit_that_shall_asks_for_sand_while_wheels_slide_and_the_shipped_one_never_does():
+    asked = []
+    for sand in (False, True):
+        bus = can.Bus(interface="virtual", channel=f"sand{next(CHANNELS)}")
+        unit = wsp_unit.Unit(bus, wsp_unit.Reference(logic.load()._replace(sand=sand)), 0.01)
+        unit._boot()
+        sent = []
+        unit._send = lambda can_id, data, sent=sent: sent.append((can_id, data))
+        for payload in [RUNNING] * 20 + [LOCKED] * 5 + [RUNNING] * 250:
+            unit._take[SYNC](can.Message(arbitration_id=SYNC))
+            unit._take[SPEEDS](can.Message(arbitration_id=SPEEDS, data=payload))
+        asked.append([data for can_id, data in sent if can_id == 0x212])
+        bus.shutdown()
+    assert asked == [[], [b"\x55", b"\x00"]]

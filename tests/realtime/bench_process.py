@@ -1,6 +1,8 @@
 """`rollerrig run` as a process of its own, with free ports, and a simple WSP unit on its bus."""
 
+import functools
 import json
+import multiprocessing
 import os
 import re
 import signal
@@ -8,8 +10,10 @@ import subprocess
 import sys
 import threading
 import time
+from multiprocessing import connection, forkserver
 from pathlib import Path
 
+from rollerrig.configs import ended
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
 
@@ -27,18 +31,79 @@ def until(condition, what, timeout_s=PATIENCE_S):
     return found
 
 
+@functools.cache
+def forking():
+    """A process that has loaded what a bench needs, and forks those that are started; it ends with this one."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["loaded_bench"])
+    own = os.environ.copy()
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # Python 3.11 has no other way to tell it
+    forkserver.ensure_running()
+    os.environ.clear()
+    os.environ.update(own)
+    return context
+
+
+class Forked:
+    """`rollerrig` as a process with a session of its own, forked where `loaded_bench` is loaded; as Popen."""
+
+    def __init__(self, words, stdout, stderr, before=int):
+        for one in (stdout, stderr):
+            one.write_bytes(b"")
+        place = os.getcwd(), dict(os.environ)
+        self._process = forking().Process(target=_begin, args=(words, stdout, stderr, before, *place), daemon=True)
+        self._process.start()
+        self.pid, self._stdout, self._lock = self._process.pid, stdout, threading.Lock()
+
+    @property
+    def returncode(self):
+        with self._lock:  # two threads that read it at a time would take it from one another
+            return self._process.exitcode
+
+    poll = returncode.fget
+
+    def wait(self, timeout=None):
+        connection.wait([self._process.sentinel], timeout)
+        if (status := self.returncode) is None:
+            raise subprocess.TimeoutExpired("rollerrig run", timeout)
+        return status
+
+    def communicate(self, timeout=None):
+        self.wait(timeout)
+        return self._stdout.read_text(), None
+
+    def send_signal(self, number):
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self):
+        self.send_signal(signal.SIGKILL)
+
+
+def _begin(words, stdout, stderr, before, folder, environment):
+    """Become the process: streams, session, folder and environment of one that is started."""
+    os.setsid()
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    for number, path, mode in ((0, os.devnull, os.O_RDONLY), (1, stdout, os.O_WRONLY), (2, stderr, os.O_WRONLY)):
+        os.dup2(os.open(path, mode | os.O_CREAT | os.O_TRUNC), number)
+    ended.with_parent(os.getppid(), signal.SIGTERM)
+    before()
+    from rollerrig.realtime import cli
+
+    sys.exit(cli.main(words))
+
+
 class BenchProcess:
     """A run that has been started. `finish` waits for it and keeps what it said."""
 
-    def __init__(self, out, *arguments, scenario="velim_a1"):
+    def __init__(self, out, *arguments, scenario="velim_a1", before=int):
         self.out = Path(out)
         self.said = self.out.parent / f"{self.out.name}.stderr"
-        command = [sys.executable, "-m", "rollerrig.realtime.cli", "run", scenario, "--json",
-                   "--out", str(out), "--set", "bus.socketcand_port=0",
-                   "--set", "modbus.enabled=false", *arguments]
-        with open(self.said, "wb") as stderr:
-            self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr,
-                                            stdout=subprocess.PIPE, start_new_session=True)
+        words = ["run", scenario, "--json", "--out", str(out), "--set", "bus.interface=hub", "--set",
+                 "bus.socketcand_port=0", "--set", "modbus.enabled=false", *map(str, arguments)]
+        self.process = Forked(words, self.out.parent / f"{self.out.name}.stdout", self.said, before)
         self.status = self.told = None
 
     def finish(self, timeout_s=PATIENCE_S):

@@ -3,6 +3,8 @@
 import bench_process
 import pytest
 
+ON_LEAVES = ("--set", "adhesion=leaf_film", "--set", "initial_speed_m_s=20")
+
 
 @pytest.fixture(scope="session")
 def folders(tmp_path_factory):
@@ -17,7 +19,14 @@ def stop_with_wsp(folders):
 
 @pytest.fixture(scope="session")
 def stop_without_wsp(folders):
-    return bench_process.run(folders / "without", "--pacing", "lockstep", "--wsp", "none")
+    """From 20 m/s on leaves, where no sliding cleans enough for a full brake."""
+    return bench_process.run(folders / "without", "--pacing", "free", "--wsp", "none", *ON_LEAVES)
+
+
+@pytest.fixture(scope="session")
+def stop_on_leaves(folders):
+    """The same with the reference unit."""
+    return bench_process.run(folders / "leaves", "--pacing", "free", *ON_LEAVES)
 
 
 @pytest.fixture(scope="session")

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rollerrig.realtime.bench import processes
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
-from rollerrig.realtime.telemetry import recording
 from rollerrig.wsp_interface import signals
 
 WIDTH = len(signals.COLUMNS)
@@ -50,8 +50,8 @@ def main():
     folder = Path(sys.argv[1])
     (folder / "scenario.toml").write_text(SCENARIO)
     to = rings()
-    process = recording.start(folder, *to, {"pacing": "wall", "seed": 7})
-    if not recording.wait_ready(process, to[0]):
+    process = processes.record(folder, *to, {"pacing": "wall", "seed": 7})
+    if not processes.wait_ready(process, to[0]):
         sys.exit("the recorder did not come")
     print(json.dumps({"rings": [str(one.path) for one in to], "recorder": process.pid}), flush=True)
     number = 0

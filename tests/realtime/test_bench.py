@@ -36,14 +36,16 @@ def test_with_wsp_on_soap_no_axle_locks_longer_than_0_4_s(stop_with_wsp):
     assert sum(axle["vents"] for axle in stop_with_wsp.told["axles"]) > 10
 
 
-def test_without_wsp_on_soap_every_wheelset_locks(stop_without_wsp):
+def test_without_wsp_on_leaves_every_wheelset_locks(stop_without_wsp):
     assert stop_without_wsp.status == 0, stop_without_wsp.stderr
     assert min(axle["longest_lock_s"] for axle in stop_without_wsp.told["axles"]) > 5.0
     assert stop_without_wsp.told["wsp"]["vents"] == 0
 
 
-def test_with_wsp_the_stop_is_shorter_than_without(stop_with_wsp, stop_without_wsp):
-    with_wsp, without = stop_with_wsp.told, stop_without_wsp.told
+def test_with_wsp_the_stop_on_leaves_is_shorter_than_without(stop_on_leaves, stop_without_wsp):
+    with_wsp, without = stop_on_leaves.told, stop_without_wsp.told
+    assert with_wsp["stopped"]
+    assert without["stopped"]
     assert with_wsp["stop_distance_m"] < 0.95 * without["stop_distance_m"]
     assert with_wsp["stop_time_s"] < without["stop_time_s"]
 
@@ -101,7 +103,7 @@ def test_lockstep_with_the_wsp_in_its_own_process_equals_free_bit_for_bit(stop_w
 def test_two_lockstep_runs_give_the_same_summary_channels_and_bus_log(folders):
     first, second = (bench_process.run(folders / f"again{n}", "--pacing", "lockstep", "--set",
                                        "duration_max_s=5") for n in range(2))
-    assert first.status == second.status == 0
+    assert first.status == second.status == 4  # they do not stop in that time
     summaries = [json.loads((run.out / "summary.json").read_text()) for run in (first, second)]
     for summary in summaries:
         # free ports differ
@@ -149,7 +151,8 @@ def test_an_external_unit_drives_a_stop_in_lockstep(tmp_path):
 
 
 def test_wall_pacing_keeps_real_time(wall_run):
-    assert wall_run.status == 0, wall_run.stderr
+    assert wall_run.status == 4, wall_run.stderr
+    assert wall_run.told["ended"] == "finished"
     loop = wall_run.told["loop"]
     assert loop["ticks"] == 4000
     late = loop["lateness_us"]
@@ -163,8 +166,10 @@ def times_s(run, frame):
 
 
 def test_syncs_keep_their_period_in_wall_pacing(wall_run):
-    # deadlines are absolute: however late single ones are, they do not drift
-    assert np.diff(times_s(wall_run, "080#")).mean() == pytest.approx(0.01, rel=0.05)
+    # deadlines are absolute: however late single ones are, or missed on a busy machine, they do not drift
+    at_s = times_s(wall_run, "080#")
+    assert np.median(np.diff(at_s)) == pytest.approx(0.01, rel=0.05)
+    assert at_s[-1] - wall_run.told["loop"]["stalled_s"] == pytest.approx(4.0, abs=0.1)
 
 
 def test_the_unit_is_lost_only_where_its_heartbeat_is_missing_on_the_bus(stop_with_wsp, wall_run):
@@ -181,14 +186,25 @@ def test_the_unit_is_lost_only_where_its_heartbeat_is_missing_on_the_bus(stop_wi
 
 def test_a_stall_is_counted_as_missed_ticks_and_strict_says_so(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--strict", "--wsp", "none",
-                         "--set", "duration_max_s=5")
+                         "--set", "initial_speed_m_s=4", scenario="dry_stop")
     bench.runs_for(0.5)
     os.kill(bench.process.pid, signal.SIGSTOP)
     time.sleep(0.4)
     os.kill(bench.process.pid, signal.SIGCONT)
     bench.finish()
     assert bench.status == 3, bench.stderr
-    assert bench.told["loop"]["ticks"] == 5000
+    assert bench.told["valid"] is True
+    assert bench.told["loop"]["ticks"] == pytest.approx(1000 * bench.record.column("time_s")[-1], abs=10)
     assert bench.told["loop"]["missed"] >= 350
     assert bench.told["loop"]["lateness_us"]["max"] >= 350_000
     assert bench.record.column("ticks_missed")[-1] >= 350
+    # the record has two clocks, and says how far they are apart from when on
+    stalls = [event for event in bench.told["events"] if event["text"].startswith("the loop stood still for 0.")]
+    apart_s = bench.told["loop"]["stalled_s"]
+    assert apart_s == pytest.approx(sum(float(one["text"].split()[5]) for one in stalls), abs=0.002 * len(stalls))
+    assert apart_s > 0.3
+    assert {one["level"] for one in stalls} == {"warning"}
+    syncs_s = times_s(bench, "080#")
+    first = stalls[0]["time_s"]
+    assert syncs_s[syncs_s < first].size == pytest.approx(first / 0.01, abs=30)
+    assert syncs_s[-1] - apart_s == pytest.approx(bench.record.column("time_s")[-1], abs=0.15)

@@ -1,68 +1,159 @@
-"""The measures of `bench explain`: what counts as right, on verdicts written by hand."""
+"""The measures of `bench explain` and `score`: what counts as right, on answers written by hand; sets without truth."""
+
+import json
+from pathlib import Path
 
 import pytest
 from generator import braking_stops
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime import cli
 from rollerrig.realtime.benchmarks import explain as bench
-from rollerrig.realtime.benchmarks.explain import Case, Judged
+from rollerrig.realtime.benchmarks.sealed import answers, cases, score
+
+SILENT = print
 
 
-def judged(kind: str, hidden: dict[str, float], verdict: str, *sets: tuple[str, ...],
-           covered: bool | None = None, won: float | None = None, possible: float | None = None
-           ) -> Judged:
-    return Judged(Case(kind, hidden, 0), verdict, [s[0] for s in sets], [set(s) for s in sets],
-                  covered, won, possible, 1.0)
+def entry(kind: str, hidden: dict[str, float], **more) -> dict:
+    """What a key holds of a set."""
+    return {"kind": kind, "effects": hidden, "meaning": {}, "base_error": {}, "least_error": {}} | more
 
 
-def counts(*found: Judged) -> dict[str, tuple[int, int]]:
-    return {row["measure"]: (row["yes"], row["of"]) for row in bench.rows(list(found))}
+def answer(verdict: str, *sets: tuple[str, ...], **more) -> dict:
+    """What a tool says of a set."""
+    return {"verdict": verdict, "causes": [{"name": s[0], "confusable_with": list(s[1:])} for s in sets]} | more
+
+
+def judged(tmp_path: Path, *pairs: tuple[dict, dict]) -> dict[str, dict]:
+    """The rows of some (key, answer), through the files that a stranger would use."""
+    names = [f"set_{k:04d}" for k in range(1, len(pairs) + 1)]
+    keys, said = (dict(zip(names, part, strict=True)) for part in zip(*pairs, strict=True))
+    cases._write_key(tmp_path, {"generator": "first", "seed": 0, "sets": keys})
+    file = tmp_path / "answers.json"
+    file.write_text(json.dumps(said))
+    return {row["measure"]: row for row in bench.judge(tmp_path, file)["rows"]}
+
+
+def counts(rows: dict[str, dict]) -> dict[str, tuple[int, int]]:
+    return {name: (row["yes"], row["of"]) for name, row in rows.items()}
 
 
 def test_the_first_turn_of_the_matrix_has_every_kind_and_every_cause_has_three_sizes() -> None:
-    matrix = bench.cases(braking_stops, 0)
-    assert {case.kind for case in matrix[:6]} == {"none", "one", "two", "unknown"}
+    matrix = cases.cases(braking_stops, 0)
+    assert {case.kind for case in matrix[:6]} == set(cases.KINDS)
     assert len({case.seed for case in matrix}) == len(matrix)
     for cause in braking_stops.SMALLEST:
         assert sum(list(case.effects) == [cause] for case in matrix) == 3
 
 
-def test_a_named_cause_where_nothing_is_hidden_is_a_false_alarm() -> None:
-    found = counts(judged("none", {}, "consistent"), judged("none", {}, "explained", ("sanding",)))
-    assert found["nothing hidden: consistent"] == (1, 2)
+def test_a_named_cause_where_nothing_is_hidden_is_a_false_alarm_and_its_rate_has_an_interval(tmp_path: Path) -> None:
+    rows = judged(tmp_path, (entry("none", {}), answer("consistent")),
+                  (entry("none", {}), answer("explained", ("sanding",))))
+    row = rows["nothing hidden: consistent"]
+    assert (row["yes"], row["of"]) == (1, 2)
+    # Wilson: (1/2 +- z sqrt(1/8 + z^2/16)) scaled, for one of two
+    assert (row["low"], row["high"]) == pytest.approx((0.0945, 0.9055), abs=1e-3)
 
 
-def test_the_truth_counts_first_alone_or_in_a_set_of_two_but_not_of_three() -> None:
-    hidden = {"pad_fade": 0.1}
-    found = counts(judged("one", hidden, "explained", ("pad_fade", "brake_gain", "torque_offset")),
-                   judged("one", hidden, "explained", ("brake_gain", "pad_fade")),
-                   judged("one", hidden, "explained", ("brake_gain", "pad_fade", "sanding")),
-                   judged("one", hidden, "consistent"))
+def test_the_truth_counts_first_alone_or_in_a_set_of_two_but_not_of_three(tmp_path: Path) -> None:
+    hidden = entry("one", {"pad_fade": 0.1})
+    rows = judged(tmp_path, (hidden, answer("explained", ("pad_fade", "brake_gain", "torque_offset"))),
+                  (hidden, answer("explained", ("brake_gain", "pad_fade"))),
+                  (hidden, answer("explained", ("brake_gain", "pad_fade", "sanding"))),
+                  (hidden, answer("consistent")))
+    found = counts(rows)
     assert found["one cause: detected"] == (3, 4)
     assert found["one cause: named first or in a set of two, of detected"] == (2, 3)
     assert found["one cause: in the named set, of detected"] == (3, 3)
+    assert rows["one cause: size of the first set, mean"]["share"] == pytest.approx(8 / 3)
 
 
-def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidden() -> None:
-    found = counts(judged("one", {"sanding": 0.1}, "explained", ("sanding",), ("wheel_radius",)),
-                   judged("two", {"sanding": 0.1, "wheel_radius": 0.1}, "explained", ("sanding",)),
-                   judged("two", {"sanding": 0.1, "wheel_radius": 0.1}, "explained",
-                          ("wheel_radius",), ("sanding",), covered=True),
-                   judged("unknown", {"joints": 0.1}, "explained", ("sanding",), covered=False))
+def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidden(tmp_path: Path) -> None:
+    both = {"sanding": 0.1, "wheel_radius": 0.1}
+    radius = {"name": "wheel_radius", "parameters": {"fraction": {"ci95": [0.09, 0.11]}}}
+    rows = judged(tmp_path, (entry("one", {"sanding": 0.1}), answer("explained", ("sanding",), ("wheel_radius",))),
+                  (entry("two", both), answer("explained", ("sanding",))),
+                  (entry("two", both, meaning={"wheel_radius": ["fraction", 0.1]}),
+                   {"verdict": "explained", "causes": [radius, {"name": "sanding"}]}),
+                  (entry("unknown", {"joints": 0.1}), answer("explained", ("sanding",))),
+                  (entry("unknown", {"joints": 0.1}), answer("partly")))
+    found = counts(rows)
     assert found["one cause: a false second cause"] == (1, 1)
     assert found["two causes: both named"] == (1, 2)
-    assert found["cause not in the library: given a name"] == (1, 1)
-    assert found["95 % intervals hold the truth"] == (1, 2)
+    assert found["cause not in the library: given a name"] == (1, 2)
+    assert found["cause not in the library: told as a remainder"] == (1, 2)
+    assert found["95 % intervals hold the truth"] == (1, 1)
 
 
-def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gains_do_not_count() -> None:
-    sets = [judged("one", {"sanding": 0.1}, "explained", ("sanding",), won=w, possible=p)
-            for w, p in ((0.10, 0.20), (0.18, 0.20), (0.30, 0.30), (0.50, 0.01), (0.1, None))]
-    row = next(r for r in bench.rows(sets) if "possible" in r["measure"])
-    assert (row["of"], row["share"]) == (3, 0.18 / 0.20)
+def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benchmark_goes_on(tmp_path: Path) -> None:
+    make, lines = cases.generator(cases.GENERATORS["first"]), []
+    make.make(tmp_path / "sets" / "set_0001", {}, 3)
+    run = sorted((tmp_path / "sets" / "set_0001" / "runs").glob("*.csv"))[0]
+    rows = run.read_text().splitlines()
+    stuck = [",".join([*row.split(",")[:2], rows[500].split(",")[2], *row.split(",")[3:]]) for row in rows[500:700]]
+    run.write_text("\n".join([*rows[:500], *stuck, *rows[700:]]) + "\n")
+    hidden = entry("unknown", {"joints": 0.08})
+    cases._write_key(tmp_path, {"generator": "first", "seed": 0, "sets": {"set_0001": hidden}})
+    assert cases._errors(tmp_path / "sets" / "set_0001") == {}
+    rows = bench.judge(tmp_path, answers.answer(tmp_path, "explain", lines.append))["rows"]
+    found = counts({row["measure"]: row for row in rows})
+    assert found["data refused"] == (1, 1)
+    assert found["cause not in the library: given a name"] == (0, 1)
+    assert found["cause not in the library: told as a remainder"] == (0, 1)
+    assert "refused" in lines[0]
+
+
+def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gains_do_not_count(tmp_path: Path) -> None:
+    pairs = [(entry("one", {"sanding": 0.1}, base_error={"rmse": 1.0}, least_error={"rmse": 1.0 - possible}),
+              answer("explained", ("sanding",), gain={"metric": "rmse", "reduction": won, "claimed": claimed}))
+             for won, possible, claimed in ((0.10, 0.20, True), (0.18, 0.20, True), (0.30, 0.30, True),
+                                            (0.50, 0.01, True), (0.2, 0.2, False))]
+    row = next(r for name, r in judged(tmp_path, *pairs).items() if "possible" in name)
+    assert row["of"] == 3
+    assert row["share"] == pytest.approx(0.9)
+
+
+def test_exported_sets_tell_no_truth_and_are_answered_by_every_tool_and_scored(tmp_path: Path, capsys) -> None:
+    folder = tmp_path / "sealed"
+    told = ["bench", "explain", "--sets", "1", "--seed", "7"]
+    assert cli.main([*told, "--export", str(folder)]) == 0
+    case, = [next(cases.stream(braking_stops, 7))]
+    texts = [path.read_text() for path in (folder / "key", *(folder / "sets").rglob("*.*"))]
+    assert len(texts) == 1 + 1 + 6
+    assert not any(name in text for name in case.effects for text in texts)
+    key = cases.read_key(folder)["sets"]["set_0001"]
+    assert (key["kind"], key["effects"]) == (case.kind, case.effects)
+    assert 0.0 < key["least_error"]["adhesion_rmse"] <= 1.05 * key["base_error"]["adhesion_rmse"]
+    assert cli.main([*told, "--folder", str(folder), "--tool", "bic"]) == 0
+    before = (folder / "answers" / "bic" / "set_0001.json").stat().st_mtime_ns
+    assert cli.main([*told, "--folder", str(folder), "--tool", "bic"]) == 0
+    assert (folder / "answers" / "bic" / "set_0001.json").stat().st_mtime_ns == before
+    capsys.readouterr()
+    assert cli.main(["score", str(folder), str(folder / "answers" / "bic"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["sets"] == 1
+    with pytest.raises(ConfigError, match="holds sets of the first generator, seed 7"):
+        cases.export(folder, "first", 1, 8, SILENT)
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    ("{", "no answers can be read"), ("[]", "an entry for each set"), ('{"set_0001": {}}', "verdict is missing"),
+    ('{"set_0001": {"verdict": "explained", "causes": [{}]}}', "each with a name"),
+    ('{"set_0001": {"verdict": "explained", "causes": [{"name": "x", "parameters": {"a": 1}}]}}', "a needs ci95"),
+    ('{"set_0001": {"verdict": "explained", "gain": {"claimed": true}}}', "has a reduction"),
+    ('{"set_0099": {"verdict": "consistent"}}', "has no such set")])
+def test_answers_that_cannot_be_judged_are_refused_with_set_and_reason(tmp_path: Path, text: str, told: str) -> None:
+    cases._write_key(tmp_path, {"generator": "first", "seed": 0, "sets": {"set_0001": entry("none", {})}})
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(ConfigError, match=told):
+        score.judged(cases.read_key(tmp_path), answers.read(tmp_path / "a.json"))
+
+
+def test_a_folder_without_a_key_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no key of a benchmark"):
+        cases.read_key(tmp_path)
 
 
 def test_generators_are_those_of_the_tests_by_the_same_name() -> None:
-    assert bench.generator("braking_stops") is braking_stops
+    assert cases.generator("braking_stops") is braking_stops
     with pytest.raises(ConfigError, match="only a clone"):
-        bench.generator("no_stops")
+        cases.generator("no_stops")

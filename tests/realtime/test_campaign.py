@@ -109,7 +109,8 @@ def test_a_bad_plan_is_refused_before_the_first_run(plan_file, design, vary, say
 
 def test_the_worst_runs_are_worst_in_the_direction_of_their_figure(plan_file):
     plan = campaign.load(plan_file())
-    table = pa.table({"run": range(12), "stop_distance_m": [*map(float, range(11)), None],
+    table = pa.table({"run": range(12), "invalid_because": pa.nulls(12),
+                      "stop_distance_m": [*map(float, range(11)), None],
                       "adhesion_mean": [0.1 + 0.01 * k for k in range(12)]})
     assert [row["run"] for row in report.worst(plan, table, "stop_distance_m")] == [11, 10, 9, 8, 7]
     assert [row["run"] for row in report.worst(plan, table, "adhesion_mean")] == [0, 1, 2, 3, 4]
@@ -119,7 +120,8 @@ def test_the_page_shows_every_figure_against_what_was_varied(plan_file, tmp_path
     plan = campaign.load(plan_file())
     run_serially(plan, tmp_path)
     page = report.write(plan, campaign.result(tmp_path), tmp_path, "stop_distance_m").read_text()
-    assert page.count("<svg") == 1
+    assert page.count("<svg") == 2  # a map over two inputs, and figures against each
+    assert page.index("Worst stop distance") < page.index("<svg")
     assert "rollerrig run " in page
     assert all(name in page for name in (*plan.axes, "stop distance, m", "energy of sliding, MJ"))
 

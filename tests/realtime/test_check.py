@@ -1,5 +1,6 @@
 """`rollerrig check`: the questions it puts to this machine, and what it says of a poor one."""
 
+import argparse
 import json
 import os
 import socket
@@ -80,7 +81,7 @@ def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
 
 def test_one_missing_row_means_that_no_run_is_possible(capsys):
     poor = [Finding("shared memory", State.MISSING, "1 MB free", "make room")]
-    assert check.show(poor, as_json=False) == 2
+    assert check.show(argparse.Namespace(json=False), poor) == 2
     told = capsys.readouterr()
     assert "make room" in told.out
     assert "no run is possible" in told.err

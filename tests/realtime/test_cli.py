@@ -1,11 +1,18 @@
 """The command line: every verb explains itself, and errors are messages with a status."""
 
 import json
+import os
+import re
 import shlex
+import subprocess
+import sys
+from importlib import metadata
 
 import pytest
 
+from rollerrig.configs import store
 from rollerrig.realtime import cli
+from rollerrig.realtime.verbs import listing
 
 
 @pytest.mark.parametrize("verb", cli.VERBS, ids=lambda verb: verb.name)
@@ -47,3 +54,68 @@ def test_a_wrong_value_names_its_key_and_what_is_allowed(capsys):
     told = capsys.readouterr().err
     assert "tick_hz" in told
     assert "100" in told
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as left:
+        cli.main(["--version"])
+    assert left.value.code == 0
+    assert capsys.readouterr().out == f"rollerrig {metadata.version('rollerrig')}\n"
+
+
+@pytest.mark.parametrize("kind", listing.KINDS)
+def test_a_list_names_everything_of_a_kind_with_its_title(kind, capsys):
+    assert cli.main(["list", kind, "--json"]) == cli.PASS
+    named = json.loads(capsys.readouterr().out)[kind]
+    assert all(one["name"] and one["title"] for one in named)
+    if kind not in ("faults", "signals", "datasets"):
+        assert [one["name"] for one in named] == store.names(kind)
+
+
+@pytest.mark.parametrize("words", [("list", kind) for kind in listing.KINDS] + [("check",)], ids=" ".join)
+def test_a_narrow_terminal_folds_names_and_never_cuts_them(words, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    cli.main(list(words))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 40
+    assert "…" not in shown
+
+
+def test_the_table_of_a_run_and_of_a_benchmark_fold_too(capsys):
+    from rich.console import Console
+
+    from rollerrig.realtime.benchmarks import figures
+    from rollerrig.realtime.record import summary
+
+    console = Console(width=40)
+    console.print(figures.table("figures", ("what is measured", "figure"), [("a_long_name_" * 6, 1.0)]))
+    console.print(summary.table(summary.of({"time_s": [0.0]}, {}, {})))
+    shown = capsys.readouterr().out
+    assert "…" not in shown
+    assert shown.replace("\n", "").count("name") == 6
+
+
+# it says so five times a second here
+OFTEN = ("import sys; from rollerrig.realtime import cli; from rollerrig.realtime.verbs import output; "
+         "output.PERIOD_S = 0.2; sys.exit(cli.main(sys.argv[1:]))")
+
+
+@pytest.mark.parametrize("words", [("campaign", "low_adhesion"), ("explain", "open_none")], ids=lambda words: words[0])
+def test_long_work_on_a_pipe_says_now_and_then_how_far_it_is(words, tmp_path):
+    with subprocess.Popen([sys.executable, "-c", OFTEN, *words, "--out", str(tmp_path / "out")],
+                          stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        said = ""
+        for said in process.stderr:
+            if re.search(r"\(\d+ s\)$", said):
+                break
+        process.kill()
+    assert re.search(r"(runs|reading|%).*\(\d+ s\)$", said)
+
+
+def test_a_shell_completes_verbs(tmp_path):
+    pytest.importorskip("argcomplete")
+    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": "rollerrig camp", "COMP_POINT": "14"}
+    answer = tmp_path / "answer"
+    subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli"], check=False,
+                   env=os.environ | asked | {"_ARGCOMPLETE_STDOUT_FILENAME": str(answer)})
+    assert "campaign" in answer.read_text()

@@ -21,7 +21,7 @@ from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.decide import choice, explain, extension
 from rollerrig.rig.identify.decide.evidence import Finding
 
-SPEEDS_M_S = (26.0, 20.0, 23.0)
+SPEEDS_M_S = (16.0, 12.0, 14.0)
 
 
 def stops(folder: Path, *hidden: str) -> list[str]:
@@ -82,6 +82,7 @@ def rerecorded(stop: Path, folder: Path, every: int, **changed: float) -> Path:
         table, _, name = key.partition("__")
         plan[table][name] = value
     (folder / "scenario.toml").write_text(tomli_w.dumps(plan))
+    records.write_summary(folder, run.summary)
     return folder
 
 
@@ -163,6 +164,22 @@ def test_runs_of_another_mass_stand_in_one_dataset_each_with_its_own(stop: Path,
     assert [run.group for run in data.runs] == ["tune", "validate"]
     assert data.sample_time_s == pytest.approx(0.01)
     assert data.runs[0].surface_m_s is not None
+
+
+def test_a_dataset_of_runs_has_their_vehicle_and_their_brake(stop: Path, tmp_path: Path) -> None:
+    own = {"vehicle__bogie_wheelbase_m": 2.9, "vehicle__body_height_m": 2.1, "brake__pad_friction": 0.3}
+    other = rerecorded(stop, tmp_path / "run", 10, **own)
+    sections = dataset.load(run_dataset.from_folders([other], tmp_path / "out", (), run_sensors.NOISE, 1.0)).sections
+    for key, value in own.items():
+        table, name = key.split("__")
+        assert sections[table][name] == value
+    plan = records.load(other).scenario
+    assert sections["brake"] == plan["brake"]
+    plan["vehicle_set"] = "trams/mine.toml"  # which lies where nobody will look for it
+    run = run_sensors.of_run(records.load(other), 1.0)
+    out = run_dataset.write(tmp_path / "elsewhere", [run], plan, run_sensors.NOISE, title="a test")
+    assert "uic_z1" not in (out / "dataset.toml").read_text()
+    assert dataset.load(out).sections == sections
 
 
 def test_runs_to_validate_are_only_named_beside_runs(tmp_path: Path, capsys) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import time
 from pathlib import Path
@@ -133,6 +134,20 @@ def test_the_live_view_ends_by_itself_after_the_run(run):
         one.close()
     process.terminate()  # as a bench does at once; the viewer may still be fetching
     assert process.wait(60) == 0
+
+
+def test_without_a_screen_the_page_is_served_on_loopback_and_whoever_joins_is_seen(run):
+    to, process = run
+    worker, shown = until(lambda: len(found := children(process.pid)) > 1 and found)
+    page = until(lambda: listening(shown))
+    assert [address.split(":")[0] for address in page] == ["0100007F"]
+    assert not to[0].header[ring.VIEWED]
+    server = int(until(lambda: listening(worker))[0].split(":")[1], 16)
+    with socket.create_connection(("127.0.0.1", server)):
+        until(lambda: to[0].header[ring.VIEWED])
+    process.terminate()
+    assert process.wait(60) == 0
+    until(lambda: not Path(f"/proc/{shown}").exists())
 
 
 def test_a_feed_drops_the_oldest_rows_when_it_has_fallen_behind(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,10 +15,12 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
+from rollerrig.realtime.bench import processes
+from rollerrig.realtime.benchmarks.endurance import runs
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records
-from rollerrig.realtime.telemetry import recorder, recording
+from rollerrig.realtime.telemetry import recorder
 from rollerrig.wsp_interface import signals
 
 RAN_S = 2.0
@@ -41,13 +44,16 @@ def last_drawn_s(path, entity="/sliding/sliding"):
 
 
 class Killed:
-    """A run whose bench or recorder, or both, were killed after some seconds of writing."""
+    """A run whose bench or recorder, or both, are to be killed after some seconds of writing."""
 
-    def __init__(self, folder, victims):
+    def __init__(self, folder):
         self.folder = folder
-        bench = subprocess.Popen([sys.executable, paced_writer.__file__, str(folder)],
-                                 stdout=subprocess.PIPE, text=True, start_new_session=True)
-        told = json.loads(bench.stdout.readline())
+        self.bench = subprocess.Popen([sys.executable, paced_writer.__file__, str(folder)],
+                                      stdout=subprocess.PIPE, text=True, start_new_session=True)
+
+    def kill(self, victims):
+        """Kill the victims once enough is written, and wait for what is left to end."""
+        bench, told = self.bench, json.loads(self.bench.stdout.readline())
         self.rings = [Path(path) for path in told["rings"]]
         rows = Ring(self.rings[0], np.float64)
         until(lambda: rows.header[ring.WRITTEN] > 100 * RAN_S)
@@ -63,43 +69,29 @@ class Killed:
             self.written_s = (int(rows.header[ring.WRITTEN]) - 1) / 100.0
         if "recorder" not in victims:
             until(lambda: not any(path.exists() for path in self.rings))
-            until(lambda: not _runs(told["recorder"]))
+            until(lambda: not runs.alive(told["recorder"]))
         bench.kill()
         bench.wait()
         for path in self.rings:
             path.unlink(missing_ok=True)
 
 
-def _runs(process):
-    try:
-        return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
-    except OSError:
-        return False
+VICTIMS = {"bench_killed": ("bench",), "group_killed": ("group",), "recorder_killed": ("recorder",),
+           "both_killed": ("recorder", "group")}
 
 
 @pytest.fixture(scope="module")
-def bench_killed(tmp_path_factory):
-    return Killed(tmp_path_factory.mktemp("bench"), ("bench",))
+def killed(tmp_path_factory):
+    """Runs by who was killed; they write at the same time, as they mostly wait."""
+    begun = {name: Killed(tmp_path_factory.mktemp(name)) for name in VICTIMS}
+    for name, victims in VICTIMS.items():
+        begun[name].kill(victims)
+    return begun
 
 
-@pytest.fixture(scope="module")
-def group_killed(tmp_path_factory):
-    return Killed(tmp_path_factory.mktemp("group"), ("group",))
-
-
-@pytest.fixture(scope="module")
-def recorder_killed(tmp_path_factory):
-    return Killed(tmp_path_factory.mktemp("recorder"), ("recorder",))
-
-
-@pytest.fixture(scope="module")
-def both_killed(tmp_path_factory):
-    return Killed(tmp_path_factory.mktemp("both"), ("recorder", "group"))
-
-
-@pytest.fixture(params=["bench_killed", "group_killed", "recorder_killed", "both_killed"])
-def run(request):
-    return request.getfixturevalue(request.param)
+@pytest.fixture(params=VICTIMS)
+def run(request, killed):
+    return killed[request.param]
 
 
 def test_a_killed_run_loses_at_most_the_last_second_of_its_channels(run):
@@ -131,18 +123,20 @@ def test_a_killed_run_keeps_its_events(run):
     assert told[-1][0] >= run.written_s - 1.0
 
 
-def test_a_recorder_whose_bench_was_killed_says_so_and_removes_the_rings(bench_killed):
+def test_a_recorder_whose_bench_was_killed_says_so_and_removes_the_rings(killed):
+    bench_killed = killed["bench_killed"]
     summary = records.load(bench_killed.folder).summary
     assert summary["ended"] == "killed"
     assert (summary["pacing"], summary["seed"]) == ("wall", 7)
     assert not summary["stopped"]
+    assert summary["invalid_because"][0].startswith("the bench was killed, at ")
     assert summary["samples"] == round(100 * bench_killed.written_s) + 1
     assert "the bench was killed" in records.load(bench_killed.folder).events[-1][2]
     assert not (bench_killed.folder / "channels.tail").exists()
 
 
-def test_a_recorder_outlives_the_process_group_of_its_bench(group_killed):
-    assert records.load(group_killed.folder).summary["ended"] == "killed"
+def test_a_recorder_outlives_the_process_group_of_its_bench(killed):
+    assert records.load(killed["group_killed"].folder).summary["ended"] == "killed"
 
 
 # --- runs that end as they should ---
@@ -153,7 +147,7 @@ def begun(tmp_path):
     """Rings that this process writes, and the recorder that drains them."""
     (tmp_path / "scenario.toml").write_text(paced_writer.SCENARIO)
     to = paced_writer.rings()
-    process = recording.start(tmp_path, *to)
+    process = processes.record(tmp_path, *to)
     yield tmp_path, to, process
     process.kill()
     process.wait()
@@ -169,7 +163,7 @@ def finish(to, process):
 
 def test_a_finished_run_is_recorded_whole(begun):
     folder, to, process = begun
-    assert recording.wait_ready(process, to[0])
+    assert processes.wait_ready(process, to[0])
     for number in range(1000):
         paced_writer.write(to, number)
     finish(to, process)
@@ -186,9 +180,30 @@ def test_a_finished_run_is_recorded_whole(begun):
         "can.log", "channels.parquet", "events.jsonl", "run.rrd", "scenario.toml", "summary.json"]
 
 
+def resident_MB(process):
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1]) / 1024
+
+
+def test_the_memory_of_a_recorder_does_not_grow_with_the_length_of_its_run(begun):
+    folder, to, process = begun
+    assert processes.wait_ready(process, to[0])
+    minutes, taken = 12, []
+    for number in range(minutes * 6000):
+        paced_writer.write(to, number)
+        while min(one.room / one.header[ring.CAPACITY] for one in to) < 0.5:
+            time.sleep(0.01)
+        if number % 6000 == 5999:
+            taken.append(resident_MB(process))
+    finish(to, process)
+    # what Arrow and Rerun hold goes up and down by 30 MB; what is kept of every minute (16 MB once) adds up
+    assert max(taken[-4:]) < max(taken[:4]) + 40.0, taken
+    assert len(channels.load(folder)) == minutes * 6000
+
+
 def test_the_recording_holds_the_values_of_the_channels(begun):
     folder, to, process = begun
-    assert recording.wait_ready(process, to[0])
+    assert processes.wait_ready(process, to[0])
     for number in range(300):
         paced_writer.write(to, number)
     finish(to, process)
@@ -198,7 +213,7 @@ def test_the_recording_holds_the_values_of_the_channels(begun):
         batch = chunk.to_record_batch()
         if "Scalars:scalars" in batch.schema.names:
             found[str(chunk.entity_path)] = np.array(batch["Scalars:scalars"].to_pylist())
-    assert found["/speeds/vehicle_speed"][:, 0].tolist() == table["vehicle_speed_m_s"].to_pylist()
+    assert np.array_equal(found["/speeds/vehicle_speed"][:, 0], 3.6 * np.array(table["vehicle_speed_m_s"]))  # km/h
     assert found["/adhesion/adhesion_2"][:, 0].tolist() == table["adhesion_2"].to_pylist()
     for axle in range(signals.AXLES):
         assert found["/sliding/sliding"][:, axle].tolist() == table[
@@ -209,7 +224,7 @@ def test_rows_that_were_overrun_are_counted_and_told(begun):
     folder, to, process = begun
     for number in range(6000):  # the recorder has not started yet, and the ring holds 4096
         to[0].push(paced_writer.row(number))
-    assert recording.wait_ready(process, to[0])
+    assert processes.wait_ready(process, to[0])
     finish(to, process)
     run = records.load(folder)
     assert len(run.table) == 4095
@@ -219,7 +234,7 @@ def test_rows_that_were_overrun_are_counted_and_told(begun):
 
 def test_ctrl_c_is_left_to_the_bench(begun):
     folder, to, process = begun
-    assert recording.wait_ready(process, to[0])
+    assert processes.wait_ready(process, to[0])
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGHUP)
     time.sleep(0.3)
@@ -230,7 +245,7 @@ def test_ctrl_c_is_left_to_the_bench(begun):
 
 def test_a_recorder_that_is_asked_to_end_completes_the_files(begun):
     folder, to, process = begun
-    assert recording.wait_ready(process, to[0])
+    assert processes.wait_ready(process, to[0])
     for number in range(50):
         paced_writer.write(to, number)
     process.terminate()
@@ -241,7 +256,7 @@ def test_a_recorder_that_is_asked_to_end_completes_the_files(begun):
 
 def test_the_recorder_gives_way_to_the_bench(begun):
     _, to, process = begun
-    assert recording.wait_ready(process, to[0])
+    assert processes.wait_ready(process, to[0])
     own = os.getpriority(os.PRIO_PROCESS, 0)
     assert os.getpriority(os.PRIO_PROCESS, process.pid) >= min(own + 5, 19)
     assert os.getsid(process.pid) == process.pid

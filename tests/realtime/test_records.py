@@ -72,13 +72,13 @@ def test_a_row_of_the_tail_that_was_cut_off_is_left_out(tmp_path):
     assert np.array_equal(records.rows(channels.load(tmp_path)), some_rows(0, 10)[:9])
 
 
-def test_many_small_blocks_are_kept_as_a_few(tmp_path):
+def test_many_small_blocks_are_read_as_one_table(tmp_path):
     written = Channels(tmp_path)
     for number in range(500):
         written.add(some_rows(number, 1))
-    assert len(written._blocks) < 20
     expected = np.vstack([some_rows(number, 1) for number in range(500)])
-    assert np.array_equal(records.rows(written.table()), expected)
+    written.finish()
+    assert np.array_equal(records.rows(channels.load(tmp_path)), expected)
 
 
 def test_channels_are_written_again_when_a_second_has_not_yet_passed(tmp_path):
@@ -89,6 +89,26 @@ def test_channels_are_written_again_when_a_second_has_not_yet_passed(tmp_path):
     written._due_s -= 1.0
     written.write_if_due()
     assert len(pq.read_table(tmp_path / "channels.parquet")) == 10
+
+
+def test_rows_are_taken_in_while_a_long_file_is_written_part_by_part(tmp_path, monkeypatch):
+    monkeypatch.setattr(channels, "_STEP_S", 0.0)
+    monkeypatch.setattr(channels, "_BLOCK_BYTES", 100 * 8 * len(COLUMNS))
+    written = Channels(tmp_path)
+    written.add(some_rows(0, 250))
+    written._due_s -= 1.0
+    written.write_if_due()
+    written.add(some_rows(250, 50))
+    for _ in range(2):
+        assert len(pq.read_table(tmp_path / "channels.parquet")) == 0
+        assert len(channels.load(tmp_path)) == 300
+        written.write_if_due()
+    written.write_if_due()
+    assert len(pq.read_table(tmp_path / "channels.parquet")) == 250
+    expected = np.vstack([some_rows(0, 250), some_rows(250, 50)])
+    assert np.array_equal(records.rows(channels.load(tmp_path)), expected)
+    written.finish()
+    assert np.array_equal(records.rows(channels.load(tmp_path)), expected)
 
 
 @pytest.mark.parametrize(("spoil", "message"), [

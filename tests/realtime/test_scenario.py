@@ -40,7 +40,7 @@ def test_what_comes_later_wins(own, tmp_path):
     model.write_text("[adhesion]\ntau_m_J = 1e-4\nmu_cr = 0.25\n")
     plain = scenario.load(own)
     assert plain["adhesion"]["mu_cd"] == 0.09  # the scenario over the set "wet"
-    assert plain["adhesion"]["cleaning_creepage"] == 0.2  # the set over the default
+    assert plain["adhesion"]["cleaning_creepage"] == 0.5  # the set over the default
     assert plain["adhesion"]["mu_cr"] == 0.28
     extended = scenario.load(own, str(model))
     assert (extended["adhesion"]["tau_m_J"], extended["adhesion"]["mu_cr"]) == (1e-4, 0.25)

@@ -49,7 +49,7 @@ def test_the_keys_that_others_rely_on_are_there(stop):
             "air_consumption_NL", "loop", "bus", "modbus"} <= set(found)
     assert [set(axle) for axle in found["axles"]] == [{
         "sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_lock_s",
-        "dissipated_energy_J", "adhesion_mean", "vents"}] * 4
+        "dissipated_energy_J", "adhesion_mean", "vents", "wheel_flat_m"}] * 4
     assert set(found["wsp"]) == {"unit", "active_s", "vents"}
     assert found["loop"] == COUNTERS["loop"]
     assert found["bus"] == COUNTERS["bus"]

@@ -4,11 +4,10 @@ import asyncio
 import json
 import re
 import socket
-import subprocess
-import sys
 import time
 
 import pytest
+from bench_process import Forked
 from pymodbus.client import AsyncModbusTcpClient
 
 from rollerrig.configs import store
@@ -25,11 +24,10 @@ class Rig:
 
     def __init__(self, out, *more):
         self.out, self.runner = out, asyncio.Runner()
-        command = [sys.executable, "-m", "rollerrig.realtime.cli", "run", "dry_stop", "--wsp", "none",
-                   "--set", "bus.socketcand_port=0", "--out", str(out), "--json", *more]
+        words = ["run", "dry_stop", "--wsp", "none", "--set", "bus.interface=hub", "--set", "bus.socketcand_port=0",
+                 "--out", str(out), "--json", *more]
         self.said = out.with_suffix(".said")
-        with self.said.open("w") as said:
-            self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True)
+        self.process = Forked(words, out.with_suffix(".told"), self.said)
 
     def connect(self):
         deadline = time.monotonic() + START_S
@@ -162,7 +160,7 @@ def check_record(folder, summary):
     assert run.scenario["friction"]
     stamps = [float(line[1:line.index(")")]) for line in (folder / "can.log").open()]
     assert stamps == sorted(stamps)
-    assert stamps[-1] == pytest.approx(time_s[-1], abs=0.1)
+    assert stamps[-1] - summary["loop"]["stalled_s"] == pytest.approx(time_s[-1], abs=0.1)
     syncs = [float(line[1:line.index(")")]) for line in (folder / "can.log").open() if " 080#" in line]
     assert syncs[0] < 0.02
 
@@ -209,10 +207,26 @@ def test_a_held_rig_that_is_stopped_ends_well(rig):
     one.connect()
     assert one.set("stop") == 0
     status, summary = one.result()
-    assert status == 0
+    assert status == 4
     assert summary["stopped"] is False
     assert summary["ended"] == "stopped over Modbus"
+    assert "before it had begun" in summary["invalid_because"][0]
     assert records.load(one.out).scenario
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_a_run_that_is_stopped_over_modbus_is_valid_after_standstill_only(rig, stands):
+    one = rig(*HELD, "--set", "initial_speed_m_s=3", "--set", "stand_s=60")
+    one.connect()
+    one.until("at_set_speed", bool)
+    assert one.set("run") == 0
+    one.until(*(("standing", bool) if stands else ("time", lambda _: one.read("time", 2)[1] > 300)))
+    time.sleep(0.1)
+    assert one.set("stop") == 0
+    status, summary = one.result()
+    assert status == (0 if stands else 4)
+    assert ["stopped over Modbus while the coach rolled, at " in why for why in summary["invalid_because"]] == (
+        [] if stands else [True])
 
 
 @pytest.fixture
@@ -224,7 +238,7 @@ def taken():
 def test_a_port_that_is_taken_does_not_keep_a_run_from_running(rig, taken):
     one = rig("--set", f"modbus.port={taken}", "--set", "duration_max_s=0.3")
     status, summary = one.result()
-    assert status == 0
+    assert status == 4  # it has not stopped
     assert summary["modbus"]["requests"] == 0
     warning = next(event["text"] for event in summary["events"] if event["level"] == "warning")
     assert str(taken) in warning
@@ -242,7 +256,7 @@ def test_a_port_that_is_taken_keeps_a_start_over_modbus_from_waiting_for_ever(ri
 def test_a_port_beyond_this_machine_is_told_loudly(rig):
     one = rig("--set", "modbus.host=0.0.0.0", "--set", "modbus.port=0", "--set", "duration_max_s=0.3")
     status, summary = one.result()
-    assert status == 0
+    assert status == 4  # it has not stopped
     assert any("BEYOND THIS MACHINE" in event["text"] and event["level"] == "warning"
                for event in summary["events"])
 
@@ -268,5 +282,5 @@ def test_every_request_is_answered_while_the_loop_runs(rig):
     assert one.read("lateness_p50") < 65535
     assert one.set("stop") == 0
     status, summary = one.result()
-    assert status == 0
+    assert status == 4  # it has not stopped
     assert summary["modbus"]["requests"] >= count

@@ -7,6 +7,9 @@ import sys
 
 import pytest
 
+from rollerrig.realtime import cli
+from rollerrig.realtime.campaign import campaign
+
 RUN = (sys.executable, "-m", "rollerrig.realtime.cli")
 STOP = ("run", "dry_stop", "--wsp", "none", "--pacing", "free", "--set", "initial_speed_m_s=3",
         "--set", "duration_max_s=20")
@@ -21,6 +24,13 @@ measure = "stop_distance"
 unit = "m"
 max = 0.001
 source = "assumption"
+"""
+CAMPAIGN = """scenario = "dry_stop"
+unit = "none"
+chunk = 1
+[vary]
+"adhesion.mu_cd" = [0.08, {friction}, 0.06]
+initial_speed_m_s = [3.0]
 """
 
 
@@ -43,8 +53,8 @@ def failing(tmp_path):
 
 
 def test_a_failed_sequence_is_failed_whoever_reads_its_output(failing, tmp_path):
-    words = (*RUN, "sequence", failing, "--out", str(tmp_path / "report"))
-    assert subprocess.run(words, capture_output=True, timeout=300).returncode == 1
+    words = (*RUN, "sequence", failing, "--wsp", "none", "--out", str(tmp_path / "report"))
+    assert cli.main([*words[len(RUN):-1], str(tmp_path / "read")]) == 1
     assert without_reader(*words, stdout=None, stderr=subprocess.DEVNULL) == 1
 
 
@@ -52,6 +62,15 @@ def test_a_run_is_whole_when_nobody_reads_its_progress(tmp_path):
     out = tmp_path / "run"
     assert without_reader(*RUN, *STOP, "--out", str(out), stdout=None, stderr=None) == 0
     assert json.loads((out / "summary.json").read_text())["stopped"]
+
+
+@pytest.mark.parametrize(("friction", "status", "workers"), [(0.05, 0, 2), (7.0, 1, 1)])
+def test_a_campaign_is_finished_and_keeps_its_status_whoever_reads_its_output(friction, status, workers, tmp_path):
+    (tmp_path / "plan.toml").write_text(CAMPAIGN.format(friction=friction))
+    words = (*RUN, "campaign", str(tmp_path / "plan.toml"), "--workers", str(workers), "--out")
+    assert without_reader(*words, str(tmp_path / "out"), stdout=None, stderr=None) == status
+    assert len(campaign.result(tmp_path / "out")) == 3
+    assert (tmp_path / "out" / "report.html").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&-", "<&- >&- 2>&-"])

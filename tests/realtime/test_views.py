@@ -138,7 +138,22 @@ def test_what_is_drawn_are_the_recorded_values(drawn, stop):
     for one in views.lines():
         values = drawn[one.path]["Scalars:scalars"]
         assert np.array_equal([time for time, _ in values], np.rint(stop[:, 0] * 1e9) / 1e9)
-        assert np.array_equal([row for _, row in values], stop[:, one.columns], equal_nan=True)
+        assert np.array_equal([row for _, row in values], one.factor * stop[:, one.columns], equal_nan=True)
+
+
+def test_slip_is_drawn_in_percent_of_the_reference(drawn, stop):
+    reference, rim = (stop[:, signals.column(name)] for name in ("wsp_reference_speed", "wheel_circumferential_speed"))
+    found = np.array([row[0] for _, row in drawn["/slip/axle_1"]["Scalars:scalars"]])
+    fast = reference >= 1.0
+    assert np.allclose(found[fast], 100.0 * (1.0 - rim[fast] / reference[fast]))
+    assert np.isnan(found[~fast]).all()
+    assert found[fast].max() > 95.0, "the stop of this test locks axle 1"
+
+
+def test_a_fault_is_marked_across_the_plots_of_speeds(drawn):
+    marks = drawn["/speeds/marks"]["Scalars:scalars"]
+    told = {time for time, level, _ in synthetic_stop.EVENTS if level != "info"}
+    assert {round(time, 6) for time, _ in marks} == told
 
 
 def test_a_valve_is_drawn_where_it_changes_and_nowhere_else(drawn, stop):
@@ -147,7 +162,7 @@ def test_a_valve_is_drawn_where_it_changes_and_nowhere_else(drawn, stop):
         changes = np.flatnonzero(np.diff(stop[:, column], prepend=-1))
         names = ("fill", "hold", "vent")
         expected = [(stop[at, 0], [names[int(stop[at, column])]]) for at in changes]
-        found = drawn[f"/valves/valve_{axle}"]["StateChange:state"]
+        found = drawn[views.valve(axle)]["StateChange:state"]
         assert [value for _, value in found] == [value for _, value in expected]
         assert np.allclose([time for time, _ in found], [time for time, _ in expected])
 

@@ -9,8 +9,9 @@ from rollerrig.rig.state import SLOTS
 
 FILL, HOLD, VENT = 0, 1, 3
 FULL_BRAKE_PA = 3.8e5
-# as configs/adhesion/soap.toml and dry.toml: the laws hold whatever those files say later
-SOAP = {"cleaning_creepage": 0.2}
+# as configs/adhesion/soap.toml, leaf_film.toml and dry.toml: the laws hold whatever those files say later
+SOAP = {"cleaning_creepage": 0.5}
+LEAVES = SOAP | {"mu_cd": 0.02, "mu_cr": 0.20, "A_d": 0.5, "gamma_d_s_m": 0.1, "k_ad": 0.2, "tau_m_J": 6.0e-5}
 DRY = {"mu_cd": 0.28, "gamma_d_s_m": 0.6, "k_ad": 1.0, "k_sd": 0.4, "tau_m_J": 0.0}
 TRACK = {"mode": "track"}
 NO_RESISTANCE = {"resistance_A_N": 0.0, "resistance_B_N_s_m": 0.0, "resistance_C_N_s2_m2": 0.0}

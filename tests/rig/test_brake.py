@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rolling import FILL, FULL_BRAKE_PA, HOLD, VENT, Rig
+from rolling import FILL, FULL_BRAKE_PA, HOLD, LEAVES, VENT, Rig
 
 from rollerrig.rig import brake, params
 from rollerrig.rig import state as states
@@ -120,7 +120,7 @@ def test_the_discs_hold_nothing_below_the_spring_and_rise_in_proportion_above():
 
 
 def test_the_brake_never_drives_a_wheel_nor_turns_it_back():
-    rig = Rig(15.0, adhesion={"mu_cd": 0.02, "cleaning_creepage": 0.2})
+    rig = Rig(15.0, adhesion=LEAVES)
     run = rig.roll(30.0)
     assert run.brake_torque.min() >= 0.0
     assert run.wheel_speed.min() == 0.0

@@ -156,9 +156,9 @@ def test_friction_follows_the_speed_on_a_bent_line_as_the_table_writes() -> None
 @pytest.mark.parametrize(("speed_m_s", "power"), [(20.0, 0.0), (10.0, 0.0), (10.0, 1.0), (30.0, 0.5)])
 def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(speed_m_s, power) -> None:
     length_m = 0.4
-    rig = Rig(speed_m_s, adhesion=SOAP, rig=TRACK, mechanisms={
+    rig = Rig(speed_m_s, rig=TRACK, brake={"cylinder_area_m2": 0.1}, mechanisms={
         "adhesion_memory_length_m": length_m, "adhesion_memory_speed_power": power})
-    # all at once locked by full brakes: lambda_0 then hardly changes with the way
+    # all at once locked by strong brakes: by the paper's law lambda_0 then hardly changes with the way
     rig.state.wheel_speed[:] = 0.0
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 4e5
     rig.state.brake_capacity[:] = 2e4

@@ -2,6 +2,7 @@
 
 import math
 
+import numba
 import numpy as np
 import pytest
 
@@ -32,6 +33,12 @@ def stop(plan, seconds):
     return made.state
 
 
+@numba.njit
+def warmed(state, made, ticks):
+    for _ in range(ticks):
+        heat.warm(state, made)
+
+
 def test_everything_begins_as_cold_as_the_air():
     state, _ = bodies()
     assert set(state.disc_temperature) == set(state.motor_temperature) == {AIR_K}
@@ -48,8 +55,7 @@ def test_without_cooling_the_discs_keep_all_work_of_the_brake():
 def test_a_hot_disc_cools_to_the_air_with_its_time_constant():
     state, made = bodies()
     state.disc_temperature[:] = AIR_K + 100.0
-    for _ in range(600_000):
-        heat.warm(state, made)
+    warmed(state, made, 600_000)
     assert state.disc_temperature == pytest.approx(AIR_K + 100.0 / math.e, abs=0.1)
 
 

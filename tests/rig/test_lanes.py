@@ -13,9 +13,8 @@ from numba.core.dispatcher import Dispatcher
 from rolling import Rig
 
 from rollerrig.rig import plant, vehicle, wheelset
-from rollerrig.rig.contact import adhesion, polach
+from rollerrig.rig.contact import adhesion
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.lanes import adhesion as fast
 from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.state import AXLES, SLOTS, views
@@ -254,42 +253,6 @@ def standstill(case):
             assert np.array_equal(getattr(found, name), getattr(rig.state, name)), name
 
 
-@kernel
-def of_the_library(x, u):
-    return fast.exponential(x), fast.arc_tangent(u), fast.inverse_cube_root(0.25 + 3.75 * u), fast._nearer_root(
-        1.0 + 1e-4 * u, 1.0 - (1.0 + 1e-4 * u) ** 3)
-
-
-def functions(case):
-    for x, u in zip(case.rng.uniform(-40.0, 5.0, 200), case.rng.uniform(0.0, 1.0, 200), strict=True):
-        near(of_the_library(x, u)[0], math.exp(x))
-        near(of_the_library(x, 50.0 * u)[1], math.atan(50.0 * u))
-        near(of_the_library(x, u)[2:], ((0.25 + 3.75 * u) ** (-1 / 3), 1.0))
-
-
-@kernel
-def fast_law(sliding, speed, load, eps1, law):
-    at = fast.eps_mu(sliding, speed, load, eps1)
-    f_d = fast.curve(sliding, at, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
-    f_r = fast.curve(sliding, at, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
-    k = law.tau_m_J * load * adhesion.creepage_of(sliding, speed)
-    return at, f_d, f_r, fast.recovered(f_d, f_r, k), k
-
-
-def curves_and_recovery(case):
-    for rig in case.rigs:
-        law, eps1 = rig.params.law, rig.params.patch.eps1
-        for _ in range(50):
-            speed, load = 10.0 ** case.rng.uniform(-1.0, 1.9), case.rng.uniform(1.3e4, 1.9e5)
-            sliding = speed * 10.0 ** case.rng.uniform(-6.0, 0.0)
-            at, f_d, f_r, (f, inside), k = fast_law(sliding, speed, load, eps1, law)
-            near(at, eps1 * load ** (-1 / 3) * adhesion.creepage_of(sliding, speed))
-            near(f_d, polach.curve(sliding, 1.0, at, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)[0])
-            near(f_r, polach.curve(sliding, 1.0, at, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)[0])
-            if inside:
-                near(f, adhesion.recovery(f_d, f_r, k)[0])
-
-
 TWINS = {
     "layout.load_constants": constants, "layout.scatter": round_trip, "layout.gather": round_trip,
     "step.step": whole_step, "step.stage": one_stage, "step.predict": prediction, "step.total": prediction,
@@ -297,15 +260,11 @@ TWINS = {
     "step.contacts": of_the_contacts("contacts"),
     "step.contacts_outside_domain": of_the_contacts("contacts_outside_domain"),
     **{f"step.{name}": of_the_step(name) for name in LEAVES},
-    "adhesion.exponential": functions, "adhesion.arc_tangent": functions,
-    "adhesion.inverse_cube_root": functions, "adhesion._nearer_root": functions,
-    "adhesion.curve": curves_and_recovery, "adhesion.eps_mu": curves_and_recovery,
-    "adhesion.recovered": curves_and_recovery,
 }
 
 
 def test_every_kernel_of_the_lanes_has_a_twin():
-    kernels = {f"{module.__name__.rpartition('.')[2]}.{name}" for module in (layout, step, fast)
+    kernels = {f"{module.__name__.rpartition('.')[2]}.{name}" for module in (layout, step)
                for name, one in vars(module).items()
                if isinstance(one, Dispatcher) and one.py_func.__module__ == module.__name__}
     assert kernels == set(TWINS)

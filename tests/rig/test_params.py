@@ -33,10 +33,12 @@ def test_every_parameter_has_a_source_and_a_default_that_is_allowed(section, row
 
 @pytest.mark.parametrize(("section", "row"), NUMBERS, ids=ids(NUMBERS))
 def test_every_number_has_a_unit_or_is_a_pure_one(section, row):
-    pure = {"poisson", "cleaning_creepage", "lever_ratio", "efficiency", "pad_friction", "laying"}
+    pure = {"poisson", "cleaning_creepage", "lever_ratio", "efficiency", "pad_friction", "laying",
+            "initial_adhesion", "critical_ratio", "weighed_least", "speed_loss", "pressure_loss", "fade_loss",
+            "clamp_hysteresis", "lost_share", "used_share", "gain", "thinning"}
     pure_of_polach = ("mu_", "A", "k_")
     units = ("_m", "_s", "_kg", "_kgm2", "_N", "_Nm", "_Pa", "_W", "_L", "_m2", "_m_s", "_rad_s",
-             "_s_m", "_m_J", "_N_s_m", "_N_s2_m2", "_Hz", "_Nm_rad", "_K", "_J_K")
+             "_s_m", "_m_J", "_N_s_m", "_N_s2_m2", "_Hz", "_Nm_rad", "_K", "_J_K", "_NL_s_bar", "_mm3_J")
     counted = isinstance(row.default, int)
     assert (row.name in pure or counted or row.name.startswith(pure_of_polach)
             or row.name.endswith(units))

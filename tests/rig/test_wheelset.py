@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rolling import SOAP, Rig
+from rolling import FULL_BRAKE_PA, SOAP, TRACK, Rig
 
 from rollerrig.rig import wheelset
 from rollerrig.rig.contact import adhesion
@@ -44,16 +44,44 @@ def test_both_wheels_of_a_wheelset_carry_half_its_load():
     assert force(0.3)[0] == near(f * LOAD_N, rel=1e-12)
 
 
-def test_cleaning_is_the_papers_law_below_its_creepage_and_bounded_beyond():
-    def creep(sliding_m_s, bound):
+def test_cleaning_is_the_papers_law_to_the_bit_until_wheels_hardly_turn_and_none_when_they_are_locked():
+    def creep(sliding_m_s, bound, surface_m_s=30.0):
         law = RIG.law._replace(cleaning_creepage=bound)
-        return wheelset.adhesion_under(sliding_m_s, 30.0, LOAD_N, 0.06, 0.28, RIG.patch, law)
+        return wheelset.adhesion_under(sliding_m_s, surface_m_s, LOAD_N, 0.06, 0.28, RIG.patch, law)
 
-    assert creep(5.9, 0.2) == creep(5.9, np.inf)
-    paper, bounded = creep(30.0, np.inf), creep(30.0, 0.2)
-    assert bounded[0] < 0.4 * paper[0]
-    assert bounded[3] < paper[3]
-    assert bounded[1:3] == paper[1:3]
+    for sliding_m_s in (0.0, 1e-6, 0.3, 5.9, 14.9, -14.9):
+        assert creep(sliding_m_s, 0.5) == creep(sliding_m_s, np.inf)
+    # down to standstill, where creepage has a floor
+    for surface_m_s in (30.0, 3.0, 0.05, 1e-3, 0.0):
+        paper, locked = creep(surface_m_s, np.inf, surface_m_s), creep(surface_m_s, 0.5, surface_m_s)
+        assert locked[1:3] == paper[1:3]
+        assert locked[0] == near(paper[1], rel=1e-12)
+        assert locked[3] == 0.0
+    assert creep(30.0, np.inf)[0] > 0.25
+    assert creep(30.0, 1.0) == creep(30.0, np.inf)
+
+
+def test_cleaning_fades_without_a_step_and_its_slope_is_the_derivative():
+    law = RIG.law._replace(cleaning_creepage=0.5)
+    at = np.linspace(12.0, 31.0, 400)
+    f, slope = np.array([np.take(wheelset.adhesion_under(s, 30.0, LOAD_N, 0.03, 0.28, RIG.patch, law), (0, 5))
+                         for s in at]).T
+    assert np.all(np.diff(f[at > 21.0]) <= 0.0)
+    inside = np.abs(at[1:-1] - 15.0) > 0.1  # the slope's own kinks
+    inside &= np.abs(at[1:-1] - 30.0) > 0.1
+    np.testing.assert_allclose(slope[1:-1][inside], np.gradient(f, at)[1:-1][inside], atol=2e-4)
+    assert np.abs(np.diff(slope)).max() < 2e-3
+
+
+def test_a_locked_wheelset_stays_locked_on_soap_and_the_vehicle_feels_the_degraded_curve_alone():
+    rig = Rig(40.0, adhesion=SOAP, rig=TRACK)
+    rig.state.wheel_speed[:] = 0.0
+    rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = FULL_BRAKE_PA
+    run = rig.roll(40.0)
+    fast = run.vehicle_speed > 5.0
+    assert (run.wheel_speed[fast] == 0.0).all()
+    np.testing.assert_allclose(run.adhesion[1:][fast[1:]], run.adhesion_degraded[1:][fast[1:]], rtol=1e-9)
+    assert run.adhesion[fast].max() < 0.11
 
 
 def test_the_wheelset_accelerates_by_contact_less_brake():
@@ -101,7 +129,7 @@ def test_a_braked_wheel_without_adhesion_stops_when_its_momentum_is_gone():
 
 
 def test_a_lock_is_counted_only_while_the_vehicle_runs_above_the_limit():
-    rig = Rig(10.0, adhesion={"mu_cd": 0.01, "cleaning_creepage": 0.2}, rig={"lock_above_m_s": 5.0})
+    rig = Rig(10.0, adhesion={"mu_cd": 0.01, "tau_m_J": 0.0}, rig={"lock_above_m_s": 5.0})
     run = rig.roll(60.0)
     locked = (run.wheel_circumferential_speed < 0.1) & (run.vehicle_speed > 5.0)[:, None]
     assert locked.any(axis=0).all()

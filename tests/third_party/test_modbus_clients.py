@@ -118,15 +118,15 @@ def test_a_go_client_works_over_rtu(go_client, site):
 @pytest.mark.conformance("Masters", "simonvetter/modbus (Go) over TLS")
 @pytest.mark.skipif(not shutil.which("openssl"), reason="needs the command openssl")
 def test_a_go_client_works_over_tls_with_its_certificate_and_not_without(go_client, site, tmp_path):
-    from test_modbus_tls import authority, certificate
+    from test_modbus_tls import asked, authority, certificate
 
-    from rollerrig.firmware_sim.modbus.server import tls_context
+    from rollerrig.firmware_sim.modbus.access import tls_context
 
     for name in ("plant", "stranger"):
         authority(tmp_path, name)
     for name, signer in (("rig", "plant"), ("room", "plant"), ("intruder", "stranger")):
         certificate(tmp_path, name, signer)
-    port = site.listen(tls_context(tmp_path / "rig.pem", tmp_path / "rig.key", tmp_path / "plant.pem"))
+    port = site.listen(tls_context(asked(tmp_path)))
     address = f"tcp+tls://127.0.0.1:{port}"
     wrong = run(go_client, address, tmp_path / "intruder.pem", tmp_path / "intruder.key",
                 tmp_path / "plant.pem")

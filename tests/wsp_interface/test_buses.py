@@ -10,9 +10,10 @@ import can
 import pytest
 
 from rollerrig.configs.errors import BusError
-from rollerrig.wsp_interface.bus import buses, plugin
-from rollerrig.wsp_interface.bus.buses import available, open_client, open_hub
+from rollerrig.wsp_interface.bus import kernel, plugin
+from rollerrig.wsp_interface.bus.buses import open_client, open_hub
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.kernel import KernelCan, available
 
 
 @pytest.fixture
@@ -162,42 +163,34 @@ def test_can_interfaces_are_told_from_others_and_those_down_get_a_hint(tmp_path)
     for name, kind, flags in (("lo", 772, 0x9), ("vcan0", 280, 0xC1), ("can1", 280, 0x80),
                               ("vcan2", 280, 0x80)):
         write_interface(tmp_path, name, kind, flags)
-    kernel = available(tmp_path)
-    assert kernel.up == ("vcan0",)
-    assert kernel.down == ("can1", "vcan2")
-    assert any("ip link set can1 up type can bitrate 500000" in hint for hint in kernel.hints)
-    assert any(hint.endswith("ip link set vcan2 up") for hint in kernel.hints)
+    found = available(tmp_path)
+    assert found.up == ("vcan0",)
+    assert found.down == ("can1", "vcan2")
+    assert any("ip link set can1 up type can bitrate 500000" in hint for hint in found.hints)
+    assert any(hint.endswith("ip link set vcan2 up") for hint in found.hints)
 
 
 def test_whatever_is_missing_on_this_machine_has_a_hint(tmp_path):
-    kernel = available()
-    if kernel.af_can and kernel.up and not kernel.down:
-        assert kernel.hints == ()
+    found = available()
+    if found.af_can and found.up and not found.down:
+        assert found.hints == ()
     else:
-        assert any("sudo" in hint for hint in kernel.hints)
+        assert any("sudo" in hint for hint in found.hints)
     assert available(tmp_path).up == ()
 
 
-@pytest.mark.parametrize(("kernel", "message"), [
-    (buses.KernelCan(False, (), (), ()), "no SocketCAN: sudo modprobe"),
-    (buses.KernelCan(True, ("vcan1",), (), ()), "vcan0 is absent; allowed here: vcan1.*type vcan"),
-    (buses.KernelCan(True, (), ("vcan0",), ("vcan0 is down: sudo ip link set vcan0 up",)),
-     "vcan0 is down; allowed here: none; to mend: vcan0 is down: sudo ip link set vcan0 up")])
-def test_a_missing_interface_says_how_to_get_it(kernel, message):
+@pytest.mark.parametrize(("name", "found", "message"), [
+    ("vcan0", KernelCan(False, (), (), ()), "no SocketCAN: sudo modprobe"),
+    ("vcan0", KernelCan(True, ("vcan1",), (), ()), "vcan0 is absent; allowed here: vcan1.*add vcan0 type vcan"),
+    ("can7", KernelCan(True, ("vcan1",), (), ()), "can7 is absent; .*adapter.*sudo ip link set can7 up"),
+    ("vcan0", KernelCan(True, (), ("vcan0",), ()),
+     "vcan0 is down; allowed here: none; to mend: sudo ip link set vcan0 up")])
+def test_a_missing_interface_says_how_to_get_it(name, found, message):
     with pytest.raises(BusError, match=message):
-        buses._require_kernel_can("socketcan:vcan0", "vcan0", kernel)
+        kernel.require(f"socketcan:{name}", name, "", found)
 
 
-@pytest.mark.conformance("Hub", "nodes on kernel SocketCAN")
-@pytest.mark.skipif("vcan0" not in available().up, reason="this machine has no vcan0")
-def test_the_benchs_nodes_sit_on_kernel_socketcan(bench):
-    seen = []
-    hub = bench.do(lambda: open_hub("socketcan:vcan0", time.monotonic_ns))
-    node = bench.do(lambda: hub.attach(seen.append))
-    with open_client("socketcan:vcan0") as client:
-        client.send(can.Message(arbitration_id=0x123, is_extended_id=False))
-        assert bench.until(lambda: any(frame.can_id == 0x123 for frame in seen))
-        bench.do(lambda: node.send(Frame(0x321, b"\x01")))
-        ids = [message.arbitration_id for message in iter(lambda: client.recv(0.5), None)]
-    assert 0x321 in ids
-    bench.do(hub.close)
+def test_an_interface_that_queues_too_few_frames_for_a_syncs_burst_has_a_hint(tmp_path):
+    write_interface(tmp_path, "can0", 280, 0xC1)
+    (tmp_path / "can0" / "tx_queue_len").write_text("10\n")
+    assert any("sudo ip link set can0 txqueuelen 1000" in hint for hint in available(tmp_path).hints)

@@ -7,7 +7,7 @@ import cantools
 import numpy as np
 import pytest
 
-from rollerrig.firmware_sim import encoder406, io401
+from rollerrig.firmware_sim import encoder406, io401, sander401
 from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.wsp_interface import descriptions, signals
 from rollerrig.wsp_interface.bus.frames import Frame
@@ -21,7 +21,8 @@ def rig():
     row = np.zeros(len(signals.COLUMNS))
     nodes = [drive.build(node, axle, row, {"rated_torque_Nm": RATED_Nm})
              for axle, node in enumerate(signals.DRIVE_NODES, 1)]
-    nodes += [encoder406.build(row), io401.build(row, np.zeros(io401.COMMANDS))]
+    nodes += [encoder406.build(row), io401.build(row, np.zeros(io401.COMMANDS)),
+              sander401.build(row, np.zeros(signals.AXLES))]
     return {node.node_id: node for node in nodes}, row
 
 
@@ -37,7 +38,7 @@ def eds_of(folder, number):
 
 
 @pytest.mark.conformance("CiA 301", "EDS: canopen reads the objects that the node has")
-@pytest.mark.parametrize("number", [1, 2, 3, 4, 16, 17])
+@pytest.mark.parametrize("number", [1, 2, 3, 4, 16, 17, 18])
 def test_canopen_reads_from_the_eds_the_same_objects_that_the_node_has(rig, folder, number):
     node = rig[0][number]
     read = canopen.import_od(str(eds_of(folder, number)), number)
@@ -88,6 +89,7 @@ def test_cantools_decodes_the_frames_of_a_sync_into_the_signals_of_the_table(rig
     nodes, row = rig
     row[:] = np.linspace(1.0, 40.0, len(row))
     row[signals.span("cylinder_pressure")] = [1e5, 2e5, 3e5, 3.8e5]
+    row[signals.span("sand_rate")] = [0.01, 0.067, 0.1, 0.2]
     base = cantools.database.load_file(folder / "rig.dbc")
     decoded = {}
     for node in nodes.values():

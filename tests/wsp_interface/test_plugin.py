@@ -92,6 +92,20 @@ def test_a_blocking_reader_gets_all_frames_in_order(bench, bus, node):
     assert numbers(bus.recv(60) for _ in range(2000)) == list(range(2000))
 
 
+def test_a_bus_that_reads_ahead_gets_all_frames_and_sends_in_order_with_the_next_recv(bench, node):
+    with plugin.RollerrigBus(bench.address(), ahead=True) as bus:
+        send_numbers(bench, node, 2000)
+        assert numbers(bus.recv(60) for _ in range(2000)) == list(range(2000))
+        for can_id in (0x301, 0x302):
+            bus.send(can.Message(arbitration_id=can_id, is_extended_id=False))
+        assert len(bench.log) == 2000
+        assert bus.recv(0) is None
+        assert bench.until(lambda: len(bench.log) == 2002)
+        bus.send(can.Message(arbitration_id=0x303, is_extended_id=False))
+    # what is sent last goes out, too
+    assert bench.until(lambda: [frame.can_id for frame in bench.log[2000:]] == [0x301, 0x302, 0x303])
+
+
 def test_filters_let_only_the_wanted_frames_through(bench, bus, node):
     bus.set_filters([{"can_id": 0x181, "can_mask": 0x7FF}])
     bench.do(lambda: [node.send(Frame(can_id, b"")) for can_id in (0x180, 0x181, 0x182)])

@@ -11,7 +11,7 @@ from synthetic_record import GOOD
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.realtime.reports import sequences
+from rollerrig.realtime.reports import sequences, stop
 from rollerrig.realtime.verbs import sequence as verb_sequence
 from rollerrig.wsp_interface.harness_client import Event
 from rollerrig.wsp_interface.sequences import sequence, verdict
@@ -45,6 +45,25 @@ def test_the_page_names_the_source_of_every_limit(tmp_path):
     found = outcome(tmp_path)
     page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
     assert all(escape(one.source) in page for one in found.sequence.criteria.limits)
+
+
+def test_the_page_says_what_was_tested_by_whom_and_what_each_axle_did(tmp_path):
+    found = outcome(tmp_path)
+    page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC), {"tested by": "A. Meier"})
+    assert all(text in page for text in ("A. Meier", "unit under test", "72 km/h", "uic_z1", "43 t", "slip, %",
+                                         "Longest lock", "<b>assumption</b>", "<b>EN 15595</b>"))
+    assert page.count('<tr class="marked">') == 2  # in the list of sequences, and among its measures
+    rows = stop.axles(found.record)[1]
+    assert [row[4] for row in rows] == ["0.00", "0.50", "0.00", "0.00"]
+    assert rows[1][3] == "100"  # % of slip while it was locked
+    assert [text for _, kind, text in sequences.marks(found) if kind == stop.STEP] == ["brake <hard> & fast"]
+
+
+def test_measures_are_void_where_a_precondition_failed(tmp_path):
+    found = outcome(tmp_path)
+    found.verdicts = verdict.judge(found.sequence.criteria, found.record, "a pre-condition was not met")
+    assert all(one.void and one.result is Result.ABSENT and one.shown == "" for one in found.verdicts)
+    assert found.result is Result.ERROR
 
 
 def test_junit_and_json_tell_the_same_as_the_verdicts(tmp_path):

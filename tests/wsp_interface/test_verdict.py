@@ -17,7 +17,7 @@ def of(name, record=None):
 
 
 def limit(name, low=-math.inf, high=math.inf):
-    return Limit(name, BY_NAME[name].unit, low, high, "test", "test")
+    return Limit(name, BY_NAME[name].unit, low, high, "test")
 
 
 def judged(one, record=None):
@@ -68,6 +68,12 @@ def test_the_damage_index_counts_the_energy_of_a_lock():
     # 0.08 of 100 kN at about 15.75 m/s for 0.5 s, and 2 MJ of sliding
     by_hand = 0.08 * 1e5 * 15.75 * stop.LOCK_S / 1e6 + 2e6 / 1e8
     assert of("wheel_damage_index") == pytest.approx(by_hand, rel=0.03)
+
+
+def test_a_lock_counts_from_the_speed_that_the_scenario_names():
+    record = stop.record()
+    rig = record.scenario["rig"] | {"lock_above_m_s": 17.0}  # the lock is at 16 m/s
+    assert of("wheel_damage_index", replace(record, scenario=record.scenario | {"rig": rig})) == 2e6 / 1e8
 
 
 def test_sliding_reference_error_and_adhesion_are_those_of_the_record():

@@ -5,74 +5,38 @@ of the kernel) or `INTERFACE:CHANNEL` of any other python-can interface. A progr
 python-can bus; the bench always gets a hub, which either listens for programs or has one of its
 ports on the python-can bus, so the nodes, the log and the counters are the same on both.
 
-Source: Linux `net/can` (interfaces of hardware type 280); python-can 4.6.
+Source: python-can 4.6.
 """
 
 import asyncio
-import logging
-import socket
+import errno
+import time
+from collections import deque
 from collections.abc import Callable
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import can
+from can.interfaces.socketcan import SocketcanBus
 
 from rollerrig.configs.errors import BusError
-from rollerrig.wsp_interface.bus import plugin
+from rollerrig.wsp_interface.bus import kernel, plugin
 from rollerrig.wsp_interface.bus.frames import Frame
-from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.bus.hub import Hub, log_event
 
-log = logging.getLogger(__name__)
-
-SYSFS = Path("/sys/class/net")
-ARPHRD_CAN = "280"  # linux/if_arp.h
-IFF_UP = 1
 BATCH = 64  # frames read in one go, so that a full bus leaves the loop some air
+# frames that wait while the interface's own queue is full, and how long until it is asked again
+QUEUE, RETRY_S = 4096, 0.001
+OLDEST_S = 1.0  # a stamp of the kernel's that is older than this comes from a clock that was set
 DEFAULT_ADDRESS = f"socketcand://{plugin.DEFAULT_CHANNEL}"
-
-ENABLE_VCAN = ("sudo modprobe vcan && sudo ip link add vcan0 type vcan "
-               "&& sudo ip link set vcan0 up")
-ENABLE_AF_CAN = "this kernel has no SocketCAN: sudo modprobe can_raw, or a kernel with CONFIG_CAN"
+_INSTEAD = f"or use the bench's own hub, {DEFAULT_ADDRESS}"
 
 
-class KernelCan(NamedTuple):
-    """What this machine offers of SocketCAN."""
+def open_client(address: str, connect_timeout_s: float = 3.0, errors: bool = False, ahead: bool = False,
+                **more: Any) -> can.BusABC:
+    """Return the python-can bus at an address, for a program outside; waits for a hub. Raises BusError.
 
-    af_can: bool  # raw CAN sockets can be made
-    up: tuple[str, ...]  # CAN interfaces that are up
-    down: tuple[str, ...]
-    hints: tuple[str, ...]  # how to enable what is missing
-
-
-def available(sysfs: Path = SYSFS) -> KernelCan:
-    """Return which CAN sockets and interfaces this machine has, and how to get the others."""
-    af_can = _has_af_can()
-    states: dict[bool, list[str]] = {True: [], False: []}
-    for entry in sorted(sysfs.glob("*/type")):
-        if entry.read_text().strip() == ARPHRD_CAN:
-            flags = int((entry.parent / "flags").read_text(), 16)
-            states[bool(flags & IFF_UP)].append(entry.parent.name)
-    hints = [] if af_can else [ENABLE_AF_CAN]
-    if af_can and not (states[True] or states[False]):
-        hints.append(f"no CAN interface: {ENABLE_VCAN}")
-    hints += [f"{name} is down: sudo ip link set {name} up"
-              + ("" if name.startswith("vcan") else " type can bitrate 500000")
-              for name in states[False]]
-    return KernelCan(af_can, tuple(states[True]), tuple(states[False]), tuple(hints))
-
-
-def _has_af_can() -> bool:
-    try:
-        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
-    except (OSError, AttributeError):
-        return False
-    return True
-
-
-def open_client(address: str, connect_timeout_s: float = 3.0) -> can.BusABC:
-    """Return the python-can bus at an address, for a program outside the bench.
-
-    Waits connect_timeout_s [s] for a hub to appear. Raises BusError with what is allowed.
+    `errors`: a hub shall tell error frames too; a CAN interface of the kernel does so anyway. `ahead`: as
+    `plugin.RollerrigBus` has it, where there is a hub.
     """
     interface, colon, channel = address.partition(":")
     if not colon or not channel:
@@ -80,146 +44,176 @@ def open_client(address: str, connect_timeout_s: float = 3.0) -> can.BusABC:
                        "socketcan:vcan0, or INTERFACE:CHANNEL of python-can")
     if interface in ("socketcand", "rollerrig"):
         try:
-            return plugin.RollerrigBus(channel.lstrip("/"), connect_timeout=connect_timeout_s)
+            return plugin.RollerrigBus(channel.lstrip("/"), connect_timeout=connect_timeout_s, errors=errors,
+                                       ahead=ahead)
         except can.CanError as error:
             raise BusError(f"bus address {address!r}: {error}") from error
     if interface not in can.VALID_INTERFACES:
         raise BusError(f"bus address {address!r}: unknown interface {interface!r}; allowed: "
                        + ", ".join(sorted(can.VALID_INTERFACES)))
     if interface == "socketcan":
-        _require_kernel_can(address, channel, available())
+        kernel.require(address, channel, _INSTEAD, kernel.available())
     try:
-        return can.Bus(interface=interface, channel=channel)
+        return can.Bus(interface=interface, channel=channel, **more)
     except (can.CanError, OSError, ValueError, TypeError, NotImplementedError) as error:
         raise BusError(f"bus address {address!r}: python-can cannot open it: {error}; "
                        f"mend the channel or use {DEFAULT_ADDRESS}") from error
 
 
-def _require_kernel_can(address: str, channel: str, kernel: KernelCan) -> None:
-    """Raise BusError unless the CAN interface is there and up."""
-    if kernel.af_can and channel in kernel.up:
-        return
-    where = f"bus address {address!r}"
-    instead = f"or use the bench's own hub, {DEFAULT_ADDRESS}"
-    if not kernel.af_can:
-        raise BusError(f"{where}: {ENABLE_AF_CAN}; {instead}")
-    what = f"CAN interface {channel} is " + ("down" if channel in kernel.down else "absent")
-    mend = next((hint for hint in kernel.hints if hint.startswith(f"{channel} ")), ENABLE_VCAN)
-    raise BusError(f"{where}: {what}; allowed here: {', '.join(kernel.up) or 'none'}; "
-                   f"to mend: {mend}; {instead}")
-
-
 async def open_hub(address: str, clock_ns: Callable[[], int], bitrate: int = 500_000,
-                   on_lost: Callable[[BusError], None] | None = None) -> Hub:
+                   on_lost: Callable[[BusError], None] | None = None,
+                   on_event: Callable[[str, str], None] | None = None, kernel_time: bool = False) -> Hub:
     """Return a hub for the bench's nodes that serves, or sits on, the bus at an address.
 
     bitrate in bit/s is what the load is counted against. on_lost is told when the python-can bus
-    fails later; without it the event loop's exception handler is. Raises BusError.
+    fails later, without it the event loop's exception handler is; on_event(level, text) is told of
+    errors that a controller reports. kernel_time: clock_ns goes as the wall clock does, so that a
+    frame gets the time at which the kernel took it. Raises BusError.
     """
     if not address.startswith("socketcand:"):
         # the handshake blocks, perhaps with a hub in this very event loop
-        bus = await asyncio.to_thread(open_client, address)
-        hub = Hub(clock_ns, bitrate, name=address.partition(":")[2].rpartition("/")[2])
-        KernelPort(hub, bus, on_lost)
+        # CAN FD frames are no use here, but shall be told and counted
+        more = {"fd": True} if address.startswith("socketcan:") else {}
+        bus = await asyncio.to_thread(open_client, address, **more)
+        hub = Hub(clock_ns, bitrate, on_event=on_event or log_event, name=address.partition(":")[2].rpartition("/")[2])
+        try:
+            BusPort(hub, bus, on_lost, on_event or log_event, clock_ns if kernel_time else None)
+        except BusError:
+            bus.shutdown()
+            raise
         return hub
     try:
         host, port, name = plugin.parse_address(address)
     except ValueError as error:
         raise BusError(str(error)) from error
-    hub = Hub(clock_ns, bitrate, name)
+    hub = Hub(clock_ns, bitrate, name, on_event=on_event or log_event)
     await hub.listen("socketcand", host, port)
     return hub
 
 
-class KernelPort:
+class BusPort(can.Listener):
     """Joins a hub and a python-can bus: frames of each go to the other, until either closes."""
 
-    def __init__(self, hub: Hub, bus: can.BusABC,
-                 on_lost: Callable[[BusError], None] | None = None) -> None:
-        """Start reading; to be called in the hub's event loop. Owns the bus from now on."""
-        self.ignored = 0  # error and CAN FD frames
+    def __init__(self, hub: Hub, bus: can.BusABC, on_lost: Callable[[BusError], None] | None,
+                 on_event: Callable[[str, str], None], clock_ns: Callable[[], int] | None) -> None:
+        """Start reading; to be called in the hub's event loop. Owns the bus from now on.
+
+        Raises BusError where another bench is on the interface.
+        """
         self.error: BusError | None = None
-        self._bus = bus
-        self._on_lost = on_lost
+        self._hub, self._bus, self._on_lost, self._on_event = hub, bus, on_lost, on_event
+        self._clock_ns = clock_ns
         self._loop = asyncio.get_running_loop()
+        self._waiting: deque[Frame] = deque()
+        self._told: set[str] = set()
+        self._interface = (kernel.Interface(bus, str(bus.channel)) if isinstance(bus, SocketcanBus) else None)
         self._fileno = _fileno(bus)
         self._port = hub.attach(self._transmit, str(bus.channel_info), self._stop)
+        if clock_ns is not None:
+            hub.stamped_by = self._port
         self._notifier: can.Notifier | None = None
         if self._fileno is not None:
             self._loop.add_reader(self._fileno, self._readable)
         else:
-            self._notifier = can.Notifier(bus, [_Listener(self)], timeout=0.1, loop=self._loop)
-
-    @property
-    def dropped(self) -> int:
-        """Frames of the nodes that the python-can bus did not take."""
-        return self._port.dropped
-
-    def close(self) -> None:
-        """Leave the hub and shut the python-can bus down."""
-        self._port.close()
+            # its thread reads, and calls in this event loop
+            self._notifier = can.Notifier(bus, [self], timeout=0.1, loop=self._loop)
+        if self._interface:
+            self._loop.add_reader(self._interface.link, self._look_at_link)
 
     def _transmit(self, frame: Frame) -> None:
+        if self._waiting or not self._sent(frame):
+            self._waiting.append(frame)
+            if len(self._waiting) == 1:
+                self._loop.call_later(RETRY_S, self._retry)
+            elif len(self._waiting) > QUEUE:
+                self._waiting.popleft()
+                self._drop(1, "its transmit queue does not empty")
+
+    def _sent(self, frame: Frame) -> bool:
+        """Whether the bus took a frame, or never will; False: later."""
         try:
             self._bus.send(plugin.message_of(frame), timeout=0)
         except can.CanError as error:  # full queue, bus off, or gone
-            if self._port.dropped == 0:
-                log.warning("%s: frames are lost: %s", self._port.name, error)
-            self._port.dropped += 1
+            if self._interface and error.error_code in (None, errno.ENOBUFS):
+                return False
+            self._drop(1, str(error))
+        return True
+
+    def _retry(self) -> None:
+        while self._waiting and self._sent(self._waiting[0]):
+            self._waiting.popleft()
+        if self._waiting:
+            self._loop.call_later(RETRY_S, self._retry)
+
+    def _drop(self, frames: int, why: str) -> None:
+        self._port.dropped += frames
+        self._tell("warning", f"{self._port.name}: frames are lost: {why}")
+
+    def _tell(self, level: str, text: str) -> None:
+        """Say something once: what ails a bus comes with every frame."""
+        if text not in self._told:
+            self._told.add(text)
+            self._on_event(level, text)
 
     def _readable(self) -> None:
         try:
             for _ in range(BATCH):
-                message = self._bus.recv(0)
-                if message is None:
+                if (message := self._bus.recv(0)) is None:
                     break
-                self.take(message)
+                self.on_message_received(message)
         except can.CanError as error:
-            self.lose(error)
+            self.on_error(error)
+        if self._interface and self.error is None and (lost := self._interface.newly_dropped()):
+            self._drop(lost, "they came faster than they were read")
 
-    def take(self, message: can.Message) -> None:
+    def on_message_received(self, msg: can.Message) -> None:
         """Put a message of the python-can bus on the hub."""
-        frame = plugin.frame_of(message)
-        if frame is None:
-            self.ignored += 1
+        frame = plugin.frame_of(msg)
+        if frame is not None:
+            self._port.send(frame._replace(time_ns=self._time_ns(msg)) if self._clock_ns else frame)
+        elif msg.is_error_frame:
+            self._hub.tell_error(msg.arbitration_id, bytes(msg.data))
+            for text in kernel.meanings(msg):
+                self._tell("warning", f"{self._port.name}: {text}")
+            if msg.arbitration_id & kernel.BUS_OFF:
+                self.on_error(BusError("the controller is bus-off"))
         else:
-            self._port.send(frame)
+            self._drop(1, "they are CAN FD frames, which nobody here can read")
 
-    def lose(self, cause: Exception) -> None:
+    def _time_ns(self, message: can.Message) -> int:
+        """The time of a message by the hub's clock."""
+        assert self._clock_ns is not None
+        age_s = time.time() - message.timestamp
+        return self._clock_ns() - (int(age_s * 1e9) if 0.0 < age_s < OLDEST_S else 0)
+
+    def _look_at_link(self) -> None:
+        if self._interface and self._interface.is_down():
+            self.on_error(BusError("the interface was set down or removed"))
+
+    def on_error(self, exc: Exception) -> None:
         """Close after a failure of the bus, and say so: silence would look like a quiet bus."""
         if self.error is None:
-            self.error = BusError(f"CAN bus {self._port.name} failed: {cause}; "
-                                  "check the interface and start again")
-            self.close()
+            self.error = BusError(f"CAN bus {self._port.name} failed: {exc}; check the interface and start again")
+            self._port.dropped += len(self._waiting)
+            self._port.close()
             if self._on_lost:
                 self._on_lost(self.error)
             else:
-                self._loop.call_exception_handler(
-                    {"message": str(self.error), "exception": self.error})
+                self._loop.call_exception_handler({"message": str(self.error), "exception": self.error})
 
     def _stop(self) -> None:
+        self._waiting.clear()
         if self._fileno is not None:
             self._loop.remove_reader(self._fileno)
         if self._notifier:
             self._notifier.stop(timeout=0.5)
+        if self._interface:
+            self._loop.remove_reader(self._interface.link)
+            self._interface.close()
         self._bus.shutdown()
 
 
-class _Listener(can.Listener):
-    """Hands on what a Notifier's thread reads; it is called in the event loop."""
-
-    def __init__(self, port: KernelPort) -> None:
-        self._port = port
-
-    def on_message_received(self, msg: can.Message) -> None:
-        self._port.take(msg)
-
-    def on_error(self, exc: Exception) -> None:
-        self._port.lose(exc)
-
-
 def _fileno(bus: can.BusABC) -> int | None:
-    """Return the descriptor to wait on, None when the interface has none."""
     try:
         number = bus.fileno()
     except NotImplementedError:

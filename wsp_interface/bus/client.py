@@ -7,7 +7,7 @@ so that a client that floods the bus takes turns with everybody else.
 
 import asyncio
 import socket
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 from rollerrig.wsp_interface.bus.codecs import Codec, Event, Mode
 from rollerrig.wsp_interface.bus.frames import Frame
@@ -24,7 +24,8 @@ class Bus(Protocol):
     name: str
     buffer_bytes: int
 
-    def join(self, client: "Client") -> None: ...
+    def join(self, client: "Client") -> bool: ...
+    def warn(self, text: str) -> None: ...
     def leave(self, member: "Client") -> None: ...
     def submit(self, frame: Frame, sender: "Client") -> None: ...
     def flush(self) -> None: ...
@@ -34,24 +35,21 @@ class Client(asyncio.BufferedProtocol):
     """A connected program; `codec` is the name of its protocol."""
 
     def __init__(self, bus: Bus, codec: str, row: Codec) -> None:
-        self.codec = codec
-        self.name = codec
+        self.codec = self.name = codec
         self.encode = row.encode
         self.listening = False  # gets frames
-        self.sent = self.received = self.dropped = 0
+        self.errors = False  # gets error frames as well
+        self.dropped = 0
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._bus = bus
         self._row = row
         self._session = row.session(bus.name)
         self._portion = bytearray(PORTION_BYTES)
         self._waiting: list[bytes] = []
-        self._waiting_bytes = 0
-        self._answers_waiting = 0
+        self._waiting_bytes = self._answers_waiting = 0
         self._answer_free_s = self._hold_until_s = 0.0
         self._full = False  # the socket takes no more for now
         self._transport: asyncio.Transport
-
-    # --- called by the event loop ---
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Tune the socket, greet the client, join the bus."""
@@ -64,8 +62,10 @@ class Client(asyncio.BufferedProtocol):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
         peer = transport.get_extra_info("peername")
         self.name = f"{self.codec} {peer[0]}:{peer[1]}" if peer else self.codec
-        self._bus.join(self)
-        for event in self._session.begin():
+        if not self._bus.join(self):
+            self._transport.abort()
+            return
+        for event in self._session.greeting:
             self._follow(event)
         self.flush()
 
@@ -95,25 +95,24 @@ class Client(asyncio.BufferedProtocol):
         if not self.lost.done():
             self.lost.set_result(None)
 
-    # --- called by the hub ---
-
     def put(self, wire: bytes) -> None:
-        """Queue an encoded frame, or count it as dropped when too much waits."""
-        if self._queue(wire):
-            self.sent += 1
+        """Queue what is encoded, or count it as dropped when too much waits."""
+        if self._waiting_bytes + len(wire) > self._bus.buffer_bytes:
+            self.dropped += 1
+            return
+        self._waiting.append(wire)
+        self._waiting_bytes += len(wire)
 
     def flush(self) -> None:
         """Write all that waits in one piece."""
         if self._waiting and not self._full and self._loop.time() >= self._hold_until_s:
             wire = b"".join(self._waiting)
-            self._waiting.clear()
-            self._waiting_bytes = 0
+            self._waiting, self._waiting_bytes = [], 0
             self._write(wire)
 
     def finish(self) -> None:
         """Send what waits, then close."""
-        self._hold_until_s = 0.0
-        self._full = False
+        self._hold_until_s, self._full = 0.0, False
         self.flush()
         self.listening = False
         self._transport.close()
@@ -122,42 +121,31 @@ class Client(asyncio.BufferedProtocol):
         """Close at once."""
         self._transport.abort()
 
-    def stats(self) -> dict[str, Any]:
-        """Return name, and the frames received from, sent to and dropped for this client."""
-        return {"name": self.name, "received": self.received, "sent": self.sent,
-                "dropped": self.dropped}
-
-    # --- following the session ---
-
     def _follow(self, event: Event) -> None:
         if isinstance(event, Frame):
-            self.received += 1
             self._bus.submit(event, self)
         elif isinstance(event, bytes):
             self._answer(event)
-        elif event is Mode.LISTEN:
-            self._listen()
-        elif event is Mode.MUTE:
-            self.listening = False
-        else:
+        elif event is Mode.ERRORS:
+            self.errors = True
+        elif event is Mode.FOREIGN:
+            self._bus.warn(f"a client on the port for {self.codec} speaks something else: it is closed")
+            self.finish()
+        elif event is Mode.CLOSE:
             # a refusal may still wait for its turn
             self._loop.call_later(2 * self._row.answer_gap_s, self.finish)
-
-    def _listen(self) -> None:
-        """Let frames come, the first of them only after the client has read the last answer."""
-        self.listening = True
-        if self._row.hold_s:
-            self._hold_until_s = max(self._loop.time(), self._answer_free_s) + self._row.hold_s
-            # a little late, so that the clock has certainly passed
-            self._loop.call_at(self._hold_until_s + 1e-4, self.flush)
+        else:
+            self.listening = event is Mode.LISTEN
+            if self.listening and self._row.hold_s:
+                # the first frame comes only after the client has read the last answer
+                self._hold_until_s = max(self._loop.time(), self._answer_free_s) + self._row.hold_s
+                # a little late, so that the clock has certainly passed
+                self._loop.call_at(self._hold_until_s + 1e-4, self.flush)
 
     def _answer(self, wire: bytes) -> None:
-        """Send an answer: among the frames once they flow, before that in its own segment.
-
-        Clients compare a whole `recv` with the answer they expect, so two must not be joined.
-        """
+        """Send an answer in a segment of its own, as clients compare a whole `recv`; among frames once they flow."""
         if self.listening or not self._row.answer_gap_s:
-            self._queue(wire)
+            self.put(wire)
             return
         now_s = self._loop.time()
         at_s = max(now_s, self._answer_free_s)
@@ -174,14 +162,6 @@ class Client(asyncio.BufferedProtocol):
     def _late_answer(self, wire: bytes) -> None:
         self._answers_waiting -= 1
         self._write(wire)
-
-    def _queue(self, wire: bytes) -> bool:
-        if self._waiting_bytes + len(wire) > self._bus.buffer_bytes:
-            self.dropped += 1
-            return False
-        self._waiting.append(wire)
-        self._waiting_bytes += len(wire)
-        return True
 
     def _write(self, wire: bytes) -> None:
         if not self._transport.is_closing():

@@ -14,9 +14,10 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 from enum import IntEnum
-from typing import NamedTuple, Protocol, TypeAlias
+from functools import lru_cache
+from typing import NamedTuple, TypeAlias
 
-from rollerrig.wsp_interface.bus.frames import BASE_ID_MAX, DATA_MAX, EXTENDED_ID_MAX, S_NS, Frame
+from rollerrig.wsp_interface.bus.frames import BASE_ID_MAX, DATA_MAX, EXTENDED_ID_MAX, S_NS, Frame, length
 
 COMMAND_MAX = 256  # the longest legal text command has about 60 characters
 EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000  # linux/can.h
@@ -28,22 +29,30 @@ class Mode(IntEnum):
     LISTEN = 1  # gets the frames of the bus
     MUTE = 2  # gets none any more
     CLOSE = 3  # is sent what it still has to get, then closed
+    FOREIGN = 4  # began with another protocol: closed at once, and told
+    ERRORS = 5  # gets error frames as well
 
 
 # a frame for the bus, an answer for the client, a change of mode
 Event: TypeAlias = Frame | bytes | Mode
 
 
-class Session(Protocol):
-    """The state of one client's protocol."""
+class Session:
+    """The state of one client's protocol; `greeting` is what a client gets when it connects."""
 
-    def __init__(self, bus_name: str) -> None: ...
+    greeting: tuple[Event, ...] = ()
 
-    def begin(self) -> Iterator[Event]:
-        """Yield what a client gets when it connects."""
+    def __init__(self, bus_name: str) -> None:
+        self._bus, self._rest, self._began = bus_name.encode(), b"", False
 
     def feed(self, chunk: bytes) -> Iterator[Event]:
         """Yield what follows from the next bytes, cut anywhere."""
+        raise NotImplementedError
+
+
+@lru_cache(4096)
+def _hex_id(can_id: int, extended: bool) -> bytes:
+    return (b"%08X" if extended else b"%03X") % can_id
 
 
 # --- socketcand -----------------------------------------------------------------------------
@@ -51,30 +60,24 @@ class Session(Protocol):
 _hex = re.compile(rb"[0-9A-Fa-f]{1,16}").fullmatch
 # the tokens that occur, looked up instead of parsed
 _BYTES = {f % n: n for f in (b"%x", b"%X", b"%02x", b"%02X") for n in range(256)}
+_LENGTHS = {b"%d" % n: n for n in range(DATA_MAX + 1)}
 
 
-class SocketcandState(IntEnum):
-    """Which commands are understood."""
+class SocketcandSession(Session):
+    """`< hi >`, open, rawmode, then frames both ways; frames may be sent as soon as the bus is open.
 
-    NO_BUS = 0
-    BUS = 1  # opened; frames may be sent, none come
-    RAW = 2
+    `< errors >` before rawmode, our own addition, asks for error frames as well.
+    """
 
-
-class SocketcandSession:
-    """`< hi >`, open, rawmode, then frames both ways."""
-
-    def __init__(self, bus_name: str) -> None:
-        self._bus = bus_name
-        self._state = SocketcandState.NO_BUS
-        self._rest = b""
-
-    def begin(self) -> Iterator[Event]:
-        """Yield the greeting."""
-        yield b"< hi >"
+    greeting = (b"< hi >",)
+    _is_open = _is_raw = False
 
     def feed(self, chunk: bytes) -> Iterator[Event]:
-        """Yield what the commands in the chunk ask for."""
+        if not self._began and (first := chunk.lstrip()[:1]):
+            self._began = True
+            if first != b"<":
+                yield Mode.FOREIGN
+                return
         *commands, self._rest = (self._rest + chunk).split(b">")
         for command in commands:
             # what stands before the last "<" is the rubble of a broken command
@@ -90,88 +93,88 @@ class SocketcandSession:
         verb = words[0] if words else b""
         if verb == b"echo":
             yield b"< echo >"
-        elif self._state is SocketcandState.NO_BUS:
-            yield from self._open(words)
-        elif verb in (b"send", b"sendrtr"):
+        elif not self._is_open and verb == b"open" and len(words) == 2:
+            self._is_open = words[1] == self._bus
+            if self._is_open:
+                yield b"< ok >"
+            else:
+                yield b"< error could not open bus, this hub carries %b >" % self._bus
+                yield Mode.CLOSE
+        elif self._is_open and verb == b"errors":
+            yield Mode.ERRORS
+            yield b"< ok >"
+        elif self._is_open and verb in (b"send", b"sendrtr"):
             yield _parse_send(words) or b"< error malformed %b >" % verb
-        elif verb == b"rawmode":
-            self._state = SocketcandState.RAW
+        elif self._is_open and verb == b"rawmode":
+            self._is_raw = True
             yield b"< ok >"
             yield Mode.LISTEN
-        elif verb == b"bcmmode" and self._state is SocketcandState.RAW:
-            self._state = SocketcandState.BUS
+        elif self._is_raw and verb == b"bcmmode":
+            self._is_raw = False
             yield Mode.MUTE
             yield b"< ok >"
         else:
             yield b"< error unknown command >"
 
-    def _open(self, words: list[bytes]) -> Iterator[Event]:
-        if len(words) != 2 or words[0] != b"open":
-            yield b"< error unknown command >"
-        elif words[1] == self._bus.encode():
-            self._state = SocketcandState.BUS
-            yield b"< ok >"
-        else:
-            yield b"< error could not open bus, this hub carries %b >" % self._bus.encode()
-            yield Mode.CLOSE
-
-
-def _socketcand_id(word: bytes) -> tuple[int, bool]:
-    """Return identifier and whether it is of 29 bits: 8 digits, bit 31, or more than 7FFh."""
-    value = int(word, 16) & 0xFFFF_FFFF
-    return value & EXTENDED_ID_MAX, len(word) >= 8 or value > BASE_ID_MAX
-
 
 def _parse_send(words: list[bytes]) -> Frame | None:
     """Return the frame of `send ID DLC b b b` or `sendrtr ID DLC`, None when it is malformed."""
-    if len(words) < 3 or not _hex(words[1]) or words[2] not in b"012345678" or len(words[2]) != 1:
+    if len(words) < 3 or not _hex(words[1]) or words[2] not in _LENGTHS:
         return None
-    can_id, extended = _socketcand_id(words[1])
-    dlc = int(words[2])
-    if words[0] == b"sendrtr":
-        return Frame(can_id, b"", extended, True, dlc) if len(words) == 3 else None
-    if len(words) != 3 + dlc:
+    value, dlc, remote = int(words[1], 16) & 0xFFFF_FFFF, _LENGTHS[words[2]], words[0] == b"sendrtr"
+    if len(words) != 3 + (0 if remote else dlc):
         return None
     try:
-        return Frame(can_id, bytes([_BYTES[word] for word in words[3:]]), extended)
+        data = bytes([_BYTES[word] for word in words[3:]])
     except KeyError:  # a sign-extended byte such as ffffff80, or no number
-        if all(_hex(word) for word in words[3:]):
-            return Frame(can_id, bytes([int(word, 16) & 0xFF for word in words[3:]]), extended)
-        return None
+        if not all(_hex(word) for word in words[3:]):
+            return None
+        data = bytes([int(word, 16) & 0xFF for word in words[3:]])
+    # of 29 bits when it has 8 digits, bit 31, or is more than 7FFh
+    extended = len(words[1]) >= 8 or value > BASE_ID_MAX
+    return Frame(value & EXTENDED_ID_MAX, data, extended, remote, dlc if remote else 0)
+
+
+# the frames of a burst in lockstep have one time
+@lru_cache(16)
+def _seconds(time_ns: int) -> bytes:
+    return b"%d.%06d" % (time_ns // S_NS, time_ns % S_NS // 1000)
+
+
+@lru_cache(16)
+def _time_ns(seconds: bytes) -> int:
+    whole, _, micros = seconds.partition(b".")
+    return int(whole) * S_NS + int(micros.ljust(9, b"0")[:9])
 
 
 def socketcand_event(frame: Frame) -> bytes:
-    """Return the frame as the server says it: `< frame ID sec.usec HEX >` or `< rtr .. DLC >`."""
-    seconds, rest_ns = divmod(frame.time_ns, S_NS)
-    can_id = (b"%08X" if frame.extended else b"%03X") % frame.can_id
-    if frame.remote:
-        return b"< rtr %b %d.%06d %d >" % (can_id, seconds, rest_ns // 1000, frame.dlc)
-    data = frame.data.hex().upper().encode()
-    return b"< frame %b %d.%06d %b >" % (can_id, seconds, rest_ns // 1000, data)
+    """Return the frame as the server says it: `< frame ID sec.usec HEX >`, `< rtr .. DLC >`, `< error ..`."""
+    verb, body = (b"rtr", b"%d" % frame.dlc) if frame.remote else (b"frame", frame.data.hex().upper().encode())
+    verb = b"error" if frame.error else verb
+    return b"< %b %b %b %b >" % (verb, _hex_id(frame.can_id, frame.extended), _seconds(frame.time_ns), body)
 
 
 def socketcand_command(frame: Frame) -> bytes:
     """Return the frame as a client says it: `< send ID DLC b b b >` or `< sendrtr ID DLC >`."""
-    can_id = (b"%08X" if frame.extended else b"%03X") % frame.can_id
     if frame.remote:
-        return b"< sendrtr %b %d >" % (can_id, frame.dlc)
-    data = frame.data.hex(" ").encode()
-    return b"< send %b %d %b >" % (can_id, len(frame.data), data)
+        return b"< sendrtr %b %d >" % (_hex_id(frame.can_id, frame.extended), frame.dlc)
+    data = frame.data
+    return b"< send %b %d %b >" % (_hex_id(frame.can_id, frame.extended), len(data), data.hex(" ").encode())
 
 
 def parse_socketcand_event(body: bytes) -> Frame | None:
     """Return the frame of a server's message without its brackets, None when it is no frame."""
     words = body.split()
     try:
-        seconds, _, micros = words[2].partition(b".")
-        time_ns = int(seconds) * S_NS + int(micros.ljust(9, b"0")[:9])
+        time_ns = _time_ns(words[2])
         can_id, extended = int(words[1], 16) & EXTENDED_ID_MAX, len(words[1]) == 8
         if words[0] == b"rtr":
             return Frame(can_id, b"", extended, True, min(int(words[3]), DATA_MAX), time_ns)
-        if words[0] != b"frame":
+        if words[0] not in (b"frame", b"error"):
             return None
         # data may come in one piece (socketcand) or, from other servers, byte by byte
-        return Frame(can_id, bytes.fromhex(b"".join(words[3:]).decode()), extended, time_ns=time_ns)
+        return Frame(can_id, bytes.fromhex(b"".join(words[3:]).decode()), extended, time_ns=time_ns,
+                     error=words[0] == b"error")
     except (IndexError, ValueError):
         return None
 
@@ -179,32 +182,30 @@ def parse_socketcand_event(body: bytes) -> Frame | None:
 # --- slcan ----------------------------------------------------------------------------------
 
 _slcan_frame = re.compile(
-    rb"(?:([tr])([0-7][0-9A-Fa-f]{2})|([TR])([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2})*)"
-).fullmatch
+    rb"(?:([tr])([0-7][0-9A-Fa-f]{2})|([TR])([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2})*)").fullmatch
+_slcan_line = re.compile(rb"[A-Za-z][0-9A-Fa-f]*").fullmatch
 _SLCAN_ANSWERS = {b"V": b"V1013\r", b"v": b"v0100\r", b"N": b"NRIG0\r", b"F": b"F00\r"}
 _SLCAN_SETTINGS = re.compile(rb"S[0-8]|s[0-9A-Fa-f]{4,6}|[Mm][0-9A-Fa-f]{8}|[XZW]0|").fullmatch
 SLCAN_OK, SLCAN_ERROR = b"\r", b"\a"
 
 
-class SlcanSession:
+class SlcanSession(Session):
     """The LAWICEL serial line over TCP; the bit rate is the hub's, time stamps are off."""
 
-    def __init__(self, bus_name: str) -> None:
-        self._rest = b""
-        self._may_send = False
-
-    def begin(self) -> Iterator[Event]:
-        """Yield nothing: the client speaks first."""
-        return iter(())
+    _may_send = False
 
     def feed(self, chunk: bytes) -> Iterator[Event]:
-        """Yield what the lines in the chunk ask for."""
         *lines, self._rest = (self._rest + chunk.replace(b"\n", b"")).split(b"\r")
         for line in lines:
+            if line and not self._began:
+                self._began = True
+                if not _slcan_line(line):
+                    yield Mode.FOREIGN
+                    return
             yield from self._obey(line)
         if len(self._rest) > COMMAND_MAX:
             self._rest = b""
-            yield SLCAN_ERROR
+            yield SLCAN_ERROR if self._began else Mode.FOREIGN
 
     def _obey(self, line: bytes) -> Iterator[Event]:
         if line[:1] in (b"t", b"T", b"r", b"R"):
@@ -241,9 +242,8 @@ def _parse_slcan(line: bytes) -> Frame | None:
 def slcan_event(frame: Frame) -> bytes:
     """Return `tIIILDD..`, `T`, `r` or `R` with a carriage return."""
     verb = (b"R" if frame.extended else b"r") if frame.remote else b"T" if frame.extended else b"t"
-    can_id = (b"%08X" if frame.extended else b"%03X") % frame.can_id
-    dlc = frame.dlc if frame.remote else len(frame.data)
-    return b"%b%b%d%b\r" % (verb, can_id, dlc, frame.data.hex().upper().encode())
+    body = frame.data.hex().upper().encode()
+    return b"%b%b%d%b\r" % (verb, _hex_id(frame.can_id, frame.extended), length(frame), body)
 
 
 # --- virtualcan -----------------------------------------------------------------------------
@@ -252,27 +252,22 @@ _VIRTUALCAN = struct.Struct(">IBB8s")  # identifier, flags (1: extended), length
 _VIRTUALCAN_MAX = 64
 
 
-class VirtualcanSession:
-    """Frames of 14 bytes, each behind its length; no handshake."""
+class VirtualcanSession(Session):
+    """Frames of 14 bytes, each behind its length; no handshake: the client gets every frame from the start."""
 
-    def __init__(self, bus_name: str) -> None:
-        self._rest = b""
-
-    def begin(self) -> Iterator[Event]:
-        """Yield LISTEN: the client gets every frame from the start."""
-        yield Mode.LISTEN
+    greeting = (Mode.LISTEN,)
 
     def feed(self, chunk: bytes) -> Iterator[Event]:
-        """Yield the frames in the chunk; CLOSE when the lengths make no sense."""
+        """Yield the frames in the chunk; FOREIGN or CLOSE when the lengths make no sense."""
         rest = self._rest + chunk
         while len(rest) >= 4:
             size = int.from_bytes(rest[:4], "big")
             if size > _VIRTUALCAN_MAX:
-                yield Mode.CLOSE
+                yield Mode.CLOSE if self._began else Mode.FOREIGN
                 return
             if len(rest) < 4 + size:
                 break
-            packet, rest = rest[4: 4 + size], rest[4 + size:]
+            packet, rest, self._began = rest[4: 4 + size], rest[4 + size:], True
             if size == _VIRTUALCAN.size:
                 can_id, flags, dlc, data = _VIRTUALCAN.unpack(packet)
                 if frame := _flagged_frame(can_id | (EXTENDED_FLAG * (flags & 1)), dlc, data):
@@ -282,22 +277,16 @@ class VirtualcanSession:
 
 def _flagged_frame(can_id: int, dlc: int, data: bytes) -> Frame | None:
     """Return the frame of an identifier with linux/can.h flags; None for error or long frames."""
-    extended, remote = bool(can_id & EXTENDED_FLAG), bool(can_id & REMOTE_FLAG)
-    if can_id & ERROR_FLAG or dlc > DATA_MAX:
+    extended, remote, plain = bool(can_id & EXTENDED_FLAG), bool(can_id & REMOTE_FLAG), can_id & EXTENDED_ID_MAX
+    if can_id & ERROR_FLAG or dlc > DATA_MAX or (plain > BASE_ID_MAX and not extended):
         return None
-    can_id &= EXTENDED_ID_MAX
-    if can_id > BASE_ID_MAX and not extended:
-        return None
-    if remote:
-        return Frame(can_id, b"", extended, True, dlc)
-    return Frame(can_id, data[:dlc], extended)
+    return Frame(plain, b"" if remote else data[:dlc], extended, remote, dlc if remote else 0)
 
 
 def virtualcan_event(frame: Frame) -> bytes:
     """Return length 14 and the frame; a remote frame has bit 30 of the identifier set."""
-    dlc = frame.dlc if frame.remote else len(frame.data)
-    can_id = frame.can_id | (REMOTE_FLAG if frame.remote else 0)
-    return b"\0\0\0\x0e" + _VIRTUALCAN.pack(can_id, frame.extended, dlc, frame.data)
+    can_id = frame.can_id | REMOTE_FLAG * frame.remote
+    return b"\0\0\0\x0e" + _VIRTUALCAN.pack(can_id, frame.extended, length(frame), frame.data)
 
 
 # --- cannelloni -----------------------------------------------------------------------------
@@ -306,28 +295,22 @@ CANNELLONI_HELLO = b"CANNELLONIv1"
 _CANNELLONI_FD = 0x80
 
 
-class CannelloniSession:
+class CannelloniSession(Session):
     """Both sides say CANNELLONIv1, then frames follow one another without a delimiter."""
 
-    def __init__(self, bus_name: str) -> None:
-        self._rest = b""
-        self._greeted = False
-
-    def begin(self) -> Iterator[Event]:
-        """Yield the greeting."""
-        yield CANNELLONI_HELLO
+    greeting = (CANNELLONI_HELLO,)
 
     def feed(self, chunk: bytes) -> Iterator[Event]:
-        """Yield the frames in the chunk; CLOSE when it is another protocol."""
+        """Yield the frames in the chunk; FOREIGN when it is another protocol, CLOSE when it makes no sense."""
         rest = self._rest + chunk
-        if not self._greeted:
+        if not self._began:
             if not CANNELLONI_HELLO.startswith(rest[:12]):
-                yield Mode.CLOSE
+                yield Mode.FOREIGN
                 return
             if len(rest) >= 12:
-                self._greeted, rest = True, rest[12:]
+                self._began, rest = True, rest[12:]
                 yield Mode.LISTEN
-        while self._greeted and len(rest) >= 5:
+        while self._began and len(rest) >= 5:
             can_id, size = int.from_bytes(rest[:4], "big"), rest[4]
             is_fd, dlc = bool(size & _CANNELLONI_FD), size & ~_CANNELLONI_FD
             if dlc > (64 if is_fd else DATA_MAX):
@@ -345,9 +328,8 @@ class CannelloniSession:
 
 def cannelloni_event(frame: Frame) -> bytes:
     """Return flagged identifier, length and data; a remote frame ends with its length."""
-    flags = (EXTENDED_FLAG if frame.extended else 0) | (REMOTE_FLAG if frame.remote else 0)
-    dlc = frame.dlc if frame.remote else len(frame.data)
-    return (frame.can_id | flags).to_bytes(4, "big") + bytes((dlc,)) + frame.data
+    flags = EXTENDED_FLAG * frame.extended | REMOTE_FLAG * frame.remote
+    return (frame.can_id | flags).to_bytes(4, "big") + bytes((length(frame),)) + frame.data
 
 
 class Codec(NamedTuple):

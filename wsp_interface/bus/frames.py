@@ -19,7 +19,6 @@ ERROR_FLAG = 0x2000_0000  # of identifiers in logs, as Linux has it
 
 # a tenth of a second behind: no burst of a sane sender, the bus cannot carry what is offered
 OVERLOAD_BACKLOG_NS = 100_000_000
-WINDOW_PARTS = 10  # the last second is ten parts of 100 ms
 
 
 class Frame(NamedTuple):
@@ -57,64 +56,40 @@ def bits(frame: Frame, worst: bool = False) -> int:
     Source: ISO 11898-1; 34 (base) or 54 (extended) bits besides the data are subject to stuffing.
     """
     payload = 8 * len(frame.data)
-    frame_bits = payload + (67 if frame.extended else 47)
-    if not worst:
-        return frame_bits
-    return frame_bits + (payload + (54 if frame.extended else 34) - 1) // 4
+    stuffed = (payload + (54 if frame.extended else 34) - 1) // 4 if worst else 0
+    return payload + (67 if frame.extended else 47) + stuffed
 
 
 def candump_line(frame: Frame, channel: str = "rig0") -> str:
     """Return the frame as a line of a candump log, without the newline; [s] with six decimals."""
     seconds, rest_ns = divmod(frame.time_ns, S_NS)
-    can_id = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
-    if frame.error:
-        can_id = f"{ERROR_FLAG | frame.can_id:08X}"
+    can_id = f"{frame.can_id | ERROR_FLAG * frame.error:0{8 if frame.extended or frame.error else 3}X}"
     body = f"R{frame.dlc or ''}" if frame.remote else frame.data.hex().upper()
     return f"({seconds:010d}.{rest_ns // 1000:06d}) {channel} {can_id}#{body}"
 
 
 class BusLoad:
-    """How busy a bus of one bit rate is: over the run, over the last second, and how far behind."""
+    """How busy a bus of one bit rate is: over the run, and whether it fell behind."""
 
     def __init__(self, bitrate: int, start_ns: int) -> None:
         if bitrate <= 0:
             raise ValueError(f"CAN bus: bitrate {bitrate} bit/s, allowed is more than 0")
-        self.bitrate = bitrate
-        self.start_ns = start_ns
-        self.frames = 0
-        self.bits = 0
+        self.bitrate, self.start_ns = bitrate, start_ns
+        self.frames = self.bits = 0
         self.free_ns = start_ns  # when the wire is free again
         self.overloaded = False  # stays set once it was
-        self._part_ns = S_NS // WINDOW_PARTS
-        self._parts = [0] * WINDOW_PARTS
-        self._newest = start_ns // self._part_ns
 
-    def carry(self, frame: Frame, now_ns: int) -> int:
-        """Account for one frame at now_ns; return when its last bit leaves the wire [ns]. [F1]"""
-        frame_bits = 8 * len(frame.data) + (67 if frame.extended else 47)
+    def carry(self, frame: Frame, now_ns: int) -> None:
+        """Account for one frame at now_ns. [F1]"""
+        frame_bits = bits(frame)
         self.frames += 1
         self.bits += frame_bits
-        self._turn(now_ns)
-        self._parts[self._newest % WINDOW_PARTS] += frame_bits
-        if self.free_ns - now_ns > OVERLOAD_BACKLOG_NS:
+        free_ns = self.free_ns
+        if free_ns - now_ns > OVERLOAD_BACKLOG_NS:
             self.overloaded = True
-        self.free_ns = max(now_ns, self.free_ns) + frame_bits * S_NS // self.bitrate  # [F1]
-        return self.free_ns
+        self.free_ns = (free_ns if free_ns > now_ns else now_ns) + frame_bits * S_NS // self.bitrate  # [F1]
 
     def run_percent(self, now_ns: int) -> float:
         """Return the load since the start: bits offered over bits that fit, in percent."""
-        elapsed_ns = max(now_ns - self.start_ns, 1)
-        return 100.0 * self.bits * S_NS / self.bitrate / elapsed_ns if self.bits else 0.0
-
-    def last_second_percent(self, now_ns: int) -> float:
-        """Return the load of the last second (steps of 0.1 s) in percent; above 100 it queues."""
-        self._turn(now_ns)
-        return 100.0 * sum(self._parts) / self.bitrate
-
-    def _turn(self, now_ns: int) -> None:
-        """Empty the parts of the window that time has passed."""
-        part = now_ns // self._part_ns
-        if part > self._newest:
-            for old in range(max(self._newest + 1, part - WINDOW_PARTS + 1), part + 1):
-                self._parts[old % WINDOW_PARTS] = 0
-            self._newest = part
+        elapsed_ns = now_ns - self.start_ns
+        return 100.0 * self.bits * S_NS / self.bitrate / elapsed_ns if elapsed_ns > 0 else 0.0

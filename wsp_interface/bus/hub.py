@@ -10,11 +10,13 @@ By default the bus is ideal: a frame is delivered at once, and the bit rate is o
 for its bits' time; time is that of the hub's clock, simulated or real.
 
 Threads: a hub lives in the thread of its event loop; call it from nowhere else.
-Limits: no acknowledge; error frames only where a fault asks for them (`destroy`). The protocols
+Limits: no acknowledge; error frames only where a fault asks for them (`destroy`), and for clients
+that ask for them, with the identifier of what was destroyed behind their content. The protocols
 have no authentication: loopback only, unless another host is asked for.
 """
 
 import asyncio
+import contextlib
 import errno
 import ipaddress
 import logging
@@ -32,6 +34,7 @@ from rollerrig.wsp_interface.bus.wire import Alarm, Wire
 
 log = logging.getLogger(__name__)
 
+CLIENTS_MAX = 32  # of each protocol, so that descriptors never run out
 BUFFER_BYTES = 1 << 20  # for each client; about 25 000 frames, or five seconds of a full bus
 CLOSE_TIMEOUT_S = 0.5
 # CAN_ERR_PROT and CAN_ERR_BUSERROR; CAN_ERR_PROT_TX
@@ -40,20 +43,15 @@ _BUS_ERROR, _ON_TRANSMISSION = 0x088, 0x80
 Callback = Callable[[Frame], None]
 Then = Callable[[], None] | None
 Gate = Callable[["Port | Client", Frame, Callable[[], None]], bool]
-# NMT, and SDO, heartbeats and LSS: see `Hub.still`
-_SERVICES_BELOW, _SERVICES_FROM = SYNC, SDO_REPLY
 
 
 class Port:
     """A place on the bus for a node of this process."""
 
-    def __init__(self, hub: "Hub", callback: Callback, name: str,
-                 on_close: Callable[[], None] | None) -> None:
-        self.name = name
-        self.dropped = 0
+    def __init__(self, hub: "Hub", callback: Callback, name: str, on_close: Callable[[], None] | None) -> None:
+        self.name, self.dropped = name, 0
         self._hub: Hub | None = hub
-        self._callback = callback
-        self._on_close = on_close
+        self._callback, self._on_close = callback, on_close
 
     def send(self, frame: Frame, then: Then = None, origin: Hashable = None) -> None:
         """Put a frame on the bus; ValueError when it is no CAN frame, counted when closed.
@@ -80,13 +78,27 @@ class Port:
                 self._on_close()
 
 
+def log_event(level: str, text: str) -> None:
+    """What becomes of events that nobody asked for."""
+    log.log(logging.getLevelNamesMapping()[level.upper()], text)
+
+
+def beyond_loopback(what: str, host: str, port: int, who: str = "WITHOUT ANY AUTHENTICATION") -> str:
+    """The warning where a server listens on an address that others reach, else nothing."""
+    with contextlib.suppress(ValueError):
+        if host == "localhost" or ipaddress.ip_address(host).is_loopback:
+            return ""
+    return f"{what} LISTENS BEYOND THIS MACHINE, on {host}:{port}: everybody there {who} can drive the rig"
+
+
 class Hub:
-    """The bus. `clock_ns` gives the time that every frame is stamped with."""
+    """The bus. `clock_ns` gives the time that every frame is stamped with; `on_event(level, text)` is told of clients
+    that are refused and of addresses that others reach."""
 
     def __init__(self, clock_ns: Callable[[], int], bitrate: int = 500_000, name: str = "rig0",
-                 buffer_bytes: int = BUFFER_BYTES) -> None:
-        self.name = name
-        self.buffer_bytes = buffer_bytes
+                 buffer_bytes: int = BUFFER_BYTES, on_event: Callable[[str, str], None] = log_event) -> None:
+        self.name, self.buffer_bytes, self._on_event = name, buffer_bytes, on_event
+        self._warned: set[str] = set()
         self.load = BusLoad(bitrate, clock_ns())
         self._clock_ns = clock_ns
         self._waiting: deque[tuple[Frame, Port | Client, Then]] = deque()
@@ -95,11 +107,14 @@ class Hub:
         # simulated time waits for somebody: services, which nobody may have to wait for, then pass
         # beside the wire, or a client that asks before it answers would wait for ever
         self.still = False
-        # told what has come to the bus, whether or not the wire has carried it
-        self.arrived: Callback | None = None
+        # told what is sent and by whom, whether or not the bus will carry it
+        self.arrived: Callable[[Frame, Port | Client], None] | None = None
         self._alarm: Alarm | None = None
         self._at_ns: int | None = None  # the end of the frame that the wire carries
         self._flush_due = False
+        # whose frames bring the time at which they came; no frame is stamped before an earlier one
+        self.stamped_by: Port | None = None
+        self._latest_ns = 0
         # tuples are replaced, not changed: a callback may attach or close while frames go out
         self._taps: tuple[Callback, ...] = ()
         self._ports: tuple[Port, ...] = ()
@@ -109,53 +124,51 @@ class Hub:
         self.gate: Gate | None = None
         self._gone_dropped = 0  # drops of those that have left
 
-    # --- joining ---
-
-    def attach(self, callback: Callback, name: str = "node",
-               on_close: Callable[[], None] | None = None) -> Port:
+    def attach(self, callback: Callback, name: str = "node", on_close: Callable[[], None] | None = None) -> Port:
         """Join as a node: callback(frame) for frames of others, on_close() when the port closes."""
         port = Port(self, callback, name, on_close)
         self._ports = (*self._ports, port)
         return port
 
-    def tap(self, callback: Callback) -> Callable[[], None]:
-        """Call callback(frame) for every frame, before the nodes see it; returns how to stop."""
+    def tap(self, callback: Callback) -> None:
+        """Call callback(frame) for every frame, before the nodes see it."""
         self._taps = (*self._taps, callback)
 
-        def stop() -> None:
-            self._taps = tuple(tap for tap in self._taps if tap is not callback)
-
-        return stop
-
-    async def listen(self, codec: str = "socketcand", host: str = "127.0.0.1",
-                     port: int | None = None) -> int:
+    async def listen(self, codec: str = "socketcand", host: str = "127.0.0.1", port: int | None = None) -> int:
         """Accept TCP clients of a protocol of `codecs.CODECS`; return the port number.
 
         Port 0 takes a free one, None the protocol's usual one. Raises BusError when the protocol
         is unknown or the address cannot be used.
         """
         if codec not in CODECS:
-            raise BusError(f"CAN hub {self.name}: unknown protocol {codec!r}; "
-                           f"allowed: {', '.join(CODECS)}")
+            raise BusError(f"CAN hub {self.name}: unknown protocol {codec!r}; allowed: {', '.join(CODECS)}")
         row = CODECS[codec]
         port = row.port if port is None else port
         try:
             # "localhost" may be two addresses, and a free port would then be two ports
             server = await asyncio.get_running_loop().create_server(
-                lambda: Client(self, codec, row),
-                "127.0.0.1" if host == "localhost" else host, port)
+                lambda: Client(self, codec, row), "127.0.0.1" if host == "localhost" else host, port)
         except (OSError, OverflowError) as error:
             raise BusError(_why_not(self.name, codec, host, port, error)) from error
         self._servers.append(server)
         address = server.sockets[0].getsockname()
-        if not ipaddress.ip_address(address[0]).is_loopback:
-            log.warning("CAN hub %s: %s on %s:%d is open to the network, without authentication",
-                        self.name, codec, *address[:2])
+        if warning := beyond_loopback(f"CAN HUB {self.name} ({codec})", *address[:2]):
+            self._on_event("warning", warning)
         return int(address[1])
 
-    def join(self, client: Client) -> None:
-        """Take in a TCP client that has connected."""
+    def join(self, client: Client) -> bool:
+        """Take in a TCP client that has connected; False where there is no room for it."""
+        if sum(one.codec == client.codec for one in self._clients) >= CLIENTS_MAX:
+            self.warn(f"more than {CLIENTS_MAX} clients speak {client.codec}: further ones are closed; end some")
+            return False
         self._clients = (*self._clients, client)
+        return True
+
+    def warn(self, text: str) -> None:
+        """Tell an event, the same only once: what is wrong with one client may come from many."""
+        if text not in self._warned:
+            self._warned.add(text)
+            self._on_event("warning", f"CAN hub {self.name}: {text}")
 
     def leave(self, member: Port | Client) -> None:
         """Let a node or client go; its drops stay counted."""
@@ -164,39 +177,39 @@ class Hub:
         self._ports = tuple(port for port in self._ports if port is not member)
         self._clients = tuple(client for client in self._clients if client is not member)
 
-    # --- carrying ---
-
-    def submit(self, frame: Frame, sender: Port | Client, then: Then = None,
-               origin: Hashable = None) -> None:
-        """Queue a frame and carry what waits: a node that answers inside its callback comes next.
-
-        Without the queue an answer would overtake the question on its way to the nodes behind.
-        """
-        if self.gate is None or self.gate(sender, frame,
-                                          partial(self._queue, frame, sender, then, origin)):
+    def submit(self, frame: Frame, sender: Port | Client, then: Then = None, origin: Hashable = None) -> None:
+        """Queue a frame, as an answer would else overtake its question to the nodes behind; carry what waits."""
+        if self.arrived is not None:
+            self.arrived(frame, sender)
+        if self.gate is None or self.gate(sender, frame, partial(self._queue, frame, sender, then, origin)):
             self._queue(frame, sender, then, origin)
 
-    def destroy(self, frame: Frame, transmit_errors: int, receive_errors: int = 0,
-                by_sender: bool = True) -> None:
-        """An error frame ends a frame on the wire: taps see it, and its bits are counted.
-
-        The counters are those of the controller that found the error: the sender's, or a
-        receiver's. Source: Linux can/error.h for what the frame says.
-        """
+    def destroy(self, frame: Frame, transmit_errors: int, receive_errors: int = 0, by_sender: bool = True) -> None:
+        """An error frame ends a frame, with the counters of who found the error. Source: Linux can/error.h"""
         now_ns = self._now_ns()
-        state = bytes((0, 0, _ON_TRANSMISSION if by_sender else 0, 0, 0, 0, transmit_errors,
-                      receive_errors))
+        state = bytes((0, 0, _ON_TRANSMISSION if by_sender else 0, 0, 0, 0, transmit_errors, receive_errors))
         self.load.carry(frame, now_ns)
         if self.wire is not None:
             self.wire.occupy(frame, now_ns)
+        self.tell_error(_BUS_ERROR, state, now_ns)
+        error = Frame(_BUS_ERROR, state + frame.can_id.to_bytes(4, "little"), time_ns=now_ns, error=True)
+        for client in self._clients:
+            if client.listening and client.errors:
+                client.put(client.encode(error))
+                self._flush_soon()
+
+    def tell_error(self, kind: int, state: bytes, at_ns: int | None = None) -> None:
+        """Let the taps see an error frame of a class and content of Linux can/error.h, now."""
+        now_ns = self._now_ns() if at_ns is None else at_ns
         for tap in self._taps:
-            self.call(tap, Frame(_BUS_ERROR, state, time_ns=now_ns, error=True))
+            self.call(tap, Frame(kind, state, time_ns=now_ns, error=True))
 
     def _now_ns(self) -> int:
         return self._clock_ns() if self._at_ns is None else self._at_ns
 
     def _queue(self, frame: Frame, sender: Port | Client, then: Then, origin: Hashable) -> None:
-        if self.wire is not None and not (self.still and _is_service(frame)):
+        # services: NMT below SYNC; SDO, heartbeats and LSS from the SDO replies on
+        if self.wire is not None and not (self.still and (frame.extended or not SYNC <= frame.can_id < SDO_REPLY)):
             self._offer(self.wire, frame, sender, then, origin)
             return
         self._waiting.append((frame, sender, then))
@@ -211,6 +224,9 @@ class Hub:
 
     def _carry(self, frame: Frame, sender: Port | Client, then: Then, now_ns: int) -> None:
         """Stamp one frame and give it to everybody but its sender."""
+        if self.stamped_by is not None:
+            now_ns = max(frame.time_ns, self._latest_ns) if sender is self.stamped_by else now_ns
+            self._latest_ns = now_ns
         stamped = Frame(frame.can_id, frame.data, frame.extended, frame.remote, frame.dlc, now_ns)
         self.load.carry(stamped, now_ns)
         for tap in self._taps:
@@ -221,17 +237,13 @@ class Hub:
         wires: dict[str, bytes] = {}
         for client in self._clients:
             if client is not sender and client.listening:
-                wire = wires.get(client.codec)
-                if wire is None:
-                    wire = wires[client.codec] = client.encode(stamped)
-                client.put(wire)
+                if client.codec not in wires:
+                    wires[client.codec] = client.encode(stamped)
+                client.put(wires[client.codec])
         if then is not None:
             then()
-        if wires and not self._flush_due:
-            self._flush_due = True
-            asyncio.get_running_loop().call_soon(self.flush)
-
-    # --- the wire ---
+        if wires:
+            self._flush_soon()
 
     def arbitrate(self, timed: bool) -> None:
         """From now on frames wait for the wire; once done it stays so.
@@ -260,16 +272,13 @@ class Hub:
             self._at_ns = None
         self._set_alarm()
 
-    def _offer(self, wire: Wire, frame: Frame, sender: Port | Client, then: Then,
-               origin: Hashable) -> None:
+    def _offer(self, wire: Wire, frame: Frame, sender: Port | Client, then: Then, origin: Hashable) -> None:
         idle = not wire
         if not wire.offer(frame, self._now_ns(), sender if origin is None else origin,
                           partial(self._carry, frame, sender, then)):
             sender.dropped += 1
         elif idle and self._at_ns is None:
             self._set_alarm()
-        if self.arrived is not None:
-            self.arrived(frame)
 
     def _ring(self) -> None:
         if self._alarm is not None:
@@ -277,10 +286,13 @@ class Hub:
             self.advance(self._clock_ns())
 
     def _set_alarm(self) -> None:
-        if self._alarm is not None and self.wire is not None:
-            end_ns = self.wire.end_ns()
-            if end_ns is not None:
-                self._alarm.set(end_ns - self._clock_ns())
+        if self._alarm is not None and self.wire is not None and (end_ns := self.wire.end_ns()) is not None:
+            self._alarm.set(end_ns - self._clock_ns())
+
+    def _flush_soon(self) -> None:
+        if not self._flush_due:
+            self._flush_due = True
+            asyncio.get_running_loop().call_soon(self.flush)
 
     def flush(self) -> None:
         """Write now what waits for the clients; happens by itself after the current callback."""
@@ -295,43 +307,25 @@ class Hub:
         except Exception as error:
             message = f"CAN hub {self.name}: {callback!r} failed on frame {frame.can_id:X}h"
             try:
-                loop = asyncio.get_running_loop()
+                asyncio.get_running_loop().call_exception_handler({"message": message, "exception": error})
             except RuntimeError:
                 log.exception(message)
-            else:
-                loop.call_exception_handler({"message": message, "exception": error})
-
-    # --- counting and ending ---
 
     @property
     def dropped(self) -> int:
         """Frames that somebody did not get because they read too slowly or had left."""
-        members: tuple[Port | Client, ...] = (*self._ports, *self._clients)
-        return self._gone_dropped + sum(member.dropped for member in members)
+        return (self._gone_dropped + sum(one.dropped for one in self._ports)
+                + sum(one.dropped for one in self._clients))
 
     def stats(self) -> dict[str, Any]:
         """Return the counters: frames, dropped, bits, load [percent], overloaded, longest wait, clients."""
         now_ns = self._clock_ns()
         return {
-            "frames": self.load.frames,
-            "dropped": self.dropped,
-            "bits": self.load.bits,
-            "load_percent": round(self.load.run_percent(now_ns), 3),
-            "load_last_second_percent": round(self.load.last_second_percent(now_ns), 3),
-            "overloaded": self.load.overloaded,
+            "frames": self.load.frames, "dropped": self.dropped, "bits": self.load.bits,
+            "load_percent": round(self.load.run_percent(now_ns), 3), "overloaded": self.load.overloaded,
             "longest_wait_us": self.wire.longest_wait_ns / 1000.0 if self.wire is not None else 0.0,
-            "clients": [client.stats() for client in self._clients],
+            "clients": [{"name": client.name, "dropped": client.dropped} for client in self._clients],
         }
-
-    def start_counting(self) -> None:
-        """Set all counters to zero, at the start of a run."""
-        self.load = BusLoad(self.load.bitrate, self._clock_ns())
-        self._gone_dropped = 0
-        if self.wire is not None:
-            self.wire.longest_wait_ns = 0
-        members: tuple[Port | Client, ...] = (*self._ports, *self._clients)
-        for member in members:
-            member.dropped = 0
 
     async def close(self) -> None:
         """Close ports, servers and clients; what clients have still to get is sent for 0.5 s."""
@@ -343,11 +337,10 @@ class Hub:
             server.close()
         for port in self._ports:
             port.close()
-        clients = self._clients
-        for client in clients:
+        for client in self._clients:
             client.finish()
-        if clients:
-            await asyncio.wait([client.lost for client in clients], timeout=CLOSE_TIMEOUT_S)
+        if self._clients:
+            await asyncio.wait([client.lost for client in self._clients], timeout=CLOSE_TIMEOUT_S)
         for client in self._clients:
             client.abort()
         for server in self._servers:
@@ -355,20 +348,14 @@ class Hub:
         self._servers.clear()
 
 
-def _is_service(frame: Frame) -> bool:
-    return frame.extended or not _SERVICES_BELOW <= frame.can_id < _SERVICES_FROM
-
-
-def _why_not(name: str, codec: str, host: str, port: int, error: Exception) -> str:
-    """Return the message for an address that cannot be listened on."""
-    where = f"CAN hub {name}: cannot listen for {codec} on {host}:{port}"
-    if isinstance(error, OverflowError):
-        return f"{where}: allowed ports are 0 (any free one) to 65535"
+def _why_not(name: str, codec: str, host: str, port: int, error: OSError | OverflowError) -> str:
     code = error.errno if isinstance(error, OSError) else None
-    if code == errno.EADDRINUSE:
-        return (f"{where}: the port is already in use, perhaps by another bench; "
-                f"stop its holder (ss -ltnp 'sport = :{port}' shows who it is) "
-                f"or choose another port in the bus address (0 takes any free one)")
-    if code == errno.EACCES:
-        return f"{where}: ports below 1024 need rights; choose one from 1024 to 65535"
-    return f"{where}: {error}; allowed is an address of this machine, 127.0.0.1 for local programs"
+    why = f"{error}; allowed is an address of this machine, 127.0.0.1 for local programs"
+    if isinstance(error, OverflowError):
+        why = "allowed ports are 0 (any free one) to 65535"
+    elif code == errno.EADDRINUSE:
+        why = (f"the port is already in use, perhaps by another bench; stop its holder (ss -ltnp 'sport = :{port}' "
+               "shows who it is) or choose another port in the bus address (0 takes any free one)")
+    elif code == errno.EACCES:
+        why = "ports below 1024 need rights; choose one from 1024 to 65535"
+    return f"CAN hub {name}: cannot listen for {codec} on {host}:{port}: {why}"

@@ -14,24 +14,18 @@ import can
 from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SDO_REQUEST
 
-PATIENCE_S = 5.0
+PATIENCE_S = 30.0
 _ABORT, _DOWNLOADED, _SEGMENT_TAKEN, _UPLOAD = 0x80, 0x60, 0x20, 0x40
-_SIZES = {1: 0x2F, 2: 0x2B, 3: 0x27, 4: 0x23}
 
 
 class RefusedError(BusError):
-    """A node has refused a transfer: `code` is its SDO abort code."""
-
-    def __init__(self, text: str, code: int) -> None:
-        super().__init__(text)
-        self.code = code
+    """A node has refused a transfer with an SDO abort."""
 
 
 class SdoClient:
     """One client. `read(timeout_s)` gives the next message or None; `pass_on` gets the others."""
 
-    def __init__(self, send: Callable[[can.Message], None],
-                 read: Callable[[float], can.Message | None],
+    def __init__(self, send: Callable[[can.Message], None], read: Callable[[float], can.Message | None],
                  pass_on: Callable[[can.Message], None]) -> None:
         self._send, self._read, self._pass_on = send, read, pass_on
 
@@ -39,13 +33,12 @@ class SdoClient:
         """Download bytes to an object. Raises RefusedError, or BusError when nobody answers."""
         head = struct.pack("<HB", index, sub)
         if 0 < len(data) <= 4:
-            self._ask(node, bytes([_SIZES[len(data)]]) + head + data.ljust(4, b"\0"), _DOWNLOADED)
+            self._ask(node, bytes([0x33 - 4 * len(data)]) + head + data.ljust(4, b"\0"), _DOWNLOADED)
             return
         self._ask(node, b"\x21" + head + struct.pack("<I", len(data)), _DOWNLOADED)
         for at in range(0, max(len(data), 1), 7):
             part = data[at:at + 7]
-            last = at + 7 >= len(data)
-            command = (at // 7 % 2) << 4 | (7 - len(part)) << 1 | last
+            command = (at // 7 % 2) << 4 | (7 - len(part)) << 1 | (at + 7 >= len(data))
             self._ask(node, bytes([command]) + part.ljust(7, b"\0"), _SEGMENT_TAKEN)
 
     def read(self, node: int, index: int, sub: int) -> bytes:
@@ -63,15 +56,13 @@ class SdoClient:
             message = self._read(rest_s)
             if message is None:
                 continue
-            if message.arbitration_id != SDO_REPLY + node or len(message.data) != 8:
-                self._pass_on(message)
-                continue
             reply = bytes(message.data)
-            if reply[0] == _ABORT:
+            if message.arbitration_id != SDO_REPLY + node or len(reply) != 8:
+                self._pass_on(message)
+            elif reply[0] == _ABORT:
                 index, sub, code = struct.unpack_from("<HBI", reply, 1)
-                raise RefusedError(f"node {node}, object {index:04X}h:{sub}: refused with SDO abort "
-                                   f"{code:08X}h", code)
-            if reply[0] & 0xE0 == wanted:
+                raise RefusedError(f"node {node}, object {index:04X}h:{sub}: refused with SDO abort {code:08X}h")
+            elif reply[0] & 0xE0 == wanted:
                 return reply
         raise BusError(f"node {node} has not answered an SDO request within {PATIENCE_S:g} s; is it "
                        "on the bus, and not stopped?")

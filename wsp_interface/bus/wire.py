@@ -38,10 +38,7 @@ class Waiting(NamedTuple):
 
 
 def arbitration_field(frame: Frame) -> int:
-    """The bits that decide, as one number: the lower one wins.
-
-    A base frame beats an extended one with the same first 11 bits, a data frame a remote one.
-    """
+    """The bits that decide, the lower number wins: base before extended with the same 11 bits, data before remote."""
     if frame.extended:
         # SRR and IDE are recessive between the two parts of the identifier
         return frame.can_id >> 18 << 21 | 3 << 19 | (frame.can_id & 0x3FFFF) << 1 | frame.remote
@@ -64,8 +61,7 @@ class Wire:
     def __len__(self) -> int:
         return len(self._coming) + len(self._contending)
 
-    def offer(self, frame: Frame, ready_ns: int, origin: Hashable,
-              carry: Callable[[int], None]) -> bool:
+    def offer(self, frame: Frame, ready_ns: int, origin: Hashable, carry: Callable[[int], None]) -> bool:
         """Let a frame wait from `ready_ns` on; False where its origin has too many waiting."""
         if self._queued[origin] >= self.queue_frames:
             return False
@@ -108,10 +104,7 @@ class Wire:
 
 
 class Alarm:
-    """A descriptor that becomes readable after a time in ns: event loops wake a millisecond late.
-
-    Raises OSError where the kernel has no timerfd.
-    """
+    """A descriptor readable after a time in ns: event loops wake a millisecond late. OSError without timerfd."""
 
     def __init__(self) -> None:
         self._libc: Any = ctypes.CDLL(None, use_errno=True)

@@ -1,9 +1,8 @@
 """Quantities with units and conditions, as a person writes them: "3.8 bar", "vehicle_speed < 5 km/h".
 
-A value is turned into SI once, here; a unit that does not belong to a signal is refused, and so is
-a condition that no run can meet, because the quantity never leaves its range. A condition names a
-signal of the table of signals (of one axle as `cylinder_pressure_2`, else of all that it has), or
-`every NAME` or `any NAME` where a signal has several axles.
+A value is turned into SI once, here; a unit that does not belong to a signal is refused, and so is a condition that no
+run can meet, because the quantity never leaves its range. A condition names a signal of the table of signals (of one
+axle as `cylinder_pressure_2`, else of all that it has), or `every NAME` or `any NAME` where a signal has several axles.
 """
 
 import operator
@@ -35,16 +34,12 @@ _OPERATORS: dict[str, Callable[[float, float], bool]] = {
 }
 _QUANTITY = re.compile(r"\s*([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*([A-Za-z%][A-Za-z0-9/%]*)?\s*$")
 _CONDITION = re.compile(r"\s*(?:(every|any)\s+)?([a-z_0-9]+)\s*(<=|>=|<|>)\s*(.+)$")
-_KNOWN = tuple(dict.fromkeys(
-    signal.name for signal in signals.SIGNALS if signals.columns(signal)[0] in COLUMNS))
+_KNOWN = tuple(dict.fromkeys(signal.name for signal in signals.SIGNALS if signals.columns(signal)[0] in COLUMNS))
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A comparison of columns with a bound in SI. `all_of`: it shall hold for each column.
-
-    `unit` as it was written, of `factor` in SI.
-    """
+    """A comparison of columns (of each where `all_of`) with a bound in SI; `unit` as it was written."""
 
     text: str
     columns: tuple[str, ...]
@@ -52,7 +47,6 @@ class Condition:
     bound: float
     all_of: bool
     unit: str = ""
-    factor: float = 1.0
 
     def holds(self, values: Mapping[str, float]) -> bool:
         """Whether it holds for the newest values; a value that is not known does not."""
@@ -61,7 +55,7 @@ class Condition:
 
     def readings(self, values: Mapping[str, float]) -> str:
         """The newest values in the unit of the condition."""
-        found = ", ".join(f"{values[name] / self.factor:.4g}" for name in self.columns)
+        found = ", ".join(f"{values[name] / UNITS[self.unit][1]:.4g}" for name in self.columns)
         return f"{found} {self.unit}".strip()
 
 
@@ -69,17 +63,14 @@ def quantity(text: object, unit: str, where: str) -> float:
     """A value with its unit as SI. `unit` as in the table of signals. Raises ConfigError."""
     allowed = ", ".join(repr(one) for one, (base, _) in UNITS.items() if base == unit and one)
     form = f"write a number with its unit ({allowed or 'none'}) in quotes"
-    if not isinstance(text, str):
-        raise ConfigError(f"{where} = {text!r}: {form}")
-    found = _QUANTITY.match(text)
+    found = _QUANTITY.match(text) if isinstance(text, str) else None
     if not found:
-        raise ConfigError(f"{where} = '{text}': {form}")
+        raise ConfigError(f"{where} = {text!r}: {form}")
     base, factor = UNITS.get(found[2] or "", (None, 0.0))
     if base is None:
         raise ConfigError(f"{where} = '{text}': no unit is called '{found[2]}'; {form}")
     if base != unit:
-        raise ConfigError(f"{where} = '{text}': the unit '{found[2] or 'none'}' does not belong here;"
-                          f" {form}")
+        raise ConfigError(f"{where} = '{text}': the unit '{found[2] or 'none'}' does not belong here; {form}")
     return float(found[1]) * factor
 
 
@@ -90,30 +81,22 @@ def condition(text: object, where: str) -> Condition:
         raise ConfigError(f"{where} = {text!r}: write a condition such as "
                           "'vehicle_speed < 5 km/h' or 'every cylinder_pressure > 3 bar'")
     name, columns = _columns(found[2], where)
-    signal = signals.BY_NAME[name]
-    bound = quantity(found[4], signal.unit, f"{where}: {found[2]}")
-    _check_reachable(name, found[3], bound, f"{where} = '{text}'")
-    match = _QUANTITY.match(found[4])
-    unit = (match[2] or "") if match else ""
-    return Condition(text, columns, found[3], bound, found[1] != "any", unit, UNITS[unit][1])
+    unit, compare = signals.BY_NAME[name].unit, found[3]
+    bound = quantity(found[4], unit, f"{where}: {found[2]}")
+    low, high = RANGES.get(name, (-float("inf"), float("inf")))
+    if {"<": bound <= low, "<=": bound < low, ">": bound >= high, ">=": bound > high}[compare]:
+        raise ConfigError(f"{where} = '{text}': can never be, because {name} stays within {low:g} to {high:g} "
+                          f"{unit.replace('_', '/')}; mend the bound or the direction")
+    written = _QUANTITY.match(found[4])
+    return Condition(text, columns, compare, bound, found[1] != "any", (written[2] or "") if written else "")
 
 
 def _columns(name: str, where: str) -> tuple[str, tuple[str, ...]]:
     stem, _, axle = name.rpartition("_")
     if axle.isdecimal() and stem in _KNOWN:
         if not 1 <= int(axle) <= signals.BY_NAME[stem].axles:
-            raise ConfigError(f"{where}: '{name}': there are axles 1 to "
-                              f"{signals.BY_NAME[stem].axles}")
+            raise ConfigError(f"{where}: '{name}': there are axles 1 to {signals.BY_NAME[stem].axles}")
         return stem, (signals.columns(signals.BY_NAME[stem])[int(axle) - 1],)
     if name not in _KNOWN:
         raise ConfigError(f"{where}: no signal is called '{name}'{nearest(name, _KNOWN)}")
     return name, signals.columns(signals.BY_NAME[name])
-
-
-def _check_reachable(name: str, compare: str, bound: float, where: str) -> None:
-    low, high = RANGES.get(name, (-float("inf"), float("inf")))
-    never = {"<": bound <= low, "<=": bound < low, ">": bound >= high, ">=": bound > high}[compare]
-    if never:
-        raise ConfigError(f"{where}: can never be, because {name} stays within {low:g} to {high:g} "
-                          f"{signals.BY_NAME[name].unit.replace('_', '/')}; mend the bound or the "
-                          "direction")

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.errors import BusError, RollerrigError, UnitError
+from rollerrig.configs.errors import RollerrigError, UnitError
 from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import verdict
@@ -27,8 +27,10 @@ from rollerrig.wsp_interface.sequences.verdict import Result, Verdict
 
 TRACE = "harness.csv"
 SETTLED_S = 0.05
-FINALS = ("longest_lock", "sliding_work", "vents", "air_consumption")
-STEP_SOURCE = "the sequence"
+FINALS = ("longest_lock", "sliding_work", "vents", "air_consumption", "reservoir_least",
+          "flat_length", "sand_taken")
+DRY = "stop_distance_over_dry"
+STEP_SOURCE, BEFORE = "the sequence", "pre-condition"
 
 
 @dataclass
@@ -39,6 +41,7 @@ class Outcome:
     folder: Path
     verdicts: list[Verdict] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+    finals: dict[str, tuple[float, ...]] = field(default_factory=dict)
     record: Record | None = None
     summary: dict[str, Any] = field(default_factory=dict)
     error: str = ""
@@ -47,34 +50,33 @@ class Outcome:
     @property
     def result(self) -> Result:
         """Error wherever something could not be measured, else the worst verdict."""
-        if self.error:
-            return Result.ERROR
-        return verdict.worst([one.result for one in self.verdicts])
+        return Result.ERROR if self.error else verdict.worst([one.result for one in self.verdicts])
 
 
 def on_own_bench(sequence: Sequence, folder: Path, pacing: str = "lockstep", seed: int = 0,
                  dry_m: Callable[[dict[str, Any], tuple[tuple[float, float], ...]], float] | None = None,
-                 wsp: str = "", companions: tuple[own_bench.Companion, ...] = ()) -> Outcome:
+                 wsp: str = "", companions: tuple[own_bench.Companion, ...] = (),
+                 tell: Callable[[Event], None] = lambda event: None, arguments: tuple[str, ...] = ()) -> Outcome:
     """Start a bench for the sequence, play it, and judge. Never raises for what a run can meet.
 
-    `dry_m(scenario, demands)` gives the distance of the dry stop where a limit asks for it.
+    `dry_m(scenario, demands)` gives the distance of the dry stop where a limit asks for it; `tell` gets each event;
+    `arguments` are further ones of `rollerrig run`.
     """
     outcome = Outcome(sequence, folder)
-    finals: dict[str, tuple[float, ...]] = {}
-    harness = None
+    harness: Harness | None = None
     try:
         with own_bench.start(folder, sequence.scenario, wsp=wsp or sequence.wsp, pacing=pacing,
                              seed=seed, initial_speed_m_s=sequence.speed_m_s,
-                             adhesion=sequence.adhesion, tables=sequence.tables,
-                             companions=companions) as bench:
-            harness = bench.harness
-            play(sequence, harness, outcome, finals)
+                             adhesion=sequence.adhesion, tables=sequence.tables, companions=companions,
+                             arguments=arguments) as harness:
+            harness.tell = tell
+            play(sequence, harness, outcome)
         outcome.summary = own_bench.summary(folder)
-        _check_record(outcome)
+        own_bench.check_valid(outcome.summary)
     except (RollerrigError, OSError) as error:
         outcome.error = str(error)
     if harness is not None:
-        _conclude(outcome, harness, finals, dry_m)
+        _conclude(outcome, harness, dry_m)
     return outcome
 
 
@@ -82,24 +84,34 @@ def on_running_bench(sequence: Sequence, harness: Harness, folder: Path, scenari
                      dry_m: Callable[..., float] | None = None) -> Outcome:
     """Play a sequence on a bench that somebody else has started; `scenario` is the resolved one."""
     outcome = Outcome(sequence, folder)
-    finals: dict[str, tuple[float, ...]] = {}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with harness:
             _check_start(sequence, harness)
-            play(sequence, harness, outcome, finals)
+            play(sequence, harness, outcome)
     except (RollerrigError, OSError) as error:
         outcome.error = str(error)
-    _conclude(outcome, harness, finals, dry_m, scenario)
+    _conclude(outcome, harness, dry_m, scenario)
     outcome.summary = heard(harness)
     return outcome
 
 
-def heard(harness: Harness) -> dict[str, Any]:
-    """What the bus tells of a bench's time: pacing, cycles, and cycles of which no row came.
+def missed(harness: Harness, folder: Path, criteria: str) -> str:
+    """Which limits of a profile a braking has not kept to so far, each figure against its limit; empty where none.
 
-    Missed ticks and lateness are the bench's own; its summary.json has them, the bus does not.
+    Limits that want a dry stop are left out. `folder` is that of the run. Raises RollerrigError.
     """
+    profile = verdict.load(criteria)
+    finals = {name: harness.read(name) for name in ("wheel_load", *FINALS)}
+    limits = tuple(one for one in profile.limits if one.measure != DRY)
+    verdicts = verdict.judge(replace(profile, limits=limits), _record_of(harness, folder, finals, None))
+    wrong = [f"{one.told}; {one.text}; source: {one.source}" for one in verdicts
+             if one.result in (Result.FAIL, Result.ERROR)]
+    return "\n  ".join([f"not within the limits of '{criteria}':", *wrong]) if wrong else ""
+
+
+def heard(harness: Harness) -> dict[str, Any]:
+    """What the bus tells of a bench's time: pacing, cycles, and cycles of which no row came; lateness it does not."""
     at = COLUMNS.index("time_s")
     times_s = np.array([row[at] for row in harness.trace])
     steps_s = np.diff(times_s[np.isfinite(times_s)])
@@ -117,14 +129,14 @@ def _check_start(sequence: Sequence, harness: Harness) -> None:
                         f"{is_now:.2f} m/s; start it with initial_speed_m_s={wanted:.3f} and --harness")
 
 
-def play(sequence: Sequence, harness: Harness, outcome: Outcome,
-         finals: dict[str, tuple[float, ...]]) -> None:
+def play(sequence: Sequence, harness: Harness, outcome: Outcome) -> None:
     """Play every step. Raises BusError when the bench goes; a failed step ends the play."""
-    finals["wheel_load"] = harness.read("wheel_load")
+    outcome.finals["wheel_load"] = harness.read("wheel_load")
     for text in sequence.notes:
         harness.note(text)
     checks = outcome.verdicts
-    checks += [_check("pre-condition", one, harness) for one in sequence.before]
+    checks += [replace(one, result=Result.ERROR) if one.result is Result.FAIL else one
+               for one in (_check(BEFORE, before, harness) for before in sequence.before)]
     if all(one.result is Result.PASS for one in checks):
         for number, step in enumerate(sequence.steps, start=1):
             name = step.title or f"step {number}"
@@ -142,7 +154,7 @@ def play(sequence: Sequence, harness: Harness, outcome: Outcome,
             checks += [_check("post-condition", one, harness) for one in sequence.after]
     harness.wait(SETTLED_S)  # the record also gets the last rows
     for quantity in FINALS:
-        finals[quantity] = harness.read(quantity)
+        outcome.finals[quantity] = harness.read(quantity)
 
 
 def _play_step(step: Step, harness: Harness) -> None:
@@ -161,6 +173,8 @@ def _play_step(step: Step, harness: Harness) -> None:
     if step.brake_Pa is not None:
         harness.brake(step.brake_Pa)
         harness.log("harness", f"brake demand {step.brake_Pa / 1e5:g} bar")
+    if step.sand is not None:
+        harness.sand(step.sand)
     begin_s = harness.time_s
     if step.ramp:
         _ramp(step, harness)
@@ -172,7 +186,6 @@ def _play_step(step: Step, harness: Harness) -> None:
 
 
 def _ramp(step: Step, harness: Harness) -> None:
-    """Move the demand evenly, one value a bus cycle."""
     assert step.ramp
     from_Pa = harness.demands[-1][1] if harness.demands else 0.0
     begin_s, to_Pa = harness.time_s, step.ramp.to_Pa
@@ -193,74 +206,52 @@ def _line(name: str, wanted: str, result: Result, text: str) -> Verdict:
     return Verdict(name, "", math.nan, wanted, math.nan, result, STEP_SOURCE, text)
 
 
-# -- the end
-
-def _check_record(outcome: Outcome) -> None:
-    """A run whose record is not whole cannot be judged."""
-    summary = outcome.summary
-    lost = summary.get("recorder", {}).get("lost", 0)
-    broken = [event["text"] for event in summary.get("events", [])
-              if event["level"] == "error" and "recorder" in event["text"]]
-    if summary.get("ended") not in ("finished", None):
-        broken.append(f"the bench's run is {summary['ended']}")
-    if lost or broken:
-        raise BusError("; ".join([*broken, *([f"{lost} samples of the record are lost"] if lost else [])]))
-
-
-def _conclude(outcome: Outcome, harness: Harness, finals: dict[str, tuple[float, ...]],
-              dry_m: Callable[..., float] | None, scenario: dict[str, Any] | None = None) -> None:
-    outcome.events = merged(harness.events, outcome.summary)
+def _conclude(outcome: Outcome, harness: Harness, dry_m: Callable[..., float] | None,
+              scenario: dict[str, Any] | None = None) -> None:
+    reported = [Event(float(one["time_s"]), f"bench, {one['level']}", str(one["text"]))
+                for one in outcome.summary.get("events", [])]
+    outcome.events = sorted([*harness.events, *reported], key=lambda event: event.time_s)
     try:
-        keep(outcome.folder, harness)
+        _keep(outcome.folder, harness)
     except OSError as error:
         outcome.error = outcome.error or f"{outcome.folder}: cannot be written: {error.strerror}"
     if outcome.error or not harness.trace:
         return
     try:
-        outcome.record = record_of(outcome, harness, finals, scenario)
-        asks = any(one.measure == "stop_distance_over_dry" for one in outcome.sequence.criteria.limits)
+        outcome.record = _record_of(harness, outcome.folder, outcome.finals, scenario)
+        asks = any(one.measure == DRY for one in outcome.sequence.criteria.limits)
         if asks and dry_m:
             found = dry_m(dict(outcome.record.scenario), outcome.record.demands)
             outcome.record = replace(outcome.record, dry_m=found)
-        outcome.verdicts += verdict.judge(outcome.sequence.criteria, outcome.record)
+        unmet = [one.limit for one in outcome.verdicts if one.what == BEFORE and one.result is not Result.PASS]
+        outcome.verdicts += verdict.judge(outcome.sequence.criteria, outcome.record,
+                                          f"a pre-condition was not met: {', '.join(unmet)}" if unmet else "")
     except (RollerrigError, OSError, KeyError) as error:
         outcome.error = f"the run cannot be judged: {error}"
 
 
-def record_of(outcome: Outcome, harness: Harness, finals: dict[str, tuple[float, ...]],
-              scenario: dict[str, Any] | None = None) -> Record:
-    """What the measures are computed from."""
+def _record_of(harness: Harness, folder: Path, finals: dict[str, tuple[float, ...]],
+               scenario: dict[str, Any] | None) -> Record:
     if scenario is None:
-        scenario = tomllib.loads((outcome.folder / "scenario.toml").read_text(encoding="utf-8"))
-    table = np.array(harness.trace)
-    faults = [event.time_s for event in harness.events
-              if event.who == "harness" and event.text.startswith("fault ")]
-    return Record({name: table[:, at] for at, name in enumerate(COLUMNS)}, tuple(harness.demands),
-                  finals, scenario, fault_s=faults[0] if faults else math.nan)
+        scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
+    faults = [event.time_s for event in harness.events if event.who == "harness" and event.text.startswith("fault ")]
+    return Record(dict(zip(COLUMNS, np.array(harness.trace).T, strict=True)), tuple(harness.demands), finals,
+                  scenario, fault_s=faults[0] if faults else math.nan)
 
 
-def keep(folder: Path, harness: Harness) -> Path:
+def _keep(folder: Path, harness: Harness) -> None:
     """Write the rows that the harness saw; into the temporary folder where the disk is full."""
     try:
-        return _write(folder, harness)
+        _write(folder, harness)
     except OSError:
         spare = Path(tempfile.mkdtemp(prefix=f"rollerrig-{folder.name}-"))
-        kept = _write(spare, harness)
-        harness.log("harness", f"{folder} could not be written; the rows are kept in {kept}")
+        _write(spare, harness)
+        harness.log("harness", f"{folder} could not be written; the rows are kept in {spare / TRACE}")
         raise
 
 
-def _write(folder: Path, harness: Harness) -> Path:
-    path = folder / TRACE
-    with path.open("w", newline="", encoding="utf-8") as file:
+def _write(folder: Path, harness: Harness) -> None:
+    with (folder / TRACE).open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
         out.writerow(COLUMNS)
         out.writerows([f"{value:.9g}" for value in row] for row in harness.trace)
-    return path
-
-
-def merged(seen: list[Event], summary: dict[str, Any]) -> list[Event]:
-    """Events of the harness and of the bench, in the order of time."""
-    reported = [Event(float(one["time_s"]), f"bench, {one['level']}", str(one["text"]))
-                for one in summary.get("events", [])]
-    return sorted([*seen, *reported], key=lambda event: event.time_s)

@@ -19,25 +19,27 @@ unknown signals, wrong units and faults are refused with file and line.
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.table import nearest
+from rollerrig.configs.table import known, nearest
 from rollerrig.wsp_interface.sequences import conditions, verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.signals import AXLES
 
+Where = Callable[[str], str]  # the place of a key, for messages
+
 DEFAULT_TIMEOUT_S = 300.0
 # a cylinder pressure asked for is a 16-bit count of mbar, bounded by node 17
 HIGHEST_DEMAND_Pa = 1e6
-HEAD = ("title", "criteria", "scenario", "notes", "start", "friction", "before", "after", "step",
-        "measure", "wsp")
+_SETTABLE = ("brake_demand", "sand")
+HEAD = ("title", "criteria", "scenario", "notes", "start", "friction", "before", "after", "step", "measure", "wsp")
 START = ("speed", "adhesion", "mass", "gradient", "tables")
-STEP = ("title", "at", "for", "until", "hold", "timeout", "set", "ramp", "friction", "fault", "lift",
-        "note", "expect")
+STEP = ("title", "at", "for", "until", "hold", "timeout", "set", "ramp", "friction", "fault", "lift", "note", "expect")
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,7 @@ class Step:
     hold_s: float = 0.0
     timeout_s: float = DEFAULT_TIMEOUT_S
     brake_Pa: float | None = None
+    sand: bool | None = None
     ramp: Ramp | None = None
     friction: Patch | None = None
     faults: tuple[str, ...] = ()
@@ -93,7 +96,6 @@ class Sequence:
     after: tuple[Condition, ...]
     steps: tuple[Step, ...]
     criteria: verdict.Profile
-    faults: tuple[str, ...] = field(default=())
 
 
 class _Source:
@@ -125,26 +127,25 @@ class _Source:
 
 def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None) -> Sequence:
     """A sequence by name or path. `check_fault(text)` raises ConfigError for one that is none."""
-    path = Path(name) if isinstance(name, Path) else store.find("sequences", str(name))
+    path = name if isinstance(name, Path) else store.find("sequences", name)
     given = store.parse(path)
     source = _Source(path)
-    _keys(given, HEAD, source, "", 0)
-    title = given.get("title")
+    head, at_start = partial(source.where, "", 0), partial(source.where, "start", 0)
+    known(given, HEAD, head)
+    title, start = given.get("title"), given.get("start", {})
     if not isinstance(title, str) or len(title.split()) < 3:
-        raise ConfigError(f"{source.where(key='title')} = {title!r}: the title is a sentence that "
-                          "says what is tested")
-    start = _table(given.get("start", {}), source, "start")
-    _keys(start, START, source, "start", 0)
-    speed = start.get("speed")
-    speed_m_s = (None if speed is None else
-                 conditions.quantity(speed, "m_s", source.where("start", 0, "speed")))
+        raise ConfigError(f"{head('title')} = {title!r}: the title is a sentence that says what is tested")
+    known(start, START, at_start)
+
+    def started(key: str, unit: str) -> float | None:
+        return conditions.quantity(start[key], unit, at_start(key)) if key in start else None
+
+    speed_m_s, mass_kg, gradient = started("speed", "m_s"), started("mass", "kg"), started("gradient", "")
     tables = dict(start.get("tables", {}))
-    if "mass" in start:
-        mass_kg = conditions.quantity(start["mass"], "kg", source.where("start", 0, "mass"))
+    if mass_kg is not None:
         tables["vehicle"] = {**tables.get("vehicle", {}), "mass_kg": mass_kg}
-    if "gradient" in start:
+    if gradient is not None:
         # uphill is positive; the plant has it as one of its mechanisms
-        gradient = conditions.quantity(start["gradient"], "", source.where("start", 0, "gradient"))
         tables["mechanisms"] = {**tables.get("mechanisms", {}), "track_gradient_gradient": gradient}
     level = tables.get("mechanisms", {}).get("track_gradient_gradient", 0.0) >= 0.0
     if "friction" in given:
@@ -152,27 +153,22 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
     steps = tuple(_steps(given.get("step", []), source, speed_m_s if level else None, check_fault))
     if not steps:
         raise ConfigError(f"{path}: there is no [[step]]; a sequence has at least one")
-    profile = verdict.load(str(given.get("criteria", "none")), path)
-    limits = verdict.limits(given.get("measure", []),
-                            lambda at, key: source.where("measure", at, key), "sequence")
+    limits = verdict.limits(given.get("measure", []), partial(source.where, "measure"))
     return Sequence(
-        path.stem, path, title, str(given.get("scenario", "")), str(given.get("wsp", "reference")),
-        speed_m_s, str(start.get("adhesion", "")), tables, _texts(given.get("notes", []), source.where(key="notes")),
-        _conditions(given.get("before", []), source.where(key="before")),
-        _conditions(given.get("after", []), source.where(key="after")), steps,
-        profile.with_limits(limits))
+        name=path.stem, path=path, title=title, scenario=str(given.get("scenario", "")),
+        wsp=str(given.get("wsp", "reference")), speed_m_s=speed_m_s, adhesion=str(start.get("adhesion", "")),
+        tables=tables, notes=_texts(given, "notes", head), before=_conditions(given, "before", head),
+        after=_conditions(given, "after", head), steps=steps,
+        criteria=verdict.load(str(given.get("criteria", "none")), path).with_limits(limits))
 
 
-def _steps(given: Any, source: _Source, speed_m_s: float | None,
-           check_fault: Callable[[str], Any]) -> Iterable[Step]:
+def _steps(given: Any, source: _Source, speed_m_s: float | None, check_fault: Callable[[str], Any]) -> Iterable[Step]:
     if not isinstance(given, list):
         raise ConfigError(f"{source.where('step')}: write [[step]] with two brackets")
     passed_s = 0.0
     for number, content in enumerate(given):
-        def at(key: str = "", number: int = number) -> str:
-            return source.where("step", number, key)
-
-        _keys(content, STEP, source, "step", number)
+        at = partial(source.where, "step", number)
+        known(content, STEP, at)
         step = _step(content, at, source.line("step", number))
         for text in step.faults:
             try:
@@ -186,81 +182,81 @@ def _steps(given: Any, source: _Source, speed_m_s: float | None,
         yield step
 
 
-def _step(content: Mapping[str, Any], at: Callable[..., str], line: int) -> Step:
-    def seconds(key: str) -> float | None:
-        return conditions.quantity(content[key], "s", at(key)) if key in content else None
+def _step(content: Mapping[str, Any], at: Where, line: int) -> Step:
+    def seconds(key: str, default: Any = None) -> Any:
+        return conditions.quantity(content[key], "s", at(key)) if key in content else default
 
-    wanted = _table(content.get("set", {}), at, "set")
+    wanted = content.get("set", {})
+    if not isinstance(wanted, dict):
+        raise ConfigError(f"{at('set')} = {wanted!r}: a table is wanted")
     for name in wanted:
-        if name != "brake_demand":
-            raise ConfigError(f"{at('set')}: '{name}' cannot be set{nearest(name, ['brake_demand'])};"
-                              " speed, mass and adhesion stand in [start], friction has a key of "
-                              "its own")
-    brake = wanted.get("brake_demand")
-    timeout_s = seconds("timeout")
+        if name not in _SETTABLE:
+            raise ConfigError(f"{at('set')}: '{name}' cannot be set{nearest(name, _SETTABLE)};"
+                              " speed, mass and adhesion stand in [start], friction has a key of its own")
     return Step(
-        str(content.get("title", "")), line, seconds("at"), seconds("for"),
-        conditions.condition(content["until"], at("until")) if "until" in content else None,
-        seconds("hold") or 0.0, DEFAULT_TIMEOUT_S if timeout_s is None else timeout_s,
-        None if brake is None else _pressure(brake, at("set")), _ramp(content.get("ramp"), at),
-        _patch(content.get("friction"), at), _texts(content.get("fault", []), at("fault")),
-        _texts(content.get("lift", []), at("lift")), _texts(content.get("note", []), at("note")),
-        _conditions(content.get("expect", []), at("expect")))
+        title=str(content.get("title", "")), line=line, at_s=seconds("at"), for_s=seconds("for"),
+        until=conditions.condition(content["until"], at("until")) if "until" in content else None,
+        hold_s=seconds("hold", 0.0), timeout_s=seconds("timeout", DEFAULT_TIMEOUT_S),
+        brake_Pa=_pressure(wanted["brake_demand"], at("set")) if "brake_demand" in wanted else None,
+        sand=_switch(wanted["sand"], at("set")) if "sand" in wanted else None,
+        ramp=_ramp(content.get("ramp"), at("ramp")), friction=_patch(content.get("friction"), at("friction")),
+        faults=_texts(content, "fault", at), lifts=_texts(content, "lift", at), notes=_texts(content, "note", at),
+        expects=_conditions(content, "expect", at))
 
 
-def _contradictions(step: Step, content: Mapping[str, Any], at: Callable[..., str], passed_s: float,
+def _contradictions(step: Step, content: Mapping[str, Any], at: Where, passed_s: float,
                     speed_m_s: float | None) -> None:
-    """Refuse what cannot be met in any run."""
-    if step.for_s is not None and step.until is not None:
-        raise ConfigError(f"{at('for')}: a step lasts either `for` a time or `until` a condition; "
-                          "keep one, and give `timeout` for the longest wait")
-    for key in ("hold", "timeout"):
-        if key in content and step.until is None:
-            raise ConfigError(f"{at(key)}: belongs to `until`, which this step has not")
-    if step.until is not None and step.hold_s >= step.timeout_s:
-        raise ConfigError(f"{at('hold')} = {step.hold_s:g} s can never be within timeout = "
-                          f"{step.timeout_s:g} s")
-    if step.at_s is not None and step.at_s < passed_s - 1e-9:
-        raise ConfigError(f"{at('at')} = {step.at_s:g} s is over before the step can begin: the "
-                          f"steps before it take at least {passed_s:g} s")
-    if step.brake_Pa is not None and step.ramp is not None:
-        raise ConfigError(f"{at('ramp')}: the step also sets brake_demand; keep one")
     until, begins_s = step.until, max(passed_s, step.at_s or 0.0)
-    if until is None:
-        return
-    if until.columns == ("time_s",) and until.compare in ("<", "<=") and until.bound <= begins_s:
-        raise ConfigError(f"{at('until')} = '{until.text}': can never be, {begins_s:g} s have passed "
-                          "by then")
-    if (until.columns == ("vehicle_speed_m_s",) and until.compare in (">", ">=")
-            and speed_m_s is not None and until.bound > speed_m_s):
-        raise ConfigError(f"{at('until')} = '{until.text}': can never be: the vehicle begins at "
-                          f"{speed_m_s:.4g} m/s and nothing drives it")
+    columns, compare, bound = (until.columns, until.compare, until.bound) if until else ((), "", 0.0)
+    never = f" = '{until.text if until else ''}': can never be"
+    for key, refused, why in (
+        ("for", step.for_s is not None and until, ": a step lasts either `for` a time or `until` a condition; "
+         "keep one, and give `timeout` for the longest wait"),
+        ("hold", "hold" in content and not until, ": belongs to `until`, which this step has not"),
+        ("timeout", "timeout" in content and not until, ": belongs to `until`, which this step has not"),
+        ("hold", until and step.hold_s >= step.timeout_s,
+         f" = {step.hold_s:g} s can never be within timeout = {step.timeout_s:g} s"),
+        ("at", step.at_s is not None and step.at_s < passed_s - 1e-9, f" = {step.at_s or 0.0:g} s is over before the "
+         f"step can begin: the steps before it take at least {passed_s:g} s"),
+        ("ramp", step.brake_Pa is not None and step.ramp, ": the step also sets brake_demand; keep one"),
+        ("until", columns == ("time_s",) and compare in ("<", "<=") and bound <= begins_s,
+         f"{never}, {begins_s:g} s have passed by then"),
+        ("until", columns == ("vehicle_speed_m_s",) and compare in (">", ">=")
+         and speed_m_s is not None and bound > speed_m_s,
+         f"{never}: the vehicle begins at {speed_m_s or 0.0:.4g} m/s and nothing drives it"),
+    ):
+        if refused:
+            raise ConfigError(at(key) + why)
+
+
+def _switch(given: Any, where: str) -> bool:
+    if not isinstance(given, bool):
+        raise ConfigError(f"{where}: sand = {given!r}: write true or false")
+    return given
 
 
 def _pressure(text: Any, where: str) -> float:
     pressure_Pa = conditions.quantity(text, "Pa", where)
     if not 0.0 <= pressure_Pa <= HIGHEST_DEMAND_Pa:
-        raise ConfigError(f"{where} = '{text}': a brake demand is from 0 to "
-                          f"{HIGHEST_DEMAND_Pa / 1e5:g} bar")
+        raise ConfigError(f"{where} = '{text}': a brake demand is from 0 to {HIGHEST_DEMAND_Pa / 1e5:g} bar")
     return pressure_Pa
 
 
-def _ramp(content: Any, at: Callable[..., str]) -> Ramp | None:
+def _ramp(content: Any, where: str) -> Ramp | None:
     if content is None:
         return None
     form = "write ramp = { brake_demand = '3.8 bar', in = '4 s' }"
     if not isinstance(content, dict) or set(content) != {"brake_demand", "in"}:
-        raise ConfigError(f"{at('ramp')} = {content!r}: {form}")
-    in_s = conditions.quantity(content["in"], "s", at("ramp"))
+        raise ConfigError(f"{where} = {content!r}: {form}")
+    in_s = conditions.quantity(content["in"], "s", where)
     if in_s <= 0.0:
-        raise ConfigError(f"{at('ramp')}: in = '{content['in']}': a ramp takes time; {form}")
-    return Ramp(_pressure(content["brake_demand"], at("ramp")), in_s)
+        raise ConfigError(f"{where}: in = '{content['in']}': a ramp takes time; {form}")
+    return Ramp(_pressure(content["brake_demand"], where), in_s)
 
 
-def _patch(content: Any, at: Callable[..., str]) -> Patch | None:
+def _patch(content: Any, where: str) -> Patch | None:
     if content is None:
         return None
-    where = at("friction")
     if not isinstance(content, dict) or not {"mu"} <= set(content) <= {"mu", "axles"}:
         raise ConfigError(f"{where} = {content!r}: write friction = {{ mu = 0.05, axles = [1, 2] }}")
     mu, axles = content["mu"], content.get("axles", list(range(1, AXLES + 1)))
@@ -271,28 +267,13 @@ def _patch(content: Any, at: Callable[..., str]) -> Patch | None:
     return Patch(float(mu), tuple(axles))
 
 
-def _table(content: Any, source: Any, name: str) -> dict[str, Any]:
-    if not isinstance(content, dict):
-        where = source.where(name) if isinstance(source, _Source) else source(name)
-        raise ConfigError(f"{where} = {content!r}: a table is wanted")
-    return content
-
-
-def _keys(given: Any, allowed: tuple[str, ...], source: _Source, table: str, number: int) -> None:
-    if not isinstance(given, dict):
-        raise ConfigError(f"{source.where(table, number)}: a table is wanted")
-    for key in given:
-        if key not in allowed:
-            raise ConfigError(f"{source.where(table, number, key)}: unknown key"
-                              f"{nearest(key, allowed)}")
-
-
-def _texts(given: Any, where: str) -> tuple[str, ...]:
+def _texts(content: Mapping[str, Any], key: str, at: Where) -> tuple[str, ...]:
+    given = content.get(key, [])
     texts = [given] if isinstance(given, str) else given
     if not isinstance(texts, list) or not all(isinstance(one, str) for one in texts):
-        raise ConfigError(f"{where} = {given!r}: a text in quotes is wanted, or a list of texts")
+        raise ConfigError(f"{at(key)} = {given!r}: a text in quotes is wanted, or a list of texts")
     return tuple(texts)
 
 
-def _conditions(given: Any, where: str) -> tuple[Condition, ...]:
-    return tuple(conditions.condition(one, where) for one in _texts(given, where))
+def _conditions(content: Mapping[str, Any], key: str, at: Where) -> tuple[Condition, ...]:
+    return tuple(conditions.condition(one, at(key)) for one in _texts(content, key, at))

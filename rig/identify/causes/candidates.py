@@ -5,6 +5,8 @@ any number of causes with their coefficients: `inputs` turns them into torque, l
 wheel parameters of the replay, exactly (the columns of `columns` are its derivatives).
 """
 
+from collections import defaultdict
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -41,43 +43,37 @@ class Explanation(NamedTuple):
         """Logarithm of the contaminant's level over the base model's, mean of the fitted runs."""
         return float(np.mean([v for label, v in self.base.items() if label.startswith("ln_mu_cd")] or [0.0]))
 
+    def with_cause(self, at: int, cause: Cause) -> "Explanation":
+        """The same with another cause at this place."""
+        return self._replace(causes=(*self.causes[:at], cause, *self.causes[at + 1:]))
+
 
 def start(design: Design) -> Explanation:
     """The untuned base."""
-    return Explanation({f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)}, 0.028, 8.0,
-                       ())
+    return Explanation({f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)}, 0.028, 8.0, ())
 
 
 def inputs(design: Design, explanation: Explanation) -> Inputs:
     """Inputs of the replay under an explanation."""
+    base = defaultdict(float, explanation.base)
     p = np.tile(design.base, (design.segments, 1))
     p[:, parameters.SIGMA], p[:, parameters.LENGTH] = explanation.sigma, explanation.length_m
-    p[:, parameters.NOISE] = design.wheel_noise_rad_s
-    p[:, parameters.TORQUE_NOISE] = design.torque_noise_Nm[design.run]
-
-    def base(label: str) -> float:
-        return explanation.base.get(label, 0.0)
-
-    p[:, parameters.TAU] *= np.exp(base("ln_tau"))
-    p[:, parameters.MU_CD] *= np.exp([base(f"ln_mu_cd_{run}") for run in design.run])
-    gain = [base("torque_gain") + base(f"torque_gain_{axle}") for axle in design.axle]
-    lift = [base(f"load_gain_{axle}") for axle in design.axle]
+    p[:, parameters.NOISE], p[:, parameters.TORQUE_NOISE] = design.wheel_noise_rad_s, design.torque_noise_Nm[design.run]
+    p[:, parameters.TAU] *= np.exp(base["ln_tau"])
+    p[:, parameters.MU_CD] *= np.exp([base[f"ln_mu_cd_{run}"] for run in design.run])
+    gain = [1.0 + (base["torque_gain"] + base[f"torque_gain_{axle}"]) for axle in design.axle]
+    lift = [1.0 + base[f"load_gain_{axle}"] for axle in design.axle]
     sizes = np.diff(design.start)
-    found = Inputs(
-        torque_Nm=design.torque_Nm * np.repeat(1.0 + np.array(gain), sizes),
-        load_N=design.load_N * np.repeat(1.0 + np.array(lift), sizes), speed_m_s=design.speed_m_s,
-        friction_log=np.zeros(design.measured_rad_s.size), parameters=p,
-        mass_kg=design.mass_kg * [1.0 + base(f"mass_{run}") for run in range(design.mass_kg.size)],
-        force_N=np.zeros(design.vehicle_m_s.size))
-    for cause in explanation.causes:
-        found = _with(design, found, cause)
-    return found
+    found = Inputs(torque_Nm=design.torque_Nm * np.repeat(gain, sizes), load_N=design.load_N * np.repeat(lift, sizes),
+                   speed_m_s=design.speed_m_s, friction_log=np.zeros(design.measured_rad_s.size), parameters=p,
+                   mass_kg=design.mass_kg * [1.0 + base[f"mass_{run}"] for run in range(design.mass_kg.size)],
+                   force_N=np.zeros(design.vehicle_m_s.size))
+    return reduce(lambda i, cause: _with(design, i, cause), explanation.causes, found)
 
 
 def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
     row = table.OF[cause.name]
-    m, on = row.mechanism, courses.of_axle(d, cause.axle)
-    rows = np.isin(d.axle, cause.axle - 1) if cause.axle else np.ones(d.segments, dtype=bool)
+    m, on, rows = row.mechanism, courses.of_axle(d, cause.axle), (d.axle == cause.axle - 1) | (cause.axle == 0)
     value = cause.values[0] if cause.values else 0.0
     if m.acts_on == VEHICLE:
         return i._replace(force_N=i.force_N + resistance(d, i.mass_kg, row, cause.shape, value))
@@ -94,10 +90,9 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
         return i._replace(torque_Nm=shifted(d, i.torque_Nm, np.full(d.segments, value)))
     if cause.name == "speed_sensor_delay":
         by = np.where(rows, -value, 0.0)
-        return i._replace(torque_Nm=shifted(d, i.torque_Nm, by),
-                          speed_m_s=shifted(d, i.speed_m_s, by))
-    change = on * sum(v * course for v, course in zip(cause.values, courses.courses(d, cause.name, cause.shape),
-                                                      strict=False))
+        return i._replace(torque_Nm=shifted(d, i.torque_Nm, by), speed_m_s=shifted(d, i.speed_m_s, by))
+    given = courses.courses(d, cause.name, cause.shape)
+    change = on * sum(v * course for v, course in zip(cause.values, given, strict=False))
     if "on_vehicle" in cause.shape:
         return i._replace(force_N=i.force_N + courses.of_vehicle(d, change))
     if m.acts_on == FRICTION:
@@ -115,7 +110,8 @@ def resistance(d: Design, mass_kg: np.ndarray, row: Search, shape: Shape, value:
     """Force in N that a cause of a size adds to the resistance, shape (vehicle samples,)."""
     assert row.mechanism.constants is not None
     nothing = np.zeros(mass_kg.size)
-    model = dict.fromkeys(RESISTANCE.values(), nothing) | {"mass_kg": mass_kg}
+    # where drives hold the speed no force changes it
+    model = dict.fromkeys(RESISTANCE.values(), nothing) | {"mass_kg": np.where(np.isfinite(mass_kg), mass_kg, 0.0)}
     model |= row.mechanism.constants(model, value, *_shape(row, shape))
     A, B, C = (np.repeat(model[key], np.diff(d.vehicle_start)) for key in RESISTANCE.values())
     v = courses.of_vehicle(d, d.speed_m_s)
@@ -133,13 +129,8 @@ def changed_parameters(p: np.ndarray, row: Search, shape: Shape, value: float) -
 
 
 def shifted(d: Design, values: np.ndarray, by_s: np.ndarray) -> np.ndarray:
-    """values(t + by) in each segment, by splines of fifth order.
-
-    A straight line between samples would take noise away, which alone looks like a better model.
-    """
+    """values(t + by) in each segment, by splines of fifth order: straight lines would take noise away."""
     out = values.copy()
-    for s in range(d.segments):
-        if by_s[s] != 0.0:
-            at = d.span(s)
-            out[at] = shift(values[at], -by_s[s] / d.step_s, order=5, mode="nearest")
+    for s in np.flatnonzero(by_s).tolist():
+        out[d.span(s)] = shift(values[d.span(s)], -by_s[s] / d.step_s, order=5, mode="nearest")
     return out

@@ -40,10 +40,7 @@ def covariate(d: Design, name: str) -> np.ndarray:
 
 
 def courses(d: Design, name: str, shape: Shape) -> list[np.ndarray]:
-    """What one unit of each coefficient of a cause adds at each sample, shape (n,).
-
-    A cause with a phase has two coefficients, for cosine and sine, in each run.
-    """
+    """What one unit of each coefficient adds at each sample, shape (n,); with a phase cosine and sine of each run."""
     row, n = OF[name], d.time_s.size
     if name == "empirical":
         return _empirical(d, shape)

@@ -12,8 +12,7 @@ from rollerrig.rig.mechanisms.mechanism import Mechanism
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 Shape = dict[str, float]
-# chance of a false alarm that a cause may have
-ALPHA_CAUSE = 0.02 / 30.0
+ALPHA_CAUSE = 0.02 / 30.0  # chance of a false alarm that a cause may have
 
 
 class Search(NamedTuple):

@@ -1,9 +1,8 @@
 """Reads channels of an MDF4 file onto one clock, which the channels of a measuring car seldom share.
 
-A channel that is sampled faster is low-passed and thinned; one whose samples lie between those of the
-common clock is moved onto it by a cubic spline through its samples, and a warning says so. Straight
-lines between samples would smooth the noise and look like physics.
-Needs asammdf (the extra `mdf`). Source of the format: ASAM MDF 4.1.
+A channel that is sampled faster is low-passed and thinned; one whose samples lie between those of the common clock is
+moved onto it by a cubic spline through its samples, and a warning says so. Straight lines between samples would smooth
+the noise and look like physics. Needs asammdf (the extra `mdf`). Source of the format: ASAM MDF 4.1.
 """
 
 import math
@@ -22,8 +21,7 @@ SUFFIXES = (".mf4", ".mdf")
 # spellings of the unit that a channel's name ends with; a channel without a unit is taken at its name
 _UNITS = {"m_s": ("m/s", "m_s", "m*s^-1", "mps"), "rad_s": ("rad/s", "rad_s", "1/s", "s^-1"), "N": ("N",),
           "Nm": ("Nm", "N m", "N*m", "N·m"), "Pa": ("Pa",), "K": ("K",), "m": ("m",)}
-# a shift below this share of a sample is none
-_SAME = 0.01
+_SAME = 0.01  # a shift below this share of a sample is none
 
 
 def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str]) -> pa.Table:
@@ -32,6 +30,30 @@ def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str])
     Raises ConfigError where asammdf is missing, the file is damaged, or a channel has gaps, another
     unit, or no time in common with the others.
     """
+    found = channels(path, names)
+    checked = {name: _checked(signal, name, path) for name, signal in found.items()}
+    first = max(float(time[0]) for time, _ in checked.values())
+    last = min(float(time[-1]) for time, _ in checked.values())
+    if last - first < step_s:
+        raise ConfigError(f"{path}: its channels have no time in common (the latest begins at {first:g} s, "
+                          f"the earliest ends at {last:g} s)")
+    # the clock of the first wheel speed: an innovation must not be a matter of interpolation
+    lead = checked.get("wheel_speed_1_rad_s", next(iter(checked.values())))[0][0]
+    first = lead + step_s * math.ceil((first - lead) / step_s - 1e-6)
+    grid = first + step_s * np.arange(int((last - first) / step_s + 1e-6) + 1)
+    columns, moved = {"time_s": grid - first}, []
+    for name, (time, values) in checked.items():
+        columns[name], shift = _on_clock(time, values, grid, step_s)
+        if shift > _SAME:
+            moved.append(f"{name} by {1e3 * shift * step_s:.2g} ms")
+    if moved:
+        warnings.append(f"{path.name}: channels of other clocks were moved onto one: {', '.join(moved)}; "
+                        "delays below a sample cannot be judged")
+    return pa.table(columns)
+
+
+def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+    """Those channels of a file that it has, as asammdf's signals. Raises ConfigError where it cannot be read."""
     try:
         from asammdf import MDF
     except ImportError:
@@ -47,25 +69,7 @@ def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str])
     if not found:
         raise ConfigError(f"{path}: none of the channels {', '.join(names[:3])} ... is in it; name the "
                           "channels as the README has them")
-    channels = {name: _checked(signal, name, path) for name, signal in found.items()}
-    first = max(float(time[0]) for time, _ in channels.values())
-    last = min(float(time[-1]) for time, _ in channels.values())
-    if last - first < step_s:
-        raise ConfigError(f"{path}: its channels have no time in common (the latest begins at {first:g} s, "
-                          f"the earliest ends at {last:g} s)")
-    # the clock of the first wheel speed: an innovation must not be a matter of interpolation
-    lead = channels.get("wheel_speed_1_rad_s", next(iter(channels.values())))[0][0]
-    first = lead + step_s * math.ceil((first - lead) / step_s - 1e-6)
-    grid = first + step_s * np.arange(int((last - first) / step_s + 1e-6) + 1)
-    columns, moved = {"time_s": grid - first}, []
-    for name, (time, values) in channels.items():
-        columns[name], shift = _on_clock(time, values, grid, step_s)
-        if shift > _SAME:
-            moved.append(f"{name} by {1e3 * shift * step_s:.2g} ms")
-    if moved:
-        warnings.append(f"{path.name}: channels of other clocks were moved onto one: {', '.join(moved)}; "
-                        "delays below a sample cannot be judged")
-    return pa.table(columns)
+    return found
 
 
 def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -90,8 +94,7 @@ def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray
     return time, values
 
 
-def _on_clock(time: np.ndarray, values: np.ndarray, grid: np.ndarray, step_s: float
-              ) -> tuple[np.ndarray, float]:
+def _on_clock(time: np.ndarray, values: np.ndarray, grid: np.ndarray, step_s: float) -> tuple[np.ndarray, float]:
     """Values on the grid, and how far samples had to be moved, in samples of the grid."""
     own_s = float(time[-1] - time[0]) / (time.size - 1)
     if own_s < 0.95 * step_s:

@@ -13,17 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import savgol_filter
 
+from rollerrig.configs.vehicle import RESISTANCE
 from rollerrig.rig.identify.data.parameters import base_parameters
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.smoothing import smoothed
 from rollerrig.rig.kernel import kernel_with_memory
 
-# window of the derivative of wheel speed, s
-WINDOW_S = 0.21
+WINDOW_S = 0.21  # window of the derivative of wheel speed, s
 LOAD_SMOOTHING_S = 0.2
-# above this share of a wheelset's largest torque its brake is applied
-BRAKED_SHARE = 0.02
+BRAKED_SHARE = 0.02  # above this share of a wheelset's largest torque its brake is applied
 
 
 class Design(NamedTuple):
@@ -77,6 +76,10 @@ class Design(NamedTuple):
         """Samples of the vehicle in a run."""
         return slice(int(self.vehicle_start[run]), int(self.vehicle_start[run + 1]))
 
+    def by_axle(self, flat: np.ndarray, run: int) -> np.ndarray:
+        """What a flat array has of the wheelsets of a run, shape (samples, 4)."""
+        return np.column_stack([flat[self.span(AXLES * run + j)] for j in range(AXLES)])
+
 
 @kernel_with_memory
 def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
@@ -84,20 +87,17 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
     n = measured.size
     u, d = measured[0], 0.0
     puu, pud, pdd = noise * noise, 0.0, 1e-4
-    filtered = np.empty((n, 5))
-    predicted = np.empty((n, 5))
+    filtered, predicted = np.empty((n, 5)), np.empty((n, 5))
     quu, qdd = (torque_noise * step_s) ** 2 + 1e-12, drift * drift * step_s
     for k in range(n):
         predicted[k] = np.array([u, d, puu, pud, pdd])
-        gain_u = puu / (puu + noise * noise)
-        gain_d = pud / (puu + noise * noise)
+        gain_u, gain_d = puu / (puu + noise * noise), pud / (puu + noise * noise)
         nu = measured[k] - u
         u, d = u + gain_u * nu, d + gain_d * nu
         puu, pud, pdd = puu * (1.0 - gain_u), pud * (1.0 - gain_u), pdd - gain_d * pud
         filtered[k] = np.array([u, d, puu, pud, pdd])
         u += step_s * (d - force_over_mass[k])
-        puu, pud, pdd = (puu + 2.0 * step_s * pud + step_s * step_s * pdd + quu,
-                         pud + step_s * pdd, pdd + qdd)
+        puu, pud, pdd = (puu + 2.0 * step_s * pud + step_s * step_s * pdd + quu, pud + step_s * pdd, pdd + qdd)
     out = np.empty(n)
     su, sd = filtered[n - 1, 0], filtered[n - 1, 1]
     out[n - 1] = su
@@ -120,38 +120,27 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
     """The design of some runs of a dataset; `like` another one it has the bins of that one."""
     v = data.sections["vehicle"]
     radius, inertia, step = v["wheel_radius_m"], v["wheelset_inertia_kgm2"], data.sample_time_s
-    noises = [_noise(data, run) for run in runs]
-    speed_noise = float(np.median([n[0] for n in noises]))
-    wheel_noise = float(np.median([n[1] for n in noises]))
-    resistance = np.array([v[k] for k in ("resistance_A_N", "resistance_B_N_s_m",
-                                          "resistance_C_N_s2_m2")])
-    columns: dict[str, list[np.ndarray]] = {}
-    start, vehicle_start, released, released_sd = [0], [0], [], []
-    vehicle, wheels = [], []
-    for run, (_, _, torque_noise) in zip(runs, noises, strict=True):
-        parts = _run(run, data, radius, inertia, step, speed_noise, torque_noise, resistance)
-        for j in range(AXLES):
-            for key, values in parts.items():
-                columns.setdefault(key, []).append(values[:, j])
-            start.append(start[-1] + run.time_s.size)
-            mean, sd = _released(run.torque_Nm[:, j], step)
-            released.append(mean)
-            released_sd.append(sd)
-        vehicle.append(run.speed_m_s)
-        wheels.append(inertia * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius))
-        vehicle_start.append(vehicle_start[-1] + run.time_s.size)
-    flat = {key: np.ascontiguousarray(np.concatenate(parts)) for key, parts in columns.items()}
+    speed_noise, wheel_noise, torque_noise = np.array([_noise(data, run) for run in runs]).T
+    resistance = np.array([v[key] for key in RESISTANCE.values()])
+    wheels = [inertia * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius) for run in runs]
+    parts = [_run(run, data, radius, inertia, step, float(np.median(speed_noise)), float(noise), resistance, own)
+             for run, noise, own in zip(runs, torque_noise, wheels, strict=True)]
+    flat = {key: np.concatenate([part[key].T.ravel() for part in parts]) for key in parts[0]}
+    released = np.array([_released(run.torque_Nm[:, j], step) for run in runs for j in range(AXLES)])
+    sizes = np.array([run.time_s.size for run in runs])
     places = (float(flat["place_m"].min()), float(flat["place_m"].max()))
     ends = tuple(float(run.time_s[-1] - run.time_s[0]) for run in runs)
-    return Design(
-        names=tuple(run.name for run in runs), step_s=step, start=np.array(start),
-        run=np.repeat(np.arange(len(runs)), AXLES), axle=np.tile(np.arange(AXLES), len(runs)),
-        mass_kg=np.array([run.mass_kg for run in runs]), **flat,
-        vehicle_start=np.array(vehicle_start), vehicle_m_s=np.concatenate(vehicle), wheels_m_s=np.concatenate(wheels),
-        speed_noise_m_s=speed_noise, wheel_noise_rad_s=wheel_noise, torque_noise_Nm=np.array([n[2] for n in noises]),
-        calibration=data.accuracy["calibration_fraction"], base=base_parameters(data), resistance=resistance,
-        released_Nm=np.array(released), released_sd_Nm=np.array(released_sd),
-        places_m=places if like is None else like.places_m, ends_s=ends if like is None else like.ends_s)
+    return Design(names=tuple(run.name for run in runs), step_s=step,
+                  start=np.concatenate([[0], np.cumsum(np.repeat(sizes, AXLES))]),
+                  run=np.repeat(np.arange(len(runs)), AXLES), axle=np.tile(np.arange(AXLES), len(runs)),
+                  mass_kg=np.array([run.mass_kg for run in runs]), **flat,
+                  vehicle_start=np.concatenate([[0], np.cumsum(sizes)]),
+                  vehicle_m_s=np.concatenate([run.speed_m_s for run in runs]), wheels_m_s=np.concatenate(wheels),
+                  speed_noise_m_s=float(np.median(speed_noise)), wheel_noise_rad_s=float(np.median(wheel_noise)),
+                  torque_noise_Nm=torque_noise.copy(), calibration=data.accuracy["calibration_fraction"],
+                  base=base_parameters(data), resistance=resistance, released_Nm=released[:, 0].copy(),
+                  released_sd_Nm=released[:, 1].copy(), places_m=places if like is None else like.places_m,
+                  ends_s=ends if like is None else like.ends_s)
 
 
 def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
@@ -163,11 +152,9 @@ def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
         return float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-9
 
     speed = a["speed_m_s"] if a["speed_m_s"] > 0 else max(estimated(run.speed_m_s), 1e-4)
-    wheel = a["wheel_speed_rad_s"]
-    wheel = wheel if wheel > 0 else max(estimated(run.wheel_speed_rad_s), 1e-3)
-    torque = a["torque_fraction"]
-    torque = torque * float(np.max(run.torque_Nm)) if torque > 0 else estimated(run.torque_Nm)
-    return speed, wheel, max(torque, 5.0)
+    wheel = a["wheel_speed_rad_s"] if a["wheel_speed_rad_s"] > 0 else max(estimated(run.wheel_speed_rad_s), 1e-3)
+    share = a["torque_fraction"]
+    return speed, wheel, max(share * float(np.max(run.torque_Nm)) if share > 0 else estimated(run.torque_Nm), 5.0)
 
 
 def _released(torque: np.ndarray, step_s: float) -> tuple[float, float]:
@@ -182,43 +169,36 @@ def _released(torque: np.ndarray, step_s: float) -> tuple[float, float]:
 
 
 def _run(run: Run, data: Dataset, radius: float, inertia: float, step: float, speed_noise: float,
-         torque_noise: float, resistance: np.ndarray) -> dict[str, np.ndarray]:
-    n = run.time_s.size
-    window = max(5, 2 * int(0.5 * WINDOW_S / step) + 1)
-    v = run.speed_m_s
-    wheels = inertia * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius)
+         torque_noise: float, resistance: np.ndarray, wheels: np.ndarray) -> dict[str, np.ndarray]:
+    v, window = run.speed_m_s, max(5, 2 * int(0.5 * WINDOW_S / step) + 1)
     coast = resistance[0] + resistance[1] * v + resistance[2] * v * v
     force = (run.torque_Nm.sum(axis=1) / radius + coast) / run.mass_kg
     middle = 0.5 * (force + np.append(force[1:], force[-1]))
-    u = smooth_speed(v + wheels, middle, step, speed_noise,
-                     2.0 * torque_noise / (radius * run.mass_kg), 0.03)
-    smooth_wheels = savgol_filter(run.wheel_speed_rad_s, window, 3, axis=0)
+    u = smooth_speed(v + wheels, middle, step, speed_noise, 2.0 * torque_noise / (radius * run.mass_kg), 0.03)
+    smooth_wheels = smoothed(run.wheel_speed_rad_s, window, 3)
     speed = u - inertia * smooth_wheels.sum(axis=1) / (run.mass_kg * radius)
-    deceleration = -savgol_filter(speed, 2 * window + 1, 2, deriv=1, delta=step)
+    deceleration = -smoothed(speed, 2 * window + 1, 2, 1, step)
     surface = speed[:, None] if run.surface_m_s is None else run.surface_m_s
-    surface = np.maximum(np.broadcast_to(surface, (n, AXLES)), 0.05)
+    surface = np.maximum(np.broadcast_to(surface, (v.size, AXLES)), 0.05)
     load = gaussian_filter1d(run.load_N, LOAD_SMOOTHING_S / step, axis=0, mode="nearest")
-    rate = savgol_filter(run.wheel_speed_rad_s, window, 3, deriv=1, delta=step, axis=0)
-    torque = savgol_filter(run.torque_Nm, window, 3, axis=0)
+    rate = smoothed(run.wheel_speed_rad_s, window, 3, 1, step)
+    torque = smoothed(run.torque_Nm, window, 3)
     adhesion = (inertia * rate + torque) / (radius * load)  # [P2]
     sliding = surface - radius * smooth_wheels
     energy = np.maximum(adhesion * 0.5 * load * sliding / surface, 0.0)
-    travelled = np.concatenate([[0.0], np.cumsum(0.5 * step * (speed[1:] + speed[:-1]))])
-    if run.position_m is not None:
-        travelled = run.position_m
+    travelled = run.position_m if run.position_m is not None else np.concatenate(
+        [[0.0], np.cumsum(0.5 * step * (speed[1:] + speed[:-1]))])
     place = travelled[:, None] - data.axle_position_m
     turned = step * run.wheel_speed_rad_s
-    return {
-        "measured_rad_s": run.wheel_speed_rad_s, "torque_Nm": run.torque_Nm, "brake_Nm": torque, "load_N": load,
-        "speed_m_s": surface, "time_s": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
-        "place_m": place, "sliding_m_s": sliding, "adhesion": adhesion, "energy_J_m": energy,
-        "cleaned_J_m": _work_before(place, energy),
-        "heat_MJ": np.cumsum(np.maximum(torque * smooth_wheels, 0.0), axis=0) * step / 1e6,
-        "slid_m": np.cumsum(np.abs(sliding), axis=0) * step,
-        "braked_rad": np.cumsum(turned * (torque > BRAKED_SHARE * torque.max(axis=0)), axis=0),
-        "deceleration_m_s2": np.repeat(deceleration[:, None], AXLES, axis=1),
-        "angle_rad": np.cumsum(run.wheel_speed_rad_s, axis=0) * step - 0.5 * turned,
-    }
+    return {"measured_rad_s": run.wheel_speed_rad_s, "torque_Nm": run.torque_Nm, "brake_Nm": torque, "load_N": load,
+            "speed_m_s": surface, "time_s": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
+            "place_m": place, "sliding_m_s": sliding, "adhesion": adhesion, "energy_J_m": energy,
+            "cleaned_J_m": _work_before(place, energy),
+            "heat_MJ": np.cumsum(np.maximum(torque * smooth_wheels, 0.0), axis=0) * step / 1e6,
+            "slid_m": np.cumsum(np.abs(sliding), axis=0) * step,
+            "braked_rad": np.cumsum(turned * (torque > BRAKED_SHARE * torque.max(axis=0)), axis=0),
+            "deceleration_m_s2": np.repeat(deceleration[:, None], AXLES, axis=1),
+            "angle_rad": np.cumsum(run.wheel_speed_rad_s, axis=0) * step - 0.5 * turned}
 
 
 def _work_before(place: np.ndarray, energy: np.ndarray) -> np.ndarray:

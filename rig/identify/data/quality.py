@@ -5,6 +5,7 @@ unit, what is allowed, and how to mend it.
 """
 
 from collections.abc import Mapping
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -15,29 +16,27 @@ from rollerrig.rig.identify.data import units
 from rollerrig.rig.identify.data.runs import Dataset, Run
 
 LEAST_SAMPLES = 200
-# mean sliding below which a stop tells nothing about adhesion, m/s
-LEAST_SLIDING_M_S = 0.15
+LEAST_SLIDING_M_S = 0.15  # mean sliding below which a stop tells nothing about adhesion, m/s
 LONGEST_HELD_S = 1.0
 
 
-def check_run(run: Run, path: Path, sections: Mapping[str, Any], sample_time_s: float,
-              initial_speed_m_s: float, warnings: list[str]) -> None:
-    """Raises ConfigError for a run that cannot be what it says; appends what is only doubtful."""
-    _check_time(run, path, sample_time_s)
+def check_run(run: Run, path: Path, found: Dataset, initial_speed_m_s: float) -> None:
+    """Raises ConfigError for a run of a dataset that cannot be what it says; appends what is only doubtful."""
+    vehicle, warnings = found.sections["vehicle"], found.warnings
+    _check_time(run, path, found.sample_time_s)
     _check_constant(run, path)
     _check_speed(run, path, initial_speed_m_s)
     _check_signs(run, path)
-    units.check(run, path, sections, warnings)
-    _check_sliding(run, path, sections, warnings)
-    units.check_clocks(run, path, sections)
+    units.check(run, path, vehicle, warnings)
+    _check_sliding(run, path, vehicle, warnings)
+    units.check_clocks(run, path, vehicle)
     _check_held(run, path, warnings)
 
 
 def _check_time(run: Run, path: Path, sample_time_s: float) -> None:
     n = run.time_s.size
     if n < LEAST_SAMPLES:
-        raise ConfigError(f"{path}: {n} samples; a stop needs at least {LEAST_SAMPLES}; give a longer "
-                          "recording")
+        raise ConfigError(f"{path}: {n} samples; a stop needs at least {LEAST_SAMPLES}; give a longer recording")
     steps = np.diff(run.time_s)
     if np.any(steps <= 0.0):
         at = int(np.argmax(steps <= 0.0))
@@ -77,8 +76,7 @@ def _check_speed(run: Run, path: Path, initial: float) -> None:
 
 
 def _check_constant(run: Run, path: Path) -> None:
-    for name, values in (("vehicle_speed_m_s", run.speed_m_s[:, None]),
-                         ("wheel_speed_rad_s", run.wheel_speed_rad_s),
+    for name, values in (("vehicle_speed_m_s", run.speed_m_s[:, None]), ("wheel_speed_rad_s", run.wheel_speed_rad_s),
                          ("brake_torque_Nm", run.torque_Nm)):
         for j in range(values.shape[1]):
             if np.ptp(values[:, j]) < 1e-9:
@@ -99,18 +97,17 @@ def _check_signs(run: Run, path: Path) -> None:
                               "positive speed: change its sign")
 
 
-def _check_sliding(run: Run, path: Path, sections: Mapping[str, Any], warnings: list[str]) -> None:
-    sliding = run.speed_m_s[:, None] - sections["vehicle"]["wheel_radius_m"] * run.wheel_speed_rad_s
+def _check_sliding(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:
+    sliding = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s
     if np.mean(sliding) < -0.2:
         raise ConfigError(f"{path}: the mean sliding is {np.mean(sliding):.3g} m/s; speed - radius x "
                           "wheel speed is positive in braking: check radius and channels")
-    still = [str(j + 1) for j in range(sliding.shape[1])
-             if np.mean(np.abs(sliding[:, j])) < LEAST_SLIDING_M_S]
+    still = [str(j + 1) for j in range(sliding.shape[1]) if np.mean(np.abs(sliding[:, j])) < LEAST_SLIDING_M_S]
     if still:
         warnings.append(f"{path.name}: wheelset {', '.join(still)} hardly slides; of its friction this "
                         "run tells little")
     lost = float(run.speed_m_s[0] - run.speed_m_s[-1])
-    if lost < 2.0:
+    if lost < 2.0 and np.isfinite(run.mass_kg):
         warnings.append(f"{path.name}: the speed falls by {lost:.3g} m/s only")
 
 
@@ -141,10 +138,12 @@ def check(found: Dataset, where: str) -> None:
     tune, validate = found.group("tune"), found.group("validate")
     if not tune:
         raise ConfigError(f"{where}: no run has group = \"tune\"; nothing can be fitted")
-    _check_copies(found, where)
+    for one, other in combinations(found.runs, 2):
+        if _shared(one, other):
+            raise ConfigError(f"{where}: runs '{one.name}' and '{other.name}' hold the same samples; a copy tells "
+                              "nothing new and cannot validate: remove one")
     radius = found.sections["vehicle"]["wheel_radius_m"]
-    sliding = [float(np.mean(np.abs(run.speed_m_s[:, None] - radius * run.wheel_speed_rad_s)))
-               for run in tune]
+    sliding = [float(np.mean(np.abs(run.speed_m_s[:, None] - radius * run.wheel_speed_rad_s))) for run in tune]
     if max(sliding) < LEAST_SLIDING_M_S:
         raise ConfigError(f"{where}: the wheels hardly slide (mean {max(sliding):.3g} m/s in the best "
                           f"run, {LEAST_SLIDING_M_S} m/s are needed): adhesion was never used up and "
@@ -155,19 +154,10 @@ def check(found: Dataset, where: str) -> None:
         found.warnings.append("no run has group = \"validate\": no gain can be claimed")
 
 
-def _check_copies(found: Dataset, where: str) -> None:
-    for i, one in enumerate(found.runs):
-        for other in found.runs[i + 1:]:
-            if _shared(one, other):
-                raise ConfigError(f"{where}: runs '{one.name}' and '{other.name}' hold the same samples; a "
-                                  "copy tells nothing new and cannot validate: remove one")
-
-
 def _shared(one: Run, other: Run, length: int = 50) -> bool:
     """Whether a stretch from the middle of a run, of wheel or vehicle speed, stands in another one too."""
     middle = one.time_s.size // 2
-    for mine, its in ((one.wheel_speed_rad_s[:, 0], other.wheel_speed_rad_s[:, 0]),
-                      (one.speed_m_s, other.speed_m_s)):
+    for mine, its in ((one.wheel_speed_rad_s[:, 0], other.wheel_speed_rad_s[:, 0]), (one.speed_m_s, other.speed_m_s)):
         piece = mine[middle:middle + length]
         starts = np.flatnonzero(its[:max(its.size - length, 0)] == piece[0])
         if any(np.array_equal(its[at:at + length], piece) for at in starts):

@@ -13,7 +13,7 @@ class Run(NamedTuple):
 
     name: str
     group: str
-    mass_kg: float
+    mass_kg: float  # inf: drives held the speed of the surface, whatever the wheels did
     mu_cd: float | None
     time_s: np.ndarray
     speed_m_s: np.ndarray

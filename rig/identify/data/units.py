@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import savgol_filter
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import AXLES, GRAVITY_M_S2
 from rollerrig.rig.identify.data.runs import Run
+from rollerrig.rig.identify.data.smoothing import smoothed
 
 # ratio [D1] -> what it tells; within 6 %
 _WHEEL = ((1000.0, "wheel_radius_m is in millimetres: divide it by 1000"),
@@ -27,6 +27,9 @@ _WHEEL = ((1000.0, "wheel_radius_m is in millimetres: divide it by 1000"),
           (180.0 / np.pi, "wheel_speed is in degrees a second: multiply it by pi / 180"),
           (1.0 / 3.6, "vehicle_speed_m_s is in km/h: divide it by 3.6"),
           (2.0, "wheel_radius_m is a diameter: halve it"))
+# the same without the radius
+_RIM = ((1.0, "wheel_speed is in m/s: divide it by the radius"),
+        (3.6, "wheel_speed is in km/h: divide it by 3.6 and the radius"))
 _LOAD = ((1e-3, "it is in kN: multiply by 1000"), (0.5, "it is of one wheel: double it"),
          (AXLES, f"it is the vehicle's weight: divide by {AXLES}"),
          (1.0 / GRAVITY_M_S2, "it is in kg: multiply by 9.80665"),
@@ -36,11 +39,12 @@ _TORQUE = ((1e-3, "it is in kN m: multiply by 1000"), (0.5, "it is of one wheel:
 LATEST_S = 0.2
 
 
-def check(run: Run, path: Path, sections: Mapping[str, Any], warnings: list[str]) -> None:
+def check(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:
     """Raises ConfigError where a channel cannot be in its unit; warns where torque and speed disagree."""
-    _rolling(run, path, sections["vehicle"]["wheel_radius_m"])
-    _weight(run, path)
-    _momentum(run, path, sections["vehicle"], warnings)
+    _rolling(run, path, vehicle["wheel_radius_m"])
+    if np.isfinite(run.mass_kg):
+        _weight(run, path)
+        _momentum(run, path, vehicle, warnings)
 
 
 def _guess(ratio: float, table: tuple[tuple[float, str], ...], otherwise: str) -> str:
@@ -54,11 +58,8 @@ def _rolling(run: Run, path: Path, radius_m: float) -> None:
         ratio = radius_m * turning / speed
         if 0.5 < ratio < 1.5:
             continue
-        same = abs(turning / speed - 1.0) < 0.06
-        why = ("wheel_speed is in m/s: divide it by the radius" if same else
-               "wheel_speed is in km/h: divide it by 3.6 and the radius"
-               if abs(turning / speed / 3.6 - 1.0) < 0.06 else
-               _guess(ratio, _WHEEL, "check the radius (metres) and the unit of wheel_speed (rad/s)"))
+        why = _guess(turning / speed, _RIM, _guess(
+            ratio, _WHEEL, "check the radius (metres) and the unit of wheel_speed (rad/s)"))
         raise ConfigError(f"{path}: wheelset {j + 1} runs at {ratio:.3g} times the vehicle's speed with "
                           f"wheel_radius_m = {radius_m:g}; rolling wheels give 1: {why}")
 
@@ -81,8 +82,7 @@ def _momentum(run: Run, path: Path, vehicle: Mapping[str, float], warnings: list
     def lost(values: np.ndarray) -> np.ndarray:
         return values[:20].mean(axis=0) - values[-20:].mean(axis=0)
 
-    coast_N = (vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * v
-               + vehicle["resistance_C_N_s2_m2"] * v * v)
+    coast_N = (vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * v + vehicle["resistance_C_N_s2_m2"] * v * v)
     momentum = (run.mass_kg * float(lost(v)) - float(coast_N.sum()) * step_s
                 + vehicle["wheelset_inertia_kgm2"] / radius_m * float(lost(run.wheel_speed_rad_s).sum()))
     if float(lost(v)) < 3.0 or momentum < 0.3 * run.mass_kg * float(lost(v)):
@@ -98,9 +98,8 @@ def _momentum(run: Run, path: Path, vehicle: Mapping[str, float], warnings: list
                     "resistance will be named for it")
 
 
-def check_clocks(run: Run, path: Path, sections: Mapping[str, Any]) -> None:
+def check_clocks(run: Run, path: Path, vehicle: Mapping[str, Any]) -> None:
     """Raises ConfigError where torque and wheel speed of a sliding wheel are shifted in time [D2]."""
-    vehicle = sections["vehicle"]
     sliding = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s
     for j in range(sliding.shape[1]):
         if np.mean(np.abs(sliding[:, j])) < 1.0:
@@ -108,9 +107,8 @@ def check_clocks(run: Run, path: Path, sections: Mapping[str, Any]) -> None:
         shift_s, best, at_zero = _shift(run, j, vehicle["wheelset_inertia_kgm2"])
         if abs(shift_s) > LATEST_S and best > 0.5 and best - at_zero > 0.25:
             late, early = ("wheel_speed", "brake_torque") if shift_s > 0 else ("brake_torque", "wheel_speed")
-            raise ConfigError(
-                f"{path}: {late} of wheelset {j + 1} comes {abs(shift_s):.2g} s behind {early}; clocks "
-                f"may differ by {LATEST_S:g} s at most: shift one channel by that time")
+            raise ConfigError(f"{path}: {late} of wheelset {j + 1} comes {abs(shift_s):.2g} s behind {early}; clocks "
+                              f"may differ by {LATEST_S:g} s at most: shift one channel by that time")
 
 
 def _shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float, float]:
@@ -125,9 +123,8 @@ def _shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float, floa
         kept = (values - gaussian_filter1d(values, second))[moves]
         return (kept - kept.mean()) / max(float(kept.std()), 1e-12)
 
-    gains = quick(inertia_kgm2 * savgol_filter(run.wheel_speed_rad_s[:, axle], window, 3, deriv=1,
-                                               delta=step_s))
-    takes = quick(-savgol_filter(run.torque_Nm[:, axle], window, 3))
+    gains = quick(inertia_kgm2 * smoothed(run.wheel_speed_rad_s[:, axle], window, 3, 1, step_s))
+    takes = quick(-smoothed(run.torque_Nm[:, axle], window, 3))
     n = gains.size
     found = np.array([np.mean(gains[max(0, k):n + min(0, k)] * takes[max(0, -k):n + min(0, -k)])
                       for k in range(-second, second + 1)])

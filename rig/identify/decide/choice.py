@@ -5,58 +5,40 @@ a second one by more than the first one's wrong shape could lend it. When two ar
 looked for again beside the second, for one that had to stand for both gives way.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.identify.causes import candidates, table
-from rollerrig.rig.identify.causes.candidates import Cause, Explanation
-from rollerrig.rig.identify.data import preparation
-from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.causes import table
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
+from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
-from rollerrig.rig.identify.decide.evidence import Finding
-from rollerrig.rig.identify.decide.null_sets import Setting
 from rollerrig.rig.identify.filter import sensitivity
 
 CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2
-# likelihood that a cause must win at least
-TAKEN = 20.0
-# share of the evidence that must lie outside its best block
-ELSEWHERE = 0.2
+TAKEN = 20.0  # likelihood that a cause must win at least
+ELSEWHERE = 0.2  # share of the evidence that must lie outside its best block
 # a second cause below this share of the first is taken for the first one's shape
 SECOND_SHARE, SECOND_FLOOR = 0.11, 20.0
-# one of a single wheelset is no matter of the shape of a first one of all
-SECOND_SHARE_OF_AXLE = 0.05
-# likelihood beyond what a clean set can win
-CERTAIN = 300.0
-# its score, before it is fitted, may be this share of that
-SCORE_SHARE = 0.3
-# a second cause that could be taken for the first must have this share of its likelihood
-OWN_SHARE = 0.3
-# likelihood that each further coefficient of a shape must earn, beside that of the choice of shape
-PRICE = 5.0
+SECOND_SHARE_OF_AXLE = 0.05  # one of a single wheelset is no matter of the shape of a first one of all
+CERTAIN = 300.0  # likelihood beyond what a clean set can win
+SCORE_SHARE = 0.3  # its score, before it is fitted, may be this share of that
+OWN_SHARE = 0.3  # a second cause that could be taken for the first must have this share of its likelihood
+PRICE = 5.0  # likelihood that each further coefficient of a shape must earn, beside that of the choice of shape
 BLOCK_S = 3.0
 
 
 class NamedCause(NamedTuple):
     """A cause that is taken: its finding, its share of the likelihood, what it is confused with."""
 
-    finding: Finding
+    finding: evidence.Finding
     cause: Cause
     ratio: float
     deviation: tuple[float, ...]
     confusable: tuple[str, ...]
-
-
-class Fit(NamedTuple):
-    """An explanation to be fitted to measured runs."""
-
-    data: Dataset
-    measured: list[Run]
-    explanation: Explanation
 
 
 class Fitted(NamedTuple):
@@ -71,32 +53,25 @@ class Fitted(NamedTuple):
 class Candidate(NamedTuple):
     """A cause that may be the one: how it was found, and its fit."""
 
-    finding: Finding
+    finding: evidence.Finding
     fit: Fitted
 
 
-def fit_one(task: Fit) -> Fitted:
-    """Fit one explanation; its deviance by blocks of 3 s."""
-    design = preparation.prepare(task.data, task.measured)
-    explanation, value, covariance = tuning.fit(design, task.explanation, 6)
+def fit_one(data: Dataset, measured: list[Run], explanation: Explanation) -> Fitted:
+    """Fit an explanation to measured runs; its deviance by blocks of 3 s."""
+    design = prepare(data, measured)
+    found = tuning.fit(design, explanation, 6)
     if any(cause.name == tuning.MEMORY for cause in explanation.causes):
-        explanation, value, covariance = min(
-            (explanation, value, covariance), tuning.fit(design, shapes.remembered(design, explanation), 7),
-            key=lambda fit: fit[1])
+        found = min(found, tuning.fit(design, shapes.remembered(design, found[0]), 7), key=lambda fit: fit[1])
     if any(table.OF[cause.name].edge_step for cause in explanation.causes):
-        explanation, value, covariance = tuning.fit(design, shapes.refined(design, explanation), 4)
-    return Fitted(explanation, value, covariance, blocks(design, explanation))
-
-
-def fit_all(setting: Setting, explanations: Sequence[Explanation], title: str) -> list[Fitted]:
-    """Fit explanations, each in a process of its own."""
-    return setting.run_all(fit_one, [Fit(setting.data, setting.measured, one) for one in explanations], title)
+        found = tuning.fit(design, shapes.refined(design, found[0]), 4)
+    return Fitted(*found, blocks(design, found[0]))
 
 
 def blocks(design: Design, explanation: Explanation) -> np.ndarray:
     """Deviance in blocks of 3 s, wheels and vehicle of a run together."""
-    nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, explanation))
-    wheel, car = np.minimum(nu * nu / S, 36.0) + np.log(S), np.minimum(vnu**2 / vS, 36.0) + np.log(vS)
+    nu, S, _, vnu, vS = sensitivity.innovations(design, inputs(design, explanation))
+    wheel, car = tuning.bounded_terms(nu, S), tuning.bounded_terms(vnu, vS)
     length, found = int(BLOCK_S / design.step_s), []
     for run in range(design.mass_kg.size):
         parts = [wheel[design.span(AXLES * run + j)] for j in range(AXLES)]
@@ -106,14 +81,14 @@ def blocks(design: Design, explanation: Explanation) -> np.ndarray:
     return np.array(found)
 
 
-def fitted(setting: Setting, explanation: Explanation, found: list[Finding], most: int) -> list[Candidate]:
+def fitted(setting: null_sets.Setting, explanation: Explanation, found: list[evidence.Finding], most: int
+           ) -> list[Candidate]:
     """The causes that count beside an explanation, each fitted."""
     present = {cause.name for cause in explanation.causes}
-    counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f)
-               and f.name not in present]
+    counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f) and f.name not in present]
     counted = sorted(counted, key=lambda f: -f.statistic)[:most]
-    fits = fit_all(setting, [explanation._replace(causes=(*explanation.causes, f.cause())) for f in counted],
-                   "fit of causes")
+    fits = setting.run_all(fit_one, [(explanation._replace(causes=(*explanation.causes, f.cause())),) for f in counted],
+                           "fit of causes")
     return [Candidate(f, fit) for f, fit in zip(counted, fits, strict=True)]
 
 
@@ -141,14 +116,11 @@ def overwhelming(value: float, fits: list[Fitted], rivals: list[Candidate], scor
 def choose(design: Design, explanation: Explanation, value: float, rivals: list[Candidate]
            ) -> tuple[Explanation, list[NamedCause]]:
     """The best further cause, with those that cannot be told from it."""
-    if not rivals:
+    ratio = [value - fit.value - max(f.expected - len(f.estimate), 0.0) - _price(f) for f, fit in rivals]
+    if max(ratio, default=0.0) < TAKEN:
         return explanation, []
-    ratio = [value - fit.value - max(f.expected - len(f.estimate), 0.0) - _price(f)
-             for f, fit in rivals]
     order = np.argsort(ratio)[::-1]
     top = int(order[0])
-    if ratio[top] < TAKEN:
-        return explanation, []
     finding, best = rivals[top]
     drop = blocks(design, explanation) - best.blocks
     # what tolerances had taken up stands in no block; the rest must not be one place of one run
@@ -162,8 +134,7 @@ def choose(design: Design, explanation: Explanation, value: float, rivals: list[
                                          _deviation(finding, best, at), confusable)]
 
 
-def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]
-           ) -> tuple[Explanation, list[NamedCause]]:
+def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]) -> tuple[Explanation, list[NamedCause]]:
     """The causes with their scales off the grid of the search, fitted again."""
     better = shapes.scaled(design, explanation)
     if better == explanation:
@@ -176,11 +147,11 @@ def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]
     return fit.explanation, found
 
 
-def _price(finding: Finding) -> float:
+def _price(finding: evidence.Finding) -> float:
     return PRICE * table.OF[finding.name].price + 2.0 * float(np.log(finding.trials))
 
 
-def _deviation(finding: Finding, fit: Fitted, at: int) -> tuple[float, ...]:
+def _deviation(finding: evidence.Finding, fit: Fitted, at: int) -> tuple[float, ...]:
     """Deviations of a cause's coefficients, which stand from place `at` on in the covariance."""
     nominal = np.sqrt(np.diag(fit.covariance)[at:at + len(finding.estimate)])
     floor = table.OF[finding.name].floor
@@ -196,18 +167,22 @@ def indistinguishable(best: Fitted, other: Fitted, ratio: float, less: float) ->
     return ratio - less < 1.64 * max(spread, 1e-9) or ratio - less < 4.0
 
 
-def second_cause(setting: Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate],
-                 seed: int) -> tuple[Explanation, list[NamedCause], list[Finding]]:
-    """Further causes beside the first, and the remainder behind all of them."""
+def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause],
+                 rivals: list[Candidate], seed: int
+                 ) -> tuple[Explanation, list[NamedCause], list[evidence.Finding] | None]:
+    """Further causes beside the first, and the remainder behind all of them.
+
+    The remainder is None where stops simulated with them do not brake like the recording.
+    """
     design = setting.design
-    remainder: list[Finding] = []
+    remainder: list[evidence.Finding] = []
     for turn in range(MOST_CAUSES):
         known = tuple(named.finding.name for named in causes)
-        nulls = null_sets.null_sets(setting, explanation, CHECK_SETS, seed + 7 + turn, known)
-        if len(nulls) < CHECK_SETS // 2:
-            break
+        try:
+            found, *_ = null_sets.judged(setting, explanation, CHECK_SETS, seed + 7 + turn, known)
+        except ConfigError:
+            return explanation, causes, None
         value = tuning.deviance(design, explanation)
-        found = evidence.findings(design, tuning.normal(design, explanation)[0], nulls, known)
         remainder = [f for f in found if evidence.generic(f.name)]
         first = causes[0]
         found = [f for f in found if f.statistic > SCORE_SHARE * _least_beside(first, f.axle)]
@@ -215,9 +190,8 @@ def second_cause(setting: Setting, explanation: Explanation, causes: list[NamedC
             break
         beside = fitted(setting, explanation, found, MOST_BESIDE)
         better, more = choose(design, explanation, value, beside)
-        if not more or more[0].ratio < _least_beside(first, more[0].cause.axle):
-            break
-        if not _both_needed(setting, better, value):
+        if not more or more[0].ratio < _least_beside(first, more[0].cause.axle) \
+                or not _both_needed(setting, better, value):
             break
         better, both = _swapped(setting, better, [first._replace(cause=better.causes[0]), more[0]], rivals)
         if more[0].finding.name in first.confusable and \
@@ -225,8 +199,7 @@ def second_cause(setting: Setting, explanation: Explanation, causes: list[NamedC
             break
         explanation, causes = scaled(design, better, both)
         names = {named.finding.name for named in causes}
-        causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names))
-                  for named in causes]
+        causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names)) for named in causes]
     return explanation, causes, remainder
 
 
@@ -236,13 +209,13 @@ def _least_beside(first: NamedCause, axle: int) -> float:
     return max(SECOND_FLOOR, first.ratio * (SECOND_SHARE_OF_AXLE if own else SECOND_SHARE))
 
 
-def _swapped(setting: Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate]
+def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate]
              ) -> tuple[Explanation, list[NamedCause]]:
     """The first cause looked for again beside the second: one that had to stand for both gives way."""
     names = {named.finding.name for named in causes}
     others = [rival for rival in rivals if rival.finding.name not in names]
-    fits = fit_all(setting, [explanation._replace(causes=(rival.fit.explanation.causes[-1], explanation.causes[1]))
-                             for rival in others], "first cause again")
+    fits = setting.run_all(fit_one, [(explanation._replace(causes=(
+        rival.fit.explanation.causes[-1], explanation.causes[1])),) for rival in others], "first cause again")
     value = tuning.deviance(setting.design, explanation) + _price(causes[0].finding)
     won = [value - fit.value - _price(rival.finding) for rival, fit in zip(others, fits, strict=True)]
     if not won or max(won) < 4.0:
@@ -253,8 +226,8 @@ def _swapped(setting: Setting, explanation: Explanation, causes: list[NamedCause
     return better, [first, causes[1]._replace(cause=better.causes[1])]
 
 
-def _both_needed(setting: Setting, explanation: Explanation, value: float) -> bool:
+def _both_needed(setting: null_sets.Setting, explanation: Explanation, value: float) -> bool:
     """Whether the first cause still earns its likelihood beside the second."""
-    both, alone = (fit_one(Fit(setting.data, setting.measured, one))
-                   for one in (explanation, explanation._replace(causes=explanation.causes[1:])))
-    return alone.value - both.value > max(SECOND_FLOOR, SECOND_SHARE * (value - both.value))
+    both, alone = (fit.value for fit in setting.run_all(
+        fit_one, [(one,) for one in (explanation, explanation._replace(causes=explanation.causes[1:]))], "both causes"))
+    return alone - both > max(SECOND_FLOOR, SECOND_SHARE * (value - both))

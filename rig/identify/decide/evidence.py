@@ -15,17 +15,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc
 
 from rollerrig.rig.identify.causes import columns, table
 from rollerrig.rig.identify.causes.candidates import Cause
-from rollerrig.rig.identify.causes.columns import Variant
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import tuning
-from rollerrig.rig.identify.decide.tuning import Normal
 
 ALPHA_GENERIC = 0.005 / 13.0
 FLOOR = 12.0
+STANDS_OUT, NEAR_ALPHA = 4.0, 10.0  # times FLOOR; times the p-value that counts
 MOST_BINS = 10
 
 
@@ -56,50 +55,49 @@ class Finding(NamedTuple):
         return tuning.bounded(Cause(self.name, self.axle, self.shape, self.estimate))
 
 
-def scores(normal: Normal, keep: Sequence[str] = ()) -> Scores:
+def scores(normal: tuning.Normal, keep: Sequence[str] = ()) -> Scores:
     """Scores of all columns [E1]; causes already in the explanation (`keep`) join the base."""
     base = tuning.base_columns(normal.matrix) + [
         c for c, column in enumerate(normal.matrix.columns) if column.cause in keep]
     A, b = normal.A, normal.b
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
-    small = A[np.ix_(base, base)] * np.outer(scale[base], scale[base])
-    small += 1e-8 * np.eye(len(base))
-    taken = np.linalg.solve(small, scale[base][:, None] * A[base])
-    left = A[:, base] * scale[base]
-    return Scores(A - left @ taken, b - taken.T @ (scale[base] * b[base]))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A)[base], 1e-30))
+    small = A[np.ix_(base, base)] * np.outer(scale, scale) + 1e-8 * np.eye(len(base))
+    taken = np.linalg.solve(small, scale[:, None] * A[base])
+    return Scores(A - (A[:, base] * scale) @ taken, b - taken.T @ (scale * b[base]))
 
 
 def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    S, g = s.S[np.ix_(at, at)], s.g[list(at)]
-    if not (np.all(np.isfinite(S)) and np.all(np.isfinite(g))):
-        return np.zeros(len(at)), np.zeros_like(S)  # out of the filter's range: says nothing
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-30))
-    scaled = S * np.outer(scale, scale) + 1e-6 * np.eye(len(at))
-    return -scale * np.linalg.solve(scaled, scale * g), S
+    """Estimates [E1] of some columns and their part of S, of one set or of many at once."""
+    S, g = s.S[..., np.array(at)[:, None], at], s.g[..., at]
+    # out of the filter's range: says nothing
+    known = np.isfinite(S).all(axis=(-2, -1)) & np.isfinite(g).all(axis=-1)
+    S, g = np.where(known[..., None, None], S, np.zeros_like(S)), np.where(known[..., None], g, 0.0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(S, axis1=-2, axis2=-1), 1e-30))
+    scaled = S * (scale[..., :, None] * scale[..., None, :]) + 1e-6 * np.eye(len(at))
+    return -scale * np.linalg.solve(scaled, (scale * g)[..., None])[..., 0], S
 
 
-def findings(design: Design, normal: Normal, clean: list[Scores],
-             known: Sequence[str] = ()) -> list[Finding]:
+def _together(clean: Sequence[Scores]) -> Scores:
+    return Scores(np.array([s.S for s in clean]), np.array([s.g for s in clean]))
+
+
+def findings(design: Design, normal: tuning.Normal, clean: list[Scores], known: Sequence[str] = ()) -> list[Finding]:
     """Best shape of every cause and smooth function, most significant first; `known` left out."""
     real = scores(normal, known)
-    best: dict[str, Finding] = {}
-    trials: dict[str, int] = {}
+    judged: dict[str, list[Finding]] = {}
+    together = _together(clean)
     for variant in normal.matrix.variants:
-        if variant.cause in known:
-            continue
-        found = _judge(real, clean, variant)
-        trials[found.name] = trials.get(found.name, 0) + 1
-        if found.name not in best or found.statistic > best[found.name].statistic:
-            best[found.name] = found
+        if variant.cause not in known:
+            judged.setdefault(variant.cause, []).append(_judge(real, together, variant))
     for window in (_patch(normal, real, clean), _sand(design, normal, real, clean)):
         if window is not None and window.name not in known:
-            best[window.name], trials[window.name] = window, 1
-    chosen = [f._replace(p_value=min(1.0, f.p_value * np.sqrt(trials[f.name])), trials=trials[f.name])
-              for f in best.values()]
+            judged[window.name] = [window]
+    best = [(max(shapes, key=lambda f: f.statistic), len(shapes)) for shapes in judged.values()]
+    chosen = [f._replace(p_value=min(1.0, f.p_value * np.sqrt(trials)), trials=trials) for f, trials in best]
     return sorted(chosen, key=lambda f: (f.p_value, -f.statistic))
 
 
-def likely(design: Design, normal: Normal, count: int) -> list[Cause]:
+def likely(design: Design, normal: tuning.Normal, count: int) -> list[Cause]:
     """Causes of greatest nominal score, one shape of each, not yet judged by clean sets."""
     real = scores(normal)
     best: dict[str, tuple[float, Cause]] = {}
@@ -107,11 +105,9 @@ def likely(design: Design, normal: Normal, count: int) -> list[Cause]:
         if generic(variant.cause):
             continue
         x, S = _coefficients(real, list(variant.columns))
-        value = 0.0 if _wrong_sign(variant.cause, float(x[0])) else float(x @ S @ x)
-        value -= 3.0 * len(x)
+        value = (0.0 if _wrong_sign(variant.cause, float(x[0])) else float(x @ S @ x)) - 3.0 * len(x)
         if value > (best[variant.cause][0] if variant.cause in best else 10.0):
-            best[variant.cause] = (value, Cause(variant.cause, variant.axle, variant.shape,
-                                                tuple(float(v) for v in x)))
+            best[variant.cause] = (value, Cause(variant.cause, variant.axle, variant.shape, tuple(float(v) for v in x)))
     # windows are searched, so they have to earn more
     still = [Scores(real.S, np.zeros_like(real.g))] * 2
     for window in (_patch(normal, real, still), _sand(design, normal, real, still)):
@@ -121,33 +117,29 @@ def likely(design: Design, normal: Normal, count: int) -> list[Cause]:
     return [tuning.bounded(cause) for _, cause in ranked]
 
 
-def _judge(real: Scores, clean: list[Scores], variant: Variant) -> Finding:
-    at, size = list(variant.columns), len(variant.columns)
+def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> Finding:
+    at, size, freedom = list(variant.columns), len(variant.columns), len(clean.g) - 1
     x, S = _coefficients(real, at)
-    null = [_coefficients(s, at) for s in clean]
-    drawn = np.array([n[0] for n in null])
-    bias = drawn.mean(axis=0)
+    null, T = _coefficients(clean, at)
+    bias = null.mean(axis=0)
     nominal = np.sqrt(np.maximum(np.diag(np.linalg.pinv(S)), 1e-30))
-    off = np.array([(n - bias) @ T @ (n - bias) for n, T in null])
-    freedom = len(clean) - 1
-    scale = max(float(off.mean()) * len(clean) / freedom / size, 0.7)
+    off = np.einsum("ki,kij,kj->k", null - bias, T, null - bias)
+    scale = max(float(off.mean()) * len(off) / freedom / size, 0.7)
     if variant.cause in table.OF:
         scale += (table.OF[variant.cause].floor / nominal[0]) ** 2
     statistic = float((x - bias) @ S @ (x - bias)) / scale
-    raw = float(np.mean([n @ T @ n for n, T in null]))
     if _wrong_sign(variant.cause, float(x[0] - bias[0])):
         statistic = 0.0
-    p_value = float(stats.f.sf(statistic / size, size, freedom))
-    return Finding(variant.cause, variant.axle, variant.shape, tuple(x - bias), tuple(bias),
-                   tuple(nominal * np.sqrt(scale)), statistic, p_value, raw, float(np.sqrt(scale)))
+    return Finding(name=variant.cause, axle=variant.axle, shape=variant.shape, estimate=tuple(x - bias),
+                   bias=tuple(bias), deviation=tuple(nominal * np.sqrt(scale)), statistic=statistic,
+                   p_value=float(fdtrc(size, freedom, max(statistic, 0.0) / size)),
+                   expected=float(np.einsum("ki,kij,kj->k", null, T, null).mean()), spread=float(np.sqrt(scale)))
 
 
-def finding_of(normal: Normal, clean: list[Scores], cause: Cause) -> Finding | None:
+def finding_of(normal: tuning.Normal, clean: list[Scores], cause: Cause) -> Finding | None:
     """The finding of a cause in one given shape; None for a window."""
-    for variant in normal.matrix.variants:
-        if (variant.cause, variant.axle, variant.shape) == (cause.name, cause.axle, cause.shape):
-            return _judge(scores(normal), clean, variant)
-    return None
+    same = normal.matrix.variant_of(cause)
+    return None if same is None else _judge(scores(normal), _together(clean), same)
 
 
 def _wrong_sign(cause: str, value: float) -> bool:
@@ -156,85 +148,74 @@ def _wrong_sign(cause: str, value: float) -> bool:
     return row is not None and row.mechanism.parameters[0].low == 0.0 and value < 0.0 and not row.phase
 
 
-def _bins(normal: Normal, owner: str) -> list[int]:
+def _bins(normal: tuning.Normal, owner: str) -> list[int]:
     return [c for c, column in enumerate(normal.matrix.columns) if column.cause == owner]
 
 
-def _windows(S: np.ndarray, g: np.ndarray, first: int, longest: int) -> np.ndarray:
-    """(from, to, coefficient, T) of all windows of neighbouring bins with enough weight."""
+def _best_window(S: np.ndarray, g: np.ndarray, longest: int, sign: float) -> tuple[int, int, float, float] | None:
+    """(from, to, coefficient, T) of neighbouring bins of greatest T, among those whose coefficient has this sign."""
     found = []
     for low in range(len(g)):
         total, weight = 0.0, 0.0
         for high in range(low, min(low + longest, len(g))):
             total += g[high]
             weight += S[high, high] + 2.0 * S[low:high, high].sum()
-            if high - low + 1 >= first and weight > 1e-9:
-                found.append((low, high + 1, -total / weight, total * total / weight))
-    return np.array(found) if found else np.zeros((0, 4))
+            if weight > 1e-9 and -sign * total > 0.0:
+                found.append((low, high + 1, float(-total / weight), float(total * total / weight)))
+    return max(found, key=lambda window: window[3], default=None)
 
 
 def _tail(value: float, null: np.ndarray) -> float:
     """Probability of a larger maximum, by a Gumbel law with the moments of the clean sets."""
     width = max(float(null.std(ddof=1)) * np.sqrt(6.0) / np.pi, 0.15 * float(null.mean()) + 0.3)
-    return float(stats.gumbel_r.sf(value, float(null.mean()) - 0.5772 * width, width))
+    return float(-np.expm1(-np.exp(-(value - (float(null.mean()) - 0.5772 * width)) / width)))
 
 
-def _lowered(windows: np.ndarray) -> np.ndarray:
-    return windows[windows[:, 2] < 0.0]
-
-
-def _patch(normal: Normal, real: Scores, clean: list[Scores]) -> Finding | None:
+def _patch(normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding | None:
     at = _bins(normal, "place_bin")
     if len(at) < 4:
         return None
-    grid = np.ix_(at, at)
     bias = np.mean([s.g[at] for s in clean], axis=0)
-    null = np.array([_lowered(_windows(s.S[grid], s.g[at] - bias, 1, MOST_BINS))[:, 3].max(initial=0.0)
-                     for s in clean])
-    seen = _lowered(_windows(real.S[grid], real.g[at] - bias, 1, MOST_BINS))
-    if not len(seen):
+    seen, *ordinary = (_best_window(s.S[np.ix_(at, at)], s.g[at] - bias, MOST_BINS, -1.0) for s in (real, *clean))
+    if seen is None:
         return None
-    low, high, x, T = seen[np.argmax(seen[:, 3])]
-    label = float(normal.matrix.columns[at[int(low)]].label)
-    length = (high - low) * columns.PLACE_BIN_M
+    null = np.array([window[3] if window else 0.0 for window in ordinary])
+    low, high, x, T = seen
+    shape = {"start_m": float(normal.matrix.columns[at[low]].label),
+             "length_m": float((high - low) * columns.PLACE_BIN_M)}
     spread = max(float(np.sqrt(null.mean() / 8.0)), 1.0)
-    return Finding("contaminated_patch", 0, {"start_m": label, "length_m": float(length)}, (-x,),
-                   (0.0,), (spread * abs(x) / np.sqrt(max(T, 1e-9)),), float(T),
-                   _tail(float(T), null), float(null.mean()), spread)
+    return Finding("contaminated_patch", 0, shape, (-x,), (0.0,), (spread * abs(x) / np.sqrt(max(T, 1e-9)),), T,
+                   _tail(T, null), float(null.mean()), spread)
 
 
-def _sand(design: Design, normal: Normal, real: Scores, clean: list[Scores]) -> Finding | None:
+def _sand(design: Design, normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding | None:
     """Sand under all wheelsets, or not under the first: the better of both."""
     found = [_sand_on(design, normal, real, clean, owner, shape)
              for owner, shape in (("time_bin", {}), ("time_bin behind", {"behind": 1.0}))]
-    return max((f for f in found if f is not None), key=lambda f: f.statistic - f.expected,
-               default=None)
+    return max((f for f in found if f is not None), key=lambda f: f.statistic - f.expected, default=None)
 
 
-def _sand_on(design: Design, normal: Normal, real: Scores, clean: list[Scores], owner: str,
+def _sand_on(design: Design, normal: tuning.Normal, real: Scores, clean: list[Scores], owner: str,
              shape: dict[str, float]) -> Finding | None:
     at = _bins(normal, owner)
     runs = [int(normal.matrix.columns[c].label.split()[0]) for c in at]
     bias = np.mean([s.g[at] for s in clean], axis=0)
 
-    def scan(s: Scores) -> tuple[float, dict[int, np.ndarray]]:
-        chosen, total = {}, 0.0
+    def scan(s: Scores) -> dict[int, tuple[int, int, float, float]]:
+        chosen = {}
         for run in range(design.mass_kg.size):
             own = [k for k, r in enumerate(runs) if r == run]
             picked = [at[k] for k in own]
-            windows = _windows(s.S[np.ix_(picked, picked)], s.g[picked] - bias[own], 1, 6)
-            windows = windows[windows[:, 2] > 0.0] if len(windows) else windows
-            if len(windows):
-                chosen[run] = windows[np.argmax(windows[:, 3])]
-                total += chosen[run][3]
-        return total, chosen
+            window = _best_window(s.S[np.ix_(picked, picked)], s.g[picked] - bias[own], 6, 1.0)
+            if window is not None:
+                chosen[run] = window
+        return chosen
 
     if not at:
         return None
-    null = np.array([scan(s)[0] for s in clean])
-    T, chosen = scan(real)
-    shape, weights, sizes = dict(shape), [], []
-    for run, (low, high, x, t) in chosen.items():
+    T, *ordinary = (float(sum(t for *_, t in scan(s).values())) for s in (real, *clean))
+    null, shape, weights, sizes = np.array(ordinary), dict(shape), [], []
+    for run, (low, high, x, t) in scan(real).items():
         if t > 0.15 * T:
             shape[f"start_s {design.names[run]}"] = float(low * columns.TIME_BIN_S)
             shape[f"duration_s {design.names[run]}"] = float((high - low) * columns.TIME_BIN_S)
@@ -244,8 +225,8 @@ def _sand_on(design: Design, normal: Normal, real: Scores, clean: list[Scores], 
         return None
     x = float(np.average(sizes, weights=weights))
     spread = max(float(np.sqrt(null.mean() / (6.0 * len(sizes)))), 1.0)
-    return Finding("sanding", 0, shape, (x,), (0.0,), (spread / np.sqrt(sum(weights)),), float(T),
-                   _tail(T, null), float(null.mean()), spread)
+    return Finding("sanding", 0, shape, (x,), (0.0,), (spread / np.sqrt(sum(weights)),), T, _tail(T, null),
+                   float(null.mean()), spread)
 
 
 def generic(name: str) -> bool:
@@ -255,11 +236,27 @@ def generic(name: str) -> bool:
 
 def against(found: Finding) -> str:
     """What a smooth function goes along, in words; which wheelset where it is that of one."""
-    name = found.name.removeprefix("along ")
-    return name.replace("one axle", f"axle {found.axle}") if found.axle else name
+    return found.name.removeprefix("along ").replace("one axle", f"axle {found.axle}")
+
+
+def settled(found: Sequence[Finding]) -> bool:
+    """Whether more clean sets would hardly change what counts: one finding stands out, or none comes near its limit.
+
+    A window may not be the one: its p-value does not know of how few clean sets it is.
+    """
+    near = [f for f in found if f.p_value < NEAR_ALPHA * _limit(f) and f.statistic - len(f.estimate) > 0.5 * FLOOR]
+    out = max((f.statistic for f in near if significant(f, STANDS_OUT * FLOOR) and not _is_window(f)), default=0.0)
+    return not near or 0.0 < out > 2.0 * max((f.statistic for f in near if _is_window(f)), default=0.0)
+
+
+def _is_window(found: Finding) -> bool:
+    return not generic(found.name) and table.OF[found.name].edge_step > 0.0
 
 
 def significant(found: Finding, floor: float = FLOOR) -> bool:
     """Whether a finding counts by itself."""
-    limit = ALPHA_GENERIC if generic(found.name) else table.OF[found.name].alpha
-    return found.p_value < limit and found.statistic - len(found.estimate) > floor
+    return found.p_value < _limit(found) and found.statistic - len(found.estimate) > floor
+
+
+def _limit(found: Finding) -> float:
+    return ALPHA_GENERIC if generic(found.name) else table.OF[found.name].alpha

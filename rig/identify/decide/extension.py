@@ -15,27 +15,23 @@ from rollerrig.rig.identify.decide.explain import Account
 from rollerrig.rig.identify.decide.unknown import Formula
 from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
 
-# what a frame may be late by on the bench's bus
-_LEAST_S = 0.001
+_LEAST_S = 0.001  # what a frame may be late by on the bench's bus
 
 
 def parameters(named: NamedCause) -> dict[str, dict[str, Any]]:
     """Coefficients of a named cause: value, 95 % interval, unit."""
-    rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
-    free = BY_NAME[named.cause.name].parameters[: BY_NAME[named.cause.name].free]
-    found: dict[str, dict[str, Any]] = {}
     if table.OF[named.cause.name].phase:
         return _swing(named)
+    found: dict[str, dict[str, Any]] = {}
+    rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
     bias = named.finding.bias if len(named.finding.bias) == len(named.cause.values) else (0.0,)
-    for k, value in enumerate(named.cause.values):
-        row, sd = free[k], named.deviation[min(k, len(named.deviation) - 1)]
+    for k, (row, value) in enumerate(zip(rows.values(), named.cause.values, strict=False)):
+        sd = named.deviation[min(k, len(named.deviation) - 1)]
         middle = value - (bias[k] if k < len(bias) else 0.0)
-        found[row.name] = {"value": middle, "ci95": [middle - 1.96 * sd, middle + 1.96 * sd],
-                           "unit": row.source}
+        found[row.name] = {"value": middle, "ci95": [middle - 1.96 * sd, middle + 1.96 * sd], "unit": row.source}
     for name, value in named.cause.shape.items():
-        known = rows.get(name)
         found[name] = {"value": value, "ci95": _width(named.cause.name, name, value),
-                       "unit": known.source if known else "s"}
+                       "unit": rows[name].source if name in rows else "s"}
     return found
 
 
@@ -53,10 +49,8 @@ def _swing(named: NamedCause) -> dict[str, dict[str, Any]]:
     runs = max(len(values) // 2, 1)
     square = sum(v * v for v in values) / runs - 2.0 * sd * sd
     amplitude, wide = math.sqrt(max(square, 0.0)), 1.96 * sd / math.sqrt(runs)
-    return {"amplitude": {"value": amplitude, "ci95": [max(amplitude - wide, 0.0), amplitude + wide],
-                          "unit": "-"},
-            "phase_rad": {"value": math.atan2(-values[1], values[0]), "ci95": [-math.pi, math.pi],
-                          "unit": "rad"}}
+    return {"amplitude": {"value": amplitude, "ci95": [max(amplitude - wide, 0.0), amplitude + wide], "unit": "-"},
+            "phase_rad": {"value": math.atan2(-values[1], values[0]), "ci95": [-math.pi, math.pi], "unit": "rad"}}
 
 
 def _empirical(formula: Formula) -> list[str]:

@@ -1,10 +1,9 @@
 """Measures what an explanation is worth on stops that were never fitted.
 
-Base and extended model each keep what they learned on the tuning runs; only the level of the
-contaminant of each new stop is found anew, for both alike. What counts is the adhesion that each
-model lacks: what the filter of the wheel has to add to it [G2], which knows the sensors' noise; for
-causes in the vehicle it is the speed that five seconds of free running predict. A block bootstrap
-gives the interval, and a gain whose interval holds 0 is not claimed.
+Base and extended model each keep what they learned on the tuning runs; only the level of the contaminant of each new
+stop is found anew, for both alike. What counts is the adhesion that each model lacks: what the filter of the wheel has
+to add to it [G2], which knows the sensors' noise; for causes in the vehicle it is the speed that five seconds of free
+running predict. A block bootstrap gives the interval, and a gain whose interval holds 0 is not claimed.
 
     [G1] f = (J domega/dt + C) / (r N), with what the model says of J, C, r and N; for the pictures
     [G2] f (e^m - 1), f and the irregularity m along the filtered wheel speed
@@ -13,15 +12,14 @@ gives the interval, and a gain whose interval holds 0 is not claimed.
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import savgol_filter
 
-from rollerrig.rig.identify.causes import candidates
-from rollerrig.rig.identify.causes.candidates import Explanation
+from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
+from rollerrig.rig.identify.data.smoothing import smoothed
 from rollerrig.rig.identify.decide import tuning
-from rollerrig.rig.identify.filter import replay, sensitivity
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.identify.filter import sensitivity
+from rollerrig.rig.identify.filter.sensitivity import Inputs
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME
 
@@ -49,52 +47,41 @@ class Gain(NamedTuple):
         return self.ci95[0] > 0.0 and self.likelihood > 0.0
 
 
-@kernel
-def predicted(sliding, speed, load, friction_log, p, step_s, out):
-    """Adhesion of one wheel along measured sliding, shape (n,)."""
-    late = 0.0
-    for k in range(sliding.size):
-        share = 1.0
-        if p[14] > 0.0:
-            share = replay.closes(speed[k], step_s, p)
-        f, _, late = replay.wheel_adhesion(sliding[k], speed[k], 0.5 * load[k], friction_log[k], p,
-                                           late, share)
-        out[k] = f
+def predicted(i: Inputs, at: slice, omega: np.ndarray, p: np.ndarray, step_s: float) -> np.ndarray:
+    """(sliding, adhesion) of one wheel along its speed, each shape (n,)."""
+    sliding = i.speed_m_s[at] - p[parameters.RADIUS] * omega
+    f, _ = sensitivity.replay_law(sliding, i.speed_m_s[at], i.load_N[at], i.friction_log[at], p, step_s,
+                                  np.zeros(omega.size + 1), True)
+    return np.array([sliding, f])
 
 
 def adhesion(design: Design, explanation: Explanation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(measured [G1], modelled, sliding) adhesion at every sample, flat."""
-    i = candidates.inputs(design, explanation)
-    n = design.measured_rad_s.size
-    measured, model, sliding = np.empty(n), np.empty(n), np.empty(n)
+    i = inputs(design, explanation)
+    measured, model, sliding = np.empty((3, design.measured_rad_s.size))
     window = max(5, 2 * int(0.5 * WINDOW_S / design.step_s) + 1)
     for s in range(design.segments):
         at, p = design.span(s), i.parameters[s]
-        omega = savgol_filter(design.measured_rad_s[at], window, 3)
-        rate = savgol_filter(design.measured_rad_s[at], window, 3, deriv=1, delta=design.step_s)
-        torque = savgol_filter(i.torque_Nm[at], window, 3)
+        omega = smoothed(design.measured_rad_s[at], window, 3)
+        rate = smoothed(design.measured_rad_s[at], window, 3, 1, design.step_s)
+        torque = smoothed(i.torque_Nm[at], window, 3)
         measured[at] = (p[parameters.INERTIA] * rate + torque) / (p[parameters.RADIUS] * i.load_N[at])
-        sliding[at] = i.speed_m_s[at] - p[parameters.RADIUS] * omega
-        predicted(sliding[at], i.speed_m_s[at], i.load_N[at], i.friction_log[at], p,
-                  design.step_s, model[at])
-        model[at] = savgol_filter(model[at], window, 3)
+        sliding[at], model[at] = predicted(i, at, omega, p, design.step_s)
+        model[at] = smoothed(model[at], window, 3)
     return measured, model, sliding
 
 
 def free_running(design: Design, explanation: Explanation) -> np.ndarray:
     """Error in m/s of the speed that the force balance gives 5 s ahead, per vehicle sample."""
-    i = candidates.inputs(design, explanation)
+    i = inputs(design, explanation)
     out = np.zeros(design.vehicle_m_s.size)
     ahead = int(FREE_RUN_S / design.step_s)
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
         u = design.vehicle_m_s[at] + design.wheels_m_s[at]
         lost = np.cumsum(sensitivity.vehicle_force(design, i, run)) * design.step_s
-        balance = u + lost
-        smooth = savgol_filter(balance, 2 * int(0.5 / design.step_s) + 1, 1)
-        error = np.zeros(u.size)
-        error[ahead:] = smooth[ahead:] - smooth[:-ahead]
-        out[at] = error
+        smooth = smoothed(u + lost, 2 * int(0.5 / design.step_s) + 1, 1)
+        out[at][ahead:] = smooth[ahead:] - smooth[:-ahead]
     return out
 
 
@@ -102,73 +89,57 @@ def level(design: Design, explanation: Explanation) -> tuple[Explanation, float]
     """An explanation on new runs: only their contaminant level, mass and irregularity are fitted."""
     base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
     base |= {f"ln_mu_cd_{run}": explanation.level for run in range(design.mass_kg.size)}
-    found, value, _ = tuning.fit(design, explanation._replace(base=base), 4, False,
-                                 free=("ln_mu_cd", "mass"))
+    found, value, _ = tuning.fit(design, explanation._replace(base=base), 4, False, free=("ln_mu_cd", "mass"))
     return found, value
 
 
-def _errors(design: Design, explanation: Explanation, metric: str) -> np.ndarray:
-    """Errors of a metric at every sample, 0 where it is not judged."""
-    return free_running(design, explanation) if metric == FREE_RUN else missing(design, explanation)
-
-
 def missing(design: Design, explanation: Explanation) -> np.ndarray:
-    """Adhesion that a model lacks [G2] at every sample, flat; 0 below 5 m/s.
-
-    The difference of measured and modelled adhesion at measured sliding would punish a stiffer
-    contact, which turns the noise of measured sliding into more adhesion.
-    """
-    i = candidates.inputs(design, explanation)
+    """Adhesion that a model lacks [G2] at every sample, flat; 0 below 5 m/s."""
+    i = inputs(design, explanation)
+    # measured less modelled adhesion at measured sliding would punish a stiffer contact for the noise of that sliding
     nu, S, field, _, _ = sensitivity.innovations(design, i)
     out = np.empty(nu.size)
     for s in range(design.segments):
         at, p = design.span(s), i.parameters[s]
         omega = design.measured_rad_s[at] - nu[at] * p[parameters.NOISE] ** 2 / S[at]
-        predicted(i.speed_m_s[at] - p[parameters.RADIUS] * omega, i.speed_m_s[at], i.load_N[at],
-                  i.friction_log[at], p, design.step_s, out[at])
+        out[at] = predicted(i, at, omega, p, design.step_s)[1]
     return np.where(design.speed_m_s > SLOWEST_M_S, out * np.expm1(field), 0.0)
+
+
+_ERRORS = {ADHESION: missing, FREE_RUN: free_running}  # errors of a metric at every sample, 0 where it is not judged
 
 
 def error(design: Design, explanation: Explanation, metric: str) -> float:
     """Root mean square error of a model in a metric on new runs, their level found anew."""
-    errors = _errors(design, level(design, explanation)[0], metric)
+    errors = _ERRORS[metric](design, level(design, explanation)[0])
     return float(np.sqrt(np.mean(errors * errors)))
 
 
 def measure(design: Design, base: Explanation, extended: Explanation, seed: int) -> Gain:
     """The gain of an extended model on runs that were not fitted."""
-    before, cost_before = level(design, base._replace(sigma=extended.sigma,
-                                                      length_m=extended.length_m))
+    before, cost_before = level(design, base._replace(sigma=extended.sigma, length_m=extended.length_m))
     after, cost_after = level(design, extended)
     # a torque that is wrong in scale hides in the friction level, but not from the vehicle
     vehicle = all(BY_NAME[c.name].acts_on in (VEHICLE, TORQUE) for c in extended.causes)
     metric = FREE_RUN if vehicle else ADHESION
     size = np.diff(design.vehicle_start if vehicle else design.start)
-    errors = [_errors(design, explanation, metric) for explanation in (before, after)]
-    squares = np.array([e * e for e in errors])
+    squares = np.array([_ERRORS[metric](design, explanation) ** 2 for explanation in (before, after)])
     owner = np.repeat(np.arange(design.mass_kg.size) if vehicle else design.run, size)
     rms = np.sqrt(squares.mean(axis=1))
-    by_run = {}
-    for r, name in enumerate(design.names):
-        own = np.sqrt(squares[:, owner == r].mean(axis=1))
-        by_run[name] = (float(own[0]), float(own[1]))
-    drawn = _bootstrap(squares, size, design.step_s, seed)
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return Gain(design.names, metric, float(rms[0]), float(rms[1]), float(1.0 - rms[1] / rms[0]),
-                (float(low), float(high)), cost_before - cost_after, by_run)
+    own = [np.sqrt(squares[:, owner == r].mean(axis=1)) for r in range(len(design.names))]
+    low, high = np.quantile(_bootstrap(squares, size, design.step_s, seed), [0.025, 0.975])
+    return Gain(runs=design.names, metric=metric, before=float(rms[0]), after=float(rms[1]),
+                reduction=float(1.0 - rms[1] / rms[0]), ci95=(float(low), float(high)),
+                likelihood=cost_before - cost_after,
+                by_run={name: (float(a), float(b)) for name, (a, b) in zip(design.names, own, strict=True)})
 
 
 def _bootstrap(squares: np.ndarray, sizes: np.ndarray, step_s: float, seed: int) -> np.ndarray:
     """Reductions of 500 draws of blocks of 3 s."""
     length = int(BLOCK_S / step_s)
-    blocks, at = [], 0
-    for size in sizes:
-        for low in range(at, at + int(size), length):
-            blocks.append(squares[:, low:min(low + length, at + int(size))].sum(axis=1))
-        at += int(size)
-    table = np.array(blocks)
-    rng = np.random.default_rng(seed)
-    chosen = rng.integers(0, len(table), (500, len(table)))
+    table = np.array([part[:, low:low + length].sum(axis=1) for part in np.split(squares, np.cumsum(sizes)[:-1], axis=1)
+                      for low in range(0, part.shape[1], length)])
+    chosen = np.random.default_rng(seed).integers(0, len(table), (500, len(table)))
     total = table[chosen].sum(axis=1)
     return 1.0 - np.sqrt(total[:, 1] / np.maximum(total[:, 0], 1e-30))
 
@@ -177,6 +148,6 @@ def as_json(gain: Gain | None) -> dict[str, Any] | None:
     """The report's entry."""
     if gain is None:
         return None
-    return {"runs": list(gain.runs), "metric": gain.metric, "before": gain.before,
-            "after": gain.after, "reduction": gain.reduction, "ci95": list(gain.ci95),
-            "claimed": gain.claimed, "by_run": {k: list(v) for k, v in gain.by_run.items()}}
+    return {"runs": list(gain.runs), "metric": gain.metric, "before": gain.before, "after": gain.after,
+            "reduction": gain.reduction, "ci95": list(gain.ci95), "claimed": gain.claimed,
+            "by_run": {k: list(v) for k, v in gain.by_run.items()}}

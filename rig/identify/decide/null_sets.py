@@ -4,26 +4,25 @@ Each clean set is simulated from the fitted explanation with its own seed, prepa
 the measured one; the seeds and thus the decision repeat.
 """
 
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor, Future
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from rollerrig.configs import children
+from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.causes.candidates import Explanation
-from rollerrig.rig.identify.data import preparation
-from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, simulate, tuning
 from rollerrig.rig.identify.decide.evidence import Scores
 
-# normalised innovations of a simulated set above this: a wheel locked that did not in the stop
-RUNAWAY = 1.2
+FEW = 20  # clean sets after which is asked whether more are wanted
+RUNAWAY = 1.2  # normalised innovations of a simulated set above this: a wheel locked that did not in the stop
 Progress = Callable[[str, float], None]
-Pool = ProcessPoolExecutor | None
 
 
 class Setting(NamedTuple):
@@ -32,69 +31,75 @@ class Setting(NamedTuple):
     data: Dataset
     measured: list[Run]
     design: Design
-    pool: Pool
+    pool: Executor
     progress: Progress
 
-    def run_all(self, work: Callable[[Any], Any], tasks: Sequence[Any], title: str) -> list[Any]:
-        """work(task) for all tasks, in order, with progress."""
-        if self.pool is None:
-            results: Iterator[Any] = map(work, tasks)
-        else:
-            futures: list[Future[Any]] = [self.pool.submit(work, task) for task in tasks]
-            results = (future.result() for future in futures)
+    def run_all(self, work: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], title: str) -> list[Any]:
+        """work(data, measured, *task) for all tasks, in order, with progress."""
+        futures = [self.pool.submit(work, self.data, self.measured, *task) for task in tasks]
         found = []
-        for result in results:
-            found.append(result)
-            self.progress(title, len(found) / len(tasks))
+        for future in futures:
+            found.append(future.result())
+            self.progress(title, len(found) / len(futures))
         return found
 
 
-class Task(NamedTuple):
-    """One clean set to make."""
+class _When(Future[Any]):
+    """Work that is done, in this process, when its result is asked for."""
 
-    data: Dataset
-    measured: list[Run]
-    explanation: Explanation
-    seed: int
-    known: tuple[str, ...]
+    def __init__(self, work: Callable[[], Any]) -> None:
+        super().__init__()
+        self._work = work
 
-
-@contextmanager
-def workers() -> Iterator[Pool]:
-    """A pool of processes, or None on a single core."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    if (cores or 1) < 2:
-        yield None
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(cores or 1, 8), context, initializer=_single) as pool:
-        yield pool
+    def result(self, timeout: float | None = None) -> Any:
+        return self._work()
 
 
-def _single() -> None:
+class _Here(Executor):
+    """No process but this one."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return _When(partial(fn, *args, **kwargs))
+
+
+def workers() -> Executor:
+    """A pool of processes, one a core, at most eight; none where this process may use one core only."""
     from threadpoolctl import threadpool_limits
 
-    threadpool_limits(1)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return children.pool(min(cores, 8), threadpool_limits, 1) if cores > 1 else _Here()
 
 
-def one(task: Task) -> Scores | None:
+def one(data: Dataset, measured: list[Run], explanation: Explanation, seed: int, known: Sequence[str]) -> Scores | None:
     """Simulate, prepare, score one set; None where its wheels got out of hand."""
-    design = preparation.prepare(task.data, task.measured)
-    rng = np.random.default_rng(task.seed)
-    made = simulate.runs(task.data, design, task.measured, task.explanation, rng)
-    prepared = preparation.prepare(task.data, made, design)
-    found, linear, _, _ = tuning.normal(prepared, task.explanation)
-    if np.mean(np.minimum(linear.nu**2 / linear.variance, 100.0)) > RUNAWAY:
+    design = prepare(data, measured)
+    made = simulate.runs(data, design, measured, explanation, np.random.default_rng(seed))
+    found, linear, _ = tuning.normal(prepare(data, made, design), explanation)
+    finite = np.all(np.isfinite(found.A)) and np.all(np.isfinite(found.b))
+    if np.mean(np.minimum(linear.nu**2 / linear.variance, 100.0)) > RUNAWAY or not finite:
         return None
-    if not (np.all(np.isfinite(found.A)) and np.all(np.isfinite(found.b))):
-        return None
-    result = evidence.scores(found, task.known)
+    result = evidence.scores(found, known)
     return Scores(result.S.astype(np.float32), result.g)
 
 
-def null_sets(setting: Setting, explanation: Explanation, count: int, seed: int, known: Sequence[str]) -> list[Scores]:
-    """Scores of `count` clean sets."""
+def judged(setting: Setting, explanation: Explanation, most: int, seed: int, known: Sequence[str] = ()
+           ) -> tuple[list[evidence.Finding], tuning.Normal, list[Scores]]:
+    """What the measured stops show beside clean sets, their normal equations, the clean sets' scores; no `known` cause.
+
+    Clean sets come by FEW until more would not change what counts, at most `most`. Raises ConfigError where less than
+    half of them could be replayed.
+    """
     # tolerances are drawn afresh: the fitted ones do not belong to the clean sets
     fresh = explanation._replace(base={k: v for k, v in explanation.base.items() if k.startswith("ln_")})
-    tasks = [Task(setting.data, setting.measured, fresh, seed * 100003 + k, tuple(known)) for k in range(count)]
-    return [s for s in setting.run_all(one, tasks, "clean sets") if s is not None]
+    scored, clean = tuning.normal(setting.design, explanation)[0], list[Scores]()
+    for began in range(0, most, FEW):
+        tasks = [(fresh, seed * 100003 + k, known) for k in range(began, min(began + FEW, most))]
+        clean += [s for s in setting.run_all(one, tasks, "clean sets") if s is not None]
+        if 2 * len(clean) < began + len(tasks):
+            raise ConfigError(f"only {len(clean)} of {began + len(tasks)} simulated clean sets could be replayed: the "
+                              "fitted model does not brake like the recording; check vehicle, loads and torques in "
+                              "dataset.toml")
+        found = evidence.findings(setting.design, scored, clean, known)
+        if evidence.settled(found):
+            break
+    return found, scored, clean

@@ -6,28 +6,23 @@ smaller steps while the likelihood grows, scales by factors, each with the coeff
 A patch may also rise and fall slowly, where that is the likelier form.
 """
 
-from rollerrig.rig.identify.causes import candidates, table
-from rollerrig.rig.identify.causes.candidates import Cause, Explanation
+from rollerrig.rig.identify.causes import table
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation, start
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import tuning
 
-# the first step of an edge is halved this often
-_HALVINGS, _MOST_MOVES = 3, 8
+_HALVINGS, _MOST_MOVES = 3, 8  # the first step of an edge is halved this often
 # a patch with edges of this share of its length, and what its depth has to be for the same effect
 _RAMPS = ((0.5, 1.1), (1.0, 1.3))
-# likelihood that such edges must earn
-_RAMP_EARNS = 4.0
-# factors by which scales are moved
-_FACTORS, _SCALE_EARNS = (1.5, 1.2), 1.0
-
-# irregularity with which a base is begun anew, so that all levels are in reach
-_BEGINS_ROUGH = 0.06
+_RAMP_EARNS = 4.0  # likelihood that such edges must earn
+_FACTORS, _SCALE_EARNS = (1.5, 1.0 / 1.5, 1.2, 1.0 / 1.2), 1.0  # factors by which scales are moved
+_BEGINS_ROUGH = 0.06  # irregularity with which a base is begun anew, so that all levels are in reach
 
 
 def refined(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the windows of its causes where they fit best."""
     explanation, value = _edges_moved(design, explanation, 1.0)
-    ramped = [_edges_moved(design, _with(explanation, at, _ramped(cause, ramp, deeper)), 0.5)
+    ramped = [_edges_moved(design, explanation.with_cause(at, _ramped(cause, ramp, deeper)), 0.5)
               for at, cause in enumerate(explanation.causes) if cause.name == "contaminated_patch"
               for ramp, deeper in _RAMPS]
     better, least = min(ramped, key=lambda pair: pair[1], default=(explanation, value))
@@ -35,18 +30,11 @@ def refined(design: Design, explanation: Explanation) -> Explanation:
 
 
 def remembered(design: Design, explanation: Explanation) -> Explanation:
-    """The explanation with a memory in its likeliest form, its base begun anew.
-
-    Without the memory the base had to leave recovery out and take friction for high and rough; from
-    there no small step leads to the base that belongs to a memory.
-    """
-    found: list[tuple[float, int, Explanation]] = []
-    for shape in table.OF[tuning.MEMORY].shapes:
-        causes = tuple(c._replace(shape=shape) if c.name == tuning.MEMORY else c for c in explanation.causes)
-        begun = candidates.start(design)._replace(sigma=_BEGINS_ROUGH, causes=causes)
-        tried, value, _ = tuning.fit(design, begun, 5, False, free=("ln_mu",))
-        found.append((value, len(found), tried))
-    return min(found)[2]
+    """The explanation with a memory in its likeliest form, its base begun anew: no small step leads there."""
+    begun = [start(design)._replace(sigma=_BEGINS_ROUGH, causes=tuple(
+        c._replace(shape=shape) if c.name == tuning.MEMORY else c for c in explanation.causes))
+        for shape in table.OF[tuning.MEMORY].shapes]
+    return min((tuning.fit(design, one, 5, False, free=("ln_mu",)) for one in begun), key=lambda fit: fit[1])[0]
 
 
 def scaled(design: Design, explanation: Explanation) -> Explanation:
@@ -54,21 +42,20 @@ def scaled(design: Design, explanation: Explanation) -> Explanation:
     value = tuning.deviance(design, explanation)
     for at, cause in enumerate(explanation.causes):
         for key in [k for k in cause.shape if k in table.OF[cause.name].scales]:
-            for factor in _FACTORS:
-                for by in (factor, 1.0 / factor):
-                    explanation, value = _while_it_pays(design, explanation, value, at, key, by)
+            for by in _FACTORS:
+                explanation, value = _while_it_pays(design, explanation, value, at, key, by)
     return explanation
 
 
-def _while_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str,
-                   by: float) -> tuple[Explanation, float]:
+def _while_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str, by: float
+                   ) -> tuple[Explanation, float]:
     low, high = table.OF[explanation.causes[at].name].scales[key]
     for _ in range(_MOST_MOVES):
         cause = explanation.causes[at]
         moved = cause._replace(shape={**cause.shape, key: cause.shape[key] * by})
         if not low <= moved.shape[key] <= high:
             break
-        tried, better, _ = tuning.fit(design, _with(explanation, at, moved), 2, False)
+        tried, better, _ = tuning.fit(design, explanation.with_cause(at, moved), 2, False)
         if better > value - _SCALE_EARNS:
             break
         explanation, value = tried, better
@@ -78,8 +65,7 @@ def _while_it_pays(design: Design, explanation: Explanation, value: float, at: i
 def _ramped(cause: Cause, ramp: float, deeper: float) -> Cause:
     """A patch with slow edges about where it was."""
     wider = cause.shape["length_m"] * 0.5 * ramp / (2.0 - ramp)
-    shape = {"start_m": cause.shape["start_m"] - wider,
-             "length_m": cause.shape["length_m"] + 2.0 * wider, "ramp": ramp}
+    shape = {"start_m": cause.shape["start_m"] - wider, "length_m": cause.shape["length_m"] + 2.0 * wider, "ramp": ramp}
     return tuning.bounded(cause._replace(shape=shape, values=(cause.values[0] * deeper,)))
 
 
@@ -96,10 +82,10 @@ def _edges_moved(design: Design, explanation: Explanation, first: float) -> tupl
     return explanation, value
 
 
-def _as_far_as_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str,
-                       change: float) -> tuple[Explanation, float]:
+def _as_far_as_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str, change: float
+                       ) -> tuple[Explanation, float]:
     for _ in range(_MOST_MOVES):
-        tried = _with(explanation, at, _moved(explanation.causes[at], key, change))
+        tried = explanation.with_cause(at, _moved(explanation.causes[at], key, change))
         better = tuning.deviance(design, tried)
         if better >= value:
             break
@@ -115,7 +101,3 @@ def _moved(cause: Cause, key: str, change: float) -> Cause:
         end = key.replace("start_s", "duration_s").replace("start_m", "length_m")
         shape[end] = max(shape[end] - change, 0.0)
     return cause._replace(shape={k: v if k == "start_m" else max(v, 0.0) for k, v in shape.items()})
-
-
-def _with(explanation: Explanation, at: int, cause: Cause) -> Explanation:
-    return explanation._replace(causes=(*explanation.causes[:at], cause, *explanation.causes[at + 1:]))

@@ -7,14 +7,16 @@ steps, so that a cause earns likelihood only by shrinking what is left unexplain
     [T1] -2 ln L = sum nu^2 / S + ln S over wheels and vehicles + sum (x / prior)^2
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import minimize, minimize_scalar
 
-from rollerrig.rig.identify.causes import candidates, columns, table
-from rollerrig.rig.identify.causes.candidates import Cause, Explanation
+from rollerrig.configs.errors import ConfigError
+from rollerrig.rig.identify.causes import columns, table
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
@@ -22,11 +24,13 @@ from rollerrig.rig.identify.filter import sensitivity
 from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear
 
 MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0
-# irregularity of the rail is short: what lasts longer is to be explained, not to be called noise
-LONGEST_M = 16.0
-# deviation of the offset of a released brake's torque, N m
-_RELEASED_NM = 30.0
+LONGEST_M = 16.0  # irregularity of the rail is short: what lasts longer is to be explained, not to be called noise
+_RELEASED_NM = 30.0  # deviation of the offset of a released brake's torque, N m
 _BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1}
+
+
+# columns that act on a segment (then on a run's vehicle), their places in the whitened answers (n, courses), and these
+Answers = list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 class Normal(NamedTuple):
@@ -38,24 +42,21 @@ class Normal(NamedTuple):
 
 
 def deviance(design: Design, explanation: Explanation) -> float:
-    """-2 ln L without constants [T1], outliers bounded."""
-    i = candidates.inputs(design, explanation)
-    nu, S, _, vnu, vS = sensitivity.innovations(design, i)
-    return total(nu, S, vnu, vS) + prior_deviance(design, explanation)
+    """-2 ln L without constants [T1]."""
+    nu, S, _, vnu, vS = sensitivity.innovations(design, inputs(design, explanation))
+    return float(np.sum(bounded_terms(nu, S)) + np.sum(bounded_terms(vnu, vS))) + prior_deviance(design, explanation)
 
 
-def total(nu: np.ndarray, S: np.ndarray, vnu: np.ndarray, vS: np.ndarray) -> float:
-    """Sum of [T1] over samples."""
-    return float(np.sum(np.minimum(nu * nu / S, 36.0) + np.log(S))
-                 + np.sum(np.minimum(vnu * vnu / vS, 36.0) + np.log(vS)))
+def bounded_terms(nu: np.ndarray, S: np.ndarray) -> np.ndarray:
+    """What each sample adds to [T1], outliers bounded."""
+    return np.minimum(nu * nu / S, 36.0) + np.log(S)
 
 
 def prior_deviance(design: Design, explanation: Explanation) -> float:
     """What the declared tolerances and the released brake say."""
     tolerance = max(design.calibration, 1e-4)
     cost = sum((value / tolerance) ** 2 * (2.0 if label.startswith("torque") else 1.0)
-               for label, value in explanation.base.items()
-               if label.startswith(("torque_gain", "load_gain", "mass")))
+               for label, value in explanation.base.items() if label.startswith(("torque_gain", "load_gain", "mass")))
     offsets = np.zeros(design.segments)
     for cause in explanation.causes:
         if cause.name == "torque_offset" and not cause.shape:
@@ -65,48 +66,75 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
     return cost + float(np.sum(off * off))
 
 
-def normal(design: Design, explanation: Explanation, search: bool = True
-           ) -> tuple[Normal, Linear, Inputs, np.ndarray]:
-    """Normal equations around an explanation, its replay, its inputs, the whitened answers.
-
-    Without `search` they have columns for the base and the causes of the explanation only.
-    """
-    i = candidates.inputs(design, explanation)
+def normal(design: Design, explanation: Explanation, search: bool = True) -> tuple[Normal, Linear, Answers]:
+    """Normal equations around an explanation, its replay, the whitened answers; without `search` of its causes only."""
+    i = inputs(design, explanation)
     matrix, linear = columns.write(design, i, tuple((cause.name, cause.shape) for cause in explanation.causes), search)
-    Z = np.empty_like(matrix.wheel)
+    answers = _answers(design, i, matrix, linear)
+    z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
+    vz = np.clip(linear.vehicle_nu / np.sqrt(linear.vehicle_variance), -6.0, 6.0)
+    A, b = np.zeros((len(matrix.columns), len(matrix.columns))), np.zeros(len(matrix.columns))
+    innovations = [z[design.span(s)] for s in range(design.segments)] + [
+        vz[design.vehicle_span(run)] for run in range(design.mass_kg.size)]
+    for (used, places, Z), own in zip(answers, innovations, strict=True):
+        A[np.ix_(used, used)] += (Z.T @ Z)[np.ix_(places, places)]
+        b[used] += (Z.T @ own.astype(Z.dtype))[places]
+    _priors(design, explanation, matrix, A, b)
+    return Normal(A, b, matrix), linear, answers
+
+
+def _answers(design: Design, i: Inputs, matrix: SensitivityMatrix, linear: Linear) -> Answers:
+    lags = [_memory_answer(design, i, linear, shape) / np.sqrt(linear.variance) for shape in matrix.memory.values()]
+    answers = []
     for s in range(design.segments):
         at = design.span(s)
-        sensitivity.answer(matrix.wheel[at], linear.variance[at], linear.coefficients[at], Z[at])
-    root = np.sqrt(linear.variance)
-    for variant in matrix.variants:
-        if variant.cause == MEMORY:
-            Z[:, variant.columns[0]] = _memory_answer(design, i, linear, variant.shape) / root
-    V = np.empty_like(matrix.vehicle)
+        live = np.flatnonzero(matrix.wheel[:, at].any(axis=1))
+        numbers = np.unique(matrix.bins[:, at])
+        own = np.concatenate([live, numbers[numbers >= 0], [*matrix.memory]]).astype(int)
+        kept = len(own) - len(lags)
+        changes = np.zeros((at.stop - at.start, kept), matrix.wheel.dtype)
+        changes[:, :live.size] = matrix.wheel[live, at].T
+        for number in matrix.bins[:, at]:
+            held = np.flatnonzero(number >= 0)
+            changes[held, np.searchsorted(own[:kept], number[held])] = matrix.in_bins[at][held]
+        Z = np.empty((len(changes), own.size), changes.dtype)
+        sensitivity.answer(changes, linear.variance[at], linear.coefficients[at], Z)
+        for k, course in enumerate(lags, kept):
+            Z[:, k] = course[at]
+        places = np.full(matrix.course.max() + 2, -1)  # in Z of each course; the last for none
+        places[own] = np.arange(own.size)
+        used = np.flatnonzero(matrix.acts[:, s] & (places[matrix.course] >= 0))
+        answers.append((used, places[matrix.course[used]], Z))
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
-        sensitivity.vehicle_answer(matrix.vehicle[at], linear.vehicle_variance[at],
-                                   design.speed_noise_m_s, design.step_s, V[at])
-    z = np.clip(linear.nu / root, -6.0, 6.0)
-    vz = np.clip(linear.vehicle_nu / np.sqrt(linear.vehicle_variance), -6.0, 6.0)
-    A = (Z.T @ Z).astype(float) + (V.T @ V)
-    b = (Z.T @ z.astype(Z.dtype)).astype(float) + V.T @ vz
-    _priors(design, explanation, matrix, A, b)
-    return Normal(A, b, matrix), linear, i, Z
+        live = np.flatnonzero(matrix.vehicle[:, at].any(axis=1))
+        changes = np.ascontiguousarray(matrix.vehicle[live, at].T)
+        V = np.empty_like(changes)
+        sensitivity.vehicle_answer(changes, linear.vehicle_variance[at], design.speed_noise_m_s, design.step_s, V)
+        answers.append((matrix.on_vehicle[live], np.arange(live.size), V))
+    return answers
 
 
-def _memory_answer(design: Design, i: Inputs, linear: Linear, shape: dict[str, float]
-                   ) -> np.ndarray:
+def wheel_answers(design: Design, answers: Answers, wanted: Sequence[int]) -> np.ndarray:
+    """Whitened answers of the wheels to some columns, shape (n, wanted)."""
+    out = np.zeros((design.measured_rad_s.size, len(wanted)))
+    for s, (used, places, Z) in enumerate(answers[:design.segments]):
+        place = dict(zip(used, places, strict=True))
+        for k, c in enumerate(wanted):
+            if c in place:
+                out[design.span(s), k] = Z[:, place[c]]
+    return out
+
+
+def _memory_answer(design: Design, i: Inputs, linear: Linear, shape: dict[str, float]) -> np.ndarray:
     # no derivative exists at length 0 that a filter's noise would not spoil: a finite step
-    p = i.parameters.copy()
-    known = bool(np.any(p[:, parameters.MEMORY] > 0.0))
+    p, at = i.parameters.copy(), [parameters.MEMORY_POWER, parameters.MEMORY_OF_WORK]
     wanted = [shape.get(key, 0.0) for key in ("speed_power", "of_work")]
-    at = [parameters.MEMORY_POWER, parameters.MEMORY_OF_WORK]
-    if known and np.any(p[:, at] != wanted):
+    if np.any(p[:, parameters.MEMORY] > 0.0) and np.any(p[:, at] != wanted):
         return np.zeros(design.measured_rad_s.size)  # another shape is taken already
     p[:, parameters.MEMORY] += MEMORY_STEP_M
     p[:, at] = wanted
-    return (sensitivity.innovations(design, i._replace(parameters=p))[0]
-            - linear.nu) / MEMORY_STEP_M
+    return (sensitivity.innovations(design, i._replace(parameters=p))[0] - linear.nu) / MEMORY_STEP_M
 
 
 def _priors(design: Design, explanation: Explanation, matrix: SensitivityMatrix, A: np.ndarray, b: np.ndarray) -> None:
@@ -136,47 +164,47 @@ def base_columns(matrix: SensitivityMatrix) -> list[int]:
 
 
 def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(-A^-1 b, A^-1), scaled columns first."""
+    """(-A^-1 b, A^-1), scaled columns first. Raises ConfigError where the data let no column be told from another."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
-    factor = cho_factor(A * scale * scale[:, None] + 1e-10 * np.eye(len(b)))
+    try:
+        factor = cho_factor(A * scale * scale[:, None] + 1e-10 * np.eye(len(b)))
+    except LinAlgError:
+        raise ConfigError("the fit cannot be solved: what a change does to the replay grows beyond bounds, as where "
+                          "adhesion falls steeply under wheels that slide at low speed; let the recordings end at a "
+                          "higher speed (6 m/s, say), or leave the run out that does so") from None
     inverse = cho_solve(factor, np.eye(len(b))) * scale * scale[:, None]
     return -inverse @ b, inverse
 
 
-def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = True,
-        tolerance: float = 0.05, free: tuple[str, ...] = ()
-        ) -> tuple[Explanation, float, np.ndarray]:
+def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = True, tolerance: float = 0.05,
+        free: tuple[str, ...] = ()) -> tuple[Explanation, float, np.ndarray]:
     """Best explanation of the same causes: (explanation, deviance, covariance of cause values).
 
     With `free` only the base parameters whose labels begin so are fitted, and no cause.
     """
-    value = deviance(design, explanation)
-    covariance = np.zeros((0, 0))
+    value, covariance = deviance(design, explanation), np.zeros((0, 0))
     for step in range(steps):
         if noise and step in (1, 3, 5) and step + 1 < steps:
             explanation, value = fit_noise(design, explanation, value)
-        found, _, _, _ = normal(design, explanation, False)
-        own = [c for c in base_columns(found.matrix)
-               if not free or found.matrix.columns[c].label.startswith(free)]
-        at = own + ([] if free else _cause_columns(found.matrix, explanation))
+        found, _, _ = normal(design, explanation, False)
+        own = [c for c in base_columns(found.matrix) if not free or found.matrix.columns[c].label.startswith(free)]
+        causes = () if free else explanation.causes
+        at = own + [c for cause in causes if (same := found.matrix.variant_of(cause)) for c in same.columns]
         if not np.all(np.isfinite(found.A[np.ix_(at, at)])):
             break
         change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
         rest = [k for k, c in enumerate(at) if found.matrix.columns[c].cause != MEMORY]
         if len(rest) < len(at):
-            change = np.zeros(len(at))
-            left = [at[k] for k in rest]
+            change, left = np.zeros(len(at)), [at[k] for k in rest]
             change[rest] = solve(found.A[np.ix_(left, left)], found.b[left])[0]
         labels = [found.matrix.columns[c].label for c in own]
-        explanation, better = _search(design, explanation, labels, change, value)
-        explanation, better = _memory(design, explanation, better)
-        gained, value = value - better, better
-        if gained < tolerance and step > 3:
+        before = value
+        explanation, value = _memory(design, *_search(design, explanation, labels, change, value))
+        if before - value < tolerance and step > 3:
             break
     size = sum(len(cause.values) for cause in explanation.causes)
-    if size > len(covariance):
-        return explanation, value, np.full((size, size), np.inf)
-    return explanation, value, covariance[-size:, -size:] if size else np.zeros((0, 0))
+    at_cause = len(covariance) - size
+    return explanation, value, covariance[at_cause:, at_cause:] if at_cause >= 0 else np.full((size, size), np.inf)
 
 
 def _memory(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
@@ -186,8 +214,7 @@ def _memory(design: Design, explanation: Explanation, value: float) -> tuple[Exp
         return explanation, value
 
     def moved(length_m: float) -> Explanation:
-        cause = explanation.causes[at]._replace(values=(length_m,))
-        return explanation._replace(causes=(*explanation.causes[:at], cause, *explanation.causes[at + 1:]))
+        return explanation.with_cause(at, explanation.causes[at]._replace(values=(length_m,)))
 
     now = explanation.causes[at].values[0]
     best = minimize_scalar(lambda x: deviance(design, moved(x)), method="bounded",
@@ -195,13 +222,8 @@ def _memory(design: Design, explanation: Explanation, value: float) -> tuple[Exp
     return (moved(float(best.x)), float(best.fun)) if best.fun < value else (explanation, value)
 
 
-def _cause_columns(matrix: SensitivityMatrix, explanation: Explanation) -> list[int]:
-    return [c for cause in explanation.causes for c in next(
-        v.columns for v in matrix.variants if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape))]
-
-
-def _search(design: Design, explanation: Explanation, labels: list[str], change: np.ndarray,
-            value: float) -> tuple[Explanation, float]:
+def _search(design: Design, explanation: Explanation, labels: list[str], change: np.ndarray, value: float
+            ) -> tuple[Explanation, float]:
     """The step, halved until it improves."""
     share = 1.0
     for _ in range(5):
@@ -227,26 +249,21 @@ def _search(design: Design, explanation: Explanation, labels: list[str], change:
 
 def bounded(cause: Cause) -> Cause:
     """The cause with its coefficients inside the bounds of the table of mechanisms."""
-    mechanism, limited = table.OF[cause.name].mechanism, []
-    for k, value in enumerate(cause.values):
-        row = mechanism.parameters[min(k, mechanism.free - 1)]
-        limited.append(float(np.clip(value, -row.high if table.OF[cause.name].phase else row.low, row.high)))
-    return cause._replace(values=tuple(limited))
+    search, m = table.OF[cause.name], table.OF[cause.name].mechanism
+    rows = [m.parameters[min(k, m.free - 1)] for k in range(len(cause.values))]
+    return cause._replace(values=tuple(float(np.clip(value, -row.high if search.phase else row.low, row.high))
+                                       for value, row in zip(cause.values, rows, strict=True)))
 
 
 def fit_noise(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
     """Strength and length of the irregularity of greatest likelihood, the rest kept."""
 
-    def cost(x: np.ndarray) -> float:
-        return deviance(design, explanation._replace(sigma=float(np.exp(x[0])),
-                                                     length_m=float(np.exp(x[1]))))
+    def rough(x: np.ndarray) -> Explanation:
+        return explanation._replace(sigma=float(np.exp(x[0])), length_m=float(np.exp(x[1])))
 
     x0 = np.log([explanation.sigma, explanation.length_m])
     simplex = x0 + np.array([[0.0, 0.0], [-0.15, 0.0], [0.0, -0.3]])
-    best = minimize(cost, x0, method="Nelder-Mead", bounds=[(np.log(1e-3), np.log(0.5)),
-                                                            (np.log(1.0), np.log(LONGEST_M))],
+    best = minimize(lambda x: deviance(design, rough(x)), x0, method="Nelder-Mead",
+                    bounds=np.log([(1e-3, 0.5), (1.0, LONGEST_M)]),
                     options={"maxfev": 18, "initial_simplex": simplex, "fatol": 0.3})
-    if best.fun < value:
-        return explanation._replace(sigma=float(np.exp(best.x[0])), length_m=float(np.exp(best.x[1]))), \
-            float(best.fun)
-    return explanation, value
+    return (rough(best.x), float(best.fun)) if best.fun < value else (explanation, value)

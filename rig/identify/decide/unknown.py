@@ -23,8 +23,7 @@ from rollerrig.rig.identify.filter import sensitivity
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, Covariate
 
 MOST_TRIED = 3
-# likelihood that two coefficients (and a period) must earn
-LEAST = 20.0
+LEAST = 20.0  # likelihood that two coefficients (and a period) must earn
 PERIODS_M = np.geomspace(4.0, 150.0, 400)
 _WORDS = {c.word: (code, c) for code, c in enumerate(COVARIATES, start=1) if c.word}
 
@@ -59,8 +58,7 @@ def find(design: Design, held: Design | None, base: Explanation, remainder: Sequ
     return None
 
 
-def _shapes(design: Design, base: Explanation, remainder: Sequence[Finding]
-            ) -> list[dict[str, float]]:
+def _shapes(design: Design, base: Explanation, remainder: Sequence[Finding]) -> list[dict[str, float]]:
     names = [f.name.removeprefix("along ") for f in sorted(remainder, key=lambda f: f.p_value)]
     found = []
     for name in names:
@@ -76,8 +74,7 @@ def _shapes(design: Design, base: Explanation, remainder: Sequence[Finding]
         shape = {"covariate": float(code), "centre": float(np.mean(x)), "scale": float(np.std(x))}
         found.append({**shape, "on_vehicle": 1.0} if on_vehicle else shape)
     found = found[:MOST_TRIED]
-    found.append({"covariate": float(_WORDS["place"][0]),
-                  "period": _period(design, base)})
+    found.append({"covariate": float(_WORDS["place"][0]), "period": _period(design, base)})
     return found
 
 

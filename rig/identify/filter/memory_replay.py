@@ -13,35 +13,38 @@ Source: Simon, Optimal State Estimation (2006), section 13.2; Hochbruck and Oste
 integrators (2010), section 2.
 """
 
-import cmath
 import math
 
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.identify.filter import replay
 from rollerrig.rig.kernel import kernel
 
-# deviation of lambda at the start, when the wheel rolls
-_BEGINS = 0.02
+_BEGINS = 0.02  # deviation of lambda at the start, when the wheel rolls
 
 
 @kernel
-def phi(z):
-    """(e^z - 1) / z."""
-    return (cmath.exp(z) - 1.0) / z if abs(z) > 1e-4 else 1.0 + 0.5 * z + z * z / 6.0
+def phi(z, power):
+    """(e^z - 1) / z, given e^z."""
+    return (power - 1.0) / z if abs(z) > 1e-4 else 1.0 + 0.5 * z + z * z / 6.0
 
 
 @kernel
 def step_of(a, g, d, c, h):
     """e^(A h) and phi(A h) h of A = [[a, g], [d, c]], row by row: eight numbers [Y2]."""
-    middle, root = 0.5 * (a + c), cmath.sqrt(complex(0.25 * (a - c) ** 2 + g * d, 0.0))
-    if abs(root) * h < 1e-5:
-        root = complex(1e-5 / h, 0.0)
-    z1, z2 = (middle + root) * h, (middle - root) * h
-    if z1.real > 5.0:  # a fall this steep is left within a sample
-        z1 = complex(5.0, z1.imag)
-    e1, e2, p1, p2 = cmath.exp(z1), cmath.exp(z2), phi(z1) * h, phi(z2) * h
-    e, p = ((e1 - e2) / (2.0 * root)).real, ((p1 - p2) / (2.0 * root)).real
-    e0, p0 = (0.5 * (e1 + e2)).real, (0.5 * (p1 + p2)).real
+    middle, square = 0.5 * (a + c), 0.25 * (a - c) ** 2 + g * d
+    root = math.sqrt(abs(square))
+    if root * h < 1e-5:
+        root, square = 1e-5 / h, 1.0
+    if square > 0.0:
+        z1, z2 = min((middle + root) * h, 5.0), (middle - root) * h  # a fall this steep is left within a sample
+        e1, e2 = math.exp(z1), math.exp(z2)
+        p1, p2 = phi(z1, e1) * h, phi(z2, e2) * h
+        e, p, e0, p0 = (e1 - e2) / (2.0 * root), (p1 - p2) / (2.0 * root), 0.5 * (e1 + e2), 0.5 * (p1 + p2)
+    else:  # a pair of conjugates
+        z = complex(min(middle * h, 5.0), root * h)
+        turned = math.exp(z.real) * complex(math.cos(z.imag), math.sin(z.imag))
+        given = phi(z, turned) * h
+        e, p, e0, p0 = turned.imag / root, given.imag / root, turned.real, given.real
     return (e0 + e * (a - middle), e * g, e * d, e0 + e * (c - middle),
             p0 + p * (a - middle), p * g, p * d, p0 + p * (c - middle))
 
@@ -101,8 +104,7 @@ def replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, v
             n22 = (e10 * e10 * p00 + e11 * e11 * p22 + b2 * b2 * p11
                    + 2.0 * (e10 * e11 * p02 + e10 * b2 * p01 + e11 * b2 * p12))
             n02 = (e00 * e10 * p00 + e01 * e11 * p22 + b0 * b2 * p11
-                   + (e00 * e11 + e01 * e10) * p02 + (e00 * b2 + e10 * b0) * p01
-                   + (e01 * b2 + e11 * b0) * p12)
+                   + (e00 * e11 + e01 * e10) * p02 + (e00 * b2 + e10 * b0) * p01 + (e01 * b2 + e11 * b0) * p12)
             n01 = keep * (e00 * p01 + e01 * p12 + b0 * p11)
             n12 = keep * (e10 * p01 + e11 * p12 + b2 * p11)
             q = p[15] * p[15] * (1.0 - keep * keep)
@@ -119,13 +121,11 @@ def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, var
     if p[14] > 0.0:
         replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state)
     else:
-        replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance,
-                            state)
+        replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state)
 
 
 @kernel
-def replay_wheels(start, measured, torque, load, speed, friction_log, parameters, step_s, nu,
-                  variance, state):
+def replay_wheels(start, measured, torque, load, speed, friction_log, parameters, step_s, nu, variance, state):
     """All segments; `parameters` (segments, PARAMETERS)."""
     for s in range(start.size - 1):
         a, b = start[s], start[s + 1]

@@ -1,10 +1,9 @@
 """Replays measured runs through the model, one sample ahead: what the model cannot say beforehand.
 
-Each wheel has an extended Kalman filter that is fed the measured torque, load and vehicle speed
-and predicts the next wheel speed. Its second state m is the irregularity of the rail, a random
-walk with a spring in distance: noise, never an explanation. The vehicle has a filter of its own
-that knows no adhesion law: only torque, resistance and mass move it. The innovations, divided by
-their predicted deviation, are white with variance 1 if the model is right.
+Each wheel has an extended Kalman filter that is fed the measured torque, load and vehicle speed and predicts the next
+wheel speed. Its second state m is the irregularity of the rail, a random walk with a spring in distance: noise, never
+an explanation. The vehicle has a filter of its own that knows no adhesion law: only torque, resistance and mass move
+it. The innovations, divided by their predicted deviation, are white with variance 1 if the model is right.
 
     [R1] J domega/dt = r N f(v - r omega, v, N) exp(m) - C;  exponential step, exact when linear
     [R2] m: Ornstein-Uhlenbeck in distance, deviation sigma, correlation length L
@@ -30,16 +29,13 @@ def curves(sliding, speed, load_N, friction_log, p):
     """What `adhesion.curves` gives of one wheel under its own load, friction times exp(friction_log)."""
     scale = math.exp(friction_log)
     base = adhesion.Law(p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[19])
-    here = adhesion.law_under(p[2] * scale, p[3] * scale, adhesion.creepage_of(sliding, speed), base)
+    here = adhesion.law_under(p[2] * scale, p[3] * scale, 1.0, base)
     return adhesion.curves(sliding, speed, load_N, p[13], here)
 
 
 @kernel
 def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
-    """(f, df/dsliding, lambda) of one wheel under its own load; f is odd in sliding.
-
-    `p` a row of parameters, `remembered` the lagging lambda, `share` what it closes [R4].
-    """
+    """(f, df/dsliding, lambda) of one wheel, f odd; lambda closes a `share` of its way from `remembered` [R4]."""
     f_d, f_r, low, high, k, slope_k = curves(sliding, speed, load_N, friction_log, p)
     lagging = remembered if share < 1.0 else adhesion.NO_MEMORY
     f, done, rise, steep = adhesion.f_and_lambda(f_d, f_r, low, high, k, slope_k, lagging, p[21])
@@ -52,33 +48,65 @@ def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
 
 @kernel
 def closes(speed, step_s, p):
-    """Share of its way that lambda goes in a step [R4]."""
-    return -math.expm1(-step_s * adhesion.lag_rate_1_s(speed, p[14], p[20]))
+    """Share of its way that lambda goes in a step [R4]; all of it where recovery does not lag."""
+    return -math.expm1(-step_s * adhesion.lag_rate_1_s(speed, p[14], p[20])) if p[14] > 0.0 else 1.0
+
+
+@kernel
+def along(sliding, speed, load, friction_log, p, step_s, late, follow, out):
+    """(f, df/dsliding) of one wheel, shape (2, n), from lambda before each sample, `late` (n + 1), which may follow."""
+    for k in range(sliding.size):
+        out[0, k], out[1, k], done = wheel_adhesion(sliding[k], speed[k], 0.5 * load[k], friction_log[k], p, late[k],
+                                                    closes(speed[k], step_s, p))
+        if follow:
+            late[k + 1] = done
+
+
+@kernel_inlined
+def corrected(measured, omega, m, p00, p01, p11, noise):
+    """(innovation, its variance, omega, m, p00, p01, p11) after a sample; `noise` the variance of the sensor."""
+    innovation, S = measured - omega, p00 + noise
+    most = 6.0 * math.sqrt(S)  # an outlier moves the state no further than this
+    taken = math.copysign(most, innovation) if abs(innovation) > most else innovation
+    g0, g1 = p00 / S, p01 / S
+    return (innovation, S, omega + g0 * taken, m + g1 * taken, p00 * (1.0 - g0), p01 * (1.0 - g0), p11 - g1 * p01)
+
+
+@kernel_inlined
+def moved(omega, m, p00, p01, p11, late, v, N, C, log_mu, p, step_s):
+    """(omega, m, p00, p01, p11, lambda) after a substep of a sample."""
+    r, inertia, h = p[0], p[1], step_s / SUBSTEPS
+    q_omega = (step_s * p[18] / inertia) ** 2
+    f, rise, late = wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, late, closes(v, h, p))
+    field = math.exp(m)
+    drive = r * N * f * field
+    a = -r * r * N * rise * field / inertia
+    x = a * h
+    if abs(x) > 1e-6:
+        x = min(x, 5.0)
+        growth = math.exp(x)
+        phi = math.expm1(x) / x
+    else:
+        growth, phi = 1.0 + x, 1.0 + 0.5 * x
+    omega += h * phi * (drive - C) / inertia  # exponential Euler
+    b = h * phi * drive / inertia
+    keep = math.exp(-v * h / p[16])
+    n00 = growth * growth * p00 + 2.0 * growth * b * p01 + b * b * p11
+    n01 = keep * (growth * p01 + b * p11)
+    # noise of m acts while it comes up: [R5]
+    q = p[15] * p[15] * (1.0 - keep * keep)
+    return (omega, m * keep, n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS, n01 + 0.5 * b * q,
+            keep * keep * p11 + q, late)
 
 
 @kernel
 def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state):
     """Innovations of one wheel [R1]: writes nu and variance, shape (n,), and filtered m in `state`."""
-    r, inertia = p[0], p[1]
-    h = step_s / SUBSTEPS
     noise = p[17] * p[17]
     omega, m, late = measured[0], 0.0, 0.0
     p00, p01, p11 = noise, 0.0, p[15] * p[15]
-    q_omega = (step_s * p[18] / inertia) ** 2
     for k in range(measured.size):
-        innovation = measured[k] - omega
-        S = p00 + noise
-        if k == 0:
-            S = noise + noise
-        nu[k], variance[k] = innovation, S
-        if abs(innovation) > 6.0 * math.sqrt(S):  # an outlier moves the state no further than this
-            innovation = math.copysign(6.0 * math.sqrt(S), innovation)
-        g0, g1 = p00 / S, p01 / S
-        omega += g0 * innovation
-        m += g1 * innovation
-        p11 -= g1 * p01
-        p01 *= 1.0 - g0
-        p00 *= 1.0 - g0
+        nu[k], variance[k], omega, m, p00, p01, p11 = corrected(measured[k], omega, m, p00, p01, p11, noise)
         state[k] = m
         if k + 1 == measured.size:
             break
@@ -88,31 +116,7 @@ def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, var
             N = (1.0 - w) * load[k] + w * load[k + 1]
             C = (1.0 - w) * torque[k] + w * torque[k + 1]
             log_mu = (1.0 - w) * friction_log[k] + w * friction_log[k + 1]
-            share = 1.0
-            if p[14] > 0.0:
-                share = closes(v, h, p)
-            f, rise, late = wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, late, share)
-            field = math.exp(m)
-            drive = r * N * f * field
-            a = -r * r * N * rise * field / inertia
-            x = a * h
-            if abs(x) > 1e-6:
-                x = min(x, 5.0)
-                growth = math.exp(x)
-                phi = math.expm1(x) / x
-            else:
-                growth, phi = 1.0 + x, 1.0 + 0.5 * x
-            omega += h * phi * (drive - C) / inertia  # exponential Euler
-            b = h * phi * drive / inertia
-            keep = math.exp(-v * h / p[16])
-            m *= keep
-            n00 = growth * growth * p00 + 2.0 * growth * b * p01 + b * b * p11
-            n01 = keep * (growth * p01 + b * p11)
-            # noise of m acts while it comes up: [R5]
-            q = p[15] * p[15] * (1.0 - keep * keep)
-            p11 = keep * keep * p11 + q
-            p00 = n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS
-            p01 = n01 + 0.5 * b * q
+            omega, m, p00, p01, p11, late = moved(omega, m, p00, p01, p11, late, v, N, C, log_mu, p, step_s)
 
 
 @kernel

@@ -16,25 +16,25 @@ import numpy as np
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.filter import memory_replay, replay
+from rollerrig.rig.identify.filter import lanes, memory_replay, replay
 from rollerrig.rig.kernel import kernel, kernel_with_memory
 
 # changes of the wheel's acceleration for a change of ln: friction, load, radius, the irregularity m
 RATES = ("friction", "load", "radius", "irregularity")
 _COEFFICIENTS = 6
-# change of ln for which parameters are given
-STEP = 0.01
+STEP = 0.01  # change of ln for which parameters are given
+LEAST = 1e-16  # a smaller answer is none: products of such numbers are subnormal, and a hundred times slower
 
 
 class Linear(NamedTuple):
-    """A replay with its coefficients: flat arrays (n,), (n, 6), (n, RATES)."""
+    """A replay with its coefficients: flat arrays (n,), (n, 6), (RATES, n)."""
 
     nu: np.ndarray
     variance: np.ndarray
     field: np.ndarray
     coefficients: np.ndarray
     rates: np.ndarray
-    constants: np.ndarray  # (n, changes): the same for a step of other parameters, over the step
+    constants: np.ndarray  # (changes, n): the same for a step of other parameters, over the step
     sliding_m_s: np.ndarray  # (n,) known before the next sample, so are the next two
     energy_J_m: np.ndarray
     acceleration_rad_s2: np.ndarray
@@ -52,53 +52,6 @@ class Inputs(NamedTuple):
     parameters: np.ndarray
     mass_kg: np.ndarray
     force_N: np.ndarray  # (vehicle samples,) added to the resistance
-
-
-@kernel_with_memory
-def coefficients_of(measured, torque, load, speed, friction_log, p, changed, step_s, nu, variance, field, co,
-                    rates, constants, path):
-    """One wheel: replays it, then stores [S1] along the filtered path; `changed` (changes, PARAMETERS)."""
-    memory_replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, field)
-    r, inertia = p[0], p[1]
-    noise = p[17] * p[17]
-    h = 0.5 * step_s
-    late = 0.0
-    for k in range(measured.size):
-        S = variance[k]
-        p00 = max(S - noise, 0.0)
-        omega = measured[k] - nu[k] + p00 / S * nu[k]
-        v, N, C, log_mu = speed[k], load[k], torque[k], friction_log[k]
-        share = 1.0
-        if p[14] > 0.0:
-            share = replay.closes(v, step_s, p)
-        before = late
-        f, rise, late = replay.wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, before, share)
-        force = r * N * math.exp(field[k]) / inertia
-        path[k, 0] = v - r * omega
-        path[k, 1] = f * 0.5 * N * (v - r * omega) / v
-        path[k, 2] = force * f - C / inertia
-        a = -r * rise * force
-        x = min(a * h, 5.0)
-        growth = math.exp(x)
-        phi = math.expm1(x) / x if abs(x) > 1e-6 else 1.0 + 0.5 * x
-        keep = math.exp(-v * h / p[16])
-        b = h * phi * force * f
-        co[k, 0] = growth * growth
-        co[k, 1] = b * (growth + keep)
-        co[k, 2] = keep * keep
-        co[k, 3] = h * phi * (1.0 + growth)
-        co[k, 4] = p00 / S
-        s = v - r * omega
-        rates[k, 0] = force * (replay.wheel_adhesion(s, v, 0.5 * N, log_mu + STEP, p, before, share)[0]
-                               - f) / STEP
-        more = N * (1.0 + STEP)
-        rates[k, 1] = force * (replay.wheel_adhesion(s, v, 0.5 * more, log_mu, p, before, share)[0]
-                               * more / N - f) / STEP
-        rates[k, 2] = force * f + a * omega  # lever, and sliding
-        rates[k, 3] = force * f
-        for i in range(changed.shape[0]):
-            constants[k, i] = force * (replay.wheel_adhesion(s, v, 0.5 * N, log_mu, changed[i], before, share)[0]
-                                       - f) / STEP
 
 
 @kernel
@@ -133,7 +86,7 @@ def answer(changes, variance, co, out):
         F00, F01, keep, H, g0, g1 = co[k, 0], co[k, 1], co[k, 2], co[k, 3], co[k, 4], co[k, 5]
         for c in range(columns):
             w = d_omega[c]
-            out[k, c] = -w * scale
+            out[k, c] = -w * scale if abs(w * scale) > LEAST else 0.0
             m = d_m[c] - g1 * w
             w -= g0 * w
             d_omega[c] = F00 * w + F01 * m + H * changes[k, c]
@@ -150,60 +103,100 @@ def vehicle_answer(changes, variance, noise, step_s, out):
         kept = noise * noise / variance[k]
         last = k + 1 == changes.shape[0]
         for c in range(columns):
-            out[k, c] = -d_u[c] * scale
+            out[k, c] = -d_u[c] * scale if abs(d_u[c] * scale) > LEAST else 0.0
             if not last:
                 d_u[c] = kept * d_u[c] + 0.5 * step_s * (changes[k, c] + changes[k + 1, c])
 
 
 def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> Linear:
-    """Replay all wheels and vehicles and keep the coefficients.
-
-    `changed` (segments, changes, PARAMETERS) are parameters of which one differs by STEP of its ln.
-    """
+    """Replay all, keep coefficients; `changed` (segments, changes, PARAMETERS): parameters, one of them STEP larger."""
     n = design.measured_rad_s.size
-    nu, variance, field = np.empty(n), np.empty(n), np.empty(n)
-    co, rates, path = np.empty((n, _COEFFICIENTS)), np.empty((n, len(RATES))), np.empty((n, 3))
-    constants = np.empty((n, changed.shape[1]))
+    found = nu, variance, field = replay_wheels(design, inputs)
+    co, rates, path = np.empty((n, _COEFFICIENTS)), np.empty((len(RATES), n)), np.empty((3, n))
+    constants = np.empty((changed.shape[1], n))
     for s in range(design.segments):
-        at = design.span(s)
-        p = inputs.parameters[s]
-        coefficients_of(design.measured_rad_s[at], inputs.torque_Nm[at], inputs.load_N[at],
-                        inputs.speed_m_s[at], inputs.friction_log[at], p, changed[s], design.step_s, nu[at],
-                        variance[at], field[at], co[at], rates[at], constants[at], path[at])
-        gains(variance[at], co[at], p, design.step_s, inputs.speed_m_s[at], inputs.load_N[at],
-              inputs.torque_Nm[at])
+        at, p = design.span(s), inputs.parameters[s]
+        _coefficients(design, inputs, s, changed[s], found[:, at], co[at], rates[:, at], constants[:, at], path[:, at])
+        gains(variance[at], co[at], p, design.step_s, inputs.speed_m_s[at], inputs.load_N[at], inputs.torque_Nm[at])
     vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
-    return Linear(
-        nu=nu, variance=variance, field=field, coefficients=co, rates=rates, constants=constants,
-        sliding_m_s=path[:, 0], energy_J_m=path[:, 1], acceleration_rad_s2=path[:, 2], vehicle_nu=vehicle_nu,
-        vehicle_variance=vehicle_variance)
+    return Linear(nu=nu, variance=variance, field=field, coefficients=co, rates=rates, constants=constants,
+                  sliding_m_s=path[0], energy_J_m=path[1], acceleration_rad_s2=path[2], vehicle_nu=vehicle_nu,
+                  vehicle_variance=vehicle_variance)
+
+
+def _coefficients(design: Design, inputs: Inputs, s: int, changed: np.ndarray, found: np.ndarray, co: np.ndarray,
+                  rates: np.ndarray, constants: np.ndarray, path: np.ndarray) -> None:
+    """One wheel: stores [S1] along the filtered path."""
+    at, p, (nu, S, field) = design.span(s), inputs.parameters[s], found
+    r, inertia, h = p[parameters.RADIUS], p[parameters.INERTIA], 0.5 * design.step_s
+    p00 = np.maximum(S - p[parameters.NOISE] ** 2, 0.0)
+    omega = design.measured_rad_s[at] - nu + p00 / S * nu
+    v, N, log_mu = inputs.speed_m_s[at], inputs.load_N[at], inputs.friction_log[at]
+    sliding, late = v - r * omega, np.zeros(v.size + 1)
+    f, rise = replay_law(sliding, v, N, log_mu, p, design.step_s, late, True)
+
+    def changes(load: np.ndarray, friction_log: np.ndarray, row: np.ndarray) -> np.ndarray:
+        return replay_law(sliding, v, load, friction_log, row, design.step_s, late, False)[0]
+
+    force = r * N * np.exp(field) / inertia
+    path[:] = sliding, f * 0.5 * N * sliding / v, force * f - inputs.torque_Nm[at] / inertia
+    a = -r * rise * force
+    x = np.minimum(a * h, 5.0)
+    growth, keep = np.exp(x), np.exp(-v * h / p[parameters.LENGTH])
+    some = np.where(np.abs(x) > 1e-6, x, 1.0)
+    phi = np.where(np.abs(x) > 1e-6, np.expm1(some) / some, 1.0 + 0.5 * x)
+    b = h * phi * force * f
+    co[:, :5] = np.array([growth * growth, b * (growth + keep), keep * keep, h * phi * (1.0 + growth), p00 / S]).T
+    rates[0] = force * (changes(N, log_mu + STEP, p) - f) / STEP
+    more = N * (1.0 + STEP)
+    rates[1] = force * (changes(more, log_mu, p) * more / N - f) / STEP
+    rates[2] = force * f + a * omega  # lever, and sliding
+    rates[3] = force * f
+    for i, row in enumerate(changed):
+        constants[i] = force * (changes(N, log_mu, row) - f) / STEP
+
+
+def replay_law(sliding: np.ndarray, speed: np.ndarray, load: np.ndarray, friction_log: np.ndarray, p: np.ndarray,
+               step_s: float, late: np.ndarray, follow: bool) -> np.ndarray:
+    """(f, df/dsliding) along a path, shape (2, n); with `follow` writes lambda before each sample into `late`."""
+    out = np.empty((2, sliding.size))
+    if p[parameters.MEMORY] == 0.0:
+        lanes.along(sliding, speed, load, friction_log, p, np.empty(lanes.LONG), out)
+    if p[parameters.MEMORY] > 0.0 or not np.all(np.isfinite(out)):
+        replay.along(sliding, speed, load, friction_log, p, step_s, late, follow, out)
+    return out
 
 
 def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
     """(nu, variance, filtered m, vehicle nu, vehicle variance)."""
-    n = design.measured_rad_s.size
-    nu, variance, field = np.empty(n), np.empty(n), np.empty(n)
-    memory_replay.replay_wheels(
-        design.start, design.measured_rad_s, inputs.torque_Nm, inputs.load_N, inputs.speed_m_s,
-        inputs.friction_log, inputs.parameters, design.step_s, nu, variance, field)
-    return (nu, variance, field, *replay_vehicles(design, inputs))
+    return (*replay_wheels(design, inputs), *replay_vehicles(design, inputs))
+
+
+def replay_wheels(design: Design, i: Inputs) -> np.ndarray:
+    """(nu, variance, filtered m) of all wheels, shape (3, n)."""
+    given = np.array([i.speed_m_s, i.load_N, i.torque_Nm, i.friction_log])
+    out, cells = np.empty((3, design.measured_rad_s.size)), np.empty(lanes.CELLS)
+    for run in range(design.mass_kg.size):
+        own = slice(run * AXLES, (run + 1) * AXLES)
+        start, p = design.start[run * AXLES:(run + 1) * AXLES + 1], i.parameters[own]
+        at = slice(int(start[0]), int(start[-1]))
+        if not np.any(p[:, parameters.MEMORY] > 0.0):
+            lanes.replay_run(start, design.measured_rad_s, given, p, design.step_s, cells, out)
+            if np.all(np.isfinite(out[0, at])):
+                continue
+        memory_replay.replay_wheels(start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction_log,
+                                    p, design.step_s, *out)
+    return out
 
 
 def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     """Force over mass on a vehicle, m/s2, shape (samples,)."""
-    spans = [design.span(run * AXLES + j) for j in range(AXLES)]
-    v = design.speed_m_s[spans[0]]
+    v = design.speed_m_s[design.span(run * AXLES)]
     A, B, C = design.resistance
-    own = design.vehicle_span(run)
-    force = A + B * v + C * v * v + inputs.force_N[own]
-    for j, at in enumerate(spans):
-        force = force + inputs.torque_Nm[at] / inputs.parameters[run * AXLES + j, parameters.RADIUS]
+    force = A + B * v + C * v * v + inputs.force_N[design.vehicle_span(run)]
+    for s in range(run * AXLES, (run + 1) * AXLES):
+        force = force + inputs.torque_Nm[design.span(s)] / inputs.parameters[s, parameters.RADIUS]
     return force / inputs.mass_kg[run]
-
-
-def vehicle_torque_noise(design: Design, run: int) -> float:
-    """Deviation in m/s2 of one sample of the measured force over mass."""
-    return float(2.0 * design.torque_noise_Nm[run] / (design.base[0] * design.mass_kg[run]))
 
 
 def replay_vehicles(design: Design, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
@@ -212,8 +205,8 @@ def replay_vehicles(design: Design, inputs: Inputs) -> tuple[np.ndarray, np.ndar
     nu, variance = np.empty(total), np.empty(total)
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
-        replay.replay_vehicle(
-            design.vehicle_m_s[at] + design.wheels_m_s[at], vehicle_force(design, inputs, run),
-            design.step_s, design.speed_noise_m_s, vehicle_torque_noise(design, run), nu[at],
-            variance[at])
+        # deviation in m/s2 of one sample of the measured force over mass
+        noise_m_s2 = float(2.0 * design.torque_noise_Nm[run] / (design.base[parameters.RADIUS] * design.mass_kg[run]))
+        replay.replay_vehicle(design.vehicle_m_s[at] + design.wheels_m_s[at], vehicle_force(design, inputs, run),
+                              design.step_s, design.speed_noise_m_s, noise_m_s2, nu[at], variance[at])
     return nu, variance

@@ -12,6 +12,7 @@ Source: Atkinson and Donev, Optimum Experimental Designs (1992), chapter 20.
 A stop with the brake on one wheelset only keeps its speed for long: sliding at a steady speed.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -20,13 +21,11 @@ import numpy as np
 
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.causes.columns import BASE
-from rollerrig.rig.identify.data import preparation
-from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import simulate, tuning
 from rollerrig.rig.identify.decide.evidence import Finding, generic
 from rollerrig.rig.identify.decide.explain import Account
-from rollerrig.rig.identify.decide.tuning import Normal
 from rollerrig.rig.identify.next import prototype
 from rollerrig.rig.identify.next.prototype import Stop
 
@@ -34,6 +33,7 @@ SPEEDS_M_S = (14.0, 24.0, 36.0, 50.0)
 PRESSURES_PA = (1.2e5, 3.8e5)
 LADEN = 1.25
 STEADY_M_S = (14.0, 38.0)
+HELD_M_S, HELD_S = (12.0, 35.0), 30.0  # only rollers hold a speed: what tells friction by speed from friction by time
 MOST_RIVALS = 3
 Progress = Callable[[str, float], None]
 
@@ -91,25 +91,23 @@ def surviving(account: Account) -> tuple[Finding, ...]:
     return tuple(chosen.values())
 
 
-def ground(account: Account) -> Ground:
-    """The ground of an account."""
-    return Ground(account.data, account.design, account.final)
-
-
 def possible(data: Dataset, chosen: Sequence[Finding]) -> tuple[Stop, ...]:
     """The stops among which is chosen."""
     mass_kg = float(data.sections["vehicle"]["mass_kg"])
     axles = sorted({f.axle for f in chosen if f.axle}) or [1]
-    full = [Stop(v, p, m, 0) for v in SPEEDS_M_S for p in PRESSURES_PA
-            for m in (mass_kg, LADEN * mass_kg)]
-    return tuple(full + [Stop(v, PRESSURES_PA[-1], mass_kg, axle) for v in STEADY_M_S for axle in axles])
+    full = [Stop(v, p, m, 0) for v in SPEEDS_M_S for p in PRESSURES_PA for m in (mass_kg, LADEN * mass_kg)]
+    rollers = math.isfinite(data.sections["contact"]["roller_radius_m"])
+    held = [Stop(v, PRESSURES_PA[-1], mass_kg, 0, HELD_S) for v in HELD_M_S if rollers]
+    return tuple(full + [Stop(v, PRESSURES_PA[-1], mass_kg, axle) for v in STEADY_M_S for axle in axles] + held)
 
 
 def library(on: Ground, chosen: Sequence[Finding], progress: Progress) -> Library:
     """Information of the data at hand and of each possible stop; a fifth of a second a stop."""
     if not chosen:
         return Library((), Table((), np.zeros((0, 0))), (), ())
-    explanation = _zero(on.explanation, chosen)
+    # the base with all candidates at size 0, so that their shapes have columns
+    explanation = on.explanation._replace(causes=tuple(
+        Cause(f.name, f.axle, f.shape, (0.0,) * len(f.estimate)) for f in chosen))
     known = _table(tuning.normal(on.design, explanation, False)[0], chosen, "known")
     stops, kept, tables = possible(on.data, chosen), [], []
     for k, stop in enumerate(stops):
@@ -164,16 +162,9 @@ def _schur(tables: Sequence[Table], names: Sequence[str]) -> np.ndarray:
     return A[:n, :n] - cross.T @ np.linalg.solve(inner, cross)  # [L1]
 
 
-def _zero(explanation: Explanation, chosen: Sequence[Finding]) -> Explanation:
-    """The base with all candidates at size 0, so that their shapes have columns."""
-    return explanation._replace(causes=tuple(
-        Cause(f.name, f.axle, f.shape, (0.0,) * len(f.estimate)) for f in chosen))
-
-
-def _table(normal: Normal, chosen: Sequence[Finding], name: str) -> Table:
+def _table(normal: tuning.Normal, chosen: Sequence[Finding], name: str) -> Table:
     """One column for each candidate, times its size; base columns of single runs get the set's name."""
-    columns = normal.matrix.columns
-    base = [c for c, column in enumerate(columns) if column.cause == BASE]
+    columns, base = normal.matrix.columns, tuning.base_columns(normal.matrix)
     P = np.zeros((len(columns), len(base) + len(chosen)))
     A, keys = normal.A.copy(), []
     for k, c in enumerate(base):
@@ -190,7 +181,7 @@ def _table(normal: Normal, chosen: Sequence[Finding], name: str) -> Table:
     return Table(tuple(keys), P.T @ A @ P)
 
 
-def _direction(normal: Normal, f: Finding) -> tuple[list[int], list[float]]:
+def _direction(normal: tuning.Normal, f: Finding) -> tuple[list[int], list[float]]:
     fits = [v for v in normal.matrix.variants if v.cause == f.name and v.axle == f.axle]
     same = [v for v in fits if v.shape == f.shape] or fits
     if not same:
@@ -208,15 +199,14 @@ def _simulated(on: Ground, stop: Stop, explanation: Explanation) -> tuple[Design
     base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
     expected = explanation._replace(base=base | {"ln_mu_cd_0": explanation.level})
     rough = prototype.run(on.data, on.design.base, stop, expected)
-    design = _noisy(preparation.prepare(on.data, [rough]), on.design)
+    design = _noisy(prepare(on.data, [rough]), on.design)
     made = simulate.runs(on.data, design, [rough], expected, np.random.default_rng(3))
-    return _noisy(preparation.prepare(on.data, made), on.design), expected
+    return _noisy(prepare(on.data, made), on.design), expected
 
 
 def _noisy(design: Design, like: Design) -> Design:
-    return design._replace(
-        speed_noise_m_s=like.speed_noise_m_s, wheel_noise_rad_s=like.wheel_noise_rad_s,
-        torque_noise_Nm=np.full(design.mass_kg.size, float(np.median(like.torque_noise_Nm))))
+    return design._replace(speed_noise_m_s=like.speed_noise_m_s, wheel_noise_rad_s=like.wheel_noise_rad_s,
+                           torque_noise_Nm=np.full(design.mass_kg.size, float(np.median(like.torque_noise_Nm))))
 
 
 def sequence(proposal: Proposal, on: Ground) -> dict[str, Any]:
@@ -226,5 +216,6 @@ def sequence(proposal: Proposal, on: Ground) -> dict[str, Any]:
 
 def as_json(proposals: Sequence[Proposal], files: Sequence[str]) -> list[dict[str, Any]]:
     """The report's entry."""
-    return [{"file": name, **p.stop._asdict(), "parts": list(p.parts), "separation_before": p.before,
-             "separation_after": p.after} for p, name in zip(proposals, files, strict=True)]
+    return [{"file": name, "title": p.stop.title, "reason": p.reason, **p.stop._asdict(), "parts": list(p.parts),
+             "separation_before": p.before, "separation_after": p.after}
+            for p, name in zip(proposals, files, strict=True)]

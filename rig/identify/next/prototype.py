@@ -11,9 +11,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from rollerrig.configs.vehicle import GRAVITY_M_S2
-from rollerrig.rig import params
+from rollerrig.configs.vehicle import GRAVITY_M_S2, brake_torque_Nm_Pa
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.parameters import MU_CD, TAU
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
@@ -25,12 +25,13 @@ SHARE, LEAST_M_S, SWING, PERIOD_S = 0.07, 0.4, 0.5, 1.6
 
 
 class Stop(NamedTuple):
-    """Where a stop begins, how it brakes, and on which wheelset (0: on all)."""
+    """Where a stop begins, how it brakes, on which wheelset (0: on all); or so long at a speed that the rig holds."""
 
     initial_speed_m_s: float
     pressure_Pa: float
     mass_kg: float
     axle: int
+    held_s: float = 0.0
 
     @property
     def last_speed_m_s(self) -> float:
@@ -41,26 +42,25 @@ class Stop(NamedTuple):
     def title(self) -> str:
         """In words."""
         where = f"on wheelset {self.axle} only" if self.axle else "on all wheelsets"
-        return (f"{self.pressure_Pa / 1e5:g} bar {where} from {self.initial_speed_m_s:g} m/s with "
+        speed = f"for {self.held_s:g} s at a held" if self.held_s else "from"
+        return (f"{self.pressure_Pa / 1e5:g} bar {where} {speed} {self.initial_speed_m_s:g} m/s with "
                 f"{self.mass_kg / 1e3:.3g} t")
 
 
 def run(data: Dataset, parameters: np.ndarray, stop: Stop, explanation: Explanation) -> Run:
-    """The rough course of a stop under a fitted explanation, without noise.
-
-    `parameters` (PARAMETERS,) are the replay's of the base model.
-    """
+    """The rough course of a stop under a fitted explanation, without noise; `parameters` (PARAMETERS,) of the base."""
     step_s = data.sample_time_s
     vehicle = data.sections["vehicle"]
     radius, inertia = vehicle["wheel_radius_m"], vehicle["wheelset_inertia_kgm2"]
     p = parameters.copy()
     p[TAU] *= math.exp(explanation.base.get("ln_tau", 0.0))
     p[MU_CD] *= math.exp(explanation.level)
-    most_Nm = torque_at(data.sections, stop.pressure_Pa)
+    brake = data.sections["brake"]
+    most_Nm = max(brake_torque_Nm_Pa(brake) * (stop.pressure_Pa - brake["spring_pressure_Pa"]), 0.0)
     braked = np.array([stop.axle in (0, j + 1) for j in range(AXLES)])
-    n = int(LONGEST_S / step_s)
+    n = int((RELEASED_S + stop.held_s if stop.held_s else LONGEST_S) / step_s)
     speed, sliding, force = np.empty(n), np.zeros((n, AXLES)), np.zeros((n, AXLES))
-    load_N = stop.mass_kg * GRAVITY_M_S2 / AXLES
+    load_N, mass_kg = stop.mass_kg * GRAVITY_M_S2 / AXLES, math.inf if stop.held_s else stop.mass_kg
     v, every = stop.initial_speed_m_s, max(int(0.05 / step_s), 1)
     for k in range(n):
         time_s = k * step_s
@@ -72,17 +72,17 @@ def run(data: Dataset, parameters: np.ndarray, stop: Stop, explanation: Explanat
         speed[k] = v
         coast = (vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * v
                  + vehicle["resistance_C_N_s2_m2"] * v * v)
-        v -= step_s * (float(force[k].sum()) + coast) / stop.mass_kg
+        v -= step_s * (float(force[k].sum()) + coast) / mass_kg
         if v < stop.last_speed_m_s:
             n = k + 1
             break
-    speed, sliding, force = speed[:n], _smooth(sliding[:n], step_s), _smooth(force[:n], step_s)
+    speed, *rough = speed[:n], sliding[:n], force[:n]
+    sliding, force = (gaussian_filter1d(course, 0.08 / step_s, axis=0, mode="nearest") for course in rough)
     wheel = (speed[:, None] - sliding) / radius
     torque = np.maximum(radius * force - inertia * np.gradient(wheel, step_s, axis=0), 0.0) * braked
     on_rollers = math.isfinite(data.sections["contact"]["roller_radius_m"])
-    return Run("planned", "tune", stop.mass_kg, None, step_s * np.arange(n), speed, wheel,
-               np.full((n, AXLES), load_N), torque, None,
-               np.repeat(speed[:, None], AXLES, axis=1) if on_rollers else None)
+    return Run("planned", "tune", mass_kg, None, step_s * np.arange(n), speed, wheel, np.full((n, AXLES), load_N),
+               torque, None, np.repeat(speed[:, None], AXLES, axis=1) if on_rollers else None)
 
 
 def _creeping(speed: float, demand_Nm: float, load_N: float, radius: float, p: np.ndarray,
@@ -103,19 +103,6 @@ def _creeping(speed: float, demand_Nm: float, load_N: float, radius: float, p: n
     return 0.5 * (low + high), wanted_N
 
 
-def _smooth(values: np.ndarray, step_s: float) -> np.ndarray:
-    from scipy.ndimage import gaussian_filter1d
-
-    return gaussian_filter1d(values, 0.08 / step_s, axis=0, mode="nearest")
-
-
-def torque_at(sections: dict[str, dict[str, Any]], pressure_Pa: float) -> float:
-    """Brake torque in N m of a wheelset at a cylinder pressure, by the brake of some sections."""
-    nothing = params.Friction(*(np.zeros(0) for _ in params.Friction._fields))
-    brake = params.build(sections, nothing, params.Demand(np.zeros(0), np.zeros(0)), 1e-3, 10).brake
-    return max(brake.torque_Nm_Pa * (pressure_Pa - brake.spring_pressure_Pa), 0.0)
-
-
 def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -> dict[str, Any]:
     """The stop as a sequence, plain data that as TOML `rollerrig sequence` runs, on the fitted base."""
     sections = data.sections
@@ -124,18 +111,17 @@ def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -
     law["tau_m_J"] = float(law["tau_m_J"] * math.exp(explanation.base.get("ln_tau", 0.0)))
     rolled = math.isfinite(sections["contact"]["roller_radius_m"])
     brake: dict[str, Any] = {"title": stop.title, "at": f"{RELEASED_S:g} s",
-                             "set": {"brake_demand": f"{stop.pressure_Pa / 1e5:g} bar"},
-                             "until": f"vehicle_speed < {stop.last_speed_m_s:g} m/s", "timeout": "280 s"}
+                             "set": {"brake_demand": f"{stop.pressure_Pa / 1e5:g} bar"}}
+    held = {"for": f"{stop.held_s:g} s", "expect": [f"vehicle_speed > {0.99 * stop.initial_speed_m_s:.4g} m/s"]}
+    brake |= held if stop.held_s else {
+        "until": f"vehicle_speed < {stop.last_speed_m_s:g} m/s", "timeout": "280 s"}
     if stop.axle:
         # the dump valves of the others stay open: sliding at a speed that hardly falls
         brake["fault"] = [f"vent_magnet_stuck axle={j}" for j in range(1, AXLES + 1) if j != stop.axle]
-    return {
-        "title": f"Proposed by explain: {stop.title}", "criteria": "none",
-        "notes": reason,
-        "start": {"speed": f"{stop.initial_speed_m_s:g} m/s", "mass": f"{stop.mass_kg:.6g} kg",
-                  "adhesion": "soap",
-                  "tables": {"adhesion": law, "contact": dict(sections["contact"]),
-                             "vehicle": dict(sections["vehicle"]), "brake": dict(sections["brake"]),
-                             "rig": {"mode": "contaminated_rollers" if rolled else "track"},
-                             "loop": {"record_hz": round(1.0 / data.sample_time_s)}}},
-        "step": [brake]}
+    return {"title": f"Proposed by explain: {stop.title}", "criteria": "none", "notes": reason,
+            "start": {"speed": f"{stop.initial_speed_m_s:g} m/s", "mass": f"{stop.mass_kg:.6g} kg", "adhesion": "soap",
+                      "tables": {"adhesion": law, "contact": dict(sections["contact"]),
+                                 "vehicle": dict(sections["vehicle"]), "brake": dict(sections["brake"]),
+                                 "rig": {"mode": "contaminated_rollers" if rolled else "track",
+                                         "speed": "held" if stop.held_s else "vehicle"},
+                                 "loop": {"record_hz": round(1.0 / data.sample_time_s)}}}, "step": [brake]}

@@ -13,15 +13,18 @@ also take up what is wrong with the patch (lateral radius, elasticity). Polach w
 fit without falling friction may break that (it is shown), a third one keeps it.
 """
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.contact.patch import Patch, patch_for
+from rollerrig.rig.contact.patch import Patch
+from rollerrig.rig.identify.data.parameters import patch_of
 from rollerrig.rig.identify.data.runs import Curve, Dataset
-from rollerrig.rig.identify.paper.tuning import Interval
+from rollerrig.rig.identify.paper.tuning import Interval, rms
+from rollerrig.rig.mechanisms.table import TABLE
 
 NAMES = ("mu_0", "A", "gamma_s_m", "k_a", "k_s")
 LOW = np.array([0.02, 0.05, 0.0, 0.01, 0.001])
@@ -43,7 +46,7 @@ class Fitted(NamedTuple):
     values_no_fall: dict[str, float]
     floor: float
     means: dict[str, float]  # mean error of the recommended sets
-    correlation: np.ndarray  # (5, 5)
+    correlation: np.ndarray  # (5, 5) of the replicates; 0 for a parameter that stands at a bound in all of them
 
 
 def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
@@ -60,8 +63,7 @@ def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
 def fit(data: Dataset, seed: int = 0) -> Fitted:
     """Fit a creep-curve dataset. Raises ConfigError where there is none."""
     if data.curve is None:
-        raise ConfigError(f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; "
-                          "a creep_curve is wanted here")
+        raise ConfigError(f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; a creep_curve is wanted here")
     curve, patch = data.curve, patch_of(data)
     x, residual = _best(curve, patch, np.ones(5, dtype=bool))
     x_flat, residual_flat = _best(curve, patch, np.array([True, False, False, True, True]))
@@ -69,20 +71,13 @@ def fit(data: Dataset, seed: int = 0) -> Fitted:
     _, residual_ordered = _best(curve, patch, np.array([True, False, False, True, False]))
     spread = _bootstrap(curve, patch, x, seed)
     low, high = np.percentile(spread, (2.5, 97.5), axis=0)
-    values = {name: Interval(*(float(v) for v in (x[i], low[i], high[i])))
-              for i, name in enumerate(NAMES)}
-    means = {name: float(np.mean(model(np.array(at), curve, patch) - curve.adhesion))
-             for name, at in RECOMMENDED.items()}
-    return Fitted(values, _rms(residual), _rms(residual_flat), _rms(residual_ordered),
-                  {name: float(x_flat[i]) for i, name in enumerate(NAMES)}, _floor(curve), means,
-                  _correlation(spread))
-
-
-def patch_of(data: Dataset) -> Patch:
-    """The contact patch of a dataset's wheel."""
-    v, c = data.sections["vehicle"], data.sections["contact"]
-    return patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"],
-                     c["young_Pa"], c["shear_Pa"], c["poisson"])
+    values = {name: Interval(*(float(v) for v in (x[i], low[i], high[i]))) for i, name in enumerate(NAMES)}
+    scaled = (spread - spread.mean(axis=0)) / np.maximum(spread.std(axis=0), 1e-12)
+    return Fitted(
+        values=values, rms=rms(residual), rms_no_fall=rms(residual_flat), rms_no_fall_ordered=rms(residual_ordered),
+        values_no_fall={name: float(x_flat[i]) for i, name in enumerate(NAMES)}, floor=_floor(curve),
+        means={name: float(np.mean(model(np.array(at), curve, patch) - curve.adhesion))
+               for name, at in RECOMMENDED.items()}, correlation=scaled.T @ scaled / len(scaled))
 
 
 def _best(curve: Curve, patch: Patch, free: np.ndarray,
@@ -113,18 +108,11 @@ def _bootstrap(curve: Curve, patch: Patch, x: np.ndarray, seed: int) -> np.ndarr
     return out
 
 
-def _correlation(spread: np.ndarray) -> np.ndarray:
-    """Of the replicates, shape (5, 5); 0 for a parameter that stands at a bound in all of them."""
-    scaled = (spread - spread.mean(axis=0)) / np.maximum(spread.std(axis=0), 1e-12)
-    return scaled.T @ scaled / len(scaled)
-
-
 def _floor(curve: Curve) -> float:
     """Scatter about a line through each point's neighbours in creepage: a curve reaches no less."""
     order = np.argsort(np.abs(curve.creepage))
     f, e = curve.adhesion[order], np.abs(curve.creepage[order])
-    half = 4
-    off = []
+    half, off = 4, []
     for i in range(half, f.size - half):
         near = np.r_[i - half:i, i + 1:i + half + 1]
         line = np.polyfit(e[near] - e[i], f[near], 1)
@@ -132,10 +120,36 @@ def _floor(curve: Curve) -> float:
     return float(np.sqrt(np.mean(np.square(off)))) if off else float("nan")
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values * values)))
-
-
 def falls(found: Fitted, points: int) -> bool:
     """Whether falling friction is supported: two parameters more earn more than they cost (BIC)."""
     return bool(points * np.log(found.rms_no_fall**2 / found.rms**2) > 2.0 * np.log(points))
+
+
+def as_json(data: Dataset, found: Fitted) -> dict[str, Any]:
+    """The content of report.json for a creep curve: only whether friction falls with sliding is asked."""
+    assert data.curve is not None
+    n = data.curve.creepage.size
+    ratio = 2.0 * n * math.log(found.rms_no_fall / found.rms)
+    cause: dict[str, Any] = {
+        "name": "falling_friction", "axles": None,
+        "parameters": {k: {"value": v.value, "ci95": [v.low, v.high], "unit": ""} for k, v in found.values.items()},
+        "evidence": {"delta_bic": ratio - 2.0 * math.log(n), "heldout_gain": None, "detectability": None},
+        "confusable_with": [], "separating_test": ""}
+    return {
+        "verdict": "explained" if falls(found, n) else "consistent", "dataset": data.name,
+        "misfit": {"metric": "adhesion_rmse", "before": found.rms_no_fall, "noise_floor": found.floor,
+                   "p_value": math.exp(-0.5 * ratio), "worst_against": ["sliding"]},
+        "causes": [cause] if falls(found, n) else [], "gain": None, "unknown": None,
+        "screened": [{"name": row.name, "delta_bic": 0.0, "rejected_because":
+                      "a creep curve at one speed, without time, place or axles, cannot show it"}
+                     for row in TABLE if row.name != "falling_friction"],
+        "notes": [f"{n} points at one speed; scatter {found.floor:.4f}: beyond falling friction (rms "
+                  f"{found.rms_no_fall:.4f} to {found.rms:.4f}) little can be told",
+                  "no points were held out: no gain is claimed"]}
+
+
+def story(report: dict[str, Any]) -> list[str]:
+    """The short story of a creep curve."""
+    first = ("Falling friction is supported." if report["causes"]
+             else "Friction that falls with sliding is not supported by these points.")
+    return [first, *(f"Note: {note}." for note in report["notes"])]

@@ -1,9 +1,8 @@
 """Tunes the recovery of adhesion as the paper does: tau from measured transitions, with an interval.
 
-Measured wheel speeds, loads and torques give the adhesion that acted; between the degraded and the
-recovered curve it shows how far the contact had recovered, and by the work of sliding that should
-be 1 - exp(-tau W). The contaminant's mu_cd is free in each run; all other parameters stay those of
-the dataset, within its calibration tolerances.
+Measured wheel speeds, loads and torques give the adhesion that acted; between the degraded and the recovered curve it
+shows how far the contact had recovered, and by the work of sliding that should be 1 - exp(-tau W). The contaminant's
+mu_cd is free in each run; all other parameters stay those of the dataset, within its calibration tolerances.
 
     [U1] T = (J domega/dt + C) / r,  f = T / N                                   paper eq. 19
     [U2] s = v - r omega,  W_sp = f N |s / v|, for one wheel                      paper eq. 20
@@ -19,17 +18,19 @@ interval is a bootstrap of [U4]: blocks of 3 s within each run, and the declared
 Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, section 4.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig import wheelset
+from rollerrig.rig import params, wheelset
+from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.adhesion import Law
-from rollerrig.rig.contact.patch import Patch, patch_for
+from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.identify.causes import candidates
-from rollerrig.rig.identify.data.parameters import TAU
+from rollerrig.rig.identify.data.parameters import TAU, patch_of
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import tuning
@@ -53,17 +54,21 @@ class Interval(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What a fit sees: arrays (n,); `run` counts the runs of the fit, `block` the 3 s blocks."""
+    """What a fit sees: arrays (n,); `run` counts the runs of the fit."""
 
     run: np.ndarray
     axle: np.ndarray
-    block: np.ndarray
     time_s: np.ndarray
     sliding_m_s: np.ndarray
     speed_m_s: np.ndarray
     load_N: np.ndarray  # wheelset
     adhesion: np.ndarray
-    creepage: np.ndarray  # not above the creepage beyond which nothing cleans better
+    creepage: np.ndarray  # as much of it as cleans
+
+    @property
+    def energy_J_m(self) -> np.ndarray:
+        """Measured W_sp of one wheel [U2]."""
+        return 0.5 * self.adhesion * self.load_N * self.creepage
 
 
 class Tuned(NamedTuple):
@@ -82,18 +87,10 @@ class Tuned(NamedTuple):
     model: np.ndarray  # f
     warnings: list[str]
 
-    @property
-    def energy_J_m(self) -> np.ndarray:
-        """Measured W_sp of one wheel [U2]."""
-        return 0.5 * self.samples.adhesion * self.samples.load_N * self.samples.creepage
-
 
 def contact(data: Dataset) -> tuple[Patch, Law]:
     """Patch and law of a dataset's base model."""
-    v, law, c = (data.sections[k] for k in ("vehicle", "adhesion", "contact"))
-    patch = patch_for(v["wheel_radius_m"], c["roller_radius_m"], c["lateral_radius_m"], c["young_Pa"],
-                      c["shear_Pa"], c["poisson"])
-    return patch, Law(**law)
+    return patch_of(data), params.law_of(data.sections["adhesion"])
 
 
 def collect(design: Design, cleaning_creepage: float) -> Samples:
@@ -102,12 +99,13 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
     number = np.concatenate([np.arange(n) for n in np.diff(design.start)])
     run, axle = (np.repeat(x, np.diff(design.start)) for x in (design.run, design.axle))
     creepage = design.sliding_m_s / design.speed_m_s
+    shares = np.array([adhesion.cleaning(s, v, cleaning_creepage)[0]
+                       for s, v in zip(design.sliding_m_s, design.speed_m_s, strict=True)])
     keep = ((number % every == 0) & (design.sliding_m_s > LEAST_SLIDING_M_S)
             & (design.speed_m_s > LEAST_SPEED_M_S) & (creepage < 0.95))
-    block = run * 100_000 + (design.time_s // BLOCK_S).astype(int)
-    s = Samples(run, axle, block, design.time_s, design.sliding_m_s, design.speed_m_s, design.load_N,
-                design.adhesion, np.minimum(creepage, cleaning_creepage))
-    return Samples(*(part[keep] for part in s))
+    return Samples(*(part[keep] for part in (
+        run, axle, design.time_s, design.sliding_m_s, design.speed_m_s, design.load_N, design.adhesion,
+        creepage * shares)))
 
 
 @kernel
@@ -119,8 +117,7 @@ def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, out):
         out[i, 0], out[i, 1], out[i, 2] = f, f_d, f_r
 
 
-def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law],
-              ) -> np.ndarray:
+def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law]) -> np.ndarray:
     """(n, 3) f, f_d, f_r for a recovery and the contaminants of the runs, mu_cd (runs,)."""
     patch, law = model
     out = np.empty((s.run.size, 3))
@@ -131,8 +128,7 @@ def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch,
 class _Fit:
     """Free parameters as logarithms: tau if it is free, then mu_cd of the runs that leave it free."""
 
-    def __init__(self, s: Samples, model: tuple[Patch, Law], stated: list[float | None],
-                 tau_m_J: float | None) -> None:
+    def __init__(self, s: Samples, model: tuple[Patch, Law], stated: list[float | None], tau_m_J: float | None) -> None:
         self.s, self.model, self.stated, self.tau = s, model, stated, tau_m_J
         self.free = [i for i, mu in enumerate(stated) if mu is None and np.any(s.run == i)]
 
@@ -148,23 +144,21 @@ class _Fit:
     def paper_residual(self, x: np.ndarray) -> np.ndarray:
         tau, mu = self.unpack(x)
         _, f_d, f_r = predicted(self.s, tau, mu, self.model).T
-        W = 0.5 * self.s.adhesion * self.s.load_N * self.s.creepage
-        return self.s.adhesion - f_d - (f_r - f_d) * -np.expm1(-tau * np.maximum(W, 0.0))  # [U3]
+        return self.s.adhesion - f_d - (f_r - f_d) * -np.expm1(-tau * np.maximum(self.s.energy_J_m, 0.0))  # [U3]
 
-    def solve(self, residual: str = "residual") -> tuple[np.ndarray, float]:
+    def solve(self, residual: Callable[[np.ndarray], np.ndarray] | None = None) -> tuple[np.ndarray, float]:
         """(x, rms of the residual)."""
         head = [np.log(max(self.model[1].tau_m_J, 1e-5))] if self.tau is None else []
         x0 = np.array(head + [np.log(self.model[1].mu_cd)] * len(self.free))
         if not x0.size:
-            return x0, _rms(self.residual(x0))
-        low = [np.log(TAU_BOUNDS[0])] * len(head) + [np.log(MU_BOUNDS[0])] * len(self.free)
-        high = [np.log(TAU_BOUNDS[1])] * len(head) + [np.log(MU_BOUNDS[1])] * len(self.free)
-        found = least_squares(getattr(self, residual), x0, bounds=(low, high), x_scale=0.3, ftol=1e-12,
-                              xtol=1e-10)
-        return found.x, _rms(found.fun)
+            return x0, rms(self.residual(x0))
+        bounds = np.log([TAU_BOUNDS] * len(head) + [MU_BOUNDS] * len(self.free)).T
+        found = least_squares(residual or self.residual, x0, bounds=bounds, x_scale=0.3, ftol=1e-12, xtol=1e-10)
+        return found.x, rms(found.fun)
 
 
-def _rms(values: np.ndarray) -> float:
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(values * values)))
 
 
@@ -175,27 +169,24 @@ def tune(data: Dataset, seed: int = 0) -> Tuned:
     model = contact(data)
     s = collect(design, model[1].cleaning_creepage)
     if s.run.size < LEAST_SAMPLES:
-        raise ConfigError(
-            f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "
-            f"of the tuning runs, {LEAST_SAMPLES} are needed; give runs in which the WSP works")
-    names = [run.name for run in runs]
+        raise ConfigError(f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "
+                          f"of the tuning runs, {LEAST_SAMPLES} are needed; give runs in which the WSP works")
     intervals = likeliest(design, model[1].mu_cd, seed)
     tau = intervals.pop("tau")
-    stated: list[float | None] = [None] * len(runs)
-    fit = _Fit(s, model, stated, tau.value)
+    fit, base, classic, paper = (_Fit(s, model, [None] * len(runs), one)
+                                 for one in (tau.value, model[1].tau_m_J, 0.0, None))
     x, rmse = fit.solve()
     f, f_d, f_r = predicted(s, *fit.unpack(x), model).T
     warnings = list(data.warnings)
     if not TAU_BOUNDS[0] * 1.01 < tau.value < TAU_BOUNDS[1] * 0.99 or tau.low <= 0.0:
         warnings.append(f"tau = {tau.value:.3g} m/J stands at a bound: the runs do not show recovery")
     if len(runs) < 3:
-        warnings.append(f"tau comes from {len(runs)} runs: what changes from run to run is not in its "
-                        "interval")
+        warnings.append(f"tau comes from {len(runs)} runs: what changes from run to run is not in its interval")
     return Tuned(
-        tau, dict(zip(names, intervals.values(), strict=True)),
-        float(np.exp(_Fit(s, model, stated, None).solve("paper_residual")[0][0])), rmse,
-        _Fit(s, model, stated, model[1].tau_m_J).solve()[1], _Fit(s, model, stated, 0.0).solve()[1],
-        s, (s.adhesion - f_d) / np.maximum(f_r - f_d, 1e-9), f_d, f_r, f, warnings)
+        tau_m_J=tau, mu_cd=dict(zip([run.name for run in runs], intervals.values(), strict=True)),
+        tau_paper_m_J=float(np.exp(paper.solve(paper.paper_residual)[0][0])), rmse=rmse, rmse_base=base.solve()[1],
+        rmse_classic=classic.solve()[1], samples=s, transition=(s.adhesion - f_d) / np.maximum(f_r - f_d, 1e-9),
+        degraded=f_d, recovered=f_r, model=f, warnings=warnings)
 
 
 def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
@@ -205,11 +196,11 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     Gauss-Newton step from the optimum. What whole runs pull apart is added: blocks do not know it.
     """
     explanation, _, _ = tuning.fit(design, candidates.start(design))
-    found, linear, _, answers = tuning.normal(design, explanation, False)
+    found, linear, answers = tuning.normal(design, explanation, False)
     at = tuning.base_columns(found.matrix)
     labels = [found.matrix.columns[c].label for c in at]
     prior = np.array([found.matrix.columns[c].prior for c in at])
-    Z = answers[:, at]
+    Z = tuning.wheel_answers(design, answers, at)
     z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
     rest = found.A[np.ix_(at, at)] - Z.T @ Z  # the vehicle's balance and the tolerances
     run = np.repeat(design.run, np.diff(design.start))
@@ -228,13 +219,10 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     low, high = np.percentile(spread, (2.5, 97.5), axis=0)
     wider = np.hypot(1.0, between / np.maximum(spread.std(axis=0), 1e-12))
     low, high = low * wider, high * wider
-    out = {}
-    for label, unit in (("ln_tau", float(design.base[TAU])),
-                        *((f"ln_mu_cd_{i}", mu_cd) for i in range(design.mass_kg.size))):
-        k, x = labels.index(label), explanation.base.get(label, 0.0)
-        out[label.removeprefix("ln_")] = Interval(*(float(unit * np.exp(x + y))
-                                                    for y in (0.0, low[k], high[k])))
-    return out
+    units = {"ln_tau": float(design.base[TAU])} | {f"ln_mu_cd_{i}": mu_cd for i in range(design.mass_kg.size)}
+    return {label.removeprefix("ln_"): Interval(*(float(unit * np.exp(explanation.base.get(label, 0.0) + y))
+                                                  for y in (0.0, low[k], high[k])))
+            for label, unit in units.items() for k in (labels.index(label),)}
 
 
 def _between_runs(A: np.ndarray, pulls: np.ndarray) -> np.ndarray:
@@ -246,8 +234,7 @@ def _between_runs(A: np.ndarray, pulls: np.ndarray) -> np.ndarray:
     return np.sqrt((moves**2).sum(axis=0) * runs / (runs - 1))
 
 
-def contaminant(s: Samples, model: tuple[Patch, Law], stated: float | None, tau_m_J: float,
-                ) -> tuple[float, float]:
+def contaminant(s: Samples, model: tuple[Patch, Law], stated: float | None, tau_m_J: float) -> tuple[float, float]:
     """(mu_cd, rmse of f) of one run for a given recovery; mu_cd is fitted unless it is stated."""
     if s.run.size < 10:
         return stated or model[1].mu_cd, float("nan")

@@ -55,12 +55,9 @@ class Verdict(NamedTuple):
 @kernel
 def free_run(omega_measured, surface_m_s, load_N, torque_Nm, mu_cd, step_s, window, params, patch, law,
              sliding, force_N):
-    """Sliding and contact force of one wheelset in windows of `window` samples [V1]; arrays (n,).
-
-    `params` (3,): wheel radius, inertia, mu_cr. Linearly implicit Euler steps, ten a sample.
-    """
+    """Sliding and contact force of one wheelset in windows of samples [V1]; `params`: wheel radius, inertia, mu_cr."""
     r, inertia, mu_cr = params[0], params[1], params[2]
-    h = step_s / SUBSTEPS
+    h = step_s / SUBSTEPS  # linearly implicit Euler
     omega = omega_measured[0]
     for k in range(omega_measured.size):
         if k % window == 0:
@@ -91,53 +88,37 @@ def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Ver
     design = prepare(data, runs)
     verdicts = []
     for index, run in enumerate(runs):
-        moving = design.speed_m_s[design.span(index * AXLES)] > SLOWEST_M_S
+        measured, slid = design.speed_m_s[design.span(index * AXLES)], design.by_axle(design.sliding_m_s, index)
+        moving = measured > SLOWEST_M_S
         length = int(np.argmin(moving)) if not moving.all() else moving.size
-        found = {"measured": _measured(design, index, length)}
-        speed = {"measured": design.speed_m_s[design.span(index * AXLES)][:length]}
-        sliding = {"measured": _stack(design, design.sliding_m_s, index, length)}
+        slid, speed, sliding = slid[:length], {"measured": measured[:length]}, {"measured": slid[:length]}
+        found = {"measured": Statistics(np.nan, np.nan, slid.mean(axis=0), slid.std(axis=0), np.nan)}
         for name, tau in (("new", tau_m_J), ("classic", 0.0)):
-            found[name], speed[name], sliding[name] = _simulated(data, design, index, length, tau,
-                                                                 run.mu_cd)
-        verdicts.append(Verdict(run.name, float(np.median(run.speed_m_s[:20])), found,
-                                run.time_s[:length], speed, sliding))
+            found[name], speed[name], sliding[name] = _simulated(data, design, index, length, tau, run.mu_cd)
+        verdicts.append(Verdict(run.name, float(np.median(run.speed_m_s[:20])), found, run.time_s[:length], speed,
+                                sliding))
     return verdicts
 
 
-def _stack(design: Design, values: np.ndarray, run: int, length: int) -> np.ndarray:
-    return np.column_stack([values[design.span(run * AXLES + j)][:length] for j in range(AXLES)])
-
-
-def _measured(design: Design, run: int, length: int) -> Statistics:
-    sliding = _stack(design, design.sliding_m_s, run, length)
-    return Statistics(np.nan, np.nan, sliding.mean(axis=0), sliding.std(axis=0), np.nan)
-
-
-def _simulated(data: Dataset, design: Design, run: int, length: int, tau_m_J: float,
-               stated: float | None) -> tuple[Statistics, np.ndarray, np.ndarray]:
-    model = tuning.contact(data)
-    samples = tuning.collect(design, model[1].cleaning_creepage)
-    own = samples.run == run
-    s = tuning.Samples(*(part[own] for part in samples))
-    s = s._replace(run=np.zeros_like(s.run))
-    mu_cd, rmse = tuning.contaminant(s, model, stated, tau_m_J)
-    patch, law = model
-    v = data.sections["vehicle"]
-    params = np.array([v["wheel_radius_m"], v["wheelset_inertia_kgm2"], law.mu_cr])
-    sliding, force = np.empty((length, AXLES)), np.empty((length, AXLES))
+def _simulated(data: Dataset, design: Design, run: int, length: int, tau_m_J: float, stated: float | None
+               ) -> tuple[Statistics, np.ndarray, np.ndarray]:
+    patch, law = model = tuning.contact(data)
+    samples = tuning.collect(design, law.cleaning_creepage)
+    own = tuning.Samples(*(part[samples.run == run] for part in samples))
+    mu_cd, rmse = tuning.contaminant(own._replace(run=np.zeros_like(own.run)), model, stated, tau_m_J)
+    radius, inertia = (data.sections["vehicle"][key] for key in ("wheel_radius_m", "wheelset_inertia_kgm2"))
+    one, other = np.empty((2, AXLES, length))
     for j in range(AXLES):
-        at = design.span(run * AXLES + j)
-        radius = v["wheel_radius_m"]
-        omega = (design.speed_m_s[at] - design.sliding_m_s[at])[:length] / radius
-        one, other = np.empty(length), np.empty(length)
-        free_run(omega, design.speed_m_s[at][:length], design.load_N[at][:length],
-                 design.torque_Nm[at][:length], mu_cd, design.step_s, round(WINDOW_S / design.step_s),
-                 params, patch, law._replace(tau_m_J=tau_m_J), one, other)
-        sliding[:, j], force[:, j] = one, other
+        surface, slid, load, torque = (flat[design.span(run * AXLES + j)][:length] for flat in (
+            design.speed_m_s, design.sliding_m_s, design.load_N, design.torque_Nm))
+        free_run((surface - slid) / radius, surface, load, torque, mu_cd, design.step_s,
+                 round(WINDOW_S / design.step_s), np.array([radius, inertia, law.mu_cr]), patch,
+                 law._replace(tau_m_J=tau_m_J), one[j], other[j])
+    sliding, force = one.T.copy(), other.T.copy()
     measured = design.speed_m_s[design.span(run * AXLES)][:length]
     A, B, C = design.resistance
     resisting = A + B * measured + C * measured * measured
     rate = -(force.sum(axis=1) + resisting) / design.mass_kg[run]
     speed = measured[0] + design.step_s * np.concatenate([[0.0], np.cumsum(rate[:-1])])
     error = float(np.max(np.abs(speed - measured)))  # [V2]
-    return (Statistics(mu_cd, error, sliding.mean(axis=0), sliding.std(axis=0), rmse), speed, sliding)
+    return Statistics(mu_cd, error, sliding.mean(axis=0), sliding.std(axis=0), rmse), speed, sliding

@@ -55,6 +55,12 @@ def test_the_force_never_exceeds_the_friction_limit():
         assert math.hypot(fx, fy) <= 0.2 * 4e4 * (1.0 + 1e-12)
 
 
+@pytest.mark.parametrize("tiny", [1e-300, 1e-160, 5e-324])
+def test_creepage_too_small_to_be_squared_gives_no_force_and_no_nan(tiny):
+    for creep in ((tiny, tiny, 0.0), (0.0, tiny, 0.0), (tiny, 0.0, tiny), (-tiny, -tiny, tiny)):
+        assert np.abs(johnson_vermeulen.force(*creep, 0.3, 8000.0, PATCH)).max() < 1e-140
+
+
 def test_nothing_pulls_without_load_or_friction():
     assert johnson_vermeulen.force(1e-3, 0, 0, 0.3, 0.0, PATCH) == (0.0, 0.0, 0.0)
     assert johnson_vermeulen.force(1e-3, 0, 0, 0.0, 1e4, PATCH) == (0.0, 0.0, 0.0)

@@ -75,6 +75,13 @@ def test_with_spin_fastsim_stays_within_0_08_mu_N_of_the_half_space(contact):
         assert judge.distance(FASTSIM, *creep) < 0.08, creep
 
 
+@pytest.mark.parametrize("lateral_m", [0.08, 0.04], ids=["a/b = 3.1", "a/b = 4.8"])
+def test_with_spin_and_longitudinal_creepage_fastsim_stays_within_0_08_mu_N_on_long_patches(lateral_m):
+    judge = Judge(0.445, math.inf, lateral_m, 45_000.0, 0.3, elements=21)
+    for creep in ((1.5, 0.0, 2.0), (0.8, 0.0, 1.6), (1.2, 0.2, -2.0), (1.5, 0.5, -1.6)):
+        assert judge.distance(FASTSIM, *creep) < 0.08, creep
+
+
 @each_contact
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 def test_a_mirrored_contact_gives_the_mirrored_force(contact, model):

@@ -52,7 +52,7 @@ def test_curvatures_of_the_arcs_are_those_of_the_drawing():
     rail = profiles.uic60(0.0)
     middle = (profiles.SINES - 1) // 2
     assert 1.0 / rail.nodes[middle, 3] == pytest.approx(0.300, rel=1e-3)
-    assert 1.0 / rail.nodes[middle + 150, 3] == pytest.approx(0.080, rel=1e-2)
+    assert 1.0 / rail.nodes[middle + profiles.SINES // 14, 3] == pytest.approx(0.080, rel=1e-2)
 
 
 def test_a_convex_profile_is_not_moved_and_a_hollow_one_tells_by_how_much():

@@ -14,6 +14,7 @@ from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.preparation import prepare
+from rollerrig.rig.identify.decide import tuning as fitting
 from rollerrig.rig.identify.paper import tuning, validation
 from tests.generator import braking_stops
 
@@ -54,7 +55,7 @@ def test_recovery_explains_most_of_what_the_classic_model_leaves(tuned):
 
 
 def test_measured_transitions_follow_the_exponential(tuned):
-    W = tuned.energy_J_m
+    W = tuned.samples.energy_J_m
     middle = np.median(W)
     for part in (middle > W, middle <= W):
         expected = -np.expm1(-tuned.tau_m_J.value * W[part])
@@ -114,13 +115,22 @@ def test_runs_without_enough_sliding_are_refused(data):
         tuning.tune(calm)
 
 
+def test_a_fit_that_cannot_be_solved_says_what_to_do():
+    with pytest.raises(ConfigError, match="end at a higher speed"):
+        fitting.solve(np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2))
+
+
 def test_a_dataset_without_runs_to_judge_is_refused(data):
     with pytest.raises(ConfigError, match="validate"):
         validation.validate(data._replace(runs=data.group("tune")), TRUE_TAU_M_J)
 
 
 def test_samples_are_those_in_which_wheels_slide(data):
-    s = tuning.collect(prepare(data, data.group("tune")), 0.2)
+    paper, s = (tuning.collect(prepare(data, data.group("tune")), bound) for bound in (np.inf, 0.1))
     assert s.sliding_m_s.min() > tuning.LEAST_SLIDING_M_S
     assert s.speed_m_s.min() > tuning.LEAST_SPEED_M_S
-    assert s.creepage.max() <= 0.2
+    np.testing.assert_array_equal(paper.creepage, s.sliding_m_s / s.speed_m_s)
+    beyond = paper.creepage > 0.1
+    np.testing.assert_array_equal(s.creepage[~beyond], paper.creepage[~beyond])
+    assert beyond.any()
+    assert (s.creepage[beyond] < paper.creepage[beyond]).all()

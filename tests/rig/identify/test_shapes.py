@@ -9,7 +9,7 @@ from generator import braking_stops, other_stops
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.decide import choice, shapes, simulate, tuning
+from rollerrig.rig.identify.decide import choice, evidence, shapes, simulate, tuning
 
 
 def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path) -> None:
@@ -52,9 +52,36 @@ def test_a_long_memory_is_found_from_a_base_that_had_to_leave_recovery_out(tmp_p
     # to the base alone a late recovery looks like none, and like a rough rail
     assert base.base["ln_tau"] < -1.0
     assert base.sigma > 0.08
-    found = choice.fit_one(choice.Fit(data, data.group("tune"), base._replace(
-        causes=(Cause("adhesion_memory", 0, {}, (1.0,)),))))
+    found = choice.fit_one(data, data.group("tune"), base._replace(
+        causes=(Cause("adhesion_memory", 0, {}, (1.0,)),)))
     assert value - found.value > 1000.0
     assert abs(found.explanation.base.get("ln_tau", 0.0)) < 0.3
     assert found.explanation.causes[0].values[0] == pytest.approx(4.0, abs=1.0)
     assert found.explanation.sigma < 0.5 * base.sigma
+
+
+@pytest.mark.parametrize("source", ["load", "pole wheel"])
+def test_a_speed_that_swings_by_its_pole_wheel_leaves_a_remainder_that_an_out_of_round_wheel_does_not(
+        tmp_path: Path, source: str) -> None:
+    effects = {"wheel_out_of_round": 0.05} if source == "load" else {}
+    data = dataset.load(braking_stops.make(tmp_path / "stops", effects, 21))
+    runs = data.group("tune")
+    if source == "pole wheel":
+        # the turn of wheelset 2, and its speed told 0.4 % more and less in each
+        told = [run.wheel_speed_rad_s.copy() for run in runs]
+        for wheel in told:
+            wheel[:, 1] *= 1.0 + 0.004 * np.sin(np.cumsum(wheel[:, 1]) * data.sample_time_s)
+        runs = [run._replace(wheel_speed_rad_s=wheel) for run, wheel in zip(runs, told, strict=True)]
+    design = preparation.prepare(data, runs)
+    base, _, _ = tuning.fit(design, candidates.start(design))
+    swings = [c for c in evidence.likely(design, tuning.normal(design, base)[0], 4) if c.name == "wheel_out_of_round"]
+    assert len(swings) == 1
+    found, _, _ = tuning.fit(design, base._replace(causes=tuple(swings)), 6)
+    normal = tuning.normal(design, found)[0]
+    left = evidence.scores(normal, ("wheel_out_of_round",))
+    [own] = [v for v in normal.matrix.variants
+             if (v.cause, v.axle) == ("along wheel_angle and speed", swings[0].axle)]
+    x, S = evidence._coefficients(left, own.columns)
+    remains = float(x @ S @ x)
+    # chi-squared of as many coefficients where nothing is left
+    assert (remains > 200.0) == (source == "pole wheel")

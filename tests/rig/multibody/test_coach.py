@@ -8,7 +8,6 @@ import scipy.linalg
 
 from rollerrig.configs.table import read
 from rollerrig.rig import params
-from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.multibody import coach, motion, stability, stop
 
 G = 9.80665
@@ -22,8 +21,7 @@ def _sections(vehicle=None, **multibody):
 
 
 def _law(**changes):
-    values = {**_sections()["adhesion"], **changes}
-    return Law(**values)
+    return params.law_of({**_sections()["adhesion"], **changes})
 
 
 COACH = coach.build(_sections())
@@ -218,6 +216,16 @@ def test_it_brakes_to_a_walk_and_stands_without_trembling():
     stop.advance(state, COACH, DRY, 10.0, 3000.0)
     assert np.abs(state.v).max() < 2e-3
     np.testing.assert_array_equal(np.abs(state.v[22::6]) < 1e-6, True)
+
+
+@pytest.mark.parametrize(("bound", "low", "high"), [(0.5, 0.055, 0.065), (np.inf, 0.2, 0.28)])
+def test_a_locked_wheel_of_the_coach_is_on_the_degraded_curve_or_by_the_papers_law_recovered(bound, low, high):
+    state = stop.rolling(COACH, 40.0)
+    state.v[22::6] = 0.0
+    stop.advance(state, COACH, _law(cleaning_creepage=bound), 2e-4, 1e6)
+    assert (state.v[22::6] == 0.0).all()
+    pull = np.abs(state.seen[:, 1]) / state.seen[:, 0]
+    assert low < pull.min() <= pull.max() < high
 
 
 def test_a_brake_stronger_than_the_adhesion_locks_the_wheel_and_releasing_it_frees_it():

@@ -1,0 +1,56 @@
+"""The sander I/O, node 18: sanders on and off, sand that flows and sand that is left, as a CiA 401 module.
+
+The WSP unit, a driver's desk or a harness switches sanders by 6200h: RPDO1 (212h) or SDO. A sander whose partner is
+lost, and a node that is stopped or reset, strews no more. Source: CiA 401 (6200h outputs, 6401h analogue inputs).
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from rollerrig.firmware_sim import process_image
+from rollerrig.firmware_sim.cia301.communication import AT_ONCE, SYNCHRONOUS, Pdo, Profile
+from rollerrig.firmware_sim.cia301.dictionary import Row, array
+from rollerrig.firmware_sim.cia301.nmt import State
+from rollerrig.firmware_sim.cia301.node import Node
+from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
+from rollerrig.wsp_interface.signals import AXLES, SANDER_NODE, WSP_NODE
+
+DEVICE_TYPE, PRODUCT = 0x00060191, ("sander I/O", 0x402)
+TITLES = {0x6401: "Read analogue input 16-bit"}
+RPDOS = (Pdo(AT_ONCE, ((0x6200, 1, 8),)),)
+TPDOS = tuple(Pdo(SYNCHRONOUS, tuple((0x6401, sub, 16) for sub in range(first, first + AXLES)))
+              for first in (1, 1 + AXLES))
+
+
+def build(row: np.ndarray, commands: np.ndarray, on_command: Callable[[], None] = lambda: None,
+          storage: Path | None = None, parameters: Mapping[str, float] | None = None) -> Node:
+    """The node. `row`: live float64 array of all signals; `commands` (4,): 1 where an axle's sander shall strew."""
+    parameters = dict(parameters or {})
+    profile = Profile(DEVICE_TYPE, PRODUCT[0], RPDOS, TPDOS, consumed=(
+        (WSP_NODE, int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))),))
+    own = [*process_image.rows(SANDER_NODE, 0, {}, TITLES),
+           *array(0x6200, "Write output 8-bit", "U8", "rw", [0], ("Sanders",), mappable=True,
+                  text="bit 2j: sander of axle j+1"),
+           Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False)]
+    node = process_image.build(SANDER_NODE, profile, PRODUCT, own, row, parameters, storage=storage)
+    node.commands = frozenset({0x6200})
+    node.event_enablers = {0x6401: key(0x6423, 0)}
+
+    def strew(bits: int) -> None:
+        commands[:] = [bits >> 2 * axle & 1 for axle in range(AXLES)]
+        on_command()
+
+    def stop(why: str) -> None:
+        if node.objects.values[key(0x6200, 1)]:
+            node.event("warning", f"sanders stop: {why}")
+        node.objects.values[key(0x6200, 1)] = 0
+        strew(0)
+
+    node.objects.own(0x6200, 1, effect=strew)
+    node.on_partner.append(lambda partner, alive: None if alive else stop(f"node {partner} is lost"))
+    node.on_state.append(lambda old, new: stop("NMT") if new in (State.STOPPED, State.INITIALISING) else None)
+    node.on_power_off.append(lambda: strew(0))
+    return node

@@ -1,0 +1,144 @@
+"""What is hidden in which set, and the sets themselves: datasets without truth, and the key beside them.
+
+The generators are those of the project's tests (`tests/generator`), by three authors, the third with MuJoCo; they share
+no code with the rig and hide each cause in another form than the rig's table writes it.
+
+    DIR/sets/set_0001/dataset.toml, runs/*.csv  what a tool is given
+    DIR/key                                     what was hidden; encoded, so that nobody reads it by accident
+"""
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import count, islice, zip_longest
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.benchmarks.sealed import work
+from rollerrig.realtime.record import seal
+from rollerrig.realtime.record.files import writing
+
+_FOLDER = Path(__file__).resolve().parents[3] / "tests" / "generator"
+GENERATORS = {"first": "braking_stops", "second": "other_stops", "third": "mujoco_stops"}
+KINDS = ("none", "one", "two", "unknown")
+NOTHING, SIZES = 20, (1.0, 1.5, 2.0)
+SETS, KEY = "sets", "key"
+_FORMAT = "rollerrig sealed benchmark 1\n"
+
+
+class Case(NamedTuple):
+    """One set to be made: its kind, what is hidden at which size, its seed."""
+
+    kind: str  # one of KINDS
+    effects: dict[str, float]
+    seed: int
+
+
+def cases(make: ModuleType, seed: int) -> list[Case]:
+    """One turn of the matrix: its kinds mixed, so that the first N sets are a fair share of all."""
+    none = [Case("none", {}, seed + 1000 + k) for k in range(NOTHING)]
+    one = [Case("one", {cause: min(size * least, make.LARGEST.get(cause, np.inf))}, seed + 2000 + 10 * k + i)
+           for i, size in enumerate(SIZES) for k, (cause, least) in enumerate(make.SMALLEST.items())]
+    two = [Case("two", pair, seed + 3000 + k) for k, pair in enumerate(make.PAIRS)]
+    unknown = [Case("unknown", {name: size}, seed + 4000 + k) for k, (name, size) in enumerate(make.UNKNOWN.items())]
+    # three sets with one cause for each of another kind, in an order that tells nothing
+    dealt = zip_longest([tuple(one[k:k + 3]) for k in range(0, len(one), 3)], none, two, unknown)
+    rng, found = np.random.default_rng((seed, 15)), []
+    for threes, *others in dealt:
+        few = list(threes or ()) + [case for case in others if case is not None]
+        found += [few[k] for k in rng.permutation(len(few))]
+    return found
+
+
+def stream(make: ModuleType, seed: int) -> Iterator[Case]:
+    """The matrix again and again, each time with other seeds."""
+    for turn in count():
+        yield from cases(make, seed + 10_000 * turn)
+
+
+def generator(module: str) -> ModuleType:
+    """A module of `tests/generator`. Raises ConfigError where there is none, or not what it needs."""
+    if not (_FOLDER / f"{module}.py").is_file():
+        raise ConfigError("bench explain needs tests/generator, which only a clone of the project has; run it there")
+    # by the name that it has in the tests: its compiled functions are kept under that name
+    if str(_FOLDER.parent) not in sys.path:
+        sys.path.insert(0, str(_FOLDER.parent))
+    try:
+        return importlib.import_module(f"{_FOLDER.name}.{module}")
+    except ModuleNotFoundError as error:
+        if error.name != "mujoco":
+            raise
+        raise ConfigError("--generator third needs MuJoCo: pip install 'rollerrig[mujoco]'") from None
+
+
+def export(folder: Path, by: str, sets: int, seed: int, say: Callable[[str], None]) -> None:
+    """Write the first sets (0: one turn of the matrix) of a generator, and the key. Raises ConfigError.
+
+    A folder that has some of them already, as after an interruption or to grow, is completed; one of another generator
+    or seed is refused.
+    """
+    make = generator(GENERATORS[by])
+    wanted = {f"set_{k:04d}": case
+              for k, case in enumerate(islice(stream(make, seed), sets or len(cases(make, seed))), start=1)}
+    about: dict[str, Any] = {"generator": by, "seed": seed}
+    key = read_key(folder) if (folder / KEY).exists() else about | {"sets": {}}
+    if {name: key[name] for name in about} != about:
+        raise ConfigError(f"{folder} holds sets of the {key['generator']} generator, seed {key['seed']}; give another "
+                          f"folder, or --generator {key['generator']} --seed {key['seed']} to complete it")
+    missing = [(name, case) for name, case in wanted.items() if name not in key["sets"]]
+    for done, (name, case, truth) in enumerate(work.all_of(partial(_make, folder / SETS, by), missing), start=1):
+        key["sets"][name] = truth | {"kind": case.kind, "effects": case.effects}
+        _write_key(folder, key)
+        say(f"{done} of {len(missing)} sets made")
+
+
+def read_key(folder: Path) -> dict[str, Any]:
+    """The key of an exported benchmark. Raises ConfigError where there is none."""
+    try:
+        text = (folder / KEY).read_text(encoding="ascii")
+        if not text.startswith(_FORMAT):
+            raise ConfigError("its first line is another one")
+        return seal.opened(text.removeprefix(_FORMAT), "its text")
+    except (OSError, ValueError, ConfigError) as error:
+        raise ConfigError(f"{folder / KEY} is no key of a benchmark ({error}); give the folder that "
+                          "rollerrig bench explain --export wrote") from None
+
+
+def _write_key(folder: Path, key: dict[str, Any]) -> None:
+    part = folder / f"{KEY}.part"
+    with writing(folder / KEY, "give another folder"):
+        part.write_text(_FORMAT + seal.shut(key), encoding="ascii")
+        part.replace(folder / KEY)
+
+
+def _make(folder: Path, by: str, job: tuple[str, Case]) -> tuple[str, Case, dict[str, Any]]:
+    """Make one set; what its coefficients mean, and the errors of the base with and without what is hidden."""
+    name, case = job
+    make = generator(GENERATORS[by])
+    # the same stops, same seed, with nothing hidden: what is left there no model can take away
+    with work.scratch() as place:
+        clean = _errors(make.make(place / "twin", {}, case.seed))
+    errors = _errors(make.make(folder / name, case.effects, case.seed))
+    meaning = {cause: (*make.SAME_MEANING[cause][:1], make.SAME_MEANING[cause][1] * size)
+               for cause, size in case.effects.items() if cause in make.SAME_MEANING}
+    return name, case, {"meaning": meaning, "base_error": errors if clean else {}, "least_error": clean}
+
+
+def _errors(dataset_folder: Path) -> dict[str, float]:
+    """Errors of the fitted base on stops that were not fitted, by metric; none of data that `explain` refuses."""
+    from rollerrig.rig.identify.causes import candidates
+    from rollerrig.rig.identify.data import dataset, preparation
+    from rollerrig.rig.identify.decide import gain, tuning
+
+    try:
+        data = dataset.load(dataset_folder)
+    except ConfigError:
+        return {}
+    design, held = (preparation.prepare(data, data.group(g)) for g in ("tune", "validate"))
+    base, *_ = tuning.fit(design, candidates.start(design))
+    return {metric: gain.error(held, base, metric) for metric in (gain.ADHESION, gain.FREE_RUN)}

@@ -1,0 +1,41 @@
+"""Spreads the sets of a benchmark over the cores, one set a core at a time."""
+
+import contextlib
+import multiprocessing
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import as_completed
+from pathlib import Path
+from typing import Any
+
+from rollerrig.configs import children
+
+
+def all_of(one: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
+    """one(job) of all jobs as they end; an interruption leaves at once."""
+    own, cores = sorted(os.sched_getaffinity(0)), multiprocessing.get_context("spawn").Queue()
+    for core in own:
+        cores.put(core)
+    with children.pool(len(own), _keep_to, cores) as pool:
+        futures = [pool.submit(one, job) for job in jobs]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """A folder for what nobody keeps."""
+    with tempfile.TemporaryDirectory(prefix="rollerrig-sealed-") as name:
+        yield Path(name)
+
+
+def _keep_to(cores: Any) -> None:
+    """Keep this process to one core, so that what it calls starts no others."""
+    from threadpoolctl import threadpool_limits
+
+    os.sched_setaffinity(0, {cores.get()})
+    threadpool_limits(1)

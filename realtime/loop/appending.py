@@ -1,0 +1,17 @@
+"""How a row gets into a ring: one kernel, apart from `ring`, whose readers need no compiler."""
+
+from rollerrig.realtime.loop.clock import fence
+from rollerrig.rig.kernel import kernel
+
+_WRITTEN = 0  # of `ring`
+
+
+@kernel
+def push(header, rows, row):
+    """Append one row: shapes (16,) int64, (capacity, width), (width,). Never waits."""
+    at = header[_WRITTEN]
+    slot = at % rows.shape[0]
+    for i in range(row.size):
+        rows[slot, i] = row[i]
+    fence()
+    header[_WRITTEN] = at + 1

@@ -1,0 +1,182 @@
+"""The replay of the four wheelsets of a run at once, side by side in the processor's vectors.
+
+A loop is only put into vectors where it calls nothing, so exp, log and atan are written out, without branches that
+have to be taken; the filter of `replay` and the law of adhesion are the same sources, compiled once more with these.
+Where recovered adhesion lies below degraded, the law needs more than that: the replay is then no number, and the
+wheelsets go one by one.
+
+Source: Moshier, Methods and Programs for Mathematical Functions (1989), for the range reduction and the atan. Errors
+of 3e-16.
+"""
+
+import math
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.configs.vehicle import AXLES
+from rollerrig.rig.contact import adhesion, polach
+from rollerrig.rig.identify.data.parameters import PARAMETERS
+from rollerrig.rig.identify.filter import replay
+from rollerrig.rig.kernel import again, constructor, kernel, kernel_inlined
+
+_SHIFT, _BIAS = 4503599627370496.0, 1023.0  # 2^52: its mantissa holds an integer; that of the exponent
+_HALF_PI_REST = 6.123233995736766e-17
+
+
+@kernel_inlined
+def _power(x):
+    """(2^k, e^r - 1) with e^x = 2^k e^r, |r| < 0.35."""
+    x = min(max(x, -700.0), 700.0)
+    k = math.floor(1.4426950408889634 * x + 0.5)
+    r = (x - k * 0.693145751953125) - k * 1.42860682030941723212e-6
+    p = 1.0 / 5040.0 + r * (1.0 / 40320.0 + r * (1.0 / 362880.0 + r * (1.0 / 3628800.0 + r * (
+        1.0 / 39916800.0 + r * (1.0 / 479001600.0 + r / 6227020800.0)))))
+    p = r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * p))))))
+    return np.int64(np.float64(k + _BIAS + _SHIFT).view(np.int64) << 52).view(np.float64), p
+
+
+@kernel_inlined
+def exp(x):
+    """e^x for |x| < 700."""
+    whole, part = _power(x)
+    return whole + whole * part
+
+
+@kernel_inlined
+def expm1(x):
+    """e^x - 1."""
+    whole, part = _power(x)
+    return whole * part + (whole - 1.0)
+
+
+@kernel_inlined
+def log(x):
+    """ln x for 0 < x, not subnormal."""
+    bits = np.float64(x).view(np.int64)
+    power = np.int64((bits >> 52) | 0x4330000000000000).view(np.float64) - (_SHIFT + _BIAS)
+    m = np.int64((bits & 0xFFFFFFFFFFFFF) | 0x3FF0000000000000).view(np.float64)
+    above = m > 1.4142135623730951
+    m, power = (0.5 * m, power + 1.0) if above else (m, power)
+    s = (m - 1.0) / (m + 1.0)
+    z = s * s
+    rest = z * (1.0 / 3.0 + z * (0.2 + z * (1.0 / 7.0 + z * (1.0 / 9.0 + z * (1.0 / 11.0 + z * (1.0 / 13.0 + z * (
+        1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0 + z / 21.0)))))))))
+    return 2.0 * (s + s * rest) + power * 0.6931471805599453
+
+
+@kernel_inlined
+def atan(x):
+    """Arctangent, after Cephes."""
+    a = abs(x)
+    far, middle = a > 2.414213562373095, a > 0.66
+    turn = 2.0 if far else (1.0 if middle else 0.0)
+    z = (-1.0 if far else (a - 1.0 if middle else a)) / (a if far else (a + 1.0 if middle else 1.0))
+    w = z * z
+    p = w * ((((-0.8750608600031904 * w - 16.15753718733365) * w - 75.00855792314705) * w - 122.88666844901361) * w
+             - 64.85021904942025)
+    q = ((((w + 24.858464901423062) * w + 165.02700983169885) * w + 432.88106049129027) * w + 485.3903996359137) * w \
+        + 194.5506571482614
+    return math.copysign(turn * 0.7853981633974483 + (z * p / q + z + turn * 0.5 * _HALF_PI_REST), x)
+
+
+@kernel_inlined
+def _one(*_):
+    return 1.0
+
+
+@kernel_inlined
+def _none(_):
+    return math.nan
+
+
+def _module(like: Any, **names: Any) -> Any:
+    made = ModuleType(like.__name__)
+    vars(made).update(vars(like) | names)
+    return made
+
+
+MATH = _module(math, exp=exp, expm1=expm1, log=log, atan=atan)
+_polach = _module(polach, curve=again(polach.curve, shape=again(polach.shape, math=MATH),
+                                      friction=again(polach.friction, math=MATH)))
+_recovery = again(adhesion.recovery, math=MATH, lambert_w0=_none)
+_adhesion = _module(adhesion, curves=again(adhesion.curves, math=MATH, polach=_polach),
+                    f_and_lambda=again(adhesion.f_and_lambda, math=MATH, recovery=_recovery))
+_wheel_adhesion = again(replay.wheel_adhesion, adhesion=_adhesion,
+                        curves=again(replay.curves, math=MATH, adhesion=_adhesion))
+REPLAY = _module(replay, wheel_adhesion=_wheel_adhesion, closes=_one)
+_moved = again(replay.moved, math=MATH, wheel_adhesion=_wheel_adhesion, closes=_one)
+_Row = NamedTuple("_Row", [(f"p{k}", float) for k in range(PARAMETERS)])
+# cells: five of the state, what is measured, the inputs, what is told, the parameters; four lanes each
+_STATE, _MEASURED, _INPUT, _TOLD, _PARAMETERS = 0, 20, 24, 40, 48
+CELLS = _PARAMETERS + AXLES * PARAMETERS
+row = constructor(_Row, "cells, j", [f"cells[{_PARAMETERS + AXLES * k} + j]" for k in range(PARAMETERS)])
+
+told = constructor(_Row, "p", [f"p[{k}]" for k in range(PARAMETERS)])
+_WIDE = 16
+LONG = 6 * _WIDE
+
+
+@kernel
+def along(sliding, speed, load, friction_log, p, cells, out):
+    """What `replay.along` gives where recovery does not lag, many samples at once."""
+    fixed = told(p)
+    for first in range(0, sliding.size, _WIDE):
+        here = min(_WIDE, sliding.size - first)
+        for j in range(_WIDE):
+            k = first + min(j, here - 1)
+            cells[j], cells[_WIDE + j] = sliding[k], speed[k]
+            cells[2 * _WIDE + j], cells[3 * _WIDE + j] = load[k], friction_log[k]
+        for j in range(_WIDE):
+            cells[4 * _WIDE + j], cells[5 * _WIDE + j], _ = _wheel_adhesion(
+                cells[j], cells[_WIDE + j], 0.5 * cells[2 * _WIDE + j], cells[3 * _WIDE + j], fixed, 0.0, 1.0)
+        for j in range(here):
+            out[0, first + j], out[1, first + j] = cells[4 * _WIDE + j], cells[5 * _WIDE + j]
+
+
+@kernel_inlined
+def tell(parameters, cells):
+    """Writes the rows of four wheelsets where `row` looks for them."""
+    for i in range(PARAMETERS):
+        for j in range(AXLES):
+            cells[_PARAMETERS + AXLES * i + j] = parameters[j, i]
+
+
+@kernel
+def replay_run(start, measured, inputs, parameters, step_s, cells, out):
+    """Innovations of the wheelsets of a run: `inputs` (4, n) speed, load, torque, friction_log; `out` (3, n).
+
+    `start` is where the four begin in the flat arrays, and where the last ends; `parameters` (4, PARAMETERS).
+    """
+    # all that a loop touches stands in `cells`, at known places: so it needs no check that nothing overlaps
+    tell(parameters, cells)
+    for j in range(AXLES):
+        p = parameters[j]
+        cells[j], cells[4 + j], cells[12 + j] = measured[start[j]], 0.0, 0.0
+        cells[8 + j], cells[16 + j] = p[17] * p[17], p[15] * p[15]
+    n = start[1] - start[0]
+    for k in range(n):
+        for j in range(AXLES):
+            cells[_MEASURED + j] = measured[start[j] + k]
+        for j in range(AXLES):
+            told = replay.corrected(cells[_MEASURED + j], cells[j], cells[4 + j], cells[8 + j], cells[12 + j],
+                                    cells[16 + j], row(cells, j)[17] * row(cells, j)[17])
+            (cells[_TOLD + j], cells[_TOLD + 4 + j], cells[j], cells[4 + j], cells[8 + j], cells[12 + j],
+             cells[16 + j]) = told
+        for j in range(AXLES):
+            at = start[j] + k
+            out[0, at], out[1, at], out[2, at] = cells[_TOLD + j], cells[_TOLD + 4 + j], cells[4 + j]
+        if k + 1 == n:
+            break
+        for i in range(replay.SUBSTEPS):
+            w = (i + 0.5) / replay.SUBSTEPS
+            for q in range(4):
+                for j in range(AXLES):
+                    at = start[j] + k
+                    cells[_INPUT + AXLES * q + j] = (1.0 - w) * inputs[q, at] + w * inputs[q, at + 1]
+            for j in range(AXLES):
+                state = _moved(cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], 0.0,
+                               cells[_INPUT + j], cells[_INPUT + 4 + j], cells[_INPUT + 8 + j],
+                               cells[_INPUT + 12 + j], row(cells, j), step_s)
+                cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], _ = state

@@ -1,0 +1,1 @@
+"""What train recorders hold, speeds without load and torque: recording, faults, rolling, slides, verdict."""

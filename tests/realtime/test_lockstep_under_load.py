@@ -1,0 +1,125 @@
+"""Lockstep repeats to the byte whatever the machine does meanwhile: busy cores, a bench that is stopped and goes on."""
+
+import contextlib
+import functools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from bench_process import MAGNETS, BenchProcess, SimpleUnit
+
+from rollerrig.realtime.record import records
+
+# faults one after the other: a unit without speeds, speeds that come now and then, and late, answers that come late, a
+# unit that sleeps, one that sleeps while there are no speeds; and a wire that frames wait for, one that is never silent
+FAULTS = ("node_off node=16 at=0.3 for=0.6", "frame_lost can_id=0x190 every=2 at=1.2 for=0.5",
+          "frame_delayed can_id=0x190 delay_s=0.033 at=2 for=0.5", "wsp_frozen at=3.4 for=0.7",
+          "frame_delayed can_id=0x211 delay_s=0.05 at=2.7 for=0.5", "wsp_frozen at=4.6 for=0.7",
+          "node_off node=16 at=4.8 for=0.6")
+BABBLE = "node_babbling node=17 can_id=0x101 rate_Hz=4000 at=0.6 for=0.3"
+CASES = {
+    "plain": ("--set", "duration_max_s=6"),
+    "faults": ("--set", "duration_max_s=6", *(word for fault in FAULTS for word in ("--fault", fault))),
+    "wire": ("--set", "duration_max_s=1.2", "--set", "bus.arbitration=true", "--fault", BABBLE),
+}
+
+
+@contextlib.contextmanager
+def busy_cores():
+    """Twice as many processes that count as there are cores."""
+    beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * os.cpu_count())]
+    try:
+        yield
+    finally:
+        for one in beside:
+            one.kill()
+            one.wait()
+
+
+def stop_and_go(bench, rest_s=0.2, go_s=0.05):
+    """Stop the bench again and again, from its first frames until it has ended; returns how often."""
+    count, log = 0, bench.out / "can.log"
+    while bench.process.poll() is None and not (log.exists() and log.stat().st_size):
+        time.sleep(0.01)
+    while bench.process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(bench.process.pid, signal.SIGSTOP)
+            time.sleep(rest_s)
+            os.killpg(bench.process.pid, signal.SIGCONT)
+            count += 1
+        time.sleep(go_s)
+    return count
+
+
+def run(out, arguments, disturb=lambda bench: None):
+    bench = BenchProcess(out, "--pacing", "lockstep", "--set", "adhesion.mu_cd=0.05", *arguments)
+    thread = threading.Thread(target=disturb, args=(bench,))
+    thread.start()
+    bench.finish()
+    thread.join()
+    assert bench.status in (0, 4), bench.stderr  # cut short by duration_max_s: perhaps not valid
+    return bench
+
+
+def same(one, other):
+    lines, others = ((bench.out / "can.log").read_text().splitlines() for bench in (one, other))
+    differ = [(a, b) for a, b in zip(lines, others, strict=False) if a != b][:3]
+    assert lines == others, f"{len(lines)} and {len(others)} frames; {differ}"
+    for name in one.record.table.column_names:
+        if not name.startswith("tick_"):
+            assert np.array_equal(one.record.column(name), other.record.column(name), equal_nan=True), name
+    told, told_too = ([text for _, level, text in records.events(bench.out) if level != "info"]
+                      for bench in (one, other))
+    assert told == told_too
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """The run of a case that nothing disturbs, made once."""
+    return functools.cache(lambda case: run(tmp_path_factory.mktemp("alone") / case, CASES[case]))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_run_in_lockstep_whose_bench_is_stopped_now_and_then_is_the_same_to_the_byte(case, undisturbed, tmp_path):
+    counts = []
+    disturbed = run(tmp_path / "run", CASES[case], lambda bench: counts.append(stop_and_go(bench)))
+    same(undisturbed(case), disturbed)
+    assert counts[0] > 3
+
+
+@pytest.mark.parametrize("case", ["plain", "faults"])
+def test_a_run_in_lockstep_beside_twice_as_many_busy_processes_as_cores_is_the_same_to_the_byte(
+        case, undisturbed, tmp_path):
+    with busy_cores():
+        disturbed = run(tmp_path / "run", CASES[case])
+    same(undisturbed(case), disturbed)
+
+
+def test_a_unit_that_is_only_slow_is_waited_for(undisturbed, tmp_path):
+    def stop_the_unit(bench):
+        bench.runs_for(0.5)
+        unit = bench.child("wsp")
+        os.kill(unit, signal.SIGSTOP)
+        time.sleep(2.5)
+        os.kill(unit, signal.SIGCONT)
+
+    # it lives: six times the wait
+    same(undisturbed("plain"), run(tmp_path / "run", (*CASES["plain"], "--answer-wait", "1"), stop_the_unit))
+
+
+def test_an_outside_unit_may_owe_its_answer_for_the_time_that_is_asked_for(tmp_path):
+    def answer(n):
+        time.sleep(2.0 if n == 50 else 0.0)
+        return [(MAGNETS, b"\0")]
+
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--set", "duration_max_s=2")
+    unit = SimpleUnit(bench.address(), answer)
+    bench.finish()
+    unit.close()
+    assert bench.status in (0, 4), bench.stderr  # cut short by duration_max_s: perhaps not valid
+    assert bench.told["loop"]["ticks"] == 2000

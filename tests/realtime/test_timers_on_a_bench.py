@@ -1,0 +1,165 @@
+"""CANopen timers on a bench that runs, in real time and in lockstep: they go by their own clock, not by the SYNC."""
+
+import struct
+import time
+
+import bench_process
+import can
+import numpy as np
+import pytest
+
+from rollerrig.realtime.record import records
+from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.bus.sdo_client import RefusedError, SdoClient
+
+DRIVE, SPEED, BRAKE, PARTNER = 1, 16, 17, 50
+SYNC_S = 0.1  # longer than every time that is measured
+
+
+class Master:
+    """A client of a running bench that reads and writes objects."""
+
+    def __init__(self, bench):
+        self.bus = buses.open_client(bench.address())
+        self.sdo = SdoClient(self.bus.send, self.bus.recv, lambda message: None)
+
+    def write(self, node, index, sub, value, letter="I"):
+        self.sdo.write(node, index, sub, struct.pack(f"<{letter}", value))
+
+    def event_driven(self, node, number, inhibit_ms=0, event_ms=0):
+        """Let a transmit PDO go out by its timer or on a change."""
+        can_id = (0x180, 0x280, 0x380, 0x480)[number - 1] + node
+        parameters = 0x1800 + number - 1
+        self.write(node, parameters, 1, 1 << 31 | can_id)
+        self.write(node, parameters, 2, 254, "B")
+        self.write(node, parameters, 3, 10 * inhibit_ms, "H")
+        self.write(node, parameters, 5, event_ms, "H")
+        self.write(node, parameters, 1, can_id)
+        return can_id
+
+    def send(self, can_id, data=b""):
+        self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+
+@pytest.fixture(scope="module", params=["lockstep", "wall"])
+def bench(request, tmp_path_factory):
+    """A coach that coasts beside a SYNC every 0.1 s."""
+    tmp_path = tmp_path_factory.mktemp("timers")
+    (tmp_path / "coasting.toml").write_text('title = "The coach coasts"\nvehicle = "uic_z1"\nrig = "full_scale"\n'
+                                            'adhesion = "dry"\ninitial_speed_m_s = 99.0\n')
+    # in lockstep without a unit simulated time runs ahead of whoever configures
+    seconds = {"lockstep": 20_000, "wall": 600}[request.param]
+    run = bench_process.BenchProcess(
+        tmp_path / "run", "--wsp", "none", "--pacing", request.param, "--set", f"bus.sync_period_s={SYNC_S}", "--set",
+        f"duration_max_s={seconds}", "--set", "loop.record_hz=1", "--set", "vehicle.resistance_A_N=0", "--set",
+        "vehicle.resistance_C_N_s2_m2=0", scenario=str(tmp_path / "coasting.toml"))
+    run.pacing = request.param
+    yield run
+    run.process.kill()
+    run.process.wait()
+
+
+@pytest.fixture(scope="module")
+def master(bench):
+    found = Master(bench)
+    yield found
+    found.bus.shutdown()
+
+
+def times(bench, can_id, data=""):
+    """When frames of an identifier, whose data begin so, came by the bus's clock, as far as they are recorded."""
+    log = bench.out / "can.log"
+    lines = log.read_text().splitlines()[:-1] if log.exists() else ()
+    return np.array([float(line[1:line.index(")")]) for line in lines if f" {can_id:03X}#{data}" in line])
+
+
+def periods(bench, can_id, wanted_s):
+    """The last 30 periods of an identifier, as soon as most are as wanted (what was sent before looks otherwise)."""
+    def there():
+        found = np.diff(times(bench, can_id)[-31:])
+        if len(found) < 30 or max(abs(found[:5] - wanted_s)) > 0.5 * wanted_s:
+            return None
+        return found if abs(np.median(found) - wanted_s) < 0.02 * wanted_s else None
+    return bench_process.until(lambda: (found := there()) is not None and [found], f"{can_id:X}h every {wanted_s} s",
+                               60.0)[0]
+
+
+@pytest.mark.conformance("CiA 301", "on a running bench: event timer")
+def test_an_event_timer_shorter_than_the_sync_period_sends_in_between(bench, master):
+    can_id = master.event_driven(SPEED, 3, event_ms=20)
+    periods_s = periods(bench, can_id, 0.02)
+    if bench.pacing == "lockstep":
+        np.testing.assert_allclose(periods_s, 0.02, atol=1e-6)
+
+
+@pytest.mark.conformance("CiA 301", "on a running bench: inhibit time")
+def test_an_event_timer_does_not_override_the_inhibit_time(bench, master):
+    can_id = master.event_driven(SPEED, 2, inhibit_ms=50, event_ms=20)
+    assert periods(bench, can_id, 0.05).min() > 0.05 - 1e-3
+
+
+@pytest.mark.conformance("CiA 301", "on a running bench: heartbeat producer")
+def test_heartbeats_come_every_period_whatever_the_sync(bench, master):
+    master.write(DRIVE, 0x1017, 0, 30, "H")
+    periods_s = periods(bench, 0x700 + DRIVE, 0.03)
+    # in real time a busy machine may hold up some of them
+    middle = {"lockstep": np.mean, "wall": np.median}[bench.pacing]
+    assert middle(periods_s) == pytest.approx(0.03, rel=0.05)
+
+
+@pytest.mark.conformance("CiA 301", "on a running bench: emergency inhibit time")
+def test_between_two_emergencies_lies_the_inhibit_time(bench, master):
+    master.write(BRAKE, 0x1014, 0, 1 << 31 | 0x080 + BRAKE)
+    master.write(BRAKE, 0x1015, 0, 2500, "H")  # 250 ms
+    master.write(BRAKE, 0x1014, 0, 0x080 + BRAKE)
+    for data in (b"", b"\x00", b"", b"\x00"):  # too short for RPDO1, and right: error, no error
+        master.send(0x211, data)
+    bench_process.until(lambda: len(times(bench, 0x080 + BRAKE)) >= 4, "four emergencies")
+    periods_s = np.diff(times(bench, 0x080 + BRAKE))
+    assert periods_s.min() >= 0.25 - 1e-3
+
+
+@pytest.mark.conformance("CiA 301", "on a running bench: heartbeat consumer")
+def test_a_partner_within_its_time_is_not_lost_and_one_that_falls_silent_is_lost_then(bench, master):
+    if bench.pacing == "lockstep":
+        pytest.skip("in lockstep without answers time does not go as a partner's clock")
+    master.write(BRAKE, 0x1016, 2, PARTNER << 16 | 300)
+    for _ in range(20):
+        master.send(0x700 + PARTNER, b"\x05")
+        time.sleep(0.16)  # 1.6 SYNC periods: noted at the SYNC before, it would seem to be late
+    bench_process.until(lambda: len(times(bench, 0x700 + PARTNER)) == 20, "the partner's heartbeats")
+    beats_s = times(bench, 0x700 + PARTNER)
+
+    def losses():
+        # by the bus's clock as well: a stall takes simulated time away, and an event has that
+        return times(bench, 0x080 + BRAKE, "3081")
+
+    bench_process.until(lambda: losses().size and losses()[-1] > beats_s[-1], "the loss")
+    *early_s, last_s = losses()
+    assert 0.3 <= last_s - beats_s[-1] + 1e-3 < 0.4
+    # a busy machine may have held the partner up for longer than its time
+    assert len(early_s) <= np.sum(np.diff(beats_s) > 0.3 - 1e-3)
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "wall"])
+@pytest.mark.parametrize("sync_s", [0.02, 0.05, 0.1, 0.5])
+def test_the_reference_unit_heartbeats_within_the_rigs_patience_whatever_the_sync_period(sync_s, pacing, tmp_path):
+    run = bench_process.BenchProcess(
+        tmp_path / "run", "--pacing", pacing, "--set", f"bus.sync_period_s={sync_s}", "--set", "initial_speed_m_s=99",
+        "--set", f"duration_max_s={max(2.0, 8 * sync_s)}", scenario="dry_stop").finish()
+    beats_s = np.diff(times(run, 0x720))
+    assert len(beats_s) > 5
+    if pacing == "lockstep":
+        assert beats_s.max() <= max(0.1, sync_s) + 0.01
+        assert not [text for _, _, text in records.events(run.out) if "lost" in text]
+    else:
+        assert np.median(beats_s) < 0.15
+
+
+@pytest.mark.conformance("CiA 301", "SYNC counter 1019h while 1006h is set")
+def test_the_syncs_overflow_value_cannot_change_while_a_period_is_set(bench, master):
+    master.write(DRIVE, 0x1006, 0, 100_000)
+    with pytest.raises(RefusedError, match="08000022"):
+        master.write(DRIVE, 0x1019, 0, 10, "B")
+    master.write(DRIVE, 0x1006, 0, 0)
+    master.write(DRIVE, 0x1019, 0, 10, "B")

@@ -1,0 +1,76 @@
+"""Brake pads: exactly what they were while nothing varies, energy that goes where it went, heat that acts back."""
+
+import numpy as np
+import pytest
+from rolling import DRY, TRACK, Rig
+
+from rollerrig.configs import store
+from rollerrig.realtime.bench import scenario
+from rollerrig.rig.lanes import layout
+from rollerrig.rig.mechanisms import pads
+from rollerrig.rig.state import SLOTS
+
+VARYING = {"speed_loss": 0.2, "pressure_loss": 0.1, "fade_loss": 0.6, "fade_from_K": 300.0, "fade_scale_K": 40.0,
+           "clamp_hysteresis": 0.05}
+
+
+def braked(seconds=10.0, **varying):
+    return Rig(30.0, adhesion=DRY, rig=TRACK, pads=varying)
+
+
+def test_pads_that_do_not_vary_change_no_bit_even_when_they_are_computed():
+    rig, forced = braked(), braked()
+    forced.params = forced.params._replace(pads=forced.params.pads._replace(vary=True))
+    plain, computed = (one.roll(8.0) for one in (rig, forced))
+    for name in SLOTS:
+        if name != "clamp_pressure":
+            assert np.array_equal(getattr(plain, name), getattr(computed, name), equal_nan=True), name
+
+
+def test_all_the_work_of_varying_pads_becomes_heat_and_the_energy_of_the_stop_balances():
+    rig = Rig(30.0, adhesion=DRY, rig=TRACK, pads=VARYING, brake={"disc_cooling_time_s": 1e5})
+    run = rig.roll(45.0)
+    assert run.vehicle_speed[-1] == 0.0
+    heat_J = 1.15e5 * run.change("disc_temperature")
+    np.testing.assert_allclose(heat_J, run.change("brake_work"), rtol=1e-3)
+    lost_J = 0.5 * 43000.0 * 30.0**2 + 4 * 0.5 * 160.0 * (30.0 / 0.445) ** 2
+    counted_J = (run.change("brake_work").sum() + run.change("sliding_work").sum() + run.change("resistance_work"))
+    assert counted_J == pytest.approx(lost_J, rel=1e-5)
+
+
+@pytest.mark.parametrize(("name", "given"), [
+    ("speed_loss", (40.0, 0.0, 300.0)), ("pressure_loss", (0.0, 4e5, 300.0)), ("fade_loss", (0.0, 0.0, 900.0))])
+def test_each_loss_lowers_friction_where_it_acts_and_nowhere_else(name, given):
+    row = Rig(30.0, pads={name: 0.5}).params.pads
+    assert 0.5 < pads.friction_share(*given, row) < 0.8
+    assert pads.friction_share(0.0, 0.0, 300.0, row) == 1.0
+
+
+def test_hot_discs_brake_less_and_so_get_less_hot_than_without_fading():
+    plain, fading = (braked(**varying).roll(12.0) for varying in ({}, {k: VARYING[k] for k in VARYING if "fade" in k}))
+    assert fading.disc_temperature[-1].max() < plain.disc_temperature[-1].max()
+    assert fading.brake_torque[4000:9000].mean() < 0.9 * plain.brake_torque[4000:9000].mean()
+    assert np.array_equal(plain.brake_torque[:500], fading.brake_torque[:500])
+
+
+def test_the_clamp_lags_behind_rising_and_falling_pressure_and_turns_without_a_jump():
+    pressure = np.concatenate([np.linspace(0.0, 4e5, 400), np.linspace(4e5, 0.0, 400)])
+    force, felt = 0.0, []
+    for p in pressure:
+        force = pads.clamped(force, p, 0.05)
+        felt.append(force)
+    felt = np.array(felt)
+    np.testing.assert_allclose(felt[:400], 0.95 * pressure[:400], rtol=1e-12)
+    assert np.abs(np.diff(felt)).max() <= 1.06e3
+    np.testing.assert_allclose(felt[450:], 1.05 * pressure[450:], rtol=1e-12, atol=1e-6)
+    # the loop takes work from whoever moves the clamp, and gives none
+    assert np.sum(np.diff(pressure) * 0.5 * (felt[1:] + felt[:-1])) < 0.0
+
+
+@pytest.mark.parametrize("name", [name for name in store.names("pads") if name != "constant"])
+def test_a_set_of_pads_has_the_friction_of_its_class_in_the_middle_of_a_stop(name):
+    plan = scenario.load("dry_stop", settings=(f"pads={name}",))
+    share = pads.friction_share(20.0, 2.0e5, 320.0, plan.params.pads)
+    assert plan["brake"]["pad_friction"] * share == pytest.approx(0.35, abs=0.01)
+    assert not layout.fits(plan.params)
+    assert scenario.load("dry_stop")["pads_set"] == "constant"

@@ -1,0 +1,107 @@
+"""The pytest plugin as a WSP team has it: a folder of tests without a conftest, in a pytest of its own."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+GOOD = """
+def test_a_wheel_turns_{name}(rollerrig_bench, tmp_path):
+    rig = rollerrig_bench(initial_speed_km_h=9.0, adhesion="soap")
+    rig.brake(bar=1.0)
+    rig.wait(0.3)
+    (tmp_path.parent.parent / "{name}.txt").write_text(rig.bus.channel_info + " in " + str(rollerrig_bench.begun[0][1]))
+    assert "km/h after" in repr(rig)
+"""
+BAD = """
+def test_no_wheel_locks(rollerrig_bench):
+    rig = rollerrig_bench(initial_speed_km_h=20.0, adhesion="leaf_film", wsp="none")
+    rig.brake(bar=3.8)
+    rig.stop(timeout_s=90.0)
+    rollerrig_bench.judge(rig)
+"""
+WAITS = """
+import time
+def test_waits(rollerrig_bench, tmp_path):
+    rig = rollerrig_bench(initial_speed_km_h=36.0)
+    (tmp_path / "there").touch()
+    time.sleep(600)
+"""
+
+
+@pytest.fixture
+def session(tmp_path):
+    """Start a pytest of somebody else on some files; its output in `said`."""
+    def start(files, *arguments):
+        folder = tmp_path / "theirs"
+        folder.mkdir()
+        for name, text in files.items():
+            (folder / name).write_text(text)
+        with (tmp_path / "said").open("w") as said:
+            return subprocess.Popen([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments,
+                                     "--basetemp", str(tmp_path / "base")], cwd=folder, stdout=said,
+                                    stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, env=without_options())
+    return start
+
+
+def without_options():
+    return {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+
+
+def said(tmp_path):
+    return (tmp_path / "said").read_text()
+
+
+def processes_with(text):
+    """Processes with a text in their command line."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = path.read_bytes().decode(errors="replace").split("\0")
+        except OSError:
+            continue
+        if any(text in word for word in words):
+            found.append(int(path.parent.name))
+    return found
+
+
+def test_the_plugin_needs_no_conftest_and_each_worker_has_ports_and_folders_of_its_own(session, tmp_path):
+    files = {f"test_{name}.py": GOOD.format(name=name) for name in ("one", "two")}
+    assert session(files, "-n", "2", "--dist", "loadfile").wait(600) == 0, said(tmp_path)
+    addresses, folders = zip(*(path.read_text().split(" in ") for path in sorted((tmp_path / "base").glob("*.txt"))),
+                             strict=True)
+    assert len(set(addresses)) == len(set(folders)) == 2
+
+
+def test_a_failed_test_tells_the_figure_against_its_limit_and_where_run_and_plot_are(session, tmp_path):
+    assert session({"test_bad.py": BAD}).wait(600) == 1
+    text = said(tmp_path)
+    assert re.search(r"longest_lock \d+\.\d+ s, wanted at most 0.4 s; .*source: recollection", text), text
+    assert "0.0 km/h after" in text
+    run, plot = (Path(re.search(rf"^{what}: (.+)$", text, re.MULTILINE)[1]) for what in ("run", "plot"))
+    assert (run / "channels.parquet").is_file()
+    assert plot.read_text().startswith("<svg")
+    assert "1 failed" in text  # and no error in its teardown
+    assert "error" not in text.splitlines()[-1]
+
+
+@pytest.mark.parametrize("workers", [(), ("-n", "1")])
+def test_no_bench_outlives_a_session_that_is_killed(workers, session, tmp_path):
+    theirs = session({"test_waits.py": WAITS}, *workers)
+    end = time.monotonic() + 300.0
+    while not list((tmp_path / "base").rglob("there")):
+        assert theirs.poll() is None, said(tmp_path)
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    base = str(tmp_path / "base")
+    assert len(processes_with(base)) > 1
+    os.kill(theirs.pid, signal.SIGKILL)
+    theirs.wait()
+    while left := processes_with(base):
+        assert time.monotonic() < end, left
+        time.sleep(0.1)

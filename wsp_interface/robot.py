@@ -1,0 +1,171 @@
+"""A library for Robot Framework: a bench on the roller rig, in the words of a test.
+
+    *** Settings ***
+    Library          rollerrig.wsp_interface.robot
+    Test Teardown    End Bench
+
+    *** Test Cases ***
+    No wheel locks on soap
+        Start Bench    speed=60 km/h    adhesion=soap
+        Brake    3.8 bar
+        Wait Until Standstill
+        Longest Lock Should Be Below    0.4 s
+
+A bench ends with its test at the latest. Values are written with their units. Source: Robot Framework 7.
+"""
+
+import contextlib
+import itertools
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from robot.api import logger
+from robot.api.deco import keyword, library
+from robot.libraries.BuiltIn import BuiltIn
+
+from rollerrig.configs import store
+from rollerrig.configs.errors import ConfigError
+from rollerrig.wsp_interface import own_bench
+from rollerrig.wsp_interface.harness_client import Harness
+from rollerrig.wsp_interface.sequences import conditions, play
+from rollerrig.wsp_interface.signals import AXLES
+
+_AXLES = range(1, AXLES + 1)
+
+
+@library(scope="TEST", listener="SELF")
+class Rig:
+    """A bench on the roller rig, as a test has it."""
+
+    def __init__(self) -> None:
+        self._stack = contextlib.ExitStack()
+        self._bench: Harness | None = None
+        self._folder = Path()
+
+    @property
+    def _rig(self) -> Harness:
+        if self._bench is None:
+            raise ConfigError("no bench runs: begin with the keyword 'Start Bench'")
+        return self._bench
+
+    @keyword
+    def start_bench(self, scenario: str = "", speed: str = "", adhesion: str = "", wsp: str = "reference",
+                    pacing: str = "lockstep", seed: int = 0) -> None:
+        """Starts a bench at a speed on an adhesion of configs/adhesion; ``wsp``: reference, none or fmu:FILE."""
+        self.end_bench()
+        out, test = (BuiltIn().get_variable_value(name) for name in ("${OUTPUT DIR}", "${TEST NAME}"))
+        name = re.sub(r"\W+", "_", test)
+        self._folder = next(folder for number in itertools.count(1)
+                            if not (folder := Path(out) / "rollerrig" / f"{name}-{number}").exists())
+        speed_m_s = conditions.quantity(speed, "m_s", "speed") if speed else None
+        self._bench = self._stack.enter_context(own_bench.start(
+            self._folder, scenario, wsp=wsp, pacing=pacing, seed=seed, initial_speed_m_s=speed_m_s, adhesion=adhesion))
+
+    @keyword
+    def end_bench(self) -> None:
+        """Ends the bench, and shows in the log how it stood, its plot and where its record is. Fails if not valid."""
+        if self._bench is None:
+            return
+        told, self._bench = repr(self._bench), None
+        self._stack.close()
+        plot = own_bench.draw(self._folder)
+        logger.info(f"{told}\nrun: {self._folder}")
+        if plot.is_file():
+            logger.info(plot.read_text(encoding="utf-8"), html=True)
+        own_bench.check_valid(own_bench.summary(self._folder))
+
+    @keyword
+    def brake(self, pressure: str) -> None:
+        """Asks for a brake cylinder pressure: ``Brake    3.8 bar``."""
+        self._rig.brake(conditions.quantity(pressure, "Pa", "pressure"))
+
+    @keyword
+    def release_brakes(self) -> None:
+        """Releases the brakes."""
+        self._rig.release()
+
+    @keyword
+    def adhesion(self, surface: str, axle: int = 0) -> None:
+        """Sets what is under the wheels from now on: a name of configs/adhesion, or a kinematic friction, or 0."""
+        try:
+            mu: float | None = float(surface)
+        except ValueError:
+            mu = store.load("adhesion", surface)[0].get("adhesion", {}).get("mu_cd")
+        if mu is None:
+            raise ConfigError(f"adhesion '{surface}' does not state mu_cd; give the kinematic friction as a number")
+        self._rig.friction(mu, [axle] if axle else _AXLES)
+
+    @keyword
+    def inject(self, fault: str, *parameters: str) -> None:
+        """Lets a fault of the catalogue begin: ``Inject    speed_sensor_stuck    axle=2    for=3``."""
+        self._rig.inject(" ".join((fault, *parameters)))
+
+    @keyword
+    def lift(self, fault: str, *parameters: str) -> None:
+        """Lifts a fault: ``Lift    speed_sensor_stuck    axle=2``."""
+        self._rig.lift(" ".join((fault, *parameters)))
+
+    @keyword
+    def note(self, text: str) -> None:
+        """Puts a note into the events of the run."""
+        self._rig.note(text)
+
+    @keyword
+    def let_pass(self, duration: str) -> None:
+        """Lets simulated time pass: ``Let Pass    2 s``."""
+        self._rig.wait(conditions.quantity(duration, "s", "duration"))
+
+    @keyword
+    def wait_until(self, condition: str, timeout: str = "300 s") -> None:
+        """Waits until a condition holds: ``Wait Until    every cylinder_pressure > 3 bar    timeout=5 s``."""
+        wanted = conditions.condition(condition, "condition")
+        self._until(lambda: wanted.holds(self._rig.values), timeout)
+
+    @keyword
+    def wait_until_speed_below(self, speed: str, timeout: str = "300 s") -> None:
+        """Waits until the vehicle is slower: ``Wait Until Speed Below    30 km/h``."""
+        limit_m_s = conditions.quantity(speed, "m_s", "speed")
+        self._until(lambda: self._rig.vehicle_speed_m_s < limit_m_s, timeout)
+
+    @keyword
+    def wait_until_standstill(self, timeout: str = "300 s") -> None:
+        """Waits until the vehicle stands."""
+        self._rig.stop(conditions.quantity(timeout, "s", "timeout"))
+
+    @keyword
+    def longest_lock_should_be_below(self, limit: str) -> None:
+        """Fails where a wheelset was locked for longer: ``Longest Lock Should Be Below    0.4 s``."""
+        self._below("longest lock", self._rig.longest_lock_s, limit, "s")
+
+    @keyword
+    def distance_should_be_below(self, limit: str) -> None:
+        """Fails where the vehicle has run further since the bench began."""
+        self._below("distance", self._rig.position_m, limit, "m")
+
+    @keyword
+    def should_hold(self, condition: str) -> None:
+        """Fails where a condition does not hold now: ``Should Hold    any valve > 0.5``."""
+        wanted = conditions.condition(condition, "condition")
+        if not wanted.holds(self._rig.values):
+            raise AssertionError(f"{condition}: it is {wanted.readings(self._rig.values)}")
+
+    @keyword
+    def limits_should_be_kept(self, criteria: str = "stop") -> None:
+        """Fails where a limit of a profile of configs/criteria is not kept, with each figure against its limit."""
+        if wrong := play.missed(self._rig, self._folder, criteria):
+            raise AssertionError(wrong)
+
+    def _end_test(self, data: Any, result: Any) -> None:
+        """Robot Framework's listener: no bench is left behind, nor its plot undrawn."""
+        self.end_bench()
+
+    def _until(self, reached: Callable[[], bool], timeout: str) -> None:
+        self._rig.until(reached, conditions.quantity(timeout, "s", "timeout"))
+
+    @staticmethod
+    def _below(what: str, value: float, limit: str, unit: str) -> None:
+        logger.info(f"{what} {value:.4g} {unit}, wanted below {limit}")
+        if not value < conditions.quantity(limit, unit, what):
+            raise AssertionError(f"{what} {value:.4g} {unit}, wanted below {limit}")
