@@ -54,6 +54,12 @@ def turn(item):
     return next((n for n, folder in enumerate(LONG) if item.nodeid.startswith(folder)), len(LONG))
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_logreport(report):
+    if hasattr(report, "node"):  # a worker's; without the group that xdist appends, --last-failed finds it again
+        report.nodeid = report.nodeid.rpartition("@")[0]
+
+
 def pytest_collection_finish(session):
     if os.environ.get("PYTEST_XDIST_WORKER"):
         # several workers whose libraries each take all cores wait for one another, up to thirty times as long

@@ -83,10 +83,11 @@ def test_many_small_blocks_are_read_as_one_table(tmp_path):
 
 def test_channels_are_written_again_when_a_second_has_not_yet_passed(tmp_path):
     written = Channels(tmp_path)
+    written._due_s += 1000.0
     written.add(some_rows(0, 10))
     written.write_if_due()
     assert len(pq.read_table(tmp_path / "channels.parquet")) == 0
-    written._due_s -= 1.0
+    written._due_s -= 1001.0
     written.write_if_due()
     assert len(pq.read_table(tmp_path / "channels.parquet")) == 10
 

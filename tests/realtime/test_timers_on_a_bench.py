@@ -1,5 +1,6 @@
 """CANopen timers on a bench that runs, in real time and in lockstep: they go by their own clock, not by the SYNC."""
 
+import functools
 import struct
 import time
 
@@ -74,12 +75,11 @@ def times(bench, can_id, data=""):
 
 
 def periods(bench, can_id, wanted_s):
-    """The last 30 periods of an identifier, as soon as most are as wanted (what was sent before looks otherwise)."""
+    """The last 25 periods of an identifier, as soon as most of twice as many are as wanted: what was sent before, and
+    the period at the change itself, are not among them."""
     def there():
-        found = np.diff(times(bench, can_id)[-31:])
-        if len(found) < 30 or max(abs(found[:5] - wanted_s)) > 0.5 * wanted_s:
-            return None
-        return found if abs(np.median(found) - wanted_s) < 0.02 * wanted_s else None
+        found = np.diff(times(bench, can_id)[-51:])
+        return found[25:] if len(found) == 50 and abs(np.median(found) - wanted_s) < 0.02 * wanted_s else None
     return bench_process.until(lambda: (found := there()) is not None and [found], f"{can_id:X}h every {wanted_s} s",
                                60.0)[0]
 
@@ -124,21 +124,23 @@ def test_a_partner_within_its_time_is_not_lost_and_one_that_falls_silent_is_lost
     if bench.pacing == "lockstep":
         pytest.skip("in lockstep without answers time does not go as a partner's clock")
     master.write(BRAKE, 0x1016, 2, PARTNER << 16 | 300)
-    for _ in range(20):
-        master.send(0x700 + PARTNER, b"\x05")
-        time.sleep(0.16)  # 1.6 SYNC periods: noted at the SYNC before, it would seem to be late
-    bench_process.until(lambda: len(times(bench, 0x700 + PARTNER)) == 20, "the partner's heartbeats")
-    beats_s = times(bench, 0x700 + PARTNER)
-
-    def losses():
-        # by the bus's clock as well: a stall takes simulated time away, and an event has that
-        return times(bench, 0x080 + BRAKE, "3081")
-
-    bench_process.until(lambda: losses().size and losses()[-1] > beats_s[-1], "the loss")
-    *early_s, last_s = losses()
-    assert 0.3 <= last_s - beats_s[-1] + 1e-3 < 0.4
-    # a busy machine may have held the partner up for longer than its time
-    assert len(early_s) <= np.sum(np.diff(beats_s) > 0.3 - 1e-3)
+    # by the bus's clock: a stall takes simulated time away, and an event has that
+    beats, losses = (functools.partial(times, bench, *wanted) for wanted in ((0x700 + PARTNER,), (0x080 + BRAKE, "3081")))
+    late_s = []
+    for _ in range(3):
+        sent = len(beats())
+        for _ in range(10):
+            master.send(0x700 + PARTNER, b"\x05")
+            time.sleep(0.16)  # 1.6 SYNC periods: noted at the SYNC before, it would seem to be late
+        bench_process.until(lambda: len(beats()) == sent + 10, "the partner's heartbeats")
+        beats_s = beats()[sent:]
+        bench_process.until(lambda: losses().size and losses()[-1] > beats_s[-1], "the loss")
+        *early_s, last_s = losses()[losses() > beats_s[0]]
+        late_s.append(last_s - beats_s[-1])
+        # a busy machine may have held the partner up for longer than its time
+        assert len(early_s) <= np.sum(np.diff(beats_s) > 0.3 - 1e-3)
+    assert min(late_s) >= 0.3 - 1e-3
+    assert np.median(late_s) < 0.4
 
 
 @pytest.mark.parametrize("pacing", ["lockstep", "wall"])
