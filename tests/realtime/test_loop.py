@@ -142,6 +142,6 @@ def test_the_row_that_a_sample_keeps_tells_the_worst_lateness_since_the_last(mac
     wall(machine, time.monotonic_ns() - 15 * MS)
     rows = machine.ring_rows[: machine.ring_header[rings.WRITTEN]]
     late_us = rows[:, signals.column("tick_lateness")]
-    # the worst of all may come after the last row
-    assert 15_000 <= late_us.max() <= machine.control[WORST_NS] / 1000.0 + 1e-3
+    # the first tick is due 1 ms after the beginning; the worst of all may come after the last row
+    assert 14_000 <= late_us.max() <= machine.control[WORST_NS] / 1000.0 + 1e-3
     assert rows[-1, signals.column("ticks_missed")] <= machine.control[tick.MISSED]
