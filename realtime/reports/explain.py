@@ -26,7 +26,7 @@ def as_json(a: Account) -> dict[str, Any]:
     """What report.json holds."""
     # the noise floor: simulated stops with nothing else in them
     made = simulate.runs(a.data, a.design, a.data.group("tune"), a.final, np.random.default_rng(1))
-    found = {named.cause.name for named in a.causes}
+    named = {one.cause.name for one in a.causes}
     unknown = {"formula": None, "against": _worst(a), "heldout_gain": None} if a.unknown is None else {
         "formula": a.unknown.text + "; empirical", "against": list(a.unknown.against),
         "heldout_gain": a.unknown.gain.reduction}
@@ -35,10 +35,13 @@ def as_json(a: Account) -> dict[str, Any]:
         "misfit": {"metric": "adhesion_rmse", "before": _rms(a.design, a.base),
                    "noise_floor": _rms(prepared.prepare(a.data, made, a.design), a.final), "p_value": a.p_value,
                    "worst_against": _worst(a)},
-        "causes": [_cause(a, named) for named in a.causes], "gain": gain.as_json(a.gain),
+        "causes": [_cause(a, one) for one in a.causes], "gain": gain.as_json(a.gain),
         "unknown": unknown if a.verdict == "unexplained" else None,
         "remainder": _remainder(a) if a.verdict == "partly" else None,
-        "screened": [_screened(a, row.name) for row in TABLE if row.name not in found],
+        "screened": [_screened(a, row.name) for row in TABLE if row.name not in named],
+        "set_aside": [{"name": one.finding.name, "likelihood": one.ratio} for one in a.set_aside],
+        "findings": {where: [{"name": f.name, "statistic": f.statistic, "p_value": f.p_value} for f in found]
+                     for where, found in (("before", a.findings), ("behind", a.remainder))},
         "notes": a.notes, "elapsed_s": round(a.elapsed_s, 1)}
 
 
@@ -69,7 +72,8 @@ def _cause(a: Account, named: NamedCause) -> dict[str, Any]:
     return {
         "name": named.cause.name, "axles": [named.cause.axle] if named.cause.axle else None,
         "parameters": extension.parameters(named),
-        "evidence": {"delta_bic": _bic(a, named.ratio, len(named.cause.values) + len(named.cause.shape)),
+        "evidence": {"likelihood": named.ratio,
+                     "delta_bic": _bic(a, named.ratio, len(named.cause.values) + len(named.cause.shape)),
                      "heldout_gain": None if a.gain is None else a.gain.reduction,
                      "detectability": _SEEN * named.deviation[0]},
         "confusable_with": list(named.confusable),

@@ -208,7 +208,7 @@ def account(*causes: Cause) -> explain.Account:
         tiny = (1e-6,) * len(cause.values)
         finding = Finding(cause.name, cause.axle, cause.shape, cause.values, (), tiny, 99.0, 0.001, 1.0, 1.0)
         named.append(choice.NamedCause(finding, cause, 99.0, tiny, ()))
-    return explain.Account(data, design, None, base, base._replace(causes=causes), "explained", named, [], [],
+    return explain.Account(data, design, None, base, base._replace(causes=causes), "explained", named, [], [], [],
                            None, 0.001, [], None, 1.0)
 
 

@@ -38,6 +38,7 @@ class Account(NamedTuple):
     final: Explanation
     verdict: str
     causes: list[choice.NamedCause]
+    set_aside: list[choice.NamedCause]  # fitted, and not named: what remains behind them is too much
     findings: list[Finding]
     remainder: list[Finding]
     gain: Gain | None
@@ -72,9 +73,9 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
         held = prepare(data, data.group("validate")) if data.group("validate") else None
         notes = list(data.warnings)
         won = _gain(held, base, explanation, causes, seed, notes)
-        verdict, formula = _verdict(causes, remainder, won, notes), None
+        verdict, formula, set_aside = _verdict(causes, remainder, won, notes), None, []
         if verdict not in ("explained", "partly"):
-            causes, explanation, won = [], base, None
+            causes, set_aside, explanation, won = [], causes, base, None
         if verdict == "unexplained":
             progress("formula", 0.0)
             formula = unknown.find(design, held, quiet, [f for f in found if evidence.generic(f.name)], seed)
@@ -82,7 +83,7 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
         if formula is not None:
             explanation, won = formula.explanation, formula.gain
     p_value = min([f.p_value for f in found], default=1.0)
-    return Account(data, design, held, base, explanation, verdict, causes, found, remainder or [], won,
+    return Account(data, design, held, base, explanation, verdict, causes, set_aside, found, remainder or [], won,
                    float(1.0 - (1.0 - p_value) ** 30), notes, formula, time.monotonic() - began)
 
 
