@@ -40,7 +40,8 @@ def as_json(a: Account) -> dict[str, Any]:
         "remainder": _remainder(a) if a.verdict == "partly" else None,
         "screened": [_screened(a, row.name) for row in TABLE if row.name not in named],
         "set_aside": [{"name": one.finding.name, "likelihood": one.ratio} for one in a.set_aside],
-        "findings": {where: [{"name": f.name, "statistic": f.statistic, "p_value": f.p_value} for f in found]
+        "findings": {where: [{"name": f.name, "axle": f.axle, "coefficients": list(f.estimate), "p_value": f.p_value,
+                              "statistic": f.statistic} for f in found]
                      for where, found in (("before", a.findings), ("behind", a.remainder))},
         "notes": a.notes, "elapsed_s": round(a.elapsed_s, 1)}
 
