@@ -50,7 +50,7 @@ class Forked:
     def __init__(self, words, stdout, stderr, before=int):
         for one in (stdout, stderr):
             one.write_bytes(b"")
-        place = os.getcwd(), dict(os.environ)
+        place = os.getcwd(), dict(os.environ), os.sched_getaffinity(0)
         self._process = forking().Process(target=_begin, args=(words, stdout, stderr, before, *place), daemon=True)
         self._process.start()
         self.pid, self._stdout, self._lock = self._process.pid, stdout, threading.Lock()
@@ -80,10 +80,12 @@ class Forked:
         self.send_signal(signal.SIGKILL)
 
 
-def _begin(words, stdout, stderr, before, folder, environment):
-    """Become the process: streams, session, folder and environment of one that is started."""
+def _begin(words, stdout, stderr, before, folder, environment, cores):
+    """Become the process: streams, session, folder, environment and cores of one that is started."""
     os.setsid()
     os.chdir(folder)
+    # the process that forks may have been started by a test that is kept to one core
+    os.sched_setaffinity(0, cores)
     os.environ.clear()
     os.environ.update(environment)
     for number, path, mode in ((0, os.devnull, os.O_RDONLY), (1, stdout, os.O_WRONLY), (2, stderr, os.O_WRONLY)):
