@@ -39,7 +39,8 @@ def as_json(a: Account) -> dict[str, Any]:
         "unknown": unknown if a.verdict == "unexplained" else None,
         "remainder": _remainder(a) if a.verdict == "partly" else None,
         "screened": [_screened(a, row.name) for row in TABLE if row.name not in named],
-        "set_aside": [{"name": one.finding.name, "likelihood": one.ratio} for one in a.set_aside],
+        "set_aside": [{"name": one.finding.name, "likelihood": one.ratio, "confusable_with": list(one.confusable)}
+                      for one in a.set_aside],
         "findings": {where: [{"name": f.name, "axle": f.axle, "coefficients": list(f.estimate), "p_value": f.p_value,
                               "statistic": f.statistic} for f in found]
                      for where, found in (("before", a.findings), ("behind", a.remainder))},
