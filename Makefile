@@ -14,10 +14,11 @@ export PYTHONDONTWRITEBYTECODE :=
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --out runs/demo
 
-# kernels are compiled before the workers start, each once
+# kernels are compiled before the workers start, each once; three workers on two cores, for tests wait as often as they
+# compute
 test: $(VENV)/ready-dev
 	$(BIN)/python tests/compile_kernels.py
-	$(BIN)/python -m pytest -n 2 --dist loadgroup
+	$(BIN)/python -m pytest -n 3 --dist loadgroup
 
 # on kernel SocketCAN, in a guest that has it: a run to the byte as on the hub, the harness, what goes wrong on a bus
 kernel-can: $(VENV)/ready-dev
@@ -28,7 +29,7 @@ kernel-can: $(VENV)/ready-dev
 # what to run before each commit: without the whole explanations
 check: lint
 	$(BIN)/python tests/compile_kernels.py
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not explanation"
+	$(BIN)/python -m pytest -n 3 --dist loadgroup -m "not explanation"
 
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .

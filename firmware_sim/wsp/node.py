@@ -15,6 +15,7 @@ import logging
 import os
 import signal
 import struct
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -286,7 +287,9 @@ def serve(built: Callable[[can.BusABC], Serving], bus_address: str, priority: in
             signal.signal(number, lambda number, frame: unit.stop())
         if priority:
             try:
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+                for thread in threading.enumerate():  # what watches the unit goes before it
+                    mine = min(priority + (thread is not threading.current_thread()), 99)
+                    os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(mine))
             except OSError as error:
                 print(f"info: SCHED_FIFO priority {priority} was refused: {error.strerror}", flush=True)
         unit.run()
