@@ -15,7 +15,7 @@ from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.mechanisms.mechanism import VEHICLE
+from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
 
 SPEED_M_S, LASTS_S, STEP_S = 30.0, 6.0, 0.01
@@ -116,6 +116,13 @@ def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(plain, row, shape, ax
     with_it = explanation._replace(causes=(cause_of(row, shape, axle, 0.0),))
     found = [sensitivity.innovations(plain, candidates.inputs(plain, one)) for one in (explanation, with_it)]
     assert all(np.array_equal(a, b) for a, b in zip(*found, strict=True))
+
+
+@pytest.mark.parametrize(("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on in (FRICTION, CONTACT)],
+                         ids=name)
+def test_no_cause_in_the_contact_shows_in_the_vehicles_filter(plain, row, shape, axle) -> None:
+    with_it = whitened(plain, VEHICLE, cause_of(row, shape, axle, size_of(row)))
+    assert np.array_equal(with_it, whitened(plain, VEHICLE))
 
 
 def test_every_mechanism_has_its_row_in_the_search() -> None:

@@ -17,6 +17,7 @@ from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
 from rollerrig.rig.identify.filter import sensitivity
+from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, VEHICLE
 
 CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2
 TAKEN = 20.0  # likelihood that a cause must win at least
@@ -185,12 +186,12 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
         value = tuning.deviance(design, explanation)
         remainder = [f for f in found if evidence.generic(f.name)]
         first = causes[0]
-        found = [f for f in found if f.statistic > SCORE_SHARE * _least_beside(first, f.axle)]
+        found = [f for f in found if f.statistic > SCORE_SHARE * _least_beside(first, f)]
         if len(causes) >= MOST_CAUSES:
             break
         beside = fitted(setting, explanation, found, MOST_BESIDE)
         better, more = choose(design, explanation, value, beside)
-        if not more or more[0].ratio < _least_beside(first, more[0].cause.axle) \
+        if not more or more[0].ratio < _least_beside(first, more[0].finding) \
                 or not _both_needed(setting, better, value):
             break
         better, both = _swapped(setting, better, [first._replace(cause=better.causes[0]), more[0]], rivals)
@@ -203,9 +204,13 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
     return explanation, causes, remainder
 
 
-def _least_beside(first: NamedCause, axle: int) -> float:
-    """Likelihood that a second cause, of one axle or all (0), must win beside the first."""
-    own = axle != 0 and first.cause.axle == 0
+def _least_beside(first: NamedCause, second: evidence.Finding) -> float:
+    """Likelihood that a second cause must win beside the first."""
+    of_first, of_second = (table.OF[name].mechanism.acts_on if name in table.OF else "" for name in (
+        first.finding.name, second.name))
+    if of_first in (FRICTION, CONTACT) and of_second == VEHICLE:
+        return SECOND_FLOOR  # the vehicle's filter knows no adhesion law: nothing of the first shows there
+    own = second.axle != 0 and first.cause.axle == 0
     return max(SECOND_FLOOR, first.ratio * (SECOND_SHARE_OF_AXLE if own else SECOND_SHARE))
 
 

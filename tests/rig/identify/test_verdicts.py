@@ -3,7 +3,7 @@
 import pytest
 
 from rollerrig.rig.identify.causes.candidates import Cause
-from rollerrig.rig.identify.decide import evidence, explain
+from rollerrig.rig.identify.decide import choice, evidence, explain
 from rollerrig.rig.identify.decide.choice import NamedCause
 from rollerrig.rig.identify.decide.evidence import Finding
 
@@ -13,8 +13,7 @@ def finding(name: str, statistic: float) -> Finding:
                    p_value=1e-9 if statistic > 25.0 else 0.5, expected=1.0, spread=1.0)
 
 
-def named(won: float) -> NamedCause:
-    name = "speed_sensor_delay"
+def named(won: float, name: str = "speed_sensor_delay") -> NamedCause:
     return NamedCause(finding(name, won), Cause(name, 0, {}, (0.02,)), won, (0.001,), ())
 
 
@@ -43,6 +42,16 @@ def test_two_causes_that_leave_much_are_told_in_a_note_and_not_named() -> None:
     assert explain._verdict(two, [finding("along vehicle time", 200.0)], None, notes) == "unexplained"
     assert notes[0].startswith("behind speed_sensor_delay and speed_sensor_delay much remains along vehicle time")
     assert explain._verdict(two, [finding("along vehicle time", 60.0)], None, []) == "explained"
+
+
+def test_what_a_second_cause_must_win_is_a_share_of_the_first_unless_nothing_of_the_first_can_show_there() -> None:
+    memory, gain, resistance = (finding(name, 100.0) for name in (
+        "adhesion_memory", "brake_gain", "running_resistance"))
+    of_one_axle = gain._replace(axle=3)
+    assert choice._least_beside(named(10_000.0, "adhesion_memory"), resistance) == choice.SECOND_FLOOR
+    assert choice._least_beside(named(10_000.0, "brake_gain"), resistance) == pytest.approx(1100.0)
+    assert choice._least_beside(named(10_000.0, "running_resistance"), memory) == pytest.approx(1100.0)
+    assert choice._least_beside(named(10_000.0, "adhesion_memory"), of_one_axle) == pytest.approx(500.0)
 
 
 def test_a_cause_whose_simulated_stops_do_not_brake_like_the_recording_is_not_named() -> None:
