@@ -1,0 +1,119 @@
+"""Which limits of a verdict one generator's answers would set, and how these judge the answers to the others.
+
+    python tests/generator/thresholds.py FOLDER FOLDER ...
+
+Each folder is one of `rollerrig bench explain --folder FOLDER`, with its sets answered. Answers are judged again by
+`explain`'s own rule from what they hold: no stop is replayed. Two kinds of limits are set:
+
+- ALPHA_CAUSE and FLOOR, by sets with nothing hidden: the largest p-value that lets at most 2 % of them have a finding,
+  with FLOOR as it stands. A finding is not yet a cause, which must win its fit as well, so this is on the safe side.
+- REMAINDER_SHARE, OWN_REMAINDER_SHARE and PARTLY_SHARE, by sets with something hidden: those that name the most sets
+  rightly while at most 5 % (else the fewest) of the effects that the library does not have are given a name.
+"""
+
+import itertools
+import json
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from rollerrig.realtime.benchmarks.sealed import answers, cases
+from rollerrig.rig.identify.causes import table
+from rollerrig.rig.identify.decide import evidence, explain
+
+SHARES = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
+LIMITS = ("REMAINDER_SHARE", "OWN_REMAINDER_SHARE", "PARTLY_SHARE")
+ALPHAS = np.geomspace(1e-6, 0.02, 44)
+
+
+def findings(told):
+    return [evidence.Finding(f["name"], f["axle"], {}, tuple(f["coefficients"]), (), (), f["statistic"], f["p_value"],
+                             0.0, 0.0) for f in told]
+
+
+class Told:
+    """An answer, ready to be judged by other limits."""
+
+    def __init__(self, truth, answer):
+        self.kind, self.truth = truth["kind"], set(truth["effects"])
+        found, notes = answer.get("findings", {"before": [], "behind": []}), " ".join(answer.get("notes", ()))
+        self.refused, self.before, self.behind = answer["verdict"] == "refused", *map(findings, found.values())
+        named = [one | {"likelihood": one["evidence"]["likelihood"]} for one in answer["causes"]] or answer.get(
+            "set_aside", [])
+        self.causes = [SimpleNamespace(ratio=one["likelihood"], finding=SimpleNamespace(name=one["name"]))
+                       for one in named]
+        self.sets = [{one["name"], *one["confusable_with"]} for one in named]
+        self.remainder = None if "do not brake like the recording" in notes else self.behind
+        self.won = SimpleNamespace(likelihood=-1.0) if "makes runs that were not fitted worse" in notes else None
+        self.verdict = answer["verdict"]
+
+    def judged(self, limits):
+        if self.refused:
+            return "refused"
+        for name, value in zip(LIMITS, limits, strict=True):
+            setattr(explain, name, value)
+        return explain._verdict(self.causes, self.remainder, self.won, [])
+
+    def names(self, limits):
+        """Sets of causes that are named by these limits."""
+        return self.sets if self.judged(limits) in ("explained", "partly") else []
+
+    def right(self, limits):
+        found = self.names(limits)
+        return len(found) == len(self.truth) and self.truth <= set().union(*found)
+
+    def alarm(self, alpha):
+        """Whether a finding counts where causes may be as unlikely as alpha."""
+        return any(evidence.significant(f._replace(p_value=f.p_value * table.ALPHA_CAUSE / alpha)) for f in self.before)
+
+
+def share(hits):
+    hits = list(hits)
+    return f"{sum(hits)} of {len(hits)}"
+
+
+def set_by(told):
+    """(alpha, limits) that these answers would set."""
+    clean, unknown = ([t for t in told if t.kind == kind] for kind in ("none", "unknown"))
+    hidden = [t for t in told if t.kind in ("one", "two")]
+    fits = [a for a in ALPHAS if sum(t.alarm(a) for t in clean) <= 0.02 * len(clean)]
+    best, middle = [], None
+    for limits in itertools.product(SHARES, repeat=3):
+        if limits[0] <= min(limits[1:]):
+            wrong = sum(bool(t.names(limits)) for t in unknown)
+            worth = (-max(wrong, int(0.05 * len(unknown))), sum(t.right(limits) for t in hidden))
+            best.append((worth, limits))
+    most = max(worth for worth, _ in best)
+    equal = np.array([limits for worth, limits in best if worth == most])
+    # of those that are equally good the one in the middle
+    middle = tuple(equal[np.argmin(np.abs(equal - np.median(equal, axis=0)).sum(axis=1))])
+    return max(fits, default=ALPHAS[0]), middle
+
+
+def main(folders):
+    shipped = (table.ALPHA_CAUSE, tuple(getattr(explain, name) for name in LIMITS))
+    natures = {}
+    for folder in map(Path, folders):
+        key = cases.read_key(folder)
+        told = [Told(key["sets"][file.stem], json.loads(file.read_text()))
+                for file in sorted((folder / answers.ANSWERS / "explain").glob("*.json"))]
+        changed = [t for t in told if t.judged(shipped[1]) != t.verdict]
+        if changed:
+            sys.exit(f"{folder}: {len(changed)} verdicts are not those of the limits as they stand; answer it anew")
+        natures[key["generator"]] = told
+    print("| set on | ALPHA_CAUSE | " + " | ".join(LIMITS) + " | judged on | clean: a finding | one: a finding | "
+          "hidden: named rightly | unknown: given a name |")
+    print("|" + "---|" * (len(LIMITS) + 7))
+    for by, (alpha, limits) in {"shipped": shipped, **{by: set_by(told) for by, told in natures.items()}}.items():
+        for on, told in natures.items():
+            of = {kind: [t for t in told if t.kind == kind] for kind in cases.KINDS}
+            row = (by, f"{alpha:.2g}", *(f"{v:g}" for v in limits), on, share(t.alarm(alpha) for t in of["none"]),
+                   share(t.alarm(alpha) for t in of["one"]), share(t.right(limits) for t in of["one"] + of["two"]),
+                   share(bool(t.names(limits)) for t in of["unknown"]))
+            print("| " + " | ".join(row) + " |")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
