@@ -7,8 +7,8 @@ Each folder is one of `rollerrig bench explain --folder FOLDER`, with its sets a
 
 - ALPHA_CAUSE and FLOOR, by sets with nothing hidden: the largest p-value that lets at most 2 % of them have a finding,
   with FLOOR as it stands. A finding is not yet a cause, which must win its fit as well, so this is on the safe side.
-- REMAINDER_SHARE, OWN_REMAINDER_SHARE and PARTLY_SHARE, by sets with something hidden: those that name the most sets
-  rightly while at most 5 % (else the fewest) of the effects that the library does not have are given a name.
+- REMAINDER_SHARE, OWN_REMAINDER_SHARE and PARTLY_SHARE, by sets with something hidden: the smallest sum of two shares,
+  of the causes that are not named rightly and of the effects outside the library that are given a name.
 """
 
 import itertools
@@ -79,14 +79,13 @@ def set_by(told):
     clean, unknown = ([t for t in told if t.kind == kind] for kind in ("none", "unknown"))
     hidden = [t for t in told if t.kind in ("one", "two")]
     fits = [a for a in ALPHAS if sum(t.alarm(a) for t in clean) <= 0.02 * len(clean)]
-    best, middle = [], None
+    found = []
     for limits in itertools.product(SHARES, repeat=3):
         if limits[0] <= min(limits[1:]):
-            wrong = sum(bool(t.names(limits)) for t in unknown)
-            worth = (-max(wrong, int(0.05 * len(unknown))), sum(t.right(limits) for t in hidden))
-            best.append((worth, limits))
-    most = max(worth for worth, _ in best)
-    equal = np.array([limits for worth, limits in best if worth == most])
+            wrong = (sum(not t.right(limits) for t in hidden) / len(hidden)
+                     + sum(bool(t.names(limits)) for t in unknown) / len(unknown))
+            found.append((round(wrong, 6), limits))
+    equal = np.array([limits for wrong, limits in found if wrong == min(found)[0]])
     # of those that are equally good the one in the middle
     middle = tuple(equal[np.argmin(np.abs(equal - np.median(equal, axis=0)).sum(axis=1))])
     return max(fits, default=ALPHAS[0]), middle
