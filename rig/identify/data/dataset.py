@@ -138,8 +138,8 @@ def _positions(given: Any, sections: Mapping[str, Any], where: str) -> np.ndarra
 def read_table(path: Path) -> pa.Table:
     """A CSV or Parquet file. Raises ConfigError."""
     try:
-        if path.suffix == ".parquet":
-            return pyarrow.parquet.read_table(path)
+        if path.suffix.lower() == ".parquet":
+            return pyarrow.parquet.ParquetFile(path).read()
         lines = path.read_bytes()
         while lines.startswith(b"#"):
             lines = lines[lines.index(b"\n") + 1:]
@@ -170,7 +170,7 @@ def _run(found: Dataset, row: Mapping[str, Any], index: int, toml: Path) -> Run:
     if not given["file"]:
         raise ConfigError(f"{toml} [[run]] {index}: file is missing; name the data of this run")
     path = found.folder / given["file"]
-    data = (mdf.read(path, found.sample_time_s, CHANNELS, found.warnings) if path.suffix in mdf.SUFFIXES
+    data = (mdf.read(path, found.sample_time_s, CHANNELS, found.warnings) if path.suffix.lower() in mdf.SUFFIXES
             else read_table(path))
 
     def each(prefix: str, unit: str) -> np.ndarray:

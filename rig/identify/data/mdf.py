@@ -63,9 +63,12 @@ def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
         raise ConfigError(f"{path}: no such file; correct `file` in dataset.toml")
     try:
         with MDF(path) as file:
-            found = {name: file.get(name) for name in names if name in file.channels_db}
+            twice = [name for name in names if len(file.channels_db.get(name, ())) > 1]
+            found = {name: file.get(name) for name in names if name in file.channels_db and not twice}
     except Exception as error:  # asammdf raises whatever its parser meets
         raise ConfigError(f"{path}: cannot be read as MDF: {error}") from None
+    if twice:
+        raise ConfigError(f"{path}: channel '{twice[0]}' is there more than once; give each a name of its own")
     if not found:
         raise ConfigError(f"{path}: none of the channels {', '.join(names[:3])} ... is in it; name the "
                           "channels as the README has them")

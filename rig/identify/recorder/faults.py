@@ -5,6 +5,7 @@ held values. Each check returns the run without what it found (NaN where values 
 the findings.
 """
 
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -85,15 +86,10 @@ def _duration(name: str, channel: Channel, run: Run, part: Stretch, text: str) -
 
 def _clocks(run: Run) -> list[list[Channel]]:
     """Channels that share their stamps."""
-    groups: list[list[Channel]] = []
+    groups: dict[bytes, list[Channel]] = {}
     for channel in run.channels.values():
-        for group in groups:
-            if np.array_equal(group[0].time_s, channel.time_s):
-                group.append(channel)
-                break
-        else:
-            groups.append([channel])
-    return groups
+        groups.setdefault(channel.time_s.tobytes(), []).append(channel)
+    return list(groups.values())
 
 
 # --- units ---
@@ -101,13 +97,11 @@ def _clocks(run: Run) -> list[list[Channel]]:
 def _units(run: Run) -> tuple[Run, list[Finding]]:
     """Declared units against position, else against most channels, else against what a vehicle can do."""
     speeds = run.of(*_SPEEDS)
-    fast = {c.name: float(np.nanpercentile(c.values, 75)) for c in speeds}
-    fast = {name: speed for name, speed in fast.items() if speed > 0.5}
+    fast = {c.name: speed for c in speeds if (speed := float(np.nanpercentile(c.values, 75))) > 0.5}
     if not fast:
         return run, []
     base = max(sorted(fast.values()), key=lambda one: sum(abs(other / one - 1.0) < 0.1 for other in fast.values()))
-    scale = _by_position(run, speeds)
-    why = "from the position"
+    scale, why = _by_position(run, speeds), "from the position"
     if scale is None:
         scale, why = {name: speed / base for name, speed in fast.items()}, "from the other channels"
         hardest = min(_hardest(c) for c in speeds if c.name in fast and abs(scale[c.name] - 1.0) < 0.1)
@@ -164,17 +158,15 @@ def _stamps(run: Run) -> tuple[Run, list[Finding]]:
         names = tuple(channel.name for channel in group)
         moved, open_at = np.zeros(time_s.size), None
         for k in map(int, np.flatnonzero((steps < 0.0) | (steps > step + max(limit.LEAST_STEP_S, 2.0 * step)))):
-            size = float(steps[k] - step)
-            back = size < 0.0
+            size, back = float(steps[k] - step), bool(steps[k] < step)
             # a step there and back again is one finding
             if open_at is not None and back and abs(size + found[open_at].size) < 3.0 * half:
-                found[open_at] = found[open_at]._replace(end_s=float(time_s[k]), name="clock_step")
+                one = found[open_at]
                 moved[k + 1:] -= size
-                if found[open_at].unit == "gap":
-                    start = int(np.searchsorted(time_s, found[open_at].start_s, "right"))
-                    moved[start:] += size
-                    found[open_at] = found[open_at]._replace(unit="s")
-                found[open_at] = found[open_at]._replace(text=_of_clock(found[open_at].size, half, True))
+                if one.unit == "gap":
+                    moved[int(np.searchsorted(time_s, one.start_s, "right")):] += size
+                found[open_at] = one._replace(end_s=float(time_s[k]), name="clock_step", unit="s",
+                                              text=_of_clock(one.size, half, True))
                 open_at = None
                 continue
             if back or _runs_on(group, k, size, step):
@@ -229,14 +221,10 @@ def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
             continue
         time_s, step = speeds[0].time_s, float(np.median(np.diff(speeds[0].time_s)))
         n = int(np.searchsorted(time_s, time_s[0] + limit.START_S))
-        beyond = np.full(n, np.inf)
-        for channel in speeds:
-            jump = np.abs(np.diff(channel.values[:n + 1]))
-            least = np.minimum(channel.values[:n + 1][:-1], channel.values[:n + 1][1:])
-            jump = np.where(np.isfinite(jump) & (least > 0.0), jump, 0.0)[:n]
-            allowed = limit.HARDEST_M_S2 * np.diff(time_s[:n + 1])[:n] + limit.JUMP_M_S
-            beyond[:jump.size] = np.minimum(beyond[:jump.size], jump - allowed)
-        beyond[~np.isfinite(beyond)] = -1.0
+        v = np.array([channel.values[:n + 1] for channel in speeds])
+        jump = np.abs(np.diff(v))
+        jump[~(np.isfinite(jump) & (np.minimum(v[:, :-1], v[:, 1:]) > 0.0))] = 0.0
+        beyond = jump.min(axis=0) - limit.HARDEST_M_S2 * np.diff(time_s[:n + 1]) - limit.JUMP_M_S
         if (jumps := np.flatnonzero(beyond > 0.0)).size and (k := int(jumps[-1])) * step > 0.5:
             part = Stretch(0, k)
             text = "what the channels tell there does not go over into what follows: old messages"
@@ -264,82 +252,73 @@ def median(values: np.ndarray) -> np.ndarray:
     return found
 
 
-def _lines(run: Run) -> tuple[Run, list[Finding]]:
+Told = Iterator[tuple[str, int, int, str]]  # what it is called, its first and last sample, a text
+
+
+def _each(check: Callable[[Run, Channel], Told]) -> Callable[[Run], tuple[Run, list[Finding]]]:
+    """A check of one speed on each of them, one after another: the run without what it finds, and the findings."""
+    def checked(run: Run) -> tuple[Run, list[Finding]]:
+        found = []
+        for channel in run.of(*_SPEEDS):
+            told = [(name, Stretch(first, last), text) for name, first, last, text in check(run, channel)]
+            found += [_duration(name, channel, run, part, text) for name, part, text in told]
+            run = _with(run, _without(channel, [part for _, part, _ in told]))
+        return run, found
+    return checked
+
+
+@_each
+def _lines(_: Run, channel: Channel) -> Told:
     """Straight lines over seconds, which stand where a gap was: no data."""
-    found = []
-    for channel in run.of(*_SPEEDS):
-        good = np.flatnonzero(np.isfinite(channel.values))
-        v, t = channel.values[good], channel.time_s[good]
-        slope = np.diff(v) / np.maximum(np.diff(t), 1e-6)
-        # drawn over the stamps, or over the count of samples
-        bend = np.minimum(np.abs(np.diff(slope)) * channel.step_s, np.abs(np.diff(v, 2)))
-        rough = float(np.median(bend[bend > 0.0])) if (bend > 0.0).any() else 0.0
-        if channel.quantum:
-            rough = max(rough, 0.5 * channel.quantum)
-        straight = np.concatenate([[False], (bend < limit.LINE_SHARE * rough) & (np.abs(slope[1:]) > 1e-3), [False]])
-        parts = []
-        for a, b in stretches(straight):
-            a, b = a - 1, b + 1  # both ends are on the line
-            off = channel.quantum and np.mean(np.abs(v[a:b + 1] / channel.quantum - np.rint(
-                v[a:b + 1] / channel.quantum)) > 1e-3) > 0.7
-            if t[b] - t[a] >= limit.LINE_S and b - a >= 8 and (off or not channel.quantum):
-                parts.append(Stretch(int(good[a]), int(good[b])))
-                found.append(_duration("interpolated", channel, run, parts[-1],
-                                       "a straight line drawn across a gap; refused as data"))
-        run = _with(run, _without(channel, parts))
-    return run, found
+    good = np.flatnonzero(np.isfinite(channel.values))
+    v, t = channel.values[good], channel.time_s[good]
+    slope = np.diff(v) / np.maximum(np.diff(t), 1e-6)
+    # drawn over the stamps, or over the count of samples
+    bend = np.minimum(np.abs(np.diff(slope)) * channel.step_s, np.abs(np.diff(v, 2)))
+    rough = max(float(np.median(bend[bend > 0.0])) if (bend > 0.0).any() else 0.0, 0.5 * channel.quantum)
+    straight = np.concatenate([[False], (bend < limit.LINE_SHARE * rough) & (np.abs(slope[1:]) > 1e-3), [False]])
+    for a, b in ((first - 1, last + 1) for first, last in stretches(straight)):  # both ends are on the line
+        steps = v[a:b + 1] / (channel.quantum or np.inf)
+        off = not channel.quantum or np.mean(np.abs(steps - np.rint(steps)) > 1e-3) > 0.7
+        if t[b] - t[a] >= limit.LINE_S and b - a >= 8 and off:
+            yield "interpolated", int(good[a]), int(good[b]), "a straight line drawn across a gap; refused as data"
 
 
-def _zeros(run: Run) -> tuple[Run, list[Finding]]:
+@_each
+def _zeros(_: Run, channel: Channel) -> Told:
     """Zeros that come and go faster than a wheel can lock or take up speed."""
-    found = []
-    for channel in run.of(*_SPEEDS):
-        v, parts = channel.values, []
-        for part in stretches(np.abs(v) < 1e-9):
-            # an edge at a gap or at an end tells nothing
-            edges = [abs(float(v[k])) for k, near in ((part.first - 1, part.first), (part.last + 1, part.last))
-                     if 0 <= k < v.size and abs(channel.time_s[k] - channel.time_s[near]) < 2.5 * channel.step_s
-                     and np.isfinite(v[k])]
-            if edges and min(edges) > limit.ZERO_JUMP_M_S:
-                parts.append(part)
-                found.append(_duration("sensor_dropout", channel, run, part, "zeros"))
-        run = _with(run, _without(channel, parts))
-    return run, found
+    v = channel.values
+    for first, last in stretches(np.abs(v) < 1e-9):
+        # an edge at a gap or at an end tells nothing
+        edges = [abs(float(v[k])) for k, near in ((first - 1, first), (last + 1, last)) if 0 <= k < v.size and abs(
+            channel.time_s[k] - channel.time_s[near]) < 2.5 * channel.step_s and np.isfinite(v[k])]
+        if edges and min(edges) > limit.ZERO_JUMP_M_S:
+            yield "sensor_dropout", first, last, "zeros"
 
 
-def _missing(run: Run) -> tuple[Run, list[Finding]]:
+@_each
+def _missing(_: Run, channel: Channel) -> Told:
     """Cells without a value, of one channel while the others go on."""
-    found = []
-    known = {c.name: c for c in run.of(*_SPEEDS)}
-    for channel in known.values():
-        good = np.flatnonzero(np.isfinite(channel.values))
-        for k in np.flatnonzero(np.diff(channel.time_s[good]) > max(limit.GAP_S, 3.0 * channel.step_s)):
-            part = Stretch(int(good[k]) + 1, int(good[k + 1]) - 1)
-            if part.last - part.first >= 1 and part.first > 0:
-                found.append(_duration("sensor_dropout", channel, run, part, "no values"))
-    return run, found
+    good = np.flatnonzero(np.isfinite(channel.values))
+    for k in np.flatnonzero(np.diff(channel.time_s[good]) > max(limit.GAP_S, 3.0 * channel.step_s)):
+        first, last = int(good[k]) + 1, int(good[k + 1]) - 1
+        if last - first >= 1 and first > 0:
+            yield "sensor_dropout", first, last, "no values"
 
 
-def _held(run: Run) -> tuple[Run, list[Finding]]:
+@_each
+def _held(run: Run, channel: Channel) -> Told:
     """A value that stays while the other channels move on, or from which it jumps as no vehicle does."""
-    found = []
-    for channel in run.of(*_SPEEDS):
-        v, t, parts = channel.values, channel.time_s, []
-        others = _others(run, channel)
-        same = np.concatenate([np.diff(v) == 0.0, [False]]) & (np.abs(v) > 1e-9)
-        for a, b in stretches(same):
-            last = b + 1
-            if t[last] - t[a] < limit.STUCK_S:
-                continue
-            moves = others[a:last + 1][np.isfinite(others[a:last + 1])]
-            jump = abs(v[last + 1] - v[last]) if last + 1 < v.size else 0.0
-            frozen = (moves.size < 2 or np.ptp(moves) == 0.0) and jump > (
-                limit.JUMP_M_S + limit.HARDEST_M_S2 * channel.step_s)
-            if frozen or (moves.size > 1 and np.ptp(moves) > limit.MOVED_M_S):
-                parts.append(Stretch(a, last))
-                found.append(_duration("sensor_stuck", channel, run, parts[-1], f"held at {v[a]:.2f} m/s"))
-        run = _with(run, _without(channel, parts))
-    return run, found
+    v, t, others = channel.values, channel.time_s, _others(run, channel)
+    same = np.concatenate([np.diff(v) == 0.0, [False]]) & (np.abs(v) > 1e-9)
+    for a, last in ((first, end + 1) for first, end in stretches(same)):
+        if t[last] - t[a] < limit.STUCK_S:
+            continue
+        moves = others[a:last + 1][np.isfinite(others[a:last + 1])]
+        jump = abs(v[last + 1] - v[last]) if last + 1 < v.size else 0.0
+        frozen = (moves.size < 2 or not np.ptp(moves)) and jump > limit.JUMP_M_S + limit.HARDEST_M_S2 * channel.step_s
+        if frozen or (moves.size > 1 and np.ptp(moves) > limit.MOVED_M_S):
+            yield "sensor_stuck", a, last, f"held at {v[a]:.2f} m/s"
 
 
 # --- copies ---
@@ -354,11 +333,9 @@ def copies(runs: list[Run]) -> tuple[list[Run], list[Finding]]:
         names = tuple(c.name for c in group)
         rows = np.column_stack([c.values for c in group])
         windows, changes = _windows(rows)
-        pairs = []
-        for k in map(int, np.flatnonzero(changes >= limit.COPY_CHANGES)):
-            first = seen.setdefault((names, int(windows[k])), (g, k))
-            if first[0] != g or k - first[1] >= limit.COPY_SAMPLES:
-                pairs.append((k, first))
+        pairs = [(k, seen.setdefault((names, int(windows[k])), (g, k))) for k in map(int, np.flatnonzero(
+            changes >= limit.COPY_CHANGES))]
+        pairs = [(k, first) for k, first in pairs if first[0] != g or k - first[1] >= limit.COPY_SAMPLES]
         while pairs:
             (k, (g0, k0)), n = pairs[0], 1
             while n < len(pairs) and pairs[n] == (k + n, (g0, k0 + n)):
@@ -377,18 +354,9 @@ def copies(runs: list[Run]) -> tuple[list[Run], list[Finding]]:
 
 def _windows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of every window of samples: a number that equal windows share, and how often its rows change."""
-    n = len(rows) - limit.COPY_SAMPLES + 1
-    if n < 1:
-        return np.zeros(0, np.uint64), np.zeros(0)
-    bits = np.ascontiguousarray(np.nan_to_num(rows, nan=-1.0)).view(np.uint64)
-    mixed = np.zeros(len(rows), np.uint64)
-    for column in bits.T:
-        mixed = (mixed ^ column) * np.uint64(0x9E3779B97F4A7C15)
-        mixed ^= mixed >> np.uint64(29)
-    window = np.zeros(n, np.uint64)
-    for k in range(limit.COPY_SAMPLES):
-        window = window * np.uint64(0x100000001B3) + mixed[k:k + n]
+    n = max(len(rows) - limit.COPY_SAMPLES + 1, 0)
+    told = np.nan_to_num(rows, nan=-1.0)
+    window = np.array([hash(told[k:k + limit.COPY_SAMPLES].tobytes()) for k in range(n)], int)
     # what was taken out does not change
-    steps = np.nan_to_num(np.diff(rows, axis=0))
-    changed = np.concatenate([[0], np.cumsum(np.any(steps != 0.0, axis=1))])
+    changed = np.concatenate([[0], np.cumsum(np.any(np.nan_to_num(np.diff(rows, axis=0)) != 0.0, axis=1))])
     return window, changed[limit.COPY_SAMPLES - 1:] - changed[:n]

@@ -1,13 +1,15 @@
 """Columns of a recorder's files with their stamps: CSV of any separator, Parquet, MDF4, rosbag2.
 
-Every column keeps its own stamps in seconds; a missing cell is NaN, for a gap is a finding here and no error. A row
-of units below the names is read. rosbag2 needs the package rosbags (the extra `rosbag`); a column there is written
-"/topic:field.field", and stamps are the header's, else those of reception.
+Every column keeps its own stamps in seconds; a missing cell is NaN, for a gap is a finding here and no error. Stamps
+are numbers, or instants of any unit and zone, or text as ISO 8601 has it. A row of units below the names is read.
+rosbag2 needs the package rosbags (the extra `rosbag`); a column there is written "/topic:field.field", and stamps are
+the header's, else those of reception.
 """
 
 import csv
 import itertools
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,43 +35,40 @@ class Column(NamedTuple):
 
 def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str, Column]:
     """Those columns of a file. Raises ConfigError naming file and column for whatever cannot be read."""
-    _there(path)
-    if path.is_dir() or path.suffix in (".db3", ".mcap", ".bag"):
+    suffix = path.suffix.lower()
+    if path.is_dir() or suffix in (".db3", ".mcap", ".bag"):
         return _rosbag(path, names)
-    if path.suffix in mdf.SUFFIXES:
+    if suffix in mdf.SUFFIXES:
         found = mdf.channels(path, tuple(names))
         for name in names:
-            _known(path, name, found)
-        return {name: Column(np.asarray(s.timestamps, float), np.asarray(s.samples, float), str(s.unit or "").strip())
-                for name, s in found.items()}
-    data, units = (dataset.read_table(path), {}) if path.suffix == ".parquet" else _csv(path, head)
-    stamps = _numbers(path, data, head["time"], head["decimal"])
+            _known(path, name, list(found))
+        return {name: Column(np.asarray(s.timestamps, float), _numbers(path, pa.array(s.samples), name, "."),
+                             str(s.unit or "").strip()) for name, s in found.items()}
+    data, units = (dataset.read_table(path), {}) if suffix == ".parquet" else _csv(path, head)
+    for name in (head["time"], *names):
+        _known(path, name, data.column_names)
     told = units.get(head["time"], head["time_unit"])
     if told not in TIME:
         raise ConfigError(f"{path}: the unit of '{head['time']}' is '{told}'; allowed: {', '.join(TIME)}")
-    if not pa.types.is_timestamp(data[head["time"]].type):
-        stamps = stamps * TIME[told]
-    kept = np.isfinite(stamps)
-    return {name: Column(stamps[kept], _numbers(path, data, name, head["decimal"])[kept], units.get(name, ""))
+    stamps = _seconds(path, data[head["time"]], head["time"], TIME[told])
+    if not (kept := np.isfinite(stamps)).any():
+        raise ConfigError(f"{path}: column '{head['time']}' holds no stamp; name that of the stamps as time_s")
+    return {name: Column(stamps[kept], _numbers(path, data[name], name, head["decimal"])[kept], units.get(name, ""))
             for name in names}
 
 
 def column_names(path: Path, head: Mapping[str, Any]) -> list[str]:
     """Names of the columns of a CSV or Parquet file; none of another, whose channels dataset.toml has to name."""
-    _there(path)
-    if path.suffix == ".parquet":
+    if path.suffix.lower() == ".parquet":
         return list(dataset.read_table(path).column_names)
-    return list(_csv(path, {**head, "time": "time_s"})[0].column_names) if path.suffix == ".csv" else []
+    return list(_csv(path, {**head, "time": "time_s"})[0].column_names) if path.suffix.lower() == ".csv" else []
 
 
-def _there(path: Path) -> None:
-    if not path.exists():
-        raise ConfigError(f"{path}: no such file; correct `file` in dataset.toml")
-
-
-def _known(path: Path, name: str, found: Any) -> None:
+def _known(path: Path, name: str, found: list[str]) -> None:
+    if found.count(name) > 1:
+        raise ConfigError(f"{path}: column '{name}' is there {found.count(name)} times; give each a name of its own")
     if name not in found:
-        raise ConfigError(f"{path}: column '{name}' is missing{table.nearest(name, list(found))}; name it in "
+        raise ConfigError(f"{path}: column '{name}' is missing{table.nearest(name, found)}; name it in "
                           "dataset.toml as `column` in [channels], that of the stamps under time_s")
 
 
@@ -98,13 +97,28 @@ def _csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, str]]
                           "separator and decimal in dataset.toml if they are others") from None
 
 
-def _numbers(path: Path, data: pa.Table, name: str, decimal: str) -> np.ndarray:
-    _known(path, name, data.column_names)
-    values = data[name]
+def _seconds(path: Path, values: pa.ChunkedArray, name: str, unit_s: float) -> np.ndarray:
+    """Stamps (n,) in s, NaN where there is none."""
+    kind = pa.types
+    for zone in (None, "UTC") if kind.is_string(values.type) or kind.is_large_string(values.type) else ():
+        with suppress(pa.ArrowInvalid):  # text with an offset is of an instant
+            values = values.cast(pa.timestamp("ns", tz=zone))
+    if kind.is_timestamp(values.type):  # in UTC, which no clock is turned back in
+        values = values.cast(pa.int64()).cast(pa.duration(values.type.unit))
+    if kind.is_duration(values.type) or kind.is_time(values.type):
+        in_ns = pa.duration("ns") if kind.is_duration(values.type) else pa.time64("ns")
+        return np.asarray(values.cast(in_ns).cast(pa.int64()).to_numpy(), float) * 1e-9
     try:
-        if pa.types.is_timestamp(values.type):
-            return np.asarray(values.cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy(), float) * 1e-9
-        return np.asarray(values.cast(pa.float64()).to_numpy(zero_copy_only=False), float)
+        return _numbers(path, values, name, ".") * unit_s
+    except ConfigError:
+        raise ConfigError(f"{path}: column '{name}' is neither numbers nor date and time; write 2026-03-29 10:00:00.0, "
+                          "behind it Z or +02:00 where the zone is known") from None
+
+
+def _numbers(path: Path, values: Any, name: str, decimal: str) -> np.ndarray:
+    try:
+        # counts of ns since 1970 are rounded to 0.3 us
+        return np.asarray(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError, ValueError, TypeError) as error:
         raise ConfigError(f"{path}: column '{name}' is not all numbers: {error}; one number a row is wanted, decimal "
                           f"'{decimal}'") from None

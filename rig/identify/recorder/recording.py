@@ -110,10 +110,15 @@ def load(folder: Path | str) -> Recording:
     head = table.read(HEAD, given, str(path))
     if not (isinstance(rows, list) and rows and all(isinstance(row, Mapping) for row in rows)):
         raise ConfigError(f"{path}: no [[run]]; a recording needs at least one")
-    runs = [table.read(RUN, row, f"{path} [[run]] {i}") for i, row in enumerate(rows, start=1)]
+    runs = [table.read(RUN, {**row, "date": str(row.get("date", ""))}, f"{path} [[run]] {i}")
+            for i, row in enumerate(rows, start=1)]
     for i, run in enumerate(runs, start=1):
         if not run["file"]:
             raise ConfigError(f"{path} [[run]] {i}: file is missing; name the data of this run")
+        if not (place / run["file"]).exists():
+            raise ConfigError(f"{place / run['file']}: no such file; correct `file` in dataset.toml")
+        if not re.fullmatch(r"(\d{4}-[01]\d-[0-3]\d)?", run["date"]):
+            raise ConfigError(f"{path} [[run]] {i}: date = '{run['date']}' is none; write year-month-day, 2026-03-01")
     if named is None:
         named = {name: {} for name in files.column_names(place / runs[0]["file"], head) if _kind(name)}
     if not isinstance(named, Mapping):
