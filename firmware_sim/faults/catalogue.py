@@ -130,17 +130,6 @@ CATALOGUE: tuple[Kind, ...] = (
     Kind(28, "sander_late", TICK, "the sand of an axle comes late: its hose holds it back longer",
          (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "longer lag of the hose"))),
 )
-# why one row acts on a sensor though it is about a wheel
-_WHY_ON_THE_SENSOR = (
-    "## Wheel diameters: why on the sensor", "",
-    "`wheel_diameter_mismatch` changes what the sensor of an axle tells, by 1 / (1 + difference), and",
-    "leaves the wheel itself as it is. What a WSP unit gets wrong is the radius that it believes in,",
-    "and it meets that error in the speeds alone: this part is exact. A wheel that is d % larger would",
-    "besides brake with d % less force at its rim for the same torque (and its inertia at the rim, a",
-    "thirteenth of the mass that a wheelset of the coach carries, would be 2 d % less), but a wheel does",
-    "not change its size while it rolls: a fault that begins at 5 s would have to give or take turning",
-    "energy. A stop on other wheels from its start, all of one size: `--set vehicle.wheel_radius_m=0.467`.",
-)
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
 BY_NUMBER = {kind.number: kind for kind in CATALOGUE}
 _SHORT = {"at": "at_s", "for": "for_s"}
@@ -195,7 +184,7 @@ def markdown() -> str:
         parameters = "; ".join(f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
                                for row in kind.parameters)
         lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {parameters or 'none'} |")
-    return "\n".join([*lines, "", *_WHY_ON_THE_SENSOR]) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def _check_target(fault: Fault, where: str) -> None:

@@ -7,7 +7,6 @@ and the tick that first had the new magnets. The valve's dead time is pneumatics
 
 import argparse
 import asyncio
-import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from rich.table import Table
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.benchmarks import client, figures, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
-from rollerrig.realtime.record import records, run_folder
+from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import plugin
 from rollerrig.wsp_interface.bus.frames import Frame
 
@@ -29,7 +28,6 @@ _TICK_HZ = 1000
 # the Modbus client's start and end have to lie inside the run
 _MARGIN_S = 4.0
 _JOINING_US, _JOINING_TRIPS = 200_000, client.BLOCK
-_LINE = re.compile(r"^\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)", re.MULTILINE)
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
@@ -112,7 +110,7 @@ def _timing(hz: int, seconds: float, measured: wall.Measured) -> Result:
     # the hub holds the first frames of a client back until it has read the handshake
     late_us = [(last_ns - begun_ns) / 1000.0 - stamp_us for stamp_us, _, last_ns in heard
                if last_ns and stamp_us > heard[0][0] + _JOINING_US]
-    frames = _frames(measured.folder)
+    frames = records.frames(measured.folder)
     sent, bus = len(_stamps(frames, client.SYNC)), measured.summary["bus"]
     return {"hz": hz, "syncs": sent, "expected": round(seconds * hz), "last_tpdo_us": figures.quantiles(late_us),
             "last_tpdo_hub_us": figures.quantiles(bursts(frames)), "kept": sent >= 0.999 * seconds * hz - 1,
@@ -134,13 +132,6 @@ def bursts(frames: Iterable[tuple[int, int, str]]) -> list[int]:
     return found
 
 
-def _frames(folder: Path) -> list[tuple[int, int, str]]:
-    """Stamp in us, identifier and data in hex of every frame in can.log."""
-    text = (folder / run_folder.CAN_LOG).read_text(encoding="ascii")
-    return [(1_000_000 * int(seconds) + int(micros), int(can_id, 16), data)
-            for seconds, micros, can_id, data in _LINE.findall(text)]
-
-
 def _stamps(frames: Iterable[tuple[int, int, str]], can_id: int) -> np.ndarray:
     return np.array([stamp for stamp, one, _ in frames if one == can_id], dtype=np.int64)
 
@@ -151,7 +142,7 @@ def chain(folder: Path) -> Result:
     The run was recorded every tick: a row is what a tick left behind that began at the row's time,
     later by the lateness of that tick, which is told by the row before.
     """
-    frames, run = _frames(folder), records.load(folder)
+    frames, run = records.frames(folder), records.load(folder)
     time_us, magnets = 1e6 * run.column("time_s"), run.column("magnets_1")
     began_us = time_us + np.concatenate(([0.0], run.column("tick_lateness_us")[:-1]))
     syncs, speeds = _stamps(frames, client.SYNC), _stamps(frames, client.SPEEDS)

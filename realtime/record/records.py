@@ -6,6 +6,7 @@ tail, and a last line that was cut off is left out.
 
 import contextlib
 import json
+import re
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -18,8 +19,10 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import channels, validity
 from rollerrig.realtime.record.files import replaced
-from rollerrig.realtime.record.run_folder import EVENTS, SCENARIO, SUMMARY
+from rollerrig.realtime.record.run_folder import CAN_LOG, EVENTS, SCENARIO, SUMMARY
 from rollerrig.wsp_interface.signals import COLUMNS
+
+_FRAME = re.compile(r"^\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)", re.MULTILINE)
 
 
 class Run(NamedTuple):
@@ -70,6 +73,13 @@ def each_event(folder: Path) -> Iterator[tuple[float, str, str]]:
                 raise ConfigError(f"{path}, line {number}: not an event; a line is "
                                   '{"time_s": 0.0, "level": "info", "text": "..."}') from None
             yield found
+
+
+def frames(folder: Path) -> list[tuple[int, int, str]]:
+    """Stamp in us, identifier and data in hex of every frame in can.log; none where there is no file."""
+    text = (folder / CAN_LOG).read_text(encoding="ascii") if (folder / CAN_LOG).is_file() else ""
+    return [(1_000_000 * int(seconds) + int(micros), int(can_id, 16), data)
+            for seconds, micros, can_id, data in _FRAME.findall(text)]
 
 
 def summary(folder: Path) -> dict[str, Any]:

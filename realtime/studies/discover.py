@@ -16,6 +16,7 @@ from typing import Any
 
 from rollerrig.configs import children, store
 from rollerrig.configs.errors import ConfigError
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.bench import bench, options, scenario
 from rollerrig.realtime.record import records
 from rollerrig.realtime.record.files import replaced, writing
@@ -94,11 +95,13 @@ def _run(rig: str, out: Path, stops: Sequence[dict[str, Any]], seed: int, say: S
     todo = [(rig, folder, Stop(*(stop[key] for key in Stop._fields)), seed)
             for folder, stop in zip(folders, stops, strict=True) if not _is_there(rig, folder, stop)]
     brake_all(todo, lambda done: say(f"stop {len(stops) - len(todo) + done} of {len(stops)} done"))
+    if why := records.not_valid(folders):
+        raise ConfigError("; ".join([why[0], *(f"the stops show {one}" for one in shown(folders))]))
     return folders
 
 
 def brake_all(jobs: Sequence[tuple[str, Path, Stop, int]], done: Callable[[int], None]) -> None:
-    """Run stops, one a core; `done` is told how many have been. Raises ConfigError."""
+    """Run stops, one a core; `done` is told how many have been."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with children.pool(max(min(cores, len(jobs)), 1)) as pool:
         for count, _ in enumerate(pool.map(brake, jobs), start=1):
@@ -114,7 +117,7 @@ def _is_there(rig: str, folder: Path, stop: dict[str, Any]) -> bool:
 def plan_of(rig: str, stop: Stop) -> scenario.Scenario:
     """The scenario of one stop of a rig. Raises ConfigError."""
     given, path = store.load("scenarios", rig)
-    tables: dict[str, Any] = {"vehicle": {"mass_kg": stop.mass_kg},
+    tables: dict[str, Any] = {"vehicle": {"mass_kg": stop.mass_kg}, "bus": {"socketcand_port": 0},
                               "demand": [{"from_s": RELEASED_S, "pressure_Pa": stop.pressure_Pa}]}
     head: dict[str, Any] = {"initial_speed_m_s": stop.initial_speed_m_s, "stand_s": 0.0}
     if stop.held_s:
@@ -125,13 +128,13 @@ def plan_of(rig: str, stop: Stop) -> scenario.Scenario:
 
 
 def brake(job: tuple[str, Path, Stop, int]) -> Path:
-    """Run one stop on a bench of its own, in free pacing; returns its folder. Raises ConfigError if it is not valid."""
+    """Run one stop on a bench of its own, in free pacing but where a fault acts over the bus; returns its folder."""
     rig, folder, stop, seed = job
+    plan = plan_of(rig, stop)
+    pacing = "free" if all(fault.kind.acts == catalogue.TICK for fault in plan.faults) else "lockstep"
     with options.begun() as processes:
-        how = options.Options(pacing="free", out=folder, seed=seed, recorder=processes["recorder"])
-        asyncio.run(bench.Bench(plan_of(rig, stop), how, lambda progress: None).run())
-    if why := records.not_valid([folder]):
-        raise ConfigError(why[0])
+        how = options.Options(pacing=pacing, out=folder, seed=seed, recorder=processes["recorder"])
+        asyncio.run(bench.Bench(plan, how, lambda progress: None).run())
     return folder
 
 
@@ -141,10 +144,10 @@ def _judged(folders: Sequence[Path], out: Path, seed: int, rounds: list[dict[str
             progress: Progress) -> Account:
     """What the stops tell, told and put down as a round."""
     judged = [folders[JUDGED]]
-    made = run_dataset.from_folders([one for one in folders if one not in judged], out / "dataset", judged,
-                                    run_sensors.NOISE, run_dataset.SLOWEST_M_S, LONGEST_S)
     faults = shown(folders)
     try:
+        made = run_dataset.from_folders([one for one in folders if one not in judged], out / "dataset", judged,
+                                        run_sensors.NOISE, run_dataset.SLOWEST_M_S, LONGEST_S)
         account = explain.braking_runs(dataset.load(made)._replace(name=out.name), seed, progress)
     except ConfigError as error:
         raise ConfigError(f"the stops show {', '.join(faults)}, and cannot be explained: {error}" if faults else

@@ -114,6 +114,8 @@ def from_folders(folders: Sequence[Path], out: Path, validate: Sequence[Path] = 
 
 
 def _same_base(run: records.Run, first: records.Run) -> None:
+    if any((run.column(name) > 0.0).any() for name in run.table.column_names if name.startswith("sand_rate")):
+        raise ConfigError(f"{run.folder}: sand was strewn, which the base model does not know; brake without sanders")
     free = {"vehicle": ("mass_kg",), "adhesion": ("mu_cd",), "contact": (), "brake": (), "rig": ("speed",)}
     for table, left_out in free.items():
         mine, its = ({k: v for k, v in one.scenario.get(table, {}).items() if k not in left_out}
@@ -128,10 +130,8 @@ def _same_base(run: records.Run, first: records.Run) -> None:
 
 def _note(recorded: Sequence[records.Run]) -> str:
     """What the base model does not know of the runs."""
-    notes = []
-    if any(run.scenario.get("friction") for run in recorded):
-        notes.append("the scenario changes friction by place or time, which the base model does not know: it is looked "
-                     "for like a cause")
+    notes = ["the scenario changes friction by place or time, which the base model does not know: it is looked for "
+             "like a cause"] if any(run.scenario.get("friction") for run in recorded) else []
     model = recorded[0].scenario["contact"].get("model", "degraded")
     if model != "degraded":
         notes.append(f"the runs had contact.model = {model!r}; the base model is the degraded adhesion law")

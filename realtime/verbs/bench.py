@@ -42,8 +42,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         "of the matrix, of which there are as many as wanted); discover: rigs (default: 40)")
     parser.add_argument("--tool", choices=("explain", "bic", "sparse", "least_squares"), default="explain",
                         help="explain: what answers, explain or one of three usual ways (default: explain)")
-    parser.add_argument("--faults", action="store_true", help="discover: what the record of a stop tells of each fault "
-                        "of the catalogue, instead")
     parser.add_argument("--export", type=Path, metavar="DIR", help="explain: only write the sets without truth, and "
                         "the key, for rollerrig score")
     parser.add_argument("--folder", type=Path, metavar="DIR", help="explain, discover: where sets and answers are, to "

@@ -17,7 +17,7 @@ from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.endurance import runs
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
-from rollerrig.realtime.record import records, run_folder
+from rollerrig.realtime.record import records
 
 KILLS, LOST_S = 100, 1.0
 _RUN_S, _LATEST_S, _PATIENCE_S = 4.0, 3.0, 120.0
@@ -71,8 +71,7 @@ def _missing(run: runs.Run, known_s: float) -> tuple[float, str]:
     """Seconds that channels or can.log lack, and what is wrong with the folder."""
     try:
         time_s = records.load(run.folder).column("time_s")
-        lines = (run.folder / run_folder.CAN_LOG).read_text(encoding="ascii").splitlines()
-        heard_s = float(lines[-1].partition(")")[0].strip("(")) if lines else 0.0
+        heard_s = 1e-6 * max((stamp_us for stamp_us, *_ in records.frames(run.folder)), default=0)
     except (RollerrigError, OSError, ValueError) as error:
         return known_s, str(error)
     return max(known_s - float(time_s[-1] if len(time_s) else 0.0), known_s - heard_s, 0.0), ""

@@ -239,16 +239,14 @@ def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
 def _others(run: Run, channel: Channel) -> np.ndarray:
     """Median of the other speeds at the stamps of one channel, NaN where there is none."""
     others = [at(other, channel.time_s) for other in run.of(*_SPEEDS) if other.name != channel.name]
-    with np.errstate(invalid="ignore"):
-        return median(np.array(others)) if others else np.full(channel.time_s.size, np.nan)
+    return median(np.array(others)) if others else np.full(channel.time_s.size, np.nan)
 
 
 def median(values: np.ndarray) -> np.ndarray:
     """Median over the first axis without NaN; NaN where there is no value."""
     found = np.full(values.shape[1], np.nan)
     any_ = np.isfinite(values).any(axis=0)
-    if any_.any():
-        found[any_] = np.nanmedian(values[:, any_], axis=0)
+    found[any_] = np.nanmedian(values[:, any_], axis=0)
     return found
 
 

@@ -74,19 +74,16 @@ def _known(path: Path, name: str, found: list[str]) -> None:
 
 def _csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, str]]:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = list(itertools.dropwhile(lambda line: line.startswith("#"), path.read_text("utf-8-sig").splitlines()))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text: {error}") from None
-    skipped = sum(1 for _ in itertools.takewhile(lambda line: line.startswith("#"), lines))
-    lines = lines[skipped:]
     if len(lines) < 3:
         raise ConfigError(f"{path}: {len(lines)} lines; a line of names and one line a sample are wanted")
     separator = {"tab": "\t", "auto": max(",;\t", key=lines[0].count)}.get(head["separator"], head["separator"])
     names, second = next(csv.reader(lines[:1], delimiter=separator)), next(csv.reader(lines[1:2], delimiter=separator))
     at = names.index(head["time"]) if head["time"] in names else 0
-    units = {}
-    if len(second) > at and second[at].strip(" []()") in TIME:
-        units = {name: unit.strip(" []()") for name, unit in zip(names, second, strict=False)}
+    told = zip(names, second, strict=False) if len(second) > at and second[at].strip(" []()") in TIME else ()
+    units = {name: unit.strip(" []()") for name, unit in told}
     text = "\n".join(lines[:1] + lines[2 if units else 1:]) + "\n"
     try:
         return pyarrow.csv.read_csv(
@@ -139,8 +136,7 @@ def _rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
             topics = {connection.topic for connection in bag.connections}
             for name in names:
-                if (topic := name.partition(":")[0]) not in topics:
-                    raise ConfigError(f"{path}: topic '{topic}' is missing{table.nearest(topic, sorted(topics))}")
+                _known(path, name.partition(":")[0], sorted(topics))
             wanted = [c for c in bag.connections if any(name.partition(":")[0] == c.topic for name in names)]
             for connection, received_ns, raw in bag.messages(connections=wanted):
                 message: Any = bag.deserialize(raw, connection.msgtype)

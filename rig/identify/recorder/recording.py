@@ -64,8 +64,7 @@ class Channel(NamedTuple):
     @property
     def step_s(self) -> float:
         """Usual time between two samples."""
-        good = self.time_s[np.isfinite(self.values)]
-        return float(np.median(np.diff(good))) if good.size > 1 else np.inf
+        return float(np.median(np.diff(t))) if (t := self.time_s[np.isfinite(self.values)]).size > 1 else np.inf
 
 
 class Run(NamedTuple):

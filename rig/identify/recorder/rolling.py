@@ -55,8 +55,7 @@ def align(run: Run, delay_s: dict[str, float], radius: dict[str, float]) -> Alig
     time_s = base.time_s - delay_s.get(base.name, 0.0)
 
     def of(channel: Channel) -> np.ndarray:
-        late = delay_s.get(channel.name, 0.0)
-        return faults.at(channel, time_s + late) / (1.0 + radius.get(channel.name, 0.0))
+        return faults.at(channel, time_s + delay_s.get(channel.name, 0.0)) / (1.0 + radius.get(channel.name, 0.0))
 
     nothing = np.full(time_s.size, np.nan)
     one = {c.quantity: of(c) for c in run.of("reference", "position", "demand")}

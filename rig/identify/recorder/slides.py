@@ -71,8 +71,7 @@ def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
                 if part.last - part.first + 1 < shortest or slows > -0.1:
                     flag[part.first:part.last + 1, j] = False
         flags.append(flag)
-        for first, last in _episodes(a, np.any(flag, axis=1)):
-            found.append(_slide(r, a, v, sliding, noise, first, last, flag))
+        found += [_slide(r, a, v, sliding, noise, *ends, flag) for ends in _episodes(a, np.any(flag, axis=1))]
     return found, flags
 
 
