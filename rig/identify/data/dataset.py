@@ -152,8 +152,9 @@ def read_table(path: Path) -> pa.Table:
 
 def column(data: pa.Table, name: str, path: Path) -> np.ndarray:
     """One column as floats, finite. Raises ConfigError naming row and column."""
-    if name not in data.column_names:
-        raise ConfigError(f"{path}: column '{name}' is missing{table.nearest(name, data.column_names)}")
+    if (times := data.column_names.count(name)) != 1:
+        why = f"is there {times} times; keep one" if times else f"is missing{table.nearest(name, data.column_names)}"
+        raise ConfigError(f"{path}: column '{name}' {why}")
     try:
         values = np.asarray(data[name].to_numpy(zero_copy_only=False), dtype=float)
     except (ValueError, TypeError):

@@ -114,6 +114,16 @@ def test_data_that_cannot_be_what_it_says_is_refused_and_the_message_says_why(co
         dataset.load(copy)
 
 
+def test_a_column_that_is_there_twice_is_refused_by_its_name(copy: Path) -> None:
+    path = copy / "runs" / "a2.csv"
+    rows = path.read_text().splitlines()
+    first = next(k for k, row in enumerate(rows) if row.startswith("time_s"))
+    doubled = [f"{row},{row.split(',')[1]}" for row in rows[first:]]
+    path.write_text("\n".join([*rows[:first], *doubled]) + "\n")
+    with pytest.raises(ConfigError, match=r"a2.csv: column 'vehicle_speed_m_s' is there 2 times; keep one"):
+        dataset.load(copy)
+
+
 def gentle(columns):
     rolling = columns["vehicle_speed_m_s"] / RADIUS_M
     return columns | {name: rolling + 1e-3 * np.sin(np.arange(rolling.size) + k)
