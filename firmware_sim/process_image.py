@@ -1,8 +1,7 @@
 """The signals of the rig as objects of a node: what stands where on the bus comes from one table.
 
-Objects that carry a signal hold no value of their own; each read converts the live row into the
-integer of the bus, as `signals.count` does. The conversion is prepared once for each object,
-because it runs for every signal at every SYNC.
+Objects that carry a signal hold no value of their own; each read converts the live row into the integer of the bus, as
+`signals.count` does. The conversion is prepared once for each object, because it runs for every signal at every SYNC.
 """
 
 from collections.abc import Callable, Iterator, Mapping

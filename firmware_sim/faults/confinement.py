@@ -100,8 +100,7 @@ class Controllers:
 class Confinement:
     """What the counters mean for the nodes: EMCY, bus-off and recovery, deafness.
 
-    `members` are the nodes by number, `mute(node, on)` takes one off the wire, `deafen(node, on)`
-    keeps frames from it.
+    `members` are the nodes by number, `mute(node, on)` takes one off the wire, `deafen(node, on)` keeps frames from it.
     """
 
     def __init__(self, controllers: Controllers, members: dict[int, Any], mute: Callable[[int, bool], None],

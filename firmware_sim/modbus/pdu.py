@@ -1,9 +1,8 @@
 """Modbus requests, decoded and executed by pymodbus, and strict where pymodbus is not.
 
-pymodbus 3.16 reads over bytes that are too many, takes any coil value but 0 for ON, writes 2000 coils
-at once, answers a single write with what is read back and not with its echo, and writes before it
-knows whether an exchange (23) can be read. A refused request changes nothing. Source: MODBUS
-Application Protocol Specification V1.1b3, section 6.
+pymodbus 3.16 reads over bytes that are too many, takes any coil value but 0 for ON, writes 2000 coils at once, answers
+a single write with what is read back and not with its echo, and writes before it knows whether an exchange (23) can be
+read. A refused request changes nothing. Source: MODBUS Application Protocol Specification V1.1b3, section 6.
 """
 
 from collections.abc import Mapping

@@ -9,10 +9,9 @@ By default the bus is ideal: a frame is delivered at once, and the bit rate is o
 (`load`). After `arbitrate` frames wait for the wire as on a real bus, lowest identifier first, each
 for its bits' time; time is that of the hub's clock, simulated or real.
 
-Threads: a hub lives in the thread of its event loop; call it from nowhere else.
-Limits: no acknowledge; error frames only where a fault asks for them (`destroy`), and for clients
-that ask for them, with the identifier of what was destroyed behind their content. The protocols
-have no authentication: loopback only, unless another host is asked for.
+Threads: a hub lives in the thread of its event loop; call it from nowhere else. Limits: no acknowledge; error frames
+only where a fault asks for them (`destroy`), and for clients that ask for them, with the identifier of what was
+destroyed behind their content. The protocols have no authentication: loopback only, unless another host is asked for.
 """
 
 import asyncio

@@ -1,9 +1,8 @@
 """The list of all that could change a replay: base parameters, causes, and smooth functions.
 
-A column is a course in time of the change of a wheel's acceleration (and of the vehicle's) for a
-unit of one coefficient, on the wheelsets of some segments: many columns share a course. Base
-parameters always stay in the fit, those with a declared tolerance under a prior; a cause is one or
-several columns, some causes have variants of shape.
+A column is a course in time of the change of a wheel's acceleration (and of the vehicle's) for a unit of one
+coefficient, on the wheelsets of some segments: many columns share a course. Base parameters always stay in the fit,
+those with a declared tolerance under a prior; a cause is one or several columns, some causes have variants of shape.
 """
 
 from collections.abc import Callable, Iterable, Iterator

@@ -36,7 +36,7 @@ _LOAD = ((1e-3, "it is in kN: multiply by 1000"), (0.5, "it is of one wheel: dou
          (1e-3 / GRAVITY_M_S2, "it is in t: multiply by 9806.65"))
 _TORQUE = ((1e-3, "it is in kN m: multiply by 1000"), (0.5, "it is of one wheel: double it"),
            (AXLES, f"it is the vehicle's: divide by {AXLES}"))
-LATEST_S = 0.2
+LATEST_S = 0.3
 
 
 def check(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:

@@ -7,8 +7,7 @@ that bias, lies outside that spread so far that among all causes a false alarm s
 
     [E1] x = -S^-1 g, S and g the normal equations less what the base takes up (Schur complement)
     [E2] T = (x - mean)' S (x - mean) / scale, scale the mean of the same over clean sets
-Source: Engle, Wald, likelihood ratio and Lagrange multiplier tests, Handbook of Econometrics 2
-(1984).
+Source: Engle, Wald, likelihood ratio and Lagrange multiplier tests, Handbook of Econometrics 2 (1984).
 """
 
 from collections.abc import Sequence

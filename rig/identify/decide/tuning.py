@@ -192,7 +192,12 @@ def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = 
         at = own + [c for cause in causes if (same := found.matrix.variant_of(cause)) for c in same.columns]
         if not np.all(np.isfinite(found.A[np.ix_(at, at)])):
             break
-        change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
+        try:
+            change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
+        except ConfigError:
+            if not causes:
+                raise
+            break  # as far as it went: one cause that cannot be fitted further does not make the data useless
         rest = [k for k, c in enumerate(at) if found.matrix.columns[c].cause != MEMORY]
         if len(rest) < len(at):
             change, left = np.zeros(len(at)), [at[k] for k in rest]
