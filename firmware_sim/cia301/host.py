@@ -62,10 +62,9 @@ class Timers:
 class Host:
     """The part of a node that its services share: `dictionary` is what its EDS file says, `emergency` its errors.
 
-    `on_sync()` is called before PDOs are sampled, `on_partner(node, alive)` for heartbeats (node 0: the
-    guarding master), `on_event(level, text)` for the run's events. `event_enablers`: which object lets
-    changes of another go out. `commands`: objects that may be mapped and are asked for from cycle to cycle, so
-    that they are never stored.
+    `on_sync()` is called before PDOs are sampled, `on_partner(node, alive)` for heartbeats (node 0: the guarding
+    master), `on_event(level, text)` for the run's events. `event_enablers`: which object lets changes of another go
+    out. `commands`: objects that may be mapped and are asked for from cycle to cycle, so that they are never stored.
     """
 
     emergency: Any

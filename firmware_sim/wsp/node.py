@@ -287,9 +287,9 @@ def serve(built: Callable[[can.BusABC], Serving], bus_address: str, priority: in
             signal.signal(number, lambda number, frame: unit.stop())
         if priority:
             try:
-                for thread in threading.enumerate():  # what watches the unit goes before it
-                    mine = min(priority + (thread is not threading.current_thread()), 99)
-                    os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(mine))
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+                for thread in {*threading.enumerate()} - {threading.current_thread()}:  # what watches the unit
+                    os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99)))
             except OSError as error:
                 print(f"info: SCHED_FIFO priority {priority} was refused: {error.strerror}", flush=True)
         unit.run()

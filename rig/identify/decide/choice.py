@@ -217,18 +217,21 @@ def _least_beside(first: NamedCause, second: evidence.Finding) -> float:
 def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate]
              ) -> tuple[Explanation, list[NamedCause]]:
     """The first cause looked for again beside the second: one that had to stand for both gives way."""
-    names = {named.finding.name for named in causes}
-    others = [rival for rival in rivals if rival.finding.name not in names]
-    fits = setting.run_all(fit_one, [(explanation._replace(causes=(
-        rival.fit.explanation.causes[-1], explanation.causes[1])),) for rival in others], "first cause again")
-    value = tuning.deviance(setting.design, explanation) + _price(causes[0].finding)
-    won = [value - fit.value - _price(rival.finding) for rival, fit in zip(others, fits, strict=True)]
-    if not won or max(won) < 4.0:
-        return explanation, causes
-    top = int(np.argmax(won))
+    first, second = causes
+    others = [rival for rival in rivals if rival.finding.name != second.finding.name]
+    fits = setting.run_all(fit_one, [(explanation._replace(causes=(one.fit.explanation.causes[-1], second.cause)),)
+                                     for one in others], "first cause again")
+    value = tuning.deviance(setting.design, explanation) + _price(first.finding)
+    won = [value - fit.value - _price(one.finding) for one, fit in zip(others, fits, strict=True)]
+    own = next(k for k, one in enumerate(others) if one.finding == first.finding)
+    top = int(np.argmax(won)) if max(won) >= 4.0 else own
+    alike = tuple(other.finding.name for k, other in enumerate(others) if k != top and indistinguishable(
+        fits[top], fits[k], first.ratio + won[top], first.ratio + won[k]))
+    if top == own:
+        return explanation, [first._replace(confusable=tuple({*first.confusable, *alike})), second]
     finding, better = others[top].finding, fits[top].explanation
-    first = NamedCause(finding, better.causes[0], causes[0].ratio + won[top], _deviation(finding, fits[top], 0), ())
-    return better, [first, causes[1]._replace(cause=better.causes[1])]
+    first = NamedCause(finding, better.causes[0], first.ratio + won[top], _deviation(finding, fits[top], 0), alike)
+    return better, [first, second._replace(cause=better.causes[1])]
 
 
 def _both_needed(setting: null_sets.Setting, explanation: Explanation, value: float) -> bool:
