@@ -196,7 +196,7 @@ class Parts:
         if self.options.own_unit:
             priority = self.plan["loop"]["priority"] if self.options.pacing == "wall" else 0
             self.processes.start_unit(self.place, self.plan["wsp_config"],
-                                      priority and max(priority // loop.UNIT_PART, 1),
+                                      priority and max(int(loop.UNIT_SHARE * priority), 1),
                                       self.plan["bus"]["sync_period_s"], self.plan["bus"]["bitrate"])
         elif self.options.unit == "external":
             self._say_waiting(f"a WSP unit's heartbeat ({UNIT_HEARTBEAT_ID:X}h)")

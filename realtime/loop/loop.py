@@ -23,9 +23,9 @@ BINS = 20_000
 _STALL_TICKS = 100
 # by name in the summary, as getrusage(2) counts them
 INTERRUPTIONS = {"page_faults": "ru_minflt", "pages_read": "ru_majflt", "preempted": "ru_nivcsw"}
-# which part of the real-time thread's priority the bus thread has, and the bench's own unit: one that hangs in a
+# which share of the real-time thread's priority the bus thread has, and the bench's own unit: one that hangs in a
 # computation would else take the bus with it where they share a core
-BUS_PART, UNIT_PART = 4 / 3, 2
+BUS_SHARE, UNIT_SHARE = 0.75, 0.5
 
 
 @kernel
@@ -90,7 +90,7 @@ def prefer_bus_thread(priority: int) -> str:
     machine that is busy otherwise an ordinary bus thread loses SYNCs: at 1 kHz every third was
     seen to go, and with priority none. Processes and threads started from here do not inherit it.
     """
-    below = priority and max(int(priority / BUS_PART), 1)
+    below = priority and max(int(BUS_SHARE * priority), 1)
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK if below else os.SCHED_OTHER
     try:
         os.sched_setscheduler(0, policy, os.sched_param(below))

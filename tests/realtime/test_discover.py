@@ -122,3 +122,24 @@ def test_a_loud_effect_is_found_out_and_an_interrupted_search_goes_on(tmp_path, 
     assert told["causes"][0]["axles"] == [3]
     assert [one["stops"] for one in told["history"]["rounds"]] == [3]
     assert (tmp_path / "found" / "report.html").is_file()
+
+
+# what a rig hides, and what three stops at one mass tell of it: sets of causes that they cannot part
+BESIDE = {
+    "one pair of causes cannot be fitted": (
+        {"friction_trend_rate_1_s": -0.0128, "running_resistance_force_N": 698.0},
+        [{"friction_trend"}, {"track_gradient", "running_resistance"}]),
+    "the first cause gives way beside the second": (
+        {"track_gradient_gradient": -0.00465, "load_transfer_body_s2_m": 0.0303},
+        [{"track_gradient", "running_resistance"}, {"load_transfer"}])}
+
+
+@pytest.mark.explanation
+@pytest.mark.parametrize("what", BESIDE)
+def test_a_cause_beside_another_is_told_with_what_it_is_confused_with(tmp_path, what) -> None:
+    mechanisms, wanted = BESIDE[what]
+    rig, _ = sealed(tmp_path, {"mechanisms": mechanisms, "fault": [], "causes": []})
+    account, history = discover.find_out(str(rig), tmp_path / "found", 3, 0, print, lambda *_: None)
+    assert account.verdict == "explained"
+    told = [set(names) for names in history["rounds"][-1]["causes"]]
+    assert sorted(told, key=sorted) == sorted(wanted, key=sorted)

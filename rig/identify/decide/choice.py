@@ -228,7 +228,7 @@ def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[
     alike = tuple(other.finding.name for k, other in enumerate(others) if k != top and indistinguishable(
         fits[top], fits[k], first.ratio + won[top], first.ratio + won[k]))
     if top == own:
-        return explanation, [first._replace(confusable=tuple({*first.confusable, *alike})), second]
+        return explanation, [first._replace(confusable=tuple(dict.fromkeys(first.confusable + alike))), second]
     finding, better = others[top].finding, fits[top].explanation
     first = NamedCause(finding, better.causes[0], first.ratio + won[top], _deviation(finding, fits[top], 0), alike)
     return better, [first, second._replace(cause=better.causes[1])]
