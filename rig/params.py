@@ -21,7 +21,7 @@ from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.contact.patch import Patch, patch_for
 from rollerrig.rig.mechanisms import applied as effects
 from rollerrig.rig.mechanisms import table
-from rollerrig.rig.mechanisms.mechanism import ALL_AXLES_ALIKE, NOT
+from rollerrig.rig.mechanisms.mechanism import AXLES_ALIKE, NOT
 from rollerrig.rig.multibody import coach as coaches
 from rollerrig.rig.multibody import compiled_coach
 from rollerrig.rig.multibody.compiled_coach import Packed
@@ -287,7 +287,7 @@ def build(sections: Mapping[str, Mapping[str, Any]], friction: Friction, demand:
 def check_coach(extra: Mapping[str, float]) -> None:
     """Raise ConfigError where an extended model has a mechanism that the coach in 3D does not know."""
     for known in table.IN_PLANT:
-        if known.in_coach == NOT or (known.in_coach == ALL_AXLES_ALIKE and extra[f"{known.name}_axle"] != 0.0):
+        if known.in_coach == NOT or (known.in_coach == AXLES_ALIKE and extra[f"{known.name}_axle"] != 0.0):
             for key in known.coefficients:
                 if extra[key] != 0.0:
                     raise ConfigError(

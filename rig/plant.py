@@ -76,9 +76,8 @@ def friction(state, params):
             state.friction_degraded[j] = asked
             state.friction_recovered[j] = max(params.law.mu_cr, asked)
         if params.effects.on_friction:
-            factor = applied.friction_factor(state, j, place, params.effects)
-            state.friction_degraded[j] *= factor
-            state.friction_recovered[j] *= factor
+            state.friction_degraded[j] *= applied.friction_factor(state, j, place, params.effects, False)
+            state.friction_recovered[j] *= applied.friction_factor(state, j, place, params.effects, True)
         if params.sanders.axles != 0:
             share = dose_share(state.sand_dose[j], params.sanders.dose_scale_kg_m)
             loosen(state, j, params.sanders.gain * share, params)

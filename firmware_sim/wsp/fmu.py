@@ -209,8 +209,7 @@ def _compile(fitted: Fitted, folder: Path) -> None:
         raise ConfigError(f"{fitted.path}: its sources do not compile: {errors[0]}; have it exported with a binary")
 
 
-def main(fitted: Fitted, bus_address: str, priority: int = 0, lockstep_s: float = 0.0,
-         patience_s: float = 10.0) -> int:
+def main(fitted: Fitted, bus_address: str, priority: int = 0, lockstep_s: float = 0.0, patience_s: float = 10.0) -> int:
     """Run an FMU on a bus until that ends; as `node.main`. Raises ConfigError, BusError, UnitError."""
     print_at_once()
     with tempfile.TemporaryDirectory(prefix="rollerrig-fmu-") as folder:

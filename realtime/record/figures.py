@@ -48,8 +48,7 @@ def _mean(summary: Summary, key: str) -> float:
 FIGURES = (
     Figure("stop_time_s", "stop time", "s", lambda s: s["stop_time_s"]),
     Figure("stop_distance_m", "stop distance", "m", lambda s: s["stop_distance_m"]),
-    Figure("sliding_mean_m_s", "mean sliding, all axles", "m/s", lambda s: _mean(s, "sliding_mean_m_s"),
-           better=0),
+    Figure("sliding_mean_m_s", "mean sliding, all axles", "m/s", lambda s: _mean(s, "sliding_mean_m_s"), better=0),
     Figure("sliding_std_m_s", "standard deviation of sliding", "m/s", lambda s: _mean(s, "sliding_std_m_s")),
     Figure("sliding_max_m_s", "largest sliding", "m/s", lambda s: max(_axles(s, "sliding_max_m_s"))),
     Figure("longest_lock_s", "longest lock", "s", lambda s: max(_axles(s, "longest_lock_s"))),

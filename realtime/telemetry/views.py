@@ -139,8 +139,7 @@ def style(stream: rr.RecordingStream, prefix: str = "", faint: bool = False, mor
             aggregation_policy=rr.components.AggregationPolicy.MinMax), static=True)
     names, shades = [name for name, _ in colours.VALVE_STATES], [shade for _, shade in colours.VALVE_STATES]
     for axle in range(1, signals.AXLES + 1):
-        stream.log(valve(axle, prefix), rr.StateConfiguration(
-            values=names, labels=names, colors=shades), static=True)
+        stream.log(valve(axle, prefix), rr.StateConfiguration(values=names, labels=names, colors=shades), static=True)
 
 
 def tops(stored: Mapping[str, Any]) -> tuple[float, float]:

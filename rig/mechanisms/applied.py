@@ -17,7 +17,7 @@ import numpy as np
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel, written
 from rollerrig.rig.mechanisms import constants, friction
-from rollerrig.rig.mechanisms.mechanism import COVARIATES, FRICTION, TORQUE, Mechanism, arguments
+from rollerrig.rig.mechanisms.mechanism import ALONE, COVARIATES, FRICTION, TORQUE, Mechanism, arguments
 from rollerrig.rig.mechanisms.table import IN_PLANT, rows
 
 PLACE = {row.name: i for i, row in enumerate(rows())}  # where `Effects.values` has what
@@ -78,12 +78,14 @@ def _sum_of(name: str, mechanisms: list[Mechanism]) -> Any:
     It reads, for each: if values[3] != 0.0: value += values[3] * rail_cleaning(state.rail_work[axle], values[4])
     """
     of_plant = {c.name: c.of_plant for c in COVARIATES}
-    lines = [f"def {name}(value, state, axle, place_m, capacity_Nm, effects):", "    values = effects.values"]
+    lines = [f"def {name}(value, state, axle, place_m, capacity_Nm, effects, clean):", "    values = effects.values"]
     for m in mechanisms:
         size = f"values[{PLACE[m.coefficients[0]]}]"
         shape = [f"values[{PLACE[f'{m.name}_{row.name}']}]" for row in m.own_parameters[m.free:]]
         course = f"{m.name}({', '.join([of_plant[c] for c in arguments(m.courses[0], len(shape))] + shape)})"
         own = f" and values[{PLACE[f'{m.name}_axle']}] in (0.0, axle + 1.0)" if m.axlewise else ""
+        if m.acts_on == FRICTION:
+            own = f" and not (clean and values[{PLACE[f'{m.name}_{ALONE.name}']}] != 0.0)"
         whole = "value * " if m.share else ""
         lines += [f"    if {size} != 0.0{own}:", f"        value += {whole}{size} * {course}"]
     space = {m.name: m.courses[0] for m in mechanisms}
@@ -99,9 +101,9 @@ _covariate = written("_covariate", [
 
 
 @kernel
-def friction_factor(state, axle, place_m, effects):
-    """What the friction of an axle is multiplied by [X1]."""
-    log_mu = _changed_log(0.0, state, axle, place_m, state.brake_torque[axle], effects)
+def friction_factor(state, axle, place_m, effects, clean):
+    """What the degraded friction of an axle is multiplied by, or that of the clean rail [X1]."""
+    log_mu = _changed_log(0.0, state, axle, place_m, state.brake_torque[axle], effects, clean)
     v = effects.values[_EMPIRICAL:]
     if v[2] > 0.0:
         x = _covariate(state, axle, place_m, int(v[2]))
@@ -114,7 +116,7 @@ def torque(capacity_Nm, state, axle, place_m, effects):
     """Brake torque in N m of an axle whose brake would give `capacity_Nm` [X2]."""
     if capacity_Nm <= 0.0:
         return capacity_Nm
-    return max(0.0, _changed_torque(capacity_Nm, state, axle, place_m, capacity_Nm, effects))
+    return max(0.0, _changed_torque(capacity_Nm, state, axle, place_m, capacity_Nm, effects, False))
 
 
 @kernel

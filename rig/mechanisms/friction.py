@@ -4,7 +4,7 @@ import math
 
 from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.mechanisms.mechanism import FRICTION, WIDE, number, row_of, saturating
+from rollerrig.rig.mechanisms.mechanism import ALONE, FRICTION, WIDE, number, row_of, saturating
 
 
 @kernel
@@ -72,7 +72,7 @@ def empirical(x, linear, quadratic, centre, scale, period):
     return linear * z + quadratic * z * z
 
 
-ROWS = (
+ROWS = tuple(row._replace(parameters=(*row.parameters, ALONE)) for row in (
     row_of(FRICTION, rail_cleaning, (number("gain", 0.0, 1.0, "-"), number("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
            "leading wheels clean the rail for the following ones", "Allotta et al. 2014; form: assumption"),
     row_of(FRICTION, speed_dependent_friction,
@@ -90,8 +90,7 @@ ROWS = (
     row_of(FRICTION, sanding,
            (number("gain", 0.0, 2.0, "-"), number("start_s", 0.0, 1e4, "s"),
             number("duration_s", 0.0, 1e4, "s"), number("behind", 0.0, 1.0, "-")),
-           "sand raises friction for a while", "assumption"),
-)
+           "sand raises friction for a while", "assumption")))
 # what `explain` writes down when none of the table explains: a formula, not a cause
 EMPIRICAL = row_of(
     FRICTION, empirical,

@@ -18,7 +18,7 @@ FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
     "friction", "torque", "load", "vehicle", "sensor", "wheel", "contact")
 WIDE = 1e4  # a scale as wide as this is none
 # what the coach in 3D knows of a mechanism: it, it for all axles alike, nothing
-WHOLLY, ALL_AXLES_ALIKE, NOT = "wholly", "all axles alike", "not"
+WHOLLY, AXLES_ALIKE, NOT = "wholly", "all axles alike", "not"
 
 
 class Covariate(NamedTuple):
@@ -80,8 +80,9 @@ class Mechanism(NamedTuple):
 
     @property
     def own_parameters(self) -> tuple[Row, ...]:
-        """All but the axle."""
-        return self.parameters[:-1] if self.axlewise else self.parameters
+        """All but the axle, and but which friction it acts on."""
+        beside = (AXLE.name, ALONE.name if self.acts_on == FRICTION else "")
+        return tuple(row for row in self.parameters if row.name not in beside)
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -109,6 +110,7 @@ def row_of(acts_on: str, formula: Callable[..., Any], parameters: tuple[Row, ...
 
 
 AXLE = number("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
+ALONE = number("contaminant_alone", 0.0, 1.0, "1: it acts on the degraded friction, 0: on the recovered one too")
 
 
 @kernel

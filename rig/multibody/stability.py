@@ -1,9 +1,7 @@
-"""Natural modes of the suspended bodies, and the speed above which the wheelsets hunt.
+"""The speed above which the wheelsets hunt.
 
-Modes: the suspension's own forces, displaced coordinate by coordinate, give the stiffness of car
-and bogies on wheelsets held fast. Hunting: a wheelset that is set off to the side swings about the
-track's middle on its conical wheels; yaw and creep damp the swing at low speed and feed it at high
-speed. The critical speed is where a small swing neither grows nor dies.
+A wheelset that is set off to the side swings about the track's middle on its conical wheels; yaw and creep damp the
+swing at low speed and feed it at high speed. The critical speed is where a small swing neither grows nor dies.
 """
 
 import math
@@ -11,31 +9,8 @@ import math
 import numpy as np
 
 from rollerrig.rig.contact.adhesion import Law
-from rollerrig.rig.multibody import links, stop
+from rollerrig.rig.multibody import stop
 from rollerrig.rig.multibody.coach import Coach
-
-_HELD = 18  # coordinates of car and bogies
-
-
-def stiffness(coach: Coach, move: float = 1e-6) -> np.ndarray:
-    """Stiffness matrix (42, 42) of the suspension at rest, from its own forces."""
-    matrix = np.zeros((42, 42))
-    for column in range(42):
-        for sign in (1.0, -1.0):
-            q, force = np.zeros(42), np.zeros(42)
-            q[column] = sign * move
-            links.springs(q, force, coach.springs)
-            links.curves(q, np.zeros(42), force, coach.curves)
-            matrix[:, column] -= sign * force / (2.0 * move)
-    return matrix
-
-
-def modes(coach: Coach) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in Hz (18,), rising, and shapes (18, 18) of car and bogies, wheelsets held."""
-    root = np.sqrt(coach.inertia[:_HELD])
-    K = stiffness(coach)[:_HELD, :_HELD] / np.outer(root, root)
-    squares, shapes = np.linalg.eigh(0.5 * (K + K.T))
-    return np.sqrt(np.maximum(squares, 0.0)) / (2.0 * math.pi), shapes / root[:, None]
 
 
 def growth(coach: Coach, law: Law, speed_m_s: float, shift_m: float = 5e-4, duration_s: float = 4.0) -> float:

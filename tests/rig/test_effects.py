@@ -321,7 +321,7 @@ def test_a_patch_with_slow_edges_has_half_its_depth_on_the_middle_of_its_edge() 
                       contaminated_patch_length_m=80.0, contaminated_patch_ramp=0.5)
     rig = Plant(params, 30.0)
     places = (99.0, 110.0, 140.0, 170.0, 181.0)
-    lost = [-np.log(effects.friction_factor(rig.state, 0, x, params.effects)) for x in places]
+    lost = [-np.log(effects.friction_factor(rig.state, 0, x, params.effects, False)) for x in places]
     assert lost == pytest.approx([0.0, 0.2, 0.4, 0.2, 0.0], abs=1e-12)
     replayed = courses.filled(friction.contaminated_patch, 5, np.array(places), 100.0, 80.0, 0.5)
     assert -0.4 * replayed == pytest.approx(lost, abs=1e-12)

@@ -15,7 +15,7 @@ from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, VEHICLE
+from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
 
 SPEED_M_S, LASTS_S, STEP_S = 30.0, 6.0, 0.01
@@ -31,7 +31,7 @@ SHARE = 1e-3
 ACCURACY = {"speed_m_s": 0.01, "wheel_speed_rad_s": 0.02, "torque_fraction": 0.005, "load_fraction": 0.01,
             "calibration_fraction": 0.003}
 CAUSES = [(row, shape, axle) for row in table.TABLE if row.name != "empirical"
-          for shape in (row.shapes or (WINDOWS[row.name],)) for axle in row.axles[:2]]
+          for shape in (row.shapes or (WINDOWS[row.name], WINDOWS[row.name] | table.ALONE)) for axle in row.axles[:2]]
 ROWS = [cause for cause in CAUSES if cause[0].mechanism in IN_PLANT]
 
 
@@ -76,7 +76,8 @@ def whitened(design: preparation.Design, acts_on: str, *causes: Cause) -> np.nda
 
 
 def cause_of(row: table.Search, shape: table.Shape, axle: int, size: float) -> Cause:
-    own = {f"{key} stop" if row.name == "sanding" else key: value for key, value in shape.items()}
+    own = {f"{key} stop" if row.name == "sanding" and key in WINDOWS["sanding"] else key: value
+           for key, value in shape.items()}
     return Cause(row.name, axle, own, (size,) + (0.0,) * (1 if row.phase or row.mechanism.free == 2 else 0))
 
 
@@ -118,11 +119,13 @@ def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(plain, row, shape, ax
     assert all(np.array_equal(a, b) for a, b in zip(*found, strict=True))
 
 
-@pytest.mark.parametrize(("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on in (FRICTION, CONTACT)],
-                         ids=name)
-def test_no_cause_in_the_contact_shows_in_the_vehicles_filter(plain, row, shape, axle) -> None:
-    with_it = whitened(plain, VEHICLE, cause_of(row, shape, axle, size_of(row)))
-    assert np.array_equal(with_it, whitened(plain, VEHICLE))
+@pytest.mark.parametrize(("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on in
+                                                    (FRICTION, CONTACT, LOAD, VEHICLE)], ids=name)
+def test_no_cause_in_contact_or_load_shows_in_the_vehicles_filter_and_none_of_the_vehicle_in_the_wheels(
+        plain, row, shape, axle) -> None:
+    other = "wheels" if row.mechanism.acts_on == VEHICLE else VEHICLE
+    with_it = whitened(plain, other, cause_of(row, shape, axle, size_of(row)))
+    assert np.array_equal(with_it, whitened(plain, other))
 
 
 def test_every_mechanism_has_its_row_in_the_search() -> None:

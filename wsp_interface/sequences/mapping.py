@@ -127,8 +127,7 @@ def load(path: Path) -> UnitMap:
     _check_signals(vent, incoming, f"{where}: vent")
     reference = str(back.get("reference", ""))
     _check_signals((reference,) if reference else (), incoming, f"{where}: reference")
-    return UnitMap(outgoing, incoming, hold, vent, reference,
-                   _factor(back, "reference_factor", where))
+    return UnitMap(outgoing, incoming, hold, vent, reference, _factor(back, "reference_factor", where))
 
 
 def _outgoing(given: Any, database: Any, where: str) -> Outgoing:

@@ -27,8 +27,7 @@ from rollerrig.wsp_interface.sequences.verdict import Result, Verdict
 
 TRACE = "harness.csv"
 SETTLED_S = 0.05
-FINALS = ("longest_lock", "sliding_work", "vents", "air_consumption", "reservoir_least",
-          "flat_length", "sand_taken")
+FINALS = ("longest_lock", "sliding_work", "vents", "air_consumption", "reservoir_least", "flat_length", "sand_taken")
 DRY = "stop_distance_over_dry"
 STEP_SOURCE, BEFORE = "the sequence", "pre-condition"
 

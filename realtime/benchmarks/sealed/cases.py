@@ -9,6 +9,7 @@ no code with the rig and hide each cause in another form than the rig's table wr
 
 import importlib
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import count, islice, zip_longest
@@ -121,8 +122,8 @@ def _make(folder: Path, by: str, job: tuple[str, Case]) -> tuple[str, Case, dict
     name, case = job
     make = generator(GENERATORS[by])
     # the same stops, same seed, with nothing hidden: what is left there no model can take away
-    with work.scratch() as place:
-        clean = _errors(make.make(place / "twin", {}, case.seed))
+    with tempfile.TemporaryDirectory(prefix="rollerrig-sealed-") as place:
+        clean = _errors(make.make(Path(place, "twin"), {}, case.seed))
     errors = _errors(make.make(folder / name, case.effects, case.seed))
     meaning = {cause: (*make.SAME_MEANING[cause][:1], make.SAME_MEANING[cause][1] * size)
                for cause, size in case.effects.items() if cause in make.SAME_MEANING}

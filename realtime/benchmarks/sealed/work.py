@@ -1,12 +1,9 @@
 """Spreads the sets of a benchmark over the cores, one set a core at a time."""
 
-import contextlib
 import multiprocessing
 import os
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import as_completed
-from pathlib import Path
 from typing import Any
 
 from rollerrig.configs import children
@@ -24,13 +21,6 @@ def all_of(one: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
                 yield future.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-
-
-@contextlib.contextmanager
-def scratch() -> Iterator[Path]:
-    """A folder for what nobody keeps."""
-    with tempfile.TemporaryDirectory(prefix="rollerrig-sealed-") as name:
-        yield Path(name)
 
 
 def _keep_to(cores: Any) -> None:

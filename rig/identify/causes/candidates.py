@@ -65,7 +65,7 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
     lift = [1.0 + base[f"load_gain_{axle}"] for axle in design.axle]
     sizes = np.diff(design.start)
     found = Inputs(torque_Nm=design.torque_Nm * np.repeat(gain, sizes), load_N=design.load_N * np.repeat(lift, sizes),
-                   speed_m_s=design.speed_m_s, friction_log=np.zeros(design.measured_rad_s.size), parameters=p,
+                   speed_m_s=design.speed_m_s, friction=np.ones((2, design.measured_rad_s.size)), parameters=p,
                    mass_kg=design.mass_kg * [1.0 + base[f"mass_{run}"] for run in range(design.mass_kg.size)],
                    force_N=np.zeros(design.vehicle_m_s.size))
     return reduce(lambda i, cause: _with(design, i, cause), explanation.causes, found)
@@ -90,13 +90,17 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
         return i._replace(torque_Nm=shifted(d, i.torque_Nm, np.full(d.segments, value)))
     if cause.name == "speed_sensor_delay":
         by = np.where(rows, -value, 0.0)
-        return i._replace(torque_Nm=shifted(d, i.torque_Nm, by), speed_m_s=shifted(d, i.speed_m_s, by))
+        torque_Nm = shifted(d, i.torque_Nm, by)
+        now = (i.torque_Nm - torque_Nm) / i.parameters[0, parameters.RADIUS]  # the vehicle lives on that of now
+        force_N = i.force_N + np.concatenate([d.by_axle(now, run).sum(axis=1) for run in range(d.mass_kg.size)])
+        return i._replace(torque_Nm=torque_Nm, speed_m_s=shifted(d, i.speed_m_s, by), force_N=force_N)
     given = courses.courses(d, cause.name, cause.shape)
     change = on * sum(v * course for v, course in zip(cause.values, given, strict=False))
     if "on_vehicle" in cause.shape:
         return i._replace(force_N=i.force_N + courses.of_vehicle(d, change))
     if m.acts_on == FRICTION:
-        return i._replace(friction_log=i.friction_log + change)
+        of_recovered = 1.0 - cause.shape.get("contaminant_alone", 0.0)
+        return i._replace(friction=i.friction * np.exp([change, of_recovered * change]))
     if m.acts_on == LOAD:
         return i._replace(load_N=i.load_N * (1.0 + change))
     return i._replace(torque_Nm=i.torque_Nm * (1.0 + change) if m.share else i.torque_Nm + change)

@@ -177,7 +177,7 @@ def write(design: Design, inputs: Inputs, shaped: Shaped = (), search: bool = Tr
             course[v.columns[0]], memory[count], count = count, v.shape, count + 1
     return SensitivityMatrix(
         columns=w.columns, wheel=np.array(w.wheel), course=course, acts=acts, bins=bins,
-        in_bins=w.rate("friction").astype(np.float32), memory=memory, vehicle=np.array([*w.vehicle.values()]),
+        in_bins=w.linear.constants[1].astype(np.float32), memory=memory, vehicle=np.array([*w.vehicle.values()]),
         on_vehicle=np.array([*w.vehicle]), variants=w.variants), w.linear
 
 
@@ -221,7 +221,7 @@ def _parts(w: _Writer, row: Search, shape: Shape, constants: list[tuple[Search, 
         if "on_vehicle" in shape:
             yield None, -of_vehicle(d, course) / vehicle_mass(d)
         elif m.acts_on == FRICTION:
-            yield w.rate("friction") * course, None
+            yield (w.linear.constants[1] if shape.get("contaminant_alone") else w.rate("friction")) * course, None
         elif m.acts_on == TORQUE:
             yield w.of_torque(w.torque * course if m.share else course)
         elif m.acts_on == LOAD:
@@ -236,7 +236,8 @@ def _speed_delay(w: _Writer) -> Part:
 
 
 def _inertia(w: _Writer) -> Part:
-    return -(w.rate("irregularity") - w.torque / w.inputs.parameters[0, parameters.INERTIA]), None
+    inertia = w.inputs.parameters[0, parameters.INERTIA]
+    return w.torque / inertia - w.rate("irregularity"), inertia * rate(w.design, w.design.measured_rad_s)
 
 
 _OWN: dict[str, Callable[[_Writer], Part]] = {

@@ -48,14 +48,16 @@ def _of(key: str, *values: float) -> tuple[Shape, ...]:
     return tuple({key: value} if value else {} for value in values)
 
 
+ALONE: Shape = {"contaminant_alone": 1.0}
 TABLE = (
-    Search("rail_cleaning", _of("energy_J_m", 10.0, 40.0, 150.0, 600.0, 2000.0),
+    Search("rail_cleaning", (*_of("energy_J_m", 10.0, 40.0, 150.0, 600.0, 2000.0), ALONE | {"energy_J_m": 150.0}),
            {"energy_J_m": (3.0, 4000.0)}, goes_by=("axle", "load", "time of one axle")),
-    Search("speed_dependent_friction", _of("knee_m_s", 0.0, 12.0), {"knee_m_s": (4.0, 80.0)},
+    Search("speed_dependent_friction", (*_of("knee_m_s", 0.0, 12.0), ALONE), {"knee_m_s": (4.0, 80.0)},
            goes_by=("speed",)),
-    Search("friction_trend", _of("time_s", 0.0, 10.0, 4.0), {"time_s": (1.5, 60.0)}, goes_by=("time",)),
-    Search("negative_conditioning", _of("distance_m", 10.0, 30.0, 100.0), {"distance_m": (3.0, 400.0)},
-           floor=0.005, price=1),
+    Search("friction_trend", (*_of("time_s", 0.0, 10.0, 4.0), ALONE, ALONE | {"time_s": 10.0}),
+           {"time_s": (1.5, 60.0)}, goes_by=("time",)),
+    Search("negative_conditioning", (*_of("distance_m", 10.0, 30.0, 100.0), ALONE | {"distance_m": 30.0}),
+           {"distance_m": (3.0, 400.0)}, floor=0.005, price=1),
     Search("brake_gain"),
     Search("torque_offset", _of("from_Nm", 0.0, 300.0)),
     Search("pad_fade", _of("heat_MJ", 0.0, 3.0), {"heat_MJ": (0.5, 40.0)}, goes_by=("disc_heat",)),
@@ -64,7 +66,8 @@ TABLE = (
     Search("track_gradient"),
     Search("roller_curvature", floor=0.02),
     Search("interfacial_layer", _of("whole", 0.0, 1.0), floor=0.03),
-    Search("falling_friction", _of("height", 0.0, 1.0), floor=0.01, goes_by=("sliding",)),
+    Search("falling_friction", (*_of("height", 0.0, 1.0), ALONE, ALONE | {"height": 1.0}), floor=0.01,
+           goes_by=("sliding",)),
     Search("adhesion_memory", ({}, {"speed_power": 1.0}, {"of_work": 1.0}), floor=0.15, goes_by=("energy",)),
     Search("torque_sensor_delay", floor=0.001),
     Search("speed_sensor_delay", floor=0.001),

@@ -52,7 +52,6 @@ class Design(NamedTuple):
     angle_rad: np.ndarray
     vehicle_start: np.ndarray  # (runs + 1,)
     vehicle_m_s: np.ndarray  # measured
-    wheels_m_s: np.ndarray  # sum J omega / (M r), measured
     speed_noise_m_s: float
     wheel_noise_rad_s: float
     torque_noise_Nm: np.ndarray  # (runs,)
@@ -135,7 +134,7 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
                   run=np.repeat(np.arange(len(runs)), AXLES), axle=np.tile(np.arange(AXLES), len(runs)),
                   mass_kg=np.array([run.mass_kg for run in runs]), **flat,
                   vehicle_start=np.concatenate([[0], np.cumsum(sizes)]),
-                  vehicle_m_s=np.concatenate([run.speed_m_s for run in runs]), wheels_m_s=np.concatenate(wheels),
+                  vehicle_m_s=np.concatenate([run.speed_m_s for run in runs]),
                   speed_noise_m_s=float(np.median(speed_noise)), wheel_noise_rad_s=float(np.median(wheel_noise)),
                   torque_noise_Nm=torque_noise.copy(), calibration=data.accuracy["calibration_fraction"],
                   base=base_parameters(data), resistance=resistance, released_Nm=released[:, 0].copy(),

@@ -29,7 +29,6 @@ def check_run(run: Run, path: Path, found: Dataset, initial_speed_m_s: float) ->
     _check_signs(run, path)
     units.check(run, path, vehicle, warnings)
     _check_sliding(run, path, vehicle, warnings)
-    units.check_clocks(run, path, vehicle)
     _check_held(run, path, warnings)
 
 
@@ -138,6 +137,7 @@ def check(found: Dataset, where: str) -> None:
     tune, validate = found.group("tune"), found.group("validate")
     if not tune:
         raise ConfigError(f"{where}: no run has group = \"tune\"; nothing can be fitted")
+    units.check_clocks(found.runs, where, found.sections["vehicle"])
     for one, other in combinations(found.runs, 2):
         if _shared(one, other):
             raise ConfigError(f"{where}: runs '{one.name}' and '{other.name}' hold the same samples; a copy tells "

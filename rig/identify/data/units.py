@@ -8,7 +8,8 @@ move against each other while a wheel slides, so a shift between their clocks sh
     [D2] J domega/dt = r T - C, with T nearly constant while the wheel slides
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,17 +99,27 @@ def _momentum(run: Run, path: Path, vehicle: Mapping[str, float], warnings: list
                     "resistance will be named for it")
 
 
-def check_clocks(run: Run, path: Path, vehicle: Mapping[str, Any]) -> None:
-    """Raises ConfigError where torque and wheel speed of a sliding wheel are shifted in time [D2]."""
-    sliding = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s
-    for j in range(sliding.shape[1]):
-        if np.mean(np.abs(sliding[:, j])) < 1.0:
-            continue
-        shift_s, best, at_zero = _shift(run, j, vehicle["wheelset_inertia_kgm2"])
-        if abs(shift_s) > LATEST_S and best > 0.5 and best - at_zero > 0.25:
+def check_clocks(runs: Sequence[Run], where: str, vehicle: Mapping[str, Any]) -> None:
+    """Raises ConfigError where torque and wheel speed of a sliding wheel are shifted in time [D2].
+
+    A clock is that of a channel or of a run: a weak sign on one wheelset in one run of several is chance.
+    """
+    found = np.array([[_late(run, j, vehicle) for j in range(AXLES)] for run in runs])
+    seen, judged = found[..., 1] > 0.25, np.isfinite(found[..., 1])
+    for r, j in np.argwhere(seen):
+        (shift_s, clear), beside = found[r, j], (np.s_[r], np.s_[:, j])
+        if clear > 0.5 or any(2 * seen[own].sum() > judged[own].sum() for own in beside):
             late, early = ("wheel_speed", "brake_torque") if shift_s > 0 else ("brake_torque", "wheel_speed")
-            raise ConfigError(f"{path}: {late} of wheelset {j + 1} comes {abs(shift_s):.2g} s behind {early}; clocks "
-                              f"may differ by {LATEST_S:g} s at most: shift one channel by that time")
+            raise ConfigError(f"{where}: run '{runs[r].name}': {late} of wheelset {j + 1} comes {abs(shift_s):.2g} s "
+                              f"behind {early}; clocks may differ by {LATEST_S:g} s at most: shift one channel by that")
+
+
+def _late(run: Run, axle: int, vehicle: Mapping[str, Any]) -> tuple[float, float]:
+    """(shift in s, correlation that it gains: nan where the wheel hardly slides, 0 where the shift may be)."""
+    if np.mean(np.abs(run.speed_m_s - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s[:, axle])) < 1.0:
+        return 0.0, math.nan
+    shift_s, best, at_zero = _shift(run, axle, vehicle["wheelset_inertia_kgm2"])
+    return shift_s, best - at_zero if abs(shift_s) > LATEST_S and best > 0.5 else 0.0
 
 
 def _shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float, float]:

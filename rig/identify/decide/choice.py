@@ -5,6 +5,7 @@ a second one by more than the first one's wrong shape could lend it. When two ar
 looked for again beside the second, for one that had to stand for both gives way.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
 from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, VEHICLE
+from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
 
 CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2
 TAKEN = 20.0  # likelihood that a cause must win at least
@@ -38,12 +39,19 @@ class NamedCause(NamedTuple):
     finding: evidence.Finding
     cause: Cause
     ratio: float
+    won: tuple[float, ...]  # likelihood in the filters of the four wheelsets and of the vehicle
     deviation: tuple[float, ...]
     confusable: tuple[str, ...]
 
+    @property
+    def unbiased(self) -> Cause:
+        """The cause less the bias that clean sets show."""
+        less = np.subtract(self.cause.values, self.finding.bias)
+        return tuning.bounded(self.cause._replace(values=tuple(less.tolist())))
+
 
 class Fitted(NamedTuple):
-    """It fitted: deviance, covariance of the causes' coefficients, deviance by blocks of 3 s."""
+    """It fitted: deviance, covariance of the causes' coefficients, deviance of each filter by blocks of 3 s."""
 
     explanation: Explanation
     value: float
@@ -62,56 +70,49 @@ def fit_one(data: Dataset, measured: list[Run], explanation: Explanation) -> Fit
     """Fit an explanation to measured runs; its deviance by blocks of 3 s."""
     design = prepare(data, measured)
     found = tuning.fit(design, explanation, 6)
-    if any(cause.name == tuning.MEMORY for cause in explanation.causes):
-        found = min(found, tuning.fit(design, shapes.remembered(design, found[0]), 7), key=lambda fit: fit[1])
+    if explanation.causes and explanation.causes[-1].name == tuning.MEMORY:
+        begun, *_ = tuning.fit(design, shapes.remembered(design, found[0]), 7)
+        found = min(found, tuning.fit(design, begun, 7), key=lambda fit: fit[1])
     if any(table.OF[cause.name].edge_step for cause in explanation.causes):
         found = tuning.fit(design, shapes.refined(design, found[0]), 4)
     return Fitted(*found, blocks(design, found[0]))
 
 
 def blocks(design: Design, explanation: Explanation) -> np.ndarray:
-    """Deviance in blocks of 3 s, wheels and vehicle of a run together."""
+    """Deviance of the wheelsets and of the vehicle in blocks of 3 s of all runs, shape (5, blocks)."""
     nu, S, _, vnu, vS = sensitivity.innovations(design, inputs(design, explanation))
     wheel, car = tuning.bounded_terms(nu, S), tuning.bounded_terms(vnu, vS)
     length, found = int(BLOCK_S / design.step_s), []
     for run in range(design.mass_kg.size):
-        parts = [wheel[design.span(AXLES * run + j)] for j in range(AXLES)]
-        parts.append(car[design.vehicle_span(run)])
-        whole = np.sum(parts, axis=0)
-        found += [whole[k:k + length].sum() for k in range(0, whole.size, length)]
-    return np.array(found)
+        whole = np.column_stack([design.by_axle(wheel, run), car[design.vehicle_span(run)]])
+        found += [whole[k:k + length].sum(axis=0) for k in range(0, len(whole), length)]
+    return np.array(found).T
 
 
-def fitted(setting: null_sets.Setting, explanation: Explanation, found: list[evidence.Finding], most: int
-           ) -> list[Candidate]:
-    """The causes that count beside an explanation, each fitted."""
+def fitted(setting: null_sets.Setting, explanation: Explanation, found: list[evidence.Finding], most: int,
+           ready: Sequence[Fitted] = ()) -> list[Candidate]:
+    """The causes that count beside an explanation, each fitted; a memory, whose fit begins anew, from those ready."""
     present = {cause.name for cause in explanation.causes}
     counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f) and f.name not in present]
     counted = sorted(counted, key=lambda f: -f.statistic)[:most]
-    fits = setting.run_all(fit_one, [(explanation._replace(causes=(*explanation.causes, f.cause())),) for f in counted],
-                           "fit of causes")
-    return [Candidate(f, fit) for f, fit in zip(counted, fits, strict=True)]
+    fits = {name: fit for fit in ready if (name := fit.explanation.causes[-1].name) == tuning.MEMORY}
+    new = [f for f in counted if f.name not in fits]
+    fits |= zip((f.name for f in new), setting.run_all(fit_one, [(
+        explanation._replace(causes=(*explanation.causes, f.cause())),) for f in new], "fit of causes"), strict=True)
+    return [Candidate(f, fits[f.name]) for f in counted]
 
 
-def in_better_shape(rival: Candidate, others: list[Fitted], scored: tuning.Normal,
-                    nulls: list[evidence.Scores]) -> Candidate:
-    """The same cause in another shape, where that was fitted already and is the better one."""
-    for fit in others:
+def and_ready(value: float, rivals: list[Candidate], ready: list[Fitted], scored: tuning.Normal,
+              nulls: list[evidence.Scores]) -> list[Candidate]:
+    """The rivals, each in the shape of a fit that is ready where that is better, and causes whose fit wins so much that
+    no score is asked: far from the base, scores say little."""
+    best = {rival.finding.name: rival for rival in rivals}
+    for fit in ready:
         cause = fit.explanation.causes[-1]
-        if cause.name == rival.finding.name and fit.value < rival.fit.value - 4.0:
-            finding = evidence.finding_of(scored, nulls, cause)
-            if finding is not None:
-                return Candidate(finding._replace(trials=rival.finding.trials), fit)
-    return rival
-
-
-def overwhelming(value: float, fits: list[Fitted], rivals: list[Candidate], scored: tuning.Normal,
-                 nulls: list[evidence.Scores]) -> list[Candidate]:
-    """Causes whose fit wins so much that no score is asked: far from the base, scores say little."""
-    known = {rival.finding.name for rival in rivals}
-    found = [(evidence.finding_of(scored, nulls, fit.explanation.causes[-1]), fit) for fit in fits
-             if fit.explanation.causes[-1].name not in known and value - fit.value > CERTAIN]
-    return [Candidate(finding, fit) for finding, fit in found if finding is not None]
+        known, finding = best.get(cause.name), evidence.finding_of(scored, nulls, cause)
+        if finding and (value - fit.value > CERTAIN if known is None else fit.value < known.fit.value - 4.0):
+            best[cause.name] = Candidate(finding._replace(trials=known.finding.trials if known else 1), fit)
+    return [*best.values()]
 
 
 def choose(design: Design, explanation: Explanation, value: float, rivals: list[Candidate]
@@ -126,13 +127,13 @@ def choose(design: Design, explanation: Explanation, value: float, rivals: list[
     drop = blocks(design, explanation) - best.blocks
     # what tolerances had taken up stands in no block; the rest must not be one place of one run
     whole = max(float(drop.sum()), ratio[top])
-    if not table.OF[finding.name].edge_step and whole - drop.max() < max(evidence.FLOOR, ELSEWHERE * whole):
+    if not table.OF[finding.name].edge_step and whole - drop.sum(axis=0).max() < max(evidence.FLOOR, ELSEWHERE * whole):
         return explanation, []
     confusable = tuple(rivals[int(k)].finding.name for k in order[1:]
                        if indistinguishable(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
     at = len(best.covariance) - len(best.explanation.causes[-1].values)
     return best.explanation, [NamedCause(finding, best.explanation.causes[-1], float(ratio[top]),
-                                         _deviation(finding, best, at), confusable)]
+                                         tuple(drop.sum(axis=1)), _deviation(finding, best, at), confusable)]
 
 
 def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]) -> tuple[Explanation, list[NamedCause]]:
@@ -163,7 +164,7 @@ def indistinguishable(best: Fitted, other: Fitted, ratio: float, less: float) ->
     """Vuong's test on blocks: may the other be the better one?"""
     if less < 0.75 * ratio and ratio - less > 10.0:
         return False
-    difference = other.blocks - best.blocks
+    difference = (other.blocks - best.blocks).sum(axis=0)
     spread = float(difference.std(ddof=1) * np.sqrt(difference.size))
     return ratio - less < 1.64 * max(spread, 1e-9) or ratio - less < 4.0
 
@@ -186,12 +187,17 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
         value = tuning.deviance(design, explanation)
         remainder = [f for f in found if evidence.generic(f.name)]
         first = causes[0]
-        found = [f for f in found if f.statistic > SCORE_SHARE * _least_beside(first, f)]
+        most = [(f, f.statistic / SCORE_SHARE, _shows(f)) for f in found]
+        found = [f for f, ratio, shows in most if _earned(first, f, ratio, ratio * shows / shows.sum()) > SECOND_FLOOR]
         if len(causes) >= MOST_CAUSES:
             break
         beside = fitted(setting, explanation, found, MOST_BESIDE)
+        if beside:  # what the first wins by being fitted once more is not the second's
+            again, = setting.run_all(fit_one, [(explanation,)], "first cause again")
+            explanation, value = min((explanation, value), again[:2], key=lambda fit: fit[1])
+            causes = [first := first._replace(cause=explanation.causes[0])]
         better, more = choose(design, explanation, value, beside)
-        if not more or more[0].ratio < _least_beside(first, more[0].finding) \
+        if not more or _earned(first, more[0].finding, more[0].ratio, np.array(more[0].won)) < SECOND_FLOOR \
                 or not _both_needed(setting, better, value):
             break
         better, both = _swapped(setting, better, [first._replace(cause=better.causes[0]), more[0]], rivals)
@@ -204,14 +210,17 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
     return explanation, causes, remainder
 
 
-def _least_beside(first: NamedCause, second: evidence.Finding) -> float:
-    """Likelihood that a second cause must win beside the first."""
-    of_first, of_second = (table.OF[name].mechanism.acts_on if name in table.OF else "" for name in (
-        first.finding.name, second.name))
-    if of_first in (FRICTION, CONTACT) and of_second == VEHICLE:
-        return SECOND_FLOOR  # the vehicle's filter knows no adhesion law: nothing of the first shows there
-    own = second.axle != 0 and first.cause.axle == 0
-    return max(SECOND_FLOOR, first.ratio * (SECOND_SHARE_OF_AXLE if own else SECOND_SHARE))
+def _shows(second: evidence.Finding) -> np.ndarray:
+    """In which filters a cause shows, shape (5,): the vehicle's knows no adhesion law, the wheels' no force on it."""
+    on = table.OF[second.name].mechanism.acts_on if second.name in table.OF else ""
+    return np.array([*(on != VEHICLE and second.axle in (0, j + 1) for j in range(AXLES)),
+                     on not in (FRICTION, CONTACT, LOAD)], dtype=float)
+
+
+def _earned(first: NamedCause, second: evidence.Finding, ratio: float, won: np.ndarray) -> float:
+    """Likelihood of a second cause less what a wrong shape of the first may lend it in a filter: a share of its own."""
+    share = SECOND_SHARE_OF_AXLE if second.axle != 0 and first.cause.axle == 0 else SECOND_SHARE
+    return ratio - float(np.minimum(won, share * np.array(first.won)).clip(0.0).sum())
 
 
 def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate]
@@ -230,7 +239,8 @@ def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[
     if top == own:
         return explanation, [first._replace(confusable=tuple(dict.fromkeys(first.confusable + alike))), second]
     finding, better = others[top].finding, fits[top].explanation
-    first = NamedCause(finding, better.causes[0], first.ratio + won[top], _deviation(finding, fits[top], 0), alike)
+    first = NamedCause(finding, better.causes[0], first.ratio + won[top], first.won, _deviation(finding, fits[top], 0),
+                       alike)
     return better, [first, second._replace(cause=better.causes[1])]
 
 

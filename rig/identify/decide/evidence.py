@@ -180,8 +180,8 @@ def _patch(normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding 
         return None
     null = np.array([window[3] if window else 0.0 for window in ordinary])
     low, high, x, T = seen
-    shape = {"start_m": float(normal.matrix.columns[at[low]].label),
-             "length_m": float((high - low) * columns.PLACE_BIN_M)}
+    shape = table.ALONE | {"start_m": float(normal.matrix.columns[at[low]].label),
+                           "length_m": float((high - low) * columns.PLACE_BIN_M)}
     spread = max(float(np.sqrt(null.mean() / 8.0)), 1.0)
     return Finding("contaminated_patch", 0, shape, (-x,), (0.0,), (spread * abs(x) / np.sqrt(max(T, 1e-9)),), T,
                    _tail(T, null), float(null.mean()), spread)
@@ -190,7 +190,7 @@ def _patch(normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding 
 def _sand(design: Design, normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding | None:
     """Sand under all wheelsets, or not under the first: the better of both."""
     found = [_sand_on(design, normal, real, clean, owner, shape)
-             for owner, shape in (("time_bin", {}), ("time_bin behind", {"behind": 1.0}))]
+             for owner, shape in (("time_bin", table.ALONE), ("time_bin behind", table.ALONE | {"behind": 1.0}))]
     return max((f for f in found if f is not None), key=lambda f: f.statistic - f.expected, default=None)
 
 

@@ -63,13 +63,13 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
         _check(design, base)
         quiet, promising = _quiet(setting, base)
         found, scored, nulls = null_sets.judged(setting, quiet, CLEAN_SETS, seed)
-        rivals = choice.fitted(setting, base, found, MOST_FITTED)
-        rivals = [choice.in_better_shape(rival, promising, scored, nulls) for rival in rivals]
-        rivals += choice.overwhelming(value, promising, rivals, scored, nulls)
+        rivals = choice.fitted(setting, base, found, MOST_FITTED, promising)
+        rivals = choice.and_ready(value, rivals, promising, scored, nulls)
         explanation, causes = choice.scaled(design, *choice.choose(design, base, value, rivals))
         remainder: list[Finding] | None = [f for f in found if evidence.generic(f.name)]
         if causes:
             explanation, causes, remainder = choice.second_cause(setting, explanation, causes, rivals, seed)
+        explanation = explanation._replace(causes=tuple(named.unbiased for named in causes))
         held = prepare(data, data.group("validate")) if data.group("validate") else None
         notes = list(data.warnings)
         won = _gain(held, base, explanation, causes, seed, notes)

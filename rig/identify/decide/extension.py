@@ -24,10 +24,8 @@ def parameters(named: NamedCause) -> dict[str, dict[str, Any]]:
         return _swing(named)
     found: dict[str, dict[str, Any]] = {}
     rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
-    bias = named.finding.bias if len(named.finding.bias) == len(named.cause.values) else (0.0,)
-    for k, (row, value) in enumerate(zip(rows.values(), named.cause.values, strict=False)):
+    for k, (row, middle) in enumerate(zip(rows.values(), named.unbiased.values, strict=False)):
         sd = named.deviation[min(k, len(named.deviation) - 1)]
-        middle = value - (bias[k] if k < len(bias) else 0.0)
         found[row.name] = {"value": middle, "ci95": [middle - 1.96 * sd, middle + 1.96 * sd], "unit": row.source}
     for name, value in named.cause.shape.items():
         found[name] = {"value": value, "ci95": _width(named.cause.name, name, value),

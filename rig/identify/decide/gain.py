@@ -50,7 +50,7 @@ class Gain(NamedTuple):
 def predicted(i: Inputs, at: slice, omega: np.ndarray, p: np.ndarray, step_s: float) -> np.ndarray:
     """(sliding, adhesion) of one wheel along its speed, each shape (n,)."""
     sliding = i.speed_m_s[at] - p[parameters.RADIUS] * omega
-    f, _ = sensitivity.replay_law(sliding, i.speed_m_s[at], i.load_N[at], i.friction_log[at], p, step_s,
+    f, _ = sensitivity.replay_law(sliding, i.speed_m_s[at], i.load_N[at], i.friction[:, at], p, step_s,
                                   np.zeros(omega.size + 1), True)
     return np.array([sliding, f])
 
@@ -78,9 +78,8 @@ def free_running(design: Design, explanation: Explanation) -> np.ndarray:
     ahead = int(FREE_RUN_S / design.step_s)
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
-        u = design.vehicle_m_s[at] + design.wheels_m_s[at]
         lost = np.cumsum(sensitivity.vehicle_force(design, i, run)) * design.step_s
-        smooth = smoothed(u + lost, 2 * int(0.5 / design.step_s) + 1, 1)
+        smooth = smoothed(sensitivity.momentum_m_s(design, i, run) + lost, 2 * int(0.5 / design.step_s) + 1, 1)
         out[at][ahead:] = smooth[ahead:] - smooth[:-ahead]
     return out
 

@@ -3,7 +3,7 @@
 A window that stands half a bin beside the true one leaves a remainder at both edges, which would
 look like another cause; so does a wrong scale of speed, time, work or heat. Edges are moved by ever
 smaller steps while the likelihood grows, scales by factors, each with the coefficients fitted again.
-A patch may also rise and fall slowly, where that is the likelier form.
+A patch may also rise and fall slowly, and patch or sand act on the clean rail too, where that is the likelier form.
 """
 
 from rollerrig.rig.identify.causes import table
@@ -14,7 +14,7 @@ from rollerrig.rig.identify.decide import tuning
 _HALVINGS, _MOST_MOVES = 3, 8  # the first step of an edge is halved this often
 # a patch with edges of this share of its length, and what its depth has to be for the same effect
 _RAMPS = ((0.5, 1.1), (1.0, 1.3))
-_RAMP_EARNS = 4.0  # likelihood that such edges must earn
+_RAMP_EARNS = 4.0  # likelihood that such edges must earn, or another friction
 _FACTORS, _SCALE_EARNS = (1.5, 1.0 / 1.5, 1.2, 1.0 / 1.2), 1.0  # factors by which scales are moved
 _BEGINS_ROUGH = 0.06  # irregularity with which a base is begun anew, so that all levels are in reach
 
@@ -22,10 +22,13 @@ _BEGINS_ROUGH = 0.06  # irregularity with which a base is begun anew, so that al
 def refined(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the windows of its causes where they fit best."""
     explanation, value = _edges_moved(design, explanation, 1.0)
-    ramped = [_edges_moved(design, explanation.with_cause(at, _ramped(cause, ramp, deeper)), 0.5)
-              for at, cause in enumerate(explanation.causes) if cause.name == "contaminated_patch"
-              for ramp, deeper in _RAMPS]
-    better, least = min(ramped, key=lambda pair: pair[1], default=(explanation, value))
+    tried = [_edges_moved(design, explanation.with_cause(at, _ramped(cause, ramp, deeper)), 0.5)
+             for at, cause in enumerate(explanation.causes) if cause.name == "contaminated_patch"
+             for ramp, deeper in _RAMPS]
+    both = dict.fromkeys(table.ALONE, 0.0)
+    tried += [tuning.fit(design, explanation.with_cause(at, cause._replace(shape=cause.shape | both)), 3, False)[:2]
+              for at, cause in enumerate(explanation.causes) if table.OF[cause.name].edge_step]
+    better, least = min(tried, key=lambda pair: pair[1])
     return better if least < value - _RAMP_EARNS else explanation
 
 

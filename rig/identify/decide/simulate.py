@@ -30,11 +30,11 @@ _GRID_M = 0.25
 
 
 @kernel_inlined
-def wheel_step(omega, feedback, late, under, N, log_mu, wanted, irregularity, torque, p, h):
+def wheel_step(omega, feedback, late, under, N, degraded, recovered, wanted, irregularity, torque, p, h):
     """(omega, feedback, lambda, force / h on the vehicle) of one wheelset after a step h."""
     r, inertia = p[0], p[1]
     irregular, s = math.exp(irregularity), under - r * omega
-    f, rise, late = replay.wheel_adhesion(s, under, 0.5 * N, log_mu, p, late, replay.closes(under, h, p))
+    f, rise, late = replay.wheel_adhesion(s, under, 0.5 * N, degraded, recovered, p, late, replay.closes(under, h, p))
     off = wanted - s
     # far too much sliding vents the brake
     aim = FEEDBACK_NS * off + 3.0 * FEEDBACK_NS * min(off + 1.0, 0.0)
@@ -50,7 +50,7 @@ def wheel_step(omega, feedback, late, under, N, log_mu, wanted, irregularity, to
 
 
 @kernel_inlined
-def _drive(torque, sliding, load, friction_log, surface, field, place, parameters, mass, extra_N,
+def _drive(torque, sliding, load, friction, surface, field, place, parameters, mass, extra_N,
            resistance, speed0, step_s, follows, cells, out_speed, out_wheel, out_torque):
     n = len(torque)
     h = step_s / SUBSTEPS
@@ -71,7 +71,8 @@ def _drive(torque, sliding, load, friction_log, surface, field, place, parameter
             for j in range(AXLES):
                 cells[12 + j] = (1.0 - w) * surface[k, j] + w * surface[k + 1, j] if follows else v
                 cells[16 + j] = (1.0 - w) * load[k, j] + w * load[k + 1, j]
-                cells[20 + j] = (1.0 - w) * friction_log[k, j] + w * friction_log[k + 1, j]
+                for q in range(2):
+                    cells[20 + 20 * q + j] = (1.0 - w) * friction[q, k, j] + w * friction[q, k + 1, j]
                 cells[24 + j] = (1.0 - w) * sliding[k, j] + w * sliding[k + 1, j]
                 cells[28 + j] = (1.0 - w) * torque[k, j] + w * torque[k + 1, j]
                 at = (x - place[j]) / _GRID_M + 400.0
@@ -80,8 +81,8 @@ def _drive(torque, sliding, load, friction_log, surface, field, place, parameter
                 cells[32 + j] = (1.0 - share) * field[cell, j] + share * field[cell + 1, j]
             for j in range(AXLES):
                 cells[j], cells[4 + j], cells[8 + j], cells[36 + j] = wheel_step(
-                    cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], cells[20 + j], cells[24 + j],
-                    cells[32 + j], cells[28 + j], lanes.row(cells, j), h)
+                    cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], cells[20 + j], cells[40 + j],
+                    cells[24 + j], cells[32 + j], cells[28 + j], lanes.row(cells, j), h)
             for j in range(AXLES):
                 force += cells[36 + j]
             if math.isnan(force):
@@ -95,13 +96,13 @@ _quick = again(_drive, wheel_step=again(wheel_step, math=lanes.MATH, replay=lane
 
 
 @kernel
-def drive(torque, sliding, load, friction_log, surface, field, place, parameters, mass, extra_N,
+def drive(torque, sliding, load, friction, surface, field, place, parameters, mass, extra_N,
           resistance, speed0, step_s, follows, cells, out_speed, out_wheel, out_torque):
     """One stop [Q1]: inputs (n, 4), writes speed (n,), wheel speed and torque (n, 4)."""
     if parameters[0, 14] > 0.0 or not _quick(
-            torque, sliding, load, friction_log, surface, field, place, parameters, mass, extra_N,
+            torque, sliding, load, friction, surface, field, place, parameters, mass, extra_N,
             resistance, speed0, step_s, follows, cells, out_speed, out_wheel, out_torque):
-        _drive(torque, sliding, load, friction_log, surface, field, place, parameters, mass, extra_N,
+        _drive(torque, sliding, load, friction, surface, field, place, parameters, mass, extra_N,
                resistance, speed0, step_s, follows, cells, out_speed, out_wheel, out_torque)
 
 
@@ -154,8 +155,8 @@ def _run(data: Dataset, design: Design, run: Run, r: int, i: Inputs, grid: np.nd
 
     n, surface = run.time_s.size, square(design.speed_m_s)
     speed, wheel, C = np.empty(n), np.empty((n, AXLES)), np.empty((n, AXLES))
-    drive(square(torque), square(sliding), square(i.load_N) * (1.0 + lift), square(i.friction_log), surface, grid,
-          data.axle_position_m, i.parameters[AXLES * r:AXLES * (r + 1)], i.mass_kg[r] * (1.0 + weight),
+    drive(square(torque), square(sliding), square(i.load_N) * (1.0 + lift), np.array([*map(square, i.friction)]),
+          surface, grid, data.axle_position_m, i.parameters[AXLES * r:AXLES * (r + 1)], i.mass_kg[r] * (1.0 + weight),
           i.force_N[design.vehicle_span(r)], design.resistance, float(surface[0, 0]), design.step_s,
           run.surface_m_s is not None, np.empty(lanes.CELLS), speed, wheel, C)
     # the sensors: causes that lie in torque or timing are taken out again

@@ -223,7 +223,7 @@ def _memory(design: Design, explanation: Explanation, value: float) -> tuple[Exp
 
     now = explanation.causes[at].values[0]
     best = minimize_scalar(lambda x: deviance(design, moved(x)), method="bounded",
-                           bounds=(0.5 * now, 1.5 * now + 0.2), options={"maxiter": 9})
+                           bounds=(0.5 * now, 1.5 * now + 0.2), options={"maxiter": 9, "xatol": 0.01})
     return (moved(float(best.x)), float(best.fun)) if best.fun < value else (explanation, value)
 
 

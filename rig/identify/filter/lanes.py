@@ -109,17 +109,17 @@ REPLAY = _module(replay, wheel_adhesion=_wheel_adhesion, closes=_one)
 _moved = again(replay.moved, math=MATH, wheel_adhesion=_wheel_adhesion, closes=_one)
 _Row = NamedTuple("_Row", [(f"p{k}", float) for k in range(PARAMETERS)])
 # cells: five of the state, what is measured, the inputs, what is told, the parameters; four lanes each
-_STATE, _MEASURED, _INPUT, _TOLD, _PARAMETERS = 0, 20, 24, 40, 48
+_STATE, _MEASURED, _INPUT, _TOLD, _PARAMETERS = 0, 20, 24, 44, 52
 CELLS = _PARAMETERS + AXLES * PARAMETERS
 row = constructor(_Row, "cells, j", [f"cells[{_PARAMETERS + AXLES * k} + j]" for k in range(PARAMETERS)])
 
 told = constructor(_Row, "p", [f"p[{k}]" for k in range(PARAMETERS)])
 _WIDE = 16
-LONG = 6 * _WIDE
+LONG = 7 * _WIDE
 
 
 @kernel
-def along(sliding, speed, load, friction_log, p, cells, out):
+def along(sliding, speed, load, friction, p, cells, out):
     """What `replay.along` gives where recovery does not lag, many samples at once."""
     fixed = told(p)
     for first in range(0, sliding.size, _WIDE):
@@ -127,12 +127,13 @@ def along(sliding, speed, load, friction_log, p, cells, out):
         for j in range(_WIDE):
             k = first + min(j, here - 1)
             cells[j], cells[_WIDE + j] = sliding[k], speed[k]
-            cells[2 * _WIDE + j], cells[3 * _WIDE + j] = load[k], friction_log[k]
+            cells[2 * _WIDE + j], cells[3 * _WIDE + j], cells[4 * _WIDE + j] = load[k], friction[0, k], friction[1, k]
         for j in range(_WIDE):
-            cells[4 * _WIDE + j], cells[5 * _WIDE + j], _ = _wheel_adhesion(
-                cells[j], cells[_WIDE + j], 0.5 * cells[2 * _WIDE + j], cells[3 * _WIDE + j], fixed, 0.0, 1.0)
+            cells[5 * _WIDE + j], cells[6 * _WIDE + j], _ = _wheel_adhesion(
+                cells[j], cells[_WIDE + j], 0.5 * cells[2 * _WIDE + j], cells[3 * _WIDE + j], cells[4 * _WIDE + j],
+                fixed, 0.0, 1.0)
         for j in range(here):
-            out[0, first + j], out[1, first + j] = cells[4 * _WIDE + j], cells[5 * _WIDE + j]
+            out[0, first + j], out[1, first + j] = cells[5 * _WIDE + j], cells[6 * _WIDE + j]
 
 
 @kernel_inlined
@@ -145,7 +146,7 @@ def tell(parameters, cells):
 
 @kernel
 def replay_run(start, measured, inputs, parameters, step_s, cells, out):
-    """Innovations of the wheelsets of a run: `inputs` (4, n) speed, load, torque, friction_log; `out` (3, n).
+    """Innovations of the wheelsets of a run: `inputs` (5, n) speed, load, torque, two frictions; `out` (3, n).
 
     `start` is where the four begin in the flat arrays, and where the last ends; `parameters` (4, PARAMETERS).
     """
@@ -171,12 +172,12 @@ def replay_run(start, measured, inputs, parameters, step_s, cells, out):
             break
         for i in range(replay.SUBSTEPS):
             w = (i + 0.5) / replay.SUBSTEPS
-            for q in range(4):
+            for q in range(5):
                 for j in range(AXLES):
                     at = start[j] + k
                     cells[_INPUT + AXLES * q + j] = (1.0 - w) * inputs[q, at] + w * inputs[q, at + 1]
             for j in range(AXLES):
                 state = _moved(cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], 0.0,
                                cells[_INPUT + j], cells[_INPUT + 4 + j], cells[_INPUT + 8 + j],
-                               cells[_INPUT + 12 + j], row(cells, j), step_s)
+                               cells[_INPUT + 12 + j], cells[_INPUT + 16 + j], row(cells, j), step_s)
                 cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], _ = state

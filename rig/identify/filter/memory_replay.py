@@ -50,7 +50,7 @@ def step_of(a, g, d, c, h):
 
 
 @kernel
-def replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state):
+def replay_lagging(measured, torque, load, speed, friction, p, step_s, nu, variance, state):
     """Innovations of one wheel with a lagging recovery, as `replay.replay_wheel` writes them."""
     r, inertia = p[0], p[1]
     h = step_s / replay.SUBSTEPS
@@ -81,9 +81,10 @@ def replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, v
             v = (1.0 - w) * speed[k] + w * speed[k + 1]
             N = (1.0 - w) * load[k] + w * load[k + 1]
             C = (1.0 - w) * torque[k] + w * torque[k + 1]
-            log_mu = (1.0 - w) * friction_log[k] + w * friction_log[k + 1]
+            degraded = (1.0 - w) * friction[0, k] + w * friction[0, k + 1]
+            recovered = (1.0 - w) * friction[1, k] + w * friction[1, k + 1]
             s = v - r * omega
-            f_d, f_r, low, high, k_f, slope_k = replay.curves(s, v, 0.5 * N, log_mu, p)
+            f_d, f_r, low, high, k_f, slope_k = replay.curves(s, v, 0.5 * N, degraded, recovered, p)
             _, done, _, steep = adhesion.f_and_lambda(f_d, f_r, low, high, k_f, slope_k, late, p[21])
             hangs = (1.0 - done) * k_f * (f_r - f_d) if p[21] > 0.0 else 0.0  # d lambda_0 / d lambda
             target = math.copysign(steep, s)  # d lambda_0 / ds
@@ -116,18 +117,18 @@ def replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, v
 
 
 @kernel
-def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state):
+def replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, variance, state):
     """Innovations of one wheel, by the filter that its parameters need."""
     if p[14] > 0.0:
-        replay_lagging(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state)
+        replay_lagging(measured, torque, load, speed, friction, p, step_s, nu, variance, state)
     else:
-        replay.replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state)
+        replay.replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, variance, state)
 
 
 @kernel
-def replay_wheels(start, measured, torque, load, speed, friction_log, parameters, step_s, nu, variance, state):
+def replay_wheels(start, measured, torque, load, speed, friction, parameters, step_s, nu, variance, state):
     """All segments; `parameters` (segments, PARAMETERS)."""
     for s in range(start.size - 1):
         a, b = start[s], start[s + 1]
-        replay_wheel(measured[a:b], torque[a:b], load[a:b], speed[a:b], friction_log[a:b],
+        replay_wheel(measured[a:b], torque[a:b], load[a:b], speed[a:b], friction[:, a:b],
                      parameters[s], step_s, nu[a:b], variance[a:b], state[a:b])

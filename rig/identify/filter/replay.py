@@ -25,18 +25,17 @@ SUBSTEPS = 2
 
 
 @kernel_inlined
-def curves(sliding, speed, load_N, friction_log, p):
-    """What `adhesion.curves` gives of one wheel under its own load, friction times exp(friction_log)."""
-    scale = math.exp(friction_log)
+def curves(sliding, speed, load_N, degraded, recovered, p):
+    """What `adhesion.curves` gives of one wheel under its own load, its two frictions times these factors."""
     base = adhesion.Law(p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[19])
-    here = adhesion.law_under(p[2] * scale, p[3] * scale, 1.0, base)
+    here = adhesion.law_under(p[2] * degraded, p[3] * recovered, 1.0, base)
     return adhesion.curves(sliding, speed, load_N, p[13], here)
 
 
 @kernel
-def wheel_adhesion(sliding, speed, load_N, friction_log, p, remembered, share):
+def wheel_adhesion(sliding, speed, load_N, degraded, recovered, p, remembered, share):
     """(f, df/dsliding, lambda) of one wheel, f odd; lambda closes a `share` of its way from `remembered` [R4]."""
-    f_d, f_r, low, high, k, slope_k = curves(sliding, speed, load_N, friction_log, p)
+    f_d, f_r, low, high, k, slope_k = curves(sliding, speed, load_N, degraded, recovered, p)
     lagging = remembered if share < 1.0 else adhesion.NO_MEMORY
     f, done, rise, steep = adhesion.f_and_lambda(f_d, f_r, low, high, k, slope_k, lagging, p[21])
     if share < 1.0:
@@ -53,11 +52,12 @@ def closes(speed, step_s, p):
 
 
 @kernel
-def along(sliding, speed, load, friction_log, p, step_s, late, follow, out):
+def along(sliding, speed, load, friction, p, step_s, late, follow, out):
     """(f, df/dsliding) of one wheel, shape (2, n), from lambda before each sample, `late` (n + 1), which may follow."""
     for k in range(sliding.size):
-        out[0, k], out[1, k], done = wheel_adhesion(sliding[k], speed[k], 0.5 * load[k], friction_log[k], p, late[k],
-                                                    closes(speed[k], step_s, p))
+        share = closes(speed[k], step_s, p)
+        out[0, k], out[1, k], done = wheel_adhesion(sliding[k], speed[k], 0.5 * load[k], friction[0, k], friction[1, k],
+                                                    p, late[k], share)
         if follow:
             late[k + 1] = done
 
@@ -73,11 +73,11 @@ def corrected(measured, omega, m, p00, p01, p11, noise):
 
 
 @kernel_inlined
-def moved(omega, m, p00, p01, p11, late, v, N, C, log_mu, p, step_s):
+def moved(omega, m, p00, p01, p11, late, v, N, C, degraded, recovered, p, step_s):
     """(omega, m, p00, p01, p11, lambda) after a substep of a sample."""
     r, inertia, h = p[0], p[1], step_s / SUBSTEPS
     q_omega = (step_s * p[18] / inertia) ** 2
-    f, rise, late = wheel_adhesion(v - r * omega, v, 0.5 * N, log_mu, p, late, closes(v, h, p))
+    f, rise, late = wheel_adhesion(v - r * omega, v, 0.5 * N, degraded, recovered, p, late, closes(v, h, p))
     field = math.exp(m)
     drive = r * N * f * field
     a = -r * r * N * rise * field / inertia
@@ -100,7 +100,7 @@ def moved(omega, m, p00, p01, p11, late, v, N, C, log_mu, p, step_s):
 
 
 @kernel
-def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, variance, state):
+def replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, variance, state):
     """Innovations of one wheel [R1]: writes nu and variance, shape (n,), and filtered m in `state`."""
     noise = p[17] * p[17]
     omega, m, late = measured[0], 0.0, 0.0
@@ -115,8 +115,10 @@ def replay_wheel(measured, torque, load, speed, friction_log, p, step_s, nu, var
             v = (1.0 - w) * speed[k] + w * speed[k + 1]
             N = (1.0 - w) * load[k] + w * load[k + 1]
             C = (1.0 - w) * torque[k] + w * torque[k + 1]
-            log_mu = (1.0 - w) * friction_log[k] + w * friction_log[k + 1]
-            omega, m, p00, p01, p11, late = moved(omega, m, p00, p01, p11, late, v, N, C, log_mu, p, step_s)
+            degraded = (1.0 - w) * friction[0, k] + w * friction[0, k + 1]
+            recovered = (1.0 - w) * friction[1, k] + w * friction[1, k + 1]
+            omega, m, p00, p01, p11, late = moved(omega, m, p00, p01, p11, late, v, N, C, degraded, recovered, p,
+                                                  step_s)
 
 
 @kernel

@@ -48,7 +48,7 @@ class Inputs(NamedTuple):
     torque_Nm: np.ndarray
     load_N: np.ndarray
     speed_m_s: np.ndarray
-    friction_log: np.ndarray
+    friction: np.ndarray  # (2, n) factors of the degraded and of the recovered
     parameters: np.ndarray
     mass_kg: np.ndarray
     force_N: np.ndarray  # (vehicle samples,) added to the resistance
@@ -131,12 +131,12 @@ def _coefficients(design: Design, inputs: Inputs, s: int, changed: np.ndarray, f
     r, inertia, h = p[parameters.RADIUS], p[parameters.INERTIA], 0.5 * design.step_s
     p00 = np.maximum(S - p[parameters.NOISE] ** 2, 0.0)
     omega = design.measured_rad_s[at] - nu + p00 / S * nu
-    v, N, log_mu = inputs.speed_m_s[at], inputs.load_N[at], inputs.friction_log[at]
+    v, N, mu = inputs.speed_m_s[at], inputs.load_N[at], inputs.friction[:, at]
     sliding, late = v - r * omega, np.zeros(v.size + 1)
-    f, rise = replay_law(sliding, v, N, log_mu, p, design.step_s, late, True)
+    f, rise = replay_law(sliding, v, N, mu, p, design.step_s, late, True)
 
-    def changes(load: np.ndarray, friction_log: np.ndarray, row: np.ndarray) -> np.ndarray:
-        return replay_law(sliding, v, load, friction_log, row, design.step_s, late, False)[0]
+    def changes(load: np.ndarray, friction: np.ndarray, row: np.ndarray) -> np.ndarray:
+        return replay_law(sliding, v, load, friction, row, design.step_s, late, False)[0]
 
     force = r * N * np.exp(field) / inertia
     path[:] = sliding, f * 0.5 * N * sliding / v, force * f - inputs.torque_Nm[at] / inertia
@@ -147,23 +147,23 @@ def _coefficients(design: Design, inputs: Inputs, s: int, changed: np.ndarray, f
     phi = np.where(np.abs(x) > 1e-6, np.expm1(some) / some, 1.0 + 0.5 * x)
     b = h * phi * force * f
     co[:, :5] = np.array([growth * growth, b * (growth + keep), keep * keep, h * phi * (1.0 + growth), p00 / S]).T
-    rates[0] = force * (changes(N, log_mu + STEP, p) - f) / STEP
+    rates[0] = force * (changes(N, mu * math.exp(STEP), p) - f) / STEP
     more = N * (1.0 + STEP)
-    rates[1] = force * (changes(more, log_mu, p) * more / N - f) / STEP
+    rates[1] = force * (changes(more, mu, p) * more / N - f) / STEP
     rates[2] = force * f + a * omega  # lever, and sliding
     rates[3] = force * f
     for i, row in enumerate(changed):
-        constants[i] = force * (changes(N, log_mu, row) - f) / STEP
+        constants[i] = force * (changes(N, mu, row) - f) / STEP
 
 
-def replay_law(sliding: np.ndarray, speed: np.ndarray, load: np.ndarray, friction_log: np.ndarray, p: np.ndarray,
+def replay_law(sliding: np.ndarray, speed: np.ndarray, load: np.ndarray, friction: np.ndarray, p: np.ndarray,
                step_s: float, late: np.ndarray, follow: bool) -> np.ndarray:
     """(f, df/dsliding) along a path, shape (2, n); with `follow` writes lambda before each sample into `late`."""
-    out = np.empty((2, sliding.size))
+    out, friction = np.empty((2, sliding.size)), np.ascontiguousarray(friction)
     if p[parameters.MEMORY] == 0.0:
-        lanes.along(sliding, speed, load, friction_log, p, np.empty(lanes.LONG), out)
+        lanes.along(sliding, speed, load, friction, p, np.empty(lanes.LONG), out)
     if p[parameters.MEMORY] > 0.0 or not np.all(np.isfinite(out)):
-        replay.along(sliding, speed, load, friction_log, p, step_s, late, follow, out)
+        replay.along(sliding, speed, load, friction, p, step_s, late, follow, out)
     return out
 
 
@@ -174,7 +174,7 @@ def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
 
 def replay_wheels(design: Design, i: Inputs) -> np.ndarray:
     """(nu, variance, filtered m) of all wheels, shape (3, n)."""
-    given = np.array([i.speed_m_s, i.load_N, i.torque_Nm, i.friction_log])
+    given = np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction])
     out, cells = np.empty((3, design.measured_rad_s.size)), np.empty(lanes.CELLS)
     for run in range(design.mass_kg.size):
         own = slice(run * AXLES, (run + 1) * AXLES)
@@ -184,9 +184,16 @@ def replay_wheels(design: Design, i: Inputs) -> np.ndarray:
             lanes.replay_run(start, design.measured_rad_s, given, p, design.step_s, cells, out)
             if np.all(np.isfinite(out[0, at])):
                 continue
-        memory_replay.replay_wheels(start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction_log,
+        memory_replay.replay_wheels(start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction,
                                     p, design.step_s, *out)
     return out
+
+
+def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
+    """Measured u of [R3], shape (samples,)."""
+    p = inputs.parameters[run * AXLES:(run + 1) * AXLES]
+    turning = design.by_axle(design.measured_rad_s, run) @ (p[:, parameters.INERTIA] / p[:, parameters.RADIUS])
+    return design.vehicle_m_s[design.vehicle_span(run)] + turning / inputs.mass_kg[run]
 
 
 def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
@@ -207,6 +214,6 @@ def replay_vehicles(design: Design, inputs: Inputs) -> tuple[np.ndarray, np.ndar
         at = design.vehicle_span(run)
         # deviation in m/s2 of one sample of the measured force over mass
         noise_m_s2 = float(2.0 * design.torque_noise_Nm[run] / (design.base[parameters.RADIUS] * design.mass_kg[run]))
-        replay.replay_vehicle(design.vehicle_m_s[at] + design.wheels_m_s[at], vehicle_force(design, inputs, run),
-                              design.step_s, design.speed_noise_m_s, noise_m_s2, nu[at], variance[at])
+        replay.replay_vehicle(momentum_m_s(design, inputs, run), vehicle_force(design, inputs, run), design.step_s,
+                              design.speed_noise_m_s, noise_m_s2, nu[at], variance[at])
     return nu, variance

@@ -91,7 +91,7 @@ def _creeping(speed: float, demand_Nm: float, load_N: float, radius: float, p: n
     wanted_N = demand_Nm / radius
 
     def force(s: float) -> float:
-        return load_N * float(replay.wheel_adhesion(s, speed, 0.5 * load_N, 0.0, p, 0.0, 1.0)[0])
+        return load_N * float(replay.wheel_adhesion(s, speed, 0.5 * load_N, 1.0, 1.0, p, 0.0, 1.0)[0])
 
     high = (SHARE * speed + LEAST_M_S) * (1.0 + SWING * math.sin(2.0 * math.pi * time_s / PERIOD_S))
     if wanted_N >= force(high):
@@ -113,8 +113,7 @@ def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -
     brake: dict[str, Any] = {"title": stop.title, "at": f"{RELEASED_S:g} s",
                              "set": {"brake_demand": f"{stop.pressure_Pa / 1e5:g} bar"}}
     held = {"for": f"{stop.held_s:g} s", "expect": [f"vehicle_speed > {0.99 * stop.initial_speed_m_s:.4g} m/s"]}
-    brake |= held if stop.held_s else {
-        "until": f"vehicle_speed < {stop.last_speed_m_s:g} m/s", "timeout": "280 s"}
+    brake |= held if stop.held_s else {"until": f"vehicle_speed < {stop.last_speed_m_s:g} m/s", "timeout": "280 s"}
     if stop.axle:
         # the dump valves of the others stay open: sliding at a speed that hardly falls
         brake["fault"] = [f"vent_magnet_stuck axle={j}" for j in range(1, AXLES + 1) if j != stop.axle]

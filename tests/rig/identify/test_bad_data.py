@@ -1,5 +1,6 @@
 """Every way in which measured data is wrong that we know of, and what is said about it: one row each."""
 
+import contextlib
 import shutil
 import sys
 from pathlib import Path
@@ -110,7 +111,16 @@ def test_data_that_cannot_be_what_it_says_is_refused_and_the_message_says_why(co
     change, said = REFUSED[what]
     edited(copy, "initial_speed_m_s = 33.0\n", "")
     write(copy, "a2", change(read(copy, "a2")))
-    with pytest.raises(ConfigError, match=f"a2.csv.*{said}"):
+    with pytest.raises(ConfigError, match=f"a2.*{said}"):
+        dataset.load(copy)
+
+
+@pytest.mark.parametrize(("names", "refused"), [(SPEEDS[1:2], False), (SPEEDS, True)])
+def test_a_weak_sign_of_a_late_clock_counts_only_where_most_wheels_of_a_run_show_it(copy: Path, names, refused) -> None:
+    told = read(copy, "a2")
+    late = later(names, 40)(told)
+    write(copy, "a2", told | {name: 0.7 * late[name] + 0.3 * told[name] for name in names})
+    with pytest.raises(ConfigError, match="behind brake_torque") if refused else contextlib.nullcontext():
         dataset.load(copy)
 
 

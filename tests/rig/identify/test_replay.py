@@ -35,7 +35,7 @@ def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) ->
     for base[parameters.CLEANING] in (math.inf, 0.3):
         law = adhesion.Law(*(float(x) for x in base[parameters.LAW]), float(base[parameters.CLEANING]))
         for sliding in (0.01, 0.3, 2.0, 8.0, 15.0, 25.0, -1.0):
-            f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 0.0, base, 0.0, 1.0)
+            f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 1.0, 1.0, base, 0.0, 1.0)
             want = adhesion.recovering(sliding, 25.0, 52700.0, patch, law)
             assert f == pytest.approx(want[0], rel=1e-12)
             assert rise == pytest.approx(want[5], rel=1e-9)
@@ -48,11 +48,11 @@ def test_four_wheelsets_at_once_are_replayed_as_one_by_one(
     i.parameters[:, parameters.LAW.start + 1] *= recovered * np.where(recovered < 1.0, i.parameters[:, parameters.MU_CD]
                                                                       / i.parameters[:, parameters.LAW.start + 1], 1.0)
     one_by_one = np.empty((3, design.measured_rad_s.size))
-    memory_replay.replay_wheels(design.start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction_log,
+    memory_replay.replay_wheels(design.start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction,
                                 i.parameters, design.step_s, *one_by_one)
     np.testing.assert_allclose(sensitivity.replay_wheels(design, i), one_by_one, rtol=1e-8, atol=1e-10)
     at, p, late = design.span(1), i.parameters[1], np.zeros(design.span(1).stop + 1)
-    path = design.sliding_m_s[at], i.speed_m_s[at], i.load_N[at], i.friction_log[at], p, design.step_s, late, False
+    path = design.sliding_m_s[at], i.speed_m_s[at], i.load_N[at], i.friction[:, at], p, design.step_s, late, False
     want = np.empty((2, path[0].size))
     replay.along(*path, want)
     np.testing.assert_allclose(sensitivity.replay_law(*path), want, rtol=1e-9, atol=1e-13)

@@ -1,5 +1,6 @@
 """The verdict as a law of what causes win and what remains behind them."""
 
+import numpy as np
 import pytest
 
 from rollerrig.rig.identify.causes.candidates import Cause
@@ -14,7 +15,7 @@ def finding(name: str, statistic: float) -> Finding:
 
 
 def named(won: float, name: str = "speed_sensor_delay") -> NamedCause:
-    return NamedCause(finding(name, won), Cause(name, 0, {}, (0.02,)), won, (0.001,), ())
+    return NamedCause(finding(name, won), Cause(name, 0, {}, (0.02,)), won, (0.25 * won,) * 4 + (0.0,), (0.001,), ())
 
 
 @pytest.mark.parametrize(("left", "verdict"), [(0.0, "explained"), (60.0, "explained"), (150.0, "partly"),
@@ -44,14 +45,34 @@ def test_two_causes_that_leave_much_are_told_in_a_note_and_not_named() -> None:
     assert explain._verdict(two, [finding("along vehicle time", 60.0)], None, []) == "explained"
 
 
-def test_what_a_second_cause_must_win_is_a_share_of_the_first_unless_nothing_of_the_first_can_show_there() -> None:
-    memory, gain, resistance = (finding(name, 100.0) for name in (
-        "adhesion_memory", "brake_gain", "running_resistance"))
-    of_one_axle = gain._replace(axle=3)
-    assert choice._least_beside(named(10_000.0, "adhesion_memory"), resistance) == choice.SECOND_FLOOR
-    assert choice._least_beside(named(10_000.0, "brake_gain"), resistance) == pytest.approx(1100.0)
-    assert choice._least_beside(named(10_000.0, "running_resistance"), memory) == pytest.approx(1100.0)
-    assert choice._least_beside(named(10_000.0, "adhesion_memory"), of_one_axle) == pytest.approx(500.0)
+@pytest.mark.parametrize(("first", "second", "won", "lent"), [
+    # what the first won in each of the filters (four wheelsets, vehicle); the same of the second
+    ((1000.0, 1000.0, 1000.0, 1000.0, 0.0), "running_resistance", (0.0, 0.0, 0.0, 0.0, 90.0), 0.0),
+    ((0.0, 0.0, 0.0, 0.0, 9000.0), "adhesion_memory", (30.0, 30.0, 30.0, 30.0, 0.0), 0.0),
+    ((20.0, 20.0, 20.0, 20.0, 2000.0), "sanding", (50.0, 50.0, 50.0, 50.0, 0.0), 8.8),
+    ((1000.0, 1000.0, 1000.0, 1000.0, 0.0), "brake_gain", (60.0, 60.0, 60.0, 60.0, 80.0), 240.0),
+    ((1000.0, 1000.0, 1000.0, 1000.0, 0.0), "brake_gain", (200.0, 200.0, 200.0, 200.0, 0.0), 440.0),
+    ((0.0, 0.0, 5000.0, 0.0, 0.0), "adhesion_memory", (80.0, 80.0, 80.0, 80.0, 0.0), 80.0),
+    ((0.0, 0.0, 5000.0, 0.0, 0.0), "sanding", (5.0, -2.0, 90.0, 5.0, 0.0), 90.0)], ids=str)
+def test_a_wrong_shape_of_the_first_cause_lends_a_second_a_share_of_what_it_won_in_the_same_filter(
+        first, second, won, lent) -> None:
+    one = named(sum(first))._replace(won=first)
+    ratio = sum(won)
+    assert ratio - choice._earned(one, finding(second, ratio), ratio, np.array(won)) == pytest.approx(lent)
+
+
+def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_one_of_a_single_wheelset() -> None:
+    one = named(4000.0)._replace(won=(1000.0, 1000.0, 1000.0, 1000.0, 0.0))
+    of_axle_2 = finding("brake_gain", 300.0)._replace(axle=2)
+    assert choice._earned(one, of_axle_2, 300.0, np.array([0.0, 300.0, 0.0, 0.0, 0.0])) == pytest.approx(250.0)
+
+
+@pytest.mark.parametrize(("name", "axle", "shows"), [
+    ("adhesion_memory", 0, (1, 1, 1, 1, 0)), ("running_resistance", 0, (0, 0, 0, 0, 1)),
+    ("brake_gain", 0, (1, 1, 1, 1, 1)), ("brake_gain", 3, (0, 0, 1, 0, 1)), ("wheel_out_of_round", 2, (0, 1, 0, 0, 0))])
+def test_a_cause_shows_in_the_filters_of_its_wheelsets_and_what_slows_the_vehicle_in_that_of_the_vehicle(
+        name, axle, shows) -> None:
+    assert choice._shows(finding(name, 99.0)._replace(axle=axle)).tolist() == list(shows)
 
 
 def test_a_cause_whose_simulated_stops_do_not_brake_like_the_recording_is_not_named() -> None:
