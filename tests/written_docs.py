@@ -9,9 +9,12 @@ import re
 
 import pytest
 import test_architecture
+from generator.keep import KEPT
 from robot.libdocpkg import LibraryDocumentation
 
 from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.realtime.benchmarks import explain
+from rollerrig.realtime.benchmarks.sealed.cases import GENERATORS
 from rollerrig.rig import params
 from rollerrig.rig.identify.causes import table as causes
 from rollerrig.rig.identify.data import dataset
@@ -80,6 +83,15 @@ def searches():
         yield f"| `{one.name}` | {one.mechanism.text} | {' | '.join(map(str, cells))} |"
 
 
+def rates():
+    """Lines of the table of how often `explain` is right, from the answers that are kept."""
+    found = [explain.judge(folder, folder / "explain.json")["rows"] for folder in map(KEPT.joinpath, GENERATORS)]
+    for rows in zip(*found, strict=True):
+        cells = [f"{row['yes']} of {row['of']}" if row["yes"] is not None else
+                 f"{row['share']:.2f} ({row['of']} sets)" for row in rows]
+        yield f"| {rows[0]['measure']} | {' | '.join(cells)} | {rows[0]['wanted']} |"
+
+
 def harness():
     """Lines of the table of what a harness has."""
     for name, one in vars(harness_client.Harness).items():
@@ -111,7 +123,8 @@ TABLES = {
                      "| key of a run | default | allowed | what |": lambda: keys(recording.RUN)},
     "robot.md": {"| keyword | arguments | what |": keywords},
     "sequences.md": {"| of the harness | what |": harness},
-    "explain.md": {"| cause | what happens | forms tried | floor | price | p below | may go by |": searches},
+    "explain.md": {"| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
+                   "| measure | first | second | third | wanted |": rates},
 }
 
 

@@ -16,6 +16,7 @@ from rollerrig.rig.identify.data import preparation as prepared
 from rollerrig.rig.identify.decide import evidence, explain, extension, gain, simulate
 from rollerrig.rig.identify.decide.choice import NamedCause
 from rollerrig.rig.identify.decide.explain import Account
+from rollerrig.rig.mechanisms.mechanism import ALONE
 from rollerrig.rig.mechanisms.table import BY_NAME, TABLE
 
 # deviations that a cause must lie from nothing to be found in nine of ten sets
@@ -108,9 +109,10 @@ def story(a: Account) -> list[str]:
     for named in a.causes:
         row = BY_NAME[named.cause.name]
         values = ", ".join(f"{k} = {_number(v['value'])} ({' to '.join(map(_number, v['ci95']))}) {v['unit']}"
-                           for k, v in extension.parameters(named).items())
-        axle = f" on wheelset {named.cause.axle}" if named.cause.axle else ""
-        lines.append(f"Cause: {row.text}{axle} [{row.name}]; {values}.")
+                           for k, v in extension.parameters(named).items() if k != ALONE.name)
+        of = f" on wheelset {named.cause.axle}" if named.cause.axle else ""
+        of += ", that of the contaminant alone" if named.cause.shape.get(ALONE.name) else ""
+        lines.append(f"Cause: {row.text}{of} [{row.name}]; {values}.")
         if named.confusable:
             lines.append(f"  It cannot be told from {', '.join(named.confusable)} here; separating_test.toml would "
                          "tell.")
@@ -144,8 +146,7 @@ def page(a: Account, report: dict[str, Any]) -> str:
     return html.page(
         f"What the model gets wrong: {a.data.name}",
         html.paragraph(f"Verdict: {a.verdict}", kind="note"), *(html.paragraph(line) for line in story(a)),
-        html.element("h2", "Where it shows"),
-        html.picture(partial(pictures.draw, panels=where)),
+        html.element("h2", "Where it shows"), html.picture(partial(pictures.draw, panels=where)),
         *((html.element("h2", "The cause" if len(causes) == 1 else "The causes"), *causes) if causes else ()),
         *((html.element("h2", "Where base and extended model differ most"),
            html.picture(partial(pictures.stretch, a=a), (11.0, 5.0))) if changed else ()),

@@ -110,7 +110,7 @@ def row_of(acts_on: str, formula: Callable[..., Any], parameters: tuple[Row, ...
 
 
 AXLE = number("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
-ALONE = number("contaminant_alone", 0.0, 1.0, "1: it acts on the degraded friction, 0: on the recovered one too")
+ALONE = number("contaminant_alone", 0.0, 1.0, "-")  # 1: it acts on the degraded friction, 0: on the recovered too
 
 
 @kernel

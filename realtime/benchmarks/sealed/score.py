@@ -55,8 +55,7 @@ def _judged(name: str, truth: dict[str, Any], answer: Answer) -> Judged:
     metric = won.get("metric") if won else None
     return Judged(name, truth["kind"], truth["effects"], answer["verdict"],
                   [{c["name"], *c["confusable_with"]} for c in answer["causes"]],
-                  answer["causes"][0]["name"] if answer["causes"] else "", covered,
-                  won["reduction"] if won else None,
+                  answer["causes"][0]["name"] if answer["causes"] else "", covered, won["reduction"] if won else None,
                   1.0 - truth["least_error"][metric] / truth["base_error"][metric] if metric in truth["base_error"]
                   else None, answer["elapsed_s"])
 

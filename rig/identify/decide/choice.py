@@ -46,8 +46,7 @@ class NamedCause(NamedTuple):
     @property
     def unbiased(self) -> Cause:
         """The cause less the bias that clean sets show."""
-        less = np.subtract(self.cause.values, self.finding.bias)
-        return tuning.bounded(self.cause._replace(values=tuple(less.tolist())))
+        return tuning.bounded(self.cause._replace(values=tuple(np.subtract(self.cause.values, self.finding.bias))))
 
 
 class Fitted(NamedTuple):
