@@ -200,11 +200,11 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
                 or not _both_needed(setting, better, value):
             break
         better, both = _swapped(setting, better, [first._replace(cause=better.causes[0]), more[0]], rivals)
-        if more[0].finding.name in first.confusable and \
-                value - tuning.deviance(design, better) < OWN_SHARE * first.ratio:
+        won = value - tuning.deviance(design, better)
+        if more[0].finding.name in first.confusable and won < OWN_SHARE * first.ratio:
             break
         explanation, causes = scaled(design, better, both)
-        names = {named.finding.name for named in causes}
+        names = [named.finding.name for named in causes]
         causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names)) for named in causes]
     return explanation, causes, remainder
 
@@ -218,8 +218,10 @@ def _shows(second: evidence.Finding) -> np.ndarray:
 
 def _earned(first: NamedCause, second: evidence.Finding, ratio: float, won: np.ndarray) -> float:
     """Likelihood of a second cause less what a wrong shape of the first may lend it in a filter: a share of its own."""
-    share = SECOND_SHARE_OF_AXLE if second.axle != 0 and first.cause.axle == 0 else SECOND_SHARE
-    return ratio - float(np.minimum(won, share * np.array(first.won)).clip(0.0).sum())
+    both, share = np.array([won, first.won]), SECOND_SHARE
+    if first.cause.axle == 0:  # wheelsets have one level and one recovery: what is wrong in one moves the others
+        both, share = np.add.reduceat(both, [0, AXLES], axis=1), SECOND_SHARE_OF_AXLE if second.axle else SECOND_SHARE
+    return ratio - float(np.minimum(both[0], share * both[1]).clip(0.0).sum())
 
 
 def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate]

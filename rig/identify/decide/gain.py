@@ -23,9 +23,7 @@ from rollerrig.rig.identify.filter.sensitivity import Inputs
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME
 
-BLOCK_S = 3.0
-FREE_RUN_S = 5.0
-SLOWEST_M_S = 5.0
+BLOCK_S, FREE_RUN_S, SLOWEST_M_S = 3.0, 5.0, 5.0
 ADHESION, FREE_RUN = "adhesion_rmse", "free_running_speed_rmse_m_s"
 
 
