@@ -14,12 +14,15 @@ from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.record import records
+from rollerrig.realtime.reports import explain as report
 from rollerrig.realtime.studies import run_dataset, run_sensors
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.decide import choice, explain, extension
 from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.mechanisms import applied
+from rollerrig.rig.plant import Plant
 
 SPEEDS_M_S = (16.0, 12.0, 14.0)
 
@@ -235,6 +238,18 @@ def test_every_cause_of_wheel_and_contact_becomes_keys_that_run_in_batch(name, t
         "wheel_radius": radius_m / 0.445 == pytest.approx(np.array([1.0, 1.0, 1.01, 1.0])),
         "wheel_inertia": inertia_kgm2 / 160.0 == pytest.approx(np.array([1.25, 1.0, 1.0, 1.0])),
     }[name]
+
+
+def test_friction_of_the_contaminant_alone_is_told_in_words_and_leaves_the_clean_rail_as_it_is(tmp_path) -> None:
+    found = account(Cause("friction_trend", 0, {"contaminant_alone": 1.0}, (-0.05,)))
+    assert "in a stop, that of the contaminant alone [friction_trend]; rate_1_s" in report.story(found)[0]
+    model = tmp_path / "extended.toml"
+    model.write_text(extension.toml(found))
+    params = scenario.load("velim_a1", str(model)).params
+    rig = Plant(params, 20.0)
+    rig.state.time[0] = 4.0
+    factors = [applied.friction_factor(rig.state, 0, 0.0, params.effects, clean) for clean in (False, True)]
+    assert factors == pytest.approx([np.exp(-0.2), 1.0])
 
 
 def test_a_late_speed_sensor_is_noted_with_the_fault_that_does_it_on_the_bus() -> None:

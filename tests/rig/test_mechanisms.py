@@ -128,6 +128,18 @@ def test_no_cause_in_contact_or_load_shows_in_the_vehicles_filter_and_none_of_th
     assert np.array_equal(with_it, whitened(plain, other))
 
 
+def test_wheelsets_of_another_inertia_stand_in_the_balance_of_the_vehicle_too(plain) -> None:
+    heavy, found = recorded(wheel_inertia_fraction=0.3), Cause("wheel_inertia", 0, {}, (0.3,))
+    wrong, right = (np.sum(whitened(heavy, VEHICLE, *causes) ** 2) for causes in ((), (found,)))
+    assert right < 0.5 * wrong
+    assert right == pytest.approx(np.sum(whitened(plain, VEHICLE) ** 2), rel=0.3)
+
+
+def test_a_late_wheel_speed_does_not_delay_the_torque_that_slows_the_vehicle(plain) -> None:
+    late = whitened(plain, VEHICLE, Cause("speed_sensor_delay", 0, {}, (0.02,)))
+    np.testing.assert_allclose(late, whitened(plain, VEHICLE), atol=1e-6)
+
+
 def test_every_mechanism_has_its_row_in_the_search() -> None:
     assert {row.name for row in table.TABLE} == set(BY_NAME)
 

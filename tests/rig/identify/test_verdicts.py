@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rollerrig.rig.identify.causes.candidates import Cause
-from rollerrig.rig.identify.decide import choice, evidence, explain
+from rollerrig.rig.identify.decide import choice, evidence, explain, extension
 from rollerrig.rig.identify.decide.choice import NamedCause
 from rollerrig.rig.identify.decide.evidence import Finding
 
@@ -79,6 +79,12 @@ def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_one_of_a_single
 def test_a_cause_shows_in_the_filters_of_its_wheelsets_and_what_slows_the_vehicle_in_that_of_the_vehicle(
         name, axle, shows) -> None:
     assert choice._shows(finding(name, 99.0)._replace(axle=axle)).tolist() == list(shows)
+
+
+def test_the_model_that_is_judged_and_written_has_a_cause_less_the_bias_of_clean_sets() -> None:
+    one = named(100.0)._replace(finding=finding("speed_sensor_delay", 100.0)._replace(bias=(0.003,)))
+    assert one.unbiased.values == pytest.approx((0.017,))
+    assert extension.parameters(one)["delay_s"]["value"] == pytest.approx(0.017)
 
 
 def test_a_cause_whose_simulated_stops_do_not_brake_like_the_recording_is_not_named() -> None:
