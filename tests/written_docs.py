@@ -9,6 +9,7 @@ import re
 
 import pytest
 import test_architecture
+from generator import thresholds
 from generator.keep import KEPT
 from robot.libdocpkg import LibraryDocumentation
 
@@ -124,7 +125,8 @@ TABLES = {
     "robot.md": {"| keyword | arguments | what |": keywords},
     "sequences.md": {"| of the harness | what |": harness},
     "explain.md": {"| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
-                   "| measure | first | second | third | wanted |": rates},
+                   "| measure | first | second | third | wanted |": rates,
+                   thresholds.HEAD: thresholds.rows},
 }
 
 

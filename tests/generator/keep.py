@@ -2,8 +2,8 @@
 
     python tests/generator/keep.py FOLDER ...
 
-Each folder is one of `rollerrig bench explain --folder FOLDER`. Kept is what is judged, under the generator's name
-beside this file; docs/explain.md has its table from there (`make docs`), and `rollerrig score` prints it:
+Each folder is one of `rollerrig bench explain --folder FOLDER`. Kept is what is judged, also by other limits, under
+the generator's name beside this file. docs/explain.md has its table from there (`make docs`); to print it:
 
     rollerrig score tests/generator/kept/third tests/generator/kept/third/explain.json
 """
@@ -16,6 +16,7 @@ from pathlib import Path
 from rollerrig.realtime.benchmarks.sealed import answers, cases
 
 KEPT = Path(__file__).parent / "kept"
+LIKELY = 0.03  # findings that are less likely by chance are kept
 
 
 def rounded(value):
@@ -27,14 +28,30 @@ def rounded(value):
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
+def told(report, causes):
+    """What a verdict by other limits needs beside what is judged."""
+    findings = {where: [f for f in found if f["p_value"] < LIKELY]
+                for where, found in report.get("findings", {}).items()}
+    return {"causes": [one | {"evidence": {"likelihood": full["evidence"]["likelihood"]}}
+                       for one, full in zip(causes, report["causes"], strict=True)],
+            "set_aside": report.get("set_aside", []), "findings": findings, "notes": report.get("notes", [])}
+
+
+def write(folder, found):
+    """Answers by set, a line each."""
+    lines = [f"{json.dumps(name)}: {json.dumps(rounded(one))}" for name, one in found.items()]
+    (folder / "explain.json").write_text("{" + ",\n".join(lines) + "}\n", encoding="utf-8")
+
+
 def main(folders):
     for folder in map(Path, folders):
         to = KEPT / cases.read_key(folder)["generator"]
         to.mkdir(parents=True, exist_ok=True)
         shutil.copy(folder / cases.KEY, to / cases.KEY)
-        found = answers.read(folder / answers.ANSWERS / "explain")
-        lines = [f"{json.dumps(name)}: {json.dumps(rounded(one))}" for name, one in found.items()]
-        (to / "explain.json").write_text("{" + ",\n".join(lines) + "}\n", encoding="utf-8")
+        given = folder / answers.ANSWERS / "explain"
+        found = {name: one | told(json.loads((given / f"{name}.json").read_text()), one["causes"])
+                 for name, one in answers.read(given).items()}
+        write(to, found)
         print(f"{to}: {len(found)} answers")
 
 

@@ -1,9 +1,10 @@
 """Which limits of a verdict one generator's answers would set, and how these judge the answers to the others.
 
-    python tests/generator/thresholds.py FOLDER FOLDER ...
+    cd tests; python -m generator.thresholds            # the table of docs/explain.md, as `make docs` writes it
+    cd tests; python -m generator.thresholds --judge    # after a limit was moved: keeps the verdicts that it makes
 
-Each folder is one of `rollerrig bench explain --folder FOLDER`, with its sets answered. Answers are judged again by
-`explain`'s own rule from what they hold: no stop is replayed. Two kinds of limits are set:
+The kept answers (`keep.py`) are judged again by `explain`'s own rule from what they hold: no stop is replayed. Two
+kinds of limits are set, by each generator's answers, and by those of the first and the second together:
 
 - ALPHA_CAUSE and FLOOR, by sets with nothing hidden: the largest p-value that lets at most 2 % of them have a finding,
   with FLOOR as it stands. A finding is not yet a cause, which must win its fit as well, so this is on the safe side.
@@ -14,18 +15,22 @@ Each folder is one of `rollerrig bench explain --folder FOLDER`, with its sets a
 import itertools
 import json
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from generator import keep
 
-from rollerrig.realtime.benchmarks.sealed import answers, cases
+from rollerrig.realtime.benchmarks.sealed import cases
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.decide import evidence, explain
 
-SHARES = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
+SHARES = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 LIMITS = ("REMAINDER_SHARE", "OWN_REMAINDER_SHARE", "PARTLY_SHARE")
 ALPHAS = np.geomspace(1e-6, 0.02, 44)
+SHIPPED = (table.ALPHA_CAUSE, tuple(getattr(explain, name) for name in LIMITS))
+SETTERS = "first and second"  # the third judges, and sets nothing
+HEAD = ("| set on | ALPHA_CAUSE | " + " | ".join(LIMITS) + " | judged on | clean: a finding | one: a finding | "
+        "hidden: named rightly | unknown: given a name |")
 
 
 def findings(told):
@@ -38,7 +43,7 @@ class Told:
 
     def __init__(self, truth, answer):
         self.kind, self.truth = truth["kind"], set(truth["effects"])
-        found, notes = answer.get("findings", {"before": [], "behind": []}), " ".join(answer.get("notes", ()))
+        found, notes = answer["findings"] or {"before": [], "behind": []}, " ".join(answer["notes"])
         self.refused, self.before, self.behind = answer["verdict"] == "refused", *map(findings, found.values())
         named = [one | {"likelihood": one["evidence"]["likelihood"]} for one in answer["causes"]] or answer.get(
             "set_aside", [])
@@ -52,9 +57,10 @@ class Told:
     def judged(self, limits):
         if self.refused:
             return "refused"
-        for name, value in zip(LIMITS, limits, strict=True):
-            setattr(explain, name, value)
-        return explain._verdict(self.causes, self.remainder, self.won, [])
+        vars(explain).update(zip(LIMITS, limits, strict=True))
+        verdict = explain._verdict(self.causes, self.remainder, self.won, [])
+        vars(explain).update(zip(LIMITS, SHIPPED[1], strict=True))
+        return verdict
 
     def names(self, limits):
         """Sets of causes that are named by these limits."""
@@ -91,28 +97,59 @@ def set_by(told):
     return max(fits, default=ALPHAS[0]), middle
 
 
-def main(folders):
-    shipped = (table.ALPHA_CAUSE, tuple(getattr(explain, name) for name in LIMITS))
-    natures = {}
-    for folder in map(Path, folders):
-        key = cases.read_key(folder)
-        told = [Told(key["sets"][file.stem], json.loads(file.read_text()))
-                for file in sorted((folder / answers.ANSWERS / "explain").glob("*.json"))]
-        changed = [t for t in told if t.judged(shipped[1]) != t.verdict]
+def read(folder):
+    """The generator of a folder of kept answers, what was hidden by set, and the answers."""
+    key = cases.read_key(folder)
+    return key["generator"], key["sets"], json.loads((folder / "explain.json").read_text(encoding="utf-8"))
+
+
+def judged_again(truth, answer, limits):
+    """An answer with the verdict of other limits; without one, causes are set aside, as `explain` does."""
+    verdict = Told(truth, answer).judged(limits)
+    if verdict == answer["verdict"]:
+        return answer
+    if verdict != "unexplained":
+        if not answer["causes"]:
+            sys.exit("a cause that was set aside would be named: its set is to be answered anew")
+        return answer | {"verdict": verdict}
+    aside = [{"name": one["name"], "likelihood": one["evidence"]["likelihood"],
+              "confusable_with": one["confusable_with"]} for one in answer["causes"]]
+    return answer | {"verdict": verdict, "causes": [], "set_aside": aside, "gain": {}}
+
+
+def natures():
+    """Kept answers by generator, ready to be judged. SystemExit where verdicts are of other limits than the present."""
+    found = {}
+    for folder in sorted(path.parent for path in keep.KEPT.glob("*/key")):
+        name, truth, given = read(folder)
+        changed = [one for one in given if judged_again(truth[one], given[one], SHIPPED[1]) is not given[one]]
         if changed:
-            sys.exit(f"{folder}: {len(changed)} verdicts are not those of the limits as they stand; answer it anew")
-        natures[key["generator"]] = told
-    print("| set on | ALPHA_CAUSE | " + " | ".join(LIMITS) + " | judged on | clean: a finding | one: a finding | "
-          "hidden: named rightly | unknown: given a name |")
-    print("|" + "---|" * (len(LIMITS) + 7))
-    for by, (alpha, limits) in {"shipped": shipped, **{by: set_by(told) for by, told in natures.items()}}.items():
-        for on, told in natures.items():
-            of = {kind: [t for t in told if t.kind == kind] for kind in cases.KINDS}
-            row = (by, f"{alpha:.2g}", *(f"{v:g}" for v in limits), on, share(t.alarm(alpha) for t in of["none"]),
+            sys.exit(f"{name}: {len(changed)} verdicts are not of the limits as they stand ({changed[0]}): --judge")
+        found[name] = [Told(truth[one], answer) for one, answer in given.items()]
+    return found
+
+
+def judge():
+    """Keep the verdicts of the limits as they stand."""
+    for folder in sorted(path.parent for path in keep.KEPT.glob("*/key")):
+        _, truth, given = read(folder)
+        keep.write(folder, {one: judged_again(truth[one], answer, SHIPPED[1]) for one, answer in given.items()})
+
+
+def rows():
+    """Lines of the table: whose answers set the limits, which, and how these judge everybody's answers."""
+    told = natures()
+    by = told | {SETTERS: [t for name in SETTERS.split(" and ") for t in told[name]]}
+    for name, (alpha, limits) in ({"shipped": SHIPPED} | {one: set_by(by[one]) for one in by}).items():
+        for on, answers in told.items():
+            of = {kind: [t for t in answers if t.kind == kind] for kind in cases.KINDS}
+            row = (name, f"{alpha:.2g}", *(f"{v:g}" for v in limits), on, share(t.alarm(alpha) for t in of["none"]),
                    share(t.alarm(alpha) for t in of["one"]), share(t.right(limits) for t in of["one"] + of["two"]),
                    share(bool(t.names(limits)) for t in of["unknown"]))
-            print("| " + " | ".join(row) + " |")
+            yield "| " + " | ".join(row) + " |"
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    if "--judge" in sys.argv[1:]:
+        judge()
+    print(HEAD, "|" + "---|" * (len(LIMITS) + 7), *rows(), sep="\n")

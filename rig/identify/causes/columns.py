@@ -5,7 +5,7 @@ coefficient, on the wheelsets of some segments: many columns share a course. Bas
 those with a declared tolerance under a prior; a cause is one or several columns, some causes have variants of shape.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,6 @@ PLACE_BIN_M = 25.0
 TIME_BIN_S = 2.0
 BASE = "base"
 _FREE = 0.0  # tolerance of ln tau and of the contact's constants, which the base may use freely
-Shaped = tuple[tuple[str, Shape], ...]  # causes in given shapes
 # of all wheels; of the vehicles, or of all wheels as the torque that the vehicles feel of those that it is on
 Part = tuple[np.ndarray | None, np.ndarray | None]
 
@@ -149,11 +148,13 @@ def vehicle_mass(design: Design) -> np.ndarray:
     return np.repeat(design.mass_kg, np.diff(design.vehicle_start))
 
 
-def write(design: Design, inputs: Inputs, shaped: Shaped = (), search: bool = True) -> tuple[SensitivityMatrix, Linear]:
-    """Columns of a design around a replay, and that replay: base, causes in given shapes, all of the search."""
+def write(design: Design, inputs: Inputs, causes: Sequence[candidates.Cause] = (), search: bool = True
+          ) -> tuple[SensitivityMatrix, Linear]:
+    """Columns of a design around a replay, and that replay: base, the causes in it, all of the search."""
     tried = {row.name: row.shapes if search else () for row in table.TABLE}
     wanted = [(row, shape) for row in table.TABLE
-              for shape in (*tried[row.name], *(s for name, s in shaped if name == row.name and s not in tried[name]))]
+              for shape in (*tried[row.name], *(c.shape for c in causes
+                                                if c.name == row.name and c.shape not in tried[row.name]))]
     constants = [(row, shape) for row, shape in wanted if row.mechanism.acts_on == CONTACT and row.mechanism.constants]
     w = _Writer(design, inputs, sensitivity.linearise(design, inputs, _changed(inputs, constants)))
     _base(w)
@@ -161,7 +162,9 @@ def write(design: Design, inputs: Inputs, shaped: Shaped = (), search: bool = Tr
         w.variants_of(row.name, _parts(w, row, shape, constants), shape, row.axles)
     places = _windows(w) if search else []
     if search:
-        _smooth_functions(w, any(table.OF[name].phase for name, _ in shaped))
+        for cause in causes:
+            _by_run(w, cause, constants)
+        _smooth_functions(w, any(table.OF[cause.name].phase for cause in causes))
     course, acts = (np.array(part) for part in zip(*w.uses, strict=True))
     # courses that are not written: of the windows, bins of one change, and of memory, answers of the whole filter
     bins, count = np.full((len(places), design.measured_rad_s.size), -1), len(w.wheel)
@@ -268,6 +271,17 @@ def _windows(w: _Writer) -> list[tuple[list[list[int]], np.ndarray]]:
         inside = (of_run(d, run) > 0.0) & (number < count)
         time[inside] = began + number[inside]
     return [([at_place], place), (at_time, time)]
+
+
+def _by_run(w: _Writer, cause: candidates.Cause, constants: list[tuple[Search, Shape]]) -> None:
+    """What makes a cause another one in each run: a mechanism has one size in all."""
+    d, row = w.design, table.OF[cause.name]
+    only = [{on.size: on for on in (of_run(d, run), of_vehicle(d, of_run(d, run)))} for run in range(1, d.mass_kg.size)]
+    known = only and not row.phase and row.name != "adhesion_memory"
+    for wheel, felt in _parts(w, row, cause.shape, constants) if known else ():
+        w.variants_of(f"along the runs in the size of {cause.name}", [
+            (wheel if wheel is None else wheel * on[wheel.size], felt if felt is None else felt * on[felt.size])
+            for on in only], {}, (cause.axle,))
 
 
 # along which smooth functions are tried, as the replay or the measurement has it

@@ -70,8 +70,7 @@ def fit_one(data: Dataset, measured: list[Run], explanation: Explanation) -> Fit
     design = prepare(data, measured)
     found = tuning.fit(design, explanation, 6)
     if explanation.causes and explanation.causes[-1].name == tuning.MEMORY:
-        begun, *_ = tuning.fit(design, shapes.remembered(design, found[0]), 7)
-        found = min(found, tuning.fit(design, begun, 7), key=lambda fit: fit[1])
+        found = min(found, tuning.fit(design, shapes.remembered(design, found[0]), 9), key=lambda fit: fit[1])
     if any(table.OF[cause.name].edge_step for cause in explanation.causes):
         found = tuning.fit(design, shapes.refined(design, found[0]), 4)
     return Fitted(*found, blocks(design, found[0]))
@@ -192,8 +191,7 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
             break
         beside = fitted(setting, explanation, found, MOST_BESIDE)
         if beside:  # what the first wins by being fitted once more is not the second's
-            again, = setting.run_all(fit_one, [(explanation,)], "first cause again")
-            explanation, value = min((explanation, value), again[:2], key=lambda fit: fit[1])
+            explanation, value, _ = tuning.fit(design, explanation, 9)
             causes = [first := first._replace(cause=explanation.causes[0])]
         better, more = choose(design, explanation, value, beside)
         if not more or _earned(first, more[0].finding, more[0].ratio, np.array(more[0].won)) < SECOND_FLOOR \

@@ -132,12 +132,13 @@ def _verdict(causes: list[choice.NamedCause], remainder: list[Finding] | None, w
                      "not fitted worse: not named")
         return "unexplained"
     total = sum(named.ratio for named in causes)
-    own = {f"along {name}" for named in causes for name in table.OF[named.finding.name].goes_by}
-    much = [f for f in left if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)]
     # two causes that leave a third thing may be what two forms make of one that the library does not have
-    if much and (len(causes) > 1 or remainder_share(causes, much) > PARTLY_SHARE):
+    alone = len(causes) == 1
+    own = {f"along {name}" for named in causes if alone for name in table.OF[named.finding.name].goes_by}
+    much = [f for f in left if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)]
+    if much and (not alone or remainder_share(causes, much) > PARTLY_SHARE):
         notes.append(f"behind {' and '.join(named.finding.name for named in causes)} much remains along "
-                     f"{evidence.against(much[0])}: the cause is not in the library")
+                     f"{evidence.against(much[0])}: the cause, or its form, is not in the library")
         return "unexplained"
     if left and not much:
         notes.append(f"a small part remains along {evidence.against(left[0])}")

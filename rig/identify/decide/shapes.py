@@ -6,6 +6,9 @@ smaller steps while the likelihood grows, scales by factors, each with the coeff
 A patch may also rise and fall slowly, and patch or sand act on the clean rail too, where that is the likelier form.
 """
 
+from collections.abc import Callable
+from functools import partial
+
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, start
 from rollerrig.rig.identify.data.preparation import Design
@@ -46,23 +49,29 @@ def scaled(design: Design, explanation: Explanation) -> Explanation:
     for at, cause in enumerate(explanation.causes):
         for key in [k for k in cause.shape if k in table.OF[cause.name].scales]:
             for by in _FACTORS:
-                explanation, value = _while_it_pays(design, explanation, value, at, key, by)
+                explanation, value = _while_it_pays(design, explanation, value, at, partial(_scaled, key, by), True)
     return explanation
 
 
-def _while_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str, by: float
-                   ) -> tuple[Explanation, float]:
-    low, high = table.OF[explanation.causes[at].name].scales[key]
+def _while_it_pays(design: Design, explanation: Explanation, value: float, at: int, moved: Callable[[Cause], Cause],
+                   fits: bool) -> tuple[Explanation, float]:
+    """One cause moved again and again, with the coefficients fitted again or not."""
     for _ in range(_MOST_MOVES):
-        cause = explanation.causes[at]
-        moved = cause._replace(shape={**cause.shape, key: cause.shape[key] * by})
-        if not low <= moved.shape[key] <= high:
+        tried = explanation.with_cause(at, moved(explanation.causes[at]))
+        if tried == explanation:
             break
-        tried, better, _ = tuning.fit(design, explanation.with_cause(at, moved), 2, False)
-        if better > value - _SCALE_EARNS:
+        tried, better = tuning.fit(design, tried, 2, False)[:2] if fits else (tried, tuning.deviance(design, tried))
+        if better >= value - fits * _SCALE_EARNS:
             break
         explanation, value = tried, better
     return explanation, value
+
+
+def _scaled(key: str, by: float, cause: Cause) -> Cause:
+    """A cause with another scale, itself where that would be out of bounds."""
+    low, high = table.OF[cause.name].scales[key]
+    scale = cause.shape[key] * by
+    return cause._replace(shape={**cause.shape, key: scale}) if low <= scale <= high else cause
 
 
 def _ramped(cause: Cause, ramp: float, deeper: float) -> Cause:
@@ -79,24 +88,13 @@ def _edges_moved(design: Design, explanation: Explanation, first: float) -> tupl
         step = first * table.OF[cause.name].edge_step
         for _ in range(_HALVINGS if step else 0):
             for key in [k for k in cause.shape if k.startswith(("start_", "length_", "duration_"))]:
-                for change in (step, -step):
-                    explanation, value = _as_far_as_it_pays(design, explanation, value, at, key, change)
+                for by in (step, -step):
+                    explanation, value = _while_it_pays(design, explanation, value, at, partial(_moved, key, by), False)
             step *= 0.5
     return explanation, value
 
 
-def _as_far_as_it_pays(design: Design, explanation: Explanation, value: float, at: int, key: str, change: float
-                       ) -> tuple[Explanation, float]:
-    for _ in range(_MOST_MOVES):
-        tried = explanation.with_cause(at, _moved(explanation.causes[at], key, change))
-        better = tuning.deviance(design, tried)
-        if better >= value:
-            break
-        explanation, value = tried, better
-    return explanation, value
-
-
-def _moved(cause: Cause, key: str, change: float) -> Cause:
+def _moved(key: str, change: float, cause: Cause) -> Cause:
     """A cause with one edge moved; a moved start keeps the end where it was."""
     shape = dict(cause.shape)
     shape[key] += change

@@ -12,19 +12,19 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.causes import columns, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix
-from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear
+from rollerrig.rig.identify.filter.sensitivity import Linear
 
 MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0
 LONGEST_M = 16.0  # irregularity of the rail is short: what lasts longer is to be explained, not to be called noise
+_STEP = 1e-3  # of a difference
 _RELEASED_NM = 30.0  # deviation of the offset of a released brake's torque, N m
 _BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1}
 
@@ -69,8 +69,8 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
 def normal(design: Design, explanation: Explanation, search: bool = True) -> tuple[Normal, Linear, Answers]:
     """Normal equations around an explanation, its replay, the whitened answers; without `search` of its causes only."""
     i = inputs(design, explanation)
-    matrix, linear = columns.write(design, i, tuple((cause.name, cause.shape) for cause in explanation.causes), search)
-    answers = _answers(design, i, matrix, linear)
+    matrix, linear = columns.write(design, i, explanation.causes, search)
+    answers = _answers(design, matrix, linear, _by_differences(design, explanation, matrix, linear, search))
     z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
     vz = np.clip(linear.vehicle_nu / np.sqrt(linear.vehicle_variance), -6.0, 6.0)
     A, b = np.zeros((len(matrix.columns), len(matrix.columns))), np.zeros(len(matrix.columns))
@@ -83,15 +83,14 @@ def normal(design: Design, explanation: Explanation, search: bool = True) -> tup
     return Normal(A, b, matrix), linear, answers
 
 
-def _answers(design: Design, i: Inputs, matrix: SensitivityMatrix, linear: Linear) -> Answers:
-    lags = [_memory_answer(design, i, linear, shape) / np.sqrt(linear.variance) for shape in matrix.memory.values()]
+def _answers(design: Design, matrix: SensitivityMatrix, linear: Linear, exact: dict[int, np.ndarray]) -> Answers:
     answers = []
     for s in range(design.segments):
         at = design.span(s)
         live = np.flatnonzero(matrix.wheel[:, at].any(axis=1))
         numbers = np.unique(matrix.bins[:, at])
         own = np.concatenate([live, numbers[numbers >= 0], [*matrix.memory]]).astype(int)
-        kept = len(own) - len(lags)
+        kept = len(own) - len(matrix.memory)
         changes = np.zeros((at.stop - at.start, kept), matrix.wheel.dtype)
         changes[:, :live.size] = matrix.wheel[live, at].T
         for number in matrix.bins[:, at]:
@@ -99,10 +98,11 @@ def _answers(design: Design, i: Inputs, matrix: SensitivityMatrix, linear: Linea
             changes[held, np.searchsorted(own[:kept], number[held])] = matrix.in_bins[at][held]
         Z = np.empty((len(changes), own.size), changes.dtype)
         sensitivity.answer(changes, linear.variance[at], linear.coefficients[at], Z)
-        for k, course in enumerate(lags, kept):
-            Z[:, k] = course[at]
+        Z[:, kept:] = 0.0  # another shape of memory than the one that is taken
         places = np.full(matrix.course.max() + 2, -1)  # in Z of each course; the last for none
         places[own] = np.arange(own.size)
+        for course in exact.keys() & own.tolist():
+            Z[:, places[course]] = exact[course][at] / np.sqrt(linear.variance[at])
         used = np.flatnonzero(matrix.acts[:, s] & (places[matrix.course] >= 0))
         answers.append((used, places[matrix.course[used]], Z))
     for run in range(design.mass_kg.size):
@@ -126,15 +126,31 @@ def wheel_answers(design: Design, answers: Answers, wanted: Sequence[int]) -> np
     return out
 
 
-def _memory_answer(design: Design, i: Inputs, linear: Linear, shape: dict[str, float]) -> np.ndarray:
-    # no derivative exists at length 0 that a filter's noise would not spoil: a finite step
-    p, at = i.parameters.copy(), [parameters.MEMORY_POWER, parameters.MEMORY_OF_WORK]
-    wanted = [shape.get(key, 0.0) for key in ("speed_power", "of_work")]
-    if np.any(p[:, parameters.MEMORY] > 0.0) and np.any(p[:, at] != wanted):
-        return np.zeros(design.measured_rad_s.size)  # another shape is taken already
-    p[:, parameters.MEMORY] += MEMORY_STEP_M
-    p[:, at] = wanted
-    return (sensitivity.innovations(design, i._replace(parameters=p))[0] - linear.nu) / MEMORY_STEP_M
+def _by_differences(design: Design, explanation: Explanation, matrix: SensitivityMatrix, linear: Linear,
+                    search: bool) -> dict[int, np.ndarray]:
+    """Answers of the wheels by their courses: to a memory, and beside one to all that is fitted.
+
+    No derivative exists at length 0 that a filter's noise would not spoil: a finite step. Beside a memory the
+    linearised filter is not good enough. Columns that share a course and no wheelset are moved together.
+    """
+    moves = {course: (explanation._replace(causes=(*explanation.causes, Cause(MEMORY, 0, shape, (MEMORY_STEP_M,)))),
+                      MEMORY_STEP_M) for course, shape in matrix.memory.items()}
+    if any(cause.name == MEMORY and cause.values[0] > 0.0 for cause in explanation.causes):
+        moves, covered = {}, np.zeros((matrix.course.max() + 1, design.segments), dtype=bool)
+        for c in [] if search else base_columns(matrix):
+            course, label, acts = matrix.course[c], matrix.columns[c].label, matrix.acts[c]
+            if course >= 0 and not np.any(covered[course] & acts):
+                covered[course] |= acts
+                moved, _ = moves.get(course, (explanation, 0.0))
+                moves[course] = moved._replace(base=moved.base | {label: moved.base.get(label, 0.0) + _STEP}), _STEP
+        for at, cause in enumerate(explanation.causes):
+            for k, c in enumerate(same.columns if (same := matrix.variant_of(cause)) else ()):
+                step = _STEP * max(abs(cause.values[k]), bounds(cause)[k][1] * _STEP)
+                values = (*cause.values[:k], cause.values[k] + step, *cause.values[k + 1:])
+                if matrix.course[c] >= 0 and (not search or cause.name == MEMORY):
+                    moves[matrix.course[c]] = explanation.with_cause(at, cause._replace(values=values)), step
+    return {course: (sensitivity.replay_wheels(design, inputs(design, moved))[0] - linear.nu) / step
+            for course, (moved, step) in moves.items()}
 
 
 def _priors(design: Design, explanation: Explanation, matrix: SensitivityMatrix, A: np.ndarray, b: np.ndarray) -> None:
@@ -180,7 +196,7 @@ def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = 
         free: tuple[str, ...] = ()) -> tuple[Explanation, float, np.ndarray]:
     """Best explanation of the same causes: (explanation, deviance, covariance of cause values).
 
-    With `free` only the base parameters whose labels begin so are fitted, and no cause.
+    With `free` only the base parameters whose labels begin so are fitted, and a memory.
     """
     value, covariance = deviance(design, explanation), np.zeros((0, 0))
     for step in range(steps):
@@ -188,7 +204,7 @@ def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = 
             explanation, value = fit_noise(design, explanation, value)
         found, _, _ = normal(design, explanation, False)
         own = [c for c in base_columns(found.matrix) if not free or found.matrix.columns[c].label.startswith(free)]
-        causes = () if free else explanation.causes
+        causes = tuple(c for c in explanation.causes if not free or c.name == MEMORY)
         at = own + [c for cause in causes if (same := found.matrix.variant_of(cause)) for c in same.columns]
         if not np.all(np.isfinite(found.A[np.ix_(at, at)])):
             break
@@ -198,13 +214,8 @@ def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = 
             if not causes:
                 raise
             break  # as far as it went: one cause that cannot be fitted further does not make the data useless
-        rest = [k for k, c in enumerate(at) if found.matrix.columns[c].cause != MEMORY]
-        if len(rest) < len(at):
-            change, left = np.zeros(len(at)), [at[k] for k in rest]
-            change[rest] = solve(found.A[np.ix_(left, left)], found.b[left])[0]
-        labels = [found.matrix.columns[c].label for c in own]
-        before = value
-        explanation, value = _memory(design, *_search(design, explanation, labels, change, value))
+        before, labels = value, [found.matrix.columns[c].label for c in own]
+        explanation, value = _search(design, explanation, labels, causes, change, value)
         if before - value < tolerance and step > 3:
             break
     size = sum(len(cause.values) for cause in explanation.causes)
@@ -212,52 +223,35 @@ def fit(design: Design, explanation: Explanation, steps: int = 9, noise: bool = 
     return explanation, value, covariance[at_cause:, at_cause:] if at_cause >= 0 else np.full((size, size), np.inf)
 
 
-def _memory(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
-    """The length of a memory by itself: the replay is not linear enough in it for a joint step."""
-    at = next((k for k, cause in enumerate(explanation.causes) if cause.name == MEMORY), None)
-    if at is None:
-        return explanation, value
-
-    def moved(length_m: float) -> Explanation:
-        return explanation.with_cause(at, explanation.causes[at]._replace(values=(length_m,)))
-
-    now = explanation.causes[at].values[0]
-    best = minimize_scalar(lambda x: deviance(design, moved(x)), method="bounded",
-                           bounds=(0.5 * now, 1.5 * now + 0.2), options={"maxiter": 9, "xatol": 0.01})
-    return (moved(float(best.x)), float(best.fun)) if best.fun < value else (explanation, value)
-
-
-def _search(design: Design, explanation: Explanation, labels: list[str], change: np.ndarray, value: float
-            ) -> tuple[Explanation, float]:
-    """The step, halved until it improves."""
-    share = 1.0
-    for _ in range(5):
+def _search(design: Design, explanation: Explanation, labels: list[str], fitted: tuple[Cause, ...], change: np.ndarray,
+            value: float) -> tuple[Explanation, float]:
+    """The step of base and fitted causes, shortened until it improves."""
+    for share in 0.35 ** np.arange(5.0):
         base = dict(explanation.base)
         for label, x in zip(labels, change[: len(labels)], strict=True):
             bound = next((b for k, b in _BASE_BOUNDS.items() if label.startswith(k)), 1.0)
             base[label] = float(np.clip(base.get(label, 0.0) + share * x, -bound, bound))
-        causes, at = [], len(labels)
-        for cause in explanation.causes:
-            if at + len(cause.values) > len(change):  # causes are not fitted
-                causes.append(cause)
-                continue
-            moved = np.array(cause.values) + share * change[at:at + len(cause.values)]
-            causes.append(bounded(cause._replace(values=tuple(float(x) for x in moved))))
-            at += len(cause.values)
-        tried = explanation._replace(base=base, causes=tuple(causes))
+        tried, at = explanation._replace(base=base), len(labels)
+        for cause in fitted:
+            moved = cause._replace(values=tuple(cause.values + share * change[at:at + len(cause.values)]))
+            tried, at = tried.with_cause(explanation.causes.index(cause), bounded(moved)), at + len(cause.values)
         better = deviance(design, tried)
         if better < value:
             return tried, better
-        share *= 0.35
     return explanation, value
 
 
 def bounded(cause: Cause) -> Cause:
     """The cause with its coefficients inside the bounds of the table of mechanisms."""
+    return cause._replace(values=tuple(float(np.clip(value, *ends)) for value, ends in zip(
+        cause.values, bounds(cause), strict=True)))
+
+
+def bounds(cause: Cause) -> list[tuple[float, float]]:
+    """Bounds of the coefficients of a cause, of the table of mechanisms."""
     search, m = table.OF[cause.name], table.OF[cause.name].mechanism
     rows = [m.parameters[min(k, m.free - 1)] for k in range(len(cause.values))]
-    return cause._replace(values=tuple(float(np.clip(value, -row.high if search.phase else row.low, row.high))
-                                       for value, row in zip(cause.values, rows, strict=True)))
+    return [(-row.high if search.phase else row.low, row.high) for row in rows]
 
 
 def fit_noise(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:

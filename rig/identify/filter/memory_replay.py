@@ -117,18 +117,12 @@ def replay_lagging(measured, torque, load, speed, friction, p, step_s, nu, varia
 
 
 @kernel
-def replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, variance, state):
-    """Innovations of one wheel, by the filter that its parameters need."""
-    if p[14] > 0.0:
-        replay_lagging(measured, torque, load, speed, friction, p, step_s, nu, variance, state)
-    else:
-        replay.replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, variance, state)
-
-
-@kernel
 def replay_wheels(start, measured, torque, load, speed, friction, parameters, step_s, nu, variance, state):
-    """All segments; `parameters` (segments, PARAMETERS)."""
+    """Innovations of all segments, each by the filter that its `parameters` (segments, PARAMETERS) need."""
     for s in range(start.size - 1):
-        a, b = start[s], start[s + 1]
-        replay_wheel(measured[a:b], torque[a:b], load[a:b], speed[a:b], friction[:, a:b],
-                     parameters[s], step_s, nu[a:b], variance[a:b], state[a:b])
+        a, b, p = start[s], start[s + 1], parameters[s]
+        given = measured[a:b], torque[a:b], load[a:b], speed[a:b], friction[:, a:b]
+        if p[14] > 0.0:
+            replay_lagging(*given, p, step_s, nu[a:b], variance[a:b], state[a:b])
+        else:
+            replay.replay_wheel(*given, p, step_s, nu[a:b], variance[a:b], state[a:b])

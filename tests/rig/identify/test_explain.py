@@ -1,14 +1,15 @@
 """The whole explanation, on stops of a generator that shares no code with it."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from generator import braking_stops, other_stops
+from generator import braking_stops, mujoco_stops, other_stops
 
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.identify.decide import explain, extension
+from rollerrig.rig.identify.decide import evidence, explain, extension
 from rollerrig.rig.mechanisms import applied as effects
 
 pytestmark = pytest.mark.explanation
@@ -54,6 +55,17 @@ def test_a_long_memory_and_one_larger_wheel_of_another_form_are_both_named(tmp_p
     params = scenario.load("velim_a1", str(model)).params
     assert params.effects.memory_m == pytest.approx(memory["length_m"]["value"], rel=1e-4)
     assert np.ptp(params.wheels.table[:4]) > 0.0  # radii
+
+
+def test_a_brake_that_is_stronger_in_half_of_the_runs_only_is_not_explained_by_a_stronger_brake(tmp_path: Path) -> None:
+    folder = mujoco_stops.make(tmp_path / "half", {"brake_gain": 0.06}, 14)
+    plain = mujoco_stops.make(tmp_path / "none", {}, 14)
+    for run in ("long_2", "short_2", "check_2"):
+        shutil.copy(plain / "runs" / f"{run}.csv", folder / "runs")
+    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    assert found.verdict in ("partly", "unexplained")
+    clear = {f.name for f in found.remainder if evidence.significant(f, 20.0)}
+    assert "along the runs in the size of brake_gain" in clear
 
 
 def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path: Path) -> None:

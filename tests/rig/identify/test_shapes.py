@@ -60,6 +60,18 @@ def test_a_long_memory_is_found_from_a_base_that_had_to_leave_recovery_out(tmp_p
     assert found.explanation.sigma < 0.5 * base.sigma
 
 
+def test_a_fit_beside_a_memory_ends_where_no_coefficient_alone_is_better_elsewhere(tmp_path: Path) -> None:
+    data = dataset.load(other_stops.make(tmp_path / "late", {"adhesion_memory": 3.0}, 11, ("a1", "a2", "b1")))
+    design = preparation.prepare(data, data.group("tune"))
+    begun = candidates.start(design)._replace(causes=(Cause("adhesion_memory", 0, {}, (2.0,)),))
+    found, value, _ = tuning.fit(design, tuning.fit(design, begun, 9)[0], 9)
+    memory = found.causes[0]
+    beside = [found._replace(base=found.base | {label: x + step}) for label, x in found.base.items()
+              for step in (-1e-3, 1e-3)]
+    beside += [found.with_cause(0, memory._replace(values=(memory.values[0] + step,))) for step in (-0.02, 0.02)]
+    assert min(tuning.deviance(design, other) for other in beside) > value - 1.0
+
+
 @pytest.mark.parametrize("source", ["load", "pole wheel"])
 def test_a_speed_that_swings_by_its_pole_wheel_leaves_a_remainder_that_an_out_of_round_wheel_does_not(
         tmp_path: Path, source: str) -> None:

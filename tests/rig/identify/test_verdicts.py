@@ -45,6 +45,12 @@ def test_two_causes_that_leave_much_are_told_in_a_note_and_not_named() -> None:
     assert explain._verdict(two, [finding("along vehicle time", 60.0)], None, []) == "explained"
 
 
+def test_another_form_of_its_own_excuses_what_one_cause_leaves_and_not_what_two_leave() -> None:
+    drag, left = named(1000.0, "running_resistance"), [finding("along vehicle speed", 110.0)]
+    assert explain._verdict([drag], left, None, []) == "explained"
+    assert explain._verdict([drag, named(10.0)], left, None, []) == "unexplained"
+
+
 @pytest.mark.parametrize(("first", "second", "won", "lent"), [
     # what the first won in each of the filters (four wheelsets, vehicle); the same of the second
     ((1000.0, 1000.0, 1000.0, 1000.0, 0.0), "running_resistance", (0.0, 0.0, 0.0, 0.0, 90.0), 0.0),
