@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import written_docs
+from generator import thresholds as limits
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.benchmarks import figures
@@ -84,6 +85,11 @@ def test_the_thresholds_of_explain_are_those_of_the_code():
         value = share[0] / share[1] if len(share) == 2 else share[0]
         module = importlib.import_module("rollerrig." + path.replace("/", "."))
         assert getattr(module, name) == pytest.approx(value), f"{path}: {name}"
+
+
+def test_the_limits_of_remainders_are_those_that_first_and_second_generator_set():
+    told = limits.natures()
+    assert limits.set_by(told["first"] + told["second"])[1] == limits.SHIPPED[1]
 
 
 @pytest.mark.parametrize("name", written_docs.TABLES)

@@ -25,7 +25,7 @@ CLEAN_SETS, MOST_PROMISING, MOST_FITTED = 60, 4, 5
 # a remainder above this share of the causes' likelihood is not a matter of their shape, unless it
 # lies along what the cause itself goes by: there its shape may differ more
 REMAINDER_SHARE, OWN_REMAINDER_SHARE = 0.08, 0.2
-PARTLY_SHARE = 0.25  # up to here a cause is named beside the remainder: "partly"
+PARTLY_SHARE = 0.15  # up to here a cause is named beside the remainder: "partly"
 
 
 class Account(NamedTuple):

@@ -19,7 +19,7 @@ def named(won: float, name: str = "speed_sensor_delay") -> NamedCause:
 
 
 @pytest.mark.parametrize(("left", "verdict"), [(0.0, "explained"), (60.0, "explained"), (150.0, "partly"),
-                                               (300.0, "partly"), (400.0, "unexplained"), (2000.0, "unexplained")])
+                                               (170.0, "partly"), (190.0, "unexplained"), (2000.0, "unexplained")])
 def test_the_more_remains_behind_a_cause_the_less_is_said(left: float, verdict: str) -> None:
     causes, notes = [named(1000.0)], []
     found = explain._verdict(causes, [finding("along vehicle time", left)], None, notes)
