@@ -78,7 +78,8 @@ def _cause(a: Account, named: NamedCause) -> dict[str, Any]:
         "evidence": {"likelihood": named.ratio,
                      "delta_bic": _bic(a, named.ratio, len(named.cause.values) + len(named.cause.shape)),
                      "heldout_gain": None if a.gain is None else a.gain.reduction,
-                     "detectability": _SEEN * named.deviation[0]},
+                     "detectability": _SEEN * named.deviation[0],
+                     "rivals": [rival._asdict() for rival in named.rivals]},
         "confusable_with": list(named.confusable),
         "separating_test": ""}  # the file's name, where one is written: see `planning`
 
@@ -114,8 +115,9 @@ def story(a: Account) -> list[str]:
         of += ", that of the contaminant alone" if named.cause.shape.get(ALONE.name) else ""
         lines.append(f"Cause: {row.text}{of} [{row.name}]; {values}.")
         if named.confusable:
-            lines.append(f"  It cannot be told from {', '.join(named.confusable)} here; separating_test.toml would "
-                         "tell.")
+            wins = {rival.name: f" (wins {rival.share:.0%} as much)" for rival in named.rivals}
+            alike = ", ".join(f"{name}{wins.get(name, '')}" for name in named.confusable)
+            lines.append(f"  It cannot be told from {alike} here; separating_test.toml would tell.")
     if a.verdict == "partly":
         left = _remainder(a)
         lines.append(f"That is not all: along {', '.join(left['against'])} something remains, {left['share']:.0%} of "

@@ -60,7 +60,8 @@ def write(out: Path, runs: Sequence[Run], resolved: Mapping[str, Any], accuracy:
         "vehicle": {key: value for key, value in resolved["vehicle"].items() if key != "model"},
         "brake": resolved["brake"], "adhesion": resolved["adhesion"], "contact": contact,
         "axles": {"positions_m": params.axle_positions(resolved["vehicle"]).tolist()},
-        "accuracy": {key: value for key, value in accuracy.items() if value > 0.0},
+        # the causes' laws are those that the runs were made with
+        "accuracy": {key: value for key, value in accuracy.items() if value > 0.0} | {"form_fraction": 0.0},
         "run": [{"file": f"runs/{run.name}.csv", "group": run.group,
                  **({"mass_kg": run.mass_kg} if np.isfinite(run.mass_kg) else {"held": True}),
                  "initial_speed_m_s": round(float(run.speed_m_s[:20].mean()), 2)} for run in runs]}

@@ -210,7 +210,7 @@ def account(*causes: Cause) -> explain.Account:
     for cause in causes:
         tiny, none = (1e-6,) * len(cause.values), (0.0,) * len(cause.values)
         finding = Finding(cause.name, cause.axle, cause.shape, cause.values, none, tiny, 99.0, 0.001, 1.0, 1.0)
-        named.append(choice.NamedCause(finding, cause, 99.0, (99.0,) * 5, tiny, ()))
+        named.append(choice.NamedCause(finding, cause, 99.0, (99.0,) * 5, tiny, (), ()))
     return explain.Account(data, design, None, base, base._replace(causes=causes), "explained", named, [], [], [],
                            None, 0.001, [], None, 1.0)
 

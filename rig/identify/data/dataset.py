@@ -40,13 +40,14 @@ RUN = (
     number("mass_kg", -1.0, 1000.0, 200000.0, "kg"),
     flag("held", False, "drives held the speed of the surface: no force balance of a vehicle"),
 )
-# one standard deviation; estimated where not given (calibration: assumed)
+# one standard deviation; estimated where not given (calibration and form: assumed)
 ACCURACY = (
     number("speed_m_s", -1.0, 1e-5, 5.0, "m/s"),
     number("wheel_speed_rad_s", -1.0, 1e-5, 10.0, "rad/s"),
     number("torque_fraction", -1.0, 1e-5, 0.5, "of the run's largest torque"),
     number("load_fraction", -1.0, 1e-5, 0.5, "of the static load"),
     number("calibration_fraction", 0.003, 0.0, 0.2, "of torque, load and mass"),
+    number("form_fraction", 0.07, 0.0, 0.5, "of what a cause explains: how far its law may be another in truth"),
 )
 CHANNELS = ("vehicle_speed_m_s", "position_m", *(
     f"{name}_{j}_{unit}" for name, unit in (("wheel_speed", "rad_s"), ("wheel_load", "N"),

@@ -56,6 +56,7 @@ class Design(NamedTuple):
     wheel_noise_rad_s: float
     torque_noise_Nm: np.ndarray  # (runs,)
     calibration: float
+    form: float
     base: np.ndarray  # (PARAMETERS,) of `parameters`
     resistance: np.ndarray  # A, B, C
     released_Nm: np.ndarray  # (segments,) mean torque while released, nan: never
@@ -137,6 +138,7 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
                   vehicle_m_s=np.concatenate([run.speed_m_s for run in runs]),
                   speed_noise_m_s=float(np.median(speed_noise)), wheel_noise_rad_s=float(np.median(wheel_noise)),
                   torque_noise_Nm=torque_noise.copy(), calibration=data.accuracy["calibration_fraction"],
+                  form=data.accuracy["form_fraction"],
                   base=base_parameters(data), resistance=resistance, released_Nm=released[:, 0].copy(),
                   released_sd_Nm=released[:, 1].copy(), places_m=places if like is None else like.places_m,
                   ends_s=ends if like is None else like.ends_s)

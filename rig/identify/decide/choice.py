@@ -33,15 +33,24 @@ PRICE = 5.0  # likelihood that each further coefficient of a shape must earn, be
 BLOCK_S = 3.0
 
 
+class Rival(NamedTuple):
+    """A cause that was fitted in place of one: what it wins, as a share; whether Vuong's test parts them."""
+
+    name: str
+    share: float
+    parted: bool
+
+
 class NamedCause(NamedTuple):
-    """A cause that is taken: its finding, its share of the likelihood, what it is confused with."""
+    """A cause that is taken: its finding, its share of the likelihood, what else was fitted and how well."""
 
     finding: evidence.Finding
     cause: Cause
     ratio: float
     won: tuple[float, ...]  # likelihood in the filters of the four wheelsets and of the vehicle
     deviation: tuple[float, ...]
-    confusable: tuple[str, ...]
+    confusable: tuple[str, ...]  # of the rivals those that cannot be told from it
+    rivals: tuple[Rival, ...]
 
     @property
     def unbiased(self) -> Cause:
@@ -87,6 +96,18 @@ def blocks(design: Design, explanation: Explanation) -> np.ndarray:
     return np.array(found).T
 
 
+def quieted(setting: null_sets.Setting, base: Explanation, likely: list[Cause]) -> tuple[Explanation, list[Fitted]]:
+    """An explanation with the irregularity that is left beside the most promising further causes, and their fits."""
+    # a cause that it does not have looks like a rougher rail, and would hide in it
+    fits = setting.run_all(fit_one, [(base._replace(causes=(*base.causes, cause)),) for cause in likely],
+                           "irregularity of the rail")
+    best = min(fits, key=lambda fit: fit.value, default=None)
+    if best is None or best.explanation.sigma >= base.sigma:
+        return base, fits
+    calm = base._replace(sigma=best.explanation.sigma, length_m=best.explanation.length_m)
+    return tuning.fit(setting.design, calm, 4, False)[0], fits
+
+
 def fitted(setting: null_sets.Setting, explanation: Explanation, found: list[evidence.Finding], most: int,
            ready: Sequence[Fitted] = ()) -> list[Candidate]:
     """The causes that count beside an explanation, each fitted; a memory, whose fit begins anew, from those ready."""
@@ -127,11 +148,11 @@ def choose(design: Design, explanation: Explanation, value: float, rivals: list[
     whole = max(float(drop.sum()), ratio[top])
     if not table.OF[finding.name].edge_step and whole - drop.sum(axis=0).max() < max(evidence.FLOOR, ELSEWHERE * whole):
         return explanation, []
-    confusable = tuple(rivals[int(k)].finding.name for k in order[1:]
-                       if indistinguishable(best, rivals[int(k)].fit, ratio[top], ratio[int(k)]))
+    beside = _beside(best, ratio[top], [(rivals[int(k)], ratio[k]) for k in order[1:]])
     at = len(best.covariance) - len(best.explanation.causes[-1].values)
     return best.explanation, [NamedCause(finding, best.explanation.causes[-1], float(ratio[top]),
-                                         tuple(drop.sum(axis=1)), _deviation(finding, best, at), confusable)]
+                                         tuple(drop.sum(axis=1)), _deviation(finding, best, at),
+                                         _alike(beside, design.form), beside)]
 
 
 def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]) -> tuple[Explanation, list[NamedCause]]:
@@ -158,13 +179,23 @@ def _deviation(finding: evidence.Finding, fit: Fitted, at: int) -> tuple[float, 
     return tuple(float(np.hypot(s * max(finding.spread, 1.0), floor)) for s in nominal)
 
 
-def indistinguishable(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
-    """Vuong's test on blocks: may the other be the better one?"""
+def _beside(best: Fitted, ratio: float, others: Sequence[tuple[Candidate, float]]) -> tuple[Rival, ...]:
+    return tuple(Rival(one.finding.name, float(less / ratio), parted(best, one.fit, ratio, less))
+                 for one, less in others)
+
+
+def _alike(rivals: Sequence[Rival], form: float) -> tuple[str, ...]:
+    """Those that may be the better ones, by chance, or as no law is nearer to the truth than `form`."""
+    return tuple(rival.name for rival in rivals if not rival.parted or rival.share > 1.0 - form)
+
+
+def parted(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
+    """Vuong's test on blocks: whether the other cannot be the better one."""
     if less < 0.75 * ratio and ratio - less > 10.0:
-        return False
+        return True
     difference = (other.blocks - best.blocks).sum(axis=0)
     spread = float(difference.std(ddof=1) * np.sqrt(difference.size))
-    return ratio - less < 1.64 * max(spread, 1e-9) or ratio - less < 4.0
+    return ratio - less >= max(1.64 * spread, 4.0)
 
 
 def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause],
@@ -178,8 +209,11 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
     remainder: list[evidence.Finding] = []
     for turn in range(MOST_CAUSES):
         known = tuple(named.finding.name for named in causes)
+        likely = [cause for cause in evidence.likely(design, tuning.normal(design, explanation)[0], MOST_BESIDE)
+                  if table.OF[cause.name].edge_step and cause.name not in known and turn + 1 < MOST_CAUSES]
         try:
-            found, *_ = null_sets.judged(setting, explanation, CHECK_SETS, seed + 7 + turn, known)
+            quiet, _ = quieted(setting, explanation, likely)
+            found, *_ = null_sets.judged(setting, quiet, CHECK_SETS, seed + 7 + turn, known)
         except ConfigError:
             return explanation, causes, None
         value = tuning.deviance(design, explanation)
@@ -233,13 +267,16 @@ def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[
     won = [value - fit.value - _price(one.finding) for one, fit in zip(others, fits, strict=True)]
     own = next(k for k, one in enumerate(others) if one.finding == first.finding)
     top = int(np.argmax(won)) if max(won) >= 4.0 else own
-    alike = tuple(other.finding.name for k, other in enumerate(others) if k != top and indistinguishable(
-        fits[top], fits[k], first.ratio + won[top], first.ratio + won[k]))
+    ratio = first.ratio + np.array(won)
+    beside = _beside(fits[top], ratio[top], [(Candidate(other.finding, fits[k]), ratio[k])
+                                             for k, other in enumerate(others) if k != top])
+    alike = _alike(beside, setting.design.form)
     if top == own:
-        return explanation, [first._replace(confusable=tuple(dict.fromkeys(first.confusable + alike))), second]
+        return explanation, [first._replace(confusable=tuple(dict.fromkeys(first.confusable + alike)),
+                                            rivals=beside), second]
     finding, better = others[top].finding, fits[top].explanation
-    first = NamedCause(finding, better.causes[0], first.ratio + won[top], first.won, _deviation(finding, fits[top], 0),
-                       alike)
+    first = NamedCause(finding, better.causes[0], ratio[top], first.won, _deviation(finding, fits[top], 0), alike,
+                       beside)
     return better, [first, second._replace(cause=better.causes[1])]
 
 

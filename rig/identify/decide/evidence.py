@@ -215,7 +215,7 @@ def _sand_on(design: Design, normal: tuning.Normal, real: Scores, clean: list[Sc
     T, *ordinary = (float(sum(t for *_, t in scan(s).values())) for s in (real, *clean))
     null, shape, weights, sizes = np.array(ordinary), dict(shape), [], []
     for run, (low, high, x, t) in scan(real).items():
-        if t > 0.15 * T:
+        if t > 0.5 * T / design.mass_kg.size:
             shape[f"start_s {design.names[run]}"] = float(low * columns.TIME_BIN_S)
             shape[f"duration_s {design.names[run]}"] = float((high - low) * columns.TIME_BIN_S)
             weights.append(t / max(x * x, 1e-12))

@@ -61,7 +61,8 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
         base, value, _ = tuning.fit(design, candidates.start(design))
         progress("fit of the base", 1.0)
         _check(design, base)
-        quiet, promising = _quiet(setting, base)
+        likely = evidence.likely(design, tuning.normal(design, base)[0], MOST_PROMISING)
+        quiet, promising = choice.quieted(setting, base, likely)
         found, scored, nulls = null_sets.judged(setting, quiet, CLEAN_SETS, seed)
         rivals = choice.fitted(setting, base, found, MOST_FITTED, promising)
         rivals = choice.and_ready(value, rivals, promising, scored, nulls)
@@ -85,19 +86,6 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
     p_value = min([f.p_value for f in found], default=1.0)
     return Account(data, design, held, base, explanation, verdict, causes, set_aside, found, remainder or [], won,
                    float(1.0 - (1.0 - p_value) ** 30), notes, formula, time.monotonic() - began)
-
-
-def _quiet(setting: null_sets.Setting, base: Explanation) -> tuple[Explanation, list[choice.Fitted]]:
-    """The base with the irregularity that is left beside the most promising causes, and their fits."""
-    # a cause that the base does not have looks like a rougher rail, and would hide in it
-    likely = evidence.likely(setting.design, tuning.normal(setting.design, base)[0], MOST_PROMISING)
-    fits = setting.run_all(choice.fit_one, [(base._replace(causes=(cause,)),) for cause in likely],
-                           "irregularity of the rail")
-    best = min(fits, key=lambda fit: fit.value, default=None)
-    if best is None or best.explanation.sigma >= base.sigma:
-        return base, fits
-    calm = base._replace(sigma=best.explanation.sigma, length_m=best.explanation.length_m)
-    return tuning.fit(setting.design, calm, 4, False)[0], fits
 
 
 def _check(design: Design, base: Explanation) -> None:

@@ -14,7 +14,8 @@ from rollerrig.rig.identify.causes.candidates import Cause, Explanation, start
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import tuning
 
-_HALVINGS, _MOST_MOVES = 3, 8  # the first step of an edge is halved this often
+_HALVINGS, _MOST_MOVES = 5, 8  # the first step of an edge is halved this often
+_SMOOTHER = 0.3  # irregularity of the rail, of the base's, on which edges are sought first
 # a patch with edges of this share of its length, and what its depth has to be for the same effect
 _RAMPS = ((0.5, 1.1), (1.0, 1.3))
 _RAMP_EARNS = 4.0  # likelihood that such edges must earn, or another friction
@@ -24,7 +25,11 @@ _BEGINS_ROUGH = 0.06  # irregularity with which a base is begun anew, so that al
 
 def refined(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the windows of its causes where they fit best."""
-    explanation, value = _edges_moved(design, explanation, 1.0)
+    # what a window explains has roughened the rail of the base, on which its edges hardly show: first on a smoother one
+    smooth = tuning.fit(design, explanation._replace(sigma=_SMOOTHER * explanation.sigma), 4, False)[0]
+    smooth = tuning.fit(design, _edges_moved(design, smooth, 1.0)[0], 4)[0]
+    explanation, value = min((_edges_moved(design, explanation, 1.0), _edges_moved(design, smooth, 0.25)),
+                             key=lambda pair: pair[1])
     tried = [_edges_moved(design, explanation.with_cause(at, _ramped(cause, ramp, deeper)), 0.5)
              for at, cause in enumerate(explanation.causes) if cause.name == "contaminated_patch"
              for ramp, deeper in _RAMPS]

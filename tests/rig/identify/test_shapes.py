@@ -9,7 +9,7 @@ from generator import braking_stops, other_stops
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.decide import choice, evidence, shapes, simulate, tuning
+from rollerrig.rig.identify.decide import choice, evidence, null_sets, shapes, simulate, tuning
 
 
 def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path) -> None:
@@ -97,3 +97,42 @@ def test_a_speed_that_swings_by_its_pole_wheel_leaves_a_remainder_that_an_out_of
     remains = float(x @ S @ x)
     # chi-squared of as many coefficients where nothing is left
     assert (remains > 200.0) == (source == "pole wheel")
+
+
+def test_sand_in_every_run_is_found_to_the_instant_on_a_rail_that_it_made_look_rough(tmp_path: Path) -> None:
+    data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
+    runs = data.group("tune")
+    design = preparation.prepare(data, runs)
+    base = tuning.fit(design, candidates.start(design))[0]._replace(sigma=0.003)
+
+    def sand(start_s: float, duration_s: float) -> Cause:
+        window = {"start_s": start_s, "duration_s": duration_s}
+        return Cause("sanding", 0, {f"{key} {run.name}": at for run in runs for key, at in window.items()}, (0.2,))
+
+    made = simulate.runs(data, design, runs, base._replace(causes=(sand(6.33, 4.55),)), np.random.default_rng(5))
+    seen = preparation.prepare(data, made, design)
+    told, _, _ = tuning.fit(seen, base._replace(causes=(sand(6.0, 4.0),), sigma=0.03), 4)
+    assert told.sigma > 0.01
+    found = shapes.refined(seen, told).causes[0].shape
+    for run in runs:
+        assert found[f"start_s {run.name}"] == pytest.approx(6.33, abs=0.05)
+        assert found[f"start_s {run.name}"] + found[f"duration_s {run.name}"] == pytest.approx(10.88, abs=0.05)
+
+
+def test_a_patch_shows_behind_another_cause_on_the_rail_that_is_left_without_it(tmp_path: Path) -> None:
+    data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
+    runs = data.group("tune")
+    design = preparation.prepare(data, runs)
+    base = tuning.fit(design, candidates.start(design))[0]
+    inertia = Cause("wheel_inertia", 0, {}, (0.1,))
+    patch = Cause("contaminated_patch", 0, {"start_m": 60.0, "length_m": 50.0}, (0.25,))
+    made = simulate.runs(data, design, runs, base._replace(causes=(inertia, patch)), np.random.default_rng(6))
+    seen = preparation.prepare(data, made, design)
+    first, _, _ = tuning.fit(seen, base._replace(causes=(inertia,)), 6)
+    assert first.sigma > 1.3 * base.sigma
+    with null_sets.workers() as pool:
+        setting = null_sets.Setting(data, runs, seen, pool, lambda *_: None)
+        quiet, _ = choice.quieted(setting, first, [patch._replace(shape={"start_m": 50.0, "length_m": 75.0})])
+    assert quiet.sigma == pytest.approx(base.sigma, rel=0.15)
+    assert quiet.causes[0].name == "wheel_inertia"
+    assert len(quiet.causes) == 1

@@ -15,7 +15,8 @@ def finding(name: str, statistic: float) -> Finding:
 
 
 def named(won: float, name: str = "speed_sensor_delay") -> NamedCause:
-    return NamedCause(finding(name, won), Cause(name, 0, {}, (0.02,)), won, (0.25 * won,) * 4 + (0.0,), (0.001,), ())
+    return NamedCause(finding(name, won), Cause(name, 0, {}, (0.02,)), won, (0.25 * won,) * 4 + (0.0,), (0.001,), (),
+                      ())
 
 
 @pytest.mark.parametrize(("left", "verdict"), [(0.0, "explained"), (60.0, "explained"), (150.0, "partly"),
@@ -108,3 +109,15 @@ def test_clean_sets_are_enough_where_one_finding_stands_out_or_none_is_near_its_
         seen: dict[str, tuple[float, float]], enough: bool) -> None:
     found = [finding(name, statistic)._replace(p_value=p) for name, (statistic, p) in seen.items()]
     assert evidence.settled(found) is enough
+
+
+@pytest.mark.parametrize(("less", "form", "alike"), [(940.0, 0.07, True), (920.0, 0.07, False), (940.0, 0.0, False),
+                                                     (997.0, 0.0, True)])
+def test_causes_are_told_apart_only_where_one_wins_more_than_a_wrong_form_may_cost(less, form, alike) -> None:
+    # in every block of 3 s the second wins the same share of what the first wins: by chance alone they differ surely
+    def fit(won: float) -> choice.Fitted:
+        return choice.Fitted(None, -won, np.zeros((1, 1)), np.full((5, 20), -won / 100.0))
+
+    beside = choice._beside(fit(1000.0), 1000.0, [(choice.Candidate(finding("friction_trend", less), fit(less)), less)])
+    assert beside[0].share == less / 1000.0
+    assert choice._alike(beside, form) == (("friction_trend",) if alike else ())
