@@ -17,6 +17,7 @@ from rollerrig.realtime.benchmarks.sealed import answers, cases
 
 KEPT = Path(__file__).parent / "kept"
 LIKELY = 0.03  # findings that are less likely by chance are kept
+NEAR = 0.5  # and rivals of a cause that win a larger share of its likelihood
 
 
 def rounded(value):
@@ -32,8 +33,10 @@ def told(report, causes):
     """What a verdict by other limits needs beside what is judged."""
     findings = {where: [f for f in found if f["p_value"] < LIKELY]
                 for where, found in report.get("findings", {}).items()}
-    return {"causes": [one | {"evidence": {"likelihood": full["evidence"]["likelihood"]}}
-                       for one, full in zip(causes, report["causes"], strict=True)],
+    evidence = [{"likelihood": one["evidence"]["likelihood"],
+                 "rivals": [rival for rival in one["evidence"]["rivals"] if rival["share"] > NEAR]}
+                for one in report["causes"]]
+    return {"causes": [one | {"evidence": its} for one, its in zip(causes, evidence, strict=True)],
             "set_aside": report.get("set_aside", []), "findings": findings, "notes": report.get("notes", [])}
 
 

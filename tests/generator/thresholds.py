@@ -10,6 +10,9 @@ kinds of limits are set, by each generator's answers, and by those of the first 
   with FLOOR as it stands. A finding is not yet a cause, which must win its fit as well, so this is on the safe side.
 - REMAINDER_SHARE, OWN_REMAINDER_SHARE and PARTLY_SHARE, by sets with something hidden: of the limits that give at most
   5 % of the effects outside the library a name, those that name most causes rightly.
+
+A second table has form_fraction of a dataset's accuracy: set to the least with which most single causes are named first
+or in a set of two, by those generators whose answers hold what rivals won.
 """
 
 import itertools
@@ -22,12 +25,16 @@ from generator import keep
 
 from rollerrig.realtime.benchmarks.sealed import cases
 from rollerrig.rig.identify.causes import table
+from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import evidence, explain
 
 SHARES = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 LIMITS = ("REMAINDER_SHARE", "OWN_REMAINDER_SHARE", "PARTLY_SHARE")
 ALPHAS = np.geomspace(1e-6, 0.02, 44)
 SHIPPED = (table.ALPHA_CAUSE, tuple(getattr(explain, name) for name in LIMITS))
+FORMS = (0.0, 0.02, 0.04, 0.07, 0.1, 0.13, 0.16, 0.2)
+FORM = next(row.default for row in dataset.ACCURACY if row.name == "form_fraction")
+FORM_HEAD = "| form_fraction | answers to | named first or in a set of two | in the named set | size of the set, mean |"
 SETTERS = "first and second"  # the third judges, and sets nothing
 HEAD = ("| set on | ALPHA_CAUSE | " + " | ".join(LIMITS) + " | judged on | clean: a finding | one: a finding | "
         "hidden: named rightly | unknown: given a name |")
@@ -50,6 +57,7 @@ class Told:
         self.causes = [SimpleNamespace(ratio=one["likelihood"], finding=SimpleNamespace(name=one["name"]))
                        for one in named]
         self.sets = [{one["name"], *one["confusable_with"]} for one in named]
+        self.rivals = [one["evidence"].get("rivals") for one in answer["causes"]]
         self.remainder = None if "do not brake like the recording" in notes else self.behind
         self.won = SimpleNamespace(likelihood=-1.0) if "makes runs that were not fitted worse" in notes else None
         self.verdict = answer["verdict"]
@@ -65,6 +73,16 @@ class Told:
     def names(self, limits):
         """Sets of causes that are named by these limits."""
         return self.sets if self.judged(limits) in ("explained", "partly") else []
+
+    def named(self, form):
+        """(the cause named first, those that it is confused with) where laws may be wrong by this share."""
+        if not self.causes or self.verdict not in ("explained", "partly"):
+            return None, set()
+        first = self.causes[0].finding.name
+        nearly = {one["name"]: one["share"] > 1.0 - form for one in self.rivals[0] if one["parted"]}
+        others = {one.finding.name for one in self.causes[1:]}
+        return first, {one for one in self.sets[0] - {first} if one not in nearly} | {
+            one for one, alike in nearly.items() if alike} - others
 
     def right(self, limits):
         found = self.names(limits)
@@ -91,6 +109,19 @@ def set_by(told):
     # of those that are equally good the one in the middle
     middle = tuple(equal[np.argmin(np.abs(equal - np.median(equal, axis=0)).sum(axis=1))])
     return max(fits, default=ALPHAS[0]), middle
+
+
+def by_form(told, form):
+    """(named first or in a set of two, in the set, of how many that were detected; sizes of sets) of single causes."""
+    seen = [(*t.named(form), t.truth) for t in told if t.kind == "one" and t.verdict not in ("consistent", "refused")]
+    sizes = [1 + len(others) for first, others, _ in seen if first]
+    return (sum({first} == truth or (len(others) == 1 and truth <= others) for first, others, truth in seen),
+            sum(truth <= others | {first} for first, others, truth in seen), len(seen), sizes)
+
+
+def form_set_by(told):
+    """The form_fraction that these answers would set."""
+    return max(FORMS, key=lambda form: (by_form(told, form)[0], -form))
 
 
 def read(folder):
@@ -145,7 +176,16 @@ def rows():
             yield "| " + " | ".join(row) + " |"
 
 
+def form_rows():
+    """Lines of the table of form_fraction, of the generators whose answers hold rivals."""
+    for form, (name, told) in itertools.product(FORMS, natures().items()):
+        if all(t.rivals[0] is not None for t in told if t.rivals):
+            first, within, of, sizes = by_form(told, form)
+            yield f"| {form:g} | {name} | {first} of {of} | {within} of {of} | {np.mean(sizes):.2f} |"
+
+
 if __name__ == "__main__":
     if "--judge" in sys.argv[1:]:
         judge()
     print(HEAD, "|" + "---|" * (len(LIMITS) + 7), *rows(), sep="\n")
+    print(FORM_HEAD, "|---|---|---|---|---|", *form_rows(), sep="\n")

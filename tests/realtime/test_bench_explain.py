@@ -1,6 +1,8 @@
 """The measures of `bench explain` and `score`: what counts as right, on answers written by hand; sets without truth."""
 
 import json
+import subprocess
+import sys
 from itertools import count
 from pathlib import Path
 
@@ -104,6 +106,16 @@ def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benc
     assert found["cause not in the library: given a name"] == (0, 1)
     assert found["cause not in the library: told as a remainder"] == (0, 1)
     assert "refused" in lines[0]
+
+
+def test_an_error_while_answers_are_kept_ends_the_work_on_the_others() -> None:
+    program = """if __name__ == "__main__":
+        import time
+        from rollerrig.realtime.benchmarks.sealed import work
+        for _ in work.all_of(time.sleep, [0.5] * 1000):
+            raise OSError("no space is left")"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100.0, check=False)
+    assert "no space is left" in ended.stderr
 
 
 def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gains_do_not_count(tmp_path: Path) -> None:

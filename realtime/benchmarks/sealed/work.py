@@ -10,7 +10,7 @@ from rollerrig.configs import children
 
 
 def all_of(one: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
-    """one(job) of all jobs as they end; an interruption leaves at once."""
+    """one(job) of all jobs as they end; an interruption, or an error of who asks, leaves at once."""
     own, cores = sorted(os.sched_getaffinity(0)), multiprocessing.get_context("spawn").Queue()
     for core in own:
         cores.put(core)
@@ -20,7 +20,10 @@ def all_of(one: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
             for future in as_completed(futures):
                 yield future.result()
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            # not by `cancel_futures`: a pool that is gone before its thread looks has cancelled nothing
+            for future in futures:
+                future.cancel()
+            pool.shutdown(wait=False)
 
 
 def _keep_to(cores: Any) -> None:

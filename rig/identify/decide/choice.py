@@ -195,7 +195,7 @@ def parted(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
         return True
     difference = (other.blocks - best.blocks).sum(axis=0)
     spread = float(difference.std(ddof=1) * np.sqrt(difference.size))
-    return ratio - less >= max(1.64 * spread, 4.0)
+    return bool(ratio - less >= max(1.64 * spread, 4.0))
 
 
 def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause],
