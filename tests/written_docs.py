@@ -126,7 +126,7 @@ TABLES = {
     "sequences.md": {"| of the harness | what |": harness},
     "explain.md": {"| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
                    "| measure | first | second | third | wanted |": rates,
-                   thresholds.HEAD: thresholds.rows},
+                   thresholds.HEAD: thresholds.rows, thresholds.FORM_HEAD: thresholds.form_rows},
 }
 
 
