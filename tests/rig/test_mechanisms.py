@@ -29,7 +29,7 @@ ROUGHLY = {"rail_cleaning": (0.75, 0.3), "torque_offset": (0.85, 0.25)}
 SIZE = {"adhesion_memory": 2.0}  # the step of its derivative; of the others a thousandth of the upper bound
 SHARE = 1e-3
 ACCURACY = {"speed_m_s": 0.01, "wheel_speed_rad_s": 0.02, "torque_fraction": 0.005, "load_fraction": 0.01,
-            "calibration_fraction": 0.003}
+            "calibration_fraction": 0.003, "form_fraction": 0.0}
 CAUSES = [(row, shape, axle) for row in table.TABLE if row.name != "empirical"
           for shape in (row.shapes or (WINDOWS[row.name], WINDOWS[row.name] | table.ALONE)) for axle in row.axles[:2]]
 ROWS = [cause for cause in CAUSES if cause[0].mechanism in IN_PLANT]

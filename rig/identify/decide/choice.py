@@ -209,11 +209,15 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
     remainder: list[evidence.Finding] = []
     for turn in range(MOST_CAUSES):
         known = tuple(named.finding.name for named in causes)
-        likely = [cause for cause in evidence.likely(design, tuning.normal(design, explanation)[0], MOST_BESIDE)
-                  if table.OF[cause.name].edge_step and cause.name not in known and turn + 1 < MOST_CAUSES]
+        windows = [cause for cause in evidence.likely(design, tuning.normal(design, explanation)[0], MOST_BESIDE)
+                   if table.OF[cause.name].edge_step and cause.name not in known and turn + 1 < MOST_CAUSES]
         try:
-            quiet, _ = quieted(setting, explanation, likely)
-            found, *_ = null_sets.judged(setting, quiet, CHECK_SETS, seed + 7 + turn, known)
+            found, *_ = null_sets.judged(setting, explanation, CHECK_SETS, seed + 7 + turn, known)
+            if windows:  # the remainder is judged on the rail as it was fitted
+                quiet, _ = quieted(setting, explanation, windows)
+                again, *_ = null_sets.judged(setting, quiet, CHECK_SETS, seed + 7 + turn, known)
+                sought = {cause.name for cause in windows}
+                found = [f for f in found if f.name not in sought] + [f for f in again if f.name in sought]
         except ConfigError:
             return explanation, causes, None
         value = tuning.deviance(design, explanation)
