@@ -54,6 +54,13 @@ def constructor(structure: Any, arguments: str, fields: Iterable[str], counted: 
     return _njit(nogil=True, _nrt=counted, forceinline=True)(space["made"])
 
 
+def writer(arguments: str, places: Sequence[str]) -> Any:
+    """A kernel that writes a tuple, the last argument, one entry a place."""
+    space: dict[str, Any] = {}
+    exec(f"def made({arguments}, given):\n    {', '.join(places)} = given", space)
+    return _njit(nogil=True, _nrt=False, forceinline=True)(space["made"])
+
+
 def again(formula: Any, **names: Any) -> Any:
     """The same kernel once more, inlined, with other things under some names that it uses; compiled with its caller."""
     plain = getattr(formula, "py_func", formula)  # itself where numba is told to compile nothing

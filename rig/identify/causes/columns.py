@@ -163,7 +163,7 @@ def write(design: Design, inputs: Inputs, causes: Sequence[candidates.Cause] = (
     places = _windows(w) if search else []
     if search:
         for cause in causes:
-            _by_run(w, cause, constants)
+            _in_size(w, cause, constants)
         _smooth_functions(w, any(table.OF[cause.name].phase for cause in causes))
     course, acts = (np.array(part) for part in zip(*w.uses, strict=True))
     # courses that are not written: of the windows, bins of one change, and of memory, answers of the whole filter
@@ -273,15 +273,23 @@ def _windows(w: _Writer) -> list[tuple[list[list[int]], np.ndarray]]:
     return [([at_place], place), (at_time, time)]
 
 
-def _by_run(w: _Writer, cause: candidates.Cause, constants: list[tuple[Search, Shape]]) -> None:
-    """What makes a cause another one in each run: a mechanism has one size in all."""
+def _in_size(w: _Writer, cause: candidates.Cause, constants: list[tuple[Search, Shape]]) -> None:
+    """What makes a cause another one in each run, or as time goes on: a mechanism has one size."""
     d, row = w.design, table.OF[cause.name]
-    only = [{on.size: on for on in (of_run(d, run), of_vehicle(d, of_run(d, run)))} for run in range(1, d.mass_kg.size)]
-    known = only and not row.phase and row.name != "adhesion_memory"
-    for wheel, felt in _parts(w, row, cause.shape, constants) if known else ():
-        w.variants_of(f"along the runs in the size of {cause.name}", [
-            (wheel if wheel is None else wheel * on[wheel.size], felt if felt is None else felt * on[felt.size])
-            for on in only], {}, (cause.axle,))
+    if row.phase or row.name == "adhesion_memory":
+        return
+    of_runs = [of_run(d, run) for run in range(1, d.mass_kg.size)]
+    changes = {"the runs": of_runs} if of_runs else {}
+    if row.name in _OWN:  # of what else acts on wheels or vehicle the smooth functions of time tell
+        changes["time"] = [d.time_s / d.time_s.mean() - 1.0]
+    for along, courses_of_size in changes.items():
+        for wheel, felt in _parts(w, row, cause.shape, constants):
+            w.variants_of(f"along {along} in the size of {cause.name}", [
+                (_times(d, wheel, of), _times(d, felt, of)) for of in courses_of_size], {}, (cause.axle,))
+
+
+def _times(d: Design, part: np.ndarray | None, of: np.ndarray) -> np.ndarray | None:
+    return part if part is None else part * (of if part.size == of.size else of_vehicle(d, of))
 
 
 # along which smooth functions are tried, as the replay or the measurement has it

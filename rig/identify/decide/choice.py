@@ -14,7 +14,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
-from rollerrig.rig.identify.data.preparation import Design, prepare
+from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
 from rollerrig.rig.identify.filter import sensitivity
@@ -74,9 +74,8 @@ class Candidate(NamedTuple):
     fit: Fitted
 
 
-def fit_one(data: Dataset, measured: list[Run], explanation: Explanation) -> Fitted:
-    """Fit an explanation to measured runs; its deviance by blocks of 3 s."""
-    design = prepare(data, measured)
+def fit_one(data: Dataset, measured: list[Run], design: Design, explanation: Explanation) -> Fitted:
+    """Fit an explanation to a design; its deviance by blocks of 3 s."""
     found = tuning.fit(design, explanation, 6)
     if explanation.causes and explanation.causes[-1].name == tuning.MEMORY:
         found = min(found, tuning.fit(design, shapes.remembered(design, found[0]), 9), key=lambda fit: fit[1])

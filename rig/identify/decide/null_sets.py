@@ -35,8 +35,8 @@ class Setting(NamedTuple):
     progress: Progress
 
     def run_all(self, work: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], title: str) -> list[Any]:
-        """work(data, measured, *task) for all tasks, in order, with progress."""
-        futures = [self.pool.submit(work, self.data, self.measured, *task) for task in tasks]
+        """work(data, measured, design, *task) for all tasks, in order, with progress."""
+        futures = [self.pool.submit(work, *self[:3], *task) for task in tasks]
         found = []
         for future in futures:
             found.append(future.result())
@@ -70,9 +70,9 @@ def workers() -> Executor:
     return children.pool(min(cores, 8), threadpool_limits, 1) if cores > 1 else _Here()
 
 
-def one(data: Dataset, measured: list[Run], explanation: Explanation, seed: int, known: Sequence[str]) -> Scores | None:
+def one(data: Dataset, measured: list[Run], design: Design, explanation: Explanation, seed: int, known: Sequence[str]
+        ) -> Scores | None:
     """Simulate, prepare, score one set; None where its wheels got out of hand."""
-    design = prepare(data, measured)
     made = simulate.runs(data, design, measured, explanation, np.random.default_rng(seed))
     found, linear, _ = tuning.normal(prepare(data, made, design), explanation)
     finite = np.all(np.isfinite(found.A)) and np.all(np.isfinite(found.b))

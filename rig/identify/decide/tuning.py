@@ -149,8 +149,10 @@ def _by_differences(design: Design, explanation: Explanation, matrix: Sensitivit
                 values = (*cause.values[:k], cause.values[k] + step, *cause.values[k + 1:])
                 if matrix.course[c] >= 0 and (not search or cause.name == MEMORY):
                     moves[matrix.course[c]] = explanation.with_cause(at, cause._replace(values=values)), step
-    return {course: (sensitivity.replay_wheels(design, inputs(design, moved))[0] - linear.nu) / step
-            for course, (moved, step) in moves.items()}
+    if not moves:
+        return {}
+    found = sensitivity.replays(design, [inputs(design, moved) for moved, _ in moves.values()])
+    return {course: (nu - linear.nu) / step for (course, (_, step)), (nu, *_) in zip(moves.items(), found, strict=True)}
 
 
 def _priors(design: Design, explanation: Explanation, matrix: SensitivityMatrix, A: np.ndarray, b: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""The replay of the four wheelsets of a run at once, side by side in the processor's vectors.
+"""The replay of the wheelsets of two runs at once, side by side in the processor's vectors.
 
 A loop is only put into vectors where it calls nothing, so exp, log and atan are written out, without branches that
 have to be taken; the filter of `replay` and the law of adhesion are the same sources, compiled once more with these.
@@ -18,8 +18,8 @@ import numpy as np
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.contact import adhesion, polach
 from rollerrig.rig.identify.data.parameters import PARAMETERS
-from rollerrig.rig.identify.filter import replay
-from rollerrig.rig.kernel import again, constructor, kernel, kernel_inlined
+from rollerrig.rig.identify.filter import memory_replay, replay
+from rollerrig.rig.kernel import again, constructor, kernel, kernel_inlined, writer
 
 _SHIFT, _BIAS = 4503599627370496.0, 1023.0  # 2^52: its mantissa holds an integer; that of the exponent
 _HALF_PI_REST = 6.123233995736766e-17
@@ -82,6 +82,30 @@ def atan(x):
 
 
 @kernel_inlined
+def power(x, y):
+    """x^y for 0 < x."""
+    return exp(y * log(x))
+
+
+@kernel_inlined
+def sin(x):
+    """Sine of less than a quarter turn; of more no number."""
+    z = x * x
+    rest = z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (-1.0 / 39916800.0 + z * (
+        1.0 / 6227020800.0 + z * (-1.0 / 1307674368000.0 + z / 355687428096000.0)))))))
+    return x + x * rest if z < 2.5 else math.nan
+
+
+@kernel_inlined
+def cos(x):
+    """Cosine of less than a quarter turn; of more no number."""
+    z = x * x
+    rest = z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40320.0 + z * (-1.0 / 3628800.0 + z * (
+        1.0 / 479001600.0 + z * (-1.0 / 87178291200.0 + z / 20922789888000.0)))))))
+    return 1.0 + rest if z < 2.5 else math.nan
+
+
+@kernel_inlined
 def _one(*_):
     return 1.0
 
@@ -97,21 +121,25 @@ def _module(like: Any, **names: Any) -> Any:
     return made
 
 
-MATH = _module(math, exp=exp, expm1=expm1, log=log, atan=atan)
+MATH = _module(math, exp=exp, expm1=expm1, log=log, atan=atan, pow=power, sin=sin, cos=cos)
 _polach = _module(polach, curve=again(polach.curve, shape=again(polach.shape, math=MATH),
                                       friction=again(polach.friction, math=MATH)))
 _recovery = again(adhesion.recovery, math=MATH, lambert_w0=_none)
 _adhesion = _module(adhesion, curves=again(adhesion.curves, math=MATH, polach=_polach),
                     f_and_lambda=again(adhesion.f_and_lambda, math=MATH, recovery=_recovery))
-_wheel_adhesion = again(replay.wheel_adhesion, adhesion=_adhesion,
-                        curves=again(replay.curves, math=MATH, adhesion=_adhesion))
+_curves = again(replay.curves, math=MATH, adhesion=_adhesion)
+_wheel_adhesion = again(replay.wheel_adhesion, adhesion=_adhesion, curves=_curves)
 REPLAY = _module(replay, wheel_adhesion=_wheel_adhesion, closes=_one)
-_moved = again(replay.moved, math=MATH, wheel_adhesion=_wheel_adhesion, closes=_one)
+_law_lagging = _module(adhesion, f_and_lambda=_adhesion.f_and_lambda,
+                       lag_rate_1_s=again(adhesion.lag_rate_1_s, math=MATH))
+_step_of = again(memory_replay.step_of, math=MATH)
 _Row = NamedTuple("_Row", [(f"p{k}", float) for k in range(PARAMETERS)])
-# cells: five of the state, what is measured, the inputs, what is told, the parameters; four lanes each
-_STATE, _MEASURED, _INPUT, _TOLD, _PARAMETERS = 0, 20, 24, 44, 52
-CELLS = _PARAMETERS + AXLES * PARAMETERS
-row = constructor(_Row, "cells, j", [f"cells[{_PARAMETERS + AXLES * k} + j]" for k in range(PARAMETERS)])
+LANES = 2 * AXLES
+# cells: the state, what is measured, the inputs, what is told, the parameters; LANES of each
+_MEASURED = len(memory_replay.State._fields) * LANES
+_INPUT, _TOLD, _PARAMETERS = _MEASURED + LANES, _MEASURED + 6 * LANES, _MEASURED + 8 * LANES
+CELLS = _PARAMETERS + LANES * PARAMETERS
+row = constructor(_Row, "cells, j", [f"cells[{_PARAMETERS + LANES * k} + j]" for k in range(PARAMETERS)])
 
 told = constructor(_Row, "p", [f"p[{k}]" for k in range(PARAMETERS)])
 _WIDE = 16
@@ -138,46 +166,81 @@ def along(sliding, speed, load, friction, p, cells, out):
 
 @kernel_inlined
 def tell(parameters, cells):
-    """Writes the rows of four wheelsets where `row` looks for them."""
+    """Writes the rows of wheelsets where `row` looks for them."""
     for i in range(PARAMETERS):
+        for j in range(len(parameters)):
+            cells[_PARAMETERS + LANES * i + j] = parameters[j, i]
+
+
+@kernel_inlined
+def _between(start, inputs, k, w, first, cells):
+    """What four wheelsets are given a share `w` of the way from a sample to the next."""
+    length = start[1] - start[0]
+    here, then = min(k, length - 1), min(k + 1, length - 1)
+    for q in range(5):
         for j in range(AXLES):
-            cells[_PARAMETERS + AXLES * i + j] = parameters[j, i]
+            cells[_INPUT + LANES * q + first + j] = ((1.0 - w) * inputs[q, start[j] + here]
+                                                     + w * inputs[q, start[j] + then])
 
 
-@kernel
-def replay_run(start, measured, inputs, parameters, step_s, cells, out):
-    """Innovations of the wheelsets of a run: `inputs` (5, n) speed, load, torque, two frictions; `out` (3, n).
+@kernel_inlined
+def _written(start, k, first, cells, out):
+    """Writes what is told of four wheelsets, up to the end of their run."""
+    if k < start[1] - start[0]:
+        for j in range(AXLES):
+            at, lane = start[j] + k, first + j
+            out[0, at], out[1, at], out[2, at] = cells[_TOLD + lane], cells[_TOLD + LANES + lane], cells[LANES + lane]
 
-    `start` is where the four begin in the flat arrays, and where the last ends; `parameters` (4, PARAMETERS).
-    """
+
+@kernel_inlined
+def _runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
     # all that a loop touches stands in `cells`, at known places: so it needs no check that nothing overlaps
     tell(parameters, cells)
     for j in range(AXLES):
-        p = parameters[j]
-        cells[j], cells[4 + j], cells[12 + j] = measured[start[j]], 0.0, 0.0
-        cells[8 + j], cells[16 + j] = p[17] * p[17], p[15] * p[15]
-    n = start[1] - start[0]
-    for k in range(n):
-        for j in range(AXLES):
-            cells[_MEASURED + j] = measured[start[j] + k]
-        for j in range(AXLES):
-            told = replay.corrected(cells[_MEASURED + j], cells[j], cells[4 + j], cells[8 + j], cells[12 + j],
-                                    cells[16 + j], row(cells, j)[17] * row(cells, j)[17])
-            (cells[_TOLD + j], cells[_TOLD + 4 + j], cells[j], cells[4 + j], cells[8 + j], cells[12 + j],
-             cells[16 + j]) = told
-        for j in range(AXLES):
-            at = start[j] + k
-            out[0, at], out[1, at], out[2, at] = cells[_TOLD + j], cells[_TOLD + 4 + j], cells[4 + j]
-        if k + 1 == n:
+        give(cells, j, begun(measured[start[j]], row(cells, j)))
+        give(cells, AXLES + j, begun(measured[other[j]], row(cells, AXLES + j)))
+    n, m = start[1] - start[0], other[1] - other[0]
+    for k in range(max(n, m)):
+        for j in range(AXLES):  # a run that has ended stays at its last sample
+            cells[_MEASURED + j] = measured[start[j] + min(k, n - 1)]
+            cells[_MEASURED + AXLES + j] = measured[other[j] + min(k, m - 1)]
+        for j in range(LANES):
+            nu, S, state = corrected(cells[_MEASURED + j], taken(cells, j), row(cells, j))
+            cells[_TOLD + j], cells[_TOLD + LANES + j] = nu, S
+            give(cells, j, state)
+        _written(start, k, 0, cells, out)
+        _written(other, k, AXLES, cells, out_other)
+        if k + 1 == max(n, m):
             break
         for i in range(replay.SUBSTEPS):
             w = (i + 0.5) / replay.SUBSTEPS
-            for q in range(5):
-                for j in range(AXLES):
-                    at = start[j] + k
-                    cells[_INPUT + AXLES * q + j] = (1.0 - w) * inputs[q, at] + w * inputs[q, at + 1]
-            for j in range(AXLES):
-                state = _moved(cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], 0.0,
-                               cells[_INPUT + j], cells[_INPUT + 4 + j], cells[_INPUT + 8 + j],
-                               cells[_INPUT + 12 + j], cells[_INPUT + 16 + j], row(cells, j), step_s)
-                cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], _ = state
+            _between(start, inputs, k, w, 0, cells)
+            _between(other, others, k, w, AXLES, cells)
+            for j in range(LANES):
+                give(cells, j, moved(taken(cells, j), cells[_INPUT + j], cells[_INPUT + LANES + j],
+                                     cells[_INPUT + 2 * LANES + j], cells[_INPUT + 3 * LANES + j],
+                                     cells[_INPUT + 4 * LANES + j], row(cells, j), step_s))
+
+
+def _in_lanes(filter_: Any, **names: Any) -> Any:
+    """The loop over two runs for a filter of wheels, with its kernels that call nothing."""
+    fields = [f"cells[{LANES * k} + j]" for k in range(len(filter_.State._fields))]
+    return again(_runs, begun=filter_.begun, corrected=filter_.corrected, moved=again(filter_.moved, math=MATH, **names),
+                 taken=constructor(filter_.State, "cells, j", fields), give=writer("cells, j", fields))
+
+
+_prompt = _in_lanes(replay, wheel_adhesion=_wheel_adhesion)
+_lagging = _in_lanes(memory_replay, adhesion=_law_lagging, step_of=_step_of, replay=_module(replay, curves=_curves))
+
+
+@kernel
+def replay_runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
+    """Innovations of the wheelsets of two runs, or of one twice: `inputs` (5, n) speed, load, torque, two frictions.
+
+    `start` and `other` (5,) are where the four of a run begin in the flat arrays, and where the last ends; `parameters`
+    (LANES, PARAMETERS), those of both with a memory or of none; `out` (3, n) as `replay_wheel` writes them.
+    """
+    if parameters[0, 14] > 0.0:
+        _lagging(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)
+    else:
+        _prompt(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)

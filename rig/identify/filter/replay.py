@@ -17,6 +17,7 @@ Limits: first-order filter; two substeps a sample keep its bias below the noise.
 """
 
 import math
+from typing import NamedTuple
 
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.kernel import kernel, kernel_inlined
@@ -62,22 +63,45 @@ def along(sliding, speed, load, friction, p, step_s, late, follow, out):
             late[k + 1] = done
 
 
-@kernel_inlined
-def corrected(measured, omega, m, p00, p01, p11, noise):
-    """(innovation, its variance, omega, m, p00, p01, p11) after a sample; `noise` the variance of the sensor."""
-    innovation, S = measured - omega, p00 + noise
-    most = 6.0 * math.sqrt(S)  # an outlier moves the state no further than this
-    taken = math.copysign(most, innovation) if abs(innovation) > most else innovation
-    g0, g1 = p00 / S, p01 / S
-    return (innovation, S, omega + g0 * taken, m + g1 * taken, p00 * (1.0 - g0), p01 * (1.0 - g0), p11 - g1 * p01)
+class State(NamedTuple):
+    """The filter of a wheel: its speed in rad/s, the irregularity m, their covariances."""
+
+    omega: float
+    m: float
+    p00: float
+    p01: float
+    p11: float
 
 
 @kernel_inlined
-def moved(omega, m, p00, p01, p11, late, v, N, C, degraded, recovered, p, step_s):
-    """(omega, m, p00, p01, p11, lambda) after a substep of a sample."""
+def begun(measured, p):
+    """The filter before the first sample."""
+    return State(measured, 0.0, p[17] * p[17], 0.0, p[15] * p[15])
+
+
+@kernel_inlined
+def bounded(innovation, S):
+    """An innovation of which an outlier moves the state no further than six deviations."""
+    most = 6.0 * math.sqrt(S)
+    return math.copysign(most, innovation) if abs(innovation) > most else innovation
+
+
+@kernel_inlined
+def corrected(measured, state, p):
+    """(innovation, its variance, the filter) after a sample."""
+    omega, m, p00, p01, p11 = state
+    innovation, S = measured - omega, p00 + p[17] * p[17]
+    taken, g0, g1 = bounded(innovation, S), p00 / S, p01 / S
+    return innovation, S, State(omega + g0 * taken, m + g1 * taken, p00 * (1.0 - g0), p01 * (1.0 - g0), p11 - g1 * p01)
+
+
+@kernel_inlined
+def moved(state, v, N, C, degraded, recovered, p, step_s):
+    """The filter after a substep of a sample."""
+    omega, m, p00, p01, p11 = state
     r, inertia, h = p[0], p[1], step_s / SUBSTEPS
     q_omega = (step_s * p[18] / inertia) ** 2
-    f, rise, late = wheel_adhesion(v - r * omega, v, 0.5 * N, degraded, recovered, p, late, closes(v, h, p))
+    f, rise, _ = wheel_adhesion(v - r * omega, v, 0.5 * N, degraded, recovered, p, 0.0, 1.0)
     field = math.exp(m)
     drive = r * N * f * field
     a = -r * r * N * rise * field / inertia
@@ -95,19 +119,17 @@ def moved(omega, m, p00, p01, p11, late, v, N, C, degraded, recovered, p, step_s
     n01 = keep * (growth * p01 + b * p11)
     # noise of m acts while it comes up: [R5]
     q = p[15] * p[15] * (1.0 - keep * keep)
-    return (omega, m * keep, n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS, n01 + 0.5 * b * q,
-            keep * keep * p11 + q, late)
+    return State(omega, m * keep, n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS, n01 + 0.5 * b * q,
+                 keep * keep * p11 + q)
 
 
 @kernel
-def replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, variance, state):
-    """Innovations of one wheel [R1]: writes nu and variance, shape (n,), and filtered m in `state`."""
-    noise = p[17] * p[17]
-    omega, m, late = measured[0], 0.0, 0.0
-    p00, p01, p11 = noise, 0.0, p[15] * p[15]
+def replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, variance, field):
+    """Innovations of one wheel [R1]: writes nu and variance, shape (n,), and filtered m in `field`."""
+    state = begun(measured[0], p)
     for k in range(measured.size):
-        nu[k], variance[k], omega, m, p00, p01, p11 = corrected(measured[k], omega, m, p00, p01, p11, noise)
-        state[k] = m
+        nu[k], variance[k], state = corrected(measured[k], state, p)
+        field[k] = state.m
         if k + 1 == measured.size:
             break
         for i in range(SUBSTEPS):
@@ -117,8 +139,7 @@ def replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, varianc
             C = (1.0 - w) * torque[k] + w * torque[k + 1]
             degraded = (1.0 - w) * friction[0, k] + w * friction[0, k + 1]
             recovered = (1.0 - w) * friction[1, k] + w * friction[1, k + 1]
-            omega, m, p00, p01, p11, late = moved(omega, m, p00, p01, p11, late, v, N, C, degraded, recovered, p,
-                                                  step_s)
+            state = moved(state, v, N, C, degraded, recovered, p, step_s)
 
 
 @kernel

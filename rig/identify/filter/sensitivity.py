@@ -9,6 +9,7 @@ hundreds of possible causes costs little more than one replay.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -174,18 +175,25 @@ def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
 
 def replay_wheels(design: Design, i: Inputs) -> np.ndarray:
     """(nu, variance, filtered m) of all wheels, shape (3, n)."""
-    given = np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction])
-    out, cells = np.empty((3, design.measured_rad_s.size)), np.empty(lanes.CELLS)
-    for run in range(design.mass_kg.size):
-        own = slice(run * AXLES, (run + 1) * AXLES)
-        start, p = design.start[run * AXLES:(run + 1) * AXLES + 1], i.parameters[own]
-        at = slice(int(start[0]), int(start[-1]))
-        if not np.any(p[:, parameters.MEMORY] > 0.0):
-            lanes.replay_run(start, design.measured_rad_s, given, p, design.step_s, cells, out)
-            if np.all(np.isfinite(out[0, at])):
-                continue
-        memory_replay.replay_wheels(start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction,
-                                    p, design.step_s, *out)
+    return replays(design, [i])[0]
+
+
+def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
+    """The replays of all wheels under several inputs, all with a memory or none, shape (inputs, 3, n)."""
+    given = [np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction]) for i in several]
+    out, cells = np.empty((len(several), 3, design.measured_rad_s.size)), np.empty(lanes.CELLS)
+    starts = [design.start[run * AXLES:(run + 1) * AXLES + 1] for run in range(design.mass_kg.size)]
+    own = [[i.parameters[run * AXLES:(run + 1) * AXLES] for run in range(len(starts))] for i in several]
+    # two at once, the longest first: a pair takes as long as the longer one
+    jobs = sorted(np.ndindex(len(several), len(starts)), key=lambda job: int(starts[job[1]][0] - starts[job[1]][1]))
+    for (k, run), (m, other) in zip(jobs[::2], jobs[1::2] + jobs[-1:] * (len(jobs) % 2), strict=True):
+        lanes.replay_runs(starts[run], starts[other], design.measured_rad_s, given[k], given[m],
+                          np.concatenate([own[k][run], own[m][other]]), design.step_s, cells, out[k], out[m])
+    for k, run in jobs:
+        if not np.all(np.isfinite(out[k, 0, int(starts[run][0]):int(starts[run][-1])])):
+            i = several[k]
+            memory_replay.replay_wheels(starts[run], design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s,
+                                        i.friction, own[k][run], design.step_s, *out[k])
     return out
 
 
