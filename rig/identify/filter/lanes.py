@@ -91,8 +91,8 @@ def power(x, y):
 def sin(x):
     """Sine of less than a quarter turn; of more no number."""
     z = x * x
-    rest = z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (-1.0 / 39916800.0 + z * (
-        1.0 / 6227020800.0 + z * (-1.0 / 1307674368000.0 + z / 355687428096000.0)))))))
+    rest = z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (
+        -1.0 / 39916800.0 + z * (1.0 / 6227020800.0 + z * (-1.0 / 1307674368000.0 + z / 355687428096000.0)))))))
     return x + x * rest if z < 2.5 else math.nan
 
 
@@ -172,6 +172,17 @@ def tell(parameters, cells):
             cells[_PARAMETERS + LANES * i + j] = parameters[j, i]
 
 
+def _kept(state: Any) -> dict[str, Any]:
+    """Kernels that take the state of a filter from the cells of a lane, and give it there."""
+    fields = [f"cells[{LANES * k} + j]" for k in range(len(state._fields))]
+    return {"taken": constructor(state, "cells, j", fields), "give": writer("cells, j", fields)}
+
+
+begun, corrected = replay.begun, replay.corrected
+moved = again(replay.moved, math=MATH, wheel_adhesion=_wheel_adhesion)
+taken, give = _kept(replay.State).values()
+
+
 @kernel_inlined
 def _between(start, inputs, k, w, first, cells):
     """What four wheelsets are given a share `w` of the way from a sample to the next."""
@@ -194,7 +205,7 @@ def _written(start, k, first, cells, out):
 
 @kernel_inlined
 def _runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
-    # all that a loop touches stands in `cells`, at known places: so it needs no check that nothing overlaps
+    # without a memory; all that a loop touches stands in `cells`, at known places: no check that nothing overlaps
     tell(parameters, cells)
     for j in range(AXLES):
         give(cells, j, begun(measured[start[j]], row(cells, j)))
@@ -222,15 +233,9 @@ def _runs(start, other, measured, inputs, others, parameters, step_s, cells, out
                                      cells[_INPUT + 4 * LANES + j], row(cells, j), step_s))
 
 
-def _in_lanes(filter_: Any, **names: Any) -> Any:
-    """The loop over two runs for a filter of wheels, with its kernels that call nothing."""
-    fields = [f"cells[{LANES * k} + j]" for k in range(len(filter_.State._fields))]
-    return again(_runs, begun=filter_.begun, corrected=filter_.corrected, moved=again(filter_.moved, math=MATH, **names),
-                 taken=constructor(filter_.State, "cells, j", fields), give=writer("cells, j", fields))
-
-
-_prompt = _in_lanes(replay, wheel_adhesion=_wheel_adhesion)
-_lagging = _in_lanes(memory_replay, adhesion=_law_lagging, step_of=_step_of, replay=_module(replay, curves=_curves))
+_lagging = again(_runs, begun=memory_replay.begun, corrected=memory_replay.corrected, moved=again(
+    memory_replay.moved, math=MATH, adhesion=_law_lagging, step_of=_step_of, replay=_module(replay, curves=_curves)),
+                 **_kept(memory_replay.State))
 
 
 @kernel
@@ -243,4 +248,4 @@ def replay_runs(start, other, measured, inputs, others, parameters, step_s, cell
     if parameters[0, 14] > 0.0:
         _lagging(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)
     else:
-        _prompt(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)
+        _runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)
