@@ -60,7 +60,7 @@ OUTSIDE = {
 BY_COMPUTED_NAME = {"realtime/verbs/bench", "realtime/campaign/campaign", "realtime/benchmarks/sealed/cases",
                     "realtime/cli"}
 # 27,908 lines held all that there was when the rooms were done; what a bench has learned since comes on top
-MODULES, LINES, ALL_LINES = 14, 400, 38_700
+MODULES, LINES, ALL_LINES = 14, 400, 38_850
 # the folder that is the package `rollerrig` itself: what a notebook imports
 DOOR = {"realtime/api": "rollerrig"}
 # what does not hold yet; the mark goes when it does (a strict xfail that passes fails)

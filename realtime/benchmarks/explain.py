@@ -24,7 +24,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     if given.export:
         return {"rows": [], "title": f"sets in {folder / cases.SETS}, key: {folder / cases.KEY}", "notes": [
             f"judge answers with: rollerrig score {folder} ANSWERS"]}
-    found = judge(folder, answers.answer(folder, given.tool, say))
+    found = judge(folder, answers.answer(folder, given.tool, say, given.alone))
     return found | {"notes": [*found["notes"], f"sets, key and answers: {folder}"]}
 
 

@@ -48,6 +48,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         "go on or to grow (default: reports/bench_explain_GENERATOR_SEED, reports/bench_discover_SEED)")
     parser.add_argument("--generator", choices=("first", "second", "third"), default="first",
                         help="explain: whose sets, by one author, by another, or in MuJoCo (default: first)")
+    parser.add_argument("--alone", action="store_true", help="explain: one set after another, each on all cores, as "
+                        "rollerrig explain does: for its time (default: one set a core)")
     parser.add_argument("--seed", type=int, default=0, help="seed of whatever is random (default: 0)")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
                         help="loop, hunting: change one value of the scenario, as in loop.priority=0")

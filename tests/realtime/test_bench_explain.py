@@ -90,6 +90,20 @@ def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidde
     assert found["95 % intervals hold the truth"] == (1, 1)
 
 
+def test_a_gain_and_a_time_in_short_count_as_those_of_a_whole_report(tmp_path: Path) -> None:
+    errors = {"base_error": {"adhesion_rmse": 4.0, "free_running_speed_rmse_m_s": 2.0},
+              "least_error": {"adhesion_rmse": 2.0, "free_running_speed_rmse_m_s": 1.9}}
+    whole = answer("explained", ("sanding",), elapsed_s=30.0,
+                   gain={"metric": "adhesion_rmse", "reduction": 0.4, "claimed": True})
+    short = answer("explained", ("sanding",), heldout_gain=0.4, seconds=30.0)
+    none = answer("explained", ("sanding",), heldout_gain=None, seconds=30.0)
+    for given, of in ((whole, 1), (short, 1), (none, 0)):
+        rows = judged(tmp_path, (entry("one", {"sanding": 0.1}, **errors), given))
+        gain = rows["gain on runs never fitted, share of the possible: median, quartiles"]
+        assert (gain["of"], gain["share"]) == (of, pytest.approx(0.8) if of else None)
+        assert counts(rows)["within 20 s"] == (0, 1)
+
+
 def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benchmark_goes_on(tmp_path: Path) -> None:
     make, lines = cases.generator(cases.GENERATORS["first"]), []
     make.make(tmp_path / "sets" / "set_0001", {}, 3)

@@ -2,8 +2,9 @@
 
 An answer to a set is what report.json of `rollerrig explain` holds, or less: `verdict` (consistent, explained,
 partly, unexplained, or refused: no data to conclude from), `causes` (each with `name`, `confusable_with` and
-`parameters`, of these `ci95`), `gain` (`metric`, `reduction`, `claimed`) and `elapsed_s`. Answers stand in a table by
-set, in one file, or each in a file of its own, SET.json, in a folder.
+`parameters`, of these `ci95`), `gain` (`metric`, `reduction`, `claimed`) and `elapsed_s`; or, in short, `heldout_gain`
+(the reduction, null: not claimed) and `seconds`. Answers stand in a table by set, in one file, or each in a file of its
+own, SET.json, in a folder.
 """
 
 import json
@@ -24,14 +25,15 @@ VERDICTS = ("consistent", *FOUND, "refused")
 Answer = dict[str, Any]
 
 
-def answer(folder: Path, tool: str, say: Callable[[str], None]) -> Path:
-    """Answer all sets with one of our tools, those that have no answer yet; returns the folder of the answers."""
+def answer(folder: Path, tool: str, say: Callable[[str], None], alone: bool = False) -> Path:
+    """Answer all sets with one of our tools, those that have no answer yet (one a core, or each `alone` on all);
+    returns the folder of the answers."""
     out = folder / ANSWERS / tool
     with writing(out, "give another folder"):
         out.mkdir(parents=True, exist_ok=True)
     names = sorted(path.parent.name for path in (folder / SETS).glob("*/dataset.toml"))
     left = [name for name in names if not (out / f"{name}.json").exists()]
-    for done, (name, found) in enumerate(work.all_of(partial(_one, folder / SETS, tool), left), start=1):
+    for done, (name, found) in enumerate(work.all_of(partial(_one, folder / SETS, tool), left, alone), start=1):
         part = out / f"{name}.part"
         with writing(part, "free some space"):
             part.write_text(json.dumps(found), encoding="utf-8")
@@ -69,10 +71,12 @@ def _checked(where: str, given: Any) -> Answer:
         for name, value in values.items():
             if not (isinstance(value, dict) and _is_interval(value.get("ci95"))):
                 raise ConfigError(f"{where}, {cause['name']}: {name} needs ci95 = [low, high]")
-    won = given.get("gain") or {}
+    won, short = given.get("gain") or {}, given.get("heldout_gain")
+    if short is not None and not won:
+        won = {"reduction": short, "claimed": True}
     if not isinstance(won, dict) or (won.get("claimed") and not isinstance(won.get("reduction"), int | float)):
         raise ConfigError(f"{where}: gain is a table; where it is claimed it has a reduction (a share, as 0.2)")
-    seconds = given.get("elapsed_s")
+    seconds = given.get("elapsed_s", given.get("seconds"))
     return {"verdict": given["verdict"], "gain": won,
             "elapsed_s": seconds if isinstance(seconds, int | float) else None, "causes": [
                 {"name": c["name"], "confusable_with": list(map(str, c.get("confusable_with") or [])),

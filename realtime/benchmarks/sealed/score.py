@@ -52,12 +52,13 @@ def _judged(name: str, truth: dict[str, Any], answer: Answer) -> Judged:
             interval = cause["parameters"].get(meant[0])
             covered = None if interval is None else bool(interval["ci95"][0] <= meant[1] <= interval["ci95"][1])
     won = answer["gain"] if answer["gain"].get("claimed") else None
-    metric = won.get("metric") if won else None
+    possible = {metric: 1.0 - truth["least_error"][metric] / error for metric, error in truth["base_error"].items()}
     return Judged(name, truth["kind"], truth["effects"], answer["verdict"],
                   [{c["name"], *c["confusable_with"]} for c in answer["causes"]],
                   answer["causes"][0]["name"] if answer["causes"] else "", covered, won["reduction"] if won else None,
-                  1.0 - truth["least_error"][metric] / truth["base_error"][metric] if metric in truth["base_error"]
-                  else None, answer["elapsed_s"])
+                  # a gain without its metric is held against that in which most can be won
+                  possible.get(won["metric"]) if won and "metric" in won else max(possible.values(), default=None),
+                  answer["elapsed_s"])
 
 
 def rows(found: list[Judged]) -> list[figures.Result]:

@@ -9,8 +9,14 @@ from typing import Any
 from rollerrig.configs import children
 
 
-def all_of(one: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
-    """one(job) of all jobs as they end; an interruption, or an error of who asks, leaves at once."""
+def all_of(one: Callable[[Any], Any], jobs: Iterable[Any], alone: bool = False) -> Iterator[Any]:
+    """one(job) of all jobs as they end; an interruption, or an error of who asks, leaves at once.
+
+    With `alone` they come one after another in this process, and each has all cores.
+    """
+    if alone:
+        yield from map(one, jobs)
+        return
     own, cores = sorted(os.sched_getaffinity(0)), multiprocessing.get_context("spawn").Queue()
     for core in own:
         cores.put(core)

@@ -68,6 +68,16 @@ def test_a_brake_that_is_stronger_in_half_of_the_runs_only_is_not_explained_by_a
     assert "along the runs in the size of brake_gain" in clear
 
 
+def test_a_wheel_clock_that_runs_behind_is_not_told_as_a_late_sensor(tmp_path: Path) -> None:
+    folder = mujoco_stops.make(tmp_path / "clock", {"wheel_clock_drift": 0.0012}, 15)
+    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    assert found.verdict == "unexplained"
+    assert found.causes == []
+    # 1.2 ms more in every second: a delay that has another size as time goes on
+    worst = max(found.remainder, key=lambda f: f.statistic)
+    assert worst.name == "along time in the size of speed_sensor_delay"
+
+
 def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path: Path) -> None:
     folder = braking_stops.make(tmp_path / "joints", {"joints": 0.12}, 12)
     found = explain.braking_runs(dataset.load(folder), 0, silent)

@@ -1,9 +1,11 @@
 """The replay: white for its own kind, exact derivatives, mechanisms at zero invisible."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import patch_for
@@ -11,7 +13,7 @@ from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, parameters, preparation
 from rollerrig.rig.identify.decide import evidence, simulate, tuning
-from rollerrig.rig.identify.filter import memory_replay, replay, sensitivity
+from rollerrig.rig.identify.filter import lanes, memory_replay, replay, sensitivity
 
 
 @pytest.fixture(scope="module")
@@ -41,21 +43,58 @@ def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) ->
             assert rise == pytest.approx(want[5], rel=1e-9)
 
 
+MEMORIES = [{}, {"speed_power": 1.0}, {"of_work": 1.0}]
+
+
+def one_by_one(design: preparation.Design, i: sensitivity.Inputs) -> np.ndarray:
+    out = np.empty((3, design.measured_rad_s.size))
+    memory_replay.replay_wheels(design.start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction,
+                                i.parameters, design.step_s, *out)
+    return out
+
+
 @pytest.mark.parametrize("recovered", [1.0, 0.5], ids=["cleaned by sliding", "spoilt by sliding"])
-def test_four_wheelsets_at_once_are_replayed_as_one_by_one(
+def test_the_wheelsets_of_two_runs_at_once_are_replayed_as_one_by_one(
         design: preparation.Design, told: Explanation, recovered: float) -> None:
     i = candidates.inputs(design, told)
     i.parameters[:, parameters.LAW.start + 1] *= recovered * np.where(recovered < 1.0, i.parameters[:, parameters.MU_CD]
                                                                       / i.parameters[:, parameters.LAW.start + 1], 1.0)
-    one_by_one = np.empty((3, design.measured_rad_s.size))
-    memory_replay.replay_wheels(design.start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction,
-                                i.parameters, design.step_s, *one_by_one)
-    np.testing.assert_allclose(sensitivity.replay_wheels(design, i), one_by_one, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(sensitivity.replay_wheels(design, i), one_by_one(design, i), rtol=1e-8, atol=1e-10)
     at, p, late = design.span(1), i.parameters[1], np.zeros(design.span(1).stop + 1)
     path = design.sliding_m_s[at], i.speed_m_s[at], i.load_N[at], i.friction[:, at], p, design.step_s, late, False
     want = np.empty((2, path[0].size))
     replay.along(*path, want)
     np.testing.assert_allclose(sensitivity.replay_law(*path), want, rtol=1e-9, atol=1e-13)
+
+
+@pytest.mark.parametrize("shape", MEMORIES, ids=["over distance", "over time", "of the work done"])
+@pytest.mark.parametrize("length_m", [0.3, 3.0, 30.0])
+def test_wheels_with_a_memory_are_replayed_at_once_as_one_by_one(
+        design: preparation.Design, told: Explanation, shape: dict[str, float], length_m: float) -> None:
+    i = candidates.inputs(design, told._replace(causes=(Cause("adhesion_memory", 0, shape, (length_m,)),)))
+    alone = one_by_one(design, i)
+    assert np.all(np.isfinite(alone))
+    np.testing.assert_allclose(sensitivity.replay_wheels(design, i), alone, rtol=1e-8, atol=1e-10)
+
+
+def test_several_explanations_are_replayed_at_once_as_each_by_itself(
+        design: preparation.Design, told: Explanation) -> None:
+    several = [candidates.inputs(design, told._replace(causes=(Cause("adhesion_memory", 0, shape, (2.0,)),)))
+               for shape in MEMORIES]
+    for found, i in zip(sensitivity.replays(design, several), several, strict=True):
+        assert np.array_equal(found, sensitivity.replay_wheels(design, i))
+
+
+@pytest.mark.parametrize("A", [[[-30.0, 4.0], [5.0, -2.0]], [[-3.0, 40.0], [-50.0, -2.0]], [[-5.0, 1.0], [0.0, -5.0]],
+                               [[-1e-6, 0.0], [0.0, -2e-6]], [[-3000.0, 90.0], [2.0, -20.0]]],
+                         ids=["real", "conjugates", "one eigenvalue", "hardly any", "stiff"])
+@pytest.mark.parametrize("step", [memory_replay.step_of, lanes._step_of], ids=["one by one", "at once"])
+def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(A: list[list[float]], step: Any) -> None:
+    h, (top, below) = 0.005, np.array(A)
+    # of [[A, 1], [0, 0]]: its upper right is the integral of exp(A s) over the step
+    whole = expm(np.block([[np.array(A), np.eye(2)], [np.zeros((2, 4))]]) * h)
+    np.testing.assert_allclose(step(*top, *below, h), [*whole[:2, :2].ravel(), *whole[:2, 2:].ravel()], rtol=1e-7,
+                               atol=1e-9)
 
 
 def test_innovations_of_an_unspoilt_recording_have_unit_variance(
