@@ -90,15 +90,19 @@ def _screened(a: Account, name: str) -> dict[str, Any]:
         return {"name": name, "delta_bic": None, "rejected_because": "these runs cannot show it"}
     smallest, row = _SEEN * found.deviation[0], BY_NAME[name].parameters[0]
     if not evidence.significant(found):
-        unit = f" {row.source}" if row.source not in ("", "-") else ""
         why = (f"not beyond chance (p = {found.p_value:.2g}); these runs would have shown "
-               f"{row.name} = {_number(smallest, 2)}{unit} or more")
+               f"{row.name} = {_number(smallest, 2)}{_unit(row.source)} or more")
     elif a.causes:
         why = f"explained by {a.causes[0].cause.name}, which fits better"
     else:
         why = "what is left does not follow its form"
     return {"name": name, "delta_bic": _bic(a, found.statistic, len(found.estimate)),
             "p_value": found.p_value, "detectability": smallest, "rejected_because": why}
+
+
+def _unit(name: str) -> str:
+    """A unit behind its number; nothing for a plain number."""
+    return "" if name in ("", "-") else f" {name}"
 
 
 def story(a: Account) -> list[str]:
@@ -109,8 +113,8 @@ def story(a: Account) -> list[str]:
                      f"(p = {a.p_value:.2g}).")
     for named in a.causes:
         row = BY_NAME[named.cause.name]
-        values = ", ".join(f"{k} = {_number(v['value'])} ({' to '.join(map(_number, v['ci95']))}) {v['unit']}"
-                           for k, v in extension.parameters(named).items() if k != ALONE.name)
+        values = ", ".join(f"{k} = {_number(v['value'])} ({' to '.join(map(_number, v['ci95']))})"
+                           f"{_unit(v['unit'])}" for k, v in extension.parameters(named).items() if k != ALONE.name)
         of = f" on wheelset {named.cause.axle}" if named.cause.axle else ""
         of += ", that of the contaminant alone" if named.cause.shape.get(ALONE.name) else ""
         lines.append(f"Cause: {row.text}{of} [{row.name}]; {values}.")

@@ -143,12 +143,13 @@ def stretch(figure: Figure, a: Account) -> None:
     below.set_xlabel("time, s")
 
 
-def gains(axes: Axes, by_run: dict[str, tuple[float, float]], metric: str) -> None:
-    """The error on each run that was never fitted, before and after."""
+def gains(axes: Axes, by_run: dict[str, tuple[float, float, float, float]], metric: str) -> None:
+    """The error on each run that was never fitted, before and after, and the share that went away with its interval."""
     places = np.arange(len(by_run))
     for k, (colour, label) in enumerate(((BASE, "base"), (EXTENDED, "extended"))):
-        axes.barh(places + 0.38 * k, [pair[k] for pair in by_run.values()], 0.36, color=colour, label=label)
-    axes.set_yticks(places + 0.19, list(by_run))
+        axes.barh(places + 0.38 * k, [errors[k] for errors in by_run.values()], 0.36, color=colour, label=label)
+    axes.set_yticks(places + 0.19, [f"{run}: {1.0 - after / before:.0%}\n({low:.0%} to {high:.0%})"
+                                    for run, (before, after, low, high) in by_run.items()])
     axes.invert_yaxis()
     axes.set_xlabel(metric.replace("_", " "))
     axes.legend()

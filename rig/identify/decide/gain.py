@@ -37,7 +37,7 @@ class Gain(NamedTuple):
     reduction: float
     ci95: tuple[float, float]
     likelihood: float  # drop of the deviance on these runs
-    by_run: dict[str, tuple[float, float]]
+    by_run: dict[str, tuple[float, float, float, float]]  # errors before and after, 95 % interval of the reduction
 
     @property
     def claimed(self) -> bool:
@@ -121,24 +121,28 @@ def measure(design: Design, base: Explanation, extended: Explanation, seed: int)
     metric = FREE_RUN if vehicle else ADHESION
     size = np.diff(design.vehicle_start if vehicle else design.start)
     squares = np.array([_ERRORS[metric](design, explanation) ** 2 for explanation in (before, after)])
-    owner = np.repeat(np.arange(design.mass_kg.size) if vehicle else design.run, size)
-    rms = np.sqrt(squares.mean(axis=1))
-    own = [np.sqrt(squares[:, owner == r].mean(axis=1)) for r in range(len(design.names))]
-    low, high = np.quantile(_bootstrap(squares, size, design.step_s, seed), [0.025, 0.975])
-    return Gain(runs=design.names, metric=metric, before=float(rms[0]), after=float(rms[1]),
-                reduction=float(1.0 - rms[1] / rms[0]), ci95=(float(low), float(high)),
-                likelihood=cost_before - cost_after,
-                by_run={name: (float(a), float(b)) for name, (a, b) in zip(design.names, own, strict=True)})
+    run = np.arange(design.mass_kg.size) if vehicle else design.run
+
+    def of(chosen: np.ndarray) -> tuple[float, float, float, float]:
+        """Errors before and after on some segments, and the interval of the reduction."""
+        part = squares[:, np.repeat(chosen, size)]
+        return (*map(float, np.sqrt(part.mean(axis=1))), *_interval(part, size[chosen], design.step_s, seed))
+
+    rms_before, rms_after, low, high = of(run >= 0)
+    return Gain(runs=design.names, metric=metric, before=rms_before, after=rms_after,
+                reduction=1.0 - rms_after / rms_before, ci95=(low, high), likelihood=cost_before - cost_after,
+                by_run={name: of(run == r) for r, name in enumerate(design.names)})
 
 
-def _bootstrap(squares: np.ndarray, sizes: np.ndarray, step_s: float, seed: int) -> np.ndarray:
-    """Reductions of 500 draws of blocks of 3 s."""
+def _interval(squares: np.ndarray, sizes: np.ndarray, step_s: float, seed: int) -> tuple[float, float]:
+    """95 % interval of the reduction, by 500 draws of blocks of 3 s."""
     length = int(BLOCK_S / step_s)
     table = np.array([part[:, low:low + length].sum(axis=1) for part in np.split(squares, np.cumsum(sizes)[:-1], axis=1)
                       for low in range(0, part.shape[1], length)])
     chosen = np.random.default_rng(seed).integers(0, len(table), (500, len(table)))
     total = table[chosen].sum(axis=1)
-    return 1.0 - np.sqrt(total[:, 1] / np.maximum(total[:, 0], 1e-30))
+    low, high = np.quantile(1.0 - np.sqrt(total[:, 1] / np.maximum(total[:, 0], 1e-30)), [0.025, 0.975])
+    return float(low), float(high)
 
 
 def as_json(gain: Gain | None) -> dict[str, Any] | None:
