@@ -126,7 +126,8 @@ def measure(design: Design, base: Explanation, extended: Explanation, seed: int)
     def of(chosen: np.ndarray) -> tuple[float, float, float, float]:
         """Errors before and after on some segments, and the interval of the reduction."""
         part = squares[:, np.repeat(chosen, size)]
-        return (*map(float, np.sqrt(part.mean(axis=1))), *_interval(part, size[chosen], design.step_s, seed))
+        rms = np.sqrt(part.mean(axis=1))
+        return float(rms[0]), float(rms[1]), *_interval(part, size[chosen], design.step_s, seed)
 
     rms_before, rms_after, low, high = of(run >= 0)
     return Gain(runs=design.names, metric=metric, before=rms_before, after=rms_after,

@@ -233,8 +233,9 @@ def _runs(start, other, measured, inputs, others, parameters, step_s, cells, out
                                      cells[_INPUT + 4 * LANES + j], row(cells, j), step_s))
 
 
-_lagging = again(_runs, begun=memory_replay.begun, corrected=memory_replay.corrected, moved=again(
-    memory_replay.moved, math=MATH, adhesion=_law_lagging, step_of=_step_of, replay=_module(replay, curves=_curves)),
+_moved_lagging = again(memory_replay.moved, math=MATH, adhesion=_law_lagging, step_of=_step_of,
+                       replay=_module(replay, curves=_curves))
+_lagging = again(_runs, begun=memory_replay.begun, corrected=memory_replay.corrected, moved=_moved_lagging,
                  **_kept(memory_replay.State))
 
 

@@ -33,6 +33,10 @@ def test_cleaning_by_leading_wheels_is_named_and_improves_runs_never_fitted() ->
     assert found.gain is not None
     assert found.gain.claimed
     assert found.gain.reduction > 0.05
+    for before, after, low, high in found.gain.by_run.values():
+        assert low < 1.0 - after / before < high
+    squares = np.square([errors[:2] for errors in found.gain.by_run.values()])
+    assert min(squares[:, 0]) <= found.gain.before ** 2 <= max(squares[:, 0])
 
 
 def test_an_irregularity_of_longer_waves_is_not_told_as_a_patch(tmp_path: Path) -> None:
