@@ -99,9 +99,8 @@ def test_no_limits_of_remainders_are_better_for_first_and_second_generator_by_mo
 
 
 def test_how_far_a_law_may_be_another_is_what_first_and_second_generator_set():
-    told = limits.with_rivals(limits.natures())
-    assert "second" in told
-    assert limits.form_set_by([t for name in ("first", "second") for t in told.get(name, [])]) == limits.FORM
+    told = limits.natures()
+    assert limits.form_set_by(told["first"], told["second"]) == limits.FORM
 
 
 @pytest.mark.parametrize("name", written_docs.TABLES)
