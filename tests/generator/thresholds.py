@@ -11,8 +11,8 @@ kinds of limits are set, by each generator's answers, and by those of the first 
 - REMAINDER_SHARE, OWN_REMAINDER_SHARE and PARTLY_SHARE, by sets with something hidden: of the limits that give at most
   5 % of the effects outside the library a name, those that name most causes rightly.
 
-A second table has form_fraction of a dataset's accuracy: of those whose sets have at most 1.4 causes in the mean, on the
-first and on the second, the one that names most single causes first or in a set of two.
+A second table has form_fraction of a dataset's accuracy: of those whose sets have at most 1.4 causes in the mean, on
+the first and on the second, the one that names most single causes first or in a set of two.
 """
 
 import itertools
