@@ -102,6 +102,8 @@ def test_a_gain_and_a_time_in_short_count_as_those_of_a_whole_report(tmp_path: P
         gain = rows["gain on runs never fitted, share of the possible: median, quartiles"]
         assert (gain["of"], gain["share"]) == (of, pytest.approx(0.8) if of else None)
         assert counts(rows)["within 20 s"] == (0, 1)
+    with pytest.raises(ConfigError, match="set_0001: heldout_gain is a share"):
+        judged(tmp_path, (entry("one", {"sanding": 0.1}), answer("explained", ("sanding",), heldout_gain="much")))
 
 
 def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benchmark_goes_on(tmp_path: Path) -> None:

@@ -72,6 +72,8 @@ def _checked(where: str, given: Any) -> Answer:
             if not (isinstance(value, dict) and _is_interval(value.get("ci95"))):
                 raise ConfigError(f"{where}, {cause['name']}: {name} needs ci95 = [low, high]")
     won, short = given.get("gain") or {}, given.get("heldout_gain")
+    if short is not None and (not isinstance(short, int | float) or isinstance(short, bool)):
+        raise ConfigError(f"{where}: heldout_gain is a share, as 0.2, or null where none is claimed")
     if short is not None and not won:
         won = {"reduction": short, "claimed": True}
     if not isinstance(won, dict) or (won.get("claimed") and not isinstance(won.get("reduction"), int | float)):

@@ -15,7 +15,6 @@ from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
 from rollerrig.rig.identify.filter import sensitivity
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
@@ -74,7 +73,7 @@ class Candidate(NamedTuple):
     fit: Fitted
 
 
-def fit_one(data: Dataset, measured: list[Run], design: Design, explanation: Explanation) -> Fitted:
+def fit_one(design: Design, explanation: Explanation) -> Fitted:
     """Fit an explanation to a design; its deviance by blocks of 3 s."""
     found = tuning.fit(design, explanation, 6)
     if explanation.causes and explanation.causes[-1].name == tuning.MEMORY:
@@ -82,6 +81,11 @@ def fit_one(data: Dataset, measured: list[Run], design: Design, explanation: Exp
     if any(table.OF[cause.name].edge_step for cause in explanation.causes):
         found = tuning.fit(design, shapes.refined(design, found[0]), 4)
     return Fitted(*found, blocks(design, found[0]))
+
+
+def fit_all(setting: null_sets.Setting, explanations: Sequence[Explanation], title: str) -> list[Fitted]:
+    """Each of some explanations fitted to the measured runs, on all cores."""
+    return setting.run_all(fit_one, [(setting.design, explanation) for explanation in explanations], title)
 
 
 def blocks(design: Design, explanation: Explanation) -> np.ndarray:
@@ -98,8 +102,8 @@ def blocks(design: Design, explanation: Explanation) -> np.ndarray:
 def quieted(setting: null_sets.Setting, base: Explanation, likely: list[Cause]) -> tuple[Explanation, list[Fitted]]:
     """An explanation with the irregularity that is left beside the most promising further causes, and their fits."""
     # a cause that it does not have looks like a rougher rail, and would hide in it
-    fits = setting.run_all(fit_one, [(base._replace(causes=(*base.causes, cause)),) for cause in likely],
-                           "irregularity of the rail")
+    fits = fit_all(setting, [base._replace(causes=(*base.causes, cause)) for cause in likely],
+                   "irregularity of the rail")
     best = min(fits, key=lambda fit: fit.value, default=None)
     if best is None or best.explanation.sigma >= base.sigma:
         return base, fits
@@ -115,8 +119,8 @@ def fitted(setting: null_sets.Setting, explanation: Explanation, found: list[evi
     counted = sorted(counted, key=lambda f: -f.statistic)[:most]
     fits = {name: fit for fit in ready if (name := fit.explanation.causes[-1].name) == tuning.MEMORY}
     new = [f for f in counted if f.name not in fits]
-    fits |= zip((f.name for f in new), setting.run_all(fit_one, [(
-        explanation._replace(causes=(*explanation.causes, f.cause())),) for f in new], "fit of causes"), strict=True)
+    fits |= zip((f.name for f in new), fit_all(setting, [
+        explanation._replace(causes=(*explanation.causes, f.cause())) for f in new], "fit of causes"), strict=True)
     return [Candidate(f, fits[f.name]) for f in counted]
 
 
@@ -264,8 +268,8 @@ def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[
     """The first cause looked for again beside the second: one that had to stand for both gives way."""
     first, second = causes
     others = [rival for rival in rivals if rival.finding.name != second.finding.name]
-    fits = setting.run_all(fit_one, [(explanation._replace(causes=(one.fit.explanation.causes[-1], second.cause)),)
-                                     for one in others], "first cause again")
+    fits = fit_all(setting, [explanation._replace(causes=(one.fit.explanation.causes[-1], second.cause))
+                             for one in others], "first cause again")
     value = tuning.deviance(setting.design, explanation) + _price(first.finding)
     won = [value - fit.value - _price(one.finding) for one, fit in zip(others, fits, strict=True)]
     own = next(k for k, one in enumerate(others) if one.finding == first.finding)
@@ -285,6 +289,6 @@ def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[
 
 def _both_needed(setting: null_sets.Setting, explanation: Explanation, value: float) -> bool:
     """Whether the first cause still earns its likelihood beside the second."""
-    both, alone = (fit.value for fit in setting.run_all(
-        fit_one, [(one,) for one in (explanation, explanation._replace(causes=explanation.causes[1:]))], "both causes"))
+    both, alone = (fit.value for fit in fit_all(
+        setting, [explanation, explanation._replace(causes=explanation.causes[1:])], "both causes"))
     return alone - both > max(SECOND_FLOOR, SECOND_SHARE * (value - both))

@@ -35,8 +35,8 @@ class Setting(NamedTuple):
     progress: Progress
 
     def run_all(self, work: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], title: str) -> list[Any]:
-        """work(data, measured, design, *task) for all tasks, in order, with progress."""
-        futures = [self.pool.submit(work, *self[:3], *task) for task in tasks]
+        """work(*task) for all tasks, in order, with progress."""
+        futures = [self.pool.submit(work, *task) for task in tasks]
         found = []
         for future in futures:
             found.append(future.result())
@@ -93,7 +93,7 @@ def judged(setting: Setting, explanation: Explanation, most: int, seed: int, kno
     fresh = explanation._replace(base={k: v for k, v in explanation.base.items() if k.startswith("ln_")})
     scored, clean = tuning.normal(setting.design, explanation)[0], list[Scores]()
     for began in range(0, most, FEW):
-        tasks = [(fresh, seed * 100003 + k, known) for k in range(began, min(began + FEW, most))]
+        tasks = [(*setting[:3], fresh, seed * 100003 + k, known) for k in range(began, min(began + FEW, most))]
         clean += [s for s in setting.run_all(one, tasks, "clean sets") if s is not None]
         if 2 * len(clean) < began + len(tasks):
             raise ConfigError(f"only {len(clean)} of {began + len(tasks)} simulated clean sets could be replayed: the "

@@ -244,9 +244,10 @@ def replay_runs(start, other, measured, inputs, others, parameters, step_s, cell
     """Innovations of the wheelsets of two runs, or of one twice: `inputs` (5, n) speed, load, torque, two frictions.
 
     `start` and `other` (5,) are where the four of a run begin in the flat arrays, and where the last ends; `parameters`
-    (LANES, PARAMETERS), those of both with a memory or of none; `out` (3, n) as `replay_wheel` writes them.
+    (LANES, PARAMETERS); `out` (3, n) as `replay_wheel` writes them; no
+    numbers for a run without a memory beside one with.
     """
-    if parameters[0, 14] > 0.0:
+    if parameters[0, 14] > 0.0 or parameters[AXLES, 14] > 0.0:
         _lagging(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)
     else:
         _runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)

@@ -179,7 +179,7 @@ def replay_wheels(design: Design, i: Inputs) -> np.ndarray:
 
 
 def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
-    """The replays of all wheels under several inputs, all with a memory or none, shape (inputs, 3, n)."""
+    """The replays of all wheels under several inputs, shape (inputs, 3, n)."""
     given = [np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction]) for i in several]
     out, cells = np.empty((len(several), 3, design.measured_rad_s.size)), np.empty(lanes.CELLS)
     starts = [design.start[run * AXLES:(run + 1) * AXLES + 1] for run in range(design.mass_kg.size)]

@@ -83,6 +83,10 @@ def test_several_explanations_are_replayed_at_once_as_each_by_itself(
                for shape in MEMORIES]
     for found, i in zip(sensitivity.replays(design, several), several, strict=True):
         assert np.array_equal(found, sensitivity.replay_wheels(design, i))
+    without = candidates.inputs(design, told)
+    for mixed in ([several[0], without], [without, several[0]]):
+        for found, i in zip(sensitivity.replays(design, mixed), mixed, strict=True):
+            np.testing.assert_allclose(found, sensitivity.replay_wheels(design, i), rtol=1e-8, atol=1e-10)
 
 
 @pytest.mark.parametrize("A", [[[-30.0, 4.0], [5.0, -2.0]], [[-3.0, 40.0], [-50.0, -2.0]], [[-5.0, 1.0], [0.0, -5.0]],

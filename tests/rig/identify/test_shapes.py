@@ -52,7 +52,7 @@ def test_a_long_memory_is_found_from_a_base_that_had_to_leave_recovery_out(tmp_p
     # to the base alone a late recovery looks like none, and like a rough rail
     assert base.base["ln_tau"] < -1.0
     assert base.sigma > 0.08
-    found = choice.fit_one(data, data.group("tune"), design, base._replace(
+    found = choice.fit_one(design, base._replace(
         causes=(Cause("adhesion_memory", 0, {}, (1.0,)),)))
     assert value - found.value > 1000.0
     assert abs(found.explanation.base.get("ln_tau", 0.0)) < 0.3
