@@ -33,7 +33,7 @@ check: lint
 
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .
-	$(BIN)/python -m autopep8 --diff --exit-code rig firmware_sim wsp_interface realtime configs tests docs
+	$(BIN)/ruff format --check .
 	@mkdir -p $(VENV)/typed/rollerrig
 	@for room in rig firmware_sim wsp_interface realtime configs; do \
 	  ln -sfn "$(CURDIR)/$$room" $(VENV)/typed/rollerrig/$$room; done
@@ -41,7 +41,7 @@ lint: $(VENV)/ready-dev
 
 format: $(VENV)/ready-dev
 	$(BIN)/ruff check --fix .
-	$(BIN)/python -m autopep8 --in-place rig firmware_sim wsp_interface realtime configs tests docs
+	$(BIN)/ruff format .
 
 docs: $(VENV)/ready-dev
 	$(BIN)/python -m pytest tests --collect-only -qq --write-docs=docs

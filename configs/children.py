@@ -36,18 +36,26 @@ def command(*words: str, by: int = signal.SIGTERM) -> list[str]:
 
 def pool(count: int, first: Callable[..., Any] = int, *arguments: Any) -> ProcessPoolExecutor:
     """Worker processes that end with this one; first(*arguments) is called in each."""
-    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin, (os.getpid(), first, arguments))
+    return ProcessPoolExecutor(
+        count, multiprocessing.get_context("spawn"), _begin, (os.getpid(), first, arguments)
+    )
 
 
 def last_words(log: Path) -> str:
     """How what a process has said ends, to stand behind its status; empty where it has said nothing."""
-    lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    lines = [
+        line
+        for line in log.read_text(encoding="utf-8", errors="replace").splitlines()
+        if line.strip()
+    ]
     return f"; its last words: {lines[-1]}" if lines else ""
 
 
 def can_fork() -> bool:
     """Whether this process may fork: on Linux, with one thread and no library that has others."""
-    return sys.platform == "linux" and threading.active_count() == 1 and _THREADED not in sys.modules
+    return (
+        sys.platform == "linux" and threading.active_count() == 1 and _THREADED not in sys.modules
+    )
 
 
 class Forked(subprocess.Popen[bytes]):
@@ -57,11 +65,21 @@ class Forked(subprocess.Popen[bytes]):
     with `by` it gets this signal when this process is gone. It closes what `others` are written to.
     """
 
-    def __init__(self, words: Sequence[str], then: Callable[[], int], by: int = 0, quiet: bool = False,
-                 others: Sequence[subprocess.Popen[bytes]] = ()) -> None:
+    def __init__(
+        self,
+        words: Sequence[str],
+        then: Callable[[], int],
+        by: int = 0,
+        quiet: bool = False,
+        others: Sequence[subprocess.Popen[bytes]] = (),
+    ) -> None:
         # what a Popen knows of a child that runs
         self.args, self.stdout, self.stderr, self.returncode = words, None, None, None
-        self._waitpid_lock, self._child_created, self._sigint_wait_secs = threading.Lock(), True, 0.25
+        self._waitpid_lock, self._child_created, self._sigint_wait_secs = (
+            threading.Lock(),
+            True,
+            0.25,
+        )
         heard, told = os.pipe()
         parent = os.getpid()
         sys.stdout.flush()
@@ -75,7 +93,9 @@ class Forked(subprocess.Popen[bytes]):
         self.stdin = open(told, "wb")  # noqa: SIM115
 
 
-def _be(words: Sequence[str], then: Callable[[], int], heard: int, ends: Any, quiet: bool, closed: Any) -> None:
+def _be(
+    words: Sequence[str], then: Callable[[], int], heard: int, ends: Any, quiet: bool, closed: Any
+) -> None:
     """The life of a forked process; it returns to nobody."""
     status = 1
     try:
@@ -87,7 +107,9 @@ def _be(words: Sequence[str], then: Callable[[], int], heard: int, ends: Any, qu
             os.dup2(source, number)
         for number in (heard, nowhere, *closed):
             os.close(number)
-        sys.stdin, sys.stdout, sys.stderr = (open(n, "w" if n else "r", n == 2 or -1) for n in range(3))  # noqa: SIM115
+        sys.stdin = open(0)  # noqa: SIM115
+        sys.stdout = open(1, "w")  # noqa: SIM115
+        sys.stderr = open(2, "w", buffering=1)  # noqa: SIM115
         _be_called(words)
         status = then()
     except RollerrigError as error:
@@ -105,7 +127,7 @@ def _be_called(words: Sequence[str]) -> None:
     """Write another command line over the one that this process was started with, as far as there is room."""
     with open("/proc/self/stat", encoding="ascii") as file:
         begin, end = map(int, file.read().rpartition(")")[2].split()[_COMMAND_LINE])
-    text = "\0".join(words).encode()[:end - begin - 1]
+    text = "\0".join(words).encode()[: end - begin - 1]
     ctypes.memmove(begin, text.ljust(end - begin, b"\0"), end - begin)
 
 

@@ -1,6 +1,6 @@
 """A process that ends when its parent is gone; as a program it becomes a command that does, and imports nearly nothing.
 
-    python ended.py PARENT SIGNAL COMMAND ...
+python ended.py PARENT SIGNAL COMMAND ...
 """
 
 import ctypes

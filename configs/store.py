@@ -27,11 +27,15 @@ def find(kind: str, name: str, beside: Path | None = None) -> Path:
         for candidate in [given] + ([beside.parent / given] if beside else []):
             if os.path.isfile(candidate):
                 return candidate
-        raise ConfigError(f"{name}: no such file; give a path to a TOML file or one of: {', '.join(names(kind))}")
+        raise ConfigError(
+            f"{name}: no such file; give a path to a TOML file or one of: {', '.join(names(kind))}"
+        )
     packaged = ROOT / kind / f"{name}.toml"
     if not os.path.isfile(packaged):
-        raise ConfigError(f"no {kind.rstrip('s')} is called '{name}'{nearest(name, names(kind))}; "
-                          "or give the path of a TOML file")
+        raise ConfigError(
+            f"no {kind.rstrip('s')} is called '{name}'{nearest(name, names(kind))}; "
+            "or give the path of a TOML file"
+        )
     return packaged
 
 

@@ -23,5 +23,7 @@ class without(NamedTuple):  # noqa: N801
     def __enter__(self) -> None:
         sys.meta_path.insert(0, self)
 
-    def __exit__(self, kind: type | None, error: BaseException | None, where: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
         sys.meta_path.remove(self)

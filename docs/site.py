@@ -15,8 +15,10 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parent.parent
 # page of the site -> file of the repository
-AT_ROOT = {"index.md": "README.md",
-           **{name: name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "DECISIONS.md")}}
+AT_ROOT = {
+    "index.md": "README.md",
+    **{name: name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "DECISIONS.md")},
+}
 LINK = re.compile(r"(!?\[([^\]]*)\])\(([^)\s#:]*)(#[^)\s]*)?\)")
 
 

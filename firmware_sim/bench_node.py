@@ -26,8 +26,12 @@ from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
 # no profile of CiA covers a test bench: device type 0
 DEVICE_TYPE, PRODUCT = 0, ("bench", 0x127)
 # every signal that this node carries is an object named after it
-TITLES = {place.index: signal.name.replace("_", " ").capitalize() for signal in SIGNALS for place in signal.places
-          if place.node == BENCH_NODE} | {0x2105: "Dump valve"}
+TITLES = {
+    place.index: signal.name.replace("_", " ").capitalize()
+    for signal in SIGNALS
+    for place in signal.places
+    if place.node == BENCH_NODE
+} | {0x2105: "Dump valve"}
 _AXLES = tuple(f"Axle {axle}" for axle in range(1, AXLES + 1))
 
 
@@ -35,24 +39,65 @@ def rows(pacing: str) -> list[Row]:
     """The objects beyond CiA 301."""
     return [
         *process_image.rows(BENCH_NODE, 0, {}, TITLES),
-        *array(rig.HARNESS, "Harness", "U8", "rw", [0, 0, 0], ("Joined", "Cycle", "End of the run"),
-               mappable=True, high=255, text="1 joins or ends; cycle: any value, by RPDO1"),
-        Row(rig.PACING, 0, "Pacing", "U8", "ro", rig.PACINGS.index(pacing), text="0 wall, 1 lockstep"),
-        *array(rig.FAULT, "Fault", "TEXT", "rw", ["", ""], ("Inject", "Lift"),
-               text="as in: speed_sensor_stuck axle=2 for=3"),
-        *array(rig.FRICTION, "Friction under the axle", "U16", "rw", [0] * AXLES, _AXLES, mappable=True,
-               high=10_000, factor=rig.FRICTION_SCALE, text="0: as the scenario has it"),
+        *array(
+            rig.HARNESS,
+            "Harness",
+            "U8",
+            "rw",
+            [0, 0, 0],
+            ("Joined", "Cycle", "End of the run"),
+            mappable=True,
+            high=255,
+            text="1 joins or ends; cycle: any value, by RPDO1",
+        ),
+        Row(
+            rig.PACING,
+            0,
+            "Pacing",
+            "U8",
+            "ro",
+            rig.PACINGS.index(pacing),
+            text="0 wall, 1 lockstep",
+        ),
+        *array(
+            rig.FAULT,
+            "Fault",
+            "TEXT",
+            "rw",
+            ["", ""],
+            ("Inject", "Lift"),
+            text="as in: speed_sensor_stuck axle=2 for=3",
+        ),
+        *array(
+            rig.FRICTION,
+            "Friction under the axle",
+            "U16",
+            "rw",
+            [0] * AXLES,
+            _AXLES,
+            mappable=True,
+            high=10_000,
+            factor=rig.FRICTION_SCALE,
+            text="0: as the scenario has it",
+        ),
         Row(rig.NOTE, 0, "Operator note", "TEXT", "rw", "", text="stands in the events of the run"),
     ]
 
 
-def build(row: np.ndarray, friction: np.ndarray, on_command: Callable[[], None], pacing: str = "wall") -> Node:
+def build(
+    row: np.ndarray, friction: np.ndarray, on_command: Callable[[], None], pacing: str = "wall"
+) -> Node:
     """The node.
 
     `row`: live float64 array of all signals; `friction`: float64 array of shape (4,), kinematic
     friction asked for under each axle, 0 for none, written before `on_command()` is called.
     """
-    profile = Profile(DEVICE_TYPE, PRODUCT[0], rpdos=(Pdo(AT_ONCE, ((rig.HARNESS, rig.CYCLE, 8),)),), heartbeat_ms=0)
+    profile = Profile(
+        DEVICE_TYPE,
+        PRODUCT[0],
+        rpdos=(Pdo(AT_ONCE, ((rig.HARNESS, rig.CYCLE, 8),)),),
+        heartbeat_ms=0,
+    )
     node = process_image.build(BENCH_NODE, profile, PRODUCT, rows(pacing), row, {})
     node.device = BenchNode(node, friction, on_command)
     return node

@@ -21,12 +21,19 @@ from rollerrig.wsp_interface.signals import AXLES, SPEED_NODE, Place
 
 DEVICE_TYPE = 0x000A0196
 PRODUCT = "axle speed unit", 0x406
-TITLES = {0x6030: "Speed value", 0x2100: "Tooth frequency", 0x2101: "Pulse counter", 0x2102: "Speed value fine"}
+TITLES = {
+    0x6030: "Speed value",
+    0x2100: "Tooth frequency",
+    0x2101: "Pulse counter",
+    0x2102: "Speed value fine",
+}
 ACCELERATION = Place(SPEED_NODE, 0x6040, 1, "I16", 0.01)
 DEFAULTS = {"teeth": 80.0}
 _AXLES = range(1, AXLES + 1)
-TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in _AXLES)),
-         *(Pdo(SYNCHRONOUS, ((0x2100, axle, 32), (0x2100, axle + 1, 32))) for axle in _AXLES[::2]))
+TPDOS = (
+    Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in _AXLES)),
+    *(Pdo(SYNCHRONOUS, ((0x2100, axle, 32), (0x2100, axle + 1, 32))) for axle in _AXLES[::2]),
+)
 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
@@ -41,15 +48,38 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
         Row(0x6003, 0, "Preset value", "U32", "rw", 0),
         Row(0x6004, 0, "Position value", "U32", "ro", 0, True, text="teeth, axle 1"),
         *array(0x6010, "Preset values for multi-sensor devices", "U32", "rw", none, by_axle),
-        *array(0x6020, "Position value for multi-sensor devices", "U32", "ro", none, by_axle, mappable=True,
-               text="teeth"),
-        *array(0x6040, "Acceleration value", "I16", "ro", none, by_axle, mappable=True, unit="rad/s2",
-               factor=ACCELERATION.scale),
+        *array(
+            0x6020,
+            "Position value for multi-sensor devices",
+            "U32",
+            "ro",
+            none,
+            by_axle,
+            mappable=True,
+            text="teeth",
+        ),
+        *array(
+            0x6040,
+            "Acceleration value",
+            "I16",
+            "ro",
+            none,
+            by_axle,
+            mappable=True,
+            unit="rad/s2",
+            factor=ACCELERATION.scale,
+        ),
         Row(0x6200, 0, "Cyclic timer", "U16", "rw", 0, unit="ms"),
         Row(0x6500, 0, "Operating status", "U16", "ro", 0, True),
         Row(0x6501, 0, "Single-turn resolution", "U32", "const", teeth),
-        Row(0x6502, 0, "Number of distinguishable revolutions", "U16", "const",
-            min(0xFFFF, 0xFFFFFFFF // max(teeth, 1))),
+        Row(
+            0x6502,
+            0,
+            "Number of distinguishable revolutions",
+            "U16",
+            "const",
+            min(0xFFFF, 0xFFFFFFFF // max(teeth, 1)),
+        ),
         Row(0x6503, 0, "Alarms", "U16", "ro", 0, True),
         Row(0x6504, 0, "Supported alarms", "U16", "const", 0x1000),
         Row(0x6505, 0, "Warnings", "U16", "ro", 0, True),
@@ -61,11 +91,15 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
     ]
 
 
-def build(row: np.ndarray, parameters: Mapping[str, float] | None = None, storage: Path | None = None) -> Node:
+def build(
+    row: np.ndarray, parameters: Mapping[str, float] | None = None, storage: Path | None = None
+) -> Node:
     """The node. `row`: live float64 array of all signals; `storage`: the file of 1010h."""
     parameters = DEFAULTS | dict(parameters or {})
     profile = Profile(DEVICE_TYPE, PRODUCT[0], tpdos=TPDOS)
-    node = process_image.build(SPEED_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage)
+    node = process_image.build(
+        SPEED_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage
+    )
     node.device = SpeedUnit(node, row)
     return node
 
@@ -87,8 +121,11 @@ class SpeedUnit:
         objects.own(0x6003, effect=partial(self._preset, 1))
         objects.own(0x6508, read=lambda: int(row.item(self._time) / 360.0) & 0xFFFFFFFF)
         # the cyclic timer is another name of the event timer of TPDO1
-        objects.own(0x6200, read=lambda: objects.values[key(0x1800, 5)],
-                    effect=lambda value: objects.assign(key(0x1800, 5), value))
+        objects.own(
+            0x6200,
+            read=lambda: objects.values[key(0x1800, 5)],
+            effect=lambda value: objects.assign(key(0x1800, 5), value),
+        )
 
     def position(self, axle: int) -> int:
         """Teeth counted on an axle (from 1), plus the offset, in 32 bits."""

@@ -43,30 +43,70 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
         *process_image.rows(BRAKE_NODE, 0, parameters, TITLES),
         *array(0x6000, "Read input 8-bit", "U8", "ro", [0], ("Magnets energised",), mappable=True),
         Row(0x6005, 0, "Global interrupt enable digital", "BOOL", "rw", True),
-        *array(0x6200, "Write output 8-bit", "U8", "rw", [0], ("Magnets",), mappable=True,
-               text="bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1"),
+        *array(
+            0x6200,
+            "Write output 8-bit",
+            "U8",
+            "rw",
+            [0],
+            ("Magnets",),
+            mappable=True,
+            text="bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1",
+        ),
         *array(0x6206, "Error mode output 8-bit", "U8", "rw", [0xFF], ("Magnets",)),
         *array(0x6207, "Error value output 8-bit", "U8", "rw", [0], ("Magnets",)),
-        *array(0x6411, "Write analogue output 16-bit", "I16", "rw", [0], ("Brake demand",), mappable=True,
-               low=0, high=HIGHEST_DEMAND_mbar, unit="Pa", factor=DEMAND.scale, text=BY_NAME["brake_demand"].text),
+        *array(
+            0x6411,
+            "Write analogue output 16-bit",
+            "I16",
+            "rw",
+            [0],
+            ("Brake demand",),
+            mappable=True,
+            low=0,
+            high=HIGHEST_DEMAND_mbar,
+            unit="Pa",
+            factor=DEMAND.scale,
+            text=BY_NAME["brake_demand"].text,
+        ),
         Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
         *array(0x6443, "Analogue output error mode", "U8", "rw", [0], ("Brake demand",), high=1),
-        *array(0x6444, "Analogue output error value integer", "I32", "rw", [0], ("Brake demand",),
-               low=0, high=HIGHEST_DEMAND_mbar),
+        *array(
+            0x6444,
+            "Analogue output error value integer",
+            "I32",
+            "rw",
+            [0],
+            ("Brake demand",),
+            low=0,
+            high=HIGHEST_DEMAND_mbar,
+        ),
     ]
 
 
-def build(row: np.ndarray, commands: np.ndarray, parameters: Mapping[str, float] | None = None,
-          on_command: Callable[[], None] = lambda: None, storage: Path | None = None) -> Node:
+def build(
+    row: np.ndarray,
+    commands: np.ndarray,
+    parameters: Mapping[str, float] | None = None,
+    on_command: Callable[[], None] = lambda: None,
+    storage: Path | None = None,
+) -> Node:
     """The node.
 
     `row`: live float64 array of all signals; `commands`: float64 array of shape (COMMANDS,) that
     the node writes before it calls `on_command()`.
     """
     parameters = dict(parameters or {})
-    profile = Profile(DEVICE_TYPE, PRODUCT[0], RPDOS, TPDOS, consumed=(
-        (WSP_NODE, int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))),))
-    node = process_image.build(BRAKE_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage)
+    profile = Profile(
+        DEVICE_TYPE,
+        PRODUCT[0],
+        RPDOS,
+        TPDOS,
+        consumed=((WSP_NODE, int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))),),
+    )
+    node = process_image.build(
+        BRAKE_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage
+    )
     node.commands = frozenset({0x6200, 0x6411})
     node.event_enablers = {0x6000: key(0x6005, 0), 0x6401: key(0x6423, 0)}
     node.device = BrakeIo(node, row, commands, on_command)
@@ -76,10 +116,15 @@ def build(row: np.ndarray, commands: np.ndarray, parameters: Mapping[str, float]
 class BrakeIo:
     """The outputs. `held`: they stay at the fail-safe value, because a partner is lost."""
 
-    def __init__(self, node: Node, row: np.ndarray, commands: np.ndarray, on_command: Callable[[], None]) -> None:
+    def __init__(
+        self, node: Node, row: np.ndarray, commands: np.ndarray, on_command: Callable[[], None]
+    ) -> None:
         self.node, self.commands, self.on_command, self.held = node, commands, on_command, False
         self._venting_alone = [False] * AXLES
-        objects, demanded = node.objects, process_image.reader(row, signals.column("brake_demand"), DEMAND)
+        objects, demanded = (
+            node.objects,
+            process_image.reader(row, signals.column("brake_demand"), DEMAND),
+        )
         objects.own(0x6000, 1, read=lambda: objects.values[key(0x6200, 1)])
         objects.own(0x6200, 1, check=self._check_free, effect=self._energise)
         objects.own(0x6411, 1, read=demanded, effect=self._demand)
@@ -110,7 +155,10 @@ class BrakeIo:
             pair = magnets >> 2 * at & 3
             alone = pair == VENT
             if alone and not self._venting_alone[at]:
-                self.node.event("warning", f"vent magnet of axle {at + 1} without its hold magnet: treated as vent")
+                self.node.event(
+                    "warning",
+                    f"vent magnet of axle {at + 1} without its hold magnet: treated as vent",
+                )
             self._venting_alone[at] = alone
             self.commands[at] = HOLD | VENT if alone else pair
         self.on_command()

@@ -36,8 +36,14 @@ class NmtMaster:
     `on_event(level, text)` is for the run's events.
     """
 
-    def __init__(self, master: bool = True, sync_overflow: int = 0, heartbeat_ms: int = 100,
-                 unit_lost_after_ms: int = UNIT_LOST_AFTER_MS, nodes: Sequence[int] = RIG_NODES) -> None:
+    def __init__(
+        self,
+        master: bool = True,
+        sync_overflow: int = 0,
+        heartbeat_ms: int = 100,
+        unit_lost_after_ms: int = UNIT_LOST_AFTER_MS,
+        nodes: Sequence[int] = RIG_NODES,
+    ) -> None:
         self.patience_ms = dict.fromkeys(nodes, LOST_AFTER_MS) | {WSP_NODE: unit_lost_after_ms}
         self.master, self.sync_overflow, self.heartbeat_ms = master, sync_overflow, heartbeat_ms
         self.health = {node: Health() for node in (*nodes, WSP_NODE)}
@@ -58,8 +64,11 @@ class NmtMaster:
 
     def all_operational(self) -> bool:
         """Whether every node of the rig (not the WSP unit) is OPERATIONAL."""
-        return all(one.state is State.OPERATIONAL and not one.lost
-                   for node, one in self.health.items() if node != WSP_NODE)
+        return all(
+            one.state is State.OPERATIONAL and not one.lost
+            for node, one in self.health.items()
+            if node != WSP_NODE
+        )
 
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
         """Boot-up, and then heartbeats as OPERATIONAL."""
@@ -117,10 +126,16 @@ class NmtMaster:
             seen = "has appeared: " if health.state is None else "is "
             self.on_event("info", f"{_name(node)} {seen}{state.title}")
         health.state, health.lost = state, False
-        self.timers.set(f"lost {node}", self.now_ns + self.patience_ms[node] * MS, partial(self._lose, node))
+        self.timers.set(
+            f"lost {node}", self.now_ns + self.patience_ms[node] * MS, partial(self._lose, node)
+        )
         if state is State.INITIALISING:
             health.started = False
-        if self.master and state in (State.INITIALISING, State.PRE_OPERATIONAL) and not health.started:
+        if (
+            self.master
+            and state in (State.INITIALISING, State.PRE_OPERATIONAL)
+            and not health.started
+        ):
             health.started = True
             self.command(Command.START, node)
 
@@ -134,8 +149,11 @@ class NmtMaster:
         # an EMCY never is SYNC: node identifiers begin with 1
         code = int.from_bytes(frame.data[:2], "little") if len(frame.data) == 8 else 0
         if code:
-            self.on_event("warning", f"{_name(frame.can_id - EMERGENCY)}: EMCY {code:04X}h, "
-                                     f"error register {frame.data[2]:02X}h")
+            self.on_event(
+                "warning",
+                f"{_name(frame.can_id - EMERGENCY)}: EMCY {code:04X}h, "
+                f"error register {frame.data[2]:02X}h",
+            )
 
     def _on_reference_speed(self, frame: Frame) -> None:
         # a unit may add what it likes

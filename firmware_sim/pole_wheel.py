@@ -111,7 +111,9 @@ def count_teeth(speed, angle, j, memory, sensor, faults):
         memory[BEGIN_s, j] = now_s - (passed - count) / max(rate, 1.0)
         return
     pulses, last = pulses_of(int(count), new, j, sensor, faults)
-    if faulty.value(faults, faulty.DROPOUT, j) != 0.0 or (sensor.model != IDEAL and abs(speed) < sensor.dropout_rad_s):
+    if faulty.value(faults, faulty.DROPOUT, j) != 0.0 or (
+        sensor.model != IDEAL and abs(speed) < sensor.dropout_rad_s
+    ):
         pulses = 0
     larger = faulty.value(faults, faulty.LARGER, j)
     memory[MISSED, j] += new - pulses / (1.0 + larger)

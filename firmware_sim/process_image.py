@@ -21,8 +21,16 @@ from rollerrig.wsp_interface.signals import Place, Signal
 _VENDOR, _VENDOR_ID, _REVISION = "rollerrig", 0, 0x00010000
 
 
-def build(node_id: int, profile: Profile, product: tuple[str, int], own: list[Row], row: np.ndarray,
-          parameters: Mapping[str, float], axle: int = 0, storage: Path | None = None) -> Node:
+def build(
+    node_id: int,
+    profile: Profile,
+    product: tuple[str, int],
+    own: list[Row],
+    row: np.ndarray,
+    parameters: Mapping[str, float],
+    axle: int = 0,
+    storage: Path | None = None,
+) -> Node:
     """A node of the rig, whose objects read the live row (float64, one item a column of the table).
 
     `product`: its name and code; `own`: the rows beyond CiA 301; `axle`: that of a drive, else 0. The node
@@ -30,15 +38,18 @@ def build(node_id: int, profile: Profile, product: tuple[str, int], own: list[Ro
     """
     who = Identity(_VENDOR, product[0], _VENDOR_ID, product[1], _REVISION, node_id)
     node = Node(dictionary.build(communication.rows(profile, who) + own, node_id, who), storage)
-    for signal, place, its_axle, sub, parameter in carried(0 if axle else node_id, axle, parameters):
+    for signal, place, its_axle, sub, parameter in carried(
+        0 if axle else node_id, axle, parameters
+    ):
         if signal.direction == signals.OUT and key(place.index, sub) in node.objects.variables:
             column = signals.column(signal.name, its_axle)
             node.objects.own(place.index, sub, read=reader(row, column, place, parameter))
     return node
 
 
-def carried(node_number: int, axle: int, parameters: Mapping[str, float]
-            ) -> Iterator[tuple[Signal, Place, int, int, float]]:
+def carried(
+    node_number: int, axle: int, parameters: Mapping[str, float]
+) -> Iterator[tuple[Signal, Place, int, int, float]]:
     """What a node carries: signal, place, axle, sub-index, and the parameter that multiplies the place's scale.
 
     `node_number` 0 with an axle is the drive under that axle. KeyError if a scale needs a parameter that is not given.
@@ -51,7 +62,9 @@ def carried(node_number: int, axle: int, parameters: Mapping[str, float]
                     yield signal, place, at + 1 if node_number else axle, place.sub + at, parameter
 
 
-def rows(node_number: int, axle: int, parameters: Mapping[str, float], titles: Mapping[int, str]) -> list[Row]:
+def rows(
+    node_number: int, axle: int, parameters: Mapping[str, float], titles: Mapping[int, str]
+) -> list[Row]:
     """Rows of the objects that carry measured signals; `titles` names the objects."""
     found: dict[tuple[int, int], Row] = {}
     for signal, place, at, sub, parameter in carried(node_number, axle, parameters):
@@ -60,11 +73,26 @@ def rows(node_number: int, axle: int, parameters: Mapping[str, float], titles: M
         name = title = titles[place.index]
         if sub:
             name = f"{title}/{title} axle {at}"
-            found[place.index, 0] = Row(place.index, 0, f"{title}/Highest sub-index supported", "U8", "const",
-                                        place.sub + signal.axles - 1)
+            found[place.index, 0] = Row(
+                place.index,
+                0,
+                f"{title}/Highest sub-index supported",
+                "U8",
+                "const",
+                place.sub + signal.axles - 1,
+            )
         found[place.index, sub] = Row(
-            index=place.index, sub=sub, name=name, kind=place.kind, access="ro", default=0, mappable=True,
-            unit=signal.unit.replace("_", "/"), factor=place.scale * parameter, text=signal.text)
+            index=place.index,
+            sub=sub,
+            name=name,
+            kind=place.kind,
+            access="ro",
+            default=0,
+            mappable=True,
+            unit=signal.unit.replace("_", "/"),
+            factor=place.scale * parameter,
+            text=signal.text,
+        )
     return list(found.values())
 
 

@@ -35,8 +35,9 @@ def hold_surface_speed(state, drive, tick_s):
         disturbance = state.observer[j] - drive.observer_rad_s * J * state.roller_speed[j]  # [R2]
         state.observer[j] += tick_s * drive.observer_rad_s * (state.motor_torque[j] - disturbance)
         error = state.vehicle_speed[0] / R - state.roller_speed[j]
-        state.motor_torque_demand[j] = (J * drive.speed_loop_rad_s * error
-                                        + J * state.vehicle_acceleration[0] / R + disturbance)  # [R1]
+        state.motor_torque_demand[j] = (
+            J * drive.speed_loop_rad_s * error + J * state.vehicle_acceleration[0] / R + disturbance
+        )  # [R1]
 
 
 @kernel
@@ -55,8 +56,11 @@ def follow_virtual_wheels(state, virtual, drive, radius_m, inertia_kgm2):
         force_N = virtual.adhesion[j] * virtual.wheel_load[j]
         wheel_rate = (r * force_N - virtual.brake_torque[j]) / J
         error = virtual.wheel_speed[j] - state.wheel_speed[j]
-        state.motor_torque_demand[j] = (R * force_N + rolled * wheel_rate
-                                        + drive.speed_loop_rad_s * (rolled + J * R / r) * error)  # [R3]
+        state.motor_torque_demand[j] = (
+            R * force_N
+            + rolled * wheel_rate
+            + drive.speed_loop_rad_s * (rolled + J * R / r) * error
+        )  # [R3]
 
 
 @kernel

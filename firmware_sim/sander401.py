@@ -21,20 +21,42 @@ from rollerrig.wsp_interface.signals import AXLES, SANDER_NODE, WSP_NODE
 DEVICE_TYPE, PRODUCT = 0x00060191, ("sander I/O", 0x402)
 TITLES = {0x6401: "Read analogue input 16-bit"}
 RPDOS = (Pdo(AT_ONCE, ((0x6200, 1, 8),)),)
-TPDOS = tuple(Pdo(SYNCHRONOUS, tuple((0x6401, sub, 16) for sub in range(first, first + AXLES)))
-              for first in (1, 1 + AXLES))
+TPDOS = tuple(
+    Pdo(SYNCHRONOUS, tuple((0x6401, sub, 16) for sub in range(first, first + AXLES)))
+    for first in (1, 1 + AXLES)
+)
 
 
-def build(row: np.ndarray, commands: np.ndarray, on_command: Callable[[], None] = lambda: None,
-          storage: Path | None = None, parameters: Mapping[str, float] | None = None) -> Node:
+def build(
+    row: np.ndarray,
+    commands: np.ndarray,
+    on_command: Callable[[], None] = lambda: None,
+    storage: Path | None = None,
+    parameters: Mapping[str, float] | None = None,
+) -> Node:
     """The node. `row`: live float64 array of all signals; `commands` (4,): 1 where an axle's sander shall strew."""
     parameters = dict(parameters or {})
-    profile = Profile(DEVICE_TYPE, PRODUCT[0], RPDOS, TPDOS, consumed=(
-        (WSP_NODE, int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))),))
-    own = [*process_image.rows(SANDER_NODE, 0, {}, TITLES),
-           *array(0x6200, "Write output 8-bit", "U8", "rw", [0], ("Sanders",), mappable=True,
-                  text="bit 2j: sander of axle j+1"),
-           Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False)]
+    profile = Profile(
+        DEVICE_TYPE,
+        PRODUCT[0],
+        RPDOS,
+        TPDOS,
+        consumed=((WSP_NODE, int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))),),
+    )
+    own = [
+        *process_image.rows(SANDER_NODE, 0, {}, TITLES),
+        *array(
+            0x6200,
+            "Write output 8-bit",
+            "U8",
+            "rw",
+            [0],
+            ("Sanders",),
+            mappable=True,
+            text="bit 2j: sander of axle j+1",
+        ),
+        Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
+    ]
     node = process_image.build(SANDER_NODE, profile, PRODUCT, own, row, parameters, storage=storage)
     node.commands = frozenset({0x6200})
     node.event_enablers = {0x6401: key(0x6423, 0)}
@@ -50,7 +72,11 @@ def build(row: np.ndarray, commands: np.ndarray, on_command: Callable[[], None] 
         strew(0)
 
     node.objects.own(0x6200, 1, effect=strew)
-    node.on_partner.append(lambda partner, alive: None if alive else stop(f"node {partner} is lost"))
-    node.on_state.append(lambda old, new: stop("NMT") if new in (State.STOPPED, State.INITIALISING) else None)
+    node.on_partner.append(
+        lambda partner, alive: None if alive else stop(f"node {partner} is lost")
+    )
+    node.on_state.append(
+        lambda old, new: stop("NMT") if new in (State.STOPPED, State.INITIALISING) else None
+    )
     node.on_power_off.append(lambda: strew(0))
     return node

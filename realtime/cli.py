@@ -48,66 +48,166 @@ class Verb(NamedTuple):
 
 
 VERBS = (
-    Verb("run", run.arguments, run.call, "one bench run: brake the vehicle, record everything",
-         "rollerrig run velim_a1 --pacing lockstep --out runs/a1"),
-    Verb("wsp", wsp.arguments, wsp.call, "the reference WSP unit as a separate program on a bus",
-         "rollerrig wsp --bus socketcand://127.0.0.1:29536/rig0"),
-    Verb("sequence", sequence.arguments, sequence.call, "scripted tests over the buses, with verdicts and a report",
-         "rollerrig sequence emergency_120 --out report"),
-    Verb("compare", results.compare_arguments, results.compare,
-         "runs side by side, by value with tolerances, overlaid in Rerun",
-         "rollerrig compare runs/a runs/b --tolerance m_s=0.1"),
-    Verb("export", results.export_arguments, results.export,
-         "a run as MDF4, MAT or CSV: all channels with units, and events",
-         "rollerrig export runs/demo --format csv --out demo.csv"),
-    Verb("export-fmu", results.fmu_arguments, results.export_fmu, "the rig as an FMU, for simulations of others",
-         "rollerrig export-fmu velim_a1 --out rig.fmu"),
-    Verb("campaign", campaign.arguments, campaign.call, "many runs from a plan, over processes or a Dask cluster",
-         "rollerrig campaign low_adhesion --out campaigns/soap"),
-    Verb("explain", explain.arguments, explain.call,
-         "what the simulation gets wrong, why, the extended model, the gain",
-         "rollerrig explain open_rail_cleaning --out reports/cleaning"),
-    Verb("hide", discover.hide_arguments, discover.hide, "a rig that hides one or two effects, and its key",
-         "rollerrig hide --seed 7 --out sealed.toml"),
-    Verb("discover", discover.arguments, discover.call,
-         "a rig finds out what is wrong: stops, explanation, the stops that part what is left, and again",
-         "rollerrig discover velim_a1 --stops 5 --out reports/found"),
-    Verb("desk", desk.arguments, desk.call, "a page in the browser: run the rig, watch it, look at its runs",
-         "rollerrig desk --open"),
-    Verb("view", results.view_arguments, results.view, "open a run, or several laid over one another, in Rerun",
-         "rollerrig view runs/demo"),
-    Verb("list", listing.arguments, listing.call, "what there is by name: scenarios, faults, signals and more",
-         "rollerrig list scenarios"),
-    Verb("check", check.arguments, check.call, "what this machine can do, and how to enable what it cannot",
-         "rollerrig check"),
-    Verb("devices", devices.arguments, devices.call, "write the EDS of every node, one DBC and the signal table",
-         "rollerrig devices --out devices"),
-    Verb("bench", bench.arguments, bench.call, "the project's own benchmarks: a table, and JSON",
-         "rollerrig bench loop --json"),
-    Verb("score", bench.score_arguments, bench.score,
-         "judge any tool's answers on sets of rollerrig bench explain --export",
-         "rollerrig score sets answers.json"),
-    Verb("tune", paper.tune_arguments, paper.tune, "tau of the recovery (or Polach's parameters) from measured data",
-         "rollerrig tune velim_synthetic --out reports/tune"),
-    Verb("validate", paper.validate_arguments, paper.validate,
-         "Table 6 on runs never fitted: measured, with and without recovery",
-         "rollerrig validate velim_synthetic --out reports/validate"),
+    Verb(
+        "run",
+        run.arguments,
+        run.call,
+        "one bench run: brake the vehicle, record everything",
+        "rollerrig run velim_a1 --pacing lockstep --out runs/a1",
+    ),
+    Verb(
+        "wsp",
+        wsp.arguments,
+        wsp.call,
+        "the reference WSP unit as a separate program on a bus",
+        "rollerrig wsp --bus socketcand://127.0.0.1:29536/rig0",
+    ),
+    Verb(
+        "sequence",
+        sequence.arguments,
+        sequence.call,
+        "scripted tests over the buses, with verdicts and a report",
+        "rollerrig sequence emergency_120 --out report",
+    ),
+    Verb(
+        "compare",
+        results.compare_arguments,
+        results.compare,
+        "runs side by side, by value with tolerances, overlaid in Rerun",
+        "rollerrig compare runs/a runs/b --tolerance m_s=0.1",
+    ),
+    Verb(
+        "export",
+        results.export_arguments,
+        results.export,
+        "a run as MDF4, MAT or CSV: all channels with units, and events",
+        "rollerrig export runs/demo --format csv --out demo.csv",
+    ),
+    Verb(
+        "export-fmu",
+        results.fmu_arguments,
+        results.export_fmu,
+        "the rig as an FMU, for simulations of others",
+        "rollerrig export-fmu velim_a1 --out rig.fmu",
+    ),
+    Verb(
+        "campaign",
+        campaign.arguments,
+        campaign.call,
+        "many runs from a plan, over processes or a Dask cluster",
+        "rollerrig campaign low_adhesion --out campaigns/soap",
+    ),
+    Verb(
+        "explain",
+        explain.arguments,
+        explain.call,
+        "what the simulation gets wrong, why, the extended model, the gain",
+        "rollerrig explain open_rail_cleaning --out reports/cleaning",
+    ),
+    Verb(
+        "hide",
+        discover.hide_arguments,
+        discover.hide,
+        "a rig that hides one or two effects, and its key",
+        "rollerrig hide --seed 7 --out sealed.toml",
+    ),
+    Verb(
+        "discover",
+        discover.arguments,
+        discover.call,
+        "a rig finds out what is wrong: stops, explanation, the stops that part what is left, and again",
+        "rollerrig discover velim_a1 --stops 5 --out reports/found",
+    ),
+    Verb(
+        "desk",
+        desk.arguments,
+        desk.call,
+        "a page in the browser: run the rig, watch it, look at its runs",
+        "rollerrig desk --open",
+    ),
+    Verb(
+        "view",
+        results.view_arguments,
+        results.view,
+        "open a run, or several laid over one another, in Rerun",
+        "rollerrig view runs/demo",
+    ),
+    Verb(
+        "list",
+        listing.arguments,
+        listing.call,
+        "what there is by name: scenarios, faults, signals and more",
+        "rollerrig list scenarios",
+    ),
+    Verb(
+        "check",
+        check.arguments,
+        check.call,
+        "what this machine can do, and how to enable what it cannot",
+        "rollerrig check",
+    ),
+    Verb(
+        "devices",
+        devices.arguments,
+        devices.call,
+        "write the EDS of every node, one DBC and the signal table",
+        "rollerrig devices --out devices",
+    ),
+    Verb(
+        "bench",
+        bench.arguments,
+        bench.call,
+        "the project's own benchmarks: a table, and JSON",
+        "rollerrig bench loop --json",
+    ),
+    Verb(
+        "score",
+        bench.score_arguments,
+        bench.score,
+        "judge any tool's answers on sets of rollerrig bench explain --export",
+        "rollerrig score sets answers.json",
+    ),
+    Verb(
+        "tune",
+        paper.tune_arguments,
+        paper.tune,
+        "tau of the recovery (or Polach's parameters) from measured data",
+        "rollerrig tune velim_synthetic --out reports/tune",
+    ),
+    Verb(
+        "validate",
+        paper.validate_arguments,
+        paper.validate,
+        "Table 6 on runs never fitted: measured, with and without recovery",
+        "rollerrig validate velim_synthetic --out reports/validate",
+    ),
 )
 
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
     top = argparse.ArgumentParser(
-        prog="rollerrig", description="Hardware-in-the-loop roller-rig emulator for railway wheel "
-        "slide protection.", epilog="example: rollerrig run velim_a1 --out runs/a1")
-    top.add_argument("--version", action="version", version=f"rollerrig {metadata.version('rollerrig')}")
+        prog="rollerrig",
+        description="Hardware-in-the-loop roller-rig emulator for railway wheel slide protection.",
+        epilog="example: rollerrig run velim_a1 --out runs/a1",
+    )
+    top.add_argument(
+        "--version", action="version", version=f"rollerrig {metadata.version('rollerrig')}"
+    )
     verbs = top.add_subparsers(dest="verb", required=True, metavar="VERB")
     for verb in VERBS:
-        sub = verbs.add_parser(verb.name, help=verb.text, description=verb.text.capitalize() + ".",
-                               epilog=f"example: {verb.example}")
+        sub = verbs.add_parser(
+            verb.name,
+            help=verb.text,
+            description=verb.text.capitalize() + ".",
+            epilog=f"example: {verb.example}",
+        )
         verb.arguments(sub)
-        sub.add_argument("--json", action="store_true",
-                         help="print one JSON object on standard output and nothing else there")
+        sub.add_argument(
+            "--json",
+            action="store_true",
+            help="print one JSON object on standard output and nothing else there",
+        )
         sub.set_defaults(call=verb.call)
     return top
 

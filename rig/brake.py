@@ -108,8 +108,11 @@ def blow(state, brake, p_d):
             state.cylinder_pressure[j] = p + (p_d - p) * brake.valve_fill_share  # [B2]
         elif state.valve[j] == FILL:
             # neither beyond what is asked nor beyond what both have in common
-            gain_NL = min(flow(p_r, p, air.fill, air.critical_ratio) * air.step_s, (p_d - p) * cylinder,
-                          max(p_r - p, 0.0) * cylinder * room / (cylinder + room))
+            gain_NL = min(
+                flow(p_r, p, air.fill, air.critical_ratio) * air.step_s,
+                (p_d - p) * cylinder,
+                max(p_r - p, 0.0) * cylinder * room / (cylinder + room),
+            )
             state.cylinder_pressure[j] = p + gain_NL / cylinder
             state.air_consumption[0] += gain_NL
             p_r -= gain_NL / room  # [B6]

@@ -36,4 +36,6 @@ def warm(state, heat):
         state.disc_temperature[j] += work_J / heat.disc_J_K - above_K * heat.disc_share  # [H1]
         load = state.motor_torque[j] / heat.rated_torque_Nm
         above_K = state.motor_temperature[j] - heat.air_K
-        state.motor_temperature[j] += (load * load * heat.motor_rise_K - above_K) * heat.motor_share  # [H2]
+        state.motor_temperature[j] += (
+            load * load * heat.motor_rise_K - above_K
+        ) * heat.motor_share  # [H2]

@@ -13,9 +13,12 @@ settings: Any = kernel_cache.settings
 _njit: Any = kernel_cache.numba.njit  # its published types do not know all options
 # nothing is allocated in a step, so numba need not count references to arrays: with fifty of them
 # in the state that took twice the time of the physics, and much of the time to compile
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy",
-                            # no kernel is handed to another as a function: none needs one for C
-                            "no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    # no kernel is handed to another as a function: none needs one for C
+    "no_cfunc_wrapper": True,
+}
 
 
 def _kept(**options: Any) -> Any:
@@ -40,14 +43,18 @@ kernel_inlined = _kept(_nrt=False, forceinline=True)
 kernel_with_memory = _kept()
 
 
-def written(name: str, lines: Sequence[str], file: str, module: str, names: Mapping[str, Any]) -> Any:
+def written(
+    name: str, lines: Sequence[str], file: str, module: str, names: Mapping[str, Any]
+) -> Any:
     """The kernel `name` from lines that a table gave; it is cached as if it stood in `file`."""
     space: dict[str, Any] = {"__name__": module, **names}
     exec(compile("\n".join(lines), file, "exec"), space)
     return kernel(space[name])
 
 
-def constructor(structure: Any, arguments: str, fields: Iterable[str], counted: bool = False, **names: Any) -> Any:
+def constructor(
+    structure: Any, arguments: str, fields: Iterable[str], counted: bool = False, **names: Any
+) -> Any:
     """A kernel that makes a named tuple, of an expression a field; `counted` as numba wants arrays at an address."""
     space: dict[str, Any] = {"structure": structure, **names}
     exec(f"def made({arguments}):\n    return structure({', '.join(fields)})", space)
@@ -70,5 +77,8 @@ def again(formula: Any, **names: Any) -> Any:
 
 def seeing(structure: Any, places: Iterable[slice | None]) -> Any:
     """A kernel that views a flat buffer as a named tuple, `views` for compiled code; None stays None."""
-    return constructor(structure, "buffer", ("None" if place is None else f"buffer[{place.start}:{place.stop}]"
-                                             for place in places))
+    return constructor(
+        structure,
+        "buffer",
+        ("None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places),
+    )

@@ -38,7 +38,9 @@ def _fingerprint(root: Path) -> str:
     for path in sorted(path for room in _ROOMS for path in (root / room).rglob("*.py")):
         source = path.read_bytes()
         structures = b"NamedTuple" in source and root / "rig" in path.parents
-        if path.name not in _SEEN_BY_NONE and (b"@kernel" in source or structures or path.name in _SEEN_BY_KERNELS):
+        if path.name not in _SEEN_BY_NONE and (
+            b"@kernel" in source or structures or path.name in _SEEN_BY_KERNELS
+        ):
             digest.update(path.name.encode() + source)
     return digest.hexdigest()[:16]
 
@@ -120,7 +122,9 @@ class _Compiling(event.Listener):
             import numba.np.arraymath  # noqa: F401, as numba would now
         if not self._begun_s:
             self._begun_s = time.monotonic()
-            log.warning("compiling the kernels, once after an installation or a change of them (1 to 2 minutes) ...")
+            log.warning(
+                "compiling the kernels, once after an installation or a change of them (1 to 2 minutes) ..."
+            )
             threading.Thread(target=self._tell, name="compiling", daemon=True).start()
 
     def on_end(self, event: Any) -> None:
@@ -131,7 +135,11 @@ class _Compiling(event.Listener):
     def _tell(self) -> None:
         time.sleep(PERIOD_S)
         while self._open or time.monotonic() - self._ended_s < PERIOD_S:
-            log.warning("compiling: %.0f s so far, %d kernels done", time.monotonic() - self._begun_s, self.done)
+            log.warning(
+                "compiling: %.0f s so far, %d kernels done",
+                time.monotonic() - self._begun_s,
+                self.done,
+            )
             time.sleep(PERIOD_S)
         log.warning("compiled %d kernels in %.0f s", self.done, self._ended_s - self._begun_s)
         self._begun_s = 0.0

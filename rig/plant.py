@@ -40,7 +40,9 @@ def start(state, params, initial_speed_m_s):
         state.wheel_speed[j] = initial_speed_m_s / params.wheels.table[vehicle.RADIUS_M + j]
         if params.mode != 0:
             state.roller_speed[j] = initial_speed_m_s / params.drive.roller_radius_m
-        state.observer[j] = (params.drive.observer_rad_s * params.drive.roller_inertia_kgm2 * state.roller_speed[j])
+        state.observer[j] = (
+            params.drive.observer_rad_s * params.drive.roller_inertia_kgm2 * state.roller_speed[j]
+        )
     begin(state, params, params.coach)
     heat.begin(state, params.heat)
     brake.begin(state, params.brake.air)
@@ -76,8 +78,12 @@ def friction(state, params):
             state.friction_degraded[j] = asked
             state.friction_recovered[j] = max(params.law.mu_cr, asked)
         if params.effects.on_friction:
-            state.friction_degraded[j] *= applied.friction_factor(state, j, place, params.effects, False)
-            state.friction_recovered[j] *= applied.friction_factor(state, j, place, params.effects, True)
+            state.friction_degraded[j] *= applied.friction_factor(
+                state, j, place, params.effects, False
+            )
+            state.friction_recovered[j] *= applied.friction_factor(
+                state, j, place, params.effects, True
+            )
         if params.sanders.axles != 0:
             share = dose_share(state.sand_dose[j], params.sanders.dose_scale_kg_m)
             loosen(state, j, params.sanders.gain * share, params)
@@ -119,8 +125,12 @@ def wear(state, params):
             state.lock_work[j] = 0.0
             continue
         state.lock_work[j] += 0.5 * max(work_J, 0.0)  # of one of two wheels
-        length_m = wheel_flat.length_m(state.lock_work[j], params.flats.wear_m3_J, params.flats.width_m,
-                                       params.wheels.table[vehicle.RADIUS_M + j])
+        length_m = wheel_flat.length_m(
+            state.lock_work[j],
+            params.flats.wear_m3_J,
+            params.flats.width_m,
+            params.wheels.table[vehicle.RADIUS_M + j],
+        )
         if length_m > state.flat_length[j]:
             state.flat_length[j], state.flat_angle[j] = length_m, state.wheel_angle[j]
 
@@ -143,8 +153,9 @@ def step(state, target_Pa, params):
     brake.fill(state, params.brake, target_Pa)
     if params.pads.vary:
         for j in range(AXLES):
-            state.clamp_pressure[j] = pads.clamped(state.clamp_pressure[j], state.cylinder_pressure[j],
-                                                   params.pads.clamp_hysteresis)
+            state.clamp_pressure[j] = pads.clamped(
+                state.clamp_pressure[j], state.cylinder_pressure[j], params.pads.clamp_hysteresis
+            )
     if state.standing[0] != 0.0:
         rest(state, params, params.coach)
         return
@@ -164,7 +175,8 @@ def capacity(state, axle, params):
         pressure_Pa = state.clamp_pressure[axle]
         rim_m_s = params.wheels.table[vehicle.RADIUS_M + axle] * state.wheel_speed[axle]
         found = brake.capacity(pressure_Pa, params.brake) * pads.friction_share(
-            rim_m_s, pressure_Pa, state.disc_temperature[axle], params.pads)
+            rim_m_s, pressure_Pa, state.disc_temperature[axle], params.pads
+        )
     else:
         found = brake.capacity(state.cylinder_pressure[axle], params.brake)
     if params.effects.on_torque:
@@ -179,7 +191,9 @@ def integrate(state, params, coach):
     if coach is None:
         wheelset.integrate(state, params)
     else:
-        on_rig.integrate(state, params, vehicle.resistance(state.vehicle_speed[0], params.vehicle), coach)
+        on_rig.integrate(
+            state, params, vehicle.resistance(state.vehicle_speed[0], params.vehicle), coach
+        )
 
 
 @kernel_inlined
@@ -202,8 +216,14 @@ def observe(state, params):
             surface = params.drive.roller_radius_m * state.roller_speed[j]
         sliding = surface - r * state.wheel_speed[j]
         f, f_d, f_r, transition, energy, _ = wheelset.adhesion_under(
-            on_rig.slip(j, sliding, state, params.coach), surface, load_N,
-            state.friction_degraded[j], state.friction_recovered[j], params.patch, params.law)
+            on_rig.slip(j, sliding, state, params.coach),
+            surface,
+            load_N,
+            state.friction_degraded[j],
+            state.friction_recovered[j],
+            params.patch,
+            params.law,
+        )
         if params.effects.memory_m > 0.0:
             instantaneous, transition = f, state.lagged_transition[j]
             f = math.copysign(adhesion.between(f_d, f_r, transition), f)

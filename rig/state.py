@@ -49,7 +49,9 @@ class State(NamedTuple):
     braked_angle: np.ndarray  # rad, turned while the brake was applied, likewise; friction
     rail_work: np.ndarray  # J/m, work of the wheels before on this metre, likewise; friction
     lagged_transition: np.ndarray  # -, lambda as a wheel remembers it, likewise; integrate
-    instantaneous_transition: np.ndarray  # -, lambda without memory, first stage of a step; integrate
+    instantaneous_transition: (
+        np.ndarray
+    )  # -, lambda without memory, first stage of a step; integrate
     wheel_load: np.ndarray  # N, vehicle
     brake_torque: np.ndarray  # N m, what acts (a locked wheel needs less than the brake could give)
     brake_capacity: np.ndarray  # N m, what the discs can hold at this pressure; integrate
@@ -77,7 +79,9 @@ class State(NamedTuple):
     rail_sand: np.ndarray  # kg, in each cell of the rail; surface
     rail_cell: np.ndarray  # the cell under each axle; surface
     rail_front: np.ndarray  # the foremost cell; surface
-    film: np.ndarray  # -, contaminant that the wheel meets on its roller, of what was prepared; surface
+    film: (
+        np.ndarray
+    )  # -, contaminant that the wheel meets on its roller, of what was prepared; surface
     roller_film: np.ndarray  # -, the same of each sector of each roller; surface
     film_sector: np.ndarray  # turned to by now; surface
     film_sprayed: np.ndarray  # -, of what a whole roller carries; surface
@@ -104,11 +108,25 @@ class State(NamedTuple):
     coach: np.ndarray | None = None  # (coach_state.SIZE,) of the multibody model
 
 
-PER_VEHICLE = frozenset((
-    "time", "standing", "vehicle_speed", "position", "vehicle_acceleration", "felt_acceleration",
-    "resistance_work", "brake_demand", "air_consumption", "reservoir_pressure", "reservoir_least", "air_supplied",
-    "sand_blown", "sand_left", "rail_front",
-))
+PER_VEHICLE = frozenset(
+    (
+        "time",
+        "standing",
+        "vehicle_speed",
+        "position",
+        "vehicle_acceleration",
+        "felt_acceleration",
+        "resistance_work",
+        "brake_demand",
+        "air_consumption",
+        "reservoir_pressure",
+        "reservoir_least",
+        "air_supplied",
+        "sand_blown",
+        "sand_left",
+        "rail_front",
+    )
+)
 WIDTHS = dict.fromkeys(PER_VEHICLE, 1) | {"rail_sand": CELLS, "roller_film": AXLES * SECTORS}
 SLOTS: dict[str, slice] = {}
 _at = 0

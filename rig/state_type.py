@@ -42,7 +42,12 @@ def register(named_tuple: type, places: Mapping[str, slice]) -> None:
 
     @typeof_impl.register(named_tuple)
     def _(state: Any, context: Any) -> Address:
-        return Address({name: None if view is None else places[name] for name, view in zip(fields, state, strict=True)})
+        return Address(
+            {
+                name: None if view is None else places[name]
+                for name, view in zip(fields, state, strict=True)
+            }
+        )
 
 
 @unbox(Address)
@@ -79,7 +84,12 @@ def _field(context: Any, builder: Any, kind: Address, state: Any, field: str) ->
     first = cgutils.create_struct_proxy(kind)(context, builder, state).first
     word = context.get_constant(types.intp, _WORD)
     view = arrayobj.make_array(_VIEW)(context, builder)
-    arrayobj.populate_array(view, data=builder.gep(first, [context.get_constant(types.intp, place.start)]),
-                            shape=[context.get_constant(types.intp, place.stop - place.start)], strides=[word],
-                            itemsize=word, meminfo=None)
+    arrayobj.populate_array(
+        view,
+        data=builder.gep(first, [context.get_constant(types.intp, place.start)]),
+        shape=[context.get_constant(types.intp, place.stop - place.start)],
+        strides=[word],
+        itemsize=word,
+        meminfo=None,
+    )
     return view._getvalue()

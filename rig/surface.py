@@ -49,7 +49,9 @@ def cell_at(place_m):
 def strew(state, sanders, positions_m, tick_s):
     """Let sanders strew and wheels roll on for a tick."""
     front = cell_at(state.position[0] + sanders.ahead_m)
-    while state.rail_front[0] < front:  # the cell that comes in was the last one: what lies there stays behind
+    while (
+        state.rail_front[0] < front
+    ):  # the cell that comes in was the last one: what lies there stays behind
         state.rail_front[0] += 1.0
         at = int(state.rail_front[0]) % CELLS
         state.sand_left[0] += state.rail_sand[at]
@@ -72,7 +74,9 @@ def blow(state, j, place_m, sanders, tick_s):
     state.sand_box[j] -= taken_kg
     state.sand_taken[j] += taken_kg
     state.sand_hose[j] += taken_kg
-    out_kg = state.sand_hose[j] * -math.expm1(-tick_s / max(sanders.hose_delay_s + state.sand_late[j], 1e-9))
+    out_kg = state.sand_hose[j] * -math.expm1(
+        -tick_s / max(sanders.hose_delay_s + state.sand_late[j], 1e-9)
+    )
     state.sand_hose[j] -= out_kg
     state.sand_rate[j] = out_kg / tick_s
     state.sand_blown[0] += out_kg * sanders.lost_share

@@ -15,7 +15,9 @@ from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.mechanisms.elsewhere import wheel_out_of_round
 from rollerrig.rig.state import AXLES
 
-STANDING_M_S = 0.005  # below this speed a braked or resisted vehicle stands: resistance is dry friction there
+STANDING_M_S = (
+    0.005  # below this speed a braked or resisted vehicle stands: resistance is dry friction there
+)
 # where the wheels' table has what, one value for each axle: radius, inertia, radius over inertia (rad/s2 a
 # newton: no step has to divide), share of the load that swings
 RADIUS_M, INERTIA_KGM2, ANSWER_1_KGM, SWING = range(0, 4 * AXLES, AXLES)
@@ -24,8 +26,11 @@ RADIUS_M, INERTIA_KGM2, ANSWER_1_KGM, SWING = range(0, 4 * AXLES, AXLES)
 @kernel
 def resistance(speed_m_s, vehicle):
     """Running resistance in N at a speed [V1]."""
-    return (vehicle.resistance_A_N + vehicle.resistance_B_N_s_m * speed_m_s
-            + vehicle.resistance_C_N_s2_m2 * speed_m_s * speed_m_s)
+    return (
+        vehicle.resistance_A_N
+        + vehicle.resistance_B_N_s_m * speed_m_s
+        + vehicle.resistance_C_N_s2_m2 * speed_m_s * speed_m_s
+    )
 
 
 @kernel
@@ -41,7 +46,9 @@ def swinging_load(load_N, axle, angle_rad, wheels):
     """Load in N of a wheelset whose wheels have turned by an angle, round or not [V4]."""
     if not wheels.swings:
         return load_N
-    return load_N * (1.0 + wheels.table[SWING + axle] * wheel_out_of_round(angle_rad, wheels.swing_phase_rad))
+    return load_N * (
+        1.0 + wheels.table[SWING + axle] * wheel_out_of_round(angle_rad, wheels.swing_phase_rad)
+    )
 
 
 @kernel_inlined

@@ -66,8 +66,15 @@ def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, o
         f = classic(at, surface_m_s, half_N, patch, here)[0]
     elif load_N > 0.0:
         f_d, f_r, slope_d, slope_r, k, slope_k = adhesion.curves(
-            min(abs(at), adhesion.LARGEST), surface_m_s, min(half_N, adhesion.LARGEST), patch.eps1, here)
-        f, lambda_0, _, _ = adhesion.f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work)
+            min(abs(at), adhesion.LARGEST),
+            surface_m_s,
+            min(half_N, adhesion.LARGEST),
+            patch.eps1,
+            here,
+        )
+        f, lambda_0, _, _ = adhesion.f_and_lambda(
+            f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work
+        )
         if lagging >= 0.0:
             f = adhesion.between(f_d, f_r, lagging)
         f = math.copysign(f, at)
@@ -116,8 +123,12 @@ def load(axle, felt_m_s2, turned_rad, state, params):
     found = body.load(axle, felt_m_s2, params.vehicle)
     found = body.swinging_load(found, axle, turned_rad, params.wheels)
     if params.flats.wear_m3_J > 0.0:
-        found *= wheel_flat.load_share(turned_rad - state.flat_angle[axle], state.flat_length[axle],
-                                       params.wheels.table[body.RADIUS_M + axle], params.flats.load_1_m)
+        found *= wheel_flat.load_share(
+            turned_rad - state.flat_angle[axle],
+            state.flat_length[axle],
+            params.wheels.table[body.RADIUS_M + axle],
+            params.flats.load_1_m,
+        )
     return found
 
 
@@ -127,8 +138,17 @@ def contact(axle, v, felt_m_s2, wheel_rad_s, roller_rad_s, turned_rad, lagging, 
     surface = v if params.mode == 0 else params.drive.roller_radius_m * roller_rad_s
     sliding = surface - params.wheels.table[body.RADIUS_M + axle] * wheel_rad_s
     load_N = load(axle, felt_m_s2, turned_rad, state, params)
-    return force(sliding, surface, load_N, state.friction_degraded[axle], state.friction_recovered[axle],
-                 params.patch, params.law, lagging, params.effects.memory_of_work)
+    return force(
+        sliding,
+        surface,
+        load_N,
+        state.friction_degraded[axle],
+        state.friction_recovered[axle],
+        params.patch,
+        params.law,
+        lagging,
+        params.effects.memory_of_work,
+    )
 
 
 @kernel_inlined
@@ -150,13 +170,16 @@ def integrate(state, params):
     for j in range(AXLES):
         wheel, roller = state.wheel_speed[j], state.roller_speed[j]
         lagging = state.lagged_transition[j] if remembers else adhesion.NO_MEMORY
-        T, g, lambda_0 = contact(j, v, felt, wheel, roller, state.wheel_angle[j], lagging, state, params)
+        T, g, lambda_0 = contact(
+            j, v, felt, wheel, roller, state.wheel_angle[j], lagging, state, params
+        )
         if remembers:
             state.instantaneous_transition[j] = lambda_0
         wheel_k, brake_Nm, locked = wheel_acceleration(wheel, T, state.brake_capacity[j], j, wheels)
         roller_k = roller_acceleration(state.motor_before[j], T, on_track, drive)
         state.wheel_rate[j], state.roller_rate[j], added_N = implicit_slopes(
-            wheel_k, roller_k, g, locked, on_track, h, j, wheels, drive)
+            wheel_k, roller_k, g, locked, on_track, h, j, wheels, drive
+        )
         # the vehicle feels what wheel and roller feel, or momentum would be lost where they are stiff
         total += T + added_N
         state.contact_force[j], state.brake_mean[j] = 0.5 * (T + added_N), 0.5 * brake_Nm
@@ -179,21 +202,39 @@ def integrate(state, params):
         T, g, lambda_0 = contact(j, v2, felt2, wheel, roller, turned_rad, lagging, state, params)
         if remembers:
             state.lagged_transition[j] = relaxed(
-                state.lagged_transition[j], 0.5 * (before + lambda_0), 0.5 * (v + v2), h, effects)
+                state.lagged_transition[j], 0.5 * (before + lambda_0), 0.5 * (v + v2), h, effects
+            )
         wheel_k, brake_Nm, locked = wheel_acceleration(wheel, T, state.brake_torque[j], j, wheels)
         roller_k = roller_acceleration(motor_Nm, T, on_track, drive)
-        wheel_k, roller_k, added_N = implicit_slopes(wheel_k - 2.0 * wheel1, roller_k - 2.0 * roller1, g,
-                                                     locked, on_track, h, j, wheels, drive)
+        wheel_k, roller_k, added_N = implicit_slopes(
+            wheel_k - 2.0 * wheel1,
+            roller_k - 2.0 * roller1,
+            g,
+            locked,
+            on_track,
+            h,
+            j,
+            wheels,
+            drive,
+        )
         total += T + added_N
         state.contact_force[j] += 0.5 * (T + added_N)
         state.brake_mean[j] += 0.5 * brake_Nm
-        turn(state, j, h * (1.5 * wheel1 + 0.5 * wheel_k), h * (1.5 * roller1 + 0.5 * roller_k),
-             0.5 * (state.motor_before[j] + motor_Nm), params)
+        turn(
+            state,
+            j,
+            h * (1.5 * wheel1 + 0.5 * wheel_k),
+            h * (1.5 * roller1 + 0.5 * roller_k),
+            0.5 * (state.motor_before[j] + motor_Nm),
+            params,
+        )
         state.brake_capacity[j] = state.brake_torque[j]
         state.motor_before[j] = motor_Nm
 
     a2 = -total / vehicle.mass_kg
-    state.felt_acceleration[0] = felt + 0.5 * h * (f1 + (a2 - felt2) / vehicle.pitch_time_constant_s)
+    state.felt_acceleration[0] = felt + 0.5 * h * (
+        f1 + (a2 - felt2) / vehicle.pitch_time_constant_s
+    )
     state.vehicle_acceleration[0] = 0.5 * (a1 + a2)
     state.vehicle_speed[0] = max(0.0, v + h * state.vehicle_acceleration[0])
     way_m = 0.5 * h * (v + state.vehicle_speed[0])
@@ -215,7 +256,10 @@ def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params)
     state.wheel_angle[axle] += wheel_rad
     state.roller_angle[axle] += roller_rad
     # mean force times way: the energy balance holds to rounding however stiff the contact
-    slid_m = params.drive.roller_radius_m * roller_rad - params.wheels.table[body.RADIUS_M + axle] * wheel_rad
+    slid_m = (
+        params.drive.roller_radius_m * roller_rad
+        - params.wheels.table[body.RADIUS_M + axle] * wheel_rad
+    )
     state.sliding_work[axle] += state.contact_force[axle] * slid_m
     state.brake_work[axle] += state.brake_mean[axle] * wheel_rad
     state.motor_work[axle] += motor_Nm * roller_rad

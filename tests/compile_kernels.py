@@ -15,8 +15,18 @@ from pathlib import Path
 from rollerrig.rig import kernel
 
 ROOT = Path(__file__).parent.parent
-RUN = ("run", "velim_a1", "--set", "duration_max_s=0.3", "--set", "bus.interface=hub", "--set",
-       "bus.socketcand_port=0", "--set", "modbus.port=0")
+RUN = (
+    "run",
+    "velim_a1",
+    "--set",
+    "duration_max_s=0.3",
+    "--set",
+    "bus.interface=hub",
+    "--set",
+    "bus.socketcand_port=0",
+    "--set",
+    "modbus.port=0",
+)
 COACH = (*RUN, "--pacing", "free", "--set", "vehicle.model=multibody", "--set")
 # the kernels of the generators of stops, which is a program and no command
 GENERATORS = """import sys
@@ -30,7 +40,12 @@ braking_stops.make(Path(sys.argv[-1]), {}, 1)
 COMMANDS = (
     ((*RUN, "--pacing", "wall"), (*RUN, "--pacing", "lockstep"), (*RUN, "--pacing", "free")),
     ((*COACH, "rig=plain_track"), (*COACH, "rig=virtual_track")),
-    (("tune", "velim_synthetic"), ("campaign", "CAMPAIGN"), (*RUN, "--pacing", "free", "--wsp", "none"), GENERATORS),
+    (
+        ("tune", "velim_synthetic"),
+        ("campaign", "CAMPAIGN"),
+        (*RUN, "--pacing", "free", "--wsp", "none"),
+        GENERATORS,
+    ),
 )
 CAMPAIGN = """title = "two short stops"
 scenario = "velim_a1"
@@ -41,13 +56,23 @@ initial_speed_m_s = [1.0, 2.0]
 
 
 def main():
-    mark = Path(kernel.settings.CACHE_DIR) / f"compiled-{hashlib.sha256(str(ROOT).encode()).hexdigest()[:16]}"
+    mark = (
+        Path(kernel.settings.CACHE_DIR)
+        / f"compiled-{hashlib.sha256(str(ROOT).encode()).hexdigest()[:16]}"
+    )
     if mark.exists():
         return
     begun_s = time.monotonic()
     print("compiling kernels ...", flush=True)
-    with tempfile.TemporaryDirectory(prefix="rollerrig-compile-") as folder, ThreadPoolExecutor(2) as workers:
-        list(workers.map(lambda n: compile_with(COMMANDS[n], Path(folder) / str(n)), range(len(COMMANDS))))
+    with (
+        tempfile.TemporaryDirectory(prefix="rollerrig-compile-") as folder,
+        ThreadPoolExecutor(2) as workers,
+    ):
+        list(
+            workers.map(
+                lambda n: compile_with(COMMANDS[n], Path(folder) / str(n)), range(len(COMMANDS))
+            )
+        )
     mark.touch()
     print(f"compiled in {time.monotonic() - begun_s:.0f} s")
 
@@ -58,10 +83,22 @@ def compile_with(commands, folder):
         out.parent.mkdir(parents=True, exist_ok=True)
         plan = out.with_suffix(".toml")
         plan.write_text(CAMPAIGN)
-        start = ("-c", words) if isinstance(words, str) else (
-            "-m", "rollerrig.realtime.cli", *(str(plan) if word == "CAMPAIGN" else word for word in words))
-        done = subprocess.run([sys.executable, *start, "--out", str(out)], cwd=ROOT / "tests",
-                              stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        start = (
+            ("-c", words)
+            if isinstance(words, str)
+            else (
+                "-m",
+                "rollerrig.realtime.cli",
+                *(str(plan) if word == "CAMPAIGN" else word for word in words),
+            )
+        )
+        done = subprocess.run(
+            [sys.executable, *start, "--out", str(out)],
+            cwd=ROOT / "tests",
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         if done.returncode not in (0, 4):  # a run need not stop here
             raise SystemExit(done.stderr)
 

@@ -16,13 +16,24 @@ from written_docs import ALL_ITEMS, write
 # fixtures of tests/realtime/conftest.py
 RUNS = {"stop_with_wsp", "stop_without_wsp", "stop_on_leaves", "free_stop", "wall_run"}
 # after the explanations: what takes long, and waits as often as it computes
-LONG = ("tests/tutorials/", "tests/realtime/", "tests/rig/identify/", "tests/third_party/", "tests/wsp_interface/",
-        "tests/firmware_sim/")
+LONG = (
+    "tests/tutorials/",
+    "tests/realtime/",
+    "tests/rig/identify/",
+    "tests/third_party/",
+    "tests/wsp_interface/",
+    "tests/firmware_sim/",
+)
 
 
 def pytest_addoption(parser):
-    parser.addoption("--write-docs", metavar="FOLDER", type=Path, help="write the pages that are made, from all "
-                     "tests that are collected; with --collect-only")
+    parser.addoption(
+        "--write-docs",
+        metavar="FOLDER",
+        type=Path,
+        help="write the pages that are made, from all "
+        "tests that are collected; with --collect-only",
+    )
 
 
 def pytest_configure(config):
@@ -30,9 +41,14 @@ def pytest_configure(config):
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     # else xdist lets what has the fewest tests come last: whole explanations, with one worker waiting for the other
     config.option.loadscopereorder = False
-    config.addinivalue_line("markers", "conformance(standard, behaviour): what of a standard this "
-                            "test holds, for the table of conformance")
-    config.addinivalue_line("markers", "explanation: explains whole sets of runs; `make check` leaves these out")
+    config.addinivalue_line(
+        "markers",
+        "conformance(standard, behaviour): what of a standard this "
+        "test holds, for the table of conformance",
+    )
+    config.addinivalue_line(
+        "markers", "explanation: explains whole sets of runs; `make check` leaves these out"
+    )
     config.addinivalue_line("markers", "xdist_group(name): tests of one worker")
 
 
@@ -42,7 +58,11 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         file, _, test = item.nodeid.partition("::")
         alone = item.get_closest_marker("explanation") or file.startswith("tests/tutorials/")
-        item.add_marker(pytest.mark.xdist_group("runs" if RUNS & set(item.fixturenames) else test if alone else file))
+        item.add_marker(
+            pytest.mark.xdist_group(
+                "runs" if RUNS & set(item.fixturenames) else test if alone else file
+            )
+        )
     if config.getoption("numprocesses", None) or hasattr(config, "workerinput"):
         items.sort(key=turn)
 
@@ -56,7 +76,9 @@ def turn(item):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_logreport(report):
-    if hasattr(report, "node"):  # a worker's; without the group that xdist appends, --last-failed finds it again
+    if hasattr(
+        report, "node"
+    ):  # a worker's; without the group that xdist appends, --last-failed finds it again
         report.nodeid = report.nodeid.rpartition("@")[0]
 
 

@@ -17,14 +17,14 @@ ROOT = Path(__file__).parent.parent
 FLOORS = {
     "": "configs | rig wsp_interface | firmware_sim | realtime",
     "rig": "kernel_cache | kernel state_type | contact mechanisms | multibody | params state | "
-           "brake heat motor surface vehicle | wheelset | lanes plant | identify",
+    "brake heat motor surface vehicle | wheelset | lanes plant | identify",
     "rig/identify": "data | filter recorder | causes | decide | paper next",
     "wsp_interface": "bus signals | descriptions rig_objects | harness_client | own_bench | "
-                     "sequences | fixture robot | harness",
+    "sequences | fixture robot | harness",
     "firmware_sim": "cia301 rig_control | nmt_master process_image rack wsp | "
-                    "bench_node drive402 encoder406 faults io401 sander401 | modbus pole_wheel",
+    "bench_node drive402 encoder406 faults io401 sander401 | modbus pole_wheel",
     "realtime": "loop record unread | telemetry | bench | campaign | desk reports studies | benchmarks | verbs | "
-                "api cli",
+    "api cli",
 }
 # all that a room may import of a room below it, where that is less than everything
 NARROW = {("firmware_sim", "rig"): {"rig/kernel"}}
@@ -57,8 +57,12 @@ OUTSIDE = {
     "realtime/verbs": "numpy rich tomli_w",
 }
 # these may call importlib.import_module: benchmarks by name, a campaign's own unit, the generator of stops, python-can
-BY_COMPUTED_NAME = {"realtime/verbs/bench", "realtime/campaign/campaign", "realtime/benchmarks/sealed/cases",
-                    "realtime/cli"}
+BY_COMPUTED_NAME = {
+    "realtime/verbs/bench",
+    "realtime/campaign/campaign",
+    "realtime/benchmarks/sealed/cases",
+    "realtime/cli",
+}
 # 27,908 lines held all that there was when the rooms were done; what a bench has learned since comes on top
 MODULES, LINES, ALL_LINES = 14, 400, 38_850
 # the folder that is the package `rollerrig` itself: what a notebook imports
@@ -70,14 +74,25 @@ NOT_YET: dict[str, str] = {}
 def unless_not_yet(kind, values):
     """Parameters of a test, those in NOT_YET marked."""
     rows = [(value, NOT_YET.get(f"{kind} {value}".rstrip())) for value in values]
-    return [pytest.param(value, id=value or "house", marks=[pytest.mark.xfail(strict=True, reason=why)] if why else [])
-            for value, why in rows]
+    return [
+        pytest.param(
+            value,
+            id=value or "house",
+            marks=[pytest.mark.xfail(strict=True, reason=why)] if why else [],
+        )
+        for value, why in rows
+    ]
 
 
 ROOMS = FLOORS[""].replace("|", " ").split()
 # every source file by its path without `.py`, a package by its folder
-FILES = {(path.parent if path.name == "__init__.py" else path.with_suffix("")).relative_to(ROOT).as_posix(): path
-         for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))}
+FILES = {
+    (path.parent if path.name == "__init__.py" else path.with_suffix(""))
+    .relative_to(ROOT)
+    .as_posix(): path
+    for room in ROOMS
+    for path in sorted((ROOT / room).rglob("*.py"))
+}
 FOLDERS = [""] + [name for name, path in FILES.items() if path.name == "__init__.py"]
 MODULE_FILES = [name for name in FILES if name not in FOLDERS]
 
@@ -96,7 +111,7 @@ def imports(name):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            base = package[:len(package) - node.level + 1] if node.level else []
+            base = package[: len(package) - node.level + 1] if node.level else []
             base = ".".join([*base, *filter(None, [node.module])])
             found |= {f"{base}.{alias.name}" for alias in node.names}
     return found
@@ -137,10 +152,17 @@ def rule(table, name):
 
 @pytest.mark.parametrize("folder", unless_not_yet("floors", FLOORS))
 def test_a_room_imports_only_from_floors_below(folder):
-    floor = {room: number for number, rooms in enumerate(FLOORS[folder].split("|")) for room in rooms.split()}
+    floor = {
+        room: number
+        for number, rooms in enumerate(FLOORS[folder].split("|"))
+        for room in rooms.split()
+    }
     assert {child(folder, name) for name in FILES} - {None} == set(floor)
-    upward = {f"{name} imports {other}" for here, there, name, other in imports_among(folder)
-              if floor[there] >= floor[here]}
+    upward = {
+        f"{name} imports {other}"
+        for here, there, name, other in imports_among(folder)
+        if floor[there] >= floor[here]
+    }
     assert upward == set()
 
 
@@ -156,22 +178,38 @@ def test_no_rooms_import_one_another_in_a_circle(folder):
 
 @pytest.mark.parametrize(("room", "below"), NARROW)
 def test_of_some_rooms_only_a_part_is_open(room, below):
-    seen = {other for name in FILES if name.startswith(f"{room}/") for other in own_imports(name)
-            if other.startswith(f"{below}/")}
+    seen = {
+        other
+        for name in FILES
+        if name.startswith(f"{room}/")
+        for other in own_imports(name)
+        if other.startswith(f"{below}/")
+    }
     assert seen <= NARROW[room, below]
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_imports_only_outside_packages_that_its_room_may(name):
-    outside = {one.partition(".")[0] for one in imports(name)} - {"rollerrig"} - set(sys.stdlib_module_names)
+    outside = (
+        {one.partition(".")[0] for one in imports(name)}
+        - {"rollerrig"}
+        - set(sys.stdlib_module_names)
+    )
     assert outside <= set(rule(OUTSIDE, name).split())
 
 
 def test_imports_are_written_so_that_they_can_be_read():
     # PyPI has other packages called rig and realtime
     bare = {name for name in FILES if {one.partition(".")[0] for one in imports(name)} & set(ROOMS)}
-    computed = {name for name in FILES if "importlib.import_module" in imports(name) or any(
-        isinstance(node, ast.Attribute) and node.attr == "import_module" for node in ast.walk(tree(name)))}
+    computed = {
+        name
+        for name in FILES
+        if "importlib.import_module" in imports(name)
+        or any(
+            isinstance(node, ast.Attribute) and node.attr == "import_module"
+            for node in ast.walk(tree(name))
+        )
+    }
     assert (bare, computed) == (set(), BY_COMPUTED_NAME)
 
 
@@ -196,13 +234,21 @@ def lines(name):
 
 def test_no_two_test_files_have_one_name():
     # pytest would collect one of them only
-    names = [path.name for path in (ROOT / "tests").rglob("*.py") if path.name not in ("__init__.py", "conftest.py")]
+    names = [
+        path.name
+        for path in (ROOT / "tests").rglob("*.py")
+        if path.name not in ("__init__.py", "conftest.py")
+    ]
     assert [name for name in set(names) if names.count(name) > 1] == []
 
 
 def test_every_package_is_installed():
-    setup = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-    folders = {DOOR.get(folder, "rollerrig." + folder.replace("/", ".")): folder for folder in FOLDERS[1:]}
+    setup = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "setuptools"
+    ]
+    folders = {
+        DOOR.get(folder, "rollerrig." + folder.replace("/", ".")): folder for folder in FOLDERS[1:]
+    }
     holding = {path.parent.relative_to(ROOT).as_posix() for path in FILES.values()}
     assert holding == set(folders.values())
     assert setup["packages"] == sorted(folders)
@@ -219,9 +265,13 @@ def test_a_package_says_what_it_is_and_holds_nothing_else(folder):
 @pytest.mark.parametrize("name", FILES)
 def test_every_function_but_a_kernel_says_its_types(name):
     # the types of a kernel are found by numba; mypy holds this where no kernels are
-    untyped = {one.name for one in ast.walk(tree(name)) if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)
-               and not any(ast.unparse(mark).startswith("kernel") for mark in one.decorator_list)
-               and not (one.returns and all(given.annotation for given in arguments(one)))}
+    untyped = {
+        one.name
+        for one in ast.walk(tree(name))
+        if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)
+        and not any(ast.unparse(mark).startswith("kernel") for mark in one.decorator_list)
+        and not (one.returns and all(given.annotation for given in arguments(one)))
+    }
     assert untyped == set()
 
 

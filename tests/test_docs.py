@@ -59,17 +59,26 @@ def test_every_command_of_a_page_parses(path):
 def test_every_file_that_a_page_names_exists(path):
     text = path.read_text(encoding="utf-8")
     told = re.findall(r"`([\w.{}*-]+(?:/[\w.{}*-]+)*/?[\w.*-]*)`", text)
-    named = {one for one in told if one.split("/")[0] in ROOMS and "/" in one and not MADE.match(one)}
-    named |= {one for one in re.findall(r"(?<![\w./-])((?:\w+/)+\w+\.(?:py|go|toml|md))\b", text)
-              if not MADE.match(one)}
+    named = {
+        one for one in told if one.split("/")[0] in ROOMS and "/" in one and not MADE.match(one)
+    }
+    named |= {
+        one
+        for one in re.findall(r"(?<![\w./-])((?:\w+/)+\w+\.(?:py|go|toml|md))\b", text)
+        if not MADE.match(one)
+    }
     bases = (ROOT, ROOT / "tests", path.parent)
-    assert {one for one in named if not any(list(base.glob(one.rstrip("/"))) for base in bases)} == set()
+    assert {
+        one for one in named if not any(list(base.glob(one.rstrip("/"))) for base in bases)
+    } == set()
 
 
 @pytest.mark.parametrize("path", PAGES, ids=NAMES)
 def test_every_name_that_a_page_places_in_a_file_is_there(path):
     placed = re.findall(r"`(\w+)`\s+of\s+`([\w/]+\.py)`", path.read_text(encoding="utf-8"))
-    assert [(name, file) for name, file in placed if not re.search(rf"\b{name}\b", text_of(file))] == []
+    assert [
+        (name, file) for name, file in placed if not re.search(rf"\b{name}\b", text_of(file))
+    ] == []
 
 
 def test_the_readme_is_one_page():
@@ -77,10 +86,14 @@ def test_the_readme_is_one_page():
 
 
 def test_the_thresholds_of_explain_are_those_of_the_code():
-    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| `([\w/]+)\.py` \|",
-                      text_of("docs/explain.md") + text_of("docs/recorders.md"), re.MULTILINE)
+    rows = re.findall(
+        r"^\| `(\w+)` \| ([^|]+) \| `([\w/]+)\.py` \|",
+        text_of("docs/explain.md") + text_of("docs/recorders.md"),
+        re.MULTILINE,
+    )
     assert {name for name, _, path in rows if path.endswith("recorder/thresholds")} == {
-        name for name in vars(thresholds) if name.isupper()}
+        name for name in vars(thresholds) if name.isupper()
+    }
     for name, told, path in rows:
         share = [float(ast.literal_eval(part.strip())) for part in told.split("/")]
         value = share[0] / share[1] if len(share) == 2 else share[0]
@@ -111,18 +124,39 @@ def test_the_written_tables_of_a_page_are_up_to_date(name):
 
 def test_every_column_that_the_loader_reads_is_on_its_page():
     text = text_of("docs/datasets.md")
-    assert [name for name in dataset.CHANNELS if f"`{name}`" not in text and not re.search(r"_[23]_", name)] == []
+    assert [
+        name
+        for name in dataset.CHANNELS
+        if f"`{name}`" not in text and not re.search(r"_[23]_", name)
+    ] == []
 
 
 def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = text_of("docs/datasets.md")
     for speed in (30, 27, 24):
-        assert cli.main(["run", "velim_a1", "--pacing", "free", "--set", "rig=plain_track", "--set",
-                         f"initial_speed_m_s={speed}", "--out", f"runs/from_{speed}"]) == 0
+        assert (
+            cli.main(
+                [
+                    "run",
+                    "velim_a1",
+                    "--pacing",
+                    "free",
+                    "--set",
+                    "rig=plain_track",
+                    "--set",
+                    f"initial_speed_m_s={speed}",
+                    "--out",
+                    f"runs/from_{speed}",
+                ]
+            )
+            == 0
+        )
     cut = re.search(r"```python\n(.*?)```", text, re.DOTALL)
     subprocess.run([sys.executable, "-c", cut[1]], check=True)
-    (tmp_path / "stops" / "dataset.toml").write_text(re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1])
+    (tmp_path / "stops" / "dataset.toml").write_text(
+        re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1]
+    )
     found = dataset.load("stops")
     assert [run.name for run in found.group("validate")] == ["from_27"]
     assert all(run.load_N.shape == (run.time_s.size, 4) for run in found.runs)
@@ -131,8 +165,13 @@ def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
 
 def test_the_identifiers_of_the_page_of_units_are_those_of_the_rig():
     text = text_of("docs/units.md")
-    for can_id in (rig_objects.SPEEDS.can_id, rig_objects.PRESSURES.can_id, rig_objects.REFERENCE_SPEED.can_id,
-                   rig_objects.MAGNETS_ID, rig_objects.UNIT_HEARTBEAT_ID):
+    for can_id in (
+        rig_objects.SPEEDS.can_id,
+        rig_objects.PRESSURES.can_id,
+        rig_objects.REFERENCE_SPEED.can_id,
+        rig_objects.MAGNETS_ID,
+        rig_objects.UNIT_HEARTBEAT_ID,
+    ):
         assert f"| {can_id:X}h |" in text
     assert f"I16, {rig_objects.SPEEDS.scales[0]:g} rad/s" in text
     assert f"I16, {rig_objects.REFERENCE_SPEED.scales[0]:g} m/s" in text

@@ -29,7 +29,11 @@ def test_the_page_of_conformance_is_up_to_date(docs, request):
 
 
 def test_the_page_of_conformance_names_tests_that_are_there(docs):
-    told = re.findall(r"\| `([^`]+)` (\w+) \|$", (docs / "conformance.md").read_text(encoding="utf-8"), re.MULTILINE)
+    told = re.findall(
+        r"\| `([^`]+)` (\w+) \|$",
+        (docs / "conformance.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
     assert len(told) > 150
     texts = {name: (ROOT / name).read_text(encoding="utf-8") for name, _ in told}
     assert [test for name, test in told if f"def {test}(" not in texts[name]] == []
@@ -51,13 +55,16 @@ def test_the_settings_on_the_page_of_modbus_are_the_defaults(docs):
 def test_the_registers_on_the_page_of_modbus_are_those_of_the_map(docs):
     text = (docs / "modbus.md").read_text(encoding="utf-8")
     at = {row.name: row.at for row in (*map.BITS, *map.WORDS)}
-    for step, register, name in (("choose a scenario", "register {}:", "scenario"),
-                                 ("choose a speed", "register {}:", "speed_set_point"),
-                                 ("set a brake demand", "register {}:", "brake_demand_set_point"),
-                                 ("start", "bit {} ", "run"), ("stop early", "bit {} ", "stop"),
-                                 ("emergency stop", "bit {},", "emergency_stop"),
-                                 ("inject a fault", "then bit {};", "inject_fault"),
-                                 ("inject a fault", "registers {} to", "fault")):
+    for step, register, name in (
+        ("choose a scenario", "register {}:", "scenario"),
+        ("choose a speed", "register {}:", "speed_set_point"),
+        ("set a brake demand", "register {}:", "brake_demand_set_point"),
+        ("start", "bit {} ", "run"),
+        ("stop early", "bit {} ", "stop"),
+        ("emergency stop", "bit {},", "emergency_stop"),
+        ("inject a fault", "then bit {};", "inject_fault"),
+        ("inject a fault", "registers {} to", "fault"),
+    ):
         row = re.search(rf"^\| {step}.*$", text, re.MULTILINE)[0]
         assert register.format(at[name]) in row, (step, name)
 
@@ -65,7 +72,9 @@ def test_the_registers_on_the_page_of_modbus_are_those_of_the_map(docs):
 def test_the_objects_of_node_127_on_the_page_of_sequences_are_those_of_the_node(docs):
     text = (docs / "sequences.md").read_text(encoding="utf-8")
     told = set()
-    for first, last in re.findall(r"^\| (2\w{3})h(?:\.\.(2\w{3})h|[^|.]*(?:\.\.\d)?[^|.]*) \|", text, re.MULTILINE):
+    for first, last in re.findall(
+        r"^\| (2\w{3})h(?:\.\.(2\w{3})h|[^|.]*(?:\.\.\d)?[^|.]*) \|", text, re.MULTILINE
+    ):
         told |= set(range(int(first, 16), int(last or first, 16) + 1))
     assert told == {row.index for row in bench_node.rows("wall")}
 

@@ -31,8 +31,11 @@ CLOSE = 1e-9
 
 def rollerrig(*words):
     """Run the command of the interpreter that runs this file."""
-    return subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
-                          capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
+        capture_output=True,
+        text=True,
+    )
 
 
 def record_stop(out, stop, rig):
@@ -49,7 +52,12 @@ def sets(folder):
 
     for make in (braking_stops, other_stops):
         name = make.__name__.rpartition(".")[2]
-        hidden = [{}, {}, *({cause: size} for cause, size in list(make.SMALLEST.items())[::3]), *make.PAIRS[:2]]
+        hidden = [
+            {},
+            {},
+            *({cause: size} for cause, size in list(make.SMALLEST.items())[::3]),
+            *make.PAIRS[:2],
+        ]
         for k, effects in enumerate(hidden[:GENERATED]):
             place = folder / f"{name}_{k}"
             if not (place / "dataset.toml").is_file():
@@ -105,10 +113,18 @@ def leaves(value, at=""):
 def reports_apart(a, b):
     """(verdict and causes alike, largest relative difference of the causes' values and the gain)."""
     one, two = (json.loads((folder / "report.json").read_text()) for folder in (a, b))
-    names = [(r.get("verdict"), [(c["name"], c["axles"], c["confusable_with"]) for c in r.get("causes", ())])
-             for r in (one, two)]
+    names = [
+        (
+            r.get("verdict"),
+            [(c["name"], c["axles"], c["confusable_with"]) for c in r.get("causes", ())],
+        )
+        for r in (one, two)
+    ]
     apart = 0.0
-    values = [dict(leaves({key: r.get(key) for key in ("causes", "gain", "misfit", "unknown")})) for r in (one, two)]
+    values = [
+        dict(leaves({key: r.get(key) for key in ("causes", "gain", "misfit", "unknown")}))
+        for r in (one, two)
+    ]
     for path in values[0].keys() | values[1].keys():
         x, y = (v.get(path) for v in values)
         numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (x, y))
@@ -127,22 +143,28 @@ def compare(a, b):
             continue
         apart = channels_apart(folder, other)
         log = (folder / "can.log").read_bytes() == (other / "can.log").read_bytes()
-        print(f"{folder.name:28} channels {'equal to the bit' if apart == 0.0 else f'apart by {apart:.1e}'}, "
-              f"bus log {'equal' if log else 'NOT EQUAL'}")
+        print(
+            f"{folder.name:28} channels {'equal to the bit' if apart == 0.0 else f'apart by {apart:.1e}'}, "
+            f"bus log {'equal' if log else 'NOT EQUAL'}"
+        )
         worst |= apart > CLOSE or not log
     for folder in sorted((a / "explained").iterdir() if (a / "explained").is_dir() else ()):
         other = b / "explained" / folder.name
         if not (other / "report.json").is_file():
             continue
         alike, apart = reports_apart(folder, other)
-        print(f"{folder.name:28} {'same verdict and causes' if alike else 'OTHER VERDICT OR CAUSES'}, "
-              f"values {'equal' if apart == 0.0 else f'apart by {apart:.1e}'}")
+        print(
+            f"{folder.name:28} {'same verdict and causes' if alike else 'OTHER VERDICT OR CAUSES'}, "
+            f"values {'equal' if apart == 0.0 else f'apart by {apart:.1e}'}"
+        )
         worst |= not alike or apart > 1e-6
     return worst
 
 
 def main():
-    given = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    given = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     given.add_argument("verb", choices=("record", "compare"))
     given.add_argument("folders", nargs="+", type=Path)
     given.add_argument("--only", choices=("stops", "explanations"))

@@ -22,8 +22,20 @@ from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.recorder import recording
 from rollerrig.wsp_interface import harness_client
 
-STANDARDS = ("CAN", "Hub", "CiA 301", "CiA 305", "CiA 402", "CiA 406", "CiA 401", "Rig control", "Modbus",
-             "Faults", "Bad input", "Masters")
+STANDARDS = (
+    "CAN",
+    "Hub",
+    "CiA 301",
+    "CiA 305",
+    "CiA 402",
+    "CiA 406",
+    "CiA 401",
+    "Rig control",
+    "Modbus",
+    "Faults",
+    "Bad input",
+    "Masters",
+)
 ALL_ITEMS = pytest.StashKey[list[pytest.Item]]()
 
 
@@ -45,9 +57,15 @@ def conformance(items):
             standard, behaviour = mark.args
             assert standard in STANDARDS, f"{item.nodeid}: no standard is called {standard!r}"
             rows[standard][f"| {behaviour} | `{name}` {item.originalname} |"] = None
-    lines = ["# Conformance", "", "Written by `make docs`. Each behaviour is held by the test beside it."]
+    lines = [
+        "# Conformance",
+        "",
+        "Written by `make docs`. Each behaviour is held by the test beside it.",
+    ]
     for standard, mine in rows.items():
-        lines += ["", f"## {standard}", "", "| behaviour | test |", "|---|---|", *mine] if mine else []
+        lines += (
+            ["", f"## {standard}", "", "| behaviour | test |", "|---|---|", *mine] if mine else []
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -79,17 +97,29 @@ def overrides():
 def searches():
     """Lines of the table of causes; a cause in a window is searched in bins."""
     for one in causes.TABLE[:-1]:  # the last is the empirical formula, no cause
-        cells = (len(one.shapes) or "bins", f"{one.floor:g}" if one.floor else "", one.price or "",
-                 f"{one.alpha:.1g}", ", ".join(one.goes_by))
+        cells = (
+            len(one.shapes) or "bins",
+            f"{one.floor:g}" if one.floor else "",
+            one.price or "",
+            f"{one.alpha:.1g}",
+            ", ".join(one.goes_by),
+        )
         yield f"| `{one.name}` | {one.mechanism.text} | {' | '.join(map(str, cells))} |"
 
 
 def rates():
     """Lines of the table of how often `explain` is right, from the answers that are kept."""
-    found = [explain.judge(folder, folder / "explain.json")["rows"] for folder in map(KEPT.joinpath, GENERATORS)]
+    found = [
+        explain.judge(folder, folder / "explain.json")["rows"]
+        for folder in map(KEPT.joinpath, GENERATORS)
+    ]
     for rows in zip(*found, strict=True):
-        cells = [f"{row['yes']} of {row['of']}" if row["yes"] is not None else
-                 f"{row['share']:.2f} ({row['of']} sets)" for row in rows]
+        cells = [
+            f"{row['yes']} of {row['of']}"
+            if row["yes"] is not None
+            else f"{row['share']:.2f} ({row['of']} sets)"
+            for row in rows
+        ]
         yield f"| {rows[0]['measure']} | {' | '.join(cells)} | {rows[0]['wanted']} |"
 
 
@@ -99,7 +129,9 @@ def harness():
         what = (inspect.getdoc(one) or "").partition("\n")[0]
         if inspect.isfunction(one) and not name.startswith("_"):
             given = list(inspect.signature(one).parameters.values())[1:]
-            arguments = ", ".join(re.sub(r": .+?(?= = |$)", "", str(each)).replace(" = ", "=") for each in given)
+            arguments = ", ".join(
+                re.sub(r": .+?(?= = |$)", "", str(each)).replace(" = ", "=") for each in given
+            )
             yield f"| `{name}({arguments})` | {what} |"
         elif isinstance(one, property):
             yield f"| `{name}` | {what} |"
@@ -108,25 +140,35 @@ def harness():
 def keywords():
     """Lines of the table of Robot Framework's keywords, as its libdoc has them."""
     for one in LibraryDocumentation("rollerrig.wsp_interface.robot").keywords:
-        arguments = ", ".join(f"`{re.sub(': [a-z]+', '', str(argument)).replace(' = ', '=')}`" for argument in one.args)
+        arguments = ", ".join(
+            f"`{re.sub(': [a-z]+', '', str(argument)).replace(' = ', '=')}`"
+            for argument in one.args
+        )
         yield f"| `{one.name}` | {arguments} | {one.short_doc.replace('``', '`')} |"
 
 
 # page -> tables of it by the line of their heads
 TABLES = {
     "architecture.md": {"| room | floors, the lowest first |": floors},
-    "datasets.md": {"| key | default | allowed | what |": lambda: keys(dataset.HEAD),
-                    "| key of a run | default | allowed | what |": lambda: keys(dataset.RUN),
-                    "| key of the accuracy | default | allowed | what |": lambda: keys(dataset.ACCURACY),
-                    "| table | its keys |": overrides},
-    "recorders.md": {"| key | default | allowed | what |": lambda: keys(recording.HEAD),
-                     "| key of a channel | default | allowed | what |": lambda: keys(recording.CHANNEL),
-                     "| key of a run | default | allowed | what |": lambda: keys(recording.RUN)},
+    "datasets.md": {
+        "| key | default | allowed | what |": lambda: keys(dataset.HEAD),
+        "| key of a run | default | allowed | what |": lambda: keys(dataset.RUN),
+        "| key of the accuracy | default | allowed | what |": lambda: keys(dataset.ACCURACY),
+        "| table | its keys |": overrides,
+    },
+    "recorders.md": {
+        "| key | default | allowed | what |": lambda: keys(recording.HEAD),
+        "| key of a channel | default | allowed | what |": lambda: keys(recording.CHANNEL),
+        "| key of a run | default | allowed | what |": lambda: keys(recording.RUN),
+    },
     "robot.md": {"| keyword | arguments | what |": keywords},
     "sequences.md": {"| of the harness | what |": harness},
-    "explain.md": {"| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
-                   "| measure | first | second | third | wanted |": rates,
-                   thresholds.HEAD: thresholds.rows, thresholds.FORM_HEAD: thresholds.form_rows},
+    "explain.md": {
+        "| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
+        "| measure | first | second | third | wanted |": rates,
+        thresholds.HEAD: thresholds.rows,
+        thresholds.FORM_HEAD: thresholds.form_rows,
+    },
 }
 
 
@@ -135,6 +177,10 @@ def with_tables(name, text):
     for head, rows in TABLES[name].items():
         assert f"\n{head}\n" in text, f"{name} has no table {head}"
         found = re.compile(rf"(?<=^{re.escape(head)}\n)(?:\|.*\n)+", re.MULTILINE)
-        text = found.sub(lambda _, rows=rows, head=head: "\n".join(
-            ["|---" * (head.count("|") - 1) + "|", *rows()]) + "\n", text)
+        text = found.sub(
+            lambda _, rows=rows, head=head: (
+                "\n".join(["|---" * (head.count("|") - 1) + "|", *rows()]) + "\n"
+            ),
+            text,
+        )
     return text

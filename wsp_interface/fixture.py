@@ -71,6 +71,8 @@ def pytest_runtest_makereport(item: Any, call: Any) -> Generator[None, Any, Any]
     benches = item.stash.get(_BENCHES, None)
     if benches and call.when == "call" and report.failed:
         benches.failed = True
-        report.sections += [("rollerrig", f"{rig!r}\nrun: {folder}\nplot: {folder / 'stop.svg'}")
-                            for rig, folder in benches.begun]
+        report.sections += [
+            ("rollerrig", f"{rig!r}\nrun: {folder}\nplot: {folder / 'stop.svg'}")
+            for rig, folder in benches.begun
+        ]
     return report

@@ -32,13 +32,20 @@ class TimeOutError(RollerrigError):
 
 
 # what the bench's node is asked to send, TPDO by TPDO; the last of them ends a cycle
-_MAPPED_SIGNALS = (("time", "vehicle_speed"), ("position", "vehicle_acceleration", "brake_demand"),
-                   ("adhesion",), ("valve",))
-MAPPED = tuple(layout(first + BENCH_NODE, *names) for first, names in zip(TPDO, _MAPPED_SIGNALS, strict=True))
+_MAPPED_SIGNALS = (
+    ("time", "vehicle_speed"),
+    ("position", "vehicle_acceleration", "brake_demand"),
+    ("adhesion",),
+    ("valve",),
+)
+MAPPED = tuple(
+    layout(first + BENCH_NODE, *names) for first, names in zip(TPDO, _MAPPED_SIGNALS, strict=True)
+)
 HEARD = (*MAPPED, rig_objects.SPEEDS, rig_objects.PRESSURES, rig_objects.REFERENCE_SPEED)
 CYCLE_ENDS = MAPPED[-1].can_id
 COLUMNS: tuple[str, ...] = tuple(name for one in HEARD for name in one.names) + tuple(
-    f"magnets_{axle}" for axle in _AXLES)
+    f"magnets_{axle}" for axle in _AXLES
+)
 
 
 @dataclass(frozen=True)
@@ -74,11 +81,15 @@ class Harness:
 
     def __repr__(self) -> str:
         """Where the bench stands, by what came last."""
-        stand = ", ".join(str(axle) for axle in _AXLES if self.values[f"measured_speed_{axle}_rad_s"] == 0.0)
+        stand = ", ".join(
+            str(axle) for axle in _AXLES if self.values[f"measured_speed_{axle}_rad_s"] == 0.0
+        )
         pressures = ", ".join(f"{value / 1e5:.2f}" for value in self.axles("cylinder_pressure"))
-        return (f"<Harness at {self.time_s:.2f} s: {3.6 * self.vehicle_speed_m_s:.1f} km/h after "
-                f"{self.position_m:.1f} m, cylinders {pressures} bar, axles that stand: {stand or 'none'}"
-                f"{'' if self.joined else ', has left'}>")
+        return (
+            f"<Harness at {self.time_s:.2f} s: {3.6 * self.vehicle_speed_m_s:.1f} km/h after "
+            f"{self.position_m:.1f} m, cylinders {pressures} bar, axles that stand: {stand or 'none'}"
+            f"{'' if self.joined else ', has left'}>"
+        )
 
     # -- joining and leaving
 
@@ -95,14 +106,21 @@ class Harness:
     def _map(self, number: int, names: Iterable[str]) -> None:
         """Let TPDO `number` (from 0) of the bench carry signals, at every SYNC."""
         places = [(signals.place(name, BENCH_NODE), signals.BY_NAME[name].axles) for name in names]
-        entries = [place.index << 16 | (place.sub + at) << 8 | signals.bits(place)
-                   for place, axles in places for at in range(axles)]
+        entries = [
+            place.index << 16 | (place.sub + at) << 8 | signals.bits(place)
+            for place, axles in places
+            for at in range(axles)
+        ]
         can_id, parameters, mapping = MAPPED[number].can_id, 0x1800 + number, 0x1A00 + number
         # bit 31 switches the PDO off, and so does a mapping of no objects
-        steps = [(parameters, 1, struct.pack("<I", 1 << 31 | can_id)), (mapping, 0, b"\x00"),
-                 *((mapping, at, struct.pack("<I", entry)) for at, entry in enumerate(entries, start=1)),
-                 (mapping, 0, bytes([len(entries)])), (parameters, 2, b"\x01"),
-                 (parameters, 1, struct.pack("<I", can_id))]
+        steps = [
+            (parameters, 1, struct.pack("<I", 1 << 31 | can_id)),
+            (mapping, 0, b"\x00"),
+            *((mapping, at, struct.pack("<I", entry)) for at, entry in enumerate(entries, start=1)),
+            (mapping, 0, bytes([len(entries)])),
+            (parameters, 2, b"\x01"),
+            (parameters, 1, struct.pack("<I", can_id)),
+        ]
         for index, sub, data in steps:
             self._write(index, sub, data)
 
@@ -140,14 +158,24 @@ class Harness:
         """Set the kinematic friction under axles from now on; 0 gives it back to the scenario."""
         axles = tuple(axles)
         for axle in axles:
-            self._write(rig_objects.FRICTION, axle, struct.pack("<H", round(mu / rig_objects.FRICTION_SCALE)))
-        self.log("harness", f"friction {mu:g} under axles {', '.join(map(str, axles))}"
-                 if mu else "friction as the scenario has it")
+            self._write(
+                rig_objects.FRICTION,
+                axle,
+                struct.pack("<H", round(mu / rig_objects.FRICTION_SCALE)),
+            )
+        self.log(
+            "harness",
+            f"friction {mu:g} under axles {', '.join(map(str, axles))}"
+            if mu
+            else "friction as the scenario has it",
+        )
 
     def sand(self, on: bool = True) -> None:
         """Switch all sanders that the vehicle has, as a driver does. Raises BusError where it has none."""
         place = signals.place("sand_demand", signals.SANDER_NODE)
-        self._write(place.index, place.sub, bytes((rig_objects.ALL_SANDERS * on,)), signals.SANDER_NODE)
+        self._write(
+            place.index, place.sub, bytes((rig_objects.ALL_SANDERS * on,)), signals.SANDER_NODE
+        )
         self.log("harness", "sand on" if on else "sand off")
 
     def inject(self, fault: str) -> None:
@@ -176,8 +204,14 @@ class Harness:
         """Let one bus cycle pass. Raises BusError when the bench has gone."""
         if self._owes:
             self._owes = False
-            self._call(self.bus.send, can.Message(arbitration_id=rig_objects.HARNESS_ANSWER_ID, is_extended_id=False,
-                                                  data=[len(self.trace) & 0xFF]))
+            self._call(
+                self.bus.send,
+                can.Message(
+                    arbitration_id=rig_objects.HARNESS_ANSWER_ID,
+                    is_extended_id=False,
+                    data=[len(self.trace) & 0xFF],
+                ),
+            )
         self._cycle()
 
     def wait(self, duration_s: float) -> None:
@@ -186,7 +220,9 @@ class Harness:
         while self.time_s < end_s:
             self.step()
 
-    def until(self, reached: Callable[[], bool], timeout_s: float = 300.0, hold_s: float = 0.0) -> None:
+    def until(
+        self, reached: Callable[[], bool], timeout_s: float = 300.0, hold_s: float = 0.0
+    ) -> None:
         """Go on until a condition has held for a time. Raises TimeOutError."""
         begin_s, since_s = self.time_s, None
         while True:
@@ -194,7 +230,9 @@ class Harness:
             if since_s is not None and self.time_s >= since_s + hold_s - 1e-9:
                 return
             if self.time_s > begin_s + timeout_s:
-                raise TimeOutError(f"at {self.time_s:.2f} s: what was waited for has not come within {timeout_s:g} s")
+                raise TimeOutError(
+                    f"at {self.time_s:.2f} s: what was waited for has not come within {timeout_s:g} s"
+                )
             self.step()
 
     def stop(self, timeout_s: float = 300.0) -> None:
@@ -235,8 +273,13 @@ class Harness:
             place = signals.place(name, BENCH_NODE)
         except LookupError as error:
             raise BusError(f"the bench: {error}") from None
-        read = (self._call(self._sdo.read, BENCH_NODE, place.index, place.sub + at) for at in range(signal.axles))
-        return tuple(signals.value(struct.unpack(rig_objects.letter(place), data)[0], place) for data in read)
+        read = (
+            self._call(self._sdo.read, BENCH_NODE, place.index, place.sub + at)
+            for at in range(signal.axles)
+        )
+        return tuple(
+            signals.value(struct.unpack(rig_objects.letter(place), data)[0], place) for data in read
+        )
 
     # -- the bus
 
@@ -261,7 +304,9 @@ class Harness:
                 self.watch()
                 silent_s += 1
             if silent_s > patience_s:
-                raise BusError(f"the bench has been silent for {patience_s} s at {self.time_s:.3f} s of simulated time")
+                raise BusError(
+                    f"the bench has been silent for {patience_s} s at {self.time_s:.3f} s of simulated time"
+                )
         self._owes = self.lockstep
         self.trace.append(tuple(self.values.values()))
 
@@ -275,7 +320,9 @@ class Harness:
             for axle in _AXLES:
                 self.values[f"magnets_{axle}"] = float(data[0] >> 2 * (axle - 1) & 3)
         elif EMERGENCY < can_id <= EMERGENCY + NODE_MASK and len(data) == 8 and any(data[:2]):
-            self.log(f"node {can_id - EMERGENCY}", f"EMCY {int.from_bytes(data[:2], 'little'):04X}h")
+            self.log(
+                f"node {can_id - EMERGENCY}", f"EMCY {int.from_bytes(data[:2], 'little'):04X}h"
+            )
         return False
 
 

@@ -31,9 +31,13 @@ Companion = Callable[[str], contextlib.AbstractContextManager[Any]]
 _GOES_ON = {"stand_s": 60.0, "duration_max_s": 3600.0}
 
 
-def scenario_of(name: str = "", initial_speed_m_s: float | None = None,
-                initial_speed_km_h: float | None = None, adhesion: str = "",
-                tables: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def scenario_of(
+    name: str = "",
+    initial_speed_m_s: float | None = None,
+    initial_speed_km_h: float | None = None,
+    adhesion: str = "",
+    tables: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
     """A scenario as data: a packaged or own one with changes. Its brake demand is the harness's.
 
     `tables` are tables of the scenario ([vehicle], [[friction]] ...) that win key by key. Raises ConfigError.
@@ -54,28 +58,59 @@ def scenario_of(name: str = "", initial_speed_m_s: float | None = None,
         initial_speed_m_s = initial_speed_km_h / 3.6
     if initial_speed_m_s is not None:
         given["initial_speed_m_s"] = round(float(initial_speed_m_s), 6)
-    return given | {"bus": {**given.get("bus", {}), "interface": "hub", "socketcand_port": 0},
-                    "modbus": {**given.get("modbus", {}), "enabled": False}}
+    return given | {
+        "bus": {**given.get("bus", {}), "interface": "hub", "socketcand_port": 0},
+        "modbus": {**given.get("modbus", {}), "enabled": False},
+    }
 
 
 @contextlib.contextmanager
-def start(folder: Path, scenario: str = "", *, wsp: str = "reference", pacing: str = "lockstep",
-          seed: int = 0, arguments: Sequence[str] = (),
-          companions: Sequence[Companion] = (), **asked: Any) -> Iterator[Harness]:
+def start(
+    folder: Path,
+    scenario: str = "",
+    *,
+    wsp: str = "reference",
+    pacing: str = "lockstep",
+    seed: int = 0,
+    arguments: Sequence[str] = (),
+    companions: Sequence[Companion] = (),
+    **asked: Any,
+) -> Iterator[Harness]:
     """The harness that has joined a bench; `asked` goes to `scenario_of`. Raises RollerrigError.
 
     `companions` are called with the bus's address and live as long as the run: a unit of one's own.
     """
     # beside the folder's own files: the bench clears its folder when it begins
-    with (tempfile.TemporaryDirectory(prefix="rollerrig-") as place,
-          (Path(place) / "stderr").open("w", encoding="utf-8") as log):
+    with (
+        tempfile.TemporaryDirectory(prefix="rollerrig-") as place,
+        (Path(place) / "stderr").open("w", encoding="utf-8") as log,
+    ):
         path = Path(place) / f"{folder.name}.toml"
         path.write_text(tomli_w.dumps(scenario_of(scenario, **asked)), encoding="utf-8")
         process = subprocess.Popen(
             children.command(
-                sys.executable, "-m", "rollerrig.realtime.cli", "run", str(path), "--pacing", pacing, "--wsp", wsp,
-                "--seed", str(seed), "--harness", "--out", str(folder), "--json", *arguments),
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log, text=True)
+                sys.executable,
+                "-m",
+                "rollerrig.realtime.cli",
+                "run",
+                str(path),
+                "--pacing",
+                pacing,
+                "--wsp",
+                wsp,
+                "--seed",
+                str(seed),
+                "--harness",
+                "--out",
+                str(folder),
+                "--json",
+                *arguments,
+            ),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=log,
+            text=True,
+        )
         harness = None
         try:
             address = _address(process, Path(log.name))
@@ -87,7 +122,9 @@ def start(folder: Path, scenario: str = "", *, wsp: str = "reference", pacing: s
                 try:
                     yield harness.join()
                 except BusError as error:
-                    words = _last_words(process, Path(log.name)) + "".join(one.ended() for one in programs)
+                    words = _last_words(process, Path(log.name)) + "".join(
+                        one.ended() for one in programs
+                    )
                     raise BusError(f"{error}{words}") from None
         finally:
             if harness:
@@ -105,8 +142,14 @@ class Program(NamedTuple):
     def ended(self) -> str:
         """With which status and words it has ended; empty while it runs."""
         status = self.process.poll()
-        return "" if status is None else (f"; --unit '{self.command}' has ended with status {status}"
-                                          f"{children.last_words(self.log)} ({self.log})")
+        return (
+            ""
+            if status is None
+            else (
+                f"; --unit '{self.command}' has ended with status {status}"
+                f"{children.last_words(self.log)} ({self.log})"
+            )
+        )
 
 
 def _check(programs: Iterable[Program]) -> None:
@@ -117,12 +160,17 @@ def _check(programs: Iterable[Program]) -> None:
 
 def program(command: str, log: Path) -> Companion:
     """A unit of one's own as a companion: a command in which {address}, {host} and {port} are put in."""
+
     @contextlib.contextmanager
     def beside(address: str) -> Iterator[Program]:
         host, port, _ = plugin.parse_address(address)
-        words = [word.format(address=address, host=host, port=port) for word in shlex.split(command)]
+        words = [
+            word.format(address=address, host=host, port=port) for word in shlex.split(command)
+        ]
         with log.open("wb") as said:
-            process = subprocess.Popen(children.command(*words), stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+            process = subprocess.Popen(
+                children.command(*words), stdin=subprocess.DEVNULL, stdout=said, stderr=said
+            )
         try:
             yield Program(command, process, log)
         finally:
@@ -165,8 +213,22 @@ def _end(process: subprocess.Popen[Any], patience_s: float = END_S) -> None:
 def draw(folder: Path) -> Path:
     """Draw a run that has ended, as `rollerrig export --format svg` does, where there is something to draw."""
     out = folder / "stop.svg"
-    subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", "export", str(folder), "--format", "svg", "--out",
-                    str(out)], stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "rollerrig.realtime.cli",
+            "export",
+            str(folder),
+            "--format",
+            "svg",
+            "--out",
+            str(out),
+        ],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=False,
+    )
     return out
 
 

@@ -9,8 +9,22 @@ import struct
 from dataclasses import dataclass
 
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NMT, NODE_MASK, RPDO, SYNC, TPDO
-from rollerrig.wsp_interface.signals import BENCH_NODE, BRAKE_NODE, SANDER_NODE, SPEED_NODE, WSP_NODE
+from rollerrig.wsp_interface.bus.connection_set import (
+    EMERGENCY,
+    HEARTBEAT,
+    NMT,
+    NODE_MASK,
+    RPDO,
+    SYNC,
+    TPDO,
+)
+from rollerrig.wsp_interface.signals import (
+    BENCH_NODE,
+    BRAKE_NODE,
+    SANDER_NODE,
+    SPEED_NODE,
+    WSP_NODE,
+)
 
 # assumption
 UNIT_LOST_AFTER_MS = 200
@@ -35,17 +49,23 @@ class Layout:
         """Values by column; none where the frame has another length."""
         if len(data) != self.struct.size:
             return {}
-        return {name: count * scale for name, scale, count
-                in zip(self.names, self.scales, self.struct.unpack(data), strict=True)}
+        return {
+            name: count * scale
+            for name, scale, count in zip(
+                self.names, self.scales, self.struct.unpack(data), strict=True
+            )
+        }
 
 
 def layout(can_id: int, *names: str) -> Layout:
     """The layout of the frame in which a node sends these signals."""
     rows = [(signals.BY_NAME[name], signals.place(name, can_id & NODE_MASK)) for name in names]
     return Layout(
-        can_id, struct.Struct("<" + "".join(_LETTERS[place.kind] * signal.axles for signal, place in rows)),
+        can_id,
+        struct.Struct("<" + "".join(_LETTERS[place.kind] * signal.axles for signal, place in rows)),
         tuple(column for signal, _ in rows for column in signals.columns(signal)),
-        tuple(place.scale for signal, place in rows for _ in range(signal.axles)))
+        tuple(place.scale for signal, place in rows for _ in range(signal.axles)),
+    )
 
 
 def letter(place: signals.Place) -> str:
@@ -62,7 +82,15 @@ SAND_ID, ALL_SANDERS = RPDO[0] + SANDER_NODE, 0x55  # 212h: bit 2j asks the sand
 UNIT_HEARTBEAT_ID = HEARTBEAT + WSP_NODE  # 720h
 UNIT_EMERGENCY_ID = EMERGENCY + WSP_NODE  # 0A0h
 # all that the unit takes or sends
-UNIT_FRAMES = (NMT, SYNC, SPEEDS.can_id, REFERENCE_SPEED.can_id, MAGNETS_ID, UNIT_HEARTBEAT_ID, UNIT_EMERGENCY_ID)
+UNIT_FRAMES = (
+    NMT,
+    SYNC,
+    SPEEDS.can_id,
+    REFERENCE_SPEED.can_id,
+    MAGNETS_ID,
+    UNIT_HEARTBEAT_ID,
+    UNIT_EMERGENCY_ID,
+)
 # any byte: a harness on a bench in lockstep has seen this cycle
 HARNESS_ANSWER_ID = RPDO[0] + BENCH_NODE  # 27Fh
 

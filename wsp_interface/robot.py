@@ -51,17 +51,38 @@ class Rig:
         return self._bench
 
     @keyword
-    def start_bench(self, scenario: str = "", speed: str = "", adhesion: str = "", wsp: str = "reference",
-                    pacing: str = "lockstep", seed: int = 0) -> None:
+    def start_bench(
+        self,
+        scenario: str = "",
+        speed: str = "",
+        adhesion: str = "",
+        wsp: str = "reference",
+        pacing: str = "lockstep",
+        seed: int = 0,
+    ) -> None:
         """Starts a bench at a speed on an adhesion of configs/adhesion; ``wsp``: reference, none or fmu:FILE."""
         self.end_bench()
-        out, test = (BuiltIn().get_variable_value(name) for name in ("${OUTPUT DIR}", "${TEST NAME}"))
+        out, test = (
+            BuiltIn().get_variable_value(name) for name in ("${OUTPUT DIR}", "${TEST NAME}")
+        )
         name = re.sub(r"\W+", "_", test)
-        self._folder = next(folder for number in itertools.count(1)
-                            if not (folder := Path(out) / "rollerrig" / f"{name}-{number}").exists())
+        self._folder = next(
+            folder
+            for number in itertools.count(1)
+            if not (folder := Path(out) / "rollerrig" / f"{name}-{number}").exists()
+        )
         speed_m_s = conditions.quantity(speed, "m_s", "speed") if speed else None
-        self._bench = self._stack.enter_context(own_bench.start(
-            self._folder, scenario, wsp=wsp, pacing=pacing, seed=seed, initial_speed_m_s=speed_m_s, adhesion=adhesion))
+        self._bench = self._stack.enter_context(
+            own_bench.start(
+                self._folder,
+                scenario,
+                wsp=wsp,
+                pacing=pacing,
+                seed=seed,
+                initial_speed_m_s=speed_m_s,
+                adhesion=adhesion,
+            )
+        )
 
     @keyword
     def end_bench(self) -> None:
@@ -94,7 +115,9 @@ class Rig:
         except ValueError:
             mu = store.load("adhesion", surface)[0].get("adhesion", {}).get("mu_cd")
         if mu is None:
-            raise ConfigError(f"adhesion '{surface}' does not state mu_cd; give the kinematic friction as a number")
+            raise ConfigError(
+                f"adhesion '{surface}' does not state mu_cd; give the kinematic friction as a number"
+            )
         self._rig.friction(mu, [axle] if axle else _AXLES)
 
     @keyword

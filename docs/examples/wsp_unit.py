@@ -53,6 +53,7 @@ class Protection:
 
 def serve(bus):
     """Answer every SYNC until the rig has gone."""
+
     def send(can_id, byte):
         bus.send(can.Message(arbitration_id=can_id, data=[byte], is_extended_id=False))
         return time.monotonic() + QUIET_S
@@ -88,8 +89,9 @@ def wait_for_rig(host, port, patience_s=300.0):
 def main(host="127.0.0.1", port="29536", channel="rig0"):
     """Connect, serve, leave."""
     wait_for_rig(host, int(port))
-    with can.Bus(interface="socketcand", host=host, port=int(port), channel=channel,
-                 tcp_tune=True) as bus:
+    with can.Bus(
+        interface="socketcand", host=host, port=int(port), channel=channel, tcp_tune=True
+    ) as bus:
         try:
             serve(bus)
         except (OSError, can.CanError, KeyboardInterrupt):

@@ -12,7 +12,15 @@ from typing import Any, NamedTuple
 
 from rollerrig.firmware_sim.cia301.dictionary import Identity, Row, array
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, Objects, key
-from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, RPDO, SDO_REPLY, SDO_REQUEST, SYNC, TIME, TPDO
+from rollerrig.wsp_interface.bus.connection_set import (
+    EMERGENCY,
+    RPDO,
+    SDO_REPLY,
+    SDO_REQUEST,
+    SYNC,
+    TIME,
+    TPDO,
+)
 
 PDOS, MAPPED, SDO_SERVERS, HISTORY = 4, 8, 3, 8
 # transmission types: with every SYNC; at once
@@ -20,7 +28,14 @@ SYNCHRONOUS, AT_ONCE = 1, 255
 INVALID, FLAG, EXTENDED = 1 << 31, 1 << 30, 1 << 29
 STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
 # identifiers that belong to fixed services
-RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF))
+RESTRICTED = (
+    (0x000, 0x07F),
+    (0x101, 0x180),
+    (0x581, 0x5FF),
+    (0x601, 0x67F),
+    (0x6E0, 0x6FF),
+    (0x701, 0x7FF),
+)
 _STORED = ("All", "Communication", "Application")
 _IDENTITY = ("Vendor-ID", "Product code", "Revision number", "Serial number")
 
@@ -52,11 +67,21 @@ class Profile(NamedTuple):
 
 def rows(profile: Profile, identity: Identity) -> list[Row]:
     """All rows of 1000h..1FFFh for a profile."""
-    consumed = [node << 16 | time for node, time in profile.consumed] + [0] * (4 - len(profile.consumed))
+    consumed = [node << 16 | time for node, time in profile.consumed] + [0] * (
+        4 - len(profile.consumed)
+    )
     return [
         Row(0x1000, 0, "Device type", "U32", "const", profile.device_type),
         Row(0x1001, 0, "Error register", "U8", "ro", 0, True),
-        *_list(0x1003, "Pre-defined error field", "Number of errors", 0, "Standard error field", "ro", [0] * HISTORY),
+        *_list(
+            0x1003,
+            "Pre-defined error field",
+            "Number of errors",
+            0,
+            "Standard error field",
+            "ro",
+            [0] * HISTORY,
+        ),
         Row(0x1005, 0, "COB-ID SYNC message", "U32", "rw", SYNC),
         Row(0x1006, 0, "Communication cycle period", "U32", "rw", 0, unit="us"),
         Row(0x1007, 0, "Synchronous window length", "U32", "rw", 0, unit="us"),
@@ -74,24 +99,53 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
         Row(0x1017, 0, "Producer heartbeat time", "U16", "rw", profile.heartbeat_ms, unit="ms"),
         *array(0x1018, "Identity object", "U32", "const", identity[2:], _IDENTITY),
         Row(0x1019, 0, "Synchronous counter overflow value", "U8", "rw", 0, high=240),
-        *array(0x1029, "Error behaviour", "U8", "rw", [profile.on_error], ("Communication error",), high=2),
+        *array(
+            0x1029,
+            "Error behaviour",
+            "U8",
+            "rw",
+            [profile.on_error],
+            ("Communication error",),
+            high=2,
+        ),
         *(row for server in range(SDO_SERVERS) for row in _sdo_server(server)),
-        *(row for at in range(PDOS) for row in _pdo(0x1400 + at, f"RPDO {at + 1}", RPDO[at], profile.rpdos[at:at + 1])),
-        *(row for at in range(PDOS) for row in _pdo(0x1800 + at, f"TPDO {at + 1}", TPDO[at], profile.tpdos[at:at + 1])),
+        *(
+            row
+            for at in range(PDOS)
+            for row in _pdo(0x1400 + at, f"RPDO {at + 1}", RPDO[at], profile.rpdos[at : at + 1])
+        ),
+        *(
+            row
+            for at in range(PDOS)
+            for row in _pdo(0x1800 + at, f"TPDO {at + 1}", TPDO[at], profile.tpdos[at : at + 1])
+        ),
     ]
 
 
-def _list(index: int, name: str, number: str, used: int, entry: str, access: str, entries: Sequence[int]) -> list[Row]:
+def _list(
+    index: int, name: str, number: str, used: int, entry: str, access: str, entries: Sequence[int]
+) -> list[Row]:
     """Rows of an array whose sub-index 0 tells how many of its entries are in use."""
-    return [Row(index, 0, f"{name}/{number}", "U8", "rw", used),
-            *(Row(index, at, f"{name}/{entry} {at}", "U32", access, value) for at, value in enumerate(entries, 1))]
+    return [
+        Row(index, 0, f"{name}/{number}", "U8", "rw", used),
+        *(
+            Row(index, at, f"{name}/{entry} {at}", "U32", access, value)
+            for at, value in enumerate(entries, 1)
+        ),
+    ]
 
 
 def _sdo_server(server: int) -> list[Row]:
     first, name = server == 0, f"SDO server parameter {server}"
-    found = array(0x1200 + server, name, "U32", "ro" if first else "rw",
-                  (SDO_REQUEST, SDO_REPLY) if first else (INVALID, INVALID),
-                  ("COB-ID client to server", "COB-ID server to client"), relative=first)
+    found = array(
+        0x1200 + server,
+        name,
+        "U32",
+        "ro" if first else "rw",
+        (SDO_REQUEST, SDO_REPLY) if first else (INVALID, INVALID),
+        ("COB-ID client to server", "COB-ID server to client"),
+        relative=first,
+    )
     client = Row(0x1200 + server, 3, f"{name}/Node-ID of the client", "U8", "rw", 0, high=127)
     return found if first else [found[0]._replace(default=3), *found[1:], client]
 
@@ -109,9 +163,15 @@ def _pdo(index: int, name: str, cob_id: int, used: Sequence[Pdo]) -> list[Row]:
         Row(index, 5, f"{about}/Event timer", "U16", "rw", pdo.event_ms, unit="ms"),
         Row(index, 6, f"{about}/SYNC start value", "U8", "rw", 0, high=240),
     ]
-    return parameters[:5 if receives else 6] + _list(
-        index + 0x200, f"{name} mapping parameter", "Number of mapped objects", len(pdo.mapped),
-        "Mapped object", "rw", entries + [0] * (MAPPED - len(entries)))
+    return parameters[: 5 if receives else 6] + _list(
+        index + 0x200,
+        f"{name} mapping parameter",
+        "Number of mapped objects",
+        len(pdo.mapped),
+        "Mapped object",
+        "rw",
+        entries + [0] * (MAPPED - len(entries)),
+    )
 
 
 def valid(cob_id: int) -> bool:
@@ -133,12 +193,17 @@ def dispatch_key(can_id: int, extended: bool) -> int:
 def check_identifier(cob_id: int) -> None:
     """AbortError unless the identifier may be given to a configurable message."""
     can_id, extended = split(cob_id)
-    if not extended and (cob_id & EXTENDED_MASK != can_id or any(low <= can_id <= high for low, high in RESTRICTED)):
+    if not extended and (
+        cob_id & EXTENDED_MASK != can_id or any(low <= can_id <= high for low, high in RESTRICTED)
+    ):
         raise AbortError(Abort.INVALID_VALUE)
 
 
-def own_cob_id(objects: Objects, index: int, sub: int = 0, effect: Callable[[Any], None] | None = None) -> None:
+def own_cob_id(
+    objects: Objects, index: int, sub: int = 0, effect: Callable[[Any], None] | None = None
+) -> None:
     """Let an object be the COB-ID of a message, which gets another identifier only after it has been switched off."""
+
     def check(wanted: int) -> None:
         current = objects.values[key(index, sub)]
         if valid(wanted):

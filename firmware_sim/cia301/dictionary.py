@@ -11,9 +11,18 @@ from typing import Any, NamedTuple
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
 KINDS = {
-    "BOOL": datatypes.BOOLEAN, "F32": datatypes.REAL32, "TEXT": datatypes.VISIBLE_STRING, "DOMAIN": datatypes.DOMAIN,
-    "U8": datatypes.UNSIGNED8, "I8": datatypes.INTEGER8, "U16": datatypes.UNSIGNED16, "I16": datatypes.INTEGER16,
-    "U32": datatypes.UNSIGNED32, "I32": datatypes.INTEGER32, "U64": datatypes.UNSIGNED64, "I64": datatypes.INTEGER64,
+    "BOOL": datatypes.BOOLEAN,
+    "F32": datatypes.REAL32,
+    "TEXT": datatypes.VISIBLE_STRING,
+    "DOMAIN": datatypes.DOMAIN,
+    "U8": datatypes.UNSIGNED8,
+    "I8": datatypes.INTEGER8,
+    "U16": datatypes.UNSIGNED16,
+    "I16": datatypes.INTEGER16,
+    "U32": datatypes.UNSIGNED32,
+    "I32": datatypes.INTEGER32,
+    "U64": datatypes.UNSIGNED64,
+    "I64": datatypes.INTEGER64,
 }
 # records of CiA 301; any other object with sub-indices of one type is an array
 _RECORDS = ((0x1018, 0x1018), (0x1023, 0x1025), (0x1200, 0x12FF), (0x1400, 0x1BFF))
@@ -53,21 +62,34 @@ class Identity(NamedTuple):
     serial: int
 
 
-def array(index: int, name: str, kind: str, access: str, defaults: Iterable[Any],
-          subs: Iterable[str] = (), **more: Any) -> list[Row]:
+def array(
+    index: int,
+    name: str,
+    kind: str,
+    access: str,
+    defaults: Iterable[Any],
+    subs: Iterable[str] = (),
+    **more: Any,
+) -> list[Row]:
     """Rows of an array: sub-index 0 and one row for each default (named by `subs` or numbered)."""
     defaults = list(defaults)
     names = list(subs) or [f"{name} {at}" for at in range(1, len(defaults) + 1)]
-    return [Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", len(defaults)),
-            *(Row(index, at, f"{name}/{sub}", kind, access, default, **more)
-              for at, (sub, default) in enumerate(zip(names, defaults, strict=True), 1))]
+    return [
+        Row(index, 0, f"{name}/Highest sub-index supported", "U8", "const", len(defaults)),
+        *(
+            Row(index, at, f"{name}/{sub}", kind, access, default, **more)
+            for at, (sub, default) in enumerate(zip(names, defaults, strict=True), 1)
+        ),
+    ]
 
 
 def build(rows: Iterable[Row], node_id: int, identity: Identity) -> ObjectDictionary:
     """The dictionary of a node. ValueError where two rows claim the same place."""
     dictionary = ObjectDictionary()
     dictionary.node_id = node_id
-    for index, group in itertools.groupby(sorted(rows, key=lambda row: row[:2]), lambda row: row.index):
+    for index, group in itertools.groupby(
+        sorted(rows, key=lambda row: row[:2]), lambda row: row.index
+    ):
         members = list(group)
         if len({row.sub for row in members}) != len(members):
             raise ValueError(f"object {index:04X}h has two rows for one sub-index")
@@ -89,7 +111,11 @@ def _object(index: int, rows: list[Row], node_id: int) -> ODVariable | ODArray |
 
 def _variable(row: Row, name: str, node_id: int) -> ODVariable:
     variable = ODVariable(name, row.index, row.sub)
-    variable.data_type, variable.access_type, variable.pdo_mappable = KINDS[row.kind], row.access, row.mappable
+    variable.data_type, variable.access_type, variable.pdo_mappable = (
+        KINDS[row.kind],
+        row.access,
+        row.mappable,
+    )
     variable.min, variable.max = row.low, row.high
     variable.unit, variable.factor, variable.description = row.unit, row.factor, row.text
     variable.default, variable.relative = row.default, row.relative
@@ -106,7 +132,11 @@ def _describe(dictionary: ObjectDictionary, identity: Identity) -> None:
     about.product_name, about.product_number = identity.product, identity.product_code
     about.revision_number, about.order_code = identity.revision, identity.product
     about.simple_boot_up_master, about.simple_boot_up_slave = False, True
-    about.dynamic_channels_supported, about.group_messaging, about.LSS_supported = False, False, True
+    about.dynamic_channels_supported, about.group_messaging, about.LSS_supported = (
+        False,
+        False,
+        True,
+    )
     # canopen declares these numbers as bool
     about.granularity = 8  # type: ignore[assignment]
     about.nr_of_RXPDO = sum(0x1400 <= index < 0x1600 for index in dictionary)  # type: ignore[assignment]

@@ -32,7 +32,9 @@ class Emergency:
         objects.own(0x1001, read=self.register)
         objects.own(0x1003, read=lambda: len(self.history), check=self._clear_history)
         for at in range(HISTORY):
-            objects.own(0x1003, at + 1, read=lambda at=at: self.history[at] if at < len(self.history) else 0)
+            objects.own(
+                0x1003, at + 1, read=lambda at=at: self.history[at] if at < len(self.history) else 0
+            )
         own_cob_id(objects, 0x1014)
         objects.own(0x1015, check=self._check_inhibit)
 
@@ -60,7 +62,9 @@ class Emergency:
 
     def forget(self, everything: bool) -> None:
         """After a reset: no communication error, or none at all, and nothing waits."""
-        self.active = {(code, source) for code, source in self.active if code >> 12 != 8 and not everything}
+        self.active = {
+            (code, source) for code, source in self.active if code >> 12 != 8 and not everything
+        }
         if everything:
             self.history.clear()
         self._waiting.clear()

@@ -47,13 +47,20 @@ class Consumer:
         self.watched: dict[int, int] = {}
         self.lost: set[int] = set()
         for sub in range(1, CONSUMERS + 1):
-            node.objects.own(0x1016, sub, check=lambda value, sub=sub: self._check(value, sub),
-                             effect=lambda _: node.rewire())
+            node.objects.own(
+                0x1016,
+                sub,
+                check=lambda value, sub=sub: self._check(value, sub),
+                effect=lambda _: node.rewire(),
+            )
 
     def configure(self) -> None:
         """Take 1016h over; what has not changed goes on."""
-        wanted = {entry >> 16 & 0x7F: (entry & 0xFFFF) * MS for entry in self._entries()
-                  if entry & 0xFFFF and entry >> 16 & 0x7F}
+        wanted = {
+            entry >> 16 & 0x7F: (entry & 0xFFFF) * MS
+            for entry in self._entries()
+            if entry & 0xFFFF and entry >> 16 & 0x7F
+        }
         for partner in self.watched.keys() - wanted.keys():
             self.node.timers.cancel(f"partner {partner}")
             self.lost.discard(partner)
@@ -87,7 +94,9 @@ class Consumer:
         """A sign of life; `patience_ns` 0: the next one is not waited for."""
         node = self.node
         if patience_ns:
-            node.timers.set(f"partner {partner}", node.now_ns + patience_ns, lambda: self._lose(partner))
+            node.timers.set(
+                f"partner {partner}", node.now_ns + patience_ns, lambda: self._lose(partner)
+            )
         if partner in self.lost:
             self.lost.discard(partner)
             node.event("info", f"{_title(partner)} is back")
@@ -97,8 +106,11 @@ class Consumer:
     def _lose(self, partner: int) -> None:
         node = self.node
         self.lost.add(partner)
-        why = (f"silent for more than {self.watched[partner] / MS:g} ms" if partner != GUARD
-               else "the master has stopped asking")
+        why = (
+            f"silent for more than {self.watched[partner] / MS:g} ms"
+            if partner != GUARD
+            else "the master has stopped asking"
+        )
         node.event("error", f"{_title(partner)} lost: {why}")
         node.tell_partner(partner, False)
         node.emergency.report(HEARTBEAT_LOST, partner, bytes([partner]))
@@ -112,7 +124,13 @@ class Consumer:
         partner, time = value >> 16 & 0xFF, value & 0xFFFF
         if value >> 24 or partner > 127:
             raise AbortError(Abort.INVALID_VALUE)
-        if time and partner and any(other & 0xFFFF and other >> 16 & 0x7F == partner for other in self._entries(sub)):
+        if (
+            time
+            and partner
+            and any(
+                other & 0xFFFF and other >> 16 & 0x7F == partner for other in self._entries(sub)
+            )
+        ):
             raise AbortError(Abort.INCOMPATIBLE)
 
 

@@ -34,9 +34,12 @@ class LssSlave:
         # how many numbers of a selection or an identification have matched, one after the other
         self._matched = {_SELECT: 0, _IDENTIFY: 0}
         steps: dict[int, Callable[[bytes], None]] = {
-            _SWITCH_GLOBAL: self._switch_global, _NODE_ID: self._set_node_id,
-            _BIT_TIMING: self._set_bit_timing, _STORE: self._store,
-            _NON_CONFIGURED: self._identify_non_configured, _FASTSCAN: self._fastscan,
+            _SWITCH_GLOBAL: self._switch_global,
+            _NODE_ID: self._set_node_id,
+            _BIT_TIMING: self._set_bit_timing,
+            _STORE: self._store,
+            _NON_CONFIGURED: self._identify_non_configured,
+            _FASTSCAN: self._fastscan,
         }
         steps |= dict.fromkeys(_SELECT, self._select) | dict.fromkeys(_IDENTIFY, self._identify)
         self._steps = steps | dict.fromkeys(_INQUIRE, self._inquire)
@@ -84,8 +87,14 @@ class LssSlave:
 
     def _identify(self, data: bytes) -> None:
         number, (vendor, product, revision, serial) = _number(data), self._identity()
-        matches = (number == vendor, number == product, number <= revision, number >= revision,
-                   number <= serial, number >= serial)[data[0] - _IDENTIFY[0]]
+        matches = (
+            number == vendor,
+            number == product,
+            number <= revision,
+            number >= revision,
+            number <= serial,
+            number >= serial,
+        )[data[0] - _IDENTIFY[0]]
         if self._completes(_IDENTIFY, data, matches):
             self._answer(_IDENTIFIED)
 

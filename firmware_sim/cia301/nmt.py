@@ -35,5 +35,8 @@ class Command(IntEnum):
     RESET_COMMUNICATION = 130
 
 
-COMMANDED = {Command.START: State.OPERATIONAL, Command.STOP: State.STOPPED,
-             Command.ENTER_PRE_OPERATIONAL: State.PRE_OPERATIONAL}
+COMMANDED = {
+    Command.START: State.OPERATIONAL,
+    Command.STOP: State.STOPPED,
+    Command.ENTER_PRE_OPERATIONAL: State.PRE_OPERATIONAL,
+}

@@ -54,17 +54,23 @@ class Node(Host):
         self.emergency = Emergency(self)
         self.producer, self.consumer, self.sync = Producer(self), Consumer(self), SyncConsumer(self)
         self.tpdos = [Tpdo(self, 0x1800, number) for number in range(PDOS)]
-        self.rpdos = [Rpdo(self, 0x1400, number, self.sync.window_is_over) for number in range(PDOS)]
+        self.rpdos = [
+            Rpdo(self, 0x1400, number, self.sync.window_is_over) for number in range(PDOS)
+        ]
         self.storage = Storage(self, storage)
         self.lss = LssSlave(self, self.storage)
-        self._servers = [SdoServer(self.objects, partial(self._reply, server)) for server in range(SDO_SERVERS)]
+        self._servers = [
+            SdoServer(self.objects, partial(self._reply, server)) for server in range(SDO_SERVERS)
+        ]
         self._watched: list[Tpdo] = []
         self.handlers: dict[int, Handler] = {}
         self.remote_handlers: dict[int, Handler] = {}
         self.objects.own(0x1012, check=check_consumed, effect=lambda _: self.rewire())
         for server in range(1, SDO_SERVERS):
             for sub in (1, 2):
-                communication.own_cob_id(self.objects, 0x1200 + server, sub, lambda _: self.rewire())
+                communication.own_cob_id(
+                    self.objects, 0x1200 + server, sub, lambda _: self.rewire()
+                )
 
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
         """Power on: power-on values, boot-up message, PRE-OPERATIONAL."""
@@ -109,7 +115,9 @@ class Node(Host):
             call()
         self.timers.clear()
         self.node_id = self.objects.node_id = self.lss.pending
-        self.objects.power_on(*((0, 0xFFFF) if everything else (0x1000, 0x1FFF)), self.storage.load())
+        self.objects.power_on(
+            *((0, 0xFFFF) if everything else (0x1000, 0x1FFF)), self.storage.load()
+        )
         self.consumer.forget()
         self.sync.forget()
         self.emergency.forget(everything)
@@ -170,8 +178,10 @@ class Node(Host):
         self.rewire()
 
     def rewire(self) -> None:
-        self.sync.configure([rpdo.on_sync for rpdo in self.rpdos if rpdo.live and rpdo.synchronous],
-                            [tpdo.on_sync for tpdo in self.tpdos if tpdo.live and tpdo.on_sync])
+        self.sync.configure(
+            [rpdo.on_sync for rpdo in self.rpdos if rpdo.live and rpdo.synchronous],
+            [tpdo.on_sync for tpdo in self.tpdos if tpdo.live and tpdo.on_sync],
+        )
         self.consumer.configure()
         self._watched = [one for one in self.tpdos if one.live and one.kind >= EVENT]
         self.handlers, self.remote_handlers = {LSS_REQUEST: self.lss.on_frame}, {}
@@ -191,7 +201,9 @@ class Node(Host):
         for tpdo in self.tpdos:
             cob_id = self.objects.values[key(tpdo.index, 1)]
             if tpdo.live and not cob_id & communication.FLAG:
-                self.remote_handlers[communication.dispatch_key(*communication.split(cob_id))] = tpdo.on_remote
+                self.remote_handlers[communication.dispatch_key(*communication.split(cob_id))] = (
+                    tpdo.on_remote
+                )
 
     def _listen_to_services(self) -> None:
         values = self.objects.values
@@ -210,6 +222,7 @@ class Node(Host):
         if first is None:
             self.handlers[at] = handler
         else:
+
             def both(frame: Frame) -> None:
                 first(frame)
                 handler(frame)

@@ -75,8 +75,15 @@ class Objects:
         self.values: dict[Key, Any] = {}
         self.power_on(0, 0xFFFF, {})
 
-    def own(self, index: int, sub: int = 0, *, read: Callable[[], Any] | None = None,
-            check: Callable[[Any], Any] | None = None, effect: Callable[[Any], Any] | None = None) -> None:
+    def own(
+        self,
+        index: int,
+        sub: int = 0,
+        *,
+        read: Callable[[], Any] | None = None,
+        check: Callable[[Any], Any] | None = None,
+        effect: Callable[[Any], Any] | None = None,
+    ) -> None:
         """Say who an object belongs to: its live source, who checks a value, what a stored one sets off."""
         for calls, call in ((self.readers, read), (self.checks, check), (self.effects, effect)):
             if call is not None:
@@ -102,7 +109,9 @@ class Objects:
         """The variable, or AbortError: no object, or no such sub-index."""
         variable = self.variables.get(key(index, sub))
         if variable is None:
-            raise AbortError(Abort.NO_SUB_INDEX if index in self.dictionary.indices else Abort.NO_OBJECT)
+            raise AbortError(
+                Abort.NO_SUB_INDEX if index in self.dictionary.indices else Abort.NO_OBJECT
+            )
         return variable
 
     def upload(self, index: int, sub: int) -> bytes:
@@ -150,4 +159,6 @@ class Objects:
 
 def packer(variables: list[ODVariable]) -> struct.Struct:
     """The layout of a PDO that carries these variables, little-endian and packed."""
-    return struct.Struct("<" + "".join(one.STRUCT_TYPES[one.data_type or 0].format[-1] for one in variables))
+    return struct.Struct(
+        "<" + "".join(one.STRUCT_TYPES[one.data_type or 0].format[-1] for one in variables)
+    )

@@ -27,7 +27,7 @@ class Channel:
 
     def configure(self, operational: bool) -> None:
         """Compile communication and mapping parameters."""
-        cob_id, = self._parameters(1)
+        (cob_id,) = self._parameters(1)
         self.can_id, self.extended = split(cob_id)
         self.entries = mapped(self.node.objects, self.index + 0x200)
         self.live = operational and valid(cob_id) and bool(self.entries)
@@ -55,8 +55,12 @@ class Tpdo(Channel):
         self.last: bytes | None = None
         self.sampled: bytes | None = None
         every_sync = self.kind == 1 and not self.start
-        cyclic = self._now if every_sync else self._cyclic if self.kind <= LAST_SYNCHRONOUS else None
-        self.on_sync = {ACYCLIC: self._on_change, RTR_SYNCHRONOUS: self._keep}.get(self.kind, cyclic)
+        cyclic = (
+            self._now if every_sync else self._cyclic if self.kind <= LAST_SYNCHRONOUS else None
+        )
+        self.on_sync = {ACYCLIC: self._on_change, RTR_SYNCHRONOUS: self._keep}.get(
+            self.kind, cyclic
+        )
         self._await_event()
 
     def sample(self) -> bytes:
@@ -72,7 +76,9 @@ class Tpdo(Channel):
         if now_ns < self.free_ns:
             return
         data, values = self.sample(), self.node.objects.values
-        if self.last is None or (data != self.last and (not self.enablers or any(values[at] for at in self.enablers))):
+        if self.last is None or (
+            data != self.last and (not self.enablers or any(values[at] for at in self.enablers))
+        ):
             self._send(data)
 
     def _await_event(self) -> None:
@@ -114,14 +120,18 @@ class Tpdo(Channel):
         self.node.send(Frame(self.can_id, data, self.extended))
         if self.kind >= EVENT and self.inhibit_ns:
             self.free_ns = self.node.clock_ns() + self.inhibit_ns
-            self.node.timers.set(f"{self.alarm} inhibited", self.free_ns, lambda: self.watch(self.free_ns))
+            self.node.timers.set(
+                f"{self.alarm} inhibited", self.free_ns, lambda: self.watch(self.free_ns)
+            )
         self._await_event()
 
 
 class Rpdo(Channel):
     """One receive PDO. `too_late(frame)`: the window of synchronous messages is over (1007h)."""
 
-    def __init__(self, node: Host, index: int, number: int, too_late: Callable[[Frame], bool]) -> None:
+    def __init__(
+        self, node: Host, index: int, number: int, too_late: Callable[[Frame], bool]
+    ) -> None:
         super().__init__(node, index, number)
         self.too_late = too_late
         self.refused: set[int] = set()
@@ -140,8 +150,13 @@ class Rpdo(Channel):
         """A message for this PDO: one that is too short is reported and not used."""
         node, data, emergency = self.node, frame.data, self.node.emergency
         if len(data) < self.size:
-            if emergency.report(PDO_LENGTH, self.number, bytes([self.number, len(data), self.size])):
-                node.event("warning", f"RPDO {self.number} ignored: {len(data)} bytes instead of {self.size}")
+            if emergency.report(
+                PDO_LENGTH, self.number, bytes([self.number, len(data), self.size])
+            ):
+                node.event(
+                    "warning",
+                    f"RPDO {self.number} ignored: {len(data)} bytes instead of {self.size}",
+                )
             return
         if emergency.active:
             emergency.clear(PDO_LENGTH, self.number)
@@ -162,7 +177,7 @@ class Rpdo(Channel):
     def apply(self, data: bytes) -> None:
         """Write the content into the objects; a value that its object refuses is left out."""
         objects = self.node.objects
-        for at, value in zip(self.entries, self.unpack(data[:self.size]), strict=True):
+        for at, value in zip(self.entries, self.unpack(data[: self.size]), strict=True):
             if at in DUMMIES:
                 continue
             try:
@@ -172,8 +187,11 @@ class Rpdo(Channel):
                 # told once, not with every message
                 if at not in self.refused:
                     self.refused.add(at)
-                    self.node.event("warning", f"RPDO {self.number}: object {at >> 8:04X}h:{at & 0xFF} "
-                                               f"refuses {value} ({refused.code.name})")
+                    self.node.event(
+                        "warning",
+                        f"RPDO {self.number}: object {at >> 8:04X}h:{at & 0xFF} "
+                        f"refuses {value} ({refused.code.name})",
+                    )
 
     def _late(self) -> None:
         self.node.event("warning", f"RPDO {self.number} is late")

@@ -25,9 +25,17 @@ def _dummy(kind: int) -> ODVariable:
 
 
 # data types stand in the dictionary as fillers of receive PDOs: byte-sized ones only
-DUMMIES = {key(kind, 0): _dummy(kind)
-           for kind in (datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32,
-                        datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32)}
+DUMMIES = {
+    key(kind, 0): _dummy(kind)
+    for kind in (
+        datatypes.INTEGER8,
+        datatypes.INTEGER16,
+        datatypes.INTEGER32,
+        datatypes.UNSIGNED8,
+        datatypes.UNSIGNED16,
+        datatypes.UNSIGNED32,
+    )
+}
 
 
 def mapped(objects: Objects, index: int) -> list[int]:

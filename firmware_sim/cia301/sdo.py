@@ -15,7 +15,9 @@ from rollerrig.firmware_sim.cia301.objects import LARGEST_BYTES, Abort, AbortErr
 
 _SEGMENT, BLOCK = 7, 127
 # client command specifiers
-_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT, _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = range(7)
+_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT, _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = (
+    range(7)
+)
 _BLOCK_INITIATE, _BLOCK_END, _BLOCK_ACKNOWLEDGE, _BLOCK_START = range(4)
 
 
@@ -57,7 +59,7 @@ class Download(Transfer):
     def segment(self, request: bytes) -> bytes:
         """The answer to a download segment."""
         toggle = self.turn(request)
-        self.data += request[1:8 - (request[0] >> 1 & 7)]
+        self.data += request[1 : 8 - (request[0] >> 1 & 7)]
         if len(self.data) > (LARGEST_BYTES if self.size is None else self.size):
             raise AbortError(Abort.OUT_OF_MEMORY if self.size is None else Abort.LENGTH_MISMATCH)
         return bytes([0x20 | toggle]).ljust(8, b"\0")
@@ -98,7 +100,7 @@ class BlockDownload(Download):
         if self.takes_segments:
             raise AbortError(Abort.UNKNOWN_COMMAND)
         filling = request[0] >> 2 & 7
-        self.data = self.data[:len(self.data) - filling]
+        self.data = self.data[: len(self.data) - filling]
         if self.checksum and crc_hqx(self.data, 0) != int.from_bytes(request[1:3], "little"):
             raise AbortError(Abort.CRC)
         return self.whole()
@@ -138,12 +140,14 @@ class BlockUpload(Transfer):
         return [bytes([0xC1 | filling << 2]) + checksum.to_bytes(2, "little") + bytes(5)]
 
     def _block(self) -> list[bytes]:
-        parts = [self.data[at:at + _SEGMENT] for at in range(self.at, len(self.data), _SEGMENT)]
-        parts = parts[:self.block] or [b""]
+        parts = [self.data[at : at + _SEGMENT] for at in range(self.at, len(self.data), _SEGMENT)]
+        parts = parts[: self.block] or [b""]
         last = self.at + len(parts) * _SEGMENT >= len(self.data)
         self.sent = len(parts)
-        return [bytes([number | (last and number == len(parts)) << 7]) + part.ljust(_SEGMENT, b"\0")
-                for number, part in enumerate(parts, 1)]
+        return [
+            bytes([number | (last and number == len(parts)) << 7]) + part.ljust(_SEGMENT, b"\0")
+            for number, part in enumerate(parts, 1)
+        ]
 
 
 T = TypeVar("T", bound=Transfer)
@@ -156,9 +160,12 @@ class SdoServer:
         self.objects, self.reply = objects, reply
         self.active: Transfer | None = None
         self._steps: dict[int, Callable[[bytes], None]] = {
-            _DOWNLOAD_SEGMENT: self._download_segment, _DOWNLOAD: self._download,
-            _UPLOAD: self._upload, _UPLOAD_SEGMENT: self._upload_segment,
-            _BLOCK_UPLOAD: self._block_upload, _BLOCK_DOWNLOAD: self._block_download,
+            _DOWNLOAD_SEGMENT: self._download_segment,
+            _DOWNLOAD: self._download,
+            _UPLOAD: self._upload,
+            _UPLOAD_SEGMENT: self._upload_segment,
+            _BLOCK_UPLOAD: self._block_upload,
+            _BLOCK_DOWNLOAD: self._block_download,
         }
 
     def on_request(self, data: bytes) -> None:
@@ -227,7 +234,7 @@ class SdoServer:
             variable = self.objects.announce(*_at(place), size)
             if size is None:
                 size = min(4, len(variable) // 8) if variable.fixed_size else 4
-            self.objects.download(*_at(place), request[4:4 + size])
+            self.objects.download(*_at(place), request[4 : 4 + size])
         else:
             size = int.from_bytes(request[4:], "little") if head & 1 else None
             self.objects.announce(*_at(place), size)

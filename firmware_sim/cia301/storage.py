@@ -33,13 +33,18 @@ class Storage:
         for index, call in ((0x1010, self._store), (0x1011, self._restore)):
             for sub in RANGES:
                 # read as "can be done on command", whatever was written
-                node.objects.own(index, sub, read=lambda: int(self.path is not None), check=partial(call, sub))
+                node.objects.own(
+                    index, sub, read=lambda: int(self.path is not None), check=partial(call, sub)
+                )
 
     def load(self) -> dict[int, Any]:
         """Stored values by key; nothing where there is no file or its checksum is wrong."""
         named = {f"{at:06X}": at for at in self._storable(0x1000, 0xFFFF)}
-        return {named[name]: value for name, value in self._read()[0].items()
-                if name in named and _fits(self.node.objects.variables[named[name]], value)}
+        return {
+            named[name]: value
+            for name, value in self._read()[0].items()
+            if name in named and _fits(self.node.objects.variables[named[name]], value)
+        }
 
     def kept_settings(self) -> tuple[int, int] | None:
         """Node identifier and bit timing that LSS has stored; None where it has not."""
@@ -64,17 +69,27 @@ class Storage:
         try:
             kept = json.loads(self.path.read_text(encoding="utf-8")) if self.path else {}
             values, settings = kept["values"], kept["lss"]
-            sound = (isinstance(values, dict) and isinstance(settings, dict)
-                     and kept["checksum"] == _checksum(values, settings))
+            sound = (
+                isinstance(values, dict)
+                and isinstance(settings, dict)
+                and kept["checksum"] == _checksum(values, settings)
+            )
         except (OSError, ValueError, LookupError, TypeError):
             sound = False
         return (values, settings) if sound else ({}, {})
 
     def _storable(self, first: int, last: int) -> list[int]:
         objects = self.node.objects
-        return [at for at, one in objects.variables.items()
-                if first <= at >> 8 <= last and one.readable and one.writable and one.fixed_size
-                and at not in objects.readers and at >> 8 not in _NEVER | self.node.commands]
+        return [
+            at
+            for at, one in objects.variables.items()
+            if first <= at >> 8 <= last
+            and one.readable
+            and one.writable
+            and one.fixed_size
+            and at not in objects.readers
+            and at >> 8 not in _NEVER | self.node.commands
+        ]
 
     def _store(self, sub: int, signature: int) -> None:
         self._check(signature, SAVE)

@@ -30,7 +30,9 @@ class SyncConsumer:
         for index, check in checks.items():
             node.objects.own(index, check=check, effect=lambda _: node.rewire())
 
-    def configure(self, receive: list[Callable[[], None]], transmit: list[Callable[[int | None], None]]) -> None:
+    def configure(
+        self, receive: list[Callable[[], None]], transmit: list[Callable[[int | None], None]]
+    ) -> None:
         """Take 1006h, 1007h and 1019h over, and what the PDOs do at a SYNC."""
         node, values = self.node, self.node.objects.values
         self._length = 1 if values[key(0x1019, 0)] else 0
@@ -79,7 +81,10 @@ class SyncConsumer:
             raise AbortError(Abort.DEVICE_STATE)
 
     def _miss(self) -> None:
-        self.node.event("warning", f"no SYNC for {self._patience_ns / 1e6:g} ms, half as long again as 1006h says")
+        self.node.event(
+            "warning",
+            f"no SYNC for {self._patience_ns / 1e6:g} ms, half as long again as 1006h says",
+        )
         self.node.emergency.report(SYNC_MISSING)
 
 

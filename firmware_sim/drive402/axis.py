@@ -24,14 +24,24 @@ LOOP_RIG, LOOP_TORQUE, LOOP_VELOCITY, LOOP_STOP = 0, 1, 2, 3
 class Axis:
     """One motor. `commands`: float64 array of shape (COMMANDS,), written before `on_command()`."""
 
-    def __init__(self, objects: Objects, axle: int, row: np.ndarray, parameters: Mapping[str, float],
-                 commands: np.ndarray, on_command: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        objects: Objects,
+        axle: int,
+        row: np.ndarray,
+        parameters: Mapping[str, float],
+        commands: np.ndarray,
+        on_command: Callable[[], None],
+    ) -> None:
         self.objects, self.row, self.commands, self.on_command = objects, row, commands, on_command
         self.demand = demand.Demand()
         self.heat = demand.Heat(parameters.get("thermal_time_constant_s", 0.0))
         self.dc_link_V, self.lowest_V = parameters["dc_link_V"], parameters["dc_link_min_V"]
         self._rated_Nm = parameters["rated_torque_Nm"]
-        self._torque, self._speed = signals.column("motor_torque", axle), signals.column("roller_speed", axle)
+        self._torque, self._speed = (
+            signals.column("motor_torque", axle),
+            signals.column("roller_speed", axle),
+        )
         self._reached, self._at_rest = demand.Since(), demand.Since()
         objects.own(0x606B, read=lambda: integer(self.demand.velocity, "I32"))
         objects.own(0x6074, read=lambda: integer(self.demand.torque, "I16"))
@@ -73,10 +83,15 @@ class Axis:
         if mode == demand.PROFILE_VELOCITY:
             fastest = min(fastest, values[key(0x6081, 0)])
         return demand.Set(
-            mode=mode, target_velocity=values[key(0x60FF, 0)] + values[key(0x60B1, 0)],
-            target_torque=values[key(0x6071, 0)] + values[key(0x60B2, 0)], acceleration=values[key(0x6083, 0)],
+            mode=mode,
+            target_velocity=values[key(0x60FF, 0)] + values[key(0x60B1, 0)],
+            target_torque=values[key(0x6071, 0)] + values[key(0x60B2, 0)],
+            acceleration=values[key(0x6083, 0)],
             deceleration=self.deceleration(values[key(0x605D, 0)] if halt else 1),
-            torque_slope=values[key(0x6087, 0)], highest_velocity=fastest, highest_torque=values[key(0x6072, 0)])
+            torque_slope=values[key(0x6087, 0)],
+            highest_velocity=fastest,
+            highest_torque=values[key(0x6072, 0)],
+        )
 
     def mode_bits(self, mode: int, halt: bool, now_ns: int) -> int:
         """Bits 10, 12 and 13 of the statusword of an enabled drive."""
@@ -86,9 +101,13 @@ class Axis:
             away = abs(speed - (0.0 if halt else given.target_velocity))
             there = self._holds(self._reached, away, 0x606D, 0x606E, now_ns)
             slips = 0 < self.objects.values[key(0x60F8, 0)] < abs(self.demand.velocity - speed)
-            return there * states.TARGET_REACHED | slow * states.SPEED_ZERO | slips * states.SLIPPAGE
+            return (
+                there * states.TARGET_REACHED | slow * states.SPEED_ZERO | slips * states.SLIPPAGE
+            )
         if mode == demand.PROFILE_TORQUE:
-            return (self.demand.torque == (0.0 if halt else given.target_torque)) * states.TARGET_REACHED
+            return (
+                self.demand.torque == (0.0 if halt else given.target_torque)
+            ) * states.TARGET_REACHED
         follows = not halt and self.demand.stopping is None
         return follows * states.FOLLOWS | (halt and slow) * states.TARGET_REACHED
 
@@ -106,8 +125,13 @@ class Axis:
             loop = LOOP_STOP
         # in a speed loop the torque is what is fed forward
         torque = values[key(0x60B2, 0)] if velocity else self.demand.torque
-        wanted = (float(enabled), float(loop), torque * per_mille_Nm,
-                  self.demand.velocity * table.SPEED.scale, values[key(0x6072, 0)] * per_mille_Nm)
+        wanted = (
+            float(enabled),
+            float(loop),
+            torque * per_mille_Nm,
+            self.demand.velocity * table.SPEED.scale,
+            values[key(0x6072, 0)] * per_mille_Nm,
+        )
         if tuple(self.commands) != wanted:
             self.commands[:] = wanted
             self.on_command()

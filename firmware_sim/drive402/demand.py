@@ -104,4 +104,4 @@ class Heat:
     def step(self, torque_fraction: float, dt_s: float) -> None:
         """Move the load on by `dt_s` at a torque given as a fraction of the rated one."""
         if self.time_constant_s > 0:
-            self.load += (torque_fraction ** 2 - self.load) * min(dt_s / self.time_constant_s, 1.0)
+            self.load += (torque_fraction**2 - self.load) * min(dt_s / self.time_constant_s, 1.0)

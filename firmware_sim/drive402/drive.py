@@ -34,9 +34,16 @@ _LAST_LEAVING_OPTION = 4
 _ENABLING = (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION)
 
 
-def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, float] | None = None,
-          commands: np.ndarray | None = None, on_command: Callable[[], None] = lambda: None,
-          control: str = "rig", storage: Path | None = None) -> Node:
+def build(
+    node_id: int,
+    axle: int,
+    row: np.ndarray,
+    parameters: Mapping[str, float] | None = None,
+    commands: np.ndarray | None = None,
+    on_command: Callable[[], None] = lambda: None,
+    control: str = "rig",
+    storage: Path | None = None,
+) -> Node:
     """The node of the drive under `axle` (from 1).
 
     `row`: live float64 array of all signals; `parameters` as in `objects.DEFAULTS`; `commands`: float64 array of
@@ -44,8 +51,16 @@ def build(node_id: int, axle: int, row: np.ndarray, parameters: Mapping[str, flo
     """
     parameters = table.DEFAULTS | dict(parameters or {})
     profile = Profile(table.DEVICE_TYPE, f"roller drive {axle}", table.RPDOS, table.TPDOS)
-    node = process_image.build(node_id, profile, ("roller drive", table.PRODUCT_CODE),
-                               table.rows(axle, parameters), row, parameters, axle, storage)
+    node = process_image.build(
+        node_id,
+        profile,
+        ("roller drive", table.PRODUCT_CODE),
+        table.rows(axle, parameters),
+        row,
+        parameters,
+        axle,
+        storage,
+    )
     commands = np.zeros(COMMANDS) if commands is None else commands
     node.commands = table.COMMANDS
     axis = Axis(node.objects, axle, row, parameters, commands, on_command)
@@ -156,8 +171,11 @@ class Drive:
             row = states.FROM_COMMAND.get((self.state, command))
             if row is not None:
                 self._perform(row)
-            elif (command is Command.ENABLE_OPERATION and self.state is State.OPERATION_ENABLED
-                  and self.demand.stopping is not None):
+            elif (
+                command is Command.ENABLE_OPERATION
+                and self.state is State.OPERATION_ENABLED
+                and self.demand.stopping is not None
+            ):
                 # a stop that is under way is cancelled
                 self.axis.take_over()
                 self._then = None
@@ -190,8 +208,10 @@ class Drive:
             self._enter(State.SWITCH_ON_DISABLED, 12)
             return
         stays = option > _LAST_LEAVING_OPTION
-        self._brake(self.axis.deceleration(option - _LAST_LEAVING_OPTION if stays else option),
-                    None if stays else (State.SWITCH_ON_DISABLED, 12))
+        self._brake(
+            self.axis.deceleration(option - _LAST_LEAVING_OPTION if stays else option),
+            None if stays else (State.SWITCH_ON_DISABLED, 12),
+        )
 
     def _brake(self, deceleration: float, then: tuple[State, int] | None) -> None:
         """Take the motor to rest along a ramp, and then enter a state by the transition of a number."""
@@ -208,8 +228,12 @@ class Drive:
             return
         if self.enabled:
             self.demand.step(self.axis.set_points(self.mode, self._halt), self._halt, dt_s)
-            if self.demand.stopping is not None and self.demand.velocity == 0.0 and (
-                    not self.stopped or self.axis.rests()) and self._then is not None:
+            if (
+                self.demand.stopping is not None
+                and self.demand.velocity == 0.0
+                and (not self.stopped or self.axis.rests())
+                and self._then is not None
+            ):
                 self._enter(*self._then)
         self._publish()
 
@@ -228,7 +252,11 @@ class Drive:
 
     def _statusword(self) -> int:
         hot = self.axis.heat.load > Heat.WARNING
-        word = self.state | (not self.axis.voltage_is_low) * states.VOLTAGE_ENABLED | hot * states.WARNING
+        word = (
+            self.state
+            | (not self.axis.voltage_is_low) * states.VOLTAGE_ENABLED
+            | hot * states.WARNING
+        )
         if self.local:
             return word
         word |= states.REMOTE | self.demand.limited * states.INTERNAL_LIMIT

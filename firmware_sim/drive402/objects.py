@@ -16,20 +16,35 @@ DEVICE_TYPE = 0x00020192
 PRODUCT_CODE = 0x402
 # bits of 6502h: profile velocity, torque, cyclic synchronous velocity and torque
 SUPPORTED_MODES = 0x0000030C
-TITLES = {0x606C: "Velocity actual value", 0x6064: "Position actual value", 0x6077: "Torque actual value"}
+TITLES = {
+    0x606C: "Velocity actual value",
+    0x6064: "Position actual value",
+    0x6077: "Torque actual value",
+}
 SPEED = BY_NAME["roller_speed"].places[0]
 TORQUE = BY_NAME["motor_torque"].places[0]
 DEFAULTS = {
-    "rated_torque_Nm": 4000.0, "rated_current_A": 400.0, "max_torque_fraction": 3.0,
-    "max_speed_rad_s": 200.0, "acceleration_rad_s2": 20.0, "quick_stop_rad_s2": 60.0,
-    "dc_link_V": 750.0, "dc_link_min_V": 400.0, "torque_slope_per_s": 10.0,
+    "rated_torque_Nm": 4000.0,
+    "rated_current_A": 400.0,
+    "max_torque_fraction": 3.0,
+    "max_speed_rad_s": 200.0,
+    "acceleration_rad_s2": 20.0,
+    "quick_stop_rad_s2": 60.0,
+    "dc_link_V": 750.0,
+    "dc_link_min_V": 400.0,
+    "torque_slope_per_s": 10.0,
 }
 # controlword, mode, set-points, offsets and outputs: what a master asks from cycle to cycle
 COMMANDS = frozenset({0x6040, 0x6060, 0x6071, 0x60B1, 0x60B2, 0x60FE, 0x60FF})
 RPM_PER_RAD_S = 60.0 / 6.283185307179586
-RPDOS = (Pdo(SYNCHRONOUS, ((0x6040, 0, 16), (0x6060, 0, 8), (0x6071, 0, 16))), Pdo(SYNCHRONOUS, ((0x60FF, 0, 32),)))
-TPDOS = (Pdo(SYNCHRONOUS, ((0x6041, 0, 16), (0x6061, 0, 8), (0x6077, 0, 16))),
-         Pdo(SYNCHRONOUS, ((0x606C, 0, 32), (0x6064, 0, 32))))
+RPDOS = (
+    Pdo(SYNCHRONOUS, ((0x6040, 0, 16), (0x6060, 0, 8), (0x6071, 0, 16))),
+    Pdo(SYNCHRONOUS, ((0x60FF, 0, 32),)),
+)
+TPDOS = (
+    Pdo(SYNCHRONOUS, ((0x6041, 0, 16), (0x6061, 0, 8), (0x6077, 0, 16))),
+    Pdo(SYNCHRONOUS, ((0x606C, 0, 32), (0x6064, 0, 32))),
+)
 
 
 def rows(axle: int, parameters: Mapping[str, float]) -> list[Row]:
@@ -44,8 +59,17 @@ def rows(axle: int, parameters: Mapping[str, float]) -> list[Row]:
     interpolation = "Interpolation time period"
     return [
         *process_image.rows(0, axle, parameters, TITLES),
-        Row(0x2000, 0, "Control source", "U8", "rw", 0, low=0, high=1,
-            text="0 the bench's rig control, 1 a master on the bus"),
+        Row(
+            0x2000,
+            0,
+            "Control source",
+            "U8",
+            "rw",
+            0,
+            low=0,
+            high=1,
+            text="0 the bench's rig control, 1 a master on the bus",
+        ),
         Row(0x6007, 0, "Abort connection option code", "I16", "rw", 1, low=0, high=3),
         Row(0x603F, 0, "Error code", "U16", "ro", 0, True),
         Row(0x6040, 0, "Controlword", "U16", "rw", 0, True),  # 6040h
@@ -63,29 +87,104 @@ def rows(axle: int, parameters: Mapping[str, float]) -> list[Row]:
         Row(0x606F, 0, "Velocity threshold", "U16", "rw", 1000, **speed),
         Row(0x6070, 0, "Velocity threshold time", "U16", "rw", 10, unit="ms"),
         Row(0x6071, 0, "Target torque", "I16", "rw", 0, True, **torque),
-        Row(0x6072, 0, "Max torque", "U16", "rw", round(1000 * parameters["max_torque_fraction"]), True, **torque),
+        Row(
+            0x6072,
+            0,
+            "Max torque",
+            "U16",
+            "rw",
+            round(1000 * parameters["max_torque_fraction"]),
+            True,
+            **torque,
+        ),
         Row(0x6074, 0, "Torque demand", "I16", "ro", 0, True, **torque),
-        Row(0x6075, 0, "Motor rated current", "U32", "rw", round(1000 * rated_A), unit="A", factor=1e-3),
-        Row(0x6076, 0, "Motor rated torque", "U32", "const", round(1000 * rated_Nm), unit="Nm", factor=1e-3),
-        Row(0x6078, 0, "Current actual value", "I16", "ro", 0, True, unit="A", factor=1e-3 * rated_A),
-        Row(0x6079, 0, "DC link circuit voltage", "U32", "ro", round(1000 * parameters["dc_link_V"]), True,
-            unit="V", factor=1e-3),
-        Row(0x6080, 0, "Max motor speed", "U32", "rw", round(fastest_rad_s * RPM_PER_RAD_S), unit="1/min"),
-        Row(0x6081, 0, "Profile velocity", "U32", "rw", round(fastest_rad_s / SPEED.scale), **speed),
+        Row(
+            0x6075,
+            0,
+            "Motor rated current",
+            "U32",
+            "rw",
+            round(1000 * rated_A),
+            unit="A",
+            factor=1e-3,
+        ),
+        Row(
+            0x6076,
+            0,
+            "Motor rated torque",
+            "U32",
+            "const",
+            round(1000 * rated_Nm),
+            unit="Nm",
+            factor=1e-3,
+        ),
+        Row(
+            0x6078, 0, "Current actual value", "I16", "ro", 0, True, unit="A", factor=1e-3 * rated_A
+        ),
+        Row(
+            0x6079,
+            0,
+            "DC link circuit voltage",
+            "U32",
+            "ro",
+            round(1000 * parameters["dc_link_V"]),
+            True,
+            unit="V",
+            factor=1e-3,
+        ),
+        Row(
+            0x6080,
+            0,
+            "Max motor speed",
+            "U32",
+            "rw",
+            round(fastest_rad_s * RPM_PER_RAD_S),
+            unit="1/min",
+        ),
+        Row(
+            0x6081, 0, "Profile velocity", "U32", "rw", round(fastest_rad_s / SPEED.scale), **speed
+        ),
         Row(0x6083, 0, "Profile acceleration", "U32", "rw", slow, True, **ramp),
         Row(0x6084, 0, "Profile deceleration", "U32", "rw", slow, True, **ramp),
         Row(0x6085, 0, "Quick stop deceleration", "U32", "rw", quick, True, **ramp),
-        Row(0x6087, 0, "Torque slope", "U32", "rw", round(1000 * parameters["torque_slope_per_s"]), True, low=1,
-            unit="Nm/s", factor=TORQUE.scale * rated_Nm),
+        Row(
+            0x6087,
+            0,
+            "Torque slope",
+            "U32",
+            "rw",
+            round(1000 * parameters["torque_slope_per_s"]),
+            True,
+            low=1,
+            unit="Nm/s",
+            factor=TORQUE.scale * rated_Nm,
+        ),
         Row(0x6088, 0, "Torque profile type", "I16", "rw", 0, low=0, high=0),
         Row(0x60B1, 0, "Velocity offset", "I32", "rw", 0, True, **speed),
         Row(0x60B2, 0, "Torque offset", "I16", "rw", 0, True, **torque),
         Row(0x60C2, 0, f"{interpolation}/Highest sub-index supported", "U8", "const", 2),
         Row(0x60C2, 1, f"{interpolation}/Interpolation time period value", "U8", "rw", 10),
-        Row(0x60C2, 2, f"{interpolation}/Interpolation time index", "I8", "rw", -3, low=-128, high=63),
+        Row(
+            0x60C2,
+            2,
+            f"{interpolation}/Interpolation time index",
+            "I8",
+            "rw",
+            -3,
+            low=-128,
+            high=63,
+        ),
         Row(0x60F8, 0, "Max slippage", "I32", "rw", 0, low=0, **speed),
         Row(0x60FD, 0, "Digital inputs", "U32", "ro", 0, True),
-        *array(0x60FE, "Digital outputs", "U32", "rw", [0, 0], ("Physical outputs", "Bit mask"), mappable=True),
+        *array(
+            0x60FE,
+            "Digital outputs",
+            "U32",
+            "rw",
+            [0, 0],
+            ("Physical outputs", "Bit mask"),
+            mappable=True,
+        ),
         Row(0x60FF, 0, "Target velocity", "I32", "rw", 0, True, **speed),
         Row(0x6502, 0, "Supported drive modes", "U32", "const", SUPPORTED_MODES),
         Row(0x67FE, 0, "Version number", "U32", "const", 0x00040000),

@@ -20,7 +20,12 @@ from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED, UNI
 # what carries a frame on, once the gate lets it
 Carry = Callable[[], None]
 LOST, HELD, TWICE = "lost", "held", "twice"
-_WHAT = {"frame_lost": LOST, "frame_duplicated": TWICE, "frame_delayed": HELD, "heartbeat_late": HELD}
+_WHAT = {
+    "frame_lost": LOST,
+    "frame_duplicated": TWICE,
+    "frame_delayed": HELD,
+    "heartbeat_late": HELD,
+}
 
 
 @dataclass(eq=False)
@@ -117,8 +122,13 @@ def rules_of(name: str, values: dict[str, Any]) -> list[Rule]:
     """The rules of a fault of the catalogue, none where it needs none."""
     if name == "wsp_frozen":
         # what a WSP unit sends: heartbeat, PDO1 to the brake I/O, reference speed
-        return [Rule(HELD, one, 1, NEVER) for one in (UNIT_HEARTBEAT_ID, MAGNETS_ID, REFERENCE_SPEED.can_id)]
+        return [
+            Rule(HELD, one, 1, NEVER)
+            for one in (UNIT_HEARTBEAT_ID, MAGNETS_ID, REFERENCE_SPEED.can_id)
+        ]
     if name not in _WHAT:
         return []
     can_id = values["can_id"] if "can_id" in values else HEARTBEAT + values["node"]
-    return [Rule(_WHAT[name], can_id, values.get("every", 1), round(values.get("delay_s", 0.0) * S_NS))]
+    return [
+        Rule(_WHAT[name], can_id, values.get("every", 1), round(values.get("delay_s", 0.0) * S_NS))
+    ]

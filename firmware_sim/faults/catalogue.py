@@ -27,8 +27,10 @@ _NODE = integer("node", BRAKE_NODE, 1, 127, "a node of the rig")
 _CAN_ID = integer("can_id", SPEEDS.can_id, 0, 0x7FF, "11-bit identifier")
 _EVERY = integer("every", 1, 1, 100_000, "1 is each frame, 2 every second one")
 _LOSES_UNIT = ("wsp_frozen", "node_babbling", "error_frame", "receive_error")
-WHEN = (number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
-        number("for_s", LASTS, 1e-3, LASTS, "how long it holds; inf: to the end"))
+WHEN = (
+    number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
+    number("for_s", LASTS, 1e-3, LASTS, "how long it holds; inf: to the end"),
+)
 
 
 @dataclass(frozen=True)
@@ -70,65 +72,195 @@ class Fault:
     @property
     def title(self) -> str:
         """Name and parameters, for events."""
-        return " ".join([self.kind.name, *(f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
-                                           for name, value in self.values.items())])
+        return " ".join(
+            [
+                self.kind.name,
+                *(
+                    f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
+                    for name, value in self.values.items()
+                ),
+            ]
+        )
 
 
 CATALOGUE: tuple[Kind, ...] = (
-    Kind(0, "speed_sensor_stuck", TICK, "the speed of an axle stays what it was, no pulse is counted", (_AXLE,)),
-    Kind(1, "speed_sensor_dropout", TICK, "the sensor of an axle gives no pulses: speed 0", (_AXLE,)),
-    Kind(2, "missing_tooth", TICK, "teeth of an axle's pole wheel are gone: once a turn the speed that is measured "
-         "from pulses dips", (_AXLE, integer("teeth", 1, 1, 50, "missing teeth"))),
-    Kind(3, "swapped_axles", TICK, "the sensors of two axles are connected the wrong way round",
-         (_AXLE, integer("other", 2, 1, AXLES, "the other axle"))),
-    Kind(4, "speed_noise_burst", TICK, "Gaussian noise on the measured speed of an axle, seeded",
-         (_AXLE, number("std_rad_s", 5.0, 0.01, 100.0, "standard deviation"))),
-    Kind(5, "wheel_diameter_mismatch", TICK, "the wheels of an axle are larger than the unit believes: they turn "
-         "slower at the same speed of the train",
-         (_AXLE, number("difference_percent", 5.0, -50.0, 50.0, "real over nominal diameter, less 1"))),
+    Kind(
+        0,
+        "speed_sensor_stuck",
+        TICK,
+        "the speed of an axle stays what it was, no pulse is counted",
+        (_AXLE,),
+    ),
+    Kind(
+        1, "speed_sensor_dropout", TICK, "the sensor of an axle gives no pulses: speed 0", (_AXLE,)
+    ),
+    Kind(
+        2,
+        "missing_tooth",
+        TICK,
+        "teeth of an axle's pole wheel are gone: once a turn the speed that is measured "
+        "from pulses dips",
+        (_AXLE, integer("teeth", 1, 1, 50, "missing teeth")),
+    ),
+    Kind(
+        3,
+        "swapped_axles",
+        TICK,
+        "the sensors of two axles are connected the wrong way round",
+        (_AXLE, integer("other", 2, 1, AXLES, "the other axle")),
+    ),
+    Kind(
+        4,
+        "speed_noise_burst",
+        TICK,
+        "Gaussian noise on the measured speed of an axle, seeded",
+        (_AXLE, number("std_rad_s", 5.0, 0.01, 100.0, "standard deviation")),
+    ),
+    Kind(
+        5,
+        "wheel_diameter_mismatch",
+        TICK,
+        "the wheels of an axle are larger than the unit believes: they turn "
+        "slower at the same speed of the train",
+        (
+            _AXLE,
+            number("difference_percent", 5.0, -50.0, 50.0, "real over nominal diameter, less 1"),
+        ),
+    ),
     Kind(6, "hold_magnet_stuck", TICK, "the hold magnet of an axle stays energised", (_AXLE,)),
     Kind(7, "hold_magnet_dead", TICK, "the hold magnet of an axle is never energised", (_AXLE,)),
     Kind(8, "vent_magnet_stuck", TICK, "the vent magnet of an axle stays energised", (_AXLE,)),
     Kind(9, "vent_magnet_dead", TICK, "the vent magnet of an axle is never energised", (_AXLE,)),
-    Kind(10, "cylinder_leak", TICK, "the brake cylinders of an axle leak: dp/dt = -p / T",
-         (_AXLE, number("time_constant_s", 2.0, 0.1, 1000.0, "T"))),
-    Kind(11, "torque_ripple", TICK, "a roller motor's torque demand ripples with its angle",
-         (_AXLE, number("amplitude_Nm", 2000.0, 0.0, 30000.0, "amplitude"),
-          number("order", 6.0, 0.1, 100.0, "periods in a turn"))),
-    Kind(12, "drive_trip", DEVICE, "a drive trips with an error code; it can be reset when the fault is lifted",
-         (_AXLE, integer("code", 0x5112, 1, 0xFFFF, "603Fh error code"))),
-    Kind(13, "drive_over_temperature", DEVICE, "a motor is hot: above 1 the drive warns, above 1.2 it trips",
-         (_AXLE, number("load", 1.25, 1.0, 3.0, "thermal load, 1 is what it bears for ever"))),
+    Kind(
+        10,
+        "cylinder_leak",
+        TICK,
+        "the brake cylinders of an axle leak: dp/dt = -p / T",
+        (_AXLE, number("time_constant_s", 2.0, 0.1, 1000.0, "T")),
+    ),
+    Kind(
+        11,
+        "torque_ripple",
+        TICK,
+        "a roller motor's torque demand ripples with its angle",
+        (
+            _AXLE,
+            number("amplitude_Nm", 2000.0, 0.0, 30000.0, "amplitude"),
+            number("order", 6.0, 0.1, 100.0, "periods in a turn"),
+        ),
+    ),
+    Kind(
+        12,
+        "drive_trip",
+        DEVICE,
+        "a drive trips with an error code; it can be reset when the fault is lifted",
+        (_AXLE, integer("code", 0x5112, 1, 0xFFFF, "603Fh error code")),
+    ),
+    Kind(
+        13,
+        "drive_over_temperature",
+        DEVICE,
+        "a motor is hot: above 1 the drive warns, above 1.2 it trips",
+        (_AXLE, number("load", 1.25, 1.0, 3.0, "thermal load, 1 is what it bears for ever")),
+    ),
     Kind(14, "node_off", BUS, "a node has no power; it boots when the fault is lifted", (_NODE,)),
-    Kind(15, "node_babbling", BUS, "a node floods the bus with frames of one identifier",
-         (_NODE, integer("can_id", 0x07F, 0, 0x7FF, "what it babbles"),
-          number("rate_Hz", 2000.0, 1.0, 20000.0, "frames a second"))),
+    Kind(
+        15,
+        "node_babbling",
+        BUS,
+        "a node floods the bus with frames of one identifier",
+        (
+            _NODE,
+            integer("can_id", 0x07F, 0, 0x7FF, "what it babbles"),
+            number("rate_Hz", 2000.0, 1.0, 20000.0, "frames a second"),
+        ),
+    ),
     Kind(16, "frame_lost", BUS, "frames of an identifier reach nobody", (_CAN_ID, _EVERY)),
-    Kind(17, "frame_delayed", BUS, "frames of an identifier come late",
-         (_CAN_ID, number("delay_s", 0.05, 0.001, 10.0, "delay"))),
+    Kind(
+        17,
+        "frame_delayed",
+        BUS,
+        "frames of an identifier come late",
+        (_CAN_ID, number("delay_s", 0.05, 0.001, 10.0, "delay")),
+    ),
     Kind(18, "frame_duplicated", BUS, "frames of an identifier come twice", (_CAN_ID, _EVERY)),
-    Kind(19, "error_frame", BUS, "each frame of a node is destroyed by error frames and sent again; its error counter "
-         "rises, to error passive (EMCY 8120h) and bus-off",
-         (_NODE, integer("attempts", 2, 1, 31, "destroyed attempts of each frame"))),
-    Kind(20, "bus_off", BUS, "a node's CAN controller is off: it neither hears nor speaks, and runs on; EMCY 8140h "
-         "when it is back", (_NODE,)),
-    Kind(21, "heartbeat_late", BUS, "the heartbeats of a node come late",
-         (integer("node", BRAKE_NODE, 1, 127, "a node of the rig, or the WSP unit"),
-          number("delay_s", 0.6, 0.01, 10.0, "delay"))),
-    Kind(22, "wsp_frozen", DEVICE, "the WSP unit freezes: the reference unit's process is stopped, the frames of an "
-         "external one are held back"),
-    Kind(23, "power_dip", DEVICE, "the rig's supply dips: below their lowest voltage the drives trip (3220h), below "
-         "200 V all nodes of the rig are without power",
-         (number("dc_link_V", 300.0, 0.0, 1000.0, "what is left of the DC link"),)),
-    Kind(24, "receive_error", BUS, "a node takes every frame of others for faulty and destroys it, until its receive "
-         "error counter makes it error passive (EMCY 8120h); from then on it alone misses them",
-         (_NODE, integer("attempts", 1, 1, 31, "destroyed attempts of each frame"))),
-    Kind(25, "sander_empty", TICK, "the sand box of an axle is empty; it stays so when the fault is lifted", (_AXLE,)),
-    Kind(26, "sander_blocked", TICK, "the sander of an axle is blocked: no sand leaves its box", (_AXLE,)),
-    Kind(27, "sander_wrong_orifice", TICK, "the sander of an axle has a wrong orifice: another rate",
-         (_AXLE, number("factor", 0.3, 0.0, 10.0, "of the rate"))),
-    Kind(28, "sander_late", TICK, "the sand of an axle comes late: its hose holds it back longer",
-         (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "longer lag of the hose"))),
+    Kind(
+        19,
+        "error_frame",
+        BUS,
+        "each frame of a node is destroyed by error frames and sent again; its error counter "
+        "rises, to error passive (EMCY 8120h) and bus-off",
+        (_NODE, integer("attempts", 2, 1, 31, "destroyed attempts of each frame")),
+    ),
+    Kind(
+        20,
+        "bus_off",
+        BUS,
+        "a node's CAN controller is off: it neither hears nor speaks, and runs on; EMCY 8140h "
+        "when it is back",
+        (_NODE,),
+    ),
+    Kind(
+        21,
+        "heartbeat_late",
+        BUS,
+        "the heartbeats of a node come late",
+        (
+            integer("node", BRAKE_NODE, 1, 127, "a node of the rig, or the WSP unit"),
+            number("delay_s", 0.6, 0.01, 10.0, "delay"),
+        ),
+    ),
+    Kind(
+        22,
+        "wsp_frozen",
+        DEVICE,
+        "the WSP unit freezes: the reference unit's process is stopped, the frames of an "
+        "external one are held back",
+    ),
+    Kind(
+        23,
+        "power_dip",
+        DEVICE,
+        "the rig's supply dips: below their lowest voltage the drives trip (3220h), below "
+        "200 V all nodes of the rig are without power",
+        (number("dc_link_V", 300.0, 0.0, 1000.0, "what is left of the DC link"),),
+    ),
+    Kind(
+        24,
+        "receive_error",
+        BUS,
+        "a node takes every frame of others for faulty and destroys it, until its receive "
+        "error counter makes it error passive (EMCY 8120h); from then on it alone misses them",
+        (_NODE, integer("attempts", 1, 1, 31, "destroyed attempts of each frame")),
+    ),
+    Kind(
+        25,
+        "sander_empty",
+        TICK,
+        "the sand box of an axle is empty; it stays so when the fault is lifted",
+        (_AXLE,),
+    ),
+    Kind(
+        26,
+        "sander_blocked",
+        TICK,
+        "the sander of an axle is blocked: no sand leaves its box",
+        (_AXLE,),
+    ),
+    Kind(
+        27,
+        "sander_wrong_orifice",
+        TICK,
+        "the sander of an axle has a wrong orifice: another rate",
+        (_AXLE, number("factor", 0.3, 0.0, 10.0, "of the rate")),
+    ),
+    Kind(
+        28,
+        "sander_late",
+        TICK,
+        "the sand of an axle comes late: its hose holds it back longer",
+        (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "longer lag of the hose")),
+    ),
 )
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
 BY_NUMBER = {kind.number: kind for kind in CATALOGUE}
@@ -142,7 +274,9 @@ def make(given: Mapping[str, Any], where: str) -> Fault:
     given = {_SHORT.get(key, key): value for key, value in given.items()}
     name = given.pop("kind", None)
     if name not in BY_NAME:
-        raise ConfigError(f"{where}: kind = {name!r} is no fault{table.nearest(str(name), BY_NAME)}")
+        raise ConfigError(
+            f"{where}: kind = {name!r} is no fault{table.nearest(str(name), BY_NAME)}"
+        )
     kind = BY_NAME[name]
     read = table.read((*WHEN, *kind.parameters), given, f"{where} {name}")
     fault = Fault(kind, read.pop("at_s"), read.pop("for_s"), read)
@@ -177,12 +311,20 @@ def all_of(given: list[Any], where: str) -> tuple[Fault, ...]:
 
 def markdown() -> str:
     """The catalogue as a document."""
-    lines = ["# Faults", "", "Each is injected by a scenario's `[[fault]]` table or with `--fault "
-             "'NAME parameter=value at=5 for=3'`, and lifted after `for_s`.", "",
-             "| fault | acts in | what it does | parameters: default (allowed) |", "|---|---|---|---|"]
+    lines = [
+        "# Faults",
+        "",
+        "Each is injected by a scenario's `[[fault]]` table or with `--fault "
+        "'NAME parameter=value at=5 for=3'`, and lifted after `for_s`.",
+        "",
+        "| fault | acts in | what it does | parameters: default (allowed) |",
+        "|---|---|---|---|",
+    ]
     for kind in CATALOGUE:
-        parameters = "; ".join(f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
-                               for row in kind.parameters)
+        parameters = "; ".join(
+            f"`{row.name}` {row.default:g} ({row.low:g} to {row.high:g}): {row.source}"
+            for row in kind.parameters
+        )
         lines.append(f"| `{kind.name}` | {kind.acts} | {kind.text} | {parameters or 'none'} |")
     return "\n".join(lines) + "\n"
 
@@ -193,4 +335,6 @@ def _check_target(fault: Fault, where: str) -> None:
         raise ConfigError(f"{at}: axle and other are both {values['axle']}; give two axles")
     allowed = (*RIG_NODES, WSP_NODE) if fault.kind.name == "heartbeat_late" else RIG_NODES
     if "node" in values and values["node"] not in allowed:
-        raise ConfigError(f"{at}: node = {values['node']}; allowed are {', '.join(map(str, allowed))}")
+        raise ConfigError(
+            f"{at}: node = {values['node']}; allowed are {', '.join(map(str, allowed))}"
+        )

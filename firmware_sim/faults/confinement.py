@@ -67,7 +67,11 @@ class Controllers:
         if sender is not None and sender.transmit > OFF_ABOVE:
             return False
         finders = [] if sender is None else [(sender, sender.attempts)]
-        finders += [(one, one.finds) for one in self.nodes.values() if one is not sender and not one.off_until_ns]
+        finders += [
+            (one, one.finds)
+            for one in self.nodes.values()
+            if one is not sender and not one.off_until_ns
+        ]
         for finder, times in finders:
             for _ in range(times):
                 # a receiver's flags destroy nothing once they are passive
@@ -84,7 +88,9 @@ class Controllers:
             if one is sender:
                 one.transmit += _SENDER  # [C1]
             elif not one.off_until_ns:
-                one.receive = min(one.receive + (_FINDER if one is finder else _RECEIVER), HIGHEST)  # [C2]
+                one.receive = min(
+                    one.receive + (_FINDER if one is finder else _RECEIVER), HIGHEST
+                )  # [C2]
         self.destroyed(frame, min(finder.transmit, HIGHEST), finder.receive, finder is sender)
 
     def _succeed(self, sender: Controller | None) -> None:
@@ -103,8 +109,14 @@ class Confinement:
     `members` are the nodes by number, `mute(node, on)` takes one off the wire, `deafen(node, on)` keeps frames from it.
     """
 
-    def __init__(self, controllers: Controllers, members: dict[int, Any], mute: Callable[[int, bool], None],
-                 deafen: Callable[[int, bool], None], bitrate: int) -> None:
+    def __init__(
+        self,
+        controllers: Controllers,
+        members: dict[int, Any],
+        mute: Callable[[int, bool], None],
+        deafen: Callable[[int, bool], None],
+        bitrate: int,
+    ) -> None:
         self.controllers, self.members, self.mute, self.deafen = controllers, members, mute, deafen
         self._recovery_ns = RECOVERY_BITS * S_NS // bitrate
         self._deaf: set[int] = set()
@@ -134,7 +146,9 @@ class Confinement:
             elif one.transmit > OFF_ABOVE:
                 one.off_until_ns = now_ns + self._recovery_ns
                 self.mute(node, True)
-                self.members[node].event("error", "bus-off: its transmit error counter has passed 255")
+                self.members[node].event(
+                    "error", "bus-off: its transmit error counter has passed 255"
+                )
             elif one.passive != one.reported_passive:
                 self._tell(node, one)
             if one.deaf != (node in self._deaf):

@@ -21,8 +21,24 @@ from rollerrig.wsp_interface.signals import AXLES
 
 # slots of the faults array: ANY is 1 while one of these faults acts; then a value for each axle
 ANY = 0
-(STUCK, DROPOUT, MISSING_TEETH, SOURCE, NOISE_rad_s, LARGER, MAGNETS_ON, MAGNETS_OFF,
- LEAK_per_s, RIPPLE_Nm, RIPPLE_ORDER, MOTOR_LOAD, SAND_FLAW, SAND_LATE_s, SAND_EMPTY, _KINDS) = range(16)
+(
+    STUCK,
+    DROPOUT,
+    MISSING_TEETH,
+    SOURCE,
+    NOISE_rad_s,
+    LARGER,
+    MAGNETS_ON,
+    MAGNETS_OFF,
+    LEAK_per_s,
+    RIPPLE_Nm,
+    RIPPLE_ORDER,
+    MOTOR_LOAD,
+    SAND_FLAW,
+    SAND_LATE_s,
+    SAND_EMPTY,
+    _KINDS,
+) = range(16)
 SIZE = 1 + _KINDS * AXLES
 
 

@@ -30,10 +30,14 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
     "speed_sensor_stuck": lambda v: [(effects.STUCK, v["axle"], 1.0)],
     "speed_sensor_dropout": lambda v: [(effects.DROPOUT, v["axle"], 1.0)],
     "missing_tooth": lambda v: [(effects.MISSING_TEETH, v["axle"], float(v["teeth"]))],
-    "swapped_axles": lambda v: [(effects.SOURCE, v["axle"], float(v["other"])),
-                                (effects.SOURCE, v["other"], float(v["axle"]))],
+    "swapped_axles": lambda v: [
+        (effects.SOURCE, v["axle"], float(v["other"])),
+        (effects.SOURCE, v["other"], float(v["axle"])),
+    ],
     "speed_noise_burst": lambda v: [(effects.NOISE_rad_s, v["axle"], v["std_rad_s"])],
-    "wheel_diameter_mismatch": lambda v: [(effects.LARGER, v["axle"], v["difference_percent"] / 100.0)],
+    "wheel_diameter_mismatch": lambda v: [
+        (effects.LARGER, v["axle"], v["difference_percent"] / 100.0)
+    ],
     "hold_magnet_stuck": lambda v: [(effects.MAGNETS_ON, v["axle"], HOLD)],
     "hold_magnet_dead": lambda v: [(effects.MAGNETS_OFF, v["axle"], HOLD)],
     "vent_magnet_stuck": lambda v: [(effects.MAGNETS_ON, v["axle"], VENT)],
@@ -44,8 +48,10 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
     "sander_blocked": lambda v: [(effects.SAND_FLAW, v["axle"], -1.0)],
     "sander_wrong_orifice": lambda v: [(effects.SAND_FLAW, v["axle"], v["factor"] - 1.0)],
     "sander_late": lambda v: [(effects.SAND_LATE_s, v["axle"], v["delay_s"])],
-    "torque_ripple": lambda v: [(effects.RIPPLE_Nm, v["axle"], v["amplitude_Nm"]),
-                                (effects.RIPPLE_ORDER, v["axle"], v["order"])],
+    "torque_ripple": lambda v: [
+        (effects.RIPPLE_Nm, v["axle"], v["amplitude_Nm"]),
+        (effects.RIPPLE_ORDER, v["axle"], v["order"]),
+    ],
 }
 # what a fault of error frames sets of the node's controller
 _DISTURBS = {"error_frame": "attempts", "receive_error": "finds"}
@@ -97,9 +103,17 @@ class Panel:
         """Say what the faults act on."""
         self.site = site
         self._confinement = Confinement(
-            site.gate.controllers, dict(site.nodes), lambda node, on: site.rack.mute(site.nodes[node], on),
-            lambda node, on: site.rack.deafen(site.nodes[node], on), site.bitrate)
-        self._links_V = {node: site.nodes[node].device.axis.dc_link_V for node in DRIVE_NODES if node in site.nodes}
+            site.gate.controllers,
+            dict(site.nodes),
+            lambda node, on: site.rack.mute(site.nodes[node], on),
+            lambda node, on: site.rack.deafen(site.nodes[node], on),
+            site.bitrate,
+        )
+        self._links_V = {
+            node: site.nodes[node].device.axis.dc_link_V
+            for node in DRIVE_NODES
+            if node in site.nodes
+        }
 
     def inject(self, name: str, **values: Any) -> Fault:
         """Let a fault begin now, in place of one of its kind and target; it holds for `for_s`. Raises ConfigError."""
@@ -110,8 +124,12 @@ class Panel:
 
     def clear(self, name: str = "", **aim: Any) -> int:
         """Lift the active faults of a name (of all, without one) and aim; returns how many."""
-        lifted = [key for key, one in self.active.items() if name in ("", one.fault.kind.name)
-                  and all(one.fault.values.get(what) == value for what, value in aim.items())]
+        lifted = [
+            key
+            for key, one in self.active.items()
+            if name in ("", one.fault.kind.name)
+            and all(one.fault.values.get(what) == value for what, value in aim.items())
+        ]
         for key in lifted:
             self._lift(key)
         return len(lifted)
@@ -119,7 +137,9 @@ class Panel:
     def poll(self, now_s: float) -> None:
         """It is `now_s` of simulated time: begin, lift and go on with what is due."""
         self.now_s = now_s
-        if not (self.active or self._confinement.busy) and not (self.waiting and self.waiting[0].at_s <= now_s):
+        if not (self.active or self._confinement.busy) and not (
+            self.waiting and self.waiting[0].at_s <= now_s
+        ):
             return
         for key in [key for key, one in self.active.items() if one.until_s <= now_s]:
             self._lift(key)
@@ -162,7 +182,9 @@ class Panel:
         else:
             site.gate.remove(one.rules)
         if name in _DISTURBS:
-            self._confinement.disturb(values["node"], **{_DISTURBS[name]: values["attempts"] if on else 0})
+            self._confinement.disturb(
+                values["node"], **{_DISTURBS[name]: values["attempts"] if on else 0}
+            )
         elif name == "node_babbling" and on:
             one.babble = Babble(values["can_id"], values["rate_Hz"], site.clock_ns())
         elif name == "drive_over_temperature":
@@ -238,5 +260,7 @@ def check_pacing(planned: Iterable[Fault], pacing: str) -> None:
     """Refuse faults of the bus where there is none. Raises ConfigError."""
     for fault in planned:
         if pacing == "free" and fault.kind.acts != TICK:
-            raise ConfigError(f"fault {fault.kind.name} acts on the bus, and --pacing free has none; "
-                              "use --pacing lockstep or wall")
+            raise ConfigError(
+                f"fault {fault.kind.name} acts on the bus, and --pacing free has none; "
+                "use --pacing lockstep or wall"
+            )

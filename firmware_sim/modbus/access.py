@@ -27,8 +27,10 @@ def tls_context(given: Mapping[str, Any]) -> ssl.SSLContext | None:
         return None
     for key, path in paths.items():
         if not Path(path or "/").is_file():
-            raise ConfigError(f"[modbus] {key} = '{path}': {'no such file' if path else 'is missing'}; all three of "
-                              f"{', '.join(TLS_KEYS)} are needed (PEM), or none for Modbus without TLS")
+            raise ConfigError(
+                f"[modbus] {key} = '{path}': {'no such file' if path else 'is missing'}; all three of "
+                f"{', '.join(TLS_KEYS)} are needed (PEM), or none for Modbus without TLS"
+            )
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.verify_mode = ssl.CERT_REQUIRED
@@ -36,6 +38,8 @@ def tls_context(given: Mapping[str, Any]) -> ssl.SSLContext | None:
         context.load_cert_chain(given["tls_certificate"], given["tls_key"])
         context.load_verify_locations(given["tls_client_ca"])
     except (ssl.SSLError, OSError) as error:
-        raise ConfigError(f"[modbus] {', '.join(f'{key} = {path}' for key, path in paths.items())} cannot be used: "
-                          f"{error}") from None
+        raise ConfigError(
+            f"[modbus] {', '.join(f'{key} = {path}' for key, path in paths.items())} cannot be used: "
+            f"{error}"
+        ) from None
     return context

@@ -17,9 +17,15 @@ from pymodbus.pdu.device import ModbusControlBlock
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 
 # what function 43/14 tells; pymodbus knows one identity a process
-ModbusControlBlock().Identity.update({
-    0: "rollerrig", 1: "roller rig", 2: metadata.version("rollerrig"), 4: "rollerrig",
-    5: "roller-rig emulator for wheel slide protection"})
+ModbusControlBlock().Identity.update(
+    {
+        0: "rollerrig",
+        1: "roller rig",
+        2: metadata.version("rollerrig"),
+        4: "rollerrig",
+        5: "roller-rig emulator for wheel slide protection",
+    }
+)
 _REGULAR_CONFORMITY = 0x82  # basic and regular objects, as a stream and one by one
 EXCEPTION = 0x80
 
@@ -36,7 +42,9 @@ class _Echoed(ModbusPDU):
     """A write that is its own answer."""
 
     async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
-        await context.async_setValues(device_id, self.function_code, self.address, self.bits or self.registers)
+        await context.async_setValues(
+            device_id, self.function_code, self.address, self.bits or self.registers
+        )
         return self
 
 
@@ -63,7 +71,9 @@ class Exchange(words.ReadWriteMultipleRegistersRequest):
     """Function 23: where nothing can be read, nothing is written."""
 
     async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
-        await context.async_getValues(device_id, self.function_code, self.read_address, self.read_count)
+        await context.async_getValues(
+            device_id, self.function_code, self.read_address, self.read_count
+        )
         return await super().datastore_update(context, device_id)
 
 
@@ -81,10 +91,22 @@ class Identify(ReadDeviceInformationRequest):
         return reply
 
 
-FUNCTIONS: dict[int, type[ModbusPDU]] = {kind.function_code: kind for kind in (
-    bits.ReadCoilsRequest, bits.ReadDiscreteInputsRequest, words.ReadHoldingRegistersRequest,
-    words.ReadInputRegistersRequest, WriteCoil, WriteRegister, WriteCoils,
-    words.WriteMultipleRegistersRequest, words.MaskWriteRegisterRequest, Exchange, Identify)}
+FUNCTIONS: dict[int, type[ModbusPDU]] = {
+    kind.function_code: kind
+    for kind in (
+        bits.ReadCoilsRequest,
+        bits.ReadDiscreteInputsRequest,
+        words.ReadHoldingRegistersRequest,
+        words.ReadInputRegistersRequest,
+        WriteCoil,
+        WriteRegister,
+        WriteCoils,
+        words.WriteMultipleRegistersRequest,
+        words.MaskWriteRegisterRequest,
+        Exchange,
+        Identify,
+    )
+}
 BITS, WRITES = (1, 2, 5, 15), (5, 6, 15, 16, 22, 23)
 
 
@@ -94,7 +116,9 @@ class Decoder(DecodePDU):
     def lookupPduClass(self, data: bytes) -> type[ModbusPDU] | None:
         """The class of the request behind a unit; None: it is not served."""
         kind = FUNCTIONS.get(data[1])
-        return None if kind is Identify and data[2:3] != bytes((Identify.sub_function_code,)) else kind
+        return (
+            None if kind is Identify and data[2:3] != bytes((Identify.sub_function_code,)) else kind
+        )
 
 
 DECODER = Decoder(True)

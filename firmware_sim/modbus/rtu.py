@@ -41,8 +41,9 @@ class Frame(FramerRTU):
 
     def sound(self, frame: bytes) -> tuple[int, int, int, bytes]:
         """As `decode`, of bytes that the silence has ended."""
-        whole = (self.MIN_SIZE <= len(frame) <= LARGEST_FRAME
-                 and self.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")))
+        whole = self.MIN_SIZE <= len(frame) <= LARGEST_FRAME and self.check_CRC(
+            frame[:-2], int.from_bytes(frame[-2:], "big")
+        )
         return (len(frame), frame[0], 0, frame[1:-2]) if whole else (0, 0, 0, b"")
 
 
@@ -53,8 +54,14 @@ class SerialLine(asyncio.Protocol):
     line is lost and when it is back.
     """
 
-    def __init__(self, server: Server, port: str, baud_rate: int = 19200, parity: str = "even",
-                 on_event: Callable[[str, str], None] = lambda level, text: None) -> None:
+    def __init__(
+        self,
+        server: Server,
+        port: str,
+        baud_rate: int = 19200,
+        parity: str = "even",
+        on_event: Callable[[str, str], None] = lambda level, text: None,
+    ) -> None:
         self.server, self.port, self.on_event = server, port, on_event
         self.baud_rate, self.parity = baud_rate, parity
         self.silence_s = max(CHARACTERS * _BITS_PER_CHARACTER / baud_rate, SILENCE_MIN_S)
@@ -71,11 +78,15 @@ class SerialLine(asyncio.Protocol):
         try:
             name, line = self._open()
             reading, _ = await running.connect_read_pipe(lambda: self, os.fdopen(line, "rb", 0))
-            writing, _ = await running.connect_write_pipe(asyncio.Protocol, os.fdopen(os.dup(line), "wb", 0))
+            writing, _ = await running.connect_write_pipe(
+                asyncio.Protocol, os.fdopen(os.dup(line), "wb", 0)
+            )
         except (OSError, termios.error) as error:
             reason = error.args[-1] if error.args else error
-            raise BusError(f"[modbus] serial = '{self.port}' at {self.baud_rate} baud: {reason}; "
-                           "give a serial device, \"pty\", or \"\" for none") from None
+            raise BusError(
+                f"[modbus] serial = '{self.port}' at {self.baud_rate} baud: {reason}; "
+                'give a serial device, "pty", or "" for none'
+            ) from None
         self._ends = reading, writing
         return name
 
@@ -115,7 +126,7 @@ class SerialLine(asyncio.Protocol):
         if self._received:
             self._quiet = asyncio.get_running_loop().call_later(self.silence_s, self._on_silence)
             # more than any frame: only its end is still of interest
-            self._received = self._received[-LARGEST_FRAME - 1:]
+            self._received = self._received[-LARGEST_FRAME - 1 :]
 
     def _on_silence(self) -> None:
         self.server.counters.malformed += not self._obey(*self._frame.sound(self._received))
@@ -157,6 +168,10 @@ def _set_up(line: int, baud_rate: int, parity: str) -> None:
     mode = termios.tcgetattr(line)
     mode[2] &= ~(termios.PARENB | termios.PARODD | termios.CSTOPB | termios.CRTSCTS)
     mode[2] |= termios.CLOCAL | termios.CREAD
-    mode[2] |= {"none": termios.CSTOPB, "even": termios.PARENB, "odd": termios.PARENB | termios.PARODD}[parity]
+    mode[2] |= {
+        "none": termios.CSTOPB,
+        "even": termios.PARENB,
+        "odd": termios.PARENB | termios.PARODD,
+    }[parity]
     mode[4] = mode[5] = speed
     termios.tcsetattr(line, termios.TCSANOW, mode)

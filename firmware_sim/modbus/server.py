@@ -28,8 +28,12 @@ BURST = 16  # requests answered before others have their turn: less than half a 
 _PORTION_BYTES = 4096
 _HANDSHAKE_S = 5.0
 # a client that has vanished is noticed after about half a minute
-_KEEPALIVE = ((socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1), (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 15),
-              (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 5), (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3))
+_KEEPALIVE = (
+    (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 15),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 5),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3),
+)
 
 
 class Header(FramerSocket):
@@ -41,7 +45,7 @@ class Header(FramerSocket):
         if any(data[2:4]) or (len(data) >= 6 and not SHORTEST <= length <= LONGEST):
             raise ValueError(data[:6].hex())
         # pymodbus takes a byte behind the shortest request for part of it
-        return super().decode(data[:6 + length])
+        return super().decode(data[: 6 + length])
 
 
 class Server:
@@ -57,13 +61,19 @@ class Server:
         """Take clients at an address; returns the port (0 takes a free one). Raises BusError."""
         try:
             self._listener = await asyncio.get_running_loop().create_server(
-                lambda: Connection(self), host, port, ssl=context, reuse_address=True,
-                ssl_handshake_timeout=_HANDSHAKE_S if context else None)
+                lambda: Connection(self),
+                host,
+                port,
+                ssl=context,
+                reuse_address=True,
+                ssl_handshake_timeout=_HANDSHAKE_S if context else None,
+            )
         except OSError as error:
             raise BusError(
                 f"Modbus: cannot listen on {host}:{port} ({error.strerror or error}); another bench "
                 "may be running: stop it, take another port with --set modbus.port=N (0: a free "
-                "one), or switch Modbus off with --set modbus.enabled=false") from None
+                "one), or switch Modbus off with --set modbus.enabled=false"
+            ) from None
         return int(self._listener.sockets[0].getsockname()[1])
 
     async def close(self) -> None:

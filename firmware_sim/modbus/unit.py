@@ -27,7 +27,9 @@ Writer = Callable[[int, bool], None]
 class Unit:
     """Bits and registers of a unit. `readers` and `writers` are raw values by name of the row."""
 
-    def __init__(self, rows: Iterable[Register], readers: Mapping[str, Reader], writers: Mapping[str, Writer]) -> None:
+    def __init__(
+        self, rows: Iterable[Register], readers: Mapping[str, Reader], writers: Mapping[str, Writer]
+    ) -> None:
         self._spaces: dict[bool, dict[int, tuple[Reader, int]]] = {True: {}, False: {}}
         self._rows: dict[tuple[bool, int], Register] = {}
         self._writers = writers
@@ -41,8 +43,12 @@ class Unit:
 
     async def async_getValues(self, unit: int, function: int, at: int, count: int) -> list[int]:
         """Bits or registers, as `function` wants. Raises RefusedError."""
-        return [raw >> shift & 0xFFFF for read, shifts in self._plan(function in BITS, at, count)
-                for raw in (read(),) for shift in shifts]
+        return [
+            raw >> shift & 0xFFFF
+            for read, shifts in self._plan(function in BITS, at, count)
+            for raw in (read(),)
+            for shift in shifts
+        ]
 
     def _plan_of(self, is_bit: bool, at: int, count: int) -> list[tuple[Reader, list[int]]]:
         """What to read, each value once, and by how much to shift it. Raises RefusedError."""
@@ -75,19 +81,34 @@ class Unit:
                 write(raw, only)
 
 
-def signal_readers(rows: Iterable[Register], row: np.ndarray, parameters: Mapping[str, float]) -> dict[str, Reader]:
+def signal_readers(
+    rows: Iterable[Register], row: np.ndarray, parameters: Mapping[str, float]
+) -> dict[str, Reader]:
     """Readers of the rows that carry a signal; `row` is the live float64 row of all signals."""
-    return {one.name: process_image.reader(row, signals.column(one.signal, one.axle),
-                                           Place(0, 0, 0, one.kind, one.scale, one.of, one.wraps),
-                                           parameters[one.of] if one.of else 1.0)
-            for one in rows if one.signal}
+    return {
+        one.name: process_image.reader(
+            row,
+            signals.column(one.signal, one.axle),
+            Place(0, 0, 0, one.kind, one.scale, one.of, one.wraps),
+            parameters[one.of] if one.of else 1.0,
+        )
+        for one in rows
+        if one.signal
+    }
 
 
 def drive(node: Node) -> Unit:
     """The unit of a drive: its registers are objects of its dictionary."""
     rows = drive_words(node.dictionary)
-    return Unit(rows, {row.name: node.objects.getter(key(row.od_index, 0)) for row in rows},
-                {row.name: partial(_assign, node.objects, key(row.od_index, 0)) for row in rows if row.access == WRITE})
+    return Unit(
+        rows,
+        {row.name: node.objects.getter(key(row.od_index, 0)) for row in rows},
+        {
+            row.name: partial(_assign, node.objects, key(row.od_index, 0))
+            for row in rows
+            if row.access == WRITE
+        },
+    )
 
 
 _OUT_OF_RANGE = (Abort.TOO_HIGH, Abort.TOO_LOW, Abort.INVALID_VALUE)

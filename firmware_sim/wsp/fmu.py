@@ -39,7 +39,9 @@ class Watch:
     def __init__(self, patience_s: float) -> None:
         self._failure = _failures()
         self._calls, self._running, self._what, self._who, self._at_s = 0, False, "", "", 0.0
-        threading.Thread(target=self._look, args=(patience_s,), name="step watch", daemon=True).start()
+        threading.Thread(
+            target=self._look, args=(patience_s,), name="step watch", daemon=True
+        ).start()
 
     def over(self, at_s: float, who: str = "the FMU", what: str = "doStep") -> "Watch":
         """Watch what is done under `with`, at a time of the FMU. UnitError is raised where that fails."""
@@ -62,8 +64,10 @@ class Watch:
             looks = looks + 1 if self._running and call == self._calls else 0
             call = self._calls
             if looks * _LOOK_S > patience_s:
-                print(f"{self._who} hangs: {self._what} at {self._at_s:.3f} s has not returned within {patience_s:g} s",
-                      flush=True)
+                print(
+                    f"{self._who} hangs: {self._what} at {self._at_s:.3f} s has not returned within {patience_s:g} s",
+                    flush=True,
+                )
                 os._exit(_HUNG)
 
 
@@ -114,8 +118,11 @@ class Fmu:
         self._told[:] = counts * self._scales
         values = dict(zip(SOURCES, self._told.tolist(), strict=True))
         told = self._step(values)
-        magnets = sum((told[f"hold_{axle + 1}"] >= 0.5) << 2 * axle | (told[f"vent_{axle + 1}"] >= 0.5) << 2 * axle + 1
-                      for axle in range(signals.AXLES))
+        magnets = sum(
+            (told[f"hold_{axle + 1}"] >= 0.5) << 2 * axle
+            | (told[f"vent_{axle + 1}"] >= 0.5) << 2 * axle + 1
+            for axle in range(signals.AXLES)
+        )
         reference = told.get("reference_speed")
         return magnets, None if reference is None else signals.count(reference, _REFERENCE)
 
@@ -151,7 +158,10 @@ class Fmu:
             told: dict[str, float] = {}
             for kind, ports in self._outputs.items():
                 read = getattr(fmu, f"get{kind}")([port.reference for port in ports])
-                told |= {port.quantity: float(value) / port.factor for port, value in zip(ports, read, strict=True)}
+                told |= {
+                    port.quantity: float(value) / port.factor
+                    for port, value in zip(ports, read, strict=True)
+                }
         return told
 
 
@@ -182,12 +192,18 @@ def open_fmu(fitted: Fitted, folder: Path) -> Any:
         if fitted.sources:
             _compile(fitted, folder)
         kind = fmi2.FMU2Slave if description.fmiMajorVersion == 2 else fmi3.FMU3Slave
-        return kind(guid=description.guid, unzipDirectory=str(folder), instanceName="wsp",
-                    modelIdentifier=description.coSimulation.modelIdentifier)
+        return kind(
+            guid=description.guid,
+            unzipDirectory=str(folder),
+            instanceName="wsp",
+            modelIdentifier=description.coSimulation.modelIdentifier,
+        )
     except ConfigError:
         raise
     except Exception as error:  # FMPy's own are plain ones
-        raise ConfigError(f"{fitted.path}: cannot be loaded: {error}; see that what it links to is installed") from None
+        raise ConfigError(
+            f"{fitted.path}: cannot be loaded: {error}; see that what it links to is installed"
+        ) from None
 
 
 def _compile(fitted: Fitted, folder: Path) -> None:
@@ -197,25 +213,50 @@ def _compile(fitted: Fitted, folder: Path) -> None:
     binary, sources = folder / fitted.binary, folder / "sources"
     binary.parent.mkdir(parents=True, exist_ok=True)
     files = fitted.description.buildConfigurations[0].sourceFileSets
-    defined = [f"-D{one.name}={one.value or ''}" for each in files for one in each.preprocessorDefinitions]
-    command = ["cc", "-shared", "-fPIC", "-O2", "-w", *defined,
-               # sources may give all functions the prefix that they need where several FMUs are linked into one
-               f"-DFMI{fitted.description.fmiMajorVersion}_OVERRIDE_FUNCTION_PREFIX", f"-I{sources}",
-               f"-I{Path(fmpy.__file__).parent / 'c-code'}", "-o", str(binary),
-               *(str(sources / name) for name in fitted.sources), "-lm"]
+    defined = [
+        f"-D{one.name}={one.value or ''}" for each in files for one in each.preprocessorDefinitions
+    ]
+    command = [
+        "cc",
+        "-shared",
+        "-fPIC",
+        "-O2",
+        "-w",
+        *defined,
+        # sources may give all functions the prefix that they need where several FMUs are linked into one
+        f"-DFMI{fitted.description.fmiMajorVersion}_OVERRIDE_FUNCTION_PREFIX",
+        f"-I{sources}",
+        f"-I{Path(fmpy.__file__).parent / 'c-code'}",
+        "-o",
+        str(binary),
+        *(str(sources / name) for name in fitted.sources),
+        "-lm",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        errors = [line for line in done.stderr.splitlines() if "error" in line] or [done.stderr.strip()]
-        raise ConfigError(f"{fitted.path}: its sources do not compile: {errors[0]}; have it exported with a binary")
+        errors = [line for line in done.stderr.splitlines() if "error" in line] or [
+            done.stderr.strip()
+        ]
+        raise ConfigError(
+            f"{fitted.path}: its sources do not compile: {errors[0]}; have it exported with a binary"
+        )
 
 
-def main(fitted: Fitted, bus_address: str, priority: int = 0, lockstep_s: float = 0.0, patience_s: float = 10.0) -> int:
+def main(
+    fitted: Fitted,
+    bus_address: str,
+    priority: int = 0,
+    lockstep_s: float = 0.0,
+    patience_s: float = 10.0,
+) -> int:
     """Run an FMU on a bus until that ends; as `node.main`. Raises ConfigError, BusError, UnitError."""
     print_at_once()
     with tempfile.TemporaryDirectory(prefix="rollerrig-fmu-") as folder:
         unit = Fmu(fitted, Path(folder), patience_s)
         try:
-            return node.serve(lambda bus: node.Unit(bus, unit, lockstep_s), bus_address, priority, lockstep_s)
+            return node.serve(
+                lambda bus: node.Unit(bus, unit, lockstep_s), bus_address, priority, lockstep_s
+            )
         finally:
             unit.close()
 

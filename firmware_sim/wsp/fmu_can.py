@@ -124,8 +124,10 @@ class Node:
                 self._eventful = False
                 fmu.enterStepMode()
                 return
-        raise UnitError(f"{self.name}: its events at {self.now_ns / S_NS:.3f} s do not end: fmi3UpdateDiscreteStates "
-                        "asks for more, or its Tx_Clock for an interval of 0")
+        raise UnitError(
+            f"{self.name}: its events at {self.now_ns / S_NS:.3f} s do not end: fmi3UpdateDiscreteStates "
+            "asks for more, or its Tx_Clock for an interval of 0"
+        )
 
     def _plan(self, ticked: bool) -> None:
         """When its Tx_Clock ticks next."""
@@ -151,23 +153,33 @@ class Node:
             raise UnitError(f"{self.name} asks to end at {self.now_ns / S_NS:.3f} s")
 
 
-def _array(reference: int, value: float) -> tuple["ctypes.Array[ctypes.c_uint]", "ctypes.Array[ctypes.c_double]"]:
+def _array(
+    reference: int, value: float
+) -> tuple["ctypes.Array[ctypes.c_uint]", "ctypes.Array[ctypes.c_double]"]:
     return (ctypes.c_uint * 1)(reference), (ctypes.c_double * 1)(value)
 
 
 class Bridge:
     """The nodes of a unit on a bus of `bitrate` bit/s (0: any). `run` returns when the bus ends or after `stop`."""
 
-    def __init__(self, bus: can.BusABC, nodes: list[Node], period_s: float, lockstep: bool, bitrate: int = 0) -> None:
+    def __init__(
+        self, bus: can.BusABC, nodes: list[Node], period_s: float, lockstep: bool, bitrate: int = 0
+    ) -> None:
         self._bus, self._nodes, self._lockstep, self._bitrate = bus, nodes, lockstep, bitrate
         self._period_ns = round(period_s * S_NS)
         steps = {one.step_ns for one in nodes if one.step_ns}
         if len(steps) > 1:
-            raise UnitError("the FMUs have different steps of their own, "
-                            f"{', '.join(f'{one / S_NS:g} s' for one in sorted(steps))}: export them with one")
+            raise UnitError(
+                "the FMUs have different steps of their own, "
+                f"{', '.join(f'{one / S_NS:g} s' for one in sorted(steps))}: export them with one"
+            )
         # where all take any step, the ticks of their clocks come in between
         self._fixed, self._grid_ns = bool(steps), min(steps, default=self._period_ns)
-        if not steps and any(one.terminal.clock == "triggered" for one in nodes) and not self._period_ns % _STEP_NS:
+        if (
+            not steps
+            and any(one.terminal.clock == "triggered" for one in nodes)
+            and not self._period_ns % _STEP_NS
+        ):
             self._grid_ns = _STEP_NS
         self._now_ns = 0
         self._synced = self._awaiting = self._stopping = False
@@ -218,7 +230,12 @@ class Bridge:
             self._synced = self._awaiting = True
         elif plain and frame.can_id == PRESSURES.can_id and self._awaiting:
             self._cycle()
-        elif plain and frame.can_id == NMT and frame.data[1:] in (b"\0", bytes([WSP_NODE])) and not self._synced:
+        elif (
+            plain
+            and frame.can_id == NMT
+            and frame.data[1:] in (b"\0", bytes([WSP_NODE]))
+            and not self._synced
+        ):
             self._go_on(_ANSWER_S, (State.OPERATIONAL,))
 
     def _go_on(self, most_s: float, wanted: tuple[State, ...]) -> None:
@@ -232,9 +249,11 @@ class Bridge:
         self._go_on(_BOOT_S, (State.STOPPED, State.OPERATIONAL, State.PRE_OPERATIONAL))
         if self._state:
             return
-        raise UnitError(f"{', '.join(one.name for one in self._nodes)}: no heartbeat of the unit "
-                        f"({UNIT_HEARTBEAT_ID:X}h, state other than 0) within {_BOOT_S:g} s of its time; a unit on "
-                        "the bus tells its state there, see docs/units.md")
+        raise UnitError(
+            f"{', '.join(one.name for one in self._nodes)}: no heartbeat of the unit "
+            f"({UNIT_HEARTBEAT_ID:X}h, state other than 0) within {_BOOT_S:g} s of its time; a unit on "
+            "the bus tells its state there, see docs/units.md"
+        )
 
     def _cycle(self) -> None:
         """A period of the SYNC: what has been heard, then steps."""
@@ -275,7 +294,9 @@ class Bridge:
                 else:
                     self._obey(node, raw, one)
         for field, node, frame, raw in sorted(offered, key=lambda one: one[0]):
-            if node.discards and any(other is not node and rival < field for rival, other, *_ in offered):
+            if node.discards and any(
+                other is not node and rival < field for rival, other, *_ in offered
+            ):
                 node.received += ls_bus.build(Code.ARBITRATION_LOST, frame.can_id)
                 continue
             self._outgoing.append(frame)
@@ -290,9 +311,13 @@ class Bridge:
         """What is no frame of classical CAN."""
         if one is None or one.code == Code.TRANSMIT:
             node.received += ls_bus.build(Code.FORMAT_ERROR, len(raw), data=raw)
-            self._say(f"{node.name} has sent what is no operation of FMI-LS-BUS: {raw[:32].hex(' ')}")
+            self._say(
+                f"{node.name} has sent what is no operation of FMI-LS-BUS: {raw[:32].hex(' ')}"
+            )
         elif one.code in (Code.FD_TRANSMIT, Code.XL_TRANSMIT):
-            self._say(f"{node.name} sends frames of CAN FD or XL, which are errors on the rig's bus of classical CAN")
+            self._say(
+                f"{node.name} sends frames of CAN FD or XL, which are errors on the rig's bus of classical CAN"
+            )
             self._bus_error(node, one.values[0], ls_bus.FORM_ERROR, False)
         elif one.code == Code.CONFIGURATION:
             self._configure(node, one.values[0], one.data)
@@ -308,21 +333,30 @@ class Bridge:
         if parameter == Parameter.ARBITRATION_LOST_BEHAVIOUR:
             node.discards = value == ls_bus.DISCARD
         elif parameter == Parameter.BAUD_RATE and self._bitrate and value != self._bitrate:
-            raise UnitError(f"{node.name}: sets its CAN controller to {value} bit/s, and the bus of the rig has "
-                            f"{self._bitrate} bit/s: change the FMU, or set bus.bitrate={value}")
+            raise UnitError(
+                f"{node.name}: sets its CAN controller to {value} bit/s, and the bus of the rig has "
+                f"{self._bitrate} bit/s: change the FMU, or set bus.bitrate={value}"
+            )
 
     def _tell_error(self, state: bytes) -> None:
         """An error frame of the bus: content as in Linux can/error.h, and behind it what it has destroyed."""
         by_sender = len(state) > 2 and bool(state[2] & 0x80)
         can_id = int.from_bytes(state[8:12], "little")
         sender = next((one for one in self._nodes if can_id and one.last_sent == can_id), None)
-        self._bus_error(sender, can_id, ls_bus.BIT_ERROR if by_sender else ls_bus.STUFF_ERROR, not by_sender)
+        self._bus_error(
+            sender, can_id, ls_bus.BIT_ERROR if by_sender else ls_bus.STUFF_ERROR, not by_sender
+        )
 
     def _bus_error(self, sender: Node | None, can_id: int, code: int, found_outside: bool) -> None:
         for node in self._nodes:
             first = node is sender and not found_outside
-            node.received += ls_bus.build(Code.BUS_ERROR, can_id, code, ls_bus.PRIMARY if first else ls_bus.SECONDARY,
-                                          node is sender)
+            node.received += ls_bus.build(
+                Code.BUS_ERROR,
+                can_id,
+                code,
+                ls_bus.PRIMARY if first else ls_bus.SECONDARY,
+                node is sender,
+            )
 
     def _pass_on(self, sender: Node, raw: bytes) -> None:
         for node in self._nodes:
@@ -336,8 +370,14 @@ class Bridge:
             print(text, flush=True)
 
 
-def main(fitted: list[Fitted], bus_address: str, priority: int = 0, lockstep_s: float = 0.0, patience_s: float = 10.0,
-         bitrate: int = 0) -> int:
+def main(
+    fitted: list[Fitted],
+    bus_address: str,
+    priority: int = 0,
+    lockstep_s: float = 0.0,
+    patience_s: float = 10.0,
+    bitrate: int = 0,
+) -> int:
     """Run FMUs on a bus until that ends; as `node.main`. Raises ConfigError, BusError, UnitError."""
     print_at_once()
     watch = Watch(patience_s)
@@ -347,5 +387,10 @@ def main(fitted: list[Fitted], bus_address: str, priority: int = 0, lockstep_s: 
             folder = ending.enter_context(tempfile.TemporaryDirectory(prefix="rollerrig-fmu-"))
             nodes.append(Node(one, Path(folder), watch))
             ending.callback(nodes[-1].close)
-        return serving.serve(lambda bus: Bridge(bus, nodes, fitted[0].period_s, bool(lockstep_s), bitrate), bus_address,
-                             priority, lockstep_s, errors=True)
+        return serving.serve(
+            lambda bus: Bridge(bus, nodes, fitted[0].period_s, bool(lockstep_s), bitrate),
+            bus_address,
+            priority,
+            lockstep_s,
+            errors=True,
+        )

@@ -70,7 +70,11 @@ ROWS = (
     table.number("vent_timer_s", 10.0, 0.5, 60.0, _M),
     table.number("hold_timer_s", 5.0, 0.5, 60.0, _M),
     table.number("lock_out_s", 0.5, 0.1, 60.0, _A),
-    table.flag("sand", False, _A + ": asks node 18 for sand from the first sliding until calm_s after the last"),
+    table.flag(
+        "sand",
+        False,
+        _A + ": asks node 18 for sand from the first sliding until calm_s after the last",
+    ),
     table.number("cut_off_m_s", 2.0, 0.3, 10.0, _M + ": 1.4 to 3"),
 )
 
@@ -105,10 +109,21 @@ class State(NamedTuple):
     hold_age: np.ndarray  # cycles of holding since the valve last filled; `act`
 
 
-PER_UNIT = ("cycles", "reference_m_s", "deceleration_m_s2", "anchor_m_s", "anchor_age", "calm", "runner", "run_ups")
+PER_UNIT = (
+    "cycles",
+    "reference_m_s",
+    "deceleration_m_s2",
+    "anchor_m_s",
+    "anchor_age",
+    "calm",
+    "runner",
+    "run_ups",
+)
 WIDTHS = tuple(1 if name in PER_UNIT else AXLES for name in State._fields)
 SIZE = sum(WIDTHS)
-PLACES = tuple(slice(end - width, end) for width, end in zip(WIDTHS, itertools.accumulate(WIDTHS), strict=True))
+PLACES = tuple(
+    slice(end - width, end) for width, end in zip(WIDTHS, itertools.accumulate(WIDTHS), strict=True)
+)
 
 
 class Unit(NamedTuple):
@@ -187,15 +202,18 @@ def event_of(state, j, params):
     low = min(params.band_low_m_s, params.band_low_fraction * v_ref)  # [W4]
     high = min(params.band_high_m_s, params.band_high_fraction * v_ref)
     row = above(state.sliding_m_s[j], (begin, low, high, high * params.deep_factor))
-    column = above(state.acceleration_m_s2[j],
-                   (-params.fast_fall_m_s2, -params.fall_m_s2, params.rise_m_s2, params.fast_rise_m_s2))
+    column = above(
+        state.acceleration_m_s2[j],
+        (-params.fast_fall_m_s2, -params.fall_m_s2, params.rise_m_s2, params.fast_rise_m_s2),
+    )
     event = WISHES[row, column]
     if state.runner[0] == j:
         event = np.int64(Event.RUN_UP)
     if reference.implausible(state, j, params):
         event = np.int64(Event.VENT)  # [W6]
-    if (reference.passed(state.vent_age[j], params.vent_timer_s, params)
-            or reference.passed(state.hold_age[j], params.hold_timer_s, params)):
+    if reference.passed(state.vent_age[j], params.vent_timer_s, params) or reference.passed(
+        state.hold_age[j], params.hold_timer_s, params
+    ):
         event = np.int64(Event.TIMER)
     if v_ref < params.cut_off_m_s:
         event = np.int64(Event.CUT_OFF)

@@ -46,10 +46,21 @@ class Parameter(IntEnum):
 # of ARBITRATION_LOST_BEHAVIOUR; else a frame waits for the bus
 DISCARD = 2
 _HEADER = struct.Struct("<II")
-_ARGUMENTS = {code: struct.Struct(layout) for code, layout in {
-    Code.FORMAT_ERROR: "<H", Code.TRANSMIT: "<IBBH", Code.FD_TRANSMIT: "<IBBBH", Code.XL_TRANSMIT: "<IBBBBIH",
-    Code.CONFIRM: "<I", Code.ARBITRATION_LOST: "<I", Code.BUS_ERROR: "<IBBB", Code.CONFIGURATION: "<B",
-    Code.STATUS: "<B", Code.WAKEUP: ""}.items()}
+_ARGUMENTS = {
+    code: struct.Struct(layout)
+    for code, layout in {
+        Code.FORMAT_ERROR: "<H",
+        Code.TRANSMIT: "<IBBH",
+        Code.FD_TRANSMIT: "<IBBBH",
+        Code.XL_TRANSMIT: "<IBBBBIH",
+        Code.CONFIRM: "<I",
+        Code.ARBITRATION_LOST: "<I",
+        Code.BUS_ERROR: "<IBBB",
+        Code.CONFIGURATION: "<B",
+        Code.STATUS: "<B",
+        Code.WAKEUP: "",
+    }.items()
+}
 # their last argument is how many bytes of data follow
 _WITH_DATA = (Code.FORMAT_ERROR, Code.TRANSMIT, Code.FD_TRANSMIT, Code.XL_TRANSMIT)
 
@@ -66,8 +77,15 @@ class Operation(NamedTuple):
         """The frame of a TRANSMIT; None where no CAN controller could send it."""
         can_id, extended, remote, size = self.values
         try:
-            return check(Frame(can_id, b"" if remote else self.data, bool(extended), bool(remote),
-                               size if remote else 0))
+            return check(
+                Frame(
+                    can_id,
+                    b"" if remote else self.data,
+                    bool(extended),
+                    bool(remote),
+                    size if remote else 0,
+                )
+            )
         except ValueError:
             return None
 
@@ -80,7 +98,9 @@ def build(code: Code, *values: int, data: bytes = b"") -> bytes:
 
 def transmit(frame: Frame) -> bytes:
     """The operation that carries a frame."""
-    return build(Code.TRANSMIT, frame.can_id, frame.extended, frame.remote, len(frame.data), data=frame.data)
+    return build(
+        Code.TRANSMIT, frame.can_id, frame.extended, frame.remote, len(frame.data), data=frame.data
+    )
 
 
 def read(wire: bytes) -> Iterator[tuple[bytes, Operation | None]]:
@@ -90,7 +110,7 @@ def read(wire: bytes) -> Iterator[tuple[bytes, Operation | None]]:
         # where a length makes no sense, nothing behind it can be read
         sound = _HEADER.size <= size <= len(wire)
         raw = wire[:size] if sound else wire
-        wire = wire[len(raw):]
+        wire = wire[len(raw) :]
         yield raw, _operation(code, raw) if sound else None
 
 
@@ -98,7 +118,7 @@ def _operation(code: int, raw: bytes) -> Operation | None:
     if code not in _ARGUMENTS or len(raw) < _HEADER.size + _ARGUMENTS[Code(code)].size:
         return None
     layout = _ARGUMENTS[Code(code)]
-    values, data = layout.unpack_from(raw, _HEADER.size), raw[_HEADER.size + layout.size:]
+    values, data = layout.unpack_from(raw, _HEADER.size), raw[_HEADER.size + layout.size :]
     follows = values[-1] if code in _WITH_DATA else 0
     if code == Code.CONFIGURATION:
         follows = 1 if values[0] == Parameter.ARBITRATION_LOST_BEHAVIOUR else 4

@@ -101,7 +101,11 @@ class Reference:
         """Where it shall: from the first sliding until `calm_s` after the last."""
         cycles, calm = (int(slot[0]) for slot in (self._wsp.state.cycles, self._wsp.state.calm))
         # calm since it was switched on: no wheel has slid yet
-        return bool(self._params.sand) and calm < cycles and calm * self._params.cycle_s < self._params.calm_s
+        return (
+            bool(self._params.sand)
+            and calm < cycles
+            and calm * self._params.cycle_s < self._params.calm_s
+        )
 
 
 class Unit:
@@ -123,10 +127,16 @@ class Unit:
         self._awaiting = self._stopping = False
         self._beat_s = self._synced_s = 0.0
         self._take: dict[int, Callable[[can.Message], None]] = {
-            NMT: self._command, SYNC: self._sync, **{
+            NMT: self._command,
+            SYNC: self._sync,
+            **{
                 one.can_id: partial(self._hear, one, slice(AXLES * at, AXLES * (at + 1)))
-                for at, one in enumerate(wsp.hears)}}
-        bus.set_filters([{"can_id": one, "can_mask": 0x7FF, "extended": False} for one in self._take])
+                for at, one in enumerate(wsp.hears)
+            },
+        }
+        bus.set_filters(
+            [{"can_id": one, "can_mask": 0x7FF, "extended": False} for one in self._take]
+        )
 
     def run(self) -> None:
         """Serve until the bus ends or `stop` is called; then the magnets are off."""
@@ -147,7 +157,9 @@ class Unit:
         message = self._bus.recv(rest_s) if rest_s > 0.0 else None
         if message is not None:
             take = self._take.get(message.arbitration_id)
-            if take and not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+            if take and not (
+                message.is_extended_id or message.is_remote_frame or message.is_error_frame
+            ):
                 take(message)
         elif self._lockstep:
             self._beat_s = time.monotonic() + HEARTBEAT_S
@@ -226,7 +238,10 @@ class Unit:
             self._stuck = axles
             log.info("WSP unit: stuck speed sensors, by axle: %s", f"{axles:04b}"[::-1])
             code = SENSOR_STUCK if axles else 0
-            self._send(rig.UNIT_EMERGENCY_ID, struct.pack("<HBB4x", code, GENERIC_ERROR if axles else 0, axles))
+            self._send(
+                rig.UNIT_EMERGENCY_ID,
+                struct.pack("<HBB4x", code, GENERIC_ERROR if axles else 0, axles),
+            )
 
     def _ask_for_sand(self) -> None:
         """Tell the sanders when what the unit wants of them changes."""
@@ -267,8 +282,12 @@ def warm(params: logic.Params) -> None:
     logic.stuck(unit)
 
 
-def main(bus_address: str = DEFAULT_ADDRESS, config: str = "reference", priority: int = 0,
-         lockstep_s: float = 0.0) -> int:
+def main(
+    bus_address: str = DEFAULT_ADDRESS,
+    config: str = "reference",
+    priority: int = 0,
+    lockstep_s: float = 0.0,
+) -> int:
     """Run the reference WSP on a bus until it ends or SIGINT or SIGTERM comes; exit status 0.
 
     It asks for SCHED_FIFO with a `priority` above 0 and goes on where that is refused. Raises ConfigError
@@ -278,8 +297,13 @@ def main(bus_address: str = DEFAULT_ADDRESS, config: str = "reference", priority
     return serve(lambda bus: Unit(bus, wsp, lockstep_s), bus_address, priority, lockstep_s)
 
 
-def serve(built: Callable[[can.BusABC], Serving], bus_address: str, priority: int, lockstep_s: float,
-          errors: bool = False) -> int:
+def serve(
+    built: Callable[[can.BusABC], Serving],
+    bus_address: str,
+    priority: int,
+    lockstep_s: float,
+    errors: bool = False,
+) -> int:
     """Run a unit on a bus, as `main` does the reference; `errors` as `open_client` has it. Raises BusError."""
     with buses.open_client(bus_address, 60.0 if lockstep_s else 3.0, errors, ahead=True) as bus:
         unit = built(bus)
@@ -288,9 +312,16 @@ def serve(built: Callable[[can.BusABC], Serving], bus_address: str, priority: in
         if priority:
             try:
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-                for thread in {*threading.enumerate()} - {threading.current_thread()}:  # what watches the unit
-                    os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99)))
+                for thread in {*threading.enumerate()} - {
+                    threading.current_thread()
+                }:  # what watches the unit
+                    os.sched_setscheduler(
+                        thread.native_id or 0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99))
+                    )
             except OSError as error:
-                print(f"info: SCHED_FIFO priority {priority} was refused: {error.strerror}", flush=True)
+                print(
+                    f"info: SCHED_FIFO priority {priority} was refused: {error.strerror}",
+                    flush=True,
+                )
         unit.run()
     return 0

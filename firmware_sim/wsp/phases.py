@@ -41,40 +41,48 @@ class Event(IntEnum):
 F, SF, H, SV, V, R, L = (int(phase) for phase in Phase)
 
 # rows: sliding against the reference; columns: wheel acceleration
-WISHES = np.array([
-    # falls fast, falls, steady, rises, rises fast
-    [F, F, F, F, F],  # no sliding
-    [H, SF, SF, F, F],  # below the band
-    [V, SV, SF, SF, SF],  # in the band
-    [V, V, SV, H, H],  # above it
-    [V, V, V, V, H],  # deep
-])
+WISHES = np.array(
+    [
+        # falls fast, falls, steady, rises, rises fast
+        [F, F, F, F, F],  # no sliding
+        [H, SF, SF, F, F],  # below the band
+        [V, SV, SF, SF, SF],  # in the band
+        [V, V, SV, H, H],  # above it
+        [V, V, V, V, H],  # deep
+    ]
+)
 
 # events: fill, step fill, hold, step vent, vent, run-up, timer, cut-off
-NEXT = np.array([
-    [F, F, H, SV, V, R, L, F],  # FILL: has not slid yet, so no steps
-    *[[F, SF, H, SV, V, R, L, F]] * 5,  # STEP_FILL to RUN_UP
-    [F, F, F, F, F, F, F, F],  # LOCKED_OUT
-])
+NEXT = np.array(
+    [
+        [F, F, H, SV, V, R, L, F],  # FILL: has not slid yet, so no steps
+        *[[F, SF, H, SV, V, R, L, F]] * 5,  # STEP_FILL to RUN_UP
+        [F, F, F, F, F, F, F, F],  # LOCKED_OUT
+    ]
+)
 
 # 1: the event ends the phase before its pulse and pause are over
-INTERRUPTS = np.array([
-    [1, 1, 1, 1, 1, 1, 1, 1],  # FILL
-    [0, 0, 0, 1, 1, 1, 1, 1],  # STEP_FILL
-    [1, 1, 1, 1, 1, 1, 1, 1],  # HOLD
-    [1, 0, 0, 0, 1, 1, 1, 1],  # STEP_VENT
-    [1, 1, 1, 1, 1, 1, 1, 1],  # VENT
-    [1, 1, 1, 1, 1, 1, 1, 1],  # RUN_UP
-    [0, 0, 0, 0, 0, 0, 0, 1],  # LOCKED_OUT
-])
+INTERRUPTS = np.array(
+    [
+        [1, 1, 1, 1, 1, 1, 1, 1],  # FILL
+        [0, 0, 0, 1, 1, 1, 1, 1],  # STEP_FILL
+        [1, 1, 1, 1, 1, 1, 1, 1],  # HOLD
+        [1, 0, 0, 0, 1, 1, 1, 1],  # STEP_VENT
+        [1, 1, 1, 1, 1, 1, 1, 1],  # VENT
+        [1, 1, 1, 1, 1, 1, 1, 1],  # RUN_UP
+        [0, 0, 0, 0, 0, 0, 0, 1],  # LOCKED_OUT
+    ]
+)
 
 # energised magnets during the pulse of a phase, and after it
-MAGNETS = np.array([
-    [0, 0],  # FILL
-    [0, HOLD_MAGNET],  # STEP_FILL
-    [HOLD_MAGNET, HOLD_MAGNET],  # HOLD
-    [DUMP, HOLD_MAGNET],  # STEP_VENT
-    [DUMP, DUMP],  # VENT
-    [DUMP, DUMP],  # RUN_UP
-    [0, 0],  # LOCKED_OUT
-])
+MAGNETS = np.array(
+    [
+        [0, 0],  # FILL
+        [0, HOLD_MAGNET],  # STEP_FILL
+        [HOLD_MAGNET, HOLD_MAGNET],  # HOLD
+        [DUMP, HOLD_MAGNET],  # STEP_VENT
+        [DUMP, DUMP],  # VENT
+        [DUMP, DUMP],  # RUN_UP
+        [0, 0],  # LOCKED_OUT
+    ]
+)

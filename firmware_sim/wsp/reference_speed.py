@@ -120,7 +120,10 @@ def finish_run_up(state, params):
     if j < 0 or int(state.phase[j]) != Phase.RUN_UP:
         return
     age = state.phase_age[j]
-    if passed(age, params.run_up_shortest_s, params) and state.acceleration_m_s2[j] < params.run_up_done_m_s2:
+    if (
+        passed(age, params.run_up_shortest_s, params)
+        and state.acceleration_m_s2[j] < params.run_up_done_m_s2
+    ):
         anchor(state, state.speed_m_s[j], params)
     elif passed(age, params.run_up_longest_s, params):
         state.anchor_m_s[0], state.anchor_age[0] = state.reference_m_s[0], 0.0

@@ -45,9 +45,17 @@ class Run(NamedTuple):
         return self.table.to_pandas()
 
 
-def run(scenario: str | Path = "velim_a1", *, pacing: str = "free", wsp: str = "reference",
-        out: str | Path | None = None, seed: int = 0, model: str | Path = "", faults: Iterable[str] = (),
-        **values: Any) -> Run:
+def run(
+    scenario: str | Path = "velim_a1",
+    *,
+    pacing: str = "free",
+    wsp: str = "reference",
+    out: str | Path | None = None,
+    seed: int = 0,
+    model: str | Path = "",
+    faults: Iterable[str] = (),
+    **values: Any,
+) -> Run:
     """Brake the vehicle once, and return what was recorded.
 
     `scenario` is a packaged one or a TOML file, `pacing` free (without a bus, as fast as it goes), lockstep or wall
@@ -77,8 +85,14 @@ def load(folder: str | Path) -> Run:
     return Run(found.summary, found.table, found.events, found.scenario, found.folder)
 
 
-def explain(stops: str | Path | Run | Iterable[str | Path | Run], *, out: str | Path | None = None, seed: int = 0,
-            validate: Iterable[str | Path | Run] = (), next: int = 0) -> dict[str, Any]:
+def explain(
+    stops: str | Path | Run | Iterable[str | Path | Run],
+    *,
+    out: str | Path | None = None,
+    seed: int = 0,
+    validate: Iterable[str | Path | Run] = (),
+    next: int = 0,
+) -> dict[str, Any]:
     """What measured stops do otherwise than the simulation, and why: the report as `report.json` has it.
 
     `stops` is the name or folder of a dataset, or several runs; `validate` runs that are never fitted, `next` how many
@@ -102,7 +116,11 @@ def _settings(values: Mapping[str, Any], section: str = "") -> list[str]:
         if isinstance(value, Mapping):
             found += _settings(value, f"{section}{key}.")
         else:
-            text = value if isinstance(value, str) else json.dumps(value, default=lambda one: one.item())
+            text = (
+                value
+                if isinstance(value, str)
+                else json.dumps(value, default=lambda one: one.item())
+            )
             found.append(f"{section}{key}={text}")
     return found
 
@@ -116,9 +134,16 @@ def _call(words: list[str]) -> dict[str, Any]:
     from rollerrig.configs.errors import RollerrigError
 
     said: list[str] = []
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as result, subprocess.Popen(
-            children.command(sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"), text=True,
-            stdin=subprocess.DEVNULL, stdout=result, stderr=subprocess.PIPE) as process:
+    with (
+        tempfile.TemporaryFile("w+", encoding="utf-8") as result,
+        subprocess.Popen(
+            children.command(sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"),
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=result,
+            stderr=subprocess.PIPE,
+        ) as process,
+    ):
         assert process.stderr
         for line in process.stderr:
             said.append(line)

@@ -26,7 +26,11 @@ from rollerrig.realtime.loop.tick import MISSED, STALLED_NS, STOP, TICK, WORST_N
 from rollerrig.realtime.record import channels, records, run_folder, summary, validity
 from rollerrig.realtime.record.files import writing
 
-PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {"wall": wall.run, "lockstep": lockstep.run, "free": free.run}
+PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
+    "wall": wall.run,
+    "lockstep": lockstep.run,
+    "free": free.run,
+}
 _EXCEPTIONS_RECORDED = 20
 
 
@@ -59,7 +63,11 @@ class Bench:
         running = asyncio.get_running_loop()
         running.set_exception_handler(self._note_exception)
         # a run under nohup goes on when its terminal closes
-        heard = [signal.SIGINT, signal.SIGTERM, *[signal.SIGHUP] * (signal.getsignal(signal.SIGHUP) != signal.SIG_IGN)]
+        heard = [
+            signal.SIGINT,
+            signal.SIGTERM,
+            *[signal.SIGHUP] * (signal.getsignal(signal.SIGHUP) != signal.SIG_IGN),
+        ]
         for signum in heard:
             running.add_signal_handler(signum, parts.stop, "interrupted", f" by {signum.name}")
         try:
@@ -115,12 +123,17 @@ class Bench:
         control = parts.data.control
         counters = parts.identity() | {
             "ended": parts.ended_by or "finished",
-            "loop": {"ticks": int(control[TICK]), "missed": int(control[MISSED]),
-                     "stalled_s": int(control[STALLED_NS]) / clock.SECOND_NS,
-                     "lateness_us": loop.percentiles(parts.histogram, int(control[WORST_NS])),
-                     **parts.interruptions},
-            "bus": bus_counts, "modbus": {"requests": parts.modbus.requests},
-            "recorder": {"lost": sum(int(one.header[ring.LOST]) for one in parts.rings)}}
+            "loop": {
+                "ticks": int(control[TICK]),
+                "missed": int(control[MISSED]),
+                "stalled_s": int(control[STALLED_NS]) / clock.SECOND_NS,
+                "lateness_us": loop.percentiles(parts.histogram, int(control[WORST_NS])),
+                **parts.interruptions,
+            },
+            "bus": bus_counts,
+            "modbus": {"requests": parts.modbus.requests},
+            "recorder": {"lost": sum(int(one.header[ring.LOST]) for one in parts.rings)},
+        }
         try:
             found: channels.Columns | pa.Table = channels.Columns(out)
         except ConfigError as error:  # the recorder did not come that far: a summary stands anyway
@@ -131,7 +144,9 @@ class Bench:
             with contextlib.suppress(ConfigError):
                 if sum(1 for _ in records.each_event(out)) > len(parts.events.rows()):
                     told = records.each_event(out)
-        result = summary.of(found, counters, parts.plan.resolved, told) | {"events": list(parts.events)}
+        result = summary.of(found, counters, parts.plan.resolved, told) | {
+            "events": list(parts.events)
+        }
         try:
             records.write_summary(out, result)
         except ConfigError as error:
@@ -142,6 +157,11 @@ class Bench:
         hub, bus = self.parts.hub, self.parts.bus
         if hub is None:
             return {"frames": 0, "dropped": 0, "load_percent": 0.0}
-        names = ("frames", "dropped", "load_percent", *(("longest_wait_us",) if hub.wire is not None else ()))
+        names = (
+            "frames",
+            "dropped",
+            "load_percent",
+            *(("longest_wait_us",) if hub.wire is not None else ()),
+        )
         counts = {name: hub.stats()[name] for name in names}
         return counts | ({"stray_syncs": bus.stray_syncs} if bus and bus.stray_syncs else {})

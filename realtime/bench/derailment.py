@@ -30,27 +30,40 @@ class Watch:
 
     def look(self, buffer: np.ndarray) -> None:
         """Tell of what is new; `buffer` as of `rig.state`."""
-        held_Pa, asked_Pa = buffer.item(_RESERVOIR), buffer.item(_DEMAND)  # 0 where air never runs out
+        held_Pa, asked_Pa = (
+            buffer.item(_RESERVOIR),
+            buffer.item(_DEMAND),
+        )  # 0 where air never runs out
         if not self._exhausted and 0.0 < held_Pa < asked_Pa - _LACK_PA:
             self._exhausted = True
-            self._tell("warning", f"air exhausted: the reservoir holds {held_Pa / 1e5:.2f} bar, and the cylinders are "
-                                  f"asked to have {asked_Pa / 1e5:.2f} bar: brakes are weak from here on")
+            self._tell(
+                "warning",
+                f"air exhausted: the reservoir holds {held_Pa / 1e5:.2f} bar, and the cylinders are "
+                f"asked to have {asked_Pa / 1e5:.2f} bar: brakes are weak from here on",
+            )
         held_kg, self._box_kg = self._box_kg, buffer[SLOTS["sand_box"]].tolist()
         for j in range(AXLES):
             if self._box_kg[j] <= 0.0 < held_kg[j]:
                 self._tell("warning", f"sand box empty: the sander of axle {j + 1} strews no more")
         for j, flat_m in enumerate(buffer[SLOTS["flat_length"]].tolist()):
             if flat_m > self._flat_m[j] + _NEW_FLAT_M and (
-                    buffer[SLOTS["wheel_speed"]][j] > 0.0 or buffer[SLOTS["standing"]][0] != 0.0):
+                buffer[SLOTS["wheel_speed"]][j] > 0.0 or buffer[SLOTS["standing"]][0] != 0.0
+            ):
                 self._flat_m[j] = flat_m
-                self._tell("warning", f"wheel flat: the wheels of axle {j + 1} have flats of {1e3 * flat_m:.0f} mm")
+                self._tell(
+                    "warning",
+                    f"wheel flat: the wheels of axle {j + 1} have flats of {1e3 * flat_m:.0f} mm",
+                )
         if buffer.size == SIZE or self._seen.all():
             return
         left_m = coach_state.views(buffer[SIZE:]).left
         for wheel in np.flatnonzero((left_m != 0.0) & ~self._seen):
             self._seen[wheel] = True
-            self._tell("error", f"derailed: the {SIDES[wheel % 2]} wheel of axle {wheel // 2 + 1} left its "
-                                f"rail after {left_m[wheel]:.1f} m; slow down, or check profiles, gauge_m "
-                                "and the suspension under [multibody]")
+            self._tell(
+                "error",
+                f"derailed: the {SIDES[wheel % 2]} wheel of axle {wheel // 2 + 1} left its "
+                f"rail after {left_m[wheel]:.1f} m; slow down, or check profiles, gauge_m "
+                "and the suspension under [multibody]",
+            )
         if self._seen.any():
             self._stop("derailed")

@@ -28,13 +28,17 @@ class FaultRegisters:
     def readers(self) -> dict[str, Reader]:
         """Raw values by name of the register."""
         return {name: (lambda name=name: self.chosen[name]) for name in self.chosen} | {
-            "inject_fault": lambda: bool(self.faults.active), "lift_faults": lambda: False,
-            "faults_active": lambda: len(self.faults.active)}
+            "inject_fault": lambda: bool(self.faults.active),
+            "lift_faults": lambda: False,
+            "faults_active": lambda: len(self.faults.active),
+        }
 
     def writers(self) -> dict[str, Writer]:
         """What a write does, by name of the register."""
         return {name: partial(self._choose, name) for name in self.chosen} | {
-            "inject_fault": self._inject, "lift_faults": self._lift}
+            "inject_fault": self._inject,
+            "lift_faults": self._lift,
+        }
 
     def _choose(self, name: str, raw: int, only: bool) -> None:
         if name == "fault" and raw not in BY_NUMBER:

@@ -29,15 +29,22 @@ _TICKS_BETWEEN_LOOKS = 500
 class Stop:
     """A stop of `plan` on `data`, as built for it, with a unit and faults (default: the plan's)."""
 
-    def __init__(self, plan: Scenario, data: TickData, unit: Unit = "reference",
-                 faults: panel.Panel | None = None) -> None:
+    def __init__(
+        self,
+        plan: Scenario,
+        data: TickData,
+        unit: Unit = "reference",
+        faults: panel.Panel | None = None,
+    ) -> None:
         self.plan, self.data = plan, data
         self.faults = faults or panel.Panel(plan.faults, lambda level, text: None)
-        self.faults.connect(panel.Site(data.commands.values[tick.FAULTS:], lambda: None))
+        self.faults.connect(panel.Site(data.commands.values[tick.FAULTS :], lambda: None))
         self._call: UnitCall | None = unit if callable(unit) else None
         self.own: logic.Unit | None = None
         if isinstance(unit, logic.Params) or unit == "reference":
-            self.own = logic.new_unit(unit if isinstance(unit, logic.Params) else logic.load(plan["wsp_config"]))
+            self.own = logic.new_unit(
+                unit if isinstance(unit, logic.Params) else logic.load(plan["wsp_config"])
+            )
         self._inputs = np.zeros(2 * AXLES, dtype=np.int64)
         self._ticks = None if self.own else tick.Ticks(data)
 
@@ -45,7 +52,10 @@ class Stop:
         """Run ticks: `most`, or fewer until a fault begins or ends, an outside unit is asked, or the end."""
         tick_hz = self.plan["loop"]["tick_hz"]
         self.faults.poll(int(self.data.control[TICK]) / tick_hz)
-        ticks = min(most, max(1, round(min(self.faults.next_change_s() - self.faults.now_s, 3600.0) * tick_hz)))
+        ticks = min(
+            most,
+            max(1, round(min(self.faults.next_change_s() - self.faults.now_s, 3600.0) * tick_hz)),
+        )
         if self.own:
             tick.run_ticks_with_unit(self.data, ticks, self.plan.sync_ticks, self.own, self._inputs)
             return
@@ -60,14 +70,16 @@ class Stop:
     def _ask(self, call: UnitCall) -> None:
         for at, name in ((0, "measured_speed"), (AXLES, "cylinder_pressure")):
             place, values = signals.BY_NAME[name].places[0], self.data.row[signals.span(name)]
-            self._inputs[at:at + AXLES] = [signals.count(value, place) for value in values]
+            self._inputs[at : at + AXLES] = [signals.count(value, place) for value in values]
         byte = int(call(self._inputs))
         self.data.commands.values[:AXLES] = [byte >> 2 * j & 3 for j in range(AXLES)]
 
 
 def remembered(plan: Scenario, unit: Unit = "reference") -> tuple[Stop, ring.Memory]:
     """A stop, and the memory that its samples are collected in."""
-    memory = ring.Memory(int(plan["duration_max_s"] * plan["loop"]["record_hz"]) + 2, len(signals.COLUMNS))
+    memory = ring.Memory(
+        int(plan["duration_max_s"] * plan["loop"]["record_hz"]) + 2, len(signals.COLUMNS)
+    )
     return Stop(plan, tick_data.build(plan, memory), unit), memory
 
 

@@ -64,20 +64,34 @@ async def _run_ticks(parts: Parts, bus: RigBus, ticks: tick.Ticks) -> None:
 async def _answers(parts: Parts, bus: RigBus) -> None:
     """Let unit and harness answer this SYNC; simulated time stands still meanwhile."""
     if parts.options.unit != "none" and not bus.frozen:
-        await _answer(parts, bus.answered, "WSP unit", _PATIENCE if bus.own_unit else 1, "a unit answers every SYNC "
-                      f"with RPDO1 of node {signals.BRAKE_NODE} ({MAGNETS_ID:X}h), changed or not")
+        await _answer(
+            parts,
+            bus.answered,
+            "WSP unit",
+            _PATIENCE if bus.own_unit else 1,
+            "a unit answers every SYNC "
+            f"with RPDO1 of node {signals.BRAKE_NODE} ({MAGNETS_ID:X}h), changed or not",
+        )
     else:
         await asyncio.sleep(0)
-    await _answer(parts, bus.harness_answered, "harness", _PATIENCE, "one that has joined sends RPDO1 of "
-                  f"node {signals.BENCH_NODE} ({HARNESS_ANSWER_ID:X}h) in every cycle, or leaves ({HARNESS:X}h:1 = 0)")
+    await _answer(
+        parts,
+        bus.harness_answered,
+        "harness",
+        _PATIENCE,
+        "one that has joined sends RPDO1 of "
+        f"node {signals.BENCH_NODE} ({HARNESS_ANSWER_ID:X}h) in every cycle, or leaves ({HARNESS:X}h:1 = 0)",
+    )
 
 
 async def _answer(parts: Parts, heard: asyncio.Event, who: str, patience: int, rule: str) -> None:
     wait_s = patience * parts.options.answer_wait_s
     if not await _comes(parts, heard, wait_s):
-        raise UnitError(f"the {who} has not answered SYNC within {wait_s:g} s at "
-                        f"{parts.simulated_ns() / clock.SECOND_NS:.3f} s: in lockstep {rule}; one that needs longer "
-                        "gets it with --answer-wait")
+        raise UnitError(
+            f"the {who} has not answered SYNC within {wait_s:g} s at "
+            f"{parts.simulated_ns() / clock.SECOND_NS:.3f} s: in lockstep {rule}; one that needs longer "
+            "gets it with --answer-wait"
+        )
 
 
 async def _comes(parts: Parts, heard: asyncio.Event, wait_s: float) -> bool:

@@ -71,13 +71,20 @@ _TOLD_BY_RERUN = "warn,re_log_encoding=error"
 
 def begin_recorder() -> subprocess.Popen[bytes]:
     """A recorder that waits for a line of arguments on its standard input, and ends where none comes."""
-    return subprocess.Popen([sys.executable, "-m", _RECORDER], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                            start_new_session=True, env={"RUST_LOG": _TOLD_BY_RERUN, **os.environ})
+    return subprocess.Popen(
+        [sys.executable, "-m", _RECORDER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+        env={"RUST_LOG": _TOLD_BY_RERUN, **os.environ},
+    )
 
 
 def unit_command(*words: str) -> list[str]:
     """The unit as a child that is killed with the bench, as one that is stopped would hear nothing else."""
-    return children.command(sys.executable, "-m", "rollerrig.realtime.cli", "wsp", *words, by=signal.SIGKILL)
+    return children.command(
+        sys.executable, "-m", "rollerrig.realtime.cli", "wsp", *words, by=signal.SIGKILL
+    )
 
 
 def _record() -> int:
@@ -95,7 +102,10 @@ def _forked(unit: Callable[[], int] | None) -> Iterator[tuple[str, subprocess.Po
     if unit:
         from rollerrig.firmware_sim.wsp import node  # noqa: F401
 
-        yield "begun_unit", children.Forked(("rollerrig", "wsp"), unit, signal.SIGKILL, True, (recorder,))
+        yield (
+            "begun_unit",
+            children.Forked(("rollerrig", "wsp"), unit, signal.SIGKILL, True, (recorder,)),
+        )
 
 
 def tell(process: subprocess.Popen[bytes], words: list[str]) -> None:
@@ -106,7 +116,9 @@ def tell(process: subprocess.Popen[bytes], words: list[str]) -> None:
 
 
 @contextlib.contextmanager
-def begun(fork: bool = False, unit: Callable[[], int] | None = None) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+def begun(
+    fork: bool = False, unit: Callable[[], int] | None = None
+) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
     """`recorder` of a run that is prepared meanwhile, and where this process may `fork`, `begun_unit`, which is `unit`.
 
     They end where the run does not come.
@@ -124,15 +136,23 @@ def check(options: Options, modbus: bool) -> None:
     """Refuse options that contradict each other, or a scenario without Modbus. Raises ConfigError."""
     if options.pacing == "free" and options.unit not in ("reference", "none"):
         who = "FMU" if options.fmus else "external unit"
-        raise ConfigError(f"--pacing free waits for no bus, so no {who} can answer; use --pacing lockstep "
-                          "(repeatable) or wall (real time)")
+        raise ConfigError(
+            f"--pacing free waits for no bus, so no {who} can answer; use --pacing lockstep "
+            "(repeatable) or wall (real time)"
+        )
     if options.unit_map and not options.fmus:
-        raise ConfigError(f"--unit-map is of an FMU, and the unit is {options.unit}: use --wsp fmu:FILE")
+        raise ConfigError(
+            f"--unit-map is of an FMU, and the unit is {options.unit}: use --wsp fmu:FILE"
+        )
     if options.hold and not options.live:
         raise ConfigError("--hold waits for somebody who looks on: give --live as well")
     if options.start == "modbus" and options.pacing != "wall":
-        raise ConfigError(f"--start modbus holds the rig in real time; --pacing {options.pacing} has none: use "
-                          "--pacing wall")
+        raise ConfigError(
+            f"--start modbus holds the rig in real time; --pacing {options.pacing} has none: use "
+            "--pacing wall"
+        )
     if options.start == "modbus" and not modbus:
-        raise ConfigError("--start modbus waits for a Modbus client, but [modbus] enabled is false; set "
-                          "modbus.enabled=true")
+        raise ConfigError(
+            "--start modbus waits for a Modbus client, but [modbus] enabled is false; set "
+            "modbus.enabled=true"
+        )

@@ -26,7 +26,13 @@ from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
 from rollerrig.realtime.record.events import Events
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
-from rollerrig.wsp_interface.rig_objects import HARNESS, JOINED, PRESSURES, SPEEDS, UNIT_HEARTBEAT_ID
+from rollerrig.wsp_interface.rig_objects import (
+    HARNESS,
+    JOINED,
+    PRESSURES,
+    SPEEDS,
+    UNIT_HEARTBEAT_ID,
+)
 
 _ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 14
 _REPORT_S = 0.5
@@ -71,8 +77,13 @@ class Parts:
 
     def identity(self) -> dict[str, Any]:
         """What a summary says of a run before it has begun."""
-        return {"pacing": self.options.pacing, "seed": self.options.seed, "unit": self.options.unit,
-                "config_hash": scenario.digest(self.plan), "scenario": self.plan.name}
+        return {
+            "pacing": self.options.pacing,
+            "seed": self.options.seed,
+            "unit": self.options.unit,
+            "config_hash": scenario.digest(self.plan),
+            "scenario": self.plan.name,
+        }
 
     # --- what happens ---
 
@@ -87,9 +98,18 @@ class Parts:
     def report(self, message: str = "") -> None:
         """Say how far the run is."""
         mailbox.fetch(self.data.published, self.row)
-        time_s, speed_m_s = (float(self.row[signals.column(name)]) for name in ("time", "vehicle_speed"))
-        self.say(Progress(time_s, speed_m_s, float(self.row[signals.span("sliding")].max()),
-                          int(self.data.control[MISSED]), message))
+        time_s, speed_m_s = (
+            float(self.row[signals.column(name)]) for name in ("time", "vehicle_speed")
+        )
+        self.say(
+            Progress(
+                time_s,
+                speed_m_s,
+                float(self.row[signals.span("sliding")].max()),
+                int(self.data.control[MISSED]),
+                message,
+            )
+        )
 
     def stop(self, why: str, how: str = "") -> None:
         """End the run at the next tick."""
@@ -105,8 +125,11 @@ class Parts:
         """Say where the loop has stood still since it was last asked: the two clocks of a record part there."""
         stalled_s = int(self.data.control[STALLED_NS]) / clock.SECOND_NS
         if stalled_s > self._stalled_s:
-            self.event("warning", f"the loop stood still for {stalled_s - self._stalled_s:.3f} s: from here times of "
-                       f"can.log are {stalled_s:.3f} s ahead of simulated time")
+            self.event(
+                "warning",
+                f"the loop stood still for {stalled_s - self._stalled_s:.3f} s: from here times of "
+                f"can.log are {stalled_s:.3f} s ahead of simulated time",
+            )
             self._stalled_s = stalled_s
 
     @property
@@ -130,14 +153,20 @@ class Parts:
             self._master_awaited = False
             off = [node for node in signals.DRIVE_NODES if not self.bus.nodes[node].device.enabled]
             if off:
-                self.event("warning", f"rig.drives=bus, and after 1 s no master has enabled the drives of nodes "
-                           f"{', '.join(map(str, off))}: their rollers run without motors; let a master write the "
-                           "controlwords 6, 7, 15 (6040h), or leave the motors to the bench with --set rig.drives=rig")
+                self.event(
+                    "warning",
+                    f"rig.drives=bus, and after 1 s no master has enabled the drives of nodes "
+                    f"{', '.join(map(str, off))}: their rollers run without motors; let a master write the "
+                    "controlwords 6, 7, 15 (6040h), or leave the motors to the bench with --set rig.drives=rig",
+                )
 
     async def pause(self) -> None:
         """Between two batches of ticks: yield to the bus, and to a recorder that is half a ring behind."""
-        while (any(one.room < one.header[ring.CAPACITY] // 2 for one in self.rings)
-               and self.processes.recording and not self.stopping):
+        while (
+            any(one.room < one.header[ring.CAPACITY] // 2 for one in self.rings)
+            and self.processes.recording
+            and not self.stopping
+        ):
             await asyncio.sleep(0.005)
         self.processes.watch_recorder()
         await asyncio.sleep(0)
@@ -150,15 +179,26 @@ class Parts:
     async def open_bus(self, clock_ns: Callable[[], int]) -> rig_bus.RigBus:
         """Open the scenario's bus with the rig on it. Raises BusError."""
         self.hub, self.place = await rig_bus.open_bus(
-            self.plan, clock_ns, self._lost_bus, self.event, self.options.pacing == "wall")
+            self.plan, clock_ns, self._lost_bus, self.event, self.options.pacing == "wall"
+        )
         rig_bus.record_frames(self.hub, self.frames, lambda: self.zero_ns)
         self.ports = await rig_bus.open_others(self.hub, self.place, self.plan)
         for codec, port in self.ports.items():
             self.event("info", f"the bus speaks {codec} on port {port}")
         mailbox.fetch(self.data.published, self.row)
-        bus = rig_bus.RigBus(self.hub, self.plan, self.row.copy(), self._post, self.event, clock_ns,
-                             self.options.pacing, lambda row: mailbox.fetch(self.data.published, row))
-        bus.harness.wire(end=self._end_run, inject=self._inject, lift=self._lift, left=bus.harness_answered.set)
+        bus = rig_bus.RigBus(
+            self.hub,
+            self.plan,
+            self.row.copy(),
+            self._post,
+            self.event,
+            clock_ns,
+            self.options.pacing,
+            lambda row: mailbox.fetch(self.data.published, row),
+        )
+        bus.harness.wire(
+            end=self._end_run, inject=self._inject, lift=self._lift, left=bus.harness_answered.set
+        )
         bus.own_unit = self.options.own_unit
         bus.awaited = PRESSURES.can_id if self.options.fmus else SPEEDS.can_id
         self.faults.connect(bus.site(self.processes.freeze))
@@ -195,9 +235,13 @@ class Parts:
         """Start the bench's own unit, or wait for anybody's heartbeat, then for a harness. Raises UnitError."""
         if self.options.own_unit:
             priority = self.plan["loop"]["priority"] if self.options.pacing == "wall" else 0
-            self.processes.start_unit(self.place, self.plan["wsp_config"],
-                                      priority and max(int(loop.UNIT_SHARE * priority), 1),
-                                      self.plan["bus"]["sync_period_s"], self.plan["bus"]["bitrate"])
+            self.processes.start_unit(
+                self.place,
+                self.plan["wsp_config"],
+                priority and max(int(loop.UNIT_SHARE * priority), 1),
+                self.plan["bus"]["sync_period_s"],
+                self.plan["bus"]["bitrate"],
+            )
         elif self.options.unit == "external":
             self._say_waiting(f"a WSP unit's heartbeat ({UNIT_HEARTBEAT_ID:X}h)")
         if self.options.unit != "none":
@@ -210,14 +254,22 @@ class Parts:
                 longer = bool(heard_s) and not bus.own_unit and heard_s[-1] > heard_s[0] + 0.5
                 return longer or bus.master.unit.state == State.OPERATIONAL
 
-            await self._await(bus, there, f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
-                              f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait")
+            await self._await(
+                bus,
+                there,
+                f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
+                f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait",
+            )
             if not self.stopping:
                 self.event("info", "the WSP unit is on the bus")
         if self.options.harness:
             self._say_waiting(f"a harness (node {signals.BENCH_NODE}, {HARNESS:X}h:{JOINED})")
-            await self._await(bus, lambda: bus.harness.joined, f"no harness on {self.place}", "start one "
-                              f"('rollerrig sequence ... --bus {self.place}') or run without --harness")
+            await self._await(
+                bus,
+                lambda: bus.harness.joined,
+                f"no harness on {self.place}",
+                f"start one ('rollerrig sequence ... --bus {self.place}') or run without --harness",
+            )
         await self.processes.await_recorder(self.rows)
 
     def _say_waiting(self, what: str) -> None:
@@ -225,7 +277,9 @@ class Parts:
         if self.options.harness:  # for the program that has started this bench
             self.report(json.dumps({"waiting_for": what, "address": self.place}))
 
-    async def _await(self, bus: rig_bus.RigBus, there: Callable[[], bool], missing: str, mend: str) -> None:
+    async def _await(
+        self, bus: rig_bus.RigBus, there: Callable[[], bool], missing: str, mend: str
+    ) -> None:
         # the bench's own unit, whose process lives, may come late on a busy machine
         patience = 10 if bus.own_unit and bus.master.unit.state is None else 1
         deadline_s = time.monotonic() + patience * self.options.unit_wait_s

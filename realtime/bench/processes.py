@@ -39,9 +39,13 @@ class Processes:
         # why the record is not whole
         self.unwritten: ConfigError | None = None
 
-    def start_recorder(self, rows: Ring, frames: Ring, events: Ring, identity: Mapping[str, Any]) -> None:
+    def start_recorder(
+        self, rows: Ring, frames: Ring, events: Ring, identity: Mapping[str, Any]
+    ) -> None:
         """Start recorder and live view; neither is waited for."""
-        self.recorder = record(self.options.out, rows, frames, events, identity, self.options.recorder)
+        self.recorder = record(
+            self.options.out, rows, frames, events, identity, self.options.recorder
+        )
         if self.options.live:
             from rollerrig.realtime.telemetry import live
 
@@ -49,35 +53,66 @@ class Processes:
 
     async def await_viewer(self, rows: Ring, given_up: Callable[[], object]) -> None:
         """With --hold wait until somebody looks at the live view, it has ended, or the run is `given_up`."""
-        while self.options.hold and not rows.header[ring.VIEWED] and _runs(self.live) and not given_up():
+        while (
+            self.options.hold
+            and not rows.header[ring.VIEWED]
+            and _runs(self.live)
+            and not given_up()
+        ):
             await asyncio.sleep(0.1)
 
     async def await_recorder(self, rows: Ring) -> None:
         """Wait until the recorder drains its rings. Raises RollerrigError."""
         assert self.recorder is not None
-        if not await asyncio.get_running_loop().run_in_executor(None, wait_ready, self.recorder, rows):
+        if not await asyncio.get_running_loop().run_in_executor(
+            None, wait_ready, self.recorder, rows
+        ):
             self.watch_recorder()
-            raise self.unwritten or RollerrigError("the recorder did not start; its message stands above")
+            raise self.unwritten or RollerrigError(
+                "the recorder did not start; its message stands above"
+            )
 
-    def start_unit(self, place: str, config: str, priority: int, sync_period_s: float, bitrate: int) -> None:
+    def start_unit(
+        self, place: str, config: str, priority: int, sync_period_s: float, bitrate: int
+    ) -> None:
         """Start the unit on the bus at an address, of `bitrate` bit/s; it asks for a real-time `priority` above 0."""
         given = self.options
-        words = ["--bus", place, "--config", config, "--priority", str(priority),
-                 *(["--lockstep", str(sync_period_s)] if given.pacing == "lockstep" else [])]
+        words = [
+            "--bus",
+            place,
+            "--config",
+            config,
+            "--priority",
+            str(priority),
+            *(["--lockstep", str(sync_period_s)] if given.pacing == "lockstep" else []),
+        ]
         if given.fmus:
             # what it unpacks there goes with the bench, also when it has crashed
             self._scratch = tempfile.TemporaryDirectory(prefix="rollerrig-fmu-")
-            words += ["--step", str(sync_period_s), "--step-wait", str(given.answer_wait_s), "--bitrate", str(bitrate),
-                      *(word for one in given.fmus for word in ("--fmu", str(one))),
-                      *(["--unit-map", str(given.unit_map)] if given.unit_map else [])]
+            words += [
+                "--step",
+                str(sync_period_s),
+                "--step-wait",
+                str(given.answer_wait_s),
+                "--bitrate",
+                str(bitrate),
+                *(word for one in given.fmus for word in ("--fmu", str(one))),
+                *(["--unit-map", str(given.unit_map)] if given.unit_map else []),
+            ]
         environment = os.environ | ({"TMPDIR": self._scratch.name} if self._scratch else {})
         with writing(given.out), open(given.out / run_folder.UNIT_LOG, "wb") as log:
             if given.begun_unit:
                 self.unit = given.begun_unit
                 tell(self.unit, [*words, "--log", str(given.out / run_folder.UNIT_LOG)])
             else:
-                self.unit = subprocess.Popen(unit_command(*words), stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                                             start_new_session=True, env=environment)
+                self.unit = subprocess.Popen(
+                    unit_command(*words),
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    start_new_session=True,
+                    env=environment,
+                )
 
     @property
     def recording(self) -> bool:
@@ -90,10 +125,15 @@ class Processes:
             status, why = process.returncode, ""
             if status > 2:  # the number of an error, as the recorder has it
                 why = f": {self.options.out} cannot be written: {os.strerror(status)}"
-                self.unwritten = ConfigError(f"{why[2:]}; what was recorded before is kept; make room, or give a "
-                                             "folder elsewhere with --out, and run again")
-            self.event("error", f"the recorder has ended with status {status}{why}; the run goes on, its record ends "
-                       "about here")
+                self.unwritten = ConfigError(
+                    f"{why[2:]}; what was recorded before is kept; make room, or give a "
+                    "folder elsewhere with --out, and run again"
+                )
+            self.event(
+                "error",
+                f"the recorder has ended with status {status}{why}; the run goes on, its record ends "
+                "about here",
+            )
 
     def watch(self, starting: bool = False) -> None:
         """Say what has ended. Raises UnitError where the run is `starting` and has lost its unit."""
@@ -149,15 +189,30 @@ async def _end(process: Process | None, patience_s: float, ask: bool = True) -> 
         process.wait(5.0)
 
 
-def record(run_dir: Path, rows: Ring, frames: Ring, events: Ring, counters: Mapping[str, Any] | None = None,
-           begun: Process | None = None) -> Process:
+def record(
+    run_dir: Path,
+    rows: Ring,
+    frames: Ring,
+    events: Ring,
+    counters: Mapping[str, Any] | None = None,
+    begun: Process | None = None,
+) -> Process:
     """Tell the recorder that has `begun`, or a new one, what to record.
 
     `counters` (pacing, seed, unit ...) go into the summary of a killed run.
     """
     process = begun or begin_recorder()
-    words = [str(run_dir), "--rows", str(rows.path), "--frames", str(frames.path), "--events", str(events.path),
-             "--counters", json.dumps(dict(counters or {}))]
+    words = [
+        str(run_dir),
+        "--rows",
+        str(rows.path),
+        "--frames",
+        str(frames.path),
+        "--events",
+        str(events.path),
+        "--counters",
+        json.dumps(dict(counters or {})),
+    ]
     tell(process, words)
     return process
 

@@ -27,11 +27,23 @@ from rollerrig.realtime.loop.tick import REFERENCE
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses, kernel, plugin
 from rollerrig.wsp_interface.bus.codecs import CODECS
-from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NODE_MASK, SDO_REPLY, SYNC, TPDO
+from rollerrig.wsp_interface.bus.connection_set import (
+    EMERGENCY,
+    HEARTBEAT,
+    NODE_MASK,
+    SDO_REPLY,
+    SYNC,
+    TPDO,
+)
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.bus.wire import Alarm
-from rollerrig.wsp_interface.rig_objects import HARNESS_ANSWER_ID, MAGNETS_ID, SPEEDS, unit_lost_after_ms
+from rollerrig.wsp_interface.rig_objects import (
+    HARNESS_ANSWER_ID,
+    MAGNETS_ID,
+    SPEEDS,
+    unit_lost_after_ms,
+)
 
 KERNEL_CHANNEL = "vcan0"
 # longer than the heartbeat of a node of any bench, 100 ms
@@ -43,14 +55,21 @@ def address(scenario: Scenario) -> str:
     """The bus that a scenario's [bus] asks for: kernel CAN where it is up, else the hub."""
     bus, interface = scenario["bus"], scenario["bus"]["interface"]
     if interface == "auto":
-        interface = f"socketcan:{KERNEL_CHANNEL}" if KERNEL_CHANNEL in kernel.available().up else "hub"
+        interface = (
+            f"socketcan:{KERNEL_CHANNEL}" if KERNEL_CHANNEL in kernel.available().up else "hub"
+        )
     if interface == "hub":
         return f"socketcand://{bus['host']}:{bus['socketcand_port']}/{signals.BUS_CHANNEL}"
     return interface
 
 
-async def open_bus(scenario: Scenario, clock_ns: Callable[[], int], on_lost: Callable[[BusError], None],
-                   on_event: Callable[[str, str], None], wall: bool) -> tuple[Hub, str]:
+async def open_bus(
+    scenario: Scenario,
+    clock_ns: Callable[[], int],
+    on_lost: Callable[[BusError], None],
+    on_event: Callable[[str, str], None],
+    wall: bool,
+) -> tuple[Hub, str]:
     """The bus of a scenario, and the address under which others reach it. Raises BusError.
 
     `wall`: clock_ns goes as the wall clock does.
@@ -75,8 +94,10 @@ async def _refuse_namesakes(hub: Hub, place: str) -> None:
     for can_id in sorted(heard):
         if can_id & ~NODE_MASK in _SENT_BY_NODES and can_id & NODE_MASK in signals.RIG_NODES:
             await hub.close()
-            raise BusError(f"bus {place}: a node {can_id & NODE_MASK} speaks there already ({can_id:X}h), as the "
-                           "rig's own will: end what emulates it, or use another bus (--set bus.interface=hub)")
+            raise BusError(
+                f"bus {place}: a node {can_id & NODE_MASK} speaks there already ({can_id:X}h), as the "
+                "rig's own will: end what emulates it, or use another bus (--set bus.interface=hub)"
+            )
 
 
 async def open_others(hub: Hub, place: str, scenario: Scenario) -> dict[str, int]:
@@ -85,8 +106,11 @@ async def open_others(hub: Hub, place: str, scenario: Scenario) -> dict[str, int
     On a bus of the kernel that is socketcand too. Raises BusError for a port that cannot be used.
     """
     bus, on_hub = scenario["bus"], place.startswith("socketcand:")
-    return {codec: await hub.listen(codec, bus["host"], port) for codec in CODECS
-            if not (codec == "socketcand" and on_hub) and (port := bus[f"{codec}_port"]) >= 0}
+    return {
+        codec: await hub.listen(codec, bus["host"], port)
+        for codec in CODECS
+        if not (codec == "socketcand" and on_hub) and (port := bus[f"{codec}_port"]) >= 0
+    }
 
 
 class RigBus:
@@ -96,9 +120,17 @@ class RigBus:
     `on_command(command)` is called when it has changed, `refresh(row)` before an alarm goes off.
     """
 
-    def __init__(self, hub: Hub, scenario: Scenario, row: np.ndarray, on_command: Callable[[np.ndarray], None],
-                 on_event: Callable[[str, str], None], clock_ns: Callable[[], int], pacing: str = "wall",
-                 refresh: Callable[[np.ndarray], Any] = lambda row: None) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        scenario: Scenario,
+        row: np.ndarray,
+        on_command: Callable[[np.ndarray], None],
+        on_event: Callable[[str, str], None],
+        clock_ns: Callable[[], int],
+        pacing: str = "wall",
+        refresh: Callable[[np.ndarray], Any] = lambda row: None,
+    ) -> None:
         self.hub, self.row, self.clock_ns = hub, row, clock_ns
         self._refresh = lambda: refresh(row)
         self.command = tick.first_command()
@@ -109,24 +141,66 @@ class RigBus:
         bus = scenario["bus"]
         beat_ms = round(1000.0 * bus["heartbeat_s"])
         lost_after_ms = unit_lost_after_ms(bus["sync_period_s"])
-        numbers = (*signals.RIG_NODES, *((signals.SANDER_NODE,) if scenario.params.sanders.axles else ()))
-        self.master = NmtMaster(master=bus["master"], heartbeat_ms=beat_ms, unit_lost_after_ms=lost_after_ms,
-                                nodes=numbers)
-        parameters = {"teeth": float(scenario["sensor"]["teeth"]), "heartbeat_ms": float(beat_ms),
-                      "unit_lost_after_ms": float(lost_after_ms)} | {
-            key: scenario["drive"][key] for key in ("rated_torque_Nm", "max_speed_rad_s", "thermal_time_constant_s")}
-        asked = self.command[tick.DRIVES:tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
-        store = {node: Path(bus["store"], f"node_{node:03d}.json") if bus["store"] else None
-                 for node in numbers}
-        nodes = [drive.build(node_id, axle, row, parameters, asked[axle - 1], self.post, scenario["rig"]["drives"],
-                             store[node_id]) for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)]
+        numbers = (
+            *signals.RIG_NODES,
+            *((signals.SANDER_NODE,) if scenario.params.sanders.axles else ()),
+        )
+        self.master = NmtMaster(
+            master=bus["master"],
+            heartbeat_ms=beat_ms,
+            unit_lost_after_ms=lost_after_ms,
+            nodes=numbers,
+        )
+        parameters = {
+            "teeth": float(scenario["sensor"]["teeth"]),
+            "heartbeat_ms": float(beat_ms),
+            "unit_lost_after_ms": float(lost_after_ms),
+        } | {
+            key: scenario["drive"][key]
+            for key in ("rated_torque_Nm", "max_speed_rad_s", "thermal_time_constant_s")
+        }
+        asked = self.command[tick.DRIVES : tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
+        store = {
+            node: Path(bus["store"], f"node_{node:03d}.json") if bus["store"] else None
+            for node in numbers
+        }
+        nodes = [
+            drive.build(
+                node_id,
+                axle,
+                row,
+                parameters,
+                asked[axle - 1],
+                self.post,
+                scenario["rig"]["drives"],
+                store[node_id],
+            )
+            for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)
+        ]
         nodes.append(encoder406.build(row, parameters, store[signals.SPEED_NODE]))
-        nodes.append(io401.build(row, self.command[:io401.COMMANDS], parameters, self.post, store[signals.BRAKE_NODE]))
+        nodes.append(
+            io401.build(
+                row,
+                self.command[: io401.COMMANDS],
+                parameters,
+                self.post,
+                store[signals.BRAKE_NODE],
+            )
+        )
         if signals.SANDER_NODE in numbers:
-            nodes.append(sander401.build(row, self.command[tick.SAND:tick.DRIVES], self.post,
-                                         store[signals.SANDER_NODE], parameters))
+            nodes.append(
+                sander401.build(
+                    row,
+                    self.command[tick.SAND : tick.DRIVES],
+                    self.post,
+                    store[signals.SANDER_NODE],
+                    parameters,
+                )
+            )
         self.nodes = {node.node_id: node for node in nodes}
-        self.bench_node = bench_node.build(row, self.command[tick.FRICTION:tick.SAND], self.post, pacing)
+        self.bench_node = bench_node.build(
+            row, self.command[tick.FRICTION : tick.SAND], self.post, pacing
+        )
         self.harness: bench_node.BenchNode = self.bench_node.device
         self.rack = Rack()
         # the master first: it hears the boot-up of the others
@@ -170,9 +244,12 @@ class RigBus:
         if self._stray:
             self.stray_syncs += 1
             if self.stray_syncs == 1:
-                self._on_event("warning", "somebody else sends SYNC (080h), which is the bench's to send: the rig's "
-                               "nodes obey it, the run does not wait for an answer to it; let the unit be silent "
-                               "there, or leave SYNC to it with bus.master=false")
+                self._on_event(
+                    "warning",
+                    "somebody else sends SYNC (080h), which is the bench's to send: the rig's "
+                    "nodes obey it, the run does not wait for an answer to it; let the unit be silent "
+                    "there, or leave SYNC to it with bus.master=false",
+                )
         self.rack.tell_time(frame.time_ns)
         self.rack.on_frame(frame)
         self._set_alarm()
@@ -218,18 +295,33 @@ class RigBus:
 
     def site(self, freeze: Callable[[bool], bool]) -> Site:
         """What faults act on. `freeze(on)` stops the WSP unit's process, where there is one."""
+
         def freezes(on: bool) -> bool:
             self.frozen = freeze(on) and on
             return self.frozen
 
-        return Site(self.command[tick.FAULTS:], self.post, self.nodes, self.rack, self.gate,
-                    self.clock_ns, self.hub.load.bitrate, self.disturb, freezes)
+        return Site(
+            self.command[tick.FAULTS :],
+            self.post,
+            self.nodes,
+            self.rack,
+            self.gate,
+            self.clock_ns,
+            self.hub.load.bitrate,
+            self.disturb,
+            freezes,
+        )
 
     def disturb(self) -> None:
         """Let the gate of faults see every frame while it has something to do, else none."""
         idle = self.gate.idle
-        self.rack.gate = None if idle else lambda member, frame, carry: self.gate.passes(
-            frame, self._numbers.get(id(member), 0), carry)
+        self.rack.gate = (
+            None
+            if idle
+            else lambda member, frame, carry: self.gate.passes(
+                frame, self._numbers.get(id(member), 0), carry
+            )
+        )
         self.hub.gate = None if idle else self._from_outside
 
     def _from_outside(self, sender: Any, frame: Frame, carry: Callable[[], None]) -> bool:
@@ -311,8 +403,12 @@ def record_frames(hub: Hub, ring: rings.Ring, begun_ns: Callable[[], int] = lamb
         if (begun := begun_ns()) < 0:
             return
         row[0] = max(frame.time_ns - begun, 0)
-        row[1] = (frame.can_id | (rings.EXTENDED_FLAG if frame.extended else 0)
-                  | (rings.REMOTE_FLAG if frame.remote else 0) | (rings.ERROR_FLAG if frame.error else 0))
+        row[1] = (
+            frame.can_id
+            | (rings.EXTENDED_FLAG if frame.extended else 0)
+            | (rings.REMOTE_FLAG if frame.remote else 0)
+            | (rings.ERROR_FLAG if frame.error else 0)
+        )
         row[2] = frame.dlc if frame.remote else len(frame.data)
         row[3] = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
         ring.push(row)

@@ -49,10 +49,21 @@ BUS = (
     number("heartbeat_s", 0.1, 0.01, 10.0, "producer time of the rig's nodes"),
     choice("host", "127.0.0.1", (), "address of the hub: loopback unless named otherwise"),
     integer("socketcand_port", 29536, 0, 65535, "0 takes a free one"),
-    *(integer(f"{codec}_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none")
-      for codec in ("virtualcan", "slcan", "cannelloni")),
-    choice("store", "", (), "folder in which the nodes keep stored parameters (1010h, LSS); empty: none"),
-    flag("arbitration", False, "frames wait for the wire, lowest identifier first; false: an ideal bus"),
+    *(
+        integer(f"{codec}_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none")
+        for codec in ("virtualcan", "slcan", "cannelloni")
+    ),
+    choice(
+        "store",
+        "",
+        (),
+        "folder in which the nodes keep stored parameters (1010h, LSS); empty: none",
+    ),
+    flag(
+        "arbitration",
+        False,
+        "frames wait for the wire, lowest identifier first; false: an ideal bus",
+    ),
     flag("master", True, "the bench starts the nodes and produces SYNC"),
 )
 MODBUS = (
@@ -68,11 +79,21 @@ MODBUS = (
     number("emergency_pressure_Pa", 3.8e5, 0.0, 1e6, "assumption: that of full service"),
 )
 DEMAND = (number("from_s", 0.0, 0.0, 36000.0, "s"), number("pressure_Pa", None, 0.0, 1e6, "Pa"))
-FRICTION = (number("from_s", -1.0, 0.0, 36000.0, "s"), number("from_m", -1.0, -1e3, 1e6, "m"),
-            number("mu_cd", -1.0, 1e-4, 1.0, "-"), number("mu_cr", -1.0, 1e-4, 1.0, "-"))
+FRICTION = (
+    number("from_s", -1.0, 0.0, 36000.0, "s"),
+    number("from_m", -1.0, -1e3, 1e6, "m"),
+    number("mu_cd", -1.0, 1e-4, 1.0, "-"),
+    number("mu_cr", -1.0, 1e-4, 1.0, "-"),
+)
 SECTIONS = {**physics.ROWS, "loop": LOOP, "bus": BUS, "modbus": MODBUS}
 # tables that come from files of their own: the table, and the folder of its files
-SETS = {"vehicle": "vehicles", "rig": "rigs", "adhesion": "adhesion", "bus": "buses", "pads": "pads"}
+SETS = {
+    "vehicle": "vehicles",
+    "rig": "rigs",
+    "adhesion": "adhesion",
+    "bus": "buses",
+    "pads": "pads",
+}
 
 
 @dataclass(frozen=True)
@@ -94,8 +115,13 @@ class Scenario:
         return self.resolved[key]
 
 
-def load(name: str, model: str = "", settings: tuple[str, ...] = (),
-         tables: Mapping[str, Any] | None = None, faults: tuple[str, ...] = ()) -> Scenario:
+def load(
+    name: str,
+    model: str = "",
+    settings: tuple[str, ...] = (),
+    tables: Mapping[str, Any] | None = None,
+    faults: tuple[str, ...] = (),
+) -> Scenario:
     """Load a scenario by name or path, with an extended model and `section.key=value` settings.
 
     `tables` are whole tables that win over the scenario's own, as a rig that is already running has
@@ -106,8 +132,14 @@ def load(name: str, model: str = "", settings: tuple[str, ...] = (),
     return read(given, path, model, settings, tables, faults)
 
 
-def read(given: dict[str, Any], path: Path, model: str = "", settings: tuple[str, ...] = (),
-         tables: Mapping[str, Any] | None = None, faults: tuple[str, ...] = ()) -> Scenario:
+def read(
+    given: dict[str, Any],
+    path: Path,
+    model: str = "",
+    settings: tuple[str, ...] = (),
+    tables: Mapping[str, Any] | None = None,
+    faults: tuple[str, ...] = (),
+) -> Scenario:
     """As `load`, of the content of a scenario's file; `path` names it and is where it looks for others."""
     single = _settings(settings)
     # single keys, among them the names of sets, before the sets are looked up
@@ -123,13 +155,18 @@ def read(given: dict[str, Any], path: Path, model: str = "", settings: tuple[str
     if model:
         at = store.find("models", model)
         layers.append((str(at), store.parse(at)))
-    layers += [("--set", {k: v for k, v in single.items() if isinstance(v, dict)}), ("the running rig", tables or {}),
-               ("--fault", {"fault": [catalogue.plain(catalogue.parse(one)) for one in faults]})]
+    layers += [
+        ("--set", {k: v for k, v in single.items() if isinstance(v, dict)}),
+        ("the running rig", tables or {}),
+        ("--fault", {"fault": [catalogue.plain(catalogue.parse(one)) for one in faults]}),
+    ]
     head = table.read(HEAD, {k: v for k, v in given.items() if k in defaults}, str(path))
     return resolve(path.parent.name if path.name == "scenario.toml" else path.stem, head, layers)
 
 
-def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str, Any]]]) -> Scenario:
+def resolve(
+    name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str, Any]]]
+) -> Scenario:
     """Merge layers of tables, check them and build the parameters."""
     merged: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
     programme: dict[str, Any] = {"demand": [], "friction": []}
@@ -141,57 +178,93 @@ def resolve(name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str
                 _wanted(isinstance(content, Mapping), where, key, content, f"a table [{key}]")
                 table.read(SECTIONS[key], content, f"{where} [{key}]")
                 if key == "adhesion" and "mu_cd" in content:
-                    merged[key].pop("initial_adhesion", None)  # what comes later wins over what mu_cd followed from
+                    merged[key].pop(
+                        "initial_adhesion", None
+                    )  # what comes later wins over what mu_cd followed from
                 merged[key].update(content)
             elif key in programme:
-                _wanted(isinstance(content, list) and all(isinstance(c, Mapping) for c in content), where, key, content,
-                        f"[[{key}]] with two brackets, one for each step")
+                _wanted(
+                    isinstance(content, list) and all(isinstance(c, Mapping) for c in content),
+                    where,
+                    key,
+                    content,
+                    f"[[{key}]] with two brackets, one for each step",
+                )
                 programme[key], source = content, where
             elif key == "fault":
-                _wanted(isinstance(content, list), where, key, content, "[[fault]] with two brackets")
+                _wanted(
+                    isinstance(content, list), where, key, content, "[[fault]] with two brackets"
+                )
                 planned += catalogue.all_of(content, where)
             elif key in {row.name for row in HEAD}:
                 head |= table.read([r for r in HEAD if r.name == key], {key: content}, where)
             else:
                 allowed = [*SECTIONS, *programme, "fault", *(row.name for row in HEAD)]
-                raise ConfigError(f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}")
+                raise ConfigError(
+                    f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}"
+                )
     checked: dict[str, Any] = dict(physics.check(merged, name))
-    if checked["rig"]["speed"] == "held" and (checked["rig"]["mode"], checked["vehicle"]["model"]) != (
-            "contaminated_rollers", "planar"):
-        raise ConfigError(f"{name} [rig] speed = 'held': only drives hold a speed, and on the coach in 3D none do; "
-                          "allowed with rig.mode = \"contaminated_rollers\" and vehicle.model = \"planar\"")
+    if checked["rig"]["speed"] == "held" and (
+        checked["rig"]["mode"],
+        checked["vehicle"]["model"],
+    ) != ("contaminated_rollers", "planar"):
+        raise ConfigError(
+            f"{name} [rig] speed = 'held': only drives hold a speed, and on the coach in 3D none do; "
+            'allowed with rig.mode = "contaminated_rollers" and vehicle.model = "planar"'
+        )
     for section in ("loop", "bus", "modbus"):
         checked[section] = table.read(SECTIONS[section], merged[section], f"{name} [{section}]")
     acting, hidden = _with_sealed(checked, head.get("sealed", ""))
     tick_s, substeps, sync, record = _ratios(checked, name)
-    steps = [table.read(DEMAND, row, f"{source} [[demand]] {i}") for i, row in enumerate(programme["demand"], start=1)]
+    steps = [
+        table.read(DEMAND, row, f"{source} [[demand]] {i}")
+        for i, row in enumerate(programme["demand"], start=1)
+    ]
     if (starts := [row["from_s"] for row in steps]) != sorted(starts):
         raise ConfigError(f"{source} [[demand]]: from_s must rise from step to step, not {starts}")
     demand = physics.Demand(np.array(starts), np.array([row["pressure_Pa"] for row in steps]))
     friction, friction_rows = _friction(programme["friction"], checked["adhesion"], source)
-    resolved = {**head, **checked, "demand": steps, "friction": friction_rows,
-                "fault": [catalogue.plain(one) for one in planned]}
+    resolved = {
+        **head,
+        **checked,
+        "demand": steps,
+        "friction": friction_rows,
+        "fault": [catalogue.plain(one) for one in planned],
+    }
     virtual = checked["rig"]["mode"] == physics.VIRTUAL_TRACK
     return Scenario(
-        name=name, resolved=resolved, params=physics.build(acting, friction, demand, tick_s, substeps),
+        name=name,
+        resolved=resolved,
+        params=physics.build(acting, friction, demand, tick_s, substeps),
         rollers=physics.build_rollers(acting, demand, tick_s, substeps) if virtual else None,
-        sync_ticks=sync, record_ticks=record, faults=planned + hidden)
+        sync_ticks=sync,
+        record_ticks=record,
+        faults=planned + hidden,
+    )
 
 
-def _with_sealed(checked: dict[str, Any], text: str) -> tuple[dict[str, Any], tuple[catalogue.Fault, ...]]:
+def _with_sealed(
+    checked: dict[str, Any], text: str
+) -> tuple[dict[str, Any], tuple[catalogue.Fault, ...]]:
     """The sections as they act, and the faults, where a scenario hides some; `resolved` has them sealed only."""
     if not text:
         return checked, ()
     content = seal.opened(text, "sealed")
-    mechanisms = table.read(physics.ROWS["mechanisms"], checked["mechanisms"] | content.get("mechanisms", {}), "sealed")
+    mechanisms = table.read(
+        physics.ROWS["mechanisms"], checked["mechanisms"] | content.get("mechanisms", {}), "sealed"
+    )
     faults = catalogue.all_of(content.get("fault", []), "sealed")
-    return checked | {"mechanisms": mechanisms}, tuple(dataclasses.replace(one, told=False) for one in faults)
+    return checked | {"mechanisms": mechanisms}, tuple(
+        dataclasses.replace(one, told=False) for one in faults
+    )
 
 
 def dump(scenario: Scenario) -> str:
     """The resolved scenario as TOML."""
-    return ("# resolved by rollerrig: every default written out; run it again to repeat the run\n"
-            + tomli_w.dumps(scenario.resolved))
+    return (
+        "# resolved by rollerrig: every default written out; run it again to repeat the run\n"
+        + tomli_w.dumps(scenario.resolved)
+    )
 
 
 def digest(scenario: Scenario) -> str:
@@ -225,7 +298,9 @@ def _settings(settings: tuple[str, ...]) -> dict[str, Any]:
         except store.tomllib.TOMLDecodeError:
             value = text.strip()
         if not name or not text:
-            raise ConfigError(f"--set {setting}: write section.key=value, as in adhesion.mu_cd=0.05")
+            raise ConfigError(
+                f"--set {setting}: write section.key=value, as in adhesion.mu_cd=0.05"
+            )
         if not section and name in SETS:
             name = f"{name}_set"  # a set by name beside single values of it: both may be given
         (tables.setdefault(section, {}) if section else tables)[name] = value
@@ -238,34 +313,56 @@ def _ratios(checked: dict[str, Any], name: str) -> tuple[float, int, int, int]:
 
     def whole(ratio: float, what: str) -> int:
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-            raise ConfigError(f"{name}: {what} is {ratio:.6g}; it must be a whole number, at least 1")
+            raise ConfigError(
+                f"{name}: {what} is {ratio:.6g}; it must be a whole number, at least 1"
+            )
         return round(ratio)
 
     return (
-        tick_s, whole(tick_s / loop["step_s"], f"[loop] a tick of {tick_s:g} s over step_s = {loop['step_s']:g} s"),
-        whole(bus["sync_period_s"] / tick_s,
-              f"[bus] sync_period_s = {bus['sync_period_s']:g} s over a tick of {tick_s:g} s"),
-        whole(loop["tick_hz"] / loop["record_hz"],
-              f"[loop] tick_hz = {loop['tick_hz']} over record_hz = {loop['record_hz']}"))
+        tick_s,
+        whole(
+            tick_s / loop["step_s"],
+            f"[loop] a tick of {tick_s:g} s over step_s = {loop['step_s']:g} s",
+        ),
+        whole(
+            bus["sync_period_s"] / tick_s,
+            f"[bus] sync_period_s = {bus['sync_period_s']:g} s over a tick of {tick_s:g} s",
+        ),
+        whole(
+            loop["tick_hz"] / loop["record_hz"],
+            f"[loop] tick_hz = {loop['tick_hz']} over record_hz = {loop['record_hz']}",
+        ),
+    )
 
 
-def _friction(rows: list[dict[str, Any]], adhesion: dict[str, float], where: str
-              ) -> tuple[physics.Friction, list[dict[str, Any]]]:
+def _friction(
+    rows: list[dict[str, Any]], adhesion: dict[str, float], where: str
+) -> tuple[physics.Friction, list[dict[str, Any]]]:
     read, masks = [], []
     for i, row in enumerate(rows):
         at, row = f"{where} [[friction]] {i + 1}", dict(row)
         axles = row.pop("axles", list(range(1, AXLES + 1)))
-        if not (isinstance(axles, list) and axles and all(type(axle) is int and 1 <= axle <= AXLES for axle in axles)):
+        if not (
+            isinstance(axles, list)
+            and axles
+            and all(type(axle) is int and 1 <= axle <= AXLES for axle in axles)
+        ):
             raise ConfigError(f"{at}: axles = {axles!r}; a list of axle numbers from 1 to {AXLES}")
         if ("from_s" in row) == ("from_m" in row):
             raise ConfigError(f"{at}: give from_s (time) or from_m (place), one of them")
         given = table.read([r for r in FRICTION if r.name in row], row, at)
         if unknown := set(row) - {r.name for r in FRICTION}:
             table.read(FRICTION, {key: row[key] for key in unknown}, at)
-        read.append({"mu_cd": adhesion["mu_cd"], "mu_cr": adhesion["mu_cr"], "axles": axles} | given)
+        read.append(
+            {"mu_cd": adhesion["mu_cd"], "mu_cr": adhesion["mu_cr"], "axles": axles} | given
+        )
         physics.check_recovery(adhesion | read[-1], at)
         masks.append(sum(1 << (axle - 1) for axle in set(axles)))
     start = np.array([row.get("from_m", row.get("from_s", 0.0)) for row in read])
     return physics.Friction(
-        np.array(["from_m" in row for row in read], dtype=np.bool_), start, np.array([row["mu_cd"] for row in read]),
-        np.array([row["mu_cr"] for row in read]), np.array(masks, dtype=np.int64)), read
+        np.array(["from_m" in row for row in read], dtype=np.bool_),
+        start,
+        np.array([row["mu_cd"] for row in read]),
+        np.array([row["mu_cr"] for row in read]),
+        np.array(masks, dtype=np.int64),
+    ), read

@@ -62,19 +62,26 @@ class Supervisor:
         try:
             port = await self.server.listen(given["host"], given["port"], context)
             self.rig.ports["modbus"] = port
-            self.rig.event("info", f"Modbus {'over TLS' if context else 'TCP'} is served on {given['host']}:{port}")
+            self.rig.event(
+                "info",
+                f"Modbus {'over TLS' if context else 'TCP'} is served on {given['host']}:{port}",
+            )
             who = "who has a certificate" if context else "WITHOUT ANY AUTHENTICATION"
             if warning := beyond_loopback("MODBUS", given["host"], port, who):
                 self.rig.event("warning", warning)
             if needed:
-                self.rig.report(f"the rig is held at {self.rig.speed_m_s:g} m/s until a Modbus client "
-                                f"writes 1 to coil 0 of unit 1 on {given['host']}:{port}")
+                self.rig.report(
+                    f"the rig is held at {self.rig.speed_m_s:g} m/s until a Modbus client "
+                    f"writes 1 to coil 0 of unit 1 on {given['host']}:{port}"
+                )
         except BusError as error:
             if needed:
                 raise
             self.rig.event("warning", f"this run has no Modbus TCP: {error}")
         if given["serial"]:
-            self.line = SerialLine(self.server, given["serial"], given["baud_rate"], given["parity"], self.rig.event)
+            self.line = SerialLine(
+                self.server, given["serial"], given["baud_rate"], given["parity"], self.rig.event
+            )
             device = await self.line.open()
             text = f"Modbus RTU is served on {device}, {given['baud_rate']} baud"
             self.rig.event("info", text)
@@ -120,11 +127,20 @@ class Supervisor:
         rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
         measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
         writers: dict[str, Writer] = {
-            "run": self._run, "stop": self._stop, "emergency_stop": self._emergency_stop, "scenario": self._choose,
-            "speed_set_point": self._set_speed, "brake_demand_set_point": self._set_demand}
-        return {map.PLC_UNIT: Unit(rows, measured | self._states() | self._health() | self.fault_registers.readers(),
-                                   writers | self.fault_registers.writers())
-                } | {unit: modbus_unit.drive(bus.nodes[node]) for node, unit in map.DRIVE_UNITS.items()}
+            "run": self._run,
+            "stop": self._stop,
+            "emergency_stop": self._emergency_stop,
+            "scenario": self._choose,
+            "speed_set_point": self._set_speed,
+            "brake_demand_set_point": self._set_demand,
+        }
+        return {
+            map.PLC_UNIT: Unit(
+                rows,
+                measured | self._states() | self._health() | self.fault_registers.readers(),
+                writers | self.fault_registers.writers(),
+            )
+        } | {unit: modbus_unit.drive(bus.nodes[node]) for node, unit in map.DRIVE_UNITS.items()}
 
     def _states(self) -> dict[str, Reader]:
         """What the rig does and is set to."""
@@ -136,12 +152,15 @@ class Supervisor:
             "emergency_stop": lambda: self.emergency,
             "held": lambda: self.state is State.HELD,
             # not as the bus last saw it: a client that has just changed the set speed would be told the old answer
-            "at_set_speed": lambda: (self.state is State.HELD
-                                     and abs(rig.data.state.vehicle_speed[0] - rig.data.hold[0]) < 1e-6),
+            "at_set_speed": lambda: (
+                self.state is State.HELD
+                and abs(rig.data.state.vehicle_speed[0] - rig.data.hold[0]) < 1e-6
+            ),
             "standing": lambda: bus.row[standing] == 0.0,
             "wsp_unit_operational": lambda: master.unit_is_operational,
             "nodes_operational": master.all_operational,
-            "state": lambda: self.state, "scenarios": lambda: len(self.scenarios),
+            "state": lambda: self.state,
+            "scenarios": lambda: len(self.scenarios),
             "scenario": self._number,
             "speed_set_point": lambda: round(rig.speed_m_s / _SPEED.scale),
             "brake_demand_set_point": lambda: self.demand,
@@ -157,7 +176,8 @@ class Supervisor:
         rig, hub, counters = self.rig, self.bus.hub, self.rig.modbus
         events: dict[str, Reader] = {
             f"events_{level}": lambda level=level: rig.events.counts[level]
-            for level in ("info", "warning", "error")}
+            for level in ("info", "warning", "error")
+        }
         return events | {
             "ticks": lambda: int(rig.data.control[TICK]),
             "lateness_p50": lambda: self._lateness("p50"),
@@ -169,13 +189,17 @@ class Supervisor:
             "modbus_clients": lambda: len(self.server.connections) if self.server else 0,
             "modbus_requests": lambda: counters.requests,
             "modbus_exceptions": lambda: counters.exceptions,
-            "modbus_malformed": lambda: counters.malformed}
+            "modbus_malformed": lambda: counters.malformed,
+        }
 
     def _lateness(self, which: str) -> int:
         """A percentile in us; counted anew now and then, because counting takes long."""
         now = time.monotonic()
         if now - self._statistics[0] > _STATISTICS_S:
-            self._statistics = now, loop.percentiles(self.rig.histogram, int(self.rig.data.control[WORST_NS]))
+            self._statistics = (
+                now,
+                loop.percentiles(self.rig.histogram, int(self.rig.data.control[WORST_NS])),
+            )
         return round(self._statistics[1][which])
 
     # -- what a client writes: each is first asked with only=True whether it would take the value
@@ -211,7 +235,11 @@ class Supervisor:
         speed_m_s = raw * _SPEED.scale
         bounds = next(row for row in scenario.HEAD if row.name == "initial_speed_m_s")
         drive, contact = self.rig.plan["drive"], self.rig.plan["contact"]
-        if not bounds.low <= speed_m_s <= min(bounds.high, drive["max_speed_rad_s"] * contact["roller_radius_m"]):
+        if (
+            not bounds.low
+            <= speed_m_s
+            <= min(bounds.high, drive["max_speed_rad_s"] * contact["roller_radius_m"])
+        ):
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         self._require_held()
         if not only:

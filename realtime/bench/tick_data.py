@@ -16,7 +16,9 @@ from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 
 
-def build(plan: Scenario, ring: Ring | Memory, speed_m_s: float | None = None, seed: int = 0) -> TickData:
+def build(
+    plan: Scenario, ring: Ring | Memory, speed_m_s: float | None = None, seed: int = 0
+) -> TickData:
     """What the ticks of a scenario work on, at its initial (or another) speed, with no magnet energised."""
     speed_m_s = plan["initial_speed_m_s"] if speed_m_s is None else speed_m_s
     plant = Plant(plan.params, speed_m_s)
@@ -25,20 +27,40 @@ def build(plan: Scenario, ring: Ring | Memory, speed_m_s: float | None = None, s
     commands = mailbox.mailbox(tick.COMMANDS)
     commands.values[:] = tick.first_command()
     data = TickData(
-        params=plan.params, state=plant.state, buffer=plant.buffer, delay=plant.delay,
+        params=plan.params,
+        state=plant.state,
+        buffer=plant.buffer,
+        delay=plant.delay,
         control=np.zeros(tick.SLOTS_OF_CONTROL, dtype=np.int64),
-        commands=commands, command=commands.values.copy(),
-        published=mailbox.mailbox(width), row=np.zeros(width), gather=tick.gather(),
-        ring_header=ring.header, ring_rows=ring.rows,
-        virtual=int(plan.rollers is not None), roller_params=rollers.params, roller_state=rollers.state,
-        roller_buffer=rollers.buffer, roller_delay=rollers.delay,
+        commands=commands,
+        command=commands.values.copy(),
+        published=mailbox.mailbox(width),
+        row=np.zeros(width),
+        gather=tick.gather(),
+        ring_header=ring.header,
+        ring_rows=ring.rows,
+        virtual=int(plan.rollers is not None),
+        roller_params=rollers.params,
+        roller_state=rollers.state,
+        roller_buffer=rollers.buffer,
+        roller_delay=rollers.delay,
         gather_rollers=tick.gather(tick.OF_ROLLERS if plan.rollers else ()),
-        record_ticks=plan.record_ticks, end_tick=round(plan["duration_max_s"] * tick_hz),
-        stand_ticks=round(plan["stand_s"] * tick_hz), hold=np.array([speed_m_s]),
-        answer=np.array(wire_delay.answer_ticks(plan) or (0, 0, 1)), pulses=pole_wheel.memory(seed),
+        record_ticks=plan.record_ticks,
+        end_tick=round(plan["duration_max_s"] * tick_hz),
+        stand_ticks=round(plan["stand_s"] * tick_hz),
+        hold=np.array([speed_m_s]),
+        answer=np.array(wire_delay.answer_ticks(plan) or (0, 0, 1)),
+        pulses=pole_wheel.memory(seed),
         sensor=pole_wheel.Sensor(
-            pole_wheel.MODELS[sensor["model"]], sensor["teeth"], max(1, round(sensor["window_s"] * tick_hz)),
-            sensor["dropout_rad_s"], sensor["timer_Hz"], 1.0 / tick_hz, plan["flats"]["noise_rad_s_m"]))
+            pole_wheel.MODELS[sensor["model"]],
+            sensor["teeth"],
+            max(1, round(sensor["window_s"] * tick_hz)),
+            sensor["dropout_rad_s"],
+            sensor["timer_Hz"],
+            1.0 / tick_hz,
+            plan["flats"]["noise_rad_s_m"],
+        ),
+    )
     tick.publish(data)
     return data
 
@@ -49,7 +71,15 @@ def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
         stop = data.control[STOP]
         data.control[STOP] = 1
         descriptor = clock.eventfd()
-        loop.wall(data, 1_000_000, 1, descriptor, np.zeros(loop.BINS, dtype=np.int64), np.zeros(3, dtype=np.int64), 0)
+        loop.wall(
+            data,
+            1_000_000,
+            1,
+            descriptor,
+            np.zeros(loop.BINS, dtype=np.int64),
+            np.zeros(3, dtype=np.int64),
+            0,
+        )
         os.close(descriptor)
         data.control[STOP] = stop
     elif pacing == "lockstep" or unit != "reference":

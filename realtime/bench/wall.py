@@ -115,8 +115,15 @@ def _real_time(parts: Parts, descriptor: int) -> None:
     begin_ns = time.monotonic_ns()
     parts.begun_ns = parts.begun_ns or begin_ns
     with clock.awake(rates["priority"] > 0), loop.interruptions(parts.interruptions):
-        loop.wall(parts.data, clock.SECOND_NS // rates["tick_hz"], parts.plan.sync_ticks, descriptor,
-                  parts.histogram, np.zeros(3, dtype=np.int64), begin_ns)
+        loop.wall(
+            parts.data,
+            clock.SECOND_NS // rates["tick_hz"],
+            parts.plan.sync_ticks,
+            descriptor,
+            parts.histogram,
+            np.zeros(3, dtype=np.int64),
+            begin_ns,
+        )
 
 
 def _hold(parts: Parts, plc: "Supervisor") -> None:
@@ -129,7 +136,9 @@ def _take_scenario(parts: Parts, plan: Scenario) -> None:
     """Go on with another scenario, at the speed and with the angles of before."""
     before, parts.plan, parts.next_plan = parts.data, plan, None
     parts.faults.schedule(plan.faults)
-    after = tick_data.build(plan, parts.rows, float(before.state.vehicle_speed[0]), parts.options.seed)
+    after = tick_data.build(
+        plan, parts.rows, float(before.state.vehicle_speed[0]), parts.options.seed
+    )
     after.control[HELD] = before.control[HELD]
     for old, new in ((before.state, after.state), (before.roller_state, after.roller_state)):
         new.wheel_angle[:], new.roller_angle[:] = old.wheel_angle, old.roller_angle

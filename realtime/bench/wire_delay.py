@@ -35,8 +35,15 @@ def _rehearse(plan: Scenario, cycles: int) -> list[int | None]:
     hub = Hub(now_ns, plan["bus"]["bitrate"])
     # the nodes shall not find or keep anything in a folder
     alone = dataclasses.replace(plan, resolved=plan.resolved | {"bus": plan["bus"] | {"store": ""}})
-    bus = rig_bus.RigBus(hub, alone, np.zeros(len(signals.COLUMNS)), lambda row: None, lambda level, text: None, now_ns,
-                         "lockstep")
+    bus = rig_bus.RigBus(
+        hub,
+        alone,
+        np.zeros(len(signals.COLUMNS)),
+        lambda row: None,
+        lambda level, text: None,
+        now_ns,
+        "lockstep",
+    )
     unit = hub.attach(lambda frame: None, "unit")
     delays: list[int | None] = []
     hub.tap(note)
@@ -74,6 +81,8 @@ def check(plan: Scenario, pacing: str) -> None:
     """Refuse a run without a bus on a wire that cannot carry its answers. Raises ConfigError."""
     if pacing == "free" and answer_ticks(plan) is None:
         bus = plan["bus"]
-        raise ConfigError(f"[bus] bitrate = {bus['bitrate']} bit/s cannot carry SYNC, process data and the unit's "
-                          f"answer within sync_period_s = {bus['sync_period_s']:g} s, as --pacing free with "
-                          "arbitration = true needs it; raise one of them, or see it overload with --pacing lockstep")
+        raise ConfigError(
+            f"[bus] bitrate = {bus['bitrate']} bit/s cannot carry SYNC, process data and the unit's "
+            f"answer within sync_period_s = {bus['sync_period_s']:g} s, as --pacing free with "
+            "arbitration = true needs it; raise one of them, or see it overload with --pacing lockstep"
+        )

@@ -48,20 +48,40 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     # how late a tick began is the loop's own benchmark's to judge
     worst_us = found["from_tpdo_less_lateness_us"].get("max")
     return {
-        "tpdo_to_valve": found, "round_trip": trips, "sync": rates, "modbus": asked,
+        "tpdo_to_valve": found,
+        "round_trip": trips,
+        "sync": rates,
+        "modbus": asked,
         "targets": [
-            target("speed TPDO to valve effect, the longest, less the tick's lateness",
-                   None if worst_us is None else worst_us / 1000.0, limit_ms, "ms"),
+            target(
+                "speed TPDO to valve effect, the longest, less the tick's lateness",
+                None if worst_us is None else worst_us / 1000.0,
+                limit_ms,
+                "ms",
+            ),
             target("SDO round trip over the hub's echo, p50", trips["ratio"], SDO_WITHIN),
             # the requirement as the time that a request may take
-            target(f"a Modbus request, for {MODBUS_PER_S} a second", 1e6 / asked["per_s"], 1e6 / MODBUS_PER_S, "us")],
-        "notes": ["the hub carries what it is given: beyond the bit rate its load passes 100 %, which no wire would do",
-                  f"the client asks for SCHED_FIFO {client.PRIORITY}, as a unit with a controller of its own"]}
+            target(
+                f"a Modbus request, for {MODBUS_PER_S} a second",
+                1e6 / asked["per_s"],
+                1e6 / MODBUS_PER_S,
+                "us",
+            ),
+        ],
+        "notes": [
+            "the hub carries what it is given: beyond the bit rate its load passes 100 %, which no wire would do",
+            f"the client asks for SCHED_FIFO {client.PRIORITY}, as a unit with a controller of its own",
+        ],
+    }
 
 
 def to_valve(seconds: float) -> tuple[Result, Result]:
     """A run whose unit switches all magnets at every SYNC: latencies of `chain`, and timing."""
-    settings = (f"loop.tick_hz={_TICK_HZ}", f"loop.record_hz={_TICK_HZ}", f"bus.sync_period_s={1 / RATES_HZ[0]!r}")
+    settings = (
+        f"loop.tick_hz={_TICK_HZ}",
+        f"loop.record_hz={_TICK_HZ}",
+        f"bus.sync_period_s={1 / RATES_HZ[0]!r}",
+    )
     with wall.held(seconds, "external", settings, beside=_beside("unit")) as measured:
         return chain(measured.folder), _timing(RATES_HZ[0], seconds, measured)
 
@@ -70,8 +90,15 @@ def round_trips(seconds: float) -> Result:
     """A run with questions, which must fit into the seconds: frame echo and SDO upload in us."""
     with wall.held(seconds, "none", beside=_beside("ask")) as measured:
         trips_ns = measured.beside
-    echo, sdo = (figures.quantiles(np.array(trips_ns[name][_JOINING_TRIPS:]) / 1000.0) for name in ("echo", "sdo"))
-    return {"echo_us": echo, "sdo_us": sdo, "ratio": sdo["p50"] / echo["p50"] if echo and sdo else None}
+    echo, sdo = (
+        figures.quantiles(np.array(trips_ns[name][_JOINING_TRIPS:]) / 1000.0)
+        for name in ("echo", "sdo")
+    )
+    return {
+        "echo_us": echo,
+        "sdo_us": sdo,
+        "ratio": sdo["p50"] / echo["p50"] if echo and sdo else None,
+    }
 
 
 def modbus_requests(seconds: float) -> Result:
@@ -84,10 +111,15 @@ def modbus_requests(seconds: float) -> Result:
 
     with wall.held(seconds + _MARGIN_S, "none", beside=beside) as measured:
         loop = measured.summary["loop"]
-        return {"per_s": measured.beside["per_s"], "registers": client.REGISTERS,
-                "trip_us": figures.quantiles(measured.beside["trips_us"]),
-                "answered": measured.summary["modbus"]["requests"], "missed_ticks": loop["missed"],
-                "lateness_us": loop["lateness_us"], "bus_thread_share": measured.bus_thread_share}
+        return {
+            "per_s": measured.beside["per_s"],
+            "registers": client.REGISTERS,
+            "trip_us": figures.quantiles(measured.beside["trips_us"]),
+            "answered": measured.summary["modbus"]["requests"],
+            "missed_ticks": loop["missed"],
+            "lateness_us": loop["lateness_us"],
+            "bus_thread_share": measured.bus_thread_share,
+        }
 
 
 def _beside(role: str) -> wall.Beside:
@@ -97,8 +129,14 @@ def _beside(role: str) -> wall.Beside:
         host, port, bus = plugin.parse_address(parts.place)
         if role == "ask" and parts.hub:
             # a node that does nothing but answer: the transport's own round trip
-            echo = parts.hub.attach(lambda frame: echo.send(Frame(client.ECHO_ANSWER, frame.data))
-                                    if frame.can_id == client.ECHO_CALL else None, "echo")
+            echo = parts.hub.attach(
+                lambda frame: (
+                    echo.send(Frame(client.ECHO_ANSWER, frame.data))
+                    if frame.can_id == client.ECHO_CALL
+                    else None
+                ),
+                "echo",
+            )
         return await wall.client(role, host, port, bus)
 
     return beside
@@ -108,14 +146,25 @@ def _timing(hz: int, seconds: float, measured: wall.Measured) -> Result:
     """SYNC to last TPDO in a client's hands, and whether the rate was kept."""
     begun_ns, heard = measured.parts.begun_ns, measured.beside["syncs"][:-1]
     # the hub holds the first frames of a client back until it has read the handshake
-    late_us = [(last_ns - begun_ns) / 1000.0 - stamp_us for stamp_us, _, last_ns in heard
-               if last_ns and stamp_us > heard[0][0] + _JOINING_US]
+    late_us = [
+        (last_ns - begun_ns) / 1000.0 - stamp_us
+        for stamp_us, _, last_ns in heard
+        if last_ns and stamp_us > heard[0][0] + _JOINING_US
+    ]
     frames = records.frames(measured.folder)
     sent, bus = len(_stamps(frames, client.SYNC)), measured.summary["bus"]
-    return {"hz": hz, "syncs": sent, "expected": round(seconds * hz), "last_tpdo_us": figures.quantiles(late_us),
-            "last_tpdo_hub_us": figures.quantiles(bursts(frames)), "kept": sent >= 0.999 * seconds * hz - 1,
-            "bus_thread_share": measured.bus_thread_share, "dropped": bus["dropped"],
-            "load_percent": bus["load_percent"], "missed_ticks": measured.summary["loop"]["missed"]}
+    return {
+        "hz": hz,
+        "syncs": sent,
+        "expected": round(seconds * hz),
+        "last_tpdo_us": figures.quantiles(late_us),
+        "last_tpdo_hub_us": figures.quantiles(bursts(frames)),
+        "kept": sent >= 0.999 * seconds * hz - 1,
+        "bus_thread_share": measured.bus_thread_share,
+        "dropped": bus["dropped"],
+        "load_percent": bus["load_percent"],
+        "missed_ticks": measured.summary["loop"]["missed"],
+    }
 
 
 def bursts(frames: Iterable[tuple[int, int, str]]) -> list[int]:
@@ -146,10 +195,21 @@ def chain(folder: Path) -> Result:
     time_us, magnets = 1e6 * run.column("time_s"), run.column("magnets_1")
     began_us = time_us + np.concatenate(([0.0], run.column("tick_lateness_us")[:-1]))
     syncs, speeds = _stamps(frames, client.SYNC), _stamps(frames, client.SPEEDS)
-    commands = [(stamp, int(data, 16) & 3) for stamp, can_id, data in frames if can_id == client.MAGNETS and data]
+    commands = [
+        (stamp, int(data, 16) & 3)
+        for stamp, can_id, data in frames
+        if can_id == client.MAGNETS and data
+    ]
     at_us = np.array([stamp for stamp, _ in commands])
-    found: dict[str, list[float]] = {name: [] for name in (
-        "from_sync_us", "from_tpdo_us", "from_command_us", "from_tpdo_less_lateness_us")}
+    found: dict[str, list[float]] = {
+        name: []
+        for name in (
+            "from_sync_us",
+            "from_tpdo_us",
+            "from_command_us",
+            "from_tpdo_less_lateness_us",
+        )
+    }
     for row in np.flatnonzero(np.diff(magnets)) + 1:
         last = int(np.searchsorted(at_us, began_us[row], side="right")) - 1
         if last < 0 or commands[last][1] != magnets[row]:
@@ -157,27 +217,52 @@ def chain(folder: Path) -> Result:
         tpdo = int(np.searchsorted(speeds, at_us[last])) - 1
         sync = int(np.searchsorted(syncs, speeds[tpdo], side="right")) - 1
         if tpdo >= 0 and sync >= 0:
-            for values, begun_us in zip(found.values(), (
-                    began_us[row] - syncs[sync], began_us[row] - speeds[tpdo], began_us[row] - at_us[last],
-                    time_us[row] - speeds[tpdo]), strict=True):
+            for values, begun_us in zip(
+                found.values(),
+                (
+                    began_us[row] - syncs[sync],
+                    began_us[row] - speeds[tpdo],
+                    began_us[row] - at_us[last],
+                    time_us[row] - speeds[tpdo],
+                ),
+                strict=True,
+            ):
                 values.append(begun_us)
-    return {"switches": len(found["from_tpdo_us"]), "syncs": len(syncs),
-            **{name: figures.quantiles(values) for name, values in found.items()}}
+    return {
+        "switches": len(found["from_tpdo_us"]),
+        "syncs": len(syncs),
+        **{name: figures.quantiles(values) for name, values in found.items()},
+    }
 
 
 def table(result: Result) -> Table:
     """All latencies in us, then each rate."""
     valve, trips, asked = result["tpdo_to_valve"], result["round_trip"], result["modbus"]
-    named = [("SYNC to valve effect", valve["from_sync_us"], valve["switches"]),
-             ("speed TPDO to valve effect", valve["from_tpdo_us"], valve["switches"]),
-             ("the same less the tick's lateness", valve["from_tpdo_less_lateness_us"], ""),
-             ("magnets' frame to valve effect", valve["from_command_us"], valve["switches"]),
-             ("round trip of a frame (echo)", trips["echo_us"], ""),
-             ("round trip of an SDO upload", trips["sdo_us"], ""),
-             ("round trip of a Modbus request", asked["trip_us"], f"{asked['per_s']:.0f} a second")]
-    named += [(f"SYNC to last TPDO at the hub, {one['hz']} Hz", one["last_tpdo_hub_us"], "") for one in result["sync"]]
-    named += [(f"SYNC to last TPDO at a client, {one['hz']} Hz", one["last_tpdo_us"], f"{one['syncs']} of "
-               f"{one['expected']}{'' if one['kept'] else ' NOT KEPT'}, bus thread {100 * one['bus_thread_share']:.0f} "
-               f"%, {one['dropped']} dropped, bus load {one['load_percent']:.0f} %") for one in result["sync"]]
-    return figures.table("the bus, in us", ("", *figures.QUANTILES, "SYNCs"), [
-        (name, *map(found.get, figures.QUANTILES), note) for name, found, note in named])
+    named = [
+        ("SYNC to valve effect", valve["from_sync_us"], valve["switches"]),
+        ("speed TPDO to valve effect", valve["from_tpdo_us"], valve["switches"]),
+        ("the same less the tick's lateness", valve["from_tpdo_less_lateness_us"], ""),
+        ("magnets' frame to valve effect", valve["from_command_us"], valve["switches"]),
+        ("round trip of a frame (echo)", trips["echo_us"], ""),
+        ("round trip of an SDO upload", trips["sdo_us"], ""),
+        ("round trip of a Modbus request", asked["trip_us"], f"{asked['per_s']:.0f} a second"),
+    ]
+    named += [
+        (f"SYNC to last TPDO at the hub, {one['hz']} Hz", one["last_tpdo_hub_us"], "")
+        for one in result["sync"]
+    ]
+    named += [
+        (
+            f"SYNC to last TPDO at a client, {one['hz']} Hz",
+            one["last_tpdo_us"],
+            f"{one['syncs']} of "
+            f"{one['expected']}{'' if one['kept'] else ' NOT KEPT'}, bus thread {100 * one['bus_thread_share']:.0f} "
+            f"%, {one['dropped']} dropped, bus load {one['load_percent']:.0f} %",
+        )
+        for one in result["sync"]
+    ]
+    return figures.table(
+        "the bus, in us",
+        ("", *figures.QUANTILES, "SYNCs"),
+        [(name, *map(found.get, figures.QUANTILES), note) for name, found, note in named],
+    )

@@ -85,7 +85,10 @@ def listen(line: socket.socket, answers: bool = False) -> dict[str, list[list[in
 def ask(line: socket.socket) -> dict[str, list[int]]:
     """Round trips in ns, in blocks by turns so that both meet the same machine."""
     found: dict[str, list[int]] = {"echo": [], "sdo": []}
-    kinds = (("echo", ECHO_CALL, ECHO_ANSWER, bytes(8)), ("sdo", SDO_CALL, SDO_ANSWER, _DEVICE_TYPE))
+    kinds = (
+        ("echo", ECHO_CALL, ECHO_ANSWER, bytes(8)),
+        ("sdo", SDO_CALL, SDO_ANSWER, _DEVICE_TYPE),
+    )
     heard = frames(line)
     # a run that ends early ends the questions
     with contextlib.suppress(OSError):
@@ -105,8 +108,13 @@ def modbus(host: str, port: int, seconds: float) -> dict[str, object]:
     from pymodbus.pdu import DecodePDU, ReadHoldingRegistersRequest
 
     trips_us: list[float] = []
-    reading = ReadHoldingRegistersRequest(dev_id=1, transaction_id=1, address=_FIRST_REGISTER, count=REGISTERS)
-    request, answer_bytes = FramerSocket(DecodePDU(is_server=False)).buildFrame(reading), 9 + 2 * REGISTERS
+    reading = ReadHoldingRegistersRequest(
+        dev_id=1, transaction_id=1, address=_FIRST_REGISTER, count=REGISTERS
+    )
+    request, answer_bytes = (
+        FramerSocket(DecodePDU(is_server=False)).buildFrame(reading),
+        9 + 2 * REGISTERS,
+    )
     with socket.create_connection((host, port), 5.0) as line:
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         begun = before = time.perf_counter()
@@ -121,7 +129,10 @@ def modbus(host: str, port: int, seconds: float) -> dict[str, object]:
 
 
 ROLES: dict[str, Callable[[socket.socket], object]] = {
-    "listen": listen, "unit": partial(listen, answers=True), "ask": ask}
+    "listen": listen,
+    "unit": partial(listen, answers=True),
+    "ask": ask,
+}
 
 
 def main(role: str, host: str, port: str, last: str) -> int:

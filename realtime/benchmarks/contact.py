@@ -44,8 +44,9 @@ def _polach(slidings, params):
     for s in slidings:
         # the load differs from call to call, as in a step
         unit = params.patch.eps1 * math.exp(math.log(0.5 * _LOAD_N + s) / -3.0)
-        f, by_friction, by_creepage = polach.curve(s, s / _SPEED_m_s, unit, law.mu_cd, law.A_d,
-                                                   law.gamma_d_s_m, law.k_ad, law.k_sd)
+        f, by_friction, by_creepage = polach.curve(
+            s, s / _SPEED_m_s, unit, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd
+        )
         total += f + by_friction + by_creepage / _SPEED_m_s
     return total
 
@@ -54,7 +55,9 @@ def _polach(slidings, params):
 def _degraded(slidings, params):
     total = 0.0
     for s in slidings:
-        f, _, _, _, _, slope = adhesion.recovering(s, _SPEED_m_s, 0.5 * _LOAD_N + s, params.patch, params.law)
+        f, _, _, _, _, slope = adhesion.recovering(
+            s, _SPEED_m_s, 0.5 * _LOAD_N + s, params.patch, params.law
+        )
         total += f + slope
     return total
 
@@ -64,7 +67,9 @@ def _wheelset(slidings, params):
     total = 0.0
     law = params.law
     for s in slidings:
-        total += wheelset.adhesion_under(s, _SPEED_m_s, _LOAD_N, law.mu_cd, law.mu_cr, params.patch, law)[0]
+        total += wheelset.adhesion_under(
+            s, _SPEED_m_s, _LOAD_N, law.mu_cd, law.mu_cr, params.patch, law
+        )[0]
     return total
 
 
@@ -73,8 +78,16 @@ def _both_directions(slidings, params):
     total, sideways = 0.0, _LATERAL
     for s in slidings:
         sideways = -sideways
-        fx, fy, mz = creep_force.creep_force(params.patch.model, s / _SPEED_m_s, sideways, _SPIN_1_m, s,
-                                             0.5 * _LOAD_N + s, params.patch, params.law)
+        fx, fy, mz = creep_force.creep_force(
+            params.patch.model,
+            s / _SPEED_m_s,
+            sideways,
+            _SPIN_1_m,
+            s,
+            0.5 * _LOAD_N + s,
+            params.patch,
+            params.law,
+        )
         total += fx + fy + mz
     return total
 
@@ -84,15 +97,27 @@ def _search(slidings, given):
     wheel, rail, roller_m, found, misfits = given
     total = 0
     for i in range(slidings.size):
-        total += geometry.detect(found, 0, 0, misfits, 0, (0.0, 0.004 * math.sin(i * 1e-3), 0.4447),
-                                 geometry.axis(0.0, 0.005), roller_m, wheel, rail)
+        total += geometry.detect(
+            found,
+            0,
+            0,
+            misfits,
+            0,
+            (0.0, 0.004 * math.sin(i * 1e-3), 0.4447),
+            geometry.axis(0.0, 0.005),
+            roller_m,
+            wheel,
+            rail,
+        )
     return float(total)
 
 
 @kernel
 def _follow(slidings, given):
     wheel, rail, roller_m, found, misfits = given
-    count = geometry.detect(found, 0, 0, misfits, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail)
+    count = geometry.detect(
+        found, 0, 0, misfits, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail
+    )
     for i in range(slidings.size):
         pose = 0.0, 0.004 * math.sin(i * 1e-3), 0.4447
         axle = geometry.axis(0.0, 0.005 * math.cos(i * 1e-3))
@@ -122,24 +147,62 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     # from micro-slip to a locked wheel, in an order that no branch predictor knows
     slidings = np.random.default_rng(given.seed).permutation(np.geomspace(1e-4, _SPEED_m_s, _CALLS))
     found = {contact.name: _timed(contact, slidings, params, say) for contact in CONTACTS}
-    spinning = {contact.name: _timed(contact, slidings, params._replace(patch=params.patch._replace(
-        model=creep_force.MODELS[contact.name], cells=10)), say) for contact in MODELS}
+    spinning = {
+        contact.name: _timed(
+            contact,
+            slidings,
+            params._replace(
+                patch=params.patch._replace(model=creep_force.MODELS[contact.name], cells=10)
+            ),
+            say,
+        )
+        for contact in MODELS
+    }
     wheel, rail = profiles.s1002(), profiles.uic60()
-    points = {f"{contact.name} on a {where}": _timed(contact, slidings, (
-        wheel, rail, roller_m, np.zeros((geometry.MOST, geometry.COLUMNS)), np.zeros((1, len(wheel.coarse)))), say)
-        for contact in POINTS for where, roller_m in (("rail", math.inf), ("roller", 1.0))}
+    points = {
+        f"{contact.name} on a {where}": _timed(
+            contact,
+            slidings,
+            (
+                wheel,
+                rail,
+                roller_m,
+                np.zeros((geometry.MOST, geometry.COLUMNS)),
+                np.zeros((1, len(wheel.coarse))),
+            ),
+            say,
+        )
+        for contact in POINTS
+        for where, roller_m in (("rail", math.inf), ("roller", 1.0))
+    }
     for group in (found, spinning, points):
         for one in group.values():
-            one["ratio"] = one["time_ns"] / (found if group is points else group)["polach"]["time_ns"]
-    along_ns, more_ns = (group["degraded"]["time_ns"] - group["polach"]["time_ns"] for group in (found, spinning))
+            one["ratio"] = (
+                one["time_ns"] / (found if group is points else group)["polach"]["time_ns"]
+            )
+    along_ns, more_ns = (
+        group["degraded"]["time_ns"] - group["polach"]["time_ns"] for group in (found, spinning)
+    )
     whole = table8.run(say)
     dearest = max(one["ratio"] for one in points.values())
-    return {"contacts": found, "with_spin": spinning, "points": points, "recovery_ns": more_ns, "table8": whole,
-            "targets": [target("degraded over Polach, along the rail, one contact", along_ns, RECOVERY_NS, "ns"),
-                        target("degraded over Polach, with spin, one contact", more_ns, RECOVERY_NS, "ns"),
-                        target("contact points of one wheel over one Polach curve", dearest, POINTS_OVER_POLACH),
-                        *whole["targets"]],
-            "notes": whole["notes"]}
+    return {
+        "contacts": found,
+        "with_spin": spinning,
+        "points": points,
+        "recovery_ns": more_ns,
+        "table8": whole,
+        "targets": [
+            target(
+                "degraded over Polach, along the rail, one contact", along_ns, RECOVERY_NS, "ns"
+            ),
+            target("degraded over Polach, with spin, one contact", more_ns, RECOVERY_NS, "ns"),
+            target(
+                "contact points of one wheel over one Polach curve", dearest, POINTS_OVER_POLACH
+            ),
+            *whole["targets"],
+        ],
+        "notes": whole["notes"],
+    }
 
 
 def _timed(contact: Contact, slidings: np.ndarray, params: Any, say: Say) -> Result:
@@ -157,10 +220,23 @@ def _timed(contact: Contact, slidings: np.ndarray, params: Any, say: Say) -> Res
 def table(result: Result) -> Group:
     """The cost of each law, and over Polach's; then Table 8."""
     heads = ("law", "ns", "over Polach", "what")
-    laws = (("one contact, along the rail", CONTACTS, "contacts"),
-            ("one contact, in two directions and with spin", MODELS, "with_spin"))
-    return Group(*(figures.table(title, heads, [(law.name, *result[key][law.name].values(), law.text) for law in group])
-                   for title, group, key in laws),
-                 figures.table("contact points of one wheel", ("what", "ns", "over Polach"),
-                               [(name, *one.values()) for name, one in result["points"].items()]),
-                 table8.table(result["table8"]))
+    laws = (
+        ("one contact, along the rail", CONTACTS, "contacts"),
+        ("one contact, in two directions and with spin", MODELS, "with_spin"),
+    )
+    return Group(
+        *(
+            figures.table(
+                title,
+                heads,
+                [(law.name, *result[key][law.name].values(), law.text) for law in group],
+            )
+            for title, group, key in laws
+        ),
+        figures.table(
+            "contact points of one wheel",
+            ("what", "ns", "over Polach"),
+            [(name, *one.values()) for name, one in result["points"].items()],
+        ),
+        table8.table(result["table8"]),
+    )

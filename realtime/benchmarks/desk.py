@@ -40,23 +40,41 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     watched: list[Result] = []
     with tempfile.TemporaryDirectory(prefix="rollerrig-desk-") as place:
         for at in range(rounds):
-            say(f"{seconds:g} s without a desk, {seconds:g} s with {BROWSERS} browsers ({at + 1} of {rounds}) ...")
+            say(
+                f"{seconds:g} s without a desk, {seconds:g} s with {BROWSERS} browsers ({at + 1} of {rounds}) ..."
+            )
             alone.append(harness.alone(Path(place) / f"alone-{at}", seconds))
             with _desk(Path(place)):
                 watched.append(harness.alone(Path(place) / f"watched-{at}", seconds))
     without, beside = harness.total(alone), harness.total(watched)
-    late = {name: beside["lateness_us"][name] / max(without["lateness_us"][name], 1.0) for name in ("p50", "p99")}
-    return {"without": without, "with": beside, "ratio": late,
-            "targets": [target("ticks missed in a thousand that a desk adds",
-                               beside["missed_per_mille"] - without["missed_per_mille"], 0.0)],
-            "notes": [f"lateness with over without: p50 {late['p50']:.2f}, p99 {late['p99']:.2f}",
-                      "where other programs want the cores, both miss ticks: compare the two columns"]}
+    late = {
+        name: beside["lateness_us"][name] / max(without["lateness_us"][name], 1.0)
+        for name in ("p50", "p99")
+    }
+    return {
+        "without": without,
+        "with": beside,
+        "ratio": late,
+        "targets": [
+            target(
+                "ticks missed in a thousand that a desk adds",
+                beside["missed_per_mille"] - without["missed_per_mille"],
+                0.0,
+            )
+        ],
+        "notes": [
+            f"lateness with over without: p50 {late['p50']:.2f}, p99 {late['p99']:.2f}",
+            "where other programs want the cores, both miss ticks: compare the two columns",
+        ],
+    }
 
 
 @contextlib.contextmanager
 def _desk(folder: Path) -> Iterator[None]:
     """A desk with its browsers, the last of which stands still."""
-    desk = _begun("rollerrig.realtime.cli", "desk", "--port", "0", "--folder", str(folder), "--json")
+    desk = _begun(
+        "rollerrig.realtime.cli", "desk", "--port", "0", "--folder", str(folder), "--json"
+    )
     browsers = []
     try:
         address = json.loads(_line(desk))["address"]
@@ -72,8 +90,13 @@ def _desk(folder: Path) -> Iterator[None]:
 
 
 def _begun(*words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(children.command(sys.executable, "-m", *words), text=True, stdin=subprocess.DEVNULL,
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        children.command(sys.executable, "-m", *words),
+        text=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
 
 
 def _line(process: subprocess.Popen[str]) -> str:
@@ -81,12 +104,16 @@ def _line(process: subprocess.Popen[str]) -> str:
     assert process.stdout
     if line := process.stdout.readline():
         return line
-    raise RollerrigError("the desk or a browser has ended: " + process.communicate()[1].strip()[-300:])
+    raise RollerrigError(
+        "the desk or a browser has ended: " + process.communicate()[1].strip()[-300:]
+    )
 
 
 def table(result: Result) -> Table:
     """Both side by side; a lateness is the worst of the rounds."""
-    return harness.side_by_side(result, "the loop beside a desk", f"with a desk, {BROWSERS} browsers")
+    return harness.side_by_side(
+        result, "the loop beside a desk", f"with a desk, {BROWSERS} browsers"
+    )
 
 
 async def browse(address: str) -> None:
@@ -99,9 +126,18 @@ async def browse(address: str) -> None:
         found = re.search(r"'client_id': '([0-9a-f-]+)'", text)
         assert found, text[:200]
         live = socketio.AsyncClient()
-        about = "&".join((f"client_id={found[1]}", "implicit_handshake=true", "tab_id=tab", "document_id=document",
-                          "next_message_id=0"))
-        await live.connect(f"{address}?{about}", socketio_path="/_nicegui_ws/socket.io", transports=["websocket"])
+        about = "&".join(
+            (
+                f"client_id={found[1]}",
+                "implicit_handshake=true",
+                "tab_id=tab",
+                "document_id=document",
+                "next_message_id=0",
+            )
+        )
+        await live.connect(
+            f"{address}?{about}", socketio_path="/_nicegui_ws/socket.io", transports=["websocket"]
+        )
         print("there", flush=True)
         bench, points = "", 0
         while True:

@@ -19,11 +19,18 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     """Rows (measure, right, of, share, its interval, wanted) for the tool that was asked for."""
     if given.sets < 0 or given.seed < 0:
         raise ConfigError(f"--sets {given.sets}, --seed {given.seed}: allowed are 0 and more")
-    folder = given.export or given.folder or Path("reports", f"bench_explain_{given.generator}_{given.seed}")
+    folder = (
+        given.export
+        or given.folder
+        or Path("reports", f"bench_explain_{given.generator}_{given.seed}")
+    )
     cases.export(folder, given.generator, given.sets, given.seed, say)
     if given.export:
-        return {"rows": [], "title": f"sets in {folder / cases.SETS}, key: {folder / cases.KEY}", "notes": [
-            f"judge answers with: rollerrig score {folder} ANSWERS"]}
+        return {
+            "rows": [],
+            "title": f"sets in {folder / cases.SETS}, key: {folder / cases.KEY}",
+            "notes": [f"judge answers with: rollerrig score {folder} ANSWERS"],
+        }
     found = judge(folder, answers.answer(folder, given.tool, say, given.alone))
     return found | {"notes": [*found["notes"], f"sets, key and answers: {folder}"]}
 
@@ -38,11 +45,21 @@ def judge(folder: Path, of: Path) -> Result:
         notes.append(f"{left} of {len(key['sets'])} sets have no answer")
     if seconds:
         notes.append(f"seconds a set: median {seconds['p50']:.0f}, longest {seconds['max']:.0f}")
-    title = f"{of.stem} on {len(found)} sets with known hidden effects, {key['generator']} generator"
-    return {"sets": len(found), "generator": key["generator"], "title": title, "rows": score.rows(found),
-            "seconds": seconds, "notes": notes}
+    title = (
+        f"{of.stem} on {len(found)} sets with known hidden effects, {key['generator']} generator"
+    )
+    return {
+        "sets": len(found),
+        "generator": key["generator"],
+        "title": title,
+        "rows": score.rows(found),
+        "seconds": seconds,
+        "notes": notes,
+    }
 
 
 def table(result: Result) -> Table:
     """The measures, with counts and 95 % intervals."""
-    return figures.table(result["title"], score.HEAD, [[row[key] for key in score.HEAD] for row in result["rows"]])
+    return figures.table(
+        result["title"], score.HEAD, [[row[key] for key in score.HEAD] for row in result["rows"]]
+    )

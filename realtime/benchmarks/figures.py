@@ -23,13 +23,21 @@ SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 QUANTILES = (*SHARES, "max")
 
 
-def target(name: str, value: float | None, limit: float, unit: str = "", spread: float = 0.0) -> Result:
+def target(
+    name: str, value: float | None, limit: float, unit: str = "", spread: float = 0.0
+) -> Result:
     """A requirement: a figure, the limit that it must not exceed, and whether it is known and within it.
 
     With a spread it is met only where the figure and the spread together are within the limit.
     """
-    return {"name": name, "value": value, "limit": limit, "unit": unit, **({"spread": spread} if spread else {}),
-            "met": value is not None and value + spread <= limit}
+    return {
+        "name": name,
+        "value": value,
+        "limit": limit,
+        "unit": unit,
+        **({"spread": spread} if spread else {}),
+        "met": value is not None and value + spread <= limit,
+    }
 
 
 def quantiles(values: Sequence[float] | np.ndarray) -> dict[str, float]:
@@ -61,8 +69,10 @@ def lines(result: Result) -> list[str]:
     found = []
     for one in result.get("targets", []):
         beside = f"+- {one['spread']:.2g} " if "spread" in one else ""
-        found.append(f"{'met    ' if one['met'] else 'NOT MET'} {one['name']}: {show(one['value'])} {beside}"
-                     f"{one['unit']} (at most {show(one['limit'])})")
+        found.append(
+            f"{'met    ' if one['met'] else 'NOT MET'} {one['name']}: {show(one['value'])} {beside}"
+            f"{one['unit']} (at most {show(one['limit'])})"
+        )
     return found + list(result.get("notes", []))
 
 
@@ -71,8 +81,18 @@ def put(path: Path, name: str, command: str, shown: Table | Group, lines: Sequen
 
     Raises ConfigError where it cannot be written.
     """
-    section = "\n".join([f"## {name}", "", machine(), "", f"    {command}", "", *_markdown(shown),
-                         *(f"- {line}" for line in lines)]).rstrip()
+    section = "\n".join(
+        [
+            f"## {name}",
+            "",
+            machine(),
+            "",
+            f"    {command}",
+            "",
+            *_markdown(shown),
+            *(f"- {line}" for line in lines),
+        ]
+    ).rstrip()
     with writing(path, "give another file"):
         text = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
         head, *sections = text.rstrip().split("\n## ")
@@ -82,17 +102,27 @@ def put(path: Path, name: str, command: str, shown: Table | Group, lines: Sequen
 
 def machine() -> str:
     """The machine and the moment in a sentence; no name of a host."""
-    model = next((line.partition(":")[2].strip() for line in
-                  Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-                  if line.startswith(("model name", "Model"))), platform.machine())
-    return (f"{datetime.now(UTC):%Y-%m-%d}, {len(os.sched_getaffinity(0))} cores of {model}, Linux "
-            f"{platform.release().partition('-')[0]}, Python {platform.python_version()}; load average "
-            f"{os.getloadavg()[0]:.1f} at the end.")
+    model = next(
+        (
+            line.partition(":")[2].strip()
+            for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+            if line.startswith(("model name", "Model"))
+        ),
+        platform.machine(),
+    )
+    return (
+        f"{datetime.now(UTC):%Y-%m-%d}, {len(os.sched_getaffinity(0))} cores of {model}, Linux "
+        f"{platform.release().partition('-')[0]}, Python {platform.python_version()}; load average "
+        f"{os.getloadavg()[0]:.1f} at the end."
+    )
 
 
 def _markdown(shown: Table | Group) -> Iterator[str]:
     tables: Any = shown.renderables if isinstance(shown, Group) else [shown]
     for one in tables:
-        rows = [[str(column.header) for column in one.columns], ["---"] * len(one.columns),
-                *zip(*(map(str, column.cells) for column in one.columns), strict=True)]
+        rows = [
+            [str(column.header) for column in one.columns],
+            ["---"] * len(one.columns),
+            *zip(*(map(str, column.cells) for column in one.columns), strict=True),
+        ]
         yield from (f"**{one.title}**", "", *(f"| {' | '.join(row)} |" for row in rows), "")

@@ -45,9 +45,12 @@ class Punctuality:
         self.missed += missed
 
     def plain(self) -> Result:
-        return {"samples": int(self.histogram.sum()), "missed": self.missed,
-                "interruptions": self.interruptions,
-                "lateness_us": loop.percentiles(self.histogram, self.worst_ns)}
+        return {
+            "samples": int(self.histogram.sum()),
+            "missed": self.missed,
+            "interruptions": self.interruptions,
+            "lateness_us": loop.percentiles(self.histogram, self.worst_ns),
+        }
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
@@ -63,7 +66,9 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     def compare() -> None:
         if other:
             say(f"cyclictest, {other_s:g} s ...")
-            theirs.add(*cyclictest(other, rates["priority"], 1_000_000 // rates["tick_hz"], other_s))
+            theirs.add(
+                *cyclictest(other, rates["priority"], 1_000_000 // rates["tick_hz"], other_s)
+            )
 
     refused: list[str] = []
     for at in range(slices):
@@ -75,23 +80,38 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             left_s -= ran_s
     compare()
     result = compared(ours, theirs if other else None)
-    return result | {"tick_hz": rates["tick_hz"], "priority": rates["priority"], "live": given.live,
-                     "loop": ours.plain(), "cyclictest": theirs.plain() if other else None, "refused": refused,
-                     "notes": result["notes"] + refused}
+    return result | {
+        "tick_hz": rates["tick_hz"],
+        "priority": rates["priority"],
+        "live": given.live,
+        "loop": ours.plain(),
+        "cyclictest": theirs.plain() if other else None,
+        "refused": refused,
+        "notes": result["notes"] + refused,
+    }
 
 
-def _stop(most_s: float, settings: tuple[str, ...], tick_hz: int, live: bool, ours: Punctuality
-          ) -> tuple[float, list[str]]:
+def _stop(
+    most_s: float, settings: tuple[str, ...], tick_hz: int, live: bool, ours: Punctuality
+) -> tuple[float, list[str]]:
     """Run the loop for a stop and add its punctuality; how long it took, and what of its priority was refused."""
-    with wall.held(most_s, settings=(*settings, f"loop.record_hz={tick_hz}"), live=live) as measured:
+    with wall.held(
+        most_s, settings=(*settings, f"loop.record_hz={tick_hz}"), live=live
+    ) as measured:
         run, control = records.load(measured.folder), measured.parts.data.control
-        woken_us = wakes(run.column("tick_lateness_us"), run.column("tick_duration_us"), 1e6 / tick_hz)
-        ours.add(np.bincount(np.minimum(woken_us.astype(np.int64), loop.BINS - 1), minlength=loop.BINS),
-                 int(control[WORST_NS]), int(control[MISSED]))
+        woken_us = wakes(
+            run.column("tick_lateness_us"), run.column("tick_duration_us"), 1e6 / tick_hz
+        )
+        ours.add(
+            np.bincount(np.minimum(woken_us.astype(np.int64), loop.BINS - 1), minlength=loop.BINS),
+            int(control[WORST_NS]),
+            int(control[MISSED]),
+        )
         for name, count in measured.parts.interruptions.items():
             ours.interruptions[name] += count
         return int(control[TICK]) / tick_hz, [
-            one["text"] for one in measured.parts.events if "was refused" in one["text"]]
+            one["text"] for one in measured.parts.events if "was refused" in one["text"]
+        ]
 
 
 def wakes(lateness_us: np.ndarray, duration_us: np.ndarray, interval_us: float) -> np.ndarray:
@@ -104,12 +124,28 @@ def wakes(lateness_us: np.ndarray, duration_us: np.ndarray, interval_us: float) 
     return lateness_us[slept]
 
 
-def cyclictest(program: str, priority: int, interval_us: int, seconds: float) -> tuple[np.ndarray, int, int]:
+def cyclictest(
+    program: str, priority: int, interval_us: int, seconds: float
+) -> tuple[np.ndarray, int, int]:
     """Run cyclictest: histogram in us, worst in ns, and the deadlines that it missed."""
     done = subprocess.run(
-        children.command(program, "-m", *(["-p", str(priority)] if priority else []), "-i", str(interval_us), "-q",
-                         "-h", str(loop.BINS), "-D", str(round(seconds))),
-        capture_output=True, text=True, timeout=seconds + 30.0, check=False)
+        children.command(
+            program,
+            "-m",
+            *(["-p", str(priority)] if priority else []),
+            "-i",
+            str(interval_us),
+            "-q",
+            "-h",
+            str(loop.BINS),
+            "-D",
+            str(round(seconds)),
+        ),
+        capture_output=True,
+        text=True,
+        timeout=seconds + 30.0,
+        check=False,
+    )
     return parse(done.stdout, interval_us)
 
 
@@ -126,9 +162,13 @@ def parse(text: str, interval_us: int) -> tuple[np.ndarray, int, int]:
 
 def compared(ours: Punctuality, theirs: Punctuality | None) -> Result:
     """Ratios of the quantiles, targets, and whether missed ticks are the machine's own."""
-    notes = ["by turns, in slices: at the same time they would hold each other up",
-             "the loop's thread: " + ", ".join(f"{name.replace('_', ' ')} {count}"
-                                               for name, count in ours.interruptions.items())]
+    notes = [
+        "by turns, in slices: at the same time they would hold each other up",
+        "the loop's thread: "
+        + ", ".join(
+            f"{name.replace('_', ' ')} {count}" for name, count in ours.interruptions.items()
+        ),
+    ]
     if theirs is None or not theirs.histogram.sum():
         why = "cyclictest is not here" if theirs is None else "cyclictest was refused its priority"
         return {"ratio": None, "targets": [], "notes": [f"{why}; {INSTALL}; our own figures only"]}
@@ -136,20 +176,38 @@ def compared(ours: Punctuality, theirs: Punctuality | None) -> Result:
     ratio = {name: mine[name] / max(his[name], 1.0) for name in mine}
     # as many as cyclictest would have missed in as many ticks, and what chance adds to so few stalls
     expected = WITHIN * theirs.missed * ours.histogram.sum() / theirs.histogram.sum()
-    return {"ratio": ratio, "notes": notes, "targets": [
-        *(target(f"lateness {name} over cyclictest's", ratio[name], WITHIN) for name in ("p99", "p999")),
-        target("missed ticks, by what cyclictest missed", float(ours.missed),
-               float(expected + 2.0 * np.sqrt(expected)) if expected else 0.0)]}
+    return {
+        "ratio": ratio,
+        "notes": notes,
+        "targets": [
+            *(
+                target(f"lateness {name} over cyclictest's", ratio[name], WITHIN)
+                for name in ("p99", "p999")
+            ),
+            target(
+                "missed ticks, by what cyclictest missed",
+                float(ours.missed),
+                float(expected + 2.0 * np.sqrt(expected)) if expected else 0.0,
+            ),
+        ],
+    }
 
 
 def table(result: Result) -> Table:
     """Both programs' lateness, and the ratios."""
+
     def row(name: str, one: dict[str, Any]) -> tuple[object, ...]:
-        return name, one.get("samples"), *map(one.get("lateness_us", {}).get, figures.QUANTILES), one.get("missed")
+        return (
+            name,
+            one.get("samples"),
+            *map(one.get("lateness_us", {}).get, figures.QUANTILES),
+            one.get("missed"),
+        )
 
     rows = [row(name, result[name] or {}) for name in ("loop", "cyclictest")]
     if result["ratio"]:
         rows.append(row("ratio", {"lateness_us": result["ratio"]}))
-    title = (f"lateness in us, {result['tick_hz']} Hz, SCHED_FIFO {result['priority']}"
-             + (", live view" if result["live"] else ""))
+    title = f"lateness in us, {result['tick_hz']} Hz, SCHED_FIFO {result['priority']}" + (
+        ", live view" if result["live"] else ""
+    )
     return figures.table(title, ("", "wakes", *figures.QUANTILES, "missed"), rows)

@@ -65,7 +65,9 @@ class Recorded(NamedTuple):
 def _modulate(state, speed_m_s, brake_Nm, target_Nm):
     """Release the brake of a wheelset that slides much, apply that of one that slides little."""
     for j in range(4):
-        sliding = speed_m_s + state.contacts[2 * j * wheel_rail_forces.MOST, 4] * state.v[22 + 6 * j]
+        sliding = (
+            speed_m_s + state.contacts[2 * j * wheel_rail_forces.MOST, 4] * state.v[22 + 6 * j]
+        )
         if sliding > _MOST_M_S:
             target_Nm[j] = 0.0
         elif sliding < _LEAST_M_S:
@@ -82,8 +84,20 @@ def _brake(state, steps, coach, law, brake_Nm, target_Nm, acts_Nm, rest, mu, q, 
                 q[i, c], v[i, c] = state.q[c], state.v[c]
         speed = motion.mean_speed(state.v, coach)
         _modulate(state, speed, brake_Nm, target_Nm)
-        motion.step(state, coach, STEP_S, rest, rest, 1.0, brake_Nm, acts_Nm,
-                    _RESISTANCE[0] + _RESISTANCE[1] * speed * speed, mu[0], mu[1], law)
+        motion.step(
+            state,
+            coach,
+            STEP_S,
+            rest,
+            rest,
+            1.0,
+            brake_Nm,
+            acts_Nm,
+            _RESISTANCE[0] + _RESISTANCE[1] * speed * speed,
+            mu[0],
+            mu[1],
+            law,
+        )
 
 
 @kernel
@@ -98,7 +112,9 @@ def _again(what, state, q, v, coach, law, brake_Nm, acts_Nm, rest, mu):
             motion.hang(state, coach, STEP_S, 1000.0)
             motion.respond(state, coach, STEP_S, rest, rest, 1.0, brake_Nm, acts_Nm, 1000.0)
         elif what == WHOLE:
-            motion.step(state, coach, STEP_S, rest, rest, 1.0, brake_Nm, acts_Nm, 1000.0, mu[0], mu[1], law)
+            motion.step(
+                state, coach, STEP_S, rest, rest, 1.0, brake_Nm, acts_Nm, 1000.0, mu[0], mu[1], law
+            )
 
 
 def recorded(coach: coaches.Coach, law: params.Law, most: int = 200) -> Recorded:
@@ -117,11 +133,24 @@ def recorded(coach: coaches.Coach, law: params.Law, most: int = 200) -> Recorded
     return Recorded(*map(np.array, zip(*pieces, strict=True)))
 
 
-def seconds(what: int, coach: coaches.Coach, law: params.Law, piece: int, given: Recorded, buffer: np.ndarray) -> float:
+def seconds(
+    what: int,
+    coach: coaches.Coach,
+    law: params.Law,
+    piece: int,
+    given: Recorded,
+    buffer: np.ndarray,
+) -> float:
     """Processor time in s of a recorded piece; `buffer` (SIZE,) is worked in and holds what came of it."""
     buffer[:] = given.memory[piece]
     state, mu = coach_state.views(buffer), np.array([[law.mu_cd] * 4, [law.mu_cr] * 4])
-    q, v, brake, acts, rest = given.q[piece], given.v[piece], np.full(4, _BRAKE_NM), np.zeros(4), np.zeros(4)
+    q, v, brake, acts, rest = (
+        given.q[piece],
+        given.v[piece],
+        np.full(4, _BRAKE_NM),
+        np.zeros(4),
+        np.zeros(4),
+    )
     begun_s = time.thread_time()
     _again(what, state, q, v, coach, law, brake, acts, rest, mu)
     return time.thread_time() - begun_s
@@ -129,14 +158,19 @@ def seconds(what: int, coach: coaches.Coach, law: params.Law, piece: int, given:
 
 def run(say: Say) -> Result:
     """Record a stop and time all four models on it."""
-    sections = params.check(scenario.load("velim_a1", settings=("rig=plain_track",)).resolved, "velim_a1")
+    sections = params.check(
+        scenario.load("velim_a1", settings=("rig=plain_track",)).resolved, "velim_a1"
+    )
     law = params.law_of(sections["adhesion"])
     ready = {row.model: coaches.build(sections, np.inf, MODELS[row.model], 10) for row in ROWS}
     say("recording a stop of the coach ...")
     given = recorded(ready["degraded"], law)
     # one coach serves what has no contacts
-    tasks: list[tuple[str, int]] = [("polach", NOTHING), ("polach", VEHICLE), *(
-        (row.model, what) for row in ROWS for what in (CONTACT, WHOLE))]
+    tasks: list[tuple[str, int]] = [
+        ("polach", NOTHING),
+        ("polach", VEHICLE),
+        *((row.model, what) for row in ROWS for what in (CONTACT, WHOLE)),
+    ]
     buffer, spent = np.zeros(coach_state.SIZE), np.zeros((_ROUNDS, len(tasks)))
     for model, what in tasks:
         seconds(what, ready[model], law, 0, given, buffer)
@@ -163,29 +197,60 @@ def judged(step_us: dict[tuple[str, int], np.ndarray], simulated_s: float) -> Re
     for row in ROWS:
         whole, contact = step_us[row.model, WHOLE], step_us[row.model, CONTACT]
         figure: dict[str, Any] = {
-            "vehicle_s": vehicle * per_stop, "contact_s": contact * per_stop, "whole_s": whole * per_stop,
-            "step_us": whole, "ratio": whole / polach, "real_time_factor": 1e6 * STEP_S / whole}
-        models[row.model] = {name: middle(values) for name, values in figure.items()} | {
-            f"{name}_spread": spread(values) for name, values in figure.items()} | {
-            "paper_vehicle_s": row.vehicle_s, "paper_contact_s": row.contact_s,
-            "paper_whole_s": row.vehicle_s + row.contact_s, "paper_ratio": (row.vehicle_s + row.contact_s) / 360.0}
+            "vehicle_s": vehicle * per_stop,
+            "contact_s": contact * per_stop,
+            "whole_s": whole * per_stop,
+            "step_us": whole,
+            "ratio": whole / polach,
+            "real_time_factor": 1e6 * STEP_S / whole,
+        }
+        models[row.model] = (
+            {name: middle(values) for name, values in figure.items()}
+            | {f"{name}_spread": spread(values) for name, values in figure.items()}
+            | {
+                "paper_vehicle_s": row.vehicle_s,
+                "paper_contact_s": row.contact_s,
+                "paper_whole_s": row.vehicle_s + row.contact_s,
+                "paper_ratio": (row.vehicle_s + row.contact_s) / 360.0,
+            }
+        )
     percent = 100.0 * (degraded - polach) / polach
     more_us = (step_us["degraded", CONTACT] - step_us["polach", CONTACT]) / 8.0
     of_contact = 100.0 * 8.0 * more_us / step_us["polach", CONTACT]
     each_us = step_us["polach", CONTACT] / 8.0
     return {
-        "simulated_s": simulated_s, "rounds": len(vehicle), "models": models,
-        "recovery_percent_of_whole": middle(percent), "recovery_percent_of_whole_spread": spread(percent),
-        "recovery_us_a_contact": middle(more_us), "recovery_us_a_contact_spread": spread(more_us),
-        "targets": [target("degraded over Polach, of the whole", middle(percent), WHOLE_PERCENT, "%", spread(percent)),
-                    target("real time over the whole with degraded adhesion", middle(degraded) * 1e-6 / STEP_S,
-                           1.0 / REAL_TIME, "", spread(degraded) * 1e-6 / STEP_S)],
-        "notes": [f"recovery costs {middle(more_us):.3f} +- {spread(more_us):.3f} us a contact in the coach, "
-                  f"{middle(of_contact):.1f} +- {spread(of_contact):.1f} % of the contact with Polach and "
-                  f"{middle(percent):.1f} +- {spread(percent):.1f} % of the whole; the paper's: 1.6 % and 0.6 % of a "
-                  "whole that ran about ten times slower than real time",
-                  f"a contact with Polach, contact points included, takes {middle(each_us):.2f} +- "
-                  f"{spread(each_us):.2f} us"]}
+        "simulated_s": simulated_s,
+        "rounds": len(vehicle),
+        "models": models,
+        "recovery_percent_of_whole": middle(percent),
+        "recovery_percent_of_whole_spread": spread(percent),
+        "recovery_us_a_contact": middle(more_us),
+        "recovery_us_a_contact_spread": spread(more_us),
+        "targets": [
+            target(
+                "degraded over Polach, of the whole",
+                middle(percent),
+                WHOLE_PERCENT,
+                "%",
+                spread(percent),
+            ),
+            target(
+                "real time over the whole with degraded adhesion",
+                middle(degraded) * 1e-6 / STEP_S,
+                1.0 / REAL_TIME,
+                "",
+                spread(degraded) * 1e-6 / STEP_S,
+            ),
+        ],
+        "notes": [
+            f"recovery costs {middle(more_us):.3f} +- {spread(more_us):.3f} us a contact in the coach, "
+            f"{middle(of_contact):.1f} +- {spread(of_contact):.1f} % of the contact with Polach and "
+            f"{middle(percent):.1f} +- {spread(percent):.1f} % of the whole; the paper's: 1.6 % and 0.6 % of a "
+            "whole that ran about ten times slower than real time",
+            f"a contact with Polach, contact points included, takes {middle(each_us):.2f} +- "
+            f"{spread(each_us):.2f} us",
+        ],
+    }
 
 
 def middle(rounds: np.ndarray) -> float:
@@ -200,14 +265,22 @@ def spread(rounds: np.ndarray) -> float:
 
 
 QUANTITIES = {
-    "vehicle, s": "vehicle_s", "contact, s": "contact_s", "whole, s": "whole_s", "whole over Polach's": "ratio",
-    "times real time": "real_time_factor", "one step, us": "step_us", "paper: vehicle, s": "paper_vehicle_s",
-    "paper: contact, s": "paper_contact_s", "paper: whole, s": "paper_whole_s",
-    "paper: whole over Polach's": "paper_ratio"}
+    "vehicle, s": "vehicle_s",
+    "contact, s": "contact_s",
+    "whole, s": "whole_s",
+    "whole over Polach's": "ratio",
+    "times real time": "real_time_factor",
+    "one step, us": "step_us",
+    "paper: vehicle, s": "paper_vehicle_s",
+    "paper: contact, s": "paper_contact_s",
+    "paper: whole, s": "paper_whole_s",
+    "paper: whole over Polach's": "paper_ratio",
+}
 
 
 def table(result: Result) -> Table:
     """Ours with their spread, and the paper's below, on one stop from the same speed."""
+
     def cell(one: Result, key: str) -> str:
         beside = f" +- {one[f'{key}_spread']:.2g}" if f"{key}_spread" in one else ""
         return f"{one[key]:.3g}{beside}"
@@ -215,4 +288,8 @@ def table(result: Result) -> Table:
     return figures.table(
         f"Table 8: a stop of {result['simulated_s']:g} s, every model on its states, the coach in 3D on one core",
         ("", *(row.name for row in ROWS)),
-        [(text, *(cell(result["models"][row.model], key) for row in ROWS)) for text, key in QUANTITIES.items()])
+        [
+            (text, *(cell(result["models"][row.model], key) for row in ROWS))
+            for text, key in QUANTITIES.items()
+        ],
+    )

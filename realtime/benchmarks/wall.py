@@ -37,15 +37,28 @@ class Measured(NamedTuple):
 
 
 @contextlib.contextmanager
-def held(seconds: float, unit: str = "reference", settings: tuple[str, ...] = (), live: bool = False,
-         beside: Beside | None = None) -> Iterator[Measured]:
+def held(
+    seconds: float,
+    unit: str = "reference",
+    settings: tuple[str, ...] = (),
+    live: bool = False,
+    beside: Beside | None = None,
+) -> Iterator[Measured]:
     """Run the scenario for some seconds on a hub with a free port; the record lives in the block.
 
     `beside(parts)` runs once the bus is open. Raises RollerrigError as a run does, and
     KeyboardInterrupt where the user broke it off.
     """
-    plan = scenario.load(SCENARIO, settings=(f"duration_max_s={seconds:g}", "bus.interface=hub",
-                                             "bus.socketcand_port=0", "modbus.port=0", *settings))
+    plan = scenario.load(
+        SCENARIO,
+        settings=(
+            f"duration_max_s={seconds:g}",
+            "bus.interface=hub",
+            "bus.socketcand_port=0",
+            "modbus.port=0",
+            *settings,
+        ),
+    )
     with tempfile.TemporaryDirectory(prefix="rollerrig-bench-") as name:
         folder = Path(name) / "run"
         run = Bench(plan, Options("wall", unit, folder, live), lambda progress: None)
@@ -61,15 +74,22 @@ async def client(*arguments: object) -> Any:
     Raises RollerrigError with its last words when it fails.
     """
     process = await asyncio.create_subprocess_exec(
-        *children.command(sys.executable, "-m", "rollerrig.realtime.benchmarks.client", *map(str, arguments)),
-        stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE)
+        *children.command(
+            sys.executable, "-m", "rollerrig.realtime.benchmarks.client", *map(str, arguments)
+        ),
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
     try:
         out, error = await process.communicate()
     finally:
         if process.returncode is None:
             process.kill()
     if process.returncode:
-        raise RollerrigError("the benchmark's client has ended: " + error.decode(errors="replace").strip()[-300:])
+        raise RollerrigError(
+            "the benchmark's client has ended: " + error.decode(errors="replace").strip()[-300:]
+        )
     return json.loads(out)
 
 
@@ -81,8 +101,10 @@ async def _run(run: Bench, beside: Beside | None) -> list[Any]:
     try:
         return [await run.run(), *await asyncio.wait_for(asyncio.gather(*tasks), 10.0)]
     except TimeoutError:
-        raise RollerrigError("what was measured beside the run has not ended with it; the machine may be overloaded: "
-                             "try again when it is less busy") from None
+        raise RollerrigError(
+            "what was measured beside the run has not ended with it; the machine may be overloaded: "
+            "try again when it is less busy"
+        ) from None
     finally:
         for task in tasks:
             task.cancel()

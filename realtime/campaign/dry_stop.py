@@ -29,9 +29,15 @@ def distance_m(resolved: Mapping[str, Any], demands: tuple[tuple[float, float], 
         return float("nan")
     given = {key: value for key, value in resolved.items() if key not in ("friction", "fault")}
     # dry.toml leaves out what the defaults say already, and those are the paper's law
-    dry = given | {"adhesion": dict(store.load("adhesion", "dry")[0]["adhesion"]), "adhesion_set": "dry",
-                   "demand": [{"from_s": time_s, "pressure_Pa": pressure_Pa} for time_s, pressure_Pa in demands],
-                   "stand_s": 0.0, "duration_max_s": 3600.0}
+    dry = given | {
+        "adhesion": dict(store.load("adhesion", "dry")[0]["adhesion"]),
+        "adhesion_set": "dry",
+        "demand": [
+            {"from_s": time_s, "pressure_Pa": pressure_Pa} for time_s, pressure_Pa in demands
+        ],
+        "stand_s": 0.0,
+        "duration_max_s": 3600.0,
+    }
     text = tomli_w.dumps(dry)
     if text not in _known:
         plan = scenario.read(dry, Path("dry.toml"))
@@ -42,5 +48,7 @@ def distance_m(resolved: Mapping[str, Any], demands: tuple[tuple[float, float], 
         from_m = float(data.state.position[0])
         while not data.control[DONE]:
             stop.advance()
-        _known[text] = float(data.state.position[0]) - from_m if data.state.standing[0] else float("nan")
+        _known[text] = (
+            float(data.state.position[0]) - from_m if data.state.standing[0] else float("nan")
+        )
     return _known[text]

@@ -29,8 +29,9 @@ _TICKS = 1 << 20
 see_unit = seeing(logic.State, logic.PLACES)
 
 
-def together(jobs: Iterable[tuple[Any, Scenario]],
-             unit: free.Unit = "reference") -> Iterator[tuple[Any, Scenario, dict[str, np.ndarray]]]:
+def together(
+    jobs: Iterable[tuple[Any, Scenario]], unit: free.Unit = "reference"
+) -> Iterator[tuple[Any, Scenario, dict[str, np.ndarray]]]:
     """Run many scenarios, four at a time where they allow it: (tag, scenario, channels) as they end.
 
     A result does not depend on which stops ran beside it; against `free.simulate` it differs by rounding.
@@ -44,13 +45,20 @@ def together(jobs: Iterable[tuple[Any, Scenario]],
     for group in groups.values():
         # without a unit one that is never asked takes its place
         own = "reference" if unit == "none" else unit
-        for tag, stop, memory in _run(((tag, *free.remembered(plan, own)) for tag, plan in group), unit != "none"):
+        for tag, stop, memory in _run(
+            ((tag, *free.remembered(plan, own)) for tag, plan in group), unit != "none"
+        ):
             yield tag, stop.plan, free.channels(memory.written)
 
 
 def fits(plan: Scenario) -> bool:
     """Whether a scenario may run beside others: one planar plant, no faults."""
-    return (plan.rollers is None and not plan.faults and not plan["bus"]["arbitration"] and layout.fits(plan.params))
+    return (
+        plan.rollers is None
+        and not plan.faults
+        and not plan["bus"]["arbitration"]
+        and layout.fits(plan.params)
+    )
 
 
 def _run(stops: Iterable[Placed], with_unit: bool) -> Iterator[Placed]:
@@ -68,7 +76,9 @@ def _run(stops: Iterable[Placed], with_unit: bool) -> Iterator[Placed]:
     while runs.any():
         # ticks between two cycles of a unit, 0 where it is not asked
         syncs = np.array([stop.plan.sync_ticks * with_unit for _, stop, _ in row], dtype=np.int64)
-        units = tuple((logic.buffer_of(stop.own), stop.own.params) for _, stop, _ in row if stop.own)
+        units = tuple(
+            (logic.buffer_of(stop.own), stop.own.params) for _, stop, _ in row if stop.own
+        )
         run_ticks(tuple(stop.data for _, stop, _ in row), units, syncs, runs, lanes, inputs, _TICKS)
         for rig in range(RIGS):
             if runs[rig] and row[rig][1].data.control[DONE]:
@@ -113,7 +123,9 @@ def before(m, unit, sync_ticks, runs, lanes, rig, inputs):
         tick.ask_unit(m, inputs)
         tick.hear_unit(m, logic.Unit(see_unit(unit[0]), unit[1]), inputs)
     tick.begin(m, now)
-    target_Pa = plant.prepare(m.state, m.delay, m.command[:tick.AXLES], m.command[tick.DEMAND], now, m.params)
+    target_Pa = plant.prepare(
+        m.state, m.delay, m.command[: tick.AXLES], m.command[tick.DEMAND], now, m.params
+    )
     layout.scatter(lanes, rig, m.state, target_Pa)
 
 

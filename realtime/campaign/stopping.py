@@ -26,7 +26,9 @@ def counted(table: pa.Table) -> tuple[np.ndarray, np.ndarray]:
     """Which runs count, bool (rows,), and the distances of these in m, inf for those that did not stop."""
     distance_m = table["stop_distance_m"].to_numpy().astype(float)
     reasons = zip(table["error"].to_pylist(), table["invalid_because"].to_pylist(), strict=True)
-    rolls = np.array([not error and (why or "").startswith(_NOT_STOPPED) for error, why in reasons], dtype=bool)
+    rolls = np.array(
+        [not error and (why or "").startswith(_NOT_STOPPED) for error, why in reasons], dtype=bool
+    )
     distance_m[rolls] = np.inf
     return ~np.isnan(distance_m), distance_m[~np.isnan(distance_m)]
 
@@ -44,11 +46,22 @@ def bounds(table: pa.Table) -> list[dict[str, Any]]:
     found = []
     for quantile in QUANTILES if sorted_m.size else ():
         at = rank(sorted_m.size, quantile)
-        values = sorted_m[math.ceil(quantile * sorted_m.size) - 1], sorted_m[at - 1] if at else math.inf
+        values = (
+            sorted_m[math.ceil(quantile * sorted_m.size) - 1],
+            sorted_m[at - 1] if at else math.inf,
+        )
         needs = math.ceil(math.log(1.0 - CONFIDENCE) / math.log(quantile))
-        found.append({"quantile": quantile, "rank": at, "needs": needs,
-                      **{name: float(value) if math.isfinite(value) else None
-                         for name, value in zip(("estimate_m", "bound_m"), values, strict=True)}})
+        found.append(
+            {
+                "quantile": quantile,
+                "rank": at,
+                "needs": needs,
+                **{
+                    name: float(value) if math.isfinite(value) else None
+                    for name, value in zip(("estimate_m", "bound_m"), values, strict=True)
+                },
+            }
+        )
     return found
 
 
@@ -60,9 +73,19 @@ def drivers(plan: campaign.Plan, table: pa.Table) -> list[tuple[str, float, floa
     found = []
     for key in plan.axes:
         values = table[key].to_numpy()[counts]
-        if not np.issubdtype(values.dtype, np.number) or tail.all() or np.ptp(values) == 0.0 or np.ptp(order) == 0.0:
+        if (
+            not np.issubdtype(values.dtype, np.number)
+            or tail.all()
+            or np.ptp(values) == 0.0
+            or np.ptp(order) == 0.0
+        ):
             continue
         ranks = stats.rankdata(values)
-        found.append((key, float(np.corrcoef(ranks, order)[0, 1]),
-                      float(2.0 * (ranks[tail].mean() - ranks[~tail].mean()) / ranks.size)))
+        found.append(
+            (
+                key,
+                float(np.corrcoef(ranks, order)[0, 1]),
+                float(2.0 * (ranks[tail].mean() - ranks[~tail].mean()) / ranks.size),
+            )
+        )
     return sorted(found, key=lambda row: -abs(row[1]))

@@ -72,7 +72,9 @@ class Desk:
     def find(self) -> None:
         """Turn to the newest bench that lives, where there is another than before."""
         mine = [one.pid for one in self.programs if one.words[0] == "run" and one.status is None]
-        if found := reader.find(self.bench.key if self.bench else "", mine if mine or self.own else None):
+        if found := reader.find(
+            self.bench.key if self.bench else "", mine if mine or self.own else None
+        ):
             if self.doors:
                 self.doors.close()
             self.bench, self.doors = found, Doors(found)
@@ -80,19 +82,28 @@ class Desk:
     def look(self) -> None:
         """Take in what bench and programs tell."""
         if self.bench:
-            killed = not self.alarms or not any(one.bench == self.bench.key and "killed" in one.text
-                                                for one in self.alarms)
+            killed = not self.alarms or not any(
+                one.bench == self.bench.key and "killed" in one.text for one in self.alarms
+            )
             for event in self.bench.poll():
                 if event.level != "info":
-                    self.alarms.appendleft(Alarm(event.time_s, event.level, event.text, self.bench.key))
+                    self.alarms.appendleft(
+                        Alarm(event.time_s, event.level, event.text, self.bench.key)
+                    )
             if self.bench.ended == "killed" and killed:
-                self.alarm("error", f"the bench was killed (process {self.bench.pid}): its recorder keeps what there "
-                           "was", self.bench.key)
+                self.alarm(
+                    "error",
+                    f"the bench was killed (process {self.bench.pid}): its recorder keeps what there "
+                    "was",
+                    self.bench.key,
+                )
         for program in self.programs:
             if program.status is not None and not program.told:
                 program.told = True
                 if program.error:
-                    self.alarm("error", f"{program.title}: status {program.status}: {program.error}")
+                    self.alarm(
+                        "error", f"{program.title}: status {program.status}: {program.error}"
+                    )
 
     def alarm(self, level: str, text: str, bench: str = "") -> None:
         """An alarm of the desk's own."""
@@ -108,10 +119,16 @@ class Desk:
         """Whether a bench lives."""
         return bool(self.bench and not self.bench.ended)
 
-    async def prepare(self, scenario: str, unit: str, settings: Mapping[str, str], more: str = "") -> None:
+    async def prepare(
+        self, scenario: str, unit: str, settings: Mapping[str, str], more: str = ""
+    ) -> None:
         """Start a bench that is held, or give a held one another scenario. Raises RollerrigError."""
-        if self.running() or any(one.words[0] == "run" and one.status is None for one in self.programs):
-            raise ConfigError("a bench runs already on this machine: stop it first, or wait until it has ended")
+        if self.running() or any(
+            one.words[0] == "run" and one.status is None for one in self.programs
+        ):
+            raise ConfigError(
+                "a bench runs already on this machine: stop it first, or wait until it has ended"
+            )
         words = ["run", scenario, "--start", "modbus", "--pacing", "wall", "--wsp", unit]
         given = [f"{key}={value}" for key, value in settings.items() if value] + shlex.split(more)
         self.start([*words, *(word for setting in given for word in ("--set", setting))])
@@ -131,7 +148,9 @@ class Desk:
     def free_door(self) -> Doors:
         """As `door`, of a bench that no sequence plays on. Raises BusError."""
         if self.door().bench.harness:
-            raise BusError("a harness has joined this bench: what it tests would no longer be what its sequence says")
+            raise BusError(
+                "a harness has joined this bench: what it tests would no longer be what its sequence says"
+            )
         return self.door()
 
     async def acknowledge(self, alarm: Alarm) -> None:
@@ -142,7 +161,9 @@ class Desk:
             try:
                 await self.door().ask(lambda harness: harness.note(text))
             except RollerrigError as error:
-                self.alarm("warning", f"acknowledged here, but not in the events of the run: {error}")
+                self.alarm(
+                    "warning", f"acknowledged here, but not in the events of the run: {error}"
+                )
 
     def rerun(self, run: Path) -> str:
         """Open a run in Rerun's viewer for browsers; its address. Raises ConfigError."""
@@ -150,7 +171,9 @@ class Desk:
         if self._viewer:
             viewer.end(self._viewer)
         port, web = viewer.free_port(), viewer.free_port()
-        self._viewer = viewer.spawn("--serve-web", "--port", str(port), "--web-viewer-port", str(web), str(file))
+        self._viewer = viewer.spawn(
+            "--serve-web", "--port", str(port), "--web-viewer-port", str(web), str(file)
+        )
         return viewer.page(web, port)
 
     def close(self) -> None:

@@ -21,9 +21,13 @@ from rollerrig.wsp_interface import harness_client, signals
 _ROWS = {row.name: row for row in (*BITS, *WORDS)}
 _LAST_WORD = 404
 _WORDS_S = 1.0  # how long the event with a refusal's reason may be on its way
-_WHY = {1: "it cannot be done", 2: "there is no such register, or it cannot be written", 3: "the value is not allowed",
-        6: "not in this state of the rig (speed and scenario: only while it is held; start: not while the emergency "
-           "stop is set)"}
+_WHY = {
+    1: "it cannot be done",
+    2: "there is no such register, or it cannot be written",
+    3: "the value is not allowed",
+    6: "not in this state of the rig (speed and scenario: only while it is held; start: not while the emergency "
+    "stop is set)",
+}
 
 
 def _blocks(rows: tuple[Register, ...]) -> list[list[Register]]:
@@ -61,9 +65,15 @@ class Doors:
         host, port = self.bench.modbus
         if self.bench.ended or not port or self.bench.over_tls:
             self.values = {}
-            self.why = ("the bench has ended" if self.bench.ended else "it speaks TLS, and the desk has no certificate"
-                        if self.bench.over_tls else "the bench has not opened it yet" if not self.bench.points else
-                        "this run has none (only wall pacing has)")
+            self.why = (
+                "the bench has ended"
+                if self.bench.ended
+                else "it speaks TLS, and the desk has no certificate"
+                if self.bench.over_tls
+                else "the bench has not opened it yet"
+                if not self.bench.points
+                else "this run has none (only wall pacing has)"
+            )
             return
         try:
             client = await self._connected(host, port)
@@ -83,19 +93,28 @@ class Doors:
         before = len(self.bench.events)
         try:
             client = await self._connected(*self.bench.modbus)
-            answer: Any = (await client.write_coil(row.at, bool(raw), device_id=PLC_UNIT) if row.kind == BIT
-                           else await client.write_register(row.at, raw & 0xFFFF, device_id=PLC_UNIT))
+            answer: Any = (
+                await client.write_coil(row.at, bool(raw), device_id=PLC_UNIT)
+                if row.kind == BIT
+                else await client.write_register(row.at, raw & 0xFFFF, device_id=PLC_UNIT)
+            )
         except (ModbusException, OSError) as error:
-            raise BusError(f"{name} = {value:g}: the bench does not answer over Modbus: {error}") from None
+            raise BusError(
+                f"{name} = {value:g}: the bench does not answer over Modbus: {error}"
+            ) from None
         if answer.isError():
             code = answer.exception_code
             words = await self._words("refused", before)
-            raise BusError(f"the bench refuses {name} = {value:g} (exception {code:02X}): "
-                           f"{words or _WHY.get(code, 'it says no more')}")
+            raise BusError(
+                f"the bench refuses {name} = {value:g} (exception {code:02X}): "
+                f"{words or _WHY.get(code, 'it says no more')}"
+            )
 
     async def _connected(self, host: str, port: int) -> AsyncModbusTcpClient:
         if self._client is None:
-            self._client = AsyncModbusTcpClient(host, port=port, timeout=3.0, retries=0, reconnect_delay=0.0)
+            self._client = AsyncModbusTcpClient(
+                host, port=port, timeout=3.0, retries=0, reconnect_delay=0.0
+            )
         if not self._client.connected and not await self._client.connect():
             raise OSError("no connection")
         return self._client
@@ -110,8 +129,14 @@ class Doors:
     async def ask(self, what: Callable[[harness_client.Harness], None]) -> None:
         """Call a harness that has not joined: inject, lift, friction, brake, note. Raises BusError."""
         if self.bench.ended or not self.bench.bus:
-            raise BusError("there is no bus to ask on: " + ("the bench has ended" if self.bench.ended else
-                                                            "free pacing has none, and another has not opened it yet"))
+            raise BusError(
+                "there is no bus to ask on: "
+                + (
+                    "the bench has ended"
+                    if self.bench.ended
+                    else "free pacing has none, and another has not opened it yet"
+                )
+            )
         before = len(self.bench.events)
         try:
             await asyncio.to_thread(self._ask, what)
@@ -144,8 +169,9 @@ class Doors:
 
 async def _read(client: AsyncModbusTcpClient, rows: list[Register]) -> dict[str, float]:
     first, count = rows[0].at, rows[-1].at + rows[-1].width - rows[0].at
-    answer: Any = await (client.read_coils if rows[0].kind == BIT else client.read_holding_registers)(
-        first, count=count, device_id=PLC_UNIT)
+    answer: Any = await (
+        client.read_coils if rows[0].kind == BIT else client.read_holding_registers
+    )(first, count=count, device_id=PLC_UNIT)
     if answer.isError():
         raise ModbusException(str(answer))
     raw: list[int] = answer.bits if rows[0].kind == BIT else answer.registers

@@ -22,8 +22,11 @@ FORMATS = {"csv": "CSV", "mdf4": "MDF4", "mat": "MAT", "svg": "Picture"}
 
 def rows(folder: Path) -> list[dict[str, Any]]:
     """A row for each run, the newest first: name, time, scenario, unit, verdict, figures by name, note."""
-    found = {mark.parent for depth in range(1, _DEPTH + 1)
-             for mark in folder.glob("/".join(["*"] * depth + [run_folder.SCENARIO]))}
+    found = {
+        mark.parent
+        for depth in range(1, _DEPTH + 1)
+        for mark in folder.glob("/".join(["*"] * depth + [run_folder.SCENARIO]))
+    }
     newest = sorted(found, key=_changed, reverse=True)[:_MOST]
     return [_row(folder, one) for one in newest]
 
@@ -43,10 +46,18 @@ def _row(folder: Path, run: Path) -> dict[str, Any]:
     except ConfigError as error:
         return row | {"verdict": f"damaged: {error}"}
     because = validity.because(summary)
-    return row | {
-        "scenario": summary.get("scenario"), "unit": summary.get("wsp", {}).get("unit"),
-        "verdict": "; ".join(because) if because else "valid"} | {
-        one.name: None if (value := one.shown(summary)) is None else float(f"{value:.4g}") for one in figures.FIGURES}
+    return (
+        row
+        | {
+            "scenario": summary.get("scenario"),
+            "unit": summary.get("wsp", {}).get("unit"),
+            "verdict": "; ".join(because) if because else "valid",
+        }
+        | {
+            one.name: None if (value := one.shown(summary)) is None else float(f"{value:.4g}")
+            for one in figures.FIGURES
+        }
+    )
 
 
 def note(run: Path) -> str:
@@ -63,10 +74,15 @@ def write_note(run: Path, text: str) -> None:
         new.write_text(text.strip() + "\n", encoding="utf-8")
 
 
-def compared(first: Path, second: Path) -> tuple[list[tuple[str, str, float | None, float | None]], list[Any]]:
+def compared(
+    first: Path, second: Path
+) -> tuple[list[tuple[str, str, float | None, float | None]], list[Any]]:
     """Figures of two runs side by side (title, unit, values), and their most different channels. Raises ConfigError."""
     runs = [records.load(first), records.load(second)]
-    beside = [(one.title, one.unit, one.shown(runs[0].summary), one.shown(runs[1].summary)) for one in figures.FIGURES]
+    beside = [
+        (one.title, one.unit, one.shown(runs[0].summary), one.shown(runs[1].summary))
+        for one in figures.FIGURES
+    ]
     return beside, compare.differences(runs, {})
 
 
@@ -75,7 +91,10 @@ def channel(run: Path, name: str, factor: float, points: int = 600) -> list[tupl
     loaded = records.load(run)
     time_s, values = loaded.column("time_s"), factor * loaded.column(name)
     step = max(1, len(time_s) // points)
-    return [(round(float(t), 3), round(float(v), 4)) for t, v in zip(time_s[::step], values[::step], strict=True)]
+    return [
+        (round(float(t), 3), round(float(v), 4))
+        for t, v in zip(time_s[::step], values[::step], strict=True)
+    ]
 
 
 def export(run: Path, kind: str) -> tuple[str, bytes]:
@@ -83,11 +102,28 @@ def export(run: Path, kind: str) -> tuple[str, bytes]:
     with tempfile.TemporaryDirectory(prefix="rollerrig-desk-") as place:
         out = Path(place) / f"{run.name}{formats.SUFFIX[kind]}"
         done = subprocess.run(
-            children.command(sys.executable, "-m", "rollerrig.realtime.cli", "export", str(run), "--format", kind,
-                             "--out", str(out), "--json"), capture_output=True, text=True, stdin=subprocess.DEVNULL)
+            children.command(
+                sys.executable,
+                "-m",
+                "rollerrig.realtime.cli",
+                "export",
+                str(run),
+                "--format",
+                kind,
+                "--out",
+                str(out),
+                "--json",
+            ),
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+        )
         files = sorted(Path(place).iterdir())
         if done.returncode or not files:
-            raise ConfigError(done.stderr.strip().rpartition("\n")[2] or f"{run}: the export failed without a word")
+            raise ConfigError(
+                done.stderr.strip().rpartition("\n")[2]
+                or f"{run}: the export failed without a word"
+            )
         if len(files) == 1:
             return files[0].name, files[0].read_bytes()
         packed = Path(place) / f"{run.name}.zip"

@@ -34,20 +34,32 @@ def line(bench: Bench | None, doors: Doors | None, folder: Path) -> list[Light]:
     if bench is None or doors is None:
         return [*(Light(name, GREY, "no bench runs here") for name in NAMES[:-1]), _disk(folder)]
     if bench.ended:
-        why = ("the run has ended" if bench.ended == "closed" else
-               f"the bench (process {bench.pid}) was killed; its recorder keeps what there was")
+        why = (
+            "the run has ended"
+            if bench.ended == "closed"
+            else f"the bench (process {bench.pid}) was killed; its recorder keeps what there was"
+        )
         colour = GREY if bench.ended == "closed" else RED
         return [*(Light(name, colour, why) for name in NAMES[:-1]), _disk(folder)]
     known = doors.values
-    return [_loop(bench, doors), _bus(bench, known), _unit(bench, known), _nodes("drives", DRIVE_NODES, known, doors),
-            _nodes("brake I/O", (SPEED_NODE, BRAKE_NODE), known, doors), _modbus(bench, doors), _recorder(bench),
-            _disk(folder)]
+    return [
+        _loop(bench, doors),
+        _bus(bench, known),
+        _unit(bench, known),
+        _nodes("drives", DRIVE_NODES, known, doors),
+        _nodes("brake I/O", (SPEED_NODE, BRAKE_NODE), known, doors),
+        _modbus(bench, doors),
+        _recorder(bench),
+        _disk(folder),
+    ]
 
 
 def _loop(bench: Bench, doors: Doors) -> Light:
     if doors.state in (State.HELD, State.STARTING) or not bench.points:
         held = doors.state is State.HELD
-        return Light("loop", GREEN if held else GREY, "held, and rolls" if held else "the run has not begun")
+        return Light(
+            "loop", GREEN if held else GREY, "held, and rolls" if held else "the run has not begun"
+        )
     silent_s = time.monotonic() - bench.heard_s
     if silent_s > _SILENT_S:
         return Light("loop", RED, f"no sample for {silent_s:.0f} s")
@@ -55,8 +67,12 @@ def _loop(bench: Bench, doors: Doors) -> Light:
     missed = float(np.ptp(minute[:, _MISSED]))
     worst = float(minute[-100:, _LATENESS].max())
     if missed > 0.0:
-        return Light("loop", YELLOW, f"{missed:.0f} ticks missed in the last minute, latest {worst:.0f} us")
-    return Light("loop", YELLOW if worst > _LATE_US else GREEN, f"no tick missed, latest {worst:.0f} us")
+        return Light(
+            "loop", YELLOW, f"{missed:.0f} ticks missed in the last minute, latest {worst:.0f} us"
+        )
+    return Light(
+        "loop", YELLOW if worst > _LATE_US else GREEN, f"no tick missed, latest {worst:.0f} us"
+    )
 
 
 def _bus(bench: Bench, known: dict[str, float]) -> Light:
@@ -65,7 +81,9 @@ def _bus(bench: Bench, known: dict[str, float]) -> Light:
     if not known:
         return Light("bus", GREY, f"{bench.bus}; its load is told over Modbus alone")
     load, dropped = known["bus_load"], known["bus_frames_dropped"]
-    why = f"load {load:.1f} %" + (f", {dropped:.0f} frames dropped for a slow client" if dropped else "")
+    why = f"load {load:.1f} %" + (
+        f", {dropped:.0f} frames dropped for a slow client" if dropped else ""
+    )
     return Light("bus", YELLOW if dropped or load > _FULL_PERCENT else GREEN, why)
 
 
@@ -78,26 +96,38 @@ def _unit(bench: Bench, known: dict[str, float]) -> Light:
     state = int(known["wsp_unit_state"])
     if state == UNHEARD:
         return Light("unit", GREY, f"{name} has not been heard (--wsp none?)")
-    return Light("unit", GREEN if state == _OPERATIONAL else YELLOW, f"{name} is {_STATES.get(state, state)}, beats")
+    return Light(
+        "unit",
+        GREEN if state == _OPERATIONAL else YELLOW,
+        f"{name} is {_STATES.get(state, state)}, beats",
+    )
 
 
 def _nodes(name: str, nodes: tuple[int, ...], known: dict[str, float], doors: Doors) -> Light:
     if not known:
         return Light(name, GREY, f"no Modbus: {doors.why}")
-    wrong = {node: int(known[f"node_{node}_state"]) for node in nodes
-             if known[f"node_{node}_state"] != _OPERATIONAL}
+    wrong = {
+        node: int(known[f"node_{node}_state"])
+        for node in nodes
+        if known[f"node_{node}_state"] != _OPERATIONAL
+    }
     if known["emergency_stop"] and name == "drives":
         return Light(name, RED, "emergency stop: quick stop, then switched off")
     if not wrong:
         return Light(name, GREEN, f"nodes {', '.join(map(str, nodes))} operational")
-    why = ", ".join(f"node {node} {_STATES.get(state, 'not heard')}" for node, state in wrong.items())
+    why = ", ".join(
+        f"node {node} {_STATES.get(state, 'not heard')}" for node, state in wrong.items()
+    )
     return Light(name, RED if UNHEARD in wrong.values() else YELLOW, why)
 
 
 def _modbus(bench: Bench, doors: Doors) -> Light:
     if not doors.why:
-        return Light("Modbus", GREEN, f"{bench.modbus[0]}:{bench.modbus[1]}, "
-                     f"{doors.values['modbus_clients']:.0f} clients")
+        return Light(
+            "Modbus",
+            GREEN,
+            f"{bench.modbus[0]}:{bench.modbus[1]}, {doors.values['modbus_clients']:.0f} clients",
+        )
     return Light("Modbus", RED if "answer" in doors.why else GREY, doors.why)
 
 
@@ -109,7 +139,9 @@ def _recorder(bench: Bench) -> Light:
     if lost := int(header[ring.LOST]):
         return Light("recorder", RED, f"{lost} samples lost")
     if silent_s > _SILENT_S:
-        return Light("recorder", RED, f"silent for {silent_s:.0f} s: it has ended, or its disk is slow")
+        return Light(
+            "recorder", RED, f"silent for {silent_s:.0f} s: it has ended, or its disk is slow"
+        )
     return Light("recorder", GREEN, f"{int(header[ring.READ]):,} samples".replace(",", " "))
 
 

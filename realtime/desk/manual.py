@@ -29,7 +29,9 @@ async def tell(what: Awaitable[Any], done: str = "") -> bool:
         await what
     except RollerrigError as error:
         with client:
-            ui.notify(str(error), type="negative", multi_line=True, close_button=True, timeout=15_000)
+            ui.notify(
+                str(error), type="negative", multi_line=True, close_button=True, timeout=15_000
+            )
         return False
     if done:
         with client:
@@ -39,9 +41,16 @@ async def tell(what: Awaitable[Any], done: str = "") -> bool:
 
 def frictions() -> dict[float, str]:
     """Friction that can be set under an axle by hand: kinematic friction mu_cd, and its name; 0: the scenario's."""
-    named = {store.parse(store.find("adhesion", name))["adhesion"]["mu_cd"]: name for name in ("dry", "wet", "soap")}
-    return {0.0: "as the scenario has it", **{mu: f"{name} ({mu:g})" for mu, name in named.items()},
-            0.065: "0.065", 0.03: "0.03"}
+    named = {
+        store.parse(store.find("adhesion", name))["adhesion"]["mu_cd"]: name
+        for name in ("dry", "wet", "soap")
+    }
+    return {
+        0.0: "as the scenario has it",
+        **{mu: f"{name} ({mu:g})" for mu, name in named.items()},
+        0.065: "0.065",
+        0.03: "0.03",
+    }
 
 
 def build(desk: Desk) -> None:
@@ -62,24 +71,39 @@ def _card(title: str) -> ui.card:
 
 def _bench(desk: Desk) -> None:
     with _card("1  Bench"):
-        scenario = _named(store.names("scenarios"), "velim_a1", "scenario, or a TOML file").classes("w-full")
+        scenario = _named(store.names("scenarios"), "velim_a1", "scenario, or a TOML file").classes(
+            "w-full"
+        )
         chosen: dict[str, ui.select] = {}
         with ui.grid(columns=2).classes("w-full gap-2"):
             for key, kind in (("rig", "rigs"), ("adhesion", "adhesion")):
-                chosen[key] = ui.select({_AS_IT_IS: "as the scenario has it"} | {one: one for one in store.names(kind)},
-                                        value=_AS_IT_IS, label=key).mark(key)
+                chosen[key] = ui.select(
+                    {_AS_IT_IS: "as the scenario has it"} | {one: one for one in store.names(kind)},
+                    value=_AS_IT_IS,
+                    label=key,
+                ).mark(key)
             unit = _named(list(UNITS), "reference", "WSP unit, or fmu:FILE")
             chosen["rig.drives"] = ui.select(
-                {_AS_IT_IS: "as the rig has it", "rig": "rig control", "bus": "a master on the bus"},
-                value=_AS_IT_IS, label="drives obey").mark("drives")
+                {
+                    _AS_IT_IS: "as the rig has it",
+                    "rig": "rig control",
+                    "bus": "a master on the bus",
+                },
+                value=_AS_IT_IS,
+                label="drives obey",
+            ).mark("drives")
         more = ui.input("further values, as in adhesion.mu_cd=0.05").classes("w-full").mark("more")
 
         async def prepare() -> None:
             values = {key: str(one.value or "") for key, one in chosen.items()}
-            await tell(desk.prepare(str(scenario.value), str(unit.value), values, str(more.value or "")),
-                       "the bench is being prepared: it will roll, held, until it is started")
+            await tell(
+                desk.prepare(str(scenario.value), str(unit.value), values, str(more.value or "")),
+                "the bench is being prepared: it will roll, held, until it is started",
+            )
 
-        ui.button("Prepare", on_click=prepare).props("color=primary").classes("w-full").mark("prepare")
+        ui.button("Prepare", on_click=prepare).props("color=primary").classes("w-full").mark(
+            "prepare"
+        )
 
 
 def _named(names: list[str], value: str, label: str) -> ui.select:
@@ -108,17 +132,34 @@ async def _write(desk: Desk, name: str, value: float) -> None:
 def _set_points(desk: Desk) -> None:
     with _card("Set-points"):
         with ui.row().classes("w-full no-wrap items-center gap-2"):
-            bar = ui.number("brake demand, bar", value=3.8, min=0.0, max=_HIGHEST_BAR, step=0.1, format="%.2f")
+            bar = ui.number(
+                "brake demand, bar", value=3.8, min=0.0, max=_HIGHEST_BAR, step=0.1, format="%.2f"
+            )
             bar.classes("grow").mark("demand")
-            ui.button("Set", on_click=lambda: tell(_brake(desk, _given(bar) * 1e5), f"demand {_given(bar):.2f} bar")
-                      ).mark("set-demand")
-            ui.button("As programmed", on_click=lambda: tell(
-                _brake(desk, math.nan), "demand as node 17 or the scenario has it")).props("flat dense")
+            ui.button(
+                "Set",
+                on_click=lambda: tell(
+                    _brake(desk, _given(bar) * 1e5), f"demand {_given(bar):.2f} bar"
+                ),
+            ).mark("set-demand")
+            ui.button(
+                "As programmed",
+                on_click=lambda: tell(
+                    _brake(desk, math.nan), "demand as node 17 or the scenario has it"
+                ),
+            ).props("flat dense")
         with ui.row().classes("w-full no-wrap items-center gap-2"):
-            speed = ui.number("roller speed, km/h", value=120.0, min=0.0, max=_HIGHEST_KM_H, step=5.0)
+            speed = ui.number(
+                "roller speed, km/h", value=120.0, min=0.0, max=_HIGHEST_KM_H, step=5.0
+            )
             speed.classes("grow").mark("speed")
-            ui.button("Set", on_click=lambda: tell(_write(desk, "speed_set_point", _given(speed) / 3.6),
-                                                   f"a held rig rolls at {_given(speed):.0f} km/h")).mark("set-speed")
+            ui.button(
+                "Set",
+                on_click=lambda: tell(
+                    _write(desk, "speed_set_point", _given(speed) / 3.6),
+                    f"a held rig rolls at {_given(speed):.0f} km/h",
+                ),
+            ).mark("set-speed")
             ui.label("while held").classes("desk-small")
 
 
@@ -131,9 +172,14 @@ async def _brake(desk: Desk, pressure_Pa: float) -> None:
 
 
 def _adhesion(desk: Desk) -> None:
-    with _card("Adhesion under the axles: friction mu_cd"), ui.grid(columns=2).classes("w-full gap-2"):
+    with (
+        _card("Adhesion under the axles: friction mu_cd"),
+        ui.grid(columns=2).classes("w-full gap-2"),
+    ):
         for axle in _AXLES:
-            chosen = ui.select(frictions(), value=0.0, label=f"axle {axle}").mark(f"friction-{axle}")
+            chosen = ui.select(frictions(), value=0.0, label=f"axle {axle}").mark(
+                f"friction-{axle}"
+            )
             chosen.on_value_change(partial(_friction, desk, chosen, axle))
 
 
@@ -148,8 +194,16 @@ async def _friction(desk: Desk, chosen: ui.select, axle: int) -> None:
 
 def _faults(desk: Desk) -> None:
     with _card("Faults"):
-        kind = ui.select({one.name: f"{one.name}: {one.text}" for one in catalogue.CATALOGUE}, label="fault",
-                         value=catalogue.CATALOGUE[0].name, with_input=True).classes("w-full").mark("fault")
+        kind = (
+            ui.select(
+                {one.name: f"{one.name}: {one.text}" for one in catalogue.CATALOGUE},
+                label="fault",
+                value=catalogue.CATALOGUE[0].name,
+                with_input=True,
+            )
+            .classes("w-full")
+            .mark("fault")
+        )
         fields: dict[str, ui.number] = {}
         place = ui.grid(columns=2).classes("w-full gap-2")
 
@@ -158,19 +212,29 @@ def _faults(desk: Desk) -> None:
             fields.clear()
             with place:
                 for row in catalogue.BY_NAME[str(kind.value)].parameters:
-                    fields[row.name] = ui.number(row.name, value=row.default, min=row.low, max=row.high).tooltip(
-                        f"{row.source}; {row.low:g} to {row.high:g}").mark(f"fault-{row.name}")
-                fields["for"] = ui.number("for s (empty: until lifted)", min=0.001).mark("fault-for")
+                    fields[row.name] = (
+                        ui.number(row.name, value=row.default, min=row.low, max=row.high)
+                        .tooltip(f"{row.source}; {row.low:g} to {row.high:g}")
+                        .mark(f"fault-{row.name}")
+                    )
+                fields["for"] = ui.number("for s (empty: until lifted)", min=0.001).mark(
+                    "fault-for"
+                )
 
         kind.on_value_change(parameters)
         parameters()
 
         async def inject() -> None:
-            values = " ".join(f"{name}={_plain(field.value)}" for name, field in fields.items()
-                              if field.value is not None)
+            values = " ".join(
+                f"{name}={_plain(field.value)}"
+                for name, field in fields.items()
+                if field.value is not None
+            )
             await _fault(desk, f"{kind.value} {values}", lift=False)
 
-        ui.button("Inject", on_click=inject).props("color=warning text-color=black").classes("w-full").mark("inject")
+        ui.button("Inject", on_click=inject).props("color=warning text-color=black").classes(
+            "w-full"
+        ).mark("inject")
         active = ui.column().classes("w-full gap-1")
         shown: list[str] = []
 
@@ -183,8 +247,9 @@ def _faults(desk: Desk) -> None:
                     for text in now:
                         with ui.row().classes("w-full no-wrap items-center"):
                             ui.label(text).classes("grow desk-active")
-                            ui.button("Lift", on_click=partial(_fault, desk, text, True)).props("flat dense").mark(
-                                "lift")
+                            ui.button("Lift", on_click=partial(_fault, desk, text, True)).props(
+                                "flat dense"
+                            ).mark("lift")
 
         ui.timer(0.5, follow)
 

@@ -8,10 +8,16 @@ from rollerrig.realtime.desk import automatic, lights, live, manual, runs
 from rollerrig.realtime.desk.desk import Alarm, Desk
 from rollerrig.realtime.telemetry import colours
 
-NO_SAFETY = ("This page has no safety function: its emergency stop is a request over a network. "
-             "What protects people is the rig's own emergency stop.")
-_LIGHTS = {lights.GREEN: colours.GREEN, lights.YELLOW: colours.YELLOW, lights.RED: colours.VERMILION,
-           lights.GREY: colours.GREY}
+NO_SAFETY = (
+    "This page has no safety function: its emergency stop is a request over a network. "
+    "What protects people is the rig's own emergency stop."
+)
+_LIGHTS = {
+    lights.GREEN: colours.GREEN,
+    lights.YELLOW: colours.YELLOW,
+    lights.RED: colours.VERMILION,
+    lights.GREY: colours.GREY,
+}
 _SHOWN = 60
 
 
@@ -22,15 +28,22 @@ def build(desk: Desk) -> None:
     ui.dark_mode(True)
     for kind in (ui.select, ui.number, ui.input):
         kind.default_props("dense options-dense")
-    ui.colors(primary=colours.on_page(colours.BLUE), positive=colours.on_page(colours.GREEN),
-              negative=colours.on_page(colours.VERMILION), warning=colours.on_page(colours.ORANGE))
+    ui.colors(
+        primary=colours.on_page(colours.BLUE),
+        positive=colours.on_page(colours.GREEN),
+        negative=colours.on_page(colours.VERMILION),
+        warning=colours.on_page(colours.ORANGE),
+    )
     _head(desk)
     _state_line(desk)
     with ui.tabs().props("align=left dense") as tabs:
         for name in ("Manual", "Automatic", "Runs"):
             ui.tab(name).mark(f"tab-{name}")
     with ui.tab_panels(tabs, value="Manual").classes("w-full").style("background: transparent"):
-        with ui.tab_panel("Manual").classes("p-0"), ui.row().classes("w-full no-wrap items-start gap-4"):
+        with (
+            ui.tab_panel("Manual").classes("p-0"),
+            ui.row().classes("w-full no-wrap items-start gap-4"),
+        ):
             with ui.column().classes("gap-3").style("width: 23rem; flex: none"):
                 manual.build(desk)
             with ui.column().classes("grow gap-1").style("min-width: 0"):
@@ -58,7 +71,11 @@ def _head(desk: Desk) -> None:
 
             await manual.tell(ask(), "emergency stop " + ("asked for" if on else "reset"))
 
-        button = ui.button("Emergency stop", on_click=toggle).props("color=negative size=lg").mark("emergency")
+        button = (
+            ui.button("Emergency stop", on_click=toggle)
+            .props("color=negative size=lg")
+            .mark("emergency")
+        )
 
         def follow() -> None:
             bench.text = _told(desk)
@@ -74,16 +91,25 @@ def _told(desk: Desk) -> str:
     """The bench in a sentence."""
     starting = [one for one in desk.programs if one.words[0] == "run" and one.status is None]
     if desk.bench is None or desk.doors is None:
-        return ("the bench is being prepared: kernels, bus, unit ..." if starting
-                else "no bench runs on this machine: prepare one, or start one with rollerrig run")
+        return (
+            "the bench is being prepared: kernels, bus, unit ..."
+            if starting
+            else "no bench runs on this machine: prepare one, or start one with rollerrig run"
+        )
     bench = desk.bench
     if bench.ended:
         how = "has ended" if bench.ended == "closed" else "was killed"
         return f"the bench (process {bench.pid}) {how} at {bench.time_s:.1f} s" + (
-            "; another is being prepared" if starting else "; its run stands under Runs")
+            "; another is being prepared" if starting else "; its run stands under Runs"
+        )
     state = desk.doors.state
-    what = (state.name.lower() if state is not None else "running, without Modbus" if bench.points else
-            "starting (a first start compiles its kernels, for minutes)")
+    what = (
+        state.name.lower()
+        if state is not None
+        else "running, without Modbus"
+        if bench.points
+        else "starting (a first start compiles its kernels, for minutes)"
+    )
     return f"bench (process {bench.pid}) on {bench.bus or 'no bus'}: {what}"
 
 
@@ -95,7 +121,9 @@ def _state_line(desk: Desk) -> None:
                 shown.append((ui.html(sanitize=False), ui.label().classes("desk-small")))
 
     def follow() -> None:
-        for (head, why), one in zip(shown, lights.line(desk.bench, desk.doors, desk.folder), strict=True):
+        for (head, why), one in zip(
+            shown, lights.line(desk.bench, desk.doors, desk.folder), strict=True
+        ):
             colour = colours.on_page(_LIGHTS[one.colour])
             head.content = f'<span class="desk-dot" style="background:{colour}" title="{one.colour}"></span>{one.name}'
             why.text = one.why
@@ -129,12 +157,19 @@ def _alarms(desk: Desk) -> None:
 def _alarm(desk: Desk, alarm: Alarm) -> None:
     colour = colours.on_page(colours.VERMILION if alarm.level == "error" else colours.YELLOW)
     border = colours.on_page(colours.GREY) if alarm.acknowledged else colour
-    with ui.row().classes("w-full no-wrap items-start gap-1").style(
-            f"border-left: 4px solid {border}; padding-left: 8px").mark("alarm"):
+    with (
+        ui.row()
+        .classes("w-full no-wrap items-start gap-1")
+        .style(f"border-left: 4px solid {border}; padding-left: 8px")
+        .mark("alarm")
+    ):
         at = f"{alarm.time_s:.2f} s  " if alarm.time_s == alarm.time_s else ""
-        ui.label(f"{at}{alarm.text}").classes("grow").style("font-size: 12px; overflow-wrap: anywhere")
+        ui.label(f"{at}{alarm.text}").classes("grow").style(
+            "font-size: 12px; overflow-wrap: anywhere"
+        )
         if alarm.acknowledged:
             ui.label(f"acknowledged {alarm.acknowledged}").classes("desk-small")
         else:
             ui.button(icon="check", on_click=lambda: manual.tell(desk.acknowledge(alarm))).props(
-                "flat dense size=sm").tooltip("acknowledge").mark("acknowledge")
+                "flat dense size=sm"
+            ).tooltip("acknowledge").mark("acknowledge")

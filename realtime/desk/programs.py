@@ -29,11 +29,18 @@ class Program:
         try:
             self._out, self._said = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115 (read till the end)
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"], cwd=folder, stdout=self._out,
-                stderr=self._said, stdin=subprocess.DEVNULL, start_new_session=True)
+                [sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"],
+                cwd=folder,
+                stdout=self._out,
+                stderr=self._said,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
         except OSError as error:
-            raise ConfigError(f"{self.title} cannot be started in {folder}: {error.strerror}; make room, or start the "
-                              "desk elsewhere with --folder") from None
+            raise ConfigError(
+                f"{self.title} cannot be started in {folder}: {error.strerror}; make room, or start the "
+                "desk elsewhere with --folder"
+            ) from None
 
     @property
     def title(self) -> str:
@@ -53,7 +60,11 @@ class Program:
     @property
     def lines(self) -> list[str]:
         """What it has said; of the lines that tell how far it is only the newest."""
-        said = [line for line in _content(self._said).decode(errors="replace").splitlines() if line.strip()]
+        said = [
+            line
+            for line in _content(self._said).decode(errors="replace").splitlines()
+            if line.strip()
+        ]
         passing = [at for at, line in enumerate(said) if _PASSING.match(line)]
         return [line for at, line in enumerate(said) if at not in passing[:-1]]
 

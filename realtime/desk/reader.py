@@ -22,9 +22,23 @@ from rollerrig.wsp_interface import signals
 
 PERIOD_S, SPAN_S = 0.1, 60.0
 # what a page draws; `time` first
-SHOWN = ("time", "vehicle_speed", "position", "wsp_reference_speed", "brake_demand", "tick_lateness", "ticks_missed",
-         "wheel_circumferential_speed", "sliding", "adhesion", "adhesion_degraded", "adhesion_recovered",
-         "cylinder_pressure", "valve", "friction_degraded")
+SHOWN = (
+    "time",
+    "vehicle_speed",
+    "position",
+    "wsp_reference_speed",
+    "brake_demand",
+    "tick_lateness",
+    "ticks_missed",
+    "wheel_circumferential_speed",
+    "sliding",
+    "adhesion",
+    "adhesion_degraded",
+    "adhesion_recovered",
+    "cylinder_pressure",
+    "valve",
+    "friction_degraded",
+)
 _COLUMNS = np.concatenate([np.arange(len(signals.COLUMNS))[signals.span(name)] for name in SHOWN])
 COLUMNS = tuple(signals.COLUMNS[at] for at in _COLUMNS)
 _RECENT, _WHOLE = round(2 * SPAN_S / PERIOD_S), 2000
@@ -93,8 +107,12 @@ class Bench:
 
     def since(self, point: int) -> list[np.ndarray]:
         """Points after the one of a number (0: all of the last minute)."""
-        new = min(self.points - point, len(self._recent)) if point <= self.points else len(self._recent)
-        return list(self._recent)[len(self._recent) - new:] if new else []
+        new = (
+            min(self.points - point, len(self._recent))
+            if point <= self.points
+            else len(self._recent)
+        )
+        return list(self._recent)[len(self._recent) - new :] if new else []
 
     @property
     def whole(self) -> np.ndarray:
@@ -110,7 +128,9 @@ class Bench:
         if not len(rows):
             return
         first = np.flatnonzero(np.diff(number, prepend=-1.0))
-        pairs = np.stack([np.minimum.reduceat(rows, first), np.maximum.reduceat(rows, first)], axis=1)
+        pairs = np.stack(
+            [np.minimum.reduceat(rows, first), np.maximum.reduceat(rows, first)], axis=1
+        )
         pairs = pairs.reshape(-1, len(_COLUMNS))
         self._recent.extend(pairs)
         self.points += len(pairs)
@@ -125,7 +145,9 @@ class Bench:
         elif found := _MODBUS.match(text):
             self.modbus, self.over_tls = (found[2], int(found[3])), found[1] != "TCP"
         elif found := _FAULT.match(text):
-            self.faults = [one for one in self.faults if one != found[1]] + [found[1]] * (found[2] == "begins")
+            self.faults = [one for one in self.faults if one != found[1]] + [found[1]] * (
+                found[2] == "begins"
+            )
         elif text.startswith("a harness has"):
             self.harness = text.endswith("joined")
         elif text.startswith((_LOST, _BACK)):
@@ -151,8 +173,11 @@ def find(beside: str = "", among: Collection[int] | None = None) -> Bench | None
 
 def _events(rows: Path, pid: int, at_ns: int) -> Path:
     """The ring of events that a process made next after a ring of rows. Raises FileNotFoundError."""
-    later = [(number, path) for path in rows.parent.glob(f"rollerrig-{pid}-*-events")
-             if (number := int(path.name.split("-")[2])) > at_ns]
+    later = [
+        (number, path)
+        for path in rows.parent.glob(f"rollerrig-{pid}-*-events")
+        if (number := int(path.name.split("-")[2])) > at_ns
+    ]
     if not later:
         raise FileNotFoundError(f"{rows}: no ring of events beside it")
     return min(later)[1]

@@ -13,11 +13,36 @@ from rollerrig.realtime.desk.manual import tell
 from rollerrig.realtime.record import figures
 from rollerrig.realtime.telemetry import colours
 
-_COLUMNS = (("name", "run"), ("when", "when"), ("scenario", "scenario"), ("unit", "unit"), ("verdict", "verdict"),
-            *((one.name, f"{one.title}{f' ({one.unit})' if one.unit else ''}") for one in figures.FIGURES
-              if one.name in ("stop_time_s", "stop_distance_m", "sliding_max_m_s", "longest_lock_s", "vents",
-                              "air_consumption_NL")), ("note", "note"))
-_KNOWN = ("vehicle_speed", "sliding_", "adhesion_1", "adhesion_2", "adhesion_3", "adhesion_4", "cylinder_pressure_")
+_COLUMNS = (
+    ("name", "run"),
+    ("when", "when"),
+    ("scenario", "scenario"),
+    ("unit", "unit"),
+    ("verdict", "verdict"),
+    *(
+        (one.name, f"{one.title}{f' ({one.unit})' if one.unit else ''}")
+        for one in figures.FIGURES
+        if one.name
+        in (
+            "stop_time_s",
+            "stop_distance_m",
+            "sliding_max_m_s",
+            "longest_lock_s",
+            "vents",
+            "air_consumption_NL",
+        )
+    ),
+    ("note", "note"),
+)
+_KNOWN = (
+    "vehicle_speed",
+    "sliding_",
+    "adhesion_1",
+    "adhesion_2",
+    "adhesion_3",
+    "adhesion_4",
+    "cylinder_pressure_",
+)
 
 
 def build(desk: Desk) -> Callable[[], None]:
@@ -28,17 +53,40 @@ def build(desk: Desk) -> Callable[[], None]:
         ui.button("Compare two", on_click=lambda: tell(compare())).mark("compare")
         ui.button("Open in Rerun", on_click=lambda: tell(rerun())).props("flat")
         for kind, name in library.FORMATS.items():
-            ui.button(name, icon="download", on_click=lambda kind=kind: tell(download(kind))).props("flat").mark(
-                f"download-{kind}")
+            ui.button(name, icon="download", on_click=lambda kind=kind: tell(download(kind))).props(
+                "flat"
+            ).mark(f"download-{kind}")
         note = ui.input("note on the run").props("dense").classes("grow").mark("note")
-        ui.button("Keep", on_click=lambda: tell(keep(), "the note is kept in the run's folder")).mark("keep")
-    table = ui.table(
-        columns=[{"name": name, "label": label, "field": name, "sortable": True, "align": "left",
-                  "classes": "desk-cell"} for name, label in _COLUMNS],
-        rows=[], row_key="name", selection="multiple", pagination=15).classes("w-full").mark("runs")
+        ui.button(
+            "Keep", on_click=lambda: tell(keep(), "the note is kept in the run's folder")
+        ).mark("keep")
+    table = (
+        ui.table(
+            columns=[
+                {
+                    "name": name,
+                    "label": label,
+                    "field": name,
+                    "sortable": True,
+                    "align": "left",
+                    "classes": "desk-cell",
+                }
+                for name, label in _COLUMNS
+            ],
+            rows=[],
+            row_key="name",
+            selection="multiple",
+            pagination=15,
+        )
+        .classes("w-full")
+        .mark("runs")
+    )
     table.bind_filter_from(words, "value")
-    table.add_slot("body-cell-verdict", '''<q-td :props="props"><span :style="{color: props.value === 'valid' ?
-        '#2fbf93' : '#ff8a4c'}" class="desk-verdict">{{ props.value }}</span></q-td>''')
+    table.add_slot(
+        "body-cell-verdict",
+        """<q-td :props="props"><span :style="{color: props.value === 'valid' ?
+        '#2fbf93' : '#ff8a4c'}" class="desk-verdict">{{ props.value }}</span></q-td>""",
+    )
     place = ui.column().classes("w-full")
 
     def fill() -> None:
@@ -58,7 +106,10 @@ def build(desk: Desk) -> Callable[[], None]:
     async def compare() -> None:
         first, second = chosen(2)
         beside, different = await run.io_bound(library.compared, first, second) or ([], [])
-        curves = [await run.io_bound(library.channel, one, "vehicle_speed_m_s", 3.6) for one in (first, second)]
+        curves = [
+            await run.io_bound(library.channel, one, "vehicle_speed_m_s", 3.6)
+            for one in (first, second)
+        ]
         place.clear()
         with place:
             _compared([first.name, second.name], beside, different, curves)
@@ -88,26 +139,59 @@ def build(desk: Desk) -> Callable[[], None]:
 def _compared(names: list[str], beside: list[Any], different: list[Any], curves: list[Any]) -> None:
     """Two runs: figures, vehicle speeds, and the largest differences of some channels."""
     with ui.row().classes("w-full no-wrap items-start gap-4"):
-        _table("Figures", (("what", ""), ("a", names[0]), ("b", names[1])), [
-            {"what": f"{title} ({unit})" if unit else title, "a": _text(a), "b": _text(b)}
-            for title, unit, a, b in beside]).mark("compared")
+        _table(
+            "Figures",
+            (("what", ""), ("a", names[0]), ("b", names[1])),
+            [
+                {"what": f"{title} ({unit})" if unit else title, "a": _text(a), "b": _text(b)}
+                for title, unit, a, b in beside
+            ],
+        ).mark("compared")
         ranked = [one for one in different if one.channel.startswith(_KNOWN)]
-        _table("Largest differences by value", (("channel", "channel"), ("largest", "largest"), ("rms", "rms"),
-                                                ("at", "at s")), [
-            {"channel": one.channel, "largest": _text(one.largest), "rms": _text(one.rms), "at": f"{one.at_s:.2f}"}
-            for one in ranked])
-        ui.echart({
-            "animation": False, "title": live.title_of("vehicle speed (km/h)"),
-            "legend": {"right": 10, "top": 2, "textStyle": {"color": "#c8ccd2"}}, "xAxis": live.axis("{value} s"),
-            "yAxis": live.axis(), "series": [
-                {"type": "line", "name": name, "showSymbol": False, "data": curve, "color": colours.on_page(shade)}
-                for name, curve, shade in zip(names, curves, (colours.SKY_BLUE, colours.ORANGE), strict=True)]}
+        _table(
+            "Largest differences by value",
+            (("channel", "channel"), ("largest", "largest"), ("rms", "rms"), ("at", "at s")),
+            [
+                {
+                    "channel": one.channel,
+                    "largest": _text(one.largest),
+                    "rms": _text(one.rms),
+                    "at": f"{one.at_s:.2f}",
+                }
+                for one in ranked
+            ],
+        )
+        ui.echart(
+            {
+                "animation": False,
+                "title": live.title_of("vehicle speed (km/h)"),
+                "legend": {"right": 10, "top": 2, "textStyle": {"color": "#c8ccd2"}},
+                "xAxis": live.axis("{value} s"),
+                "yAxis": live.axis(),
+                "series": [
+                    {
+                        "type": "line",
+                        "name": name,
+                        "showSymbol": False,
+                        "data": curve,
+                        "color": colours.on_page(shade),
+                    }
+                    for name, curve, shade in zip(
+                        names, curves, (colours.SKY_BLUE, colours.ORANGE), strict=True
+                    )
+                ],
+            }
         ).classes("grow").style("height: 320px")
 
 
 def _table(title: str, heads: tuple[tuple[str, str], ...], rows: list[dict[str, Any]]) -> ui.table:
-    return ui.table(title=title, rows=rows, columns=[
-        {"name": key, "label": label, "field": key, "align": "left"} for key, label in heads]).classes("desk-card")
+    return ui.table(
+        title=title,
+        rows=rows,
+        columns=[
+            {"name": key, "label": label, "field": key, "align": "left"} for key, label in heads
+        ],
+    ).classes("desk-card")
 
 
 def _text(value: float | None) -> str:

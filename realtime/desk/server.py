@@ -35,13 +35,19 @@ class Guard:
     def __init__(self, app: Any, token: str) -> None:
         self.to, self.token = app, token
 
-    async def __call__(self, scope: Message, receive: Callable[[], Awaitable[Message]],
-                       send: Callable[[Message], Awaitable[None]]) -> None:
+    async def __call__(
+        self,
+        scope: Message,
+        receive: Callable[[], Awaitable[Message]],
+        send: Callable[[Message], Awaitable[None]],
+    ) -> None:
         """One request."""
         if scope["type"] not in ("http", "websocket"):
             await self.to(scope, receive, send)
             return
-        heads = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        heads = {
+            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
+        }
         asked = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
         if why := refused(heads, asked, self.token):
             if scope["type"] == "http":
@@ -80,13 +86,17 @@ def free(host: str, port: int) -> int:
         with socket.create_server((host, port)) as probe:
             return int(probe.getsockname()[1])
     except (OSError, OverflowError) as error:
-        raise ConfigError(f"{host}:{port} cannot be opened ({error}); if a desk runs there already, open "
-                          f"http://{host}:{port} in a browser, else give another with --port") from None
+        raise ConfigError(
+            f"{host}:{port} cannot be opened ({error}); if a desk runs there already, open "
+            f"http://{host}:{port} in a browser, else give another with --port"
+        ) from None
 
 
 def routes(desk: Desk) -> None:
     """What is served beside the page: its drawing program, rows, and reports below the folder."""
-    app.add_static_file(local_file=Path(__file__).with_name("desk.js"), url_path="/desk/desk.js", max_cache_age=0)
+    app.add_static_file(
+        local_file=Path(__file__).with_name("desk.js"), url_path="/desk/desk.js", max_cache_age=0
+    )
 
     @app.get("/desk/rows")
     def rows(bench: str = "", after: int = 0, whole: int = 0) -> Any:
@@ -95,7 +105,11 @@ def routes(desk: Desk) -> None:
     @app.get("/file/{path:path}")
     def file(path: str) -> Any:
         found = (desk.folder / path).resolve()
-        if found.is_relative_to(desk.folder.resolve()) and found.suffix in _SERVED and found.is_file():
+        if (
+            found.is_relative_to(desk.folder.resolve())
+            and found.suffix in _SERVED
+            and found.is_file()
+        ):
             return FileResponse(found)
         return PlainTextResponse(f"{path}: no report is there", 404)
 
@@ -105,7 +119,9 @@ def serve(desk: Desk, host: str, port: int, show: bool, say: Callable[[str, str]
     port = free(host, port)
     warning = beyond_loopback("THE DESK", host, port, "WHO HAS THE TOKEN OF ITS ADDRESS")
     token = secrets.token_urlsafe(24) if warning else ""
-    address = f"http://{f'[{host}]' if ':' in host else host}:{port}/{f'?token={token}' if token else ''}"
+    address = (
+        f"http://{f'[{host}]' if ':' in host else host}:{port}/{f'?token={token}' if token else ''}"
+    )
     working: list[asyncio.Task[None]] = []
 
     async def tell() -> None:
@@ -122,5 +138,15 @@ def serve(desk: Desk, host: str, port: int, show: bool, say: Callable[[str, str]
     app.add_middleware(Guard, token=token)
     app.on_startup(begin)
     app.on_shutdown(desk.close)
-    ui.run(lambda: page.build(desk), host=host, port=port, title="rollerrig desk", favicon="🚆", dark=True,
-           reload=False, show=show, show_welcome_message=False, reconnect_timeout=10.0)
+    ui.run(
+        lambda: page.build(desk),
+        host=host,
+        port=port,
+        title="rollerrig desk",
+        favicon="🚆",
+        dark=True,
+        reload=False,
+        show=show,
+        show_welcome_message=False,
+        reconnect_timeout=10.0,
+    )

@@ -23,7 +23,8 @@ IDLE_LIMIT = "/dev/cpu_dma_latency"
 
 _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _nanosleep: Any = types.ExternalFunction(
-    "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp))
+    "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
+)
 _write: Any = types.ExternalFunction("write", types.int64(types.int32, types.intp, types.int64))
 
 

@@ -15,7 +15,17 @@ import numpy as np
 
 from rollerrig.realtime.loop import clock, held_rig, tick
 from rollerrig.realtime.loop.clock import now_ns, sleep_until, wake
-from rollerrig.realtime.loop.tick import BUSY_NS, DONE, HELD, LATE_NS, MISSED, STALLED_NS, STOP, TICK, WORST_NS
+from rollerrig.realtime.loop.tick import (
+    BUSY_NS,
+    DONE,
+    HELD,
+    LATE_NS,
+    MISSED,
+    STALLED_NS,
+    STOP,
+    TICK,
+    WORST_NS,
+)
 from rollerrig.rig.kernel import kernel
 
 # histogram of lateness: bins of 1 us, the last one holds all that is later
@@ -69,17 +79,23 @@ def ask_for_priority(priority: int, cpu: int) -> list[str]:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         except OSError as error:
-            refused.append(f"SCHED_FIFO priority {priority} ({error.strerror}): allow it with "
-                           "'ulimit -r 90' (rtprio in /etc/security/limits.conf) or CAP_SYS_NICE")
+            refused.append(
+                f"SCHED_FIFO priority {priority} ({error.strerror}): allow it with "
+                "'ulimit -r 90' (rtprio in /etc/security/limits.conf) or CAP_SYS_NICE"
+            )
         if reason := clock.lock_memory():
-            refused.append(f"locked memory ({reason}): allow it with 'ulimit -l unlimited' "
-                           "(memlock in /etc/security/limits.conf) or CAP_IPC_LOCK")
+            refused.append(
+                f"locked memory ({reason}): allow it with 'ulimit -l unlimited' "
+                "(memlock in /etc/security/limits.conf) or CAP_IPC_LOCK"
+            )
     if cpu >= 0:
         try:
             os.sched_setaffinity(0, {cpu})
         except OSError as error:
-            refused.append(f"core {cpu} ({error.strerror}): set loop.cpu to one of "
-                           f"{sorted(os.sched_getaffinity(0))} or -1")
+            refused.append(
+                f"core {cpu} ({error.strerror}): set loop.cpu to one of "
+                f"{sorted(os.sched_getaffinity(0))} or -1"
+            )
     return refused
 
 
@@ -112,5 +128,11 @@ def interruptions(found: dict[str, int]) -> Iterator[None]:
 def percentiles(histogram: np.ndarray, worst_ns: int) -> dict[str, float]:
     """Lateness in us at 50, 99 and 99.9 % of the ticks (upper edge of the bin), and the largest."""
     reached, worst_us = np.cumsum(histogram), worst_ns / 1000.0
-    edges = np.searchsorted(reached, np.array((0.5, 0.99, 0.999)) * reached[-1]) + 1 if reached[-1] else np.zeros(3)
-    return dict(zip(("p50", "p99", "p999"), np.minimum(edges, worst_us).tolist(), strict=True)) | {"max": worst_us}
+    edges = (
+        np.searchsorted(reached, np.array((0.5, 0.99, 0.999)) * reached[-1]) + 1
+        if reached[-1]
+        else np.zeros(3)
+    )
+    return dict(zip(("p50", "p99", "p999"), np.minimum(edges, worst_us).tolist(), strict=True)) | {
+        "max": worst_us
+    }

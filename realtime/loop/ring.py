@@ -24,8 +24,19 @@ from rollerrig.configs.errors import RollerrigError
 # slots of the header (int64): written by the writer, or by the one reader that is named there.
 # READER_BEAT_NS is the live view's heartbeat, RECORDER_BEAT_NS the recorder's (0: not ready yet), VIEWED whether
 # anybody looks at the live view, READ and LOST are the recorder's count of rows, all on CLOCK_MONOTONIC
-(WRITTEN, CLOSED, WRITER_PID, CAPACITY, WIDTH, READER_BEAT_NS, READ, LOST, CREATED_NS, RECORDER_BEAT_NS,
- VIEWED) = range(11)
+(
+    WRITTEN,
+    CLOSED,
+    WRITER_PID,
+    CAPACITY,
+    WIDTH,
+    READER_BEAT_NS,
+    READ,
+    LOST,
+    CREATED_NS,
+    RECORDER_BEAT_NS,
+    VIEWED,
+) = range(11)
 _HEADER = 16
 EVENT_WORDS = 64
 FRAME_WORDS = 4
@@ -51,7 +62,9 @@ def sweep() -> list[Path]:
             ring = Ring(path, np.int64)
         except (OSError, ValueError, RollerrigError):
             continue
-        idle_ns = time.monotonic_ns() - max(int(ring.header[RECORDER_BEAT_NS]), int(ring.header[CREATED_NS]))
+        idle_ns = time.monotonic_ns() - max(
+            int(ring.header[RECORDER_BEAT_NS]), int(ring.header[CREATED_NS])
+        )
         if not ring.writer_alive and idle_ns > 60_000_000_000:
             ring.unlink()
             removed.append(path)
@@ -68,7 +81,7 @@ class Memory:
     @property
     def written(self) -> np.ndarray:
         """All rows so far, where they have not been more than the capacity."""
-        return self.rows[:int(self.header[WRITTEN])]
+        return self.rows[: int(self.header[WRITTEN])]
 
 
 class Ring:
@@ -164,8 +177,10 @@ def _make(path: Path, size: int) -> None:
             file.write(bytes(size))
     except OSError as error:
         path.unlink(missing_ok=True)
-        raise RollerrigError(f"{path}: no room for a ring of {size / 1e6:.1f} MB "
-                             f"({error.strerror}); make room in {path.parent}") from None
+        raise RollerrigError(
+            f"{path}: no room for a ring of {size / 1e6:.1f} MB "
+            f"({error.strerror}); make room in {path.parent}"
+        ) from None
 
 
 def push_event(ring: Ring, time_s: float, level: str, text: str) -> None:

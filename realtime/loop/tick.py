@@ -35,8 +35,20 @@ FAULTS = DRIVES + AXLES * axis.COMMANDS
 COMMANDS = FAULTS + effects.SIZE
 
 # slots of the control array (int64)
-(TICK, STOP, DONE, STANDING_TICKS, MISSED, WORST_NS, LATE_NS, BUSY_NS, HOLD, HELD, STALLED_NS,
- SLOTS_OF_CONTROL) = range(12)
+(
+    TICK,
+    STOP,
+    DONE,
+    STANDING_TICKS,
+    MISSED,
+    WORST_NS,
+    LATE_NS,
+    BUSY_NS,
+    HOLD,
+    HELD,
+    STALLED_NS,
+    SLOTS_OF_CONTROL,
+) = range(12)
 
 
 class TickData(NamedTuple):
@@ -75,26 +87,40 @@ class TickData(NamedTuple):
     pulses: np.ndarray
 
 
-_MAGNETS, _TRACKING, _MOTOR_K = (signals.column(name) for name in ("magnets", "tracking_error", "motor_temperature"))
+_MAGNETS, _TRACKING, _MOTOR_K = (
+    signals.column(name) for name in ("magnets", "tracking_error", "motor_temperature")
+)
 _SAND = signals.column("sand_demand")
-_LATENESS, _DURATION, _MISSED = (signals.column(name) for name in ("tick_lateness", "tick_duration", "ticks_missed"))
+_LATENESS, _DURATION, _MISSED = (
+    signals.column(name) for name in ("tick_lateness", "tick_duration", "ticks_missed")
+)
 # what the WSP unit sees and tells, and the scale of its counts on the bus
 _OF_UNIT = ("measured_speed", "cylinder_pressure", "wsp_reference_speed")
 _SPEED, _PRESSURE, _REFERENCE = (signals.column(name) for name in _OF_UNIT)
-_SPEED_SCALE, _PRESSURE_SCALE, _REFERENCE_SCALE = (signals.BY_NAME[name].places[0].scale for name in _OF_UNIT)
+_SPEED_SCALE, _PRESSURE_SCALE, _REFERENCE_SCALE = (
+    signals.BY_NAME[name].places[0].scale for name in _OF_UNIT
+)
 _LOW, _HIGH = (float(bound) for bound in signals.KINDS["I16"])
 
 # what the real wheelsets and rollers tell where a virtual track runs beside them
-OF_ROLLERS = frozenset((
-    "wheel_speed", "wheel_circumferential_speed", "wheel_angle",
-    "roller_speed", "roller_angle", "motor_torque", "motor_torque_demand", "motor_temperature",
-))
+OF_ROLLERS = frozenset(
+    (
+        "wheel_speed",
+        "wheel_circumferential_speed",
+        "wheel_angle",
+        "roller_speed",
+        "roller_angle",
+        "motor_torque",
+        "motor_torque_demand",
+        "motor_temperature",
+    )
+)
 
 
 def first_command() -> np.ndarray:
     """The command row of a rig that nobody has asked for anything: drives enabled for the rig."""
     row = np.full(COMMANDS, np.nan)
-    row[MAGNETS:MAGNETS + AXLES] = row[FRICTION:] = 0.0
+    row[MAGNETS : MAGNETS + AXLES] = row[FRICTION:] = 0.0
     drives = row[DRIVES:FAULTS].reshape(AXLES, axis.COMMANDS)
     drives[:, axis.ENABLED] = 1.0
     drives[:, axis.LOOP] = axis.LOOP_RIG
@@ -128,7 +154,9 @@ def publish(m):
     pole_wheel.sense(m.row, m.pulses, m.sensor, m.command[FAULTS:])
     if m.command[FAULTS + effects.ANY] != 0.0:
         heat = m.params.heat
-        effects.heat(m.row[_MOTOR_K:_MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K, heat.motor_rise_K)
+        effects.heat(
+            m.row[_MOTOR_K : _MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K, heat.motor_rise_K
+        )
     m.row[_REFERENCE] = m.command[REFERENCE]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
@@ -197,13 +225,19 @@ def begin(m, tick):
     faults = m.command[FAULTS:]
     if m.virtual != 0:
         table = m.params.wheels.table
-        rig_control.follow_virtual_wheels(m.roller_state, m.state, m.roller_params.drive,
-                                          table[vehicle.RADIUS_M:vehicle.RADIUS_M + AXLES],
-                                          table[vehicle.INERTIA_KGM2:vehicle.INERTIA_KGM2 + AXLES])
+        rig_control.follow_virtual_wheels(
+            m.roller_state,
+            m.state,
+            m.roller_params.drive,
+            table[vehicle.RADIUS_M : vehicle.RADIUS_M + AXLES],
+            table[vehicle.INERTIA_KGM2 : vehicle.INERTIA_KGM2 + AXLES],
+        )
     elif m.params.mode != 0:
         rig_control.hold_surface_speed(m.state, m.params.drive, m.params.tick_s)
     if m.virtual != 0 or m.params.mode != 0:
-        drive_control.obey(m.roller_state, m.roller_params.drive, m.command[DRIVES:], m.params.tick_s)
+        drive_control.obey(
+            m.roller_state, m.roller_params.drive, m.command[DRIVES:], m.params.tick_s
+        )
     if faults[effects.ANY] != 0.0:
         disturb(m, faults)
     for j in range(AXLES):

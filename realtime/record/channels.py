@@ -67,7 +67,9 @@ class Channels:
         if next(self._saving, over) is over:
             self._saving = None
         self._spent_s += time.perf_counter() - began_s
-        self._due_s = time.monotonic() + max(_PERIOD_S, self._spent_s / _DUTY, self._written / _BYTES_S)
+        self._due_s = time.monotonic() + max(
+            _PERIOD_S, self._spent_s / _DUTY, self._written / _BYTES_S
+        )
 
     def finish(self) -> None:
         """Write the final, compressed file, and remove the tail."""
@@ -80,13 +82,25 @@ class Channels:
     def _save(self, compression: str = "none") -> Iterator[None]:
         """Put the rows so far in place of channels.parquet in one step, block by block before: one sees old or new."""
         final, names = compression != "none", list(COLUMNS)
-        with replaced(self._folder / CHANNELS) as new, pq.ParquetWriter(
-                new, schema(), compression=compression, use_dictionary=False, use_byte_stream_split=final,
-                write_statistics=final) as writer:
+        with (
+            replaced(self._folder / CHANNELS) as new,
+            pq.ParquetWriter(
+                new,
+                schema(),
+                compression=compression,
+                use_dictionary=False,
+                use_byte_stream_split=final,
+                write_statistics=final,
+            ) as writer,
+        ):
             for at in range(0, self._written, _BLOCK_BYTES):
                 block = os.pread(self._tail.fileno(), min(_BLOCK_BYTES, self._written - at), at)
-                rows = np.frombuffer(block[:len(block) // (8 * len(names)) * 8 * len(names)]).reshape(-1, len(names))
-                writer.write_batch(pa.RecordBatch.from_arrays(list(map(_array, rows.T.copy())), names=names))
+                rows = np.frombuffer(
+                    block[: len(block) // (8 * len(names)) * 8 * len(names)]
+                ).reshape(-1, len(names))
+                writer.write_batch(
+                    pa.RecordBatch.from_arrays(list(map(_array, rows.T.copy())), names=names)
+                )
                 yield
 
 
@@ -99,19 +113,25 @@ class Columns(Mapping[str, pa.ChunkedArray]):
     def __init__(self, folder: Path) -> None:
         self._path = path = folder / CHANNELS
         if not path.is_file():
-            raise ConfigError(f"{path}: no such file; a run's folder holds one: give the folder that 'rollerrig run "
-                              "... --out DIR' has written")
+            raise ConfigError(
+                f"{path}: no such file; a run's folder holds one: give the folder that 'rollerrig run "
+                "... --out DIR' has written"
+            )
         with self._readable():
             self._file = pq.ParquetFile(path)
         self._names: list[str] = self._file.schema_arrow.names
         if "time_s" not in self._names:
-            raise ConfigError(f"{path}: has no column time_s; its columns are "
-                              f"{', '.join(self._names[:6])} ...; is it a recording of a run?")
+            raise ConfigError(
+                f"{path}: has no column time_s; its columns are "
+                f"{', '.join(self._names[:6])} ...; is it a recording of a run?"
+            )
         self._tail, tail, width = np.empty((0, len(self._names))), folder / TAIL, len(self._names)
         if tail.is_file() and (count := tail.stat().st_size // (8 * width)):
             rows, time_s = np.memmap(tail, np.float64, "r", shape=(count, width)), self["time_s"]
             begins_s = time_s[-1].as_py() if len(time_s) else -np.inf
-            self._tail = rows[np.searchsorted(rows[:, self._names.index("time_s")], begins_s, "right"):]
+            self._tail = rows[
+                np.searchsorted(rows[:, self._names.index("time_s")], begins_s, "right") :
+            ]
 
     def __getitem__(self, name: str) -> pa.ChunkedArray:
         if name not in self._names:
@@ -136,8 +156,9 @@ class Columns(Mapping[str, pa.ChunkedArray]):
         try:
             yield
         except (pa.ArrowException, OSError) as error:
-            raise ConfigError(f"{self._path}: damaged, not a readable Parquet file ({error}); record the run again"
-                              ) from None
+            raise ConfigError(
+                f"{self._path}: damaged, not a readable Parquet file ({error}); record the run again"
+            ) from None
 
 
 def leave_pandas_out() -> None:
@@ -163,10 +184,17 @@ def load(folder: Path) -> pa.Table:
 def values(column: pa.Array | pa.ChunkedArray | np.ndarray | Sequence[float]) -> np.ndarray:
     """One channel, shape (n,), float64; nulls are NaN."""
     whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-    if not isinstance(whole, pa.Array) or not len(whole) or whole.null_count or whole.type != pa.float64():
+    if (
+        not isinstance(whole, pa.Array)
+        or not len(whole)
+        or whole.null_count
+        or whole.type != pa.float64()
+    ):
         return np.asarray(column, dtype=np.float64)
-    return np.frombuffer(whole.buffers()[1])[whole.offset:whole.offset + len(whole)].copy()
+    return np.frombuffer(whole.buffers()[1])[whole.offset : whole.offset + len(whole)].copy()
 
 
 def _array(found: np.ndarray) -> pa.Array:
-    return pa.Array.from_buffers(pa.float64(), len(found), [None, pa.py_buffer(np.ascontiguousarray(found))])
+    return pa.Array.from_buffers(
+        pa.float64(), len(found), [None, pa.py_buffer(np.ascontiguousarray(found))]
+    )

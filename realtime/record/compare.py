@@ -37,8 +37,13 @@ def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) ->
     """Every channel of every further run against the first; a tolerance of the channel itself counts first."""
     first, found = runs[0], []
     time_s = first.column("time_s")
-    units = {name: signal.unit or "1" for signal in signals.SIGNALS if signal.name not in _NO_RESULT
-             for name in signals.columns(signal) if name in first.table.column_names}
+    units = {
+        name: signal.unit or "1"
+        for signal in signals.SIGNALS
+        if signal.name not in _NO_RESULT
+        for name in signals.columns(signal)
+        if name in first.table.column_names
+    }
     for run in runs[1:]:
         for name in [name for name in units if name in run.table.column_names]:
             other = np.interp(time_s, run.column("time_s"), run.column(name), right=np.nan)
@@ -46,9 +51,16 @@ def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) ->
             known = np.flatnonzero(np.isfinite(gap))
             if known.size:
                 worst = known[np.argmax(gap[known])]
-                found.append(Difference(
-                    str(run.folder), name, largest=float(gap[worst]), rms=float(np.sqrt(np.mean(gap[known] ** 2))),
-                    at_s=float(time_s[worst]), tolerance=tolerances.get(name, tolerances.get(units[name], np.nan))))
+                found.append(
+                    Difference(
+                        str(run.folder),
+                        name,
+                        largest=float(gap[worst]),
+                        rms=float(np.sqrt(np.mean(gap[known] ** 2))),
+                        at_s=float(time_s[worst]),
+                        tolerance=tolerances.get(name, tolerances.get(units[name], np.nan)),
+                    )
+                )
     return found
 
 
@@ -60,14 +72,22 @@ def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
     is not, and the difference of two runs is what the rig adds.
     """
     place_m = run.column("position_m")
-    third = np.minimum(3.0 * (place_m - place_m[0]) / max(float(place_m[-1] - place_m[0]), 1e-9), 2.999).astype(int)
+    third = np.minimum(
+        3.0 * (place_m - place_m[0]) / max(float(place_m[-1] - place_m[0]), 1e-9), 2.999
+    ).astype(int)
     names = [f"_{axle}" for axle in range(1, signals.AXLES + 1)]
-    f, s, mu = (np.array([run.column(f"{stem}{name}{unit}") for name in names]) for stem, unit in (
-        ("adhesion", ""), ("sliding", "_m_s"), ("friction_degraded", "")))
+    f, s, mu = (
+        np.array([run.column(f"{stem}{name}{unit}") for name in names])
+        for stem, unit in (("adhesion", ""), ("sliding", "_m_s"), ("friction_degraded", ""))
+    )
     valid = bool(run.summary.get("valid", True))
     slides, known = valid & (s > 0.5), valid & np.isfinite(mu)
-    return {"adhesion while sliding": tuple(_mean(f[:, third == k], slides[:, third == k]) for k in range(3)),
-            "friction mu_cd": tuple(_mean(mu[:, third == k], known[:, third == k]) for k in range(3))}
+    return {
+        "adhesion while sliding": tuple(
+            _mean(f[:, third == k], slides[:, third == k]) for k in range(3)
+        ),
+        "friction mu_cd": tuple(_mean(mu[:, third == k], known[:, third == k]) for k in range(3)),
+    }
 
 
 def _mean(values: np.ndarray, counts: np.ndarray) -> float | None:
@@ -81,12 +101,16 @@ def tolerances(given: Sequence[str]) -> dict[str, float]:
     for text in given:
         name, _, value = text.partition("=")
         if name not in units and name not in signals.COLUMNS:
-            raise ConfigError(f"--tolerance {text}: no unit or channel is called '{name}'"
-                              f"{nearest(name, [*units, *signals.COLUMNS])}")
+            raise ConfigError(
+                f"--tolerance {text}: no unit or channel is called '{name}'"
+                f"{nearest(name, [*units, *signals.COLUMNS])}"
+            )
         try:
             found[name] = float(value)
         except ValueError:
-            raise ConfigError(f"--tolerance {text}: '{value}' is not a number; write as in m_s=0.1") from None
+            raise ConfigError(
+                f"--tolerance {text}: '{value}' is not a number; write as in m_s=0.1"
+            ) from None
         if not found[name] >= 0.0:
             raise ConfigError(f"--tolerance {text}: must be 0 or more")
     return found

@@ -19,7 +19,8 @@ class Events:
         """Append an event (info, warning, error)."""
         self.counts[level] += 1
         (self._first if len(self._first) < KEPT else self._last).append(
-            {"time_s": time_s, "level": level, "text": text})
+            {"time_s": time_s, "level": level, "text": text}
+        )
 
     @property
     def left_out(self) -> int:
@@ -29,8 +30,11 @@ class Events:
     def __iter__(self) -> Iterator[dict[str, Any]]:
         yield from self._first
         if self.left_out:
-            yield {"time_s": self._last[0]["time_s"], "level": "warning",
-                   "text": f"{self.left_out} events are left out before this one; events.jsonl has what was recorded"}
+            yield {
+                "time_s": self._last[0]["time_s"],
+                "level": "warning",
+                "text": f"{self.left_out} events are left out before this one; events.jsonl has what was recorded",
+            }
         yield from self._last
 
     def rows(self) -> list[tuple[float, str, str]]:

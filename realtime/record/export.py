@@ -36,19 +36,29 @@ class Column(NamedTuple):
 
 def columns(run: Run) -> list[Column]:
     """All channels of a run but time, with unit and description."""
-    known = {name: (UNITS.get(signal.unit, signal.unit), signal.text)
-             for signal in signals.SIGNALS for name in signals.columns(signal)}
-    return [Column(name, *known.get(name, ("", "")), run.column(name))
-            for name in run.table.column_names if name != "time_s"]
+    known = {
+        name: (UNITS.get(signal.unit, signal.unit), signal.text)
+        for signal in signals.SIGNALS
+        for name in signals.columns(signal)
+    }
+    return [
+        Column(name, *known.get(name, ("", "")), run.column(name))
+        for name in run.table.column_names
+        if name != "time_s"
+    ]
 
 
-def write(run: Run, kind: str, out: Path, more: Mapping[str, "Writer"] = MappingProxyType({})) -> list[Path]:
+def write(
+    run: Run, kind: str, out: Path, more: Mapping[str, "Writer"] = MappingProxyType({})
+) -> list[Path]:
     """Write a run as `kind` (mdf4, mat, csv, or one of `more`); the files written. Raises ConfigError."""
     writers = {**WRITERS, **more}
     if kind not in writers:
         raise ConfigError(f"--format {kind}: no such format{nearest(kind, writers)}")
     if not len(run.table):
-        raise ConfigError(f"{run.folder}: the record holds no samples, so there is nothing to export")
+        raise ConfigError(
+            f"{run.folder}: the record holds no samples, so there is nothing to export"
+        )
     with writing(out, "give another file with --out, or make room"):
         out.parent.mkdir(parents=True, exist_ok=True)
         return writers[kind](run, out)
@@ -61,8 +71,14 @@ def _mdf4(run: Run, out: Path) -> list[Path]:
         raise ConfigError("--format mdf4 needs asammdf: pip install 'rollerrig[export]'") from None
     time_s = run.column("time_s")
     with MDF(version="4.10") as made:
-        made.append([Signal(one.values, time_s, name=one.name, unit=one.unit, comment=one.text)
-                     for one in columns(run)], comment=f"rollerrig {run.folder.name}", common_timebase=True)
+        made.append(
+            [
+                Signal(one.values, time_s, name=one.name, unit=one.unit, comment=one.text)
+                for one in columns(run)
+            ],
+            comment=f"rollerrig {run.folder.name}",
+            common_timebase=True,
+        )
         if run.events:
             at_s = np.array([event[0] for event in run.events])
             text = np.array([f"{level}: {text}".encode() for _, level, text in run.events])
@@ -77,10 +93,16 @@ def _mat(run: Run, out: Path) -> list[Path]:
 
     found = columns(run)
     content: dict[str, Any] = {one.name: one.values for one in found} | {
-        "time_s": run.column("time_s"), "units": {one.name: one.unit for one in found} | {"time_s": "s"},
+        "time_s": run.column("time_s"),
+        "units": {one.name: one.unit for one in found} | {"time_s": "s"},
         "descriptions": {one.name: one.text for one in found},
-        EVENTS: {name: np.array([event[at] for event in run.events], dtype=kind) for at, (name, kind) in enumerate(
-            (("time_s", float), ("level", object), ("text", object)))}}
+        EVENTS: {
+            name: np.array([event[at] for event in run.events], dtype=kind)
+            for at, (name, kind) in enumerate(
+                (("time_s", float), ("level", object), ("text", object))
+            )
+        },
+    }
     with replaced(out, ".mat") as new:
         savemat(new, content, long_field_names=True, oned_as="column", do_compression=True)
     return [out]
@@ -91,7 +113,9 @@ def _csv(run: Run, out: Path) -> list[Path]:
     table = np.column_stack([run.column("time_s"), *(one.values for one in found)])
     beside = out.with_name(f"{out.stem}.{EVENTS}.csv")
     with replaced(out) as new, new.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([["time_s", *(one.name for one in found)], ["s", *(one.unit for one in found)]])
+        csv.writer(file).writerows(
+            [["time_s", *(one.name for one in found)], ["s", *(one.unit for one in found)]]
+        )
         np.savetxt(file, table, fmt="%.17g", delimiter=",")
     with replaced(beside) as new, new.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([("time_s", "level", "text"), *run.events])

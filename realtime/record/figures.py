@@ -48,16 +48,36 @@ def _mean(summary: Summary, key: str) -> float:
 FIGURES = (
     Figure("stop_time_s", "stop time", "s", lambda s: s["stop_time_s"]),
     Figure("stop_distance_m", "stop distance", "m", lambda s: s["stop_distance_m"]),
-    Figure("sliding_mean_m_s", "mean sliding, all axles", "m/s", lambda s: _mean(s, "sliding_mean_m_s"), better=0),
-    Figure("sliding_std_m_s", "standard deviation of sliding", "m/s", lambda s: _mean(s, "sliding_std_m_s")),
-    Figure("sliding_max_m_s", "largest sliding", "m/s", lambda s: max(_axles(s, "sliding_max_m_s"))),
+    Figure(
+        "sliding_mean_m_s",
+        "mean sliding, all axles",
+        "m/s",
+        lambda s: _mean(s, "sliding_mean_m_s"),
+        better=0,
+    ),
+    Figure(
+        "sliding_std_m_s",
+        "standard deviation of sliding",
+        "m/s",
+        lambda s: _mean(s, "sliding_std_m_s"),
+    ),
+    Figure(
+        "sliding_max_m_s", "largest sliding", "m/s", lambda s: max(_axles(s, "sliding_max_m_s"))
+    ),
     Figure("longest_lock_s", "longest lock", "s", lambda s: max(_axles(s, "longest_lock_s"))),
     Figure("adhesion_mean", "mean adhesion", "", lambda s: _mean(s, "adhesion_mean"), better=1),
-    Figure("dissipated_energy_J", "energy of sliding", "MJ", lambda s: sum(_axles(s, "dissipated_energy_J")),
-           scale=1e-6),
+    Figure(
+        "dissipated_energy_J",
+        "energy of sliding",
+        "MJ",
+        lambda s: sum(_axles(s, "dissipated_energy_J")),
+        scale=1e-6,
+    ),
     Figure("vents", "vents", "", lambda s: s["wsp"]["vents"]),
     Figure("air_consumption_NL", "air", "NL", lambda s: s["air_consumption_NL"]),
-    Figure("tracking_max_m_s", "tracking error, largest", "m/s", lambda s: s["tracking"]["max_m_s"]),
+    Figure(
+        "tracking_max_m_s", "tracking error, largest", "m/s", lambda s: s["tracking"]["max_m_s"]
+    ),
     Figure("tracking_rms_m_s", "tracking error, rms", "m/s", lambda s: s["tracking"]["rms_m_s"]),
 )
 BY_NAME = {figure.name: figure for figure in FIGURES}

@@ -37,8 +37,10 @@ class Run(NamedTuple):
     def column(self, name: str) -> np.ndarray:
         """One channel, shape (n,). Raises ConfigError naming those that are there."""
         if name not in self.table.column_names:
-            raise ConfigError(f"{self.folder}: no channel is called '{name}'; there are "
-                              f"{', '.join(self.table.column_names)}")
+            raise ConfigError(
+                f"{self.folder}: no channel is called '{name}'; there are "
+                f"{', '.join(self.table.column_names)}"
+            )
         return channels.values(self.table[name])
 
 
@@ -46,10 +48,18 @@ def load(folder: Path | str) -> Run:
     """A run's folder. Raises ConfigError for what is missing or damaged."""
     folder = Path(folder)
     if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder; give one that 'rollerrig run ... --out DIR' has written")
+        raise ConfigError(
+            f"{folder}: no such folder; give one that 'rollerrig run ... --out DIR' has written"
+        )
     if not (folder / SCENARIO).is_file():
         raise ConfigError(f"{folder / SCENARIO}: no such file; {folder} is not a run's folder")
-    return Run(folder, channels.load(folder), store.parse(folder / SCENARIO), events(folder), summary(folder))
+    return Run(
+        folder,
+        channels.load(folder),
+        store.parse(folder / SCENARIO),
+        events(folder),
+        summary(folder),
+    )
 
 
 def events(folder: Path) -> list[tuple[float, str, str]]:
@@ -70,16 +80,20 @@ def each_event(folder: Path) -> Iterator[tuple[float, str, str]]:
             except (ValueError, KeyError, TypeError):
                 if not line.endswith("\n"):
                     break  # cut off by a kill
-                raise ConfigError(f"{path}, line {number}: not an event; a line is "
-                                  '{"time_s": 0.0, "level": "info", "text": "..."}') from None
+                raise ConfigError(
+                    f"{path}, line {number}: not an event; a line is "
+                    '{"time_s": 0.0, "level": "info", "text": "..."}'
+                ) from None
             yield found
 
 
 def frames(folder: Path) -> list[tuple[int, int, str]]:
     """Stamp in us, identifier and data in hex of every frame in can.log; none where there is no file."""
     text = (folder / CAN_LOG).read_text(encoding="ascii") if (folder / CAN_LOG).is_file() else ""
-    return [(1_000_000 * int(seconds) + int(micros), int(can_id, 16), data)
-            for seconds, micros, can_id, data in _FRAME.findall(text)]
+    return [
+        (1_000_000 * int(seconds) + int(micros), int(can_id, 16), data)
+        for seconds, micros, can_id, data in _FRAME.findall(text)
+    ]
 
 
 def summary(folder: Path) -> dict[str, Any]:
@@ -114,8 +128,10 @@ def write_summary(folder: Path, content: dict[str, Any]) -> None:
             spare = Path(tempfile.mkdtemp(prefix=f"rollerrig-{folder.name}-"), SUMMARY)
             spare.write_text(text, encoding="utf-8")
             kept = f"its summary is kept in {spare}"
-        raise ConfigError(f"{folder} cannot be written: {error.strerror}; {kept}, what was recorded is in the "
-                          "folder; make room, or give a folder elsewhere with --out, and run again") from None
+        raise ConfigError(
+            f"{folder} cannot be written: {error.strerror}; {kept}, what was recorded is in the "
+            "folder; make room, or give a folder elsewhere with --out, and run again"
+        ) from None
 
 
 def rows(table: pa.Table | pa.RecordBatch) -> np.ndarray:

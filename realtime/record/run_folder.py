@@ -11,8 +11,16 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record.files import writing
 
 SCENARIO, CHANNELS, TAIL, EVENTS, SUMMARY, CAN_LOG, RRD, UNIT_LOG, TRACE = FILES = (
-    "scenario.toml", "channels.parquet", "channels.tail", "events.jsonl", "summary.json", "can.log", "run.rrd",
-    "wsp.log", "harness.csv")
+    "scenario.toml",
+    "channels.parquet",
+    "channels.tail",
+    "events.jsonl",
+    "summary.json",
+    "can.log",
+    "run.rrd",
+    "wsp.log",
+    "harness.csv",
+)
 MARK = ".rollerrig"
 
 
@@ -21,10 +29,14 @@ def begin(folder: Path) -> None:
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()) and not _is_run(folder):
-            raise ConfigError(f"{folder} is not empty and not a run's folder: nothing in it is replaced; give a new "
-                              "one with --out")
-        (folder / MARK).write_text("A folder of rollerrig run: its next run replaces the files of this one.\n",
-                                   encoding="utf-8")
+            raise ConfigError(
+                f"{folder} is not empty and not a run's folder: nothing in it is replaced; give a new "
+                "one with --out"
+            )
+        (folder / MARK).write_text(
+            "A folder of rollerrig run: its next run replaces the files of this one.\n",
+            encoding="utf-8",
+        )
         for name in FILES:
             (folder / name).unlink(missing_ok=True)
 

@@ -20,6 +20,8 @@ def opened(text: str, where: str) -> dict[str, Any]:
         if not isinstance(found, dict):
             raise ValueError("not a table")
     except (ValueError, zlib.error) as error:
-        raise ConfigError(f"{where}: it is damaged or was not sealed by rollerrig ({error}); take the file as it was "
-                          "written") from None
+        raise ConfigError(
+            f"{where}: it is damaged or was not sealed by rollerrig ({error}); take the file as it was "
+            "written"
+        ) from None
     return found

@@ -24,8 +24,12 @@ _SHOWN = ("sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_loc
 Channel = Callable[[str], np.ndarray]
 
 
-def of(columns: pa.Table | Mapping[str, Any], counters: Mapping[str, Any],
-       scenario: Mapping[str, Any], events: Iterable[validity.Event] = ()) -> dict[str, Any]:
+def of(
+    columns: pa.Table | Mapping[str, Any],
+    counters: Mapping[str, Any],
+    scenario: Mapping[str, Any],
+    events: Iterable[validity.Event] = (),
+) -> dict[str, Any]:
     """The summary of recorded channels, as summary.json has it.
 
     `columns` by the names of the table of signals, each of shape (n,). `counters` may hold
@@ -48,24 +52,35 @@ def of(columns: pa.Table | Mapping[str, Any], counters: Mapping[str, Any],
     text = json.dumps(scenario, sort_keys=True, default=str)
     found = {
         "version": counters.get("version") or metadata.version("rollerrig"),
-        "config_hash": counters.get("config_hash") or hashlib.sha256(text.encode()).hexdigest()[:16],
-        "scenario": counters.get("scenario"), "title": scenario.get("title") or None,
-        "pacing": counters.get("pacing"), "seed": counters.get("seed"), "ended": counters.get("ended", "finished"),
-        "tick_hz": loop.get("tick_hz"), "step_s": loop.get("step_s"),
-        "samples": len(speed), "duration_s": _span(time_s),
-        "initial_speed_m_s": finite(speed[0]) if len(speed) else None, "final_speed_m_s": _last(speed),
+        "config_hash": counters.get("config_hash")
+        or hashlib.sha256(text.encode()).hexdigest()[:16],
+        "scenario": counters.get("scenario"),
+        "title": scenario.get("title") or None,
+        "pacing": counters.get("pacing"),
+        "seed": counters.get("seed"),
+        "ended": counters.get("ended", "finished"),
+        "tick_hz": loop.get("tick_hz"),
+        "step_s": loop.get("step_s"),
+        "samples": len(speed),
+        "duration_s": _span(time_s),
+        "initial_speed_m_s": finite(speed[0]) if len(speed) else None,
+        "final_speed_m_s": _last(speed),
         "stop_time_s": _span(time_s[stop]) if stopped else None,
         "stop_distance_m": _span(channel("position_m")[stop]) if stopped else None,
         "stopped": stopped,
         "axles": [_axle(channel, j, stop) for j in range(1, AXLES + 1)],
-        "wsp": _wsp(channel, stop) | {"unit": counters.get("unit")} | dict(counters.get("wsp") or {}),
+        "wsp": _wsp(channel, stop)
+        | {"unit": counters.get("unit")}
+        | dict(counters.get("wsp") or {}),
         "tracking": _tracking(channel, stop),
         "air_consumption_NL": _last(channel("air_consumption_NL")),
         "reservoir_least_Pa": _last(channel("reservoir_least_Pa")),
         "loop": _loop(channel, loop) | dict(counters.get("loop") or {}),
-        "bus": dict.fromkeys(("frames", "dropped", "load_percent")) | dict(counters.get("bus") or {}),
+        "bus": dict.fromkeys(("frames", "dropped", "load_percent"))
+        | dict(counters.get("bus") or {}),
         "modbus": {"requests": None} | dict(counters.get("modbus") or {}),
-        "recorder": {"lost": 0} | dict(counters.get("recorder") or {})}
+        "recorder": {"lost": 0} | dict(counters.get("recorder") or {}),
+    }
     because = validity.reasons(found, scenario, events)
     return found | {"valid": not because, "invalid_because": because}
 
@@ -80,7 +95,8 @@ def _axle(channel: Channel, axle: int, stop: slice) -> dict[str, Any]:
         "wheel_flat_m": _last(channel(f"flat_length_{axle}_m")),
         "dissipated_energy_J": _span(channel(f"sliding_work_{axle}_J")[stop]),
         "adhesion_mean": _of(np.mean, channel(f"adhesion_{axle}")[stop]),
-        "vents": _count(channel(f"vents_{axle}"))}
+        "vents": _count(channel(f"vents_{axle}")),
+    }
 
 
 def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
@@ -88,8 +104,11 @@ def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
     valves = (channel(f"valve_{axle}")[stop] > 0.5 for axle in range(1, AXLES + 1))
     acting = functools.reduce(np.logical_or, valves)[:-1]
     vents = [_count(channel(f"vents_{axle}")) for axle in range(1, AXLES + 1)]
-    return {"unit": None, "active_s": float(np.sum(np.diff(channel("time_s")[stop])[acting])),
-            "vents": None if None in vents else sum(vents)}  # type: ignore[arg-type]
+    return {
+        "unit": None,
+        "active_s": float(np.sum(np.diff(channel("time_s")[stop])[acting])),
+        "vents": None if None in vents else sum(vents),
+    }  # type: ignore[arg-type]
 
 
 def _tracking(channel: Channel, stop: slice) -> dict[str, Any]:
@@ -100,8 +119,10 @@ def _tracking(channel: Channel, stop: slice) -> dict[str, Any]:
         error = error[np.isfinite(error)]
         worst.append(_of(np.max, np.abs(error)))
         count, squares = count + error.size, squares + float(np.sum(error**2))
-    return {"max_m_s": max((one for one in worst if one is not None), default=None),
-            "rms_m_s": math.sqrt(squares / count) if count else None}
+    return {
+        "max_m_s": max((one for one in worst if one is not None), default=None),
+        "rms_m_s": math.sqrt(squares / count) if count else None,
+    }
 
 
 def _loop(channel: Channel, loop: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,7 +131,13 @@ def _loop(channel: Channel, loop: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "ticks": round(time_s[-1] * loop["tick_hz"]) if len(time_s) and "tick_hz" in loop else None,
         "missed": _count(channel("ticks_missed")),
-        "lateness_us": {"p50": None, "p99": None, "p999": None, "max": _of(np.max, channel("tick_lateness_us"))}}
+        "lateness_us": {
+            "p50": None,
+            "p99": None,
+            "p999": None,
+            "max": _of(np.max, channel("tick_lateness_us")),
+        },
+    }
 
 
 def _of(what: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
@@ -140,27 +167,48 @@ def table(summary: Mapping[str, Any]) -> Any:
     """The summary for a terminal: a rich table of the axles under a line on the stop."""
     from rich.table import Table
 
-    wsp, loop, bus, late = summary["wsp"], summary["loop"], summary["bus"], summary["loop"]["lateness_us"]
+    wsp, loop, bus, late = (
+        summary["wsp"],
+        summary["loop"],
+        summary["bus"],
+        summary["loop"]["lateness_us"],
+    )
     speed = f"{_show(summary['initial_speed_m_s'], 1)} m/s"
-    how = (f"stopped from {speed} in {_show(summary['stop_time_s'])} s and {_show(summary['stop_distance_m'], 1)} m"
-           if summary["stopped"] else f"not stopped from {speed} after {_show(summary.get('duration_s'))} s")
-    more = "".join((f", longest wait {bus['longest_wait_us']:.0f} us" if bus.get("longest_wait_us") is not None else "",
-                    f", {bus['stray_syncs']} stray SYNCs" if bus.get("stray_syncs") else ""))
+    how = (
+        f"stopped from {speed} in {_show(summary['stop_time_s'])} s and {_show(summary['stop_distance_m'], 1)} m"
+        if summary["stopped"]
+        else f"not stopped from {speed} after {_show(summary.get('duration_s'))} s"
+    )
+    more = "".join(
+        (
+            f", longest wait {bus['longest_wait_us']:.0f} us"
+            if bus.get("longest_wait_us") is not None
+            else "",
+            f", {bus['stray_syncs']} stray SYNCs" if bus.get("stray_syncs") else "",
+        )
+    )
     shown = Table(
-        title=f"{summary['scenario'] or summary.get('title') or 'run'}: {how}", title_justify="left",
+        title=f"{summary['scenario'] or summary.get('title') or 'run'}: {how}",
+        title_justify="left",
         caption=f"WSP {wsp['unit'] or '-'}: active {_show(wsp['active_s'])} s, {_show(wsp['vents'], 0)} vents, "
         f"air {_show(summary['air_consumption_NL'], 1)} NL\n"
         f"loop: {_show(loop['ticks'], 0)} ticks, {_show(loop['missed'], 0)} missed, late "
         f"p50 {_show(late['p50'], 0)} p99 {_show(late['p99'], 0)} max {_show(late['max'], 0)} us\n"
         f"bus: {_show(bus['frames'], 0)} frames, {_show(bus['dropped'], 0)} dropped, load "
         f"{_show(bus['load_percent'], 1)} %{more}; Modbus: {_show(summary['modbus']['requests'], 0)} requests",
-        caption_justify="left")
+        caption_justify="left",
+    )
     for name in ("axle", "sliding m/s", "std", "max", "lock s", "energy MJ", "adhesion", "vents"):
         shown.add_column(name, justify="right", overflow="fold")
     for number, axle in enumerate(summary["axles"], start=1):
         energy_J = axle["dissipated_energy_J"]
-        shown.add_row(str(number), *(_show(axle[key]) for key in _SHOWN), _show(energy_J and energy_J / 1e6),
-                      _show(axle["adhesion_mean"], 4), _show(axle.get("vents"), 0))
+        shown.add_row(
+            str(number),
+            *(_show(axle[key]) for key in _SHOWN),
+            _show(energy_J and energy_J / 1e6),
+            _show(axle["adhesion_mean"], 4),
+            _show(axle.get("vents"), 0),
+        )
     return shown
 
 

@@ -19,25 +19,36 @@ RECOVERY_S = 1.0
 _FAULT = re.compile(r"fault (.+): (begins|lifted)")
 _UNIT = f"the WSP unit (node {WSP_NODE})"
 # how events begin that spoil a run; the first of each counts
-_SPOILS = re.compile("derailed: |the (reference WSP unit|WSP unit .+?|recorder) has ended|"
-                     "the (run is interrupted|bench was killed)")
+_SPOILS = re.compile(
+    "derailed: |the (reference WSP unit|WSP unit .+?|recorder) has ended|"
+    "the (run is interrupted|bench was killed)"
+)
 _ENDS = "the harness ends the run"
 
 
-def reasons(summary: Mapping[str, Any], scenario: Mapping[str, Any], events: Iterable[Event]) -> list[str]:
+def reasons(
+    summary: Mapping[str, Any], scenario: Mapping[str, Any], events: Iterable[Event]
+) -> list[str]:
     """Why the run of a summary is not valid, a sentence each; none where it is. `events`: (time_s, level, text)."""
     # kept are those that count, and of errors the last: a flood of others may be more than memory holds
     last_error, found, spoilt, kept = "see its events", [], dict[str, str](), []
     for event in events:
         last_error = event[2] if event[1] == "error" else last_error
-        if event[2] == _ENDS or event[2].startswith(_UNIT) or _SPOILS.match(event[2]) or _FAULT.match(event[2]):
+        if (
+            event[2] == _ENDS
+            or event[2].startswith(_UNIT)
+            or _SPOILS.match(event[2])
+            or _FAULT.match(event[2])
+        ):
             kept.append(event)
     events = kept
     ended, stopped, last_m_s = summary["ended"], summary["stopped"], summary["final_speed_m_s"]
     rolling = f"at {last_m_s:.2f} m/s" if last_m_s is not None else "before it had begun"
     if lost_s := losses(events):
-        found.append(f"the WSP unit was lost {len(lost_s)} time{'s' * (len(lost_s) > 1)} (no heartbeat), first at "
-                     f"{lost_s[0]:.2f} s, and no fault was aimed at it or its bus")
+        found.append(
+            f"the WSP unit was lost {len(lost_s)} time{'s' * (len(lost_s) > 1)} (no heartbeat), first at "
+            f"{lost_s[0]:.2f} s, and no fault was aimed at it or its bus"
+        )
     for time_s, _, text in events:
         if told := _SPOILS.match(text):
             spoilt.setdefault(told[0], f"{re.split('; | [(]/', text)[0]}, at {time_s:.2f} s")
@@ -51,9 +62,15 @@ def reasons(summary: Mapping[str, Any], scenario: Mapping[str, Any], events: Ite
         found.append(f"the run ended with an error: {last_error}")
     elif ended == "stopped over Modbus" and not stopped:
         found.append(f"the run was stopped over Modbus while the coach rolled, {rolling}")
-    elif (ended == "finished" and not stopped and (summary["duration_s"] or 0.0) > limit_s - 1.0
-          and not any(text == _ENDS for _, _, text in events)):
-        found.append(f"the coach did not stop within {limit_s:g} s (duration_max_s), it still rolled {rolling}")
+    elif (
+        ended == "finished"
+        and not stopped
+        and (summary["duration_s"] or 0.0) > limit_s - 1.0
+        and not any(text == _ENDS for _, _, text in events)
+    ):
+        found.append(
+            f"the coach did not stop within {limit_s:g} s (duration_max_s), it still rolled {rolling}"
+        )
     elif not found and ended not in ("finished", "stopped over Modbus"):
         found.append(f"the record ends early: {ended}")
     return found
@@ -66,7 +83,9 @@ def losses(events: Iterable[Event]) -> list[float]:
     for time_s, _, text in events:
         if (fault := _FAULT.match(text)) and catalogue.parse(fault[1]).reaches_unit:
             disturbed_until_s[fault[1]] = math.inf if fault[2] == "begins" else time_s + RECOVERY_S
-        elif text.startswith(f"{_UNIT} lost") and time_s > max(disturbed_until_s.values(), default=-math.inf):
+        elif text.startswith(f"{_UNIT} lost") and time_s > max(
+            disturbed_until_s.values(), default=-math.inf
+        ):
             lost_s.append(time_s)
         elif text.startswith(f"{_UNIT} is back") and time_s == 0.0:
             lost_s.clear()
@@ -75,4 +94,8 @@ def losses(events: Iterable[Event]) -> list[float]:
 
 def because(summary: Mapping[str, Any]) -> Sequence[str]:
     """Why a run is not valid, by its summary; one from before summaries told counts as valid."""
-    return summary.get("invalid_because", ()) if summary else ("it has no summary: it still runs, or was killed",)
+    return (
+        summary.get("invalid_because", ())
+        if summary
+        else ("it has no summary: it still runs, or was killed",)
+    )

@@ -24,12 +24,19 @@ from rollerrig.rig.mechanisms.table import BY_NAME
 
 BINS, LEAST_OF_BIN, STRETCH_S = 12, 50, 5.0
 _WORDS = {c.name: f"{c.word.replace('_', ' ')}, {c.unit}" for c in COVARIATES if c.word} | {
-    "cleaned_J_m": "work of the wheels before on this metre, J/m", "braked_rad": "angle turned braked, rad",
-    "brake_Nm": "brake torque, N m", "deceleration_m_s2": "deceleration, m/s²"}
+    "cleaned_J_m": "work of the wheels before on this metre, J/m",
+    "braked_rad": "angle turned braked, rad",
+    "brake_Nm": "brake torque, N m",
+    "deceleration_m_s2": "deceleration, m/s²",
+}
 # what a remainder goes along, as the search calls it, and the covariate that shows it
 _ALONG = {c.word: c.name for c in COVARIATES if c.word} | {
-    "deceleration": "deceleration_m_s2", "vehicle time": "time_s", "vehicle speed": "speed_m_s", "axle": "time_s",
-    "acceleration": "sliding_m_s"}
+    "deceleration": "deceleration_m_s2",
+    "vehicle time": "time_s",
+    "vehicle speed": "speed_m_s",
+    "axle": "time_s",
+    "acceleration": "sliding_m_s",
+}
 
 
 class Binned(NamedTuple):
@@ -58,27 +65,42 @@ def where(a: Account, against: list[str]) -> list[Panel]:
     """What the base leaves of the adhesion, against what shows it most, each axle."""
     d = a.design
     left, better = (_left(d, one) for one in (a.base, a.final))
-    names = list(dict.fromkeys([_ALONG.get(_plain(word), "time_s") for word in against]
-                               + ["sliding_m_s", "speed_m_s", "time_s"]))[:3]
+    names = list(
+        dict.fromkeys(
+            [_ALONG.get(_plain(word), "time_s") for word in against]
+            + ["sliding_m_s", "speed_m_s", "time_s"]
+        )
+    )[:3]
     block, axle = _blocks(d), np.repeat(d.axle, np.diff(d.start))
     found = []
     for name in names:
         x = covariate(d, name)
         edges = _edges(x)
-        series = [Series(f"axle {j + 1}", colour, *binned(x[on], left[on], block[on], edges))
-                  for j, colour in enumerate(colours.AXLES) for on in [axle == j]]
+        series = [
+            Series(f"axle {j + 1}", colour, *binned(x[on], left[on], block[on], edges))
+            for j, colour in enumerate(colours.AXLES)
+            for on in [axle == j]
+        ]
         if a.causes:
             at, mean, _ = binned(x, better, block, edges)
             series.append(Series("extended, all axles", colours.EXTENDED, at, mean, None))
-        found.append(Panel(_WORDS[name].partition(",")[0], _WORDS[name], "measured less base model, adhesion",
-                           tuple(series)))
+        found.append(
+            Panel(
+                _WORDS[name].partition(",")[0],
+                _WORDS[name],
+                "measured less base model, adhesion",
+                tuple(series),
+            )
+        )
     return found
 
 
 def cause(a: Account, named: NamedCause) -> Panel:
     """What the model without a cause leaves along what the cause goes by, and the fitted law over it."""
     d, row = a.design, BY_NAME[named.cause.name]
-    without = a.final._replace(causes=tuple(c for c in a.final.causes if c.name != named.cause.name))
+    without = a.final._replace(
+        causes=tuple(c for c in a.final.causes if c.name != named.cause.name)
+    )
     vehicle = row.acts_on == VEHICLE
     left = gain.free_running if vehicle else _left
     lacking, rest = left(d, without), left(d, a.final)
@@ -92,22 +114,37 @@ def cause(a: Account, named: NamedCause) -> Panel:
     edges = _edges(x[on])
     b, law = (binned(x[on], y[on], block[on], edges) for y in (lacking, lacking - rest))
     place = f", axle {named.cause.axle}" if named.cause.axle else ""
-    return Panel(f"{row.text}{place}", _WORDS[name],
-                 "error of the speed 5 s ahead, m/s" if vehicle else "adhesion",
-                 (Series("left without it, ± 2 standard errors", colours.MEASURED, *b),
-                  Series("the fitted law", colours.EXTENDED, law.at, law.mean, None)))
+    return Panel(
+        f"{row.text}{place}",
+        _WORDS[name],
+        "error of the speed 5 s ahead, m/s" if vehicle else "adhesion",
+        (
+            Series("left without it, ± 2 standard errors", colours.MEASURED, *b),
+            Series("the fitted law", colours.EXTENDED, law.at, law.mean, None),
+        ),
+    )
 
 
 def draw(figure: Figure, panels: list[Panel]) -> None:
     """Panels beside one another, with the same measure upwards."""
-    for k, (axes, panel) in enumerate(zip(np.atleast_1d(figure.subplots(1, len(panels), sharey=True)), panels,
-                                          strict=True)):
+    for k, (axes, panel) in enumerate(
+        zip(np.atleast_1d(figure.subplots(1, len(panels), sharey=True)), panels, strict=True)
+    ):
         for one in panel.series:
             colour = INK if one.colour == colours.MEASURED else colours.on_page(one.colour)
             if one.bar is None:
                 axes.plot(one.at, one.mean, color=colour, lw=2.0, label=one.label)
             else:
-                axes.errorbar(one.at, one.mean, one.bar, color=colour, marker="o", ms=3, lw=0.8, label=one.label)
+                axes.errorbar(
+                    one.at,
+                    one.mean,
+                    one.bar,
+                    color=colour,
+                    marker="o",
+                    ms=3,
+                    lw=0.8,
+                    label=one.label,
+                )
         axes.axhline(0.0, color=GREY)
         axes.set_xlabel(panel.along)
         if k == 0:
@@ -126,14 +163,20 @@ def stretch(figure: Figure, a: Account) -> None:
     s = 0
     for segment in range(d.segments):
         own = d.span(segment)
-        differ = np.convolve(np.abs(better[own] - base[own]) * (d.speed_m_s[own] > gain.SLOWEST_M_S),
-                             np.ones(length), "valid")
+        differ = np.convolve(
+            np.abs(better[own] - base[own]) * (d.speed_m_s[own] > gain.SLOWEST_M_S),
+            np.ones(length),
+            "valid",
+        )
         if differ.size and differ.max() > best:
             best, low, s = float(differ.max()), own.start + int(differ.argmax()), segment
             at = slice(low, low + length)
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    for values, colour, label, width in ((measured, MEASURED, "measured", 0.8), (base, BASE, "base", 1.6),
-                                         (better, EXTENDED, "extended", 1.6)):
+    for values, colour, label, width in (
+        (measured, MEASURED, "measured", 0.8),
+        (base, BASE, "base", 1.6),
+        (better, EXTENDED, "extended", 1.6),
+    ):
         top.plot(d.time_s[at], values[at], color=colour, label=label, lw=width)
     top.set_ylabel("adhesion")
     top.set_title(f"run {d.names[int(d.run[s])]}, axle {int(d.axle[s]) + 1}", fontsize="medium")
@@ -147,9 +190,20 @@ def gains(axes: Axes, by_run: dict[str, tuple[float, float, float, float]], metr
     """The error on each run that was never fitted, before and after, and the share that went away with its interval."""
     places = np.arange(len(by_run))
     for k, (colour, label) in enumerate(((BASE, "base"), (EXTENDED, "extended"))):
-        axes.barh(places + 0.38 * k, [errors[k] for errors in by_run.values()], 0.36, color=colour, label=label)
-    axes.set_yticks(places + 0.19, [f"{run}: {1.0 - after / before:.0%}\n({low:.0%} to {high:.0%})"
-                                    for run, (before, after, low, high) in by_run.items()])
+        axes.barh(
+            places + 0.38 * k,
+            [errors[k] for errors in by_run.values()],
+            0.36,
+            color=colour,
+            label=label,
+        )
+    axes.set_yticks(
+        places + 0.19,
+        [
+            f"{run}: {1.0 - after / before:.0%}\n({low:.0%} to {high:.0%})"
+            for run, (before, after, low, high) in by_run.items()
+        ],
+    )
     axes.invert_yaxis()
     axes.set_xlabel(metric.replace("_", " "))
     axes.legend()

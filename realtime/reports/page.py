@@ -24,8 +24,19 @@ AXLES = tuple(map(colours.on_page, colours.AXLES))
 GREY, VERMILION = map(colours.on_page, (colours.GREY, colours.VERMILION))
 MEASURED, BASE, EXTENDED = INK, *map(colours.on_page, (colours.BASE, colours.EXTENDED))
 # of several runs, in their order
-RUNS = tuple(map(colours.on_page, (colours.BLUE, colours.ORANGE, colours.GREEN, colours.PURPLE,
-                                   colours.SKY_BLUE, colours.VERMILION)))
+RUNS = tuple(
+    map(
+        colours.on_page,
+        (
+            colours.BLUE,
+            colours.ORANGE,
+            colours.GREEN,
+            colours.PURPLE,
+            colours.SKY_BLUE,
+            colours.VERMILION,
+        ),
+    )
+)
 _STYLE = """
 :root{color-scheme:light dark}
 body{font:15px/1.5 system-ui,sans-serif;max-width:72rem;margin:2rem auto;padding:0 1rem}
@@ -38,16 +49,34 @@ small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
 tr.marked td{background:#d55e0033}tr.void td{opacity:.6}td{overflow-wrap:anywhere}th.number{white-space:normal}
 @media (prefers-color-scheme:dark){svg{filter:brightness(1.3)}}
 @media print{details{display:none}}
-""" + "".join(f".{kind}{{color:{colours.on_page(colour)}}}" for kind, colour in (
-    ("pass", colours.GREEN), ("fail", colours.VERMILION), ("warn", colours.VERMILION), ("error", colours.PURPLE)))
+""" + "".join(
+    f".{kind}{{color:{colours.on_page(colour)}}}"
+    for kind, colour in (
+        ("pass", colours.GREEN),
+        ("fail", colours.VERMILION),
+        ("warn", colours.VERMILION),
+        ("error", colours.PURPLE),
+    )
+)
 _MATPLOTLIB: Any = {
     # a fixed salt: the same data give the same file
-    "svg.hashsalt": "rollerrig", "svg.fonttype": "none", "font.size": 9, "legend.fontsize": 8,
-    "figure.facecolor": "none", "axes.facecolor": "none", "savefig.facecolor": "none",
-    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"),
-                    INK),
-    "axes.grid": True, "grid.color": GREY, "grid.alpha": 0.25, "axes.spines.top": False,
-    "axes.spines.right": False, "legend.frameon": False, "lines.linewidth": 1.0,
+    "svg.hashsalt": "rollerrig",
+    "svg.fonttype": "none",
+    "font.size": 9,
+    "legend.fontsize": 8,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    **dict.fromkeys(
+        ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK
+    ),
+    "axes.grid": True,
+    "grid.color": GREY,
+    "grid.alpha": 0.25,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "lines.linewidth": 1.0,
     "axes.prop_cycle": matplotlib.cycler(color=RUNS),  # type: ignore[attr-defined]
 }
 
@@ -69,8 +98,13 @@ def element(tag: str, *parts: str, kind: str = "", **attributes: str) -> Markup:
 
 def page(title: str, *parts: str) -> str:
     """The whole document under its title."""
-    return ('<!doctype html><html lang="en"><meta charset="utf-8">' + element("title", title)
-            + f"<style>{_STYLE}</style>" + element("body", element("h1", title), *parts) + "</html>\n")
+    return (
+        '<!doctype html><html lang="en"><meta charset="utf-8">'
+        + element("title", title)
+        + f"<style>{_STYLE}</style>"
+        + element("body", element("h1", title), *parts)
+        + "</html>\n"
+    )
 
 
 def paragraph(*parts: str, kind: str = "") -> Markup:
@@ -83,22 +117,37 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], marked: Sequence[s
 
     Nothing where there are no rows.
     """
-    kinds = ["number" if all(re.match(r"[-+]?\d|-?$|never|nan", cell) for cell in column) else ""
-             for column in zip(*rows, strict=True)]
+    kinds = [
+        "number" if all(re.match(r"[-+]?\d|-?$|never|nan", cell) for cell in column) else ""
+        for column in zip(*rows, strict=True)
+    ]
 
     def line(tag: str, cells: Sequence[str], mark: str = "") -> Markup:
-        return element("tr", *(element(tag, cell, kind=kind) for cell, kind in zip(cells, kinds, strict=True)),
-                       kind=mark)
+        return element(
+            "tr",
+            *(element(tag, cell, kind=kind) for cell, kind in zip(cells, kinds, strict=True)),
+            kind=mark,
+        )
 
     marks = marked or [""] * len(rows)
-    return element("table", line("th", head), *(
-        line("td", row, mark) for row, mark in zip(rows, marks, strict=True))) if rows else Markup()
+    return (
+        element(
+            "table",
+            line("th", head),
+            *(line("td", row, mark) for row, mark in zip(rows, marks, strict=True)),
+        )
+        if rows
+        else Markup()
+    )
 
 
 def facts(rows: Mapping[str, str]) -> Markup:
     """A table of names and what they are, as the title block of a report."""
-    return element("table", *(element("tr", element("th", name), element("td", text)) for name, text in rows.items()),
-                   kind="facts")
+    return element(
+        "table",
+        *(element("tr", element("th", name), element("td", text)) for name, text in rows.items()),
+        kind="facts",
+    )
 
 
 def folded(title: str, *parts: str) -> Markup:
@@ -127,6 +176,8 @@ def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (11.0, 4
             figure.savefig(pixels, format="png", dpi=150, facecolor="white")
             return element("img", src=f"{PNG}{base64.b64encode(pixels.getvalue()).decode()}")
         # without date, creator and format, matplotlib writes no metadata
-        figure.savefig(out, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        figure.savefig(
+            out, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        )
     svg = out.getvalue()
-    return Markup(svg[svg.index("<svg"):].replace(INK, "currentColor"))
+    return Markup(svg[svg.index("<svg") :].replace(INK, "currentColor"))

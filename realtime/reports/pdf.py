@@ -30,7 +30,9 @@ def check() -> Any:
     try:
         import fpdf
     except ImportError:
-        raise ConfigError("--pdf needs fpdf2, which is not installed: pip install 'rollerrig[pdf]'") from None
+        raise ConfigError(
+            "--pdf needs fpdf2, which is not installed: pip install 'rollerrig[pdf]'"
+        ) from None
     return fpdf
 
 
@@ -44,7 +46,9 @@ def write(page: str, path: Path) -> Path:
     paper.set_auto_page_break(True, 14)
     paper.alias_nb_pages()
     paper.add_page()
-    body = ET.fromstring(page[page.index("<body>"): page.index("</body>") + 7].replace("<br>", "<br/>"))
+    body = ET.fromstring(
+        page[page.index("<body>") : page.index("</body>") + 7].replace("<br>", "<br/>")
+    )
     for part in body:
         _part(paper, part)
     with replaced(path) as new:
@@ -72,8 +76,11 @@ def _text(part: ET.Element) -> str:
     """All text of an element, links to files left out."""
     if part.tag == "br":
         return f"\n{part.tail or ''}"
-    own = "" if part.tag == "a" and not part.attrib.get("href", "").startswith("#") else (
-        (part.text or "") + "".join(map(_text, part)))
+    own = (
+        ""
+        if part.tag == "a" and not part.attrib.get("href", "").startswith("#")
+        else ((part.text or "") + "".join(map(_text, part)))
+    )
     return own + (part.tail or "" if part.tag not in ("p", "h1", "h2", "td", "th") else "")
 
 
@@ -85,23 +92,40 @@ def _table(paper: Any, part: ET.Element) -> None:
     if len(rows) < _SHORT and paper.will_page_break(_ROW_MM * len(rows)):
         paper.add_page()
     # as wide as the longest word of a column at least, the rest by how much text a column has
-    longest = [max(len(max(re.split(r"\s", row[at]), key=len)) for row in rows) for at in range(len(rows[0]))]
+    longest = [
+        max(len(max(re.split(r"\s", row[at]), key=len)) for row in rows)
+        for at in range(len(rows[0]))
+    ]
     most = [max(max(map(len, row[at].split("\n"))) for row in rows) for at in range(len(rows[0]))]
-    widths = [least + 0.35 * max(0, min(much, 60) - least) + 1.5 for least, much in zip(longest, most, strict=True)]
+    widths = [
+        least + 0.35 * max(0, min(much, 60) - least) + 1.5
+        for least, much in zip(longest, most, strict=True)
+    ]
     facts = part.attrib.get("class") == "facts"
     paper.set_font(_FONT, "", min(7.5, 7.5 * 118 / max(sum(longest) + 2.0 * len(longest), 1)))
-    right = [all(not cell or re.match(r"[-+]?\d|-$|never", cell) for cell in column)
-             for column in zip(*rows[1:], strict=True)] or [False] * len(rows[0])
+    right = [
+        all(not cell or re.match(r"[-+]?\d|-$|never", cell) for cell in column)
+        for column in zip(*rows[1:], strict=True)
+    ] or [False] * len(rows[0])
     fpdf = check()
-    with paper.table(col_widths=widths, first_row_as_headings=not facts, borders_layout="HORIZONTAL_LINES",
-                     text_align=tuple("RIGHT" if one and not facts else "LEFT" for one in right), padding=0.8,
-                     line_height=1.5 * paper.font_size, width=min(paper.epw, 110.0) if facts else paper.epw,
-                     align="LEFT") as table:
+    with paper.table(
+        col_widths=widths,
+        first_row_as_headings=not facts,
+        borders_layout="HORIZONTAL_LINES",
+        text_align=tuple("RIGHT" if one and not facts else "LEFT" for one in right),
+        padding=0.8,
+        line_height=1.5 * paper.font_size,
+        width=min(paper.epw, 110.0) if facts else paper.epw,
+        align="LEFT",
+    ) as table:
         for cells, kind in zip(rows, kinds, strict=True):
             row = table.row()
             for at, cell in enumerate(cells):
                 word = _WORDS.get(cell.split(" ")[0]) if not facts else None
-                face = fpdf.FontFace(color=word, emphasis="BOLD" if word or (facts and at == 0) else None,
-                                     fill_color=_MARKED.get(kind))
+                face = fpdf.FontFace(
+                    color=word,
+                    emphasis="BOLD" if word or (facts and at == 0) else None,
+                    fill_color=_MARKED.get(kind),
+                )
                 row.cell(cell, style=face)
     paper.ln(3)

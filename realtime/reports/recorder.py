@@ -21,7 +21,11 @@ def page(a: Account) -> str:
     """The HTML page, without outside parts."""
     told = [*a.findings, *a.unknown]
     rows = [_row(a, f) for f in told]
-    looked = [text for name, text in NAMES.items() if name not in {f.name for f in told} and name != "unknown"]
+    looked = [
+        text
+        for name, text in NAMES.items()
+        if name not in {f.name for f in told} and name != "unknown"
+    ]
     return html.page(
         f"What the recorder tells: {a.recording.name}",
         html.paragraph(f"Verdict: {a.verdict}. {verdict.VERDICTS[a.verdict]}", kind="note"),
@@ -30,18 +34,35 @@ def page(a: Account) -> str:
         html.element("h2", "How far each wheel is from the vehicle"),
         html.paragraph("Medians of 5 s in which nobody brakes hard; bars are 95 % intervals."),
         html.picture(partial(_wheels, a=a), (8.0, 2.8)),
-        *((html.element("h2", "All that was found"), html.table(_HEAD, rows[:_MOST_ROWS])) if rows else ()),
-        *((html.folded(f"{len(rows) - _MOST_ROWS} more", html.table(_HEAD, rows[_MOST_ROWS:])),)
-          if len(rows) > _MOST_ROWS else ()),
-        *((html.paragraph(f"Looked for and not found beyond chance: {', '.join(looked)}."),) if looked else ()),
-        html.paragraph("Adhesion is the mean over all wheels, from the deceleration of the vehicle: level track (10 "
-                       "per mille uphill add 0.010), no other brake that acts on the rail, running resistance below "
-                       "0.05 m/s². Times are those after steps of the clock were put right."))
+        *(
+            (html.element("h2", "All that was found"), html.table(_HEAD, rows[:_MOST_ROWS]))
+            if rows
+            else ()
+        ),
+        *(
+            (html.folded(f"{len(rows) - _MOST_ROWS} more", html.table(_HEAD, rows[_MOST_ROWS:])),)
+            if len(rows) > _MOST_ROWS
+            else ()
+        ),
+        *(
+            (html.paragraph(f"Looked for and not found beyond chance: {', '.join(looked)}."),)
+            if looked
+            else ()
+        ),
+        html.paragraph(
+            "Adhesion is the mean over all wheels, from the deceleration of the vehicle: level track (10 "
+            "per mille uphill add 0.010), no other brake that acts on the rail, running resistance below "
+            "0.05 m/s². Times are those after steps of the clock were put right."
+        ),
+    )
 
 
 def _row(a: Account, f: Finding) -> tuple[str, ...]:
-    where = f"{f.run}, {f.start_s:.1f} to {f.end_s:.1f} s" if f.run else (
-        f"{f.place_m[0]:.0f} to {f.place_m[1]:.0f} m" if f.place_m else f.date or "all runs")
+    where = (
+        f"{f.run}, {f.start_s:.1f} to {f.end_s:.1f} s"
+        if f.run
+        else (f"{f.place_m[0]:.0f} to {f.place_m[1]:.0f} m" if f.place_m else f.date or "all runs")
+    )
     return NAMES[f.name], verdict.channels(a, f), where, verdict.size(f), f.text
 
 
@@ -53,24 +74,44 @@ def _pictures(a: Account, mine: list[Finding]) -> list[html.Markup]:
     draw: dict[str, tuple[str, Callable[..., None], tuple[float, float]]] = {
         "slide": (f"The largest slide: {worst.run}", _slide, (10.0, 4.2)),
         "slippery_place": ("Where runs slide", _places, (10.0, 2.8)),
-        "speed_sensor_delay": (f"Late: {worst.channels[0]}", _late, (10.0, 3.2))}
+        "speed_sensor_delay": (f"Late: {worst.channels[0]}", _late, (10.0, 3.2)),
+    }
     radius = worst.name.startswith("wheel_radius")
-    title, what, size = draw.get(worst.name, (f"{NAMES[worst.name].capitalize()}: {verdict.channels(a, worst)} in "
-                                              f"{worst.run}", _stretch, (10.0, 3.2)))
-    return [] if radius or worst.name == "wrong_unit" else [html.element("h2", title),
-                                                            html.picture(partial(what, a=a, f=worst), size)]
+    title, what, size = draw.get(
+        worst.name,
+        (
+            f"{NAMES[worst.name].capitalize()}: {verdict.channels(a, worst)} in {worst.run}",
+            _stretch,
+            (10.0, 3.2),
+        ),
+    )
+    return (
+        []
+        if radius or worst.name == "wrong_unit"
+        else [html.element("h2", title), html.picture(partial(what, a=a, f=worst), size)]
+    )
 
 
-def _as_recorded(axes: Axes, run: Run, start_s: float, end_s: float, told: tuple[str, ...] = ()) -> None:
+def _as_recorded(
+    axes: Axes, run: Run, start_s: float, end_s: float, told: tuple[str, ...] = ()
+) -> None:
     """Speeds as the file has them; those that a finding is about stand out."""
     for k, channel in enumerate(run.of("speed", "reference")):
         own = (channel.time_s >= start_s) & (channel.time_s <= end_s)
         reference = channel.quantity == "reference"
         some = 0 < len(told) < len(run.of("speed"))
         strong = channel.name in told and some
-        axes.plot(channel.time_s[own], channel.values[own], color=INK if reference else RUNS[k % len(RUNS)],
-                  lw=2.2 if strong else 1.0, ls="--" if reference else "-", marker="o" if strong else "", ms=2.5,
-                  label=channel.name, zorder=3 if strong else 2)
+        axes.plot(
+            channel.time_s[own],
+            channel.values[own],
+            color=INK if reference else RUNS[k % len(RUNS)],
+            lw=2.2 if strong else 1.0,
+            ls="--" if reference else "-",
+            marker="o" if strong else "",
+            ms=2.5,
+            label=channel.name,
+            zorder=3 if strong else 2,
+        )
     axes.set(xlabel="time as recorded, s", ylabel="m/s")
     axes.legend(ncol=3)
 
@@ -105,7 +146,9 @@ def _slide(figure: Figure, a: Account, f: Finding) -> None:
 def _places(figure: Figure, a: Account, f: Finding) -> None:
     axes = figure.subplots()
     for r, aligned in enumerate(a.aligned):
-        axes.plot([np.nanmin(aligned.position), np.nanmax(aligned.position)], [r, r], color=GREY, lw=1.0)
+        axes.plot(
+            [np.nanmin(aligned.position), np.nanmax(aligned.position)], [r, r], color=GREY, lw=1.0
+        )
     for s in a.slides:
         way = a.aligned[s.run].position[[s.first, s.last]]
         axes.plot(way, [s.run, s.run], color=VERMILION, lw=6.0, solid_capstyle="butt")
@@ -117,7 +160,10 @@ def _places(figure: Figure, a: Account, f: Finding) -> None:
 
 
 def _late(figure: Figure, a: Account, f: Finding) -> None:
-    best = max(a.aligned, key=lambda one: float(np.nanmax(np.abs(rolling.slope(one.time_s, one.vehicle, 2.0)))))
+    best = max(
+        a.aligned,
+        key=lambda one: float(np.nanmax(np.abs(rolling.slope(one.time_s, one.vehicle, 2.0)))),
+    )
     middle = best.time_s[int(np.nanargmax(np.abs(rolling.slope(best.time_s, best.vehicle, 2.0))))]
     axes = figure.subplots()
     _as_recorded(axes, _run(a, best.run.name), middle - 5.0, middle + 5.0, f.channels)
@@ -130,14 +176,24 @@ def _wheels(figure: Figure, a: Account) -> None:
     groups = sorted({(one.run.vehicle_id, one.run.date) for one in a.aligned})
     names = list(dict.fromkeys(name for one in a.aligned for name in one.names))
     for g, key in enumerate(groups):
-        wheels = rolling.wheels([one.as_recorded() for one in a.aligned if (one.run.vehicle_id, one.run.date) == key])
+        wheels = rolling.wheels(
+            [one.as_recorded() for one in a.aligned if (one.run.vehicle_id, one.run.date) == key]
+        )
         for k, name in enumerate(names):
             if name in wheels:
                 at = g + 0.12 * (k - 0.5 * (len(names) - 1))
-                axes.errorbar(at, -100.0 * wheels[name].radius, 200.0 * wheels[name].error, color=RUNS[k % len(RUNS)],
-                              marker="o", label=name if g == 0 else "_")
+                axes.errorbar(
+                    at,
+                    -100.0 * wheels[name].radius,
+                    200.0 * wheels[name].error,
+                    color=RUNS[k % len(RUNS)],
+                    marker="o",
+                    label=name if g == 0 else "_",
+                )
     axes.axhline(0.0, color=GREY)
-    axes.set_xticks(range(len(groups)), [" ".join(filter(None, key)) or "all runs" for key in groups])
+    axes.set_xticks(
+        range(len(groups)), [" ".join(filter(None, key)) or "all runs" for key in groups]
+    )
     axes.set_xlim(-0.7, len(groups) - 0.3)
     axes.set_ylabel("radius less setting, %")
     if axes.get_legend_handles_labels()[1]:
@@ -150,5 +206,8 @@ def courses(a: Account) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
     for aligned, v in zip(a.aligned, a.vehicle, strict=True):
         speeds = dict(zip(aligned.names, aligned.speed.T, strict=True))
         found[f"/{aligned.run.name}/speed"] = (aligned.time_s, speeds | {"vehicle": v})
-        found[f"/{aligned.run.name}/sliding"] = (aligned.time_s, {name: v - one for name, one in speeds.items()})
+        found[f"/{aligned.run.name}/sliding"] = (
+            aligned.time_s,
+            {name: v - one for name, one in speeds.items()},
+        )
     return found

@@ -31,7 +31,11 @@ HOLD, VENT, HIGHEST_ORDER, SETTLED, RISEN, FLAW, BEHIND = 1, 2, 12.0, 10.0, 0.63
 
 def of(run: records.Run) -> list[str]:
     """The faults of the catalogue that a run shows, as 'NAME axle=2', but those and those axles that it was told of."""
-    told = {word for fault in run.scenario.get("fault", ()) for word in (fault["kind"], f"axle={fault.get('axle')}")}
+    told = {
+        word
+        for fault in run.scenario.get("fault", ())
+        for word in (fault["kind"], f"axle={fault.get('axle')}")
+    }
     return [one for one in bus_signs.of(run) or _signs(run) if told.isdisjoint(one.split())]
 
 
@@ -40,10 +44,21 @@ def _signs(run: records.Run) -> Iterator[str]:
     step_s = float(np.median(np.diff(run.column("time_s"))))
 
     def each(name: str) -> np.ndarray:
-        return np.column_stack([run.column(column)[at] for column in signals.columns(signals.BY_NAME[name])])
+        return np.column_stack(
+            [run.column(column)[at] for column in signals.columns(signals.BY_NAME[name])]
+        )
 
-    wheel, pressure, magnets = each("measured_speed"), each("cylinder_pressure"), each("magnets").astype(int)
-    share = 1.0 - run.scenario["vehicle"]["wheel_radius_m"] * wheel / run.column("vehicle_speed_m_s")[at, None]
+    wheel, pressure, magnets = (
+        each("measured_speed"),
+        each("cylinder_pressure"),
+        each("magnets").astype(int),
+    )
+    share = (
+        1.0
+        - run.scenario["vehicle"]["wheel_radius_m"]
+        * wheel
+        / run.column("vehicle_speed_m_s")[at, None]
+    )
     rough = np.abs(np.diff(wheel, 3, axis=0))
     noisy = rough.mean(axis=0) > NOISY * (np.median(rough.mean(axis=0)) + ROUGH_RAD_S)
     torque, angle = each("motor_torque"), each("roller_angle")
@@ -81,14 +96,21 @@ def _longest(true: np.ndarray) -> int:
 
 def _settled(true: np.ndarray, samples: int) -> np.ndarray:
     """Where something has been true for so many samples."""
-    return np.convolve(true, np.ones(samples))[:true.size] > samples - 0.5
+    return np.convolve(true, np.ones(samples))[: true.size] > samples - 0.5
 
 
 def _line(torque: np.ndarray, angle: np.ndarray) -> float:
     """Highest line of the spectrum of a motor's torque over the angle of its roller, over its neighbourhood."""
     even = np.arange(angle[0], angle[-1], np.pi / HIGHEST_ORDER)
-    power = np.abs(np.fft.rfft(np.hanning(even.size) * np.interp(even, angle, torque)))[(even.size // 2 + 1) // 20:]
-    return float(np.max(power / np.maximum(gaussian_filter1d(np.sort(power)[:-5], 20.0).mean(), 1e-9), initial=0.0))
+    power = np.abs(np.fft.rfft(np.hanning(even.size) * np.interp(even, angle, torque)))[
+        (even.size // 2 + 1) // 20 :
+    ]
+    return float(
+        np.max(
+            power / np.maximum(gaussian_filter1d(np.sort(power)[:-5], 20.0).mean(), 1e-9),
+            initial=0.0,
+        )
+    )
 
 
 def _swapped(wheel: np.ndarray, pressure: np.ndarray, step_s: float) -> Iterator[str]:
@@ -107,13 +129,28 @@ def _swapped(wheel: np.ndarray, pressure: np.ndarray, step_s: float) -> Iterator
 def _sanders(run: records.Run) -> Iterator[str]:
     """Sanders that strew by the schedule and give no sand, another rate, or late [I7]."""
     given, time_s = run.scenario["sanders"], run.column("time_s")
-    at = (time_s >= given["from_s"]) & (time_s <= given["until_s"]) & (run.column("vehicle_speed_m_s") > MOVES_M_S)
-    long = np.ptp(time_s[at]) > SETTLED * given["hose_delay_s"] if at.any() and not given["dose_kg_m"] else False
+    at = (
+        (time_s >= given["from_s"])
+        & (time_s <= given["until_s"])
+        & (run.column("vehicle_speed_m_s") > MOVES_M_S)
+    )
+    long = (
+        np.ptp(time_s[at]) > SETTLED * given["hose_delay_s"]
+        if at.any() and not given["dose_kg_m"]
+        else False
+    )
     for axle in {int(given["axle"]), int(given["second_axle"])} - {0} if long else ():
         box, rate = run.column(f"sand_box_{axle}_kg")[at], run.column(f"sand_rate_{axle}_kg_s")[at]
         share = rate[-1] / given["rate_kg_s"]
         late_s = time_s[at][np.argmax(rate > RISEN * rate[-1])] - time_s[at][0]
-        what = ("blocked" if box[-1] else "empty") if share < FLAW else "late" if (
-            late_s > BEHIND * given["hose_delay_s"]) else "wrong_orifice" if abs(share - 1.0) > FLAW else ""
+        what = (
+            ("blocked" if box[-1] else "empty")
+            if share < FLAW
+            else "late"
+            if (late_s > BEHIND * given["hose_delay_s"])
+            else "wrong_orifice"
+            if abs(share - 1.0) > FLAW
+            else ""
+        )
         if what and bool(box[1]) == bool(box[-1]):  # else it has run out on the way
             yield f"sander_{what} axle={axle}"

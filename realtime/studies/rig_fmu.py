@@ -26,12 +26,23 @@ STEP_S = 0.01
 _SCENARIO = "scenario.toml"
 _ENDLESS = 1 << 60
 _HOLD, _VENT = 1, 2
-_UNITS = {"m/s": {"m": 1, "s": -1}, "m": {"m": 1}, "rad/s": {"rad": 1, "s": -1}, "Pa": {"kg": 1, "m": -1, "s": -2},
-          "N": {"kg": 1, "m": 1, "s": -2}}
+_UNITS = {
+    "m/s": {"m": 1, "s": -1},
+    "m": {"m": 1},
+    "rad/s": {"rad": 1, "s": -1},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "N": {"kg": 1, "m": 1, "s": -2},
+}
 # what the FMU tells: its name, the signal, and the unit
-_TOLD = (("vehicle_speed", "vehicle_speed", "m/s"), ("position", "position", "m"),
-         ("wheel_speed", "measured_speed", "rad/s"), ("cylinder_pressure", "cylinder_pressure", "Pa"),
-         ("sliding", "sliding", "m/s"), ("wheel_load", "wheel_load", "N"), ("adhesion", "adhesion", None))
+_TOLD = (
+    ("vehicle_speed", "vehicle_speed", "m/s"),
+    ("position", "position", "m"),
+    ("wheel_speed", "measured_speed", "rad/s"),
+    ("cylinder_pressure", "cylinder_pressure", "Pa"),
+    ("sliding", "sliding", "m/s"),
+    ("wheel_load", "wheel_load", "N"),
+    ("adhesion", "adhesion", None),
+)
 _SCRIPT = '''"""The rig of scenario {name}. Python with rollerrig has to be installed where this runs."""
 
 from pythonfmu3 import Fmi3Slave
@@ -79,8 +90,10 @@ class Rig:
 
         ticks = round(step_s * self._tick_hz)
         if ticks < 1 or abs(ticks - step_s * self._tick_hz) > 1e-6:
-            print(f"rollerrig: a step of {step_s:g} s is no whole number of ticks of {1.0 / self._tick_hz:g} s",
-                  flush=True)
+            print(
+                f"rollerrig: a step of {step_s:g} s is no whole number of ticks of {1.0 / self._tick_hz:g} s",
+                flush=True,
+            )
             return Fmi3StepResult(status=Fmi3Status.error)
         control = self._stop.data.control
         end = int(control[tick.TICK]) + ticks
@@ -94,20 +107,38 @@ class Rig:
         command, row = self._stop.data.commands.values, self._stop.data.row
         for axle in range(AXLES):
             for name, bit in (("hold", _HOLD), ("vent", _VENT)):
-                yield Port(f"{name}_{axle + 1}", f"{name} magnet of the axle's dump valve is energised", None,
-                           lambda axle=axle, bit=bit: bool(int(command[axle]) & bit),
-                           lambda on, axle=axle, bit=bit: _switch(command, axle, bit, on), True)
-        yield Port("brake_demand", "brake cylinder pressure asked for; below 0: what the scenario demands", "Pa",
-                   lambda: float(np.nan_to_num(command[tick.DEMAND], nan=-1.0)), lambda value: _demand(command, value))
+                yield Port(
+                    f"{name}_{axle + 1}",
+                    f"{name} magnet of the axle's dump valve is energised",
+                    None,
+                    lambda axle=axle, bit=bit: bool(int(command[axle]) & bit),
+                    lambda on, axle=axle, bit=bit: _switch(command, axle, bit, on),
+                    True,
+                )
+        yield Port(
+            "brake_demand",
+            "brake cylinder pressure asked for; below 0: what the scenario demands",
+            "Pa",
+            lambda: float(np.nan_to_num(command[tick.DEMAND], nan=-1.0)),
+            lambda value: _demand(command, value),
+        )
         for axle in range(AXLES):
-            yield Port(f"friction_{axle + 1}", "kinematic friction of the contaminant under the axle; 0: as the "
-                       "scenario has it", None, lambda axle=axle: float(command[tick.FRICTION + axle]),
-                       lambda value, axle=axle: command.__setitem__(tick.FRICTION + axle, max(value, 0.0)))
+            yield Port(
+                f"friction_{axle + 1}",
+                "kinematic friction of the contaminant under the axle; 0: as the scenario has it",
+                None,
+                lambda axle=axle: float(command[tick.FRICTION + axle]),
+                lambda value, axle=axle: command.__setitem__(tick.FRICTION + axle, max(value, 0.0)),
+            )
         for name, signal, unit in _TOLD:
             place, many = signals.span(signal), signals.BY_NAME[signal].axles > 1
             for at in range(place.start, place.stop):
-                yield Port(f"{name}_{at - place.start + 1}" if many else name, signals.BY_NAME[signal].text, unit,
-                           lambda at=at: float(row[at]))
+                yield Port(
+                    f"{name}_{at - place.start + 1}" if many else name,
+                    signals.BY_NAME[signal].text,
+                    unit,
+                    lambda at=at: float(row[at]),
+                )
 
 
 def _switch(command: np.ndarray, axle: int, bit: int, on: bool) -> None:
@@ -124,14 +155,29 @@ def declare(slave: Any, rig: Rig) -> None:
 
     slave.register_units([Unit(name, **base) for name, base in _UNITS.items()])
     slave.default_experiment = DefaultExperiment(start_time=0.0, step_size=STEP_S)
-    slave.register_variable(Float64("time", causality=Fmi3Causality.independent, variability=Fmi3Variability.continuous,
-                                    getter=lambda: rig.time_s))
+    slave.register_variable(
+        Float64(
+            "time",
+            causality=Fmi3Causality.independent,
+            variability=Fmi3Variability.continuous,
+            getter=lambda: rig.time_s,
+        )
+    )
     for port in rig.ports():
         kind, unit = (Boolean, {}) if port.boolean else (Float64, {"unit": port.unit})
-        slave.register_variable(kind(
-            port.name, causality=Fmi3Causality.input if port.set else Fmi3Causality.output, getter=port.get,
-            setter=port.set, description=port.text,
-            variability=Fmi3Variability.discrete if port.boolean else Fmi3Variability.continuous, **unit))
+        slave.register_variable(
+            kind(
+                port.name,
+                causality=Fmi3Causality.input if port.set else Fmi3Causality.output,
+                getter=port.get,
+                setter=port.set,
+                description=port.text,
+                variability=Fmi3Variability.discrete
+                if port.boolean
+                else Fmi3Variability.continuous,
+                **unit,
+            )
+        )
 
 
 def write(plan: Scenario, out: Path) -> int:
@@ -145,9 +191,16 @@ def write(plan: Scenario, out: Path) -> int:
     with tempfile.TemporaryDirectory(prefix="rollerrig-fmu-") as place, writing(out):
         folder = Path(place)
         (folder / _SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
-        (folder / "rig.py").write_text(_SCRIPT.format(name=plan.name, identifier=identifier), encoding="utf-8")
-        made = FmuBuilder.build_FMU(folder / "rig.py", folder / "made", [folder / _SCENARIO], needsExecutionTool=True,
-                                    canHandleVariableCommunicationStepSize=True)
+        (folder / "rig.py").write_text(
+            _SCRIPT.format(name=plan.name, identifier=identifier), encoding="utf-8"
+        )
+        made = FmuBuilder.build_FMU(
+            folder / "rig.py",
+            folder / "made",
+            [folder / _SCENARIO],
+            needsExecutionTool=True,
+            canHandleVariableCommunicationStepSize=True,
+        )
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_bytes(made.read_bytes())
         return 1 + sum(1 for _ in Rig(folder).ports())

@@ -48,7 +48,11 @@ STOPS = (
 def distance_m(stop: Stop, gain: float, scale_kg_m: float) -> float:
     """How far the unit runs by a law of sand."""
     speed = np.linspace(0.25, SPEED_M_S, 200)
-    rate = np.minimum(VARIABLE_KG_S, DOSE_KG_M * speed) if stop.by_speed else np.full(speed.size, FIXED_KG_S)
+    rate = (
+        np.minimum(VARIABLE_KG_S, DOSE_KG_M * speed)
+        if stop.by_speed
+        else np.full(speed.size, FIXED_KG_S)
+    )
     dose, adhesion = np.zeros(speed.size), np.zeros(speed.size)
     for axle in range(1, AXLES + 1):
         if axle in stop.axles:
@@ -62,9 +66,24 @@ def distance_m(stop: Stop, gain: float, scale_kg_m: float) -> float:
 def study() -> dict[str, Any]:
     """The fit on two stops, and all five as measured and by the law."""
     fitted = [stop for stop in STOPS if stop.fitted]
-    found = least_squares(lambda x: [distance_m(stop, x[0], math.exp(x[1])) / stop.measured_m - 1.0 for stop in fitted],
-                          (1.5, math.log(0.002)), bounds=((0.1, math.log(1e-5)), (5.0, math.log(1.0))))
+    found = least_squares(
+        lambda x: [
+            distance_m(stop, x[0], math.exp(x[1])) / stop.measured_m - 1.0 for stop in fitted
+        ],
+        (1.5, math.log(0.002)),
+        bounds=((0.1, math.log(1e-5)), (5.0, math.log(1.0))),
+    )
     gain, scale_kg_m = float(found.x[0]), math.exp(found.x[1])
-    return {"gain": gain, "dose_scale_kg_m": scale_kg_m, "stops": [
-        {"stop": stop.title, "measured_m": stop.measured_m, "fitted": stop.fitted,
-         "by_the_law_m": distance_m(stop, gain, scale_kg_m)} for stop in STOPS]}
+    return {
+        "gain": gain,
+        "dose_scale_kg_m": scale_kg_m,
+        "stops": [
+            {
+                "stop": stop.title,
+                "measured_m": stop.measured_m,
+                "fitted": stop.fitted,
+                "by_the_law_m": distance_m(stop, gain, scale_kg_m),
+            }
+            for stop in STOPS
+        ],
+    }

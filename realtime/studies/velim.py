@@ -100,13 +100,17 @@ def contaminant(found: dict[str, float], test: str) -> float:
 def plan_of(test: str, found: dict[str, float], *law: str) -> scenario.Scenario:
     """The scenario of a test on the track, under what was found; `law` are further settings."""
     return scenario.load(
-        f"velim_{test}", settings=("rig.mode=track", f"adhesion.mu_cd={contaminant(found, test)!r}", *law),
-        tables={"demand": [{"from_s": 0.0, "pressure_Pa": found["pressure_Pa"]}]})
+        f"velim_{test}",
+        settings=("rig.mode=track", f"adhesion.mu_cd={contaminant(found, test)!r}", *law),
+        tables={"demand": [{"from_s": 0.0, "pressure_Pa": found["pressure_Pa"]}]},
+    )
 
 
 def unit_of(plan: scenario.Scenario, found: dict[str, float]) -> logic.Params:
     """The reference WSP unit, with the band that was found."""
-    return logic.load(plan["wsp_config"])._replace(**{name: found[name] for name in ("band_low_m_s", "band_high_m_s")})
+    return logic.load(plan["wsp_config"])._replace(
+        **{name: found[name] for name in ("band_low_m_s", "band_high_m_s")}
+    )
 
 
 def rows_of(test: str, found: dict[str, float]) -> np.ndarray:
@@ -123,26 +127,46 @@ def stop(test: str, found: dict[str, float]) -> Stop:
 def reduced(rows: np.ndarray) -> Stop:
     """Table 6's numbers [Q2] of a stop's samples up to standstill."""
     sliding, speed = rows[:, signals.span("sliding")], rows[:, signals.column("vehicle_speed")]
-    return Stop(sliding.mean(axis=0), sliding.std(axis=0), SAMPLE_S * len(rows),
-                float(rows[-1, signals.column("position")]), float(rows[-1, signals.span("longest_lock")].max()),
-                tuple((above - below) / (SAMPLE_S * (int(np.argmax(speed < below)) - int(np.argmax(speed < above))))
-                      for above, below in HALVES_M_S))
+    return Stop(
+        sliding.mean(axis=0),
+        sliding.std(axis=0),
+        SAMPLE_S * len(rows),
+        float(rows[-1, signals.column("position")]),
+        float(rows[-1, signals.span("longest_lock")].max()),
+        tuple(
+            (above - below)
+            / (SAMPLE_S * (int(np.argmax(speed < below)) - int(np.argmax(speed < above))))
+            for above, below in HALVES_M_S
+        ),
+    )
 
 
-def over_contaminants(test: str, found: dict[str, float], *law: str) -> tuple[np.ndarray, np.ndarray]:
+def over_contaminants(
+    test: str, found: dict[str, float], *law: str
+) -> tuple[np.ndarray, np.ndarray]:
     """(mu_cd (n,), figures (4, n)): mean, deviation, decelerations of a test over contaminants; `law` as in `plan_of`.
 
     Stick and slip scatter a stop by about 0.1 m/s, so the figures are cubics in ln mu_cd over the stops of `SCAN`.
     """
-    plans = [(mu_cd, plan_of(test, found, f"adhesion.mu_cd={mu_cd!r}", "duration_max_s=1000.0", *law))
-             for mu_cd in SCAN]
-    stops = {mu_cd: reduced(free.moving(np.column_stack(list(channels.values()))))
-             for mu_cd, _, channels in four_stops.together(plans, unit_of(plans[0][1], found))}
-    values = np.array([(one.sliding_mean_m_s[0], one.sliding_std_m_s[0], *one.decelerations_m_s2)
-                       for one in map(stops.__getitem__, SCAN)])
+    plans = [
+        (mu_cd, plan_of(test, found, f"adhesion.mu_cd={mu_cd!r}", "duration_max_s=1000.0", *law))
+        for mu_cd in SCAN
+    ]
+    stops = {
+        mu_cd: reduced(free.moving(np.column_stack(list(channels.values()))))
+        for mu_cd, _, channels in four_stops.together(plans, unit_of(plans[0][1], found))
+    }
+    values = np.array(
+        [
+            (one.sliding_mean_m_s[0], one.sliding_std_m_s[0], *one.decelerations_m_s2)
+            for one in map(stops.__getitem__, SCAN)
+        ]
+    )
     tried = np.log(SCAN)
     at = np.linspace(tried[0], tried[-1], 500)
-    return np.exp(at), np.array([np.polyval(np.polyfit(tried, column, 3), at) for column in values.T])
+    return np.exp(at), np.array(
+        [np.polyval(np.polyfit(tried, column, 3), at) for column in values.T]
+    )
 
 
 def own(test: str, found: dict[str, float], *law: str) -> Own:
@@ -179,39 +203,54 @@ def owns(found: dict[str, float], say: Callable[[str], None], *law: str) -> dict
 def half_width_m_s() -> float:
     """Half the 95 % prediction interval of the mean sliding of a test not yet run, from group A's means [Q3]."""
     means = [MEASURED_MEAN[test] for test in GROUP_A]
-    return float(t.ppf(0.975, len(means) - 1) * np.std(means, ddof=1) * np.sqrt(1.0 + 1.0 / len(means)))
+    return float(
+        t.ppf(0.975, len(means) - 1) * np.std(means, ddof=1) * np.sqrt(1.0 + 1.0 / len(means))
+    )
 
 
-def as_json(found: dict[str, float], ours: dict[str, Stop], own: dict[str, Own], classic: dict[str, Own]
-            ) -> dict[str, Any]:
+def as_json(
+    found: dict[str, float], ours: dict[str, Stop], own: dict[str, Own], classic: dict[str, Own]
+) -> dict[str, Any]:
     """What was fitted, what was predicted, and how far off it is."""
     mean, deviation = _first_wheelset(ours)
     off = [(mean[t] - MEASURED_MEAN[t], deviation[t] - MEASURED_STD[t]) for t in GROUP_A]  # [Q1]
     return {
-        "fitted_on_group_a": found, "predicted_mu_cd_group_b": contaminant(found, "b1"),
-        "stops": {test: {key: np.asarray(value).tolist() for key, value in one._asdict().items()}
-                  for test, one in ours.items()},
+        "fitted_on_group_a": found,
+        "predicted_mu_cd_group_b": contaminant(found, "b1"),
+        "stops": {
+            test: {key: np.asarray(value).tolist() for key, value in one._asdict().items()}
+            for test, one in ours.items()
+        },
         "own_contaminant": {test: one._asdict() for test, one in own.items()},
         "own_contaminant_classic": {test: one._asdict() for test, one in classic.items()},
         "group_b_mean_prediction_half_width_m_s": half_width_m_s(),
         "group_a_left_over_rms_m_s": float(np.sqrt(np.mean(np.square(off)))),
         "group_b_mean_absolute_error": errors(ours),
-        "group_b_bounds": {bound.name: bound.error_m_s for bound in bounds()}}
+        "group_b_bounds": {bound.name: bound.error_m_s for bound in bounds()},
+    }
 
 
 def errors(ours: dict[str, Stop]) -> dict[str, float]:
     """Mean absolute errors on group B against the measured rows of Table 6, ours and the paper's model's."""
     mean, deviation = _first_wheelset(ours)
-    pairs = {"mean_m_s": (mean, MEASURED_MEAN), "deviation_m_s": (deviation, MEASURED_STD),
-             "paper_mean_m_s": (PAPER_MEAN, MEASURED_MEAN), "paper_deviation_m_s": (PAPER_STD, MEASURED_STD)}
-    return {name: float(np.mean([abs(values[test] - measured[test]) for test in GROUP_B]))
-            for name, (values, measured) in pairs.items()}
+    pairs = {
+        "mean_m_s": (mean, MEASURED_MEAN),
+        "deviation_m_s": (deviation, MEASURED_STD),
+        "paper_mean_m_s": (PAPER_MEAN, MEASURED_MEAN),
+        "paper_deviation_m_s": (PAPER_STD, MEASURED_STD),
+    }
+    return {
+        name: float(np.mean([abs(values[test] - measured[test]) for test in GROUP_B]))
+        for name, (values, measured) in pairs.items()
+    }
 
 
 def _first_wheelset(ours: dict[str, Stop]) -> tuple[dict[str, float], dict[str, float]]:
     """Mean and standard deviation of its sliding in each test, m/s."""
-    return ({test: float(one.sliding_mean_m_s[0]) for test, one in ours.items()},
-            {test: float(one.sliding_std_m_s[0]) for test, one in ours.items()})
+    return (
+        {test: float(one.sliding_mean_m_s[0]) for test, one in ours.items()},
+        {test: float(one.sliding_std_m_s[0]) for test, one in ours.items()},
+    )
 
 
 def calibrate(say: Callable[[str], None]) -> dict[str, float]:
@@ -226,43 +265,72 @@ def calibrate(say: Callable[[str], None]) -> dict[str, float]:
             mu_cd, (mean, deviation, *_) = over_contaminants(test, tried)
             off = (mean - MEASURED_MEAN[test]) ** 2 + (deviation - MEASURED_STD[test]) ** 2
             tried[f"mu_cd_{test}"], cost = float(mu_cd[off.argmin()]), cost + float(off.min())
-        say("  ".join(f"{name} {value:.4g}" for name, value in tried.items()) + f"   rms {np.sqrt(cost / 6.0):.3f} m/s")
+        say(
+            "  ".join(f"{name} {value:.4g}" for name, value in tried.items())
+            + f"   rms {np.sqrt(cost / 6.0):.3f} m/s"
+        )
         if cost < least:
             best, least = tried, cost
     return best
 
 
-def rows_for_table(ours: dict[str, Stop], own: dict[str, Own], classic: dict[str, Own]) -> list[tuple[str, ...]]:
+def rows_for_table(
+    ours: dict[str, Stop], own: dict[str, Own], classic: dict[str, Own]
+) -> list[tuple[str, ...]]:
     """Table 6 in the paper's form, with ours, as text; then what each half of a stop decelerates with."""
     mean, deviation = _first_wheelset(ours)
-    halves = [(f"deceleration {above:g} to {below:g} m/s, m/s2, {name}", {test: one.decelerations_m_s2[i]
-                                                                          for test, one in table.items()})
-              for i, (above, below) in enumerate(HALVES_M_S)
-              for name, table in (("ours", ours), ("classic", classic))]
-    return [(title, *(f"{values[test]:.2f}" for test in TESTS)) for title, values in (
-        ("E1, largest velocity error, paper's model", PAPER_E1),
-        ("mean sliding of wheelset 1, measured", MEASURED_MEAN),
-        ("mean sliding, paper's model", PAPER_MEAN),
-        ("mean sliding, ours", mean),
-        ("standard deviation, measured", MEASURED_STD),
-        ("standard deviation, paper's model", PAPER_STD),
-        ("standard deviation, ours", deviation),
-        ("standard deviation, ours, mu_cd from the test's own mean", {test: one.std_m_s for test, one in own.items()}),
-        ("mean sliding, classic (tau = 0), mu_cd nearest to it", {test: one.mean_m_s for test, one in classic.items()}),
-        ("standard deviation, classic", {test: one.std_m_s for test, one in classic.items()}), *halves)]
+    halves = [
+        (
+            f"deceleration {above:g} to {below:g} m/s, m/s2, {name}",
+            {test: one.decelerations_m_s2[i] for test, one in table.items()},
+        )
+        for i, (above, below) in enumerate(HALVES_M_S)
+        for name, table in (("ours", ours), ("classic", classic))
+    ]
+    return [
+        (title, *(f"{values[test]:.2f}" for test in TESTS))
+        for title, values in (
+            ("E1, largest velocity error, paper's model", PAPER_E1),
+            ("mean sliding of wheelset 1, measured", MEASURED_MEAN),
+            ("mean sliding, paper's model", PAPER_MEAN),
+            ("mean sliding, ours", mean),
+            ("standard deviation, measured", MEASURED_STD),
+            ("standard deviation, paper's model", PAPER_STD),
+            ("standard deviation, ours", deviation),
+            (
+                "standard deviation, ours, mu_cd from the test's own mean",
+                {test: one.std_m_s for test, one in own.items()},
+            ),
+            (
+                "mean sliding, classic (tau = 0), mu_cd nearest to it",
+                {test: one.mean_m_s for test, one in classic.items()},
+            ),
+            ("standard deviation, classic", {test: one.std_m_s for test, one in classic.items()}),
+            *halves,
+        )
+    ]
 
 
-def rows_of_contaminants(found: dict[str, float], own: dict[str, Own], classic: dict[str, Own]
-                         ) -> list[tuple[str, ...]]:
+def rows_of_contaminants(
+    found: dict[str, float], own: dict[str, Own], classic: dict[str, Own]
+) -> list[tuple[str, ...]]:
     """mu_cd of every test, beside the one that the paper prints."""
-    return [(title, *(f"{values[test]:.4f}" for test in TESTS)) for title, values in (
-        ("printed in Table 4, for all", dict.fromkeys(TESTS, TABLE_4_MU_CD)),
-        ("ours, found on group A", {test: contaminant(found, test) for test in TESTS}),
-        ("ours, from the test's own mean", {test: one.mu_cd for test, one in own.items()}),
-        ("classic (tau = 0), nearest to its own mean", {test: one.mu_cd for test, one in classic.items()}))]
+    return [
+        (title, *(f"{values[test]:.4f}" for test in TESTS))
+        for title, values in (
+            ("printed in Table 4, for all", dict.fromkeys(TESTS, TABLE_4_MU_CD)),
+            ("ours, found on group A", {test: contaminant(found, test) for test in TESTS}),
+            ("ours, from the test's own mean", {test: one.mu_cd for test, one in own.items()}),
+            (
+                "classic (tau = 0), nearest to its own mean",
+                {test: one.mu_cd for test, one in classic.items()},
+            ),
+        )
+    ]
 
 
 # --- what can be predicted at all ---
+
 
 class Bound(NamedTuple):
     """A rule, what it predicts for group B and its mean absolute error there, in m/s."""
@@ -283,6 +351,7 @@ def _monotone(sign: float) -> Rule:
     def rule(v: np.ndarray, s: np.ndarray, at: np.ndarray) -> np.ndarray:
         order = np.argsort(v)
         return sign * np.interp(at, v[order], isotonic_regression(sign * s[order]).x)
+
     return rule
 
 
@@ -299,10 +368,17 @@ RULES: tuple[tuple[str, Rule], ...] = (
 )
 
 
-def bounds(speeds_m_s: Mapping[str, float] = SPEEDS_M_S, measured: Mapping[str, float] = MEASURED_MEAN,
-           known: Sequence[str] = GROUP_A, predicted: Sequence[str] = GROUP_B) -> list[Bound]:
+def bounds(
+    speeds_m_s: Mapping[str, float] = SPEEDS_M_S,
+    measured: Mapping[str, float] = MEASURED_MEAN,
+    known: Sequence[str] = GROUP_A,
+    predicted: Sequence[str] = GROUP_B,
+) -> list[Bound]:
     """Every rule found on the tests `known` and judged on the tests `predicted`; m/s."""
     v, s = (np.array([table[test] for test in known]) for table in (speeds_m_s, measured))
     at, truth = (np.array([table[test] for test in predicted]) for table in (speeds_m_s, measured))
     values = [(name, rule(v, s, at)) for name, rule in RULES]
-    return [Bound(name, tuple(map(float, one)), float(np.abs(one - truth).mean())) for name, one in values]
+    return [
+        Bound(name, tuple(map(float, one)), float(np.abs(one - truth).mean()))
+        for name, one in values
+    ]

@@ -20,10 +20,19 @@ _MARKS = "/speeds/marks"
 class Drawing:
     """One run on a stream, beneath another by `prefix` and `faint`; `everything`: also signals of no group."""
 
-    def __init__(self, stream: rr.RecordingStream, scenario: Mapping[str, Any], prefix: str = "",
-                 faint: bool = False, everything: bool = True, unit: str = "") -> None:
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        scenario: Mapping[str, Any],
+        prefix: str = "",
+        faint: bool = False,
+        everything: bool = True,
+        unit: str = "",
+    ) -> None:
         self._stream, self._prefix = stream, prefix
-        self._lines = [one for one in views.lines() if everything or not one.path.startswith(views.MORE)]
+        self._lines = [
+            one for one in views.lines() if everything or not one.path.startswith(views.MORE)
+        ]
         self._curves = derived.curves(scenario, unit, band=not faint)
         self._changes = views.Changes(stream)
         self._turning, self._top = None, 3.6 * float(scenario.get("initial_speed_m_s", 0.0))
@@ -46,8 +55,13 @@ class Drawing:
             self._scalars(curve.path, times, curve.of(rows))
         for axle in range(1, signals.AXLES + 1):
             self._changes.send(
-                views.valve(axle, self._prefix), time_s, views.valve_states(rows, axle),
-                lambda states: rr.StateChange.columns(state=[colours.VALVE_STATES[one][0] for one in states]))
+                views.valve(axle, self._prefix),
+                time_s,
+                views.valve_states(rows, axle),
+                lambda states: rr.StateChange.columns(
+                    state=[colours.VALVE_STATES[one][0] for one in states]
+                ),
+            )
         if self._turning:
             self._turning.rows(rows)
 
@@ -61,18 +75,26 @@ class Drawing:
         """Show Markdown in the box, from an instant on or always."""
         if time_s is not None:
             self._stream.set_time(views.TIMELINE, duration=time_s)
-        self._stream.log(views.BOX, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=time_s is None)
+        self._stream.log(
+            views.BOX,
+            rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN),
+            static=time_s is None,
+        )
 
     def events(self, events: Iterable[Event]) -> None:
         """Send events, (time in s, level, text): those of the network apart, faults and warnings as marks as well."""
         events = list(events)
-        for path, some in ((views.EVENTS, [one for one in events if not derived.of_network(one[2])]),
-                           (views.NETWORK, [one for one in events if derived.of_network(one[2])])):
+        for path, some in (
+            (views.EVENTS, [one for one in events if not derived.of_network(one[2])]),
+            (views.NETWORK, [one for one in events if derived.of_network(one[2])]),
+        ):
             self._log(path, some)
         if at_s := [time_s for time_s, _, _ in derived.marks(events)]:
             # an upright stroke: two points at an instant, and a gap behind it
             times = views.times(np.repeat(at_s, 3) + np.tile((0.0, 0.0, 1e-9), len(at_s)))
-            self._scalars(_MARKS, times, np.tile((0.0, self._top, np.nan), len(at_s))[:, np.newaxis])
+            self._scalars(
+                _MARKS, times, np.tile((0.0, self._top, np.nan), len(at_s))[:, np.newaxis]
+            )
 
     def _log(self, path: str, events: list[Event]) -> None:
         if not events:
@@ -82,5 +104,11 @@ class Drawing:
         run = self._prefix.rpartition("/")[2]
         texts = [f"{time_s:7.2f} s  {run}{': ' if run else ''}{text}" for time_s, _, text in events]
         self._stream.send_columns(
-            self._prefix + path, [views.times(np.array([time_s for time_s, _, _ in events]))],
-            rr.TextLog.columns(text=texts, level=[name for name, _ in levels], color=[colour for _, colour in levels]))
+            self._prefix + path,
+            [views.times(np.array([time_s for time_s, _, _ in events]))],
+            rr.TextLog.columns(
+                text=texts,
+                level=[name for name, _ in levels],
+                color=[colour for _, colour in levels],
+            ),
+        )

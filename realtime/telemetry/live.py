@@ -36,13 +36,26 @@ _MEMORY = "512MiB"
 
 def start(run_dir: Path, rows: Ring, events: Ring, unit: str = "") -> subprocess.Popen:
     """Start the live view of a run that a `unit` protects; it ends by itself some seconds after the run."""
-    return subprocess.Popen(_command(run_dir, rows.path, events.path, "--unit", unit), stdin=subprocess.DEVNULL,
-                            stdout=subprocess.DEVNULL, start_new_session=True)
+    return subprocess.Popen(
+        _command(run_dir, rows.path, events.path, "--unit", unit),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def _command(run_dir: Path, rows: Path, events: Path, *more: str) -> list[str]:
-    return [sys.executable, "-m", "rollerrig.realtime.telemetry.live", str(run_dir), "--rows", str(rows),
-            "--events", str(events), *more]
+    return [
+        sys.executable,
+        "-m",
+        "rollerrig.realtime.telemetry.live",
+        str(run_dir),
+        "--rows",
+        str(rows),
+        "--events",
+        str(events),
+        *more,
+    ]
 
 
 def thin(rows: np.ndarray, most: int) -> np.ndarray:
@@ -67,7 +80,7 @@ class Feed:
         """Rows and events since the last call."""
         rows, self._cursor, _ = self._rows.read(self._cursor)
         events, self._event_cursor, _ = self._events.read(self._event_cursor)
-        rows = rows[-int(_BEHIND_S * self._record_hz):]
+        rows = rows[-int(_BEHIND_S * self._record_hz) :]
         if len(rows):
             span_s = float(np.ptp(rows[:, signals.column("time")]))
             rows = thin(rows, max(int(_POINTS_HZ * span_s), 2))
@@ -82,7 +95,9 @@ def serve(run_dir: Path, rows: Ring, events: Ring, port: int, unit: str = "") ->
     from rollerrig.realtime.telemetry.drawing import Drawing
 
     scenario = recorder.scenario_of(run_dir)
-    stream = rr.RecordingStream(views.APPLICATION, recording_id=recorder.recording_id(run_dir, rows))
+    stream = rr.RecordingStream(
+        views.APPLICATION, recording_id=recorder.recording_id(run_dir, rows)
+    )
     sink = rr.GrpcServerSink(bind_ip=viewer.LOOPBACK, port=port, server_memory_limit=_MEMORY)
     layout = views.blueprint(live=True, eye=scene.eye(scene.scene(scenario)))
     stream.set_sinks(sink, default_blueprint=layout)
@@ -96,9 +111,14 @@ def serve(run_dir: Path, rows: Ring, events: Ring, port: int, unit: str = "") ->
         drawing.rows(found)
         drawing.events(happened)
         if len(found):
-            at = {name: found[-1, signals.column(name)] for name in ("time", "vehicle_speed", "position")}
-            drawing.result(f"### {at['time']:.1f} s · {3.6 * at['vehicle_speed']:.0f} km/h · {at['position']:.0f} m",
-                           at["time"])
+            at = {
+                name: found[-1, signals.column(name)]
+                for name in ("time", "vehicle_speed", "position")
+            }
+            drawing.result(
+                f"### {at['time']:.1f} s · {3.6 * at['vehicle_speed']:.0f} km/h · {at['position']:.0f} m",
+                at["time"],
+            )
         rows.header[ring.READER_BEAT_NS] = time.monotonic_ns()
         time.sleep(_PERIOD_S)
 
@@ -115,8 +135,18 @@ def watch(given: argparse.Namespace, rows: Ring) -> None:
         while starts <= _RESTARTS:
             if worker is None:
                 rows.header[ring.READER_BEAT_NS] = 0
-                worker = subprocess.Popen(_command(given.run_dir, given.rows, given.events,
-                                                   "--port", str(port), "--unit", given.unit, "--worker"))
+                worker = subprocess.Popen(
+                    _command(
+                        given.run_dir,
+                        given.rows,
+                        given.events,
+                        "--port",
+                        str(port),
+                        "--unit",
+                        given.unit,
+                        "--worker",
+                    )
+                )
                 starts, begun_s = starts + 1, time.monotonic()
             beat_s = int(rows.header[ring.READER_BEAT_NS]) / 1e9
             over = rows.closed or not rows.writer_alive
@@ -131,7 +161,10 @@ def watch(given: argparse.Namespace, rows: Ring) -> None:
                 shown = show(port)
             rows.header[ring.VIEWED] |= bool(beat_s) and viewer.connected(port)
             time.sleep(0.2)
-        print("live view: given up, it stood still again and again; the recording goes on", file=sys.stderr)
+        print(
+            "live view: given up, it stood still again and again; the recording goes on",
+            file=sys.stderr,
+        )
     finally:
         if worker and worker.poll() is None:
             worker.kill()
@@ -154,8 +187,12 @@ def show(port: int) -> subprocess.Popen:
     web = viewer.free_port(viewer.WEB_PORT)
     served = viewer.serve_page(web, address)
     tunnel = " ".join(f"-L {one}:{viewer.LOOPBACK}:{one}" for one in (web, port))
-    print(f"live view: {viewer.page(web, port)}\n"
-          f"  seen from another machine after: ssh {tunnel} {socket.gethostname()}", file=sys.stderr, flush=True)
+    print(
+        f"live view: {viewer.page(web, port)}\n"
+        f"  seen from another machine after: ssh {tunnel} {socket.gethostname()}",
+        file=sys.stderr,
+        flush=True,
+    )
     return served
 
 

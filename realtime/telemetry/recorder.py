@@ -51,7 +51,11 @@ _ROOM_BYTES = 1 << 20
 
 def recording_id(run_dir: Path, rows: Ring) -> str:
     """The same for the recorder and the live view of one run, and for no other run."""
-    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"{Path(run_dir).resolve()} {int(rows.header[ring.CREATED_NS])}"))
+    return str(
+        uuid.uuid5(
+            uuid.NAMESPACE_URL, f"{Path(run_dir).resolve()} {int(rows.header[ring.CREATED_NS])}"
+        )
+    )
 
 
 def scenario_of(run_dir: Path) -> dict[str, Any]:
@@ -64,8 +68,14 @@ def scenario_of(run_dir: Path) -> dict[str, Any]:
 class Recorder:
     """Cursors in three rings, and the files that follow them."""
 
-    def __init__(self, run_dir: Path, rows: Ring, frame: Ring, event: Ring,
-                 counters: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        run_dir: Path,
+        rows: Ring,
+        frame: Ring,
+        event: Ring,
+        counters: Mapping[str, Any] | None = None,
+    ) -> None:
         self._folder, self._rows, self._frames, self._events = Path(run_dir), rows, frame, event
         self._cursors = [0, 0, 0]
         self._counters = {"scenario": self._folder.resolve().name} | dict(counters or {})
@@ -87,7 +97,10 @@ class Recorder:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         stream = rr.RecordingStream(views.APPLICATION, recording_id=self._id)
         eye = scene.eye(scene.scene(self._scenario))
-        stream.set_sinks(rr.FileSink(path, write_footer=index), default_blueprint=views.blueprint(eye=eye, **known))
+        stream.set_sinks(
+            rr.FileSink(path, write_footer=index),
+            default_blueprint=views.blueprint(eye=eye, **known),
+        )
         stream.send_recording_name(self._folder.resolve().name)
         return stream, Drawing(stream, self._scenario, unit=str(self._counters.get("unit") or ""))
 
@@ -101,7 +114,9 @@ class Recorder:
         found = self._take(1, self._frames, "CAN frames")
         if len(found):
             self.frames += len(found)
-            lines = [frames.candump_line(frame_of(row), signals.BUS_CHANNEL) for row in found.tolist()]
+            lines = [
+                frames.candump_line(frame_of(row), signals.BUS_CHANNEL) for row in found.tolist()
+            ]
             self._can.write(("\n".join(lines) + "\n").encode())
         self._write_events([ring.read_event(row) for row in self._take(2, self._events, "events")])
         if self._pending and time.monotonic() - self._sent_s > _BLOCK_S:
@@ -114,35 +129,51 @@ class Recorder:
         source.header[ring.READ] = self._cursors[which]
         source.header[ring.LOST] += lost
         if lost:
-            self._write_events([(self._time_s, "error",
-                                 f"{lost} {what} lost: the recorder was held up and the ring overran")])
+            self._write_events(
+                [
+                    (
+                        self._time_s,
+                        "error",
+                        f"{lost} {what} lost: the recorder was held up and the ring overran",
+                    )
+                ]
+            )
         return found
 
     def _write_events(self, events: list[Event]) -> None:
         if events:
             for event in events:
                 self._told.add(*event)
-            lines = [json.dumps({"time_s": time_s, "level": level, "text": text}) for time_s, level, text in events]
+            lines = [
+                json.dumps({"time_s": time_s, "level": level, "text": text})
+                for time_s, level, text in events
+            ]
             self._log.write(("\n".join(lines) + "\n").encode())
             self._drawing.events(events)
 
     def _send(self) -> None:
         rows, self._pending = np.concatenate(self._pending), []
         for first in range(0, len(rows), _BLOCK_ROWS):
-            self._drawing.rows(rows[first: first + _BLOCK_ROWS])
+            self._drawing.rows(rows[first : first + _BLOCK_ROWS])
         self._sent_s = time.monotonic()
 
     def finish(self, ended: str) -> None:
         """Complete all files. `ended` says how: finished, killed (the bench died) or terminated."""
         self.drain()
         if ended == "killed":
-            self._write_events([(self._time_s, "error", "the bench was killed; the recorder completed the files")])
+            self._write_events(
+                [(self._time_s, "error", "the bench was killed; the recorder completed the files")]
+            )
         self.channels.finish()
         self._stream.disconnect()
         stored = channels.Columns(self._folder)
         # rows of all rings that were overwritten before they were read
         lost = sum(int(one.header[ring.LOST]) for one in (self._rows, self._frames, self._events))
-        counters = self._counters | {"ended": ended, "bus": {"frames": self.frames}, "recorder": {"lost": lost}}
+        counters = self._counters | {
+            "ended": ended,
+            "bus": {"frames": self.frames},
+            "recorder": {"lost": lost},
+        }
         found = summary.of(stored, counters, self._scenario, self._told.rows())
         self._compact(stored, derived.box(found))
         records.write_summary(self._folder, found)
@@ -151,7 +182,10 @@ class Recorder:
 
     def _compact(self, stored: channels.Columns, result: str) -> None:
         """Write run.rrd anew in large blocks: smaller, faster to open, and with an index; if there is room for both."""
-        if shutil.disk_usage(self._folder).free < _ROOM_BYTES + (self._folder / run_folder.RRD).stat().st_size:
+        if (
+            shutil.disk_usage(self._folder).free
+            < _ROOM_BYTES + (self._folder / run_folder.RRD).stat().st_size
+        ):
             return
         with replaced(self._folder / run_folder.RRD) as new:
             stream, drawing = self._open(new, index=True, top=views.tops(stored))
@@ -168,8 +202,15 @@ def frame_of(row: list[int]) -> frames.Frame:
     time_ns, word, length, data = row
     remote = bool(word & ring.REMOTE_FLAG)
     body = b"" if remote else (data & (2**64 - 1)).to_bytes(8, "little")[:length]
-    return frames.Frame(word & frames.EXTENDED_ID_MAX, body, bool(word & ring.EXTENDED_FLAG),
-                        remote, length, time_ns, bool(word & ring.ERROR_FLAG))
+    return frames.Frame(
+        word & frames.EXTENDED_ID_MAX,
+        body,
+        bool(word & ring.EXTENDED_FLAG),
+        remote,
+        length,
+        time_ns,
+        bool(word & ring.ERROR_FLAG),
+    )
 
 
 def run(recorder: Recorder, rings: tuple[Ring, Ring, Ring], stop: threading.Event) -> str:
@@ -199,8 +240,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("run_dir", type=Path)
     for name in ("--rows", "--frames", "--events"):
         parser.add_argument(name, type=Path, required=True)
-    parser.add_argument("--counters", type=json.loads, default={}, metavar="JSON",
-                        help="what the summary of a killed run shall say")
+    parser.add_argument(
+        "--counters",
+        type=json.loads,
+        default={},
+        metavar="JSON",
+        help="what the summary of a killed run shall say",
+    )
     if arguments is None:
         arguments = sys.argv[1:]
     if not arguments and (arguments := json.loads(sys.stdin.readline() or "null")) is None:

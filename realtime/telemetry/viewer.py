@@ -36,12 +36,15 @@ _TITLE_BAR = 36  # points
 _NO_GRAPHICS = (
     "no picture: the viewer ended, most likely for want of a Vulkan driver ({why}); install one, "
     "on Debian or Ubuntu with 'apt-get install mesa-vulkan-drivers libvulkan1' (it renders in "
-    "software and needs no display)")
+    "software and needs no display)"
+)
 
 
 def has_display() -> bool:
     """Whether a window can be opened here."""
-    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return sys.platform in ("darwin", "win32") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
 
 
 def environment() -> dict[str, str]:
@@ -59,9 +62,15 @@ def environment() -> dict[str, str]:
 def _switched_off(home: Path) -> Path:
     """A folder for XDG_CONFIG_HOME in which the viewer finds its reporting switched off."""
     own = home / "rerun" / "analytics.json"
-    content = json.dumps({
-        "analytics_enabled": False, "analytics_id": "off", "metadata": {},
-        "config_file_path": str(own), "data_dir_path": str(home / "data")})
+    content = json.dumps(
+        {
+            "analytics_enabled": False,
+            "analytics_id": "off",
+            "metadata": {},
+            "config_file_path": str(own),
+            "data_dir_path": str(home / "data"),
+        }
+    )
     own.parent.mkdir(parents=True, exist_ok=True)
     # written once: a viewer that starts meanwhile shall not find it half written
     if not own.is_file() or own.read_text() != content:
@@ -73,7 +82,15 @@ def _switched_off(home: Path) -> Path:
 
 def command(*arguments: str) -> list[str]:
     """The viewer's command line, bound to loopback."""
-    return [sys.executable, "-m", "rerun_cli", "--bind", LOOPBACK, "--hide-welcome-screen", *arguments]
+    return [
+        sys.executable,
+        "-m",
+        "rerun_cli",
+        "--bind",
+        LOOPBACK,
+        "--hide-welcome-screen",
+        *arguments,
+    ]
 
 
 def serve_command(target: str, web_port: int = WEB_PORT) -> str:
@@ -88,17 +105,31 @@ def page(web_port: int, port: int) -> str:
 
 def spawn(*arguments: str) -> subprocess.Popen:
     """Start a viewer that outlives us."""
-    return subprocess.Popen(command(*arguments), env=environment(), stdin=subprocess.DEVNULL,
-                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    return subprocess.Popen(
+        command(*arguments),
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def serve_page(web_port: int, address: str) -> subprocess.Popen:
     """Serve the page that shows what a server at an address has, as long as the calling thread lives."""
     program = Path(rr.__file__).parents[1] / "rerun_cli" / "rerun"
     words = command("--serve-web", "--web-viewer-port", str(web_port), address)
-    words[:3] = [str(program)] if program.is_file() else words[:3]  # Python's would leave its own child behind
-    return subprocess.Popen(children.command(*words), env=environment(), stdin=subprocess.DEVNULL,
-                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    words[:3] = (
+        [str(program)] if program.is_file() else words[:3]
+    )  # Python's would leave its own child behind
+    return subprocess.Popen(
+        children.command(*words),
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def end(process: subprocess.Popen) -> None:
@@ -149,9 +180,12 @@ def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
     names = _names([run.folder for run in loaded[1:]])
     first = loaded[0]
     stream = rr.RecordingStream(views.APPLICATION)
-    layout = views.blueprint(bare=bare, eye=scene.eye(scene.scene(first.scenario)), references=names,
-                             top=views.tops(dict(zip(first.table.column_names, first.table.columns,
-                                                     strict=True))))
+    layout = views.blueprint(
+        bare=bare,
+        eye=scene.eye(scene.scene(first.scenario)),
+        references=names,
+        top=views.tops(dict(zip(first.table.column_names, first.table.columns, strict=True))),
+    )
     stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
     stream.send_recording_name(" over ".join(run.folder.resolve().name for run in loaded))
     for run, name in zip(loaded, ["", *names], strict=True):
@@ -187,8 +221,13 @@ def open_run(paths: Sequence[Path | str]) -> dict[str, Any]:
     return {"file": str(file), "opened": opened, "command": serve_command(str(file))}
 
 
-def picture(paths: Sequence[Path | str], png: Path | str, size: tuple[int, int] = (1600, 1000),
-            time_s: float | None = None, timeout_s: float = 60.0) -> Path:
+def picture(
+    paths: Sequence[Path | str],
+    png: Path | str,
+    size: tuple[int, int] = (1600, 1000),
+    time_s: float | None = None,
+    timeout_s: float = 60.0,
+) -> Path:
     """Take a picture of a run, or of several over one another, without a display.
 
     `size` in points, `time_s` the instant of the cursor (None: halfway). Raises ConfigError for a
@@ -213,8 +252,20 @@ def _headless(file: Path, size: tuple[int, int], time_s: float, until_s: float) 
     port, log = free_port(), file.with_name("log")
     with open(log, "wb") as sink:
         process = subprocess.Popen(
-            command("--headless", "--port", str(port), "--window-size", f"{size[0]}x{size[1] + _TITLE_BAR}", str(file)),
-            env=environment(), start_new_session=True, stdin=subprocess.DEVNULL, stdout=sink, stderr=sink)
+            command(
+                "--headless",
+                "--port",
+                str(port),
+                "--window-size",
+                f"{size[0]}x{size[1] + _TITLE_BAR}",
+                str(file),
+            ),
+            env=environment(),
+            start_new_session=True,
+            stdin=subprocess.DEVNULL,
+            stdout=sink,
+            stderr=sink,
+        )
     try:
         client = _connected(process, port, log, until_s)
         client.set_time(views.TIMELINE, duration=time_s, play_state="paused")
@@ -230,7 +281,9 @@ def _headless(file: Path, size: tuple[int, int], time_s: float, until_s: float) 
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGTERM)
         process.wait(10)
-    raise RollerrigError("no picture: the viewer did not come to rest; try again when the machine is less busy")
+    raise RollerrigError(
+        "no picture: the viewer did not come to rest; try again when the machine is less busy"
+    )
 
 
 def _connected(process: subprocess.Popen, port: int, log: Path, until_s: float) -> ViewerClient:
@@ -243,11 +296,17 @@ def _connected(process: subprocess.Popen, port: int, log: Path, until_s: float) 
         try:
             client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
             state = client.get_state()
-            if state.active_recording and not state.loading and any(one.timelines for one in state.recordings):
+            if (
+                state.active_recording
+                and not state.loading
+                and any(one.timelines for one in state.recordings)
+            ):
                 return client
         except Exception:
             # not listening yet; what the client raises then is not documented
             pass
         time.sleep(0.1)
-    raise RollerrigError("no picture: the viewer did not load the recording in time; is it "
-                         "damaged, or the machine very busy?")
+    raise RollerrigError(
+        "no picture: the viewer did not load the recording in time; is it "
+        "damaged, or the machine very busy?"
+    )

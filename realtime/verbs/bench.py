@@ -31,31 +31,84 @@ NAMES = {path.rpartition(".")[2]: path for path in BENCHMARKS}
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = "The project's own benchmarks:\n" + "\n".join(
-        f"  {name:10}{BENCHMARKS[path]}" for name, path in NAMES.items())
+        f"  {name:10}{BENCHMARKS[path]}" for name, path in NAMES.items()
+    )
     parser.add_argument("name", nargs="+", choices=NAMES, metavar="NAME", help=", ".join(NAMES))
-    parser.add_argument("--seconds", type=float, default=None, metavar="S", help="how long the loop runs, all slices "
-                        "together (default: 20), or soak, both pacings together (default: 480)")
-    parser.add_argument("--count", type=int, default=0, metavar="N",
-                        help="inputs of fuzz (default: 1000000), kills of kill (default: 100)")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=None,
+        metavar="S",
+        help="how long the loop runs, all slices "
+        "together (default: 20), or soak, both pacings together (default: 480)",
+    )
+    parser.add_argument(
+        "--count",
+        type=int,
+        default=0,
+        metavar="N",
+        help="inputs of fuzz (default: 1000000), kills of kill (default: 100)",
+    )
     parser.add_argument("--live", action="store_true", help="loop: with the live view on")
-    parser.add_argument("--sets", type=int, default=0, metavar="N", help="explain: the first N sets (default: one turn "
-                        "of the matrix, of which there are as many as wanted); discover: rigs (default: 40)")
-    parser.add_argument("--tool", choices=("explain", "bic", "sparse", "least_squares"), default="explain",
-                        help="explain: what answers, explain or one of three usual ways (default: explain)")
-    parser.add_argument("--export", type=Path, metavar="DIR", help="explain: only write the sets without truth, and "
-                        "the key, for rollerrig score")
-    parser.add_argument("--folder", type=Path, metavar="DIR", help="explain, discover: where sets and answers are, to "
-                        "go on or to grow (default: reports/bench_explain_GENERATOR_SEED, reports/bench_discover_SEED)")
-    parser.add_argument("--generator", choices=("first", "second", "third"), default="first",
-                        help="explain: whose sets, by one author, by another, or in MuJoCo (default: first)")
-    parser.add_argument("--alone", action="store_true", help="explain: one set after another, each on all cores, as "
-                        "rollerrig explain does: for its time (default: one set a core)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of whatever is random (default: 0)")
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
-                        help="loop, hunting: change one value of the scenario, as in loop.priority=0")
-    parser.add_argument("--strict", action="store_true", help="exit status 1 when a target is missed")
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables into a page, in "
-                        "place of the same benchmark's section, as in docs/performance.md")
+    parser.add_argument(
+        "--sets",
+        type=int,
+        default=0,
+        metavar="N",
+        help="explain: the first N sets (default: one turn "
+        "of the matrix, of which there are as many as wanted); discover: rigs (default: 40)",
+    )
+    parser.add_argument(
+        "--tool",
+        choices=("explain", "bic", "sparse", "least_squares"),
+        default="explain",
+        help="explain: what answers, explain or one of three usual ways (default: explain)",
+    )
+    parser.add_argument(
+        "--export",
+        type=Path,
+        metavar="DIR",
+        help="explain: only write the sets without truth, and the key, for rollerrig score",
+    )
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        metavar="DIR",
+        help="explain, discover: where sets and answers are, to "
+        "go on or to grow (default: reports/bench_explain_GENERATOR_SEED, reports/bench_discover_SEED)",
+    )
+    parser.add_argument(
+        "--generator",
+        choices=("first", "second", "third"),
+        default="first",
+        help="explain: whose sets, by one author, by another, or in MuJoCo (default: first)",
+    )
+    parser.add_argument(
+        "--alone",
+        action="store_true",
+        help="explain: one set after another, each on all cores, as "
+        "rollerrig explain does: for its time (default: one set a core)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of whatever is random (default: 0)"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="loop, hunting: change one value of the scenario, as in loop.priority=0",
+    )
+    parser.add_argument(
+        "--strict", action="store_true", help="exit status 1 when a target is missed"
+    )
+    parser.add_argument(
+        "--markdown",
+        type=Path,
+        metavar="FILE",
+        help="also write the tables into a page, in "
+        "place of the same benchmark's section, as in docs/performance.md",
+    )
 
 
 def call(given: argparse.Namespace) -> int:
@@ -64,7 +117,9 @@ def call(given: argparse.Namespace) -> int:
     if not 1.0 <= (given.seconds or 1.0) <= 36_000.0 or given.seconds == 0.0:
         raise ConfigError(f"--seconds {given.seconds:g}: allowed are 1 to 36000 s")
     if given.count < 0:
-        raise ConfigError(f"--count {given.count}: allowed are 1 and more, and 0 for the usual number")
+        raise ConfigError(
+            f"--count {given.count}: allowed are 1 and more, and 0 for the usual number"
+        )
     from rich.console import Console
 
     asked_s, console, results = given.seconds, Console(), {}
@@ -86,8 +141,12 @@ def call(given: argparse.Namespace) -> int:
 
 def score_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, help="folder of the sets and their key")
-    parser.add_argument("answers", type=Path, help="JSON file with an answer for each set, or a folder of files "
-                        "SET.json; report.json of rollerrig explain is such an answer")
+    parser.add_argument(
+        "answers",
+        type=Path,
+        help="JSON file with an answer for each set, or a folder of files "
+        "SET.json; report.json of rollerrig explain is such an answer",
+    )
 
 
 def score(given: argparse.Namespace) -> int:

@@ -8,12 +8,27 @@ from rollerrig.realtime.verbs import output
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", type=Path, default=Path("devices"), metavar="DIR",
-                        help="folder to write into (default: devices)")
-    parser.add_argument("--scenario", default="velim_a1", metavar="NAME", help="whose rig: its rated torques and pole "
-                        "wheels stand in the objects' units (default: velim_a1)")
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE",
-                        help="change one value, as in sensor.teeth=80; may be repeated")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("devices"),
+        metavar="DIR",
+        help="folder to write into (default: devices)",
+    )
+    parser.add_argument(
+        "--scenario",
+        default="velim_a1",
+        metavar="NAME",
+        help="whose rig: its rated torques and pole "
+        "wheels stand in the objects' units (default: velim_a1)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="change one value, as in sensor.teeth=80; may be repeated",
+    )
 
 
 def call(given: argparse.Namespace) -> int:
@@ -26,10 +41,15 @@ def call(given: argparse.Namespace) -> int:
     nodes = dictionaries(scenario.load(given.scenario, settings=tuple(given.set)))
     drives = {one.node_id: one for one in nodes if one.node_id in signals.DRIVE_NODES}
     with writing(given.out):
-        written = [*descriptions.write(given.out, nodes),
-                   *map.write(given.out, drives, tuple(store.names("scenarios")))]
-    output.show(given, {"folder": str(given.out), "files": [path.name for path in written]},
-                *(str(path) for path in written))
+        written = [
+            *descriptions.write(given.out, nodes),
+            *map.write(given.out, drives, tuple(store.names("scenarios"))),
+        ]
+    output.show(
+        given,
+        {"folder": str(given.out), "files": [path.name for path in written]},
+        *(str(path) for path in written),
+    )
     if not given.json:
         output.say(f"{len(written)} files for tools that read EDS, DBC, Modbus maps and tables")
     return output.PASS
@@ -44,7 +64,13 @@ def dictionaries(plan: Any) -> list[Any]:
     from rollerrig.wsp_interface.bus.hub import Hub
 
     # a hub that listens nowhere: the nodes boot, and nobody hears them
-    bus = rig_bus.RigBus(Hub(lambda: 0), plan, np.zeros(len(signals.COLUMNS)), lambda row: None,
-                         lambda level, text: None, lambda: 0)
+    bus = rig_bus.RigBus(
+        Hub(lambda: 0),
+        plan,
+        np.zeros(len(signals.COLUMNS)),
+        lambda row: None,
+        lambda level, text: None,
+        lambda: 0,
+    )
     members: list[Any] = bus.rack.members
     return [member.dictionary for member in members if hasattr(member, "dictionary")]

@@ -14,13 +14,32 @@ SLOWEST_M_S = 4.0
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dataset", nargs="+", help="folder of a dataset, name of a packaged one, or folders of runs")
-    parser.add_argument("--validate", nargs="+", type=Path, default=[], metavar="RUN",
-                        help="folders of runs that are never fitted, only judged (default: the last third of the runs)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the report (default: reports/explain_NAME)")
+    parser.add_argument(
+        "dataset", nargs="+", help="folder of a dataset, name of a packaged one, or folders of runs"
+    )
+    parser.add_argument(
+        "--validate",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="RUN",
+        help="folders of runs that are never fitted, only judged (default: the last third of the runs)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the report (default: reports/explain_NAME)",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the clean sets (default: 0)")
-    parser.add_argument("--next", type=int, default=0, metavar="N", dest="more",
-                        help="propose the N most informative further stops")
+    parser.add_argument(
+        "--next",
+        type=int,
+        default=0,
+        metavar="N",
+        dest="more",
+        help="propose the N most informative further stops",
+    )
 
 
 def call(given: argparse.Namespace) -> int:
@@ -35,22 +54,43 @@ def call(given: argparse.Namespace) -> int:
         fitted = polach_fit.fit(data, given.seed)
         report = polach_fit.as_json(data, fitted)
         study_view.creep_points(out / "report.rrd", data)
-        return _show(given, out, data.name, report, polach_fit.story(report), page.polach_page(data, fitted),
-                     f"# {data.name}: nothing that a scenario could load\n")
+        return _show(
+            given,
+            out,
+            data.name,
+            report,
+            polach_fit.story(report),
+            page.polach_page(data, fitted),
+            f"# {data.name}: nothing that a scenario could load\n",
+        )
     from rollerrig.rig.identify.decide import explain
 
     with progress_bar() as progress:
-        return told(given, explain.braking_runs(data, given.seed, progress), out, progress, given.more)
+        return told(
+            given, explain.braking_runs(data, given.seed, progress), out, progress, given.more
+        )
 
 
-def _show(given: argparse.Namespace, out: Path, name: str, report: dict[str, Any], lines: list[str], html: str,
-          extended: str) -> int:
+def _show(
+    given: argparse.Namespace,
+    out: Path,
+    name: str,
+    report: dict[str, Any],
+    lines: list[str],
+    html: str,
+    extended: str,
+) -> int:
     from rich.text import Text
 
     paper.write(out, "report", report, html)
     (out / "extended.toml").write_text(extended, encoding="utf-8")
-    return output.show(given, report, Text(f"{report['verdict']}: {name}", "bold"), *map(Text, lines),
-                       f"report: {out / 'report.html'}, {out / 'report.rrd'}; model: {out / 'extended.toml'}")
+    return output.show(
+        given,
+        report,
+        Text(f"{report['verdict']}: {name}", "bold"),
+        *map(Text, lines),
+        f"report: {out / 'report.html'}, {out / 'report.rrd'}; model: {out / 'extended.toml'}",
+    )
 
 
 def _is_recorder(names: list[str]) -> bool:
@@ -74,10 +114,19 @@ def _recorder(given: argparse.Namespace) -> int:
         found = verdict.explain(read)
     told = verdict.as_json(found)
     paper.write(out, "report", told, report.page(found))
-    study_view.recorded(out / "report.rrd", read.name, report.courses(found),
-                        [(f.run, f.start_s, f"{f.name}: {f.text}") for f in (*found.findings, *found.unknown)])
-    return output.show(given, told, Text(f"{found.verdict}: {read.name}", "bold"), *map(Text, verdict.story(found)),
-                       f"report: {out / 'report.html'}, {out / 'report.rrd'}")
+    study_view.recorded(
+        out / "report.rrd",
+        read.name,
+        report.courses(found),
+        [(f.run, f.start_s, f"{f.name}: {f.text}") for f in (*found.findings, *found.unknown)],
+    )
+    return output.show(
+        given,
+        told,
+        Text(f"{found.verdict}: {read.name}", "bold"),
+        *map(Text, verdict.story(found)),
+        f"report: {out / 'report.html'}, {out / 'report.rrd'}",
+    )
 
 
 def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
@@ -89,11 +138,17 @@ def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
         kept = len(runs) if given.validate else len(runs) - len(runs) // 3
         fitted, held = runs[:kept], given.validate or runs[kept:]
         made = run_dataset.from_folders(fitted, folder, held, run_sensors.NOISE, SLOWEST_M_S)
-        return dataset.load(made)._replace(name=", ".join(run.resolve().name for run in (*fitted, *held)))
+        return dataset.load(made)._replace(
+            name=", ".join(run.resolve().name for run in (*fitted, *held))
+        )
 
-    if given.validate and not all((Path(name) / "scenario.toml").is_file() for name in given.dataset):
-        raise ConfigError(f"--validate {given.validate[0]}: {given.dataset[0]} is no folder of a run; a dataset says "
-                          "in its dataset.toml which runs validate")
+    if given.validate and not all(
+        (Path(name) / "scenario.toml").is_file() for name in given.dataset
+    ):
+        raise ConfigError(
+            f"--validate {given.validate[0]}: {given.dataset[0]} is no folder of a run; a dataset says "
+            "in its dataset.toml which runs validate"
+        )
     return paper.opened(given.dataset, given.out, "explain", of_runs)
 
 
@@ -104,7 +159,10 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     from rich.progress import Progress
 
     at = "reading the data"
-    with Progress(console=Console(stderr=True), transient=True) as bar, output.progress_of(lambda: at):
+    with (
+        Progress(console=Console(stderr=True), transient=True) as bar,
+        output.progress_of(lambda: at),
+    ):
         tasks: dict[str, Any] = {}
 
         def progress(title: str, share: float) -> None:
@@ -117,8 +175,14 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield progress
 
 
-def told(given: argparse.Namespace, account: Any, out: Path, progress: Callable[[str, float], None], more: int = 0,
-         **beside: Any) -> int:
+def told(
+    given: argparse.Namespace,
+    account: Any,
+    out: Path,
+    progress: Callable[[str, float], None],
+    more: int = 0,
+    **beside: Any,
+) -> int:
     """Write the report of an account, with further stops to be proposed and what stands beside it, and show it."""
     from rollerrig.realtime.reports import explain as report
     from rollerrig.realtime.telemetry import study_view
@@ -126,13 +190,31 @@ def told(given: argparse.Namespace, account: Any, out: Path, progress: Callable[
 
     found = report.as_json(account) | beside
     lines = report.story(account) + _further(account, found, out, more, progress)
-    study_view.explained(out / "report.rrd", account.data.name, report.in_words(account, found),
-                         *report.panels(account, found), report.courses(account))
-    return _show(given, out, account.data.name, found, lines, report.page(account, found), extension.toml(account))
+    study_view.explained(
+        out / "report.rrd",
+        account.data.name,
+        report.in_words(account, found),
+        *report.panels(account, found),
+        report.courses(account),
+    )
+    return _show(
+        given,
+        out,
+        account.data.name,
+        found,
+        lines,
+        report.page(account, found),
+        extension.toml(account),
+    )
 
 
-def _further(account: Any, found: dict[str, Any], out: Path, count: int,
-             progress: Callable[[str, float], None]) -> list[str]:
+def _further(
+    account: Any,
+    found: dict[str, Any],
+    out: Path,
+    count: int,
+    progress: Callable[[str, float], None],
+) -> list[str]:
     """Write the separating tests of causes and the proposed stops as sequences; names them in `found`."""
     import tomli_w
 
@@ -151,10 +233,14 @@ def _further(account: Any, found: dict[str, Any], out: Path, count: int,
     for k in unclear:
         named = account.causes[k]
         for test in planning.propose(lib, 1, (named.finding.name, *named.confusable)):
-            file = write("separating_test.toml" if k == 0 else f"separating_test_{k + 1}.toml", test)
+            file = write(
+                "separating_test.toml" if k == 0 else f"separating_test_{k + 1}.toml", test
+            )
             found["causes"][k]["separating_test"] = file.name
     proposed = planning.propose(lib, count)
     files = [write(f"next_{k}.toml", test) for k, test in enumerate(proposed, start=1)]
     found["next"] = planning.as_json(proposed, [file.name for file in files])
-    return [f"Next: {test.stop.title}; {test.reason}: rollerrig sequence {file}"
-            for file, test in zip(files, proposed, strict=True)]
+    return [
+        f"Next: {test.stop.title}; {test.reason}: rollerrig sequence {file}"
+        for file, test in zip(files, proposed, strict=True)
+    ]

@@ -15,8 +15,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def call(given: argparse.Namespace) -> int:
     rows = named(given.kind)
-    return output.show(given, {given.kind: [{"name": name, "title": title} for name, title in rows]},
-                       (None, ("name", "title"), rows))
+    return output.show(
+        given,
+        {given.kind: [{"name": name, "title": title} for name, title in rows]},
+        (None, ("name", "title"), rows),
+    )
 
 
 def named(kind: str) -> list[tuple[str, str]]:
@@ -28,7 +31,10 @@ def named(kind: str) -> list[tuple[str, str]]:
     if kind == "signals":
         from rollerrig.wsp_interface import signals
 
-        return [(one.name, f"{one.text} ({one.unit})" if one.unit else one.text) for one in signals.SIGNALS]
+        return [
+            (one.name, f"{one.text} ({one.unit})" if one.unit else one.text)
+            for one in signals.SIGNALS
+        ]
     if kind == "datasets":
         from rollerrig.rig.identify.data import dataset
 

@@ -50,10 +50,14 @@ def show(given: argparse.Namespace, result: Mapping[str, Any], *shown: Any) -> i
     console = Console(highlight=False)
     for one in (*(f"warning: {warning}" for warning in result.get("warnings", ())), *shown):
         if isinstance(one, str):
-            console.print(one, markup=False, soft_wrap=True)  # as it is: a path or a command is copied from there
+            console.print(
+                one, markup=False, soft_wrap=True
+            )  # as it is: a path or a command is copied from there
         elif isinstance(one, tuple):
             title, head, rows = one
-            table = Table(*(Column(name, overflow="fold") for name in head), title=title, title_justify="left")
+            table = Table(
+                *(Column(name, overflow="fold") for name in head), title=title, title_justify="left"
+            )
             for row in rows:
                 table.add_row(*row)
             console.print(table)

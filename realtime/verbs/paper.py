@@ -20,21 +20,42 @@ VELIM, SANDING = "velim", "sanding"
 
 def tune_arguments(parser: argparse.ArgumentParser) -> None:
     _arguments(parser, "tune", "find what the paper does not print on its group A")
-    parser.add_argument("--synthetic", action="store_true", help="with 'velim': make the synthetic "
-                        "dataset of the six stops in --out, and tune nothing")
+    parser.add_argument(
+        "--synthetic",
+        action="store_true",
+        help="with 'velim': make the synthetic dataset of the six stops in --out, and tune nothing",
+    )
 
 
 def validate_arguments(parser: argparse.ArgumentParser) -> None:
-    _arguments(parser, "validate", "the paper's six stops in closed loop; or 'sanding': the "
-               "sand's law against stops that were measured")
-    parser.add_argument("--tau", type=float, metavar="m/J", help="recovery to judge (default: tuned on "
-                        "the dataset's tuning runs); folders of runs need it")
+    _arguments(
+        parser,
+        "validate",
+        "the paper's six stops in closed loop; or 'sanding': the "
+        "sand's law against stops that were measured",
+    )
+    parser.add_argument(
+        "--tau",
+        type=float,
+        metavar="m/J",
+        help="recovery to judge (default: tuned on "
+        "the dataset's tuning runs); folders of runs need it",
+    )
 
 
 def _arguments(parser: argparse.ArgumentParser, verb: str, of_velim: str) -> None:
-    parser.add_argument("dataset", nargs="+", help="folder of a dataset, name of a packaged one, folders "
-                        f"of runs, or 'velim': {of_velim}")
-    parser.add_argument("--out", type=Path, metavar="DIR", help=f"folder of the report (default: reports/{verb}_NAME)")
+    parser.add_argument(
+        "dataset",
+        nargs="+",
+        help="folder of a dataset, name of a packaged one, folders "
+        f"of runs, or 'velim': {of_velim}",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder of the report (default: reports/{verb}_NAME)",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (default: 0)")
 
 
@@ -50,16 +71,27 @@ def tune(given: argparse.Namespace) -> int:
         fitted = polach_fit.fit(data, given.seed)
         result = paper.polach_json(data, fitted)
         write(out, "tune", result, paper.polach_page(data, fitted))
-        return output.show(given, result, (f"fitted to {data.name}", paper.HEAD, paper.polach_rows(result)),
-                           f"report: {out / 'tune.html'}")
+        return output.show(
+            given,
+            result,
+            (f"fitted to {data.name}", paper.HEAD, paper.polach_rows(result)),
+            f"report: {out / 'tune.html'}",
+        )
     found = _tuned(data, given.seed)
     result = paper.tune_json(data, found)
     write(out, "tune", result, paper.tune_page(data, found))
     study_view.tuned(out / "tune.rrd", data, found)
-    (out / "tuned.toml").write_text(f"# tuned on {data.name} by rollerrig tune; load it with: rollerrig run ... "
-                                    f"--model\n[adhesion]\ntau_m_J = {found.tau_m_J.value!r}\n", encoding="utf-8")
-    return output.show(given, result, (f"tuned on {data.name}", paper.HEAD, paper.tune_rows(result)),
-                       f"report: {out / 'tune.html'}, {out / 'tune.rrd'}; model: {out / 'tuned.toml'}")
+    (out / "tuned.toml").write_text(
+        f"# tuned on {data.name} by rollerrig tune; load it with: rollerrig run ... "
+        f"--model\n[adhesion]\ntau_m_J = {found.tau_m_J.value!r}\n",
+        encoding="utf-8",
+    )
+    return output.show(
+        given,
+        result,
+        (f"tuned on {data.name}", paper.HEAD, paper.tune_rows(result)),
+        f"report: {out / 'tune.html'}, {out / 'tune.rrd'}; model: {out / 'tuned.toml'}",
+    )
 
 
 def validate(given: argparse.Namespace) -> int:
@@ -74,34 +106,63 @@ def validate(given: argparse.Namespace) -> int:
     from rollerrig.rig.identify.paper import tuning, validation
 
     if given.tau is not None and not 0.0 <= given.tau <= 1.0:
-        raise ConfigError(f"--tau {given.tau:g} m/J is out of range; allowed 0 to 1, the paper has 1.9e-4")
+        raise ConfigError(
+            f"--tau {given.tau:g} m/J is out of range; allowed 0 to 1, the paper has 1.9e-4"
+        )
     data, out = opened(given.dataset, given.out, "validate")
     if data.kind != "braking_runs":
-        raise ConfigError(f"{given.dataset[0]}: a {data.kind} cannot be validated, it has no runs; use rollerrig tune")
-    tau = (tuning.Interval(given.tau, given.tau, given.tau) if given.tau is not None
-           else _tuned(data, given.seed).tau_m_J)
+        raise ConfigError(
+            f"{given.dataset[0]}: a {data.kind} cannot be validated, it has no runs; use rollerrig tune"
+        )
+    tau = (
+        tuning.Interval(given.tau, given.tau, given.tau)
+        if given.tau is not None
+        else _tuned(data, given.seed).tau_m_J
+    )
     group = "validate" if data.group("validate") or given.tau is None else "tune"
     verdicts = validation.validate(data, tau.value, group)
     result = paper.validate_json(data, tau, verdicts)
     write(out, "validate", result, paper.validate_page(data, tau, verdicts))
     study_view.validated(out / "validate.rrd", data, verdicts)
     return output.show(
-        given, result, (f"{result['dataset']}: Table 6 with tau = {tau.value:.4g} m/J, m/s", *paper.table6(verdicts)),
-        *(f"{name:8} mean absolute error: mean sliding {error['mean_1_m_s']:.3f} m/s, standard deviation "
-          f"{error['std_1_m_s']:.3f} m/s (wheelset 1); rms of f {error['adhesion_rmse']:.4f}"
-          for name, error in result["errors"].items()), f"report: {out / 'validate.html'}, {out / 'validate.rrd'}")
+        given,
+        result,
+        (
+            f"{result['dataset']}: Table 6 with tau = {tau.value:.4g} m/J, m/s",
+            *paper.table6(verdicts),
+        ),
+        *(
+            f"{name:8} mean absolute error: mean sliding {error['mean_1_m_s']:.3f} m/s, standard deviation "
+            f"{error['std_1_m_s']:.3f} m/s (wheelset 1); rms of f {error['adhesion_rmse']:.4f}"
+            for name, error in result["errors"].items()
+        ),
+        f"report: {out / 'validate.html'}, {out / 'validate.rrd'}",
+    )
 
 
 def _show_sanding(given: argparse.Namespace) -> int:
     from rollerrig.realtime.studies import sanding
 
     result = sanding.study()
-    rows = [(one["stop"], f"{one['measured_m']:.0f}", f"{one['by_the_law_m']:.0f}", "fitted" if one["fitted"] else
-             "predicted") for one in result["stops"]]
+    rows = [
+        (
+            one["stop"],
+            f"{one['measured_m']:.0f}",
+            f"{one['by_the_law_m']:.0f}",
+            "fitted" if one["fitted"] else "predicted",
+        )
+        for one in result["stops"]
+    ]
     return output.show(
-        given, result, ("stops with sand from 55 mph on 0.02, RSSB T1107 (without sand: more than 1,200 m)",
-                        ("stop", "measured m", "by the law m", ""), rows),
-        f"gain {result['gain']:.3g}, dose scale {result['dose_scale_kg_m']:.3g} kg/m: those of [sanders]")
+        given,
+        result,
+        (
+            "stops with sand from 55 mph on 0.02, RSSB T1107 (without sand: more than 1,200 m)",
+            ("stop", "measured m", "by the law m", ""),
+            rows,
+        ),
+        f"gain {result['gain']:.3g}, dose scale {result['dose_scale_kg_m']:.3g} kg/m: those of [sanders]",
+    )
 
 
 def _tuned(data: Any, seed: int) -> Any:
@@ -111,8 +172,12 @@ def _tuned(data: Any, seed: int) -> Any:
         return tuning.tune(data, seed)
 
 
-def opened(names: list[str], out: Path | None, verb: str,
-           of_runs: Callable[[list[Path], Path], Any] | None = None) -> tuple[Any, Path]:
+def opened(
+    names: list[str],
+    out: Path | None,
+    verb: str,
+    of_runs: Callable[[list[Path], Path], Any] | None = None,
+) -> tuple[Any, Path]:
     """The dataset of the command line, and the folder of its report (made); `of_runs` makes one of runs' folders."""
     from rollerrig.realtime.studies import run_dataset
     from rollerrig.rig.identify.data import dataset
@@ -120,10 +185,14 @@ def opened(names: list[str], out: Path | None, verb: str,
     folder = folder_of(names, out, verb)
     if all(are_runs := [(Path(name) / "scenario.toml").is_file() for name in names]):
         runs, place = list(map(Path, names)), folder / "dataset"
-        return of_runs(runs, place) if of_runs else dataset.load(run_dataset.from_folders(runs, place)), folder
+        return of_runs(runs, place) if of_runs else dataset.load(
+            run_dataset.from_folders(runs, place)
+        ), folder
     if len(are_runs) > 1:
-        raise ConfigError(f"{', '.join(names)}: several names must all be folders of runs; give one dataset, or only "
-                          "runs")
+        raise ConfigError(
+            f"{', '.join(names)}: several names must all be folders of runs; give one dataset, or only "
+            "runs"
+        )
     return dataset.load(names[0]), folder
 
 
@@ -143,6 +212,7 @@ def write(out: Path, verb: str, result: dict[str, Any], page: str) -> None:
 
 # --- the paper's own stops ---
 
+
 def _tune_velim(given: argparse.Namespace) -> int:
     import tomli_w
 
@@ -154,29 +224,48 @@ def _tune_velim(given: argparse.Namespace) -> int:
     found = velim.calibrate(output.say)
     out = given.out or Path("reports/tune_velim")
     out.mkdir(parents=True, exist_ok=True)
-    (out / "velim.toml").write_text("# found on group A of Table 6\n" + tomli_w.dumps(found), encoding="utf-8")
-    return _compare_velim(given, found, out, f"written to {out / 'velim.toml'}; it takes effect as configs/velim.toml")
+    (out / "velim.toml").write_text(
+        "# found on group A of Table 6\n" + tomli_w.dumps(found), encoding="utf-8"
+    )
+    return _compare_velim(
+        given, found, out, f"written to {out / 'velim.toml'}; it takes effect as configs/velim.toml"
+    )
 
 
-def _compare_velim(given: argparse.Namespace, found: dict[str, float], out: Path | None, *last: str) -> int:
+def _compare_velim(
+    given: argparse.Namespace, found: dict[str, float], out: Path | None, *last: str
+) -> int:
     """Run the six stops under what was found on group A, and print Table 6, ours beside the paper's."""
     from rollerrig.realtime.studies import velim
 
     ours = velim.table6(found, output.say)
-    own, classic = velim.owns(found, output.say), velim.owns(found, output.say, "adhesion.tau_m_J=0.0")
+    own, classic = (
+        velim.owns(found, output.say),
+        velim.owns(found, output.say, "adhesion.tau_m_J=0.0"),
+    )
     result = velim.as_json(found, ours, own, classic)
     if out:
         out.mkdir(parents=True, exist_ok=True)
         (out / "velim.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     off = result["group_b_mean_absolute_error"]
     return output.show(
-        given, result,
-        ("Table 6", ("m/s", *map(str.upper, velim.TESTS)), velim.rows_for_table(ours, own, classic)),
-        ("contaminant mu_cd", ("", *map(str.upper, velim.TESTS)), velim.rows_of_contaminants(found, own, classic)),
+        given,
+        result,
+        (
+            "Table 6",
+            ("m/s", *map(str.upper, velim.TESTS)),
+            velim.rows_for_table(ours, own, classic),
+        ),
+        (
+            "contaminant mu_cd",
+            ("", *map(str.upper, velim.TESTS)),
+            velim.rows_of_contaminants(found, own, classic),
+        ),
         "with recovery a contaminant below the printed 0.06 is needed: that is the level of a law tuned on measured "
         "torques, which the paper does not print; under our full service brake and reference WSP wheels on 0.06 clean "
         "the rail so far that they slide less than measured",
-        "fitted on group A (A1 to A3): " + ", ".join(f"{k} {v:.4g}" for k, v in found.items())
+        "fitted on group A (A1 to A3): "
+        + ", ".join(f"{k} {v:.4g}" for k, v in found.items())
         + f"; left over there: {result['group_a_left_over_rms_m_s']:.2f} m/s rms",
         "predicted: group B, with Table 5's speeds alone and mu_cd = "
         f"{result['predicted_mu_cd_group_b']:.4g}; Table 4 and tau as printed, wheels on the track",
@@ -185,9 +274,23 @@ def _compare_velim(given: argparse.Namespace, found: dict[str, float], out: Path
         f"group B, mean absolute error against measured: mean {off['mean_m_s']:.2f} (paper's model "
         f"{off['paper_mean_m_s']:.2f}), deviation {off['deviation_m_s']:.2f} (paper's model "
         f"{off['paper_deviation_m_s']:.2f}) m/s",
-        ("what can be predicted of group B's mean sliding, m/s",
-         ("found on group A's measured means, as a function of initial speed alone", "B1", "B2", "B3", "error"),
-         [*((one.name, *(f"{x:.2f}" for x in (*one.predicted_m_s, one.error_m_s))) for one in velim.bounds()),
-          ("measured", *(f"{velim.MEASURED_MEAN[test]:.2f}" for test in velim.GROUP_B), "")]),
+        (
+            "what can be predicted of group B's mean sliding, m/s",
+            (
+                "found on group A's measured means, as a function of initial speed alone",
+                "B1",
+                "B2",
+                "B3",
+                "error",
+            ),
+            [
+                *(
+                    (one.name, *(f"{x:.2f}" for x in (*one.predicted_m_s, one.error_m_s)))
+                    for one in velim.bounds()
+                ),
+                ("measured", *(f"{velim.MEASURED_MEAN[test]:.2f}" for test in velim.GROUP_B), ""),
+            ],
+        ),
         "E1 needs the recordings, which are not public; it is printed by 'rollerrig validate DATASET' for data at hand",
-        *last)
+        *last,
+    )

@@ -19,32 +19,87 @@ LIBRARY = "sequences"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("sequences", nargs="*", metavar="FILE", help="sequences: names of packaged "
-                        "ones, TOML files, or folders of them (default: the packaged library)")
-    parser.add_argument("--out", type=Path, default=Path("report"), metavar="DIR",
-                        help="folder of the report; each run gets a folder in it (default: report)")
-    parser.add_argument("--junit", type=Path, metavar="FILE",
-                        help="where JUnit XML goes (default: junit.xml in the folder of the report)")
-    parser.add_argument("--bus", default="", metavar="ADDRESS", help="play one sequence on a bench "
-                        "that runs already ('rollerrig run ... --harness') instead of starting one")
-    parser.add_argument("--pacing", choices=("lockstep", "wall"), default="lockstep",
-                        help="of benches that are started (default: lockstep, repeatable)")
-    parser.add_argument("--wsp", type=wsp.unit, action=wsp.Units, default="",
-                        metavar="{reference,external,none,fmu:FILE}", help="whose WSP; again for further FMUs that "
-                        "share the bus by CAN ports (default: what the sequence says, else reference)")
-    parser.add_argument("--unit", default="", metavar="COMMAND", help="with --wsp external: starts your "
-                        "unit for each run; {address}, {host}, {port} are put in, as in "
-                        "'python docs/examples/wsp_unit.py {host} {port}'")
-    parser.add_argument("--unit-map", type=Path, metavar="FILE", help="mapping of the unit's own CAN "
-                        "messages to the rig's (with --wsp external), or of an FMU's variables")
-    parser.add_argument("--seed", type=int, default=0, help="seed of whatever is random (default: 0)")
-    parser.add_argument("--jobs", type=int, default=0, metavar="N", help="benches at a time (default: "
-                        "in lockstep as many as there are cores, in real time one)")
+    parser.add_argument(
+        "sequences",
+        nargs="*",
+        metavar="FILE",
+        help="sequences: names of packaged "
+        "ones, TOML files, or folders of them (default: the packaged library)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("report"),
+        metavar="DIR",
+        help="folder of the report; each run gets a folder in it (default: report)",
+    )
+    parser.add_argument(
+        "--junit",
+        type=Path,
+        metavar="FILE",
+        help="where JUnit XML goes (default: junit.xml in the folder of the report)",
+    )
+    parser.add_argument(
+        "--bus",
+        default="",
+        metavar="ADDRESS",
+        help="play one sequence on a bench "
+        "that runs already ('rollerrig run ... --harness') instead of starting one",
+    )
+    parser.add_argument(
+        "--pacing",
+        choices=("lockstep", "wall"),
+        default="lockstep",
+        help="of benches that are started (default: lockstep, repeatable)",
+    )
+    parser.add_argument(
+        "--wsp",
+        type=wsp.unit,
+        action=wsp.Units,
+        default="",
+        metavar="{reference,external,none,fmu:FILE}",
+        help="whose WSP; again for further FMUs that "
+        "share the bus by CAN ports (default: what the sequence says, else reference)",
+    )
+    parser.add_argument(
+        "--unit",
+        default="",
+        metavar="COMMAND",
+        help="with --wsp external: starts your "
+        "unit for each run; {address}, {host}, {port} are put in, as in "
+        "'python docs/examples/wsp_unit.py {host} {port}'",
+    )
+    parser.add_argument(
+        "--unit-map",
+        type=Path,
+        metavar="FILE",
+        help="mapping of the unit's own CAN "
+        "messages to the rig's (with --wsp external), or of an FMU's variables",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of whatever is random (default: 0)"
+    )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=0,
+        metavar="N",
+        help="benches at a time (default: "
+        "in lockstep as many as there are cores, in real time one)",
+    )
     parser.add_argument("--steps", action="store_true", help="say which step each sequence is at")
     parser.add_argument("--check", action="store_true", help="only read and check the sequences")
-    parser.add_argument("--about", action="append", default=[], metavar="'WHAT=TEXT'", help="for the title block of "
-                        "the report, as in 'unit under test=ACME 7' or 'tested by=A. Meier'; may be repeated")
-    parser.add_argument("--pdf", action="store_true", help="write the report as PDF as well (report.pdf)")
+    parser.add_argument(
+        "--about",
+        action="append",
+        default=[],
+        metavar="'WHAT=TEXT'",
+        help="for the title block of "
+        "the report, as in 'unit under test=ACME 7' or 'tested by=A. Meier'; may be repeated",
+    )
+    parser.add_argument(
+        "--pdf", action="store_true", help="write the report as PDF as well (report.pdf)"
+    )
 
 
 def call(given: argparse.Namespace) -> int:
@@ -64,11 +119,20 @@ def call(given: argparse.Namespace) -> int:
         outcomes = _play(given, sequences, played)
     written = report.write(outcomes, given.out, given.junit, about, given.pdf)
     result = report.overall(outcomes)
-    counts = {name: sum(one.result == name for one in outcomes) for name in ("pass", "fail", "error")}
-    output.show(given, {"result": result, **counts, "report": str(written[0]),
-                        "sequences": {one.sequence.name: one.result for one in outcomes}},
-                f"{result}: {counts['pass']} passed, {counts['fail']} failed, {counts['error']} with an error; "
-                f"report in {written[0]} (not a certification)")
+    counts = {
+        name: sum(one.result == name for one in outcomes) for name in ("pass", "fail", "error")
+    }
+    output.show(
+        given,
+        {
+            "result": result,
+            **counts,
+            "report": str(written[0]),
+            "sequences": {one.sequence.name: one.result for one in outcomes},
+        },
+        f"{result}: {counts['pass']} passed, {counts['fail']} failed, {counts['error']} with an error; "
+        f"report in {written[0]} (not a certification)",
+    )
     return output.PASS if result == "pass" else output.FAILED
 
 
@@ -87,7 +151,11 @@ def load(names: list[str]) -> list[Any]:
 
     paths: list[Path] = []
     for name in names or [str(store.ROOT / LIBRARY)]:
-        found = sorted(Path(name).glob("*.toml")) if Path(name).is_dir() else [store.find(LIBRARY, name)]
+        found = (
+            sorted(Path(name).glob("*.toml"))
+            if Path(name).is_dir()
+            else [store.find(LIBRARY, name)]
+        )
         if not found:
             raise ConfigError(f"{name}: holds no sequence (*.toml)")
         paths += found
@@ -114,8 +182,10 @@ def _plan(one: Any) -> Any:
     from rollerrig.realtime.bench import scenario
     from rollerrig.wsp_interface import own_bench
 
-    return scenario.read(own_bench.scenario_of(one.scenario, one.speed_m_s, None, one.adhesion, one.tables),
-                         Path(one.path.name))
+    return scenario.read(
+        own_bench.scenario_of(one.scenario, one.speed_m_s, None, one.adhesion, one.tables),
+        Path(one.path.name),
+    )
 
 
 def _check_out(given: argparse.Namespace, sequences: list[Any]) -> None:
@@ -124,20 +194,30 @@ def _check_out(given: argparse.Namespace, sequences: list[Any]) -> None:
     from rollerrig.wsp_interface.sequences import mapping
 
     if given.bus and len(sequences) != 1:
-        raise ConfigError(f"--bus plays one sequence on a running bench, not {len(sequences)}; name one")
+        raise ConfigError(
+            f"--bus plays one sequence on a running bench, not {len(sequences)}; name one"
+        )
     if given.jobs < 0:
         raise ConfigError(f"--jobs {given.jobs}: at least 1, or 0 for as many as there are cores")
     fmus = options.fmus_of(given.wsp)
     if ((given.unit_map and not fmus) or given.unit) and given.wsp != "external":
-        raise ConfigError("--unit and --unit-map belong to a unit outside: give --wsp external as well")
+        raise ConfigError(
+            "--unit and --unit-map belong to a unit outside: give --wsp external as well"
+        )
     if fmus and given.bus:
-        raise ConfigError("--wsp fmu:FILE and --bus: a bench that runs already has its unit; give the FMU to its "
-                          "'rollerrig run'")
-    for period_s in sorted({_plan(one)["bus"]["sync_period_s"] for one in sequences} if fmus else ()):
+        raise ConfigError(
+            "--wsp fmu:FILE and --bus: a bench that runs already has its unit; give the FMU to its "
+            "'rollerrig run'"
+        )
+    for period_s in sorted(
+        {_plan(one)["bus"]["sync_period_s"] for one in sequences} if fmus else ()
+    ):
         fmu_file.fit_all(fmus, given.unit_map, period_s)
     if given.wsp == "external" and not (given.bus or given.unit):
-        raise ConfigError("--wsp external: each run is a bus of its own; say with --unit COMMAND how your unit is "
-                          "started on it")
+        raise ConfigError(
+            "--wsp external: each run is a bus of its own; say with --unit COMMAND how your unit is "
+            "started on it"
+        )
     if given.unit_map and not fmus:
         mapping.load(given.unit_map)
     with writing(given.out):
@@ -149,11 +229,16 @@ def _play(given: argparse.Namespace, sequences: list[Any], played: list[str]) ->
         return [_say(played, play(sequences[0], given))]
     at_once = given.jobs or (len(os.sched_getaffinity(0)) if given.pacing == "lockstep" else 1)
     if at_once == 1 or len(sequences) == 1:
-        return [_say(played, _guarded(partial(play, one, given), (one, given.out / one.name))) for one in sequences]
+        return [
+            _say(played, _guarded(partial(play, one, given), (one, given.out / one.name)))
+            for one in sequences
+        ]
     with children.pool(min(at_once, len(sequences))) as pool:
         waiting = [pool.submit(play, one, given) for one in sequences]
-        return [_say(played, _guarded(future.result, (one, given.out / one.name)))
-                for future, one in zip(waiting, sequences, strict=True)]
+        return [
+            _say(played, _guarded(future.result, (one, given.out / one.name)))
+            for future, one in zip(waiting, sequences, strict=True)
+        ]
 
 
 def _guarded(get: Callable[[], Any], job: tuple[Any, ...]) -> Any:
@@ -178,15 +263,27 @@ def play(one: Any, given: argparse.Namespace) -> Any:
     folder, begun = given.out / one.name, time.monotonic()
     if given.bus:
         resolved = _plan(one).resolved
-        outcome = player.on_running_bench(one, harness_client.connect(given.bus), folder, resolved, dry_stop.distance_m)
+        outcome = player.on_running_bench(
+            one, harness_client.connect(given.bus), folder, resolved, dry_stop.distance_m
+        )
     else:
         # the gateway first: the unit's program may answer it at once
         gateway = given.unit_map and given.wsp == "external"
         companions: list[Any] = [mapping.companion(given.unit_map)] if gateway else []
-        companions += [own_bench.program(given.unit, folder / run_folder.UNIT_LOG)] if given.unit else []
-        outcome = player.on_own_bench(one, folder, given.pacing, given.seed, dry_stop.distance_m, given.wsp,
-                                      tuple(companions), partial(_step, one.name, given.steps),
-                                      ("--unit-map", str(given.unit_map)) if given.unit_map and not gateway else ())
+        companions += (
+            [own_bench.program(given.unit, folder / run_folder.UNIT_LOG)] if given.unit else []
+        )
+        outcome = player.on_own_bench(
+            one,
+            folder,
+            given.pacing,
+            given.seed,
+            dry_stop.distance_m,
+            given.wsp,
+            tuple(companions),
+            partial(_step, one.name, given.steps),
+            ("--unit-map", str(given.unit_map)) if given.unit_map and not gateway else (),
+        )
     outcome.wall_s = time.monotonic() - begun
     return outcome
 

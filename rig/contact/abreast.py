@@ -24,12 +24,20 @@ from rollerrig.rig.kernel import kernel_inlined
 
 _ROUND = 6755399441055744.0  # adding it rounds to an integer, which then stands in the low bits
 _LN2, _LN2_REST = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-_P0, _P1, _P2, _P3, _P4 = (-8.750608600031904122785e-01, -1.615753718733365076637e+01,
-                           -7.500855792314704667340e+01, -1.228866684490136173410e+02,
-                           -6.485021904942025371773e+01)
-_Q0, _Q1, _Q2, _Q3, _Q4 = (2.485846490142306297962e+01, 1.650270098316988542046e+02,
-                           4.328810604912902668951e+02, 4.853903996359136964868e+02,
-                           1.945506571482613964425e+02)
+_P0, _P1, _P2, _P3, _P4 = (
+    -8.750608600031904122785e-01,
+    -1.615753718733365076637e01,
+    -7.500855792314704667340e01,
+    -1.228866684490136173410e02,
+    -6.485021904942025371773e01,
+)
+_Q0, _Q1, _Q2, _Q3, _Q4 = (
+    2.485846490142306297962e01,
+    1.650270098316988542046e02,
+    4.328810604912902668951e02,
+    4.853903996359136964868e02,
+    1.945506571482613964425e02,
+)
 _TAN_3_8_PI, _PI_4_REST = 2.41421356237309504880, 3.061616997868383e-17
 LOAD_N, LIGHTER, HEAVIER = 5.0e4, 0.25, 4.0
 _PER_ROOT = LOAD_N ** (-1.0 / 3.0)
@@ -44,9 +52,18 @@ def exponential(x):
     r = (x - n * _LN2) - n * _LN2_REST
     r2 = r * r
     r4 = r2 * r2
-    p = 1.0 + (r + r2 * (((1 / 2 + r * (1 / 6)) + r2 * (1 / 24 + r * (1 / 120)))
-                         + r4 * (((1 / 720 + r * (1 / 5040)) + r2 * (1 / 40320 + r * (1 / 362880)))
-                                 + r4 * ((1 / 3628800 + r * (1 / 39916800)) + r2 * (1 / 479001600)))))
+    p = 1.0 + (
+        r
+        + r2
+        * (
+            ((1 / 2 + r * (1 / 6)) + r2 * (1 / 24 + r * (1 / 120)))
+            + r4
+            * (
+                ((1 / 720 + r * (1 / 5040)) + r2 * (1 / 40320 + r * (1 / 362880)))
+                + r4 * ((1 / 3628800 + r * (1 / 39916800)) + r2 * (1 / 479001600))
+            )
+        )
+    )
     # n is added to the exponent of p
     exponent = np.float64(shifted).view(np.int64) << np.int64(52)
     return np.int64(np.float64(p).view(np.int64) + exponent).view(np.float64)
@@ -56,7 +73,9 @@ def exponential(x):
 def logarithm(x):
     """log(x) within 1e-15, absolute where x is near 1, for normal x > 0."""
     bits = np.float64(x).view(np.int64)
-    exponent = np.int64((bits >> np.int64(52)) | np.int64(0x4330000000000000)).view(np.float64) - (2.0**52 + 1023.0)
+    exponent = np.int64((bits >> np.int64(52)) | np.int64(0x4330000000000000)).view(np.float64) - (
+        2.0**52 + 1023.0
+    )
     m = np.int64((bits & np.int64(0xFFFFFFFFFFFFF)) | np.int64(0x3FF0000000000000)).view(np.float64)
     high = m > 1.4142135623730951
     m, exponent = 0.5 * m if high else m, exponent + 1.0 if high else exponent
@@ -65,7 +84,8 @@ def logarithm(x):
     z2 = z * z
     z4 = z2 * z2
     p = ((1 / 3 + z * (1 / 5)) + z2 * (1 / 7 + z * (1 / 9))) + z4 * (
-        ((1 / 11 + z * (1 / 13)) + z2 * (1 / 15 + z * (1 / 17))) + z4 * (1 / 19 + z * (1 / 21)))
+        ((1 / 11 + z * (1 / 13)) + z2 * (1 / 15 + z * (1 / 17))) + z4 * (1 / 19 + z * (1 / 21))
+    )
     return exponent * _LN2 + (exponent * _LN2_REST + 2.0 * (s + s * (z * p)))
 
 
@@ -79,7 +99,9 @@ def arc_tangent(x):
     base = 0.5 * math.pi if far else (0.25 * math.pi if middle else 0.0)
     rest = 2.0 * _PI_4_REST if far else (_PI_4_REST if middle else 0.0)
     z = t * t
-    z *= ((((_P0 * z + _P1) * z + _P2) * z + _P3) * z + _P4) / (((((z + _Q0) * z + _Q1) * z + _Q2) * z + _Q3) * z + _Q4)
+    z *= ((((_P0 * z + _P1) * z + _P2) * z + _P3) * z + _P4) / (
+        ((((z + _Q0) * z + _Q1) * z + _Q2) * z + _Q3) * z + _Q4
+    )
     return base + ((t * z + t) + rest)
 
 
@@ -131,7 +153,9 @@ def recovered(f_d, f_r, k):
     argument = -drive * exponential(-most)
     p2 = 2.0 + 2.0 * math.e * argument
     p = math.sqrt(max(p2, 0.0))
-    y = most + math.e * argument * (360.0 + 96.0 * p) / (360.0 + p * (456.0 + p * (156.0 + p * 11.0)))
+    y = most + math.e * argument * (360.0 + 96.0 * p) / (
+        360.0 + p * (456.0 + p * (156.0 + p * 11.0))
+    )
     kept = exponential(-y)
     g, h = y - least - drive * (1.0 - kept), drive * kept
     g1 = 1.0 - h
@@ -146,8 +170,18 @@ def polach_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """`creep_force.creep_force` by Polach's model: (fx_N, fy_N, mz_Nm, inside)."""
     a, b, inside = semi_axes(load_N, patch)
     approached = polach_spin.approach(xi, eta, phi_1_m, a, b, patch)
-    limit, fx, fy = limited(approached, xi, eta, sliding_m_s, load_N, law.mu_cd, law.A_d, law.gamma_d_s_m,
-                            law.k_ad, law.k_sd)
+    limit, fx, fy = limited(
+        approached,
+        xi,
+        eta,
+        sliding_m_s,
+        load_N,
+        law.mu_cd,
+        law.A_d,
+        law.gamma_d_s_m,
+        law.k_ad,
+        law.k_sd,
+    )
     return fx, fy, moment(approached[2], eta, phi_1_m, limit, a, b, patch), inside
 
 
@@ -156,13 +190,39 @@ def recovering_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """`creep_force.recovering`: (fx_N, fy_N, mz_Nm, inside)."""
     a, b, inside = semi_axes(load_N, patch)
     approached = polach_spin.approach(xi, eta, phi_1_m, a, b, patch)
-    limit_d, dx, dy = limited(approached, xi, eta, sliding_m_s, load_N, law.mu_cd, law.A_d, law.gamma_d_s_m,
-                              law.k_ad, law.k_sd)
-    limit_r, rx, ry = limited(approached, xi, eta, sliding_m_s, load_N, law.mu_cr, law.A_r, law.gamma_r_s_m,
-                              law.k_ar, law.k_sr)
-    _, lambda_, solved = recovered(max(-(dx * xi + dy * eta), 0.0), max(-(rx * xi + ry * eta), 0.0), law.tau_m_J)
-    return (between(dx, rx, lambda_), between(dy, ry, lambda_),
-            moment(approached[2], eta, phi_1_m, between(limit_d, limit_r, lambda_), a, b, patch), inside * solved)
+    limit_d, dx, dy = limited(
+        approached,
+        xi,
+        eta,
+        sliding_m_s,
+        load_N,
+        law.mu_cd,
+        law.A_d,
+        law.gamma_d_s_m,
+        law.k_ad,
+        law.k_sd,
+    )
+    limit_r, rx, ry = limited(
+        approached,
+        xi,
+        eta,
+        sliding_m_s,
+        load_N,
+        law.mu_cr,
+        law.A_r,
+        law.gamma_r_s_m,
+        law.k_ar,
+        law.k_sr,
+    )
+    _, lambda_, solved = recovered(
+        max(-(dx * xi + dy * eta), 0.0), max(-(rx * xi + ry * eta), 0.0), law.tau_m_J
+    )
+    return (
+        between(dx, rx, lambda_),
+        between(dy, ry, lambda_),
+        moment(approached[2], eta, phi_1_m, between(limit_d, limit_r, lambda_), a, b, patch),
+        inside * solved,
+    )
 
 
 @kernel_inlined
@@ -178,7 +238,9 @@ def semi_axes(load_N, patch):
 def limited(approached, xi, eta, sliding_m_s, load_N, mu_c, A, gamma_s_m, k_a, k_s):
     """The friction limit in N and the force (fx_N, fy_N) within it."""
     limit_N = load_N * friction(sliding_m_s, mu_c, A, gamma_s_m)
-    fx, fy = polach_spin.shared(approached, xi, eta, limit_N, shape(approached[4] * (1.0 / limit_N), k_a, k_s))
+    fx, fy = polach_spin.shared(
+        approached, xi, eta, limit_N, shape(approached[4] * (1.0 / limit_N), k_a, k_s)
+    )
     return limit_N, fx, fy
 
 

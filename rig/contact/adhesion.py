@@ -40,7 +40,9 @@ NO_MEMORY = -1.0
 LARGEST = 1e30  # sliding, load and k beyond it count as it, so that infinity makes no NaN
 SMALLEST = 1e-290  # energy exponents k f below it count as 0, before they lose digits
 INVERSE_E, INVERSE_E_REST = 0.36787944117144233, -1.2428753672788363e-17  # 1/e in two doubles
-FEW_DIGITS = 0.02  # energy exponents k f below it have lost digits in a difference, above it none of 12
+FEW_DIGITS = (
+    0.02  # energy exponents k f below it have lost digits in a difference, above it none of 12
+)
 
 
 class Law(NamedTuple):
@@ -69,8 +71,20 @@ def creepage_of(sliding_m_s, speed_m_s):
 @kernel_inlined
 def law_under(mu_cd, mu_cr, share, law):
     """The law for the contaminant under a wheel, with a share of its tau; 1 where `curves` has the share [A6]."""
-    return Law(mu_cd, mu_cr, law.A_d, law.A_r, law.gamma_d_s_m, law.gamma_r_s_m, law.k_ad, law.k_sd,
-               law.k_ar, law.k_sr, share * law.tau_m_J, law.cleaning_creepage)
+    return Law(
+        mu_cd,
+        mu_cr,
+        law.A_d,
+        law.A_r,
+        law.gamma_d_s_m,
+        law.gamma_r_s_m,
+        law.k_ad,
+        law.k_sd,
+        law.k_ar,
+        law.k_sr,
+        share * law.tau_m_J,
+        law.cleaning_creepage,
+    )
 
 
 @kernel_inlined
@@ -95,12 +109,21 @@ def curves(sliding_m_s, speed_m_s, load_N, eps1, law):
     creepage = sliding / speed
     eps_unit = eps1 * math.exp(math.log(load_N) / -3.0)
     f_d, ds_d, de_d = polach.curve(  # [A4]
-        sliding, creepage, eps_unit, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
-    f_r, ds_r, de_r = polach.curve(sliding, creepage, eps_unit, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
+        sliding, creepage, eps_unit, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd
+    )
+    f_r, ds_r, de_r = polach.curve(
+        sliding, creepage, eps_unit, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr
+    )
     share, share_slope = cleaning(sliding, speed_m_s, law.cleaning_creepage)
     work = law.tau_m_J * load_N
-    return (f_d, f_r, ds_d + de_d / speed, ds_r + de_r / speed, work * share * creepage,
-            work * (share / speed + share_slope * creepage))
+    return (
+        f_d,
+        f_r,
+        ds_d + de_d / speed,
+        ds_r + de_r / speed,
+        work * share * creepage,
+        work * (share / speed + share_slope * creepage),
+    )
 
 
 @kernel_inlined
@@ -124,14 +147,18 @@ def f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work):
         # [A1] and [A2], differentiated together
         kept = 1.0 - lambda_
         freed = (f_r - f_d) * kept
-        rise = (between(slope_d, slope_r, lambda_) + freed * f * slope_k) / max(1.0 - freed * k, 1e-9)
+        rise = (between(slope_d, slope_r, lambda_) + freed * f * slope_k) / max(
+            1.0 - freed * k, 1e-9
+        )
     return f, lambda_, rise, kept * (slope_k * f + k * rise)
 
 
 @kernel_inlined
 def lag_rate_1_s(speed_m_s, length_m, power):
     """How fast lambda follows lambda_0 [A7], in 1/s; finite at standstill for a power up to 1."""
-    return MIDDLE_SPEED_M_S / length_m * math.pow(max(speed_m_s, 0.0) / MIDDLE_SPEED_M_S, 1.0 - power)
+    return (
+        MIDDLE_SPEED_M_S / length_m * math.pow(max(speed_m_s, 0.0) / MIDDLE_SPEED_M_S, 1.0 - power)
+    )
 
 
 @kernel
@@ -156,10 +183,16 @@ def _shrink(p):
     A rational function that meets the exact one at 13 Chebyshev nodes, within 7e-17 of it.
     """
     q = p * p
-    above = (1.0 + q * (0.6418430424881612 + q * (7.234738250119583e-3 - q * 4.459593750671883e-7))
-             + p * (1.3747358298298924 + q * (0.11803369785050472 + q * 5.000513759881882e-5)))
-    below = (1.0 + q * (2.183245538984029 + q * (0.21685242692459342 + q * 7.218824756350326e-4))
-             + p * (2.3747358298299095 + q * (0.9751104897662368 + q * 2.1803135892675286e-2)))
+    above = (
+        1.0
+        + q * (0.6418430424881612 + q * (7.234738250119583e-3 - q * 4.459593750671883e-7))
+        + p * (1.3747358298298924 + q * (0.11803369785050472 + q * 5.000513759881882e-5))
+    )
+    below = (
+        1.0
+        + q * (2.183245538984029 + q * (0.21685242692459342 + q * 7.218824756350326e-4))
+        + p * (2.3747358298299095 + q * (0.9751104897662368 + q * 2.1803135892675286e-2))
+    )
     return above / below
 
 
@@ -221,4 +254,11 @@ def recovering(sliding_m_s, speed_m_s, load_N, patch, law):
     load, sliding = min(load_N, LARGEST), min(abs(sliding_m_s), LARGEST)
     f_d, f_r, slope_d, slope_r, k, slope_k = curves(sliding, speed_m_s, load, patch.eps1, law)
     f, lambda_, rise, _ = f_and_lambda(f_d, f_r, slope_d, slope_r, k, slope_k, NO_MEMORY, 0.0)
-    return (math.copysign(f, sliding_m_s), f_d, f_r, lambda_, f * load * creepage_of(sliding, speed_m_s), rise)
+    return (
+        math.copysign(f, sliding_m_s),
+        f_d,
+        f_r,
+        lambda_,
+        f * load * creepage_of(sliding, speed_m_s),
+        rise,
+    )

@@ -22,7 +22,12 @@ from rollerrig.rig.contact import adhesion, fastsim, johnson_vermeulen, polach, 
 from rollerrig.rig.kernel import kernel, kernel_inlined
 
 DEGRADED, POLACH, FASTSIM, JOHNSON_VERMEULEN = range(4)
-MODELS = {"degraded": DEGRADED, "polach": POLACH, "fastsim": FASTSIM, "johnson_vermeulen": JOHNSON_VERMEULEN}
+MODELS = {
+    "degraded": DEGRADED,
+    "polach": POLACH,
+    "fastsim": FASTSIM,
+    "johnson_vermeulen": JOHNSON_VERMEULEN,
+}
 LARGEST = 1e6  # creepage and spin count as no more: the contact slides fully long before
 
 

@@ -27,7 +27,9 @@ import math
 from rollerrig.rig.kernel import kernel
 
 STIFFENING = 1.6  # S of [F5] without longitudinal creepage
-OPPOSITE = -0.999999  # cosine of traction against its goal, from where the turn is no longer defined
+OPPOSITE = (
+    -0.999999
+)  # cosine of traction against its goal, from where the turn is no longer defined
 
 
 @kernel
@@ -49,8 +51,16 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
         edge = math.sqrt(1.0 - y * y)
         # slip per unit of x/a, in units of the largest traction: as stick and as slip see it
         spin = phi_1_m * a
-        px, py, mp, top = strip(s1 * xi - s3 * phi_1_m * b * y, s2 * eta, s3 * spin, s * (xi - phi_1_m * b * y),
-                                s * eta, s * spin, edge, along)
+        px, py, mp, top = strip(
+            s1 * xi - s3 * phi_1_m * b * y,
+            s2 * eta,
+            s3 * spin,
+            s * (xi - phi_1_m * b * y),
+            s * eta,
+            s * spin,
+            edge,
+            along,
+        )
         fx += px
         fy += py
         mz += a * mp - b * y * px

@@ -101,7 +101,12 @@ def on_rail(sine, cosine, rail):
     y = nodes[i, profiles.Y_M]
     fall = y - nodes[i + 1, profiles.Y_M]
     radius = fall * rail.sines_per_node
-    return y - fall * part, nodes[i, profiles.Z_M] + radius * (cosine - nodes[i, profiles.COSINE]), radius, i
+    return (
+        y - fall * part,
+        nodes[i, profiles.Z_M] + radius * (cosine - nodes[i, profiles.COSINE]),
+        radius,
+        i,
+    )
 
 
 @kernel
@@ -115,7 +120,9 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
         bend = (fine[i + 1, profiles.SLOPE] - fine[i, profiles.SLOPE]) / wheel.spacing_m
         slope = fine[i, profiles.SLOPE] + bend * t
         w = fine[i, profiles.RADIUS_M] + t * (fine[i, profiles.SLOPE] + 0.5 * bend * t)
-        F, gap, radius, nx, ny, nz, y, z, node = matched(u + wheel.centre_m, w, slope, pose, axle, roller_m, rail)
+        F, gap, radius, nx, ny, nz, y, z, node = matched(
+            u + wheel.centre_m, w, slope, pose, axle, roller_m, rail
+        )
         root = math.sqrt(1.0 + slope * slope)
         steep = root - bend * (radius + max(gap, 0.0)) / (root * root)  # [G7]
         move = u - F / steep if steep > 0.05 else lower - 1.0
@@ -128,7 +135,9 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
             found[to, Z] = q * axle[2] - reach * nz
             found[to, NX], found[to, NY], found[to, NZ] = nx, ny, nz
             found[to, RADIUS], found[to, RAIL_Y], found[to, RAIL_Z] = w, y, z
-            lateral = fine[i, profiles.CURVATURE_1_M] + rail.nodes[node, profiles.RAIL_CURVATURE_1_M]
+            lateral = (
+                fine[i, profiles.CURVATURE_1_M] + rail.nodes[node, profiles.RAIL_CURVATURE_1_M]
+            )
             found[to, LATERAL] = min(max(lateral, FLATTEST_1_M), CURVEST_1_M)
             found[to, ROLLING] = 1.0 / reach
             if not math.isinf(roller_m):
@@ -206,8 +215,21 @@ def track(found, begin, count, pose, axle, roller_m, wheel, rail):
     to = begin
     for c in range(begin, begin + count):
         u = found[c, S]
-        if (refined(u, max(u - width, lowest), min(u + width, highest), pose, axle, roller_m,
-                    wheel, rail, found, to) and found[to, GAP] < KEEP_M):
+        if (
+            refined(
+                u,
+                max(u - width, lowest),
+                min(u + width, highest),
+                pose,
+                axle,
+                roller_m,
+                wheel,
+                rail,
+                found,
+                to,
+            )
+            and found[to, GAP] < KEEP_M
+        ):
             twin = to > begin and abs(found[to, S] - found[to - 1, S]) < 0.5 * width
             to += 0 if twin else 1
     return to - begin
@@ -231,15 +253,24 @@ def detect(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
             for c in range(begin, to):
                 known |= u - 2.0 * width <= found[c, S] <= u + width
             # the root lies in the interval before u
-            if (not known and to < begin + MOST
-                    and refined(u - 0.5 * width, u - width, u, pose, axle, roller_m, wheel, rail, found, to)
-                    and found[to, GAP] < KEEP_M):
+            if (
+                not known
+                and to < begin + MOST
+                and refined(
+                    u - 0.5 * width, u - width, u, pose, axle, roller_m, wheel, rail, found, to
+                )
+                and found[to, GAP] < KEEP_M
+            ):
                 to += 1
     return to - begin
 
 
-def contacts(pose: tuple[float, float, float, float, float, float], wheel: Wheel, rail: Rail,
-             roller_m: float = math.inf) -> np.ndarray:
+def contacts(
+    pose: tuple[float, float, float, float, float, float],
+    wheel: Wheel,
+    rail: Rail,
+    roller_m: float = math.inf,
+) -> np.ndarray:
     """All near contacts of one wheel as rows of shape (n, COLUMNS), deepest first.
 
     pose = (x, y, z, roll, pitch, yaw) of the wheelset's centre against the rail, in m and rad; pitch turns a surface of
@@ -248,9 +279,13 @@ def contacts(pose: tuple[float, float, float, float, float, float], wheel: Wheel
     found = np.zeros((MOST, COLUMNS))
     axle = axis(pose[3], pose[5])
     F = np.zeros((1, wheel.coarse.shape[0]))
-    count = detect(found, 0, 0, F, 0, (pose[0], pose[1], pose[2]), axle, float(roller_m), wheel, rail)
+    count = detect(
+        found, 0, 0, F, 0, (pose[0], pose[1], pose[2]), axle, float(roller_m), wheel, rail
+    )
     if count == 0:
-        raise ValueError(f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, z = "
-                         f"{pose[2] * 1e3:.5g} mm is off the rail; a centred one stands at y = 0 and z near its "
-                         "rolling radius")
+        raise ValueError(
+            f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, z = "
+            f"{pose[2] * 1e3:.5g} mm is off the rail; a centred one stands at y = 0 and z near its "
+            "rolling radius"
+        )
     return found[:count][np.argsort(found[:count, GAP])].copy()

@@ -96,5 +96,6 @@ def moment_of(linear, faded, eta, phi_1_m, limit_N, a_m, b_m, patch):
     size, stiff = math.sqrt(ab), patch.shear_Pa * ab
     from_spin = stiff * ab * patch.c33 * phi_1_m
     turning = from_spin / (TURNING * limit_N * size)
-    return (stiff * size * patch.c23 * eta * faded
-            - from_spin / math.sqrt(1.0 + turning * turning + linear * linear))
+    return stiff * size * patch.c23 * eta * faded - from_spin / math.sqrt(
+        1.0 + turning * turning + linear * linear
+    )

@@ -44,25 +44,53 @@ class Patch(NamedTuple):
     slim: float
 
 
-def patch_for(wheel_radius_m: float, roller_radius_m: float, lateral_radius_m: float, young_Pa: float, shear_Pa: float,
-              poisson: float, model: int = 0, cells: int = 10) -> Patch:
+def patch_for(
+    wheel_radius_m: float,
+    roller_radius_m: float,
+    lateral_radius_m: float,
+    young_Pa: float,
+    shear_Pa: float,
+    poisson: float,
+    model: int = 0,
+    cells: int = 10,
+) -> Patch:
     """The constants of a patch, on a rail for an infinite roller. Raises ValueError for what lies out of range."""
-    given = {"wheel_radius_m": wheel_radius_m, "roller_radius_m": roller_radius_m, "lateral_radius_m": lateral_radius_m,
-             "young_Pa": young_Pa, "shear_Pa": shear_Pa}
+    given = {
+        "wheel_radius_m": wheel_radius_m,
+        "roller_radius_m": roller_radius_m,
+        "lateral_radius_m": lateral_radius_m,
+        "young_Pa": young_Pa,
+        "shear_Pa": shear_Pa,
+    }
     for name, value in given.items():
         endless = math.isinf(value) and name != "roller_radius_m"
         if not value > 0.0 or endless:
-            raise ValueError(f"contact patch: {name} = {value!r}; must be positive and finite (only roller_radius_m "
-                             "may be inf, a rail); correct the contact parameters")
+            raise ValueError(
+                f"contact patch: {name} = {value!r}; must be positive and finite (only roller_radius_m "
+                "may be inf, a rail); correct the contact parameters"
+            )
     if not 0.0 <= poisson <= 0.5:
-        raise ValueError(f"contact patch: poisson = {poisson!r}; must be 0 .. 0.5 (steel 0.3); correct the contact "
-                         "parameters")
+        raise ValueError(
+            f"contact patch: poisson = {poisson!r}; must be 0 .. 0.5 (steel 0.3); correct the contact "
+            "parameters"
+        )
     A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)
     a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
     c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
-    return Patch(a1, b1, c11, shear_Pa, hertz.stiffness(A, B, young_Pa, poisson),
-                 polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0), c22, c23, c33, model, cells,
-                 polach_spin.slimness(a1 / b1))
+    return Patch(
+        a1,
+        b1,
+        c11,
+        shear_Pa,
+        hertz.stiffness(A, B, young_Pa, poisson),
+        polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0),
+        c22,
+        c23,
+        c33,
+        model,
+        cells,
+        polach_spin.slimness(a1 / b1),
+    )
 
 
 class Patches(NamedTuple):
@@ -75,14 +103,21 @@ class Patches(NamedTuple):
     rows: np.ndarray
 
 
-def tabulate(young_Pa: float, shear_Pa: float, poisson: float, model: int = 0, cells: int = 10) -> Patches:
+def tabulate(
+    young_Pa: float, shear_Pa: float, poisson: float, model: int = 0, cells: int = 10
+) -> Patches:
     """The table of a material; `model` and `cells` choose the tangential model (`Patch`)."""
     rows = np.empty((_NODES, 8))
     for i, log in enumerate(np.linspace(-_REACH, _REACH, _NODES)):
         A = 1.0 / (1.0 + math.exp(log))
         a1, b1, _, _ = hertz.semi_axes(A, 1.0 - A, 1.0, young_Pa, poisson)
-        rows[i] = (a1, b1, hertz.stiffness(A, 1.0 - A, young_Pa, poisson),
-                   *kalker.coefficients(a1 / b1, poisson), polach_spin.slimness(a1 / b1))
+        rows[i] = (
+            a1,
+            b1,
+            hertz.stiffness(A, 1.0 - A, young_Pa, poisson),
+            *kalker.coefficients(a1 / b1, poisson),
+            polach_spin.slimness(a1 / b1),
+        )
     return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, model, cells, rows)
 
 
@@ -99,8 +134,17 @@ def at(rolling_1_m, lateral_1_m, patches):
     a1 = (rows[i, 0] + (rows[i + 1, 0] - rows[i, 0]) * part) * shrink
     b1 = (rows[i, 1] + (rows[i + 1, 1] - rows[i, 1]) * part) * shrink
     c11 = rows[i, 3] + (rows[i + 1, 3] - rows[i, 3]) * part
-    return Patch(a1, b1, c11, patches.shear_Pa, (rows[i, 2] + (rows[i + 1, 2] - rows[i, 2]) * part) / root,
-                 polach.eps_per_creepage(a1, b1, c11, patches.shear_Pa, 1.0),
-                 rows[i, 4] + (rows[i + 1, 4] - rows[i, 4]) * part, rows[i, 5] + (rows[i + 1, 5] - rows[i, 5]) * part,
-                 rows[i, 6] + (rows[i + 1, 6] - rows[i, 6]) * part, patches.model, patches.cells,
-                 rows[i, 7] + (rows[i + 1, 7] - rows[i, 7]) * part)
+    return Patch(
+        a1,
+        b1,
+        c11,
+        patches.shear_Pa,
+        (rows[i, 2] + (rows[i + 1, 2] - rows[i, 2]) * part) / root,
+        polach.eps_per_creepage(a1, b1, c11, patches.shear_Pa, 1.0),
+        rows[i, 4] + (rows[i + 1, 4] - rows[i, 4]) * part,
+        rows[i, 5] + (rows[i + 1, 5] - rows[i, 5]) * part,
+        rows[i, 6] + (rows[i + 1, 6] - rows[i, 6]) * part,
+        patches.model,
+        patches.cells,
+        rows[i, 7] + (rows[i + 1, 7] - rows[i, 7]) * part,
+    )

@@ -42,8 +42,10 @@ def shape(eps, k_a, k_s):
     x = min(max(eps, -LARGEST_EPS), LARGEST_EPS)
     stick, slip = k_a * x, k_s * x
     bend = 1.0 / (1.0 + stick * stick)  # (1 - stick^2) bend^2 = (2 bend - 1) bend
-    return ((2.0 / math.pi) * (stick * bend + math.atan(slip)),
-            (2.0 / math.pi) * (k_a * (2.0 * bend - 1.0) * bend + k_s / (1.0 + slip * slip)))
+    return (
+        (2.0 / math.pi) * (stick * bend + math.atan(slip)),
+        (2.0 / math.pi) * (k_a * (2.0 * bend - 1.0) * bend + k_s / (1.0 + slip * slip)),
+    )
 
 
 @kernel

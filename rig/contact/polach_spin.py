@@ -62,7 +62,16 @@ def approach(xi, eta, phi_1_m, a_m, b_m, patch):
         size_e, part = size / e, e * (1.0 / e_c)
         eps_limit = QUARTER_PI * size_e * e_c
     if phi_1_m != 0.0 and e_c > 0.0:
-        q_limit = (8.0 / 3.0 * patch.shear_Pa * b_m * math.sqrt(a_m * b_m) * patch.c23 * abs(eta_c) / patch.slim)
+        q_limit = (
+            8.0
+            / 3.0
+            * patch.shear_Pa
+            * b_m
+            * math.sqrt(a_m * b_m)
+            * patch.c23
+            * abs(eta_c)
+            / patch.slim
+        )
         pull = 0.5625 * a_m * patch.slim * phi_1_m * (1.0 / e_c)
     return lx, ly, size, size_e, eps_limit, part, pull, q_limit
 
@@ -70,7 +79,9 @@ def approach(xi, eta, phi_1_m, a_m, b_m, patch):
 @kernel_inlined
 def within(approached, xi, eta, limit_N, k_a, k_s):
     """The force (fx_N, fy_N) for limit_N = mu N > 0; `approached` by `approach`, for this creepage."""
-    return shared(approached, xi, eta, limit_N, polach.shape(approached[4] * (1.0 / limit_N), k_a, k_s)[0])
+    return shared(
+        approached, xi, eta, limit_N, polach.shape(approached[4] * (1.0 / limit_N), k_a, k_s)[0]
+    )
 
 
 @kernel_inlined

@@ -39,15 +39,21 @@ def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
     step = np.diff(y)
     if np.any(step <= 0.0):
         i = int(np.argmax(step <= 0.0))
-        raise ConfigError(f"{path}, line {lines[i + 1]:.0f}: the profile folds back, from {y[i]:g} to {y[i + 1]:g} mm; "
-                          "the first column must rise from point to point: sort or cut the points")
+        raise ConfigError(
+            f"{path}, line {lines[i + 1]:.0f}: the profile folds back, from {y[i]:g} to {y[i + 1]:g} mm; "
+            "the first column must rise from point to point: sort or cut the points"
+        )
     if step.max() > kind.gap_mm:
         i = int(np.argmax(step))
-        raise ConfigError(f"{path}, line {lines[i + 1]:.0f}: a gap of {step[i]:g} mm after {y[i]:g} mm; at most "
-                          f"{kind.gap_mm:g} mm are bridged: measure or interpolate the points between")
+        raise ConfigError(
+            f"{path}, line {lines[i + 1]:.0f}: a gap of {step[i]:g} mm after {y[i]:g} mm; at most "
+            f"{kind.gap_mm:g} mm are bridged: measure or interpolate the points between"
+        )
     if y[0] > kind.from_mm or y[-1] < kind.to_mm:
-        raise ConfigError(f"{path}: the {kind.name} profile runs from {y[0]:g} to {y[-1]:g} mm; it must reach from "
-                          f"{kind.from_mm:g} to {kind.to_mm:g} mm: move its origin or measure farther")
+        raise ConfigError(
+            f"{path}: the {kind.name} profile runs from {y[0]:g} to {y[-1]:g} mm; it must reach from "
+            f"{kind.from_mm:g} to {kind.to_mm:g} mm: move its origin or measure farther"
+        )
     return y * 1e-3, z * 1e-3
 
 
@@ -56,8 +62,10 @@ def _numbers(path: Path, kind: Kind) -> list[tuple[int, float, float]]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: the {kind.name} profile cannot be read ({error}); give s1002, "
-                          "uic60 or a CSV file of two columns in mm") from None
+        raise ConfigError(
+            f"{path}: the {kind.name} profile cannot be read ({error}); give s1002, "
+            "uic60 or a CSV file of two columns in mm"
+        ) from None
     points: list[tuple[int, float, float]] = []
     for number, line in enumerate(text.splitlines(), 1):
         cells = re.split("[,;\t]", line)
@@ -68,22 +76,30 @@ def _numbers(path: Path, kind: Kind) -> list[tuple[int, float, float]]:
         except (ValueError, IndexError):
             if not points and not re.match(r"[-+.\d]|$", cells[0].strip()):
                 continue  # the line of names
-            raise ConfigError(f"{path}, line {number}: '{line.strip()[:40]}' is not two numbers; "
-                              "write y, z in mm, with a decimal point") from None
+            raise ConfigError(
+                f"{path}, line {number}: '{line.strip()[:40]}' is not two numbers; "
+                "write y, z in mm, with a decimal point"
+            ) from None
         if not np.all(np.isfinite(pair)):
-            raise ConfigError(f"{path}, line {number}: {pair[0]}, {pair[1]}: both must be finite; remove the point")
+            raise ConfigError(
+                f"{path}, line {number}: {pair[0]}, {pair[1]}: both must be finite; remove the point"
+            )
         points.append((number, *pair))
     return points
 
 
 def _check_units(path: str | Path, kind: Kind, y: np.ndarray, z: np.ndarray) -> None:
-    for what, extent, (low, high) in (("wide", float(np.ptp(y)), kind.width_mm),
-                                      ("high", float(np.ptp(z)), kind.height_mm)):
+    for what, extent, (low, high) in (
+        ("wide", float(np.ptp(y)), kind.width_mm),
+        ("high", float(np.ptp(z)), kind.height_mm),
+    ):
         if low <= extent <= high:
             continue
         hint = "cut what is not the running surface"
         for unit, factor in (("m", 1e3), ("cm", 10.0), ("inches", 25.4), ("um", 1e-3)):
             if low <= extent * factor <= high:
                 hint = f"it looks like {unit}: write mm"
-        raise ConfigError(f"{path}: the {kind.name} profile is {extent:g} mm {what}; "
-                          f"{low:g} to {high:g} mm are allowed; {hint}")
+        raise ConfigError(
+            f"{path}: the {kind.name} profile is {extent:g} mm {what}; "
+            f"{low:g} to {high:g} mm are allowed; {hint}"
+        )

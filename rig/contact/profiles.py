@@ -31,10 +31,27 @@ STEEPEST = 0.9995  # largest sine of a slope that is kept
 FLANGE_END_M, FIELD_END_M = -0.0560, 0.0600  # what of a wheel can meet a rail head
 
 # section by section: from s_mm on, polynomial coefficients of z(s), s in mm
-_B = (0.0, -3.358537058e-2, 1.565681624e-3, -2.810427944e-5, 5.844240864e-8, -1.562379023e-8,
-      5.309217349e-15, -5.957839843e-12, 2.646656573e-13)
-_C = (-4.320221063e3, -1.038384026e3, -1.065501873e2, -6.051367875, -2.054332446e-1,
-      -4.169739389e-3, -4.687195829e-5, -2.252755540e-7)
+_B = (
+    0.0,
+    -3.358537058e-2,
+    1.565681624e-3,
+    -2.810427944e-5,
+    5.844240864e-8,
+    -1.562379023e-8,
+    5.309217349e-15,
+    -5.957839843e-12,
+    2.646656573e-13,
+)
+_C = (
+    -4.320221063e3,
+    -1.038384026e3,
+    -1.065501873e2,
+    -6.051367875,
+    -2.054332446e-1,
+    -4.169739389e-3,
+    -4.687195829e-5,
+    -2.252755540e-7,
+)
 # section from s_mm on: kind, then coefficients, or centre s, centre z, radius, side of the arc
 S1002 = (
     (-70.0, "arc", (-49.5, 9.519259302, 20.5, 1.0)),
@@ -115,8 +132,14 @@ def uic60_depth(y_m: np.ndarray) -> np.ndarray:
     return depth * 1e-3
 
 
-def wheel(s_m: np.ndarray, z_m: np.ndarray, nominal_radius_m: float = 0.445, centre_m: float = 0.75,
-          smoothing_m: float = 0.0, patch_m: float = 0.003) -> tuple[Wheel, Changes]:
+def wheel(
+    s_m: np.ndarray,
+    z_m: np.ndarray,
+    nominal_radius_m: float = 0.445,
+    centre_m: float = 0.75,
+    smoothing_m: float = 0.0,
+    patch_m: float = 0.003,
+) -> tuple[Wheel, Changes]:
     """Tables of a wheel from points (s_m, z_m) with s rising; z is over the nominal radius.
 
     `smoothing_m` is the width of a moving mean over the slope, `patch_m` the half width over which
@@ -134,12 +157,20 @@ def wheel(s_m: np.ndarray, z_m: np.ndarray, nominal_radius_m: float = 0.445, cen
     changes = Changes(smoothing_m, float(np.abs(height - z).max()), 0.0)
     fine = np.column_stack((nominal_radius_m + height, slope, curvature))
     at, radius, slope = centre_m + nodes[::STRIDE], fine[::STRIDE, RADIUS_M], slope[::STRIDE]
-    coarse = np.column_stack((at, radius, slope, 1.0 / np.sqrt(1.0 + slope**2), at + radius * slope))
+    coarse = np.column_stack(
+        (at, radius, slope, 1.0 / np.sqrt(1.0 + slope**2), at + radius * slope)
+    )
     return Wheel(float(first), SPACING_M, centre_m, fine, coarse), changes
 
 
-def rail(y_m: np.ndarray, z_m: np.ndarray, laying: float = 1.0 / 20.0, gauge_m: float = 1.435, smoothing_m: float = 0.0,
-         patch_m: float = 0.003) -> tuple[Rail, Changes]:
+def rail(
+    y_m: np.ndarray,
+    z_m: np.ndarray,
+    laying: float = 1.0 / 20.0,
+    gauge_m: float = 1.435,
+    smoothing_m: float = 0.0,
+    patch_m: float = 0.003,
+) -> tuple[Rail, Changes]:
     """Tables of a rail from points of the upright head, y_m rising from gauge to field side, z up.
 
     The head is inclined by `laying` towards the track's middle and laid so that its gauge face, 14
@@ -160,9 +191,13 @@ def rail(y_m: np.ndarray, z_m: np.ndarray, laying: float = 1.0 / 20.0, gauge_m: 
     # how far smoothing alone, and all of it, moved the head where a wheel can touch it
     y_smooth, z_smooth = _walk(angle + tilt, step)
     touched = np.abs(np.sin(convex)) < 0.9
-    smoothed = np.hypot(y_smooth - y_smooth[top] + y[top] - y_given, z_smooth - z_smooth[top] + z[top] - z_given)
+    smoothed = np.hypot(
+        y_smooth - y_smooth[top] + y[top] - y_given, z_smooth - z_smooth[top] + z[top] - z_given
+    )
     moved = np.hypot(y - y_given, z - z_given)
-    changes = Changes(smoothing_m, float(smoothed[touched].max()), float(np.abs(moved - smoothed)[touched].max()))
+    changes = Changes(
+        smoothing_m, float(smoothed[touched].max()), float(np.abs(moved - smoothed)[touched].max())
+    )
     z = z - z.max()
     gauge_side = slice(None, top + 1)
     face = np.interp(-0.014, z[gauge_side], y[gauge_side])
@@ -172,11 +207,15 @@ def rail(y_m: np.ndarray, z_m: np.ndarray, laying: float = 1.0 / 20.0, gauge_m: 
 def _walk(angle: np.ndarray, step_m: float) -> tuple[np.ndarray, np.ndarray]:
     """The curve, from the origin, that has these slope angles at equal steps along it."""
     middle = 0.5 * (angle[1:] + angle[:-1])
-    return (np.concatenate(([0.0], np.cumsum(step_m * np.cos(middle)))),
-            np.concatenate(([0.0], np.cumsum(step_m * np.sin(middle)))))
+    return (
+        np.concatenate(([0.0], np.cumsum(step_m * np.cos(middle)))),
+        np.concatenate(([0.0], np.cumsum(step_m * np.sin(middle)))),
+    )
 
 
-def _rail_table(y: np.ndarray, z: np.ndarray, angle: np.ndarray, patch_m: float, step_m: float) -> Rail:
+def _rail_table(
+    y: np.ndarray, z: np.ndarray, angle: np.ndarray, patch_m: float, step_m: float
+) -> Rail:
     # a straight stretch has one slope: bent by 1e-12 rad a step its points keep an order
     falling = np.sin(angle) - 1e-12 * np.arange(angle.size)
     sines = np.linspace(-STEEPEST, STEEPEST, SINES)
@@ -188,8 +227,10 @@ def _rail_table(y: np.ndarray, z: np.ndarray, angle: np.ndarray, patch_m: float,
     z_nodes = np.concatenate(([0.0], np.cumsum(radius * np.diff(cosine))))  # [Q2]
     z_nodes -= np.interp(0.0, sines, z_nodes)
     curvature = -_mean_change(angle, patch_m / step_m) / step_m
-    return Rail((SINES - 1) / (2.0 * STEEPEST),
-                np.column_stack((y_nodes, z_nodes, cosine, np.interp(place, at, curvature))))
+    return Rail(
+        (SINES - 1) / (2.0 * STEEPEST),
+        np.column_stack((y_nodes, z_nodes, cosine, np.interp(place, at, curvature))),
+    )
 
 
 def _mean(values: np.ndarray, width: float) -> np.ndarray:

@@ -23,28 +23,104 @@ RIGS = 4
 LANES = RIGS * AXLES
 
 # rows of the lanes, SI: the state of an axle ...
-(WHEEL, ROLLER, WHEEL_RAD, ROLLER_RAD, PRESSURE, VALVE, MU_CD, MU_CR, CAPACITY, BRAKE, BRAKE_WORK,
- SLIDING_WORK, MOTOR, MOTOR_ASKED, MOTOR_BEFORE, MOTOR_WORK, FORCE, BRAKE_MEAN, AIR_NL,
- # ... of its vehicle, the same in all four lanes ...
- V, FELT, RATE, PLACE, RESISTANCE_WORK, DEMAND, TARGET, MOVING,
- # ... what a step works with ...
- SLIDING, SURFACE, LOAD, SLOPE, INSIDE, WHEEL_K, ROLLER_K, PULL, PULL_BEFORE, BRAKE_BEFORE, WHEEL_END,
- ROLLER_END, V_END, FELT_END, RATE_BEFORE, FELT_RATE, RESISTING,
- # ... and constants
- STEP, ON_TRACK, WHEEL_M, WHEEL_KGM2, ROLLER_M, ROLLER_KGM2, STATIC_N, TRANSFER_KG, TORQUE_PER_PA,
- SPRING_PA, NL_PER_PA, FILLS, RELEASES, VALVE_FILLS, VALVE_VENTS, MOTOR_MOST, MOTOR_W, MOTOR_FASTEST,
- MOTOR_SHARE, EPS1, A_D, A_R, GAMMA_D, GAMMA_R, K_AD, K_SD, K_AR, K_SR, TAU, CLEANING, _ROWS
- ) = range(0, 75 * LANES, LANES)
+(
+    WHEEL,
+    ROLLER,
+    WHEEL_RAD,
+    ROLLER_RAD,
+    PRESSURE,
+    VALVE,
+    MU_CD,
+    MU_CR,
+    CAPACITY,
+    BRAKE,
+    BRAKE_WORK,
+    SLIDING_WORK,
+    MOTOR,
+    MOTOR_ASKED,
+    MOTOR_BEFORE,
+    MOTOR_WORK,
+    FORCE,
+    BRAKE_MEAN,
+    AIR_NL,
+    # ... of its vehicle, the same in all four lanes ...
+    V,
+    FELT,
+    RATE,
+    PLACE,
+    RESISTANCE_WORK,
+    DEMAND,
+    TARGET,
+    MOVING,
+    # ... what a step works with ...
+    SLIDING,
+    SURFACE,
+    LOAD,
+    SLOPE,
+    INSIDE,
+    WHEEL_K,
+    ROLLER_K,
+    PULL,
+    PULL_BEFORE,
+    BRAKE_BEFORE,
+    WHEEL_END,
+    ROLLER_END,
+    V_END,
+    FELT_END,
+    RATE_BEFORE,
+    FELT_RATE,
+    RESISTING,
+    # ... and constants
+    STEP,
+    ON_TRACK,
+    WHEEL_M,
+    WHEEL_KGM2,
+    ROLLER_M,
+    ROLLER_KGM2,
+    STATIC_N,
+    TRANSFER_KG,
+    TORQUE_PER_PA,
+    SPRING_PA,
+    NL_PER_PA,
+    FILLS,
+    RELEASES,
+    VALVE_FILLS,
+    VALVE_VENTS,
+    MOTOR_MOST,
+    MOTOR_W,
+    MOTOR_FASTEST,
+    MOTOR_SHARE,
+    EPS1,
+    A_D,
+    A_R,
+    GAMMA_D,
+    GAMMA_R,
+    K_AD,
+    K_SD,
+    K_AR,
+    K_SR,
+    TAU,
+    CLEANING,
+    _ROWS,
+) = range(0, 75 * LANES, LANES)
 SIZE = _ROWS
 
 
 def fits(params: Params) -> bool:
     """Whether rigs with these parameters may run abreast."""
-    return (params.coach is None and params.patch.model == creep_force.DEGRADED
-            and params.mode in (TRACK, ROLLERS) and not params.effects.on_torque
-            and not params.wheels.swings and params.effects.memory_m == 0.0 and params.brake.air.reservoir_L == 0.0
-            and not params.pads.vary and params.flats.wear_m3_J == 0.0
-            and params.sanders.axles == 0 and not params.film.acts)
+    return (
+        params.coach is None
+        and params.patch.model == creep_force.DEGRADED
+        and params.mode in (TRACK, ROLLERS)
+        and not params.effects.on_torque
+        and not params.wheels.swings
+        and params.effects.memory_m == 0.0
+        and params.brake.air.reservoir_L == 0.0
+        and not params.pads.vary
+        and params.flats.wear_m3_J == 0.0
+        and params.sanders.axles == 0
+        and not params.film.acts
+    )
 
 
 @kernel
@@ -55,11 +131,15 @@ def load_constants(w, rig, params):
     for j in range(AXLES):
         at = rig * AXLES + j
         w[STEP + at], w[ON_TRACK + at] = params.step_s, (1.0 if params.mode == 0 else 0.0)
-        w[WHEEL_M + at], w[WHEEL_KGM2 + at] = wheels.table[RADIUS_M + j], wheels.table[INERTIA_KGM2 + j]
+        w[WHEEL_M + at], w[WHEEL_KGM2 + at] = (
+            wheels.table[RADIUS_M + j],
+            wheels.table[INERTIA_KGM2 + j],
+        )
         w[ROLLER_M + at], w[ROLLER_KGM2 + at] = drive.roller_radius_m, drive.roller_inertia_kgm2
         w[STATIC_N + at] = vehicle.static_load_N
-        w[TRANSFER_KG + at] = ((0.5 if j < 2 else -0.5) * vehicle.body_transfer_kg
-                               + (1.0 if j % 2 == 0 else -1.0) * vehicle.bogie_transfer_kg)
+        w[TRANSFER_KG + at] = (0.5 if j < 2 else -0.5) * vehicle.body_transfer_kg + (
+            1.0 if j % 2 == 0 else -1.0
+        ) * vehicle.bogie_transfer_kg
         w[TORQUE_PER_PA + at], w[SPRING_PA + at] = brake.torque_Nm_Pa, brake.spring_pressure_Pa
         w[NL_PER_PA + at] = brake.volume_L / NORMAL_PRESSURE_PA
         w[FILLS + at], w[RELEASES + at] = brake.demand_fill_share, brake.demand_release_share
@@ -69,7 +149,12 @@ def load_constants(w, rig, params):
         w[EPS1 + at], w[TAU + at] = params.patch.eps1, here.tau_m_J
         w[A_D + at], w[A_R + at] = here.A_d, here.A_r
         w[GAMMA_D + at], w[GAMMA_R + at] = here.gamma_d_s_m, here.gamma_r_s_m
-        w[K_AD + at], w[K_SD + at], w[K_AR + at], w[K_SR + at] = here.k_ad, here.k_sd, here.k_ar, here.k_sr
+        w[K_AD + at], w[K_SD + at], w[K_AR + at], w[K_SR + at] = (
+            here.k_ad,
+            here.k_sd,
+            here.k_ar,
+            here.k_sr,
+        )
         w[CLEANING + at] = here.cleaning_creepage
 
 

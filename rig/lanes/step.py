@@ -73,8 +73,12 @@ def contacts(w):
         w[a.SLIDING + j], w[a.SURFACE + j], w[a.LOAD + j] = sliding, surface, load
         at, half = max(abs(sliding), wheelset.SMALL_M_S), 0.5 * load
         eps_mu = law.eps_mu(at, surface, half, w[a.EPS1 + j])
-        f_d = law.curve(at, eps_mu, w[a.MU_CD + j], w[a.A_D + j], w[a.GAMMA_D + j], w[a.K_AD + j], w[a.K_SD + j])
-        f_r = law.curve(at, eps_mu, w[a.MU_CR + j], w[a.A_R + j], w[a.GAMMA_R + j], w[a.K_AR + j], w[a.K_SR + j])
+        f_d = law.curve(
+            at, eps_mu, w[a.MU_CD + j], w[a.A_D + j], w[a.GAMMA_D + j], w[a.K_AD + j], w[a.K_SD + j]
+        )
+        f_r = law.curve(
+            at, eps_mu, w[a.MU_CR + j], w[a.A_R + j], w[a.GAMMA_R + j], w[a.K_AR + j], w[a.K_SR + j]
+        )
         share, _ = adhesion.cleaning(at, surface, w[a.CLEANING + j])
         creepage = at / max(abs(surface), law.SPEED_FLOOR_M_S)
         f, _, inside = law.recovered(f_d, f_r, w[a.TAU + j] * half * creepage * share)
@@ -94,12 +98,33 @@ def contacts_outside_domain(w):
 @kernel
 def exact_slope(w, j):
     """The secant slope of lane j by `wheelset.force`, whatever the contact."""
-    here = adhesion.Law(w[a.MU_CD + j], w[a.MU_CR + j], w[a.A_D + j], w[a.A_R + j], w[a.GAMMA_D + j], w[a.GAMMA_R + j],
-                        w[a.K_AD + j], w[a.K_SD + j], w[a.K_AR + j], w[a.K_SR + j], w[a.TAU + j], w[a.CLEANING + j])
+    here = adhesion.Law(
+        w[a.MU_CD + j],
+        w[a.MU_CR + j],
+        w[a.A_D + j],
+        w[a.A_R + j],
+        w[a.GAMMA_D + j],
+        w[a.GAMMA_R + j],
+        w[a.K_AD + j],
+        w[a.K_SD + j],
+        w[a.K_AR + j],
+        w[a.K_SR + j],
+        w[a.TAU + j],
+        w[a.CLEANING + j],
+    )
     patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[a.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
     at = max(abs(w[a.SLIDING + j]), wheelset.SMALL_M_S)
-    T, _, _ = wheelset.force(at, w[a.SURFACE + j], w[a.LOAD + j], here.mu_cd, here.mu_cr, patch, here,
-                             adhesion.NO_MEMORY, 0.0)
+    T, _, _ = wheelset.force(
+        at,
+        w[a.SURFACE + j],
+        w[a.LOAD + j],
+        here.mu_cd,
+        here.mu_cr,
+        patch,
+        here,
+        adhesion.NO_MEMORY,
+        0.0,
+    )
     return T / at
 
 
@@ -119,7 +144,11 @@ def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
     p_wheel = 0.0 if locked else r / w[a.WHEEL_KGM2 + j]
     p_roller = 0.0 if track else -R / w[a.ROLLER_KGM2 + j]
     reach = _GAMMA * w[a.STEP + j]
-    share = reach * (g * (R * roller_k - r * wheel_k)) / (1.0 + reach * g * (r * p_wheel - R * p_roller))
+    share = (
+        reach
+        * (g * (R * roller_k - r * wheel_k))
+        / (1.0 + reach * g * (r * p_wheel - R * p_roller))
+    )
     return wheel_k + p_wheel * share, roller_k + p_roller * share, T + share, acts_Nm
 
 
@@ -128,7 +157,9 @@ def begin(w):
     """First stage: slopes at the beginning of the step, and what they predict for its end."""
     for j in range(LANES):
         wheel = w[a.WHEEL + j]
-        wheel_k, roller_k, pull_N, brake_Nm = stage(w, j, wheel, w[a.CAPACITY + j], w[a.MOTOR_BEFORE + j], 0.0, 0.0)
+        wheel_k, roller_k, pull_N, brake_Nm = stage(
+            w, j, wheel, w[a.CAPACITY + j], w[a.MOTOR_BEFORE + j], 0.0, 0.0
+        )
         w[a.WHEEL_K + j], w[a.ROLLER_K + j], w[a.PULL + j] = wheel_k, roller_k, pull_N
         w[a.PULL_BEFORE + j], w[a.BRAKE_BEFORE + j] = pull_N, brake_Nm
         w[a.WHEEL_END + j] = max(0.0, wheel + w[a.STEP + j] * wheel_k)
@@ -164,8 +195,9 @@ def finish(w):
     for j in range(LANES):
         moving, h = w[a.MOVING + j] > 0.0, w[a.STEP + j]
         wheel1, roller1, motor_Nm = w[a.WHEEL_K + j], w[a.ROLLER_K + j], w[a.MOTOR + j]
-        wheel_k, roller_k, pull_N, brake_Nm = stage(w, j, w[a.WHEEL_END + j], w[a.BRAKE + j], motor_Nm,
-                                                    2.0 * wheel1, 2.0 * roller1)
+        wheel_k, roller_k, pull_N, brake_Nm = stage(
+            w, j, w[a.WHEEL_END + j], w[a.BRAKE + j], motor_Nm, 2.0 * wheel1, 2.0 * roller1
+        )
         w[a.PULL + j] = pull_N
         force_N = 0.5 * w[a.PULL_BEFORE + j] + 0.5 * pull_N
         mean_Nm = 0.5 * w[a.BRAKE_BEFORE + j] + 0.5 * brake_Nm
@@ -180,7 +212,9 @@ def finish(w):
         w[a.ROLLER_RAD + j] += roller_rad if moving else 0.0
         w[a.SLIDING_WORK + j] += force_N * slid_m if moving else 0.0
         w[a.BRAKE_WORK + j] += mean_Nm * wheel_rad if moving else 0.0
-        w[a.MOTOR_WORK + j] += 0.5 * (w[a.MOTOR_BEFORE + j] + motor_Nm) * roller_rad if moving else 0.0
+        w[a.MOTOR_WORK + j] += (
+            0.5 * (w[a.MOTOR_BEFORE + j] + motor_Nm) * roller_rad if moving else 0.0
+        )
         w[a.FORCE + j] = force_N if moving else w[a.FORCE + j]
         w[a.BRAKE_MEAN + j] = mean_Nm if moving else w[a.BRAKE_MEAN + j]
         w[a.CAPACITY + j] = w[a.BRAKE + j] if moving else w[a.CAPACITY + j]

@@ -17,7 +17,14 @@ import numpy as np
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.kernel import kernel, written
 from rollerrig.rig.mechanisms import constants, friction
-from rollerrig.rig.mechanisms.mechanism import ALONE, COVARIATES, FRICTION, TORQUE, Mechanism, arguments
+from rollerrig.rig.mechanisms.mechanism import (
+    ALONE,
+    COVARIATES,
+    FRICTION,
+    TORQUE,
+    Mechanism,
+    arguments,
+)
 from rollerrig.rig.mechanisms.table import IN_PLANT, rows
 
 PLACE = {row.name: i for i, row in enumerate(rows())}  # where `Effects.values` has what
@@ -45,29 +52,48 @@ class Wheels(NamedTuple):
 
 def build(m: Mapping[str, Any]) -> Effects:
     """From the checked section `mechanisms`."""
-    acting = {mechanism.acts_on for mechanism in IN_PLANT if any(m[key] != 0.0 for key in mechanism.coefficients)}
-    return Effects(on_friction=FRICTION in acting, on_torque=TORQUE in acting,
-                   values=np.array([m[key] for key in PLACE]), memory_m=m["adhesion_memory_length_m"],
-                   memory_power=m["adhesion_memory_speed_power"], memory_of_work=m["adhesion_memory_of_work"])
+    acting = {
+        mechanism.acts_on
+        for mechanism in IN_PLANT
+        if any(m[key] != 0.0 for key in mechanism.coefficients)
+    }
+    return Effects(
+        on_friction=FRICTION in acting,
+        on_torque=TORQUE in acting,
+        values=np.array([m[key] for key in PLACE]),
+        memory_m=m["adhesion_memory_length_m"],
+        memory_power=m["adhesion_memory_speed_power"],
+        memory_of_work=m["adhesion_memory_of_work"],
+    )
 
 
 def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
     """Constants of the model, those changed that an extended model changes for all axles alike."""
     found = dict(model)
     for one in IN_PLANT:
-        if one.constants and found.keys() >= set(one.changes) and m.get(f"{one.name}_axle", 0.0) == 0.0:
-            found |= one.constants(found, *(m[f"{one.name}_{row.name}"] for row in one.own_parameters))
+        if (
+            one.constants
+            and found.keys() >= set(one.changes)
+            and m.get(f"{one.name}_axle", 0.0) == 0.0
+        ):
+            found |= one.constants(
+                found, *(m[f"{one.name}_{row.name}"] for row in one.own_parameters)
+            )
     return found
 
 
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
     """From the checked sections `vehicle` (radius and inertia of all axles) and `mechanisms`."""
-    swing, radius, inertia = (np.array([m[key] if m[f"{name}_axle"] in (0, j + 1) else 0.0 for j in range(AXLES)])
-                              for name, key in (("wheel_out_of_round", "wheel_out_of_round_amplitude"),
-                                                ("wheel_radius", "wheel_radius_fraction"),
-                                                ("wheel_inertia", "wheel_inertia_fraction")))
-    radius_m, = constants.wheel_radius(vehicle, radius).values()
-    inertia_kgm2, = constants.wheel_inertia(vehicle, inertia).values()
+    swing, radius, inertia = (
+        np.array([m[key] if m[f"{name}_axle"] in (0, j + 1) else 0.0 for j in range(AXLES)])
+        for name, key in (
+            ("wheel_out_of_round", "wheel_out_of_round_amplitude"),
+            ("wheel_radius", "wheel_radius_fraction"),
+            ("wheel_inertia", "wheel_inertia_fraction"),
+        )
+    )
+    (radius_m,) = constants.wheel_radius(vehicle, radius).values()
+    (inertia_kgm2,) = constants.wheel_inertia(vehicle, inertia).values()
     table = np.concatenate([radius_m, inertia_kgm2, radius_m / inertia_kgm2, swing])
     return Wheels(table, bool(swing.any()), m["wheel_out_of_round_phase_rad"])
 
@@ -78,10 +104,13 @@ def _sum_of(name: str, mechanisms: list[Mechanism]) -> Any:
     It reads, for each: if values[3] != 0.0: value += values[3] * rail_cleaning(state.rail_work[axle], values[4])
     """
     of_plant = {c.name: c.of_plant for c in COVARIATES}
-    lines = [f"def {name}(value, state, axle, place_m, capacity_Nm, effects, clean):", "    values = effects.values"]
+    lines = [
+        f"def {name}(value, state, axle, place_m, capacity_Nm, effects, clean):",
+        "    values = effects.values",
+    ]
     for m in mechanisms:
         size = f"values[{PLACE[m.coefficients[0]]}]"
-        shape = [f"values[{PLACE[f'{m.name}_{row.name}']}]" for row in m.own_parameters[m.free:]]
+        shape = [f"values[{PLACE[f'{m.name}_{row.name}']}]" for row in m.own_parameters[m.free :]]
         course = f"{m.name}({', '.join([of_plant[c] for c in arguments(m.courses[0], len(shape))] + shape)})"
         own = f" and values[{PLACE[f'{m.name}_axle']}] in (0.0, axle + 1.0)" if m.axlewise else ""
         if m.acts_on == FRICTION:
@@ -95,9 +124,16 @@ def _sum_of(name: str, mechanisms: list[Mechanism]) -> Any:
 _changed_log = _sum_of("_changed_log", [m for m in IN_PLANT if m.acts_on == FRICTION and m.courses])
 _changed_torque = _sum_of("_changed_torque", [m for m in IN_PLANT if m.acts_on == TORQUE])
 # what an empirical term depends on, by its code
-_covariate = written("_covariate", [
-    "def _covariate(state, axle, place_m, code):",
-    f"    return ({', '.join(c.of_plant for c in COVARIATES if c.word)})[code - 1]"], __file__, __name__, {})
+_covariate = written(
+    "_covariate",
+    [
+        "def _covariate(state, axle, place_m, code):",
+        f"    return ({', '.join(c.of_plant for c in COVARIATES if c.word)})[code - 1]",
+    ],
+    __file__,
+    __name__,
+    {},
+)
 
 
 @kernel

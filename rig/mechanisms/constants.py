@@ -7,7 +7,17 @@ from collections.abc import Mapping
 from typing import Any
 
 from rollerrig.configs.vehicle import RESISTANCE, running_resistance, track_gradient
-from rollerrig.rig.mechanisms.mechanism import ALONE, AXLE, AXLES_ALIKE, CONTACT, NOT, VEHICLE, WHEEL, number, row_of
+from rollerrig.rig.mechanisms.mechanism import (
+    ALONE,
+    AXLE,
+    AXLES_ALIKE,
+    CONTACT,
+    NOT,
+    VEHICLE,
+    WHEEL,
+    number,
+    row_of,
+)
 
 Model = Mapping[str, Any]
 
@@ -33,7 +43,9 @@ def interfacial_layer(model: Model, reduction: float, whole: float) -> dict[str,
     return {key: model[key] * (1.0 - reduction) for key in keys}
 
 
-def falling_friction(model: Model, fraction: float, height: float, contaminant_alone: float) -> dict[str, Any]:
+def falling_friction(
+    model: Model, fraction: float, height: float, contaminant_alone: float
+) -> dict[str, Any]:
     """gamma_d, gamma_r = (1 + fraction) of the base; height = 1: 1 / A_d - 1, 1 / A_r - 1; contaminant_alone: d only"""
     kinds = "d" if contaminant_alone else "dr"
     if height == 0.0:
@@ -42,20 +54,63 @@ def falling_friction(model: Model, fraction: float, height: float, contaminant_a
 
 
 ROWS = (
-    row_of(VEHICLE, running_resistance,
-           (number("force_N", -5000.0, 5000.0, "N"), number("speed_power", 0.0, 2.0, "-")),
-           "the vehicle runs with another resistance", "form: Davis 1926", tuple(RESISTANCE.values())),
-    row_of(VEHICLE, track_gradient, (number("gradient", -0.03, 0.03, "-"),), "the track is not level", "mechanics",
-           ("resistance_A_N",)),
-    row_of(WHEEL, wheel_radius, (number("fraction", -0.06, 0.06, "-"), AXLE),
-           "the wheels of one axle have another radius", "assumption", ("wheel_radius_m",), in_coach=AXLES_ALIKE),
-    row_of(WHEEL, wheel_inertia, (number("fraction", -0.5, 1.0, "-"), AXLE),
-           "the wheelsets have another inertia", "assumption", ("wheelset_inertia_kgm2",), in_coach=AXLES_ALIKE),
-    row_of(CONTACT, roller_curvature, (number("stiffness_fraction", -0.9, 2.0, "-"),),
-           "the patch is that of another curvature", "Hertz 1882; Kalker 1967", ("eps1",), in_coach=NOT),
-    row_of(CONTACT, interfacial_layer, (number("reduction", 0.0, 0.95, "-"), number("whole", 0.0, 1.0, "-")),
-           "a layer softens the contact", "Polach 2005", ("k_ad", "k_sd", "k_ar", "k_sr")),
-    row_of(CONTACT, falling_friction, (number("fraction", -0.95, 5.0, "-"), number("height", 0.0, 1.0, "-"), ALONE),
-           "friction falls with sliding otherwise than told", "Polach 2005; CONTACT user guide",
-           ("gamma_d_s_m", "gamma_r_s_m", "A_d", "A_r")),
+    row_of(
+        VEHICLE,
+        running_resistance,
+        (number("force_N", -5000.0, 5000.0, "N"), number("speed_power", 0.0, 2.0, "-")),
+        "the vehicle runs with another resistance",
+        "form: Davis 1926",
+        tuple(RESISTANCE.values()),
+    ),
+    row_of(
+        VEHICLE,
+        track_gradient,
+        (number("gradient", -0.03, 0.03, "-"),),
+        "the track is not level",
+        "mechanics",
+        ("resistance_A_N",),
+    ),
+    row_of(
+        WHEEL,
+        wheel_radius,
+        (number("fraction", -0.06, 0.06, "-"), AXLE),
+        "the wheels of one axle have another radius",
+        "assumption",
+        ("wheel_radius_m",),
+        in_coach=AXLES_ALIKE,
+    ),
+    row_of(
+        WHEEL,
+        wheel_inertia,
+        (number("fraction", -0.5, 1.0, "-"), AXLE),
+        "the wheelsets have another inertia",
+        "assumption",
+        ("wheelset_inertia_kgm2",),
+        in_coach=AXLES_ALIKE,
+    ),
+    row_of(
+        CONTACT,
+        roller_curvature,
+        (number("stiffness_fraction", -0.9, 2.0, "-"),),
+        "the patch is that of another curvature",
+        "Hertz 1882; Kalker 1967",
+        ("eps1",),
+        in_coach=NOT,
+    ),
+    row_of(
+        CONTACT,
+        interfacial_layer,
+        (number("reduction", 0.0, 0.95, "-"), number("whole", 0.0, 1.0, "-")),
+        "a layer softens the contact",
+        "Polach 2005",
+        ("k_ad", "k_sd", "k_ar", "k_sr"),
+    ),
+    row_of(
+        CONTACT,
+        falling_friction,
+        (number("fraction", -0.95, 5.0, "-"), number("height", 0.0, 1.0, "-"), ALONE),
+        "friction falls with sliding otherwise than told",
+        "Polach 2005; CONTACT user guide",
+        ("gamma_d_s_m", "gamma_r_s_m", "A_d", "A_r"),
+    ),
 )

@@ -7,7 +7,16 @@ Courses of a load are shares of it. The memory of recovery [X4] stands in `wheel
 import math
 
 from rollerrig.rig.kernel import kernel
-from rollerrig.rig.mechanisms.mechanism import AXLE, CONTACT, LOAD, NOT, SENSOR, Mechanism, number, row_of
+from rollerrig.rig.mechanisms.mechanism import (
+    AXLE,
+    CONTACT,
+    LOAD,
+    NOT,
+    SENSOR,
+    Mechanism,
+    number,
+    row_of,
+)
 
 
 @kernel
@@ -29,20 +38,54 @@ def bogie_transfer(deceleration_m_s2, axle):
 
 
 ROWS = (
-    Mechanism("adhesion_memory", CONTACT,
-              (number("length_m", 0.0, 50.0, "m"), number("speed_power", 0.0, 1.0, "-"),
-               number("of_work", 0.0, 1.0, "-")),
-              "d lambda/dx = (lambda_0 - lambda) / (length (v / 20 m/s)^speed_power); of_work = 1: lambda_0 = 1 - "
-              "exp(-tau W) of the work W done meanwhile, not that of the base model",
-              "recovery lags the dissipated energy", "assumption", in_coach=NOT),
-    Mechanism("speed_sensor_delay", SENSOR, (number("delay_s", 0.0, 0.2, "s"), AXLE),
-              "measured omega(t) = omega(t - delay)", "the wheel speed is told late", "assumption"),
-    Mechanism("torque_sensor_delay", SENSOR, (number("delay_s", 0.0, 0.2, "s"),),
-              "measured C(t) = C(t - delay)", "the torque is told late", "assumption"),
-    row_of(LOAD, wheel_out_of_round,
-           (number("amplitude", 0.0, 0.3, "-"), number("phase_rad", -6.3, 6.3, "rad"), AXLE),
-           "the load swings once a turn", "assumption", share=True, in_coach=NOT),
-    row_of(LOAD, load_transfer, (number("body_s2_m", -0.1, 0.1, "s2/m"), number("bogie_s2_m", -0.1, 0.1, "s2/m")),
-           "braking shifts more load than told", "mechanics", courses=(load_transfer, bogie_transfer), share=True,
-           free=2, in_coach=NOT),
+    Mechanism(
+        "adhesion_memory",
+        CONTACT,
+        (
+            number("length_m", 0.0, 50.0, "m"),
+            number("speed_power", 0.0, 1.0, "-"),
+            number("of_work", 0.0, 1.0, "-"),
+        ),
+        "d lambda/dx = (lambda_0 - lambda) / (length (v / 20 m/s)^speed_power); of_work = 1: lambda_0 = 1 - "
+        "exp(-tau W) of the work W done meanwhile, not that of the base model",
+        "recovery lags the dissipated energy",
+        "assumption",
+        in_coach=NOT,
+    ),
+    Mechanism(
+        "speed_sensor_delay",
+        SENSOR,
+        (number("delay_s", 0.0, 0.2, "s"), AXLE),
+        "measured omega(t) = omega(t - delay)",
+        "the wheel speed is told late",
+        "assumption",
+    ),
+    Mechanism(
+        "torque_sensor_delay",
+        SENSOR,
+        (number("delay_s", 0.0, 0.2, "s"),),
+        "measured C(t) = C(t - delay)",
+        "the torque is told late",
+        "assumption",
+    ),
+    row_of(
+        LOAD,
+        wheel_out_of_round,
+        (number("amplitude", 0.0, 0.3, "-"), number("phase_rad", -6.3, 6.3, "rad"), AXLE),
+        "the load swings once a turn",
+        "assumption",
+        share=True,
+        in_coach=NOT,
+    ),
+    row_of(
+        LOAD,
+        load_transfer,
+        (number("body_s2_m", -0.1, 0.1, "s2/m"), number("bogie_s2_m", -0.1, 0.1, "s2/m")),
+        "braking shifts more load than told",
+        "mechanics",
+        courses=(load_transfer, bogie_transfer),
+        share=True,
+        free=2,
+        in_coach=NOT,
+    ),
 )

@@ -38,7 +38,7 @@ def contaminated_patch(place_m, start_m, length_m, ramp):
     if not start_m <= place_m < start_m + length_m:
         return 0.0
     inside, edge = min(place_m - start_m, start_m + length_m - place_m), 0.5 * ramp * length_m
-    return -1.0 if inside >= edge else -math.sin(0.5 * math.pi * inside / edge) ** 2
+    return -1.0 if inside >= edge else -(math.sin(0.5 * math.pi * inside / edge) ** 2)
 
 
 @kernel
@@ -72,29 +72,80 @@ def empirical(x, linear, quadratic, centre, scale, period):
     return linear * z + quadratic * z * z
 
 
-ROWS = tuple(row._replace(parameters=(*row.parameters, ALONE)) for row in (
-    row_of(FRICTION, rail_cleaning, (number("gain", 0.0, 1.0, "-"), number("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
-           "leading wheels clean the rail for the following ones", "Allotta et al. 2014; form: assumption"),
-    row_of(FRICTION, speed_dependent_friction,
-           (number("slope_per_m_s", -0.05, 0.05, "s/m"), number("knee_m_s", 2.0, WIDE, "m/s", WIDE)),
-           "friction depends on the vehicle's speed", "Curtius and Kniffler 1950; form: assumption"),
-    row_of(FRICTION, friction_trend, (number("rate_1_s", -0.2, 0.2, "1/s"), number("time_s", 0.1, WIDE, "s", WIDE)),
-           "friction drifts with time in a stop", "assumption"),
-    row_of(FRICTION, negative_conditioning,
-           (number("loss", 0.0, 0.9, "-"), number("distance_m", 1.0, 500.0, "m", 30.0)),
-           "sliding destroys adhesion", "oil paste: Beagley and Pritchard 1975; form: assumption"),
-    row_of(FRICTION, contaminated_patch,
-           (number("depth", 0.0, 1.0, "-"), number("start_m", -100.0, 1e5, "m"),
-            number("length_m", 0.0, 1e4, "m"), number("ramp", 0.0, 1.0, "-")),
-           "friction depends on the place", "assumption"),
-    row_of(FRICTION, sanding,
-           (number("gain", 0.0, 2.0, "-"), number("start_s", 0.0, 1e4, "s"),
-            number("duration_s", 0.0, 1e4, "s"), number("behind", 0.0, 1.0, "-")),
-           "sand raises friction for a while", "assumption")))
+ROWS = tuple(
+    row._replace(parameters=(*row.parameters, ALONE))
+    for row in (
+        row_of(
+            FRICTION,
+            rail_cleaning,
+            (number("gain", 0.0, 1.0, "-"), number("energy_J_m", 1.0, 5000.0, "J/m", 150.0)),
+            "leading wheels clean the rail for the following ones",
+            "Allotta et al. 2014; form: assumption",
+        ),
+        row_of(
+            FRICTION,
+            speed_dependent_friction,
+            (
+                number("slope_per_m_s", -0.05, 0.05, "s/m"),
+                number("knee_m_s", 2.0, WIDE, "m/s", WIDE),
+            ),
+            "friction depends on the vehicle's speed",
+            "Curtius and Kniffler 1950; form: assumption",
+        ),
+        row_of(
+            FRICTION,
+            friction_trend,
+            (number("rate_1_s", -0.2, 0.2, "1/s"), number("time_s", 0.1, WIDE, "s", WIDE)),
+            "friction drifts with time in a stop",
+            "assumption",
+        ),
+        row_of(
+            FRICTION,
+            negative_conditioning,
+            (number("loss", 0.0, 0.9, "-"), number("distance_m", 1.0, 500.0, "m", 30.0)),
+            "sliding destroys adhesion",
+            "oil paste: Beagley and Pritchard 1975; form: assumption",
+        ),
+        row_of(
+            FRICTION,
+            contaminated_patch,
+            (
+                number("depth", 0.0, 1.0, "-"),
+                number("start_m", -100.0, 1e5, "m"),
+                number("length_m", 0.0, 1e4, "m"),
+                number("ramp", 0.0, 1.0, "-"),
+            ),
+            "friction depends on the place",
+            "assumption",
+        ),
+        row_of(
+            FRICTION,
+            sanding,
+            (
+                number("gain", 0.0, 2.0, "-"),
+                number("start_s", 0.0, 1e4, "s"),
+                number("duration_s", 0.0, 1e4, "s"),
+                number("behind", 0.0, 1.0, "-"),
+            ),
+            "sand raises friction for a while",
+            "assumption",
+        ),
+    )
+)
 # what `explain` writes down when none of the table explains: a formula, not a cause
 EMPIRICAL = row_of(
-    FRICTION, empirical,
-    (number("linear", -1e4, 1e4, "-"), number("quadratic", -1e4, 1e4, "-"), number("covariate", 0.0, 9.0, "-"),
-     number("centre", -1e6, 1e6, "of the covariate"), number("scale", 1e-6, 1e6, "of the covariate", 1.0),
-     number("period", 0.0, 1e4, "of the covariate")),
-    "an empirical term of one covariate", "fitted, no physics", free=2, courses=())
+    FRICTION,
+    empirical,
+    (
+        number("linear", -1e4, 1e4, "-"),
+        number("quadratic", -1e4, 1e4, "-"),
+        number("covariate", 0.0, 9.0, "-"),
+        number("centre", -1e6, 1e6, "of the covariate"),
+        number("scale", 1e-6, 1e6, "of the covariate", 1.0),
+        number("period", 0.0, 1e4, "of the covariate"),
+    ),
+    "an empirical term of one covariate",
+    "fitted, no physics",
+    free=2,
+    courses=(),
+)

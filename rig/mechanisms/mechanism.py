@@ -15,7 +15,14 @@ from rollerrig.configs.table import Row
 from rollerrig.rig.kernel import kernel
 
 FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
-    "friction", "torque", "load", "vehicle", "sensor", "wheel", "contact")
+    "friction",
+    "torque",
+    "load",
+    "vehicle",
+    "sensor",
+    "wheel",
+    "contact",
+)
 WIDE = 1e4  # a scale as wide as this is none
 # what the coach in 3D knows of a mechanism: it, it for all axles alike, nothing
 WHOLLY, AXLES_ALIKE, NOT = "wholly", "all axles alike", "not"
@@ -87,13 +94,13 @@ class Mechanism(NamedTuple):
     @property
     def coefficients(self) -> tuple[str, ...]:
         """Keys of its coefficients in the section [mechanisms]."""
-        return tuple(f"{self.name}_{row.name}" for row in self.parameters[:self.free])
+        return tuple(f"{self.name}_{row.name}" for row in self.parameters[: self.free])
 
 
 def arguments(course: Any, shape: int) -> list[str]:
     """The covariates of a course that has this many shape parameters."""
     names = list(inspect.signature(getattr(course, "py_func", course)).parameters)
-    return names[:len(names) - shape]
+    return names[: len(names) - shape]
 
 
 def number(name: str, low: float, high: float, unit: str, default: float = 0.0) -> Row:
@@ -101,16 +108,27 @@ def number(name: str, low: float, high: float, unit: str, default: float = 0.0) 
     return table.number(name, default, low, high, unit)
 
 
-def row_of(acts_on: str, formula: Callable[..., Any], parameters: tuple[Row, ...], text: str, source: str,
-           changes: tuple[str, ...] = (), **more: Any) -> Mechanism:
+def row_of(
+    acts_on: str,
+    formula: Callable[..., Any],
+    parameters: tuple[Row, ...],
+    text: str,
+    source: str,
+    changes: tuple[str, ...] = (),
+    **more: Any,
+) -> Mechanism:
     """The row of a course or, with `changes`, of a function of constants, which gives it its name and formula."""
-    given: dict[str, Any] = {"constants": formula, "changes": changes} if changes else {"courses": (formula,)}
+    given: dict[str, Any] = (
+        {"constants": formula, "changes": changes} if changes else {"courses": (formula,)}
+    )
     words = " ".join((formula.__doc__ or "").split("\n\n")[0].split())
     return Mechanism(formula.__name__, acts_on, parameters, words, text, source, **given | more)
 
 
 AXLE = number("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
-ALONE = number("contaminant_alone", 0.0, 1.0, "-")  # 1: it acts on the degraded friction, 0: on the recovered too
+ALONE = number(
+    "contaminant_alone", 0.0, 1.0, "-"
+)  # 1: it acts on the degraded friction, 0: on the recovered too
 
 
 @kernel

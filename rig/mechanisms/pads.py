@@ -20,7 +20,9 @@ def friction_share(rim_m_s, pressure_Pa, disc_K, pads):
     by_speed = 1.0 + pads.speed_loss * math.expm1(-rim_m_s / pads.speed_scale_m_s)
     by_pressure = 1.0 + pads.pressure_loss * math.expm1(-pressure_Pa / pads.pressure_scale_Pa)
     above_K = max(disc_K - pads.fade_from_K, 0.0)
-    return by_speed * by_pressure * (1.0 + pads.fade_loss * math.expm1(-above_K / pads.fade_scale_K))
+    return (
+        by_speed * by_pressure * (1.0 + pads.fade_loss * math.expm1(-above_K / pads.fade_scale_K))
+    )
 
 
 @kernel

@@ -19,12 +19,17 @@ from rollerrig.rig.mechanisms import constants, elsewhere, friction, torque
 from rollerrig.rig.mechanisms.mechanism import SENSOR, Mechanism
 
 TABLE: tuple[Mechanism, ...] = (*friction.ROWS, *torque.ROWS, *constants.ROWS, *elsewhere.ROWS)
-BY_NAME: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in (*TABLE, friction.EMPIRICAL)}
+BY_NAME: dict[str, Mechanism] = {
+    mechanism.name: mechanism for mechanism in (*TABLE, friction.EMPIRICAL)
+}
 # what a sensor does to the truth lies in the recording; all else is in the plant
 IN_PLANT = tuple(m for m in BY_NAME.values() if m.acts_on != SENSOR)
 
 
 def rows() -> tuple[Row, ...]:
     """Rows of the section [mechanisms] of a model: `<mechanism>_<parameter>`, default 0."""
-    return tuple(row._replace(name=f"{m.name}_{row.name}", high=AXLES if row.name == "axle" else row.high)
-                 for m in IN_PLANT for row in m.parameters)
+    return tuple(
+        row._replace(name=f"{m.name}_{row.name}", high=AXLES if row.name == "axle" else row.high)
+        for m in IN_PLANT
+        for row in m.parameters
+    )

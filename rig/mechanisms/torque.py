@@ -34,14 +34,39 @@ def torque_offset(brake_Nm, from_Nm):
 
 
 ROWS = (
-    row_of(TORQUE, brake_gain, (number("gain", -0.3, 0.3, "-"), AXLE),
-           "the brake gives another torque than told", "assumption", share=True),
-    row_of(TORQUE, pad_fade, (number("fade_1_MJ", 0.0, 0.2, "1/MJ"), number("heat_MJ", 0.1, WIDE, "MJ", WIDE)),
-           "torque falls with the heat of the discs", "assumption", share=True),
-    row_of(TORQUE, wet_pads, (number("loss", 0.0, 0.9, "-"), number("turns", 0.1, 500.0, "turns", 10.0)),
-           "wet brake pads give less torque until they have run dry",
-           "UIC 541-3 has pads tested under water; form: assumption", share=True),
-    row_of(TORQUE, torque_offset,
-           (number("offset_Nm", -1500.0, 1500.0, "N m"), number("from_Nm", -WIDE, WIDE, "N m", -WIDE), AXLE),
-           "the torque has an offset", "assumption"),
+    row_of(
+        TORQUE,
+        brake_gain,
+        (number("gain", -0.3, 0.3, "-"), AXLE),
+        "the brake gives another torque than told",
+        "assumption",
+        share=True,
+    ),
+    row_of(
+        TORQUE,
+        pad_fade,
+        (number("fade_1_MJ", 0.0, 0.2, "1/MJ"), number("heat_MJ", 0.1, WIDE, "MJ", WIDE)),
+        "torque falls with the heat of the discs",
+        "assumption",
+        share=True,
+    ),
+    row_of(
+        TORQUE,
+        wet_pads,
+        (number("loss", 0.0, 0.9, "-"), number("turns", 0.1, 500.0, "turns", 10.0)),
+        "wet brake pads give less torque until they have run dry",
+        "UIC 541-3 has pads tested under water; form: assumption",
+        share=True,
+    ),
+    row_of(
+        TORQUE,
+        torque_offset,
+        (
+            number("offset_Nm", -1500.0, 1500.0, "N m"),
+            number("from_Nm", -WIDE, WIDE, "N m", -WIDE),
+            AXLE,
+        ),
+        "the torque has an offset",
+        "assumption",
+    ),
 )

@@ -72,27 +72,53 @@ class _Row(NamedTuple):
     stop: float = 0.0
 
 
-def build(sections: Mapping[str, Mapping[str, Any]], roller_m: float = math.inf, model: int = 0,
-          cells: int = 10) -> Coach:
+def build(
+    sections: Mapping[str, Mapping[str, Any]],
+    roller_m: float = math.inf,
+    model: int = 0,
+    cells: int = 10,
+) -> Coach:
     """The coach of checked sections `vehicle`, `contact` and `multibody`.
 
     roller_m is the rollers' radius, inf on a rail; `model` and `cells` as in `patch.Patch`.
     Raises ConfigError or ValueError for profiles that cannot be used.
     """
     v, m, c = sections["vehicle"], sections["multibody"], sections["contact"]
-    wheel = profiles.wheel_named(m["wheel_profile"], v["wheel_radius_m"], 0.5 * m["running_circles_m"],
-                                 m["profile_smoothing_m"])
-    rail = profiles.rail_named(m["rail_profile"], m["laying"], m["gauge_m"], m["profile_smoothing_m"])
+    wheel = profiles.wheel_named(
+        m["wheel_profile"],
+        v["wheel_radius_m"],
+        0.5 * m["running_circles_m"],
+        m["profile_smoothing_m"],
+    )
+    rail = profiles.rail_named(
+        m["rail_profile"], m["laying"], m["gauge_m"], m["profile_smoothing_m"]
+    )
     patches = patch_table.tabulate(c["young_Pa"], c["shear_Pa"], c["poisson"], model, cells)
     mass = masses(v)
-    inertia = np.concatenate([[*3 * (mass[body],), *_inertia(body, v, m)] for body in range(BODIES)])
+    inertia = np.concatenate(
+        [[*3 * (mass[body],), *_inertia(body, v, m)] for body in range(BODIES)]
+    )
     weight = np.zeros(COORDINATES)
     weight[Z::6] = GRAVITY_M_S2 * mass
     total = float(mass.sum())
-    height = wheel_rail_forces.axle_height(total * GRAVITY_M_S2 / 8.0, wheel, rail, patches, roller_m)
+    height = wheel_rail_forces.axle_height(
+        total * GRAVITY_M_S2 / 8.0, wheel, rail, patches, roller_m
+    )
     springs, curves = _springs(v, m, mass), _curves(v, m)
-    return Coach(inertia, weight, total, _links(springs), _links(curves), height, wheel, rail,
-                 patches, m["contact_damping_N_s_m"], roller_m, np.array((1, 1, 2, 2)))
+    return Coach(
+        inertia,
+        weight,
+        total,
+        _links(springs),
+        _links(curves),
+        height,
+        wheel,
+        rail,
+        patches,
+        m["contact_damping_N_s_m"],
+        roller_m,
+        np.array((1, 1, 2, 2)),
+    )
 
 
 def masses(v: Mapping[str, Any]) -> np.ndarray:
@@ -108,11 +134,21 @@ def _inertia(body: int, v: Mapping[str, Any], m: Mapping[str, Any]) -> tuple[flo
     if body in BOGIES:
         # axleboxes and links of two wheelsets pitch with the frame
         pitch = 4.0 * (m["axlebox_inertia_y_kgm2"] + m["link_inertia_y_kgm2"])
-        return (m["bogie_inertia_x_kgm2"], m["bogie_inertia_y_kgm2"] + pitch, m["bogie_inertia_z_kgm2"])
+        return (
+            m["bogie_inertia_x_kgm2"],
+            m["bogie_inertia_y_kgm2"] + pitch,
+            m["bogie_inertia_z_kgm2"],
+        )
     arm = 2.0 * (m["axlebox_mass_kg"] + m["link_mass_kg"]) * m["primary_half_width_m"] ** 2
-    return (m["wheelset_inertia_x_kgm2"] + arm + 2.0 * (m["axlebox_inertia_x_kgm2"] + m["link_inertia_x_kgm2"]),
-            v["wheelset_inertia_kgm2"], m["wheelset_inertia_z_kgm2"] + arm
-            + 2.0 * (m["axlebox_inertia_z_kgm2"] + m["link_inertia_z_kgm2"]))
+    return (
+        m["wheelset_inertia_x_kgm2"]
+        + arm
+        + 2.0 * (m["axlebox_inertia_x_kgm2"] + m["link_inertia_x_kgm2"]),
+        v["wheelset_inertia_kgm2"],
+        m["wheelset_inertia_z_kgm2"]
+        + arm
+        + 2.0 * (m["axlebox_inertia_z_kgm2"] + m["link_inertia_z_kgm2"]),
+    )
 
 
 def places(v: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -133,14 +169,20 @@ def _springs(v: Mapping[str, Any], m: Mapping[str, Any], mass: np.ndarray) -> li
         for side in (1.0, -1.0):
             y, up = side * m["primary_half_width_m"], height[wheelset] - height[bogie]
             at: Any = (bogie, (x[wheelset] - x[bogie], y, up), wheelset, (0.0, y, 0.0))
-            rows += [_Row(X, *at, k=m["primary_x_N_m"]), _Row(Y, *at, k=m["primary_y_N_m"]),
-                     _Row(Z, *at, k=m["primary_z_N_m"], preload=on_primary),
-                     _Row(ROLL, *at, k=m["primary_roll_Nm_rad"])]
+            rows += [
+                _Row(X, *at, k=m["primary_x_N_m"]),
+                _Row(Y, *at, k=m["primary_y_N_m"]),
+                _Row(Z, *at, k=m["primary_z_N_m"], preload=on_primary),
+                _Row(ROLL, *at, k=m["primary_roll_Nm_rad"]),
+            ]
     for bogie in BOGIES:
         for side in (1.0, -1.0):
             at = _secondary(bogie, side * m["secondary_half_width_m"], m["secondary_height_m"], v)
-            rows += [_Row(X, *at, k=m["secondary_x_N_m"]), _Row(Y, *at, k=m["secondary_y_N_m"]),
-                     _Row(Z, *at, k=m["secondary_z_N_m"], preload=on_secondary)]
+            rows += [
+                _Row(X, *at, k=m["secondary_x_N_m"]),
+                _Row(Y, *at, k=m["secondary_y_N_m"]),
+                _Row(Z, *at, k=m["secondary_z_N_m"], preload=on_secondary),
+            ]
         rows.append(_Row(ROLL, *_secondary(bogie, 0.0, 0.0, v), k=m["anti_roll_bar_Nm_rad"]))
     return rows
 
@@ -152,21 +194,55 @@ def _curves(v: Mapping[str, Any], m: Mapping[str, Any]) -> list[_Row]:
         bogie = 1 + (wheelset - 3) // 2
         for side in (1.0, -1.0):
             y = side * m["primary_half_width_m"]
-            rows.append(_Row(Z, bogie, (x[wheelset] - x[bogie], y, 0.0), wheelset, (0.0, y, 0.0),
-                             c=m["primary_damper_N_s_m"], c_max=m["primary_damper_max_N"]))
+            rows.append(
+                _Row(
+                    Z,
+                    bogie,
+                    (x[wheelset] - x[bogie], y, 0.0),
+                    wheelset,
+                    (0.0, y, 0.0),
+                    c=m["primary_damper_N_s_m"],
+                    c_max=m["primary_damper_max_N"],
+                )
+            )
     for bogie in BOGIES:
         for side in (1.0, -1.0):
             at = _secondary(bogie, side * m["secondary_half_width_m"], m["secondary_height_m"], v)
-            rows.append(_Row(Z, *at, c=m["secondary_damper_N_s_m"], c_max=m["secondary_damper_max_N"],
-                             gap=m["vertical_stop_gap_m"], stop=m["vertical_stop_N_m"]))
+            rows.append(
+                _Row(
+                    Z,
+                    *at,
+                    c=m["secondary_damper_N_s_m"],
+                    c_max=m["secondary_damper_max_N"],
+                    gap=m["vertical_stop_gap_m"],
+                    stop=m["vertical_stop_N_m"],
+                )
+            )
             at = _secondary(bogie, side * m["yaw_damper_half_width_m"], m["yaw_damper_height_m"], v)
             rows.append(_Row(X, *at, c=m["yaw_damper_N_s_m"], c_max=m["yaw_damper_max_N"]))
         at = _secondary(bogie, 0.0, m["lateral_damper_height_m"], v)
-        rows.append(_Row(Y, *at, c=m["lateral_damper_N_s_m"], c_max=m["lateral_damper_max_N"],
-                         gap=m["lateral_stop_gap_m"], stop=m["lateral_stop_N_m"]))
+        rows.append(
+            _Row(
+                Y,
+                *at,
+                c=m["lateral_damper_N_s_m"],
+                c_max=m["lateral_damper_max_N"],
+                gap=m["lateral_stop_gap_m"],
+                stop=m["lateral_stop_N_m"],
+            )
+        )
         at = _secondary(bogie, 0.0, v["pivot_height_m"], v)
-        rows.append(_Row(X, *at, k=m["traction_rod_N_m"], c=m["traction_rod_damping_N_s_m"],
-                         c_max=1e9, gap=m["traction_rod_stop_gap_m"], stop=m["traction_rod_stop_N_m"]))
+        rows.append(
+            _Row(
+                X,
+                *at,
+                k=m["traction_rod_N_m"],
+                c=m["traction_rod_damping_N_s_m"],
+                c_max=1e9,
+                gap=m["traction_rod_stop_gap_m"],
+                stop=m["traction_rod_stop_N_m"],
+            )
+        )
     return rows
 
 
@@ -179,9 +255,13 @@ def _secondary(bogie: int, y: float, level: float, v: Mapping[str, Any]) -> Any:
 def _links(rows: list[_Row]) -> Links:
     at, by = np.zeros((len(rows), 6), dtype=np.int64), np.zeros((len(rows), 6))
     for i, row in enumerate(rows):
-        for first, body, (rx, ry, rz), sign in ((0, row.a, row.at_a, 1.0), (3, row.b, row.at_b, -1.0)):
+        for first, body, (rx, ry, rz), sign in (
+            (0, row.a, row.at_a, 1.0),
+            (3, row.b, row.at_b, -1.0),
+        ):
             lever = {  # displacement of a point of a turning body along the link
-                X: ((X, 1.0), (PITCH, rz), (YAW, -ry)), Y: ((Y, 1.0), (YAW, rx), (ROLL, -rz)),
+                X: ((X, 1.0), (PITCH, rz), (YAW, -ry)),
+                Y: ((Y, 1.0), (YAW, rx), (ROLL, -rz)),
                 Z: ((Z, 1.0), (ROLL, ry), (PITCH, -rx)),
                 ROLL: ((ROLL, 1.0), (PITCH, 0.0), (YAW, 0.0)),
             }[row.axis]

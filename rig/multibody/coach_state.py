@@ -13,7 +13,10 @@ from rollerrig.rig.multibody import eight_contacts
 from rollerrig.rig.multibody.wheel_rail_forces import GIVEN, SEEN
 
 WHEELS = 8
-NODES = round((profiles.FIELD_END_M - profiles.FLANGE_END_M) / (profiles.STRIDE * profiles.SPACING_M)) + 1
+NODES = (
+    round((profiles.FIELD_END_M - profiles.FLANGE_END_M) / (profiles.STRIDE * profiles.SPACING_M))
+    + 1
+)
 
 # what a caller hands over and takes back in each step: see `compiled_coach`
 (ACTION, SPEED_M_S, RESISTANCE_N) = range(3)
@@ -34,7 +37,9 @@ class Motion(NamedTuple):
     lanes: np.ndarray  # (SIZE,) of `eight_contacts`; step
     Gx: np.ndarray  # (4, 4, 4) N s/m ..., of each wheelset; step
     Gy: np.ndarray  # (4, 3, 3), of each wheelset; step
-    seen: np.ndarray  # (8, SEEN) of `wheel_rail_forces`, left then right wheel of each wheelset; step
+    seen: (
+        np.ndarray
+    )  # (8, SEEN) of `wheel_rail_forces`, left then right wheel of each wheelset; step
     searched: np.ndarray  # (8, 4) y, z, roll, yaw where the wheel was last searched; step
     left: np.ndarray  # (8,) m, place on the track where a wheel left its rail, 0: it is on it; step
     turn: np.ndarray  # (1,) which wheelset comes first in the next step; step
@@ -46,12 +51,26 @@ class Motion(NamedTuple):
 
 
 SHAPES: dict[str, tuple[int, ...]] = {
-    "ports": (PORTS,), "q": (42,), "v": (42,), "force": (42,),
-    "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS), "near": (WHEELS,),
-    "misfit": (WHEELS, NODES), "given": (4, GIVEN), "lanes": (eight_contacts.SIZE,), "Gx": (4, 4, 4), "Gy": (4, 3, 3),
-    "seen": (WHEELS, SEEN), "searched": (WHEELS, 4), "left": (WHEELS,), "turn": (1,),
-    "damper_work": (1,), "approach_work": (1,),
-    "sliding_work": (4,), "brake_work": (4,), "resistance_work": (1,),
+    "ports": (PORTS,),
+    "q": (42,),
+    "v": (42,),
+    "force": (42,),
+    "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS),
+    "near": (WHEELS,),
+    "misfit": (WHEELS, NODES),
+    "given": (4, GIVEN),
+    "lanes": (eight_contacts.SIZE,),
+    "Gx": (4, 4, 4),
+    "Gy": (4, 3, 3),
+    "seen": (WHEELS, SEEN),
+    "searched": (WHEELS, 4),
+    "left": (WHEELS,),
+    "turn": (1,),
+    "damper_work": (1,),
+    "approach_work": (1,),
+    "sliding_work": (4,),
+    "brake_work": (4,),
+    "resistance_work": (1,),
 }
 BEGIN: dict[str, int] = {}
 SIZE = 0
@@ -62,5 +81,9 @@ for _name in Motion._fields:
 
 def views(buffer: np.ndarray) -> Motion:
     """The state in a contiguous float64 buffer of shape (SIZE,)."""
-    return Motion(*(buffer[BEGIN[name]:BEGIN[name] + int(np.prod(SHAPES[name]))].reshape(SHAPES[name])
-                    for name in Motion._fields))
+    return Motion(
+        *(
+            buffer[BEGIN[name] : BEGIN[name] + int(np.prod(SHAPES[name]))].reshape(SHAPES[name])
+            for name in Motion._fields
+        )
+    )

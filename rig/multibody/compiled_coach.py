@@ -19,7 +19,15 @@ from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.kernel import constructor, kernel_inlined
 from rollerrig.rig.multibody import coach_state, motion
 from rollerrig.rig.multibody.coach import Coach, Links
-from rollerrig.rig.multibody.coach_state import BRAKE_ACTS_NM, BRAKE_NM, MOTOR_NM, MU_CD, MU_CR, ROLLER_RAD_S, Motion
+from rollerrig.rig.multibody.coach_state import (
+    BRAKE_ACTS_NM,
+    BRAKE_NM,
+    MOTOR_NM,
+    MU_CD,
+    MU_CR,
+    ROLLER_RAD_S,
+    Motion,
+)
 
 STEP, START = 0, 1  # values of the port ACTION
 # on the tape: scalars of the coach, step and roller inertia, the law, inertia and weight of 42 coordinates
@@ -40,13 +48,41 @@ class Packed(NamedTuple):
 def packed(coach: Coach, law: Law, step_s: float, roller_inertia_kgm2: float) -> Packed:
     """The constants of a coach, the adhesion under it and its time step for `run`."""
     wheel, rail, patches = coach.wheel, coach.rail, coach.patches
-    tables = (coach.springs.row, coach.curves.row, wheel.fine, wheel.coarse, rail.nodes, patches.rows)
-    scalars = (coach.mass_kg, coach.axle_height_m, coach.contact_damping_N_s_m, coach.roller_m,
-               wheel.start_m, wheel.spacing_m, wheel.centre_m, rail.sines_per_node,
-               patches.nodes_per_log, patches.shear_Pa, step_s, roller_inertia_kgm2, *law)
-    tape = np.concatenate([np.array(scalars), coach.inertia, coach.weight_N, *(table.ravel() for table in tables)])
-    layout = np.concatenate([np.array([len(table) for table in tables]), np.array([patches.model, patches.cells]),
-                             coach.bogie_of, coach.springs.at.ravel(), coach.curves.at.ravel()]).astype(np.int64)
+    tables = (
+        coach.springs.row,
+        coach.curves.row,
+        wheel.fine,
+        wheel.coarse,
+        rail.nodes,
+        patches.rows,
+    )
+    scalars = (
+        coach.mass_kg,
+        coach.axle_height_m,
+        coach.contact_damping_N_s_m,
+        coach.roller_m,
+        wheel.start_m,
+        wheel.spacing_m,
+        wheel.centre_m,
+        rail.sines_per_node,
+        patches.nodes_per_log,
+        patches.shear_Pa,
+        step_s,
+        roller_inertia_kgm2,
+        *law,
+    )
+    tape = np.concatenate(
+        [np.array(scalars), coach.inertia, coach.weight_N, *(table.ravel() for table in tables)]
+    )
+    layout = np.concatenate(
+        [
+            np.array([len(table) for table in tables]),
+            np.array([patches.model, patches.cells]),
+            coach.bogie_of,
+            coach.springs.at.ravel(),
+            coach.curves.at.ravel(),
+        ]
+    ).astype(np.int64)
     return Packed(tape, layout)
 
 
@@ -61,8 +97,17 @@ _shifted: Any = intrinsic(_shift)
 
 _FLOATS, _INTS = types.CPointer(types.float64), types.CPointer(types.int64)
 _NAME = "rollerrig_coach"
-_motion_at = constructor(Motion, "at", (f"carray(shifted(at, {coach_state.BEGIN[name]}), {coach_state.SHAPES[name]})"
-                                        for name in Motion._fields), True, carray=carray, shifted=_shifted)
+_motion_at = constructor(
+    Motion,
+    "at",
+    (
+        f"carray(shifted(at, {coach_state.BEGIN[name]}), {coach_state.SHAPES[name]})"
+        for name in Motion._fields
+    ),
+    True,
+    carray=carray,
+    shifted=_shifted,
+)
 _law_of = constructor(Law, "one", (f"one[{_LAW + i}]" for i in range(len(Law._fields))))
 
 
@@ -76,15 +121,32 @@ def _act(memory_at: Any, tape_at: Any, layout_at: Any) -> None:
     at_w = at_f + 3 * n_f
     at_r = at_w + 5 * n_w
     at_p = at_r + 4 * n_r
-    row_s, row_c = carray(_shifted(tape_at, at_s), (n_s, 12)), carray(_shifted(tape_at, at_c), (n_c, 12))
-    fine, coarse = carray(_shifted(tape_at, at_f), (n_f, 3)), carray(_shifted(tape_at, at_w), (n_w, 5))
-    nodes, rows = carray(_shifted(tape_at, at_r), (n_r, 4)), carray(_shifted(tape_at, at_p), (n_p, 8))
-    coach = Coach(carray(_shifted(tape_at, _INERTIA), (42,)), carray(_shifted(tape_at, _INERTIA + 42), (42,)), one[0],
-                  Links(carray(_shifted(layout_at, _COUNTS), (n_s, 6)), row_s),
-                  Links(carray(_shifted(layout_at, _COUNTS + 6 * n_s), (n_c, 6)), row_c), one[1],
-                  Wheel(one[4], one[5], one[6], fine, coarse), Rail(one[7], nodes),
-                  Patches(one[8], one[9], layout[6], layout[7], rows), one[2],
-                  one[3], carray(_shifted(layout_at, 8), (4,)))
+    row_s, row_c = (
+        carray(_shifted(tape_at, at_s), (n_s, 12)),
+        carray(_shifted(tape_at, at_c), (n_c, 12)),
+    )
+    fine, coarse = (
+        carray(_shifted(tape_at, at_f), (n_f, 3)),
+        carray(_shifted(tape_at, at_w), (n_w, 5)),
+    )
+    nodes, rows = (
+        carray(_shifted(tape_at, at_r), (n_r, 4)),
+        carray(_shifted(tape_at, at_p), (n_p, 8)),
+    )
+    coach = Coach(
+        carray(_shifted(tape_at, _INERTIA), (42,)),
+        carray(_shifted(tape_at, _INERTIA + 42), (42,)),
+        one[0],
+        Links(carray(_shifted(layout_at, _COUNTS), (n_s, 6)), row_s),
+        Links(carray(_shifted(layout_at, _COUNTS + 6 * n_s), (n_c, 6)), row_c),
+        one[1],
+        Wheel(one[4], one[5], one[6], fine, coarse),
+        Rail(one[7], nodes),
+        Patches(one[8], one[9], layout[6], layout[7], rows),
+        one[2],
+        one[3],
+        carray(_shifted(layout_at, 8), (4,)),
+    )
     _obey(_motion_at(memory_at), coach, one[10], one[11], _law_of(one))
 
 
@@ -95,9 +157,20 @@ def _obey(state, coach, step_s, roller_inertia_kgm2, law):
     if io[coach_state.ACTION] == START:
         motion.start(state, coach, io[coach_state.SPEED_M_S])
         return
-    motion.step(state, coach, step_s, io[ROLLER_RAD_S:ROLLER_RAD_S + 4], io[MOTOR_NM:MOTOR_NM + 4], roller_inertia_kgm2,
-                io[BRAKE_NM:BRAKE_NM + 4], io[BRAKE_ACTS_NM:BRAKE_ACTS_NM + 4], io[coach_state.RESISTANCE_N],
-                io[MU_CD:MU_CD + 4], io[MU_CR:MU_CR + 4], law)
+    motion.step(
+        state,
+        coach,
+        step_s,
+        io[ROLLER_RAD_S : ROLLER_RAD_S + 4],
+        io[MOTOR_NM : MOTOR_NM + 4],
+        roller_inertia_kgm2,
+        io[BRAKE_NM : BRAKE_NM + 4],
+        io[BRAKE_ACTS_NM : BRAKE_ACTS_NM + 4],
+        io[coach_state.RESISTANCE_N],
+        io[MU_CD : MU_CD + 4],
+        io[MU_CR : MU_CR + 4],
+        law,
+    )
     io[coach_state.SPEED_M_S] = motion.mean_speed(state.v, coach)
 
 
@@ -108,7 +181,9 @@ _compiled: list[Any] = []
 def prepare() -> None:
     """Compile the coach, or load it, and give it its name: before anything that calls `run`."""
     if not _compiled and not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        _compiled.append(numba.cfunc(types.void(_FLOATS, _FLOATS, _INTS), cache=True, error_model="numpy")(_act))
+        _compiled.append(
+            numba.cfunc(types.void(_FLOATS, _FLOATS, _INTS), cache=True, error_model="numpy")(_act)
+        )
         binding.add_symbol(_NAME, _compiled[0].address)
 
 

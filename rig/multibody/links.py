@@ -20,8 +20,14 @@ STIFFNESS_N_M, PRELOAD_N, DAMPING_N_S_M, DAMPING_MAX_N, STOP_GAP_M, STOP_N_M = r
 def elongation(i, q, links):
     """d of row i [L1], or its rate if q holds velocities."""
     at, by = links.at, links.row
-    return (q[at[i, 0]] * by[i, 0] + q[at[i, 1]] * by[i, 1] + q[at[i, 2]] * by[i, 2]
-            + q[at[i, 3]] * by[i, 3] + q[at[i, 4]] * by[i, 4] + q[at[i, 5]] * by[i, 5])
+    return (
+        q[at[i, 0]] * by[i, 0]
+        + q[at[i, 1]] * by[i, 1]
+        + q[at[i, 2]] * by[i, 2]
+        + q[at[i, 3]] * by[i, 3]
+        + q[at[i, 4]] * by[i, 4]
+        + q[at[i, 5]] * by[i, 5]
+    )
 
 
 @kernel_inlined

@@ -38,8 +38,20 @@ def start(motion, coach, speed_m_s):
     for body in range(7):
         motion.v[6 * body] = speed_m_s
     for wheel in range(2 * AXLES):
-        forces.follow(wheel, motion.q, 0.0, motion.contacts, motion.near, motion.misfit, motion.searched,
-                      coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail, 0)
+        forces.follow(
+            wheel,
+            motion.q,
+            0.0,
+            motion.contacts,
+            motion.near,
+            motion.misfit,
+            motion.searched,
+            coach.axle_height_m,
+            coach.roller_m,
+            coach.wheel,
+            coach.rail,
+            0,
+        )
     for j in range(AXLES):
         radius = -motion.contacts[2 * j * forces.MOST, 4]
         motion.v[6 * (3 + j) + 4] = speed_m_s / radius
@@ -60,8 +72,20 @@ def mean_speed(v, coach):
 
 
 @kernel
-def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm, brake_acts_Nm,
-         resistance_N, mu_cd, mu_cr, law):
+def step(
+    motion,
+    coach,
+    h,
+    roller_rad_s,
+    motor_Nm,
+    roller_inertia_kgm2,
+    brake_Nm,
+    brake_acts_Nm,
+    resistance_N,
+    mu_cd,
+    mu_cr,
+    law,
+):
     """Advance by h seconds; arrays of shape (4,) belong to the wheelsets.
 
     `roller_rad_s` is advanced too (all 0 and untouched on a track); `brake_Nm` is what the brakes
@@ -69,7 +93,17 @@ def step(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm
     """
     hang(motion, coach, h, resistance_N)
     touch(motion, coach, roller_rad_s, mu_cd, mu_cr, law)
-    respond(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm, brake_acts_Nm, resistance_N)
+    respond(
+        motion,
+        coach,
+        h,
+        roller_rad_s,
+        motor_Nm,
+        roller_inertia_kgm2,
+        brake_Nm,
+        brake_acts_Nm,
+        resistance_N,
+    )
 
 
 @kernel_inlined
@@ -98,24 +132,67 @@ def touch(motion, coach, roller_rad_s, mu_cd, mu_cr, law):
         j = (first + k) % AXLES
         offset = motion.q[6 * (3 + j)] - place if on_rollers else 0.0
         spare = follow(j, motion, coach, offset, spare)
-        lanes = forces.slide(j, motion.q, motion.v, speed, roller_rad_s[j], motion.contacts, motion.near, mu_cd[j],
-                             mu_cr[j], coach.patches, coach.contact_damping_N_s_m, coach.roller_m, motion.lanes, lanes)
+        lanes = forces.slide(
+            j,
+            motion.q,
+            motion.v,
+            speed,
+            roller_rad_s[j],
+            motion.contacts,
+            motion.near,
+            mu_cd[j],
+            mu_cr[j],
+            coach.patches,
+            coach.contact_damping_N_s_m,
+            coach.roller_m,
+            motion.lanes,
+            lanes,
+        )
     eight_contacts.forces(motion.lanes, lanes, coach.patches, law)
     lanes = 0
     for k in range(AXLES):
         j = (first + k) % AXLES
-        lanes = forces.press(j, motion.contacts, motion.near, coach.contact_damping_N_s_m, motion.given,
-                             motion.Gx[j], motion.Gy[j], motion.seen, motion.lanes, lanes)
+        lanes = forces.press(
+            j,
+            motion.contacts,
+            motion.near,
+            coach.contact_damping_N_s_m,
+            motion.given,
+            motion.Gx[j],
+            motion.Gy[j],
+            motion.seen,
+            motion.lanes,
+            lanes,
+        )
 
 
 @kernel_inlined
-def respond(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm, brake_acts_Nm, resistance_N):
+def respond(
+    motion,
+    coach,
+    h,
+    roller_rad_s,
+    motor_Nm,
+    roller_inertia_kgm2,
+    brake_Nm,
+    brake_acts_Nm,
+    resistance_N,
+):
     """Speeds at the end of the step under all forces, and the second half of the way."""
     q, v, force = motion.q, motion.v, motion.force
     on_rollers, half, leaning_N = not math.isinf(coach.roller_m), 0.5 * h, 0.0
     for j in range(AXLES):
-        brake = along(j, motion, coach.inertia, h, roller_rad_s, motor_Nm[j], roller_inertia_kgm2,
-                      brake_Nm[j], on_rollers)
+        brake = along(
+            j,
+            motion,
+            coach.inertia,
+            h,
+            roller_rad_s,
+            motor_Nm[j],
+            roller_inertia_kgm2,
+            brake_Nm[j],
+            on_rollers,
+        )
         across(j, motion, coach.inertia, h)
         bogie = 6 * coach.bogie_of[j]
         force[bogie + 4] += brake  # [M5]
@@ -127,7 +204,9 @@ def respond(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake
         force[0] -= leaning_N  # [M7]
     for i in range(18):
         v[i] += h * force[i] / coach.inertia[i]
-    motion.resistance_work[0] += half * resistance_N * (v[0] + v[0] - h * force[0] / coach.inertia[0])
+    motion.resistance_work[0] += (
+        half * resistance_N * (v[0] + v[0] - h * force[0] / coach.inertia[0])
+    )
     for i in range(42):
         q[i] += half * v[i]
 
@@ -136,8 +215,20 @@ def respond(motion, coach, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake
 def follow(j, motion, coach, offset_m, spare):
     """Move the contacts of wheelset j on, as `wheel_rail_forces.follow`. Returns what is left of `spare`."""
     for wheel in range(2 * j, 2 * j + 2):
-        spare = forces.follow(wheel, motion.q, offset_m, motion.contacts, motion.near, motion.misfit, motion.searched,
-                              coach.axle_height_m, coach.roller_m, coach.wheel, coach.rail, spare)
+        spare = forces.follow(
+            wheel,
+            motion.q,
+            offset_m,
+            motion.contacts,
+            motion.near,
+            motion.misfit,
+            motion.searched,
+            coach.axle_height_m,
+            coach.roller_m,
+            coach.wheel,
+            coach.rail,
+            spare,
+        )
         if motion.near[wheel] == 0.0 and motion.left[wheel] == 0.0:
             # nothing within reach of it any more: it will not come back
             motion.left[wheel] = max(motion.q[6 * (3 + j)], LEAST_PLACE_M)
@@ -186,9 +277,12 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
     s0, s1 = h * (x0 - brake * u0), h * (x1 - brake * u1)
     s2, s3 = h * (x2 - brake * u2), h * (x3 - brake * u3)
     given[j, forces.BRAKING_N] = -given[j, forces.ALONG] + w / h * (
-        G[0, 0] * s0 + G[1, 0] * s1 + G[2, 0] * s2 + G[3, 0] * s3)
+        G[0, 0] * s0 + G[1, 0] * s1 + G[2, 0] * s2 + G[3, 0] * s3
+    )
     # [M6]
-    work = given[j, forces.SLIDING_W] + middle(given, j, forces.ALONG, forces.ALONG_GS, w / h, G, s0, s1, s2, s3)
+    work = given[j, forces.SLIDING_W] + middle(
+        given, j, forces.ALONG, forces.ALONG_GS, w / h, G, s0, s1, s2, s3
+    )
     motion.sliding_work[j] += h * work
     motion.brake_work[j] += h * brake * (v[i + 4] + 0.5 * s1)
     v[i] += s0
@@ -236,8 +330,17 @@ def across(j, motion, inertia, h):
     work = s0 * (w / h * given[j, forces.ACROSS_GS] - 0.5 * given[j, forces.ACROSS])
     work += s1 * (w / h * given[j, forces.ACROSS_GS + 1] - 0.5 * given[j, forces.ACROSS + 1])
     work += s2 * (w / h * given[j, forces.ACROSS_GS + 2] - 0.5 * given[j, forces.ACROSS + 2])
-    work += 0.5 * w / h * (G[0, 0] * s0 * s0 + G[1, 1] * s1 * s1 + G[2, 2] * s2 * s2 + 2.0 * (
-        G[1, 0] * s1 * s0 + G[2, 0] * s2 * s0 + G[2, 1] * s2 * s1))
+    work += (
+        0.5
+        * w
+        / h
+        * (
+            G[0, 0] * s0 * s0
+            + G[1, 1] * s1 * s1
+            + G[2, 2] * s2 * s2
+            + 2.0 * (G[1, 0] * s1 * s0 + G[2, 0] * s2 * s0 + G[2, 1] * s2 * s1)
+        )
+    )
     motion.sliding_work[j] += h * work
     v[i + 1] += s0
     v[i + 2] += s1

@@ -11,7 +11,9 @@ from rollerrig.rig.multibody import coach_state, compiled_coach
 from rollerrig.rig.multibody.wheel_rail_forces import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
 
 _V, _SEEN, _GIVEN = (coach_state.BEGIN[name] for name in ("v", "seen", "given"))
-_SLIDING, _BRAKING, _RESISTING = (coach_state.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work"))
+_SLIDING, _BRAKING, _RESISTING = (
+    coach_state.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work")
+)
 _TURNING = _V + 22  # pitch rate of the first wheelset; the others 6 apart
 
 
@@ -19,7 +21,10 @@ _TURNING = _V + 22  # pitch rate of the first wheelset; the others 6 apart
 def start(state, coach):
     """Set the coach rolling at the plant's vehicle speed, wheels without sliding on their contacts."""
     own = state.coach
-    own[coach_state.ACTION], own[coach_state.SPEED_M_S] = compiled_coach.START, state.vehicle_speed[0]
+    own[coach_state.ACTION], own[coach_state.SPEED_M_S] = (
+        compiled_coach.START,
+        state.vehicle_speed[0],
+    )
     compiled_coach.run(own, coach.tape, coach.layout)
     for j in range(AXLES):
         state.wheel_speed[j] = own[_TURNING + 6 * j]
@@ -56,7 +61,8 @@ def integrate(state, params, resistance_N, coach):
     # rollers beside a virtual track take their loads from this, as from the planar vehicle
     felt = state.felt_acceleration[0]
     state.felt_acceleration[0] += (state.vehicle_acceleration[0] - felt) * min(
-        h / params.vehicle.pitch_time_constant_s, 1.0)
+        h / params.vehicle.pitch_time_constant_s, 1.0
+    )
 
 
 @kernel_inlined
@@ -75,7 +81,10 @@ def step(state, resistance_N, coach):
     own = state.coach
     own[coach_state.ACTION], own[coach_state.RESISTANCE_N] = compiled_coach.STEP, resistance_N
     for j in range(AXLES):
-        own[coach_state.MU_CD + j], own[coach_state.MU_CR + j] = state.friction_degraded[j], state.friction_recovered[j]
+        own[coach_state.MU_CD + j], own[coach_state.MU_CR + j] = (
+            state.friction_degraded[j],
+            state.friction_recovered[j],
+        )
     compiled_coach.run(own, coach.tape, coach.layout)
 
 

@@ -13,7 +13,9 @@ from rollerrig.rig.multibody import stop
 from rollerrig.rig.multibody.coach import Coach
 
 
-def growth(coach: Coach, law: Law, speed_m_s: float, shift_m: float = 5e-4, duration_s: float = 4.0) -> float:
+def growth(
+    coach: Coach, law: Law, speed_m_s: float, shift_m: float = 5e-4, duration_s: float = 4.0
+) -> float:
     """How a small lateral swing grows: rate in 1/s, negative where it dies away.
 
     All wheelsets begin shift_m off the middle; the rate is that of the largest lateral displacement of any wheelset
@@ -32,10 +34,15 @@ def growth(coach: Coach, law: Law, speed_m_s: float, shift_m: float = 5e-4, dura
         largest.append(max(peak, 1e-12))
         if not np.isfinite(peak) or peak > 0.02:
             return math.inf
-    return max(math.log(largest[3] / largest[1]) / (2.0 * quarter), math.log(largest[3] / shift_m) / duration_s)
+    return max(
+        math.log(largest[3] / largest[1]) / (2.0 * quarter),
+        math.log(largest[3] / shift_m) / duration_s,
+    )
 
 
-def critical_speed(coach: Coach, law: Law, speeds_m_s: np.ndarray | None = None, tolerance_m_s: float = 0.5) -> float:
+def critical_speed(
+    coach: Coach, law: Law, speeds_m_s: np.ndarray | None = None, tolerance_m_s: float = 0.5
+) -> float:
     """Speed in m/s above which the coach hunts: a sweep and bisection.
 
     Returns inf where it does not hunt at any of the speeds. `law` is the adhesion under the wheels;

@@ -22,22 +22,68 @@ def rolling(coach: Coach, speed_m_s: float) -> coach_state.Motion:
 
 
 @kernel_with_memory
-def _steps(state, coach, count, step_s, rest, brake_Nm, acts_Nm, resistance_A_N, resistance_C_N_s2_m2,
-           mu_cd, mu_cr, law, end_m_s):
+def _steps(
+    state,
+    coach,
+    count,
+    step_s,
+    rest,
+    brake_Nm,
+    acts_Nm,
+    resistance_A_N,
+    resistance_C_N_s2_m2,
+    mu_cd,
+    mu_cr,
+    law,
+    end_m_s,
+):
     for i in range(count):
         speed = motion.mean_speed(state.v, coach)
         if speed < end_m_s:
             return i
         resistance_N = resistance_A_N + resistance_C_N_s2_m2 * speed * speed
-        motion.step(state, coach, step_s, rest, 0.0 * rest, 1.0, brake_Nm, acts_Nm, resistance_N, mu_cd, mu_cr, law)
+        motion.step(
+            state,
+            coach,
+            step_s,
+            rest,
+            0.0 * rest,
+            1.0,
+            brake_Nm,
+            acts_Nm,
+            resistance_N,
+            mu_cd,
+            mu_cr,
+            law,
+        )
     return count
 
 
-def advance(state: coach_state.Motion, coach: Coach, law: Law, duration_s: float, brake_Nm: float | np.ndarray = 0.0,
-            step_s: float = STEP_S, resistance: tuple[float, float] = (0.0, 0.0), end_m_s: float = -np.inf) -> float:
+def advance(
+    state: coach_state.Motion,
+    coach: Coach,
+    law: Law,
+    duration_s: float,
+    brake_Nm: float | np.ndarray = 0.0,
+    step_s: float = STEP_S,
+    resistance: tuple[float, float] = (0.0, 0.0),
+    end_m_s: float = -np.inf,
+) -> float:
     """Advance by a duration or to end_m_s, returns the time in s; brake_Nm each or all, resistance (A N, C N s2/m2)."""
     rest, acts = np.zeros(4), np.zeros(4)
-    count = _steps(state, coach, round(duration_s / step_s), step_s, rest,
-                   np.broadcast_to(np.asarray(brake_Nm, dtype=float), 4).copy(), acts, float(resistance[0]),
-                   float(resistance[1]), np.full(4, law.mu_cd), np.full(4, law.mu_cr), law, float(end_m_s))
+    count = _steps(
+        state,
+        coach,
+        round(duration_s / step_s),
+        step_s,
+        rest,
+        np.broadcast_to(np.asarray(brake_Nm, dtype=float), 4).copy(),
+        acts,
+        float(resistance[0]),
+        float(resistance[1]),
+        np.full(4, law.mu_cd),
+        np.full(4, law.mu_cr),
+        law,
+        float(end_m_s),
+    )
     return count * step_s

@@ -46,7 +46,9 @@ def axis(roll_rad, yaw_rad):
 
 
 @kernel_inlined
-def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roller_m, profile, rail, spare):
+def follow(
+    wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roller_m, profile, rail, spare
+):
     """Move the contacts of a wheel on: wheel 2 j the left one of wheelset j, 2 j + 1 the right one.
 
     q (42,); offset_m of the wheelset before a roller's crown. The wheel is searched anew if it has lost a contact, or
@@ -59,8 +61,12 @@ def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roll
     axle = (side * ex, ey, side * ez)
     begin, before = MOST * wheel, int(count[wheel])
     left = geometry.track(contacts, begin, before, pose, axle, roller_m, profile, rail)
-    moved = (abs(q[first + 1] - searched[wheel, 0]) + abs(pose[2] - searched[wheel, 1])
-             + ROLL_ARM_M * abs(roll - searched[wheel, 2]) + YAW_ARM_M * abs(yaw - searched[wheel, 3]))
+    moved = (
+        abs(q[first + 1] - searched[wheel, 0])
+        + abs(pose[2] - searched[wheel, 1])
+        + ROLL_ARM_M * abs(roll - searched[wheel, 2])
+        + YAW_ARM_M * abs(yaw - searched[wheel, 3])
+    )
     lost = left < before or left == 0
     if lost or (spare > 0 and moved > MOVED_M):
         left = geometry.detect(contacts, begin, left, F, wheel, pose, axle, roller_m, profile, rail)
@@ -72,7 +78,22 @@ def follow(wheel, q, offset_m, contacts, count, F, searched, axle_height_m, roll
 
 
 @kernel_inlined
-def slide(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, patches, damping_N_s_m, roller_m, w, lane):
+def slide(
+    j,
+    q,
+    v,
+    base_m_s,
+    roller_rad_s,
+    contacts,
+    count,
+    mu_cd,
+    mu_cr,
+    patches,
+    damping_N_s_m,
+    roller_m,
+    w,
+    lane,
+):
     """Load and sliding of all contacts of wheelset j into the lanes `w` of `eight_contacts`, from `lane` on.
 
     base_m_s is the vehicle's speed on rollers, 0 on a track; roller_rad_s 0 on a track. Returns the next lane.
@@ -106,8 +127,14 @@ def slide(j, q, v, base_m_s, roller_rad_s, contacts, count, mu_cd, mu_cr, patche
             w[lanes.SY + lane] = vx * t2x + vy * t2y + vz * t2z
             w[lanes.SPIN + lane] = wx * nx + wy * ny + wz * nz + roller_rad_s * ny
             w[lanes.SURFACE + lane] = v[i] - base_m_s + arm * roller_rad_s
-            w[lanes.LOAD + lane] = patch.k_h_N_m32 * p * math.sqrt(p) + damping_N_s_m * approach  # [N1]
-            w[lanes.MU_CD + lane], w[lanes.MU_CR + lane], w[lanes.APPROACH + lane] = mu_cd, mu_cr, approach
+            w[lanes.LOAD + lane] = (
+                patch.k_h_N_m32 * p * math.sqrt(p) + damping_N_s_m * approach
+            )  # [N1]
+            w[lanes.MU_CD + lane], w[lanes.MU_CR + lane], w[lanes.APPROACH + lane] = (
+                mu_cd,
+                mu_cr,
+                approach,
+            )
             w[lanes.COS + lane], w[lanes.SIN + lane], w[lanes.ARM + lane] = cos, sin, arm
             lane += 1
     return lane
@@ -131,7 +158,12 @@ def press(j, contacts, count, damping_N_s_m, given, Gx, Gy, seen, w, lane):
             cos, sin, arm = w[lanes.COS + lane], w[lanes.SIN + lane], w[lanes.ARM + lane]
             t2x, t2y, t2z = ny * sin, nz * cos - nx * sin, -ny * cos
             sx, sy, spin = w[lanes.SX + lane], w[lanes.SY + lane], w[lanes.SPIN + lane]
-            fx, fy, mz, N = w[lanes.FX + lane], w[lanes.FY + lane], w[lanes.MZ + lane], w[lanes.LOAD + lane]
+            fx, fy, mz, N = (
+                w[lanes.FX + lane],
+                w[lanes.FY + lane],
+                w[lanes.MZ + lane],
+                w[lanes.LOAD + lane],
+            )
             approach = w[lanes.APPROACH + lane]
             lane += 1
             # [N4]
@@ -147,8 +179,12 @@ def press(j, contacts, count, damping_N_s_m, given, Gx, Gy, seen, w, lane):
             given[j, 3] += y * Fz - z * Fy + mz * nx
             given[j, 4] += z * Fx - x * Fz + mz * ny
             given[j, 5] += x * Fy - y * Fx + mz * nz
-            slopes(given, j, ALONG, ALONG_GS, Gx, 4, (cos, z * cos - x * sin, -y * cos, arm), fx, g, sx)
-            slopes(given, j, ACROSS, ACROSS_GS, Gy, 3, (t2y, t2z, y * t2z - z * t2y, 0.0), fy, g, sy)
+            slopes(
+                given, j, ALONG, ALONG_GS, Gx, 4, (cos, z * cos - x * sin, -y * cos, arm), fx, g, sx
+            )
+            slopes(
+                given, j, ACROSS, ACROSS_GS, Gy, 3, (t2y, t2z, y * t2z - z * t2y, 0.0), fy, g, sy
+            )
             given[j, SLIDING_W] -= fx * sx + fy * sy + mz * spin
             given[j, APPROACH_W] += damping_N_s_m * approach * approach
             seen[at, LOAD] += Fz
@@ -172,7 +208,9 @@ def slopes(given, j, force_at, gs_at, G, size, J, f, g, s):
             G[k, m] += gJ * J[m]
 
 
-def axle_height(load_N: float, wheel: Wheel, rail: Rail, patches: patch_table.Patches, roller_m: float) -> float:
+def axle_height(
+    load_N: float, wheel: Wheel, rail: Rail, patches: patch_table.Patches, roller_m: float
+) -> float:
     """Height in m of a centred wheelset's axle where each wheel bears load_N. Raises ValueError where there is none."""
     radius = wheel.fine[:, 0]
     low, high = float(radius.min()) - 0.03, float(radius.max()) + 0.03
@@ -180,7 +218,9 @@ def axle_height(load_N: float, wheel: Wheel, rail: Rail, patches: patch_table.Pa
         z = 0.5 * (low + high)
         found = np.zeros((geometry.MOST, geometry.COLUMNS))
         F = np.zeros((1, wheel.coarse.shape[0]))
-        n = geometry.detect(found, 0, 0, F, 0, (0.0, 0.0, z), (0.0, 1.0, 0.0), roller_m, wheel, rail)
+        n = geometry.detect(
+            found, 0, 0, F, 0, (0.0, 0.0, z), (0.0, 1.0, 0.0), roller_m, wheel, rail
+        )
         total = 0.0
         for row in found[:n]:
             if row[GAP] < 0.0:
@@ -193,6 +233,8 @@ def axle_height(load_N: float, wheel: Wheel, rail: Rail, patches: patch_table.Pa
         else:
             high = z
     if high - low > 1e-9 or total <= 0.0:
-        raise ValueError(f"a wheelset under {2.0 * load_N:g} N finds no height on which both wheels bear: wheel and "
-                         "rail profile do not meet; check their units (mm), gauge_m and running_circles_m")
+        raise ValueError(
+            f"a wheelset under {2.0 * load_N:g} N finds no height on which both wheels bear: wheel and "
+            "rail profile do not meet; check their units (mm), gauge_m and running_circles_m"
+        )
     return z

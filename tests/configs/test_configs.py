@@ -22,13 +22,31 @@ SCENARIOS = store.names("scenarios")
 KINDS = (*SETS, "scenarios", "wsp", "campaigns")
 FILES = sorted(path for kind in KINDS for path in (store.ROOT / kind).glob("*.toml"))
 RUN_S = 4.0
-SOURCE = re.compile(r"assumption|paper|Table \d|EN 1\d{4}|rail head R|recollection|as on soap|"
-                    r"as in \w+\.toml|this project|the rig's", re.IGNORECASE)
+SOURCE = re.compile(
+    r"assumption|paper|Table \d|EN 1\d{4}|rail head R|recollection|as on soap|"
+    r"as in \w+\.toml|this project|the rig's",
+    re.IGNORECASE,
+)
 ALL = re.compile(r"every number|all data|throughout", re.IGNORECASE)
-PROMISED = {"velim_a1", "velim_a2", "velim_a3", "velim_b1", "velim_b2", "velim_b3", "dry_stop",
-            "step_adhesion", "leaf_film"}
-TABLE_5_M_S = {"velim_a1": 42.3, "velim_a2": 40.4, "velim_a3": 40.8, "velim_b1": 40.8,
-               "velim_b2": 41.1, "velim_b3": 41.8}
+PROMISED = {
+    "velim_a1",
+    "velim_a2",
+    "velim_a3",
+    "velim_b1",
+    "velim_b2",
+    "velim_b3",
+    "dry_stop",
+    "step_adhesion",
+    "leaf_film",
+}
+TABLE_5_M_S = {
+    "velim_a1": 42.3,
+    "velim_a2": 40.4,
+    "velim_a3": 40.8,
+    "velim_b1": 40.8,
+    "velim_b2": 41.1,
+    "velim_b3": 41.8,
+}
 
 
 def test_the_promised_scenarios_and_sets_are_packaged():
@@ -63,7 +81,11 @@ def without_source(text):
         given = value.partition("=")[2].strip()
         if value.startswith("["):
             table_has = all_have or SOURCE.search(above + comment)
-        elif not given.startswith('"') and set(given) & set("123456789") and not (table_has or SOURCE.search(comment)):
+        elif (
+            not given.startswith('"')
+            and set(given) & set("123456789")
+            and not (table_has or SOURCE.search(comment))
+        ):
             yield line
         above = above + comment if comment and not value else ""
 
@@ -97,8 +119,9 @@ def test_every_wsp_configuration_loads(name):
 
 @pytest.fixture(scope="module")
 def ring(tmp_path_factory):
-    return rings.Ring(tmp_path_factory.mktemp("ring") / "rows", np.float64, 1 << 10,
-                      len(signals.COLUMNS))
+    return rings.Ring(
+        tmp_path_factory.mktemp("ring") / "rows", np.float64, 1 << 10, len(signals.COLUMNS)
+    )
 
 
 def run(name, ring):
@@ -108,7 +131,9 @@ def run(name, ring):
     machine = tick_data.build(plan, ring)
     unit = logic.new_unit(logic.load(plan["wsp_config"]))
     inputs = np.zeros(8, dtype=np.int64)
-    tick.run_ticks_with_unit(machine, round(RUN_S * plan["loop"]["tick_hz"]), plan.sync_ticks, unit, inputs)
+    tick.run_ticks_with_unit(
+        machine, round(RUN_S * plan["loop"]["tick_hz"]), plan.sync_ticks, unit, inputs
+    )
     return ring.rows[: ring.header[rings.WRITTEN]].copy()
 
 
@@ -142,14 +167,33 @@ def test_an_unknown_name_tells_the_known_ones():
 
 
 def test_rows_refuse_what_their_kind_does_not_allow():
-    rows = (table.number("a_m", 1.0, 0.0, 2.0, "s"), table.integer("n", 3, 1, 9, "s"),
-            table.flag("on", True, "s"), table.choice("word", "x", ("x", "y"), "s"),
-            table.number("must_m", None, 0.0, 1.0, "s"))
+    rows = (
+        table.number("a_m", 1.0, 0.0, 2.0, "s"),
+        table.integer("n", 3, 1, 9, "s"),
+        table.flag("on", True, "s"),
+        table.choice("word", "x", ("x", "y"), "s"),
+        table.number("must_m", None, 0.0, 1.0, "s"),
+    )
     good = {"must_m": 0.5}
-    assert table.read(rows, good, "w") == {"a_m": 1.0, "n": 3, "on": True, "word": "x", "must_m": 0.5}
+    assert table.read(rows, good, "w") == {
+        "a_m": 1.0,
+        "n": 3,
+        "on": True,
+        "word": "x",
+        "must_m": 0.5,
+    }
     assert table.read(rows, good | {"a_m": 2, "n": 4.0}, "w")["n"] == 4
-    for bad in ({"a_m": 2.1}, {"a_m": True}, {"a_m": "1"}, {"n": 1.5}, {"n": 0}, {"on": 1},
-                {"word": "z"}, {"word": 1}, {"a": 1.0}):
+    for bad in (
+        {"a_m": 2.1},
+        {"a_m": True},
+        {"a_m": "1"},
+        {"n": 1.5},
+        {"n": 0},
+        {"on": 1},
+        {"word": "z"},
+        {"word": 1},
+        {"a": 1.0},
+    ):
         with pytest.raises(ConfigError, match=r"^w: "):
             table.read(rows, good | bad, "w")
     with pytest.raises(ConfigError, match="must_m is missing"):

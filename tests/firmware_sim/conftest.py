@@ -89,22 +89,22 @@ class Wire:
 
     def abort_of(self, node, request):
         """The abort code that a raw request gets."""
-        answer, = self.ask(node, request)
+        (answer,) = self.ask(node, request)
         assert answer[0] == 0x80, answer.hex()
         return int.from_bytes(answer[4:], "little")
 
     def write(self, node, index, sub, value, size):
         """Expedited download; 0, or the abort code."""
         head = bytes([0x23 | (4 - size) << 2]) + index.to_bytes(2, "little") + bytes([sub])
-        answer, = self.ask(node, head + (value & (1 << 8 * size) - 1).to_bytes(size, "little"))
+        (answer,) = self.ask(node, head + (value & (1 << 8 * size) - 1).to_bytes(size, "little"))
         return int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0
 
     def read(self, node, index, sub=0):
         """Expedited upload; bytes, or the abort code as a number."""
-        answer, = self.ask(node, b"\x40" + index.to_bytes(2, "little") + bytes([sub]))
+        (answer,) = self.ask(node, b"\x40" + index.to_bytes(2, "little") + bytes([sub]))
         if answer[0] == 0x80:
             return int.from_bytes(answer[4:], "little")
-        return answer[4:8 - (answer[0] >> 2 & 3)]
+        return answer[4 : 8 - (answer[0] >> 2 & 3)]
 
     def said(self, part):
         return [text for _, text in self.events if part in text]

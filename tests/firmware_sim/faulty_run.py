@@ -122,10 +122,22 @@ class ScriptedUnit:
 
 def scenario_file(folder: Path) -> Path:
     """The scenario as a file."""
-    lines = ['title = "every fault in turn"', 'adhesion = "dry"', "initial_speed_m_s = 30.0",
-             f"duration_max_s = {END_S}", "[sanders]", "axle = 1", "second_axle = 2", "from_s = 0.0",
-             "[bus]", 'interface = "hub"', "socketcand_port = 0",
-             "[[demand]]", "from_s = 0.0", "pressure_Pa = 3.8e5"]
+    lines = [
+        'title = "every fault in turn"',
+        'adhesion = "dry"',
+        "initial_speed_m_s = 30.0",
+        f"duration_max_s = {END_S}",
+        "[sanders]",
+        "axle = 1",
+        "second_axle = 2",
+        "from_s = 0.0",
+        "[bus]",
+        'interface = "hub"',
+        "socketcand_port = 0",
+        "[[demand]]",
+        "from_s = 0.0",
+        "pressure_Pa = 3.8e5",
+    ]
     for kind, begin, end, values in PLAN:
         lines += ["[[fault]]", f'kind = "{kind}"', f"at_s = {begin}", f"for_s = {end - begin:.6f}"]
         lines += [f"{name} = {value}" for name, value in values.items()]
@@ -154,4 +166,6 @@ def run(folder: Path) -> Recorded:
 def samples(recorded: Recorded, name: str, from_s: float, to_s: float) -> np.ndarray:
     """The four axles' samples of a signal within an interval, shape (4, n)."""
     stem, unit = name.split(":")
-    return np.array([recorded.channel(f"{stem}_{axle}{unit}", from_s, to_s) for axle in (1, 2, 3, 4)])
+    return np.array(
+        [recorded.channel(f"{stem}_{axle}{unit}", from_s, to_s) for axle in (1, 2, 3, 4)]
+    )

@@ -42,12 +42,15 @@ class Site:
         self.row[signals.span("pulse_count")] = [70000.0, 1.0, 2.0, 2.0**32 + 5]
         self.values = {row.name: 0 for row in (*BITS, *WORDS) if not row.signal}
         self.written = []
-        self.drives = [drive.build(node, node, self.row, {"rated_torque_Nm": RATED_Nm},
-                                   control="bus") for node in signals.DRIVE_NODES]
+        self.drives = [
+            drive.build(node, node, self.row, {"rated_torque_Nm": RATED_Nm}, control="bus")
+            for node in signals.DRIVE_NODES
+        ]
         for node in self.drives:
             node.start(lambda frame: None, 0)
         self.units = {1: self._plc()} | {
-            map.DRIVE_UNITS[node.node_id]: modbus_unit.drive(node) for node in self.drives}
+            map.DRIVE_UNITS[node.node_id]: modbus_unit.drive(node) for node in self.drives
+        }
         self.loop = asyncio.new_event_loop()
         self.thread = threading.Thread(target=self.loop.run_forever, name="modbus site")
         self.thread.start()
@@ -57,8 +60,11 @@ class Site:
     def _plc(self):
         readers = {name: lambda name=name: self.values[name] for name in self.values}
         readers |= modbus_unit.signal_readers(WORDS, self.row, {"rated_torque_Nm": RATED_Nm})
-        writers = {row.name: lambda raw, only, name=row.name: self._take(name, raw, only)
-                   for row in (*BITS, *WORDS) if row.access == "rw"}
+        writers = {
+            row.name: lambda raw, only, name=row.name: self._take(name, raw, only)
+            for row in (*BITS, *WORDS)
+            if row.access == "rw"
+        }
         return modbus_unit.Unit((*BITS, *WORDS), readers, writers)
 
     def _take(self, name, raw, only):

@@ -13,10 +13,18 @@ SAVE, LOAD = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little"
 RESET_NODE, RESET_COMMUNICATION = 129, 130
 # nodes with a memory, what of them is a command or has another owner, and what a PDO of them may carry
 NODES = {
-    "drive": (lambda wire, file: drive.build(2, 2, wire.row, storage=file),
-              {0x2000, 0x6040, 0x6060, 0x6071, 0x60B1, 0x60B2, 0x60FE, 0x60FF}, 0x60410010),
+    "drive": (
+        lambda wire, file: drive.build(2, 2, wire.row, storage=file),
+        {0x2000, 0x6040, 0x6060, 0x6071, 0x60B1, 0x60B2, 0x60FE, 0x60FF},
+        0x60410010,
+    ),
     "encoder": (lambda wire, file: encoder406.build(wire.row, storage=file), {0x6200}, 0x60300110),
-    "brake": (lambda wire, file: io401.build(wire.row, wire.commands, storage=file), {0x6200, 0x6411}, 0x62000108)}
+    "brake": (
+        lambda wire, file: io401.build(wire.row, wire.commands, storage=file),
+        {0x6200, 0x6411},
+        0x62000108,
+    ),
+}
 
 
 @pytest.fixture
@@ -125,13 +133,18 @@ def test_commands_are_not_stored(wire, tmp_path):
 def test_every_parameter_of_every_node_outlives_a_power_cycle(wire, tmp_path, kind):
     build, commands, mappable = NODES[kind]
     node = wire.plug(build(wire, tmp_path / "node.json"))
-    parameters = [at for at, one in node.objects.variables.items()
-                  if one.writable and one.readable and at >> 8 not in {0x1003, 0x1010, 0x1011} | commands]
+    parameters = [
+        at
+        for at, one in node.objects.variables.items()
+        if one.writable and one.readable and at >> 8 not in {0x1003, 0x1010, 0x1011} | commands
+    ]
     # from above, as 1019h is refused once 1006h is not 0; again, as a mapping is refused while it is used
     left = parameters[::-1]
     while found := [at for at in left if _write_another(node, at, mappable)]:
         left = [at for at in left if at not in found]
-    assert {at >> 8 for at in left} <= {0x6088}, "only the type of a torque profile has no other value"
+    assert {at >> 8 for at in left} <= {0x6088}, (
+        "only the type of a torque profile has no other value"
+    )
     written = {at: node.objects.values[at] for at in parameters}
     assert wire.write(node.node_id, 0x1010, 1, SAVE, 4) == 0
     node.power_off()
@@ -155,9 +168,18 @@ def _write_another(node, at, mappable):
 
 
 @pytest.mark.conformance("CiA 301", "1010h: a damaged file does no harm")
-@pytest.mark.parametrize("content", [
-    "", "{", "[]", '{"101700": 3}', '{"values": [], "checksum": 0}', "\0\0",
-    '{"values": {"1A0000": 200}, "checksum": 0}'])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "{",
+        "[]",
+        '{"101700": 3}',
+        '{"values": [], "checksum": 0}',
+        "\0\0",
+        '{"values": {"1A0000": 200}, "checksum": 0}',
+    ],
+)
 def test_a_store_that_cannot_be_understood_does_no_harm(wire, tmp_path, content):
     file = tmp_path / "node16.json"
     file.write_text(content)
@@ -175,7 +197,9 @@ def test_a_node_without_memory_refuses_to_store(wire):
 
 
 @pytest.mark.conformance("CiA 305", "LSS store configuration")
-def test_an_identifier_that_lss_has_stored_outlives_a_new_start_and_stored_parameters_stay(wire, lss, tmp_path):
+def test_an_identifier_that_lss_has_stored_outlives_a_new_start_and_stored_parameters_stay(
+    wire, lss, tmp_path
+):
     file = tmp_path / "memory" / "node16.json"
     node = wire.encoder(storage=file)
     wire.write(16, 0x1017, 0, 33, 2)

@@ -20,8 +20,9 @@ def test_a_node_sends_its_boot_up_and_is_pre_operational_after_power_on(wire):
 
 
 @pytest.mark.conformance("CiA 301", "NMT commands to a node and to all")
-@pytest.mark.parametrize(("command", "state"), [(START, OPERATIONAL), (STOP, STOPPED),
-                                                (ENTER_PRE, PRE_OPERATIONAL)])
+@pytest.mark.parametrize(
+    ("command", "state"), [(START, OPERATIONAL), (STOP, STOPPED), (ENTER_PRE, PRE_OPERATIONAL)]
+)
 @pytest.mark.parametrize("addressed", [0, 16])
 def test_an_nmt_command_to_all_or_to_the_node_changes_its_state(wire, command, state, addressed):
     wire.encoder()
@@ -109,7 +110,7 @@ def test_a_partner_is_watched_from_its_first_heartbeat_and_its_loss_is_reported(
     wire.run(49)
     assert wire.take(0x90) == []
     wire.run(1)
-    emergency, = wire.take(0x90)
+    (emergency,) = wire.take(0x90)
     assert emergency[:4] == b"\x30\x81\x11\x05"
     wire.run(200)
     assert wire.take(0x90) == []
@@ -127,8 +128,9 @@ def test_watching_one_partner_twice_is_refused(wire):
 
 
 @pytest.mark.conformance("CiA 301", "error behaviour, 1029h")
-@pytest.mark.parametrize(("behaviour", "state"), [
-    (0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)])
+@pytest.mark.parametrize(
+    ("behaviour", "state"), [(0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)]
+)
 def test_1029h_decides_what_a_lost_heartbeat_does_to_the_state(wire, behaviour, state):
     wire.encoder()
     wire.write(16, 0x1016, 1, 5 << 16 | 50, 4)

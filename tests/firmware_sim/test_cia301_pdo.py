@@ -154,7 +154,8 @@ def test_a_pdo_may_have_an_identifier_of_29_bits(wire, unit):
     wire.take()
     wire.sync()
     assert [(one.can_id, one.extended) for one in wire.frames if one.can_id > 0x7FF] == [
-        (0x12345678, True)]
+        (0x12345678, True)
+    ]
 
 
 @pytest.mark.conformance("CiA 301", "PDO remapping by SDO")
@@ -180,20 +181,35 @@ def unmap(wire, node=16, pdo=0x1800):
     assert wire.write(node, pdo + 0x200, 0, 0, 1) == 0
 
 
-@pytest.mark.conformance("CiA 301", "PDO mapping: 06020000, 06040041 for what cannot be transmitted")
-@pytest.mark.parametrize(("entry", "code"), [
-    (0x30000020, 0x06020000), (0x60300910, 0x06020000), (0x10000020, 0x06040041),
-    (0x60300120, 0x06040041), (0x60030020, 0x06040041), (0x60300110, 0),
-])
+@pytest.mark.conformance(
+    "CiA 301", "PDO mapping: 06020000, 06040041 for what cannot be transmitted"
+)
+@pytest.mark.parametrize(
+    ("entry", "code"),
+    [
+        (0x30000020, 0x06020000),
+        (0x60300910, 0x06020000),
+        (0x10000020, 0x06040041),
+        (0x60300120, 0x06040041),
+        (0x60030020, 0x06040041),
+        (0x60300110, 0),
+    ],
+)
 def test_only_an_object_that_can_be_transmitted_is_mapped(wire, unit, entry, code):
     unmap(wire)
     assert wire.write(16, 0x1A00, 1, entry, 4) == code
 
 
 @pytest.mark.conformance("CiA 301", "PDO mapping: what can be received")
-@pytest.mark.parametrize(("entry", "code"), [
-    (0x60410010, 0x06040041), (0x60400010, 0), (0x00050008, 0), (0x00010001, 0x06020000),
-])
+@pytest.mark.parametrize(
+    ("entry", "code"),
+    [
+        (0x60410010, 0x06040041),
+        (0x60400010, 0),
+        (0x00050008, 0),
+        (0x00010001, 0x06020000),
+    ],
+)
 def test_only_a_writable_object_or_a_filler_is_mapped_for_reception(wire, entry, code):
     wire.drive(1)
     unmap(wire, 1, 0x1400)
@@ -260,8 +276,12 @@ def test_a_synchronous_rpdo_after_the_window_waits_for_no_sync(wire):
     assert wire.read(1, 0x6071) == b"\x30\0"
 
 
-@pytest.mark.conformance("CiA 301", "communication cycle period, 1006h: EMCY 8100h when SYNC stays away")
-def test_a_sync_that_stays_away_half_a_cycle_longer_than_1006h_is_reported_until_it_is_back(wire, unit):
+@pytest.mark.conformance(
+    "CiA 301", "communication cycle period, 1006h: EMCY 8100h when SYNC stays away"
+)
+def test_a_sync_that_stays_away_half_a_cycle_longer_than_1006h_is_reported_until_it_is_back(
+    wire, unit
+):
     assert wire.write(16, 0x1006, 0, 10_000, 4) == 0
     wire.run(100)
     # nobody is missed who never was there
@@ -270,7 +290,7 @@ def test_a_sync_that_stays_away_half_a_cycle_longer_than_1006h_is_reported_until
     wire.run(14)
     wire.sync()
     wire.run(15)
-    emergency, = wire.take(0x090)
+    (emergency,) = wire.take(0x090)
     assert emergency[:3] == b"\x00\x81\x11"
     wire.run(100)
     assert wire.take(0x090) == []

@@ -56,39 +56,51 @@ def test_data_of_any_length_comes_back_as_it_was_written(remote, length, block):
         assert file.read() == data
 
 
-@pytest.mark.conformance("CiA 301", "SDO download abort codes 06020000, 06090011, 06010001/2, "
-                         "06070010/12/13, 06090030..32, 08000022")
-@pytest.mark.parametrize(("index", "sub", "value", "size", "code"), [
-    (0x3000, 0, 0, 1, 0x06020000),
-    (0x1000, 1, 0, 4, 0x06090011),
-    (0x1018, 9, 0, 4, 0x06090011),
-    (0x1000, 0, 0, 4, 0x06010002),
-    (0x1018, 1, 0, 4, 0x06010002),
-    (0x2002, 0, 0, 4, 0x06070012),
-    (0x2002, 0, 0, 1, 0x06070013),
-    (0x2002, 0, 101, 2, 0x06090031),
-    (0x2002, 0, -101, 2, 0x06090032),
-    (0x1005, 0, 0x40000080, 4, 0x06090030),
-    (0x1014, 0, 0x181, 4, 0x08000022),
-    (0x1014, 0, 0x601, 4, 0x06090030),
-    (0x1400, 2, 245, 1, 0x06090030),
-    (0x1010, 1, 0x12345678, 4, 0x08000020),
-    (0x1003, 0, 3, 1, 0x06090030),
-    (0x1019, 0, 241, 1, 0x06090031),
-    (0x1019, 0, 1, 1, 0x06090030),
-    (0x2002, 0, 100, 2, 0),
-    (0x2002, 0, -100, 2, 0),
-])
-def test_a_download_gets_the_abort_code_of_the_standard(wire, remote, index, sub, value, size,
-                                                        code):
+@pytest.mark.conformance(
+    "CiA 301",
+    "SDO download abort codes 06020000, 06090011, 06010001/2, "
+    "06070010/12/13, 06090030..32, 08000022",
+)
+@pytest.mark.parametrize(
+    ("index", "sub", "value", "size", "code"),
+    [
+        (0x3000, 0, 0, 1, 0x06020000),
+        (0x1000, 1, 0, 4, 0x06090011),
+        (0x1018, 9, 0, 4, 0x06090011),
+        (0x1000, 0, 0, 4, 0x06010002),
+        (0x1018, 1, 0, 4, 0x06010002),
+        (0x2002, 0, 0, 4, 0x06070012),
+        (0x2002, 0, 0, 1, 0x06070013),
+        (0x2002, 0, 101, 2, 0x06090031),
+        (0x2002, 0, -101, 2, 0x06090032),
+        (0x1005, 0, 0x40000080, 4, 0x06090030),
+        (0x1014, 0, 0x181, 4, 0x08000022),
+        (0x1014, 0, 0x601, 4, 0x06090030),
+        (0x1400, 2, 245, 1, 0x06090030),
+        (0x1010, 1, 0x12345678, 4, 0x08000020),
+        (0x1003, 0, 3, 1, 0x06090030),
+        (0x1019, 0, 241, 1, 0x06090031),
+        (0x1019, 0, 1, 1, 0x06090030),
+        (0x2002, 0, 100, 2, 0),
+        (0x2002, 0, -100, 2, 0),
+    ],
+)
+def test_a_download_gets_the_abort_code_of_the_standard(
+    wire, remote, index, sub, value, size, code
+):
     assert wire.write(NODE, index, sub, value, size) == code
 
 
 @pytest.mark.conformance("CiA 301", "SDO upload abort codes")
-@pytest.mark.parametrize(("index", "sub", "code"), [
-    (0x3000, 0, 0x06020000), (0x1000, 1, 0x06090011), (0x1018, 5, 0x06090011),
-    (0x2003, 0, 0x06010001),
-])
+@pytest.mark.parametrize(
+    ("index", "sub", "code"),
+    [
+        (0x3000, 0, 0x06020000),
+        (0x1000, 1, 0x06090011),
+        (0x1018, 5, 0x06090011),
+        (0x2003, 0, 0x06010001),
+    ],
+)
 def test_an_upload_gets_the_abort_code_of_the_standard(wire, remote, index, sub, code):
     assert wire.read(NODE, index, sub) == code
 
@@ -166,9 +178,9 @@ def test_the_last_four_bytes_of_an_expedited_download_without_size_follow_the_ob
 def test_a_lost_segment_of_a_block_is_asked_for_again(wire, remote):
     wire.ask(NODE, bytes.fromhex("c60120000e000000"))
     assert wire.ask(NODE, b"\x01abcdefg") == []
-    answer, = wire.ask(NODE, b"\x83hijklmn")
+    (answer,) = wire.ask(NODE, b"\x83hijklmn")
     assert answer[:3] == bytes([0xA2, 1, 127])
-    answer, = wire.ask(NODE, b"\x81hijklmn")
+    (answer,) = wire.ask(NODE, b"\x81hijklmn")
     assert answer[:3] == bytes([0xA2, 1, 127])
     assert wire.abort_of(NODE, b"\xc1\x00\x00") == 0x05040004
 
@@ -176,7 +188,7 @@ def test_a_lost_segment_of_a_block_is_asked_for_again(wire, remote):
 @pytest.mark.conformance("CiA 301", "SDO block upload: lost segments")
 def test_a_block_upload_sends_again_what_the_client_has_not_got(wire, remote):
     remote.sdo.download(0x2001, 0, bytes(range(50)))
-    answer, = wire.ask(NODE, bytes.fromhex("a401200004000000"))
+    (answer,) = wire.ask(NODE, bytes.fromhex("a401200004000000"))
     assert answer == bytes.fromhex("c601200032000000")
     first = wire.ask(NODE, b"\xa3")
     assert [one[0] for one in first] == [1, 2, 3, 4]
@@ -184,7 +196,7 @@ def test_a_block_upload_sends_again_what_the_client_has_not_got(wire, remote):
     assert again[0][1:] == bytes(range(14, 21))
     rest = wire.ask(NODE, b"\xa2\x04\x7f")
     assert rest[-1][0] == 0x82
-    end, = wire.ask(NODE, b"\xa2\x02\x7f")
+    (end,) = wire.ask(NODE, b"\xa2\x02\x7f")
     assert end[0] == 0xC1 | 6 << 2
     assert wire.ask(NODE, b"\xa1") == []
 

@@ -8,26 +8,41 @@ from rollerrig.firmware_sim.drive402.states import State
 from rollerrig.wsp_interface import signals
 
 RATED_Nm = objects.DEFAULTS["rated_torque_Nm"]
-DISABLED, READY, ON, ENABLED = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON,
-                                State.SWITCHED_ON, State.OPERATION_ENABLED)
+DISABLED, READY, ON, ENABLED = (
+    State.SWITCH_ON_DISABLED,
+    State.READY_TO_SWITCH_ON,
+    State.SWITCHED_ON,
+    State.OPERATION_ENABLED,
+)
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, RESET, HALT = 6, 7, 15, 0, 2, 0x80, 0x10F
-WALK = {DISABLED: (), READY: (SHUTDOWN,), ON: (SHUTDOWN, SWITCH_ON),
-        ENABLED: (SHUTDOWN, SWITCH_ON, ENABLE)}
+WALK = {
+    DISABLED: (),
+    READY: (SHUTDOWN,),
+    ON: (SHUTDOWN, SWITCH_ON),
+    ENABLED: (SHUTDOWN, SWITCH_ON, ENABLE),
+}
 
 
 def status(wire, node=1):
     return int.from_bytes(wire.read(node, 0x6041), "little")
 
 
-PATTERNS = {(0x4F, 0x00): State.NOT_READY_TO_SWITCH_ON, (0x4F, 0x40): DISABLED, (0x6F, 0x21): READY,
-            (0x6F, 0x23): ON, (0x6F, 0x27): ENABLED, (0x6F, 0x07): State.QUICK_STOP_ACTIVE,
-            (0x4F, 0x0F): State.FAULT_REACTION_ACTIVE, (0x4F, 0x08): State.FAULT}
+PATTERNS = {
+    (0x4F, 0x00): State.NOT_READY_TO_SWITCH_ON,
+    (0x4F, 0x40): DISABLED,
+    (0x6F, 0x21): READY,
+    (0x6F, 0x23): ON,
+    (0x6F, 0x27): ENABLED,
+    (0x6F, 0x07): State.QUICK_STOP_ACTIVE,
+    (0x4F, 0x0F): State.FAULT_REACTION_ACTIVE,
+    (0x4F, 0x08): State.FAULT,
+}
 
 
 def state(wire):
     """The state that the statusword tells, by the masks of the standard; one pattern fits."""
     word = status(wire)
-    found, = (one for (mask, value), one in PATTERNS.items() if word & mask == value)
+    (found,) = (one for (mask, value), one in PATTERNS.items() if word & mask == value)
     return found
 
 
@@ -50,13 +65,25 @@ def set_row(wire, name, value):
 
 
 @pytest.mark.conformance("CiA 402", "every state and transition by controlword")
-@pytest.mark.parametrize(("before", "word", "after"), [
-    (DISABLED, SHUTDOWN, READY), (DISABLED, SWITCH_ON, DISABLED), (DISABLED, ENABLE, DISABLED),
-    (READY, SWITCH_ON, ON), (READY, ENABLE, ENABLED), (READY, DISABLE_VOLTAGE, DISABLED),
-    (READY, QUICK_STOP, DISABLED), (ON, ENABLE, ENABLED), (ON, SHUTDOWN, READY),
-    (ON, DISABLE_VOLTAGE, DISABLED), (ON, QUICK_STOP, DISABLED), (ENABLED, SHUTDOWN, READY),
-    (ENABLED, DISABLE_VOLTAGE, DISABLED), (ENABLED, RESET, ENABLED),
-])
+@pytest.mark.parametrize(
+    ("before", "word", "after"),
+    [
+        (DISABLED, SHUTDOWN, READY),
+        (DISABLED, SWITCH_ON, DISABLED),
+        (DISABLED, ENABLE, DISABLED),
+        (READY, SWITCH_ON, ON),
+        (READY, ENABLE, ENABLED),
+        (READY, DISABLE_VOLTAGE, DISABLED),
+        (READY, QUICK_STOP, DISABLED),
+        (ON, ENABLE, ENABLED),
+        (ON, SHUTDOWN, READY),
+        (ON, DISABLE_VOLTAGE, DISABLED),
+        (ON, QUICK_STOP, DISABLED),
+        (ENABLED, SHUTDOWN, READY),
+        (ENABLED, DISABLE_VOLTAGE, DISABLED),
+        (ENABLED, RESET, ENABLED),
+    ],
+)
 def test_a_controlword_makes_the_transition_of_the_standard(wire, drive, before, word, after):
     control(wire, *WALK[before])
     assert state(wire) == before
@@ -73,8 +100,10 @@ def test_every_numbered_transition_stands_once_in_the_table():
 
 
 @pytest.mark.conformance("CiA 402", "statusword: state, voltage enabled, remote")
-@pytest.mark.parametrize(("word", "pattern", "mask"), [
-    ((), 0x40, 0x4F), ((6,), 0x21, 0x6F), ((6, 7), 0x23, 0x6F), ((6, 7, 15), 0x27, 0x6F)])
+@pytest.mark.parametrize(
+    ("word", "pattern", "mask"),
+    [((), 0x40, 0x4F), ((6,), 0x21, 0x6F), ((6, 7), 0x23, 0x6F), ((6, 7, 15), 0x27, 0x6F)],
+)
 def test_the_statusword_tells_state_voltage_and_remote(wire, drive, word, pattern, mask):
     control(wire, *word)
     assert status(wire) & mask == pattern
@@ -134,12 +163,17 @@ def test_enabling_again_cancels_a_stop_under_way(wire, drive):
 
 
 @pytest.mark.conformance("CiA 402", "quick stop option code 605Ah")
-@pytest.mark.parametrize(("option", "at_once", "after_rest"), [
-    (0, DISABLED, DISABLED), (1, State.QUICK_STOP_ACTIVE, DISABLED),
-    (2, State.QUICK_STOP_ACTIVE, DISABLED), (3, State.QUICK_STOP_ACTIVE, DISABLED),
-    (5, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
-    (6, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
-])
+@pytest.mark.parametrize(
+    ("option", "at_once", "after_rest"),
+    [
+        (0, DISABLED, DISABLED),
+        (1, State.QUICK_STOP_ACTIVE, DISABLED),
+        (2, State.QUICK_STOP_ACTIVE, DISABLED),
+        (3, State.QUICK_STOP_ACTIVE, DISABLED),
+        (5, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
+        (6, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
+    ],
+)
 def test_quick_stop_follows_its_option_code(wire, drive, option, at_once, after_rest):
     assert wire.write(1, 0x605A, 0, option, 2) == 0
     control(wire, *WALK[ENABLED])
@@ -231,8 +265,19 @@ def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
 
 
 @pytest.mark.conformance("CiA 402", "modes 3, 4, 9, 10: 6060h, 6061h, 6502h")
-@pytest.mark.parametrize(("mode", "code"), [(3, 0), (4, 0), (9, 0), (10, 0), (1, 0x06090030),
-                                            (6, 0x06090030), (8, 0x06090030), (-1, 0x06090030)])
+@pytest.mark.parametrize(
+    ("mode", "code"),
+    [
+        (3, 0),
+        (4, 0),
+        (9, 0),
+        (10, 0),
+        (1, 0x06090030),
+        (6, 0x06090030),
+        (8, 0x06090030),
+        (-1, 0x06090030),
+    ],
+)
 def test_only_supported_modes_are_taken(wire, drive, mode, code):
     assert wire.write(1, 0x6060, 0, mode, 1) == code
     if not code:
@@ -323,8 +368,9 @@ def test_slippage_is_told_when_the_speed_leaves_the_demand(wire, drive):
 
 
 @pytest.mark.conformance("CiA 402", "abort connection option code 6007h")
-@pytest.mark.parametrize(("option", "after"), [(0, ENABLED), (1, State.FAULT), (2, DISABLED),
-                                               (3, DISABLED)])
+@pytest.mark.parametrize(
+    ("option", "after"), [(0, ENABLED), (1, State.FAULT), (2, DISABLED), (3, DISABLED)]
+)
 def test_a_lost_connection_follows_6007h(wire, drive, option, after):
     wire.write(1, 0x6007, 0, option, 2)
     wire.write(1, 0x1016, 1, 5 << 16 | 50, 4)
@@ -375,9 +421,13 @@ def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire)
     assert node.device.axis.commands[axis.LOOP] == axis.LOOP_RIG
 
 
-@pytest.mark.conformance("CiA 402", "emergency stop from outside the bus: quick stop, barred until taken back")
+@pytest.mark.conformance(
+    "CiA 402", "emergency stop from outside the bus: quick stop, barred until taken back"
+)
 @pytest.mark.parametrize("control_source", ["rig", "bus"])
-def test_an_emergency_stop_brakes_the_motor_and_bars_the_drive_until_it_is_taken_back(wire, control_source):
+def test_an_emergency_stop_brakes_the_motor_and_bars_the_drive_until_it_is_taken_back(
+    wire, control_source
+):
     node = wire.drive(1, control=control_source)
     wire.nmt(1)
     if control_source == "bus":

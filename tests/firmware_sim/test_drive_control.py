@@ -17,20 +17,29 @@ class Rig:
 
     def __init__(self, folder, *settings):
         ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
-        plan = scenario.load("dry_stop", settings=(f"initial_speed_m_s={SPEED_M_S}", "duration_max_s=60",
-                                                   "brake.cylinder_area_m2=0.0001", *settings))
+        plan = scenario.load(
+            "dry_stop",
+            settings=(
+                f"initial_speed_m_s={SPEED_M_S}",
+                "duration_max_s=60",
+                "brake.cylinder_area_m2=0.0001",
+                *settings,
+            ),
+        )
         self.machine = tick_data.build(plan, ring)
 
     def ask(self, loop, torque_Nm=0.0, velocity_rad_s=0.0, limit_Nm=1e9, enabled=1.0):
         command = self.machine.commands.values.copy()
-        drives = command[tick.DRIVES:tick.FAULTS].reshape(4, axis.COMMANDS)
+        drives = command[tick.DRIVES : tick.FAULTS].reshape(4, axis.COMMANDS)
         drives[:] = enabled, loop, torque_Nm, velocity_rad_s, limit_Nm
         mailbox.post(self.machine.commands, command)
 
     def run(self, seconds):
         tick.run_ticks(self.machine, round(1000 * seconds))
-        return {name: self.machine.row[signals.span(name)].copy()
-                for name in ("roller_speed", "motor_torque", "motor_torque_demand", "vehicle_speed")}
+        return {
+            name: self.machine.row[signals.span(name)].copy()
+            for name in ("roller_speed", "motor_torque", "motor_torque_demand", "vehicle_speed")
+        }
 
 
 @pytest.fixture
@@ -39,9 +48,18 @@ def rig(tmp_path):
 
 
 @pytest.mark.conformance("CiA 402", "inner torque loop in the tick, within its limits")
-@pytest.mark.parametrize(("asked_Nm", "limit_Nm", "given_Nm"), [
-    (2000.0, 1e9, 2000.0), (-2000.0, 1e9, -2000.0), (9000.0, 5000.0, 5000.0), (-1e6, 1e9, -30000.0)])
-def test_a_drive_gives_the_torque_that_it_is_asked_for_within_its_limits(rig, asked_Nm, limit_Nm, given_Nm):
+@pytest.mark.parametrize(
+    ("asked_Nm", "limit_Nm", "given_Nm"),
+    [
+        (2000.0, 1e9, 2000.0),
+        (-2000.0, 1e9, -2000.0),
+        (9000.0, 5000.0, 5000.0),
+        (-1e6, 1e9, -30000.0),
+    ],
+)
+def test_a_drive_gives_the_torque_that_it_is_asked_for_within_its_limits(
+    rig, asked_Nm, limit_Nm, given_Nm
+):
     rig.ask(axis.LOOP_TORQUE, torque_Nm=asked_Nm, limit_Nm=limit_Nm)
     # ten time constants of the motor
     assert rig.run(0.05)["motor_torque"] == pytest.approx(given_Nm, rel=1e-3)

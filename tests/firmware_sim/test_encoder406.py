@@ -62,8 +62,23 @@ def test_the_teeth_of_the_pole_wheel_are_the_measuring_units(wire, unit):
     assert wire.read(16, 0x6001) == wire.read(16, 0x6501) == (100).to_bytes(4, "little")
 
 
-VALUES = [0.0, 1.0, -1.0, 0.5, 1.5, 2.5, -0.5, 123.456, 1e5, -1e5, 1e12, -1e12, math.nan, math.inf,
-          -math.inf]
+VALUES = [
+    0.0,
+    1.0,
+    -1.0,
+    0.5,
+    1.5,
+    2.5,
+    -0.5,
+    123.456,
+    1e5,
+    -1e5,
+    1e12,
+    -1e12,
+    math.nan,
+    math.inf,
+    -math.inf,
+]
 PLACES = [place for signal in signals.SIGNALS for place in signal.places]
 
 
@@ -81,6 +96,6 @@ def test_a_counter_wraps_in_both_directions():
     row = np.zeros(1)
     place = Place(1, 0x6064, 0, "I32", 1.0, wraps=True)
     read = process_image.reader(row, 0, place)
-    for value in (2.0**31, -2.0**31 - 1, 2.0**40 + 3):
+    for value in (2.0**31, -(2.0**31) - 1, 2.0**40 + 3):
         row[0] = value
         assert read() == signals.count(value, place)

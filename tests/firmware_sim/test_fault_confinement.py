@@ -33,8 +33,9 @@ class Site:
         self.told, self.muted, self.deaf = [], set(), set()
         self.members = {1: Member(), 2: Member(), 3: Member()}
         self.controllers = Controllers(lambda frame, *what: self.told.append(what))
-        self.confinement = Confinement(self.controllers, self.members, self.keep(self.muted),
-                                       self.keep(self.deaf), 500_000)
+        self.confinement = Confinement(
+            self.controllers, self.members, self.keep(self.muted), self.keep(self.deaf), 500_000
+        )
 
     @staticmethod
     def keep(where):
@@ -66,7 +67,9 @@ def test_a_destroyed_frame_costs_its_sender_8_and_each_receiver_1_and_a_good_one
     assert site.counters(2) == (0, 0)
 
 
-@pytest.mark.conformance("CAN", "receive error counter: 9 for who finds an error, 1 for other receivers")
+@pytest.mark.conformance(
+    "CAN", "receive error counter: 9 for who finds an error, 1 for other receivers"
+)
 def test_the_receiver_that_finds_an_error_counts_9_the_others_1_and_the_sender_8(site):
     site.confinement.disturb(3, finds=1)
     assert site.send(1) == [True]

@@ -60,17 +60,25 @@ def turning(rig, from_s, to_s):
 def test_every_fault_of_the_catalogue_is_recorded_when_it_begins_and_when_it_is_lifted(rig, kind):
     begin, end = TIMES[kind]
     assert begin in rig.told(f"fault {kind}")
-    assert any("begins" in text for time, _, text in rig.run.events
-               if text.startswith(f"fault {kind}") and time == begin)
-    assert any("lifted" in text and time == pytest.approx(end, abs=1e-9)
-               for time, _, text in rig.run.events if text.startswith(f"fault {kind}"))
+    assert any(
+        "begins" in text
+        for time, _, text in rig.run.events
+        if text.startswith(f"fault {kind}") and time == begin
+    )
+    assert any(
+        "lifted" in text and time == pytest.approx(end, abs=1e-9)
+        for time, _, text in rig.run.events
+        if text.startswith(f"fault {kind}")
+    )
 
 
 def test_a_run_with_every_fault_repeats_bit_for_bit(rig, again):
     assert filecmp.cmp(rig.run.folder / "can.log", again.run.folder / "can.log", shallow=False)
     for name in rig.run.table.column_names:
         if not name.startswith("tick_"):
-            assert np.array_equal(rig.run.column(name), again.run.column(name), equal_nan=True), name
+            assert np.array_equal(rig.run.column(name), again.run.column(name), equal_nan=True), (
+                name
+            )
 
 
 def test_before_a_fault_sensors_tell_the_wheels_own_speed(rig):
@@ -79,13 +87,18 @@ def test_before_a_fault_sensors_tell_the_wheels_own_speed(rig):
 
 @pytest.mark.conformance("Faults", "speed_sensor_stuck")
 def test_a_stuck_sensor_repeats_one_speed_while_the_wheel_slows_down(rig):
-    told, real = measured(rig, *within("speed_sensor_stuck")), turning(rig, *within("speed_sensor_stuck"))
+    told, real = (
+        measured(rig, *within("speed_sensor_stuck")),
+        turning(rig, *within("speed_sensor_stuck")),
+    )
     assert np.ptp(told[0]) == 0.0
     assert np.ptp(real[0]) > 0.3
     assert np.ptp(speeds_on_bus(rig, *within("speed_sensor_stuck"))[:, 0]) == 0.0
     assert np.ptp(rig.channel("pulse_count_1", *within("speed_sensor_stuck"))) == 0.0
-    assert np.array_equal(measured(rig, *after("speed_sensor_stuck"))[0],
-                          turning(rig, *after("speed_sensor_stuck"))[0])
+    assert np.array_equal(
+        measured(rig, *after("speed_sensor_stuck"))[0],
+        turning(rig, *after("speed_sensor_stuck"))[0],
+    )
 
 
 @pytest.mark.conformance("Faults", "speed_sensor_dropout")
@@ -114,8 +127,9 @@ def test_a_noise_burst_scatters_the_measured_speed_by_its_standard_deviation(rig
     error = (measured(rig, *span) - turning(rig, *span))[3]
     assert 3.0 < error[1:].std() < 7.0
     assert speeds_on_bus(rig, *span)[2:, 3].std() > 3.0
-    assert np.array_equal(measured(rig, *after("speed_noise_burst"))[3],
-                          turning(rig, *after("speed_noise_burst"))[3])
+    assert np.array_equal(
+        measured(rig, *after("speed_noise_burst"))[3], turning(rig, *after("speed_noise_burst"))[3]
+    )
 
 
 @pytest.mark.conformance("Faults", "swapped_axles")
@@ -130,7 +144,8 @@ def test_a_larger_wheel_is_measured_slower_by_the_difference_of_the_diameters(ri
     span = within("wheel_diameter_mismatch")
     assert measured(rig, *span)[2] * 1.05 == pytest.approx(turning(rig, *span)[2], rel=1e-12)
     assert speeds_on_bus(rig, *span)[:, 2] == pytest.approx(
-        speeds_on_bus(rig, *span)[:, 1] / 1.05, rel=0.01)
+        speeds_on_bus(rig, *span)[:, 1] / 1.05, rel=0.01
+    )
 
 
 def pressures(rig, from_s, to_s):
@@ -144,7 +159,9 @@ def test_a_stuck_hold_magnet_keeps_the_pressure_that_the_others_pass(rig):
     assert set(rig.channel("valve_1", *span)) == {1.0}
     assert np.ptp(pressures(rig, *span)[:, 0]) <= 1
     assert np.ptp(pressures(rig, *span)[:, 2]) > 100
-    assert set(rig.channel("valve_1", *(time + 0.05 for time in after("hold_magnet_stuck", 0.02)))) == {0.0}
+    assert set(
+        rig.channel("valve_1", *(time + 0.05 for time in after("hold_magnet_stuck", 0.02)))
+    ) == {0.0}
 
 
 @pytest.mark.conformance("Faults", "vent_magnet_stuck")
@@ -179,22 +196,29 @@ def test_a_leaking_cylinder_loses_pressure_and_gets_it_back(rig):
     # axle 2 has been vented like axle 1, and has no leak
     assert before[0] == pytest.approx(before[1], rel=0.1)
     assert late[0] < 0.75 * late[1]
-    assert pressures(rig, end + 0.9, end + 1.0)[-1, 0] > 0.9 * pressures(rig, end + 0.9, end + 1.0)[-1, 3]
+    assert (
+        pressures(rig, end + 0.9, end + 1.0)[-1, 0]
+        > 0.9 * pressures(rig, end + 0.9, end + 1.0)[-1, 3]
+    )
 
 
 @pytest.mark.conformance("Faults", "torque_ripple")
 def test_torque_ripple_shows_in_demand_and_torque_on_the_bus(rig):
     span, calm = within("torque_ripple"), (2.9, 3.0)
     assert rig.channel("motor_torque_demand_2_Nm", *span).std() > 1000.0
-    actual = np.array([int.from_bytes(one[3:5], "little", signed=True)
-                       for one in rig.on_bus(0x182, *span)])
-    quiet = np.array([int.from_bytes(one[3:5], "little", signed=True)
-                      for one in rig.on_bus(0x182, *calm)])
+    actual = np.array(
+        [int.from_bytes(one[3:5], "little", signed=True) for one in rig.on_bus(0x182, *span)]
+    )
+    quiet = np.array(
+        [int.from_bytes(one[3:5], "little", signed=True) for one in rig.on_bus(0x182, *calm)]
+    )
     assert actual.std() > 3 * quiet.std()
     assert np.diff(np.sign(actual - actual.mean())).astype(bool).sum() > 6
 
 
-def test_a_sander_that_is_blocked_or_has_a_wrong_orifice_or_no_sand_strews_less_and_the_other_goes_on(rig):
+def test_a_sander_that_is_blocked_or_has_a_wrong_orifice_or_no_sand_strews_less_and_the_other_goes_on(
+    rig,
+):
     def strewn(axle, from_s, to_s):
         return rig.channel(f"sand_rate_{axle}_kg_s", from_s, to_s)
 
@@ -217,7 +241,9 @@ def words(rig, node, from_s, to_s):
 
 def emergencies(rig, node, kind, more_s=0.05):
     begin, end = TIMES[kind]
-    return [int.from_bytes(one[:2], "little") for one in rig.on_bus(0x080 + node, begin, end + more_s)]
+    return [
+        int.from_bytes(one[:2], "little") for one in rig.on_bus(0x080 + node, begin, end + more_s)
+    ]
 
 
 def in_fault(word):
@@ -228,9 +254,13 @@ def runs(word):
     return word & 0x6F == 0x27
 
 
-@pytest.mark.conformance("Faults", "drive_trip, drive_over_temperature, power_dip: code, no torque, back")
-@pytest.mark.parametrize(("kind", "node", "code"), [
-    ("drive_trip", 1, 0x5112), ("drive_over_temperature", 2, 0x4310), ("power_dip", 3, 0x3220)])
+@pytest.mark.conformance(
+    "Faults", "drive_trip, drive_over_temperature, power_dip: code, no torque, back"
+)
+@pytest.mark.parametrize(
+    ("kind", "node", "code"),
+    [("drive_trip", 1, 0x5112), ("drive_over_temperature", 2, 0x4310), ("power_dip", 3, 0x3220)],
+)
 def test_a_drive_that_trips_tells_its_code_gives_no_torque_and_runs_again(rig, kind, node, code):
     span = within(kind, 0.05)
     assert emergencies(rig, node, kind) == [code, 0]
@@ -252,13 +282,18 @@ def test_a_hot_motor_tells_its_temperature_and_the_others_tell_the_airs(rig):
     hot = samples(rig, "motor_temperature:_K", *within("drive_over_temperature"))
     assert hot[1] == pytest.approx(air_K + 1.25 * rise_K, abs=0.01)
     assert np.abs(hot[[0, 2, 3]] - air_K).max() < 3.0
-    assert np.abs(samples(rig, "motor_temperature:_K", *after("drive_over_temperature")) - air_K).max() < 3.0
+    assert (
+        np.abs(samples(rig, "motor_temperature:_K", *after("drive_over_temperature")) - air_K).max()
+        < 3.0
+    )
 
 
 @pytest.mark.conformance("Faults", "power_dip")
 def test_a_power_dip_trips_every_drive_and_clears_voltage_enabled(rig):
     for node in (1, 2, 3, 4):
-        assert all(in_fault(word) and not word & 0x10 for word in words(rig, node, *within("power_dip")))
+        assert all(
+            in_fault(word) and not word & 0x10 for word in words(rig, node, *within("power_dip"))
+        )
         assert all(word & 0x10 for word in words(rig, node, *after("power_dip")))
 
 
@@ -310,7 +345,9 @@ def test_duplicated_frames_come_twice(rig):
 @pytest.mark.conformance("Faults", "error_frame")
 def test_error_frames_drive_a_node_to_error_passive_to_bus_off_and_back(rig):
     begin, end = TIMES["error_frame"]
-    errors = [data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end]
+    errors = [
+        data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end
+    ]
     counters = [data[6] for data in errors]
     assert counters[:3] == [8, 16, 23]
     assert max(counters) == 255
@@ -324,7 +361,9 @@ def test_error_frames_drive_a_node_to_error_passive_to_bus_off_and_back(rig):
 @pytest.mark.conformance("Faults", "receive_error")
 def test_a_faulty_receiver_destroys_frames_until_it_is_error_passive_and_then_only_misses_them(rig):
     begin, end = TIMES["receive_error"]
-    errors = [data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end]
+    errors = [
+        data for time, can_id, data in rig.frames if can_id == 0x20000088 and begin <= time < end
+    ]
     assert [data[7] for data in errors][:3] == [9, 17, 25]
     assert not any(data[2] for data in errors)
     assert len(errors) < 30
@@ -378,10 +417,14 @@ def test_a_fault_can_be_injected_and_cleared_by_hand(rig):
 @pytest.mark.conformance("Faults", "wsp_frozen: the reference unit")
 def test_the_reference_units_process_is_stopped_and_goes_on(tmp_path):
     path = tmp_path / "frozen.toml"
-    path.write_text('adhesion = "dry"\ninitial_speed_m_s = 20.0\nduration_max_s = 1.2\n[bus]\n'
-                    'interface = "hub"\nsocketcand_port = 0\n')
+    path.write_text(
+        'adhesion = "dry"\ninitial_speed_m_s = 20.0\nduration_max_s = 1.2\n[bus]\n'
+        'interface = "hub"\nsocketcand_port = 0\n'
+    )
     plan = scenario.load(str(path), faults=("wsp_frozen at=0.3 for=0.5",))
-    rig = bench.Bench(plan, options.Options("lockstep", "reference", tmp_path / "run"), lambda one: None)
+    rig = bench.Bench(
+        plan, options.Options("lockstep", "reference", tmp_path / "run"), lambda one: None
+    )
     result = asyncio.run(rig.run())
     recorded = faulty_run.Recorded(faulty_run.records.load(tmp_path / "run"))
     assert result["ended"] == "finished"
@@ -399,7 +442,7 @@ def machine(path_of_plan, array=None, ticks=300):
     try:
         made = tick_data.build(plan, place)
         if array is not None:
-            made.commands.values[tick.FAULTS:] = array
+            made.commands.values[tick.FAULTS :] = array
         tick.run_ticks(made, ticks)
         return made.row.copy()
     finally:
@@ -419,19 +462,24 @@ def test_a_faults_array_whose_values_are_zero_changes_no_bit():
 @pytest.mark.conformance("Faults", "injected from the command line")
 def test_a_fault_of_the_command_line_is_the_scenarios_fault():
     plan = scenario.load("dry_stop", faults=("frame_lost can_id=0x190 every=3 at=5 for=2",))
-    assert plan["fault"] == [{"kind": "frame_lost", "at_s": 5.0, "for_s": 2.0, "can_id": 0x190, "every": 3}]
+    assert plan["fault"] == [
+        {"kind": "frame_lost", "at_s": 5.0, "for_s": 2.0, "can_id": 0x190, "every": 3}
+    ]
     assert plan.faults == catalogue.all_of(plan["fault"], "again")
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    ("speed_sensor_stuk axle=2", "did you mean 'speed_sensor_stuck'"),
-    ("speed_sensor_stuck axle=5", "allowed 1 to 4"),
-    ("speed_sensor_stuck axel=2", "did you mean 'axle'"),
-    ("node_off node=5", "allowed are 1, 2, 3, 4, 16, 17"),
-    ("swapped_axles axle=2 other=2", "give two axles"),
-    ("power_dip for=0", "out of range"),
-    ("node_off node", "write key=number"),
-])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("speed_sensor_stuk axle=2", "did you mean 'speed_sensor_stuck'"),
+        ("speed_sensor_stuck axle=5", "allowed 1 to 4"),
+        ("speed_sensor_stuck axel=2", "did you mean 'axle'"),
+        ("node_off node=5", "allowed are 1, 2, 3, 4, 16, 17"),
+        ("swapped_axles axle=2 other=2", "give two axles"),
+        ("power_dip for=0", "out of range"),
+        ("node_off node", "write key=number"),
+    ],
+)
 def test_a_wrong_fault_is_refused_with_what_is_allowed(text, said):
     with pytest.raises(ConfigError, match="--fault") as refused:
         catalogue.parse(text)
@@ -465,7 +513,12 @@ def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
     desk = fault_registers.FaultRegisters(told.faults, told.event)
     write, read = desk.writers(), desk.readers()
     number = catalogue.BY_NAME["cylinder_leak"].number
-    for name, raw in (("fault", number), ("fault_target", 3), ("fault_duration", 20), ("inject_fault", 1)):
+    for name, raw in (
+        ("fault", number),
+        ("fault_target", 3),
+        ("fault_duration", 20),
+        ("inject_fault", 1),
+    ):
         write[name](raw, True)
         assert read["faults_active"]() == 0
         write[name](raw, False)

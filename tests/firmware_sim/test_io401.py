@@ -73,9 +73,14 @@ def test_magnets_stay_at_the_fail_safe_value_until_the_heartbeat_is_back(wire, b
 
 
 @pytest.mark.conformance("CiA 401", "error mode 6206h and error value 6207h")
-@pytest.mark.parametrize(("mask", "value", "after"), [(0xFF, 0x05, [HOLD, HOLD, FILL, FILL]),
-                                                      (0x0F, 0x00, [FILL, FILL, VENT, VENT]),
-                                                      (0x00, 0x00, [VENT, VENT, VENT, VENT])])
+@pytest.mark.parametrize(
+    ("mask", "value", "after"),
+    [
+        (0xFF, 0x05, [HOLD, HOLD, FILL, FILL]),
+        (0x0F, 0x00, [FILL, FILL, VENT, VENT]),
+        (0x00, 0x00, [VENT, VENT, VENT, VENT]),
+    ],
+)
 def test_6206h_says_which_magnets_take_the_value_of_6207h(wire, brake, mask, value, after):
     wire.write(17, 0x6206, 1, mask, 1)
     wire.write(17, 0x6207, 1, value, 1)
@@ -112,7 +117,7 @@ def test_cylinder_pressures_go_out_in_millibar_and_saturate(wire, brake):
     wire.row[signals.span("cylinder_pressure")] = [380_000.0, 0.0, 1e9, math.nan]
     wire.take()
     wire.sync()
-    data, = wire.take(0x191)
+    (data,) = wire.take(0x191)
     assert np.frombuffer(data, dtype="<i2").tolist() == [3800, 0, 32767, -32768]
 
 

@@ -33,16 +33,29 @@ def test_no_register_is_taken_twice_and_no_name_is_used_twice(drive):
 
 def test_bits_are_bits_and_registers_hold_integers(drive):
     for name, rows in spaces(drive).items():
-        assert {row.kind for row in rows} <= ({BIT} if "bits" in name else {"U16", "I16", "U32", "I32"})
+        assert {row.kind for row in rows} <= (
+            {BIT} if "bits" in name else {"U16", "I16", "U32", "I32"}
+        )
         assert all(row.text for row in rows)
         assert all(row.scale > 0 for row in rows)
 
 
-@pytest.mark.conformance("Modbus", "speeds, pressures and temperatures with the scale of the CAN bus")
-@pytest.mark.parametrize("name", [
-    "brake_demand", "cylinder_pressure", MEASURED_SPEED, "roller_speed", "motor_torque",
-    "tooth_frequency", "pulse_count", "wsp_reference_speed",
-])
+@pytest.mark.conformance(
+    "Modbus", "speeds, pressures and temperatures with the scale of the CAN bus"
+)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "brake_demand",
+        "cylinder_pressure",
+        MEASURED_SPEED,
+        "roller_speed",
+        "motor_torque",
+        "tooth_frequency",
+        "pulse_count",
+        "wsp_reference_speed",
+    ],
+)
 def test_what_the_can_nodes_tell_has_the_same_scale_here(name):
     signal, rows = signals.BY_NAME[name], [row for row in WORDS if row.signal == name]
     assert len(rows) == signal.axles
@@ -57,8 +70,15 @@ def test_speeds_and_pressures_of_every_axle_have_registers():
 
 
 def test_measured_ranges_hold_what_the_rig_can_do():
-    most = {"vehicle_speed": 100.0, "position": 1e5, "time": 36000.0, "cylinder_pressure": 1e6,
-            "brake_torque": 30000.0, "wheel_load": 3e5, "wheel_circumferential_speed": 100.0}
+    most = {
+        "vehicle_speed": 100.0,
+        "position": 1e5,
+        "time": 36000.0,
+        "cylinder_pressure": 1e6,
+        "brake_torque": 30000.0,
+        "wheel_load": 3e5,
+        "wheel_circumferential_speed": 100.0,
+    }
     assert most.keys() <= {row.signal for row in WORDS}
     for row in WORDS:
         if row.signal in most:
@@ -86,7 +106,9 @@ def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
     assert (speed["reference"], speed["access"]) == ("40002", "rw")
     assert found["13", "registers", "velocity_actual_value"]["register"] == "102..103"
     text = document.read_text()
-    assert all(f"| {line['register']} | {line['reference']} | {line['name']} |" in text for line in lines)
+    assert all(
+        f"| {line['register']} | {line['reference']} | {line['name']} |" in text for line in lines
+    )
     assert "| 1 | velim_a1 |" in text
 
 

@@ -87,7 +87,9 @@ def test_a_drive_answers_on_its_own_unit(line):
     assert reply == sealed(reply[:-2])
 
 
-@pytest.mark.parametrize("request_", [struct.pack(">BHH", 3, 200, 0), struct.pack(">BHH", 5, 0, 0x1234)])
+@pytest.mark.parametrize(
+    "request_", [struct.pack(">BHH", 3, 200, 0), struct.pack(">BHH", 5, 0, 0x1234)]
+)
 def test_a_wrong_request_gets_its_exception(request_, line):
     reply = line.ask(request_)
     assert reply == sealed(bytes((1, request_[0] | 0x80, 3)))

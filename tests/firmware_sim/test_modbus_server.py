@@ -62,18 +62,26 @@ REFUSED = {
     "a request that is too long": (two(3, 200, 1) + b"\0", "8303"),
     "a function without data": (bytes((3,)), "8303"),
     "no coil is written": (struct.pack(">BHHB", 15, 0, 0, 0), "8f03"),
-    "more coils than fit are written": (struct.pack(">BHHB", 15, 0, 1969, 247) + bytes(247), "8f03"),
+    "more coils than fit are written": (
+        struct.pack(">BHHB", 15, 0, 1969, 247) + bytes(247),
+        "8f03",
+    ),
     "coils with a wrong byte count": (struct.pack(">BHHBB", 15, 0, 9, 1, 1), "8f03"),
     "coils without their data": (struct.pack(">BHHB", 15, 0, 1, 1), "8f03"),
     "no register is written": (struct.pack(">BHHB", 16, 0, 0, 0), "9003"),
-    "more registers than fit are written": (struct.pack(">BHHB", 16, 0, 124, 248) + bytes(246), "9003"),
+    "more registers than fit are written": (
+        struct.pack(">BHHB", 16, 0, 124, 248) + bytes(246),
+        "9003",
+    ),
     "registers with a wrong byte count": (struct.pack(">BHHBH", 16, 0, 1, 4, 1), "9003"),
     "registers with too much data": (struct.pack(">BHHBHH", 16, 0, 1, 2, 1, 1), "9003"),
     "a mask that is too short": (struct.pack(">BHH", 22, 0, 0), "9603"),
     "an exchange that reads nothing": (struct.pack(">BHHHHBH", 23, 0, 0, 0, 1, 2, 0), "9703"),
     "an exchange that writes nothing": (struct.pack(">BHHHHB", 23, 0, 1, 0, 0, 0), "9703"),
     "an exchange that writes too much": (
-        struct.pack(">BHHHHB", 23, 0, 1, 0, 122, 244) + bytes(242), "9703"),
+        struct.pack(">BHHHHB", 23, 0, 1, 0, 122, 244) + bytes(242),
+        "9703",
+    ),
     "an exchange from nowhere": (struct.pack(">BHHHHBH", 23, 9000, 1, 0, 1, 2, 5), "9702"),
     "another encapsulated interface": (bytes((0x2B, 0x0D, 1, 0)), "ab01"),
     "an unknown level of identification": (bytes((0x2B, 0x0E, 5, 0)), "ab03"),
@@ -82,7 +90,9 @@ REFUSED = {
 }
 
 
-@pytest.mark.conformance("Modbus", "exceptions 01, 02, 03 (counts 0 and 126, FC5 values, unknown function)")
+@pytest.mark.conformance(
+    "Modbus", "exceptions 01, 02, 03 (counts 0 and 126, FC5 values, unknown function)"
+)
 @pytest.mark.parametrize("what", REFUSED)
 def test_a_refused_request_gets_the_standards_exception_and_changes_nothing(what, client, site):
     request, wanted = REFUSED[what]
@@ -114,11 +124,20 @@ def test_a_request_that_comes_in_single_bytes_is_answered_once(client):
 
 
 @pytest.mark.conformance("Modbus", "broken MBAP header closes the connection")
-@pytest.mark.parametrize("data", [
-    adu(two(3, 200, 1), length=0), adu(two(3, 200, 1), length=1), adu(two(3, 200, 1), length=255),
-    adu(two(3, 200, 1), length=2000), adu(two(3, 200, 1), protocol=1),
-    adu(two(3, 200, 1), protocol=0xFFFF), b"GET / HTTP/1.1\r\n\r\n", b"\0\1\0\1",
-], ids=lambda data: data[:8].hex())
+@pytest.mark.parametrize(
+    "data",
+    [
+        adu(two(3, 200, 1), length=0),
+        adu(two(3, 200, 1), length=1),
+        adu(two(3, 200, 1), length=255),
+        adu(two(3, 200, 1), length=2000),
+        adu(two(3, 200, 1), protocol=1),
+        adu(two(3, 200, 1), protocol=0xFFFF),
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"\0\1\0\1",
+    ],
+    ids=lambda data: data[:8].hex(),
+)
 def test_what_cannot_be_a_header_closes_the_connection_and_no_other(data, client, site):
     other = site.connect()
     client.send(data)
@@ -155,9 +174,16 @@ def test_registers_coils_and_masks_are_written(client, site):
     reply = client.ask(struct.pack(">BHHHHBH", 23, 0, 3, 1, 1, 2, 777))
     assert reply == struct.pack(">BBHHH", 23, 6, 4, 777, 0xFFFF)
     assert site.written == [
-        ("run", 1), ("run", 0), ("stop", 1), ("emergency_stop", 1), ("scenario", 4),
-        ("speed_set_point", 2500), ("brake_demand_set_point", -1),
-        ("speed_set_point", 2500 & 0xFF00 | 0x12), ("speed_set_point", 777)]
+        ("run", 1),
+        ("run", 0),
+        ("stop", 1),
+        ("emergency_stop", 1),
+        ("scenario", 4),
+        ("speed_set_point", 2500),
+        ("brake_demand_set_point", -1),
+        ("speed_set_point", 2500 & 0xFF00 | 0x12),
+        ("speed_set_point", 777),
+    ]
     assert client.ask(two(1, 0, 3)).hex() == "010106"
 
 
@@ -217,7 +243,9 @@ def test_pymodbus_as_a_client_agrees(site):
             assert speeds.registers[:3] == [100, 200, 300]
             assert (await client.read_coils(0, count=8, device_id=1)).bits == [False] * 8
             assert not (await client.write_register(1, 4000, device_id=1)).isError()
-            assert (await client.read_input_registers(9999, count=1, device_id=1)).exception_code == 2
+            assert (
+                await client.read_input_registers(9999, count=1, device_id=1)
+            ).exception_code == 2
             found = await client.read_device_information(read_code=1, device_id=1)
             assert found.information[0] == b"rollerrig"
 
@@ -235,13 +263,18 @@ def test_a_port_that_is_taken_is_refused_with_how_to_mend_it(site):
 
 # -- what strangers do
 
+
 def test_a_flooding_client_takes_turns_with_a_polite_one(site):
     flood, polite = site.connect(), site.connect()
     for one in (flood, polite):
         assert one.words(202, 1) == [1234]
     gate = threading.Event()
-    site.loop.call_soon_threadsafe(gate.wait)  # both have sent all before the server reads any of it
-    flood.send(b"".join(adu(struct.pack(">BHH", 6, 1, number), 1, number) for number in range(2400)))
+    site.loop.call_soon_threadsafe(
+        gate.wait
+    )  # both have sent all before the server reads any of it
+    flood.send(
+        b"".join(adu(struct.pack(">BHH", 6, 1, number), 1, number) for number in range(2400))
+    )
     polite.send(adu(struct.pack(">BHH", 6, 1, 5000)))
     gate.set()
     assert [flood.receive()[0] for _ in range(2400)] == list(range(2400))
@@ -263,7 +296,9 @@ def test_a_client_that_never_reads_is_not_read_and_harms_nobody(site):
         except BlockingIOError:
             time.sleep(0.001)
     # it comes to rest: nothing is answered into a full buffer
-    until(lambda: site.server.counters.requests == (time.sleep(0.5), site.server.counters.requests)[1])
+    until(
+        lambda: site.server.counters.requests == (time.sleep(0.5), site.server.counters.requests)[1]
+    )
     before = site.server.counters.requests
     assert polite.words(202, 1) == [1234]
     assert site.server.counters.requests == before + 1
@@ -311,10 +346,16 @@ def test_random_bytes_close_or_are_answered_and_the_server_lives(seed, site):
     for _ in range(60):
         client = site.connect()
         data = b"".join(
-            adu(fuzz.mutated(rng), rng.randrange(256), rng.randrange(65536),
-                rng.choice([0, 0, 0, 1, 256]), rng.choice([None, None, 0, 3, 254, 255, 65535]))
-            for _ in range(rng.randrange(1, 6)))
-        client.send(data[:rng.randrange(len(data)) + 1])
+            adu(
+                fuzz.mutated(rng),
+                rng.randrange(256),
+                rng.randrange(65536),
+                rng.choice([0, 0, 0, 1, 256]),
+                rng.choice([None, None, 0, 3, 254, 255, 65535]),
+            )
+            for _ in range(rng.randrange(1, 6))
+        )
+        client.send(data[: rng.randrange(len(data)) + 1])
         client.socket.close()
     assert site.connect().words(202, 1) == [1234]
     assert site.thread.is_alive()

@@ -22,19 +22,59 @@ def openssl(*arguments):
 
 
 def authority(folder, name):
-    openssl("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
-            "-days", 2, "-subj", f"/CN={name}", "-keyout", folder / f"{name}.key",
-            "-out", folder / f"{name}.pem")
+    openssl(
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+        "-days",
+        2,
+        "-subj",
+        f"/CN={name}",
+        "-keyout",
+        folder / f"{name}.key",
+        "-out",
+        folder / f"{name}.pem",
+    )
 
 
 def certificate(folder, name, signer):
-    openssl("req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-subj",
-            f"/CN={name}", "-keyout", folder / f"{name}.key", "-out", folder / f"{name}.csr")
+    openssl(
+        "req",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+        "-subj",
+        f"/CN={name}",
+        "-keyout",
+        folder / f"{name}.key",
+        "-out",
+        folder / f"{name}.csr",
+    )
     extension = folder / "extension"
     extension.write_text("subjectAltName=IP:127.0.0.1\n")
-    openssl("x509", "-req", "-in", folder / f"{name}.csr", "-CA", folder / f"{signer}.pem", "-CAkey",
-            folder / f"{signer}.key", "-CAcreateserial", "-days", 2, "-extfile", extension,
-            "-out", folder / f"{name}.pem")
+    openssl(
+        "x509",
+        "-req",
+        "-in",
+        folder / f"{name}.csr",
+        "-CA",
+        folder / f"{signer}.pem",
+        "-CAkey",
+        folder / f"{signer}.key",
+        "-CAcreateserial",
+        "-days",
+        2,
+        "-extfile",
+        extension,
+        "-out",
+        folder / f"{name}.pem",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +178,9 @@ def test_a_part_of_tls_is_refused_before_anything_is_served(folder, without, tmp
     given = asked(folder, **{without: ""})
     with pytest.raises(ConfigError, match=without):
         tls_context(given)
-    sets = [word for key, path in given.items() if path for word in ("--set", f"modbus.{key}={path}")]
+    sets = [
+        word for key, path in given.items() if path for word in ("--set", f"modbus.{key}={path}")
+    ]
     assert cli.main(["run", "dry_stop", "--out", str(tmp_path / "run"), *sets]) == cli.USAGE
     assert without in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

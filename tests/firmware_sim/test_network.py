@@ -27,8 +27,9 @@ class Rig:
         self.row, self.commands = np.zeros(len(signals.COLUMNS)), np.zeros(io401.COMMANDS)
         self.network = nmt_master.NmtMaster(**options)
         self.network.on_event = lambda level, text: self.events.append(text)
-        drives = [drive402.build(node, axle, self.row)
-                  for axle, node in enumerate(signals.DRIVE_NODES, 1)]
+        drives = [
+            drive402.build(node, axle, self.row) for axle, node in enumerate(signals.DRIVE_NODES, 1)
+        ]
         self.nodes = [*drives, encoder406.build(self.row), io401.build(self.row, self.commands)]
         self.rack = rack.Rack()
         for member in (self.network, *self.nodes):

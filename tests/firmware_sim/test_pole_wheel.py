@@ -15,7 +15,9 @@ FREQUENCY = signals.column("tooth_frequency")
 
 def drive(speeds, model="pole_wheel", timer_Hz=1e6, dropout_rad_s=1.0, faults=()):
     """Rows of axle 1 that turns with speeds in rad/s, one a tick: measured speed and pulses."""
-    sensor = pole_wheel.Sensor(pole_wheel.MODELS[model], TEETH, WINDOW, dropout_rad_s, timer_Hz, TICK_S)
+    sensor = pole_wheel.Sensor(
+        pole_wheel.MODELS[model], TEETH, WINDOW, dropout_rad_s, timer_Hz, TICK_S
+    )
     row, memory = np.zeros(len(signals.COLUMNS)), pole_wheel.memory(1)
     array = np.zeros(effects.SIZE)
     for kind, value in faults:
@@ -43,7 +45,9 @@ def test_a_constant_speed_is_measured_within_the_resolution_of_the_timer(speed):
     measured, _, _, _ = drive(np.full(600, speed), timer_Hz=1e5)
     # of two edges each may be one count of the timer early, in a window of at least one tooth
     pitch_s = 2 * np.pi / TEETH / speed
-    assert measured[100:] == pytest.approx(speed, rel=2 * 1e-5 / max(pitch_s, 0.5 * WINDOW * TICK_S))
+    assert measured[100:] == pytest.approx(
+        speed, rel=2 * 1e-5 / max(pitch_s, 0.5 * WINDOW * TICK_S)
+    )
     assert len(set(measured[100:])) > 1
 
 

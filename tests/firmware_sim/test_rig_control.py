@@ -39,7 +39,9 @@ def rolling(rows):
     return signal(rows, "vehicle_speed")[:, 0] > 1.0
 
 
-@pytest.mark.conformance("Rig control", "electric inertia simulation: rollers keep the vehicle's speed")
+@pytest.mark.conformance(
+    "Rig control", "electric inertia simulation: rollers keep the vehicle's speed"
+)
 def test_contaminated_rollers_keep_the_speed_of_the_vehicle_whose_inertia_they_carry(stops):
     rows = stops["full_scale"]
     error = signal(rows, "tracking_error")[rolling(rows)]
@@ -49,7 +51,9 @@ def test_contaminated_rollers_keep_the_speed_of_the_vehicle_whose_inertia_they_c
     assert signal(rows, "motor_torque").max() > 2000.0
 
 
-@pytest.mark.conformance("Rig control", "virtual track: wheels turn as those of the virtual vehicle do, tracking error")
+@pytest.mark.conformance(
+    "Rig control", "virtual track: wheels turn as those of the virtual vehicle do, tracking error"
+)
 def test_on_a_virtual_track_real_wheels_turn_as_those_of_the_virtual_vehicle_do(stops):
     rows = stops["virtual_track"]
     error = signal(rows, "tracking_error")[rolling(rows)]

@@ -40,8 +40,10 @@ class RigThread:
         hub = Hub(time.monotonic_ns)
         self.port = await hub.listen("socketcand", port=0)
         bench, slots = nmt_master.NmtMaster(), rack.Rack()
-        self.nodes = [drive402.build(node, axle, self.row, control="bus")
-                      for axle, node in enumerate(signals.DRIVE_NODES, 1)]
+        self.nodes = [
+            drive402.build(node, axle, self.row, control="bus")
+            for axle, node in enumerate(signals.DRIVE_NODES, 1)
+        ]
         self.nodes += [encoder406.build(self.row), io401.build(self.row, self.commands)]
         for member in (bench, *self.nodes):
             slots.add(member)
@@ -72,8 +74,13 @@ def rig():
 @pytest.fixture
 def master(rig):
     found = canopen.Network()
-    found.connect(interface="socketcand", host="127.0.0.1", port=rig.port,
-                  channel=signals.BUS_CHANNEL, tcp_tune=True)
+    found.connect(
+        interface="socketcand",
+        host="127.0.0.1",
+        port=rig.port,
+        channel=signals.BUS_CHANNEL,
+        tcp_tune=True,
+    )
     yield found
     found.disconnect()
 
@@ -131,8 +138,13 @@ def test_a_foreign_unit_reads_speeds_by_pdo_and_drives_the_valves(rig, master):
 
 
 def test_a_raw_python_can_client_sees_the_process_data_of_one_sync(rig):
-    with can.Bus(interface="socketcand", host="127.0.0.1", port=rig.port,
-                 channel=signals.BUS_CHANNEL, tcp_tune=True) as bus:
+    with can.Bus(
+        interface="socketcand",
+        host="127.0.0.1",
+        port=rig.port,
+        channel=signals.BUS_CHANNEL,
+        tcp_tune=True,
+    ) as bus:
         seen = []
         until = time.monotonic() + 60
         while seen.count(0x80) < 3 and time.monotonic() < until:
@@ -141,5 +153,17 @@ def test_a_raw_python_can_client_sees_the_process_data_of_one_sync(rig):
                 seen.append(message.arbitration_id)
     first = seen.index(0x80)
     second = seen.index(0x80, first + 1)
-    assert sorted(seen[first + 1:second]) == [0x181, 0x182, 0x183, 0x184, 0x190, 0x191, 0x281,
-                                              0x282, 0x283, 0x284, 0x290, 0x390]
+    assert sorted(seen[first + 1 : second]) == [
+        0x181,
+        0x182,
+        0x183,
+        0x184,
+        0x190,
+        0x191,
+        0x281,
+        0x282,
+        0x283,
+        0x284,
+        0x290,
+        0x390,
+    ]

@@ -29,7 +29,9 @@ def test_sanders_are_asked_by_the_unit_and_by_a_driver(wire, sander):
     assert wire.asked.tolist() == [1, 1, 1, 1]
 
 
-@pytest.mark.conformance("CiA 401", "sanders stop when their partner is lost, when stopped and when reset")
+@pytest.mark.conformance(
+    "CiA 401", "sanders stop when their partner is lost, when stopped and when reset"
+)
 @pytest.mark.parametrize("how", ["lost", STOP, RESET_NODE])
 def test_sanders_stop_when_nobody_watches_them(wire, sander, how):
     wire.send(0x212, [0x55])
@@ -60,4 +62,7 @@ def test_eds_and_dbc_describe_the_sanders_of_a_vehicle_that_has_some(tmp_path):
     descriptions.write(tmp_path, devices.dictionaries(plans[1]))
     assert list(tmp_path.glob("node_018_*.eds"))
     asked = cantools.database.load_file(tmp_path / "rig.dbc").get_message_by_frame_id(0x212)
-    assert asked.encode({f"sand_demand_{axle}": int(axle in (1, 3)) for axle in range(1, 5)}) == b"\x11"
+    assert (
+        asked.encode({f"sand_demand_{axle}": int(axle in (1, 3)) for axle in range(1, 5)})
+        == b"\x11"
+    )

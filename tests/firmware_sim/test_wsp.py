@@ -76,13 +76,13 @@ def run_stop(unit, mu, tau, log, protected):
         magnets, reference = logic.cycle(unit, raw)
         row = log[i]
         row[V] = x[0]
-        row[WHEEL:WHEEL + 4] = RADIUS_M * x[2:6]
+        row[WHEEL : WHEEL + 4] = RADIUS_M * x[2:6]
         row[REFERENCE] = reference * 0.01
         row[MAGNETS] = magnets
-        row[PHASE:PHASE + 4] = unit.state.phase
+        row[PHASE : PHASE + 4] = unit.state.phase
         row[DISTANCE] = x[1]
-        row[PRESSURE:PRESSURE + 4] = x[6:10]
-        row[SPEED_RAW:SPEED_RAW + 4] = raw
+        row[PRESSURE : PRESSURE + 4] = x[6:10]
+        row[SPEED_RAW : SPEED_RAW + 4] = raw
         if x[0] < 0.1:
             return i
         demand = 1.0 - np.exp(-i * CYCLE_S / 1.3)
@@ -95,8 +95,15 @@ def stop(mu, tau=CLEANING_M_J, protected=True, cycles=14000, params=None):
     """The log of a stop; `mu` a number or one for each cycle."""
     log = np.zeros((cycles, COLUMNS))
     unit = logic.new_unit(logic.load() if params is None else params)
-    return log[:run_stop(unit, np.broadcast_to(float(mu) if np.isscalar(mu) else mu, cycles).copy(),
-                         tau, log, protected)]
+    return log[
+        : run_stop(
+            unit,
+            np.broadcast_to(float(mu) if np.isscalar(mu) else mu, cycles).copy(),
+            tau,
+            log,
+            protected,
+        )
+    ]
 
 
 def longest_lock_s(log, axle):
@@ -148,7 +155,7 @@ def test_wheels_slide_on_purpose_about_as_far_as_in_the_recorded_stops():
 def test_the_reference_stays_near_the_vehicle_although_all_axles_slide(mu):
     log = stop(mu)
     running = log[log[:, V] > 3.0]
-    slides = running[:, V] - running[:, WHEEL:WHEEL + 4].max(axis=1)
+    slides = running[:, V] - running[:, WHEEL : WHEEL + 4].max(axis=1)
     error = running[:, REFERENCE] - running[:, V]
     assert np.percentile(slides, 50) > 2.0  # no axle shows the vehicle's speed most of the time
     assert np.abs(error).max() < 2.5
@@ -176,8 +183,8 @@ def test_the_brakes_are_back_within_three_seconds_when_the_adhesion_returns():
     mu = np.full(14000, 0.02)
     mu[1500:] = 0.3
     log = stop(mu)
-    assert log[1400, PRESSURE:PRESSURE + 4].max() < 0.9
-    assert log[1800, PRESSURE:PRESSURE + 4].min() > 0.9
+    assert log[1400, PRESSURE : PRESSURE + 4].max() < 0.9
+    assert log[1800, PRESSURE : PRESSURE + 4].min() > 0.9
     assert not log[1900:, MAGNETS].any()
 
 
@@ -201,7 +208,7 @@ def test_a_locked_wheel_is_vented_for_ten_seconds_at_most():
     assert vented[0] < 5
     filled = next(i for i in range(vented[0], 1200) if magnets[i] & 0b1100 == 0)
     assert filled - vented[0] == pytest.approx(1000, abs=2)
-    assert not any(byte & 0b1100 for byte in magnets[filled:filled + 49])
+    assert not any(byte & 0b1100 for byte in magnets[filled : filled + 49])
 
 
 def test_holding_ends_after_five_seconds_in_all_without_a_fill():
@@ -226,7 +233,7 @@ def test_the_direction_of_travel_does_not_matter():
 def test_the_same_integers_give_the_same_bits_inside_a_compiled_loop_and_cycle_by_cycle():
     log = stop(0.02)
     unit = logic.new_unit(logic.load())
-    again = [logic.cycle(unit, row[SPEED_RAW:SPEED_RAW + 4].astype(np.int64)) for row in log]
+    again = [logic.cycle(unit, row[SPEED_RAW : SPEED_RAW + 4].astype(np.int64)) for row in log]
     assert [magnets for magnets, _ in again] == log[:, MAGNETS].astype(int).tolist()
     assert [reference * 0.01 for _, reference in again] == log[:, REFERENCE].tolist()
 
@@ -242,11 +249,15 @@ print([tuple(int(n) for n in wsp.cycle(unit, row)) for row in rows])
 
 
 def test_the_cycle_is_ordinary_python_too(tmp_path):
-    raw = stop(0.02)[:1500, SPEED_RAW:SPEED_RAW + 4].astype(np.int64)
+    raw = stop(0.02)[:1500, SPEED_RAW : SPEED_RAW + 4].astype(np.int64)
     np.save(tmp_path / "raw.npy", raw)
-    plain = subprocess.run([sys.executable, "-c", PLAIN, tmp_path / "raw.npy"], check=True,
-                           capture_output=True, text=True,
-                           env={**os.environ, "NUMBA_DISABLE_JIT": "1"}).stdout
+    plain = subprocess.run(
+        [sys.executable, "-c", PLAIN, tmp_path / "raw.npy"],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+    ).stdout
     unit = logic.new_unit(logic.load())
     assert plain.strip() == str([tuple(int(n) for n in logic.cycle(unit, row)) for row in raw])
 
@@ -268,15 +279,19 @@ def test_every_packaged_configuration_loads(name):
 
 def test_the_reference_configuration_writes_out_the_defaults():
     written = store.load("wsp", "reference")[0]
-    assert {name: tuple(value) if isinstance(value, list) else value
-            for name, value in written.items()} == {row.name: row.default for row in logic.ROWS}
+    assert {
+        name: tuple(value) if isinstance(value, list) else value for name, value in written.items()
+    } == {row.name: row.default for row in logic.ROWS}
 
 
-@pytest.mark.parametrize(("line", "told"), [
-    ("cut_of_m_s = 2.0", "did you mean 'cut_off_m_s'"),
-    ("cut_off_m_s = 20.0", "allowed 0.3 to 10"),
-    ("wheel_diameter_m = [0.89]", "4 are wanted"),
-])
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("cut_of_m_s = 2.0", "did you mean 'cut_off_m_s'"),
+        ("cut_off_m_s = 20.0", "allowed 0.3 to 10"),
+        ("wheel_diameter_m = [0.89]", "4 are wanted"),
+    ],
+)
 def test_a_wrong_configuration_is_refused_by_name(tmp_path, line, told):
     path = tmp_path / "mine.toml"
     path.write_text(line)
@@ -293,7 +308,7 @@ def test_the_watch_for_stuck_sensors_changes_no_bit_of_an_ordinary_stop(mu):
 
 def with_sensor_stuck_after(second, params=None):
     """Counts of an ordinary stop, axle 2 stuck from then on, and the references told."""
-    raw = stop(0.03)[:, SPEED_RAW:SPEED_RAW + 4].astype(np.int64)
+    raw = stop(0.03)[:, SPEED_RAW : SPEED_RAW + 4].astype(np.int64)
     at = round(second / CYCLE_S)
     raw[at:, 1] = raw[at, 1]
     unit = logic.new_unit(logic.load() if params is None else params)

@@ -192,7 +192,10 @@ def test_a_sync_whose_speeds_never_come_is_answered_by_the_clock_where_no_other_
 
 def test_in_lockstep_it_sends_nothing_by_the_clock_and_answers_without_speeds_at_the_next_sync():
     bench = Bench(f"wsp-unit-{os.getpid()}-{next(CHANNELS)}", lockstep_s=0.01)
-    assert bench.heard(HEARTBEAT) + bench.heard(HEARTBEAT) == [(HEARTBEAT, b"\x00"), (HEARTBEAT, b"\x05")]
+    assert bench.heard(HEARTBEAT) + bench.heard(HEARTBEAT) == [
+        (HEARTBEAT, b"\x00"),
+        (HEARTBEAT, b"\x05"),
+    ]
     assert bench.heard(timeout_s=0.5) == []
     bench.cycle()
     bench.send(SYNC)
@@ -300,8 +303,11 @@ def go_unit(tmp_path_factory):
     if shutil.which("go") is None:
         pytest.skip("no Go compiler on this machine")
     program = tmp_path_factory.mktemp("go") / "wsp_unit"
-    subprocess.run(["go", "build", "-o", program, EXAMPLES / "wsp_unit.go"], check=True,
-                   env={**os.environ, "GOFLAGS": "-mod=mod", "CGO_ENABLED": "0"})
+    subprocess.run(
+        ["go", "build", "-o", program, EXAMPLES / "wsp_unit.go"],
+        check=True,
+        env={**os.environ, "GOFLAGS": "-mod=mod", "CGO_ENABLED": "0"},
+    )
     return str(program)
 
 
@@ -336,8 +342,11 @@ def test_every_unit_is_a_good_citizen_in_lockstep_and_ends_with_the_bus(kind, lo
             assert set(answers[:100]) == {b"\x00"}
             assert b"\x03" in answers[100:]
             # a heartbeat before every fifth answer; one more may go out before the first SYNC
-            before = [ids(said[:i]).count(MAGNETS) for i, frame in enumerate(said)
-                      if frame[0] == HEARTBEAT]
+            before = [
+                ids(said[:i]).count(MAGNETS)
+                for i, frame in enumerate(said)
+                if frame[0] == HEARTBEAT
+            ]
             assert [n for n in before if n] == list(range(4, 200, 5))
             lockstep.close()
             assert unit.wait(60.0) == 0

@@ -16,38 +16,91 @@ PLACES = np.array([0.0, 2.56, 19.0, 21.56])
 RADIUS, INERTIA = 0.445, 160.0
 # places of the coefficients in the kernel's vector of effects
 EFFECTS = (
-    "rail_cleaning", "adhesion_memory", "speed_dependent_friction", "negative_conditioning",
-    "contaminated_patch", "friction_trend", "brake_gain", "pad_fade", "torque_offset",
-    "running_resistance", "track_gradient", "wheel_radius", "wheel_inertia", "speed_sensor_delay",
-    "torque_sensor_delay", "wheel_out_of_round", "load_transfer", "sanding", "roller_curvature",
-    "interfacial_layer", "falling_friction",
+    "rail_cleaning",
+    "adhesion_memory",
+    "speed_dependent_friction",
+    "negative_conditioning",
+    "contaminated_patch",
+    "friction_trend",
+    "brake_gain",
+    "pad_fade",
+    "torque_offset",
+    "running_resistance",
+    "track_gradient",
+    "wheel_radius",
+    "wheel_inertia",
+    "speed_sensor_delay",
+    "torque_sensor_delay",
+    "wheel_out_of_round",
+    "load_transfer",
+    "sanding",
+    "roller_curvature",
+    "interfacial_layer",
+    "falling_friction",
     # not in the library
-    "load_exponent", "joints", "sticky_turn", "late_axle", "sliding_resonance",
+    "load_exponent",
+    "joints",
+    "sticky_turn",
+    "late_axle",
+    "sliding_resonance",
 )
 # sizes that can be seen in six stops, smallest
 SMALLEST = {
-    "rail_cleaning": 0.06, "adhesion_memory": 2.0, "speed_dependent_friction": 0.06,
-    "negative_conditioning": 0.12, "contaminated_patch": 0.07, "friction_trend": 0.12,
-    "brake_gain": 0.04, "pad_fade": 0.0015, "torque_offset": 90.0, "running_resistance": 250.0,
-    "track_gradient": 0.0008, "wheel_radius": 0.0008, "wheel_inertia": 0.12,
-    "speed_sensor_delay": 0.010, "torque_sensor_delay": 0.012, "wheel_out_of_round": 0.013,
-    "load_transfer": 0.014, "sanding": 0.08, "roller_curvature": 0.45, "interfacial_layer": 0.45,
+    "rail_cleaning": 0.06,
+    "adhesion_memory": 2.0,
+    "speed_dependent_friction": 0.06,
+    "negative_conditioning": 0.12,
+    "contaminated_patch": 0.07,
+    "friction_trend": 0.12,
+    "brake_gain": 0.04,
+    "pad_fade": 0.0015,
+    "torque_offset": 90.0,
+    "running_resistance": 250.0,
+    "track_gradient": 0.0008,
+    "wheel_radius": 0.0008,
+    "wheel_inertia": 0.12,
+    "speed_sensor_delay": 0.010,
+    "torque_sensor_delay": 0.012,
+    "wheel_out_of_round": 0.013,
+    "load_transfer": 0.014,
+    "sanding": 0.08,
+    "roller_curvature": 0.45,
+    "interfacial_layer": 0.45,
     "falling_friction": 0.25,
 }
-UNKNOWN = {"load_exponent": 1.0, "joints": 0.08, "sticky_turn": 0.08, "late_axle": 0.06,
-           "sliding_resonance": 0.06}
+UNKNOWN = {
+    "load_exponent": 1.0,
+    "joints": 0.08,
+    "sticky_turn": 0.08,
+    "late_axle": 0.06,
+    "sliding_resonance": 0.06,
+}
 LARGEST: dict[str, float] = {}
 # causes whose size means here what the rig's table means by it: the coefficient to compare, its sign
 SAME_MEANING = {
-    "brake_gain": ("gain", 1.0), "wheel_radius": ("fraction", 1.0), "wheel_inertia": ("fraction", 1.0),
-    "speed_sensor_delay": ("delay_s", 1.0), "torque_sensor_delay": ("delay_s", 1.0),
-    "wheel_out_of_round": ("amplitude", 1.0), "torque_offset": ("offset_Nm", 1.0),
-    "track_gradient": ("gradient", 1.0), "roller_curvature": ("stiffness_fraction", 1.0),
-    "interfacial_layer": ("reduction", 1.0), "falling_friction": ("fraction", 1.0)}
-PAIRS = tuple({name: 2.0 * SMALLEST[name] for name in pair} for pair in (
-    ("rail_cleaning", "running_resistance"), ("brake_gain", "friction_trend"),
-    ("wheel_radius", "adhesion_memory"), ("pad_fade", "rail_cleaning"),
-    ("torque_sensor_delay", "contaminated_patch"), ("load_transfer", "running_resistance")))
+    "brake_gain": ("gain", 1.0),
+    "wheel_radius": ("fraction", 1.0),
+    "wheel_inertia": ("fraction", 1.0),
+    "speed_sensor_delay": ("delay_s", 1.0),
+    "torque_sensor_delay": ("delay_s", 1.0),
+    "wheel_out_of_round": ("amplitude", 1.0),
+    "torque_offset": ("offset_Nm", 1.0),
+    "track_gradient": ("gradient", 1.0),
+    "roller_curvature": ("stiffness_fraction", 1.0),
+    "interfacial_layer": ("reduction", 1.0),
+    "falling_friction": ("fraction", 1.0),
+}
+PAIRS = tuple(
+    {name: 2.0 * SMALLEST[name] for name in pair}
+    for pair in (
+        ("rail_cleaning", "running_resistance"),
+        ("brake_gain", "friction_trend"),
+        ("wheel_radius", "adhesion_memory"),
+        ("pad_fade", "rail_cleaning"),
+        ("torque_sensor_delay", "contaminated_patch"),
+        ("load_transfer", "running_resistance"),
+    )
+)
 INDEX = {name: i for i, name in enumerate(EFFECTS)}
 
 
@@ -103,7 +156,9 @@ def stop(v0, mass, mu_cd, most, e, rail, own, positions, sand_s, patch_m, axle, 
     rows = 0
     for k in range(out.shape[0] * every):
         demand = most if t > 1.0 else 0.0
-        force = 600.0 + 0.9375 * v * v + e[9] * (0.6 + 0.4 * (v / 25.0) ** 2) + e[10] * mass * 9.80665
+        force = (
+            600.0 + 0.9375 * v * v + e[9] * (0.6 + 0.4 * (v / 25.0) ** 2) + e[10] * mass * 9.80665
+        )
         for j in range(4):
             r = RADIUS * (1.0 + (e[11] if j == axle else 0.0))
             inertia = INERTIA * (1.0 + e[12])
@@ -125,8 +180,10 @@ def stop(v0, mass, mu_cd, most, e, rail, own, positions, sand_s, patch_m, axle, 
                 pressure[j] -= pressure[j] * step / 0.35
             pitch = (1.0 if j < 2 else -1.0) * 0.0116 + (1.0 if j % 2 == 0 else -1.0) * 0.0116
             shown = static * (1.0 + pitch * a)
-            N = shown * (1.0 + e[16] * a * ((1.0 if j < 2 else -1.0) * 0.6
-                                            + (1.0 if j % 2 == 0 else -1.0) * 0.4))
+            N = shown * (
+                1.0
+                + e[16] * a * ((1.0 if j < 2 else -1.0) * 0.6 + (1.0 if j % 2 == 0 else -1.0) * 0.4)
+            )
             if j == axle:
                 N *= 1.0 + e[15] * math.sin(angle[j] + 0.7)
             place = x - positions[j]
@@ -140,9 +197,10 @@ def stop(v0, mass, mu_cd, most, e, rail, own, positions, sand_s, patch_m, axle, 
                     total += work[i, at]
                 scale *= 1.0 + 2.0 * e[0] * total / (total + 350.0)
             scale *= ((7.5 / (3.6 * 20.0 + 44.0) + 0.161) / (7.5 / (3.6 * v + 44.0) + 0.161)) ** (
-                -e[2] * 4.0)
+                -e[2] * 4.0
+            )
             scale /= 1.0 + e[3] * spent[j] / 60.0
-            scale *= 1.0 - e[4] * math.exp(-((place - patch_m) / 45.0) ** 2)
+            scale *= 1.0 - e[4] * math.exp(-(((place - patch_m) / 45.0) ** 2))
             scale *= math.exp(-e[5] * (1.0 - math.exp(-t / 12.0)))
             if sand_s < t < sand_s + 7.0 and j > 0:
                 scale *= 1.0 + e[17] * math.sin(math.pi * (t - sand_s) / 7.0) ** 0.5
@@ -209,16 +267,21 @@ def irregularity(rng: np.random.Generator, metres: float) -> np.ndarray:
 def delayed(values: np.ndarray, fine_s: float, delay_s: float) -> np.ndarray:
     """values(t - delay) on a fine grid."""
     shift = round(delay_s / fine_s)
-    return np.concatenate([np.repeat(values[:1], max(shift, 0), axis=0), values])[:len(values)]
+    return np.concatenate([np.repeat(values[:1], max(shift, 0), axis=0), values])[: len(values)]
 
 
 def make(folder: Path, effects: dict[str, float], seed: int) -> Path:
     """Write a dataset of six stops with hidden effects; returns its folder."""
     rng = np.random.default_rng(seed)
     (folder / "runs").mkdir(parents=True, exist_ok=True)
-    plan = (("a1", "tune", 42.3, 43000.0), ("a2", "tune", 33.0, 43000.0),
-            ("a3", "tune", 27.0, 49450.0), ("b1", "validate", 41.1, 43000.0),
-            ("b2", "validate", 36.0, 49450.0), ("b3", "validate", 25.0, 43000.0))
+    plan = (
+        ("a1", "tune", 42.3, 43000.0),
+        ("a2", "tune", 33.0, 43000.0),
+        ("a3", "tune", 27.0, 49450.0),
+        ("b1", "validate", 41.1, 43000.0),
+        ("b2", "validate", 36.0, 49450.0),
+        ("b3", "validate", 25.0, 43000.0),
+    )
     e = np.zeros(28)
     for name, size in effects.items():
         e[INDEX[name]] = size
@@ -232,12 +295,27 @@ def make(folder: Path, effects: dict[str, float], seed: int) -> Path:
     for name, group, v0, mass in plan:
         own = np.array([irregularity(rng, 2000.0) for _ in range(AXLES)])
         fine = np.zeros((90000, 14))
-        rows = stop(v0, mass * weight, level * (1.0 + 0.05 * rng.normal()),
-                    rng.uniform(6000.0, 8200.0), e, rail, own, PLACES,
-                    rng.uniform(3.0, 9.0), patch_m, axle, 0.0005, 2, fine)
+        rows = stop(
+            v0,
+            mass * weight,
+            level * (1.0 + 0.05 * rng.normal()),
+            rng.uniform(6000.0, 8200.0),
+            e,
+            rail,
+            own,
+            PLACES,
+            rng.uniform(3.0, 9.0),
+            patch_m,
+            axle,
+            0.0005,
+            2,
+            fine,
+        )
         _write(folder / "runs" / f"{name}.csv", fine[:rows], e, mass, gain, lift, rng)
-        text += (f'\n[[run]]\nfile = "runs/{name}.csv"\ngroup = "{group}"\n'
-                 f"initial_speed_m_s = {v0}\n" + (f"mass_kg = {mass}\n" if mass > 43000.0 else ""))
+        text += (
+            f'\n[[run]]\nfile = "runs/{name}.csv"\ngroup = "{group}"\n'
+            f"initial_speed_m_s = {v0}\n" + (f"mass_kg = {mass}\n" if mass > 43000.0 else "")
+        )
     (folder / "dataset.toml").write_text(text)
     return folder
 
@@ -248,8 +326,15 @@ def _patch() -> float:
     return 4.593 * 5.692e-3 * 4.377e-3 / 52700.0 ** (2.0 / 3.0)
 
 
-def _write(path: Path, fine: np.ndarray, e: np.ndarray, mass: float, gain: float, lift: float,
-           rng: np.random.Generator) -> None:
+def _write(
+    path: Path,
+    fine: np.ndarray,
+    e: np.ndarray,
+    mass: float,
+    gain: float,
+    lift: float,
+    rng: np.random.Generator,
+) -> None:
     wheel = delayed(fine[:, 1:5], 0.001, e[INDEX["speed_sensor_delay"]])[::10]
     torque = delayed(fine[:, 9:13], 0.001, e[INDEX["torque_sensor_delay"]])[::10]
     fine = fine[::10]
@@ -265,7 +350,7 @@ def _write(path: Path, fine: np.ndarray, e: np.ndarray, mass: float, gain: float
     np.savetxt(path, table, delimiter=",", fmt="%.6g", header=",".join(names), comments="")
 
 
-_HEAD = '''kind = "braking_runs"
+_HEAD = """kind = "braking_runs"
 vehicle = "uic_z1"
 sample_time_s = 0.01
 
@@ -278,4 +363,4 @@ wheel_speed_rad_s = 0.06742
 torque_fraction = 0.015
 load_fraction = 0.01
 calibration_fraction = 0.003
-'''
+"""

@@ -31,13 +31,23 @@ def rounded(value):
 
 def told(report, causes):
     """What a verdict by other limits needs beside what is judged."""
-    findings = {where: [f for f in found if f["p_value"] < LIKELY]
-                for where, found in report.get("findings", {}).items()}
-    evidence = [{"likelihood": one["evidence"]["likelihood"],
-                 "rivals": [rival for rival in one["evidence"]["rivals"] if rival["share"] > NEAR]}
-                for one in report["causes"]]
-    return {"causes": [one | {"evidence": its} for one, its in zip(causes, evidence, strict=True)],
-            "set_aside": report.get("set_aside", []), "findings": findings, "notes": report.get("notes", [])}
+    findings = {
+        where: [f for f in found if f["p_value"] < LIKELY]
+        for where, found in report.get("findings", {}).items()
+    }
+    evidence = [
+        {
+            "likelihood": one["evidence"]["likelihood"],
+            "rivals": [rival for rival in one["evidence"]["rivals"] if rival["share"] > NEAR],
+        }
+        for one in report["causes"]
+    ]
+    return {
+        "causes": [one | {"evidence": its} for one, its in zip(causes, evidence, strict=True)],
+        "set_aside": report.get("set_aside", []),
+        "findings": findings,
+        "notes": report.get("notes", []),
+    }
 
 
 def write(folder, found):
@@ -52,8 +62,10 @@ def main(folders):
         to.mkdir(parents=True, exist_ok=True)
         shutil.copy(folder / cases.KEY, to / cases.KEY)
         given = folder / answers.ANSWERS / "explain"
-        found = {name: one | told(json.loads((given / f"{name}.json").read_text()), one["causes"])
-                 for name, one in answers.read(given).items()}
+        found = {
+            name: one | told(json.loads((given / f"{name}.json").read_text()), one["causes"])
+            for name, one in answers.read(given).items()
+        }
         write(to, found)
         print(f"{to}: {len(found)} answers")
 

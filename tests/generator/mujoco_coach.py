@@ -27,30 +27,98 @@ G_M_S2 = 9.81
 MASS_KG, BOGIE_KG, WHEELSET_KG, AXLE_KGM2 = 43000.0, 3000.0, 1820.0, 160.0
 RADIUS_M, WHEELBASE_M, PIVOTS_M, BODY_M, BOGIE_M, PIVOT_M = 0.445, 2.56, 19.0, 1.8, 0.6, 0.9
 RESISTANCE_N, RESISTANCE_N_S2_M2 = 600.0, 0.9375
-PRIMARY_N_M, PRIMARY_N_S_M, SECONDARY_N_M, SECONDARY_N_S_M = 1.58e6, 1.6e4, 6.8e5, 4.0e4  # of a wheelset, of a bogie
+PRIMARY_N_M, PRIMARY_N_S_M, SECONDARY_N_M, SECONDARY_N_S_M = (
+    1.58e6,
+    1.6e4,
+    6.8e5,
+    4.0e4,
+)  # of a wheelset, of a bogie
 RAIL_N_M, RAIL_N_S_M = 2.0e8, 2.0e5  # of a wheelset: contact on a rail on its pads and ballast
-POSITIONS_M = (0.0, WHEELBASE_M, PIVOTS_M, PIVOTS_M + WHEELBASE_M)  # of wheelsets, behind the first wheelset
+POSITIONS_M = (
+    0.0,
+    WHEELBASE_M,
+    PIVOTS_M,
+    PIVOTS_M + WHEELBASE_M,
+)  # of wheelsets, behind the first wheelset
 STEP_S, SUBSTEPS, CELL_M = 5e-4, 4, 0.2
 LAST_M_S = 4.1
 DEAD_TIME = 3  # protection cycles from its command to the valve
 CYCLE_S = 0.01
 
 # what is hidden and acts while a stop runs: its place in the array of sizes
-ACTING = ("rail_cleaning", "adhesion_memory", "speed_dependent_friction", "negative_conditioning", "friction_trend",
-          "brake_gain", "pad_fade", "torque_offset", "running_resistance", "wheel_out_of_round", "sanding",
-          "interfacial_layer", "falling_friction", "torque_hysteresis", "axle_generator", "coupler_surge",
-          "track_waves")
-(CLEANING, MEMORY, SPEED, CONDITIONING, TREND, GAIN, FADE, OFFSET, RESISTANCE, ROUND, SAND, LAYER, FALLING, HYSTERESIS,
- GENERATOR, SURGE, WAVES) = range(len(ACTING))
+ACTING = (
+    "rail_cleaning",
+    "adhesion_memory",
+    "speed_dependent_friction",
+    "negative_conditioning",
+    "friction_trend",
+    "brake_gain",
+    "pad_fade",
+    "torque_offset",
+    "running_resistance",
+    "wheel_out_of_round",
+    "sanding",
+    "interfacial_layer",
+    "falling_friction",
+    "torque_hysteresis",
+    "axle_generator",
+    "coupler_surge",
+    "track_waves",
+)
+(
+    CLEANING,
+    MEMORY,
+    SPEED,
+    CONDITIONING,
+    TREND,
+    GAIN,
+    FADE,
+    OFFSET,
+    RESISTANCE,
+    ROUND,
+    SAND,
+    LAYER,
+    FALLING,
+    HYSTERESIS,
+    GENERATOR,
+    SURGE,
+    WAVES,
+) = range(len(ACTING))
 
 # state of an axle that MuJoCo does not have
-(PRESSURE, TORQUE, FRICTION, ENERGY_1, ENERGY_2, SLID_M, BULK_K, FACE_K, CLAMP, PHASE, SPIN_BEFORE, SPIN_RATE, SINCE,
- COMMAND, ANGLE, LOAD, CELL, SEEN) = range(18)
+(
+    PRESSURE,
+    TORQUE,
+    FRICTION,
+    ENERGY_1,
+    ENERGY_2,
+    SLID_M,
+    BULK_K,
+    FACE_K,
+    CLAMP,
+    PHASE,
+    SPIN_BEFORE,
+    SPIN_RATE,
+    SINCE,
+    COMMAND,
+    ANGLE,
+    LOAD,
+    CELL,
+    SEEN,
+) = range(18)
 QUEUE = 18  # commands on their way to the valve follow
 VENT, HOLD, FILL = -1.0, 0.0, 1.0
 
 # columns of a trace; from SPINS on four each
-(TIME, SPEED_M_S, WAY_M), SPINS, LOADS, TORQUES, FORCES, SWINGS, ANGLES = range(3), 3, 7, 11, 15, 19, 23
+(TIME, SPEED_M_S, WAY_M), SPINS, LOADS, TORQUES, FORCES, SWINGS, ANGLES = (
+    range(3),
+    3,
+    7,
+    11,
+    15,
+    19,
+    23,
+)
 COLUMNS = 27
 
 
@@ -89,21 +157,36 @@ def model(stop: Stop, step_s: float) -> mujoco.MjModel:
         wheelsets = "".join(
             f'<body pos="{side * WHEELBASE_M / 2} 0 {RADIUS_M - PIVOT_M}"><joint {primary}/>'
             f'<joint type="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="{WHEELSET_KG}" '
-            f'diaginertia="800 {stop.inertia_kgm2!r} 800"/></body>' for side in (1, -1))
-        return (f'<body pos="{x} 0 {PIVOT_M - BODY_M}"><joint {spring(SECONDARY_N_M, SECONDARY_N_S_M, above_N)}/>'
-                f'<joint type="hinge" axis="0 1 0"/><inertial pos="0 0 {BOGIE_M - PIVOT_M}" mass="{BOGIE_KG}" '
-                f'diaginertia="2400 1900 4000"/>{wheelsets}</body>')
+            f'diaginertia="800 {stop.inertia_kgm2!r} 800"/></body>'
+            for side in (1, -1)
+        )
+        return (
+            f'<body pos="{x} 0 {PIVOT_M - BODY_M}"><joint {spring(SECONDARY_N_M, SECONDARY_N_S_M, above_N)}/>'
+            f'<joint type="hinge" axis="0 1 0"/><inertial pos="0 0 {BOGIE_M - PIVOT_M}" mass="{BOGIE_KG}" '
+            f'diaginertia="2400 1900 4000"/>{wheelsets}</body>'
+        )
 
-    slosh = (f'<body><joint type="slide" axis="1 0 0" stiffness="{tank * 2.2**2}" damping="{tank * 0.15}"/>'
-             f'<inertial pos="0 0 0" mass="{tank}" diaginertia="500 500 500"/></body>') if tank else ""
+    slosh = (
+        (
+            f'<body><joint type="slide" axis="1 0 0" stiffness="{tank * 2.2**2}" damping="{tank * 0.15}"/>'
+            f'<inertial pos="0 0 0" mass="{tank}" diaginertia="500 500 500"/></body>'
+        )
+        if tank
+        else ""
+    )
     return mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="{step_s}" integrator="Euler" gravity="0 0 {-G_M_S2}"/><worldbody>'
         f'<body pos="0 0 {BODY_M}"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>'
         f'<joint type="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="{body!r}" diaginertia="76400 1494400 1467160"/>'
-        f'{bogie(PIVOTS_M / 2)}{bogie(-PIVOTS_M / 2)}{slosh}</body></worldbody></mujoco>')
+        f"{bogie(PIVOTS_M / 2)}{bogie(-PIVOTS_M / 2)}{slosh}</body></worldbody></mujoco>"
+    )
 
 
-BODY, WHEELS, SPIN_JOINTS = 1, np.array([3, 4, 6, 7]), np.array([6, 8, 12, 14])  # as MuJoCo numbers them: XZP SH SH SH
+BODY, WHEELS, SPIN_JOINTS = (
+    1,
+    np.array([3, 4, 6, 7]),
+    np.array([6, 8, 12, 14]),
+)  # as MuJoCo numbers them: XZP SH SH SH
 
 
 @njit(cache=True)
@@ -190,8 +273,31 @@ def _rotate(one, spin, v, load, torque, mu_cd, radius, inertia, K, sizes, h):
 
 
 @njit(cache=True)
-def step(k, h, inertias, cvel, xipos, centre, xfrc, qfrc, state, trace, film, sand, speed0, mu_cd, demand_Nm, times,
-         high, factors, sizes, axle, radii, inertia, K):
+def step(
+    k,
+    h,
+    inertias,
+    cvel,
+    xipos,
+    centre,
+    xfrc,
+    qfrc,
+    state,
+    trace,
+    film,
+    sand,
+    speed0,
+    mu_cd,
+    demand_Nm,
+    times,
+    high,
+    factors,
+    sizes,
+    axle,
+    radii,
+    inertia,
+    K,
+):
     """Forces of step k from the positions and speeds that MuJoCo has at its beginning; its trace. False: the end.
 
     inertias: masses of the bodies whose momentum counts as the coach's (kg). times: begin, relief from and for, sand
@@ -226,10 +332,14 @@ def step(k, h, inertias, cvel, xipos, centre, xfrc, qfrc, state, trace, film, sa
         rise = climb = 0.0
         if sizes[WAVES] > 0.0:
             wave = 2.0 * math.pi / 9.0
-            rise = sizes[WAVES] * (math.sin(wave * (row[WAY_M] - POSITIONS_M[i])) + math.sin(wave * POSITIONS_M[i]))
+            rise = sizes[WAVES] * (
+                math.sin(wave * (row[WAY_M] - POSITIONS_M[i])) + math.sin(wave * POSITIONS_M[i])
+            )
             climb = sizes[WAVES] * wave * v * math.cos(wave * (row[WAY_M] - POSITIONS_M[i]))
         still = mass * G_M_S2 / 4.0
-        load = max(one[LOAD] - RAIL_N_M * (xipos[b, 2] - RADIUS_M - rise) - RAIL_N_S_M * (vz - climb), 0.0)
+        load = max(
+            one[LOAD] - RAIL_N_M * (xipos[b, 2] - RADIUS_M - rise) - RAIL_N_S_M * (vz - climb), 0.0
+        )
         # an unbalanced wheel presses on the rail once a turn
         swing = 0.0
         if sizes[ROUND] > 0.0 and i == axle:
@@ -250,7 +360,9 @@ def step(k, h, inertias, cvel, xipos, centre, xfrc, qfrc, state, trace, film, sa
         mu = mu_cd * factors[i, cell] * _friction(one, i, t, v, sand[cell], sizes)
         # a layer of constant thickness yields beside the patch, which yields with its length, N^(1/3)
         soft = 1.0 + sizes[LAYER] / (1.0 - sizes[LAYER]) * (still / (load + 1.0)) ** (1.0 / 3.0)
-        force = _rotate(one, spin, vx, load + swing, torque, mu, radii[i], inertia, K / soft, sizes, h)
+        force = _rotate(
+            one, spin, vx, load + swing, torque, mu, radii[i], inertia, K / soft, sizes, h
+        )
         row[FORCES + i] = force
         xfrc[b, 0], xfrc[b, 2], xfrc[b, 4] = -force, load, radii[i] * force
         qfrc[SPIN_JOINTS[i]] = -torque
@@ -268,7 +380,11 @@ def step(k, h, inertias, cvel, xipos, centre, xfrc, qfrc, state, trace, film, sa
         inward = 3e3 * (one[FACE_K] - one[BULK_K])
         one[FACE_K] += h * (torque * spin - inward) / 2.5e4
         one[BULK_K] += h * inward / 9e4
-    drag = RESISTANCE_N + RESISTANCE_N_S2_M2 * v * v + sizes[RESISTANCE] * 2.0 * v / (speed0 + LAST_M_S)
+    drag = (
+        RESISTANCE_N
+        + RESISTANCE_N_S2_M2 * v * v
+        + sizes[RESISTANCE] * 2.0 * v / (speed0 + LAST_M_S)
+    )
     drag += sizes[SURGE] * math.sin(2.2 * t + 0.4 * math.sin(0.5 * t))
     xfrc[BODY, 0] = -drag
     return True
@@ -283,7 +399,11 @@ def run(stop: Stop, step_s: float = STEP_S) -> np.ndarray:
         data.qvel[joint] = stop.speed_m_s / radius
     state = np.zeros((4, QUEUE + DEAD_TIME))
     state[:, QUEUE:], state[:, COMMAND], state[:, PHASE], state[:, SINCE] = FILL, FILL, FILL, 9.0
-    state[:, SPIN_BEFORE], state[:, FRICTION], state[:, SEEN] = stop.speed_m_s / stop.radii_m, 0.1, 1.0
+    state[:, SPIN_BEFORE], state[:, FRICTION], state[:, SEEN] = (
+        stop.speed_m_s / stop.radii_m,
+        0.1,
+        1.0,
+    )
     state[:, LOAD] = stop.mass_kg * G_M_S2 / 4.0
     film, sand = np.ones(stop.factors.shape[1]), np.zeros(stop.factors.shape[1])
     trace = np.zeros((int(150.0 / step_s), COLUMNS))
@@ -292,9 +412,31 @@ def run(stop: Stop, step_s: float = STEP_S) -> np.ndarray:
         masses[-1] = 0.0
     times = np.array([stop.begin_s, *stop.relief_s, *stop.sand_s])
     K = contact.stiffness(RADIUS_M, stop.roller_1_m)
-    seen = (masses, data.cvel, data.xipos, data.subtree_com[BODY], data.xfrc_applied, data.qfrc_applied)
-    rest = (state, trace, film, sand, stop.speed_m_s, stop.mu_cd, stop.demand_Nm, times, stop.high, stop.factors,
-            stop.sizes, stop.axle, stop.radii_m, stop.inertia_kgm2, K)
+    seen = (
+        masses,
+        data.cvel,
+        data.xipos,
+        data.subtree_com[BODY],
+        data.xfrc_applied,
+        data.qfrc_applied,
+    )
+    rest = (
+        state,
+        trace,
+        film,
+        sand,
+        stop.speed_m_s,
+        stop.mu_cd,
+        stop.demand_Nm,
+        times,
+        stop.high,
+        stop.factors,
+        stop.sizes,
+        stop.axle,
+        stop.radii_m,
+        stop.inertia_kgm2,
+        K,
+    )
     k = 0
     while True:
         mujoco.mj_step1(coach, data)

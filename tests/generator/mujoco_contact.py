@@ -21,18 +21,51 @@ from numba import njit
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
-MU_CD, MU_CR, A_D, A_R, GAMMA_D, GAMMA_R, K_AD, K_SD, K_AR, K_SR = 0.06, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4
+MU_CD, MU_CR, A_D, A_R, GAMMA_D, GAMMA_R, K_AD, K_SD, K_AR, K_SR = (
+    0.06,
+    0.28,
+    0.4,
+    0.4,
+    0.2,
+    0.6,
+    0.3,
+    0.1,
+    1.0,
+    0.4,
+)
 TAU_M_J = 1.9e-4
 YOUNG_PA, SHEAR_PA, POISSON = 2.1e11, 8.0e10, 0.3
 LATERAL_RADIUS_M = 0.3
 
 # Kalker's c11 at poisson 0, 0.25, 0.5 (Kalker 1990, Table E3): rows of a/b 0.1 to 1, then of b/a 1 to 0.1
-_C11_SHORT = np.array([[2.51, 3.31, 4.85], [2.59, 3.37, 4.81], [2.68, 3.44, 4.80], [2.78, 3.53, 4.82],
-                       [2.88, 3.62, 4.83], [2.98, 3.72, 4.91], [3.09, 3.81, 4.97], [3.19, 3.91, 5.05],
-                       [3.29, 4.01, 5.12], [3.40, 4.12, 5.20]])
-_C11_LONG = np.array([[3.40, 4.12, 5.20], [3.51, 4.22, 5.30], [3.65, 4.36, 5.42], [3.82, 4.54, 5.58], [4.06, 4.78,
-                      5.80], [4.37, 5.10, 6.11], [4.84, 5.57, 6.57], [5.57, 6.34, 7.34], [6.96, 7.78, 8.82], [10.70,
-                      11.70, 12.90]])
+_C11_SHORT = np.array(
+    [
+        [2.51, 3.31, 4.85],
+        [2.59, 3.37, 4.81],
+        [2.68, 3.44, 4.80],
+        [2.78, 3.53, 4.82],
+        [2.88, 3.62, 4.83],
+        [2.98, 3.72, 4.91],
+        [3.09, 3.81, 4.97],
+        [3.19, 3.91, 5.05],
+        [3.29, 4.01, 5.12],
+        [3.40, 4.12, 5.20],
+    ]
+)
+_C11_LONG = np.array(
+    [
+        [3.40, 4.12, 5.20],
+        [3.51, 4.22, 5.30],
+        [3.65, 4.36, 5.42],
+        [3.82, 4.54, 5.58],
+        [4.06, 4.78, 5.80],
+        [4.37, 5.10, 6.11],
+        [4.84, 5.57, 6.57],
+        [5.57, 6.34, 7.34],
+        [6.96, 7.78, 8.82],
+        [10.70, 11.70, 12.90],
+    ]
+)
 
 
 def patch(curvature_1_m: float) -> tuple[float, float]:
@@ -49,7 +82,11 @@ def patch(curvature_1_m: float) -> tuple[float, float]:
         return (K - E) / (E / (k * k) - K), E
 
     flat, steep = sorted((curvature_1_m, across))
-    k = brentq(lambda k: ratio(k)[0] - flat / steep, 1e-3, 1.0 - 1e-6) if steep > flat * (1.0 + 1e-6) else 1.0 - 1e-6
+    k = (
+        brentq(lambda k: ratio(k)[0] - flat / steep, 1e-3, 1.0 - 1e-6)
+        if steep > flat * (1.0 + 1e-6)
+        else 1.0 - 1e-6
+    )
     stiff = YOUNG_PA / (2.0 * (1.0 - POISSON**2))
     # Johnson 1985, equation 4.26: a^3 = 3 k'^2 E(m) P / (2 pi ...) written with the sum of both curvatures
     long = (3.0 * ratio(k)[1] / (math.pi * k * k * stiff * (flat + steep))) ** (1.0 / 3.0)
@@ -87,15 +124,17 @@ def adhesion(sliding_m_s, speed_m_s, load_N, mu_cd, K, cleaned, f):
     e = s / speed_m_s
     if e < 1e-12 or load_N <= 0.0:
         return 0.0
-    eps_mu = K * load_N ** (-1.0 / 3.0) * e                                                                  # [4]
-    f_d = polach(mu_cd + (mu_cd / A_D - mu_cd) * math.exp(-GAMMA_D * s), K_AD, K_SD, eps_mu)                 # [5, 3]
+    eps_mu = K * load_N ** (-1.0 / 3.0) * e  # [4]
+    f_d = polach(
+        mu_cd + (mu_cd / A_D - mu_cd) * math.exp(-GAMMA_D * s), K_AD, K_SD, eps_mu
+    )  # [5, 3]
     f_r = polach(MU_CR + (MU_CR / A_R - MU_CR) * math.exp(-GAMMA_R * s), K_AR, K_SR, eps_mu)
     if cleaned >= 0.0:
         f = f_r - (f_r - f_d) * math.exp(-cleaned)
     else:
         for _ in range(100):
-            share = 1.0 - math.exp(-TAU_M_J * f * load_N * e)                                                # [2]
-            before, f = f, (1.0 - share) * f_d + share * f_r                                                 # [1]
+            share = 1.0 - math.exp(-TAU_M_J * f * load_N * e)  # [2]
+            before, f = f, (1.0 - share) * f_d + share * f_r  # [1]
             if abs(f - before) < 1e-10:
                 break
     return math.copysign(f, sliding_m_s)

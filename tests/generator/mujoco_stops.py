@@ -22,11 +22,27 @@ from . import mujoco_coach as coach
 from . import mujoco_contact as contact
 
 SMALLEST = {
-    "rail_cleaning": 0.05, "adhesion_memory": 2.0, "speed_dependent_friction": 0.05, "negative_conditioning": 0.10,
-    "contaminated_patch": 0.05, "friction_trend": 0.12, "brake_gain": 0.04, "pad_fade": 0.015, "torque_offset": 0.015,
-    "running_resistance": 150.0, "track_gradient": 0.0006, "wheel_radius": 0.0005, "wheel_inertia": 0.05,
-    "speed_sensor_delay": 0.005, "torque_sensor_delay": 0.010, "wheel_out_of_round": 0.02, "load_transfer": 0.012,
-    "sanding": 0.05, "roller_curvature": 0.40, "interfacial_layer": 0.50, "falling_friction": 0.15,
+    "rail_cleaning": 0.05,
+    "adhesion_memory": 2.0,
+    "speed_dependent_friction": 0.05,
+    "negative_conditioning": 0.10,
+    "contaminated_patch": 0.05,
+    "friction_trend": 0.12,
+    "brake_gain": 0.04,
+    "pad_fade": 0.015,
+    "torque_offset": 0.015,
+    "running_resistance": 150.0,
+    "track_gradient": 0.0006,
+    "wheel_radius": 0.0005,
+    "wheel_inertia": 0.05,
+    "speed_sensor_delay": 0.005,
+    "torque_sensor_delay": 0.010,
+    "wheel_out_of_round": 0.02,
+    "load_transfer": 0.012,
+    "sanding": 0.05,
+    "roller_curvature": 0.40,
+    "interfacial_layer": 0.50,
+    "falling_friction": 0.15,
 }
 LARGEST = {"roller_curvature": 0.70, "interfacial_layer": 0.75}
 UNKNOWN = {
@@ -42,13 +58,27 @@ UNKNOWN = {
     "track_waves": 0.0025,  # m, up and down in 9 m; load sensors are too slow for it
 }
 NAMES = (*SMALLEST, *UNKNOWN)
-PAIRS = tuple({cause: 2.0 * SMALLEST[cause] for cause in pair} for pair in (
-    ("rail_cleaning", "brake_gain"), ("adhesion_memory", "running_resistance"), ("contaminated_patch", "wheel_inertia"),
-    ("friction_trend", "speed_sensor_delay"), ("negative_conditioning", "track_gradient"), ("sanding", "pad_fade"),
-    ("speed_dependent_friction", "load_transfer"), ("falling_friction", "torque_sensor_delay")))
-SAME_MEANING = {"brake_gain": ("gain", 1), "wheel_radius": ("fraction", 1), "wheel_inertia": ("fraction", 1),
-                "speed_sensor_delay": ("delay_s", 1), "torque_sensor_delay": ("delay_s", 1),
-                "wheel_out_of_round": ("amplitude", 1)}
+PAIRS = tuple(
+    {cause: 2.0 * SMALLEST[cause] for cause in pair}
+    for pair in (
+        ("rail_cleaning", "brake_gain"),
+        ("adhesion_memory", "running_resistance"),
+        ("contaminated_patch", "wheel_inertia"),
+        ("friction_trend", "speed_sensor_delay"),
+        ("negative_conditioning", "track_gradient"),
+        ("sanding", "pad_fade"),
+        ("speed_dependent_friction", "load_transfer"),
+        ("falling_friction", "torque_sensor_delay"),
+    )
+)
+SAME_MEANING = {
+    "brake_gain": ("gain", 1),
+    "wheel_radius": ("fraction", 1),
+    "wheel_inertia": ("fraction", 1),
+    "speed_sensor_delay": ("delay_s", 1),
+    "torque_sensor_delay": ("delay_s", 1),
+    "wheel_out_of_round": ("amplitude", 1),
+}
 
 RUNS = ("long_1", "long_2", "short_1", "short_2", "check_1", "check_2")
 _SPEEDS_M_S = dict(zip(RUNS, (43.0, 35.5, 29.0, 23.0, 39.0, 26.0), strict=True))
@@ -68,23 +98,35 @@ def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ..
     for run in runs:
         stop = nature(effects, seed, run)
         header, told = records(coach.run(stop), stop, effects, seed, run)
-        np.savetxt(folder / "runs" / f"{run}.csv", told, delimiter=",", header=header, comments="",
-                   fmt=["%.2f", "%.5f"] + ["%.5f"] * 4 + ["%.2f"] * 8)
+        np.savetxt(
+            folder / "runs" / f"{run}.csv",
+            told,
+            delimiter=",",
+            header=header,
+            comments="",
+            fmt=["%.2f", "%.5f"] + ["%.5f"] * 4 + ["%.2f"] * 8,
+        )
         group = "validate" if run.startswith("check") else "tune"
-        tables.append(f'\n[[run]]\nfile = "runs/{run}.csv"\ngroup = "{group}"\n'
-                      f"initial_speed_m_s = {stop.speed_m_s:.2f}\n")
+        tables.append(
+            f'\n[[run]]\nfile = "runs/{run}.csv"\ngroup = "{group}"\n'
+            f"initial_speed_m_s = {stop.speed_m_s:.2f}\n"
+        )
     (folder / "dataset.toml").write_text(
         f'kind = "braking_runs"\ntitle = "braking stops of a coach on a contaminated rail"\nvehicle = "uic_z1"\n'
         f"sample_time_s = {SAMPLE_S}\n\n[accuracy]\nspeed_m_s = {SPEED_NOISE_M_S}\n"
         f"wheel_speed_rad_s = {SPIN_NOISE_RAD_S}\ntorque_fraction = {TORQUE_NOISE}\nload_fraction = {LOAD_NOISE}\n"
         f"calibration_fraction = {CALIBRATION}\n\n[axles]\npositions_m = {list(coach.POSITIONS_M)}\n{''.join(tables)}",
-        encoding="utf-8")
+        encoding="utf-8",
+    )
     return folder
 
 
 def nature(effects: dict[str, float], seed: int, run: str) -> coach.Stop:
     """The stop as it happens; the effects change nothing that chance decides."""
-    of_set, rng = np.random.default_rng((seed, 71)), np.random.default_rng((seed, 72, RUNS.index(run)))
+    of_set, rng = (
+        np.random.default_rng((seed, 71)),
+        np.random.default_rng((seed, 72, RUNS.index(run))),
+    )
     axle, mass_error = int(of_set.integers(4)), of_set.normal(0.0, CALIBRATION)
     patch_m, patch_length_m = of_set.uniform(50.0, 90.0), of_set.uniform(40.0, 65.0)
     size = dict.fromkeys(NAMES, 0.0) | effects
@@ -93,61 +135,91 @@ def nature(effects: dict[str, float], seed: int, run: str) -> coach.Stop:
     leaf_m = rng.uniform(40.0, 120.0)
     factors = 1.0 + FIELD / np.sqrt(2.0) * (_field(rng) + np.stack([_field(rng) for _ in range(4)]))
     factors[axle] *= 1.0 - size["one_glazed_tread"]
-    factors *= 1.0 - size["contaminated_patch"] * _smooth((_PLACES - patch_m) / 8.0) \
-        * _smooth((patch_m + patch_length_m - _PLACES) / 8.0)
+    factors *= 1.0 - size["contaminated_patch"] * _smooth((_PLACES - patch_m) / 8.0) * _smooth(
+        (patch_m + patch_length_m - _PLACES) / 8.0
+    )
     factors *= 1.0 - size["jointed_rail"] * (_PLACES % 25.0 < 1.5)
     factors *= 1.0 + size["leaf_edges"] * _smooth((_PLACES - leaf_m) / 4.0)
     return coach.Stop(
-        speed_m_s=_SPEEDS_M_S[run] + rng.uniform(-0.9, 0.9), mu_cd=contact.MU_CD * (1.0 + rng.normal(0.0, SCATTER)),
-        demand_Nm=rng.uniform(9500.0, 11500.0), begin_s=rng.uniform(0.3, 0.9),
+        speed_m_s=_SPEEDS_M_S[run] + rng.uniform(-0.9, 0.9),
+        mu_cd=contact.MU_CD * (1.0 + rng.normal(0.0, SCATTER)),
+        demand_Nm=rng.uniform(9500.0, 11500.0),
+        begin_s=rng.uniform(0.3, 0.9),
         relief_s=(rng.uniform(6.0, 11.0), rng.uniform(1.0, 2.0)),
-        sand_s=((start := rng.uniform(3.5, 5.5)), start + rng.uniform(5.0, 8.0)), high=rng.uniform(0.15, 0.40, 4),
-        factors=factors, sizes=np.array([size.get(name, 0.0) for name in coach.ACTING]), axle=axle, radii_m=radii,
-        inertia_kgm2=coach.AXLE_KGM2 * (1.0 + size["wheel_inertia"]), mass_kg=coach.MASS_KG * (1.0 + mass_error),
-        roller_1_m=_roller(size["roller_curvature"]), gradient=size["track_gradient"],
-        sloshing=size["sloshing_tank"])
+        sand_s=((start := rng.uniform(3.5, 5.5)), start + rng.uniform(5.0, 8.0)),
+        high=rng.uniform(0.15, 0.40, 4),
+        factors=factors,
+        sizes=np.array([size.get(name, 0.0) for name in coach.ACTING]),
+        axle=axle,
+        radii_m=radii,
+        inertia_kgm2=coach.AXLE_KGM2 * (1.0 + size["wheel_inertia"]),
+        mass_kg=coach.MASS_KG * (1.0 + mass_error),
+        roller_1_m=_roller(size["roller_curvature"]),
+        gradient=size["track_gradient"],
+        sloshing=size["sloshing_tank"],
+    )
 
 
-def records(trace: np.ndarray, stop: coach.Stop, effects: dict[str, float], seed: int,
-            run: str) -> tuple[str, np.ndarray]:
+def records(
+    trace: np.ndarray, stop: coach.Stop, effects: dict[str, float], seed: int, run: str
+) -> tuple[str, np.ndarray]:
     """Head and rows of a CSV file: what sensors tell of a trace."""
-    of_set, rng = np.random.default_rng((seed, 73)), np.random.default_rng((seed, 74, RUNS.index(run)))
+    of_set, rng = (
+        np.random.default_rng((seed, 73)),
+        np.random.default_rng((seed, 74, RUNS.index(run))),
+    )
     torque_gain, load_gain = 1.0 + of_set.normal(0.0, CALIBRATION, 2)
     size = dict.fromkeys(NAMES, 0.0) | effects
     clock = trace[:, coach.TIME]
     at = np.arange(0.0, clock[-1] + 1e-9, SAMPLE_S)
 
     def sampled(columns: Any, late_s: Any = 0.0) -> np.ndarray:
-        return np.stack([np.interp(at - late_s, clock, one) for one in np.atleast_2d(np.transpose(columns))], axis=1)
+        return np.stack(
+            [np.interp(at - late_s, clock, one) for one in np.atleast_2d(np.transpose(columns))],
+            axis=1,
+        )
 
     spins = coach.four(trace, coach.SPINS).copy()
     loads = coach.four(trace, coach.LOADS) - coach.four(trace, coach.SWINGS)
-    spins[:, stop.axle] *= 1.0 + size["tone_wheel_eccentric"] * np.sin(trace[:, coach.ANGLES + stop.axle])
+    spins[:, stop.axle] *= 1.0 + size["tone_wheel_eccentric"] * np.sin(
+        trace[:, coach.ANGLES + stop.axle]
+    )
     if size["load_transfer"]:
         # the sensors stand where a part of the shift does not pass
-        braking = -np.gradient(uniform_filter1d(trace[:, coach.SPEED_M_S], 601, mode="nearest"), clock)
+        braking = -np.gradient(
+            uniform_filter1d(trace[:, coach.SPEED_M_S], 601, mode="nearest"), clock
+        )
         loads = loads - size["load_transfer"] * loads.mean() * braking[:, None] * _ARMS
     if size["track_waves"]:
         keep = np.exp(-coach.STEP_S / 0.4)
         loads = loads[0] + lfilter([1.0 - keep], [1.0, -keep], loads - loads[0], axis=0)
     torques = sampled(coach.four(trace, coach.TORQUES), size["torque_sensor_delay"])
     speeds = sampled(trace[:, coach.SPEED_M_S])
-    told = np.hstack([
-        at[:, None], speeds + rng.normal(0.0, SPEED_NOISE_M_S, speeds.shape),
-        sampled(spins, size["speed_sensor_delay"] + size["wheel_clock_drift"] * at)
-        + rng.normal(0.0, SPIN_NOISE_RAD_S, torques.shape),
-        load_gain * sampled(loads) + LOAD_NOISE * coach.MASS_KG * coach.G_M_S2 / 4.0 * rng.normal(size=torques.shape),
-        torque_gain * torques + TORQUE_NOISE * torques.max() * rng.normal(size=torques.shape)])
+    told = np.hstack(
+        [
+            at[:, None],
+            speeds + rng.normal(0.0, SPEED_NOISE_M_S, speeds.shape),
+            sampled(spins, size["speed_sensor_delay"] + size["wheel_clock_drift"] * at)
+            + rng.normal(0.0, SPIN_NOISE_RAD_S, torques.shape),
+            load_gain * sampled(loads)
+            + LOAD_NOISE * coach.MASS_KG * coach.G_M_S2 / 4.0 * rng.normal(size=torques.shape),
+            torque_gain * torques + TORQUE_NOISE * torques.max() * rng.normal(size=torques.shape),
+        ]
+    )
     columns = ["time_s", "vehicle_speed_m_s"] + [
-        f"{name}_{i}_{unit}" for name, unit in (("wheel_speed", "rad_s"), ("wheel_load", "N"), ("brake_torque", "Nm"))
-        for i in (1, 2, 3, 4)]
+        f"{name}_{i}_{unit}"
+        for name, unit in (("wheel_speed", "rad_s"), ("wheel_load", "N"), ("brake_torque", "Nm"))
+        for i in (1, 2, 3, 4)
+    ]
     return ",".join(columns), told
 
 
 def _field(rng: np.random.Generator) -> np.ndarray:
     """A Gaussian field over _PLACES of variance 1, correlated as exp(-(d / FIELD_M)^2)."""
     width = FIELD_M / 2.0 / coach.CELL_M
-    return gaussian_filter1d(rng.normal(size=_PLACES.size), width, mode="wrap") * np.sqrt(2.0 * np.sqrt(np.pi) * width)
+    return gaussian_filter1d(rng.normal(size=_PLACES.size), width, mode="wrap") * np.sqrt(
+        2.0 * np.sqrt(np.pi) * width
+    )
 
 
 def _smooth(x: np.ndarray) -> np.ndarray:
@@ -157,7 +229,10 @@ def _smooth(x: np.ndarray) -> np.ndarray:
 
 def _roller(lost: float) -> float:
     """Curvature (1/m) of the roller on which the creep stiffness is less by this share."""
+
     def left(curvature_1_m: float) -> float:
         return contact.stiffness(coach.RADIUS_M, curvature_1_m) / contact.stiffness(coach.RADIUS_M)
 
-    return brentq(lambda curvature_1_m: left(curvature_1_m) - 1.0 + lost, 0.0, 60.0) if lost else 0.0
+    return (
+        brentq(lambda curvature_1_m: left(curvature_1_m) - 1.0 + lost, 0.0, 60.0) if lost else 0.0
+    )

@@ -30,32 +30,37 @@ from scipy.special import ellipe, ellipk
 
 # causes whose size means here what the rig's table means by it: the coefficient to compare, its sign
 SAME_MEANING = {
-    "brake_gain": ("gain", 1.0), "wheel_radius": ("fraction", 1.0), "wheel_inertia": ("fraction", 1.0),
-    "speed_sensor_delay": ("delay_s", 1.0), "torque_sensor_delay": ("delay_s", 1.0),
-    "wheel_out_of_round": ("amplitude", 1.0), "roller_curvature": ("stiffness_fraction", -1.0)}
+    "brake_gain": ("gain", 1.0),
+    "wheel_radius": ("fraction", 1.0),
+    "wheel_inertia": ("fraction", 1.0),
+    "speed_sensor_delay": ("delay_s", 1.0),
+    "torque_sensor_delay": ("delay_s", 1.0),
+    "wheel_out_of_round": ("amplitude", 1.0),
+    "roller_curvature": ("stiffness_fraction", -1.0),
+}
 # smallest size worth a set: shared material's "smallest size with 9 of 10 named", where it gives one
 SMALLEST = {
-    "rail_cleaning": 0.05,             # friction gained behind one wheelset that has cleaned well
-    "adhesion_memory": 2.0,            # m, mean lag in distance
+    "rail_cleaning": 0.05,  # friction gained behind one wheelset that has cleaned well
+    "adhesion_memory": 2.0,  # m, mean lag in distance
     "speed_dependent_friction": 0.05,  # fall for each 10 m/s, at 20 m/s
-    "negative_conditioning": 0.10,     # no figure given: loss after 100 m of sliding
-    "contaminated_patch": 0.05,        # loss on the patch
-    "friction_trend": 0.12,            # rise until friction stays
-    "brake_gain": 0.04,                # 2 % named, but below 4 % hides in the declared 0.3 %
-    "pad_fade": 0.015,                 # 100 K up: fast stops pass that, slow ones lose a third of it
-    "torque_offset": 0.015,            # 1 % with the brake released; nothing shows there here
-    "running_resistance": 150.0,       # N, mean: 100 N where the extra force is steady
-    "track_gradient": 0.0006,          # no figure given: 250 N, the resistance above and its half
-    "wheel_radius": 0.0005,            # one wheelset
-    "wheel_inertia": 0.05,             # no figure given: as much torque as 10 ms of delay
-    "speed_sensor_delay": 0.005,       # s
-    "torque_sensor_delay": 0.010,      # s
-    "wheel_out_of_round": 0.02,        # of the load, once a turn: one wheelset instead of four at 1 %
-    "load_transfer": 0.012,            # of the load, for each m/s2
-    "sanding": 0.05,                   # gain on fresh sand
-    "roller_curvature": 0.40,          # creep stiffness lost
-    "interfacial_layer": 0.50,         # no figure given: initial slope lost
-    "falling_friction": 0.15,          # no figure given: loss at very large sliding
+    "negative_conditioning": 0.10,  # no figure given: loss after 100 m of sliding
+    "contaminated_patch": 0.05,  # loss on the patch
+    "friction_trend": 0.12,  # rise until friction stays
+    "brake_gain": 0.04,  # 2 % named, but below 4 % hides in the declared 0.3 %
+    "pad_fade": 0.015,  # 100 K up: fast stops pass that, slow ones lose a third of it
+    "torque_offset": 0.015,  # 1 % with the brake released; nothing shows there here
+    "running_resistance": 150.0,  # N, mean: 100 N where the extra force is steady
+    "track_gradient": 0.0006,  # no figure given: 250 N, the resistance above and its half
+    "wheel_radius": 0.0005,  # one wheelset
+    "wheel_inertia": 0.05,  # no figure given: as much torque as 10 ms of delay
+    "speed_sensor_delay": 0.005,  # s
+    "torque_sensor_delay": 0.010,  # s
+    "wheel_out_of_round": 0.02,  # of the load, once a turn: one wheelset instead of four at 1 %
+    "load_transfer": 0.012,  # of the load, for each m/s2
+    "sanding": 0.05,  # gain on fresh sand
+    "roller_curvature": 0.40,  # creep stiffness lost
+    "interfacial_layer": 0.50,  # no figure given: initial slope lost
+    "falling_friction": 0.15,  # no figure given: loss at very large sliding
 }
 
 # sizes beyond which an effect leaves its own physics: a roller of 20 mm, a layer softer than the contact
@@ -63,29 +68,68 @@ LARGEST = {"roller_curvature": 0.70, "interfacial_layer": 0.75}
 
 # effects that no name of the library covers: one clearly visible size each
 UNKNOWN = {
-    "rail_joints": 0.08,            # friction wave along the rail
+    "rail_joints": 0.08,  # friction wave along the rail
     "acceleration_softening": 0.12,  # friction falls while the wheel's speed changes fast
-    "one_axle_drop": 0.12,          # one wheelset, from some moment of a stop on
-    "sliding_hysteresis": 0.10,     # friction differs between growing and shrinking sliding
-    "torsional_swing": 0.9,         # share of the torque that comes through a soft shaft
-    "torque_ripple": 0.10,          # twice a turn, in the brake
-    "bogie_coupling": 300.0,        # N m s/rad between the two wheelsets of a bogie
-    "brake_play": 0.05,             # of the demand: torque sticks before it turns
-    "speed_quantum": 0.6,           # rad/s, speeds read downwards to the next step
-    "power_softening": 0.20,        # friction falls with the power of sliding
-    "one_run_burst": 0.25,          # a shower in one stop only
+    "one_axle_drop": 0.12,  # one wheelset, from some moment of a stop on
+    "sliding_hysteresis": 0.10,  # friction differs between growing and shrinking sliding
+    "torsional_swing": 0.9,  # share of the torque that comes through a soft shaft
+    "torque_ripple": 0.10,  # twice a turn, in the brake
+    "bogie_coupling": 300.0,  # N m s/rad between the two wheelsets of a bogie
+    "brake_play": 0.05,  # of the demand: torque sticks before it turns
+    "speed_quantum": 0.6,  # rad/s, speeds read downwards to the next step
+    "power_softening": 0.20,  # friction falls with the power of sliding
+    "one_run_burst": 0.25,  # a shower in one stop only
 }
 
-PAIRS = tuple({name: 2.0 * SMALLEST[name] for name in pair} for pair in (
-    ("rail_cleaning", "brake_gain"), ("adhesion_memory", "wheel_radius"),
-    ("speed_dependent_friction", "torque_sensor_delay"), ("contaminated_patch", "running_resistance"),
-    ("sanding", "load_transfer"), ("friction_trend", "speed_sensor_delay"),
-    ("rail_cleaning", "pad_fade"), ("negative_conditioning", "wheel_out_of_round")))
+PAIRS = tuple(
+    {name: 2.0 * SMALLEST[name] for name in pair}
+    for pair in (
+        ("rail_cleaning", "brake_gain"),
+        ("adhesion_memory", "wheel_radius"),
+        ("speed_dependent_friction", "torque_sensor_delay"),
+        ("contaminated_patch", "running_resistance"),
+        ("sanding", "load_transfer"),
+        ("friction_trend", "speed_sensor_delay"),
+        ("rail_cleaning", "pad_fade"),
+        ("negative_conditioning", "wheel_out_of_round"),
+    )
+)
 
 NAMES = (*SMALLEST, *UNKNOWN)
-(CLEANING, MEMORY, SPEED, PASTE, PATCH, TREND, GAIN, FADE, OFFSET, DRAG, GRADIENT, WORN, INERTIA, SPEED_DELAY,
- TORQUE_DELAY, ROUND, TRANSFER, SAND, CURVATURE, LAYER, FALLING, JOINTS, ACCELERATION, DROP, HYSTERESIS, SWING,
- RIPPLE, COUPLING, PLAY, QUANTUM, POWER, BURST) = range(32)
+(
+    CLEANING,
+    MEMORY,
+    SPEED,
+    PASTE,
+    PATCH,
+    TREND,
+    GAIN,
+    FADE,
+    OFFSET,
+    DRAG,
+    GRADIENT,
+    WORN,
+    INERTIA,
+    SPEED_DELAY,
+    TORQUE_DELAY,
+    ROUND,
+    TRANSFER,
+    SAND,
+    CURVATURE,
+    LAYER,
+    FALLING,
+    JOINTS,
+    ACCELERATION,
+    DROP,
+    HYSTERESIS,
+    SWING,
+    RIPPLE,
+    COUPLING,
+    PLAY,
+    QUANTUM,
+    POWER,
+    BURST,
+) = range(32)
 
 G, R, J = 9.80665, 0.445, 160.0
 MU_R, A_D, A_R, GAMMA_D, GAMMA_R, TAU = 0.28, 0.40, 0.40, 0.20, 0.60, 1.9e-4
@@ -111,49 +155,49 @@ class Stop(NamedTuple):
     apply_s: float
     end_m_s: float
     start_m: float
-    share: np.ndarray         # load of each wheelset over the mean
-    low_m_s: float            # protection: sliding tolerated, sliding that vents
-    high_m_s: float           # both grow by 0.02 of the coach's speed
-    brake_m_s2: float         # rim deceleration that vents, rim acceleration that holds
+    share: np.ndarray  # load of each wheelset over the mean
+    low_m_s: float  # protection: sliding tolerated, sliding that vents
+    high_m_s: float  # both grow by 0.02 of the coach's speed
+    brake_m_s2: float  # rim deceleration that vents, rim acceleration that holds
     gain_m_s2: float
-    dead: int                 # cycles of 10 ms between command and valve
+    dead: int  # cycles of 10 ms between command and valve
     fill_s: float
     vent_s: float
-    axle: int                 # the wheelset of the effects that strike one
+    axle: int  # the wheelset of the effects that strike one
     patch_m: float
     patch_length_m: float
     sand_s: float
     drop_s: float
     wave_m: float
-    burst_s: float            # negative: not in this run
-    slope: float              # pi G a b c11 / 4 at N_REF, N
+    burst_s: float  # negative: not in this run
+    slope: float  # pi G a b c11 / 4 at N_REF, N
 
 
 class State(NamedTuple):
     """What moves in a stop; arrays of four are one a wheelset."""
 
-    y: np.ndarray         # v and the four omega
-    track: np.ndarray     # t, place of the first wheelset, felt deceleration, sand from, sand to
+    y: np.ndarray  # v and the four omega
+    track: np.ndarray  # t, place of the first wheelset, felt deceleration, sand from, sand to
     radius: np.ndarray
-    load: np.ndarray      # as the sensors see it, N
-    true: np.ndarray      # in the contact, N
-    q: np.ndarray         # friction over the contaminant's
-    slope: np.ndarray     # pi G a b c11 / (4 N)
-    torque: np.ndarray    # recorded, Nm
-    acting: np.ndarray    # at the wheelset, Nm
+    load: np.ndarray  # as the sensors see it, N
+    true: np.ndarray  # in the contact, N
+    q: np.ndarray  # friction over the contaminant's
+    slope: np.ndarray  # pi G a b c11 / (4 N)
+    torque: np.ndarray  # recorded, Nm
+    acting: np.ndarray  # at the wheelset, Nm
     play: np.ndarray
-    heat: np.ndarray      # K
+    heat: np.ndarray  # K
     angle: np.ndarray
-    slid: np.ndarray      # m
-    swerve: np.ndarray    # rate of sliding, m/s2
+    slid: np.ndarray  # m
+    swerve: np.ndarray  # rate of sliding, m/s2
     recovery: np.ndarray  # negative: from the work done here and now
     lag: np.ndarray
     swing: np.ndarray
     pitch: np.ndarray
-    since: np.ndarray     # cycles since the last slide
-    rim: np.ndarray       # the last rim speeds
-    valve: np.ndarray     # the last commands
-    work: np.ndarray      # J/m each wheelset left on each cell of rail
+    since: np.ndarray  # cycles since the last slide
+    rim: np.ndarray  # the last rim speeds
+    valve: np.ndarray  # the last commands
+    work: np.ndarray  # J/m each wheelset left on each cell of rail
 
 
 def patch_product(roller_radius_m: float = np.inf) -> float:
@@ -170,25 +214,41 @@ def patch_product(roller_radius_m: float = np.inf) -> float:
     ratio = brentq(mismatch, 0.02, 1.0 - 1e-6)
     m = 1.0 - ratio * ratio
     modulus = young / (2.0 * (1.0 - poisson**2))
-    long = (3.0 * N_REF * ellipe(m) / (2.0 * pi * ratio**2 * 2.0 * modulus * 0.5 * (along + across))) ** (1.0 / 3.0)
+    long = (
+        3.0 * N_REF * ellipe(m) / (2.0 * pi * ratio**2 * 2.0 * modulus * 0.5 * (along + across))
+    ) ** (1.0 / 3.0)
     a, b = (long, ratio * long) if along < across else (ratio * long, long)
     return 8.0e10 * a * b * kalker_c11(a / b, poisson)
 
 
 def kalker_c11(ratio: float, poisson: float) -> float:
     """c11 between the rows of Kalker's table: straight in g = min(a/b, b/a), 1/c quadratic in nu."""
-    lines = (Path(__file__).parents[1] / "data" / "kalker_coefficients.csv").read_text().splitlines()
+    lines = (
+        (Path(__file__).parents[1] / "data" / "kalker_coefficients.csv").read_text().splitlines()
+    )
     rows = [line.split(",") for line in lines if line[:3] in ("a/b", "b/a")]
     # both halves of the table meet at a circle
-    rows = [row for row in rows if row[0] == ("a/b" if ratio <= 1.0 else "b/a") or float(row[1]) == 1.0]
+    rows = [
+        row for row in rows if row[0] == ("a/b" if ratio <= 1.0 else "b/a") or float(row[1]) == 1.0
+    ]
     places = sorted({float(row[1]) for row in rows})
-    inverse = [np.interp(min(ratio, 1.0 / ratio), places,
-                         [next(1.0 / float(r[3]) for r in rows if float(r[1]) == g and float(r[2]) == nu)
-                          for g in places]) for nu in (0.0, 0.25, 0.5)]
+    inverse = [
+        np.interp(
+            min(ratio, 1.0 / ratio),
+            places,
+            [
+                next(1.0 / float(r[3]) for r in rows if float(r[1]) == g and float(r[2]) == nu)
+                for g in places
+            ],
+        )
+        for nu in (0.0, 0.25, 0.5)
+    ]
     return float(1.0 / np.polyval(np.polyfit((0.0, 0.25, 0.5), inverse, 2), poisson))
 
 
-def friction_field(rng: np.random.Generator, deviation: float, shape: tuple[int, ...] = ()) -> np.ndarray:
+def friction_field(
+    rng: np.random.Generator, deviation: float, shape: tuple[int, ...] = ()
+) -> np.ndarray:
     """Random field every FIELD_M along LENGTH_M: a sum of waves, Matern 3/2, down to 1/e after 8 m."""
     scale, waves = 8.0 * sqrt(3.0) / 2.1462, 150
     place = np.arange(int(LENGTH_M / FIELD_M)) * FIELD_M
@@ -274,9 +334,19 @@ def meet_rail(e, stop, now, j, rail, own):
     now.slope[j] = stop.slope / N_REF * (2.0 * N_REF / now.true[j]) ** (1.0 / 3.0)
     if e[LAYER] > 0.0:
         # a soft layer of constant flexibility in series with the contact's own, which grows with its size
-        now.slope[j] /= 1.0 + e[LAYER] / (1.0 - e[LAYER]) * (2.0 * N_REF / now.load[j]) ** (1.0 / 3.0)
-    now.q[j] = friction(e, stop, now, j, s, place) * (1.0 + between(rail, place)) * (1.0 + between(own[j], place))
-    force = 0.5 * now.true[j] * abs(adhesion(s, v, now.true[j], now.q[j], now.slope[j], stop.mu_d, now.recovery[j]))
+        now.slope[j] /= 1.0 + e[LAYER] / (1.0 - e[LAYER]) * (2.0 * N_REF / now.load[j]) ** (
+            1.0 / 3.0
+        )
+    now.q[j] = (
+        friction(e, stop, now, j, s, place)
+        * (1.0 + between(rail, place))
+        * (1.0 + between(own[j], place))
+    )
+    force = (
+        0.5
+        * now.true[j]
+        * abs(adhesion(s, v, now.true[j], now.q[j], now.slope[j], stop.mu_d, now.recovery[j]))
+    )
     now.q[j] *= 1.0 - e[POWER] * force * abs(s) / (force * abs(s) + 20000.0)
     now.work[j, int((place + TAIL_M) / CELL_M)] = force * abs(s) / v
     now.slid[j] += SLOW_S * abs(s)
@@ -347,7 +417,9 @@ def slopes(y, e, stop, now, extra_N, rate):
     total = DRAG_A + DRAG_C * y[0] * y[0] + extra_N
     for j in range(4):
         s = y[0] - now.radius[j] * y[1 + j]
-        force = now.true[j] * adhesion(s, y[0], now.true[j], now.q[j], now.slope[j], stop.mu_d, now.recovery[j])
+        force = now.true[j] * adhesion(
+            s, y[0], now.true[j], now.q[j], now.slope[j], stop.mu_d, now.recovery[j]
+        )
         total += force
         twist = e[COUPLING] * (y[1 + j] - y[1 + (j ^ 1)])
         rate[1 + j] = (now.radius[j] * force - now.acting[j] - twist) / (J * (1.0 + e[INERTIA]))
@@ -412,9 +484,19 @@ def rolling(stop: Stop, e: np.ndarray) -> State:
     radius = np.full(4, R)
     radius[stop.axle] *= 1.0 + e[WORN]
     four, pairs = [np.zeros(4) for _ in range(11)], [np.zeros((4, 2)) for _ in range(2)]
-    return State(np.array([stop.v0, *(stop.v0 / radius)]), np.array([0.0, stop.start_m, 0.0, 1e9, 1e9]), radius,
-                 *four, np.full(4, -1.0), *pairs, np.zeros(2), np.full(4, 1000), np.zeros((4, 4)),
-                 np.zeros((4, 8), np.int64), np.zeros((4, int(LENGTH_M / CELL_M))))
+    return State(
+        np.array([stop.v0, *(stop.v0 / radius)]),
+        np.array([0.0, stop.start_m, 0.0, 1e9, 1e9]),
+        radius,
+        *four,
+        np.full(4, -1.0),
+        *pairs,
+        np.zeros(2),
+        np.full(4, 1000),
+        np.zeros((4, 4)),
+        np.zeros((4, 8), np.int64),
+        np.zeros((4, int(LENGTH_M / CELL_M))),
+    )
 
 
 def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ...] = RUNS) -> Path:
@@ -437,31 +519,52 @@ def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ..
         own, fine = friction_field(rng, 0.0141, (4,)), np.zeros((90000, 14))
         rows = run(stop, e, rolling(stop, e), rail, own, fine)
         _record(folder / "runs" / f"{name}.csv", fine[:rows], e, mass, gains, mapped, rng)
-        text += _RUN.format(name=name, group="tune" if name[0] == "a" else "validate", v0=stop.v0, mass=mass)
+        text += _RUN.format(
+            name=name, group="tune" if name[0] == "a" else "validate", v0=stop.v0, mass=mass
+        )
     (folder / "dataset.toml").write_text(text)
     return folder
 
 
-def _plan(draw: np.random.Generator, e: np.ndarray, weight: float) -> list[tuple[str, Stop, float, bool]]:
+def _plan(
+    draw: np.random.Generator, e: np.ndarray, weight: float
+) -> list[tuple[str, Stop, float, bool]]:
     """The six stops: name, stop, declared mass, whether the record tells positions."""
     share, low = 1.0 + draw.normal(0.0, 0.012, 4), draw.uniform(1.6, 2.8)
     common = dict(
-        share=share / share.mean(), low_m_s=low, high_m_s=low + draw.uniform(1.8, 3.6),
-        brake_m_s2=draw.uniform(4.0, 7.0), gain_m_s2=draw.uniform(1.0, 2.5), dead=int(draw.integers(2, 6)),
-        fill_s=draw.uniform(0.25, 0.5), vent_s=draw.uniform(0.12, 0.28), axle=int(draw.integers(0, 4)),
-        patch_m=draw.uniform(50.0, 120.0), patch_length_m=draw.uniform(70.0, 130.0),
-        wave_m=draw.uniform(14.0, 25.0), slope=0.25 * pi * _curved(e[CURVATURE]))
+        share=share / share.mean(),
+        low_m_s=low,
+        high_m_s=low + draw.uniform(1.8, 3.6),
+        brake_m_s2=draw.uniform(4.0, 7.0),
+        gain_m_s2=draw.uniform(1.0, 2.5),
+        dead=int(draw.integers(2, 6)),
+        fill_s=draw.uniform(0.25, 0.5),
+        vent_s=draw.uniform(0.12, 0.28),
+        axle=int(draw.integers(0, 4)),
+        patch_m=draw.uniform(50.0, 120.0),
+        patch_length_m=draw.uniform(70.0, 130.0),
+        wave_m=draw.uniform(14.0, 25.0),
+        slope=0.25 * pi * _curved(e[CURVATURE]),
+    )
     # where positions are recorded, the stops may begin at different places of the same rail
     soiled, burst, mapped = draw.uniform(0.033, 0.043), draw.choice(RUNS), draw.uniform() < 0.4
     plan = []
     for name, (slow, fast) in zip(RUNS, _SPEEDS, strict=True):
         v0, mass = round(draw.uniform(slow, fast), 1), round(draw.uniform(40000.0, 50000.0), -1)
         shower = draw.uniform(4.0, 9.0)
-        stop = Stop(v0=v0, mass_kg=mass * weight, mu_d=soiled * (1.0 + 0.05 * draw.normal()),
-                    demand_Nm=draw.uniform(7000.0, 9800.0), apply_s=draw.uniform(0.5, 1.5),
-                    end_m_s=draw.uniform(3.5, 5.0), start_m=float(mapped) * draw.uniform(0.0, 60.0),
-                    sand_s=draw.uniform(3.0, 9.0), drop_s=draw.uniform(6.0, 12.0),
-                    burst_s=shower if name == burst else -1.0, **common)
+        stop = Stop(
+            v0=v0,
+            mass_kg=mass * weight,
+            mu_d=soiled * (1.0 + 0.05 * draw.normal()),
+            demand_Nm=draw.uniform(7000.0, 9800.0),
+            apply_s=draw.uniform(0.5, 1.5),
+            end_m_s=draw.uniform(3.5, 5.0),
+            start_m=float(mapped) * draw.uniform(0.0, 60.0),
+            sand_s=draw.uniform(3.0, 9.0),
+            drop_s=draw.uniform(6.0, 12.0),
+            burst_s=shower if name == burst else -1.0,
+            **common,
+        )
         plan.append((name, stop, mass, mapped))
     return plan
 
@@ -474,13 +577,22 @@ def _curved(lost: float) -> float:
     return patch_product(brentq(lambda r: patch_product(r) - rail * (1.0 - lost), 0.02, 50.0))
 
 
-def _record(path: Path, fine: np.ndarray, e: np.ndarray, mass: float, gains: np.ndarray, mapped: bool,
-            rng: np.random.Generator) -> None:
+def _record(
+    path: Path,
+    fine: np.ndarray,
+    e: np.ndarray,
+    mass: float,
+    gains: np.ndarray,
+    mapped: bool,
+    rng: np.random.Generator,
+) -> None:
     """What the sensors see every 10 ms, written as CSV."""
     ms, at = np.arange(len(fine)), np.arange(0, len(fine), 10)
 
     def sensed(columns: slice, delay_s: float = 0.0) -> np.ndarray:
-        return np.column_stack([np.interp(at - 1000.0 * delay_s, ms, c) for c in fine[:, columns].T])
+        return np.column_stack(
+            [np.interp(at - 1000.0 * delay_s, ms, c) for c in fine[:, columns].T]
+        )
 
     speed = fine[at, 0] + rng.normal(0.0, 0.03, len(at))
     wheel = sensed(slice(1, 5), e[SPEED_DELAY]) + rng.normal(0.0, 0.03 / R, (len(at), 4))
@@ -489,26 +601,33 @@ def _record(path: Path, fine: np.ndarray, e: np.ndarray, mass: float, gains: np.
     load = sensed(slice(5, 9)) * gains[0] + rng.normal(0.0, 0.0025 * mass * G, (len(at), 4))
     torque = sensed(slice(9, 13), e[TORQUE_DELAY]) * gains[1]
     torque += rng.normal(0.0, 0.015 * fine[:, 9:13].max(), torque.shape)
-    names = ["time_s", "vehicle_speed_m_s", *(f"wheel_speed_{j}_rad_s" for j in range(1, 5)),
-             *(f"wheel_load_{j}_N" for j in range(1, 5)), *(f"brake_torque_{j}_Nm" for j in range(1, 5))]
+    names = [
+        "time_s",
+        "vehicle_speed_m_s",
+        *(f"wheel_speed_{j}_rad_s" for j in range(1, 5)),
+        *(f"wheel_load_{j}_N" for j in range(1, 5)),
+        *(f"brake_torque_{j}_Nm" for j in range(1, 5)),
+    ]
     table = [0.001 * at, speed, wheel, load, torque]
     if mapped:
         names, table = [*names, "position_m"], [*table, fine[at, 13]]
-    np.savetxt(path, np.column_stack(table), delimiter=",", fmt="%.7g", header=",".join(names), comments="")
+    np.savetxt(
+        path, np.column_stack(table), delimiter=",", fmt="%.7g", header=",".join(names), comments=""
+    )
 
 
 # tuning and validation each span slow and fast stops
 _SPEEDS = ((37.0, 44.0), (29.0, 36.0), (22.0, 28.0), (38.0, 44.0), (30.0, 37.0), (23.0, 30.0))
 
-_RUN = '''
+_RUN = """
 [[run]]
 file = "runs/{name}.csv"
 group = "{group}"
 initial_speed_m_s = {v0}
 mass_kg = {mass}
-'''
+"""
 
-_HEAD = '''title = "Six stops of a coach on a soiled rail"
+_HEAD = """title = "Six stops of a coach on a soiled rail"
 kind = "braking_runs"
 vehicle = "uic_z1"
 sample_time_s = 0.01
@@ -522,4 +641,4 @@ wheel_speed_rad_s = 0.06742
 torque_fraction = 0.015
 load_fraction = 0.01
 calibration_fraction = 0.003
-'''
+"""

@@ -37,13 +37,30 @@ FORM = next(row.default for row in dataset.ACCURACY if row.name == "form_fractio
 LARGEST_SET = 1.4  # the first set of a single cause, mean
 FORM_HEAD = "| form_fraction | answers to | named first or in a set of two | in the named set | size of the set, mean |"
 SETTERS = "first and second"  # the third judges, and sets nothing
-HEAD = ("| set on | ALPHA_CAUSE | " + " | ".join(LIMITS) + " | judged on | clean: a finding | one: a finding | "
-        "hidden: named rightly | unknown: given a name |")
+HEAD = (
+    "| set on | ALPHA_CAUSE | "
+    + " | ".join(LIMITS)
+    + " | judged on | clean: a finding | one: a finding | "
+    "hidden: named rightly | unknown: given a name |"
+)
 
 
 def findings(told):
-    return [evidence.Finding(f["name"], f["axle"], {}, tuple(f["coefficients"]), (), (), f["statistic"], f["p_value"],
-                             0.0, 0.0) for f in told]
+    return [
+        evidence.Finding(
+            f["name"],
+            f["axle"],
+            {},
+            tuple(f["coefficients"]),
+            (),
+            (),
+            f["statistic"],
+            f["p_value"],
+            0.0,
+            0.0,
+        )
+        for f in told
+    ]
 
 
 class Told:
@@ -52,15 +69,25 @@ class Told:
     def __init__(self, truth, answer):
         self.kind, self.truth = truth["kind"], set(truth["effects"])
         found, notes = answer["findings"] or {"before": [], "behind": []}, " ".join(answer["notes"])
-        self.refused, self.before, self.behind = answer["verdict"] == "refused", *map(findings, found.values())
-        named = [one | {"likelihood": one["evidence"]["likelihood"]} for one in answer["causes"]] or answer.get(
-            "set_aside", [])
-        self.causes = [SimpleNamespace(ratio=one["likelihood"], finding=SimpleNamespace(name=one["name"]))
-                       for one in named]
+        self.refused, self.before, self.behind = (
+            answer["verdict"] == "refused",
+            *map(findings, found.values()),
+        )
+        named = [
+            one | {"likelihood": one["evidence"]["likelihood"]} for one in answer["causes"]
+        ] or answer.get("set_aside", [])
+        self.causes = [
+            SimpleNamespace(ratio=one["likelihood"], finding=SimpleNamespace(name=one["name"]))
+            for one in named
+        ]
         self.sets = [{one["name"], *one["confusable_with"]} for one in named]
         self.rivals = [one["evidence"]["rivals"] for one in answer["causes"]]
         self.remainder = None if "do not brake like the recording" in notes else self.behind
-        self.won = SimpleNamespace(likelihood=-1.0) if "makes runs that were not fitted worse" in notes else None
+        self.won = (
+            SimpleNamespace(likelihood=-1.0)
+            if "makes runs that were not fitted worse" in notes
+            else None
+        )
         self.verdict = answer["verdict"]
 
     def judged(self, limits):
@@ -83,7 +110,8 @@ class Told:
         nearly = {one["name"]: one["share"] > 1.0 - form for one in self.rivals[0] if one["parted"]}
         others = {one.finding.name for one in self.causes[1:]}
         return first, {one for one in self.sets[0] - {first} if one not in nearly} | {
-            one for one, alike in nearly.items() if alike} - others
+            one for one, alike in nearly.items() if alike
+        } - others
 
     def right(self, limits):
         found = self.names(limits)
@@ -91,7 +119,10 @@ class Told:
 
     def alarm(self, alpha):
         """Whether a finding counts where causes may be as unlikely as alpha."""
-        return any(evidence.significant(f._replace(p_value=f.p_value * table.ALPHA_CAUSE / alpha)) for f in self.before)
+        return any(
+            evidence.significant(f._replace(p_value=f.p_value * table.ALPHA_CAUSE / alpha))
+            for f in self.before
+        )
 
 
 def share(hits):
@@ -103,8 +134,12 @@ def rightly(told, most_named):
     """(how many causes are named rightly, limits) of all limits that name at most so many unknown effects."""
     hidden = [t for t in told if t.kind in ("one", "two")]
     unknown = [t for t in told if t.kind == "unknown"]
-    return [(sum(t.right(limits) for t in hidden), limits) for limits in itertools.product(SHARES, repeat=3)
-            if limits[0] <= min(limits[1:]) and sum(bool(t.names(limits)) for t in unknown) <= most_named]
+    return [
+        (sum(t.right(limits) for t in hidden), limits)
+        for limits in itertools.product(SHARES, repeat=3)
+        if limits[0] <= min(limits[1:])
+        and sum(bool(t.names(limits)) for t in unknown) <= most_named
+    ]
 
 
 def set_by(told):
@@ -120,22 +155,41 @@ def set_by(told):
 
 def by_form(told, form):
     """(named first or in a set of two, in the set, of how many that were detected; sizes of sets) of single causes."""
-    seen = [(*t.named(form), t.truth) for t in told if t.kind == "one" and t.verdict not in ("consistent", "refused")]
+    seen = [
+        (*t.named(form), t.truth)
+        for t in told
+        if t.kind == "one" and t.verdict not in ("consistent", "refused")
+    ]
     sizes = [1 + len(others) for first, others, _ in seen if first]
-    return (sum({first} == truth or (len(others) == 1 and truth <= others) for first, others, truth in seen),
-            sum(truth <= others | {first} for first, others, truth in seen), len(seen), sizes)
+    return (
+        sum(
+            {first} == truth or (len(others) == 1 and truth <= others)
+            for first, others, truth in seen
+        ),
+        sum(truth <= others | {first} for first, others, truth in seen),
+        len(seen),
+        sizes,
+    )
 
 
 def form_set_by(*natures):
     """The form_fraction that the answers to some generators would set."""
-    fits = [form for form in FORMS if all(np.mean(by_form(told, form)[3]) <= LARGEST_SET for told in natures)]
+    fits = [
+        form
+        for form in FORMS
+        if all(np.mean(by_form(told, form)[3]) <= LARGEST_SET for told in natures)
+    ]
     return max(fits, key=lambda form: (sum(by_form(told, form)[0] for told in natures), -form))
 
 
 def read(folder):
     """The generator of a folder of kept answers, what was hidden by set, and the answers."""
     key = cases.read_key(folder)
-    return key["generator"], key["sets"], json.loads((folder / "explain.json").read_text(encoding="utf-8"))
+    return (
+        key["generator"],
+        key["sets"],
+        json.loads((folder / "explain.json").read_text(encoding="utf-8")),
+    )
 
 
 def judged_again(truth, answer, limits):
@@ -147,8 +201,14 @@ def judged_again(truth, answer, limits):
         if not answer["causes"]:
             sys.exit("a cause that was set aside would be named: its set is to be answered anew")
         return answer | {"verdict": verdict}
-    aside = [{"name": one["name"], "likelihood": one["evidence"]["likelihood"],
-              "confusable_with": one["confusable_with"]} for one in answer["causes"]]
+    aside = [
+        {
+            "name": one["name"],
+            "likelihood": one["evidence"]["likelihood"],
+            "confusable_with": one["confusable_with"],
+        }
+        for one in answer["causes"]
+    ]
     return answer | {"verdict": verdict, "causes": [], "set_aside": aside, "gain": {}}
 
 
@@ -157,9 +217,15 @@ def natures():
     found = {}
     for folder in sorted(path.parent for path in keep.KEPT.glob("*/key")):
         name, truth, given = read(folder)
-        changed = [one for one in given if judged_again(truth[one], given[one], SHIPPED[1]) is not given[one]]
+        changed = [
+            one
+            for one in given
+            if judged_again(truth[one], given[one], SHIPPED[1]) is not given[one]
+        ]
         if changed:
-            sys.exit(f"{name}: {len(changed)} verdicts are not of the limits as they stand ({changed[0]}): --judge")
+            sys.exit(
+                f"{name}: {len(changed)} verdicts are not of the limits as they stand ({changed[0]}): --judge"
+            )
         found[name] = [Told(truth[one], answer) for one, answer in given.items()]
     return found
 
@@ -168,19 +234,31 @@ def judge():
     """Keep the verdicts of the limits as they stand."""
     for folder in sorted(path.parent for path in keep.KEPT.glob("*/key")):
         _, truth, given = read(folder)
-        keep.write(folder, {one: judged_again(truth[one], answer, SHIPPED[1]) for one, answer in given.items()})
+        keep.write(
+            folder,
+            {one: judged_again(truth[one], answer, SHIPPED[1]) for one, answer in given.items()},
+        )
 
 
 def rows():
     """Lines of the table: whose answers set the limits, which, and how these judge everybody's answers."""
     told = natures()
     by = told | {SETTERS: [t for name in SETTERS.split(" and ") for t in told[name]]}
-    for name, (alpha, limits) in ({"shipped": SHIPPED} | {one: set_by(by[one]) for one in by}).items():
+    for name, (alpha, limits) in (
+        {"shipped": SHIPPED} | {one: set_by(by[one]) for one in by}
+    ).items():
         for on, answers in told.items():
             of = {kind: [t for t in answers if t.kind == kind] for kind in cases.KINDS}
-            row = (name, f"{alpha:.2g}", *(f"{v:g}" for v in limits), on, share(t.alarm(alpha) for t in of["none"]),
-                   share(t.alarm(alpha) for t in of["one"]), share(t.right(limits) for t in of["one"] + of["two"]),
-                   share(bool(t.names(limits)) for t in of["unknown"]))
+            row = (
+                name,
+                f"{alpha:.2g}",
+                *(f"{v:g}" for v in limits),
+                on,
+                share(t.alarm(alpha) for t in of["none"]),
+                share(t.alarm(alpha) for t in of["one"]),
+                share(t.right(limits) for t in of["one"] + of["two"]),
+                share(bool(t.names(limits)) for t in of["unknown"]),
+            )
             yield "| " + " | ".join(row) + " |"
 
 

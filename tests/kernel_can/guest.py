@@ -54,7 +54,9 @@ def unpacked() -> Path:
             _call(name, "apt-get", "download", "-qq", "-o", "APT::Sandbox::User=root", package)
         for file in Path(name).glob("*.deb"):
             _call(name, "dpkg-deb", "-x", str(file), str(new))
-        _call(name, "gcc", "-O2", "-shared", "-fPIC", "-o", str(new / "amx.so"), str(HERE / "amx.c"))
+        _call(
+            name, "gcc", "-O2", "-shared", "-fPIC", "-o", str(new / "amx.so"), str(HERE / "amx.c")
+        )
         for applet in ("ip", "insmod"):
             (new / "usr/bin" / applet).symlink_to(new.parent.parent / "kernel-can/bin/busybox")
         try:
@@ -68,7 +70,9 @@ def unpacked() -> Path:
 def _call(folder: str, *command: str) -> None:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if done.returncode:
-        raise GuestError(f"{shlex.join(command)}: {done.stderr.strip()} (package lists: apt-get update)")
+        raise GuestError(
+            f"{shlex.join(command)}: {done.stderr.strip()} (package lists: apt-get update)"
+        )
 
 
 def run(command: list[str], timeout_s: float = 600.0, out=sys.stdout, err=sys.stderr) -> int:
@@ -82,9 +86,14 @@ def run(command: list[str], timeout_s: float = 600.0, out=sys.stdout, err=sys.st
     with tempfile.TemporaryDirectory(prefix="kernel-can-") as name:
         job = Path(name)
         path = f"{os.environ['PATH']}:{guest}/usr/bin:{guest}/bin"
-        settings = [f"export {key}={shlex.quote(value)}" for key, value in (os.environ | {"PATH": path}).items()
-                    if key.isidentifier() and key != "LD_PRELOAD"]
-        (job / "job.sh").write_text("\n".join([*settings, f"cd {shlex.quote(os.getcwd())}", shlex.join(command)]))
+        settings = [
+            f"export {key}={shlex.quote(value)}"
+            for key, value in (os.environ | {"PATH": path}).items()
+            if key.isidentifier() and key != "LD_PRELOAD"
+        ]
+        (job / "job.sh").write_text(
+            "\n".join([*settings, f"cd {shlex.quote(os.getcwd())}", shlex.join(command)])
+        )
         return _boot(guest, job, timeout_s, out, err)
 
 
@@ -94,15 +103,35 @@ def _boot(guest: Path, job: Path, timeout_s: float, out, err) -> int:
     # the guest's memory is a file, on a file system that has room for it
     memory_in = "/dev/shm" if shutil.disk_usage("/dev/shm").free > 4e9 else str(job)
     kernel = subprocess.Popen(
-        [guest / "usr/bin/linux.uml", f"mem={MEMORY}", "rootfstype=hostfs", "rootflags=/", "rw", "quiet",
-         f"init={HERE / 'init.sh'}", f"GUEST={guest}", f"JOB={job}", f"uml_dir={job}", "ssl=null", "con=null",
-         "con0=null,fd:1", f"con1=null,fd:{out_to}", f"con2=null,fd:{err_to}"],
-        stdin=subprocess.DEVNULL, stdout=(job / "kernel.log").open("w"), stderr=subprocess.STDOUT,
-        pass_fds=(out_to, err_to), start_new_session=True,
-        env={"TMPDIR": memory_in, "LD_PRELOAD": str(guest / "amx.so"), "PATH": os.environ["PATH"]})
+        [
+            guest / "usr/bin/linux.uml",
+            f"mem={MEMORY}",
+            "rootfstype=hostfs",
+            "rootflags=/",
+            "rw",
+            "quiet",
+            f"init={HERE / 'init.sh'}",
+            f"GUEST={guest}",
+            f"JOB={job}",
+            f"uml_dir={job}",
+            "ssl=null",
+            "con=null",
+            "con0=null,fd:1",
+            f"con1=null,fd:{out_to}",
+            f"con2=null,fd:{err_to}",
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=(job / "kernel.log").open("w"),
+        stderr=subprocess.STDOUT,
+        pass_fds=(out_to, err_to),
+        start_new_session=True,
+        env={"TMPDIR": memory_in, "LD_PRELOAD": str(guest / "amx.so"), "PATH": os.environ["PATH"]},
+    )
     os.close(out_to)
     os.close(err_to)
-    readers = [threading.Thread(target=_copy, args=pair) for pair in ((out_from, out), (err_from, err))]
+    readers = [
+        threading.Thread(target=_copy, args=pair) for pair in ((out_from, out), (err_from, err))
+    ]
     for reader in readers:
         reader.start()
     try:

@@ -21,7 +21,9 @@ from rollerrig.wsp_interface.bus.buses import open_client, open_hub
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.kernel import available
 
-pytestmark = pytest.mark.skipif("vcan0" not in available().up, reason="no vcan0 here: make kernel-can")
+pytestmark = pytest.mark.skipif(
+    "vcan0" not in available().up, reason="no vcan0 here: make kernel-can"
+)
 RUN = [sys.executable, "-m", "rollerrig.realtime.cli", "run", "velim_a1", "--pacing", "lockstep"]
 
 
@@ -131,17 +133,29 @@ def test_a_controllers_errors_are_events_and_bus_off_ends_the_bus(channel):
     lost: list[BusError] = []
 
     async def run() -> None:
-        hub = await open_hub(f"socketcan:{channel}", time.monotonic_ns, on_lost=lost.append,
-                             on_event=lambda level, text: events.append(text))
+        hub = await open_hub(
+            f"socketcan:{channel}",
+            time.monotonic_ns,
+            on_lost=lost.append,
+            on_event=lambda level, text: events.append(text),
+        )
         seen: list[Frame] = []
         hub.tap(seen.append)
         with sender(channel) as other:
-            for kind, data in ((0x04, bytes((0, 0x20)) + bytes(6)), (0x20, bytes(8)), (0x40, bytes(8))):
+            for kind, data in (
+                (0x04, bytes((0, 0x20)) + bytes(6)),
+                (0x20, bytes(8)),
+                (0x40, bytes(8)),
+            ):
                 assert not lost
                 other.send(raw_frame(0x2000_0000 | kind, data))
                 await asyncio.sleep(0.2)
         await hub.close()
-        assert [(frame.can_id, frame.error) for frame in seen] == [(0x04, True), (0x20, True), (0x40, True)]
+        assert [(frame.can_id, frame.error) for frame in seen] == [
+            (0x04, True),
+            (0x20, True),
+            (0x40, True),
+        ]
 
     asyncio.run(run())
     assert "error-passive" in events[0]
@@ -153,11 +167,16 @@ def test_can_fd_frames_are_counted(channel):
     events: list[str] = []
 
     async def run() -> int:
-        hub = await open_hub(f"socketcan:{channel}", time.monotonic_ns,
-                             on_event=lambda level, text: events.append(text))
+        hub = await open_hub(
+            f"socketcan:{channel}",
+            time.monotonic_ns,
+            on_event=lambda level, text: events.append(text),
+        )
         with can.Bus(interface="socketcan", channel=channel, fd=True) as other:
             for _ in range(3):
-                other.send(can.Message(arbitration_id=1, data=bytes(32), is_fd=True, is_extended_id=False))
+                other.send(
+                    can.Message(arbitration_id=1, data=bytes(32), is_fd=True, is_extended_id=False)
+                )
         await asyncio.sleep(0.3)
         dropped = hub.dropped
         await hub.close()
@@ -172,7 +191,15 @@ def test_a_queue_of_ten_frames_loses_nothing_of_a_burst(channel):
     """Hardware queues ten by default; here a slow one, which takes a frame in about 0.3 ms."""
     with pyroute2.IPRoute() as kernel:
         # limits in bytes; a frame counts 16
-        kernel.tc("add", "tbf", socket.if_nametoindex(channel), 0x10000, rate="400kbit", burst=200, limit=320)
+        kernel.tc(
+            "add",
+            "tbf",
+            socket.if_nametoindex(channel),
+            0x10000,
+            rate="400kbit",
+            burst=200,
+            limit=320,
+        )
 
     async def run() -> int:
         hub = await open_hub(f"socketcan:{channel}", time.monotonic_ns)
@@ -202,13 +229,30 @@ def test_a_second_bench_on_an_interface_is_refused_until_the_first_has_gone(chan
 
 
 def test_a_run_is_refused_where_one_of_its_nodes_speaks_already(channel, tmp_path):
-    beat = subprocess.Popen([sys.executable, "-c", "import socket,sys,time\n"
-                             "s = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)\n"
-                             f"s.bind(({channel!r},))\n"
-                             "while True: s.send(bytes.fromhex('11070000010000000500000000000000')); time.sleep(0.1)"])
+    beat = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import socket,sys,time\n"
+            "s = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)\n"
+            f"s.bind(({channel!r},))\n"
+            "while True: s.send(bytes.fromhex('11070000010000000500000000000000')); time.sleep(0.1)",
+        ]
+    )
     try:
-        done = subprocess.run([*RUN, "--set", f"bus.interface=socketcan:{channel}", "--set", "duration_max_s=0.1",
-                               "--out", str(tmp_path / "run")], capture_output=True, text=True)
+        done = subprocess.run(
+            [
+                *RUN,
+                "--set",
+                f"bus.interface=socketcan:{channel}",
+                "--set",
+                "duration_max_s=0.1",
+                "--out",
+                str(tmp_path / "run"),
+            ],
+            capture_output=True,
+            text=True,
+        )
     finally:
         beat.kill()
         beat.wait()
@@ -221,8 +265,20 @@ def test_a_lockstep_run_on_vcan0_is_the_one_on_the_hub_to_the_byte_and_lets_sock
     logs = []
     for name, more in (("hub", ["--set", "bus.interface=hub"]), ("kernel", [])):
         out = tmp_path / name
-        done = subprocess.run([*RUN, *more, "--set", "duration_max_s=1", "--set", "bus.socketcand_port=0",
-                               "--out", str(out)], capture_output=True, text=True)
+        done = subprocess.run(
+            [
+                *RUN,
+                *more,
+                "--set",
+                "duration_max_s=1",
+                "--set",
+                "bus.socketcand_port=0",
+                "--out",
+                str(out),
+            ],
+            capture_output=True,
+            text=True,
+        )
         assert done.returncode == 4, done.stderr  # it does not stop in that time
         logs.append((out / "can.log").read_bytes())
     assert logs[0] == logs[1]
@@ -234,8 +290,12 @@ def test_a_lockstep_run_on_vcan0_is_the_one_on_the_hub_to_the_byte_and_lets_sock
 
 def test_a_harness_drives_a_lockstep_run_on_vcan0(tmp_path):
     said = ""
-    bench = subprocess.Popen([*RUN, "--harness", "--set", "bus.socketcand_port=0", "--out", str(tmp_path / "run")],
-                             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    bench = subprocess.Popen(
+        [*RUN, "--harness", "--set", "bus.socketcand_port=0", "--out", str(tmp_path / "run")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     try:
         said = next(line for line in bench.stdout if "waiting for a harness" in line)
         with harness.connect("socketcan:vcan0", ends=True) as rig:

@@ -51,7 +51,9 @@ class Forked:
         for one in (stdout, stderr):
             one.write_bytes(b"")
         place = os.getcwd(), dict(os.environ), os.sched_getaffinity(0)
-        self._process = forking().Process(target=_begin, args=(words, stdout, stderr, before, *place), daemon=True)
+        self._process = forking().Process(
+            target=_begin, args=(words, stdout, stderr, before, *place), daemon=True
+        )
         self._process.start()
         self.pid, self._stdout, self._lock = self._process.pid, stdout, threading.Lock()
 
@@ -88,7 +90,11 @@ def _begin(words, stdout, stderr, before, folder, environment, cores):
     os.sched_setaffinity(0, cores)
     os.environ.clear()
     os.environ.update(environment)
-    for number, path, mode in ((0, os.devnull, os.O_RDONLY), (1, stdout, os.O_WRONLY), (2, stderr, os.O_WRONLY)):
+    for number, path, mode in (
+        (0, os.devnull, os.O_RDONLY),
+        (1, stdout, os.O_WRONLY),
+        (2, stderr, os.O_WRONLY),
+    ):
         os.dup2(os.open(path, mode | os.O_CREAT | os.O_TRUNC), number)
     ended.with_parent(os.getppid(), signal.SIGTERM)
     before()
@@ -103,8 +109,20 @@ class BenchProcess:
     def __init__(self, out, *arguments, scenario="velim_a1", before=int):
         self.out = Path(out)
         self.said = self.out.parent / f"{self.out.name}.stderr"
-        words = ["run", scenario, "--json", "--out", str(out), "--set", "bus.interface=hub", "--set",
-                 "bus.socketcand_port=0", "--set", "modbus.enabled=false", *map(str, arguments)]
+        words = [
+            "run",
+            scenario,
+            "--json",
+            "--out",
+            str(out),
+            "--set",
+            "bus.interface=hub",
+            "--set",
+            "bus.socketcand_port=0",
+            "--set",
+            "modbus.enabled=false",
+            *map(str, arguments),
+        ]
         self.process = Forked(words, self.out.parent / f"{self.out.name}.stdout", self.said, before)
         self.status = self.told = None
 
@@ -134,13 +152,16 @@ class BenchProcess:
 
     def address(self):
         """Where its bus is, as soon as it says so."""
+
         def told():
             assert self.process.poll() is None, self.stderr
             return ADDRESS.search(self.stderr + "".join(self.heard("the rig is on the bus")))
+
         return until(told, "the address of the bus").group()
 
     def runs_for(self, seconds):
         """Wait until so much simulated time is recorded."""
+
         def recorded():
             assert self.process.poll() is None, self.stderr
             try:
@@ -148,10 +169,12 @@ class BenchProcess:
             except Exception:
                 return False
             return len(time_s) and time_s[-1] >= seconds
+
         until(recorded, f"{seconds} s of simulated time")
 
     def child(self, word):
         """The process number of the child whose command line has a word."""
+
         def found():
             children = Path(f"/proc/{self.process.pid}/task")
             for task in children.glob("*/children"):
@@ -159,6 +182,7 @@ class BenchProcess:
                     if word in Path(f"/proc/{pid}/cmdline").read_text().split("\0"):
                         return int(pid)
             return None
+
         return until(found, f"a child process '{word}'")
 
     def interrupt(self):
@@ -209,8 +233,9 @@ class SimpleUnit:
     def _send(self, identifier, data):
         import can
 
-        self.bus.send(can.Message(arbitration_id=identifier, data=data,
-                                  is_extended_id=identifier > 0x7FF))
+        self.bus.send(
+            can.Message(arbitration_id=identifier, data=data, is_extended_id=identifier > 0x7FF)
+        )
 
     def close(self):
         self.bus.shutdown()

@@ -13,15 +13,31 @@ from rollerrig.firmware_sim.wsp.reference_speed import SPEED_SCALE_RAD_S
 
 SOURCE = Path(__file__).parent / "fmu" / "wsp.c"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
-UNITS = {"rad/s": 'rad="1" s="-1"', "rpm": 's="-1" rad="1" factor="0.10471975511965977"', "Pa": 'kg="1" m="-1" s="-2"',
-         "bar": 'kg="1" m="-1" s="-2" factor="100000"', "m/s": 'm="1" s="-1"'}
-INPUTS = {**{f"wheel_speed_{axle}": "rad/s" for axle in range(1, 5)},
-          **{f"cylinder_pressure_{axle}": "Pa" for axle in range(1, 5)}}
+UNITS = {
+    "rad/s": 'rad="1" s="-1"',
+    "rpm": 's="-1" rad="1" factor="0.10471975511965977"',
+    "Pa": 'kg="1" m="-1" s="-2"',
+    "bar": 'kg="1" m="-1" s="-2" factor="100000"',
+    "m/s": 'm="1" s="-1"',
+}
+INPUTS = {
+    **{f"wheel_speed_{axle}": "rad/s" for axle in range(1, 5)},
+    **{f"cylinder_pressure_{axle}": "Pa" for axle in range(1, 5)},
+}
 VALVES = (*(f"hold_{axle}" for axle in range(1, 5)), *(f"vent_{axle}" for axle in range(1, 5)))
 
 
-def build(folder, version=3, name="wsp", defines=(), binary=True, sources=False, edit=lambda xml: xml, inputs=None,
-          files=None):
+def build(
+    folder,
+    version=3,
+    name="wsp",
+    defines=(),
+    binary=True,
+    sources=False,
+    edit=lambda xml: xml,
+    inputs=None,
+    files=None,
+):
     """An FMU. `edit` changes its description; `inputs`: other names and units of its inputs, in their order.
 
     `files`: what the archive holds besides, its description perhaps among it.
@@ -30,23 +46,48 @@ def build(folder, version=3, name="wsp", defines=(), binary=True, sources=False,
     folder.mkdir(parents=True)
     _parameters(folder / "parameters.h")
     _stubs(folder / "stubs.c", version)
-    files = {"modelDescription.xml": edit(description(version, name, inputs or INPUTS, sources)), **(files or {})}
+    files = {
+        "modelDescription.xml": edit(description(version, name, inputs or INPUTS, sources)),
+        **(files or {}),
+    }
     defined = [*(["-DFMI2"] if version == 2 else []), *(f"-D{one}" for one in defines)]
     if binary:
         library = folder / f"{name}.so"
-        subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-ffp-contract=off", *defined, f"-I{folder}", f"-I{HEADERS}",
-                        "-o", library, SOURCE, folder / "stubs.c", "-lm"], check=True)
-        files[f"binaries/{'linux64' if version == 2 else fmpy.platform_tuple}/{name}.so"] = library.read_bytes()
+        subprocess.run(
+            [
+                "gcc",
+                "-shared",
+                "-fPIC",
+                "-O1",
+                "-ffp-contract=off",
+                *defined,
+                f"-I{folder}",
+                f"-I{HEADERS}",
+                "-o",
+                library,
+                SOURCE,
+                folder / "stubs.c",
+                "-lm",
+            ],
+            check=True,
+        )
+        files[f"binaries/{'linux64' if version == 2 else fmpy.platform_tuple}/{name}.so"] = (
+            library.read_bytes()
+        )
     if sources:
         # FMI 3: prefixed functions, for tools that link several FMUs into one
         header = "#define FMI2\n" if version == 2 else f"#define FMI3_FUNCTION_PREFIX {name}_\n"
-        files |= {"sources/wsp.c": header + SOURCE.read_text(), "sources/stubs.c": (folder / "stubs.c").read_text(),
-                  "sources/parameters.h": (folder / "parameters.h").read_text()}
+        files |= {
+            "sources/wsp.c": header + SOURCE.read_text(),
+            "sources/stubs.c": (folder / "stubs.c").read_text(),
+            "sources/parameters.h": (folder / "parameters.h").read_text(),
+        }
         if version == 3:
             files["sources/buildDescription.xml"] = (
                 f'<fmiBuildDescription fmiVersion="3.0"><BuildConfiguration modelIdentifier="{name}"><SourceFileSet>'
                 '<SourceFile name="wsp.c"/><SourceFile name="stubs.c"/></SourceFileSet></BuildConfiguration>'
-                '</fmiBuildDescription>')
+                "</fmiBuildDescription>"
+            )
     path = folder.with_suffix(".fmu")
     with zipfile.ZipFile(path, "w") as archive:
         for place, content in files.items():
@@ -54,26 +95,39 @@ def build(folder, version=3, name="wsp", defines=(), binary=True, sources=False,
     return path
 
 
-def build_can(folder, name="wsp", clock="triggered", defines=(), notifications=True, edit=lambda xml: xml):
+def build_can(
+    folder, name="wsp", clock="triggered", defines=(), notifications=True, edit=lambda xml: xml
+):
     """An FMU that is a CAN node. `clock`: the variability of its Tx_Clock; `edit` changes both of its descriptions."""
     defines = ["LS_BUS", *(["COUNTDOWN"] if clock == "countdown" else []), *defines]
-    files = {"modelDescription.xml": edit(CAN_DESCRIPTION.format(
-        name=name, clock=f'causality="{"output" if clock == "triggered" else "input"}" intervalVariability="{clock}"',
-        exposed=CAN_NOTIFICATIONS if notifications else ""))}
+    files = {
+        "modelDescription.xml": edit(
+            CAN_DESCRIPTION.format(
+                name=name,
+                clock=f'causality="{"output" if clock == "triggered" else "input"}" intervalVariability="{clock}"',
+                exposed=CAN_NOTIFICATIONS if notifications else "",
+            )
+        )
+    }
     files["terminalsAndIcons/terminalsAndIcons.xml"] = edit(
         '<fmiTerminalsAndIcons fmiVersion="3.0"><Terminals><Terminal name="Can0" '
         'terminalKind="org.fmi-ls-bus.network-terminal" matchingRule="org.fmi-ls-bus.transceiver">'
-        + "".join(f'<TerminalMemberVariable variableKind="signal" variableName="Can0.{one}" memberName="{one}"/>'
-                  for one in ("Rx_Data", "Rx_Clock", "Tx_Data", "Tx_Clock"))
+        + "".join(
+            f'<TerminalMemberVariable variableKind="signal" variableName="Can0.{one}" memberName="{one}"/>'
+            for one in ("Rx_Data", "Rx_Clock", "Tx_Data", "Tx_Clock")
+        )
         + '<Terminal name="Configuration" terminalKind="org.fmi-ls-bus.network-terminal.configuration" '
         'matchingRule="bus"><TerminalMemberVariable variableKind="signal" variableName="Can0.BusNotifications" '
-        'memberName="BusNotifications"/></Terminal></Terminal></Terminals></fmiTerminalsAndIcons>')
+        'memberName="BusNotifications"/></Terminal></Terminal></Terminals></fmiTerminalsAndIcons>'
+    )
     return build(folder, name=name, defines=defines, files=files)
 
 
 CAN_MEDIA = 'mimeType="application/org.fmi-standard.fmi-ls-bus.can; version=&quot;1.0.0&quot;"'
-CAN_NOTIFICATIONS = ('<Boolean name="Can0.BusNotifications" valueReference="5" causality="parameter" '
-                     'variability="fixed" start="false"/>')
+CAN_NOTIFICATIONS = (
+    '<Boolean name="Can0.BusNotifications" valueReference="5" causality="parameter" '
+    'variability="fixed" start="false"/>'
+)
 CAN_DESCRIPTION = (
     '<?xml version="1.0"?><fmiModelDescription fmiVersion="3.0" modelName="{name}" instantiationToken="g">'
     '<CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true" hasEventMode="true"/>'
@@ -83,7 +137,8 @@ CAN_DESCRIPTION = (
     '<Clock name="Can0.Rx_Clock" valueReference="2" causality="input" intervalVariability="triggered"/>'
     f'<Binary name="Can0.Tx_Data" valueReference="3" causality="output" variability="discrete" clocks="4" {CAN_MEDIA}/>'
     '<Clock name="Can0.Tx_Clock" valueReference="4" {clock}/>{exposed}</ModelVariables>'
-    '<ModelStructure><Output valueReference="3"/></ModelStructure></fmiModelDescription>')
+    '<ModelStructure><Output valueReference="3"/></ModelStructure></fmiModelDescription>'
+)
 
 
 def description(version, name, inputs, sources=False):
@@ -91,41 +146,69 @@ def description(version, name, inputs, sources=False):
     rows = [(one, at, "input", "continuous", unit) for at, (one, unit) in enumerate(inputs.items())]
     rows += [(one, 8 + at, "output", "discrete", None) for at, one in enumerate(VALVES)]
     rows += [("reference_speed", 16, "output", "discrete", "m/s")]
-    units = "".join(f"<Unit name={quoteattr(one)}><BaseUnit {base}/></Unit>" for one, base in UNITS.items())
+    units = "".join(
+        f"<Unit name={quoteattr(one)}><BaseUnit {base}/></Unit>" for one, base in UNITS.items()
+    )
     outputs = range(9, 18) if version == 2 else range(8, 17)
     if version == 2:
         variables = "".join(
             f'<ScalarVariable name="{one}" valueReference="{vr}" causality="{causality}" variability="{variability}">'
-            + ("<Boolean/>" if unit is None else
-               f'<Real unit="{unit}"' + (' start="0"/>' if causality == "input" else "/>")) + "</ScalarVariable>"
-            for one, vr, causality, variability, unit in rows)
-        files = ('<SourceFiles><File name="wsp.c"/><File name="stubs.c"/></SourceFiles>' if sources else "")
-        kind = (f'<CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true">{files}'
-                "</CoSimulation>")
+            + (
+                "<Boolean/>"
+                if unit is None
+                else f'<Real unit="{unit}"' + (' start="0"/>' if causality == "input" else "/>")
+            )
+            + "</ScalarVariable>"
+            for one, vr, causality, variability, unit in rows
+        )
+        files = (
+            '<SourceFiles><File name="wsp.c"/><File name="stubs.c"/></SourceFiles>'
+            if sources
+            else ""
+        )
+        kind = (
+            f'<CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true">{files}'
+            "</CoSimulation>"
+        )
         structure = "".join(f'<Unknown index="{at}"/>' for at in outputs)
-        return (f'<?xml version="1.0"?><fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{{g}}">{kind}'
-                f"<UnitDefinitions>{units}</UnitDefinitions><ModelVariables>{variables}</ModelVariables>"
-                f"<ModelStructure><Outputs>{structure}</Outputs>"
-                f"<InitialUnknowns>{structure}</InitialUnknowns></ModelStructure></fmiModelDescription>")
-    variables = "".join(
-        ("<Boolean" if unit is None else f'<Float64 unit="{unit}"') +
-        f' name="{one}" valueReference="{vr}" causality="{causality}" variability="{variability}"' +
-        (' start="0"/>' if causality == "input" else "/>") for one, vr, causality, variability, unit in rows)
-    variables = '<Float64 name="time" valueReference="99" causality="independent"/>' + variables
-    structure = "".join(f'<{kind} valueReference="{at}"/>' for kind in ("Output", "InitialUnknown") for at in outputs)
-    return (f'<?xml version="1.0"?><fmiModelDescription fmiVersion="3.0" modelName="{name}" instantiationToken="g">'
-            f'<CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true"/>'
+        return (
+            f'<?xml version="1.0"?><fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{{g}}">{kind}'
             f"<UnitDefinitions>{units}</UnitDefinitions><ModelVariables>{variables}</ModelVariables>"
-            f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>")
+            f"<ModelStructure><Outputs>{structure}</Outputs>"
+            f"<InitialUnknowns>{structure}</InitialUnknowns></ModelStructure></fmiModelDescription>"
+        )
+    variables = "".join(
+        ("<Boolean" if unit is None else f'<Float64 unit="{unit}"')
+        + f' name="{one}" valueReference="{vr}" causality="{causality}" variability="{variability}"'
+        + (' start="0"/>' if causality == "input" else "/>")
+        for one, vr, causality, variability, unit in rows
+    )
+    variables = '<Float64 name="time" valueReference="99" causality="independent"/>' + variables
+    structure = "".join(
+        f'<{kind} valueReference="{at}"/>'
+        for kind in ("Output", "InitialUnknown")
+        for at in outputs
+    )
+    return (
+        f'<?xml version="1.0"?><fmiModelDescription fmiVersion="3.0" modelName="{name}" instantiationToken="g">'
+        f'<CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true"/>'
+        f"<UnitDefinitions>{units}</UnitDefinitions><ModelVariables>{variables}</ModelVariables>"
+        f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+    )
 
 
 def _parameters(path):
     """The reference's thresholds and tables as C."""
     params = logic.load()
-    lines = [f"#define SPEED_SCALE {SPEED_SCALE_RAD_S!r}",
-             f"static const double DIAMETER[] = {{{', '.join(map(repr, params.wheel_diameter_m))}}};"]
-    lines += [f"#define {name.upper()} {value!r}" for name, value in params._asdict().items()
-              if name != "wheel_diameter_m"]
+    lines = [
+        f"#define SPEED_SCALE {SPEED_SCALE_RAD_S!r}",
+        f"static const double DIAMETER[] = {{{', '.join(map(repr, params.wheel_diameter_m))}}};",
+    ]
+    lines += [
+        f"#define {name.upper()} {value!r}"
+        for name, value in params._asdict().items()
+        if name != "wheel_diameter_m"
+    ]
     for name in ("WISHES", "NEXT", "INTERRUPTS", "MAGNETS"):
         table = getattr(phases, name)
         rows = ", ".join("{" + ", ".join(str(int(one)) for one in row) + "}" for row in table)
@@ -136,5 +219,10 @@ def _parameters(path):
 def _stubs(path, version):
     """The functions of the standard that wsp.c has no use for, which a library has to export all the same."""
     kind = fmi2.FMU2Slave if version == 2 else fmi3.FMU3Slave
-    path.write_text("".join(f"__attribute__((weak)) int {name}(void) {{ return 3; }}\n"
-                            for name in dir(kind) if name.startswith(f"fmi{version}")))
+    path.write_text(
+        "".join(
+            f"__attribute__((weak)) int {name}(void) {{ return 3; }}\n"
+            for name in dir(kind)
+            if name.startswith(f"fmi{version}")
+        )
+    )

@@ -23,9 +23,11 @@ SCENARIO = 'title = "rows of a test"\n[loop]\ntick_hz = 1000\nstep_s = 0.0001\nr
 
 def rings(capacity=4096):
     """Rings of rows, frames and events, written by this process."""
-    return (Ring(ring.place("rows"), np.float64, capacity, WIDTH),
-            Ring(ring.place("frames"), np.int64, 2 * capacity, ring.FRAME_WORDS),
-            Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS))
+    return (
+        Ring(ring.place("rows"), np.float64, capacity, WIDTH),
+        Ring(ring.place("frames"), np.int64, 2 * capacity, ring.FRAME_WORDS),
+        Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS),
+    )
 
 
 def row(number):

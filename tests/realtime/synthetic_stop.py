@@ -72,22 +72,40 @@ def _row(at):
     v, s, f = at["v"], at["s"], at["f"]
     row = np.full(len(signals.COLUMNS), np.nan)
     values = {
-        "time": at["t"], "vehicle_speed": v, "position": at["x"],
-        "vehicle_acceleration": -np.sum(f) * LOAD_N / MASS_KG, "brake_demand": at["demand"],
-        "wheel_speed": at["omega"], "wheel_circumferential_speed": RADIUS_M * at["omega"],
-        "wheel_angle": at["angle"], "tooth_frequency": at["omega"] * 100 / 6.2832,
+        "time": at["t"],
+        "vehicle_speed": v,
+        "position": at["x"],
+        "vehicle_acceleration": -np.sum(f) * LOAD_N / MASS_KG,
+        "brake_demand": at["demand"],
+        "wheel_speed": at["omega"],
+        "wheel_circumferential_speed": RADIUS_M * at["omega"],
+        "wheel_angle": at["angle"],
+        "tooth_frequency": at["omega"] * 100 / 6.2832,
         "pulse_count": np.floor(at["angle"] * 100 / 6.2832),
         "roller_speed": np.full(4, v / ROLLER_M),
-        "roller_angle": at["roller"], "sliding": s, "creepage": s / max(v, 0.5), "adhesion": f,
-        "adhesion_degraded": at["fd"], "adhesion_recovered": at["fr"],
-        "transition": 1 - np.exp(-1.9e-4 * at["energy"]), "dissipated_energy": at["energy"],
-        "sliding_work": at["work"], "friction_degraded": at["mu"], "wheel_load": np.full(4, LOAD_N),
-        "brake_torque": at["torque"], "cylinder_pressure": at["pressure"], "valve": at["valve"],
-        "vents": at["vents"], "longest_lock": at["longest"], "air_consumption": at["air"],
+        "roller_angle": at["roller"],
+        "sliding": s,
+        "creepage": s / max(v, 0.5),
+        "adhesion": f,
+        "adhesion_degraded": at["fd"],
+        "adhesion_recovered": at["fr"],
+        "transition": 1 - np.exp(-1.9e-4 * at["energy"]),
+        "dissipated_energy": at["energy"],
+        "sliding_work": at["work"],
+        "friction_degraded": at["mu"],
+        "wheel_load": np.full(4, LOAD_N),
+        "brake_torque": at["torque"],
+        "cylinder_pressure": at["pressure"],
+        "valve": at["valve"],
+        "vents": at["vents"],
+        "longest_lock": at["longest"],
+        "air_consumption": at["air"],
         "motor_torque_demand": f * LOAD_N * ROLLER_M,
-        "motor_torque": 0.98 * f * LOAD_N * ROLLER_M, "wsp_reference_speed": at["reference"],
+        "motor_torque": 0.98 * f * LOAD_N * ROLLER_M,
+        "wsp_reference_speed": at["reference"],
         "magnets": np.array([0, 1, 3])[at["valve"].astype(int)],
-        "tick_lateness": 20 + 60 * abs(np.sin(at["t"] * 7)), "tick_duration": 25.0,
+        "tick_lateness": 20 + 60 * abs(np.sin(at["t"] * 7)),
+        "tick_duration": 25.0,
         "ticks_missed": 0,
     }
     for name, value in values.items():
@@ -95,6 +113,10 @@ def _row(at):
     return row
 
 
-EVENTS = [(0.0, "info", "run velim_a1 begins"), (1.0, "info", "brake demand 380000 Pa"),
-          (2.4, "info", "WSP unit active on axle 1"), (12.6, "warning", "axle 1 locked for 0.4 s"),
-          (13.1, "error", "EMCY 8130h from node 17: heartbeat of node 32 lost")]
+EVENTS = [
+    (0.0, "info", "run velim_a1 begins"),
+    (1.0, "info", "brake demand 380000 Pa"),
+    (2.4, "info", "WSP unit active on axle 1"),
+    (12.6, "warning", "axle 1 locked for 0.4 s"),
+    (13.1, "error", "EMCY 8130h from node 17: heartbeat of node 32 lost"),
+]

@@ -15,8 +15,12 @@ EXAMPLE = Path(__file__).parents[2] / "docs/examples/first_stops.ipynb"
 
 
 def python(code, *arguments):
-    return subprocess.run([sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, check=True
-                          ).stdout.strip()
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.strip()
 
 
 def test_importing_it_loads_nothing_that_takes_time():
@@ -25,10 +29,21 @@ def test_importing_it_loads_nothing_that_takes_time():
 
 
 def test_a_run_returns_what_its_folder_holds(tmp_path):
-    stop = rollerrig.run("velim_a1", pacing="free", out=tmp_path / "stop", adhesion="dry", initial_speed_m_s=5.0,
-                         vehicle={"wheel_radius_m": 0.467}, faults=["speed_noise_burst axle=2 at=0.5 for=0.5"])
+    stop = rollerrig.run(
+        "velim_a1",
+        pacing="free",
+        out=tmp_path / "stop",
+        adhesion="dry",
+        initial_speed_m_s=5.0,
+        vehicle={"wheel_radius_m": 0.467},
+        faults=["speed_noise_burst axle=2 at=0.5 for=0.5"],
+    )
     assert stop.folder == tmp_path / "stop"
-    assert stop.summary == json.loads((stop.folder / "summary.json").read_text()) == rollerrig.load(stop.folder).summary
+    assert (
+        stop.summary
+        == json.loads((stop.folder / "summary.json").read_text())
+        == rollerrig.load(stop.folder).summary
+    )
     assert stop.summary["stopped"]
     assert stop.scenario["vehicle"]["wheel_radius_m"] == 0.467
     assert tuple(stop.table.column_names) == tuple(stop.frame().columns) == COLUMNS
@@ -37,13 +52,23 @@ def test_a_run_returns_what_its_folder_holds(tmp_path):
 
 
 def test_without_pandas_there_is_a_table_all_the_same(free_stop):
-    assert python("import sys; sys.modules['pandas'] = None; import rollerrig; "
-                  "print(type(rollerrig.load(sys.argv[1]).table).__module__)", free_stop.out) == "pyarrow.lib"
+    assert (
+        python(
+            "import sys; sys.modules['pandas'] = None; import rollerrig; "
+            "print(type(rollerrig.load(sys.argv[1]).table).__module__)",
+            free_stop.out,
+        )
+        == "pyarrow.lib"
+    )
 
 
 def test_the_version_is_that_of_the_command_line():
-    assert python("import sys; sys.argv = ['rollerrig', '--version']; from rollerrig.realtime import cli; cli.main()"
-                  ) == f"rollerrig {rollerrig.__version__}"
+    assert (
+        python(
+            "import sys; sys.argv = ['rollerrig', '--version']; from rollerrig.realtime import cli; cli.main()"
+        )
+        == f"rollerrig {rollerrig.__version__}"
+    )
 
 
 def test_a_run_that_is_not_valid_comes_with_a_warning(tmp_path):
@@ -52,11 +77,17 @@ def test_a_run_that_is_not_valid_comes_with_a_warning(tmp_path):
     assert not stop.summary["valid"]
 
 
-@pytest.mark.parametrize(("call", "words"), [
-    (lambda: rollerrig.run("velim_a1", adhesoin="soap"), "did you mean 'adhesion'"),
-    (lambda: rollerrig.run("velim_a1", pacing="fast"), "choose from 'wall', 'lockstep', 'free'"),
-    (lambda: rollerrig.explain("open_rail_cleanin"), "open_rail_cleaning"),
-])
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: rollerrig.run("velim_a1", adhesoin="soap"), "did you mean 'adhesion'"),
+        (
+            lambda: rollerrig.run("velim_a1", pacing="fast"),
+            "choose from 'wall', 'lockstep', 'free'",
+        ),
+        (lambda: rollerrig.explain("open_rail_cleanin"), "open_rail_cleaning"),
+    ],
+)
 def test_what_a_command_refuses_is_raised_in_its_words(call, words):
     with pytest.raises(RollerrigError, match=words):
         call()
@@ -74,14 +105,22 @@ def test_the_notebook_of_the_documentation_runs(tmp_path, monkeypatch):
     # a kernel of this Python, whatever kernels the machine has
     kernel = tmp_path / "kernels/python3"
     kernel.mkdir(parents=True)
-    (kernel / "kernel.json").write_text(json.dumps({
-        "argv": [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"], "display_name": "Python",
-        "language": "python"}))
+    (kernel / "kernel.json").write_text(
+        json.dumps(
+            {
+                "argv": [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"],
+                "display_name": "Python",
+                "language": "python",
+            }
+        )
+    )
     monkeypatch.setenv("JUPYTER_PATH", str(tmp_path))
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     notebook = nbformat.read(EXAMPLE, as_version=4)
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    printed = "".join(output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", ()))
+    printed = "".join(
+        output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", ())
+    )
     assert "with WSP" in printed
     assert "verdict" in printed
     assert (tmp_path / "runs/leaf_film/summary.json").is_file()

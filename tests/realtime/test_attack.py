@@ -10,7 +10,11 @@ import pytest
 from rollerrig.realtime.benchmarks.endurance import fuzz, runs
 from rollerrig.realtime.record import records
 
-QUIET_S, ATTACK_S, END_S = (1.0, 3.0), (3.5, 7.0), 20.0  # long enough for the answers on a machine that is busy
+QUIET_S, ATTACK_S, END_S = (
+    (1.0, 3.0),
+    (3.5, 7.0),
+    20.0,
+)  # long enough for the answers on a machine that is busy
 
 
 class Attacked:
@@ -22,9 +26,19 @@ class Attacked:
             where = fuzz.places(bench)
             bench.until(lambda: runs.last_s(rows) >= ATTACK_S[0], "the attack")
             end_s = time.monotonic() + ATTACK_S[1] - ATTACK_S[0]
-            strangers = [threading.Thread(target=fuzz.attack, args=(
-                door, where[door.port], random.Random(door.name), 1 << 30, lambda: time.monotonic() < end_s))
-                for door in fuzz.DOORS]
+            strangers = [
+                threading.Thread(
+                    target=fuzz.attack,
+                    args=(
+                        door,
+                        where[door.port],
+                        random.Random(door.name),
+                        1 << 30,
+                        lambda: time.monotonic() < end_s,
+                    ),
+                )
+                for door in fuzz.DOORS
+            ]
             for one in strangers:
                 one.start()
             for one in strangers:
@@ -39,7 +53,9 @@ def attacked():
     return Attacked()
 
 
-@pytest.mark.conformance("Bad input", "rubbish through every codec and Modbus: nothing crashes, the run goes on")
+@pytest.mark.conformance(
+    "Bad input", "rubbish through every codec and Modbus: nothing crashes, the run goes on"
+)
 def test_nothing_that_strangers_send_ends_the_run_or_fails_inside_it(attacked):
     assert attacked.status == 4, attacked.words  # it does not stop in that time
     assert "Traceback" not in attacked.words
@@ -62,6 +78,8 @@ def test_the_loop_is_as_punctual_under_attack_as_when_it_is_left_alone(attacked)
     if any("refused SCHED_FIFO" in text for _, _, text in run.events):
         pytest.skip("no SCHED_FIFO here: the loop shares the processor with whoever attacks it")
     time_s, late_us = run.column("time_s"), run.column("tick_lateness_us")
-    quiet, under = (np.median(late_us[(time_s > begin) & (time_s < end)]) for begin, end in (QUIET_S, ATTACK_S))
+    quiet, under = (
+        np.median(late_us[(time_s > begin) & (time_s < end)]) for begin, end in (QUIET_S, ATTACK_S)
+    )
     # ten ticks' worst, half of the time: less than a tick later
     assert under < quiet + 1000.0, (quiet, under)

@@ -29,34 +29,49 @@ def refused(capsys, *arguments):
 # --- configuration ---
 
 
-@pytest.mark.parametrize(("setting", "parts"), [
-    ("vehicle.mas_kg=1", ["--set [vehicle]", "unknown key 'mas_kg'", "did you mean 'mass_kg'"]),
-    ("vehicel.mass_kg=1", ["--set", "unknown table or key 'vehicel'", "did you mean 'vehicle'"]),
-    ("vehicle.mass_kg=-1", ["--set [vehicle]", "mass_kg = -1 is out of range", "1000 to 200000"]),
-    ("vehicle.mass_kg=heavy", ["mass_kg = 'heavy'", "number is wanted"]),
-    ("vehicle.mass_kg=nan", ["mass_kg = nan", "out of range"]),
-    ("vehicle.mass_kg=9000", ["mass_kg = 9000", "13280 kg", "raise it"]),
-    ("adhesion.mu_cd=0.9", ["recovered friction", "below the degraded"]),
-    ("rig.mode=moon", ["mode = 'moon'", "contaminated_rollers"]),
-    ("bus.master=1", ["master = 1", "true or false"]),
-    ("initial_speed_m_s=1e3", ["initial_speed_m_s = 1000 is out of range", "0.5 to 100"]),
-    ("loop.step_s=3e-4", ["step_s = 0.0003", "whole number"]),
-    ("loop.record_hz=300", ["record_hz = 300", "whole number"]),
-    ("bus.sync_period_s=0.0105", ["sync_period_s = 0.0105", "whole number"]),
-    ("loop.tick_hz=1000.5", ["tick_hz = 1000.5", "whole number"]),
-    ("adhesion=sope", ["'sope'", "did you mean 'soap'"]),
-    ("vehicle=3", ["vehicle", "'3'"]),
-    ("demand=3", ["demand = 3", "[[demand]]"]),
-    ("demand=[1, 2]", ["demand = [1, 2]", "[[demand]]"]),
-    ("friction=[{from_s=1.0, from_m=2.0}]", ["[[friction]] 1", "from_s (time) or from_m (place)"]),
-    ("friction=[{from_s=1.0, axles=[5]}]", ["[[friction]] 1", "axles = [5]", "1 to 4"]),
-    ("friction=[{from_s=1.0, axles=[1.5]}]", ["[[friction]] 1", "axles = [1.5]"]),
-    ("friction=[{from_s=1.0, mu_cd=0.9}]", ["[[friction]] 1", "below the degraded"]),
-    ("demand=[{from_s=3.0, pressure_Pa=1e5}, {from_s=1.0, pressure_Pa=0}]", ["[[demand]]", "rise"]),
-    ("demand=[{from_s=3.0}]", ["[[demand]] 1", "pressure_Pa is missing"]),
-    ("wsp_config=nobody", ["'nobody'", "reference"]),
-    ("mass_kg", ["--set mass_kg", "section.key=value"]),
-])
+@pytest.mark.parametrize(
+    ("setting", "parts"),
+    [
+        ("vehicle.mas_kg=1", ["--set [vehicle]", "unknown key 'mas_kg'", "did you mean 'mass_kg'"]),
+        (
+            "vehicel.mass_kg=1",
+            ["--set", "unknown table or key 'vehicel'", "did you mean 'vehicle'"],
+        ),
+        (
+            "vehicle.mass_kg=-1",
+            ["--set [vehicle]", "mass_kg = -1 is out of range", "1000 to 200000"],
+        ),
+        ("vehicle.mass_kg=heavy", ["mass_kg = 'heavy'", "number is wanted"]),
+        ("vehicle.mass_kg=nan", ["mass_kg = nan", "out of range"]),
+        ("vehicle.mass_kg=9000", ["mass_kg = 9000", "13280 kg", "raise it"]),
+        ("adhesion.mu_cd=0.9", ["recovered friction", "below the degraded"]),
+        ("rig.mode=moon", ["mode = 'moon'", "contaminated_rollers"]),
+        ("bus.master=1", ["master = 1", "true or false"]),
+        ("initial_speed_m_s=1e3", ["initial_speed_m_s = 1000 is out of range", "0.5 to 100"]),
+        ("loop.step_s=3e-4", ["step_s = 0.0003", "whole number"]),
+        ("loop.record_hz=300", ["record_hz = 300", "whole number"]),
+        ("bus.sync_period_s=0.0105", ["sync_period_s = 0.0105", "whole number"]),
+        ("loop.tick_hz=1000.5", ["tick_hz = 1000.5", "whole number"]),
+        ("adhesion=sope", ["'sope'", "did you mean 'soap'"]),
+        ("vehicle=3", ["vehicle", "'3'"]),
+        ("demand=3", ["demand = 3", "[[demand]]"]),
+        ("demand=[1, 2]", ["demand = [1, 2]", "[[demand]]"]),
+        (
+            "friction=[{from_s=1.0, from_m=2.0}]",
+            ["[[friction]] 1", "from_s (time) or from_m (place)"],
+        ),
+        ("friction=[{from_s=1.0, axles=[5]}]", ["[[friction]] 1", "axles = [5]", "1 to 4"]),
+        ("friction=[{from_s=1.0, axles=[1.5]}]", ["[[friction]] 1", "axles = [1.5]"]),
+        ("friction=[{from_s=1.0, mu_cd=0.9}]", ["[[friction]] 1", "below the degraded"]),
+        (
+            "demand=[{from_s=3.0, pressure_Pa=1e5}, {from_s=1.0, pressure_Pa=0}]",
+            ["[[demand]]", "rise"],
+        ),
+        ("demand=[{from_s=3.0}]", ["[[demand]] 1", "pressure_Pa is missing"]),
+        ("wsp_config=nobody", ["'nobody'", "reference"]),
+        ("mass_kg", ["--set mass_kg", "section.key=value"]),
+    ],
+)
 def test_a_wrong_setting_is_refused_with_what_is_allowed(setting, parts, tmp_path, capsys):
     text = refused(capsys, "velim_a1", "--set", setting, "--out", str(tmp_path / "run"))
     for part in parts:
@@ -64,15 +79,21 @@ def test_a_wrong_setting_is_refused_with_what_is_allowed(setting, parts, tmp_pat
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(("content", "parts"), [
-    (HEAD + "[adhesoin]\nmu_cd = 0.1\n", ["own.toml", "unknown table or key 'adhesoin'", "adhesion"]),
-    ("initial_speed = 3\n" + HEAD, ["own.toml", "'initial_speed'", "initial_speed_m_s"]),
-    ("vehicle = 7\n" + HEAD, ["own.toml", "vehicle = 7", "a table [vehicle]"]),
-    ('vehicle = "a"\nvehicle_set = "b"\n' + HEAD, ["own.toml", "vehicle and vehicle_set"]),
-    ("[demand]\nfrom_s = 0\n", ["own.toml", "[[demand]] with two brackets"]),
-    ("title = \n", ["own.toml", "not valid TOML", "line 1"]),
-    ('rig = "../nowhere.toml"\n' + HEAD, ["../nowhere.toml", "no such file", "full_scale"]),
-])
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        (
+            HEAD + "[adhesoin]\nmu_cd = 0.1\n",
+            ["own.toml", "unknown table or key 'adhesoin'", "adhesion"],
+        ),
+        ("initial_speed = 3\n" + HEAD, ["own.toml", "'initial_speed'", "initial_speed_m_s"]),
+        ("vehicle = 7\n" + HEAD, ["own.toml", "vehicle = 7", "a table [vehicle]"]),
+        ('vehicle = "a"\nvehicle_set = "b"\n' + HEAD, ["own.toml", "vehicle and vehicle_set"]),
+        ("[demand]\nfrom_s = 0\n", ["own.toml", "[[demand]] with two brackets"]),
+        ("title = \n", ["own.toml", "not valid TOML", "line 1"]),
+        ('rig = "../nowhere.toml"\n' + HEAD, ["../nowhere.toml", "no such file", "full_scale"]),
+    ],
+)
 def test_a_wrong_file_is_refused_with_its_name(content, parts, tmp_path, capsys):
     (tmp_path / "own.toml").write_text(content)
     text = refused(capsys, str(tmp_path / "own.toml"), "--out", str(tmp_path / "run"))
@@ -81,14 +102,18 @@ def test_a_wrong_file_is_refused_with_its_name(content, parts, tmp_path, capsys)
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(("arguments", "parts"), [
-    (["velim_a9"], ["'velim_a9'", "velim_a1"]),
-    (["no/such/file.toml"], ["no/such/file.toml: no such file"]),
-    (["velim_a1", "--model", "no/model.toml"], ["no/model.toml: no such file"]),
-    (["velim_a1", "--pacing", "free", "--wsp", "external"], ["--pacing free", "lockstep"]),
-])
-def test_a_file_that_is_missing_and_options_that_contradict_are_refused(arguments, parts, tmp_path,
-                                                                        capsys):
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["velim_a9"], ["'velim_a9'", "velim_a1"]),
+        (["no/such/file.toml"], ["no/such/file.toml: no such file"]),
+        (["velim_a1", "--model", "no/model.toml"], ["no/model.toml: no such file"]),
+        (["velim_a1", "--pacing", "free", "--wsp", "external"], ["--pacing free", "lockstep"]),
+    ],
+)
+def test_a_file_that_is_missing_and_options_that_contradict_are_refused(
+    arguments, parts, tmp_path, capsys
+):
     text = refused(capsys, *arguments, "--out", str(tmp_path / "run"))
     for part in parts:
         assert part in text
@@ -110,23 +135,36 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, capsys):
 def test_a_scenario_of_the_user_survives_a_run_that_is_to_go_where_it_stands(tmp_path, capsys):
     mine = tmp_path / "mine"
     mine.mkdir()
-    (mine / "scenario.toml").write_text("vehicle = \"uic_z1\"\n")
+    (mine / "scenario.toml").write_text('vehicle = "uic_z1"\n')
     (mine / "notes.txt").write_text("what I saw")
     text = refused(capsys, str(mine / "scenario.toml"), "--pacing", "free", "--out", str(mine))
     assert "nothing in it is replaced" in text
     assert sorted(path.name for path in mine.iterdir()) == ["notes.txt", "scenario.toml"]
-    assert (mine / "scenario.toml").read_text() == "vehicle = \"uic_z1\"\n"
+    assert (mine / "scenario.toml").read_text() == 'vehicle = "uic_z1"\n'
 
 
 def test_a_summary_that_is_no_table_does_not_make_a_folder_a_runs(tmp_path, capsys):
     (tmp_path / "summary.json").write_text("5")
-    assert "not a run's folder" in refused(capsys, "velim_a1", "--pacing", "free", "--out", str(tmp_path))
+    assert "not a run's folder" in refused(
+        capsys, "velim_a1", "--pacing", "free", "--out", str(tmp_path)
+    )
     assert (tmp_path / "summary.json").read_text() == "5"
 
 
 def test_a_second_run_replaces_the_files_of_the_first_and_keeps_all_else(tmp_path):
     out = tmp_path / "run"
-    words = ("run", "dry_stop", "--wsp", "none", "--pacing", "free", "--out", str(out), "--set", "initial_speed_m_s=3")
+    words = (
+        "run",
+        "dry_stop",
+        "--wsp",
+        "none",
+        "--pacing",
+        "free",
+        "--out",
+        str(out),
+        "--set",
+        "initial_speed_m_s=3",
+    )
     assert cli.main([*words]) == 0
     (out / "notes.txt").write_text("what I saw")
     (out / "exports").mkdir()
@@ -139,7 +177,9 @@ def test_a_second_run_replaces_the_files_of_the_first_and_keeps_all_else(tmp_pat
 
 def test_an_out_that_is_a_file_is_refused(tmp_path, capsys):
     (tmp_path / "run").write_text("")
-    assert "--out" in refused(capsys, "velim_a1", "--pacing", "free", "--out", str(tmp_path / "run"))
+    assert "--out" in refused(
+        capsys, "velim_a1", "--pacing", "free", "--out", str(tmp_path / "run")
+    )
 
 
 # --- the bus ---
@@ -164,14 +204,16 @@ def test_a_port_in_use_is_named_with_how_to_mend(tmp_path):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        bench = bench_process.run(tmp_path / "run", "--pacing", "lockstep",
-                                  "--set", f"bus.socketcand_port={port}")
+        bench = bench_process.run(
+            tmp_path / "run", "--pacing", "lockstep", "--set", f"bus.socketcand_port={port}"
+        )
     failed(bench, str(port))
 
 
 def test_an_absent_interface_is_named_with_how_to_mend(tmp_path):
-    bench = bench_process.run(tmp_path / "run", "--pacing", "lockstep",
-                              "--set", "bus.interface=socketcan:nope")
+    bench = bench_process.run(
+        tmp_path / "run", "--pacing", "lockstep", "--set", "bus.interface=socketcan:nope"
+    )
     failed(bench, "socketcan:nope", "or use the bench's own hub")
 
 
@@ -179,13 +221,16 @@ def test_an_absent_interface_is_named_with_how_to_mend(tmp_path):
 
 
 def test_a_unit_that_never_comes_ends_the_run_with_how_to_start_one(tmp_path):
-    bench = bench_process.run(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
-                              "--wait", "1")
+    bench = bench_process.run(
+        tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--wait", "1"
+    )
     failed(bench, "no WSP unit on socketcand://", "within 1 s", "rollerrig wsp --bus", "--wait")
 
 
 def test_a_unit_that_dies_in_lockstep_ends_the_run_within_a_second_or_so(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--answer-wait", "1")
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--answer-wait", "1"
+    )
     unit = SimpleUnit(bench.address(), lambda n: [(MAGNETS, b"\0")] if n < 200 else None)
     bench.finish()
     unit.close()
@@ -204,15 +249,18 @@ def test_the_reference_unit_killed_in_lockstep_ends_the_run_and_is_named(tmp_pat
 
 @pytest.mark.conformance("Bad input", "a unit that dies: the brakes apply, the run goes on")
 def test_a_unit_that_dies_in_real_time_lets_the_brakes_apply_and_the_run_go_on(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "external",
-                         "--set", "duration_max_s=3")
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "wall", "--wsp", "external", "--set", "duration_max_s=3"
+    )
     # it vents all axles, then goes without a word
     unit = SimpleUnit(bench.address(), lambda n: [(MAGNETS, b"\xff")] if n < 100 else None)
     bench.finish()
     unit.close()
     assert bench.status == 4, bench.stderr
     # beside a busy machine its heartbeats may have come late before
-    assert re.match(r"the WSP unit was lost \d+ times? \(no heartbeat\)", bench.told["invalid_because"][0])
+    assert re.match(
+        r"the WSP unit was lost \d+ times? \(no heartbeat\)", bench.told["invalid_because"][0]
+    )
     assert "Traceback" not in bench.stderr
     run = bench.record
     time_s = run.column("time_s")
@@ -230,11 +278,22 @@ def test_a_unit_that_dies_in_real_time_lets_the_brakes_apply_and_the_run_go_on(t
 
 @pytest.mark.conformance("Bad input", "short PDOs and garbage of a unit")
 def test_short_pdos_and_garbage_of_a_unit_are_events_and_the_run_goes_on(tmp_path):
-    garbage = [(MAGNETS, b""), (MAGNETS, b"\1\2\3\4\5\6\7\x08"), (0x720, b""), (0x720, b"\xff\xff"),
-               (0x000, b"\x81"), (0x080, b"\1\2\3"), (0x611, b"\xff" * 8), (0x7FF, b""),
-               (0x1FFFFFFF, b"x"), (0x1A0, b"\0"), (0x77F, b"\5")]
-    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
-                         "--set", "duration_max_s=3")
+    garbage = [
+        (MAGNETS, b""),
+        (MAGNETS, b"\1\2\3\4\5\6\7\x08"),
+        (0x720, b""),
+        (0x720, b"\xff\xff"),
+        (0x000, b"\x81"),
+        (0x080, b"\1\2\3"),
+        (0x611, b"\xff" * 8),
+        (0x7FF, b""),
+        (0x1FFFFFFF, b"x"),
+        (0x1A0, b"\0"),
+        (0x77F, b"\5"),
+    ]
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--set", "duration_max_s=3"
+    )
     unit = SimpleUnit(bench.address(), lambda n: [garbage[n % len(garbage)], (MAGNETS, b"\0")])
     bench.finish()
     unit.close()
@@ -278,8 +337,9 @@ def test_a_bench_that_is_killed_leaves_its_files_whole_and_no_process(tmp_path):
 
 
 def test_a_recorder_that_is_killed_is_an_event_and_its_files_are_readable(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "none",
-                         "--set", "duration_max_s=3")
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "wall", "--wsp", "none", "--set", "duration_max_s=3"
+    )
     bench.runs_for(1.0)
     os.kill(bench.child("rollerrig.realtime.telemetry.recorder"), signal.SIGKILL)
     bench.finish()

@@ -23,7 +23,9 @@ def channels(run):
 
 def without_times(summary):
     """A summary without what may differ: when it was made, and where."""
-    return {key: value for key, value in summary.items() if key not in ("folder", "made", "started")}
+    return {
+        key: value for key, value in summary.items() if key not in ("folder", "made", "started")
+    }
 
 
 # --- the main job ---
@@ -95,19 +97,28 @@ def test_lockstep_with_the_wsp_in_its_own_process_equals_free_bit_for_bit(stop_w
     assert free_stop.status == 0, free_stop.stderr
     over_bus, in_tick = channels(stop_with_wsp), channels(free_stop)
     assert over_bus.shape == in_tick.shape
-    different = [name for name, a, b in zip(COLUMNS, over_bus, in_tick, strict=True)
-                 if a.tobytes() != b.tobytes()]
+    different = [
+        name
+        for name, a, b in zip(COLUMNS, over_bus, in_tick, strict=True)
+        if a.tobytes() != b.tobytes()
+    ]
     assert different == []
 
 
 def test_two_lockstep_runs_give_the_same_summary_channels_and_bus_log(folders):
-    first, second = (bench_process.run(folders / f"again{n}", "--pacing", "lockstep", "--set",
-                                       "duration_max_s=5") for n in range(2))
+    first, second = (
+        bench_process.run(
+            folders / f"again{n}", "--pacing", "lockstep", "--set", "duration_max_s=5"
+        )
+        for n in range(2)
+    )
     assert first.status == second.status == 4  # they do not stop in that time
     summaries = [json.loads((run.out / "summary.json").read_text()) for run in (first, second)]
     for summary in summaries:
         # free ports differ
-        summary["events"] = [event for event in summary["events"] if "socketcand" not in event["text"]]
+        summary["events"] = [
+            event for event in summary["events"] if "socketcand" not in event["text"]
+        ]
     assert without_times(summaries[0]) == without_times(summaries[1])
     assert channels(first).tobytes() == channels(second).tobytes()
     log_of = [(run.out / "can.log").read_bytes() for run in (first, second)]
@@ -115,8 +126,9 @@ def test_two_lockstep_runs_give_the_same_summary_channels_and_bus_log(folders):
 
 
 def test_the_resolved_scenario_repeats_the_run(free_stop, folders):
-    again = bench_process.run(folders / "repeated", "--pacing", "free",
-                              scenario=str(free_stop.out / "scenario.toml"))
+    again = bench_process.run(
+        folders / "repeated", "--pacing", "free", scenario=str(free_stop.out / "scenario.toml")
+    )
     assert again.told["config_hash"] == free_stop.told["config_hash"]
     assert channels(again).tobytes() == channels(free_stop).tobytes()
 
@@ -131,9 +143,18 @@ def test_the_printed_summary_is_the_recorded_one(stop_with_wsp):
 
 
 def test_an_external_unit_drives_a_stop_in_lockstep(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
-                         "--set", "initial_speed_m_s=8")
-    unit = SimpleUnit(bench.address(), lambda n: [(bench_process.MAGNETS, bytes([0b11 * (n < 50)]))])
+    bench = BenchProcess(
+        tmp_path / "run",
+        "--pacing",
+        "lockstep",
+        "--wsp",
+        "external",
+        "--set",
+        "initial_speed_m_s=8",
+    )
+    unit = SimpleUnit(
+        bench.address(), lambda n: [(bench_process.MAGNETS, bytes([0b11 * (n < 50)]))]
+    )
     bench.finish()
     unit.close()
     assert bench.status == 0, bench.stderr
@@ -161,8 +182,13 @@ def test_wall_pacing_keeps_real_time(wall_run):
 
 def times_s(run, frame):
     """When a frame was on the bus, read from the log."""
-    return np.array([float(line[1:18]) for line in (run.out / "can.log").read_text().splitlines()
-                     if f" {frame}" in line])
+    return np.array(
+        [
+            float(line[1:18])
+            for line in (run.out / "can.log").read_text().splitlines()
+            if f" {frame}" in line
+        ]
+    )
 
 
 def test_syncs_keep_their_period_in_wall_pacing(wall_run):
@@ -178,15 +204,26 @@ def test_the_unit_is_lost_only_where_its_heartbeat_is_missing_on_the_bus(stop_wi
     assert len(beats_s) >= 20
     for event in wall_run.told["events"]:
         if "lost" in event["text"]:
-            silent, stalled = (np.diff(at[at < event["time_s"]][-30:], append=event["time_s"]).max()
-                               for at in (beats_s, times_s(wall_run, "080#")))
+            silent, stalled = (
+                np.diff(at[at < event["time_s"]][-30:], append=event["time_s"]).max()
+                for at in (beats_s, times_s(wall_run, "080#"))
+            )
             # it beats every 100 ms and may be silent for 200; or the bench itself stood still
             assert silent > 0.15 or stalled > 0.05, event
 
 
 def test_a_stall_is_counted_as_missed_ticks_and_strict_says_so(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--strict", "--wsp", "none",
-                         "--set", "initial_speed_m_s=4", scenario="dry_stop")
+    bench = BenchProcess(
+        tmp_path / "run",
+        "--pacing",
+        "wall",
+        "--strict",
+        "--wsp",
+        "none",
+        "--set",
+        "initial_speed_m_s=4",
+        scenario="dry_stop",
+    )
     bench.runs_for(0.5)
     os.kill(bench.process.pid, signal.SIGSTOP)
     time.sleep(0.4)
@@ -194,14 +231,22 @@ def test_a_stall_is_counted_as_missed_ticks_and_strict_says_so(tmp_path):
     bench.finish()
     assert bench.status == 3, bench.stderr
     assert bench.told["valid"] is True
-    assert bench.told["loop"]["ticks"] == pytest.approx(1000 * bench.record.column("time_s")[-1], abs=10)
+    assert bench.told["loop"]["ticks"] == pytest.approx(
+        1000 * bench.record.column("time_s")[-1], abs=10
+    )
     assert bench.told["loop"]["missed"] >= 350
     assert bench.told["loop"]["lateness_us"]["max"] >= 350_000
     assert bench.record.column("ticks_missed")[-1] >= 350
     # the record has two clocks, and says how far they are apart from when on
-    stalls = [event for event in bench.told["events"] if event["text"].startswith("the loop stood still for 0.")]
+    stalls = [
+        event
+        for event in bench.told["events"]
+        if event["text"].startswith("the loop stood still for 0.")
+    ]
     apart_s = bench.told["loop"]["stalled_s"]
-    assert apart_s == pytest.approx(sum(float(one["text"].split()[5]) for one in stalls), abs=0.002 * len(stalls))
+    assert apart_s == pytest.approx(
+        sum(float(one["text"].split()[5]) for one in stalls), abs=0.002 * len(stalls)
+    )
     assert apart_s > 0.3
     assert {one["level"] for one in stalls} == {"warning"}
     syncs_s = times_s(bench, "080#")

@@ -19,12 +19,21 @@ SILENT = print
 
 def entry(kind: str, hidden: dict[str, float], **more) -> dict:
     """What a key holds of a set."""
-    return {"kind": kind, "effects": hidden, "meaning": {}, "base_error": {}, "least_error": {}} | more
+    return {
+        "kind": kind,
+        "effects": hidden,
+        "meaning": {},
+        "base_error": {},
+        "least_error": {},
+    } | more
 
 
 def answer(verdict: str, *sets: tuple[str, ...], **more) -> dict:
     """What a tool says of a set."""
-    return {"verdict": verdict, "causes": [{"name": s[0], "confusable_with": list(s[1:])} for s in sets]} | more
+    return {
+        "verdict": verdict,
+        "causes": [{"name": s[0], "confusable_with": list(s[1:])} for s in sets],
+    } | more
 
 
 def judged(tmp_path: Path, *pairs: tuple[dict, dict]) -> dict[str, dict]:
@@ -41,19 +50,28 @@ def counts(rows: dict[str, dict]) -> dict[str, tuple[int, int]]:
     return {name: (row["yes"], row["of"]) for name, row in rows.items()}
 
 
-def test_a_turn_of_the_matrix_has_every_cause_at_two_sizes_and_each_half_of_it_a_fair_share_of_every_kind() -> None:
+def test_a_turn_of_the_matrix_has_every_cause_at_two_sizes_and_each_half_of_it_a_fair_share_of_every_kind() -> (
+    None
+):
     matrix = cases.cases(braking_stops, 0)
     assert len({case.seed for case in matrix}) == len(matrix)
     for cause in braking_stops.SMALLEST:
         assert len({case.effects[cause] for case in matrix if list(case.effects) == [cause]}) == 2
-    first = [case.kind for case in matrix[:len(matrix) // 2]]
+    first = [case.kind for case in matrix[: len(matrix) // 2]]
     for kind in cases.KINDS:
-        assert first.count(kind) == pytest.approx(0.5 * sum(case.kind == kind for case in matrix), abs=2.0)
+        assert first.count(kind) == pytest.approx(
+            0.5 * sum(case.kind == kind for case in matrix), abs=2.0
+        )
 
 
-def test_a_named_cause_where_nothing_is_hidden_is_a_false_alarm_and_its_rate_has_an_interval(tmp_path: Path) -> None:
-    rows = judged(tmp_path, (entry("none", {}), answer("consistent")),
-                  (entry("none", {}), answer("explained", ("sanding",))))
+def test_a_named_cause_where_nothing_is_hidden_is_a_false_alarm_and_its_rate_has_an_interval(
+    tmp_path: Path,
+) -> None:
+    rows = judged(
+        tmp_path,
+        (entry("none", {}), answer("consistent")),
+        (entry("none", {}), answer("explained", ("sanding",))),
+    )
     row = rows["nothing hidden: consistent"]
     assert (row["yes"], row["of"]) == (1, 2)
     # Wilson: (1/2 +- z sqrt(1/8 + z^2/16)) scaled, for one of two
@@ -62,10 +80,13 @@ def test_a_named_cause_where_nothing_is_hidden_is_a_false_alarm_and_its_rate_has
 
 def test_the_truth_counts_first_alone_or_in_a_set_of_two_but_not_of_three(tmp_path: Path) -> None:
     hidden = entry("one", {"pad_fade": 0.1})
-    rows = judged(tmp_path, (hidden, answer("explained", ("pad_fade", "brake_gain", "torque_offset"))),
-                  (hidden, answer("explained", ("brake_gain", "pad_fade"))),
-                  (hidden, answer("explained", ("brake_gain", "pad_fade", "sanding"))),
-                  (hidden, answer("consistent")))
+    rows = judged(
+        tmp_path,
+        (hidden, answer("explained", ("pad_fade", "brake_gain", "torque_offset"))),
+        (hidden, answer("explained", ("brake_gain", "pad_fade"))),
+        (hidden, answer("explained", ("brake_gain", "pad_fade", "sanding"))),
+        (hidden, answer("consistent")),
+    )
     found = counts(rows)
     assert found["one cause: detected"] == (3, 4)
     assert found["one cause: named first or in a set of two, of detected"] == (2, 3)
@@ -73,15 +94,22 @@ def test_the_truth_counts_first_alone_or_in_a_set_of_two_but_not_of_three(tmp_pa
     assert rows["one cause: size of the first set, mean"]["share"] == pytest.approx(8 / 3)
 
 
-def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidden(tmp_path: Path) -> None:
+def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidden(
+    tmp_path: Path,
+) -> None:
     both = {"sanding": 0.1, "wheel_radius": 0.1}
     radius = {"name": "wheel_radius", "parameters": {"fraction": {"ci95": [0.09, 0.11]}}}
-    rows = judged(tmp_path, (entry("one", {"sanding": 0.1}), answer("explained", ("sanding",), ("wheel_radius",))),
-                  (entry("two", both), answer("explained", ("sanding",))),
-                  (entry("two", both, meaning={"wheel_radius": ["fraction", 0.1]}),
-                   {"verdict": "explained", "causes": [radius, {"name": "sanding"}]}),
-                  (entry("unknown", {"joints": 0.1}), answer("explained", ("sanding",))),
-                  (entry("unknown", {"joints": 0.1}), answer("partly")))
+    rows = judged(
+        tmp_path,
+        (entry("one", {"sanding": 0.1}), answer("explained", ("sanding",), ("wheel_radius",))),
+        (entry("two", both), answer("explained", ("sanding",))),
+        (
+            entry("two", both, meaning={"wheel_radius": ["fraction", 0.1]}),
+            {"verdict": "explained", "causes": [radius, {"name": "sanding"}]},
+        ),
+        (entry("unknown", {"joints": 0.1}), answer("explained", ("sanding",))),
+        (entry("unknown", {"joints": 0.1}), answer("partly")),
+    )
     found = counts(rows)
     assert found["one cause: a false second cause"] == (1, 1)
     assert found["two causes: both named"] == (1, 2)
@@ -91,10 +119,16 @@ def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidde
 
 
 def test_a_gain_and_a_time_in_short_count_as_those_of_a_whole_report(tmp_path: Path) -> None:
-    errors = {"base_error": {"adhesion_rmse": 4.0, "free_running_speed_rmse_m_s": 2.0},
-              "least_error": {"adhesion_rmse": 2.0, "free_running_speed_rmse_m_s": 1.9}}
-    whole = answer("explained", ("sanding",), elapsed_s=30.0,
-                   gain={"metric": "adhesion_rmse", "reduction": 0.4, "claimed": True})
+    errors = {
+        "base_error": {"adhesion_rmse": 4.0, "free_running_speed_rmse_m_s": 2.0},
+        "least_error": {"adhesion_rmse": 2.0, "free_running_speed_rmse_m_s": 1.9},
+    }
+    whole = answer(
+        "explained",
+        ("sanding",),
+        elapsed_s=30.0,
+        gain={"metric": "adhesion_rmse", "reduction": 0.4, "claimed": True},
+    )
     short = answer("explained", ("sanding",), heldout_gain=0.4, seconds=30.0)
     none = answer("explained", ("sanding",), heldout_gain=None, seconds=30.0)
     for given, of in ((whole, 1), (short, 1), (none, 0)):
@@ -103,15 +137,26 @@ def test_a_gain_and_a_time_in_short_count_as_those_of_a_whole_report(tmp_path: P
         assert (gain["of"], gain["share"]) == (of, pytest.approx(0.8) if of else None)
         assert counts(rows)["within 20 s"] == (0, 1)
     with pytest.raises(ConfigError, match="set_0001: heldout_gain is a share"):
-        judged(tmp_path, (entry("one", {"sanding": 0.1}), answer("explained", ("sanding",), heldout_gain="much")))
+        judged(
+            tmp_path,
+            (
+                entry("one", {"sanding": 0.1}),
+                answer("explained", ("sanding",), heldout_gain="much"),
+            ),
+        )
 
 
-def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benchmark_goes_on(tmp_path: Path) -> None:
+def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benchmark_goes_on(
+    tmp_path: Path,
+) -> None:
     make, lines = cases.generator(cases.GENERATORS["first"]), []
     make.make(tmp_path / "sets" / "set_0001", {}, 3)
     run = sorted((tmp_path / "sets" / "set_0001" / "runs").glob("*.csv"))[0]
     rows = run.read_text().splitlines()
-    stuck = [",".join([*row.split(",")[:2], rows[500].split(",")[2], *row.split(",")[3:]]) for row in rows[500:700]]
+    stuck = [
+        ",".join([*row.split(",")[:2], rows[500].split(",")[2], *row.split(",")[3:]])
+        for row in rows[500:700]
+    ]
     run.write_text("\n".join([*rows[:500], *stuck, *rows[700:]]) + "\n")
     hidden = entry("unknown", {"joints": 0.08})
     cases._write_key(tmp_path, {"generator": "first", "seed": 0, "sets": {"set_0001": hidden}})
@@ -130,21 +175,45 @@ def test_an_error_while_answers_are_kept_ends_the_work_on_the_others() -> None:
         from rollerrig.realtime.benchmarks.sealed import work
         for _ in work.all_of(time.sleep, [0.5] * 1000):
             raise OSError("no space is left")"""
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100.0, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=100.0, check=False
+    )
     assert "no space is left" in ended.stderr
 
 
-def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gains_do_not_count(tmp_path: Path) -> None:
-    pairs = [(entry("one", {"sanding": 0.1}, base_error={"rmse": 1.0}, least_error={"rmse": 1.0 - possible}),
-              answer("explained", ("sanding",), gain={"metric": "rmse", "reduction": won, "claimed": claimed}))
-             for won, possible, claimed in ((0.10, 0.20, True), (0.18, 0.20, True), (0.30, 0.30, True),
-                                            (0.50, 0.01, True), (0.2, 0.2, False))]
+def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gains_do_not_count(
+    tmp_path: Path,
+) -> None:
+    pairs = [
+        (
+            entry(
+                "one",
+                {"sanding": 0.1},
+                base_error={"rmse": 1.0},
+                least_error={"rmse": 1.0 - possible},
+            ),
+            answer(
+                "explained",
+                ("sanding",),
+                gain={"metric": "rmse", "reduction": won, "claimed": claimed},
+            ),
+        )
+        for won, possible, claimed in (
+            (0.10, 0.20, True),
+            (0.18, 0.20, True),
+            (0.30, 0.30, True),
+            (0.50, 0.01, True),
+            (0.2, 0.2, False),
+        )
+    ]
     row = next(r for name, r in judged(tmp_path, *pairs).items() if "possible" in name)
     assert row["of"] == 3
     assert row["share"] == pytest.approx(0.9)
 
 
-def test_exported_sets_tell_no_truth_and_are_answered_by_every_tool_and_scored(tmp_path: Path, capsys) -> None:
+def test_exported_sets_tell_no_truth_and_are_answered_by_every_tool_and_scored(
+    tmp_path: Path, capsys
+) -> None:
     folder = tmp_path / "sealed"
     seed = next(k for k in count() if next(cases.stream(braking_stops, k)).kind == "one")
     told = ["bench", "explain", "--sets", "1", "--seed", str(seed)]
@@ -167,14 +236,27 @@ def test_exported_sets_tell_no_truth_and_are_answered_by_every_tool_and_scored(t
         cases.export(folder, "first", 1, seed + 1, SILENT)
 
 
-@pytest.mark.parametrize(("text", "told"), [
-    ("{", "no answers can be read"), ("[]", "an entry for each set"), ('{"set_0001": {}}', "verdict is missing"),
-    ('{"set_0001": {"verdict": "explained", "causes": [{}]}}', "each with a name"),
-    ('{"set_0001": {"verdict": "explained", "causes": [{"name": "x", "parameters": {"a": 1}}]}}', "a needs ci95"),
-    ('{"set_0001": {"verdict": "explained", "gain": {"claimed": true}}}', "has a reduction"),
-    ('{"set_0099": {"verdict": "consistent"}}', "has no such set")])
-def test_answers_that_cannot_be_judged_are_refused_with_set_and_reason(tmp_path: Path, text: str, told: str) -> None:
-    cases._write_key(tmp_path, {"generator": "first", "seed": 0, "sets": {"set_0001": entry("none", {})}})
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{", "no answers can be read"),
+        ("[]", "an entry for each set"),
+        ('{"set_0001": {}}', "verdict is missing"),
+        ('{"set_0001": {"verdict": "explained", "causes": [{}]}}', "each with a name"),
+        (
+            '{"set_0001": {"verdict": "explained", "causes": [{"name": "x", "parameters": {"a": 1}}]}}',
+            "a needs ci95",
+        ),
+        ('{"set_0001": {"verdict": "explained", "gain": {"claimed": true}}}', "has a reduction"),
+        ('{"set_0099": {"verdict": "consistent"}}', "has no such set"),
+    ],
+)
+def test_answers_that_cannot_be_judged_are_refused_with_set_and_reason(
+    tmp_path: Path, text: str, told: str
+) -> None:
+    cases._write_key(
+        tmp_path, {"generator": "first", "seed": 0, "sets": {"set_0001": entry("none", {})}}
+    )
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(ConfigError, match=told):
         score.judged(cases.read_key(tmp_path), answers.read(tmp_path / "a.json"))

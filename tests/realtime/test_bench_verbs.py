@@ -41,6 +41,7 @@ def punctual(lateness_us, ticks, missed=0):
 
 # -- devices
 
+
 def test_devices_writes_an_eds_of_every_node_one_dbc_and_the_tables(tmp_path, capsys):
     assert cli.main(["devices", "--out", str(tmp_path / "new" / "devices"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -62,6 +63,7 @@ def test_devices_says_where_it_cannot_write(tmp_path, capsys):
 
 # -- judging
 
+
 def test_a_target_is_met_up_to_its_limit_and_not_beyond_or_unknown():
     assert figures.target("t", 1.5, 1.5)["met"]
     assert not figures.target("t", 1.6, 1.5)["met"]
@@ -69,8 +71,12 @@ def test_a_target_is_met_up_to_its_limit_and_not_beyond_or_unknown():
 
 
 def test_quantiles_of_a_thousand_values():
-    assert figures.quantiles(range(1000)) == {"p50": 500.0, "p99": 990.0, "p999": 999.0,
-                                              "max": 999.0}
+    assert figures.quantiles(range(1000)) == {
+        "p50": 500.0,
+        "p99": 990.0,
+        "p999": 999.0,
+        "max": 999.0,
+    }
     assert figures.quantiles([]) == {}
 
 
@@ -113,15 +119,27 @@ def test_without_cyclictest_the_loop_says_how_to_install_it():
 
 def test_a_burst_lasts_from_sync_to_the_last_tpdo_and_not_to_a_unit_s_answer():
     sync, speeds = client.SYNC, client.SPEEDS
-    frames = [(100, sync, ""), (150, 0x181, ""), (190, speeds, ""), (900, client.MAGNETS, "00"),
-              (1100, sync, ""), (1130, speeds, ""), (2100, sync, "")]
+    frames = [
+        (100, sync, ""),
+        (150, 0x181, ""),
+        (190, speeds, ""),
+        (900, client.MAGNETS, "00"),
+        (1100, sync, ""),
+        (1130, speeds, ""),
+        (2100, sync, ""),
+    ]
     assert bus.bursts(frames) == [90, 30]
 
 
 # -- the real thing, short
 
+
 def test_bench_contact_times_every_law(capsys, monkeypatch):
-    for module, name, value in ((contact, "_CALLS", 20_000), (table8, "_ROUNDS", 2), (table8, "END_M_S", 38.0)):
+    for module, name, value in (
+        (contact, "_CALLS", 20_000),
+        (table8, "_ROUNDS", 2),
+        (table8, "END_M_S", 38.0),
+    ):
         monkeypatch.setattr(module, name, value)
     assert cli.main(["bench", "contact", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["contact"]["contacts"]
@@ -149,8 +167,9 @@ def test_bench_bus_asks_the_echo_and_a_node():
     assert trips["sdo_us"]["p50"] > 0.0
 
 
-@pytest.mark.parametrize("wrong", [["bench"], ["bench", "nothing"], ["bench", "loop", "--seconds",
-                                                                     "0"]])
+@pytest.mark.parametrize(
+    "wrong", [["bench"], ["bench", "nothing"], ["bench", "loop", "--seconds", "0"]]
+)
 def test_a_wrong_benchmark_is_refused_with_status_2(wrong, capsys):
     try:
         status = cli.main(wrong)
@@ -162,10 +181,13 @@ def test_a_wrong_benchmark_is_refused_with_status_2(wrong, capsys):
 
 # -- the coach
 
+
 @pytest.fixture(scope="module")
 def on_record():
     """The coach's stop in pieces, the law under it, and a coach with each model."""
-    sections = params.check(scenario.load("velim_a1", settings=("rig=plain_track",)).resolved, "velim_a1")
+    sections = params.check(
+        scenario.load("velim_a1", settings=("rig=plain_track",)).resolved, "velim_a1"
+    )
     law = params.law_of(sections["adhesion"])
     ready = {name: coach.build(sections, np.inf, model, 10) for name, model in MODELS.items()}
     return table8.recorded(ready["degraded"], law, 4), law, ready
@@ -198,22 +220,39 @@ def test_the_vehicle_of_table_8_is_the_step_without_its_contacts(on_record):
     # given the contacts of that very state, the vehicle alone moves to the same end
     again = first._replace(memory=stop.memory.copy())
     for name in ("given", "Gx", "Gy"):
-        getattr(coach_state.views(again.memory[2]), name)[:] = getattr(coach_state.views(whole), name)
+        getattr(coach_state.views(again.memory[2]), name)[:] = getattr(
+            coach_state.views(whole), name
+        )
     table8.seconds(table8.VEHICLE, ready["degraded"], law, 2, again, pieces)
-    np.testing.assert_allclose(coach_state.views(pieces).v, coach_state.views(whole).v, rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(coach_state.views(pieces).contacts, coach_state.views(stop.memory[2]).contacts)
+    np.testing.assert_allclose(
+        coach_state.views(pieces).v, coach_state.views(whole).v, rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_array_equal(
+        coach_state.views(pieces).contacts, coach_state.views(stop.memory[2]).contacts
+    )
 
 
 @pytest.mark.parametrize(("scatter_us", "met"), [(0.001, True), (0.2, False)])
 def test_table_8_says_met_only_beyond_its_spread_and_prints_it(scatter_us, met):
     rng = np.random.default_rng(8)
-    costs = {"vehicle": 2.0, "johnson_vermeulen": 4.3, "fastsim": 17.0, "polach": 4.4, "degraded": 4.5}
+    costs = {
+        "vehicle": 2.0,
+        "johnson_vermeulen": 4.3,
+        "fastsim": 17.0,
+        "polach": 4.4,
+        "degraded": 4.5,
+    }
     timed = {("polach", table8.VEHICLE): 2.0 + scatter_us * rng.standard_normal(15)}
     for row in table8.ROWS:
-        for what, us in ((table8.WHOLE, costs[row.model]), (table8.CONTACT, costs[row.model] - 2.0)):
+        for what, us in (
+            (table8.WHOLE, costs[row.model]),
+            (table8.CONTACT, costs[row.model] - 2.0),
+        ):
             timed[row.model, what] = us + scatter_us * rng.standard_normal(15)
     told = table8.judged(timed, 50.0)
-    assert told["recovery_percent_of_whole"] == pytest.approx(100 * 0.1 / 4.4, abs=60 * scatter_us + 0.1)
+    assert told["recovery_percent_of_whole"] == pytest.approx(
+        100 * 0.1 / 4.4, abs=60 * scatter_us + 0.1
+    )
     assert told["targets"][0]["met"] is met
     assert "+-" in figures.lines(told)[0]
     assert told["models"]["degraded"]["vehicle_s"] == told["models"]["fastsim"]["vehicle_s"]

@@ -41,11 +41,24 @@ def foreign_bus():
 @pytest.mark.conformance("Bad input", "a lost bus ends the run with status 2 and its record")
 @pytest.mark.parametrize("pacing", ["wall", "lockstep"])
 def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_keeps_its_record(
-        pacing, tmp_path):
+    pacing, tmp_path
+):
     with foreign_bus() as (address, end):
-        bench = BenchProcess(tmp_path / "run", "--pacing", pacing, "--wsp", "none",
-                             "--set", f"bus.interface={address}", "--set", "duration_max_s=3000",
-                             "--set", "adhesion.mu_cd=0.001", "--set", "stand_s=60")
+        bench = BenchProcess(
+            tmp_path / "run",
+            "--pacing",
+            pacing,
+            "--wsp",
+            "none",
+            "--set",
+            f"bus.interface={address}",
+            "--set",
+            "duration_max_s=3000",
+            "--set",
+            "adhesion.mu_cd=0.001",
+            "--set",
+            "stand_s=60",
+        )
         bench.runs_for(1.0)
         end()
         bench.finish()
@@ -55,7 +68,9 @@ def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_ke
     assert "check the interface" in bench.told["error"]
     summary = records.summary(bench.out)
     assert summary["ended"] == "error"
-    assert any("CAN bus" in event["text"] and event["level"] == "error" for event in summary["events"])
+    assert any(
+        "CAN bus" in event["text"] and event["level"] == "error" for event in summary["events"]
+    )
     run = bench.record
     assert run.column("time_s")[-1] >= 1.0
     assert (bench.out / "can.log").stat().st_size > 1000
@@ -63,8 +78,9 @@ def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_ke
 
 @pytest.mark.conformance("Bad input", "a stray SYNC is counted, told and holds up nothing")
 def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_run(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external",
-                         "--set", "duration_max_s=2")
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--set", "duration_max_s=2"
+    )
     # in every tenth cycle a SYNC that nobody asked for, before the answer or after it
     extra = {3: [(SYNC, b""), (MAGNETS, b"\0")], 7: [(MAGNETS, b"\0"), (SYNC, b"")]}
     unit = SimpleUnit(bench.address(), lambda n: extra.get(n % 10, [(MAGNETS, b"\0")]))
@@ -77,7 +93,9 @@ def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_
 
 
 def test_what_fails_inside_the_bus_thread_is_told_in_the_events_and_the_run_goes_on(tmp_path):
-    plan = scenario.load("dry_stop", settings=("duration_max_s=0.5", "bus.interface=hub", "bus.socketcand_port=0"))
+    plan = scenario.load(
+        "dry_stop", settings=("duration_max_s=0.5", "bus.interface=hub", "bus.socketcand_port=0")
+    )
     rig = Bench(plan, Options("lockstep", "none", tmp_path / "run"), lambda progress: None)
 
     async def both():
@@ -109,8 +127,18 @@ def frames(folder):
 
 
 def run_on_wire(out, pacing, *more):
-    bench = BenchProcess(out, "--pacing", pacing, "--set", "bus.interface=hub", "--set",
-                         "bus.arbitration=true", "--set", "duration_max_s=1.5", *more)
+    bench = BenchProcess(
+        out,
+        "--pacing",
+        pacing,
+        "--set",
+        "bus.interface=hub",
+        "--set",
+        "bus.arbitration=true",
+        "--set",
+        "duration_max_s=1.5",
+        *more,
+    )
     bench.finish()
     assert bench.status == 4, bench.stderr  # it does not stop in that time
     return bench
@@ -144,7 +172,9 @@ def test_in_lockstep_frames_wait_for_the_wire_and_the_run_repeats_bit_for_bit(tm
     assert filecmp.cmp(one.out / "can.log", two.out / "can.log", shallow=False)
     for name in one.record.table.column_names:
         if not name.startswith("tick_"):
-            assert np.array_equal(one.record.column(name), two.record.column(name), equal_nan=True), name
+            assert np.array_equal(
+                one.record.column(name), two.record.column(name), equal_nan=True
+            ), name
     # twelve process data frames behind one another
     assert 2000 < one.told["bus"]["longest_wait_us"] < 4000
     assert 25.0 < one.told["bus"]["load_percent"] < 45.0
@@ -161,8 +191,20 @@ def test_in_real_time_frames_wait_for_the_wire_and_no_answer_is_lost(tmp_path):
 
 def test_a_valve_command_acts_later_where_its_frame_has_to_wait_for_a_slower_wire(tmp_path):
     def first_vent(out, *more):
-        bench = BenchProcess(out, "--pacing", "lockstep", "--wsp", "external", "--set", "duration_max_s=0.6",
-                             "--set", "bus.interface=hub", "--set", "loop.record_hz=1000", *more)
+        bench = BenchProcess(
+            out,
+            "--pacing",
+            "lockstep",
+            "--wsp",
+            "external",
+            "--set",
+            "duration_max_s=0.6",
+            "--set",
+            "bus.interface=hub",
+            "--set",
+            "loop.record_hz=1000",
+            *more,
+        )
         unit = SimpleUnit(bench.address(), lambda n: [(MAGNETS, b"\xff" if n > 20 else b"\0")])
         bench.finish()
         unit.close()
@@ -172,7 +214,9 @@ def test_a_valve_command_acts_later_where_its_frame_has_to_wait_for_a_slower_wir
 
     ideal = first_vent(tmp_path / "ideal")
     fast = first_vent(tmp_path / "fast", "--set", "bus.arbitration=true")
-    slow = first_vent(tmp_path / "slow", "--set", "bus.arbitration=true", "--set", "bus.bitrate=250000")
+    slow = first_vent(
+        tmp_path / "slow", "--set", "bus.arbitration=true", "--set", "bus.bitrate=250000"
+    )
     assert 0.001 < fast - ideal < 0.006
     assert 0.001 < slow - fast < 0.006
 
@@ -181,9 +225,21 @@ def test_a_valve_command_acts_later_where_its_frame_has_to_wait_for_a_slower_wir
 @pytest.mark.parametrize("bitrate", [500_000, 250_000])
 def test_free_pacing_lets_the_answers_act_as_late_as_the_wire_of_lockstep_does(bitrate, tmp_path):
     def run(pacing):
-        bench = BenchProcess(tmp_path / pacing, "--pacing", pacing, "--set", "bus.interface=hub", "--set",
-                             "bus.arbitration=true", "--set", f"bus.bitrate={bitrate}", "--set", "duration_max_s=6",
-                             "--set", "adhesion.mu_cd=0.03")
+        bench = BenchProcess(
+            tmp_path / pacing,
+            "--pacing",
+            pacing,
+            "--set",
+            "bus.interface=hub",
+            "--set",
+            "bus.arbitration=true",
+            "--set",
+            f"bus.bitrate={bitrate}",
+            "--set",
+            "duration_max_s=6",
+            "--set",
+            "adhesion.mu_cd=0.03",
+        )
         bench.finish()
         assert bench.status == 4, bench.stderr  # it does not stop in that time
         return bench
@@ -192,12 +248,21 @@ def test_free_pacing_lets_the_answers_act_as_late_as_the_wire_of_lockstep_does(b
     assert free.told["wsp"]["vents"] == lockstep.told["wsp"]["vents"] > 3
     for name in free.record.table.column_names:
         if not name.startswith("tick_"):
-            assert np.array_equal(free.record.column(name), lockstep.record.column(name), equal_nan=True), name
+            assert np.array_equal(
+                free.record.column(name), lockstep.record.column(name), equal_nan=True
+            ), name
 
 
 def test_a_wire_that_cannot_carry_the_answers_is_refused_where_there_is_no_bus(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "free", "--set", "bus.arbitration=true", "--set",
-                         "bus.bitrate=100000")
+    bench = BenchProcess(
+        tmp_path / "run",
+        "--pacing",
+        "free",
+        "--set",
+        "bus.arbitration=true",
+        "--set",
+        "bus.bitrate=100000",
+    )
     bench.finish()
     assert bench.status == 2
     assert "bitrate = 100000 bit/s" in bench.told["error"]

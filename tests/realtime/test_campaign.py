@@ -95,13 +95,16 @@ def test_a_result_folder_of_another_plan_is_refused(plan_file, tmp_path):
         campaign.open_result(campaign.load(plan_file("sobol", RANGES)), tmp_path / "out")
 
 
-@pytest.mark.parametrize(("design", "vary", "says"), [
-    ("matrix", '"adhesion.mu_cd" = 0.05', "list of values"),
-    ("sobol", '"adhesion.mu_cd" = [0.03, 0.06]', "low = "),
-    ("sobol", '"adhesion.mu_cd" = { low = 0.1, high = 0.03 }', "must rise"),
-    ("matrix", '"adhesion.mu_kd" = [0.03]', "mu_cd"),
-    ("matrix", '"adhesion.mu_cd" = [7.0]', "out of range"),
-])
+@pytest.mark.parametrize(
+    ("design", "vary", "says"),
+    [
+        ("matrix", '"adhesion.mu_cd" = 0.05', "list of values"),
+        ("sobol", '"adhesion.mu_cd" = [0.03, 0.06]', "low = "),
+        ("sobol", '"adhesion.mu_cd" = { low = 0.1, high = 0.03 }', "must rise"),
+        ("matrix", '"adhesion.mu_kd" = [0.03]', "mu_cd"),
+        ("matrix", '"adhesion.mu_cd" = [7.0]', "out of range"),
+    ],
+)
 def test_a_bad_plan_is_refused_before_the_first_run(plan_file, design, vary, says):
     with pytest.raises(ConfigError, match=says):
         campaign.load(plan_file(design, vary))
@@ -109,9 +112,14 @@ def test_a_bad_plan_is_refused_before_the_first_run(plan_file, design, vary, say
 
 def test_the_worst_runs_are_worst_in_the_direction_of_their_figure(plan_file):
     plan = campaign.load(plan_file())
-    table = pa.table({"run": range(12), "invalid_because": pa.nulls(12),
-                      "stop_distance_m": [*map(float, range(11)), None],
-                      "adhesion_mean": [0.1 + 0.01 * k for k in range(12)]})
+    table = pa.table(
+        {
+            "run": range(12),
+            "invalid_because": pa.nulls(12),
+            "stop_distance_m": [*map(float, range(11)), None],
+            "adhesion_mean": [0.1 + 0.01 * k for k in range(12)],
+        }
+    )
     assert [row["run"] for row in report.worst(plan, table, "stop_distance_m")] == [11, 10, 9, 8, 7]
     assert [row["run"] for row in report.worst(plan, table, "adhesion_mean")] == [0, 1, 2, 3, 4]
 
@@ -152,8 +160,17 @@ def test_a_worker_that_dies_costs_no_run(plan_file, tmp_path, monkeypatch):
 
 def test_a_campaign_that_is_killed_goes_on_where_it_was(plan_file, tmp_path):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "rollerrig.realtime.cli", "campaign", plan_file(), "--workers",
-               "1", "--out", str(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "rollerrig.realtime.cli",
+        "campaign",
+        plan_file(),
+        "--workers",
+        "1",
+        "--out",
+        str(out),
+    ]
     first = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
     until = time.monotonic() + 120.0
     while len(list((out / "results").glob("*.parquet"))) < 2 and time.monotonic() < until:
@@ -174,9 +191,22 @@ def test_a_full_disk_ends_a_campaign_with_status_2_and_keeps_what_is_done(plan_f
     run_serially(plan, out, todo[:2])
     kept = {path: path.read_bytes() for path in (out / "results").iterdir()}
     full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))  # noqa: E731
-    done = subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", "campaign", plan_file(),
-                           "--workers", "1", "--out", str(out)], capture_output=True, text=True,
-                          preexec_fn=full)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "rollerrig.realtime.cli",
+            "campaign",
+            plan_file(),
+            "--workers",
+            "1",
+            "--out",
+            str(out),
+        ],
+        capture_output=True,
+        text=True,
+        preexec_fn=full,
+    )
     assert done.returncode == 2
     assert "make room" in done.stderr
     assert {path: path.read_bytes() for path in (out / "results").iterdir()} == kept
@@ -191,7 +221,8 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(pla
     try:
         out = tmp_path / "cluster"
         for done, (chunk, rows) in enumerate(
-                campaign.spread_dask(plan, campaign.open_result(plan, out), address)):
+            campaign.spread_dask(plan, campaign.open_result(plan, out), address)
+        ):
             campaign.write_chunk(out, chunk, rows)
             if done == 0:
                 workers[0].send_signal(signal.SIGKILL)
@@ -203,7 +234,8 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(pla
     assert sorted(path.name for path in (out / "results").iterdir()) == parts
     for name in parts:
         assert pq.read_table(out / "results" / name).equals(
-            pq.read_table(tmp_path / "local" / "results" / name))
+            pq.read_table(tmp_path / "local" / "results" / name)
+        )
 
 
 def start_scheduler() -> tuple[subprocess.Popen, str]:
@@ -211,8 +243,18 @@ def start_scheduler() -> tuple[subprocess.Popen, str]:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     process = subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port),
-         "--no-dashboard"], stderr=subprocess.DEVNULL)
+        [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            str(port),
+            "--no-dashboard",
+        ],
+        stderr=subprocess.DEVNULL,
+    )
     until = time.monotonic() + 60.0
     while time.monotonic() < until:
         with socket.socket() as probe:
@@ -224,6 +266,18 @@ def start_scheduler() -> tuple[subprocess.Popen, str]:
 
 def start_worker(address: str) -> subprocess.Popen:
     return subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli.dask_worker", address, "--host", "127.0.0.1",
-         "--nthreads", "1", "--no-nanny", "--no-dashboard"],
-        stderr=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})
+        [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            address,
+            "--host",
+            "127.0.0.1",
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+        ],
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )

@@ -70,9 +70,11 @@ def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
         "    resource.setrlimit(limit, (0, 0))\n"
         "if os.getuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
         "for finding in (check.priority(), check.memory_lock()):\n"
-        "    print(finding.state, '|', finding.mend)\n")
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
-                          check=False)
+        "    print(finding.state, '|', finding.mend)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
     rights, memory = done.stdout.splitlines()
     for line, named in ((rights, "rtprio"), (memory, "memlock")):
         assert line.startswith("weaker")

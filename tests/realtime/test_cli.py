@@ -72,7 +72,9 @@ def test_a_list_names_everything_of_a_kind_with_its_title(kind, capsys):
         assert [one["name"] for one in named] == store.names(kind)
 
 
-@pytest.mark.parametrize("words", [("list", kind) for kind in listing.KINDS] + [("check",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "words", [("list", kind) for kind in listing.KINDS] + [("check",)], ids=" ".join
+)
 def test_a_narrow_terminal_folds_names_and_never_cuts_them(words, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
     cli.main(list(words))
@@ -88,7 +90,9 @@ def test_the_table_of_a_run_and_of_a_benchmark_fold_too(capsys):
     from rollerrig.realtime.record import summary
 
     console = Console(width=40)
-    console.print(figures.table("figures", ("what is measured", "figure"), [("a_long_name_" * 6, 1.0)]))
+    console.print(
+        figures.table("figures", ("what is measured", "figure"), [("a_long_name_" * 6, 1.0)])
+    )
     console.print(summary.table(summary.of({"time_s": [0.0]}, {}, {})))
     shown = capsys.readouterr().out
     assert "…" not in shown
@@ -96,14 +100,22 @@ def test_the_table_of_a_run_and_of_a_benchmark_fold_too(capsys):
 
 
 # it says so five times a second here
-OFTEN = ("import sys; from rollerrig.realtime import cli; from rollerrig.realtime.verbs import output; "
-         "output.PERIOD_S = 0.2; sys.exit(cli.main(sys.argv[1:]))")
+OFTEN = (
+    "import sys; from rollerrig.realtime import cli; from rollerrig.realtime.verbs import output; "
+    "output.PERIOD_S = 0.2; sys.exit(cli.main(sys.argv[1:]))"
+)
 
 
-@pytest.mark.parametrize("words", [("campaign", "low_adhesion"), ("explain", "open_none")], ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    "words", [("campaign", "low_adhesion"), ("explain", "open_none")], ids=lambda words: words[0]
+)
 def test_long_work_on_a_pipe_says_now_and_then_how_far_it_is(words, tmp_path):
-    with subprocess.Popen([sys.executable, "-c", OFTEN, *words, "--out", str(tmp_path / "out")],
-                          stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", OFTEN, *words, "--out", str(tmp_path / "out")],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
         said = ""
         for said in process.stderr:
             if re.search(r"\(\d+ s\)$", said):
@@ -116,6 +128,9 @@ def test_a_shell_completes_verbs(tmp_path):
     pytest.importorskip("argcomplete")
     asked = {"_ARGCOMPLETE": "1", "COMP_LINE": "rollerrig camp", "COMP_POINT": "14"}
     answer = tmp_path / "answer"
-    subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli"], check=False,
-                   env=os.environ | asked | {"_ARGCOMPLETE_STDOUT_FILENAME": str(answer)})
+    subprocess.run(
+        [sys.executable, "-m", "rollerrig.realtime.cli"],
+        check=False,
+        env=os.environ | asked | {"_ARGCOMPLETE_STDOUT_FILENAME": str(answer)},
+    )
     assert "campaign" in answer.read_text()

@@ -71,8 +71,22 @@ def test_a_sway_within_the_gauge_is_no_derailment(coach, watch):
 
 
 def test_a_run_of_the_coach_that_stays_on_its_rails_says_nothing_of_it(tmp_path):
-    status = cli.main(["run", "velim_a1", "--pacing", "free", "--out", str(tmp_path / "run"), "--set",
-                       "vehicle.model=multibody", "--set", "duration_max_s=0.2"])
+    status = cli.main(
+        [
+            "run",
+            "velim_a1",
+            "--pacing",
+            "free",
+            "--out",
+            str(tmp_path / "run"),
+            "--set",
+            "vehicle.model=multibody",
+            "--set",
+            "duration_max_s=0.2",
+        ]
+    )
     assert status == 4  # it does not stop in that time
-    events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
+    events = [
+        json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()
+    ]
     assert not any("derailed" in event["text"] for event in events)

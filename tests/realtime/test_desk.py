@@ -45,8 +45,10 @@ PATIENCE = 1200  # of 0.1 s: a first run compiles, perhaps on a busy machine
 @pytest.fixture
 def rings():
     """Rings as a bench makes them, of this process."""
-    made = [ring.Ring(ring.place("rows"), np.float64, 4096, len(signals.COLUMNS)),
-            ring.Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS)]
+    made = [
+        ring.Ring(ring.place("rows"), np.float64, 4096, len(signals.COLUMNS)),
+        ring.Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS),
+    ]
     yield made
     for one in made:
         one.unlink()
@@ -73,16 +75,22 @@ def test_no_spike_is_lost_in_what_a_page_is_told(rings):
     bench.poll()
     recent, at = np.array(bench.since(0)), reader.COLUMNS.index("sliding_1_m_s")
     assert recent[:, at].max() == bench.whole[:, at].max() == spike
-    assert len(recent) == bench.points == 2 * 99  # a pair for each tenth of a second, but the one that goes on
+    assert (
+        len(recent) == bench.points == 2 * 99
+    )  # a pair for each tenth of a second, but the one that goes on
     assert bench.since(bench.points) == []
     assert len(bench.since(bench.points - 4)) == 4
 
 
 def test_a_bench_tells_where_it_listens_which_faults_act_and_how_it_ended(rings):
     rows, events = rings
-    for text in ("the rig is on the bus socketcand://127.0.0.1:4711/rig0", "Modbus TCP is served on 127.0.0.1:5021",
-                 "fault speed_sensor_stuck axle=2: begins", "fault node_off node=1: begins",
-                 "fault node_off node=1: lifted"):
+    for text in (
+        "the rig is on the bus socketcand://127.0.0.1:4711/rig0",
+        "Modbus TCP is served on 127.0.0.1:5021",
+        "fault speed_sensor_stuck axle=2: begins",
+        "fault node_off node=1: begins",
+        "fault node_off node=1: lifted",
+    ):
         ring.push_event(events, 0.0, "info", text)
     bench = reader.find(among=[os.getpid()])
     bench.poll()
@@ -117,17 +125,25 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
 # -- whom it serves
 
 
-@pytest.mark.parametrize(("heads", "asked", "token", "why"), [
-    ({"host": "127.0.0.1:8530"}, "", "", ""),
-    ({"host": "localhost:8530", "origin": "http://localhost:8530"}, "", "", ""),
-    ({"host": "127.0.0.1:8530", "origin": "http://elsewhere.example"}, "", "", "no business here"),
-    ({"host": "elsewhere.example"}, "", "", "answers to 127.0.0.1"),
-    ({"host": "10.0.0.1:8530"}, "", "secret", "token is missing"),
-    ({"host": "10.0.0.1:8530"}, "sekret", "secret", "token is missing or wrong"),
-    ({"host": "10.0.0.1:8530"}, "secret", "secret", ""),
-    ({"host": "10.0.0.1:8530", "cookie": f"{server.COOKIE}=secret"}, "", "secret", ""),
-    ({"host": "10.0.0.1:8530", "cookie": f"{server.COOKIE}=wrong"}, "", "secret", "token"),
-])
+@pytest.mark.parametrize(
+    ("heads", "asked", "token", "why"),
+    [
+        ({"host": "127.0.0.1:8530"}, "", "", ""),
+        ({"host": "localhost:8530", "origin": "http://localhost:8530"}, "", "", ""),
+        (
+            {"host": "127.0.0.1:8530", "origin": "http://elsewhere.example"},
+            "",
+            "",
+            "no business here",
+        ),
+        ({"host": "elsewhere.example"}, "", "", "answers to 127.0.0.1"),
+        ({"host": "10.0.0.1:8530"}, "", "secret", "token is missing"),
+        ({"host": "10.0.0.1:8530"}, "sekret", "secret", "token is missing or wrong"),
+        ({"host": "10.0.0.1:8530"}, "secret", "secret", ""),
+        ({"host": "10.0.0.1:8530", "cookie": f"{server.COOKIE}=secret"}, "", "secret", ""),
+        ({"host": "10.0.0.1:8530", "cookie": f"{server.COOKIE}=wrong"}, "", "secret", "token"),
+    ],
+)
 def test_who_is_refused(heads, asked, token, why):
     told = server.refused(heads, asked, token)
     assert (why in told) if why else told == ""
@@ -139,9 +155,25 @@ def served(folder, *arguments):
     # NiceGUI takes a process of pytest for a simulation
     outside = {key: value for key, value in os.environ.items() if key != "PYTEST_CURRENT_TEST"}
     with open(folder / "desk.stderr", "wb") as said:
-        process = subprocess.Popen([sys.executable, "-m", "rollerrig.realtime.cli", "desk", "--port", "0", "--own",
-                                    "--folder", str(folder), "--json", *arguments],
-                                   stdout=subprocess.PIPE, stderr=said, text=True, env=outside)
+        process = subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "rollerrig.realtime.cli",
+                "desk",
+                "--port",
+                "0",
+                "--own",
+                "--folder",
+                str(folder),
+                "--json",
+                *arguments,
+            ],
+            stdout=subprocess.PIPE,
+            stderr=said,
+            text=True,
+            env=outside,
+        )
     try:
         yield json.loads(process.stdout.readline())["address"]
     finally:
@@ -155,7 +187,9 @@ def served(folder, *arguments):
 
 def get(address, **heads):
     try:
-        with urllib.request.urlopen(urllib.request.Request(address, headers=heads), timeout=60) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(address, headers=heads), timeout=60
+        ) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -173,8 +207,12 @@ def test_a_desk_serves_its_page_on_loopback_and_a_second_one_on_its_port_is_refu
         assert "no report is there" in get(address + "file/secret.toml")[1]
         assert "no report is there" in get(address + "file/%2e%2e/%2e%2e/etc/hostname")[1]
         port = address.rstrip("/").rpartition(":")[2]
-        second = subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", "desk", "--port", port],
-                                capture_output=True, text=True, timeout=120)
+        second = subprocess.run(
+            [sys.executable, "-m", "rollerrig.realtime.cli", "desk", "--port", port],
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
     assert second.returncode == 2
     assert "if a desk runs there already, open http://127.0.0.1:" in second.stderr
     assert "Traceback" not in second.stderr
@@ -182,7 +220,10 @@ def test_a_desk_serves_its_page_on_loopback_and_a_second_one_on_its_port_is_refu
 
 def test_beyond_loopback_it_says_so_loudly_and_wants_its_token(tmp_path):
     with served(tmp_path, "--host", "0.0.0.0") as address:
-        token, here = address.partition("token=")[2], address.partition("?")[0].replace("0.0.0.0", "127.0.0.1")
+        token, here = (
+            address.partition("token=")[2],
+            address.partition("?")[0].replace("0.0.0.0", "127.0.0.1"),
+        )
         assert len(token) >= 32
         assert get(here)[0] == get(here + "?token=" + token[:-1])[0] == 403
         assert get(here + "?token=" + token)[0] == 200
@@ -196,8 +237,12 @@ def test_beyond_loopback_it_says_so_loudly_and_wants_its_token(tmp_path):
 @pytest.fixture
 def runs(tmp_path, stop_on_leaves, stop_without_wsp):
     """A folder with two runs and what is left of two others."""
-    for name, run in (("with", stop_on_leaves), ("without", stop_without_wsp), ("cut", stop_on_leaves),
-                      ("damaged", stop_on_leaves)):
+    for name, run in (
+        ("with", stop_on_leaves),
+        ("without", stop_without_wsp),
+        ("cut", stop_on_leaves),
+        ("damaged", stop_on_leaves),
+    ):
         shutil.copytree(run.out, tmp_path / "runs" / name)
     (tmp_path / "runs/cut/summary.json").unlink()
     (tmp_path / "runs/damaged/summary.json").write_text("{")
@@ -232,6 +277,7 @@ def test_a_run_is_downloaded_as_export_writes_it(runs, kind, name):
 
 def simulated(one, play):
     """Let a simulated user play on the page of a desk that works meanwhile."""
+
     async def go():
         async with user_simulation(root=lambda: page.build(one)) as user:
             working = asyncio.create_task(one.work())
@@ -323,11 +369,15 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
         user.find(marker="set-speed").click()  # not while it runs
         await user.should_see("the bench refuses speed_set_point", retries=PATIENCE)
         await come(told("speed_sensor_stuck axle=1: begins"), "fault", press("inject"))
-        await come(told("note: alarm acknowledged at the desk: "), "acknowledged", press("acknowledge"))
+        await come(
+            told("note: alarm acknowledged at the desk: "), "acknowledged", press("acknowledge")
+        )
         await come(told("speed_sensor_stuck axle=1: lifted"), "lifted", press("lift"))
         with user:
             user.find(kind=ui.select, marker="friction-3").elements.pop().value = 0.03
-        await come(lambda: one.bench.value("friction_degraded", 3) == pytest.approx(0.03), "friction")
+        await come(
+            lambda: one.bench.value("friction_degraded", 3) == pytest.approx(0.03), "friction"
+        )
         user.find(marker="emergency").click()
         await user.should_see("Reset emergency stop", retries=PATIENCE)
         with contextlib.suppress(AssertionError):
@@ -335,7 +385,11 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
 
     simulated(one, play)
     events = [event["text"] for event in one.programs[-1].result["events"]]
-    for text in ("the run is started over Modbus", "emergency stop over Modbus set", "the run is stopped over Modbus"):
+    for text in (
+        "the run is started over Modbus",
+        "emergency stop over Modbus set",
+        "the run is stopped over Modbus",
+    ):
         assert text in events
 
 
@@ -347,8 +401,13 @@ def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
 
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")
-    for word in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
-                 "--window-size=1700,1500"):
+    for word in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--window-size=1700,1500",
+    ):
         options.add_argument(word)
     with served(tmp_path) as address:
         browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
@@ -371,18 +430,24 @@ def play_in(browser):
 
     def click(text):
         # not the mouse: a message of before may lie over the button
-        browser.execute_script("arguments[0].click()", there(f"//button[not(@disabled)][normalize-space()='{text}']"))
+        browser.execute_script(
+            "arguments[0].click()", there(f"//button[not(@disabled)][normalize-space()='{text}']")
+        )
 
     def put(label, text):
         field = there(f"//input[@aria-label='{label}']")
-        field.send_keys("\ue009a\ue000", text, "\ue004")  # all of it anew, then on to the next field
+        field.send_keys(
+            "\ue009a\ue000", text, "\ue004"
+        )  # all of it anew, then on to the next field
 
     def shows(text):
         return there(f"//*[contains(text(), '{text}')]")
 
     shows("This page has no safety function")
-    put("further values, as in adhesion.mu_cd=0.05",
-        f"{FREE_PORTS} adhesion=leaf_film initial_speed_m_s=6 duration_max_s=600 stand_s=60")
+    put(
+        "further values, as in adhesion.mu_cd=0.05",
+        f"{FREE_PORTS} adhesion=leaf_film initial_speed_m_s=6 duration_max_s=600 stand_s=60",
+    )
     click("Prepare")
     shows(": held")
     put("brake demand, bar", "0")

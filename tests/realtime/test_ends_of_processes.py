@@ -18,16 +18,24 @@ RECORDER = "rollerrig.realtime.telemetry.recorder"
 
 
 def start(*arguments):
-    return subprocess.Popen([sys.executable, "-m", "rollerrig.realtime.cli", *map(str, arguments)],
-                            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return subprocess.Popen(
+        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
 
 
 def killed(process, *words):
     """Kill a process once commands with all of these words stand below it; all below it end."""
+
     def stand():
         assert process.poll() is None
         there = runs.below(process.pid)
-        return there if all(any(word in line for line in there.values()) for word in words) else None
+        return (
+            there if all(any(word in line for line in there.values()) for word in words) else None
+        )
+
     there = until(stand, f"processes with {words}")
     process.kill()
     process.wait()
@@ -39,8 +47,12 @@ def killed(process, *words):
     return there
 
 
-def test_a_sequence_that_is_killed_takes_its_workers_benches_and_units_along_and_keeps_records(tmp_path):
-    process = start("sequence", "low_speed_010", "emergency_120", "--jobs", 2, "--out", tmp_path / "out")
+def test_a_sequence_that_is_killed_takes_its_workers_benches_and_units_along_and_keeps_records(
+    tmp_path,
+):
+    process = start(
+        "sequence", "low_speed_010", "emergency_120", "--jobs", 2, "--out", tmp_path / "out"
+    )
     until(lambda: list(tmp_path.glob("out/*/can.log")), "a run that has begun")
     there = killed(process, "spawn_main", " run ", " wsp ", RECORDER)
     assert len(there) >= 5
@@ -61,19 +73,45 @@ def test_a_verb_with_workers_that_is_killed_takes_them_along(verb, tmp_path):
 
 
 def test_a_run_that_is_killed_while_its_unit_is_frozen_leaves_no_process(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", "duration_max_s=60", "--fault",
-                         "wsp_frozen at=0.5")
+    bench = BenchProcess(
+        tmp_path / "run",
+        "--pacing",
+        "wall",
+        "--set",
+        "duration_max_s=60",
+        "--fault",
+        "wsp_frozen at=0.5",
+    )
     bench.runs_for(0.8)
     killed(bench.process, " wsp ", RECORDER)
     assert records.summary(bench.out)["ended"] == "killed"
 
 
-@pytest.mark.parametrize(("command", "words"), [
-    ("sh -c 'echo no such port >&2; exit 3'", ("status 3", "no such port")),
-    ("no_such_program {port}", ("status 1", "no_such_program: No such file or directory"))])
-def test_a_unit_command_that_dies_is_told_at_once_with_its_status_and_last_words(command, words, tmp_path, capfd):
-    assert cli.main(["sequence", "low_speed_010", "--wsp", "external", "--unit", command, "--out",
-                     str(tmp_path / "out")]) == 1
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("sh -c 'echo no such port >&2; exit 3'", ("status 3", "no such port")),
+        ("no_such_program {port}", ("status 1", "no_such_program: No such file or directory")),
+    ],
+)
+def test_a_unit_command_that_dies_is_told_at_once_with_its_status_and_last_words(
+    command, words, tmp_path, capfd
+):
+    assert (
+        cli.main(
+            [
+                "sequence",
+                "low_speed_010",
+                "--wsp",
+                "external",
+                "--unit",
+                command,
+                "--out",
+                str(tmp_path / "out"),
+            ]
+        )
+        == 1
+    )
     said = capfd.readouterr().err
     for word in ("--unit", command, *words):
         assert word in said
@@ -81,16 +119,27 @@ def test_a_unit_command_that_dies_is_told_at_once_with_its_status_and_last_words
 
 
 def test_drives_that_wait_for_a_master_that_is_not_there_are_told_after_a_second(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "none", "--set", "rig.drives=bus",
-                         "--set", "duration_max_s=1.5").finish()
-    (time_s, level, text), = [one for one in records.events(bench.out) if "rig.drives" in one[2]]
+    bench = BenchProcess(
+        tmp_path / "run",
+        "--pacing",
+        "lockstep",
+        "--wsp",
+        "none",
+        "--set",
+        "rig.drives=bus",
+        "--set",
+        "duration_max_s=1.5",
+    ).finish()
+    ((time_s, level, text),) = [one for one in records.events(bench.out) if "rig.drives" in one[2]]
     assert (time_s, level) == (1.0, "warning")
     for word in ("nodes 1, 2, 3, 4", "6040h", "--set rig.drives=rig"):
         assert word in text
 
 
 def test_a_run_that_has_not_begun_has_loaded_its_bus_by_nothing(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--wait", "0.5").finish()
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--wait", "0.5"
+    ).finish()
     assert bench.status == 2
     assert records.summary(bench.out)["bus"]["load_percent"] == 0.0
 
@@ -103,7 +152,9 @@ def full(pid, size=20_000):
 
 
 @pytest.mark.parametrize("pacing", ["wall", "lockstep"])
-def test_a_disk_that_gets_full_is_an_event_and_status_2_and_what_was_recorded_is_kept(pacing, tmp_path):
+def test_a_disk_that_gets_full_is_an_event_and_status_2_and_what_was_recorded_is_kept(
+    pacing, tmp_path
+):
     bench = BenchProcess(tmp_path / "run", "--pacing", pacing, "--set", "duration_max_s=4")
     bench.runs_for(0.5)
     full(bench.child(RECORDER))
@@ -116,7 +167,7 @@ def test_a_disk_that_gets_full_is_an_event_and_status_2_and_what_was_recorded_is
     assert (bench.out / "can.log").stat().st_size > 1000
     summary = records.summary(bench.out)
     assert summary["loop"]["ticks"] == 4000
-    told, = [event for event in summary["events"] if "cannot be written" in event["text"]]
+    (told,) = [event for event in summary["events"] if "cannot be written" in event["text"]]
     assert told["level"] == "error"
 
 
@@ -139,10 +190,28 @@ def test_a_small_disk_is_told_with_status_2_from_the_start_or_when_it_is_full(si
     if subprocess.run(mount, stderr=subprocess.DEVNULL).returncode:
         pytest.skip("no file system may be mounted here")
     try:
-        done = subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", "run", "velim_a1", "--pacing",
-                               "lockstep", "--out", str(place / "run"), "--json", "--set", "bus.interface=hub", "--set",
-                               "bus.socketcand_port=0"],
-                              stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=100.0)
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "rollerrig.realtime.cli",
+                "run",
+                "velim_a1",
+                "--pacing",
+                "lockstep",
+                "--out",
+                str(place / "run"),
+                "--json",
+                "--set",
+                "bus.interface=hub",
+                "--set",
+                "bus.socketcand_port=0",
+            ],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=100.0,
+        )
         assert done.returncode == 2
         assert "Traceback" not in done.stderr
         assert "No space left on device" in json.loads(done.stdout)["error"]

@@ -26,7 +26,9 @@ def test_a_long_run_is_told_by_process_with_disk_losses_and_missed_ticks(pacing,
     [because] = told["because"]
     interrupted = re.fullmatch(r"the run is interrupted by SIGTERM, at (\d+\.\d\d) s", because)
     assert interrupted, because
-    assert float(interrupted[1]) == pytest.approx(told["ticks"] / 1000, abs=0.011)  # both are told to 0.01 s
+    assert float(interrupted[1]) == pytest.approx(
+        told["ticks"] / 1000, abs=0.011
+    )  # both are told to 0.01 s
 
 
 @pytest.mark.parametrize("pacing", soak.PACINGS)
@@ -34,7 +36,9 @@ def test_a_bench_that_writes_its_summary_holds_no_reserve_of_a_library_in_memory
     assert soaked[pacing]["at_end_MB"]["bench"] < soaked[pacing]["memory_MB"]["bench"] + 200.0
 
 
-@pytest.mark.parametrize("how", ["recorder + bench", "recorder + unit + bench", "group", "unit", "SIGHUP"])
+@pytest.mark.parametrize(
+    "how", ["recorder + bench", "recorder + unit + bench", "group", "unit", "SIGHUP"]
+)
 def test_whatever_is_killed_a_second_is_lost_at_most_and_no_process_is_left(how):
     found = kill.killed(how, "wall", 0.7)
     assert found["unreadable"] == ""

@@ -29,8 +29,19 @@ SPEEDS_M_S = (16.0, 12.0, 14.0)
 
 def stops(folder: Path, *hidden: str) -> list[str]:
     """Stops in lockstep with the reference unit in its own process, all at a time."""
-    going = [BenchProcess(folder / f"from_{speed:g}", "--pacing", "lockstep", "--set", "stand_s=0",
-                          "--set", f"initial_speed_m_s={speed}", *hidden) for speed in SPEEDS_M_S]
+    going = [
+        BenchProcess(
+            folder / f"from_{speed:g}",
+            "--pacing",
+            "lockstep",
+            "--set",
+            "stand_s=0",
+            "--set",
+            f"initial_speed_m_s={speed}",
+            *hidden,
+        )
+        for speed in SPEEDS_M_S
+    ]
     for bench in going:
         assert bench.finish().status == 0, bench.stderr
         assert bench.told["bus"]["frames"] > 1000
@@ -52,9 +63,14 @@ def test_stops_of_a_sound_bench_over_the_bus_are_consistent(tmp_path, capsys) ->
 
 
 @pytest.mark.explanation
-def test_a_wheel_of_another_diameter_hidden_in_stops_over_the_bus_is_found(tmp_path, capsys) -> None:
-    told = explained(stops(tmp_path, "--fault", "wheel_diameter_mismatch axle=3 difference_percent=1"),
-                     tmp_path / "report", capsys)
+def test_a_wheel_of_another_diameter_hidden_in_stops_over_the_bus_is_found(
+    tmp_path, capsys
+) -> None:
+    told = explained(
+        stops(tmp_path, "--fault", "wheel_diameter_mismatch axle=3 difference_percent=1"),
+        tmp_path / "report",
+        capsys,
+    )
     assert told["causes"][0]["name"] == "wheel_radius"
     assert told["causes"][0]["axles"] == [3]
     assert told["causes"][0]["parameters"]["fraction"]["value"] == pytest.approx(0.01, abs=5e-4)
@@ -66,8 +82,17 @@ def test_a_wheel_of_another_diameter_hidden_in_stops_over_the_bus_is_found(tmp_p
 @pytest.fixture(scope="module")
 def stop(tmp_path_factory) -> Path:
     """A short stop on rollers without a bus, recorded a thousand times a second."""
-    bench = BenchProcess(tmp_path_factory.mktemp("short") / "stop", "--pacing", "free", "--set",
-                         "initial_speed_m_s=12", "--set", "loop.record_hz=1000", "--set", "stand_s=0")
+    bench = BenchProcess(
+        tmp_path_factory.mktemp("short") / "stop",
+        "--pacing",
+        "free",
+        "--set",
+        "initial_speed_m_s=12",
+        "--set",
+        "loop.record_hz=1000",
+        "--set",
+        "stand_s=0",
+    )
     assert bench.finish().status == 0, bench.stderr
     return bench.out
 
@@ -109,16 +134,29 @@ def test_thinned_samples_have_no_frequencies_folded_down(stop: Path, tmp_path: P
     ripple = 0.2 * np.sin(2.0 * np.pi * 97.0 * run.column("time_s"))
     at = run.table.column_names.index("measured_speed_1_rad_s")
     clean = run_sensors.of_run(run, 1.0).wheel_speed_rad_s[:, 0]
-    table = run.table.set_column(at, "measured_speed_1_rad_s", [run.column("measured_speed_1_rad_s") + ripple])
+    table = run.table.set_column(
+        at, "measured_speed_1_rad_s", [run.column("measured_speed_1_rad_s") + ripple]
+    )
     rippled = run_sensors.of_run(run._replace(table=table), 1.0).wheel_speed_rad_s[:, 0]
     inside = slice(20, -20)
     assert np.abs(rippled - clean)[inside].max() < 0.01
 
 
 @pytest.mark.parametrize("record_hz", [100, 1000])
-def test_what_a_pole_wheel_tells_late_is_told_as_late_of_all_channels(tmp_path: Path, record_hz: int) -> None:
-    bench = BenchProcess(tmp_path / "stop", "--pacing", "free", "--set", "initial_speed_m_s=12", "--set",
-                         f"loop.record_hz={record_hz}", "--set", "sensor.model=pole_wheel")
+def test_what_a_pole_wheel_tells_late_is_told_as_late_of_all_channels(
+    tmp_path: Path, record_hz: int
+) -> None:
+    bench = BenchProcess(
+        tmp_path / "stop",
+        "--pacing",
+        "free",
+        "--set",
+        "initial_speed_m_s=12",
+        "--set",
+        f"loop.record_hz={record_hz}",
+        "--set",
+        "sensor.model=pole_wheel",
+    )
     assert bench.finish().status == 0, bench.stderr
     run = bench.record
     # a vehicle that moves exactly as wheel 1 turns must be told in step with it
@@ -132,15 +170,24 @@ def test_what_a_pole_wheel_tells_late_is_told_as_late_of_all_channels(tmp_path: 
 
 
 def test_on_a_virtual_track_the_wheels_are_those_of_the_track(tmp_path: Path) -> None:
-    bench = BenchProcess(tmp_path / "stop", "--pacing", "free", "--set", "initial_speed_m_s=12", "--set",
-                         "rig=virtual_track")
+    bench = BenchProcess(
+        tmp_path / "stop",
+        "--pacing",
+        "free",
+        "--set",
+        "initial_speed_m_s=12",
+        "--set",
+        "rig=virtual_track",
+    )
     assert bench.finish().status == 0, bench.stderr
     told = run_sensors.of_run(bench.record, 4.0)
     n = len(told.time_s)
     assert told.surface_m_s is None
     for j in range(4):
         sliding = told.speed_m_s - 0.445 * told.wheel_speed_rad_s[:, j]
-        np.testing.assert_allclose(sliding, bench.record.column(f"sliding_{j + 1}_m_s")[:n], atol=1e-9)
+        np.testing.assert_allclose(
+            sliding, bench.record.column(f"sliding_{j + 1}_m_s")[:n], atol=1e-9
+        )
 
 
 def test_a_coarse_recording_is_refused(stop: Path, tmp_path: Path) -> None:
@@ -149,17 +196,25 @@ def test_a_coarse_recording_is_refused(stop: Path, tmp_path: Path) -> None:
         run_sensors.of_run(run, 1.0)
 
 
-@pytest.mark.parametrize(("changed", "said"), [
-    ({}, "same samples"), ({"contact__roller_radius_m": 0.5}, "roller_radius_m"),
-    ({"adhesion__tau_m_J": 1e-4}, "tau_m_J"),
-])
-def test_runs_that_cannot_be_judged_together_are_refused(stop: Path, tmp_path: Path, changed, said) -> None:
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({}, "same samples"),
+        ({"contact__roller_radius_m": 0.5}, "roller_radius_m"),
+        ({"adhesion__tau_m_J": 1e-4}, "tau_m_J"),
+    ],
+)
+def test_runs_that_cannot_be_judged_together_are_refused(
+    stop: Path, tmp_path: Path, changed, said
+) -> None:
     other = rerecorded(stop, tmp_path / "run", 1, **changed)
     with pytest.raises(ConfigError, match=said):
         run_dataset.from_folders([stop, other], tmp_path / "out")
 
 
-def test_runs_of_another_mass_stand_in_one_dataset_each_with_its_own(stop: Path, tmp_path: Path) -> None:
+def test_runs_of_another_mass_stand_in_one_dataset_each_with_its_own(
+    stop: Path, tmp_path: Path
+) -> None:
     other = rerecorded(stop, tmp_path / "run", 10, vehicle__mass_kg=48000.0)
     out = run_dataset.from_folders([stop], tmp_path / "out", [other], run_sensors.NOISE, 1.0)
     data = dataset.load(out)
@@ -170,9 +225,15 @@ def test_runs_of_another_mass_stand_in_one_dataset_each_with_its_own(stop: Path,
 
 
 def test_a_dataset_of_runs_has_their_vehicle_and_their_brake(stop: Path, tmp_path: Path) -> None:
-    own = {"vehicle__bogie_wheelbase_m": 2.9, "vehicle__body_height_m": 2.1, "brake__pad_friction": 0.3}
+    own = {
+        "vehicle__bogie_wheelbase_m": 2.9,
+        "vehicle__body_height_m": 2.1,
+        "brake__pad_friction": 0.3,
+    }
     other = rerecorded(stop, tmp_path / "run", 10, **own)
-    sections = dataset.load(run_dataset.from_folders([other], tmp_path / "out", (), run_sensors.NOISE, 1.0)).sections
+    sections = dataset.load(
+        run_dataset.from_folders([other], tmp_path / "out", (), run_sensors.NOISE, 1.0)
+    ).sections
     for key, value in own.items():
         table, name = key.split("__")
         assert sections[table][name] == value
@@ -186,7 +247,9 @@ def test_a_dataset_of_runs_has_their_vehicle_and_their_brake(stop: Path, tmp_pat
 
 
 def test_runs_to_validate_are_only_named_beside_runs(tmp_path: Path, capsys) -> None:
-    assert cli.main(["explain", "open_none", "--validate", str(tmp_path), "--out", str(tmp_path)]) == 2
+    assert (
+        cli.main(["explain", "open_none", "--validate", str(tmp_path), "--out", str(tmp_path)]) == 2
+    )
     assert "dataset.toml" in capsys.readouterr().err
 
 
@@ -209,10 +272,27 @@ def account(*causes: Cause) -> explain.Account:
     named = []
     for cause in causes:
         tiny, none = (1e-6,) * len(cause.values), (0.0,) * len(cause.values)
-        finding = Finding(cause.name, cause.axle, cause.shape, cause.values, none, tiny, 99.0, 0.001, 1.0, 1.0)
+        finding = Finding(
+            cause.name, cause.axle, cause.shape, cause.values, none, tiny, 99.0, 0.001, 1.0, 1.0
+        )
         named.append(choice.NamedCause(finding, cause, 99.0, (99.0,) * 5, tiny, (), ()))
-    return explain.Account(data, design, None, base, base._replace(causes=causes), "explained", named, [], [], [],
-                           None, 0.001, [], None, 1.0)
+    return explain.Account(
+        data,
+        design,
+        None,
+        base,
+        base._replace(causes=causes),
+        "explained",
+        named,
+        [],
+        [],
+        [],
+        None,
+        0.001,
+        [],
+        None,
+        1.0,
+    )
 
 
 @pytest.mark.parametrize("name", FOUND)
@@ -222,7 +302,9 @@ def test_every_cause_of_wheel_and_contact_becomes_keys_that_run_in_batch(name, t
     told = tomllib.loads(model.read_text()).get("mechanisms", {})
     plan = scenario.load("velim_a1", str(model), ("initial_speed_m_s=6.0",))
     felt = free.channels(free.simulate(plan))
-    plain = free.channels(free.simulate(scenario.load("velim_a1", settings=("initial_speed_m_s=6.0",))))
+    plain = free.channels(
+        free.simulate(scenario.load("velim_a1", settings=("initial_speed_m_s=6.0",)))
+    )
     differs = not np.array_equal(felt["wheel_speed_2_rad_s"], plain["wheel_speed_2_rad_s"])
     if name == "speed_sensor_delay":
         assert told == {}
@@ -240,15 +322,22 @@ def test_every_cause_of_wheel_and_contact_becomes_keys_that_run_in_batch(name, t
     }[name]
 
 
-def test_friction_of_the_contaminant_alone_is_told_in_words_and_leaves_the_clean_rail_as_it_is(tmp_path) -> None:
+def test_friction_of_the_contaminant_alone_is_told_in_words_and_leaves_the_clean_rail_as_it_is(
+    tmp_path,
+) -> None:
     found = account(Cause("friction_trend", 0, {"contaminant_alone": 1.0}, (-0.05,)))
-    assert "in a stop, that of the contaminant alone [friction_trend]; rate_1_s" in report.story(found)[0]
+    assert (
+        "in a stop, that of the contaminant alone [friction_trend]; rate_1_s"
+        in report.story(found)[0]
+    )
     model = tmp_path / "extended.toml"
     model.write_text(extension.toml(found))
     params = scenario.load("velim_a1", str(model)).params
     rig = Plant(params, 20.0)
     rig.state.time[0] = 4.0
-    factors = [applied.friction_factor(rig.state, 0, 0.0, params.effects, clean) for clean in (False, True)]
+    factors = [
+        applied.friction_factor(rig.state, 0, 0.0, params.effects, clean) for clean in (False, True)
+    ]
     assert factors == pytest.approx([np.exp(-0.2), 1.0])
 
 
@@ -266,12 +355,24 @@ def test_an_extended_model_is_the_same_plant_in_batch_and_in_the_bench(tmp_path)
     model = tmp_path / "extended.toml"
     model.write_text(extension.toml(account(*FOUND.values())))
     settings = ("initial_speed_m_s=8.0", "stand_s=0.0")
-    bench = BenchProcess(tmp_path / "run", "--model", str(model), "--pacing", "lockstep",
-                         *(part for one in settings for part in ("--set", one)))
+    bench = BenchProcess(
+        tmp_path / "run",
+        "--model",
+        str(model),
+        "--pacing",
+        "lockstep",
+        *(part for one in settings for part in ("--set", one)),
+    )
     assert bench.finish().status == 0, bench.stderr
     plan = scenario.load("velim_a1", str(model), settings)
     felt, run = free.channels(free.simulate(plan)), bench.record
     assert run.column("transition_1").max() > 0.0
-    for name in ("vehicle_speed_m_s", "wheel_speed_1_rad_s", "wheel_speed_3_rad_s", "wheel_load_2_N",
-                 "transition_1", "cylinder_pressure_4_Pa"):
+    for name in (
+        "vehicle_speed_m_s",
+        "wheel_speed_1_rad_s",
+        "wheel_speed_3_rad_s",
+        "wheel_load_2_N",
+        "transition_1",
+        "cylinder_pressure_4_Pa",
+    ):
         assert np.array_equal(run.column(name), felt[name]), name

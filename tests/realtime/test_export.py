@@ -29,9 +29,12 @@ def run(tmp_path):
     channels.add(rows)
     channels.finish()
     (folder / "scenario.toml").write_text('title = "a run"\n')
-    (folder / "events.jsonl").write_text("".join(
-        json.dumps(dict(zip(("time_s", "level", "text"), event, strict=True))) + "\n"
-        for event in EVENTS))
+    (folder / "events.jsonl").write_text(
+        "".join(
+            json.dumps(dict(zip(("time_s", "level", "text"), event, strict=True))) + "\n"
+            for event in EVENTS
+        )
+    )
     return records.load(folder)
 
 
@@ -47,8 +50,9 @@ def test_mdf4_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_pat
         assert read.get("cylinder_pressure_1_Pa").unit == "Pa"
         told = read.get("events")
         assert list(told.timestamps) == [event[0] for event in EVENTS]
-        assert [text.decode().rstrip("\0") if isinstance(text, bytes) else text
-                for text in told.samples] == [f"{level}: {text}" for _, level, text in EVENTS]
+        assert [
+            text.decode().rstrip("\0") if isinstance(text, bytes) else text for text in told.samples
+        ] == [f"{level}: {text}" for _, level, text in EVENTS]
 
 
 def test_mat_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path):
@@ -72,8 +76,9 @@ def test_csv_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path
     assert units[names.index("vehicle_acceleration_m_s2")] == "m/s^2"
     assert np.array_equal(rows, records.rows(run.table), equal_nan=True)
     with beside.open(encoding="utf-8") as lines:
-        assert [(float(time_s), level, text) for time_s, level, text
-                in list(csv.reader(lines))[1:]] == EVENTS
+        assert [
+            (float(time_s), level, text) for time_s, level, text in list(csv.reader(lines))[1:]
+        ] == EVENTS
 
 
 def test_an_unknown_format_is_refused_with_those_there_are(run, tmp_path):
@@ -88,8 +93,19 @@ def test_without_asammdf_the_message_says_how_to_install_it(run, tmp_path, monke
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
-    done = subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", "export", str(tmp_path),
-                           "--format", "csv"], capture_output=True, text=True)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "rollerrig.realtime.cli",
+            "export",
+            str(tmp_path),
+            "--format",
+            "csv",
+        ],
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 2
     assert "not a run's folder" in done.stderr
 
@@ -97,9 +113,22 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
 def test_a_full_disk_leaves_no_half_a_file(run, tmp_path):
     out = tmp_path / "full" / "run.csv"
     full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # noqa: E731
-    done = subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", "export", str(run.folder),
-                           "--format", "csv", "--out", str(out)],
-                          capture_output=True, text=True, preexec_fn=full)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "rollerrig.realtime.cli",
+            "export",
+            str(run.folder),
+            "--format",
+            "csv",
+            "--out",
+            str(out),
+        ],
+        capture_output=True,
+        text=True,
+        preexec_fn=full,
+    )
     assert done.returncode == 2
     assert "make room" in done.stderr
     assert list(out.parent.iterdir()) == []

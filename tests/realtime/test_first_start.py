@@ -15,18 +15,28 @@ from rollerrig.rig import kernel_cache
 
 def started(*words, cache, out):
     """A command with an empty cache of kernels."""
-    return subprocess.Popen([sys.executable, "-m", "rollerrig.realtime.cli", *words, "--out", str(out)],
-                            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-                            env=os.environ | {"XDG_CACHE_HOME": str(cache)})
+    return subprocess.Popen(
+        [sys.executable, "-m", "rollerrig.realtime.cli", *words, "--out", str(out)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"XDG_CACHE_HOME": str(cache)},
+    )
 
 
-@pytest.mark.parametrize("words", [("run", "velim_a1", "--pacing", "free"), ("explain", "open_rail_cleaning")],
-                         ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    "words",
+    [("run", "velim_a1", "--pacing", "free"), ("explain", "open_rail_cleaning")],
+    ids=lambda words: words[0],
+)
 def test_a_first_start_says_that_it_compiles_before_it_does_and_then_how_far_it_is(words, tmp_path):
     with started(*words, cache=tmp_path / "cache", out=tmp_path / "out") as process:
         # a verb may say in between how far its own work is
         first = process.stderr.readline()
-        told = (re.fullmatch(r"compiling: \d+ s so far, (\d+) kernels done\n", line) for line in process.stderr)
+        told = (
+            re.fullmatch(r"compiling: \d+ s so far, (\d+) kernels done\n", line)
+            for line in process.stderr
+        )
         counts = [int(one[1]) for one in itertools.islice(filter(None, told), 2)]
         process.kill()
     assert first.startswith("compiling the kernels")
@@ -36,7 +46,9 @@ def test_a_first_start_says_that_it_compiles_before_it_does_and_then_how_far_it_
 
 
 def test_what_is_compiled_is_not_announced_again():
-    code = "from rollerrig.rig import kernel_cache, brake, kernel\nprint(kernel_cache.has_compiled())"
+    code = (
+        "from rollerrig.rig import kernel_cache, brake, kernel\nprint(kernel_cache.has_compiled())"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("False\n", "")
 
@@ -71,10 +83,16 @@ def test_a_generation_that_a_process_uses_is_never_removed(tmp_path):
     used = generation(tmp_path, 0)
     for number in range(1, 6):
         generation(tmp_path, number)
-    code = ("import fcntl, os, sys\nfcntl.flock(os.open(sys.argv[1], os.O_RDONLY), fcntl.LOCK_SH)\n"
-            "print(flush=True)\nsys.stdin.read()")
-    with subprocess.Popen([sys.executable, "-c", code, str(used)], stdin=subprocess.PIPE,
-                          stdout=subprocess.PIPE, text=True) as process:
+    code = (
+        "import fcntl, os, sys\nfcntl.flock(os.open(sys.argv[1], os.O_RDONLY), fcntl.LOCK_SH)\n"
+        "print(flush=True)\nsys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(used)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
         process.stdout.readline()
         kernel_cache.remove_old(tmp_path, kept=2)
         assert left(tmp_path) == {0, 4, 5}
@@ -94,27 +112,33 @@ def test_a_process_locks_the_generation_that_it_uses():
 
 
 def test_a_run_is_recorded_and_summed_up_without_pandas(tmp_path):
-    code = ("import sys\nfrom rollerrig.realtime import cli\n"
-            "status = cli.main(['run', 'dry_stop', '--wsp=none', '--pacing=free', '--set', 'initial_speed_m_s=3', "
-            f"'--json', '--out', {str(tmp_path / 'run')!r}])\n"
-            "print(status, 'pandas' in sys.modules, file=sys.stderr)")
+    code = (
+        "import sys\nfrom rollerrig.realtime import cli\n"
+        "status = cli.main(['run', 'dry_stop', '--wsp=none', '--pacing=free', '--set', 'initial_speed_m_s=3', "
+        f"'--json', '--out', {str(tmp_path / 'run')!r}])\n"
+        "print(status, 'pandas' in sys.modules, file=sys.stderr)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.splitlines()[-1] == "0 False"
 
 
 def test_the_command_line_loads_no_package_that_only_others_use():
-    code = ("import sys\nfrom rollerrig.realtime import cli\ncli.main(['run', 'nothing'])\n"
-            "from rollerrig.realtime.bench import bench\nprint(sorted(sys.modules.keys() & "
-            "{'asammdf', 'pandas', 'scipy.linalg', 'matplotlib', 'rerun', 'distributed'}))\n"
-            "import asammdf, scipy.linalg")
+    code = (
+        "import sys\nfrom rollerrig.realtime import cli\ncli.main(['run', 'nothing'])\n"
+        "from rollerrig.realtime.bench import bench\nprint(sorted(sys.modules.keys() & "
+        "{'asammdf', 'pandas', 'scipy.linalg', 'matplotlib', 'rerun', 'distributed'}))\n"
+        "import asammdf, scipy.linalg"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
 def test_the_recorder_loads_neither_the_compiler_nor_pandas():
-    code = ("import io, sys\nsys.stdin = io.StringIO()\nfrom rollerrig.realtime.record import channels\n"
-            "from rollerrig.realtime.telemetry import recorder\nchannels.leave_pandas_out()\n"
-            "import pyarrow\npyarrow.array([1.0])\n"
-            "print(recorder.main([]), sorted(sys.modules.keys() & {'numba', 'pandas'}))")
+    code = (
+        "import io, sys\nsys.stdin = io.StringIO()\nfrom rollerrig.realtime.record import channels\n"
+        "from rollerrig.realtime.telemetry import recorder\nchannels.leave_pandas_out()\n"
+        "import pyarrow\npyarrow.array([1.0])\n"
+        "print(recorder.main([]), sorted(sys.modules.keys() & {'numba', 'pandas'}))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "0 []"

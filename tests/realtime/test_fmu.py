@@ -37,11 +37,17 @@ def fmu(tmp_path_factory):
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_the_reference_rules_in_an_fmu_give_the_channels_of_the_reference_unit(version, stop_with_wsp, tmp_path):
+def test_the_reference_rules_in_an_fmu_give_the_channels_of_the_reference_unit(
+    version, stop_with_wsp, tmp_path
+):
     # an FMU that is told rpm and bar, which are converted; the other one SI
     units = {"rad/s": "rpm", "Pa": "bar"} if version == 3 else {}
-    unit = fmus.build(tmp_path, version, inputs={name: units.get(unit, unit) for name, unit in fmus.INPUTS.items()},
-                      defines=["SPEED_UNIT=0.10471975511965977"] if units else [])
+    unit = fmus.build(
+        tmp_path,
+        version,
+        inputs={name: units.get(unit, unit) for name, unit in fmus.INPUTS.items()},
+        defines=["SPEED_UNIT=0.10471975511965977"] if units else [],
+    )
     run = bench_process.run(tmp_path / "run", "--pacing", "lockstep", "--wsp", f"fmu:{unit}")
     assert run.status == 0, run.stderr
     theirs, ours = stop_with_wsp.record, run.record
@@ -54,12 +60,17 @@ def test_the_reference_rules_in_an_fmu_give_the_channels_of_the_reference_unit(v
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_an_fmu_of_sources_is_compiled_and_its_names_come_from_a_mapping(version, tmp_path):
-    names = {**{f"V{axle}": "m/s" for axle in range(1, 5)}, **{f"P{axle}": "bar" for axle in range(1, 5)}}
+    names = {
+        **{f"V{axle}": "m/s" for axle in range(1, 5)},
+        **{f"P{axle}": "bar" for axle in range(1, 5)},
+    }
     unit = fmus.build(tmp_path, version, binary=False, sources=True, inputs=names)
     (tmp_path / "map.toml").write_text(MAP)
     with pytest.raises(ConfigError, match="wheel_speed_1: is not there; give a mapping"):
         fmu_file.fit(unit, None, 0.01)
-    run = bench_process.run(tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}", "--unit-map", str(tmp_path / "map.toml"))
+    run = bench_process.run(
+        tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}", "--unit-map", str(tmp_path / "map.toml")
+    )
     assert run.status in (0, 4), run.stderr
     record = run.record
     # the FMU takes m/s for rad/s, and halves of m/s for m/s
@@ -67,11 +78,14 @@ def test_an_fmu_of_sources_is_compiled_and_its_names_come_from_a_mapping(version
     assert record.column("wsp_reference_speed_m_s")[20] == pytest.approx(expected_m_s, rel=0.02)
 
 
-@pytest.mark.parametrize(("defines", "said"), [
-    ("FAIL_AT_S=1.0", "the FMU has failed at 1.000 s: fmi3DoStep failed with status 3 (error)"),
-    ("CRASH_AT_S=1.0", "status -6; its last words: the next step crashes"),
-    ("HANG_AT_S=1.0", "the FMU hangs: doStep at 1.000 s has not returned within 2 s"),
-])
+@pytest.mark.parametrize(
+    ("defines", "said"),
+    [
+        ("FAIL_AT_S=1.0", "the FMU has failed at 1.000 s: fmi3DoStep failed with status 3 (error)"),
+        ("CRASH_AT_S=1.0", "status -6; its last words: the next step crashes"),
+        ("HANG_AT_S=1.0", "the FMU hangs: doStep at 1.000 s has not returned within 2 s"),
+    ],
+)
 def test_an_fmu_that_fails_is_a_unit_that_died_and_the_record_is_kept(defines, said, tmp_path):
     unit = fmus.build(tmp_path, defines=[defines])
     run = bench_process.run(tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}", "--answer-wait", "2")
@@ -86,43 +100,99 @@ def test_the_brakes_apply_when_an_fmu_dies_in_real_time(tmp_path):
     unit = fmus.build(tmp_path, defines=["CRASH_AT_S=1.0"])
     run = bench_process.run(tmp_path / "run", "--set", "duration_max_s=10", "--wsp", f"fmu:{unit}")
     assert run.status == 4  # not valid
-    assert run.heard("the WSP unit wsp.fmu has ended with status -6; its last words: the next step crashes")
+    assert run.heard(
+        "the WSP unit wsp.fmu has ended with status -6; its last words: the next step crashes"
+    )
     assert run.heard("the WSP unit (node 32) lost")
     assert all(run.record.column(f"magnets_{axle}")[-1] == 0 for axle in range(1, 5))
 
 
 def test_a_frozen_fmu_goes_on_where_it_was(tmp_path, fmu):
     """What stops the process is no hanging step."""
-    run = bench_process.run(tmp_path / "run", *SHORT, "--wsp", f"fmu:{fmu}", "--fault", "wsp_frozen at=1 for=0.5",
-                            "--answer-wait", "2")
+    run = bench_process.run(
+        tmp_path / "run",
+        *SHORT,
+        "--wsp",
+        f"fmu:{fmu}",
+        "--fault",
+        "wsp_frozen at=1 for=0.5",
+        "--answer-wait",
+        "2",
+    )
     assert not run.heard("has ended")
     assert run.record.column("time_s")[-1] > 2.9
 
 
 def test_a_packaged_sequence_is_played_with_an_fmu_and_judged(fmu, tmp_path, capsys):
-    assert cli.main(["sequence", "low_speed_010", "--wsp", f"fmu:{fmu}", "--out", str(tmp_path), "--json"]) == 0
+    assert (
+        cli.main(
+            ["sequence", "low_speed_010", "--wsp", f"fmu:{fmu}", "--out", str(tmp_path), "--json"]
+        )
+        == 0
+    )
     assert json.loads(capsys.readouterr().out)["sequences"] == {"low_speed_010": "pass"}
-    assert json.loads((tmp_path / "low_speed_010" / "summary.json").read_text())["wsp"]["unit"] == f"fmu:{fmu}"
+    assert (
+        json.loads((tmp_path / "low_speed_010" / "summary.json").read_text())["wsp"]["unit"]
+        == f"fmu:{fmu}"
+    )
 
 
 # the description, what of it is changed, what is said
 WRONG = [
-    (3, 'name="hold_3"', 'name="halt_3"', "hold_3: is not there; give a mapping with --unit-map if it has another "
-     "name; did you mean 'hold_"),
-    (3, 'name="wheel_speed_2" valueReference="1" causality="input"', 'name="wheel_speed_2" valueReference="1" '
-     'causality="local"', "wheel_speed_2: is declared as local; it has to be an input"),
-    (2, 'name="vent_1" valueReference="12" causality="output" variability="discrete"', 'name="vent_1" '
-     'valueReference="12" causality="output" variability="constant"', "vent_1: has the variability constant; "
-     "allowed are"),
-    (3, '<Float64 unit="rad/s" name="wheel_speed_1" valueReference="0" causality="input" variability="continuous" '
-     'start="0"/>', '<Float64 name="wheel_speed_1" valueReference="0" causality="input" variability="continuous" '
-     'start="0 0"><Dimension start="2"/></Float64>', "wheel_speed_1: is an array; allowed are single numbers"),
-    (2, '<Real unit="rad/s" start="0"/>', '<Real unit="m/s" start="0"/>', "wheel_speed_1: has the unit m/s, which is "
-     "no unit of this quantity; declare rad/s, or give a mapping with --unit-map and its factor (for m/s the wheel's"),
-    (3, 'unit="Pa"', 'unit="psi"', "cylinder_pressure_4: has the unit psi, which it does not define; declare Pa"),
-    (3, 'canHandleVariableCommunicationStepSize="true"', 'fixedInternalStepSize="0.004"', "step: its own steps take "
-     "0.004 s, and one doStep a SYNC takes 0.01 s (bus.sync_period_s); export it with a step of which 0.01 s is"),
-    (3, "CoSimulation", "ModelExchange", "co-simulation: has none, only model exchange; export it for"),
+    (
+        3,
+        'name="hold_3"',
+        'name="halt_3"',
+        "hold_3: is not there; give a mapping with --unit-map if it has another "
+        "name; did you mean 'hold_",
+    ),
+    (
+        3,
+        'name="wheel_speed_2" valueReference="1" causality="input"',
+        'name="wheel_speed_2" valueReference="1" causality="local"',
+        "wheel_speed_2: is declared as local; it has to be an input",
+    ),
+    (
+        2,
+        'name="vent_1" valueReference="12" causality="output" variability="discrete"',
+        'name="vent_1" valueReference="12" causality="output" variability="constant"',
+        "vent_1: has the variability constant; allowed are",
+    ),
+    (
+        3,
+        '<Float64 unit="rad/s" name="wheel_speed_1" valueReference="0" causality="input" variability="continuous" '
+        'start="0"/>',
+        '<Float64 name="wheel_speed_1" valueReference="0" causality="input" variability="continuous" '
+        'start="0 0"><Dimension start="2"/></Float64>',
+        "wheel_speed_1: is an array; allowed are single numbers",
+    ),
+    (
+        2,
+        '<Real unit="rad/s" start="0"/>',
+        '<Real unit="m/s" start="0"/>',
+        "wheel_speed_1: has the unit m/s, which is "
+        "no unit of this quantity; declare rad/s, or give a mapping with --unit-map and "
+        "its factor (for m/s the wheel's",
+    ),
+    (
+        3,
+        'unit="Pa"',
+        'unit="psi"',
+        "cylinder_pressure_4: has the unit psi, which it does not define; declare Pa",
+    ),
+    (
+        3,
+        'canHandleVariableCommunicationStepSize="true"',
+        'fixedInternalStepSize="0.004"',
+        "step: its own steps take "
+        "0.004 s, and one doStep a SYNC takes 0.01 s (bus.sync_period_s); export it with a step of which 0.01 s is",
+    ),
+    (
+        3,
+        "CoSimulation",
+        "ModelExchange",
+        "co-simulation: has none, only model exchange; export it for",
+    ),
 ]
 
 
@@ -139,25 +209,39 @@ def test_an_fmu_that_does_not_fit_is_refused_before_the_run(version, old, new, s
 
 
 def test_an_fmu_of_fmi_1_is_refused_by_name(tmp_path):
-    first = ('<?xml version="1.0"?><fmiModelDescription fmiVersion="1.0" modelName="old" modelIdentifier="old" '
-             'guid="g" numberOfContinuousStates="0" numberOfEventIndicators="0"/>')
-    with pytest.raises(ConfigError, match=r"is an FMU of FMI 1\.0; export it for FMI 2\.0 or 3\.0, co-simulation"):
+    first = (
+        '<?xml version="1.0"?><fmiModelDescription fmiVersion="1.0" modelName="old" modelIdentifier="old" '
+        'guid="g" numberOfContinuousStates="0" numberOfEventIndicators="0"/>'
+    )
+    with pytest.raises(
+        ConfigError, match=r"is an FMU of FMI 1\.0; export it for FMI 2\.0 or 3\.0, co-simulation"
+    ):
         fmu_file.fit(fmus.build(tmp_path, edit=lambda xml: first), None, 0.01)
 
 
 def test_an_fmu_without_a_binary_for_this_machine_says_which_it_has(tmp_path, monkeypatch):
     unit = fmus.build(tmp_path, binary=False)
-    with pytest.raises(ConfigError, match=r"binaries for no platform, none for this machine .*; have it exported for"):
+    with pytest.raises(
+        ConfigError,
+        match=r"binaries for no platform, none for this machine .*; have it exported for",
+    ):
         fmu_file.fit(unit, None, 0.01)
     unit = fmus.build(tmp_path, name="source", binary=False, sources=True)
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(ConfigError, match=r"no platform, sources, none .*; install a C compiler \(cc\)"):
+    with pytest.raises(
+        ConfigError, match=r"no platform, sources, none .*; install a C compiler \(cc\)"
+    ):
         fmu_file.fit(unit, None, 0.01)
 
 
-@pytest.mark.parametrize(("content", "said"), [
-    (b"no archive", "is no FMU, which is a ZIP archive"), (None, "No such file"),
-    (b"PK\5\6" + bytes(18), "holds no modelDescription.xml")])
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"no archive", "is no FMU, which is a ZIP archive"),
+        (None, "No such file"),
+        (b"PK\5\6" + bytes(18), "holds no modelDescription.xml"),
+    ],
+)
 def test_a_file_that_is_no_fmu_is_refused(content, said, tmp_path):
     path = tmp_path / "unit.fmu"
     if content is not None:
@@ -184,8 +268,12 @@ def test_check_says_what_an_fmu_is_and_whether_it_fits(fmu, tmp_path, capsys):
     rows = {one["name"]: one for one in json.loads(capsys.readouterr().out)["checks"]}
     assert rows["FMU"]["found"] == "FMI 3.0, wsp"
     assert rows["platform"]["found"] == "binaries for x86_64-linux"
-    assert rows["wheel_speed_1"] == {"name": "wheel_speed_1", "state": "ok", "mend": "",
-                                     "found": "input, Float64: measured_speed_1"}
+    assert rows["wheel_speed_1"] == {
+        "name": "wheel_speed_1",
+        "state": "ok",
+        "mend": "",
+        "found": "input, Float64: measured_speed_1",
+    }
     wrong = fmus.build(tmp_path, edit=lambda xml: xml.replace("vent_4", "went_4"))
     assert cli.main(["check", str(wrong)]) == 2
     assert "missing" in capsys.readouterr().out

@@ -25,16 +25,27 @@ def said(run):
     return (run.out / "wsp.log").read_text()
 
 
-def test_the_reference_rules_on_a_can_node_of_an_fmu_give_the_channels_of_the_reference_unit(stop_with_wsp, tmp_path):
+def test_the_reference_rules_on_a_can_node_of_an_fmu_give_the_channels_of_the_reference_unit(
+    stop_with_wsp, tmp_path
+):
     # each frame waits for the confirmation of the last
     unit = fmus.build_can(tmp_path)
-    run = bench_process.run(tmp_path / "run", "--pacing", "lockstep", "--set", "duration_max_s=12",
-                            "--wsp", f"fmu:{unit}")
+    run = bench_process.run(
+        tmp_path / "run",
+        "--pacing",
+        "lockstep",
+        "--set",
+        "duration_max_s=12",
+        "--wsp",
+        f"fmu:{unit}",
+    )
     assert not run.heard("has ended"), run.stderr + said(run)
     ours, theirs = run.record, stop_with_wsp.record
     assert ours.column("vents_1")[-1] > 0
     for name in signals.COLUMNS:
-        np.testing.assert_array_equal(ours.column(name), theirs.column(name)[:len(ours.column(name))], err_msg=name)
+        np.testing.assert_array_equal(
+            ours.column(name), theirs.column(name)[: len(ours.column(name))], err_msg=name
+        )
     assert json.loads((run.out / "summary.json").read_text())["wsp"]["unit"] == f"fmu:{unit}"
 
 
@@ -42,7 +53,10 @@ def test_a_can_node_of_an_fmu_that_crashes_is_a_unit_that_died_and_the_record_is
     unit = fmus.build_can(tmp_path, defines=["CRASH_AT_S=0.5", "SEGFAULT"])
     run = bench_process.run(tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}")
     assert run.status == 2
-    assert "the WSP unit wsp.fmu has ended with status -11; its last words: the next step crashes" in run.stderr
+    assert (
+        "the WSP unit wsp.fmu has ended with status -11; its last words: the next step crashes"
+        in run.stderr
+    )
     assert "Traceback" not in run.stderr + said(run)
     assert run.heard("the WSP unit wsp.fmu has ended with status -11")
     assert len(run.record.column("time_s")) > 45
@@ -53,13 +67,23 @@ def test_the_brakes_apply_when_a_can_node_of_an_fmu_hangs_in_real_time_also_on_o
     unit = fmus.build_can(tmp_path, defines=["HANG_AT_S=1.0"])
     core = min(os.sched_getaffinity(0))
     # the unit may be late where the machine is busy
-    run = bench_process.run(tmp_path / "run", "--set", "duration_max_s=15", "--answer-wait", "2", "--wsp",
-                            f"fmu:{unit}", before=functools.partial(os.sched_setaffinity, 0, {core}))
+    run = bench_process.run(
+        tmp_path / "run",
+        "--set",
+        "duration_max_s=15",
+        "--answer-wait",
+        "2",
+        "--wsp",
+        f"fmu:{unit}",
+        before=functools.partial(os.sched_setaffinity, 0, {core}),
+    )
     assert run.status == 4  # not valid
     assert run.heard("the WSP unit (node 32) lost")
     lost_s = min(time_s for time_s, _, text in records.events(run.out) if "(node 32) lost" in text)
     assert lost_s < 3.0
-    assert run.heard("the WSP unit wsp.fmu has ended with status 5; its last words: wsp.fmu hangs: its event at ")
+    assert run.heard(
+        "the WSP unit wsp.fmu has ended with status 5; its last words: wsp.fmu hangs: its event at "
+    )
     assert all(run.record.column(f"magnets_{axle}")[-1] == 0 for axle in range(1, 5))
     assert run.record.column("time_s")[-1] > 14.9
 
@@ -83,20 +107,37 @@ def test_several_fmus_share_the_bus_and_a_run_repeats(tmp_path):
 
 def test_what_the_bus_does_not_carry_and_its_error_frames_are_told_to_the_node(tmp_path):
     unit = fmus.build_can(tmp_path, clock="countdown", defines=["GARBAGE", "FD"])
-    run = bench_process.run(tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}",
-                            "--fault", "error_frame node=16 at=1 for=0.1")
-    for told in ("wsp.fmu has sent what is no operation of FMI-LS-BUS: 99 00 00 00 0a 00",
-                 "format error of 10 bytes, code 99", "bus error 3 of 123, flag 1, sender 1",
-                 "wsp.fmu is error passive", "bus error 1 of 190, flag 2, sender 0"):
+    run = bench_process.run(
+        tmp_path / "run",
+        *SHORT,
+        "--wsp",
+        f"fmu:{unit}",
+        "--fault",
+        "error_frame node=16 at=1 for=0.1",
+    )
+    for told in (
+        "wsp.fmu has sent what is no operation of FMI-LS-BUS: 99 00 00 00 0a 00",
+        "format error of 10 bytes, code 99",
+        "bus error 3 of 123, flag 1, sender 1",
+        "wsp.fmu is error passive",
+        "bus error 1 of 190, flag 2, sender 0",
+    ):
         assert told in said(run), said(run)
     assert run.record.column("time_s")[-1] > 1.9
 
 
 def test_a_node_of_another_bit_rate_is_refused(tmp_path):
-    run = bench_process.run(tmp_path / "run", *SHORT, "--wsp",
-                            f"fmu:{fmus.build_can(tmp_path, defines=['BAUD=250000'])}")
+    run = bench_process.run(
+        tmp_path / "run",
+        *SHORT,
+        "--wsp",
+        f"fmu:{fmus.build_can(tmp_path, defines=['BAUD=250000'])}",
+    )
     assert run.status == 2
-    assert "sets its CAN controller to 250000 bit/s, and the bus of the rig has 500000 bit/s" in run.stderr
+    assert (
+        "sets its CAN controller to 250000 bit/s, and the bus of the rig has 500000 bit/s"
+        in run.stderr
+    )
 
 
 def test_a_terminal_is_found_by_its_media_type_or_refused(tmp_path, capsys):
@@ -105,6 +146,7 @@ def test_a_terminal_is_found_by_its_media_type_or_refused(tmp_path, capsys):
             for old, new in edits:
                 xml = xml.replace(old, new)
             return xml
+
         return fmus.build_can(tmp_path, name, edit=edit)
 
     assert cli.main(["check", str(changed("good")), "--json"]) == 0
@@ -112,12 +154,22 @@ def test_a_terminal_is_found_by_its_media_type_or_refused(tmp_path, capsys):
     assert rows["terminal Can0"] == 'FMI-LS-BUS, can; version="1.0.0"'
     assert rows["Tx_Clock"] == "triggered"
     for name, old, new, wrong in [
-            ("lin", "fmi-ls-bus.can", "fmi-ls-bus.lin", "the rig's bus is CAN"),
-            ("later", "1.0.0", "2.0.0", "the rig's bus is CAN: export it with a terminal of the media type"),
-            ("events", ' hasEventMode="true"', "", "event mode: hasEventMode is false"),
-            ("member", 'memberName="Tx_Clock"', 'memberName="Clock"', "Can0 Tx_Clock: is not there"),
-            ("way", 'name="Can0.Rx_Data" valueReference="1" causality="input"',
-             'name="Can0.Rx_Data" valueReference="1" causality="local"', "Can0 Rx_Data: is declared as local")]:
+        ("lin", "fmi-ls-bus.can", "fmi-ls-bus.lin", "the rig's bus is CAN"),
+        (
+            "later",
+            "1.0.0",
+            "2.0.0",
+            "the rig's bus is CAN: export it with a terminal of the media type",
+        ),
+        ("events", ' hasEventMode="true"', "", "event mode: hasEventMode is false"),
+        ("member", 'memberName="Tx_Clock"', 'memberName="Clock"', "Can0 Tx_Clock: is not there"),
+        (
+            "way",
+            'name="Can0.Rx_Data" valueReference="1" causality="input"',
+            'name="Can0.Rx_Data" valueReference="1" causality="local"',
+            "Can0 Rx_Data: is declared as local",
+        ),
+    ]:
         with pytest.raises(ConfigError, match=wrong):
             fmu_file.fit(changed(name, (old, new)), None, 0.01)
     with pytest.raises(ConfigError, match="has no CAN port, so it has to be the only unit"):
@@ -135,7 +187,11 @@ def test_operations_are_read_as_they_were_written_and_the_rest_is_corrupt():
     told = ls_bus.transmit(frame)
     # FMI-LS-BUS 1.0, CAN Transmit: code, length, identifier, Ide, Rtr, data length, data
     assert told == bytes.fromhex("10000000 13000000 23010000 00 00 0300 010203")
-    pieces = [told, ls_bus.build(Code.CONFIRM, 0x123), ls_bus.build(Code.CONFIGURATION, 1, data=bytes(4))]
+    pieces = [
+        told,
+        ls_bus.build(Code.CONFIRM, 0x123),
+        ls_bus.build(Code.CONFIGURATION, 1, data=bytes(4)),
+    ]
     read = list(ls_bus.read(b"".join(pieces)))
     assert [raw for raw, _ in read] == pieces
     assert read[0][1].frame == frame

@@ -15,15 +15,26 @@ CASES = {
     "dry": ("dry_stop", SHORT),
     "plain track": ("velim_a1", (*SHORT, "rig=plain_track")),
     "friction by place": ("step_adhesion", SHORT),
-    "pole wheels": ("velim_a1", (*SHORT, "sensor.model=\"pole_wheel\"")),
+    "pole wheels": ("velim_a1", (*SHORT, 'sensor.model="pole_wheel"')),
     "other vehicle": ("velim_a1", (*SHORT, "vehicle.mass_kg=30000.0")),
-    "other wheels of one axle": ("velim_a1", (*SHORT, "mechanisms.wheel_radius_fraction=0.03",
-                                              "mechanisms.wheel_radius_axle=2.0",
-                                              "mechanisms.wheel_inertia_fraction=0.2",
-                                              "mechanisms.wheel_inertia_axle=3.0")),
+    "other wheels of one axle": (
+        "velim_a1",
+        (
+            *SHORT,
+            "mechanisms.wheel_radius_fraction=0.03",
+            "mechanisms.wheel_radius_axle=2.0",
+            "mechanisms.wheel_inertia_fraction=0.2",
+            "mechanisms.wheel_inertia_axle=3.0",
+        ),
+    ),
 }
 # what is a small difference of large numbers
-LOOSE = {"tracking_error_1_m_s", "tracking_error_2_m_s", "tracking_error_3_m_s", "tracking_error_4_m_s"}
+LOOSE = {
+    "tracking_error_1_m_s",
+    "tracking_error_2_m_s",
+    "tracking_error_3_m_s",
+    "tracking_error_4_m_s",
+}
 
 
 def simulate(plan):
@@ -32,7 +43,9 @@ def simulate(plan):
 
 @pytest.fixture(scope="module")
 def plans():
-    return {name: scenario.load(stem, settings=settings) for name, (stem, settings) in CASES.items()}
+    return {
+        name: scenario.load(stem, settings=settings) for name, (stem, settings) in CASES.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -68,10 +81,16 @@ def test_without_a_unit_no_magnet_is_energised(plans):
     assert max(channels[f"magnets_{axle}"].max() for axle in (1, 2, 3, 4)) == 0.0
 
 
-@pytest.mark.parametrize("setting", ["rig=virtual_track", "contact.model=\"polach\"",
-                                     "mechanisms.brake_gain_gain=0.1",
-                                     "mechanisms.adhesion_memory_length_m=2.0",
-                                     "mechanisms.wheel_out_of_round_amplitude=0.05"])
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "rig=virtual_track",
+        'contact.model="polach"',
+        "mechanisms.brake_gain_gain=0.1",
+        "mechanisms.adhesion_memory_length_m=2.0",
+        "mechanisms.wheel_out_of_round_amplitude=0.05",
+    ],
+)
 def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
     plan = scenario.load("velim_a1", settings=("initial_speed_m_s=2.0", setting))
     assert not four_stops.fits(plan)
@@ -82,5 +101,7 @@ def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
 
 def test_compiled_views_of_a_unit_are_the_views():
     unit = np.arange(float(logic.SIZE))
-    assert all(np.array_equal(here, there)
-               for here, there in zip(four_stops.see_unit.py_func(unit), logic.views(unit), strict=True))
+    assert all(
+        np.array_equal(here, there)
+        for here, there in zip(four_stops.see_unit.py_func(unit), logic.views(unit), strict=True)
+    )

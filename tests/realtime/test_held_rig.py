@@ -35,7 +35,8 @@ def test_it_rolls_without_sliding_at_its_set_speed_and_time_stands_still(machine
     assert row[signals.span("wheel_circumferential_speed")] == pytest.approx([10.0] * 4)
     assert row[signals.span("sliding")] == pytest.approx([0.0] * 4, abs=1e-9)
     assert row[signals.span("wheel_angle")] == pytest.approx(
-        0.05 * row[signals.span("wheel_speed")], rel=1e-9)
+        0.05 * row[signals.span("wheel_speed")], rel=1e-9
+    )
     assert row[signals.column("time")] == row[signals.column("position")] == 0.0
     assert (machine.control[TICK], machine.control[HELD]) == (0, 50)
     assert machine.ring_header[ring.WRITTEN] == 0

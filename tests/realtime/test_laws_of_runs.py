@@ -10,8 +10,12 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.record import channels
 from rollerrig.wsp_interface.signals import AXLES
 
-RIGS = {"rollers": ("rig=full_scale",), "small_rollers": ("rig=full_scale", "contact.roller_radius_m=0.5"),
-        "virtual_track": ("rig=virtual_track",), "track": ("rig=plain_track",)}
+RIGS = {
+    "rollers": ("rig=full_scale",),
+    "small_rollers": ("rig=full_scale", "contact.roller_radius_m=0.5"),
+    "virtual_track": ("rig=virtual_track",),
+    "track": ("rig=plain_track",),
+}
 WITHIN = 1e-3
 
 
@@ -25,12 +29,17 @@ class Record:
         self.time_s = self.columns["time_s"]
         self.speed_m_s = self.columns["vehicle_speed_m_s"]
         vehicle = self.plan["vehicle"]
-        self.resistance_N = (vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * self.speed_m_s
-                             + vehicle["resistance_C_N_s2_m2"] * self.speed_m_s**2)
+        self.resistance_N = (
+            vehicle["resistance_A_N"]
+            + vehicle["resistance_B_N_s_m"] * self.speed_m_s
+            + vehicle["resistance_C_N_s2_m2"] * self.speed_m_s**2
+        )
 
     def axles(self, name, unit=""):
         suffix = f"_{unit}" if unit else ""
-        return np.column_stack([self.columns[f"{name}_{axle}{suffix}"] for axle in range(1, AXLES + 1)])
+        return np.column_stack(
+            [self.columns[f"{name}_{axle}{suffix}"] for axle in range(1, AXLES + 1)]
+        )
 
     def integral(self, values):
         """Over the run, of all axles together."""
@@ -38,7 +47,9 @@ class Record:
         return np.trapezoid(total, self.time_s)
 
 
-@pytest.fixture(scope="module", params=itertools.product(RIGS, ("planar", "multibody")), ids="-".join)
+@pytest.fixture(
+    scope="module", params=itertools.product(RIGS, ("planar", "multibody")), ids="-".join
+)
 def record(request, tmp_path_factory):
     rig, model = request.param
     settings = (*RIGS[rig], f"vehicle.model={model}", "duration_max_s=4", "loop.record_hz=1000")
@@ -48,13 +59,21 @@ def record(request, tmp_path_factory):
     return Record(folder, settings)
 
 
-def test_what_contacts_and_air_hold_back_is_the_momentum_and_the_energy_that_the_vehicle_loses(record):
+def test_what_contacts_and_air_hold_back_is_the_momentum_and_the_energy_that_the_vehicle_loses(
+    record,
+):
     mass_kg, speed_m_s = record.plan["vehicle"]["mass_kg"], record.speed_m_s
-    force_N = (record.axles("adhesion") * record.axles("wheel_load", "N")).sum(axis=1) + record.resistance_N
+    force_N = (record.axles("adhesion") * record.axles("wheel_load", "N")).sum(
+        axis=1
+    ) + record.resistance_N
     momentum_kg_m_s, energy_J = mass_kg * speed_m_s, 0.5 * mass_kg * speed_m_s**2
     assert momentum_kg_m_s[0] > momentum_kg_m_s[-1] + 1000.0
-    assert record.integral(force_N) == pytest.approx(momentum_kg_m_s[0] - momentum_kg_m_s[-1], rel=WITHIN)
-    assert record.integral(force_N * speed_m_s) == pytest.approx(energy_J[0] - energy_J[-1], rel=WITHIN)
+    assert record.integral(force_N) == pytest.approx(
+        momentum_kg_m_s[0] - momentum_kg_m_s[-1], rel=WITHIN
+    )
+    assert record.integral(force_N * speed_m_s) == pytest.approx(
+        energy_J[0] - energy_J[-1], rel=WITHIN
+    )
 
 
 def test_what_brakes_and_contacts_take_is_the_energy_that_is_lost_or_comes_from_the_motors(record):
@@ -62,7 +81,10 @@ def test_what_brakes_and_contacts_take_is_the_energy_that_is_lost_or_comes_from_
     vehicle, drive = record.plan["vehicle"], record.plan["drive"]
     wheel, roller = record.axles("wheel_speed", "rad_s"), record.axles("roller_speed", "rad_s")
     kinetic_J = 0.5 * vehicle["wheelset_inertia_kgm2"] * (wheel**2).sum(axis=1)
-    taken_J = record.integral(record.axles("brake_torque", "Nm") * wheel) + record.axles("sliding_work", "J")[-1].sum()
+    taken_J = (
+        record.integral(record.axles("brake_torque", "Nm") * wheel)
+        + record.axles("sliding_work", "J")[-1].sum()
+    )
     if record.plan["rig"]["mode"] == "contaminated_rollers":
         kinetic_J = kinetic_J + 0.5 * drive["roller_inertia_kgm2"] * (roller**2).sum(axis=1)
         taken_J -= record.integral(record.axles("motor_torque", "Nm") * roller)

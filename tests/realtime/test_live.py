@@ -80,9 +80,13 @@ def test_a_viewer_sees_the_run_under_the_recorders_name(run, tmp_path):
     server = int(until(lambda: listening(worker))[0].split(":")[1], 16)
     port = viewer.free_port()
     shown = subprocess.Popen(
-        viewer.command("--headless", "--port", str(port), "--connect",
-                       f"rerun+http://127.0.0.1:{server}/proxy"),
-        env=viewer.environment(), start_new_session=True, stderr=subprocess.DEVNULL)
+        viewer.command(
+            "--headless", "--port", str(port), "--connect", f"rerun+http://127.0.0.1:{server}/proxy"
+        ),
+        env=viewer.environment(),
+        start_new_session=True,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         for number in range(100):
             paced_writer.write(to, number)
@@ -92,8 +96,12 @@ def test_a_viewer_sees_the_run_under_the_recorders_name(run, tmp_path):
                 pytest.skip("no graphics driver for the viewer")
             try:
                 client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-                return {(one.store_id, line.end) for one in client.get_state().recordings
-                        for line in one.timelines if line.name == "t"}
+                return {
+                    (one.store_id, line.end)
+                    for one in client.get_state().recordings
+                    for line in one.timelines
+                    if line.name == "t"
+                }
             except Exception:
                 return set()  # not up yet
 
@@ -181,10 +189,16 @@ def test_few_rows_are_not_thinned():
     assert live.thin(rows, 100) is rows or np.array_equal(live.thin(rows, 100), rows)
 
 
-@pytest.mark.parametrize(("beat_s", "begun_s", "now_s", "expected"), [
-    (100.0, 0.0, 104.9, True), (100.0, 0.0, 105.1, False),
-    (0.0, 90.0, 100.0, True), (0.0, 70.0, 100.0, False),
-])
+@pytest.mark.parametrize(
+    ("beat_s", "begun_s", "now_s", "expected"),
+    [
+        (100.0, 0.0, 104.9, True),
+        (100.0, 0.0, 105.1, False),
+        (0.0, 90.0, 100.0, True),
+        (0.0, 70.0, 100.0, False),
+    ],
+)
 def test_a_heart_that_has_stopped_is_told_from_one_that_has_yet_to_beat(
-        beat_s, begun_s, now_s, expected):
+    beat_s, begun_s, now_s, expected
+):
     assert live.alive(beat_s, begun_s, now_s) is expected

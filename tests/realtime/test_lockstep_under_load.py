@@ -17,14 +17,23 @@ from rollerrig.realtime.record import records
 
 # faults one after the other: a unit without speeds, speeds that come now and then, and late, answers that come late, a
 # unit that sleeps, one that sleeps while there are no speeds; and a wire that frames wait for, one that is never silent
-FAULTS = ("node_off node=16 at=0.3 for=0.6", "frame_lost can_id=0x190 every=2 at=1.2 for=0.5",
-          "frame_delayed can_id=0x190 delay_s=0.033 at=2 for=0.5", "wsp_frozen at=3.4 for=0.7",
-          "frame_delayed can_id=0x211 delay_s=0.05 at=2.7 for=0.5", "wsp_frozen at=4.6 for=0.7",
-          "node_off node=16 at=4.8 for=0.6")
+FAULTS = (
+    "node_off node=16 at=0.3 for=0.6",
+    "frame_lost can_id=0x190 every=2 at=1.2 for=0.5",
+    "frame_delayed can_id=0x190 delay_s=0.033 at=2 for=0.5",
+    "wsp_frozen at=3.4 for=0.7",
+    "frame_delayed can_id=0x211 delay_s=0.05 at=2.7 for=0.5",
+    "wsp_frozen at=4.6 for=0.7",
+    "node_off node=16 at=4.8 for=0.6",
+)
 BABBLE = "node_babbling node=17 can_id=0x101 rate_Hz=4000 at=0.6 for=0.3"
 CASES = {
     "plain": ("--set", "duration_max_s=6"),
-    "faults": ("--set", "duration_max_s=6", *(word for fault in FAULTS for word in ("--fault", fault))),
+    "faults": (
+        "--set",
+        "duration_max_s=6",
+        *(word for fault in FAULTS for word in ("--fault", fault)),
+    ),
     "wire": ("--set", "duration_max_s=1.2", "--set", "bus.arbitration=true", "--fault", BABBLE),
 }
 
@@ -32,7 +41,10 @@ CASES = {
 @contextlib.contextmanager
 def busy_cores():
     """Twice as many processes that count as there are cores."""
-    beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * os.cpu_count())]
+    beside = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"])
+        for _ in range(2 * os.cpu_count())
+    ]
     try:
         yield
     finally:
@@ -72,9 +84,13 @@ def same(one, other):
     assert lines == others, f"{len(lines)} and {len(others)} frames; {differ}"
     for name in one.record.table.column_names:
         if not name.startswith("tick_"):
-            assert np.array_equal(one.record.column(name), other.record.column(name), equal_nan=True), name
-    told, told_too = ([text for _, level, text in records.events(bench.out) if level != "info"]
-                      for bench in (one, other))
+            assert np.array_equal(
+                one.record.column(name), other.record.column(name), equal_nan=True
+            ), name
+    told, told_too = (
+        [text for _, level, text in records.events(bench.out) if level != "info"]
+        for bench in (one, other)
+    )
     assert told == told_too
 
 
@@ -85,16 +101,24 @@ def undisturbed(tmp_path_factory):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_run_in_lockstep_whose_bench_is_stopped_now_and_then_is_the_same_to_the_byte(case, undisturbed, tmp_path):
-    counts, go_s = [], 0.02 if case == "wire" else 0.05  # the one that is over in 0.2 s on a fast machine
-    disturbed = run(tmp_path / "run", CASES[case], lambda bench: counts.append(stop_and_go(bench, go_s=go_s)))
+def test_a_run_in_lockstep_whose_bench_is_stopped_now_and_then_is_the_same_to_the_byte(
+    case, undisturbed, tmp_path
+):
+    counts, go_s = (
+        [],
+        0.02 if case == "wire" else 0.05,
+    )  # the one that is over in 0.2 s on a fast machine
+    disturbed = run(
+        tmp_path / "run", CASES[case], lambda bench: counts.append(stop_and_go(bench, go_s=go_s))
+    )
     same(undisturbed(case), disturbed)
     assert counts[0] > 3
 
 
 @pytest.mark.parametrize("case", ["plain", "faults"])
 def test_a_run_in_lockstep_beside_twice_as_many_busy_processes_as_cores_is_the_same_to_the_byte(
-        case, undisturbed, tmp_path):
+    case, undisturbed, tmp_path
+):
     with busy_cores():
         disturbed = run(tmp_path / "run", CASES[case])
     same(undisturbed(case), disturbed)
@@ -109,7 +133,10 @@ def test_a_unit_that_is_only_slow_is_waited_for(undisturbed, tmp_path):
         os.kill(unit, signal.SIGCONT)
 
     # it lives: six times the wait
-    same(undisturbed("plain"), run(tmp_path / "run", (*CASES["plain"], "--answer-wait", "1"), stop_the_unit))
+    same(
+        undisturbed("plain"),
+        run(tmp_path / "run", (*CASES["plain"], "--answer-wait", "1"), stop_the_unit),
+    )
 
 
 def test_an_outside_unit_may_owe_its_answer_for_the_time_that_is_asked_for(tmp_path):
@@ -117,7 +144,9 @@ def test_an_outside_unit_may_owe_its_answer_for_the_time_that_is_asked_for(tmp_p
         time.sleep(2.0 if n == 50 else 0.0)
         return [(MAGNETS, b"\0")]
 
-    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--set", "duration_max_s=2")
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--set", "duration_max_s=2"
+    )
     unit = SimpleUnit(bench.address(), answer)
     bench.finish()
     unit.close()

@@ -18,7 +18,9 @@ MS = 1_000_000
 
 def built(folder, duration_s):
     ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
-    return tick_data.build(scenario.load("velim_a1", settings=(f"duration_max_s={duration_s}",)), ring)
+    return tick_data.build(
+        scenario.load("velim_a1", settings=(f"duration_max_s={duration_s}",)), ring
+    )
 
 
 @pytest.fixture
@@ -56,7 +58,7 @@ def test_a_loop_that_is_behind_catches_up_and_counts_what_it_missed(machine):
     assert machine.control[TICK] == 500
     assert 20 <= machine.control[MISSED] <= 500
     assert machine.control[WORST_NS] >= 59 * MS
-    assert histogram[loop.BINS - 1:].sum() >= 30  # all that is 20 ms late or more
+    assert histogram[loop.BINS - 1 :].sum() >= 30  # all that is 20 ms late or more
 
 
 def test_a_long_stall_starts_afresh_and_counts_every_tick_of_it(machine):
@@ -117,7 +119,11 @@ def test_percentiles_agree_with_those_of_the_values_themselves():
 
 def test_no_ticks_have_no_lateness():
     assert loop.percentiles(np.zeros(loop.BINS, dtype=np.int64), 0) == {
-        "p50": 0.0, "p99": 0.0, "p999": 0.0, "max": 0.0}
+        "p50": 0.0,
+        "p99": 0.0,
+        "p999": 0.0,
+        "max": 0.0,
+    }
 
 
 def test_a_core_that_is_not_there_is_refused_with_those_that_are():
@@ -125,7 +131,7 @@ def test_a_core_that_is_not_there_is_refused_with_those_that_are():
     thread = threading.Thread(target=lambda: said.extend(loop.ask_for_priority(0, 1023)))
     thread.start()
     thread.join()
-    text, = said
+    (text,) = said
     assert "core 1023" in text
     assert "loop.cpu" in text
     assert str(sorted(os.sched_getaffinity(0))[0]) in text

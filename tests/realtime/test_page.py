@@ -51,9 +51,21 @@ def test_a_table_without_rows_is_not_there():
 
 def test_a_report_on_paper_is_a_pdf_with_its_pictures_and_tables(tmp_path):
     with page.on_paper():
-        text = page.page("a < b", page.facts({"unit under test": "ACME"}), page.picture(draw), page.table(
-            ("measure", "result"), [(page.element("span", "lock", page.BREAK, page.element("small", "µ ≤ 1")), "fail")],
-            ["marked"]))
+        text = page.page(
+            "a < b",
+            page.facts({"unit under test": "ACME"}),
+            page.picture(draw),
+            page.table(
+                ("measure", "result"),
+                [
+                    (
+                        page.element("span", "lock", page.BREAK, page.element("small", "µ ≤ 1")),
+                        "fail",
+                    )
+                ],
+                ["marked"],
+            ),
+        )
     content = pdf.write(text, tmp_path / "report.pdf").read_bytes()
     assert content.startswith(b"%PDF")
     assert b"/Image" in content

@@ -48,8 +48,12 @@ class Killed:
 
     def __init__(self, folder):
         self.folder = folder
-        self.bench = subprocess.Popen([sys.executable, paced_writer.__file__, str(folder)],
-                                      stdout=subprocess.PIPE, text=True, start_new_session=True)
+        self.bench = subprocess.Popen(
+            [sys.executable, paced_writer.__file__, str(folder)],
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
 
     def kill(self, victims):
         """Kill the victims once enough is written, and wait for what is left to end."""
@@ -76,8 +80,12 @@ class Killed:
             path.unlink(missing_ok=True)
 
 
-VICTIMS = {"bench_killed": ("bench",), "group_killed": ("group",), "recorder_killed": ("recorder",),
-           "both_killed": ("recorder", "group")}
+VICTIMS = {
+    "bench_killed": ("bench",),
+    "group_killed": ("group",),
+    "recorder_killed": ("recorder",),
+    "both_killed": ("recorder", "group"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +185,13 @@ def test_a_finished_run_is_recorded_whole(begun):
     assert run.summary["recorder"]["lost"] == 0
     assert last_drawn_s(folder / "run.rrd") == 9.99
     assert sorted(path.name for path in folder.iterdir()) == [
-        "can.log", "channels.parquet", "events.jsonl", "run.rrd", "scenario.toml", "summary.json"]
+        "can.log",
+        "channels.parquet",
+        "events.jsonl",
+        "run.rrd",
+        "scenario.toml",
+        "summary.json",
+    ]
 
 
 def resident_MB(process):
@@ -213,11 +227,15 @@ def test_the_recording_holds_the_values_of_the_channels(begun):
         batch = chunk.to_record_batch()
         if "Scalars:scalars" in batch.schema.names:
             found[str(chunk.entity_path)] = np.array(batch["Scalars:scalars"].to_pylist())
-    assert np.array_equal(found["/speeds/vehicle_speed"][:, 0], 3.6 * np.array(table["vehicle_speed_m_s"]))  # km/h
+    assert np.array_equal(
+        found["/speeds/vehicle_speed"][:, 0], 3.6 * np.array(table["vehicle_speed_m_s"])
+    )  # km/h
     assert found["/adhesion/adhesion_2"][:, 0].tolist() == table["adhesion_2"].to_pylist()
     for axle in range(signals.AXLES):
-        assert found["/sliding/sliding"][:, axle].tolist() == table[
-            f"sliding_{axle + 1}_m_s"].to_pylist()
+        assert (
+            found["/sliding/sliding"][:, axle].tolist()
+            == table[f"sliding_{axle + 1}_m_s"].to_pylist()
+        )
 
 
 def test_rows_that_were_overrun_are_counted_and_told(begun):
@@ -269,12 +287,15 @@ def test_each_run_has_a_recording_of_its_own(tmp_path):
     assert recorder.recording_id(tmp_path, first) != recorder.recording_id(tmp_path / "x", first)
 
 
-@pytest.mark.parametrize(("word", "length", "line"), [
-    (0x181, 8, "(0000000001.500000) rig0 181#0807060504030201"),
-    (0x181, 2, "(0000000001.500000) rig0 181#0807"),
-    (0x1ABCDEF0 | ring.EXTENDED_FLAG, 1, "(0000000001.500000) rig0 1ABCDEF0#08"),
-    (0x702 | ring.REMOTE_FLAG, 0, "(0000000001.500000) rig0 702#R"),
-])
+@pytest.mark.parametrize(
+    ("word", "length", "line"),
+    [
+        (0x181, 8, "(0000000001.500000) rig0 181#0807060504030201"),
+        (0x181, 2, "(0000000001.500000) rig0 181#0807"),
+        (0x1ABCDEF0 | ring.EXTENDED_FLAG, 1, "(0000000001.500000) rig0 1ABCDEF0#08"),
+        (0x702 | ring.REMOTE_FLAG, 0, "(0000000001.500000) rig0 702#R"),
+    ],
+)
 def test_a_row_of_the_frame_ring_is_a_line_of_a_candump_log(word, length, line):
     from rollerrig.wsp_interface.bus import frames
 

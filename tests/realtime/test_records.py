@@ -26,7 +26,8 @@ def folder(tmp_path):
     written.finish()
     (tmp_path / "scenario.toml").write_text('title = "a run"\n[loop]\ntick_hz = 1000\n')
     (tmp_path / "events.jsonl").write_text(
-        json.dumps({"time_s": 1.5, "level": "info", "text": "first"}) + "\n")
+        json.dumps({"time_s": 1.5, "level": "info", "text": "first"}) + "\n"
+    )
     return tmp_path
 
 
@@ -112,15 +113,21 @@ def test_rows_are_taken_in_while_a_long_file_is_written_part_by_part(tmp_path, m
     assert np.array_equal(records.rows(channels.load(tmp_path)), expected)
 
 
-@pytest.mark.parametrize(("spoil", "message"), [
-    (lambda f: (f / "channels.parquet").unlink(), "channels.parquet: no such file"),
-    (lambda f: (f / "channels.parquet").write_bytes(b"PAR1 not"), "channels.parquet: damaged"),
-    (lambda f: (f / "scenario.toml").unlink(), "not a run's folder"),
-    (lambda f: (f / "scenario.toml").write_text("= ="), "scenario.toml: not valid TOML"),
-    (lambda f: (f / "events.jsonl").write_text("x\n{}\n"), "events.jsonl, line 1: not an event"),
-    (lambda f: (f / "summary.json").write_text("{"), "summary.json: not valid JSON"),
-    (lambda f: (f / "summary.json").write_text("[]"), "summary.json: an object is wanted"),
-])
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda f: (f / "channels.parquet").unlink(), "channels.parquet: no such file"),
+        (lambda f: (f / "channels.parquet").write_bytes(b"PAR1 not"), "channels.parquet: damaged"),
+        (lambda f: (f / "scenario.toml").unlink(), "not a run's folder"),
+        (lambda f: (f / "scenario.toml").write_text("= ="), "scenario.toml: not valid TOML"),
+        (
+            lambda f: (f / "events.jsonl").write_text("x\n{}\n"),
+            "events.jsonl, line 1: not an event",
+        ),
+        (lambda f: (f / "summary.json").write_text("{"), "summary.json: not valid JSON"),
+        (lambda f: (f / "summary.json").write_text("[]"), "summary.json: an object is wanted"),
+    ],
+)
 def test_what_is_missing_or_damaged_is_named(folder, spoil, message):
     spoil(folder)
     with pytest.raises(ConfigError, match=message):

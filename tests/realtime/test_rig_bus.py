@@ -17,8 +17,14 @@ class Rig:
     def __init__(self, *settings):
         self.hub, self.answers = Hub(lambda: 0), []
         plan = scenario.load("dry_stop", settings=settings)
-        rig_bus.RigBus(self.hub, plan, np.zeros(len(signals.COLUMNS)), lambda row: None, lambda level, text: None,
-                       lambda: 0)
+        rig_bus.RigBus(
+            self.hub,
+            plan,
+            np.zeros(len(signals.COLUMNS)),
+            lambda row: None,
+            lambda level, text: None,
+            lambda: 0,
+        )
         self.port = self.hub.attach(lambda frame: self.answers.append(frame.data), "client")
 
     def ask(self, node, data):
@@ -31,7 +37,9 @@ class Rig:
 
 
 @pytest.mark.parametrize("node", [1, 16, 17])
-def test_what_a_master_stores_in_a_node_is_there_in_the_next_run_of_a_rig_with_that_store(node, tmp_path):
+def test_what_a_master_stores_in_a_node_is_there_in_the_next_run_of_a_rig_with_that_store(
+    node, tmp_path
+):
     store = f"bus.store={tmp_path / 'memory'}"
     first = Rig(store)
     assert first.heartbeat_ms(node) == 100

@@ -41,17 +41,27 @@ def test_its_stop_is_that_of_a_free_run(rig, tmp_path):
     wsp = logic.new_unit(logic.load())
     description = fmpy.read_model_description(str(rig))
     reference = {one.name: one.valueReference for one in description.modelVariables}
-    fmu = fmi3.FMU3Slave(guid=description.guid, unzipDirectory=fmpy.extract(str(rig), str(tmp_path)),
-                         instanceName="rig", modelIdentifier=description.coSimulation.modelIdentifier)
+    fmu = fmi3.FMU3Slave(
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(str(rig), str(tmp_path)),
+        instanceName="rig",
+        modelIdentifier=description.coSimulation.modelIdentifier,
+    )
     fmu.instantiate()
     fmu.enterInitializationMode(startTime=0.0)
     fmu.exitInitializationMode()
     told = [f"{name}_{axle}" for name in ("wheel_speed", "cylinder_pressure") for axle in AXLES]
-    scales = [signals.BY_NAME[name].places[0].scale for name in ("measured_speed", "cylinder_pressure") for _ in AXLES]
+    scales = [
+        signals.BY_NAME[name].places[0].scale
+        for name in ("measured_speed", "cylinder_pressure")
+        for _ in AXLES
+    ]
     valves = [reference[f"{name}_{axle}"] for axle in AXLES for name in ("hold", "vent")]
     speeds_m_s = []
     for cycle in range(300):
-        counts = np.rint(np.array(fmu.getFloat64([reference[name] for name in told])) / scales).astype(np.int64)
+        counts = np.rint(
+            np.array(fmu.getFloat64([reference[name] for name in told])) / scales
+        ).astype(np.int64)
         byte = magnets(counts)
         fmu.setBoolean(valves, [bool(byte >> bit & 1) for bit in range(8)])
         speeds_m_s += fmu.getFloat64([reference["vehicle_speed"]])
@@ -60,7 +70,10 @@ def test_its_stop_is_that_of_a_free_run(rig, tmp_path):
     assert fmu.getFloat64([reference["time"]]) == [3.0]
     assert max(speeds_m_s) - min(speeds_m_s) > 1.0
     # what others ask of it, it does
-    fmu.setFloat64([reference[f"friction_{axle}"] for axle in AXLES] + [reference["brake_demand"]], [0.3] * 4 + [0.0])
+    fmu.setFloat64(
+        [reference[f"friction_{axle}"] for axle in AXLES] + [reference["brake_demand"]],
+        [0.3] * 4 + [0.0],
+    )
     fmu.setBoolean(valves, [False] * 8)
     cylinders = [reference[f"cylinder_pressure_{axle}"] for axle in AXLES]
     before_Pa = fmu.getFloat64(cylinders)

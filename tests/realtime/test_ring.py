@@ -147,7 +147,8 @@ def test_events_of_several_threads_all_arrive(tmp_path):
     rows, _, lost = events.read(0)
     assert lost == 0
     assert {ring.read_event(row)[2] for row in rows} == {
-        f"{who} {number}" for who in range(4) for number in range(100)}
+        f"{who} {number}" for who in range(4) for number in range(100)
+    }
 
 
 @pytest.mark.parametrize("text", ["axle 1 locked", "Räder rollen: λ = 0.3 µ", "", "a\nb"])

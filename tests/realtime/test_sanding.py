@@ -15,7 +15,9 @@ def test_the_law_meets_what_it_was_fitted_to_and_predicts_the_other_stops():
         if one["stop"] == "no sand":
             assert one["by_the_law_m"] > one["measured_m"]
         else:
-            assert one["by_the_law_m"] == pytest.approx(one["measured_m"], rel=0.01 if one["fitted"] else 0.15)
+            assert one["by_the_law_m"] == pytest.approx(
+                one["measured_m"], rel=0.01 if one["fitted"] else 0.15
+            )
     assert sum(one["fitted"] for one in result["stops"]) == 2
 
 

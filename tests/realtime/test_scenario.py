@@ -50,7 +50,10 @@ def test_what_comes_later_wins(own, tmp_path):
 
 
 def test_a_set_can_be_named_beside_single_values_of_it(own):
-    for settings in (("adhesion=dry", "adhesion.mu_cr=0.3"), ("adhesion.mu_cr=0.3", "adhesion=dry")):
+    for settings in (
+        ("adhesion=dry", "adhesion.mu_cr=0.3"),
+        ("adhesion.mu_cr=0.3", "adhesion=dry"),
+    ):
         told = scenario.load(own, settings=settings)
         assert told["adhesion_set"] == "dry"
         assert told["adhesion"]["tau_m_J"] == 0.0
@@ -83,8 +86,13 @@ def test_the_resolved_scenario_is_whole_and_a_scenario_again(own, tmp_path):
 def test_the_hash_changes_with_whatever_decides_the_result(own):
     plain = scenario.digest(scenario.load(own))
     assert scenario.digest(scenario.load(own)) == plain
-    for setting in ("adhesion.mu_cd=0.091", "loop.step_s=5e-5", "valve.dead_time_s=0.05",
-                    "initial_speed_m_s=20.1", "wsp_config=other"):
+    for setting in (
+        "adhesion.mu_cd=0.091",
+        "loop.step_s=5e-5",
+        "valve.dead_time_s=0.05",
+        "initial_speed_m_s=20.1",
+        "wsp_config=other",
+    ):
         assert scenario.digest(scenario.load(own, settings=(setting,))) != plain
 
 
@@ -106,10 +114,15 @@ def test_without_demand_nothing_brakes(tmp_path):
     assert plan["demand"] == []
 
 
-@pytest.mark.parametrize(("settings", "expected"), [
-    ((), (10, 10, 10)), (("loop.tick_hz=2000",), (5, 20, 20)),
-    (("loop.step_s=1e-3", "loop.record_hz=1000"), (1, 10, 1)),
-    (("bus.sync_period_s=0.005",), (10, 5, 10))])
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ((), (10, 10, 10)),
+        (("loop.tick_hz=2000",), (5, 20, 20)),
+        (("loop.step_s=1e-3", "loop.record_hz=1000"), (1, 10, 1)),
+        (("bus.sync_period_s=0.005",), (10, 5, 10)),
+    ],
+)
 def test_rates_become_whole_ratios(settings, expected):
     plan = scenario.load("velim_a1", settings=settings)
     assert (plan.params.substeps, plan.sync_ticks, plan.record_ticks) == expected
@@ -119,7 +132,9 @@ def test_rates_become_whole_ratios(settings, expected):
 def test_ratios_that_are_no_whole_numbers_are_refused_with_both_numbers():
     with pytest.raises(ConfigError, match=r"tick of 0.001 s over step_s = 0.0004 s is 2.5"):
         scenario.load("velim_a1", settings=("loop.step_s=4e-4",))
-    with pytest.raises(ConfigError, match=r"sync_period_s = 0.0005 s over a tick of 0.001 s is 0.5"):
+    with pytest.raises(
+        ConfigError, match=r"sync_period_s = 0.0005 s over a tick of 0.001 s is 0.5"
+    ):
         scenario.load("velim_a1", settings=("bus.sync_period_s=5e-4",))
 
 

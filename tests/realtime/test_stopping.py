@@ -12,17 +12,36 @@ from rollerrig.realtime.reports import campaign as report
 
 def runs(distance_m, **more):
     """The result of a campaign with these distances; NaN: it did not stop."""
-    why = [None if math.isfinite(d) else "the coach did not stop within 180 s (duration_max_s)" for d in distance_m]
-    return pa.table({"stop_distance_m": [d if math.isfinite(d) else None for d in distance_m],
-                     "error": pa.nulls(len(why), pa.string()), "invalid_because": pa.array(why, pa.string())} | more)
+    why = [
+        None if math.isfinite(d) else "the coach did not stop within 180 s (duration_max_s)"
+        for d in distance_m
+    ]
+    return pa.table(
+        {
+            "stop_distance_m": [d if math.isfinite(d) else None for d in distance_m],
+            "error": pa.nulls(len(why), pa.string()),
+            "invalid_because": pa.array(why, pa.string()),
+        }
+        | more
+    )
 
 
 def plan(design="random", axes=("a", "b")):
     return campaign.Plan({"design": design}, axes, ())
 
 
-@pytest.mark.parametrize(("count", "quantile", "rank"), [
-    (58, 0.95, 0), (59, 0.95, 59), (93, 0.95, 92), (92, 0.95, 92), (124, 0.95, 122), (299, 0.99, 299), (298, 0.99, 0)])
+@pytest.mark.parametrize(
+    ("count", "quantile", "rank"),
+    [
+        (58, 0.95, 0),
+        (59, 0.95, 59),
+        (93, 0.95, 92),
+        (92, 0.95, 92),
+        (124, 0.95, 122),
+        (299, 0.99, 299),
+        (298, 0.99, 0),
+    ],
+)
 def test_the_ranks_are_those_of_wilks(count, quantile, rank):
     # 59 for 95/95, 93 for its second order, 299 for 99/95: Wilks 1941 and all that use him
     assert stopping.rank(count, quantile) == rank
@@ -45,8 +64,15 @@ def test_runs_that_did_not_stop_are_longer_than_any_and_failed_ones_count_nowher
     assert counts.all()
     assert np.isinf(distance_m).sum() == 5
     assert stopping.bounds(table)[-2] == {
-        "quantile": 0.95, "rank": 99, "needs": 59, "estimate_m": 194.0, "bound_m": None}
-    failed = table.set_column(1, "error", pa.array([*[None] * 95, *["no such vehicle"] * 5], pa.string()))
+        "quantile": 0.95,
+        "rank": 99,
+        "needs": 59,
+        "estimate_m": 194.0,
+        "bound_m": None,
+    }
+    failed = table.set_column(
+        1, "error", pa.array([*[None] * 95, *["no such vehicle"] * 5], pa.string())
+    )
     assert stopping.counted(failed)[1].tolist() == list(range(100, 195))
 
 

@@ -14,10 +14,19 @@ from rollerrig.wsp_interface.signals import COLUMNS
 
 SCENARIO = {"title": "a stop", "loop": {"tick_hz": 1000, "step_s": 1e-4, "record_hz": 100}}
 COUNTERS = {
-    "version": "9.9", "config_hash": "abc", "scenario": "velim_a1", "pacing": "lockstep", "seed": 4,
-    "unit": "reference", "loop": {"ticks": 33000, "missed": 0, "lateness_us": {
-        "p50": 5.0, "p99": 9.0, "p999": 11.0, "max": 30.0}},
-    "bus": {"frames": 66000, "dropped": 0, "load_percent": 38.0}, "modbus": {"requests": 12},
+    "version": "9.9",
+    "config_hash": "abc",
+    "scenario": "velim_a1",
+    "pacing": "lockstep",
+    "seed": 4,
+    "unit": "reference",
+    "loop": {
+        "ticks": 33000,
+        "missed": 0,
+        "lateness_us": {"p50": 5.0, "p99": 9.0, "p999": 11.0, "max": 30.0},
+    },
+    "bus": {"frames": 66000, "dropped": 0, "load_percent": 38.0},
+    "modbus": {"requests": 12},
 }
 
 
@@ -34,22 +43,53 @@ def braked(seconds=10.0, hz=100, standing_s=2.0):
     speed = np.maximum(20.0 * (1 - time_s / seconds), 0.0)
     moving = speed > 0
     columns = {name: np.zeros_like(time_s) for name in COLUMNS}
-    columns |= {"time_s": time_s + 3.0, "vehicle_speed_m_s": speed, "sliding_2_m_s": 2.0 * moving,
-                "position_m": 50.0 + np.cumsum(speed) / hz, "adhesion_3": 0.1 * moving,
-                "sliding_work_2_J": 7.0 + 100.0 * np.minimum(time_s, seconds),
-                "valve_4": np.where((time_s >= 1.0) & (time_s < 3.5), 1.0, 0.0),
-                "vents_4": np.minimum(np.floor(time_s), 5.0), "air_consumption_NL": 2.0 * time_s}
+    columns |= {
+        "time_s": time_s + 3.0,
+        "vehicle_speed_m_s": speed,
+        "sliding_2_m_s": 2.0 * moving,
+        "position_m": 50.0 + np.cumsum(speed) / hz,
+        "adhesion_3": 0.1 * moving,
+        "sliding_work_2_J": 7.0 + 100.0 * np.minimum(time_s, seconds),
+        "valve_4": np.where((time_s >= 1.0) & (time_s < 3.5), 1.0, 0.0),
+        "vents_4": np.minimum(np.floor(time_s), 5.0),
+        "air_consumption_NL": 2.0 * time_s,
+    }
     return columns
 
 
 def test_the_keys_that_others_rely_on_are_there(stop):
     found = summary.of(stop, COUNTERS, SCENARIO)
-    assert {"version", "config_hash", "scenario", "pacing", "seed", "tick_hz", "step_s",
-            "initial_speed_m_s", "stop_time_s", "stop_distance_m", "stopped", "axles", "wsp",
-            "air_consumption_NL", "loop", "bus", "modbus"} <= set(found)
-    assert [set(axle) for axle in found["axles"]] == [{
-        "sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_lock_s",
-        "dissipated_energy_J", "adhesion_mean", "vents", "wheel_flat_m"}] * 4
+    assert {
+        "version",
+        "config_hash",
+        "scenario",
+        "pacing",
+        "seed",
+        "tick_hz",
+        "step_s",
+        "initial_speed_m_s",
+        "stop_time_s",
+        "stop_distance_m",
+        "stopped",
+        "axles",
+        "wsp",
+        "air_consumption_NL",
+        "loop",
+        "bus",
+        "modbus",
+    } <= set(found)
+    assert [set(axle) for axle in found["axles"]] == [
+        {
+            "sliding_mean_m_s",
+            "sliding_std_m_s",
+            "sliding_max_m_s",
+            "longest_lock_s",
+            "dissipated_energy_J",
+            "adhesion_mean",
+            "vents",
+            "wheel_flat_m",
+        }
+    ] * 4
     assert set(found["wsp"]) == {"unit", "active_s", "vents"}
     assert found["loop"] == COUNTERS["loop"]
     assert found["bus"] == COUNTERS["bus"]
@@ -75,7 +115,8 @@ def test_standing_still_afterwards_changes_no_mean():
 
 def test_energy_is_what_was_dissipated_within_the_stop():
     assert summary.of(braked(), COUNTERS, SCENARIO)["axles"][1]["dissipated_energy_J"] == (
-        pytest.approx(1000.0, abs=2.0))
+        pytest.approx(1000.0, abs=2.0)
+    )
 
 
 def test_the_wsp_is_active_while_any_valve_does_not_fill():
@@ -128,11 +169,18 @@ def test_every_figure_of_a_stop_is_read_from_its_summary(stop):
     axles = found["axles"]
     values = {figure.name: figure.of(found) for figure in FIGURES}
     # this stop has no motors that hold a speed
-    assert {name for name, value in values.items() if value is None} == {"tracking_max_m_s", "tracking_rms_m_s"}
+    assert {name for name, value in values.items() if value is None} == {
+        "tracking_max_m_s",
+        "tracking_rms_m_s",
+    }
     assert values["stop_distance_m"] == found["stop_distance_m"]
     assert values["longest_lock_s"] == axles[0]["longest_lock_s"] > 0.0
-    assert values["dissipated_energy_J"] == pytest.approx(sum(axle["dissipated_energy_J"] for axle in axles))
-    assert BY_NAME["dissipated_energy_J"].shown(found) == pytest.approx(1e-6 * values["dissipated_energy_J"])
+    assert values["dissipated_energy_J"] == pytest.approx(
+        sum(axle["dissipated_energy_J"] for axle in axles)
+    )
+    assert BY_NAME["dissipated_energy_J"].shown(found) == pytest.approx(
+        1e-6 * values["dissipated_energy_J"]
+    )
 
 
 def test_a_run_without_a_sample_has_no_figures():

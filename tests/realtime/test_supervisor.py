@@ -24,8 +24,20 @@ class Rig:
 
     def __init__(self, out, *more):
         self.out, self.runner = out, asyncio.Runner()
-        words = ["run", "dry_stop", "--wsp", "none", "--set", "bus.interface=hub", "--set", "bus.socketcand_port=0",
-                 "--out", str(out), "--json", *more]
+        words = [
+            "run",
+            "dry_stop",
+            "--wsp",
+            "none",
+            "--set",
+            "bus.interface=hub",
+            "--set",
+            "bus.socketcand_port=0",
+            "--out",
+            str(out),
+            "--json",
+            *more,
+        ]
         self.said = out.with_suffix(".said")
         self.process = Forked(words, out.with_suffix(".told"), self.said)
 
@@ -40,13 +52,17 @@ class Rig:
         raise AssertionError(self.said.read_text())
 
     async def meet(self):
-        client = AsyncModbusTcpClient("127.0.0.1", port=self.port, timeout=60.0, reconnect_delay=0.0)
+        client = AsyncModbusTcpClient(
+            "127.0.0.1", port=self.port, timeout=60.0, reconnect_delay=0.0
+        )
         assert await client.connect()
         return client
 
     def ask(self, function, *arguments, device_id=1, **more):
         """The answer to a request, `function` by its name in pymodbus' client."""
-        return self.runner.run(getattr(self.client, function)(*arguments, device_id=device_id, **more))
+        return self.runner.run(
+            getattr(self.client, function)(*arguments, device_id=device_id, **more)
+        )
 
     def read(self, name, count=1):
         found = self.ask("read_input_registers", AT[name], count=count).registers
@@ -158,10 +174,12 @@ def check_record(folder, summary):
     assert run.column("time_s")[-1] == pytest.approx(summary["loop"]["ticks"] / 1000, abs=0.02)
     assert run.scenario["initial_speed_m_s"] == pytest.approx(5.0, abs=0.01)
     assert run.scenario["friction"]
-    stamps = [float(line[1:line.index(")")]) for line in (folder / "can.log").open()]
+    stamps = [float(line[1 : line.index(")")]) for line in (folder / "can.log").open()]
     assert stamps == sorted(stamps)
     assert stamps[-1] - summary["loop"]["stalled_s"] == pytest.approx(time_s[-1], abs=0.1)
-    syncs = [float(line[1:line.index(")")]) for line in (folder / "can.log").open() if " 080#" in line]
+    syncs = [
+        float(line[1 : line.index(")")]) for line in (folder / "can.log").open() if " 080#" in line
+    ]
     assert stamps[0] >= 0.0
     assert syncs[0] < 0.5  # 0.01 where no other program holds up the bus
 
@@ -188,7 +206,7 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
     assert summary["stopped"] is True
     run = records.load(one.out)
     time_s, speed = run.column("time_s"), run.column("vehicle_speed_m_s")
-    set_s, = (at for at, _, text in run.events if text == "emergency stop over Modbus set")
+    (set_s,) = (at for at, _, text in run.events if text == "emergency stop over Modbus set")
     # the motors' 30 kN m on 1200 kg m2 take a second or so; the brakes alone would take ten
     assert time_s[speed == 0.0][0] - set_s < 3.0
     for axle in "1234":
@@ -199,8 +217,10 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
 
 def drive_words(one):
     """The state in the statusword of every drive."""
-    return [one.ask("read_input_registers", 100, count=1, device_id=unit).registers[0] & 0x6F
-            for unit in (11, 12, 13, 14)]
+    return [
+        one.ask("read_input_registers", 100, count=1, device_id=unit).registers[0] & 0x6F
+        for unit in (11, 12, 13, 14)
+    ]
 
 
 def test_a_held_rig_that_is_stopped_ends_well(rig):
@@ -226,8 +246,10 @@ def test_a_run_that_is_stopped_over_modbus_is_valid_after_standstill_only(rig, s
     assert one.set("stop") == 0
     status, summary = one.result()
     assert status == (0 if stands else 4)
-    assert ["stopped over Modbus while the coach rolled, at " in why for why in summary["invalid_because"]] == (
-        [] if stands else [True])
+    assert [
+        "stopped over Modbus while the coach rolled, at " in why
+        for why in summary["invalid_because"]
+    ] == ([] if stands else [True])
 
 
 @pytest.fixture
@@ -255,18 +277,29 @@ def test_a_port_that_is_taken_keeps_a_start_over_modbus_from_waiting_for_ever(ri
 
 @pytest.mark.conformance("Bad input", "another address than loopback is told loudly")
 def test_a_port_beyond_this_machine_is_told_loudly(rig):
-    one = rig("--set", "modbus.host=0.0.0.0", "--set", "modbus.port=0", "--set", "duration_max_s=0.3")
+    one = rig(
+        "--set", "modbus.host=0.0.0.0", "--set", "modbus.port=0", "--set", "duration_max_s=0.3"
+    )
     status, summary = one.result()
     assert status == 4  # it has not stopped
-    assert any("BEYOND THIS MACHINE" in event["text"] and event["level"] == "warning"
-               for event in summary["events"])
+    assert any(
+        "BEYOND THIS MACHINE" in event["text"] and event["level"] == "warning"
+        for event in summary["events"]
+    )
 
 
-@pytest.mark.parametrize("wrong", [
-    ["--pacing", "lockstep"], ["--pacing", "free"], ["--set", "modbus.enabled=false"],
-])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--pacing", "lockstep"],
+        ["--pacing", "free"],
+        ["--set", "modbus.enabled=false"],
+    ],
+)
 def test_a_start_over_modbus_that_cannot_come_is_refused(wrong, tmp_path, capsys):
-    status = cli.main(["run", "dry_stop", "--start", "modbus", "--out", str(tmp_path / "run"), *wrong])
+    status = cli.main(
+        ["run", "dry_stop", "--start", "modbus", "--out", str(tmp_path / "run"), *wrong]
+    )
     assert status == 2
     assert "--start modbus" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

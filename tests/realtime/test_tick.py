@@ -32,7 +32,7 @@ def sampled(machine):
 
 def ask(machine, magnets, demand_Pa=np.nan, reference=np.nan):
     command = machine.commands.values.copy()
-    command[MAGNETS: MAGNETS + 4] = magnets
+    command[MAGNETS : MAGNETS + 4] = magnets
     command[DEMAND], command[REFERENCE] = demand_Pa, reference
     mailbox.post(machine.commands, command)
 
@@ -55,8 +55,9 @@ def test_the_published_row_is_the_state_under_the_names_of_the_signals(build):
     shared = [signal for signal in signals.SIGNALS if signal.name in SLOTS]
     assert len(shared) > 20
     for signal in shared:
-        np.testing.assert_array_equal(row[signals.span(signal.name)],
-                                      machine.buffer[SLOTS[signal.name]], signal.name)
+        np.testing.assert_array_equal(
+            row[signals.span(signal.name)], machine.buffer[SLOTS[signal.name]], signal.name
+        )
 
 
 def test_every_signal_of_the_table_is_written(build):
@@ -64,8 +65,9 @@ def test_every_signal_of_the_table_is_written(build):
     ask(machine, (0, 0, 0, 0), reference=40.0)
     machine.row[:] = np.nan
     tick.run_ticks(machine, 20)
-    unwritten = [name for name, value in zip(signals.COLUMNS, machine.row, strict=True)
-                 if np.isnan(value)]
+    unwritten = [
+        name for name, value in zip(signals.COLUMNS, machine.row, strict=True) if np.isnan(value)
+    ]
     assert unwritten == []
 
 
@@ -88,8 +90,12 @@ def test_a_batch_ends_when_the_vehicle_has_stood_long_enough(build):
     ran = tick.run_ticks(machine, 60_000)
     assert machine.control[DONE] == 1
     assert ran == machine.control[TICK] < 60_000
-    still_s = machine.state.time[0] - sampled(machine)[
-        np.argmax(sampled(machine)[:, signals.column("vehicle_speed")] == 0.0), 0]
+    still_s = (
+        machine.state.time[0]
+        - sampled(machine)[
+            np.argmax(sampled(machine)[:, signals.column("vehicle_speed")] == 0.0), 0
+        ]
+    )
     assert still_s == pytest.approx(0.2, abs=0.011)
     assert tick.run_ticks(machine, 10) == 0
 
@@ -130,8 +136,16 @@ def test_the_unit_in_the_tick_sees_counts_and_answers_a_cycle_later(build):
     assert rows[0, signals.span("magnets")].max() == 0
 
 
-@pytest.mark.parametrize(("value", "scale", "count"), [
-    (1.234, 0.01, 123), (1e9, 0.01, 32767), (-1e9, 0.01, -32768), (0.005, 0.01, 0), (0.015, 0.01, 2)])
+@pytest.mark.parametrize(
+    ("value", "scale", "count"),
+    [
+        (1.234, 0.01, 123),
+        (1e9, 0.01, 32767),
+        (-1e9, 0.01, -32768),
+        (0.005, 0.01, 0),
+        (0.015, 0.01, 2),
+    ],
+)
 def test_counts_are_those_of_the_bus(value, scale, count):
     assert tick.counts(value, scale) == count
 

@@ -46,14 +46,30 @@ class Master:
 def bench(request, tmp_path_factory):
     """A coach that coasts beside a SYNC every 0.1 s."""
     tmp_path = tmp_path_factory.mktemp("timers")
-    (tmp_path / "coasting.toml").write_text('title = "The coach coasts"\nvehicle = "uic_z1"\nrig = "full_scale"\n'
-                                            'adhesion = "dry"\ninitial_speed_m_s = 99.0\n')
+    (tmp_path / "coasting.toml").write_text(
+        'title = "The coach coasts"\nvehicle = "uic_z1"\nrig = "full_scale"\n'
+        'adhesion = "dry"\ninitial_speed_m_s = 99.0\n'
+    )
     # in lockstep without a unit simulated time runs ahead of whoever configures
     seconds = {"lockstep": 20_000, "wall": 600}[request.param]
     run = bench_process.BenchProcess(
-        tmp_path / "run", "--wsp", "none", "--pacing", request.param, "--set", f"bus.sync_period_s={SYNC_S}", "--set",
-        f"duration_max_s={seconds}", "--set", "loop.record_hz=1", "--set", "vehicle.resistance_A_N=0", "--set",
-        "vehicle.resistance_C_N_s2_m2=0", scenario=str(tmp_path / "coasting.toml"))
+        tmp_path / "run",
+        "--wsp",
+        "none",
+        "--pacing",
+        request.param,
+        "--set",
+        f"bus.sync_period_s={SYNC_S}",
+        "--set",
+        f"duration_max_s={seconds}",
+        "--set",
+        "loop.record_hz=1",
+        "--set",
+        "vehicle.resistance_A_N=0",
+        "--set",
+        "vehicle.resistance_C_N_s2_m2=0",
+        scenario=str(tmp_path / "coasting.toml"),
+    )
     run.pacing = request.param
     yield run
     run.process.kill()
@@ -71,17 +87,26 @@ def times(bench, can_id, data=""):
     """When frames of an identifier, whose data begin so, came by the bus's clock, as far as they are recorded."""
     log = bench.out / "can.log"
     lines = log.read_text().splitlines()[:-1] if log.exists() else ()
-    return np.array([float(line[1:line.index(")")]) for line in lines if f" {can_id:03X}#{data}" in line])
+    return np.array(
+        [float(line[1 : line.index(")")]) for line in lines if f" {can_id:03X}#{data}" in line]
+    )
 
 
 def periods(bench, can_id, wanted_s):
     """The last 25 periods of an identifier, as soon as most of twice as many are as wanted: what was sent before, and
     the period at the change itself, are not among them."""
+
     def there():
         found = np.diff(times(bench, can_id)[-51:])
-        return found[25:] if len(found) == 50 and abs(np.median(found) - wanted_s) < 0.02 * wanted_s else None
-    return bench_process.until(lambda: (found := there()) is not None and [found], f"{can_id:X}h every {wanted_s} s",
-                               60.0)[0]
+        return (
+            found[25:]
+            if len(found) == 50 and abs(np.median(found) - wanted_s) < 0.02 * wanted_s
+            else None
+        )
+
+    return bench_process.until(
+        lambda: (found := there()) is not None and [found], f"{can_id:X}h every {wanted_s} s", 60.0
+    )[0]
 
 
 @pytest.mark.conformance("CiA 301", "on a running bench: event timer")
@@ -122,7 +147,9 @@ def test_between_two_emergencies_lies_the_inhibit_time(bench, master):
 def silence(bench, master):
     """Let the partner's heartbeats come, and stay away; how long afterwards its loss is told, by the bus's clock."""
     # an event has simulated time, which a stall takes away
-    beats, losses = (functools.partial(times, bench, *of) for of in ((0x700 + PARTNER,), (0x080 + BRAKE, "3081")))
+    beats, losses = (
+        functools.partial(times, bench, *of) for of in ((0x700 + PARTNER,), (0x080 + BRAKE, "3081"))
+    )
     sent = len(beats())
     for _ in range(10):
         master.send(0x700 + PARTNER, b"\x05")
@@ -137,7 +164,9 @@ def silence(bench, master):
 
 
 @pytest.mark.conformance("CiA 301", "on a running bench: heartbeat consumer")
-def test_a_partner_within_its_time_is_not_lost_and_one_that_falls_silent_is_lost_then(bench, master):
+def test_a_partner_within_its_time_is_not_lost_and_one_that_falls_silent_is_lost_then(
+    bench, master
+):
     if bench.pacing == "lockstep":
         pytest.skip("in lockstep without answers time does not go as a partner's clock")
     master.write(BRAKE, 0x1016, 2, PARTNER << 16 | 300)
@@ -148,10 +177,21 @@ def test_a_partner_within_its_time_is_not_lost_and_one_that_falls_silent_is_lost
 
 @pytest.mark.parametrize("pacing", ["lockstep", "wall"])
 @pytest.mark.parametrize("sync_s", [0.02, 0.05, 0.1, 0.5])
-def test_the_reference_unit_heartbeats_within_the_rigs_patience_whatever_the_sync_period(sync_s, pacing, tmp_path):
+def test_the_reference_unit_heartbeats_within_the_rigs_patience_whatever_the_sync_period(
+    sync_s, pacing, tmp_path
+):
     run = bench_process.BenchProcess(
-        tmp_path / "run", "--pacing", pacing, "--set", f"bus.sync_period_s={sync_s}", "--set", "initial_speed_m_s=99",
-        "--set", f"duration_max_s={max(2.0, 8 * sync_s)}", scenario="dry_stop").finish()
+        tmp_path / "run",
+        "--pacing",
+        pacing,
+        "--set",
+        f"bus.sync_period_s={sync_s}",
+        "--set",
+        "initial_speed_m_s=99",
+        "--set",
+        f"duration_max_s={max(2.0, 8 * sync_s)}",
+        scenario="dry_stop",
+    ).finish()
     beats_s = np.diff(times(run, 0x720))
     assert len(beats_s) > 5
     if pacing == "lockstep":

@@ -32,7 +32,9 @@ def not_valid(bench, *parts):
     told = records.summary(bench.out)
     assert told["valid"] is bench.told["valid"] is False
     assert told["invalid_because"] == bench.told["invalid_because"]
-    assert any(all(part in why for part in parts) for why in told["invalid_because"]), told["invalid_because"]
+    assert any(all(part in why for part in parts) for why in told["invalid_because"]), told[
+        "invalid_because"
+    ]
     return told
 
 
@@ -51,14 +53,32 @@ def test_a_run_that_stops_is_valid_and_one_that_does_not_is_not(tmp_path):
     stops = bench_process.run(tmp_path / "stops", *SHORT[2:], scenario="dry_stop")
     assert stops.status == 0, stops.stderr
     assert (stops.told["valid"], stops.told["invalid_because"]) == (True, [])
-    rolls = bench_process.run(tmp_path / "rolls", *SHORT[2:], "--set", "duration_max_s=0.3", scenario="dry_stop")
-    not_valid(rolls, "did not stop within 0.3 s (duration_max_s)", f"at {rolls.told['final_speed_m_s']:.2f} m/s")
+    rolls = bench_process.run(
+        tmp_path / "rolls", *SHORT[2:], "--set", "duration_max_s=0.3", scenario="dry_stop"
+    )
+    not_valid(
+        rolls,
+        "did not stop within 0.3 s (duration_max_s)",
+        f"at {rolls.told['final_speed_m_s']:.2f} m/s",
+    )
 
 
 def test_the_last_line_of_a_run_that_is_not_valid_names_the_reasons_in_red(tmp_path):
-    words = (sys.executable, "-m", "rollerrig.realtime.cli", *SHORT, "--set", "duration_max_s=0.3", "--out")
-    done = subprocess.run([*words, tmp_path / "run"], capture_output=True, text=True,
-                          env=os.environ | {"FORCE_COLOR": "1", "COLUMNS": "200"})
+    words = (
+        sys.executable,
+        "-m",
+        "rollerrig.realtime.cli",
+        *SHORT,
+        "--set",
+        "duration_max_s=0.3",
+        "--out",
+    )
+    done = subprocess.run(
+        [*words, tmp_path / "run"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"FORCE_COLOR": "1", "COLUMNS": "200"},
+    )
     assert done.returncode == 4, done.stderr
     last = done.stdout.splitlines()[-1]
     assert "not valid: the coach did not stop within 0.3 s" in last
@@ -82,8 +102,12 @@ def flickering(n):
     return [(MAGNETS, b"\0"), (HEARTBEAT, b"\5")]
 
 
-def test_a_unit_that_is_lost_again_and_again_makes_the_run_not_valid_and_the_times_are_counted(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "external", "--set", "initial_speed_m_s=4")
+def test_a_unit_that_is_lost_again_and_again_makes_the_run_not_valid_and_the_times_are_counted(
+    tmp_path,
+):
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "wall", "--wsp", "external", "--set", "initial_speed_m_s=4"
+    )
     unit = SimpleUnit(bench.address(), flickering)
     bench.finish()
     unit.close()
@@ -93,21 +117,40 @@ def test_a_unit_that_is_lost_again_and_again_makes_the_run_not_valid_and_the_tim
 
 
 def test_a_unit_that_a_fault_of_the_run_has_frozen_does_not_make_it_not_valid(tmp_path):
-    bench = bench_process.run(tmp_path / "run", "--pacing", "lockstep", "--set", "initial_speed_m_s=4", "--fault",
-                              "wsp_frozen at=0.5 for=0.6")
+    bench = bench_process.run(
+        tmp_path / "run",
+        "--pacing",
+        "lockstep",
+        "--set",
+        "initial_speed_m_s=4",
+        "--fault",
+        "wsp_frozen at=0.5 for=0.6",
+    )
     assert bench.heard("the WSP unit (node 32) lost")
     assert bench.status == 0, bench.stderr
     assert bench.told["valid"] is True
 
 
-@pytest.mark.parametrize(("fault", "reaches"), [
-    ("wsp_frozen", True), ("node_babbling node=16", True), ("error_frame node=1", True),
-    ("frame_lost can_id=0x720", True), ("frame_delayed can_id=0x080", True), ("heartbeat_late node=32", True),
-    ("heartbeat_late node=17", False), ("frame_lost can_id=0x181", False), ("cylinder_leak axle=1", False),
-    ("node_off node=2", False)])
+@pytest.mark.parametrize(
+    ("fault", "reaches"),
+    [
+        ("wsp_frozen", True),
+        ("node_babbling node=16", True),
+        ("error_frame node=1", True),
+        ("frame_lost can_id=0x720", True),
+        ("frame_delayed can_id=0x080", True),
+        ("heartbeat_late node=32", True),
+        ("heartbeat_late node=17", False),
+        ("frame_lost can_id=0x181", False),
+        ("cylinder_leak axle=1", False),
+        ("node_off node=2", False),
+    ],
+)
 def test_a_lost_unit_is_excused_by_a_fault_that_reaches_it_and_by_no_other(fault, reaches):
     title = catalogue.parse(fault).title
-    begins, lifted = ((at, "warning", f"fault {title}: {what}") for at, what in ((0.5, "begins"), (0.9, "lifted")))
+    begins, lifted = (
+        (at, "warning", f"fault {title}: {what}") for at, what in ((0.5, "begins"), (0.9, "lifted"))
+    )
     late = (2.5, *LOST[1:])
     assert validity.losses([begins, lifted, LOST]) == ([] if reaches else [1.0])
     assert validity.losses([begins, lifted, late]) == [2.5]
@@ -120,11 +163,28 @@ def test_a_unit_that_a_held_rig_loses_and_finds_again_is_no_loss_of_the_run():
     assert validity.losses([lost, back, lost]) == [0.0]
 
 
-@pytest.mark.parametrize(("ended", "event", "says"), [
-    ("killed", "the bench was killed; the recorder completed the files", "the bench was killed, at 1.00 s"),
-    ("derailed", "derailed: the left wheel of axle 3 left its rail after 12.0 m; slow", "left its rail after 12.0 m"),
-    ("error", "CAN bus failed", "ended with an error: CAN bus failed"), ("terminated", "", "ends early: terminated"),
-    ("stopped over Modbus", "the run is stopped over Modbus", "while the coach rolled, at 20.00 m/s")])
+@pytest.mark.parametrize(
+    ("ended", "event", "says"),
+    [
+        (
+            "killed",
+            "the bench was killed; the recorder completed the files",
+            "the bench was killed, at 1.00 s",
+        ),
+        (
+            "derailed",
+            "derailed: the left wheel of axle 3 left its rail after 12.0 m; slow",
+            "left its rail after 12.0 m",
+        ),
+        ("error", "CAN bus failed", "ended with an error: CAN bus failed"),
+        ("terminated", "", "ends early: terminated"),
+        (
+            "stopped over Modbus",
+            "the run is stopped over Modbus",
+            "while the coach rolled, at 20.00 m/s",
+        ),
+    ],
+)
 def test_how_a_run_ended_is_a_reason(ended, event, says):
     columns = dict.fromkeys(COLUMNS, np.zeros(3)) | {"vehicle_speed_m_s": np.full(3, 20.0)}
     found = summary.of(columns, {"ended": ended}, {}, [(1.0, "error", event)])
@@ -167,8 +227,16 @@ def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
 
 
 def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "none", "--set", "initial_speed_m_s=3",
-                         before=functools.partial(signal.signal, signal.SIGHUP, signal.SIG_IGN))
+    bench = BenchProcess(
+        tmp_path / "run",
+        "--pacing",
+        "wall",
+        "--wsp",
+        "none",
+        "--set",
+        "initial_speed_m_s=3",
+        before=functools.partial(signal.signal, signal.SIGHUP, signal.SIG_IGN),
+    )
     bench.runs_for(0.3)
     bench.process.send_signal(signal.SIGHUP)
     bench.finish()
@@ -223,11 +291,22 @@ duration_max_s = [{durations}]
 SCENARIO = "initial_speed_m_s = 3.0\n[[demand]]\npressure_Pa = 3.8e5\n"
 
 
-@pytest.mark.parametrize(("durations", "bad"), [("0.3, 60.0, 0.4, 50.0", 2), ("0.3, 0.4", 2), ("50.0, 60.0", 0)])
+@pytest.mark.parametrize(
+    ("durations", "bad"), [("0.3, 60.0, 0.4, 50.0", 2), ("0.3, 0.4", 2), ("50.0, 60.0", 0)]
+)
 def test_a_campaign_counts_runs_that_are_not_valid_apart(durations, bad, tmp_path, capsys):
     (tmp_path / "short.toml").write_text(SCENARIO)
-    (tmp_path / "plan.toml").write_text(PLAN.format(scenario=tmp_path / "short.toml", durations=durations))
-    words = ["campaign", str(tmp_path / "plan.toml"), "--workers", "1", "--out", str(tmp_path / "out")]
+    (tmp_path / "plan.toml").write_text(
+        PLAN.format(scenario=tmp_path / "short.toml", durations=durations)
+    )
+    words = [
+        "campaign",
+        str(tmp_path / "plan.toml"),
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert cli.main([*words, "--json"]) == (4 if bad else 0)
     told = json.loads(capsys.readouterr().out)
     count = len(durations.split(","))
@@ -269,11 +348,15 @@ def companion(answer):
 
             def __exit__(self, *_):
                 self.unit.close()
+
         return Beside()
+
     return beside
 
 
-def test_a_sequence_whose_run_is_not_valid_is_an_error_and_neither_passed_nor_failed(walk, tmp_path):
+def test_a_sequence_whose_run_is_not_valid_is_an_error_and_neither_passed_nor_failed(
+    walk, tmp_path
+):
     dies = companion(lambda n: [(MAGNETS, b"\0")] if n < 60 else None)
     outcome = play.on_own_bench(walk, tmp_path / "run", "wall", wsp="external", companions=(dies,))
     assert outcome.result is Result.ERROR
@@ -300,9 +383,13 @@ def test_of_a_unit_that_dies(rollerrig_bench):
 
 def test_the_fixture_ends_a_test_with_an_error_where_the_run_was_not_valid(tmp_path):
     (tmp_path / "test_own.py").write_text(OWN_TEST.format(here=Path(__file__).stem))
-    done = subprocess.run([sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "test_own.py"], cwd=tmp_path,
-                          capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(Path(__file__).parent),
-                                                                            "PYTEST_ADDOPTS": ""})
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "test_own.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent), "PYTEST_ADDOPTS": ""},
+    )
     assert "1 passed, 1 error" in done.stdout, done.stdout
     assert "the run is not valid: the WSP unit was lost 1 time" in done.stdout
 
@@ -328,10 +415,31 @@ def test_the_reference_unit_asks_for_a_priority_below_the_loops_in_real_time_onl
 
 
 def test_a_unit_that_is_refused_its_priority_says_so_and_runs(tmp_path):
-    hub = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--set", "initial_speed_m_s=3")
+    hub = BenchProcess(
+        tmp_path / "run",
+        "--pacing",
+        "lockstep",
+        "--wsp",
+        "external",
+        "--set",
+        "initial_speed_m_s=3",
+    )
     # without the right to any priority, whoever runs this
-    unit = subprocess.Popen([*WITHOUT_RIGHTS, sys.executable, "-m", "rollerrig.realtime.cli", "wsp", "--bus",
-                             hub.address(), "--priority", "60"], stdout=subprocess.PIPE, text=True)
+    unit = subprocess.Popen(
+        [
+            *WITHOUT_RIGHTS,
+            sys.executable,
+            "-m",
+            "rollerrig.realtime.cli",
+            "wsp",
+            "--bus",
+            hub.address(),
+            "--priority",
+            "60",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     hub.finish()
     said, _ = unit.communicate(timeout=60)
     assert hub.status == 0, hub.stderr
@@ -339,7 +447,11 @@ def test_a_unit_that_is_refused_its_priority_says_so_and_runs(tmp_path):
 
 
 # drops CAP_SYS_NICE from what a program may ever have, and its limit of real-time priorities
-WITHOUT_RIGHTS = (sys.executable, "-c", "import ctypes, os, resource, sys\n"
-                  "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
-                  "ctypes.CDLL(None).prctl(24, 23, 0, 0, 0)\n"  # PR_CAPBSET_DROP, CAP_SYS_NICE
-                  "os.execv(sys.argv[1], sys.argv[1:])")
+WITHOUT_RIGHTS = (
+    sys.executable,
+    "-c",
+    "import ctypes, os, resource, sys\n"
+    "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
+    "ctypes.CDLL(None).prctl(24, 23, 0, 0, 0)\n"  # PR_CAPBSET_DROP, CAP_SYS_NICE
+    "os.execv(sys.argv[1], sys.argv[1:])",
+)

@@ -18,8 +18,10 @@ TABLE_5_M_S = {"a1": 42.3, "a2": 40.4, "a3": 40.8, "b1": 40.8, "b2": 41.1, "b3":
 
 @pytest.fixture(scope="module")
 def rows():
-    plan = scenario.load("velim_a1", settings=(
-        "rig.mode=track", "initial_speed_m_s=14.0", "adhesion.mu_cd=0.03", "stand_s=0.1"))
+    plan = scenario.load(
+        "velim_a1",
+        settings=("rig.mode=track", "initial_speed_m_s=14.0", "adhesion.mu_cd=0.03", "stand_s=0.1"),
+    )
     return free.simulate(plan)
 
 
@@ -42,8 +44,17 @@ def test_group_b_knows_nothing_but_group_a():
 def test_the_published_rows_are_those_of_table_6():
     assert list(velim.MEASURED_MEAN.values()) == [5.00, 5.25, 4.23, 5.49, 5.41, 5.83]
     assert list(velim.PAPER_STD.values()) == [1.49, 1.79, 1.59, 1.58, 1.45, 1.84]
-    exact = {t: velim.Stop(np.full(4, velim.MEASURED_MEAN[t]), np.full(4, velim.MEASURED_STD[t]),
-                           40.0, 900.0, 0.0, (0.5, 1.0)) for t in velim.TESTS}
+    exact = {
+        t: velim.Stop(
+            np.full(4, velim.MEASURED_MEAN[t]),
+            np.full(4, velim.MEASURED_STD[t]),
+            40.0,
+            900.0,
+            0.0,
+            (0.5, 1.0),
+        )
+        for t in velim.TESTS
+    }
     own = {t: velim.Own(0.02, 5.0, 1.7, (0.5, 1.0)) for t in velim.TESTS}
     classic = {t: velim.Own(0.045, 5.0, 1.7, (0.7, 0.7)) for t in velim.TESTS}
     off = velim.errors(exact)
@@ -54,7 +65,10 @@ def test_the_published_rows_are_those_of_table_6():
     assert told["mean sliding, ours"] == told["mean sliding of wheelset 1, measured"]
     assert told["deceleration 40 to 30 m/s, m/s2, ours"] == ["0.50"] * 6
     assert told["deceleration 20 to 10 m/s, m/s2, classic"] == ["0.70"] * 6
-    levels = {title: list(values) for title, *values in velim.rows_of_contaminants(velim.settings(), own, classic)}
+    levels = {
+        title: list(values)
+        for title, *values in velim.rows_of_contaminants(velim.settings(), own, classic)
+    }
     assert levels["printed in Table 4, for all"] == ["0.0600"] * 6
     assert levels["ours, from the test's own mean"] == ["0.0200"] * 6
 
@@ -63,8 +77,13 @@ def test_the_published_rows_are_those_of_table_6():
 def a1():
     """A1 as found on group A, by the rig's soap and by the paper's law."""
     found = velim.settings()
-    return [velim.reduced(free.moving(free.simulate(plan, velim.unit_of(plan, found)))) for plan in (
-        velim.plan_of("a1", found), velim.plan_of("a1", found, "adhesion.cleaning_creepage=inf"))]
+    return [
+        velim.reduced(free.moving(free.simulate(plan, velim.unit_of(plan, found))))
+        for plan in (
+            velim.plan_of("a1", found),
+            velim.plan_of("a1", found, "adhesion.cleaning_creepage=inf"),
+        )
+    ]
 
 
 def test_the_six_stops_run_by_the_papers_law_and_adhesion_recovers_in_their_second_half(a1):
@@ -84,7 +103,9 @@ def test_by_the_classic_model_the_second_half_decelerates_as_the_first():
 
 
 @pytest.mark.parametrize(("test", "found_outside"), [("b1", 1.70), ("b2", 1.72), ("b3", 1.59)])
-def test_with_mu_cd_from_its_own_mean_a_test_of_group_b_has_the_deviation_that_others_found(test, found_outside):
+def test_with_mu_cd_from_its_own_mean_a_test_of_group_b_has_the_deviation_that_others_found(
+    test, found_outside
+):
     # a scan by others, under the paper's law and the WSP's band that the first fit had found
     one = velim.own(test, velim.settings() | {"band_low_m_s": 5.1, "band_high_m_s": 6.0})
     assert one.mean_m_s == pytest.approx(velim.MEASURED_MEAN[test], abs=0.03)
@@ -96,7 +117,9 @@ def test_a_test_not_yet_run_is_foretold_with_students_interval_of_three_means():
     # by hand: deviation 0.535 of 5.00, 5.25, 4.23, and t = 4.303 for two degrees of freedom
     assert velim.half_width_m_s() == pytest.approx(4.303 * 0.5316 * np.sqrt(4.0 / 3.0), rel=1e-3)
     mean = np.mean([velim.MEASURED_MEAN[test] for test in velim.GROUP_A])
-    assert all(abs(velim.MEASURED_MEAN[test] - mean) < velim.half_width_m_s() for test in velim.GROUP_B)
+    assert all(
+        abs(velim.MEASURED_MEAN[test] - mean) < velim.half_width_m_s() for test in velim.GROUP_B
+    )
 
 
 def test_no_fit_of_a_function_of_speed_on_group_a_foretells_group_b_within_0_37():
@@ -105,16 +128,22 @@ def test_no_fit_of_a_function_of_speed_on_group_a_foretells_group_b_within_0_37(
     assert found["a line, least absolute"].error_m_s == pytest.approx(0.436, abs=0.005)
     # only who takes the largest of group A for the rule gets there, and no fit does
     reached = {name: bound.error_m_s for name, bound in found.items() if bound.error_m_s <= 0.37}
-    assert reached == {"the largest of group A, for all": pytest.approx(0.33, abs=0.005),
-                       "the largest mean / speed of group A, times speed": pytest.approx(0.22, abs=0.005)}
+    assert reached == {
+        "the largest of group A, for all": pytest.approx(0.33, abs=0.005),
+        "the largest mean / speed of group A, times speed": pytest.approx(0.22, abs=0.005),
+    }
 
 
 def test_a_rule_that_holds_is_found_by_every_fit_that_can_hold_it():
     speeds = dict(zip("abcdef", (10.0, 12.0, 14.0, 11.0, 13.0, 12.5), strict=True))
     measured = {test: 3.0 + 0.5 * speed for test, speed in speeds.items()}
     found = {b.name: b.error_m_s for b in velim.bounds(speeds, measured, "abc", "def")}
-    for name in ("a line, least squares", "a line, least absolute", "rising with speed, least squares",
-                 "through all of group A"):
+    for name in (
+        "a line, least squares",
+        "a line, least absolute",
+        "rising with speed, least squares",
+        "through all of group A",
+    ):
         assert found[name] == pytest.approx(0.0, abs=1e-9)
     assert found["falling with speed, least squares"] > 0.1
 
@@ -135,11 +164,17 @@ def test_a_stop_is_the_same_as_a_run_in_free_pacing(rows):
 def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, tmp_path):
     rng = np.random.default_rng(5)
     plan = scenario.load("velim_a1", settings=("rig.mode=track",))
-    runs = [run_sensors.noisy(run_dataset.of_rows(name, group, plan["vehicle"]["mass_kg"], free.moving(rows)),
-                              run_sensors.TRAIN, rng)
-            for name, group in (("one", "tune"), ("two", "validate"))]
-    out = run_dataset.write(tmp_path / "made", runs, plan.resolved, run_sensors.TRAIN, rounded=True,
-                            title="a test")
+    runs = [
+        run_sensors.noisy(
+            run_dataset.of_rows(name, group, plan["vehicle"]["mass_kg"], free.moving(rows)),
+            run_sensors.TRAIN,
+            rng,
+        )
+        for name, group in (("one", "tune"), ("two", "validate"))
+    ]
+    out = run_dataset.write(
+        tmp_path / "made", runs, plan.resolved, run_sensors.TRAIN, rounded=True, title="a test"
+    )
     data = dataset.load(out)
     assert (out / "dataset.toml").read_text().startswith("# a test")
     assert [run.group for run in data.runs] == ["tune", "validate"]

@@ -49,7 +49,7 @@ def drawn(tmp_path_factory, stop):
     stream.set_sinks(rr.FileSink(path), default_blueprint=views.blueprint())
     one = drawing.Drawing(stream, {})
     for first in range(0, len(stop), 70):
-        one.rows(stop[first: first + 70])
+        one.rows(stop[first : first + 70])
     one.events(synthetic_stop.EVENTS)
     stream.disconnect()
     return entities(path)
@@ -98,8 +98,11 @@ def test_a_signal_of_a_group_has_a_path_of_its_group_and_name(signal):
 
 @pytest.mark.parametrize("group", sorted({s.group for s in SIGNALS if s.group}))
 def test_every_group_is_shown_by_a_view(group):
-    shown = [expression for view in every_view(views.blueprint().root_container)
-             for expression in ([view.origin] if view.contents == "$origin/**" else view.contents)]
+    shown = [
+        expression
+        for view in every_view(views.blueprint().root_container)
+        for expression in ([view.origin] if view.contents == "$origin/**" else view.contents)
+    ]
     assert any(str(path).startswith(f"/{group}") for path in shown)
 
 
@@ -138,11 +141,16 @@ def test_what_is_drawn_are_the_recorded_values(drawn, stop):
     for one in views.lines():
         values = drawn[one.path]["Scalars:scalars"]
         assert np.array_equal([time for time, _ in values], np.rint(stop[:, 0] * 1e9) / 1e9)
-        assert np.array_equal([row for _, row in values], one.factor * stop[:, one.columns], equal_nan=True)
+        assert np.array_equal(
+            [row for _, row in values], one.factor * stop[:, one.columns], equal_nan=True
+        )
 
 
 def test_slip_is_drawn_in_percent_of_the_reference(drawn, stop):
-    reference, rim = (stop[:, signals.column(name)] for name in ("wsp_reference_speed", "wheel_circumferential_speed"))
+    reference, rim = (
+        stop[:, signals.column(name)]
+        for name in ("wsp_reference_speed", "wheel_circumferential_speed")
+    )
     found = np.array([row[0] for _, row in drawn["/slip/axle_1"]["Scalars:scalars"]])
     fast = reference >= 1.0
     assert np.allclose(found[fast], 100.0 * (1.0 - rim[fast] / reference[fast]))
@@ -177,8 +185,10 @@ def test_wheels_turn_by_their_recorded_angle_geared_down(drawn, stop):
 
 
 def test_rollers_turn_against_their_wheels(drawn):
-    last = {part: drawn[f"/rig/axle_4/{part}"]["Transform3D:quaternion"][3][1][0]
-            for part in ("wheels", "rollers")}
+    last = {
+        part: drawn[f"/rig/axle_4/{part}"]["Transform3D:quaternion"][3][1][0]
+        for part in ("wheels", "rollers")
+    }
     assert last["wheels"][1] > 0.0 > last["rollers"][1]
 
 
@@ -188,8 +198,11 @@ def test_spokes_turn_red_while_a_wheel_is_locked(drawn, stop):
     locked = (speed > 0.5) & (rim < 0.1 * speed)
     assert locked.any(), "the stop of this test locks axle 1"
     red = int.from_bytes(bytes([*scene.LOCKED, 255]))
-    reds = [time for time, colour in drawn["/rig/axle_1/wheels/spokes"]["LineStrips3D:colors"]
-            if colour == [red]]
+    reds = [
+        time
+        for time, colour in drawn["/rig/axle_1/wheels/spokes"]["LineStrips3D:colors"]
+        if colour == [red]
+    ]
     begins = stop[np.flatnonzero(np.diff(locked.astype(int), prepend=0) == 1), 0]
     assert np.allclose(reds, begins)
 
@@ -197,10 +210,17 @@ def test_spokes_turn_red_while_a_wheel_is_locked(drawn, stop):
 def test_events_are_drawn_with_level_and_time(drawn):
     events = drawn[views.EVENTS]
     assert [value for _, value in events["TextLog:level"]] == [
-        ["INFO"], ["INFO"], ["INFO"], ["WARN"], ["ERROR"]]
+        ["INFO"],
+        ["INFO"],
+        ["INFO"],
+        ["WARN"],
+        ["ERROR"],
+    ]
     assert [time for time, _ in events["TextLog:text"]] == [e[0] for e in synthetic_stop.EVENTS]
-    assert all(event[2] in value[0] for event, (_, value) in zip(
-        synthetic_stop.EVENTS, events["TextLog:text"], strict=True))
+    assert all(
+        event[2] in value[0]
+        for event, (_, value) in zip(synthetic_stop.EVENTS, events["TextLog:text"], strict=True)
+    )
 
 
 def test_signals_of_no_group_can_be_left_out(tmp_path, stop):
@@ -211,10 +231,16 @@ def test_signals_of_no_group_can_be_left_out(tmp_path, stop):
     assert not [path for path in entities(tmp_path / "run.rrd") if path.startswith("/more")]
 
 
-@pytest.mark.parametrize("scenario", [
-    {}, {"contact": {"roller_radius_m": 0.5}}, {"contact": {"roller_radius_m": float("inf")}},
-    {"rig": {"mode": "track"}}, {"vehicle": {"wheel_radius_m": 0.46, "bogie_wheelbase_m": 2.5}},
-])
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        {},
+        {"contact": {"roller_radius_m": 0.5}},
+        {"contact": {"roller_radius_m": float("inf")}},
+        {"rig": {"mode": "track"}},
+        {"vehicle": {"wheel_radius_m": 0.46, "bogie_wheelbase_m": 2.5}},
+    ],
+)
 def test_the_rig_of_any_scenario_can_be_drawn(scenario):
     place = scene.scene(scenario)
     radius = place.roller_radius_m if np.isfinite(place.roller_radius_m) else 0.0
@@ -230,8 +256,11 @@ def test_runs_are_laid_over_one_another_under_their_names(folder, tmp_path):
     other = tmp_path / "second run"
     shutil.copytree(folder, other)
     found = entities(viewer.overlay([folder, other, other], tmp_path / "both.rrd"))
-    assert {"/sliding/sliding", "/ref/second_run/sliding/sliding",
-            "/ref/second_run_2/sliding/sliding"} <= set(found)
+    assert {
+        "/sliding/sliding",
+        "/ref/second_run/sliding/sliding",
+        "/ref/second_run_2/sliding/sliding",
+    } <= set(found)
     assert found["/sliding/sliding"] == found["/ref/second_run/sliding/sliding"]
 
 
@@ -251,8 +280,13 @@ def test_what_is_no_run_is_refused(tmp_path):
 
 
 def test_the_viewer_is_told_not_to_report_its_use():
-    told = subprocess.run([sys.executable, "-m", "rerun_cli", "analytics", "config"], text=True,
-                          env=viewer.environment(), capture_output=True, check=True).stdout
+    told = subprocess.run(
+        [sys.executable, "-m", "rerun_cli", "analytics", "config"],
+        text=True,
+        env=viewer.environment(),
+        capture_output=True,
+        check=True,
+    ).stdout
     assert '"analytics_enabled": false' in told
 
 

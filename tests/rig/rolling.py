@@ -11,7 +11,14 @@ FILL, HOLD, VENT = 0, 1, 3
 FULL_BRAKE_PA = 3.8e5
 # as configs/adhesion/soap.toml, leaf_film.toml and dry.toml: the laws hold whatever those files say later
 SOAP = {"cleaning_creepage": 0.5}
-LEAVES = SOAP | {"mu_cd": 0.02, "mu_cr": 0.20, "A_d": 0.5, "gamma_d_s_m": 0.1, "k_ad": 0.2, "tau_m_J": 6.0e-5}
+LEAVES = SOAP | {
+    "mu_cd": 0.02,
+    "mu_cr": 0.20,
+    "A_d": 0.5,
+    "gamma_d_s_m": 0.1,
+    "k_ad": 0.2,
+    "tau_m_J": 6.0e-5,
+}
 DRY = {"mu_cd": 0.28, "gamma_d_s_m": 0.6, "k_ad": 1.0, "k_sd": 0.4, "tau_m_J": 0.0}
 TRACK = {"mode": "track"}
 NO_RESISTANCE = {"resistance_A_N": 0.0, "resistance_B_N_s_m": 0.0, "resistance_C_N_s2_m2": 0.0}
@@ -64,7 +71,9 @@ class Rig:
         checked = params.check(sections, "a test")
         rows = list(zip(*friction, strict=True)) or [()] * 5
         kinds = (np.bool_, np.float64, np.float64, np.float64, np.int64)
-        plan = params.Friction(*(np.array(row, kind) for row, kind in zip(rows, kinds, strict=True)))
+        plan = params.Friction(
+            *(np.array(row, kind) for row, kind in zip(rows, kinds, strict=True))
+        )
         programme = params.Demand(np.zeros(1), np.array([FULL_BRAKE_PA]))
         self.params = params.build(checked, plan, programme, tick_s, round(tick_s / step_s))
         self.plant = plant.Plant(self.params, speed_m_s)
@@ -81,7 +90,16 @@ class Rig:
         log[0] = self.plant.buffer
         energised = np.empty((ticks, 4))
         energised[:] = magnets
-        _roll(self.state, self.plant.buffer, self.plant.delay, energised, float(demand_Pa),
-              self.tick, controlled and self.params.mode != 0, self.params, log[1:])
+        _roll(
+            self.state,
+            self.plant.buffer,
+            self.plant.delay,
+            energised,
+            float(demand_Pa),
+            self.tick,
+            controlled and self.params.mode != 0,
+            self.params,
+            log[1:],
+        )
         self.tick += ticks
         return History(log)

@@ -24,7 +24,9 @@ def test_what_the_reservoir_lost_and_the_supply_gave_is_what_the_cylinders_used(
     lost_NL = -125.0 * run.change("reservoir_pressure") / NORMAL_PA
     assert run.change("air_consumption") > 100.0
     assert (run.change("air_supplied") > 1.0) == bool(supply)
-    assert lost_NL + run.change("air_supplied") == pytest.approx(run.change("air_consumption"), rel=1e-9)
+    assert lost_NL + run.change("air_supplied") == pytest.approx(
+        run.change("air_consumption"), rel=1e-9
+    )
     # and what they used is what flowed into them: at each end of a pulse as much as went out while it vented
     rises = np.maximum(np.diff(run.cylinder_pressure, axis=0), 0.0).sum()
     assert run.change("air_consumption") == pytest.approx(4.0 * rises / NORMAL_PA, rel=1e-3)
@@ -32,7 +34,10 @@ def test_what_the_reservoir_lost_and_the_supply_gave_is_what_the_cylinders_used(
 
 def test_flow_is_choked_below_the_critical_ratio_and_ends_at_equal_pressure():
     conductance, b = 1.6e-4, 0.5
-    choked = [brake.flow(4e5, to, conductance, b) for to in (0.0, 5e4, 0.5 * (4e5 + NORMAL_PA) - NORMAL_PA)]
+    choked = [
+        brake.flow(4e5, to, conductance, b)
+        for to in (0.0, 5e4, 0.5 * (4e5 + NORMAL_PA) - NORMAL_PA)
+    ]
     assert choked == pytest.approx([conductance * (4e5 + NORMAL_PA)] * 3, rel=1e-12)
     falling = [brake.flow(4e5, to, conductance, b) for to in np.linspace(2e5, 4e5, 50)]
     assert (np.diff(falling) < 0.0).all()
@@ -91,11 +96,17 @@ def test_a_reservoir_without_bottom_gives_the_same_demand_and_the_lanes_leave_su
     assert run.reservoir_pressure[-1] == pytest.approx(5.0e5, rel=1e-3)
 
 
-@pytest.mark.parametrize(("weighed_mass_kg", "share"), [(0.0, 1.0), (43000.0, 1.0), (5.0e4, 0.86), (2.0e5, 0.6)])
-def test_a_weighing_valve_gives_light_vehicles_less_pressure_in_proportion_down_to_its_least(weighed_mass_kg, share):
+@pytest.mark.parametrize(
+    ("weighed_mass_kg", "share"), [(0.0, 1.0), (43000.0, 1.0), (5.0e4, 0.86), (2.0e5, 0.6)]
+)
+def test_a_weighing_valve_gives_light_vehicles_less_pressure_in_proportion_down_to_its_least(
+    weighed_mass_kg, share
+):
     run = Rig(30.0, air={"weighed_mass_kg": weighed_mass_kg}).roll(12.0)
     plain = Rig(30.0).roll(12.0)
     assert run.brake_demand[-1] == pytest.approx(share * plain.brake_demand[-1], rel=1e-12)
     if share == 1.0:
         assert np.array_equal(run.cylinder_pressure, plain.cylinder_pressure)
-    assert math.isclose(run.cylinder_pressure[-1, 0], share * plain.cylinder_pressure[-1, 0], rel_tol=1e-9)
+    assert math.isclose(
+        run.cylinder_pressure[-1, 0], share * plain.cylinder_pressure[-1, 0], rel_tol=1e-9
+    )

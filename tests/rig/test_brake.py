@@ -19,8 +19,10 @@ def charged():
     return rig
 
 
-@pytest.mark.parametrize(("magnets", "valve"), [
-    (0b00, states.FILL), (0b01, states.HOLD), (0b11, states.VENT), (0b10, states.VENT)])
+@pytest.mark.parametrize(
+    ("magnets", "valve"),
+    [(0b00, states.FILL), (0b01, states.HOLD), (0b11, states.VENT), (0b10, states.VENT)],
+)
 def test_none_fills_hold_holds_and_any_vent_vents(magnets, valve):
     assert brake.valve_of(float(magnets)) == valve
 
@@ -98,7 +100,8 @@ def test_only_filling_uses_air_and_uses_the_volume_that_flows_in():
     refilled = rig.roll(1.0, (FILL, VENT, VENT, VENT))
     gained = refilled.change("cylinder_pressure")[0]
     assert rig.state.air_consumption[0] - before == pytest.approx(
-        BRAKE["cylinder_volume_L"] * gained / 101325.0, rel=2e-2)
+        BRAKE["cylinder_volume_L"] * gained / 101325.0, rel=2e-2
+    )
 
 
 def test_a_demand_that_falls_below_the_cylinder_uses_no_air(charged):
@@ -116,7 +119,8 @@ def test_the_discs_hold_nothing_below_the_spring_and_rise_in_proportion_above():
     torque_Nm = force_N * 2 * 0.35 * 0.247 * 2
     for steps in (1, 2, 3):
         assert brake.capacity(BRAKE["spring_pressure_Pa"] + steps * 1e5, given) == pytest.approx(
-            steps * torque_Nm, rel=1e-12)
+            steps * torque_Nm, rel=1e-12
+        )
 
 
 def test_the_brake_never_drives_a_wheel_nor_turns_it_back():
@@ -128,8 +132,9 @@ def test_the_brake_never_drives_a_wheel_nor_turns_it_back():
     # a locked wheel asks for no more than the contact gives
     locked = (run.wheel_speed == 0.0) & (run.vehicle_speed[:, None] > 0.1)
     assert locked.any()
-    np.testing.assert_allclose(run.brake_torque[locked],
-                               0.445 * run.contact_force_N[locked], rtol=1e-12)
+    np.testing.assert_allclose(
+        run.brake_torque[locked], 0.445 * run.contact_force_N[locked], rtol=1e-12
+    )
 
 
 def test_the_programme_gives_its_last_step_that_has_begun():

@@ -48,7 +48,7 @@ def test_what_is_seen_obeys_the_equation_of_the_wheelset(both):
 def test_a_run_repeats_bit_for_bit(both):
     _, history = both["multibody"]
     again = Rig(30.0, vehicle=COACH, adhesion=SOAP, rig=TRACK).roll(1.0)
-    np.testing.assert_array_equal(again.log, history.log[:again.log.shape[0]])
+    np.testing.assert_array_equal(again.log, history.log[: again.log.shape[0]])
 
 
 def test_a_standing_coach_swings_out_to_its_static_loads():

@@ -37,8 +37,10 @@ def base():
 
 
 def test_mechanisms_at_zero_change_no_bit_even_when_they_are_computed(base) -> None:
-    forced = base._replace(effects=base.effects._replace(on_friction=True, on_torque=True),
-                           wheels=base.wheels._replace(swings=True, swing_phase_rad=1.0))
+    forced = base._replace(
+        effects=base.effects._replace(on_friction=True, on_torque=True),
+        wheels=base.wheels._replace(swings=True, swing_phase_rad=1.0),
+    )
     with_them, without = course(forced), course(base)
     for name, at in SLOTS.items():
         if name not in ("slid", "rail_work", "braked_angle"):
@@ -48,10 +50,19 @@ def test_mechanisms_at_zero_change_no_bit_even_when_they_are_computed(base) -> N
 def test_a_model_that_says_zero_of_every_mechanism_changes_no_bit(base) -> None:
     coefficients = {key: 0.0 for mechanism in table.IN_PLANT for key in mechanism.coefficients}
     axles = {row.name: 2.0 for row in table.rows() if row.name.endswith("_axle")}
-    shapes = {"adhesion_memory_speed_power": 1.0, "adhesion_memory_of_work": 1.0,
-              "wheel_out_of_round_phase_rad": 2.0, "falling_friction_height": 1.0, "interfacial_layer_whole": 1.0}
-    assert {"adhesion_memory_length_m", "wheel_out_of_round_amplitude",
-            "wheel_radius_fraction", "wheel_inertia_fraction"} <= set(coefficients)
+    shapes = {
+        "adhesion_memory_speed_power": 1.0,
+        "adhesion_memory_of_work": 1.0,
+        "wheel_out_of_round_phase_rad": 2.0,
+        "falling_friction_height": 1.0,
+        "interfacial_layer_whole": 1.0,
+    }
+    assert {
+        "adhesion_memory_length_m",
+        "wheel_out_of_round_amplitude",
+        "wheel_radius_fraction",
+        "wheel_inertia_fraction",
+    } <= set(coefficients)
     told = extended(**coefficients, **axles, **shapes)
     assert course(told).tobytes() == course(base).tobytes()
 
@@ -69,10 +80,15 @@ def test_cleaning_by_leading_wheels_raises_friction_only_behind_them() -> None:
 
 
 def test_resistance_gradient_radius_and_layer_are_built_in(base) -> None:
-    params = extended(running_resistance_force_N=500.0, track_gradient_gradient=0.001,
-                      wheel_radius_fraction=0.01, roller_curvature_stiffness_fraction=0.5)
+    params = extended(
+        running_resistance_force_N=500.0,
+        track_gradient_gradient=0.001,
+        wheel_radius_fraction=0.01,
+        roller_curvature_stiffness_fraction=0.5,
+    )
     assert params.vehicle.resistance_A_N == pytest.approx(
-        base.vehicle.resistance_A_N + 500.0 + 9.80665 * 43.0)
+        base.vehicle.resistance_A_N + 500.0 + 9.80665 * 43.0
+    )
     assert params.vehicle.wheel_radius_m == pytest.approx(1.01 * base.vehicle.wheel_radius_m)
     assert params.patch.eps1 > 1.4 * base.patch.eps1
 
@@ -97,9 +113,12 @@ def test_a_coefficient_out_of_bounds_is_refused() -> None:
 def test_resistance_grows_with_the_speed_to_the_power_that_is_told(base) -> None:
     linear = extended(running_resistance_force_N=400.0, running_resistance_speed_power=1.0)
     square = extended(running_resistance_force_N=400.0, running_resistance_speed_power=2.0)
-    assert linear.vehicle.resistance_B_N_s_m - base.vehicle.resistance_B_N_s_m == pytest.approx(20.0)
+    assert linear.vehicle.resistance_B_N_s_m - base.vehicle.resistance_B_N_s_m == pytest.approx(
+        20.0
+    )
     assert square.vehicle.resistance_C_N_s2_m2 - base.vehicle.resistance_C_N_s2_m2 == pytest.approx(
-        1.0)
+        1.0
+    )
     with pytest.raises(ConfigError, match="speed_power"):
         extended(running_resistance_speed_power=0.5)
 
@@ -109,7 +128,8 @@ def test_fade_of_a_pad_saturates_with_its_heat() -> None:
     bent = extended(pad_fade_fade_1_MJ=0.01, pad_fade_heat_MJ=3.0).effects
     assert torque(1000.0, 0, 5e6, straight) == pytest.approx(950.0, rel=1e-4)
     assert torque(1000.0, 0, 5e6, bent) == pytest.approx(
-        1000.0 * (1.0 - 0.03 * (1.0 - np.exp(-5.0 / 3.0))))
+        1000.0 * (1.0 - 0.03 * (1.0 - np.exp(-5.0 / 3.0)))
+    )
 
 
 def test_a_torque_offset_may_begin_at_a_torque() -> None:
@@ -128,36 +148,52 @@ def friction_after(seconds: float, **coefficients: float) -> tuple[np.ndarray, f
 
 
 def test_sand_behind_the_first_wheelset_leaves_that_one_as_it_is() -> None:
-    found, _ = friction_after(0.5, sanding_gain=0.2, sanding_start_s=0.1, sanding_duration_s=5.0,
-                              sanding_behind=1.0)
+    found, _ = friction_after(
+        0.5, sanding_gain=0.2, sanding_start_s=0.1, sanding_duration_s=5.0, sanding_behind=1.0
+    )
     assert found == pytest.approx([1.0, *[np.exp(0.2)] * 3])
 
 
 def test_an_empirical_term_is_felt_as_its_formula_says() -> None:
-    found, time_s = friction_after(0.5, empirical_covariate=2.0, empirical_linear=0.1,
-                                   empirical_quadratic=-0.05, empirical_centre=1.0,
-                                   empirical_scale=2.0)
+    found, time_s = friction_after(
+        0.5,
+        empirical_covariate=2.0,
+        empirical_linear=0.1,
+        empirical_quadratic=-0.05,
+        empirical_centre=1.0,
+        empirical_scale=2.0,
+    )
     z = (time_s - 1.0) / 2.0
     assert np.log(found) == pytest.approx(np.full(4, 0.1 * z - 0.05 * z * z), abs=2e-4)
-    wave, time_s = friction_after(0.5, empirical_covariate=2.0, empirical_linear=0.1,
-                                  empirical_period=4.0)
+    wave, time_s = friction_after(
+        0.5, empirical_covariate=2.0, empirical_linear=0.1, empirical_period=4.0
+    )
     assert np.log(wave) == pytest.approx(np.full(4, 0.1 * np.cos(np.pi * time_s / 2.0)), abs=2e-4)
 
 
 def test_friction_follows_the_speed_on_a_bent_line_as_the_table_writes() -> None:
-    found, _ = friction_after(0.2, speed_dependent_friction_slope_per_m_s=0.01,
-                              speed_dependent_friction_knee_m_s=12.0)
+    found, _ = friction_after(
+        0.2, speed_dependent_friction_slope_per_m_s=0.01, speed_dependent_friction_knee_m_s=12.0
+    )
     assert np.log(found[0]) == pytest.approx(0.12 * (1.0 - np.exp(-10.0 / 12.0)), rel=2e-3)
 
 
 # --- memory of adhesion ---
 
 
-@pytest.mark.parametrize(("speed_m_s", "power"), [(20.0, 0.0), (10.0, 0.0), (10.0, 1.0), (30.0, 0.5)])
-def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(speed_m_s, power) -> None:
+@pytest.mark.parametrize(
+    ("speed_m_s", "power"), [(20.0, 0.0), (10.0, 0.0), (10.0, 1.0), (30.0, 0.5)]
+)
+def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(
+    speed_m_s, power
+) -> None:
     length_m = 0.4
-    rig = Rig(speed_m_s, rig=TRACK, brake={"cylinder_area_m2": 0.1}, mechanisms={
-        "adhesion_memory_length_m": length_m, "adhesion_memory_speed_power": power})
+    rig = Rig(
+        speed_m_s,
+        rig=TRACK,
+        brake={"cylinder_area_m2": 0.1},
+        mechanisms={"adhesion_memory_length_m": length_m, "adhesion_memory_speed_power": power},
+    )
     # all at once locked by strong brakes: by the paper's law lambda_0 then hardly changes with the way
     rig.state.wheel_speed[:] = 0.0
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 4e5
@@ -165,22 +201,33 @@ def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(spee
     way_m = length_m * (speed_m_s / 20.0) ** power
     run = rig.roll(2.5 * way_m / speed_m_s, demand_Pa=4e5)
     assert run.wheel_speed.max() == 0.0
-    prompt = np.array([wheelset.adhesion_under(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law)[3]
-                       for s, v, N in zip(run.sliding[1:, 0], run.vehicle_speed[1:],
-                                          run.wheel_load[1:, 0], strict=True)])
+    prompt = np.array(
+        [
+            wheelset.adhesion_under(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law)[3]
+            for s, v, N in zip(
+                run.sliding[1:, 0], run.vehicle_speed[1:], run.wheel_load[1:, 0], strict=True
+            )
+        ]
+    )
     assert np.ptp(prompt) < 0.07 * prompt[0]
     expected = 1.0 - np.exp(-run.position[1:] / way_m)
     np.testing.assert_allclose(run.transition[1:, 0] / prompt.mean(), expected, atol=0.015)
     # and the force is that of the recovery so far
-    f_d, f_r, late = (getattr(run, name)[1:, 0] for name in (
-        "adhesion_degraded", "adhesion_recovered", "transition"))
+    f_d, f_r, late = (
+        getattr(run, name)[1:, 0]
+        for name in ("adhesion_degraded", "adhesion_recovered", "transition")
+    )
     np.testing.assert_allclose(run.adhesion[1:, 0], (1.0 - late) * f_d + late * f_r, rtol=1e-12)
 
 
 def test_a_memory_of_the_work_done_recovers_by_the_work_as_it_is() -> None:
     length_m = 2.0
-    rig = Rig(20.0, adhesion=SOAP, rig=TRACK, mechanisms={
-        "adhesion_memory_length_m": length_m, "adhesion_memory_of_work": 1.0})
+    rig = Rig(
+        20.0,
+        adhesion=SOAP,
+        rig=TRACK,
+        mechanisms={"adhesion_memory_length_m": length_m, "adhesion_memory_of_work": 1.0},
+    )
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 4e5
     run = rig.roll(1.5, demand_Pa=4e5)
     # the record's own work of one wheel on a metre of rail
@@ -194,8 +241,14 @@ def test_a_memory_of_the_work_done_recovers_by_the_work_as_it_is() -> None:
 
 @pytest.mark.parametrize("of_work", [0.0, 1.0])
 def test_a_memory_of_no_length_to_speak_of_is_the_base_model(of_work) -> None:
-    rigs = Rig(20.0, adhesion=SOAP), Rig(20.0, adhesion=SOAP, mechanisms={
-        "adhesion_memory_length_m": 1e-4, "adhesion_memory_of_work": of_work})
+    rigs = (
+        Rig(20.0, adhesion=SOAP),
+        Rig(
+            20.0,
+            adhesion=SOAP,
+            mechanisms={"adhesion_memory_length_m": 1e-4, "adhesion_memory_of_work": of_work},
+        ),
+    )
     for rig in rigs:
         rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 2.5e5
     plain, told = (rig.roll(3.0) for rig in rigs)
@@ -211,7 +264,8 @@ def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(powe
     row[parameters.MEMORY], row[parameters.MEMORY_POWER] = 3.0, power
     for speed_m_s in (0.1, 5.0, 20.0, 44.0):
         assert wheelset.relaxed(0.0, 1.0, speed_m_s, 0.01, built) == pytest.approx(
-            replay.closes(speed_m_s, 0.01, row), rel=1e-12)
+            replay.closes(speed_m_s, 0.01, row), rel=1e-12
+        )
     standing = wheelset.relaxed(0.2, 1.0, 0.0, 0.01, built)
     assert 0.2 <= standing < 0.3
     assert power == 1.0 or standing == 0.2
@@ -221,19 +275,28 @@ def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(powe
 
 
 def test_the_height_of_falling_friction_scales_the_fall_from_static_to_sliding() -> None:
-    base, told = extended().law, extended(falling_friction_fraction=0.5, falling_friction_height=1.0).law
+    base, told = (
+        extended().law,
+        extended(falling_friction_fraction=0.5, falling_friction_height=1.0).law,
+    )
     assert 1.0 / told.A_d - 1.0 == pytest.approx(1.5 * (1.0 / base.A_d - 1.0), rel=1e-12)
     assert 1.0 / told.A_r - 1.0 == pytest.approx(1.5 * (1.0 / base.A_r - 1.0), rel=1e-12)
     assert (told.gamma_d_s_m, told.gamma_r_s_m) == (base.gamma_d_s_m, base.gamma_r_s_m)
 
 
 def test_a_layer_of_the_whole_contact_is_a_contact_of_less_creep_stiffness() -> None:
-    layer, soft = (extended(**told) for told in (
-        {"interfacial_layer_reduction": 0.4, "interfacial_layer_whole": 1.0},
-        {"roller_curvature_stiffness_fraction": -0.4}))
+    layer, soft = (
+        extended(**told)
+        for told in (
+            {"interfacial_layer_reduction": 0.4, "interfacial_layer_whole": 1.0},
+            {"roller_curvature_stiffness_fraction": -0.4},
+        )
+    )
     for sliding_m_s in (0.01, 0.3, 4.0):
-        forces = [wheelset.force(sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, -1.0, 0.0)[0]
-                  for p in (layer, soft)]
+        forces = [
+            wheelset.force(sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, -1.0, 0.0)[0]
+            for p in (layer, soft)
+        ]
         assert forces[0] == pytest.approx(forces[1], rel=1e-9)
 
 
@@ -241,15 +304,24 @@ def test_a_layer_of_the_whole_contact_is_a_contact_of_less_creep_stiffness() -> 
 
 
 def test_an_out_of_round_wheel_swings_its_own_load_once_a_turn_by_the_amplitude() -> None:
-    rig = Rig(20.0, adhesion=DRY, mechanisms={
-        "wheel_out_of_round_amplitude": 0.05, "wheel_out_of_round_phase_rad": 0.7,
-        "wheel_out_of_round_axle": 2.0})
+    rig = Rig(
+        20.0,
+        adhesion=DRY,
+        mechanisms={
+            "wheel_out_of_round_amplitude": 0.05,
+            "wheel_out_of_round_phase_rad": 0.7,
+            "wheel_out_of_round_axle": 2.0,
+        },
+    )
     run = rig.roll(3.0)
-    planar = np.array([[vehicle.load(j, a, rig.params.vehicle) for j in range(4)]
-                       for a in run.felt_acceleration])
+    planar = np.array(
+        [[vehicle.load(j, a, rig.params.vehicle) for j in range(4)] for a in run.felt_acceleration]
+    )
     share = run.wheel_load / planar
     np.testing.assert_allclose(share[:, [0, 2, 3]], 1.0, rtol=1e-12)
-    np.testing.assert_allclose(share[:, 1], 1.0 + 0.05 * np.cos(run.wheel_angle[:, 1] + 0.7), rtol=1e-12)
+    np.testing.assert_allclose(
+        share[:, 1], 1.0 + 0.05 * np.cos(run.wheel_angle[:, 1] + 0.7), rtol=1e-12
+    )
     turns = run.change("wheel_angle")[1] / (2.0 * np.pi)
     above = share[:, 1] > 1.0
     assert np.count_nonzero(above[1:] & ~above[:-1]) == pytest.approx(turns, abs=1.0)
@@ -257,35 +329,56 @@ def test_an_out_of_round_wheel_swings_its_own_load_once_a_turn_by_the_amplitude(
 
 
 def test_one_larger_wheel_alone_turns_slower_at_the_speed_of_the_train() -> None:
-    rig = Rig(20.0, adhesion=DRY, rig=TRACK,
-              mechanisms={"wheel_radius_fraction": 0.04, "wheel_radius_axle": 3.0})
+    rig = Rig(
+        20.0,
+        adhesion=DRY,
+        rig=TRACK,
+        mechanisms={"wheel_radius_fraction": 0.04, "wheel_radius_axle": 3.0},
+    )
     run = rig.roll(1.0, demand_Pa=0.0)
     turning = run.wheel_speed[-1]
     np.testing.assert_allclose(turning[[0, 1, 3]], turning[0], rtol=1e-6)
     assert turning[2] == pytest.approx(turning[0] / 1.04, rel=1e-6)
-    np.testing.assert_allclose(run.wheel_circumferential_speed[-1], run.vehicle_speed[-1], rtol=1e-5)
+    np.testing.assert_allclose(
+        run.wheel_circumferential_speed[-1], run.vehicle_speed[-1], rtol=1e-5
+    )
 
 
 def test_one_heavier_wheelset_alone_answers_slower() -> None:
-    rig = Rig(20.0, adhesion={"mu_cd": 1e-4, "mu_cr": 1e-4, "A_d": 1.0, "A_r": 1.0},
-              mechanisms={"wheel_inertia_fraction": 0.5, "wheel_inertia_axle": 4.0})
+    rig = Rig(
+        20.0,
+        adhesion={"mu_cd": 1e-4, "mu_cr": 1e-4, "A_d": 1.0, "A_r": 1.0},
+        mechanisms={"wheel_inertia_fraction": 0.5, "wheel_inertia_axle": 4.0},
+    )
     lost = -rig.roll(1.0, demand_Pa=2e5).change("wheel_speed")
     np.testing.assert_allclose(lost[1:3], lost[0], rtol=1e-3)
     assert lost[3] == pytest.approx(lost[0] / 1.5, rel=1e-3)
 
 
 WHEELS_AND_CONTACT = {
-    "adhesion_memory_length_m": 1.0, "adhesion_memory_speed_power": 0.5,
-    "wheel_out_of_round_amplitude": 0.1, "wheel_out_of_round_axle": 1.0,
-    "wheel_radius_fraction": 0.03, "wheel_radius_axle": 2.0,
-    "wheel_inertia_fraction": 0.3, "wheel_inertia_axle": 3.0}
+    "adhesion_memory_length_m": 1.0,
+    "adhesion_memory_speed_power": 0.5,
+    "wheel_out_of_round_amplitude": 0.1,
+    "wheel_out_of_round_axle": 1.0,
+    "wheel_radius_fraction": 0.03,
+    "wheel_radius_axle": 2.0,
+    "wheel_inertia_fraction": 0.3,
+    "wheel_inertia_axle": 3.0,
+}
 
 
 @pytest.mark.parametrize("mode", [TRACK, {}], ids=["track", "rollers"])
 def test_with_such_wheels_and_memory_halving_the_step_still_quarters_the_error(mode) -> None:
     def end(step_s: float) -> np.ndarray:
-        rig = Rig(30.0, step_s, 2e-3, adhesion=SOAP, rig=mode, brake={"spring_pressure_Pa": 0.0},
-                  mechanisms=WHEELS_AND_CONTACT)
+        rig = Rig(
+            30.0,
+            step_s,
+            2e-3,
+            adhesion=SOAP,
+            rig=mode,
+            brake={"spring_pressure_Pa": 0.0},
+            mechanisms=WHEELS_AND_CONTACT,
+        )
         run = rig.roll(2.8, controlled=False)
         assert run.sliding.max() > 0.1
         return np.hstack([run.vehicle_speed[-1], run.wheel_speed[-1], run.roller_speed[-1]])
@@ -300,28 +393,45 @@ def test_with_such_wheels_and_memory_the_energy_of_a_stop_balances() -> None:
     run = rig.roll(40.0, np.tile([0, 0, 1, 3], (40_000, 1)))
     assert np.isfinite(run.log).all()
     mass = rig.params.vehicle.mass_kg * (run.vehicle_speed[0] ** 2 - run.vehicle_speed[-1] ** 2)
-    wheels = rig.params.wheels.table.reshape(4, 4)[1] @ (run.wheel_speed[0] ** 2 - run.wheel_speed[-1] ** 2)
-    counted = (run.change("sliding_work").sum() + run.change("brake_work").sum()
-               + run.change("resistance_work"))
+    wheels = rig.params.wheels.table.reshape(4, 4)[1] @ (
+        run.wheel_speed[0] ** 2 - run.wheel_speed[-1] ** 2
+    )
+    counted = (
+        run.change("sliding_work").sum()
+        + run.change("brake_work").sum()
+        + run.change("resistance_work")
+    )
     assert counted == pytest.approx(0.5 * (mass + wheels), rel=1e-6)
     again = Rig(20.0, adhesion=SOAP, rig=TRACK, mechanisms=WHEELS_AND_CONTACT)
     assert again.roll(40.0, np.tile([0, 0, 1, 3], (40_000, 1))).log.tobytes() == run.log.tobytes()
 
 
-@pytest.mark.parametrize("told", [
-    {"adhesion_memory_length_m": 2.0}, {"wheel_out_of_round_amplitude": 0.1},
-    {"wheel_radius_fraction": 0.02, "wheel_radius_axle": 3.0}, {"load_transfer_body_s2_m": 0.02}])
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"adhesion_memory_length_m": 2.0},
+        {"wheel_out_of_round_amplitude": 0.1},
+        {"wheel_radius_fraction": 0.02, "wheel_radius_axle": 3.0},
+        {"load_transfer_body_s2_m": 0.02},
+    ],
+)
 def test_the_coach_in_3d_refuses_a_mechanism_that_it_does_not_know(told) -> None:
     with pytest.raises(ConfigError, match=f"{next(iter(told))}.*coach in 3D.*planar"):
         Rig(20.0, vehicle={"model": "multibody"}, mechanisms=told)
 
 
 def test_a_patch_with_slow_edges_has_half_its_depth_on_the_middle_of_its_edge() -> None:
-    params = extended(contaminated_patch_depth=0.4, contaminated_patch_start_m=100.0,
-                      contaminated_patch_length_m=80.0, contaminated_patch_ramp=0.5)
+    params = extended(
+        contaminated_patch_depth=0.4,
+        contaminated_patch_start_m=100.0,
+        contaminated_patch_length_m=80.0,
+        contaminated_patch_ramp=0.5,
+    )
     rig = Plant(params, 30.0)
     places = (99.0, 110.0, 140.0, 170.0, 181.0)
-    lost = [-np.log(effects.friction_factor(rig.state, 0, x, params.effects, False)) for x in places]
+    lost = [
+        -np.log(effects.friction_factor(rig.state, 0, x, params.effects, False)) for x in places
+    ]
     assert lost == pytest.approx([0.0, 0.2, 0.4, 0.2, 0.0], abs=1e-12)
     replayed = courses.filled(friction.contaminated_patch, 5, np.array(places), 100.0, 80.0, 0.5)
     assert -0.4 * replayed == pytest.approx(lost, abs=1e-12)

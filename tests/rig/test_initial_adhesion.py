@@ -12,7 +12,9 @@ LAW = {"initial_at_speed_m_s": 20.0, "initial_at_sliding_m_s": 0.5}
 
 
 @pytest.mark.parametrize("stated", [0.03, 0.05, 0.065, 0.08, 0.12])
-@pytest.mark.parametrize("more", [{}, {"tau_m_J": 0.0}, {"mu_cr": 0.2}], ids=["soap", "no recovery", "poorer"])
+@pytest.mark.parametrize(
+    "more", [{}, {"tau_m_J": 0.0}, {"mu_cr": 0.2}], ids=["soap", "no recovery", "poorer"]
+)
 def test_the_contact_has_the_stated_adhesion_at_its_speed_and_sliding(stated, more):
     rig = Rig(20.0, rig=TRACK, adhesion={"initial_adhesion": stated, **LAW, **more})
     law, patch = rig.params.law, rig.params.patch
@@ -21,7 +23,9 @@ def test_the_contact_has_the_stated_adhesion_at_its_speed_and_sliding(stated, mo
 
 
 def test_a_braked_first_wheel_that_slides_so_far_at_that_speed_has_that_adhesion():
-    rig = Rig(25.0, rig=TRACK, adhesion={"initial_adhesion": 0.065, **LAW, "initial_at_speed_m_s": 24.0})
+    rig = Rig(
+        25.0, rig=TRACK, adhesion={"initial_adhesion": 0.065, **LAW, "initial_at_speed_m_s": 24.0}
+    )
     run = rig.roll(5.0)
     begun = np.argmax(run.sliding[:, 0] >= 0.5)
     assert run.vehicle_speed[begun] == pytest.approx(24.0, abs=0.7)

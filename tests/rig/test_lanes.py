@@ -21,19 +21,46 @@ from rollerrig.rig.state import AXLES, SLOTS, views
 
 SEEDS, MODES = range(20), ("track", "contaminated_rollers")
 CLOSE = 1e-9
-ORDER = ("pneumatics_and_motors", "contacts", "contacts_outside_domain", "begin", "predict", "contacts",
-         "contacts_outside_domain", "finish", "move")
+ORDER = (
+    "pneumatics_and_motors",
+    "contacts",
+    "contacts_outside_domain",
+    "begin",
+    "predict",
+    "contacts",
+    "contacts_outside_domain",
+    "finish",
+    "move",
+)
 # what a kernel leaves in its rows, and where the plant has it after the same step
 LEAVES = {
-    "pneumatics_and_motors": {"DEMAND": "brake_demand", "PRESSURE": "cylinder_pressure",
-                              "MOTOR": "motor_torque", "BRAKE": "brake_torque"},
+    "pneumatics_and_motors": {
+        "DEMAND": "brake_demand",
+        "PRESSURE": "cylinder_pressure",
+        "MOTOR": "motor_torque",
+        "BRAKE": "brake_torque",
+    },
     "begin": {"WHEEL_K": "wheel_rate", "ROLLER_K": "roller_rate"},
-    "finish": {"WHEEL": "wheel_speed", "ROLLER": "roller_speed", "WHEEL_RAD": "wheel_angle",
-               "ROLLER_RAD": "roller_angle", "BRAKE_WORK": "brake_work", "MOTOR_WORK": "motor_work",
-               "FORCE": "contact_force", "BRAKE_MEAN": "brake_mean", "CAPACITY": "brake_capacity",
-               "MOTOR_BEFORE": "motor_before"},
-    "move": {"V": "vehicle_speed", "FELT": "felt_acceleration", "RATE": "vehicle_acceleration",
-             "PLACE": "position", "RESISTANCE_WORK": "resistance_work", "SLIDING_WORK": "sliding_work"},
+    "finish": {
+        "WHEEL": "wheel_speed",
+        "ROLLER": "roller_speed",
+        "WHEEL_RAD": "wheel_angle",
+        "ROLLER_RAD": "roller_angle",
+        "BRAKE_WORK": "brake_work",
+        "MOTOR_WORK": "motor_work",
+        "FORCE": "contact_force",
+        "BRAKE_MEAN": "brake_mean",
+        "CAPACITY": "brake_capacity",
+        "MOTOR_BEFORE": "motor_before",
+    },
+    "move": {
+        "V": "vehicle_speed",
+        "FELT": "felt_acceleration",
+        "RATE": "vehicle_acceleration",
+        "PLACE": "position",
+        "RESISTANCE_WORK": "resistance_work",
+        "SLIDING_WORK": "sliding_work",
+    },
 }
 
 
@@ -54,24 +81,48 @@ def gather(w, rig, state):
 
 def near(found, wanted, what=""):
     wanted = np.asarray(wanted, dtype=float)
-    np.testing.assert_allclose(found, wanted, rtol=CLOSE, atol=CLOSE * np.abs(wanted).max(initial=0.0), err_msg=what)
+    np.testing.assert_allclose(
+        found, wanted, rtol=CLOSE, atol=CLOSE * np.abs(wanted).max(initial=0.0), err_msg=what
+    )
 
 
 def random_rig(rng, mode):
     """A rig that the lanes take, of any mass, brake, wheels and contaminant."""
-    adhesion_of = {"mu_cd": rng.uniform(0.01, 0.15), "mu_cr": rng.uniform(0.16, 0.4),
-                   "gamma_d_s_m": rng.uniform(0.0, 0.5), "tau_m_J": rng.choice([0.0, 1e-5, 1.9e-4, 1e-3]),
-                   "cleaning_creepage": rng.choice([0.05, 0.2, math.inf])}
+    adhesion_of = {
+        "mu_cd": rng.uniform(0.01, 0.15),
+        "mu_cr": rng.uniform(0.16, 0.4),
+        "gamma_d_s_m": rng.uniform(0.0, 0.5),
+        "tau_m_J": rng.choice([0.0, 1e-5, 1.9e-4, 1e-3]),
+        "cleaning_creepage": rng.choice([0.05, 0.2, math.inf]),
+    }
     return Rig(
-        30.0, step_s=1e-4, adhesion=adhesion_of, rig={"mode": mode},
-        vehicle={"mass_kg": rng.uniform(2.5e4, 8e4), "wheel_radius_m": rng.uniform(0.35, 0.55),
-                 "wheelset_inertia_kgm2": rng.uniform(60.0, 300.0),
-                 "resistance_B_N_s_m": rng.uniform(0.0, 50.0), "body_height_m": rng.uniform(1.0, 2.5)},
-        brake={"pad_friction": rng.uniform(0.1, 0.5), "fill_time_constant_s": rng.uniform(0.3, 3.0)},
+        30.0,
+        step_s=1e-4,
+        adhesion=adhesion_of,
+        rig={"mode": mode},
+        vehicle={
+            "mass_kg": rng.uniform(2.5e4, 8e4),
+            "wheel_radius_m": rng.uniform(0.35, 0.55),
+            "wheelset_inertia_kgm2": rng.uniform(60.0, 300.0),
+            "resistance_B_N_s_m": rng.uniform(0.0, 50.0),
+            "body_height_m": rng.uniform(1.0, 2.5),
+        },
+        brake={
+            "pad_friction": rng.uniform(0.1, 0.5),
+            "fill_time_constant_s": rng.uniform(0.3, 3.0),
+        },
         contact={"roller_radius_m": rng.uniform(0.5, 2.0)},
-        drive={"roller_inertia_kgm2": rng.uniform(300.0, 3000.0), "max_speed_rad_s": rng.uniform(10.0, 80.0)},
-        mechanisms={"wheel_radius_fraction": rng.uniform(-0.05, 0.05), "wheel_radius_axle": float(rng.integers(1, 5)),
-                    "wheel_inertia_fraction": rng.uniform(-0.2, 0.2), "wheel_inertia_axle": float(rng.integers(1, 5))})
+        drive={
+            "roller_inertia_kgm2": rng.uniform(300.0, 3000.0),
+            "max_speed_rad_s": rng.uniform(10.0, 80.0),
+        },
+        mechanisms={
+            "wheel_radius_fraction": rng.uniform(-0.05, 0.05),
+            "wheel_radius_axle": float(rng.integers(1, 5)),
+            "wheel_inertia_fraction": rng.uniform(-0.2, 0.2),
+            "wheel_inertia_axle": float(rng.integers(1, 5)),
+        },
+    )
 
 
 def shake(rng, rig):
@@ -80,17 +131,29 @@ def shake(rng, rig):
     v = 0.0 if rng.random() < 0.1 else 10.0 ** rng.uniform(-3.0, 1.8)
     creepage = 10.0 ** rng.uniform(-6.0, 0.0, four) * rng.choice([1.0, 1.0, 1.0, -1.0], four)
     creepage[rng.random(4) < 0.15] = 1.0  # locked
-    radius_m = p.wheels.table[vehicle.RADIUS_M:vehicle.RADIUS_M + 4]
+    radius_m = p.wheels.table[vehicle.RADIUS_M : vehicle.RADIUS_M + 4]
     s.vehicle_speed[0], s.standing[0] = v, float(v == 0.0)
-    s.roller_speed[:] = 0.0 if p.mode == 0 else v / p.drive.roller_radius_m * rng.uniform(0.95, 1.05, four)
+    s.roller_speed[:] = (
+        0.0 if p.mode == 0 else v / p.drive.roller_radius_m * rng.uniform(0.95, 1.05, four)
+    )
     surface_m_s = v if p.mode == 0 else p.drive.roller_radius_m * s.roller_speed
     s.wheel_speed[:] = np.maximum(0.0, surface_m_s * (1.0 - creepage) / radius_m)
     s.felt_acceleration[0], s.position[0] = rng.uniform(-3.0, 1.0), rng.uniform(0.0, 1e3)
     s.brake_demand[0], s.valve[:] = rng.uniform(0.0, 5e5), rng.integers(0, 3, four)
-    for name, most in (("cylinder_pressure", 5e5), ("brake_capacity", 2e4), ("brake_torque", 2e4),
-                       ("motor_torque", 3e4), ("motor_before", 3e4), ("wheel_angle", 1e3),
-                       ("roller_angle", 1e3), ("brake_work", 1e6), ("sliding_work", 1e6),
-                       ("motor_work", 1e6), ("contact_force", 2e4), ("brake_mean", 2e4)):
+    for name, most in (
+        ("cylinder_pressure", 5e5),
+        ("brake_capacity", 2e4),
+        ("brake_torque", 2e4),
+        ("motor_torque", 3e4),
+        ("motor_before", 3e4),
+        ("wheel_angle", 1e3),
+        ("roller_angle", 1e3),
+        ("brake_work", 1e6),
+        ("sliding_work", 1e6),
+        ("motor_work", 1e6),
+        ("contact_force", 2e4),
+        ("brake_mean", 2e4),
+    ):
         getattr(s, name)[:] = rng.uniform(0.0, most, four)
     s.motor_torque_demand[:] = rng.uniform(-4e4, 4e4, four)
     s.friction_degraded[:] = p.law.mu_cd * rng.uniform(0.5, 1.5, four)
@@ -120,12 +183,14 @@ class Case:
     def row(self, name):
         """A row of the lanes, (rigs, axles)."""
         at = getattr(layout, name)
-        return self.w[at:at + LANES].reshape(RIGS, AXLES)
+        return self.w[at : at + LANES].reshape(RIGS, AXLES)
 
     def upto(self, name):
         """Run the kernels of a step up to the first of this name."""
-        for each in ORDER[:ORDER.index(name) + 1]:
-            (getattr(step, each))(*((self.w, self.vehicles) if each in ("predict", "move") else (self.w,)))
+        for each in ORDER[: ORDER.index(name) + 1]:
+            (getattr(step, each))(
+                *((self.w, self.vehicles) if each in ("predict", "move") else (self.w,))
+            )
         return self
 
     def moving(self):
@@ -138,7 +203,12 @@ def of_the_step(name):
         case.upto(name)
         for row, slot in LEAVES[name].items():
             for n in case.moving():
-                near(case.row(row)[n], np.broadcast_to(getattr(case.after[n], slot), 4), f"{name}: {row}")
+                near(
+                    case.row(row)[n],
+                    np.broadcast_to(getattr(case.after[n], slot), 4),
+                    f"{name}: {row}",
+                )
+
     return check
 
 
@@ -148,7 +218,11 @@ def whole_step(case):
         found = views(case.before[n].copy())
         gather(case.w, n, found)
         for name in SLOTS:
-            if name not in ("wheel_rate", "roller_rate", "instantaneous_transition"):  # of a stage, not of the state
+            if name not in (
+                "wheel_rate",
+                "roller_rate",
+                "instantaneous_transition",
+            ):  # of a stage, not of the state
                 near(getattr(found, name), getattr(wanted, name), name)
 
 
@@ -167,12 +241,23 @@ def round_trip(case):
 def constants(case):
     for n, rig in enumerate(case.rigs):
         law, p = rig.params.law, rig.params
-        for row, value in (("TAU", law.tau_m_J), ("CLEANING", law.cleaning_creepage), ("A_D", law.A_d),
-                           ("K_SR", law.k_sr), ("EPS1", p.patch.eps1), ("STEP", p.step_s), ("ON_TRACK", p.mode == 0),
-                           ("ROLLER_M", p.drive.roller_radius_m), ("TORQUE_PER_PA", p.brake.torque_Nm_Pa)):
+        for row, value in (
+            ("TAU", law.tau_m_J),
+            ("CLEANING", law.cleaning_creepage),
+            ("A_D", law.A_d),
+            ("K_SR", law.k_sr),
+            ("EPS1", p.patch.eps1),
+            ("STEP", p.step_s),
+            ("ON_TRACK", p.mode == 0),
+            ("ROLLER_M", p.drive.roller_radius_m),
+            ("TORQUE_PER_PA", p.brake.torque_Nm_Pa),
+        ):
             assert (case.row(row)[n] == value).all(), row
         for j in range(AXLES):
-            near(case.row("STATIC_N")[n, j] - 2.0 * case.row("TRANSFER_KG")[n, j], vehicle.load(j, 2.0, p.vehicle))
+            near(
+                case.row("STATIC_N")[n, j] - 2.0 * case.row("TRANSFER_KG")[n, j],
+                vehicle.load(j, 2.0, p.vehicle),
+            )
 
 
 def force_of(case, n, j):
@@ -181,9 +266,17 @@ def force_of(case, n, j):
     surface = s.vehicle_speed[0] if p.mode == 0 else p.drive.roller_radius_m * s.roller_speed[j]
     sliding = surface - p.wheels.table[vehicle.RADIUS_M + j] * s.wheel_speed[j]
     at = max(abs(sliding), wheelset.SMALL_M_S)
-    T, _, _ = wheelset.force(at, surface, vehicle.load(j, s.felt_acceleration[0], p.vehicle),
-                             s.friction_degraded[j], s.friction_recovered[j], p.patch, p.law,
-                             adhesion.NO_MEMORY, 0.0)
+    T, _, _ = wheelset.force(
+        at,
+        surface,
+        vehicle.load(j, s.felt_acceleration[0], p.vehicle),
+        s.friction_degraded[j],
+        s.friction_recovered[j],
+        p.patch,
+        p.law,
+        adhesion.NO_MEMORY,
+        0.0,
+    )
     return T / at * sliding, T / at
 
 
@@ -199,6 +292,7 @@ def of_the_contacts(name):
                     inside += 1
                     near(case.row("SLOPE")[n, j], slope)
         assert inside > 2 * len(case.moving())
+
     return check
 
 
@@ -206,10 +300,13 @@ def stages_of(case, n, j):
     """Slopes, pull and acting brake of the first stage, by `wheelset`."""
     s, after, p = views(case.before[n]), case.after[n], case.rigs[n].params
     T, g = force_of(case, n, j)
-    wheel_k, brake_Nm, locked = wheelset.wheel_acceleration(s.wheel_speed[j], T, s.brake_capacity[j], j, p.wheels)
+    wheel_k, brake_Nm, locked = wheelset.wheel_acceleration(
+        s.wheel_speed[j], T, s.brake_capacity[j], j, p.wheels
+    )
     roller_k = wheelset.roller_acceleration(s.motor_before[j], T, p.mode == 0, p.drive)
-    wheel_k, roller_k, added_N = wheelset.implicit_slopes(wheel_k, roller_k, max(g, 0.0), locked, p.mode == 0, p.step_s,
-                                                          j, p.wheels, p.drive)
+    wheel_k, roller_k, added_N = wheelset.implicit_slopes(
+        wheel_k, roller_k, max(g, 0.0), locked, p.mode == 0, p.step_s, j, p.wheels, p.drive
+    )
     near((wheel_k, roller_k), (after.wheel_rate[j], after.roller_rate[j]))
     return wheel_k, roller_k, T + added_N, brake_Nm
 
@@ -224,7 +321,9 @@ def one_stage(case):
     for n in case.moving():
         s = views(case.before[n])
         for j in range(AXLES):
-            found = stage(case.w, AXLES * n + j, s.wheel_speed[j], s.brake_capacity[j], s.motor_before[j])
+            found = stage(
+                case.w, AXLES * n + j, s.wheel_speed[j], s.brake_capacity[j], s.motor_before[j]
+            )
             near(found, stages_of(case, n, j))
 
 
@@ -233,11 +332,16 @@ def prediction(case):
     for n in case.moving():
         s, p = views(case.before[n]), case.rigs[n].params
         v, felt, h = s.vehicle_speed[0], s.felt_acceleration[0], p.step_s
-        held_N = vehicle.resistance(v, p.vehicle) + sum(stages_of(case, n, j)[2] for j in range(AXLES))
+        held_N = vehicle.resistance(v, p.vehicle) + sum(
+            stages_of(case, n, j)[2] for j in range(AXLES)
+        )
         near(step.total(case.w, AXLES * n, 0.0) + vehicle.resistance(v, p.vehicle), held_N)
         rate = -held_N / p.vehicle.mass_kg
         near(case.row("V_END")[n], np.full(4, v + h * rate))
-        near(case.row("FELT_END")[n], np.full(4, felt + h * (rate - felt) / p.vehicle.pitch_time_constant_s))
+        near(
+            case.row("FELT_END")[n],
+            np.full(4, felt + h * (rate - felt) / p.vehicle.pitch_time_constant_s),
+        )
 
 
 def standstill(case):
@@ -248,15 +352,29 @@ def standstill(case):
         vehicle.settle(rig.state)
         found = views(case.before[n].copy())
         gather(case.w, n, found)
-        for name in ("vehicle_speed", "vehicle_acceleration", "wheel_speed", "roller_speed", "motor_torque",
-                     "brake_torque", "standing"):
+        for name in (
+            "vehicle_speed",
+            "vehicle_acceleration",
+            "wheel_speed",
+            "roller_speed",
+            "motor_torque",
+            "brake_torque",
+            "standing",
+        ):
             assert np.array_equal(getattr(found, name), getattr(rig.state, name)), name
 
 
 TWINS = {
-    "layout.load_constants": constants, "layout.scatter": round_trip, "layout.gather": round_trip,
-    "step.step": whole_step, "step.stage": one_stage, "step.predict": prediction, "step.total": prediction,
-    "step.broadcast": standstill, "step.settle": standstill, "step.exact_slope": of_the_contacts("contacts"),
+    "layout.load_constants": constants,
+    "layout.scatter": round_trip,
+    "layout.gather": round_trip,
+    "step.step": whole_step,
+    "step.stage": one_stage,
+    "step.predict": prediction,
+    "step.total": prediction,
+    "step.broadcast": standstill,
+    "step.settle": standstill,
+    "step.exact_slope": of_the_contacts("contacts"),
     "step.contacts": of_the_contacts("contacts"),
     "step.contacts_outside_domain": of_the_contacts("contacts_outside_domain"),
     **{f"step.{name}": of_the_step(name) for name in LEAVES},
@@ -264,15 +382,20 @@ TWINS = {
 
 
 def test_every_kernel_of_the_lanes_has_a_twin():
-    kernels = {f"{module.__name__.rpartition('.')[2]}.{name}" for module in (layout, step)
-               for name, one in vars(module).items()
-               if isinstance(one, Dispatcher) and one.py_func.__module__ == module.__name__}
+    kernels = {
+        f"{module.__name__.rpartition('.')[2]}.{name}"
+        for module in (layout, step)
+        for name, one in vars(module).items()
+        if isinstance(one, Dispatcher) and one.py_func.__module__ == module.__name__
+    }
     assert kernels == set(TWINS)
 
 
 def test_the_kernels_of_a_step_are_held_to_the_plant_in_their_order():
     called = step.step.py_func.__code__.co_names
-    assert tuple(dict.fromkeys(name for name in called if hasattr(step, name))) == tuple(dict.fromkeys(ORDER))
+    assert tuple(dict.fromkeys(name for name in called if hasattr(step, name))) == tuple(
+        dict.fromkeys(ORDER)
+    )
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -22,16 +22,32 @@ SPEED_M_S, LASTS_S, STEP_S = 30.0, 6.0, 0.01
 # brakes fill and vent in turns, so that wheels slide and recover
 FILLS_MS, VENTS_MS, DEMAND_PA = 1300, 600, 3.8e5
 # where a cause acts that is no formula of the whole stop; `table` searches these
-WINDOWS = {"contaminated_patch": {"start_m": 40.0, "length_m": 60.0}, "sanding": {"start_s": 2.0, "duration_s": 2.0}}
+WINDOWS = {
+    "contaminated_patch": {"start_m": 40.0, "length_m": 60.0},
+    "sanding": {"start_s": 2.0, "duration_s": 2.0},
+}
 # least correlation and largest difference: the plant takes the way between wheels as a lag, and a released
 # brake gives it no torque, whatever the offset of the sensor
 ROUGHLY = {"rail_cleaning": (0.75, 0.3), "torque_offset": (0.85, 0.25)}
-SIZE = {"adhesion_memory": 2.0}  # the step of its derivative; of the others a thousandth of the upper bound
+SIZE = {
+    "adhesion_memory": 2.0
+}  # the step of its derivative; of the others a thousandth of the upper bound
 SHARE = 1e-3
-ACCURACY = {"speed_m_s": 0.01, "wheel_speed_rad_s": 0.02, "torque_fraction": 0.005, "load_fraction": 0.01,
-            "calibration_fraction": 0.003, "form_fraction": 0.0}
-CAUSES = [(row, shape, axle) for row in table.TABLE if row.name != "empirical"
-          for shape in (row.shapes or (WINDOWS[row.name], WINDOWS[row.name] | table.ALONE)) for axle in row.axles[:2]]
+ACCURACY = {
+    "speed_m_s": 0.01,
+    "wheel_speed_rad_s": 0.02,
+    "torque_fraction": 0.005,
+    "load_fraction": 0.01,
+    "calibration_fraction": 0.003,
+    "form_fraction": 0.0,
+}
+CAUSES = [
+    (row, shape, axle)
+    for row in table.TABLE
+    if row.name != "empirical"
+    for shape in (row.shapes or (WINDOWS[row.name], WINDOWS[row.name] | table.ALONE))
+    for axle in row.axles[:2]
+]
 ROWS = [cause for cause in CAUSES if cause[0].mechanism in IN_PLANT]
 
 
@@ -52,14 +68,47 @@ def recorded(**mechanisms: float) -> preparation.Design:
     """A stop on soap of a plant with these mechanisms, as sensors without noise would tell it."""
     rig = Rig(SPEED_M_S, adhesion=SOAP, rig=TRACK, mechanisms=mechanisms)
     cycle = np.repeat([FILL, VENT], [FILLS_MS, VENTS_MS])
-    seen = rig.roll(LASTS_S, np.resize(cycle, round(LASTS_S / rig.params.tick_s))[:, None], DEMAND_PA)
+    seen = rig.roll(
+        LASTS_S, np.resize(cycle, round(LASTS_S / rig.params.tick_s))[:, None], DEMAND_PA
+    )
     every = round(STEP_S / rig.params.tick_s)
-    plain = params.check({"adhesion": SOAP, "rig": TRACK, "contact": {"roller_radius_m": math.inf}}, "a test")
-    told_Nm = np.vectorize(lambda Pa: brake.capacity(Pa, rig.params.brake))(seen.cylinder_pressure[::every])
-    load_N = np.array([[vehicle.load(j, felt, plain_vehicle()) for j in range(4)] for felt in seen.felt_acceleration])
-    run = Run("stop", "tune", plain["vehicle"]["mass_kg"], None, seen.time[::every], seen.vehicle_speed[::every],
-              seen.wheel_speed[::every], load_N[::every], told_Nm, None, None)
-    data = Dataset("test", "braking_runs", Path(), STEP_S, plain, ACCURACY, rig.params.axle_position_m, [run], None, [])
+    plain = params.check(
+        {"adhesion": SOAP, "rig": TRACK, "contact": {"roller_radius_m": math.inf}}, "a test"
+    )
+    told_Nm = np.vectorize(lambda Pa: brake.capacity(Pa, rig.params.brake))(
+        seen.cylinder_pressure[::every]
+    )
+    load_N = np.array(
+        [
+            [vehicle.load(j, felt, plain_vehicle()) for j in range(4)]
+            for felt in seen.felt_acceleration
+        ]
+    )
+    run = Run(
+        "stop",
+        "tune",
+        plain["vehicle"]["mass_kg"],
+        None,
+        seen.time[::every],
+        seen.vehicle_speed[::every],
+        seen.wheel_speed[::every],
+        load_N[::every],
+        told_Nm,
+        None,
+        None,
+    )
+    data = Dataset(
+        "test",
+        "braking_runs",
+        Path(),
+        STEP_S,
+        plain,
+        ACCURACY,
+        rig.params.axle_position_m,
+        [run],
+        None,
+        [],
+    )
     return preparation.prepare(data, [run])
 
 
@@ -71,20 +120,29 @@ def plain() -> preparation.Design:
 def whitened(design: preparation.Design, acts_on: str, *causes: Cause) -> np.ndarray:
     """Innovations over their deviations of what a mechanism acts on, shape (n,): wheels, or the vehicle."""
     explanation = candidates.start(design)._replace(causes=causes)
-    nu, S, _, vehicle_nu, vehicle_S = sensitivity.innovations(design, candidates.inputs(design, explanation))
+    nu, S, _, vehicle_nu, vehicle_S = sensitivity.innovations(
+        design, candidates.inputs(design, explanation)
+    )
     return vehicle_nu / np.sqrt(vehicle_S) if acts_on == VEHICLE else nu / np.sqrt(S)
 
 
 def cause_of(row: table.Search, shape: table.Shape, axle: int, size: float) -> Cause:
-    own = {f"{key} stop" if row.name == "sanding" and key in WINDOWS["sanding"] else key: value
-           for key, value in shape.items()}
-    return Cause(row.name, axle, own, (size,) + (0.0,) * (1 if row.phase or row.mechanism.free == 2 else 0))
+    own = {
+        f"{key} stop" if row.name == "sanding" and key in WINDOWS["sanding"] else key: value
+        for key, value in shape.items()
+    }
+    return Cause(
+        row.name, axle, own, (size,) + (0.0,) * (1 if row.phase or row.mechanism.free == 2 else 0)
+    )
 
 
 @pytest.mark.parametrize(("row", "shape", "axle"), ROWS, ids=name)
 def test_the_replay_takes_back_what_a_small_cause_did_in_the_plant(plain, row, shape, axle) -> None:
     size = size_of(row)
-    keys = {row.mechanism.coefficients[0]: size, **{f"{row.name}_{key}": value for key, value in shape.items()}}
+    keys = {
+        row.mechanism.coefficients[0]: size,
+        **{f"{row.name}_{key}": value for key, value in shape.items()},
+    }
     if axle:
         keys[f"{row.name}_axle"] = float(axle)
     design = recorded(**keys)
@@ -96,15 +154,23 @@ def test_the_replay_takes_back_what_a_small_cause_did_in_the_plant(plain, row, s
     assert np.dot(did, undone) / np.dot(undone, undone) == pytest.approx(1.0, abs=apart)
 
 
-@pytest.mark.parametrize(("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on != VEHICLE],
-                         ids=name)
+@pytest.mark.parametrize(
+    ("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on != VEHICLE], ids=name
+)
 def test_the_linearised_answer_is_the_derivative_of_the_replay(plain, row, shape, axle) -> None:
     size = 0.1 * size_of(row) if row.name != "adhesion_memory" else tuning.MEMORY_STEP_M
     cause = cause_of(row, shape, axle, size)
-    found, _, answers = tuning.normal(plain, candidates.start(plain)._replace(causes=(cause._replace(
-        values=tuple(0.0 for _ in cause.values)),)))
-    column = next(v.columns[0] for v in found.matrix.variants
-                  if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape))
+    found, _, answers = tuning.normal(
+        plain,
+        candidates.start(plain)._replace(
+            causes=(cause._replace(values=tuple(0.0 for _ in cause.values)),)
+        ),
+    )
+    column = next(
+        v.columns[0]
+        for v in found.matrix.variants
+        if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape)
+    )
     change = (whitened(plain, "wheels", cause) - whitened(plain, "wheels")) / size
     answer = tuning.wheel_answers(plain, answers, [column])[:, 0]
     assert np.dot(change, answer) / np.linalg.norm(change) / np.linalg.norm(answer) > 0.95
@@ -115,14 +181,21 @@ def test_the_linearised_answer_is_the_derivative_of_the_replay(plain, row, shape
 def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(plain, row, shape, axle) -> None:
     explanation = candidates.start(plain)
     with_it = explanation._replace(causes=(cause_of(row, shape, axle, 0.0),))
-    found = [sensitivity.innovations(plain, candidates.inputs(plain, one)) for one in (explanation, with_it)]
+    found = [
+        sensitivity.innovations(plain, candidates.inputs(plain, one))
+        for one in (explanation, with_it)
+    ]
     assert all(np.array_equal(a, b) for a, b in zip(*found, strict=True))
 
 
-@pytest.mark.parametrize(("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on in
-                                                    (FRICTION, CONTACT, LOAD, VEHICLE)], ids=name)
+@pytest.mark.parametrize(
+    ("row", "shape", "axle"),
+    [c for c in ROWS if c[0].mechanism.acts_on in (FRICTION, CONTACT, LOAD, VEHICLE)],
+    ids=name,
+)
 def test_no_cause_in_contact_or_load_shows_in_the_vehicles_filter_and_none_of_the_vehicle_in_the_wheels(
-        plain, row, shape, axle) -> None:
+    plain, row, shape, axle
+) -> None:
     other = "wheels" if row.mechanism.acts_on == VEHICLE else VEHICLE
     with_it = whitened(plain, other, cause_of(row, shape, axle, size_of(row)))
     assert np.array_equal(with_it, whitened(plain, other))
@@ -145,8 +218,10 @@ def test_every_mechanism_has_its_row_in_the_search() -> None:
 
 
 def test_wet_pads_run_dry_by_the_turns_under_the_brake() -> None:
-    rigs = [Rig(SPEED_M_S, adhesion=SOAP, rig=TRACK, mechanisms=given)
-            for given in ({}, {"wet_pads_loss": 0.3, "wet_pads_turns": 8.0})]
+    rigs = [
+        Rig(SPEED_M_S, adhesion=SOAP, rig=TRACK, mechanisms=given)
+        for given in ({}, {"wet_pads_loss": 0.3, "wet_pads_turns": 8.0})
+    ]
     dry, wet = (rig.roll(3.0, demand_Pa=1e5) for rig in rigs)
     on = dry.brake_torque[:, 0] > 0.0
     turns = wet.braked_angle[on, 0] / (2.0 * math.pi)

@@ -16,7 +16,8 @@ def test_torque_is_limited_at_low_speed_and_power_at_high_speed(sign):
     fast_rad_s = 2.0 * DRIVE.max_power_W / DRIVE.max_torque_Nm
     fast_rad_s = min(fast_rad_s, DRIVE.max_speed_rad_s)
     assert motor.limit(sign * 1e6, fast_rad_s, DRIVE) == pytest.approx(
-        sign * DRIVE.max_power_W / fast_rad_s)
+        sign * DRIVE.max_power_W / fast_rad_s
+    )
     assert motor.limit(sign * 123.0, fast_rad_s, DRIVE) == sign * 123.0
 
 

@@ -10,8 +10,14 @@ from rollerrig.rig.lanes import layout
 from rollerrig.rig.mechanisms import pads
 from rollerrig.rig.state import SLOTS
 
-VARYING = {"speed_loss": 0.2, "pressure_loss": 0.1, "fade_loss": 0.6, "fade_from_K": 300.0, "fade_scale_K": 40.0,
-           "clamp_hysteresis": 0.05}
+VARYING = {
+    "speed_loss": 0.2,
+    "pressure_loss": 0.1,
+    "fade_loss": 0.6,
+    "fade_from_K": 300.0,
+    "fade_scale_K": 40.0,
+    "clamp_hysteresis": 0.05,
+}
 
 
 def braked(seconds=10.0, **varying):
@@ -24,7 +30,9 @@ def test_pads_that_do_not_vary_change_no_bit_even_when_they_are_computed():
     plain, computed = (one.roll(8.0) for one in (rig, forced))
     for name in SLOTS:
         if name != "clamp_pressure":
-            assert np.array_equal(getattr(plain, name), getattr(computed, name), equal_nan=True), name
+            assert np.array_equal(getattr(plain, name), getattr(computed, name), equal_nan=True), (
+                name
+            )
 
 
 def test_all_the_work_of_varying_pads_becomes_heat_and_the_energy_of_the_stop_balances():
@@ -34,12 +42,22 @@ def test_all_the_work_of_varying_pads_becomes_heat_and_the_energy_of_the_stop_ba
     heat_J = 1.15e5 * run.change("disc_temperature")
     np.testing.assert_allclose(heat_J, run.change("brake_work"), rtol=1e-3)
     lost_J = 0.5 * 43000.0 * 30.0**2 + 4 * 0.5 * 160.0 * (30.0 / 0.445) ** 2
-    counted_J = (run.change("brake_work").sum() + run.change("sliding_work").sum() + run.change("resistance_work"))
+    counted_J = (
+        run.change("brake_work").sum()
+        + run.change("sliding_work").sum()
+        + run.change("resistance_work")
+    )
     assert counted_J == pytest.approx(lost_J, rel=1e-5)
 
 
-@pytest.mark.parametrize(("name", "given"), [
-    ("speed_loss", (40.0, 0.0, 300.0)), ("pressure_loss", (0.0, 4e5, 300.0)), ("fade_loss", (0.0, 0.0, 900.0))])
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("speed_loss", (40.0, 0.0, 300.0)),
+        ("pressure_loss", (0.0, 4e5, 300.0)),
+        ("fade_loss", (0.0, 0.0, 900.0)),
+    ],
+)
 def test_each_loss_lowers_friction_where_it_acts_and_nowhere_else(name, given):
     row = Rig(30.0, pads={name: 0.5}).params.pads
     assert 0.5 < pads.friction_share(*given, row) < 0.8
@@ -47,7 +65,10 @@ def test_each_loss_lowers_friction_where_it_acts_and_nowhere_else(name, given):
 
 
 def test_hot_discs_brake_less_and_so_get_less_hot_than_without_fading():
-    plain, fading = (braked(**varying).roll(12.0) for varying in ({}, {k: VARYING[k] for k in VARYING if "fade" in k}))
+    plain, fading = (
+        braked(**varying).roll(12.0)
+        for varying in ({}, {k: VARYING[k] for k in VARYING if "fade" in k})
+    )
     assert fading.disc_temperature[-1].max() < plain.disc_temperature[-1].max()
     assert fading.brake_torque[4000:9000].mean() < 0.9 * plain.brake_torque[4000:9000].mean()
     assert np.array_equal(plain.brake_torque[:500], fading.brake_torque[:500])

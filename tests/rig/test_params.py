@@ -11,8 +11,11 @@ from rollerrig.rig.contact.creep_force import MODELS
 
 ROWS = [(section, row) for section, rows in params.ROWS.items() for row in rows]
 # names of mechanisms follow the report of `explain`, which tells their units
-NUMBERS = [(section, row) for section, row in ROWS
-           if isinstance(row.default, float | int) and section != "mechanisms"]
+NUMBERS = [
+    (section, row)
+    for section, row in ROWS
+    if isinstance(row.default, float | int) and section != "mechanisms"
+]
 NO_FRICTION = params.Friction(*(np.zeros(0, kind) for kind in (bool, float, float, float, int)))
 NO_DEMAND = params.Demand(np.zeros(0), np.zeros(0))
 
@@ -28,20 +31,64 @@ def build(**sections):
 @pytest.mark.parametrize(("section", "row"), ROWS, ids=ids(ROWS))
 def test_every_parameter_has_a_source_and_a_default_that_is_allowed(section, row):
     assert row.source.strip()
-    assert params.check({section: {row.name: row.default}}, "here")[section][row.name] == row.default
+    assert (
+        params.check({section: {row.name: row.default}}, "here")[section][row.name] == row.default
+    )
 
 
 @pytest.mark.parametrize(("section", "row"), NUMBERS, ids=ids(NUMBERS))
 def test_every_number_has_a_unit_or_is_a_pure_one(section, row):
-    pure = {"poisson", "cleaning_creepage", "lever_ratio", "efficiency", "pad_friction", "laying",
-            "initial_adhesion", "critical_ratio", "weighed_least", "speed_loss", "pressure_loss", "fade_loss",
-            "clamp_hysteresis", "lost_share", "used_share", "gain", "thinning"}
+    pure = {
+        "poisson",
+        "cleaning_creepage",
+        "lever_ratio",
+        "efficiency",
+        "pad_friction",
+        "laying",
+        "initial_adhesion",
+        "critical_ratio",
+        "weighed_least",
+        "speed_loss",
+        "pressure_loss",
+        "fade_loss",
+        "clamp_hysteresis",
+        "lost_share",
+        "used_share",
+        "gain",
+        "thinning",
+    }
     pure_of_polach = ("mu_", "A", "k_")
-    units = ("_m", "_s", "_kg", "_kgm2", "_N", "_Nm", "_Pa", "_W", "_L", "_m2", "_m_s", "_rad_s",
-             "_s_m", "_m_J", "_N_s_m", "_N_s2_m2", "_Hz", "_Nm_rad", "_K", "_J_K", "_NL_s_bar", "_mm3_J")
+    units = (
+        "_m",
+        "_s",
+        "_kg",
+        "_kgm2",
+        "_N",
+        "_Nm",
+        "_Pa",
+        "_W",
+        "_L",
+        "_m2",
+        "_m_s",
+        "_rad_s",
+        "_s_m",
+        "_m_J",
+        "_N_s_m",
+        "_N_s2_m2",
+        "_Hz",
+        "_Nm_rad",
+        "_K",
+        "_J_K",
+        "_NL_s_bar",
+        "_mm3_J",
+    )
     counted = isinstance(row.default, int)
-    assert (row.name in pure or counted or row.name.startswith(pure_of_polach)
-            or row.name.endswith(units))
+    assert (
+        row.name in pure
+        or counted
+        or row.name.startswith(pure_of_polach)
+        or row.name.endswith(units)
+    )
 
 
 @pytest.mark.parametrize(("section", "row"), NUMBERS, ids=ids(NUMBERS))
@@ -74,7 +121,9 @@ def test_an_unknown_key_names_its_likely_meaning():
 
 
 def test_recovery_that_would_spoil_the_contact_is_refused():
-    with pytest.raises(ConfigError, match=r"mu_cr/A_r = 0.25 is below the degraded mu_cd/A_d = 0.75"):
+    with pytest.raises(
+        ConfigError, match=r"mu_cr/A_r = 0.25 is below the degraded mu_cd/A_d = 0.75"
+    ):
         params.check({"adhesion": {"mu_cd": 0.3, "mu_cr": 0.1}}, "here")
 
 
@@ -111,12 +160,24 @@ def test_the_papers_tables_are_the_defaults():
     assert built.vehicle.wheel_radius_m == 0.445
     assert built.vehicle.wheelset_inertia_kgm2 == 160.0
     assert built.law._asdict() == {
-        "mu_cd": 0.06, "mu_cr": 0.28, "A_d": 0.40, "A_r": 0.40, "gamma_d_s_m": 0.20,
-        "gamma_r_s_m": 0.60, "k_ad": 0.3, "k_sd": 0.1, "k_ar": 1.0, "k_sr": 0.4, "tau_m_J": 1.9e-4,
-        "cleaning_creepage": math.inf}
+        "mu_cd": 0.06,
+        "mu_cr": 0.28,
+        "A_d": 0.40,
+        "A_r": 0.40,
+        "gamma_d_s_m": 0.20,
+        "gamma_r_s_m": 0.60,
+        "k_ad": 0.3,
+        "k_sd": 0.1,
+        "k_ar": 1.0,
+        "k_sr": 0.4,
+        "tau_m_J": 1.9e-4,
+        "cleaning_creepage": math.inf,
+    }
 
 
-@pytest.mark.parametrize(("section", "name", "known"), [("contact", "model", MODELS), ("rig", "mode", params.MODES)])
+@pytest.mark.parametrize(
+    ("section", "name", "known"), [("contact", "model", MODELS), ("rig", "mode", params.MODES)]
+)
 def test_the_words_of_a_choice_are_those_that_the_code_knows(section, name, known):
-    choices, = (row.choices for row in params.ROWS[section] if row.name == name)
+    (choices,) = (row.choices for row in params.ROWS[section] if row.name == name)
     assert choices == tuple(known)

@@ -35,10 +35,15 @@ def stop(mode, law, magnets=0):
 @pytest.fixture(scope="module")
 def stops():
     restless = restless_magnets(LONGEST_S)
-    return {(where, law): stop(mode, values, magnets)
-            for where, mode in (("track", TRACK), ("rollers", {}))
-            for law, values, magnets in (("dry", DRY, 0), ("soap", SOAP, 0),
-                                         ("soap with pulses", SOAP, restless))}
+    return {
+        (where, law): stop(mode, values, magnets)
+        for where, mode in (("track", TRACK), ("rollers", {}))
+        for law, values, magnets in (
+            ("dry", DRY, 0),
+            ("soap", SOAP, 0),
+            ("soap with pulses", SOAP, restless),
+        )
+    }
 
 
 def kinetic_J(inertia, speed):
@@ -53,17 +58,24 @@ LAWS = ("dry", "soap", "soap with pulses")
 def test_on_the_track_the_energy_of_a_stop_is_sliding_brake_and_resistance_work(stops, law):
     rig, run = stops["track", law]
     vehicle = rig.params.vehicle
-    lost = (kinetic_J(vehicle.mass_kg, run.vehicle_speed)
-            + kinetic_J(vehicle.wheelset_inertia_kgm2, run.wheel_speed).sum())
-    counted = (run.change("sliding_work").sum() + run.change("brake_work").sum()
-               + run.change("resistance_work"))
+    lost = (
+        kinetic_J(vehicle.mass_kg, run.vehicle_speed)
+        + kinetic_J(vehicle.wheelset_inertia_kgm2, run.wheel_speed).sum()
+    )
+    counted = (
+        run.change("sliding_work").sum()
+        + run.change("brake_work").sum()
+        + run.change("resistance_work")
+    )
     assert counted == pytest.approx(lost, rel=1e-6)
     # the same from what is observed once a tick, without the plant's own counters
     v = run.vehicle_speed
     resistance_N = vehicle.resistance_A_N + vehicle.resistance_C_N_s2_m2 * v**2
-    observed = (run.integral(run.contact_force_N * run.sliding).sum()
-                + run.integral(run.brake_torque * run.wheel_speed).sum()
-                + run.integral(resistance_N * v))
+    observed = (
+        run.integral(run.contact_force_N * run.sliding).sum()
+        + run.integral(run.brake_torque * run.wheel_speed).sum()
+        + run.integral(resistance_N * v)
+    )
     assert observed == pytest.approx(lost, rel=1e-3)
 
 
@@ -71,18 +83,22 @@ def test_on_the_track_the_energy_of_a_stop_is_sliding_brake_and_resistance_work(
 def test_on_rollers_the_energy_of_every_axle_and_of_the_vehicle_balances(stops, law):
     rig, run = stops["rollers", law]
     vehicle, drive = rig.params.vehicle, rig.params.drive
-    lost = (kinetic_J(vehicle.wheelset_inertia_kgm2, run.wheel_speed)
-            + kinetic_J(drive.roller_inertia_kgm2, run.roller_speed))
+    lost = kinetic_J(vehicle.wheelset_inertia_kgm2, run.wheel_speed) + kinetic_J(
+        drive.roller_inertia_kgm2, run.roller_speed
+    )
     given = run.change("motor_work")
     taken = run.change("sliding_work") + run.change("brake_work")
     np.testing.assert_allclose(taken, lost + given, rtol=1e-6)
-    observed = (run.integral(run.contact_force_N * run.sliding)
-                + run.integral(run.brake_torque * run.wheel_speed)
-                - run.integral(run.motor_torque * run.roller_speed))
+    observed = (
+        run.integral(run.contact_force_N * run.sliding)
+        + run.integral(run.brake_torque * run.wheel_speed)
+        - run.integral(run.motor_torque * run.roller_speed)
+    )
     np.testing.assert_allclose(observed, lost, atol=1e-3 * taken.max())
     force_N = run.contact_force_N.sum(axis=1)
-    assert (run.integral(force_N * run.vehicle_speed) + run.change("resistance_work")
-            == pytest.approx(kinetic_J(vehicle.mass_kg, run.vehicle_speed), rel=1e-3))
+    assert run.integral(force_N * run.vehicle_speed) + run.change(
+        "resistance_work"
+    ) == pytest.approx(kinetic_J(vehicle.mass_kg, run.vehicle_speed), rel=1e-3)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -106,9 +122,19 @@ def test_a_stop_ends_at_a_clean_standstill(stops, where, law):
     rest = slice(still[0], None)
     for name in ("position", "wheel_angle", "roller_angle", "sliding_work", "brake_work"):
         assert np.ptp(getattr(run, name)[rest], axis=0).max() == 0.0, name
-    for name in ("vehicle_speed", "vehicle_acceleration", "wheel_speed", "roller_speed", "sliding",
-                 "creepage", "adhesion", "motor_torque", "motor_torque_demand", "brake_torque"):
-        assert np.abs(getattr(run, name)[still[0] + 1:]).max() == 0.0, name
+    for name in (
+        "vehicle_speed",
+        "vehicle_acceleration",
+        "wheel_speed",
+        "roller_speed",
+        "sliding",
+        "creepage",
+        "adhesion",
+        "motor_torque",
+        "motor_torque_demand",
+        "brake_torque",
+    ):
+        assert np.abs(getattr(run, name)[still[0] + 1 :]).max() == 0.0, name
     # it came there without bouncing, and the bogies pitched back
     assert np.diff(run.vehicle_speed).max() < 1e-6
     np.testing.assert_allclose(run.wheel_load[-1], rig.params.vehicle.static_load_N, rtol=1e-6)
@@ -135,8 +161,9 @@ def test_a_locked_wheel_recovers_when_the_valve_vents():
     locked = rig.roll(15.0)
     assert (locked.wheel_speed[-1] == 0.0).all()
     freed = rig.roll(20.0, VENT)
-    np.testing.assert_allclose(freed.wheel_circumferential_speed[-1], freed.vehicle_speed[-1],
-                               rtol=1e-3)
+    np.testing.assert_allclose(
+        freed.wheel_circumferential_speed[-1], freed.vehicle_speed[-1], rtol=1e-3
+    )
     assert (freed.locked_since[-1] == 0.0).all()
     again = rig.roll(12.0)
     assert again.vehicle_speed[-1] > 3.0
@@ -159,8 +186,10 @@ def test_a_roller_of_infinite_radius_is_a_rail(law):
 
 
 @pytest.mark.parametrize("mode", [TRACK, {}], ids=["track", "rollers"])
-@pytest.mark.parametrize(("law", "demand_Pa", "seconds"), [
-    (DRY, FULL_BRAKE_PA, 2.0), (SOAP, 1.5e5, 2.0), (SOAP, FULL_BRAKE_PA, 1.6)])
+@pytest.mark.parametrize(
+    ("law", "demand_Pa", "seconds"),
+    [(DRY, FULL_BRAKE_PA, 2.0), (SOAP, 1.5e5, 2.0), (SOAP, FULL_BRAKE_PA, 1.6)],
+)
 def test_halving_the_step_quarters_the_error(mode, law, demand_Pa, seconds):
     # smooth: no lock, no spring kink; motors idle, their control samples by the tick
     def end(step_s):
@@ -189,16 +218,20 @@ def test_momentum_is_kept_where_nothing_outside_acts():
     track.state.wheel_speed[:] *= (0.0, 0.5, 0.9, 1.2)
     vehicle = track.params.vehicle
     run = track.roll(2.0, demand_Pa=0.0)
-    kept = (vehicle.mass_kg * run.vehicle_speed + vehicle.wheelset_inertia_kgm2
-            / vehicle.wheel_radius_m * run.wheel_speed.sum(axis=1))
+    kept = (
+        vehicle.mass_kg * run.vehicle_speed
+        + vehicle.wheelset_inertia_kgm2 / vehicle.wheel_radius_m * run.wheel_speed.sum(axis=1)
+    )
     assert np.ptp(kept) < 1e-9 * kept[0]
     assert np.abs(run.sliding[-1]).max() < 1e-3 < 1.0 < np.abs(run.sliding[1]).min()
     rollers = Rig(20.0, vehicle=NO_RESISTANCE)
     rollers.state.wheel_speed[:] *= (0.0, 0.5, 0.9, 1.2)
     drive = rollers.params.drive
     run = rollers.roll(2.0, demand_Pa=0.0, controlled=False)
-    kept = (vehicle.wheelset_inertia_kgm2 / vehicle.wheel_radius_m * run.wheel_speed
-            + drive.roller_inertia_kgm2 / drive.roller_radius_m * run.roller_speed)
+    kept = (
+        vehicle.wheelset_inertia_kgm2 / vehicle.wheel_radius_m * run.wheel_speed
+        + drive.roller_inertia_kgm2 / drive.roller_radius_m * run.roller_speed
+    )
     assert np.ptp(kept, axis=0).max() < 1e-9 * kept.max()
 
 
@@ -231,8 +264,11 @@ def test_the_same_run_twice_is_the_same_to_the_last_bit():
 
 def test_what_is_switched_off_changes_no_bit():
     plain = Rig(42.3).roll(2.0)
-    same = Rig(42.3, friction=[(False, 0.0, MU_SOAP, MU_CLEAN, 0b1111), (True, 900.0, 0.3, 0.3, 15)],
-               adhesion={"cleaning_creepage": np.inf}).roll(2.0)
+    same = Rig(
+        42.3,
+        friction=[(False, 0.0, MU_SOAP, MU_CLEAN, 0b1111), (True, 900.0, 0.3, 0.3, 15)],
+        adhesion={"cleaning_creepage": np.inf},
+    ).roll(2.0)
     assert plain.log.tobytes() == same.log.tobytes()
 
 
@@ -250,7 +286,12 @@ def test_the_kernels_are_ordinary_python_and_agree_with_it():
     found = {}
     for without in ("0", "1"):
         done = subprocess.run(
-            [sys.executable, "-c", PLAIN], cwd=Path(__file__).parent, capture_output=True, text=True,
-            env=os.environ | {"NUMBA_DISABLE_JIT": without}, check=True)
+            [sys.executable, "-c", PLAIN],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            env=os.environ | {"NUMBA_DISABLE_JIT": without},
+            check=True,
+        )
         found[without] = np.array(eval(done.stdout, {"nan": np.nan, "inf": np.inf}))
     np.testing.assert_allclose(found["1"], found["0"], rtol=1e-11, atol=1e-12)

@@ -18,13 +18,20 @@ def stop(speed_m_s=20.0, seconds=6.0, rig=TRACK, adhesion=SOAP, **sections):
     return made, made.roll(seconds, 3)
 
 
-@pytest.mark.parametrize("more", [{}, {"dose_kg_m": 0.015}, {"box_kg": 0.05}, {"hose_delay_s": 0.0}])
+@pytest.mark.parametrize(
+    "more", [{}, {"dose_kg_m": 0.015}, {"box_kg": 0.05}, {"hose_delay_s": 0.0}]
+)
 def test_all_the_sand_of_the_boxes_is_somewhere(more):
     rig, run = stop(sanders={**ALWAYS, **more})
     box_kg = rig.params.sanders.box_kg
     for at in (700, 2500, -1):
-        there = (run.sand_hose[at].sum() + run.rail_sand[at].sum() + run.sand_blown[at] + run.sand_used[at].sum()
-                 + run.sand_left[at])
+        there = (
+            run.sand_hose[at].sum()
+            + run.rail_sand[at].sum()
+            + run.sand_blown[at]
+            + run.sand_used[at].sum()
+            + run.sand_left[at]
+        )
         taken = 2.0 * box_kg - run.sand_box[at].sum()
         assert taken > 0.0
         assert there == pytest.approx(taken, rel=1e-9)
@@ -37,8 +44,16 @@ def test_all_the_sand_of_the_boxes_is_somewhere(more):
 
 
 def test_a_dose_is_laid_whatever_the_speed_and_each_wheel_uses_its_share_of_what_it_meets():
-    _, run = stop(sanders={"axle": 1, "from_s": 0.0, "dose_kg_m": 0.010, "rate_kg_s": 1.0, "hose_delay_s": 0.1,
-                           "used_share": 0.3})
+    _, run = stop(
+        sanders={
+            "axle": 1,
+            "from_s": 0.0,
+            "dose_kg_m": 0.010,
+            "rate_kg_s": 1.0,
+            "hose_delay_s": 0.1,
+            "used_share": 0.3,
+        }
+    )
     settled = run.sand_dose[4000:]
     met = 0.8 * 0.010 * 0.7 ** np.arange(4)
     np.testing.assert_allclose(settled.mean(axis=0), met, rtol=2e-2)
@@ -70,12 +85,16 @@ def test_faults_change_the_rate_and_the_lag_of_their_own_sander():
 
 
 def test_sanders_that_nobody_asks_and_a_film_that_nothing_thins_change_no_bit():
-    plain, fitted = (Rig(25.0, adhesion=SOAP, sanders=sanders).roll(4.0) for sanders in ({}, {"axle": 2}))
+    plain, fitted = (
+        Rig(25.0, adhesion=SOAP, sanders=sanders).roll(4.0) for sanders in ({}, {"axle": 2})
+    )
     for name in SLOTS:
         if name not in (*NEW, "sand_box"):
             assert np.array_equal(getattr(plain, name), getattr(fitted, name), equal_nan=True), name
-    track, filmed = (Rig(25.0, rig=TRACK, adhesion=SOAP, roller_film=given).roll(2.0)
-                     for given in ({}, {"thinning": 0.01}))
+    track, filmed = (
+        Rig(25.0, rig=TRACK, adhesion=SOAP, roller_film=given).roll(2.0)
+        for given in ({}, {"thinning": 0.01})
+    )
     assert np.array_equal(track.log, filmed.log, equal_nan=True)
     assert friction.dose_share(0.0, 0.004) == 0.0 == friction.film_share(1.0)
 
@@ -96,7 +115,9 @@ def test_without_a_spray_each_turn_thins_the_film_by_its_share_and_friction_drif
     turns = np.floor(run.roller_angle / (2.0 * np.pi))
     late = turns[:, 0] > 5
     np.testing.assert_allclose(run.film[late], 0.98 ** turns[late], rtol=0.03)
-    np.testing.assert_allclose(run.friction_degraded[1:], 0.06 * np.exp(0.8 * (1.0 - run.film[:-1])), rtol=1e-12)
+    np.testing.assert_allclose(
+        run.friction_degraded[1:], 0.06 * np.exp(0.8 * (1.0 - run.film[:-1])), rtol=1e-12
+    )
 
 
 def test_a_spray_keeps_the_film_between_what_it_lays_and_what_the_wheel_takes():
@@ -104,7 +125,9 @@ def test_a_spray_keeps_the_film_between_what_it_lays_and_what_the_wheel_takes():
     _, run = stop(20.0, 12.0, rig={}, adhesion={**SOAP, "mu_cd": 0.05}, roller_film=given)
     # at a constant speed the film settles where a turn takes what a turn lays: h thinning = flow x time of a turn
     speed_rad_s = run.roller_speed[-3000:].mean()
-    assert run.film[-3000:].mean() == pytest.approx(0.1 * 2.0 * np.pi / speed_rad_s / 0.05, rel=0.15)
+    assert run.film[-3000:].mean() == pytest.approx(
+        0.1 * 2.0 * np.pi / speed_rad_s / 0.05, rel=0.15
+    )
 
 
 @pytest.mark.parametrize("given", [{"sanders": {"axle": 1}}, {"roller_film": {"thinning": 0.01}}])

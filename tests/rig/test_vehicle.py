@@ -13,8 +13,10 @@ AT_M = np.array([0.0, 2.56, 19.0, 21.56])
 
 
 def test_resistance_is_the_polynomial_of_davis():
-    given = Rig(30.0, vehicle={"resistance_A_N": 500.0, "resistance_B_N_s_m": 20.0,
-                               "resistance_C_N_s2_m2": 2.0}).params.vehicle
+    given = Rig(
+        30.0,
+        vehicle={"resistance_A_N": 500.0, "resistance_B_N_s_m": 20.0, "resistance_C_N_s2_m2": 2.0},
+    ).params.vehicle
     assert [vehicle.resistance(v, given) for v in (0.0, 1.0, 10.0)] == [500.0, 522.0, 900.0]
 
 
@@ -36,9 +38,11 @@ def test_loads_carry_the_weight_and_the_moment_of_braking(deceleration_m_s2):
     assert loads_N.sum() == pytest.approx(COACH["mass_kg"] * 9.80665, rel=1e-12)
     # about the rail: each mass at its height
     body_kg = COACH["mass_kg"] - 2 * COACH["bogie_mass_kg"] - 4 * COACH["wheelset_mass_kg"]
-    moment_kg_m = (body_kg * COACH["body_height_m"]
-                   + 2 * COACH["bogie_mass_kg"] * COACH["bogie_height_m"]
-                   + 4 * COACH["wheelset_mass_kg"] * COACH["wheel_radius_m"])
+    moment_kg_m = (
+        body_kg * COACH["body_height_m"]
+        + 2 * COACH["bogie_mass_kg"] * COACH["bogie_height_m"]
+        + 4 * COACH["wheelset_mass_kg"] * COACH["wheel_radius_m"]
+    )
     ahead_m = AT_M.mean() - AT_M
     assert loads_N @ ahead_m == pytest.approx(moment_kg_m * deceleration_m_s2, rel=1e-12, abs=1e-6)
 

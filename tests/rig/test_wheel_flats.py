@@ -35,7 +35,8 @@ def test_a_flat_has_the_volume_that_the_work_of_its_lock_grinds_off_one_of_two_w
         assert 0.005 < run.flat_length[-1, j] < 0.1
         assert volume_m3 == pytest.approx(0.002e-9 * work_J, rel=1e-9)
     assert wheel_flat.length_m(8e5, 2e-12, 0.03, 0.445) == pytest.approx(
-        2.0 * wheel_flat.length_m(1e5, 2e-12, 0.03, 0.445), rel=1e-12)
+        2.0 * wheel_flat.length_m(1e5, 2e-12, 0.03, 0.445), rel=1e-12
+    )
 
 
 def test_a_short_second_lock_does_not_make_the_flat_of_the_first_longer():
@@ -56,7 +57,9 @@ def test_the_load_over_a_flat_falls_and_rises_once_a_turn_and_its_mean_stays():
     assert np.mean(share != 1.0) == pytest.approx(length_m / (2.0 * math.pi * radius_m), rel=1e-2)
     assert wheel_flat.load_share(0.01, 0.0, radius_m, 10.0) == 1.0
     # the wheel falls in first, then it strikes
-    before, behind = (wheel_flat.load_share(angle, length_m, radius_m, 10.0) for angle in (-0.02, 0.02))
+    before, behind = (
+        wheel_flat.load_share(angle, length_m, radius_m, 10.0) for angle in (-0.02, 0.02)
+    )
     assert before < 1.0 < behind
 
 
@@ -67,9 +70,14 @@ def test_a_stop_with_flats_felt_balances_its_energy():
     assert np.abs(loads - 1.0).max() > 0.1
     begun, ended = run, more
     lost_J = 0.5 * 43000.0 * (begun.vehicle_speed[0] ** 2 - ended.vehicle_speed[-1] ** 2) + 80.0 * (
-        (begun.wheel_speed[0] ** 2).sum() - (ended.wheel_speed[-1] ** 2).sum())
-    counted_J = sum(history.change("sliding_work").sum() + history.change("brake_work").sum()
-                    + history.change("resistance_work") for history in (begun, ended))
+        (begun.wheel_speed[0] ** 2).sum() - (ended.wheel_speed[-1] ** 2).sum()
+    )
+    counted_J = sum(
+        history.change("sliding_work").sum()
+        + history.change("brake_work").sum()
+        + history.change("resistance_work")
+        for history in (begun, ended)
+    )
     assert counted_J == pytest.approx(lost_J, rel=1e-6)
 
 
@@ -84,11 +92,20 @@ def test_wear_without_a_lock_and_a_lock_without_wear_change_no_bit():
 
 
 def test_a_flat_is_noise_at_the_sensor_of_its_own_wheel_alone_and_repeats():
-    told = ("adhesion.mu_cd=0.02", "adhesion.tau_m_J=0.0", "initial_speed_m_s=12.0", "duration_max_s=8.0",
-            "flats.wear_mm3_J=0.002", "flats.load_1_m=0.0", "rig=plain_track")
-    fault = ('vent_magnet_stuck axle=1 at=3', 'vent_magnet_stuck axle=2')
-    plans = [scenario.load("velim_a1", "", (*told, *more), faults=fault)
-             for more in ((), (), ("flats.noise_rad_s_m=0.0",))]
+    told = (
+        "adhesion.mu_cd=0.02",
+        "adhesion.tau_m_J=0.0",
+        "initial_speed_m_s=12.0",
+        "duration_max_s=8.0",
+        "flats.wear_mm3_J=0.002",
+        "flats.load_1_m=0.0",
+        "rig=plain_track",
+    )
+    fault = ("vent_magnet_stuck axle=1 at=3", "vent_magnet_stuck axle=2")
+    plans = [
+        scenario.load("velim_a1", "", (*told, *more), faults=fault)
+        for more in ((), (), ("flats.noise_rad_s_m=0.0",))
+    ]
     noisy, again, quiet = (free.channels(free.simulate(plan, "none")) for plan in plans)
     turns = noisy["wheel_speed_1_rad_s"] > 1.0
     late = turns & (noisy["time_s"] > 4.0)

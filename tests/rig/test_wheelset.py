@@ -14,8 +14,9 @@ near = pytest.approx
 
 
 def force(sliding_m_s, surface_m_s=30.0, load_N=LOAD_N):
-    return wheelset.force(sliding_m_s, surface_m_s, load_N, 0.06, 0.28, RIG.patch, RIG.law,
-                          adhesion.NO_MEMORY, 0.0)
+    return wheelset.force(
+        sliding_m_s, surface_m_s, load_N, 0.06, 0.28, RIG.patch, RIG.law, adhesion.NO_MEMORY, 0.0
+    )
 
 
 @pytest.mark.parametrize("sliding_m_s", SLIDINGS_M_S)
@@ -53,7 +54,10 @@ def test_cleaning_is_the_papers_law_to_the_bit_until_wheels_hardly_turn_and_none
         assert creep(sliding_m_s, 0.5) == creep(sliding_m_s, np.inf)
     # down to standstill, where creepage has a floor
     for surface_m_s in (30.0, 3.0, 0.05, 1e-3, 0.0):
-        paper, locked = creep(surface_m_s, np.inf, surface_m_s), creep(surface_m_s, 0.5, surface_m_s)
+        paper, locked = (
+            creep(surface_m_s, np.inf, surface_m_s),
+            creep(surface_m_s, 0.5, surface_m_s),
+        )
         assert locked[1:3] == paper[1:3]
         assert locked[0] == near(paper[1], rel=1e-12)
         assert locked[3] == 0.0
@@ -64,8 +68,12 @@ def test_cleaning_is_the_papers_law_to_the_bit_until_wheels_hardly_turn_and_none
 def test_cleaning_fades_without_a_step_and_its_slope_is_the_derivative():
     law = RIG.law._replace(cleaning_creepage=0.5)
     at = np.linspace(12.0, 31.0, 400)
-    f, slope = np.array([np.take(wheelset.adhesion_under(s, 30.0, LOAD_N, 0.03, 0.28, RIG.patch, law), (0, 5))
-                         for s in at]).T
+    f, slope = np.array(
+        [
+            np.take(wheelset.adhesion_under(s, 30.0, LOAD_N, 0.03, 0.28, RIG.patch, law), (0, 5))
+            for s in at
+        ]
+    ).T
     assert np.all(np.diff(f[at > 21.0]) <= 0.0)
     inside = np.abs(at[1:-1] - 15.0) > 0.1  # the slope's own kinks
     inside &= np.abs(at[1:-1] - 30.0) > 0.1
@@ -80,7 +88,9 @@ def test_a_locked_wheelset_stays_locked_on_soap_and_the_vehicle_feels_the_degrad
     run = rig.roll(40.0)
     fast = run.vehicle_speed > 5.0
     assert (run.wheel_speed[fast] == 0.0).all()
-    np.testing.assert_allclose(run.adhesion[1:][fast[1:]], run.adhesion_degraded[1:][fast[1:]], rtol=1e-9)
+    np.testing.assert_allclose(
+        run.adhesion[1:][fast[1:]], run.adhesion_degraded[1:][fast[1:]], rtol=1e-9
+    )
     assert run.adhesion[fast].max() < 0.11
 
 
@@ -94,7 +104,11 @@ def test_the_wheelset_accelerates_by_contact_less_brake():
 
 def test_a_wheel_at_rest_stays_locked_until_the_contact_beats_the_brake():
     wheels = RIG.wheels
-    assert wheelset.wheel_acceleration(0.0, 4000.0, 2000.0, 0, wheels) == (0.0, 0.445 * 4000.0, True)
+    assert wheelset.wheel_acceleration(0.0, 4000.0, 2000.0, 0, wheels) == (
+        0.0,
+        0.445 * 4000.0,
+        True,
+    )
     rate, brake_Nm, locked = wheelset.wheel_acceleration(0.0, 5000.0, 2000.0, 0, wheels)
     assert not locked
     assert brake_Nm == 2000.0
@@ -107,12 +121,18 @@ def test_a_wheel_at_rest_stays_locked_until_the_contact_beats_the_brake():
 def test_a_stage_solves_its_linear_system(locked, on_track):
     vehicle, drive, h, g = RIG.vehicle, RIG.drive, 1e-4, 5e6
     r, R = vehicle.wheel_radius_m, drive.roller_radius_m
-    p = np.array([0.0 if locked else r / vehicle.wheelset_inertia_kgm2,
-                  0.0 if on_track else -R / drive.roller_inertia_kgm2])
+    p = np.array(
+        [
+            0.0 if locked else r / vehicle.wheelset_inertia_kgm2,
+            0.0 if on_track else -R / drive.roller_inertia_kgm2,
+        ]
+    )
     q = g * np.array([-r, R])
     gamma = 1.0 - 1.0 / np.sqrt(2.0)
     k = np.array([-3.0, 2.0])
-    *found, added_N = wheelset.implicit_slopes(*k, g, bool(locked), bool(on_track), h, 0, RIG.wheels, drive)
+    *found, added_N = wheelset.implicit_slopes(
+        *k, g, bool(locked), bool(on_track), h, 0, RIG.wheels, drive
+    )
     expected = np.linalg.solve(np.eye(2) - gamma * h * np.outer(p, q), k)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     np.testing.assert_allclose(k + p * added_N, found, rtol=1e-12)

@@ -18,7 +18,9 @@ def go():
     program = shutil.which("go")
     wanted = ".".join(map(str, GO_WANTED))
     if not program:
-        pytest.skip(f"needs Go {wanted} or newer: apt-get install golang-go, or an installation of one's own")
+        pytest.skip(
+            f"needs Go {wanted} or newer: apt-get install golang-go, or an installation of one's own"
+        )
     said = subprocess.run([program, "version"], capture_output=True, text=True, check=False).stdout
     found = re.search(r"go(\d+)\.(\d+)", said)
     if not found or tuple(map(int, found.groups())) < GO_WANTED:

@@ -25,16 +25,25 @@ INSTALL_S = 240.0
 @pytest.fixture(scope="session")
 def eds_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("eds")
-    subprocess.run([sys.executable, "-m", "rollerrig.realtime.cli", "devices", "--out", folder],
-                   check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "rollerrig.realtime.cli", "devices", "--out", folder],
+        check=True,
+        capture_output=True,
+    )
     return folder
 
 
 def install(command, folder, **environment):
     """Run an installer, or skip where it gets no package."""
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=INSTALL_S,
-                              env=os.environ | environment)
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=INSTALL_S,
+            env=os.environ | environment,
+        )
     except subprocess.TimeoutExpired:
         pytest.skip(f"{command[0]}: no package within {INSTALL_S:g} s; is there a registry?")
     if done.returncode:
@@ -76,11 +85,19 @@ def stop_with(command, protocol, out, eds_folder):
         run = asyncio.ensure_future(rig.run())
         while not rig.parts.ports and not run.done():
             await asyncio.sleep(0.02)
-        port = rig.parts.ports[protocol] if protocol in rig.parts.ports else int(
-            rig.parts.place.rpartition(":")[2].partition("/")[0])
+        port = (
+            rig.parts.ports[protocol]
+            if protocol in rig.parts.ports
+            else int(rig.parts.place.rpartition(":")[2].partition("/")[0])
+        )
         master = await asyncio.create_subprocess_exec(
-            *command, "127.0.0.1", str(port), str(eds_folder), stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE)
+            *command,
+            "127.0.0.1",
+            str(port),
+            str(eds_folder),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
         try:
             result = await run
             told, errors = await asyncio.wait_for(master.communicate(), 15.0)
@@ -95,18 +112,40 @@ def stop_with(command, protocol, out, eds_folder):
 
 
 MASTERS = [
-    pytest.param("npm_master", "socketcand", id="npm canopen 6.2.1", marks=pytest.mark.conformance(
-        "Masters", "npm canopen 6.2.1: enables drives, turns a roller, reads speeds, drives valves")),
-    pytest.param("go_master", "virtualcan", id="gocanopen v1.4.4", marks=pytest.mark.conformance(
-        "Masters", "gocanopen v1.4.4: enables drives, turns a roller, reads speeds, drives valves")),
-    pytest.param("canopen_master", "socketcand", id="BaseNode402", marks=pytest.mark.conformance(
-        "Masters", "canopen BaseNode402: enables drives, turns a roller, reads speeds, drives valves")),
+    pytest.param(
+        "npm_master",
+        "socketcand",
+        id="npm canopen 6.2.1",
+        marks=pytest.mark.conformance(
+            "Masters",
+            "npm canopen 6.2.1: enables drives, turns a roller, reads speeds, drives valves",
+        ),
+    ),
+    pytest.param(
+        "go_master",
+        "virtualcan",
+        id="gocanopen v1.4.4",
+        marks=pytest.mark.conformance(
+            "Masters",
+            "gocanopen v1.4.4: enables drives, turns a roller, reads speeds, drives valves",
+        ),
+    ),
+    pytest.param(
+        "canopen_master",
+        "socketcand",
+        id="BaseNode402",
+        marks=pytest.mark.conformance(
+            "Masters",
+            "canopen BaseNode402: enables drives, turns a roller, reads speeds, drives valves",
+        ),
+    ),
 ]
 
 
 @pytest.mark.parametrize(("fixture", "protocol"), MASTERS)
 def test_a_foreign_master_enables_the_drives_turns_a_roller_and_drives_the_valves_to_standstill(
-        fixture, protocol, tmp_path, eds_folder, request):
+    fixture, protocol, tmp_path, eds_folder, request
+):
     command = request.getfixturevalue(fixture)
     result, told, run = stop_with(command, protocol, tmp_path / "run", eds_folder)
     assert told["enabled"] == list(DRIVES)

@@ -128,20 +128,33 @@ def test_a_go_client_works_over_tls_with_its_certificate_and_not_without(go_clie
         certificate(tmp_path, name, signer)
     port = site.listen(tls_context(asked(tmp_path)))
     address = f"tcp+tls://127.0.0.1:{port}"
-    wrong = run(go_client, address, tmp_path / "intruder.pem", tmp_path / "intruder.key",
-                tmp_path / "plant.pem")
+    wrong = run(
+        go_client,
+        address,
+        tmp_path / "intruder.pem",
+        tmp_path / "intruder.key",
+        tmp_path / "plant.pem",
+    )
     assert wrong.returncode == 1
     assert site.server.counters.requests == 0
-    check_what_go_saw(run(go_client, address, tmp_path / "room.pem", tmp_path / "room.key",
-                          tmp_path / "plant.pem"), site)
+    check_what_go_saw(
+        run(
+            go_client, address, tmp_path / "room.pem", tmp_path / "room.key", tmp_path / "plant.pem"
+        ),
+        site,
+    )
 
 
 @needs_mbpoll
 def test_two_clients_at_once_do_not_disturb_each_other(site):
     at = tcp(site)
     found = []
-    threads = [threading.Thread(target=lambda: found.append(
-        mbpoll(at, "-a", 1, "-t", 4, "-r", 208, "-c", 2))) for _ in range(4)]
+    threads = [
+        threading.Thread(
+            target=lambda: found.append(mbpoll(at, "-a", 1, "-t", 4, "-r", 208, "-c", 2))
+        )
+        for _ in range(4)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:

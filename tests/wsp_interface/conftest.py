@@ -49,8 +49,11 @@ class HubThread:
     def raw_mode(self) -> socket.socket:
         """A raw client that has shaken hands."""
         client = self.connect()
-        for command, answer in ((b"", b"< hi >"), (b"< open rig0 >", b"< ok >"),
-                                (b"< rawmode >", b"< ok >")):
+        for command, answer in (
+            (b"", b"< hi >"),
+            (b"< open rig0 >", b"< ok >"),
+            (b"< rawmode >", b"< ok >"),
+        ):
             client.sendall(command)
             assert client.recv(256) == answer
         return client

@@ -33,7 +33,8 @@ def record(told: bool = True, vents: float = 0.0) -> Record:
     columns = {name: np.zeros(len(time_s)) for name in COLUMNS}
     columns["time_s"], columns["vehicle_speed_m_s"] = time_s, speed
     columns["position_m"] = np.concatenate(
-        ([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))))
+        ([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s)))
+    )
     radius_m = plan["vehicle"]["wheel_radius_m"]
     for axle in range(1, 5):
         columns[f"measured_speed_{axle}_rad_s"] = speed / radius_m
@@ -45,7 +46,11 @@ def record(told: bool = True, vents: float = 0.0) -> Record:
     columns["wsp_reference_speed_m_s"] = speed - SLIP_M_S if told else np.full(len(time_s), np.nan)
     for axle in range(1, 5):
         columns[f"cylinder_pressure_{axle}_Pa"] = columns["brake_demand_Pa"].copy()
-    finals = {"wheel_load": (1e5,) * 4, "longest_lock": (0.0, LOCK_S, 0.0, 0.0),
-              "sliding_work": (0.0, 2e6, 0.0, 0.0), "vents": (0.0, vents, 0.0, 0.0),
-              "air_consumption": (100.0,)}
+    finals = {
+        "wheel_load": (1e5,) * 4,
+        "longest_lock": (0.0, LOCK_S, 0.0, 0.0),
+        "sliding_work": (0.0, 2e6, 0.0, 0.0),
+        "vents": (0.0, vents, 0.0, 0.0),
+        "air_consumption": (100.0,),
+    }
     return Record(columns, ((COAST_S, 3.8e5),), finals, plan, dry_m=180.0)

@@ -23,8 +23,11 @@ def other(bench):
     Its nodes sit on a python-can bus with a descriptor, as they would on kernel SocketCAN.
     """
     joined = types.SimpleNamespace(lost=[])
-    joined.hub = bench.do(lambda: open_hub(f"rollerrig:{bench.address()}", time.monotonic_ns,
-                                           on_lost=joined.lost.append))
+    joined.hub = bench.do(
+        lambda: open_hub(
+            f"rollerrig:{bench.address()}", time.monotonic_ns, on_lost=joined.lost.append
+        )
+    )
     yield joined
     if bench.loop.is_running():
         bench.do(joined.hub.close)
@@ -44,10 +47,12 @@ def test_nodes_on_a_python_can_bus_talk_to_it_and_to_each_other_in_order(bench, 
     bench.do(lambda: other.hub.attach(lambda frame: here.append((frame.can_id, frame.data))))
     far = bench.do(lambda: bench.hub.attach(lambda frame: there.append((frame.can_id, frame.data))))
     for start in range(0, 1000, 100):
-        bench.do(lambda start=start: [node.send(Frame(0x181, data_of(start + n)))
-                                      for n in range(100)])
-        bench.do(lambda start=start: [far.send(Frame(0x201, data_of(start + n)))
-                                      for n in range(100)])
+        bench.do(
+            lambda start=start: [node.send(Frame(0x181, data_of(start + n))) for n in range(100)]
+        )
+        bench.do(
+            lambda start=start: [far.send(Frame(0x201, data_of(start + n))) for n in range(100)]
+        )
     assert bench.until(lambda: len(here) == 2000 and len(there) == 1000)
     assert [pair for pair in here if pair[0] == 0x181] == there
     assert there == [(0x181, data_of(n)) for n in range(1000)]
@@ -129,13 +134,18 @@ def test_the_bench_and_a_program_open_the_same_address(bench):
     bench.do(hub.close)
 
 
-@pytest.mark.parametrize(("address", "message"), [
-    ("", "allowed are socketcand://"), ("rig0", "allowed are socketcand://"),
-    ("socketcan:", "allowed are socketcand://"),
-    ("telepathy:can0", "unknown interface 'telepathy'; allowed: .*socketcan"),
-    ("socketcand://127.0.0.1/rig0", "allowed is socketcand://HOST:PORT/BUS"),
-    ("socketcan:nosuchcan", "'socketcan:nosuchcan'.*socketcand://127.0.0.1:29536/rig0"),
-    ("slcan:/dev/nosuchtty", "'slcan:/dev/nosuchtty'")])
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [
+        ("", "allowed are socketcand://"),
+        ("rig0", "allowed are socketcand://"),
+        ("socketcan:", "allowed are socketcand://"),
+        ("telepathy:can0", "unknown interface 'telepathy'; allowed: .*socketcan"),
+        ("socketcand://127.0.0.1/rig0", "allowed is socketcand://HOST:PORT/BUS"),
+        ("socketcan:nosuchcan", "'socketcan:nosuchcan'.*socketcand://127.0.0.1:29536/rig0"),
+        ("slcan:/dev/nosuchtty", "'slcan:/dev/nosuchtty'"),
+    ],
+)
 def test_an_address_that_cannot_be_opened_says_what_is_allowed(bench, address, message):
     with pytest.raises(BusError, match=message):
         open_client(address, connect_timeout_s=0.1)
@@ -160,8 +170,12 @@ def write_interface(root, name: str, kind: int, flags: int) -> None:
 
 
 def test_can_interfaces_are_told_from_others_and_those_down_get_a_hint(tmp_path):
-    for name, kind, flags in (("lo", 772, 0x9), ("vcan0", 280, 0xC1), ("can1", 280, 0x80),
-                              ("vcan2", 280, 0x80)):
+    for name, kind, flags in (
+        ("lo", 772, 0x9),
+        ("vcan0", 280, 0xC1),
+        ("can1", 280, 0x80),
+        ("vcan2", 280, 0x80),
+    ):
         write_interface(tmp_path, name, kind, flags)
     found = available(tmp_path)
     assert found.up == ("vcan0",)
@@ -179,12 +193,27 @@ def test_whatever_is_missing_on_this_machine_has_a_hint(tmp_path):
     assert available(tmp_path).up == ()
 
 
-@pytest.mark.parametrize(("name", "found", "message"), [
-    ("vcan0", KernelCan(False, (), (), ()), "no SocketCAN: sudo modprobe"),
-    ("vcan0", KernelCan(True, ("vcan1",), (), ()), "vcan0 is absent; allowed here: vcan1.*add vcan0 type vcan"),
-    ("can7", KernelCan(True, ("vcan1",), (), ()), "can7 is absent; .*adapter.*sudo ip link set can7 up"),
-    ("vcan0", KernelCan(True, (), ("vcan0",), ()),
-     "vcan0 is down; allowed here: none; to mend: sudo ip link set vcan0 up")])
+@pytest.mark.parametrize(
+    ("name", "found", "message"),
+    [
+        ("vcan0", KernelCan(False, (), (), ()), "no SocketCAN: sudo modprobe"),
+        (
+            "vcan0",
+            KernelCan(True, ("vcan1",), (), ()),
+            "vcan0 is absent; allowed here: vcan1.*add vcan0 type vcan",
+        ),
+        (
+            "can7",
+            KernelCan(True, ("vcan1",), (), ()),
+            "can7 is absent; .*adapter.*sudo ip link set can7 up",
+        ),
+        (
+            "vcan0",
+            KernelCan(True, (), ("vcan0",), ()),
+            "vcan0 is down; allowed here: none; to mend: sudo ip link set vcan0 up",
+        ),
+    ],
+)
 def test_a_missing_interface_says_how_to_get_it(name, found, message):
     with pytest.raises(BusError, match=message):
         kernel.require(f"socketcan:{name}", name, "", found)
@@ -193,4 +222,6 @@ def test_a_missing_interface_says_how_to_get_it(name, found, message):
 def test_an_interface_that_queues_too_few_frames_for_a_syncs_burst_has_a_hint(tmp_path):
     write_interface(tmp_path, "can0", 280, 0xC1)
     (tmp_path / "can0" / "tx_queue_len").write_text("10\n")
-    assert any("sudo ip link set can0 txqueuelen 1000" in hint for hint in available(tmp_path).hints)
+    assert any(
+        "sudo ip link set can0 txqueuelen 1000" in hint for hint in available(tmp_path).hints
+    )

@@ -19,10 +19,15 @@ RATED_Nm = 5000.0
 def rig():
     """Nodes by number, and the live row they read."""
     row = np.zeros(len(signals.COLUMNS))
-    nodes = [drive.build(node, axle, row, {"rated_torque_Nm": RATED_Nm})
-             for axle, node in enumerate(signals.DRIVE_NODES, 1)]
-    nodes += [encoder406.build(row), io401.build(row, np.zeros(io401.COMMANDS)),
-              sander401.build(row, np.zeros(signals.AXLES))]
+    nodes = [
+        drive.build(node, axle, row, {"rated_torque_Nm": RATED_Nm})
+        for axle, node in enumerate(signals.DRIVE_NODES, 1)
+    ]
+    nodes += [
+        encoder406.build(row),
+        io401.build(row, np.zeros(io401.COMMANDS)),
+        sander401.build(row, np.zeros(signals.AXLES)),
+    ]
     return {node.node_id: node for node in nodes}, row
 
 
@@ -33,7 +38,7 @@ def folder(rig, tmp_path):
 
 
 def eds_of(folder, number):
-    found, = folder.glob(f"node_{number:03d}_*.eds")
+    (found,) = folder.glob(f"node_{number:03d}_*.eds")
     return found
 
 
@@ -44,8 +49,16 @@ def test_canopen_reads_from_the_eds_the_same_objects_that_the_node_has(rig, fold
     read = canopen.import_od(str(eds_of(folder, number)), number)
     for at, variable in node.objects.variables.items():
         same = read.get_variable(at >> 8, at & 0xFF)
-        for name in ("name", "data_type", "access_type", "pdo_mappable", "min", "max", "unit",
-                     "description"):
+        for name in (
+            "name",
+            "data_type",
+            "access_type",
+            "pdo_mappable",
+            "min",
+            "max",
+            "unit",
+            "description",
+        ):
             assert getattr(same, name) == getattr(variable, name), (hex(at), name)
         assert same.factor == pytest.approx(variable.factor, rel=1e-9)
         assert same.default == variable.default, hex(at)
@@ -100,10 +113,15 @@ def test_cantools_decodes_the_frames_of_a_sync_into_the_signals_of_the_table(rig
         for frame in sent:
             if 0x180 <= frame.can_id < 0x580:
                 decoded |= base.decode_message(frame.can_id, frame.data)
-    expected = {name for signal in signals.SIGNALS if signal.direction == signals.OUT
-                for place in signal.places[:1] if place.index not in (0x6411, 0x2101)
-                and place.node != signals.BENCH_NODE  # its PDOs are the harness's to map
-                for name in signals.columns(signal)}
+    expected = {
+        name
+        for signal in signals.SIGNALS
+        if signal.direction == signals.OUT
+        for place in signal.places[:1]
+        if place.index not in (0x6411, 0x2101)
+        and place.node != signals.BENCH_NODE  # its PDOs are the harness's to map
+        for name in signals.columns(signal)
+    }
     assert expected <= set(decoded)
     for name in expected:
         signal = next(one for one in signals.SIGNALS if name in signals.columns(one))

@@ -37,15 +37,32 @@ def test_waits(rollerrig_bench, tmp_path):
 @pytest.fixture
 def session(tmp_path):
     """Start a pytest of somebody else on some files; its output in `said`."""
+
     def start(files, *arguments):
         folder = tmp_path / "theirs"
         folder.mkdir()
         for name, text in files.items():
             (folder / name).write_text(text)
         with (tmp_path / "said").open("w") as said:
-            return subprocess.Popen([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *arguments,
-                                     "--basetemp", str(tmp_path / "base")], cwd=folder, stdout=said,
-                                    stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, env=without_options())
+            return subprocess.Popen(
+                [
+                    sys.executable,
+                    "-m",
+                    "pytest",
+                    "-q",
+                    "-p",
+                    "no:cacheprovider",
+                    *arguments,
+                    "--basetemp",
+                    str(tmp_path / "base"),
+                ],
+                cwd=folder,
+                stdout=said,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env=without_options(),
+            )
+
     return start
 
 
@@ -70,20 +87,30 @@ def processes_with(text):
     return found
 
 
-def test_the_plugin_needs_no_conftest_and_each_worker_has_ports_and_folders_of_its_own(session, tmp_path):
+def test_the_plugin_needs_no_conftest_and_each_worker_has_ports_and_folders_of_its_own(
+    session, tmp_path
+):
     files = {f"test_{name}.py": GOOD.format(name=name) for name in ("one", "two")}
     assert session(files, "-n", "2", "--dist", "loadfile").wait(600) == 0, said(tmp_path)
-    addresses, folders = zip(*(path.read_text().split(" in ") for path in sorted((tmp_path / "base").glob("*.txt"))),
-                             strict=True)
+    addresses, folders = zip(
+        *(path.read_text().split(" in ") for path in sorted((tmp_path / "base").glob("*.txt"))),
+        strict=True,
+    )
     assert len(set(addresses)) == len(set(folders)) == 2
 
 
-def test_a_failed_test_tells_the_figure_against_its_limit_and_where_run_and_plot_are(session, tmp_path):
+def test_a_failed_test_tells_the_figure_against_its_limit_and_where_run_and_plot_are(
+    session, tmp_path
+):
     assert session({"test_bad.py": BAD}).wait(600) == 1
     text = said(tmp_path)
-    assert re.search(r"longest_lock \d+\.\d+ s, wanted at most 0.4 s; .*source: recollection", text), text
+    assert re.search(
+        r"longest_lock \d+\.\d+ s, wanted at most 0.4 s; .*source: recollection", text
+    ), text
     assert "0.0 km/h after" in text
-    run, plot = (Path(re.search(rf"^{what}: (.+)$", text, re.MULTILINE)[1]) for what in ("run", "plot"))
+    run, plot = (
+        Path(re.search(rf"^{what}: (.+)$", text, re.MULTILINE)[1]) for what in ("run", "plot")
+    )
     assert (run / "channels.parquet").is_file()
     assert plot.read_text().startswith("<svg")
     assert "1 failed" in text  # and no error in its teardown

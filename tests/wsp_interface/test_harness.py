@@ -59,8 +59,10 @@ def test_what_a_harness_asks_happens_on_the_rig(tmp_path):
         rig.until(lambda: rig.axles("cylinder_pressure")[2] > 1e5, timeout_s=5.0)
         rig.friction(0.01, axles=[1])
         rig.brake(bar=3.8)
-        rig.until(lambda: rig.axles("measured_speed")[0] < 0.9 * rig.axles("measured_speed")[1],
-                  timeout_s=5.0)
+        rig.until(
+            lambda: rig.axles("measured_speed")[0] < 0.9 * rig.axles("measured_speed")[1],
+            timeout_s=5.0,
+        )
         with pytest.raises(RefusedError):
             rig.inject("speed_sensor_dropout axle=9")
         with pytest.raises(TimeOutError):
@@ -115,8 +117,11 @@ def test_a_bench_that_vanishes_is_an_error_and_its_rows_are_kept(tmp_path):
 def bench_of(address):
     """The process that listens at an address."""
     port = int(address.rpartition("/")[0].rpartition(":")[2])
-    line = next(one for one in Path("/proc/net/tcp").read_text().splitlines()[1:]
-                if one.split()[1].endswith(f":{port:04X}") and one.split()[3] == "0A")
+    line = next(
+        one
+        for one in Path("/proc/net/tcp").read_text().splitlines()[1:]
+        if one.split()[1].endswith(f":{port:04X}") and one.split()[3] == "0A"
+    )
     socket = f"socket:[{line.split()[9]}]"
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with contextlib.suppress(OSError):
@@ -143,13 +148,36 @@ def test_a_full_disk_is_an_error_and_no_pass(tmp_path):
 def test_a_sequence_on_a_running_bench_tells_what_the_bus_knows_of_its_time(tmp_path):
     log = (tmp_path / "stderr").open("w+")
     bench = subprocess.Popen(
-        [sys.executable, "-m", "rollerrig.realtime.cli", "run", "velim_a1", "--pacing", "lockstep",
-         "--harness", "--out", str(tmp_path / "run"), "--set", "initial_speed_m_s=2.78", "--set",
-         "bus.interface=hub", "--set", "bus.socketcand_port=0", "--set", "modbus.enabled=false"],
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log, text=True)
+        [
+            sys.executable,
+            "-m",
+            "rollerrig.realtime.cli",
+            "run",
+            "velim_a1",
+            "--pacing",
+            "lockstep",
+            "--harness",
+            "--out",
+            str(tmp_path / "run"),
+            "--set",
+            "initial_speed_m_s=2.78",
+            "--set",
+            "bus.interface=hub",
+            "--set",
+            "bus.socketcand_port=0",
+            "--set",
+            "modbus.enabled=false",
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=log,
+        text=True,
+    )
     try:
         address = own_bench._address(bench, tmp_path / "stderr")
-        status = cli.main(["sequence", "low_speed_010", "--bus", address, "--out", str(tmp_path / "report")])
+        status = cli.main(
+            ["sequence", "low_speed_010", "--bus", address, "--out", str(tmp_path / "report")]
+        )
     finally:
         bench.terminate()
         bench.wait(60.0)
@@ -160,10 +188,14 @@ def test_a_sequence_on_a_running_bench_tells_what_the_bus_knows_of_its_time(tmp_
 
 
 def test_pytest_finds_the_fixture_by_entry_point_and_loads_little_for_it():
-    project = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text())["project"]
+    project = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text())[
+        "project"
+    ]
     module = project["entry-points"]["pytest11"]["rollerrig"]
-    code = (f"import {module} as plugin; from rollerrig.wsp_interface.harness import rollerrig_bench as own\n"
-            "assert plugin.rollerrig_bench is own")
+    code = (
+        f"import {module} as plugin; from rollerrig.wsp_interface.harness import rollerrig_bench as own\n"
+        "assert plugin.rollerrig_bench is own"
+    )
     light = f"import sys, {module}; assert not {{'can', 'numpy', 'numba'}} & set(sys.modules)"
     for one in (code, light):
         assert subprocess.run([sys.executable, "-c", one]).returncode == 0

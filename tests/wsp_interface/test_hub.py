@@ -26,8 +26,9 @@ def numbers(messages) -> list[int]:
 
 
 def python_can_client(bench) -> can.BusABC:
-    return can.Bus(interface="socketcand", host="127.0.0.1", port=bench.port, channel="rig0",
-                   tcp_tune=True)
+    return can.Bus(
+        interface="socketcand", host="127.0.0.1", port=bench.port, channel="rig0", tcp_tune=True
+    )
 
 
 def receive(bus: can.BusABC, count: int) -> list[can.Message]:
@@ -113,9 +114,17 @@ def test_a_closed_port_gets_nothing_and_what_it_sends_is_counted_as_dropped():
     assert hub.stats()["frames"] == 1
 
 
-@pytest.mark.parametrize("frame", [
-    Frame(0x800, b""), Frame(-1, b""), Frame(0x2000_0000, b"", extended=True),
-    Frame(1, bytes(9)), Frame(1, b"", remote=True, dlc=9), Frame(1, b"x", remote=True)])
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Frame(0x800, b""),
+        Frame(-1, b""),
+        Frame(0x2000_0000, b"", extended=True),
+        Frame(1, bytes(9)),
+        Frame(1, b"", remote=True, dlc=9),
+        Frame(1, b"x", remote=True),
+    ],
+)
 def test_what_no_can_controller_could_send_is_refused(frame):
     port = Hub(time.monotonic_ns).attach(lambda frame: None)
     with pytest.raises(ValueError, match="CAN frame"):
@@ -160,17 +169,21 @@ def test_more_than_the_bus_can_carry_is_flagged_as_overload():
 
 
 def test_the_log_is_read_back_by_python_can_frame_by_frame(tmp_path):
-    sent = [Frame(0x123, b"\xaa\xbb", time_ns=1_234_567_890_123_456_789),
-            Frame(0x7FF, b"", time_ns=1_000), Frame(0x12345, bytes(range(8)), True),
-            Frame(0x701, b"", remote=True, dlc=1), Frame(0x702, b"", remote=True)]
+    sent = [
+        Frame(0x123, b"\xaa\xbb", time_ns=1_234_567_890_123_456_789),
+        Frame(0x7FF, b"", time_ns=1_000),
+        Frame(0x12345, bytes(range(8)), True),
+        Frame(0x701, b"", remote=True, dlc=1),
+        Frame(0x702, b"", remote=True),
+    ]
     path = tmp_path / "can.log"
     path.write_text("".join(frames.candump_line(frame) + "\n" for frame in sent))
     assert path.read_text().startswith("(1234567890.123456) rig0 123#AABB\n")
     with can.CanutilsLogReader(path) as reader:
         read = list(reader)
-    assert [(m.arbitration_id, bytes(m.data), m.is_extended_id, m.is_remote_frame, m.dlc)
-            for m in read] == [(f.can_id, f.data, f.extended, f.remote, frames.length(f))
-                               for f in sent]
+    assert [
+        (m.arbitration_id, bytes(m.data), m.is_extended_id, m.is_remote_frame, m.dlc) for m in read
+    ] == [(f.can_id, f.data, f.extended, f.remote, frames.length(f)) for f in sent]
     assert {m.channel for m in read} == {"rig0"}
     assert read[1].timestamp == pytest.approx(1e-6)
 
@@ -178,7 +191,9 @@ def test_the_log_is_read_back_by_python_can_frame_by_frame(tmp_path):
 # --- socketcand ---
 
 
-@pytest.mark.conformance("Hub", "socketcand: python-can's own client; nobody gets their own frames back")
+@pytest.mark.conformance(
+    "Hub", "socketcand: python-can's own client; nobody gets their own frames back"
+)
 def test_python_cans_own_client_gets_and_sends_every_frame_in_order_and_not_its_own(bench):
     seen = []
     node = bench.do(lambda: bench.hub.attach(seen.append))
@@ -218,17 +233,24 @@ def test_each_answer_of_the_handshake_comes_alone_and_frames_wait_until_it_is_re
     assert time.monotonic() - began_s >= 0.05
 
 
-@pytest.mark.conformance("Hub", "socketcand: commands however they are cut, bytes as SavvyCAN sends them")
+@pytest.mark.conformance(
+    "Hub", "socketcand: commands however they are cut, bytes as SavvyCAN sends them"
+)
 def test_commands_are_understood_however_they_are_cut(bench):
     client = bench.connect()
-    script = (b"< open rig0 >< rawmode ><send 1 0><  send\t7fF 2  a B >\r\n"
-              b"< send 92345678 3 ffffff80 ffffffff 1 >< send 00000123 1 7F >")
+    script = (
+        b"< open rig0 >< rawmode ><send 1 0><  send\t7fF 2  a B >\r\n"
+        b"< send 92345678 3 ffffff80 ffffffff 1 >< send 00000123 1 7F >"
+    )
     for index in range(len(script)):
-        client.sendall(script[index: index + 1])
+        client.sendall(script[index : index + 1])
     assert bench.until(lambda: len(bench.log) == 4)
     assert [frame[:3] for frame in bench.log] == [
-        (0x001, b"", False), (0x7FF, b"\x0a\x0b", False),
-        (0x12345678, b"\x80\xff\x01", True), (0x123, b"\x7f", True)]
+        (0x001, b"", False),
+        (0x7FF, b"\x0a\x0b", False),
+        (0x12345678, b"\x80\xff\x01", True),
+        (0x123, b"\x7f", True),
+    ]
 
 
 @pytest.mark.conformance("Hub", "socketcand: 11-bit and 29-bit identifiers")
@@ -252,21 +274,25 @@ def test_remote_frames_pass_in_both_directions(bench):
 
 
 @pytest.mark.conformance("Bad input", "socketcand: what cannot be understood is answered")
-@pytest.mark.parametrize(("command", "answer"), [
-    (b"< echo >", b"< echo >"),
-    (b"< subscribe 0 0 123 >", b"< error unknown command >"),
-    (b"< >", b"< error unknown command >"),
-    (b"nonsense > < nonsense < rubbish >", b"< error unknown command >"),
-    (b"< send 123 9 1 2 3 4 5 6 7 8 9 >", b"< error malformed send >"),
-    (b"< send 123 2 1 >", b"< error malformed send >"),
-    (b"< send 12g 1 1 >", b"< error malformed send >"),
-    (b"< send -1 1 1 >", b"< error malformed send >"),
-    (b"< send 1 1 0x1 >", b"< error malformed send >"),
-    (b"< send 1 1 +1 >", b"< error malformed send >"),
-    (b"< send 1_0 1 1 >", b"< error malformed send >"),
-    (b"< sendrtr 1 >", b"< error malformed sendrtr >"),
-    (b"< send" + b" 0" * 300 + b" >", b"< error unknown command >"),
-    (b"<" + b"x" * 5000, b"< error command too long >")])
+@pytest.mark.parametrize(
+    ("command", "answer"),
+    [
+        (b"< echo >", b"< echo >"),
+        (b"< subscribe 0 0 123 >", b"< error unknown command >"),
+        (b"< >", b"< error unknown command >"),
+        (b"nonsense > < nonsense < rubbish >", b"< error unknown command >"),
+        (b"< send 123 9 1 2 3 4 5 6 7 8 9 >", b"< error malformed send >"),
+        (b"< send 123 2 1 >", b"< error malformed send >"),
+        (b"< send 12g 1 1 >", b"< error malformed send >"),
+        (b"< send -1 1 1 >", b"< error malformed send >"),
+        (b"< send 1 1 0x1 >", b"< error malformed send >"),
+        (b"< send 1 1 +1 >", b"< error malformed send >"),
+        (b"< send 1_0 1 1 >", b"< error malformed send >"),
+        (b"< sendrtr 1 >", b"< error malformed sendrtr >"),
+        (b"< send" + b" 0" * 300 + b" >", b"< error unknown command >"),
+        (b"<" + b"x" * 5000, b"< error command too long >"),
+    ],
+)
 def test_what_cannot_be_understood_is_answered_and_the_client_stays(bench, command, answer):
     client = bench.raw_mode()
     client.sendall(command)
@@ -358,23 +384,43 @@ def test_garbage_never_disturbs_the_bus(bench):
     ports = {codec: bench.listen(codec) for codec in codecs.CODECS if codec != "socketcand"}
     ports["socketcand"] = bench.port
     random_source = random.Random(20_240_601)
-    vocabulary = [b"<", b">", b" ", b"send", b"open rig0", b"rawmode", b"echo", b"ffffff80", b"8",
-                  b"t1238", b"\r", b"O\r", b"R0000", b"CANNELLONIv1", b"\0\0\0\x0e", b"\xff" * 5]
+    vocabulary = [
+        b"<",
+        b">",
+        b" ",
+        b"send",
+        b"open rig0",
+        b"rawmode",
+        b"echo",
+        b"ffffff80",
+        b"8",
+        b"t1238",
+        b"\r",
+        b"O\r",
+        b"R0000",
+        b"CANNELLONIv1",
+        b"\0\0\0\x0e",
+        b"\xff" * 5,
+    ]
     witness, other = python_can_client(bench), python_can_client(bench)
     for round_number in range(60):
         client = bench.connect(ports[random_source.choice(sorted(ports))])
         for _ in range(random_source.randrange(1, 5)):
-            pieces = [random_source.choice(vocabulary) if random_source.random() < 0.7
-                      else random_source.randbytes(random_source.randrange(20))
-                      for _ in range(random_source.randrange(60))]
+            pieces = [
+                random_source.choice(vocabulary)
+                if random_source.random() < 0.7
+                else random_source.randbytes(random_source.randrange(20))
+                for _ in range(random_source.randrange(60))
+            ]
             try:
                 client.sendall(b"".join(pieces))
             except OSError:
                 break  # closed for not speaking its protocol
         client.close()
         number = 0x5A00_0000 + round_number
-        witness.send(can.Message(arbitration_id=0x123, data=struct.pack("<Q", number),
-                                 is_extended_id=False))
+        witness.send(
+            can.Message(arbitration_id=0x123, data=struct.pack("<Q", number), is_extended_id=False)
+        )
         while True:  # the garbage may hold valid frames too
             message = other.recv(5)
             assert message is not None
@@ -400,18 +446,30 @@ def test_a_client_that_vanishes_with_a_reset_disturbs_nobody(bench):
 
 # --- the other protocols ---
 
-SAMPLES = [Frame(0x123, b"\x11\x22"), Frame(0x7FF, b""), Frame(0x1ABCDEF0, bytes(range(8)), True),
-           Frame(0x12, b"\x80", True), Frame(0x701, b"", remote=True, dlc=1),
-           Frame(0x1ABCDEF0, b"", True, True, 8)]
+SAMPLES = [
+    Frame(0x123, b"\x11\x22"),
+    Frame(0x7FF, b""),
+    Frame(0x1ABCDEF0, bytes(range(8)), True),
+    Frame(0x12, b"\x80", True),
+    Frame(0x701, b"", remote=True, dlc=1),
+    Frame(0x1ABCDEF0, b"", True, True, 8),
+]
 
 
-@pytest.mark.conformance("Hub", "slcan, virtualcan, cannelloni: base, extended and remote frames both ways")
-@pytest.mark.parametrize(("codec", "hello", "greeting", "encode"), [
-    ("slcan", b"C\rS6\rO\r", b"\r\r\r", codecs.slcan_event),
-    ("virtualcan", b"", b"", codecs.virtualcan_event),
-    ("cannelloni", b"CANNELLONIv1", b"CANNELLONIv1", codecs.cannelloni_event)])
+@pytest.mark.conformance(
+    "Hub", "slcan, virtualcan, cannelloni: base, extended and remote frames both ways"
+)
+@pytest.mark.parametrize(
+    ("codec", "hello", "greeting", "encode"),
+    [
+        ("slcan", b"C\rS6\rO\r", b"\r\r\r", codecs.slcan_event),
+        ("virtualcan", b"", b"", codecs.virtualcan_event),
+        ("cannelloni", b"CANNELLONIv1", b"CANNELLONIv1", codecs.cannelloni_event),
+    ],
+)
 def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
-        bench, codec, hello, greeting, encode):
+    bench, codec, hello, greeting, encode
+):
     client = bench.connect(bench.listen(codec))
     client.sendall(hello)
     if greeting:
@@ -432,11 +490,11 @@ def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
 @pytest.mark.conformance("Hub", "virtualcan, cannelloni, slcan: the bytes of their documents")
 def test_the_bytes_of_the_binary_protocols_are_those_of_their_documents():
     frame, remote = Frame(0x123, b"\x11\x22"), Frame(0x701, b"", remote=True, dlc=1)
-    assert codecs.virtualcan_event(frame).hex() == "0000000e" "00000123" "00" "02" "1122" + "00" * 6
-    assert codecs.virtualcan_event(remote).hex() == "0000000e" "40000701" "00" "01" + "00" * 8
-    assert codecs.cannelloni_event(frame).hex() == "00000123" "02" "1122"
-    assert codecs.cannelloni_event(remote).hex() == "40000701" "01"
-    assert codecs.cannelloni_event(Frame(1, b"", True)).hex() == "80000001" "00"
+    assert codecs.virtualcan_event(frame).hex() == "0000000e0000012300021122" + "00" * 6
+    assert codecs.virtualcan_event(remote).hex() == "0000000e400007010001" + "00" * 8
+    assert codecs.cannelloni_event(frame).hex() == "00000123021122"
+    assert codecs.cannelloni_event(remote).hex() == "4000070101"
+    assert codecs.cannelloni_event(Frame(1, b"", True)).hex() == "8000000100"
     assert codecs.slcan_event(Frame(1, b"\xab", True)) == b"T000000011AB\r"
     assert codecs.slcan_event(remote) == b"r7011\r"
 
@@ -449,9 +507,14 @@ def test_slcan_refuses_frames_until_open_and_in_listen_only(bench):
 
 
 @pytest.mark.conformance("Bad input", "virtualcan, cannelloni: a stream out of step is closed")
-@pytest.mark.parametrize(("codec", "wire"), [
-    ("cannelloni", b"GET / HTTP/1.1\r\n\r\n"), ("cannelloni", b"CANNELLONIv1\0\0\1\x23\x7f"),
-    ("virtualcan", b"GET / HTTP/1.1\r\n\r\n")])
+@pytest.mark.parametrize(
+    ("codec", "wire"),
+    [
+        ("cannelloni", b"GET / HTTP/1.1\r\n\r\n"),
+        ("cannelloni", b"CANNELLONIv1\0\0\1\x23\x7f"),
+        ("virtualcan", b"GET / HTTP/1.1\r\n\r\n"),
+    ],
+)
 def test_a_binary_stream_out_of_step_is_closed(bench, codec, wire):
     client = bench.connect(bench.listen(codec))
     client.sendall(wire)
@@ -461,8 +524,14 @@ def test_a_binary_stream_out_of_step_is_closed(bench, codec, wire):
 
 def test_cannelloni_skips_can_fd_and_error_frames(bench):
     client = bench.connect(bench.listen("cannelloni"))
-    client.sendall(b"CANNELLONIv1" + bytes.fromhex("00000001 a0 00") + bytes(32)
-                   + bytes.fromhex("20000001 08") + bytes(8) + bytes.fromhex("00000002 00"))
+    client.sendall(
+        b"CANNELLONIv1"
+        + bytes.fromhex("00000001 a0 00")
+        + bytes(32)
+        + bytes.fromhex("20000001 08")
+        + bytes(8)
+        + bytes.fromhex("00000002 00")
+    )
     assert bench.until(lambda: len(bench.log) == 1)
     assert bench.log[0].can_id == 2
 
@@ -470,11 +539,15 @@ def test_cannelloni_skips_can_fd_and_error_frames(bench):
 # --- strangers ---
 
 # another protocol, whose bytes hold what each of the hub's protocols would obey
-POST = (b"POST / HTTP/1.1\r\nContent-Length: 99\r\n\r\n< open rig0 >< rawmode >< send 123 1 ff >"
-        b"\rO\rt12310F\rCANNELLONIv1\0\0\1\x23\0\0\0\0\x0e\0\0\1\x23\0\0" + bytes(8))
+POST = (
+    b"POST / HTTP/1.1\r\nContent-Length: 99\r\n\r\n< open rig0 >< rawmode >< send 123 1 ff >"
+    b"\rO\rt12310F\rCANNELLONIv1\0\0\1\x23\0\0\0\0\x0e\0\0\1\x23\0\0" + bytes(8)
+)
 
 
-@pytest.mark.conformance("Bad input", "a client of another protocol is closed, obeyed in nothing, and told once")
+@pytest.mark.conformance(
+    "Bad input", "a client of another protocol is closed, obeyed in nothing, and told once"
+)
 @pytest.mark.parametrize("codec", codecs.CODECS)
 def test_who_begins_with_another_protocol_is_closed_and_told_once(start_hub, codec):
     told = []
@@ -490,7 +563,9 @@ def test_who_begins_with_another_protocol_is_closed_and_told_once(start_hub, cod
     assert [(level, codec in text) for level, text in told] == [("warning", True)]
 
 
-@pytest.mark.conformance("Bad input", "clients of the hub are bounded, and those that are refused are told once")
+@pytest.mark.conformance(
+    "Bad input", "clients of the hub are bounded, and those that are refused are told once"
+)
 def test_more_clients_than_there_is_room_for_are_refused_and_told_once(start_hub):
     told = []
     bench = start_hub(on_event=lambda *event: told.append(event))
@@ -521,9 +596,14 @@ def test_a_port_in_use_names_the_port_and_how_to_mend_it(bench):
         bench.do(lambda: bench.hub.listen("socketcand", port=bench.port))
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"codec": "telepathy"}, "allowed: socketcand, slcan, virtualcan, cannelloni"),
-    ({"port": 70000}, "65535"), ({"host": "192.0.2.1", "port": 0}, "127.0.0.1")])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"codec": "telepathy"}, "allowed: socketcand, slcan, virtualcan, cannelloni"),
+        ({"port": 70000}, "65535"),
+        ({"host": "192.0.2.1", "port": 0}, "127.0.0.1"),
+    ],
+)
 def test_what_cannot_be_listened_on_says_what_is_allowed(bench, options, message):
     with pytest.raises(BusError, match=message):
         bench.do(lambda: bench.hub.listen(**options))
@@ -540,7 +620,9 @@ def test_a_hub_that_listens_beyond_loopback_says_so_as_an_event(start_hub):
     bench = start_hub(on_event=lambda *event: told.append(event))
     assert told == []
     bench.do(lambda: bench.hub.listen("slcan", host="0.0.0.0", port=0))
-    assert [(level, "BEYOND THIS MACHINE" in text and "slcan" in text) for level, text in told] == [("warning", True)]
+    assert [(level, "BEYOND THIS MACHINE" in text and "slcan" in text) for level, text in told] == [
+        ("warning", True)
+    ]
 
 
 def test_closing_sends_what_waits_then_ends_every_client_even_one_that_does_not_read(bench):

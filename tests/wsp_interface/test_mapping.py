@@ -69,8 +69,12 @@ def test_a_plain_unit_gets_its_speeds_and_moves_the_magnets(start_hub, files):
     hub = start_hub()
     database = cantools.database.load_file(files().parent / "unit.dbc")
     address = f"socketcand://{hub.address()}"
-    with (buses.open_client(address) as rig, buses.open_client(address) as unit,
-          mapping.companion(files())(address)):
+    with (
+        buses.open_client(address) as rig,
+        buses.open_client(address) as unit,
+        mapping.companion(files())(address),
+    ):
+
         def answer():
             # asked with a standing train's speeds before the first SYNC, then with those of the rig
             for _ in range(50):
@@ -82,14 +86,22 @@ def test_a_plain_unit_gets_its_speeds_and_moves_the_magnets(start_hub, files):
         def reply(told):
             content = {f"{kind}{axle}": 0 for kind in "HL" for axle in range(1, 5)}
             content |= {"H3": 1, "L3": 1, "H1": 1, "V_REF": told["V2"]}
-            unit.send(can.Message(arbitration_id=1633, is_extended_id=False,
-                                  data=database.encode_message(1633, content)))
+            unit.send(
+                can.Message(
+                    arbitration_id=1633,
+                    is_extended_id=False,
+                    data=database.encode_message(1633, content),
+                )
+            )
 
         thread = threading.Thread(target=answer)
         thread.start()
         until(rig, 0x720)
-        for can_id, data in ((0x080, b""), (0x190, (2000).to_bytes(2, "little") * 4),
-                             (0x191, bytes(8))):
+        for can_id, data in (
+            (0x080, b""),
+            (0x190, (2000).to_bytes(2, "little") * 4),
+            (0x191, bytes(8)),
+        ):
             rig.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
         thread.join(5.0)
         while not (reference := int.from_bytes(until(rig, 0x1A0).data, "little")):
@@ -100,15 +112,18 @@ def test_a_plain_unit_gets_its_speeds_and_moves_the_magnets(start_hub, files):
     assert magnets == 0b00_11_00_01
 
 
-@pytest.mark.parametrize(("old", "new", "said"), [
-    ('"SPEEDS"', '"SPEED"', "SPEEDS"),
-    ('"L4"', '"L5"', "no signal 'L5'"),
-    ('"VALVES"', '"TAKEN"', "91h, which the rig uses"),
-    ("unit.dbc", "none.dbc", "cannot be read"),
-    ("measured_speed_4", "wheel_speed_4", "measured_speed_4"),
-    (', V4 = "measured_speed_4"', "", "V4; map all"),
-    ("reference =", "refrence =", "unknown key"),
-])
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"SPEEDS"', '"SPEED"', "SPEEDS"),
+        ('"L4"', '"L5"', "no signal 'L5'"),
+        ('"VALVES"', '"TAKEN"', "91h, which the rig uses"),
+        ("unit.dbc", "none.dbc", "cannot be read"),
+        ("measured_speed_4", "wheel_speed_4", "measured_speed_4"),
+        (', V4 = "measured_speed_4"', "", "V4; map all"),
+        ("reference =", "refrence =", "unknown key"),
+    ],
+)
 def test_a_wrong_mapping_is_refused(files, old, new, said):
     mapping.load(files())
     with pytest.raises(ConfigError) as refusal:

@@ -56,8 +56,9 @@ def play_handshake(server, chunks=(b"< hi >", b"< ok >", b"< ok >")) -> tuple:
     thread = threading.Thread(target=play)
     thread.start()
     try:
-        opened = plugin.RollerrigBus(f"127.0.0.1:{server.getsockname()[1]}/rig0",
-                                     connect_timeout=10.0)
+        opened = plugin.RollerrigBus(
+            f"127.0.0.1:{server.getsockname()[1]}/rig0", connect_timeout=10.0
+        )
     finally:
         thread.join()
     return opened, accepted[0]
@@ -72,10 +73,17 @@ def test_python_can_finds_the_plugin_by_its_name_and_both_forms_of_address(bench
 
 
 @pytest.mark.conformance("Hub", "python-can plugin: every kind of frame, RTR too")
-@pytest.mark.parametrize("frame", [
-    Frame(0x123, b""), Frame(0x7FF, bytes(range(0xF8, 0x100))), Frame(0x12, b"\x01", True),
-    Frame(0x1FFFFFFF, b"\x80", True), Frame(0x701, b"", remote=True, dlc=1),
-    Frame(0x1ABCDEF0, b"", True, True, 8)])
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Frame(0x123, b""),
+        Frame(0x7FF, bytes(range(0xF8, 0x100))),
+        Frame(0x12, b"\x01", True),
+        Frame(0x1FFFFFFF, b"\x80", True),
+        Frame(0x701, b"", remote=True, dlc=1),
+        Frame(0x1ABCDEF0, b"", True, True, 8),
+    ],
+)
 def test_a_frame_of_any_kind_arrives_unchanged_in_both_directions(bench, bus, node, frame):
     bus.send(plugin.message_of(frame))
     assert bench.until(lambda: bench.log)
@@ -103,7 +111,9 @@ def test_a_bus_that_reads_ahead_gets_all_frames_and_sends_in_order_with_the_next
         assert bench.until(lambda: len(bench.log) == 2002)
         bus.send(can.Message(arbitration_id=0x303, is_extended_id=False))
     # what is sent last goes out, too
-    assert bench.until(lambda: [frame.can_id for frame in bench.log[2000:]] == [0x301, 0x302, 0x303])
+    assert bench.until(
+        lambda: [frame.can_id for frame in bench.log[2000:]] == [0x301, 0x302, 0x303]
+    )
 
 
 def test_filters_let_only_the_wanted_frames_through(bench, bus, node):
@@ -299,8 +309,19 @@ def test_another_bus_name_says_which_bus_the_hub_carries(bench):
         plugin.RollerrigBus(f"127.0.0.1:{bench.port}/rig7")
 
 
-@pytest.mark.parametrize("channel", ["", "rig0", "127.0.0.1/rig0", "127.0.0.1:29536", "h:99999/r",
-                                     "h:x/rig0", ":29536/rig0", "127.0.0.1:29536/"])
+@pytest.mark.parametrize(
+    "channel",
+    [
+        "",
+        "rig0",
+        "127.0.0.1/rig0",
+        "127.0.0.1:29536",
+        "h:99999/r",
+        "h:x/rig0",
+        ":29536/rig0",
+        "127.0.0.1:29536/",
+    ],
+)
 def test_a_wrong_address_shows_a_right_one(channel):
     with pytest.raises(can.CanInitializationError, match=r"socketcand://127\.0\.0\.1:29536/rig0"):
         plugin.RollerrigBus(channel)
@@ -312,8 +333,10 @@ def test_a_server_of_something_else_is_refused(server):
 
 
 def test_a_handshake_in_one_piece_or_in_many_is_understood(server):
-    for chunks in ([b"< hi >\n< ok >< ok >< frame 001 0.0 >"],
-                   [b"< h", b"i >< o", b"k ><", b" ok >< frame 001", b" 0.0 >"]):
+    for chunks in (
+        [b"< hi >\n< ok >< ok >< frame 001 0.0 >"],
+        [b"< h", b"i >< o", b"k ><", b" ok >< frame 001", b" 0.0 >"],
+    ):
         bus, connection = play_handshake(server, chunks)
         assert bus.recv(60).arbitration_id == 1
         bus.shutdown()
@@ -322,8 +345,10 @@ def test_a_handshake_in_one_piece_or_in_many_is_understood(server):
 
 def test_errors_and_nonsense_of_the_server_are_skipped(server):
     bus, connection = play_handshake(server)
-    connection.sendall(b"< error unknown command >< frame >< frame zz 1.0 00 ><frame 1 1.0 0>"
-                       b"< frame 123 x.0 00 >>>><< frame 7FF 2.5 00 11 >")
+    connection.sendall(
+        b"< error unknown command >< frame >< frame zz 1.0 00 ><frame 1 1.0 0>"
+        b"< frame 123 x.0 00 >>>><< frame 7FF 2.5 00 11 >"
+    )
     message = bus.recv(60)
     assert (message.arbitration_id, bytes(message.data)) == (0x7FF, b"\x00\x11")
     bus.shutdown()

@@ -22,8 +22,11 @@ from rollerrig.wsp_interface.sequences.verdict import Result
 def outcome(folder, text=GOOD, **changes):
     path = folder / "one.toml"
     path.write_text(text, encoding="utf-8")
-    found = Outcome(sequence.load(path, catalogue.parse), folder / "one",
-                    events=[Event(1.0, "step", "brake <hard> & fast")])
+    found = Outcome(
+        sequence.load(path, catalogue.parse),
+        folder / "one",
+        events=[Event(1.0, "step", "brake <hard> & fast")],
+    )
     found.record = synthetic_record.record()
     found.verdicts = verdict.judge(found.sequence.criteria, found.record)
     for name, value in changes.items():
@@ -49,20 +52,42 @@ def test_the_page_names_the_source_of_every_limit(tmp_path):
 
 def test_the_page_says_what_was_tested_by_whom_and_what_each_axle_did(tmp_path):
     found = outcome(tmp_path)
-    page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC), {"tested by": "A. Meier"})
-    assert all(text in page for text in ("A. Meier", "unit under test", "72 km/h", "uic_z1", "43 t", "slip, %",
-                                         "Longest lock", "<b>assumption</b>", "<b>EN 15595</b>"))
-    assert page.count('<tr class="marked">') == 2  # in the list of sequences, and among its measures
+    page = sequences.html(
+        [found], tmp_path, sequences.datetime.now(sequences.UTC), {"tested by": "A. Meier"}
+    )
+    assert all(
+        text in page
+        for text in (
+            "A. Meier",
+            "unit under test",
+            "72 km/h",
+            "uic_z1",
+            "43 t",
+            "slip, %",
+            "Longest lock",
+            "<b>assumption</b>",
+            "<b>EN 15595</b>",
+        )
+    )
+    assert (
+        page.count('<tr class="marked">') == 2
+    )  # in the list of sequences, and among its measures
     rows = stop.axles(found.record)[1]
     assert [row[4] for row in rows] == ["0.00", "0.50", "0.00", "0.00"]
     assert rows[1][3] == "100"  # % of slip while it was locked
-    assert [text for _, kind, text in sequences.marks(found) if kind == stop.STEP] == ["brake <hard> & fast"]
+    assert [text for _, kind, text in sequences.marks(found) if kind == stop.STEP] == [
+        "brake <hard> & fast"
+    ]
 
 
 def test_measures_are_void_where_a_precondition_failed(tmp_path):
     found = outcome(tmp_path)
-    found.verdicts = verdict.judge(found.sequence.criteria, found.record, "a pre-condition was not met")
-    assert all(one.void and one.result is Result.ABSENT and one.shown == "" for one in found.verdicts)
+    found.verdicts = verdict.judge(
+        found.sequence.criteria, found.record, "a pre-condition was not met"
+    )
+    assert all(
+        one.void and one.result is Result.ABSENT and one.shown == "" for one in found.verdicts
+    )
     assert found.result is Result.ERROR
 
 
@@ -72,7 +97,9 @@ def test_junit_and_json_tell_the_same_as_the_verdicts(tmp_path):
     data, suite = json.loads(data_path.read_text()), ET.parse(junit_path).getroot()[0]
     failed = [one.what for one in found.verdicts if one.result is Result.FAIL]
     assert failed
-    assert [one["what"] for one in data["sequences"][0]["verdicts"] if one["result"] == "fail"] == failed
+    assert [
+        one["what"] for one in data["sequences"][0]["verdicts"] if one["result"] == "fail"
+    ] == failed
     assert len(suite.findall(".//failure")) == int(suite.get("failures")) == len(failed)
     assert int(suite.get("tests")) == len(found.verdicts)
     assert data["result"] == "fail"
@@ -84,7 +111,9 @@ def test_a_bench_that_vanished_is_an_error_however_good_the_rest_was(tmp_path):
     assert sequences.overall([found]) is Result.ERROR
     suite = ET.fromstring(sequences.junit_xml([found]).partition("\n")[2])[0]
     assert suite.get("errors") == "1"
-    assert "the bench has gone" in sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
+    assert "the bench has gone" in sequences.html(
+        [found], tmp_path, sequences.datetime.now(sequences.UTC)
+    )
 
 
 def test_a_report_that_cannot_be_written_says_so(tmp_path):

@@ -46,11 +46,19 @@ def played(tmp_path_factory):
     """The suite's folder and its results by test: status and message."""
     folder = tmp_path_factory.mktemp("suite")
     (folder / "suite.robot").write_text(SUITE)
-    done = subprocess.run([sys.executable, "-m", "robot", "--outputdir", folder, folder / "suite.robot"],
-                          capture_output=True, text=True, timeout=900, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "robot", "--outputdir", folder, folder / "suite.robot"],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
     assert done.returncode == 2, done.stdout + done.stderr
     tests = ET.parse(folder / "output.xml").getroot().iter("test")
-    return folder, {one.get("name"): (one.find("status").get("status"), one.find("status").text or "") for one in tests}
+    return folder, {
+        one.get("name"): (one.find("status").get("status"), one.find("status").text or "")
+        for one in tests
+    }
 
 
 def test_a_suite_of_keywords_brakes_the_train(played):
@@ -70,14 +78,21 @@ def test_a_wrong_unit_is_refused_with_those_that_fit(played):
     _, results = played
     status, said = results["A wrong unit"]
     assert status == "FAIL"
-    assert "the unit 'm' does not belong here; write a number with its unit ('Pa', 'kPa', 'mbar', 'bar')" in said
+    assert (
+        "the unit 'm' does not belong here; write a number with its unit ('Pa', 'kPa', 'mbar', 'bar')"
+        in said
+    )
 
 
 def test_the_log_has_the_plot_of_each_run_and_where_its_record_is(played):
     folder, _ = played
     output = (folder / "output.xml").read_text()
     runs = sorted((folder / "rollerrig").iterdir())
-    assert [one.name for one in runs] == ["A_wheel_locks-1", "A_wrong_unit-1", "The_brakes_hold_the_train-1"]
+    assert [one.name for one in runs] == [
+        "A_wheel_locks-1",
+        "A_wrong_unit-1",
+        "The_brakes_hold_the_train-1",
+    ]
     for run in runs[::2]:
         assert f"run: {run}" in output
         assert (run / "stop.svg").read_text().startswith("<svg")

@@ -33,13 +33,13 @@ def test_quantities_become_si_at_the_edge(tmp_path):
 REFUSED = (
     ('title = "A stop from forty on soap"', 'title = "stop"', "line 1", "sentence"),
     ("set = {", "sett = {", "line 11", "unknown key"),
-    ('vehicle_speed < 1 km/h', "vehicle_sped < 1 km/h", "line 12", "vehicle_speed"),
-    ('vehicle_speed < 1 km/h', "vehicle_speed < 1 bar", "line 12", "does not belong"),
-    ('vehicle_speed < 1 km/h', "vehicle_speed < 1 furlong", "line 12", "no unit"),
-    ('vehicle_speed < 1 km/h', "vehicle_speed < 0 km/h", "line 12", "can never be"),
-    ('vehicle_speed < 1 km/h', "vehicle_speed > 50 km/h", "line 12", "nothing drives it"),
-    ('vehicle_speed < 1 km/h', "time < 1 s", "line 12", "can never be"),
-    ('vehicle_speed < 1 km/h', "any valve > 2", "line 12", "can never be"),
+    ("vehicle_speed < 1 km/h", "vehicle_sped < 1 km/h", "line 12", "vehicle_speed"),
+    ("vehicle_speed < 1 km/h", "vehicle_speed < 1 bar", "line 12", "does not belong"),
+    ("vehicle_speed < 1 km/h", "vehicle_speed < 1 furlong", "line 12", "no unit"),
+    ("vehicle_speed < 1 km/h", "vehicle_speed < 0 km/h", "line 12", "can never be"),
+    ("vehicle_speed < 1 km/h", "vehicle_speed > 50 km/h", "line 12", "nothing drives it"),
+    ("vehicle_speed < 1 km/h", "time < 1 s", "line 12", "can never be"),
+    ("vehicle_speed < 1 km/h", "any valve > 2", "line 12", "can never be"),
     ("timeout =", 'for = "2 s"\ntimeout =', "line 13", "either"),
     ("timeout =", 'hold = "99 s"\ntimeout =', "line 13", "never be within"),
     ('"3.8 bar"', '"38 bar"', "line 11", "0 to 10 bar"),
@@ -71,14 +71,17 @@ def test_a_step_that_would_begin_in_the_past_is_refused(tmp_path):
 MEASURE = '\n[[measure]]\nmeasure = "longest_lock"\nunit = "s"\nmax = 0.4\nsource = "memory"\n'
 
 
-@pytest.mark.parametrize(("old", "new", "said"), [
-    ('unit = "s"', 'unit = "ms"', "is in 's'"),
-    ("max = 0.4", "max = -1", "least that longest_lock can be"),
-    ("max = 0.4", "max = 0.4\nmin = 0.5", "below min"),
-    ('source = "memory"\n', "", "source"),
-    ('"longest_lock"', '"longest_look"', "longest_lock"),
-    ("max = 0.4\n", "", "min, a max or both"),
-])
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('unit = "s"', 'unit = "ms"', "is in 's'"),
+        ("max = 0.4", "max = -1", "least that longest_lock can be"),
+        ("max = 0.4", "max = 0.4\nmin = 0.5", "below min"),
+        ('source = "memory"\n', "", "source"),
+        ('"longest_lock"', '"longest_look"', "longest_lock"),
+        ("max = 0.4\n", "", "min, a max or both"),
+    ],
+)
 def test_a_limit_that_nothing_can_meet_or_nobody_knows_is_refused(tmp_path, old, new, said):
     assert read(tmp_path, GOOD + MEASURE)
     with pytest.raises(ConfigError, match=r"one\.toml, line (1[5-9]|2)") as refusal:
@@ -110,8 +113,12 @@ def test_every_packaged_sequence_is_in_order_and_has_limits(name):
 
 @pytest.mark.conformance("Faults", "every fault has a sequence in the library")
 def test_the_library_has_every_fault_of_the_catalogue():
-    texts = [text for name in store.names("sequences")
-             for step in sequence.load(name, catalogue.parse).steps for text in step.faults]
+    texts = [
+        text
+        for name in store.names("sequences")
+        for step in sequence.load(name, catalogue.parse).steps
+        for text in step.faults
+    ]
     missing = {kind.name for kind in catalogue.CATALOGUE} - {text.split()[0] for text in texts}
     assert not missing
 

@@ -42,24 +42,33 @@ def test_the_reference_stop_is_response_time_and_equivalent_deceleration():
 
 def test_the_reference_stop_has_the_running_resistance_of_an_extended_model():
     record = stop.record()
-    extra = record.scenario["mechanisms"] | {"running_resistance_force_N": 2000.0,
-                                             "running_resistance_speed_power": 2.0}
+    extra = record.scenario["mechanisms"] | {
+        "running_resistance_force_N": 2000.0,
+        "running_resistance_speed_power": 2.0,
+    }
     dragged = replace(record, scenario=record.scenario | {"mechanisms": extra})
-    assert measures.resistance_N(dragged, 10.0) - measures.resistance_N(record, 10.0) == pytest.approx(500.0)
+    assert measures.resistance_N(dragged, 10.0) - measures.resistance_N(
+        record, 10.0
+    ) == pytest.approx(500.0)
     assert measures.reference_distance_m(dragged) < measures.reference_distance_m(record)
 
 
 def test_a_demand_of_twice_the_rate_falls_short_by_the_difference():
     record = stop.record()
-    asked_m_s2 = (float(measures.brake_force_N(record, 3.8e5)) + 600.0) / measures.dynamic_mass_kg(record)
+    asked_m_s2 = (float(measures.brake_force_N(record, 3.8e5)) + 600.0) / measures.dynamic_mass_kg(
+        record
+    )
     # drag adds at most 0.9375 * 20^2 N
     assert of("deceleration_shortfall") == pytest.approx(asked_m_s2 - stop.RATE_M_S2, abs=0.01)
 
 
 def test_a_stop_shorter_than_a_segment_has_no_shortfall():
     record = stop.record()
-    short = replace(record, columns={name: values[-900:] for name, values in record.columns.items()},
-                    demands=((record.columns["time_s"][-900], 3.8e5),))
+    short = replace(
+        record,
+        columns={name: values[-900:] for name, values in record.columns.items()},
+        demands=((record.columns["time_s"][-900], 3.8e5),),
+    )
     assert math.isnan(of("deceleration_shortfall", short))
     assert judged(limit("deceleration_shortfall", high=1.0), short).result is Result.ABSENT
 
@@ -73,7 +82,10 @@ def test_the_damage_index_counts_the_energy_of_a_lock():
 def test_a_lock_counts_from_the_speed_that_the_scenario_names():
     record = stop.record()
     rig = record.scenario["rig"] | {"lock_above_m_s": 17.0}  # the lock is at 16 m/s
-    assert of("wheel_damage_index", replace(record, scenario=record.scenario | {"rig": rig})) == 2e6 / 1e8
+    assert (
+        of("wheel_damage_index", replace(record, scenario=record.scenario | {"rig": rig}))
+        == 2e6 / 1e8
+    )
 
 
 def test_sliding_reference_error_and_adhesion_are_those_of_the_record():

@@ -55,8 +55,10 @@ def test_a_frame_that_has_begun_is_not_interrupted_by_a_more_important_one(site)
 
 
 @pytest.mark.conformance("CAN", "each frame takes its bits' time, one at a time")
-@pytest.mark.parametrize(("size", "extended", "bits"), [
-    (0, False, 47), (1, False, 55), (8, False, 111), (0, True, 67), (8, True, 131)])
+@pytest.mark.parametrize(
+    ("size", "extended", "bits"),
+    [(0, False, 47), (1, False, 55), (8, False, 111), (0, True, 67), (8, True, 131)],
+)
 def test_a_frame_comes_its_bits_time_after_it_was_sent(site, size, extended, bits):
     site.now_ns = 5_000_000
     site.a.send(Frame(0x100, bytes(size), extended))
@@ -75,7 +77,9 @@ def test_on_an_ideal_bus_nothing_waits():
 def test_a_node_hears_a_frame_when_its_last_bit_is_through_and_its_answer_waits_from_then(site):
     heard = []
     site.hub.attach(lambda frame: heard.append((frame.can_id, frame.time_ns)))
-    answering = site.hub.attach(lambda frame: answering.send(Frame(0x300, b"")) if frame.can_id == 0x80 else None)
+    answering = site.hub.attach(
+        lambda frame: answering.send(Frame(0x300, b"")) if frame.can_id == 0x80 else None
+    )
     site.a.send(Frame(0x80, b""))
     site.b.send(Frame(0x400, EIGHT))
     site.until(1000)
@@ -83,12 +87,19 @@ def test_a_node_hears_a_frame_when_its_last_bit_is_through_and_its_answer_waits_
     assert heard == [(0x80, 94_000), (0x300, 188_000), (0x400, 410_000)]
 
 
-@pytest.mark.parametrize(("first", "second"), [
-    (Frame(0x100, b""), Frame(0x100, b"", remote=True)),
-    (Frame(0x100, b"", remote=True), Frame(0x100 << 18, b"", extended=True)),
-    (Frame(0x100 << 18, b"", extended=True), Frame(0x100 << 18, b"", extended=True, remote=True)),
-    (Frame(0x0FF << 18 | 0x3FFFF, b"", extended=True), Frame(0x100, b"")),
-    (Frame(0x100 << 18 | 1, b"", extended=True), Frame(0x100 << 18 | 2, b"", extended=True))])
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (Frame(0x100, b""), Frame(0x100, b"", remote=True)),
+        (Frame(0x100, b"", remote=True), Frame(0x100 << 18, b"", extended=True)),
+        (
+            Frame(0x100 << 18, b"", extended=True),
+            Frame(0x100 << 18, b"", extended=True, remote=True),
+        ),
+        (Frame(0x0FF << 18 | 0x3FFFF, b"", extended=True), Frame(0x100, b"")),
+        (Frame(0x100 << 18 | 1, b"", extended=True), Frame(0x100 << 18 | 2, b"", extended=True)),
+    ],
+)
 def test_base_beats_extended_and_data_beats_remote_on_the_same_identifier(first, second):
     assert arbitration_field(first) < arbitration_field(second)
 

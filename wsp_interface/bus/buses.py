@@ -31,8 +31,13 @@ DEFAULT_ADDRESS = f"socketcand://{plugin.DEFAULT_CHANNEL}"
 _INSTEAD = f"or use the bench's own hub, {DEFAULT_ADDRESS}"
 
 
-def open_client(address: str, connect_timeout_s: float = 3.0, errors: bool = False, ahead: bool = False,
-                **more: Any) -> can.BusABC:
+def open_client(
+    address: str,
+    connect_timeout_s: float = 3.0,
+    errors: bool = False,
+    ahead: bool = False,
+    **more: Any,
+) -> can.BusABC:
     """Return the python-can bus at an address, for a program outside; waits for a hub. Raises BusError.
 
     `errors`: a hub shall tell error frames too; a CAN interface of the kernel does so anyway. `ahead`: as
@@ -40,29 +45,41 @@ def open_client(address: str, connect_timeout_s: float = 3.0, errors: bool = Fal
     """
     interface, colon, channel = address.partition(":")
     if not colon or not channel:
-        raise BusError(f"bus address {address!r}: allowed are {DEFAULT_ADDRESS}, "
-                       "socketcan:vcan0, or INTERFACE:CHANNEL of python-can")
+        raise BusError(
+            f"bus address {address!r}: allowed are {DEFAULT_ADDRESS}, "
+            "socketcan:vcan0, or INTERFACE:CHANNEL of python-can"
+        )
     if interface in ("socketcand", "rollerrig"):
         try:
-            return plugin.RollerrigBus(channel.lstrip("/"), connect_timeout=connect_timeout_s, errors=errors,
-                                       ahead=ahead)
+            return plugin.RollerrigBus(
+                channel.lstrip("/"), connect_timeout=connect_timeout_s, errors=errors, ahead=ahead
+            )
         except can.CanError as error:
             raise BusError(f"bus address {address!r}: {error}") from error
     if interface not in can.VALID_INTERFACES:
-        raise BusError(f"bus address {address!r}: unknown interface {interface!r}; allowed: "
-                       + ", ".join(sorted(can.VALID_INTERFACES)))
+        raise BusError(
+            f"bus address {address!r}: unknown interface {interface!r}; allowed: "
+            + ", ".join(sorted(can.VALID_INTERFACES))
+        )
     if interface == "socketcan":
         kernel.require(address, channel, _INSTEAD, kernel.available())
     try:
         return can.Bus(interface=interface, channel=channel, **more)
     except (can.CanError, OSError, ValueError, TypeError, NotImplementedError) as error:
-        raise BusError(f"bus address {address!r}: python-can cannot open it: {error}; "
-                       f"mend the channel or use {DEFAULT_ADDRESS}") from error
+        raise BusError(
+            f"bus address {address!r}: python-can cannot open it: {error}; "
+            f"mend the channel or use {DEFAULT_ADDRESS}"
+        ) from error
 
 
-async def open_hub(address: str, clock_ns: Callable[[], int], bitrate: int = 500_000,
-                   on_lost: Callable[[BusError], None] | None = None,
-                   on_event: Callable[[str, str], None] | None = None, kernel_time: bool = False) -> Hub:
+async def open_hub(
+    address: str,
+    clock_ns: Callable[[], int],
+    bitrate: int = 500_000,
+    on_lost: Callable[[BusError], None] | None = None,
+    on_event: Callable[[str, str], None] | None = None,
+    kernel_time: bool = False,
+) -> Hub:
     """Return a hub for the bench's nodes that serves, or sits on, the bus at an address.
 
     bitrate in bit/s is what the load is counted against. on_lost is told when the python-can bus
@@ -75,7 +92,12 @@ async def open_hub(address: str, clock_ns: Callable[[], int], bitrate: int = 500
         # CAN FD frames are no use here, but shall be told and counted
         more = {"fd": True} if address.startswith("socketcan:") else {}
         bus = await asyncio.to_thread(open_client, address, **more)
-        hub = Hub(clock_ns, bitrate, on_event=on_event or log_event, name=address.partition(":")[2].rpartition("/")[2])
+        hub = Hub(
+            clock_ns,
+            bitrate,
+            on_event=on_event or log_event,
+            name=address.partition(":")[2].rpartition("/")[2],
+        )
         try:
             BusPort(hub, bus, on_lost, on_event or log_event, clock_ns if kernel_time else None)
         except BusError:
@@ -94,8 +116,14 @@ async def open_hub(address: str, clock_ns: Callable[[], int], bitrate: int = 500
 class BusPort(can.Listener):
     """Joins a hub and a python-can bus: frames of each go to the other, until either closes."""
 
-    def __init__(self, hub: Hub, bus: can.BusABC, on_lost: Callable[[BusError], None] | None,
-                 on_event: Callable[[str, str], None], clock_ns: Callable[[], int] | None) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        bus: can.BusABC,
+        on_lost: Callable[[BusError], None] | None,
+        on_event: Callable[[str, str], None],
+        clock_ns: Callable[[], int] | None,
+    ) -> None:
         """Start reading; to be called in the hub's event loop. Owns the bus from now on.
 
         Raises BusError where another bench is on the interface.
@@ -106,7 +134,9 @@ class BusPort(can.Listener):
         self._loop = asyncio.get_running_loop()
         self._waiting: deque[Frame] = deque()
         self._told: set[str] = set()
-        self._interface = (kernel.Interface(bus, str(bus.channel)) if isinstance(bus, SocketcanBus) else None)
+        self._interface = (
+            kernel.Interface(bus, str(bus.channel)) if isinstance(bus, SocketcanBus) else None
+        )
         self._fileno = _fileno(bus)
         self._port = hub.attach(self._transmit, str(bus.channel_info), self._stop)
         if clock_ns is not None:
@@ -193,13 +223,17 @@ class BusPort(can.Listener):
     def on_error(self, exc: Exception) -> None:
         """Close after a failure of the bus, and say so: silence would look like a quiet bus."""
         if self.error is None:
-            self.error = BusError(f"CAN bus {self._port.name} failed: {exc}; check the interface and start again")
+            self.error = BusError(
+                f"CAN bus {self._port.name} failed: {exc}; check the interface and start again"
+            )
             self._port.dropped += len(self._waiting)
             self._port.close()
             if self._on_lost:
                 self._on_lost(self.error)
             else:
-                self._loop.call_exception_handler({"message": str(self.error), "exception": self.error})
+                self._loop.call_exception_handler(
+                    {"message": str(self.error), "exception": self.error}
+                )
 
     def _stop(self) -> None:
         self._waiting.clear()

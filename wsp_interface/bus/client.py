@@ -129,7 +129,9 @@ class Client(asyncio.BufferedProtocol):
         elif event is Mode.ERRORS:
             self.errors = True
         elif event is Mode.FOREIGN:
-            self._bus.warn(f"a client on the port for {self.codec} speaks something else: it is closed")
+            self._bus.warn(
+                f"a client on the port for {self.codec} speaks something else: it is closed"
+            )
             self.finish()
         elif event is Mode.CLOSE:
             # a refusal may still wait for its turn

@@ -17,7 +17,14 @@ from enum import IntEnum
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
-from rollerrig.wsp_interface.bus.frames import BASE_ID_MAX, DATA_MAX, EXTENDED_ID_MAX, S_NS, Frame, length
+from rollerrig.wsp_interface.bus.frames import (
+    BASE_ID_MAX,
+    DATA_MAX,
+    EXTENDED_ID_MAX,
+    S_NS,
+    Frame,
+    length,
+)
 
 COMMAND_MAX = 256  # the longest legal text command has about 60 characters
 EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000  # linux/can.h
@@ -84,7 +91,7 @@ class SocketcandSession(Session):
             _, bracket, body = command.rpartition(b"<")
             if bracket:
                 yield from self._obey(body.split() if len(body) <= COMMAND_MAX else [])
-        self._rest = self._rest[self._rest.rfind(b"<"):] if b"<" in self._rest else b""
+        self._rest = self._rest[self._rest.rfind(b"<") :] if b"<" in self._rest else b""
         if len(self._rest) > COMMAND_MAX:
             self._rest = b""
             yield b"< error command too long >"
@@ -149,9 +156,18 @@ def _time_ns(seconds: bytes) -> int:
 
 def socketcand_event(frame: Frame) -> bytes:
     """Return the frame as the server says it: `< frame ID sec.usec HEX >`, `< rtr .. DLC >`, `< error ..`."""
-    verb, body = (b"rtr", b"%d" % frame.dlc) if frame.remote else (b"frame", frame.data.hex().upper().encode())
+    verb, body = (
+        (b"rtr", b"%d" % frame.dlc)
+        if frame.remote
+        else (b"frame", frame.data.hex().upper().encode())
+    )
     verb = b"error" if frame.error else verb
-    return b"< %b %b %b %b >" % (verb, _hex_id(frame.can_id, frame.extended), _seconds(frame.time_ns), body)
+    return b"< %b %b %b %b >" % (
+        verb,
+        _hex_id(frame.can_id, frame.extended),
+        _seconds(frame.time_ns),
+        body,
+    )
 
 
 def socketcand_command(frame: Frame) -> bytes:
@@ -159,7 +175,11 @@ def socketcand_command(frame: Frame) -> bytes:
     if frame.remote:
         return b"< sendrtr %b %d >" % (_hex_id(frame.can_id, frame.extended), frame.dlc)
     data = frame.data
-    return b"< send %b %d %b >" % (_hex_id(frame.can_id, frame.extended), len(data), data.hex(" ").encode())
+    return b"< send %b %d %b >" % (
+        _hex_id(frame.can_id, frame.extended),
+        len(data),
+        data.hex(" ").encode(),
+    )
 
 
 def parse_socketcand_event(body: bytes) -> Frame | None:
@@ -173,8 +193,13 @@ def parse_socketcand_event(body: bytes) -> Frame | None:
         if words[0] not in (b"frame", b"error"):
             return None
         # data may come in one piece (socketcand) or, from other servers, byte by byte
-        return Frame(can_id, bytes.fromhex(b"".join(words[3:]).decode()), extended, time_ns=time_ns,
-                     error=words[0] == b"error")
+        return Frame(
+            can_id,
+            bytes.fromhex(b"".join(words[3:]).decode()),
+            extended,
+            time_ns=time_ns,
+            error=words[0] == b"error",
+        )
     except (IndexError, ValueError):
         return None
 
@@ -182,7 +207,8 @@ def parse_socketcand_event(body: bytes) -> Frame | None:
 # --- slcan ----------------------------------------------------------------------------------
 
 _slcan_frame = re.compile(
-    rb"(?:([tr])([0-7][0-9A-Fa-f]{2})|([TR])([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2})*)").fullmatch
+    rb"(?:([tr])([0-7][0-9A-Fa-f]{2})|([TR])([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2})*)"
+).fullmatch
 _slcan_line = re.compile(rb"[A-Za-z][0-9A-Fa-f]*").fullmatch
 _SLCAN_ANSWERS = {b"V": b"V1013\r", b"v": b"v0100\r", b"N": b"NRIG0\r", b"F": b"F00\r"}
 _SLCAN_SETTINGS = re.compile(rb"S[0-8]|s[0-9A-Fa-f]{4,6}|[Mm][0-9A-Fa-f]{8}|[XZW]0|").fullmatch
@@ -267,7 +293,7 @@ class VirtualcanSession(Session):
                 return
             if len(rest) < 4 + size:
                 break
-            packet, rest, self._began = rest[4: 4 + size], rest[4 + size:], True
+            packet, rest, self._began = rest[4 : 4 + size], rest[4 + size :], True
             if size == _VIRTUALCAN.size:
                 can_id, flags, dlc, data = _VIRTUALCAN.unpack(packet)
                 if frame := _flagged_frame(can_id | (EXTENDED_FLAG * (flags & 1)), dlc, data):
@@ -277,7 +303,11 @@ class VirtualcanSession(Session):
 
 def _flagged_frame(can_id: int, dlc: int, data: bytes) -> Frame | None:
     """Return the frame of an identifier with linux/can.h flags; None for error or long frames."""
-    extended, remote, plain = bool(can_id & EXTENDED_FLAG), bool(can_id & REMOTE_FLAG), can_id & EXTENDED_ID_MAX
+    extended, remote, plain = (
+        bool(can_id & EXTENDED_FLAG),
+        bool(can_id & REMOTE_FLAG),
+        can_id & EXTENDED_ID_MAX,
+    )
     if can_id & ERROR_FLAG or dlc > DATA_MAX or (plain > BASE_ID_MAX and not extended):
         return None
     return Frame(plain, b"" if remote else data[:dlc], extended, remote, dlc if remote else 0)

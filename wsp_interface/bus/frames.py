@@ -63,7 +63,9 @@ def bits(frame: Frame, worst: bool = False) -> int:
 def candump_line(frame: Frame, channel: str = "rig0") -> str:
     """Return the frame as a line of a candump log, without the newline; [s] with six decimals."""
     seconds, rest_ns = divmod(frame.time_ns, S_NS)
-    can_id = f"{frame.can_id | ERROR_FLAG * frame.error:0{8 if frame.extended or frame.error else 3}X}"
+    can_id = (
+        f"{frame.can_id | ERROR_FLAG * frame.error:0{8 if frame.extended or frame.error else 3}X}"
+    )
     body = f"R{frame.dlc or ''}" if frame.remote else frame.data.hex().upper()
     return f"({seconds:010d}.{rest_ns // 1000:06d}) {channel} {can_id}#{body}"
 
@@ -87,7 +89,9 @@ class BusLoad:
         free_ns = self.free_ns
         if free_ns - now_ns > OVERLOAD_BACKLOG_NS:
             self.overloaded = True
-        self.free_ns = (free_ns if free_ns > now_ns else now_ns) + frame_bits * S_NS // self.bitrate  # [F1]
+        self.free_ns = (
+            free_ns if free_ns > now_ns else now_ns
+        ) + frame_bits * S_NS // self.bitrate  # [F1]
 
     def run_percent(self, now_ns: int) -> float:
         """Return the load since the start: bits offered over bits that fit, in percent."""

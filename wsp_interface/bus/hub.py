@@ -47,7 +47,9 @@ Gate = Callable[["Port | Client", Frame, Callable[[], None]], bool]
 class Port:
     """A place on the bus for a node of this process."""
 
-    def __init__(self, hub: "Hub", callback: Callback, name: str, on_close: Callable[[], None] | None) -> None:
+    def __init__(
+        self, hub: "Hub", callback: Callback, name: str, on_close: Callable[[], None] | None
+    ) -> None:
         self.name, self.dropped = name, 0
         self._hub: Hub | None = hub
         self._callback, self._on_close = callback, on_close
@@ -82,7 +84,9 @@ def log_event(level: str, text: str) -> None:
     log.log(logging.getLevelNamesMapping()[level.upper()], text)
 
 
-def beyond_loopback(what: str, host: str, port: int, who: str = "WITHOUT ANY AUTHENTICATION") -> str:
+def beyond_loopback(
+    what: str, host: str, port: int, who: str = "WITHOUT ANY AUTHENTICATION"
+) -> str:
     """The warning where a server listens on an address that others reach, else nothing."""
     with contextlib.suppress(ValueError):
         if host == "localhost" or ipaddress.ip_address(host).is_loopback:
@@ -94,8 +98,14 @@ class Hub:
     """The bus. `clock_ns` gives the time that every frame is stamped with; `on_event(level, text)` is told of clients
     that are refused and of addresses that others reach."""
 
-    def __init__(self, clock_ns: Callable[[], int], bitrate: int = 500_000, name: str = "rig0",
-                 buffer_bytes: int = BUFFER_BYTES, on_event: Callable[[str, str], None] = log_event) -> None:
+    def __init__(
+        self,
+        clock_ns: Callable[[], int],
+        bitrate: int = 500_000,
+        name: str = "rig0",
+        buffer_bytes: int = BUFFER_BYTES,
+        on_event: Callable[[str, str], None] = log_event,
+    ) -> None:
         self.name, self.buffer_bytes, self._on_event = name, buffer_bytes, on_event
         self._warned: set[str] = set()
         self.load = BusLoad(bitrate, clock_ns())
@@ -123,7 +133,9 @@ class Hub:
         self.gate: Gate | None = None
         self._gone_dropped = 0  # drops of those that have left
 
-    def attach(self, callback: Callback, name: str = "node", on_close: Callable[[], None] | None = None) -> Port:
+    def attach(
+        self, callback: Callback, name: str = "node", on_close: Callable[[], None] | None = None
+    ) -> Port:
         """Join as a node: callback(frame) for frames of others, on_close() when the port closes."""
         port = Port(self, callback, name, on_close)
         self._ports = (*self._ports, port)
@@ -133,20 +145,25 @@ class Hub:
         """Call callback(frame) for every frame, before the nodes see it."""
         self._taps = (*self._taps, callback)
 
-    async def listen(self, codec: str = "socketcand", host: str = "127.0.0.1", port: int | None = None) -> int:
+    async def listen(
+        self, codec: str = "socketcand", host: str = "127.0.0.1", port: int | None = None
+    ) -> int:
         """Accept TCP clients of a protocol of `codecs.CODECS`; return the port number.
 
         Port 0 takes a free one, None the protocol's usual one. Raises BusError when the protocol
         is unknown or the address cannot be used.
         """
         if codec not in CODECS:
-            raise BusError(f"CAN hub {self.name}: unknown protocol {codec!r}; allowed: {', '.join(CODECS)}")
+            raise BusError(
+                f"CAN hub {self.name}: unknown protocol {codec!r}; allowed: {', '.join(CODECS)}"
+            )
         row = CODECS[codec]
         port = row.port if port is None else port
         try:
             # "localhost" may be two addresses, and a free port would then be two ports
             server = await asyncio.get_running_loop().create_server(
-                lambda: Client(self, codec, row), "127.0.0.1" if host == "localhost" else host, port)
+                lambda: Client(self, codec, row), "127.0.0.1" if host == "localhost" else host, port
+            )
         except (OSError, OverflowError) as error:
             raise BusError(_why_not(self.name, codec, host, port, error)) from error
         self._servers.append(server)
@@ -158,7 +175,9 @@ class Hub:
     def join(self, client: Client) -> bool:
         """Take in a TCP client that has connected; False where there is no room for it."""
         if sum(one.codec == client.codec for one in self._clients) >= CLIENTS_MAX:
-            self.warn(f"more than {CLIENTS_MAX} clients speak {client.codec}: further ones are closed; end some")
+            self.warn(
+                f"more than {CLIENTS_MAX} clients speak {client.codec}: further ones are closed; end some"
+            )
             return False
         self._clients = (*self._clients, client)
         return True
@@ -176,22 +195,32 @@ class Hub:
         self._ports = tuple(port for port in self._ports if port is not member)
         self._clients = tuple(client for client in self._clients if client is not member)
 
-    def submit(self, frame: Frame, sender: Port | Client, then: Then = None, origin: Hashable = None) -> None:
+    def submit(
+        self, frame: Frame, sender: Port | Client, then: Then = None, origin: Hashable = None
+    ) -> None:
         """Queue a frame, as an answer would else overtake its question to the nodes behind; carry what waits."""
         if self.arrived is not None:
             self.arrived(frame, sender)
-        if self.gate is None or self.gate(sender, frame, partial(self._queue, frame, sender, then, origin)):
+        if self.gate is None or self.gate(
+            sender, frame, partial(self._queue, frame, sender, then, origin)
+        ):
             self._queue(frame, sender, then, origin)
 
-    def destroy(self, frame: Frame, transmit_errors: int, receive_errors: int = 0, by_sender: bool = True) -> None:
+    def destroy(
+        self, frame: Frame, transmit_errors: int, receive_errors: int = 0, by_sender: bool = True
+    ) -> None:
         """An error frame ends a frame, with the counters of who found the error. Source: Linux can/error.h"""
         now_ns = self._now_ns()
-        state = bytes((0, 0, _ON_TRANSMISSION if by_sender else 0, 0, 0, 0, transmit_errors, receive_errors))
+        state = bytes(
+            (0, 0, _ON_TRANSMISSION if by_sender else 0, 0, 0, 0, transmit_errors, receive_errors)
+        )
         self.load.carry(frame, now_ns)
         if self.wire is not None:
             self.wire.occupy(frame, now_ns)
         self.tell_error(_BUS_ERROR, state, now_ns)
-        error = Frame(_BUS_ERROR, state + frame.can_id.to_bytes(4, "little"), time_ns=now_ns, error=True)
+        error = Frame(
+            _BUS_ERROR, state + frame.can_id.to_bytes(4, "little"), time_ns=now_ns, error=True
+        )
         for client in self._clients:
             if client.listening and client.errors:
                 client.put(client.encode(error))
@@ -208,7 +237,9 @@ class Hub:
 
     def _queue(self, frame: Frame, sender: Port | Client, then: Then, origin: Hashable) -> None:
         # services: NMT below SYNC; SDO, heartbeats and LSS from the SDO replies on
-        if self.wire is not None and not (self.still and (frame.extended or not SYNC <= frame.can_id < SDO_REPLY)):
+        if self.wire is not None and not (
+            self.still and (frame.extended or not SYNC <= frame.can_id < SDO_REPLY)
+        ):
             self._offer(self.wire, frame, sender, then, origin)
             return
         self._waiting.append((frame, sender, then))
@@ -271,10 +302,16 @@ class Hub:
             self._at_ns = None
         self._set_alarm()
 
-    def _offer(self, wire: Wire, frame: Frame, sender: Port | Client, then: Then, origin: Hashable) -> None:
+    def _offer(
+        self, wire: Wire, frame: Frame, sender: Port | Client, then: Then, origin: Hashable
+    ) -> None:
         idle = not wire
-        if not wire.offer(frame, self._now_ns(), sender if origin is None else origin,
-                          partial(self._carry, frame, sender, then)):
+        if not wire.offer(
+            frame,
+            self._now_ns(),
+            sender if origin is None else origin,
+            partial(self._carry, frame, sender, then),
+        ):
             sender.dropped += 1
         elif idle and self._at_ns is None:
             self._set_alarm()
@@ -285,7 +322,11 @@ class Hub:
             self.advance(self._clock_ns())
 
     def _set_alarm(self) -> None:
-        if self._alarm is not None and self.wire is not None and (end_ns := self.wire.end_ns()) is not None:
+        if (
+            self._alarm is not None
+            and self.wire is not None
+            and (end_ns := self.wire.end_ns()) is not None
+        ):
             self._alarm.set(end_ns - self._clock_ns())
 
     def _flush_soon(self) -> None:
@@ -306,24 +347,34 @@ class Hub:
         except Exception as error:
             message = f"CAN hub {self.name}: {callback!r} failed on frame {frame.can_id:X}h"
             try:
-                asyncio.get_running_loop().call_exception_handler({"message": message, "exception": error})
+                asyncio.get_running_loop().call_exception_handler(
+                    {"message": message, "exception": error}
+                )
             except RuntimeError:
                 log.exception(message)
 
     @property
     def dropped(self) -> int:
         """Frames that somebody did not get because they read too slowly or had left."""
-        return (self._gone_dropped + sum(one.dropped for one in self._ports)
-                + sum(one.dropped for one in self._clients))
+        return (
+            self._gone_dropped
+            + sum(one.dropped for one in self._ports)
+            + sum(one.dropped for one in self._clients)
+        )
 
     def stats(self) -> dict[str, Any]:
         """Return the counters: frames, dropped, bits, load [percent], overloaded, longest wait, clients."""
         now_ns = self._clock_ns()
         return {
-            "frames": self.load.frames, "dropped": self.dropped, "bits": self.load.bits,
-            "load_percent": round(self.load.run_percent(now_ns), 3), "overloaded": self.load.overloaded,
+            "frames": self.load.frames,
+            "dropped": self.dropped,
+            "bits": self.load.bits,
+            "load_percent": round(self.load.run_percent(now_ns), 3),
+            "overloaded": self.load.overloaded,
             "longest_wait_us": self.wire.longest_wait_ns / 1000.0 if self.wire is not None else 0.0,
-            "clients": [{"name": client.name, "dropped": client.dropped} for client in self._clients],
+            "clients": [
+                {"name": client.name, "dropped": client.dropped} for client in self._clients
+            ],
         }
 
     async def close(self) -> None:
@@ -353,8 +404,10 @@ def _why_not(name: str, codec: str, host: str, port: int, error: OSError | Overf
     if isinstance(error, OverflowError):
         why = "allowed ports are 0 (any free one) to 65535"
     elif code == errno.EADDRINUSE:
-        why = (f"the port is already in use, perhaps by another bench; stop its holder (ss -ltnp 'sport = :{port}' "
-               "shows who it is) or choose another port in the bus address (0 takes any free one)")
+        why = (
+            f"the port is already in use, perhaps by another bench; stop its holder (ss -ltnp 'sport = :{port}' "
+            "shows who it is) or choose another port in the bus address (0 takes any free one)"
+        )
     elif code == errno.EACCES:
         why = "ports below 1024 need rights; choose one from 1024 to 65535"
     return f"CAN hub {name}: cannot listen for {codec} on {host}:{port}: {why}"

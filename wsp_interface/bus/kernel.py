@@ -25,7 +25,13 @@ _RECEIVE_BYTES = 1 << 22
 _SO_RCVBUFFORCE, _SO_MEMINFO = 33, 55
 _MEMORY, _DROPS = struct.Struct("=9I"), 8
 # a netlink message's head, and what follows in one about a link: RTM_NEWLINK and RTM_DELLINK
-_NETLINK, _LINK, _NEW_LINK, _DEL_LINK, _LINK_GROUP = struct.Struct("=IHHII"), struct.Struct("=BxHiII"), 16, 17, 1
+_NETLINK, _LINK, _NEW_LINK, _DEL_LINK, _LINK_GROUP = (
+    struct.Struct("=IHHII"),
+    struct.Struct("=BxHiII"),
+    16,
+    17,
+    1,
+)
 BUS_OFF = 0x40
 # class of an error frame, bits of its second data byte (0: any), what it says
 ERRORS = (
@@ -55,7 +61,9 @@ def available(sysfs: Path = SYSFS) -> KernelCan:
     up: list[str] = []
     down: list[str] = []
     hints = [] if af_can else [ENABLE_AF_CAN]
-    for entry in sorted(one.parent for one in sysfs.glob("*/type") if one.read_text().strip() == _ARPHRD_CAN):
+    for entry in sorted(
+        one.parent for one in sysfs.glob("*/type") if one.read_text().strip() == _ARPHRD_CAN
+    ):
         name = entry.name
         if not int((entry / "flags").read_text(), 16) & _IFF_UP:
             down.append(name)
@@ -63,9 +71,15 @@ def available(sysfs: Path = SYSFS) -> KernelCan:
             continue
         up.append(name)
         queue = entry / "tx_queue_len"
-        if queue.exists() and int(queue.read_text()) < SHORTEST_QUEUE and not name.startswith("vcan"):
-            hints.append(f"{name} queues {queue.read_text().strip()} frames, a SYNC's burst may be longer: "
-                         f"sudo ip link set {name} txqueuelen 1000")
+        if (
+            queue.exists()
+            and int(queue.read_text()) < SHORTEST_QUEUE
+            and not name.startswith("vcan")
+        ):
+            hints.append(
+                f"{name} queues {queue.read_text().strip()} frames, a SYNC's burst may be longer: "
+                f"sudo ip link set {name} txqueuelen 1000"
+            )
     if af_can and not (up or down):
         hints.append(f"no CAN interface: {make('vcan0')}")
     return KernelCan(af_can, tuple(up), tuple(down), tuple(hints))
@@ -79,7 +93,9 @@ def make(name: str) -> str:
 
 
 def _bring_up(name: str) -> str:
-    return f"sudo ip link set {name} up" + ("" if name.startswith("vcan") else " type can bitrate 500000")
+    return f"sudo ip link set {name} up" + (
+        "" if name.startswith("vcan") else " type can bitrate 500000"
+    )
 
 
 def _has_af_can() -> bool:
@@ -95,9 +111,13 @@ def require(address: str, channel: str, instead: str, kernel: KernelCan) -> None
     if not kernel.af_can:
         raise BusError(f"bus address {address!r}: {ENABLE_AF_CAN}; {instead}")
     if channel not in kernel.up:
-        what, mend = ("down", _bring_up(channel)) if channel in kernel.down else ("absent", make(channel))
-        raise BusError(f"bus address {address!r}: CAN interface {channel} is {what}; allowed here: "
-                       f"{', '.join(kernel.up) or 'none'}; to mend: {mend}; {instead}")
+        what, mend = (
+            ("down", _bring_up(channel)) if channel in kernel.down else ("absent", make(channel))
+        )
+        raise BusError(
+            f"bus address {address!r}: CAN interface {channel} is {what}; allowed here: "
+            f"{', '.join(kernel.up) or 'none'}; to mend: {mend}; {instead}"
+        )
 
 
 class Interface:
@@ -115,8 +135,10 @@ class Interface:
             self._mark.bind(f"\0rollerrig bench on {channel}")
         except OSError:
             self._mark.close()
-            raise BusError(f"bus address 'socketcan:{channel}': another bench is on {channel}; end it, or give "
-                           "this one its own bus: --set bus.interface=hub") from None
+            raise BusError(
+                f"bus address 'socketcan:{channel}': another bench is on {channel}; end it, or give "
+                "this one its own bus: --set bus.interface=hub"
+            ) from None
         self._channel, self._index = channel, socket.if_nametoindex(channel)
         self.link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_NONBLOCK)
         self.link.bind((0, _LINK_GROUP))
@@ -142,8 +164,10 @@ class Interface:
             while len(message) >= _NETLINK.size + _LINK.size:
                 length, kind = _NETLINK.unpack_from(message)[:2]
                 _, _, index, flags, _ = _LINK.unpack_from(message, _NETLINK.size)
-                down |= index == self._index and (kind == _DEL_LINK or (kind == _NEW_LINK and not flags & _IFF_UP))
-                message = message[max((length + 3) & ~3, _NETLINK.size):]
+                down |= index == self._index and (
+                    kind == _DEL_LINK or (kind == _NEW_LINK and not flags & _IFF_UP)
+                )
+                message = message[max((length + 3) & ~3, _NETLINK.size) :]
 
     def newly_dropped(self) -> int:
         """Frames that came faster than they were read, and were lost, since the last time."""
@@ -161,4 +185,8 @@ class Interface:
 def meanings(message: can.Message) -> list[str]:
     """What an error frame of a controller says."""
     detail = message.data[1] if len(message.data) > 1 else 0
-    return [text for kind, bits, text in ERRORS if message.arbitration_id & kind and (not bits or detail & bits)]
+    return [
+        text
+        for kind, bits, text in ERRORS
+        if message.arbitration_id & kind and (not bits or detail & bits)
+    ]

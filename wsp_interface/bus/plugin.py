@@ -38,25 +38,38 @@ def parse_address(text: str) -> tuple[str, int, str]:
     place, slash, bus = text.removeprefix("socketcand://").partition("/")
     host, colon, port = place.rpartition(":")
     if not (slash and bus and colon and host and port.isdecimal() and int(port) <= 65535):
-        raise ValueError(f"bus address {text!r}: allowed is socketcand://HOST:PORT/BUS, "
-                         f"for example socketcand://{DEFAULT_CHANNEL}")
+        raise ValueError(
+            f"bus address {text!r}: allowed is socketcand://HOST:PORT/BUS, "
+            f"for example socketcand://{DEFAULT_CHANNEL}"
+        )
     return host.strip("[]"), int(port), bus
 
 
 def message_of(frame: Frame, channel: str | None = None) -> can.Message:
     """Return a frame as a python-can message, its time stamp in s."""
     return can.Message(
-        timestamp=frame.time_ns / S_NS, arbitration_id=frame.can_id, is_extended_id=frame.extended,
-        is_remote_frame=frame.remote, dlc=length(frame), data=frame.data, channel=channel,
-        is_error_frame=frame.error)
+        timestamp=frame.time_ns / S_NS,
+        arbitration_id=frame.can_id,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+        dlc=length(frame),
+        data=frame.data,
+        channel=channel,
+        is_error_frame=frame.error,
+    )
 
 
 def frame_of(message: can.Message) -> Frame | None:
     """Return a python-can message as a frame, None for error and CAN FD frames."""
     if message.is_error_frame or message.is_fd:
         return None
-    return Frame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_remote_frame,
-                 message.dlc if message.is_remote_frame else 0)
+    return Frame(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_extended_id,
+        message.is_remote_frame,
+        message.dlc if message.is_remote_frame else 0,
+    )
 
 
 class RollerrigBus(can.BusABC):
@@ -66,18 +79,34 @@ class RollerrigBus(can.BusABC):
     nothing of it, and what is sent goes out at once with the next `recv`, or at the end.
     """
 
-    def __init__(self, channel: str = DEFAULT_CHANNEL, can_filters: Any = None, connect_timeout: float = 3.0,
-                 errors: bool = False, ahead: bool = False, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        channel: str = DEFAULT_CHANNEL,
+        can_filters: Any = None,
+        connect_timeout: float = 3.0,
+        errors: bool = False,
+        ahead: bool = False,
+        **kwargs: Any,
+    ) -> None:
         """Connect and shake hands; raises can.CanInitializationError."""
         self._ahead = ahead
-        self._texts: deque[bytes] = deque()  # messages that were read and not asked for yet, without their ">"
+        self._texts: deque[bytes] = (
+            deque()
+        )  # messages that were read and not asked for yet, without their ">"
         self._outgoing: list[bytes] = []
-        self._refused: set[bytes] = set()  # identifiers, as the hub writes them, that the filters let not through
-        self._gone, self._gone_told = "", False  # why there is no connection any more; whether a reader knows
+        self._refused: set[bytes] = (
+            set()
+        )  # identifiers, as the hub writes them, that the filters let not through
+        self._gone, self._gone_told = (
+            "",
+            False,
+        )  # why there is no connection any more; whether a reader knows
         self._closing = threading.Event()
         self._sending = threading.Lock()  # periodic tasks send from their own threads
         self._ending = threading.Lock()  # one thread quietens the descriptor or closes it
-        self._text = self._unsent = b""  # the beginning of a message whose end has not come; what is still to go
+        self._text = self._unsent = (
+            b""  # the beginning of a message whose end has not come; what is still to go
+        )
         try:
             self._host, self._port, self.channel = parse_address(str(channel))
         except ValueError as error:
@@ -89,7 +118,8 @@ class RollerrigBus(can.BusABC):
         except can.CanError as error:
             self._socket.close()
             raise can.CanInitializationError(
-                f"{self._where()}: {error}; is it a CAN hub that carries bus {self.channel!r}?") from error
+                f"{self._where()}: {error}; is it a CAN hub that carries bus {self.channel!r}?"
+            ) from error
         self.channel_info = self._where()
         super().__init__(channel=self.channel, can_filters=can_filters, **kwargs)
 
@@ -97,8 +127,10 @@ class RollerrigBus(can.BusABC):
         """Send a frame; waits up to timeout [s] (default 5 s) while the connection is full."""
         frame = frame_of(msg)
         if frame is None:
-            raise can.CanOperationError(f"{self._where()}: error and CAN FD frames "
-                                        "cannot be sent, only classical CAN frames")
+            raise can.CanOperationError(
+                f"{self._where()}: error and CAN FD frames "
+                "cannot be sent, only classical CAN frames"
+            )
         wire = codecs.socketcand_command(frame)
         if self._ahead and not self._gone:
             self._outgoing.append(wire)
@@ -153,7 +185,9 @@ class RollerrigBus(can.BusABC):
         """Return the next text up to its ">", or None when none is complete in time [s]."""
         while not self._texts:
             try:
-                chunk = self._socket.recv(*((AHEAD_BYTES,) if self._ahead else (PEEK_BYTES, socket.MSG_PEEK)))
+                chunk = self._socket.recv(
+                    *((AHEAD_BYTES,) if self._ahead else (PEEK_BYTES, socket.MSG_PEEK))
+                )
                 if not self._ahead and chunk:
                     # without an end all is taken, so that the descriptor is not readable for nothing
                     chunk = self._socket.recv(chunk.find(b">") + 1 or len(chunk))
@@ -184,15 +218,17 @@ class RollerrigBus(can.BusABC):
         rest = self._unsent + wire
         while rest:
             try:
-                rest = rest[self._socket.send(rest):]
+                rest = rest[self._socket.send(rest) :]
             except BlockingIOError:
                 if self._wait(until_s, reading=False):
                     continue
                 begun = len(rest) < len(wire)
-                self._unsent = rest if begun else rest[:len(rest) - len(wire)]
+                self._unsent = rest if begun else rest[: len(rest) - len(wire)]
                 if begun:  # half a frame is out: its end goes before the next
                     return
-                raise can.CanTimeoutError(f"{self._where()}: the hub does not read, frame not sent") from None
+                raise can.CanTimeoutError(
+                    f"{self._where()}: the hub does not read, frame not sent"
+                ) from None
             except OSError as error:
                 self._lose(str(error))
         self._unsent = b""
@@ -203,14 +239,21 @@ class RollerrigBus(can.BusABC):
         if rest_s is not None and rest_s <= 0.0:
             return False
         try:
-            return any(select.select([self._socket] * reading, [self._socket] * (not reading), [], rest_s))
+            return any(
+                select.select([self._socket] * reading, [self._socket] * (not reading), [], rest_s)
+            )
         except (OSError, ValueError) as error:  # closed by another thread meanwhile
             self._lose(str(error))
 
     def _shake_hands(self, until_s: float, errors: bool) -> None:
         # another server than ours does not know of errors, and may say so
         asking = [("< errors >", "")] if errors else []
-        for command, answer in (("", "hi"), (f"< open {self.channel} >", "ok"), *asking, ("< rawmode >", "ok")):
+        for command, answer in (
+            ("", "hi"),
+            (f"< open {self.channel} >", "ok"),
+            *asking,
+            ("< rawmode >", "ok"),
+        ):
             self._write(command.encode(), until_s - time.monotonic())
             text = (self._read(until_s) or b"nothing in time").decode("ascii", "replace").strip()
             if answer and text.strip("<> ") != answer:
@@ -249,7 +292,8 @@ def _connect(host: str, port: int, until_s: float) -> socket.socket:
             if time.monotonic() + RETRY_S > until_s:
                 raise can.CanInitializationError(
                     f"no CAN hub at {host}:{port} ({error}): start the bench (rollerrig run) or mend the address; "
-                    f"ss -ltn 'sport = :{port}' shows whether anybody listens") from error
+                    f"ss -ltn 'sport = :{port}' shows whether anybody listens"
+                ) from error
         time.sleep(RETRY_S)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setblocking(False)

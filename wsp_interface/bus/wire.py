@@ -61,14 +61,22 @@ class Wire:
     def __len__(self) -> int:
         return len(self._coming) + len(self._contending)
 
-    def offer(self, frame: Frame, ready_ns: int, origin: Hashable, carry: Callable[[int], None]) -> bool:
+    def offer(
+        self, frame: Frame, ready_ns: int, origin: Hashable, carry: Callable[[int], None]
+    ) -> bool:
         """Let a frame wait from `ready_ns` on; False where its origin has too many waiting."""
         if self._queued[origin] >= self.queue_frames:
             return False
         self._queued[origin] += 1
         self._number += 1
-        one = Waiting(arbitration_field(frame), self._number, ready_ns,
-                      bits(frame) * S_NS // self.bitrate, origin, carry)
+        one = Waiting(
+            arbitration_field(frame),
+            self._number,
+            ready_ns,
+            bits(frame) * S_NS // self.bitrate,
+            origin,
+            carry,
+        )
         heapq.heappush(self._coming, (ready_ns, self._number, one))
         return True
 

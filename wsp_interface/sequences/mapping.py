@@ -41,8 +41,21 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses
-from rollerrig.wsp_interface.bus.connection_set import LSS_ANSWER, LSS_REQUEST, NMT, NODE_MASK, SYNC, TIME
-from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, PRESSURES, REFERENCE_SPEED, SPEEDS, UNIT_HEARTBEAT_ID
+from rollerrig.wsp_interface.bus.connection_set import (
+    LSS_ANSWER,
+    LSS_REQUEST,
+    NMT,
+    NODE_MASK,
+    SYNC,
+    TIME,
+)
+from rollerrig.wsp_interface.rig_objects import (
+    MAGNETS_ID,
+    PRESSURES,
+    REFERENCE_SPEED,
+    SPEEDS,
+    UNIT_HEARTBEAT_ID,
+)
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, WSP_NODE
 
 OPERATIONAL, HEARTBEAT_SYNCS, QUIET_S = 5, 5, 0.1
@@ -50,8 +63,11 @@ _NODES = (*signals.RIG_NODES, WSP_NODE, BENCH_NODE)
 _KEYS, _TO = ("title", "dbc", "to_unit", "from_unit"), ("message", "signals", "factor")
 _FROM = ("message", "hold", "vent", "reference", "reference_factor")
 # what a mapping calls the quantities: their columns without unit
-_PLAIN = {column: f"{one}_{axle}" for one in ("measured_speed", "cylinder_pressure")
-          for axle, column in enumerate(signals.columns(signals.BY_NAME[one]), start=1)}
+_PLAIN = {
+    column: f"{one}_{axle}"
+    for one in ("measured_speed", "cylinder_pressure")
+    for axle, column in enumerate(signals.columns(signals.BY_NAME[one]), start=1)
+}
 SOURCES = tuple(_PLAIN.values())
 _BOTH_WAYS = "a mapping has at least one [[to_unit]] and one [from_unit]"
 
@@ -90,19 +106,30 @@ class Names(NamedTuple):
 def names(path: Path) -> Names:
     """The mapping of an FMU. Raises ConfigError."""
     given = store.parse(path)
-    known(given, ("title", "to_unit", "from_unit"), lambda key: f"{path}: the mapping of an FMU has no messages")
+    known(
+        given,
+        ("title", "to_unit", "from_unit"),
+        lambda key: f"{path}: the mapping of an FMU has no messages",
+    )
     inputs: dict[str, tuple[str, float]] = {}
     for at, one in enumerate(given.get("to_unit", []), start=1):
         where = f"{path} [[to_unit]] {at}"
         known(one, _TO[1:], lambda key, where=where: where)
-        inputs |= {name: (source, _factor(one, "factor", where)) for name, source in _sources(one, where).items()}
+        inputs |= {
+            name: (source, _factor(one, "factor", where))
+            for name, source in _sources(one, where).items()
+        }
     back = given.get("from_unit")
     if not inputs or not isinstance(back, dict):
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
     where = f"{path} [from_unit]"
     known(back, _FROM[1:], lambda key: where)
-    return Names(inputs, *_valves(back, where), str(back.get("reference", "")),
-                 _factor(back, "reference_factor", where))
+    return Names(
+        inputs,
+        *_valves(back, where),
+        str(back.get("reference", "")),
+        _factor(back, "reference_factor", where),
+    )
 
 
 def load(path: Path) -> UnitMap:
@@ -114,8 +141,10 @@ def load(path: Path) -> UnitMap:
         database: Any = cantools.database.load_file(dbc)
     except (OSError, cantools.Error, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: dbc = {given.get('dbc')!r}: cannot be read: {error}") from None
-    outgoing = tuple(_outgoing(one, database, f"{path} [[to_unit]] {at}")
-                     for at, one in enumerate(given.get("to_unit", []), start=1))
+    outgoing = tuple(
+        _outgoing(one, database, f"{path} [[to_unit]] {at}")
+        for at, one in enumerate(given.get("to_unit", []), start=1)
+    )
     back = given.get("from_unit")
     if not outgoing or not isinstance(back, dict):
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
@@ -127,7 +156,9 @@ def load(path: Path) -> UnitMap:
     _check_signals(vent, incoming, f"{where}: vent")
     reference = str(back.get("reference", ""))
     _check_signals((reference,) if reference else (), incoming, f"{where}: reference")
-    return UnitMap(outgoing, incoming, hold, vent, reference, _factor(back, "reference_factor", where))
+    return UnitMap(
+        outgoing, incoming, hold, vent, reference, _factor(back, "reference_factor", where)
+    )
 
 
 def _outgoing(given: Any, database: Any, where: str) -> Outgoing:
@@ -137,7 +168,9 @@ def _outgoing(given: Any, database: Any, where: str) -> Outgoing:
     _check_signals(tuple(sources), message, f"{where}: signals")
     missing = sorted({one.name for one in message.signals} - set(sources))
     if missing:
-        raise ConfigError(f"{where}: signals: {message.name} also has {', '.join(missing)}; map all")
+        raise ConfigError(
+            f"{where}: signals: {message.name} also has {', '.join(missing)}; map all"
+        )
     return Outgoing(message, dict(sources), _factor(given, "factor", where))
 
 
@@ -145,7 +178,7 @@ def _sources(given: Mapping[str, Any], where: str) -> dict[str, str]:
     """Which quantity each of the unit's signals carries."""
     sources = given.get("signals")
     if not isinstance(sources, dict) or not sources:
-        raise ConfigError(f"{where}: signals = {sources!r}: write {{ V1 = \"measured_speed_1\" }}")
+        raise ConfigError(f'{where}: signals = {sources!r}: write {{ V1 = "measured_speed_1" }}')
     for source in sources.values():
         if source not in SOURCES:
             raise ConfigError(f"{where}: signals: '{source}'{nearest(str(source), SOURCES)}")
@@ -172,14 +205,19 @@ def _message(given: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
     name = given.get("message")
     found = {one.name: one for one in database.messages}
     if name not in found:
-        raise ConfigError(f"{where}: message = {name!r}: the DBC has none called so{nearest(str(name), found)}")
+        raise ConfigError(
+            f"{where}: message = {name!r}: the DBC has none called so{nearest(str(name), found)}"
+        )
     message = found[name]
     if not message.is_extended_frame and (
-            # the predefined connection set of the rig's nodes
-            message.frame_id in (NMT, SYNC, TIME, LSS_ANSWER, LSS_REQUEST)
-            or (message.frame_id & NODE_MASK in _NODES and message.frame_id >> 7 in (*range(1, 13), 14))):
-        raise ConfigError(f"{where}: {name} has the identifier {message.frame_id:X}h, which the rig "
-                          "uses; give the unit another, or 29-bit identifiers")
+        # the predefined connection set of the rig's nodes
+        message.frame_id in (NMT, SYNC, TIME, LSS_ANSWER, LSS_REQUEST)
+        or (message.frame_id & NODE_MASK in _NODES and message.frame_id >> 7 in (*range(1, 13), 14))
+    ):
+        raise ConfigError(
+            f"{where}: {name} has the identifier {message.frame_id:X}h, which the rig "
+            "uses; give the unit another, or 29-bit identifiers"
+        )
     return message
 
 
@@ -187,7 +225,9 @@ def _check_signals(names: tuple[str, ...], message: DbcMessage, where: str) -> N
     there = [one.name for one in message.signals]
     for name in names:
         if name not in there:
-            raise ConfigError(f"{where}: {message.name} has no signal '{name}'{nearest(name, there)}")
+            raise ConfigError(
+                f"{where}: {message.name} has no signal '{name}'{nearest(name, there)}"
+            )
 
 
 class Gateway:
@@ -228,7 +268,9 @@ class Gateway:
                 self._alive = False
         elif (can_id, message.is_extended_id) == (incoming.frame_id, incoming.is_extended_frame):
             self._answer(bytes(data))
-        elif found := next((one.read(data) for one in (SPEEDS, PRESSURES) if one.can_id == can_id), None):
+        elif found := next(
+            (one.read(data) for one in (SPEEDS, PRESSURES) if one.can_id == can_id), None
+        ):
             self.values |= {_PLAIN[name]: value for name, value in found.items()}
             # pressures come last in a cycle: what the unit gets is then of one SYNC
             if can_id == PRESSURES.can_id:
@@ -236,10 +278,17 @@ class Gateway:
 
     def _tell_unit(self) -> None:
         for one in self.mapping.outgoing:
-            content = {name: one.factor * self.values[source] for name, source in one.sources.items()}
+            content = {
+                name: one.factor * self.values[source] for name, source in one.sources.items()
+            }
             data = one.message.encode(content, strict=False)
-            self.bus.send(can.Message(arbitration_id=one.message.frame_id, data=data,
-                                      is_extended_id=one.message.is_extended_frame))
+            self.bus.send(
+                can.Message(
+                    arbitration_id=one.message.frame_id,
+                    data=data,
+                    is_extended_id=one.message.is_extended_frame,
+                )
+            )
 
     def _answer(self, data: bytes) -> None:
         try:
@@ -248,8 +297,10 @@ class Gateway:
             return  # too short: as if it had not been sent
         self._alive, mapping = True, self.mapping
         if mapping.reference:
-            raw = signals.count(float(message[mapping.reference]) * mapping.reference_factor,
-                                signals.place("wsp_reference_speed", WSP_NODE))
+            raw = signals.count(
+                float(message[mapping.reference]) * mapping.reference_factor,
+                signals.place("wsp_reference_speed", WSP_NODE),
+            )
             self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(raw))
         magnets = 0
         for at, (hold, vent) in enumerate(zip(mapping.hold, mapping.vent, strict=True)):

@@ -21,7 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES, brake_torque_Nm_Pa, running_resistance, track_gradient, weighed_share
+from rollerrig.configs.vehicle import (
+    AXLES,
+    brake_torque_Nm_Pa,
+    running_resistance,
+    track_gradient,
+    weighed_share,
+)
 
 STANDS_M_S, LOCKED_M_S = 0.01, 0.1
 SEGMENT_S = 10.0
@@ -68,8 +74,12 @@ class Record:
 def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
     """Force at the rim of all wheelsets at a cylinder pressure, as the brake's data have it."""
     brake = record.scenario["brake"]
-    return AXLES * brake_torque_Nm_Pa(brake) / record.scenario["vehicle"]["wheel_radius_m"] * np.maximum(
-        0.0, np.asarray(pressure_Pa) - brake["spring_pressure_Pa"])
+    return (
+        AXLES
+        * brake_torque_Nm_Pa(brake)
+        / record.scenario["vehicle"]["wheel_radius_m"]
+        * np.maximum(0.0, np.asarray(pressure_Pa) - brake["spring_pressure_Pa"])
+    )
 
 
 def dynamic_mass_kg(record: Record) -> float:
@@ -81,14 +91,22 @@ def dynamic_mass_kg(record: Record) -> float:
 def resistance_N(record: Record, speed_m_s: Any) -> Any:
     """Running resistance at a speed, with that of the gradient and of an extended model."""
     v, extra = record.scenario["vehicle"], record.scenario["mechanisms"]
-    v = v | running_resistance(v, extra["running_resistance_force_N"], extra["running_resistance_speed_power"])
+    v = v | running_resistance(
+        v, extra["running_resistance_force_N"], extra["running_resistance_speed_power"]
+    )
     v |= track_gradient(v, extra["track_gradient_gradient"])
-    return (v["resistance_A_N"] + v["resistance_B_N_s_m"] * speed_m_s + v["resistance_C_N_s2_m2"] * speed_m_s**2)
+    return (
+        v["resistance_A_N"]
+        + v["resistance_B_N_s_m"] * speed_m_s
+        + v["resistance_C_N_s2_m2"] * speed_m_s**2
+    )
 
 
 def demanded_m_s2(record: Record, pressure_Pa: Any, speed_m_s: Any) -> Any:
     """The deceleration that a demanded cylinder pressure would give without any sliding."""
-    return (brake_force_N(record, pressure_Pa) + resistance_N(record, speed_m_s)) / dynamic_mass_kg(record)
+    return (brake_force_N(record, pressure_Pa) + resistance_N(record, speed_m_s)) / dynamic_mass_kg(
+        record
+    )
 
 
 def reference_distance_m(record: Record) -> float:
@@ -97,11 +115,18 @@ def reference_distance_m(record: Record) -> float:
     # v^2 of the resistance has its mean over the distance at v0^2 / 2
     drag_N = float(resistance_N(record, v0 / math.sqrt(2.0)))
     asked_Pa = max((pressure_Pa for _, pressure_Pa in record.demands), default=0.0)
-    force_N = float(brake_force_N(record, asked_Pa * weighed_share(record.scenario["air"], record.scenario["vehicle"])))
+    force_N = float(
+        brake_force_N(
+            record, asked_Pa * weighed_share(record.scenario["air"], record.scenario["vehicle"])
+        )
+    )
     if force_N <= 0.0:
         return NAN
     equivalent_m_s2 = (force_N + drag_N) / dynamic_mass_kg(record)
-    response_s = record.scenario["brake"]["fill_time_constant_s"] + record.scenario["valve"]["fill_time_constant_s"]
+    response_s = (
+        record.scenario["brake"]["fill_time_constant_s"]
+        + record.scenario["valve"]["fill_time_constant_s"]
+    )
     return v0 * response_s + v0**2 / (2.0 * equivalent_m_s2)  # [M1]
 
 
@@ -112,7 +137,9 @@ def _until_standstill(record: Record, name: str) -> float:
 
 def _rims(record: Record) -> np.ndarray:
     """Speed of each wheelset's rim over the braking, shape (4, n), as measured, m/s."""
-    return record.scenario["vehicle"]["wheel_radius_m"] * record.wheelsets("measured_speed", "_rad_s")
+    return record.scenario["vehicle"]["wheel_radius_m"] * record.wheelsets(
+        "measured_speed", "_rad_s"
+    )
 
 
 def _sliding(record: Record) -> np.ndarray:
@@ -153,9 +180,14 @@ def _damage(record: Record) -> float:
     load_N = np.array(record.finals["wheel_load"])[:, np.newaxis]
     power = record.wheelsets("adhesion") * load_N * _sliding(record)
     locked = (_rims(record) < LOCKED_M_S) & (
-        record.braked("vehicle_speed_m_s") > record.scenario["rig"]["lock_above_m_s"])
-    locked_J = np.sum(np.where(locked, power, 0.0)[:, 1:] * np.diff(record.braked("time_s")), axis=1)
-    total = locked_J / (LOCKED_MJ * 1e6) + np.array(record.finals["sliding_work"]) / (SLIDING_MJ * 1e6)
+        record.braked("vehicle_speed_m_s") > record.scenario["rig"]["lock_above_m_s"]
+    )
+    locked_J = np.sum(
+        np.where(locked, power, 0.0)[:, 1:] * np.diff(record.braked("time_s")), axis=1
+    )
+    total = locked_J / (LOCKED_MJ * 1e6) + np.array(record.finals["sliding_work"]) / (
+        SLIDING_MJ * 1e6
+    )
     return float(total.max())  # [M3]
 
 
@@ -168,7 +200,9 @@ def _reference_error_m_s(record: Record) -> float:
 def _full_brake_after_s(record: Record) -> float:
     """From the first fault until every cylinder has 90 % of the demanded pressure."""
     time_s, wanted_Pa = record.columns["time_s"], 0.9 * record.columns["brake_demand_Pa"]
-    pressed = np.all([record.columns[f"cylinder_pressure_{axle}_Pa"] >= wanted_Pa for axle in _AXLES], axis=0)
+    pressed = np.all(
+        [record.columns[f"cylinder_pressure_{axle}_Pa"] >= wanted_Pa for axle in _AXLES], axis=0
+    )
     after = np.flatnonzero(pressed & (time_s >= record.fault_s))
     return float(time_s[after[0]] - record.fault_s) if after.size else math.inf
 
@@ -190,42 +224,146 @@ class Measure:
 
 
 MEASURES: tuple[Measure, ...] = (
-    Measure("stop_distance", "m", 0.0, "from the first brake demand to standstill",
-            lambda r: _until_standstill(r, "position_m")),
-    Measure("stop_time", "s", 0.0, "from the first brake demand to standstill",
-            lambda r: _until_standstill(r, "time_s")),
-    Measure("stop_distance_over_reference", "", 0.0, "stop distance over the computed one, EN 14531",
-            lambda r: _over(_until_standstill(r, "position_m"), reference_distance_m(r))),
-    Measure("stop_distance_over_dry", "", 0.0, "stop distance over that of the dry stop",
-            lambda r: _over(_until_standstill(r, "position_m"), r.dry_m)),
-    Measure("longest_lock", "s", 0.0, "longest lock of a wheelset above lock_above_m_s",
-            lambda r: max(r.finals["longest_lock"])),
-    Measure("sliding_max", "m/s", 0.0, "largest sliding of a wheelset", lambda r: float(_sliding(r).max())),
-    Measure("sliding_mean", "m/s", 0.0, "mean sliding of the worst wheelset",
-            lambda r: float(_sliding(r).mean(axis=1).max())),
-    Measure("air_consumption", "NL", 0.0, "air that the brake cylinders used, all axles",
-            lambda r: r.finals["air_consumption"][0]),
-    Measure("reservoir_least", "Pa", 0.0, "least pressure of the auxiliary reservoir",
-            lambda r: r.finals["reservoir_least"][0] if r.scenario["air"]["reservoir_volume_L"] > 0.0 else NAN,
-            "the vehicle has no reservoir: its air never runs out"),
-    Measure("sand_used", "kg", 0.0, "sand that all sanders took from their boxes",
-            lambda r: sum(r.finals["sand_taken"]) if any(r.scenario["sanders"][key] for key in ("axle", "second_axle"))
-            else NAN, "the vehicle has no sander"),
-    Measure("utilised_adhesion", "", 0.0, "mean adhesion of all axles while the WSP acts", _adhesion_used,
-            "the WSP did not act"),
-    Measure("initial_adhesion", "", 0.0, "adhesion of the first wheelset when it first slides by "
-            "initial_at_sliding_m_s", _initial_adhesion, "the first wheelset did not slide so much"),
-    Measure("deceleration_shortfall", "m/s2", -20.0, "demanded less achieved deceleration, worst segment of 10 s",
-            _shortfall_m_s2, "the braking was shorter than 10 s"),
-    Measure("wheel_damage_index", "", 0.0, "energy of locks over 1 MJ plus of sliding over 100 MJ, worst wheelset",
-            _damage),
-    Measure("wheel_flat", "mm", 0.0, "longest flat that locks have made",
-            lambda r: 1e3 * max(r.finals["flat_length"]) if r.scenario["flats"]["wear_mm3_J"] > 0.0 else NAN,
-            "wheels stay round: flats.wear_mm3_J is 0"),
-    Measure("reference_speed_error", "m/s", 0.0, "largest error of the unit's reference speed while it acts, "
-            "above 5 m/s", _reference_error_m_s, "the unit tells no reference speed, or did not act"),
-    Measure("vents", "", 0.0, "times a dump valve began to vent, all axles", lambda r: float(sum(r.finals["vents"]))),
-    Measure("full_brake_after_fault", "s", 0.0, "from the first fault until every cylinder has 90 % of the demand",
-            _full_brake_after_s),
+    Measure(
+        "stop_distance",
+        "m",
+        0.0,
+        "from the first brake demand to standstill",
+        lambda r: _until_standstill(r, "position_m"),
+    ),
+    Measure(
+        "stop_time",
+        "s",
+        0.0,
+        "from the first brake demand to standstill",
+        lambda r: _until_standstill(r, "time_s"),
+    ),
+    Measure(
+        "stop_distance_over_reference",
+        "",
+        0.0,
+        "stop distance over the computed one, EN 14531",
+        lambda r: _over(_until_standstill(r, "position_m"), reference_distance_m(r)),
+    ),
+    Measure(
+        "stop_distance_over_dry",
+        "",
+        0.0,
+        "stop distance over that of the dry stop",
+        lambda r: _over(_until_standstill(r, "position_m"), r.dry_m),
+    ),
+    Measure(
+        "longest_lock",
+        "s",
+        0.0,
+        "longest lock of a wheelset above lock_above_m_s",
+        lambda r: max(r.finals["longest_lock"]),
+    ),
+    Measure(
+        "sliding_max",
+        "m/s",
+        0.0,
+        "largest sliding of a wheelset",
+        lambda r: float(_sliding(r).max()),
+    ),
+    Measure(
+        "sliding_mean",
+        "m/s",
+        0.0,
+        "mean sliding of the worst wheelset",
+        lambda r: float(_sliding(r).mean(axis=1).max()),
+    ),
+    Measure(
+        "air_consumption",
+        "NL",
+        0.0,
+        "air that the brake cylinders used, all axles",
+        lambda r: r.finals["air_consumption"][0],
+    ),
+    Measure(
+        "reservoir_least",
+        "Pa",
+        0.0,
+        "least pressure of the auxiliary reservoir",
+        lambda r: (
+            r.finals["reservoir_least"][0] if r.scenario["air"]["reservoir_volume_L"] > 0.0 else NAN
+        ),
+        "the vehicle has no reservoir: its air never runs out",
+    ),
+    Measure(
+        "sand_used",
+        "kg",
+        0.0,
+        "sand that all sanders took from their boxes",
+        lambda r: (
+            sum(r.finals["sand_taken"])
+            if any(r.scenario["sanders"][key] for key in ("axle", "second_axle"))
+            else NAN
+        ),
+        "the vehicle has no sander",
+    ),
+    Measure(
+        "utilised_adhesion",
+        "",
+        0.0,
+        "mean adhesion of all axles while the WSP acts",
+        _adhesion_used,
+        "the WSP did not act",
+    ),
+    Measure(
+        "initial_adhesion",
+        "",
+        0.0,
+        "adhesion of the first wheelset when it first slides by initial_at_sliding_m_s",
+        _initial_adhesion,
+        "the first wheelset did not slide so much",
+    ),
+    Measure(
+        "deceleration_shortfall",
+        "m/s2",
+        -20.0,
+        "demanded less achieved deceleration, worst segment of 10 s",
+        _shortfall_m_s2,
+        "the braking was shorter than 10 s",
+    ),
+    Measure(
+        "wheel_damage_index",
+        "",
+        0.0,
+        "energy of locks over 1 MJ plus of sliding over 100 MJ, worst wheelset",
+        _damage,
+    ),
+    Measure(
+        "wheel_flat",
+        "mm",
+        0.0,
+        "longest flat that locks have made",
+        lambda r: (
+            1e3 * max(r.finals["flat_length"]) if r.scenario["flats"]["wear_mm3_J"] > 0.0 else NAN
+        ),
+        "wheels stay round: flats.wear_mm3_J is 0",
+    ),
+    Measure(
+        "reference_speed_error",
+        "m/s",
+        0.0,
+        "largest error of the unit's reference speed while it acts, above 5 m/s",
+        _reference_error_m_s,
+        "the unit tells no reference speed, or did not act",
+    ),
+    Measure(
+        "vents",
+        "",
+        0.0,
+        "times a dump valve began to vent, all axles",
+        lambda r: float(sum(r.finals["vents"])),
+    ),
+    Measure(
+        "full_brake_after_fault",
+        "s",
+        0.0,
+        "from the first fault until every cylinder has 90 % of the demand",
+        _full_brake_after_s,
+    ),
 )
 BY_NAME = {one.name: one for one in MEASURES}

@@ -27,7 +27,15 @@ from rollerrig.wsp_interface.sequences.verdict import Result, Verdict
 
 TRACE = "harness.csv"
 SETTLED_S = 0.05
-FINALS = ("longest_lock", "sliding_work", "vents", "air_consumption", "reservoir_least", "flat_length", "sand_taken")
+FINALS = (
+    "longest_lock",
+    "sliding_work",
+    "vents",
+    "air_consumption",
+    "reservoir_least",
+    "flat_length",
+    "sand_taken",
+)
 DRY = "stop_distance_over_dry"
 STEP_SOURCE, BEFORE = "the sequence", "pre-condition"
 
@@ -52,10 +60,17 @@ class Outcome:
         return Result.ERROR if self.error else verdict.worst([one.result for one in self.verdicts])
 
 
-def on_own_bench(sequence: Sequence, folder: Path, pacing: str = "lockstep", seed: int = 0,
-                 dry_m: Callable[[dict[str, Any], tuple[tuple[float, float], ...]], float] | None = None,
-                 wsp: str = "", companions: tuple[own_bench.Companion, ...] = (),
-                 tell: Callable[[Event], None] = lambda event: None, arguments: tuple[str, ...] = ()) -> Outcome:
+def on_own_bench(
+    sequence: Sequence,
+    folder: Path,
+    pacing: str = "lockstep",
+    seed: int = 0,
+    dry_m: Callable[[dict[str, Any], tuple[tuple[float, float], ...]], float] | None = None,
+    wsp: str = "",
+    companions: tuple[own_bench.Companion, ...] = (),
+    tell: Callable[[Event], None] = lambda event: None,
+    arguments: tuple[str, ...] = (),
+) -> Outcome:
     """Start a bench for the sequence, play it, and judge. Never raises for what a run can meet.
 
     `dry_m(scenario, demands)` gives the distance of the dry stop where a limit asks for it; `tell` gets each event;
@@ -64,10 +79,18 @@ def on_own_bench(sequence: Sequence, folder: Path, pacing: str = "lockstep", see
     outcome = Outcome(sequence, folder)
     harness: Harness | None = None
     try:
-        with own_bench.start(folder, sequence.scenario, wsp=wsp or sequence.wsp, pacing=pacing,
-                             seed=seed, initial_speed_m_s=sequence.speed_m_s,
-                             adhesion=sequence.adhesion, tables=sequence.tables, companions=companions,
-                             arguments=arguments) as harness:
+        with own_bench.start(
+            folder,
+            sequence.scenario,
+            wsp=wsp or sequence.wsp,
+            pacing=pacing,
+            seed=seed,
+            initial_speed_m_s=sequence.speed_m_s,
+            adhesion=sequence.adhesion,
+            tables=sequence.tables,
+            companions=companions,
+            arguments=arguments,
+        ) as harness:
             harness.tell = tell
             play(sequence, harness, outcome)
         outcome.summary = own_bench.summary(folder)
@@ -79,8 +102,13 @@ def on_own_bench(sequence: Sequence, folder: Path, pacing: str = "lockstep", see
     return outcome
 
 
-def on_running_bench(sequence: Sequence, harness: Harness, folder: Path, scenario: dict[str, Any],
-                     dry_m: Callable[..., float] | None = None) -> Outcome:
+def on_running_bench(
+    sequence: Sequence,
+    harness: Harness,
+    folder: Path,
+    scenario: dict[str, Any],
+    dry_m: Callable[..., float] | None = None,
+) -> Outcome:
     """Play a sequence on a bench that somebody else has started; `scenario` is the resolved one."""
     outcome = Outcome(sequence, folder)
     try:
@@ -103,9 +131,14 @@ def missed(harness: Harness, folder: Path, criteria: str) -> str:
     profile = verdict.load(criteria)
     finals = {name: harness.read(name) for name in ("wheel_load", *FINALS)}
     limits = tuple(one for one in profile.limits if one.measure != DRY)
-    verdicts = verdict.judge(replace(profile, limits=limits), _record_of(harness, folder, finals, None))
-    wrong = [f"{one.told}; {one.text}; source: {one.source}" for one in verdicts
-             if one.result in (Result.FAIL, Result.ERROR)]
+    verdicts = verdict.judge(
+        replace(profile, limits=limits), _record_of(harness, folder, finals, None)
+    )
+    wrong = [
+        f"{one.told}; {one.text}; source: {one.source}"
+        for one in verdicts
+        if one.result in (Result.FAIL, Result.ERROR)
+    ]
     return "\n  ".join([f"not within the limits of '{criteria}':", *wrong]) if wrong else ""
 
 
@@ -116,16 +149,20 @@ def heard(harness: Harness) -> dict[str, Any]:
     steps_s = np.diff(times_s[np.isfinite(times_s)])
     cycle_s = float(np.median(steps_s)) if steps_s.size else math.nan
     lost = int(np.maximum(np.rint(steps_s / cycle_s) - 1, 0).sum()) if steps_s.size else 0
-    return {"pacing": "lockstep" if harness.lockstep else "wall",
-            "over_the_bus": {"cycles": len(times_s), "cycle_s": cycle_s, "cycles_lost": lost}}
+    return {
+        "pacing": "lockstep" if harness.lockstep else "wall",
+        "over_the_bus": {"cycles": len(times_s), "cycle_s": cycle_s, "cycles_lost": lost},
+    }
 
 
 def _check_start(sequence: Sequence, harness: Harness) -> None:
     """A bench that runs already must be what the sequence wants, as far as the bus tells."""
     wanted, is_now = sequence.speed_m_s, harness.vehicle_speed_m_s
     if wanted is not None and abs(is_now - wanted) > 0.05 * wanted + 0.1:
-        raise UnitError(f"pre-condition: the sequence begins at {wanted:.2f} m/s, the bench runs at "
-                        f"{is_now:.2f} m/s; start it with initial_speed_m_s={wanted:.3f} and --harness")
+        raise UnitError(
+            f"pre-condition: the sequence begins at {wanted:.2f} m/s, the bench runs at "
+            f"{is_now:.2f} m/s; start it with initial_speed_m_s={wanted:.3f} and --harness"
+        )
 
 
 def play(sequence: Sequence, harness: Harness, outcome: Outcome) -> None:
@@ -134,8 +171,10 @@ def play(sequence: Sequence, harness: Harness, outcome: Outcome) -> None:
     for text in sequence.notes:
         harness.note(text)
     checks = outcome.verdicts
-    checks += [replace(one, result=Result.ERROR) if one.result is Result.FAIL else one
-               for one in (_check(BEFORE, before, harness) for before in sequence.before)]
+    checks += [
+        replace(one, result=Result.ERROR) if one.result is Result.FAIL else one
+        for one in (_check(BEFORE, before, harness) for before in sequence.before)
+    ]
     if all(one.result is Result.PASS for one in checks):
         for number, step in enumerate(sequence.steps, start=1):
             name = step.title or f"step {number}"
@@ -143,11 +182,19 @@ def play(sequence: Sequence, harness: Harness, outcome: Outcome) -> None:
                 _play_step(step, harness)
             except TimeOutError:
                 text = step.until.text if step.until else ""
-                checks.append(_line(name, f"{text} within {step.timeout_s:g} s", Result.FAIL,
-                                    f"not reached at {harness.time_s:.2f} s; the sequence ends here"))
+                checks.append(
+                    _line(
+                        name,
+                        f"{text} within {step.timeout_s:g} s",
+                        Result.FAIL,
+                        f"not reached at {harness.time_s:.2f} s; the sequence ends here",
+                    )
+                )
                 break
             if step.until:
-                checks.append(_line(name, step.until.text, Result.PASS, f"at {harness.time_s:.2f} s"))
+                checks.append(
+                    _line(name, step.until.text, Result.PASS, f"at {harness.time_s:.2f} s")
+                )
             checks += [_check(name, one, harness) for one in step.expects]
         else:
             checks += [_check("post-condition", one, harness) for one in sequence.after]
@@ -197,18 +244,28 @@ def _ramp(step: Step, harness: Harness) -> None:
 
 def _check(name: str, condition: Condition, harness: Harness) -> Verdict:
     met = condition.holds(harness.values)
-    return _line(name, condition.text, Result.PASS if met else Result.FAIL,
-                 f"at {harness.time_s:.2f} s: {condition.readings(harness.values)}")
+    return _line(
+        name,
+        condition.text,
+        Result.PASS if met else Result.FAIL,
+        f"at {harness.time_s:.2f} s: {condition.readings(harness.values)}",
+    )
 
 
 def _line(name: str, wanted: str, result: Result, text: str) -> Verdict:
     return Verdict(name, "", math.nan, wanted, math.nan, result, STEP_SOURCE, text)
 
 
-def _conclude(outcome: Outcome, harness: Harness, dry_m: Callable[..., float] | None,
-              scenario: dict[str, Any] | None = None) -> None:
-    reported = [Event(float(one["time_s"]), f"bench, {one['level']}", str(one["text"]))
-                for one in outcome.summary.get("events", [])]
+def _conclude(
+    outcome: Outcome,
+    harness: Harness,
+    dry_m: Callable[..., float] | None,
+    scenario: dict[str, Any] | None = None,
+) -> None:
+    reported = [
+        Event(float(one["time_s"]), f"bench, {one['level']}", str(one["text"]))
+        for one in outcome.summary.get("events", [])
+    ]
     outcome.events = sorted([*harness.events, *reported], key=lambda event: event.time_s)
     try:
         _keep(outcome.folder, harness)
@@ -222,20 +279,40 @@ def _conclude(outcome: Outcome, harness: Harness, dry_m: Callable[..., float] | 
         if asks and dry_m:
             found = dry_m(dict(outcome.record.scenario), outcome.record.demands)
             outcome.record = replace(outcome.record, dry_m=found)
-        unmet = [one.limit for one in outcome.verdicts if one.what == BEFORE and one.result is not Result.PASS]
-        outcome.verdicts += verdict.judge(outcome.sequence.criteria, outcome.record,
-                                          f"a pre-condition was not met: {', '.join(unmet)}" if unmet else "")
+        unmet = [
+            one.limit
+            for one in outcome.verdicts
+            if one.what == BEFORE and one.result is not Result.PASS
+        ]
+        outcome.verdicts += verdict.judge(
+            outcome.sequence.criteria,
+            outcome.record,
+            f"a pre-condition was not met: {', '.join(unmet)}" if unmet else "",
+        )
     except (RollerrigError, OSError, KeyError) as error:
         outcome.error = f"the run cannot be judged: {error}"
 
 
-def _record_of(harness: Harness, folder: Path, finals: dict[str, tuple[float, ...]],
-               scenario: dict[str, Any] | None) -> Record:
+def _record_of(
+    harness: Harness,
+    folder: Path,
+    finals: dict[str, tuple[float, ...]],
+    scenario: dict[str, Any] | None,
+) -> Record:
     if scenario is None:
         scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
-    faults = [event.time_s for event in harness.events if event.who == "harness" and event.text.startswith("fault ")]
-    return Record(dict(zip(COLUMNS, np.array(harness.trace).T, strict=True)), tuple(harness.demands), finals,
-                  scenario, fault_s=faults[0] if faults else math.nan)
+    faults = [
+        event.time_s
+        for event in harness.events
+        if event.who == "harness" and event.text.startswith("fault ")
+    ]
+    return Record(
+        dict(zip(COLUMNS, np.array(harness.trace).T, strict=True)),
+        tuple(harness.demands),
+        finals,
+        scenario,
+        fault_s=faults[0] if faults else math.nan,
+    )
 
 
 def _keep(folder: Path, harness: Harness) -> None:
@@ -245,7 +322,9 @@ def _keep(folder: Path, harness: Harness) -> None:
     except OSError:
         spare = Path(tempfile.mkdtemp(prefix=f"rollerrig-{folder.name}-"))
         _write(spare, harness)
-        harness.log("harness", f"{folder} could not be written; the rows are kept in {spare / TRACE}")
+        harness.log(
+            "harness", f"{folder} could not be written; the rows are kept in {spare / TRACE}"
+        )
         raise
 
 

@@ -37,9 +37,35 @@ DEFAULT_TIMEOUT_S = 300.0
 # a cylinder pressure asked for is a 16-bit count of mbar, bounded by node 17
 HIGHEST_DEMAND_Pa = 1e6
 _SETTABLE = ("brake_demand", "sand")
-HEAD = ("title", "criteria", "scenario", "notes", "start", "friction", "before", "after", "step", "measure", "wsp")
+HEAD = (
+    "title",
+    "criteria",
+    "scenario",
+    "notes",
+    "start",
+    "friction",
+    "before",
+    "after",
+    "step",
+    "measure",
+    "wsp",
+)
 START = ("speed", "adhesion", "mass", "gradient", "tables")
-STEP = ("title", "at", "for", "until", "hold", "timeout", "set", "ramp", "friction", "fault", "lift", "note", "expect")
+STEP = (
+    "title",
+    "at",
+    "for",
+    "until",
+    "hold",
+    "timeout",
+    "set",
+    "ramp",
+    "friction",
+    "fault",
+    "lift",
+    "note",
+    "expect",
+)
 
 
 @dataclass(frozen=True)
@@ -122,7 +148,9 @@ class _Source:
     def where(self, table: str = "", number: int = 0, key: str = "") -> str:
         """File and line, and what stands there."""
         what = f" [{table}]" if table else ""
-        return f"{self.path}, line {self.line(table, number, key)}{what}" + (f": {key}" if key else "")
+        return f"{self.path}, line {self.line(table, number, key)}{what}" + (
+            f": {key}" if key else ""
+        )
 
 
 def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None) -> Sequence:
@@ -134,13 +162,19 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
     known(given, HEAD, head)
     title, start = given.get("title"), given.get("start", {})
     if not isinstance(title, str) or len(title.split()) < 3:
-        raise ConfigError(f"{head('title')} = {title!r}: the title is a sentence that says what is tested")
+        raise ConfigError(
+            f"{head('title')} = {title!r}: the title is a sentence that says what is tested"
+        )
     known(start, START, at_start)
 
     def started(key: str, unit: str) -> float | None:
         return conditions.quantity(start[key], unit, at_start(key)) if key in start else None
 
-    speed_m_s, mass_kg, gradient = started("speed", "m_s"), started("mass", "kg"), started("gradient", "")
+    speed_m_s, mass_kg, gradient = (
+        started("speed", "m_s"),
+        started("mass", "kg"),
+        started("gradient", ""),
+    )
     tables = dict(start.get("tables", {}))
     if mass_kg is not None:
         tables["vehicle"] = {**tables.get("vehicle", {}), "mass_kg": mass_kg}
@@ -155,14 +189,25 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
         raise ConfigError(f"{path}: there is no [[step]]; a sequence has at least one")
     limits = verdict.limits(given.get("measure", []), partial(source.where, "measure"))
     return Sequence(
-        name=path.stem, path=path, title=title, scenario=str(given.get("scenario", "")),
-        wsp=str(given.get("wsp", "reference")), speed_m_s=speed_m_s, adhesion=str(start.get("adhesion", "")),
-        tables=tables, notes=_texts(given, "notes", head), before=_conditions(given, "before", head),
-        after=_conditions(given, "after", head), steps=steps,
-        criteria=verdict.load(str(given.get("criteria", "none")), path).with_limits(limits))
+        name=path.stem,
+        path=path,
+        title=title,
+        scenario=str(given.get("scenario", "")),
+        wsp=str(given.get("wsp", "reference")),
+        speed_m_s=speed_m_s,
+        adhesion=str(start.get("adhesion", "")),
+        tables=tables,
+        notes=_texts(given, "notes", head),
+        before=_conditions(given, "before", head),
+        after=_conditions(given, "after", head),
+        steps=steps,
+        criteria=verdict.load(str(given.get("criteria", "none")), path).with_limits(limits),
+    )
 
 
-def _steps(given: Any, source: _Source, speed_m_s: float | None, check_fault: Callable[[str], Any]) -> Iterable[Step]:
+def _steps(
+    given: Any, source: _Source, speed_m_s: float | None, check_fault: Callable[[str], Any]
+) -> Iterable[Step]:
     if not isinstance(given, list):
         raise ConfigError(f"{source.where('step')}: write [[step]] with two brackets")
     passed_s = 0.0
@@ -191,39 +236,79 @@ def _step(content: Mapping[str, Any], at: Where, line: int) -> Step:
         raise ConfigError(f"{at('set')} = {wanted!r}: a table is wanted")
     for name in wanted:
         if name not in _SETTABLE:
-            raise ConfigError(f"{at('set')}: '{name}' cannot be set{nearest(name, _SETTABLE)};"
-                              " speed, mass and adhesion stand in [start], friction has a key of its own")
+            raise ConfigError(
+                f"{at('set')}: '{name}' cannot be set{nearest(name, _SETTABLE)};"
+                " speed, mass and adhesion stand in [start], friction has a key of its own"
+            )
     return Step(
-        title=str(content.get("title", "")), line=line, at_s=seconds("at"), for_s=seconds("for"),
+        title=str(content.get("title", "")),
+        line=line,
+        at_s=seconds("at"),
+        for_s=seconds("for"),
         until=conditions.condition(content["until"], at("until")) if "until" in content else None,
-        hold_s=seconds("hold", 0.0), timeout_s=seconds("timeout", DEFAULT_TIMEOUT_S),
+        hold_s=seconds("hold", 0.0),
+        timeout_s=seconds("timeout", DEFAULT_TIMEOUT_S),
         brake_Pa=_pressure(wanted["brake_demand"], at("set")) if "brake_demand" in wanted else None,
         sand=_switch(wanted["sand"], at("set")) if "sand" in wanted else None,
-        ramp=_ramp(content.get("ramp"), at("ramp")), friction=_patch(content.get("friction"), at("friction")),
-        faults=_texts(content, "fault", at), lifts=_texts(content, "lift", at), notes=_texts(content, "note", at),
-        expects=_conditions(content, "expect", at))
+        ramp=_ramp(content.get("ramp"), at("ramp")),
+        friction=_patch(content.get("friction"), at("friction")),
+        faults=_texts(content, "fault", at),
+        lifts=_texts(content, "lift", at),
+        notes=_texts(content, "note", at),
+        expects=_conditions(content, "expect", at),
+    )
 
 
-def _contradictions(step: Step, content: Mapping[str, Any], at: Where, passed_s: float,
-                    speed_m_s: float | None) -> None:
+def _contradictions(
+    step: Step, content: Mapping[str, Any], at: Where, passed_s: float, speed_m_s: float | None
+) -> None:
     until, begins_s = step.until, max(passed_s, step.at_s or 0.0)
-    columns, compare, bound = (until.columns, until.compare, until.bound) if until else ((), "", 0.0)
+    columns, compare, bound = (
+        (until.columns, until.compare, until.bound) if until else ((), "", 0.0)
+    )
     never = f" = '{until.text if until else ''}': can never be"
     for key, refused, why in (
-        ("for", step.for_s is not None and until, ": a step lasts either `for` a time or `until` a condition; "
-         "keep one, and give `timeout` for the longest wait"),
+        (
+            "for",
+            step.for_s is not None and until,
+            ": a step lasts either `for` a time or `until` a condition; "
+            "keep one, and give `timeout` for the longest wait",
+        ),
         ("hold", "hold" in content and not until, ": belongs to `until`, which this step has not"),
-        ("timeout", "timeout" in content and not until, ": belongs to `until`, which this step has not"),
-        ("hold", until and step.hold_s >= step.timeout_s,
-         f" = {step.hold_s:g} s can never be within timeout = {step.timeout_s:g} s"),
-        ("at", step.at_s is not None and step.at_s < passed_s - 1e-9, f" = {step.at_s or 0.0:g} s is over before the "
-         f"step can begin: the steps before it take at least {passed_s:g} s"),
-        ("ramp", step.brake_Pa is not None and step.ramp, ": the step also sets brake_demand; keep one"),
-        ("until", columns == ("time_s",) and compare in ("<", "<=") and bound <= begins_s,
-         f"{never}, {begins_s:g} s have passed by then"),
-        ("until", columns == ("vehicle_speed_m_s",) and compare in (">", ">=")
-         and speed_m_s is not None and bound > speed_m_s,
-         f"{never}: the vehicle begins at {speed_m_s or 0.0:.4g} m/s and nothing drives it"),
+        (
+            "timeout",
+            "timeout" in content and not until,
+            ": belongs to `until`, which this step has not",
+        ),
+        (
+            "hold",
+            until and step.hold_s >= step.timeout_s,
+            f" = {step.hold_s:g} s can never be within timeout = {step.timeout_s:g} s",
+        ),
+        (
+            "at",
+            step.at_s is not None and step.at_s < passed_s - 1e-9,
+            f" = {step.at_s or 0.0:g} s is over before the "
+            f"step can begin: the steps before it take at least {passed_s:g} s",
+        ),
+        (
+            "ramp",
+            step.brake_Pa is not None and step.ramp,
+            ": the step also sets brake_demand; keep one",
+        ),
+        (
+            "until",
+            columns == ("time_s",) and compare in ("<", "<=") and bound <= begins_s,
+            f"{never}, {begins_s:g} s have passed by then",
+        ),
+        (
+            "until",
+            columns == ("vehicle_speed_m_s",)
+            and compare in (">", ">=")
+            and speed_m_s is not None
+            and bound > speed_m_s,
+            f"{never}: the vehicle begins at {speed_m_s or 0.0:.4g} m/s and nothing drives it",
+        ),
     ):
         if refused:
             raise ConfigError(at(key) + why)
@@ -238,7 +323,9 @@ def _switch(given: Any, where: str) -> bool:
 def _pressure(text: Any, where: str) -> float:
     pressure_Pa = conditions.quantity(text, "Pa", where)
     if not 0.0 <= pressure_Pa <= HIGHEST_DEMAND_Pa:
-        raise ConfigError(f"{where} = '{text}': a brake demand is from 0 to {HIGHEST_DEMAND_Pa / 1e5:g} bar")
+        raise ConfigError(
+            f"{where} = '{text}': a brake demand is from 0 to {HIGHEST_DEMAND_Pa / 1e5:g} bar"
+        )
     return pressure_Pa
 
 
@@ -258,10 +345,14 @@ def _patch(content: Any, where: str) -> Patch | None:
     if content is None:
         return None
     if not isinstance(content, dict) or not {"mu"} <= set(content) <= {"mu", "axles"}:
-        raise ConfigError(f"{where} = {content!r}: write friction = {{ mu = 0.05, axles = [1, 2] }}")
+        raise ConfigError(
+            f"{where} = {content!r}: write friction = {{ mu = 0.05, axles = [1, 2] }}"
+        )
     mu, axles = content["mu"], content.get("axles", list(range(1, AXLES + 1)))
     if not isinstance(mu, int | float) or not (mu == 0 or 0.0005 <= mu <= 1.0):
-        raise ConfigError(f"{where}: mu = {mu!r}: from 0.0005 to 1, or 0 for what the scenario says")
+        raise ConfigError(
+            f"{where}: mu = {mu!r}: from 0.0005 to 1, or 0 for what the scenario says"
+        )
     if not axles or not all(type(one) is int and 1 <= one <= AXLES for one in axles):
         raise ConfigError(f"{where}: axles = {axles!r}: a list of axle numbers from 1 to {AXLES}")
     return Patch(float(mu), tuple(axles))

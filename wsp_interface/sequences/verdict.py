@@ -57,7 +57,9 @@ class Profile:
     def with_limits(self, more: tuple[Limit, ...]) -> "Profile":
         """The same with limits that replace those of the same measure."""
         named = {one.measure for one in more}
-        return replace(self, limits=(*(one for one in self.limits if one.measure not in named), *more))
+        return replace(
+            self, limits=(*(one for one in self.limits if one.measure not in named), *more)
+        )
 
 
 @dataclass(frozen=True)
@@ -112,14 +114,20 @@ def _limit(given: Any, where: Callable[[str], str]) -> Limit:
     known(given, _KEYS, where)
     name = given.get("measure")
     if not isinstance(name, str) or name not in measures.BY_NAME:
-        raise ConfigError(f"{where('measure')} = {name!r}: no measure is called so"
-                          f"{nearest(str(name), measures.BY_NAME)}")
+        raise ConfigError(
+            f"{where('measure')} = {name!r}: no measure is called so"
+            f"{nearest(str(name), measures.BY_NAME)}"
+        )
     measure = measures.BY_NAME[name]
     if given.get("unit") != measure.unit:
-        raise ConfigError(f"{where('unit')} = {given.get('unit')!r}: {name} is in '{measure.unit}'; "
-                          f"write unit = \"{measure.unit}\"")
+        raise ConfigError(
+            f"{where('unit')} = {given.get('unit')!r}: {name} is in '{measure.unit}'; "
+            f'write unit = "{measure.unit}"'
+        )
     if not given.get("source"):
-        raise ConfigError(f"{where('source')} is missing; say where the number comes from, or '{UNVERIFIED}'")
+        raise ConfigError(
+            f"{where('source')} is missing; say where the number comes from, or '{UNVERIFIED}'"
+        )
     low, high = given.get("min", -math.inf), given.get("max", math.inf)
     for key, bound in (("min", low), ("max", high)):
         if isinstance(bound, bool) or not isinstance(bound, int | float) or math.isnan(bound):
@@ -127,24 +135,37 @@ def _limit(given: Any, where: Callable[[str], str]) -> Limit:
     if "min" not in given and "max" not in given:
         raise ConfigError(f"{where('measure')}: a limit has a min, a max or both")
     if low > high:
-        raise ConfigError(f"{where('max')} = {high:g} is below min = {low:g}; nothing can meet both")
+        raise ConfigError(
+            f"{where('max')} = {high:g} is below min = {low:g}; nothing can meet both"
+        )
     if high < measure.least:
-        raise ConfigError(f"{where('max')} = {high:g} is below {measure.least:g}, the least that "
-                          f"{name} can be; nothing can meet it")
+        raise ConfigError(
+            f"{where('max')} = {high:g} is below {measure.least:g}, the least that "
+            f"{name} can be; nothing can meet it"
+        )
     return Limit(name, measure.unit, float(low), float(high), str(given["source"]))
 
 
 def judge(profile: Profile, record: Record, void: str = "") -> list[Verdict]:
     """A verdict for each limit of a profile; none is passed or failed where something makes them `void`."""
     verdicts = [_judge(limit, record) for limit in profile.limits]
-    return [replace(one, value=math.nan, margin=math.nan, result=Result.ABSENT, text=f"{_VOID}{void}")
-            for one in verdicts] if void else verdicts
+    return (
+        [
+            replace(
+                one, value=math.nan, margin=math.nan, result=Result.ABSENT, text=f"{_VOID}{void}"
+            )
+            for one in verdicts
+        ]
+        if void
+        else verdicts
+    )
 
 
 def _judge(limit: Limit, record: Record) -> Verdict:
     bounds = " and ".join(
         [f"at least {limit.low:g}"] * math.isfinite(limit.low)
-        + [f"at most {limit.high:g}"] * math.isfinite(limit.high))
+        + [f"at most {limit.high:g}"] * math.isfinite(limit.high)
+    )
     measure = measures.BY_NAME[limit.measure]
     try:
         value, text = float(measure.of(record)), measure.text
@@ -156,10 +177,21 @@ def _judge(limit: Limit, record: Record) -> Verdict:
             result = Result.ABSENT if measure.absent else Result.ERROR
             text = measure.absent or "was not measured: did the vehicle stop?"
     # a limit of nothing has no room to speak of
-    rooms = [sign * (bound - value) / abs(bound) for sign, bound in ((1, limit.high), (-1, limit.low))
-             if math.isfinite(bound) and bound != 0.0]
-    return Verdict(what=limit.measure, unit=limit.unit, value=value, limit=bounds, margin=min(rooms, default=math.nan),
-                   result=result, source=limit.source, text=text)
+    rooms = [
+        sign * (bound - value) / abs(bound)
+        for sign, bound in ((1, limit.high), (-1, limit.low))
+        if math.isfinite(bound) and bound != 0.0
+    ]
+    return Verdict(
+        what=limit.measure,
+        unit=limit.unit,
+        value=value,
+        limit=bounds,
+        margin=min(rooms, default=math.nan),
+        result=result,
+        source=limit.source,
+        text=text,
+    )
 
 
 def worst(results: list[Result]) -> Result:

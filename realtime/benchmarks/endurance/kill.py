@@ -24,8 +24,17 @@ _RUN_S, _LATEST_S, _PATIENCE_S = 4.0, 3.0, 120.0
 
 
 # whom it hits, or which signal the bench
-HOW = ("bench", "recorder", "unit", "group", "recorder + bench", "recorder + unit + bench", "SIGTERM", "SIGHUP",
-       "SIGINT")
+HOW = (
+    "bench",
+    "recorder",
+    "unit",
+    "group",
+    "recorder + bench",
+    "recorder + unit + bench",
+    "SIGTERM",
+    "SIGHUP",
+    "SIGINT",
+)
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
@@ -35,27 +44,45 @@ def run(given: argparse.Namespace, say: Say) -> Result:
         how, pacing = HOW[at % len(HOW)], ("wall", "lockstep")[at // len(HOW) % 2]
         if at % 10 == 0:
             say(f"{at} of {given.count or KILLS} kills ...")
-        kills.append({"how": how, "pacing": pacing} | killed(how, pacing, source.uniform(0.0, _LATEST_S)))
-    return {"kills": kills, "targets": [
-        target("lost by a kill, the most", max(one["lost_s"] for one in kills), LOST_S, "s"),
-        target("processes left over", float(sum(one["left"] for one in kills)), 0.0),
-        target("folders that cannot be read", float(sum(bool(one["unreadable"]) for one in kills)), 0.0),
-        target("tracebacks", float(sum(one["traceback"] for one in kills)), 0.0)],
-        "notes": [f"{one['how']}, {one['pacing']}, at {one['at_s']:.3f} s: {one['unreadable']}"
-                  for one in kills if one["unreadable"]]}
+        kills.append(
+            {"how": how, "pacing": pacing} | killed(how, pacing, source.uniform(0.0, _LATEST_S))
+        )
+    return {
+        "kills": kills,
+        "targets": [
+            target("lost by a kill, the most", max(one["lost_s"] for one in kills), LOST_S, "s"),
+            target("processes left over", float(sum(one["left"] for one in kills)), 0.0),
+            target(
+                "folders that cannot be read",
+                float(sum(bool(one["unreadable"]) for one in kills)),
+                0.0,
+            ),
+            target("tracebacks", float(sum(one["traceback"] for one in kills)), 0.0),
+        ],
+        "notes": [
+            f"{one['how']}, {one['pacing']}, at {one['at_s']:.3f} s: {one['unreadable']}"
+            for one in kills
+            if one["unreadable"]
+        ],
+    }
 
 
 def killed(how: str, pacing: str, at_s: float) -> dict[str, Any]:
     """One run that is killed when it has simulated so many seconds."""
     with runs.started("--pacing", pacing, seconds=_RUN_S) as run:
         rows = run.until(run.rows, "its first sample")
-        members = run.until(lambda: found if len(found := run.members()) == 1 + len(runs.ROLES) else None, "its unit")
+        members = run.until(
+            lambda: found if len(found := run.members()) == 1 + len(runs.ROLES) else None,
+            "its unit",
+        )
         run.until(lambda: runs.last_s(rows) >= at_s or None, f"{at_s:.3f} s")
         at_s = runs.last_s(rows)
         by = getattr(signal, how, signal.SIGKILL)
         if how == "group":
             os.killpg(run.process.pid, by)
-        for role in ("bench",) if by != signal.SIGKILL else how.split(" + ") if how != "group" else ():
+        for role in (
+            ("bench",) if by != signal.SIGKILL else how.split(" + ") if how != "group" else ()
+        ):
             os.kill(members[role], by)
         run.process.wait(_PATIENCE_S)
         end_s = time.monotonic() + _PATIENCE_S
@@ -63,8 +90,13 @@ def killed(how: str, pacing: str, at_s: float) -> dict[str, Any]:
             time.sleep(0.02)
         # a run whose recorder is killed goes on, and nobody records it
         lost_s, unreadable = _missing(run, at_s if how == "recorder" else runs.last_s(rows))
-        return {"at_s": at_s, "lost_s": lost_s, "left": len(left), "unreadable": unreadable,
-                "traceback": int("Traceback" in run.words())}
+        return {
+            "at_s": at_s,
+            "lost_s": lost_s,
+            "left": len(left),
+            "unreadable": unreadable,
+            "traceback": int("Traceback" in run.words()),
+        }
 
 
 def _missing(run: runs.Run, known_s: float) -> tuple[float, str]:
@@ -81,7 +113,21 @@ def table(result: Result) -> Table:
     """The kills by what was killed."""
     by_what = {how: [one for one in result["kills"] if one["how"] == how] for how in HOW}
     heads = "what", "kills", "lost, s, median", "most", "processes left", "readable"
-    return figures.table("killed runs", heads, [
-        (how, len(these), *(figures.quantiles([one["lost_s"] for one in these])[share] for share in ("p50", "max")),
-         sum(one["left"] for one in these), sum(not one["unreadable"] for one in these))
-        for how, these in by_what.items() if these])
+    return figures.table(
+        "killed runs",
+        heads,
+        [
+            (
+                how,
+                len(these),
+                *(
+                    figures.quantiles([one["lost_s"] for one in these])[share]
+                    for share in ("p50", "max")
+                ),
+                sum(one["left"] for one in these),
+                sum(not one["unreadable"] for one in these),
+            )
+            for how, these in by_what.items()
+            if these
+        ],
+    )

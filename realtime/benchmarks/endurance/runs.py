@@ -42,21 +42,50 @@ class Run:
     def __init__(self, place: Path, *arguments: str, seconds: float = LONGEST_S) -> None:
         self.folder, self.said = place / "run", place / "stderr"
         scenario = place / "down.toml"
-        steps = (f"{{from_s = {at}, pressure_Pa = {_BRAKE_PA}}}, {{from_s = {at + _BRAKES_S}, pressure_Pa = 0}}"
-                 for at in range(0, int(seconds) + 1, _EVERY_S) if at < LONGEST_S)
-        scenario.write_text(f"duration_max_s = {seconds!r}\n{_HEAD}demand = [{', '.join(steps)}]\n", encoding="utf-8")
-        command = [sys.executable, "-m", "rollerrig.realtime.cli", "run", str(scenario), "--out", str(self.folder),
-                   "--set", "bus.interface=hub", "--set", "bus.socketcand_port=0", "--set", "modbus.port=0", *arguments]
+        steps = (
+            f"{{from_s = {at}, pressure_Pa = {_BRAKE_PA}}}, {{from_s = {at + _BRAKES_S}, pressure_Pa = 0}}"
+            for at in range(0, int(seconds) + 1, _EVERY_S)
+            if at < LONGEST_S
+        )
+        scenario.write_text(
+            f"duration_max_s = {seconds!r}\n{_HEAD}demand = [{', '.join(steps)}]\n",
+            encoding="utf-8",
+        )
+        command = [
+            sys.executable,
+            "-m",
+            "rollerrig.realtime.cli",
+            "run",
+            str(scenario),
+            "--out",
+            str(self.folder),
+            "--set",
+            "bus.interface=hub",
+            "--set",
+            "bus.socketcand_port=0",
+            "--set",
+            "modbus.port=0",
+            *arguments,
+        ]
         with self.said.open("wb") as said:
-            self.process = subprocess.Popen(children.command(*command), stdin=subprocess.DEVNULL, stderr=said,
-                                            stdout=subprocess.DEVNULL, start_new_session=True)
+            self.process = subprocess.Popen(
+                children.command(*command),
+                stdin=subprocess.DEVNULL,
+                stderr=said,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+            )
 
-    def until(self, condition: Callable[[], Seen | None], what: str, seconds: float = START_S) -> Seen:
+    def until(
+        self, condition: Callable[[], Seen | None], what: str, seconds: float = START_S
+    ) -> Seen:
         """Wait until something can be seen of the run, which lives."""
         end_s = time.monotonic() + seconds
         while (found := condition()) is None or found is False:
             if time.monotonic() > end_s or self.process.poll() is not None:
-                raise RollerrigError(f"the run has not come to {what}; its last words: {self.words()[-300:]}")
+                raise RollerrigError(
+                    f"the run has not come to {what}; its last words: {self.words()[-300:]}"
+                )
             time.sleep(0.02)
         return found
 
@@ -84,8 +113,9 @@ class Run:
     def members(self) -> dict[str, int]:
         """Its processes by their role."""
         lines = below(self.process.pid)
-        return {"bench": self.process.pid} | {role: pid for role, word in ROLES.items() for pid, line in lines.items()
-                                              if word in line}
+        return {"bench": self.process.pid} | {
+            role: pid for role, word in ROLES.items() for pid, line in lines.items() if word in line
+        }
 
     def end(self, by: int = signal.SIGINT) -> int:
         """End it, and wait for its status."""
@@ -113,7 +143,9 @@ def started(*arguments: str, seconds: float = LONGEST_S) -> Iterator[Run]:
 def last_s(rows: ring.Ring) -> float:
     """The simulated time of the newest row."""
     count = int(rows.header[ring.WRITTEN])
-    return float(rows.rows[(count - 1) % rows.rows.shape[0], signals.column("time")]) if count else 0.0
+    return (
+        float(rows.rows[(count - 1) % rows.rows.shape[0], signals.column("time")]) if count else 0.0
+    )
 
 
 def below(pid: int) -> dict[int, str]:

@@ -32,12 +32,19 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     lockstep = found["lockstep"]["growth_MB_h"]
     lost = sum(one["dropped"] + one["lost"] for one in found.values())
     return found | {
-        "targets": [*(target(f"growth of the {role} in lockstep", grown, GROWTH_MB_H, "MB/h")
-                      for role, grown in lockstep.items()),
-                    target("frames, samples and events lost", lost, 0.0),
-                    target("runs with a traceback", sum(one["traceback"] for one in found.values()), 0.0)],
-        "notes": ["growth in a simulated hour; of a few minutes in real time it says little",
-                  "at the end: the most that it had while it wrote summary and recording"]}
+        "targets": [
+            *(
+                target(f"growth of the {role} in lockstep", grown, GROWTH_MB_H, "MB/h")
+                for role, grown in lockstep.items()
+            ),
+            target("frames, samples and events lost", lost, 0.0),
+            target("runs with a traceback", sum(one["traceback"] for one in found.values()), 0.0),
+        ],
+        "notes": [
+            "growth in a simulated hour; of a few minutes in real time it says little",
+            "at the end: the most that it had while it wrote summary and recording",
+        ],
+    }
 
 
 def _soaked(pacing: str, seconds: float, say: Say) -> Result:
@@ -46,7 +53,9 @@ def _soaked(pacing: str, seconds: float, say: Say) -> Result:
         rows = run.until(run.rows, "its first sample")
         members, seen, end_s = run.members(), [], time.monotonic() + seconds
         if set(members) != set(ROLES):
-            raise RollerrigError(f"the run has no {' and no '.join(set(ROLES) - set(members))}: {run.words()[-300:]}")
+            raise RollerrigError(
+                f"the run has no {' and no '.join(set(ROLES) - set(members))}: {run.words()[-300:]}"
+            )
         while time.monotonic() < end_s and run.process.poll() is None:
             seen.append([runs.last_s(rows), *(_memory_MB(members[role]) for role in ROLES)])
             time.sleep(_LOOK_S)
@@ -68,12 +77,22 @@ def _judged(run: runs.Run, taken: np.ndarray, simulated_s: float, most: dict[str
     disk_MB = sum(path.stat().st_size for path in run.folder.iterdir()) / 1e6
     memory: dict[str, Any] = {
         "memory_MB": dict(zip(ROLES, map(float, last[1:]), strict=True)),
-        "growth_MB_h": dict(zip(ROLES, map(float, growth), strict=True)), "at_end_MB": most}
+        "growth_MB_h": dict(zip(ROLES, map(float, growth), strict=True)),
+        "at_end_MB": most,
+    }
     return memory | {
-        "simulated_s": simulated_s, "events_h": len(events) / hours, "disk_MB_h": disk_MB / hours,
-        "missed": summary["loop"]["missed"], "ticks": summary["loop"]["ticks"], "frames": summary["bus"]["frames"],
-        "dropped": summary["bus"]["dropped"], "lost": summary["recorder"]["lost"], "vents": summary["wsp"]["vents"],
-        "traceback": int("Traceback" in run.words()), "because": summary["invalid_because"]}
+        "simulated_s": simulated_s,
+        "events_h": len(events) / hours,
+        "disk_MB_h": disk_MB / hours,
+        "missed": summary["loop"]["missed"],
+        "ticks": summary["loop"]["ticks"],
+        "frames": summary["bus"]["frames"],
+        "dropped": summary["bus"]["dropped"],
+        "lost": summary["recorder"]["lost"],
+        "vents": summary["wsp"]["vents"],
+        "traceback": int("Traceback" in run.words()),
+        "because": summary["invalid_because"],
+    }
 
 
 def _memory_MB(pid: int) -> float:
@@ -88,10 +107,26 @@ def table(result: Result) -> Table:
     """Both pacings side by side."""
     sides = [result[pacing] for pacing in PACINGS]
     rows: list[list[object]] = [["simulated, s", *(one["simulated_s"] for one in sides)]]
-    rows += [[f"{role}: {text}", *(one[key][role] for one in sides)] for role in ROLES for text, key in (
-        ("memory, MB", "memory_MB"), ("growth, MB/h", "growth_MB_h"), ("at the end, MB", "at_end_MB"))]
-    rows += [[text, *(one[key] for one in sides)] for text, key in (
-        ("disk, MB/h", "disk_MB_h"), ("events an hour", "events_h"), ("ticks", "ticks"), ("ticks missed", "missed"),
-        ("vents", "vents"), ("frames", "frames"), ("frames that somebody did not get", "dropped"),
-        ("rows, frames and events that were not recorded", "lost"))]
+    rows += [
+        [f"{role}: {text}", *(one[key][role] for one in sides)]
+        for role in ROLES
+        for text, key in (
+            ("memory, MB", "memory_MB"),
+            ("growth, MB/h", "growth_MB_h"),
+            ("at the end, MB", "at_end_MB"),
+        )
+    ]
+    rows += [
+        [text, *(one[key] for one in sides)]
+        for text, key in (
+            ("disk, MB/h", "disk_MB_h"),
+            ("events an hour", "events_h"),
+            ("ticks", "ticks"),
+            ("ticks missed", "missed"),
+            ("vents", "vents"),
+            ("frames", "frames"),
+            ("frames that somebody did not get", "dropped"),
+            ("rows, frames and events that were not recorded", "lost"),
+        )
+    ]
     return figures.table("long runs", ("what", *PACINGS), rows)

@@ -37,14 +37,21 @@ class _Stops:
         base, *_ = tuning.fit(design, candidates.start(design))
         normal = tuning.normal(design, base)[0]
         self.S, self.g = evidence.scores(normal)
-        self.variants = [v for v in normal.matrix.variants if not evidence.generic(v.cause) and v.cause in table.OF
-                         and all(self.S[c, c] > 1e-9 for c in v.columns)]
+        self.variants = [
+            v
+            for v in normal.matrix.variants
+            if not evidence.generic(v.cause)
+            and v.cause in table.OF
+            and all(self.S[c, c] > 1e-9 for c in v.columns)
+        ]
         self.samples = design.measured_rad_s.size
 
     def solve(self, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """(coefficients, deviations) of some columns together."""
         S, scale = self.S[np.ix_(at, at)], 1.0 / np.sqrt(np.diag(self.S)[list(at)])
-        inverse = np.linalg.pinv(S * np.outer(scale, scale) + _RIDGE * np.eye(len(at))) * np.outer(scale, scale)
+        inverse = np.linalg.pinv(S * np.outer(scale, scale) + _RIDGE * np.eye(len(at))) * np.outer(
+            scale, scale
+        )
         return -inverse @ self.g[list(at)], np.sqrt(np.maximum(np.diag(inverse), 0.0))
 
     def won(self, at: Sequence[int]) -> float:
@@ -67,8 +74,16 @@ def bic(data: Dataset) -> dict[str, Any]:
     chosen: list[Variant] = []
     while len(chosen) < MOST:
         known, now = {v.cause for v in chosen}, [c for v in chosen for c in v.columns]
-        least = [(stops.won([*now, *v.columns]) - stops.won(now) - len(v.columns) * np.log(stops.samples), k)
-                 for k, v in enumerate(stops.variants) if v.cause not in known]
+        least = [
+            (
+                stops.won([*now, *v.columns])
+                - stops.won(now)
+                - len(v.columns) * np.log(stops.samples),
+                k,
+            )
+            for k, v in enumerate(stops.variants)
+            if v.cause not in known
+        ]
         best, k = max(least, default=(0.0, 0))
         if best <= 0.0:
             break
@@ -85,7 +100,7 @@ def sparse(data: Dataset) -> dict[str, Any]:
         large = np.abs(x) > THRESHOLD * sd
         at, kept = 0, []
         for v in chosen:
-            kept += [v] if large[at:at + len(v.columns)].any() else []
+            kept += [v] if large[at : at + len(v.columns)].any() else []
             at += len(v.columns)
         if len(kept) == len(chosen):
             break
@@ -114,7 +129,11 @@ def least_squares(data: Dataset) -> dict[str, Any]:
 
 def _bounds(v: Variant) -> tuple[float, float]:
     row = BY_NAME[v.cause].parameters[0]
-    return (-row.high, row.high) if table.OF[v.cause].phase or row.low == row.high else (row.low, row.high)
+    return (
+        (-row.high, row.high)
+        if table.OF[v.cause].phase or row.low == row.high
+        else (row.low, row.high)
+    )
 
 
 def _answer(stops: _Stops, chosen: list[Variant], began_s: float) -> dict[str, Any]:
@@ -126,10 +145,19 @@ def _answer(stops: _Stops, chosen: list[Variant], began_s: float) -> dict[str, A
     for v in order:
         first = at.index(v.columns[0])
         low, high = (float(x[first] + side * NORMAL_95 * sd[first]) for side in (-1.0, 1.0))
-        causes.append({"name": v.cause, "confusable_with": [], "parameters": {
-            BY_NAME[v.cause].parameters[0].name: {"ci95": [low, high]}}})
-    return {"verdict": "explained" if causes else "consistent", "causes": _once(causes), "gain": None,
-            "elapsed_s": time.monotonic() - began_s}
+        causes.append(
+            {
+                "name": v.cause,
+                "confusable_with": [],
+                "parameters": {BY_NAME[v.cause].parameters[0].name: {"ci95": [low, high]}},
+            }
+        )
+    return {
+        "verdict": "explained" if causes else "consistent",
+        "causes": _once(causes),
+        "gain": None,
+        "elapsed_s": time.monotonic() - began_s,
+    }
 
 
 def _once(causes: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -137,4 +165,8 @@ def _once(causes: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return list({cause["name"]: cause for cause in reversed(causes)}.values())[::-1]
 
 
-TOOLS: dict[str, Callable[[Dataset], dict[str, Any]]] = {"bic": bic, "sparse": sparse, "least_squares": least_squares}
+TOOLS: dict[str, Callable[[Dataset], dict[str, Any]]] = {
+    "bic": bic,
+    "sparse": sparse,
+    "least_squares": least_squares,
+}

@@ -43,14 +43,27 @@ class Case(NamedTuple):
 def cases(make: ModuleType, seed: int) -> list[Case]:
     """One turn of the matrix."""
     none = [Case("none", {}, seed + 1000 + k) for k in range(NOTHING)]
-    one = [Case("one", {cause: min(size * least, make.LARGEST.get(cause, np.inf))}, seed + 2000 + 10 * k + i)
-           for i, size in enumerate(SIZES) for k, (cause, least) in enumerate(make.SMALLEST.items())]
+    one = [
+        Case(
+            "one",
+            {cause: min(size * least, make.LARGEST.get(cause, np.inf))},
+            seed + 2000 + 10 * k + i,
+        )
+        for i, size in enumerate(SIZES)
+        for k, (cause, least) in enumerate(make.SMALLEST.items())
+    ]
     two = [Case("two", pair, seed + 3000 + k) for k, pair in enumerate(make.PAIRS)]
-    unknown = [Case("unknown", {name: size}, seed + 4000 + k) for k, (name, size) in enumerate(make.UNKNOWN.items())]
+    unknown = [
+        Case("unknown", {name: size}, seed + 4000 + k)
+        for k, (name, size) in enumerate(make.UNKNOWN.items())
+    ]
     # each kind spread evenly, in an order that tells nothing: the first N sets are a fair share of all
     rng = np.random.default_rng((seed, 15))
-    placed = [((k + rng.random()) / len(kind), kind[i]) for kind in (none, one, two, unknown)
-              for k, i in enumerate(rng.permutation(len(kind)))]
+    placed = [
+        ((k + rng.random()) / len(kind), kind[i])
+        for kind in (none, one, two, unknown)
+        for k, i in enumerate(rng.permutation(len(kind)))
+    ]
     return [case for _, case in sorted(placed, key=lambda pair: pair[0])]
 
 
@@ -63,7 +76,9 @@ def stream(make: ModuleType, seed: int) -> Iterator[Case]:
 def generator(module: str) -> ModuleType:
     """A module of `tests/generator`. Raises ConfigError where there is none, or not what it needs."""
     if not (_FOLDER / f"{module}.py").is_file():
-        raise ConfigError("bench explain needs tests/generator, which only a clone of the project has; run it there")
+        raise ConfigError(
+            "bench explain needs tests/generator, which only a clone of the project has; run it there"
+        )
     # by the name that it has in the tests: its compiled functions are kept under that name
     if str(_FOLDER.parent) not in sys.path:
         sys.path.insert(0, str(_FOLDER.parent))
@@ -72,7 +87,9 @@ def generator(module: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise
-        raise ConfigError("--generator third needs MuJoCo: pip install 'rollerrig[mujoco]'") from None
+        raise ConfigError(
+            "--generator third needs MuJoCo: pip install 'rollerrig[mujoco]'"
+        ) from None
 
 
 def export(folder: Path, by: str, sets: int, seed: int, say: Callable[[str], None]) -> None:
@@ -82,15 +99,23 @@ def export(folder: Path, by: str, sets: int, seed: int, say: Callable[[str], Non
     or seed is refused.
     """
     make = generator(GENERATORS[by])
-    wanted = {f"set_{k:04d}": case
-              for k, case in enumerate(islice(stream(make, seed), sets or len(cases(make, seed))), start=1)}
+    wanted = {
+        f"set_{k:04d}": case
+        for k, case in enumerate(
+            islice(stream(make, seed), sets or len(cases(make, seed))), start=1
+        )
+    }
     about: dict[str, Any] = {"generator": by, "seed": seed}
     key = read_key(folder) if (folder / KEY).exists() else about | {"sets": {}}
     if {name: key[name] for name in about} != about:
-        raise ConfigError(f"{folder} holds sets of the {key['generator']} generator, seed {key['seed']}; give another "
-                          f"folder, or --generator {key['generator']} --seed {key['seed']} to complete it")
+        raise ConfigError(
+            f"{folder} holds sets of the {key['generator']} generator, seed {key['seed']}; give another "
+            f"folder, or --generator {key['generator']} --seed {key['seed']} to complete it"
+        )
     missing = [(name, case) for name, case in wanted.items() if name not in key["sets"]]
-    for done, (name, case, truth) in enumerate(work.all_of(partial(_make, folder / SETS, by), missing), start=1):
+    for done, (name, case, truth) in enumerate(
+        work.all_of(partial(_make, folder / SETS, by), missing), start=1
+    ):
         key["sets"][name] = truth | {"kind": case.kind, "effects": case.effects}
         _write_key(folder, key)
         say(f"{done} of {len(missing)} sets made")
@@ -104,8 +129,10 @@ def read_key(folder: Path) -> dict[str, Any]:
             raise ConfigError("its first line is another one")
         return seal.opened(text.removeprefix(_FORMAT), "its text")
     except (OSError, ValueError, ConfigError) as error:
-        raise ConfigError(f"{folder / KEY} is no key of a benchmark ({error}); give the folder that "
-                          "rollerrig bench explain --export wrote") from None
+        raise ConfigError(
+            f"{folder / KEY} is no key of a benchmark ({error}); give the folder that "
+            "rollerrig bench explain --export wrote"
+        ) from None
 
 
 def _write_key(folder: Path, key: dict[str, Any]) -> None:
@@ -119,15 +146,26 @@ def _make(folder: Path, by: str, job: tuple[str, Case]) -> tuple[str, Case, dict
     """Make one set; what its coefficients mean, and the errors of the base with and without what is hidden."""
     name, case = job
     make = generator(GENERATORS[by])
-    made, errors, clean = make.make(folder / name, case.effects, case.seed), dict[str, float](), dict[str, float]()
+    made, errors, clean = (
+        make.make(folder / name, case.effects, case.seed),
+        dict[str, float](),
+        dict[str, float](),
+    )
     if case.kind in ("one", "two"):  # a gain can be won; of unknown effects nobody knows how much
         # the same stops, same seed, with nothing hidden: what is left there no model can take away
         with tempfile.TemporaryDirectory(prefix="rollerrig-sealed-") as place:
             clean = _errors(make.make(Path(place, "twin"), {}, case.seed))
         errors = _errors(made)
-    meaning = {cause: (*make.SAME_MEANING[cause][:1], make.SAME_MEANING[cause][1] * size)
-               for cause, size in case.effects.items() if cause in make.SAME_MEANING}
-    return name, case, {"meaning": meaning, "base_error": errors if clean else {}, "least_error": clean}
+    meaning = {
+        cause: (*make.SAME_MEANING[cause][:1], make.SAME_MEANING[cause][1] * size)
+        for cause, size in case.effects.items()
+        if cause in make.SAME_MEANING
+    }
+    return (
+        name,
+        case,
+        {"meaning": meaning, "base_error": errors if clean else {}, "least_error": clean},
+    )
 
 
 def _errors(dataset_folder: Path) -> dict[str, float]:

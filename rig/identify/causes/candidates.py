@@ -41,16 +41,20 @@ class Explanation(NamedTuple):
     @property
     def level(self) -> float:
         """Logarithm of the contaminant's level over the base model's, mean of the fitted runs."""
-        return float(np.mean([v for label, v in self.base.items() if label.startswith("ln_mu_cd")] or [0.0]))
+        return float(
+            np.mean([v for label, v in self.base.items() if label.startswith("ln_mu_cd")] or [0.0])
+        )
 
     def with_cause(self, at: int, cause: Cause) -> "Explanation":
         """The same with another cause at this place."""
-        return self._replace(causes=(*self.causes[:at], cause, *self.causes[at + 1:]))
+        return self._replace(causes=(*self.causes[:at], cause, *self.causes[at + 1 :]))
 
 
 def start(design: Design) -> Explanation:
     """The untuned base."""
-    return Explanation({f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)}, 0.028, 8.0, ())
+    return Explanation(
+        {f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)}, 0.028, 8.0, ()
+    )
 
 
 def inputs(design: Design, explanation: Explanation) -> Inputs:
@@ -58,22 +62,34 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
     base = defaultdict(float, explanation.base)
     p = np.tile(design.base, (design.segments, 1))
     p[:, parameters.SIGMA], p[:, parameters.LENGTH] = explanation.sigma, explanation.length_m
-    p[:, parameters.NOISE], p[:, parameters.TORQUE_NOISE] = design.wheel_noise_rad_s, design.torque_noise_Nm[design.run]
+    p[:, parameters.NOISE], p[:, parameters.TORQUE_NOISE] = (
+        design.wheel_noise_rad_s,
+        design.torque_noise_Nm[design.run],
+    )
     p[:, parameters.TAU] *= np.exp(base["ln_tau"])
     p[:, parameters.MU_CD] *= np.exp([base[f"ln_mu_cd_{run}"] for run in design.run])
     gain = [1.0 + (base["torque_gain"] + base[f"torque_gain_{axle}"]) for axle in design.axle]
     lift = [1.0 + base[f"load_gain_{axle}"] for axle in design.axle]
     sizes = np.diff(design.start)
-    found = Inputs(torque_Nm=design.torque_Nm * np.repeat(gain, sizes), load_N=design.load_N * np.repeat(lift, sizes),
-                   speed_m_s=design.speed_m_s, friction=np.ones((2, design.measured_rad_s.size)), parameters=p,
-                   mass_kg=design.mass_kg * [1.0 + base[f"mass_{run}"] for run in range(design.mass_kg.size)],
-                   force_N=np.zeros(design.vehicle_m_s.size))
+    found = Inputs(
+        torque_Nm=design.torque_Nm * np.repeat(gain, sizes),
+        load_N=design.load_N * np.repeat(lift, sizes),
+        speed_m_s=design.speed_m_s,
+        friction=np.ones((2, design.measured_rad_s.size)),
+        parameters=p,
+        mass_kg=design.mass_kg * [1.0 + base[f"mass_{run}"] for run in range(design.mass_kg.size)],
+        force_N=np.zeros(design.vehicle_m_s.size),
+    )
     return reduce(lambda i, cause: _with(design, i, cause), explanation.causes, found)
 
 
 def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
     row = table.OF[cause.name]
-    m, on, rows = row.mechanism, courses.of_axle(d, cause.axle), (d.axle == cause.axle - 1) | (cause.axle == 0)
+    m, on, rows = (
+        row.mechanism,
+        courses.of_axle(d, cause.axle),
+        (d.axle == cause.axle - 1) | (cause.axle == 0),
+    )
     value = cause.values[0] if cause.values else 0.0
     if m.acts_on == VEHICLE:
         return i._replace(force_N=i.force_N + resistance(d, i.mass_kg, row, cause.shape, value))
@@ -91,9 +107,15 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
     if cause.name == "speed_sensor_delay":
         by = np.where(rows, -value, 0.0)
         torque_Nm = shifted(d, i.torque_Nm, by)
-        now = (i.torque_Nm - torque_Nm) / i.parameters[0, parameters.RADIUS]  # the vehicle lives on that of now
-        force_N = i.force_N + np.concatenate([d.by_axle(now, run).sum(axis=1) for run in range(d.mass_kg.size)])
-        return i._replace(torque_Nm=torque_Nm, speed_m_s=shifted(d, i.speed_m_s, by), force_N=force_N)
+        now = (i.torque_Nm - torque_Nm) / i.parameters[
+            0, parameters.RADIUS
+        ]  # the vehicle lives on that of now
+        force_N = i.force_N + np.concatenate(
+            [d.by_axle(now, run).sum(axis=1) for run in range(d.mass_kg.size)]
+        )
+        return i._replace(
+            torque_Nm=torque_Nm, speed_m_s=shifted(d, i.speed_m_s, by), force_N=force_N
+        )
     given = courses.courses(d, cause.name, cause.shape)
     change = on * sum(v * course for v, course in zip(cause.values, given, strict=False))
     if "on_vehicle" in cause.shape:
@@ -110,12 +132,16 @@ def _shape(row: Search, shape: Shape) -> list[float]:
     return [shape.get(known.name, known.default) for known in row.mechanism.own_parameters[1:]]
 
 
-def resistance(d: Design, mass_kg: np.ndarray, row: Search, shape: Shape, value: float) -> np.ndarray:
+def resistance(
+    d: Design, mass_kg: np.ndarray, row: Search, shape: Shape, value: float
+) -> np.ndarray:
     """Force in N that a cause of a size adds to the resistance, shape (vehicle samples,)."""
     assert row.mechanism.constants is not None
     nothing = np.zeros(mass_kg.size)
     # where drives hold the speed no force changes it
-    model = dict.fromkeys(RESISTANCE.values(), nothing) | {"mass_kg": np.where(np.isfinite(mass_kg), mass_kg, 0.0)}
+    model = dict.fromkeys(RESISTANCE.values(), nothing) | {
+        "mass_kg": np.where(np.isfinite(mass_kg), mass_kg, 0.0)
+    }
     model |= row.mechanism.constants(model, value, *_shape(row, shape))
     A, B, C = (np.repeat(model[key], np.diff(d.vehicle_start)) for key in RESISTANCE.values())
     v = courses.of_vehicle(d, d.speed_m_s)

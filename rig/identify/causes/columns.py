@@ -87,22 +87,36 @@ class _Writer:
         self.wheel.append(wheel.astype(np.float32))
         return len(self.wheel) - 1
 
-    def add(self, cause: str, label: str, course: int, vehicle: np.ndarray | None = None, prior: float = _FREE,
-            axle: int = 0, run: int | None = None) -> int:
+    def add(
+        self,
+        cause: str,
+        label: str,
+        course: int,
+        vehicle: np.ndarray | None = None,
+        prior: float = _FREE,
+        axle: int = 0,
+        run: int | None = None,
+    ) -> int:
         """A column of a course, on an axle (0: all) of a run (None: all)."""
         d = self.design
         if vehicle is not None:
             self.vehicle[len(self.columns)] = vehicle.astype(np.float32)
-        self.uses.append((course, ((d.axle == axle - 1) | (axle == 0)) & (True if run is None else d.run == run)))
+        self.uses.append(
+            (course, ((d.axle == axle - 1) | (axle == 0)) & (True if run is None else d.run == run))
+        )
         self.columns.append(Column(cause, label, prior))
         return len(self.columns) - 1
 
-    def variants_of(self, cause: str, parts: Iterable[Part], shape: Shape, axles: Iterable[int] = (0,)) -> None:
+    def variants_of(
+        self, cause: str, parts: Iterable[Part], shape: Shape, axles: Iterable[int] = (0,)
+    ) -> None:
         """A cause in a shape on each of some axles, with a column for each part."""
         given = [(self.course(wheel), vehicle) for wheel, vehicle in parts]
         for axle in axles:
-            found = tuple(self.add(cause, str(k), course, self.felt(vehicle, axle), axle=axle)
-                          for k, (course, vehicle) in enumerate(given))
+            found = tuple(
+                self.add(cause, str(k), course, self.felt(vehicle, axle), axle=axle)
+                for k, (course, vehicle) in enumerate(given)
+            )
             self.variants.append(Variant(cause, found, shape, axle))
 
     def felt(self, part: np.ndarray | None, axle: int) -> np.ndarray | None:
@@ -133,14 +147,20 @@ def smooth_torque(design: Design, torque: np.ndarray) -> np.ndarray:
 
 def rate(design: Design, values: np.ndarray) -> np.ndarray:
     """d/dt within each segment."""
-    return np.concatenate([np.gradient(values[design.span(s)], design.step_s) for s in range(design.segments)])
+    return np.concatenate(
+        [np.gradient(values[design.span(s)], design.step_s) for s in range(design.segments)]
+    )
 
 
 def to_vehicle(design: Design, force: np.ndarray, axle: int = 0) -> np.ndarray:
     """Sum over the wheelsets (or that of one) of a flat array, as one flat array of vehicles."""
     chosen = range(AXLES) if axle == 0 else (axle - 1,)
-    return np.concatenate([sum(force[design.span(AXLES * run + j)] for j in chosen)
-                           for run in range(design.mass_kg.size)])
+    return np.concatenate(
+        [
+            sum(force[design.span(AXLES * run + j)] for j in chosen)
+            for run in range(design.mass_kg.size)
+        ]
+    )
 
 
 def vehicle_mass(design: Design) -> np.ndarray:
@@ -148,14 +168,24 @@ def vehicle_mass(design: Design) -> np.ndarray:
     return np.repeat(design.mass_kg, np.diff(design.vehicle_start))
 
 
-def write(design: Design, inputs: Inputs, causes: Sequence[candidates.Cause] = (), search: bool = True
-          ) -> tuple[SensitivityMatrix, Linear]:
+def write(
+    design: Design, inputs: Inputs, causes: Sequence[candidates.Cause] = (), search: bool = True
+) -> tuple[SensitivityMatrix, Linear]:
     """Columns of a design around a replay, and that replay: base, the causes in it, all of the search."""
     tried = {row.name: row.shapes if search else () for row in table.TABLE}
-    wanted = [(row, shape) for row in table.TABLE
-              for shape in (*tried[row.name], *(c.shape for c in causes
-                                                if c.name == row.name and c.shape not in tried[row.name]))]
-    constants = [(row, shape) for row, shape in wanted if row.mechanism.acts_on == CONTACT and row.mechanism.constants]
+    wanted = [
+        (row, shape)
+        for row in table.TABLE
+        for shape in (
+            *tried[row.name],
+            *(c.shape for c in causes if c.name == row.name and c.shape not in tried[row.name]),
+        )
+    ]
+    constants = [
+        (row, shape)
+        for row, shape in wanted
+        if row.mechanism.acts_on == CONTACT and row.mechanism.constants
+    ]
     w = _Writer(design, inputs, sensitivity.linearise(design, inputs, _changed(inputs, constants)))
     _base(w)
     for row, shape in wanted:
@@ -179,15 +209,26 @@ def write(design: Design, inputs: Inputs, causes: Sequence[candidates.Cause] = (
         if v.cause == "adhesion_memory":
             course[v.columns[0]], memory[count], count = count, v.shape, count + 1
     return SensitivityMatrix(
-        columns=w.columns, wheel=np.array(w.wheel), course=course, acts=acts, bins=bins,
-        in_bins=w.linear.constants[1].astype(np.float32), memory=memory, vehicle=np.array([*w.vehicle.values()]),
-        on_vehicle=np.array([*w.vehicle]), variants=w.variants), w.linear
+        columns=w.columns,
+        wheel=np.array(w.wheel),
+        course=course,
+        acts=acts,
+        bins=bins,
+        in_bins=w.linear.constants[1].astype(np.float32),
+        memory=memory,
+        vehicle=np.array([*w.vehicle.values()]),
+        on_vehicle=np.array([*w.vehicle]),
+        variants=w.variants,
+    ), w.linear
 
 
 def _changed(inputs: Inputs, constants: list[tuple[Search, Shape]]) -> np.ndarray:
     """Rows of parameters with the recovery, the level and each of some causes a step larger."""
     p = inputs.parameters
-    found = np.stack([p, p, *(candidates.changed_parameters(p, *one, sensitivity.STEP) for one in constants)], axis=1)
+    found = np.stack(
+        [p, p, *(candidates.changed_parameters(p, *one, sensitivity.STEP) for one in constants)],
+        axis=1,
+    )
     found[:, [0, 1], [parameters.TAU, parameters.MU_CD]] *= 1.0 + sensitivity.STEP
     return found
 
@@ -203,7 +244,9 @@ def _base(w: _Writer) -> None:
     torque = w.course(change)
     w.add(BASE, "torque_gain", torque, w.felt(felt, 0), tolerance / np.sqrt(2.0))
     for j in range(AXLES):
-        w.add(BASE, f"torque_gain_{j}", torque, w.felt(felt, j + 1), tolerance / np.sqrt(2.0), j + 1)
+        w.add(
+            BASE, f"torque_gain_{j}", torque, w.felt(felt, j + 1), tolerance / np.sqrt(2.0), j + 1
+        )
         w.add(BASE, f"load_gain_{j}", load, None, tolerance, j + 1)
     force = np.concatenate([sensitivity.vehicle_force(d, w.inputs, run) for run in runs])
     of_vehicle_run = np.repeat(runs, np.diff(d.vehicle_start))
@@ -211,7 +254,9 @@ def _base(w: _Writer) -> None:
         w.add(BASE, f"mass_{run}", -1, force * (of_vehicle_run == run), tolerance)
 
 
-def _parts(w: _Writer, row: Search, shape: Shape, constants: list[tuple[Search, Shape]]) -> Iterator[Part]:
+def _parts(
+    w: _Writer, row: Search, shape: Shape, constants: list[tuple[Search, Shape]]
+) -> Iterator[Part]:
     """The columns of a cause in a shape on all axles, one for each coefficient."""
     d, m = w.design, row.mechanism
     if row.name in _OWN:
@@ -224,7 +269,11 @@ def _parts(w: _Writer, row: Search, shape: Shape, constants: list[tuple[Search, 
         if "on_vehicle" in shape:
             yield None, -of_vehicle(d, course) / vehicle_mass(d)
         elif m.acts_on == FRICTION:
-            yield (w.linear.constants[1] if shape.get("contaminant_alone") else w.rate("friction")) * course, None
+            yield (
+                (w.linear.constants[1] if shape.get("contaminant_alone") else w.rate("friction"))
+                * course,
+                None,
+            )
         elif m.acts_on == TORQUE:
             yield w.of_torque(w.torque * course if m.share else course)
         elif m.acts_on == LOAD:
@@ -235,20 +284,26 @@ def _speed_delay(w: _Writer) -> Part:
     """A late wheel speed: the wheel lives on the inputs of a moment ago."""
     d, p = w.design, w.inputs.parameters[0]
     growth = np.log(np.maximum(w.linear.coefficients[:, 0], 1e-12)) / d.step_s
-    return rate(d, w.torque) / p[parameters.INERTIA] + growth / p[parameters.RADIUS] * rate(d, d.speed_m_s), None
+    return rate(d, w.torque) / p[parameters.INERTIA] + growth / p[parameters.RADIUS] * rate(
+        d, d.speed_m_s
+    ), None
 
 
 def _inertia(w: _Writer) -> Part:
     inertia = w.inputs.parameters[0, parameters.INERTIA]
-    return w.torque / inertia - w.rate("irregularity"), inertia * rate(w.design, w.design.measured_rad_s)
+    return w.torque / inertia - w.rate("irregularity"), inertia * rate(
+        w.design, w.design.measured_rad_s
+    )
 
 
 _OWN: dict[str, Callable[[_Writer], Part]] = {
     # its answer is a finite step of the whole filter, see `tuning`
     "adhesion_memory": lambda w: (None, None),
     "torque_sensor_delay": lambda w: w.of_torque(rate(w.design, w.torque)),
-    "speed_sensor_delay": _speed_delay, "wheel_inertia": _inertia,
-    "wheel_radius": lambda w: (w.rate("radius"), None)}
+    "speed_sensor_delay": _speed_delay,
+    "wheel_inertia": _inertia,
+    "wheel_radius": lambda w: (w.rate("radius"), None),
+}
 
 
 def _windows(w: _Writer) -> list[tuple[list[list[int]], np.ndarray]]:
@@ -284,8 +339,12 @@ def _in_size(w: _Writer, cause: candidates.Cause, constants: list[tuple[Search, 
         changes["time"] = [d.time_s / d.time_s.mean() - 1.0]
     for along, courses_of_size in changes.items():
         for wheel, felt in _parts(w, row, cause.shape, constants):
-            w.variants_of(f"along {along} in the size of {cause.name}", [
-                (_times(d, wheel, of), _times(d, felt, of)) for of in courses_of_size], {}, (cause.axle,))
+            w.variants_of(
+                f"along {along} in the size of {cause.name}",
+                [(_times(d, wheel, of), _times(d, felt, of)) for of in courses_of_size],
+                {},
+                (cause.axle,),
+            )
 
 
 def _times(d: Design, part: np.ndarray | None, of: np.ndarray) -> np.ndarray | None:
@@ -321,16 +380,31 @@ def _smooth_functions(w: _Writer, swings: bool) -> None:
     for name, of in ALONG.items():
         along(name, bumps(of(d, w.linear)))
     every = w.course(friction)
-    w.variants.append(Variant("along axle", tuple(w.add("along axle", str(j), every, axle=j + 1)
-                                                  for j in range(AXLES - 1)), {}, 0))
+    w.variants.append(
+        Variant(
+            "along axle",
+            tuple(w.add("along axle", str(j), every, axle=j + 1) for j in range(AXLES - 1)),
+            {},
+            0,
+        )
+    )
     # what befalls one wheelset at some moment, not all the time
     shapes = bumps(d.time_s)
     along("time of one axle", shapes - shapes.mean(axis=1)[:, None], range(1, AXLES + 1))
     along("wheel_angle", (shape(k * d.angle_rad) for k in (1, 2) for shape in (np.cos, np.sin)))
     for name, values in (("time", d.time_s), ("speed", d.speed_m_s)):
-        w.variants_of(f"along vehicle {name}", ((None, bump) for bump in bumps(of_vehicle(d, values))), {})
+        w.variants_of(
+            f"along vehicle {name}", ((None, bump) for bump in bumps(of_vehicle(d, values))), {}
+        )
     if swings:
         # what a swing of one size leaves of one that grows with the speed: no load does, a pole wheel off centre does
         faster = d.speed_m_s / d.speed_m_s.mean() - 1.0
-        along("wheel_angle and speed", (faster * shape(d.angle_rad) * of_run(d, run) for run in range(d.mass_kg.size)
-                                        for shape in (np.cos, np.sin)), range(1, AXLES + 1))
+        along(
+            "wheel_angle and speed",
+            (
+                faster * shape(d.angle_rad) * of_run(d, run)
+                for run in range(d.mass_kg.size)
+                for shape in (np.cos, np.sin)
+            ),
+            range(1, AXLES + 1),
+        )

@@ -23,8 +23,17 @@ def each(course: Any) -> Any:
     names = [f"x{k}" for k in range(len(arguments(course, 0)))]
     values = ", ".join(f"{name}[k]" for name in names)
     name = f"each_{course.__name__}"
-    return written(name, [f"def {name}({', '.join([*names, 'out'])}):", "    for k in range(out.size):",
-                          f"        out[k] = course({values})"], __file__, __name__, {"course": course})
+    return written(
+        name,
+        [
+            f"def {name}({', '.join([*names, 'out'])}):",
+            "    for k in range(out.size):",
+            f"        out[k] = course({values})",
+        ],
+        __file__,
+        __name__,
+        {"course": course},
+    )
 
 
 def filled(course: Any, n: int, *values: Any) -> np.ndarray:
@@ -45,20 +54,34 @@ def courses(d: Design, name: str, shape: Shape) -> list[np.ndarray]:
     if name == "empirical":
         return _empirical(d, shape)
     if row.phase:
-        swings = [filled(row.mechanism.courses[0], n, d.angle_rad, phase) for phase in (0.0, -0.5 * np.pi)]
+        swings = [
+            filled(row.mechanism.courses[0], n, d.angle_rad, phase) for phase in (0.0, -0.5 * np.pi)
+        ]
         return [swing * of_run(d, run) for run in range(d.mass_kg.size) for swing in swings]
     given = []
-    for known in row.mechanism.own_parameters[row.mechanism.free:]:
-        own = [shape.get(f"{known.name} {run}", shape.get(known.name, known.default)) for run in d.names]
-        given.append(own[0] if len(set(own)) == 1 else np.repeat(np.take(own, d.run), np.diff(d.start)))
-    return [filled(course, n, *(covariate(d, c) for c in arguments(course, len(given))), *given)
-            for course in row.mechanism.courses]
+    for known in row.mechanism.own_parameters[row.mechanism.free :]:
+        own = [
+            shape.get(f"{known.name} {run}", shape.get(known.name, known.default))
+            for run in d.names
+        ]
+        given.append(
+            own[0] if len(set(own)) == 1 else np.repeat(np.take(own, d.run), np.diff(d.start))
+        )
+    return [
+        filled(course, n, *(covariate(d, c) for c in arguments(course, len(given))), *given)
+        for course in row.mechanism.courses
+    ]
 
 
 def _empirical(d: Design, shape: Shape) -> list[np.ndarray]:
     x = covariate(d, COVARIATES[int(shape["covariate"]) - 1].name)
-    place = [shape.get(key, default) for key, default in (("centre", 0.0), ("scale", 1.0), ("period", 0.0))]
-    return [filled(friction.empirical, x.size, x, *unit, *place) for unit in ((1.0, 0.0), (0.0, 1.0))]
+    place = [
+        shape.get(key, default)
+        for key, default in (("centre", 0.0), ("scale", 1.0), ("period", 0.0))
+    ]
+    return [
+        filled(friction.empirical, x.size, x, *unit, *place) for unit in ((1.0, 0.0), (0.0, 1.0))
+    ]
 
 
 def of_axle(d: Design, axle: int) -> np.ndarray:

@@ -20,10 +20,16 @@ class Search(NamedTuple):
 
     name: str
     shapes: tuple[Shape, ...] = ({},)  # those that are tried
-    scales: Mapping[str, tuple[float, float]] = {}  # shape parameters that are then moved, with their bounds
-    floor: float = 0.0  # what the filter's numerics may pretend, one deviation, in the unit of the coefficient
+    scales: Mapping[
+        str, tuple[float, float]
+    ] = {}  # shape parameters that are then moved, with their bounds
+    floor: float = (
+        0.0  # what the filter's numerics may pretend, one deviation, in the unit of the coefficient
+    )
     price: int = 0  # coefficients that its choice of shape is worth, beyond those that are fitted
-    goes_by: tuple[str, ...] = ()  # covariates along which more may remain, for its shape may differ there
+    goes_by: tuple[
+        str, ...
+    ] = ()  # covariates along which more may remain, for its shape may differ there
     each_axle: bool = False  # looked for on single axles only
     phase: str = ""  # a shape parameter that is found as cosine and sine, for each run its own
     edge_step: float = 0.0  # it acts in a window: first step of its edges, m or s; searched in bins
@@ -50,14 +56,31 @@ def _of(key: str, *values: float) -> tuple[Shape, ...]:
 
 ALONE: Shape = {"contaminant_alone": 1.0}
 TABLE = (
-    Search("rail_cleaning", (*_of("energy_J_m", 10.0, 40.0, 150.0, 600.0, 2000.0), ALONE | {"energy_J_m": 150.0}),
-           {"energy_J_m": (3.0, 4000.0)}, goes_by=("axle", "load", "time of one axle")),
-    Search("speed_dependent_friction", (*_of("knee_m_s", 0.0, 12.0), ALONE), {"knee_m_s": (4.0, 80.0)},
-           goes_by=("speed",)),
-    Search("friction_trend", (*_of("time_s", 0.0, 10.0, 4.0), ALONE, ALONE | {"time_s": 10.0}),
-           {"time_s": (1.5, 60.0)}, goes_by=("time",)),
-    Search("negative_conditioning", (*_of("distance_m", 10.0, 30.0, 100.0), ALONE | {"distance_m": 30.0}),
-           {"distance_m": (3.0, 400.0)}, floor=0.005, price=1),
+    Search(
+        "rail_cleaning",
+        (*_of("energy_J_m", 10.0, 40.0, 150.0, 600.0, 2000.0), ALONE | {"energy_J_m": 150.0}),
+        {"energy_J_m": (3.0, 4000.0)},
+        goes_by=("axle", "load", "time of one axle"),
+    ),
+    Search(
+        "speed_dependent_friction",
+        (*_of("knee_m_s", 0.0, 12.0), ALONE),
+        {"knee_m_s": (4.0, 80.0)},
+        goes_by=("speed",),
+    ),
+    Search(
+        "friction_trend",
+        (*_of("time_s", 0.0, 10.0, 4.0), ALONE, ALONE | {"time_s": 10.0}),
+        {"time_s": (1.5, 60.0)},
+        goes_by=("time",),
+    ),
+    Search(
+        "negative_conditioning",
+        (*_of("distance_m", 10.0, 30.0, 100.0), ALONE | {"distance_m": 30.0}),
+        {"distance_m": (3.0, 400.0)},
+        floor=0.005,
+        price=1,
+    ),
     Search("brake_gain"),
     Search("torque_offset", _of("from_Nm", 0.0, 300.0)),
     Search("pad_fade", _of("heat_MJ", 0.0, 3.0), {"heat_MJ": (0.5, 40.0)}, goes_by=("disc_heat",)),
@@ -66,16 +89,30 @@ TABLE = (
     Search("track_gradient"),
     Search("roller_curvature", floor=0.02),
     Search("interfacial_layer", _of("whole", 0.0, 1.0), floor=0.03),
-    Search("falling_friction", (*_of("height", 0.0, 1.0), ALONE, ALONE | {"height": 1.0}), floor=0.01,
-           goes_by=("sliding",)),
-    Search("adhesion_memory", ({}, {"speed_power": 1.0}, {"of_work": 1.0}), floor=0.15, goes_by=("energy",)),
+    Search(
+        "falling_friction",
+        (*_of("height", 0.0, 1.0), ALONE, ALONE | {"height": 1.0}),
+        floor=0.01,
+        goes_by=("sliding",),
+    ),
+    Search(
+        "adhesion_memory",
+        ({}, {"speed_power": 1.0}, {"of_work": 1.0}),
+        floor=0.15,
+        goes_by=("energy",),
+    ),
     Search("torque_sensor_delay", floor=0.001),
     Search("speed_sensor_delay", floor=0.001),
     Search("wheel_inertia", floor=0.006),
     Search("wheel_radius", floor=3e-5, each_axle=True),
     Search("load_transfer", price=1),
-    Search("wheel_out_of_round", price=2, each_axle=True, phase="phase_rad",
-           not_elsewhere="the angle of an out-of-round wheel at the start is"),
+    Search(
+        "wheel_out_of_round",
+        price=2,
+        each_axle=True,
+        phase="phase_rad",
+        not_elsewhere="the angle of an out-of-round wheel at the start is",
+    ),
     # all runs go over the same rail: an irregularity of longer waves than the clean sets' looks like a patch
     Search("contaminated_patch", (), price=2, edge_step=12.0, alpha=2e-5),
     Search("sanding", (), price=6, edge_step=1.0, not_elsewhere="the moments of sanding are"),

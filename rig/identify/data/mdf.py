@@ -19,8 +19,15 @@ from rollerrig.configs.errors import ConfigError
 
 SUFFIXES = (".mf4", ".mdf")
 # spellings of the unit that a channel's name ends with; a channel without a unit is taken at its name
-_UNITS = {"m_s": ("m/s", "m_s", "m*s^-1", "mps"), "rad_s": ("rad/s", "rad_s", "1/s", "s^-1"), "N": ("N",),
-          "Nm": ("Nm", "N m", "N*m", "N·m"), "Pa": ("Pa",), "K": ("K",), "m": ("m",)}
+_UNITS = {
+    "m_s": ("m/s", "m_s", "m*s^-1", "mps"),
+    "rad_s": ("rad/s", "rad_s", "1/s", "s^-1"),
+    "N": ("N",),
+    "Nm": ("Nm", "N m", "N*m", "N·m"),
+    "Pa": ("Pa",),
+    "K": ("K",),
+    "m": ("m",),
+}
 _SAME = 0.01  # a shift below this share of a sample is none
 
 
@@ -35,8 +42,10 @@ def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str])
     first = max(float(time[0]) for time, _ in checked.values())
     last = min(float(time[-1]) for time, _ in checked.values())
     if last - first < step_s:
-        raise ConfigError(f"{path}: its channels have no time in common (the latest begins at {first:g} s, "
-                          f"the earliest ends at {last:g} s)")
+        raise ConfigError(
+            f"{path}: its channels have no time in common (the latest begins at {first:g} s, "
+            f"the earliest ends at {last:g} s)"
+        )
     # the clock of the first wheel speed: an innovation must not be a matter of interpolation
     lead = checked.get("wheel_speed_1_rad_s", next(iter(checked.values())))[0][0]
     first = lead + step_s * math.ceil((first - lead) / step_s - 1e-6)
@@ -47,8 +56,10 @@ def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str])
         if shift > _SAME:
             moved.append(f"{name} by {1e3 * shift * step_s:.2g} ms")
     if moved:
-        warnings.append(f"{path.name}: channels of other clocks were moved onto one: {', '.join(moved)}; "
-                        "delays below a sample cannot be judged")
+        warnings.append(
+            f"{path.name}: channels of other clocks were moved onto one: {', '.join(moved)}; "
+            "delays below a sample cannot be judged"
+        )
     return pa.table(columns)
 
 
@@ -57,21 +68,29 @@ def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
     try:
         from asammdf import MDF
     except ImportError:
-        raise ConfigError(f"{path}: MDF files need the package asammdf, which is not installed; install "
-                          "the extra: pip install 'rollerrig[mdf]'") from None
+        raise ConfigError(
+            f"{path}: MDF files need the package asammdf, which is not installed; install "
+            "the extra: pip install 'rollerrig[mdf]'"
+        ) from None
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; correct `file` in dataset.toml")
     try:
         with MDF(path) as file:
             twice = [name for name in names if len(file.channels_db.get(name, ())) > 1]
-            found = {name: file.get(name) for name in names if name in file.channels_db and not twice}
+            found = {
+                name: file.get(name) for name in names if name in file.channels_db and not twice
+            }
     except Exception as error:  # asammdf raises whatever its parser meets
         raise ConfigError(f"{path}: cannot be read as MDF: {error}") from None
     if twice:
-        raise ConfigError(f"{path}: channel '{twice[0]}' is there more than once; give each a name of its own")
+        raise ConfigError(
+            f"{path}: channel '{twice[0]}' is there more than once; give each a name of its own"
+        )
     if not found:
-        raise ConfigError(f"{path}: none of the channels {', '.join(names[:3])} ... is in it; name the "
-                          "channels as the README has them")
+        raise ConfigError(
+            f"{path}: none of the channels {', '.join(names[:3])} ... is in it; name the "
+            "channels as the README has them"
+        )
     return found
 
 
@@ -79,25 +98,35 @@ def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray
     unit = str(signal.unit or "").strip()
     wanted = next((allowed for tail, allowed in _UNITS.items() if name.endswith(f"_{tail}")), ())
     if unit and wanted and unit not in wanted:
-        raise ConfigError(f"{path}: {name} has the unit '{unit}'; '{wanted[0]}' is wanted: convert it")
+        raise ConfigError(
+            f"{path}: {name} has the unit '{unit}'; '{wanted[0]}' is wanted: convert it"
+        )
     time, values = np.asarray(signal.timestamps, float), np.asarray(signal.samples, float)
     steps = np.diff(time)
     if time.size < 4:
         raise ConfigError(f"{path}: {name} has {time.size} samples; give a longer recording")
     if np.any(steps <= 0.0):
-        raise ConfigError(f"{path}: the time of {name} does not rise after {time[np.argmin(steps)]:g} s")
+        raise ConfigError(
+            f"{path}: the time of {name} does not rise after {time[np.argmin(steps)]:g} s"
+        )
     typical = float(np.median(steps))
     if steps.max() > 1.5 * typical:
-        raise ConfigError(f"{path}: {name} has a gap of {steps.max():.4g} s after "
-                          f"{time[np.argmax(steps)]:.4g} s; cut the file there into two runs")
+        raise ConfigError(
+            f"{path}: {name} has a gap of {steps.max():.4g} s after "
+            f"{time[np.argmax(steps)]:.4g} s; cut the file there into two runs"
+        )
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
-        raise ConfigError(f"{path}: {name} is not a finite number in {bad.size} samples, the first at "
-                          f"{time[bad[0]]:g} s")
+        raise ConfigError(
+            f"{path}: {name} is not a finite number in {bad.size} samples, the first at "
+            f"{time[bad[0]]:g} s"
+        )
     return time, values
 
 
-def _on_clock(time: np.ndarray, values: np.ndarray, grid: np.ndarray, step_s: float) -> tuple[np.ndarray, float]:
+def _on_clock(
+    time: np.ndarray, values: np.ndarray, grid: np.ndarray, step_s: float
+) -> tuple[np.ndarray, float]:
     """Values on the grid, and how far samples had to be moved, in samples of the grid."""
     own_s = float(time[-1] - time[0]) / (time.size - 1)
     if own_s < 0.95 * step_s:

@@ -97,7 +97,11 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
         puu, pud, pdd = puu * (1.0 - gain_u), pud * (1.0 - gain_u), pdd - gain_d * pud
         filtered[k] = np.array([u, d, puu, pud, pdd])
         u += step_s * (d - force_over_mass[k])
-        puu, pud, pdd = (puu + 2.0 * step_s * pud + step_s * step_s * pdd + quu, pud + step_s * pdd, pdd + qdd)
+        puu, pud, pdd = (
+            puu + 2.0 * step_s * pud + step_s * step_s * pdd + quu,
+            pud + step_s * pdd,
+            pdd + qdd,
+        )
     out = np.empty(n)
     su, sd = filtered[n - 1, 0], filtered[n - 1, 1]
     out[n - 1] = su
@@ -123,25 +127,49 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
     speed_noise, wheel_noise, torque_noise = np.array([_noise(data, run) for run in runs]).T
     resistance = np.array([v[key] for key in RESISTANCE.values()])
     wheels = [inertia * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius) for run in runs]
-    parts = [_run(run, data, radius, inertia, step, float(np.median(speed_noise)), float(noise), resistance, own)
-             for run, noise, own in zip(runs, torque_noise, wheels, strict=True)]
+    parts = [
+        _run(
+            run,
+            data,
+            radius,
+            inertia,
+            step,
+            float(np.median(speed_noise)),
+            float(noise),
+            resistance,
+            own,
+        )
+        for run, noise, own in zip(runs, torque_noise, wheels, strict=True)
+    ]
     flat = {key: np.concatenate([part[key].T.ravel() for part in parts]) for key in parts[0]}
-    released = np.array([_released(run.torque_Nm[:, j], step) for run in runs for j in range(AXLES)])
+    released = np.array(
+        [_released(run.torque_Nm[:, j], step) for run in runs for j in range(AXLES)]
+    )
     sizes = np.array([run.time_s.size for run in runs])
     places = (float(flat["place_m"].min()), float(flat["place_m"].max()))
     ends = tuple(float(run.time_s[-1] - run.time_s[0]) for run in runs)
-    return Design(names=tuple(run.name for run in runs), step_s=step,
-                  start=np.concatenate([[0], np.cumsum(np.repeat(sizes, AXLES))]),
-                  run=np.repeat(np.arange(len(runs)), AXLES), axle=np.tile(np.arange(AXLES), len(runs)),
-                  mass_kg=np.array([run.mass_kg for run in runs]), **flat,
-                  vehicle_start=np.concatenate([[0], np.cumsum(sizes)]),
-                  vehicle_m_s=np.concatenate([run.speed_m_s for run in runs]),
-                  speed_noise_m_s=float(np.median(speed_noise)), wheel_noise_rad_s=float(np.median(wheel_noise)),
-                  torque_noise_Nm=torque_noise.copy(), calibration=data.accuracy["calibration_fraction"],
-                  form=data.accuracy["form_fraction"],
-                  base=base_parameters(data), resistance=resistance, released_Nm=released[:, 0].copy(),
-                  released_sd_Nm=released[:, 1].copy(), places_m=places if like is None else like.places_m,
-                  ends_s=ends if like is None else like.ends_s)
+    return Design(
+        names=tuple(run.name for run in runs),
+        step_s=step,
+        start=np.concatenate([[0], np.cumsum(np.repeat(sizes, AXLES))]),
+        run=np.repeat(np.arange(len(runs)), AXLES),
+        axle=np.tile(np.arange(AXLES), len(runs)),
+        mass_kg=np.array([run.mass_kg for run in runs]),
+        **flat,
+        vehicle_start=np.concatenate([[0], np.cumsum(sizes)]),
+        vehicle_m_s=np.concatenate([run.speed_m_s for run in runs]),
+        speed_noise_m_s=float(np.median(speed_noise)),
+        wheel_noise_rad_s=float(np.median(wheel_noise)),
+        torque_noise_Nm=torque_noise.copy(),
+        calibration=data.accuracy["calibration_fraction"],
+        form=data.accuracy["form_fraction"],
+        base=base_parameters(data),
+        resistance=resistance,
+        released_Nm=released[:, 0].copy(),
+        released_sd_Nm=released[:, 1].copy(),
+        places_m=places if like is None else like.places_m,
+        ends_s=ends if like is None else like.ends_s,
+    )
 
 
 def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
@@ -153,9 +181,17 @@ def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
         return float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-9
 
     speed = a["speed_m_s"] if a["speed_m_s"] > 0 else max(estimated(run.speed_m_s), 1e-4)
-    wheel = a["wheel_speed_rad_s"] if a["wheel_speed_rad_s"] > 0 else max(estimated(run.wheel_speed_rad_s), 1e-3)
+    wheel = (
+        a["wheel_speed_rad_s"]
+        if a["wheel_speed_rad_s"] > 0
+        else max(estimated(run.wheel_speed_rad_s), 1e-3)
+    )
     share = a["torque_fraction"]
-    return speed, wheel, max(share * float(np.max(run.torque_Nm)) if share > 0 else estimated(run.torque_Nm), 5.0)
+    return (
+        speed,
+        wheel,
+        max(share * float(np.max(run.torque_Nm)) if share > 0 else estimated(run.torque_Nm), 5.0),
+    )
 
 
 def _released(torque: np.ndarray, step_s: float) -> tuple[float, float]:
@@ -169,13 +205,24 @@ def _released(torque: np.ndarray, step_s: float) -> tuple[float, float]:
     return float(part.mean()), float(part.std(ddof=1) / np.sqrt(part.size))
 
 
-def _run(run: Run, data: Dataset, radius: float, inertia: float, step: float, speed_noise: float,
-         torque_noise: float, resistance: np.ndarray, wheels: np.ndarray) -> dict[str, np.ndarray]:
+def _run(
+    run: Run,
+    data: Dataset,
+    radius: float,
+    inertia: float,
+    step: float,
+    speed_noise: float,
+    torque_noise: float,
+    resistance: np.ndarray,
+    wheels: np.ndarray,
+) -> dict[str, np.ndarray]:
     v, window = run.speed_m_s, max(5, 2 * int(0.5 * WINDOW_S / step) + 1)
     coast = resistance[0] + resistance[1] * v + resistance[2] * v * v
     force = (run.torque_Nm.sum(axis=1) / radius + coast) / run.mass_kg
     middle = 0.5 * (force + np.append(force[1:], force[-1]))
-    u = smooth_speed(v + wheels, middle, step, speed_noise, 2.0 * torque_noise / (radius * run.mass_kg), 0.03)
+    u = smooth_speed(
+        v + wheels, middle, step, speed_noise, 2.0 * torque_noise / (radius * run.mass_kg), 0.03
+    )
     smooth_wheels = smoothed(run.wheel_speed_rad_s, window, 3)
     speed = u - inertia * smooth_wheels.sum(axis=1) / (run.mass_kg * radius)
     deceleration = -smoothed(speed, 2 * window + 1, 2, 1, step)
@@ -187,19 +234,31 @@ def _run(run: Run, data: Dataset, radius: float, inertia: float, step: float, sp
     adhesion = (inertia * rate + torque) / (radius * load)  # [P2]
     sliding = surface - radius * smooth_wheels
     energy = np.maximum(adhesion * 0.5 * load * sliding / surface, 0.0)
-    travelled = run.position_m if run.position_m is not None else np.concatenate(
-        [[0.0], np.cumsum(0.5 * step * (speed[1:] + speed[:-1]))])
+    travelled = (
+        run.position_m
+        if run.position_m is not None
+        else np.concatenate([[0.0], np.cumsum(0.5 * step * (speed[1:] + speed[:-1]))])
+    )
     place = travelled[:, None] - data.axle_position_m
     turned = step * run.wheel_speed_rad_s
-    return {"measured_rad_s": run.wheel_speed_rad_s, "torque_Nm": run.torque_Nm, "brake_Nm": torque, "load_N": load,
-            "speed_m_s": surface, "time_s": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
-            "place_m": place, "sliding_m_s": sliding, "adhesion": adhesion, "energy_J_m": energy,
-            "cleaned_J_m": _work_before(place, energy),
-            "heat_MJ": np.cumsum(np.maximum(torque * smooth_wheels, 0.0), axis=0) * step / 1e6,
-            "slid_m": np.cumsum(np.abs(sliding), axis=0) * step,
-            "braked_rad": np.cumsum(turned * (torque > BRAKED_SHARE * torque.max(axis=0)), axis=0),
-            "deceleration_m_s2": np.repeat(deceleration[:, None], AXLES, axis=1),
-            "angle_rad": np.cumsum(run.wheel_speed_rad_s, axis=0) * step - 0.5 * turned}
+    return {
+        "measured_rad_s": run.wheel_speed_rad_s,
+        "torque_Nm": run.torque_Nm,
+        "brake_Nm": torque,
+        "load_N": load,
+        "speed_m_s": surface,
+        "time_s": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
+        "place_m": place,
+        "sliding_m_s": sliding,
+        "adhesion": adhesion,
+        "energy_J_m": energy,
+        "cleaned_J_m": _work_before(place, energy),
+        "heat_MJ": np.cumsum(np.maximum(torque * smooth_wheels, 0.0), axis=0) * step / 1e6,
+        "slid_m": np.cumsum(np.abs(sliding), axis=0) * step,
+        "braked_rad": np.cumsum(turned * (torque > BRAKED_SHARE * torque.max(axis=0)), axis=0),
+        "deceleration_m_s2": np.repeat(deceleration[:, None], AXLES, axis=1),
+        "angle_rad": np.cumsum(run.wheel_speed_rad_s, axis=0) * step - 0.5 * turned,
+    }
 
 
 def _work_before(place: np.ndarray, energy: np.ndarray) -> np.ndarray:

@@ -10,11 +10,15 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 
-def smoothed(values: np.ndarray, window: int, order: int, derivative: int = 0, step: float = 1.0) -> np.ndarray:
+def smoothed(
+    values: np.ndarray, window: int, order: int, derivative: int = 0, step: float = 1.0
+) -> np.ndarray:
     """Values (n, ...) or their derivative, over an odd window of samples, n at least as many, by a polynomial."""
     half = window // 2
     t, step = np.linspace(-1.0, 1.0, window), half * step
-    fit = np.linalg.pinv(np.vander(t, order + 1, increasing=True))  # its coefficients, (order + 1, window)
+    fit = np.linalg.pinv(
+        np.vander(t, order + 1, increasing=True)
+    )  # its coefficients, (order + 1, window)
     powers = np.arange(derivative, order + 1)
     factors = [math.perm(power, derivative) / step**derivative for power in powers]
     out = correlate1d(values, fit[derivative] * factors[0], axis=0, mode="nearest")

@@ -24,10 +24,14 @@ TAKEN = 20.0  # likelihood that a cause must win at least
 ELSEWHERE = 0.2  # share of the evidence that must lie outside its best block
 # a second cause below this share of the first is taken for the first one's shape
 SECOND_SHARE, SECOND_FLOOR = 0.11, 20.0
-SECOND_SHARE_OF_AXLE = 0.05  # one of a single wheelset is no matter of the shape of a first one of all
+SECOND_SHARE_OF_AXLE = (
+    0.05  # one of a single wheelset is no matter of the shape of a first one of all
+)
 CERTAIN = 300.0  # likelihood beyond what a clean set can win
 SCORE_SHARE = 0.3  # its score, before it is fitted, may be this share of that
-OWN_SHARE = 0.3  # a second cause that could be taken for the first must have this share of its likelihood
+OWN_SHARE = (
+    0.3  # a second cause that could be taken for the first must have this share of its likelihood
+)
 PRICE = 5.0  # likelihood that each further coefficient of a shape must earn, beside that of the choice of shape
 BLOCK_S = 3.0
 
@@ -54,7 +58,9 @@ class NamedCause(NamedTuple):
     @property
     def unbiased(self) -> Cause:
         """The cause less the bias that clean sets show."""
-        return tuning.bounded(self.cause._replace(values=tuple(np.subtract(self.cause.values, self.finding.bias))))
+        return tuning.bounded(
+            self.cause._replace(values=tuple(np.subtract(self.cause.values, self.finding.bias)))
+        )
 
 
 class Fitted(NamedTuple):
@@ -77,15 +83,23 @@ def fit_one(design: Design, explanation: Explanation) -> Fitted:
     """Fit an explanation to a design; its deviance by blocks of 3 s."""
     found = tuning.fit(design, explanation, 6)
     if explanation.causes and explanation.causes[-1].name == tuning.MEMORY:
-        found = min(found, tuning.fit(design, shapes.remembered(design, found[0]), 9), key=lambda fit: fit[1])
+        found = min(
+            found,
+            tuning.fit(design, shapes.remembered(design, found[0]), 9),
+            key=lambda fit: fit[1],
+        )
     if any(table.OF[cause.name].edge_step for cause in explanation.causes):
         found = tuning.fit(design, shapes.refined(design, found[0]), 4)
     return Fitted(*found, blocks(design, found[0]))
 
 
-def fit_all(setting: null_sets.Setting, explanations: Sequence[Explanation], title: str) -> list[Fitted]:
+def fit_all(
+    setting: null_sets.Setting, explanations: Sequence[Explanation], title: str
+) -> list[Fitted]:
     """Each of some explanations fitted to the measured runs, on all cores."""
-    return setting.run_all(fit_one, [(setting.design, explanation) for explanation in explanations], title)
+    return setting.run_all(
+        fit_one, [(setting.design, explanation) for explanation in explanations], title
+    )
 
 
 def blocks(design: Design, explanation: Explanation) -> np.ndarray:
@@ -95,15 +109,20 @@ def blocks(design: Design, explanation: Explanation) -> np.ndarray:
     length, found = int(BLOCK_S / design.step_s), []
     for run in range(design.mass_kg.size):
         whole = np.column_stack([design.by_axle(wheel, run), car[design.vehicle_span(run)]])
-        found += [whole[k:k + length].sum(axis=0) for k in range(0, len(whole), length)]
+        found += [whole[k : k + length].sum(axis=0) for k in range(0, len(whole), length)]
     return np.array(found).T
 
 
-def quieted(setting: null_sets.Setting, base: Explanation, likely: list[Cause]) -> tuple[Explanation, list[Fitted]]:
+def quieted(
+    setting: null_sets.Setting, base: Explanation, likely: list[Cause]
+) -> tuple[Explanation, list[Fitted]]:
     """An explanation with the irregularity that is left beside the most promising further causes, and their fits."""
     # a cause that it does not have looks like a rougher rail, and would hide in it
-    fits = fit_all(setting, [base._replace(causes=(*base.causes, cause)) for cause in likely],
-                   "irregularity of the rail")
+    fits = fit_all(
+        setting,
+        [base._replace(causes=(*base.causes, cause)) for cause in likely],
+        "irregularity of the rail",
+    )
     best = min(fits, key=lambda fit: fit.value, default=None)
     if best is None or best.explanation.sigma >= base.sigma:
         return base, fits
@@ -111,36 +130,66 @@ def quieted(setting: null_sets.Setting, base: Explanation, likely: list[Cause]) 
     return tuning.fit(setting.design, calm, 4, False)[0], fits
 
 
-def fitted(setting: null_sets.Setting, explanation: Explanation, found: list[evidence.Finding], most: int,
-           ready: Sequence[Fitted] = ()) -> list[Candidate]:
+def fitted(
+    setting: null_sets.Setting,
+    explanation: Explanation,
+    found: list[evidence.Finding],
+    most: int,
+    ready: Sequence[Fitted] = (),
+) -> list[Candidate]:
     """The causes that count beside an explanation, each fitted; a memory, whose fit begins anew, from those ready."""
     present = {cause.name for cause in explanation.causes}
-    counted = [f for f in found if not evidence.generic(f.name) and evidence.significant(f) and f.name not in present]
+    counted = [
+        f
+        for f in found
+        if not evidence.generic(f.name) and evidence.significant(f) and f.name not in present
+    ]
     counted = sorted(counted, key=lambda f: -f.statistic)[:most]
-    fits = {name: fit for fit in ready if (name := fit.explanation.causes[-1].name) == tuning.MEMORY}
+    fits = {
+        name: fit for fit in ready if (name := fit.explanation.causes[-1].name) == tuning.MEMORY
+    }
     new = [f for f in counted if f.name not in fits]
-    fits |= zip((f.name for f in new), fit_all(setting, [
-        explanation._replace(causes=(*explanation.causes, f.cause())) for f in new], "fit of causes"), strict=True)
+    fits |= zip(
+        (f.name for f in new),
+        fit_all(
+            setting,
+            [explanation._replace(causes=(*explanation.causes, f.cause())) for f in new],
+            "fit of causes",
+        ),
+        strict=True,
+    )
     return [Candidate(f, fits[f.name]) for f in counted]
 
 
-def and_ready(value: float, rivals: list[Candidate], ready: list[Fitted], scored: tuning.Normal,
-              nulls: list[evidence.Scores]) -> list[Candidate]:
+def and_ready(
+    value: float,
+    rivals: list[Candidate],
+    ready: list[Fitted],
+    scored: tuning.Normal,
+    nulls: list[evidence.Scores],
+) -> list[Candidate]:
     """The rivals, each in the shape of a fit that is ready where that is better, and causes whose fit wins so much that
     no score is asked: far from the base, scores say little."""
     best = {rival.finding.name: rival for rival in rivals}
     for fit in ready:
         cause = fit.explanation.causes[-1]
         known, finding = best.get(cause.name), evidence.finding_of(scored, nulls, cause)
-        if finding and (value - fit.value > CERTAIN if known is None else fit.value < known.fit.value - 4.0):
-            best[cause.name] = Candidate(finding._replace(trials=known.finding.trials if known else 1), fit)
+        if finding and (
+            value - fit.value > CERTAIN if known is None else fit.value < known.fit.value - 4.0
+        ):
+            best[cause.name] = Candidate(
+                finding._replace(trials=known.finding.trials if known else 1), fit
+            )
     return [*best.values()]
 
 
-def choose(design: Design, explanation: Explanation, value: float, rivals: list[Candidate]
-           ) -> tuple[Explanation, list[NamedCause]]:
+def choose(
+    design: Design, explanation: Explanation, value: float, rivals: list[Candidate]
+) -> tuple[Explanation, list[NamedCause]]:
     """The best further cause, with those that cannot be told from it."""
-    ratio = [value - fit.value - max(f.expected - len(f.estimate), 0.0) - _price(f) for f, fit in rivals]
+    ratio = [
+        value - fit.value - max(f.expected - len(f.estimate), 0.0) - _price(f) for f, fit in rivals
+    ]
     if max(ratio, default=0.0) < TAKEN:
         return explanation, []
     order = np.argsort(ratio)[::-1]
@@ -149,16 +198,28 @@ def choose(design: Design, explanation: Explanation, value: float, rivals: list[
     drop = blocks(design, explanation) - best.blocks
     # what tolerances had taken up stands in no block; the rest must not be one place of one run
     whole = max(float(drop.sum()), ratio[top])
-    if not table.OF[finding.name].edge_step and whole - drop.sum(axis=0).max() < max(evidence.FLOOR, ELSEWHERE * whole):
+    if not table.OF[finding.name].edge_step and whole - drop.sum(axis=0).max() < max(
+        evidence.FLOOR, ELSEWHERE * whole
+    ):
         return explanation, []
     beside = _beside(best, ratio[top], [(rivals[int(k)], ratio[k]) for k in order[1:]])
     at = len(best.covariance) - len(best.explanation.causes[-1].values)
-    return best.explanation, [NamedCause(finding, best.explanation.causes[-1], float(ratio[top]),
-                                         tuple(drop.sum(axis=1)), _deviation(finding, best, at),
-                                         _alike(beside, design.form), beside)]
+    return best.explanation, [
+        NamedCause(
+            finding,
+            best.explanation.causes[-1],
+            float(ratio[top]),
+            tuple(drop.sum(axis=1)),
+            _deviation(finding, best, at),
+            _alike(beside, design.form),
+            beside,
+        )
+    ]
 
 
-def scaled(design: Design, explanation: Explanation, causes: list[NamedCause]) -> tuple[Explanation, list[NamedCause]]:
+def scaled(
+    design: Design, explanation: Explanation, causes: list[NamedCause]
+) -> tuple[Explanation, list[NamedCause]]:
     """The causes with their scales off the grid of the search, fitted again."""
     better = shapes.scaled(design, explanation)
     if better == explanation:
@@ -177,14 +238,18 @@ def _price(finding: evidence.Finding) -> float:
 
 def _deviation(finding: evidence.Finding, fit: Fitted, at: int) -> tuple[float, ...]:
     """Deviations of a cause's coefficients, which stand from place `at` on in the covariance."""
-    nominal = np.sqrt(np.diag(fit.covariance)[at:at + len(finding.estimate)])
+    nominal = np.sqrt(np.diag(fit.covariance)[at : at + len(finding.estimate)])
     floor = table.OF[finding.name].floor
     return tuple(float(np.hypot(s * max(finding.spread, 1.0), floor)) for s in nominal)
 
 
-def _beside(best: Fitted, ratio: float, others: Sequence[tuple[Candidate, float]]) -> tuple[Rival, ...]:
-    return tuple(Rival(one.finding.name, float(less / ratio), parted(best, one.fit, ratio, less))
-                 for one, less in others)
+def _beside(
+    best: Fitted, ratio: float, others: Sequence[tuple[Candidate, float]]
+) -> tuple[Rival, ...]:
+    return tuple(
+        Rival(one.finding.name, float(less / ratio), parted(best, one.fit, ratio, less))
+        for one, less in others
+    )
 
 
 def _alike(rivals: Sequence[Rival], form: float) -> tuple[str, ...]:
@@ -201,9 +266,13 @@ def parted(best: Fitted, other: Fitted, ratio: float, less: float) -> bool:
     return bool(ratio - less >= max(1.64 * spread, 4.0))
 
 
-def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause],
-                 rivals: list[Candidate], seed: int
-                 ) -> tuple[Explanation, list[NamedCause], list[evidence.Finding] | None]:
+def second_cause(
+    setting: null_sets.Setting,
+    explanation: Explanation,
+    causes: list[NamedCause],
+    rivals: list[Candidate],
+    seed: int,
+) -> tuple[Explanation, list[NamedCause], list[evidence.Finding] | None]:
     """Further causes beside the first, and the remainder behind all of them.
 
     The remainder is None where stops simulated with them do not brake like the recording.
@@ -212,22 +281,31 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
     remainder: list[evidence.Finding] = []
     for turn in range(MOST_CAUSES):
         known = tuple(named.finding.name for named in causes)
-        windows = [cause for cause in evidence.likely(design, tuning.normal(design, explanation)[0], MOST_BESIDE)
-                   if table.OF[cause.name].edge_step and cause.name not in known and turn + 1 < MOST_CAUSES]
+        windows = [
+            cause
+            for cause in evidence.likely(design, tuning.normal(design, explanation)[0], MOST_BESIDE)
+            if table.OF[cause.name].edge_step and cause.name not in known and turn + 1 < MOST_CAUSES
+        ]
         try:
             found, *_ = null_sets.judged(setting, explanation, CHECK_SETS, seed + 7 + turn, known)
             if windows:  # the remainder is judged on the rail as it was fitted
                 quiet, _ = quieted(setting, explanation, windows)
                 again, *_ = null_sets.judged(setting, quiet, CHECK_SETS, seed + 7 + turn, known)
                 sought = {cause.name for cause in windows}
-                found = [f for f in found if f.name not in sought] + [f for f in again if f.name in sought]
+                found = [f for f in found if f.name not in sought] + [
+                    f for f in again if f.name in sought
+                ]
         except ConfigError:
             return explanation, causes, None
         value = tuning.deviance(design, explanation)
         remainder = [f for f in found if evidence.generic(f.name)]
         first = causes[0]
         most = [(f, f.statistic / SCORE_SHARE, _shows(f)) for f in found]
-        found = [f for f, ratio, shows in most if _earned(first, f, ratio, ratio * shows / shows.sum()) > SECOND_FLOOR]
+        found = [
+            f
+            for f, ratio, shows in most
+            if _earned(first, f, ratio, ratio * shows / shows.sum()) > SECOND_FLOOR
+        ]
         if len(causes) >= MOST_CAUSES:
             break
         beside = fitted(setting, explanation, found, MOST_BESIDE)
@@ -235,60 +313,112 @@ def second_cause(setting: null_sets.Setting, explanation: Explanation, causes: l
             explanation, value, _ = tuning.fit(design, explanation, 9)
             causes = [first := first._replace(cause=explanation.causes[0])]
         better, more = choose(design, explanation, value, beside)
-        if not more or _earned(first, more[0].finding, more[0].ratio, np.array(more[0].won)) < SECOND_FLOOR \
-                or not _both_needed(setting, better, value):
+        if (
+            not more
+            or _earned(first, more[0].finding, more[0].ratio, np.array(more[0].won)) < SECOND_FLOOR
+            or not _both_needed(setting, better, value)
+        ):
             break
-        better, both = _swapped(setting, better, [first._replace(cause=better.causes[0]), more[0]], rivals)
+        better, both = _swapped(
+            setting, better, [first._replace(cause=better.causes[0]), more[0]], rivals
+        )
         won = value - tuning.deviance(design, better)
         if more[0].finding.name in first.confusable and won < OWN_SHARE * first.ratio:
             break
         explanation, causes = scaled(design, better, both)
         names = [named.finding.name for named in causes]
-        causes = [named._replace(confusable=tuple(n for n in named.confusable if n not in names)) for named in causes]
+        causes = [
+            named._replace(confusable=tuple(n for n in named.confusable if n not in names))
+            for named in causes
+        ]
     return explanation, causes, remainder
 
 
 def _shows(second: evidence.Finding) -> np.ndarray:
     """In which filters a cause shows, shape (5,): the vehicle's knows no adhesion law, the wheels' no force on it."""
     on = table.OF[second.name].mechanism.acts_on if second.name in table.OF else ""
-    return np.array([*(on != VEHICLE and second.axle in (0, j + 1) for j in range(AXLES)),
-                     on not in (FRICTION, CONTACT, LOAD)], dtype=float)
+    return np.array(
+        [
+            *(on != VEHICLE and second.axle in (0, j + 1) for j in range(AXLES)),
+            on not in (FRICTION, CONTACT, LOAD),
+        ],
+        dtype=float,
+    )
 
 
 def _earned(first: NamedCause, second: evidence.Finding, ratio: float, won: np.ndarray) -> float:
     """Likelihood of a second cause less what a wrong shape of the first may lend it in a filter: a share of its own."""
     both, share = np.array([won, first.won]), SECOND_SHARE
-    if first.cause.axle == 0:  # wheelsets have one level and one recovery: what is wrong in one moves the others
-        both, share = np.add.reduceat(both, [0, AXLES], axis=1), SECOND_SHARE_OF_AXLE if second.axle else SECOND_SHARE
+    if (
+        first.cause.axle == 0
+    ):  # wheelsets have one level and one recovery: what is wrong in one moves the others
+        both, share = (
+            np.add.reduceat(both, [0, AXLES], axis=1),
+            SECOND_SHARE_OF_AXLE if second.axle else SECOND_SHARE,
+        )
     return ratio - float(np.minimum(both[0], share * both[1]).clip(0.0).sum())
 
 
-def _swapped(setting: null_sets.Setting, explanation: Explanation, causes: list[NamedCause], rivals: list[Candidate]
-             ) -> tuple[Explanation, list[NamedCause]]:
+def _swapped(
+    setting: null_sets.Setting,
+    explanation: Explanation,
+    causes: list[NamedCause],
+    rivals: list[Candidate],
+) -> tuple[Explanation, list[NamedCause]]:
     """The first cause looked for again beside the second: one that had to stand for both gives way."""
     first, second = causes
     others = [rival for rival in rivals if rival.finding.name != second.finding.name]
-    fits = fit_all(setting, [explanation._replace(causes=(one.fit.explanation.causes[-1], second.cause))
-                             for one in others], "first cause again")
+    fits = fit_all(
+        setting,
+        [
+            explanation._replace(causes=(one.fit.explanation.causes[-1], second.cause))
+            for one in others
+        ],
+        "first cause again",
+    )
     value = tuning.deviance(setting.design, explanation) + _price(first.finding)
     won = [value - fit.value - _price(one.finding) for one, fit in zip(others, fits, strict=True)]
     own = next(k for k, one in enumerate(others) if one.finding == first.finding)
     top = int(np.argmax(won)) if max(won) >= 4.0 else own
     ratio = first.ratio + np.array(won)
-    beside = _beside(fits[top], ratio[top], [(Candidate(other.finding, fits[k]), ratio[k])
-                                             for k, other in enumerate(others) if k != top])
+    beside = _beside(
+        fits[top],
+        ratio[top],
+        [
+            (Candidate(other.finding, fits[k]), ratio[k])
+            for k, other in enumerate(others)
+            if k != top
+        ],
+    )
     alike = _alike(beside, setting.design.form)
     if top == own:
-        return explanation, [first._replace(confusable=tuple(dict.fromkeys(first.confusable + alike)),
-                                            rivals=beside), second]
+        return explanation, [
+            first._replace(
+                confusable=tuple(dict.fromkeys(first.confusable + alike)), rivals=beside
+            ),
+            second,
+        ]
     finding, better = others[top].finding, fits[top].explanation
-    first = NamedCause(finding, better.causes[0], ratio[top], first.won, _deviation(finding, fits[top], 0), alike,
-                       beside)
+    first = NamedCause(
+        finding,
+        better.causes[0],
+        ratio[top],
+        first.won,
+        _deviation(finding, fits[top], 0),
+        alike,
+        beside,
+    )
     return better, [first, second._replace(cause=better.causes[1])]
 
 
 def _both_needed(setting: null_sets.Setting, explanation: Explanation, value: float) -> bool:
     """Whether the first cause still earns its likelihood beside the second."""
-    both, alone = (fit.value for fit in fit_all(
-        setting, [explanation, explanation._replace(causes=explanation.causes[1:])], "both causes"))
+    both, alone = (
+        fit.value
+        for fit in fit_all(
+            setting,
+            [explanation, explanation._replace(causes=explanation.causes[1:])],
+            "both causes",
+        )
+    )
     return alone - both > max(SECOND_FLOOR, SECOND_SHARE * (value - both))

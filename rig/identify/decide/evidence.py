@@ -57,7 +57,8 @@ class Finding(NamedTuple):
 def scores(normal: tuning.Normal, keep: Sequence[str] = ()) -> Scores:
     """Scores of all columns [E1]; causes already in the explanation (`keep`) join the base."""
     base = tuning.base_columns(normal.matrix) + [
-        c for c, column in enumerate(normal.matrix.columns) if column.cause in keep]
+        c for c, column in enumerate(normal.matrix.columns) if column.cause in keep
+    ]
     A, b = normal.A, normal.b
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A)[base], 1e-30))
     small = A[np.ix_(base, base)] * np.outer(scale, scale) + 1e-8 * np.eye(len(base))
@@ -80,7 +81,9 @@ def _together(clean: Sequence[Scores]) -> Scores:
     return Scores(np.array([s.S for s in clean]), np.array([s.g for s in clean]))
 
 
-def findings(design: Design, normal: tuning.Normal, clean: list[Scores], known: Sequence[str] = ()) -> list[Finding]:
+def findings(
+    design: Design, normal: tuning.Normal, clean: list[Scores], known: Sequence[str] = ()
+) -> list[Finding]:
     """Best shape of every cause and smooth function, most significant first; `known` left out."""
     real = scores(normal, known)
     judged: dict[str, list[Finding]] = {}
@@ -92,7 +95,10 @@ def findings(design: Design, normal: tuning.Normal, clean: list[Scores], known: 
         if window is not None and window.name not in known:
             judged[window.name] = [window]
     best = [(max(shapes, key=lambda f: f.statistic), len(shapes)) for shapes in judged.values()]
-    chosen = [f._replace(p_value=min(1.0, f.p_value * np.sqrt(trials)), trials=trials) for f, trials in best]
+    chosen = [
+        f._replace(p_value=min(1.0, f.p_value * np.sqrt(trials)), trials=trials)
+        for f, trials in best
+    ]
     return sorted(chosen, key=lambda f: (f.p_value, -f.statistic))
 
 
@@ -104,9 +110,14 @@ def likely(design: Design, normal: tuning.Normal, count: int) -> list[Cause]:
         if generic(variant.cause):
             continue
         x, S = _coefficients(real, list(variant.columns))
-        value = (0.0 if _wrong_sign(variant.cause, float(x[0])) else float(x @ S @ x)) - 3.0 * len(x)
+        value = (0.0 if _wrong_sign(variant.cause, float(x[0])) else float(x @ S @ x)) - 3.0 * len(
+            x
+        )
         if value > (best[variant.cause][0] if variant.cause in best else 10.0):
-            best[variant.cause] = (value, Cause(variant.cause, variant.axle, variant.shape, tuple(float(v) for v in x)))
+            best[variant.cause] = (
+                value,
+                Cause(variant.cause, variant.axle, variant.shape, tuple(float(v) for v in x)),
+            )
     # windows are searched, so they have to earn more
     still = [Scores(real.S, np.zeros_like(real.g))] * 2
     for window in (_patch(normal, real, still), _sand(design, normal, real, still)):
@@ -129,10 +140,18 @@ def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> Finding:
     statistic = float((x - bias) @ S @ (x - bias)) / scale
     if _wrong_sign(variant.cause, float(x[0] - bias[0])):
         statistic = 0.0
-    return Finding(name=variant.cause, axle=variant.axle, shape=variant.shape, estimate=tuple(x - bias),
-                   bias=tuple(bias), deviation=tuple(nominal * np.sqrt(scale)), statistic=statistic,
-                   p_value=float(fdtrc(size, freedom, max(statistic, 0.0) / size)),
-                   expected=float(np.einsum("ki,kij,kj->k", null, T, null).mean()), spread=float(np.sqrt(scale)))
+    return Finding(
+        name=variant.cause,
+        axle=variant.axle,
+        shape=variant.shape,
+        estimate=tuple(x - bias),
+        bias=tuple(bias),
+        deviation=tuple(nominal * np.sqrt(scale)),
+        statistic=statistic,
+        p_value=float(fdtrc(size, freedom, max(statistic, 0.0) / size)),
+        expected=float(np.einsum("ki,kij,kj->k", null, T, null).mean()),
+        spread=float(np.sqrt(scale)),
+    )
 
 
 def finding_of(normal: tuning.Normal, clean: list[Scores], cause: Cause) -> Finding | None:
@@ -144,14 +163,18 @@ def finding_of(normal: tuning.Normal, clean: list[Scores], cause: Cause) -> Find
 def _wrong_sign(cause: str, value: float) -> bool:
     """Whether a coefficient lies on the side of 0 where the cause does not exist."""
     row = table.OF.get(cause)
-    return row is not None and row.mechanism.parameters[0].low == 0.0 and value < 0.0 and not row.phase
+    return (
+        row is not None and row.mechanism.parameters[0].low == 0.0 and value < 0.0 and not row.phase
+    )
 
 
 def _bins(normal: tuning.Normal, owner: str) -> list[int]:
     return [c for c, column in enumerate(normal.matrix.columns) if column.cause == owner]
 
 
-def _best_window(S: np.ndarray, g: np.ndarray, longest: int, sign: float) -> tuple[int, int, float, float] | None:
+def _best_window(
+    S: np.ndarray, g: np.ndarray, longest: int, sign: float
+) -> tuple[int, int, float, float] | None:
     """(from, to, coefficient, T) of neighbouring bins of greatest T, among those whose coefficient has this sign."""
     found = []
     for low in range(len(g)):
@@ -175,27 +198,56 @@ def _patch(normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding 
     if len(at) < 4:
         return None
     bias = np.mean([s.g[at] for s in clean], axis=0)
-    seen, *ordinary = (_best_window(s.S[np.ix_(at, at)], s.g[at] - bias, MOST_BINS, -1.0) for s in (real, *clean))
+    seen, *ordinary = (
+        _best_window(s.S[np.ix_(at, at)], s.g[at] - bias, MOST_BINS, -1.0) for s in (real, *clean)
+    )
     if seen is None:
         return None
     null = np.array([window[3] if window else 0.0 for window in ordinary])
     low, high, x, T = seen
-    shape = table.ALONE | {"start_m": float(normal.matrix.columns[at[low]].label),
-                           "length_m": float((high - low) * columns.PLACE_BIN_M)}
+    shape = table.ALONE | {
+        "start_m": float(normal.matrix.columns[at[low]].label),
+        "length_m": float((high - low) * columns.PLACE_BIN_M),
+    }
     spread = max(float(np.sqrt(null.mean() / 8.0)), 1.0)
-    return Finding("contaminated_patch", 0, shape, (-x,), (0.0,), (spread * abs(x) / np.sqrt(max(T, 1e-9)),), T,
-                   _tail(T, null), float(null.mean()), spread)
+    return Finding(
+        "contaminated_patch",
+        0,
+        shape,
+        (-x,),
+        (0.0,),
+        (spread * abs(x) / np.sqrt(max(T, 1e-9)),),
+        T,
+        _tail(T, null),
+        float(null.mean()),
+        spread,
+    )
 
 
-def _sand(design: Design, normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding | None:
+def _sand(
+    design: Design, normal: tuning.Normal, real: Scores, clean: list[Scores]
+) -> Finding | None:
     """Sand under all wheelsets, or not under the first: the better of both."""
-    found = [_sand_on(design, normal, real, clean, owner, shape)
-             for owner, shape in (("time_bin", table.ALONE), ("time_bin behind", table.ALONE | {"behind": 1.0}))]
-    return max((f for f in found if f is not None), key=lambda f: f.statistic - f.expected, default=None)
+    found = [
+        _sand_on(design, normal, real, clean, owner, shape)
+        for owner, shape in (
+            ("time_bin", table.ALONE),
+            ("time_bin behind", table.ALONE | {"behind": 1.0}),
+        )
+    ]
+    return max(
+        (f for f in found if f is not None), key=lambda f: f.statistic - f.expected, default=None
+    )
 
 
-def _sand_on(design: Design, normal: tuning.Normal, real: Scores, clean: list[Scores], owner: str,
-             shape: dict[str, float]) -> Finding | None:
+def _sand_on(
+    design: Design,
+    normal: tuning.Normal,
+    real: Scores,
+    clean: list[Scores],
+    owner: str,
+    shape: dict[str, float],
+) -> Finding | None:
     at = _bins(normal, owner)
     runs = [int(normal.matrix.columns[c].label.split()[0]) for c in at]
     bias = np.mean([s.g[at] for s in clean], axis=0)
@@ -224,8 +276,18 @@ def _sand_on(design: Design, normal: tuning.Normal, real: Scores, clean: list[Sc
         return None
     x = float(np.average(sizes, weights=weights))
     spread = max(float(np.sqrt(null.mean() / (6.0 * len(sizes)))), 1.0)
-    return Finding("sanding", 0, shape, (x,), (0.0,), (spread / np.sqrt(sum(weights)),), T, _tail(T, null),
-                   float(null.mean()), spread)
+    return Finding(
+        "sanding",
+        0,
+        shape,
+        (x,),
+        (0.0,),
+        (spread / np.sqrt(sum(weights)),),
+        T,
+        _tail(T, null),
+        float(null.mean()),
+        spread,
+    )
 
 
 def generic(name: str) -> bool:
@@ -243,9 +305,18 @@ def settled(found: Sequence[Finding]) -> bool:
 
     A window may not be the one: its p-value does not know of how few clean sets it is.
     """
-    near = [f for f in found if f.p_value < NEAR_ALPHA * _limit(f) and f.statistic - len(f.estimate) > 0.5 * FLOOR]
-    out = max((f.statistic for f in near if significant(f, STANDS_OUT * FLOOR) and not _is_window(f)), default=0.0)
-    return not near or 0.0 < out > 2.0 * max((f.statistic for f in near if _is_window(f)), default=0.0)
+    near = [
+        f
+        for f in found
+        if f.p_value < NEAR_ALPHA * _limit(f) and f.statistic - len(f.estimate) > 0.5 * FLOOR
+    ]
+    out = max(
+        (f.statistic for f in near if significant(f, STANDS_OUT * FLOOR) and not _is_window(f)),
+        default=0.0,
+    )
+    return not near or 0.0 < out > 2.0 * max(
+        (f.statistic for f in near if _is_window(f)), default=0.0
+    )
 
 
 def _is_window(found: Finding) -> bool:

@@ -38,7 +38,9 @@ class Account(NamedTuple):
     final: Explanation
     verdict: str
     causes: list[choice.NamedCause]
-    set_aside: list[choice.NamedCause]  # fitted, and not named: what remains behind them is too much
+    set_aside: list[
+        choice.NamedCause
+    ]  # fitted, and not named: what remains behind them is too much
     findings: list[Finding]
     remainder: list[Finding]
     gain: Gain | None
@@ -69,7 +71,9 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
         explanation, causes = choice.scaled(design, *choice.choose(design, base, value, rivals))
         remainder: list[Finding] | None = [f for f in found if evidence.generic(f.name)]
         if causes:
-            explanation, causes, remainder = choice.second_cause(setting, explanation, causes, rivals, seed)
+            explanation, causes, remainder = choice.second_cause(
+                setting, explanation, causes, rivals, seed
+            )
         explanation = explanation._replace(causes=tuple(named.unbiased for named in causes))
         held = prepare(data, data.group("validate")) if data.group("validate") else None
         notes = list(data.warnings)
@@ -79,34 +83,69 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
             causes, set_aside, explanation, won = [], causes, base, None
         if verdict == "unexplained":
             progress("formula", 0.0)
-            formula = unknown.find(design, held, quiet, [f for f in found if evidence.generic(f.name)], seed)
+            formula = unknown.find(
+                design, held, quiet, [f for f in found if evidence.generic(f.name)], seed
+            )
             progress("formula", 1.0)
         if formula is not None:
             explanation, won = formula.explanation, formula.gain
     p_value = min([f.p_value for f in found], default=1.0)
-    return Account(data, design, held, base, explanation, verdict, causes, set_aside, found, remainder or [], won,
-                   float(1.0 - (1.0 - p_value) ** 30), notes, formula, time.monotonic() - began)
+    return Account(
+        data,
+        design,
+        held,
+        base,
+        explanation,
+        verdict,
+        causes,
+        set_aside,
+        found,
+        remainder or [],
+        won,
+        float(1.0 - (1.0 - p_value) ** 30),
+        notes,
+        formula,
+        time.monotonic() - began,
+    )
 
 
 def _check(design: Design, base: Explanation) -> None:
     nu, S, *_ = sensitivity.innovations(design, candidates.inputs(design, base))
     spread = float(np.median(nu * nu / S) / 0.455)
     if spread > 2.5 or spread < 0.3:
-        raise ConfigError(f"the innovations have {spread:.2g} times the variance that the declared accuracy allows (1 "
-                          "is right, 0.3 to 2.5 is accepted): correct [accuracy] in dataset.toml, or leave its values "
-                          "out to have them estimated")
+        raise ConfigError(
+            f"the innovations have {spread:.2g} times the variance that the declared accuracy allows (1 "
+            "is right, 0.3 to 2.5 is accepted): correct [accuracy] in dataset.toml, or leave its values "
+            "out to have them estimated"
+        )
 
 
-def _gain(held: Design | None, base: Explanation, explanation: Explanation, causes: list[choice.NamedCause],
-          seed: int, notes: list[str]) -> Gain | None:
+def _gain(
+    held: Design | None,
+    base: Explanation,
+    explanation: Explanation,
+    causes: list[choice.NamedCause],
+    seed: int,
+    notes: list[str],
+) -> Gain | None:
     hidden = [what for named in causes if (what := table.OF[named.finding.name].not_elsewhere)]
     if held is not None and hidden:
-        notes.append(f"{hidden[0]} not known for the runs that were not fitted: the gain cannot be judged there")
-    return None if held is None or hidden or not causes else gain.measure(held, base, explanation, seed)
+        notes.append(
+            f"{hidden[0]} not known for the runs that were not fitted: the gain cannot be judged there"
+        )
+    return (
+        None
+        if held is None or hidden or not causes
+        else gain.measure(held, base, explanation, seed)
+    )
 
 
-def _verdict(causes: list[choice.NamedCause], remainder: list[Finding] | None, won: Gain | None,
-             notes: list[str]) -> str:
+def _verdict(
+    causes: list[choice.NamedCause],
+    remainder: list[Finding] | None,
+    won: Gain | None,
+    notes: list[str],
+) -> str:
     """consistent, explained, partly or unexplained; a small remainder becomes a note."""
     if remainder is None:
         told = " and ".join(named.finding.name for named in causes)
@@ -116,17 +155,30 @@ def _verdict(causes: list[choice.NamedCause], remainder: list[Finding] | None, w
     if not causes:
         return "unexplained" if left else "consistent"
     if won is not None and won.likelihood < 0.0:
-        notes.append(f"{causes[0].finding.name} would fit the tuning runs but makes runs that were "
-                     "not fitted worse: not named")
+        notes.append(
+            f"{causes[0].finding.name} would fit the tuning runs but makes runs that were "
+            "not fitted worse: not named"
+        )
         return "unexplained"
     total = sum(named.ratio for named in causes)
     # two causes that leave a third thing may be what two forms make of one that the library does not have
     alone = len(causes) == 1
-    own = {f"along {name}" for named in causes if alone for name in table.OF[named.finding.name].goes_by}
-    much = [f for f in left if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)]
+    own = {
+        f"along {name}"
+        for named in causes
+        if alone
+        for name in table.OF[named.finding.name].goes_by
+    }
+    much = [
+        f
+        for f in left
+        if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)
+    ]
     if much and (not alone or remainder_share(causes, much) > PARTLY_SHARE):
-        notes.append(f"behind {' and '.join(named.finding.name for named in causes)} much remains along "
-                     f"{evidence.against(much[0])}: the cause, or its form, is not in the library")
+        notes.append(
+            f"behind {' and '.join(named.finding.name for named in causes)} much remains along "
+            f"{evidence.against(much[0])}: the cause, or its form, is not in the library"
+        )
         return "unexplained"
     if left and not much:
         notes.append(f"a small part remains along {evidence.against(left[0])}")

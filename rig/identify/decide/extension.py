@@ -26,10 +26,17 @@ def parameters(named: NamedCause) -> dict[str, dict[str, Any]]:
     rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
     for k, (row, middle) in enumerate(zip(rows.values(), named.unbiased.values, strict=False)):
         sd = named.deviation[min(k, len(named.deviation) - 1)]
-        found[row.name] = {"value": middle, "ci95": [middle - 1.96 * sd, middle + 1.96 * sd], "unit": row.source}
+        found[row.name] = {
+            "value": middle,
+            "ci95": [middle - 1.96 * sd, middle + 1.96 * sd],
+            "unit": row.source,
+        }
     for name, value in named.cause.shape.items():
-        found[name] = {"value": value, "ci95": _width(named.cause.name, name, value),
-                       "unit": rows[name].source if name in rows else "s"}
+        found[name] = {
+            "value": value,
+            "ci95": _width(named.cause.name, name, value),
+            "unit": rows[name].source if name in rows else "s",
+        }
     return found
 
 
@@ -37,8 +44,13 @@ def _width(cause: str, name: str, value: float) -> list[float]:
     """Interval of a shape: the grid on which it was searched."""
     if name in table.OF[cause].scales:
         return [value / 2.0, value * 2.0]
-    edge = PLACE_BIN_M if name in ("start_m", "length_m") else \
-        TIME_BIN_S if name.startswith(("start_s", "duration_s")) else 0.0
+    edge = (
+        PLACE_BIN_M
+        if name in ("start_m", "length_m")
+        else TIME_BIN_S
+        if name.startswith(("start_s", "duration_s"))
+        else 0.0
+    )
     return [value - edge, value + edge]
 
 
@@ -47,8 +59,18 @@ def _swing(named: NamedCause) -> dict[str, dict[str, Any]]:
     runs = max(len(values) // 2, 1)
     square = sum(v * v for v in values) / runs - 2.0 * sd * sd
     amplitude, wide = math.sqrt(max(square, 0.0)), 1.96 * sd / math.sqrt(runs)
-    return {"amplitude": {"value": amplitude, "ci95": [max(amplitude - wide, 0.0), amplitude + wide], "unit": "-"},
-            "phase_rad": {"value": math.atan2(-values[1], values[0]), "ci95": [-math.pi, math.pi], "unit": "rad"}}
+    return {
+        "amplitude": {
+            "value": amplitude,
+            "ci95": [max(amplitude - wide, 0.0), amplitude + wide],
+            "unit": "-",
+        },
+        "phase_rad": {
+            "value": math.atan2(-values[1], values[0]),
+            "ci95": [-math.pi, math.pi],
+            "unit": "rad",
+        },
+    }
 
 
 def _empirical(formula: Formula) -> list[str]:
@@ -64,8 +86,13 @@ def toml(account: Account) -> str:
     """The extended model."""
     law = account.data.sections["adhesion"]
     tau = law["tau_m_J"] * math.exp(account.final.base.get("ln_tau", 0.0))
-    lines = [f"# extended model, found by rollerrig explain on {account.data.name}",
-             f"# verdict: {account.verdict}", "", "[adhesion]", f"tau_m_J = {tau:.6g}"]
+    lines = [
+        f"# extended model, found by rollerrig explain on {account.data.name}",
+        f"# verdict: {account.verdict}",
+        "",
+        "[adhesion]",
+        f"tau_m_J = {tau:.6g}",
+    ]
     kept = [n for n in account.causes if BY_NAME[n.cause.name] in IN_PLANT]
     if kept:
         lines += ["", "[mechanisms]"]
@@ -95,8 +122,12 @@ def _of_recording(named: NamedCause) -> list[str]:
     if named.cause.name == "speed_sensor_delay":
         late_s = found["delay_s"]["value"]
         if named.cause.axle:
-            lines.append("# one frame carries the speeds of all axles: the bus cannot delay that of one alone")
+            lines.append(
+                "# one frame carries the speeds of all axles: the bus cannot delay that of one alone"
+            )
         elif late_s >= _LEAST_S:
-            lines.append("# the same on the bus of the bench (not in batch): "
-                         f"--fault 'frame_delayed delay_s={late_s:.4g}'")
+            lines.append(
+                "# the same on the bus of the bench (not in batch): "
+                f"--fault 'frame_delayed delay_s={late_s:.4g}'"
+            )
     return lines

@@ -37,7 +37,9 @@ class Gain(NamedTuple):
     reduction: float
     ci95: tuple[float, float]
     likelihood: float  # drop of the deviance on these runs
-    by_run: dict[str, tuple[float, float, float, float]]  # errors before and after, 95 % interval of the reduction
+    by_run: dict[
+        str, tuple[float, float, float, float]
+    ]  # errors before and after, 95 % interval of the reduction
 
     @property
     def claimed(self) -> bool:
@@ -48,8 +50,16 @@ class Gain(NamedTuple):
 def predicted(i: Inputs, at: slice, omega: np.ndarray, p: np.ndarray, step_s: float) -> np.ndarray:
     """(sliding, adhesion) of one wheel along its speed, each shape (n,)."""
     sliding = i.speed_m_s[at] - p[parameters.RADIUS] * omega
-    f, _ = sensitivity.replay_law(sliding, i.speed_m_s[at], i.load_N[at], i.friction[:, at], p, step_s,
-                                  np.zeros(omega.size + 1), True)
+    f, _ = sensitivity.replay_law(
+        sliding,
+        i.speed_m_s[at],
+        i.load_N[at],
+        i.friction[:, at],
+        p,
+        step_s,
+        np.zeros(omega.size + 1),
+        True,
+    )
     return np.array([sliding, f])
 
 
@@ -63,7 +73,9 @@ def adhesion(design: Design, explanation: Explanation) -> tuple[np.ndarray, np.n
         omega = smoothed(design.measured_rad_s[at], window, 3)
         rate = smoothed(design.measured_rad_s[at], window, 3, 1, design.step_s)
         torque = smoothed(i.torque_Nm[at], window, 3)
-        measured[at] = (p[parameters.INERTIA] * rate + torque) / (p[parameters.RADIUS] * i.load_N[at])
+        measured[at] = (p[parameters.INERTIA] * rate + torque) / (
+            p[parameters.RADIUS] * i.load_N[at]
+        )
         sliding[at], model[at] = predicted(i, at, omega, p, design.step_s)
         model[at] = smoothed(model[at], window, 3)
     return measured, model, sliding
@@ -77,7 +89,9 @@ def free_running(design: Design, explanation: Explanation) -> np.ndarray:
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
         lost = np.cumsum(sensitivity.vehicle_force(design, i, run)) * design.step_s
-        smooth = smoothed(sensitivity.momentum_m_s(design, i, run) + lost, 2 * int(0.5 / design.step_s) + 1, 1)
+        smooth = smoothed(
+            sensitivity.momentum_m_s(design, i, run) + lost, 2 * int(0.5 / design.step_s) + 1, 1
+        )
         out[at][ahead:] = smooth[ahead:] - smooth[:-ahead]
     return out
 
@@ -86,7 +100,9 @@ def level(design: Design, explanation: Explanation) -> tuple[Explanation, float]
     """An explanation on new runs: only their contaminant level, mass and irregularity are fitted."""
     base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
     base |= {f"ln_mu_cd_{run}": explanation.level for run in range(design.mass_kg.size)}
-    found, value, _ = tuning.fit(design, explanation._replace(base=base), 4, False, free=("ln_mu_cd", "mass"))
+    found, value, _ = tuning.fit(
+        design, explanation._replace(base=base), 4, False, free=("ln_mu_cd", "mass")
+    )
     return found, value
 
 
@@ -103,7 +119,10 @@ def missing(design: Design, explanation: Explanation) -> np.ndarray:
     return np.where(design.speed_m_s > SLOWEST_M_S, out * np.expm1(field), 0.0)
 
 
-_ERRORS = {ADHESION: missing, FREE_RUN: free_running}  # errors of a metric at every sample, 0 where it is not judged
+_ERRORS = {
+    ADHESION: missing,
+    FREE_RUN: free_running,
+}  # errors of a metric at every sample, 0 where it is not judged
 
 
 def error(design: Design, explanation: Explanation, metric: str) -> float:
@@ -114,13 +133,17 @@ def error(design: Design, explanation: Explanation, metric: str) -> float:
 
 def measure(design: Design, base: Explanation, extended: Explanation, seed: int) -> Gain:
     """The gain of an extended model on runs that were not fitted."""
-    before, cost_before = level(design, base._replace(sigma=extended.sigma, length_m=extended.length_m))
+    before, cost_before = level(
+        design, base._replace(sigma=extended.sigma, length_m=extended.length_m)
+    )
     after, cost_after = level(design, extended)
     # a torque that is wrong in scale hides in the friction level, but not from the vehicle
     vehicle = all(BY_NAME[c.name].acts_on in (VEHICLE, TORQUE) for c in extended.causes)
     metric = FREE_RUN if vehicle else ADHESION
     size = np.diff(design.vehicle_start if vehicle else design.start)
-    squares = np.array([_ERRORS[metric](design, explanation) ** 2 for explanation in (before, after)])
+    squares = np.array(
+        [_ERRORS[metric](design, explanation) ** 2 for explanation in (before, after)]
+    )
     run = np.arange(design.mass_kg.size) if vehicle else design.run
 
     def of(chosen: np.ndarray) -> tuple[float, float, float, float]:
@@ -130,19 +153,35 @@ def measure(design: Design, base: Explanation, extended: Explanation, seed: int)
         return float(rms[0]), float(rms[1]), *_interval(part, size[chosen], design.step_s, seed)
 
     rms_before, rms_after, low, high = of(run >= 0)
-    return Gain(runs=design.names, metric=metric, before=rms_before, after=rms_after,
-                reduction=1.0 - rms_after / rms_before, ci95=(low, high), likelihood=cost_before - cost_after,
-                by_run={name: of(run == r) for r, name in enumerate(design.names)})
+    return Gain(
+        runs=design.names,
+        metric=metric,
+        before=rms_before,
+        after=rms_after,
+        reduction=1.0 - rms_after / rms_before,
+        ci95=(low, high),
+        likelihood=cost_before - cost_after,
+        by_run={name: of(run == r) for r, name in enumerate(design.names)},
+    )
 
 
-def _interval(squares: np.ndarray, sizes: np.ndarray, step_s: float, seed: int) -> tuple[float, float]:
+def _interval(
+    squares: np.ndarray, sizes: np.ndarray, step_s: float, seed: int
+) -> tuple[float, float]:
     """95 % interval of the reduction, by 500 draws of blocks of 3 s."""
     length = int(BLOCK_S / step_s)
-    table = np.array([part[:, low:low + length].sum(axis=1) for part in np.split(squares, np.cumsum(sizes)[:-1], axis=1)
-                      for low in range(0, part.shape[1], length)])
+    table = np.array(
+        [
+            part[:, low : low + length].sum(axis=1)
+            for part in np.split(squares, np.cumsum(sizes)[:-1], axis=1)
+            for low in range(0, part.shape[1], length)
+        ]
+    )
     chosen = np.random.default_rng(seed).integers(0, len(table), (500, len(table)))
     total = table[chosen].sum(axis=1)
-    low, high = np.quantile(1.0 - np.sqrt(total[:, 1] / np.maximum(total[:, 0], 1e-30)), [0.025, 0.975])
+    low, high = np.quantile(
+        1.0 - np.sqrt(total[:, 1] / np.maximum(total[:, 0], 1e-30)), [0.025, 0.975]
+    )
     return float(low), float(high)
 
 
@@ -150,6 +189,13 @@ def as_json(gain: Gain | None) -> dict[str, Any] | None:
     """The report's entry."""
     if gain is None:
         return None
-    return {"runs": list(gain.runs), "metric": gain.metric, "before": gain.before, "after": gain.after,
-            "reduction": gain.reduction, "ci95": list(gain.ci95), "claimed": gain.claimed,
-            "by_run": {k: list(v) for k, v in gain.by_run.items()}}
+    return {
+        "runs": list(gain.runs),
+        "metric": gain.metric,
+        "before": gain.before,
+        "after": gain.after,
+        "reduction": gain.reduction,
+        "ci95": list(gain.ci95),
+        "claimed": gain.claimed,
+        "by_run": {k: list(v) for k, v in gain.by_run.items()},
+    }

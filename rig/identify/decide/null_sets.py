@@ -34,7 +34,9 @@ class Setting(NamedTuple):
     pool: Executor
     progress: Progress
 
-    def run_all(self, work: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], title: str) -> list[Any]:
+    def run_all(
+        self, work: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], title: str
+    ) -> list[Any]:
         """work(*task) for all tasks, in order, with progress."""
         futures = [self.pool.submit(work, *task) for task in tasks]
         found = []
@@ -66,12 +68,20 @@ def workers() -> Executor:
     """A pool of processes, one a core, at most eight; none where this process may use one core only."""
     from threadpoolctl import threadpool_limits
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     return children.pool(min(cores, 8), threadpool_limits, 1) if cores > 1 else _Here()
 
 
-def one(data: Dataset, measured: list[Run], design: Design, explanation: Explanation, seed: int, known: Sequence[str]
-        ) -> Scores | None:
+def one(
+    data: Dataset,
+    measured: list[Run],
+    design: Design,
+    explanation: Explanation,
+    seed: int,
+    known: Sequence[str],
+) -> Scores | None:
     """Simulate, prepare, score one set; None where its wheels got out of hand."""
     made = simulate.runs(data, design, measured, explanation, np.random.default_rng(seed))
     found, linear, _ = tuning.normal(prepare(data, made, design), explanation)
@@ -82,23 +92,31 @@ def one(data: Dataset, measured: list[Run], design: Design, explanation: Explana
     return Scores(result.S.astype(np.float32), result.g)
 
 
-def judged(setting: Setting, explanation: Explanation, most: int, seed: int, known: Sequence[str] = ()
-           ) -> tuple[list[evidence.Finding], tuning.Normal, list[Scores]]:
+def judged(
+    setting: Setting, explanation: Explanation, most: int, seed: int, known: Sequence[str] = ()
+) -> tuple[list[evidence.Finding], tuning.Normal, list[Scores]]:
     """What the measured stops show beside clean sets, their normal equations, the clean sets' scores; no `known` cause.
 
     Clean sets come by FEW until more would not change what counts, at most `most`. Raises ConfigError where less than
     half of them could be replayed.
     """
     # tolerances are drawn afresh: the fitted ones do not belong to the clean sets
-    fresh = explanation._replace(base={k: v for k, v in explanation.base.items() if k.startswith("ln_")})
+    fresh = explanation._replace(
+        base={k: v for k, v in explanation.base.items() if k.startswith("ln_")}
+    )
     scored, clean = tuning.normal(setting.design, explanation)[0], list[Scores]()
     for began in range(0, most, FEW):
-        tasks = [(*setting[:3], fresh, seed * 100003 + k, known) for k in range(began, min(began + FEW, most))]
+        tasks = [
+            (*setting[:3], fresh, seed * 100003 + k, known)
+            for k in range(began, min(began + FEW, most))
+        ]
         clean += [s for s in setting.run_all(one, tasks, "clean sets") if s is not None]
         if 2 * len(clean) < began + len(tasks):
-            raise ConfigError(f"only {len(clean)} of {began + len(tasks)} simulated clean sets could be replayed: the "
-                              "fitted model does not brake like the recording; check vehicle, loads and torques in "
-                              "dataset.toml")
+            raise ConfigError(
+                f"only {len(clean)} of {began + len(tasks)} simulated clean sets could be replayed: the "
+                "fitted model does not brake like the recording; check vehicle, loads and torques in "
+                "dataset.toml"
+            )
         found = evidence.findings(setting.design, scored, clean, known)
         if evidence.settled(found):
             break

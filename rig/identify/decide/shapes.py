@@ -20,32 +20,56 @@ _SMOOTHER = 0.3  # irregularity of the rail, of the base's, on which edges are s
 _RAMPS = ((0.5, 1.1), (1.0, 1.3))
 _RAMP_EARNS = 4.0  # likelihood that such edges must earn, or another friction
 _FACTORS, _SCALE_EARNS = (1.5, 1.0 / 1.5, 1.2, 1.0 / 1.2), 1.0  # factors by which scales are moved
-_BEGINS_ROUGH = 0.06  # irregularity with which a base is begun anew, so that all levels are in reach
+_BEGINS_ROUGH = (
+    0.06  # irregularity with which a base is begun anew, so that all levels are in reach
+)
 
 
 def refined(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the windows of its causes where they fit best."""
     # what a window explains has roughened the rail of the base, on which its edges hardly show: first on a smoother one
-    smooth = tuning.fit(design, explanation._replace(sigma=_SMOOTHER * explanation.sigma), 4, False)[0]
+    smooth = tuning.fit(
+        design, explanation._replace(sigma=_SMOOTHER * explanation.sigma), 4, False
+    )[0]
     smooth = tuning.fit(design, _edges_moved(design, smooth, 1.0)[0], 4)[0]
-    explanation, value = min((_edges_moved(design, explanation, 1.0), _edges_moved(design, smooth, 0.25)),
-                             key=lambda pair: pair[1])
-    tried = [_edges_moved(design, explanation.with_cause(at, _ramped(cause, ramp, deeper)), 0.5)
-             for at, cause in enumerate(explanation.causes) if cause.name == "contaminated_patch"
-             for ramp, deeper in _RAMPS]
+    explanation, value = min(
+        (_edges_moved(design, explanation, 1.0), _edges_moved(design, smooth, 0.25)),
+        key=lambda pair: pair[1],
+    )
+    tried = [
+        _edges_moved(design, explanation.with_cause(at, _ramped(cause, ramp, deeper)), 0.5)
+        for at, cause in enumerate(explanation.causes)
+        if cause.name == "contaminated_patch"
+        for ramp, deeper in _RAMPS
+    ]
     both = dict.fromkeys(table.ALONE, 0.0)
-    tried += [tuning.fit(design, explanation.with_cause(at, cause._replace(shape=cause.shape | both)), 3, False)[:2]
-              for at, cause in enumerate(explanation.causes) if table.OF[cause.name].edge_step]
+    tried += [
+        tuning.fit(
+            design, explanation.with_cause(at, cause._replace(shape=cause.shape | both)), 3, False
+        )[:2]
+        for at, cause in enumerate(explanation.causes)
+        if table.OF[cause.name].edge_step
+    ]
     better, least = min(tried, key=lambda pair: pair[1])
     return better if least < value - _RAMP_EARNS else explanation
 
 
 def remembered(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with a memory in its likeliest form, its base begun anew: no small step leads there."""
-    begun = [start(design)._replace(sigma=_BEGINS_ROUGH, causes=tuple(
-        c._replace(shape=shape) if c.name == tuning.MEMORY else c for c in explanation.causes))
-        for shape in table.OF[tuning.MEMORY].shapes]
-    return min((tuning.fit(design, one, 5, False, free=("ln_mu",)) for one in begun), key=lambda fit: fit[1])[0]
+    begun = [
+        start(design)._replace(
+            sigma=_BEGINS_ROUGH,
+            causes=tuple(
+                c._replace(shape=shape) if c.name == tuning.MEMORY else c
+                for c in explanation.causes
+            ),
+        )
+        for shape in table.OF[tuning.MEMORY].shapes
+    ]
+    return min(
+        (tuning.fit(design, one, 5, False, free=("ln_mu",)) for one in begun),
+        key=lambda fit: fit[1],
+    )[0]
 
 
 def scaled(design: Design, explanation: Explanation) -> Explanation:
@@ -54,18 +78,30 @@ def scaled(design: Design, explanation: Explanation) -> Explanation:
     for at, cause in enumerate(explanation.causes):
         for key in [k for k in cause.shape if k in table.OF[cause.name].scales]:
             for by in _FACTORS:
-                explanation, value = _while_it_pays(design, explanation, value, at, partial(_scaled, key, by), True)
+                explanation, value = _while_it_pays(
+                    design, explanation, value, at, partial(_scaled, key, by), True
+                )
     return explanation
 
 
-def _while_it_pays(design: Design, explanation: Explanation, value: float, at: int, moved: Callable[[Cause], Cause],
-                   fits: bool) -> tuple[Explanation, float]:
+def _while_it_pays(
+    design: Design,
+    explanation: Explanation,
+    value: float,
+    at: int,
+    moved: Callable[[Cause], Cause],
+    fits: bool,
+) -> tuple[Explanation, float]:
     """One cause moved again and again, with the coefficients fitted again or not."""
     for _ in range(_MOST_MOVES):
         tried = explanation.with_cause(at, moved(explanation.causes[at]))
         if tried == explanation:
             break
-        tried, better = tuning.fit(design, tried, 2, False)[:2] if fits else (tried, tuning.deviance(design, tried))
+        tried, better = (
+            tuning.fit(design, tried, 2, False)[:2]
+            if fits
+            else (tried, tuning.deviance(design, tried))
+        )
         if better >= value - fits * _SCALE_EARNS:
             break
         explanation, value = tried, better
@@ -82,11 +118,17 @@ def _scaled(key: str, by: float, cause: Cause) -> Cause:
 def _ramped(cause: Cause, ramp: float, deeper: float) -> Cause:
     """A patch with slow edges about where it was."""
     wider = cause.shape["length_m"] * 0.5 * ramp / (2.0 - ramp)
-    shape = {"start_m": cause.shape["start_m"] - wider, "length_m": cause.shape["length_m"] + 2.0 * wider, "ramp": ramp}
+    shape = {
+        "start_m": cause.shape["start_m"] - wider,
+        "length_m": cause.shape["length_m"] + 2.0 * wider,
+        "ramp": ramp,
+    }
     return tuning.bounded(cause._replace(shape=shape, values=(cause.values[0] * deeper,)))
 
 
-def _edges_moved(design: Design, explanation: Explanation, first: float) -> tuple[Explanation, float]:
+def _edges_moved(
+    design: Design, explanation: Explanation, first: float
+) -> tuple[Explanation, float]:
     """Edges by steps that begin with a share `first` of the table's."""
     value = tuning.deviance(design, explanation)
     for at, cause in enumerate(explanation.causes):
@@ -94,7 +136,9 @@ def _edges_moved(design: Design, explanation: Explanation, first: float) -> tupl
         for _ in range(_HALVINGS if step else 0):
             for key in [k for k in cause.shape if k.startswith(("start_", "length_", "duration_"))]:
                 for by in (step, -step):
-                    explanation, value = _while_it_pays(design, explanation, value, at, partial(_moved, key, by), False)
+                    explanation, value = _while_it_pays(
+                        design, explanation, value, at, partial(_moved, key, by), False
+                    )
             step *= 0.5
     return explanation, value
 

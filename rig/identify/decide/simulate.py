@@ -30,11 +30,15 @@ _GRID_M = 0.25
 
 
 @kernel_inlined
-def wheel_step(omega, feedback, late, under, N, degraded, recovered, wanted, irregularity, torque, p, h):
+def wheel_step(
+    omega, feedback, late, under, N, degraded, recovered, wanted, irregularity, torque, p, h
+):
     """(omega, feedback, lambda, force / h on the vehicle) of one wheelset after a step h."""
     r, inertia = p[0], p[1]
     irregular, s = math.exp(irregularity), under - r * omega
-    f, rise, late = replay.wheel_adhesion(s, under, 0.5 * N, degraded, recovered, p, late, replay.closes(under, h, p))
+    f, rise, late = replay.wheel_adhesion(
+        s, under, 0.5 * N, degraded, recovered, p, late, replay.closes(under, h, p)
+    )
     off = wanted - s
     # far too much sliding vents the brake
     aim = FEEDBACK_NS * off + 3.0 * FEEDBACK_NS * min(off + 1.0, 0.0)
@@ -50,8 +54,26 @@ def wheel_step(omega, feedback, late, under, N, degraded, recovered, wanted, irr
 
 
 @kernel_inlined
-def _drive(torque, sliding, load, friction, surface, field, place, parameters, mass, extra_N,
-           resistance, speed0, step_s, follows, cells, out_speed, out_wheel, out_torque):
+def _drive(
+    torque,
+    sliding,
+    load,
+    friction,
+    surface,
+    field,
+    place,
+    parameters,
+    mass,
+    extra_N,
+    resistance,
+    speed0,
+    step_s,
+    follows,
+    cells,
+    out_speed,
+    out_wheel,
+    out_torque,
+):
     n = len(torque)
     h = step_s / SUBSTEPS
     v, x = speed0, 0.0
@@ -67,12 +89,14 @@ def _drive(torque, sliding, load, friction, surface, field, place, parameters, m
             break
         for i in range(SUBSTEPS):
             w = (i + 0.5) / SUBSTEPS
-            force = (resistance[0] + resistance[1] * v + resistance[2] * v * v + extra_N[k])
+            force = resistance[0] + resistance[1] * v + resistance[2] * v * v + extra_N[k]
             for j in range(AXLES):
                 cells[12 + j] = (1.0 - w) * surface[k, j] + w * surface[k + 1, j] if follows else v
                 cells[16 + j] = (1.0 - w) * load[k, j] + w * load[k + 1, j]
                 for q in range(2):
-                    cells[20 + 20 * q + j] = (1.0 - w) * friction[q, k, j] + w * friction[q, k + 1, j]
+                    cells[20 + 20 * q + j] = (1.0 - w) * friction[q, k, j] + w * friction[
+                        q, k + 1, j
+                    ]
                 cells[24 + j] = (1.0 - w) * sliding[k, j] + w * sliding[k + 1, j]
                 cells[28 + j] = (1.0 - w) * torque[k, j] + w * torque[k + 1, j]
                 at = (x - place[j]) / _GRID_M + 400.0
@@ -81,8 +105,19 @@ def _drive(torque, sliding, load, friction, surface, field, place, parameters, m
                 cells[32 + j] = (1.0 - share) * field[cell, j] + share * field[cell + 1, j]
             for j in range(AXLES):
                 cells[j], cells[4 + j], cells[8 + j], cells[36 + j] = wheel_step(
-                    cells[j], cells[4 + j], cells[8 + j], cells[12 + j], cells[16 + j], cells[20 + j], cells[40 + j],
-                    cells[24 + j], cells[32 + j], cells[28 + j], lanes.row(cells, j), h)
+                    cells[j],
+                    cells[4 + j],
+                    cells[8 + j],
+                    cells[12 + j],
+                    cells[16 + j],
+                    cells[20 + j],
+                    cells[40 + j],
+                    cells[24 + j],
+                    cells[32 + j],
+                    cells[28 + j],
+                    lanes.row(cells, j),
+                    h,
+                )
             for j in range(AXLES):
                 force += cells[36 + j]
             if math.isnan(force):
@@ -96,14 +131,67 @@ _quick = again(_drive, wheel_step=again(wheel_step, math=lanes.MATH, replay=lane
 
 
 @kernel
-def drive(torque, sliding, load, friction, surface, field, place, parameters, mass, extra_N,
-          resistance, speed0, step_s, follows, cells, out_speed, out_wheel, out_torque):
+def drive(
+    torque,
+    sliding,
+    load,
+    friction,
+    surface,
+    field,
+    place,
+    parameters,
+    mass,
+    extra_N,
+    resistance,
+    speed0,
+    step_s,
+    follows,
+    cells,
+    out_speed,
+    out_wheel,
+    out_torque,
+):
     """One stop [Q1]: inputs (n, 4), writes speed (n,), wheel speed and torque (n, 4)."""
     if parameters[0, 14] > 0.0 or not _quick(
-            torque, sliding, load, friction, surface, field, place, parameters, mass, extra_N,
-            resistance, speed0, step_s, follows, cells, out_speed, out_wheel, out_torque):
-        _drive(torque, sliding, load, friction, surface, field, place, parameters, mass, extra_N,
-               resistance, speed0, step_s, follows, cells, out_speed, out_wheel, out_torque)
+        torque,
+        sliding,
+        load,
+        friction,
+        surface,
+        field,
+        place,
+        parameters,
+        mass,
+        extra_N,
+        resistance,
+        speed0,
+        step_s,
+        follows,
+        cells,
+        out_speed,
+        out_wheel,
+        out_torque,
+    ):
+        _drive(
+            torque,
+            sliding,
+            load,
+            friction,
+            surface,
+            field,
+            place,
+            parameters,
+            mass,
+            extra_N,
+            resistance,
+            speed0,
+            step_s,
+            follows,
+            cells,
+            out_speed,
+            out_wheel,
+            out_torque,
+        )
 
 
 @kernel
@@ -114,8 +202,13 @@ def remembering(keep, values):
             values[k, j] += keep * values[k - 1, j]
 
 
-def field(rng: np.random.Generator, length_m: float, sigma: float, correlation_m: float,
-          columns_wanted: int) -> np.ndarray:
+def field(
+    rng: np.random.Generator,
+    length_m: float,
+    sigma: float,
+    correlation_m: float,
+    columns_wanted: int,
+) -> np.ndarray:
     """Irregularity on a grid of 0.25 m from -100 m on, shape (cells, columns), deviation sigma."""
     cells = int((length_m + 150.0) / _GRID_M)
     keep = math.exp(-_GRID_M / correlation_m)
@@ -125,8 +218,13 @@ def field(rng: np.random.Generator, length_m: float, sigma: float, correlation_m
     return white
 
 
-def runs(data: Dataset, design: Design, measured: list[Run], explanation: Explanation,
-         rng: np.random.Generator) -> list[Run]:
+def runs(
+    data: Dataset,
+    design: Design,
+    measured: list[Run],
+    explanation: Explanation,
+    rng: np.random.Generator,
+) -> list[Run]:
     """Simulated stops like the measured ones, under an explanation, with fresh noise."""
     i = inputs(design, explanation)
     tolerance = design.calibration / math.sqrt(2.0)
@@ -148,17 +246,45 @@ def runs(data: Dataset, design: Design, measured: list[Run], explanation: Explan
     return made
 
 
-def _run(data: Dataset, design: Design, run: Run, r: int, i: Inputs, grid: np.ndarray, torque: np.ndarray,
-         sliding: np.ndarray, gain: np.ndarray, lift: np.ndarray, weight: float, rng: np.random.Generator) -> Run:
+def _run(
+    data: Dataset,
+    design: Design,
+    run: Run,
+    r: int,
+    i: Inputs,
+    grid: np.ndarray,
+    torque: np.ndarray,
+    sliding: np.ndarray,
+    gain: np.ndarray,
+    lift: np.ndarray,
+    weight: float,
+    rng: np.random.Generator,
+) -> Run:
     def square(flat: np.ndarray) -> np.ndarray:
         return design.by_axle(flat, r)
 
     n, surface = run.time_s.size, square(design.speed_m_s)
     speed, wheel, C = np.empty(n), np.empty((n, AXLES)), np.empty((n, AXLES))
-    drive(square(torque), square(sliding), square(i.load_N) * (1.0 + lift), np.array([*map(square, i.friction)]),
-          surface, grid, data.axle_position_m, i.parameters[AXLES * r:AXLES * (r + 1)], i.mass_kg[r] * (1.0 + weight),
-          i.force_N[design.vehicle_span(r)], design.resistance, float(surface[0, 0]), design.step_s,
-          run.surface_m_s is not None, np.empty(lanes.CELLS), speed, wheel, C)
+    drive(
+        square(torque),
+        square(sliding),
+        square(i.load_N) * (1.0 + lift),
+        np.array([*map(square, i.friction)]),
+        surface,
+        grid,
+        data.axle_position_m,
+        i.parameters[AXLES * r : AXLES * (r + 1)],
+        i.mass_kg[r] * (1.0 + weight),
+        i.force_N[design.vehicle_span(r)],
+        design.resistance,
+        float(surface[0, 0]),
+        design.step_s,
+        run.surface_m_s is not None,
+        np.empty(lanes.CELLS),
+        speed,
+        wheel,
+        C,
+    )
     # the sensors: causes that lie in torque or timing are taken out again
     shown = C - square(torque - columns.smooth_torque(design, design.torque_Nm))
     noise_N = float(np.std(run.load_N - gaussian_filter1d(run.load_N, 20.0, axis=0)))
@@ -166,9 +292,12 @@ def _run(data: Dataset, design: Design, run: Run, r: int, i: Inputs, grid: np.nd
     slow = np.flatnonzero(speed < 0.98 * float(surface[-1, 0]))
     n = int(slow[0]) if slow.size else n
     measured_wheel = wheel[:n] + rng.normal(0.0, design.wheel_noise_rad_s, (n, AXLES))
-    return run._replace(time_s=run.time_s[:n], speed_m_s=speed[:n] + rng.normal(0.0, design.speed_noise_m_s, n),
-                        wheel_speed_rad_s=measured_wheel,
-                        load_N=square(design.load_N)[:n] + rng.normal(0.0, noise_N, (n, AXLES)),
-                        torque_Nm=shown[:n] * (1.0 + gain) + rng.normal(0.0, design.torque_noise_Nm[r], (n, AXLES)),
-                        position_m=None if run.position_m is None else run.position_m[:n],
-                        surface_m_s=None if run.surface_m_s is None else run.surface_m_s[:n])
+    return run._replace(
+        time_s=run.time_s[:n],
+        speed_m_s=speed[:n] + rng.normal(0.0, design.speed_noise_m_s, n),
+        wheel_speed_rad_s=measured_wheel,
+        load_N=square(design.load_N)[:n] + rng.normal(0.0, noise_N, (n, AXLES)),
+        torque_Nm=shown[:n] * (1.0 + gain) + rng.normal(0.0, design.torque_noise_Nm[r], (n, AXLES)),
+        position_m=None if run.position_m is None else run.position_m[:n],
+        surface_m_s=None if run.surface_m_s is None else run.surface_m_s[:n],
+    )

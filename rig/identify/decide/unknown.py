@@ -38,8 +38,9 @@ class Formula(NamedTuple):
     gain: Gain
 
 
-def find(design: Design, held: Design | None, base: Explanation, remainder: Sequence[Finding],
-         seed: int) -> Formula | None:
+def find(
+    design: Design, held: Design | None, base: Explanation, remainder: Sequence[Finding], seed: int
+) -> Formula | None:
     """The best formula that holds on runs never fitted, or None."""
     if held is None:
         return None
@@ -47,7 +48,10 @@ def find(design: Design, held: Design | None, base: Explanation, remainder: Sequ
     tried = []
     for shape in _shapes(design, base, remainder):
         explanation, better, _ = tuning.fit(
-            design, base._replace(causes=(*base.causes, Cause("empirical", 0, shape, (0.0, 0.0)))), 6)
+            design,
+            base._replace(causes=(*base.causes, Cause("empirical", 0, shape, (0.0, 0.0)))),
+            6,
+        )
         if value - better > LEAST:
             tried.append((better, explanation))
     for _, explanation in sorted(tried, key=lambda pair: pair[0]):
@@ -58,7 +62,9 @@ def find(design: Design, held: Design | None, base: Explanation, remainder: Sequ
     return None
 
 
-def _shapes(design: Design, base: Explanation, remainder: Sequence[Finding]) -> list[dict[str, float]]:
+def _shapes(
+    design: Design, base: Explanation, remainder: Sequence[Finding]
+) -> list[dict[str, float]]:
     names = [f.name.removeprefix("along ") for f in sorted(remainder, key=lambda f: f.p_value)]
     found = []
     for name in names:

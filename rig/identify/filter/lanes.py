@@ -21,7 +21,10 @@ from rollerrig.rig.identify.data.parameters import PARAMETERS
 from rollerrig.rig.identify.filter import memory_replay, replay
 from rollerrig.rig.kernel import again, constructor, kernel, kernel_inlined, writer
 
-_SHIFT, _BIAS = 4503599627370496.0, 1023.0  # 2^52: its mantissa holds an integer; that of the exponent
+_SHIFT, _BIAS = (
+    4503599627370496.0,
+    1023.0,
+)  # 2^52: its mantissa holds an integer; that of the exponent
 _HALF_PI_REST = 6.123233995736766e-17
 
 
@@ -31,9 +34,23 @@ def _power(x):
     x = min(max(x, -700.0), 700.0)
     k = math.floor(1.4426950408889634 * x + 0.5)
     r = (x - k * 0.693145751953125) - k * 1.42860682030941723212e-6
-    p = 1.0 / 5040.0 + r * (1.0 / 40320.0 + r * (1.0 / 362880.0 + r * (1.0 / 3628800.0 + r * (
-        1.0 / 39916800.0 + r * (1.0 / 479001600.0 + r / 6227020800.0)))))
-    p = r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * p))))))
+    p = 1.0 / 5040.0 + r * (
+        1.0 / 40320.0
+        + r
+        * (
+            1.0 / 362880.0
+            + r
+            * (
+                1.0 / 3628800.0
+                + r * (1.0 / 39916800.0 + r * (1.0 / 479001600.0 + r / 6227020800.0))
+            )
+        )
+    )
+    p = r * (
+        1.0
+        + r
+        * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * p)))))
+    )
     return np.int64(np.float64(k + _BIAS + _SHIFT).view(np.int64) << 52).view(np.float64), p
 
 
@@ -61,8 +78,30 @@ def log(x):
     m, power = (0.5 * m, power + 1.0) if above else (m, power)
     s = (m - 1.0) / (m + 1.0)
     z = s * s
-    rest = z * (1.0 / 3.0 + z * (0.2 + z * (1.0 / 7.0 + z * (1.0 / 9.0 + z * (1.0 / 11.0 + z * (1.0 / 13.0 + z * (
-        1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0 + z / 21.0)))))))))
+    rest = z * (
+        1.0 / 3.0
+        + z
+        * (
+            0.2
+            + z
+            * (
+                1.0 / 7.0
+                + z
+                * (
+                    1.0 / 9.0
+                    + z
+                    * (
+                        1.0 / 11.0
+                        + z
+                        * (
+                            1.0 / 13.0
+                            + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0 + z / 21.0)))
+                        )
+                    )
+                )
+            )
+        )
+    )
     return 2.0 * (s + s * rest) + power * 0.6931471805599453
 
 
@@ -74,11 +113,21 @@ def atan(x):
     turn = 2.0 if far else (1.0 if middle else 0.0)
     z = (-1.0 if far else (a - 1.0 if middle else a)) / (a if far else (a + 1.0 if middle else 1.0))
     w = z * z
-    p = w * ((((-0.8750608600031904 * w - 16.15753718733365) * w - 75.00855792314705) * w - 122.88666844901361) * w
-             - 64.85021904942025)
-    q = ((((w + 24.858464901423062) * w + 165.02700983169885) * w + 432.88106049129027) * w + 485.3903996359137) * w \
-        + 194.5506571482614
-    return math.copysign(turn * 0.7853981633974483 + (z * p / q + z + turn * 0.5 * _HALF_PI_REST), x)
+    p = w * (
+        (
+            ((-0.8750608600031904 * w - 16.15753718733365) * w - 75.00855792314705) * w
+            - 122.88666844901361
+        )
+        * w
+        - 64.85021904942025
+    )
+    q = (
+        (((w + 24.858464901423062) * w + 165.02700983169885) * w + 432.88106049129027) * w
+        + 485.3903996359137
+    ) * w + 194.5506571482614
+    return math.copysign(
+        turn * 0.7853981633974483 + (z * p / q + z + turn * 0.5 * _HALF_PI_REST), x
+    )
 
 
 @kernel_inlined
@@ -91,8 +140,30 @@ def power(x, y):
 def sin(x):
     """Sine of less than a quarter turn; of more no number."""
     z = x * x
-    rest = z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (
-        -1.0 / 39916800.0 + z * (1.0 / 6227020800.0 + z * (-1.0 / 1307674368000.0 + z / 355687428096000.0)))))))
+    rest = z * (
+        -1.0 / 6.0
+        + z
+        * (
+            1.0 / 120.0
+            + z
+            * (
+                -1.0 / 5040.0
+                + z
+                * (
+                    1.0 / 362880.0
+                    + z
+                    * (
+                        -1.0 / 39916800.0
+                        + z
+                        * (
+                            1.0 / 6227020800.0
+                            + z * (-1.0 / 1307674368000.0 + z / 355687428096000.0)
+                        )
+                    )
+                )
+            )
+        )
+    )
     return x + x * rest if z < 2.5 else math.nan
 
 
@@ -100,8 +171,27 @@ def sin(x):
 def cos(x):
     """Cosine of less than a quarter turn; of more no number."""
     z = x * x
-    rest = z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40320.0 + z * (-1.0 / 3628800.0 + z * (
-        1.0 / 479001600.0 + z * (-1.0 / 87178291200.0 + z / 20922789888000.0)))))))
+    rest = z * (
+        -0.5
+        + z
+        * (
+            1.0 / 24.0
+            + z
+            * (
+                -1.0 / 720.0
+                + z
+                * (
+                    1.0 / 40320.0
+                    + z
+                    * (
+                        -1.0 / 3628800.0
+                        + z
+                        * (1.0 / 479001600.0 + z * (-1.0 / 87178291200.0 + z / 20922789888000.0))
+                    )
+                )
+            )
+        )
+    )
     return 1.0 + rest if z < 2.5 else math.nan
 
 
@@ -122,16 +212,28 @@ def _module(like: Any, **names: Any) -> Any:
 
 
 MATH = _module(math, exp=exp, expm1=expm1, log=log, atan=atan, pow=power, sin=sin, cos=cos)
-_polach = _module(polach, curve=again(polach.curve, shape=again(polach.shape, math=MATH),
-                                      friction=again(polach.friction, math=MATH)))
+_polach = _module(
+    polach,
+    curve=again(
+        polach.curve,
+        shape=again(polach.shape, math=MATH),
+        friction=again(polach.friction, math=MATH),
+    ),
+)
 _recovery = again(adhesion.recovery, math=MATH, lambert_w0=_none)
-_adhesion = _module(adhesion, curves=again(adhesion.curves, math=MATH, polach=_polach),
-                    f_and_lambda=again(adhesion.f_and_lambda, math=MATH, recovery=_recovery))
+_adhesion = _module(
+    adhesion,
+    curves=again(adhesion.curves, math=MATH, polach=_polach),
+    f_and_lambda=again(adhesion.f_and_lambda, math=MATH, recovery=_recovery),
+)
 _curves = again(replay.curves, math=MATH, adhesion=_adhesion)
 _wheel_adhesion = again(replay.wheel_adhesion, adhesion=_adhesion, curves=_curves)
 REPLAY = _module(replay, wheel_adhesion=_wheel_adhesion, closes=_one)
-_law_lagging = _module(adhesion, f_and_lambda=_adhesion.f_and_lambda,
-                       lag_rate_1_s=again(adhesion.lag_rate_1_s, math=MATH))
+_law_lagging = _module(
+    adhesion,
+    f_and_lambda=_adhesion.f_and_lambda,
+    lag_rate_1_s=again(adhesion.lag_rate_1_s, math=MATH),
+)
 _step_of = again(memory_replay.step_of, math=MATH)
 _Row = NamedTuple("_Row", [(f"p{k}", float) for k in range(PARAMETERS)])
 LANES = 2 * AXLES
@@ -139,7 +241,9 @@ LANES = 2 * AXLES
 _MEASURED = len(memory_replay.State._fields) * LANES
 _INPUT, _TOLD, _PARAMETERS = _MEASURED + LANES, _MEASURED + 6 * LANES, _MEASURED + 8 * LANES
 CELLS = _PARAMETERS + LANES * PARAMETERS
-row = constructor(_Row, "cells, j", [f"cells[{_PARAMETERS + LANES * k} + j]" for k in range(PARAMETERS)])
+row = constructor(
+    _Row, "cells, j", [f"cells[{_PARAMETERS + LANES * k} + j]" for k in range(PARAMETERS)]
+)
 
 told = constructor(_Row, "p", [f"p[{k}]" for k in range(PARAMETERS)])
 _WIDE = 16
@@ -155,11 +259,22 @@ def along(sliding, speed, load, friction, p, cells, out):
         for j in range(_WIDE):
             k = first + min(j, here - 1)
             cells[j], cells[_WIDE + j] = sliding[k], speed[k]
-            cells[2 * _WIDE + j], cells[3 * _WIDE + j], cells[4 * _WIDE + j] = load[k], friction[0, k], friction[1, k]
+            cells[2 * _WIDE + j], cells[3 * _WIDE + j], cells[4 * _WIDE + j] = (
+                load[k],
+                friction[0, k],
+                friction[1, k],
+            )
         for j in range(_WIDE):
             cells[5 * _WIDE + j], cells[6 * _WIDE + j], _ = _wheel_adhesion(
-                cells[j], cells[_WIDE + j], 0.5 * cells[2 * _WIDE + j], cells[3 * _WIDE + j], cells[4 * _WIDE + j],
-                fixed, 0.0, 1.0)
+                cells[j],
+                cells[_WIDE + j],
+                0.5 * cells[2 * _WIDE + j],
+                cells[3 * _WIDE + j],
+                cells[4 * _WIDE + j],
+                fixed,
+                0.0,
+                1.0,
+            )
         for j in range(here):
             out[0, first + j], out[1, first + j] = cells[5 * _WIDE + j], cells[6 * _WIDE + j]
 
@@ -190,8 +305,9 @@ def _between(start, inputs, k, w, first, cells):
     here, then = min(k, length - 1), min(k + 1, length - 1)
     for q in range(5):
         for j in range(AXLES):
-            cells[_INPUT + LANES * q + first + j] = ((1.0 - w) * inputs[q, start[j] + here]
-                                                     + w * inputs[q, start[j] + then])
+            cells[_INPUT + LANES * q + first + j] = (1.0 - w) * inputs[
+                q, start[j] + here
+            ] + w * inputs[q, start[j] + then]
 
 
 @kernel_inlined
@@ -200,7 +316,11 @@ def _written(start, k, first, cells, out):
     if k < start[1] - start[0]:
         for j in range(AXLES):
             at, lane = start[j] + k, first + j
-            out[0, at], out[1, at], out[2, at] = cells[_TOLD + lane], cells[_TOLD + LANES + lane], cells[LANES + lane]
+            out[0, at], out[1, at], out[2, at] = (
+                cells[_TOLD + lane],
+                cells[_TOLD + LANES + lane],
+                cells[LANES + lane],
+            )
 
 
 @kernel_inlined
@@ -228,15 +348,36 @@ def _runs(start, other, measured, inputs, others, parameters, step_s, cells, out
             _between(start, inputs, k, w, 0, cells)
             _between(other, others, k, w, AXLES, cells)
             for j in range(LANES):
-                give(cells, j, moved(taken(cells, j), cells[_INPUT + j], cells[_INPUT + LANES + j],
-                                     cells[_INPUT + 2 * LANES + j], cells[_INPUT + 3 * LANES + j],
-                                     cells[_INPUT + 4 * LANES + j], row(cells, j), step_s))
+                give(
+                    cells,
+                    j,
+                    moved(
+                        taken(cells, j),
+                        cells[_INPUT + j],
+                        cells[_INPUT + LANES + j],
+                        cells[_INPUT + 2 * LANES + j],
+                        cells[_INPUT + 3 * LANES + j],
+                        cells[_INPUT + 4 * LANES + j],
+                        row(cells, j),
+                        step_s,
+                    ),
+                )
 
 
-_moved_lagging = again(memory_replay.moved, math=MATH, adhesion=_law_lagging, step_of=_step_of,
-                       replay=_module(replay, curves=_curves))
-_lagging = again(_runs, begun=memory_replay.begun, corrected=memory_replay.corrected, moved=_moved_lagging,
-                 **_kept(memory_replay.State))
+_moved_lagging = again(
+    memory_replay.moved,
+    math=MATH,
+    adhesion=_law_lagging,
+    step_of=_step_of,
+    replay=_module(replay, curves=_curves),
+)
+_lagging = again(
+    _runs,
+    begun=memory_replay.begun,
+    corrected=memory_replay.corrected,
+    moved=_moved_lagging,
+    **_kept(memory_replay.State),
+)
 
 
 @kernel

@@ -57,8 +57,9 @@ def along(sliding, speed, load, friction, p, step_s, late, follow, out):
     """(f, df/dsliding) of one wheel, shape (2, n), from lambda before each sample, `late` (n + 1), which may follow."""
     for k in range(sliding.size):
         share = closes(speed[k], step_s, p)
-        out[0, k], out[1, k], done = wheel_adhesion(sliding[k], speed[k], 0.5 * load[k], friction[0, k], friction[1, k],
-                                                    p, late[k], share)
+        out[0, k], out[1, k], done = wheel_adhesion(
+            sliding[k], speed[k], 0.5 * load[k], friction[0, k], friction[1, k], p, late[k], share
+        )
         if follow:
             late[k + 1] = done
 
@@ -92,7 +93,13 @@ def corrected(measured, state, p):
     omega, m, p00, p01, p11 = state
     innovation, S = measured - omega, p00 + p[17] * p[17]
     taken, g0, g1 = bounded(innovation, S), p00 / S, p01 / S
-    return innovation, S, State(omega + g0 * taken, m + g1 * taken, p00 * (1.0 - g0), p01 * (1.0 - g0), p11 - g1 * p01)
+    return (
+        innovation,
+        S,
+        State(
+            omega + g0 * taken, m + g1 * taken, p00 * (1.0 - g0), p01 * (1.0 - g0), p11 - g1 * p01
+        ),
+    )
 
 
 @kernel_inlined
@@ -119,8 +126,13 @@ def moved(state, v, N, C, degraded, recovered, p, step_s):
     n01 = keep * (growth * p01 + b * p11)
     # noise of m acts while it comes up: [R5]
     q = p[15] * p[15] * (1.0 - keep * keep)
-    return State(omega, m * keep, n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS, n01 + 0.5 * b * q,
-                 keep * keep * p11 + q)
+    return State(
+        omega,
+        m * keep,
+        n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS,
+        n01 + 0.5 * b * q,
+        keep * keep * p11 + q,
+    )
 
 
 @kernel

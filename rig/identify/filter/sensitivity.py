@@ -117,16 +117,53 @@ def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> Linear:
     constants = np.empty((changed.shape[1], n))
     for s in range(design.segments):
         at, p = design.span(s), inputs.parameters[s]
-        _coefficients(design, inputs, s, changed[s], found[:, at], co[at], rates[:, at], constants[:, at], path[:, at])
-        gains(variance[at], co[at], p, design.step_s, inputs.speed_m_s[at], inputs.load_N[at], inputs.torque_Nm[at])
+        _coefficients(
+            design,
+            inputs,
+            s,
+            changed[s],
+            found[:, at],
+            co[at],
+            rates[:, at],
+            constants[:, at],
+            path[:, at],
+        )
+        gains(
+            variance[at],
+            co[at],
+            p,
+            design.step_s,
+            inputs.speed_m_s[at],
+            inputs.load_N[at],
+            inputs.torque_Nm[at],
+        )
     vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
-    return Linear(nu=nu, variance=variance, field=field, coefficients=co, rates=rates, constants=constants,
-                  sliding_m_s=path[0], energy_J_m=path[1], acceleration_rad_s2=path[2], vehicle_nu=vehicle_nu,
-                  vehicle_variance=vehicle_variance)
+    return Linear(
+        nu=nu,
+        variance=variance,
+        field=field,
+        coefficients=co,
+        rates=rates,
+        constants=constants,
+        sliding_m_s=path[0],
+        energy_J_m=path[1],
+        acceleration_rad_s2=path[2],
+        vehicle_nu=vehicle_nu,
+        vehicle_variance=vehicle_variance,
+    )
 
 
-def _coefficients(design: Design, inputs: Inputs, s: int, changed: np.ndarray, found: np.ndarray, co: np.ndarray,
-                  rates: np.ndarray, constants: np.ndarray, path: np.ndarray) -> None:
+def _coefficients(
+    design: Design,
+    inputs: Inputs,
+    s: int,
+    changed: np.ndarray,
+    found: np.ndarray,
+    co: np.ndarray,
+    rates: np.ndarray,
+    constants: np.ndarray,
+    path: np.ndarray,
+) -> None:
     """One wheel: stores [S1] along the filtered path."""
     at, p, (nu, S, field) = design.span(s), inputs.parameters[s], found
     r, inertia, h = p[parameters.RADIUS], p[parameters.INERTIA], 0.5 * design.step_s
@@ -147,7 +184,9 @@ def _coefficients(design: Design, inputs: Inputs, s: int, changed: np.ndarray, f
     some = np.where(np.abs(x) > 1e-6, x, 1.0)
     phi = np.where(np.abs(x) > 1e-6, np.expm1(some) / some, 1.0 + 0.5 * x)
     b = h * phi * force * f
-    co[:, :5] = np.array([growth * growth, b * (growth + keep), keep * keep, h * phi * (1.0 + growth), p00 / S]).T
+    co[:, :5] = np.array(
+        [growth * growth, b * (growth + keep), keep * keep, h * phi * (1.0 + growth), p00 / S]
+    ).T
     rates[0] = force * (changes(N, mu * math.exp(STEP), p) - f) / STEP
     more = N * (1.0 + STEP)
     rates[1] = force * (changes(more, mu, p) * more / N - f) / STEP
@@ -157,8 +196,16 @@ def _coefficients(design: Design, inputs: Inputs, s: int, changed: np.ndarray, f
         constants[i] = force * (changes(N, mu, row) - f) / STEP
 
 
-def replay_law(sliding: np.ndarray, speed: np.ndarray, load: np.ndarray, friction: np.ndarray, p: np.ndarray,
-               step_s: float, late: np.ndarray, follow: bool) -> np.ndarray:
+def replay_law(
+    sliding: np.ndarray,
+    speed: np.ndarray,
+    load: np.ndarray,
+    friction: np.ndarray,
+    p: np.ndarray,
+    step_s: float,
+    late: np.ndarray,
+    follow: bool,
+) -> np.ndarray:
     """(f, df/dsliding) along a path, shape (2, n); with `follow` writes lambda before each sample into `late`."""
     out, friction = np.empty((2, sliding.size)), np.ascontiguousarray(friction)
     if p[parameters.MEMORY] == 0.0:
@@ -182,25 +229,56 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
     """The replays of all wheels under several inputs, shape (inputs, 3, n)."""
     given = [np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction]) for i in several]
     out, cells = np.empty((len(several), 3, design.measured_rad_s.size)), np.empty(lanes.CELLS)
-    starts = [design.start[run * AXLES:(run + 1) * AXLES + 1] for run in range(design.mass_kg.size)]
-    own = [[i.parameters[run * AXLES:(run + 1) * AXLES] for run in range(len(starts))] for i in several]
+    starts = [
+        design.start[run * AXLES : (run + 1) * AXLES + 1] for run in range(design.mass_kg.size)
+    ]
+    own = [
+        [i.parameters[run * AXLES : (run + 1) * AXLES] for run in range(len(starts))]
+        for i in several
+    ]
     # two at once, the longest first: a pair takes as long as the longer one
-    jobs = sorted(np.ndindex(len(several), len(starts)), key=lambda job: int(starts[job[1]][0] - starts[job[1]][1]))
-    for (k, run), (m, other) in zip(jobs[::2], jobs[1::2] + jobs[-1:] * (len(jobs) % 2), strict=True):
-        lanes.replay_runs(starts[run], starts[other], design.measured_rad_s, given[k], given[m],
-                          np.concatenate([own[k][run], own[m][other]]), design.step_s, cells, out[k], out[m])
+    jobs = sorted(
+        np.ndindex(len(several), len(starts)),
+        key=lambda job: int(starts[job[1]][0] - starts[job[1]][1]),
+    )
+    for (k, run), (m, other) in zip(
+        jobs[::2], jobs[1::2] + jobs[-1:] * (len(jobs) % 2), strict=True
+    ):
+        lanes.replay_runs(
+            starts[run],
+            starts[other],
+            design.measured_rad_s,
+            given[k],
+            given[m],
+            np.concatenate([own[k][run], own[m][other]]),
+            design.step_s,
+            cells,
+            out[k],
+            out[m],
+        )
     for k, run in jobs:
-        if not np.all(np.isfinite(out[k, 0, int(starts[run][0]):int(starts[run][-1])])):
+        if not np.all(np.isfinite(out[k, 0, int(starts[run][0]) : int(starts[run][-1])])):
             i = several[k]
-            memory_replay.replay_wheels(starts[run], design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s,
-                                        i.friction, own[k][run], design.step_s, *out[k])
+            memory_replay.replay_wheels(
+                starts[run],
+                design.measured_rad_s,
+                i.torque_Nm,
+                i.load_N,
+                i.speed_m_s,
+                i.friction,
+                own[k][run],
+                design.step_s,
+                *out[k],
+            )
     return out
 
 
 def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     """Measured u of [R3], shape (samples,)."""
-    p = inputs.parameters[run * AXLES:(run + 1) * AXLES]
-    turning = design.by_axle(design.measured_rad_s, run) @ (p[:, parameters.INERTIA] / p[:, parameters.RADIUS])
+    p = inputs.parameters[run * AXLES : (run + 1) * AXLES]
+    turning = design.by_axle(design.measured_rad_s, run) @ (
+        p[:, parameters.INERTIA] / p[:, parameters.RADIUS]
+    )
     return design.vehicle_m_s[design.vehicle_span(run)] + turning / inputs.mass_kg[run]
 
 
@@ -221,7 +299,18 @@ def replay_vehicles(design: Design, inputs: Inputs) -> tuple[np.ndarray, np.ndar
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
         # deviation in m/s2 of one sample of the measured force over mass
-        noise_m_s2 = float(2.0 * design.torque_noise_Nm[run] / (design.base[parameters.RADIUS] * design.mass_kg[run]))
-        replay.replay_vehicle(momentum_m_s(design, inputs, run), vehicle_force(design, inputs, run), design.step_s,
-                              design.speed_noise_m_s, noise_m_s2, nu[at], variance[at])
+        noise_m_s2 = float(
+            2.0
+            * design.torque_noise_Nm[run]
+            / (design.base[parameters.RADIUS] * design.mass_kg[run])
+        )
+        replay.replay_vehicle(
+            momentum_m_s(design, inputs, run),
+            vehicle_force(design, inputs, run),
+            design.step_s,
+            design.speed_noise_m_s,
+            noise_m_s2,
+            nu[at],
+            variance[at],
+        )
     return nu, variance

@@ -33,7 +33,10 @@ SPEEDS_M_S = (14.0, 24.0, 36.0, 50.0)
 PRESSURES_PA = (1.2e5, 3.8e5)
 LADEN = 1.25
 STEADY_M_S = (14.0, 38.0)
-HELD_M_S, HELD_S = (12.0, 35.0), 30.0  # only rollers hold a speed: what tells friction by speed from friction by time
+HELD_M_S, HELD_S = (
+    (12.0, 35.0),
+    30.0,
+)  # only rollers hold a speed: what tells friction by speed from friction by time
 MOST_RIVALS = 3
 Progress = Callable[[str, float], None]
 
@@ -56,8 +59,10 @@ class Proposal(NamedTuple):
     @property
     def reason(self) -> str:
         """Why it is proposed."""
-        return (f"parts {self.parts[0]} from {self.parts[1]}: separation {self.before:.3g} before, "
-                f"{self.after:.3g} with it (above 15 they are told apart)")
+        return (
+            f"parts {self.parts[0]} from {self.parts[1]}: separation {self.before:.3g} before, "
+            f"{self.after:.3g} with it (above 15 they are told apart)"
+        )
 
 
 class Ground(NamedTuple):
@@ -80,8 +85,13 @@ class Library(NamedTuple):
 def surviving(account: Account) -> tuple[Finding, ...]:
     """The causes that are named or may stand in their place; beside a single one its likeliest rivals."""
     # a shape of single runs is not known for a stop to come
-    causes = [f for f in account.findings if not generic(f.name) and not any(" " in key for key in f.shape)
-              and np.all(np.isfinite(f.estimate))]
+    causes = [
+        f
+        for f in account.findings
+        if not generic(f.name)
+        and not any(" " in key for key in f.shape)
+        and np.all(np.isfinite(f.estimate))
+    ]
     names = [name for n in account.causes for name in (n.finding.name, *n.confusable)]
     chosen = {f.name: f for f in causes if f.name in names}
     for f in causes:
@@ -95,10 +105,19 @@ def possible(data: Dataset, chosen: Sequence[Finding]) -> tuple[Stop, ...]:
     """The stops among which is chosen."""
     mass_kg = float(data.sections["vehicle"]["mass_kg"])
     axles = sorted({f.axle for f in chosen if f.axle}) or [1]
-    full = [Stop(v, p, m, 0) for v in SPEEDS_M_S for p in PRESSURES_PA for m in (mass_kg, LADEN * mass_kg)]
+    full = [
+        Stop(v, p, m, 0)
+        for v in SPEEDS_M_S
+        for p in PRESSURES_PA
+        for m in (mass_kg, LADEN * mass_kg)
+    ]
     rollers = math.isfinite(data.sections["contact"]["roller_radius_m"])
     held = [Stop(v, PRESSURES_PA[-1], mass_kg, 0, HELD_S) for v in HELD_M_S if rollers]
-    return tuple(full + [Stop(v, PRESSURES_PA[-1], mass_kg, axle) for v in STEADY_M_S for axle in axles] + held)
+    return tuple(
+        full
+        + [Stop(v, PRESSURES_PA[-1], mass_kg, axle) for v in STEADY_M_S for axle in axles]
+        + held
+    )
 
 
 def library(on: Ground, chosen: Sequence[Finding], progress: Progress) -> Library:
@@ -106,8 +125,9 @@ def library(on: Ground, chosen: Sequence[Finding], progress: Progress) -> Librar
     if not chosen:
         return Library((), Table((), np.zeros((0, 0))), (), ())
     # the base with all candidates at size 0, so that their shapes have columns
-    explanation = on.explanation._replace(causes=tuple(
-        Cause(f.name, f.axle, f.shape, (0.0,) * len(f.estimate)) for f in chosen))
+    explanation = on.explanation._replace(
+        causes=tuple(Cause(f.name, f.axle, f.shape, (0.0,) * len(f.estimate)) for f in chosen)
+    )
     known = _table(tuning.normal(on.design, explanation, False)[0], chosen, "known")
     stops, kept, tables = possible(on.data, chosen), [], []
     for k, stop in enumerate(stops):
@@ -140,8 +160,13 @@ def separation(tables: Sequence[Table], names: Sequence[str]) -> tuple[float, tu
     size = np.maximum(np.diag(S), 1e-12)
     if len(names) == 1:
         return float(size[0]), (names[0], "nothing")
-    found = [(float(min(size[a], size[b]) * (1.0 - min(S[a, b] ** 2 / (size[a] * size[b]), 1.0))), (a, b))
-             for a, b in combinations(range(len(names)), 2)]
+    found = [
+        (
+            float(min(size[a], size[b]) * (1.0 - min(S[a, b] ** 2 / (size[a] * size[b]), 1.0))),
+            (a, b),
+        )
+        for a, b in combinations(range(len(names)), 2)
+    ]
     worst, (a, b) = min(found)
     return worst, (names[a], names[b])
 
@@ -205,8 +230,11 @@ def _simulated(on: Ground, stop: Stop, explanation: Explanation) -> tuple[Design
 
 
 def _noisy(design: Design, like: Design) -> Design:
-    return design._replace(speed_noise_m_s=like.speed_noise_m_s, wheel_noise_rad_s=like.wheel_noise_rad_s,
-                           torque_noise_Nm=np.full(design.mass_kg.size, float(np.median(like.torque_noise_Nm))))
+    return design._replace(
+        speed_noise_m_s=like.speed_noise_m_s,
+        wheel_noise_rad_s=like.wheel_noise_rad_s,
+        torque_noise_Nm=np.full(design.mass_kg.size, float(np.median(like.torque_noise_Nm))),
+    )
 
 
 def sequence(proposal: Proposal, on: Ground) -> dict[str, Any]:
@@ -216,6 +244,15 @@ def sequence(proposal: Proposal, on: Ground) -> dict[str, Any]:
 
 def as_json(proposals: Sequence[Proposal], files: Sequence[str]) -> list[dict[str, Any]]:
     """The report's entry."""
-    return [{"file": name, "title": p.stop.title, "reason": p.reason, **p.stop._asdict(), "parts": list(p.parts),
-             "separation_before": p.before, "separation_after": p.after}
-            for p, name in zip(proposals, files, strict=True)]
+    return [
+        {
+            "file": name,
+            "title": p.stop.title,
+            "reason": p.reason,
+            **p.stop._asdict(),
+            "parts": list(p.parts),
+            "separation_before": p.before,
+            "separation_after": p.after,
+        }
+        for p, name in zip(proposals, files, strict=True)
+    ]

@@ -43,8 +43,10 @@ class Stop(NamedTuple):
         """In words."""
         where = f"on wheelset {self.axle} only" if self.axle else "on all wheelsets"
         speed = f"for {self.held_s:g} s at a held" if self.held_s else "from"
-        return (f"{self.pressure_Pa / 1e5:g} bar {where} {speed} {self.initial_speed_m_s:g} m/s with "
-                f"{self.mass_kg / 1e3:.3g} t")
+        return (
+            f"{self.pressure_Pa / 1e5:g} bar {where} {speed} {self.initial_speed_m_s:g} m/s with "
+            f"{self.mass_kg / 1e3:.3g} t"
+        )
 
 
 def run(data: Dataset, parameters: np.ndarray, stop: Stop, explanation: Explanation) -> Run:
@@ -67,31 +69,51 @@ def run(data: Dataset, parameters: np.ndarray, stop: Stop, explanation: Explanat
         if k % every == 0:
             demand = most_Nm * -math.expm1(-max(time_s - RELEASED_S, 0.0) / FILL_S)
             for j in np.flatnonzero(braked):
-                sliding[k:k + every, j], force[k:k + every, j] = _creeping(
-                    v, demand, load_N, radius, p, time_s + 0.3 * j)
+                sliding[k : k + every, j], force[k : k + every, j] = _creeping(
+                    v, demand, load_N, radius, p, time_s + 0.3 * j
+                )
         speed[k] = v
-        coast = (vehicle["resistance_A_N"] + vehicle["resistance_B_N_s_m"] * v
-                 + vehicle["resistance_C_N_s2_m2"] * v * v)
+        coast = (
+            vehicle["resistance_A_N"]
+            + vehicle["resistance_B_N_s_m"] * v
+            + vehicle["resistance_C_N_s2_m2"] * v * v
+        )
         v -= step_s * (float(force[k].sum()) + coast) / mass_kg
         if v < stop.last_speed_m_s:
             n = k + 1
             break
     speed, *rough = speed[:n], sliding[:n], force[:n]
-    sliding, force = (gaussian_filter1d(course, 0.08 / step_s, axis=0, mode="nearest") for course in rough)
+    sliding, force = (
+        gaussian_filter1d(course, 0.08 / step_s, axis=0, mode="nearest") for course in rough
+    )
     wheel = (speed[:, None] - sliding) / radius
     torque = np.maximum(radius * force - inertia * np.gradient(wheel, step_s, axis=0), 0.0) * braked
     on_rollers = math.isfinite(data.sections["contact"]["roller_radius_m"])
-    return Run("planned", "tune", mass_kg, None, step_s * np.arange(n), speed, wheel, np.full((n, AXLES), load_N),
-               torque, None, np.repeat(speed[:, None], AXLES, axis=1) if on_rollers else None)
+    return Run(
+        "planned",
+        "tune",
+        mass_kg,
+        None,
+        step_s * np.arange(n),
+        speed,
+        wheel,
+        np.full((n, AXLES), load_N),
+        torque,
+        None,
+        np.repeat(speed[:, None], AXLES, axis=1) if on_rollers else None,
+    )
 
 
-def _creeping(speed: float, demand_Nm: float, load_N: float, radius: float, p: np.ndarray,
-              time_s: float) -> tuple[float, float]:
+def _creeping(
+    speed: float, demand_Nm: float, load_N: float, radius: float, p: np.ndarray, time_s: float
+) -> tuple[float, float]:
     """(sliding in m/s, force in N) of a braked wheel: as the WSP lets it, or as its torque needs."""
     wanted_N = demand_Nm / radius
 
     def force(s: float) -> float:
-        return load_N * float(replay.wheel_adhesion(s, speed, 0.5 * load_N, 1.0, 1.0, p, 0.0, 1.0)[0])
+        return load_N * float(
+            replay.wheel_adhesion(s, speed, 0.5 * load_N, 1.0, 1.0, p, 0.0, 1.0)[0]
+        )
 
     high = (SHARE * speed + LEAST_M_S) * (1.0 + SWING * math.sin(2.0 * math.pi * time_s / PERIOD_S))
     if wanted_N >= force(high):
@@ -110,17 +132,44 @@ def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -
     law["mu_cd"] = float(law["mu_cd"] * math.exp(explanation.level))
     law["tau_m_J"] = float(law["tau_m_J"] * math.exp(explanation.base.get("ln_tau", 0.0)))
     rolled = math.isfinite(sections["contact"]["roller_radius_m"])
-    brake: dict[str, Any] = {"title": stop.title, "at": f"{RELEASED_S:g} s",
-                             "set": {"brake_demand": f"{stop.pressure_Pa / 1e5:g} bar"}}
-    held = {"for": f"{stop.held_s:g} s", "expect": [f"vehicle_speed > {0.99 * stop.initial_speed_m_s:.4g} m/s"]}
-    brake |= held if stop.held_s else {"until": f"vehicle_speed < {stop.last_speed_m_s:g} m/s", "timeout": "280 s"}
+    brake: dict[str, Any] = {
+        "title": stop.title,
+        "at": f"{RELEASED_S:g} s",
+        "set": {"brake_demand": f"{stop.pressure_Pa / 1e5:g} bar"},
+    }
+    held = {
+        "for": f"{stop.held_s:g} s",
+        "expect": [f"vehicle_speed > {0.99 * stop.initial_speed_m_s:.4g} m/s"],
+    }
+    brake |= (
+        held
+        if stop.held_s
+        else {"until": f"vehicle_speed < {stop.last_speed_m_s:g} m/s", "timeout": "280 s"}
+    )
     if stop.axle:
         # the dump valves of the others stay open: sliding at a speed that hardly falls
-        brake["fault"] = [f"vent_magnet_stuck axle={j}" for j in range(1, AXLES + 1) if j != stop.axle]
-    return {"title": f"Proposed by explain: {stop.title}", "criteria": "none", "notes": reason,
-            "start": {"speed": f"{stop.initial_speed_m_s:g} m/s", "mass": f"{stop.mass_kg:.6g} kg", "adhesion": "soap",
-                      "tables": {"adhesion": law, "contact": dict(sections["contact"]),
-                                 "vehicle": dict(sections["vehicle"]), "brake": dict(sections["brake"]),
-                                 "rig": {"mode": "contaminated_rollers" if rolled else "track",
-                                         "speed": "held" if stop.held_s else "vehicle"},
-                                 "loop": {"record_hz": round(1.0 / data.sample_time_s)}}}, "step": [brake]}
+        brake["fault"] = [
+            f"vent_magnet_stuck axle={j}" for j in range(1, AXLES + 1) if j != stop.axle
+        ]
+    return {
+        "title": f"Proposed by explain: {stop.title}",
+        "criteria": "none",
+        "notes": reason,
+        "start": {
+            "speed": f"{stop.initial_speed_m_s:g} m/s",
+            "mass": f"{stop.mass_kg:.6g} kg",
+            "adhesion": "soap",
+            "tables": {
+                "adhesion": law,
+                "contact": dict(sections["contact"]),
+                "vehicle": dict(sections["vehicle"]),
+                "brake": dict(sections["brake"]),
+                "rig": {
+                    "mode": "contaminated_rollers" if rolled else "track",
+                    "speed": "held" if stop.held_s else "vehicle",
+                },
+                "loop": {"record_hz": round(1.0 / data.sample_time_s)},
+            },
+        },
+        "step": [brake],
+    }

@@ -46,7 +46,9 @@ class Fitted(NamedTuple):
     values_no_fall: dict[str, float]
     floor: float
     means: dict[str, float]  # mean error of the recommended sets
-    correlation: np.ndarray  # (5, 5) of the replicates; 0 for a parameter that stands at a bound in all of them
+    correlation: (
+        np.ndarray
+    )  # (5, 5) of the replicates; 0 for a parameter that stands at a bound in all of them
 
 
 def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
@@ -63,7 +65,9 @@ def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
 def fit(data: Dataset, seed: int = 0) -> Fitted:
     """Fit a creep-curve dataset. Raises ConfigError where there is none."""
     if data.curve is None:
-        raise ConfigError(f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; a creep_curve is wanted here")
+        raise ConfigError(
+            f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; a creep_curve is wanted here"
+        )
     curve, patch = data.curve, patch_of(data)
     x, residual = _best(curve, patch, np.ones(5, dtype=bool))
     x_flat, residual_flat = _best(curve, patch, np.array([True, False, False, True, True]))
@@ -71,17 +75,28 @@ def fit(data: Dataset, seed: int = 0) -> Fitted:
     _, residual_ordered = _best(curve, patch, np.array([True, False, False, True, False]))
     spread = _bootstrap(curve, patch, x, seed)
     low, high = np.percentile(spread, (2.5, 97.5), axis=0)
-    values = {name: Interval(*(float(v) for v in (x[i], low[i], high[i]))) for i, name in enumerate(NAMES)}
+    values = {
+        name: Interval(*(float(v) for v in (x[i], low[i], high[i]))) for i, name in enumerate(NAMES)
+    }
     scaled = (spread - spread.mean(axis=0)) / np.maximum(spread.std(axis=0), 1e-12)
     return Fitted(
-        values=values, rms=rms(residual), rms_no_fall=rms(residual_flat), rms_no_fall_ordered=rms(residual_ordered),
-        values_no_fall={name: float(x_flat[i]) for i, name in enumerate(NAMES)}, floor=_floor(curve),
-        means={name: float(np.mean(model(np.array(at), curve, patch) - curve.adhesion))
-               for name, at in RECOMMENDED.items()}, correlation=scaled.T @ scaled / len(scaled))
+        values=values,
+        rms=rms(residual),
+        rms_no_fall=rms(residual_flat),
+        rms_no_fall_ordered=rms(residual_ordered),
+        values_no_fall={name: float(x_flat[i]) for i, name in enumerate(NAMES)},
+        floor=_floor(curve),
+        means={
+            name: float(np.mean(model(np.array(at), curve, patch) - curve.adhesion))
+            for name, at in RECOMMENDED.items()
+        },
+        correlation=scaled.T @ scaled / len(scaled),
+    )
 
 
-def _best(curve: Curve, patch: Patch, free: np.ndarray,
-          starts: tuple[tuple[float, ...], ...] = STARTS) -> tuple[np.ndarray, np.ndarray]:
+def _best(
+    curve: Curve, patch: Patch, free: np.ndarray, starts: tuple[tuple[float, ...], ...] = STARTS
+) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and residuals of least squares; without A friction does not fall, without k_S k_S = k_A."""
 
     def filled(part: np.ndarray) -> np.ndarray:
@@ -91,20 +106,30 @@ def _best(curve: Curve, patch: Patch, free: np.ndarray,
             x[4] = x[3]
         return x
 
-    found = [least_squares(lambda part: model(filled(part), curve, patch) - curve.adhesion,
-                           np.clip(np.array(start)[free], LOW[free], HIGH[free]),
-                           bounds=(LOW[free], HIGH[free]), x_scale=HIGH[free]) for start in starts]
+    found = [
+        least_squares(
+            lambda part: model(filled(part), curve, patch) - curve.adhesion,
+            np.clip(np.array(start)[free], LOW[free], HIGH[free]),
+            bounds=(LOW[free], HIGH[free]),
+            x_scale=HIGH[free],
+        )
+        for start in starts
+    ]
     best = min(found, key=lambda one: one.cost)
     return filled(best.x), best.fun
 
 
 def _bootstrap(curve: Curve, patch: Patch, x: np.ndarray, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    blocks = np.array_split(np.argsort(np.abs(curve.creepage)), min(BLOCKS, curve.creepage.size // 2))
+    blocks = np.array_split(
+        np.argsort(np.abs(curve.creepage)), min(BLOCKS, curve.creepage.size // 2)
+    )
     out = np.empty((REPLICATES, 5))
     for i in range(REPLICATES):
         at = np.concatenate([blocks[k] for k in rng.integers(len(blocks), size=len(blocks))])
-        out[i] = _best(Curve(*(part[at] for part in curve)), patch, np.ones(5, dtype=bool), (tuple(x),))[0]
+        out[i] = _best(
+            Curve(*(part[at] for part in curve)), patch, np.ones(5, dtype=bool), (tuple(x),)
+        )[0]
     return out
 
 
@@ -114,7 +139,7 @@ def _floor(curve: Curve) -> float:
     f, e = curve.adhesion[order], np.abs(curve.creepage[order])
     half, off = 4, []
     for i in range(half, f.size - half):
-        near = np.r_[i - half:i, i + 1:i + half + 1]
+        near = np.r_[i - half : i, i + 1 : i + half + 1]
         line = np.polyfit(e[near] - e[i], f[near], 1)
         off.append((f[i] - line[1]) / np.sqrt(1.0 + 1.0 / near.size))
     return float(np.sqrt(np.mean(np.square(off)))) if off else float("nan")
@@ -131,25 +156,55 @@ def as_json(data: Dataset, found: Fitted) -> dict[str, Any]:
     n = data.curve.creepage.size
     ratio = 2.0 * n * math.log(found.rms_no_fall / found.rms)
     cause: dict[str, Any] = {
-        "name": "falling_friction", "axles": None,
-        "parameters": {k: {"value": v.value, "ci95": [v.low, v.high], "unit": ""} for k, v in found.values.items()},
-        "evidence": {"delta_bic": ratio - 2.0 * math.log(n), "heldout_gain": None, "detectability": None},
-        "confusable_with": [], "separating_test": ""}
+        "name": "falling_friction",
+        "axles": None,
+        "parameters": {
+            k: {"value": v.value, "ci95": [v.low, v.high], "unit": ""}
+            for k, v in found.values.items()
+        },
+        "evidence": {
+            "delta_bic": ratio - 2.0 * math.log(n),
+            "heldout_gain": None,
+            "detectability": None,
+        },
+        "confusable_with": [],
+        "separating_test": "",
+    }
     return {
-        "verdict": "explained" if falls(found, n) else "consistent", "dataset": data.name,
-        "misfit": {"metric": "adhesion_rmse", "before": found.rms_no_fall, "noise_floor": found.floor,
-                   "p_value": math.exp(-0.5 * ratio), "worst_against": ["sliding"]},
-        "causes": [cause] if falls(found, n) else [], "gain": None, "unknown": None,
-        "screened": [{"name": row.name, "delta_bic": 0.0, "rejected_because":
-                      "a creep curve at one speed, without time, place or axles, cannot show it"}
-                     for row in TABLE if row.name != "falling_friction"],
-        "notes": [f"{n} points at one speed; scatter {found.floor:.4f}: beyond falling friction (rms "
-                  f"{found.rms_no_fall:.4f} to {found.rms:.4f}) little can be told",
-                  "no points were held out: no gain is claimed"]}
+        "verdict": "explained" if falls(found, n) else "consistent",
+        "dataset": data.name,
+        "misfit": {
+            "metric": "adhesion_rmse",
+            "before": found.rms_no_fall,
+            "noise_floor": found.floor,
+            "p_value": math.exp(-0.5 * ratio),
+            "worst_against": ["sliding"],
+        },
+        "causes": [cause] if falls(found, n) else [],
+        "gain": None,
+        "unknown": None,
+        "screened": [
+            {
+                "name": row.name,
+                "delta_bic": 0.0,
+                "rejected_because": "a creep curve at one speed, without time, place or axles, cannot show it",
+            }
+            for row in TABLE
+            if row.name != "falling_friction"
+        ],
+        "notes": [
+            f"{n} points at one speed; scatter {found.floor:.4f}: beyond falling friction (rms "
+            f"{found.rms_no_fall:.4f} to {found.rms:.4f}) little can be told",
+            "no points were held out: no gain is claimed",
+        ],
+    }
 
 
 def story(report: dict[str, Any]) -> list[str]:
     """The short story of a creep curve."""
-    first = ("Falling friction is supported." if report["causes"]
-             else "Friction that falls with sliding is not supported by these points.")
+    first = (
+        "Falling friction is supported."
+        if report["causes"]
+        else "Friction that falls with sliding is not supported by these points."
+    )
     return [first, *(f"Note: {note}." for note in report["notes"])]

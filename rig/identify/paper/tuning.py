@@ -99,42 +99,79 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
     number = np.concatenate([np.arange(n) for n in np.diff(design.start)])
     run, axle = (np.repeat(x, np.diff(design.start)) for x in (design.run, design.axle))
     creepage = design.sliding_m_s / design.speed_m_s
-    shares = np.array([adhesion.cleaning(s, v, cleaning_creepage)[0]
-                       for s, v in zip(design.sliding_m_s, design.speed_m_s, strict=True)])
-    keep = ((number % every == 0) & (design.sliding_m_s > LEAST_SLIDING_M_S)
-            & (design.speed_m_s > LEAST_SPEED_M_S) & (creepage < 0.95))
-    return Samples(*(part[keep] for part in (
-        run, axle, design.time_s, design.sliding_m_s, design.speed_m_s, design.load_N, design.adhesion,
-        creepage * shares)))
+    shares = np.array(
+        [
+            adhesion.cleaning(s, v, cleaning_creepage)[0]
+            for s, v in zip(design.sliding_m_s, design.speed_m_s, strict=True)
+        ]
+    )
+    keep = (
+        (number % every == 0)
+        & (design.sliding_m_s > LEAST_SLIDING_M_S)
+        & (design.speed_m_s > LEAST_SPEED_M_S)
+        & (creepage < 0.95)
+    )
+    return Samples(
+        *(
+            part[keep]
+            for part in (
+                run,
+                axle,
+                design.time_s,
+                design.sliding_m_s,
+                design.speed_m_s,
+                design.load_N,
+                design.adhesion,
+                creepage * shares,
+            )
+        )
+    )
 
 
 @kernel
 def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, out):
     """f, f_d, f_r of the model at each sample, into out (n, 3)."""
     for i in range(sliding_m_s.size):
-        f, f_d, f_r, _, _, _ = wheelset.adhesion_under(sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i],
-                                                       law.mu_cr, patch, law)
+        f, f_d, f_r, _, _, _ = wheelset.adhesion_under(
+            sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i], law.mu_cr, patch, law
+        )
         out[i, 0], out[i, 1], out[i, 2] = f, f_d, f_r
 
 
-def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law]) -> np.ndarray:
+def predicted(
+    s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law]
+) -> np.ndarray:
     """(n, 3) f, f_d, f_r for a recovery and the contaminants of the runs, mu_cd (runs,)."""
     patch, law = model
     out = np.empty((s.run.size, 3))
-    curves(s.sliding_m_s, s.speed_m_s, s.load_N, mu_cd[s.run], patch, law._replace(tau_m_J=tau_m_J), out)
+    curves(
+        s.sliding_m_s,
+        s.speed_m_s,
+        s.load_N,
+        mu_cd[s.run],
+        patch,
+        law._replace(tau_m_J=tau_m_J),
+        out,
+    )
     return out
 
 
 class _Fit:
     """Free parameters as logarithms: tau if it is free, then mu_cd of the runs that leave it free."""
 
-    def __init__(self, s: Samples, model: tuple[Patch, Law], stated: list[float | None], tau_m_J: float | None) -> None:
+    def __init__(
+        self,
+        s: Samples,
+        model: tuple[Patch, Law],
+        stated: list[float | None],
+        tau_m_J: float | None,
+    ) -> None:
         self.s, self.model, self.stated, self.tau = s, model, stated, tau_m_J
         self.free = [i for i, mu in enumerate(stated) if mu is None and np.any(s.run == i)]
 
     def unpack(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         mu = np.array([self.model[1].mu_cd if m is None else m for m in self.stated])
-        mu[self.free] = np.exp(x[-len(self.free):]) if self.free else mu[self.free]
+        mu[self.free] = np.exp(x[-len(self.free) :]) if self.free else mu[self.free]
         return (float(np.exp(x[0])) if self.tau is None else self.tau), mu
 
     def residual(self, x: np.ndarray) -> np.ndarray:
@@ -144,16 +181,24 @@ class _Fit:
     def paper_residual(self, x: np.ndarray) -> np.ndarray:
         tau, mu = self.unpack(x)
         _, f_d, f_r = predicted(self.s, tau, mu, self.model).T
-        return self.s.adhesion - f_d - (f_r - f_d) * -np.expm1(-tau * np.maximum(self.s.energy_J_m, 0.0))  # [U3]
+        return (
+            self.s.adhesion
+            - f_d
+            - (f_r - f_d) * -np.expm1(-tau * np.maximum(self.s.energy_J_m, 0.0))
+        )  # [U3]
 
-    def solve(self, residual: Callable[[np.ndarray], np.ndarray] | None = None) -> tuple[np.ndarray, float]:
+    def solve(
+        self, residual: Callable[[np.ndarray], np.ndarray] | None = None
+    ) -> tuple[np.ndarray, float]:
         """(x, rms of the residual)."""
         head = [np.log(max(self.model[1].tau_m_J, 1e-5))] if self.tau is None else []
         x0 = np.array(head + [np.log(self.model[1].mu_cd)] * len(self.free))
         if not x0.size:
             return x0, rms(self.residual(x0))
         bounds = np.log([TAU_BOUNDS] * len(head) + [MU_BOUNDS] * len(self.free)).T
-        found = least_squares(residual or self.residual, x0, bounds=bounds, x_scale=0.3, ftol=1e-12, xtol=1e-10)
+        found = least_squares(
+            residual or self.residual, x0, bounds=bounds, x_scale=0.3, ftol=1e-12, xtol=1e-10
+        )
         return found.x, rms(found.fun)
 
 
@@ -169,24 +214,40 @@ def tune(data: Dataset, seed: int = 0) -> Tuned:
     model = contact(data)
     s = collect(design, model[1].cleaning_creepage)
     if s.run.size < LEAST_SAMPLES:
-        raise ConfigError(f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "
-                          f"of the tuning runs, {LEAST_SAMPLES} are needed; give runs in which the WSP works")
+        raise ConfigError(
+            f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "
+            f"of the tuning runs, {LEAST_SAMPLES} are needed; give runs in which the WSP works"
+        )
     intervals = likeliest(design, model[1].mu_cd, seed)
     tau = intervals.pop("tau")
-    fit, base, classic, paper = (_Fit(s, model, [None] * len(runs), one)
-                                 for one in (tau.value, model[1].tau_m_J, 0.0, None))
+    fit, base, classic, paper = (
+        _Fit(s, model, [None] * len(runs), one) for one in (tau.value, model[1].tau_m_J, 0.0, None)
+    )
     x, rmse = fit.solve()
     f, f_d, f_r = predicted(s, *fit.unpack(x), model).T
     warnings = list(data.warnings)
     if not TAU_BOUNDS[0] * 1.01 < tau.value < TAU_BOUNDS[1] * 0.99 or tau.low <= 0.0:
-        warnings.append(f"tau = {tau.value:.3g} m/J stands at a bound: the runs do not show recovery")
+        warnings.append(
+            f"tau = {tau.value:.3g} m/J stands at a bound: the runs do not show recovery"
+        )
     if len(runs) < 3:
-        warnings.append(f"tau comes from {len(runs)} runs: what changes from run to run is not in its interval")
+        warnings.append(
+            f"tau comes from {len(runs)} runs: what changes from run to run is not in its interval"
+        )
     return Tuned(
-        tau_m_J=tau, mu_cd=dict(zip([run.name for run in runs], intervals.values(), strict=True)),
-        tau_paper_m_J=float(np.exp(paper.solve(paper.paper_residual)[0][0])), rmse=rmse, rmse_base=base.solve()[1],
-        rmse_classic=classic.solve()[1], samples=s, transition=(s.adhesion - f_d) / np.maximum(f_r - f_d, 1e-9),
-        degraded=f_d, recovered=f_r, model=f, warnings=warnings)
+        tau_m_J=tau,
+        mu_cd=dict(zip([run.name for run in runs], intervals.values(), strict=True)),
+        tau_paper_m_J=float(np.exp(paper.solve(paper.paper_residual)[0][0])),
+        rmse=rmse,
+        rmse_base=base.solve()[1],
+        rmse_classic=classic.solve()[1],
+        samples=s,
+        transition=(s.adhesion - f_d) / np.maximum(f_r - f_d, 1e-9),
+        degraded=f_d,
+        recovered=f_r,
+        model=f,
+        warnings=warnings,
+    )
 
 
 def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
@@ -204,7 +265,9 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
     rest = found.A[np.ix_(at, at)] - Z.T @ Z  # the vehicle's balance and the tolerances
     run = np.repeat(design.run, np.diff(design.start))
-    blocks, of = np.unique(run * 100_000 + (design.time_s // BLOCK_S).astype(int), return_inverse=True)
+    blocks, of = np.unique(
+        run * 100_000 + (design.time_s // BLOCK_S).astype(int), return_inverse=True
+    )
     A = np.array([Z[of == i].T @ Z[of == i] for i in range(blocks.size)])
     b = np.array([Z[of == i].T @ z[of == i] for i in range(blocks.size)])
     of_run = [np.flatnonzero(blocks // 100_000 == i) for i in range(design.mass_kg.size)]
@@ -214,15 +277,26 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     spread = np.empty((REPLICATES, len(at)))
     for i in range(REPLICATES):
         picked = np.concatenate([rng.choice(m, m.size) for m in of_run])
-        shift = np.where(prior > 0.0, rng.standard_normal(prior.size) / np.maximum(prior, 1e-12), 0.0)
+        shift = np.where(
+            prior > 0.0, rng.standard_normal(prior.size) / np.maximum(prior, 1e-12), 0.0
+        )
         spread[i] = tuning.solve(rest + A[picked].sum(axis=0), b[picked].sum(axis=0) + shift)[0]
     low, high = np.percentile(spread, (2.5, 97.5), axis=0)
     wider = np.hypot(1.0, between / np.maximum(spread.std(axis=0), 1e-12))
     low, high = low * wider, high * wider
-    units = {"ln_tau": float(design.base[TAU])} | {f"ln_mu_cd_{i}": mu_cd for i in range(design.mass_kg.size)}
-    return {label.removeprefix("ln_"): Interval(*(float(unit * np.exp(explanation.base.get(label, 0.0) + y))
-                                                  for y in (0.0, low[k], high[k])))
-            for label, unit in units.items() for k in (labels.index(label),)}
+    units = {"ln_tau": float(design.base[TAU])} | {
+        f"ln_mu_cd_{i}": mu_cd for i in range(design.mass_kg.size)
+    }
+    return {
+        label.removeprefix("ln_"): Interval(
+            *(
+                float(unit * np.exp(explanation.base.get(label, 0.0) + y))
+                for y in (0.0, low[k], high[k])
+            )
+        )
+        for label, unit in units.items()
+        for k in (labels.index(label),)
+    }
 
 
 def _between_runs(A: np.ndarray, pulls: np.ndarray) -> np.ndarray:
@@ -234,7 +308,9 @@ def _between_runs(A: np.ndarray, pulls: np.ndarray) -> np.ndarray:
     return np.sqrt((moves**2).sum(axis=0) * runs / (runs - 1))
 
 
-def contaminant(s: Samples, model: tuple[Patch, Law], stated: float | None, tau_m_J: float) -> tuple[float, float]:
+def contaminant(
+    s: Samples, model: tuple[Patch, Law], stated: float | None, tau_m_J: float
+) -> tuple[float, float]:
     """(mu_cd, rmse of f) of one run for a given recovery; mu_cd is fitted unless it is stated."""
     if s.run.size < 10:
         return stated or model[1].mu_cd, float("nan")

@@ -53,8 +53,20 @@ class Verdict(NamedTuple):
 
 
 @kernel
-def free_run(omega_measured, surface_m_s, load_N, torque_Nm, mu_cd, step_s, window, params, patch, law,
-             sliding, force_N):
+def free_run(
+    omega_measured,
+    surface_m_s,
+    load_N,
+    torque_Nm,
+    mu_cd,
+    step_s,
+    window,
+    params,
+    patch,
+    law,
+    sliding,
+    force_N,
+):
     """Sliding and contact force of one wheelset in windows of samples [V1]; `params`: wheel radius, inertia, mu_cr."""
     r, inertia, mu_cr = params[0], params[1], params[2]
     h = step_s / SUBSTEPS  # linearly implicit Euler
@@ -70,12 +82,16 @@ def free_run(omega_measured, surface_m_s, load_N, torque_Nm, mu_cd, step_s, wind
             v = surface_m_s[k] + part * (surface_m_s[last] - surface_m_s[k])
             N = load_N[k] + part * (load_N[last] - load_N[k])
             C = torque_Nm[k] + part * (torque_Nm[last] - torque_Nm[k])
-            f, _, _, _, _, slope = wheelset.adhesion_under(v - r * omega, v, N, mu_cd, mu_cr, patch, law)
+            f, _, _, _, _, slope = wheelset.adhesion_under(
+                v - r * omega, v, N, mu_cd, mu_cr, patch, law
+            )
             slope = max(slope, 0.0)
             damping = slope * N * r * r / inertia
             before = omega
             omega = max(0.0, omega + h * (r * f * N - C) / inertia / (1.0 + h * damping))
-            total += N * (f - slope * r * (omega - before))  # at the end of the step, as the balance has it
+            total += N * (
+                f - slope * r * (omega - before)
+            )  # at the end of the step, as the balance has it
         force_N[k] = total / SUBSTEPS
 
 
@@ -83,37 +99,76 @@ def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Ver
     """Judge both models on the runs of a group. Raises ConfigError without such runs."""
     runs = data.group(group)
     if not runs:
-        raise ConfigError(f"{data.folder / 'dataset.toml'}: no run has group = \"{group}\"; mark the runs "
-                          "that shall be judged")
+        raise ConfigError(
+            f'{data.folder / "dataset.toml"}: no run has group = "{group}"; mark the runs '
+            "that shall be judged"
+        )
     design = prepare(data, runs)
     verdicts = []
     for index, run in enumerate(runs):
-        measured, slid = design.speed_m_s[design.span(index * AXLES)], design.by_axle(design.sliding_m_s, index)
+        measured, slid = (
+            design.speed_m_s[design.span(index * AXLES)],
+            design.by_axle(design.sliding_m_s, index),
+        )
         moving = measured > SLOWEST_M_S
         length = int(np.argmin(moving)) if not moving.all() else moving.size
-        slid, speed, sliding = slid[:length], {"measured": measured[:length]}, {"measured": slid[:length]}
-        found = {"measured": Statistics(np.nan, np.nan, slid.mean(axis=0), slid.std(axis=0), np.nan)}
+        slid, speed, sliding = (
+            slid[:length],
+            {"measured": measured[:length]},
+            {"measured": slid[:length]},
+        )
+        found = {
+            "measured": Statistics(np.nan, np.nan, slid.mean(axis=0), slid.std(axis=0), np.nan)
+        }
         for name, tau in (("new", tau_m_J), ("classic", 0.0)):
-            found[name], speed[name], sliding[name] = _simulated(data, design, index, length, tau, run.mu_cd)
-        verdicts.append(Verdict(run.name, float(np.median(run.speed_m_s[:20])), found, run.time_s[:length], speed,
-                                sliding))
+            found[name], speed[name], sliding[name] = _simulated(
+                data, design, index, length, tau, run.mu_cd
+            )
+        verdicts.append(
+            Verdict(
+                run.name,
+                float(np.median(run.speed_m_s[:20])),
+                found,
+                run.time_s[:length],
+                speed,
+                sliding,
+            )
+        )
     return verdicts
 
 
-def _simulated(data: Dataset, design: Design, run: int, length: int, tau_m_J: float, stated: float | None
-               ) -> tuple[Statistics, np.ndarray, np.ndarray]:
+def _simulated(
+    data: Dataset, design: Design, run: int, length: int, tau_m_J: float, stated: float | None
+) -> tuple[Statistics, np.ndarray, np.ndarray]:
     patch, law = model = tuning.contact(data)
     samples = tuning.collect(design, law.cleaning_creepage)
     own = tuning.Samples(*(part[samples.run == run] for part in samples))
-    mu_cd, rmse = tuning.contaminant(own._replace(run=np.zeros_like(own.run)), model, stated, tau_m_J)
-    radius, inertia = (data.sections["vehicle"][key] for key in ("wheel_radius_m", "wheelset_inertia_kgm2"))
+    mu_cd, rmse = tuning.contaminant(
+        own._replace(run=np.zeros_like(own.run)), model, stated, tau_m_J
+    )
+    radius, inertia = (
+        data.sections["vehicle"][key] for key in ("wheel_radius_m", "wheelset_inertia_kgm2")
+    )
     one, other = np.empty((2, AXLES, length))
     for j in range(AXLES):
-        surface, slid, load, torque = (flat[design.span(run * AXLES + j)][:length] for flat in (
-            design.speed_m_s, design.sliding_m_s, design.load_N, design.torque_Nm))
-        free_run((surface - slid) / radius, surface, load, torque, mu_cd, design.step_s,
-                 round(WINDOW_S / design.step_s), np.array([radius, inertia, law.mu_cr]), patch,
-                 law._replace(tau_m_J=tau_m_J), one[j], other[j])
+        surface, slid, load, torque = (
+            flat[design.span(run * AXLES + j)][:length]
+            for flat in (design.speed_m_s, design.sliding_m_s, design.load_N, design.torque_Nm)
+        )
+        free_run(
+            (surface - slid) / radius,
+            surface,
+            load,
+            torque,
+            mu_cd,
+            design.step_s,
+            round(WINDOW_S / design.step_s),
+            np.array([radius, inertia, law.mu_cr]),
+            patch,
+            law._replace(tau_m_J=tau_m_J),
+            one[j],
+            other[j],
+        )
     sliding, force = one.T.copy(), other.T.copy()
     measured = design.speed_m_s[design.span(run * AXLES)][:length]
     A, B, C = design.resistance

@@ -13,8 +13,14 @@ import numpy as np
 from rollerrig.rig.identify.recorder import thresholds as limit
 from rollerrig.rig.identify.recorder.recording import Channel, Finding, Run
 
-_RATIOS = ((3.6, "km/h given as m/s"), (1 / 3.6, "m/s given as km/h"), (2.23694, "mph given as m/s"),
-           (0.44704, "m/s given as mph"), (1.609344, "km/h given as mph"), (1 / 1.609344, "mph given as km/h"))
+_RATIOS = (
+    (3.6, "km/h given as m/s"),
+    (1 / 3.6, "m/s given as km/h"),
+    (2.23694, "mph given as m/s"),
+    (0.44704, "m/s given as mph"),
+    (1.609344, "km/h given as mph"),
+    (1 / 1.609344, "mph given as km/h"),
+)
 _SPEEDS = ("speed", "reference")
 
 
@@ -39,11 +45,17 @@ def _joined(found: list[Finding]) -> list[Finding]:
     out: list[Finding] = []
     for f in sorted(found, key=lambda f: (f.name, f.channels, f.start_s)):
         last = out[-1] if out else None
-        if last and f.name == "sensor_dropout" and (last.name, last.channels) == (f.name, f.channels) and (
-                f.start_s - last.end_s < 0.5):
+        if (
+            last
+            and f.name == "sensor_dropout"
+            and (last.name, last.channels) == (f.name, f.channels)
+            and (f.start_s - last.end_s < 0.5)
+        ):
             size, half = f.end_s - last.start_s, max(f.high - f.size, last.high - last.size)
             text = last.text if f.text in last.text else f"{last.text}, then {f.text}"
-            out[-1] = last._replace(end_s=f.end_s, size=size, low=size - half, high=size + half, text=text)
+            out[-1] = last._replace(
+                end_s=f.end_s, size=size, low=size - half, high=size + half, text=text
+            )
         else:
             out.append(f)
     return out
@@ -67,21 +79,38 @@ def at(channel: Channel, time_s: np.ndarray) -> np.ndarray:
 
 
 def _with(run: Run, *channels: Channel) -> Run:
-    return run._replace(channels={**run.channels, **{channel.name: channel for channel in channels}})
+    return run._replace(
+        channels={**run.channels, **{channel.name: channel for channel in channels}}
+    )
 
 
 def _without(channel: Channel, parts: list[Stretch]) -> Channel:
     values = channel.values.copy()
     for part in parts:
-        values[part.first:part.last + 1] = np.nan
+        values[part.first : part.last + 1] = np.nan
     return channel._replace(values=values)
 
 
 def _duration(name: str, channel: Channel, run: Run, part: Stretch, text: str) -> Finding:
     """A finding that lasts; its end is known to a sample."""
-    start, end, step = float(channel.time_s[part.first]), float(channel.time_s[part.last]), channel.step_s
+    start, end, step = (
+        float(channel.time_s[part.first]),
+        float(channel.time_s[part.last]),
+        channel.step_s,
+    )
     size = end - start + step
-    return Finding(name, (channel.name,), run.name, start, end, size, max(size - step, 0.0), size + step, "s", text)
+    return Finding(
+        name,
+        (channel.name,),
+        run.name,
+        start,
+        end,
+        size,
+        max(size - step, 0.0),
+        size + step,
+        "s",
+        text,
+    )
 
 
 def _clocks(run: Run) -> list[list[Channel]]:
@@ -94,17 +123,23 @@ def _clocks(run: Run) -> list[list[Channel]]:
 
 # --- units ---
 
+
 def _units(run: Run) -> tuple[Run, list[Finding]]:
     """Declared units against position, else against most channels, else against what a vehicle can do."""
     speeds = run.of(*_SPEEDS)
     fast = {c.name: speed for c in speeds if (speed := float(np.nanpercentile(c.values, 75))) > 0.5}
     if not fast:
         return run, []
-    base = max(sorted(fast.values()), key=lambda one: sum(abs(other / one - 1.0) < 0.1 for other in fast.values()))
+    base = max(
+        sorted(fast.values()),
+        key=lambda one: sum(abs(other / one - 1.0) < 0.1 for other in fast.values()),
+    )
     scale, why = _by_position(run, speeds), "from the position"
     if scale is None:
         scale, why = {name: speed / base for name, speed in fast.items()}, "from the other channels"
-        hardest = min(_hardest(c) for c in speeds if c.name in fast and abs(scale[c.name] - 1.0) < 0.1)
+        hardest = min(
+            _hardest(c) for c in speeds if c.name in fast and abs(scale[c.name] - 1.0) < 0.1
+        )
         if hardest > limit.HARDEST_M_S2 + 0.3:
             scale = {name: 3.6 * one for name, one in scale.items()}
             why = f"from its changes of {hardest:.2g} m/s², more than a vehicle brakes"
@@ -113,10 +148,26 @@ def _units(run: Run) -> tuple[Run, list[Finding]]:
         for ratio, text in _RATIOS:
             if abs(scale.get(channel.name, 1.0) / ratio - 1.0) < limit.UNIT_SHARE:
                 got = scale[channel.name]
-                found.append(Finding("wrong_unit", (channel.name,), run.name, 0.0, float(channel.time_s[-1]), got,
-                                     got * (1 - limit.UNIT_SHARE), got * (1 + limit.UNIT_SHARE), "times",
-                                     f"{channel.name} is {text}, {why}; taken as that below"))
-                run = _with(run, channel._replace(values=channel.values / ratio, quantum=channel.quantum / ratio))
+                found.append(
+                    Finding(
+                        "wrong_unit",
+                        (channel.name,),
+                        run.name,
+                        0.0,
+                        float(channel.time_s[-1]),
+                        got,
+                        got * (1 - limit.UNIT_SHARE),
+                        got * (1 + limit.UNIT_SHARE),
+                        "times",
+                        f"{channel.name} is {text}, {why}; taken as that below",
+                    )
+                )
+                run = _with(
+                    run,
+                    channel._replace(
+                        values=channel.values / ratio, quantum=channel.quantum / ratio
+                    ),
+                )
     return run, found
 
 
@@ -130,7 +181,9 @@ def _by_position(run: Run, speeds: list[Channel]) -> dict[str, float] | None:
         steps = max(round(2.0 / channel.step_s), 1)
         moved, time_s = way[steps:] - way[:-steps], channel.time_s[steps:] - channel.time_s[:-steps]
         mean = 0.5 * (channel.values[steps:] + channel.values[:-steps])
-        good = np.isfinite(moved) & np.isfinite(mean) & (mean > 0.5) & (time_s > 0.0) & (moved > 0.5)
+        good = (
+            np.isfinite(moved) & np.isfinite(mean) & (mean > 0.5) & (time_s > 0.0) & (moved > 0.5)
+        )
         if good.sum() < 20:
             return None
         scale[channel.name] = float(np.median(mean[good] * time_s[good] / moved[good]))
@@ -148,6 +201,7 @@ def _hardest(channel: Channel) -> float:
 
 # --- stamps ---
 
+
 def _stamps(run: Run) -> tuple[Run, list[Finding]]:
     found = []
     for group in _clocks(run):
@@ -157,53 +211,100 @@ def _stamps(run: Run) -> tuple[Run, list[Finding]]:
         half = float(np.quantile(usual, 0.975)) + 1e-3 if usual.size else step
         names = tuple(channel.name for channel in group)
         moved, open_at = np.zeros(time_s.size), None
-        for k in map(int, np.flatnonzero((steps < 0.0) | (steps > step + max(limit.LEAST_STEP_S, 2.0 * step)))):
+        for k in map(
+            int,
+            np.flatnonzero((steps < 0.0) | (steps > step + max(limit.LEAST_STEP_S, 2.0 * step))),
+        ):
             size, back = float(steps[k] - step), bool(steps[k] < step)
             # a step there and back again is one finding
             if open_at is not None and back and abs(size + found[open_at].size) < 3.0 * half:
                 one = found[open_at]
-                moved[k + 1:] -= size
+                moved[k + 1 :] -= size
                 if one.unit == "gap":
-                    moved[int(np.searchsorted(time_s, one.start_s, "right")):] += size
-                found[open_at] = one._replace(end_s=float(time_s[k]), name="clock_step", unit="s",
-                                              text=_of_clock(one.size, half, True))
+                    moved[int(np.searchsorted(time_s, one.start_s, "right")) :] += size
+                found[open_at] = one._replace(
+                    end_s=float(time_s[k]),
+                    name="clock_step",
+                    unit="s",
+                    text=_of_clock(one.size, half, True),
+                )
                 open_at = None
                 continue
             if back or _runs_on(group, k, size, step):
-                found.append(Finding("clock_step", names, run.name, float(time_s[k]), float(time_s[-1]), size,
-                                     size - half, size + half, "s", _of_clock(size, half, False)))
-                moved[k + 1:] -= size
+                found.append(
+                    Finding(
+                        "clock_step",
+                        names,
+                        run.name,
+                        float(time_s[k]),
+                        float(time_s[-1]),
+                        size,
+                        size - half,
+                        size + half,
+                        "s",
+                        _of_clock(size, half, False),
+                    )
+                )
+                moved[k + 1 :] -= size
             elif size >= limit.LEAST_STEP_S:
-                found.append(Finding("sensor_dropout", names, run.name, float(time_s[k]), float(time_s[k + 1]),
-                                     size + step, size, size + 2.0 * step, "gap", "no samples"))
+                found.append(
+                    Finding(
+                        "sensor_dropout",
+                        names,
+                        run.name,
+                        float(time_s[k]),
+                        float(time_s[k + 1]),
+                        size + step,
+                        size,
+                        size + 2.0 * step,
+                        "gap",
+                        "no samples",
+                    )
+                )
             open_at = None if back else len(found) - 1
         right = time_s + moved
         rises = right > np.concatenate([[-np.inf], np.maximum.accumulate(right)[:-1]])
-        run = _with(run, *(channel._replace(time_s=right[rises], values=channel.values[rises]) for channel in group))
-    return run, [f._replace(unit="s") for f in found if f.name != "sensor_dropout" or f.size >= limit.GAP_S]
+        run = _with(
+            run,
+            *(
+                channel._replace(time_s=right[rises], values=channel.values[rises])
+                for channel in group
+            ),
+        )
+    return run, [
+        f._replace(unit="s") for f in found if f.name != "sensor_dropout" or f.size >= limit.GAP_S
+    ]
 
 
 def _of_clock(size: float, half: float, back: bool) -> str:
-    whole = f", {round(size):+d} s exactly" if abs(size - round(size)) < half and round(size) else ""
+    whole = (
+        f", {round(size):+d} s exactly" if abs(size - round(size)) < half and round(size) else ""
+    )
     return f"the stamps jump by {size:+.3f} s while the motion runs on{whole}" + (
-        "; they come back at the end" if back else "")
+        "; they come back at the end" if back else ""
+    )
 
 
 def _runs_on(group: list[Channel], k: int, size: float, step: float) -> bool:
     """Whether speeds or position go on across a jump of the stamps as if no time had passed."""
     for channel in group:
         before, after = slice(max(k - 14, 0), k + 1), slice(k + 1, k + 16)
-        if channel.quantity == "demand" or not (np.isfinite(channel.values[before]).sum() >= 8
-                                                and np.isfinite(channel.values[after]).sum() >= 8):
+        if channel.quantity == "demand" or not (
+            np.isfinite(channel.values[before]).sum() >= 8
+            and np.isfinite(channel.values[after]).sum() >= 8
+        ):
             continue
         # a line with the same slope on both sides and a jump between: what is the jump worth in seconds?
         t = np.concatenate([channel.time_s[before], channel.time_s[after] - size])
         v = np.concatenate([channel.values[before], channel.values[after]])
         late = np.arange(t.size) >= channel.time_s[before].size
         good = np.isfinite(v)
-        base = np.column_stack([np.ones(t.size), t - t.mean(), late, (t - t.mean())**2])[good]
+        base = np.column_stack([np.ones(t.size), t - t.mean(), late, (t - t.mean()) ** 2])[good]
         fit, *_ = np.linalg.lstsq(base, v[good], rcond=None)
-        spread = np.sqrt(np.sum((v[good] - base @ fit)**2) / max(good.sum() - 4, 1)) + channel.quantum / 3.0
+        spread = (
+            np.sqrt(np.sum((v[good] - base @ fit) ** 2) / max(good.sum() - 4, 1))
+            + channel.quantum / 3.0
+        )
         cov = np.linalg.pinv(base.T @ base)
         jump, error = fit[2], spread * np.sqrt(cov[2, 2]) + 1e-9
         expected = fit[1] * size
@@ -221,20 +322,24 @@ def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
             continue
         time_s, step = speeds[0].time_s, float(np.median(np.diff(speeds[0].time_s)))
         n = int(np.searchsorted(time_s, time_s[0] + limit.START_S))
-        v = np.array([channel.values[:n + 1] for channel in speeds])
+        v = np.array([channel.values[: n + 1] for channel in speeds])
         jump = np.abs(np.diff(v))
         jump[~(np.isfinite(jump) & (np.minimum(v[:, :-1], v[:, 1:]) > 0.0))] = 0.0
-        beyond = jump.min(axis=0) - limit.HARDEST_M_S2 * np.diff(time_s[:n + 1]) - limit.JUMP_M_S
+        beyond = jump.min(axis=0) - limit.HARDEST_M_S2 * np.diff(time_s[: n + 1]) - limit.JUMP_M_S
         if (jumps := np.flatnonzero(beyond > 0.0)).size and (k := int(jumps[-1])) * step > 0.5:
             part = Stretch(0, k)
             text = "what the channels tell there does not go over into what follows: old messages"
-            found.append(_duration("old_messages", speeds[0], run, part, text)._replace(
-                channels=tuple(channel.name for channel in speeds)))
+            found.append(
+                _duration("old_messages", speeds[0], run, part, text)._replace(
+                    channels=tuple(channel.name for channel in speeds)
+                )
+            )
             run = _with(run, *(_without(channel, [part]) for channel in group))
     return run, found
 
 
 # --- sensors ---
+
 
 def _others(run: Run, channel: Channel) -> np.ndarray:
     """Median of the other speeds at the stamps of one channel, NaN where there is none."""
@@ -255,13 +360,18 @@ Told = Iterator[tuple[str, int, int, str]]  # what it is called, its first and l
 
 def _each(check: Callable[[Run, Channel], Told]) -> Callable[[Run], tuple[Run, list[Finding]]]:
     """A check of one speed on each of them, one after another: the run without what it finds, and the findings."""
+
     def checked(run: Run) -> tuple[Run, list[Finding]]:
         found = []
         for channel in run.of(*_SPEEDS):
-            told = [(name, Stretch(first, last), text) for name, first, last, text in check(run, channel)]
+            told = [
+                (name, Stretch(first, last), text)
+                for name, first, last, text in check(run, channel)
+            ]
             found += [_duration(name, channel, run, part, text) for name, part, text in told]
             run = _with(run, _without(channel, [part for _, part, _ in told]))
         return run, found
+
     return checked
 
 
@@ -273,13 +383,24 @@ def _lines(_: Run, channel: Channel) -> Told:
     slope = np.diff(v) / np.maximum(np.diff(t), 1e-6)
     # drawn over the stamps, or over the count of samples
     bend = np.minimum(np.abs(np.diff(slope)) * channel.step_s, np.abs(np.diff(v, 2)))
-    rough = max(float(np.median(bend[bend > 0.0])) if (bend > 0.0).any() else 0.0, 0.5 * channel.quantum)
-    straight = np.concatenate([[False], (bend < limit.LINE_SHARE * rough) & (np.abs(slope[1:]) > 1e-3), [False]])
-    for a, b in ((first - 1, last + 1) for first, last in stretches(straight)):  # both ends are on the line
-        steps = v[a:b + 1] / (channel.quantum or np.inf)
+    rough = max(
+        float(np.median(bend[bend > 0.0])) if (bend > 0.0).any() else 0.0, 0.5 * channel.quantum
+    )
+    straight = np.concatenate(
+        [[False], (bend < limit.LINE_SHARE * rough) & (np.abs(slope[1:]) > 1e-3), [False]]
+    )
+    for a, b in (
+        (first - 1, last + 1) for first, last in stretches(straight)
+    ):  # both ends are on the line
+        steps = v[a : b + 1] / (channel.quantum or np.inf)
         off = not channel.quantum or np.mean(np.abs(steps - np.rint(steps)) > 1e-3) > 0.7
         if t[b] - t[a] >= limit.LINE_S and b - a >= 8 and off:
-            yield "interpolated", int(good[a]), int(good[b]), "a straight line drawn across a gap; refused as data"
+            yield (
+                "interpolated",
+                int(good[a]),
+                int(good[b]),
+                "a straight line drawn across a gap; refused as data",
+            )
 
 
 @_each
@@ -288,8 +409,13 @@ def _zeros(_: Run, channel: Channel) -> Told:
     v = channel.values
     for first, last in stretches(np.abs(v) < 1e-9):
         # an edge at a gap or at an end tells nothing
-        edges = [abs(float(v[k])) for k, near in ((first - 1, first), (last + 1, last)) if 0 <= k < v.size and abs(
-            channel.time_s[k] - channel.time_s[near]) < 2.5 * channel.step_s and np.isfinite(v[k])]
+        edges = [
+            abs(float(v[k]))
+            for k, near in ((first - 1, first), (last + 1, last))
+            if 0 <= k < v.size
+            and abs(channel.time_s[k] - channel.time_s[near]) < 2.5 * channel.step_s
+            and np.isfinite(v[k])
+        ]
         if edges and min(edges) > limit.ZERO_JUMP_M_S:
             yield "sensor_dropout", first, last, "zeros"
 
@@ -312,39 +438,55 @@ def _held(run: Run, channel: Channel) -> Told:
     for a, last in ((first, end + 1) for first, end in stretches(same)):
         if t[last] - t[a] < limit.STUCK_S:
             continue
-        moves = others[a:last + 1][np.isfinite(others[a:last + 1])]
+        moves = others[a : last + 1][np.isfinite(others[a : last + 1])]
         jump = abs(v[last + 1] - v[last]) if last + 1 < v.size else 0.0
-        frozen = (moves.size < 2 or not np.ptp(moves)) and jump > limit.JUMP_M_S + limit.HARDEST_M_S2 * channel.step_s
+        frozen = (
+            moves.size < 2 or not np.ptp(moves)
+        ) and jump > limit.JUMP_M_S + limit.HARDEST_M_S2 * channel.step_s
         if frozen or (moves.size > 1 and np.ptp(moves) > limit.MOVED_M_S):
             yield "sensor_stuck", a, last, f"held at {v[a]:.2f} m/s"
 
 
 # --- copies ---
 
+
 def copies(runs: list[Run]) -> tuple[list[Run], list[Finding]]:
     """Byte-equal stretches of all speeds of a clock, within a run or between two; the later one is taken out."""
     found: list[Finding] = []
-    groups = [(r, group) for r, run in enumerate(runs) for group in (
-        [c for c in clock if c.quantity in _SPEEDS] for clock in _clocks(run)) if group]
+    groups = [
+        (r, group)
+        for r, run in enumerate(runs)
+        for group in ([c for c in clock if c.quantity in _SPEEDS] for clock in _clocks(run))
+        if group
+    ]
     seen: dict[tuple[tuple[str, ...], int], tuple[int, int]] = {}
     for g, (r, group) in enumerate(groups):
         names = tuple(c.name for c in group)
         rows = np.column_stack([c.values for c in group])
         windows, changes = _windows(rows)
-        pairs = [(k, seen.setdefault((names, int(windows[k])), (g, k))) for k in map(int, np.flatnonzero(
-            changes >= limit.COPY_CHANGES))]
-        pairs = [(k, first) for k, first in pairs if first[0] != g or k - first[1] >= limit.COPY_SAMPLES]
+        pairs = [
+            (k, seen.setdefault((names, int(windows[k])), (g, k)))
+            for k in map(int, np.flatnonzero(changes >= limit.COPY_CHANGES))
+        ]
+        pairs = [
+            (k, first) for k, first in pairs if first[0] != g or k - first[1] >= limit.COPY_SAMPLES
+        ]
         while pairs:
             (k, (g0, k0)), n = pairs[0], 1
             while n < len(pairs) and pairs[n] == (k + n, (g0, k0 + n)):
                 n += 1
             pairs = pairs[n:]
             part, other = Stretch(k, k + n + limit.COPY_SAMPLES - 2), groups[g0]
-            if not np.array_equal(rows[k:part.last + 1], np.column_stack(
-                    [c.values for c in other[1]])[k0:k0 + n + limit.COPY_SAMPLES - 1], equal_nan=True):
+            if not np.array_equal(
+                rows[k : part.last + 1],
+                np.column_stack([c.values for c in other[1]])[k0 : k0 + n + limit.COPY_SAMPLES - 1],
+                equal_nan=True,
+            ):
                 continue
-            text = (f"the same samples as {runs[other[0]].name} from {other[1][0].time_s[k0]:.1f} s on: a copy tells "
-                    "nothing new")
+            text = (
+                f"the same samples as {runs[other[0]].name} from {other[1][0].time_s[k0]:.1f} s on: a copy tells "
+                "nothing new"
+            )
             found.append(_duration("copy", group[0], runs[r], part, text)._replace(channels=names))
             runs[r] = _with(runs[r], *(_without(runs[r].channels[name], [part]) for name in names))
     return runs, found
@@ -354,7 +496,9 @@ def _windows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of every window of samples: a number that equal windows share, and how often its rows change."""
     n = max(len(rows) - limit.COPY_SAMPLES + 1, 0)
     told = np.nan_to_num(rows, nan=-1.0)
-    window = np.array([hash(told[k:k + limit.COPY_SAMPLES].tobytes()) for k in range(n)], int)
+    window = np.array([hash(told[k : k + limit.COPY_SAMPLES].tobytes()) for k in range(n)], int)
     # what was taken out does not change
-    changed = np.concatenate([[0], np.cumsum(np.any(np.nan_to_num(np.diff(rows, axis=0)) != 0.0, axis=1))])
-    return window, changed[limit.COPY_SAMPLES - 1:] - changed[:n]
+    changed = np.concatenate(
+        [[0], np.cumsum(np.any(np.nan_to_num(np.diff(rows, axis=0)) != 0.0, axis=1))]
+    )
+    return window, changed[limit.COPY_SAMPLES - 1 :] - changed[:n]

@@ -27,10 +27,21 @@ HEAD = (
     number("wheel_radius_m", 0.445, 0.2, 0.7, "that the recorder takes, where a speed is in rad/s"),
 )
 CHANNEL = (
-    choice("column", "", (), "column or channel of the file, as the key where not given; rosbag2: /topic:field.field"),
+    choice(
+        "column",
+        "",
+        (),
+        "column or channel of the file, as the key where not given; rosbag2: /topic:field.field",
+    ),
     choice("unit", "", (), "of the values in the file, as the key says where not given"),
     choice("name", "", (), "how the report calls it"),
-    number("delay_s", -1.0, 0.0, 3.0, "so late it may be: 0 of a speed, 0.5 of a reference where not given"),
+    number(
+        "delay_s",
+        -1.0,
+        0.0,
+        3.0,
+        "so late it may be: 0 of a speed, 0.5 of a reference where not given",
+    ),
 )
 RUN = (
     choice("file", "", (), "CSV, Parquet, MDF4 or rosbag2 (its folder)"),
@@ -40,13 +51,19 @@ RUN = (
 _SPEED = {"m_s": "m/s", "rad_s": "rad/s"}
 # key of a channel, what it measures, how the report calls it
 KEYS = (
-    (r"wheel_speed_([1-9]\d*)_(m_s|rad_s)", "speed", "axle {}"), (r"bogie_speed_([1-9]\d*)_(m_s)", "speed", "bogie {}"),
-    (r"reference_speed_(m_s)", "reference", "reference"), (r"position_(m)", "position", "position"),
+    (r"wheel_speed_([1-9]\d*)_(m_s|rad_s)", "speed", "axle {}"),
+    (r"bogie_speed_([1-9]\d*)_(m_s)", "speed", "bogie {}"),
+    (r"reference_speed_(m_s)", "reference", "reference"),
+    (r"position_(m)", "position", "position"),
     (r"brake_demand", "demand", "demand"),
 )
 UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "m": 1.0, "km": 1000.0}
-_OF = {"speed": ("m/s", "km/h", "mph", "rad/s"), "reference": ("m/s", "km/h", "mph"), "position": ("m", "km"),
-       "demand": ("",)}
+_OF = {
+    "speed": ("m/s", "km/h", "mph", "rad/s"),
+    "reference": ("m/s", "km/h", "mph"),
+    "position": ("m", "km"),
+    "demand": ("",),
+}
 LEAST_SAMPLES = 100
 
 
@@ -64,7 +81,11 @@ class Channel(NamedTuple):
     @property
     def step_s(self) -> float:
         """Usual time between two samples."""
-        return float(np.median(np.diff(t))) if (t := self.time_s[np.isfinite(self.values)]).size > 1 else np.inf
+        return (
+            float(np.median(np.diff(t)))
+            if (t := self.time_s[np.isfinite(self.values)]).size > 1
+            else np.inf
+        )
 
 
 class Run(NamedTuple):
@@ -109,17 +130,25 @@ def load(folder: Path | str) -> Recording:
     head = table.read(HEAD, given, str(path))
     if not (isinstance(rows, list) and rows and all(isinstance(row, Mapping) for row in rows)):
         raise ConfigError(f"{path}: no [[run]]; a recording needs at least one")
-    runs = [table.read(RUN, {**row, "date": str(row.get("date", ""))}, f"{path} [[run]] {i}")
-            for i, row in enumerate(rows, start=1)]
+    runs = [
+        table.read(RUN, {**row, "date": str(row.get("date", ""))}, f"{path} [[run]] {i}")
+        for i, row in enumerate(rows, start=1)
+    ]
     for i, run in enumerate(runs, start=1):
         if not run["file"]:
             raise ConfigError(f"{path} [[run]] {i}: file is missing; name the data of this run")
         if not (place / run["file"]).exists():
-            raise ConfigError(f"{place / run['file']}: no such file; correct `file` in dataset.toml")
+            raise ConfigError(
+                f"{place / run['file']}: no such file; correct `file` in dataset.toml"
+            )
         if not re.fullmatch(r"(\d{4}-[01]\d-[0-3]\d)?", run["date"]):
-            raise ConfigError(f"{path} [[run]] {i}: date = '{run['date']}' is none; write year-month-day, 2026-03-01")
+            raise ConfigError(
+                f"{path} [[run]] {i}: date = '{run['date']}' is none; write year-month-day, 2026-03-01"
+            )
     if named is None:
-        named = {name: {} for name in files.column_names(place / runs[0]["file"], head) if _kind(name)}
+        named = {
+            name: {} for name in files.column_names(place / runs[0]["file"], head) if _kind(name)
+        }
     if not isinstance(named, Mapping):
         raise ConfigError(f"{path}: channels is no table; write [channels]")
     stamps, channels = _channels(named, head, f"{path} [channels]")
@@ -140,41 +169,70 @@ def _kind(key: str) -> tuple[str, str, int, str] | None:
     return None
 
 
-def _channels(named: Mapping[str, Any], head: Mapping[str, Any], where: str
-              ) -> tuple[dict[str, str], list[dict[str, Any]]]:
+def _channels(
+    named: Mapping[str, Any], head: Mapping[str, Any], where: str
+) -> tuple[dict[str, str], list[dict[str, Any]]]:
     """Column and unit of the stamps, and the channels."""
     stamps, found = {"time": "time_s", "time_unit": "s"}, []
     for key, content in named.items():
-        row = dataset.read_rows(CHANNEL, {"column": content} if isinstance(content, str) else content, f"{where} {key}")
+        row = dataset.read_rows(
+            CHANNEL, {"column": content} if isinstance(content, str) else content, f"{where} {key}"
+        )
         row["column"] = row["column"] or key
         if key == "time_s":
             stamps = {"time": row["column"], "time_unit": row["unit"] or "s"}
             continue
         if (kind := _kind(key)) is None:
-            raise ConfigError(f"{where}: {key} is no channel; allowed: time_s, wheel_speed_1_rad_s .., "
-                              "wheel_speed_1_m_s .., bogie_speed_1_m_s .., reference_speed_m_s, brake_demand, "
-                              "position_m")
+            raise ConfigError(
+                f"{where}: {key} is no channel; allowed: time_s, wheel_speed_1_rad_s .., "
+                "wheel_speed_1_m_s .., bogie_speed_1_m_s .., reference_speed_m_s, brake_demand, "
+                "position_m"
+            )
         quantity, name, axle, unit = kind
         declared = row["unit"] or unit
         if quantity != "demand" and declared not in (allowed := _OF[quantity]):
-            raise ConfigError(f"{where} {key}: unit = '{declared}' is none of a {quantity}; allowed: "
-                              f"{', '.join(allowed)}")
-        delay_s = row["delay_s"] if row["delay_s"] >= 0.0 else 0.5 if quantity == "reference" else 0.0
-        found.append({"quantity": quantity, "name": row["name"] or name, "axle": axle, "column": row["column"],
-                      "unit": declared, "told": bool(row["unit"]), "delay_s": delay_s,
-                      "scale": head["wheel_radius_m"] if declared == "rad/s" else UNITS.get(declared, 1.0)})
+            raise ConfigError(
+                f"{where} {key}: unit = '{declared}' is none of a {quantity}; allowed: "
+                f"{', '.join(allowed)}"
+            )
+        delay_s = (
+            row["delay_s"] if row["delay_s"] >= 0.0 else 0.5 if quantity == "reference" else 0.0
+        )
+        found.append(
+            {
+                "quantity": quantity,
+                "name": row["name"] or name,
+                "axle": axle,
+                "column": row["column"],
+                "unit": declared,
+                "told": bool(row["unit"]),
+                "delay_s": delay_s,
+                "scale": head["wheel_radius_m"]
+                if declared == "rad/s"
+                else UNITS.get(declared, 1.0),
+            }
+        )
     names = [channel["name"] for channel in found]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"{where}: two channels are called '{name}'; give each a name of its own")
+            raise ConfigError(
+                f"{where}: two channels are called '{name}'; give each a name of its own"
+            )
     if not any(channel["quantity"] == "speed" for channel in found):
-        raise ConfigError(f"{where}: no speed of an axle or a bogie; name one at least, as wheel_speed_1_m_s = "
-                          '{ column = "v1", unit = "km/h" }')
+        raise ConfigError(
+            f"{where}: no speed of an axle or a bogie; name one at least, as wheel_speed_1_m_s = "
+            '{ column = "v1", unit = "km/h" }'
+        )
     return stamps, found
 
 
-def _run(folder: Path, head: Mapping[str, Any], channels: list[dict[str, Any]], given: Mapping[str, Any],
-         found: Recording) -> Run:
+def _run(
+    folder: Path,
+    head: Mapping[str, Any],
+    channels: list[dict[str, Any]],
+    given: Mapping[str, Any],
+    found: Recording,
+) -> Run:
     path = folder / given["file"]
     columns = files.read(path, [channel["column"] for channel in channels], head)
     first = min(float(column.time_s.min()) for column in columns.values() if column.time_s.size)
@@ -183,15 +241,26 @@ def _run(folder: Path, head: Mapping[str, Any], channels: list[dict[str, Any]], 
         column, scale, name = columns[channel["column"]], channel["scale"], channel["name"]
         told = column.unit.replace(" ", "")
         if told in UNITS and channel["told"] and told != channel["unit"]:
-            raise ConfigError(f"{path}: column '{channel['column']}' says '{told}', dataset.toml says unit = "
-                              f"'{channel['unit']}' of {name}; correct one of them")
+            raise ConfigError(
+                f"{path}: column '{channel['column']}' says '{told}', dataset.toml says unit = "
+                f"'{channel['unit']}' of {name}; correct one of them"
+            )
         if told in UNITS and told in _OF[channel["quantity"]]:
             scale = UNITS[told]
         if np.count_nonzero(np.isfinite(column.values)) < LEAST_SAMPLES:
-            raise ConfigError(f"{path}: {name} has {np.count_nonzero(np.isfinite(column.values))} samples; give a "
-                              f"recording of {LEAST_SAMPLES} at least, or leave the channel out")
-        made[name] = Channel(name, channel["quantity"], channel["delay_s"], column.time_s - first,
-                             column.values * scale, scale * quantum(column.values), channel["axle"])
+            raise ConfigError(
+                f"{path}: {name} has {np.count_nonzero(np.isfinite(column.values))} samples; give a "
+                f"recording of {LEAST_SAMPLES} at least, or leave the channel out"
+            )
+        made[name] = Channel(
+            name,
+            channel["quantity"],
+            channel["delay_s"],
+            column.time_s - first,
+            column.values * scale,
+            scale * quantum(column.values),
+            channel["axle"],
+        )
     name = path.stem
     if name in {run.name for run in found.runs}:
         name = f"{name}_{len(found.runs) + 1}"

@@ -51,24 +51,38 @@ class Aligned(NamedTuple):
 def align(run: Run, delay_s: dict[str, float], radius: dict[str, float]) -> Aligned:
     """Channels with what is known of delay and radius taken off [R1]."""
     speeds = run.of("speed")
-    base = max(speeds, key=lambda c: np.isfinite(c.values).sum() - 1e9 * (np.isfinite(c.values).sum() < 2))
+    base = max(
+        speeds, key=lambda c: np.isfinite(c.values).sum() - 1e9 * (np.isfinite(c.values).sum() < 2)
+    )
     time_s = base.time_s - delay_s.get(base.name, 0.0)
 
     def of(channel: Channel) -> np.ndarray:
-        return faults.at(channel, time_s + delay_s.get(channel.name, 0.0)) / (1.0 + radius.get(channel.name, 0.0))
+        return faults.at(channel, time_s + delay_s.get(channel.name, 0.0)) / (
+            1.0 + radius.get(channel.name, 0.0)
+        )
 
     nothing = np.full(time_s.size, np.nan)
     one = {c.quantity: of(c) for c in run.of("reference", "position", "demand")}
-    return Aligned(run, tuple(c.name for c in speeds), time_s, np.column_stack([of(c) for c in speeds]),
-                   one.get("reference", nothing), one.get("position", nothing), one.get("demand", nothing), radius)
+    return Aligned(
+        run,
+        tuple(c.name for c in speeds),
+        time_s,
+        np.column_stack([of(c) for c in speeds]),
+        one.get("reference", nothing),
+        one.get("position", nothing),
+        one.get("demand", nothing),
+        radius,
+    )
 
 
 def slope(time_s: np.ndarray, values: np.ndarray, half_s: float = 1.0) -> np.ndarray:
     """Least-squares slope over two half windows; NaN where a third of it is missing."""
     good = np.isfinite(values)
     t = time_s - time_s[0]
-    sums = [np.concatenate([[0.0], np.cumsum(np.where(good, one, 0.0))])
-            for one in (np.ones(t.size), t, np.nan_to_num(values), t * np.nan_to_num(values), t * t)]
+    sums = [
+        np.concatenate([[0.0], np.cumsum(np.where(good, one, 0.0))])
+        for one in (np.ones(t.size), t, np.nan_to_num(values), t * np.nan_to_num(values), t * t)
+    ]
     a, b = np.searchsorted(t, t - half_s), np.searchsorted(t, t + half_s, "right")
     n, x, y, xy, xx = (one[b] - one[a] for one in sums)
     spread = n * xx - x * x
@@ -82,7 +96,11 @@ def quiet(a: Aligned) -> np.ndarray:
     v = a.vehicle
     rests = np.abs(slope(a.time_s, v)) < limit.QUIET_M_S2
     most = np.nanmax(a.demand) if np.isfinite(a.demand).any() else 0.0
-    return rests & (v > limit.SLOWEST_M_S) & ~(np.nan_to_num(a.demand) > 0.4 * most if most > 0.0 else False)
+    return (
+        rests
+        & (v > limit.SLOWEST_M_S)
+        & ~(np.nan_to_num(a.demand) > 0.4 * most if most > 0.0 else False)
+    )
 
 
 def fit(runs: list[Run]) -> tuple[list[Aligned], list[Finding]]:
@@ -92,12 +110,17 @@ def fit(runs: list[Run]) -> tuple[list[Aligned], list[Finding]]:
         radii, told = _radii(runs, delays)
         delays, late = _delays(runs, radii)
     radii, told = _radii(runs, delays)
-    return [align(run, delays, radius) for run, radius in zip(runs, radii, strict=True)], late + told
+    return [
+        align(run, delays, radius) for run, radius in zip(runs, radii, strict=True)
+    ], late + told
 
 
 # --- delays ---
 
-def _delays(runs: list[Run], radii: list[dict[str, float]]) -> tuple[dict[str, float], list[Finding]]:
+
+def _delays(
+    runs: list[Run], radii: list[dict[str, float]]
+) -> tuple[dict[str, float], list[Finding]]:
     aligned = [align(run, {}, radius) for run, radius in zip(runs, radii, strict=True)]
     names = list(dict.fromkeys(name for a in aligned for name in a.names))
     given = {c.name: c for run in runs for c in run.of("speed", "reference")}
@@ -110,10 +133,16 @@ def _delays(runs: list[Run], radii: list[dict[str, float]]) -> tuple[dict[str, f
 
     def tell(name: str, got: tuple[float, float, float], than: str) -> None:
         allowed = max(given[name].delay_s, 0.0)
-        if got[1] > allowed + limit.LATE_S or (got[2] < -limit.LATE_S and len(names) > 2 and name != reference):
+        if got[1] > allowed + limit.LATE_S or (
+            got[2] < -limit.LATE_S and len(names) > 2 and name != reference
+        ):
             delays[name] = got[0]
             word = "late" if got[0] > 0 else "early"
-            found.append(Finding("speed_sensor_delay", (name,), "", 0.0, 0.0, *got, "s", f"{word} against {than}"))
+            found.append(
+                Finding(
+                    "speed_sensor_delay", (name,), "", 0.0, 0.0, *got, "s", f"{word} against {than}"
+                )
+            )
         elif name == reference or abs(got[0]) > limit.LATE_S:
             delays[name] = got[0]  # as expected of it: taken off, not named
 
@@ -125,7 +154,9 @@ def _delays(runs: list[Run], radii: list[dict[str, float]]) -> tuple[dict[str, f
                 tell(name, got, (set(names) - {name}).pop())
     elif len(names) > 2:
         for name in names:
-            if (got := estimate(name, names)) is not None and (got[1] > limit.LATE_S or got[2] < -limit.LATE_S):
+            if (got := estimate(name, names)) is not None and (
+                got[1] > limit.LATE_S or got[2] < -limit.LATE_S
+            ):
                 tell(name, got, "the other speeds")
     if reference:
         right = [name for name in names if name not in delays]
@@ -137,17 +168,24 @@ def _delays(runs: list[Run], radii: list[dict[str, float]]) -> tuple[dict[str, f
     return delays, found
 
 
-def _delay(aligned: list[Aligned], radii: list[dict[str, float]], name: str, against: list[str],
-           rng: np.random.Generator) -> tuple[float, float, float] | None:
+def _delay(
+    aligned: list[Aligned],
+    radii: list[dict[str, float]],
+    name: str,
+    against: list[str],
+    rng: np.random.Generator,
+) -> tuple[float, float, float] | None:
     """How late a channel is against the median of some, with its 95 % interval; None where nothing changes."""
     costs, weight = [], []
     total = sum(a.time_s.size for a in aligned)
     for a, radius in zip(aligned, radii, strict=True):
         if name not in a.run.channels:
             continue
-        base = faults.median(np.array([a.speed[:, a.names.index(one)] for one in against if one in a.names]))
+        base = faults.median(
+            np.array([a.speed[:, a.names.index(one)] for one in against if one in a.names])
+        )
         moving = np.abs(slope(a.time_s, base)) > 0.15
-        pick = np.flatnonzero(moving & (base > limit.SLOWEST_M_S))[::max(total // _MOST, 1)]
+        pick = np.flatnonzero(moving & (base > limit.SLOWEST_M_S))[:: max(total // _MOST, 1)]
         if pick.size < 50:
             continue
         channel, t = a.run.channels[name], a.time_s[pick]
@@ -176,10 +214,13 @@ def _least(cost: np.ndarray) -> np.ndarray:
     row = np.arange(len(cost))
     before, here, after = cost[row, k - 1], cost[row, k], cost[row, k + 1]
     bend = before - 2.0 * here + after
-    return _GRID_S[k] + 0.05 * np.where(bend > 0.0, 0.5 * (before - after) / np.where(bend > 0.0, bend, 1.0), 0.0)
+    return _GRID_S[k] + 0.05 * np.where(
+        bend > 0.0, 0.5 * (before - after) / np.where(bend > 0.0, bend, 1.0), 0.0
+    )
 
 
 # --- radii ---
+
 
 class Wheel(NamedTuple):
     radius: float
@@ -187,7 +228,9 @@ class Wheel(NamedTuple):
     blocks: int
 
 
-def _radii(runs: list[Run], delays: dict[str, float]) -> tuple[list[dict[str, float]], list[Finding]]:
+def _radii(
+    runs: list[Run], delays: dict[str, float]
+) -> tuple[list[dict[str, float]], list[Finding]]:
     """rho of each speed in each run, and what of it is beyond chance."""
     aligned = [align(run, delays, {}) for run in runs]
     groups: dict[tuple[str, str], list[Aligned]] = {}
@@ -200,13 +243,18 @@ def _radii(runs: list[Run], delays: dict[str, float]) -> tuple[list[dict[str, fl
     tried = max(sum(len(dates) for names in known.values() for dates in names.values()), 1)
     found, taken = [], {}
     for car, names in known.items():
-        pair = len(names) == 2 and not any(np.isfinite(a.reference).any() for a in aligned if a.run.vehicle_id == car)
-        for name, dates in list(names.items())[:1 if pair else None]:
+        pair = len(names) == 2 and not any(
+            np.isfinite(a.reference).any() for a in aligned if a.run.vehicle_id == car
+        )
+        for name, dates in list(names.items())[: 1 if pair else None]:
             channels = tuple(names) if pair else (name,)
             more, levels = _told(channels, car, dates, tried)
             found += more
             taken.update({(car, name, date): level for date, level in levels.items()})
-    return [{name: taken.get((run.vehicle_id, name, run.date), 0.0) for name in run.channels} for run in runs], found
+    return [
+        {name: taken.get((run.vehicle_id, name, run.date), 0.0) for name in run.channels}
+        for run in runs
+    ], found
 
 
 def wheels(group: list[Aligned]) -> dict[str, Wheel]:
@@ -225,11 +273,15 @@ def wheels(group: list[Aligned]) -> dict[str, Wheel]:
             for k in np.unique(block[good]):
                 own = good & (block == k)
                 if own.sum() * a.step_s > 0.4 * limit.BLOCK_S:
-                    blocks.setdefault(name, []).append(float(a.speed[own, j].sum() / v[own].sum()) - 1.0)
+                    blocks.setdefault(name, []).append(
+                        float(a.speed[own, j].sum() / v[own].sum()) - 1.0
+                    )
             rounding = a.run.channels[name].quantum / np.sqrt(12.0)
             distinct = max(np.unique(a.speed[good, j]).size, 1)
             if good.any():
-                least[name] = max(least.get(name, 0.0), rounding / float(np.mean(v[good])) / np.sqrt(distinct))
+                least[name] = max(
+                    least.get(name, 0.0), rounding / float(np.mean(v[good])) / np.sqrt(distinct)
+                )
     found = {}
     for name, shares in blocks.items():
         if len(shares) >= limit.LEAST_BLOCKS:
@@ -240,8 +292,9 @@ def wheels(group: list[Aligned]) -> dict[str, Wheel]:
     return found
 
 
-def _told(channels: tuple[str, ...], car: str, dates: dict[str, Wheel], tried: int
-          ) -> tuple[list[Finding], dict[str, float]]:
+def _told(
+    channels: tuple[str, ...], car: str, dates: dict[str, Wheel], tried: int
+) -> tuple[list[Finding], dict[str, float]]:
     """Radius of one speed and its steps; dates that agree make one level."""
     levels: list[list[tuple[str, Wheel]]] = []
     for date, wheel in dates.items():
@@ -254,32 +307,67 @@ def _told(channels: tuple[str, ...], car: str, dates: dict[str, Wheel], tried: i
     of_car, found = f" of {car}" if car else "", []
     if _beyond(means[0], tried):
         until = f" until {levels[0][-1][0]}" if len(levels) > 1 else ""
-        found.append(_finding("wheel_radius", channels, means[0], levels[0][0][0], f"the wheels{of_car} have another "
-                              f"radius than the recorder takes{until}"))
+        found.append(
+            _finding(
+                "wheel_radius",
+                channels,
+                means[0],
+                levels[0][0][0],
+                f"the wheels{of_car} have another radius than the recorder takes{until}",
+            )
+        )
     for level, before, mean in zip(levels[1:], means, means[1:], strict=False):
-        found.append(_finding("wheel_radius_step", channels, _less(mean, before), level[0][0],
-                              f"the radius of the wheels{of_car} steps on {level[0][0] or 'a date that is not given'}: "
-                              "turned wheels or a changed setting"))
-    return found, {date: mean.radius if found else 0.0
-                   for level, mean in zip(levels, means, strict=True) for date, _ in level}
+        found.append(
+            _finding(
+                "wheel_radius_step",
+                channels,
+                _less(mean, before),
+                level[0][0],
+                f"the radius of the wheels{of_car} steps on {level[0][0] or 'a date that is not given'}: "
+                "turned wheels or a changed setting",
+            )
+        )
+    return found, {
+        date: mean.radius if found else 0.0
+        for level, mean in zip(levels, means, strict=True)
+        for date, _ in level
+    }
 
 
 def _finding(name: str, channels: tuple[str, ...], wheel: Wheel, date: str, text: str) -> Finding:
     # a wheel that is smaller than told turns faster
     half = wheel.error * float(student.ppf(0.975, max(wheel.blocks - 1, 2)))
     text += "; which of the two it is cannot be told" if len(channels) > 1 else ""
-    return Finding(name, channels, "", 0.0, 0.0, -100 * wheel.radius, -100 * (wheel.radius + half),
-                   -100 * (wheel.radius - half), "%", text, date)
+    return Finding(
+        name,
+        channels,
+        "",
+        0.0,
+        0.0,
+        -100 * wheel.radius,
+        -100 * (wheel.radius + half),
+        -100 * (wheel.radius - half),
+        "%",
+        text,
+        date,
+    )
 
 
 def _less(one: Wheel, other: Wheel) -> Wheel:
-    return Wheel(one.radius - other.radius, float(np.hypot(one.error, other.error)), min(one.blocks, other.blocks))
+    return Wheel(
+        one.radius - other.radius,
+        float(np.hypot(one.error, other.error)),
+        min(one.blocks, other.blocks),
+    )
 
 
 def _mean(level: list[Wheel]) -> Wheel:
     weight = np.array([1.0 / wheel.error**2 for wheel in level])
-    return Wheel(float(np.sum(weight * [wheel.radius for wheel in level]) / weight.sum()),
-                 float(max(weight.sum()**-0.5, 1e-4)), sum(wheel.blocks for wheel in level))
+    return Wheel(
+        float(np.sum(weight * [wheel.radius for wheel in level]) / weight.sum()),
+        float(max(weight.sum() ** -0.5, 1e-4)),
+        sum(wheel.blocks for wheel in level),
+    )
 
 
 def _beyond(wheel: Wheel, tried: int) -> bool:

@@ -3,7 +3,9 @@
 # stamps and sensors
 GAP_S = 1.0  # samples further apart are a gap
 LEAST_STEP_S = 0.3  # a smaller irregularity of stamps is a late message
-CLOCK_RATIO = 4.0  # deviations by which speed or position must contradict a gap to make it a clock step
+CLOCK_RATIO = (
+    4.0  # deviations by which speed or position must contradict a gap to make it a clock step
+)
 START_S = 15.0  # old messages are looked for so long
 HARDEST_M_S2 = 3.0  # no vehicle brakes or starts harder
 DRIVES_M_S2 = 0.3  # so much a vehicle may gain (downhill) while its wheels slide in braking

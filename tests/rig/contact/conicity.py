@@ -75,7 +75,8 @@ def equivalent(
     if np.any(left <= 0.0):
         raise ValueError(
             f"equivalent conicity at {amplitude_m * 1e3:g} mm: the rolling radii do not steer the "
-            "wheelset back over the whole amplitude; take another amplitude or profile")
+            "wheelset back over the whole amplitude; take another amplitude or profile"
+        )
     # e r0 cancels between [E2] and [E3]
     wavelength = 4.0 * np.sum(amplitude_m * np.cos(t) / np.sqrt(2.0 * left)) * (t[1] - t[0])
     return float(0.5 * (2.0 * math.pi / wavelength) ** 2)

@@ -20,8 +20,11 @@ def _log(along, across):
 
 
 def _over_rectangle(primitive, x, y, hx, hy):
-    return sum(sx * sy * primitive(x + 0.5 * sx * hx, y + 0.5 * sy * hy)
-               for sx in (1, -1) for sy in (1, -1))
+    return sum(
+        sx * sy * primitive(x + 0.5 * sx * hx, y + 0.5 * sy * hy)
+        for sx in (1, -1)
+        for sy in (1, -1)
+    )
 
 
 def _displacements(x, y, hx, hy, shear_Pa, poisson):
@@ -30,8 +33,11 @@ def _displacements(x, y, hx, hy, shear_Pa, poisson):
     across = _over_rectangle(lambda x, y: x * _log(y, x), x, y, hx, hy)
     mixed = _over_rectangle(lambda x, y: -np.hypot(x, y), x, y, hx, hy)
     unit = 1.0 / (math.pi * shear_Pa)
-    return (unit * (along + (1.0 - poisson) * across), unit * poisson * mixed,
-            unit * (across + (1.0 - poisson) * along))
+    return (
+        unit * (along + (1.0 - poisson) * across),
+        unit * poisson * mixed,
+        unit * (across + (1.0 - poisson) * along),
+    )
 
 
 class HalfSpace:
@@ -80,7 +86,9 @@ class HalfSpace:
             rest[k], rest[n + k] = size / g - 1.0, (px * sy - py * sx) / unit
             matrix[k] = 0.0
             matrix[k, k], matrix[k, n + k] = px / (size * g), py / (size * g)
-            matrix[n + k] = (py[:, None] * self.strain[k] - px[:, None] * self.strain[n + k]) / unit[:, None]
+            matrix[n + k] = (
+                py[:, None] * self.strain[k] - px[:, None] * self.strain[n + k]
+            ) / unit[:, None]
             matrix[n + k, k] += sy / unit
             matrix[n + k, n + k] -= sx / unit
             move = np.linalg.solve(matrix, -rest)

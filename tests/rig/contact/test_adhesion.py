@@ -70,21 +70,25 @@ def exact_w0(x):
 
 # the paper's values
 
+
 def test_table_4_is_met_to_its_printed_digits():
     columns = ("f_d", "f_r", "f", "lambda", "Wsp_J_per_m", "tau_Wsp", "T_N")
     rows = list(table())
     assert len(rows) == 95
     for row in rows:
         f, f_d, f_r, lambda_, work, _ = adhesion.recovering(
-            row["s_m_s"], row["v_m_s"], LOAD, RAIL, TABLE_4)
+            row["s_m_s"], row["v_m_s"], LOAD, RAIL, TABLE_4
+        )
         got = (f_d, f_r, f, lambda_, work, TABLE_4.tau_m_J * work, f * LOAD)
         assert got == near([row[name] for name in columns], rel=5.1e-8)
 
 
 def test_the_friction_of_table_4_is_met():
     for row in table():
-        got = [polach.friction(row["s_m_s"], mu_c, 0.4, gamma)
-               for mu_c, gamma in ((0.06, 0.2), (0.28, 0.6))]
+        got = [
+            polach.friction(row["s_m_s"], mu_c, 0.4, gamma)
+            for mu_c, gamma in ((0.06, 0.2), (0.28, 0.6))
+        ]
         assert got == near([row["mu_d"], row["mu_r"]], rel=5.1e-8)
 
 
@@ -96,7 +100,8 @@ def test_adhesion_dips_where_falling_friction_outweighs_recovery():
 
 
 @pytest.mark.parametrize(
-    ("radius", "creep_slope"), [(1.0, -0.17), (0.75, -0.20), (0.6, -0.24), (0.5, -0.27)])
+    ("radius", "creep_slope"), [(1.0, -0.17), (0.75, -0.20), (0.6, -0.24), (0.5, -0.27)]
+)
 def test_a_roller_softens_the_creep_slope_as_published(radius, creep_slope):
     roller = patch_for(0.445, radius, 0.3, *MATERIAL)
     assert roller.eps1 / RAIL.eps1 - 1.0 == pytest.approx(creep_slope, abs=0.006)
@@ -106,14 +111,18 @@ def test_a_roller_softens_the_creep_slope_as_published(radius, creep_slope):
 
 # the closed form
 
+
 def test_the_closed_form_agrees_with_an_independent_solver_for_random_and_extreme_parameters():
     random = np.random.default_rng(20140919)
     for _ in range(3000):
         f_d, f_r = random.uniform(1e-4, 0.7, 2)
         k = 10.0 ** random.uniform(-9.0, 9.0)
         assert adhesion.recovery(f_d, f_r, k)[0] == near(solved(f_d, f_r, k), rel=1e-10)
-    for f_d, f_r, k in product((1e-12, 1e-6, 0.1, 0.7), (1e-12, 1e-6, 0.1, 0.7),
-                               (1e-200, 1e-30, 1e-3, 1.0, 10.0, 1e3, 1e9, 1e30)):
+    for f_d, f_r, k in product(
+        (1e-12, 1e-6, 0.1, 0.7),
+        (1e-12, 1e-6, 0.1, 0.7),
+        (1e-200, 1e-30, 1e-3, 1.0, 10.0, 1e3, 1e9, 1e30),
+    ):
         assert adhesion.recovery(f_d, f_r, k)[0] == near(solved(f_d, f_r, k), rel=1e-10)
 
 
@@ -163,11 +172,16 @@ def test_without_energy_adhesion_is_the_degraded_one_bit_for_bit(k):
 
 # Lambert's function
 
+
 def test_w0_agrees_with_scipy():
     random = np.random.default_rng(1758)
-    x = np.concatenate((
-        random.uniform(-0.36, 3.0, 2000), 10.0 ** random.uniform(-300.0, 308.0, 2000),
-        -(10.0 ** random.uniform(-300.0, -0.45, 2000))))
+    x = np.concatenate(
+        (
+            random.uniform(-0.36, 3.0, 2000),
+            10.0 ** random.uniform(-300.0, 308.0, 2000),
+            -(10.0 ** random.uniform(-300.0, -0.45, 2000)),
+        )
+    )
     got = np.array([adhesion.lambert_w0(value) for value in x])
     assert got == near(lambertw(x).real, rel=1e-14)
 
@@ -204,6 +218,7 @@ def test_w0_inverts_w_exp_w_and_never_decreases():
 
 # the law of one wheel
 
+
 @pytest.mark.parametrize("law", [TABLE_4, SPOILING])
 def test_adhesion_is_odd_in_sliding_and_even_in_the_direction_of_travel(law):
     for sliding, speed in product(SLIDING, SPEEDS):
@@ -225,15 +240,18 @@ def test_adhesion_lies_between_its_limits_and_lambda_in_0_to_1(law):
 
 def test_adhesion_grows_with_tau():
     for sliding, speed in product(SLIDING[1:], SPEEDS):
-        f = [adhesion.recovering(sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=tau))[0]
-             for tau in (0.0, *np.geomspace(1e-9, 1.0, 40))]
+        f = [
+            adhesion.recovering(sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=tau))[0]
+            for tau in (0.0, *np.geomspace(1e-9, 1.0, 40))
+        ]
         assert all(later >= earlier * (1.0 - 1e-15) for earlier, later in pairwise(f))
 
 
 def test_without_tau_adhesion_is_the_degraded_one_bit_for_bit():
     for sliding, speed in product(SLIDING, SPEEDS):
         f, f_d, _, lambda_, _, _ = adhesion.recovering(
-            sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=0.0))
+            sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=0.0)
+        )
         assert (f, lambda_) == (f_d, 0.0)
 
 
@@ -252,7 +270,9 @@ def test_the_limits_are_polachs_force_at_the_patch_of_the_load():
 def test_the_slope_is_the_derivative_to_sliding(law):
     for sliding, speed, sign in product((1e-4, 0.02, 0.3, 1.0, 3.0, 12.0), SPEEDS[1:], (1, -1)):
         h = 1e-5 * sliding
-        ends = [adhesion.recovering(sign * (sliding + d), speed, LOAD, RAIL, law)[0] for d in (-h, h)]
+        ends = [
+            adhesion.recovering(sign * (sliding + d), speed, LOAD, RAIL, law)[0] for d in (-h, h)
+        ]
         difference = sign * (ends[1] - ends[0]) / (2.0 * h)
         slope = adhesion.recovering(sign * sliding, speed, LOAD, RAIL, law)[5]
         assert slope == pytest.approx(difference, rel=1e-5, abs=1e-9)
@@ -279,8 +299,12 @@ def test_an_unloaded_wheel_transmits_nothing(load):
 def test_infinite_and_zero_inputs_give_no_nan():
     ends = (0.0, 5e-324, 1e-300, 1.0, 1e300, math.inf)
     laws = (
-        TABLE_4, SPOILING, TABLE_4._replace(tau_m_J=0.0), TABLE_4._replace(mu_cd=0.0),
-        TABLE_4._replace(mu_cd=0.0, mu_cr=0.0), TABLE_4._replace(gamma_d_s_m=0.0, gamma_r_s_m=0.0),
+        TABLE_4,
+        SPOILING,
+        TABLE_4._replace(tau_m_J=0.0),
+        TABLE_4._replace(mu_cd=0.0),
+        TABLE_4._replace(mu_cd=0.0, mu_cr=0.0),
+        TABLE_4._replace(gamma_d_s_m=0.0, gamma_r_s_m=0.0),
         TABLE_4._replace(tau_m_J=1e30),
     )
     for sliding, speed, load, law in product((*ends, -math.inf), ends, ends, laws):
@@ -296,13 +320,27 @@ def test_a_broken_measurement_is_not_hidden(broken):
     assert math.isnan(adhesion.recovering(*given, RAIL, TABLE_4)[0])
 
 
-@pytest.mark.parametrize(("name", "value"), [
-    ("wheel_radius_m", 0.0), ("wheel_radius_m", math.inf), ("roller_radius_m", -1.0),
-    ("lateral_radius_m", math.nan), ("young_Pa", -2.1e11), ("shear_Pa", 0.0), ("poisson", 0.6),
-])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("wheel_radius_m", 0.0),
+        ("wheel_radius_m", math.inf),
+        ("roller_radius_m", -1.0),
+        ("lateral_radius_m", math.nan),
+        ("young_Pa", -2.1e11),
+        ("shear_Pa", 0.0),
+        ("poisson", 0.6),
+    ],
+)
 def test_an_impossible_patch_is_refused_by_name(name, value):
-    given = dict(wheel_radius_m=0.445, roller_radius_m=1.0, lateral_radius_m=0.3,
-                 young_Pa=2.1e11, shear_Pa=8.0e10, poisson=0.3)
+    given = dict(
+        wheel_radius_m=0.445,
+        roller_radius_m=1.0,
+        lateral_radius_m=0.3,
+        young_Pa=2.1e11,
+        shear_Pa=8.0e10,
+        poisson=0.3,
+    )
     with pytest.raises(ValueError, match=f"{name} = {value!r}; must be"):
         patch_for(**{**given, name: value})
 
@@ -325,8 +363,13 @@ for radius in (math.inf, 0.5):
 def test_plain_python_agrees_with_the_compiled_kernels():
     def run(disabled):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": disabled}
-        answer = subprocess.run([sys.executable, "-c", PLAIN], env=environment, check=True,
-                                capture_output=True, text=True)
+        answer = subprocess.run(
+            [sys.executable, "-c", PLAIN],
+            env=environment,
+            check=True,
+            capture_output=True,
+            text=True,
+        )
         return np.array([line.split() for line in answer.stdout.splitlines()], dtype=float)
 
     compiled = run("0")

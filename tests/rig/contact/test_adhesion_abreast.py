@@ -60,7 +60,9 @@ def test_within_its_domain_the_fast_law_is_the_law(law):
         f, _, trusted = adhesion_of(sliding, speed, load, PATCH, law)
         if trusted:
             inside += 1
-            assert f == pytest.approx(adhesion.recovering(sliding, speed, load, PATCH, law)[0], rel=2e-12)
+            assert f == pytest.approx(
+                adhesion.recovering(sliding, speed, load, PATCH, law)[0], rel=2e-12
+            )
     assert inside > 300
 
 
@@ -74,11 +76,22 @@ def test_nonsense_is_outside_the_domain():
     assert adhesion_of(np.nan, 30.0, 5e4, PATCH, law)[2] == 0.0
 
 
-@pytest.mark.parametrize(("ours", "theirs", "x"), [
-    (exponential, np.exp, np.concatenate([-np.logspace(-9, 2.8, 3000), np.linspace(-3.0, 3.0, 3001)])),
-    (arc_tangent, np.arctan, np.logspace(-12, 12, 4000)),
-    (logarithm, np.log, np.concatenate([np.logspace(-300, -0.001, 3000), np.logspace(0.001, 300, 3000)])),
-])
+@pytest.mark.parametrize(
+    ("ours", "theirs", "x"),
+    [
+        (
+            exponential,
+            np.exp,
+            np.concatenate([-np.logspace(-9, 2.8, 3000), np.linspace(-3.0, 3.0, 3001)]),
+        ),
+        (arc_tangent, np.arctan, np.logspace(-12, 12, 4000)),
+        (
+            logarithm,
+            np.log,
+            np.concatenate([np.logspace(-300, -0.001, 3000), np.logspace(0.001, 300, 3000)]),
+        ),
+    ],
+)
 def test_the_functions_agree_with_the_library_to_the_last_digits(ours, theirs, x):
     found = np.array([ours(float(one)) for one in x])
     assert np.abs(found / theirs(x) - 1.0).max() < 5e-16

@@ -20,8 +20,10 @@ near = partial(pytest.approx, abs=0.0)
 LAW = adhesion.Law(0.06, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
 CLEAN = LAW._replace(mu_cd=0.3, A_d=1.0, k_ad=1.0, k_sd=1.0, mu_cr=0.3, A_r=1.0, k_sr=1.0)
 N = 52_700.0
-PATCHES = tuple(patch_for(0.445, R, lateral, 2.1e11, 8.0e10, 0.3, 0, 20)
-                for R, lateral in ((math.inf, 0.3), (0.5, 0.3), (math.inf, 0.05), (1.0, 2.0)))
+PATCHES = tuple(
+    patch_for(0.445, R, lateral, 2.1e11, 8.0e10, 0.3, 0, 20)
+    for R, lateral in ((math.inf, 0.3), (0.5, 0.3), (math.inf, 0.05), (1.0, 2.0))
+)
 each_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 each_patch = pytest.mark.parametrize("patch", PATCHES)
 
@@ -70,8 +72,13 @@ def test_large_creepage_slides_at_the_friction_limit(model, patch):
 def test_the_moment_stays_near_contacts(model):
     patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
     unit = 0.3 * N * math.sqrt(patch.a1 * patch.b1) * N ** (1 / 3)
-    errors = [abs(force(model, row["xi"], row["eta"], row["phi_1_per_m"], patch)[2] / unit
-                  - row["CONTACT_mz"]) for row in contact_curves()]
+    errors = [
+        abs(
+            force(model, row["xi"], row["eta"], row["phi_1_per_m"], patch)[2] / unit
+            - row["CONTACT_mz"]
+        )
+        for row in contact_curves()
+    ]
     assert np.mean(errors) < 0.035
     assert max(errors) < 0.19
 
@@ -129,10 +136,12 @@ def test_polach_with_spin_stays_as_near_contact_as_its_source():
     distances = []
     for row in contact_curves():
         if row["phi_1_per_m"]:
-            fx, fy, _ = polach_spin.force(row["xi"], row["eta"], row["phi_1_per_m"], 0.3, N, patch,
-                                          1.0, 1.0)
-            distances.append(math.hypot(fx / (0.3 * N) - row["CONTACT_fx"],
-                                        fy / (0.3 * N) - row["CONTACT_fy"]))
+            fx, fy, _ = polach_spin.force(
+                row["xi"], row["eta"], row["phi_1_per_m"], 0.3, N, patch, 1.0, 1.0
+            )
+            distances.append(
+                math.hypot(fx / (0.3 * N) - row["CONTACT_fx"], fy / (0.3 * N) - row["CONTACT_fy"])
+            )
     assert np.mean(distances) < 0.10
     assert max(distances) < 0.47
 
@@ -149,7 +158,9 @@ def test_a_scenario_chooses_the_model_of_the_plant(model):
     plan = scenario.load("velim_a1", settings=(f"contact.model={name}",))
     p = plan.params
     assert p.patch.model == model
-    f, f_d, f_r, lambda_, W, _ = wheelset.adhesion_under(4.0, 40.0, 2 * N, 0.06, 0.28, p.patch, p.law)
+    f, f_d, f_r, lambda_, W, _ = wheelset.adhesion_under(
+        4.0, 40.0, 2 * N, 0.06, 0.28, p.patch, p.law
+    )
     if model == DEGRADED:
         assert f_d < f < f_r
         assert lambda_ > 0.1

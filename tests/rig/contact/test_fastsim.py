@@ -100,7 +100,14 @@ def test_sliding_harder_never_pulls_less_without_spin():
     assert pull[-1] <= 1.0 + 1e-12
 
 
-@pytest.mark.parametrize("given", [(0, 0, 0, MU, LOAD_N), (1e-3, 0, 0, 0.0, LOAD_N),
-                                   (1e-3, 0, 0, MU, 0.0), (1e-3, 0, 0, MU, -1.0)])
+@pytest.mark.parametrize(
+    "given",
+    [
+        (0, 0, 0, MU, LOAD_N),
+        (1e-3, 0, 0, 0.0, LOAD_N),
+        (1e-3, 0, 0, MU, 0.0),
+        (1e-3, 0, 0, MU, -1.0),
+    ],
+)
 def test_nothing_pulls_without_creepage_friction_or_load(given):
     assert fastsim.force(*given, PATCH, 10, 10) == (0.0, 0.0, 0.0)

@@ -8,7 +8,20 @@ import numpy as np
 import pytest
 
 from rollerrig.rig.contact import geometry, profiles
-from rollerrig.rig.contact.geometry import COLUMNS, GAP, MOST, NX, NY, NZ, RADIUS, RAIL_Y, S, X, Y, Z
+from rollerrig.rig.contact.geometry import (
+    COLUMNS,
+    GAP,
+    MOST,
+    NX,
+    NY,
+    NZ,
+    RADIUS,
+    RAIL_Y,
+    S,
+    X,
+    Y,
+    Z,
+)
 from rollerrig.rig.kernel import kernel
 
 DATA = Path(__file__).parents[2] / "data"
@@ -18,7 +31,9 @@ RIGID = np.genfromtxt(DATA / "rigid_contact_s1002_uic60_1in20.csv", delimiter=",
 
 
 def _deepest(y_m, z_m, roll, side, roller_m=math.inf, yaw=0.0, x_m=0.0):
-    return geometry.contacts((x_m, side * y_m, z_m, side * roll, 0.0, side * yaw), WHEEL, RAIL, roller_m)[0]
+    return geometry.contacts(
+        (x_m, side * y_m, z_m, side * roll, 0.0, side * yaw), WHEEL, RAIL, roller_m
+    )[0]
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -46,7 +61,10 @@ def test_a_wheelset_laid_down_stands_as_high_and_as_rolled_as_in_the_table(shift
 def test_a_wheelset_laid_down_stands_as_high_as_the_formulas_of_the_profiles_have_it(shift_mm):
     tilt, y = math.atan(1.0 / 20.0), np.linspace(-0.0365, 0.0365, 1_500_001)
     depth = -profiles.uic60_depth(y)
-    across, up = y * math.cos(tilt) - depth * math.sin(tilt), y * math.sin(tilt) + depth * math.cos(tilt)
+    across, up = (
+        y * math.cos(tilt) - depth * math.sin(tilt),
+        y * math.sin(tilt) + depth * math.cos(tilt),
+    )
     up -= up.max()
     gauge_side = slice(None, up.argmax())
     across += 0.7175 - np.interp(-0.014, up[gauge_side], across[gauge_side])
@@ -57,7 +75,9 @@ def test_a_wheelset_laid_down_stands_as_high_as_the_formulas_of_the_profiles_hav
     for side in (1, -1):
         below = -side * (0.75 + s) * math.sin(roll) - radius * math.cos(roll)
         there = -shift_mm * 1e-3 + side * (0.75 + s) * math.cos(roll) - radius * math.sin(roll)
-        assert z == pytest.approx(np.max(np.interp(side * there, across[seen], up[seen], -1.0) - below), abs=1e-7)
+        assert z == pytest.approx(
+            np.max(np.interp(side * there, across[seen], up[seen], -1.0) - below), abs=1e-7
+        )
 
 
 @pytest.mark.parametrize(("laying", "expected"), [(1 / 20, 0.0094), (1 / 40, 0.183)])
@@ -67,10 +87,15 @@ def test_equivalent_conicity_at_3_mm_is_the_reference(laying, expected):
 
 
 @pytest.mark.parametrize("roller_m", [math.inf, 1.0, 0.5])
-@pytest.mark.parametrize("pose", [
-    (0.0, 0.001, 0.4447, 0.0, 0.0, 0.0), (0.0, -0.003, 0.4447, 0.002, 0.3, 0.01),
-    (0.002, 0.004, 0.4446, -0.001, 0.0, -0.015), (0.0, 0.0065, 0.4460, 0.001, 0.0, 0.005),
-])
+@pytest.mark.parametrize(
+    "pose",
+    [
+        (0.0, 0.001, 0.4447, 0.0, 0.0, 0.0),
+        (0.0, -0.003, 0.4447, 0.002, 0.3, 0.01),
+        (0.002, 0.004, 0.4446, -0.001, 0.0, -0.015),
+        (0.0, 0.0065, 0.4460, 0.001, 0.0, 0.005),
+    ],
+)
 def test_every_contact_fulfils_the_six_equations(pose, roller_m):
     x, y, z, roll, _, yaw = pose
     e = np.array(geometry.axis(roll, yaw))
@@ -91,8 +116,11 @@ def test_every_contact_fulfils_the_six_equations(pose, roller_m):
             assert n[0] == 0.0
         else:
             axis_to_point = np.array([at[0], at[2] + roller_m])
-            height = np.interp(-n[1], np.linspace(-profiles.STEEPEST, profiles.STEEPEST, profiles.SINES),
-                               RAIL.nodes[:, 1])
+            height = np.interp(
+                -n[1],
+                np.linspace(-profiles.STEEPEST, profiles.STEEPEST, profiles.SINES),
+                RAIL.nodes[:, 1],
+            )
             assert np.linalg.norm(axis_to_point) == pytest.approx(roller_m + height, abs=2e-6)
 
 
@@ -102,7 +130,9 @@ def test_no_point_of_the_wheel_is_nearer_than_the_contacts_found():
     found = _deepest(y, z, 0.0, 1)
     s = np.linspace(-0.03, 0.05, 16001)
     nodes = RAIL.nodes[::-1]
-    wheel_z = z - np.interp(s, WHEEL.start_m + WHEEL.spacing_m * np.arange(len(WHEEL.fine)), WHEEL.fine[:, 0])
+    wheel_z = z - np.interp(
+        s, WHEEL.start_m + WHEEL.spacing_m * np.arange(len(WHEEL.fine)), WHEEL.fine[:, 0]
+    )
     gap = wheel_z - np.interp(WHEEL.centre_m + s + y, nodes[:, 0], nodes[:, 1])
     assert s[gap.argmin()] == pytest.approx(found[S], abs=1e-4)
     assert gap.min() * found[NZ] == pytest.approx(found[GAP], abs=2e-7)
@@ -141,7 +171,9 @@ def test_a_wheel_off_the_rail_is_refused():
 
 @kernel
 def _sway(found, F, steps, roller_m, wheel, rail, log):
-    count = geometry.detect(found, 0, 0, F, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail)
+    count = geometry.detect(
+        found, 0, 0, F, 0, (0.0, 0.0, 0.4447), geometry.axis(0.0, 0.0), roller_m, wheel, rail
+    )
     for i in range(steps):
         y = 0.004 * math.sin(i * 1e-3)
         pose, axle = (0.0, y, 0.4447), geometry.axis(0.0, 0.005 * math.cos(i * 1e-3))
@@ -162,7 +194,9 @@ def test_tracking_step_by_step_finds_what_a_search_from_nothing_finds():
     _sway(found, F, 6000, math.inf, WHEEL, RAIL, log)
     for i in range(0, 6000, 250):
         y, count, s = log[i]
-        fresh = geometry.contacts((0.0, y, 0.4447, 0.0, 0.0, 0.005 * math.cos(i * 1e-3)), WHEEL, RAIL)
+        fresh = geometry.contacts(
+            (0.0, y, 0.4447, 0.0, 0.0, 0.005 * math.cos(i * 1e-3)), WHEEL, RAIL
+        )
         assert count >= 1
         assert np.abs(fresh[:, S] - s).min() < 5e-5
 
@@ -175,15 +209,20 @@ def _quick(F, pose, axle, roller_m, wheel, rail):
 @kernel
 def _exact(F, pose, axle, roller_m, wheel, rail):
     for i in range(wheel.coarse.shape[0]):
-        F[0, i] = geometry.matched(wheel.coarse[i, 0], wheel.coarse[i, 1], wheel.coarse[i, 2], pose,
-                                   axle, roller_m, rail)[0]
+        F[0, i] = geometry.matched(
+            wheel.coarse[i, 0], wheel.coarse[i, 1], wheel.coarse[i, 2], pose, axle, roller_m, rail
+        )[0]
 
 
 @pytest.mark.parametrize("roller_m", [math.inf, 0.5, 1.0])
 def test_the_search_sees_the_equation_within_ten_micrometres(roller_m):
     rng = np.random.default_rng(5)
     for _ in range(200):
-        pose = (0.0 if math.isinf(roller_m) else rng.normal(0.0, 5e-3), rng.normal(0.0, 5e-3), 0.4447)
+        pose = (
+            0.0 if math.isinf(roller_m) else rng.normal(0.0, 5e-3),
+            rng.normal(0.0, 5e-3),
+            0.4447,
+        )
         axle = geometry.axis(rng.normal(0.0, 5e-3), rng.normal(0.0, 1e-2))
         (_, F), (_, exact) = _scratch(), _scratch()
         _quick(F, pose, axle, roller_m, WHEEL, RAIL)

@@ -18,8 +18,10 @@ PATCH = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
 
 def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():
     with (DATA / "creep_curves_rail_r300.csv").open() as file:
-        rows = [{k: float(v) for k, v in row.items() if k != "patch"}
-                for row in csv.DictReader(line for line in file if not line.startswith("#"))]
+        rows = [
+            {k: float(v) for k, v in row.items() if k != "patch"}
+            for row in csv.DictReader(line for line in file if not line.startswith("#"))
+        ]
     distances = []
     for row in (row for row in rows if row["phi_1_per_m"] == 0.0):
         fx, fy, _ = johnson_vermeulen.force(row["xi"], row["eta"], 0.0, row["mu"], row["N"], PATCH)

@@ -69,8 +69,7 @@ def test_slender_patches_follow_kalkers_asymptotes():
     assert c22 == near(math.pi**2 / 4.0, rel=1e-4)
     assert c33 == near(math.pi**2 / 16.0 / (1.0 - nu) / g, rel=1e-4)
     assert c23 == near(kalker._asymptote(g, False, nu)[2], rel=1e-4)
-    assert kalker.coefficients(1.0 / g, nu) == near(
-        kalker._asymptote(g, True, nu), rel=1e-4)
+    assert kalker.coefficients(1.0 / g, nu) == near(kalker._asymptote(g, True, nu), rel=1e-4)
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.25, 0.5])

@@ -55,8 +55,9 @@ def test_the_half_space_itself_agrees_with_contact():
     with (DATA / "creep_curves_rail_r300.csv").open() as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     for row in rows[1::3]:
-        fx, fy = judge.half_space.force(float(row["xi"]), float(row["eta"]), float(row["phi_1_per_m"]),
-                                        judge.limit_N)
+        fx, fy = judge.half_space.force(
+            float(row["xi"]), float(row["eta"]), float(row["phi_1_per_m"]), judge.limit_N
+        )
         assert math.hypot(fx - float(row["CONTACT_fx"]), fy - float(row["CONTACT_fy"])) < 0.045, row
 
 
@@ -76,7 +77,9 @@ def test_with_spin_fastsim_stays_within_0_08_mu_N_of_the_half_space(contact):
 
 
 @pytest.mark.parametrize("lateral_m", [0.08, 0.04], ids=["a/b = 3.1", "a/b = 4.8"])
-def test_with_spin_and_longitudinal_creepage_fastsim_stays_within_0_08_mu_N_on_long_patches(lateral_m):
+def test_with_spin_and_longitudinal_creepage_fastsim_stays_within_0_08_mu_N_on_long_patches(
+    lateral_m,
+):
     judge = Judge(0.445, math.inf, lateral_m, 45_000.0, 0.3, elements=21)
     for creep in ((1.5, 0.0, 2.0), (0.8, 0.0, 1.6), (1.2, 0.2, -2.0), (1.5, 0.5, -1.6)):
         assert judge.distance(FASTSIM, *creep) < 0.08, creep
@@ -89,9 +92,14 @@ def test_a_mirrored_contact_gives_the_mirrored_force(contact, model):
     for xi, eta, phi in SPINNING:
         creep = np.array([judge.unit * xi, judge.unit * eta, judge.unit * phi / judge.size])
         for signs, force_signs in (((1, -1, -1), (1, -1, -1)), ((-1, -1, -1), (-1, -1, -1))):
-            one, other = (np.array(creep_force.creep_force(model, *given, 0.0, judge.load_N, judge.patch,
-                                                           judge.law))
-                          for given in (creep, creep * signs))
+            one, other = (
+                np.array(
+                    creep_force.creep_force(
+                        model, *given, 0.0, judge.load_N, judge.patch, judge.law
+                    )
+                )
+                for given in (creep, creep * signs)
+            )
             np.testing.assert_allclose(other, one * force_signs, rtol=1e-9, atol=1e-6)
 
 
@@ -103,8 +111,9 @@ def test_more_creepage_along_any_direction_never_gives_less_force(contact, model
         sizes = []
         for part in np.geomspace(0.05, 30.0, 40):
             xi, eta = judge.unit * part * math.cos(angle), judge.unit * part * math.sin(angle)
-            fx, fy, _ = creep_force.creep_force(model, xi, eta, 0.0, 0.0, judge.load_N, judge.patch,
-                                                judge.law)
+            fx, fy, _ = creep_force.creep_force(
+                model, xi, eta, 0.0, 0.0, judge.load_N, judge.patch, judge.law
+            )
             sizes.append(math.hypot(fx, fy))
         assert np.all(np.diff(sizes) > -2e-3 * judge.limit_N)
         assert max(sizes) <= judge.limit_N * (1.0 + 1e-9)
@@ -116,5 +125,7 @@ def test_a_number_that_is_none_is_not_turned_into_a_force(model, broken):
     given = [1e-3, 1e-3, 0.2, 0.05, 5e4]
     given[broken] = math.nan
     judge = Judge(*CONTACTS[0])
-    forces = creep_force.creep_force(model, *given, judge.patch, LAW._replace(gamma_d_s_m=0.2, gamma_r_s_m=0.2))
+    forces = creep_force.creep_force(
+        model, *given, judge.patch, LAW._replace(gamma_d_s_m=0.2, gamma_r_s_m=0.2)
+    )
     assert np.isnan(forces).any() or tuple(forces) == (0.0, 0.0, 0.0)

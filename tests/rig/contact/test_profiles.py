@@ -35,7 +35,9 @@ def test_the_table_of_a_wheel_is_its_profile_and_its_slope():
     assert off.max() < 5e-6  # the flange, from slopes 0.1 mm apart
     slope = np.interp(S1002[here, 0] * 1e-3, s, wheel.fine[:, 1])
     # the profile's own steps at -35 and -26 mm are steep for a difference
-    calm = np.min(np.abs(S1002[here, 0][:, None] - np.array([-35.0, -26.0, -39.76, -38.43])), 1) > 0.5
+    calm = (
+        np.min(np.abs(S1002[here, 0][:, None] - np.array([-35.0, -26.0, -39.76, -38.43])), 1) > 0.5
+    )
     np.testing.assert_allclose(slope[calm], S1002[here, 2][calm], atol=2e-3)
 
 
@@ -73,7 +75,8 @@ def test_smoothing_takes_noise_from_the_slopes_and_tells_how_far_it_moved_the_po
     exact = profiles.s1002()
     tread = slice(600, 1100)
     assert np.std(smooth.fine[tread, 1] - exact.fine[tread, 1]) < 0.1 * np.std(
-        rough.fine[tread, 1] - exact.fine[tread, 1])
+        rough.fine[tread, 1] - exact.fine[tread, 1]
+    )
     assert told.smoothing_m == 0.002
     assert 0.0 < told.moved_by_smoothing_m < 1e-3
 
@@ -94,19 +97,24 @@ def test_a_wheel_from_a_file_is_the_wheel_it_describes(tmp_path):
     s = named.start_m + named.spacing_m * np.arange(len(named.fine))
     whole = exact.start_m + exact.spacing_m * np.arange(len(exact.fine))
     tread = (s > -0.03) & (s < 0.05)
-    np.testing.assert_allclose(named.fine[tread, 0], np.interp(s[tread], whole, exact.fine[:, 0]), atol=2e-7)
+    np.testing.assert_allclose(
+        named.fine[tread, 0], np.interp(s[tread], whole, exact.fine[:, 0]), atol=2e-7
+    )
 
 
-@pytest.mark.parametrize(("spoil", "says"), [
-    (lambda w: np.delete(w, slice(400, 460), 0), "gap of"),
-    (lambda w: np.vstack((w[:300], w[290:])), "folds back"),
-    (lambda w: w * 1e-3, "looks like m"),
-    (lambda w: w / 25.4, "looks like inches"),
-    (lambda w: w[:5], "at least 10"),
-    (lambda w: w[300:900], "wide"),
-    (lambda w: w + np.array([40.0, 0.0]), "must reach"),
-    (lambda w: np.vstack((w, [[61.0, np.nan]])), "finite"),
-])
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda w: np.delete(w, slice(400, 460), 0), "gap of"),
+        (lambda w: np.vstack((w[:300], w[290:])), "folds back"),
+        (lambda w: w * 1e-3, "looks like m"),
+        (lambda w: w / 25.4, "looks like inches"),
+        (lambda w: w[:5], "at least 10"),
+        (lambda w: w[300:900], "wide"),
+        (lambda w: w + np.array([40.0, 0.0]), "must reach"),
+        (lambda w: np.vstack((w, [[61.0, np.nan]])), "finite"),
+    ],
+)
 def test_a_bad_profile_is_refused_with_file_reason_and_remedy(tmp_path, spoil, says):
     path = _write(tmp_path / "bad.csv", spoil(WHEEL))
     with pytest.raises(ConfigError, match=says) as told:

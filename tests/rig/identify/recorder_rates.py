@@ -12,8 +12,15 @@ from scipy.stats import binomtest
 
 from rollerrig.rig.identify.recorder import recording, verdict
 
-KINDS = ({}, {"reference": False}, {"axles": 2}, {"axles": 1}, {"axles": 2, "reference": False},
-         {"axles": 3, "position": False}, {"axles": 1, "reference": False})
+KINDS = (
+    {},
+    {"reference": False},
+    {"axles": 2},
+    {"axles": 1},
+    {"axles": 2, "reference": False},
+    {"axles": 3, "position": False},
+    {"axles": 1, "reference": False},
+)
 
 
 def judged(folder, seed, hide=(), **how):
@@ -31,20 +38,34 @@ def main(clean, each, seed=1000):
                 print(f"seed {seed + k} {KINDS[k % len(KINDS)]}: {verdict.story(account)}")
         if clean:
             low, high = binomtest(wrong, clean).proportion_ci(method="wilson")
-            print(f"clean: {wrong} of {clean} not consistent, {wrong / clean:.1%} ({low:.1%} to {high:.1%})")
+            print(
+                f"clean: {wrong} of {clean} not consistent, {wrong / clean:.1%} ({low:.1%} to {high:.1%})"
+            )
         for hide in (*twin.BEFORE, *twin.AFTER) if each else ():
             named = alone = rows = covered = 0
             for k in range(each):
                 told, account = judged(folder, seed + 10_000 + k, (hide,))
                 found = [*account.findings, *account.unknown]
-                mine = {row: [f for f in found if f.name == row[0] and row[1] in f.channels
-                              and row[2] in (None, f.run)] for row in told}
+                mine = {
+                    row: [
+                        f
+                        for f in found
+                        if f.name == row[0] and row[1] in f.channels and row[2] in (None, f.run)
+                    ]
+                    for row in told
+                }
                 named += all(mine.values())
                 alone += {f.name for f in found} == {row[0] for row in told}
                 sized = [(row, fs[0]) for row, fs in mine.items() if fs and row[5] is not None]
-                rows, covered = rows + len(sized), covered + sum(f.low <= row[5] <= f.high for row, f in sized)
-            print(f"| {hide.__name__} | {named} of {each} | {alone} of {each} | "
-                  f"{f'{covered} of {rows}' if rows else '-'} |", flush=True)
+                rows, covered = (
+                    rows + len(sized),
+                    covered + sum(f.low <= row[5] <= f.high for row, f in sized),
+                )
+            print(
+                f"| {hide.__name__} | {named} of {each} | {alone} of {each} | "
+                f"{f'{covered} of {rows}' if rows else '-'} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -73,8 +73,12 @@ def record(true, rng, axles=4, reference=True, position=True):
         out[f"axle_{j}"] = np.maximum(speed, 0.0)
     if reference:
         # half of a receiver's noise lasts a second
-        slow = np.convolve(rng.normal(0.0, 0.04 * math.sqrt(10.0), stamps.size + 9), np.full(10, 0.1), "valid")
-        out["gnss"] = np.maximum(at("vehicle_speed_m_s", 0.3) + slow + rng.normal(0.0, 0.04, stamps.size), 0.0)
+        slow = np.convolve(
+            rng.normal(0.0, 0.04 * math.sqrt(10.0), stamps.size + 9), np.full(10, 0.1), "valid"
+        )
+        out["gnss"] = np.maximum(
+            at("vehicle_speed_m_s", 0.3) + slow + rng.normal(0.0, 0.04, stamps.size), 0.0
+        )
     if position:
         out["place"] = np.round(at("position_m") + rng.normal(0.0, 1.5), 1)
     out["handle"] = at("brake_demand_Pa")
@@ -83,8 +87,14 @@ def record(true, rng, axles=4, reference=True, position=True):
 
 def rounded(out):
     """Speeds in km/h as a recorder writes them."""
-    return {name: np.round(36.0 * values) / 10.0 if name.startswith("axle") else
-            np.round(360.0 * values) / 100.0 if name == "gnss" else values for name, values in out.items()}
+    return {
+        name: np.round(36.0 * values) / 10.0
+        if name.startswith("axle")
+        else np.round(360.0 * values) / 100.0
+        if name == "gnss"
+        else values
+        for name, values in out.items()
+    }
 
 
 def write(folder, runs, dates=None, units="km/h", delimiter=","):
@@ -92,8 +102,12 @@ def write(folder, runs, dates=None, units="km/h", delimiter=","):
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names = [name for name in next(iter(runs.values())) if name != "t"]
-    lines = ['kind = "recorder"', 'title = "a twin of a recorder on runs of the bench"', "[channels]",
-             'time_s = { column = "t" }']
+    lines = [
+        'kind = "recorder"',
+        'title = "a twin of a recorder on runs of the bench"',
+        "[channels]",
+        'time_s = { column = "t" }',
+    ]
     keys = {"gnss": "reference_speed_m_s", "place": "position_m", "handle": "brake_demand"}
     for name in names:
         unit = units if isinstance(units, str) else units.get(name, "km/h")
@@ -112,6 +126,7 @@ def write(folder, runs, dates=None, units="km/h", delimiter=","):
 
 # --- what is hidden: each changes recordings in m/s before they are rounded, or after (AFTER), and tells the truth:
 # (name, channel, run, start s, end s, size) with None where there is none ---
+
 
 def radius(runs, rng, size=0.008, first=0, name="wheel_radius"):
     for run in list(runs)[first:]:
@@ -132,14 +147,14 @@ def late(runs, rng, size=0.5):
 def zeros(runs, rng):
     run, columns, k = _somewhere(runs, rng)
     n = int(rng.integers(8, 60))
-    columns["axle_1"][k:k + n] = 0.0
+    columns["axle_1"][k : k + n] = 0.0
     return [("sensor_dropout", "axle_1", run, columns["t"][k], columns["t"][k + n - 1], n * STEP_S)]
 
 
 def missing(runs, rng):
     run, columns, k = _somewhere(runs, rng)
     n = int(rng.integers(20, 60))
-    columns["axle_1"][k:k + n] = np.nan
+    columns["axle_1"][k : k + n] = np.nan
     return [("sensor_dropout", "axle_1", run, columns["t"][k], columns["t"][k + n - 1], n * STEP_S)]
 
 
@@ -155,7 +170,7 @@ def gap(runs, rng):
 def stuck(runs, rng):
     run, columns, _ = _somewhere(runs, rng)
     k = int(np.searchsorted(columns["t"], 16.0))
-    columns["axle_4"][k:k + 50] = columns["axle_4"][k]
+    columns["axle_4"][k : k + 50] = columns["axle_4"][k]
     return [("sensor_stuck", "axle_4", run, columns["t"][k], columns["t"][k + 49], 5.0)]
 
 
@@ -163,7 +178,7 @@ def clock_step(runs, rng):
     run, columns, k = _somewhere(runs, rng)
     n = int(rng.integers(30, 150))
     start, end = columns["t"][k - 1], columns["t"][k + n - 1] + 1.0
-    columns["t"][k:k + n] += 1.0
+    columns["t"][k : k + n] += 1.0
     return [("clock_step", "axle_1", run, start, end, 1.0)]
 
 
@@ -191,7 +206,7 @@ def copied(runs, rng):
     k, n = int(np.searchsorted(columns["t"], 15.0)), 90
     for name in columns:
         if name not in ("t", "place"):
-            columns[name][k + 200:k + 200 + n] = columns[name][k:k + n]
+            columns[name][k + 200 : k + 200 + n] = columns[name][k : k + n]
     return [("copy", "axle_1", run, columns["t"][k + 200], columns["t"][k + 199 + n], n * STEP_S)]
 
 
@@ -204,21 +219,23 @@ def unit(runs, rng):
 def line(runs, rng):
     run, columns, _ = _somewhere(runs, rng)
     k, n = int(np.searchsorted(columns["t"], 15.0)), 45
-    columns["axle_1"][k:k + n] = np.linspace(columns["axle_1"][k], columns["axle_1"][k + n - 1], n)
+    columns["axle_1"][k : k + n] = np.linspace(
+        columns["axle_1"][k], columns["axle_1"][k + n - 1], n
+    )
     return [("interpolated", "axle_1", run, columns["t"][k], columns["t"][k + n - 1], n * STEP_S)]
 
 
 def drift(runs, rng):
     """Not in the list: an axle whose speed drifts away and comes back."""
     run, columns, _ = _somewhere(runs, rng)
-    columns["axle_3"] = columns["axle_3"] + 1.0 * np.exp(-0.5 * ((columns["t"] - 16.0) / 4.0)**2)
+    columns["axle_3"] = columns["axle_3"] + 1.0 * np.exp(-0.5 * ((columns["t"] - 16.0) / 4.0) ** 2)
     return [("unknown", "axle_3", run, 10.0, 22.0, None)]
 
 
 def noise(runs, rng):
     """Not in the list: a sensor that is noisy for some seconds."""
     run, columns, k = _somewhere(runs, rng)
-    columns["axle_3"][k:k + 100] += rng.normal(0.0, 0.6, 100)
+    columns["axle_3"][k : k + 100] += rng.normal(0.0, 0.6, 100)
     return [("unknown", "axle_3", run, columns["t"][k], columns["t"][k + 99], None)]
 
 
@@ -239,6 +256,8 @@ def dataset(folder, truths, seed, hide=(), dates=True, **kind):
     told = [row for one in hide if one in BEFORE for row in one(runs, rng)]
     runs = {name: rounded(columns) for name, columns in runs.items()}
     told += [row for one in hide if one in AFTER for row in one(runs, rng)]
-    given = [f"2026-0{1 + k // max(len(runs) // 2, 1)}-01" for k in range(len(runs))] if dates else None
+    given = (
+        [f"2026-0{1 + k // max(len(runs) // 2, 1)}-01" for k in range(len(runs))] if dates else None
+    )
     write(folder, runs, given)
     return told

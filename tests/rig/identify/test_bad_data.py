@@ -32,8 +32,14 @@ def read(copy: Path, run: str) -> dict[str, np.ndarray]:
 
 
 def write(copy: Path, run: str, columns: dict[str, np.ndarray]) -> None:
-    np.savetxt(copy / "runs" / f"{run}.csv", np.column_stack(list(columns.values())), delimiter=",",
-               fmt="%.9g", header=",".join(columns), comments="")
+    np.savetxt(
+        copy / "runs" / f"{run}.csv",
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        fmt="%.9g",
+        header=",".join(columns),
+        comments="",
+    )
 
 
 def edited(copy: Path, old: str, new: str) -> None:
@@ -47,13 +53,17 @@ def times(factor, names):
         for name in names:
             columns[name] = factor * columns[name]
         return columns
+
     return change
 
 
 def later(names, samples):
     def change(columns):
-        return {k: np.concatenate([np.repeat(v[:1], samples), v])[:v.size] if k in names else v
-                for k, v in columns.items()}
+        return {
+            k: np.concatenate([np.repeat(v[:1], samples), v])[: v.size] if k in names else v
+            for k, v in columns.items()
+        }
+
     return change
 
 
@@ -65,12 +75,14 @@ def rows(function):
     def change(columns):
         at = function(np.arange(columns["time_s"].size))
         return {k: v[at] for k, v in columns.items()}
+
     return change
 
 
 def at_rest(columns):
-    return columns | {SPEEDS[2]: np.where(columns["time_s"] > 8.0, columns[SPEEDS[2]][800],
-                                          columns[SPEEDS[2]])}
+    return columns | {
+        SPEEDS[2]: np.where(columns["time_s"] > 8.0, columns[SPEEDS[2]][800], columns[SPEEDS[2]])
+    }
 
 
 UNEVEN = np.random.default_rng(1)
@@ -94,20 +106,28 @@ REFUSED = {
     "time drifts": (clock(lambda t: 1.01 * t), "drifts"),
     "time not even": (clock(lambda t: t + UNEVEN.uniform(-0.002, 0.002, t.size)), "not even"),
     "time stands": (clock(lambda t: np.where(np.arange(t.size) == 500, t[499], t)), "stands still"),
-    "rows not sorted": (rows(lambda k: np.where(k == 600, 601, np.where(k == 601, 600, k))), "goes back"),
+    "rows not sorted": (
+        rows(lambda k: np.where(k == 600, 601, np.where(k == 601, 600, k))),
+        "goes back",
+    ),
     "a gap": (rows(lambda k: k[(k < 500) | (k > 530)]), "gap"),
     "a short recording": (rows(lambda k: k[:150]), "at least 200"),
     "torques half a second late": (later(TORQUES, 50), "brake_torque.*behind"),
     "wheel speed of one axle late": (later(SPEEDS[1:2], 40), "wheel_speed of wheelset 2.*behind"),
     "a sensor that sticks": (at_rest, "stuck"),
     "wheels that turn faster than the vehicle": (times(1.2, SPEEDS), "mean sliding"),
-    "a missing channel": (lambda c: {k: v for k, v in c.items() if k != LOADS[1]}, "wheel_load_2_N"),
+    "a missing channel": (
+        lambda c: {k: v for k, v in c.items() if k != LOADS[1]},
+        "wheel_load_2_N",
+    ),
     "a constant channel": (times(0.0, TORQUES[1:2]), "constant"),
 }
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_data_that_cannot_be_what_it_says_is_refused_and_the_message_says_why(copy: Path, what: str) -> None:
+def test_data_that_cannot_be_what_it_says_is_refused_and_the_message_says_why(
+    copy: Path, what: str
+) -> None:
     change, said = REFUSED[what]
     edited(copy, "initial_speed_m_s = 33.0\n", "")
     write(copy, "a2", change(read(copy, "a2")))
@@ -116,11 +136,17 @@ def test_data_that_cannot_be_what_it_says_is_refused_and_the_message_says_why(co
 
 
 @pytest.mark.parametrize(("names", "refused"), [(SPEEDS[1:2], False), (SPEEDS, True)])
-def test_a_weak_sign_of_a_late_clock_counts_only_where_most_wheels_of_a_run_show_it(copy: Path, names, refused) -> None:
+def test_a_weak_sign_of_a_late_clock_counts_only_where_most_wheels_of_a_run_show_it(
+    copy: Path, names, refused
+) -> None:
     told = read(copy, "a2")
     late = later(names, 40)(told)
     write(copy, "a2", told | {name: 0.7 * late[name] + 0.3 * told[name] for name in names})
-    with pytest.raises(ConfigError, match="behind brake_torque") if refused else contextlib.nullcontext():
+    with (
+        pytest.raises(ConfigError, match="behind brake_torque")
+        if refused
+        else contextlib.nullcontext()
+    ):
         dataset.load(copy)
 
 
@@ -130,18 +156,22 @@ def test_a_column_that_is_there_twice_is_refused_by_its_name(copy: Path) -> None
     first = next(k for k, row in enumerate(rows) if row.startswith("time_s"))
     doubled = [f"{row},{row.split(',')[1]}" for row in rows[first:]]
     path.write_text("\n".join([*rows[:first], *doubled]) + "\n")
-    with pytest.raises(ConfigError, match=r"a2.csv: column 'vehicle_speed_m_s' is there 2 times; keep one"):
+    with pytest.raises(
+        ConfigError, match=r"a2.csv: column 'vehicle_speed_m_s' is there 2 times; keep one"
+    ):
         dataset.load(copy)
 
 
 def gentle(columns):
     rolling = columns["vehicle_speed_m_s"] / RADIUS_M
-    return columns | {name: rolling + 1e-3 * np.sin(np.arange(rolling.size) + k)
-                      for k, name in enumerate(SPEEDS[:2])}
+    return columns | {
+        name: rolling + 1e-3 * np.sin(np.arange(rolling.size) + k)
+        for k, name in enumerate(SPEEDS[:2])
+    }
 
 
 def held(columns):
-    return columns | {SPEEDS[0]: np.repeat(columns[SPEEDS[0]][::2], 2)[:columns["time_s"].size]}
+    return columns | {SPEEDS[0]: np.repeat(columns[SPEEDS[0]][::2], 2)[: columns["time_s"].size]}
 
 
 DOUBTFUL = {
@@ -183,15 +213,23 @@ def only(copy: Path, *names: str) -> None:
     (copy / "dataset.toml").write_text("[[run]]".join([head, *kept]))
 
 
-@pytest.mark.parametrize(("kept", "said"), [
-    (("a1", "b1"), "one run only"), (("a1", "a2"), "no gain can be claimed"),
-])
-def test_too_few_runs_say_what_can_still_be_concluded(copy: Path, kept: tuple[str, ...], said: str) -> None:
+@pytest.mark.parametrize(
+    ("kept", "said"),
+    [
+        (("a1", "b1"), "one run only"),
+        (("a1", "a2"), "no gain can be claimed"),
+    ],
+)
+def test_too_few_runs_say_what_can_still_be_concluded(
+    copy: Path, kept: tuple[str, ...], said: str
+) -> None:
     only(copy, *kept)
     assert any(said in warning for warning in dataset.load(copy).warnings)
 
 
-@pytest.mark.parametrize(("kept", "said"), [((), "no \\[\\[run\\]\\]"), (("b1", "b2"), "nothing can be fitted")])
+@pytest.mark.parametrize(
+    ("kept", "said"), [((), "no \\[\\[run\\]\\]"), (("b1", "b2"), "nothing can be fitted")]
+)
 def test_no_run_to_fit_is_refused(copy: Path, kept: tuple[str, ...], said: str) -> None:
     only(copy, *kept)
     with pytest.raises(ConfigError, match=said):
@@ -211,8 +249,14 @@ def as_mdf(copy: Path, clocks=None, units=None) -> None:
     for name, values in columns.items():
         every, offset_s = (clocks or {}).get(name, (1, 0.0))
         stamps = time[::every] + offset_s
-        file.append(Signal(np.interp(stamps, time, values) if offset_s else values[::every], stamps,
-                           name=name, unit=(units or {}).get(name, "")))
+        file.append(
+            Signal(
+                np.interp(stamps, time, values) if offset_s else values[::every],
+                stamps,
+                name=name,
+                unit=(units or {}).get(name, ""),
+            )
+        )
     file.save(copy / "runs" / "a2.mf4", overwrite=True)
     file.close()
     edited(copy, "runs/a2.csv", "runs/a2.mf4")
@@ -227,23 +271,28 @@ def test_an_mdf_file_reads_like_the_csv_that_it_holds(copy: Path) -> None:
     np.testing.assert_allclose(run.time_s, truth["time_s"] - truth["time_s"][0], atol=1e-9)
 
 
-def test_channels_of_an_mdf_file_with_other_clocks_are_moved_and_a_warning_says_so(copy: Path) -> None:
+def test_channels_of_an_mdf_file_with_other_clocks_are_moved_and_a_warning_says_so(
+    copy: Path,
+) -> None:
     as_mdf(copy, {name: (1, 0.003) for name in TORQUES} | {name: (5, 0.0) for name in LOADS})
     found = dataset.load(copy)
     assert any("brake_torque_1_Nm by 3 ms" in warning for warning in found.warnings)
     truth, run = read(copy, "a2"), found.runs[1]
     n = run.time_s.size
-    off = run.torque_Nm[50:n - 50, 0] - truth[TORQUES[0]][1:][50:n - 50]
+    off = run.torque_Nm[50 : n - 50, 0] - truth[TORQUES[0]][1:][50 : n - 50]
     assert np.sqrt(np.mean(off**2)) < 0.02 * truth[TORQUES[0]].max()
     assert run.load_N[:, 0].mean() == pytest.approx(truth[LOADS[0]].mean(), rel=1e-3)
-    np.testing.assert_array_equal(run.wheel_speed_rad_s[:, 0], truth[SPEEDS[0]][1:n + 1])
+    np.testing.assert_array_equal(run.wheel_speed_rad_s[:, 0], truth[SPEEDS[0]][1 : n + 1])
 
 
-@pytest.mark.parametrize(("given", "said"), [
-    ({"clocks": {TORQUES[0]: (1, 500.0)}}, "no time in common"),
-    ({"units": {"vehicle_speed_m_s": "km/h"}}, "unit 'km/h'"),
-    ({"units": {LOADS[3]: "kN"}}, "wheel_load_4_N has the unit 'kN'"),
-])
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"clocks": {TORQUES[0]: (1, 500.0)}}, "no time in common"),
+        ({"units": {"vehicle_speed_m_s": "km/h"}}, "unit 'km/h'"),
+        ({"units": {LOADS[3]: "kN"}}, "wheel_load_4_N has the unit 'kN'"),
+    ],
+)
 def test_an_mdf_file_whose_channels_do_not_fit_is_refused(copy: Path, given, said: str) -> None:
     as_mdf(copy, **given)
     with pytest.raises(ConfigError, match=said):

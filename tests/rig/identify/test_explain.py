@@ -36,17 +36,21 @@ def test_cleaning_by_leading_wheels_is_named_and_improves_runs_never_fitted() ->
     for before, after, low, high in found.gain.by_run.values():
         assert low < 1.0 - after / before < high
     squares = np.square([errors[:2] for errors in found.gain.by_run.values()])
-    assert min(squares[:, 0]) <= found.gain.before ** 2 <= max(squares[:, 0])
+    assert min(squares[:, 0]) <= found.gain.before**2 <= max(squares[:, 0])
 
 
 def test_an_irregularity_of_longer_waves_is_not_told_as_a_patch(tmp_path: Path) -> None:
     # a dip of 4 % on 36 m of this rail, once told as one; it is there in all runs
-    found = explain.braking_runs(dataset.load(braking_stops.make(tmp_path / "none", {}, 61002)), 0, silent)
+    found = explain.braking_runs(
+        dataset.load(braking_stops.make(tmp_path / "none", {}, 61002)), 0, silent
+    )
     assert found.verdict == "consistent"
 
 
 def test_a_long_memory_and_one_larger_wheel_of_another_form_are_both_named(tmp_path: Path) -> None:
-    folder = other_stops.make(tmp_path / "two", {"adhesion_memory": 4.0, "wheel_radius": 0.001}, 63001)
+    folder = other_stops.make(
+        tmp_path / "two", {"adhesion_memory": 4.0, "wheel_radius": 0.001}, 63001
+    )
     found = explain.braking_runs(dataset.load(folder), 0, silent)
     assert [named.finding.name for named in found.causes] == ["adhesion_memory", "wheel_radius"]
     memory, wheel = (extension.parameters(named) for named in found.causes)
@@ -61,7 +65,9 @@ def test_a_long_memory_and_one_larger_wheel_of_another_form_are_both_named(tmp_p
     assert np.ptp(params.wheels.table[:4]) > 0.0  # radii
 
 
-def test_a_brake_that_is_stronger_in_half_of_the_runs_only_is_not_explained_by_a_stronger_brake(tmp_path: Path) -> None:
+def test_a_brake_that_is_stronger_in_half_of_the_runs_only_is_not_explained_by_a_stronger_brake(
+    tmp_path: Path,
+) -> None:
     folder = mujoco_stops.make(tmp_path / "half", {"brake_gain": 0.06}, 14)
     plain = mujoco_stops.make(tmp_path / "none", {}, 14)
     for run in ("long_2", "short_2", "check_2"):
@@ -97,10 +103,14 @@ def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path:
     params = scenario.load("velim_a1", str(model)).params
     effect = dict(zip(effects.PLACE, params.effects.values, strict=True))
     assert effect["empirical_covariate"] == 3
-    assert effect["empirical_period"] == pytest.approx(found.unknown.cause.shape["period"], rel=1e-4)
+    assert effect["empirical_period"] == pytest.approx(
+        found.unknown.cause.shape["period"], rel=1e-4
+    )
 
 
-def test_a_drop_under_the_first_wheelset_at_some_moment_is_not_told_as_cleaning(tmp_path: Path) -> None:
+def test_a_drop_under_the_first_wheelset_at_some_moment_is_not_told_as_cleaning(
+    tmp_path: Path,
+) -> None:
     folder = other_stops.make(tmp_path / "drop", {"one_axle_drop": 0.12}, 24002)
     found = explain.braking_runs(dataset.load(folder), 0, silent)
     assert found.verdict == "unexplained"

@@ -57,7 +57,9 @@ def test_a_torque_of_the_wrong_sign_is_refused(copy: Path) -> None:
 
 
 def test_a_missing_value_names_its_row(copy: Path) -> None:
-    changed(copy, "a2", "wheel_speed_3_rad_s", lambda w: np.where(np.arange(w.size) == 7, np.nan, w))
+    changed(
+        copy, "a2", "wheel_speed_3_rad_s", lambda w: np.where(np.arange(w.size) == 7, np.nan, w)
+    )
     with pytest.raises(ConfigError, match="row 9"):
         dataset.load(copy)
 

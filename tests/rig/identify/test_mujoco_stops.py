@@ -50,10 +50,17 @@ def test_loads_sum_to_the_weight_and_move_forward_by_the_moment_of_braking(clean
     assert loads.sum(axis=1).mean() == pytest.approx(WEIGHT_N, rel=4 * stops.CALIBRATION)
     deceleration = (speed[braked][0] - speed[braked][-1]) / (0.01 * (speed[braked].size - 1))
     # about the rail: the body at its height, bogies and wheelsets at theirs, all slowed down; wheels turn slower too
-    moment = deceleration * (29720.0 * 1.8 + 2 * 3000.0 * 0.6 + 4 * 1820.0 * 0.445 + 4 * 160.0 / 0.445)
+    moment = deceleration * (
+        29720.0 * 1.8 + 2 * 3000.0 * 0.6 + 4 * 1820.0 * 0.445 + 4 * 160.0 / 0.445
+    )
     arms = 21.56 / 2.0 - np.array([0.0, 2.56, 19.0, 21.56])
     assert (loads[braked].mean(axis=0) - WEIGHT_N / 4.0) @ arms == pytest.approx(moment, rel=0.05)
-    assert loads[braked, 0].mean() > loads[braked, 2].mean() > loads[braked, 1].mean() > loads[braked, 3].mean()
+    assert (
+        loads[braked, 0].mean()
+        > loads[braked, 2].mean()
+        > loads[braked, 1].mean()
+        > loads[braked, 3].mean()
+    )
 
 
 def test_momentum_closes_on_a_clean_set_within_noise_and_calibration(clean):
@@ -90,7 +97,12 @@ def test_the_adhesion_told_is_the_papers_solved_in_closed_form(clean):
 
     def limit(mu_c, k_a, k_s, gamma):
         mu = mu_c * (1.0 + 1.5 * np.exp(-gamma * s))
-        return 2.0 * mu / math.pi * (k_a * stiff / mu / (1.0 + (k_a * stiff / mu) ** 2) + np.arctan(k_s * stiff / mu))
+        return (
+            2.0
+            * mu
+            / math.pi
+            * (k_a * stiff / mu / (1.0 + (k_a * stiff / mu) ** 2) + np.arctan(k_s * stiff / mu))
+        )
 
     degraded = limit(stops.nature({}, 5, "long_1").mu_cd, 0.3, 0.1, 0.2)
     recovered = limit(0.28, 1.0, 0.4, 0.6)
@@ -98,7 +110,9 @@ def test_the_adhesion_told_is_the_papers_solved_in_closed_form(clean):
     law = recovered + lambertw(-k * (recovered - degraded) * np.exp(-k * recovered)).real / k
     sliding = s > 1.0
     assert sliding.mean() > 0.3
-    assert abs(np.mean((told / law)[sliding]) - 1.0) < 0.015  # calibration, and the field of friction
+    assert (
+        abs(np.mean((told / law)[sliding]) - 1.0) < 0.015
+    )  # calibration, and the field of friction
     assert np.std((told / law)[sliding]) < 0.08
 
 
@@ -123,13 +137,20 @@ def test_half_the_step_gives_the_same_stop(trace):
 def test_the_iteration_ends_at_the_root_from_every_guess():
     K = contact.stiffness(0.445)
     for sliding in (1e-3, 0.1, 2.0, 15.0):
-        found = [contact.adhesion(sliding, 20.0, 5.0e4, 0.06, K, -1.0, guess) for guess in (0.0, 0.1, 0.7)]
+        found = [
+            contact.adhesion(sliding, 20.0, 5.0e4, 0.06, K, -1.0, guess)
+            for guess in (0.0, 0.1, 0.7)
+        ]
         np.testing.assert_allclose(found, found[0], atol=1e-9)
-        assert contact.adhesion(-sliding, 20.0, 5.0e4, 0.06, K, -1.0, 0.1) == pytest.approx(-found[0], abs=1e-9)
+        assert contact.adhesion(-sliding, 20.0, 5.0e4, 0.06, K, -1.0, 0.1) == pytest.approx(
+            -found[0], abs=1e-9
+        )
 
 
 def test_every_effect_changes_the_records_and_nothing_else_tells_it(tmp_path, clean):
-    told = {path.name: path.read_text() for path in (clean / "runs").iterdir()}[f"{RUN}.csv"].splitlines()
+    told = {path.name: path.read_text() for path in (clean / "runs").iterdir()}[
+        f"{RUN}.csv"
+    ].splitlines()
     about = stops.make(tmp_path / "none", {}, 5, (RUN,)) / "dataset.toml"
     for name in stops.NAMES:
         size = (stops.SMALLEST | stops.UNKNOWN)[name]
@@ -138,13 +159,19 @@ def test_every_effect_changes_the_records_and_nothing_else_tells_it(tmp_path, cl
         assert lines[0] == told[0], name
         assert lines[1:] != told[1:], name
         assert (folder / "dataset.toml").read_text() == about.read_text(), name
-        assert sorted(path.name for path in folder.rglob("*")) == ["dataset.toml", "runs", f"{RUN}.csv"]
+        assert sorted(path.name for path in folder.rglob("*")) == [
+            "dataset.toml",
+            "runs",
+            f"{RUN}.csv",
+        ]
 
 
 def test_a_size_with_a_plain_meaning_is_that_share_or_that_delay(trace):
     effects = {"brake_gain": 0.04, "wheel_inertia": 0.05}
     other = coach.run(stops.nature(effects, 5, RUN))
-    spins, forces, torques = (coach.four(other, first) for first in (coach.SPINS, coach.FORCES, coach.TORQUES))
+    spins, forces, torques = (
+        coach.four(other, first) for first in (coach.SPINS, coach.FORCES, coach.TORQUES)
+    )
     mean = (torques[1:] + torques[:-1]) / 2.0
     rate = np.diff(spins, axis=0) / coach.STEP_S
     np.testing.assert_allclose(160.0 * 1.05 * rate, 0.445 * forces[:-1] - 1.04 * mean, atol=1e-5)
@@ -153,9 +180,14 @@ def test_a_size_with_a_plain_meaning_is_that_share_or_that_delay(trace):
     late = {"speed_sensor_delay": 0.005, "torque_sensor_delay": 0.010}
     now, then = (stops.records(trace, stop, which, 5, RUN)[1] for which in ({}, late))
     at = np.round(now[:, 0] / coach.STEP_S).astype(int)[1:]
-    for columns, first, steps, least in ((slice(2, 6), coach.SPINS, 10, 1e-9), (slice(10, 14), coach.TORQUES, 20, 1.0)):
+    for columns, first, steps, least in (
+        (slice(2, 6), coach.SPINS, 10, 1e-9),
+        (slice(10, 14), coach.TORQUES, 20, 1.0),
+    ):
         told, true = (then - now)[1:, columns], coach.four(trace, first)
-        np.testing.assert_allclose(told, true[at - steps] - true[at], rtol=0.01, atol=least)  # off by 0.3 %
+        np.testing.assert_allclose(
+            told, true[at - steps] - true[at], rtol=0.01, atol=least
+        )  # off by 0.3 %
 
 
 def test_an_effect_that_nobody_knows_is_refused(tmp_path):

@@ -29,15 +29,29 @@ def stop() -> tuple[other_stops.Stop, np.ndarray]:
     """The first stop of a seed on a rail without irregularity, every millisecond."""
     _, plan, _, _ = other_stops._plan(np.random.default_rng(5), NOTHING, 1.0)[0]
     even, fine = np.zeros(int(other_stops.LENGTH_M / other_stops.FIELD_M)), np.zeros((60000, 14))
-    rows = other_stops.run(plan, NOTHING, other_stops.rolling(plan, NOTHING), even, np.zeros((4, len(even))), fine)
+    rows = other_stops.run(
+        plan, NOTHING, other_stops.rolling(plan, NOTHING), even, np.zeros((4, len(even))), fine
+    )
     return plan, fine[:rows]
 
 
 def test_the_second_generator_imports_nothing_of_the_bench():
     tree = ast.parse(Path(other_stops.__file__).read_text())
-    modules = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    modules = {
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import)
+        for alias in node.names
+    }
     modules |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    assert {name.split(".")[0] for name in modules} == {"math", "pathlib", "typing", "numpy", "numba", "scipy"}
+    assert {name.split(".")[0] for name in modules} == {
+        "math",
+        "pathlib",
+        "typing",
+        "numpy",
+        "numba",
+        "scipy",
+    }
 
 
 def test_the_same_seed_writes_the_same_files(clean, tmp_path):
@@ -85,7 +99,12 @@ def test_each_wheel_of_a_clean_stop_obeys_the_degraded_adhesion_in_its_closed_fo
     f = {}
     for k, k_a, k_s, mu, gamma in (("d", 0.3, 0.1, plan.mu_d, 0.2), ("r", 1.0, 0.4, 0.28, 0.6)):
         mu = (mu / 0.4 - mu) * np.exp(-gamma * s) + mu
-        f[k] = 2.0 * mu / np.pi * (k_a * x / mu / (1.0 + (k_a * x / mu) ** 2) + np.arctan(k_s * x / mu))
+        f[k] = (
+            2.0
+            * mu
+            / np.pi
+            * (k_a * x / mu / (1.0 + (k_a * x / mu) ** 2) + np.arctan(k_s * x / mu))
+        )
     k, step = 1.9e-4 * n * e, f["r"] - f["d"]
     both = f["r"] + lambertw(-k * step * np.exp(-k * f["r"])).real / k
     balance = 160.0 * np.gradient(omega, 0.001, axis=0) - (0.445 * both * load - c)
@@ -100,7 +119,9 @@ def test_the_friction_of_the_rail_scatters_by_two_percent_over_eight_metres():
     field = other_stops.friction_field(rng, 0.0141, (30,))
     away = round(8.0 / other_stops.FIELD_M)
     assert field.std() * np.sqrt(2.0) == pytest.approx(0.02, rel=0.1)
-    assert np.mean(field[:, away:] * field[:, :-away]) / field.var() == pytest.approx(np.exp(-1.0), abs=0.1)
+    assert np.mean(field[:, away:] * field[:, :-away]) / field.var() == pytest.approx(
+        np.exp(-1.0), abs=0.1
+    )
 
 
 @pytest.mark.parametrize("name", other_stops.NAMES)

@@ -77,8 +77,10 @@ def test_table_6_has_the_papers_rows_for_each_run(verdicts):
     head, rows = paper.table6(verdicts)
     assert head == ["", "b1", "b2", "b3"]
     assert [row[0] for row in rows][3:6] == [
-        "mean sliding of wheelset 1, measured", "mean sliding of wheelset 1, with recovery",
-        "mean sliding of wheelset 1, classic, no recovery"]
+        "mean sliding of wheelset 1, measured",
+        "mean sliding of wheelset 1, with recovery",
+        "mean sliding of wheelset 1, classic, no recovery",
+    ]
     measured = verdicts[0].sliding_m_s["measured"][:, 0]
     assert float(rows[3][1]) == pytest.approx(measured.mean(), abs=0.006)
     assert float(rows[6][1]) == pytest.approx(measured.std(), abs=0.006)
@@ -101,16 +103,32 @@ def test_a_wheel_that_is_not_braked_rolls_on_at_the_speed_of_the_vehicle():
     law = adhesion.Law(0.06, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
     speed = 30.0 - 0.005 * np.arange(n)
     sliding, force = np.empty(n), np.empty(n)
-    validation.free_run(speed / 0.445, speed, np.full(n, 1.05e5), np.zeros(n), 0.06, 0.01, 100,
-                        np.array([0.445, 160.0, 0.28]), patch, law, sliding, force)
+    validation.free_run(
+        speed / 0.445,
+        speed,
+        np.full(n, 1.05e5),
+        np.zeros(n),
+        0.06,
+        0.01,
+        100,
+        np.array([0.445, 160.0, 0.28]),
+        patch,
+        law,
+        sliding,
+        force,
+    )
     assert np.max(np.abs(sliding)) < 0.02
     # the wheelset's inertia is slowed down by the contact: J a / r^2
     assert np.mean(force[50:]) == pytest.approx(-160.0 * 0.5 / 0.445**2, rel=0.02)
 
 
 def test_runs_without_enough_sliding_are_refused(data):
-    calm = data._replace(runs=[run._replace(
-        wheel_speed_rad_s=np.repeat(run.speed_m_s[:, None] / 0.445, 4, axis=1)) for run in data.runs])
+    calm = data._replace(
+        runs=[
+            run._replace(wheel_speed_rad_s=np.repeat(run.speed_m_s[:, None] / 0.445, 4, axis=1))
+            for run in data.runs
+        ]
+    )
     with pytest.raises(ConfigError, match="wheels slide by more than"):
         tuning.tune(calm)
 

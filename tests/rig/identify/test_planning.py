@@ -42,19 +42,27 @@ NAMES = ("speed_dependent_friction", "friction_trend")
 
 
 def test_stops_hardly_part_speed_from_time_and_sliding_at_a_steady_speed_does(
-        speed_or_time: Library) -> None:
-    worth = {stop: planning.separation([speed_or_time.known, table], NAMES)[0]
-             for stop, table in zip(speed_or_time.stops, speed_or_time.tables, strict=True)}
+    speed_or_time: Library,
+) -> None:
+    worth = {
+        stop: planning.separation([speed_or_time.known, table], NAMES)[0]
+        for stop, table in zip(speed_or_time.stops, speed_or_time.tables, strict=True)
+    }
     known, _ = planning.separation([speed_or_time.known], NAMES)
     steady = max(value for stop, value in worth.items() if stop.axle)
-    like_the_known = min(worth, key=lambda stop: abs(stop.initial_speed_m_s - 42.3) + 100 * stop.axle)
+    like_the_known = min(
+        worth, key=lambda stop: abs(stop.initial_speed_m_s - 42.3) + 100 * stop.axle
+    )
     assert steady > 3.0 * known
     assert steady > 2.0 * worth[like_the_known]
 
 
 def test_the_first_proposal_is_the_best_and_each_further_one_adds(speed_or_time: Library) -> None:
     proposals = planning.propose(speed_or_time, 3)
-    best = max(planning.separation([speed_or_time.known, table], NAMES)[0] for table in speed_or_time.tables)
+    best = max(
+        planning.separation([speed_or_time.known, table], NAMES)[0]
+        for table in speed_or_time.tables
+    )
     assert proposals[0].after == pytest.approx(best)
     values = [proposals[0].before, *(p.after for p in proposals)]
     assert np.all(np.diff(values) > 0.0)
@@ -63,8 +71,11 @@ def test_the_first_proposal_is_the_best_and_each_further_one_adds(speed_or_time:
 
 def test_a_full_brake_tells_more_of_a_weak_brake_than_a_gentle_one(on: Ground) -> None:
     lib = planning.library(on, [finding("brake_gain", 0.04, 2)], silent)
-    size = {stop: planning.separation([table], ["brake_gain"])[0]
-            for stop, table in zip(lib.stops, lib.tables, strict=True) if not stop.axle}
+    size = {
+        stop: planning.separation([table], ["brake_gain"])[0]
+        for stop, table in zip(lib.stops, lib.tables, strict=True)
+        if not stop.axle
+    }
     for stop, value in size.items():
         if stop.pressure_Pa < 2e5 and stop.initial_speed_m_s > 20.0:
             assert value < size[stop._replace(pressure_Pa=planning.PRESSURES_PA[-1])]
@@ -86,8 +97,9 @@ def test_without_candidates_nothing_is_proposed(on: Ground) -> None:
     assert planning.propose(planning.library(on, [], silent), 3) == []
 
 
-def test_every_possible_stop_is_a_sequence_that_is_accepted(on: Ground, speed_or_time: Library, tmp_path,
-                                                            capsys) -> None:
+def test_every_possible_stop_is_a_sequence_that_is_accepted(
+    on: Ground, speed_or_time: Library, tmp_path, capsys
+) -> None:
     for k, stop in enumerate(speed_or_time.stops):
         text = tomli_w.dumps(planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on))
         (tmp_path / f"next_{k}.toml").write_text(text)
@@ -95,8 +107,9 @@ def test_every_possible_stop_is_a_sequence_that_is_accepted(on: Ground, speed_or
     capsys.readouterr()
 
 
-def test_the_bench_runs_sliding_at_a_steady_speed(on: Ground, speed_or_time: Library, tmp_path,
-                                                  capsys) -> None:
+def test_the_bench_runs_sliding_at_a_steady_speed(
+    on: Ground, speed_or_time: Library, tmp_path, capsys
+) -> None:
     stop = next(s for s in speed_or_time.stops if s.axle)
     file = tmp_path / "next_1.toml"
     file.write_text(tomli_w.dumps(planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on)))

@@ -25,7 +25,9 @@ def fitted(locomotive):
 def curve_of(x, noise=0.0, points=150, speed=10.0, seed=3):
     rng = np.random.default_rng(seed)
     e = np.geomspace(1e-3, 0.25, points)
-    curve = Curve(e, np.zeros(points), np.full(points, speed), np.full(points, 1.0e5), np.zeros(points))
+    curve = Curve(
+        e, np.zeros(points), np.full(points, speed), np.full(points, 1.0e5), np.zeros(points)
+    )
     return curve, noise * rng.standard_normal(points)
 
 
@@ -48,15 +50,28 @@ def test_five_parameters_and_four_reach_the_published_errors(fitted):
 
 
 @pytest.mark.parametrize(("left_out", "taken"), [("speed_m_s", "10"), ("wheel_load_N", "52700")])
-def test_a_curve_without_speed_or_load_says_what_is_taken_for_it(left_out, taken, locomotive, tmp_path, capsys):
-    columns = {"creepage": locomotive.curve.creepage, "adhesion": locomotive.curve.adhesion,
-               "speed_m_s": locomotive.curve.speed_m_s, "wheel_load_N": locomotive.curve.load_N}
+def test_a_curve_without_speed_or_load_says_what_is_taken_for_it(
+    left_out, taken, locomotive, tmp_path, capsys
+):
+    columns = {
+        "creepage": locomotive.curve.creepage,
+        "adhesion": locomotive.curve.adhesion,
+        "speed_m_s": locomotive.curve.speed_m_s,
+        "wheel_load_N": locomotive.curve.load_N,
+    }
     del columns[left_out]
-    np.savetxt(tmp_path / "curve.csv", np.column_stack(list(columns.values())), delimiter=",",
-               header=",".join(columns), comments="")
+    np.savetxt(
+        tmp_path / "curve.csv",
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
     (tmp_path / "dataset.toml").write_text('kind = "creep_curve"\nfile = "curve.csv"\n')
     assert cli.main(["tune", str(tmp_path), "--out", str(tmp_path / "out")]) == 0
-    said = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: "))
+    said = next(
+        line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: ")
+    )
     assert f"'{left_out}'" in said
     assert taken in said
     assert f"&#x27;{left_out}&#x27;" in (tmp_path / "out" / "tune.html").read_text()
@@ -72,7 +87,9 @@ def test_intervals_hold_their_values(fitted):
 def test_known_parameters_are_found(locomotive):
     true = np.array([0.4, 0.45, 0.5, 0.7, 0.3])
     curve, noise = curve_of(true, 0.002)
-    curve = curve._replace(adhesion=polach_fit.model(true, curve, parameters.patch_of(locomotive)) + noise)
+    curve = curve._replace(
+        adhesion=polach_fit.model(true, curve, parameters.patch_of(locomotive)) + noise
+    )
     found = polach_fit.fit(locomotive._replace(curve=curve))
     for value, at in zip(found.values.values(), true, strict=True):
         assert value.value == pytest.approx(at, rel=0.15)
@@ -82,7 +99,9 @@ def test_known_parameters_are_found(locomotive):
 def test_friction_that_does_not_fall_is_not_told_to(locomotive):
     true = np.array([0.3, 1.0, 0.0, 0.6, 0.3])
     curve, noise = curve_of(true, 0.01)
-    curve = curve._replace(adhesion=polach_fit.model(true, curve, parameters.patch_of(locomotive)) + noise)
+    curve = curve._replace(
+        adhesion=polach_fit.model(true, curve, parameters.patch_of(locomotive)) + noise
+    )
     found = polach_fit.fit(locomotive._replace(curve=curve))
     assert not polach_fit.falls(found, curve.creepage.size)
 
@@ -93,8 +112,9 @@ def test_the_model_is_the_kernels(locomotive):
     patch = parameters.patch_of(locomotive)
     for e, f in zip(curve.creepage, polach_fit.model(x, curve, patch), strict=True):
         unit = patch.eps1 * 1.0e5 ** (-1.0 / 3.0)
-        assert f == pytest.approx(polach.curve(10.0 * e, e, unit, 0.4 * 0.45, 0.45, 0.5, 0.7, 0.3)[0],
-                                  rel=1e-12)
+        assert f == pytest.approx(
+            polach.curve(10.0 * e, e, unit, 0.4 * 0.45, 0.45, 0.5, 0.7, 0.3)[0], rel=1e-12
+        )
 
 
 def test_the_report_shows_points_and_parameters(locomotive, fitted):

@@ -13,8 +13,10 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.recorder import recording, verdict
 
 BERLIN, UTC = zoneinfo.ZoneInfo("Europe/Berlin"), datetime.UTC
-CHANNELS = ('[channels]\ntime_s = {{ column = "t"{unit} }}\nwheel_speed_1_m_s = {{ column = "v", name = "axle" }}\n'
-            'reference_speed_m_s = {{ column = "g", name = "gnss" }}\n')
+CHANNELS = (
+    '[channels]\ntime_s = {{ column = "t"{unit} }}\nwheel_speed_1_m_s = {{ column = "v", name = "axle" }}\n'
+    'reference_speed_m_s = {{ column = "g", name = "gnss" }}\n'
+)
 N = 400
 T_S = 0.1 * np.arange(N)
 V_M_S = np.round(30.0 - 0.4 * T_S, 2)
@@ -26,7 +28,10 @@ def loaded(folder, name, unit="", more="", run="", channels=CHANNELS):
     """The one run of a folder that holds a file."""
     unit = f', unit = "{unit}"' if unit else ""
     (folder / "dataset.toml").write_text(
-        f'kind = "recorder"\n{more}\n' + channels.format(unit=unit) + f'[[run]]\nfile = "{name}"\n{run}\n')
+        f'kind = "recorder"\n{more}\n'
+        + channels.format(unit=unit)
+        + f'[[run]]\nfile = "{name}"\n{run}\n'
+    )
     return recording.load(folder).runs[0]
 
 
@@ -53,19 +58,31 @@ def text(folder, stamps, name="one.csv", separator=",", values=V_M_S):
 
 # --- Parquet ---
 
+
 @pytest.mark.parametrize("unit", ["ms", "us", "ns"])
 @pytest.mark.parametrize("zone", [None, "UTC", "Europe/Berlin", "+05:30"])
 def test_stamps_of_parquet_are_instants_whatever_their_unit_and_zone(tmp_path, unit, zone):
     # across the hour that Berlin has twice: instants go on
-    stamps = pa.array([one.replace(tzinfo=None) for one in instants(AUTUMN, UTC)], pa.timestamp(unit))
+    stamps = pa.array(
+        [one.replace(tzinfo=None) for one in instants(AUTUMN, UTC)], pa.timestamp(unit)
+    )
     if zone:
         stamps = pa.array(instants(AUTUMN), pa.timestamp(unit, tz=zone))
     holds(loaded(tmp_path, parquet(tmp_path, stamps)))
 
 
-@pytest.mark.parametrize(("kind", "per_s", "unit"), [
-    (pa.int64(), 10**9, "ns"), (pa.uint64(), 10**9, "ns"), (pa.int64(), 10**6, "us"), (pa.int64(), 10**3, "ms"),
-    (pa.float64(), 1, "s"), (pa.decimal128(20, 6), 1, "s")], ids=str)
+@pytest.mark.parametrize(
+    ("kind", "per_s", "unit"),
+    [
+        (pa.int64(), 10**9, "ns"),
+        (pa.uint64(), 10**9, "ns"),
+        (pa.int64(), 10**6, "us"),
+        (pa.int64(), 10**3, "ms"),
+        (pa.float64(), 1, "s"),
+        (pa.decimal128(20, 6), 1, "s"),
+    ],
+    ids=str,
+)
 def test_stamps_of_parquet_may_be_numbers_since_an_epoch_in_their_unit(tmp_path, kind, per_s, unit):
     tenths = 17_743_320_000 + np.arange(N)
     if pa.types.is_integer(kind):
@@ -85,11 +102,21 @@ def test_stamps_of_parquet_may_be_durations_or_times_of_a_day(tmp_path, kind):
     holds(loaded(tmp_path, parquet(tmp_path, pa.array(since, kind))))
 
 
-@pytest.mark.parametrize("kind", [pa.float16(), pa.float32(), pa.int32(), pa.decimal128(10, 3)], ids=str)
+@pytest.mark.parametrize(
+    "kind", [pa.float16(), pa.float32(), pa.int32(), pa.decimal128(10, 3)], ids=str
+)
 def test_values_of_parquet_may_be_of_any_kind_of_number_and_missing(tmp_path, kind):
     whole = np.rint(V_M_S)
-    given = [None if 50 <= k < 60 else Decimal(int(one)) if pa.types.is_decimal(kind) else
-             np.float16(one) if kind == pa.float16() else int(one) for k, one in enumerate(whole)]
+    given = [
+        None
+        if 50 <= k < 60
+        else Decimal(int(one))
+        if pa.types.is_decimal(kind)
+        else np.float16(one)
+        if kind == pa.float16()
+        else int(one)
+        for k, one in enumerate(whole)
+    ]
     run = loaded(tmp_path, parquet(tmp_path, pa.array(T_S), pa.array(given, kind)))
     holds(run, values=np.where((np.arange(N) >= 50) & (np.arange(N) < 60), np.nan, whole))
 
@@ -97,7 +124,9 @@ def test_values_of_parquet_may_be_of_any_kind_of_number_and_missing(tmp_path, ki
 def test_a_frame_of_pandas_reads_with_its_index_of_times_and_its_categories(tmp_path):
     pandas = pytest.importorskip("pandas")
     index = pandas.DatetimeIndex(instants(AUTUMN), name="t").tz_convert("Europe/Berlin")
-    frame = pandas.DataFrame({"v": V_M_S.astype("float32"), "g": V_M_S, "state": pandas.Categorical(["on"] * N)}, index)
+    frame = pandas.DataFrame(
+        {"v": V_M_S.astype("float32"), "g": V_M_S, "state": pandas.Categorical(["on"] * N)}, index
+    )
     frame.to_parquet(tmp_path / "one.parquet")
     holds(loaded(tmp_path, "one.parquet"))
 
@@ -117,45 +146,83 @@ def test_a_column_that_stands_there_twice_is_refused_by_name(tmp_path, name):
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_the_end_of_a_name_may_be_in_capitals(tmp_path, suffix):
     name = f"ONE.{suffix.upper()}"
-    holds(loaded(tmp_path, parquet(tmp_path, T_S, name=name) if suffix == "parquet" else text(tmp_path, T_S, name)))
+    holds(
+        loaded(
+            tmp_path,
+            parquet(tmp_path, T_S, name=name) if suffix == "parquet" else text(tmp_path, T_S, name),
+        )
+    )
 
 
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
 def test_a_file_without_any_stamp_is_refused(tmp_path, name):
     none = [None] * N
-    made = parquet(tmp_path, pa.array(none, pa.float64())) if name.endswith("parquet") else text(tmp_path, [""] * N)
+    made = (
+        parquet(tmp_path, pa.array(none, pa.float64()))
+        if name.endswith("parquet")
+        else text(tmp_path, [""] * N)
+    )
     with pytest.raises(ConfigError, match=r"'t'.*no stamp"):
         loaded(tmp_path, made)
 
 
 # --- date and time as text ---
 
-@pytest.mark.parametrize("write", [
-    lambda one: one.strftime("%Y-%m-%d %H:%M:%S.%f"), lambda one: one.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3],
-    # whole seconds have no fraction
-    lambda one: one.replace(tzinfo=None).isoformat(), lambda one: one.replace(tzinfo=None).isoformat(" "),
-    lambda one: one.replace(tzinfo=None).isoformat() + "Z", lambda one: one.isoformat(),
-    lambda one: one.astimezone(BERLIN).isoformat(), lambda one: one.astimezone(BERLIN).isoformat(" ")])
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda one: one.strftime("%Y-%m-%d %H:%M:%S.%f"),
+        lambda one: one.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3],
+        # whole seconds have no fraction
+        lambda one: one.replace(tzinfo=None).isoformat(),
+        lambda one: one.replace(tzinfo=None).isoformat(" "),
+        lambda one: one.replace(tzinfo=None).isoformat() + "Z",
+        lambda one: one.isoformat(),
+        lambda one: one.astimezone(BERLIN).isoformat(),
+        lambda one: one.astimezone(BERLIN).isoformat(" "),
+    ],
+)
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
-def test_date_and_time_as_text_are_instants_also_while_a_zone_turns_its_clocks_back(tmp_path, write, name):
+def test_date_and_time_as_text_are_instants_also_while_a_zone_turns_its_clocks_back(
+    tmp_path, write, name
+):
     stamps = [write(one) for one in instants(AUTUMN, UTC)]
-    holds(loaded(tmp_path, text(tmp_path, stamps) if name.endswith("csv") else parquet(tmp_path, pa.array(stamps))))
+    holds(
+        loaded(
+            tmp_path,
+            text(tmp_path, stamps) if name.endswith("csv") else parquet(tmp_path, pa.array(stamps)),
+        )
+    )
 
 
-@pytest.mark.parametrize(("start", "size_s"), [(AUTUMN, -3600.0), (SPRING, 3600.0)], ids=["autumn", "spring"])
+@pytest.mark.parametrize(
+    ("start", "size_s"), [(AUTUMN, -3600.0), (SPRING, 3600.0)], ids=["autumn", "spring"]
+)
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
-def test_a_local_clock_that_is_turned_without_a_zone_is_told_as_a_step_of_an_hour(tmp_path, start, size_s, name):
+def test_a_local_clock_that_is_turned_without_a_zone_is_told_as_a_step_of_an_hour(
+    tmp_path, start, size_s, name
+):
     stamps = [one.replace(tzinfo=None) for one in instants(start, BERLIN)]
-    run = loaded(tmp_path, text(tmp_path, stamps) if name.endswith("csv") else parquet(tmp_path, pa.array(stamps)))
+    run = loaded(
+        tmp_path,
+        text(tmp_path, stamps) if name.endswith("csv") else parquet(tmp_path, pa.array(stamps)),
+    )
     account = verdict.explain(recording.load(tmp_path))
-    assert [(f.name, round(f.size, 1)) for f in account.findings] == [("clock_step", size_s)], verdict.story(account)
+    assert [(f.name, round(f.size, 1)) for f in account.findings] == [("clock_step", size_s)], (
+        verdict.story(account)
+    )
     assert f"{size_s:+.0f} s exactly" in account.findings[0].text
     assert run.channels["axle"].values.size == N
 
 
-@pytest.mark.parametrize("stamp", ["29.03.2026 10:00:00", "03/29/2026 10:00:00", "2026-03-29 25:00:00", "yesterday"])
+@pytest.mark.parametrize(
+    "stamp", ["29.03.2026 10:00:00", "03/29/2026 10:00:00", "2026-03-29 25:00:00", "yesterday"]
+)
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
-def test_a_date_that_cannot_be_read_surely_is_refused_with_the_form_that_is_wanted(tmp_path, stamp, name):
+def test_a_date_that_cannot_be_read_surely_is_refused_with_the_form_that_is_wanted(
+    tmp_path, stamp, name
+):
     stamps = [stamp] * N
     made = text(tmp_path, stamps) if name.endswith("csv") else parquet(tmp_path, pa.array(stamps))
     with pytest.raises(ConfigError, match=r"one\.(csv|parquet): column 't'.*2026-03-29 10:00:00"):
@@ -175,6 +242,7 @@ def test_a_date_of_a_run_may_be_a_text_or_a_date(tmp_path, run):
 
 # --- MDF4 ---
 
+
 def mdf_file(folder, signals, version="4.10", name="one.mf4", start=None):
     """A file by asammdf; each of `signals` in a group of its own."""
     asammdf = pytest.importorskip("asammdf")
@@ -192,9 +260,15 @@ BOTH = ({"name": "v"}, {"name": "g"})
 
 @pytest.mark.parametrize("version", ["3.30", "4.00", "4.10", "4.20"])
 def test_mdf_channels_keep_stamps_of_their_own_and_tell_their_units(tmp_path, version):
-    name = mdf_file(tmp_path, ({"name": "v", "samples": 3.6 * V_M_S, "unit": "km/h"},
-                               {"name": "g", "timestamps": T_S[::2] + 0.037, "samples": V_M_S[::2], "unit": "m/s"}),
-                    version, "one.mdf" if version < "4" else "one.mf4")
+    name = mdf_file(
+        tmp_path,
+        (
+            {"name": "v", "samples": 3.6 * V_M_S, "unit": "km/h"},
+            {"name": "g", "timestamps": T_S[::2] + 0.037, "samples": V_M_S[::2], "unit": "m/s"},
+        ),
+        version,
+        "one.mdf" if version < "4" else "one.mf4",
+    )
     run = loaded(tmp_path, name)
     holds(run)
     np.testing.assert_allclose(run.channels["gnss"].time_s, T_S[::2] + 0.037, atol=1e-6)
@@ -208,27 +282,54 @@ def test_mdf_stamps_count_from_the_first_sample_whatever_the_start_of_the_file(t
 @pytest.mark.parametrize("kind", ["uint16", "int32", "float32"])
 def test_mdf_counts_are_read_by_their_conversion(tmp_path, kind):
     counts = np.rint(100.0 * V_M_S).astype(kind)
-    name = mdf_file(tmp_path, ({"name": "v", "samples": counts, "conversion": {"a": 0.01, "b": 0.0}}, {"name": "g"}))
+    name = mdf_file(
+        tmp_path,
+        ({"name": "v", "samples": counts, "conversion": {"a": 0.01, "b": 0.0}}, {"name": "g"}),
+    )
     holds(loaded(tmp_path, name))
 
 
 def test_mdf_counts_that_mean_no_number_are_no_data(tmp_path):
     counts = np.rint(5.0 * V_M_S).astype("uint8")
     counts[40:50] = 255
-    scale = {"lower_0": 0, "upper_0": 250, "text_0": {"a": 0.2, "b": 0.0}, "lower_1": 255, "upper_1": 255,
-             "text_1": b"signal not available", "default": b""}
+    scale = {
+        "lower_0": 0,
+        "upper_0": 250,
+        "text_0": {"a": 0.2, "b": 0.0},
+        "lower_1": 255,
+        "upper_1": 255,
+        "text_1": b"signal not available",
+        "default": b"",
+    }
     values = np.where(counts == 255, np.nan, 0.2 * counts)
-    holds(loaded(tmp_path, mdf_file(tmp_path, ({"name": "v", "samples": counts, "conversion": scale}, {"name": "g"}))),
-          values=values)
+    holds(
+        loaded(
+            tmp_path,
+            mdf_file(
+                tmp_path, ({"name": "v", "samples": counts, "conversion": scale}, {"name": "g"})
+            ),
+        ),
+        values=values,
+    )
 
 
 def test_mdf_samples_that_are_marked_as_invalid_are_no_data(tmp_path):
     asammdf = pytest.importorskip("asammdf")
     invalid = np.zeros(N, bool)
     invalid[100:130] = True
-    name = mdf_file(tmp_path, ({"name": "v", "samples": np.where(invalid, 0.0, V_M_S),
-                                "invalidation_bits": asammdf.blocks.utils.InvalidationArray(invalid)
-                                if hasattr(asammdf.blocks.utils, "InvalidationArray") else invalid}, {"name": "g"}))
+    name = mdf_file(
+        tmp_path,
+        (
+            {
+                "name": "v",
+                "samples": np.where(invalid, 0.0, V_M_S),
+                "invalidation_bits": asammdf.blocks.utils.InvalidationArray(invalid)
+                if hasattr(asammdf.blocks.utils, "InvalidationArray")
+                else invalid,
+            },
+            {"name": "g"},
+        ),
+    )
     channel = loaded(tmp_path, name).channels["axle"]
     kept = np.isfinite(channel.values)
     np.testing.assert_allclose(channel.values[kept], V_M_S[~invalid], rtol=1e-6)
@@ -237,7 +338,10 @@ def test_mdf_samples_that_are_marked_as_invalid_are_no_data(tmp_path):
 
 def test_mdf_values_that_a_table_turns_into_words_for_errors_are_no_data(tmp_path):
     words = {"val_0": 0.0, "text_0": b"SNA", "val_1": 1.0, "text_1": b"error", "default": b""}
-    name = mdf_file(tmp_path, ({"name": "v", "samples": np.full(N, 1, "uint8"), "conversion": words}, {"name": "g"}))
+    name = mdf_file(
+        tmp_path,
+        ({"name": "v", "samples": np.full(N, 1, "uint8"), "conversion": words}, {"name": "g"}),
+    )
     with pytest.raises(ConfigError, match=r"one\.mf4: column 'v'"):
         loaded(tmp_path, name)
 
@@ -264,11 +368,15 @@ def test_a_recording_gives_the_same_account_from_csv_parquet_and_mdf(tmp_path):
         if name.endswith("csv"):
             text(tmp_path, np.round(T_S, 3), values=held)
         elif name.endswith("parquet"):
-            parquet(tmp_path, pa.array(instants(SPRING), pa.timestamp("us", tz="Europe/Berlin")), held)
+            parquet(
+                tmp_path, pa.array(instants(SPRING), pa.timestamp("us", tz="Europe/Berlin")), held
+            )
         else:
             mdf_file(tmp_path, ({"name": "v", "samples": held}, {"name": "g"}))
         loaded(tmp_path, name)
         account = verdict.explain(recording.load(tmp_path))
-        told.append([(f.name, f.channels, round(f.start_s, 2), round(f.size, 2)) for f in account.findings])
+        told.append(
+            [(f.name, f.channels, round(f.start_s, 2), round(f.size, 2)) for f in account.findings]
+        )
     assert told[0] == told[1] == told[2]
     assert [one[0] for one in told[0]] == ["sensor_stuck"]

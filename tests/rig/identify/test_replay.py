@@ -35,7 +35,9 @@ def told(design: preparation.Design) -> Explanation:
 def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) -> None:
     patch, base = patch_for(0.445, math.inf, 0.3, 2.1e11, 8.0e10, 0.3), design.base.copy()
     for base[parameters.CLEANING] in (math.inf, 0.3):
-        law = adhesion.Law(*(float(x) for x in base[parameters.LAW]), float(base[parameters.CLEANING]))
+        law = adhesion.Law(
+            *(float(x) for x in base[parameters.LAW]), float(base[parameters.CLEANING])
+        )
         for sliding in (0.01, 0.3, 2.0, 8.0, 15.0, 25.0, -1.0):
             f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 1.0, 1.0, base, 0.0, 1.0)
             want = adhesion.recovering(sliding, 25.0, 52700.0, patch, law)
@@ -48,20 +50,44 @@ MEMORIES = [{}, {"speed_power": 1.0}, {"of_work": 1.0}]
 
 def one_by_one(design: preparation.Design, i: sensitivity.Inputs) -> np.ndarray:
     out = np.empty((3, design.measured_rad_s.size))
-    memory_replay.replay_wheels(design.start, design.measured_rad_s, i.torque_Nm, i.load_N, i.speed_m_s, i.friction,
-                                i.parameters, design.step_s, *out)
+    memory_replay.replay_wheels(
+        design.start,
+        design.measured_rad_s,
+        i.torque_Nm,
+        i.load_N,
+        i.speed_m_s,
+        i.friction,
+        i.parameters,
+        design.step_s,
+        *out,
+    )
     return out
 
 
 @pytest.mark.parametrize("recovered", [1.0, 0.5], ids=["cleaned by sliding", "spoilt by sliding"])
 def test_the_wheelsets_of_two_runs_at_once_are_replayed_as_one_by_one(
-        design: preparation.Design, told: Explanation, recovered: float) -> None:
+    design: preparation.Design, told: Explanation, recovered: float
+) -> None:
     i = candidates.inputs(design, told)
-    i.parameters[:, parameters.LAW.start + 1] *= recovered * np.where(recovered < 1.0, i.parameters[:, parameters.MU_CD]
-                                                                      / i.parameters[:, parameters.LAW.start + 1], 1.0)
-    np.testing.assert_allclose(sensitivity.replay_wheels(design, i), one_by_one(design, i), rtol=1e-8, atol=1e-10)
+    i.parameters[:, parameters.LAW.start + 1] *= recovered * np.where(
+        recovered < 1.0,
+        i.parameters[:, parameters.MU_CD] / i.parameters[:, parameters.LAW.start + 1],
+        1.0,
+    )
+    np.testing.assert_allclose(
+        sensitivity.replay_wheels(design, i), one_by_one(design, i), rtol=1e-8, atol=1e-10
+    )
     at, p, late = design.span(1), i.parameters[1], np.zeros(design.span(1).stop + 1)
-    path = design.sliding_m_s[at], i.speed_m_s[at], i.load_N[at], i.friction[:, at], p, design.step_s, late, False
+    path = (
+        design.sliding_m_s[at],
+        i.speed_m_s[at],
+        i.load_N[at],
+        i.friction[:, at],
+        p,
+        design.step_s,
+        late,
+        False,
+    )
     want = np.empty((2, path[0].size))
     replay.along(*path, want)
     np.testing.assert_allclose(sensitivity.replay_law(*path), want, rtol=1e-9, atol=1e-13)
@@ -70,46 +96,74 @@ def test_the_wheelsets_of_two_runs_at_once_are_replayed_as_one_by_one(
 @pytest.mark.parametrize("shape", MEMORIES, ids=["over distance", "over time", "of the work done"])
 @pytest.mark.parametrize("length_m", [0.3, 3.0, 30.0])
 def test_wheels_with_a_memory_are_replayed_at_once_as_one_by_one(
-        design: preparation.Design, told: Explanation, shape: dict[str, float], length_m: float) -> None:
-    i = candidates.inputs(design, told._replace(causes=(Cause("adhesion_memory", 0, shape, (length_m,)),)))
+    design: preparation.Design, told: Explanation, shape: dict[str, float], length_m: float
+) -> None:
+    i = candidates.inputs(
+        design, told._replace(causes=(Cause("adhesion_memory", 0, shape, (length_m,)),))
+    )
     alone = one_by_one(design, i)
     assert np.all(np.isfinite(alone))
     np.testing.assert_allclose(sensitivity.replay_wheels(design, i), alone, rtol=1e-8, atol=1e-10)
 
 
 def test_several_explanations_are_replayed_at_once_as_each_by_itself(
-        design: preparation.Design, told: Explanation) -> None:
-    several = [candidates.inputs(design, told._replace(causes=(Cause("adhesion_memory", 0, shape, (2.0,)),)))
-               for shape in MEMORIES]
+    design: preparation.Design, told: Explanation
+) -> None:
+    several = [
+        candidates.inputs(
+            design, told._replace(causes=(Cause("adhesion_memory", 0, shape, (2.0,)),))
+        )
+        for shape in MEMORIES
+    ]
     for found, i in zip(sensitivity.replays(design, several), several, strict=True):
         assert np.array_equal(found, sensitivity.replay_wheels(design, i))
     without = candidates.inputs(design, told)
     for mixed in ([several[0], without], [without, several[0]]):
         for found, i in zip(sensitivity.replays(design, mixed), mixed, strict=True):
-            np.testing.assert_allclose(found, sensitivity.replay_wheels(design, i), rtol=1e-8, atol=1e-10)
+            np.testing.assert_allclose(
+                found, sensitivity.replay_wheels(design, i), rtol=1e-8, atol=1e-10
+            )
 
 
-@pytest.mark.parametrize("A", [[[-30.0, 4.0], [5.0, -2.0]], [[-3.0, 40.0], [-50.0, -2.0]], [[-5.0, 1.0], [0.0, -5.0]],
-                               [[-1e-6, 0.0], [0.0, -2e-6]], [[-3000.0, 90.0], [2.0, -20.0]]],
-                         ids=["real", "conjugates", "one eigenvalue", "hardly any", "stiff"])
-@pytest.mark.parametrize("step", [memory_replay.step_of, lanes._step_of], ids=["one by one", "at once"])
-def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(A: list[list[float]], step: Any) -> None:
+@pytest.mark.parametrize(
+    "A",
+    [
+        [[-30.0, 4.0], [5.0, -2.0]],
+        [[-3.0, 40.0], [-50.0, -2.0]],
+        [[-5.0, 1.0], [0.0, -5.0]],
+        [[-1e-6, 0.0], [0.0, -2e-6]],
+        [[-3000.0, 90.0], [2.0, -20.0]],
+    ],
+    ids=["real", "conjugates", "one eigenvalue", "hardly any", "stiff"],
+)
+@pytest.mark.parametrize(
+    "step", [memory_replay.step_of, lanes._step_of], ids=["one by one", "at once"]
+)
+def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(
+    A: list[list[float]], step: Any
+) -> None:
     h, (top, below) = 0.005, np.array(A)
     # of [[A, 1], [0, 0]]: its upper right is the integral of exp(A s) over the step
     whole = expm(np.block([[np.array(A), np.eye(2)], [np.zeros((2, 4))]]) * h)
-    np.testing.assert_allclose(step(*top, *below, h), [*whole[:2, :2].ravel(), *whole[:2, 2:].ravel()], rtol=1e-7,
-                               atol=1e-9)
+    np.testing.assert_allclose(
+        step(*top, *below, h),
+        [*whole[:2, :2].ravel(), *whole[:2, 2:].ravel()],
+        rtol=1e-7,
+        atol=1e-9,
+    )
 
 
 def test_innovations_of_an_unspoilt_recording_have_unit_variance(
-        design: preparation.Design, told: Explanation) -> None:
+    design: preparation.Design, told: Explanation
+) -> None:
     nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, told))
     assert np.mean(nu * nu / S) == pytest.approx(1.0, abs=0.05)
     assert np.mean(vnu * vnu / vS) == pytest.approx(1.0, abs=0.08)
 
 
 def test_simulated_stops_look_like_the_recording(
-        data: dataset.Dataset, design: preparation.Design, told: Explanation) -> None:
+    data: dataset.Dataset, design: preparation.Design, told: Explanation
+) -> None:
     made = simulate.runs(data, design, data.group("tune"), told, np.random.default_rng(5))
     again = preparation.prepare(data, made, design)
     nu, S, *_ = sensitivity.innovations(again, candidates.inputs(again, told))
@@ -118,9 +172,12 @@ def test_simulated_stops_look_like_the_recording(
 
 
 def test_wet_pads_hidden_in_simulated_stops_are_the_likeliest_cause(
-        data: dataset.Dataset, design: preparation.Design, told: Explanation) -> None:
+    data: dataset.Dataset, design: preparation.Design, told: Explanation
+) -> None:
     wet = Cause("wet_pads", 0, {"turns": 12.0}, (0.25,))
-    made = simulate.runs(data, design, data.group("tune"), told._replace(causes=(wet,)), np.random.default_rng(6))
+    made = simulate.runs(
+        data, design, data.group("tune"), told._replace(causes=(wet,)), np.random.default_rng(6)
+    )
     seen = preparation.prepare(data, made, design)
     found = evidence.likely(seen, tuning.normal(seen, told)[0], 3)
     assert found[0].name == "wet_pads"

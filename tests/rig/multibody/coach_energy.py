@@ -7,7 +7,14 @@ resistance take it. Rollers and their motors are the plant's affair: their energ
 from rollerrig.rig.contact import patch as patches
 from rollerrig.rig.contact.geometry import GAP, LATERAL, MOST, ROLLING
 from rollerrig.rig.kernel import kernel, kernel_inlined
-from rollerrig.rig.multibody.links import PRELOAD_N, STIFFNESS_N_M, STOP_BEND_M, STOP_GAP_M, STOP_N_M, elongation
+from rollerrig.rig.multibody.links import (
+    PRELOAD_N,
+    STIFFNESS_N_M,
+    STOP_BEND_M,
+    STOP_GAP_M,
+    STOP_N_M,
+    elongation,
+)
 
 
 @kernel
@@ -27,8 +34,9 @@ def pressed(motion, coach):
     for wheel in range(8):
         for c in range(MOST * wheel, MOST * wheel + int(motion.near[wheel])):
             p = max(-motion.contacts[c, GAP], 0.0)
-            patch = patches.at(motion.contacts[c, ROLLING], motion.contacts[c, LATERAL],
-                               coach.patches)
+            patch = patches.at(
+                motion.contacts[c, ROLLING], motion.contacts[c, LATERAL], coach.patches
+            )
             energy += 0.4 * patch.k_h_N_m32 * p * p * p**0.5
     return energy
 
@@ -36,8 +44,13 @@ def pressed(motion, coach):
 @kernel
 def taken(motion):
     """Energy in J that has left since the start: sliding, brakes, dampers, contacts, resistance."""
-    return (motion.sliding_work.sum() + motion.brake_work.sum() + motion.damper_work[0]
-            + motion.approach_work[0] + motion.resistance_work[0])
+    return (
+        motion.sliding_work.sum()
+        + motion.brake_work.sum()
+        + motion.damper_work[0]
+        + motion.approach_work[0]
+        + motion.resistance_work[0]
+    )
 
 
 @kernel_inlined

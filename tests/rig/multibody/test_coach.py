@@ -1,6 +1,5 @@
 """The coach in 3D: statics, energy, modes against matrices of its own, symmetry, stability, speed."""
 
-
 import coach_energy
 import numpy as np
 import pytest
@@ -115,17 +114,20 @@ def _matrices():
 
     Coordinates x, y, z, roll, pitch, yaw of car, front bogie, rear bogie.
     """
-    mass = np.diag([29720.0] * 3 + [76400.0, 1494400.0, 1467160.0]
-                   + 2 * ([3000.0] * 3 + [2400.0, 1900.0 + 4 * (12.0 + 4.0), 4000.0]))
+    mass = np.diag(
+        [29720.0] * 3
+        + [76400.0, 1494400.0, 1467160.0]
+        + 2 * ([3000.0] * 3 + [2400.0, 1900.0 + 4 * (12.0 + 4.0), 4000.0])
+    )
     K = np.zeros((18, 18))
 
     def at(body, r):
         """Displacement of a point of a body over the 18 coordinates: u + theta x r."""
         D = np.zeros((3, 18))
         if body is not None:
-            D[:, 6 * body:6 * body + 3] = np.eye(3)
+            D[:, 6 * body : 6 * body + 3] = np.eye(3)
             x, y, z = r
-            D[:, 6 * body + 3:6 * body + 6] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            D[:, 6 * body + 3 : 6 * body + 6] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         return D
 
     def spring(k, a, ra, b, rb):
@@ -167,9 +169,20 @@ def test_bounce_and_pitch_of_car_and_bogies_have_the_known_frequencies():
 
 
 def _undamped():
-    return coach.build(_sections(**{name: 0.0 for name in (
-        "primary_damper_N_s_m", "secondary_damper_N_s_m", "lateral_damper_N_s_m", "yaw_damper_N_s_m",
-        "traction_rod_damping_N_s_m")}))
+    return coach.build(
+        _sections(
+            **{
+                name: 0.0
+                for name in (
+                    "primary_damper_N_s_m",
+                    "secondary_damper_N_s_m",
+                    "lateral_damper_N_s_m",
+                    "yaw_damper_N_s_m",
+                    "traction_rod_damping_N_s_m",
+                )
+            }
+        )
+    )
 
 
 def test_the_time_step_swings_with_the_frequency_of_the_mode():
@@ -220,8 +233,9 @@ def test_braking_loads_the_leading_wheelsets_of_coach_and_bogies():
     body = 29720.0 * (1.8 - 0.9) / 19.0 * deceleration
     bogie = (0.5 * 29720.0 * 0.9 + 3000.0 * 0.6 + 2.0 * 1820.0 * 0.445) / 2.56 * deceleration
     static = 43000.0 * G / 4.0
-    expected = static + np.array([0.5 * body + bogie, 0.5 * body - bogie,
-                                  -0.5 * body + bogie, -0.5 * body - bogie])
+    expected = static + np.array(
+        [0.5 * body + bogie, 0.5 * body - bogie, -0.5 * body + bogie, -0.5 * body - bogie]
+    )
     np.testing.assert_allclose(loads, expected, rtol=0.01)
 
 
@@ -243,7 +257,9 @@ def test_it_brakes_to_a_walk_and_stands_without_trembling():
 
 
 @pytest.mark.parametrize(("bound", "low", "high"), [(0.5, 0.055, 0.065), (np.inf, 0.2, 0.28)])
-def test_a_locked_wheel_of_the_coach_is_on_the_degraded_curve_or_by_the_papers_law_recovered(bound, low, high):
+def test_a_locked_wheel_of_the_coach_is_on_the_degraded_curve_or_by_the_papers_law_recovered(
+    bound, low, high
+):
     state = stop.rolling(COACH, 40.0)
     state.v[22::6] = 0.0
     stop.advance(state, COACH, _law(cleaning_creepage=bound), 2e-4, 1e6)
@@ -269,16 +285,23 @@ def test_lateral_motion_dies_away_at_42_m_s_on_straight_track():
 
 def test_a_speed_sweep_finds_where_hunting_begins():
     conical = coach.build(_sections(laying=1 / 40))
-    found = stability.critical_speed(conical, SOAP, np.array([30.0, 45.0, 60.0, 75.0]), tolerance_m_s=2.0)
+    found = stability.critical_speed(
+        conical, SOAP, np.array([30.0, 45.0, 60.0, 75.0]), tolerance_m_s=2.0
+    )
     assert 35.0 < found < 75.0
     assert stability.growth(conical, SOAP, 0.7 * found) < 0.0
 
 
 def test_more_yaw_damping_raises_the_critical_speed():
-    found = [stability.critical_speed(coach.build(_sections(laying=1 / 40, yaw_damper_N_s_m=damping,
-                                                            yaw_damper_max_N=2e4)),
-                                      SOAP, np.array([20.0, 40.0, 60.0, 80.0]), 2.0)
-             for damping in (0.0, 500e3)]
+    found = [
+        stability.critical_speed(
+            coach.build(_sections(laying=1 / 40, yaw_damper_N_s_m=damping, yaw_damper_max_N=2e4)),
+            SOAP,
+            np.array([20.0, 40.0, 60.0, 80.0]),
+            2.0,
+        )
+        for damping in (0.0, 500e3)
+    ]
     assert found[1] > found[0]
 
 

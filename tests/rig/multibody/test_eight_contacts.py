@@ -11,9 +11,12 @@ from rollerrig.rig.contact.patch import at, tabulate
 from rollerrig.rig.kernel import kernel
 from rollerrig.rig.multibody import eight_contacts as lanes
 
-LAWS = tuple(Law(mu_cd, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, tau_m_J, cleaning_creepage)
-             for mu_cd in (0.01, 0.06, 0.25) for tau_m_J in (0.0, 1.9e-4, 5e-3)
-             for cleaning_creepage in (0.5, math.inf))
+LAWS = tuple(
+    Law(mu_cd, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, tau_m_J, cleaning_creepage)
+    for mu_cd in (0.01, 0.06, 0.25)
+    for tau_m_J in (0.0, 1.9e-4, 5e-3)
+    for cleaning_creepage in (0.5, math.inf)
+)
 INSIDE_N, LIGHT_N = (1.3e4, 1.9e5), (1.0, 1.2e4)
 
 
@@ -31,8 +34,9 @@ def put(w, lane, patch):
 def by_the_model(sx, sy, spin, surface, load_N, patch, mu_cd, mu_cr, law):
     per_speed, s = 1.0 / max(abs(surface), SPEED_FLOOR_M_S), math.sqrt(sx * sx + sy * sy)
     here = law_under(mu_cd, mu_cr, cleaning(s, surface, law.cleaning_creepage)[0], law)
-    return creep_force.creep_force(patch.model, sx * per_speed, sy * per_speed, spin * per_speed, s, load_N, patch,
-                                   here)
+    return creep_force.creep_force(
+        patch.model, sx * per_speed, sy * per_speed, spin * per_speed, s, load_N, patch, here
+    )
 
 
 def filled(rng, count, patches, loads_N):
@@ -40,14 +44,19 @@ def filled(rng, count, patches, loads_N):
     w, given = np.full(lanes.SIZE, np.nan), []
     for lane in range(count):
         surface = 10.0 ** rng.uniform(-1.5, 1.9)
-        sx, sy, spin = surface * 10.0 ** rng.uniform(-6.0, [0.0, -1.0, 0.3]) * rng.choice([-1.0, 1.0], 3)
+        sx, sy, spin = (
+            surface * 10.0 ** rng.uniform(-6.0, [0.0, -1.0, 0.3]) * rng.choice([-1.0, 1.0], 3)
+        )
         sy, spin = sy * rng.choice([0.0, 1.0, 1.0]), spin * rng.choice([0.0, 1.0, 1.0])
         patch = patch_at(rng.uniform(1.5, 4.0), 10.0 ** rng.uniform(-1.0, 1.5), patches)
         put(w, lane, patch)
         one = (sx, sy, spin, surface, 10.0 ** rng.uniform(*np.log10(loads_N)))
         mu = (rng.uniform(0.01, 0.2), rng.uniform(0.21, 0.4))
-        for row, value in zip((lanes.SX, lanes.SY, lanes.SPIN, lanes.SURFACE, lanes.LOAD, lanes.MU_CD, lanes.MU_CR),
-                              (*one, *mu), strict=True):
+        for row, value in zip(
+            (lanes.SX, lanes.SY, lanes.SPIN, lanes.SURFACE, lanes.LOAD, lanes.MU_CD, lanes.MU_CR),
+            (*one, *mu),
+            strict=True,
+        ):
             w[row + lane] = value
         given.append((*one, patch, *mu))
     return w, given
@@ -63,7 +72,7 @@ def test_eight_contacts_at_once_have_the_forces_that_each_has_alone(model):
     for law in LAWS * 10:
         w, given = filled(rng, lanes.ABREAST, patches, INSIDE_N)
         lanes.forces(w, lanes.ABREAST, patches, law)
-        inside += np.sum(w[lanes.INSIDE:lanes.INSIDE + lanes.ABREAST] == 1.0)
+        inside += np.sum(w[lanes.INSIDE : lanes.INSIDE + lanes.ABREAST] == 1.0)
         for lane, one in enumerate(given):
             fx, fy, mz = by_the_model(*one, law)
             size_N = math.hypot(fx, fy)

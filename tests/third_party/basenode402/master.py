@@ -28,12 +28,19 @@ class Master:
 
     def __init__(self, host, port, folder):
         self.network = canopen.Network()
-        self.network.connect(interface="socketcand", host=host, port=int(port), channel="rig0",
-                             tcp_tune=True)
+        self.network.connect(
+            interface="socketcand", host=host, port=int(port), channel="rig0", tcp_tune=True
+        )
         self.nodes = {node: self.add(node, folder) for node in (*DRIVES, SPEED_UNIT, BRAKE_IO)}
         self.speed_m_s, self.before_s, self.turning = 0.0, time.monotonic(), 0
-        self.told = {"enabled": [], "turned": 0.0, "cycles": 0, "vents": 0, "speeds_read": 0,
-                     "stopped": False}
+        self.told = {
+            "enabled": [],
+            "turned": 0.0,
+            "cycles": 0,
+            "vents": 0,
+            "speeds_read": 0,
+            "stopped": False,
+        }
 
     def add(self, number, folder):
         eds = str(next(Path(folder).glob(f"node_{number:03d}_*.eds")))
@@ -110,7 +117,9 @@ class Master:
         """Send each drive the speed of the train, the first one `factor` times that."""
         for number in DRIVES:
             target = self.nodes[number].rpdo[2]
-            target[0].raw = round(self.speed_m_s * (factor if number == 1 else 1.0) / ROLLER_M * 1e4)
+            target[0].raw = round(
+                self.speed_m_s * (factor if number == 1 else 1.0) / ROLLER_M * 1e4
+            )
             target.transmit()
 
     def cycle(self):
@@ -130,7 +139,9 @@ class Master:
         wheels = [self.wheel(axle) for axle in DRIVES]
         self.told["speeds_read"] += any(wheels)
         rollers = [self.nodes[number].tpdo[2][0].raw for number in DRIVES]
-        self.told["stopped"] = self.told["speeds_read"] > 200 and not any(wheels) and not any(rollers)
+        self.told["stopped"] = (
+            self.told["speeds_read"] > 200 and not any(wheels) and not any(rollers)
+        )
 
     def run(self):
         """Cycle until the train has stood for a while, or the bus has ended."""
