@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.firmware_sim.faults import effects as faulty
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES
 

@@ -21,7 +21,7 @@ it is as fast as its rollers are on average, at most as fast as it was [R4].
 whose contact forces are taken as measured without error (assumption: an ideal load cell).
 """
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 
 @kernel

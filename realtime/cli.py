@@ -16,9 +16,9 @@ from importlib import metadata
 from typing import NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.configs.without import without
-from rollerrig.realtime import unread
-from rollerrig.realtime.verbs import (
+from rollerrig.configs.processes.without import without
+from rollerrig.realtime import broken_pipe
+from rollerrig.realtime.commands import (
     bench,
     campaign,
     check,
@@ -214,7 +214,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
-    unread.make_harmless()
+    broken_pipe.make_harmless()
     top = parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks what might follow
         with contextlib.suppress(ImportError):

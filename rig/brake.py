@@ -17,7 +17,7 @@ measurements of one brake. A cylinder whose valve fills and whose demand falls i
 
 import math
 
-from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES, FILL, VENT
 
 NORMAL_PRESSURE_PA = 101325.0

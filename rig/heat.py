@@ -13,7 +13,7 @@ rise of an insulation class. Doubt: one body a disc set and one a motor, cooling
 depend on speed; every constant is an assumption.
 """
 
-from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES
 
 

@@ -4,7 +4,7 @@
 and no driving torque above the largest speed. Gear and converter are inside the lag: assumption.
 """
 
-from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES
 
 

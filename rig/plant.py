@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from rollerrig.rig import brake, heat, motor, surface, vehicle, wheelset
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.mechanisms import applied, pads, wheel_flat
 from rollerrig.rig.mechanisms.friction import dose_share, film_share
 from rollerrig.rig.multibody import coach_state, on_rig

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig import state_type
+from rollerrig.rig.compiled import state_type
 from rollerrig.rig.multibody import coach_state
 
 FILL, HOLD, VENT = 0, 1, 2  # valve states

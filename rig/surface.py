@@ -20,7 +20,7 @@ that were measured (`studies.sanding`). Sand brings a contact no further than it
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.state import AXLES, CELLS, SECTORS
 
 CELL_M = 0.2

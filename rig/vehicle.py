@@ -11,7 +11,7 @@ The pitch of body and frames is not modelled here: the transfer follows the dece
 
 import math
 
-from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.mechanisms.elsewhere import wheel_out_of_round
 from rollerrig.rig.state import AXLES
 

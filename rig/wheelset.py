@@ -21,8 +21,8 @@ not exist here: the vehicle only brakes.
 import math
 
 from rollerrig.rig import vehicle as body
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion, creep_force
-from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.mechanisms import wheel_flat
 from rollerrig.rig.state import AXLES
 

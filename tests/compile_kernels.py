@@ -12,7 +12,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from rollerrig.rig import kernel
+from rollerrig.rig.compiled import kernel
 
 ROOT = Path(__file__).parent.parent
 RUN = (
@@ -31,7 +31,7 @@ COACH = (*RUN, "--pacing", "free", "--set", "vehicle.model=multibody", "--set")
 # the kernels of the generators of stops, which is a program and no command
 GENERATORS = """import sys
 from pathlib import Path
-import rollerrig.rig.kernel  # it tells numba where to keep them
+import rollerrig.rig.compiled.kernel  # it tells numba where to keep them
 from generator import braking_stops, other_stops
 other_stops.make(Path(sys.argv[-1]), {}, 1, ("a3",))
 braking_stops.make(Path(sys.argv[-1]), {}, 1)

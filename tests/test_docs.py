@@ -17,7 +17,7 @@ from scipy.stats import binomtest
 from rollerrig.realtime import cli
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.identify.recorder import thresholds
+from rollerrig.rig.identify.train_recorder import thresholds
 from rollerrig.wsp_interface import rig_objects
 
 ROOT = Path(__file__).parent.parent

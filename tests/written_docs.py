@@ -19,7 +19,7 @@ from rollerrig.realtime.benchmarks.sealed.cases import GENERATORS
 from rollerrig.rig import params
 from rollerrig.rig.identify.causes import table as causes
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.identify.recorder import recording
+from rollerrig.rig.identify.train_recorder import recording
 from rollerrig.wsp_interface import harness_client
 
 STANDARDS = (

@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 
 import tomli_w
 
-from rollerrig.configs import children, store
+from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, RollerrigError, UnitError
+from rollerrig.configs.processes import children
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.harness_client import Harness
 

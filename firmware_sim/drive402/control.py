@@ -12,7 +12,7 @@ Gains are those of the rig's speed loop: w_c = drive.speed_loop_rad_s on the rol
 """
 
 from rollerrig.firmware_sim.drive402 import axis
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 
 @kernel

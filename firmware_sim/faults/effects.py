@@ -16,7 +16,7 @@ What a leak lets out counts as no air used; the cylinders that fill again do.
 
 import numpy as np
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface.signals import AXLES
 
 # slots of the faults array: ANY is 1 while one of these faults acts; then a value for each axle

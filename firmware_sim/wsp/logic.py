@@ -27,7 +27,7 @@ import numpy as np
 from rollerrig.configs import store, table
 from rollerrig.firmware_sim.wsp import reference_speed as reference
 from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, VENT_MAGNET, WISHES, Event
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME
 
 REFERENCE_SCALE_M_S = BY_NAME["wsp_reference_speed"].places[0].scale

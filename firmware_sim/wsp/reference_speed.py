@@ -7,7 +7,7 @@ last anchor is the deceleration learned. Source and limits: see `wsp`.
 """
 
 from rollerrig.firmware_sim.wsp.phases import Phase
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME
 
 SPEED_SCALE_RAD_S = BY_NAME["measured_speed"].places[0].scale

@@ -130,8 +130,8 @@ def _call(words: list[str]) -> dict[str, Any]:
     import subprocess
     import tempfile
 
-    from rollerrig.configs import children
     from rollerrig.configs.errors import RollerrigError
+    from rollerrig.configs.processes import children
 
     said: list[str] = []
     with (

@@ -44,7 +44,7 @@ class Bench:
         if given.unit == "reference":
             logic.load(plan["wsp_config"])
         if given.fmus:
-            from rollerrig.firmware_sim.wsp import fmu_file
+            from rollerrig.firmware_sim.fmu import fmu_file
 
             fmu_file.fit_all(given.fmus, given.unit_map, plan["bus"]["sync_period_s"])
         if plan["modbus"]["enabled"]:

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from rollerrig.configs import children
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.processes import children
 
 
 class Options(NamedTuple):

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rollerrig.configs import children
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
+from rollerrig.configs.processes import children
 from rollerrig.realtime.bench.options import Options, begin_recorder, tell, unit_command
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring

@@ -11,7 +11,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, tick
 from rollerrig.realtime.loop.ring import Memory, Ring
 from rollerrig.realtime.loop.tick import STOP, TickData
-from rollerrig.rig import kernel_cache
+from rollerrig.rig.compiled import kernel_cache
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 

@@ -22,7 +22,7 @@ from rollerrig.realtime.loop.held_rig import HOLDING
 from rollerrig.realtime.loop.tick import HELD, HOLD, STALLED_NS, STOP, TICK
 
 if TYPE_CHECKING:  # it loads pymodbus
-    from rollerrig.realtime.bench.supervisor import Supervisor
+    from rollerrig.realtime.bench.plc import Supervisor
 
 LINGER_S = 1.0
 _REPORT_S = 0.5
@@ -30,7 +30,7 @@ _REPORT_S = 0.5
 
 async def run(parts: Parts) -> None:
     """Run ticks on their deadlines until the run is done. Raises BusError, UnitError."""
-    from rollerrig.realtime.bench.supervisor import Supervisor
+    from rollerrig.realtime.bench.plc import Supervisor
 
     bus = await parts.open_bus(parts.elapsed_ns)
     plc = Supervisor(parts, bus)

@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.table import Table
 
-from rollerrig.configs import children
+from rollerrig.configs.processes import children
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign

@@ -18,8 +18,8 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures, table8
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.rig import wheelset
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import adhesion, creep_force, geometry, polach, profiles
-from rollerrig.rig.kernel import kernel
 
 _CALLS = 200_000
 # lateral creepage and spin of the contacts in both directions, and what recovery may cost

@@ -14,8 +14,8 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say
 from rollerrig.realtime.benchmarks.sealed import score
+from rollerrig.realtime.discover import discover, sealed_rig
 from rollerrig.realtime.record.files import replaced, writing
-from rollerrig.realtime.studies import discover, sealed_rig
 
 RIGS, STOPS, SCENARIO = 40, 9, "velim_a1"
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from rollerrig.configs import children
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.processes import children
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.wsp_interface import own_bench

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from rollerrig.configs import children
+from rollerrig.configs.processes import children
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, target

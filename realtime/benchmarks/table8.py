@@ -19,8 +19,8 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.rig import params
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact.creep_force import MODELS
-from rollerrig.rig.kernel import kernel
 from rollerrig.rig.multibody import coach as coaches
 from rollerrig.rig.multibody import coach_state, motion, wheel_rail_forces
 

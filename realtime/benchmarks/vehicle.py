@@ -17,7 +17,7 @@ from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.endurance import runs
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.loop.tick import TICK
-from rollerrig.rig import kernel_cache
+from rollerrig.rig.compiled import kernel_cache
 from rollerrig.wsp_interface import signals
 
 STOP_S, WITHIN_S, START_S = 45.0, 1.5, 2.0

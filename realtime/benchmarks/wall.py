@@ -14,8 +14,8 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rollerrig.configs import children
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.processes import children
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.bench import Bench
 from rollerrig.realtime.bench.options import Options

@@ -20,8 +20,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.stats import qmc
 
-from rollerrig.configs import children, store, table
+from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.configs.processes import children
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import four_stops

@@ -18,7 +18,7 @@ from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.ring import Memory
 from rollerrig.realtime.loop.tick import DONE, TICK
 from rollerrig.rig import heat, plant
-from rollerrig.rig.kernel import kernel, seeing
+from rollerrig.rig.compiled.kernel import kernel, seeing
 from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import RIGS
 

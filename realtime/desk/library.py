@@ -8,8 +8,8 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from rollerrig.configs import children
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.processes import children
 from rollerrig.realtime.record import compare, figures, records, run_folder, validity
 from rollerrig.realtime.record import export as formats
 from rollerrig.realtime.record.files import replaced, writing

@@ -11,8 +11,8 @@ from nicegui import json, ui
 
 from rollerrig.realtime.desk import reader
 from rollerrig.realtime.desk.desk import Desk
-from rollerrig.realtime.telemetry import colours
-from rollerrig.realtime.telemetry.colours import Colour
+from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
 
 # a wheel is drawn as locked that turns no faster than this while the vehicle goes faster than that

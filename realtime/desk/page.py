@@ -6,7 +6,7 @@ from nicegui import ui
 
 from rollerrig.realtime.desk import automatic, lights, live, manual, runs
 from rollerrig.realtime.desk.desk import Alarm, Desk
-from rollerrig.realtime.telemetry import colours
+from rollerrig.realtime.pictures import colours
 
 NO_SAFETY = (
     "This page has no safety function: its emergency stop is a request over a network. "

@@ -10,8 +10,8 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.desk import library, live
 from rollerrig.realtime.desk.desk import Desk
 from rollerrig.realtime.desk.manual import tell
+from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import figures
-from rollerrig.realtime.telemetry import colours
 
 _COLUMNS = (
     ("name", "run"),

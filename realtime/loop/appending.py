@@ -1,7 +1,7 @@
 """How a row gets into a ring: one kernel, apart from `ring`, whose readers need no compiler."""
 
 from rollerrig.realtime.loop.clock import fence
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 _WRITTEN = 0  # of `ring`
 

@@ -13,7 +13,7 @@ from typing import Any
 from numba import types
 from numba.extending import intrinsic
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 MONOTONIC = 1
 _ABSOLUTE = 1

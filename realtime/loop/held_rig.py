@@ -9,7 +9,7 @@ from rollerrig.realtime.loop import mailbox as box
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import HELD, HOLD
 from rollerrig.rig import plant
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.state import AXLES
 
 # values of the control slot HOLD: the run goes on; it is held; it is held until the next SYNC

@@ -26,7 +26,7 @@ from rollerrig.realtime.loop.tick import (
     TICK,
     WORST_NS,
 )
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 # histogram of lateness: bins of 1 us, the last one holds all that is later
 BINS = 20_000

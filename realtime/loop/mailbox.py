@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.realtime.loop.clock import fence
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 
 class Mailbox(NamedTuple):

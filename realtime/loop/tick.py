@@ -19,7 +19,7 @@ from rollerrig.realtime.loop import appending
 from rollerrig.realtime.loop import mailbox as box
 from rollerrig.realtime.loop.mailbox import Mailbox
 from rollerrig.rig import plant, vehicle
-from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SLOTS, State
 from rollerrig.wsp_interface import signals

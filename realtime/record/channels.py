@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.without import without
+from rollerrig.configs.processes.without import without
 from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.run_folder import CHANNELS, TAIL
 from rollerrig.wsp_interface.signals import COLUMNS

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from rollerrig.realtime.pictures.panel import Panel
 from rollerrig.realtime.reports import explain_pictures as pictures
 from rollerrig.realtime.reports import page as html
-from rollerrig.realtime.telemetry.panel import Panel
 from rollerrig.rig.identify.data import preparation as prepared
 from rollerrig.rig.identify.decide import evidence, explain, extension, gain, simulate
 from rollerrig.rig.identify.decide.choice import NamedCause

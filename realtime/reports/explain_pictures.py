@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.pictures.panel import Panel, Series
 from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED
-from rollerrig.realtime.telemetry import colours
-from rollerrig.realtime.telemetry.panel import Panel, Series
 from rollerrig.rig.identify.causes.courses import covariate, of_vehicle
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import gain

@@ -16,7 +16,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from rollerrig.realtime.telemetry import colours
+from rollerrig.realtime.pictures import colours
 
 INK, PNG = "#222222", "data:image/png;base64,"
 _PIXELS = ContextVar("pixels", default=False)

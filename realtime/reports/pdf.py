@@ -13,9 +13,9 @@ from typing import Any
 import matplotlib
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.reports.page import PNG
-from rollerrig.realtime.telemetry import colours
 
 _FONT = "DejaVu"
 _SIZES = {"h1": 17.0, "h2": 12.0, "p": 8.5}

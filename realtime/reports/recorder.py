@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from rollerrig.realtime.reports import page as html
 from rollerrig.realtime.reports.page import EXTENDED, GREY, INK, RUNS, VERMILION
-from rollerrig.rig.identify.recorder import rolling, verdict
-from rollerrig.rig.identify.recorder.recording import Finding, Run
-from rollerrig.rig.identify.recorder.verdict import NAMES, Account
+from rollerrig.rig.identify.train_recorder import rolling, verdict
+from rollerrig.rig.identify.train_recorder.recording import Finding, Run
+from rollerrig.rig.identify.train_recorder.verdict import NAMES, Account
 
 _MOST_ROWS, _AROUND_S = 30, 6.0
 _HEAD = ("what", "channels", "where", "size (95 %)", "in words")

@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.page import Markup
-from rollerrig.realtime.telemetry import colours
 from rollerrig.wsp_interface.sequences.measures import Record
 from rollerrig.wsp_interface.signals import AXLES
 

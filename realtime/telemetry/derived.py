@@ -12,8 +12,8 @@ import numpy as np
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import validity
-from rollerrig.realtime.telemetry import colours
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.sequences import measures
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from rollerrig.realtime.telemetry import colours, derived, scene, views
+from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.telemetry import derived, scene, views
 from rollerrig.wsp_interface import signals
 
 Event = tuple[float, str, str]

@@ -13,7 +13,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rollerrig.realtime.telemetry import colours, views
+from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.telemetry import views
 from rollerrig.wsp_interface import signals
 
 GEARING = 20.0

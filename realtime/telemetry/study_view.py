@@ -12,9 +12,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rollerrig.realtime.telemetry import colours
-from rollerrig.realtime.telemetry.colours import BLUE, GREY, Colour
-from rollerrig.realtime.telemetry.panel import Panel
+from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.pictures.colours import BLUE, GREY, Colour
+from rollerrig.realtime.pictures.panel import Panel
 from rollerrig.realtime.telemetry.views import APPLICATION, times
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.paper.tuning import Tuned

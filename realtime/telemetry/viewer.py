@@ -24,8 +24,8 @@ import rerun as rr
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from rollerrig.configs import children
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.processes import children
 from rollerrig.realtime.record import records, run_folder
 from rollerrig.realtime.telemetry import derived, scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing

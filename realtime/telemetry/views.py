@@ -14,8 +14,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint import encodings
 
-from rollerrig.realtime.telemetry import colours
-from rollerrig.realtime.telemetry.colours import Colour
+from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS, Signal
 

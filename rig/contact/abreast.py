@@ -18,9 +18,9 @@ import math
 
 import numpy as np
 
+from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.contact import johnson_vermeulen, polach_spin
 from rollerrig.rig.contact.adhesion import SPEED_FLOOR_M_S, between
-from rollerrig.rig.kernel import kernel_inlined
 
 _ROUND = 6755399441055744.0  # adding it rounds to an integer, which then stands in the low bits
 _LN2, _LN2_REST = 6.93147180369123816490e-01, 1.90821492927058770002e-10

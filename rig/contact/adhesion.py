@@ -31,8 +31,8 @@ import math
 from typing import NamedTuple
 
 from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import polach
-from rollerrig.rig.kernel import kernel, kernel_inlined
 
 SPEED_FLOOR_M_S = 0.1
 STILL_M_S = 1e-9  # a wheel on a slower surface counts as locked

@@ -18,8 +18,8 @@ against 20 differ in sign there; here work is positive. Limits: spin does no wor
 paper; with pure spin nothing recovers. Without lateral creepage and spin all is as in `adhesion`.
 """
 
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion, fastsim, johnson_vermeulen, polach, polach_spin
-from rollerrig.rig.kernel import kernel, kernel_inlined
 
 DEGRADED, POLACH, FASTSIM, JOHNSON_VERMEULEN = range(4)
 MODELS = {

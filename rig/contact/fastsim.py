@@ -24,7 +24,7 @@ grid. Limits: long patches with much spin, where the error reaches 0.08 mu N.
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 STIFFENING = 1.6  # S of [F5] without longitudinal creepage
 OPPOSITE = (

@@ -27,9 +27,9 @@ import math
 
 import numpy as np
 
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import profiles
 from rollerrig.rig.contact.profiles import Rail, Wheel
-from rollerrig.rig.kernel import kernel, kernel_inlined
 
 # columns of a contact: y_w, gap, point on the wheel relative to C (3), normal out of the rail (3),
 # rolling radius, y_r, z_r, lateral curvature and longitudinal curvature of both together

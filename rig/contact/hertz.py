@@ -17,7 +17,7 @@ non-conformal surfaces and a half-space: not for worn, conforming profiles.
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 AGM_STEPS = 14  # 12 are enough down to kappa = 1e-110
 NEWTON_STEPS = 6  # 4 are enough for curvature ratios up to 1e200

@@ -23,7 +23,7 @@ theirs keep Kalker's direction, 8 degrees off in a patch with c11 / c22 = 1.3; s
 
 import math
 
-from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 
 TURN = 2.8  # linear force, in units of the limit, at which half of the turn is done [J3]
 TURNING = 0.58  # m_max over mu N sqrt(a b); 0.589 for a Hertzian circle on the spot (3 pi / 16)

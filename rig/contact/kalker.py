@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 # a row for each shape, from narrow (a/b = 0.1) to long (b/a = 0.1); in it one (c11, c22, c23, c33)
 # for each Poisson's ratio 0, 1/4, 1/2

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.contact import hertz, kalker, polach, polach_spin
-from rollerrig.rig.kernel import kernel_inlined
 
 _NODES, _REACH = 513, math.log(1e3)
 

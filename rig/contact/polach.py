@@ -15,7 +15,7 @@ errs by 0.018 mu N on average and 0.054 mu N at most over 25 creepages on a rail
 
 import math
 
-from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 
 LARGEST_EPS = 1e150  # its square is still finite; the force is saturated long before
 

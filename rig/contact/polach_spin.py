@@ -21,8 +21,8 @@ CONTACT is 0.10 mu N in the mean and reaches 0.33 (29 creepages, a/b = 1.3); q i
 
 import math
 
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import johnson_vermeulen, polach
-from rollerrig.rig.kernel import kernel, kernel_inlined
 
 QUARTER_PI = 0.25 * math.pi
 

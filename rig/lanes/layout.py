@@ -13,8 +13,8 @@ to rounding, not to the last bit: a test holds every kernel to its twin in the p
 """
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import creep_force
-from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.params import ROLLERS, TRACK, Params
 from rollerrig.rig.state import AXLES
 from rollerrig.rig.vehicle import INERTIA_KGM2, RADIUS_M

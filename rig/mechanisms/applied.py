@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.kernel import kernel, written
+from rollerrig.rig.compiled.kernel import kernel, written
 from rollerrig.rig.mechanisms import constants, friction
 from rollerrig.rig.mechanisms.mechanism import (
     ALONE,

@@ -6,7 +6,7 @@ Courses of a load are shares of it. The memory of recovery [X4] stands in `wheel
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.mechanisms.mechanism import (
     AXLE,
     CONTACT,

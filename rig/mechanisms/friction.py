@@ -3,7 +3,7 @@
 import math
 
 from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.mechanisms.mechanism import ALONE, FRICTION, WIDE, number, row_of, saturating
 
 

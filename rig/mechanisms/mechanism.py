@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from rollerrig.configs import table
 from rollerrig.configs.table import Row
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
     "friction",

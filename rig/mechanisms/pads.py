@@ -11,7 +11,7 @@ over these); [P2] Coulomb friction in the rigging. Each factor is exactly 1 wher
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 
 @kernel

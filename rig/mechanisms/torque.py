@@ -5,7 +5,7 @@ Those that are shares act one after another: C = C_0 (1 + gain) (1 - fade ...).
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.mechanisms.mechanism import AXLE, TORQUE, WIDE, number, row_of, saturating
 
 

@@ -11,7 +11,7 @@ own; the longest counts. A flat does not wear round again.
 
 import math
 
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 
 
 @kernel

@@ -13,10 +13,10 @@ from llvmlite import binding
 from numba import carray, types
 from numba.extending import intrinsic
 
+from rollerrig.rig.compiled.kernel import constructor, kernel_inlined
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
-from rollerrig.rig.kernel import constructor, kernel_inlined
 from rollerrig.rig.multibody import coach_state, motion
 from rollerrig.rig.multibody.coach import Coach, Links
 from rollerrig.rig.multibody.coach_state import (

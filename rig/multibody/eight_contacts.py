@@ -7,9 +7,9 @@ domain, a ninth contact (a flange that touches) and the other models go by `cont
 
 import math
 
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import abreast, adhesion, creep_force
 from rollerrig.rig.contact.patch import Patch
-from rollerrig.rig.kernel import kernel, kernel_inlined
 
 ABREAST, LANES = 8, 32
 # sliding along and across m/s, spin 1/s, speed of the rail's surface m/s, load N; `Patch` and friction;

@@ -9,7 +9,7 @@ Source: paper Tables 1 to 3 for linear stiffnesses; the curves [L2], [L3] are as
 
 import math
 
-from rollerrig.rig.kernel import kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel_inlined
 
 STOP_BEND_M = 0.02
 # columns of a row after its six factors

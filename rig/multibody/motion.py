@@ -23,7 +23,7 @@ paper's section 2. Below 0.1 m/s creepage is sliding over 0.1 m/s.
 import math
 
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.multibody import eight_contacts, links
 from rollerrig.rig.multibody import wheel_rail_forces as forces
 

@@ -6,7 +6,7 @@ memory stands beside it in `state.coach`, its constants in `params.coach`.
 """
 
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.kernel import kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.multibody import coach_state, compiled_coach
 from rollerrig.rig.multibody.wheel_rail_forces import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
 

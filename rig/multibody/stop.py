@@ -6,8 +6,8 @@ models, for tests and for hunting.
 
 import numpy as np
 
+from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.contact.adhesion import Law
-from rollerrig.rig.kernel import kernel_with_memory
 from rollerrig.rig.multibody import coach_state, motion
 from rollerrig.rig.multibody.coach import Coach
 

@@ -18,11 +18,11 @@ import math
 
 import numpy as np
 
+from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.contact import geometry
 from rollerrig.rig.contact import patch as patch_table
 from rollerrig.rig.contact.geometry import GAP, LATERAL, MOST, NX, NY, NZ, RAIL_Z, ROLLING, X, Y, Z
 from rollerrig.rig.contact.profiles import Rail, Wheel
-from rollerrig.rig.kernel import kernel_inlined
 from rollerrig.rig.multibody import eight_contacts as lanes
 
 # a wheel that has moved by this since it was searched is searched again, so many a step at most

@@ -6,7 +6,7 @@ import pytest
 
 from rollerrig.firmware_sim import sander401
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.verbs import devices
+from rollerrig.realtime.commands import devices
 from rollerrig.wsp_interface import descriptions, signals
 
 START, STOP, RESET_NODE = 1, 2, 129

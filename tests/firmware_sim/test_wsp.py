@@ -15,7 +15,7 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.wsp import logic, phases
 from rollerrig.firmware_sim.wsp.phases import Event, Phase
-from rollerrig.rig.kernel import kernel, kernel_with_memory
+from rollerrig.rig.compiled.kernel import kernel, kernel_with_memory
 
 RADIUS_M, INERTIA_KGM2, LOAD_N, MASS_KG = 0.445, 160.0, 105.4e3, 43e3
 TORQUE_NM, DEAD_CYCLES, STEPS = 7300.0, 4, 10

@@ -13,7 +13,7 @@ import time
 from multiprocessing import connection, forkserver
 from pathlib import Path
 
-from rollerrig.configs import ended
+from rollerrig.configs.processes import ended
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from rollerrig.configs import store
 from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.realtime.discover import discover, fault_signs, sealed_rig
 from rollerrig.realtime.record import records
-from rollerrig.realtime.studies import discover, fault_signs, sealed_rig
-from rollerrig.rig.identify.next.prototype import Stop
+from rollerrig.rig.identify.next_stops.prototype import Stop
 from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, SPEEDS
 from rollerrig.wsp_interface.signals import BRAKE_NODE, SPEED_NODE
 

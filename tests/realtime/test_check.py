@@ -10,8 +10,8 @@ import sys
 import pytest
 
 from rollerrig.realtime import cli
-from rollerrig.realtime.verbs import check
-from rollerrig.realtime.verbs.check import Finding, State
+from rollerrig.realtime.commands import check
+from rollerrig.realtime.commands.check import Finding, State
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
     script = (
         "import resource, os\n"
         "from rollerrig.realtime.loop import clock\n"
-        "from rollerrig.realtime.verbs import check\n"
+        "from rollerrig.realtime.commands import check\n"
         "for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK):\n"
         "    resource.setrlimit(limit, (0, 0))\n"
         "if os.getuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"

@@ -12,7 +12,7 @@ import pytest
 
 from rollerrig.configs import store
 from rollerrig.realtime import cli
-from rollerrig.realtime.verbs import listing
+from rollerrig.realtime.commands import listing
 
 
 @pytest.mark.parametrize("verb", cli.VERBS, ids=lambda verb: verb.name)
@@ -101,7 +101,7 @@ def test_the_table_of_a_run_and_of_a_benchmark_fold_too(capsys):
 
 # it says so five times a second here
 OFTEN = (
-    "import sys; from rollerrig.realtime import cli; from rollerrig.realtime.verbs import output; "
+    "import sys; from rollerrig.realtime import cli; from rollerrig.realtime.commands import output; "
     "output.PERIOD_S = 0.2; sys.exit(cli.main(sys.argv[1:]))"
 )
 

@@ -8,13 +8,13 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.discover import discover, sealed_rig
 from rollerrig.realtime.record import records
-from rollerrig.realtime.studies import discover, sealed_rig
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.preparation import prepare
-from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.identify.next.prototype import Stop
+from rollerrig.rig.identify.next_stops.prototype import Stop
+from rollerrig.rig.identify.replay import sensitivity
 
 
 def sealed(folder, hidden=None, seed=3):

@@ -13,9 +13,9 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import free, scenario
+from rollerrig.realtime.datasets import run_dataset, run_sensors
 from rollerrig.realtime.record import records
 from rollerrig.realtime.reports import explain as report
-from rollerrig.realtime.studies import run_dataset, run_sensors
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation

@@ -4,9 +4,9 @@ import pytest
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.discover import discover, fault_signs, sealed_rig
 from rollerrig.realtime.record import records
-from rollerrig.realtime.studies import discover, fault_signs, sealed_rig
-from rollerrig.rig.identify.next.prototype import Stop
+from rollerrig.rig.identify.next_stops.prototype import Stop
 
 
 def stop(folder, *hidden, speed_m_s=12.0, **tables):

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from rollerrig.rig import kernel_cache
+from rollerrig.rig.compiled import kernel_cache
 
 
 def started(*words, cache, out):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.wsp import fmu_file
+from rollerrig.firmware_sim.fmu import fmu_file
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import options
 from rollerrig.realtime.bench.options import Options

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.wsp import fmu_file, ls_bus
-from rollerrig.firmware_sim.wsp.ls_bus import Code
+from rollerrig.firmware_sim.fmu import fmu_file, ls_bus
+from rollerrig.firmware_sim.fmu.ls_bus import Code
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals

@@ -2,8 +2,8 @@
 
 import re
 
+from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.reports import page, pdf
-from rollerrig.realtime.telemetry import colours
 
 
 def draw(figure):

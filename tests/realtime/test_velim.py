@@ -8,7 +8,8 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.studies import run_dataset, run_sensors, velim
+from rollerrig.realtime.datasets import run_dataset, run_sensors
+from rollerrig.realtime.studies import velim
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.paper import tuning
 from rollerrig.wsp_interface import signals

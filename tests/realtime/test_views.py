@@ -13,8 +13,9 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import channels
-from rollerrig.realtime.telemetry import colours, drawing, scene, viewer, views
+from rollerrig.realtime.telemetry import drawing, scene, viewer, views
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS
 

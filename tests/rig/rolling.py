@@ -4,7 +4,7 @@ import numpy as np
 
 from rollerrig.firmware_sim import rig_control
 from rollerrig.rig import params, plant
-from rollerrig.rig.kernel import kernel_with_memory
+from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.state import SLOTS
 
 FILL, HOLD, VENT = 0, 1, 3

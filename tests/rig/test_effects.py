@@ -9,7 +9,7 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.rig import plant, vehicle, wheelset
 from rollerrig.rig.identify.causes import courses
 from rollerrig.rig.identify.data import parameters
-from rollerrig.rig.identify.filter import replay
+from rollerrig.rig.identify.replay import replay
 from rollerrig.rig.mechanisms import applied as effects
 from rollerrig.rig.mechanisms import friction, table
 from rollerrig.rig.plant import Plant

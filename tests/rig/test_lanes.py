@@ -13,8 +13,8 @@ from numba.core.dispatcher import Dispatcher
 from rolling import Rig
 
 from rollerrig.rig import plant, vehicle, wheelset
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.kernel import kernel
 from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.state import AXLES, SLOTS, views

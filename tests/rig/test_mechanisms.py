@@ -14,7 +14,7 @@ from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import tuning
-from rollerrig.rig.identify.filter import sensitivity
+from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
 

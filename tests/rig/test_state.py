@@ -5,7 +5,7 @@ import pytest
 from numba.core.errors import TypingError
 
 from rollerrig.rig import state as states
-from rollerrig.rig.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.multibody import coach_state
 
 

@@ -11,8 +11,8 @@ from synthetic_record import GOOD
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.realtime.commands import sequence as verb_sequence
 from rollerrig.realtime.reports import sequences, stop
-from rollerrig.realtime.verbs import sequence as verb_sequence
 from rollerrig.wsp_interface.harness_client import Event
 from rollerrig.wsp_interface.sequences import sequence, verdict
 from rollerrig.wsp_interface.sequences.play import Outcome

@@ -18,8 +18,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from rollerrig.configs import children
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.processes import children
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import as_completed
 from typing import Any
 
-from rollerrig.configs import children
+from rollerrig.configs.processes import children
 
 
 def all_of(one: Callable[[Any], Any], jobs: Iterable[Any], alone: bool = False) -> Iterator[Any]:

@@ -16,7 +16,7 @@ from rollerrig.rig.identify.causes import courses, table
 from rollerrig.rig.identify.causes.table import Search, Shape
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.filter.sensitivity import Inputs
+from rollerrig.rig.identify.replay.sensitivity import Inputs
 from rollerrig.rig.mechanisms.constants import RESISTANCE
 from rollerrig.rig.mechanisms.mechanism import FRICTION, LOAD, VEHICLE
 

@@ -17,8 +17,8 @@ from rollerrig.rig.identify.causes.table import Search, Shape
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import AXLES
-from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.identify.filter.sensitivity import Inputs, Linear
+from rollerrig.rig.identify.replay import sensitivity
+from rollerrig.rig.identify.replay.sensitivity import Inputs, Linear
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, TORQUE, VEHICLE
 
 PLACE_BIN_M = 25.0

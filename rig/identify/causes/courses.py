@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
+from rollerrig.rig.compiled.kernel import written
 from rollerrig.rig.identify.causes.table import OF, Shape
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.kernel import written
 from rollerrig.rig.mechanisms import friction
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, arguments
 

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rollerrig.configs.vehicle import RESISTANCE
+from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.identify.data.parameters import base_parameters
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
-from rollerrig.rig.kernel import kernel_with_memory
 
 WINDOW_S = 0.21  # window of the derivative of wheel speed, s
 LOAD_SMOOTHING_S = 0.2

@@ -16,7 +16,7 @@ from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import evidence, null_sets, shapes, tuning
-from rollerrig.rig.identify.filter import sensitivity
+from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
 
 CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2

@@ -19,7 +19,7 @@ from rollerrig.rig.identify.decide import choice, evidence, gain, null_sets, tun
 from rollerrig.rig.identify.decide.evidence import Finding
 from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.decide.unknown import Formula
-from rollerrig.rig.identify.filter import sensitivity
+from rollerrig.rig.identify.replay import sensitivity
 
 CLEAN_SETS, MOST_PROMISING, MOST_FITTED = 60, 4, 5
 # a remainder above this share of the causes' likelihood is not a matter of their shape, unless it

@@ -18,8 +18,8 @@ from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
 from rollerrig.rig.identify.data.smoothing import smoothed
 from rollerrig.rig.identify.decide import tuning
-from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.identify.filter.sensitivity import Inputs
+from rollerrig.rig.identify.replay import sensitivity
+from rollerrig.rig.identify.replay.sensitivity import Inputs
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME
 

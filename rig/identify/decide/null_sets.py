@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.configs import children
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.processes import children
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run

@@ -15,14 +15,14 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from rollerrig.rig.compiled.kernel import again, kernel, kernel_inlined
 from rollerrig.rig.identify.causes import columns
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
-from rollerrig.rig.identify.filter import lanes, replay
-from rollerrig.rig.identify.filter.sensitivity import Inputs
-from rollerrig.rig.kernel import again, kernel, kernel_inlined
+from rollerrig.rig.identify.replay import lanes, replay
+from rollerrig.rig.identify.replay.sensitivity import Inputs
 
 SUBSTEPS = 5
 FEEDBACK_NS, FEEDBACK_LAG_S = 2000.0, 0.4

@@ -19,8 +19,8 @@ from rollerrig.rig.identify.causes import columns, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.filter import sensitivity
-from rollerrig.rig.identify.filter.sensitivity import Linear
+from rollerrig.rig.identify.replay import sensitivity
+from rollerrig.rig.identify.replay.sensitivity import Linear
 
 MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0
 LONGEST_M = 16.0  # irregularity of the rail is short: what lasts longer is to be explained, not to be called noise

@@ -19,7 +19,7 @@ from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import gain, tuning
 from rollerrig.rig.identify.decide.evidence import Finding
 from rollerrig.rig.identify.decide.gain import Gain
-from rollerrig.rig.identify.filter import sensitivity
+from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, Covariate
 
 MOST_TRIED = 3

@@ -26,6 +26,7 @@ from scipy.optimize import least_squares
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import params, wheelset
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import Patch
@@ -34,7 +35,6 @@ from rollerrig.rig.identify.data.parameters import TAU, patch_of
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import tuning
-from rollerrig.rig.kernel import kernel
 
 LEAST_SLIDING_M_S, LEAST_SPEED_M_S = 0.3, 4.0
 THINNED_TO_S = 0.05

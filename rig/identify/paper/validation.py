@@ -21,10 +21,10 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import wheelset
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import AXLES, Dataset
 from rollerrig.rig.identify.paper import tuning
-from rollerrig.rig.kernel import kernel
 
 WINDOW_S = 1.0
 SUBSTEPS = 10

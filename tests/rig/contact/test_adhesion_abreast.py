@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import abreast as fast
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import patch_for
-from rollerrig.rig.kernel import kernel
 
 PATCH = patch_for(0.445, 1.0, 0.3, 2.1e11, 8.0e10, 0.3)
 

@@ -7,6 +7,7 @@ import conicity
 import numpy as np
 import pytest
 
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import geometry, profiles
 from rollerrig.rig.contact.geometry import (
     COLUMNS,
@@ -22,7 +23,6 @@ from rollerrig.rig.contact.geometry import (
     Y,
     Z,
 )
-from rollerrig.rig.kernel import kernel
 
 DATA = Path(__file__).parents[2] / "data"
 WHEEL, RAIL = profiles.s1002(), profiles.uic60()

@@ -10,7 +10,7 @@ import tempfile
 import recorder_twin as twin
 from scipy.stats import binomtest
 
-from rollerrig.rig.identify.recorder import recording, verdict
+from rollerrig.rig.identify.train_recorder import recording, verdict
 
 KINDS = (
     {},

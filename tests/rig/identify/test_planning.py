@@ -12,8 +12,8 @@ from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.decide import tuning
 from rollerrig.rig.identify.decide.evidence import Finding
-from rollerrig.rig.identify.next import planning
-from rollerrig.rig.identify.next.planning import Ground, Library, Table
+from rollerrig.rig.identify.next_stops import planning
+from rollerrig.rig.identify.next_stops.planning import Ground, Library, Table
 
 
 def finding(name: str, size: float, axle: int = 0) -> Finding:

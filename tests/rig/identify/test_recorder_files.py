@@ -10,7 +10,7 @@ import pyarrow.parquet
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify.recorder import recording, verdict
+from rollerrig.rig.identify.train_recorder import recording, verdict
 
 BERLIN, UTC = zoneinfo.ZoneInfo("Europe/Berlin"), datetime.UTC
 CHANNELS = (

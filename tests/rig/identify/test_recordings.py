@@ -12,7 +12,7 @@ import recorder_twin as twin
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
-from rollerrig.rig.identify.recorder import recording, verdict
+from rollerrig.rig.identify.train_recorder import recording, verdict
 
 SOME = (36, 30, 27, 24)
 SEEDS = (11,)

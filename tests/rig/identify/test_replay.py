@@ -13,7 +13,7 @@ from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, parameters, preparation
 from rollerrig.rig.identify.decide import evidence, simulate, tuning
-from rollerrig.rig.identify.filter import lanes, memory_replay, replay, sensitivity
+from rollerrig.rig.identify.replay import lanes, memory_replay, replay, sensitivity
 
 
 @pytest.fixture(scope="module")

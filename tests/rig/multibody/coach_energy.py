@@ -4,9 +4,9 @@ Kinetic energy, springs, weight and the elastic contacts hold energy; sliding, b
 resistance take it. Rollers and their motors are the plant's affair: their energy is not counted.
 """
 
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import patch as patches
 from rollerrig.rig.contact.geometry import GAP, LATERAL, MOST, ROLLING
-from rollerrig.rig.kernel import kernel, kernel_inlined
 from rollerrig.rig.multibody.links import (
     PRELOAD_N,
     STIFFNESS_N_M,

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import creep_force
 from rollerrig.rig.contact.adhesion import SPEED_FLOOR_M_S, Law, cleaning, law_under
 from rollerrig.rig.contact.patch import at, tabulate
-from rollerrig.rig.kernel import kernel
 from rollerrig.rig.multibody import eight_contacts as lanes
 
 LAWS = tuple(

@@ -1,0 +1,1 @@
+"""Colours and panels that pages and Rerun share."""
