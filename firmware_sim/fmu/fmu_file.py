@@ -97,9 +97,9 @@ class Fitted(NamedTuple):
     terminal: Terminal | None = None
 
 
-def fit_all(paths: tuple[Path, ...], unit_map: Path | None, period_s: float) -> list[Fitted]:
+def fit_all(paths: tuple[Path, ...], map_path: Path | None, period_s: float) -> list[Fitted]:
     """One FMU, or several that share the bus by their CAN ports. Raises ConfigError."""
-    fitted = [fit(path, unit_map, period_s) for path in paths]
+    fitted = [fit(path, map_path, period_s) for path in paths]
     lone = next((one for one in fitted if not one.terminal), None)
     if len(fitted) > 1 and lone:
         raise ConfigError(
@@ -109,18 +109,18 @@ def fit_all(paths: tuple[Path, ...], unit_map: Path | None, period_s: float) -> 
     return fitted
 
 
-def fit(path: Path, unit_map: Path | None, period_s: float) -> Fitted:
+def fit(path: Path, map_path: Path | None, period_s: float) -> Fitted:
     """An FMU that is stepped once a SYNC, every `period_s`. Raises ConfigError with all that does not fit."""
-    fitted, findings = look(path, unit_map, period_s)
+    fitted, findings = look(path, map_path, period_s)
     wrong = [f"{one.name}: {one.found}; {one.mend}" for one in findings if not one.fits]
     if wrong or fitted is None:
         raise ConfigError(f"{path}: does not fit the rig:\n  " + "\n  ".join(wrong))
     return fitted
 
 
-def look(path: Path, unit_map: Path | None, period_s: float) -> tuple[Fitted | None, list[Finding]]:
+def look(path: Path, map_path: Path | None, period_s: float) -> tuple[Fitted | None, list[Finding]]:
     """What an FMU holds, and whether it fits. Raises ConfigError where it cannot be read at all."""
-    names = unit_map.names(unit_map) if unit_map else NAMES
+    names = unit_map.names(map_path) if map_path else NAMES
     description, strict = _read(path)
     tool = f", by {description.generationTool}" if description.generationTool else ""
     findings = [
@@ -140,12 +140,12 @@ def look(path: Path, unit_map: Path | None, period_s: float) -> tuple[Fitted | N
     binary, sources, platforms = _platforms(path, description)
     step_s, step = _step(description, period_s)
     findings += [platforms, step]
-    if description.fmiMajorVersion == 3 and not unit_map and (buses := _buses(path)):
+    if description.fmiMajorVersion == 3 and not map_path and (buses := _buses(path)):
         terminal, found = _terminal(buses, bool(description.coSimulation.hasEventMode))
         return Fitted(
             path, description, binary, sources, (), (), period_s, step_s, terminal
         ), findings + found
-    ports, found = _ports(description, names, unit_map is not None)
+    ports, found = _ports(description, names, map_path is not None)
     findings += found
     count = len(names.inputs)
     inputs = tuple(port for port in ports[:count] if port)
