@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.commands import output, paper
+from rollerrig.realtime.commands import output, study
 
 # a replay ends there: creepage grows beyond all bounds as the speed falls to nothing
 SLOWEST_M_S = 4.0
@@ -47,7 +47,7 @@ def call(given: argparse.Namespace) -> int:
         return _recorder(given)
     data, out = _opened(given)
     if data.kind == "creep_curve":
-        from rollerrig.realtime.reports import paper as page
+        from rollerrig.realtime.reports import tuning as page
         from rollerrig.realtime.telemetry import study_view
         from rollerrig.rig.identify.paper import polach_fit
 
@@ -82,7 +82,7 @@ def _show(
 ) -> int:
     from rich.text import Text
 
-    paper.write(out, "report", report, html)
+    study.write_report(out, "report", report, html)
     (out / "extended.toml").write_text(extended, encoding="utf-8")
     return output.show(
         given,
@@ -109,11 +109,11 @@ def _recorder(given: argparse.Namespace) -> int:
     from rollerrig.rig.identify.train_recorder import recording, verdict
 
     read = recording.load(given.dataset[0])
-    out = paper.folder_of(given.dataset, given.out, "explain")
+    out = study.report_folder(given.dataset, given.out, "explain")
     with output.progress_of(lambda: f"explaining {read.name}"):
         found = verdict.explain(read)
     told = verdict.as_json(found)
-    paper.write(out, "report", told, report.page(found))
+    study.write_report(out, "report", told, report.page(found))
     study_view.recorded(
         out / "report.rrd",
         read.name,
@@ -149,7 +149,7 @@ def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
             f"--validate {given.validate[0]}: {given.dataset[0]} is no folder of a run; a dataset says "
             "in its dataset.toml which runs validate"
         )
-    return paper.opened(given.dataset, given.out, "explain", of_runs)
+    return study.open_dataset(given.dataset, given.out, "explain", of_runs)
 
 
 @contextlib.contextmanager

@@ -7,13 +7,11 @@ loop: what it does not print is found on group A, and group B is predicted.
 
 import argparse
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.commands import output
-from rollerrig.realtime.record.files import writing
+from rollerrig.realtime.commands import output, study
 
 VELIM, SANDING = "velim", "sanding"
 
@@ -62,24 +60,24 @@ def _arguments(parser: argparse.ArgumentParser, verb: str, of_velim: str) -> Non
 def tune(given: argparse.Namespace) -> int:
     if given.dataset == [VELIM]:
         return _tune_velim(given)
-    from rollerrig.realtime.reports import paper
+    from rollerrig.realtime.reports import tuning as report
     from rollerrig.realtime.telemetry import study_view
     from rollerrig.rig.identify.paper import polach_fit
 
-    data, out = opened(given.dataset, given.out, "tune")
+    data, out = study.open_dataset(given.dataset, given.out, "tune")
     if data.kind == "creep_curve":
         fitted = polach_fit.fit(data, given.seed)
-        result = paper.polach_json(data, fitted)
-        write(out, "tune", result, paper.polach_page(data, fitted))
+        result = report.polach_json(data, fitted)
+        study.write_report(out, "tune", result, report.polach_page(data, fitted))
         return output.show(
             given,
             result,
-            (f"fitted to {data.name}", paper.HEAD, paper.polach_rows(result)),
+            (f"fitted to {data.name}", report.HEAD, report.polach_rows(result)),
             f"report: {out / 'tune.html'}",
         )
     found = _tuned(data, given.seed)
-    result = paper.tune_json(data, found)
-    write(out, "tune", result, paper.tune_page(data, found))
+    result = report.tune_json(data, found)
+    study.write_report(out, "tune", result, report.tune_page(data, found))
     study_view.tuned(out / "tune.rrd", data, found)
     (out / "tuned.toml").write_text(
         f"# tuned on {data.name} by rollerrig tune; load it with: rollerrig run ... "
@@ -89,7 +87,7 @@ def tune(given: argparse.Namespace) -> int:
     return output.show(
         given,
         result,
-        (f"tuned on {data.name}", paper.HEAD, paper.tune_rows(result)),
+        (f"tuned on {data.name}", report.HEAD, report.tune_rows(result)),
         f"report: {out / 'tune.html'}, {out / 'tune.rrd'}; model: {out / 'tuned.toml'}",
     )
 
@@ -101,7 +99,7 @@ def validate(given: argparse.Namespace) -> int:
         from rollerrig.realtime.studies import velim
 
         return _compare_velim(given, velim.settings(), given.out)
-    from rollerrig.realtime.reports import paper
+    from rollerrig.realtime.reports import tuning as report
     from rollerrig.realtime.telemetry import study_view
     from rollerrig.rig.identify.paper import tuning, validation
 
@@ -109,7 +107,7 @@ def validate(given: argparse.Namespace) -> int:
         raise ConfigError(
             f"--tau {given.tau:g} m/J is out of range; allowed 0 to 1, the paper has 1.9e-4"
         )
-    data, out = opened(given.dataset, given.out, "validate")
+    data, out = study.open_dataset(given.dataset, given.out, "validate")
     if data.kind != "braking_runs":
         raise ConfigError(
             f"{given.dataset[0]}: a {data.kind} cannot be validated, it has no runs; use rollerrig tune"
@@ -121,15 +119,15 @@ def validate(given: argparse.Namespace) -> int:
     )
     group = "validate" if data.group("validate") or given.tau is None else "tune"
     verdicts = validation.validate(data, tau.value, group)
-    result = paper.validate_json(data, tau, verdicts)
-    write(out, "validate", result, paper.validate_page(data, tau, verdicts))
+    result = report.validate_json(data, tau, verdicts)
+    study.write_report(out, "validate", result, report.validate_page(data, tau, verdicts))
     study_view.validated(out / "validate.rrd", data, verdicts)
     return output.show(
         given,
         result,
         (
             f"{result['dataset']}: Table 6 with tau = {tau.value:.4g} m/J, m/s",
-            *paper.table6(verdicts),
+            *report.table6(verdicts),
         ),
         *(
             f"{name:8} mean absolute error: mean sliding {error['mean_1_m_s']:.3f} m/s, standard deviation "
@@ -170,44 +168,6 @@ def _tuned(data: Any, seed: int) -> Any:
 
     with output.progress_of(lambda: f"tuning on {data.name}"):
         return tuning.tune(data, seed)
-
-
-def opened(
-    names: list[str],
-    out: Path | None,
-    verb: str,
-    of_runs: Callable[[list[Path], Path], Any] | None = None,
-) -> tuple[Any, Path]:
-    """The dataset of the command line, and the folder of its report (made); `of_runs` makes one of runs' folders."""
-    from rollerrig.realtime.datasets import run_dataset
-    from rollerrig.rig.identify.data import dataset
-
-    folder = folder_of(names, out, verb)
-    if all(are_runs := [(Path(name) / "scenario.toml").is_file() for name in names]):
-        runs, place = list(map(Path, names)), folder / "dataset"
-        return of_runs(runs, place) if of_runs else dataset.load(
-            run_dataset.from_folders(runs, place)
-        ), folder
-    if len(are_runs) > 1:
-        raise ConfigError(
-            f"{', '.join(names)}: several names must all be folders of runs; give one dataset, or only "
-            "runs"
-        )
-    return dataset.load(names[0]), folder
-
-
-def folder_of(names: list[str], out: Path | None, verb: str) -> Path:
-    """The folder of a report (made)."""
-    folder = out or Path("reports") / f"{verb}_{Path(names[0]).resolve().name}"
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def write(out: Path, verb: str, result: dict[str, Any], page: str) -> None:
-    """The report's files."""
-    (out / f"{verb}.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    (out / f"{verb}.html").write_text(page, encoding="utf-8")
 
 
 # --- the paper's own stops ---

@@ -9,7 +9,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[3]))
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.reports import paper
+from rollerrig.realtime.reports import tuning as report
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.data import dataset
@@ -67,14 +67,14 @@ def test_the_same_seed_gives_the_same_interval(data, tuned):
 
 
 def test_on_runs_never_fitted_the_new_model_beats_the_classic(verdicts):
-    new, classic = (paper.mean_errors(verdicts, name) for name in ("new", "classic"))
+    new, classic = (report.mean_errors(verdicts, name) for name in ("new", "classic"))
     for key in ("mean_m_s", "std_m_s", "E1_m_s", "adhesion_rmse"):
         assert new[key] < 0.6 * classic[key], key
     assert new["mean_1_m_s"] < 0.1
 
 
 def test_table_6_has_the_papers_rows_for_each_run(verdicts):
-    head, rows = paper.table6(verdicts)
+    head, rows = report.table6(verdicts)
     assert head == ["", "b1", "b2", "b3"]
     assert [row[0] for row in rows][3:6] == [
         "mean sliding of wheelset 1, measured",
@@ -88,12 +88,12 @@ def test_table_6_has_the_papers_rows_for_each_run(verdicts):
 
 def test_reports_hold_what_was_found_without_outside_parts(data, tuned, verdicts):
     tau = tuned.tau_m_J
-    for page in (paper.tune_page(data, tuned), paper.validate_page(data, tau, verdicts)):
+    for page in (report.tune_page(data, tuned), report.validate_page(data, tau, verdicts)):
         assert f"{tau.value * 1e4:.4g}" in page
         assert "<svg" in page
         assert "<script" not in page
         assert 'src="http' not in page
-    told = paper.tune_json(data, tuned)
+    told = report.tune_json(data, tuned)
     assert told["tau_m_J"]["ci95"] == [tau.low, tau.high]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
-from rollerrig.realtime.reports import paper
+from rollerrig.realtime.reports import tuning as report
 from rollerrig.rig.contact import polach
 from rollerrig.rig.identify.data import dataset, parameters
 from rollerrig.rig.identify.data.runs import Curve
@@ -118,7 +118,7 @@ def test_the_model_is_the_kernels(locomotive):
 
 
 def test_the_report_shows_points_and_parameters(locomotive, fitted):
-    page = paper.polach_page(locomotive, fitted)
+    page = report.polach_page(locomotive, fitted)
     assert "<svg" in page
     assert "0.0250" in page
 

@@ -1,0 +1,58 @@
+"""What the study commands share: `tune`, `validate`, `explain` and `discover` open a dataset and write a report."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.record.files import writing
+
+if TYPE_CHECKING:
+    from rollerrig.rig.identify.data.runs import Dataset
+
+
+def open_dataset(
+    names: list[str],
+    out: Path | None,
+    verb: str,
+    dataset_of_runs: "Callable[[list[Path], Path], Dataset] | None" = None,
+) -> "tuple[Dataset, Path]":
+    """Return the dataset of the command line and the folder of its report, which is created.
+
+    `names` is one dataset (a folder or a packaged name), or one or several run folders. Run folders
+    become a dataset in the subfolder `dataset` of the report; `dataset_of_runs(runs, folder)` makes
+    it, by default with all runs in it. Raises ConfigError where several names are not all runs.
+    """
+    from rollerrig.realtime.datasets import run_dataset
+    from rollerrig.rig.identify.data import dataset
+
+    folder = report_folder(names, out, verb)
+    are_runs = [(Path(name) / "scenario.toml").is_file() for name in names]
+
+    if all(are_runs):
+        runs = [Path(name) for name in names]
+        dataset_folder = folder / "dataset"
+        if dataset_of_runs is not None:
+            return dataset_of_runs(runs, dataset_folder), folder
+        return dataset.load(run_dataset.from_folders(runs, dataset_folder)), folder
+
+    if len(names) > 1:
+        raise ConfigError(
+            f"{', '.join(names)}: several names must all be run folders; give one dataset, or only run folders"
+        )
+    return dataset.load(names[0]), folder
+
+
+def report_folder(names: list[str], out: Path | None, verb: str) -> Path:
+    """Return the folder of a report: `out`, else reports/VERB_NAME. The folder is created."""
+    folder = out or Path("reports") / f"{verb}_{Path(names[0]).resolve().name}"
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def write_report(folder: Path, name: str, report: dict[str, Any], page: str) -> None:
+    """Write NAME.json and NAME.html of a report into its folder."""
+    (folder / f"{name}.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    (folder / f"{name}.html").write_text(page, encoding="utf-8")
