@@ -10,6 +10,9 @@ from typing import Any
 from rollerrig.configs.errors import ConfigError
 
 AXLES = 4
+# the two magnets of an axle's dump valve, as bits; none energised fills the cylinder
+HOLD_MAGNET = 1
+VENT_MAGNET = 2
 GRAVITY_M_S2 = 9.80665  # standard gravity, ISO 80000-3
 # where powers of the speed are 1: a coefficient is what holds at this speed
 MIDDLE_SPEED_M_S = 20.0

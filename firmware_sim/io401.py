@@ -17,7 +17,7 @@ from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME, WSP_NODE
 
@@ -29,7 +29,6 @@ COMMANDS = AXLES + 1
 
 DEVICE_TYPE = 0x000F0191
 PRODUCT = "brake I/O", 0x401
-HOLD, VENT = 1, 2
 TITLES = {0x6401: "Read analogue input 16-bit"}
 DEMAND = BY_NAME["brake_demand"].places[0]
 HIGHEST_DEMAND_mbar = 10_000
@@ -132,17 +131,17 @@ class BrakeIo:
         node.on_state.append(self._on_state)
         node.on_reset.append(self._forget_demand)
         # without power no magnet is energised, whatever 6207h says
-        node.on_power_off += [self._forget_demand, lambda: self._energise(0)]
+        node.on_power_off += [self._forget_demand, lambda: self._energise(magnets.ALL_OFF)]
         commands[MAGNETS], commands[BRAKE_DEMAND] = 0.0, np.nan
 
     def fail_safe(self, why: str) -> None:
         """Magnets and demand take the values that 6206h, 6207h, 6443h and 6444h tell."""
         values = self.node.objects.values
         mask, wanted = values[key(0x6206, 1)], values[key(0x6207, 1)]
-        magnets = values[key(0x6200, 1)] & ~mask | wanted & mask
-        self.node.event("warning", f"magnets take the fail-safe value {magnets:02X}h: {why}")
-        values[key(0x6200, 1)] = magnets
-        self._energise(magnets)
+        byte = values[key(0x6200, 1)] & ~mask | wanted & mask
+        self.node.event("warning", f"magnets take the fail-safe value {byte:02X}h: {why}")
+        values[key(0x6200, 1)] = byte
+        self._energise(byte)
         if values[key(0x6443, 1)]:
             self._demand(values[key(0x6444, 1)])
 
@@ -150,17 +149,16 @@ class BrakeIo:
         if self.held:
             raise AbortError(Abort.DEVICE_STATE)
 
-    def _energise(self, magnets: int) -> None:
-        for at in range(AXLES):
-            pair = magnets >> 2 * at & 3
-            alone = pair == VENT
+    def _energise(self, byte: int) -> None:
+        for at, pair in enumerate(magnets.unpack(byte)):
+            alone = pair == magnets.VENT_MAGNET
             if alone and not self._venting_alone[at]:
                 self.node.event(
                     "warning",
                     f"vent magnet of axle {at + 1} without its hold magnet: treated as vent",
                 )
             self._venting_alone[at] = alone
-            self.commands[at] = HOLD | VENT if alone else pair
+            self.commands[at] = magnets.VENTING if alone else pair
         self.on_command()
 
     def _demand(self, raw: int) -> None:

@@ -17,18 +17,22 @@ measurements of one brake. A cylinder whose valve fills and whose demand falls i
 
 import math
 
+from rollerrig.configs.vehicle import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
-from rollerrig.rig.state import AXLES, FILL, VENT
+from rollerrig.rig.state import AXLES, FILL, HOLD, VENT
 
 NORMAL_PRESSURE_PA = 101325.0
 
 
 @kernel
 def valve_of(magnets):
-    """Valve state of a magnet pattern (bit 0 hold, bit 1 vent): vent wins, none energised fills."""
-    if int(magnets) & 2:
-        return 2.0
-    return float(int(magnets) & 1)
+    """Return the valve state for a pair of magnets: vent wins, none energised fills."""
+    energised = int(magnets)
+    if energised & VENT_MAGNET:
+        return float(VENT)
+    if energised & HOLD_MAGNET:
+        return float(HOLD)
+    return float(FILL)
 
 
 @kernel

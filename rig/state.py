@@ -12,7 +12,10 @@ from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.compiled import state_type
 from rollerrig.rig.multibody import coach_state
 
-FILL, HOLD, VENT = 0, 1, 2  # valve states
+# states of a dump valve
+FILL = 0
+HOLD = 1
+VENT = 2
 CELLS, SECTORS = 256, 16  # of the rail below and ahead of the vehicle, of a roller
 
 

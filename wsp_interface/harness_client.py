@@ -15,7 +15,7 @@ from typing import Any, Self
 import can
 
 from rollerrig.configs.errors import BusError, RollerrigError
-from rollerrig.wsp_interface import rig_objects, signals
+from rollerrig.wsp_interface import magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, TPDO
 from rollerrig.wsp_interface.bus.sdo_client import SdoClient
@@ -317,8 +317,8 @@ class Harness:
             self.values |= found
             return can_id == CYCLE_ENDS
         if can_id == rig_objects.MAGNETS_ID and len(data) == 1:
-            for axle in _AXLES:
-                self.values[f"magnets_{axle}"] = float(data[0] >> 2 * (axle - 1) & 3)
+            for axle, pair in zip(_AXLES, magnets.unpack(data[0]), strict=True):
+                self.values[f"magnets_{axle}"] = float(pair)
         elif EMERGENCY < can_id <= EMERGENCY + NODE_MASK and len(data) == 8 and any(data[:2]):
             self.log(
                 f"node {can_id - EMERGENCY}", f"EMCY {int.from_bytes(data[:2], 'little'):04X}h"

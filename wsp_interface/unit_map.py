@@ -39,7 +39,7 @@ from cantools.database.can import Message as DbcMessage
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import (
     LSS_ANSWER,
@@ -302,10 +302,10 @@ class Gateway:
                 signals.place("wsp_reference_speed", WSP_NODE),
             )
             self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(raw))
-        magnets = 0
-        for at, (hold, vent) in enumerate(zip(mapping.hold, mapping.vent, strict=True)):
-            magnets |= (bool(message[hold]) | bool(message[vent]) << 1) << 2 * at
-        self._send(MAGNETS_ID, bytes([magnets]))
+        pairs = []
+        for hold, vent in zip(mapping.hold, mapping.vent, strict=True):
+            pairs.append(magnets.pair(bool(message[hold]), bool(message[vent])))
+        self._send(MAGNETS_ID, bytes([magnets.pack(pairs)]))
         self.answers += 1
 
     def _send(self, can_id: int, data: bytes) -> None:

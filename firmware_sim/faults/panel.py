@@ -19,11 +19,11 @@ from rollerrig.firmware_sim.faults.bus import Babble, Gate, Rule
 from rollerrig.firmware_sim.faults.catalogue import LASTS, TICK, Fault
 from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
 from rollerrig.firmware_sim.rack import Rack
+from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.wsp_interface.signals import DRIVE_NODES
 
 # below this the supply of the electronics is gone too
 ELECTRONICS_V = 200.0
-HOLD, VENT = 1.0, 2.0
 
 # what a fault writes into the array of the tick: (slot, axle, value) from its values
 _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = {
@@ -38,10 +38,10 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
     "wheel_diameter_mismatch": lambda v: [
         (effects.LARGER, v["axle"], v["difference_percent"] / 100.0)
     ],
-    "hold_magnet_stuck": lambda v: [(effects.MAGNETS_ON, v["axle"], HOLD)],
-    "hold_magnet_dead": lambda v: [(effects.MAGNETS_OFF, v["axle"], HOLD)],
-    "vent_magnet_stuck": lambda v: [(effects.MAGNETS_ON, v["axle"], VENT)],
-    "vent_magnet_dead": lambda v: [(effects.MAGNETS_OFF, v["axle"], VENT)],
+    "hold_magnet_stuck": lambda v: [(effects.MAGNETS_ON, v["axle"], HOLD_MAGNET)],
+    "hold_magnet_dead": lambda v: [(effects.MAGNETS_OFF, v["axle"], HOLD_MAGNET)],
+    "vent_magnet_stuck": lambda v: [(effects.MAGNETS_ON, v["axle"], VENT_MAGNET)],
+    "vent_magnet_dead": lambda v: [(effects.MAGNETS_OFF, v["axle"], VENT_MAGNET)],
     "cylinder_leak": lambda v: [(effects.LEAK_per_s, v["axle"], 1.0 / v["time_constant_s"])],
     "drive_over_temperature": lambda v: [(effects.MOTOR_LOAD, v["axle"], v["load"])],
     "sander_empty": lambda v: [(effects.SAND_EMPTY, v["axle"], 1.0)],

@@ -23,8 +23,8 @@ from rollerrig.configs.errors import ConfigError, UnitError
 from rollerrig.firmware_sim.fmu import fmu_file
 from rollerrig.firmware_sim.fmu.fmu_file import Fitted
 from rollerrig.firmware_sim.wsp import node
+from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface import rig_objects as rig
-from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.unit_map import SOURCES
 
 _HUNG, _LOOK_S = 5, 0.1
@@ -119,13 +119,15 @@ class Fmu:
         self._told[:] = counts * self._scales
         values = dict(zip(SOURCES, self._told.tolist(), strict=True))
         told = self._step(values)
-        magnets = sum(
-            (told[f"hold_{axle + 1}"] >= 0.5) << 2 * axle
-            | (told[f"vent_{axle + 1}"] >= 0.5) << 2 * axle + 1
-            for axle in range(signals.AXLES)
-        )
+        pairs = []
+        for axle in range(1, signals.AXLES + 1):
+            hold = told[f"hold_{axle}"] >= 0.5
+            vent = told[f"vent_{axle}"] >= 0.5
+            pairs.append(magnets.pair(hold, vent))
         reference = told.get("reference_speed")
-        return magnets, None if reference is None else signals.count(reference, _REFERENCE)
+        return magnets.pack(pairs), None if reference is None else signals.count(
+            reference, _REFERENCE
+        )
 
     def idle(self) -> None:
         self._step({})

@@ -26,8 +26,9 @@ import numpy as np
 
 from rollerrig.configs import store, table
 from rollerrig.firmware_sim.wsp import reference_speed as reference
-from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, VENT_MAGNET, WISHES, Event
+from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, WISHES, Event
 from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, VENT_MAGNET
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME
 
 REFERENCE_SCALE_M_S = BY_NAME["wsp_reference_speed"].places[0].scale
@@ -171,7 +172,7 @@ def cycle(unit, inputs):
     state.cycles[0] += 1.0
     magnets = 0
     for j in range(AXLES):
-        magnets |= act(state, j, event_of(state, j, params), params) << (2 * j)
+        magnets |= act(state, j, event_of(state, j, params), params) << (BITS_PER_AXLE * j)
     return magnets, min(32767, max(-32768, round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)))
 
 

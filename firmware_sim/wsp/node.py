@@ -29,6 +29,7 @@ from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface import rig_objects as rig
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import NMT, SYNC
+from rollerrig.wsp_interface.magnets import ALL_OFF
 from rollerrig.wsp_interface.signals import AXLES, DEFAULT_ADDRESS, WSP_NODE
 
 log = logging.getLogger(__name__)
@@ -40,7 +41,6 @@ HEARTBEAT_SYNCS = 5
 # shorter than the rig's patience
 HEARTBEAT_S = 0.1
 MISSED_MAX = 5
-ALL_OFF = 0
 
 
 class Wsp(Protocol):

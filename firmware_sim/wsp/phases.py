@@ -9,8 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
-HOLD_MAGNET, VENT_MAGNET = 1, 2
-DUMP = HOLD_MAGNET | VENT_MAGNET
+from rollerrig.wsp_interface.magnets import FILLING, HOLDING, VENTING
 
 
 class Phase(IntEnum):
@@ -77,12 +76,12 @@ INTERRUPTS = np.array(
 # energised magnets during the pulse of a phase, and after it
 MAGNETS = np.array(
     [
-        [0, 0],  # FILL
-        [0, HOLD_MAGNET],  # STEP_FILL
-        [HOLD_MAGNET, HOLD_MAGNET],  # HOLD
-        [DUMP, HOLD_MAGNET],  # STEP_VENT
-        [DUMP, DUMP],  # VENT
-        [DUMP, DUMP],  # RUN_UP
-        [0, 0],  # LOCKED_OUT
+        [FILLING, FILLING],  # FILL
+        [FILLING, HOLDING],  # STEP_FILL
+        [HOLDING, HOLDING],  # HOLD
+        [VENTING, HOLDING],  # STEP_VENT
+        [VENTING, VENTING],  # VENT
+        [VENTING, VENTING],  # RUN_UP
+        [FILLING, FILLING],  # LOCKED_OUT
     ]
 )

@@ -20,12 +20,12 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.realtime.record.files import writing
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.wsp_interface.signals import AXLES
 
 STEP_S = 0.01
 _SCENARIO = "scenario.toml"
 _ENDLESS = 1 << 60
-_HOLD, _VENT = 1, 2
 _UNITS = {
     "m/s": {"m": 1, "s": -1},
     "m": {"m": 1},
@@ -53,8 +53,8 @@ class Rig(Fmi3Slave):
     def __init__(self, **given):
         super().__init__(**given)
         self.modelName = {identifier!r}
-        self.rig = rig_fmu.Rig(self.resources)
-        rig_fmu.declare(self, self.rig)
+        self.rig = as_fmu.Rig(self.resources)
+        as_fmu.declare(self, self.rig)
 
     def do_step(self, current_time, step_size):
         return self.rig.step(step_size)
@@ -106,7 +106,7 @@ class Rig:
         """All variables, inputs first."""
         command, row = self._stop.data.commands.values, self._stop.data.row
         for axle in range(AXLES):
-            for name, bit in (("hold", _HOLD), ("vent", _VENT)):
+            for name, bit in (("hold", HOLD_MAGNET), ("vent", VENT_MAGNET)):
                 yield Port(
                     f"{name}_{axle + 1}",
                     f"{name} magnet of the axle's dump valve is energised",

@@ -15,10 +15,10 @@ from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.realtime.loop.tick import AXLES, DONE, TICK, TickData
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import magnets, signals
 
 # an outside unit: axle speeds in 0.01 rad/s and cylinder pressures in mbar, int64 (8,), to the byte
-# of magnets (bit 2j hold, 2j+1 vent)
+# of magnets (wsp_interface.magnets)
 UnitCall = Callable[[np.ndarray], int]
 # "reference", "none", a reference unit with other parameters, or an outside unit
 Unit = str | logic.Params | UnitCall
@@ -72,7 +72,7 @@ class Stop:
             place, values = signals.BY_NAME[name].places[0], self.data.row[signals.span(name)]
             self._inputs[at : at + AXLES] = [signals.count(value, place) for value in values]
         byte = int(call(self._inputs))
-        self.data.commands.values[:AXLES] = [byte >> 2 * j & 3 for j in range(AXLES)]
+        self.data.commands.values[:AXLES] = magnets.unpack(byte)
 
 
 def remembered(plan: Scenario, unit: Unit = "reference") -> tuple[Stop, ring.Memory]:

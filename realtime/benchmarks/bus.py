@@ -18,6 +18,7 @@ from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.benchmarks import client, figures, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface import magnets
 from rollerrig.wsp_interface.bus import plugin
 from rollerrig.wsp_interface.bus.frames import Frame
 
@@ -192,11 +193,11 @@ def chain(folder: Path) -> Result:
     later by the lateness of that tick, which is told by the row before.
     """
     frames, run = records.frames(folder), records.load(folder)
-    time_us, magnets = 1e6 * run.column("time_s"), run.column("magnets_1")
+    time_us, leading_pair = 1e6 * run.column("time_s"), run.column("magnets_1")
     began_us = time_us + np.concatenate(([0.0], run.column("tick_lateness_us")[:-1]))
     syncs, speeds = _stamps(frames, client.SYNC), _stamps(frames, client.SPEEDS)
     commands = [
-        (stamp, int(data, 16) & 3)
+        (stamp, magnets.unpack(int(data, 16))[0])
         for stamp, can_id, data in frames
         if can_id == client.MAGNETS and data
     ]
@@ -210,9 +211,9 @@ def chain(folder: Path) -> Result:
             "from_tpdo_less_lateness_us",
         )
     }
-    for row in np.flatnonzero(np.diff(magnets)) + 1:
+    for row in np.flatnonzero(np.diff(leading_pair)) + 1:
         last = int(np.searchsorted(at_us, began_us[row], side="right")) - 1
-        if last < 0 or commands[last][1] != magnets[row]:
+        if last < 0 or commands[last][1] != leading_pair[row]:
             continue  # the fall to the fail-safe value at the end has no frame
         tpdo = int(np.searchsorted(speeds, at_us[last])) - 1
         sync = int(np.searchsorted(syncs, speeds[tpdo], side="right")) - 1

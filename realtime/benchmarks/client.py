@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from rollerrig.wsp_interface import rig_objects, signals
+from rollerrig.wsp_interface import magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus.codecs import parse_socketcand_event, socketcand_command
 from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SDO_REQUEST, SYNC, TPDO
 from rollerrig.wsp_interface.bus.frames import Frame
@@ -30,7 +30,7 @@ ECHO_CALL, ECHO_ANSWER = 0x7F0, 0x7F1
 SDO_CALL, SDO_ANSWER = SDO_REQUEST + signals.SPEED_NODE, SDO_REPLY + signals.SPEED_NODE
 _DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
 TPDOS = frozenset(first + node for first in TPDO for node in signals.RIG_NODES)
-_HOLD_ALL = sum(1 << 2 * at for at in range(signals.AXLES))
+_HOLD_ALL = magnets.pack([magnets.HOLDING] * signals.AXLES)
 BLOCK, _BLOCKS = 25, 60
 PRIORITY = 50
 REGISTERS, _FIRST_REGISTER = 10, 200

@@ -21,12 +21,13 @@ from scipy.ndimage import gaussian_filter1d
 from rollerrig.realtime.discover import bus_signs
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.magnets import HOLD_MAGNET, HOLDING, VENT_MAGNET
 from rollerrig.wsp_interface.signals import AXLES
 
 HELD_S, VENTED_S, SETTLED_S, KEPT_S, FAR_S = 1.5, 0.5, 0.12, 0.1, 8.0
 MOVES_M_S, VENTED_PA, BRAKED_PA, FAR = 5.0, 0.2e5, 0.5e5, 0.15
 NOISY, ROUGH_RAD_S, SELDOM, LINE, LEAK_1_S, TOGETHER, APART = 6.0, 0.1, 5.0, 110.0, 0.05, 0.5, 0.3
-HOLD, VENT, HIGHEST_ORDER, SETTLED, RISEN, FLAW, BEHIND = 1, 2, 12.0, 10.0, 0.63, 0.1, 3.0
+HIGHEST_ORDER, SETTLED, RISEN, FLAW, BEHIND = 12.0, 10.0, 0.63, 0.1, 3.0
 
 
 def of(run: records.Run) -> list[str]:
@@ -71,16 +72,18 @@ def _signs(run: records.Run) -> Iterator[str]:
         if noisy[j]:  # [I3]
             seldom = rough[:, j].mean() > SELDOM * np.median(rough[:, j])
             yield f"{'missing_tooth' if seldom else 'speed_noise_burst'} {axle}"
-        if (own & VENT).all():  # [I4]
+        if (own & VENT_MAGNET).all():  # [I4]
             yield f"vent_magnet_stuck {axle}"
-        elif (own & HOLD).all():
+        elif (own & HOLD_MAGNET).all():
             yield f"hold_magnet_stuck {axle}"
-        elif (own == VENT).any():
+        elif (own == VENT_MAGNET).any():
             yield f"hold_magnet_dead {axle}"
-        elif not (own & VENT).any() and _longest(share[:, j] > FAR) * step_s > FAR_S:
+        elif not (own & VENT_MAGNET).any() and _longest(share[:, j] > FAR) * step_s > FAR_S:
             yield f"vent_magnet_dead {axle}"
         rate = np.diff(np.log(np.maximum(pressure[:, j], 1.0))) / step_s
-        kept = _settled(own == HOLD, round(SETTLED_S / step_s))[1:] & (pressure[1:, j] > BRAKED_PA)
+        kept = _settled(own == HOLDING, round(SETTLED_S / step_s))[1:] & (
+            pressure[1:, j] > BRAKED_PA
+        )
         if kept.sum() * step_s > KEPT_S and np.median(rate[kept]) < -LEAK_1_S:  # [I5]
             yield f"cylinder_leak {axle}"
         if np.ptp(angle[:, j]) > 1.0 and _line(torque[:, j], angle[:, j]) > LINE:  # [I6]

@@ -23,6 +23,7 @@ from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SLOTS, State
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, PAIR_MASK
 
 # the command row: magnets of the axles, a brake demand from the bus (NaN: none), and the WSP's
 # reference speed (NaN: it tells none); the first two are what io401 writes; then friction asked for
@@ -325,8 +326,8 @@ def ask_unit(m, inputs):
 @kernel_inlined
 def hear_unit(m, unit, inputs):
     """One cycle of the reference WSP unit on what it saw: its answer as commands."""
-    magnets, reference = logic.cycle(unit, inputs)
+    magnets_byte, reference = logic.cycle(unit, inputs)
     command = m.commands.values
     for j in range(AXLES):
-        command[MAGNETS + j] = (magnets >> (2 * j)) & 3
+        command[MAGNETS + j] = (magnets_byte >> (BITS_PER_AXLE * j)) & PAIR_MASK
     command[REFERENCE] = reference * _REFERENCE_SCALE

@@ -6,8 +6,9 @@ from rollerrig.firmware_sim import rig_control
 from rollerrig.rig import params, plant
 from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.state import SLOTS
+from rollerrig.wsp_interface.magnets import FILLING, HOLDING, VENTING
 
-FILL, HOLD, VENT = 0, 1, 3
+FILL, HOLD, VENT = FILLING, HOLDING, VENTING
 FULL_BRAKE_PA = 3.8e5
 # as configs/adhesion/soap.toml, leaf_film.toml and dry.toml: the laws hold whatever those files say later
 SOAP = {"cleaning_creepage": 0.5}
