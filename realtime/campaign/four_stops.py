@@ -18,7 +18,8 @@ from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.ring import Memory
 from rollerrig.realtime.loop.tick import DONE, TICK
 from rollerrig.rig import heat, plant
-from rollerrig.rig.compiled.kernel import kernel, seeing
+from rollerrig.rig.compiled.generated import buffer_viewer
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import RIGS
 
@@ -26,7 +27,7 @@ from rollerrig.rig.lanes.layout import RIGS
 Placed = tuple[Any, free.Stop, Memory]
 _TICKS = 1 << 20
 # the unit's state as views into its buffer, for compiled code
-see_unit = seeing(logic.State, logic.PLACES)
+see_unit = buffer_viewer(logic.State, logic.PLACES)
 
 
 def together(

@@ -10,8 +10,8 @@ import math
 from rollerrig.rig import vehicle as body
 from rollerrig.rig import wheelset
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
-from rollerrig.rig.contact import abreast as law
 from rollerrig.rig.contact import adhesion
+from rollerrig.rig.contact import vector_law as law
 from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.lanes import layout as a
 from rollerrig.rig.lanes.layout import LANES, RIGS

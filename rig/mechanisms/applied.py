@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.compiled.kernel import kernel, written
+from rollerrig.rig.compiled.generated import kernel_from_source
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.mechanisms import constants, friction
 from rollerrig.rig.mechanisms.mechanism import (
     ALONE,
@@ -118,13 +119,13 @@ def _sum_of(name: str, mechanisms: list[Mechanism]) -> Any:
         whole = "value * " if m.share else ""
         lines += [f"    if {size} != 0.0{own}:", f"        value += {whole}{size} * {course}"]
     space = {m.name: m.courses[0] for m in mechanisms}
-    return written(name, [*lines, "    return value"], __file__, __name__, space)
+    return kernel_from_source(name, [*lines, "    return value"], __file__, __name__, space)
 
 
 _changed_log = _sum_of("_changed_log", [m for m in IN_PLANT if m.acts_on == FRICTION and m.courses])
 _changed_torque = _sum_of("_changed_torque", [m for m in IN_PLANT if m.acts_on == TORQUE])
 # what an empirical term depends on, by its code
-_covariate = written(
+_covariate = kernel_from_source(
     "_covariate",
     [
         "def _covariate(state, axle, place_m, code):",

@@ -13,7 +13,8 @@ from llvmlite import binding
 from numba import carray, types
 from numba.extending import intrinsic
 
-from rollerrig.rig.compiled.kernel import constructor, kernel_inlined
+from rollerrig.rig.compiled.generated import tuple_builder
+from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
@@ -97,7 +98,7 @@ _shifted: Any = intrinsic(_shift)
 
 _FLOATS, _INTS = types.CPointer(types.float64), types.CPointer(types.int64)
 _NAME = "rollerrig_coach"
-_motion_at = constructor(
+_motion_at = tuple_builder(
     Motion,
     "at",
     (
@@ -108,7 +109,7 @@ _motion_at = constructor(
     carray=carray,
     shifted=_shifted,
 )
-_law_of = constructor(Law, "one", (f"one[{_LAW + i}]" for i in range(len(Law._fields))))
+_law_of = tuple_builder(Law, "one", (f"one[{_LAW + i}]" for i in range(len(Law._fields))))
 
 
 def _act(memory_at: Any, tape_at: Any, layout_at: Any) -> None:

@@ -1,14 +1,14 @@
 """Creep forces of all contacts of the coach, side by side: eight at once in the vector lanes of a core.
 
 `wheel_rail_forces` writes what the contacts of all wheels do into the lanes of one array, a row a quantity; one loop
-then computes the creep forces of the first eight, degraded or Polach's, by `contact.abreast`. What lies outside its
+then computes the creep forces of the first eight, degraded or Polach's, by `contact.vector_law`. What lies outside its
 domain, a ninth contact (a flange that touches) and the other models go by `contact.creep_force`, one by one.
 """
 
 import math
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
-from rollerrig.rig.contact import abreast, adhesion, creep_force
+from rollerrig.rig.contact import adhesion, creep_force, vector_law
 from rollerrig.rig.contact.patch import Patch
 
 ABREAST, LANES = 8, 32
@@ -92,7 +92,7 @@ def degraded(w, patches, law):
     """Creep forces with recovery of the first lanes."""
     for j in range(ABREAST):
         xi, eta, phi_1_m, s, N, patch, here = contact(w, j, patches, law)
-        w[FX + j], w[FY + j], w[MZ + j], w[INSIDE + j] = abreast.recovering_force(
+        w[FX + j], w[FY + j], w[MZ + j], w[INSIDE + j] = vector_law.recovering_force(
             xi, eta, phi_1_m, s, N, patch, here
         )
 
@@ -102,7 +102,7 @@ def polach(w, patches, law):
     """Polach's creep forces of the first lanes."""
     for j in range(ABREAST):
         xi, eta, phi_1_m, s, N, patch, here = contact(w, j, patches, law)
-        w[FX + j], w[FY + j], w[MZ + j], w[INSIDE + j] = abreast.polach_force(
+        w[FX + j], w[FY + j], w[MZ + j], w[INSIDE + j] = vector_law.polach_force(
             xi, eta, phi_1_m, s, N, patch, here
         )
 

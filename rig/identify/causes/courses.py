@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.compiled.kernel import written
+from rollerrig.rig.compiled.generated import kernel_from_source
 from rollerrig.rig.identify.causes.table import OF, Shape
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.mechanisms import friction
@@ -23,7 +23,7 @@ def each(course: Any) -> Any:
     names = [f"x{k}" for k in range(len(arguments(course, 0)))]
     values = ", ".join(f"{name}[k]" for name in names)
     name = f"each_{course.__name__}"
-    return written(
+    return kernel_from_source(
         name,
         [
             f"def {name}({', '.join([*names, 'out'])}):",

@@ -15,7 +15,9 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rollerrig.rig.compiled.kernel import again, kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.variants import variant
+from rollerrig.rig.compiled.vector_math import MATH
 from rollerrig.rig.identify.causes import columns
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data import parameters
@@ -127,7 +129,7 @@ def _drive(
     return True
 
 
-_quick = again(_drive, wheel_step=again(wheel_step, math=lanes.MATH, replay=lanes.REPLAY))
+_quick = variant(_drive, wheel_step=variant(wheel_step, math=MATH, replay=lanes.REPLAY))
 
 
 @kernel

@@ -1,198 +1,22 @@
 """The replay of the wheelsets of two runs at once, side by side in the processor's vectors.
 
-A loop is only put into vectors where it calls nothing, so exp, log and atan are written out, without branches that
-have to be taken; the filter of `replay` and the law of adhesion are the same sources, compiled once more with these.
+The filter of `replay` and the law of adhesion are the same sources, compiled once more with the functions of
+`vector_math`, which the compiler can turn into vector instructions.
 Where recovered adhesion lies below degraded, the law needs more than that: the replay is then no number, and the
 wheelsets go one by one.
-
-Source: Moshier, Methods and Programs for Mathematical Functions (1989), for the range reduction and the atan. Errors
-of 3e-16.
 """
 
 import math
-from types import ModuleType
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.compiled.kernel import again, constructor, kernel, kernel_inlined, writer
+from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.variants import module_variant, variant
+from rollerrig.rig.compiled.vector_math import MATH
 from rollerrig.rig.contact import adhesion, polach
 from rollerrig.rig.identify.data.parameters import PARAMETERS
 from rollerrig.rig.identify.replay import memory_replay, replay
-
-_SHIFT, _BIAS = (
-    4503599627370496.0,
-    1023.0,
-)  # 2^52: its mantissa holds an integer; that of the exponent
-_HALF_PI_REST = 6.123233995736766e-17
-
-
-@kernel_inlined
-def _power(x):
-    """(2^k, e^r - 1) with e^x = 2^k e^r, |r| < 0.35."""
-    x = min(max(x, -700.0), 700.0)
-    k = math.floor(1.4426950408889634 * x + 0.5)
-    r = (x - k * 0.693145751953125) - k * 1.42860682030941723212e-6
-    p = 1.0 / 5040.0 + r * (
-        1.0 / 40320.0
-        + r
-        * (
-            1.0 / 362880.0
-            + r
-            * (
-                1.0 / 3628800.0
-                + r * (1.0 / 39916800.0 + r * (1.0 / 479001600.0 + r / 6227020800.0))
-            )
-        )
-    )
-    p = r * (
-        1.0
-        + r
-        * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * p)))))
-    )
-    return np.int64(np.float64(k + _BIAS + _SHIFT).view(np.int64) << 52).view(np.float64), p
-
-
-@kernel_inlined
-def exp(x):
-    """e^x for |x| < 700."""
-    whole, part = _power(x)
-    return whole + whole * part
-
-
-@kernel_inlined
-def expm1(x):
-    """e^x - 1."""
-    whole, part = _power(x)
-    return whole * part + (whole - 1.0)
-
-
-@kernel_inlined
-def log(x):
-    """ln x for 0 < x, not subnormal."""
-    bits = np.float64(x).view(np.int64)
-    power = np.int64((bits >> 52) | 0x4330000000000000).view(np.float64) - (_SHIFT + _BIAS)
-    m = np.int64((bits & 0xFFFFFFFFFFFFF) | 0x3FF0000000000000).view(np.float64)
-    above = m > 1.4142135623730951
-    m, power = (0.5 * m, power + 1.0) if above else (m, power)
-    s = (m - 1.0) / (m + 1.0)
-    z = s * s
-    rest = z * (
-        1.0 / 3.0
-        + z
-        * (
-            0.2
-            + z
-            * (
-                1.0 / 7.0
-                + z
-                * (
-                    1.0 / 9.0
-                    + z
-                    * (
-                        1.0 / 11.0
-                        + z
-                        * (
-                            1.0 / 13.0
-                            + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0 + z / 21.0)))
-                        )
-                    )
-                )
-            )
-        )
-    )
-    return 2.0 * (s + s * rest) + power * 0.6931471805599453
-
-
-@kernel_inlined
-def atan(x):
-    """Arctangent, after Cephes."""
-    a = abs(x)
-    far, middle = a > 2.414213562373095, a > 0.66
-    turn = 2.0 if far else (1.0 if middle else 0.0)
-    z = (-1.0 if far else (a - 1.0 if middle else a)) / (a if far else (a + 1.0 if middle else 1.0))
-    w = z * z
-    p = w * (
-        (
-            ((-0.8750608600031904 * w - 16.15753718733365) * w - 75.00855792314705) * w
-            - 122.88666844901361
-        )
-        * w
-        - 64.85021904942025
-    )
-    q = (
-        (((w + 24.858464901423062) * w + 165.02700983169885) * w + 432.88106049129027) * w
-        + 485.3903996359137
-    ) * w + 194.5506571482614
-    return math.copysign(
-        turn * 0.7853981633974483 + (z * p / q + z + turn * 0.5 * _HALF_PI_REST), x
-    )
-
-
-@kernel_inlined
-def power(x, y):
-    """x^y for 0 < x."""
-    return exp(y * log(x))
-
-
-@kernel_inlined
-def sin(x):
-    """Sine of less than a quarter turn; of more no number."""
-    z = x * x
-    rest = z * (
-        -1.0 / 6.0
-        + z
-        * (
-            1.0 / 120.0
-            + z
-            * (
-                -1.0 / 5040.0
-                + z
-                * (
-                    1.0 / 362880.0
-                    + z
-                    * (
-                        -1.0 / 39916800.0
-                        + z
-                        * (
-                            1.0 / 6227020800.0
-                            + z * (-1.0 / 1307674368000.0 + z / 355687428096000.0)
-                        )
-                    )
-                )
-            )
-        )
-    )
-    return x + x * rest if z < 2.5 else math.nan
-
-
-@kernel_inlined
-def cos(x):
-    """Cosine of less than a quarter turn; of more no number."""
-    z = x * x
-    rest = z * (
-        -0.5
-        + z
-        * (
-            1.0 / 24.0
-            + z
-            * (
-                -1.0 / 720.0
-                + z
-                * (
-                    1.0 / 40320.0
-                    + z
-                    * (
-                        -1.0 / 3628800.0
-                        + z
-                        * (1.0 / 479001600.0 + z * (-1.0 / 87178291200.0 + z / 20922789888000.0))
-                    )
-                )
-            )
-        )
-    )
-    return 1.0 + rest if z < 2.5 else math.nan
 
 
 @kernel_inlined
@@ -205,47 +29,40 @@ def _none(_):
     return math.nan
 
 
-def _module(like: Any, **names: Any) -> Any:
-    made = ModuleType(like.__name__)
-    vars(made).update(vars(like) | names)
-    return made
-
-
-MATH = _module(math, exp=exp, expm1=expm1, log=log, atan=atan, pow=power, sin=sin, cos=cos)
-_polach = _module(
+_polach = module_variant(
     polach,
-    curve=again(
+    curve=variant(
         polach.curve,
-        shape=again(polach.shape, math=MATH),
-        friction=again(polach.friction, math=MATH),
+        shape=variant(polach.shape, math=MATH),
+        friction=variant(polach.friction, math=MATH),
     ),
 )
-_recovery = again(adhesion.recovery, math=MATH, lambert_w0=_none)
-_adhesion = _module(
+_recovery = variant(adhesion.recovery, math=MATH, lambert_w0=_none)
+_adhesion = module_variant(
     adhesion,
-    curves=again(adhesion.curves, math=MATH, polach=_polach),
-    f_and_lambda=again(adhesion.f_and_lambda, math=MATH, recovery=_recovery),
+    curves=variant(adhesion.curves, math=MATH, polach=_polach),
+    f_and_lambda=variant(adhesion.f_and_lambda, math=MATH, recovery=_recovery),
 )
-_curves = again(replay.curves, math=MATH, adhesion=_adhesion)
-_wheel_adhesion = again(replay.wheel_adhesion, adhesion=_adhesion, curves=_curves)
-REPLAY = _module(replay, wheel_adhesion=_wheel_adhesion, closes=_one)
-_law_lagging = _module(
+_curves = variant(replay.curves, math=MATH, adhesion=_adhesion)
+_wheel_adhesion = variant(replay.wheel_adhesion, adhesion=_adhesion, curves=_curves)
+REPLAY = module_variant(replay, wheel_adhesion=_wheel_adhesion, closes=_one)
+_law_lagging = module_variant(
     adhesion,
     f_and_lambda=_adhesion.f_and_lambda,
-    lag_rate_1_s=again(adhesion.lag_rate_1_s, math=MATH),
+    lag_rate_1_s=variant(adhesion.lag_rate_1_s, math=MATH),
 )
-_step_of = again(memory_replay.step_of, math=MATH)
+_step_of = variant(memory_replay.step_of, math=MATH)
 _Row = NamedTuple("_Row", [(f"p{k}", float) for k in range(PARAMETERS)])
 LANES = 2 * AXLES
 # cells: the state, what is measured, the inputs, what is told, the parameters; LANES of each
 _MEASURED = len(memory_replay.State._fields) * LANES
 _INPUT, _TOLD, _PARAMETERS = _MEASURED + LANES, _MEASURED + 6 * LANES, _MEASURED + 8 * LANES
 CELLS = _PARAMETERS + LANES * PARAMETERS
-row = constructor(
+row = tuple_builder(
     _Row, "cells, j", [f"cells[{_PARAMETERS + LANES * k} + j]" for k in range(PARAMETERS)]
 )
 
-told = constructor(_Row, "p", [f"p[{k}]" for k in range(PARAMETERS)])
+told = tuple_builder(_Row, "p", [f"p[{k}]" for k in range(PARAMETERS)])
 _WIDE = 16
 LONG = 7 * _WIDE
 
@@ -290,11 +107,14 @@ def tell(parameters, cells):
 def _kept(state: Any) -> dict[str, Any]:
     """Kernels that take the state of a filter from the cells of a lane, and give it there."""
     fields = [f"cells[{LANES * k} + j]" for k in range(len(state._fields))]
-    return {"taken": constructor(state, "cells, j", fields), "give": writer("cells, j", fields)}
+    return {
+        "taken": tuple_builder(state, "cells, j", fields),
+        "give": tuple_writer("cells, j", fields),
+    }
 
 
 begun, corrected = replay.begun, replay.corrected
-moved = again(replay.moved, math=MATH, wheel_adhesion=_wheel_adhesion)
+moved = variant(replay.moved, math=MATH, wheel_adhesion=_wheel_adhesion)
 taken, give = _kept(replay.State).values()
 
 
@@ -364,14 +184,14 @@ def _runs(start, other, measured, inputs, others, parameters, step_s, cells, out
                 )
 
 
-_moved_lagging = again(
+_moved_lagging = variant(
     memory_replay.moved,
     math=MATH,
     adhesion=_law_lagging,
     step_of=_step_of,
-    replay=_module(replay, curves=_curves),
+    replay=module_variant(replay, curves=_curves),
 )
-_lagging = again(
+_lagging = variant(
     _runs,
     begun=memory_replay.begun,
     corrected=memory_replay.corrected,

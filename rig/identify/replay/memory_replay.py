@@ -16,7 +16,8 @@ integrators (2010), section 2.
 import math
 from typing import NamedTuple
 
-from rollerrig.rig.compiled.kernel import again, kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.variants import variant
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.identify.replay import replay
 
@@ -175,7 +176,7 @@ def moved(state, v, N, C, degraded, recovered, p, step_s):
     )
 
 
-_replay_lagging = again(replay.replay_wheel, begun=begun, corrected=corrected, moved=moved)
+_replay_lagging = variant(replay.replay_wheel, begun=begun, corrected=corrected, moved=moved)
 
 
 @kernel
