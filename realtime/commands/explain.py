@@ -63,11 +63,15 @@ def call(given: argparse.Namespace) -> int:
             page.polach_page(data, fitted),
             f"# {data.name}: nothing that a scenario could load\n",
         )
-    from rollerrig.rig.identify.decide import explain
+    from rollerrig.rig.identify.decide import decision
 
     with progress_bar() as progress:
         return told(
-            given, explain.braking_runs(data, given.seed, progress), out, progress, given.more
+            given,
+            decision.explain_braking_runs(data, given.seed, progress),
+            out,
+            progress,
+            given.more,
         )
 
 
@@ -184,9 +188,9 @@ def told(
     **beside: Any,
 ) -> int:
     """Write the report of an account, with further stops to be proposed and what stands beside it, and show it."""
-    from rollerrig.realtime.reports import explain as report
+    from rollerrig.realtime.reports import cause_report as report
     from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify.decide import extension
+    from rollerrig.rig.identify.decide import extended_model
 
     found = report.as_json(account) | beside
     lines = report.story(account) + _further(account, found, out, more, progress)
@@ -204,7 +208,7 @@ def told(
         found,
         lines,
         report.page(account, found),
-        extension.toml(account),
+        extended_model.toml(account),
     )
 
 

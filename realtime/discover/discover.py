@@ -24,8 +24,8 @@ from rollerrig.realtime.discover import fault_signs
 from rollerrig.realtime.record import records
 from rollerrig.realtime.record.files import replaced, writing
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.identify.decide import explain
-from rollerrig.rig.identify.decide.explain import Account
+from rollerrig.rig.identify.decide import decision
+from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.identify.next_stops import planning
 from rollerrig.rig.identify.next_stops.prototype import LONGEST_S, RELEASED_S, Stop
 
@@ -43,7 +43,7 @@ Progress = Callable[[str, float], None]
 
 def find_out(
     rig: str, out: Path, most: int, seed: int, say: Say, progress: Progress
-) -> tuple[Account, dict[str, Any]]:
+) -> tuple[Diagnosis, dict[str, Any]]:
     """The last account of a rig's stops, and the history of the rounds. Raises ConfigError."""
     if most < len(FIRST_M_S) or seed < 0:
         raise ConfigError(
@@ -183,7 +183,7 @@ def _judged(
     rounds: list[dict[str, Any]],
     say: Say,
     progress: Progress,
-) -> Account:
+) -> Diagnosis:
     """What the stops tell, told and put down as a round."""
     judged = [folders[JUDGED]]
     faults = shown(folders)
@@ -196,7 +196,9 @@ def _judged(
             run_dataset.SLOWEST_M_S,
             LONGEST_S,
         )
-        account = explain.braking_runs(dataset.load(made)._replace(name=out.name), seed, progress)
+        account = decision.explain_braking_runs(
+            dataset.load(made)._replace(name=out.name), seed, progress
+        )
     except ConfigError as error:
         raise ConfigError(
             f"the stops show {', '.join(faults)}, and cannot be explained: {error}"
@@ -241,7 +243,7 @@ def shown(folders: Sequence[Path]) -> list[str]:
 
 
 def _further(
-    account: Account, stops: Sequence[dict[str, Any]], count: int, progress: Progress
+    account: Diagnosis, stops: Sequence[dict[str, Any]], count: int, progress: Progress
 ) -> list[dict[str, Any]]:
     """The stops that part the causes still possible best, none of them run before."""
     on = planning.Ground(account.data, account.design, account.final)

@@ -26,12 +26,12 @@ from generator import keep
 from rollerrig.realtime.benchmarks.sealed import cases
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.identify.decide import evidence, explain
+from rollerrig.rig.identify.decide import decision, evidence
 
 SHARES = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 LIMITS = ("REMAINDER_SHARE", "OWN_REMAINDER_SHARE", "PARTLY_SHARE")
 ALPHAS = np.geomspace(1e-6, 0.02, 44)
-SHIPPED = (table.ALPHA_CAUSE, tuple(getattr(explain, name) for name in LIMITS))
+SHIPPED = (table.ALPHA_CAUSE, tuple(getattr(decision, name) for name in LIMITS))
 FORMS = (0.0, 0.02, 0.04, 0.07, 0.1, 0.13, 0.16, 0.2)
 FORM = next(row.default for row in dataset.ACCURACY if row.name == "form_fraction")
 LARGEST_SET = 1.4  # the first set of a single cause, mean
@@ -47,7 +47,7 @@ HEAD = (
 
 def findings(told):
     return [
-        evidence.Finding(
+        evidence.ScoreTest(
             f["name"],
             f["axle"],
             {},
@@ -93,9 +93,9 @@ class Told:
     def judged(self, limits):
         if self.refused:
             return "refused"
-        vars(explain).update(zip(LIMITS, limits, strict=True))
-        verdict = explain._verdict(self.causes, self.remainder, self.won, [])
-        vars(explain).update(zip(LIMITS, SHIPPED[1], strict=True))
+        vars(decision).update(zip(LIMITS, limits, strict=True))
+        verdict = decision._verdict(self.causes, self.remainder, self.won, [])
+        vars(decision).update(zip(LIMITS, SHIPPED[1], strict=True))
         return verdict
 
     def names(self, limits):
@@ -120,7 +120,7 @@ class Told:
     def alarm(self, alpha):
         """Whether a finding counts where causes may be as unlikely as alpha."""
         return any(
-            evidence.significant(f._replace(p_value=f.p_value * table.ALPHA_CAUSE / alpha))
+            evidence.is_significant(f._replace(p_value=f.p_value * table.ALPHA_CAUSE / alpha))
             for f in self.before
         )
 

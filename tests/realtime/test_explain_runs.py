@@ -15,12 +15,12 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.datasets import run_dataset, run_sensors
 from rollerrig.realtime.record import records
-from rollerrig.realtime.reports import explain as report
+from rollerrig.realtime.reports import cause_report as report
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.decide import choice, explain, extension
-from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.identify.decide import choice, decision, extended_model
+from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.mechanisms import applied
 from rollerrig.rig.plant import Plant
 
@@ -264,7 +264,7 @@ FOUND = {
 }
 
 
-def account(*causes: Cause) -> explain.Account:
+def account(*causes: Cause) -> decision.Diagnosis:
     """What `explain` would hand over had it found these causes."""
     data = dataset.load("open_none")
     design = preparation.prepare(data, data.group("tune")[:1])
@@ -272,11 +272,11 @@ def account(*causes: Cause) -> explain.Account:
     named = []
     for cause in causes:
         tiny, none = (1e-6,) * len(cause.values), (0.0,) * len(cause.values)
-        finding = Finding(
+        finding = ScoreTest(
             cause.name, cause.axle, cause.shape, cause.values, none, tiny, 99.0, 0.001, 1.0, 1.0
         )
-        named.append(choice.NamedCause(finding, cause, 99.0, (99.0,) * 5, tiny, (), ()))
-    return explain.Account(
+        named.append(choice.IdentifiedCause(finding, cause, 99.0, (99.0,) * 5, tiny, (), ()))
+    return decision.Diagnosis(
         data,
         design,
         None,
@@ -298,7 +298,7 @@ def account(*causes: Cause) -> explain.Account:
 @pytest.mark.parametrize("name", FOUND)
 def test_every_cause_of_wheel_and_contact_becomes_keys_that_run_in_batch(name, tmp_path) -> None:
     model = tmp_path / "extended.toml"
-    model.write_text(extension.toml(account(FOUND[name])))
+    model.write_text(extended_model.toml(account(FOUND[name])))
     told = tomllib.loads(model.read_text()).get("mechanisms", {})
     plan = scenario.load("velim_a1", str(model), ("initial_speed_m_s=6.0",))
     felt = free.channels(free.simulate(plan))
@@ -331,7 +331,7 @@ def test_friction_of_the_contaminant_alone_is_told_in_words_and_leaves_the_clean
         in report.story(found)[0]
     )
     model = tmp_path / "extended.toml"
-    model.write_text(extension.toml(found))
+    model.write_text(extended_model.toml(found))
     params = scenario.load("velim_a1", str(model)).params
     rig = Plant(params, 20.0)
     rig.state.time[0] = 4.0
@@ -342,18 +342,18 @@ def test_friction_of_the_contaminant_alone_is_told_in_words_and_leaves_the_clean
 
 
 def test_a_late_speed_sensor_is_noted_with_the_fault_that_does_it_on_the_bus() -> None:
-    told = extension.toml(account(FOUND["speed_sensor_delay"]))
+    told = extended_model.toml(account(FOUND["speed_sensor_delay"]))
     fault = catalogue.parse(re.search(r"--fault '([^']+)'", told).group(1))
     assert fault.values["delay_s"] == pytest.approx(0.025)
     assert fault.values["can_id"] == 0x190  # speeds of all axles
-    alone = extension.toml(account(FOUND["speed_sensor_delay"]._replace(axle=2)))
+    alone = extended_model.toml(account(FOUND["speed_sensor_delay"]._replace(axle=2)))
     assert "--fault" not in alone
     assert "cannot" in alone
 
 
 def test_an_extended_model_is_the_same_plant_in_batch_and_in_the_bench(tmp_path) -> None:
     model = tmp_path / "extended.toml"
-    model.write_text(extension.toml(account(*FOUND.values())))
+    model.write_text(extended_model.toml(account(*FOUND.values())))
     settings = ("initial_speed_m_s=8.0", "stand_s=0.0")
     bench = BenchProcess(
         tmp_path / "run",

@@ -13,7 +13,7 @@ from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import preparation
 from rollerrig.rig.identify.data.runs import Dataset, Run
-from rollerrig.rig.identify.decide import tuning
+from rollerrig.rig.identify.decide import fitting
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
@@ -158,9 +158,9 @@ def test_the_replay_takes_back_what_a_small_cause_did_in_the_plant(plain, row, s
     ("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on != VEHICLE], ids=name
 )
 def test_the_linearised_answer_is_the_derivative_of_the_replay(plain, row, shape, axle) -> None:
-    size = 0.1 * size_of(row) if row.name != "adhesion_memory" else tuning.MEMORY_STEP_M
+    size = 0.1 * size_of(row) if row.name != "adhesion_memory" else fitting.MEMORY_STEP_M
     cause = cause_of(row, shape, axle, size)
-    found, _, answers = tuning.normal(
+    found, _, answers = fitting.normal_equations(
         plain,
         candidates.start(plain)._replace(
             causes=(cause._replace(values=tuple(0.0 for _ in cause.values)),)
@@ -172,7 +172,7 @@ def test_the_linearised_answer_is_the_derivative_of_the_replay(plain, row, shape
         if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape)
     )
     change = (whitened(plain, "wheels", cause) - whitened(plain, "wheels")) / size
-    answer = tuning.wheel_answers(plain, answers, [column])[:, 0]
+    answer = fitting.wheel_answers(plain, answers, [column])[:, 0]
     assert np.dot(change, answer) / np.linalg.norm(change) / np.linalg.norm(answer) > 0.95
     assert np.dot(change, answer) / np.dot(answer, answer) == pytest.approx(1.0, abs=0.1)
 

@@ -125,15 +125,15 @@ def _is_interval(value: Any) -> bool:
 
 
 def _one(folder: Path, tool: str, name: str) -> tuple[str, Answer]:
-    from rollerrig.realtime.reports import explain as report
+    from rollerrig.realtime.reports import cause_report as report
     from rollerrig.rig.identify.data import dataset
-    from rollerrig.rig.identify.decide import explain
+    from rollerrig.rig.identify.decide import decision
 
     try:
         data = dataset.load(folder / name)
         if tool != "explain":
             return name, baselines.TOOLS[tool](data)
-        return name, report.as_json(explain.braking_runs(data, 0, lambda *_: None))
+        return name, report.as_json(decision.explain_braking_runs(data, 0, lambda *_: None))
     except ConfigError as error:
         return name, {
             "verdict": "refused",

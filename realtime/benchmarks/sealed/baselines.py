@@ -21,7 +21,7 @@ from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.columns import Variant
 from rollerrig.rig.identify.data.preparation import prepare
 from rollerrig.rig.identify.data.runs import Dataset
-from rollerrig.rig.identify.decide import evidence, tuning
+from rollerrig.rig.identify.decide import evidence, fitting
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 MOST, THRESHOLD, NORMAL_95 = 6, 4.0, 1.96
@@ -34,13 +34,13 @@ class _Stops:
 
     def __init__(self, data: Dataset) -> None:
         design = prepare(data, data.group("tune"))
-        base, *_ = tuning.fit(design, candidates.start(design))
-        normal = tuning.normal(design, base)[0]
+        base, *_ = fitting.fit(design, candidates.start(design))
+        normal = fitting.normal_equations(design, base)[0]
         self.S, self.g = evidence.scores(normal)
         self.variants = [
             v
             for v in normal.matrix.variants
-            if not evidence.generic(v.cause)
+            if not evidence.is_smooth_function(v.cause)
             and v.cause in table.OF
             and all(self.S[c, c] > 1e-9 for c in v.columns)
         ]

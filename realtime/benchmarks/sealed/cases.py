@@ -172,12 +172,12 @@ def _errors(dataset_folder: Path) -> dict[str, float]:
     """Errors of the fitted base on stops that were not fitted, by metric; none of data that `explain` refuses."""
     from rollerrig.rig.identify.causes import candidates
     from rollerrig.rig.identify.data import dataset, preparation
-    from rollerrig.rig.identify.decide import gain, tuning
+    from rollerrig.rig.identify.decide import fitting, gain
 
     try:
         data = dataset.load(dataset_folder)
     except ConfigError:
         return {}
     design, held = (preparation.prepare(data, data.group(g)) for g in ("tune", "validate"))
-    base, *_ = tuning.fit(design, candidates.start(design))
+    base, *_ = fitting.fit(design, candidates.start(design))
     return {metric: gain.error(held, base, metric) for metric in (gain.ADHESION, gain.FREE_RUN)}

@@ -19,7 +19,7 @@ from scipy.special import fdtrc
 from rollerrig.rig.identify.causes import columns, table
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.decide import tuning
+from rollerrig.rig.identify.decide import fitting
 
 ALPHA_GENERIC = 0.005 / 13.0
 FLOOR = 12.0
@@ -34,7 +34,7 @@ class Scores(NamedTuple):
     g: np.ndarray
 
 
-class Finding(NamedTuple):
+class ScoreTest(NamedTuple):
     """A cause in its best shape: statistic T with its p-value, estimate less bias, its deviation."""
 
     name: str
@@ -51,12 +51,12 @@ class Finding(NamedTuple):
 
     def cause(self) -> Cause:
         """The cause to begin a fit with."""
-        return tuning.bounded(Cause(self.name, self.axle, self.shape, self.estimate))
+        return fitting.within_bounds(Cause(self.name, self.axle, self.shape, self.estimate))
 
 
-def scores(normal: tuning.Normal, keep: Sequence[str] = ()) -> Scores:
+def scores(normal: fitting.NormalEquations, keep: Sequence[str] = ()) -> Scores:
     """Scores of all columns [E1]; causes already in the explanation (`keep`) join the base."""
-    base = tuning.base_columns(normal.matrix) + [
+    base = fitting.base_columns(normal.matrix) + [
         c for c, column in enumerate(normal.matrix.columns) if column.cause in keep
     ]
     A, b = normal.A, normal.b
@@ -81,12 +81,12 @@ def _together(clean: Sequence[Scores]) -> Scores:
     return Scores(np.array([s.S for s in clean]), np.array([s.g for s in clean]))
 
 
-def findings(
-    design: Design, normal: tuning.Normal, clean: list[Scores], known: Sequence[str] = ()
-) -> list[Finding]:
+def score_tests(
+    design: Design, normal: fitting.NormalEquations, clean: list[Scores], known: Sequence[str] = ()
+) -> list[ScoreTest]:
     """Best shape of every cause and smooth function, most significant first; `known` left out."""
     real = scores(normal, known)
-    judged: dict[str, list[Finding]] = {}
+    judged: dict[str, list[ScoreTest]] = {}
     together = _together(clean)
     for variant in normal.matrix.variants:
         if variant.cause not in known:
@@ -102,12 +102,12 @@ def findings(
     return sorted(chosen, key=lambda f: (f.p_value, -f.statistic))
 
 
-def likely(design: Design, normal: tuning.Normal, count: int) -> list[Cause]:
+def most_promising(design: Design, normal: fitting.NormalEquations, count: int) -> list[Cause]:
     """Causes of greatest nominal score, one shape of each, not yet judged by clean sets."""
     real = scores(normal)
     best: dict[str, tuple[float, Cause]] = {}
     for variant in normal.matrix.variants:
-        if generic(variant.cause):
+        if is_smooth_function(variant.cause):
             continue
         x, S = _coefficients(real, list(variant.columns))
         value = (0.0 if _wrong_sign(variant.cause, float(x[0])) else float(x @ S @ x)) - 3.0 * len(
@@ -124,10 +124,10 @@ def likely(design: Design, normal: tuning.Normal, count: int) -> list[Cause]:
         if window is not None and window.statistic > 50.0:
             best[window.name] = (window.statistic - 40.0, window.cause())
     ranked = sorted(best.values(), key=lambda pair: -pair[0])[:count]
-    return [tuning.bounded(cause) for _, cause in ranked]
+    return [fitting.within_bounds(cause) for _, cause in ranked]
 
 
-def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> Finding:
+def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> ScoreTest:
     at, size, freedom = list(variant.columns), len(variant.columns), len(clean.g) - 1
     x, S = _coefficients(real, at)
     null, T = _coefficients(clean, at)
@@ -140,7 +140,7 @@ def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> Finding:
     statistic = float((x - bias) @ S @ (x - bias)) / scale
     if _wrong_sign(variant.cause, float(x[0] - bias[0])):
         statistic = 0.0
-    return Finding(
+    return ScoreTest(
         name=variant.cause,
         axle=variant.axle,
         shape=variant.shape,
@@ -154,7 +154,9 @@ def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> Finding:
     )
 
 
-def finding_of(normal: tuning.Normal, clean: list[Scores], cause: Cause) -> Finding | None:
+def score_test_of(
+    normal: fitting.NormalEquations, clean: list[Scores], cause: Cause
+) -> ScoreTest | None:
     """The finding of a cause in one given shape; None for a window."""
     same = normal.matrix.variant_of(cause)
     return None if same is None else _judge(scores(normal), _together(clean), same)
@@ -168,7 +170,7 @@ def _wrong_sign(cause: str, value: float) -> bool:
     )
 
 
-def _bins(normal: tuning.Normal, owner: str) -> list[int]:
+def _bins(normal: fitting.NormalEquations, owner: str) -> list[int]:
     return [c for c, column in enumerate(normal.matrix.columns) if column.cause == owner]
 
 
@@ -193,7 +195,7 @@ def _tail(value: float, null: np.ndarray) -> float:
     return float(-np.expm1(-np.exp(-(value - (float(null.mean()) - 0.5772 * width)) / width)))
 
 
-def _patch(normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding | None:
+def _patch(normal: fitting.NormalEquations, real: Scores, clean: list[Scores]) -> ScoreTest | None:
     at = _bins(normal, "place_bin")
     if len(at) < 4:
         return None
@@ -210,7 +212,7 @@ def _patch(normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding 
         "length_m": float((high - low) * columns.PLACE_BIN_M),
     }
     spread = max(float(np.sqrt(null.mean() / 8.0)), 1.0)
-    return Finding(
+    return ScoreTest(
         "contaminated_patch",
         0,
         shape,
@@ -225,8 +227,8 @@ def _patch(normal: tuning.Normal, real: Scores, clean: list[Scores]) -> Finding 
 
 
 def _sand(
-    design: Design, normal: tuning.Normal, real: Scores, clean: list[Scores]
-) -> Finding | None:
+    design: Design, normal: fitting.NormalEquations, real: Scores, clean: list[Scores]
+) -> ScoreTest | None:
     """Sand under all wheelsets, or not under the first: the better of both."""
     found = [
         _sand_on(design, normal, real, clean, owner, shape)
@@ -242,12 +244,12 @@ def _sand(
 
 def _sand_on(
     design: Design,
-    normal: tuning.Normal,
+    normal: fitting.NormalEquations,
     real: Scores,
     clean: list[Scores],
     owner: str,
     shape: dict[str, float],
-) -> Finding | None:
+) -> ScoreTest | None:
     at = _bins(normal, owner)
     runs = [int(normal.matrix.columns[c].label.split()[0]) for c in at]
     bias = np.mean([s.g[at] for s in clean], axis=0)
@@ -276,7 +278,7 @@ def _sand_on(
         return None
     x = float(np.average(sizes, weights=weights))
     spread = max(float(np.sqrt(null.mean() / (6.0 * len(sizes)))), 1.0)
-    return Finding(
+    return ScoreTest(
         "sanding",
         0,
         shape,
@@ -290,17 +292,17 @@ def _sand_on(
     )
 
 
-def generic(name: str) -> bool:
+def is_smooth_function(name: str) -> bool:
     """Whether a finding is a smooth function and not a cause."""
     return name.startswith("along ")
 
 
-def against(found: Finding) -> str:
+def against(found: ScoreTest) -> str:
     """What a smooth function goes along, in words; which wheelset where it is that of one."""
     return found.name.removeprefix("along ").replace("one axle", f"axle {found.axle}")
 
 
-def settled(found: Sequence[Finding]) -> bool:
+def is_settled(found: Sequence[ScoreTest]) -> bool:
     """Whether more clean sets would hardly change what counts: one finding stands out, or none comes near its limit.
 
     A window may not be the one: its p-value does not know of how few clean sets it is.
@@ -311,7 +313,7 @@ def settled(found: Sequence[Finding]) -> bool:
         if f.p_value < NEAR_ALPHA * _limit(f) and f.statistic - len(f.estimate) > 0.5 * FLOOR
     ]
     out = max(
-        (f.statistic for f in near if significant(f, STANDS_OUT * FLOOR) and not _is_window(f)),
+        (f.statistic for f in near if is_significant(f, STANDS_OUT * FLOOR) and not _is_window(f)),
         default=0.0,
     )
     return not near or 0.0 < out > 2.0 * max(
@@ -319,14 +321,14 @@ def settled(found: Sequence[Finding]) -> bool:
     )
 
 
-def _is_window(found: Finding) -> bool:
-    return not generic(found.name) and table.OF[found.name].edge_step > 0.0
+def _is_window(found: ScoreTest) -> bool:
+    return not is_smooth_function(found.name) and table.OF[found.name].edge_step > 0.0
 
 
-def significant(found: Finding, floor: float = FLOOR) -> bool:
+def is_significant(found: ScoreTest, floor: float = FLOOR) -> bool:
     """Whether a finding counts by itself."""
     return found.p_value < _limit(found) and found.statistic - len(found.estimate) > floor
 
 
-def _limit(found: Finding) -> float:
-    return ALPHA_GENERIC if generic(found.name) else table.OF[found.name].alpha
+def _limit(found: ScoreTest) -> float:
+    return ALPHA_GENERIC if is_smooth_function(found.name) else table.OF[found.name].alpha

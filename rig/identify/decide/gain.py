@@ -17,7 +17,7 @@ from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
 from rollerrig.rig.identify.data.smoothing import smoothed
-from rollerrig.rig.identify.decide import tuning
+from rollerrig.rig.identify.decide import fitting
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.identify.replay.sensitivity import Inputs
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
@@ -100,13 +100,13 @@ def level(design: Design, explanation: Explanation) -> tuple[Explanation, float]
     """An explanation on new runs: only their contaminant level, mass and irregularity are fitted."""
     base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
     base |= {f"ln_mu_cd_{run}": explanation.level for run in range(design.mass_kg.size)}
-    found, value, _ = tuning.fit(
+    found, value, _ = fitting.fit(
         design, explanation._replace(base=base), 4, False, free=("ln_mu_cd", "mass")
     )
     return found, value
 
 
-def missing(design: Design, explanation: Explanation) -> np.ndarray:
+def missing_adhesion(design: Design, explanation: Explanation) -> np.ndarray:
     """Adhesion that a model lacks [G2] at every sample, flat; 0 below 5 m/s."""
     i = inputs(design, explanation)
     # measured less modelled adhesion at measured sliding would punish a stiffer contact for the noise of that sliding
@@ -120,7 +120,7 @@ def missing(design: Design, explanation: Explanation) -> np.ndarray:
 
 
 _ERRORS = {
-    ADHESION: missing,
+    ADHESION: missing_adhesion,
     FREE_RUN: free_running,
 }  # errors of a metric at every sample, 0 where it is not judged
 

@@ -12,7 +12,7 @@ from functools import partial
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, start
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.decide import tuning
+from rollerrig.rig.identify.decide import fitting
 
 _HALVINGS, _MOST_MOVES = 5, 8  # the first step of an edge is halved this often
 _SMOOTHER = 0.3  # irregularity of the rail, of the base's, on which edges are sought first
@@ -25,13 +25,13 @@ _BEGINS_ROUGH = (
 )
 
 
-def refined(design: Design, explanation: Explanation) -> Explanation:
+def refine_windows(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the windows of its causes where they fit best."""
     # what a window explains has roughened the rail of the base, on which its edges hardly show: first on a smoother one
-    smooth = tuning.fit(
+    smooth = fitting.fit(
         design, explanation._replace(sigma=_SMOOTHER * explanation.sigma), 4, False
     )[0]
-    smooth = tuning.fit(design, _edges_moved(design, smooth, 1.0)[0], 4)[0]
+    smooth = fitting.fit(design, _edges_moved(design, smooth, 1.0)[0], 4)[0]
     explanation, value = min(
         (_edges_moved(design, explanation, 1.0), _edges_moved(design, smooth, 0.25)),
         key=lambda pair: pair[1],
@@ -44,7 +44,7 @@ def refined(design: Design, explanation: Explanation) -> Explanation:
     ]
     both = dict.fromkeys(table.ALONE, 0.0)
     tried += [
-        tuning.fit(
+        fitting.fit(
             design, explanation.with_cause(at, cause._replace(shape=cause.shape | both)), 3, False
         )[:2]
         for at, cause in enumerate(explanation.causes)
@@ -54,27 +54,27 @@ def refined(design: Design, explanation: Explanation) -> Explanation:
     return better if least < value - _RAMP_EARNS else explanation
 
 
-def remembered(design: Design, explanation: Explanation) -> Explanation:
+def restarted(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with a memory in its likeliest form, its base begun anew: no small step leads there."""
     begun = [
         start(design)._replace(
             sigma=_BEGINS_ROUGH,
             causes=tuple(
-                c._replace(shape=shape) if c.name == tuning.MEMORY else c
+                c._replace(shape=shape) if c.name == fitting.MEMORY else c
                 for c in explanation.causes
             ),
         )
-        for shape in table.OF[tuning.MEMORY].shapes
+        for shape in table.OF[fitting.MEMORY].shapes
     ]
     return min(
-        (tuning.fit(design, one, 5, False, free=("ln_mu",)) for one in begun),
+        (fitting.fit(design, one, 5, False, free=("ln_mu",)) for one in begun),
         key=lambda fit: fit[1],
     )[0]
 
 
-def scaled(design: Design, explanation: Explanation) -> Explanation:
+def refine_scales(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the scales of its causes where they fit best."""
-    value = tuning.deviance(design, explanation)
+    value = fitting.deviance(design, explanation)
     for at, cause in enumerate(explanation.causes):
         for key in [k for k in cause.shape if k in table.OF[cause.name].scales]:
             for by in _FACTORS:
@@ -98,9 +98,9 @@ def _while_it_pays(
         if tried == explanation:
             break
         tried, better = (
-            tuning.fit(design, tried, 2, False)[:2]
+            fitting.fit(design, tried, 2, False)[:2]
             if fits
-            else (tried, tuning.deviance(design, tried))
+            else (tried, fitting.deviance(design, tried))
         )
         if better >= value - fits * _SCALE_EARNS:
             break
@@ -123,14 +123,14 @@ def _ramped(cause: Cause, ramp: float, deeper: float) -> Cause:
         "length_m": cause.shape["length_m"] + 2.0 * wider,
         "ramp": ramp,
     }
-    return tuning.bounded(cause._replace(shape=shape, values=(cause.values[0] * deeper,)))
+    return fitting.within_bounds(cause._replace(shape=shape, values=(cause.values[0] * deeper,)))
 
 
 def _edges_moved(
     design: Design, explanation: Explanation, first: float
 ) -> tuple[Explanation, float]:
     """Edges by steps that begin with a share `first` of the table's."""
-    value = tuning.deviance(design, explanation)
+    value = fitting.deviance(design, explanation)
     for at, cause in enumerate(explanation.causes):
         step = first * table.OF[cause.name].edge_step
         for _ in range(_HALVINGS if step else 0):

@@ -23,9 +23,9 @@ from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.causes.columns import BASE
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
-from rollerrig.rig.identify.decide import simulate, tuning
-from rollerrig.rig.identify.decide.evidence import Finding, generic
-from rollerrig.rig.identify.decide.explain import Account
+from rollerrig.rig.identify.decide import fitting, simulate
+from rollerrig.rig.identify.decide.decision import Diagnosis
+from rollerrig.rig.identify.decide.evidence import ScoreTest, is_smooth_function
 from rollerrig.rig.identify.next_stops import prototype
 from rollerrig.rig.identify.next_stops.prototype import Stop
 
@@ -76,19 +76,19 @@ class Ground(NamedTuple):
 class Library(NamedTuple):
     """What the data at hand and every possible stop tell of the candidates."""
 
-    candidates: tuple[Finding, ...]
+    candidates: tuple[ScoreTest, ...]
     known: Table
     stops: tuple[Stop, ...]
     tables: tuple[Table, ...]
 
 
-def surviving(account: Account) -> tuple[Finding, ...]:
+def surviving(account: Diagnosis) -> tuple[ScoreTest, ...]:
     """The causes that are named or may stand in their place; beside a single one its likeliest rivals."""
     # a shape of single runs is not known for a stop to come
     causes = [
         f
         for f in account.findings
-        if not generic(f.name)
+        if not is_smooth_function(f.name)
         and not any(" " in key for key in f.shape)
         and np.all(np.isfinite(f.estimate))
     ]
@@ -101,7 +101,7 @@ def surviving(account: Account) -> tuple[Finding, ...]:
     return tuple(chosen.values())
 
 
-def possible(data: Dataset, chosen: Sequence[Finding]) -> tuple[Stop, ...]:
+def possible(data: Dataset, chosen: Sequence[ScoreTest]) -> tuple[Stop, ...]:
     """The stops among which is chosen."""
     mass_kg = float(data.sections["vehicle"]["mass_kg"])
     axles = sorted({f.axle for f in chosen if f.axle}) or [1]
@@ -120,7 +120,7 @@ def possible(data: Dataset, chosen: Sequence[Finding]) -> tuple[Stop, ...]:
     )
 
 
-def library(on: Ground, chosen: Sequence[Finding], progress: Progress) -> Library:
+def library(on: Ground, chosen: Sequence[ScoreTest], progress: Progress) -> Library:
     """Information of the data at hand and of each possible stop; a fifth of a second a stop."""
     if not chosen:
         return Library((), Table((), np.zeros((0, 0))), (), ())
@@ -128,11 +128,11 @@ def library(on: Ground, chosen: Sequence[Finding], progress: Progress) -> Librar
     explanation = on.explanation._replace(
         causes=tuple(Cause(f.name, f.axle, f.shape, (0.0,) * len(f.estimate)) for f in chosen)
     )
-    known = _table(tuning.normal(on.design, explanation, False)[0], chosen, "known")
+    known = _table(fitting.normal_equations(on.design, explanation, False)[0], chosen, "known")
     stops, kept, tables = possible(on.data, chosen), [], []
     for k, stop in enumerate(stops):
         design, expected = _simulated(on, stop, explanation)
-        found = tuning.normal(design, expected, False)[0]
+        found = fitting.normal_equations(design, expected, False)[0]
         if np.all(np.isfinite(found.A)):
             kept.append(stop)
             tables.append(_table(found, chosen, f"stop {k}"))
@@ -187,9 +187,9 @@ def _schur(tables: Sequence[Table], names: Sequence[str]) -> np.ndarray:
     return A[:n, :n] - cross.T @ np.linalg.solve(inner, cross)  # [L1]
 
 
-def _table(normal: tuning.Normal, chosen: Sequence[Finding], name: str) -> Table:
+def _table(normal: fitting.NormalEquations, chosen: Sequence[ScoreTest], name: str) -> Table:
     """One column for each candidate, times its size; base columns of single runs get the set's name."""
-    columns, base = normal.matrix.columns, tuning.base_columns(normal.matrix)
+    columns, base = normal.matrix.columns, fitting.base_columns(normal.matrix)
     P = np.zeros((len(columns), len(base) + len(chosen)))
     A, keys = normal.A.copy(), []
     for k, c in enumerate(base):
@@ -206,7 +206,7 @@ def _table(normal: tuning.Normal, chosen: Sequence[Finding], name: str) -> Table
     return Table(tuple(keys), P.T @ A @ P)
 
 
-def _direction(normal: tuning.Normal, f: Finding) -> tuple[list[int], list[float]]:
+def _direction(normal: fitting.NormalEquations, f: ScoreTest) -> tuple[list[int], list[float]]:
     fits = [v for v in normal.matrix.variants if v.cause == f.name and v.axle == f.axle]
     same = [v for v in fits if v.shape == f.shape] or fits
     if not same:

@@ -34,7 +34,7 @@ from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.data.parameters import TAU, patch_of
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
-from rollerrig.rig.identify.decide import tuning
+from rollerrig.rig.identify.decide import fitting
 
 LEAST_SLIDING_M_S, LEAST_SPEED_M_S = 0.3, 4.0
 THINNED_TO_S = 0.05
@@ -256,12 +256,12 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     A replicate draws the 3 s blocks of each run anew and the declared tolerances, and takes one
     Gauss-Newton step from the optimum. What whole runs pull apart is added: blocks do not know it.
     """
-    explanation, _, _ = tuning.fit(design, candidates.start(design))
-    found, linear, answers = tuning.normal(design, explanation, False)
-    at = tuning.base_columns(found.matrix)
+    explanation, _, _ = fitting.fit(design, candidates.start(design))
+    found, linear, answers = fitting.normal_equations(design, explanation, False)
+    at = fitting.base_columns(found.matrix)
     labels = [found.matrix.columns[c].label for c in at]
     prior = np.array([found.matrix.columns[c].prior for c in at])
-    Z = tuning.wheel_answers(design, answers, at)
+    Z = fitting.wheel_answers(design, answers, at)
     z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
     rest = found.A[np.ix_(at, at)] - Z.T @ Z  # the vehicle's balance and the tolerances
     run = np.repeat(design.run, np.diff(design.start))
@@ -280,7 +280,7 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
         shift = np.where(
             prior > 0.0, rng.standard_normal(prior.size) / np.maximum(prior, 1e-12), 0.0
         )
-        spread[i] = tuning.solve(rest + A[picked].sum(axis=0), b[picked].sum(axis=0) + shift)[0]
+        spread[i] = fitting.solve(rest + A[picked].sum(axis=0), b[picked].sum(axis=0) + shift)[0]
     low, high = np.percentile(spread, (2.5, 97.5), axis=0)
     wider = np.hypot(1.0, between / np.maximum(spread.std(axis=0), 1e-12))
     low, high = low * wider, high * wider
@@ -304,7 +304,7 @@ def _between_runs(A: np.ndarray, pulls: np.ndarray) -> np.ndarray:
     runs = len(pulls)
     if runs < 2:
         return np.zeros(len(A))
-    moves = np.array([tuning.solve(A, pull)[0] for pull in pulls])
+    moves = np.array([fitting.solve(A, pull)[0] for pull in pulls])
     return np.sqrt((moves**2).sum(axis=0) * runs / (runs - 1))
 
 

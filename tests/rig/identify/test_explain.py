@@ -9,7 +9,7 @@ from generator import braking_stops, mujoco_stops, other_stops
 
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.identify.decide import evidence, explain, extension
+from rollerrig.rig.identify.decide import decision, evidence, extended_model
 from rollerrig.rig.mechanisms import applied as effects
 
 pytestmark = pytest.mark.explanation
@@ -20,14 +20,14 @@ def silent(title: str, share: float) -> None:
 
 
 def test_stops_with_nothing_hidden_are_consistent() -> None:
-    found = explain.braking_runs(dataset.load("open_none"), 0, silent)
+    found = decision.explain_braking_runs(dataset.load("open_none"), 0, silent)
     assert found.verdict == "consistent"
     assert found.causes == []
     assert found.gain is None
 
 
 def test_cleaning_by_leading_wheels_is_named_and_improves_runs_never_fitted() -> None:
-    found = explain.braking_runs(dataset.load("open_rail_cleaning"), 0, silent)
+    found = decision.explain_braking_runs(dataset.load("open_rail_cleaning"), 0, silent)
     assert found.verdict == "explained"
     assert [named.finding.name for named in found.causes] == ["rail_cleaning"]
     assert found.gain is not None
@@ -41,7 +41,7 @@ def test_cleaning_by_leading_wheels_is_named_and_improves_runs_never_fitted() ->
 
 def test_an_irregularity_of_longer_waves_is_not_told_as_a_patch(tmp_path: Path) -> None:
     # a dip of 4 % on 36 m of this rail, once told as one; it is there in all runs
-    found = explain.braking_runs(
+    found = decision.explain_braking_runs(
         dataset.load(braking_stops.make(tmp_path / "none", {}, 61002)), 0, silent
     )
     assert found.verdict == "consistent"
@@ -51,13 +51,13 @@ def test_a_long_memory_and_one_larger_wheel_of_another_form_are_both_named(tmp_p
     folder = other_stops.make(
         tmp_path / "two", {"adhesion_memory": 4.0, "wheel_radius": 0.001}, 63001
     )
-    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    found = decision.explain_braking_runs(dataset.load(folder), 0, silent)
     assert [named.finding.name for named in found.causes] == ["adhesion_memory", "wheel_radius"]
-    memory, wheel = (extension.parameters(named) for named in found.causes)
+    memory, wheel = (extended_model.parameters(named) for named in found.causes)
     assert memory["length_m"]["value"] == pytest.approx(4.0, abs=1.0)
     assert wheel["fraction"]["ci95"][0] < 0.001 < wheel["fraction"]["ci95"][1]
     model = tmp_path / "extended.toml"
-    model.write_text(extension.toml(found))
+    model.write_text(extended_model.toml(found))
     # every cause of this one is in the plant
     assert "not in the plant" not in model.read_text()
     params = scenario.load("velim_a1", str(model)).params
@@ -72,15 +72,15 @@ def test_a_brake_that_is_stronger_in_half_of_the_runs_only_is_not_explained_by_a
     plain = mujoco_stops.make(tmp_path / "none", {}, 14)
     for run in ("long_2", "short_2", "check_2"):
         shutil.copy(plain / "runs" / f"{run}.csv", folder / "runs")
-    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    found = decision.explain_braking_runs(dataset.load(folder), 0, silent)
     assert found.verdict in ("partly", "unexplained")
-    clear = {f.name for f in found.remainder if evidence.significant(f, 20.0)}
+    clear = {f.name for f in found.remainder if evidence.is_significant(f, 20.0)}
     assert "along the runs in the size of brake_gain" in clear
 
 
 def test_a_wheel_clock_that_runs_behind_is_not_told_as_a_late_sensor(tmp_path: Path) -> None:
     folder = mujoco_stops.make(tmp_path / "clock", {"wheel_clock_drift": 0.0012}, 15)
-    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    found = decision.explain_braking_runs(dataset.load(folder), 0, silent)
     assert found.verdict == "unexplained"
     assert found.causes == []
     # 1.2 ms more in every second: a delay that has another size as time goes on
@@ -90,7 +90,7 @@ def test_a_wheel_clock_that_runs_behind_is_not_told_as_a_late_sensor(tmp_path: P
 
 def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path: Path) -> None:
     folder = braking_stops.make(tmp_path / "joints", {"joints": 0.12}, 12)
-    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    found = decision.explain_braking_runs(dataset.load(folder), 0, silent)
     assert found.verdict == "unexplained"
     assert found.causes == []
     assert found.unknown is not None
@@ -99,7 +99,7 @@ def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path:
     assert found.gain is not None
     assert found.gain.claimed
     model = tmp_path / "extended.toml"
-    model.write_text(extension.toml(found))
+    model.write_text(extended_model.toml(found))
     params = scenario.load("velim_a1", str(model)).params
     effect = dict(zip(effects.PLACE, params.effects.values, strict=True))
     assert effect["empirical_covariate"] == 3
@@ -112,7 +112,7 @@ def test_a_drop_under_the_first_wheelset_at_some_moment_is_not_told_as_cleaning(
     tmp_path: Path,
 ) -> None:
     folder = other_stops.make(tmp_path / "drop", {"one_axle_drop": 0.12}, 24002)
-    found = explain.braking_runs(dataset.load(folder), 0, silent)
+    found = decision.explain_braking_runs(dataset.load(folder), 0, silent)
     assert found.verdict == "unexplained"
     worst = max(found.remainder, key=lambda f: f.statistic)
     assert (worst.name, worst.axle) == ("along time of one axle", 1)

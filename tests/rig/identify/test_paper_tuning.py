@@ -14,7 +14,7 @@ from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.preparation import prepare
-from rollerrig.rig.identify.decide import tuning as fitting
+from rollerrig.rig.identify.decide import fitting
 from rollerrig.rig.identify.paper import tuning, validation
 from tests.generator import braking_stops
 

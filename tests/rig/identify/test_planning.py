@@ -10,14 +10,14 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.decide import tuning
-from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.identify.decide import fitting
+from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.next_stops import planning
 from rollerrig.rig.identify.next_stops.planning import Ground, Library, Table
 
 
-def finding(name: str, size: float, axle: int = 0) -> Finding:
-    return Finding(name, axle, {}, (size,), (0.0,), (abs(size) / 5.0,), 25.0, 1e-6, 1.0, 1.0)
+def finding(name: str, size: float, axle: int = 0) -> ScoreTest:
+    return ScoreTest(name, axle, {}, (size,), (0.0,), (abs(size) / 5.0,), 25.0, 1e-6, 1.0, 1.0)
 
 
 def silent(title: str, share: float) -> None:
@@ -29,7 +29,7 @@ def on() -> Ground:
     """One stop of the shipped set with its fitted base."""
     data = dataset.load("open_none")
     design = preparation.prepare(data, data.group("tune")[:1])
-    return Ground(data, design, tuning.fit(design, candidates.start(design), 3, False)[0])
+    return Ground(data, design, fitting.fit(design, candidates.start(design), 3, False)[0])
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, parameters, preparation
-from rollerrig.rig.identify.decide import evidence, simulate, tuning
+from rollerrig.rig.identify.decide import evidence, fitting, simulate
 from rollerrig.rig.identify.replay import lanes, memory_replay, replay, sensitivity
 
 
@@ -179,7 +179,7 @@ def test_wet_pads_hidden_in_simulated_stops_are_the_likeliest_cause(
         data, design, data.group("tune"), told._replace(causes=(wet,)), np.random.default_rng(6)
     )
     seen = preparation.prepare(data, made, design)
-    found = evidence.likely(seen, tuning.normal(seen, told)[0], 3)
+    found = evidence.most_promising(seen, fitting.normal_equations(seen, told)[0], 3)
     assert found[0].name == "wet_pads"
-    fitted = tuning.fit(seen, told._replace(causes=(found[0],)), 4, False)[0]
+    fitted = fitting.fit(seen, told._replace(causes=(found[0],)), 4, False)[0]
     assert fitted.causes[0].values[0] == pytest.approx(0.25, abs=0.08)

@@ -9,24 +9,31 @@ from generator import braking_stops, other_stops
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.decide import choice, evidence, null_sets, shapes, simulate, tuning
+from rollerrig.rig.identify.decide import (
+    choice,
+    evidence,
+    fitting,
+    null_simulations,
+    shapes,
+    simulate,
+)
 
 
 def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path) -> None:
     data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
-    base, _, _ = tuning.fit(design, candidates.start(design))
+    base, _, _ = fitting.fit(design, candidates.start(design))
     patch = Cause("contaminated_patch", 0, {"start_m": 212.0, "length_m": 90.0}, (0.3,))
     made = simulate.runs(
         data, design, runs, base._replace(causes=(patch,)), np.random.default_rng(3)
     )
     seen = preparation.prepare(data, made, design)
     coarse = patch._replace(shape={"start_m": 200.0, "length_m": 125.0})
-    told, before, _ = tuning.fit(seen, base._replace(causes=(coarse,)), 4)
-    better = shapes.refined(seen, told)
+    told, before, _ = fitting.fit(seen, base._replace(causes=(coarse,)), 4)
+    better = shapes.refine_windows(seen, told)
     found = better.causes[0].shape
-    assert tuning.deviance(seen, better) < before
+    assert fitting.deviance(seen, better) < before
     assert found["start_m"] == pytest.approx(212.0, abs=4.0)
     assert found["start_m"] + found["length_m"] == pytest.approx(302.0, abs=4.0)
 
@@ -35,16 +42,16 @@ def test_the_scale_of_a_cause_moves_to_that_of_the_rail(tmp_path: Path) -> None:
     data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
-    base, _, _ = tuning.fit(design, candidates.start(design))
+    base, _, _ = fitting.fit(design, candidates.start(design))
     cleaning = Cause("rail_cleaning", 0, {"energy_J_m": 60.0}, (0.25,))
     made = simulate.runs(
         data, design, runs, base._replace(causes=(cleaning,)), np.random.default_rng(4)
     )
     seen = preparation.prepare(data, made, design)
     coarse = cleaning._replace(shape={"energy_J_m": 600.0})
-    told, before, _ = tuning.fit(seen, base._replace(causes=(coarse,)), 4)
-    better = shapes.scaled(seen, told)
-    assert tuning.deviance(seen, better) < before - 20.0
+    told, before, _ = fitting.fit(seen, base._replace(causes=(coarse,)), 4)
+    better = shapes.refine_scales(seen, told)
+    assert fitting.deviance(seen, better) < before - 20.0
     assert 30.0 < better.causes[0].shape["energy_J_m"] < 130.0
 
 
@@ -54,11 +61,13 @@ def test_a_long_memory_is_found_from_a_base_that_had_to_leave_recovery_out(tmp_p
     )
     data = dataset.load(folder)
     design = preparation.prepare(data, data.group("tune"))
-    base, value, _ = tuning.fit(design, candidates.start(design))
+    base, value, _ = fitting.fit(design, candidates.start(design))
     # to the base alone a late recovery looks like none, and like a rough rail
     assert base.base["ln_tau"] < -1.0
     assert base.sigma > 0.08
-    found = choice.fit_one(design, base._replace(causes=(Cause("adhesion_memory", 0, {}, (1.0,)),)))
+    found = choice.fit_explanation(
+        design, base._replace(causes=(Cause("adhesion_memory", 0, {}, (1.0,)),))
+    )
     assert value - found.value > 1000.0
     assert abs(found.explanation.base.get("ln_tau", 0.0)) < 0.3
     assert found.explanation.causes[0].values[0] == pytest.approx(4.0, abs=1.0)
@@ -73,7 +82,7 @@ def test_a_fit_beside_a_memory_ends_where_no_coefficient_alone_is_better_elsewhe
     )
     design = preparation.prepare(data, data.group("tune"))
     begun = candidates.start(design)._replace(causes=(Cause("adhesion_memory", 0, {}, (2.0,)),))
-    found, value, _ = tuning.fit(design, tuning.fit(design, begun, 9)[0], 9)
+    found, value, _ = fitting.fit(design, fitting.fit(design, begun, 9)[0], 9)
     memory = found.causes[0]
     beside = [
         found._replace(base=found.base | {label: x + step})
@@ -84,7 +93,7 @@ def test_a_fit_beside_a_memory_ends_where_no_coefficient_alone_is_better_elsewhe
         found.with_cause(0, memory._replace(values=(memory.values[0] + step,)))
         for step in (-0.02, 0.02)
     ]
-    assert min(tuning.deviance(design, other) for other in beside) > value - 1.0
+    assert min(fitting.deviance(design, other) for other in beside) > value - 1.0
 
 
 @pytest.mark.parametrize("source", ["load", "pole wheel"])
@@ -103,15 +112,15 @@ def test_a_speed_that_swings_by_its_pole_wheel_leaves_a_remainder_that_an_out_of
             run._replace(wheel_speed_rad_s=wheel) for run, wheel in zip(runs, told, strict=True)
         ]
     design = preparation.prepare(data, runs)
-    base, _, _ = tuning.fit(design, candidates.start(design))
+    base, _, _ = fitting.fit(design, candidates.start(design))
     swings = [
         c
-        for c in evidence.likely(design, tuning.normal(design, base)[0], 4)
+        for c in evidence.most_promising(design, fitting.normal_equations(design, base)[0], 4)
         if c.name == "wheel_out_of_round"
     ]
     assert len(swings) == 1
-    found, _, _ = tuning.fit(design, base._replace(causes=tuple(swings)), 6)
-    normal = tuning.normal(design, found)[0]
+    found, _, _ = fitting.fit(design, base._replace(causes=tuple(swings)), 6)
+    normal = fitting.normal_equations(design, found)[0]
     left = evidence.scores(normal, ("wheel_out_of_round",))
     [own] = [
         v
@@ -130,7 +139,7 @@ def test_sand_in_every_run_is_found_to_the_instant_on_a_rail_that_it_made_look_r
     data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
-    base = tuning.fit(design, candidates.start(design))[0]._replace(sigma=0.003)
+    base = fitting.fit(design, candidates.start(design))[0]._replace(sigma=0.003)
 
     def sand(start_s: float, duration_s: float) -> Cause:
         window = {"start_s": start_s, "duration_s": duration_s}
@@ -145,9 +154,9 @@ def test_sand_in_every_run_is_found_to_the_instant_on_a_rail_that_it_made_look_r
         data, design, runs, base._replace(causes=(sand(6.33, 4.55),)), np.random.default_rng(5)
     )
     seen = preparation.prepare(data, made, design)
-    told, _, _ = tuning.fit(seen, base._replace(causes=(sand(6.0, 4.0),), sigma=0.03), 4)
+    told, _, _ = fitting.fit(seen, base._replace(causes=(sand(6.0, 4.0),), sigma=0.03), 4)
     assert told.sigma > 0.01
-    found = shapes.refined(seen, told).causes[0].shape
+    found = shapes.refine_windows(seen, told).causes[0].shape
     for run in runs:
         assert found[f"start_s {run.name}"] == pytest.approx(6.33, abs=0.05)
         assert found[f"start_s {run.name}"] + found[f"duration_s {run.name}"] == pytest.approx(
@@ -161,18 +170,18 @@ def test_a_patch_shows_behind_another_cause_on_the_rail_that_is_left_without_it(
     data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
-    base = tuning.fit(design, candidates.start(design))[0]
+    base = fitting.fit(design, candidates.start(design))[0]
     inertia = Cause("wheel_inertia", 0, {}, (0.1,))
     patch = Cause("contaminated_patch", 0, {"start_m": 60.0, "length_m": 50.0}, (0.25,))
     made = simulate.runs(
         data, design, runs, base._replace(causes=(inertia, patch)), np.random.default_rng(6)
     )
     seen = preparation.prepare(data, made, design)
-    first, _, _ = tuning.fit(seen, base._replace(causes=(inertia,)), 6)
+    first, _, _ = fitting.fit(seen, base._replace(causes=(inertia,)), 6)
     assert first.sigma > 1.3 * base.sigma
-    with null_sets.workers() as pool:
-        setting = null_sets.Setting(data, runs, seen, pool, lambda *_: None)
-        quiet, _ = choice.quieted(
+    with null_simulations.worker_pool() as pool:
+        setting = null_simulations.Workspace(data, runs, seen, pool, lambda *_: None)
+        quiet, _ = choice.with_remaining_irregularity(
             setting, first, [patch._replace(shape={"start_m": 50.0, "length_m": 75.0})]
         )
     assert quiet.sigma == pytest.approx(base.sigma, rel=0.15)

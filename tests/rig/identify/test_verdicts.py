@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from rollerrig.rig.identify.causes.candidates import Cause
-from rollerrig.rig.identify.decide import choice, evidence, explain, extension
-from rollerrig.rig.identify.decide.choice import NamedCause
-from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.identify.decide import choice, decision, evidence, extended_model
+from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.evidence import ScoreTest
 
 
-def finding(name: str, statistic: float) -> Finding:
-    return Finding(
+def finding(name: str, statistic: float) -> ScoreTest:
+    return ScoreTest(
         name=name,
         axle=0,
         shape={},
@@ -24,8 +24,8 @@ def finding(name: str, statistic: float) -> Finding:
     )
 
 
-def named(won: float, name: str = "speed_sensor_delay") -> NamedCause:
-    return NamedCause(
+def named(won: float, name: str = "speed_sensor_delay") -> IdentifiedCause:
+    return IdentifiedCause(
         finding(name, won),
         Cause(name, 0, {}, (0.02,)),
         won,
@@ -49,39 +49,39 @@ def named(won: float, name: str = "speed_sensor_delay") -> NamedCause:
 )
 def test_the_more_remains_behind_a_cause_the_less_is_said(left: float, verdict: str) -> None:
     causes, notes = [named(1000.0)], []
-    found = explain._verdict(causes, [finding("along vehicle time", left)], None, notes)
+    found = decision._verdict(causes, [finding("along vehicle time", left)], None, notes)
     assert found == verdict
     # what is left is told, unless it is nothing
     assert bool(notes) == (found == "unexplained" or 20.0 < left < 80.0)
 
 
 def test_the_share_that_remains_is_of_all_that_was_found() -> None:
-    assert explain.remainder_share(
+    assert decision.remainder_share(
         [named(1000.0)], [finding("along time", 250.0)]
     ) == pytest.approx(0.2)
-    assert explain.remainder_share([named(1000.0)], []) == 0.0
+    assert decision.remainder_share([named(1000.0)], []) == 0.0
 
 
 def test_nothing_named_and_nothing_left_is_consistent() -> None:
-    assert explain._verdict([], [], None, []) == "consistent"
-    assert explain._verdict([], [finding("along time", 100.0)], None, []) == "unexplained"
+    assert decision._verdict([], [], None, []) == "consistent"
+    assert decision._verdict([], [finding("along time", 100.0)], None, []) == "unexplained"
 
 
 def test_two_causes_that_leave_much_are_told_in_a_note_and_not_named() -> None:
     two, notes = [named(1000.0), named(500.0)], list[str]()
     assert (
-        explain._verdict(two, [finding("along vehicle time", 200.0)], None, notes) == "unexplained"
+        decision._verdict(two, [finding("along vehicle time", 200.0)], None, notes) == "unexplained"
     )
     assert notes[0].startswith(
         "behind speed_sensor_delay and speed_sensor_delay much remains along vehicle time"
     )
-    assert explain._verdict(two, [finding("along vehicle time", 60.0)], None, []) == "explained"
+    assert decision._verdict(two, [finding("along vehicle time", 60.0)], None, []) == "explained"
 
 
 def test_another_form_of_its_own_excuses_what_one_cause_leaves_and_not_what_two_leave() -> None:
     drag, left = named(1000.0, "running_resistance"), [finding("along vehicle speed", 110.0)]
-    assert explain._verdict([drag], left, None, []) == "explained"
-    assert explain._verdict([drag, named(10.0)], left, None, []) == "unexplained"
+    assert decision._verdict([drag], left, None, []) == "explained"
+    assert decision._verdict([drag, named(10.0)], left, None, []) == "unexplained"
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_wrong_shape_of_the_first_cause_lends_a_second_a_share_of_what_it_won_
     first, second, won, lent
 ) -> None:
     one, ratio = named(sum(first))._replace(won=first), sum(won)
-    assert ratio - choice._earned(
+    assert ratio - choice._net_likelihood(
         one, finding(second, ratio), ratio, np.array(won)
     ) == pytest.approx(lent)
 
@@ -132,7 +132,7 @@ def test_a_wrong_shape_of_a_cause_of_one_wheelset_lends_nothing_in_the_filters_o
         won=(0.0, 0.0, 5000.0, 0.0, 0.0), cause=Cause("wheel_radius", 3, {}, (0.01,))
     )
     ratio = sum(won)
-    assert ratio - choice._earned(
+    assert ratio - choice._net_likelihood(
         radius, finding("sanding", ratio), ratio, np.array(won)
     ) == pytest.approx(lent)
 
@@ -140,7 +140,7 @@ def test_a_wrong_shape_of_a_cause_of_one_wheelset_lends_nothing_in_the_filters_o
 def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_one_of_a_single_wheelset() -> None:
     one = named(4000.0)._replace(won=(1000.0, 1000.0, 1000.0, 1000.0, 0.0))
     of_axle_2 = finding("brake_gain", 300.0)._replace(axle=2)
-    assert choice._earned(
+    assert choice._net_likelihood(
         one, of_axle_2, 300.0, np.array([0.0, 300.0, 0.0, 0.0, 0.0])
     ) == pytest.approx(100.0)
 
@@ -158,7 +158,9 @@ def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_one_of_a_single
 def test_a_cause_shows_in_the_filters_of_its_wheelsets_and_what_slows_the_vehicle_in_that_of_the_vehicle(
     name, axle, shows
 ) -> None:
-    assert choice._shows(finding(name, 99.0)._replace(axle=axle)).tolist() == list(shows)
+    assert choice._filters_that_respond(finding(name, 99.0)._replace(axle=axle)).tolist() == list(
+        shows
+    )
 
 
 def test_the_model_that_is_judged_and_written_has_a_cause_less_the_bias_of_clean_sets() -> None:
@@ -166,12 +168,12 @@ def test_the_model_that_is_judged_and_written_has_a_cause_less_the_bias_of_clean
         finding=finding("speed_sensor_delay", 100.0)._replace(bias=(0.003,))
     )
     assert one.unbiased.values == pytest.approx((0.017,))
-    assert extension.parameters(one)["delay_s"]["value"] == pytest.approx(0.017)
+    assert extended_model.parameters(one)["delay_s"]["value"] == pytest.approx(0.017)
 
 
 def test_a_cause_whose_simulated_stops_do_not_brake_like_the_recording_is_not_named() -> None:
     notes: list[str] = []
-    assert explain._verdict([named(1000.0)], None, None, notes) == "unexplained"
+    assert decision._verdict([named(1000.0)], None, None, notes) == "unexplained"
     assert "do not brake like the recording" in notes[0]
 
 
@@ -193,7 +195,7 @@ def test_clean_sets_are_enough_where_one_finding_stands_out_or_none_is_near_its_
     seen: dict[str, tuple[float, float]], enough: bool
 ) -> None:
     found = [finding(name, statistic)._replace(p_value=p) for name, (statistic, p) in seen.items()]
-    assert evidence.settled(found) is enough
+    assert evidence.is_settled(found) is enough
 
 
 @pytest.mark.parametrize(
@@ -204,11 +206,11 @@ def test_causes_are_told_apart_only_where_one_wins_more_than_a_wrong_form_may_co
     less, form, alike
 ) -> None:
     # in every block of 3 s the second wins the same share of what the first wins: by chance alone they differ surely
-    def fit(won: float) -> choice.Fitted:
-        return choice.Fitted(None, -won, np.zeros((1, 1)), np.full((5, 20), -won / 100.0))
+    def fit(won: float) -> choice.Fit:
+        return choice.Fit(None, -won, np.zeros((1, 1)), np.full((5, 20), -won / 100.0))
 
-    beside = choice._beside(
+    beside = choice._rivals(
         fit(1000.0), 1000.0, [(choice.Candidate(finding("friction_trend", less), fit(less)), less)]
     )
     assert beside[0].share == less / 1000.0
-    assert choice._alike(beside, form) == (("friction_trend",) if alike else ())
+    assert choice._confusable(beside, form) == (("friction_trend",) if alike else ())

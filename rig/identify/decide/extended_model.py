@@ -10,15 +10,15 @@ from typing import Any
 
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.columns import PLACE_BIN_M, TIME_BIN_S
-from rollerrig.rig.identify.decide.choice import NamedCause
-from rollerrig.rig.identify.decide.explain import Account
-from rollerrig.rig.identify.decide.unknown import Formula
+from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.decision import Diagnosis
+from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
 from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
 
 _LEAST_S = 0.001  # what a frame may be late by on the bench's bus
 
 
-def parameters(named: NamedCause) -> dict[str, dict[str, Any]]:
+def parameters(named: IdentifiedCause) -> dict[str, dict[str, Any]]:
     """Coefficients of a named cause: value, 95 % interval, unit."""
     if table.OF[named.cause.name].phase:
         return _swing(named)
@@ -54,7 +54,7 @@ def _width(cause: str, name: str, value: float) -> list[float]:
     return [value - edge, value + edge]
 
 
-def _swing(named: NamedCause) -> dict[str, dict[str, Any]]:
+def _swing(named: IdentifiedCause) -> dict[str, dict[str, Any]]:
     values, sd = named.cause.values, float(max(named.deviation))
     runs = max(len(values) // 2, 1)
     square = sum(v * v for v in values) / runs - 2.0 * sd * sd
@@ -73,7 +73,7 @@ def _swing(named: NamedCause) -> dict[str, dict[str, Any]]:
     }
 
 
-def _empirical(formula: Formula) -> list[str]:
+def _empirical(formula: EmpiricalFormula) -> list[str]:
     lines = ["", f"# empirical, no physics: {formula.text}"]
     if "on_vehicle" in formula.cause.shape:
         return [*lines, "# a force on the vehicle: the plant has no such term"]
@@ -82,7 +82,7 @@ def _empirical(formula: Formula) -> list[str]:
     return [*lines, "[mechanisms]", *(f"empirical_{k} = {v:.6g}" for k, v in entries.items())]
 
 
-def toml(account: Account) -> str:
+def toml(account: Diagnosis) -> str:
     """The extended model."""
     law = account.data.sections["adhesion"]
     tau = law["tau_m_J"] * math.exp(account.final.base.get("ln_tau", 0.0))
@@ -113,7 +113,7 @@ def toml(account: Account) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _of_recording(named: NamedCause) -> list[str]:
+def _of_recording(named: IdentifiedCause) -> list[str]:
     """Comments on a cause that is a sensor's."""
     found = parameters(named)
     values = ", ".join(f"{k} = {v['value']:.4g}" for k, v in found.items())

@@ -17,8 +17,8 @@ from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED
 from rollerrig.rig.identify.causes.courses import covariate, of_vehicle
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import gain
-from rollerrig.rig.identify.decide.choice import NamedCause
-from rollerrig.rig.identify.decide.explain import Account
+from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, VEHICLE, arguments
 from rollerrig.rig.mechanisms.table import BY_NAME
 
@@ -61,7 +61,7 @@ def binned(x: np.ndarray, y: np.ndarray, block: np.ndarray, edges: np.ndarray) -
     return Binned(*np.array(found).T) if found else Binned(*np.zeros((3, 0)))
 
 
-def where(a: Account, against: list[str]) -> list[Panel]:
+def where(a: Diagnosis, against: list[str]) -> list[Panel]:
     """What the base leaves of the adhesion, against what shows it most, each axle."""
     d = a.design
     left, better = (_left(d, one) for one in (a.base, a.final))
@@ -95,7 +95,7 @@ def where(a: Account, against: list[str]) -> list[Panel]:
     return found
 
 
-def cause(a: Account, named: NamedCause) -> Panel:
+def cause(a: Diagnosis, named: IdentifiedCause) -> Panel:
     """What the model without a cause leaves along what the cause goes by, and the fitted law over it."""
     d, row = a.design, BY_NAME[named.cause.name]
     without = a.final._replace(
@@ -154,7 +154,7 @@ def draw(figure: Figure, panels: list[Panel]) -> None:
     axes.legend()
 
 
-def stretch(figure: Figure, a: Account) -> None:
+def stretch(figure: Figure, a: Diagnosis) -> None:
     """Measured, base and extended adhesion over one another, for the seconds and the axle where the two differ most."""
     d = a.design
     (measured, base, sliding), (_, better, _) = gain.adhesion(d, a.base), gain.adhesion(d, a.final)

@@ -15,10 +15,17 @@ from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
-from rollerrig.rig.identify.decide import choice, evidence, gain, null_sets, tuning, unknown
-from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.identify.decide import (
+    choice,
+    empirical,
+    evidence,
+    fitting,
+    gain,
+    null_simulations,
+)
+from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
+from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.gain import Gain
-from rollerrig.rig.identify.decide.unknown import Formula
 from rollerrig.rig.identify.replay import sensitivity
 
 CLEAN_SETS, MOST_PROMISING, MOST_FITTED = 60, 4, 5
@@ -28,7 +35,7 @@ REMAINDER_SHARE, OWN_REMAINDER_SHARE = 0.08, 0.2
 PARTLY_SHARE = 0.15  # up to here a cause is named beside the remainder: "partly"
 
 
-class Account(NamedTuple):
+class Diagnosis(NamedTuple):
     """All that was found about braking runs."""
 
     data: Dataset
@@ -37,41 +44,51 @@ class Account(NamedTuple):
     base: Explanation
     final: Explanation
     verdict: str
-    causes: list[choice.NamedCause]
+    causes: list[choice.IdentifiedCause]
     set_aside: list[
-        choice.NamedCause
+        choice.IdentifiedCause
     ]  # fitted, and not named: what remains behind them is too much
-    findings: list[Finding]
-    remainder: list[Finding]
+    findings: list[ScoreTest]
+    remainder: list[ScoreTest]
     gain: Gain | None
     p_value: float
     notes: list[str]
-    unknown: Formula | None
+    unknown: EmpiricalFormula | None
     elapsed_s: float
 
 
-def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Account:
+def explain_braking_runs(
+    data: Dataset, seed: int, progress: null_simulations.Progress
+) -> Diagnosis:
     """The account of a set of braking runs. Raises ConfigError where nothing can be concluded."""
     from threadpoolctl import threadpool_limits
 
     began = time.monotonic()
-    with threadpool_limits(1), null_sets.workers() as pool:
+    with threadpool_limits(1), null_simulations.worker_pool() as pool:
         measured = data.group("tune")
         design = prepare(data, measured)
-        setting = null_sets.Setting(data, measured, design, pool, progress)
+        setting = null_simulations.Workspace(data, measured, design, pool, progress)
         progress("fit of the base", 0.0)
-        base, value, _ = tuning.fit(design, candidates.start(design))
+        base, value, _ = fitting.fit(design, candidates.start(design))
         progress("fit of the base", 1.0)
         _check(design, base)
-        likely = evidence.likely(design, tuning.normal(design, base)[0], MOST_PROMISING)
-        quiet, promising = choice.quieted(setting, base, likely)
-        found, scored, nulls = null_sets.judged(setting, quiet, CLEAN_SETS, seed)
-        rivals = choice.fitted(setting, base, found, MOST_FITTED, promising)
-        rivals = choice.and_ready(value, rivals, promising, scored, nulls)
-        explanation, causes = choice.scaled(design, *choice.choose(design, base, value, rivals))
-        remainder: list[Finding] | None = [f for f in found if evidence.generic(f.name)]
+        likely = evidence.most_promising(
+            design, fitting.normal_equations(design, base)[0], MOST_PROMISING
+        )
+        quiet, promising = choice.with_remaining_irregularity(setting, base, likely)
+        found, scored, nulls = null_simulations.score_against_nulls(
+            setting, quiet, CLEAN_SETS, seed
+        )
+        rivals = choice.fit_significant(setting, base, found, MOST_FITTED, promising)
+        rivals = choice.add_ready_fits(value, rivals, promising, scored, nulls)
+        explanation, causes = choice.refine_scales(
+            design, *choice.choose(design, base, value, rivals)
+        )
+        remainder: list[ScoreTest] | None = [
+            f for f in found if evidence.is_smooth_function(f.name)
+        ]
         if causes:
-            explanation, causes, remainder = choice.second_cause(
+            explanation, causes, remainder = choice.add_second_cause(
                 setting, explanation, causes, rivals, seed
             )
         explanation = explanation._replace(causes=tuple(named.unbiased for named in causes))
@@ -83,14 +100,14 @@ def braking_runs(data: Dataset, seed: int, progress: null_sets.Progress) -> Acco
             causes, set_aside, explanation, won = [], causes, base, None
         if verdict == "unexplained":
             progress("formula", 0.0)
-            formula = unknown.find(
-                design, held, quiet, [f for f in found if evidence.generic(f.name)], seed
+            formula = empirical.find(
+                design, held, quiet, [f for f in found if evidence.is_smooth_function(f.name)], seed
             )
             progress("formula", 1.0)
         if formula is not None:
             explanation, won = formula.explanation, formula.gain
     p_value = min([f.p_value for f in found], default=1.0)
-    return Account(
+    return Diagnosis(
         data,
         design,
         held,
@@ -124,7 +141,7 @@ def _gain(
     held: Design | None,
     base: Explanation,
     explanation: Explanation,
-    causes: list[choice.NamedCause],
+    causes: list[choice.IdentifiedCause],
     seed: int,
     notes: list[str],
 ) -> Gain | None:
@@ -141,8 +158,8 @@ def _gain(
 
 
 def _verdict(
-    causes: list[choice.NamedCause],
-    remainder: list[Finding] | None,
+    causes: list[choice.IdentifiedCause],
+    remainder: list[ScoreTest] | None,
     won: Gain | None,
     notes: list[str],
 ) -> str:
@@ -151,7 +168,7 @@ def _verdict(
         told = " and ".join(named.finding.name for named in causes)
         notes.append(f"simulated stops with {told} do not brake like the recording: not named")
         return "unexplained"
-    left = [f for f in remainder if evidence.significant(f, 20.0)]
+    left = [f for f in remainder if evidence.is_significant(f, 20.0)]
     if not causes:
         return "unexplained" if left else "consistent"
     if won is not None and won.likelihood < 0.0:
@@ -185,7 +202,7 @@ def _verdict(
     return "partly" if much else "explained"
 
 
-def remainder_share(causes: list[choice.NamedCause], remainder: list[Finding]) -> float:
+def remainder_share(causes: list[choice.IdentifiedCause], remainder: list[ScoreTest]) -> float:
     """Likelihood that the largest remainder would win, over that of the causes and itself."""
-    most = max((f.statistic for f in remainder if evidence.significant(f, 20.0)), default=0.0)
+    most = max((f.statistic for f in remainder if evidence.is_significant(f, 20.0)), default=0.0)
     return most / max(most + sum(named.ratio for named in causes), 1e-9)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from rollerrig.realtime.pictures.panel import Panel
-from rollerrig.realtime.reports import explain_pictures as pictures
+from rollerrig.realtime.reports import cause_pictures as pictures
 from rollerrig.realtime.reports import page as html
 from rollerrig.rig.identify.data import preparation as prepared
-from rollerrig.rig.identify.decide import evidence, explain, extension, gain, simulate
-from rollerrig.rig.identify.decide.choice import NamedCause
-from rollerrig.rig.identify.decide.explain import Account
+from rollerrig.rig.identify.decide import decision, evidence, extended_model, gain, simulate
+from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.mechanisms.mechanism import ALONE
 from rollerrig.rig.mechanisms.table import BY_NAME, TABLE
 
@@ -23,7 +23,7 @@ from rollerrig.rig.mechanisms.table import BY_NAME, TABLE
 _SEEN = 5.0
 
 
-def as_json(a: Account) -> dict[str, Any]:
+def as_json(a: Diagnosis) -> dict[str, Any]:
     """What report.json holds."""
     # the noise floor: simulated stops with nothing else in them
     made = simulate.runs(a.data, a.design, a.data.group("tune"), a.final, np.random.default_rng(1))
@@ -80,12 +80,16 @@ def as_json(a: Account) -> dict[str, Any]:
 
 def _rms(design: prepared.Design, found: Any) -> float:
     return float(
-        np.sqrt(np.mean(gain.missing(design, found)[design.speed_m_s > gain.SLOWEST_M_S] ** 2))
+        np.sqrt(
+            np.mean(gain.missing_adhesion(design, found)[design.speed_m_s > gain.SLOWEST_M_S] ** 2)
+        )
     )
 
 
-def _worst(a: Account) -> list[str]:
-    smooth = sorted((f for f in a.findings if evidence.generic(f.name)), key=lambda f: f.p_value)
+def _worst(a: Diagnosis) -> list[str]:
+    smooth = sorted(
+        (f for f in a.findings if evidence.is_smooth_function(f.name)), key=lambda f: f.p_value
+    )
     return [evidence.against(f) for f in smooth[:3]]
 
 
@@ -94,25 +98,25 @@ def _number(value: float, digits: int = 3) -> str:
     return f"{float(f'{value:.{digits}g}'):g}"
 
 
-def _remainder(a: Account) -> dict[str, Any]:
+def _remainder(a: Diagnosis) -> dict[str, Any]:
     left = sorted(
-        (f for f in a.remainder if evidence.significant(f, 20.0)), key=lambda f: -f.statistic
+        (f for f in a.remainder if evidence.is_significant(f, 20.0)), key=lambda f: -f.statistic
     )
     return {
-        "share": explain.remainder_share(a.causes, a.remainder),
+        "share": decision.remainder_share(a.causes, a.remainder),
         "against": [evidence.against(f) for f in left],
     }
 
 
-def _bic(a: Account, statistic: float, size: int) -> float:
+def _bic(a: Diagnosis, statistic: float, size: int) -> float:
     return statistic - size * math.log(a.design.measured_rad_s.size)
 
 
-def _cause(a: Account, named: NamedCause) -> dict[str, Any]:
+def _cause(a: Diagnosis, named: IdentifiedCause) -> dict[str, Any]:
     return {
         "name": named.cause.name,
         "axles": [named.cause.axle] if named.cause.axle else None,
-        "parameters": extension.parameters(named),
+        "parameters": extended_model.parameters(named),
         "evidence": {
             "likelihood": named.ratio,
             "delta_bic": _bic(a, named.ratio, len(named.cause.values) + len(named.cause.shape)),
@@ -125,12 +129,12 @@ def _cause(a: Account, named: NamedCause) -> dict[str, Any]:
     }  # the file's name, where one is written: see `planning`
 
 
-def _screened(a: Account, name: str) -> dict[str, Any]:
+def _screened(a: Diagnosis, name: str) -> dict[str, Any]:
     found = next((f for f in a.findings if f.name == name), None)
     if found is None:
         return {"name": name, "delta_bic": None, "rejected_because": "these runs cannot show it"}
     smallest, row = _SEEN * found.deviation[0], BY_NAME[name].parameters[0]
-    if not evidence.significant(found):
+    if not evidence.is_significant(found):
         why = (
             f"not beyond chance (p = {found.p_value:.2g}); these runs would have shown "
             f"{row.name} = {_number(smallest, 2)}{_unit(row.source)} or more"
@@ -153,7 +157,7 @@ def _unit(name: str) -> str:
     return "" if name in ("", "-") else f" {name}"
 
 
-def story(a: Account) -> list[str]:
+def story(a: Diagnosis) -> list[str]:
     """What is wrong, by how much, where, why, and what it is worth: a few sentences."""
     lines = []
     if a.verdict == "consistent":
@@ -166,7 +170,7 @@ def story(a: Account) -> list[str]:
         values = ", ".join(
             f"{k} = {_number(v['value'])} ({' to '.join(map(_number, v['ci95']))})"
             f"{_unit(v['unit'])}"
-            for k, v in extension.parameters(named).items()
+            for k, v in extended_model.parameters(named).items()
             if k != ALONE.name
         )
         of = f" on wheelset {named.cause.axle}" if named.cause.axle else ""
@@ -200,14 +204,14 @@ def story(a: Account) -> list[str]:
     return lines + [f"Note: {note}." for note in a.notes]
 
 
-def panels(a: Account, report: dict[str, Any]) -> tuple[list[Panel], list[Panel]]:
+def panels(a: Diagnosis, report: dict[str, Any]) -> tuple[list[Panel], list[Panel]]:
     """Where it shows, and each cause."""
     return pictures.where(a, report["misfit"]["worst_against"]), [
         pictures.cause(a, named) for named in a.causes
     ]
 
 
-def page(a: Account, report: dict[str, Any]) -> str:
+def page(a: Diagnosis, report: dict[str, Any]) -> str:
     """The HTML page, without outside parts: verdict, where it shows, the cause, the gain, what was ruled out."""
     where, of_causes = panels(a, report)
     causes = [html.picture(partial(pictures.draw, panels=[one]), (7.5, 3.8)) for one in of_causes]
@@ -259,7 +263,7 @@ def _gains(g: gain.Gain) -> html.Markup:
     )
 
 
-def in_words(a: Account, report: dict[str, Any]) -> str:
+def in_words(a: Diagnosis, report: dict[str, Any]) -> str:
     """Verdict, story and what was ruled out, as Markdown."""
     out = [
         f"- {BY_NAME[s['name']].text}: {s['rejected_because']}"
@@ -269,7 +273,7 @@ def in_words(a: Account, report: dict[str, Any]) -> str:
     return "\n\n".join((f"# {a.verdict}", *story(a), "## What was ruled out", "\n".join(out)))
 
 
-def courses(a: Account) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def courses(a: Diagnosis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Rerun path -> (time s, values (n, 3): measured, base, extended adhesion)."""
     measured, base, _ = gain.adhesion(a.design, a.base)
     _, better, _ = gain.adhesion(a.design, a.final)

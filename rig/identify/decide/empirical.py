@@ -16,8 +16,8 @@ import numpy as np
 from rollerrig.rig.identify.causes import courses
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.decide import gain, tuning
-from rollerrig.rig.identify.decide.evidence import Finding
+from rollerrig.rig.identify.decide import fitting, gain
+from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, Covariate
@@ -28,7 +28,7 @@ PERIODS_M = np.geomspace(4.0, 150.0, 400)
 _WORDS = {c.word: (code, c) for code, c in enumerate(COVARIATES, start=1) if c.word}
 
 
-class Formula(NamedTuple):
+class EmpiricalFormula(NamedTuple):
     """An empirical term: its cause, the explanation with it, its words, its worth."""
 
     cause: Cause
@@ -39,15 +39,19 @@ class Formula(NamedTuple):
 
 
 def find(
-    design: Design, held: Design | None, base: Explanation, remainder: Sequence[Finding], seed: int
-) -> Formula | None:
+    design: Design,
+    held: Design | None,
+    base: Explanation,
+    remainder: Sequence[ScoreTest],
+    seed: int,
+) -> EmpiricalFormula | None:
     """The best formula that holds on runs never fitted, or None."""
     if held is None:
         return None
-    value = tuning.deviance(design, base)
+    value = fitting.deviance(design, base)
     tried = []
     for shape in _shapes(design, base, remainder):
-        explanation, better, _ = tuning.fit(
+        explanation, better, _ = fitting.fit(
             design,
             base._replace(causes=(*base.causes, Cause("empirical", 0, shape, (0.0, 0.0)))),
             6,
@@ -58,12 +62,12 @@ def find(
         won = gain.measure(held, base, explanation, seed)
         if won.claimed:
             cause = explanation.causes[-1]
-            return Formula(cause, explanation, text(cause), (_of(cause).word,), won)
+            return EmpiricalFormula(cause, explanation, text(cause), (_of(cause).word,), won)
     return None
 
 
 def _shapes(
-    design: Design, base: Explanation, remainder: Sequence[Finding]
+    design: Design, base: Explanation, remainder: Sequence[ScoreTest]
 ) -> list[dict[str, float]]:
     names = [f.name.removeprefix("along ") for f in sorted(remainder, key=lambda f: f.p_value)]
     found = []

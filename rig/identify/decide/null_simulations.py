@@ -17,7 +17,7 @@ from rollerrig.configs.processes import children
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
-from rollerrig.rig.identify.decide import evidence, simulate, tuning
+from rollerrig.rig.identify.decide import evidence, fitting, simulate
 from rollerrig.rig.identify.decide.evidence import Scores
 
 FEW = 20  # clean sets after which is asked whether more are wanted
@@ -25,7 +25,7 @@ RUNAWAY = 1.2  # normalised innovations of a simulated set above this: a wheel l
 Progress = Callable[[str, float], None]
 
 
-class Setting(NamedTuple):
+class Workspace(NamedTuple):
     """What is explained and with what: measured runs, prepared, and the processes that work on them."""
 
     data: Dataset
@@ -64,7 +64,7 @@ class _Here(Executor):
         return _When(partial(fn, *args, **kwargs))
 
 
-def workers() -> Executor:
+def worker_pool() -> Executor:
     """A pool of processes, one a core, at most eight; none where this process may use one core only."""
     from threadpoolctl import threadpool_limits
 
@@ -74,7 +74,7 @@ def workers() -> Executor:
     return children.pool(min(cores, 8), threadpool_limits, 1) if cores > 1 else _Here()
 
 
-def one(
+def simulate_and_score(
     data: Dataset,
     measured: list[Run],
     design: Design,
@@ -84,7 +84,7 @@ def one(
 ) -> Scores | None:
     """Simulate, prepare, score one set; None where its wheels got out of hand."""
     made = simulate.runs(data, design, measured, explanation, np.random.default_rng(seed))
-    found, linear, _ = tuning.normal(prepare(data, made, design), explanation)
+    found, linear, _ = fitting.normal_equations(prepare(data, made, design), explanation)
     finite = np.all(np.isfinite(found.A)) and np.all(np.isfinite(found.b))
     if np.mean(np.minimum(linear.nu**2 / linear.variance, 100.0)) > RUNAWAY or not finite:
         return None
@@ -92,9 +92,9 @@ def one(
     return Scores(result.S.astype(np.float32), result.g)
 
 
-def judged(
-    setting: Setting, explanation: Explanation, most: int, seed: int, known: Sequence[str] = ()
-) -> tuple[list[evidence.Finding], tuning.Normal, list[Scores]]:
+def score_against_nulls(
+    setting: Workspace, explanation: Explanation, most: int, seed: int, known: Sequence[str] = ()
+) -> tuple[list[evidence.ScoreTest], fitting.NormalEquations, list[Scores]]:
     """What the measured stops show beside clean sets, their normal equations, the clean sets' scores; no `known` cause.
 
     Clean sets come by FEW until more would not change what counts, at most `most`. Raises ConfigError where less than
@@ -104,20 +104,22 @@ def judged(
     fresh = explanation._replace(
         base={k: v for k, v in explanation.base.items() if k.startswith("ln_")}
     )
-    scored, clean = tuning.normal(setting.design, explanation)[0], list[Scores]()
+    scored, clean = fitting.normal_equations(setting.design, explanation)[0], list[Scores]()
     for began in range(0, most, FEW):
         tasks = [
             (*setting[:3], fresh, seed * 100003 + k, known)
             for k in range(began, min(began + FEW, most))
         ]
-        clean += [s for s in setting.run_all(one, tasks, "clean sets") if s is not None]
+        clean += [
+            s for s in setting.run_all(simulate_and_score, tasks, "clean sets") if s is not None
+        ]
         if 2 * len(clean) < began + len(tasks):
             raise ConfigError(
                 f"only {len(clean)} of {began + len(tasks)} simulated clean sets could be replayed: the "
                 "fitted model does not brake like the recording; check vehicle, loads and torques in "
                 "dataset.toml"
             )
-        found = evidence.findings(setting.design, scored, clean, known)
-        if evidence.settled(found):
+        found = evidence.score_tests(setting.design, scored, clean, known)
+        if evidence.is_settled(found):
             break
     return found, scored, clean

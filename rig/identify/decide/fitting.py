@@ -33,7 +33,7 @@ _BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.
 Answers = list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
-class Normal(NamedTuple):
+class NormalEquations(NamedTuple):
     """Normal equations of all columns: A x = -b, with priors in A; and the book."""
 
     A: np.ndarray
@@ -44,12 +44,12 @@ class Normal(NamedTuple):
 def deviance(design: Design, explanation: Explanation) -> float:
     """-2 ln L without constants [T1]."""
     nu, S, _, vnu, vS = sensitivity.innovations(design, inputs(design, explanation))
-    return float(np.sum(bounded_terms(nu, S)) + np.sum(bounded_terms(vnu, vS))) + prior_deviance(
+    return float(np.sum(deviance_terms(nu, S)) + np.sum(deviance_terms(vnu, vS))) + prior_deviance(
         design, explanation
     )
 
 
-def bounded_terms(nu: np.ndarray, S: np.ndarray) -> np.ndarray:
+def deviance_terms(nu: np.ndarray, S: np.ndarray) -> np.ndarray:
     """What each sample adds to [T1], outliers bounded."""
     return np.minimum(nu * nu / S, 36.0) + np.log(S)
 
@@ -71,10 +71,10 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
     return cost + float(np.sum(off * off))
 
 
-def normal(
+def normal_equations(
     design: Design, explanation: Explanation, search: bool = True
-) -> tuple[Normal, Linear, Answers]:
-    """Normal equations around an explanation, its replay, the whitened answers; without `search` of its causes only."""
+) -> tuple[NormalEquations, Linear, Answers]:
+    """Normal equations around an explanation, its replay, the whitened answers."""
     i = inputs(design, explanation)
     matrix, linear = columns.write(design, i, explanation.causes, search)
     answers = _answers(
@@ -90,7 +90,7 @@ def normal(
         A[np.ix_(used, used)] += (Z.T @ Z)[np.ix_(places, places)]
         b[used] += (Z.T @ own.astype(Z.dtype))[places]
     _priors(design, explanation, matrix, A, b)
-    return Normal(A, b, matrix), linear, answers
+    return NormalEquations(A, b, matrix), linear, answers
 
 
 def _answers(
@@ -259,7 +259,7 @@ def fit(
     for step in range(steps):
         if noise and step in (1, 3, 5) and step + 1 < steps:
             explanation, value = fit_noise(design, explanation, value)
-        found, _, _ = normal(design, explanation, False)
+        found, _, _ = normal_equations(design, explanation, False)
         own = [
             c
             for c in base_columns(found.matrix)
@@ -310,7 +310,7 @@ def _search(
                 values=tuple(cause.values + share * change[at : at + len(cause.values)])
             )
             tried, at = (
-                tried.with_cause(explanation.causes.index(cause), bounded(moved)),
+                tried.with_cause(explanation.causes.index(cause), within_bounds(moved)),
                 at + len(cause.values),
             )
         better = deviance(design, tried)
@@ -319,7 +319,7 @@ def _search(
     return explanation, value
 
 
-def bounded(cause: Cause) -> Cause:
+def within_bounds(cause: Cause) -> Cause:
     """The cause with its coefficients inside the bounds of the table of mechanisms."""
     return cause._replace(
         values=tuple(
