@@ -61,8 +61,11 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
     """Inputs of the replay under an explanation."""
     base = defaultdict(float, explanation.base)
     p = np.tile(design.base, (design.segments, 1))
-    p[:, parameters.SIGMA], p[:, parameters.LENGTH] = explanation.sigma, explanation.length_m
-    p[:, parameters.NOISE], p[:, parameters.TORQUE_NOISE] = (
+    p[:, parameters.IRREGULARITY], p[:, parameters.IRREGULARITY_LENGTH] = (
+        explanation.sigma,
+        explanation.length_m,
+    )
+    p[:, parameters.SPEED_NOISE], p[:, parameters.TORQUE_NOISE] = (
         design.wheel_noise_rad_s,
         design.torque_noise_Nm[design.run],
     )

@@ -1,13 +1,14 @@
-"""Reads measured data: a folder with `dataset.toml` and CSV, Parquet or MDF4 files, and checks it.
+"""Reads a dataset of measured data, and checks it: a folder with `dataset.toml` and data files.
 
-Whatever would make a finding worthless is refused here with what is wrong and how to mend it; what only narrows what
-can be concluded becomes a warning that the report repeats. Format: README, measured data.
+Data files are CSV, Parquet or MDF4. Errors that would make every conclusion worthless raise
+ConfigError, which states what is wrong and how to correct it. Flaws that only limit the conclusions
+become warnings, which the report repeats. The format is described in the README, measured data.
 """
 
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,8 @@ RUN = (
     number("mass_kg", -1.0, 1000.0, 200000.0, "kg"),
     flag("held", False, "drives held the speed of the surface: no force balance of a vehicle"),
 )
-# one standard deviation; estimated where not given (calibration and form: assumed)
+# Each value is one standard deviation. A value that is not given is estimated from the data, except
+# the defaults of calibration and form, which are assumptions.
 ACCURACY = (
     number("speed_m_s", -1.0, 1e-5, 5.0, "m/s"),
     number("wheel_speed_rad_s", -1.0, 1e-5, 10.0, "rad/s"),
@@ -58,60 +60,76 @@ ACCURACY = (
 CHANNELS = (
     "vehicle_speed_m_s",
     "position_m",
-    *(
-        f"{name}_{j}_{unit}"
-        for name, unit in (
-            ("wheel_speed", "rad_s"),
-            ("wheel_load", "N"),
-            ("brake_torque", "Nm"),
-            ("surface_speed", "m_s"),
-        )
-        for j in range(1, AXLES + 1)
-    ),
+    *(f"wheel_speed_{axle}_rad_s" for axle in range(1, AXLES + 1)),
+    *(f"wheel_load_{axle}_N" for axle in range(1, AXLES + 1)),
+    *(f"brake_torque_{axle}_Nm" for axle in range(1, AXLES + 1)),
+    *(f"surface_speed_{axle}_m_s" for axle in range(1, AXLES + 1)),
 )
+TABLES = ("vehicle", "adhesion", "contact", "brake", "accuracy", "axles", "run")
+MODEL_TABLES = ("vehicle", "adhesion", "contact", "brake")
+
+LEAST_CURVE_POINTS = 12  # a creep curve has five parameters to fit
+LARGEST_CURVE_VALUE = 1.5  # creepage and adhesion are shares; larger values are probably percent
+DEFAULT_CURVE_SPEED_M_S = 10.0
+DEFAULT_CURVE_LOAD_N = 52700.0  # about the static load of one wheel of the vehicle uic_z1
 
 
 def load(folder: Path | str) -> Dataset:
-    """A dataset's folder (or the name of a packaged one). Raises ConfigError saying how to mend it."""
+    """Returns the checked dataset of a folder, or of the packaged dataset with this name.
+
+    Raises ConfigError, which states how to correct the data.
+    """
     folder = find(folder)
     path = folder / "dataset.toml"
-    given = parse(path)
-    if given.get("kind") == "recorder":
+    content = parse(path)
+    if content.get("kind") == "recorder":
         raise ConfigError(
-            f"{path}: a recorder's data has no load and no torque to fit; use rollerrig explain"
+            f"{path}: the data of a train recorder has no load and no torque, so it cannot be fitted "
+            "as braking runs; use rollerrig explain"
         )
-    tables = {key: given.pop(key) for key in list(given) if isinstance(given[key], dict | list)}
-    head = table.read(HEAD, given, str(path))
-    unknown = set(tables) - {"vehicle", "adhesion", "contact", "brake", "accuracy", "axles", "run"}
-    if unknown:
-        raise ConfigError(
-            f"{path}: unknown table '{sorted(unknown)[0]}'; allowed: vehicle, "
-            "adhesion, contact, brake, accuracy, axles, run"
-        )
+
+    tables = _take_tables(content, path)
+    head = table.read(HEAD, content, str(path))
     sections = base_sections(head["vehicle_set"], tables, str(path))
-    found = Dataset(
+    dataset = Dataset(
         name=folder.name,
         kind=head["kind"],
         folder=folder,
         sample_time_s=head["sample_time_s"],
         sections=sections,
         accuracy=read_rows(ACCURACY, tables.get("accuracy", {}), f"{path} [accuracy]"),
-        axle_position_m=_positions(tables.get("axles", {}), sections, str(path)),
+        axle_position_m=_axle_positions(tables.get("axles", {}), sections, str(path)),
         runs=[],
         curve=None,
-        warnings=[head["note"]] if head["note"] else [],
+        warnings=[],
     )
+    if head["note"]:
+        dataset.warnings.append(head["note"])
+
     if head["kind"] == "creep_curve":
-        return found._replace(curve=_creep_curve(found, head, tables))
-    found.runs.extend(
-        _run(found, row, i, path) for i, row in enumerate(tables.get("run", []), start=1)
-    )
-    quality.check(found, str(path))
-    return found
+        return dataset._replace(curve=_creep_curve(dataset, head, tables))
+    for number_of_run, row in enumerate(tables.get("run", []), start=1):
+        dataset.runs.append(_run(dataset, row, number_of_run, path))
+    quality.check(dataset, str(path))
+    return dataset
+
+
+def _take_tables(content: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Removes all tables from the content of a dataset.toml and returns them. Raises ConfigError."""
+    names = [key for key, value in content.items() if isinstance(value, dict | list)]
+    tables = {key: content.pop(key) for key in names}
+    unknown = sorted(set(tables) - set(TABLES))
+    if unknown:
+        raise ConfigError(f"{path}: unknown table '{unknown[0]}'; allowed: {', '.join(TABLES)}")
+    return tables
 
 
 def parse(path: Path) -> dict[str, Any]:
-    """dataset.toml as plain data; `vehicle = "name"` may stand beside a table [vehicle], which TOML itself forbids."""
+    """Returns dataset.toml as plain data. Raises ConfigError.
+
+    A file may have both a key `vehicle = "name"` and a table [vehicle], which TOML forbids. The key
+    is therefore renamed to `vehicle_set` before the text is parsed.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -119,71 +137,89 @@ def parse(path: Path) -> dict[str, Any]:
     top, bracket, rest = text.partition("\n[")
     top = re.sub(r"^vehicle(\s*=)", r"vehicle_set\1", top, flags=re.MULTILINE)
     try:
-        given = tomllib.loads(top + bracket + rest)
+        content = tomllib.loads(top + bracket + rest)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
-    if isinstance(given.get("vehicle"), str):
-        given["vehicle_set"] = given.pop("vehicle")
-    return given
+    if isinstance(content.get("vehicle"), str):
+        content["vehicle_set"] = content.pop("vehicle")
+    return content
 
 
 def find(folder: Path | str) -> Path:
-    """The folder of a dataset, given as such or by the name of a packaged one. Raises ConfigError."""
-    for candidate in (Path(folder), store.ROOT / "datasets" / str(folder)):
+    """Returns the folder of a dataset, from a path or the name of a packaged dataset.
+
+    Raises ConfigError where no dataset.toml is there.
+    """
+    packaged = store.ROOT / "datasets"
+    for candidate in (Path(folder), packaged / str(folder)):
         if (candidate / "dataset.toml").is_file():
             return candidate
-    names = sorted(p.parent.name for p in (store.ROOT / "datasets").glob("*/dataset.toml"))
+    names = sorted(path.parent.name for path in packaged.glob("*/dataset.toml"))
     raise ConfigError(
-        f"{folder}: no dataset.toml in there; give a folder that has one, or one of: {', '.join(names)}"
+        f"{folder}: this folder has no dataset.toml; give a folder that has one, or one of: "
+        f"{', '.join(names)}"
     )
 
 
 def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]:
-    """The parameters of the base model: a packaged vehicle, Table 4 and a rail, then overrides."""
-    packaged, at = store.load("vehicles", vehicle)
-    merged: dict[str, dict[str, Any]] = {k: dict(v) for k, v in packaged.items()}
-    merged.setdefault("contact", {}).update(lateral_radius_m=0.3, roller_radius_m=math.inf)
-    for key in ("vehicle", "adhesion", "contact", "brake"):
-        table.read(params.ROWS[key], tables.get(key, {}), f"{where} [{key}]")
-        merged.setdefault(key, {}).update(tables.get(key, {}))
-    return params.check(merged, f"{where} with {at.name}")
+    """Returns the parameter sections of the base model.
+
+    They are those of a packaged vehicle and the contact with a rail, then the overrides of `tables`.
+    Raises ConfigError.
+    """
+    packaged, vehicle_file = store.load("vehicles", vehicle)
+    sections: dict[str, dict[str, Any]] = {key: dict(value) for key, value in packaged.items()}
+    contact = sections.setdefault("contact", {})
+    contact["lateral_radius_m"] = 0.3
+    contact["roller_radius_m"] = math.inf
+    for key in MODEL_TABLES:
+        overrides = tables.get(key, {})
+        table.read(params.ROWS[key], overrides, f"{where} [{key}]")
+        sections.setdefault(key, {}).update(overrides)
+    return params.check(sections, f"{where} with {vehicle_file.name}")
 
 
 def read_rows(rows: tuple[Row, ...], content: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """As `table.read`, of rows whose default may lie outside their bounds."""
-    # a default outside the bounds stands for "not given" and is not checked
-    absent = {
-        r.name: r.default
-        for r in rows
-        if isinstance(r.default, float) and not r.low <= r.default <= r.high
+    """Returns what `table.read` returns, for rows whose default may lie outside their bounds.
+
+    Such a default means "not given". It is returned unchecked. Raises ConfigError.
+    """
+    not_given = {
+        row.name: row.default
+        for row in rows
+        if isinstance(row.default, float) and not row.low <= row.default <= row.high
     }
-    checked = table.read(
-        [r._replace(default=r.low) if r.name in absent else r for r in rows], content, where
-    )
-    return checked | {name: value for name, value in absent.items() if name not in content}
+    # `table.read` checks defaults too, so each of these gets a default within its bounds
+    checkable = [row._replace(default=row.low) if row.name in not_given else row for row in rows]
+    values = table.read(checkable, content, where)
+    for name, default in not_given.items():
+        if name not in content:
+            values[name] = default
+    return values
 
 
-def _positions(given: Any, sections: Mapping[str, Any], where: str) -> np.ndarray:
-    default = params.axle_positions(sections["vehicle"])
-    row = Row("positions_m", tuple(float(x) for x in default), 0.0, 1000.0, "m")
+def _axle_positions(given: Any, sections: Mapping[str, Any], where: str) -> np.ndarray:
+    """Returns the distance in m of each wheelset behind the first one. Raises ConfigError."""
+    default = tuple(float(x) for x in params.axle_positions(sections["vehicle"]))
+    row = Row("positions_m", default, 0.0, 1000.0, "m")
     positions = np.array(table.read((row,), given, f"{where} [axles]")["positions_m"])
     if np.any(np.diff(positions) <= 0.0):
         raise ConfigError(
-            f"{where} [axles]: positions_m = {positions.tolist()} must rise from the "
-            "leading wheelset on; give metres behind the first"
+            f"{where} [axles]: positions_m = {positions.tolist()} must increase from the leading "
+            "wheelset to the last; give the distance in metres behind the first wheelset"
         )
     return positions
 
 
 def read_table(path: Path) -> pa.Table:
-    """A CSV or Parquet file. Raises ConfigError."""
+    """Returns the table of a CSV or Parquet file. Raises ConfigError."""
     try:
         if path.suffix.lower() == ".parquet":
             return pyarrow.parquet.ParquetFile(path).read()
-        lines = path.read_bytes()
-        while lines.startswith(b"#"):
-            lines = lines[lines.index(b"\n") + 1 :]
-        return pyarrow.csv.read_csv(pa.BufferReader(lines))
+        content = path.read_bytes()
+        while content.startswith(b"#"):
+            content = content[content.index(b"\n") + 1 :]
+        return pyarrow.csv.read_csv(pa.BufferReader(content))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; correct `file` in dataset.toml") from None
     except (pa.ArrowInvalid, ValueError, OSError) as error:
@@ -191,112 +227,156 @@ def read_table(path: Path) -> pa.Table:
 
 
 def column(data: pa.Table, name: str, path: Path) -> np.ndarray:
-    """One column as floats, finite. Raises ConfigError naming row and column."""
-    if (times := data.column_names.count(name)) != 1:
-        why = (
-            f"is there {times} times; keep one"
-            if times
-            else f"is missing{table.nearest(name, data.column_names)}"
-        )
-        raise ConfigError(f"{path}: column '{name}' {why}")
+    """Returns a column of finite numbers. Raises ConfigError, which names the column and the row."""
+    count = data.column_names.count(name)
+    if count == 0:
+        similar = table.nearest(name, data.column_names)
+        raise ConfigError(f"{path}: column '{name}' is missing{similar}")
+    if count > 1:
+        raise ConfigError(f"{path}: column '{name}' is there {count} times; keep one")
+
     try:
         values = np.asarray(data[name].to_numpy(zero_copy_only=False), dtype=float)
     except (ValueError, TypeError):
         raise ConfigError(
-            f"{path}: column '{name}' is not all numbers; one number a row is wanted"
+            f"{path}: column '{name}' does not hold numbers only; give one number in each row"
         ) from None
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
+        # row 1 of the file is its header, so sample 0 is in row 2
         raise ConfigError(
-            f"{path}: column '{name}' is not a finite number in {bad.size} rows, the "
-            f"first is row {bad[0] + 2}; cut the gap out into two runs or repair it"
+            f"{path}: column '{name}' is not a finite number in {bad.size} rows, the first is row "
+            f"{bad[0] + 2}; split the run at the gap into two runs, or repair it"
         )
     return values
 
 
-def _run(found: Dataset, row: Mapping[str, Any], index: int, toml: Path) -> Run:
-    given = read_rows(RUN, row, f"{toml} [[run]] {index}")
-    if not given["file"]:
-        raise ConfigError(f"{toml} [[run]] {index}: file is missing; name the data of this run")
-    path = found.folder / given["file"]
-    data = (
-        mdf.read(path, found.sample_time_s, CHANNELS, found.warnings)
-        if path.suffix.lower() in mdf.SUFFIXES
-        else read_table(path)
-    )
+def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Path) -> Run:
+    """Returns the checked run of a table [[run]]. Raises ConfigError."""
+    where = f"{toml} [[run]] {number_of_run}"
+    entry = read_rows(RUN, row, where)
+    if not entry["file"]:
+        raise ConfigError(f"{where}: file is missing; give the name of this run's data file")
+    path = dataset.folder / entry["file"]
+    if path.suffix.lower() in mdf.SUFFIXES:
+        data = mdf.read(path, dataset.sample_time_s, CHANNELS, dataset.warnings)
+    else:
+        data = read_table(path)
 
-    def each(prefix: str, unit: str) -> np.ndarray:
-        return np.column_stack(
-            [column(data, f"{prefix}_{j}_{unit}", path) for j in range(1, AXLES + 1)]
-        )
+    if entry["held"]:
+        mass_kg = math.inf  # no force of the wheels changes the speed
+    elif entry["mass_kg"] > 0:
+        mass_kg = entry["mass_kg"]
+    else:
+        mass_kg = dataset.sections["vehicle"]["mass_kg"]
+
+    position_m = None
+    if "position_m" in data.column_names:
+        position_m = column(data, "position_m", path)
+    surface_m_s = None
+    if "surface_speed_1_m_s" in data.column_names:
+        surface_m_s = _columns_of_axles(data, "surface_speed", "m_s", path)
 
     run = Run(
         name=path.stem,
-        group=given["group"],
-        mass_kg=(
-            math.inf
-            if given["held"]
-            else given["mass_kg"]
-            if given["mass_kg"] > 0
-            else found.sections["vehicle"]["mass_kg"]
-        ),
-        mu_cd=given["mu_cd"] if given["mu_cd"] > 0 else None,
+        group=entry["group"],
+        mass_kg=mass_kg,
+        mu_cd=entry["mu_cd"] if entry["mu_cd"] > 0 else None,
         time_s=column(data, "time_s", path),
         speed_m_s=column(data, "vehicle_speed_m_s", path),
-        wheel_speed_rad_s=each("wheel_speed", "rad_s"),
-        load_N=each("wheel_load", "N"),
-        torque_Nm=each("brake_torque", "Nm"),
-        position_m=column(data, "position_m", path) if "position_m" in data.column_names else None,
-        surface_m_s=each("surface_speed", "m_s")
-        if "surface_speed_1_m_s" in data.column_names
-        else None,
+        wheel_speed_rad_s=_columns_of_axles(data, "wheel_speed", "rad_s", path),
+        load_N=_columns_of_axles(data, "wheel_load", "N", path),
+        torque_Nm=_columns_of_axles(data, "brake_torque", "Nm", path),
+        position_m=position_m,
+        surface_m_s=surface_m_s,
     )
-    quality.check_run(run, path, found, given["initial_speed_m_s"])
+    quality.check_run(run, path, dataset, entry["initial_speed_m_s"])
     return run
 
 
-def _creep_curve(found: Dataset, head: Mapping[str, Any], tables: Mapping[str, Any]) -> Curve:
-    folder, rows = found.folder, tables.get("run", [])
-    files = [head["file"]] if head["file"] else [row.get("file", "") for row in rows]
-    if not files or not all(files):
-        raise ConfigError(f'{folder / "dataset.toml"}: no data; write file = "curve.csv"')
-    parts = [(folder / name, read_table(folder / name)) for name in files]
-
-    def joined(name: str, default: float | None, matters: str = "") -> np.ndarray:
-        if matters and (
-            without := [str(path) for path, data in parts if name not in data.column_names]
-        ):
-            found.warnings.append(
-                f"{', '.join(without)}: no column '{name}', so {default:g} is taken, and {matters} "
-                f"rests on it; give the column, or say that {default:g} is right by writing it there"
-            )
-        return np.concatenate(
-            [
-                column(data, name, path)
-                if name in data.column_names or default is None
-                else np.full(len(data), default)
-                for path, data in parts
-            ]
-        )
-
-    creepage, adhesion = joined("creepage", None), joined("adhesion", None)
-    if creepage.size < 12:
-        raise ConfigError(
-            f"{parts[0][0]}: {creepage.size} points are too few for five parameters; give at least 12"
-        )
-    for name, values, what in (
-        ("creepage", creepage, "sliding over speed (1 is a locked wheel)"),
-        ("adhesion", adhesion, "force over load, below 1"),
-    ):
-        if (most := np.max(np.abs(values))) > 1.5:
-            raise ConfigError(
-                f"{parts[0][0]}: {name} reaches {most:.3g}; it is {what}: are these percent? Divide by "
-                "100"
-            )
-    return Curve(
-        creepage,
-        adhesion,
-        joined("speed_m_s", 10.0, "how friction falls with sliding (gamma)"),
-        joined("wheel_load_N", 52700.0, "the initial slope (k_A, k_S)"),
-        joined("series", 0.0),
+def _columns_of_axles(data: pa.Table, quantity: str, unit: str, path: Path) -> np.ndarray:
+    """Returns a quantity of all wheelsets, shape (samples, AXLES). Raises ConfigError."""
+    return np.column_stack(
+        [column(data, f"{quantity}_{axle}_{unit}", path) for axle in range(1, AXLES + 1)]
     )
+
+
+def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str, Any]) -> Curve:
+    """Returns the checked creep curve of a dataset. Raises ConfigError."""
+    names = [row.get("file", "") for row in tables.get("run", [])]
+    if head["file"]:
+        names = [head["file"]]
+    if not names or not all(names):
+        toml = dataset.folder / "dataset.toml"
+        raise ConfigError(f'{toml}: no data file is given; write file = "curve.csv"')
+    files = [(dataset.folder / name, read_table(dataset.folder / name)) for name in names]
+    first_file = files[0][0]
+
+    creepage = _joined_columns(files, "creepage", None)
+    adhesion = _joined_columns(files, "adhesion", None)
+    if creepage.size < LEAST_CURVE_POINTS:
+        raise ConfigError(
+            f"{first_file}: {creepage.size} points are too few for five parameters; give at least "
+            f"{LEAST_CURVE_POINTS}"
+        )
+    _check_share(first_file, "creepage", creepage, "sliding over speed (1 is a locked wheel)")
+    _check_share(first_file, "adhesion", adhesion, "force over load, below 1")
+
+    _warn_of_default(
+        dataset,
+        files,
+        "speed_m_s",
+        DEFAULT_CURVE_SPEED_M_S,
+        "the decrease of friction with sliding (gamma)",
+    )
+    speed_m_s = _joined_columns(files, "speed_m_s", DEFAULT_CURVE_SPEED_M_S)
+    _warn_of_default(
+        dataset, files, "wheel_load_N", DEFAULT_CURVE_LOAD_N, "the initial slope (k_A, k_S)"
+    )
+    load_N = _joined_columns(files, "wheel_load_N", DEFAULT_CURVE_LOAD_N)
+    return Curve(
+        creepage=creepage,
+        adhesion=adhesion,
+        speed_m_s=speed_m_s,
+        load_N=load_N,
+        series=_joined_columns(files, "series", 0.0),
+    )
+
+
+def _joined_columns(
+    files: Sequence[tuple[Path, pa.Table]], name: str, default: float | None
+) -> np.ndarray:
+    """Returns a column of all files in one array. `default` fills files without it; None: required."""
+    parts = []
+    for path, data in files:
+        if name in data.column_names or default is None:
+            parts.append(column(data, name, path))
+        else:
+            parts.append(np.full(len(data), default))
+    return np.concatenate(parts)
+
+
+def _warn_of_default(
+    dataset: Dataset,
+    files: Sequence[tuple[Path, pa.Table]],
+    name: str,
+    default: float,
+    consequence: str,
+) -> None:
+    """Adds a warning where files lack a column: `default` is used, and `consequence` depends on it."""
+    without = [str(path) for path, data in files if name not in data.column_names]
+    if without:
+        dataset.warnings.append(
+            f"{', '.join(without)}: column '{name}' is missing, so {default:g} is used, and "
+            f"{consequence} depends on it; give the column, or fill it with {default:g} if that is right"
+        )
+
+
+def _check_share(path: Path, name: str, values: np.ndarray, meaning: str) -> None:
+    """Raises ConfigError where values of a creep curve are too large, as percent are."""
+    largest = np.max(np.abs(values))
+    if largest > LARGEST_CURVE_VALUE:
+        raise ConfigError(
+            f"{path}: {name} reaches {largest:.3g}; it is {meaning}: if these are percent, divide by "
+            "100"
+        )

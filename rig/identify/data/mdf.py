@@ -1,8 +1,11 @@
-"""Reads channels of an MDF4 file onto one clock, which the channels of a measuring car seldom share.
+"""Reads channels of an MDF4 file and resamples them to one common clock.
 
-A channel that is sampled faster is low-passed and thinned; one whose samples lie between those of the common clock is
-moved onto it by a cubic spline through its samples, and a warning says so. Straight lines between samples would smooth
-the noise and look like physics. Needs asammdf (the extra `mdf`). Source of the format: ASAM MDF 4.1.
+The channels of a measuring car often have different clocks. A channel with a higher sample rate is
+low-passed and thinned. A channel whose samples lie between those of the common clock is moved by a
+cubic spline through its samples, and a warning reports that. Straight lines between samples would
+smooth the noise, which would look like physics. The package asammdf is needed (the extra `mdf`).
+
+Source of the format: ASAM MDF 4.1.
 """
 
 import math
@@ -18,7 +21,8 @@ from scipy.signal import resample_poly
 from rollerrig.configs.errors import ConfigError
 
 SUFFIXES = (".mf4", ".mdf")
-# spellings of the unit that a channel's name ends with; a channel without a unit is taken at its name
+# Accepted spellings of a unit, by the end of the channel's name. A channel without a unit in the
+# file is taken to have the unit in its name.
 _UNITS = {
     "m_s": ("m/s", "m_s", "m*s^-1", "mps"),
     "rad_s": ("rad/s", "rad_s", "1/s", "s^-1"),
@@ -28,116 +32,144 @@ _UNITS = {
     "K": ("K",),
     "m": ("m",),
 }
-_SAME = 0.01  # a shift below this share of a sample is none
+_LEAST_SHIFT = 0.01  # share of a sample; smaller shifts are ignored
+_LEAST_SAMPLES = 4  # a cubic spline needs them
+_LONGEST_STEP = 1.5  # times the typical step; a longer one is a gap
+_LEAD_CHANNEL = "wheel_speed_1_rad_s"
 
 
 def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str]) -> pa.Table:
-    """Those channels of a file that it has, on one clock of `step_s`, with `time_s`.
+    """Returns those channels of a file that exist, on one clock of `step_s`, and `time_s`.
 
-    Raises ConfigError where asammdf is missing, the file is damaged, or a channel has gaps, another
-    unit, or no time in common with the others.
+    Adds a warning where samples were moved. Raises ConfigError where asammdf is missing, the file is
+    damaged, or a channel has gaps, another unit, or no time in common with the others.
     """
-    found = channels(path, names)
-    checked = {name: _checked(signal, name, path) for name, signal in found.items()}
-    first = max(float(time[0]) for time, _ in checked.values())
-    last = min(float(time[-1]) for time, _ in checked.values())
-    if last - first < step_s:
+    signals = channels(path, names)
+    checked = {name: _checked(signal, name, path) for name, signal in signals.items()}
+
+    first_s = max(float(time[0]) for time, _ in checked.values())
+    last_s = min(float(time[-1]) for time, _ in checked.values())
+    if last_s - first_s < step_s:
         raise ConfigError(
-            f"{path}: its channels have no time in common (the latest begins at {first:g} s, "
-            f"the earliest ends at {last:g} s)"
+            f"{path}: its channels have no time in common (the latest begins at {first_s:g} s, the "
+            f"earliest ends at {last_s:g} s); give channels that were recorded together"
         )
-    # the clock of the first wheel speed: an innovation must not be a matter of interpolation
-    lead = checked.get("wheel_speed_1_rad_s", next(iter(checked.values())))[0][0]
-    first = lead + step_s * math.ceil((first - lead) / step_s - 1e-6)
-    grid = first + step_s * np.arange(int((last - first) / step_s + 1e-6) + 1)
-    columns, moved = {"time_s": grid - first}, []
-    for name, (time, values) in checked.items():
-        columns[name], shift = _on_clock(time, values, grid, step_s)
-        if shift > _SAME:
+
+    # the common clock is that of the first wheel speed: interpolation must not change innovations
+    lead_time, _ = checked.get(_LEAD_CHANNEL, next(iter(checked.values())))
+    lead_s = lead_time[0]
+    first_s = lead_s + step_s * math.ceil((first_s - lead_s) / step_s - 1e-6)
+    grid_s = first_s + step_s * np.arange(int((last_s - first_s) / step_s + 1e-6) + 1)
+
+    columns = {"time_s": grid_s - first_s}
+    moved = []
+    for name, (time_s, values) in checked.items():
+        columns[name], shift = _on_clock(time_s, values, grid_s, step_s)
+        if shift > _LEAST_SHIFT:
             moved.append(f"{name} by {1e3 * shift * step_s:.2g} ms")
     if moved:
         warnings.append(
-            f"{path.name}: channels of other clocks were moved onto one: {', '.join(moved)}; "
-            "delays below a sample cannot be judged"
+            f"{path.name}: channels with other clocks were moved to the common clock: "
+            f"{', '.join(moved)}; delays below one sample cannot be judged"
         )
     return pa.table(columns)
 
 
 def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
-    """Those channels of a file that it has, as asammdf's signals. Raises ConfigError where it cannot be read."""
+    """Returns those channels of a file that exist, as signals of asammdf, by name.
+
+    Raises ConfigError where the file cannot be read or has none of the channels.
+    """
     try:
         from asammdf import MDF
     except ImportError:
         raise ConfigError(
-            f"{path}: MDF files need the package asammdf, which is not installed; install "
-            "the extra: pip install 'rollerrig[mdf]'"
+            f"{path}: MDF files need the package asammdf, which is not installed; install the extra: "
+            "pip install 'rollerrig[mdf]'"
         ) from None
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; correct `file` in dataset.toml")
+
+    repeated = []
+    signals = {}
     try:
         with MDF(path) as file:
-            twice = [name for name in names if len(file.channels_db.get(name, ())) > 1]
-            found = {
-                name: file.get(name) for name in names if name in file.channels_db and not twice
-            }
-    except Exception as error:  # asammdf raises whatever its parser meets
+            repeated = [name for name in names if len(file.channels_db.get(name, ())) > 1]
+            if not repeated:
+                signals = {name: file.get(name) for name in names if name in file.channels_db}
+    except Exception as error:  # the parser of asammdf raises many types
         raise ConfigError(f"{path}: cannot be read as MDF: {error}") from None
-    if twice:
+    if repeated:
         raise ConfigError(
-            f"{path}: channel '{twice[0]}' is there more than once; give each a name of its own"
+            f"{path}: channel '{repeated[0]}' is there more than once; give each channel a different "
+            "name"
         )
-    if not found:
+    if not signals:
         raise ConfigError(
-            f"{path}: none of the channels {', '.join(names[:3])} ... is in it; name the "
-            "channels as the README has them"
+            f"{path}: has none of the channels {', '.join(names[:3])} ...; name the channels as "
+            "described in the README"
         )
-    return found
+    return signals
 
 
 def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    unit = str(signal.unit or "").strip()
-    wanted = next((allowed for tail, allowed in _UNITS.items() if name.endswith(f"_{tail}")), ())
-    if unit and wanted and unit not in wanted:
+    """Returns (time in s, values) of a signal. Raises ConfigError."""
+    _check_unit(str(signal.unit or "").strip(), name, path)
+    time_s = np.asarray(signal.timestamps, float)
+    values = np.asarray(signal.samples, float)
+    if time_s.size < _LEAST_SAMPLES:
+        raise ConfigError(f"{path}: {name} has {time_s.size} samples; give a longer recording")
+
+    steps_s = np.diff(time_s)
+    if np.any(steps_s <= 0.0):
         raise ConfigError(
-            f"{path}: {name} has the unit '{unit}'; '{wanted[0]}' is wanted: convert it"
+            f"{path}: the time of {name} does not increase after {time_s[np.argmin(steps_s)]:g} s; "
+            "sort the samples"
         )
-    time, values = np.asarray(signal.timestamps, float), np.asarray(signal.samples, float)
-    steps = np.diff(time)
-    if time.size < 4:
-        raise ConfigError(f"{path}: {name} has {time.size} samples; give a longer recording")
-    if np.any(steps <= 0.0):
+    typical_s = float(np.median(steps_s))
+    if steps_s.max() > _LONGEST_STEP * typical_s:
         raise ConfigError(
-            f"{path}: the time of {name} does not rise after {time[np.argmin(steps)]:g} s"
-        )
-    typical = float(np.median(steps))
-    if steps.max() > 1.5 * typical:
-        raise ConfigError(
-            f"{path}: {name} has a gap of {steps.max():.4g} s after "
-            f"{time[np.argmax(steps)]:.4g} s; cut the file there into two runs"
+            f"{path}: {name} has a gap of {steps_s.max():.4g} s after "
+            f"{time_s[np.argmax(steps_s)]:.4g} s; split the file there into two runs"
         )
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         raise ConfigError(
             f"{path}: {name} is not a finite number in {bad.size} samples, the first at "
-            f"{time[bad[0]]:g} s"
+            f"{time_s[bad[0]]:g} s; split the run at the gap into two runs, or repair it"
         )
-    return time, values
+    return time_s, values
+
+
+def _check_unit(unit: str, name: str, path: Path) -> None:
+    """Raises ConfigError where the unit in the file is not the unit in the channel's name."""
+    for ending, allowed in _UNITS.items():
+        if name.endswith(f"_{ending}"):
+            if unit and unit not in allowed:
+                raise ConfigError(
+                    f"{path}: {name} has the unit '{unit}'; '{allowed[0]}' is required: convert it"
+                )
+            return
 
 
 def _on_clock(
-    time: np.ndarray, values: np.ndarray, grid: np.ndarray, step_s: float
+    time_s: np.ndarray, values: np.ndarray, grid_s: np.ndarray, step_s: float
 ) -> tuple[np.ndarray, float]:
-    """Values on the grid, and how far samples had to be moved, in samples of the grid."""
-    own_s = float(time[-1] - time[0]) / (time.size - 1)
-    if own_s < 0.95 * step_s:
-        ratio = Fraction(step_s / own_s).limit_denominator(100)
+    """Returns (values on the grid, how far samples had to be moved in samples of the grid)."""
+    own_step_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+    if own_step_s < 0.95 * step_s:
+        # a higher sample rate: low-pass and thin it
+        ratio = Fraction(step_s / own_step_s).limit_denominator(100)
         values = resample_poly(values, ratio.denominator, ratio.numerator, padtype="line")
-        time = time[0] + step_s * np.arange(values.size)
-    at = (grid - time[0]) / step_s
-    if abs(own_s / step_s - 1.0) < 0.05 or own_s < step_s:
-        shift = float(np.max(np.abs(at - np.rint(at))))
-        if shift <= _SAME and np.rint(at[-1]) < values.size:
-            return values[np.rint(at).astype(int)], 0.0
+        time_s = time_s[0] + step_s * np.arange(values.size)
+
+    same_rate = abs(own_step_s / step_s - 1.0) < 0.05 or own_step_s < step_s
+    if same_rate:
+        position = (grid_s - time_s[0]) / step_s
+        nearest = np.rint(position)
+        shift = float(np.max(np.abs(position - nearest)))
+        if shift <= _LEAST_SHIFT and nearest[-1] < values.size:
+            return values[nearest.astype(int)], 0.0
     else:
-        shift = own_s / step_s
-    return CubicSpline(time, values)(grid), shift
+        shift = own_step_s / step_s
+    return CubicSpline(time_s, values)(grid_s), shift

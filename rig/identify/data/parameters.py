@@ -1,39 +1,68 @@
-"""The row of numbers that a wheel's replay reads: its radius and inertia, the adhesion law, the noise."""
+"""The parameters of the replay of one wheelset: its radius and inertia, the adhesion law, the noise.
+
+Python code keeps them as rows of an array (wheelsets, PARAMETERS). A kernel takes one row as a
+`WheelModel`, whose fields are named. The order of the fields is the order of the columns.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.compiled.kernel import constructor
 from rollerrig.rig.contact.patch import Patch, patch_for
 from rollerrig.rig.identify.data.runs import Dataset
 
-LAW_KEYS = (
-    "mu_cd",
-    "mu_cr",
-    "A_d",
-    "A_r",
-    "gamma_d_s_m",
-    "gamma_r_s_m",
-    "k_ad",
-    "k_sd",
-    "k_ar",
-    "k_sr",
-    "tau_m_J",
-)
-# columns of a segment's parameters
-RADIUS, INERTIA = 0, 1
-LAW = slice(2, 13)
-(
-    EPS1,
-    MEMORY,
-    SIGMA,
-    LENGTH,
-    NOISE,
-    TORQUE_NOISE,
-    CLEANING,
-    MEMORY_POWER,
-    MEMORY_OF_WORK,
-    PARAMETERS,
-) = range(13, 23)
-MU_CD, TAU = 2, 12
+
+class WheelModel(NamedTuple):
+    """What the replay of one wheelset needs to know."""
+
+    wheel_radius_m: float
+    wheelset_inertia_kgm2: float
+    # the adhesion law, `adhesion.Law` without its last field
+    mu_cd: float
+    mu_cr: float
+    A_d: float
+    A_r: float
+    gamma_d_s_m: float
+    gamma_r_s_m: float
+    k_ad: float
+    k_sd: float
+    k_ar: float
+    k_sr: float
+    tau_m_J: float
+    eps1: float  # of the contact patch, `patch.Patch`
+    memory_m: float  # length of adhesion memory [A7]; 0: recovery does not lag
+    irregularity_deviation: float  # standard deviation of the irregularity m of the rail
+    irregularity_length_m: float  # its correlation length
+    speed_noise_rad_s: float  # standard deviation of measured wheel speed
+    torque_noise_Nm: float  # standard deviation of measured torque
+    cleaning_creepage: float  # the last field of `adhesion.Law`
+    memory_speed_power: float  # exponent p of adhesion memory [A7]
+    memory_of_work: float  # above 0: lambda_0 is that of the work done [A7]
+
+
+PARAMETERS = len(WheelModel._fields)
+# makes a WheelModel of one row of an array, in compiled code
+wheel_model = constructor(WheelModel, "row", [f"row[{k}]" for k in range(PARAMETERS)])
+
+# columns of an array of parameters
+RADIUS = WheelModel._fields.index("wheel_radius_m")
+INERTIA = WheelModel._fields.index("wheelset_inertia_kgm2")
+MU_CD = WheelModel._fields.index("mu_cd")
+MU_CR = WheelModel._fields.index("mu_cr")
+TAU = WheelModel._fields.index("tau_m_J")
+EPS1 = WheelModel._fields.index("eps1")
+MEMORY = WheelModel._fields.index("memory_m")
+IRREGULARITY = WheelModel._fields.index("irregularity_deviation")
+IRREGULARITY_LENGTH = WheelModel._fields.index("irregularity_length_m")
+SPEED_NOISE = WheelModel._fields.index("speed_noise_rad_s")
+TORQUE_NOISE = WheelModel._fields.index("torque_noise_Nm")
+CLEANING = WheelModel._fields.index("cleaning_creepage")
+MEMORY_POWER = WheelModel._fields.index("memory_speed_power")
+MEMORY_OF_WORK = WheelModel._fields.index("memory_of_work")
+
+LAW = slice(MU_CD, TAU + 1)
+LAW_KEYS = WheelModel._fields[LAW]
 # column of each constant that a mechanism may change
 COLUMN = {
     "wheel_radius_m": RADIUS,
@@ -44,23 +73,26 @@ COLUMN = {
 
 
 def patch_of(data: Dataset) -> Patch:
-    """The contact patch of a dataset's wheel."""
-    c = data.sections["contact"]
+    """Returns the contact patch of a wheel of a dataset's base model."""
+    contact = data.sections["contact"]
     return patch_for(
         data.sections["vehicle"]["wheel_radius_m"],
-        c["roller_radius_m"],
-        c["lateral_radius_m"],
-        c["young_Pa"],
-        c["shear_Pa"],
-        c["poisson"],
+        contact["roller_radius_m"],
+        contact["lateral_radius_m"],
+        contact["young_Pa"],
+        contact["shear_Pa"],
+        contact["poisson"],
     )
 
 
 def base_parameters(data: Dataset) -> np.ndarray:
-    """One row of the replay's parameters from the dataset's base model."""
-    v, law = data.sections["vehicle"], data.sections["adhesion"]
+    """Returns the parameters of a dataset's base model, shape (PARAMETERS,), without noise."""
+    vehicle = data.sections["vehicle"]
+    law = data.sections["adhesion"]
     row = np.zeros(PARAMETERS)
-    row[RADIUS], row[INERTIA] = v["wheel_radius_m"], v["wheelset_inertia_kgm2"]
-    row[LAW] = [law[k] for k in LAW_KEYS]
-    row[EPS1], row[CLEANING] = patch_of(data).eps1, law["cleaning_creepage"]
+    row[RADIUS] = vehicle["wheel_radius_m"]
+    row[INERTIA] = vehicle["wheelset_inertia_kgm2"]
+    row[LAW] = [law[key] for key in LAW_KEYS]
+    row[EPS1] = patch_of(data).eps1
+    row[CLEANING] = law["cleaning_creepage"]
     return row

@@ -1,7 +1,7 @@
-"""Refuses data from which nothing can be concluded, and warns of data from which little can.
+"""Checks measured runs: refuses data that allows no conclusion, warns of data that allows few.
 
-Units, signs, sample times, gaps, excitation, copies: each check names the file, the value with its
-unit, what is allowed, and how to mend it.
+The checks concern units, signs, sample times, gaps, excitation and copies. Each message names the
+file, the value with its unit, what is allowed, and how to correct the data.
 """
 
 from collections.abc import Mapping
@@ -16,84 +16,89 @@ from rollerrig.rig.identify.data import units
 from rollerrig.rig.identify.data.runs import Dataset, Run
 
 LEAST_SAMPLES = 200
-LEAST_SLIDING_M_S = 0.15  # mean sliding below which a stop tells nothing about adhesion, m/s
-LONGEST_HELD_S = 1.0
+LEAST_SLIDING_M_S = 0.15  # mean sliding below which a stop has no information about adhesion, m/s
+LONGEST_HELD_S = 1.0  # a wheel speed that stays the same for longer is that of a stuck sensor
+
+# sample times, as shares of sample_time_s
+LARGEST_STEP_ERROR = 0.1  # of the typical step
+LARGEST_STEP = 1.5  # a longer step is a gap
+LARGEST_UNEVENNESS = 0.15  # of a step against the typical one
+MOST_UNEVEN_STEPS = 0.01  # share of the samples
+LARGEST_DRIFT = 0.003  # of the mean step
+
+SPEEDS_M_S = (1.0, 150.0)  # the largest speed of a run must lie between these
+MOST_REPEATED_SAMPLES = 0.4  # share of a wheel speed's samples that equal the one before
+LEAST_SPEED_LOSS_M_S = 2.0
+COPIED_SAMPLES = 50  # length of the piece that is compared between two runs
 
 
-def check_run(run: Run, path: Path, found: Dataset, initial_speed_m_s: float) -> None:
-    """Raises ConfigError for a run of a dataset that cannot be what it says; appends what is only doubtful."""
-    vehicle, warnings = found.sections["vehicle"], found.warnings
-    _check_time(run, path, found.sample_time_s)
+def check_run(run: Run, path: Path, dataset: Dataset, initial_speed_m_s: float) -> None:
+    """Checks one run; adds warnings to the dataset. Raises ConfigError."""
+    vehicle = dataset.sections["vehicle"]
+    _check_time(run, path, dataset.sample_time_s)
     _check_constant(run, path)
     _check_speed(run, path, initial_speed_m_s)
     _check_signs(run, path)
-    units.check(run, path, vehicle, warnings)
-    _check_sliding(run, path, vehicle, warnings)
-    _check_held(run, path, warnings)
+    units.check(run, path, vehicle, dataset.warnings)
+    _check_sliding(run, path, vehicle, dataset.warnings)
+    _check_held(run, path, dataset.warnings)
 
 
 def _check_time(run: Run, path: Path, sample_time_s: float) -> None:
+    """Raises ConfigError unless the samples are those of one even clock of `sample_time_s`."""
     n = run.time_s.size
     if n < LEAST_SAMPLES:
         raise ConfigError(
             f"{path}: {n} samples; a stop needs at least {LEAST_SAMPLES}; give a longer recording"
         )
-    steps = np.diff(run.time_s)
-    if np.any(steps <= 0.0):
-        at = int(np.argmax(steps <= 0.0))
-        how = "stands still" if steps[at] == 0.0 else "goes back"
+    steps_s = np.diff(run.time_s)
+
+    if np.any(steps_s <= 0.0):
+        at = int(np.argmax(steps_s <= 0.0))
+        how = "stands still" if steps_s[at] == 0.0 else "goes back"
+        # row 1 of the file is its header, and the step leads to the sample after `at`
         raise ConfigError(
             f"{path}: time_s {how} at row {at + 3} ({run.time_s[at]:g} s, then "
-            f"{run.time_s[at + 1]:g} s); sort the rows and remove those that stand twice"
+            f"{run.time_s[at + 1]:g} s); sort the rows and remove repeated ones"
         )
-    typical = float(np.median(steps))
-    if abs(typical - sample_time_s) > 0.1 * sample_time_s:
-        unit = (
-            "; time_s is in milliseconds: divide it by 1000"
-            if (abs(typical / sample_time_s / 1000.0 - 1.0) < 0.1)
-            else "; correct one of them"
-        )
+
+    typical_s = float(np.median(steps_s))
+    if abs(typical_s - sample_time_s) > LARGEST_STEP_ERROR * sample_time_s:
+        remedy = "correct one of them"
+        if abs(typical_s / sample_time_s / 1000.0 - 1.0) < 0.1:
+            remedy = "time_s is in milliseconds: divide it by 1000"
         raise ConfigError(
-            f"{path}: samples are {typical:.6g} s apart, dataset.toml says "
-            f"sample_time_s = {sample_time_s:g}{unit}"
+            f"{path}: samples are {typical_s:.6g} s apart, but dataset.toml has "
+            f"sample_time_s = {sample_time_s:g}; {remedy}"
         )
-    gaps = np.flatnonzero(steps > 1.5 * sample_time_s)
+
+    gaps = np.flatnonzero(steps_s > LARGEST_STEP * sample_time_s)
     if gaps.size:
         raise ConfigError(
-            f"{path}: {gaps.size} gaps, the first of {steps[gaps[0]]:.4g} s after "
+            f"{path}: {gaps.size} gaps, the first of {steps_s[gaps[0]]:.4g} s after "
             f"t = {run.time_s[gaps[0]]:.4g} s; split the run there or resample it"
         )
-    uneven = np.flatnonzero(np.abs(steps - typical) > 0.15 * sample_time_s)
-    if uneven.size > 0.01 * n:
+
+    uneven = np.flatnonzero(np.abs(steps_s - typical_s) > LARGEST_UNEVENNESS * sample_time_s)
+    if uneven.size > MOST_UNEVEN_STEPS * n:
         raise ConfigError(
-            f"{path}: time_s is not even: steps from {steps.min():.4g} to {steps.max():.4g} "
-            f"s where sample_time_s = {sample_time_s:g}; samples of one clock are wanted: "
-            "resample with a low-pass filter, not by straight lines"
-        )
-    mean = float(run.time_s[-1] - run.time_s[0]) / (n - 1)
-    if abs(mean - sample_time_s) > 0.003 * sample_time_s:
-        raise ConfigError(
-            f"{path}: {n} samples last {run.time_s[-1] - run.time_s[0]:.6g} s, which is "
-            f"{mean:.6g} s each, dataset.toml says sample_time_s = {sample_time_s:g}: the "
-            "clock drifts; correct time_s or sample_time_s"
+            f"{path}: time_s is not even: steps are {steps_s.min():.4g} to {steps_s.max():.4g} s, but "
+            f"sample_time_s = {sample_time_s:g}; the samples must be those of one clock: resample "
+            "with a low-pass filter, not by straight lines"
         )
 
-
-def _check_speed(run: Run, path: Path, initial: float) -> None:
-    v, top = run.speed_m_s, float(np.max(run.speed_m_s))
-    if not 1.0 < top < 150.0:
+    duration_s = run.time_s[-1] - run.time_s[0]
+    mean_s = float(duration_s) / (n - 1)
+    if abs(mean_s - sample_time_s) > LARGEST_DRIFT * sample_time_s:
         raise ConfigError(
-            f"{path}: vehicle_speed_m_s reaches {top:.4g}; 1 to 150 m/s are allowed: "
-            "is it in another unit?"
-        )
-    if initial > 0 and abs(np.median(v[:20]) - initial) > max(2.0, 0.1 * initial):
-        raise ConfigError(
-            f"{path}: starts at {np.median(v[:20]):.4g} m/s, dataset.toml says "
-            f"initial_speed_m_s = {initial:g}; is vehicle_speed_m_s in km/h?"
+            f"{path}: {n} samples last {duration_s:.6g} s, which is {mean_s:.6g} s each, but "
+            f"dataset.toml has sample_time_s = {sample_time_s:g}: the clock drifts; correct time_s "
+            "or sample_time_s"
         )
 
 
 def _check_constant(run: Run, path: Path) -> None:
+    """Raises ConfigError where a channel never changes."""
     for name, values in (
         ("vehicle_speed_m_s", run.speed_m_s[:, None]),
         ("wheel_speed_rad_s", run.wheel_speed_rad_s),
@@ -102,120 +107,156 @@ def _check_constant(run: Run, path: Path) -> None:
         for j in range(values.shape[1]):
             if np.ptp(values[:, j]) < 1e-9:
                 raise ConfigError(
-                    f"{path}: {name} of channel {j + 1} is constant "
-                    f"({values[0, j]:g}); a channel that does not move cannot be used"
+                    f"{path}: {name} of channel {j + 1} is constant ({values[0, j]:g}); a channel "
+                    "that never changes cannot be used: give measured values"
                 )
 
 
-def _check_signs(run: Run, path: Path) -> None:
-    if np.mean(run.torque_Nm) < 0.0:
+def _check_speed(run: Run, path: Path, initial_m_s: float) -> None:
+    """Raises ConfigError where the vehicle's speed is not in m/s."""
+    top_m_s = float(np.max(run.speed_m_s))
+    low_m_s, high_m_s = SPEEDS_M_S
+    if not low_m_s < top_m_s < high_m_s:
         raise ConfigError(
-            f"{path}: the mean brake torque is {np.mean(run.torque_Nm):.4g} N m; "
-            "braking torque is positive: change its sign"
+            f"{path}: vehicle_speed_m_s reaches {top_m_s:.4g}; {low_m_s:g} to {high_m_s:g} m/s are "
+            "allowed: is it in another unit?"
         )
+    first_m_s = np.median(run.speed_m_s[:20])
+    if initial_m_s > 0 and abs(first_m_s - initial_m_s) > max(2.0, 0.1 * initial_m_s):
+        raise ConfigError(
+            f"{path}: starts at {first_m_s:.4g} m/s, but dataset.toml has "
+            f"initial_speed_m_s = {initial_m_s:g}; is vehicle_speed_m_s in km/h?"
+        )
+
+
+def _check_signs(run: Run, path: Path) -> None:
+    """Raises ConfigError where a brake torque or a wheel speed has the wrong sign."""
+    mean_Nm = np.mean(run.torque_Nm)
+    if mean_Nm < 0.0:
+        raise ConfigError(
+            f"{path}: the mean brake torque is {mean_Nm:.4g} N m; braking torque is positive: change "
+            "its sign"
+        )
+    largest_Nm = np.max(np.abs(run.torque_Nm))
     for j in range(run.torque_Nm.shape[1]):
-        if np.mean(run.torque_Nm[:, j]) < -0.1 * np.max(np.abs(run.torque_Nm)):
+        if np.mean(run.torque_Nm[:, j]) < -0.1 * largest_Nm:
             raise ConfigError(
-                f"{path}: brake_torque_{j + 1}_Nm is negative in the mean, the others are "
-                "not: change its sign"
+                f"{path}: the mean of brake_torque_{j + 1}_Nm is negative, those of the other "
+                "wheelsets are not: change its sign"
             )
         if np.median(run.wheel_speed_rad_s[:50, j]) < 0.0:
             raise ConfigError(
-                f"{path}: wheel_speed_{j + 1}_rad_s is negative; wheels turn forwards with "
+                f"{path}: wheel_speed_{j + 1}_rad_s is negative; wheels that turn forwards have "
                 "positive speed: change its sign"
             )
 
 
 def _check_sliding(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:
-    sliding = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s
-    if np.mean(sliding) < -0.2:
+    """Raises ConfigError where wheels turn faster than the vehicle; warns where little slides."""
+    sliding_m_s = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s
+    mean_m_s = np.mean(sliding_m_s)
+    if mean_m_s < -0.2:
         raise ConfigError(
-            f"{path}: the mean sliding is {np.mean(sliding):.3g} m/s; speed - radius x "
-            "wheel speed is positive in braking: check radius and channels"
+            f"{path}: the mean sliding is {mean_m_s:.3g} m/s; speed - radius x wheel speed is "
+            "positive in braking: check radius and channels"
         )
+
     still = [
         str(j + 1)
-        for j in range(sliding.shape[1])
-        if np.mean(np.abs(sliding[:, j])) < LEAST_SLIDING_M_S
+        for j in range(sliding_m_s.shape[1])
+        if np.mean(np.abs(sliding_m_s[:, j])) < LEAST_SLIDING_M_S
     ]
     if still:
         warnings.append(
-            f"{path.name}: wheelset {', '.join(still)} hardly slides; of its friction this "
-            "run tells little"
+            f"{path.name}: wheelset {', '.join(still)} hardly slides; this run has little information "
+            "about its friction"
         )
-    lost = float(run.speed_m_s[0] - run.speed_m_s[-1])
-    if lost < 2.0 and np.isfinite(run.mass_kg):
-        warnings.append(f"{path.name}: the speed falls by {lost:.3g} m/s only")
+
+    lost_m_s = float(run.speed_m_s[0] - run.speed_m_s[-1])
+    if lost_m_s < LEAST_SPEED_LOSS_M_S and np.isfinite(run.mass_kg):
+        warnings.append(f"{path.name}: the speed decreases by only {lost_m_s:.3g} m/s")
 
 
 def _check_held(run: Run, path: Path, warnings: list[str]) -> None:
-    """Channels that repeat their samples: stuck, or sampled slower than told."""
+    """Checks for wheel speeds that repeat their samples: a stuck sensor, or a lower sample rate.
+
+    Raises ConfigError for a stuck sensor and warns of a lower sample rate.
+    """
     moves = (run.speed_m_s > 5.0)[1:]
     if not np.any(moves):
         return
+    step_s = float(run.time_s[1] - run.time_s[0])
     for j in range(run.wheel_speed_rad_s.shape[1]):
-        same = (
-            (np.diff(run.wheel_speed_rad_s[:, j]) == 0.0)
-            & (run.wheel_speed_rad_s[1:, j] > 0.0)
-            & moves
-        )
-        at = np.flatnonzero(~same)
-        longest = int(np.max(np.diff(np.concatenate([[-1], at, [same.size]])))) - 1
-        step_s = float(run.time_s[1] - run.time_s[0])
-        if longest * step_s > LONGEST_HELD_S:
+        wheel_rad_s = run.wheel_speed_rad_s[:, j]
+        repeated = (np.diff(wheel_rad_s) == 0.0) & (wheel_rad_s[1:] > 0.0) & moves
+
+        # the longest distance between samples that differ from the one before
+        changes = np.flatnonzero(~repeated)
+        distances = np.diff(np.concatenate([[-1], changes, [repeated.size]]))
+        longest_s = (int(np.max(distances)) - 1) * step_s
+        if longest_s > LONGEST_HELD_S:
             raise ConfigError(
-                f"{path}: wheel_speed_{j + 1}_rad_s stays the same for {longest * step_s:.3g} "
-                f"s while the vehicle runs; {LONGEST_HELD_S:g} s are allowed: the sensor was "
-                "stuck: cut the run there"
+                f"{path}: wheel_speed_{j + 1}_rad_s stays the same for {longest_s:.3g} s while the "
+                f"vehicle runs; {LONGEST_HELD_S:g} s are allowed: the sensor was stuck: split the run "
+                "there"
             )
-        if np.mean(same[moves]) > 0.4:
+        share = np.mean(repeated[moves])
+        if share > MOST_REPEATED_SAMPLES:
             warnings.append(
-                f"{path.name}: {100 * np.mean(same[moves]):.0f} % of the samples of "
-                f"wheel_speed_{j + 1}_rad_s repeat the one before: it was sampled slower than "
-                "told, or rounded; delays cannot be judged"
+                f"{path.name}: {100 * share:.0f} % of the samples of wheel_speed_{j + 1}_rad_s repeat "
+                "the one before: its sample rate is lower than that of the file, or it is rounded; "
+                "delays cannot be judged"
             )
 
 
-def check(found: Dataset, where: str) -> None:
-    """The dataset as a whole. Raises ConfigError where nothing can be concluded."""
-    if not found.runs:
+def check(dataset: Dataset, where: str) -> None:
+    """Checks a dataset as a whole; adds warnings to it. Raises ConfigError."""
+    if not dataset.runs:
         raise ConfigError(f"{where}: no [[run]]; name at least two files")
-    tune, validate = found.group("tune"), found.group("validate")
+    tune = dataset.group("tune")
     if not tune:
-        raise ConfigError(f'{where}: no run has group = "tune"; nothing can be fitted')
-    units.check_clocks(found.runs, where, found.sections["vehicle"])
-    for one, other in combinations(found.runs, 2):
-        if _shared(one, other):
-            raise ConfigError(
-                f"{where}: runs '{one.name}' and '{other.name}' hold the same samples; a copy tells "
-                "nothing new and cannot validate: remove one"
-            )
-    radius = found.sections["vehicle"]["wheel_radius_m"]
-    sliding = [
-        float(np.mean(np.abs(run.speed_m_s[:, None] - radius * run.wheel_speed_rad_s)))
-        for run in tune
-    ]
-    if max(sliding) < LEAST_SLIDING_M_S:
         raise ConfigError(
-            f"{where}: the wheels hardly slide (mean {max(sliding):.3g} m/s in the best "
-            f"run, {LEAST_SLIDING_M_S} m/s are needed): adhesion was never used up and "
-            "nothing can be said about it; brake harder or on a slippery rail"
+            f'{where}: no run has group = "tune", so nothing can be fitted; mark the runs to fit'
         )
+    units.check_clocks(dataset.runs, where, dataset.sections["vehicle"])
+
+    for first, second in combinations(dataset.runs, 2):
+        if _share_samples(first, second):
+            raise ConfigError(
+                f"{where}: runs '{first.name}' and '{second.name}' have the same samples; a copy has "
+                "no new information and cannot validate: remove one"
+            )
+
+    radius_m = dataset.sections["vehicle"]["wheel_radius_m"]
+    largest_m_s = max(
+        float(np.mean(np.abs(run.speed_m_s[:, None] - radius_m * run.wheel_speed_rad_s)))
+        for run in tune
+    )
+    if largest_m_s < LEAST_SLIDING_M_S:
+        raise ConfigError(
+            f"{where}: the wheels hardly slide (mean {largest_m_s:.3g} m/s in the best run, "
+            f"{LEAST_SLIDING_M_S} m/s are needed): adhesion was never exhausted, so it cannot be "
+            "judged; brake harder or on a slippery rail"
+        )
+
     if len(tune) < 2:
-        found.warnings.append("one run only is fitted: a cause seen in a single run is not named")
-    if not validate:
-        found.warnings.append('no run has group = "validate": no gain can be claimed')
+        dataset.warnings.append(
+            "only one run is fitted: a cause that is seen in a single run is not reported"
+        )
+    if not dataset.group("validate"):
+        dataset.warnings.append('no run has group = "validate": no gain can be claimed')
 
 
-def _shared(one: Run, other: Run, length: int = 50) -> bool:
-    """Whether a stretch from the middle of a run, of wheel or vehicle speed, stands in another one too."""
-    middle = one.time_s.size // 2
-    for mine, its in (
-        (one.wheel_speed_rad_s[:, 0], other.wheel_speed_rad_s[:, 0]),
-        (one.speed_m_s, other.speed_m_s),
+def _share_samples(first: Run, second: Run) -> bool:
+    """Returns whether a piece from the middle of one run is in another run, of wheel or vehicle speed."""
+    middle = first.time_s.size // 2
+    for values, others in (
+        (first.wheel_speed_rad_s[:, 0], second.wheel_speed_rad_s[:, 0]),
+        (first.speed_m_s, second.speed_m_s),
     ):
-        piece = mine[middle : middle + length]
-        starts = np.flatnonzero(its[: max(its.size - length, 0)] == piece[0])
-        if any(np.array_equal(its[at : at + length], piece) for at in starts):
+        piece = values[middle : middle + COPIED_SAMPLES]
+        last_start = max(others.size - COPIED_SAMPLES, 0)
+        starts = np.flatnonzero(others[:last_start] == piece[0])
+        if any(np.array_equal(others[at : at + COPIED_SAMPLES], piece) for at in starts):
             return True
     return False

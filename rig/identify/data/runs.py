@@ -1,4 +1,4 @@
-"""What measured data is once it is read: stops, a creep curve, and the set that holds them."""
+"""The types of measured data: a run (one stop), a creep curve, and the dataset that holds them."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,45 +9,45 @@ from rollerrig.rig.state import AXLES as AXLES
 
 
 class Run(NamedTuple):
-    """One stop: arrays (n,) or (n, 4), SI units; `position_m` may be None."""
+    """One measured stop. Arrays have the shape (n,), or (n, AXLES) with one column per wheelset."""
 
     name: str
-    group: str
-    mass_kg: float  # inf: drives held the speed of the surface, whatever the wheels did
-    mu_cd: float | None
+    group: str  # "tune" or "validate"
+    mass_kg: float  # inf: drives held the speed of the surface, whatever force the wheels had
+    mu_cd: float | None  # friction of the degraded contact; None: it is estimated
     time_s: np.ndarray
     speed_m_s: np.ndarray
     wheel_speed_rad_s: np.ndarray
     load_N: np.ndarray
     torque_Nm: np.ndarray
-    position_m: np.ndarray | None
-    surface_m_s: np.ndarray | None  # (n, 4): roller surface speed on a rig; None on a track
+    position_m: np.ndarray | None  # None: not measured
+    surface_m_s: np.ndarray | None  # roller surface speed on a rig, (n, AXLES); None: on a track
 
 
 class Curve(NamedTuple):
-    """Measured creep curve: arrays (n,)."""
+    """A measured creep curve. All arrays have the shape (n,)."""
 
     creepage: np.ndarray
     adhesion: np.ndarray
     speed_m_s: np.ndarray
     load_N: np.ndarray
-    series: np.ndarray
+    series: np.ndarray  # number of the measured series of each point
 
 
 class Dataset(NamedTuple):
-    """Checked data. `sections` are checked parameter tables as `params.check` gives them."""
+    """Checked measured data. `sections` are the parameter tables that `params.check` returns."""
 
     name: str
-    kind: str
+    kind: str  # one of the kinds of `dataset.HEAD`
     folder: Path
     sample_time_s: float
     sections: dict[str, dict[str, Any]]
-    accuracy: dict[str, float]
-    axle_position_m: np.ndarray
+    accuracy: dict[str, float]  # by the names of `dataset.ACCURACY`
+    axle_position_m: np.ndarray  # (AXLES,), distance behind the first wheelset
     runs: list[Run]
-    curve: Curve | None
+    curve: Curve | None  # of a dataset of the kind creep_curve
     warnings: list[str]
 
     def group(self, name: str) -> list[Run]:
-        """The runs of a group."""
+        """Returns the runs of a group."""
         return [run for run in self.runs if run.group == name]

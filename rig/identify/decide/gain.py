@@ -114,7 +114,7 @@ def missing_adhesion(design: Design, explanation: Explanation) -> np.ndarray:
     out = np.empty(nu.size)
     for s in range(design.segments):
         at, p = design.span(s), i.parameters[s]
-        omega = design.measured_rad_s[at] - nu[at] * p[parameters.NOISE] ** 2 / S[at]
+        omega = design.measured_rad_s[at] - nu[at] * p[parameters.SPEED_NOISE] ** 2 / S[at]
         out[at] = predicted(i, at, omega, p, design.step_s)[1]
     return np.where(design.speed_m_s > SLOWEST_M_S, out * np.expm1(field), 0.0)
 

@@ -167,7 +167,7 @@ def _coefficients(
     """One wheel: stores [S1] along the filtered path."""
     at, p, (nu, S, field) = design.span(s), inputs.parameters[s], found
     r, inertia, h = p[parameters.RADIUS], p[parameters.INERTIA], 0.5 * design.step_s
-    p00 = np.maximum(S - p[parameters.NOISE] ** 2, 0.0)
+    p00 = np.maximum(S - p[parameters.SPEED_NOISE] ** 2, 0.0)
     omega = design.measured_rad_s[at] - nu + p00 / S * nu
     v, N, mu = inputs.speed_m_s[at], inputs.load_N[at], inputs.friction[:, at]
     sliding, late = v - r * omega, np.zeros(v.size + 1)
@@ -180,7 +180,7 @@ def _coefficients(
     path[:] = sliding, f * 0.5 * N * sliding / v, force * f - inputs.torque_Nm[at] / inertia
     a = -r * rise * force
     x = np.minimum(a * h, 5.0)
-    growth, keep = np.exp(x), np.exp(-v * h / p[parameters.LENGTH])
+    growth, keep = np.exp(x), np.exp(-v * h / p[parameters.IRREGULARITY_LENGTH])
     some = np.where(np.abs(x) > 1e-6, x, 1.0)
     phi = np.where(np.abs(x) > 1e-6, np.expm1(some) / some, 1.0 + 0.5 * x)
     b = h * phi * force * f

@@ -216,7 +216,7 @@ def only(copy: Path, *names: str) -> None:
 @pytest.mark.parametrize(
     ("kept", "said"),
     [
-        (("a1", "b1"), "one run only"),
+        (("a1", "b1"), "only one run is fitted"),
         (("a1", "a2"), "no gain can be claimed"),
     ],
 )
