@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.compiled.kernel import constructor
+from rollerrig.rig.compiled.generated import tuple_builder
 from rollerrig.rig.contact.patch import Patch, patch_for
 from rollerrig.rig.identify.data.runs import Dataset
 
@@ -43,7 +43,7 @@ class WheelModel(NamedTuple):
 
 PARAMETERS = len(WheelModel._fields)
 # makes a WheelModel of one row of an array, in compiled code
-wheel_model = constructor(WheelModel, "row", [f"row[{k}]" for k in range(PARAMETERS)])
+wheel_model = tuple_builder(WheelModel, "row", [f"row[{k}]" for k in range(PARAMETERS)])
 
 # columns of an array of parameters
 RADIUS = WheelModel._fields.index("wheel_radius_m")
