@@ -37,7 +37,7 @@ lint: $(VENV)/ready-dev
 	@mkdir -p $(VENV)/typed/rollerrig
 	@for room in rig firmware_sim wsp_interface realtime configs; do \
 	  ln -sfn "$(CURDIR)/$$room" $(VENV)/typed/rollerrig/$$room; done
-	MYPYPATH=$(VENV)/typed $(BIN)/mypy -p rollerrig
+	MYPYPATH=$(VENV)/typed:tests $(BIN)/mypy -p rollerrig -p benchmarks -p endurance -p sealed -p paper
 
 format: $(VENV)/ready-dev
 	$(BIN)/ruff check --fix .
@@ -47,8 +47,10 @@ docs: $(VENV)/ready-dev
 	$(BIN)/python -m pytest tests --collect-only -qq --write-docs=docs
 	$(BIN)/python -m mkdocs build --quiet --strict
 
+# make bench NAME=contact runs another benchmark, or several: make bench NAME="hunting contact"
+NAME = loop bus vehicle
 bench: $(VENV)/ready
-	$(BIN)/rollerrig bench loop bus vehicle
+	$(BIN)/rollerrig bench $(NAME)
 
 performance: $(VENV)/ready
 	$(BIN)/rollerrig bench loop bus vehicle contact hunting harness campaign soak fuzz kill --markdown docs/performance.md

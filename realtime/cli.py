@@ -27,10 +27,10 @@ from rollerrig.realtime.commands import (
     discover,
     explain,
     listing,
-    paper,
     results,
     run,
     sequence,
+    tuning,
     wsp,
 )
 
@@ -169,15 +169,15 @@ VERBS = (
     ),
     Verb(
         "tune",
-        paper.tune_arguments,
-        paper.tune,
+        tuning.tune_arguments,
+        tuning.tune,
         "tau of the recovery (or Polach's parameters) from measured data",
         "rollerrig tune velim_synthetic --out reports/tune",
     ),
     Verb(
         "validate",
-        paper.validate_arguments,
-        paper.validate,
+        tuning.validate_arguments,
+        tuning.validate,
         "Table 6 on runs never fitted: measured, with and without recovery",
         "rollerrig validate velim_synthetic --out reports/validate",
     ),

@@ -15,7 +15,7 @@ where a wheel on a rail meets a fresh one always.
          was prepared (1), half a turn ahead of the wheel; what is more runs off. ln mu_cd += gain (1 - h)
 
 Doubt: [S1] a pure delay is rather what a hose does; [S2] the form is an assumption, its numbers are fitted to stops
-that were measured (`studies.sanding`). Sand brings a contact no further than its clean limit.
+that were measured (`tests/paper/sanding.py`). Sand brings a contact no further than its clean limit.
 """
 
 import math

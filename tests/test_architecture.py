@@ -23,7 +23,7 @@ FLOORS = {
     "sequences | fixture robot | harness",
     "firmware_sim": "cia301 rig_control | nmt_master process_image rack wsp | "
     "bench_node drive402 encoder406 faults fmu io401 sander401 | modbus pole_wheel",
-    "realtime": "broken_pipe loop pictures record | telemetry | bench | campaign | studies | datasets | "
+    "realtime": "broken_pipe loop pictures record | telemetry | bench | campaign | datasets | "
     "desk discover reports | benchmarks | commands | "
     "api cli",
 }
@@ -52,21 +52,19 @@ OUTSIDE = {
     "realtime/telemetry": "numpy rerun PIL",
     "realtime/bench": "numpy numba pyarrow pymodbus tomli_w pythonfmu3",
     "realtime/campaign": "numpy scipy pyarrow tomli_w distributed",
-    "realtime/studies": "numpy scipy",
     "realtime/datasets": "numpy scipy tomli_w",
     "realtime/discover": "numpy scipy tomli_w",
     "realtime/reports": "numpy pyarrow matplotlib rich fpdf",
-    "realtime/benchmarks": "numpy numba rich distributed pymodbus httpx socketio",
-    "realtime/benchmarks/sealed": "numpy scipy threadpoolctl",
+    "realtime/benchmarks": "numpy rich distributed pymodbus",
     "realtime/desk": "numpy nicegui fastapi pymodbus",
     "realtime/pictures": "numpy",
     "realtime/commands": "numpy rich tomli_w",
 }
-# these may call importlib.import_module: benchmarks by name, a campaign's own unit, the generator of stops, python-can
+# these may call importlib.import_module: benchmarks by name, modules of a clone, a campaign's own unit, python-can
 BY_COMPUTED_NAME = {
     "realtime/commands/bench",
     "realtime/campaign/campaign",
-    "realtime/benchmarks/sealed/cases",
+    "realtime/commands/clone",
     "realtime/cli",
 }
 MODULES = 16

@@ -9,13 +9,13 @@ import re
 
 import pytest
 import test_architecture
+from benchmarks import explain
 from generator import thresholds
 from generator.keep import KEPT
 from robot.libdocpkg import LibraryDocumentation
+from sealed.cases import GENERATORS
 
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.realtime.benchmarks import explain
-from rollerrig.realtime.benchmarks.sealed.cases import GENERATORS
 from rollerrig.rig import params
 from rollerrig.rig.identify.causes import table as causes
 from rollerrig.rig.identify.data import dataset

@@ -1,96 +1,151 @@
-"""`rollerrig bench`: the project's own benchmarks, by name, as tables or JSON; `rollerrig score`: judge any tool."""
+"""`rollerrig bench` runs the project's benchmarks by name; `rollerrig score` judges answers.
+
+Four benchmarks belong to the installed package, because users want their figures of a new machine.
+The others judge the project itself. They are in `tests/` and run from a clone only.
+"""
 
 import argparse
 import importlib
 import json
 import sys
 from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.commands import output
+from rollerrig.realtime.commands import clone, output
 
-# module under `benchmarks`, imported only when it is asked for, and what it is
+
+class Benchmark(NamedTuple):
+    """A row of the help: one line of text, and the module, which is imported only when it runs."""
+
+    text: str
+    module: str
+    needs_clone: bool  # then the module is below the folder `tests` of the clone
+
+
+def _installed(name: str, text: str) -> Benchmark:
+    return Benchmark(text, f"rollerrig.realtime.benchmarks.{name}", needs_clone=False)
+
+
+def _in_clone(module: str, text: str) -> Benchmark:
+    return Benchmark(text, module, needs_clone=True)
+
+
 BENCHMARKS = {
-    "contact": "what a contact costs, and the four models braking the coach: Table 8 of the paper",
-    "hunting": "the speed above which the coach in 3D hunts, by a sweep",
-    "loop": "lateness of the real-time loop against cyclictest's",
-    "bus": "TPDO to valve, SYNC to last TPDO, round trips, on a running bench",
-    "discover": "how often discover finds out a sealed rig (minutes a rig)",
-    "explain": "how often explain is right, on sets with known hidden effects (an hour)",
-    "campaign": "stops a minute and core, two workers against one, memory, Dask",
-    "harness": "lateness and missed ticks with and without a scripted sequence",
-    "desk": "lateness and missed ticks with and without a desk that ten browsers look at",
-    "vehicle": "45 s of four axles without deadlines, and the start of a run",
-    "endurance.soak": "memory, disk and losses of long runs, in real time and in lockstep",
-    "endurance.fuzz": "a million malformed inputs through every door of running benches",
-    "endurance.kill": "what is lost and left when processes of a run are killed, a hundred times",
+    "loop": _installed("loop", "lateness of the real-time loop, compared with cyclictest"),
+    "bus": _installed("bus", "TPDO to valve, SYNC to last TPDO, round trips, on a running bench"),
+    "vehicle": _installed("vehicle", "45 s of four axles without deadlines; the start of a run"),
+    "campaign": _installed("campaign", "stops per minute and core, two workers, memory, Dask"),
+    "contact": _in_clone(
+        "benchmarks.contact",
+        "time of a contact; four contact models in the coach (Table 8 of the paper)",
+    ),
+    "hunting": _in_clone(
+        "benchmarks.hunting", "the speed above which the coach in 3D hunts, by a sweep"
+    ),
+    "discover": _in_clone(
+        "benchmarks.discover", "how often discover solves a sealed rig (minutes per rig)"
+    ),
+    "explain": _in_clone(
+        "benchmarks.explain",
+        "how often explain is right on sets with known hidden effects (an hour)",
+    ),
+    "harness": _in_clone(
+        "benchmarks.harness", "lateness and missed ticks with and without a scripted sequence"
+    ),
+    "desk": _in_clone(
+        "benchmarks.desk", "lateness and missed ticks with and without a desk and ten browsers"
+    ),
+    "soak": _in_clone(
+        "endurance.soak", "memory, disk and losses of long runs, in real time and in lockstep"
+    ),
+    "fuzz": _in_clone(
+        "endurance.fuzz", "a million malformed inputs through every interface of running benches"
+    ),
+    "kill": _in_clone(
+        "endurance.kill", "what is lost when processes of a run are killed, a hundred times"
+    ),
 }
-NAMES = {path.rpartition(".")[2]: path for path in BENCHMARKS}
+# allowed values of --seconds, and what a benchmark takes that has no SECONDS
+SHORTEST_S = 1.0
+LONGEST_S = 36_000.0
+DEFAULT_S = 20.0
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.description = "The project's own benchmarks:\n" + "\n".join(
-        f"  {name:10}{BENCHMARKS[path]}" for name, path in NAMES.items()
+    lines = ["The project's own benchmarks (* needs a clone of the repository):"]
+    for name, benchmark in BENCHMARKS.items():
+        mark = "*" if benchmark.needs_clone else " "
+        lines.append(f"{mark} {name:10}{benchmark.text}")
+    parser.description = "\n".join(lines)
+    parser.add_argument(
+        "name",
+        nargs="+",
+        choices=BENCHMARKS,
+        metavar="NAME",
+        help=", ".join(BENCHMARKS),
     )
-    parser.add_argument("name", nargs="+", choices=NAMES, metavar="NAME", help=", ".join(NAMES))
     parser.add_argument(
         "--seconds",
         type=float,
         default=None,
         metavar="S",
-        help="how long the loop runs, all slices "
-        "together (default: 20), or soak, both pacings together (default: 480)",
+        help="loop: duration of all slices together (default: 20); soak: duration of both pacings "
+        "together (default: 480); desk: duration of all rounds together (default: 120)",
     )
     parser.add_argument(
         "--count",
         type=int,
         default=0,
         metavar="N",
-        help="inputs of fuzz (default: 1000000), kills of kill (default: 100)",
+        help="fuzz: number of inputs (default: 1000000); kill: number of kills (default: 100)",
     )
-    parser.add_argument("--live", action="store_true", help="loop: with the live view on")
+    parser.add_argument("--live", action="store_true", help="loop: with the live view")
     parser.add_argument(
         "--sets",
         type=int,
         default=0,
         metavar="N",
-        help="explain: the first N sets (default: one turn "
-        "of the matrix, of which there are as many as wanted); discover: rigs (default: 40)",
+        help="explain: number of sets (default: one round of the matrix of hidden effects; any "
+        "larger number is possible); discover: number of rigs (default: 40)",
     )
     parser.add_argument(
         "--tool",
         choices=("explain", "bic", "sparse", "least_squares"),
         default="explain",
-        help="explain: what answers, explain or one of three usual ways (default: explain)",
+        help="explain: the tool that answers, explain or one of three usual methods "
+        "(default: explain)",
     )
     parser.add_argument(
         "--export",
         type=Path,
         metavar="DIR",
-        help="explain: only write the sets without truth, and the key, for rollerrig score",
+        help="explain: only write the sets without their truth, and the key for rollerrig score",
     )
     parser.add_argument(
         "--folder",
         type=Path,
         metavar="DIR",
-        help="explain, discover: where sets and answers are, to "
-        "go on or to grow (default: reports/bench_explain_GENERATOR_SEED, reports/bench_discover_SEED)",
+        help="explain, discover: folder of sets and answers, which is completed or extended "
+        "(default: reports/bench_explain_GENERATOR_SEED, reports/bench_discover_SEED)",
     )
     parser.add_argument(
         "--generator",
         choices=("first", "second", "third"),
         default="first",
-        help="explain: whose sets, by one author, by another, or in MuJoCo (default: first)",
+        help="explain: the generator of the sets; each has another author, and the third uses "
+        "MuJoCo (default: first)",
     )
     parser.add_argument(
         "--alone",
         action="store_true",
-        help="explain: one set after another, each on all cores, as "
-        "rollerrig explain does: for its time (default: one set a core)",
+        help="explain: answer one set after another, each on all cores, as rollerrig explain does; "
+        "use it to measure the time of a set (default: one set per core)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="seed of whatever is random (default: 0)"
+        "--seed", type=int, default=0, help="seed of everything that is random (default: 0)"
     )
     parser.add_argument(
         "--set",
@@ -106,51 +161,79 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--markdown",
         type=Path,
         metavar="FILE",
-        help="also write the tables into a page, in "
-        "place of the same benchmark's section, as in docs/performance.md",
+        help="also write the tables into a page, in place of the section of the same benchmark, "
+        "as in docs/performance.md",
     )
 
 
 def call(given: argparse.Namespace) -> int:
-    from rollerrig.realtime.benchmarks import figures
-
-    if not 1.0 <= (given.seconds or 1.0) <= 36_000.0 or given.seconds == 0.0:
-        raise ConfigError(f"--seconds {given.seconds:g}: allowed are 1 to 36000 s")
-    if given.count < 0:
-        raise ConfigError(
-            f"--count {given.count}: allowed are 1 and more, and 0 for the usual number"
-        )
     from rich.console import Console
 
-    asked_s, console, results = given.seconds, Console(), {}
+    from rollerrig.realtime.benchmarks import figures
+
+    requested_s = given.seconds
+    if requested_s is not None and not SHORTEST_S <= requested_s <= LONGEST_S:
+        raise ConfigError(
+            f"--seconds {requested_s:g} is out of range; "
+            f"allowed are {SHORTEST_S:g} to {LONGEST_S:g} s"
+        )
+    if given.count < 0:
+        raise ConfigError(
+            f"--count {given.count} is out of range; allowed are 1 and more, "
+            "and 0 for the default number"
+        )
+
+    console = Console()
+    command = " ".join(["rollerrig", *sys.argv[1:]])
+    results = {}
+    # a name that is given twice runs once
     for name in dict.fromkeys(given.name):
-        module = importlib.import_module(f"rollerrig.realtime.benchmarks.{NAMES[name]}")
-        given.seconds = asked_s or getattr(module, "SECONDS", 20.0)
+        module = _module(name)
+        given.seconds = requested_s or getattr(module, "SECONDS", DEFAULT_S)
         results[name] = module.run(given, output.say)
-        shown, lines = module.table(results[name]), figures.lines(results[name])
+        table = module.table(results[name])
+        lines = figures.lines(results[name])
         if not given.json:
-            console.print(shown)
+            console.print(table)
             console.print("\n".join(lines), highlight=False)
         if given.markdown:
-            figures.put(given.markdown, name, " ".join(["rollerrig", *sys.argv[1:]]), shown, lines)
+            figures.put(given.markdown, name, command, table, lines)
     if given.json:
         print(json.dumps(results))
-    met = all(one["met"] for result in results.values() for one in result.get("targets", ()))
-    return output.FAILED if given.strict and not met else output.PASS
+
+    if given.strict and not _all_met(results):
+        return output.FAILED
+    return output.PASS
+
+
+def _module(name: str) -> ModuleType:
+    """Return the module of a benchmark, which has `run(given, say)` and `table(result)`."""
+    benchmark = BENCHMARKS[name]
+    if benchmark.needs_clone:
+        return clone.load(benchmark.module, f"rollerrig bench {name}")
+    return importlib.import_module(benchmark.module)
+
+
+def _all_met(results: dict[str, dict]) -> bool:
+    """Return whether all targets of all benchmarks are met."""
+    targets = [target for result in results.values() for target in result.get("targets", [])]
+    return all(target["met"] for target in targets)
 
 
 def score_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Judges the answers of any tool (needs a clone of the repository)."
     parser.add_argument("folder", type=Path, help="folder of the sets and their key")
     parser.add_argument(
         "answers",
         type=Path,
-        help="JSON file with an answer for each set, or a folder of files "
-        "SET.json; report.json of rollerrig explain is such an answer",
+        help="JSON file with one answer per set, or a folder with one file SET.json per set; "
+        "report.json of rollerrig explain is such an answer",
     )
 
 
 def score(given: argparse.Namespace) -> int:
-    from rollerrig.realtime.benchmarks import explain, figures
+    explain = clone.load("benchmarks.explain", "rollerrig score")
+    from rollerrig.realtime.benchmarks import figures
 
-    found = explain.judge(given.folder, given.answers)
-    return output.show(given, found, explain.table(found), *figures.lines(found))
+    result = explain.judge(given.folder, given.answers)
+    return output.show(given, result, explain.table(result), *figures.lines(result))

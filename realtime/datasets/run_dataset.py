@@ -14,14 +14,11 @@ import tomli_w
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.bench import free
 from rollerrig.realtime.datasets import run_sensors
 from rollerrig.realtime.record import records
 from rollerrig.realtime.record.files import writing
-from rollerrig.realtime.studies import velim
 from rollerrig.rig import params
 from rollerrig.rig.identify.data.runs import Run
-from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES
 
 _CONTACT = ("young_Pa", "shear_Pa", "poisson", "lateral_radius_m", "roller_radius_m")
@@ -38,23 +35,6 @@ _QUANTITIES = (
     ("brake_torque", "Nm", "torque_Nm", 0),
     ("surface_speed", "m_s", "surface_m_s", 3),
 )
-
-
-def of_rows(name: str, group: str, mass_kg: float, rows: np.ndarray) -> Run:
-    """A run from samples of all signals, shape (n, columns), as the physics computed it."""
-    return Run(
-        name=name,
-        group=group,
-        mass_kg=mass_kg,
-        mu_cd=None,
-        time_s=rows[:, signals.column("time")],
-        speed_m_s=rows[:, signals.column("vehicle_speed")],
-        wheel_speed_rad_s=rows[:, signals.span("wheel_speed")],
-        load_N=rows[:, signals.span("wheel_load")],
-        torque_Nm=rows[:, signals.span("brake_torque")],
-        position_m=None,
-        surface_m_s=None,
-    )
 
 
 def write(
@@ -221,32 +201,3 @@ def _note(recorded: Sequence[records.Run]) -> str:
             f"the runs had contact.model = {model!r}; the base model is the degraded adhesion law"
         )
     return "; ".join(notes)
-
-
-def velim_synthetic(out: Path, seed: int = 1) -> Path:
-    """The six Velim stops as this project simulates them, with sensors, down to SLOWEST_M_S: a synthetic dataset."""
-    found, rng = velim.settings(), np.random.default_rng(seed)
-    resolved = velim.plan_of("a1", found).resolved
-    # the contaminant differs between the tests
-    resolved = resolved | {
-        "adhesion": {k: v for k, v in resolved["adhesion"].items() if k != "mu_cd"}
-    }
-    runs = [
-        of_rows(
-            test,
-            "tune" if test in velim.GROUP_A else "validate",
-            resolved["vehicle"]["mass_kg"],
-            free.moving(velim.rows_of(test, found), SLOWEST_M_S),
-        )
-        for test in velim.TESTS
-    ]
-    return write(
-        out,
-        [run_sensors.noisy(run, run_sensors.TRAIN, rng) for run in runs],
-        resolved,
-        run_sensors.TRAIN,
-        rounded=True,
-        title="SYNTHETIC: six stops as at Velim, simulated by this project; not the recordings "
-        "of the paper",
-        source="rollerrig tune velim --synthetic; true tau 1.9e-4 m/J",
-    )

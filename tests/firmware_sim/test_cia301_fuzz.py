@@ -4,9 +4,9 @@ import random
 
 import numpy as np
 import pytest
+from endurance import fuzz
 
 from rollerrig.firmware_sim import bench_node, nmt_master
-from rollerrig.realtime.benchmarks.endurance import fuzz
 from rollerrig.wsp_interface.bus.frames import Frame
 
 FRAMES = 20_000

@@ -6,6 +6,7 @@ import threading
 import time
 
 import pytest
+from endurance import fuzz
 from modbus_site import HIGHEST_SPEED, Site, adu, until
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.constants import ExcCodes
@@ -14,7 +15,6 @@ from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus import server
 from rollerrig.firmware_sim.modbus.map import WORDS
 from rollerrig.firmware_sim.modbus.server import Server
-from rollerrig.realtime.benchmarks.endurance import fuzz
 
 SPEED_SET_POINT = 1
 

@@ -1,6 +1,6 @@
 """Keeps what `explain` answered to the sets of a benchmark, and the key, so that anybody can judge it again.
 
-    python tests/generator/keep.py FOLDER ...
+    cd tests; python -m generator.keep FOLDER ...
 
 Each folder is one of `rollerrig bench explain --folder FOLDER`. Kept is what is judged, also by other limits, under
 the generator's name beside this file. docs/explain.md has its table from there (`make docs`); to print it:
@@ -13,7 +13,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from rollerrig.realtime.benchmarks.sealed import answers, cases
+from sealed import answers, cases
 
 KEPT = Path(__file__).parent / "kept"
 LIKELY = 0.03  # findings that are less likely by chance are kept

@@ -22,8 +22,8 @@ from types import SimpleNamespace
 
 import numpy as np
 from generator import keep
+from sealed import cases
 
-from rollerrig.realtime.benchmarks.sealed import cases
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import decision, evidence

@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 import pytest
+from endurance import fuzz, runs
 
-from rollerrig.realtime.benchmarks.endurance import fuzz, runs
 from rollerrig.realtime.record import records
 
 QUIET_S, ATTACK_S, END_S = (

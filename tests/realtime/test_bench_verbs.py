@@ -6,11 +6,14 @@ import json
 import cantools
 import numpy as np
 import pytest
+from benchmarks import contact, hunting
+from paper import table8
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.benchmarks import bus, client, contact, figures, hunting, table8
+from rollerrig.realtime.benchmarks import bus, client, figures
 from rollerrig.realtime.benchmarks import loop as loop_benchmark
+from rollerrig.realtime.commands import bench, clone
 from rollerrig.realtime.loop import loop
 from rollerrig.rig import params
 from rollerrig.rig.contact.creep_force import MODELS
@@ -276,3 +279,41 @@ def test_the_sweep_for_hunting_prints_the_critical_speed(monkeypatch):
     assert any(f"hunting from {critical:.1f} m/s" in note for note in result["notes"])
     assert len(said) == 6
     assert hunting.table(result).row_count == 3
+
+
+# -- what needs a clone
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("bench", "contact"),
+        ("bench", "soak"),
+        ("score", "sets", "answers.json"),
+        ("tune", "velim"),
+        ("validate", "velim"),
+        ("validate", "sanding"),
+    ],
+    ids=" ".join,
+)
+def test_a_command_that_needs_a_clone_reports_how_to_get_one(words, capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(clone, "TESTS", tmp_path / "tests")
+    assert cli.main(list(words)) == cli.USAGE
+    error = capsys.readouterr().err
+    assert "the installed package does not have" in error
+    assert "clone the repository" in error
+
+
+def test_the_help_of_bench_marks_which_benchmarks_need_a_clone(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["bench", "--help"])
+    shown = capsys.readouterr().out
+    marked = {name for name in bench.BENCHMARKS if f"\n* {name} " in shown}
+    assert set(bench.BENCHMARKS) - marked == {"loop", "bus", "vehicle", "campaign"}
+
+
+@pytest.mark.parametrize("name", bench.BENCHMARKS)
+def test_every_benchmark_is_where_its_row_says(name):
+    module = bench._module(name)
+    assert callable(module.run)
+    assert callable(module.table)

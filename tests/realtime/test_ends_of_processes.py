@@ -9,9 +9,9 @@ import sys
 
 import pytest
 from bench_process import BenchProcess, until
+from endurance import runs
 
 from rollerrig.realtime import cli
-from rollerrig.realtime.benchmarks.endurance import runs
 from rollerrig.realtime.record import records
 
 RECORDER = "rollerrig.realtime.telemetry.recorder"

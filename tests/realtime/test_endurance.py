@@ -4,8 +4,7 @@ import argparse
 import re
 
 import pytest
-
-from rollerrig.realtime.benchmarks.endurance import kill, runs, soak
+from endurance import kill, runs, soak
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ import numpy as np
 import paced_writer
 import pyarrow.parquet as pq
 import pytest
+from endurance import runs
 from rerun.chunk import RrdReader
 
 from rollerrig.realtime.bench import processes
-from rollerrig.realtime.benchmarks.endurance import runs
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records

@@ -1,8 +1,8 @@
 """The sand's law: the two fitted stops are met, the others predicted, and [sanders] has the fitted numbers."""
 
 import pytest
+from paper import sanding
 
-from rollerrig.realtime.studies import sanding
 from rollerrig.rig import params
 
 

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from paper import synthetic_stops, velim
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.datasets import run_dataset, run_sensors
-from rollerrig.realtime.studies import velim
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.paper import tuning
 from rollerrig.wsp_interface import signals
@@ -167,7 +167,7 @@ def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, t
     plan = scenario.load("velim_a1", settings=("rig.mode=track",))
     runs = [
         run_sensors.noisy(
-            run_dataset.of_rows(name, group, plan["vehicle"]["mass_kg"], free.moving(rows)),
+            synthetic_stops.run_of(name, group, plan["vehicle"]["mass_kg"], free.moving(rows)),
             run_sensors.TRAIN,
             rng,
         )

@@ -14,9 +14,9 @@ from generator import mujoco_contact as contact
 from generator import mujoco_stops as stops
 from scipy.signal import savgol_filter
 from scipy.special import lambertw
+from sealed import cases
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.benchmarks.sealed import cases
 
 RUN = "short_2"
 WEIGHT_N = 43000.0 * 9.81

@@ -12,10 +12,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from paper import table8
 from rich.console import Group
 
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.benchmarks import figures, table8
+from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.rig import wheelset
 from rollerrig.rig.compiled.kernel import kernel

@@ -8,11 +8,11 @@ import argparse
 from pathlib import Path
 
 from rich.table import Table
+from sealed import answers, cases, score
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say
-from rollerrig.realtime.benchmarks.sealed import answers, cases, score
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:

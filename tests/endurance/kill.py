@@ -13,9 +13,9 @@ from typing import Any
 
 from rich.table import Table
 
+from endurance import runs
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime.benchmarks import figures
-from rollerrig.realtime.benchmarks.endurance import runs
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.record import records
 

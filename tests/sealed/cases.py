@@ -8,7 +8,6 @@ no code with the rig and hide each cause in another form than the rig's table wr
 """
 
 import importlib
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -20,11 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.benchmarks.sealed import work
 from rollerrig.realtime.record import seal
 from rollerrig.realtime.record.files import writing
+from sealed import work
 
-_FOLDER = Path(__file__).resolve().parents[3] / "tests" / "generator"
 GENERATORS = {"first": "braking_stops", "second": "other_stops", "third": "mujoco_stops"}
 KINDS = ("none", "one", "two", "unknown")
 NOTHING, SIZES = 30, (1.0, 2.0)
@@ -74,16 +72,9 @@ def stream(make: ModuleType, seed: int) -> Iterator[Case]:
 
 
 def generator(module: str) -> ModuleType:
-    """A module of `tests/generator`. Raises ConfigError where there is none, or not what it needs."""
-    if not (_FOLDER / f"{module}.py").is_file():
-        raise ConfigError(
-            "bench explain needs tests/generator, which only a clone of the project has; run it there"
-        )
-    # by the name that it has in the tests: its compiled functions are kept under that name
-    if str(_FOLDER.parent) not in sys.path:
-        sys.path.insert(0, str(_FOLDER.parent))
+    """A module of `tests/generator`. Raises ConfigError where there is not what it needs."""
     try:
-        return importlib.import_module(f"{_FOLDER.name}.{module}")
+        return importlib.import_module(f"generator.{module}")
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise

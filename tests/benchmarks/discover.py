@@ -9,11 +9,11 @@ import time
 from pathlib import Path
 
 from rich.table import Table
+from sealed import score
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say
-from rollerrig.realtime.benchmarks.sealed import score
 from rollerrig.realtime.discover import discover, sealed_rig
 from rollerrig.realtime.record.files import replaced, writing
 

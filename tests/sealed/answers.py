@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.benchmarks.sealed import baselines, work
-from rollerrig.realtime.benchmarks.sealed.cases import SETS
 from rollerrig.realtime.record.files import writing
+from sealed import baselines, work
+from sealed.cases import SETS
 
 ANSWERS = "answers"
 TOOLS = ("explain", *baselines.TOOLS)

@@ -2,7 +2,7 @@
 
 What the paper does not print (brake demand, WSP thresholds, the contaminant of each test) is found on
 group A, where Table 6 prints mean and spread of the sliding of wheelset 1; it stands in
-`configs/velim.toml`. Group B is predicted: Table 5's initial speed is all that is known of a test, so
+`tests/paper/velim.toml`. Group B is predicted: Table 5's initial speed is all that is known of a test, so
 its contaminant is the geometric mean of group A's. The stops run on the track, with Table 4.
 
     [Q1] cost = sum over A1..A3 of (mean - measured)^2 + (deviation - measured)^2
@@ -25,6 +25,7 @@ a test. Table 6's B rows are never used for fitting.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import four_stops
 from rollerrig.wsp_interface import signals
 
+SETTINGS = Path(__file__).with_name("velim.toml")
 GROUP_A, GROUP_B = ("a1", "a2", "a3"), ("b1", "b2", "b3")
 TESTS = GROUP_A + GROUP_B
 # paper Table 5
@@ -85,9 +87,8 @@ class Own(NamedTuple):
 
 
 def settings() -> dict[str, float]:
-    """What was found on group A: `configs/velim.toml`. Raises ConfigError."""
-    path = store.ROOT / "velim.toml"
-    return read(ROWS, store.parse(path), str(path))
+    """What was found on group A: `velim.toml` beside this file. Raises ConfigError."""
+    return read(ROWS, store.parse(SETTINGS), str(SETTINGS))
 
 
 def contaminant(found: dict[str, float], test: str) -> float:

@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 from pymodbus.framer import FramerRTU
 from rich.table import Table
 
+from endurance import runs
 from rollerrig.firmware_sim.cia301.nmt import Command
 from rollerrig.firmware_sim.modbus import pdu
 from rollerrig.realtime.benchmarks import client, figures
-from rollerrig.realtime.benchmarks.endurance import runs
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import rig_objects as rig

@@ -8,8 +8,8 @@ from scipy.stats import binomtest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.benchmarks import figures
-from rollerrig.realtime.benchmarks.sealed.answers import FOUND, Answer
-from rollerrig.realtime.benchmarks.sealed.cases import KINDS
+from sealed.answers import FOUND, Answer
+from sealed.cases import KINDS
 
 # a smaller gain than this share of the error is not worth a quotient
 LEAST_POSSIBLE = 0.02

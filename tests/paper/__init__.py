@@ -1,0 +1,1 @@
+"""Tables of the paper that the project reproduces, and a study of measured stops with sand."""
