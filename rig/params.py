@@ -363,15 +363,22 @@ def build_rollers(
 ) -> Params:
     """The plant that runs beside a virtual track: the same wheelsets on dry, clean rollers."""
     dry = sections["dry_roller"]
-    keys = {
-        "mu_c": "mu_c{}",
-        "A": "A_{}",
-        "gamma_s_m": "gamma_{}_s_m",
-        "k_a": "k_a{}",
-        "k_s": "k_s{}",
+    # dry and clean: the degraded curve is the recovered one, and nothing is cleaned
+    adhesion = {
+        **sections["adhesion"],
+        "mu_cd": dry["mu_c"],
+        "mu_cr": dry["mu_c"],
+        "A_d": dry["A"],
+        "A_r": dry["A"],
+        "gamma_d_s_m": dry["gamma_s_m"],
+        "gamma_r_s_m": dry["gamma_s_m"],
+        "k_ad": dry["k_a"],
+        "k_ar": dry["k_a"],
+        "k_sd": dry["k_s"],
+        "k_sr": dry["k_s"],
+        "tau_m_J": 0.0,
+        "cleaning_creepage": math.inf,
     }
-    adhesion = {key.format(which): dry[name] for name, key in keys.items() for which in "dr"}
-    adhesion |= {"tau_m_J": 0.0, "cleaning_creepage": math.inf}
     none = Friction(*(np.zeros(0, dtype) for dtype in (np.bool_, float, float, float, np.int64)))
     rollers = {
         **sections,

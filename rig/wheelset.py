@@ -37,7 +37,7 @@ def adhesion_under(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law):
     With another model of `creep_force` nothing is cleaned: f_d, f_r and |f| are the same, the slope
     is secant. One wheel carries half of the wheelset's load.
     """
-    here = adhesion.law_under(mu_cd, mu_cr, 1.0, law)
+    here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
     if patch.model != creep_force.DEGRADED:
         return classic(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
     return adhesion.recovering(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
@@ -61,7 +61,7 @@ def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, o
     """
     at = sliding_m_s if abs(sliding_m_s) >= SMALL_M_S else SMALL_M_S
     f, lambda_0, half_N = 0.0, 0.0, 0.5 * load_N
-    here = adhesion.law_under(mu_cd, mu_cr, 1.0, law)
+    here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
     if patch.model != creep_force.DEGRADED:
         f = classic(at, surface_m_s, half_N, patch, here)[0]
     elif load_N > 0.0:

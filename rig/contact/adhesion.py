@@ -31,7 +31,7 @@ import math
 from typing import NamedTuple
 
 from rollerrig.configs.vehicle import MIDDLE_SPEED_M_S
-from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import constructor, kernel, kernel_inlined
 from rollerrig.rig.contact import polach
 
 SPEED_FLOOR_M_S = 0.1
@@ -68,23 +68,19 @@ def creepage_of(sliding_m_s, speed_m_s):
     return abs(sliding_m_s) / max(abs(speed_m_s), SPEED_FLOOR_M_S)
 
 
-@kernel_inlined
-def law_under(mu_cd, mu_cr, share, law):
-    """The law for the contaminant under a wheel, with a share of its tau; 1 where `curves` has the share [A6]."""
-    return Law(
-        mu_cd,
-        mu_cr,
-        law.A_d,
-        law.A_r,
-        law.gamma_d_s_m,
-        law.gamma_r_s_m,
-        law.k_ad,
-        law.k_sd,
-        law.k_ar,
-        law.k_sr,
-        share * law.tau_m_J,
-        law.cleaning_creepage,
-    )
+# what `law_for_contaminant` takes from its arguments; it copies every other field from the law
+_OF_CONTAMINANT = {
+    "mu_cd": "mu_cd",
+    "mu_cr": "mu_cr",
+    "tau_m_J": "cleaning_share * law.tau_m_J",
+}
+# A kernel (mu_cd, mu_cr, cleaning_share, law) -> Law: the law with the friction of the contaminant
+# under a wheel. Only `cleaning_share` of the work cleans [A6]; it is 1 where `curves` applies [A6].
+law_for_contaminant = constructor(
+    Law,
+    "mu_cd, mu_cr, cleaning_share, law",
+    (_OF_CONTAMINANT.get(name, f"law.{name}") for name in Law._fields),
+)
 
 
 @kernel_inlined
@@ -101,7 +97,7 @@ def cleaning(sliding_m_s, speed_m_s, cleaning_creepage):
 def curves(sliding_m_s, speed_m_s, load_N, eps1, law):
     """What a contact can give at |sliding|: (f_d, f_r, slope_d_s_m, slope_r_s_m, k, slope_k_s_m).
 
-    For one wheel with 0 < load_N and sliding, `law` from `law_under`, eps1 of a `patch.Patch`; slopes are
+    For one wheel with 0 < load_N and sliding, `law` from `law_for_contaminant`, eps1 of a `patch.Patch`; slopes are
     derivatives to sliding at constant speed and load, k is that of [A5], by [A6].
     """
     speed = max(abs(speed_m_s), SPEED_FLOOR_M_S)

@@ -37,7 +37,7 @@ def creep_force(model, xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
 
     `model` one of `MODELS`; longitudinal and lateral creepage xi and eta, spin phi_1_m in 1/m;
     sliding_m_s, the magnitude of the sliding speed, lowers friction; load_N on the wheel; `patch` a
-    `patch.Patch` (its `cells` squared is FASTSIM's grid), `law` from `adhesion.law_under`.
+    `patch.Patch` (its `cells` squared is FASTSIM's grid), `law` from `adhesion.law_for_contaminant`.
     """
     x, y, z = limited(xi), limited(eta), limited(phi_1_m)
     if model == DEGRADED:
@@ -71,7 +71,7 @@ def recovering(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """(fx_N, fy_N, mz_Nm, lambda_, W_sp_J_m) of one wheel; forces act on it, against creepage.
 
     sliding_m_s is the speed of sliding in the contact that friction falls with, a magnitude;
-    phi_1_m the spin in 1/m; `law` from `adhesion.law_under`, with the share of its tau that cleans.
+    phi_1_m the spin in 1/m; `law` from `adhesion.law_for_contaminant`, with the share of its tau that cleans.
     """
     if load_N <= 0.0 or (xi == 0.0 and eta == 0.0 and phi_1_m == 0.0):
         return 0.0, 0.0, 0.0, 0.0, 0.0

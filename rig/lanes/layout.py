@@ -13,8 +13,9 @@ to rounding, not to the last bit: a test holds every kernel to its twin in the p
 """
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
-from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import constructor, kernel, kernel_inlined, writer
 from rollerrig.rig.contact import creep_force
+from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.params import ROLLERS, TRACK, Params
 from rollerrig.rig.state import AXLES
 from rollerrig.rig.vehicle import INERTIA_KGM2, RADIUS_M
@@ -30,8 +31,6 @@ LANES = RIGS * AXLES
     ROLLER_RAD,
     PRESSURE,
     VALVE,
-    MU_CD,
-    MU_CR,
     CAPACITY,
     BRAKE,
     BRAKE_WORK,
@@ -91,19 +90,16 @@ LANES = RIGS * AXLES
     MOTOR_FASTEST,
     MOTOR_SHARE,
     EPS1,
-    A_D,
-    A_R,
-    GAMMA_D,
-    GAMMA_R,
-    K_AD,
-    K_SD,
-    K_AR,
-    K_SR,
-    TAU,
-    CLEANING,
-    _ROWS,
-) = range(0, 75 * LANES, LANES)
-SIZE = _ROWS
+    _LAW,
+) = range(0, 63 * LANES, LANES)
+# ... among them the adhesion law: one row for each field of `Law`, in its order, from row _LAW on
+_LAW_ROWS = {name: _LAW + LANES * i for i, name in enumerate(Law._fields)}
+MU_CD, MU_CR = _LAW_ROWS["mu_cd"], _LAW_ROWS["mu_cr"]  # of the contaminant, from the state
+SIZE = _LAW + LANES * len(Law._fields)
+
+# kernels: the adhesion law of a lane, and its writer
+law_of_lane = constructor(Law, "w, lane", (f"w[{row} + lane]" for row in _LAW_ROWS.values()))
+_write_law = writer("w, lane", [f"w[{row} + lane]" for row in _LAW_ROWS.values()])
 
 
 def fits(params: Params) -> bool:
@@ -126,7 +122,7 @@ def fits(params: Params) -> bool:
 @kernel
 def load_constants(w, rig, params):
     """Write the constants of a rig (0 to 3) into its lanes."""
-    vehicle, brake, drive, here = params.vehicle, params.brake, params.drive, params.law
+    vehicle, brake, drive = params.vehicle, params.brake, params.drive
     wheels = params.wheels
     for j in range(AXLES):
         at = rig * AXLES + j
@@ -146,16 +142,8 @@ def load_constants(w, rig, params):
         w[VALVE_FILLS + at], w[VALVE_VENTS + at] = brake.valve_fill_share, brake.valve_vent_share
         w[MOTOR_MOST + at], w[MOTOR_W + at] = drive.max_torque_Nm, drive.max_power_W
         w[MOTOR_FASTEST + at], w[MOTOR_SHARE + at] = drive.max_speed_rad_s, drive.torque_share
-        w[EPS1 + at], w[TAU + at] = params.patch.eps1, here.tau_m_J
-        w[A_D + at], w[A_R + at] = here.A_d, here.A_r
-        w[GAMMA_D + at], w[GAMMA_R + at] = here.gamma_d_s_m, here.gamma_r_s_m
-        w[K_AD + at], w[K_SD + at], w[K_AR + at], w[K_SR + at] = (
-            here.k_ad,
-            here.k_sd,
-            here.k_ar,
-            here.k_sr,
-        )
-        w[CLEANING + at] = here.cleaning_creepage
+        w[EPS1 + at] = params.patch.eps1
+        _write_law(w, at, params.law)
 
 
 @kernel_inlined

@@ -73,15 +73,12 @@ def contacts(w):
         w[a.SLIDING + j], w[a.SURFACE + j], w[a.LOAD + j] = sliding, surface, load
         at, half = max(abs(sliding), wheelset.SMALL_M_S), 0.5 * load
         eps_mu = law.eps_mu(at, surface, half, w[a.EPS1 + j])
-        f_d = law.curve(
-            at, eps_mu, w[a.MU_CD + j], w[a.A_D + j], w[a.GAMMA_D + j], w[a.K_AD + j], w[a.K_SD + j]
-        )
-        f_r = law.curve(
-            at, eps_mu, w[a.MU_CR + j], w[a.A_R + j], w[a.GAMMA_R + j], w[a.K_AR + j], w[a.K_SR + j]
-        )
-        share, _ = adhesion.cleaning(at, surface, w[a.CLEANING + j])
+        here = a.law_of_lane(w, j)
+        f_d = law.curve(at, eps_mu, here.mu_cd, here.A_d, here.gamma_d_s_m, here.k_ad, here.k_sd)
+        f_r = law.curve(at, eps_mu, here.mu_cr, here.A_r, here.gamma_r_s_m, here.k_ar, here.k_sr)
+        share, _ = adhesion.cleaning(at, surface, here.cleaning_creepage)
         creepage = at / max(abs(surface), law.SPEED_FLOOR_M_S)
-        f, _, inside = law.recovered(f_d, f_r, w[a.TAU + j] * half * creepage * share)
+        f, _, inside = law.recovered(f_d, f_r, here.tau_m_J * half * creepage * share)
         w[a.SLOPE + j] = f * load / at
         u = half * (1.0 / law.LOAD_N)
         w[a.INSIDE + j] = inside if (u > law.LIGHTER) & (u < law.HEAVIER) else 0.0
@@ -98,20 +95,7 @@ def contacts_outside_domain(w):
 @kernel
 def exact_slope(w, j):
     """The secant slope of lane j by `wheelset.force`, whatever the contact."""
-    here = adhesion.Law(
-        w[a.MU_CD + j],
-        w[a.MU_CR + j],
-        w[a.A_D + j],
-        w[a.A_R + j],
-        w[a.GAMMA_D + j],
-        w[a.GAMMA_R + j],
-        w[a.K_AD + j],
-        w[a.K_SD + j],
-        w[a.K_AR + j],
-        w[a.K_SR + j],
-        w[a.TAU + j],
-        w[a.CLEANING + j],
-    )
+    here = a.law_of_lane(w, j)
     patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[a.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
     at = max(abs(w[a.SLIDING + j]), wheelset.SMALL_M_S)
     T, _, _ = wheelset.force(

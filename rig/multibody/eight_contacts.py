@@ -83,7 +83,7 @@ def contact(w, j, patches, law):
         s,
         w[LOAD + j],
         patch,
-        adhesion.law_under(w[MU_CD + j], w[MU_CR + j], share, law),
+        adhesion.law_for_contaminant(w[MU_CD + j], w[MU_CR + j], share, law),
     )
 
 

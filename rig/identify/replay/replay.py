@@ -29,7 +29,7 @@ SUBSTEPS = 2
 def curves(sliding, speed, load_N, degraded, recovered, p):
     """What `adhesion.curves` gives of one wheel under its own load, its two frictions times these factors."""
     base = adhesion.Law(p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[19])
-    here = adhesion.law_under(p[2] * degraded, p[3] * recovered, 1.0, base)
+    here = adhesion.law_for_contaminant(p[2] * degraded, p[3] * recovered, 1.0, base)
     return adhesion.curves(sliding, speed, load_N, p[13], here)
 
 
