@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from rollerrig.wsp_interface import magnets, rig_objects, signals
-from rollerrig.wsp_interface.bus.codecs import parse_socketcand_event, socketcand_command
+from rollerrig.wsp_interface.bus import socketcand
 from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SDO_REQUEST, SYNC, TPDO
 from rollerrig.wsp_interface.bus.frames import Frame
 
@@ -49,7 +49,7 @@ def connect(host: str, port: int, bus: str) -> socket.socket:
 
 def send(line: socket.socket, can_id: int, data: bytes) -> None:
     """Put a frame on the bus."""
-    line.sendall(socketcand_command(Frame(can_id, data)))
+    line.sendall(socketcand.encode_command(Frame(can_id, data)))
 
 
 def frames(line: socket.socket) -> Iterator[tuple[int, Frame]]:
@@ -60,7 +60,7 @@ def frames(line: socket.socket) -> Iterator[tuple[int, Frame]]:
             now_ns = time.monotonic_ns()
             *whole, rest = (rest + chunk).split(b">")
             for one in whole:
-                if frame := parse_socketcand_event(one.lstrip(b"< ")):
+                if frame := socketcand.parse_event(one.lstrip(b"< ")):
                     yield now_ns, frame
 
 

@@ -28,7 +28,8 @@ from rollerrig.realtime.benchmarks import client, figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import rig_objects as rig
-from rollerrig.wsp_interface.bus import codecs
+from rollerrig.wsp_interface.bus import cannelloni, socketcand
+from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.connection_set import NMT, SDO_REPLY, SDO_REQUEST
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.signals import BENCH_NODE
@@ -96,7 +97,7 @@ OPENINGS = {
     "socketcand": b"< open rig0 >< rawmode >",
     "slcan": b"C\rS6\rO\r",
     "virtualcan": b"",
-    "cannelloni": codecs.CANNELLONI_HELLO,
+    "cannelloni": cannelloni.HELLO,
 }
 SETTINGS = (
     *(
@@ -136,7 +137,7 @@ def garbage(source: random.Random) -> Frame:
 
 def frame(codec: str, source: random.Random) -> bytes:
     """Any frame as a client of a protocol sends it."""
-    encode = codecs.socketcand_command if codec == "socketcand" else codecs.CODECS[codec].encode
+    encode = socketcand.encode_command if codec == "socketcand" else CODECS[codec].encode
     return encode(garbage(source))
 
 
@@ -164,7 +165,7 @@ def wish(source: random.Random) -> bytes:
             bytes(((at // 7 % 2) << 4 | (7 - len(part)) << 1 | last,)) + part.ljust(7, b"\0")
         )
     return b"".join(
-        codecs.socketcand_command(Frame(SDO_REQUEST + BENCH_NODE, one))
+        socketcand.encode_command(Frame(SDO_REQUEST + BENCH_NODE, one))
         for one in parts
         if source.random() < 0.98
     )

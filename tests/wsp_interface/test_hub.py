@@ -10,7 +10,8 @@ import can
 import pytest
 
 from rollerrig.configs.errors import BusError
-from rollerrig.wsp_interface.bus import codecs, frames
+from rollerrig.wsp_interface.bus import cannelloni, frames, slcan, socketcand, virtualcan
+from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import CLIENTS_MAX, Hub
 
@@ -215,7 +216,7 @@ def test_all_clients_and_the_log_see_the_same_time_stamp(bench):
     clients = [bench.raw_mode() for _ in range(2)]
     bench.do(lambda: bench.hub.attach(print).send(Frame(0x80, b"\x01")))
     texts = [read_until(client, b">") for client in clients]
-    assert texts[0] == texts[1] == codecs.socketcand_event(bench.log[0])
+    assert texts[0] == texts[1] == socketcand.encode_event(bench.log[0])
     assert bench.log[0].time_ns > 0
 
 
@@ -335,7 +336,7 @@ def test_frames_sent_in_one_callback_leave_in_one_segment(bench):
     time.sleep(0.08)  # past the hold after rawmode
     before = segments()
     bench.do(lambda: [node.send(frame) for frame in numbered(20)])
-    text = read_until(client, codecs.socketcand_event(bench.log[-1]))
+    text = read_until(client, socketcand.encode_event(bench.log[-1]))
     assert text.count(b">") == 20
     assert segments() - before == 1
 
@@ -381,7 +382,7 @@ def test_a_client_that_asks_without_reading_the_answers_is_bounded(start_hub):
 
 @pytest.mark.conformance("Bad input", "codecs: garbage never disturbs the bus")
 def test_garbage_never_disturbs_the_bus(bench):
-    ports = {codec: bench.listen(codec) for codec in codecs.CODECS if codec != "socketcand"}
+    ports = {codec: bench.listen(codec) for codec in CODECS if codec != "socketcand"}
     ports["socketcand"] = bench.port
     random_source = random.Random(20_240_601)
     vocabulary = [
@@ -439,7 +440,7 @@ def test_a_client_that_vanishes_with_a_reset_disturbs_nobody(bench):
     client.close()
     for number in range(50):
         bench.do(lambda number=number: node.send(Frame(number, b"")))
-    assert read_until(witness, codecs.socketcand_event(bench.log[-1])).count(b">") == 50
+    assert read_until(witness, socketcand.encode_event(bench.log[-1])).count(b">") == 50
     assert bench.until(lambda: len(bench.hub.stats()["clients"]) == 1)
     assert bench.problems == []
 
@@ -462,9 +463,9 @@ SAMPLES = [
 @pytest.mark.parametrize(
     ("codec", "hello", "greeting", "encode"),
     [
-        ("slcan", b"C\rS6\rO\r", b"\r\r\r", codecs.slcan_event),
-        ("virtualcan", b"", b"", codecs.virtualcan_event),
-        ("cannelloni", b"CANNELLONIv1", b"CANNELLONIv1", codecs.cannelloni_event),
+        ("slcan", b"C\rS6\rO\r", b"\r\r\r", slcan.encode_event),
+        ("virtualcan", b"", b"", virtualcan.encode_event),
+        ("cannelloni", b"CANNELLONIv1", b"CANNELLONIv1", cannelloni.encode_event),
     ],
 )
 def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
@@ -490,13 +491,13 @@ def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
 @pytest.mark.conformance("Hub", "virtualcan, cannelloni, slcan: the bytes of their documents")
 def test_the_bytes_of_the_binary_protocols_are_those_of_their_documents():
     frame, remote = Frame(0x123, b"\x11\x22"), Frame(0x701, b"", remote=True, dlc=1)
-    assert codecs.virtualcan_event(frame).hex() == "0000000e0000012300021122" + "00" * 6
-    assert codecs.virtualcan_event(remote).hex() == "0000000e400007010001" + "00" * 8
-    assert codecs.cannelloni_event(frame).hex() == "00000123021122"
-    assert codecs.cannelloni_event(remote).hex() == "4000070101"
-    assert codecs.cannelloni_event(Frame(1, b"", True)).hex() == "8000000100"
-    assert codecs.slcan_event(Frame(1, b"\xab", True)) == b"T000000011AB\r"
-    assert codecs.slcan_event(remote) == b"r7011\r"
+    assert virtualcan.encode_event(frame).hex() == "0000000e0000012300021122" + "00" * 6
+    assert virtualcan.encode_event(remote).hex() == "0000000e400007010001" + "00" * 8
+    assert cannelloni.encode_event(frame).hex() == "00000123021122"
+    assert cannelloni.encode_event(remote).hex() == "4000070101"
+    assert cannelloni.encode_event(Frame(1, b"", True)).hex() == "8000000100"
+    assert slcan.encode_event(Frame(1, b"\xab", True)) == b"T000000011AB\r"
+    assert slcan.encode_event(remote) == b"r7011\r"
 
 
 def test_slcan_refuses_frames_until_open_and_in_listen_only(bench):
@@ -548,7 +549,7 @@ POST = (
 @pytest.mark.conformance(
     "Bad input", "a client of another protocol is closed, obeyed in nothing, and told once"
 )
-@pytest.mark.parametrize("codec", codecs.CODECS)
+@pytest.mark.parametrize("codec", CODECS)
 def test_who_begins_with_another_protocol_is_closed_and_told_once(start_hub, codec):
     told = []
     bench = start_hub(on_event=lambda *event: told.append(event))
@@ -640,6 +641,6 @@ def test_closing_sends_what_waits_then_ends_every_client_even_one_that_does_not_
 
     bench.do(close_and_read)
     assert text.count(b">") == 8000
-    assert text.endswith(codecs.socketcand_event(node_last))
+    assert text.endswith(socketcand.encode_event(node_last))
     assert left == [True]
     stuck.close()

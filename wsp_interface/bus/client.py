@@ -9,8 +9,9 @@ import asyncio
 import socket
 from typing import Protocol, cast
 
-from rollerrig.wsp_interface.bus.codecs import Codec, Event, Mode
+from rollerrig.wsp_interface.bus.codecs import Codec
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.session import Event, Mode
 
 PORTION_BYTES = 4096  # about 100 frames, one millisecond of work
 SOCKET_BYTES = 1 << 18  # what the kernel may hold: less means drops are seen sooner

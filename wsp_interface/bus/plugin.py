@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import can
 
-from rollerrig.wsp_interface.bus import codecs
+from rollerrig.wsp_interface.bus import socketcand
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame, length
 
 log = logging.getLogger(__name__)
@@ -131,7 +131,7 @@ class RollerrigBus(can.BusABC):
                 f"{self._where()}: error and CAN FD frames "
                 "cannot be sent, only classical CAN frames"
             )
-        wire = codecs.socketcand_command(frame)
+        wire = socketcand.encode_command(frame)
         if self._ahead and not self._gone:
             self._outgoing.append(wire)
             return
@@ -167,7 +167,7 @@ class RollerrigBus(can.BusABC):
                 body = text.rpartition(b"<")[2].rstrip(b">")
                 written = body.split(None, 2)[1:2]
                 if self._refused.isdisjoint(written):
-                    frame = codecs.parse_socketcand_event(body)
+                    frame = socketcand.parse_event(body)
                     if frame is None:
                         log.warning("%s says <%s>", self._where(), body.decode("ascii", "replace"))
                         continue

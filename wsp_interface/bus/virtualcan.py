@@ -1,0 +1,67 @@
+"""virtualcan: a binary protocol of virtual CAN buses over TCP, also that of gocanopen.
+
+A packet is its length (four bytes, big-endian, always 14) and a frame:
+
+    4 bytes  identifier, big-endian; bit 30 marks a remote frame
+    1 byte   flags; bit 0 marks an extended identifier
+    1 byte   data length code
+    8 bytes  data
+
+There is no handshake. A client gets every frame from the start.
+
+Sources: virtualcan's `can_message.py`; gocanopen's virtual bus.
+"""
+
+import struct
+from collections.abc import Iterator
+
+from rollerrig.wsp_interface.bus.frames import EXTENDED_FLAG, REMOTE_FLAG, Frame, length
+from rollerrig.wsp_interface.bus.session import Event, Mode, Session, flagged_frame
+
+_PACKET = struct.Struct(">IBB8s")  # identifier, flags, length, data
+_PACKET_MAX = 64  # bytes; a longer packet shows that the stream is out of step
+_LENGTH_BYTES = 4
+_IS_EXTENDED = 1
+
+
+class VirtualcanSession(Session):
+    """The server's side of one client."""
+
+    greeting = (Mode.LISTEN,)
+
+    def feed(self, chunk: bytes) -> Iterator[Event]:
+        """Yield the frames in the chunk; FOREIGN or CLOSE when a length makes no sense."""
+        rest = self._rest + chunk
+        while len(rest) >= _LENGTH_BYTES:
+            size = int.from_bytes(rest[:_LENGTH_BYTES], "big")
+            if size > _PACKET_MAX:
+                yield Mode.CLOSE if self._began else Mode.FOREIGN
+                return
+            end = _LENGTH_BYTES + size
+            if len(rest) < end:
+                break
+            packet = rest[_LENGTH_BYTES:end]
+            rest = rest[end:]
+            self._began = True
+            frame = _parse_packet(packet)
+            if frame is not None:
+                yield frame
+        self._rest = rest
+
+
+def _parse_packet(packet: bytes) -> Frame | None:
+    if len(packet) != _PACKET.size:
+        return None
+    can_id, flags, dlc, data = _PACKET.unpack(packet)
+    if flags & _IS_EXTENDED:
+        can_id |= EXTENDED_FLAG
+    return flagged_frame(can_id, dlc, data)
+
+
+def encode_event(frame: Frame) -> bytes:
+    """Return the packet of a frame, with its length."""
+    can_id = frame.can_id
+    if frame.remote:
+        can_id |= REMOTE_FLAG
+    packet = _PACKET.pack(can_id, frame.extended, length(frame), frame.data)
+    return len(packet).to_bytes(_LENGTH_BYTES, "big") + packet
