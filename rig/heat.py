@@ -23,15 +23,15 @@ def begin(state, heat):
     for j in range(AXLES):
         state.disc_temperature[j] = heat.air_K
         state.motor_temperature[j] = heat.air_K
-        state.brake_work_felt[j] = state.brake_work[j]
+        state.brake_work_before[j] = state.brake_work[j]
 
 
 @kernel
 def warm(state, heat):
     """Move the temperatures on by a tick."""
     for j in range(AXLES):
-        work_J = state.brake_work[j] - state.brake_work_felt[j]
-        state.brake_work_felt[j] = state.brake_work[j]
+        work_J = state.brake_work[j] - state.brake_work_before[j]
+        state.brake_work_before[j] = state.brake_work[j]
         above_K = state.disc_temperature[j] - heat.air_K
         state.disc_temperature[j] += work_J / heat.disc_J_K - above_K * heat.disc_share  # [H1]
         load = state.motor_torque[j] / heat.rated_torque_Nm

@@ -247,7 +247,7 @@ def initial_mu_cd(sections: Mapping[str, Mapping[str, Any]], where: str) -> floa
 
     def adhesion_of(mu_cd: float) -> float:
         return float(
-            adhesion.recovering(sliding, speed, load_N, patch, law._replace(mu_cd=mu_cd))[0]
+            adhesion.wheel_adhesion(sliding, speed, load_N, patch, law._replace(mu_cd=mu_cd))[0]
         )
 
     low, high, wanted = 1e-4, law.mu_cr * law.A_d / law.A_r, told["initial_adhesion"]

@@ -73,7 +73,7 @@ def friction(state, params):
             if here >= plan.start[i] and (plan.axles[i] >> j) & 1:
                 state.friction_degraded[j] = plan.mu_cd[i]
                 state.friction_recovered[j] = plan.mu_cr[i]
-        asked = state.friction_asked[j]
+        asked = state.friction_command[j]
         if asked > 0.0:
             state.friction_degraded[j] = asked
             state.friction_recovered[j] = max(params.law.mu_cr, asked)
@@ -119,8 +119,8 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
 def wear(state, params):
     """Let the sliding of locked wheels in this tick grind their flats."""
     for j in range(AXLES):
-        work_J = state.sliding_work[j] - state.sliding_work_felt[j]
-        state.sliding_work_felt[j] = state.sliding_work[j]
+        work_J = state.sliding_work[j] - state.sliding_work_before[j]
+        state.sliding_work_before[j] = state.sliding_work[j]
         if state.wheel_speed[j] > 0.0:
             state.lock_work[j] = 0.0
             continue
@@ -215,7 +215,7 @@ def observe(state, params):
         if params.mode != 0:
             surface = params.drive.roller_radius_m * state.roller_speed[j]
         sliding = surface - r * state.wheel_speed[j]
-        f, f_d, f_r, transition, energy, _ = wheelset.adhesion_under(
+        f, f_d, f_r, transition, energy, _ = wheelset.wheelset_adhesion(
             on_rig.slip(j, sliding, state, params.coach),
             surface,
             load_N,

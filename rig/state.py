@@ -47,8 +47,12 @@ class State(NamedTuple):
     sliding_work: np.ndarray  # J, integrate
     friction_degraded: np.ndarray  # -, friction
     friction_recovered: np.ndarray  # -, friction
-    friction_asked: np.ndarray  # -, kinematic friction that replaces the plan's, 0: none; the tick
-    slid: np.ndarray  # m, sliding distance so far, kept while an extended model asks; friction
+    friction_command: (
+        np.ndarray
+    )  # -, kinematic friction that replaces the plan's, 0: none; the tick
+    sliding_distance: (
+        np.ndarray
+    )  # m, sliding distance so far, kept while an extended model asks; friction
     braked_angle: np.ndarray  # rad, turned while the brake was applied, likewise; friction
     rail_work: np.ndarray  # J/m, work of the wheels before on this metre, likewise; friction
     lagged_transition: np.ndarray  # -, lambda as a wheel remembers it, likewise; integrate
@@ -59,7 +63,7 @@ class State(NamedTuple):
     brake_torque: np.ndarray  # N m, what acts (a locked wheel needs less than the brake could give)
     brake_capacity: np.ndarray  # N m, what the discs can hold at this pressure; integrate
     brake_work: np.ndarray  # J, integrate
-    brake_work_felt: np.ndarray  # J, of which the discs have the heat; heat
+    brake_work_before: np.ndarray  # J, of which the discs have the heat; heat
     disc_temperature: np.ndarray  # K, heat
     cylinder_pressure: np.ndarray  # Pa, brake
     clamp_pressure: np.ndarray  # Pa, by which pads are clamped, kept where they vary; plant
@@ -68,9 +72,9 @@ class State(NamedTuple):
     reservoir_pressure: np.ndarray  # Pa, 0 where air never runs out; brake
     reservoir_least: np.ndarray  # Pa, least pressure of the reservoir so far; brake
     air_supplied: np.ndarray  # NL, into the reservoir so far; brake
-    sand_asked: np.ndarray  # 1: the bus asks the axle's sander to strew; the tick
-    sand_flaw: np.ndarray  # -, what a fault adds to the factor 1 on the rate; the tick
-    sand_late: np.ndarray  # s, what a fault adds to the hose's lag; the tick
+    sand_command: np.ndarray  # 1: the bus asks the axle's sander to strew; the tick
+    sand_rate_fault: np.ndarray  # -, what a fault adds to the factor 1 on the rate; the tick
+    sand_delay_fault: np.ndarray  # s, what a fault adds to the hose's lag; the tick
     sand_box: np.ndarray  # kg, left in the box; surface
     sand_taken: np.ndarray  # kg, that the sander took from its box; surface
     sand_hose: np.ndarray  # kg, surface
@@ -95,7 +99,7 @@ class State(NamedTuple):
     flat_length: np.ndarray  # m, longest flat on the wheels; wear
     flat_angle: np.ndarray  # rad, of the wheel where its middle is below; wear
     lock_work: np.ndarray  # J, of one wheel in the present lock, kept where wheels wear; wear
-    sliding_work_felt: np.ndarray  # J, of which wheels have the wear, likewise; wear
+    sliding_work_before: np.ndarray  # J, of which wheels have the wear, likewise; wear
     air_consumption: np.ndarray  # NL, brake
     motor_torque_demand: np.ndarray  # N m, written by the rig control
     motor_torque: np.ndarray  # N m, motor

@@ -66,16 +66,18 @@ def strew(state, sanders, positions_m, tick_s):
 @kernel
 def blow(state, j, place_m, sanders, tick_s):
     """Let the sander of an axle blow for a tick onto the rail at a place [S1]."""
-    asked = state.sand_asked[j] != 0.0 or sanders.from_s <= state.time[0] < sanders.until_s
+    asked = state.sand_command[j] != 0.0 or sanders.from_s <= state.time[0] < sanders.until_s
     rate = sanders.rate_kg_s
     if sanders.dose_kg_m > 0.0:
         rate = min(rate, sanders.dose_kg_m * state.vehicle_speed[0])
-    taken_kg = min(rate * (1.0 + state.sand_flaw[j]) * tick_s, state.sand_box[j]) if asked else 0.0
+    taken_kg = (
+        min(rate * (1.0 + state.sand_rate_fault[j]) * tick_s, state.sand_box[j]) if asked else 0.0
+    )
     state.sand_box[j] -= taken_kg
     state.sand_taken[j] += taken_kg
     state.sand_hose[j] += taken_kg
     out_kg = state.sand_hose[j] * -math.expm1(
-        -tick_s / max(sanders.hose_delay_s + state.sand_late[j], 1e-9)
+        -tick_s / max(sanders.hose_delay_s + state.sand_delay_fault[j], 1e-9)
     )
     state.sand_hose[j] -= out_kg
     state.sand_rate[j] = out_kg / tick_s

@@ -20,7 +20,7 @@ STANDING_M_S = (
 )
 # where the wheels' table has what, one value for each axle: radius, inertia, radius over inertia (rad/s2 a
 # newton: no step has to divide), share of the load that swings
-RADIUS_M, INERTIA_KGM2, ANSWER_1_KGM, SWING = range(0, 4 * AXLES, AXLES)
+RADIUS_M, INERTIA_KGM2, RESPONSE_1_KGM, SWING = range(0, 4 * AXLES, AXLES)
 
 
 @kernel

@@ -31,21 +31,21 @@ SMALL_M_S = 1e-6  # sliding in m/s below which the secant slope is taken at this
 
 
 @kernel
-def adhesion_under(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law):
-    """Adhesion of a wheelset: what `adhesion.recovering` returns, for the contaminant under it.
+def wheelset_adhesion(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law):
+    """Adhesion of a wheelset: what `adhesion.wheel_adhesion` returns, for the contaminant under it.
 
     With another model of `creep_force` nothing is cleaned: f_d, f_r and |f| are the same, the slope
     is secant. One wheel carries half of the wheelset's load.
     """
     here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
     if patch.model != creep_force.DEGRADED:
-        return classic(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
-    return adhesion.recovering(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
+        return without_recovery(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
+    return adhesion.wheel_adhesion(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
 
 
 @kernel
-def classic(sliding_m_s, surface_m_s, load_N, patch, law):
-    """What `adhesion.recovering` returns, by a model without recovery, for one wheel."""
+def without_recovery(sliding_m_s, surface_m_s, load_N, patch, law):
+    """What `adhesion.wheel_adhesion` returns, by a model without recovery, for one wheel."""
     creepage = sliding_m_s / max(abs(surface_m_s), adhesion.SPEED_FLOOR_M_S)
     f = creep_force.adhesion_of(sliding_m_s, creepage, load_N, patch, law)
     slope = f / sliding_m_s if sliding_m_s != 0.0 else 0.0
@@ -53,7 +53,7 @@ def classic(sliding_m_s, surface_m_s, load_N, patch, law):
 
 
 @kernel
-def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, of_work):
+def contact_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, of_work):
     """Contact force T in N of both wheels, its secant slope T / s in N s/m, not negative, and lambda_0.
 
     `lagging` is the lambda by which the contact has recovered, adhesion.NO_MEMORY where it has by lambda_0;
@@ -63,7 +63,7 @@ def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, o
     f, lambda_0, half_N = 0.0, 0.0, 0.5 * load_N
     here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
     if patch.model != creep_force.DEGRADED:
-        f = classic(at, surface_m_s, half_N, patch, here)[0]
+        f = without_recovery(at, surface_m_s, half_N, patch, here)[0]
     elif load_N > 0.0:
         f_d, f_r, slope_d, slope_r, k, slope_k = adhesion.curves(
             min(abs(at), adhesion.LARGEST),
@@ -83,7 +83,7 @@ def force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, o
 
 
 @kernel
-def relaxed(lagging, lambda_0, speed_m_s, step_s, effects):
+def lagged_transition(lagging, lambda_0, speed_m_s, step_s, effects):
     """The lambda of a lagging recovery a step later, while lambda_0 stays [A7 of `adhesion`]."""
     rate_1_s = adhesion.lag_rate_1_s(speed_m_s, effects.memory_m, effects.memory_power)
     return lagging - (lambda_0 - lagging) * math.expm1(-step_s * rate_1_s)
@@ -110,7 +110,7 @@ def roller_acceleration(motor_Nm, T, on_track, drive):
 def implicit_slopes(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels, drive):
     """The two slopes of a stage times (I - gamma h p q')^-1 [W3], and the force in N that this adds."""
     r, R = wheels.table[body.RADIUS_M + axle], drive.roller_radius_m
-    p_wheel = 0.0 if locked else wheels.table[body.ANSWER_1_KGM + axle]
+    p_wheel = 0.0 if locked else wheels.table[body.RESPONSE_1_KGM + axle]
     p_roller = 0.0 if on_track else -R / drive.roller_inertia_kgm2
     qk = g * (R * roller_k - r * wheel_k)
     share = _GAMMA * step_s * qk / (1.0 + _GAMMA * step_s * g * (r * p_wheel - R * p_roller))
@@ -134,11 +134,11 @@ def load(axle, felt_m_s2, turned_rad, state, params):
 
 @kernel_inlined
 def contact(axle, v, felt_m_s2, wheel_rad_s, roller_rad_s, turned_rad, lagging, state, params):
-    """What `force` gives for an axle at these speeds, pitch and angle of its wheels."""
+    """What `contact_force` gives for an axle at these speeds, pitch and angle of its wheels."""
     surface = v if params.mode == 0 else params.drive.roller_radius_m * roller_rad_s
     sliding = surface - params.wheels.table[body.RADIUS_M + axle] * wheel_rad_s
     load_N = load(axle, felt_m_s2, turned_rad, state, params)
-    return force(
+    return contact_force(
         sliding,
         surface,
         load_N,
@@ -197,11 +197,11 @@ def integrate(state, params):
         roller = state.roller_speed[j] + h * roller1
         before, lagging = state.instantaneous_transition[j], adhesion.NO_MEMORY
         if remembers:
-            lagging = relaxed(state.lagged_transition[j], before, v, h, effects)
+            lagging = lagged_transition(state.lagged_transition[j], before, v, h, effects)
         turned_rad = state.wheel_angle[j] + h * state.wheel_speed[j]
         T, g, lambda_0 = contact(j, v2, felt2, wheel, roller, turned_rad, lagging, state, params)
         if remembers:
-            state.lagged_transition[j] = relaxed(
+            state.lagged_transition[j] = lagged_transition(
                 state.lagged_transition[j], 0.5 * (before + lambda_0), 0.5 * (v + v2), h, effects
             )
         wheel_k, brake_Nm, locked = wheel_acceleration(wheel, T, state.brake_torque[j], j, wheels)

@@ -242,10 +242,10 @@ def begin(m, tick):
     if faults[effects.ANY] != 0.0:
         disturb(m, faults)
     for j in range(AXLES):
-        m.state.friction_asked[j] = m.command[FRICTION + j]
-        m.state.sand_asked[j] = m.command[SAND + j]
-        m.state.sand_flaw[j] = effects.value(faults, effects.SAND_FLAW, j)
-        m.state.sand_late[j] = effects.value(faults, effects.SAND_LATE_s, j)
+        m.state.friction_command[j] = m.command[FRICTION + j]
+        m.state.sand_command[j] = m.command[SAND + j]
+        m.state.sand_rate_fault[j] = effects.value(faults, effects.SAND_FLAW, j)
+        m.state.sand_delay_fault[j] = effects.value(faults, effects.SAND_LATE_s, j)
 
 
 @kernel_inlined

@@ -84,7 +84,7 @@ law_for_contaminant = constructor(
 
 
 @kernel_inlined
-def cleaning(sliding_m_s, speed_m_s, cleaning_creepage):
+def cleaning_share(sliding_m_s, speed_m_s, cleaning_creepage):
     """Share of the work that cleans, at a magnitude of sliding, and its slope to the sliding in s/m [A6]."""
     speed, fades = max(abs(speed_m_s), STILL_M_S), cleaning_creepage < 1.0
     least = cleaning_creepage * speed if fades else math.inf
@@ -110,7 +110,7 @@ def curves(sliding_m_s, speed_m_s, load_N, eps1, law):
     f_r, ds_r, de_r = polach.curve(
         sliding, creepage, eps_unit, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr
     )
-    share, share_slope = cleaning(sliding, speed_m_s, law.cleaning_creepage)
+    share, share_slope = cleaning_share(sliding, speed_m_s, law.cleaning_creepage)
     work = law.tau_m_J * load_N
     return (
         f_d,
@@ -238,7 +238,7 @@ def recovery(f_d, f_r, k):
 
 
 @kernel
-def recovering(sliding_m_s, speed_m_s, load_N, patch, law):
+def wheel_adhesion(sliding_m_s, speed_m_s, load_N, patch, law):
     """Adhesion of one wheel between its degraded and its recovered limit: (f, f_d, f_r, lambda_, W_sp_J_m, slope_s_m).
 
     sliding_m_s of either sign, speed_m_s of the vehicle, load_N on one wheel, a `patch.Patch`, a `Law`. f is signed

@@ -41,7 +41,7 @@ def creep_force(model, xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """
     x, y, z = limited(xi), limited(eta), limited(phi_1_m)
     if model == DEGRADED:
-        fx, fy, mz, _, _ = recovering(x, y, z, sliding_m_s, load_N, patch, law)
+        fx, fy, mz, _, _ = degraded_force(x, y, z, sliding_m_s, load_N, patch, law)
         return fx, fy, mz
     if load_N <= 0.0:
         return 0.0, 0.0, 0.0
@@ -67,7 +67,7 @@ def adhesion_of(sliding_m_s, creepage, load_N, patch, law):
 
 
 @kernel_inlined
-def recovering(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
+def degraded_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """(fx_N, fy_N, mz_Nm, lambda_, W_sp_J_m) of one wheel; forces act on it, against creepage.
 
     sliding_m_s is the speed of sliding in the contact that friction falls with, a magnitude;

@@ -10,7 +10,7 @@ caller then asks `adhesion` or `creep_force`.
     [V2] f = f_d + D (1 - exp(-y))                               adhesion [A1], [A2]
 
 Source: Cody and Waite 1980 (reduction of exp), Moshier, Cephes 2.9 (atan). Within the domain f agrees
-with `adhesion.recovering` to 2e-12, forces with `creep_force` to 1e-11 (tests). Domain: loads of 12.5 to
+with `adhesion.wheel_adhesion` to 2e-12, forces with `creep_force` to 1e-11 (tests). Domain: loads of 12.5 to
 200 kN on a wheel, contaminants that clean (f_r >= f_d), roots that are not double.
 """
 
@@ -94,7 +94,7 @@ def polach_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
 
 @kernel_inlined
 def recovering_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
-    """`creep_force.recovering`: (fx_N, fy_N, mz_Nm, inside)."""
+    """`creep_force.degraded_force`: (fx_N, fy_N, mz_Nm, inside)."""
     a, b, inside = semi_axes(load_N, patch)
     approached = polach_spin.approach(xi, eta, phi_1_m, a, b, patch)
     limit_d, dx, dy = limited(

@@ -76,7 +76,7 @@ def contacts(w):
         here = a.law_of_lane(w, j)
         f_d = law.curve(at, eps_mu, here.mu_cd, here.A_d, here.gamma_d_s_m, here.k_ad, here.k_sd)
         f_r = law.curve(at, eps_mu, here.mu_cr, here.A_r, here.gamma_r_s_m, here.k_ar, here.k_sr)
-        share, _ = adhesion.cleaning(at, surface, here.cleaning_creepage)
+        share, _ = adhesion.cleaning_share(at, surface, here.cleaning_creepage)
         creepage = at / max(abs(surface), law.SPEED_FLOOR_M_S)
         f, _, inside = law.recovered(f_d, f_r, here.tau_m_J * half * creepage * share)
         w[a.SLOPE + j] = f * load / at
@@ -94,11 +94,11 @@ def contacts_outside_domain(w):
 
 @kernel
 def exact_slope(w, j):
-    """The secant slope of lane j by `wheelset.force`, whatever the contact."""
+    """The secant slope of lane j by `wheelset.contact_force`, whatever the contact."""
     here = a.law_of_lane(w, j)
     patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[a.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
     at = max(abs(w[a.SLIDING + j]), wheelset.SMALL_M_S)
-    T, _, _ = wheelset.force(
+    T, _, _ = wheelset.contact_force(
         at,
         w[a.SURFACE + j],
         w[a.LOAD + j],

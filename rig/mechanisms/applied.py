@@ -161,7 +161,7 @@ def remember(state, positions_m, tick_s):
     """Advance sliding distance, angle turned under the brake and the work of the wheels before, by a tick."""
     before = 0.0
     for j in range(AXLES):
-        state.slid[j] += tick_s * abs(state.sliding[j])
+        state.sliding_distance[j] += tick_s * abs(state.sliding[j])
         if state.brake_capacity[j] > 0.0:
             state.braked_angle[j] += tick_s * state.wheel_speed[j]
         if j > 0:

@@ -49,7 +49,7 @@ COVARIATES = (
     Covariate("load_N", "state.wheel_load[axle]", "load", "N"),
     Covariate("energy_J_m", "state.dissipated_energy[axle]", "energy", "J/m"),
     Covariate("heat_MJ", "1e-6 * state.brake_work[axle]", "disc_heat", "MJ"),
-    Covariate("slid_m", "state.slid[axle]", "slid", "m"),
+    Covariate("slid_m", "state.sliding_distance[axle]", "slid", "m"),
     Covariate("angle_rad", "state.wheel_angle[axle]", "wheel_angle", "rad"),
     Covariate("axle", "axle"),
     Covariate("cleaned_J_m", "state.rail_work[axle]"),

@@ -74,7 +74,7 @@ def contact(w, j, patches, law):
         patches.cells,
         w[SLIM + j],
     )
-    share = adhesion.cleaning(s, surface, law.cleaning_creepage)[0]
+    share = adhesion.cleaning_share(s, surface, law.cleaning_creepage)[0]
     xi, eta, phi_1_m = sx * per_speed, sy * per_speed, w[SPIN + j] * per_speed
     return (
         creep_force.limited(xi),

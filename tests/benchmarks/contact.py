@@ -56,7 +56,7 @@ def _polach(slidings, params):
 def _degraded(slidings, params):
     total = 0.0
     for s in slidings:
-        f, _, _, _, _, slope = adhesion.recovering(
+        f, _, _, _, _, slope = adhesion.wheel_adhesion(
             s, _SPEED_m_s, 0.5 * _LOAD_N + s, params.patch, params.law
         )
         total += f + slope
@@ -68,7 +68,7 @@ def _wheelset(slidings, params):
     total = 0.0
     law = params.law
     for s in slidings:
-        total += wheelset.adhesion_under(
+        total += wheelset.wheelset_adhesion(
             s, _SPEED_m_s, _LOAD_N, law.mu_cd, law.mu_cr, params.patch, law
         )[0]
     return total

@@ -203,7 +203,7 @@ def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(
     assert run.wheel_speed.max() == 0.0
     prompt = np.array(
         [
-            wheelset.adhesion_under(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law)[3]
+            wheelset.wheelset_adhesion(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law)[3]
             for s, v, N in zip(
                 run.sliding[1:, 0], run.vehicle_speed[1:], run.wheel_load[1:, 0], strict=True
             )
@@ -263,10 +263,10 @@ def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(powe
     row = np.zeros(parameters.PARAMETERS)
     row[parameters.MEMORY], row[parameters.MEMORY_POWER] = 3.0, power
     for speed_m_s in (0.1, 5.0, 20.0, 44.0):
-        assert wheelset.relaxed(0.0, 1.0, speed_m_s, 0.01, built) == pytest.approx(
+        assert wheelset.lagged_transition(0.0, 1.0, speed_m_s, 0.01, built) == pytest.approx(
             replay.closes(speed_m_s, 0.01, row), rel=1e-12
         )
-    standing = wheelset.relaxed(0.2, 1.0, 0.0, 0.01, built)
+    standing = wheelset.lagged_transition(0.2, 1.0, 0.0, 0.01, built)
     assert 0.2 <= standing < 0.3
     assert power == 1.0 or standing == 0.2
 
@@ -294,7 +294,9 @@ def test_a_layer_of_the_whole_contact_is_a_contact_of_less_creep_stiffness() -> 
     )
     for sliding_m_s in (0.01, 0.3, 4.0):
         forces = [
-            wheelset.force(sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, -1.0, 0.0)[0]
+            wheelset.contact_force(sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, -1.0, 0.0)[
+                0
+            ]
             for p in (layer, soft)
         ]
         assert forces[0] == pytest.approx(forces[1], rel=1e-9)

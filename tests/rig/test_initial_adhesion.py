@@ -18,7 +18,7 @@ LAW = {"initial_at_speed_m_s": 20.0, "initial_at_sliding_m_s": 0.5}
 def test_the_contact_has_the_stated_adhesion_at_its_speed_and_sliding(stated, more):
     rig = Rig(20.0, rig=TRACK, adhesion={"initial_adhesion": stated, **LAW, **more})
     law, patch = rig.params.law, rig.params.patch
-    found = adhesion.recovering(0.5, 20.0, 0.5 * rig.params.vehicle.static_load_N, patch, law)
+    found = adhesion.wheel_adhesion(0.5, 20.0, 0.5 * rig.params.vehicle.static_load_N, patch, law)
     assert found[0] == pytest.approx(stated, rel=1e-9)
 
 

@@ -266,7 +266,7 @@ def force_of(case, n, j):
     surface = s.vehicle_speed[0] if p.mode == 0 else p.drive.roller_radius_m * s.roller_speed[j]
     sliding = surface - p.wheels.table[vehicle.RADIUS_M + j] * s.wheel_speed[j]
     at = max(abs(sliding), wheelset.SMALL_M_S)
-    T, _, _ = wheelset.force(
+    T, _, _ = wheelset.contact_force(
         at,
         surface,
         vehicle.load(j, s.felt_acceleration[0], p.vehicle),

@@ -78,7 +78,7 @@ def test_sand_raises_friction_only_where_wheels_meet_it_and_not_beyond_the_clean
 
 def test_faults_change_the_rate_and_the_lag_of_their_own_sander():
     made = Rig(20.0, rig=TRACK, sanders=ALWAYS | {"from_s": 0.0})
-    made.state.sand_flaw[0], made.state.sand_late[2] = -0.7, 2.0
+    made.state.sand_rate_fault[0], made.state.sand_delay_fault[2] = -0.7, 2.0
     run = made.roll(2.0, 3)
     assert run.sand_rate[-1, 0] == pytest.approx(0.3 * 0.067, rel=2e-2)
     assert run.sand_rate[-1, 2] < 0.6 * 0.067

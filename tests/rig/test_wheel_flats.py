@@ -85,7 +85,7 @@ def test_wear_without_a_lock_and_a_lock_without_wear_change_no_bit():
     rig, with_wear = (Rig(30.0, flats=flats) for flats in ({}, WEAR))
     plain, worn = (one.roll(3.0, FREE) for one in (rig, with_wear))
     for name in SLOTS:
-        if name != "sliding_work_felt":
+        if name != "sliding_work_before":
             assert np.array_equal(getattr(plain, name), getattr(worn, name), equal_nan=True), name
     _, run = locked({})
     assert (run.flat_length == 0.0).all()

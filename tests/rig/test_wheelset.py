@@ -14,7 +14,7 @@ near = pytest.approx
 
 
 def force(sliding_m_s, surface_m_s=30.0, load_N=LOAD_N):
-    return wheelset.force(
+    return wheelset.contact_force(
         sliding_m_s, surface_m_s, load_N, 0.06, 0.28, RIG.patch, RIG.law, adhesion.NO_MEMORY, 0.0
     )
 
@@ -41,14 +41,16 @@ def test_without_sliding_or_load_there_is_no_force():
 
 
 def test_both_wheels_of_a_wheelset_carry_half_its_load():
-    f = adhesion.recovering(0.3, 30.0, 0.5 * LOAD_N, RIG.patch, RIG.law)[0]
+    f = adhesion.wheel_adhesion(0.3, 30.0, 0.5 * LOAD_N, RIG.patch, RIG.law)[0]
     assert force(0.3)[0] == near(f * LOAD_N, rel=1e-12)
 
 
 def test_cleaning_is_the_papers_law_to_the_bit_until_wheels_hardly_turn_and_none_when_they_are_locked():
     def creep(sliding_m_s, bound, surface_m_s=30.0):
         law = RIG.law._replace(cleaning_creepage=bound)
-        return wheelset.adhesion_under(sliding_m_s, surface_m_s, LOAD_N, 0.06, 0.28, RIG.patch, law)
+        return wheelset.wheelset_adhesion(
+            sliding_m_s, surface_m_s, LOAD_N, 0.06, 0.28, RIG.patch, law
+        )
 
     for sliding_m_s in (0.0, 1e-6, 0.3, 5.9, 14.9, -14.9):
         assert creep(sliding_m_s, 0.5) == creep(sliding_m_s, np.inf)
@@ -70,7 +72,7 @@ def test_cleaning_fades_without_a_step_and_its_slope_is_the_derivative():
     at = np.linspace(12.0, 31.0, 400)
     f, slope = np.array(
         [
-            np.take(wheelset.adhesion_under(s, 30.0, LOAD_N, 0.03, 0.28, RIG.patch, law), (0, 5))
+            np.take(wheelset.wheelset_adhesion(s, 30.0, LOAD_N, 0.03, 0.28, RIG.patch, law), (0, 5))
             for s in at
         ]
     ).T

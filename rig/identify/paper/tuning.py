@@ -101,7 +101,7 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
     creepage = design.sliding_m_s / design.speed_m_s
     shares = np.array(
         [
-            adhesion.cleaning(s, v, cleaning_creepage)[0]
+            adhesion.cleaning_share(s, v, cleaning_creepage)[0]
             for s, v in zip(design.sliding_m_s, design.speed_m_s, strict=True)
         ]
     )
@@ -132,7 +132,7 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
 def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, out):
     """f, f_d, f_r of the model at each sample, into out (n, 3)."""
     for i in range(sliding_m_s.size):
-        f, f_d, f_r, _, _, _ = wheelset.adhesion_under(
+        f, f_d, f_r, _, _, _ = wheelset.wheelset_adhesion(
             sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i], law.mu_cr, patch, law
         )
         out[i, 0], out[i, 1], out[i, 2] = f, f_d, f_r

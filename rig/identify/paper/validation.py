@@ -82,7 +82,7 @@ def free_run(
             v = surface_m_s[k] + part * (surface_m_s[last] - surface_m_s[k])
             N = load_N[k] + part * (load_N[last] - load_N[k])
             C = torque_Nm[k] + part * (torque_Nm[last] - torque_Nm[k])
-            f, _, _, _, _, slope = wheelset.adhesion_under(
+            f, _, _, _, _, slope = wheelset.wheelset_adhesion(
                 v - r * omega, v, N, mu_cd, mu_cr, patch, law
             )
             slope = max(slope, 0.0)

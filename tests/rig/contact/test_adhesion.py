@@ -76,7 +76,7 @@ def test_table_4_is_met_to_its_printed_digits():
     rows = list(table())
     assert len(rows) == 95
     for row in rows:
-        f, f_d, f_r, lambda_, work, _ = adhesion.recovering(
+        f, f_d, f_r, lambda_, work, _ = adhesion.wheel_adhesion(
             row["s_m_s"], row["v_m_s"], LOAD, RAIL, TABLE_4
         )
         got = (f_d, f_r, f, lambda_, work, TABLE_4.tau_m_J * work, f * LOAD)
@@ -93,7 +93,9 @@ def test_the_friction_of_table_4_is_met():
 
 
 def test_adhesion_dips_where_falling_friction_outweighs_recovery():
-    f = [adhesion.recovering(s, 40.0, LOAD, RAIL, TABLE_4)[0] for s in np.arange(0.5, 15.0, 0.1)]
+    f = [
+        adhesion.wheel_adhesion(s, 40.0, LOAD, RAIL, TABLE_4)[0] for s in np.arange(0.5, 15.0, 0.1)
+    ]
     dip = 0.5 + 0.1 * (20 + int(np.argmin(f[20:])))
     assert 5.0 < dip < 7.0
     assert max(f[:20]) > min(f[20:]) < f[-1]
@@ -222,15 +224,18 @@ def test_w0_inverts_w_exp_w_and_never_decreases():
 @pytest.mark.parametrize("law", [TABLE_4, SPOILING])
 def test_adhesion_is_odd_in_sliding_and_even_in_the_direction_of_travel(law):
     for sliding, speed in product(SLIDING, SPEEDS):
-        forward = adhesion.recovering(sliding, speed, LOAD, RAIL, law)
-        assert adhesion.recovering(-sliding, speed, LOAD, RAIL, law) == (-forward[0], *forward[1:])
-        assert adhesion.recovering(sliding, -speed, LOAD, RAIL, law) == forward
+        forward = adhesion.wheel_adhesion(sliding, speed, LOAD, RAIL, law)
+        assert adhesion.wheel_adhesion(-sliding, speed, LOAD, RAIL, law) == (
+            -forward[0],
+            *forward[1:],
+        )
+        assert adhesion.wheel_adhesion(sliding, -speed, LOAD, RAIL, law) == forward
 
 
 @pytest.mark.parametrize("law", [TABLE_4, SPOILING])
 def test_adhesion_lies_between_its_limits_and_lambda_in_0_to_1(law):
     for sliding, speed, load in product(SLIDING, SPEEDS, (1e-3, 1e3, LOAD, 2e5)):
-        f, f_d, f_r, lambda_, work, _ = adhesion.recovering(sliding, speed, load, RAIL, law)
+        f, f_d, f_r, lambda_, work, _ = adhesion.wheel_adhesion(sliding, speed, load, RAIL, law)
         assert min(f_d, f_r) <= f <= max(f_d, f_r)
         assert 0.0 <= lambda_ <= 1.0
         assert lambda_ == pytest.approx(-math.expm1(-law.tau_m_J * work), rel=1e-12, abs=1e-300)
@@ -241,7 +246,7 @@ def test_adhesion_lies_between_its_limits_and_lambda_in_0_to_1(law):
 def test_adhesion_grows_with_tau():
     for sliding, speed in product(SLIDING[1:], SPEEDS):
         f = [
-            adhesion.recovering(sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=tau))[0]
+            adhesion.wheel_adhesion(sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=tau))[0]
             for tau in (0.0, *np.geomspace(1e-9, 1.0, 40))
         ]
         assert all(later >= earlier * (1.0 - 1e-15) for earlier, later in pairwise(f))
@@ -249,7 +254,7 @@ def test_adhesion_grows_with_tau():
 
 def test_without_tau_adhesion_is_the_degraded_one_bit_for_bit():
     for sliding, speed in product(SLIDING, SPEEDS):
-        f, f_d, _, lambda_, _, _ = adhesion.recovering(
+        f, f_d, _, lambda_, _, _ = adhesion.wheel_adhesion(
             sliding, speed, LOAD, RAIL, TABLE_4._replace(tau_m_J=0.0)
         )
         assert (f, lambda_) == (f_d, 0.0)
@@ -257,7 +262,7 @@ def test_without_tau_adhesion_is_the_degraded_one_bit_for_bit():
 
 def test_the_limits_are_polachs_force_at_the_patch_of_the_load():
     for sliding, speed, load in product(SLIDING, SPEEDS[2:], (1e3, LOAD)):
-        _, f_d, f_r, _, _, _ = adhesion.recovering(sliding, speed, load, RAIL, TABLE_4)
+        _, f_d, f_r, _, _, _ = adhesion.wheel_adhesion(sliding, speed, load, RAIL, TABLE_4)
         a_m, b_m = RAIL.a1 * load ** (1 / 3), RAIL.b1 * load ** (1 / 3)
         unit = polach.eps_per_creepage(a_m, b_m, RAIL.c11, RAIL.shear_Pa, load)
         for got, mu_c, gamma, k_a, k_s in ((f_d, 0.06, 0.2, 0.3, 0.1), (f_r, 0.28, 0.6, 1.0, 0.4)):
@@ -271,15 +276,16 @@ def test_the_slope_is_the_derivative_to_sliding(law):
     for sliding, speed, sign in product((1e-4, 0.02, 0.3, 1.0, 3.0, 12.0), SPEEDS[1:], (1, -1)):
         h = 1e-5 * sliding
         ends = [
-            adhesion.recovering(sign * (sliding + d), speed, LOAD, RAIL, law)[0] for d in (-h, h)
+            adhesion.wheel_adhesion(sign * (sliding + d), speed, LOAD, RAIL, law)[0]
+            for d in (-h, h)
         ]
         difference = sign * (ends[1] - ends[0]) / (2.0 * h)
-        slope = adhesion.recovering(sign * sliding, speed, LOAD, RAIL, law)[5]
+        slope = adhesion.wheel_adhesion(sign * sliding, speed, LOAD, RAIL, law)[5]
         assert slope == pytest.approx(difference, rel=1e-5, abs=1e-9)
 
 
 def test_at_rest_the_slope_is_the_weakened_creep_slope_of_the_patch():
-    f, _, _, _, _, slope = adhesion.recovering(0.0, 20.0, LOAD, RAIL, TABLE_4)
+    f, _, _, _, _, slope = adhesion.wheel_adhesion(0.0, 20.0, LOAD, RAIL, TABLE_4)
     stiffness = RAIL.eps1 * LOAD ** (-1 / 3) * 2.0 / math.pi * (0.3 + 0.1)
     assert f == 0.0
     assert slope == near(stiffness / 20.0, rel=1e-13)
@@ -293,7 +299,7 @@ def test_a_roller_of_infinite_radius_is_a_rail_bit_for_bit():
 
 @pytest.mark.parametrize("load", [0.0, -0.0, -1.0, -math.inf])
 def test_an_unloaded_wheel_transmits_nothing(load):
-    assert adhesion.recovering(1.0, 20.0, load, RAIL, TABLE_4) == (0.0,) * 6
+    assert adhesion.wheel_adhesion(1.0, 20.0, load, RAIL, TABLE_4) == (0.0,) * 6
 
 
 def test_infinite_and_zero_inputs_give_no_nan():
@@ -308,7 +314,7 @@ def test_infinite_and_zero_inputs_give_no_nan():
         TABLE_4._replace(tau_m_J=1e30),
     )
     for sliding, speed, load, law in product((*ends, -math.inf), ends, ends, laws):
-        assert not np.isnan(adhesion.recovering(sliding, speed, load, RAIL, law)).any()
+        assert not np.isnan(adhesion.wheel_adhesion(sliding, speed, load, RAIL, law)).any()
     for f_d, f_r, k in product((0.0, 5e-324, 0.1, 1.0), (0.0, 5e-324, 0.1, 1.0), ends):
         assert not np.isnan(adhesion.recovery(f_d, f_r, k)).any()
 
@@ -317,7 +323,7 @@ def test_infinite_and_zero_inputs_give_no_nan():
 def test_a_broken_measurement_is_not_hidden(broken):
     given = [1.0, 20.0, LOAD]
     given[broken] = math.nan
-    assert math.isnan(adhesion.recovering(*given, RAIL, TABLE_4)[0])
+    assert math.isnan(adhesion.wheel_adhesion(*given, RAIL, TABLE_4)[0])
 
 
 @pytest.mark.parametrize(
@@ -356,7 +362,7 @@ for radius in (math.inf, 0.5):
         for speed in (0.0, 5.0, 40.0):
             for load in (0.0, 52.7e3, math.inf):
                 for one in (law, law._replace(mu_cd=0.28, mu_cr=0.06), law._replace(mu_cd=0.0)):
-                    print(*adhesion.recovering(sliding, speed, load, patch, one))
+                    print(*adhesion.wheel_adhesion(sliding, speed, load, patch, one))
 """
 
 

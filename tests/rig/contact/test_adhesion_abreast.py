@@ -62,7 +62,7 @@ def test_within_its_domain_the_fast_law_is_the_law(law):
         if trusted:
             inside += 1
             assert f == pytest.approx(
-                adhesion.recovering(sliding, speed, load, PATCH, law)[0], rel=2e-12
+                adhesion.wheel_adhesion(sliding, speed, load, PATCH, law)[0], rel=2e-12
             )
     assert inside > 300
 

@@ -113,8 +113,10 @@ def test_nothing_acts_without_load_or_creepage(model):
 @pytest.mark.parametrize("s_m_s", [1e-6, 0.01, 0.3, 2.0, 8.0, 39.0])
 def test_degraded_adhesion_along_the_rail_is_the_scalar_law(s_m_s):
     for patch in PATCHES:
-        f, _, _, lambda_, W, _ = adhesion.recovering(s_m_s, 40.0, N, patch, LAW)
-        fx, fy, mz, recovered, work = creep_force.recovering(s_m_s / 40, 0, 0, s_m_s, N, patch, LAW)
+        f, _, _, lambda_, W, _ = adhesion.wheel_adhesion(s_m_s, 40.0, N, patch, LAW)
+        fx, fy, mz, recovered, work = creep_force.degraded_force(
+            s_m_s / 40, 0, 0, s_m_s, N, patch, LAW
+        )
         assert fx == near(-f * N, rel=1e-12)
         assert (fy, mz) == (0.0, 0.0)
         assert recovered == pytest.approx(lambda_, rel=1e-10, abs=1e-15)
@@ -125,7 +127,9 @@ def test_in_two_directions_and_with_spin_the_energy_equation_holds():
     rng = np.random.default_rng(7)
     for xi, eta, phi in rng.normal(0.0, (0.1, 0.05, 0.3), (200, 3)):
         sliding = 30.0 * math.hypot(xi, eta)
-        fx, fy, _, lambda_, W = creep_force.recovering(xi, eta, phi, sliding, N, PATCHES[0], LAW)
+        fx, fy, _, lambda_, W = creep_force.degraded_force(
+            xi, eta, phi, sliding, N, PATCHES[0], LAW
+        )
         assert pytest.approx(1.0 - math.exp(-LAW.tau_m_J * W), abs=1e-12) == lambda_
         assert pytest.approx(-(fx * xi + fy * eta), rel=1e-9, abs=1e-9) == W
         assert 0.0 <= lambda_ <= 1.0
@@ -158,7 +162,7 @@ def test_a_scenario_chooses_the_model_of_the_plant(model):
     plan = scenario.load("velim_a1", settings=(f"contact.model={name}",))
     p = plan.params
     assert p.patch.model == model
-    f, f_d, f_r, lambda_, W, _ = wheelset.adhesion_under(
+    f, f_d, f_r, lambda_, W, _ = wheelset.wheelset_adhesion(
         4.0, 40.0, 2 * N, 0.06, 0.28, p.patch, p.law
     )
     if model == DEGRADED:
@@ -169,7 +173,7 @@ def test_a_scenario_chooses_the_model_of_the_plant(model):
         assert lambda_ == 0.0
         assert near(f * N * 0.1, rel=1e-12) == W
     if model == POLACH:
-        tau_0 = adhesion.recovering(4.0, 40.0, N, p.patch, p.law._replace(tau_m_J=0.0))[0]
+        tau_0 = adhesion.wheel_adhesion(4.0, 40.0, N, p.patch, p.law._replace(tau_m_J=0.0))[0]
         assert f == near(tau_0, rel=1e-12)
 
 

@@ -40,7 +40,7 @@ def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) ->
         )
         for sliding in (0.01, 0.3, 2.0, 8.0, 15.0, 25.0, -1.0):
             f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 1.0, 1.0, base, 0.0, 1.0)
-            want = adhesion.recovering(sliding, 25.0, 52700.0, patch, law)
+            want = adhesion.wheel_adhesion(sliding, 25.0, 52700.0, patch, law)
             assert f == pytest.approx(want[0], rel=1e-12)
             assert rise == pytest.approx(want[5], rel=1e-9)
 

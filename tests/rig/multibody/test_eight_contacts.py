@@ -7,7 +7,7 @@ import pytest
 
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import creep_force
-from rollerrig.rig.contact.adhesion import SPEED_FLOOR_M_S, Law, cleaning, law_for_contaminant
+from rollerrig.rig.contact.adhesion import SPEED_FLOOR_M_S, Law, cleaning_share, law_for_contaminant
 from rollerrig.rig.contact.patch import at, tabulate
 from rollerrig.rig.multibody import eight_contacts as lanes
 
@@ -33,7 +33,9 @@ def put(w, lane, patch):
 @kernel
 def by_the_model(sx, sy, spin, surface, load_N, patch, mu_cd, mu_cr, law):
     per_speed, s = 1.0 / max(abs(surface), SPEED_FLOOR_M_S), math.sqrt(sx * sx + sy * sy)
-    here = law_for_contaminant(mu_cd, mu_cr, cleaning(s, surface, law.cleaning_creepage)[0], law)
+    here = law_for_contaminant(
+        mu_cd, mu_cr, cleaning_share(s, surface, law.cleaning_creepage)[0], law
+    )
     return creep_force.creep_force(
         patch.model, sx * per_speed, sy * per_speed, spin * per_speed, s, load_N, patch, here
     )
