@@ -21,6 +21,7 @@ from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError
 from rollerrig.wsp_interface import rig_objects as rig
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
 
 # no profile of CiA covers a test bench: device type 0
@@ -115,7 +116,7 @@ class BenchNode:
         own(rig.HARNESS, rig.END, effect=lambda value: self._ask("end") if value else None)
         own(rig.FAULT, rig.INJECT, effect=partial(self._ask, "inject"))
         own(rig.FAULT, rig.LIFT, effect=partial(self._ask, "lift"))
-        own(rig.NOTE, effect=lambda text: node.on_event("info", f"note: {text}"))
+        own(rig.NOTE, effect=lambda text: node.on_event(Code.OPERATOR_NOTE, note=text))
         for axle in range(1, AXLES + 1):
             own(rig.FRICTION, axle, effect=partial(self._set_friction, axle))
         node.on_reset.append(lambda: self._join(0))
@@ -133,7 +134,7 @@ class BenchNode:
     def _join(self, value: int) -> None:
         if self.joined != bool(value):
             self.joined = bool(value)
-            self.node.on_event("info", "a harness has " + ("joined" if value else "left"))
+            self.node.on_event(Code.HARNESS_JOINED if value else Code.HARNESS_LEFT)
             if not value and "left" in self._wishes:
                 self._wishes["left"]()
 
@@ -143,7 +144,7 @@ class BenchNode:
         try:
             self._wishes[wish](*about)
         except RollerrigError as error:
-            self.node.on_event("warning", f"refused to the harness: {error}")
+            self.node.on_event(Code.HARNESS_REFUSED, reason=str(error))
             raise AbortError(Abort.INVALID_VALUE) from None
 
     def _set_friction(self, axle: int, raw: int) -> None:

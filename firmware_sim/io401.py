@@ -139,7 +139,7 @@ class BrakeIo:
         values = self.node.objects.values
         mask, wanted = values[key(0x6206, 1)], values[key(0x6207, 1)]
         byte = values[key(0x6200, 1)] & ~mask | wanted & mask
-        self.node.event("warning", f"magnets take the fail-safe value {byte:02X}h: {why}")
+        self.node.event(Code.MAGNETS_FAIL_SAFE, magnets=byte, reason=why)
         values[key(0x6200, 1)] = byte
         self._energise(byte)
         if values[key(0x6443, 1)]:
@@ -153,10 +153,7 @@ class BrakeIo:
         for at, pair in enumerate(magnets.unpack(byte)):
             alone = pair == magnets.VENT_MAGNET
             if alone and not self._venting_alone[at]:
-                self.node.event(
-                    "warning",
-                    f"vent magnet of axle {at + 1} without its hold magnet: treated as vent",
-                )
+                self.node.event(Code.MAGNETS_VENT_ALONE, axle=at + 1)
             self._venting_alone[at] = alone
             self.commands[at] = magnets.VENTING if alone else pair
         self.on_command()

@@ -12,8 +12,10 @@ from typing import Any
 
 from rollerrig.firmware_sim.cia301.host import MS, Timers
 from rollerrig.firmware_sim.cia301.nmt import Command, State
+from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NMT, SYNC
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.rig_objects import REFERENCE_SPEED, UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODE
 
@@ -33,7 +35,7 @@ class NmtMaster:
     """Node 127. It needs calls only: `on_frame`, `poll`, `sync`.
 
     `master`: start the nodes; `sync_overflow`: highest value of the SYNC counter (0: no counter).
-    `on_event(level, text)` is for the run's events.
+    `on_event(code, **fields)` is for the run's events.
     """
 
     def __init__(
@@ -50,7 +52,7 @@ class NmtMaster:
         self.unit = self.health[WSP_NODE]
         self.reference_speed_m_s = math.nan
         self.now_ns, self.counter = 0, 0
-        self.on_event: Callable[[str, str], None] = lambda level, text: None
+        self.on_event: OnEvent = events.ignore
         self.on_rewired: Callable[[], None] = lambda: None
         self.send: Callable[[Frame], Any] = lambda frame: None
         self.timers = Timers()
@@ -120,11 +122,12 @@ class NmtMaster:
             return
         health = self.health[node]
         if health.lost:
-            self.on_event("info", f"{_name(node)} is back: {state.title}")
+            back = Code.UNIT_BACK if node == WSP_NODE else Code.NODE_BACK
+            self.on_event(back, node=node, state=state.title)
         elif node == WSP_NODE and health.state is not state:
-            # the rig's own nodes tell their states themselves
-            seen = "has appeared: " if health.state is None else "is "
-            self.on_event("info", f"{_name(node)} {seen}{state.title}")
+            # the nodes of the rig report their states themselves
+            seen = Code.UNIT_APPEARED if health.state is None else Code.UNIT_STATE
+            self.on_event(seen, node=node, state=state.title)
         health.state, health.lost = state, False
         self.timers.set(
             f"lost {node}", self.now_ns + self.patience_ms[node] * MS, partial(self._lose, node)
@@ -141,7 +144,8 @@ class NmtMaster:
 
     def _lose(self, node: int) -> None:
         self.health[node].lost, self.health[node].started = True, False
-        self.on_event("error", f"{_name(node)} lost: no heartbeat for {self.patience_ms[node]} ms")
+        lost = Code.UNIT_LOST if node == WSP_NODE else Code.NODE_LOST
+        self.on_event(lost, node=node, silent_s=self.patience_ms[node] / 1e3)
         if node == WSP_NODE:
             self.reference_speed_m_s = math.nan
 
@@ -149,10 +153,12 @@ class NmtMaster:
         # an EMCY never is SYNC: node identifiers begin with 1
         code = int.from_bytes(frame.data[:2], "little") if len(frame.data) == 8 else 0
         if code:
+            node = frame.can_id - EMERGENCY
             self.on_event(
-                "warning",
-                f"{_name(frame.can_id - EMERGENCY)}: EMCY {code:04X}h, "
-                f"error register {frame.data[2]:02X}h",
+                Code.UNIT_EMERGENCY if node == WSP_NODE else Code.NODE_EMERGENCY,
+                node=node,
+                error_code=code,
+                error_register=frame.data[2],
             )
 
     def _on_reference_speed(self, frame: Frame) -> None:
@@ -162,7 +168,3 @@ class NmtMaster:
 
 
 _STATES = {int(state): state for state in State}
-
-
-def _name(node: int) -> str:
-    return f"the WSP unit (node {node})" if node == WSP_NODE else f"node {node}"

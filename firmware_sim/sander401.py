@@ -15,6 +15,7 @@ from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import AXLES, SANDER_NODE, WSP_NODE
 
@@ -67,7 +68,7 @@ def build(
 
     def stop(why: str) -> None:
         if node.objects.values[key(0x6200, 1)]:
-            node.event("warning", f"sanders stop: {why}")
+            node.event(Code.SANDERS_STOPPED, reason=why)
         node.objects.values[key(0x6200, 1)] = 0
         strew(0)
 

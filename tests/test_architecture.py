@@ -19,7 +19,7 @@ FLOORS = {
     "rig": "compiled | contact mechanisms | multibody | params state | "
     "brake heat motor surface vehicle | wheelset | lanes plant | identify",
     "rig/identify": "data | replay train_recorder | causes | decide | paper next_stops",
-    "wsp_interface": "bus magnets signals | descriptions rig_objects | harness_client | own_bench unit_map | "
+    "wsp_interface": "events | bus magnets signals | descriptions rig_objects | harness_client | own_bench unit_map | "
     "sequences | fixture robot | harness",
     "firmware_sim": "cia301 rig_control | nmt_master process_image rack wsp | "
     "bench_node drive402 encoder406 faults fmu io401 sander401 | modbus pole_wheel",

@@ -9,18 +9,19 @@ import contextlib
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import can
 
 from rollerrig.configs.errors import BusError, RollerrigError
-from rollerrig.wsp_interface import magnets, rig_objects, signals
+from rollerrig.wsp_interface import events, magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, TPDO
 from rollerrig.wsp_interface.bus.sdo_client import SdoClient
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import layout
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE
+from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE, WSP_NODE
 
 # before the first cycle others may still be starting or compiling; later a bench waits for a slow unit itself
 FIRST_CYCLE_S, SILENCE_S = 600, 90
@@ -50,11 +51,16 @@ COLUMNS: tuple[str, ...] = tuple(name for one in HEARD for name in one.names) + 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened, or was done: simulated time, who, and what."""
+    """Something that happened, or was done: simulated time, who, the sentence, and code and fields.
+
+    The code is None only in records from before there were codes.
+    """
 
     time_s: float
     who: str
     text: str
+    code: Code | None = None
+    fields: dict[str, Any] = field(default_factory=dict)
 
 
 class Harness:
@@ -163,12 +169,10 @@ class Harness:
                 axle,
                 struct.pack("<H", round(mu / rig_objects.FRICTION_SCALE)),
             )
-        self.log(
-            "harness",
-            f"friction {mu:g} under axles {', '.join(map(str, axles))}"
-            if mu
-            else "friction as the scenario has it",
-        )
+        if mu:
+            self.record("harness", Code.TEST_FRICTION, mu=mu, axles=list(axles))
+        else:
+            self.record("harness", Code.TEST_FRICTION_DEFAULT)
 
     def sand(self, on: bool = True) -> None:
         """Switch all sanders that the vehicle has, as a driver does. Raises BusError where it has none."""
@@ -176,26 +180,31 @@ class Harness:
         self._write(
             place.index, place.sub, bytes((rig_objects.ALL_SANDERS * on,)), signals.SANDER_NODE
         )
-        self.log("harness", "sand on" if on else "sand off")
+        self.record("harness", Code.TEST_SAND_ON if on else Code.TEST_SAND_OFF)
 
     def inject(self, fault: str) -> None:
         """Let a fault of the catalogue begin: `inject("speed_sensor_stuck axle=2 for=3")`."""
         self._write(rig_objects.FAULT, rig_objects.INJECT, fault.encode())
-        self.log("harness", f"fault {fault}")
+        self.record("harness", Code.TEST_FAULT, fault=fault)
 
     def lift(self, fault: str) -> None:
         """Lift the faults of a name (and aim): `lift("speed_sensor_stuck axle=2")`."""
         self._write(rig_objects.FAULT, rig_objects.LIFT, fault.encode())
-        self.log("harness", f"fault {fault} lifted")
+        self.record("harness", Code.TEST_FAULT_LIFTED, fault=fault)
 
     def note(self, text: str) -> None:
         """Put an operator's note into the events of the run."""
         self._write(rig_objects.NOTE, 0, text.encode("ascii", "replace"))
-        self.log("note", text)
+        self.record("note", Code.OPERATOR_NOTE, note=text)
 
     def log(self, who: str, text: str) -> None:
-        """Write down an event at the present simulated time."""
-        self.events.append(Event(self.time_s, who, text))
+        """Write down a sentence at the present simulated time."""
+        self.record(who, Code.HARNESS_TEXT, message=text)
+
+    def record(self, who: str, code: Code, /, **fields: Any) -> None:
+        """Write down an event, with its fields, at the present simulated time."""
+        event = events.make(self.time_s, code, **fields)
+        self.events.append(Event(event.time_s, who, event.text, code, fields))
         self.tell(self.events[-1])
 
     # -- letting time pass
@@ -320,8 +329,13 @@ class Harness:
             for axle, pair in zip(_AXLES, magnets.unpack(data[0]), strict=True):
                 self.values[f"magnets_{axle}"] = float(pair)
         elif EMERGENCY < can_id <= EMERGENCY + NODE_MASK and len(data) == 8 and any(data[:2]):
-            self.log(
-                f"node {can_id - EMERGENCY}", f"EMCY {int.from_bytes(data[:2], 'little'):04X}h"
+            node = can_id - EMERGENCY
+            self.record(
+                f"node {node}",
+                Code.UNIT_EMERGENCY if node == WSP_NODE else Code.NODE_EMERGENCY,
+                node=node,
+                error_code=int.from_bytes(data[:2], "little"),
+                error_register=data[2],
             )
         return False
 

@@ -41,14 +41,17 @@ def pool(count: int, first: Callable[..., Any] = int, *arguments: Any) -> Proces
     )
 
 
+def last_line(log: Path) -> str:
+    """Return the last line that is not empty in the log of a process, or an empty string."""
+    lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
+    written = [line for line in lines if line.strip()]
+    return written[-1] if written else ""
+
+
 def last_words(log: Path) -> str:
-    """How what a process has said ends, to stand behind its status; empty where it has said nothing."""
-    lines = [
-        line
-        for line in log.read_text(encoding="utf-8", errors="replace").splitlines()
-        if line.strip()
-    ]
-    return f"; its last words: {lines[-1]}" if lines else ""
+    """Return the last line of a log as the end of a sentence; empty where there is none."""
+    line = last_line(log)
+    return f"; its last words: {line}" if line else ""
 
 
 def can_fork() -> bool:

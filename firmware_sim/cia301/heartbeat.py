@@ -7,11 +7,12 @@ control protocols; boot-up counts as a sign of life only of a partner that is be
 """
 
 from rollerrig.firmware_sim.cia301.emergency import HEARTBEAT_LOST
-from rollerrig.firmware_sim.cia301.host import MS, Host
+from rollerrig.firmware_sim.cia301.host import MS, Host, S
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code
 
 # entries of 1016h; the master that guards counts as partner 0
 CONSUMERS, GUARD = 4, 0
@@ -99,19 +100,20 @@ class Consumer:
             )
         if partner in self.lost:
             self.lost.discard(partner)
-            node.event("info", f"{_title(partner)} is back")
+            if partner == GUARD:
+                node.event(Code.GUARDING_BACK)
+            else:
+                node.event(Code.HEARTBEAT_BACK, partner=partner)
             node.emergency.clear(HEARTBEAT_LOST, partner)
             node.tell_partner(partner, True)
 
     def _lose(self, partner: int) -> None:
         node = self.node
         self.lost.add(partner)
-        why = (
-            f"silent for more than {self.watched[partner] / MS:g} ms"
-            if partner != GUARD
-            else "the master has stopped asking"
-        )
-        node.event("error", f"{_title(partner)} lost: {why}")
+        if partner == GUARD:
+            node.event(Code.GUARDING_LOST)
+        else:
+            node.event(Code.HEARTBEAT_LOST, partner=partner, silent_s=self.watched[partner] / S)
         node.tell_partner(partner, False)
         node.emergency.report(HEARTBEAT_LOST, partner, bytes([partner]))
         node.communication_error()
@@ -132,7 +134,3 @@ class Consumer:
             )
         ):
             raise AbortError(Abort.INCOMPATIBLE)
-
-
-def _title(partner: int) -> str:
-    return "node guarding" if partner == GUARD else f"heartbeat of node {partner}"

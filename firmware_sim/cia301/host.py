@@ -12,10 +12,13 @@ from canopen.objectdictionary import ObjectDictionary
 from rollerrig.firmware_sim.cia301 import communication
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Objects
+from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code, OnEvent
 
 NEVER = 1 << 62
 MS = 1_000_000
+S = 1_000_000_000
 # an alarm that is called late is told its own time, so that what repeats does not drift, but none before this
 _CATCH_UP_NS = 5 * MS
 
@@ -63,7 +66,7 @@ class Host:
     """The part of a node that its services share: `dictionary` is what its EDS file says, `emergency` its errors.
 
     `on_sync()` is called before PDOs are sampled, `on_partner(node, alive)` for heartbeats (node 0: the guarding
-    master), `on_event(level, text)` for the run's events. `event_enablers`: which object lets changes of another go
+    master), `on_event(code, **fields)` for the run's events. `event_enablers`: which object lets changes of another go
     out. `commands`: objects that may be mapped and are asked for from cycle to cycle, so that they are never stored.
     """
 
@@ -77,7 +80,7 @@ class Host:
         self.clock_ns: Callable[[], int] = lambda: self.now_ns
         self.objects, self.timers = Objects(dictionary, self.node_id), Timers()
         self.send: Callable[[Frame], Any] = lambda frame: None
-        self.on_event: Callable[[str, str], None] = lambda level, text: None
+        self.on_event: OnEvent = events.ignore
         self.on_sync: list[Callable[[], None]] = []
         self.on_partner: list[Callable[[int, bool], None]] = []
         self.event_enablers: dict[int, int] = {}
@@ -88,9 +91,9 @@ class Host:
         can_id, extended = communication.split(cob_id)
         self.send(Frame(can_id, data, extended))
 
-    def event(self, level: str, text: str) -> None:
-        """Tell the run's events about something that happened to this node."""
-        self.on_event(level, f"node {self.node_id}: {text}")
+    def event(self, code: Code, **fields: Any) -> None:
+        """Add an event of this node to the events of the run."""
+        self.on_event(code, node=self.node_id, **fields)
 
     def tell_partner(self, partner: int, alive: bool) -> None:
         """Tell the application that a partner's heartbeat is lost or back."""

@@ -26,6 +26,7 @@ from rollerrig.firmware_sim.cia301.storage import Storage
 from rollerrig.firmware_sim.cia301.sync import SyncConsumer, check_consumed
 from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT, LSS_REQUEST, NMT
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code
 
 SDO_TIME_OUT_MS = 1000
 # what 1029h asks for; any other value: stay
@@ -142,7 +143,7 @@ class Node(Host):
 
     def _tell_state(self, old: State) -> None:
         if old is not self.state:
-            self.event("info", f"NMT {self.state.title}")
+            self.event(Code.NMT_STATE, state=self.state.title)
         for call in self.on_state:
             call(old, self.state)
 

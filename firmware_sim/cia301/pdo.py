@@ -13,6 +13,7 @@ from rollerrig.firmware_sim.cia301.host import MS, Host
 from rollerrig.firmware_sim.cia301.objects import AbortError, key, packer
 from rollerrig.firmware_sim.cia301.pdo_mapping import DUMMIES, govern, mapped
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code
 
 ACYCLIC, LAST_SYNCHRONOUS, RTR_SYNCHRONOUS, RTR, EVENT = 0, 240, 252, 253, 254
 
@@ -154,8 +155,7 @@ class Rpdo(Channel):
                 PDO_LENGTH, self.number, bytes([self.number, len(data), self.size])
             ):
                 node.event(
-                    "warning",
-                    f"RPDO {self.number} ignored: {len(data)} bytes instead of {self.size}",
+                    Code.PDO_TOO_SHORT, pdo=self.number, length=len(data), expected=self.size
                 )
             return
         if emergency.active:
@@ -188,11 +188,14 @@ class Rpdo(Channel):
                 if at not in self.refused:
                     self.refused.add(at)
                     self.node.event(
-                        "warning",
-                        f"RPDO {self.number}: object {at >> 8:04X}h:{at & 0xFF} "
-                        f"refuses {value} ({refused.code.name})",
+                        Code.PDO_REFUSED,
+                        pdo=self.number,
+                        index=at >> 8,
+                        sub=at & 0xFF,
+                        value=value,
+                        abort=refused.code.name,
                     )
 
     def _late(self) -> None:
-        self.node.event("warning", f"RPDO {self.number} is late")
+        self.node.event(Code.PDO_LATE, pdo=self.number)
         self.node.emergency.report(RPDO_LATE, self.number, bytes([self.number]))

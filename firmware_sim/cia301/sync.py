@@ -11,10 +11,11 @@ from collections.abc import Callable
 
 from rollerrig.firmware_sim.cia301.communication import FLAG, check_identifier
 from rollerrig.firmware_sim.cia301.emergency import SYNC_LENGTH, SYNC_MISSING
-from rollerrig.firmware_sim.cia301.host import Host
+from rollerrig.firmware_sim.cia301.host import Host, S
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code
 
 US = 1000
 
@@ -81,10 +82,7 @@ class SyncConsumer:
             raise AbortError(Abort.DEVICE_STATE)
 
     def _miss(self) -> None:
-        self.node.event(
-            "warning",
-            f"no SYNC for {self._patience_ns / 1e6:g} ms, half as long again as 1006h says",
-        )
+        self.node.event(Code.SYNC_MISSING, silent_s=self._patience_ns / S)
         self.node.emergency.report(SYNC_MISSING)
 
 

@@ -23,6 +23,7 @@ from rollerrig.firmware_sim.drive402.axis import COMMANDS, Axis, integer
 from rollerrig.firmware_sim.drive402.demand import CYCLIC_TORQUE, MODES, Heat
 from rollerrig.firmware_sim.drive402.states import Command, State, Transition
 from rollerrig.wsp_interface.bus.frames import S_NS
+from rollerrig.wsp_interface.events import Code
 
 HEARTBEAT_FAULT, OVER_TEMPERATURE, UNDER_VOLTAGE = 0x8130, 0x4310, 0x3220
 _QUICK_STOP, _REACTION, _ABORT = 0x605A, 0x605E, 0x6007
@@ -148,7 +149,7 @@ class Drive:
             return
         was_enabled, self.error = self.enabled, code
         self._enter(State.FAULT_REACTION_ACTIVE, states.FAULT_DETECTED)
-        self.node.event("error", f"drive fault {code:04X}h: {text}")
+        self.node.event(Code.DRIVE_FAULT, error_code=code, reason=text)
         self.node.emergency.report(code)
         option = self._option(_REACTION)
         if was_enabled and option != 0 and not self.local:
@@ -200,7 +201,7 @@ class Drive:
         elif state not in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE):
             self.demand.take_over(0.0, 0.0)
         if not self.local:
-            self.node.event("info", f"drive {state.title} (transition {number})")
+            self.node.event(Code.DRIVE_STATE, state=state.title, transition=number)
 
     def _quick_stop(self) -> None:
         option = self._option(_QUICK_STOP)

@@ -82,6 +82,11 @@ class Fault:
             ]
         )
 
+    @property
+    def event_fields(self) -> dict[str, Any]:
+        """The fields of the events of this fault."""
+        return {"fault": self.title, "kind": self.kind.name, "reaches_unit": self.reaches_unit}
+
 
 CATALOGUE: tuple[Kind, ...] = (
     Kind(

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
+from rollerrig.wsp_interface.events import Code
 
 ERROR_PASSIVE, RECOVERED = 0x8120, 0x8140
 PASSIVE_ABOVE, OFF_ABOVE, HIGHEST, RECOVERY_BITS = 127, 255, 255, 128 * 11
@@ -146,9 +147,7 @@ class Confinement:
             elif one.transmit > OFF_ABOVE:
                 one.off_until_ns = now_ns + self._recovery_ns
                 self.mute(node, True)
-                self.members[node].event(
-                    "error", "bus-off: its transmit error counter has passed 255"
-                )
+                self.members[node].event(Code.CAN_BUS_OFF)
             elif one.passive != one.reported_passive:
                 self._tell(node, one)
             if one.deaf != (node in self._deaf):
@@ -161,11 +160,11 @@ class Confinement:
     def _tell(self, node: int, one: Controller) -> None:
         member, one.reported_passive = self.members[node], one.passive
         if not one.passive:
-            member.event("info", "error active again")
+            member.event(Code.CAN_ERROR_ACTIVE)
             member.emergency.clear(ERROR_PASSIVE)
             return
         which = "transmit" if one.transmit > PASSIVE_ABOVE else "receive"
-        member.event("warning", f"error passive: its {which} error counter has passed 127")
+        member.event(Code.CAN_ERROR_PASSIVE, counter=which)
         member.emergency.report(ERROR_PASSIVE)
 
 

@@ -19,6 +19,7 @@ from rollerrig.firmware_sim.faults.bus import Babble, Gate, Rule
 from rollerrig.firmware_sim.faults.catalogue import LASTS, TICK, Fault
 from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
 from rollerrig.firmware_sim.rack import Rack
+from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.wsp_interface.signals import DRIVE_NODES
 
@@ -85,11 +86,11 @@ class Active:
 
 
 class Panel:
-    """Faults to come and faults that hold, on `site`. `on_event(level, text)` records each change."""
+    """Faults to come and faults that hold, on `site`. `on_event(code, **fields)` records each change."""
 
     site: Site
 
-    def __init__(self, planned: Iterable[Fault], on_event: Callable[[str, str], None]) -> None:
+    def __init__(self, planned: Iterable[Fault], on_event: OnEvent) -> None:
         self.active: dict[tuple[str, Any], Active] = {}
         self.now_s = 0.0
         self._on_event = on_event
@@ -157,16 +158,16 @@ class Panel:
             self._lift(fault.target)
         one = self.active[fault.target] = Active(fault, self.now_s + fault.for_s)
         if fault.told:
-            self._on_event("warning", f"fault {fault.title}: begins")
+            self._on_event(Code.FAULT_BEGINS, **fault.event_fields)
         self._act(one, True)
         self._settle()
         self._go_on()
 
     def _lift(self, target: tuple[str, Any]) -> None:
         one = self.active.pop(target)
-        met = f", it met {sum(rule.hit for rule in one.rules)} frames" if one.rules else ""
         if one.fault.told:
-            self._on_event("info", f"fault {one.fault.title}: lifted{met}")
+            frames_met = sum(rule.hit for rule in one.rules) if one.rules else None
+            self._on_event(Code.FAULT_LIFTED, **one.fault.event_fields, frames_met=frames_met)
         self._act(one, False)
         self._settle()
 

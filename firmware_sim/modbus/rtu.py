@@ -12,13 +12,14 @@ import contextlib
 import os
 import termios
 import tty
-from collections.abc import Callable
 
 from pymodbus.framer import FramerRTU
 
 from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus import pdu
 from rollerrig.firmware_sim.modbus.server import Server
+from rollerrig.wsp_interface import events
+from rollerrig.wsp_interface.events import Code, OnEvent
 
 BROADCAST = 0
 LARGEST_FRAME = 256
@@ -50,7 +51,7 @@ class Frame(FramerRTU):
 class SerialLine(asyncio.Protocol):
     """A server's units on a serial line; all in the running loop.
 
-    `port` is a device, or "pty" for a new pseudo-terminal; `on_event(level, text)` hears when the
+    `port` is a device, or "pty" for a new pseudo-terminal; `on_event(code, **fields)` hears when the
     line is lost and when it is back.
     """
 
@@ -60,7 +61,7 @@ class SerialLine(asyncio.Protocol):
         port: str,
         baud_rate: int = 19200,
         parity: str = "even",
-        on_event: Callable[[str, str], None] = lambda level, text: None,
+        on_event: OnEvent = events.ignore,
     ) -> None:
         self.server, self.port, self.on_event = server, port, on_event
         self.baud_rate, self.parity = baud_rate, parity
@@ -148,7 +149,7 @@ class SerialLine(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._ends:
             self.close()
-            self.on_event("warning", f"Modbus: the serial line {self.port} is lost")
+            self.on_event(Code.MODBUS_SERIAL_LOST, device=self.port)
             self._reopening = asyncio.get_running_loop().create_task(self._reopen())
 
     async def _reopen(self) -> None:
@@ -156,7 +157,7 @@ class SerialLine(asyncio.Protocol):
             await asyncio.sleep(_REOPEN_S)
             with contextlib.suppress(BusError):
                 await self.open()
-        self.on_event("info", f"Modbus: the serial line {self.port} is back")
+        self.on_event(Code.MODBUS_SERIAL_BACK, device=self.port)
 
 
 def _set_up(line: int, baud_rate: int, parity: str) -> None:

@@ -13,7 +13,10 @@ import json
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from rollerrig.wsp_interface.events import Event
 
 __all__ = ["Run", "__version__", "explain", "load", "run"]
 
@@ -30,13 +33,13 @@ class Run(NamedTuple):
     """A recorded run.
 
     `summary` is what summary.json holds (empty while the run goes on), `table` a pyarrow Table with one row a sample
-    and one column a channel, in SI with the unit in the name. `events` are (time_s, level, text), `scenario` is the
-    resolved one.
+    and one column a channel, in SI with the unit in the name. Each of `events` has time_s, level, text, code and
+    fields; programs use code and fields. `scenario` is the resolved one.
     """
 
     summary: dict[str, Any]
     table: Any
-    events: list[tuple[float, str, str]]
+    events: "list[Event]"
     scenario: dict[str, Any]
     folder: Path
 

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import signal
 from collections.abc import Awaitable, Callable, Iterable
+from functools import partial
 from typing import Any
 
 import pyarrow as pa
@@ -23,8 +24,9 @@ from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, ring
 from rollerrig.realtime.loop.tick import MISSED, STALLED_NS, STOP, TICK, WORST_NS
-from rollerrig.realtime.record import channels, records, run_folder, summary, validity
+from rollerrig.realtime.record import channels, records, run_folder, summary
 from rollerrig.realtime.record.files import writing
+from rollerrig.wsp_interface.events import Code, Event
 
 PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
     "wall": wall.run,
@@ -54,7 +56,7 @@ class Bench:
             (given.out / run_folder.SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
         ring.sweep()
         self.parts = Parts(plan, given, say)
-        self._exceptions: set[str] = set()
+        self._exceptions: set[tuple[str, str]] = set()
 
     async def run(self) -> dict[str, Any]:
         """Run to the end and return the summary. Raises RollerrigError after closing the record."""
@@ -69,7 +71,9 @@ class Bench:
             *[signal.SIGHUP] * (signal.getsignal(signal.SIGHUP) != signal.SIG_IGN),
         ]
         for signum in heard:
-            running.add_signal_handler(signum, parts.stop, "interrupted", f" by {signum.name}")
+            running.add_signal_handler(
+                signum, partial(parts.stop, Code.RUN_INTERRUPTED, signal=signum.name)
+            )
         try:
             parts.processes.start_recorder(*parts.rings, parts.identity())
             tick_data.warm_up(parts.data, given.pacing, given.unit)
@@ -83,7 +87,7 @@ class Bench:
         except RollerrigError as error:
             failure = error
             parts.ended_by = "error"
-            parts.event("error", str(error))
+            parts.event(Code.RUN_FAILED, reason=str(error))
         finally:
             parts.data.control[STOP] = 1
             for signum in heard:  # the event loop's end takes the handlers away
@@ -95,10 +99,12 @@ class Bench:
 
     def _note_exception(self, running: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """What fails inside the bus thread is said and recorded, and harms only who failed."""
-        text = f"{context.get('message', 'bus thread')}: {context.get('exception')!r}"
-        if text not in self._exceptions and len(self._exceptions) < _EXCEPTIONS_RECORDED:
-            self._exceptions.add(text)
-            self.parts.event("error", text)
+        message = str(context.get("message", "bus thread"))
+        exception = repr(context.get("exception"))
+        new = (message, exception) not in self._exceptions
+        if new and len(self._exceptions) < _EXCEPTIONS_RECORDED:
+            self._exceptions.add((message, exception))
+            self.parts.event(Code.BENCH_EXCEPTION, message=message, exception=exception)
             running.default_exception_handler(context)
 
     async def _close(self) -> dict[str, Any]:
@@ -137,15 +143,15 @@ class Bench:
         try:
             found: channels.Columns | pa.Table = channels.Columns(out)
         except ConfigError as error:  # the recorder did not come that far: a summary stands anyway
-            parts.event("error", str(error))
+            parts.event(Code.RECORD_UNREADABLE, reason=str(error))
             found = channels.schema().empty_table()
-        told: Iterable[validity.Event] = parts.events.rows()
+        told: Iterable[Event] = parts.events
         if parts.events.left_out:  # judged by all of them, as far as they were recorded
             with contextlib.suppress(ConfigError):
-                if sum(1 for _ in records.each_event(out)) > len(parts.events.rows()):
+                if sum(1 for _ in records.each_event(out)) > len(list(parts.events)):
                     told = records.each_event(out)
         result = summary.of(found, counters, parts.plan.resolved, told) | {
-            "events": list(parts.events)
+            "events": [event._asdict() for event in parts.events]
         }
         try:
             records.write_summary(out, result)

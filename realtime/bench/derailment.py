@@ -12,6 +12,7 @@ import numpy as np
 
 from rollerrig.rig.multibody import coach_state
 from rollerrig.rig.state import AXLES, SIZE, SLOTS
+from rollerrig.wsp_interface.events import Code, OnEvent
 
 SIDES = ("left", "right")
 _LACK_PA = 5e3  # so much less than is asked counts
@@ -20,10 +21,10 @@ _RESERVOIR, _DEMAND = (SLOTS[name].start for name in ("reservoir_pressure", "bra
 
 
 class Watch:
-    """Looks at the state of the plant from time to time; `tell(level, text)` and `stop(why)` are called."""
+    """Looks at the state of the plant from time to time; `on_event(code, **fields)` and `stop()` are called."""
 
-    def __init__(self, tell: Callable[[str, str], None], stop: Callable[[str], None]) -> None:
-        self._tell, self._stop = tell, stop
+    def __init__(self, on_event: OnEvent, stop: Callable[[], None]) -> None:
+        self._on_event, self._stop = on_event, stop
         self._seen = np.zeros(coach_state.WHEELS, dtype=bool)
         self._exhausted = False
         self._flat_m, self._box_kg = [0.0] * AXLES, [0.0] * AXLES
@@ -36,34 +37,27 @@ class Watch:
         )  # 0 where air never runs out
         if not self._exhausted and 0.0 < held_Pa < asked_Pa - _LACK_PA:
             self._exhausted = True
-            self._tell(
-                "warning",
-                f"air exhausted: the reservoir holds {held_Pa / 1e5:.2f} bar, and the cylinders are "
-                f"asked to have {asked_Pa / 1e5:.2f} bar: brakes are weak from here on",
-            )
+            self._on_event(Code.AIR_EXHAUSTED, reservoir_Pa=held_Pa, demand_Pa=asked_Pa)
         held_kg, self._box_kg = self._box_kg, buffer[SLOTS["sand_box"]].tolist()
         for j in range(AXLES):
             if self._box_kg[j] <= 0.0 < held_kg[j]:
-                self._tell("warning", f"sand box empty: the sander of axle {j + 1} strews no more")
+                self._on_event(Code.SAND_EMPTY, axle=j + 1)
         for j, flat_m in enumerate(buffer[SLOTS["flat_length"]].tolist()):
             if flat_m > self._flat_m[j] + _NEW_FLAT_M and (
                 buffer[SLOTS["wheel_speed"]][j] > 0.0 or buffer[SLOTS["standing"]][0] != 0.0
             ):
                 self._flat_m[j] = flat_m
-                self._tell(
-                    "warning",
-                    f"wheel flat: the wheels of axle {j + 1} have flats of {1e3 * flat_m:.0f} mm",
-                )
+                self._on_event(Code.WHEEL_FLAT, axle=j + 1, length_m=flat_m)
         if buffer.size == SIZE or self._seen.all():
             return
         left_m = coach_state.views(buffer[SIZE:]).left
         for wheel in np.flatnonzero((left_m != 0.0) & ~self._seen):
             self._seen[wheel] = True
-            self._tell(
-                "error",
-                f"derailed: the {SIDES[wheel % 2]} wheel of axle {wheel // 2 + 1} left its "
-                f"rail after {left_m[wheel]:.1f} m; slow down, or check profiles, gauge_m "
-                "and the suspension under [multibody]",
+            self._on_event(
+                Code.COACH_DERAILED,
+                side=SIDES[wheel % 2],
+                axle=int(wheel) // 2 + 1,
+                distance_m=float(left_m[wheel]),
             )
         if self._seen.any():
-            self._stop("derailed")
+            self._stop()

@@ -4,7 +4,6 @@ Unit 1 has three registers to choose with, a coil that injects and a coil that l
 take the catalogue's defaults. A fault that cannot be is refused with exception 03, and an event says why.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -13,6 +12,7 @@ from rollerrig.firmware_sim.faults.catalogue import BY_NUMBER, LASTS
 from rollerrig.firmware_sim.faults.panel import Panel
 from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.unit import Reader, Writer
+from rollerrig.wsp_interface.events import Code, OnEvent
 
 AIMS = ("axle", "node", "can_id")
 DURATION_UNIT_S = 0.1
@@ -21,8 +21,8 @@ DURATION_UNIT_S = 0.1
 class FaultRegisters:
     """Readers and writers of the fault registers. 0 of `target`: the default; of `duration`: no end."""
 
-    def __init__(self, faults: Panel, event: Callable[[str, str], None]) -> None:
-        self.faults, self.event = faults, event
+    def __init__(self, faults: Panel, on_event: OnEvent) -> None:
+        self.faults, self.on_event = faults, on_event
         self.chosen = {"fault": 0, "fault_target": 0, "fault_duration": 0}
 
     def readers(self) -> dict[str, Reader]:
@@ -57,7 +57,7 @@ class FaultRegisters:
         try:
             self.faults.inject(kind.name, **values)
         except ConfigError as error:
-            self.event("warning", f"a fault asked for over Modbus is refused: {error}")
+            self.on_event(Code.FAULT_REFUSED, reason=str(error))
             raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
 
     def _lift(self, raw: int, only: bool) -> None:

@@ -15,7 +15,7 @@ from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.realtime.loop.tick import AXLES, DONE, TICK, TickData
-from rollerrig.wsp_interface import magnets, signals
+from rollerrig.wsp_interface import events, magnets, signals
 
 # an outside unit: axle speeds in 0.01 rad/s and cylinder pressures in mbar, int64 (8,), to the byte
 # of magnets (wsp_interface.magnets)
@@ -37,7 +37,7 @@ class Stop:
         faults: panel.Panel | None = None,
     ) -> None:
         self.plan, self.data = plan, data
-        self.faults = faults or panel.Panel(plan.faults, lambda level, text: None)
+        self.faults = faults or panel.Panel(plan.faults, events.ignore)
         self.faults.connect(panel.Site(data.commands.values[tick.FAULTS :], lambda: None))
         self._call: UnitCall | None = unit if callable(unit) else None
         self.own: logic.Unit | None = None

@@ -12,6 +12,7 @@ from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.loop import clock, mailbox, tick
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import HARNESS, HARNESS_ANSWER_ID, MAGNETS_ID
 
 _LOOK_S = 0.1
@@ -144,5 +145,5 @@ async def _catch_up(parts: Parts, bus: RigBus) -> None:
         owed = bus.owed
         await _comes(parts, bus.answered, parts.options.answer_wait_s)
     if not bus.answered.is_set():  # its connection held no more
-        parts.event("warning", f"the WSP unit has left {owed} SYNCs unanswered")
+        parts.event(Code.UNIT_UNANSWERED, syncs=owed)
         bus.forgive()

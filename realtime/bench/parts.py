@@ -24,8 +24,9 @@ from rollerrig.realtime.loop import clock, loop, mailbox, ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
 from rollerrig.realtime.record.events import Events
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import (
     HARNESS,
     JOINED,
@@ -36,6 +37,13 @@ from rollerrig.wsp_interface.rig_objects import (
 
 _ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 14
 _REPORT_S = 0.5
+# how a run ended early, as its summary has it
+ENDED_BY = {
+    Code.RUN_INTERRUPTED: "interrupted",
+    Code.RUN_STOPPED: "stopped over Modbus",
+    Code.RUN_DERAILED: "derailed",
+    Code.RUN_BUS_LOST: "ended: its bus is lost",
+}
 
 
 class Parts:
@@ -62,7 +70,7 @@ class Parts:
         # changes a row of commands on its way from the bus to the tick
         self.govern: Callable[[np.ndarray], None] = lambda command: None
         self.faults = panel.Panel(plan.faults, self.event)
-        self.derailment = derailment.Watch(self.event, self.stop)
+        self.derailment = derailment.Watch(self.event, lambda: self.stop(Code.RUN_DERAILED))
         self.processes = Processes(options, self.event)
         self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(signals.COLUMNS))
         self.frames = Ring(ring.place("frames"), np.int64, _FRAMES, ring.FRAME_WORDS)
@@ -87,13 +95,14 @@ class Parts:
 
     # --- what happens ---
 
-    def event(self, level: str, text: str) -> None:
-        """Record an event (info, warning, error) at the present simulated time."""
+    def event(self, code: Code, /, **fields: Any) -> None:
+        """Record an event at the present simulated time."""
         time_s = int(self.data.control[TICK]) / self.plan["loop"]["tick_hz"]
-        self.events.add(time_s, level, text)
-        ring.push_event(self.event_ring, time_s, level, text)
-        if level != "info":
-            self.report(f"{time_s:.3f} s: {level}: {text}")
+        event = events.make(time_s, code, **fields)
+        self.events.add(event)
+        ring.push_event(self.event_ring, event)
+        if event.level != events.INFO:
+            self.report(f"{time_s:.3f} s: {event.level}: {event.text}")
 
     def report(self, message: str = "") -> None:
         """Say how far the run is."""
@@ -111,11 +120,11 @@ class Parts:
             )
         )
 
-    def stop(self, why: str, how: str = "") -> None:
-        """End the run at the next tick."""
+    def stop(self, code: Code, /, **fields: Any) -> None:
+        """End the run at the next tick; `code` is one of `ENDED_BY`."""
         if not self.ended_by:
-            self.ended_by = why
-            self.event("warning", f"the run is {why}{how}")
+            self.ended_by = ENDED_BY[code]
+            self.event(code, **fields)
         self.data.control[STOP] = 1
         if self.bus:
             self.bus.answered.set()
@@ -125,11 +134,7 @@ class Parts:
         """Say where the loop has stood still since it was last asked: the two clocks of a record part there."""
         stalled_s = int(self.data.control[STALLED_NS]) / clock.SECOND_NS
         if stalled_s > self._stalled_s:
-            self.event(
-                "warning",
-                f"the loop stood still for {stalled_s - self._stalled_s:.3f} s: from here times of "
-                f"can.log are {stalled_s:.3f} s ahead of simulated time",
-            )
+            self.event(Code.LOOP_STALLED, stalled_s=stalled_s - self._stalled_s, ahead_s=stalled_s)
             self._stalled_s = stalled_s
 
     @property
@@ -153,12 +158,7 @@ class Parts:
             self._master_awaited = False
             off = [node for node in signals.DRIVE_NODES if not self.bus.nodes[node].device.enabled]
             if off:
-                self.event(
-                    "warning",
-                    f"rig.drives=bus, and after 1 s no master has enabled the drives of nodes "
-                    f"{', '.join(map(str, off))}: their rollers run without motors; let a master write the "
-                    "controlwords 6, 7, 15 (6040h), or leave the motors to the bench with --set rig.drives=rig",
-                )
+                self.event(Code.DRIVES_WITHOUT_MASTER, nodes=off)
 
     async def pause(self) -> None:
         """Between two batches of ticks: yield to the bus, and to a recorder that is half a ring behind."""
@@ -184,7 +184,7 @@ class Parts:
         rig_bus.record_frames(self.hub, self.frames, lambda: self.zero_ns)
         self.ports = await rig_bus.open_others(self.hub, self.place, self.plan)
         for codec, port in self.ports.items():
-            self.event("info", f"the bus speaks {codec} on port {port}")
+            self.event(Code.BUS_PORT, protocol=codec, port=port)
         mailbox.fetch(self.data.published, self.row)
         bus = rig_bus.RigBus(
             self.hub,
@@ -203,7 +203,7 @@ class Parts:
         bus.awaited = PRESSURES.can_id if self.options.fmus else SPEEDS.can_id
         self.faults.connect(bus.site(self.processes.freeze))
         self.bus = bus
-        self.event("info", f"the rig is on the bus {self.place}")
+        self.event(Code.BUS_PLACE, address=self.place)
         return bus
 
     def _post(self, command: np.ndarray) -> None:
@@ -215,10 +215,10 @@ class Parts:
     def _lost_bus(self, error: RollerrigError) -> None:
         """The bus is gone: the run ends here, as a failure, and its record is kept."""
         self.failure = self.failure or error
-        self.stop("ended: its bus is lost")
+        self.stop(Code.RUN_BUS_LOST)
 
     def _end_run(self) -> None:
-        self.event("info", "the harness ends the run")
+        self.event(Code.RUN_ENDED_BY_HARNESS)
         self.data.control[DONE] = 1
 
     def _inject(self, text: str) -> None:
@@ -261,7 +261,7 @@ class Parts:
                 f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait",
             )
             if not self.stopping:
-                self.event("info", "the WSP unit is on the bus")
+                self.event(Code.UNIT_READY)
         if self.options.harness:
             self._say_waiting(f"a harness (node {signals.BENCH_NODE}, {HARNESS:X}h:{JOINED})")
             await self._await(

@@ -28,8 +28,9 @@ from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.loop import loop, tick
 from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.loop.tick import DONE, HELD, HOLD, STOP, TICK, WORST_NS
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.hub import beyond_loopback
+from rollerrig.wsp_interface.events import Code
 
 # tables that a held rig cannot change: nodes and loop have been built from them
 BUILT_IN = ("loop", "bus", "modbus", "contact", "drive", "sensor", "rig")
@@ -63,12 +64,19 @@ class Supervisor:
             port = await self.server.listen(given["host"], given["port"], context)
             self.rig.ports["modbus"] = port
             self.rig.event(
-                "info",
-                f"Modbus {'over TLS' if context else 'TCP'} is served on {given['host']}:{port}",
+                Code.MODBUS_SERVED,
+                transport="TLS" if context else "TCP",
+                host=given["host"],
+                port=port,
             )
-            who = "who has a certificate" if context else "WITHOUT ANY AUTHENTICATION"
-            if warning := beyond_loopback("MODBUS", given["host"], port, who):
-                self.rig.event("warning", warning)
+            if beyond_loopback(given["host"]):
+                self.rig.event(
+                    Code.SERVER_EXPOSED,
+                    server="MODBUS",
+                    host=given["host"],
+                    port=port,
+                    who="who has a certificate" if context else "WITHOUT ANY AUTHENTICATION",
+                )
             if needed:
                 self.rig.report(
                     f"the rig is held at {self.rig.speed_m_s:g} m/s until a Modbus client "
@@ -77,15 +85,15 @@ class Supervisor:
         except BusError as error:
             if needed:
                 raise
-            self.rig.event("warning", f"this run has no Modbus TCP: {error}")
+            self.rig.event(Code.MODBUS_UNAVAILABLE, reason=str(error))
         if given["serial"]:
             self.line = SerialLine(
                 self.server, given["serial"], given["baud_rate"], given["parity"], self.rig.event
             )
             device = await self.line.open()
-            text = f"Modbus RTU is served on {device}, {given['baud_rate']} baud"
-            self.rig.event("info", text)
-            self.rig.report(text)
+            served = {"device": device, "baud_rate": given["baud_rate"]}
+            self.rig.event(Code.MODBUS_SERIAL_SERVED, **served)
+            self.rig.report(events.text(Code.MODBUS_SERIAL_SERVED, served))
 
     async def close(self) -> None:
         """End all connections."""
@@ -215,17 +223,17 @@ class Supervisor:
             self.rig.speed_m_s = round(float(data.state.vehicle_speed[0]), 6)
             self.roll()
             data.control[HOLD] = RELEASED
-            self.rig.event("info", "the run is started over Modbus")
+            self.rig.event(Code.RUN_STARTED)
 
     def _stop(self, raw: int, only: bool) -> None:
         if raw and not only:
-            self.rig.stop("stopped over Modbus")
+            self.rig.stop(Code.RUN_STOPPED)
 
     def _emergency_stop(self, raw: int, only: bool) -> None:
         if only or bool(raw) == self.emergency:
             return
         self.emergency = bool(raw)
-        self.rig.event("warning", f"emergency stop over Modbus {'' if raw else 're'}set")
+        self.rig.event(Code.EMERGENCY_STOP_SET if raw else Code.EMERGENCY_STOP_RESET)
         self.roll()
         for node in signals.DRIVE_NODES:
             self.bus.nodes[node].device.emergency_stop(self.emergency)
@@ -263,14 +271,14 @@ class Supervisor:
         try:
             plan = scenario.load(name, tables={key: rig.plan[key] for key in BUILT_IN})
         except RollerrigError as error:
-            rig.event("warning", f"a scenario asked for over Modbus is refused: {error}")
+            rig.event(Code.SCENARIO_REFUSED, reason=str(error))
             raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
         if not only:
             rig.speed_m_s = float(plan["initial_speed_m_s"])
             # the real-time thread ends, and begins again with the next plan
             rig.next_plan = plan
             rig.data.control[STOP] = 1
-            rig.event("info", f"scenario '{name}' is chosen over Modbus")
+            rig.event(Code.SCENARIO_CHOSEN, scenario=name)
 
     def _require_held(self) -> None:
         if self.state is not State.HELD or self.rig.data.control[HOLD] != HOLDING:

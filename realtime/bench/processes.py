@@ -18,6 +18,8 @@ from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import run_folder
 from rollerrig.realtime.record.files import writing
+from rollerrig.wsp_interface import events
+from rollerrig.wsp_interface.events import Code, OnEvent
 
 Process = subprocess.Popen[bytes]
 # how long a recorder may take to complete its files: much, on a busy machine
@@ -25,10 +27,10 @@ _RECORDER_S = 300.0
 
 
 class Processes:
-    """What a run has started. `event(level, text)` records what becomes of it."""
+    """What a run has started. `on_event(code, **fields)` records how it ends."""
 
-    def __init__(self, options: Options, event: Callable[[str, str], None]) -> None:
-        self.options, self.event = options, event
+    def __init__(self, options: Options, on_event: OnEvent) -> None:
+        self.options, self.on_event = options, on_event
         self.recorder: Process | None = None
         self.unit: Process | None = None
         self.live: Process | None = None
@@ -122,18 +124,14 @@ class Processes:
     def watch_recorder(self) -> None:
         """Say it, once, when the recorder has ended."""
         if process := self._newly_ended(self.recorder):
-            status, why = process.returncode, ""
+            status, reason = process.returncode, None
             if status > 2:  # the number of an error, as the recorder has it
-                why = f": {self.options.out} cannot be written: {os.strerror(status)}"
+                reason = f"{self.options.out} cannot be written: {os.strerror(status)}"
                 self.unwritten = ConfigError(
-                    f"{why[2:]}; what was recorded before is kept; make room, or give a "
+                    f"{reason}; what was recorded before is kept; make room, or give a "
                     "folder elsewhere with --out, and run again"
                 )
-            self.event(
-                "error",
-                f"the recorder has ended with status {status}{why}; the run goes on, its record ends "
-                "about here",
-            )
+            self.on_event(Code.RECORDER_ENDED, status=status, reason=reason)
 
     def watch(self, starting: bool = False) -> None:
         """Say what has ended. Raises UnitError where the run is `starting` and has lost its unit."""
@@ -142,10 +140,15 @@ class Processes:
             log = self.options.out / run_folder.UNIT_LOG
             names = ", ".join(one.name for one in self.options.fmus)
             kind = f"WSP unit {names}" if names else "reference WSP unit"
-            text = f"the {kind} has ended with status {process.returncode}{children.last_words(log)} ({log})"
+            ended = {
+                "unit": kind,
+                "status": process.returncode,
+                "last_words": children.last_line(log) or None,
+                "log": str(log),
+            }
             if starting:
-                raise UnitError(text)
-            self.event("error", text)
+                raise UnitError(events.text(Code.UNIT_ENDED, ended))
+            self.on_event(Code.UNIT_ENDED, **ended)
 
     def _newly_ended(self, process: Process | None) -> Process | None:
         if process is None or process.poll() is None or process.pid in self._ended:

@@ -38,6 +38,7 @@ from rollerrig.wsp_interface.bus.connection_set import (
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.bus.wire import Alarm
+from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.rig_objects import (
     HARNESS_ANSWER_ID,
     MAGNETS_ID,
@@ -67,7 +68,7 @@ async def open_bus(
     scenario: Scenario,
     clock_ns: Callable[[], int],
     on_lost: Callable[[BusError], None],
-    on_event: Callable[[str, str], None],
+    on_event: OnEvent,
     wall: bool,
 ) -> tuple[Hub, str]:
     """The bus of a scenario, and the address under which others reach it. Raises BusError.
@@ -126,7 +127,7 @@ class RigBus:
         scenario: Scenario,
         row: np.ndarray,
         on_command: Callable[[np.ndarray], None],
-        on_event: Callable[[str, str], None],
+        on_event: OnEvent,
         clock_ns: Callable[[], int],
         pacing: str = "wall",
         refresh: Callable[[np.ndarray], Any] = lambda row: None,
@@ -244,12 +245,7 @@ class RigBus:
         if self._stray:
             self.stray_syncs += 1
             if self.stray_syncs == 1:
-                self._on_event(
-                    "warning",
-                    "somebody else sends SYNC (080h), which is the bench's to send: the rig's "
-                    "nodes obey it, the run does not wait for an answer to it; let the unit be silent "
-                    "there, or leave SYNC to it with bus.master=false",
-                )
+                self._on_event(Code.SYNC_FOREIGN)
         self.rack.tell_time(frame.time_ns)
         self.rack.on_frame(frame)
         self._set_alarm()

@@ -20,6 +20,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox
 from rollerrig.realtime.loop.held_rig import HOLDING
 from rollerrig.realtime.loop.tick import HELD, HOLD, STALLED_NS, STOP, TICK
+from rollerrig.wsp_interface.events import Code
 
 if TYPE_CHECKING:  # it loads pymodbus
     from rollerrig.realtime.bench.plc import Supervisor
@@ -110,7 +111,7 @@ async def _run_thread(parts: Parts, descriptor: int, woken: asyncio.Event) -> No
 def _real_time(parts: Parts, descriptor: int) -> None:
     rates = parts.plan["loop"]
     for refused in loop.ask_for_priority(rates["priority"], rates["cpu"]):
-        parts.event("info", f"the real-time thread was refused {refused}")
+        parts.event(Code.LOOP_REFUSED, refused=refused)
     # locking memory may take a second: the clock starts after it
     begin_ns = time.monotonic_ns()
     parts.begun_ns = parts.begun_ns or begin_ns

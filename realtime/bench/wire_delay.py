@@ -14,7 +14,7 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import rig_bus
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED
@@ -40,7 +40,7 @@ def _rehearse(plan: Scenario, cycles: int) -> list[int | None]:
         alone,
         np.zeros(len(signals.COLUMNS)),
         lambda row: None,
-        lambda level, text: None,
+        events.ignore,
         now_ns,
         "lockstep",
     )

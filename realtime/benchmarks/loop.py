@@ -21,6 +21,7 @@ from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.loop import loop
 from rollerrig.realtime.loop.tick import MISSED, TICK, WORST_NS
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface.events import Code
 
 WITHIN = 1.2
 _SLICE_S = 60.0
@@ -110,7 +111,7 @@ def _stop(
         for name, count in measured.parts.interruptions.items():
             ours.interruptions[name] += count
         return int(control[TICK]) / tick_hz, [
-            one["text"] for one in measured.parts.events if "was refused" in one["text"]
+            one.text for one in measured.parts.events if one.code == Code.LOOP_REFUSED
         ]
 
 

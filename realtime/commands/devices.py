@@ -60,7 +60,7 @@ def dictionaries(plan: Any) -> list[Any]:
     import numpy as np
 
     from rollerrig.realtime.bench import rig_bus
-    from rollerrig.wsp_interface import signals
+    from rollerrig.wsp_interface import events, signals
     from rollerrig.wsp_interface.bus.hub import Hub
 
     # a hub that listens nowhere: the nodes boot, and nobody hears them
@@ -69,7 +69,7 @@ def dictionaries(plan: Any) -> list[Any]:
         plan,
         np.zeros(len(signals.COLUMNS)),
         lambda row: None,
-        lambda level, text: None,
+        events.ignore,
         lambda: 0,
     )
     members: list[Any] = bus.rack.members

@@ -288,8 +288,10 @@ def play(one: Any, given: argparse.Namespace) -> Any:
 
 
 def _step(name: str, wanted: bool, event: Any) -> None:
-    if wanted and event.who == "step":
-        output.say(f"  step  {name}: {event.text} ({event.time_s:.2f} s)")
+    from rollerrig.wsp_interface.events import Code
+
+    if wanted and event.code == Code.SEQUENCE_STEP:
+        output.say(f"  step  {name}: {event.fields['title']} ({event.time_s:.2f} s)")
 
 
 def _say(played: list[str], outcome: Any) -> Any:

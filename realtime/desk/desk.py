@@ -19,6 +19,7 @@ from rollerrig.realtime.desk import reader
 from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.programs import Program
 from rollerrig.realtime.telemetry import viewer
+from rollerrig.wsp_interface.events import Code
 
 _READ_S, _ASK_S, _FIND_S = 0.1, 0.5, 1.0
 _ALARMS = 300
@@ -33,6 +34,7 @@ class Alarm:
     text: str
     bench: str = ""
     acknowledged: str = ""
+    code: Code | None = None
 
 
 class Desk:
@@ -83,12 +85,18 @@ class Desk:
         """Take in what bench and programs tell."""
         if self.bench:
             killed = not self.alarms or not any(
-                one.bench == self.bench.key and "killed" in one.text for one in self.alarms
+                one.bench == self.bench.key and one.code == Code.BENCH_KILLED for one in self.alarms
             )
             for event in self.bench.poll():
                 if event.level != "info":
                     self.alarms.appendleft(
-                        Alarm(event.time_s, event.level, event.text, self.bench.key)
+                        Alarm(
+                            event.time_s,
+                            event.level,
+                            event.text,
+                            self.bench.key,
+                            code=event.code,
+                        )
                     )
             if self.bench.ended == "killed" and killed:
                 self.alarm(
@@ -96,6 +104,7 @@ class Desk:
                     f"the bench was killed (process {self.bench.pid}): its recorder keeps what there "
                     "was",
                     self.bench.key,
+                    Code.BENCH_KILLED,
                 )
         for program in self.programs:
             if program.status is not None and not program.told:
@@ -105,9 +114,9 @@ class Desk:
                         "error", f"{program.title}: status {program.status}: {program.error}"
                     )
 
-    def alarm(self, level: str, text: str, bench: str = "") -> None:
-        """An alarm of the desk's own."""
-        self.alarms.appendleft(Alarm(float("nan"), level, text, bench))
+    def alarm(self, level: str, text: str, bench: str = "", code: Code | None = None) -> None:
+        """Add an alarm of the desk itself."""
+        self.alarms.appendleft(Alarm(float("nan"), level, text, bench, code=code))
 
     # -- what an operator asks
 

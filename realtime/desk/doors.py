@@ -17,6 +17,7 @@ from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus.map import BIT, BITS, NO_DEMAND, PLC_UNIT, WORDS, Register, State
 from rollerrig.realtime.desk.reader import Bench
 from rollerrig.wsp_interface import harness_client, signals
+from rollerrig.wsp_interface.events import Code
 
 _ROWS = {row.name: row for row in (*BITS, *WORDS)}
 _LAST_WORD = 404
@@ -104,7 +105,7 @@ class Doors:
             ) from None
         if answer.isError():
             code = answer.exception_code
-            words = await self._words("refused", before)
+            words = await self._words((Code.FAULT_REFUSED, Code.SCENARIO_REFUSED), before)
             raise BusError(
                 f"the bench refuses {name} = {value:g} (exception {code:02X}): "
                 f"{words or _WHY.get(code, 'it says no more')}"
@@ -141,7 +142,7 @@ class Doors:
         try:
             await asyncio.to_thread(self._ask, what)
         except BusError as error:
-            words = await self._words("refused to the harness", before)
+            words = await self._words((Code.HARNESS_REFUSED,), before)
             raise BusError(f"the bench: {words or error}") from None
 
     def _ask(self, what: Callable[[harness_client.Harness], None]) -> None:
@@ -157,11 +158,11 @@ class Doors:
         else:
             raise BusError(f"a demand is taken back over Modbus alone, and {self.why}")
 
-    async def _words(self, contain: str, before: int) -> str:
-        """What the bench's newest event says of a refusal."""
+    async def _words(self, refusals: tuple[Code, ...], before: int) -> str:
+        """Return the text of the first new event of these codes; empty if none comes in time."""
         for _ in range(round(_WORDS_S / 0.1)):
             for event in self.bench.events[before:]:
-                if contain in event.text:
+                if event.code in refusals:
                     return event.text
             await asyncio.sleep(0.1)
         return ""

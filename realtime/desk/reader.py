@@ -10,7 +10,6 @@ import time
 from collections import deque
 from collections.abc import Collection
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.telemetry import live
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code, Event
 
 PERIOD_S, SPAN_S = 0.1, 60.0
 # what a page draws; `time` first
@@ -43,18 +43,6 @@ _COLUMNS = np.concatenate([np.arange(len(signals.COLUMNS))[signals.span(name)] f
 COLUMNS = tuple(signals.COLUMNS[at] for at in _COLUMNS)
 _RECENT, _WHOLE = round(2 * SPAN_S / PERIOD_S), 2000
 _RING = re.compile(r"rollerrig-(\d+)-(\d+)-rows")
-_BUS = re.compile(r"the rig is on the bus (\S+)")
-_MODBUS = re.compile(r"Modbus (TCP|over TLS) is served on (\S+):(\d+)")
-_FAULT = re.compile(r"fault (.+): (begins|lifted)")
-_LOST, _BACK = "the WSP unit (node 32) lost", "the WSP unit (node 32) is back"
-
-
-class Event(NamedTuple):
-    """Something that a bench told."""
-
-    time_s: float
-    level: str
-    text: str
 
 
 class Bench:
@@ -99,9 +87,9 @@ class Bench:
             self.heard_s = time.monotonic()
             self._take(rows[:, _COLUMNS])
         found, self._event_cursor, _ = self._event_ring.read(self._event_cursor)
-        events = [Event(*ring.read_event(one)) for one in found]
+        events = [ring.read_event(one) for one in found]
         for event in events:
-            self._learn(event.text)
+            self._learn(event)
         self.events = (self.events + events)[-2000:]
         return events
 
@@ -138,20 +126,24 @@ class Bench:
         if len(self._whole) > 2 * _WHOLE:
             self._whole = live.thin(self._whole, _WHOLE)
 
-    def _learn(self, text: str) -> None:
-        """What an event tells of where the bench listens and how it stands."""
-        if found := _BUS.match(text):
-            self.bus = found[1]
-        elif found := _MODBUS.match(text):
-            self.modbus, self.over_tls = (found[2], int(found[3])), found[1] != "TCP"
-        elif found := _FAULT.match(text):
-            self.faults = [one for one in self.faults if one != found[1]] + [found[1]] * (
-                found[2] == "begins"
-            )
-        elif text.startswith("a harness has"):
-            self.harness = text.endswith("joined")
-        elif text.startswith((_LOST, _BACK)):
-            self.unit_lost = text.startswith(_LOST)
+    def _learn(self, event: Event) -> None:
+        """Take from an event where the bench listens and what state it is in."""
+        fields = event.fields
+        match event.code:
+            case Code.BUS_PLACE:
+                self.bus = fields["address"]
+            case Code.MODBUS_SERVED:
+                self.modbus = fields["host"], fields["port"]
+                self.over_tls = fields["transport"] == "TLS"
+            case Code.FAULT_BEGINS:
+                self.faults = [one for one in self.faults if one != fields["fault"]]
+                self.faults.append(fields["fault"])
+            case Code.FAULT_LIFTED:
+                self.faults = [one for one in self.faults if one != fields["fault"]]
+            case Code.HARNESS_JOINED | Code.HARNESS_LEFT:
+                self.harness = event.code == Code.HARNESS_JOINED
+            case Code.UNIT_LOST | Code.UNIT_BACK:
+                self.unit_lost = event.code == Code.UNIT_LOST
 
 
 def find(beside: str = "", among: Collection[int] | None = None) -> Bench | None:

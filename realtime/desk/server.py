@@ -21,7 +21,9 @@ from nicegui.json import NiceGUIJSONResponse
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.desk import live, page
 from rollerrig.realtime.desk.desk import Desk
+from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.hub import beyond_loopback
+from rollerrig.wsp_interface.events import Code
 
 PORT, COOKIE = 8530, "rollerrig-desk"
 _SERVED = (".html", ".svg", ".png", ".json", ".xml", ".csv", ".pdf", ".rrd", ".log")
@@ -117,7 +119,13 @@ def routes(desk: Desk) -> None:
 def serve(desk: Desk, host: str, port: int, show: bool, say: Callable[[str, str], None]) -> None:
     """Serve until interrupted. `say(address, warning)` is called once it answers. Raises ConfigError."""
     port = free(host, port)
-    warning = beyond_loopback("THE DESK", host, port, "WHO HAS THE TOKEN OF ITS ADDRESS")
+    exposed = {
+        "server": "THE DESK",
+        "host": host,
+        "port": port,
+        "who": "WHO HAS THE TOKEN OF ITS ADDRESS",
+    }
+    warning = events.text(Code.SERVER_EXPOSED, exposed) if beyond_loopback(host) else ""
     token = secrets.token_urlsafe(24) if warning else ""
     address = (
         f"http://{f'[{host}]' if ':' in host else host}:{port}/{f'?token={token}' if token else ''}"

@@ -5,11 +5,13 @@ rows written. A reader keeps its own cursor, and learns how many rows it lost if
 by more than the capacity. The memory is a mapped file, so it outlives a writer that is killed.
 
 Three rings belong to a run: `rows` (float64, one row of all signals a sample), `frames` (int64:
-time in ns, identifier and flags, length, data as 8 little-endian bytes) and `events` (text).
+time in ns, identifier and flags, length, data as 8 little-endian bytes) and `events` (int64: time
+in ns, then code and fields as JSON).
 The writer holds a lock on the file while it lives; the kernel lets go of it however it dies.
 """
 
 import fcntl
+import json
 import mmap
 import os
 import tempfile
@@ -20,6 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.wsp_interface import events
+from rollerrig.wsp_interface.events import Code, Event
 
 # slots of the header (int64): written by the writer, or by the one reader that is named there.
 # READER_BEAT_NS is the live view's heartbeat, RECORDER_BEAT_NS the recorder's (0: not ready yet), VIEWED whether
@@ -40,6 +44,8 @@ from rollerrig.configs.errors import RollerrigError
 _HEADER = 16
 EVENT_WORDS = 64
 FRAME_WORDS = 4
+# most that one character takes in JSON: as UTF-8, or escaped as in \\u0001
+_BYTES_PER_CHARACTER = 6
 EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 1 << 31, 1 << 30, 1 << 29
 _PREFIX = "rollerrig-"
 
@@ -183,17 +189,33 @@ def _make(path: Path, size: int) -> None:
         ) from None
 
 
-def push_event(ring: Ring, time_s: float, level: str, text: str) -> None:
-    """Append an event: simulated time in s, level (info, warning, error), text (to 490 bytes)."""
+def push_event(ring: Ring, event: Event) -> None:
+    """Append an event to a ring of events: its time in ns, then code and fields as JSON.
+
+    A row has room for 504 bytes; where that is too little, the longest text field is cut.
+    """
     row = np.zeros(EVENT_WORDS, dtype=np.int64)
-    row[0] = round(time_s * 1e9)
-    body = f"{level}\n{text}".encode()[: 8 * (EVENT_WORDS - 1)]
+    row[0] = round(event.time_s * 1e9)
+    body = _event_bytes(event)
     row[1:].view(np.uint8)[: len(body)] = np.frombuffer(body, dtype=np.uint8)
     ring.push(row)
 
 
-def read_event(row: np.ndarray) -> tuple[float, str, str]:
-    """The (time_s, level, text) of one row of an event ring."""
-    body = row[1:].tobytes().rstrip(b"\0").decode("utf-8", "ignore")
-    level, _, text = body.partition("\n")
-    return int(row[0]) / 1e9, level, text
+def _event_bytes(event: Event) -> bytes:
+    """Return code and fields as JSON that fits into a row."""
+    fields = dict(event.fields)
+    body = json.dumps([event.code, fields], ensure_ascii=False).encode()
+    while (excess := len(body) - 8 * (EVENT_WORDS - 1)) > 0:
+        texts = [name for name, value in fields.items() if isinstance(value, str)]
+        longest = max(texts, key=lambda name: len(fields[name]))
+        # a character may take several bytes, so the text may be cut more than once
+        characters = len(fields[longest])
+        fields[longest] = fields[longest][: characters - max(excess // _BYTES_PER_CHARACTER, 1)]
+        body = json.dumps([event.code, fields], ensure_ascii=False).encode()
+    return body
+
+
+def read_event(row: np.ndarray) -> Event:
+    """Return the event in one row of a ring of events."""
+    code, fields = json.loads(row[1:].tobytes().rstrip(b"\0"))
+    return events.make(int(row[0]) / 1e9, Code(code), **fields)

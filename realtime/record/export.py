@@ -80,8 +80,8 @@ def _mdf4(run: Run, out: Path) -> list[Path]:
             common_timebase=True,
         )
         if run.events:
-            at_s = np.array([event[0] for event in run.events])
-            text = np.array([f"{level}: {text}".encode() for _, level, text in run.events])
+            at_s = np.array([event.time_s for event in run.events])
+            text = np.array([f"{event.level}: {event.text}".encode() for event in run.events])
             made.append([Signal(text, at_s, name=EVENTS, encoding="utf-8")], comment=EVENTS)
         with replaced(out, ".mf4") as new:
             made.save(new, overwrite=True, compression=2)
@@ -97,10 +97,8 @@ def _mat(run: Run, out: Path) -> list[Path]:
         "units": {one.name: one.unit for one in found} | {"time_s": "s"},
         "descriptions": {one.name: one.text for one in found},
         EVENTS: {
-            name: np.array([event[at] for event in run.events], dtype=kind)
-            for at, (name, kind) in enumerate(
-                (("time_s", float), ("level", object), ("text", object))
-            )
+            name: np.array([getattr(event, name) for event in run.events], dtype=kind)
+            for name, kind in (("time_s", float), ("level", object), ("text", object))
         },
     }
     with replaced(out, ".mat") as new:
@@ -118,7 +116,8 @@ def _csv(run: Run, out: Path) -> list[Path]:
         )
         np.savetxt(file, table, fmt="%.17g", delimiter=",")
     with replaced(beside) as new, new.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([("time_s", "level", "text"), *run.events])
+        rows = [(event.time_s, event.level, event.text) for event in run.events]
+        csv.writer(file).writerows([("time_s", "level", "text"), *rows])
     return [out, beside]
 
 

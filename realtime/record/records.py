@@ -20,18 +20,20 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import channels, validity
 from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.run_folder import CAN_LOG, EVENTS, SCENARIO, SUMMARY
+from rollerrig.wsp_interface import events as run_events
+from rollerrig.wsp_interface.events import Event
 from rollerrig.wsp_interface.signals import COLUMNS
 
 _FRAME = re.compile(r"^\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)", re.MULTILINE)
 
 
 class Run(NamedTuple):
-    """One run: `table` has one row a sample, `events` are (time_s, level, text)."""
+    """One run: `table` has one row a sample, `events` are as in `wsp_interface.events`."""
 
     folder: Path
     table: pa.Table
     scenario: dict[str, Any]
-    events: list[tuple[float, str, str]]
+    events: list[Event]
     summary: dict[str, Any]
 
     def column(self, name: str) -> np.ndarray:
@@ -62,29 +64,28 @@ def load(folder: Path | str) -> Run:
     )
 
 
-def events(folder: Path) -> list[tuple[float, str, str]]:
-    """The events of a run, (time_s, level, text); none where there is no file."""
+def events(folder: Path) -> list[Event]:
+    """Return the events of a run; none where there is no file."""
     return list(each_event(folder))
 
 
-def each_event(folder: Path) -> Iterator[tuple[float, str, str]]:
-    """As `events`, one after another: a flood of them may be more than memory holds."""
+def each_event(folder: Path) -> Iterator[Event]:
+    """Yield the events of a run one after another: a flood of them may exceed the memory."""
     path = folder / EVENTS
     if not path.is_file():
         return
     with path.open(encoding="utf-8", errors="replace", newline="\n") as lines:
         for number, line in enumerate(lines, start=1):
             try:
-                event = json.loads(line)
-                found = float(event["time_s"]), str(event["level"]), str(event["text"])
-            except (ValueError, KeyError, TypeError):
+                event = run_events.from_json(json.loads(line))
+            except (ValueError, KeyError, TypeError, AttributeError):
                 if not line.endswith("\n"):
                     break  # cut off by a kill
                 raise ConfigError(
                     f"{path}, line {number}: not an event; a line is "
-                    '{"time_s": 0.0, "level": "info", "text": "..."}'
+                    '{"time_s": 0.0, "level": "info", "text": "...", "code": "...", "fields": {...}}'
                 ) from None
-            yield found
+            yield event
 
 
 def frames(folder: Path) -> list[tuple[int, int, str]]:

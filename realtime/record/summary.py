@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from rollerrig.realtime.record import channels, validity
+from rollerrig.wsp_interface.events import Event
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME, columns
 
 STANDSTILL_M_S = 0.01
@@ -28,13 +29,13 @@ def of(
     columns: pa.Table | Mapping[str, Any],
     counters: Mapping[str, Any],
     scenario: Mapping[str, Any],
-    events: Iterable[validity.Event] = (),
+    events: Iterable[Event] = (),
 ) -> dict[str, Any]:
     """The summary of recorded channels, as summary.json has it.
 
     `columns` by the names of the table of signals, each of shape (n,). `counters` may hold
     version, config_hash, scenario, pacing, seed, unit, ended, and the tables loop, bus and modbus.
-    `scenario` is the resolved one, `events` (time_s, level, text). The same input gives the same output.
+    `scenario` is the resolved one, `events` are all events of the run. The same input gives the same output.
     """
     names = columns.column_names if isinstance(columns, pa.Table) else columns
     count = len(columns["time_s"]) if "time_s" in names else 0

@@ -23,6 +23,7 @@ from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime.record.summary import finite
 from rollerrig.realtime.reports import page, pdf, stop
 from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.play import Outcome
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER, Result, Verdict, worst
@@ -350,13 +351,15 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
 
 def marks(outcome: Outcome) -> list[stop.Mark]:
     """The beginnings of steps and faults, as they are named in the picture."""
-    steps = [(one.time_s, stop.STEP, one.text) for one in outcome.events if one.who == "step"]
-    faults = [
-        (one.time_s, stop.FAULT, one.text.removeprefix("fault "))
-        for one in outcome.events
-        if one.who == "harness" and one.text.startswith("fault ")
-    ]
-    return sorted(steps + faults)
+    found = []
+    for event in outcome.events:
+        if event.code == Code.SEQUENCE_STEP:
+            found.append((event.time_s, stop.STEP, event.fields["title"]))
+        elif event.code == Code.TEST_FAULT:
+            found.append((event.time_s, stop.FAULT, event.fields["fault"]))
+        elif event.code == Code.TEST_FAULT_LIFTED:
+            found.append((event.time_s, stop.FAULT, f"{event.fields['fault']} lifted"))
+    return sorted(found)
 
 
 def _worded(what: str) -> str:

@@ -14,6 +14,7 @@ from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.page import Markup
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences.measures import Record
 from rollerrig.wsp_interface.signals import AXLES
 
@@ -27,7 +28,8 @@ _SLIP_PERCENT = (-10.0, 105.0)
 
 def write(run: Run, out: Path) -> list[Path]:
     """Write the picture of a recorded run; the file written. Raises OSError."""
-    marks = [(time_s, FAULT, "") for time_s, _, text in run.events if text.startswith("fault ")]
+    faults = (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
+    marks = [(event.time_s, FAULT, "") for event in run.events if event.code in faults]
     with replaced(out) as new:
         new.write_text(
             str(picture(run.column, run.scenario["vehicle"]["wheel_radius_m"], marks)),

@@ -15,6 +15,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import validity
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import INFO, Code, Event
 from rollerrig.wsp_interface.sequences import measures
 
 _SLOWEST_M_S = 1.0  # below it a percentage of the speed tells nothing
@@ -147,11 +148,11 @@ def box(summary: Mapping[str, Any]) -> str:
     )
 
 
-def marks(events: Iterable[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
-    """The events that are marked in the plots of speeds: faults, warnings and errors."""
-    return [one for one in events if one[1] != "info" or one[2].startswith("fault ")]
+def marks(events: Iterable[Event]) -> list[Event]:
+    """Return the events that the plots of speeds mark: faults, warnings and errors."""
+    return [one for one in events if one.level != INFO or one.code == Code.FAULT_LIFTED]
 
 
-def of_network(text: str) -> bool:
-    """Whether an event is one of the network's own business, which matters last."""
-    return "NMT" in text or text.startswith("the rig is on the bus")
+def of_network(event: Event) -> bool:
+    """Return whether an event is about the network itself, which matters least."""
+    return event.code in (Code.NMT_STATE, Code.BUS_PLACE)

@@ -13,8 +13,8 @@ import rerun as rr
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.telemetry import derived, scene, views
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Event
 
-Event = tuple[float, str, str]
 _MARKS = "/speeds/marks"
 
 
@@ -83,14 +83,14 @@ class Drawing:
         )
 
     def events(self, events: Iterable[Event]) -> None:
-        """Send events, (time in s, level, text): those of the network apart, faults and warnings as marks as well."""
+        """Send events: those of the network apart, faults and warnings also as marks."""
         events = list(events)
         for path, some in (
-            (views.EVENTS, [one for one in events if not derived.of_network(one[2])]),
-            (views.NETWORK, [one for one in events if derived.of_network(one[2])]),
+            (views.EVENTS, [one for one in events if not derived.of_network(one)]),
+            (views.NETWORK, [one for one in events if derived.of_network(one)]),
         ):
             self._log(path, some)
-        if at_s := [time_s for time_s, _, _ in derived.marks(events)]:
+        if at_s := [one.time_s for one in derived.marks(events)]:
             # an upright stroke: two points at an instant, and a gap behind it
             times = views.times(np.repeat(at_s, 3) + np.tile((0.0, 0.0, 1e-9), len(at_s)))
             self._scalars(
@@ -100,13 +100,13 @@ class Drawing:
     def _log(self, path: str, events: list[Event]) -> None:
         if not events:
             return
-        levels = [views.LEVELS.get(level, views.LEVELS["info"]) for _, level, _ in events]
+        levels = [views.LEVELS.get(one.level, views.LEVELS["info"]) for one in events]
         # the viewer's own column of times is too narrow to read
         run = self._prefix.rpartition("/")[2]
-        texts = [f"{time_s:7.2f} s  {run}{': ' if run else ''}{text}" for time_s, _, text in events]
+        texts = [f"{one.time_s:7.2f} s  {run}{': ' if run else ''}{one.text}" for one in events]
         self._stream.send_columns(
             self._prefix + path,
-            [views.times(np.array([time_s for time_s, _, _ in events]))],
+            [views.times(np.array([one.time_s for one in events]))],
             rr.TextLog.columns(
                 text=texts,
                 level=[name for name, _ in levels],

@@ -23,6 +23,7 @@ import numpy as np
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Event
 
 _PERIOD_S = 0.1
 _BEHIND_S = 10.0
@@ -76,7 +77,7 @@ class Feed:
         self._cursor = max(0, int(rows.header[ring.WRITTEN]) - int(_BEHIND_S * record_hz))
         self._event_cursor = 0
 
-    def take(self) -> tuple[np.ndarray, list[tuple[float, str, str]]]:
+    def take(self) -> tuple[np.ndarray, list[Event]]:
         """Rows and events since the last call."""
         rows, self._cursor, _ = self._rows.read(self._cursor)
         events, self._event_cursor, _ = self._events.read(self._event_cursor)

@@ -36,9 +36,11 @@ from rollerrig.realtime.record import channels, records, run_folder, summary
 from rollerrig.realtime.record.events import Events
 from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.telemetry import derived, scene, views
-from rollerrig.realtime.telemetry.drawing import Drawing, Event
+from rollerrig.realtime.telemetry.drawing import Drawing
+from rollerrig.wsp_interface import events as run_events
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import frames
+from rollerrig.wsp_interface.events import Code, Event
 
 READY = "recorder ready"
 _PERIOD_S = 0.06
@@ -130,24 +132,15 @@ class Recorder:
         source.header[ring.LOST] += lost
         if lost:
             self._write_events(
-                [
-                    (
-                        self._time_s,
-                        "error",
-                        f"{lost} {what} lost: the recorder was held up and the ring overran",
-                    )
-                ]
+                [run_events.make(self._time_s, Code.RECORDER_OVERRUN, lost=lost, rows=what)]
             )
         return found
 
     def _write_events(self, events: list[Event]) -> None:
         if events:
             for event in events:
-                self._told.add(*event)
-            lines = [
-                json.dumps({"time_s": time_s, "level": level, "text": text})
-                for time_s, level, text in events
-            ]
+                self._told.add(event)
+            lines = [json.dumps(event._asdict()) for event in events]
             self._log.write(("\n".join(lines) + "\n").encode())
             self._drawing.events(events)
 
@@ -161,9 +154,7 @@ class Recorder:
         """Complete all files. `ended` says how: finished, killed (the bench died) or terminated."""
         self.drain()
         if ended == "killed":
-            self._write_events(
-                [(self._time_s, "error", "the bench was killed; the recorder completed the files")]
-            )
+            self._write_events([run_events.make(self._time_s, Code.BENCH_KILLED)])
         self.channels.finish()
         self._stream.disconnect()
         stored = channels.Columns(self._folder)
@@ -174,7 +165,7 @@ class Recorder:
             "bus": {"frames": self.frames},
             "recorder": {"lost": lost},
         }
-        found = summary.of(stored, counters, self._scenario, self._told.rows())
+        found = summary.of(stored, counters, self._scenario, self._told)
         self._compact(stored, derived.box(found))
         records.write_summary(self._folder, found)
         self._can.close()
@@ -192,7 +183,7 @@ class Recorder:
             for block in stored.blocks(_FINAL_ROWS):
                 drawing.rows(records.rows(block))
                 stream.flush()
-            drawing.events(self._told.rows())
+            drawing.events(self._told)
             drawing.result(result)
             stream.disconnect()
 

@@ -28,10 +28,11 @@ from rollerrig.realtime.benchmarks import client, figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import rig_objects as rig
-from rollerrig.wsp_interface.bus import cannelloni, socketcand
+from rollerrig.wsp_interface.bus import cannelloni, plugin, socketcand
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.connection_set import NMT, SDO_REPLY, SDO_REQUEST
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code, Event
 from rollerrig.wsp_interface.signals import BENCH_NODE
 
 INPUTS, SYNCS = 1_000_000, 20
@@ -279,16 +280,18 @@ def _connected(place: int | str) -> Any:
 
 
 def places(run: runs.Run) -> dict[str, int | str]:
-    """Where each door is, as the run's events tell."""
-    at = {codec: rf"the bus speaks {codec} on port (\d+)" for codec in OPENINGS} | {
-        "socketcand": r"socketcand://[\d.]+:(\d+)/",
-        "modbus": r"Modbus TCP is served on [\d.]+:(\d+)",
-    }
-    found: dict[str, int | str] = {
-        name: int(run.until(partial(run.heard, pattern), f"its port of {name}"))
-        for name, pattern in at.items()
-    }
-    return found | {"serial": run.until(partial(run.heard, r"(/dev/pts/\d+)"), "its serial line")}
+    """Return where each door is, from the events of the run."""
+    found: dict[str, int | str] = {}
+    for codec in OPENINGS.keys() - {"socketcand"}:
+        port = partial(run.heard, Code.BUS_PORT, protocol=codec)
+        found[codec] = run.until(port, f"its port of {codec}")["port"]
+    place = run.until(partial(run.heard, Code.BUS_PLACE), "its port of socketcand")
+    found["socketcand"] = plugin.parse_address(place["address"])[1]
+    served = run.until(partial(run.heard, Code.MODBUS_SERVED), "its port of modbus")
+    found["modbus"] = served["port"]
+    line = run.until(partial(run.heard, Code.MODBUS_SERIAL_SERVED), "its serial line")
+    found["serial"] = line["device"]
+    return found
 
 
 def answers(where: dict[str, int | str]) -> list[str]:
@@ -321,10 +324,9 @@ def answers(where: dict[str, int | str]) -> list[str]:
     return missing
 
 
-def failures(events: Iterable[tuple[float, str, str]]) -> list[str]:
-    """What failed inside the bench, as its events tell."""
-    signs = "failed on frame", "Exception", "Error("
-    return sorted({what for _, _, what in events if any(sign in what for sign in signs)})
+def failures(events: Iterable[Event]) -> list[str]:
+    """Return what failed inside the bench, from its events."""
+    return sorted({event.text for event in events if event.code == Code.BENCH_EXCEPTION})
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:

@@ -6,7 +6,6 @@ for ten hours, and its WSP unit always has to do.
 
 import contextlib
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from rollerrig.configs.processes import children
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code
 
 ROLES = {"recorder": "telemetry.recorder", "unit": " wsp "}
 LONGEST_S, START_S, END_S = 36_000.0, 300.0, 300.0
@@ -93,11 +93,12 @@ class Run:
         """What it has said so far."""
         return self.said.read_text(encoding="utf-8", errors="replace")
 
-    def heard(self, pattern: str) -> str | None:
-        """The group of a pattern in the events that are recorded so far; None: not yet."""
-        told = "\n".join(text for _, _, text in records.events(self.folder))
-        found = re.search(pattern, told)
-        return found[1] if found else None
+    def heard(self, code: Code, **fields: Any) -> dict[str, Any] | None:
+        """Return the fields of the first recorded event of a code with these fields; None: not yet."""
+        for event in records.each_event(self.folder):
+            if event.code == code and fields.items() <= event.fields.items():
+                return event.fields
+        return None
 
     def rows(self) -> ring.Ring | None:
         """Its samples in shared memory once it has begun."""

@@ -6,7 +6,7 @@ import pytest
 
 from rollerrig.firmware_sim import encoder406, io401
 from rollerrig.firmware_sim.drive402 import drive as drive402
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 
@@ -43,7 +43,7 @@ class Wire:
         self.master = MasterOnHub(self.hub)
 
     def plug(self, node, start=True):
-        node.on_event = lambda level, text: self.events.append((level, text))
+        node.on_event = self.on_event
         port = self.hub.attach(node.on_frame, f"node {node.node_id}")
         self.nodes.append(node)
         if start:
@@ -106,8 +106,14 @@ class Wire:
             return int.from_bytes(answer[4:], "little")
         return answer[4 : 8 - (answer[0] >> 2 & 3)]
 
-    def said(self, part):
-        return [text for _, text in self.events if part in text]
+    def on_event(self, code, /, **fields):
+        self.events.append(events.make(self.now_ns / 1e9, code, **fields))
+
+    def reported(self, code, **fields):
+        """The events of a code with these fields."""
+        return [
+            one for one in self.events if one.code == code and fields.items() <= one.fields.items()
+        ]
 
 
 @pytest.fixture

@@ -81,9 +81,13 @@ class Recorded:
         """Data of an identifier's frames within an interval."""
         return [data for time, one, data in self.frames if one == can_id and from_s <= time < to_s]
 
-    def told(self, text):
-        """Times of the events that hold a text."""
-        return [time for time, _, told in self.run.events if text in told]
+    def reported(self, code, **fields):
+        """The times of the events of a code with these fields."""
+        return [
+            event.time_s
+            for event in self.run.events
+            if event.code == code and fields.items() <= event.fields.items()
+        ]
 
 
 class ScriptedUnit:

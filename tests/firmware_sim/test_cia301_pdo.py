@@ -4,6 +4,7 @@ import canopen
 import pytest
 
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code
 
 START = 1
 TPDO, EMCY = 0x190, 0x90
@@ -334,7 +335,7 @@ def test_a_short_rpdo_is_reported_and_ignored_and_the_next_good_one_ends_the_err
     assert wire.take(0x91) == [b"\0\0\0\x10\x82\0\0\0"]
     assert wire.read(17, 0x1001) == b"\0"
     assert wire.read(17, 0x6200, 1) == b"\x03"
-    assert len(wire.said("RPDO 1 ignored")) == 1
+    assert len(wire.reported(Code.PDO_TOO_SHORT, pdo=1)) == 1
 
 
 @pytest.mark.conformance("CiA 301", "RPDO too long is used as far as mapped")

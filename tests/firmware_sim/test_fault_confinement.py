@@ -3,7 +3,9 @@
 import pytest
 
 from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
+from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code
 
 FRAME = Frame(0x181, bytes(8))
 MS = 1_000_000
@@ -15,8 +17,9 @@ class Member:
     def __init__(self):
         self.emergency, self.events, self.codes = self, [], []
 
-    def event(self, level, text):
-        self.events.append(text)
+    def event(self, code, **fields):
+        events.check(code, {"node": 1} | fields)
+        self.events.append(code)
 
     def report(self, code):
         self.codes.append(code)
@@ -111,7 +114,7 @@ def test_a_receiver_that_is_sound_again_is_error_active_with_the_first_good_fram
     site.confinement.poll(0)
     assert site.counters(3) == (0, 127)
     assert site.members[3].codes == [0x8120, 0]
-    assert site.members[3].events[-1] == "error active again"
+    assert site.members[3].events[-1] == Code.CAN_ERROR_ACTIVE
     site.send(0, 127)
     assert site.confinement.busy
     site.confinement.poll(0)

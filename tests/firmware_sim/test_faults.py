@@ -13,7 +13,8 @@ from rollerrig.firmware_sim.faults import catalogue, effects, panel
 from rollerrig.firmware_sim.modbus.pdu import RefusedError
 from rollerrig.realtime.bench import bench, fault_registers, options, scenario, tick_data
 from rollerrig.realtime.loop import ring, tick
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import events, signals
+from rollerrig.wsp_interface.events import Code
 
 TIMES = {kind: (begin, end) for kind, begin, end, _ in PLAN}
 # a change shows on the bus one SYNC later
@@ -59,17 +60,9 @@ def turning(rig, from_s, to_s):
 @pytest.mark.parametrize("kind", [kind.name for kind in catalogue.CATALOGUE])
 def test_every_fault_of_the_catalogue_is_recorded_when_it_begins_and_when_it_is_lifted(rig, kind):
     begin, end = TIMES[kind]
-    assert begin in rig.told(f"fault {kind}")
-    assert any(
-        "begins" in text
-        for time, _, text in rig.run.events
-        if text.startswith(f"fault {kind}") and time == begin
-    )
-    assert any(
-        "lifted" in text and time == pytest.approx(end, abs=1e-9)
-        for time, _, text in rig.run.events
-        if text.startswith(f"fault {kind}")
-    )
+    assert begin in rig.reported(Code.FAULT_BEGINS, kind=kind)
+    lifted = rig.reported(Code.FAULT_LIFTED, kind=kind)
+    assert any(time == pytest.approx(end, abs=1e-9) for time in lifted)
 
 
 def test_a_run_with_every_fault_repeats_bit_for_bit(rig, again):
@@ -320,7 +313,7 @@ def test_lost_frames_are_missing_on_the_bus_and_counted(rig):
     begin, end = TIMES["frame_lost"]
     assert len(rig.on_bus(0x191, begin, end)) == 10
     assert len(rig.on_bus(0x190, begin, end)) == 20
-    assert any("it met 10 frames" in text for _, _, text in rig.run.events if "frame_lost" in text)
+    assert rig.reported(Code.FAULT_LIFTED, kind="frame_lost", frames_met=10)
 
 
 @pytest.mark.conformance("Faults", "frame_delayed")
@@ -353,8 +346,8 @@ def test_error_frames_drive_a_node_to_error_passive_to_bus_off_and_back(rig):
     assert max(counters) == 255
     codes = emergencies(rig, 17, "error_frame")
     assert codes.index(0x8120) < codes.index(0x8140)
-    assert rig.told("node 17: error passive")
-    assert rig.told("node 17: bus-off")
+    assert rig.reported(Code.CAN_ERROR_PASSIVE, node=17)
+    assert rig.reported(Code.CAN_BUS_OFF, node=17)
     assert not [one for time, one, _ in rig.frames if one == 0x20000088 and end <= time < 9.0]
 
 
@@ -368,8 +361,8 @@ def test_a_faulty_receiver_destroys_frames_until_it_is_error_passive_and_then_on
     assert not any(data[2] for data in errors)
     assert len(errors) < 30
     assert emergencies(rig, 16, "receive_error") == [0x8120, 0]
-    assert rig.told("node 16: error passive: its receive error counter")
-    assert rig.told("node 16: error active again")
+    assert rig.reported(Code.CAN_ERROR_PASSIVE, node=16, counter="receive")
+    assert rig.reported(Code.CAN_ERROR_ACTIVE, node=16)
     # without SYNC it sends no speeds; its neighbours hear and are heard, its heartbeat goes on
     assert rig.on_bus(0x190, begin + 0.03, end) == []
     assert len(rig.on_bus(0x191, begin + 0.03, end)) == 37
@@ -392,7 +385,7 @@ def test_a_node_whose_controller_is_off_says_nothing_and_goes_on_without_booting
 def test_late_heartbeats_make_the_master_miss_the_node(rig):
     begin, end = TIMES["heartbeat_late"]
     assert rig.on_bus(0x711, begin, end) == []
-    assert any(begin < time < end for time in rig.told("node 17 lost: no heartbeat"))
+    assert any(begin < time < end for time in rig.reported(Code.NODE_LOST, node=17))
     assert rig.on_bus(0x711, end, end + 0.05)
 
 
@@ -402,7 +395,10 @@ def test_a_frozen_unit_lets_the_brakes_apply_after_its_heartbeat_is_lost(rig):
     for can_id in (0x211, 0x720):
         assert rig.on_bus(can_id, begin, end) == []
     assert emergencies(rig, 17, "wsp_frozen", 0.1) == [0x8130, 0]
-    assert any(begin + 0.15 < time < begin + 0.3 for time in rig.told("fail-safe value 00h"))
+    assert any(
+        begin + 0.15 < time < begin + 0.3
+        for time in rig.reported(Code.MAGNETS_FAIL_SAFE, magnets=0)
+    )
     # what was held back comes at once when the unit goes on
     assert len(rig.on_bus(0x211, end, end + 0.005)) > 30
 
@@ -411,7 +407,8 @@ def test_a_fault_can_be_injected_and_cleared_by_hand(rig):
     begin, end, _ = faulty_run.BY_HAND
     assert not measured(rig, begin + 0.02, end)[3].any()
     assert measured(rig, end + 0.02, end + 0.1)[3].all()
-    assert len(rig.told("fault speed_sensor_dropout axle=4")) == 2
+    assert len(rig.reported(Code.FAULT_BEGINS, fault="speed_sensor_dropout axle=4")) == 1
+    assert len(rig.reported(Code.FAULT_LIFTED, fault="speed_sensor_dropout axle=4")) == 1
 
 
 @pytest.mark.conformance("Faults", "wsp_frozen: the reference unit")
@@ -429,7 +426,7 @@ def test_the_reference_units_process_is_stopped_and_goes_on(tmp_path):
     recorded = faulty_run.Recorded(faulty_run.records.load(tmp_path / "run"))
     assert result["ended"] == "finished"
     assert recorded.on_bus(0x211, 0.3, 0.79) == []
-    assert recorded.told("magnets take the fail-safe value")
+    assert recorded.reported(Code.MAGNETS_FAIL_SAFE)
     # every SYNC it has slept through is answered, and then each at its time
     assert len(recorded.on_bus(0x211, 0.795, 0.805)) == 51
     assert len(recorded.on_bus(0x211, 0.805, 1.195)) == 39
@@ -502,8 +499,8 @@ class Told:
         self.faults = panel.Panel((), self.event)
         self.faults.connect(panel.Site(self.array, lambda: None))
 
-    def event(self, level, text):
-        self.events.append(text)
+    def event(self, code, /, **fields):
+        self.events.append(events.make(0.0, code, **fields))
 
 
 @pytest.mark.conformance("Faults", "injected over Modbus")
@@ -529,7 +526,7 @@ def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
     write["inject_fault"](1, False)
     write["lift_faults"](1, False)
     assert not told.array.any()
-    assert [text.rpartition(": ")[2] for text in told.events] == ["begins", "lifted"] * 2
+    assert [one.code for one in told.events] == [Code.FAULT_BEGINS, Code.FAULT_LIFTED] * 2
 
 
 def test_a_fault_that_cannot_be_is_refused_over_modbus_and_told():
@@ -540,4 +537,5 @@ def test_a_fault_that_cannot_be_is_refused_over_modbus_and_told():
     write["fault_target"](9, False)
     with pytest.raises(RefusedError):
         write["inject_fault"](1, False)
-    assert "allowed 1 to 4" in told.events[0]
+    assert told.events[0].code == Code.FAULT_REFUSED
+    assert "allowed 1 to 4" in told.events[0].fields["reason"]

@@ -7,6 +7,7 @@ import pytest
 
 from rollerrig.firmware_sim import io401
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code
 
 START, STOP, RESET_NODE, RESET_COMMUNICATION = 1, 2, 129, 130
 FILL, HOLD, VENT = 0, 1, 3
@@ -40,7 +41,7 @@ def test_vent_without_hold_is_treated_as_vent_and_told_once_per_occurrence(wire,
     for byte in (alone, alone, 0, alone):
         wire.send(0x211, [byte])
     assert magnets(wire)[axle - 1] == VENT
-    assert len(wire.said(f"vent magnet of axle {axle} without its hold magnet")) == 2
+    assert len(wire.reported(Code.MAGNETS_VENT_ALONE, axle=axle)) == 2
 
 
 @pytest.mark.conformance("CiA 401", "fail-safe value on a lost heartbeat, EMCY 8130h")
@@ -54,8 +55,8 @@ def test_magnets_fall_off_200_ms_after_the_last_heartbeat_and_emcy_tells(wire, b
     assert magnets(wire) == [FILL] * 4
     assert wire.take(0x91)[0][:2] == b"\x30\x81"
     assert wire.read(17, 0x6200, 1) == b"\0"
-    assert wire.said("heartbeat of node 32 lost")
-    assert wire.said("fail-safe value 00h")
+    assert wire.reported(Code.HEARTBEAT_LOST, partner=32)
+    assert wire.reported(Code.MAGNETS_FAIL_SAFE, magnets=0)
 
 
 @pytest.mark.conformance("CiA 401", "fail-safe value holds until the heartbeat is back")
@@ -69,7 +70,7 @@ def test_magnets_stay_at_the_fail_safe_value_until_the_heartbeat_is_back(wire, b
     assert magnets(wire) == [FILL] * 4
     wire.send(0x211, [0xFF])
     assert magnets(wire) == [VENT] * 4
-    assert wire.said("heartbeat of node 32 is back")
+    assert wire.reported(Code.HEARTBEAT_BACK, partner=32)
 
 
 @pytest.mark.conformance("CiA 401", "error mode 6206h and error value 6207h")

@@ -12,6 +12,7 @@ from modbus_site import Site, until
 from pymodbus.framer import FramerRTU
 
 from rollerrig.configs.errors import BusError
+from rollerrig.wsp_interface.events import Code
 
 READ = struct.pack(">BHH", 3, 202, 1)
 TOLD = bytes.fromhex("01030204d2")
@@ -172,12 +173,12 @@ def test_a_device_is_set_to_its_speed_and_parity_and_served(site):
 def test_a_line_that_is_lost_is_told_and_harms_nobody(site):
     events = []
     far, near = os.openpty()
-    site.serial(os.ttyname(near), on_event=lambda level, text: events.append((level, text)))
+    device = os.ttyname(near)
+    site.serial(device, on_event=lambda code, **fields: events.append((code, fields)))
     os.close(near)
     os.close(far)
     until(lambda: events)
-    assert events[0][0] == "warning"
-    assert "lost" in events[0][1]
+    assert events[0] == (Code.MODBUS_SERIAL_LOST, {"device": device})
     assert site.thread.is_alive()
 
 

@@ -8,9 +8,10 @@ import pytest
 from rollerrig.firmware_sim import encoder406, io401, nmt_master, rack
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.drive402 import drive as drive402
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.events import Code
 
 MS = 1_000_000
 
@@ -26,7 +27,9 @@ class Rig:
         self.tester = self.hub.attach(lambda frame: None, "tester")
         self.row, self.commands = np.zeros(len(signals.COLUMNS)), np.zeros(io401.COMMANDS)
         self.network = nmt_master.NmtMaster(**options)
-        self.network.on_event = lambda level, text: self.events.append(text)
+        self.network.on_event = lambda code, **fields: self.events.append(
+            events.make(0.0, code, **fields)
+        )
         drives = [
             drive402.build(node, axle, self.row) for axle, node in enumerate(signals.DRIVE_NODES, 1)
         ]
@@ -101,7 +104,7 @@ def test_a_silent_unit_is_lost_and_found_again(rig):
     rig.run(250)
     assert rig.network.unit.lost
     assert not rig.network.unit_is_operational
-    assert any("lost" in text for text in rig.events)
+    assert Code.UNIT_LOST in [event.code for event in rig.events]
     rig.run(10, unit=5)
     assert rig.network.unit_is_operational
 
@@ -176,4 +179,5 @@ def test_without_power_no_magnet_is_energised_and_no_motor_enabled(rig):
 
 def test_an_emergency_of_a_node_becomes_an_event(rig):
     rig.nodes[0].device.trip(0x2310, "over-current")
-    assert any("EMCY 2310h" in text for text in rig.events)
+    emergencies = [event for event in rig.events if event.code == Code.NODE_EMERGENCY]
+    assert 0x2310 in [event.fields["error_code"] for event in emergencies]

@@ -8,6 +8,7 @@ from rollerrig.firmware_sim import sander401
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.commands import devices
 from rollerrig.wsp_interface import descriptions, signals
+from rollerrig.wsp_interface.events import Code
 
 START, STOP, RESET_NODE = 1, 2, 129
 
@@ -42,7 +43,7 @@ def test_sanders_stop_when_nobody_watches_them(wire, sander, how):
     else:
         wire.nmt(how)
     assert not wire.asked.any()
-    assert wire.said("sanders stop")
+    assert wire.reported(Code.SANDERS_STOPPED)
 
 
 def test_rates_and_boxes_are_told_with_every_sync(wire, sander):

@@ -20,6 +20,7 @@ from rollerrig.wsp_interface import harness
 from rollerrig.wsp_interface.bus.buses import open_client, open_hub
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.kernel import available
+from rollerrig.wsp_interface.events import Code
 
 pytestmark = pytest.mark.skipif(
     "vcan0" not in available().up, reason="no vcan0 here: make kernel-can"
@@ -129,7 +130,7 @@ def test_a_frame_has_the_time_at_which_the_kernel_took_it(channel):
 
 
 def test_a_controllers_errors_are_events_and_bus_off_ends_the_bus(channel):
-    events: list[str] = []
+    seen_events: list[tuple[Code, dict[str, object]]] = []
     lost: list[BusError] = []
 
     async def run() -> None:
@@ -137,7 +138,7 @@ def test_a_controllers_errors_are_events_and_bus_off_ends_the_bus(channel):
             f"socketcan:{channel}",
             time.monotonic_ns,
             on_lost=lost.append,
-            on_event=lambda level, text: events.append(text),
+            on_event=lambda code, **fields: seen_events.append((code, fields)),
         )
         seen: list[Frame] = []
         hub.tap(seen.append)
@@ -158,19 +159,20 @@ def test_a_controllers_errors_are_events_and_bus_off_ends_the_bus(channel):
         ]
 
     asyncio.run(run())
-    assert "error-passive" in events[0]
-    assert "nobody acknowledges" in events[1]
+    assert [code for code, _ in seen_events[:2]] == [Code.BUS_CONTROLLER] * 2
+    assert "error-passive" in seen_events[0][1]["condition"]
+    assert "nobody acknowledges" in seen_events[1][1]["condition"]
     assert "bus-off" in str(lost[0])
 
 
 def test_can_fd_frames_are_counted(channel):
-    events: list[str] = []
+    seen_events: list[tuple[Code, dict[str, object]]] = []
 
     async def run() -> int:
         hub = await open_hub(
             f"socketcan:{channel}",
             time.monotonic_ns,
-            on_event=lambda level, text: events.append(text),
+            on_event=lambda code, **fields: seen_events.append((code, fields)),
         )
         with can.Bus(interface="socketcan", channel=channel, fd=True) as other:
             for _ in range(3):
@@ -183,8 +185,8 @@ def test_can_fd_frames_are_counted(channel):
         return dropped
 
     assert asyncio.run(run()) == 3
-    assert len(events) == 1
-    assert "CAN FD" in events[0]
+    assert [code for code, _ in seen_events] == [Code.BUS_FRAMES_LOST]
+    assert "CAN FD" in seen_events[0][1]["reason"]
 
 
 def test_a_queue_of_ten_frames_loses_nothing_of_a_burst(channel):
@@ -284,8 +286,10 @@ def test_a_lockstep_run_on_vcan0_is_the_one_on_the_hub_to_the_byte_and_lets_sock
     assert logs[0] == logs[1]
     assert len(logs[0].splitlines()) > 1000
     events = json.loads((tmp_path / "kernel" / "summary.json").read_text())["events"]
-    assert any("the rig is on the bus socketcan:vcan0" in one["text"] for one in events)
-    assert any("the bus speaks socketcand on port" in one["text"] for one in events)
+    places = [one["fields"]["address"] for one in events if one["code"] == Code.BUS_PLACE]
+    assert places == ["socketcan:vcan0"]
+    ports = [one["fields"] for one in events if one["code"] == Code.BUS_PORT]
+    assert any(port["protocol"] == "socketcand" for port in ports)
 
 
 def test_a_harness_drives_a_lockstep_run_on_vcan0(tmp_path):

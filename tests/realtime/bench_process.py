@@ -16,6 +16,7 @@ from pathlib import Path
 from rollerrig.configs.processes import ended
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.events import Code
 
 MAGNETS, HEARTBEAT, SYNC, SPEEDS = 0x211, 0x720, 0x080, 0x190
 ADDRESS = re.compile(r"socketcand://[\d.]+:\d+/rig0")
@@ -146,16 +147,21 @@ class BenchProcess:
         """The run's folder, read as anybody would."""
         return records.load(self.out)
 
-    def heard(self, part):
-        """Texts of recorded events that contain a part."""
-        return [text for _, _, text in records.events(self.out) if part in text]
+    def reported(self, code, **fields):
+        """The recorded events of a code with these fields."""
+        return [
+            event
+            for event in records.events(self.out)
+            if event.code == code and fields.items() <= event.fields.items()
+        ]
 
     def address(self):
         """Where its bus is, as soon as it says so."""
 
         def told():
             assert self.process.poll() is None, self.stderr
-            return ADDRESS.search(self.stderr + "".join(self.heard("the rig is on the bus")))
+            places = [event.fields["address"] for event in self.reported(Code.BUS_PLACE)]
+            return ADDRESS.search(" ".join([self.stderr, *places]))
 
         return until(told, "the address of the bus").group()
 

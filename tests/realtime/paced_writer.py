@@ -16,6 +16,7 @@ from rollerrig.realtime.bench import processes
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code, make
 
 WIDTH = len(signals.COLUMNS)
 SCENARIO = 'title = "rows of a test"\n[loop]\ntick_hz = 1000\nstep_s = 0.0001\nrecord_hz = 100\n'
@@ -45,7 +46,7 @@ def write(to, number):
     for node in (0, 1):
         frames.push(np.array([number * 10_000_000 + node, 0x181 + node, 8, number], dtype=np.int64))
     if number % 25 == 0:
-        ring.push_event(events, number / 100.0, "info", f"row {number}")
+        ring.push_event(events, make(number / 100.0, Code.OPERATOR_NOTE, note=f"row {number}"))
 
 
 def main():

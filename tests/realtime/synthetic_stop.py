@@ -5,6 +5,7 @@ recovers with the energy dissipated. Not the rig's physics: simple enough to be 
 import numpy as np
 
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code, make
 
 RADIUS_M, ROLLER_M, INERTIA_KGM2, LOAD_N, MASS_KG = 0.445, 1.0, 160.0, 105e3, 43e3
 STEP_S = 0.002
@@ -114,9 +115,9 @@ def _row(at):
 
 
 EVENTS = [
-    (0.0, "info", "run velim_a1 begins"),
-    (1.0, "info", "brake demand 380000 Pa"),
-    (2.4, "info", "WSP unit active on axle 1"),
-    (12.6, "warning", "axle 1 locked for 0.4 s"),
-    (13.1, "error", "EMCY 8130h from node 17: heartbeat of node 32 lost"),
+    make(0.0, Code.OPERATOR_NOTE, note="run velim_a1 begins"),
+    make(1.0, Code.TEST_BRAKE, pressure_Pa=3.8e5),
+    make(2.4, Code.UNIT_STATE, node=32, state="OPERATIONAL"),
+    make(12.6, Code.WHEEL_FLAT, axle=1, length_m=0.01),
+    make(13.1, Code.HEARTBEAT_LOST, node=17, partner=32, silent_s=0.2),
 ]

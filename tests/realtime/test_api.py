@@ -48,7 +48,9 @@ def test_a_run_returns_what_its_folder_holds(tmp_path):
     assert stop.scenario["vehicle"]["wheel_radius_m"] == 0.467
     assert tuple(stop.table.column_names) == tuple(stop.frame().columns) == COLUMNS
     assert stop.frame()["vehicle_speed_m_s"].iloc[0] == pytest.approx(5.0)
-    assert any("speed_noise_burst axle=2" in text for _, _, text in stop.events)
+    begun = [event.fields for event in stop.events if event.code == "fault.begins"]
+    assert [fields["kind"] for fields in begun] == ["speed_noise_burst"]
+    assert "axle=2" in begun[0]["fault"]
 
 
 def test_without_pandas_there_is_a_table_all_the_same(free_stop):

@@ -11,6 +11,7 @@ from bench_process import MAGNETS, BenchProcess, SimpleUnit
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface.events import Code
 
 HEAD = 'title = "t"\n[[demand]]\nfrom_s = 0.0\npressure_Pa = 3.8e5\n'
 
@@ -243,7 +244,7 @@ def test_the_reference_unit_killed_in_lockstep_ends_the_run_and_is_named(tmp_pat
     bench.runs_for(0.5)
     os.kill(bench.child("wsp"), signal.SIGKILL)
     bench.finish()
-    failed(bench, "the reference WSP unit has ended with status -9", "wsp.log")
+    failed(bench, "the reference WSP unit exited with status -9", "wsp.log")
     assert len(bench.record.table) > 50
 
 
@@ -265,10 +266,12 @@ def test_a_unit_that_dies_in_real_time_lets_the_brakes_apply_and_the_run_go_on(t
     run = bench.record
     time_s = run.column("time_s")
     assert time_s[-1] > 2.9
-    *early_s, lost_s = (at for at, _, text in run.events if "heartbeat of node 32 lost" in text)
+    losses = bench.reported(Code.HEARTBEAT_LOST, partner=32)
+    assert {event.fields["node"] for event in losses} == {17}
+    *early_s, lost_s = (event.time_s for event in losses)
     # with a stall less simulated time has passed until the unit's last answer, but it was the last loss and for good
     assert 1.0 < lost_s < 1.5 or (early_s and lost_s > early_s[-1])
-    assert any("8130h" in text for _, _, text in run.events)
+    assert bench.reported(Code.NODE_EMERGENCY, error_code=0x8130)
     for axle in "1234":
         valve = run.column(f"valve_{axle}")
         assert early_s or valve[(time_s > 0.4) & (time_s < 0.95)].min() == 2.0
@@ -301,7 +304,8 @@ def test_short_pdos_and_garbage_of_a_unit_are_events_and_the_run_goes_on(tmp_pat
     assert ["did not stop" in why for why in bench.told["invalid_because"]] == [True]
     assert "Traceback" not in bench.stderr
     assert len(bench.record.table) >= 295
-    assert bench.heard("8210h") or bench.heard("RPDO 1")
+    emergencies = bench.reported(Code.NODE_EMERGENCY, error_code=0x8210)
+    assert emergencies or bench.reported(Code.PDO_TOO_SHORT, pdo=1)
 
 
 # --- the end, wanted or not ---
@@ -344,11 +348,11 @@ def test_a_recorder_that_is_killed_is_an_event_and_its_files_are_readable(tmp_pa
     os.kill(bench.child("rollerrig.realtime.telemetry.recorder"), signal.SIGKILL)
     bench.finish()
     assert bench.status == 4, bench.stderr
-    assert bench.told["invalid_because"][0].startswith("the recorder has ended with status -9")
+    assert bench.told["invalid_because"][0].startswith("the recorder exited with status -9")
     assert "Traceback" not in bench.stderr
-    assert "the recorder has ended with status -9" in bench.stderr
+    assert "the recorder exited with status -9" in bench.stderr
     assert bench.told["loop"]["ticks"] == 3000
-    assert any("recorder" in event["text"] for event in bench.told["events"])
+    assert Code.RECORDER_ENDED in [event["code"] for event in bench.told["events"]]
     assert 1.0 <= bench.record.column("time_s")[-1] < 3.0
     assert (bench.out / "can.log").stat().st_size > 1000
 

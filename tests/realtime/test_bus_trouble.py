@@ -15,6 +15,7 @@ from rollerrig.realtime.bench.bench import Bench
 from rollerrig.realtime.bench.options import Options
 from rollerrig.realtime.record import records, run_folder
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.events import Code
 
 ANSWERS = 0x211
 
@@ -68,9 +69,8 @@ def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_ke
     assert "check the interface" in bench.told["error"]
     summary = records.summary(bench.out)
     assert summary["ended"] == "error"
-    assert any(
-        "CAN bus" in event["text"] and event["level"] == "error" for event in summary["events"]
-    )
+    failures = [event for event in summary["events"] if event["code"] == Code.RUN_FAILED]
+    assert any("CAN bus" in event["fields"]["reason"] for event in failures)
     run = bench.record
     assert run.column("time_s")[-1] >= 1.0
     assert (bench.out / "can.log").stat().st_size > 1000
@@ -89,7 +89,7 @@ def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_
     assert bench.status == 4, bench.stderr  # it does not stop in that time
     assert len(bench.record.table) >= 199
     assert bench.told["bus"]["stray_syncs"] == 40
-    assert len(bench.heard("somebody else sends SYNC")) == 1
+    assert len(bench.reported(Code.SYNC_FOREIGN)) == 1
 
 
 def test_what_fails_inside_the_bus_thread_is_told_in_the_events_and_the_run_goes_on(tmp_path):
@@ -108,10 +108,10 @@ def test_what_fails_inside_the_bus_thread_is_told_in_the_events_and_the_run_goes
     result = asyncio.run(both())
     assert result["ended"] == "finished"
     assert result["loop"]["ticks"] == 500
-    told = [event["text"] for event in result["events"] if event["level"] == "error"]
-    assert len(told) == 1
-    assert "failed on frame 80h" in told[0]
-    assert "ZeroDivisionError" in told[0]
+    (error,) = [event for event in result["events"] if event["level"] == "error"]
+    assert error["code"] == Code.BENCH_EXCEPTION
+    assert "failed on frame 80h" in error["fields"]["message"]
+    assert "ZeroDivisionError" in error["fields"]["exception"]
 
 
 # --- the wire ---

@@ -20,6 +20,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.modbus.map import State
 from rollerrig.realtime.loop import ring
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code, make
 
 pytest.importorskip("nicegui", reason="the desk needs nicegui")
 
@@ -84,14 +85,16 @@ def test_no_spike_is_lost_in_what_a_page_is_told(rings):
 
 def test_a_bench_tells_where_it_listens_which_faults_act_and_how_it_ended(rings):
     rows, events = rings
-    for text in (
-        "the rig is on the bus socketcand://127.0.0.1:4711/rig0",
-        "Modbus TCP is served on 127.0.0.1:5021",
-        "fault speed_sensor_stuck axle=2: begins",
-        "fault node_off node=1: begins",
-        "fault node_off node=1: lifted",
+    stuck = {"fault": "speed_sensor_stuck axle=2", "kind": "speed_sensor_stuck"}
+    off = {"fault": "node_off node=1", "kind": "node_off", "reaches_unit": False}
+    for code, fields in (
+        (Code.BUS_PLACE, {"address": "socketcand://127.0.0.1:4711/rig0"}),
+        (Code.MODBUS_SERVED, {"transport": "TCP", "host": "127.0.0.1", "port": 5021}),
+        (Code.FAULT_BEGINS, stuck | {"reaches_unit": False}),
+        (Code.FAULT_BEGINS, off),
+        (Code.FAULT_LIFTED, off | {"frames_met": None}),
     ):
-        ring.push_event(events, 0.0, "info", text)
+        ring.push_event(events, make(0.0, code, **fields))
     bench = reader.find(among=[os.getpid()])
     bench.poll()
     assert (bench.bus, bench.modbus) == ("socketcand://127.0.0.1:4711/rig0", ("127.0.0.1", 5021))
@@ -359,8 +362,11 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
         def press(marker):
             return lambda: user.find(marker=marker).click()
 
-        def told(text):
-            return lambda: any(text in event.text for event in one.bench.events)
+        def told(code, **fields):
+            return lambda: any(
+                event.code == code and fields.items() <= event.fields.items()
+                for event in one.bench.events
+            )
 
         user.find(marker="more").type(f"{FREE_PORTS} duration_max_s=600 stand_s=60")
         user.find(marker="prepare").click()
@@ -368,11 +374,13 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
         await come(lambda: one.doors.state is State.RUNNING, "running", press("start"))
         user.find(marker="set-speed").click()  # not while it runs
         await user.should_see("the bench refuses speed_set_point", retries=PATIENCE)
-        await come(told("speed_sensor_stuck axle=1: begins"), "fault", press("inject"))
         await come(
-            told("note: alarm acknowledged at the desk: "), "acknowledged", press("acknowledge")
+            told(Code.FAULT_BEGINS, fault="speed_sensor_stuck axle=1"), "fault", press("inject")
         )
-        await come(told("speed_sensor_stuck axle=1: lifted"), "lifted", press("lift"))
+        await come(told(Code.OPERATOR_NOTE), "acknowledged", press("acknowledge"))
+        await come(
+            told(Code.FAULT_LIFTED, fault="speed_sensor_stuck axle=1"), "lifted", press("lift")
+        )
         with user:
             user.find(kind=ui.select, marker="friction-3").elements.pop().value = 0.03
         await come(
@@ -384,13 +392,9 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
             await come(lambda: False, "ended", press("stop"))
 
     simulated(one, play)
-    events = [event["text"] for event in one.programs[-1].result["events"]]
-    for text in (
-        "the run is started over Modbus",
-        "emergency stop over Modbus set",
-        "the run is stopped over Modbus",
-    ):
-        assert text in events
+    codes = [event["code"] for event in one.programs[-1].result["events"]]
+    for code in (Code.RUN_STARTED, Code.EMERGENCY_STOP_SET, Code.RUN_STOPPED):
+        assert code in codes
 
 
 def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
@@ -418,10 +422,10 @@ def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
             browser.quit()
     (run,) = (tmp_path / "runs").iterdir()
     told = (run / "events.jsonl").read_text()
-    assert "fault speed_sensor_stuck axle=1: begins" in told
+    assert "fault speed_sensor_stuck axle=1 begins" in told
     # the newest, which may be the unit's own word on the sensor
     assert "note: alarm acknowledged at the desk: " in told
-    assert "emergency stop over Modbus set" in told
+    assert '"emergency_stop.set"' in told
 
 
 def play_in(browser):
@@ -456,7 +460,7 @@ def play_in(browser):
     click("Start")
     shows(": running")
     click("Inject")
-    shows("speed_sensor_stuck axle=1: begins")
+    shows("speed_sensor_stuck axle=1 begins")
     put("brake demand, bar", "3.8")
     click("Set")
     shows("1: locked")

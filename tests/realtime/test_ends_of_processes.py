@@ -13,6 +13,7 @@ from endurance import runs
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface.events import Code
 
 RECORDER = "rollerrig.realtime.telemetry.recorder"
 
@@ -130,10 +131,11 @@ def test_drives_that_wait_for_a_master_that_is_not_there_are_told_after_a_second
         "--set",
         "duration_max_s=1.5",
     ).finish()
-    ((time_s, level, text),) = [one for one in records.events(bench.out) if "rig.drives" in one[2]]
-    assert (time_s, level) == (1.0, "warning")
+    (event,) = bench.reported(Code.DRIVES_WITHOUT_MASTER)
+    assert (event.time_s, event.level) == (1.0, "warning")
+    assert event.fields["nodes"] == [1, 2, 3, 4]
     for word in ("nodes 1, 2, 3, 4", "6040h", "--set rig.drives=rig"):
-        assert word in text
+        assert word in event.text
 
 
 def test_a_run_that_has_not_begun_has_loaded_its_bus_by_nothing(tmp_path):
@@ -167,8 +169,9 @@ def test_a_disk_that_gets_full_is_an_event_and_status_2_and_what_was_recorded_is
     assert (bench.out / "can.log").stat().st_size > 1000
     summary = records.summary(bench.out)
     assert summary["loop"]["ticks"] == 4000
-    (told,) = [event for event in summary["events"] if "cannot be written" in event["text"]]
-    assert told["level"] == "error"
+    (ended,) = [event for event in summary["events"] if event["code"] == Code.RECORDER_ENDED]
+    assert ended["level"] == "error"
+    assert "cannot be written" in ended["fields"]["reason"]
 
 
 def test_a_summary_that_cannot_be_written_is_told_with_status_2(tmp_path):

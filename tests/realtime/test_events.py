@@ -8,24 +8,34 @@ from bench_process import BenchProcess
 
 from rollerrig.realtime.record.events import KEPT, Events
 from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.events import Code, make
+
+
+def note(number):
+    return make(number, Code.OPERATOR_NOTE, note=f"event {number}")
 
 
 def test_few_events_are_all_kept():
     events = Events()
-    for number in range(2 * KEPT):
-        events.add(number, "info", f"event {number}")
-    assert [one["text"] for one in events] == [f"event {number}" for number in range(2 * KEPT)]
+    given = [note(number) for number in range(2 * KEPT)]
+    for event in given:
+        events.add(event)
+    assert list(events) == given
 
 
 def test_of_many_events_the_first_and_last_are_kept_and_all_are_counted():
     events = Events()
     for number in range(10 * KEPT):
-        events.add(number, "error" if number % 10 == 0 else "info", f"event {number}")
+        if number % 10 == 0:
+            events.add(make(number, Code.RUN_FAILED, reason=f"event {number}"))
+        else:
+            events.add(note(number))
     kept = list(events)
     assert len(kept) == 2 * KEPT + 1
-    assert (kept[0]["text"], kept[-1]["text"]) == ("event 0", f"event {10 * KEPT - 1}")
-    assert str(8 * KEPT) in kept[KEPT]["text"]
-    assert kept[KEPT]["level"] == "warning"
+    assert kept[0].fields == {"reason": "event 0"}
+    assert kept[-1] == note(10 * KEPT - 1)
+    assert kept[KEPT].code == Code.EVENTS_LEFT_OUT
+    assert kept[KEPT].fields == {"events": 8 * KEPT}
     assert events.counts == {"error": KEPT, "info": 9 * KEPT}
 
 
@@ -39,6 +49,6 @@ def test_a_flood_of_resets_does_not_flood_the_summary(tmp_path):
             time.sleep(0.05)
         bench.process.send_signal(signal.SIGINT)
         bench.finish()
-    assert len(bench.heard("NMT")) > 4 * KEPT
+    assert len(bench.reported(Code.NMT_STATE)) > 4 * KEPT
     assert len(bench.told["events"]) <= 2 * KEPT + 1
-    assert any("left out" in one["text"] for one in bench.told["events"])
+    assert Code.EVENTS_LEFT_OUT in [one["code"] for one in bench.told["events"]]

@@ -7,6 +7,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.discover import discover, fault_signs, sealed_rig
 from rollerrig.realtime.record import records
 from rollerrig.rig.identify.next_stops.prototype import Stop
+from rollerrig.wsp_interface.events import Code
 
 
 def stop(folder, *hidden, speed_m_s=12.0, **tables):
@@ -49,7 +50,7 @@ def test_a_fault_on_the_bus_is_told_by_its_frames_and_not_what_it_does_to_the_mo
 ) -> None:
     run = stop(tmp_path, hidden)
     assert fault_signs.of(run) == told
-    assert not any(text.startswith("fault ") for _, _, text in run.events)
+    assert not any(event.code in (Code.FAULT_BEGINS, Code.FAULT_LIFTED) for event in run.events)
     # a scenario that tells of a fault is told nothing new
     assert fault_signs.of(run._replace(scenario=run.scenario | {"fault": [hidden]})) == []
 

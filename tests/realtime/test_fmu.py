@@ -14,6 +14,7 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.bench import options
 from rollerrig.realtime.bench.options import Options
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code
 
 SHORT = ("--pacing", "lockstep", "--set", "duration_max_s=3")
 MAP = """[[to_unit]]
@@ -93,17 +94,17 @@ def test_an_fmu_that_fails_is_a_unit_that_died_and_the_record_is_kept(defines, s
     assert said in run.stderr
     assert "Traceback" not in run.stderr + (run.out / "wsp.log").read_text()
     assert len(run.record.column("time_s")) > 90
-    assert run.heard("the WSP unit wsp.fmu has ended with status")
+    (failed,) = run.reported(Code.RUN_FAILED)
+    assert "the WSP unit wsp.fmu exited with status" in failed.fields["reason"]
 
 
 def test_the_brakes_apply_when_an_fmu_dies_in_real_time(tmp_path):
     unit = fmus.build(tmp_path, defines=["CRASH_AT_S=1.0"])
     run = bench_process.run(tmp_path / "run", "--set", "duration_max_s=10", "--wsp", f"fmu:{unit}")
     assert run.status == 4  # not valid
-    assert run.heard(
-        "the WSP unit wsp.fmu has ended with status -6; its last words: the next step crashes"
-    )
-    assert run.heard("the WSP unit (node 32) lost")
+    (ended,) = run.reported(Code.UNIT_ENDED, unit="WSP unit wsp.fmu", status=-6)
+    assert ended.fields["last_words"].startswith("the next step crashes")
+    assert run.reported(Code.UNIT_LOST)
     assert all(run.record.column(f"magnets_{axle}")[-1] == 0 for axle in range(1, 5))
 
 
@@ -119,7 +120,7 @@ def test_a_frozen_fmu_goes_on_where_it_was(tmp_path, fmu):
         "--answer-wait",
         "2",
     )
-    assert not run.heard("has ended")
+    assert not run.reported(Code.UNIT_ENDED)
     assert run.record.column("time_s")[-1] > 2.9
 
 

@@ -11,11 +11,10 @@ import pytest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.fmu import fmu_file, ls_bus
-from rollerrig.firmware_sim.fmu.ls_bus import Code
 from rollerrig.realtime import cli
-from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.events import Code
 
 SHORT = ("--pacing", "lockstep", "--set", "duration_max_s=2")
 
@@ -39,7 +38,7 @@ def test_the_reference_rules_on_a_can_node_of_an_fmu_give_the_channels_of_the_re
         "--wsp",
         f"fmu:{unit}",
     )
-    assert not run.heard("has ended"), run.stderr + said(run)
+    assert not run.reported(Code.UNIT_ENDED), run.stderr + said(run)
     ours, theirs = run.record, stop_with_wsp.record
     assert ours.column("vents_1")[-1] > 0
     for name in signals.COLUMNS:
@@ -54,11 +53,12 @@ def test_a_can_node_of_an_fmu_that_crashes_is_a_unit_that_died_and_the_record_is
     run = bench_process.run(tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}")
     assert run.status == 2
     assert (
-        "the WSP unit wsp.fmu has ended with status -11; its last words: the next step crashes"
+        "the WSP unit wsp.fmu exited with status -11; its last words: the next step crashes"
         in run.stderr
     )
     assert "Traceback" not in run.stderr + said(run)
-    assert run.heard("the WSP unit wsp.fmu has ended with status -11")
+    (failed,) = run.reported(Code.RUN_FAILED)
+    assert "the WSP unit wsp.fmu exited with status -11" in failed.fields["reason"]
     assert len(run.record.column("time_s")) > 45
     assert not json.loads((run.out / "summary.json").read_text())["valid"]
 
@@ -78,12 +78,10 @@ def test_the_brakes_apply_when_a_can_node_of_an_fmu_hangs_in_real_time_also_on_o
         before=functools.partial(os.sched_setaffinity, 0, {core}),
     )
     assert run.status == 4  # not valid
-    assert run.heard("the WSP unit (node 32) lost")
-    lost_s = min(time_s for time_s, _, text in records.events(run.out) if "(node 32) lost" in text)
+    lost_s = min(event.time_s for event in run.reported(Code.UNIT_LOST))
     assert lost_s < 3.0
-    assert run.heard(
-        "the WSP unit wsp.fmu has ended with status 5; its last words: wsp.fmu hangs: its event at "
-    )
+    (ended,) = run.reported(Code.UNIT_ENDED, unit="WSP unit wsp.fmu", status=5)
+    assert ended.fields["last_words"].startswith("wsp.fmu hangs: its event at ")
     assert all(run.record.column(f"magnets_{axle}")[-1] == 0 for axle in range(1, 5))
     assert run.record.column("time_s")[-1] > 14.9
 
@@ -189,11 +187,16 @@ def test_operations_are_read_as_they_were_written_and_the_rest_is_corrupt():
     assert told == bytes.fromhex("10000000 13000000 23010000 00 00 0300 010203")
     pieces = [
         told,
-        ls_bus.build(Code.CONFIRM, 0x123),
-        ls_bus.build(Code.CONFIGURATION, 1, data=bytes(4)),
+        ls_bus.build(ls_bus.Code.CONFIRM, 0x123),
+        ls_bus.build(ls_bus.Code.CONFIGURATION, 1, data=bytes(4)),
     ]
     read = list(ls_bus.read(b"".join(pieces)))
     assert [raw for raw, _ in read] == pieces
     assert read[0][1].frame == frame
-    for wrong in (b"\x10", told[:-1], ls_bus.build(Code.CONFIGURATION, 1, data=bytes(3)), bytes(8)):
+    for wrong in (
+        b"\x10",
+        told[:-1],
+        ls_bus.build(ls_bus.Code.CONFIGURATION, 1, data=bytes(3)),
+        bytes(8),
+    ):
         assert list(ls_bus.read(wrong)) == [(wrong, None)]

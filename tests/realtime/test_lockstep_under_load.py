@@ -88,7 +88,7 @@ def same(one, other):
                 one.record.column(name), other.record.column(name), equal_nan=True
             ), name
     told, told_too = (
-        [text for _, level, text in records.events(bench.out) if level != "info"]
+        [event for event in records.events(bench.out) if event.level != "info"]
         for bench in (one, other)
     )
     assert told == told_too

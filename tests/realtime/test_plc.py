@@ -14,6 +14,7 @@ from rollerrig.configs import store
 from rollerrig.firmware_sim.modbus.map import BITS, WORDS, State
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface.events import Code
 
 AT = {row.name: row.at for row in (*BITS, *WORDS)}
 START_S, END_S = 240.0, 240.0
@@ -158,9 +159,9 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     assert summary["scenario"] == "step_adhesion"
     assert summary["initial_speed_m_s"] == pytest.approx(5.0, abs=0.01)
     assert summary["modbus"]["requests"] > 30
-    texts = [event["text"] for event in summary["events"]]
-    assert "the run is started over Modbus" in texts
-    assert "emergency stop over Modbus set" in texts
+    codes = [event["code"] for event in summary["events"]]
+    assert Code.RUN_STARTED in codes
+    assert Code.EMERGENCY_STOP_SET in codes
     check_record(one.out, summary)
 
 
@@ -206,7 +207,7 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
     assert summary["stopped"] is True
     run = records.load(one.out)
     time_s, speed = run.column("time_s"), run.column("vehicle_speed_m_s")
-    (set_s,) = (at for at, _, text in run.events if text == "emergency stop over Modbus set")
+    (set_s,) = (event.time_s for event in run.events if event.code == Code.EMERGENCY_STOP_SET)
     # the motors' 30 kN m on 1200 kg m2 take a second or so; the brakes alone would take ten
     assert time_s[speed == 0.0][0] - set_s < 3.0
     for axle in "1234":
@@ -263,9 +264,10 @@ def test_a_port_that_is_taken_does_not_keep_a_run_from_running(rig, taken):
     status, summary = one.result()
     assert status == 4  # it has not stopped
     assert summary["modbus"]["requests"] == 0
-    warning = next(event["text"] for event in summary["events"] if event["level"] == "warning")
-    assert str(taken) in warning
-    assert "modbus.port=N" in warning
+    (warning,) = [event for event in summary["events"] if event["code"] == Code.MODBUS_UNAVAILABLE]
+    assert warning["level"] == "warning"
+    assert str(taken) in warning["text"]
+    assert "modbus.port=N" in warning["text"]
 
 
 def test_a_port_that_is_taken_keeps_a_start_over_modbus_from_waiting_for_ever(rig, taken):
@@ -282,10 +284,9 @@ def test_a_port_beyond_this_machine_is_told_loudly(rig):
     )
     status, summary = one.result()
     assert status == 4  # it has not stopped
-    assert any(
-        "BEYOND THIS MACHINE" in event["text"] and event["level"] == "warning"
-        for event in summary["events"]
-    )
+    (warning,) = [event for event in summary["events"] if event["code"] == Code.SERVER_EXPOSED]
+    assert warning["level"] == "warning"
+    assert "BEYOND THIS MACHINE" in warning["text"]
 
 
 @pytest.mark.parametrize(

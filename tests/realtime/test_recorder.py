@@ -22,6 +22,7 @@ from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records
 from rollerrig.realtime.telemetry import recorder
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.events import Code
 
 RAN_S = 2.0
 
@@ -126,9 +127,9 @@ def test_a_killed_run_loses_at_most_the_last_second_of_its_can_log(run):
 
 def test_a_killed_run_keeps_its_events(run):
     events = records.load(run.folder).events
-    told = [event for event in events if event[2].startswith("row")]
-    assert [event[0] for event in told] == [0.25 * number for number in range(len(told))]
-    assert told[-1][0] >= run.written_s - 1.0
+    notes = [event for event in events if event.code == Code.OPERATOR_NOTE]
+    assert [event.time_s for event in notes] == [0.25 * number for number in range(len(notes))]
+    assert notes[-1].time_s >= run.written_s - 1.0
 
 
 def test_a_recorder_whose_bench_was_killed_says_so_and_removes_the_rings(killed):
@@ -139,7 +140,7 @@ def test_a_recorder_whose_bench_was_killed_says_so_and_removes_the_rings(killed)
     assert not summary["stopped"]
     assert summary["invalid_because"][0].startswith("the bench was killed, at ")
     assert summary["samples"] == round(100 * bench_killed.written_s) + 1
-    assert "the bench was killed" in records.load(bench_killed.folder).events[-1][2]
+    assert records.load(bench_killed.folder).events[-1].code == Code.BENCH_KILLED
     assert not (bench_killed.folder / "channels.tail").exists()
 
 
@@ -247,7 +248,8 @@ def test_rows_that_were_overrun_are_counted_and_told(begun):
     run = records.load(folder)
     assert len(run.table) == 4095
     assert run.summary["recorder"]["lost"] == 6000 - 4095
-    assert any("1905 rows of channels lost" in text for _, _, text in run.events)
+    overruns = [event.fields for event in run.events if event.code == Code.RECORDER_OVERRUN]
+    assert overruns == [{"lost": 1905, "rows": "rows of channels"}]
 
 
 def test_ctrl_c_is_left_to_the_bench(begun):

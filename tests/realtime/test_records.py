@@ -9,7 +9,10 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import channels, records
 from rollerrig.realtime.record.channels import Channels
+from rollerrig.wsp_interface.events import Code, Event, make
 from rollerrig.wsp_interface.signals import COLUMNS
+
+FIRST = make(1.5, Code.UNIT_LOST, node=32, silent_s=0.2)
 
 
 def some_rows(first, count):
@@ -25,9 +28,7 @@ def folder(tmp_path):
     written.add(some_rows(0, 300))
     written.finish()
     (tmp_path / "scenario.toml").write_text('title = "a run"\n[loop]\ntick_hz = 1000\n')
-    (tmp_path / "events.jsonl").write_text(
-        json.dumps({"time_s": 1.5, "level": "info", "text": "first"}) + "\n"
-    )
+    (tmp_path / "events.jsonl").write_text(json.dumps(FIRST._asdict()) + "\n")
     return tmp_path
 
 
@@ -35,7 +36,7 @@ def test_a_run_reads_back_as_it_was_written(folder):
     run = records.load(folder)
     assert np.array_equal(records.rows(run.table), some_rows(0, 300))
     assert run.scenario["loop"]["tick_hz"] == 1000
-    assert run.events == [(1.5, "info", "first")]
+    assert run.events == [FIRST]
     assert run.summary == {}
     assert run.column("time_s")[-1] == 2.99
 
@@ -153,7 +154,17 @@ def test_a_channel_that_does_not_exist_is_named(folder):
 def test_an_event_that_a_kill_cut_off_is_left_out(folder):
     with open(folder / "events.jsonl", "a") as file:
         file.write('{"time_s": 2.0, "lev')
-    assert records.load(folder).events == [(1.5, "info", "first")]
+    assert records.load(folder).events == [FIRST]
+
+
+def test_events_from_before_there_were_codes_are_read_without_one(folder):
+    old = {"time_s": 1.5, "level": "info", "text": "first"}
+    new = old | {"code": "of.tomorrow", "fields": {"at_m": 2.0}}
+    (folder / "events.jsonl").write_text(f"{json.dumps(old)}\n{json.dumps(new)}\n")
+    assert records.load(folder).events == [
+        Event(1.5, "info", "first", None, {}),
+        Event(1.5, "info", "first", None, {"at_m": 2.0}),
+    ]
 
 
 def test_a_summary_is_replaced_in_one_step(folder):

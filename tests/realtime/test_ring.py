@@ -13,6 +13,7 @@ import pytest
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
+from rollerrig.wsp_interface.events import Code, make
 
 _WRITER = """
 import sys, time
@@ -132,12 +133,16 @@ def test_a_file_that_is_no_ring_is_refused_by_name(tmp_path, content):
         Ring(path, np.float64)
 
 
+def note(text, time_s=0.0):
+    return make(time_s, Code.OPERATOR_NOTE, note=text)
+
+
 def test_events_of_several_threads_all_arrive(tmp_path):
     events = Ring(tmp_path / "events", np.int64, 1024, ring.EVENT_WORDS)
 
     def tell(who):
         for number in range(100):
-            ring.push_event(events, number, "info", f"{who} {number}")
+            ring.push_event(events, note(f"{who} {number}", number))
 
     threads = [threading.Thread(target=tell, args=(who,)) for who in range(4)]
     for thread in threads:
@@ -146,7 +151,7 @@ def test_events_of_several_threads_all_arrive(tmp_path):
         thread.join()
     rows, _, lost = events.read(0)
     assert lost == 0
-    assert {ring.read_event(row)[2] for row in rows} == {
+    assert {ring.read_event(row).fields["note"] for row in rows} == {
         f"{who} {number}" for who in range(4) for number in range(100)
     }
 
@@ -154,13 +159,26 @@ def test_events_of_several_threads_all_arrive(tmp_path):
 @pytest.mark.parametrize("text", ["axle 1 locked", "Räder rollen: λ = 0.3 µ", "", "a\nb"])
 def test_an_event_comes_out_as_it_went_in(tmp_path, text):
     events = Ring(tmp_path / "events", np.int64, 4, ring.EVENT_WORDS)
-    ring.push_event(events, 12.345, "warning", text)
-    assert ring.read_event(events.read(0)[0][0]) == (12.345, "warning", text)
+    event = note(text, 12.345)
+    ring.push_event(events, event)
+    assert ring.read_event(events.read(0)[0][0]) == event
 
 
 def test_a_long_event_is_cut_between_characters(tmp_path):
     events = Ring(tmp_path / "events", np.int64, 4, ring.EVENT_WORDS)
-    ring.push_event(events, 0.0, "info", "λ" * 1000)
-    text = ring.read_event(events.read(0)[0][0])[2]
+    ring.push_event(events, note("λ" * 1000))
+    text = ring.read_event(events.read(0)[0][0]).fields["note"]
     assert set(text) == {"λ"}
     assert len(text) > 200
+
+
+@pytest.mark.parametrize("text", ["a" * 1000, "\0" * 1000, '"' * 1000, "λ" * 1000])
+def test_of_a_long_event_the_longest_text_is_cut_and_code_and_other_fields_are_kept(tmp_path, text):
+    events = Ring(tmp_path / "events", np.int64, 4, ring.EVENT_WORDS)
+    given = make(1.0, Code.BENCH_EXCEPTION, message="hub: node failed", exception=text)
+    ring.push_event(events, given)
+    found = ring.read_event(events.read(0)[0][0])
+    assert (found.time_s, found.code) == (1.0, Code.BENCH_EXCEPTION)
+    assert found.fields["message"] == "hub: node failed"
+    assert 60 < len(found.fields["exception"]) < 500
+    assert text.startswith(found.fields["exception"])

@@ -9,9 +9,9 @@ import can
 import numpy as np
 import pytest
 
-from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError, SdoClient
+from rollerrig.wsp_interface.events import Code
 
 DRIVE, SPEED, BRAKE, PARTNER = 1, 16, 17, 50
 SYNC_S = 0.1  # longer than every time that is measured
@@ -196,7 +196,8 @@ def test_the_reference_unit_heartbeats_within_the_rigs_patience_whatever_the_syn
     assert len(beats_s) > 5
     if pacing == "lockstep":
         assert beats_s.max() <= max(0.1, sync_s) + 0.01
-        assert not [text for _, _, text in records.events(run.out) if "lost" in text]
+        for code in (Code.UNIT_LOST, Code.NODE_LOST, Code.HEARTBEAT_LOST):
+            assert not run.reported(code)
     else:
         assert np.median(beats_s) < 0.15
 

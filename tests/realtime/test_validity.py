@@ -17,12 +17,13 @@ from bench_process import HEARTBEAT, MAGNETS, BenchProcess, SimpleUnit
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records, summary, validity
+from rollerrig.wsp_interface.events import Code, make
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 from rollerrig.wsp_interface.signals import COLUMNS
 
 SHORT = ("run", "dry_stop", "--wsp", "none", "--pacing", "free", "--set", "initial_speed_m_s=3")
-LOST = (1.0, "error", "the WSP unit (node 32) lost: no heartbeat for 200 ms")
+LOST = make(1.0, Code.UNIT_LOST, node=32, silent_s=0.2)
 
 
 def not_valid(bench, *parts):
@@ -90,7 +91,7 @@ def test_a_units_process_that_ends_in_real_time_makes_the_run_not_valid(tmp_path
     bench.runs_for(0.3)
     os.kill(bench.child("wsp"), signal.SIGKILL)
     bench.finish()
-    told = not_valid(bench, "the reference WSP unit has ended with status -9", ", at ")
+    told = not_valid(bench, "the reference WSP unit exited with status -9", ", at ")
     assert told["stopped"]
     assert any("was lost 1 time (no heartbeat)" in why for why in told["invalid_because"])
 
@@ -111,7 +112,7 @@ def test_a_unit_that_is_lost_again_and_again_makes_the_run_not_valid_and_the_tim
     unit = SimpleUnit(bench.address(), flickering)
     bench.finish()
     unit.close()
-    times = len(bench.heard("the WSP unit (node 32) lost"))
+    times = len(bench.reported(Code.UNIT_LOST))
     assert times > 1
     not_valid(bench, f"the WSP unit was lost {times} times (no heartbeat), first at ")
 
@@ -126,7 +127,7 @@ def test_a_unit_that_a_fault_of_the_run_has_frozen_does_not_make_it_not_valid(tm
         "--fault",
         "wsp_frozen at=0.5 for=0.6",
     )
-    assert bench.heard("the WSP unit (node 32) lost")
+    assert bench.reported(Code.UNIT_LOST)
     assert bench.status == 0, bench.stderr
     assert bench.told["valid"] is True
 
@@ -147,18 +148,18 @@ def test_a_unit_that_a_fault_of_the_run_has_frozen_does_not_make_it_not_valid(tm
     ],
 )
 def test_a_lost_unit_is_excused_by_a_fault_that_reaches_it_and_by_no_other(fault, reaches):
-    title = catalogue.parse(fault).title
-    begins, lifted = (
-        (at, "warning", f"fault {title}: {what}") for at, what in ((0.5, "begins"), (0.9, "lifted"))
-    )
-    late = (2.5, *LOST[1:])
+    fields = catalogue.parse(fault).event_fields
+    begins = make(0.5, Code.FAULT_BEGINS, **fields)
+    lifted = make(0.9, Code.FAULT_LIFTED, **fields, frames_met=None)
+    late = LOST._replace(time_s=2.5)
     assert validity.losses([begins, lifted, LOST]) == ([] if reaches else [1.0])
     assert validity.losses([begins, lifted, late]) == [2.5]
     assert validity.losses([LOST, begins]) == [1.0]
 
 
 def test_a_unit_that_a_held_rig_loses_and_finds_again_is_no_loss_of_the_run():
-    lost, back = (0.0, *LOST[1:]), (0.0, "info", "the WSP unit (node 32) is back: Operational")
+    lost = LOST._replace(time_s=0.0)
+    back = make(0.0, Code.UNIT_BACK, node=32, state="OPERATIONAL")
     assert validity.losses([lost, back]) == []
     assert validity.losses([lost, back, lost]) == [0.0]
 
@@ -168,26 +169,30 @@ def test_a_unit_that_a_held_rig_loses_and_finds_again_is_no_loss_of_the_run():
     [
         (
             "killed",
-            "the bench was killed; the recorder completed the files",
+            make(1.0, Code.BENCH_KILLED),
             "the bench was killed, at 1.00 s",
         ),
         (
             "derailed",
-            "derailed: the left wheel of axle 3 left its rail after 12.0 m; slow",
-            "left its rail after 12.0 m",
+            make(1.0, Code.COACH_DERAILED, side="left", axle=3, distance_m=12.0),
+            "left its rail after 12.0 m, at 1.00 s",
         ),
-        ("error", "CAN bus failed", "ended with an error: CAN bus failed"),
-        ("terminated", "", "ends early: terminated"),
+        (
+            "error",
+            make(1.0, Code.RUN_FAILED, reason="CAN bus failed"),
+            "ended with an error: CAN bus failed",
+        ),
+        ("terminated", make(1.0, Code.UNIT_READY), "ends early: terminated"),
         (
             "stopped over Modbus",
-            "the run is stopped over Modbus",
+            make(1.0, Code.RUN_STOPPED),
             "while the coach rolled, at 20.00 m/s",
         ),
     ],
 )
 def test_how_a_run_ended_is_a_reason(ended, event, says):
     columns = dict.fromkeys(COLUMNS, np.zeros(3)) | {"vehicle_speed_m_s": np.full(3, 20.0)}
-    found = summary.of(columns, {"ended": ended}, {}, [(1.0, "error", event)])
+    found = summary.of(columns, {"ended": ended}, {}, [event])
     assert found["valid"] is False
     assert says in found["invalid_because"][0]
     assert len(found["invalid_because"]) == 1
@@ -216,7 +221,9 @@ def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall")
     bench.runs_for(1.0)
     bench.interrupt()
-    bench_process.until(lambda: bench.heard("interrupted by SIGINT"), "the first to be heard")
+    bench_process.until(
+        lambda: bench.reported(Code.RUN_INTERRUPTED, signal="SIGINT"), "the first to be heard"
+    )
     for _ in range(3):
         bench.interrupt()
         time.sleep(0.02)

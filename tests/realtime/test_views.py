@@ -217,9 +217,11 @@ def test_events_are_drawn_with_level_and_time(drawn):
         ["WARN"],
         ["ERROR"],
     ]
-    assert [time for time, _ in events["TextLog:text"]] == [e[0] for e in synthetic_stop.EVENTS]
+    assert [time for time, _ in events["TextLog:text"]] == [
+        event.time_s for event in synthetic_stop.EVENTS
+    ]
     assert all(
-        event[2] in value[0]
+        event.text in value[0]
         for event, (_, value) in zip(synthetic_stop.EVENTS, events["TextLog:text"], strict=True)
     )
 

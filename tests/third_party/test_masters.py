@@ -150,7 +150,8 @@ def test_a_foreign_master_enables_the_drives_turns_a_roller_and_drives_the_valve
     result, told, run = stop_with(command, protocol, tmp_path / "run", eds_folder)
     assert told["enabled"] == list(DRIVES)
     for drive in DRIVES:
-        assert any(f"node {drive}: drive OPERATION ENABLED" in text for _, _, text in run.events)
+        enabled = {"node": drive, "state": "OPERATION ENABLED"}.items()
+        assert any(enabled <= event.fields.items() for event in run.events)
     # the roller that was turned ran ahead of its neighbour, as the master read and the bench recorded
     assert told["turned"] > 1.03
     before = run.column("time_s") < 4.0

@@ -17,6 +17,7 @@ from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import COLUMNS, TimeOutError
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
@@ -68,9 +69,11 @@ def test_what_a_harness_asks_happens_on_the_rig(tmp_path):
         with pytest.raises(TimeOutError):
             rig.until(lambda: rig.vehicle_speed_m_s > 50.0, timeout_s=0.1)
         assert len(rig.trace[0]) == len(COLUMNS)
-    told = [event["text"] for event in own_bench.summary(tmp_path / "run")["events"]]
-    assert "note: the driver looks out" in told
-    assert any("speed_sensor_dropout axle=2" in text and "begins" in text for text in told)
+    events = own_bench.summary(tmp_path / "run")["events"]
+    notes = [event["fields"] for event in events if event["code"] == Code.OPERATOR_NOTE]
+    assert {"note": "the driver looks out"} in notes
+    begun = [event["fields"] for event in events if event["code"] == Code.FAULT_BEGINS]
+    assert any("speed_sensor_dropout axle=2" in fields["fault"] for fields in begun)
 
 
 def test_a_sequence_in_lockstep_repeats_bit_for_bit(tmp_path):

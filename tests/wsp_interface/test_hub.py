@@ -10,10 +10,12 @@ import can
 import pytest
 
 from rollerrig.configs.errors import BusError
+from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus import cannelloni, frames, slcan, socketcand, virtualcan
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import CLIENTS_MAX, Hub
+from rollerrig.wsp_interface.events import Code
 
 TCP_DATA_SEGMENTS_IN = 152  # offset of tcpi_data_segs_in in struct tcp_info, linux/tcp.h
 
@@ -552,7 +554,7 @@ POST = (
 @pytest.mark.parametrize("codec", CODECS)
 def test_who_begins_with_another_protocol_is_closed_and_told_once(start_hub, codec):
     told = []
-    bench = start_hub(on_event=lambda *event: told.append(event))
+    bench = start_hub(on_event=lambda code, **fields: told.append((code, fields)))
     port = bench.listen(codec)
     for pieces in ([POST], [POST[:3], POST[3:]]):
         client = bench.connect(port)
@@ -561,7 +563,7 @@ def test_who_begins_with_another_protocol_is_closed_and_told_once(start_hub, cod
             time.sleep(0.05)
         assert read_to_end(client) in (b"", b"< hi >", b"CANNELLONIv1")
     assert bench.log == []
-    assert [(level, codec in text) for level, text in told] == [("warning", True)]
+    assert told == [(Code.HUB_FOREIGN_CLIENT, {"bus": "rig0", "protocol": codec})]
 
 
 @pytest.mark.conformance(
@@ -569,7 +571,7 @@ def test_who_begins_with_another_protocol_is_closed_and_told_once(start_hub, cod
 )
 def test_more_clients_than_there_is_room_for_are_refused_and_told_once(start_hub):
     told = []
-    bench = start_hub(on_event=lambda *event: told.append(event))
+    bench = start_hub(on_event=lambda code, **fields: told.append((code, fields)))
     clients = [bench.raw_mode() for _ in range(CLIENTS_MAX)]
     for _ in range(2):
         refused = bench.connect()
@@ -579,7 +581,8 @@ def test_more_clients_than_there_is_room_for_are_refused_and_told_once(start_hub
         except ConnectionResetError:
             continue
     assert len(bench.hub.stats()["clients"]) == CLIENTS_MAX
-    assert [level for level, text in told if str(CLIENTS_MAX) in text] == ["warning"]
+    full = {"bus": "rig0", "protocol": "socketcand", "clients_max": CLIENTS_MAX}
+    assert told == [(Code.HUB_FULL, full)]
     # another protocol has its own places, and one that leaves makes room
     other = bench.connect(bench.listen("cannelloni"))
     assert read_until(other, b"CANNELLONIv1") == b"CANNELLONIv1"
@@ -618,12 +621,13 @@ def test_the_hub_listens_on_loopback_unless_told_otherwise(bench):
 @pytest.mark.conformance("Bad input", "another address than loopback is told loudly: CAN")
 def test_a_hub_that_listens_beyond_loopback_says_so_as_an_event(start_hub):
     told = []
-    bench = start_hub(on_event=lambda *event: told.append(event))
+    bench = start_hub(on_event=lambda code, **fields: told.append((code, fields)))
     assert told == []
     bench.do(lambda: bench.hub.listen("slcan", host="0.0.0.0", port=0))
-    assert [(level, "BEYOND THIS MACHINE" in text and "slcan" in text) for level, text in told] == [
-        ("warning", True)
-    ]
+    ((code, fields),) = told
+    assert code == Code.SERVER_EXPOSED
+    assert "slcan" in fields["server"]
+    assert "BEYOND THIS MACHINE" in events.text(code, fields)
 
 
 def test_closing_sends_what_waits_then_ends_every_client_even_one_that_does_not_read(bench):

@@ -13,6 +13,7 @@ from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.commands import sequence as verb_sequence
 from rollerrig.realtime.reports import sequences, stop
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import Event
 from rollerrig.wsp_interface.sequences import sequence, verdict
 from rollerrig.wsp_interface.sequences.play import Outcome
@@ -25,7 +26,15 @@ def outcome(folder, text=GOOD, **changes):
     found = Outcome(
         sequence.load(path, catalogue.parse),
         folder / "one",
-        events=[Event(1.0, "step", "brake <hard> & fast")],
+        events=[
+            Event(
+                1.0,
+                "step",
+                "brake <hard> & fast",
+                Code.SEQUENCE_STEP,
+                {"title": "brake <hard> & fast"},
+            )
+        ],
     )
     found.record = synthetic_record.record()
     found.verdicts = verdict.judge(found.sequence.criteria, found.record)

@@ -22,6 +22,7 @@ from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface.bus import kernel, plugin
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub, log_event
+from rollerrig.wsp_interface.events import Code, OnEvent
 
 BATCH = 64  # frames read in one go, so that a full bus leaves the loop some air
 # frames that wait while the interface's own queue is full, and how long until it is asked again
@@ -77,13 +78,13 @@ async def open_hub(
     clock_ns: Callable[[], int],
     bitrate: int = 500_000,
     on_lost: Callable[[BusError], None] | None = None,
-    on_event: Callable[[str, str], None] | None = None,
+    on_event: OnEvent = log_event,
     kernel_time: bool = False,
 ) -> Hub:
     """Return a hub for the bench's nodes that serves, or sits on, the bus at an address.
 
     bitrate in bit/s is what the load is counted against. on_lost is told when the python-can bus
-    fails later, without it the event loop's exception handler is; on_event(level, text) is told of
+    fails later, without it the event loop's exception handler is; on_event(code, **fields) is told of
     errors that a controller reports. kernel_time: clock_ns goes as the wall clock does, so that a
     frame gets the time at which the kernel took it. Raises BusError.
     """
@@ -95,11 +96,11 @@ async def open_hub(
         hub = Hub(
             clock_ns,
             bitrate,
-            on_event=on_event or log_event,
+            on_event=on_event,
             name=address.partition(":")[2].rpartition("/")[2],
         )
         try:
-            BusPort(hub, bus, on_lost, on_event or log_event, clock_ns if kernel_time else None)
+            BusPort(hub, bus, on_lost, on_event, clock_ns if kernel_time else None)
         except BusError:
             bus.shutdown()
             raise
@@ -108,7 +109,7 @@ async def open_hub(
         host, port, name = plugin.parse_address(address)
     except ValueError as error:
         raise BusError(str(error)) from error
-    hub = Hub(clock_ns, bitrate, name, on_event=on_event or log_event)
+    hub = Hub(clock_ns, bitrate, name, on_event=on_event)
     await hub.listen("socketcand", host, port)
     return hub
 
@@ -121,7 +122,7 @@ class BusPort(can.Listener):
         hub: Hub,
         bus: can.BusABC,
         on_lost: Callable[[BusError], None] | None,
-        on_event: Callable[[str, str], None],
+        on_event: OnEvent,
         clock_ns: Callable[[], int] | None,
     ) -> None:
         """Start reading; to be called in the hub's event loop. Owns the bus from now on.
@@ -133,7 +134,7 @@ class BusPort(can.Listener):
         self._clock_ns = clock_ns
         self._loop = asyncio.get_running_loop()
         self._waiting: deque[Frame] = deque()
-        self._told: set[str] = set()
+        self._told: set[tuple[Code, str]] = set()
         self._interface = (
             kernel.Interface(bus, str(bus.channel)) if isinstance(bus, SocketcanBus) else None
         )
@@ -177,13 +178,15 @@ class BusPort(can.Listener):
 
     def _drop(self, frames: int, why: str) -> None:
         self._port.dropped += frames
-        self._tell("warning", f"{self._port.name}: frames are lost: {why}")
+        if self._is_new(Code.BUS_FRAMES_LOST, why):
+            self._on_event(Code.BUS_FRAMES_LOST, bus=self._port.name, reason=why)
 
-    def _tell(self, level: str, text: str) -> None:
-        """Say something once: what ails a bus comes with every frame."""
-        if text not in self._told:
-            self._told.add(text)
-            self._on_event(level, text)
+    def _is_new(self, code: Code, about: str) -> bool:
+        """Return True the first time: the trouble of a bus comes with every frame."""
+        if (code, about) in self._told:
+            return False
+        self._told.add((code, about))
+        return True
 
     def _readable(self) -> None:
         try:
@@ -203,8 +206,9 @@ class BusPort(can.Listener):
             self._port.send(frame._replace(time_ns=self._time_ns(msg)) if self._clock_ns else frame)
         elif msg.is_error_frame:
             self._hub.tell_error(msg.arbitration_id, bytes(msg.data))
-            for text in kernel.meanings(msg):
-                self._tell("warning", f"{self._port.name}: {text}")
+            for condition in kernel.meanings(msg):
+                if self._is_new(Code.BUS_CONTROLLER, condition):
+                    self._on_event(Code.BUS_CONTROLLER, bus=self._port.name, condition=condition)
             if msg.arbitration_id & kernel.BUS_OFF:
                 self.on_error(BusError("the controller is bus-off"))
         else:

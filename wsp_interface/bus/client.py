@@ -7,11 +7,12 @@ so that a client that floods the bus takes turns with everybody else.
 
 import asyncio
 import socket
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 from rollerrig.wsp_interface.bus.codecs import Codec
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.session import Event, Mode
+from rollerrig.wsp_interface.events import Code
 
 PORTION_BYTES = 4096  # about 100 frames, one millisecond of work
 SOCKET_BYTES = 1 << 18  # what the kernel may hold: less means drops are seen sooner
@@ -26,7 +27,7 @@ class Bus(Protocol):
     buffer_bytes: int
 
     def join(self, client: "Client") -> bool: ...
-    def warn(self, text: str) -> None: ...
+    def warn(self, code: Code, protocol: str, **fields: Any) -> None: ...
     def leave(self, member: "Client") -> None: ...
     def submit(self, frame: Frame, sender: "Client") -> None: ...
     def flush(self) -> None: ...
@@ -130,9 +131,7 @@ class Client(asyncio.BufferedProtocol):
         elif event is Mode.ERRORS:
             self.errors = True
         elif event is Mode.FOREIGN:
-            self._bus.warn(
-                f"a client on the port for {self.codec} speaks something else: it is closed"
-            )
+            self._bus.warn(Code.HUB_FOREIGN_CLIENT, self.codec)
             self.finish()
         elif event is Mode.CLOSE:
             # a refusal may still wait for its turn

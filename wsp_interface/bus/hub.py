@@ -15,7 +15,6 @@ destroyed behind their content. The protocols have no authentication: loopback o
 """
 
 import asyncio
-import contextlib
 import errno
 import ipaddress
 import logging
@@ -25,11 +24,13 @@ from functools import partial
 from typing import Any
 
 from rollerrig.configs.errors import BusError
+from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SYNC
 from rollerrig.wsp_interface.bus.frames import OVERLOAD_BACKLOG_NS, BusLoad, Frame, check
 from rollerrig.wsp_interface.bus.wire import Alarm, Wire
+from rollerrig.wsp_interface.events import Code, OnEvent
 
 log = logging.getLogger(__name__)
 
@@ -79,24 +80,28 @@ class Port:
                 self._on_close()
 
 
-def log_event(level: str, text: str) -> None:
-    """What becomes of events that nobody asked for."""
-    log.log(logging.getLevelNamesMapping()[level.upper()], text)
+def log_event(code: Code, /, **fields: Any) -> None:
+    """Log an event: the callback of a hub that nobody gives another one."""
+    event = events.make(0.0, code, **fields)
+    log.log(logging.getLevelNamesMapping()[event.level.upper()], event.text)
 
 
-def beyond_loopback(
-    what: str, host: str, port: int, who: str = "WITHOUT ANY AUTHENTICATION"
-) -> str:
-    """The warning where a server listens on an address that others reach, else nothing."""
-    with contextlib.suppress(ValueError):
-        if host == "localhost" or ipaddress.ip_address(host).is_loopback:
-            return ""
-    return f"{what} LISTENS BEYOND THIS MACHINE, on {host}:{port}: everybody there {who} can drive the rig"
+def beyond_loopback(host: str) -> bool:
+    """Return whether other machines can reach a server that listens on this address."""
+    if host == "localhost":
+        return False
+    try:
+        return not ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return True
 
 
 class Hub:
-    """The bus. `clock_ns` gives the time that every frame is stamped with; `on_event(level, text)` is told of clients
-    that are refused and of addresses that others reach."""
+    """The bus.
+
+    `clock_ns` gives the time that every frame is stamped with. The hub calls `on_event(code, **fields)`
+    for clients that it refuses and for addresses that other machines reach.
+    """
 
     def __init__(
         self,
@@ -104,10 +109,10 @@ class Hub:
         bitrate: int = 500_000,
         name: str = "rig0",
         buffer_bytes: int = BUFFER_BYTES,
-        on_event: Callable[[str, str], None] = log_event,
+        on_event: OnEvent = log_event,
     ) -> None:
         self.name, self.buffer_bytes, self._on_event = name, buffer_bytes, on_event
-        self._warned: set[str] = set()
+        self._warned: set[tuple[Code, str]] = set()
         self.load = BusLoad(bitrate, clock_ns())
         self._clock_ns = clock_ns
         self._waiting: deque[tuple[Frame, Port | Client, Then]] = deque()
@@ -168,25 +173,29 @@ class Hub:
             raise BusError(_why_not(self.name, codec, host, port, error)) from error
         self._servers.append(server)
         address = server.sockets[0].getsockname()
-        if warning := beyond_loopback(f"CAN HUB {self.name} ({codec})", *address[:2]):
-            self._on_event("warning", warning)
+        if beyond_loopback(address[0]):
+            self._on_event(
+                Code.SERVER_EXPOSED,
+                server=f"CAN HUB {self.name} ({codec})",
+                host=address[0],
+                port=address[1],
+                who="WITHOUT ANY AUTHENTICATION",
+            )
         return int(address[1])
 
     def join(self, client: Client) -> bool:
         """Take in a TCP client that has connected; False where there is no room for it."""
         if sum(one.codec == client.codec for one in self._clients) >= CLIENTS_MAX:
-            self.warn(
-                f"more than {CLIENTS_MAX} clients speak {client.codec}: further ones are closed; end some"
-            )
+            self.warn(Code.HUB_FULL, client.codec, clients_max=CLIENTS_MAX)
             return False
         self._clients = (*self._clients, client)
         return True
 
-    def warn(self, text: str) -> None:
-        """Tell an event, the same only once: what is wrong with one client may come from many."""
-        if text not in self._warned:
-            self._warned.add(text)
-            self._on_event("warning", f"CAN hub {self.name}: {text}")
+    def warn(self, code: Code, protocol: str, **fields: Any) -> None:
+        """Report an event of a protocol, the same only once: many clients may have the same trouble."""
+        if (code, protocol) not in self._warned:
+            self._warned.add((code, protocol))
+            self._on_event(code, bus=self.name, protocol=protocol, **fields)
 
     def leave(self, member: Port | Client) -> None:
         """Let a node or client go; its drops stay counted."""

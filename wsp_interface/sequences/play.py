@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError, UnitError
-from rollerrig.wsp_interface import own_bench
+from rollerrig.wsp_interface import events, own_bench
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
@@ -207,7 +208,7 @@ def _play_step(step: Step, harness: Harness) -> None:
     if step.at_s is not None:
         harness.wait(step.at_s - harness.time_s)
     if step.title:
-        harness.log("step", step.title)
+        harness.record("step", Code.SEQUENCE_STEP, title=step.title)
     for text in step.notes:
         harness.note(text)
     if step.friction:
@@ -218,7 +219,7 @@ def _play_step(step: Step, harness: Harness) -> None:
         harness.inject(text)
     if step.brake_Pa is not None:
         harness.brake(step.brake_Pa)
-        harness.log("harness", f"brake demand {step.brake_Pa / 1e5:g} bar")
+        harness.record("harness", Code.TEST_BRAKE, pressure_Pa=step.brake_Pa)
     if step.sand is not None:
         harness.sand(step.sand)
     begin_s = harness.time_s
@@ -235,7 +236,7 @@ def _ramp(step: Step, harness: Harness) -> None:
     assert step.ramp
     from_Pa = harness.demands[-1][1] if harness.demands else 0.0
     begin_s, to_Pa = harness.time_s, step.ramp.to_Pa
-    harness.log("harness", f"brake demand to {to_Pa / 1e5:g} bar within {step.ramp.in_s:g} s")
+    harness.record("harness", Code.TEST_BRAKE_RAMP, pressure_Pa=to_Pa, ramp_s=step.ramp.in_s)
     while (share := (harness.time_s - begin_s) / step.ramp.in_s) < 1.0:
         harness.brake(from_Pa + share * (to_Pa - from_Pa))
         harness.step()
@@ -262,10 +263,11 @@ def _conclude(
     dry_m: Callable[..., float] | None,
     scenario: dict[str, Any] | None = None,
 ) -> None:
-    reported = [
-        Event(float(one["time_s"]), f"bench, {one['level']}", str(one["text"]))
-        for one in outcome.summary.get("events", [])
-    ]
+    reported = []
+    for one in outcome.summary.get("events", []):
+        event = events.from_json(one)
+        who = f"bench, {event.level}"
+        reported.append(Event(event.time_s, who, event.text, event.code, event.fields))
     outcome.events = sorted([*harness.events, *reported], key=lambda event: event.time_s)
     try:
         _keep(outcome.folder, harness)
@@ -304,7 +306,7 @@ def _record_of(
     faults = [
         event.time_s
         for event in harness.events
-        if event.who == "harness" and event.text.startswith("fault ")
+        if event.code in (Code.TEST_FAULT, Code.TEST_FAULT_LIFTED)
     ]
     return Record(
         dict(zip(COLUMNS, np.array(harness.trace).T, strict=True)),
@@ -322,8 +324,8 @@ def _keep(folder: Path, harness: Harness) -> None:
     except OSError:
         spare = Path(tempfile.mkdtemp(prefix=f"rollerrig-{folder.name}-"))
         _write(spare, harness)
-        harness.log(
-            "harness", f"{folder} could not be written; the rows are kept in {spare / TRACE}"
+        harness.record(
+            "harness", Code.SEQUENCE_ROWS_SAVED, folder=str(folder), file=str(spare / TRACE)
         )
         raise
 
