@@ -18,6 +18,7 @@ from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.wsp_interface import magnets, signals
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME, WSP_NODE
 
