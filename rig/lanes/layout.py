@@ -13,7 +13,8 @@ to rounding, not to the last bit: a test holds every kernel to its twin in the p
 """
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
-from rollerrig.rig.compiled.kernel import constructor, kernel, kernel_inlined, writer
+from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import creep_force
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.params import ROLLERS, TRACK, Params
@@ -98,8 +99,8 @@ MU_CD, MU_CR = _LAW_ROWS["mu_cd"], _LAW_ROWS["mu_cr"]  # of the contaminant, fro
 SIZE = _LAW + LANES * len(Law._fields)
 
 # kernels: the adhesion law of a lane, and its writer
-law_of_lane = constructor(Law, "w, lane", (f"w[{row} + lane]" for row in _LAW_ROWS.values()))
-_write_law = writer("w, lane", [f"w[{row} + lane]" for row in _LAW_ROWS.values()])
+law_of_lane = tuple_builder(Law, "w, lane", (f"w[{row} + lane]" for row in _LAW_ROWS.values()))
+_write_law = tuple_writer("w, lane", [f"w[{row} + lane]" for row in _LAW_ROWS.values()])
 
 
 def fits(params: Params) -> bool:
