@@ -1,7 +1,8 @@
-"""How often `explain` is right: sets with known hidden effects, answered and judged as any other tool's answers.
+"""`rollerrig bench explain`: how often `explain` is right on sets with known hidden effects.
 
-Sets, key and answers stay in a folder: an interrupted run goes on with the same command, more sets are added to those
-that are there. `rollerrig score` judges answers of any tool on the same sets.
+The sets, their key and the answers stay in a folder. The same command continues after an
+interruption, and a larger --sets adds sets to those that are there. `rollerrig score` judges the
+answers of any tool to the same sets.
 """
 
 import argparse
@@ -16,14 +17,17 @@ from rollerrig.realtime.benchmarks.figures import Result, Say
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
-    """Rows (measure, right, of, share, its interval, wanted) for the tool that was asked for."""
+    """Make the sets, let the requested tool answer them, and return the measures of `judge`.
+
+    With --export only the sets and the key are made. Raises ConfigError.
+    """
     if given.sets < 0 or given.seed < 0:
-        raise ConfigError(f"--sets {given.sets}, --seed {given.seed}: allowed are 0 and more")
-    folder = (
-        given.export
-        or given.folder
-        or Path("reports", f"bench_explain_{given.generator}_{given.seed}")
-    )
+        raise ConfigError(
+            f"--sets {given.sets}, --seed {given.seed}: both must be 0 or more; "
+            "--sets 0 means one round of the matrix"
+        )
+    default = Path("reports", f"bench_explain_{given.generator}_{given.seed}")
+    folder = given.export or given.folder or default
     cases.export(folder, given.generator, given.sets, given.seed, say)
     if given.export:
         return {
@@ -31,35 +35,41 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             "title": f"sets in {folder / cases.SETS}, key: {folder / cases.KEY}",
             "notes": [f"judge answers with: rollerrig score {folder} ANSWERS"],
         }
-    found = judge(folder, answers.answer(folder, given.tool, say, given.alone))
-    return found | {"notes": [*found["notes"], f"sets, key and answers: {folder}"]}
+
+    answered = answers.answer(folder, given.tool, say, given.alone)
+    result = judge(folder, answered)
+    result["notes"].append(f"sets, key and answers: {folder}")
+    return result
 
 
 def judge(folder: Path, of: Path) -> Result:
-    """The measures of some answers. Raises ConfigError where key or answers cannot be read."""
+    """Return the measures of the answers in `of`, a file or a folder, to the sets of `folder`.
+
+    `rows` has the measures of `score.rows`, and `notes` one line for each set that is not answered
+    right. Raises ConfigError where the key or the answers cannot be read.
+    """
     key = cases.read_key(folder)
-    found = score.judged(key, answers.read(of))
-    seconds = figures.quantiles([f.seconds for f in found if f.seconds is not None])
-    notes = [f"not told rightly: {line}" for line in score.failed(found)]
-    if left := len(key["sets"]) - len(found):
-        notes.append(f"{left} of {len(key['sets'])} sets have no answer")
+    judged = score.judged(key, answers.read(of))
+    seconds = figures.quantiles([one.seconds for one in judged if one.seconds is not None])
+
+    notes = [f"not answered right: {line}" for line in score.failed(judged)]
+    unanswered = len(key["sets"]) - len(judged)
+    if unanswered:
+        notes.append(f"{unanswered} of {len(key['sets'])} sets have no answer")
     if seconds:
-        notes.append(f"seconds a set: median {seconds['p50']:.0f}, longest {seconds['max']:.0f}")
-    title = (
-        f"{of.stem} on {len(found)} sets with known hidden effects, {key['generator']} generator"
-    )
+        notes.append(f"seconds per set: median {seconds['p50']:.0f}, longest {seconds['max']:.0f}")
     return {
-        "sets": len(found),
+        "sets": len(judged),
         "generator": key["generator"],
-        "title": title,
-        "rows": score.rows(found),
+        "title": f"{of.stem} on {len(judged)} sets with known hidden effects, "
+        f"{key['generator']} generator",
+        "rows": score.rows(judged),
         "seconds": seconds,
         "notes": notes,
     }
 
 
 def table(result: Result) -> Table:
-    """The measures, with counts and 95 % intervals."""
-    return figures.table(
-        result["title"], score.HEAD, [[row[key] for key in score.HEAD] for row in result["rows"]]
-    )
+    """Return the table of the measures, with counts and 95 % intervals."""
+    rows = [[row[key] for key in score.HEAD] for row in result["rows"]]
+    return figures.table(result["title"], score.HEAD, rows)

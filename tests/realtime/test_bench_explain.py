@@ -1,10 +1,12 @@
-"""The measures of `bench explain` and `score`: what counts as right, on answers written by hand; sets without truth."""
+"""The measures of `bench explain` and `score`, on answers written by hand; sets without their truth."""
 
 import json
 import subprocess
 import sys
+from collections.abc import Iterable
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 from benchmarks import explain as bench
@@ -14,54 +16,61 @@ from sealed import answers, cases, score
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 
-SILENT = print
+TESTS = Path(__file__).parents[1]
+GAIN = "gain on runs never fitted, share of the possible: median, quartiles"
+REMAINDER = "cause not in the library: reported as a remainder"
+INTERVALS = "95 % intervals contain the true value"
 
 
-def entry(kind: str, hidden: dict[str, float], **more) -> dict:
-    """What a key holds of a set."""
-    return {
-        "kind": kind,
-        "effects": hidden,
-        "meaning": {},
-        "base_error": {},
-        "least_error": {},
-    } | more
+def entry(kind: str, hidden: dict[str, float], **more: Any) -> dict[str, Any]:
+    """Return what a key holds of a set."""
+    empty: dict[str, Any] = {"meaning": {}, "base_error": {}, "least_error": {}}
+    return {"kind": kind, "effects": hidden} | empty | more
 
 
-def answer(verdict: str, *sets: tuple[str, ...], **more) -> dict:
-    """What a tool says of a set."""
-    return {
-        "verdict": verdict,
-        "causes": [{"name": s[0], "confusable_with": list(s[1:])} for s in sets],
-    } | more
+def answer(verdict: str, *sets: Iterable[str], **more: Any) -> dict[str, Any]:
+    """Return an answer; each of `sets` is the name of a cause and those that it is confused with."""
+    causes = []
+    for name, *confusable in sets:
+        causes.append({"name": name, "confusable_with": confusable})
+    return {"verdict": verdict, "causes": causes} | more
 
 
-def judged(tmp_path: Path, *pairs: tuple[dict, dict]) -> dict[str, dict]:
-    """The rows of some (key, answer), through the files that a stranger would use."""
-    names = [f"set_{k:04d}" for k in range(1, len(pairs) + 1)]
-    keys, said = (dict(zip(names, part, strict=True)) for part in zip(*pairs, strict=True))
-    cases._write_key(tmp_path, {"generator": "first", "seed": 0, "sets": keys})
-    file = tmp_path / "answers.json"
-    file.write_text(json.dumps(said))
-    return {row["measure"]: row for row in bench.judge(tmp_path, file)["rows"]}
+def write_key(folder: Path, sets: dict[str, dict[str, Any]]) -> None:
+    cases._write_key(folder, {"generator": "first", "seed": 0, "sets": sets})
+
+
+def judged(folder: Path, *pairs: tuple[dict, dict]) -> dict[str, dict]:
+    """Return the measures of some (key, answer), through the files that another tool would use."""
+    keys = {}
+    given = {}
+    for number, (key, its_answer) in enumerate(pairs, start=1):
+        name = f"set_{number:04d}"
+        keys[name] = key
+        given[name] = its_answer
+    write_key(folder, keys)
+    file = folder / "answers.json"
+    file.write_text(json.dumps(given))
+    return {row["measure"]: row for row in bench.judge(folder, file)["rows"]}
 
 
 def counts(rows: dict[str, dict]) -> dict[str, tuple[int, int]]:
+    """Return (hits, counted) by measure."""
     return {name: (row["yes"], row["of"]) for name, row in rows.items()}
 
 
-def test_a_turn_of_the_matrix_has_every_cause_at_two_sizes_and_each_half_of_it_a_fair_share_of_every_kind() -> (
+def test_a_round_of_the_matrix_has_every_cause_at_two_sizes_and_each_half_a_fair_share_of_every_kind() -> (
     None
 ):
     matrix = cases.cases(braking_stops, 0)
     assert len({case.seed for case in matrix}) == len(matrix)
     for cause in braking_stops.SMALLEST:
-        assert len({case.effects[cause] for case in matrix if list(case.effects) == [cause]}) == 2
-    first = [case.kind for case in matrix[: len(matrix) // 2]]
+        sizes = {case.effects[cause] for case in matrix if list(case.effects) == [cause]}
+        assert len(sizes) == 2
+    first_half = [case.kind for case in matrix[: len(matrix) // 2]]
     for kind in cases.KINDS:
-        assert first.count(kind) == pytest.approx(
-            0.5 * sum(case.kind == kind for case in matrix), abs=2.0
-        )
+        in_all = sum(case.kind == kind for case in matrix)
+        assert first_half.count(kind) == pytest.approx(0.5 * in_all, abs=2.0)
 
 
 def test_a_named_cause_where_nothing_is_hidden_is_a_false_alarm_and_its_rate_has_an_interval(
@@ -114,11 +123,11 @@ def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidde
     assert found["one cause: a false second cause"] == (1, 1)
     assert found["two causes: both named"] == (1, 2)
     assert found["cause not in the library: given a name"] == (1, 2)
-    assert found["cause not in the library: told as a remainder"] == (1, 2)
-    assert found["95 % intervals hold the truth"] == (1, 1)
+    assert found[REMAINDER] == (1, 2)
+    assert found[INTERVALS] == (1, 1)
 
 
-def test_a_gain_and_a_time_in_short_count_as_those_of_a_whole_report(tmp_path: Path) -> None:
+def test_a_gain_and_a_time_in_short_form_count_as_those_of_a_whole_report(tmp_path: Path) -> None:
     errors = {
         "base_error": {"adhesion_rmse": 4.0, "free_running_speed_rmse_m_s": 2.0},
         "least_error": {"adhesion_rmse": 2.0, "free_running_speed_rmse_m_s": 1.9},
@@ -133,96 +142,92 @@ def test_a_gain_and_a_time_in_short_count_as_those_of_a_whole_report(tmp_path: P
     none = answer("explained", ("sanding",), heldout_gain=None, seconds=30.0)
     for given, of in ((whole, 1), (short, 1), (none, 0)):
         rows = judged(tmp_path, (entry("one", {"sanding": 0.1}, **errors), given))
-        gain = rows["gain on runs never fitted, share of the possible: median, quartiles"]
-        assert (gain["of"], gain["share"]) == (of, pytest.approx(0.8) if of else None)
+        assert (rows[GAIN]["of"], rows[GAIN]["share"]) == (of, pytest.approx(0.8) if of else None)
         assert counts(rows)["within 20 s"] == (0, 1)
-    with pytest.raises(ConfigError, match="set_0001: heldout_gain is a share"):
-        judged(
-            tmp_path,
-            (
-                entry("one", {"sanding": 0.1}),
-                answer("explained", ("sanding",), heldout_gain="much"),
-            ),
-        )
+
+    wrong = answer("explained", ("sanding",), heldout_gain="much")
+    with pytest.raises(ConfigError, match="set_0001: heldout_gain must be a share"):
+        judged(tmp_path, (entry("one", {"sanding": 0.1}), wrong))
 
 
-def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benchmark_goes_on(
+def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benchmark_continues(
     tmp_path: Path,
 ) -> None:
-    make, lines = cases.generator(cases.GENERATORS["first"]), []
-    make.make(tmp_path / "sets" / "set_0001", {}, 3)
-    run = sorted((tmp_path / "sets" / "set_0001" / "runs").glob("*.csv"))[0]
-    rows = run.read_text().splitlines()
-    stuck = [
-        ",".join([*row.split(",")[:2], rows[500].split(",")[2], *row.split(",")[3:]])
-        for row in rows[500:700]
-    ]
-    run.write_text("\n".join([*rows[:500], *stuck, *rows[700:]]) + "\n")
-    hidden = entry("unknown", {"joints": 0.08})
-    cases._write_key(tmp_path, {"generator": "first", "seed": 0, "sets": {"set_0001": hidden}})
-    assert cases._errors(tmp_path / "sets" / "set_0001") == {}
+    folder = tmp_path / "sets" / "set_0001"
+    cases.generator("first").make(folder, {}, 3)
+    stick_first_wheel_speed(min((folder / "runs").glob("*.csv")))
+    write_key(tmp_path, {"set_0001": entry("unknown", {"joints": 0.08})})
+    assert cases._errors(folder) == {}
+
+    lines: list[str] = []
     rows = bench.judge(tmp_path, answers.answer(tmp_path, "explain", lines.append))["rows"]
     found = counts({row["measure"]: row for row in rows})
     assert found["data refused"] == (1, 1)
     assert found["cause not in the library: given a name"] == (0, 1)
-    assert found["cause not in the library: told as a remainder"] == (0, 1)
+    assert found[REMAINDER] == (0, 1)
     assert "refused" in lines[0]
 
 
-def test_an_error_while_answers_are_kept_ends_the_work_on_the_others() -> None:
+def stick_first_wheel_speed(run: Path) -> None:
+    """Let the first wheel speed of a CSV file keep its value for 200 samples."""
+    rows = run.read_text().splitlines()
+    stuck_at = rows[500].split(",")[2]
+    for number in range(500, 700):
+        time_s, speed_m_s, _, *others = rows[number].split(",")
+        rows[number] = ",".join([time_s, speed_m_s, stuck_at, *others])
+    run.write_text("\n".join(rows) + "\n")
+
+
+def test_an_error_while_answers_are_written_stops_the_work_on_the_others() -> None:
     program = """if __name__ == "__main__":
         import time
         from sealed import work
         for _ in work.all_of(time.sleep, [0.5] * 1000):
             raise OSError("no space is left")"""
-    ended = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program],
-        cwd=Path(__file__).parents[1],
+        cwd=TESTS,
         capture_output=True,
         text=True,
         timeout=100.0,
         check=False,
     )
-    assert "no space is left" in ended.stderr
+    assert "no space is left" in process.stderr
 
 
 def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gains_do_not_count(
     tmp_path: Path,
 ) -> None:
-    pairs = [
-        (
-            entry(
-                "one",
-                {"sanding": 0.1},
-                base_error={"rmse": 1.0},
-                least_error={"rmse": 1.0 - possible},
-            ),
-            answer(
-                "explained",
-                ("sanding",),
-                gain={"metric": "rmse", "reduction": won, "claimed": claimed},
-            ),
+    pairs = []
+    for reduction, possible, claimed in (
+        (0.10, 0.20, True),
+        (0.18, 0.20, True),
+        (0.30, 0.30, True),
+        (0.50, 0.01, True),
+        (0.2, 0.2, False),
+    ):
+        key = entry(
+            "one",
+            {"sanding": 0.1},
+            base_error={"rmse": 1.0},
+            least_error={"rmse": 1.0 - possible},
         )
-        for won, possible, claimed in (
-            (0.10, 0.20, True),
-            (0.18, 0.20, True),
-            (0.30, 0.30, True),
-            (0.50, 0.01, True),
-            (0.2, 0.2, False),
-        )
-    ]
-    row = next(r for name, r in judged(tmp_path, *pairs).items() if "possible" in name)
+        gain = {"metric": "rmse", "reduction": reduction, "claimed": claimed}
+        pairs.append((key, answer("explained", ("sanding",), gain=gain)))
+    row = judged(tmp_path, *pairs)[GAIN]
     assert row["of"] == 3
     assert row["share"] == pytest.approx(0.9)
 
 
-def test_exported_sets_tell_no_truth_and_are_answered_by_every_tool_and_scored(
-    tmp_path: Path, capsys
+def test_exported_sets_contain_no_truth_and_are_answered_by_every_tool_and_scored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "sealed"
     seed = next(k for k in count() if next(cases.stream(braking_stops, k)).kind == "one")
-    told = ["bench", "explain", "--sets", "1", "--seed", str(seed)]
-    assert cli.main([*told, "--export", str(folder)]) == 0
+    words = ["bench", "explain", "--sets", "1", "--seed", str(seed)]
+
+    # one set, of which no file names what is hidden
+    assert cli.main([*words, "--export", str(folder)]) == 0
     case = next(cases.stream(braking_stops, seed))
     texts = [path.read_text() for path in (folder / "key", *(folder / "sets").rglob("*.*"))]
     assert len(texts) == 1 + 1 + 6
@@ -230,19 +235,23 @@ def test_exported_sets_tell_no_truth_and_are_answered_by_every_tool_and_scored(
     key = cases.read_key(folder)["sets"]["set_0001"]
     assert (key["kind"], key["effects"]) == (case.kind, case.effects)
     assert 0.0 < key["least_error"]["adhesion_rmse"] <= 1.05 * key["base_error"]["adhesion_rmse"]
-    assert cli.main([*told, "--folder", str(folder), "--tool", "bic"]) == 0
-    before = (folder / "answers" / "bic" / "set_0001.json").stat().st_mtime_ns
-    assert cli.main([*told, "--folder", str(folder), "--tool", "bic"]) == 0
-    assert (folder / "answers" / "bic" / "set_0001.json").stat().st_mtime_ns == before
+
+    # an answer that is there is not made again
+    answer_file = folder / "answers" / "bic" / "set_0001.json"
+    assert cli.main([*words, "--folder", str(folder), "--tool", "bic"]) == 0
+    before = answer_file.stat().st_mtime_ns
+    assert cli.main([*words, "--folder", str(folder), "--tool", "bic"]) == 0
+    assert answer_file.stat().st_mtime_ns == before
+
     capsys.readouterr()
     assert cli.main(["score", str(folder), str(folder / "answers" / "bic"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["sets"] == 1
     with pytest.raises(ConfigError, match=f"holds sets of the first generator, seed {seed};"):
-        cases.export(folder, "first", 1, seed + 1, SILENT)
+        cases.export(folder, "first", 1, seed + 1, print)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("{", "no answers can be read"),
         ("[]", "an entry for each set"),
@@ -252,19 +261,18 @@ def test_exported_sets_tell_no_truth_and_are_answered_by_every_tool_and_scored(
             '{"set_0001": {"verdict": "explained", "causes": [{"name": "x", "parameters": {"a": 1}}]}}',
             "a needs ci95",
         ),
-        ('{"set_0001": {"verdict": "explained", "gain": {"claimed": true}}}', "has a reduction"),
+        ('{"set_0001": {"verdict": "explained", "gain": {"claimed": true}}}', "have a reduction"),
         ('{"set_0099": {"verdict": "consistent"}}', "has no such set"),
     ],
 )
 def test_answers_that_cannot_be_judged_are_refused_with_set_and_reason(
-    tmp_path: Path, text: str, told: str
+    tmp_path: Path, text: str, message: str
 ) -> None:
-    cases._write_key(
-        tmp_path, {"generator": "first", "seed": 0, "sets": {"set_0001": entry("none", {})}}
-    )
-    (tmp_path / "a.json").write_text(text)
-    with pytest.raises(ConfigError, match=told):
-        score.judged(cases.read_key(tmp_path), answers.read(tmp_path / "a.json"))
+    write_key(tmp_path, {"set_0001": entry("none", {})})
+    file = tmp_path / "a.json"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        score.judged(cases.read_key(tmp_path), answers.read(file))
 
 
 def test_a_folder_without_a_key_is_refused(tmp_path: Path) -> None:
@@ -273,4 +281,4 @@ def test_a_folder_without_a_key_is_refused(tmp_path: Path) -> None:
 
 
 def test_generators_are_those_of_the_tests_by_the_same_name() -> None:
-    assert cases.generator("braking_stops") is braking_stops
+    assert cases.generator("first") is braking_stops

@@ -1,13 +1,15 @@
-"""What others would do with the same stops: three usual ways to find terms that a model lacks.
+"""Three usual methods that find terms which a model lacks, for comparison with `explain`.
 
-All of them begin where `explain` does, with the fitted base and the linearised replay, so that they differ in the
-choice alone: there x = -A^-1 b are the coefficients, A their inverse covariance. None of them simulates clean sets.
+All of them start where `explain` starts: with the fitted base and the linearised replay. They differ
+from it in the selection only. There x = -A^-1 b are the coefficients of all candidate columns, and
+A^-1 is their covariance. None of them simulates data without a hidden effect.
 
-- `bic`: forward selection by the Bayesian information criterion (Schwarz, Annals of Statistics 6, 1978);
-- `sparse`: sequentially thresholded least squares of all causes at once (Brunton, Proctor, Kutz, PNAS 113, 2016),
-  the threshold in deviations of a coefficient;
-- `least_squares`: bounded least squares of all parameters at once, as tools that identify vehicle models offer;
-  a parameter is named where its 95 % interval does not hold zero.
+- `bic`: forward selection by the Bayesian information criterion (Schwarz, Annals of Statistics 6,
+  1978);
+- `sparse`: sequentially thresholded least squares of all causes together (Brunton, Proctor, Kutz,
+  PNAS 113, 2016); the threshold is in standard deviations of a coefficient;
+- `least_squares`: bounded least squares of all parameters together, as tools for the identification
+  of vehicle models do it; a cause is reported where its 95 % interval does not contain zero.
 """
 
 import time
@@ -24,145 +26,174 @@ from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import evidence, fitting
 from rollerrig.rig.mechanisms.table import BY_NAME
 
-MOST, THRESHOLD, NORMAL_95 = 6, 4.0, 1.96
-# what stands for a cause and its shape where all are fitted at once: the first that is tried
+# causes that `bic` selects at most
+MOST_CAUSES = 6
+# standard deviations below which `sparse` drops a coefficient
+THRESHOLD = 4.0
+# standard deviations of the normal distribution that contain 95 %
+NORMAL_95 = 1.96
+# added to the diagonal of the scaled normal matrix, because columns may be nearly collinear
 _RIDGE = 1e-6
+# columns with less information than this are left out
+_LEAST_INFORMATION = 1e-9
 
 
 class _Stops:
-    """The normal equations of all causes that have columns, less what the base takes up."""
+    """The normal equations of all candidate columns, less what the base parameters absorb.
+
+    A variant is one cause in one shape on one axle (0: on all axles); it has one or more columns.
+    """
 
     def __init__(self, data: Dataset) -> None:
         design = prepare(data, data.group("tune"))
         base, *_ = fitting.fit(design, candidates.start(design))
         normal = fitting.normal_equations(design, base)[0]
+        # of all n columns: information matrix (n, n), and gradient (n,)
         self.S, self.g = evidence.scores(normal)
         self.variants = [
-            v
-            for v in normal.matrix.variants
-            if not evidence.is_smooth_function(v.cause)
-            and v.cause in table.OF
-            and all(self.S[c, c] > 1e-9 for c in v.columns)
+            variant for variant in normal.matrix.variants if self._is_a_candidate(variant)
         ]
         self.samples = design.measured_rad_s.size
 
+    def _is_a_candidate(self, variant: Variant) -> bool:
+        if evidence.is_smooth_function(variant.cause) or variant.cause not in table.OF:
+            return False
+        return all(self.S[c, c] > _LEAST_INFORMATION for c in variant.columns)
+
     def solve(self, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """(coefficients, deviations) of some columns together."""
-        S, scale = self.S[np.ix_(at, at)], 1.0 / np.sqrt(np.diag(self.S)[list(at)])
-        inverse = np.linalg.pinv(S * np.outer(scale, scale) + _RIDGE * np.eye(len(at))) * np.outer(
-            scale, scale
-        )
-        return -inverse @ self.g[list(at)], np.sqrt(np.maximum(np.diag(inverse), 0.0))
+        """Return (coefficients, standard deviations) of some columns together."""
+        S = self.S[np.ix_(at, at)]
+        scale = 1.0 / np.sqrt(np.diag(self.S)[list(at)])
+        scales = np.outer(scale, scale)
+        inverse = np.linalg.pinv(S * scales + _RIDGE * np.eye(len(at))) * scales
+        deviations = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+        return -inverse @ self.g[list(at)], deviations
 
     def won(self, at: Sequence[int]) -> float:
-        """Likelihood (-2 ln) that some columns win together."""
+        """Return by how much some columns together lower -2 ln(likelihood)."""
         x, _ = self.solve(at)
         return float(-x @ self.g[list(at)])
 
     def one_each(self) -> list[Variant]:
-        """The first shape of each cause, on all axles where it is looked for there."""
-        found: dict[tuple[str, int], Variant] = {}
-        for v in self.variants:
-            if v.axle == 0 or table.OF[v.cause].each_axle:
-                found.setdefault((v.cause, v.axle), v)
-        return list(found.values())
+        """Return the first shape of each cause, on each axle where the cause acts on one axle."""
+        first: dict[tuple[str, int], Variant] = {}
+        for variant in self.variants:
+            if variant.axle == 0 or table.OF[variant.cause].each_axle:
+                first.setdefault((variant.cause, variant.axle), variant)
+        return list(first.values())
+
+
+def _columns(variants: Sequence[Variant]) -> list[int]:
+    return [column for variant in variants for column in variant.columns]
 
 
 def bic(data: Dataset) -> dict[str, Any]:
-    """Forward selection: the variant that lowers BIC most, until none does."""
-    began, stops = time.monotonic(), _Stops(data)
+    """Answer by forward selection: add the variant that lowers BIC most, until none lowers it."""
+    began_s = time.monotonic()
+    stops = _Stops(data)
     chosen: list[Variant] = []
-    while len(chosen) < MOST:
-        known, now = {v.cause for v in chosen}, [c for v in chosen for c in v.columns]
-        least = [
-            (
-                stops.won([*now, *v.columns])
+    while len(chosen) < MOST_CAUSES:
+        known = {variant.cause for variant in chosen}
+        now = _columns(chosen)
+        gains = []
+        for k, variant in enumerate(stops.variants):
+            if variant.cause in known:
+                continue
+            gain = (
+                stops.won([*now, *variant.columns])
                 - stops.won(now)
-                - len(v.columns) * np.log(stops.samples),
-                k,
+                - len(variant.columns) * np.log(stops.samples)
             )
-            for k, v in enumerate(stops.variants)
-            if v.cause not in known
-        ]
-        best, k = max(least, default=(0.0, 0))
+            gains.append((gain, k))
+        best, k = max(gains, default=(0.0, 0))
         if best <= 0.0:
             break
         chosen.append(stops.variants[k])
-    return _answer(stops, chosen, began)
+    return _answer(stops, chosen, began_s)
 
 
 def sparse(data: Dataset) -> dict[str, Any]:
-    """Least squares of one shape of each cause, small coefficients left out again and again."""
-    began, stops = time.monotonic(), _Stops(data)
+    """Answer by least squares of one shape of each cause; small coefficients are dropped repeatedly."""
+    began_s = time.monotonic()
+    stops = _Stops(data)
     chosen = stops.one_each()
     for _ in range(len(chosen)):
-        x, sd = stops.solve([c for v in chosen for c in v.columns])
-        large = np.abs(x) > THRESHOLD * sd
-        at, kept = 0, []
-        for v in chosen:
-            kept += [v] if large[at : at + len(v.columns)].any() else []
-            at += len(v.columns)
-        if len(kept) == len(chosen):
+        x, deviations = stops.solve(_columns(chosen))
+        large = np.abs(x) > THRESHOLD * deviations
+        remaining = _those_with(large, chosen)
+        if len(remaining) == len(chosen):
             break
-        chosen = kept
-    return _answer(stops, chosen, began)
+        chosen = remaining
+    return _answer(stops, chosen, began_s)
 
 
 def least_squares(data: Dataset) -> dict[str, Any]:
-    """Bounded least squares of one shape of each cause; those beyond their own interval of 95 %."""
-    began, stops = time.monotonic(), _Stops(data)
+    """Answer by bounded least squares of one shape of each cause, judged by their 95 % intervals."""
+    began_s = time.monotonic()
+    stops = _Stops(data)
     chosen = stops.one_each()
-    at = [c for v in chosen for c in v.columns]
+    at = _columns(chosen)
     scale = 1.0 / np.sqrt(np.diag(stops.S)[at])
     S = stops.S[np.ix_(at, at)] * np.outer(scale, scale) + _RIDGE * np.eye(len(at))
     root = np.linalg.cholesky(S + 1e-9 * np.eye(len(at))).T
-    bounds = np.array([_bounds(v) for v in chosen for _ in v.columns]).T / scale
-    found = lsq_linear(root, -np.linalg.solve(root.T, stops.g[at] * scale), bounds)
-    x, sd = found.x * scale, stops.solve(at)[1]
-    named, place = [], 0
-    for v in chosen:
-        own = slice(place, place + len(v.columns))
-        named += [v] if np.any(np.abs(x[own]) > NORMAL_95 * sd[own]) else []
-        place += len(v.columns)
-    return _answer(stops, named, began)
+    bounds = np.array([_bounds(variant) for variant in chosen for _ in variant.columns]).T / scale
+    solution = lsq_linear(root, -np.linalg.solve(root.T, stops.g[at] * scale), bounds)
+    x = solution.x * scale
+    _, deviations = stops.solve(at)
+    significant = np.abs(x) > NORMAL_95 * deviations
+    return _answer(stops, _those_with(significant, chosen), began_s)
 
 
-def _bounds(v: Variant) -> tuple[float, float]:
-    row = BY_NAME[v.cause].parameters[0]
-    return (
-        (-row.high, row.high)
-        if table.OF[v.cause].phase or row.low == row.high
-        else (row.low, row.high)
-    )
+def _those_with(marked: np.ndarray, variants: Sequence[Variant]) -> list[Variant]:
+    """Return the variants of which a column is marked; `marked`: of all their columns, in order."""
+    result = []
+    first = 0
+    for variant in variants:
+        behind = first + len(variant.columns)
+        if marked[first:behind].any():
+            result.append(variant)
+        first = behind
+    return result
+
+
+def _bounds(variant: Variant) -> tuple[float, float]:
+    """Return the allowed range of the coefficients of a variant."""
+    row = BY_NAME[variant.cause].parameters[0]
+    # the sign of a coefficient depends on its phase; equal limits mean that none are given
+    if table.OF[variant.cause].phase or row.low == row.high:
+        return -row.high, row.high
+    return row.low, row.high
 
 
 def _answer(stops: _Stops, chosen: list[Variant], began_s: float) -> dict[str, Any]:
-    """What was chosen, the cause that wins most first, in the form of an answer."""
-    at = [c for v in chosen for c in v.columns]
-    x, sd = stops.solve(at) if at else (np.zeros(0), np.zeros(0))
-    order = sorted(chosen, key=lambda v: -stops.won(v.columns))
-    causes = []
-    for v in order:
-        first = at.index(v.columns[0])
-        low, high = (float(x[first] + side * NORMAL_95 * sd[first]) for side in (-1.0, 1.0))
-        causes.append(
-            {
-                "name": v.cause,
-                "confusable_with": [],
-                "parameters": {BY_NAME[v.cause].parameters[0].name: {"ci95": [low, high]}},
-            }
-        )
+    """Return the selected variants as an answer; the cause that lowers the misfit most comes first."""
+    at = _columns(chosen)
+    if at:
+        x, deviations = stops.solve(at)
+    else:
+        x, deviations = np.zeros(0), np.zeros(0)
+
+    causes: dict[str, dict[str, Any]] = {}
+    for variant in sorted(chosen, key=lambda variant: -stops.won(variant.columns)):
+        if variant.cause in causes:
+            # one cause on two axles is one cause: with the interval of the first, in the last place
+            causes[variant.cause] = causes.pop(variant.cause)
+            continue
+        first = at.index(variant.columns[0])
+        low = float(x[first] - NORMAL_95 * deviations[first])
+        high = float(x[first] + NORMAL_95 * deviations[first])
+        parameter = BY_NAME[variant.cause].parameters[0].name
+        causes[variant.cause] = {
+            "name": variant.cause,
+            "confusable_with": [],
+            "parameters": {parameter: {"ci95": [low, high]}},
+        }
     return {
         "verdict": "explained" if causes else "consistent",
-        "causes": _once(causes),
+        "causes": list(causes.values()),
         "gain": None,
         "elapsed_s": time.monotonic() - began_s,
     }
-
-
-def _once(causes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Each name once, as it stands first: a cause on two axles is one cause."""
-    return list({cause["name"]: cause for cause in reversed(causes)}.values())[::-1]
 
 
 TOOLS: dict[str, Callable[[Dataset], dict[str, Any]]] = {

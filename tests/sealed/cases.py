@@ -1,10 +1,21 @@
-"""What is hidden in which set, and the sets themselves: datasets without truth, and the key beside them.
+"""Decides what is hidden in which set, and writes the sets and the key.
 
-The generators are those of the project's tests (`tests/generator`), by three authors, the third with MuJoCo; they share
-no code with the rig and hide each cause in another form than the rig's table writes it.
+The stops come from three generators in `tests/generator`, each by another author; the third uses
+MuJoCo. They share no code with the rig, and each hides a cause in another form than the rig's table
+of causes has. A set is one dataset of stops in which zero, one or two effects are hidden.
 
-    DIR/sets/set_0001/dataset.toml, runs/*.csv  what a tool is given
-    DIR/key                                     what was hidden; encoded, so that nobody reads it by accident
+    DIR/sets/set_0001/dataset.toml, runs/*.csv   what a tool gets
+    DIR/key                                      the truth; encoded, so that nobody reads it by accident
+
+The key is a table: `generator`, `seed`, and for each set
+
+| key           | meaning |
+|---------------|---------|
+| `kind`        | "none", "one", "two" or "unknown": what is hidden, see `KINDS` |
+| `effects`     | size of each hidden effect, by its name, in the unit of the generator |
+| `meaning`     | (parameter, value) by cause, where a size has the unit and sign of the rig's parameter |
+| `base_error`  | error of the fitted base model on the stops that were not fitted, by metric |
+| `least_error` | the same error where nothing is hidden in the same stops: no model can do better |
 """
 
 import importlib
@@ -23,110 +34,127 @@ from rollerrig.realtime.record import seal
 from rollerrig.realtime.record.files import writing
 from sealed import work
 
+# module of `tests/generator` by the name on the command line
 GENERATORS = {"first": "braking_stops", "second": "other_stops", "third": "mujoco_stops"}
+# nothing is hidden; one cause; two causes at a time; an effect that is not in the rig's table of
+# causes
 KINDS = ("none", "one", "two", "unknown")
-NOTHING, SIZES = 30, (1.0, 2.0)
-SETS, KEY = "sets", "key"
+# sets with nothing hidden in one round of the matrix
+NOTHING_HIDDEN = 30
+# each cause is hidden at these multiples of its smallest visible size
+SIZES = (1.0, 2.0)
+# seeds of two rounds of the matrix are so far apart
+SEEDS_PER_ROUND = 10_000
+
+# names in the exported folder
+SETS = "sets"
+KEY = "key"
+# first line of a key
 _FORMAT = "rollerrig sealed benchmark 1\n"
 
 
 class Case(NamedTuple):
-    """One set to be made: its kind, what is hidden at which size, its seed."""
+    """A set to be made."""
 
     kind: str  # one of KINDS
-    effects: dict[str, float]
+    effects: dict[str, float]  # size by name of the effect, in the unit of the generator
     seed: int
 
 
 def cases(make: ModuleType, seed: int) -> list[Case]:
-    """One turn of the matrix."""
-    none = [Case("none", {}, seed + 1000 + k) for k in range(NOTHING)]
-    one = [
-        Case(
-            "one",
-            {cause: min(size * least, make.LARGEST.get(cause, np.inf))},
-            seed + 2000 + 10 * k + i,
-        )
-        for i, size in enumerate(SIZES)
-        for k, (cause, least) in enumerate(make.SMALLEST.items())
-    ]
+    """Return one round of the matrix: all sets of each kind, in random order.
+
+    Each kind is spread evenly over the round, so that the first N sets contain a fair share of each
+    kind. The order depends on the seed alone and carries no information on the truth.
+    """
+    none = [Case("none", {}, seed + 1000 + k) for k in range(NOTHING_HIDDEN)]
+    one = []
+    for i, multiple in enumerate(SIZES):
+        for k, (cause, smallest) in enumerate(make.SMALLEST.items()):
+            size = min(multiple * smallest, make.LARGEST.get(cause, np.inf))
+            one.append(Case("one", {cause: size}, seed + 2000 + 10 * k + i))
     two = [Case("two", pair, seed + 3000 + k) for k, pair in enumerate(make.PAIRS)]
     unknown = [
         Case("unknown", {name: size}, seed + 4000 + k)
         for k, (name, size) in enumerate(make.UNKNOWN.items())
     ]
-    # each kind spread evenly, in an order that tells nothing: the first N sets are a fair share of all
+
     rng = np.random.default_rng((seed, 15))
-    placed = [
-        ((k + rng.random()) / len(kind), kind[i])
-        for kind in (none, one, two, unknown)
-        for k, i in enumerate(rng.permutation(len(kind)))
-    ]
-    return [case for _, case in sorted(placed, key=lambda pair: pair[0])]
+    placed: list[tuple[float, Case]] = []
+    for kind in (none, one, two, unknown):
+        order = rng.permutation(len(kind))
+        for k, i in enumerate(order):
+            place = (k + rng.random()) / len(kind)  # 0 to 1 in the round
+            placed.append((place, kind[i]))
+    placed.sort(key=lambda pair: pair[0])
+    return [case for _, case in placed]
 
 
 def stream(make: ModuleType, seed: int) -> Iterator[Case]:
-    """The matrix again and again, each time with other seeds."""
-    for turn in count():
-        yield from cases(make, seed + 10_000 * turn)
+    """Yield round after round of the matrix, each with other seeds, without end."""
+    for number in count():
+        yield from cases(make, seed + SEEDS_PER_ROUND * number)
 
 
-def generator(module: str) -> ModuleType:
-    """A module of `tests/generator`. Raises ConfigError where there is not what it needs."""
+def generator(name: str) -> ModuleType:
+    """Return a generator by its name in `GENERATORS`. Raises ConfigError where MuJoCo is missing."""
     try:
-        return importlib.import_module(f"generator.{module}")
+        return importlib.import_module(f"generator.{GENERATORS[name]}")
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise
         raise ConfigError(
-            "--generator third needs MuJoCo: pip install 'rollerrig[mujoco]'"
+            "--generator third needs MuJoCo; install it with: pip install 'rollerrig[mujoco]'"
         ) from None
 
 
 def export(folder: Path, by: str, sets: int, seed: int, say: Callable[[str], None]) -> None:
-    """Write the first sets (0: one turn of the matrix) of a generator, and the key. Raises ConfigError.
+    """Write the first sets of a generator, and the key. 0 sets: one round of the matrix.
 
-    A folder that has some of them already, as after an interruption or to grow, is completed; one of another generator
-    or seed is refused.
+    A folder that has some of the sets already, after an interruption or from a smaller number, is
+    completed. Raises ConfigError for a folder with sets of another generator or seed.
     """
-    make = generator(GENERATORS[by])
+    make = generator(by)
+    number = sets or len(cases(make, seed))
     wanted = {
-        f"set_{k:04d}": case
-        for k, case in enumerate(
-            islice(stream(make, seed), sets or len(cases(make, seed))), start=1
-        )
+        f"set_{k:04d}": case for k, case in enumerate(islice(stream(make, seed), number), start=1)
     }
-    about: dict[str, Any] = {"generator": by, "seed": seed}
-    key = read_key(folder) if (folder / KEY).exists() else about | {"sets": {}}
-    if {name: key[name] for name in about} != about:
-        raise ConfigError(
-            f"{folder} holds sets of the {key['generator']} generator, seed {key['seed']}; give another "
-            f"folder, or --generator {key['generator']} --seed {key['seed']} to complete it"
-        )
+
+    key: dict[str, Any] = {"generator": by, "seed": seed, "sets": {}}
+    if (folder / KEY).exists():
+        key = read_key(folder)
+        if (key["generator"], key["seed"]) != (by, seed):
+            raise ConfigError(
+                f"{folder} holds sets of the {key['generator']} generator, seed {key['seed']}; give "
+                f"another folder, or --generator {key['generator']} --seed {key['seed']} to "
+                "complete it"
+            )
+
     missing = [(name, case) for name, case in wanted.items() if name not in key["sets"]]
-    for done, (name, case, truth) in enumerate(
-        work.all_of(partial(_make, folder / SETS, by), missing), start=1
-    ):
+    made = work.all_of(partial(_make, folder / SETS, by), missing)
+    for done, (name, case, truth) in enumerate(made, start=1):
         key["sets"][name] = truth | {"kind": case.kind, "effects": case.effects}
         _write_key(folder, key)
         say(f"{done} of {len(missing)} sets made")
 
 
 def read_key(folder: Path) -> dict[str, Any]:
-    """The key of an exported benchmark. Raises ConfigError where there is none."""
+    """Return the key of an exported benchmark. Raises ConfigError where there is none."""
+    path = folder / KEY
     try:
-        text = (folder / KEY).read_text(encoding="ascii")
+        text = path.read_text(encoding="ascii")
         if not text.startswith(_FORMAT):
-            raise ConfigError("its first line is another one")
+            raise ConfigError("its first line is wrong")
         return seal.opened(text.removeprefix(_FORMAT), "its text")
     except (OSError, ValueError, ConfigError) as error:
         raise ConfigError(
-            f"{folder / KEY} is no key of a benchmark ({error}); give the folder that "
+            f"{path} is no key of a benchmark ({error}); give the folder that "
             "rollerrig bench explain --export wrote"
         ) from None
 
 
 def _write_key(folder: Path, key: dict[str, Any]) -> None:
+    # written under another name first, so that an interruption leaves the previous key
     part = folder / f"{KEY}.part"
     with writing(folder / KEY, "give another folder"):
         part.write_text(_FORMAT + seal.shut(key), encoding="ascii")
@@ -134,33 +162,38 @@ def _write_key(folder: Path, key: dict[str, Any]) -> None:
 
 
 def _make(folder: Path, by: str, job: tuple[str, Case]) -> tuple[str, Case, dict[str, Any]]:
-    """Make one set; what its coefficients mean, and the errors of the base with and without what is hidden."""
+    """Make one set. Returns its name, its case, and `meaning` and the errors for the key."""
     name, case = job
-    make = generator(GENERATORS[by])
-    made, errors, clean = (
-        make.make(folder / name, case.effects, case.seed),
-        dict[str, float](),
-        dict[str, float](),
-    )
-    if case.kind in ("one", "two"):  # a gain can be won; of unknown effects nobody knows how much
-        # the same stops, same seed, with nothing hidden: what is left there no model can take away
+    make = generator(by)
+    made = make.make(folder / name, case.effects, case.seed)
+
+    base_error: dict[str, float] = {}
+    least_error: dict[str, float] = {}
+    # only here a gain is judged: nobody knows the possible gain for an effect outside the table
+    if case.kind in ("one", "two"):
+        # the same stops (same seed) with nothing hidden: no model can remove what is left there
         with tempfile.TemporaryDirectory(prefix="rollerrig-sealed-") as place:
-            clean = _errors(make.make(Path(place, "twin"), {}, case.seed))
-        errors = _errors(made)
-    meaning = {
-        cause: (*make.SAME_MEANING[cause][:1], make.SAME_MEANING[cause][1] * size)
-        for cause, size in case.effects.items()
-        if cause in make.SAME_MEANING
-    }
+            least_error = _errors(make.make(Path(place, "twin"), {}, case.seed))
+        if least_error:
+            base_error = _errors(made)
+
+    meaning: dict[str, tuple[str, float]] = {}
+    for cause, size in case.effects.items():
+        if cause in make.SAME_MEANING:
+            parameter, sign = make.SAME_MEANING[cause]
+            meaning[cause] = (parameter, sign * size)
     return (
         name,
         case,
-        {"meaning": meaning, "base_error": errors if clean else {}, "least_error": clean},
+        {"meaning": meaning, "base_error": base_error, "least_error": least_error},
     )
 
 
 def _errors(dataset_folder: Path) -> dict[str, float]:
-    """Errors of the fitted base on stops that were not fitted, by metric; none of data that `explain` refuses."""
+    """Return the errors of the fitted base on the stops that were not fitted, by metric.
+
+    Empty for data that `explain` refuses.
+    """
     from rollerrig.rig.identify.causes import candidates
     from rollerrig.rig.identify.data import dataset, preparation
     from rollerrig.rig.identify.decide import fitting, gain
@@ -169,6 +202,7 @@ def _errors(dataset_folder: Path) -> dict[str, float]:
         data = dataset.load(dataset_folder)
     except ConfigError:
         return {}
-    design, held = (preparation.prepare(data, data.group(g)) for g in ("tune", "validate"))
+    design = preparation.prepare(data, data.group("tune"))
+    held = preparation.prepare(data, data.group("validate"))
     base, *_ = fitting.fit(design, candidates.start(design))
     return {metric: gain.error(held, base, metric) for metric in (gain.ADHESION, gain.FREE_RUN)}

@@ -1,4 +1,4 @@
-"""Spreads the sets of a benchmark over the cores, one set a core at a time."""
+"""Spreads the sets of a benchmark over the cores, one set per core at a time."""
 
 import multiprocessing
 import os
@@ -9,31 +9,36 @@ from typing import Any
 from rollerrig.configs.processes import children
 
 
-def all_of(one: Callable[[Any], Any], jobs: Iterable[Any], alone: bool = False) -> Iterator[Any]:
-    """one(job) of all jobs as they end; an interruption, or an error of who asks, leaves at once.
+def all_of(work: Callable[[Any], Any], jobs: Iterable[Any], alone: bool = False) -> Iterator[Any]:
+    """Yield work(job) of all jobs in the order in which they finish.
 
-    With `alone` they come one after another in this process, and each has all cores.
+    An interruption, or an error in the code that takes the results, ends the work immediately.
+    With `alone` the jobs run one after another in this process, and each has all cores.
     """
     if alone:
-        yield from map(one, jobs)
+        yield from map(work, jobs)
         return
-    own, cores = sorted(os.sched_getaffinity(0)), multiprocessing.get_context("spawn").Queue()
-    for core in own:
+
+    available = sorted(os.sched_getaffinity(0))
+    cores = multiprocessing.get_context("spawn").Queue()
+    for core in available:
         cores.put(core)
-    with children.pool(len(own), _keep_to, cores) as pool:
-        futures = [pool.submit(one, job) for job in jobs]
+
+    with children.pool(len(available), _take_a_core, cores) as pool:
+        futures = [pool.submit(work, job) for job in jobs]
         try:
             for future in as_completed(futures):
                 yield future.result()
         finally:
-            # not by `cancel_futures`: a pool that is gone before its thread looks has cancelled nothing
+            # not by `cancel_futures` of the pool: if the pool is deleted before its thread looks at
+            # that flag, nothing is cancelled
             for future in futures:
                 future.cancel()
             pool.shutdown(wait=False)
 
 
-def _keep_to(cores: Any) -> None:
-    """Keep this process to one core, so that what it calls starts no others."""
+def _take_a_core(cores: Any) -> None:
+    """Keep this worker on one core of the queue, so that its libraries start no further threads."""
     from threadpoolctl import threadpool_limits
 
     os.sched_setaffinity(0, {cores.get()})

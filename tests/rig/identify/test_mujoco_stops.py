@@ -201,4 +201,4 @@ def test_a_machine_without_mujoco_is_told_what_to_install(monkeypatch):
         monkeypatch.delitem(sys.modules, f"generator.{name}")
         monkeypatch.delattr(generator, name)
     with pytest.raises(ConfigError, match=r"pip install 'rollerrig\[mujoco\]'"):
-        cases.generator("mujoco_stops")
+        cases.generator("third")
