@@ -1,9 +1,9 @@
 """FASTSIM: the contact patch in strips, traction carried from the leading edge to the trailing one.
 
 A particle of the wheel enters at the leading edge without traction. As it rolls through, creepage
-and spin strain it until the traction meets the friction limit; from there on it slips, and the
+and spin strain it until the traction meets the friction limit. From there on it slips, and the
 traction turns towards the direction against the slip. Three flexibilities, for longitudinal,
-lateral and spin creepage, make the sum right at small creepage.
+lateral and spin creepage, make the sum correct at small creepage.
 
 [F1] L1 = 8 a / (3 G c11), L2 = 8 a / (3 G c22), L3 = pi a sqrt(a/b) / (4 G c23)
 [F2] stick: dp_x/dx = xi / L1 - phi y / L3,  dp_y/dx = eta / L2 + phi x / L3
@@ -13,13 +13,14 @@ lateral and spin creepage, make the sum right at small creepage.
 [F5] 1/L = S (|xi| + |eta| + l |phi|) / (L1 |xi| + L2 |eta| + L3 l |phi|),  l = sqrt(a b),
      S = 1.6 - |xi| / (|xi| + |eta| + l |phi|)
 
-Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip, whose pole three
-flexibilities would shift, with one mean flexibility [F5], by an exact step [F4] where Kalker cuts the traction back
-radially (first order in the step only). S: traction that turns within the patch meets a stiffer half-space than a
-traction that grows over all of it, the more so the less of it is longitudinal; found on 54 CONTACT results for a/b =
-1.3 and on a coarse half-space solution of our own for a/b = 0.4 to 4.8 (a constant 1.35 is too much for long patches
-with spin and longitudinal creepage). Sums are divided by the sum of the limit, so that full sliding gives mu N on any
-grid. Limits: long patches with much spin, where the error reaches 0.08 mu N.
+Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip (three
+flexibilities would shift its pole) with one mean flexibility [F5], by an exact step [F4]. Kalker
+cuts the traction back radially, which is first order in the step only. S: traction that turns within
+the patch meets a stiffer half-space than traction that grows over all of it, the more so the less of
+it is longitudinal. S was found on 54 CONTACT results for a/b = 1.3 and on our coarse half-space
+solution for a/b = 0.4 to 4.8 (a constant 1.35 is too much for long patches with spin and
+longitudinal creepage). Sums are divided by the sum of the limit, so that full sliding gives mu N on
+any grid. Limits: long patches with much spin, where the error reaches 0.08 mu N.
 """
 
 import math
@@ -27,26 +28,40 @@ import math
 from rollerrig.rig.compiled.kernel import kernel
 
 STIFFENING = 1.6  # S of [F5] without longitudinal creepage
-OPPOSITE = (
-    -0.999999
-)  # cosine of traction against its goal, from where the turn is no longer defined
+# cosine between the traction and its goal below which the direction of the turn is not defined
+OPPOSITE = -0.999999
 
 
 @kernel
 def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
-    """Creep force and moment on the wheel, (fx_N, fy_N, mz_Nm), against creepage and spin.
+    """Return creep force and moment on the wheel; all 0 without load or friction.
 
-    `patch` a `patch.Patch`, phi_1_m the spin in 1/m, `across` strips of `along` cells each.
-    Without load or friction all three are 0.
+    Parameters
+    ----------
+    xi, eta, phi_1_m : longitudinal and lateral creepage, spin
+    mu : friction coefficient
+    load_N : load on the wheel
+    patch : `patch.Patch`
+    along, across : `across` strips of `along` cells each
+
+    Returns
+    -------
+    fx_N, fy_N, mz_Nm : against creepage and spin
     """
     limit = mu * load_N
     if not limit > 0.0:
         return 0.0, 0.0, 0.0
     growth = load_N ** (1.0 / 3.0)
-    a, b = patch.a1 * growth, patch.b1 * growth
+    a = patch.a1 * growth
+    b = patch.b1 * growth
     s1, s2, s3, s = stiffnesses(xi, eta, phi_1_m, a, b, limit, patch)
-    fx, fy, mz, full = 0.0, 0.0, 0.0, 0.0
+
+    fx = 0.0
+    fy = 0.0
+    mz = 0.0
+    full = 0.0  # the sum of the limit over all cells
     for j in range(across):
+        # the strip's middle and its half length, in units of b and a
         y = (2.0 * j + 1.0) / across - 1.0
         edge = math.sqrt(1.0 - y * y)
         # slip per unit of x/a, in units of the largest traction: as stick and as slip see it
@@ -71,11 +86,19 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
 
 @kernel
 def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
-    """a/L1, a/L2, a/L3 and a/L of [F1] and [F5], over the largest traction of [F3]."""
+    """Return a/L1, a/L2, a/L3 of [F1] and a/L of [F5], over the largest traction of [F3].
+
+    Creepages and spin xi, eta, phi_1_m; semi-axes a_m along and b_m across; limit_N = mu N.
+    """
     unit = patch.shear_Pa * math.pi * a_m * b_m / (2.0 * limit_N)
-    s1, s2 = 0.375 * unit * patch.c11, 0.375 * unit * patch.c22
+    s1 = 0.375 * unit * patch.c11
+    s2 = 0.375 * unit * patch.c22
     s3 = 4.0 / math.pi * unit * patch.c23 * math.sqrt(b_m / a_m)
-    x, y, z = abs(xi), abs(eta), abs(phi_1_m) * math.sqrt(a_m * b_m)
+
+    # the mean flexibility, weighted with the parts of the creepage
+    x = abs(xi)
+    y = abs(eta)
+    z = abs(phi_1_m) * math.sqrt(a_m * b_m)
     whole = x + y + z
     if whole == 0.0:
         return s1, s2, s3, s1
@@ -84,30 +107,49 @@ def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
 
 @kernel
 def strip(stick_x, stick_y, stick_spin, slip_x, slip_y, slip_spin, edge, cells):
-    """One strip from x = edge to -edge (in units of a): sums of p_x, p_y, x p_y and of the limit.
+    """Return the sums of p_x, p_y, x p_y and of the limit over a strip, times the width of a cell.
 
-    All four are multiplied by the width of a cell; traction is taken at the middle of each cell.
+    The strip runs from x = edge to -edge, in units of a. Traction is taken at the middle of each cell.
+
+    Parameters
+    ----------
+    stick_x, stick_y, stick_spin : growth of the traction while it sticks [F2]
+    slip_x, slip_y, slip_spin : slip, scaled by the mean flexibility [F4]
+    edge : half length of the strip
+    cells : number of cells
     """
     width = 2.0 * edge / cells
     top = edge * edge
-    px, py, x, h = 0.0, 0.0, edge, 0.5 * width
-    fx, fy, mz, full = 0.0, 0.0, 0.0, 0.0
+    px = 0.0
+    py = 0.0
+    x = edge
+    h = 0.5 * width  # from the edge to the middle of the first cell
+    fx = 0.0
+    fy = 0.0
+    mz = 0.0
+    full = 0.0
     slipping = False
     for _ in range(cells):
         middle = x - 0.5 * h
         x -= h
-        limit = top - x * x
-        tx = px - stick_x * h  # [F2]
+        limit = top - x * x  # [F3]
+        # the traction if the particle sticks [F2]
+        tx = px - stick_x * h
         ty = py - (stick_y + stick_spin * middle) * h
         square = tx * tx + ty * ty
         if square <= limit * limit:
-            px, py, slipping = tx, ty, False
+            px = tx
+            py = ty
+            slipping = False
         elif slipping:
             wy = -(slip_y + slip_spin * middle)
             px, py = turned(px, py, -slip_x, wy, h / (top - middle * middle), limit)  # [F4]
         else:
+            # the first cell that slips: cut back to the limit
             cut = limit / math.sqrt(square)
-            px, py, slipping = tx * cut, ty * cut, True
+            px = tx * cut
+            py = ty * cut
+            slipping = True
         fx += px
         fy += py
         mz += x * py
@@ -118,21 +160,31 @@ def strip(stick_x, stick_y, stick_spin, slip_x, slip_y, slip_spin, edge, cells):
 
 @kernel
 def turned(px, py, wx, wy, step, limit):
-    """A traction of size `limit` that has turned from the direction of (px, py) towards (wx, wy).
+    """Return a traction of size `limit`, turned from the direction of (px, py) towards (wx, wy).
 
-    The half angle's tangent decays with exp(-|w| step) [F4], taken by its inverse series.
+    The tangent of half the angle between them decays with exp(-|w| step) [F4]; the inverse of its
+    series is used.
     """
     speed = math.sqrt(wx * wx + wy * wy)
     size = math.sqrt(px * px + py * py)
     if speed == 0.0 or size == 0.0:
         share = limit / size if size > 0.0 else 0.0
         return px * share, py * share
-    nx, ny = wx / speed, wy / speed
-    cosine, sine = (px * nx + py * ny) / size, (px * ny - py * nx) / size
+
+    # the angle between traction and goal
+    nx = wx / speed
+    ny = wy / speed
+    cosine = (px * nx + py * ny) / size
+    sine = (px * ny - py * nx) / size
     if cosine < OPPOSITE:
-        cosine, sine = OPPOSITE, math.copysign(math.sqrt(1.0 - OPPOSITE * OPPOSITE), sine)
+        cosine = OPPOSITE
+        sine = math.copysign(math.sqrt(1.0 - OPPOSITE * OPPOSITE), sine)
+
     z = speed * step
     half = sine / (1.0 + cosine) / (1.0 + z * (1.0 + z * (0.5 + z / 6.0)))
+
+    # back from the tangent of the half angle to the traction's components
     rest = limit / (1.0 + half * half)
-    cosine, sine = rest * (1.0 - half * half), rest * 2.0 * half
+    cosine = rest * (1.0 - half * half)
+    sine = rest * 2.0 * half
     return nx * cosine + ny * sine, ny * cosine - nx * sine

@@ -2,8 +2,8 @@
 
 At vanishing creepage the whole patch sticks, and the creep force is proportional to creepage and
 spin: F_x = -G a b c11 xi, F_y = -G a b (c22 eta + sqrt(a b) c23 phi), M_z = -G a b (... c33 phi).
-Kalker tabulated the four factors over the shape of the patch and Poisson's ratio; between his
-rows they are interpolated, and beyond them (slender patches) they follow his asymptotes.
+Kalker tabulated the four factors over the shape of the patch and Poisson's ratio. This module
+interpolates between his rows. Beyond them (slender patches) it follows his asymptotes.
 
 [K1] linear in g = min(a/b, b/a) along a row of one Poisson's ratio
 [K2] 1/c quadratic in Poisson's ratio through 0, 1/4 and 1/2
@@ -20,87 +20,59 @@ import numpy as np
 
 from rollerrig.rig.compiled.kernel import kernel
 
-# a row for each shape, from narrow (a/b = 0.1) to long (b/a = 0.1); in it one (c11, c22, c23, c33)
-# for each Poisson's ratio 0, 1/4, 1/2
-TABLE = np.array(
-    (
-        (
-            (2.51, 2.51, 0.334, 6.42),
-            (3.31, 2.52, 0.473, 8.28),
-            (4.85, 2.53, 0.731, 11.7),
-        ),  # a/b = 0.1
-        (
-            (2.59, 2.59, 0.483, 3.46),
-            (3.37, 2.63, 0.603, 4.27),
-            (4.81, 2.66, 0.809, 5.66),
-        ),  # a/b = 0.2
-        (
-            (2.68, 2.68, 0.607, 2.49),
-            (3.44, 2.75, 0.715, 2.96),
-            (4.8, 2.81, 0.889, 3.72),
-        ),  # a/b = 0.3
-        (
-            (2.78, 2.78, 0.72, 2.02),
-            (3.53, 2.88, 0.823, 2.32),
-            (4.82, 2.98, 0.977, 2.77),
-        ),  # a/b = 0.4
-        (
-            (2.88, 2.88, 0.827, 1.74),
-            (3.62, 3.01, 0.929, 1.93),
-            (4.83, 3.14, 1.07, 2.22),
-        ),  # a/b = 0.5
-        ((2.98, 2.98, 0.93, 1.56), (3.72, 3.14, 1.03, 1.68), (4.91, 3.31, 1.18, 1.86)),  # a/b = 0.6
-        ((3.09, 3.09, 1.03, 1.43), (3.81, 3.28, 1.14, 1.5), (4.97, 3.48, 1.29, 1.6)),  # a/b = 0.7
-        ((3.19, 3.19, 1.13, 1.34), (3.91, 3.41, 1.25, 1.37), (5.05, 3.65, 1.4, 1.42)),  # a/b = 0.8
-        ((3.29, 3.29, 1.23, 1.27), (4.01, 3.54, 1.36, 1.27), (5.12, 3.82, 1.51, 1.27)),  # a/b = 0.9
-        ((3.4, 3.4, 1.33, 1.21), (4.12, 3.67, 1.47, 1.19), (5.2, 3.98, 1.63, 1.16)),  # a/b = 1.0
-        ((3.51, 3.51, 1.44, 1.16), (4.22, 3.81, 1.59, 1.11), (5.3, 4.16, 1.77, 1.06)),  # b/a = 0.9
-        ((3.65, 3.65, 1.58, 1.1), (4.36, 3.99, 1.75, 1.04), (5.42, 4.39, 1.94, 0.954)),  # b/a = 0.8
-        (
-            (3.82, 3.82, 1.76, 1.05),
-            (4.54, 4.21, 1.95, 0.965),
-            (5.58, 4.67, 2.18, 0.852),
-        ),  # b/a = 0.7
-        ((4.06, 4.06, 2.01, 1.01), (4.78, 4.5, 2.23, 0.892), (5.8, 5.04, 2.5, 0.751)),  # b/a = 0.6
-        ((4.37, 4.37, 2.35, 0.958), (5.1, 4.9, 2.62, 0.819), (6.11, 5.56, 2.96, 0.65)),  # b/a = 0.5
-        (
-            (4.84, 4.84, 2.88, 0.912),
-            (5.57, 5.48, 3.24, 0.747),
-            (6.57, 6.31, 3.7, 0.549),
-        ),  # b/a = 0.4
-        (
-            (5.57, 5.57, 3.79, 0.868),
-            (6.34, 6.4, 4.32, 0.674),
-            (7.34, 7.51, 5.01, 0.446),
-        ),  # b/a = 0.3
-        (
-            (6.96, 6.96, 5.72, 0.828),
-            (7.78, 8.14, 6.63, 0.601),
-            (8.82, 9.79, 7.89, 0.341),
-        ),  # b/a = 0.2
-        (
-            (10.7, 10.7, 12.2, 0.795),
-            (11.7, 12.8, 14.6, 0.526),
-            (12.9, 16.0, 18.0, 0.228),
-        ),  # b/a = 0.1
-    )
-)
-END, SPACING, LAST = 0.1, 0.1, len(TABLE) - 1
-SLENDEREST = 1e-6  # patches more slender than this are taken as this
+# One row for each shape of the patch, from narrow (a/b = 0.1) to long (b/a = 0.1). In it are three
+# quadruples (c11, c22, c23, c33), for the Poisson's ratios 0, 1/4 and 1/2.
+# fmt: off
+TABLE = np.array((
+    ((2.51, 2.51, 0.334, 6.42), (3.31, 2.52, 0.473, 8.28), (4.85, 2.53, 0.731, 11.7)),  # a/b = 0.1
+    ((2.59, 2.59, 0.483, 3.46), (3.37, 2.63, 0.603, 4.27), (4.81, 2.66, 0.809, 5.66)),  # a/b = 0.2
+    ((2.68, 2.68, 0.607, 2.49), (3.44, 2.75, 0.715, 2.96), (4.8, 2.81, 0.889, 3.72)),  # a/b = 0.3
+    ((2.78, 2.78, 0.72, 2.02), (3.53, 2.88, 0.823, 2.32), (4.82, 2.98, 0.977, 2.77)),  # a/b = 0.4
+    ((2.88, 2.88, 0.827, 1.74), (3.62, 3.01, 0.929, 1.93), (4.83, 3.14, 1.07, 2.22)),  # a/b = 0.5
+    ((2.98, 2.98, 0.93, 1.56), (3.72, 3.14, 1.03, 1.68), (4.91, 3.31, 1.18, 1.86)),  # a/b = 0.6
+    ((3.09, 3.09, 1.03, 1.43), (3.81, 3.28, 1.14, 1.5), (4.97, 3.48, 1.29, 1.6)),  # a/b = 0.7
+    ((3.19, 3.19, 1.13, 1.34), (3.91, 3.41, 1.25, 1.37), (5.05, 3.65, 1.4, 1.42)),  # a/b = 0.8
+    ((3.29, 3.29, 1.23, 1.27), (4.01, 3.54, 1.36, 1.27), (5.12, 3.82, 1.51, 1.27)),  # a/b = 0.9
+    ((3.4, 3.4, 1.33, 1.21), (4.12, 3.67, 1.47, 1.19), (5.2, 3.98, 1.63, 1.16)),  # a/b = 1.0
+    ((3.51, 3.51, 1.44, 1.16), (4.22, 3.81, 1.59, 1.11), (5.3, 4.16, 1.77, 1.06)),  # b/a = 0.9
+    ((3.65, 3.65, 1.58, 1.1), (4.36, 3.99, 1.75, 1.04), (5.42, 4.39, 1.94, 0.954)),  # b/a = 0.8
+    ((3.82, 3.82, 1.76, 1.05), (4.54, 4.21, 1.95, 0.965), (5.58, 4.67, 2.18, 0.852)),  # b/a = 0.7
+    ((4.06, 4.06, 2.01, 1.01), (4.78, 4.5, 2.23, 0.892), (5.8, 5.04, 2.5, 0.751)),  # b/a = 0.6
+    ((4.37, 4.37, 2.35, 0.958), (5.1, 4.9, 2.62, 0.819), (6.11, 5.56, 2.96, 0.65)),  # b/a = 0.5
+    ((4.84, 4.84, 2.88, 0.912), (5.57, 5.48, 3.24, 0.747), (6.57, 6.31, 3.7, 0.549)),  # b/a = 0.4
+    ((5.57, 5.57, 3.79, 0.868), (6.34, 6.4, 4.32, 0.674), (7.34, 7.51, 5.01, 0.446)),  # b/a = 0.3
+    ((6.96, 6.96, 5.72, 0.828), (7.78, 8.14, 6.63, 0.601), (8.82, 9.79, 7.89, 0.341)),  # b/a = 0.2
+    ((10.7, 10.7, 12.2, 0.795), (11.7, 12.8, 14.6, 0.526), (12.9, 16.0, 18.0, 0.228)),  # b/a = 0.1
+))
+# fmt: on
+END = 0.1  # smallest g = min(a/b, b/a) of the table
+SPACING = 0.1  # of g from row to row
+LAST = len(TABLE) - 1
+SLENDEREST = 1e-6  # more slender patches count as this
+# columns of the coefficients in TABLE, and layers of the Poisson's ratios
+_C11, _C22, _C23, _C33 = range(4)
+_NU_0, _NU_QUARTER, _NU_HALF = range(3)
 
 
 @kernel
 def coefficients(a_over_b, poisson):
-    """(c11, c22, c23, c33) for semi-axes a along and b across; a_over_b counts as 1e-6 .. 1e6, poisson as 0 .. 0.5."""
+    """Return Kalker's (c11, c22, c23, c33) of an elliptic patch.
+
+    `a_over_b` is the semi-axis along over the one across; it counts as 1e-6 .. 1e6. `poisson` counts
+    as 0 .. 0.5.
+    """
     nu = min(max(poisson, 0.0), 0.5)
     ratio = min(max(a_over_b, SLENDEREST), 1.0 / SLENDEREST)
     long_patch = ratio > 1.0
     g = 1.0 / ratio if long_patch else ratio
+
     # one coordinate over all rows: 0.1 .. 1 is a/b, 1 .. 1.9 is 2 - b/a
     along = max(g, END)
     place = ((2.0 - along if long_patch else along) - END) / SPACING
     if g >= END:
         return _interpolated(place, nu)
+
+    # more slender than the table: the asymptote, matched to the table's end [K3]
     c11, c22, c23, c33 = _interpolated(place, nu)
     e11, e22, e23, e33 = _asymptote(END, long_patch, nu)
     s11, s22, s23, s33 = _asymptote(g, long_patch, nu)
@@ -115,33 +87,40 @@ def coefficients(a_over_b, poisson):
 
 @kernel
 def _interpolated(place, nu):
-    """The four coefficients at a fractional row of TABLE and a Poisson's ratio."""
+    """Return the four coefficients at a fractional row `place` of TABLE and a Poisson's ratio."""
     row = min(max(int(place), 0), LAST - 1)
     share = place - row
     return (
-        _one(row, share, nu, 0),
-        _one(row, share, nu, 1),
-        _one(row, share, nu, 2),
-        _one(row, share, nu, 3),
+        _coefficient(row, share, nu, _C11),
+        _coefficient(row, share, nu, _C22),
+        _coefficient(row, share, nu, _C23),
+        _coefficient(row, share, nu, _C33),
     )
 
 
 @kernel
-def _one(row, share, nu, which):
-    """One coefficient, `share` of the way from `row` to the next."""
-    low = TABLE[row, 0, which] * (1.0 - share) + TABLE[row + 1, 0, which] * share  # [K1]
-    mid = TABLE[row, 1, which] * (1.0 - share) + TABLE[row + 1, 1, which] * share
-    top = TABLE[row, 2, which] * (1.0 - share) + TABLE[row + 1, 2, which] * share
+def _coefficient(row, share, nu, which):
+    """Return one coefficient, `share` of the way from `row` to the next one."""
+    # at the three tabulated Poisson's ratios [K1]
+    low = TABLE[row, _NU_0, which] * (1.0 - share) + TABLE[row + 1, _NU_0, which] * share
+    mid = (
+        TABLE[row, _NU_QUARTER, which] * (1.0 - share) + TABLE[row + 1, _NU_QUARTER, which] * share
+    )
+    top = TABLE[row, _NU_HALF, which] * (1.0 - share) + TABLE[row + 1, _NU_HALF, which] * share
+    # Lagrange's parabola through the three inverses [K2]
     return 1.0 / (
         (1.0 - 4.0 * nu) * (1.0 - 2.0 * nu) / low
-        + 8.0 * nu * (1.0 - 2.0 * nu) / mid  # [K2], Lagrange
+        + 8.0 * nu * (1.0 - 2.0 * nu) / mid
         + 2.0 * nu * (4.0 * nu - 1.0) / top
     )
 
 
 @kernel
 def _asymptote(g, long_patch, nu):
-    """(c11, c22, c23, c33) of a slender patch, g = min(a/b, b/a) -> 0."""
+    """Return (c11, c22, c23, c33) of a slender patch, g = min(a/b, b/a) -> 0.
+
+    `long_patch` is true for a > b.
+    """
     L = math.log(16.0 / (g * g))
     s = (1.0 - nu) * L
     tail = 3.0 - math.log(4.0)

@@ -89,7 +89,7 @@ def polach_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
         law.k_ad,
         law.k_sd,
     )
-    return fx, fy, moment(approached[2], eta, phi_1_m, limit, a, b, patch), inside
+    return fx, fy, moment(approached.linear_N, eta, phi_1_m, limit, a, b, patch), inside
 
 
 @kernel_inlined
@@ -127,7 +127,7 @@ def recovering_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     return (
         between(dx, rx, lambda_),
         between(dy, ry, lambda_),
-        moment(approached[2], eta, phi_1_m, between(limit_d, limit_r, lambda_), a, b, patch),
+        moment(approached.linear_N, eta, phi_1_m, between(limit_d, limit_r, lambda_), a, b, patch),
         inside * solved,
     )
 
@@ -145,8 +145,8 @@ def semi_axes(load_N, patch):
 def limited(approached, xi, eta, sliding_m_s, load_N, mu_c, A, gamma_s_m, k_a, k_s):
     """The friction limit in N and the force (fx_N, fy_N) within it."""
     limit_N = load_N * friction(sliding_m_s, mu_c, A, gamma_s_m)
-    fx, fy = polach_spin.shared(
-        approached, xi, eta, limit_N, shape(approached[4] * (1.0 / limit_N), k_a, k_s)
+    fx, fy = polach_spin.force_of_share(
+        approached, xi, eta, limit_N, shape(approached.eps_limit_N * (1.0 / limit_N), k_a, k_s)
     )
     return limit_N, fx, fy
 
