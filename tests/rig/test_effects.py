@@ -261,10 +261,12 @@ def test_a_memory_of_no_length_to_speak_of_is_the_base_model(of_work) -> None:
 def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(power) -> None:
     built = extended(adhesion_memory_length_m=3.0, adhesion_memory_speed_power=power).effects
     row = np.zeros(parameters.PARAMETERS)
-    row[parameters.MEMORY], row[parameters.MEMORY_POWER] = 3.0, power
+    row[parameters.MEMORY] = 3.0
+    row[parameters.MEMORY_POWER] = power
+    model = parameters.WheelModel(*row)
     for speed_m_s in (0.1, 5.0, 20.0, 44.0):
         assert wheelset.lagged_transition(0.0, 1.0, speed_m_s, 0.01, built) == pytest.approx(
-            replay.closes(speed_m_s, 0.01, row), rel=1e-12
+            replay.lag_share(speed_m_s, 0.01, model), rel=1e-12
         )
     standing = wheelset.lagged_transition(0.2, 1.0, 0.0, 0.01, built)
     assert 0.2 <= standing < 0.3

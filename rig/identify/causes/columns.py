@@ -18,7 +18,7 @@ from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import AXLES
 from rollerrig.rig.identify.replay import sensitivity
-from rollerrig.rig.identify.replay.sensitivity import Inputs, Linear
+from rollerrig.rig.identify.replay.sensitivity import Inputs, LinearisedReplay
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, TORQUE, VEHICLE
 
 PLACE_BIN_M = 25.0
@@ -71,7 +71,7 @@ class SensitivityMatrix(NamedTuple):
 class _Writer:
     """Collects columns: courses of the wheels (flat) with the segments where they act, and vehicle parts (flat)."""
 
-    def __init__(self, design: Design, inputs: Inputs, linear: Linear) -> None:
+    def __init__(self, design: Design, inputs: Inputs, linear: LinearisedReplay) -> None:
         self.design, self.inputs, self.linear = design, inputs, linear
         self.torque = smooth_torque(design, inputs.torque_Nm)
         self.columns: list[Column] = []
@@ -170,7 +170,7 @@ def vehicle_mass(design: Design) -> np.ndarray:
 
 def write(
     design: Design, inputs: Inputs, causes: Sequence[candidates.Cause] = (), search: bool = True
-) -> tuple[SensitivityMatrix, Linear]:
+) -> tuple[SensitivityMatrix, LinearisedReplay]:
     """Columns of a design around a replay, and that replay: base, the causes in it, all of the search."""
     tried = {row.name: row.shapes if search else () for row in table.TABLE}
     wanted = [
@@ -352,7 +352,7 @@ def _times(d: Design, part: np.ndarray | None, of: np.ndarray) -> np.ndarray | N
 
 
 # along which smooth functions are tried, as the replay or the measurement has it
-ALONG: dict[str, Callable[[Design, Linear], np.ndarray]] = {
+ALONG: dict[str, Callable[[Design, LinearisedReplay], np.ndarray]] = {
     "sliding": lambda d, l: l.sliding_m_s,
     "speed": lambda d, l: d.speed_m_s,
     "time": lambda d, l: d.time_s,

@@ -18,7 +18,7 @@ class WheelModel(NamedTuple):
 
     wheel_radius_m: float
     wheelset_inertia_kgm2: float
-    # the adhesion law, `adhesion.Law` without its last field
+    # the adhesion law: the fields of `adhesion.Law`, the last of which is below
     mu_cd: float
     mu_cr: float
     A_d: float

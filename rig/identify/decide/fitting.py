@@ -20,7 +20,7 @@ from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.replay import sensitivity
-from rollerrig.rig.identify.replay.sensitivity import Linear
+from rollerrig.rig.identify.replay.sensitivity import LinearisedReplay
 
 MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0
 LONGEST_M = 16.0  # irregularity of the rail is short: what lasts longer is to be explained, not to be called noise
@@ -73,7 +73,7 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
 
 def normal_equations(
     design: Design, explanation: Explanation, search: bool = True
-) -> tuple[NormalEquations, Linear, Answers]:
+) -> tuple[NormalEquations, LinearisedReplay, Answers]:
     """Normal equations around an explanation, its replay, the whitened answers."""
     i = inputs(design, explanation)
     matrix, linear = columns.write(design, i, explanation.causes, search)
@@ -94,7 +94,10 @@ def normal_equations(
 
 
 def _answers(
-    design: Design, matrix: SensitivityMatrix, linear: Linear, exact: dict[int, np.ndarray]
+    design: Design,
+    matrix: SensitivityMatrix,
+    linear: LinearisedReplay,
+    exact: dict[int, np.ndarray],
 ) -> Answers:
     answers = []
     for s in range(design.segments):
@@ -109,7 +112,7 @@ def _answers(
             held = np.flatnonzero(number >= 0)
             changes[held, np.searchsorted(own[:kept], number[held])] = matrix.in_bins[at][held]
         Z = np.empty((len(changes), own.size), changes.dtype)
-        sensitivity.answer(changes, linear.variance[at], linear.coefficients[at], Z)
+        sensitivity.response(changes, linear.variance[at], linear.coefficients[at], Z)
         Z[:, kept:] = 0.0  # another shape of memory than the one that is taken
         places = np.full(matrix.course.max() + 2, -1)  # in Z of each course; the last for none
         places[own] = np.arange(own.size)
@@ -122,7 +125,7 @@ def _answers(
         live = np.flatnonzero(matrix.vehicle[:, at].any(axis=1))
         changes = np.ascontiguousarray(matrix.vehicle[live, at].T)
         V = np.empty_like(changes)
-        sensitivity.vehicle_answer(
+        sensitivity.vehicle_response(
             changes, linear.vehicle_variance[at], design.speed_noise_m_s, design.step_s, V
         )
         answers.append((matrix.on_vehicle[live], np.arange(live.size), V))
@@ -144,7 +147,7 @@ def _by_differences(
     design: Design,
     explanation: Explanation,
     matrix: SensitivityMatrix,
-    linear: Linear,
+    linear: LinearisedReplay,
     search: bool,
 ) -> dict[int, np.ndarray]:
     """Answers of the wheels by their courses: to a memory, and beside one to all that is fitted.

@@ -20,39 +20,78 @@ from rollerrig.rig.compiled.variants import variant
 from rollerrig.rig.compiled.vector_math import MATH
 from rollerrig.rig.identify.causes import columns
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
-from rollerrig.rig.identify.data import parameters
+from rollerrig.rig.identify.data.parameters import MEMORY, RADIUS
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.replay import lanes, replay
 from rollerrig.rig.identify.replay.sensitivity import Inputs
 
 SUBSTEPS = 5
-FEEDBACK_NS, FEEDBACK_LAG_S = 2000.0, 0.4
-_GRID_M = 0.25
+# feedback on sliding, as a WSP would give: torque in N m for a sliding that is too small by 1 m/s
+FEEDBACK_NS = 2000.0
+FEEDBACK_LAG_S = 0.4
+VENTING_GAIN = 3.0  # the feedback is stronger by this where sliding is too large by more than
+VENTING_SLIDING_M_S = 1.0  # this: the WSP vents the brake
+SLOWEST_M_S = 0.3
+_GRID_M = 0.25  # of the irregularity of the rail
+_GRID_CELLS_IN_FRONT = 400.0  # the grid begins 100 m before the start of a stop
+
+# The cells hold a number for each wheelset; the rows of the state and of the inputs begin here. They
+# are below the rows of the parameters, where `lanes.lane_model` reads.
+OMEGA = 0
+FEEDBACK = OMEGA + AXLES
+LAMBDA = FEEDBACK + AXLES
+SURFACE = LAMBDA + AXLES
+LOAD = SURFACE + AXLES
+DEGRADED = LOAD + AXLES
+RECOVERED = DEGRADED + AXLES
+SLIDING = RECOVERED + AXLES
+TORQUE = SLIDING + AXLES
+IRREGULARITY = TORQUE + AXLES
+FORCE = IRREGULARITY + AXLES
 
 
 @kernel_inlined
 def wheel_step(
-    omega, feedback, late, under, N, degraded, recovered, wanted, irregularity, torque, p, h
+    omega,
+    feedback,
+    lambda_,
+    surface,
+    load,
+    degraded,
+    recovered,
+    wanted_sliding,
+    irregularity,
+    torque,
+    model,
+    h,
 ):
-    """(omega, feedback, lambda, force / h on the vehicle) of one wheelset after a step h."""
-    r, inertia = p[0], p[1]
-    irregular, s = math.exp(irregularity), under - r * omega
-    f, rise, late = replay.wheel_adhesion(
-        s, under, 0.5 * N, degraded, recovered, p, late, replay.closes(under, h, p)
+    """Returns (omega, feedback, lambda, force on the vehicle) of one wheelset after a step h [Q1].
+
+    The force in N is the mean of the step: what wheel and brake leave for the vehicle.
+    """
+    r = model.wheel_radius_m
+    missing = wanted_sliding - (surface - r * omega)
+    aim = FEEDBACK_NS * missing + VENTING_GAIN * FEEDBACK_NS * min(
+        missing + VENTING_SLIDING_M_S, 0.0
     )
-    off = wanted - s
-    # far too much sliding vents the brake
-    aim = FEEDBACK_NS * off + 3.0 * FEEDBACK_NS * min(off + 1.0, 0.0)
     feedback += (aim - feedback) * h / FEEDBACK_LAG_S
-    C = max(0.0, torque + feedback)
-    T = N * f * irregular
-    a = -r * r * N * rise * irregular / inertia
-    z = min(a * h, 2.0)
-    phi = math.expm1(z) / z if abs(z) > 1e-6 else 1.0
-    change = h * phi * (r * T - C) / inertia
-    # the vehicle feels the mean force: what wheel and brake leave
-    return max(0.0, omega + change), feedback, late, (C + inertia * change / h) / r
+    brake = max(0.0, torque + feedback)
+    step = replay.wheel_step(
+        omega,
+        surface,
+        load,
+        brake,
+        degraded,
+        recovered,
+        math.exp(irregularity),
+        model,
+        lambda_,
+        replay.lag_share(surface, h, model),
+        h,
+    )
+    force = (brake + model.wheelset_inertia_kgm2 * step.change_rad_s / h) / r
+    return max(0.0, omega + step.change_rad_s), feedback, step.lambda_, force
 
 
 @kernel_inlined
@@ -70,66 +109,78 @@ def _drive(
     resistance,
     speed0,
     step_s,
-    follows,
+    on_rollers,
     cells,
     out_speed,
     out_wheel,
     out_torque,
 ):
+    """Does what `drive` does; returns False, with the work unfinished, where a force is NaN."""
     n = len(torque)
     h = step_s / SUBSTEPS
-    v, x = speed0, 0.0
-    lanes.tell(parameters, cells)
+    v = speed0
+    x = 0.0
+    lanes.store_models(parameters, cells)
     for j in range(AXLES):
-        cells[j], cells[4 + j], cells[8 + j] = (v - sliding[0, j]) / parameters[j, 0], 0.0, 0.0
+        cells[OMEGA + j] = (v - sliding[0, j]) / parameters[j, RADIUS]
+        cells[FEEDBACK + j] = 0.0
+        cells[LAMBDA + j] = 0.0
+
     for k in range(n):
         out_speed[k] = v
         for j in range(AXLES):
-            out_wheel[k, j] = cells[j]
-            out_torque[k, j] = max(0.0, torque[k, j] + cells[4 + j])
+            out_wheel[k, j] = cells[OMEGA + j]
+            out_torque[k, j] = max(0.0, torque[k, j] + cells[FEEDBACK + j])
         if k + 1 == n:
             break
+
         for i in range(SUBSTEPS):
-            w = (i + 0.5) / SUBSTEPS
+            w = (i + 0.5) / SUBSTEPS  # the middle of the substep, between the two samples
             force = resistance[0] + resistance[1] * v + resistance[2] * v * v + extra_N[k]
             for j in range(AXLES):
-                cells[12 + j] = (1.0 - w) * surface[k, j] + w * surface[k + 1, j] if follows else v
-                cells[16 + j] = (1.0 - w) * load[k, j] + w * load[k + 1, j]
-                for q in range(2):
-                    cells[20 + 20 * q + j] = (1.0 - w) * friction[q, k, j] + w * friction[
-                        q, k + 1, j
-                    ]
-                cells[24 + j] = (1.0 - w) * sliding[k, j] + w * sliding[k + 1, j]
-                cells[28 + j] = (1.0 - w) * torque[k, j] + w * torque[k + 1, j]
-                at = (x - place[j]) / _GRID_M + 400.0
+                cells[SURFACE + j] = v
+                if on_rollers:
+                    cells[SURFACE + j] = (1.0 - w) * surface[k, j] + w * surface[k + 1, j]
+                cells[LOAD + j] = (1.0 - w) * load[k, j] + w * load[k + 1, j]
+                cells[DEGRADED + j] = (1.0 - w) * friction[0, k, j] + w * friction[0, k + 1, j]
+                cells[RECOVERED + j] = (1.0 - w) * friction[1, k, j] + w * friction[1, k + 1, j]
+                cells[SLIDING + j] = (1.0 - w) * sliding[k, j] + w * sliding[k + 1, j]
+                cells[TORQUE + j] = (1.0 - w) * torque[k, j] + w * torque[k + 1, j]
+                at = (x - place[j]) / _GRID_M + _GRID_CELLS_IN_FRONT
                 cell = min(max(int(at), 0), field.shape[0] - 2)
                 share = min(max(at - cell, 0.0), 1.0)
-                cells[32 + j] = (1.0 - share) * field[cell, j] + share * field[cell + 1, j]
+                cells[IRREGULARITY + j] = (1.0 - share) * field[cell, j] + share * field[
+                    cell + 1, j
+                ]
             for j in range(AXLES):
-                cells[j], cells[4 + j], cells[8 + j], cells[36 + j] = wheel_step(
-                    cells[j],
-                    cells[4 + j],
-                    cells[8 + j],
-                    cells[12 + j],
-                    cells[16 + j],
-                    cells[20 + j],
-                    cells[40 + j],
-                    cells[24 + j],
-                    cells[32 + j],
-                    cells[28 + j],
-                    lanes.row(cells, j),
+                omega, feedback, lambda_, force_of_wheelset = wheel_step(
+                    cells[OMEGA + j],
+                    cells[FEEDBACK + j],
+                    cells[LAMBDA + j],
+                    cells[SURFACE + j],
+                    cells[LOAD + j],
+                    cells[DEGRADED + j],
+                    cells[RECOVERED + j],
+                    cells[SLIDING + j],
+                    cells[IRREGULARITY + j],
+                    cells[TORQUE + j],
+                    lanes.lane_model(cells, j),
                     h,
                 )
+                cells[OMEGA + j] = omega
+                cells[FEEDBACK + j] = feedback
+                cells[LAMBDA + j] = lambda_
+                cells[FORCE + j] = force_of_wheelset
             for j in range(AXLES):
-                force += cells[36 + j]
+                force += cells[FORCE + j]
             if math.isnan(force):
                 return False
             x += h * v
-            v = max(0.3, v - h * force / mass)
+            v = max(SLOWEST_M_S, v - h * force / mass)
     return True
 
 
-_quick = variant(_drive, wheel_step=variant(wheel_step, math=MATH, replay=lanes.REPLAY))
+_drive_in_lanes = variant(_drive, wheel_step=variant(wheel_step, math=MATH, replay=lanes.REPLAY))
 
 
 @kernel
@@ -147,33 +198,44 @@ def drive(
     resistance,
     speed0,
     step_s,
-    follows,
+    on_rollers,
     cells,
     out_speed,
     out_wheel,
     out_torque,
 ):
-    """One stop [Q1]: inputs (n, 4), writes speed (n,), wheel speed and torque (n, 4)."""
-    if parameters[0, 14] > 0.0 or not _quick(
-        torque,
-        sliding,
-        load,
-        friction,
-        surface,
-        field,
-        place,
-        parameters,
-        mass,
-        extra_N,
-        resistance,
-        speed0,
-        step_s,
-        follows,
-        cells,
-        out_speed,
-        out_wheel,
-        out_torque,
-    ):
+    """Simulates one stop [Q1] and writes speed (n,), and wheel speed and torque (n, AXLES).
+
+    `torque`, `sliding`, `load` and `surface` (n, AXLES) and `friction` (2, n, AXLES) are inputs; with
+    `on_rollers` the surface has the speeds of `surface`, otherwise that of the vehicle. `field` (cells,
+    AXLES) is the irregularity of the rail, `place` (AXLES,) the distance of the wheelsets behind the
+    first one. `extra_N` (n,) is added to the `resistance` (A, B, C). `cells` (lanes.CELLS,) is work
+    space.
+    """
+    # vector code has no adhesion memory, and no adhesion law where recovered is below degraded
+    done = False
+    if parameters[0, MEMORY] <= 0.0:
+        done = _drive_in_lanes(
+            torque,
+            sliding,
+            load,
+            friction,
+            surface,
+            field,
+            place,
+            parameters,
+            mass,
+            extra_N,
+            resistance,
+            speed0,
+            step_s,
+            on_rollers,
+            cells,
+            out_speed,
+            out_wheel,
+            out_torque,
+        )
+    if not done:
         _drive(
             torque,
             sliding,
@@ -188,7 +250,7 @@ def drive(
             resistance,
             speed0,
             step_s,
-            follows,
+            on_rollers,
             cells,
             out_speed,
             out_wheel,
@@ -234,8 +296,8 @@ def runs(
     lift, weight = rng.normal(0.0, design.calibration, AXLES), rng.normal(0.0, design.calibration)
     torque = columns.smooth_torque(design, i.torque_Nm)
     # the sliding that the feedback aims at, with the wheel radius of the explanation
-    radius = np.repeat(i.parameters[:, parameters.RADIUS], np.diff(design.start))
-    wheel = (design.speed_m_s - design.sliding_m_s) / design.base[parameters.RADIUS]
+    radius = np.repeat(i.parameters[:, RADIUS], np.diff(design.start))
+    wheel = (design.speed_m_s - design.sliding_m_s) / design.base[RADIUS]
     sliding = design.speed_m_s - radius * wheel
     # all runs go over the same rail: what it does to one it does to the next
     longest = float(np.max(np.diff(design.start))) * design.step_s * float(design.speed_m_s.max())

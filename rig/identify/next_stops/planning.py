@@ -223,7 +223,7 @@ def _simulated(on: Ground, stop: Stop, explanation: Explanation) -> tuple[Design
     """A stop as the fitted base would run it, prepared like a measured one."""
     base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
     expected = explanation._replace(base=base | {"ln_mu_cd_0": explanation.level})
-    rough = prototype.run(on.data, on.design.base, stop, expected)
+    rough = prototype.rough_run(on.data, on.design.base, stop, expected)
     design = _noisy(prepare(on.data, [rough]), on.design)
     made = simulate.runs(on.data, design, [rough], expected, np.random.default_rng(3))
     return _noisy(prepare(on.data, made), on.design), expected

@@ -1,13 +1,17 @@
-"""The replay of the wheelsets of two runs at once, side by side in the processor's vectors.
+"""Replays the wheelsets of two runs simultaneously, side by side in the processor's vector registers.
 
-The filter of `replay` and the law of adhesion are the same sources, compiled once more with the functions of
-`vector_math`, which the compiler can turn into vector instructions.
-Where recovered adhesion lies below degraded, the law needs more than that: the replay is then no number, and the
-wheelsets go one by one.
+The filters of `replay` and `memory_replay` and the adhesion law have one source each. Here the same
+sources are compiled a second time, with the functions of `vector_math`, which the compiler can turn
+into vector instructions. Where recovered adhesion is below degraded, the law needs more than these
+functions: the result is then NaN, and the caller replays the wheelsets one by one.
+
+A loop over the lanes (the wheelsets of both runs) reads and writes one array only, `cells`. It holds a
+row of LANES numbers for each quantity, at known places. The compiler then needs no check that arrays
+overlap, and such a check would prevent the vector instructions.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
@@ -15,17 +19,23 @@ from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.compiled.variants import module_variant, variant
 from rollerrig.rig.compiled.vector_math import MATH
 from rollerrig.rig.contact import adhesion, polach
-from rollerrig.rig.identify.data.parameters import PARAMETERS
+from rollerrig.rig.identify.data.parameters import MEMORY, PARAMETERS, WheelModel, wheel_model
 from rollerrig.rig.identify.replay import memory_replay, replay
+
+LANES = 2 * AXLES
+
+# --- the law and the filter with vector mathematics ---
 
 
 @kernel_inlined
-def _one(*_):
+def _no_lag(*_):
+    """Returns 1: lambda goes all of its way in a step. Takes the place of `replay.lag_share`."""
     return 1.0
 
 
 @kernel_inlined
-def _none(_):
+def _not_a_number(_):
+    """Returns NaN. Takes the place of Lambert's function, which has no vector form."""
     return math.nan
 
 
@@ -37,7 +47,7 @@ _polach = module_variant(
         friction=variant(polach.friction, math=MATH),
     ),
 )
-_recovery = variant(adhesion.recovery, math=MATH, lambert_w0=_none)
+_recovery = variant(adhesion.recovery, math=MATH, lambert_w0=_not_a_number)
 _adhesion = module_variant(
     adhesion,
     curves=variant(adhesion.curves, math=MATH, polach=_polach),
@@ -45,170 +55,227 @@ _adhesion = module_variant(
 )
 _curves = variant(replay.curves, math=MATH, adhesion=_adhesion)
 _wheel_adhesion = variant(replay.wheel_adhesion, adhesion=_adhesion, curves=_curves)
-REPLAY = module_variant(replay, wheel_adhesion=_wheel_adhesion, closes=_one)
-_law_lagging = module_variant(
+_wheel_step = variant(replay.wheel_step, math=MATH, wheel_adhesion=_wheel_adhesion)
+# the module `replay` for callers that have vector mathematics and no adhesion memory
+REPLAY = module_variant(
+    replay, wheel_adhesion=_wheel_adhesion, wheel_step=_wheel_step, lag_share=_no_lag
+)
+
+_adhesion_with_memory = module_variant(
     adhesion,
     f_and_lambda=_adhesion.f_and_lambda,
     lag_rate_1_s=variant(adhesion.lag_rate_1_s, math=MATH),
 )
-_step_of = variant(memory_replay.step_of, math=MATH)
-_Row = NamedTuple("_Row", [(f"p{k}", float) for k in range(PARAMETERS)])
-LANES = 2 * AXLES
-# cells: the state, what is measured, the inputs, what is told, the parameters; LANES of each
-_MEASURED = len(memory_replay.State._fields) * LANES
-_INPUT, _TOLD, _PARAMETERS = _MEASURED + LANES, _MEASURED + 6 * LANES, _MEASURED + 8 * LANES
-CELLS = _PARAMETERS + LANES * PARAMETERS
-row = tuple_builder(
-    _Row, "cells, j", [f"cells[{_PARAMETERS + LANES * k} + j]" for k in range(PARAMETERS)]
+_matrix_step = variant(memory_replay.matrix_step, math=MATH)
+
+
+# --- the cells: rows of LANES numbers ---
+
+STATE_ROWS = len(memory_replay.MemoryFilterState._fields)  # of the larger of both filters
+INPUTS = 5  # speed, load, torque, factor of the degraded friction, of the recovered
+M = memory_replay.MemoryFilterState._fields.index("m") * LANES  # also that of `replay.FilterState`
+
+# where the rows begin, after those of the state
+MEASURED = STATE_ROWS * LANES
+SPEED = MEASURED + LANES
+LOAD = SPEED + LANES
+TORQUE = LOAD + LANES
+DEGRADED = TORQUE + LANES
+RECOVERED = DEGRADED + LANES
+INNOVATION = RECOVERED + LANES
+VARIANCE = INNOVATION + LANES
+MODEL = VARIANCE + LANES  # PARAMETERS rows
+CELLS = MODEL + LANES * PARAMETERS
+
+# builds the WheelModel of lane j
+lane_model = tuple_builder(
+    WheelModel, "cells, j", [f"cells[{MODEL + LANES * k} + j]" for k in range(PARAMETERS)]
 )
-
-told = tuple_builder(_Row, "p", [f"p[{k}]" for k in range(PARAMETERS)])
-_WIDE = 16
-LONG = 7 * _WIDE
-
-
-@kernel
-def along(sliding, speed, load, friction, p, cells, out):
-    """What `replay.along` gives where recovery does not lag, many samples at once."""
-    fixed = told(p)
-    for first in range(0, sliding.size, _WIDE):
-        here = min(_WIDE, sliding.size - first)
-        for j in range(_WIDE):
-            k = first + min(j, here - 1)
-            cells[j], cells[_WIDE + j] = sliding[k], speed[k]
-            cells[2 * _WIDE + j], cells[3 * _WIDE + j], cells[4 * _WIDE + j] = (
-                load[k],
-                friction[0, k],
-                friction[1, k],
-            )
-        for j in range(_WIDE):
-            cells[5 * _WIDE + j], cells[6 * _WIDE + j], _ = _wheel_adhesion(
-                cells[j],
-                cells[_WIDE + j],
-                0.5 * cells[2 * _WIDE + j],
-                cells[3 * _WIDE + j],
-                cells[4 * _WIDE + j],
-                fixed,
-                0.0,
-                1.0,
-            )
-        for j in range(here):
-            out[0, first + j], out[1, first + j] = cells[5 * _WIDE + j], cells[6 * _WIDE + j]
 
 
 @kernel_inlined
-def tell(parameters, cells):
-    """Writes the rows of wheelsets where `row` looks for them."""
+def store_models(parameters, cells):
+    """Writes rows of parameters, one for each lane from the first on, where `lane_model` reads them."""
     for i in range(PARAMETERS):
         for j in range(len(parameters)):
-            cells[_PARAMETERS + LANES * i + j] = parameters[j, i]
+            cells[MODEL + LANES * i + j] = parameters[j, i]
 
 
-def _kept(state: Any) -> dict[str, Any]:
-    """Kernels that take the state of a filter from the cells of a lane, and give it there."""
-    fields = [f"cells[{LANES * k} + j]" for k in range(len(state._fields))]
+def _state_kernels(state: Any) -> dict[str, Any]:
+    """Returns the kernels that read and write the state of a filter in the cells of a lane."""
+    places = [f"cells[{LANES * k} + j]" for k in range(len(state._fields))]
     return {
-        "taken": tuple_builder(state, "cells, j", fields),
-        "give": tuple_writer("cells, j", fields),
+        "load_state": tuple_builder(state, "cells, j", places),
+        "store_state": tuple_writer("cells, j", places),
     }
 
 
-begun, corrected = replay.begun, replay.corrected
-moved = variant(replay.moved, math=MATH, wheel_adhesion=_wheel_adhesion)
-taken, give = _kept(replay.State).values()
+# --- the replay of two runs ---
+
+# The names that `_replay_pair` uses. Its variant with memory has others under them.
+initial_state = replay.initial_state
+correct = replay.correct
+predict = variant(replay.predict, math=MATH, wheel_step=_wheel_step)
+_kernels = _state_kernels(replay.FilterState)
+load_state = _kernels["load_state"]
+store_state = _kernels["store_state"]
 
 
 @kernel_inlined
-def _between(start, inputs, k, w, first, cells):
-    """What four wheelsets are given a share `w` of the way from a sample to the next."""
+def _store_inputs(start, inputs, k, w, first_lane, cells):
+    """Writes the inputs of the wheelsets of a run, a share `w` of the way from sample k to the next.
+
+    After the end of its run a wheelset keeps the inputs of the last sample.
+    """
     length = start[1] - start[0]
-    here, then = min(k, length - 1), min(k + 1, length - 1)
-    for q in range(5):
+    before = min(k, length - 1)
+    after = min(k + 1, length - 1)
+    for q in range(INPUTS):
         for j in range(AXLES):
-            cells[_INPUT + LANES * q + first + j] = (1.0 - w) * inputs[
-                q, start[j] + here
-            ] + w * inputs[q, start[j] + then]
+            value_before = inputs[q, start[j] + before]
+            value_after = inputs[q, start[j] + after]
+            cells[SPEED + LANES * q + first_lane + j] = (1.0 - w) * value_before + w * value_after
 
 
 @kernel_inlined
-def _written(start, k, first, cells, out):
-    """Writes what is told of four wheelsets, up to the end of their run."""
+def _write_results(start, k, first_lane, cells, out):
+    """Writes innovation, variance and irregularity of the wheelsets of a run, up to the run's end."""
     if k < start[1] - start[0]:
         for j in range(AXLES):
-            at, lane = start[j] + k, first + j
-            out[0, at], out[1, at], out[2, at] = (
-                cells[_TOLD + lane],
-                cells[_TOLD + LANES + lane],
-                cells[LANES + lane],
-            )
+            at = start[j] + k
+            lane = first_lane + j
+            out[0, at] = cells[INNOVATION + lane]
+            out[1, at] = cells[VARIANCE + lane]
+            out[2, at] = cells[M + lane]
 
 
 @kernel_inlined
-def _runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
-    # without a memory; all that a loop touches stands in `cells`, at known places: no check that nothing overlaps
-    tell(parameters, cells)
+def _replay_pair(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
+    """Does what `replay_runs` does, for wheelsets without adhesion memory."""
+    store_models(parameters, cells)
     for j in range(AXLES):
-        give(cells, j, begun(measured[start[j]], row(cells, j)))
-        give(cells, AXLES + j, begun(measured[other[j]], row(cells, AXLES + j)))
-    n, m = start[1] - start[0], other[1] - other[0]
+        store_state(cells, j, initial_state(measured[start[j]], lane_model(cells, j)))
+        store_state(
+            cells, AXLES + j, initial_state(measured[other[j]], lane_model(cells, AXLES + j))
+        )
+
+    n = start[1] - start[0]
+    m = other[1] - other[0]
     for k in range(max(n, m)):
-        for j in range(AXLES):  # a run that has ended stays at its last sample
-            cells[_MEASURED + j] = measured[start[j] + min(k, n - 1)]
-            cells[_MEASURED + AXLES + j] = measured[other[j] + min(k, m - 1)]
+        # a run that has ended stays at its last sample
+        for j in range(AXLES):
+            cells[MEASURED + j] = measured[start[j] + min(k, n - 1)]
+            cells[MEASURED + AXLES + j] = measured[other[j] + min(k, m - 1)]
         for j in range(LANES):
-            nu, S, state = corrected(cells[_MEASURED + j], taken(cells, j), row(cells, j))
-            cells[_TOLD + j], cells[_TOLD + LANES + j] = nu, S
-            give(cells, j, state)
-        _written(start, k, 0, cells, out)
-        _written(other, k, AXLES, cells, out_other)
+            innovation, variance, state = correct(
+                cells[MEASURED + j], load_state(cells, j), lane_model(cells, j)
+            )
+            cells[INNOVATION + j] = innovation
+            cells[VARIANCE + j] = variance
+            store_state(cells, j, state)
+        _write_results(start, k, 0, cells, out)
+        _write_results(other, k, AXLES, cells, out_other)
         if k + 1 == max(n, m):
             break
+
         for i in range(replay.SUBSTEPS):
-            w = (i + 0.5) / replay.SUBSTEPS
-            _between(start, inputs, k, w, 0, cells)
-            _between(other, others, k, w, AXLES, cells)
+            w = (i + 0.5) / replay.SUBSTEPS  # the middle of the substep, between the two samples
+            _store_inputs(start, inputs, k, w, 0, cells)
+            _store_inputs(other, others, k, w, AXLES, cells)
             for j in range(LANES):
-                give(
-                    cells,
-                    j,
-                    moved(
-                        taken(cells, j),
-                        cells[_INPUT + j],
-                        cells[_INPUT + LANES + j],
-                        cells[_INPUT + 2 * LANES + j],
-                        cells[_INPUT + 3 * LANES + j],
-                        cells[_INPUT + 4 * LANES + j],
-                        row(cells, j),
-                        step_s,
-                    ),
+                state = predict(
+                    load_state(cells, j),
+                    cells[SPEED + j],
+                    cells[LOAD + j],
+                    cells[TORQUE + j],
+                    cells[DEGRADED + j],
+                    cells[RECOVERED + j],
+                    lane_model(cells, j),
+                    step_s,
                 )
+                store_state(cells, j, state)
 
 
-_moved_lagging = variant(
-    memory_replay.moved,
+_predict_with_memory = variant(
+    memory_replay.predict,
     math=MATH,
-    adhesion=_law_lagging,
-    step_of=_step_of,
+    adhesion=_adhesion_with_memory,
+    matrix_step=_matrix_step,
     replay=module_variant(replay, curves=_curves),
 )
-_lagging = variant(
-    _runs,
-    begun=memory_replay.begun,
-    corrected=memory_replay.corrected,
-    moved=_moved_lagging,
-    **_kept(memory_replay.State),
+_replay_pair_with_memory = variant(
+    _replay_pair,
+    initial_state=memory_replay.initial_state,
+    correct=memory_replay.correct,
+    predict=_predict_with_memory,
+    **_state_kernels(memory_replay.MemoryFilterState),
 )
 
 
 @kernel
 def replay_runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
-    """Innovations of the wheelsets of two runs, or of one twice: `inputs` (5, n) speed, load, torque, two frictions.
+    """Writes the innovations of the wheelsets of two runs, or of the same run twice.
 
-    `start` and `other` (5,) are where the four of a run begin in the flat arrays, and where the last ends; `parameters`
-    (LANES, PARAMETERS); `out` (3, n) as `replay_wheel` writes them; no
-    numbers for a run without a memory beside one with.
+    `start` and `other` (AXLES + 1,) are where the wheelsets of a run begin in the flat arrays, and where
+    the last one ends. `inputs` and `others` (INPUTS, n) are those of the two runs, `parameters`
+    (LANES, PARAMETERS) those of the wheelsets of both. `out` and `out_other` (3, n) are written as
+    `replay.replay_wheel` does: innovation, its variance, irregularity. `cells` (CELLS,) is work space.
+
+    If only one of the runs has adhesion memory, the results of the other one are NaN.
     """
-    if parameters[0, 14] > 0.0 or parameters[AXLES, 14] > 0.0:
-        _lagging(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)
+    if parameters[0, MEMORY] > 0.0 or parameters[AXLES, MEMORY] > 0.0:
+        _replay_pair_with_memory(
+            start, other, measured, inputs, others, parameters, step_s, cells, out, out_other
+        )
     else:
-        _runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other)
+        _replay_pair(
+            start, other, measured, inputs, others, parameters, step_s, cells, out, out_other
+        )
+
+
+# --- adhesion along a path ---
+
+PATH_LANES = 16  # samples that are computed simultaneously
+PATH_CELLS = 7 * PATH_LANES
+# where the rows of the cells begin
+PATH_SLIDING = 0
+PATH_SPEED = PATH_LANES
+PATH_LOAD = 2 * PATH_LANES
+PATH_DEGRADED = 3 * PATH_LANES
+PATH_RECOVERED = 4 * PATH_LANES
+PATH_F = 5 * PATH_LANES
+PATH_SLOPE = 6 * PATH_LANES
+
+
+@kernel
+def adhesion_along(sliding, speed, load, friction, row, cells, out):
+    """Writes what `replay.adhesion_along` writes where recovery does not lag, many samples at a time.
+
+    `cells` (PATH_CELLS,) is work space.
+    """
+    model = wheel_model(row)
+    for first in range(0, sliding.size, PATH_LANES):
+        count = min(PATH_LANES, sliding.size - first)
+        for j in range(PATH_LANES):
+            k = first + min(j, count - 1)  # the last lanes may repeat the last sample
+            cells[PATH_SLIDING + j] = sliding[k]
+            cells[PATH_SPEED + j] = speed[k]
+            cells[PATH_LOAD + j] = load[k]
+            cells[PATH_DEGRADED + j] = friction[0, k]
+            cells[PATH_RECOVERED + j] = friction[1, k]
+        for j in range(PATH_LANES):
+            f, slope, _ = _wheel_adhesion(
+                cells[PATH_SLIDING + j],
+                cells[PATH_SPEED + j],
+                0.5 * cells[PATH_LOAD + j],
+                cells[PATH_DEGRADED + j],
+                cells[PATH_RECOVERED + j],
+                model,
+                0.0,
+                1.0,
+            )
+            cells[PATH_F + j] = f
+            cells[PATH_SLOPE + j] = slope
+        for j in range(count):
+            out[0, first + j] = cells[PATH_F + j]
+            out[1, first + j] = cells[PATH_SLOPE + j]

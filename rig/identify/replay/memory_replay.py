@@ -1,8 +1,8 @@
 """Replays a wheel whose recovery lags: the filter of `replay` with lambda as a third state.
 
-An error of the wheel's speed moves the recovery, and that moves the wheel: only a filter that knows
-this tells a lag from irregularity of the rail. Speed and lambda take an exact step of the linearised
-pair in each substep; the irregularity comes up meanwhile as in `replay`.
+An error of the wheel's speed changes the recovery, and that changes the wheel's speed. Only a filter
+that knows this can distinguish a lag from irregularity of the rail. Speed and lambda take an exact
+step of the linearised pair in each substep. The irregularity accumulates meanwhile as in `replay`.
 
     [Y1] d/dt (omega, lambda) = A (omega, lambda) + ...,
          A = [[-r^2 N f'_lambda e^m, r N (f_r - f_d) e^m] / J, [-r lambda_0', h - 1] v / length],
@@ -19,61 +19,80 @@ from typing import NamedTuple
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.compiled.variants import variant
 from rollerrig.rig.contact import adhesion
+from rollerrig.rig.identify.data.parameters import MEMORY
 from rollerrig.rig.identify.replay import replay
 
-_BEGINS = 0.02  # deviation of lambda at the start, when the wheel rolls
+_INITIAL_DEVIATION = 0.02  # of lambda at the start, when the wheel rolls
 
 
-class State(NamedTuple):
-    """The filter of a wheel: its speed in rad/s, the irregularity m, lambda, their covariances."""
+class MemoryFilterState(NamedTuple):
+    """The state of a wheel's filter: wheel speed, irregularity m, lambda, and their covariances.
 
-    omega: float
+    The first two fields are those of `replay.FilterState`.
+    """
+
+    omega: float  # rad/s
     m: float
-    late: float
-    p00: float
-    p01: float
-    p11: float
-    p02: float
-    p12: float
-    p22: float
+    lambda_: float
+    p00: float  # of omega
+    p01: float  # of omega and m
+    p11: float  # of m
+    p02: float  # of omega and lambda
+    p12: float  # of m and lambda
+    p22: float  # of lambda
 
 
 @kernel_inlined
-def phi(z, power):
-    """(e^z - 1) / z, given e^z."""
-    return (power - 1.0) / z if abs(z) > 1e-4 else 1.0 + 0.5 * z + z * z / 6.0
+def phi(z, exponential):
+    """Returns (e^z - 1) / z; `exponential` is e^z."""
+    return (exponential - 1.0) / z if abs(z) > 1e-4 else 1.0 + 0.5 * z + z * z / 6.0
 
 
 @kernel_inlined
-def step_of(a, g, d, c, h):
-    """e^(A h) and phi(A h) h of A = [[a, g], [d, c]], row by row: eight numbers [Y2]."""
-    middle, square = 0.5 * (a + c), 0.25 * (a - c) ** 2 + g * d
+def matrix_step(a, g, d, c, h):
+    """Returns e^(A h) and phi(A h) h of A = [[a, g], [d, c]], row by row: eight numbers [Y2].
+
+    Both are e0 + e (A - middle), of the mean eigenvalue `middle` and half the distance `root` of the
+    eigenvalues.
+    """
+    middle = 0.5 * (a + c)
+    square = 0.25 * (a - c) ** 2 + g * d
     root = math.sqrt(abs(square))
-    near = root * h < 1e-5
-    root = 1e-5 / h if near else root
-    # two real eigenvalues; a fall this steep is left within a sample
-    z1, z2 = min((middle + root) * h, 5.0), (middle - root) * h
-    e1, e2 = math.exp(z1), math.exp(z2)
-    p1, p2 = phi(z1, e1) * h, phi(z2, e2) * h
-    e, p, e0, p0 = (
-        (e1 - e2) / (2.0 * root),
-        (p1 - p2) / (2.0 * root),
-        0.5 * (e1 + e2),
-        0.5 * (p1 + p2),
-    )
-    if not near and square <= 0.0:  # a pair of conjugates x + i y
-        x, y = min(middle * h, 5.0), root * h
-        power, size = math.exp(x), x * x + y * y
-        real, imaginary = power * math.cos(y), power * math.sin(y)
-        of_real = (
-            ((real - 1.0) * x + imaginary * y) / size
-            if size > 1e-8
-            else 1.0 + 0.5 * x + (x * x - y * y) / 6.0
-        )
-        of_imaginary = (
-            (imaginary * x - (real - 1.0) * y) / size if size > 1e-8 else 0.5 * y + x * y / 3.0
-        )
-        e, p, e0, p0 = imaginary / root, of_imaginary * h / root, real, of_real * h
+    equal = root * h < 1e-5  # the eigenvalues are so close that their difference loses all digits
+    if equal:
+        root = 1e-5 / h
+
+    # two real eigenvalues; a growth of more than e^5 in a substep is limited
+    z1 = min((middle + root) * h, replay.LARGEST_EXPONENT)
+    z2 = (middle - root) * h
+    e1 = math.exp(z1)
+    e2 = math.exp(z2)
+    p1 = phi(z1, e1) * h
+    p2 = phi(z2, e2) * h
+    e = (e1 - e2) / (2.0 * root)
+    p = (p1 - p2) / (2.0 * root)
+    e0 = 0.5 * (e1 + e2)
+    p0 = 0.5 * (p1 + p2)
+
+    if not equal and square <= 0.0:
+        # a pair of conjugate eigenvalues x + i y
+        x = min(middle * h, replay.LARGEST_EXPONENT)
+        y = root * h
+        power = math.exp(x)
+        size = x * x + y * y
+        real = power * math.cos(y)
+        imaginary = power * math.sin(y)
+        if size > 1e-8:
+            phi_real = ((real - 1.0) * x + imaginary * y) / size
+            phi_imaginary = (imaginary * x - (real - 1.0) * y) / size
+        else:
+            phi_real = 1.0 + 0.5 * x + (x * x - y * y) / 6.0
+            phi_imaginary = 0.5 * y + x * y / 3.0
+        e = imaginary / root
+        p = phi_imaginary * h / root
+        e0 = real
+        p0 = phi_real * h
+
     return (
         e0 + e * (a - middle),
         e * g,
@@ -87,59 +106,89 @@ def step_of(a, g, d, c, h):
 
 
 @kernel_inlined
-def begun(measured, p):
-    """The filter before the first sample."""
-    noise = p[17] * p[17]
-    return State(measured, 0.0, 0.0, noise, 0.0, p[15] * p[15], 0.0, 0.0, _BEGINS * _BEGINS)
-
-
-@kernel_inlined
-def corrected(measured, state, p):
-    """(innovation, its variance, the filter) after a sample."""
-    omega, m, late, p00, p01, p11, p02, p12, p22 = state
-    innovation, S = measured - omega, p00 + p[17] * p[17]
-    taken, g0, g1, g2 = replay.bounded(innovation, S), p00 / S, p01 / S, p02 / S
-    return (
-        innovation,
-        S,
-        State(
-            omega + g0 * taken,
-            m + g1 * taken,
-            min(max(late + g2 * taken, 0.0), 1.0),
-            p00 * (1.0 - g0),
-            p01 * (1.0 - g0),
-            p11 - g1 * p01,
-            p02 * (1.0 - g0),
-            p12 - g1 * p02,
-            p22 - g2 * p02,
-        ),
+def initial_state(measured, model):
+    """Returns the state of the filter before the first sample."""
+    return MemoryFilterState(
+        measured,
+        0.0,
+        0.0,
+        model.speed_noise_rad_s * model.speed_noise_rad_s,
+        0.0,
+        model.irregularity_deviation * model.irregularity_deviation,
+        0.0,
+        0.0,
+        _INITIAL_DEVIATION * _INITIAL_DEVIATION,
     )
 
 
 @kernel_inlined
-def moved(state, v, N, C, degraded, recovered, p, step_s):
-    """The filter after a substep of a sample."""
-    omega, m, late, p00, p01, p11, p02, p12, p22 = state
-    r, inertia, h = p[0], p[1], step_s / replay.SUBSTEPS
-    q_omega = (step_s * p[18] / inertia) ** 2 / replay.SUBSTEPS
-    s = v - r * omega
-    f_d, f_r, low, high, k_f, slope_k = replay.curves(s, v, 0.5 * N, degraded, recovered, p)
-    _, done, _, steep = adhesion.f_and_lambda(f_d, f_r, low, high, k_f, slope_k, late, p[21])
-    hangs = (1.0 - done) * k_f * (f_r - f_d) if p[21] > 0.0 else 0.0  # d lambda_0 / d lambda
-    target = math.copysign(steep, s)  # d lambda_0 / ds
-    rate = adhesion.lag_rate_1_s(max(v, adhesion.SPEED_FLOOR_M_S), p[14], p[20])
-    push = r * N * math.exp(m) / inertia
+def correct(measured, state, model):
+    """Returns (innovation, its variance, the state) after a measured wheel speed."""
+    omega, m, lambda_, p00, p01, p11, p02, p12, p22 = state
+    innovation = measured - omega
+    variance = p00 + model.speed_noise_rad_s * model.speed_noise_rad_s
+    bounded = replay.bounded_innovation(innovation, variance)
+    gain_omega = p00 / variance
+    gain_m = p01 / variance
+    gain_lambda = p02 / variance
+    corrected = MemoryFilterState(
+        omega + gain_omega * bounded,
+        m + gain_m * bounded,
+        min(max(lambda_ + gain_lambda * bounded, 0.0), 1.0),
+        p00 * (1.0 - gain_omega),
+        p01 * (1.0 - gain_omega),
+        p11 - gain_m * p01,
+        p02 * (1.0 - gain_omega),
+        p12 - gain_m * p02,
+        p22 - gain_lambda * p02,
+    )
+    return innovation, variance, corrected
+
+
+@kernel_inlined
+def predict(state, speed, load, torque, degraded, recovered, model, step_s):
+    """Returns the state of the filter after a substep; `step_s` is the time of a whole sample."""
+    omega, m, lambda_, p00, p01, p11, p02, p12, p22 = state
+    r = model.wheel_radius_m
+    inertia = model.wheelset_inertia_kgm2
+    h = step_s / replay.SUBSTEPS
+
+    # adhesion at this lambda, and the lambda that recovery tends to
+    s = speed - r * omega
+    f_d, f_r, slope_d, slope_r, k, slope_k = replay.curves(
+        s, speed, 0.5 * load, degraded, recovered, model
+    )
+    _, target, _, slope_of_target = adhesion.f_and_lambda(
+        f_d, f_r, slope_d, slope_r, k, slope_k, lambda_, model.memory_of_work
+    )
+    target_by_lambda = 0.0  # d lambda_0 / d lambda
+    if model.memory_of_work > 0.0:
+        target_by_lambda = (1.0 - target) * k * (f_r - f_d)
+    target_by_sliding = math.copysign(slope_of_target, s)  # d lambda_0 / ds
+    lag_1_s = adhesion.lag_rate_1_s(
+        max(speed, adhesion.SPEED_FLOOR_M_S), model.memory_m, model.memory_speed_power
+    )
+
+    # the linearised pair [Y1]
+    push = r * load * math.exp(m) / inertia
     sign = 1.0 if s >= 0.0 else -1.0
-    f = sign * adhesion.between(f_d, f_r, late)
-    a, g = -r * push * adhesion.between(low, high, late), push * (f_r - f_d) * sign
-    e00, e01, e10, e11, b00, b01, b10, b11 = step_of(
-        a, g, -r * rate * target, -rate * (1.0 - hangs), h
+    f = sign * adhesion.between(f_d, f_r, lambda_)
+    e00, e01, e10, e11, b00, b01, b10, b11 = matrix_step(
+        -r * push * adhesion.between(slope_d, slope_r, lambda_),
+        push * (f_r - f_d) * sign,
+        -r * lag_1_s * target_by_sliding,
+        -lag_1_s * (1.0 - target_by_lambda),
+        h,
     )
-    drive, pull = push * f - C / inertia, rate * (done - late)
-    omega += b00 * drive + b01 * pull
-    late = min(max(late + b10 * drive + b11 * pull, 0.0), 1.0)
-    keep = math.exp(-v * h / p[16])
-    b0, b2 = b00 * push * f, b10 * push * f  # what m does to omega and lambda
+    omega_rate = push * f - torque / inertia
+    lambda_rate = lag_1_s * (target - lambda_)
+    omega += b00 * omega_rate + b01 * lambda_rate
+    lambda_ = min(max(lambda_ + b10 * omega_rate + b11 * lambda_rate, 0.0), 1.0)
+
+    # covariances: what becomes of the old ones; b0 and b2 are what m does to omega and lambda
+    keep = math.exp(-speed * h / model.irregularity_length_m)
+    b0 = b00 * push * f
+    b2 = b10 * push * f
     n00 = (
         e00 * e00 * p00
         + e01 * e01 * p22
@@ -162,11 +211,15 @@ def moved(state, v, N, C, degraded, recovered, p, step_s):
     )
     n01 = keep * (e00 * p01 + e01 * p12 + b0 * p11)
     n12 = keep * (e10 * p01 + e11 * p12 + b2 * p11)
-    q = p[15] * p[15] * (1.0 - keep * keep)
-    return State(
+
+    # the noise of m acts while it accumulates (`replay` [R5]); q_omega is the noise of the torque
+    sigma = model.irregularity_deviation
+    q = sigma * sigma * (1.0 - keep * keep)
+    q_omega = (step_s * model.torque_noise_Nm / inertia) ** 2 / replay.SUBSTEPS
+    return MemoryFilterState(
         omega,
         m * keep,
-        late,
+        lambda_,
         n00 + b0 * b0 * q / 3.0 + q_omega * (b00 / h) ** 2,
         n01 + 0.5 * b0 * q,
         keep * keep * p11 + q,
@@ -176,18 +229,26 @@ def moved(state, v, N, C, degraded, recovered, p, step_s):
     )
 
 
-_replay_lagging = variant(replay.replay_wheel, begun=begun, corrected=corrected, moved=moved)
+_replay_wheel_with_memory = variant(
+    replay.replay_wheel, initial_state=initial_state, correct=correct, predict=predict
+)
 
 
 @kernel
 def replay_wheels(
     start, measured, torque, load, speed, friction, parameters, step_s, nu, variance, field
 ):
-    """Innovations of all segments, each by the filter that its `parameters` (segments, PARAMETERS) need."""
+    """Writes the innovations of all segments as `replay.replay_wheel` does, one after the other.
+
+    `start` (segments + 1,) is where the segments begin and end in the flat arrays, `parameters` has the
+    shape (segments, PARAMETERS). Each segment has the filter that its parameters need.
+    """
     for s in range(start.size - 1):
-        a, b, p = start[s], start[s + 1], parameters[s]
-        given = measured[a:b], torque[a:b], load[a:b], speed[a:b], friction[:, a:b]
-        if p[14] > 0.0:
-            _replay_lagging(*given, p, step_s, nu[a:b], variance[a:b], field[a:b])
+        a = start[s]
+        b = start[s + 1]
+        row = parameters[s]
+        inputs = measured[a:b], torque[a:b], load[a:b], speed[a:b], friction[:, a:b]
+        if row[MEMORY] > 0.0:
+            _replay_wheel_with_memory(*inputs, row, step_s, nu[a:b], variance[a:b], field[a:b])
         else:
-            replay.replay_wheel(*given, p, step_s, nu[a:b], variance[a:b], field[a:b])
+            replay.replay_wheel(*inputs, row, step_s, nu[a:b], variance[a:b], field[a:b])

@@ -1,9 +1,10 @@
-"""Replays measured runs through the model, one sample ahead: what the model cannot say beforehand.
+"""Replays measured runs through the model and returns what the model cannot predict: the innovations.
 
-Each wheel has an extended Kalman filter that is fed the measured torque, load and vehicle speed and predicts the next
-wheel speed. Its second state m is the irregularity of the rail, a random walk with a spring in distance: noise, never
-an explanation. The vehicle has a filter of its own that knows no adhesion law: only torque, resistance and mass move
-it. The innovations, divided by their predicted deviation, are white with variance 1 if the model is right.
+Each wheel has an extended Kalman filter. Its inputs are the measured torque, load and vehicle speed,
+and it predicts the next wheel speed. Its second state m is the irregularity of the rail, a random
+walk with a spring in distance. It is noise and never an explanation. The vehicle has a separate
+filter without an adhesion law: only torque, resistance and mass move it. If the model is right, the
+innovations, divided by their predicted deviation, are white with variance 1.
 
     [R1] J domega/dt = r N f(v - r omega, v, N) exp(m) - C;  exponential step, exact when linear
     [R2] m: Ornstein-Uhlenbeck in distance, deviation sigma, correlation length L
@@ -21,149 +22,247 @@ from typing import NamedTuple
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion
+from rollerrig.rig.identify.data.parameters import wheel_model
 
 SUBSTEPS = 2
+LARGEST_EXPONENT = 5.0  # of a step where adhesion falls steeply: the growth is limited to e^5
+SMALLEST_EXPONENT = 1e-6  # below it (e^x - 1) / x is 1 + x / 2
+OUTLIER_DEVIATIONS = 6.0  # a larger innovation moves the state no further than this one
 
 
 @kernel_inlined
-def curves(sliding, speed, load_N, degraded, recovered, p):
-    """What `adhesion.curves` gives of one wheel under its own load, its two frictions times these factors."""
-    base = adhesion.Law(p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[19])
-    here = adhesion.law_for_contaminant(p[2] * degraded, p[3] * recovered, 1.0, base)
-    return adhesion.curves(sliding, speed, load_N, p[13], here)
+def curves(sliding, speed, load_N, degraded, recovered, model):
+    """Returns what `adhesion.curves` returns for one wheel with this load.
+
+    `degraded` and `recovered` are factors of its two frictions, `model` is a WheelModel.
+    """
+    # a WheelModel has all fields of the law
+    law = adhesion.law_for_contaminant(model.mu_cd * degraded, model.mu_cr * recovered, 1.0, model)
+    return adhesion.curves(sliding, speed, load_N, model.eps1, law)
 
 
 @kernel
-def wheel_adhesion(sliding, speed, load_N, degraded, recovered, p, remembered, share):
-    """(f, df/dsliding, lambda) of one wheel, f odd; lambda closes a `share` of its way from `remembered` [R4]."""
-    f_d, f_r, low, high, k, slope_k = curves(sliding, speed, load_N, degraded, recovered, p)
-    lagging = remembered if share < 1.0 else adhesion.NO_MEMORY
-    f, done, rise, steep = adhesion.f_and_lambda(f_d, f_r, low, high, k, slope_k, lagging, p[21])
+def wheel_adhesion(sliding, speed, load_N, degraded, recovered, model, lagging, share):
+    """Returns (f, df/dsliding, lambda) of one wheel. f has the sign of the sliding.
+
+    lambda goes a `share` of its way from `lagging` to its target [R4]. With a share of 1 recovery does
+    not lag, and `lagging` has no effect.
+    """
+    f_d, f_r, slope_d, slope_r, k, slope_k = curves(
+        sliding, speed, load_N, degraded, recovered, model
+    )
+    lagging_or_none = lagging if share < 1.0 else adhesion.NO_MEMORY
+    f, lambda_, rise, lambda_slope = adhesion.f_and_lambda(
+        f_d, f_r, slope_d, slope_r, k, slope_k, lagging_or_none, model.memory_of_work
+    )
     if share < 1.0:
-        done = remembered + share * (done - remembered)
-        f = adhesion.between(f_d, f_r, done)
-        rise = adhesion.between(low, high, done) + share * (f_r - f_d) * steep
-    return math.copysign(f, sliding), rise, done
+        lambda_ = lagging + share * (lambda_ - lagging)
+        f = adhesion.between(f_d, f_r, lambda_)
+        rise = adhesion.between(slope_d, slope_r, lambda_) + share * (f_r - f_d) * lambda_slope
+    return math.copysign(f, sliding), rise, lambda_
 
 
 @kernel
-def closes(speed, step_s, p):
-    """Share of its way that lambda goes in a step [R4]; all of it where recovery does not lag."""
-    return -math.expm1(-step_s * adhesion.lag_rate_1_s(speed, p[14], p[20])) if p[14] > 0.0 else 1.0
+def lag_share(speed, step_s, model):
+    """Returns the share of its way that lambda goes in a step [R4]; 1 where recovery does not lag."""
+    if model.memory_m > 0.0:
+        rate_1_s = adhesion.lag_rate_1_s(speed, model.memory_m, model.memory_speed_power)
+        return -math.expm1(-step_s * rate_1_s)
+    return 1.0
 
 
 @kernel
-def along(sliding, speed, load, friction, p, step_s, late, follow, out):
-    """(f, df/dsliding) of one wheel, shape (2, n), from lambda before each sample, `late` (n + 1), which may follow."""
+def adhesion_along(sliding, speed, load, friction, row, step_s, lagging, follow, out):
+    """Writes (f, df/dsliding) of one wheel along a path to `out`, shape (2, n).
+
+    `sliding`, `speed` and the wheelset's `load` have the shape (n,), the factors of `friction` (2, n).
+    `row` (PARAMETERS,) is a row of parameters. `lagging` (n + 1,) is lambda before each sample; with
+    `follow` it is written, otherwise only read.
+    """
+    model = wheel_model(row)
     for k in range(sliding.size):
-        share = closes(speed[k], step_s, p)
-        out[0, k], out[1, k], done = wheel_adhesion(
-            sliding[k], speed[k], 0.5 * load[k], friction[0, k], friction[1, k], p, late[k], share
+        share = lag_share(speed[k], step_s, model)
+        out[0, k], out[1, k], lambda_ = wheel_adhesion(
+            sliding[k],
+            speed[k],
+            0.5 * load[k],
+            friction[0, k],
+            friction[1, k],
+            model,
+            lagging[k],
+            share,
         )
         if follow:
-            late[k + 1] = done
+            lagging[k + 1] = lambda_
 
 
-class State(NamedTuple):
-    """The filter of a wheel: its speed in rad/s, the irregularity m, their covariances."""
+class WheelStep(NamedTuple):
+    """The result of a step of a wheelset, and how it depends on the state before the step."""
 
-    omega: float
+    change_rad_s: float  # of the wheel speed
+    growth: float  # e^x: d omega after the step / d omega before it
+    mean_growth: float  # (e^x - 1) / x: mean of the growth during the step
+    of_irregularity: float  # d omega after the step / d m
+    lambda_: float
+
+
+@kernel_inlined
+def wheel_step(
+    omega, speed, load, torque, degraded, recovered, roughness, model, lagging, share, step_s
+):
+    """Returns the `WheelStep` of a wheelset under constant inputs [R1], by exponential Euler.
+
+    `omega` in rad/s, `speed` of the surface in m/s, `load` of the wheelset in N, `torque` in N m. The
+    factors `degraded` and `recovered` are those of friction, `roughness` is exp(m), that of adhesion.
+    `lagging` and `share` are those of `wheel_adhesion`.
+    """
+    r = model.wheel_radius_m
+    inertia = model.wheelset_inertia_kgm2
+    f, rise, lambda_ = wheel_adhesion(
+        speed - r * omega, speed, 0.5 * load, degraded, recovered, model, lagging, share
+    )
+    drive_Nm = r * load * f * roughness
+    rate_1_s = -r * r * load * rise * roughness / inertia  # d (domega/dt) / d omega
+    x = rate_1_s * step_s
+    if abs(x) > SMALLEST_EXPONENT:
+        x = min(x, LARGEST_EXPONENT)
+        growth = math.exp(x)
+        mean_growth = math.expm1(x) / x
+    else:
+        growth = 1.0 + x
+        mean_growth = 1.0 + 0.5 * x
+    return WheelStep(
+        step_s * mean_growth * (drive_Nm - torque) / inertia,
+        growth,
+        mean_growth,
+        step_s * mean_growth * drive_Nm / inertia,
+        lambda_,
+    )
+
+
+class FilterState(NamedTuple):
+    """The state of a wheel's filter: wheel speed, irregularity m, and their covariances."""
+
+    omega: float  # rad/s
     m: float
-    p00: float
+    p00: float  # of omega
     p01: float
-    p11: float
+    p11: float  # of m
 
 
 @kernel_inlined
-def begun(measured, p):
-    """The filter before the first sample."""
-    return State(measured, 0.0, p[17] * p[17], 0.0, p[15] * p[15])
-
-
-@kernel_inlined
-def bounded(innovation, S):
-    """An innovation of which an outlier moves the state no further than six deviations."""
-    most = 6.0 * math.sqrt(S)
-    return math.copysign(most, innovation) if abs(innovation) > most else innovation
-
-
-@kernel_inlined
-def corrected(measured, state, p):
-    """(innovation, its variance, the filter) after a sample."""
-    omega, m, p00, p01, p11 = state
-    innovation, S = measured - omega, p00 + p[17] * p[17]
-    taken, g0, g1 = bounded(innovation, S), p00 / S, p01 / S
-    return (
-        innovation,
-        S,
-        State(
-            omega + g0 * taken, m + g1 * taken, p00 * (1.0 - g0), p01 * (1.0 - g0), p11 - g1 * p01
-        ),
+def initial_state(measured, model):
+    """Returns the state of the filter before the first sample."""
+    return FilterState(
+        measured,
+        0.0,
+        model.speed_noise_rad_s * model.speed_noise_rad_s,
+        0.0,
+        model.irregularity_deviation * model.irregularity_deviation,
     )
 
 
 @kernel_inlined
-def moved(state, v, N, C, degraded, recovered, p, step_s):
-    """The filter after a substep of a sample."""
+def bounded_innovation(innovation, variance):
+    """Returns the innovation, limited to `OUTLIER_DEVIATIONS` standard deviations."""
+    largest = OUTLIER_DEVIATIONS * math.sqrt(variance)
+    if abs(innovation) > largest:
+        return math.copysign(largest, innovation)
+    return innovation
+
+
+@kernel_inlined
+def correct(measured, state, model):
+    """Returns (innovation, its variance, the state) after a measured wheel speed."""
     omega, m, p00, p01, p11 = state
-    r, inertia, h = p[0], p[1], step_s / SUBSTEPS
-    q_omega = (step_s * p[18] / inertia) ** 2
-    f, rise, _ = wheel_adhesion(v - r * omega, v, 0.5 * N, degraded, recovered, p, 0.0, 1.0)
-    field = math.exp(m)
-    drive = r * N * f * field
-    a = -r * r * N * rise * field / inertia
-    x = a * h
-    if abs(x) > 1e-6:
-        x = min(x, 5.0)
-        growth = math.exp(x)
-        phi = math.expm1(x) / x
-    else:
-        growth, phi = 1.0 + x, 1.0 + 0.5 * x
-    omega += h * phi * (drive - C) / inertia  # exponential Euler
-    b = h * phi * drive / inertia
-    keep = math.exp(-v * h / p[16])
+    innovation = measured - omega
+    variance = p00 + model.speed_noise_rad_s * model.speed_noise_rad_s
+    bounded = bounded_innovation(innovation, variance)
+    gain_omega = p00 / variance
+    gain_m = p01 / variance
+    corrected = FilterState(
+        omega + gain_omega * bounded,
+        m + gain_m * bounded,
+        p00 * (1.0 - gain_omega),
+        p01 * (1.0 - gain_omega),
+        p11 - gain_m * p01,
+    )
+    return innovation, variance, corrected
+
+
+@kernel_inlined
+def predict(state, speed, load, torque, degraded, recovered, model, step_s):
+    """Returns the state of the filter after a substep; `step_s` is the time of a whole sample."""
+    omega, m, p00, p01, p11 = state
+    h = step_s / SUBSTEPS
+    step = wheel_step(
+        omega, speed, load, torque, degraded, recovered, math.exp(m), model, 0.0, 1.0, h
+    )
+    growth = step.growth
+    b = step.of_irregularity
+    keep = math.exp(-speed * h / model.irregularity_length_m)
+
+    # covariances: what becomes of the old ones
     n00 = growth * growth * p00 + 2.0 * growth * b * p01 + b * b * p11
     n01 = keep * (growth * p01 + b * p11)
-    # noise of m acts while it comes up: [R5]
-    q = p[15] * p[15] * (1.0 - keep * keep)
-    return State(
-        omega,
+    # the noise of m acts on the wheel while it accumulates [R5]
+    sigma = model.irregularity_deviation
+    q = sigma * sigma * (1.0 - keep * keep)
+    # the noise of the torque
+    q_omega = (step_s * model.torque_noise_Nm / model.wheelset_inertia_kgm2) ** 2
+    return FilterState(
+        omega + step.change_rad_s,
         m * keep,
-        n00 + b * b * q / 3.0 + q_omega * phi * phi / SUBSTEPS,
+        n00 + b * b * q / 3.0 + q_omega * step.mean_growth * step.mean_growth / SUBSTEPS,
         n01 + 0.5 * b * q,
         keep * keep * p11 + q,
     )
 
 
 @kernel
-def replay_wheel(measured, torque, load, speed, friction, p, step_s, nu, variance, field):
-    """Innovations of one wheel [R1]: writes nu and variance, shape (n,), and filtered m in `field`."""
-    state = begun(measured[0], p)
+def replay_wheel(measured, torque, load, speed, friction, row, step_s, nu, variance, field):
+    """Writes the innovations of one wheel [R1] and their variance to `nu` and `variance`, shape (n,).
+
+    The filtered irregularity m is written to `field` (n,). The inputs have the shape (n,), `friction`
+    (2, n), and `row` (PARAMETERS,) is the wheelset's row of parameters.
+    """
+    model = wheel_model(row)
+    state = initial_state(measured[0], model)
     for k in range(measured.size):
-        nu[k], variance[k], state = corrected(measured[k], state, p)
+        nu[k], variance[k], state = correct(measured[k], state, model)
         field[k] = state.m
         if k + 1 == measured.size:
             break
         for i in range(SUBSTEPS):
-            w = (i + 0.5) / SUBSTEPS
-            v = (1.0 - w) * speed[k] + w * speed[k + 1]
-            N = (1.0 - w) * load[k] + w * load[k + 1]
-            C = (1.0 - w) * torque[k] + w * torque[k + 1]
-            degraded = (1.0 - w) * friction[0, k] + w * friction[0, k + 1]
-            recovered = (1.0 - w) * friction[1, k] + w * friction[1, k + 1]
-            state = moved(state, v, N, C, degraded, recovered, p, step_s)
+            w = (i + 0.5) / SUBSTEPS  # the middle of the substep, between the two samples
+            state = predict(
+                state,
+                (1.0 - w) * speed[k] + w * speed[k + 1],
+                (1.0 - w) * load[k] + w * load[k + 1],
+                (1.0 - w) * torque[k] + w * torque[k + 1],
+                (1.0 - w) * friction[0, k] + w * friction[0, k + 1],
+                (1.0 - w) * friction[1, k] + w * friction[1, k + 1],
+                model,
+                step_s,
+            )
 
 
 @kernel
 def replay_vehicle(measured, force_over_mass, step_s, noise, torque_noise, nu, variance):
-    """Innovations of the vehicle's force balance [R3]; torque_noise in m/s2 of one sample."""
-    u, P = measured[0], noise * noise
+    """Writes the innovations of the vehicle's force balance [R3] and their variance, shape (n,).
+
+    `noise` is that of `measured`, in m/s; `torque_noise` that of the force over mass, in m/s2 of one
+    sample.
+    """
+    u = measured[0]
+    p = noise * noise
     for k in range(measured.size):
-        S = P + noise * noise
-        nu[k], variance[k] = measured[k] - u, S
-        gain = P / S
+        variance_of_sample = p + noise * noise
+        nu[k] = measured[k] - u
+        variance[k] = variance_of_sample
+        gain = p / variance_of_sample
         u += gain * nu[k]
-        P *= 1.0 - gain
+        p *= 1.0 - gain
         if k + 1 < measured.size:
             u -= 0.5 * step_s * (force_over_mass[k] + force_over_mass[k + 1])
-            P += (step_s * torque_noise) ** 2
+            p += (step_s * torque_noise) ** 2

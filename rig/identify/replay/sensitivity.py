@@ -1,8 +1,8 @@
-"""How the innovations of a replay answer to a small change of anything: the linearised filter.
+"""Linearises the filter: how the innovations of a replay respond to a small change of anything.
 
-Any cause changes the acceleration of a wheel by some course in time. The filter passes that course
-on to its innovations linearly, with coefficients that one replay has left behind, so the answer to
-hundreds of possible causes costs little more than one replay.
+Any cause changes the acceleration of a wheel by some course in time. The filter transmits that course
+to its innovations linearly, with coefficients that one replay provides. So the response to hundreds
+of possible causes costs little more than one replay.
 
     [S1] g = (r N f exp(m) - C) / J;  d omega' = F00 d omega + F01 d m + H d g,  d m' = keep d m
     [S2] d nu = -d omega;  after the sample d omega -= g0 d omega, d m -= g1 d omega
@@ -17,183 +17,247 @@ import numpy as np
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.compiled.kernel import kernel, kernel_with_memory
 from rollerrig.rig.identify.data import parameters
+from rollerrig.rig.identify.data.parameters import wheel_model
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.replay import lanes, memory_replay, replay
 
-# changes of the wheel's acceleration for a change of ln: friction, load, radius, the irregularity m
+# A change of the wheel's acceleration is known for a change of the logarithm of each of these; the
+# last one is the irregularity m.
 RATES = ("friction", "load", "radius", "irregularity")
+STEP = 0.01  # change of the logarithm of a parameter, by which its derivative is taken
+# A smaller response counts as 0: products of such numbers are subnormal, which is a hundred times
+# slower.
+LEAST_RESPONSE = 1e-16
+
+# columns of the coefficients [S1], [S2]
+F00 = 0
+F01 = 1
+KEEP = 2
+H = 3
+G0 = 4
+G1 = 5
 _COEFFICIENTS = 6
-STEP = 0.01  # change of ln for which parameters are given
-LEAST = 1e-16  # a smaller answer is none: products of such numbers are subnormal, and a hundred times slower
 
 
-class Linear(NamedTuple):
-    """A replay with its coefficients: flat arrays (n,), (n, 6), (RATES, n)."""
+class LinearisedReplay(NamedTuple):
+    """A replay with its coefficients. Arrays are flat (n,) where no other shape is stated."""
 
-    nu: np.ndarray
+    nu: np.ndarray  # innovations of the wheels
     variance: np.ndarray
-    field: np.ndarray
-    coefficients: np.ndarray
-    rates: np.ndarray
-    constants: np.ndarray  # (changes, n): the same for a step of other parameters, over the step
-    sliding_m_s: np.ndarray  # (n,) known before the next sample, so are the next two
+    field: np.ndarray  # filtered irregularity m
+    coefficients: np.ndarray  # (n, 6), columns F00 .. G1
+    rates: np.ndarray  # (RATES, n), change of the acceleration
+    constants: np.ndarray  # (changes, n), the same for changed parameters, over STEP
+    # of the filter after each sample, so known before the next sample
+    sliding_m_s: np.ndarray
     energy_J_m: np.ndarray
     acceleration_rad_s2: np.ndarray
-    vehicle_nu: np.ndarray
+    vehicle_nu: np.ndarray  # innovations of the vehicles
     vehicle_variance: np.ndarray
 
 
 class Inputs(NamedTuple):
-    """What a replay reads, changed by causes: flat arrays, segment and run rows."""
+    """What a replay reads, as causes have changed it: flat arrays, and rows of segments and runs."""
 
     torque_Nm: np.ndarray
     load_N: np.ndarray
     speed_m_s: np.ndarray
-    friction: np.ndarray  # (2, n) factors of the degraded and of the recovered
-    parameters: np.ndarray
-    mass_kg: np.ndarray
+    friction: np.ndarray  # (2, n) factors of the degraded and of the recovered friction
+    parameters: np.ndarray  # (segments, PARAMETERS)
+    mass_kg: np.ndarray  # (runs,)
     force_N: np.ndarray  # (vehicle samples,) added to the resistance
 
 
 @kernel
-def gains(variance, co, p, step_s, speed, load, torque):
-    """Second gain of the filter, rebuilt with the covariances of [S1] into co[:, 5]."""
-    noise = p[17] * p[17]
-    p00, p01, p11 = noise, 0.0, p[15] * p[15]
+def second_gain(variance, coefficients, row):
+    """Writes the second gain of the filter of one wheel to the column G1 of the coefficients.
+
+    The covariances are computed again with [S1]. Column F00 is limited where the covariance of the
+    filter shows that an error grows more slowly.
+    """
+    model = wheel_model(row)
+    noise = model.speed_noise_rad_s * model.speed_noise_rad_s
+    sigma_squared = model.irregularity_deviation * model.irregularity_deviation
+    p00 = noise
+    p01 = 0.0
+    p11 = sigma_squared
     for k in range(variance.size):
-        S = variance[k]
-        co[k, 5] = p01 / S
-        g0 = co[k, 4]
-        p11 -= p01 * p01 / S
+        # after the sample
+        coefficients[k, G1] = p01 / variance[k]
+        g0 = coefficients[k, G0]
+        p11 -= p01 * p01 / variance[k]
         p01 *= 1.0 - g0
-        p00 = max(S - noise, 0.0) * (1.0 - g0)
+        p00 = max(variance[k] - noise, 0.0) * (1.0 - g0)
+
         if k + 1 < variance.size:
-            # the filter's own covariance bounds how fast it lets an error grow
-            most = math.sqrt(max(variance[k + 1] - noise, 0.0) / max(p00, 1e-12))
-            co[k, 0] = min(co[k, 0], most)
-        F00, F01, keep = co[k, 0], co[k, 1], co[k, 2]
-        q = p[15] * p[15] * (1.0 - keep * keep)
-        p01 = keep * (F00 * p01 + F01 * p11) + 0.5 * F01 * q
+            # the covariance of the filter limits how fast it lets an error grow
+            largest = math.sqrt(max(variance[k + 1] - noise, 0.0) / max(p00, 1e-12))
+            coefficients[k, F00] = min(coefficients[k, F00], largest)
+
+        # until the next sample
+        f00 = coefficients[k, F00]
+        f01 = coefficients[k, F01]
+        keep = coefficients[k, KEEP]
+        q = sigma_squared * (1.0 - keep * keep)
+        p01 = keep * (f00 * p01 + f01 * p11) + 0.5 * f01 * q
         p11 = keep * keep * p11 + q
 
 
 @kernel_with_memory
-def answer(changes, variance, co, out):
-    """Whitened innovations' answer to changes of the acceleration, shape (n, columns) [S2]."""
+def response(changes, variance, coefficients, out):
+    """Writes the response of the whitened innovations of one wheel to `out`, shape (n, columns) [S2].
+
+    `changes` (n, columns) are changes of the wheel's acceleration.
+    """
     columns = changes.shape[1]
-    d_omega, d_m = np.zeros(columns), np.zeros(columns)
+    d_omega = np.zeros(columns)
+    d_m = np.zeros(columns)
     for k in range(changes.shape[0]):
         scale = 1.0 / math.sqrt(variance[k])
-        F00, F01, keep, H, g0, g1 = co[k, 0], co[k, 1], co[k, 2], co[k, 3], co[k, 4], co[k, 5]
+        f00 = coefficients[k, F00]
+        f01 = coefficients[k, F01]
+        keep = coefficients[k, KEEP]
+        h = coefficients[k, H]
+        g0 = coefficients[k, G0]
+        g1 = coefficients[k, G1]
         for c in range(columns):
             w = d_omega[c]
-            out[k, c] = -w * scale if abs(w * scale) > LEAST else 0.0
+            out[k, c] = -w * scale if abs(w * scale) > LEAST_RESPONSE else 0.0
             m = d_m[c] - g1 * w
             w -= g0 * w
-            d_omega[c] = F00 * w + F01 * m + H * changes[k, c]
+            d_omega[c] = f00 * w + f01 * m + h * changes[k, c]
             d_m[c] = keep * m
 
 
 @kernel_with_memory
-def vehicle_answer(changes, variance, noise, step_s, out):
-    """The same for the vehicle's balance; changes of du/dt, shape (n, columns)."""
+def vehicle_response(changes, variance, noise, step_s, out):
+    """Writes the response of the whitened innovations of one vehicle to `out`, shape (n, columns).
+
+    `changes` (n, columns) are changes of du/dt, `noise` is that of the vehicle's speed.
+    """
     columns = changes.shape[1]
     d_u = np.zeros(columns)
     for k in range(changes.shape[0]):
         scale = 1.0 / math.sqrt(variance[k])
-        kept = noise * noise / variance[k]
+        remaining = noise * noise / variance[k]
         last = k + 1 == changes.shape[0]
         for c in range(columns):
-            out[k, c] = -d_u[c] * scale if abs(d_u[c] * scale) > LEAST else 0.0
+            out[k, c] = -d_u[c] * scale if abs(d_u[c] * scale) > LEAST_RESPONSE else 0.0
             if not last:
-                d_u[c] = kept * d_u[c] + 0.5 * step_s * (changes[k, c] + changes[k + 1, c])
+                d_u[c] = remaining * d_u[c] + 0.5 * step_s * (changes[k, c] + changes[k + 1, c])
 
 
-def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> Linear:
-    """Replay all, keep coefficients; `changed` (segments, changes, PARAMETERS): parameters, one of them STEP larger."""
+def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> LinearisedReplay:
+    """Returns the replay of all wheels and vehicles, with its coefficients.
+
+    `changed` (segments, changes, PARAMETERS) are parameters of which one is larger by STEP.
+    """
     n = design.measured_rad_s.size
-    found = nu, variance, field = replay_wheels(design, inputs)
-    co, rates, path = np.empty((n, _COEFFICIENTS)), np.empty((len(RATES), n)), np.empty((3, n))
+    wheels = replay_wheels(design, inputs)
+    coefficients = np.empty((n, _COEFFICIENTS))
+    rates = np.empty((len(RATES), n))
+    path = np.empty((3, n))
     constants = np.empty((changed.shape[1], n))
     for s in range(design.segments):
-        at, p = design.span(s), inputs.parameters[s]
-        _coefficients(
+        at = design.span(s)
+        _linearise_wheel(
             design,
             inputs,
             s,
             changed[s],
-            found[:, at],
-            co[at],
+            wheels[:, at],
+            coefficients[at],
             rates[:, at],
             constants[:, at],
             path[:, at],
         )
-        gains(
-            variance[at],
-            co[at],
-            p,
-            design.step_s,
-            inputs.speed_m_s[at],
-            inputs.load_N[at],
-            inputs.torque_Nm[at],
+        second_gain(
+            wheels[1, at],
+            coefficients[at],
+            inputs.parameters[s],
         )
+    nu, variance, field = wheels
+    sliding_m_s, energy_J_m, acceleration_rad_s2 = path
     vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
-    return Linear(
+    return LinearisedReplay(
         nu=nu,
         variance=variance,
         field=field,
-        coefficients=co,
+        coefficients=coefficients,
         rates=rates,
         constants=constants,
-        sliding_m_s=path[0],
-        energy_J_m=path[1],
-        acceleration_rad_s2=path[2],
+        sliding_m_s=sliding_m_s,
+        energy_J_m=energy_J_m,
+        acceleration_rad_s2=acceleration_rad_s2,
         vehicle_nu=vehicle_nu,
         vehicle_variance=vehicle_variance,
     )
 
 
-def _coefficients(
+def _linearise_wheel(
     design: Design,
     inputs: Inputs,
     s: int,
     changed: np.ndarray,
-    found: np.ndarray,
-    co: np.ndarray,
+    replayed: np.ndarray,
+    coefficients: np.ndarray,
     rates: np.ndarray,
     constants: np.ndarray,
     path: np.ndarray,
 ) -> None:
-    """One wheel: stores [S1] along the filtered path."""
-    at, p, (nu, S, field) = design.span(s), inputs.parameters[s], found
-    r, inertia, h = p[parameters.RADIUS], p[parameters.INERTIA], 0.5 * design.step_s
-    p00 = np.maximum(S - p[parameters.SPEED_NOISE] ** 2, 0.0)
-    omega = design.measured_rad_s[at] - nu + p00 / S * nu
-    v, N, mu = inputs.speed_m_s[at], inputs.load_N[at], inputs.friction[:, at]
-    sliding, late = v - r * omega, np.zeros(v.size + 1)
-    f, rise = replay_law(sliding, v, N, mu, p, design.step_s, late, True)
+    """Writes [S1] of one wheelset along the filtered path to the last four arguments.
 
-    def changes(load: np.ndarray, friction: np.ndarray, row: np.ndarray) -> np.ndarray:
-        return replay_law(sliding, v, load, friction, row, design.step_s, late, False)[0]
+    `changed` (changes, PARAMETERS) and `replayed` (3, n) are those of the segment s.
+    """
+    at = design.span(s)
+    row = inputs.parameters[s]
+    nu, variance, field = replayed
+    r = row[parameters.RADIUS]
+    inertia = row[parameters.INERTIA]
+    h = 0.5 * design.step_s
 
-    force = r * N * np.exp(field) / inertia
-    path[:] = sliding, f * 0.5 * N * sliding / v, force * f - inputs.torque_Nm[at] / inertia
-    a = -r * rise * force
-    x = np.minimum(a * h, 5.0)
-    growth, keep = np.exp(x), np.exp(-v * h / p[parameters.IRREGULARITY_LENGTH])
-    some = np.where(np.abs(x) > 1e-6, x, 1.0)
-    phi = np.where(np.abs(x) > 1e-6, np.expm1(some) / some, 1.0 + 0.5 * x)
-    b = h * phi * force * f
-    co[:, :5] = np.array(
-        [growth * growth, b * (growth + keep), keep * keep, h * phi * (1.0 + growth), p00 / S]
-    ).T
-    rates[0] = force * (changes(N, mu * math.exp(STEP), p) - f) / STEP
-    more = N * (1.0 + STEP)
-    rates[1] = force * (changes(more, mu, p) * more / N - f) / STEP
-    rates[2] = force * f + a * omega  # lever, and sliding
+    # the filter after each sample
+    p00 = np.maximum(variance - row[parameters.SPEED_NOISE] ** 2, 0.0)
+    g0 = p00 / variance
+    omega = design.measured_rad_s[at] - nu + g0 * nu
+    v = inputs.speed_m_s[at]
+    load_N = inputs.load_N[at]
+    friction = inputs.friction[:, at]
+    sliding = v - r * omega
+    lagging = np.zeros(v.size + 1)
+    f, slope = replay_law(sliding, v, load_N, friction, row, design.step_s, lagging, True)
+    force = r * load_N * np.exp(field) / inertia  # acceleration for an adhesion of 1
+    path[0] = sliding
+    path[1] = f * 0.5 * load_N * sliding / v
+    path[2] = force * f - inputs.torque_Nm[at] / inertia
+
+    # two substeps of the filter, as in `replay.wheel_step`
+    error_rate_1_s = -r * slope * force  # d (domega/dt) / d omega
+    x = np.minimum(error_rate_1_s * h, replay.LARGEST_EXPONENT)
+    growth = np.exp(x)
+    keep = np.exp(-v * h / row[parameters.IRREGULARITY_LENGTH])
+    large = np.abs(x) > replay.SMALLEST_EXPONENT
+    divisor = np.where(large, x, 1.0)
+    mean_growth = np.where(large, np.expm1(divisor) / divisor, 1.0 + 0.5 * x)
+    of_irregularity = h * mean_growth * force * f
+    coefficients[:, F00] = growth * growth
+    coefficients[:, F01] = of_irregularity * (growth + keep)
+    coefficients[:, KEEP] = keep * keep
+    coefficients[:, H] = h * mean_growth * (1.0 + growth)
+    coefficients[:, G0] = g0
+
+    def adhesion_with(load: np.ndarray, factors: np.ndarray, model: np.ndarray) -> np.ndarray:
+        """Returns f along the same path, with other inputs or parameters."""
+        return replay_law(sliding, v, load, factors, model, design.step_s, lagging, False)[0]
+
+    rates[0] = force * (adhesion_with(load_N, friction * math.exp(STEP), row) - f) / STEP
+    larger_N = load_N * (1.0 + STEP)
+    rates[1] = force * (adhesion_with(larger_N, friction, row) * larger_N / load_N - f) / STEP
+    # a larger radius is a longer lever, and less sliding
+    rates[2] = force * f + error_rate_1_s * omega
     rates[3] = force * f
-    for i, row in enumerate(changed):
-        constants[i] = force * (changes(N, mu, row) - f) / STEP
+    for i, other_row in enumerate(changed):
+        constants[i] = force * (adhesion_with(load_N, friction, other_row) - f) / STEP
 
 
 def replay_law(
@@ -201,80 +265,98 @@ def replay_law(
     speed: np.ndarray,
     load: np.ndarray,
     friction: np.ndarray,
-    p: np.ndarray,
+    row: np.ndarray,
     step_s: float,
-    late: np.ndarray,
+    lagging: np.ndarray,
     follow: bool,
 ) -> np.ndarray:
-    """(f, df/dsliding) along a path, shape (2, n); with `follow` writes lambda before each sample into `late`."""
-    out, friction = np.empty((2, sliding.size)), np.ascontiguousarray(friction)
-    if p[parameters.MEMORY] == 0.0:
-        lanes.along(sliding, speed, load, friction, p, np.empty(lanes.LONG), out)
-    if p[parameters.MEMORY] > 0.0 or not np.all(np.isfinite(out)):
-        replay.along(sliding, speed, load, friction, p, step_s, late, follow, out)
+    """Returns (f, df/dsliding) of one wheel along a path, shape (2, n).
+
+    `lagging` (n + 1,) is lambda before each sample; with `follow` it is written.
+    """
+    out = np.empty((2, sliding.size))
+    friction = np.ascontiguousarray(friction)
+    has_memory = row[parameters.MEMORY] > 0.0
+    if not has_memory:
+        cells = np.empty(lanes.PATH_CELLS)
+        lanes.adhesion_along(sliding, speed, load, friction, row, cells, out)
+    # the vector code gives NaN where recovered adhesion is below degraded
+    if has_memory or not np.all(np.isfinite(out)):
+        replay.adhesion_along(sliding, speed, load, friction, row, step_s, lagging, follow, out)
     return out
 
 
 def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
-    """(nu, variance, filtered m, vehicle nu, vehicle variance)."""
+    """Returns (nu, variance, filtered m) of the wheels and (nu, variance) of the vehicles."""
     return (*replay_wheels(design, inputs), *replay_vehicles(design, inputs))
 
 
-def replay_wheels(design: Design, i: Inputs) -> np.ndarray:
-    """(nu, variance, filtered m) of all wheels, shape (3, n)."""
-    return replays(design, [i])[0]
+def replay_wheels(design: Design, inputs: Inputs) -> np.ndarray:
+    """Returns (nu, variance, filtered m) of all wheels, shape (3, n)."""
+    return replays(design, [inputs])[0]
 
 
 def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
-    """The replays of all wheels under several inputs, shape (inputs, 3, n)."""
-    given = [np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction]) for i in several]
-    out, cells = np.empty((len(several), 3, design.measured_rad_s.size)), np.empty(lanes.CELLS)
-    starts = [
-        design.start[run * AXLES : (run + 1) * AXLES + 1] for run in range(design.mass_kg.size)
-    ]
-    own = [
-        [i.parameters[run * AXLES : (run + 1) * AXLES] for run in range(len(starts))]
+    """Returns the replays of all wheels under each of several inputs, shape (inputs, 3, n)."""
+    stacked = [
+        np.array([i.speed_m_s, i.load_N, i.torque_Nm, i.friction[0], i.friction[1]])
         for i in several
     ]
-    # two at once, the longest first: a pair takes as long as the longer one
+    runs = range(design.mass_kg.size)
+    starts = [design.start[run * AXLES : (run + 1) * AXLES + 1] for run in runs]
+    models = [[i.parameters[run * AXLES : (run + 1) * AXLES] for run in runs] for i in several]
+    out = np.empty((len(several), 3, design.measured_rad_s.size))
+    cells = np.empty(lanes.CELLS)
+
+    # Two runs are replayed simultaneously, the longest first: a pair takes as long as its longer run.
+    # The last one of an odd number is replayed together with itself.
     jobs = sorted(
         np.ndindex(len(several), len(starts)),
         key=lambda job: int(starts[job[1]][0] - starts[job[1]][1]),
     )
-    for (k, run), (m, other) in zip(
-        jobs[::2], jobs[1::2] + jobs[-1:] * (len(jobs) % 2), strict=True
-    ):
+    firsts = jobs[::2]
+    seconds = jobs[1::2]
+    if len(jobs) % 2:
+        seconds.append(jobs[-1])
+    for (k, run), (m, other) in zip(firsts, seconds, strict=True):
         lanes.replay_runs(
             starts[run],
             starts[other],
             design.measured_rad_s,
-            given[k],
-            given[m],
-            np.concatenate([own[k][run], own[m][other]]),
+            stacked[k],
+            stacked[m],
+            np.concatenate([models[k][run], models[m][other]]),
             design.step_s,
             cells,
             out[k],
             out[m],
         )
+
+    # what the vector code cannot compute is NaN
     for k, run in jobs:
-        if not np.all(np.isfinite(out[k, 0, int(starts[run][0]) : int(starts[run][-1])])):
-            i = several[k]
-            memory_replay.replay_wheels(
-                starts[run],
-                design.measured_rad_s,
-                i.torque_Nm,
-                i.load_N,
-                i.speed_m_s,
-                i.friction,
-                own[k][run],
-                design.step_s,
-                *out[k],
-            )
+        samples = slice(int(starts[run][0]), int(starts[run][-1]))
+        if np.all(np.isfinite(out[k, 0, samples])):
+            continue
+        inputs = several[k]
+        nu, variance, field = out[k]
+        memory_replay.replay_wheels(
+            starts[run],
+            design.measured_rad_s,
+            inputs.torque_Nm,
+            inputs.load_N,
+            inputs.speed_m_s,
+            inputs.friction,
+            models[k][run],
+            design.step_s,
+            nu,
+            variance,
+            field,
+        )
     return out
 
 
 def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
-    """Measured u of [R3], shape (samples,)."""
+    """Returns the measured u of [R3] of `replay`, shape (samples,)."""
     p = inputs.parameters[run * AXLES : (run + 1) * AXLES]
     turning = design.by_axle(design.measured_rad_s, run) @ (
         p[:, parameters.INERTIA] / p[:, parameters.RADIUS]
@@ -283,7 +365,7 @@ def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
 
 
 def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
-    """Force over mass on a vehicle, m/s2, shape (samples,)."""
+    """Returns the force over the mass of a vehicle in m/s2, shape (samples,)."""
     v = design.speed_m_s[design.span(run * AXLES)]
     A, B, C = design.resistance
     force = A + B * v + C * v * v + inputs.force_N[design.vehicle_span(run)]
@@ -293,12 +375,13 @@ def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
 
 
 def replay_vehicles(design: Design, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
-    """Innovations and variances of all vehicles."""
+    """Returns the innovations and variances of all vehicles, flat arrays."""
     total = int(design.vehicle_start[-1])
-    nu, variance = np.empty(total), np.empty(total)
+    nu = np.empty(total)
+    variance = np.empty(total)
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
-        # deviation in m/s2 of one sample of the measured force over mass
+        # standard deviation of the measured force over mass, in one sample
         noise_m_s2 = float(
             2.0
             * design.torque_noise_Nm[run]

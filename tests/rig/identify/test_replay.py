@@ -12,6 +12,7 @@ from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, parameters, preparation
+from rollerrig.rig.identify.data.parameters import WheelModel
 from rollerrig.rig.identify.decide import evidence, fitting, simulate
 from rollerrig.rig.identify.replay import lanes, memory_replay, replay, sensitivity
 
@@ -27,19 +28,18 @@ def design(data: dataset.Dataset) -> preparation.Design:
 
 
 @pytest.fixture(scope="module")
-def told(design: preparation.Design) -> Explanation:
+def fitted(design: preparation.Design) -> Explanation:
     level = {"ln_mu_cd_0": -0.397, "ln_mu_cd_1": -0.522, "ln_mu_cd_2": -0.455}
     return Explanation(level, 0.0225, 6.9, ())
 
 
 def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) -> None:
-    patch, base = patch_for(0.445, math.inf, 0.3, 2.1e11, 8.0e10, 0.3), design.base.copy()
-    for base[parameters.CLEANING] in (math.inf, 0.3):
-        law = adhesion.Law(
-            *(float(x) for x in base[parameters.LAW]), float(base[parameters.CLEANING])
-        )
+    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 8.0e10, 0.3)
+    for cleaning_creepage in (math.inf, 0.3):
+        model = WheelModel(*design.base)._replace(cleaning_creepage=cleaning_creepage)
+        law = adhesion.Law(*(getattr(model, name) for name in adhesion.Law._fields))
         for sliding in (0.01, 0.3, 2.0, 8.0, 15.0, 25.0, -1.0):
-            f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 1.0, 1.0, base, 0.0, 1.0)
+            f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 1.0, 1.0, model, 0.0, 1.0)
             want = adhesion.wheel_adhesion(sliding, 25.0, 52700.0, patch, law)
             assert f == pytest.approx(want[0], rel=1e-12)
             assert rise == pytest.approx(want[5], rel=1e-9)
@@ -48,7 +48,13 @@ def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) ->
 MEMORIES = [{}, {"speed_power": 1.0}, {"of_work": 1.0}]
 
 
+def with_memory(base: Explanation, shape: dict[str, float], length_m: float) -> Explanation:
+    """The explanation with adhesion memory as its only cause."""
+    return base._replace(causes=(Cause("adhesion_memory", 0, shape, (length_m,)),))
+
+
 def one_by_one(design: preparation.Design, i: sensitivity.Inputs) -> np.ndarray:
+    """The replay of all wheelsets without vector instructions, shape (3, n)."""
     out = np.empty((3, design.measured_rad_s.size))
     memory_replay.replay_wheels(
         design.start,
@@ -64,64 +70,63 @@ def one_by_one(design: preparation.Design, i: sensitivity.Inputs) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("recovered", [1.0, 0.5], ids=["cleaned by sliding", "spoilt by sliding"])
-def test_the_wheelsets_of_two_runs_at_once_are_replayed_as_one_by_one(
-    design: preparation.Design, told: Explanation, recovered: float
+@pytest.mark.parametrize("recovered", [1.0, 0.5], ids=["cleaned by sliding", "worsened by sliding"])
+def test_the_wheelsets_of_two_runs_are_replayed_together_as_one_by_one(
+    design: preparation.Design, fitted: Explanation, recovered: float
 ) -> None:
-    i = candidates.inputs(design, told)
-    i.parameters[:, parameters.LAW.start + 1] *= recovered * np.where(
-        recovered < 1.0,
-        i.parameters[:, parameters.MU_CD] / i.parameters[:, parameters.LAW.start + 1],
-        1.0,
-    )
+    i = candidates.inputs(design, fitted)
+    if recovered < 1.0:
+        # recovered friction is half of degraded friction
+        degraded = i.parameters[:, parameters.MU_CD]
+        i.parameters[:, parameters.MU_CR] *= recovered * (
+            degraded / i.parameters[:, parameters.MU_CR]
+        )
     np.testing.assert_allclose(
         sensitivity.replay_wheels(design, i), one_by_one(design, i), rtol=1e-8, atol=1e-10
     )
-    at, p, late = design.span(1), i.parameters[1], np.zeros(design.span(1).stop + 1)
+
+    at = design.span(1)
+    n = at.stop - at.start
     path = (
         design.sliding_m_s[at],
         i.speed_m_s[at],
         i.load_N[at],
         i.friction[:, at],
-        p,
+        i.parameters[1],
         design.step_s,
-        late,
+        np.zeros(n + 1),
         False,
     )
-    want = np.empty((2, path[0].size))
-    replay.along(*path, want)
+    want = np.empty((2, n))
+    replay.adhesion_along(*path, want)
     np.testing.assert_allclose(sensitivity.replay_law(*path), want, rtol=1e-9, atol=1e-13)
 
 
 @pytest.mark.parametrize("shape", MEMORIES, ids=["over distance", "over time", "of the work done"])
 @pytest.mark.parametrize("length_m", [0.3, 3.0, 30.0])
-def test_wheels_with_a_memory_are_replayed_at_once_as_one_by_one(
-    design: preparation.Design, told: Explanation, shape: dict[str, float], length_m: float
+def test_wheels_with_memory_are_replayed_together_as_one_by_one(
+    design: preparation.Design, fitted: Explanation, shape: dict[str, float], length_m: float
 ) -> None:
-    i = candidates.inputs(
-        design, told._replace(causes=(Cause("adhesion_memory", 0, shape, (length_m,)),))
-    )
+    i = candidates.inputs(design, with_memory(fitted, shape, length_m))
     alone = one_by_one(design, i)
     assert np.all(np.isfinite(alone))
     np.testing.assert_allclose(sensitivity.replay_wheels(design, i), alone, rtol=1e-8, atol=1e-10)
 
 
-def test_several_explanations_are_replayed_at_once_as_each_by_itself(
-    design: preparation.Design, told: Explanation
+def test_several_explanations_are_replayed_together_as_each_alone(
+    design: preparation.Design, fitted: Explanation
 ) -> None:
     several = [
-        candidates.inputs(
-            design, told._replace(causes=(Cause("adhesion_memory", 0, shape, (2.0,)),))
-        )
-        for shape in MEMORIES
+        candidates.inputs(design, with_memory(fitted, shape, length_m=2.0)) for shape in MEMORIES
     ]
-    for found, i in zip(sensitivity.replays(design, several), several, strict=True):
-        assert np.array_equal(found, sensitivity.replay_wheels(design, i))
-    without = candidates.inputs(design, told)
+    for replayed, i in zip(sensitivity.replays(design, several), several, strict=True):
+        assert np.array_equal(replayed, sensitivity.replay_wheels(design, i))
+
+    without = candidates.inputs(design, fitted)
     for mixed in ([several[0], without], [without, several[0]]):
-        for found, i in zip(sensitivity.replays(design, mixed), mixed, strict=True):
+        for replayed, i in zip(sensitivity.replays(design, mixed), mixed, strict=True):
             np.testing.assert_allclose(
-                found, sensitivity.replay_wheels(design, i), rtol=1e-8, atol=1e-10
+                replayed, sensitivity.replay_wheels(design, i), rtol=1e-8, atol=1e-10
             )
 
 
@@ -137,13 +142,16 @@ def test_several_explanations_are_replayed_at_once_as_each_by_itself(
     ids=["real", "conjugates", "one eigenvalue", "hardly any", "stiff"],
 )
 @pytest.mark.parametrize(
-    "step", [memory_replay.step_of, lanes._step_of], ids=["one by one", "at once"]
+    "step",
+    [memory_replay.matrix_step, lanes._matrix_step],
+    ids=["one by one", "with vector mathematics"],
 )
 def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(
     A: list[list[float]], step: Any
 ) -> None:
-    h, (top, below) = 0.005, np.array(A)
-    # of [[A, 1], [0, 0]]: its upper right is the integral of exp(A s) over the step
+    h = 0.005
+    top, below = np.array(A)
+    # of the exponential of [[A, 1], [0, 0]] h, the upper right is the integral of exp(A s) over the step
     whole = expm(np.block([[np.array(A), np.eye(2)], [np.zeros((2, 4))]]) * h)
     np.testing.assert_allclose(
         step(*top, *below, h),
@@ -153,33 +161,33 @@ def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(
     )
 
 
-def test_innovations_of_an_unspoilt_recording_have_unit_variance(
-    design: preparation.Design, told: Explanation
+def test_innovations_of_an_unchanged_recording_have_unit_variance(
+    design: preparation.Design, fitted: Explanation
 ) -> None:
-    nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, told))
+    nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, fitted))
     assert np.mean(nu * nu / S) == pytest.approx(1.0, abs=0.05)
     assert np.mean(vnu * vnu / vS) == pytest.approx(1.0, abs=0.08)
 
 
 def test_simulated_stops_look_like_the_recording(
-    data: dataset.Dataset, design: preparation.Design, told: Explanation
+    data: dataset.Dataset, design: preparation.Design, fitted: Explanation
 ) -> None:
-    made = simulate.runs(data, design, data.group("tune"), told, np.random.default_rng(5))
+    made = simulate.runs(data, design, data.group("tune"), fitted, np.random.default_rng(5))
     again = preparation.prepare(data, made, design)
-    nu, S, *_ = sensitivity.innovations(again, candidates.inputs(again, told))
+    nu, S, *_ = sensitivity.innovations(again, candidates.inputs(again, fitted))
     assert np.mean(nu * nu / S) == pytest.approx(1.0, abs=0.06)
     assert again.sliding_m_s.mean() == pytest.approx(design.sliding_m_s.mean(), rel=0.25)
 
 
 def test_wet_pads_hidden_in_simulated_stops_are_the_likeliest_cause(
-    data: dataset.Dataset, design: preparation.Design, told: Explanation
+    data: dataset.Dataset, design: preparation.Design, fitted: Explanation
 ) -> None:
     wet = Cause("wet_pads", 0, {"turns": 12.0}, (0.25,))
     made = simulate.runs(
-        data, design, data.group("tune"), told._replace(causes=(wet,)), np.random.default_rng(6)
+        data, design, data.group("tune"), fitted._replace(causes=(wet,)), np.random.default_rng(6)
     )
     seen = preparation.prepare(data, made, design)
-    found = evidence.most_promising(seen, fitting.normal_equations(seen, told)[0], 3)
+    found = evidence.most_promising(seen, fitting.normal_equations(seen, fitted)[0], 3)
     assert found[0].name == "wet_pads"
-    fitted = fitting.fit(seen, told._replace(causes=(found[0],)), 4, False)[0]
+    fitted = fitting.fit(seen, fitted._replace(causes=(found[0],)), 4, False)[0]
     assert fitted.causes[0].values[0] == pytest.approx(0.25, abs=0.08)
