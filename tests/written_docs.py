@@ -102,7 +102,7 @@ def searches():
             f"{one.floor:g}" if one.floor else "",
             one.price or "",
             f"{one.alpha:.1g}",
-            ", ".join(one.goes_by),
+            ", ".join(one.remainder_along),
         )
         yield f"| `{one.name}` | {one.mechanism.text} | {' | '.join(map(str, cells))} |"
 

@@ -60,7 +60,7 @@ def drawn(seed: int, effects: int = 0) -> dict[str, Any]:
         values = {key: float(f"{rng.uniform(*bounds):.3g}") for key, bounds in sizes.items()}
         first = next(iter(values))
         values[first] *= rng.choice([-1.0, 1.0]) if row.low < 0.0 else 1.0
-        axle = int(rng.integers(1, 5)) if table.OF[cause].each_axle else 0
+        axle = int(rng.integers(1, 5)) if table.BY_NAME[cause].single_axles_only else 0
         where = f" on wheelset {axle}" if axle else ""
         if name in FAULTS:
             found["fault"].append({"kind": name, "axle": axle} | values)

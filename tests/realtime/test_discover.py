@@ -86,7 +86,7 @@ def test_a_rig_holds_a_speed_while_its_wheels_slide_and_the_replay_asks_for_no_f
     )
     data = dataset.load(made)
     design = prepare(data, data.runs)
-    explanation = candidates.start(design)
+    explanation = candidates.untuned(design)
     nu, variance = sensitivity.replay_vehicles(design, candidates.inputs(design, explanation))
     assert (nu**2 / variance).mean() == pytest.approx(1.0, abs=0.2)
     # no force on a vehicle shows in it

@@ -268,7 +268,7 @@ def account(*causes: Cause) -> decision.Diagnosis:
     """What `explain` would hand over had it found these causes."""
     data = dataset.load("open_none")
     design = preparation.prepare(data, data.group("tune")[:1])
-    base = candidates.start(design)
+    base = candidates.untuned(design)
     named = []
     for cause in causes:
         tiny, none = (1e-6,) * len(cause.values), (0.0,) * len(cause.values)

@@ -45,7 +45,7 @@ CAUSES = [
     (row, shape, axle)
     for row in table.TABLE
     if row.name != "empirical"
-    for shape in (row.shapes or (WINDOWS[row.name], WINDOWS[row.name] | table.ALONE))
+    for shape in (row.shapes or (WINDOWS[row.name], WINDOWS[row.name] | table.CONTAMINANT_ALONE))
     for axle in row.axles[:2]
 ]
 ROWS = [cause for cause in CAUSES if cause[0].mechanism in IN_PLANT]
@@ -119,7 +119,7 @@ def plain() -> preparation.Design:
 
 def whitened(design: preparation.Design, acts_on: str, *causes: Cause) -> np.ndarray:
     """Innovations over their deviations of what a mechanism acts on, shape (n,): wheels, or the vehicle."""
-    explanation = candidates.start(design)._replace(causes=causes)
+    explanation = candidates.untuned(design)._replace(causes=causes)
     nu, S, _, vehicle_nu, vehicle_S = sensitivity.innovations(
         design, candidates.inputs(design, explanation)
     )
@@ -162,7 +162,7 @@ def test_the_linearised_answer_is_the_derivative_of_the_replay(plain, row, shape
     cause = cause_of(row, shape, axle, size)
     found, _, answers = fitting.normal_equations(
         plain,
-        candidates.start(plain)._replace(
+        candidates.untuned(plain)._replace(
             causes=(cause._replace(values=tuple(0.0 for _ in cause.values)),)
         ),
     )
@@ -179,7 +179,7 @@ def test_the_linearised_answer_is_the_derivative_of_the_replay(plain, row, shape
 
 @pytest.mark.parametrize(("row", "shape", "axle"), CAUSES, ids=name)
 def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(plain, row, shape, axle) -> None:
-    explanation = candidates.start(plain)
+    explanation = candidates.untuned(plain)
     with_it = explanation._replace(causes=(cause_of(row, shape, axle, 0.0),))
     found = [
         sensitivity.innovations(plain, candidates.inputs(plain, one))

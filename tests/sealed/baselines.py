@@ -46,7 +46,7 @@ class _Stops:
 
     def __init__(self, data: Dataset) -> None:
         design = prepare(data, data.group("tune"))
-        base, *_ = fitting.fit(design, candidates.start(design))
+        base, *_ = fitting.fit(design, candidates.untuned(design))
         normal = fitting.normal_equations(design, base)[0]
         # of all n columns: information matrix (n, n), and gradient (n,)
         self.S, self.g = evidence.scores(normal)
@@ -56,7 +56,7 @@ class _Stops:
         self.samples = design.measured_rad_s.size
 
     def _is_a_candidate(self, variant: Variant) -> bool:
-        if evidence.is_smooth_function(variant.cause) or variant.cause not in table.OF:
+        if evidence.is_smooth_function(variant.cause) or variant.cause not in table.BY_NAME:
             return False
         return all(self.S[c, c] > _LEAST_INFORMATION for c in variant.columns)
 
@@ -78,7 +78,7 @@ class _Stops:
         """Return the first shape of each cause, on each axle where the cause acts on one axle."""
         first: dict[tuple[str, int], Variant] = {}
         for variant in self.variants:
-            if variant.axle == 0 or table.OF[variant.cause].each_axle:
+            if variant.axle == 0 or table.BY_NAME[variant.cause].single_axles_only:
                 first.setdefault((variant.cause, variant.axle), variant)
         return list(first.values())
 
@@ -160,7 +160,7 @@ def _bounds(variant: Variant) -> tuple[float, float]:
     """Return the allowed range of the coefficients of a variant."""
     row = BY_NAME[variant.cause].parameters[0]
     # the sign of a coefficient depends on its phase; equal limits mean that none are given
-    if table.OF[variant.cause].phase or row.low == row.high:
+    if table.BY_NAME[variant.cause].phase or row.low == row.high:
         return -row.high, row.high
     return row.low, row.high
 

@@ -204,5 +204,5 @@ def _errors(dataset_folder: Path) -> dict[str, float]:
         return {}
     design = preparation.prepare(data, data.group("tune"))
     held = preparation.prepare(data, data.group("validate"))
-    base, *_ = fitting.fit(design, candidates.start(design))
+    base, *_ = fitting.fit(design, candidates.untuned(design))
     return {metric: gain.error(held, base, metric) for metric in (gain.ADHESION, gain.FREE_RUN)}

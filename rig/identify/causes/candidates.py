@@ -50,7 +50,7 @@ class Explanation(NamedTuple):
         return self._replace(causes=(*self.causes[:at], cause, *self.causes[at + 1 :]))
 
 
-def start(design: Design) -> Explanation:
+def untuned(design: Design) -> Explanation:
     """The untuned base."""
     return Explanation(
         {f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)}, 0.028, 8.0, ()
@@ -87,7 +87,7 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
 
 
 def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
-    row = table.OF[cause.name]
+    row = table.BY_NAME[cause.name]
     m, on, rows = (
         row.mechanism,
         courses.of_axle(d, cause.axle),

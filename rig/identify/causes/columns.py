@@ -194,7 +194,7 @@ def write(
     if search:
         for cause in causes:
             _in_size(w, cause, constants)
-        _smooth_functions(w, any(table.OF[cause.name].phase for cause in causes))
+        _smooth_functions(w, any(table.BY_NAME[cause.name].phase for cause in causes))
     course, acts = (np.array(part) for part in zip(*w.uses, strict=True))
     # courses that are not written: of the windows, bins of one change, and of memory, answers of the whole filter
     bins, count = np.full((len(places), design.measured_rad_s.size), -1), len(w.wheel)
@@ -330,7 +330,7 @@ def _windows(w: _Writer) -> list[tuple[list[list[int]], np.ndarray]]:
 
 def _in_size(w: _Writer, cause: candidates.Cause, constants: list[tuple[Search, Shape]]) -> None:
     """What makes a cause another one in each run, or as time goes on: a mechanism has one size."""
-    d, row = w.design, table.OF[cause.name]
+    d, row = w.design, table.BY_NAME[cause.name]
     if row.phase or row.name == "adhesion_memory":
         return
     of_runs = [of_run(d, run) for run in range(1, d.mass_kg.size)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.compiled.generated import kernel_from_source
-from rollerrig.rig.identify.causes.table import OF, Shape
+from rollerrig.rig.identify.causes.table import BY_NAME, Shape
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.mechanisms import friction
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, arguments
@@ -50,7 +50,7 @@ def covariate(d: Design, name: str) -> np.ndarray:
 
 def courses(d: Design, name: str, shape: Shape) -> list[np.ndarray]:
     """What one unit of each coefficient adds at each sample, shape (n,); with a phase cosine and sine of each run."""
-    row, n = OF[name], d.time_s.size
+    row, n = BY_NAME[name], d.time_s.size
     if name == "empirical":
         return _empirical(d, shape)
     if row.phase:

@@ -1,121 +1,173 @@
-"""What the identification knows of each mechanism beyond its formula: one row a cause.
+"""The table of causes: how the identification searches for each mechanism, one row per cause.
 
-Which shapes the search tries and between which bounds it refines them, what a cause costs, along what
-its remainder may go. What a cause moves in a replay follows from its row in `mechanisms`: a course of
-friction, torque or load, or constants of the model; the few others have columns of their own.
+A row states which shapes the search tries, within which limits it refines them, what a cause costs,
+and along which covariates it may leave a remainder. How a cause changes a replay follows from its row
+in `mechanisms`: a course of friction, torque or load, or constants of the model. The few other causes
+have their columns in `columns`.
 """
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.rig.mechanisms.mechanism import Mechanism
-from rollerrig.rig.mechanisms.table import BY_NAME
 
 Shape = dict[str, float]
-ALPHA_CAUSE = 0.02 / 30.0  # chance of a false alarm that a cause may have
+ALPHA_CAUSE = 0.02 / 30.0  # probability of a false alarm that a cause may have
 
 
 class Search(NamedTuple):
-    """How one cause is looked for. `name` is that of its mechanism."""
+    """How the identification searches for a cause. `name` is that of its mechanism."""
 
     name: str
-    shapes: tuple[Shape, ...] = ({},)  # those that are tried
-    scales: Mapping[
-        str, tuple[float, float]
-    ] = {}  # shape parameters that are then moved, with their bounds
-    floor: float = (
-        0.0  # what the filter's numerics may pretend, one deviation, in the unit of the coefficient
-    )
-    price: int = 0  # coefficients that its choice of shape is worth, beyond those that are fitted
-    goes_by: tuple[
-        str, ...
-    ] = ()  # covariates along which more may remain, for its shape may differ there
-    each_axle: bool = False  # looked for on single axles only
-    phase: str = ""  # a shape parameter that is found as cosine and sine, for each run its own
-    edge_step: float = 0.0  # it acts in a window: first step of its edges, m or s; searched in bins
+
+    # the shapes that the search tries
+    shapes: tuple[Shape, ...] = ({},)
+
+    # shape parameters that are refined afterwards, and their limits
+    scales: Mapping[str, tuple[float, float]] = {}
+
+    # standard deviation, in the unit of the coefficient, that numerical errors of the filter cause
+    floor: float = 0.0
+
+    # the choice of a shape counts as so many coefficients, in addition to the fitted ones
+    price: int = 0
+
+    # covariates along which the cause may leave a remainder, because its true shape may be different
+    remainder_along: tuple[str, ...] = ()
+
+    # the cause is searched for on single wheelsets only
+    single_axles_only: bool = False
+
+    # a shape parameter that is fitted as cosine and sine, separately for each run
+    phase: str = ""
+
+    # above 0: the cause acts in a window, which is searched for in bins; this is the first step, in m
+    # or s, by which its edges are then moved
+    edge_step: float = 0.0
+
     alpha: float = ALPHA_CAUSE
-    not_elsewhere: str = ""  # what of it is not known for runs that were not fitted
+
+    # what of the cause is unknown for runs that were not fitted, with its verb
+    unknown_in_other_runs: str = ""
 
     @property
     def mechanism(self) -> Mechanism:
-        """Its formula and parameters."""
-        return BY_NAME[self.name]
+        """The formula and the parameters of the cause."""
+        return mechanisms.BY_NAME[self.name]
 
     @property
     def axles(self) -> tuple[int, ...]:
-        """Axles on which it is looked for, 0: all of them alike."""
+        """The wheelsets on which the cause is searched for; 0 means all of them alike."""
         if not self.mechanism.axlewise:
             return (0,)
-        return (1, 2, 3, 4) if self.each_axle else (0, 1, 2, 3, 4)
+        if self.single_axles_only:
+            return (1, 2, 3, 4)
+        return (0, 1, 2, 3, 4)
 
 
-def _of(key: str, *values: float) -> tuple[Shape, ...]:
-    """The default shape for a value of 0, else that value."""
+def _shapes(key: str, *values: float) -> tuple[Shape, ...]:
+    """Returns a shape for each value of a parameter; the value 0 stands for the default shape."""
     return tuple({key: value} if value else {} for value in values)
 
 
-ALONE: Shape = {"contaminant_alone": 1.0}
+CONTAMINANT_ALONE: Shape = {"contaminant_alone": 1.0}
 TABLE = (
     Search(
         "rail_cleaning",
-        (*_of("energy_J_m", 10.0, 40.0, 150.0, 600.0, 2000.0), ALONE | {"energy_J_m": 150.0}),
-        {"energy_J_m": (3.0, 4000.0)},
-        goes_by=("axle", "load", "time of one axle"),
+        shapes=(
+            *_shapes("energy_J_m", 10.0, 40.0, 150.0, 600.0, 2000.0),
+            CONTAMINANT_ALONE | {"energy_J_m": 150.0},
+        ),
+        scales={"energy_J_m": (3.0, 4000.0)},
+        remainder_along=("axle", "load", "time of one axle"),
     ),
     Search(
         "speed_dependent_friction",
-        (*_of("knee_m_s", 0.0, 12.0), ALONE),
-        {"knee_m_s": (4.0, 80.0)},
-        goes_by=("speed",),
+        shapes=(*_shapes("knee_m_s", 0.0, 12.0), CONTAMINANT_ALONE),
+        scales={"knee_m_s": (4.0, 80.0)},
+        remainder_along=("speed",),
     ),
     Search(
         "friction_trend",
-        (*_of("time_s", 0.0, 10.0, 4.0), ALONE, ALONE | {"time_s": 10.0}),
-        {"time_s": (1.5, 60.0)},
-        goes_by=("time",),
+        shapes=(
+            *_shapes("time_s", 0.0, 10.0, 4.0),
+            CONTAMINANT_ALONE,
+            CONTAMINANT_ALONE | {"time_s": 10.0},
+        ),
+        scales={"time_s": (1.5, 60.0)},
+        remainder_along=("time",),
     ),
     Search(
         "negative_conditioning",
-        (*_of("distance_m", 10.0, 30.0, 100.0), ALONE | {"distance_m": 30.0}),
-        {"distance_m": (3.0, 400.0)},
+        shapes=(
+            *_shapes("distance_m", 10.0, 30.0, 100.0),
+            CONTAMINANT_ALONE | {"distance_m": 30.0},
+        ),
+        scales={"distance_m": (3.0, 400.0)},
         floor=0.005,
         price=1,
     ),
     Search("brake_gain"),
-    Search("torque_offset", _of("from_Nm", 0.0, 300.0)),
-    Search("pad_fade", _of("heat_MJ", 0.0, 3.0), {"heat_MJ": (0.5, 40.0)}, goes_by=("disc_heat",)),
-    Search("wet_pads", _of("turns", 3.0, 12.0), {"turns": (0.5, 100.0)}, goes_by=("time",)),
-    Search("running_resistance", _of("speed_power", 0.0, 1.0, 2.0), goes_by=("vehicle speed",)),
+    Search("torque_offset", shapes=_shapes("from_Nm", 0.0, 300.0)),
+    Search(
+        "pad_fade",
+        shapes=_shapes("heat_MJ", 0.0, 3.0),
+        scales={"heat_MJ": (0.5, 40.0)},
+        remainder_along=("disc_heat",),
+    ),
+    Search(
+        "wet_pads",
+        shapes=_shapes("turns", 3.0, 12.0),
+        scales={"turns": (0.5, 100.0)},
+        remainder_along=("time",),
+    ),
+    Search(
+        "running_resistance",
+        shapes=_shapes("speed_power", 0.0, 1.0, 2.0),
+        remainder_along=("vehicle speed",),
+    ),
     Search("track_gradient"),
     Search("roller_curvature", floor=0.02),
-    Search("interfacial_layer", _of("whole", 0.0, 1.0), floor=0.03),
+    Search("interfacial_layer", shapes=_shapes("whole", 0.0, 1.0), floor=0.03),
     Search(
         "falling_friction",
-        (*_of("height", 0.0, 1.0), ALONE, ALONE | {"height": 1.0}),
+        shapes=(
+            *_shapes("height", 0.0, 1.0),
+            CONTAMINANT_ALONE,
+            CONTAMINANT_ALONE | {"height": 1.0},
+        ),
         floor=0.01,
-        goes_by=("sliding",),
+        remainder_along=("sliding",),
     ),
     Search(
         "adhesion_memory",
-        ({}, {"speed_power": 1.0}, {"of_work": 1.0}),
+        shapes=({}, {"speed_power": 1.0}, {"of_work": 1.0}),
         floor=0.15,
-        goes_by=("energy",),
+        remainder_along=("energy",),
     ),
     Search("torque_sensor_delay", floor=0.001),
     Search("speed_sensor_delay", floor=0.001),
     Search("wheel_inertia", floor=0.006),
-    Search("wheel_radius", floor=3e-5, each_axle=True),
+    Search("wheel_radius", floor=3e-5, single_axles_only=True),
     Search("load_transfer", price=1),
     Search(
         "wheel_out_of_round",
         price=2,
-        each_axle=True,
+        single_axles_only=True,
         phase="phase_rad",
-        not_elsewhere="the angle of an out-of-round wheel at the start is",
+        unknown_in_other_runs="the angle of an out-of-round wheel at the start is",
     ),
-    # all runs go over the same rail: an irregularity of longer waves than the clean sets' looks like a patch
-    Search("contaminated_patch", (), price=2, edge_step=12.0, alpha=2e-5),
-    Search("sanding", (), price=6, edge_step=1.0, not_elsewhere="the moments of sanding are"),
-    Search("empirical", ()),
+    # Its alpha is small, because all runs use the same rail: an irregularity with longer waves than
+    # those of the null simulations looks like a patch.
+    Search("contaminated_patch", shapes=(), price=2, edge_step=12.0, alpha=2e-5),
+    Search(
+        "sanding",
+        shapes=(),
+        price=6,
+        edge_step=1.0,
+        unknown_in_other_runs="the moments of sanding are",
+    ),
+    Search("empirical", shapes=()),
 )
-OF: dict[str, Search] = {row.name: row for row in TABLE}
+BY_NAME: dict[str, Search] = {row.name: row for row in TABLE}

@@ -88,7 +88,7 @@ def fit_explanation(design: Design, explanation: Explanation) -> Fit:
             fitting.fit(design, shapes.restarted(design, found[0]), 9),
             key=lambda fit: fit[1],
         )
-    if any(table.OF[cause.name].edge_step for cause in explanation.causes):
+    if any(table.BY_NAME[cause.name].edge_step for cause in explanation.causes):
         found = fitting.fit(design, shapes.refine_windows(design, found[0]), 4)
     return Fit(*found, blocks(design, found[0]))
 
@@ -200,7 +200,7 @@ def choose(
     drop = blocks(design, explanation) - best.blocks
     # what tolerances had taken up stands in no block; the rest must not be one place of one run
     whole = max(float(drop.sum()), ratio[top])
-    if not table.OF[finding.name].edge_step and whole - drop.sum(axis=0).max() < max(
+    if not table.BY_NAME[finding.name].edge_step and whole - drop.sum(axis=0).max() < max(
         evidence.FLOOR, ELSEWHERE * whole
     ):
         return explanation, []
@@ -235,13 +235,13 @@ def refine_scales(
 
 
 def _price(finding: evidence.ScoreTest) -> float:
-    return PRICE * table.OF[finding.name].price + 2.0 * float(np.log(finding.trials))
+    return PRICE * table.BY_NAME[finding.name].price + 2.0 * float(np.log(finding.trials))
 
 
 def _deviation(finding: evidence.ScoreTest, fit: Fit, at: int) -> tuple[float, ...]:
     """Deviations of a cause's coefficients, which stand from place `at` on in the covariance."""
     nominal = np.sqrt(np.diag(fit.covariance)[at : at + len(finding.estimate)])
-    floor = table.OF[finding.name].floor
+    floor = table.BY_NAME[finding.name].floor
     return tuple(float(np.hypot(s * max(finding.spread, 1.0), floor)) for s in nominal)
 
 
@@ -288,7 +288,9 @@ def add_second_cause(
             for cause in evidence.most_promising(
                 design, fitting.normal_equations(design, explanation)[0], MOST_BESIDE
             )
-            if table.OF[cause.name].edge_step and cause.name not in known and turn + 1 < MOST_CAUSES
+            if table.BY_NAME[cause.name].edge_step
+            and cause.name not in known
+            and turn + 1 < MOST_CAUSES
         ]
         try:
             found, *_ = null_simulations.score_against_nulls(
@@ -345,7 +347,7 @@ def add_second_cause(
 
 def _filters_that_respond(second: evidence.ScoreTest) -> np.ndarray:
     """In which filters a cause shows, shape (5,): the vehicle's knows no adhesion law, the wheels' no force on it."""
-    on = table.OF[second.name].mechanism.acts_on if second.name in table.OF else ""
+    on = table.BY_NAME[second.name].mechanism.acts_on if second.name in table.BY_NAME else ""
     return np.array(
         [
             *(on != VEHICLE and second.axle in (0, j + 1) for j in range(AXLES)),

@@ -69,7 +69,7 @@ def explain_braking_runs(
         design = prepare(data, measured)
         setting = null_simulations.Workspace(data, measured, design, pool, progress)
         progress("fit of the base", 0.0)
-        base, value, _ = fitting.fit(design, candidates.start(design))
+        base, value, _ = fitting.fit(design, candidates.untuned(design))
         progress("fit of the base", 1.0)
         _check(design, base)
         likely = evidence.most_promising(
@@ -145,7 +145,11 @@ def _gain(
     seed: int,
     notes: list[str],
 ) -> Gain | None:
-    hidden = [what for named in causes if (what := table.OF[named.finding.name].not_elsewhere)]
+    hidden = [
+        what
+        for named in causes
+        if (what := table.BY_NAME[named.finding.name].unknown_in_other_runs)
+    ]
     if held is not None and hidden:
         notes.append(
             f"{hidden[0]} not known for the runs that were not fitted: the gain cannot be judged there"
@@ -184,7 +188,7 @@ def _verdict(
         f"along {name}"
         for named in causes
         if alone
-        for name in table.OF[named.finding.name].goes_by
+        for name in table.BY_NAME[named.finding.name].remainder_along
     }
     much = [
         f

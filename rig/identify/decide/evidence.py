@@ -135,8 +135,8 @@ def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> ScoreTest:
     nominal = np.sqrt(np.maximum(np.diag(np.linalg.pinv(S)), 1e-30))
     off = np.einsum("ki,kij,kj->k", null - bias, T, null - bias)
     scale = max(float(off.mean()) * len(off) / freedom / size, 0.7)
-    if variant.cause in table.OF:
-        scale += (table.OF[variant.cause].floor / nominal[0]) ** 2
+    if variant.cause in table.BY_NAME:
+        scale += (table.BY_NAME[variant.cause].floor / nominal[0]) ** 2
     statistic = float((x - bias) @ S @ (x - bias)) / scale
     if _wrong_sign(variant.cause, float(x[0] - bias[0])):
         statistic = 0.0
@@ -164,7 +164,7 @@ def score_test_of(
 
 def _wrong_sign(cause: str, value: float) -> bool:
     """Whether a coefficient lies on the side of 0 where the cause does not exist."""
-    row = table.OF.get(cause)
+    row = table.BY_NAME.get(cause)
     return (
         row is not None and row.mechanism.parameters[0].low == 0.0 and value < 0.0 and not row.phase
     )
@@ -207,7 +207,7 @@ def _patch(normal: fitting.NormalEquations, real: Scores, clean: list[Scores]) -
         return None
     null = np.array([window[3] if window else 0.0 for window in ordinary])
     low, high, x, T = seen
-    shape = table.ALONE | {
+    shape = table.CONTAMINANT_ALONE | {
         "start_m": float(normal.matrix.columns[at[low]].label),
         "length_m": float((high - low) * columns.PLACE_BIN_M),
     }
@@ -233,8 +233,8 @@ def _sand(
     found = [
         _sand_on(design, normal, real, clean, owner, shape)
         for owner, shape in (
-            ("time_bin", table.ALONE),
-            ("time_bin behind", table.ALONE | {"behind": 1.0}),
+            ("time_bin", table.CONTAMINANT_ALONE),
+            ("time_bin behind", table.CONTAMINANT_ALONE | {"behind": 1.0}),
         )
     ]
     return max(
@@ -322,7 +322,7 @@ def is_settled(found: Sequence[ScoreTest]) -> bool:
 
 
 def _is_window(found: ScoreTest) -> bool:
-    return not is_smooth_function(found.name) and table.OF[found.name].edge_step > 0.0
+    return not is_smooth_function(found.name) and table.BY_NAME[found.name].edge_step > 0.0
 
 
 def is_significant(found: ScoreTest, floor: float = FLOOR) -> bool:
@@ -331,4 +331,4 @@ def is_significant(found: ScoreTest, floor: float = FLOOR) -> bool:
 
 
 def _limit(found: ScoreTest) -> float:
-    return ALPHA_GENERIC if is_smooth_function(found.name) else table.OF[found.name].alpha
+    return ALPHA_GENERIC if is_smooth_function(found.name) else table.BY_NAME[found.name].alpha

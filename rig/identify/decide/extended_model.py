@@ -20,7 +20,7 @@ _LEAST_S = 0.001  # what a frame may be late by on the bench's bus
 
 def parameters(named: IdentifiedCause) -> dict[str, dict[str, Any]]:
     """Coefficients of a named cause: value, 95 % interval, unit."""
-    if table.OF[named.cause.name].phase:
+    if table.BY_NAME[named.cause.name].phase:
         return _swing(named)
     found: dict[str, dict[str, Any]] = {}
     rows = {row.name: row for row in BY_NAME[named.cause.name].parameters}
@@ -42,7 +42,7 @@ def parameters(named: IdentifiedCause) -> dict[str, dict[str, Any]]:
 
 def _width(cause: str, name: str, value: float) -> list[float]:
     """Interval of a shape: the grid on which it was searched."""
-    if name in table.OF[cause].scales:
+    if name in table.BY_NAME[cause].scales:
         return [value / 2.0, value * 2.0]
     edge = (
         PLACE_BIN_M

@@ -334,7 +334,7 @@ def within_bounds(cause: Cause) -> Cause:
 
 def bounds(cause: Cause) -> list[tuple[float, float]]:
     """Bounds of the coefficients of a cause, of the table of mechanisms."""
-    search, m = table.OF[cause.name], table.OF[cause.name].mechanism
+    search, m = table.BY_NAME[cause.name], table.BY_NAME[cause.name].mechanism
     rows = [m.parameters[min(k, m.free - 1)] for k in range(len(cause.values))]
     return [(-row.high if search.phase else row.low, row.high) for row in rows]
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 
 from rollerrig.rig.identify.causes import table
-from rollerrig.rig.identify.causes.candidates import Cause, Explanation, start
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation, untuned
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import fitting
 
@@ -42,13 +42,13 @@ def refine_windows(design: Design, explanation: Explanation) -> Explanation:
         if cause.name == "contaminated_patch"
         for ramp, deeper in _RAMPS
     ]
-    both = dict.fromkeys(table.ALONE, 0.0)
+    both = dict.fromkeys(table.CONTAMINANT_ALONE, 0.0)
     tried += [
         fitting.fit(
             design, explanation.with_cause(at, cause._replace(shape=cause.shape | both)), 3, False
         )[:2]
         for at, cause in enumerate(explanation.causes)
-        if table.OF[cause.name].edge_step
+        if table.BY_NAME[cause.name].edge_step
     ]
     better, least = min(tried, key=lambda pair: pair[1])
     return better if least < value - _RAMP_EARNS else explanation
@@ -57,14 +57,14 @@ def refine_windows(design: Design, explanation: Explanation) -> Explanation:
 def restarted(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with a memory in its likeliest form, its base begun anew: no small step leads there."""
     begun = [
-        start(design)._replace(
+        untuned(design)._replace(
             sigma=_BEGINS_ROUGH,
             causes=tuple(
                 c._replace(shape=shape) if c.name == fitting.MEMORY else c
                 for c in explanation.causes
             ),
         )
-        for shape in table.OF[fitting.MEMORY].shapes
+        for shape in table.BY_NAME[fitting.MEMORY].shapes
     ]
     return min(
         (fitting.fit(design, one, 5, False, free=("ln_mu",)) for one in begun),
@@ -76,7 +76,7 @@ def refine_scales(design: Design, explanation: Explanation) -> Explanation:
     """The explanation with the scales of its causes where they fit best."""
     value = fitting.deviance(design, explanation)
     for at, cause in enumerate(explanation.causes):
-        for key in [k for k in cause.shape if k in table.OF[cause.name].scales]:
+        for key in [k for k in cause.shape if k in table.BY_NAME[cause.name].scales]:
             for by in _FACTORS:
                 explanation, value = _while_it_pays(
                     design, explanation, value, at, partial(_scaled, key, by), True
@@ -110,7 +110,7 @@ def _while_it_pays(
 
 def _scaled(key: str, by: float, cause: Cause) -> Cause:
     """A cause with another scale, itself where that would be out of bounds."""
-    low, high = table.OF[cause.name].scales[key]
+    low, high = table.BY_NAME[cause.name].scales[key]
     scale = cause.shape[key] * by
     return cause._replace(shape={**cause.shape, key: scale}) if low <= scale <= high else cause
 
@@ -132,7 +132,7 @@ def _edges_moved(
     """Edges by steps that begin with a share `first` of the table's."""
     value = fitting.deviance(design, explanation)
     for at, cause in enumerate(explanation.causes):
-        step = first * table.OF[cause.name].edge_step
+        step = first * table.BY_NAME[cause.name].edge_step
         for _ in range(_HALVINGS if step else 0):
             for key in [k for k in cause.shape if k.startswith(("start_", "length_", "duration_"))]:
                 for by in (step, -step):

@@ -256,7 +256,7 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     A replicate draws the 3 s blocks of each run anew and the declared tolerances, and takes one
     Gauss-Newton step from the optimum. What whole runs pull apart is added: blocks do not know it.
     """
-    explanation, _, _ = fitting.fit(design, candidates.start(design))
+    explanation, _, _ = fitting.fit(design, candidates.untuned(design))
     found, linear, answers = fitting.normal_equations(design, explanation, False)
     at = fitting.base_columns(found.matrix)
     labels = [found.matrix.columns[c].label for c in at]

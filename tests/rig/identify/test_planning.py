@@ -29,7 +29,7 @@ def on() -> Ground:
     """One stop of the shipped set with its fitted base."""
     data = dataset.load("open_none")
     design = preparation.prepare(data, data.group("tune")[:1])
-    return Ground(data, design, fitting.fit(design, candidates.start(design), 3, False)[0])
+    return Ground(data, design, fitting.fit(design, candidates.untuned(design), 3, False)[0])
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path)
     data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
-    base, _, _ = fitting.fit(design, candidates.start(design))
+    base, _, _ = fitting.fit(design, candidates.untuned(design))
     patch = Cause("contaminated_patch", 0, {"start_m": 212.0, "length_m": 90.0}, (0.3,))
     made = simulate.runs(
         data, design, runs, base._replace(causes=(patch,)), np.random.default_rng(3)
@@ -42,7 +42,7 @@ def test_the_scale_of_a_cause_moves_to_that_of_the_rail(tmp_path: Path) -> None:
     data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
-    base, _, _ = fitting.fit(design, candidates.start(design))
+    base, _, _ = fitting.fit(design, candidates.untuned(design))
     cleaning = Cause("rail_cleaning", 0, {"energy_J_m": 60.0}, (0.25,))
     made = simulate.runs(
         data, design, runs, base._replace(causes=(cleaning,)), np.random.default_rng(4)
@@ -61,7 +61,7 @@ def test_a_long_memory_is_found_from_a_base_that_had_to_leave_recovery_out(tmp_p
     )
     data = dataset.load(folder)
     design = preparation.prepare(data, data.group("tune"))
-    base, value, _ = fitting.fit(design, candidates.start(design))
+    base, value, _ = fitting.fit(design, candidates.untuned(design))
     # to the base alone a late recovery looks like none, and like a rough rail
     assert base.base["ln_tau"] < -1.0
     assert base.sigma > 0.08
@@ -81,7 +81,7 @@ def test_a_fit_beside_a_memory_ends_where_no_coefficient_alone_is_better_elsewhe
         other_stops.make(tmp_path / "late", {"adhesion_memory": 3.0}, 11, ("a1", "a2", "b1"))
     )
     design = preparation.prepare(data, data.group("tune"))
-    begun = candidates.start(design)._replace(causes=(Cause("adhesion_memory", 0, {}, (2.0,)),))
+    begun = candidates.untuned(design)._replace(causes=(Cause("adhesion_memory", 0, {}, (2.0,)),))
     found, value, _ = fitting.fit(design, fitting.fit(design, begun, 9)[0], 9)
     memory = found.causes[0]
     beside = [
@@ -112,7 +112,7 @@ def test_a_speed_that_swings_by_its_pole_wheel_leaves_a_remainder_that_an_out_of
             run._replace(wheel_speed_rad_s=wheel) for run, wheel in zip(runs, told, strict=True)
         ]
     design = preparation.prepare(data, runs)
-    base, _, _ = fitting.fit(design, candidates.start(design))
+    base, _, _ = fitting.fit(design, candidates.untuned(design))
     swings = [
         c
         for c in evidence.most_promising(design, fitting.normal_equations(design, base)[0], 4)
@@ -139,7 +139,7 @@ def test_sand_in_every_run_is_found_to_the_instant_on_a_rail_that_it_made_look_r
     data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
-    base = fitting.fit(design, candidates.start(design))[0]._replace(sigma=0.003)
+    base = fitting.fit(design, candidates.untuned(design))[0]._replace(sigma=0.003)
 
     def sand(start_s: float, duration_s: float) -> Cause:
         window = {"start_s": start_s, "duration_s": duration_s}
@@ -170,7 +170,7 @@ def test_a_patch_shows_behind_another_cause_on_the_rail_that_is_left_without_it(
     data = dataset.load(braking_stops.make(tmp_path / "stops", {}, 21))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
-    base = fitting.fit(design, candidates.start(design))[0]
+    base = fitting.fit(design, candidates.untuned(design))[0]
     inertia = Cause("wheel_inertia", 0, {}, (0.1,))
     patch = Cause("contaminated_patch", 0, {"start_m": 60.0, "length_m": 50.0}, (0.25,))
     made = simulate.runs(
