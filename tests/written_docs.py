@@ -20,7 +20,7 @@ from rollerrig.rig import params
 from rollerrig.rig.identify.causes import table as causes
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.train_recorder import recording
-from rollerrig.wsp_interface import harness_client
+from rollerrig.wsp_interface import events, harness_client
 
 STANDARDS = (
     "CAN",
@@ -42,6 +42,7 @@ ALL_ITEMS = pytest.StashKey[list[pytest.Item]]()
 def write(folder, items):
     """Write the pages into a folder; `items`: all tests."""
     (folder / "faults.md").write_text(catalogue.markdown(), encoding="utf-8")
+    (folder / "events.md").write_text(events.markdown(), encoding="utf-8")
     (folder / "conformance.md").write_text(conformance(items), encoding="utf-8")
     for name in TABLES:
         text = (folder / name).read_text(encoding="utf-8")

@@ -395,6 +395,13 @@ TABLE: dict[Code, Row] = {
 
 # units of templates: what an SI value is multiplied with, digits behind the point, the unit's name
 _UNITS = {"bar": (1e-5, 2, "bar"), "mm": (1e3, 0, "mm"), "ms": (1e3, 3, "ms")}
+_JSON_TYPES = {
+    str: "string",
+    int: "integer",
+    float: "number",
+    bool: "boolean",
+    list: "list of integers",
+}
 _OPTIONAL = re.compile(r"\[(.*?)\]")
 
 
@@ -491,21 +498,22 @@ def markdown() -> str:
     lines = [
         "# Events",
         "",
-        "For programs that read what happened in a run: the code, level and fields of every event. "
-        "[Runs](runs.md) describes the files that contain them. Written by `make docs`.",
+        "This page is for programmers: after reading it you know every event that a run can record.",
+        "[Runs](runs.md) describes the files that contain events. `make docs` writes this page.",
         "",
-        "Use codes and fields. The text of an event is made from them for people and may change. "
-        "A field in square brackets may be null. Units are in the names of fields.",
+        "Programs use codes and fields. The text is made from them for people and may change. A field in",
+        "square brackets may be null; its part of the text is then left out. The unit of a number is in",
+        "the name of its field.",
         "",
         "| code | level | fields | text |",
         "|---|---|---|---|",
     ]
     for code, row in TABLE.items():
         may_be_none = optional(row)
-        names = [
-            f"[`{name}`: {kind.__name__}]" if name in may_be_none else f"`{name}`: {kind.__name__}"
-            for name, kind in row.fields.items()
-        ]
+        names = []
+        for name, kind in row.fields.items():
+            field = f"`{name}` {_JSON_TYPES[kind]}"
+            names.append(f"[{field}]" if name in may_be_none else field)
         template = f"{row.sentence}; {row.advice}" if row.advice else row.sentence
         lines.append(f"| `{code}` | {row.level} | {', '.join(names)} | `{template}` |")
     return "\n".join(lines) + "\n"

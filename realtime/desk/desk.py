@@ -50,6 +50,7 @@ class Desk:
         self.alarms: deque[Alarm] = deque(maxlen=_ALARMS)
         self.programs: list[Program] = []
         self._viewer: Any = None
+        self._last_failure = ""
 
     # -- what goes on
 
@@ -67,7 +68,8 @@ class Desk:
                     asked_s = now_s
                     await self.doors.poll()
             except Exception as error:  # whatever it is: the page says it, and the desk goes on
-                if not self.alarms or repr(error) not in self.alarms[0].text:
+                if repr(error) != self._last_failure:
+                    self._last_failure = repr(error)
                     self.alarm("error", f"the desk: {error!r}")
             await asyncio.sleep(_READ_S)
 
