@@ -1,11 +1,12 @@
-"""Contact point detection: where a wheel touches a rail or a roller, in closed form but for one root.
+"""Contact point detection: where a wheel touches a rail or a roller.
 
-Two smooth surfaces touch where their normals are parallel and the rail's normal is parallel to the vector between the
-points: six equations in four unknowns. A wheel is a surface of revolution, so for a given lateral coordinate y_w on it
-the other three unknowns follow in closed form, and one scalar equation F(y_w) = 0 is left. Its rising roots are the
-places where the surfaces come closest; all of them are found (tread, root and flange) and refined by Newton's method.
-From step to step known ones are tracked from where they were, and the wheel is searched anew when it has moved: both
-cost a bounded number of operations. No look-up table over positions is needed.
+Two smooth surfaces touch where their normals are parallel and the rail's normal is parallel to the
+vector between the points: six equations in four unknowns. A wheel is a surface of revolution. So for
+a given lateral coordinate y_w on it the other three unknowns follow in closed form, and one scalar
+equation F(y_w) = 0 is left. Its rising roots are the places where the surfaces come closest. All of
+them are found (tread, root and flange) and refined by Newton's method. From step to step, `track`
+follows the known roots from their last places, and `detect` searches the wheel again when it has
+moved. Both cost a bounded number of operations. No look-up table over positions is needed.
 
 [G1] r_w = C + y_w e + w (rho), n_w = (rho - w' e) / sqrt(1 + w'^2): wheel point and outward normal,
      C the wheelset's centre, e its axis, rho a unit vector across e, w(y_w) the rolling radius
@@ -18,9 +19,10 @@ cost a bounded number of operations. No look-up table over positions is needed.
 [G6] F = (t - y_r - (R + z_r) b') cos b, gap = (r_w - r_r) . n_r as on the rail
 [G7] dF/dy_w = sqrt(1 + w'^2) (1 + kappa_w (R_r + gap)): Newton's slope
 
-Source: paper eqs. 1 to 3 (n_w parallel n_r, n_r parallel to the distance), reduced here to F. Frame of one side: x
-forwards, y outwards, z up; the rail's highest point at z = 0, a roller's axis under it. The mirrored side is computed
-with y, roll and yaw reversed. Rail heads are convex (`profiles` [Q4]); two roots closer than 1 mm count as one.
+Source: paper eqs. 1 to 3 (n_w parallel n_r, n_r parallel to the distance), reduced here to F. Frame
+of one side: x forwards, y outwards, z up; the rail's highest point is at z = 0, a roller's axis under
+it. The other side is computed with y, roll and yaw reversed. Rail heads are convex (`profiles`
+[Q4]); two roots closer than 1 mm count as one.
 """
 
 import math
@@ -36,24 +38,44 @@ from rollerrig.rig.contact.profiles import Rail, Wheel
 (S, GAP, X, Y, Z, NX, NY, NZ, RADIUS, RAIL_Y, RAIL_Z, LATERAL, ROLLING) = range(13)
 COLUMNS = 13
 MOST = 4  # contacts of one wheel
-KEEP_M = 0.004  # candidates farther apart are forgotten
+KEEP_M = 0.004  # candidates with a larger gap are dropped
 TOLERANCE_M = 5e-6  # F at which a root is accepted: the gap, stationary there, errs by 1e-10 m
 NEWTON_STEPS = 8
-FLATTEST_1_M, CURVEST_1_M = 0.2, 200.0  # bounds of the lateral curvature that Hertz is given
+SMALLEST_SLOPE = 0.05  # of F, below which Newton's step is not used
+# bounds of the lateral curvature that Hertz is given
+FLATTEST_1_M = 0.2
+CURVEST_1_M = 200.0
 
 
 @kernel_inlined
 def axis(roll_rad, yaw_rad):
-    """The wheelset's axis e, outwards, after yaw about z and roll about x; pitch turns about it."""
+    """Return the wheelset's axis e, a unit vector outwards, after yaw about z and roll about x.
+
+    Pitch turns the wheelset about this axis and does not change it.
+    """
     c = math.cos(roll_rad)
     return -math.sin(yaw_rad) * c, math.cos(yaw_rad) * c, math.sin(roll_rad)
 
 
 @kernel_inlined
 def matched(u, w, slope, pose, axle, roller_m, rail):
-    """For y_w = u: (F, gap, rail radius of curvature, n_x, n_y, n_z, y_r, z_r, node) [G1 to G6].
+    """Return the rail's point that matches a wheel's point, and how far both are from a contact.
 
-    pose (x, y, z) of the wheelset's centre, axle = `axis`, roller_m its radius, inf for a rail.
+    Parameters
+    ----------
+    u, w, slope : y_w on the wheel, its rolling radius w and the slope w'
+    pose : (x, y, z) of the wheelset's centre, in m
+    axle : its axis from `axis`
+    roller_m : radius of the roller, inf for a rail
+    rail : `Rail`
+
+    Returns
+    -------
+    F, gap : misfit and distance in m [G4], [G6]
+    radius : radius of curvature of the rail at its point, in m
+    n_x, n_y, n_z : normal out of the rail [G2], [G5]
+    y_r, z_r : the rail's point [G3]
+    node : its node in the rail's table
     """
     ex, ey, ez = axle
     if math.isinf(roller_m):
@@ -66,24 +88,37 @@ def matched(u, w, slope, pose, axle, roller_m, rail):
         nx = 0.0
         ny = (slope * ey / s2 - beta * ez / s) * scale
         nz = (slope * ez / s2 + beta * ey / s) * scale
-        y, z, radius, node = on_rail(-ny, nz, rail)
-        # wheel point: normals through the axis [G1]
+        y, z, radius, node = on_rail(-ny, nz, rail)  # [G3]
+
+        # the wheel's normal passes through its axis, w sqrt(1 + w'^2) from the wheel point [G1]
         q = u + w * slope
         py = pose[1] + q * ey - y
         pz = pose[2] + q * ez - z
-        return (py * nz - pz * ny, py * ny + pz * nz - w / scale, radius, nx, ny, nz, y, z, node)
+        F = py * nz - pz * ny  # [G4]
+        gap = py * ny + pz * nz - w / scale
+        return F, gap, radius, nx, ny, nz, y, z, node
+
+    # Q, where the common normal meets the wheel's axis; z from the roller's axis
     q = u + w * slope
-    qx, qy, qz = pose[0] + q * ex, pose[1] + q * ey, pose[2] + q * ez + roller_m
+    qx = pose[0] + q * ex
+    qy = pose[1] + q * ey
+    qz = pose[2] + q * ez + roller_m
+
     # [G5] with tau = t - q_y
     m = -qx * ex - qz * ez
     h2 = qx * qx + qz * qz
     k = 1.0 + slope * slope
     A = ey * ey * k - slope * slope
     tau = (-m * ey * k - slope * math.sqrt(max(k * m * m + A * h2, 0.0))) / A
+
+    # normal out of the roller, and the head's point with its slope
     length = math.sqrt(h2 + tau * tau)
-    nx, ny, nz = qx / length, -tau / length, qz / length
+    nx = qx / length
+    ny = -tau / length
+    nz = qz / length
     radial = math.sqrt(nx * nx + nz * nz)
     y, z, radius, node = on_rail(-ny, radial, rail)
+
     out = (roller_m + z) / radial
     F = (tau + qy - y + out * ny) * radial  # [G6], as a distance from the common normal
     gap = qx * nx + (qy - y) * ny + qz * nz - out * radial * radial - w * math.sqrt(k)
@@ -92,49 +127,70 @@ def matched(u, w, slope, pose, axle, roller_m, rail):
 
 @kernel_inlined
 def on_rail(sine, cosine, rail):
-    """The head's point with a slope: (y, z, radius of curvature, node) [Q2 of profiles]."""
+    """Return the head's point with a slope: (y, z, radius of curvature, node) [Q2 of `profiles`].
+
+    `sine` and `cosine` are those of the slope; y, z and the radius are in m.
+    """
     nodes = rail.nodes
     last = nodes.shape[0] - 2
     place = sine * rail.sines_per_node + 0.5 * (last + 1)
     i = min(max(int(place), 0), last)
     part = min(max(place - i, 0.0), 1.0)
+
+    # the head is an arc between two nodes
     y = nodes[i, profiles.Y_M]
     fall = y - nodes[i + 1, profiles.Y_M]
     radius = fall * rail.sines_per_node
-    return (
-        y - fall * part,
-        nodes[i, profiles.Z_M] + radius * (cosine - nodes[i, profiles.COSINE]),
-        radius,
-        i,
-    )
+    z = nodes[i, profiles.Z_M] + radius * (cosine - nodes[i, profiles.COSINE])
+    return y - fall * part, z, radius, i
 
 
 @kernel
 def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
-    """Newton from u within [lower, upper]; writes row `to` of `found`, False if there is no root."""
+    """Find a root of F by Newton's method and write it as a contact; return whether there is one.
+
+    Parameters
+    ----------
+    u : start of the search, a coordinate s of the wheel in m
+    lower, upper : the bracket of the root; a step that leaves it is replaced by bisection
+    pose, axle, roller_m, rail : as for `matched`
+    wheel : `Wheel`
+    found : contacts (.., COLUMNS); row `to` is written
+    to : the row
+    """
     fine = wheel.fine
     last = fine.shape[0] - 2
     for _ in range(NEWTON_STEPS):
+        # radius and slope of the wheel here [Q1 of `profiles`]
         i = min(max(int((u - wheel.start_m) / wheel.spacing_m), 0), last)
         t = u - wheel.start_m - i * wheel.spacing_m
         bend = (fine[i + 1, profiles.SLOPE] - fine[i, profiles.SLOPE]) / wheel.spacing_m
         slope = fine[i, profiles.SLOPE] + bend * t
         w = fine[i, profiles.RADIUS_M] + t * (fine[i, profiles.SLOPE] + 0.5 * bend * t)
+
         F, gap, radius, nx, ny, nz, y, z, node = matched(
             u + wheel.centre_m, w, slope, pose, axle, roller_m, rail
         )
         root = math.sqrt(1.0 + slope * slope)
         steep = root - bend * (radius + max(gap, 0.0)) / (root * root)  # [G7]
-        move = u - F / steep if steep > 0.05 else lower - 1.0
+        # where F hardly rises, a place outside the bracket makes the search bisect
+        move = u - F / steep if steep > SMALLEST_SLOPE else lower - 1.0
+
         if abs(F) < TOLERANCE_M:
-            found[to, S], found[to, GAP] = move if steep > 0.05 else u, gap
+            found[to, S] = move if steep > SMALLEST_SLOPE else u
+            found[to, GAP] = gap
+            # the point on the wheel: along the axis, then along the normal to the surface
             q = u + wheel.centre_m + w * slope
             reach = w * root
             found[to, X] = q * axle[0] - reach * nx
             found[to, Y] = q * axle[1] - reach * ny
             found[to, Z] = q * axle[2] - reach * nz
-            found[to, NX], found[to, NY], found[to, NZ] = nx, ny, nz
-            found[to, RADIUS], found[to, RAIL_Y], found[to, RAIL_Z] = w, y, z
+            found[to, NX] = nx
+            found[to, NY] = ny
+            found[to, NZ] = nz
+            found[to, RADIUS] = w
+            found[to, RAIL_Y] = y
+            found[to, RAIL_Z] = z
             lateral = (
                 fine[i, profiles.CURVATURE_1_M] + rail.nodes[node, profiles.RAIL_CURVATURE_1_M]
             )
@@ -143,6 +199,8 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
             if not math.isinf(roller_m):
                 found[to, ROLLING] += math.sqrt(nx * nx + nz * nz) / (roller_m + z)
             return True
+
+        # narrow the bracket: F rises through the root
         if F < 0.0:
             lower = u
         else:
@@ -155,20 +213,30 @@ def refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to):
 
 @kernel_inlined
 def misfits(F, row, pose, axle, roller_m, wheel, rail):
-    """F of [G4] or [G6] at the coarse nodes, into F[row]; roots where it rises through 0. On rails yaw to 2nd order."""
+    """Write F of [G4] or [G6] at the coarse nodes of a wheel into F[row].
+
+    A contact lies where F rises through 0. On rails this is accurate to second order in the yaw.
+    Arguments as for `refined`; F has shape (.., coarse nodes).
+    """
     ex, ey, ez = axle
     coarse = wheel.coarse
     if not math.isinf(roller_m):
         misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail)
         return
+
+    # [G2] as in `matched`, with everything that is the same for all nodes taken out of the loop
     s2 = 1.0 - ex * ex
     s = math.sqrt(s2)
-    lean, leaning, upright = ex / s, ez / s, ey / s
-    across, up = ey / s2, ez / s2
+    lean = ex / s
+    leaning = ez / s
+    upright = ey / s
+    across = ey / s2
+    up = ez / s2
     for i in range(coarse.shape[0]):
-        slope, scale = coarse[i, profiles.AT_SLOPE], coarse[i, profiles.AT_COSINE]
+        slope = coarse[i, profiles.AT_SLOPE]
+        scale = coarse[i, profiles.AT_COSINE]
         alpha = slope * lean
-        beta = 1.0 - 0.5 * alpha * alpha
+        beta = 1.0 - 0.5 * alpha * alpha  # sqrt(1 - alpha^2)
         ny = (slope * across - beta * leaning) * scale
         nz = (slope * up + beta * upright) * scale
         y, z, _, _ = on_rail(-ny, nz, rail)
@@ -178,20 +246,24 @@ def misfits(F, row, pose, axle, roller_m, wheel, rail):
 
 @kernel_inlined
 def misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail):
-    """`misfits` on a roller: [G6] with n = (c q_x / h, n_y, c q_z / h), for q from the roller's axis.
+    """Write `misfits` on a roller: [G6] with n = (c q_x / h, n_y, c q_z / h), q from the roller's axis.
 
-    n . e is the sine of the wheel's slope, which gives n_y and c; h and 1 - e_y^2 to second order.
+    n . e is the sine of the wheel's slope, which gives n_y and c. The distance h and 1 - e_y^2 are
+    taken to second order.
     """
     ex, ey, ez = axle
     coarse = wheel.coarse
-    px, pz = pose[0], pose[2] + roller_m
+    # the wheelset's centre from the roller's axis
+    px = pose[0]
+    pz = pose[2] + roller_m
     h0 = math.sqrt(px * px + pz * pz)
     unit = 1.0 / h0
-    along, sideways = (px * ex + pz * ez) * unit, ex * ex + ez * ez
+    along = (px * ex + pz * ez) * unit
+    sideways = ex * ex + ez * ez
     for i in range(coarse.shape[0]):
         q = coarse[i, profiles.AT_NORMAL_M]
         part = q * unit
-        grown = part * (along + 0.5 * part * sideways)
+        grown = part * (along + 0.5 * part * sideways)  # h / h0 - 1
         grown -= 0.5 * grown * grown
         # how far e leans along q
         lean = (along + part * sideways) * (1.0 - grown + grown * grown)
@@ -208,28 +280,22 @@ def misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail):
 
 @kernel
 def track(found, begin, count, pose, axle, roller_m, wheel, rail):
-    """Refine the contacts of the step before, by a few evaluations of F each; returns how many are left."""
+    """Refine the contacts of the last step, by a few evaluations of F each; return how many are left.
+
+    `found` (.., COLUMNS) has `count` contacts from row `begin` on; contacts that are lost, or too far
+    from the rail, are removed. The other arguments are those of `refined`.
+    """
     width = profiles.STRIDE * wheel.spacing_m
     lowest = wheel.start_m
     highest = lowest + (wheel.fine.shape[0] - 1) * wheel.spacing_m
     to = begin
     for c in range(begin, begin + count):
         u = found[c, S]
-        if (
-            refined(
-                u,
-                max(u - width, lowest),
-                min(u + width, highest),
-                pose,
-                axle,
-                roller_m,
-                wheel,
-                rail,
-                found,
-                to,
-            )
-            and found[to, GAP] < KEEP_M
-        ):
+        lower = max(u - width, lowest)
+        upper = min(u + width, highest)
+        has_root = refined(u, lower, upper, pose, axle, roller_m, wheel, rail, found, to)
+        if has_root and found[to, GAP] < KEEP_M:
+            # two contacts may have run into the same root
             twin = to > begin and abs(found[to, S] - found[to - 1, S]) < 0.5 * width
             to += 0 if twin else 1
     return to - begin
@@ -237,31 +303,37 @@ def track(found, begin, count, pose, axle, roller_m, wheel, rail):
 
 @kernel
 def detect(found, begin, count, F, row, pose, axle, roller_m, wheel, rail):
-    """Search a whole wheel for contacts and near contacts beside `count` known ones; returns how many there are.
+    """Search a whole wheel for contacts and near contacts; return how many there are.
 
-    Writes rows begin .. begin + MOST - 1 of `found` (.., COLUMNS) and row `row` of F (.., coarse
-    nodes); pose (x, y, z) in m of the wheelset's centre in the frame of one side; axle from `axis`;
-    roller_m inf for a rail. To be called when a wheel has moved a little or has lost a contact.
+    The `count` known contacts remain. Call this when a wheel has moved a little or has lost a
+    contact.
+
+    Parameters
+    ----------
+    found : (.., COLUMNS); rows begin .. begin + MOST - 1 belong to this wheel
+    begin, count : first row of this wheel, and number of known contacts
+    F, row : (.., coarse nodes), in which row `row` is written
+    pose : (x, y, z) in m of the wheelset's centre in the frame of one side
+    axle : its axis from `axis`
+    roller_m : radius of the roller, inf for a rail
+    wheel, rail : `Wheel`, `Rail`
     """
     misfits(F, row, pose, axle, roller_m, wheel, rail)
     width = profiles.STRIDE * wheel.spacing_m
     to = begin + count
     for i in range(1, wheel.coarse.shape[0]):
+        # F rises through 0 between the nodes i - 1 and i
         if F[row, i - 1] < 0.0 <= F[row, i]:
             u = wheel.coarse[i, profiles.AT_M] - wheel.centre_m
             known = False
             for c in range(begin, to):
                 known |= u - 2.0 * width <= found[c, S] <= u + width
-            # the root lies in the interval before u
-            if (
-                not known
-                and to < begin + MOST
-                and refined(
+            if not known and to < begin + MOST:
+                has_root = refined(
                     u - 0.5 * width, u - width, u, pose, axle, roller_m, wheel, rail, found, to
                 )
-                and found[to, GAP] < KEEP_M
-            ):
-                to += 1
+                if has_root and found[to, GAP] < KEEP_M:
+                    to += 1
     return to - begin
 
 
@@ -271,21 +343,21 @@ def contacts(
     rail: Rail,
     roller_m: float = math.inf,
 ) -> np.ndarray:
-    """All near contacts of one wheel as rows of shape (n, COLUMNS), deepest first.
+    """Return all near contacts of one wheel as rows of shape (n, COLUMNS), deepest first.
 
-    pose = (x, y, z, roll, pitch, yaw) of the wheelset's centre against the rail, in m and rad; pitch turns a surface of
-    revolution into itself. Raises ValueError where nothing is within KEEP_M: the wheel is off the rail.
+    pose = (x, y, z, roll, pitch, yaw) of the wheelset's centre relative to the rail, in m and rad.
+    Pitch turns a surface of revolution into itself. Raises ValueError where nothing is within
+    KEEP_M: the wheel is off the rail.
     """
     found = np.zeros((MOST, COLUMNS))
+    centre = (pose[0], pose[1], pose[2])
     axle = axis(pose[3], pose[5])
     F = np.zeros((1, wheel.coarse.shape[0]))
-    count = detect(
-        found, 0, 0, F, 0, (pose[0], pose[1], pose[2]), axle, float(roller_m), wheel, rail
-    )
+    count = detect(found, 0, 0, F, 0, centre, axle, float(roller_m), wheel, rail)
     if count == 0:
         raise ValueError(
             f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, z = "
-            f"{pose[2] * 1e3:.5g} mm is off the rail; a centred one stands at y = 0 and z near its "
+            f"{pose[2] * 1e3:.5g} mm is off the rail; a centred wheelset has y = 0 and z near its "
             "rolling radius"
         )
     return found[:count][np.argsort(found[:count, GAP])].copy()

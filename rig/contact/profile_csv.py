@@ -1,8 +1,9 @@
 """Profiles from CSV files: two columns in millimetres, checked before anything is built on them.
 
-A wheel is `s_mm, z_mm` (s = 0 on the nominal running circle, negative to the flange, z positive where the rolling
-radius is larger); a rail `y_mm, z_mm` (y = 0 in the head's symmetry axis, negative to the gauge side, z upwards, the
-head upright). A first line of names is optional, further columns are ignored, lines that begin with # are comments.
+A wheel has the columns `s_mm, z_mm`: s = 0 on the nominal running circle, negative towards the
+flange; z positive where the rolling radius is larger. A rail has the columns `y_mm, z_mm`: y = 0 in
+the head's axis of symmetry, negative towards the gauge side; z upwards, the head upright. A first
+line of names is optional, further columns are ignored, lines that begin with # are comments.
 """
 
 import re
@@ -13,16 +14,20 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 
+FEWEST_POINTS = 10
+# units that users confuse with mm, and their size in mm
+OTHER_UNITS_MM = (("m", 1e3), ("cm", 10.0), ("inches", 25.4), ("um", 1e-3))
+
 
 class Kind(NamedTuple):
-    """What a profile must be, in mm: widest gap, what it must reach, and its extent."""
+    """What a profile must be."""
 
     name: str
-    gap_mm: float
-    from_mm: float
-    to_mm: float
-    width_mm: tuple[float, float]
-    height_mm: tuple[float, float]
+    gap_mm: float  # widest gap between two points
+    from_mm: float  # the profile must reach from here
+    to_mm: float  # to here
+    width_mm: tuple[float, float]  # smallest and largest width
+    height_mm: tuple[float, float]  # smallest and largest height
 
 
 WHEEL = Kind("wheel", 3.0, -45.0, 30.0, (75.0, 160.0), (10.0, 60.0))
@@ -30,12 +35,21 @@ RAIL = Kind("rail", 3.0, -32.0, 20.0, (50.0, 90.0), (3.0, 60.0))
 
 
 def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
-    """Lateral (rising) and vertical coordinates in m. Raises ConfigError: numbers, units other than mm, gaps, folds."""
+    """Return the lateral coordinates, rising, and the vertical coordinates of a file in m.
+
+    Raises ConfigError for cells that are no numbers, other units than mm, gaps, folds and profiles
+    that are too short.
+    """
     points = _numbers(Path(path), kind)
-    if len(points) < 10:
-        raise ConfigError(f"{path}: {len(points)} points; a {kind.name} profile needs at least 10")
-    lines, y, z = np.array(points if points[0][1] <= points[-1][1] else points[::-1]).T
+    if len(points) < FEWEST_POINTS:
+        raise ConfigError(
+            f"{path}: {len(points)} points; a {kind.name} profile needs at least {FEWEST_POINTS}"
+        )
+    if points[0][1] > points[-1][1]:
+        points = points[::-1]
+    lines, y, z = np.array(points).T
     _check_units(path, kind, y, z)
+
     step = np.diff(y)
     if np.any(step <= 0.0):
         i = int(np.argmax(step <= 0.0))
@@ -58,7 +72,7 @@ def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _numbers(path: Path, kind: Kind) -> list[tuple[int, float, float]]:
-    """Number of the line and both coordinates in mm of each point."""
+    """Return the number of the line and both coordinates in mm of each point."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -66,40 +80,45 @@ def _numbers(path: Path, kind: Kind) -> list[tuple[int, float, float]]:
             f"{path}: the {kind.name} profile cannot be read ({error}); give s1002, "
             "uic60 or a CSV file of two columns in mm"
         ) from None
+
     points: list[tuple[int, float, float]] = []
     for number, line in enumerate(text.splitlines(), 1):
-        cells = re.split("[,;\t]", line)
         if not line.strip() or line.startswith("#"):
             continue
+        cells = re.split("[,;\t]", line)
         try:
-            pair = (float(cells[0]), float(cells[1]))
+            y = float(cells[0])
+            z = float(cells[1])
         except (ValueError, IndexError):
-            if not points and not re.match(r"[-+.\d]|$", cells[0].strip()):
-                continue  # the line of names
+            is_line_of_names = not points and not re.match(r"[-+.\d]|$", cells[0].strip())
+            if is_line_of_names:
+                continue
             raise ConfigError(
                 f"{path}, line {number}: '{line.strip()[:40]}' is not two numbers; "
                 "write y, z in mm, with a decimal point"
             ) from None
-        if not np.all(np.isfinite(pair)):
+        if not np.isfinite(y) or not np.isfinite(z):
             raise ConfigError(
-                f"{path}, line {number}: {pair[0]}, {pair[1]}: both must be finite; remove the point"
+                f"{path}, line {number}: {y}, {z}: both must be finite; remove the point"
             )
-        points.append((number, *pair))
+        points.append((number, y, z))
     return points
 
 
 def _check_units(path: str | Path, kind: Kind, y: np.ndarray, z: np.ndarray) -> None:
-    for what, extent, (low, high) in (
+    """Raise ConfigError where the extent of a profile is not that of a wheel or rail in mm."""
+    extents = (
         ("wide", float(np.ptp(y)), kind.width_mm),
         ("high", float(np.ptp(z)), kind.height_mm),
-    ):
+    )
+    for word, extent, (low, high) in extents:
         if low <= extent <= high:
             continue
-        hint = "cut what is not the running surface"
-        for unit, factor in (("m", 1e3), ("cm", 10.0), ("inches", 25.4), ("um", 1e-3)):
-            if low <= extent * factor <= high:
+        hint = "cut everything that is not the running surface"
+        for unit, size_mm in OTHER_UNITS_MM:
+            if low <= extent * size_mm <= high:
                 hint = f"it looks like {unit}: write mm"
         raise ConfigError(
-            f"{path}: the {kind.name} profile is {extent:g} mm {what}; "
+            f"{path}: the {kind.name} profile is {extent:g} mm {word}; "
             f"{low:g} to {high:g} mm are allowed; {hint}"
         )
