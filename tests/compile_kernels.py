@@ -12,7 +12,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from rollerrig.rig.compiled import kernel
+from rollerrig.rig.compiled import kernel_cache
 
 ROOT = Path(__file__).parent.parent
 RUN = (
@@ -57,9 +57,8 @@ initial_speed_m_s = [1.0, 2.0]
 
 def main():
     mark = (
-        Path(kernel.settings.CACHE_DIR)
-        / f"compiled-{hashlib.sha256(str(ROOT).encode()).hexdigest()[:16]}"
-    )
+        kernel_cache.folder() or Path(tempfile.gettempdir())
+    ) / f"compiled-{hashlib.sha256(str(ROOT).encode()).hexdigest()[:16]}"
     if mark.exists():
         return
     begun_s = time.monotonic()

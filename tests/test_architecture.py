@@ -32,9 +32,8 @@ NARROW = {("firmware_sim", "rig"): {"rig/compiled/kernel"}}
 # outside packages of each room; the longest prefix that fits a file counts
 OUTSIDE = {
     "configs": "",
-    "rig": "numpy numba",
+    "rig": "numpy",
     "rig/compiled": "numpy numba llvmlite",
-    "rig/multibody": "numpy numba llvmlite",  # numba's own: a compiled function by its name
     "rig/identify": "numpy scipy threadpoolctl",
     "rig/identify/data": "numpy scipy pyarrow asammdf",
     "rig/identify/train_recorder": "numpy scipy pyarrow rosbags",
@@ -47,10 +46,10 @@ OUTSIDE = {
     "firmware_sim/wsp": "numpy can",
     "firmware_sim/fmu": "numpy can fmpy",
     "realtime": "",
-    "realtime/loop": "numpy numba",
+    "realtime/loop": "numpy",
     "realtime/record": "numpy scipy pyarrow asammdf rich",
     "realtime/telemetry": "numpy rerun PIL",
-    "realtime/bench": "numpy numba pyarrow pymodbus tomli_w pythonfmu3",
+    "realtime/bench": "numpy pyarrow pymodbus tomli_w pythonfmu3",
     "realtime/campaign": "numpy scipy pyarrow tomli_w distributed",
     "realtime/datasets": "numpy scipy tomli_w",
     "realtime/discover": "numpy scipy tomli_w",
@@ -199,6 +198,21 @@ def test_a_file_imports_only_outside_packages_that_its_room_may(name):
         - set(sys.stdlib_module_names)
     )
     assert outside <= set(rule(OUTSIDE, name).split())
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if not name.startswith("rig/compiled")])
+def test_code_is_generated_and_kernels_are_changed_only_in_one_room(name):
+    # `numba` itself may be imported in rig/compiled only: OUTSIDE above
+    found = {node.id for node in ast.walk(tree(name)) if isinstance(node, ast.Name)} & {
+        "exec",
+        "eval",
+        "compile",
+        "__import__",
+    }
+    attributes = {node.attr for node in ast.walk(tree(name)) if isinstance(node, ast.Attribute)}
+    found |= attributes & {"FunctionType", "CodeType", "__code__", "py_func", "_cache"}
+    found |= imports(name) & {"types.FunctionType", "types.CodeType"}
+    assert found == set()
 
 
 def test_imports_are_written_so_that_they_can_be_read():

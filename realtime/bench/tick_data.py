@@ -11,7 +11,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, tick
 from rollerrig.realtime.loop.ring import Memory, Ring
 from rollerrig.realtime.loop.tick import STOP, TickData
-from rollerrig.rig.compiled import kernel_cache
+from rollerrig.rig.compiled import compile_progress
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 
@@ -85,7 +85,7 @@ def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
     elif pacing == "lockstep" or unit != "reference":
         # a free run with the reference unit calls that inside its own loop, and compiles it there
         tick.run_ticks(data, 0)
-    if unit == "reference" and kernel_cache.has_compiled():
+    if unit == "reference" and compile_progress.has_compiled():
         # what the unit's process would compile, while its heartbeat is waited for
         node.warm(logic.load("reference"))
     # the bus thread's own calls: a compiler in the first SYNC cycle would look like a lost unit

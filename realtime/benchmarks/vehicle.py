@@ -148,11 +148,11 @@ def _wait_for_progress(process: subprocess.Popen[bytes], log: Path) -> None:
 
 def _cache() -> Result:
     """Return the folder of compiled kernels, and what is in it."""
-    folder = Path(kernel_cache.settings.CACHE_DIR)
+    folder = kernel_cache.folder()
     # without a writable home there is no such folder
-    files = [path for path in folder.rglob("*") if path.is_file()] if folder.name else []
+    files = [path for path in folder.rglob("*") if path.is_file()] if folder else []
     return {
-        "folder": str(folder),
+        "folder": str(folder or ""),
         "compiled": kernel_cache.is_compiled(),
         "kernels": sum(path.suffix == ".nbi" for path in files),
         "size_MB": sum(path.stat().st_size for path in files) / 1e6,

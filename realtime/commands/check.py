@@ -202,7 +202,7 @@ def kernels() -> Finding:
     """Whether the first run has to compile, and whether it can keep what it compiles."""
     from rollerrig.rig.compiled import kernel_cache
 
-    folder = getattr(kernel_cache.settings, "CACHE_DIR", "")
+    folder = kernel_cache.folder()
     compiled = kernel_cache.is_compiled()
     return _answer(
         "compiled kernels",

@@ -1,6 +1,6 @@
 """How a row gets into a ring: one kernel, apart from `ring`, whose readers need no compiler."""
 
-from rollerrig.realtime.loop.clock import fence
+from rollerrig.rig.compiled.c_function import memory_barrier
 from rollerrig.rig.compiled.kernel import kernel
 
 _WRITTEN = 0  # of `ring`
@@ -13,5 +13,5 @@ def push(header, rows, row):
     slot = at % rows.shape[0]
     for i in range(row.size):
         rows[slot, i] = row[i]
-    fence()
+    memory_barrier()
     header[_WRITTEN] = at + 1

@@ -1,18 +1,15 @@
 """The clock of the real-time thread: nanoseconds of CLOCK_MONOTONIC, called without the GIL.
 
-libc is declared with `ExternalFunction`, whose addresses numba resolves when it loads the cached
-code, so a second start compiles nothing. Linux only: clock_nanosleep on an absolute deadline.
+The functions of libc are declared with `external_function`, whose addresses numba resolves when it loads
+cached code, so a second start compiles nothing. Linux only: clock_nanosleep on an absolute deadline.
 """
 
 import contextlib
 import ctypes
 import os
 from collections.abc import Iterator
-from typing import Any
 
-from numba import types
-from numba.extending import intrinsic
-
+from rollerrig.rig.compiled.c_function import external_function
 from rollerrig.rig.compiled.kernel import kernel
 
 MONOTONIC = 1
@@ -21,24 +18,9 @@ SECOND_NS = 1_000_000_000
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # of mlockall(2)
 IDLE_LIMIT = "/dev/cpu_dma_latency"
 
-_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
-_nanosleep: Any = types.ExternalFunction(
-    "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
-)
-_write: Any = types.ExternalFunction("write", types.int64(types.int32, types.intp, types.int64))
-
-
-@intrinsic
-def _fence(typing_context: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.fence("seq_cst")
-        return context.get_dummy_value()
-
-    return types.none(), generate
-
-
-# a full memory barrier: what was written before is seen before what is written after
-fence: Any = _fence
+_gettime = external_function("clock_gettime", "int32", "int32", "intp")
+_nanosleep = external_function("clock_nanosleep", "int32", "int32", "int32", "intp", "intp")
+_write = external_function("write", "int64", "int32", "intp", "int64")
 
 
 @kernel

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.realtime.loop.clock import fence
+from rollerrig.rig.compiled.c_function import memory_barrier
 from rollerrig.rig.compiled.kernel import kernel
 
 
@@ -28,10 +28,10 @@ def mailbox(size: int) -> Mailbox:
 def post(box, values):
     """Put a row of shape (n,) into the box."""
     box.sequence[0] += 1
-    fence()
+    memory_barrier()
     for i in range(box.values.size):
         box.values[i] = values[i]
-    fence()
+    memory_barrier()
     box.sequence[0] += 1
 
 
@@ -40,9 +40,9 @@ def fetch(box, into):
     """Copy the latest row into `into`, shape (n,); returns its sequence number."""
     while True:
         before = box.sequence[0]
-        fence()
+        memory_barrier()
         for i in range(into.size):
             into[i] = box.values[i]
-        fence()
+        memory_barrier()
         if before % 2 == 0 and box.sequence[0] == before:
             return before

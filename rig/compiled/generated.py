@@ -1,12 +1,12 @@
 """Kernels whose source text the program writes itself.
 
-Compiled code cannot loop over the fields of a named tuple or over the rows of a table of functions:
-each needs its own type. Here the source is written line by line from the table, as a developer would
-write it by hand, and compiled like any other kernel.
+Compiled code cannot loop over the fields of a named tuple, nor over a table of functions: each field
+and each function has a type of its own. Here the source is written line by line from the table, as a
+developer would write it by hand, and compiled like any other kernel.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rollerrig.rig.compiled.kernel import (
     inlined_without_cache,
@@ -15,15 +15,54 @@ from rollerrig.rig.compiled.kernel import (
 )
 
 
-def kernel_from_source(
-    name: str, lines: Sequence[str], file: str, module: str, names: Mapping[str, Any]
-) -> Any:
-    """Returns the kernel `name` that the lines define; `names` are the global names that they use.
+class Term(NamedTuple):
+    """One term of a `conditional_sum`: Python expressions of its arguments."""
 
-    The kernel is cached as if its source were in `file` of `module`.
+    condition: str
+    increment: str
+
+
+def conditional_sum(
+    name: str, arguments: str, terms: Iterable[Term], functions: Mapping[str, Any]
+) -> Any:
+    """Returns a kernel that adds terms to its first argument, `value`, one after another.
+
+    A term is added if its condition holds; its increment may use the `value` so far. `functions` are the
+    kernels that the terms call, by their names in the expressions. The `name` is unique in the product.
     """
-    space: dict[str, Any] = {"__name__": module, **names}
-    exec(compile("\n".join(lines), file, "exec"), space)
+    lines = [f"def {name}(value, {arguments}):"]
+    for term in terms:
+        lines.append(f"    if {term.condition}:")
+        lines.append(f"        value += {term.increment}")
+    lines.append("    return value")
+    return _cached_kernel(name, lines, functions)
+
+
+def selection(name: str, arguments: str, expressions: Sequence[str]) -> Any:
+    """Returns a kernel that computes the expression with the number of its last argument, from 0."""
+    lines = [
+        f"def {name}({arguments}, number):",
+        f"    return ({', '.join(expressions)})[number]",
+    ]
+    return _cached_kernel(name, lines, {})
+
+
+def elementwise(name: str, formula: Any, count: int) -> Any:
+    """Returns a kernel that fills its last argument, an array, with a formula of `count` arrays (n,)."""
+    arrays = [f"x{k}" for k in range(count)]
+    values = ", ".join(f"{array}[k]" for array in arrays)
+    lines = [
+        f"def {name}({', '.join([*arrays, 'out'])}):",
+        "    for k in range(out.size):",
+        f"        out[k] = formula({values})",
+    ]
+    return _cached_kernel(name, lines, {"formula": formula})
+
+
+def _cached_kernel(name: str, lines: Sequence[str], names: Mapping[str, Any]) -> Any:
+    """Returns the kernel `name` that the lines define; numba caches it as a kernel of this file."""
+    space: dict[str, Any] = {"__name__": __name__, **names}
+    exec(compile("\n".join(lines), __file__, "exec"), space)
     return kernel(space[name])
 
 
@@ -50,8 +89,5 @@ def tuple_writer(arguments: str, places: Sequence[str]) -> Any:
 
 def buffer_viewer(structure: Any, places: Iterable[slice | None]) -> Any:
     """Returns an inlined kernel that views a flat buffer as a named tuple; None remains None."""
-    return tuple_builder(
-        structure,
-        "buffer",
-        ("None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places),
-    )
+    views = ["None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places]
+    return tuple_builder(structure, "buffer", views)

@@ -1,8 +1,8 @@
-"""How compiled code sees a state: as one address, whose fields are views at known places.
+"""How compiled code sees a state: as one address, whose fields are views at fixed places.
 
-A named tuple of forty arrays would be handed from kernel to kernel as three hundred values, and that
-costs more to compile than the physics does. In Python the state stays the named tuple that it is;
-only its type is registered with numba here, and reading a field gives the same view.
+A named tuple of forty arrays would be passed from kernel to kernel as three hundred values, which costs
+more to compile than the physics does. In Python the state remains the named tuple that it is. Only its
+type is registered with numba here, and reading a field gives the same view.
 
 Source: numba's documentation, "Extending Numba", low-level interface.
 """
@@ -10,38 +10,45 @@ Source: numba's documentation, "Extending Numba", low-level interface.
 from collections.abc import Mapping
 from typing import Any
 
+from rollerrig.rig.compiled import numba_import  # noqa: F401  the first import of numba
+
+# isort: split
 from numba.core import cgutils, imputils, types
 from numba.core.typing import templates
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
 _VIEW = types.Array(types.float64, 1, "C")
-_WORD = 8
+_BYTES_OF_A_FLOAT = 8
 
 
 class Address(types.Type):
-    """The type of a state: where each field stands in its buffer; a field that is None has no place."""
+    """The type of a state: the place of each field in its buffer; a field that is None has no place."""
 
     def __init__(self, places: Mapping[str, slice | None]) -> None:
         self.places = dict(places)
-        ends = (f"{name}:{at.stop}" if at else name for name, at in places.items())
+        # numba takes two types with one name as the same type
+        ends = [f"{name}:{place.stop}" if place else name for name, place in places.items()]
         super().__init__(name=f"State({' '.join(ends)})")
 
 
 @register_model(Address)
 class _Model(models.StructModel):
+    """In compiled code a state is a structure with one member: the address of its buffer."""
+
     def __init__(self, manager: Any, kind: Address) -> None:
         super().__init__(manager, kind, [("first", types.CPointer(types.float64))])
 
 
 def register(named_tuple: type, places: Mapping[str, slice]) -> None:
-    """Let numba take a named tuple of float64 views, or None, as the address of their buffer.
+    """Makes numba take a named tuple of float64 views, or None, as the address of their buffer.
 
-    The first field must stand at the buffer's beginning. Once, before any kernel is given one.
+    The first field must be at the beginning of the buffer. This must precede the first call of a kernel
+    with such a tuple.
     """
     fields: tuple[str, ...] = named_tuple._fields  # type: ignore[attr-defined]
 
     @typeof_impl.register(named_tuple)
-    def _(state: Any, context: Any) -> Address:
+    def type_of_state(state: Any, context: Any) -> Address:
         return Address(
             {
                 name: None if view is None else places[name]
@@ -52,7 +59,8 @@ def register(named_tuple: type, places: Mapping[str, slice]) -> None:
 
 @unbox(Address)
 def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
-    from numba.np import arrayobj  # loaded only to compile
+    """Generates the code that takes the address out of a Python object."""
+    from numba.np import arrayobj  # a lazy import: only compiling needs it
 
     # the caller keeps the buffer alive as long as the kernel runs
     view = c.unbox(_VIEW, c.pyapi.tuple_getitem(state, 0))
@@ -65,6 +73,8 @@ def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
 
 @templates.infer_getattr
 class _Fields(templates.AttributeTemplate):
+    """The type of each field: a view, or None."""
+
     key = Address
 
     # numba declares it as a value, NotImplemented
@@ -76,20 +86,21 @@ class _Fields(templates.AttributeTemplate):
 
 @imputils.lower_getattr_generic(Address)
 def _field(context: Any, builder: Any, kind: Address, state: Any, field: str) -> Any:
+    """Generates the code that makes the view of a field."""
     from numba.np import arrayobj
 
     place = kind.places[field]
     if place is None:
         return context.get_dummy_value()
     first = cgutils.create_struct_proxy(kind)(context, builder, state).first
-    word = context.get_constant(types.intp, _WORD)
+    item_bytes = context.get_constant(types.intp, _BYTES_OF_A_FLOAT)
     view = arrayobj.make_array(_VIEW)(context, builder)
     arrayobj.populate_array(
         view,
         data=builder.gep(first, [context.get_constant(types.intp, place.start)]),
         shape=[context.get_constant(types.intp, place.stop - place.start)],
-        strides=[word],
-        itemsize=word,
+        strides=[item_bytes],
+        itemsize=item_bytes,
         meminfo=None,
     )
     return view._getvalue()

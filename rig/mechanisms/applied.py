@@ -1,21 +1,22 @@
 """The mechanisms of an extended model inside the plant: friction under a wheel, torque at a brake.
 
-What depends on time, place, speed or past work is computed here in each tick, by the courses of the table; the memory
-of adhesion and the load on a wheel out of round in each step of `wheelset`; constants of the model are changed once,
-where the parameters are built. While all coefficients are 0 nothing is computed and no bit changes.
+Effects that depend on time, place, speed or past work are computed here in each tick, by the courses of
+the table. The memory of adhesion and the load on a wheel out of round are computed in each step of
+`wheelset`. Constants of the model are changed once, where the parameters are built. While all
+coefficients are 0 nothing is computed and no bit changes.
 
-The work on a metre of rail reaches the next wheel after the distance between them, as a first-order
-lag of that length: an approximation of the pure delay.
+The work on a metre of rail reaches the next wheel after the distance between them, as a first-order lag
+of that length: an approximation of the pure delay.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.compiled.generated import kernel_from_source
+from rollerrig.rig.compiled.generated import Term, conditional_sum, selection
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.mechanisms import constants, friction
 from rollerrig.rig.mechanisms.mechanism import (
@@ -28,23 +29,33 @@ from rollerrig.rig.mechanisms.mechanism import (
 )
 from rollerrig.rig.mechanisms.table import IN_PLANT, rows
 
-PLACE = {row.name: i for i, row in enumerate(rows())}  # where `Effects.values` has what
-_EMPIRICAL = PLACE["empirical_linear"]
+# the place of each key of the section [mechanisms] in `Effects.values`
+PLACE = {row.name: i for i, row in enumerate(rows())}
+_LINEAR = PLACE["empirical_linear"]
+_QUADRATIC = PLACE["empirical_quadratic"]
+_COVARIATE = PLACE["empirical_covariate"]
+_CENTRE = PLACE["empirical_centre"]
+_SCALE = PLACE["empirical_scale"]
+_PERIOD = PLACE["empirical_period"]
 
 
 class Effects(NamedTuple):
-    """What a tick and a step read of an extended model."""
+    """The parts of an extended model that a tick and a step read."""
 
     on_friction: bool
     on_torque: bool
-    values: np.ndarray  # all of the section `mechanisms`, in the order of `table.rows`
-    memory_m: float  # way on which recovery lags at 20 m/s, 0: it does not
+    values: np.ndarray  # the whole section [mechanisms], in the order of `table.rows`
+    memory_m: float  # distance over which recovery lags at 20 m/s, 0: it does not lag
     memory_power: float
     memory_of_work: float
 
 
 class Wheels(NamedTuple):
-    """The wheels of each axle, `table` (16,) as in `vehicle`: an array more costs stops abreast 4 % of their time."""
+    """The wheels of each axle.
+
+    `table` (16,) is ordered as in `vehicle`: radius, inertia, radius over inertia, amplitude out of round.
+    It is one array, because a further array costs stops in lanes 4 % of their time.
+    """
 
     table: np.ndarray
     swings: bool
@@ -52,15 +63,14 @@ class Wheels(NamedTuple):
 
 
 def build(m: Mapping[str, Any]) -> Effects:
-    """From the checked section `mechanisms`."""
-    acting = {
-        mechanism.acts_on
-        for mechanism in IN_PLANT
-        if any(m[key] != 0.0 for key in mechanism.coefficients)
-    }
+    """Returns the effects of the checked section [mechanisms]."""
+    acts_on = set()
+    for mechanism in IN_PLANT:
+        if any(m[key] != 0.0 for key in mechanism.coefficients):
+            acts_on.add(mechanism.acts_on)
     return Effects(
-        on_friction=FRICTION in acting,
-        on_torque=TORQUE in acting,
+        on_friction=FRICTION in acts_on,
+        on_torque=TORQUE in acts_on,
         values=np.array([m[key] for key in PLACE]),
         memory_m=m["adhesion_memory_length_m"],
         memory_power=m["adhesion_memory_speed_power"],
@@ -69,103 +79,131 @@ def build(m: Mapping[str, Any]) -> Effects:
 
 
 def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
-    """Constants of the model, those changed that an extended model changes for all axles alike."""
-    found = dict(model)
-    for one in IN_PLANT:
-        if (
-            one.constants
-            and found.keys() >= set(one.changes)
-            and m.get(f"{one.name}_axle", 0.0) == 0.0
-        ):
-            found |= one.constants(
-                found, *(m[f"{one.name}_{row.name}"] for row in one.own_parameters)
-            )
-    return found
+    """Returns the constants of the model with the changes that the section [mechanisms] makes for all axles."""
+    changed = dict(model)
+    for mechanism in IN_PLANT:
+        has_constants = changed.keys() >= set(mechanism.changes)
+        on_all_axles = m.get(f"{mechanism.name}_axle", 0.0) == 0.0
+        if mechanism.constants and has_constants and on_all_axles:
+            values = [m[f"{mechanism.name}_{row.name}"] for row in mechanism.formula_parameters]
+            changed.update(mechanism.constants(changed, *values))
+    return changed
 
 
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
-    """From the checked sections `vehicle` (radius and inertia of all axles) and `mechanisms`."""
-    swing, radius, inertia = (
-        np.array([m[key] if m[f"{name}_axle"] in (0, j + 1) else 0.0 for j in range(AXLES)])
-        for name, key in (
-            ("wheel_out_of_round", "wheel_out_of_round_amplitude"),
-            ("wheel_radius", "wheel_radius_fraction"),
-            ("wheel_inertia", "wheel_inertia_fraction"),
-        )
+    """Returns the wheels, from the checked sections [vehicle] (radius, inertia) and [mechanisms]."""
+    swing = _of_axles(m, "wheel_out_of_round", "wheel_out_of_round_amplitude")
+    radius_fraction = _of_axles(m, "wheel_radius", "wheel_radius_fraction")
+    inertia_fraction = _of_axles(m, "wheel_inertia", "wheel_inertia_fraction")
+    radius_m = constants.wheel_radius(vehicle, radius_fraction)["wheel_radius_m"]
+    inertia_kgm2 = constants.wheel_inertia(vehicle, inertia_fraction)["wheelset_inertia_kgm2"]
+    return Wheels(
+        table=np.concatenate([radius_m, inertia_kgm2, radius_m / inertia_kgm2, swing]),
+        swings=bool(swing.any()),
+        swing_phase_rad=m["wheel_out_of_round_phase_rad"],
     )
-    (radius_m,) = constants.wheel_radius(vehicle, radius).values()
-    (inertia_kgm2,) = constants.wheel_inertia(vehicle, inertia).values()
-    table = np.concatenate([radius_m, inertia_kgm2, radius_m / inertia_kgm2, swing])
-    return Wheels(table, bool(swing.any()), m["wheel_out_of_round_phase_rad"])
 
 
-def _sum_of(name: str, mechanisms: list[Mechanism]) -> Any:
-    """A kernel that adds what mechanisms of the table make of a value, or of its share, one after another.
+def _of_axles(m: Mapping[str, Any], name: str, key: str) -> np.ndarray:
+    """Returns the value of a key on each axle, shape (4,): 0 on axles that the mechanism does not change."""
+    values = np.zeros(AXLES)
+    for axle in range(AXLES):
+        if m[f"{name}_axle"] in (0, axle + 1):
+            values[axle] = m[key]
+    return values
 
-    It reads, for each: if values[3] != 0.0: value += values[3] * rail_cleaning(state.rail_work[axle], values[4])
+
+# arguments of the generated kernels behind the value, as in `mechanism.Covariate.of_plant`
+_ARGUMENTS = "state, axle, place_m, capacity_Nm, values, clean"
+
+
+def _term(mechanism: Mechanism) -> Term:
+    """Returns what a mechanism adds to ln mu or to the torque, as source text.
+
+    For example, with the places of the two parameters of rail_cleaning:
+    if values[3] != 0.0: value += values[3] * rail_cleaning(state.rail_work[axle], values[4])
     """
-    of_plant = {c.name: c.of_plant for c in COVARIATES}
-    lines = [
-        f"def {name}(value, state, axle, place_m, capacity_Nm, effects, clean):",
-        "    values = effects.values",
+    size = f"values[{PLACE[mechanism.coefficients[0]]}]"
+    shape = [
+        f"values[{PLACE[f'{mechanism.name}_{row.name}']}]"
+        for row in mechanism.formula_parameters[mechanism.free :]
     ]
-    for m in mechanisms:
-        size = f"values[{PLACE[m.coefficients[0]]}]"
-        shape = [f"values[{PLACE[f'{m.name}_{row.name}']}]" for row in m.own_parameters[m.free :]]
-        course = f"{m.name}({', '.join([of_plant[c] for c in arguments(m.courses[0], len(shape))] + shape)})"
-        own = f" and values[{PLACE[f'{m.name}_axle']}] in (0.0, axle + 1.0)" if m.axlewise else ""
-        if m.acts_on == FRICTION:
-            own = f" and not (clean and values[{PLACE[f'{m.name}_{ALONE.name}']}] != 0.0)"
-        whole = "value * " if m.share else ""
-        lines += [f"    if {size} != 0.0{own}:", f"        value += {whole}{size} * {course}"]
-    space = {m.name: m.courses[0] for m in mechanisms}
-    return kernel_from_source(name, [*lines, "    return value"], __file__, __name__, space)
+    in_plant = {covariate.name: covariate.of_plant for covariate in COVARIATES}
+    covariates = [in_plant[name] for name in arguments(mechanism.courses[0], len(shape))]
+    course = f"{mechanism.name}({', '.join([*covariates, *shape])})"
+
+    condition = f"{size} != 0.0"
+    if mechanism.acts_on == FRICTION:
+        # on the clean rail, unless the mechanism acts on the contaminant alone
+        alone = f"values[{PLACE[f'{mechanism.name}_{ALONE.name}']}]"
+        condition += f" and not (clean and {alone} != 0.0)"
+    elif mechanism.axlewise:
+        condition += f" and values[{PLACE[f'{mechanism.name}_axle']}] in (0.0, axle + 1.0)"
+    increment = f"{size} * {course}"
+    if mechanism.share:
+        increment = f"value * {increment}"
+    return Term(condition, increment)
 
 
-_changed_log = _sum_of("_changed_log", [m for m in IN_PLANT if m.acts_on == FRICTION and m.courses])
-_changed_torque = _sum_of("_changed_torque", [m for m in IN_PLANT if m.acts_on == TORQUE])
-# what an empirical term depends on, by its code
-_covariate = kernel_from_source(
-    "_covariate",
-    [
-        "def _covariate(state, axle, place_m, code):",
-        f"    return ({', '.join(c.of_plant for c in COVARIATES if c.word)})[code - 1]",
-    ],
-    __file__,
-    __name__,
-    {},
+def _sum_of(name: str, mechanisms: Sequence[Mechanism]) -> Any:
+    """Returns a kernel that adds the effects of mechanisms to a value, one after another."""
+    terms = [_term(mechanism) for mechanism in mechanisms]
+    functions = {mechanism.name: mechanism.courses[0] for mechanism in mechanisms}
+    return conditional_sum(name, _ARGUMENTS, terms, functions)
+
+
+_changed_ln_friction = _sum_of(
+    "changed_ln_friction", [m for m in IN_PLANT if m.acts_on == FRICTION and m.courses]
+)
+_changed_torque = _sum_of("changed_torque", [m for m in IN_PLANT if m.acts_on == TORQUE])
+# the covariate of an empirical term, by its number
+_covariate = selection(
+    "empirical_covariate",
+    "state, axle, place_m",
+    [covariate.of_plant for covariate in COVARIATES if covariate.word],
 )
 
 
 @kernel
 def friction_factor(state, axle, place_m, effects, clean):
-    """What the degraded friction of an axle is multiplied by, or that of the clean rail [X1]."""
-    log_mu = _changed_log(0.0, state, axle, place_m, state.brake_torque[axle], effects, clean)
-    v = effects.values[_EMPIRICAL:]
-    if v[2] > 0.0:
-        x = _covariate(state, axle, place_m, int(v[2]))
-        log_mu += friction.empirical(x, v[0], v[1], v[3], v[4], v[5])
-    return math.exp(log_mu)
+    """Returns the factor of the degraded friction of an axle, or of that of the clean rail [X1]."""
+    values = effects.values
+    ln_mu = _changed_ln_friction(0.0, state, axle, place_m, state.brake_torque[axle], values, clean)
+    if values[_COVARIATE] > 0.0:
+        # the code of a covariate counts from 1
+        x = _covariate(state, axle, place_m, int(values[_COVARIATE]) - 1)
+        ln_mu += friction.empirical(
+            x,
+            values[_LINEAR],
+            values[_QUADRATIC],
+            values[_CENTRE],
+            values[_SCALE],
+            values[_PERIOD],
+        )
+    return math.exp(ln_mu)
 
 
 @kernel
 def torque(capacity_Nm, state, axle, place_m, effects):
-    """Brake torque in N m of an axle whose brake would give `capacity_Nm` [X2]."""
+    """Returns the torque in N m of an axle whose brake would otherwise give `capacity_Nm` [X2]."""
     if capacity_Nm <= 0.0:
         return capacity_Nm
-    return max(0.0, _changed_torque(capacity_Nm, state, axle, place_m, capacity_Nm, effects, False))
+    changed_Nm = _changed_torque(
+        capacity_Nm, state, axle, place_m, capacity_Nm, effects.values, False
+    )
+    return max(0.0, changed_Nm)
 
 
 @kernel
 def remember(state, positions_m, tick_s):
-    """Advance sliding distance, angle turned under the brake and the work of the wheels before, by a tick."""
-    before = 0.0
+    """Advances by a tick: sliding distance, angle turned under the brake, work of the wheels in front."""
+    work_J_m = 0.0
     for j in range(AXLES):
         state.sliding_distance[j] += tick_s * abs(state.sliding[j])
         if state.brake_capacity[j] > 0.0:
             state.braked_angle[j] += tick_s * state.wheel_speed[j]
         if j > 0:
-            length = positions_m[j] - positions_m[j - 1]
-            share = -math.expm1(-state.vehicle_speed[0] * tick_s / length)
-            state.rail_work[j] += (before - state.rail_work[j]) * share
-        before += max(state.dissipated_energy[j], 0.0)
+            length_m = positions_m[j] - positions_m[j - 1]
+            share = -math.expm1(-state.vehicle_speed[0] * tick_s / length_m)
+            state.rail_work[j] += (work_J_m - state.rail_work[j]) * share
+        work_J_m += max(state.dissipated_energy[j], 0.0)

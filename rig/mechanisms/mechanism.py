@@ -86,7 +86,7 @@ class Mechanism(NamedTuple):
         return self.parameters[-1].name == "axle"
 
     @property
-    def own_parameters(self) -> tuple[Row, ...]:
+    def formula_parameters(self) -> tuple[Row, ...]:
         """All but the axle, and but which friction it acts on."""
         beside = (AXLE.name, ALONE.name if self.acts_on == FRICTION else "")
         return tuple(row for row in self.parameters if row.name not in beside)
@@ -99,7 +99,7 @@ class Mechanism(NamedTuple):
 
 def arguments(course: Any, shape: int) -> list[str]:
     """The covariates of a course that has this many shape parameters."""
-    names = list(inspect.signature(getattr(course, "py_func", course)).parameters)
+    names = list(inspect.signature(course).parameters)
     return names[: len(names) - shape]
 
 

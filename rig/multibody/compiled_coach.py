@@ -1,25 +1,24 @@
-"""The coach behind one address: a compiled function that others call without compiling it again.
+"""The coach behind three addresses: a compiled function that others call without compiling it again.
 
-Numba compiles a function anew into each that calls it, and the coach is large. Here it is compiled
-once as a C function on three addresses (memory, constants, layout), registered by name, and called
-by that name; what a step needs and gives goes through the `ports` of the memory.
+The coach is large, and numba compiles a function again into each function that calls it. Here it is
+compiled once, as a C function on the addresses of its memory, its constants (`Packed.tape`) and their
+layout (`Packed.layout`). Other kernels call it by its name, with `run`. Inputs and outputs of a step are
+in the `ports` of the memory (`coach_state`).
 """
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
-from llvmlite import binding
-from numba import carray, types
-from numba.extending import intrinsic
 
+from rollerrig.rig.compiled import c_function
+from rollerrig.rig.compiled.c_function import FLOATS, INTEGERS, array_at, shifted
 from rollerrig.rig.compiled.generated import tuple_builder
 from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.multibody import coach_state, motion
-from rollerrig.rig.multibody.coach import Coach, Links
+from rollerrig.rig.multibody.coach import COORDINATES, Coach, Links
 from rollerrig.rig.multibody.coach_state import (
     BRAKE_ACTS_NM,
     BRAKE_NM,
@@ -30,33 +29,65 @@ from rollerrig.rig.multibody.coach_state import (
     Motion,
 )
 
-STEP, START = 0, 1  # values of the port ACTION
-# on the tape: scalars of the coach, step and roller inertia, the law, inertia and weight of 42 coordinates
-_LAW, _INERTIA = 12, 12 + len(Law._fields)
-_TABLES = _INERTIA + 84
-# how many of each the layout tells: springs, curves, nodes of the wheel, coarse ones, of the rail, of
-# the patches' table; then model, cells, four bogies, and the coordinates of springs and curves
-_COUNTS = 12
+# values of the port ACTION
+STEP = 0
+START = 1
+
+# places on the tape: scalars first, then the law, inertia and weight, then the tables one after another
+(
+    _MASS_KG,
+    _AXLE_HEIGHT_M,
+    _CONTACT_DAMPING_N_S_M,
+    _ROLLER_M,
+    _WHEEL_START_M,
+    _WHEEL_SPACING_M,
+    _WHEEL_CENTRE_M,
+    _SINES_PER_NODE,
+    _NODES_PER_LOG,
+    _SHEAR_PA,
+    _STEP_S,
+    _ROLLER_INERTIA_KGM2,
+    _LAW,
+) = range(13)
+_INERTIA = _LAW + len(Law._fields)
+_WEIGHT = _INERTIA + COORDINATES
+_TABLES = _WEIGHT + COORDINATES
+# columns of the tables on the tape
+_LINK_COLUMNS = 12
+_FINE_COLUMNS = 3
+_COARSE_COLUMNS = 5
+_RAIL_COLUMNS = 4
+_PATCH_COLUMNS = 8
+
+# places in the layout: rows of each table, then the contact model, then the coordinates of the links
+(
+    _SPRINGS,
+    _CURVES,
+    _FINE_NODES,
+    _COARSE_NODES,
+    _RAIL_NODES,
+    _PATCH_NODES,
+    _MODEL,
+    _CELLS,
+    _BOGIE_OF,
+) = range(9)
+_WHEELSETS = 4
+_COUNTS = _BOGIE_OF + _WHEELSETS
+_COORDINATES_OF_A_LINK = 6
 
 
 class Packed(NamedTuple):
-    """A coach's constants in two arrays: float64 `tape`, int64 `layout`."""
+    """The constants of a coach in two arrays: float64 `tape`, int64 `layout`."""
 
     tape: np.ndarray
     layout: np.ndarray
 
 
 def packed(coach: Coach, law: Law, step_s: float, roller_inertia_kgm2: float) -> Packed:
-    """The constants of a coach, the adhesion under it and its time step for `run`."""
-    wheel, rail, patches = coach.wheel, coach.rail, coach.patches
-    tables = (
-        coach.springs.row,
-        coach.curves.row,
-        wheel.fine,
-        wheel.coarse,
-        rail.nodes,
-        patches.rows,
-    )
+    """Returns the constants of a coach, the adhesion under it and its time step, for `run`."""
+    wheel = coach.wheel
+    rail = coach.rail
+    patches = coach.patches
     scalars = (
         coach.mass_kg,
         coach.axle_height_m,
@@ -72,6 +103,14 @@ def packed(coach: Coach, law: Law, step_s: float, roller_inertia_kgm2: float) ->
         roller_inertia_kgm2,
         *law,
     )
+    tables = (
+        coach.springs.row,
+        coach.curves.row,
+        wheel.fine,
+        wheel.coarse,
+        rail.nodes,
+        patches.rows,
+    )
     tape = np.concatenate(
         [np.array(scalars), coach.inertia, coach.weight_N, *(table.ravel() for table in tables)]
     )
@@ -83,112 +122,125 @@ def packed(coach: Coach, law: Law, step_s: float, roller_inertia_kgm2: float) ->
             coach.springs.at.ravel(),
             coach.curves.at.ravel(),
         ]
-    ).astype(np.int64)
-    return Packed(tape, layout)
+    )
+    return Packed(tape, layout.astype(np.int64))
 
 
-def _shift(typing_context: Any, pointer: Any, count: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.gep(args[0], [args[1]])
-
-    return pointer(pointer, types.intp), generate
-
-
-_shifted: Any = intrinsic(_shift)
-
-_FLOATS, _INTS = types.CPointer(types.float64), types.CPointer(types.int64)
-_NAME = "rollerrig_coach"
 _motion_at = tuple_builder(
     Motion,
-    "at",
-    (
-        f"carray(shifted(at, {coach_state.BEGIN[name]}), {coach_state.SHAPES[name]})"
+    "address",
+    [
+        f"array_at(shifted(address, {coach_state.BEGIN[name]}), {coach_state.SHAPES[name]})"
         for name in Motion._fields
-    ),
-    True,
-    carray=carray,
-    shifted=_shifted,
+    ],
+    counted=True,
+    array_at=array_at,
+    shifted=shifted,
 )
-_law_of = tuple_builder(Law, "one", (f"one[{_LAW + i}]" for i in range(len(Law._fields))))
+_law_on = tuple_builder(Law, "scalars", [f"scalars[{_LAW + i}]" for i in range(len(Law._fields))])
 
 
 def _act(memory_at: Any, tape_at: Any, layout_at: Any) -> None:
-    layout = carray(layout_at, (_COUNTS,))
-    n_s, n_c, n_f, n_w, n_r, n_p = layout[0], layout[1], layout[2], layout[3], layout[4], layout[5]
-    one = carray(tape_at, (_INERTIA,))
-    # where the tables of `packed` begin, one after another
-    at_s, at_c = _TABLES, _TABLES + 12 * n_s
-    at_f = at_c + 12 * n_c
-    at_w = at_f + 3 * n_f
-    at_r = at_w + 5 * n_w
-    at_p = at_r + 4 * n_r
-    row_s, row_c = (
-        carray(_shifted(tape_at, at_s), (n_s, 12)),
-        carray(_shifted(tape_at, at_c), (n_c, 12)),
-    )
-    fine, coarse = (
-        carray(_shifted(tape_at, at_f), (n_f, 3)),
-        carray(_shifted(tape_at, at_w), (n_w, 5)),
-    )
-    nodes, rows = (
-        carray(_shifted(tape_at, at_r), (n_r, 4)),
-        carray(_shifted(tape_at, at_p), (n_p, 8)),
-    )
+    """Unpacks the coach at these addresses, and does the action in its ports."""
+    scalars = array_at(tape_at, (_INERTIA,))
+    layout = array_at(layout_at, (_COUNTS,))
+    springs = layout[_SPRINGS]
+    curves = layout[_CURVES]
+    fine = layout[_FINE_NODES]
+    coarse = layout[_COARSE_NODES]
+    rail = layout[_RAIL_NODES]
+    patches = layout[_PATCH_NODES]
+
+    # where the tables begin on the tape
+    curves_at = _TABLES + _LINK_COLUMNS * springs
+    fine_at = curves_at + _LINK_COLUMNS * curves
+    coarse_at = fine_at + _FINE_COLUMNS * fine
+    rail_at = coarse_at + _COARSE_COLUMNS * coarse
+    patches_at = rail_at + _RAIL_COLUMNS * rail
+    # where the coordinates of the nonlinear links begin in the layout
+    curve_coordinates_at = _COUNTS + _COORDINATES_OF_A_LINK * springs
+
     coach = Coach(
-        carray(_shifted(tape_at, _INERTIA), (42,)),
-        carray(_shifted(tape_at, _INERTIA + 42), (42,)),
-        one[0],
-        Links(carray(_shifted(layout_at, _COUNTS), (n_s, 6)), row_s),
-        Links(carray(_shifted(layout_at, _COUNTS + 6 * n_s), (n_c, 6)), row_c),
-        one[1],
-        Wheel(one[4], one[5], one[6], fine, coarse),
-        Rail(one[7], nodes),
-        Patches(one[8], one[9], layout[6], layout[7], rows),
-        one[2],
-        one[3],
-        carray(_shifted(layout_at, 8), (4,)),
+        array_at(shifted(tape_at, _INERTIA), (COORDINATES,)),
+        array_at(shifted(tape_at, _WEIGHT), (COORDINATES,)),
+        scalars[_MASS_KG],
+        Links(
+            array_at(shifted(layout_at, _COUNTS), (springs, _COORDINATES_OF_A_LINK)),
+            array_at(shifted(tape_at, _TABLES), (springs, _LINK_COLUMNS)),
+        ),
+        Links(
+            array_at(shifted(layout_at, curve_coordinates_at), (curves, _COORDINATES_OF_A_LINK)),
+            array_at(shifted(tape_at, curves_at), (curves, _LINK_COLUMNS)),
+        ),
+        scalars[_AXLE_HEIGHT_M],
+        Wheel(
+            scalars[_WHEEL_START_M],
+            scalars[_WHEEL_SPACING_M],
+            scalars[_WHEEL_CENTRE_M],
+            array_at(shifted(tape_at, fine_at), (fine, _FINE_COLUMNS)),
+            array_at(shifted(tape_at, coarse_at), (coarse, _COARSE_COLUMNS)),
+        ),
+        Rail(
+            scalars[_SINES_PER_NODE],
+            array_at(shifted(tape_at, rail_at), (rail, _RAIL_COLUMNS)),
+        ),
+        Patches(
+            scalars[_NODES_PER_LOG],
+            scalars[_SHEAR_PA],
+            layout[_MODEL],
+            layout[_CELLS],
+            array_at(shifted(tape_at, patches_at), (patches, _PATCH_COLUMNS)),
+        ),
+        scalars[_CONTACT_DAMPING_N_S_M],
+        scalars[_ROLLER_M],
+        array_at(shifted(layout_at, _BOGIE_OF), (_WHEELSETS,)),
     )
-    _obey(_motion_at(memory_at), coach, one[10], one[11], _law_of(one))
+    _obey(
+        _motion_at(memory_at),
+        coach,
+        scalars[_STEP_S],
+        scalars[_ROLLER_INERTIA_KGM2],
+        _law_on(scalars),
+    )
 
 
 @kernel_inlined
 def _obey(state, coach, step_s, roller_inertia_kgm2, law):
-    """Do what the ports ask."""
-    io = state.ports
-    if io[coach_state.ACTION] == START:
-        motion.start(state, coach, io[coach_state.SPEED_M_S])
+    """Does the action in the ports: starts the coach or advances it by a step."""
+    ports = state.ports
+    if ports[coach_state.ACTION] == START:
+        motion.start(state, coach, ports[coach_state.SPEED_M_S])
         return
     motion.step(
         state,
         coach,
         step_s,
-        io[ROLLER_RAD_S : ROLLER_RAD_S + 4],
-        io[MOTOR_NM : MOTOR_NM + 4],
+        ports[ROLLER_RAD_S : ROLLER_RAD_S + _WHEELSETS],
+        ports[MOTOR_NM : MOTOR_NM + _WHEELSETS],
         roller_inertia_kgm2,
-        io[BRAKE_NM : BRAKE_NM + 4],
-        io[BRAKE_ACTS_NM : BRAKE_ACTS_NM + 4],
-        io[coach_state.RESISTANCE_N],
-        io[MU_CD : MU_CD + 4],
-        io[MU_CR : MU_CR + 4],
+        ports[BRAKE_NM : BRAKE_NM + _WHEELSETS],
+        ports[BRAKE_ACTS_NM : BRAKE_ACTS_NM + _WHEELSETS],
+        ports[coach_state.RESISTANCE_N],
+        ports[MU_CD : MU_CD + _WHEELSETS],
+        ports[MU_CR : MU_CR + _WHEELSETS],
         law,
     )
-    io[coach_state.SPEED_M_S] = motion.mean_speed(state.v, coach)
+    ports[coach_state.SPEED_M_S] = motion.mean_speed(state.v, coach)
 
 
-_external: Any = types.ExternalFunction(_NAME, types.void(_FLOATS, _FLOATS, _INTS))
+_NAME = "rollerrig_coach"
+_call = c_function.external_function(_NAME, "void", FLOATS, FLOATS, INTEGERS)
+# the compiled function, which lives as long as this module
 _compiled: list[Any] = []
 
 
 def prepare() -> None:
-    """Compile the coach, or load it, and give it its name: before anything that calls `run`."""
-    if not _compiled and not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        _compiled.append(
-            numba.cfunc(types.void(_FLOATS, _FLOATS, _INTS), cache=True, error_model="numpy")(_act)
-        )
-        binding.add_symbol(_NAME, _compiled[0].address)
+    """Compiles the coach, or loads it from the cache; this must precede any kernel that calls `run`."""
+    if not _compiled:
+        _compiled.append(c_function.compile_named(_NAME, _act, FLOATS, FLOATS, INTEGERS))
 
 
 @kernel_inlined
 def run(buffer, tape, layout):
-    """Let the coach do what its ports ask; buffer (coach_state.SIZE,) is its memory, tape and layout from `packed`."""
-    _external(buffer.ctypes, tape.ctypes, layout.ctypes)
+    """Does the action in the ports of a coach: `buffer` (coach_state.SIZE,), tape and layout of `packed`."""
+    _call(buffer.ctypes, tape.ctypes, layout.ctypes)

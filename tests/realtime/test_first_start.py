@@ -47,7 +47,9 @@ def test_a_first_start_says_that_it_compiles_before_it_does_and_then_how_far_it_
 
 def test_what_is_compiled_is_not_announced_again():
     code = (
-        "from rollerrig.rig import kernel_cache, brake, kernel\nprint(kernel_cache.has_compiled())"
+        "from rollerrig.rig import brake\n"
+        "from rollerrig.rig.compiled import compile_progress\n"
+        "print(compile_progress.has_compiled())"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("False\n", "")
@@ -68,14 +70,14 @@ def left(base):
 def test_the_generations_used_last_are_kept(tmp_path):
     for number in range(6):
         generation(tmp_path, number)
-    kernel_cache.remove_old(tmp_path, kept=4)
+    kernel_cache.remove_old(tmp_path, folders_kept=4)
     assert left(tmp_path) == {2, 3, 4, 5}
 
 
 def test_generations_beyond_the_size_are_removed_oldest_first(tmp_path):
     for number in range(4):
         generation(tmp_path, number, 1000)
-    kernel_cache.remove_old(tmp_path, kept=4, kept_bytes=2500)
+    kernel_cache.remove_old(tmp_path, folders_kept=4, bytes_kept=2500)
     assert left(tmp_path) == {2, 3}
 
 
@@ -94,16 +96,16 @@ def test_a_generation_that_a_process_uses_is_never_removed(tmp_path):
         text=True,
     ) as process:
         process.stdout.readline()
-        kernel_cache.remove_old(tmp_path, kept=2)
+        kernel_cache.remove_old(tmp_path, folders_kept=2)
         assert left(tmp_path) == {0, 4, 5}
         process.stdin.close()
-    kernel_cache.remove_old(tmp_path, kept=2)
+    kernel_cache.remove_old(tmp_path, folders_kept=2)
     assert left(tmp_path) == {4, 5}
 
 
 @pytest.mark.skipif("NUMBA_CACHE_DIR" in os.environ, reason="the cache is somebody else's")
 def test_a_process_locks_the_generation_that_it_uses():
-    file = os.open(kernel_cache.settings.CACHE_DIR, os.O_RDONLY)
+    file = os.open(kernel_cache.folder(), os.O_RDONLY)
     try:
         with pytest.raises(OSError, match="unavailable"):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

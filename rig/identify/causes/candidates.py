@@ -132,7 +132,7 @@ def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
 
 
 def _shape(row: Search, shape: Shape) -> list[float]:
-    return [shape.get(known.name, known.default) for known in row.mechanism.own_parameters[1:]]
+    return [shape.get(known.name, known.default) for known in row.mechanism.formula_parameters[1:]]
 
 
 def resistance(

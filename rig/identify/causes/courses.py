@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.vehicle import AXLES
-from rollerrig.rig.compiled.generated import kernel_from_source
+from rollerrig.rig.compiled.generated import elementwise
 from rollerrig.rig.identify.causes.table import BY_NAME, Shape
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.mechanisms import friction
@@ -19,21 +19,8 @@ from rollerrig.rig.mechanisms.mechanism import COVARIATES, arguments
 
 @cache
 def each(course: Any) -> Any:
-    """A kernel that fills an array, the last argument, with a course of arrays (n,)."""
-    names = [f"x{k}" for k in range(len(arguments(course, 0)))]
-    values = ", ".join(f"{name}[k]" for name in names)
-    name = f"each_{course.__name__}"
-    return kernel_from_source(
-        name,
-        [
-            f"def {name}({', '.join([*names, 'out'])}):",
-            "    for k in range(out.size):",
-            f"        out[k] = course({values})",
-        ],
-        __file__,
-        __name__,
-        {"course": course},
-    )
+    """Returns a kernel that fills an array, its last argument, with a course of arrays (n,)."""
+    return elementwise(f"each_{course.__name__}", course, len(arguments(course, 0)))
 
 
 def filled(course: Any, n: int, *values: Any) -> np.ndarray:
@@ -59,7 +46,7 @@ def courses(d: Design, name: str, shape: Shape) -> list[np.ndarray]:
         ]
         return [swing * of_run(d, run) for run in range(d.mass_kg.size) for swing in swings]
     given = []
-    for known in row.mechanism.own_parameters[row.mechanism.free :]:
+    for known in row.mechanism.formula_parameters[row.mechanism.free :]:
         own = [
             shape.get(f"{known.name} {run}", shape.get(known.name, known.default))
             for run in d.names

@@ -1,0 +1,42 @@
+"""The cache of one kernel, which is opened only when Python calls the kernel.
+
+Numba opens the cache of every kernel when it is defined, and prepares for compiling before it loads
+compiled code. Most kernels are called by other kernels only, and compiled code needs no compiler, so a
+program starts earlier without both; docs/compiled_kernels.md has the measured time.
+"""
+
+from typing import Any
+
+from rollerrig.rig.compiled import numba_import
+
+# isort: split
+from numba.core import caching
+from numba.core.runtime.nrt import rtsys
+
+
+class LazyCache:
+    """Takes the place of the cache of a kernel (`Dispatcher._cache`); opens numba's on first use."""
+
+    def __init__(self, function: Any, counts_references: bool) -> None:
+        """`counts_references`: the kernel allocates memory, so it needs numba's reference counting."""
+        self._function = function
+        self._counts_references = counts_references
+        self._opened: Any = None
+
+    def _open(self) -> Any:
+        if self._opened is None:
+            self._opened = caching.FunctionCache(self._function)
+        return self._opened
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._open(), name)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Returns the compiled code for a signature, None if there is none.
+
+        Numba's method also calls `context.refresh()`, which loads everything that compiling needs.
+        """
+        if self._counts_references:
+            rtsys.initialize(context)
+        with numba_import.without_linear_algebra():
+            return self._open()._load_overload(signature, context)

@@ -1,0 +1,32 @@
+"""Imports numba without packages that no kernel uses; every module of this room imports it first.
+
+When numba is imported it imports PyYAML, only to read a settings file, and scipy, only to check its
+version. When compiled code is loaded or a kernel is compiled it imports scipy.linalg, only for matrix
+products in kernels, and no kernel has one. Without them a program starts earlier; docs/compiled_kernels.md
+has the measured times.
+"""
+
+from typing import Any
+
+from rollerrig.configs.processes.without import without
+
+with without("yaml"), without("scipy"):
+    import numba
+from numba.core import config
+
+# numba fills this module with its settings when it loads it
+settings: Any = config
+
+
+def without_linear_algebra() -> without:
+    """Returns a context in which numba does not find scipy.linalg."""
+    return without("scipy.linalg")
+
+
+def load_array_functions() -> None:
+    """Loads numba's array functions before numba loads them itself, together with scipy.linalg."""
+    with without_linear_algebra():
+        import numba.np.arraymath  # noqa: F401
+
+
+__all__ = ["load_array_functions", "numba", "settings", "without_linear_algebra"]
