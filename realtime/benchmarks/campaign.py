@@ -1,8 +1,9 @@
-"""How many stops a campaign does: a minute and core, on one worker and on two, on a Dask cluster.
+"""`rollerrig bench campaign`: how many stops a campaign does, on one worker, on two, and on Dask.
 
-All figures come from stops of the packaged plan `low_adhesion`, at steps of 0.1 ms, in one run. The rate is per minute
-of processor time, so that other programs do not count; the ratio of two workers to one is of wall time and wants a
-machine that is free. Dask's overhead is the wall time of a worker that gets one stop at a time over that of its stops.
+All figures come from stops of the packaged plan `low_adhesion`, at steps of 0.1 ms. The rate is per
+minute of processor time, so that other programs do not affect it. The ratio of two workers to one
+is of wall time, and needs a machine that is otherwise idle. Dask's overhead is the wall time of a
+worker that receives one stop at a time, relative to the time of its stops.
 """
 
 import argparse
@@ -18,23 +19,40 @@ from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign
 
 PLAN = "low_adhesion"
-RATE, SPEED_UP, MEMORY_MB, OVERHEAD = 300.0, 1.8, 500.0, 0.05
-RUNS, CHUNK, ROUNDS, TASKS = 160, 20, 2, 40
+# requirements: stops per minute and core, two workers over one, memory of a worker, Dask's overhead
+RATE = 300.0
+SPEED_UP = 1.8
+MEMORY_MB = 500.0
+OVERHEAD = 0.05
+# stops of the plan, stops that a worker receives at a time, how often the workers do all stops
+RUNS = 160
+CHUNK = 20
+ROUNDS = 2
+# stops on Dask
+TASKS = 40
+# the memory of a worker is extrapolated to so many stops
+_MANY_STOPS = 10_000
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
-    """Time the same stops four ways."""
+    """Measure the same stops in four ways."""
     plan = campaign.load(PLAN, runs=RUNS, chunk=CHUNK)
+    # loads and compiles what the first stop needs
     campaign.run_chunk(plan._replace(points=plan.points[:1]), 0)
+
     say(f"{CHUNK} stops in this process ...")
     rows, spent = _timed(plan, 0)
+    cpu_s = spent["cpu_s"]
+
     say(f"{ROUNDS} times {RUNS} stops on one worker, then on two ...")
-    one, two = (workers(plan, count) for count in (1, 2))
+    one = workers(plan, 1)
+    two = workers(plan, 2)
+    speed_up = one["wall_s"] / two["wall_s"]
+    memory_MB = _memory_after_many_stops(one, two)
+
     say(f"{TASKS} stops one by one on a Dask worker ...")
     dask = on_dask(plan._replace(head=plan.head | {"chunk": 1}))
-    cpu_s, speed_up = spent["cpu_s"], one["wall_s"] / two["wall_s"]
-    growth_MB = max(0.0, one["memory_MB"] - one["memory_first_MB"]) * 10_000 / (ROUNDS * RUNS)
-    memory_MB = max(one["memory_MB"], two["memory_MB"]) + growth_MB
+
     return {
         "stops": len(rows),
         "stops_per_minute_and_core": 60.0 * len(rows) / cpu_s,
@@ -46,7 +64,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
         "speed_up_processor_time": 2.0 * one["cpu_s"] / two["cpu_s"],
         "memory_10000_MB": memory_MB,
         "dask": dask,
-        # the form of a target is "at most", so rates stand as times
+        # a target is an upper limit, so required rates are given as times
         "targets": [
             target("processor time of a stop", cpu_s / len(rows), 60.0 / RATE, "s"),
             target("wall time of two workers over one's", 1.0 / speed_up, 1.0 / SPEED_UP),
@@ -54,39 +72,50 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             target("Dask's overhead", dask["overhead"], OVERHEAD),
         ],
         "notes": [
-            f"two workers do {speed_up:.2f} times what one does; each had {100 * two['share']:.0f} % of a core "
-            f"(one alone {100 * one['share']:.0f} %): less than 100 % is what other programs took"
+            f"two workers do {speed_up:.2f} times as much as one; each had "
+            f"{100 * two['share']:.0f} % of a core (one alone {100 * one['share']:.0f} %), "
+            "and other programs used the rest"
         ],
     }
 
 
+def _memory_after_many_stops(one: Result, two: Result) -> float:
+    """Return the largest memory of a worker in MB, with the growth of one worker extrapolated."""
+    growth_MB = max(0.0, one["memory_MB"] - one["memory_first_MB"])
+    growth_of_many_MB = growth_MB * _MANY_STOPS / (ROUNDS * RUNS)
+    return max(one["memory_MB"], two["memory_MB"]) + growth_of_many_MB
+
+
 def workers(plan: campaign.Plan, count: int) -> Result:
-    """Wall time of all stops on a number of processes that are warm, and their memory."""
+    """Return the times of all stops on some warm worker processes, and the memory of these."""
     with children.pool(count) as pool:
         first = list(pool.map(_spent, [plan] * count, range(count)))
-        begun = time.perf_counter()
-        done = list(
-            pool.map(_spent, [plan] * len(plan.chunks) * ROUNDS, list(plan.chunks) * ROUNDS)
-        )
-        wall_s = time.perf_counter() - begun
-    cpu_s = sum(one["cpu_s"] for one in done)
+        chunks = list(plan.chunks) * ROUNDS
+        begun_s = time.perf_counter()
+        done = list(pool.map(_spent, [plan] * len(chunks), chunks))
+        wall_s = time.perf_counter() - begun_s
+    cpu_s = sum(chunk["cpu_s"] for chunk in done)
     return {
         "workers": count,
         "stops": ROUNDS * len(plan.points),
         "wall_s": wall_s,
         "cpu_s": cpu_s,
         "share": cpu_s / wall_s / count,
-        "memory_first_MB": min(one["memory_MB"] for one in first),
-        "memory_MB": max(one["memory_MB"] for one in done),
+        "memory_first_MB": min(chunk["memory_MB"] for chunk in first),
+        "memory_MB": max(chunk["memory_MB"] for chunk in done),
     }
 
 
 def on_dask(plan: campaign.Plan) -> Result:
-    """Wall time of single stops on one worker of a Dask cluster, against the time they took."""
+    """Return the wall time of single stops on one Dask worker, and the time that the stops took.
+
+    Without `distributed` the overhead is None.
+    """
     try:
         from distributed import Client, LocalCluster
     except ImportError:
         return {"tasks": 0, "overhead": None}
+
     with (
         LocalCluster(
             n_workers=1,
@@ -97,13 +126,15 @@ def on_dask(plan: campaign.Plan) -> Result:
         ) as cluster,
         Client(cluster) as client,
     ):
-        whole = client.scatter(plan, broadcast=True)
-        client.submit(_spent, whole, TASKS, pure=False).result()
-        begun = time.perf_counter()
-        futures = [client.submit(_spent, whole, number, pure=False) for number in range(TASKS)]
+        plan_there = client.scatter(plan, broadcast=True)
+        # the first stop warms the worker
+        client.submit(_spent, plan_there, TASKS, pure=False).result()
+        begun_s = time.perf_counter()
+        futures = [client.submit(_spent, plan_there, number, pure=False) for number in range(TASKS)]
         done: list[Any] = client.gather(futures)
-        wall_s = time.perf_counter() - begun
-    busy_s = sum(one["wall_s"] for one in done)
+        wall_s = time.perf_counter() - begun_s
+
+    busy_s = sum(stop["wall_s"] for stop in done)
     return {
         "tasks": TASKS,
         "task_s": busy_s / TASKS,
@@ -113,36 +144,44 @@ def on_dask(plan: campaign.Plan) -> Result:
 
 
 def _timed(plan: campaign.Plan, chunk: int) -> tuple[list[Result], dict[str, float]]:
-    """Run a chunk where this is called: its rows, its times, and the memory that the process ever had."""
-    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    """Run a chunk in this process; return its rows, its times, and the peak memory so far."""
+    wall_begun_s = time.perf_counter()
+    cpu_begun_s = time.process_time()
     rows = campaign.run_chunk(plan, chunk)
-    wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
-    # getrusage would count the memory of the process's parent before exec
-    most_kB = (
-        Path("/proc/self/status").read_text(encoding="ascii").partition("VmHWM:")[2].split()[0]
-    )
-    return rows, {"wall_s": wall_s, "cpu_s": cpu_s, "memory_MB": int(most_kB) / 1024.0}
+    wall_s = time.perf_counter() - wall_begun_s
+    cpu_s = time.process_time() - cpu_begun_s
+    return rows, {"wall_s": wall_s, "cpu_s": cpu_s, "memory_MB": _peak_memory_MB()}
 
 
 def _spent(plan: campaign.Plan, chunk: int) -> dict[str, float]:
+    """Run a chunk in this process; return its times, and the peak memory of the process."""
     return _timed(plan, chunk)[1]
 
 
+def _peak_memory_MB() -> float:
+    # getrusage would count the memory that the parent of the process had before exec
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    peak_kB = status.partition("VmHWM:")[2].split()[0]
+    return int(peak_kB) / 1024.0
+
+
 def table(result: Result) -> Table:
-    """The figures of the campaign."""
-    one, two, dask = result["one_worker"], result["two_workers"], result["dask"]
+    """Return the figures of the campaign."""
+    one = result["one_worker"]
+    two = result["two_workers"]
+    dask = result["dask"]
     return figures.table(
         "a campaign",
         ("what", "figure", "unit"),
         [
-            ("stops a minute and core", result["stops_per_minute_and_core"], ""),
+            ("stops per minute and core", result["stops_per_minute_and_core"], ""),
             ("mean length of a stop", result["stop_mean_s"], "s"),
             (f"{one['stops']} stops on one worker", one["wall_s"], "s"),
             (f"{two['stops']} stops on two workers", two["wall_s"], "s"),
-            ("two workers against one", result["speed_up"], ""),
-            ("the same by processor time, on free cores", result["speed_up_processor_time"], ""),
-            ("most memory of a worker", max(one["memory_MB"], two["memory_MB"]), "MB"),
-            ("the same, carried on to 10,000 stops", result["memory_10000_MB"], "MB"),
+            ("two workers over one", result["speed_up"], ""),
+            ("the same by processor time, on idle cores", result["speed_up_processor_time"], ""),
+            ("largest memory of a worker", max(one["memory_MB"], two["memory_MB"]), "MB"),
+            ("the same, extrapolated to 10,000 stops", result["memory_10000_MB"], "MB"),
             ("one stop at a time on Dask", dask.get("task_s"), "s"),
             ("Dask's overhead", dask["overhead"], ""),
         ],

@@ -1,13 +1,17 @@
-"""A client in a process of its own: of the hub, as any unit would be (plain TCP, socketcand), or of Modbus TCP.
+"""A client in a separate process, on the hub (socketcand over TCP, as any unit) or on Modbus TCP.
 
     python -m rollerrig.realtime.benchmarks.client ROLE HOST PORT BUS
     python -m rollerrig.realtime.benchmarks.client modbus HOST PORT SECONDS
 
-`listen` notes when the last TPDO of each SYNC is in its hands; `unit` answers the axle speeds too, with all hold
-magnets on and off by turns; `ask` measures round trips, of a frame that the hub's own echo returns and of an SDO
-upload, by turns. `modbus` reads ten registers, one request when the answer to the one before is there: the request is
-pymodbus', the socket is plain, for pymodbus' own client takes four times as long for a request as the server, and
-would measure itself. What was measured goes to standard output as JSON when the bus ends (or all is asked). Times are
+    listen    notes when it has received the last TPDO of each SYNC
+    unit      does the same, and answers each frame of axle speeds: all hold magnets on, off, on ...
+    ask       measures round trips of a frame that the hub echoes, and of an SDO upload
+    modbus    reads ten registers repeatedly; each request waits for the answer to the one before
+
+The Modbus request is that of pymodbus, but the socket is plain: the client of pymodbus takes four
+times as long for a request as the server, so it would measure itself.
+
+The client prints what it measured as JSON when the bus closes, or when it has finished. Times are
 CLOCK_MONOTONIC in ns, which all processes share.
 """
 
@@ -17,31 +21,57 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 
 from rollerrig.wsp_interface import magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus import socketcand
 from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SDO_REQUEST, SYNC, TPDO
 from rollerrig.wsp_interface.bus.frames import Frame
 
-SPEEDS, MAGNETS = rig_objects.SPEEDS.can_id, rig_objects.MAGNETS_ID
-ECHO_CALL, ECHO_ANSWER = 0x7F0, 0x7F1
-SDO_CALL, SDO_ANSWER = SDO_REQUEST + signals.SPEED_NODE, SDO_REPLY + signals.SPEED_NODE
-_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+# identifiers: axle speeds, magnets, all TPDOs of the rig
+SPEEDS = rig_objects.SPEEDS.can_id
+MAGNETS = rig_objects.MAGNETS_ID
 TPDOS = frozenset(first + node for first in TPDO for node in signals.RIG_NODES)
+# a frame that the hub's echo returns with another identifier
+ECHO_CALL = 0x7F0
+ECHO_ANSWER = 0x7F1
+# an SDO upload of 1000h (device type) from the axle speed unit
+SDO_CALL = SDO_REQUEST + signals.SPEED_NODE
+SDO_ANSWER = SDO_REPLY + signals.SPEED_NODE
+_READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+# data of heartbeats: boot-up, operational
+_BOOT_UP = b"\x00"
+_OPERATIONAL = b"\x05"
+# a heartbeat goes out every so many SYNCs
+_SYNCS_PER_HEARTBEAT = 5
 _HOLD_ALL = magnets.pack([magnets.HOLDING] * signals.AXLES)
-BLOCK, _BLOCKS = 25, 60
+# round trips in one block, and blocks of each kind
+BLOCK = 25
+_BLOCKS = 60
+# of SCHED_FIFO
 PRIORITY = 50
-REGISTERS, _FIRST_REGISTER = 10, 200
+# holding registers of one Modbus request
+REGISTERS = 10
+_FIRST_REGISTER = 200
+# a Modbus TCP answer: header, function and byte count, then the registers
+_MODBUS_ANSWER_BYTES = 9 + 2 * REGISTERS
+
+
+@dataclass
+class Sync:
+    """What the client received of one bus cycle."""
+
+    stamp_us: int  # the hub's time stamp of the SYNC frame
+    last_tpdo_ns: int = 0  # when the client had the last TPDO before the next SYNC; 0: none
 
 
 def connect(host: str, port: int, bus: str) -> socket.socket:
-    """A connection to the hub in rawmode."""
+    """Return a connection to the hub in rawmode. Raises ConnectionError where it is no such hub."""
     line = socket.create_connection((host, port), 5.0)
     line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    for answer, command in ((b"hi", f"< open {bus} >"), (b"ok", "< rawmode >"), (b"ok", "")):
-        if answer not in line.recv(256):
+    for expected, command in ((b"hi", f"< open {bus} >"), (b"ok", "< rawmode >"), (b"ok", "")):
+        if expected not in line.recv(256):
             raise ConnectionError(f"{host}:{port} is no CAN hub with a bus {bus}")
         line.sendall(command.encode())
     return line
@@ -53,98 +83,107 @@ def send(line: socket.socket, can_id: int, data: bytes) -> None:
 
 
 def frames(line: socket.socket) -> Iterator[tuple[int, Frame]]:
-    """All frames until the bus ends, with when `recv` had them; their own times are the hub's stamps."""
+    """Yield (time of reception in ns, frame) until the bus closes.
+
+    The frame's own time is the stamp of the hub.
+    """
     rest = b""
     with contextlib.suppress(OSError):
         while chunk := line.recv(1 << 16):
             now_ns = time.monotonic_ns()
-            *whole, rest = (rest + chunk).split(b">")
-            for one in whole:
-                if frame := socketcand.parse_event(one.lstrip(b"< ")):
+            *messages, rest = (rest + chunk).split(b">")
+            for message in messages:
+                frame = socketcand.parse_event(message.lstrip(b"< "))
+                if frame:
                     yield now_ns, frame
 
 
-def listen(line: socket.socket, answers: bool = False) -> dict[str, list[list[int]]]:
-    """For each SYNC its stamp in us, and when it and the last TPDO that followed it were here."""
-    syncs: list[list[int]] = []
+def listen(line: socket.socket, answers: bool = False) -> dict[str, list[dict[str, int]]]:
+    """Return `syncs`: a table of `Sync` for each SYNC, until the bus closes.
+
+    With `answers` the client is a unit: it sends heartbeats, and magnets for each frame of speeds.
+    """
+    syncs: list[Sync] = []
     if answers:
-        send(line, rig_objects.UNIT_HEARTBEAT_ID, b"\x00")
-        send(line, rig_objects.UNIT_HEARTBEAT_ID, b"\x05")
+        send(line, rig_objects.UNIT_HEARTBEAT_ID, _BOOT_UP)
+        send(line, rig_objects.UNIT_HEARTBEAT_ID, _OPERATIONAL)
     for now_ns, frame in frames(line):
         if frame.can_id == SYNC:
-            syncs.append([frame.time_ns // 1000, now_ns, 0])
-            if answers and len(syncs) % 5 == 0:
-                send(line, rig_objects.UNIT_HEARTBEAT_ID, b"\x05")
+            syncs.append(Sync(stamp_us=frame.time_ns // 1000))
+            if answers and len(syncs) % _SYNCS_PER_HEARTBEAT == 0:
+                send(line, rig_objects.UNIT_HEARTBEAT_ID, _OPERATIONAL)
         elif frame.can_id in TPDOS and syncs:
-            syncs[-1][2] = now_ns
+            syncs[-1].last_tpdo_ns = now_ns
             if answers and frame.can_id == SPEEDS:
-                send(line, MAGNETS, bytes((_HOLD_ALL * (len(syncs) % 2),)))
-    return {"syncs": syncs}
+                hold = len(syncs) % 2 == 1
+                send(line, MAGNETS, bytes((_HOLD_ALL if hold else 0,)))
+    return {"syncs": [asdict(sync) for sync in syncs]}
+
+
+def listen_and_answer(line: socket.socket) -> dict[str, list[dict[str, int]]]:
+    """Return what `listen` returns, and be a unit that answers."""
+    return listen(line, answers=True)
 
 
 def ask(line: socket.socket) -> dict[str, list[int]]:
-    """Round trips in ns, in blocks by turns so that both meet the same machine."""
-    found: dict[str, list[int]] = {"echo": [], "sdo": []}
+    """Return the round trips `echo` and `sdo` in ns.
+
+    They are measured in alternating blocks, so that both meet the same load of the machine.
+    """
+    trips_ns: dict[str, list[int]] = {"echo": [], "sdo": []}
     kinds = (
         ("echo", ECHO_CALL, ECHO_ANSWER, bytes(8)),
-        ("sdo", SDO_CALL, SDO_ANSWER, _DEVICE_TYPE),
+        ("sdo", SDO_CALL, SDO_ANSWER, _READ_DEVICE_TYPE),
     )
-    heard = frames(line)
-    # a run that ends early ends the questions
+    received = frames(line)
+    # a run that finishes early also finishes the measurement
     with contextlib.suppress(OSError):
         for name, call, answer, data in kinds * _BLOCKS:
             for _ in range(BLOCK):
                 begun_ns = time.monotonic_ns()
                 send(line, call, data)
-                now_ns = next((now_ns for now_ns, frame in heard if frame.can_id == answer), None)
-                if now_ns is not None:
-                    found[name].append(now_ns - begun_ns)
-    return found
+                answered_ns = next((ns for ns, frame in received if frame.can_id == answer), None)
+                if answered_ns is not None:
+                    trips_ns[name].append(answered_ns - begun_ns)
+    return trips_ns
 
 
 def modbus(host: str, port: int, seconds: float) -> dict[str, object]:
-    """Requests a second, and each round trip in us."""
+    """Return the requests per second, and each round trip in us. Raises ConnectionError."""
     from pymodbus.framer import FramerSocket
     from pymodbus.pdu import DecodePDU, ReadHoldingRegistersRequest
 
-    trips_us: list[float] = []
     reading = ReadHoldingRegistersRequest(
         dev_id=1, transaction_id=1, address=_FIRST_REGISTER, count=REGISTERS
     )
-    request, answer_bytes = (
-        FramerSocket(DecodePDU(is_server=False)).buildFrame(reading),
-        9 + 2 * REGISTERS,
-    )
+    request = FramerSocket(DecodePDU(is_server=False)).buildFrame(reading)
+    trips_us: list[float] = []
     with socket.create_connection((host, port), 5.0) as line:
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        begun = before = time.perf_counter()
-        while before < begun + seconds:
+        begun_s = time.perf_counter()
+        before_s = begun_s
+        while before_s < begun_s + seconds:
             line.sendall(request)
-            if len(line.recv(answer_bytes)) != answer_bytes:
-                raise ConnectionError("an answer that is too short, or the end")
-            now = time.perf_counter()
-            trips_us.append(1e6 * (now - before))
-            before = now
-    return {"per_s": len(trips_us) / (before - begun), "trips_us": trips_us}
-
-
-ROLES: dict[str, Callable[[socket.socket], object]] = {
-    "listen": listen,
-    "unit": partial(listen, answers=True),
-    "ask": ask,
-}
+            if len(line.recv(_MODBUS_ANSWER_BYTES)) != _MODBUS_ANSWER_BYTES:
+                raise ConnectionError("an answer is too short, or the server has closed")
+            now_s = time.perf_counter()
+            trips_us.append(1e6 * (now_s - before_s))
+            before_s = now_s
+    return {"per_s": len(trips_us) / (before_s - begun_s), "trips_us": trips_us}
 
 
 def main(role: str, host: str, port: str, last: str) -> int:
-    """Play a role until the bus ends (or the seconds are over), then tell."""
+    """Play a role until the bus closes (or the seconds are over), and print what was measured."""
     if role == "modbus":
-        found: object = modbus(host, int(port), float(last))
+        result: object = modbus(host, int(port), float(last))
     else:
         with contextlib.suppress(OSError):
-            # as a unit with a controller of its own, which nobody else keeps busy
+            # a unit has its own controller, which no other program keeps busy
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        found = ROLES[role](connect(host, int(port), last))
-    print(json.dumps(found))
+        line = connect(host, int(port), last)
+        roles = {"ask": ask, "listen": listen, "unit": listen_and_answer}
+        result = roles[role](line)
+    print(json.dumps(result))
     return 0
 
 

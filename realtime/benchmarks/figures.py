@@ -1,7 +1,8 @@
-"""The form of a benchmark's result: figures, and the targets that some of them have to meet.
+"""The form of a benchmark's result: figures, and targets for some of them.
 
-A result is a plain table of numbers that goes into JSON as it stands; `targets` in it are verdicts against the
-project's own requirements. `put` writes what was printed into a page of Markdown.
+A result is a plain table of numbers that is written to JSON as it is. Its `targets` are verdicts on
+the project's own requirements, and its `notes` are lines of text. `put` writes what was printed
+into a page of Markdown.
 """
 
 import os
@@ -26,103 +27,111 @@ QUANTILES = (*SHARES, "max")
 def target(
     name: str, value: float | None, limit: float, unit: str = "", spread: float = 0.0
 ) -> Result:
-    """A requirement: a figure, the limit that it must not exceed, and whether it is known and within it.
+    """Return a target: a figure, the limit that it must not exceed, and whether it is met.
 
-    With a spread it is met only where the figure and the spread together are within the limit.
+    A figure that is unknown (None) does not meet its target. With a spread, the figure plus the
+    spread must be within the limit.
     """
-    return {
-        "name": name,
-        "value": value,
-        "limit": limit,
-        "unit": unit,
-        **({"spread": spread} if spread else {}),
-        "met": value is not None and value + spread <= limit,
-    }
+    result: Result = {"name": name, "value": value, "limit": limit, "unit": unit}
+    if spread:
+        result["spread"] = spread
+    result["met"] = value is not None and value + spread <= limit
+    return result
 
 
 def quantiles(values: Sequence[float] | np.ndarray) -> dict[str, float]:
-    """p50, p99, p999 and max of some values, in their unit; empty where there are none."""
-    found = np.sort(np.asarray(values, dtype=np.float64))
-    if not found.size:
+    """Return p50, p99, p999 and max of some values, in their unit; empty without values."""
+    ordered = np.sort(np.asarray(values, dtype=np.float64))
+    if not ordered.size:
         return {}
-    at = [min(int(share * found.size), found.size - 1) for share in SHARES.values()]
-    return dict(zip(QUANTILES, map(float, found[[*at, -1]]), strict=True))
+    result = {}
+    for name, share in SHARES.items():
+        at = min(int(share * ordered.size), ordered.size - 1)
+        result[name] = float(ordered[at])
+    result["max"] = float(ordered[-1])
+    return result
 
 
 def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
-    """A table of figures."""
+    """Return a table of figures; the first column is left-justified."""
     shown = Table(title=title, title_justify="left")
-    for at, head in enumerate(heads):
-        shown.add_column(head, overflow="fold", justify="right" if at else "left")
+    for column, head in enumerate(heads):
+        shown.add_column(head, overflow="fold", justify="right" if column else "left")
     for row in rows:
         shown.add_row(*map(show, row))
     return shown
 
 
 def show(value: object) -> str:
-    """A cell: four significant digits for a number, a dash for nothing."""
-    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+    """Return the text of a cell: four significant digits of a float, and a dash for None."""
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
 
 
 def lines(result: Result) -> list[str]:
-    """What stands below the table: each target, met or not, and the notes."""
+    """Return the lines below the table: each target, met or not, and the notes."""
     found = []
     for one in result.get("targets", []):
-        beside = f"+- {one['spread']:.2g} " if "spread" in one else ""
+        verdict = "met    " if one["met"] else "NOT MET"
+        spread = f"+- {one['spread']:.2g} " if "spread" in one else ""
         found.append(
-            f"{'met    ' if one['met'] else 'NOT MET'} {one['name']}: {show(one['value'])} {beside}"
-            f"{one['unit']} (at most {show(one['limit'])})"
+            f"{verdict} {one['name']}: {show(one['value'])} {spread}{one['unit']} "
+            f"(at most {show(one['limit'])})"
         )
     return found + list(result.get("notes", []))
 
 
 def put(path: Path, name: str, command: str, shown: Table | Group, lines: Sequence[str]) -> None:
-    """Replace (or append) the section `## NAME` of a page: machine, command, tables, what stands below.
+    """Replace the section `## NAME` of a page, or append it.
 
-    Raises ConfigError where it cannot be written.
+    The section has the machine, the command, the tables, and the lines below them. Raises
+    ConfigError where the page cannot be written.
     """
-    section = "\n".join(
-        [
-            f"## {name}",
-            "",
-            machine(),
-            "",
-            f"    {command}",
-            "",
-            *_markdown(shown),
-            *(f"- {line}" for line in lines),
-        ]
-    ).rstrip()
+    content = ["", machine(), "", f"    {command}", "", *_markdown(shown)]
+    content += [f"- {line}" for line in lines]
+    section = "\n".join([f"## {name}", *content]).rstrip()
+
     with writing(path, "give another file"):
         text = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
-        head, *sections = text.rstrip().split("\n## ")
-        kept = {one.partition("\n")[0]: f"## {one.rstrip()}" for one in sections} | {name: section}
-        path.write_text("\n\n".join([head.rstrip(), *kept.values()]) + "\n", encoding="utf-8")
+        head, *old_sections = text.rstrip().split("\n## ")
+        sections = {}
+        for old in old_sections:
+            old_name = old.partition("\n")[0]
+            sections[old_name] = f"## {old.rstrip()}"
+        sections[name] = section
+        path.write_text("\n\n".join([head.rstrip(), *sections.values()]) + "\n", encoding="utf-8")
 
 
 def machine() -> str:
-    """The machine and the moment in a sentence; no name of a host."""
-    model = next(
-        (
-            line.partition(":")[2].strip()
-            for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-            if line.startswith(("model name", "Model"))
-        ),
-        platform.machine(),
-    )
+    """Return one sentence on the machine and the moment; it contains no host name."""
+    model = platform.machine()
+    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+        if line.startswith(("model name", "Model")):
+            model = line.partition(":")[2].strip()
+            break
+    cores = len(os.sched_getaffinity(0))
+    linux = platform.release().partition("-")[0]
     return (
-        f"{datetime.now(UTC):%Y-%m-%d}, {len(os.sched_getaffinity(0))} cores of {model}, Linux "
-        f"{platform.release().partition('-')[0]}, Python {platform.python_version()}; load average "
-        f"{os.getloadavg()[0]:.1f} at the end."
+        f"{datetime.now(UTC):%Y-%m-%d}, {cores} cores of {model}, Linux {linux}, "
+        f"Python {platform.python_version()}; load average {os.getloadavg()[0]:.1f} at the end."
     )
 
 
 def _markdown(shown: Table | Group) -> Iterator[str]:
+    """Yield the lines of one or several tables as Markdown."""
     tables: Any = shown.renderables if isinstance(shown, Group) else [shown]
     for one in tables:
+        columns = [[str(cell) for cell in column.cells] for column in one.columns]
         rows = [
             [str(column.header) for column in one.columns],
             ["---"] * len(one.columns),
-            *zip(*(map(str, column.cells) for column in one.columns), strict=True),
+            *zip(*columns, strict=True),
         ]
-        yield from (f"**{one.title}**", "", *(f"| {' | '.join(row)} |" for row in rows), "")
+        yield f"**{one.title}**"
+        yield ""
+        for row in rows:
+            yield f"| {' | '.join(row)} |"
+        yield ""

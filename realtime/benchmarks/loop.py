@@ -1,15 +1,18 @@
-"""How punctual the real-time loop is, against `cyclictest` at the same priority in the same minute.
+"""`rollerrig bench loop`: how punctual the real-time loop is, compared with `cyclictest`.
 
-Both are run in short slices by turns, because at the same time they would hold each other up: at equal priority
-neither interrupts the other. The loop carries bus, recorder and WSP unit as in any run; cyclictest has the machine to
-itself. Source: cyclictest of rt-tests, whose latency is now minus the absolute deadline, as is our lateness.
+Both run in short alternating slices at the same priority: at the same time they would delay each
+other, because at equal priority neither interrupts the other. The loop carries bus, recorder and
+WSP unit, as in any run; cyclictest has the machine to itself.
+
+Source: cyclictest of rt-tests. Its latency is the time of waking minus the absolute deadline, and
+so is our lateness.
 """
 
 import argparse
 import re
 import shutil
 import subprocess
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
@@ -23,16 +26,26 @@ from rollerrig.realtime.loop.tick import MISSED, TICK, WORST_NS
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
+# requirement: a quantile of our lateness over that of cyclictest
 WITHIN = 1.2
 _SLICE_S = 60.0
 INSTALL = "install rt-tests (Debian, Ubuntu: apt-get install rt-tests) for the comparison"
+# of the output of cyclictest -q -h: bin in us and its count, largest latency, count beyond all bins
 _BIN = re.compile(r"^(\d{6}) (\d+)", re.MULTILINE)
 _MAX = re.compile(r"^# Max Latencies: (\d+)", re.MULTILINE)
 _BEYOND = re.compile(r"^# Histogram Overflows: (\d+)", re.MULTILINE)
 
 
+class Latenesses(NamedTuple):
+    """What one slice of a program adds to its `Punctuality`."""
+
+    histogram: np.ndarray  # counts, in bins of 1 us
+    worst_ns: int
+    missed: int  # ticks
+
+
 class Punctuality:
-    """Latenesses of one program over all its slices: a histogram of 1 us bins, and the worst."""
+    """Latenesses of one program over all its slices."""
 
     def __init__(self) -> None:
         self.histogram = np.zeros(loop.BINS, dtype=np.int64)
@@ -46,6 +59,7 @@ class Punctuality:
         self.missed += missed
 
     def plain(self) -> Result:
+        """Return the figures for JSON."""
         return {
             "samples": int(self.histogram.sum()),
             "missed": self.missed,
@@ -55,38 +69,42 @@ class Punctuality:
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
-    """Alternate cyclictest and the loop until the loop has run for the seconds asked for."""
-    settings, other = tuple(given.set), shutil.which("cyclictest")
+    """Run cyclictest and the loop alternately until the loop has run for the requested seconds."""
+    settings = tuple(given.set)
+    program = shutil.which("cyclictest")
     rates = scenario.load(wall.SCENARIO, settings=settings)["loop"]
-    ours, theirs = Punctuality(), Punctuality()
+    tick_hz = rates["tick_hz"]
     slices = max(1, round(given.seconds / _SLICE_S))
     slice_s = given.seconds / slices
-    # it comes before and after each slice of the loop; it takes whole seconds
-    other_s = max(1.0, round(given.seconds / (slices + 1)))
+    # cyclictest runs before and after each slice of the loop, and takes whole seconds
+    cyclictest_s = max(1.0, round(given.seconds / (slices + 1)))
+    ours = Punctuality()
+    theirs = Punctuality()
 
-    def compare() -> None:
-        if other:
-            say(f"cyclictest, {other_s:g} s ...")
-            theirs.add(
-                *cyclictest(other, rates["priority"], 1_000_000 // rates["tick_hz"], other_s)
-            )
+    def run_cyclictest() -> None:
+        if program:
+            say(f"cyclictest, {cyclictest_s:g} s ...")
+            interval_us = 1_000_000 // tick_hz
+            theirs.add(*cyclictest(program, rates["priority"], interval_us, cyclictest_s))
 
     refused: list[str] = []
-    for at in range(slices):
-        compare()
-        say(f"the loop, slice {at + 1} of {slices} ...")
+    for number in range(slices):
+        run_cyclictest()
+        say(f"the loop, slice {number + 1} of {slices} ...")
         left_s = slice_s
-        while left_s >= 1.0:  # the coach stops before a slice ends, and brakes again
-            ran_s, refused = _stop(left_s, settings, rates["tick_hz"], given.live, ours)
+        # the coach may stop before the slice is over, and then brakes again
+        while left_s >= 1.0:
+            ran_s, refused = _stop(left_s, settings, tick_hz, given.live, ours)
             left_s -= ran_s
-    compare()
-    result = compared(ours, theirs if other else None)
+    run_cyclictest()
+
+    result = compared(ours, theirs if program else None)
     return result | {
-        "tick_hz": rates["tick_hz"],
+        "tick_hz": tick_hz,
         "priority": rates["priority"],
         "live": given.live,
         "loop": ours.plain(),
-        "cyclictest": theirs.plain() if other else None,
+        "cyclictest": theirs.plain() if program else None,
         "refused": refused,
         "notes": result["notes"] + refused,
     }
@@ -95,120 +113,138 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 def _stop(
     most_s: float, settings: tuple[str, ...], tick_hz: int, live: bool, ours: Punctuality
 ) -> tuple[float, list[str]]:
-    """Run the loop for a stop and add its punctuality; how long it took, and what of its priority was refused."""
-    with wall.held(
-        most_s, settings=(*settings, f"loop.record_hz={tick_hz}"), live=live
-    ) as measured:
-        run, control = records.load(measured.folder), measured.parts.data.control
-        woken_us = wakes(
-            run.column("tick_lateness_us"), run.column("tick_duration_us"), 1e6 / tick_hz
+    """Run the loop for a stop of at most `most_s`, and add its latenesses to `ours`.
+
+    Returns the simulated seconds, and the events that report a refused priority.
+    """
+    every_tick = (*settings, f"loop.record_hz={tick_hz}")
+    with wall.held(most_s, settings=every_tick, live=live) as measured:
+        record = records.load(measured.folder)
+        control = measured.parts.data.control
+        late_us = wakes(
+            record.column("tick_lateness_us"),
+            record.column("tick_duration_us"),
+            interval_us=1e6 / tick_hz,
         )
+        # what is beyond the last bin counts in it
+        bins = np.minimum(late_us.astype(np.int64), loop.BINS - 1)
         ours.add(
-            np.bincount(np.minimum(woken_us.astype(np.int64), loop.BINS - 1), minlength=loop.BINS),
+            np.bincount(bins, minlength=loop.BINS),
             int(control[WORST_NS]),
             int(control[MISSED]),
         )
         for name, count in measured.parts.interruptions.items():
             ours.interruptions[name] += count
-        return int(control[TICK]) / tick_hz, [
-            one.text for one in measured.parts.events if one.code == Code.LOOP_REFUSED
-        ]
+        refused = [event.text for event in measured.parts.events if event.code == Code.LOOP_REFUSED]
+        return int(control[TICK]) / tick_hz, refused
 
 
 def wakes(lateness_us: np.ndarray, duration_us: np.ndarray, interval_us: float) -> np.ndarray:
-    """Lateness of the ticks that the loop slept for, of samples of every tick, shape (n,).
+    """Return the lateness of those ticks before which the loop slept.
 
-    A sample has its own tick's lateness and the duration of the tick before.
+    Both arrays, shape (n,), have one sample per tick: the lateness of that tick, and the duration
+    of the tick before. If the tick before took too long, the loop did not sleep, and the lateness
+    of the next tick does not count.
     """
     slept = np.ones(len(lateness_us), dtype=bool)
     slept[1:] = lateness_us[:-1] + duration_us[1:] < interval_us
     return lateness_us[slept]
 
 
-def cyclictest(
-    program: str, priority: int, interval_us: int, seconds: float
-) -> tuple[np.ndarray, int, int]:
-    """Run cyclictest: histogram in us, worst in ns, and the deadlines that it missed."""
-    done = subprocess.run(
-        children.command(
-            program,
-            "-m",
-            *(["-p", str(priority)] if priority else []),
-            "-i",
-            str(interval_us),
-            "-q",
-            "-h",
-            str(loop.BINS),
-            "-D",
-            str(round(seconds)),
-        ),
+def cyclictest(program: str, priority: int, interval_us: int, seconds: float) -> Latenesses:
+    """Run cyclictest for some seconds, and return its latencies."""
+    words = [program, "-m", "-q"]
+    if priority:
+        words += ["-p", str(priority)]
+    words += ["-i", str(interval_us)]
+    words += ["-h", str(loop.BINS)]
+    words += ["-D", str(round(seconds))]
+    process = subprocess.run(
+        children.command(*words),
         capture_output=True,
         text=True,
         timeout=seconds + 30.0,
         check=False,
     )
-    return parse(done.stdout, interval_us)
+    return parse(process.stdout, interval_us)
 
 
-def parse(text: str, interval_us: int) -> tuple[np.ndarray, int, int]:
-    """What cyclictest -q -h prints: histogram in us, worst in ns, deadlines that latencies cost."""
+def parse(text: str, interval_us: int) -> Latenesses:
+    """Return the latencies that cyclictest -q -h prints.
+
+    A latency of one interval or more costs as many deadlines as it has whole intervals.
+    """
     histogram = np.zeros(loop.BINS, dtype=np.int64)
     for at, count in _BIN.findall(text):
         histogram[min(int(at), loop.BINS - 1)] += int(count)
-    beyond, worst = _BEYOND.search(text), _MAX.search(text)
-    histogram[-1] += int(beyond[1]) if beyond else 0
+    beyond = _BEYOND.search(text)
+    if beyond:
+        histogram[-1] += int(beyond[1])
+    worst = _MAX.search(text)
+    worst_us = int(worst[1]) if worst else 0
     missed = int((histogram * (np.arange(loop.BINS) // interval_us)).sum())
-    return histogram, 1000 * int(worst[1]) if worst else 0, missed
+    return Latenesses(histogram, worst_ns=1000 * worst_us, missed=missed)
 
 
 def compared(ours: Punctuality, theirs: Punctuality | None) -> Result:
-    """Ratios of the quantiles, targets, and whether missed ticks are the machine's own."""
-    notes = [
-        "by turns, in slices: at the same time they would hold each other up",
-        "the loop's thread: "
-        + ", ".join(
-            f"{name.replace('_', ' ')} {count}" for name, count in ours.interruptions.items()
-        ),
-    ]
+    """Return the ratios of the quantiles, the targets, and notes.
+
+    `theirs` is None without cyclictest. Missed ticks count against the loop only as far as
+    cyclictest would not have missed them.
+    """
     if theirs is None or not theirs.histogram.sum():
-        why = "cyclictest is not here" if theirs is None else "cyclictest was refused its priority"
-        return {"ratio": None, "targets": [], "notes": [f"{why}; {INSTALL}; our own figures only"]}
-    mine, his = ours.plain()["lateness_us"], theirs.plain()["lateness_us"]
-    ratio = {name: mine[name] / max(his[name], 1.0) for name in mine}
-    # as many as cyclictest would have missed in as many ticks, and what chance adds to so few stalls
+        reason = (
+            "cyclictest is not installed"
+            if theirs is None
+            else "cyclictest got no real-time priority"
+        )
+        return {
+            "ratio": None,
+            "targets": [],
+            "notes": [f"{reason}; {INSTALL}; these are our own figures only"],
+        }
+
+    interruptions = ", ".join(
+        f"{name.replace('_', ' ')} {count}" for name, count in ours.interruptions.items()
+    )
+    our_us = ours.plain()["lateness_us"]
+    their_us = theirs.plain()["lateness_us"]
+    # below a microsecond the ratio has no meaning
+    ratio = {name: our_us[name] / max(their_us[name], 1.0) for name in our_us}
+
+    # what cyclictest would have missed in as many ticks, plus two standard deviations of so few
     expected = WITHIN * theirs.missed * ours.histogram.sum() / theirs.histogram.sum()
+    missed_limit = float(expected + 2.0 * np.sqrt(expected)) if expected else 0.0
+    targets = [
+        target(f"lateness {name} over cyclictest's", ratio[name], WITHIN)
+        for name in ("p99", "p999")
+    ]
+    targets.append(
+        target("missed ticks, by what cyclictest missed", float(ours.missed), missed_limit)
+    )
     return {
         "ratio": ratio,
-        "notes": notes,
-        "targets": [
-            *(
-                target(f"lateness {name} over cyclictest's", ratio[name], WITHIN)
-                for name in ("p99", "p999")
-            ),
-            target(
-                "missed ticks, by what cyclictest missed",
-                float(ours.missed),
-                float(expected + 2.0 * np.sqrt(expected)) if expected else 0.0,
-            ),
+        "notes": [
+            "measured alternately, in slices: at the same time they would delay each other",
+            f"the loop's thread: {interruptions}",
         ],
+        "targets": targets,
     }
 
 
 def table(result: Result) -> Table:
-    """Both programs' lateness, and the ratios."""
-
-    def row(name: str, one: dict[str, Any]) -> tuple[object, ...]:
-        return (
-            name,
-            one.get("samples"),
-            *map(one.get("lateness_us", {}).get, figures.QUANTILES),
-            one.get("missed"),
-        )
-
-    rows = [row(name, result[name] or {}) for name in ("loop", "cyclictest")]
+    """Return the lateness of both programs, and the ratios."""
+    rows = [_row(name, result[name] or {}) for name in ("loop", "cyclictest")]
     if result["ratio"]:
-        rows.append(row("ratio", {"lateness_us": result["ratio"]}))
-    title = f"lateness in us, {result['tick_hz']} Hz, SCHED_FIFO {result['priority']}" + (
-        ", live view" if result["live"] else ""
-    )
+        rows.append(_row("ratio", {"lateness_us": result["ratio"]}))
+    title = f"lateness in us, {result['tick_hz']} Hz, SCHED_FIFO {result['priority']}"
+    if result["live"]:
+        title += ", live view"
     return figures.table(title, ("", "wakes", *figures.QUANTILES, "missed"), rows)
+
+
+def _row(name: str, program: dict[str, Any]) -> tuple[object, ...]:
+    """Return a row of the table; `program` is as `Punctuality.plain`, or a part of it."""
+    lateness_us = program.get("lateness_us", {})
+    quantiles = [lateness_us.get(quantile) for quantile in figures.QUANTILES]
+    return (name, program.get("samples"), *quantiles, program.get("missed"))

@@ -1,4 +1,4 @@
-"""`rollerrig bench vehicle`: how fast the whole rig runs without deadlines, and how soon a run starts.
+"""`rollerrig bench vehicle`: how fast the rig runs without deadlines, and how soon a run starts.
 
 First, 45 s of four sliding axles run at the step of the scenario with the reference WSP, as
 `--pacing free` runs them: in one compiled call on one core. Then `rollerrig run` is started as a

@@ -1,7 +1,7 @@
-"""A wall-paced run to measure on: the real bench with bus, recorder and unit, for some seconds.
+"""A run in real time to measure on: the real bench with bus, recorder and unit, for some seconds.
 
-Its record lives in a temporary folder as long as the caller looks at it. Whatever else is to be measured runs beside
-it in the bus thread's own event loop.
+Its record is in a temporary folder, which exists as long as the caller needs it. What else is
+measured runs in the event loop of the bus thread, next to the run.
 """
 
 import asyncio
@@ -23,17 +23,20 @@ from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.loop.tick import TICK
 
 SCENARIO = "velim_a1"
-Beside = Callable[[Parts], Awaitable[Any]]
+# a measurement that runs next to the run; it gets the parts of the run
+Measurement = Callable[[Parts], Awaitable[Any]]
+# seconds that measurements have after the end of the run
+_FINISH_WITHIN_S = 10.0
 
 
 class Measured(NamedTuple):
-    """A run that has ended: its parts, folder, summary, and what was measured beside it."""
+    """A run that has finished."""
 
     parts: Parts
     folder: Path
     summary: dict[str, Any]
-    beside: Any
-    bus_thread_share: float
+    result: Any  # of the measurement; None without one
+    bus_thread_share: float  # of a core
 
 
 @contextlib.contextmanager
@@ -42,12 +45,12 @@ def held(
     unit: str = "reference",
     settings: tuple[str, ...] = (),
     live: bool = False,
-    beside: Beside | None = None,
+    measurement: Measurement | None = None,
 ) -> Iterator[Measured]:
-    """Run the scenario for some seconds on a hub with a free port; the record lives in the block.
+    """Run the scenario for some seconds on a hub with a free port; the record exists in the block.
 
-    `beside(parts)` runs once the bus is open. Raises RollerrigError as a run does, and
-    KeyboardInterrupt where the user broke it off.
+    `measurement(parts)` starts when the bus is open. Raises RollerrigError as a run does, and
+    KeyboardInterrupt where the user interrupted the run.
     """
     plan = scenario.load(
         SCENARIO,
@@ -62,21 +65,26 @@ def held(
     with tempfile.TemporaryDirectory(prefix="rollerrig-bench-") as name:
         folder = Path(name) / "run"
         run = Bench(plan, Options("wall", unit, folder, live), lambda progress: None)
-        summary, share, *found = asyncio.run(_run(run, beside))
+        summary, share, result = asyncio.run(_run(run, measurement))
         if run.parts.ended_by == "interrupted":
             raise KeyboardInterrupt
-        yield Measured(run.parts, folder, summary, found[0] if found else None, share)
+        yield Measured(
+            parts=run.parts,
+            folder=folder,
+            summary=summary,
+            result=result,
+            bus_thread_share=share,
+        )
 
 
 async def client(*arguments: object) -> Any:
-    """Run `benchmarks.client` in a process of its own to its end, and return what it measured.
+    """Run `benchmarks.client` in a separate process until it exits; return what it measured.
 
     Raises RollerrigError with its last words when it fails.
     """
+    words = [sys.executable, "-m", "rollerrig.realtime.benchmarks.client", *map(str, arguments)]
     process = await asyncio.create_subprocess_exec(
-        *children.command(
-            sys.executable, "-m", "rollerrig.realtime.benchmarks.client", *map(str, arguments)
-        ),
+        *children.command(*words),
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
@@ -87,22 +95,24 @@ async def client(*arguments: object) -> Any:
         if process.returncode is None:
             process.kill()
     if process.returncode:
-        raise RollerrigError(
-            "the benchmark's client has ended: " + error.decode(errors="replace").strip()[-300:]
-        )
+        last_words = error.decode(errors="replace").strip()[-300:]
+        raise RollerrigError(f"the client of the benchmark has failed: {last_words}")
     return json.loads(out)
 
 
-async def _run(run: Bench, beside: Beside | None) -> list[Any]:
-    """The summary, the bus thread's share, and what was measured beside."""
-    tasks = [asyncio.ensure_future(_share(run.parts))]
-    if beside:
-        tasks.append(asyncio.ensure_future(_when_open(run.parts, beside)))
+async def _run(run: Bench, measurement: Measurement | None) -> tuple[dict[str, Any], float, Any]:
+    """Return the summary, the bus thread's share of a core, and the result of the measurement."""
+    tasks = [
+        asyncio.ensure_future(_share(run.parts)),
+        asyncio.ensure_future(_when_open(run.parts, measurement)),
+    ]
     try:
-        return [await run.run(), *await asyncio.wait_for(asyncio.gather(*tasks), 10.0)]
+        summary = await run.run()
+        share, result = await asyncio.wait_for(asyncio.gather(*tasks), _FINISH_WITHIN_S)
+        return summary, share, result
     except TimeoutError:
         raise RollerrigError(
-            "what was measured beside the run has not ended with it; the machine may be overloaded: "
+            "a measurement has not finished with its run; the machine may be overloaded: "
             "try again when it is less busy"
         ) from None
     finally:
@@ -110,18 +120,25 @@ async def _run(run: Bench, beside: Beside | None) -> list[Any]:
             task.cancel()
 
 
-async def _when_open(parts: Parts, beside: Beside) -> Any:
+async def _when_open(parts: Parts, measurement: Measurement | None) -> Any:
+    """Start the measurement when the bus is open; return its result."""
+    if measurement is None:
+        return None
     while parts.bus is None and not parts.stopping:
         await asyncio.sleep(0.01)
-    return None if parts.stopping else await beside(parts)
+    if parts.stopping:
+        return None
+    return await measurement(parts)
 
 
 async def _share(parts: Parts) -> float:
-    """The share of a core that the bus thread takes between the first tick and the last."""
+    """Return the share of a core that the bus thread uses between the first and the last tick."""
     while not (parts.data.control[TICK] or parts.stopping):
         await asyncio.sleep(0.01)
-    begun_s, cpu_s, share = time.monotonic(), time.thread_time(), 0.0
+    begun_s = time.monotonic()
+    cpu_begun_s = time.thread_time()
+    share = 0.0
     while not parts.stopping:
         await asyncio.sleep(0.05)
-        share = (time.thread_time() - cpu_s) / (time.monotonic() - begun_s)
+        share = (time.thread_time() - cpu_begun_s) / (time.monotonic() - begun_s)
     return share

@@ -1,8 +1,8 @@
 """`rollerrig tune` and `rollerrig validate`: what the paper does with measured runs.
 
-`tune` finds tau of the recovery (or the parameters of Polach's creep curve) on the tuning runs, with
-intervals. `validate` makes Table 6 on runs that were never fitted. Two names are no datasets but
-studies of the project, which need a clone: `velim` is the paper's six stops in closed loop, and
+`tune` finds tau of the recovery (or the parameters of Polach's creep curve) on the tuning runs,
+with intervals. `validate` makes Table 6 on runs that were never fitted. Two names are no datasets
+but studies of the project, which need a clone: `velim` is the paper's six stops in closed loop, and
 `sanding` compares the law of sand with measured stops.
 """
 
@@ -30,7 +30,7 @@ def tune_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--synthetic",
         action="store_true",
-        help="with 'velim': write the synthetic dataset of the six stops to --out, and tune nothing",
+        help="with 'velim': write the synthetic dataset of the six stops to --out; tune nothing",
     )
 
 

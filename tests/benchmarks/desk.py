@@ -1,10 +1,10 @@
 """`rollerrig bench desk`: what the desk costs the real-time loop.
 
 The same stop runs alternately without a desk and with a desk that ten browsers look at, in wall
-pacing, each in a separate bench process with the reference WSP unit. The browsers are the clients of
-`browser.py`: they load the page, hold its websocket and request new rows, but draw nothing, because
-the load of a real browser on the machine is not the desk's. One of them is stopped (SIGSTOP) with
-open connections. The figures come from the summaries of the benches.
+pacing, each in a separate bench process with the reference WSP unit. The browsers are the clients
+of `browser.py`: they load the page, hold its websocket and request new rows, but draw nothing,
+because the load of a real browser on the machine is not the desk's. One of them is stopped
+(SIGSTOP) with open connections. The figures come from the summaries of the benches.
 """
 
 import argparse
@@ -108,7 +108,7 @@ def _started(*words: str) -> subprocess.Popen[str]:
 
 
 def _first_line(process: subprocess.Popen[str]) -> str:
-    """Return the first line that a process prints. Raises RollerrigError where it exits without one."""
+    """Return the first line of a process. Raises RollerrigError where it exits without one."""
     assert process.stdout
     line = process.stdout.readline()
     if not line:

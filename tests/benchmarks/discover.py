@@ -63,7 +63,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 
 
 def _rates(kind: str, answers: list[Result], wanted: str = "") -> list[Result]:
-    """Return the two measures of some rigs; `wanted` is the share of solved ones that is required."""
+    """Return the two measures of some rigs; `wanted` is the required share of solved ones."""
 
     def rate(measure: str, wanted: str, right: Callable[[Result], bool]) -> Result:
         return score.rate(f"{kind}: {measure}", wanted, map(right, answers))

@@ -67,7 +67,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 
 
 def alone(folder: Path, seconds: float, setting: str = "modbus.port=0") -> Result:
-    """Return the loop's figures of a run of some seconds in a separate process without a harness."""
+    """Run for some seconds in a separate process, without a harness; return the loop's figures."""
     settings = (
         f"duration_max_s={seconds}",
         "bus.interface=hub",

@@ -2,8 +2,8 @@
 
 The sweep runs on dry and on soapy rail. All wheelsets start half a millimetre off the middle of the
 track, and the lateral oscillation is observed for four seconds: it decays below the critical speed
-and grows above it. Dampers, bump stops and traction rods are assumed curves (`[multibody]`), so this
-speed depends on them as much as on the paper; `--set multibody.laying=0.025` or
+and grows above it. Dampers, bump stops and traction rods are assumed curves (`[multibody]`), so
+this speed depends on them as much as on the paper; `--set multibody.laying=0.025` or
 `multibody.yaw_damper_N_s_m=0` changes it.
 """
 

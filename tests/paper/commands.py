@@ -16,7 +16,7 @@ TESTS = [test.upper() for test in velim.TESTS]
 
 
 def tune_velim(given: argparse.Namespace) -> int:
-    """Find on group A what the paper does not print; with --synthetic write the synthetic dataset."""
+    """Find on group A what the paper does not print; --synthetic writes the dataset instead."""
     if given.synthetic:
         out = given.out or Path("velim_synthetic")
         folder = synthetic_stops.write(out, given.seed + 1)
@@ -59,16 +59,16 @@ def _compare(
             velim.rows_of_contaminants(found, own, classic),
         ),
         "with recovery, a contaminant below the printed 0.06 is needed: that is the level of a law "
-        "that was tuned on measured torques, which the paper does not print; under our full service "
-        "brake and our reference WSP, wheels on 0.06 clean the rail so much that they slide less "
-        "than measured",
+        "that was tuned on measured torques, which the paper does not print; under our full "
+        "service brake and our reference WSP, wheels on 0.06 clean the rail so much that they "
+        "slide less than measured",
         f"fitted on group A (A1 to A3): {fitted}; residual: "
         f"{result['group_a_left_over_rms_m_s']:.2f} m/s rms",
         "predicted: group B, with the speeds of Table 5 alone and mu_cd = "
         f"{result['predicted_mu_cd_group_b']:.4g}; Table 4 and tau as printed, wheels on the track",
         "mean sliding of a test that has not been run, 95 %: ours +- "
-        f"{velim.half_width_m_s():.1f} m/s (Student's t, from the spread of the three measured means "
-        "of group A)",
+        f"{velim.half_width_m_s():.1f} m/s (Student's t, from the spread of the three measured "
+        "means of group A)",
         f"group B, mean absolute error against measured: mean {error['mean_m_s']:.2f} (paper's "
         f"model {error['paper_mean_m_s']:.2f}), deviation {error['deviation_m_s']:.2f} (paper's "
         f"model {error['paper_deviation_m_s']:.2f}) m/s",
@@ -88,7 +88,7 @@ def _compare(
 
 
 def _rows_of_bounds() -> list[tuple[str, ...]]:
-    """Return one row per rule: its predictions for group B, and its error; then the measured means."""
+    """Return the predictions for group B and the error of each rule, then the measured means."""
     rows: list[tuple[str, ...]] = []
     for bound in velim.bounds():
         predicted = [f"{mean:.2f}" for mean in bound.predicted_m_s]

@@ -15,7 +15,7 @@ from rollerrig.wsp_interface import signals
 
 
 def run_of(name: str, group: str, mass_kg: float, rows: np.ndarray) -> Run:
-    """Return a run made of samples of all signals, shape (n, columns), as the physics computed it."""
+    """Return a run, as the physics computed it; `rows`: samples of all signals, (n, columns)."""
     return Run(
         name=name,
         group=group,

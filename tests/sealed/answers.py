@@ -3,24 +3,22 @@
 Our tools answer in the same form as any other tool. The answer to a set is a table; report.json of
 `rollerrig explain` is such a table, with more in it than is needed:
 
-| key         | meaning |
-|-------------|---------|
-| `verdict`   | required; one of `VERDICTS`; "refused" means that the data allow no conclusion |
-| `causes`    | list of tables, the most likely cause first; may be missing or empty |
-| `gain`      | optional: `claimed` (true or false), `reduction`, `metric`; see below |
-| `elapsed_s` | optional: seconds that the tool took |
+    verdict      required; one of `VERDICTS`; "refused" means that the data allow no conclusion
+    causes       list of tables, the most likely cause first; may be missing or empty
+    gain         optional table with `claimed` (true or false), `reduction` and `metric`, see below
+    elapsed_s    optional; seconds that the tool took
 
 Each cause has a `name` of the rig's table of causes, and may have `confusable_with` (list of names
-that the data cannot distinguish from it) and `parameters` (table by parameter, each with `ci95`, the
-limits of the 95 % interval). A gain is a reduction of the error on the stops that were never fitted,
-as a share: 0.2 means that the error with the answered causes is 20 % less than that of the fitted
-base. `metric` names the error: "adhesion_rmse" or "free_running_speed_rmse_m_s".
+that the data cannot distinguish from it) and `parameters` (table by parameter, each with `ci95`,
+the limits of the 95 % interval). A gain is a reduction of the error on the stops that were never
+fitted, as a share: 0.2 means that the error with the answered causes is 20 % less than that of the
+fitted base. `metric` names the error: "adhesion_rmse" or "free_running_speed_rmse_m_s".
 
-A short form exists: `heldout_gain` in place of `gain` (the reduction, or null where none is claimed),
-and `seconds` in place of `elapsed_s`.
+A short form exists: `heldout_gain` in place of `gain` (the reduction, or null where none is
+claimed), and `seconds` in place of `elapsed_s`.
 
-The answers to all sets are in one JSON file, as a table by set, or in a folder with one file SET.json
-for each set.
+The answers to all sets are in one JSON file, as a table by set, or in a folder with one file
+SET.json for each set.
 """
 
 import json
@@ -106,8 +104,8 @@ def read(path: Path) -> dict[str, Answer]:
             content[file] = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ConfigError(
-            f"{path}: no answers can be read ({error}); give a JSON file with one answer per set, or "
-            "a folder with one file SET.json per set"
+            f"{path}: no answers can be read ({error}); give a JSON file with one answer per set, "
+            "or a folder with one file SET.json per set"
         ) from None
 
     # a file has the table of all answers, and each file of a folder has one answer
@@ -116,13 +114,14 @@ def read(path: Path) -> dict[str, Answer]:
         by_set = {file.stem: one for file, one in content.items()}
     if not isinstance(by_set, dict) or not by_set:
         raise ConfigError(
-            f"{path}: there are no answers; give a table with an entry for each set, or files SET.json"
+            f"{path}: there are no answers; give a table with an entry for each set, "
+            "or files SET.json"
         )
     return {name: _checked(f"{path}, {name}", one) for name, one in by_set.items()}
 
 
 def _checked(where: str, given: Any) -> Answer:
-    """Return an answer in the long form, with all keys. Raises ConfigError that begins with `where`."""
+    """Return an answer in the long form, with all keys; `where` begins the message of an error."""
     if not isinstance(given, dict) or given.get("verdict") not in VERDICTS:
         raise ConfigError(
             f"{where}: verdict is missing or unknown; allowed are {', '.join(VERDICTS)}"

@@ -1,8 +1,8 @@
 """Three usual methods that find terms which a model lacks, for comparison with `explain`.
 
-All of them start where `explain` starts: with the fitted base and the linearised replay. They differ
-from it in the selection only. There x = -A^-1 b are the coefficients of all candidate columns, and
-A^-1 is their covariance. None of them simulates data without a hidden effect.
+All of them start where `explain` starts: with the fitted base and the linearised replay. They
+differ from it in the selection only. There x = -A^-1 b are the coefficients of all candidate
+columns, and A^-1 is their covariance. None of them simulates data without a hidden effect.
 
 - `bic`: forward selection by the Bayesian information criterion (Schwarz, Annals of Statistics 6,
   1978);
@@ -113,7 +113,7 @@ def bic(data: Dataset) -> dict[str, Any]:
 
 
 def sparse(data: Dataset) -> dict[str, Any]:
-    """Answer by least squares of one shape of each cause; small coefficients are dropped repeatedly."""
+    """Answer by repeated least squares of one shape of each cause, without small coefficients."""
     began_s = time.monotonic()
     stops = _Stops(data)
     chosen = stops.one_each()
@@ -128,7 +128,7 @@ def sparse(data: Dataset) -> dict[str, Any]:
 
 
 def least_squares(data: Dataset) -> dict[str, Any]:
-    """Answer by bounded least squares of one shape of each cause, judged by their 95 % intervals."""
+    """Answer by bounded least squares of one shape of each cause, and by 95 % intervals."""
     began_s = time.monotonic()
     stops = _Stops(data)
     chosen = stops.one_each()
@@ -166,7 +166,7 @@ def _bounds(variant: Variant) -> tuple[float, float]:
 
 
 def _answer(stops: _Stops, chosen: list[Variant], began_s: float) -> dict[str, Any]:
-    """Return the selected variants as an answer; the cause that lowers the misfit most comes first."""
+    """Return the selected variants as an answer; the cause that fits best comes first."""
     at = _columns(chosen)
     if at:
         x, deviations = stops.solve(at)

@@ -5,17 +5,15 @@ MuJoCo. They share no code with the rig, and each hides a cause in another form 
 of causes has. A set is one dataset of stops in which zero, one or two effects are hidden.
 
     DIR/sets/set_0001/dataset.toml, runs/*.csv   what a tool gets
-    DIR/key                                      the truth; encoded, so that nobody reads it by accident
+    DIR/key                                      the truth; encoded, against reading by accident
 
 The key is a table: `generator`, `seed`, and for each set
 
-| key           | meaning |
-|---------------|---------|
-| `kind`        | "none", "one", "two" or "unknown": what is hidden, see `KINDS` |
-| `effects`     | size of each hidden effect, by its name, in the unit of the generator |
-| `meaning`     | (parameter, value) by cause, where a size has the unit and sign of the rig's parameter |
-| `base_error`  | error of the fitted base model on the stops that were not fitted, by metric |
-| `least_error` | the same error where nothing is hidden in the same stops: no model can do better |
+    kind          what is hidden: "none", "one", "two" or "unknown", see `KINDS`
+    effects       size of each hidden effect by its name, in the unit of the generator
+    meaning       (parameter, value) by cause, where the rig's table has a parameter of that meaning
+    base_error    error of the fitted base model on the stops that were not fitted, by metric
+    least_error   the same error where nothing is hidden in the same stops; no model can do better
 """
 
 import importlib
@@ -97,7 +95,7 @@ def stream(make: ModuleType, seed: int) -> Iterator[Case]:
 
 
 def generator(name: str) -> ModuleType:
-    """Return a generator by its name in `GENERATORS`. Raises ConfigError where MuJoCo is missing."""
+    """Return a generator by its name in `GENERATORS`. Raises ConfigError without MuJoCo."""
     try:
         return importlib.import_module(f"generator.{GENERATORS[name]}")
     except ModuleNotFoundError as error:
@@ -125,8 +123,8 @@ def export(folder: Path, by: str, sets: int, seed: int, say: Callable[[str], Non
         key = read_key(folder)
         if (key["generator"], key["seed"]) != (by, seed):
             raise ConfigError(
-                f"{folder} holds sets of the {key['generator']} generator, seed {key['seed']}; give "
-                f"another folder, or --generator {key['generator']} --seed {key['seed']} to "
+                f"{folder} holds sets of the {key['generator']} generator, seed {key['seed']}; "
+                f"give another folder, or --generator {key['generator']} --seed {key['seed']} to "
                 "complete it"
             )
 

@@ -171,7 +171,7 @@ def _possible_gain(truth: dict[str, Any], gain: dict[str, Any]) -> float | None:
 
 
 def rows(found: list[Judged]) -> list[figures.Result]:
-    """Return all measures as tables with the keys of `HEAD`, by the rules at the head of this file."""
+    """Return all measures, by the rules of the module's docstring, with the keys of `HEAD`."""
     of_kind = {kind: [answer for answer in found if answer.kind == kind] for kind in KINDS}
     none, one, two, unknown = (of_kind[kind] for kind in KINDS)
     detected = [answer for answer in one if answer.detected]
@@ -289,8 +289,8 @@ def _gain_row(found: list[Judged]) -> figures.Result:
 def failed(found: list[Judged]) -> list[str]:
     """Return one line for each set that is not answered right: what was hidden, and the answer.
 
-    Right is: "consistent" where nothing is hidden, no cause where the effect is unknown, exactly one
-    cause whose set holds the hidden one, or exactly two causes whose sets hold both.
+    Right is: "consistent" where nothing is hidden, no cause where the effect is unknown, exactly
+    one cause whose set holds the hidden one, or exactly two causes whose sets hold both.
     """
     lines = []
     for answer in found:
