@@ -21,7 +21,7 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 
 from rollerrig.wsp_interface import magnets, rig_objects, signals
@@ -181,7 +181,11 @@ def main(role: str, host: str, port: str, last: str) -> int:
             # a unit has its own controller, which no other program keeps busy
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
         line = connect(host, int(port), last)
-        roles = {"ask": ask, "listen": listen, "unit": listen_and_answer}
+        roles: dict[str, Callable[[socket.socket], object]] = {
+            "ask": ask,
+            "listen": listen,
+            "unit": listen_and_answer,
+        }
         result = roles[role](line)
     print(json.dumps(result))
     return 0
