@@ -1,18 +1,21 @@
 """Brake pneumatics and disc brake: demand, dump valve, cylinder, torque, air.
 
-The distributor lets the demanded pressure rise and fall slowly [B1]. The dump valve of an axle fills its cylinder
-towards that pressure, holds it or vents it [B2], each a dead time after its magnets changed; only filling uses air
-[B3]. The pads press with the pressure beyond their springs and the discs give a torque in proportion [B4].
+The distributor lets the demanded pressure rise and fall slowly [B1]. The dump valve of an axle fills
+its cylinder towards that pressure, holds it or vents it [B2], a dead time after its magnets changed.
+Only filling uses air [B3]. The pads press with the pressure beyond their springs, and the discs give
+a torque in proportion [B4].
 
     [B1] dp_d/dt = (p_target - p_d) / T_fill or T_release
     [B2] dp/dt = (p_d - p) / T_fill while filling, 0 while holding, -p / T_vent while venting
     [B3] air in normal litres: V dp / 101325 Pa for dp > 0
     [B4] C = c (p - p_spring), not below 0
-    [B5] with a reservoir, q = K p_1 up to p_2 / p_1 = b, K p_1 sqrt(1 - ((p_2 / p_1 - b) / (1 - b))^2) beyond, absolute
+    [B5] with a reservoir, and absolute pressures: q = K p_1 up to p_2 / p_1 = b, beyond it
+         K p_1 sqrt(1 - ((p_2 / p_1 - b) / (1 - b))^2)
     [B6] V_r dp_r/dt = -(V dp/dt of all cylinders that fill) + 101325 Pa q of the supply
 
-Source: [B5] ISO 6358-1. First-order pneumatics with assumed constants, air of one temperature: priors, not
-measurements of one brake. A cylinder whose valve fills and whose demand falls is vented by the distributor [B2].
+Source: [B5] ISO 6358-1. First-order pneumatics with assumed constants, air of one temperature: these
+are priors, not measurements of one brake. A cylinder whose valve fills while the demand falls is
+vented by the distributor [B2].
 """
 
 import math
@@ -37,7 +40,7 @@ def valve_of(magnets):
 
 @kernel
 def target(demand, time_s):
-    """Pressure in Pa asked for at a time in s: the last step of the programme that has begun."""
+    """Return the pressure in Pa demanded at a time in s: the last step of the programme so far."""
     pressure_Pa = 0.0
     for i in range(demand.start_s.size):
         if time_s >= demand.start_s[i]:
@@ -46,8 +49,8 @@ def target(demand, time_s):
 
 
 @kernel_inlined
-def switch(state, delayed_magnets):
-    """Set the valves to magnets that have passed the dead time, shape (4,); count new vents."""
+def switch_valves(state, delayed_magnets):
+    """Set the valves to magnets (4,) that have passed the dead time, and count new vents."""
     for j in range(AXLES):
         valve = valve_of(delayed_magnets[j])
         if valve == VENT and state.valve[j] != VENT:
@@ -57,13 +60,19 @@ def switch(state, delayed_magnets):
 
 @kernel_inlined
 def fill(state, brake, target_Pa):
-    """Advance demand (exactly) and cylinders (under its mean: second order) by a step of constant valves and target."""
+    """Advance the demanded pressure and the cylinders by a step of constant valves and target.
+
+    The demand is exact. The cylinders follow its mean over the step, which is of second order.
+    """
+    # the demanded pressure at the end of the step
     before = state.brake_demand[0]
     share = brake.demand_fill_share if target_Pa > before else brake.demand_release_share
     state.brake_demand[0] = before + (target_Pa - before) * share  # [B1]
+
+    # the mean over the step
     p_d = before + 0.5 * (target_Pa - before) * share
     if brake.air.reservoir_L > 0.0:
-        blow(state, brake, p_d)
+        flow_through_valves(state, brake, p_d)
         return
     for j in range(AXLES):
         p = state.cylinder_pressure[j]
@@ -84,7 +93,14 @@ def begin(state, air):
 
 @kernel
 def flow(from_Pa, to_Pa, conductance, critical_ratio):
-    """Air in NL/s from one pressure above the atmosphere's to a lower one, 0 to a higher one [B5]."""
+    """Return the flow of air in NL/s from one pressure to another [B5]; 0 to a higher pressure.
+
+    Parameters
+    ----------
+    from_Pa, to_Pa : pressures above that of the atmosphere
+    conductance : K in NL/(s Pa)
+    critical_ratio : b, the ratio of pressures below which the flow is choked
+    """
     p_1 = from_Pa + NORMAL_PRESSURE_PA
     ratio = (to_Pa + NORMAL_PRESSURE_PA) / p_1
     if ratio >= 1.0:
@@ -94,24 +110,32 @@ def flow(from_Pa, to_Pa, conductance, critical_ratio):
 
 
 @kernel
-def blow(state, brake, p_d):
-    """Advance cylinders and reservoir by a step of choked flow [B5], [B6]."""
-    air, p_r = brake.air, state.reservoir_pressure[0]
-    room = air.reservoir_L / NORMAL_PRESSURE_PA  # NL a Pa
-    cylinder = brake.volume_L / NORMAL_PRESSURE_PA
+def flow_through_valves(state, brake, p_d):
+    """Advance cylinders and reservoir by a step of choked flow [B5], [B6].
+
+    `p_d` is the demanded pressure in Pa, its mean over the step.
+    """
+    air = brake.air
+    p_r = state.reservoir_pressure[0]
+    room = air.reservoir_L / NORMAL_PRESSURE_PA  # NL for each Pa
+    cylinder = brake.volume_L / NORMAL_PRESSURE_PA  # NL for each Pa
+
+    # the supply feeds the reservoir, at most up to its own pressure
     fed_NL = flow(air.supply_Pa, p_r, air.supply, air.critical_ratio) * air.step_s
     fed_NL = min(fed_NL, max(air.supply_Pa - p_r, 0.0) * room)
     state.air_supplied[0] += fed_NL
     p_r += fed_NL / room
+
     for j in range(AXLES):
         p = state.cylinder_pressure[j]
         if state.valve[j] == VENT:
             gone_NL = flow(p, 0.0, air.vent, air.critical_ratio) * air.step_s
             state.cylinder_pressure[j] = max(0.0, p - gone_NL / cylinder)
         elif state.valve[j] == FILL and p_d <= p:
+            # the distributor vents the cylinder
             state.cylinder_pressure[j] = p + (p_d - p) * brake.valve_fill_share  # [B2]
         elif state.valve[j] == FILL:
-            # neither beyond what is asked nor beyond what both have in common
+            # neither beyond the demand nor beyond the pressure at which both are equal
             gain_NL = min(
                 flow(p_r, p, air.fill, air.critical_ratio) * air.step_s,
                 (p_d - p) * cylinder,
@@ -126,5 +150,5 @@ def blow(state, brake, p_d):
 
 @kernel
 def capacity(pressure_Pa, brake):
-    """Torque in N m that the discs of a wheelset can hold at a cylinder pressure [B4]."""
+    """Return the torque in N m that the discs of a wheelset can hold at a cylinder pressure [B4]."""
     return max(0.0, brake.torque_Nm_Pa * (pressure_Pa - brake.spring_pressure_Pa))

@@ -1,16 +1,17 @@
-"""Heat of brake discs and roller motors: what a stop leaves in them, and how they lose it again.
+"""Heat of brake discs and roller motors: the heat of a stop, and how they lose it again.
 
 All work of a wheelset's brake becomes heat of its discs, which give it to the air [H1]. The losses
 of a motor grow with the square of its torque, so its winding approaches a rise above the air that
-is the rated one at the rated torque [H2]. A drive acts on its own temperature; that of the discs acts
-back where pads vary (`mechanisms.pads`). The mechanism `pad_fade` goes by the work alone.
+is the rated one at the rated torque [H2]. A drive reacts to its temperature. The temperature of the
+discs acts back where pads vary (`mechanisms.pads`). The mechanism `pad_fade` depends on the work
+alone.
 
     [H1] C dT/dt = dW/dt - C (T - T_air) / t_d, W the brake work, C of all discs of a wheelset
     [H2] t_m dT/dt = (u / u_rated)^2 dT_rated - (T - T_air), u the motor torque
 
-One step a tick, the decay exact. Source: heat balance of a lumped body; IEC 60034-1 names the rated
-rise of an insulation class. Doubt: one body a disc set and one a motor, cooling that does not
-depend on speed; every constant is an assumption.
+One step a tick, the decay exact. Source: heat balance of a lumped body; IEC 60034-1 gives the rated
+rise of an insulation class. Doubt: one body for a disc set and one for a motor, cooling that does
+not depend on speed; every constant is an assumption.
 """
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
@@ -19,7 +20,7 @@ from rollerrig.rig.state import AXLES
 
 @kernel_inlined
 def begin(state, heat):
-    """Set discs and motors as cold as the air."""
+    """Set discs and motors to the temperature of the air; `heat` is `params.Heat`."""
     for j in range(AXLES):
         state.disc_temperature[j] = heat.air_K
         state.motor_temperature[j] = heat.air_K
@@ -27,15 +28,18 @@ def begin(state, heat):
 
 
 @kernel
-def warm(state, heat):
-    """Move the temperatures on by a tick."""
+def advance(state, heat):
+    """Advance the temperatures by a tick; `heat` is `params.Heat`."""
     for j in range(AXLES):
+        # work of this tick
         work_J = state.brake_work[j] - state.brake_work_before[j]
         state.brake_work_before[j] = state.brake_work[j]
-        above_K = state.disc_temperature[j] - heat.air_K
-        state.disc_temperature[j] += work_J / heat.disc_J_K - above_K * heat.disc_share  # [H1]
+
+        disc_above_K = state.disc_temperature[j] - heat.air_K
+        state.disc_temperature[j] += work_J / heat.disc_J_K - disc_above_K * heat.disc_share  # [H1]
+
         load = state.motor_torque[j] / heat.rated_torque_Nm
-        above_K = state.motor_temperature[j] - heat.air_K
+        motor_above_K = state.motor_temperature[j] - heat.air_K
         state.motor_temperature[j] += (
-            load * load * heat.motor_rise_K - above_K
+            load * load * heat.motor_rise_K - motor_above_K
         ) * heat.motor_share  # [H2]

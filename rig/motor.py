@@ -7,13 +7,19 @@ and no driving torque above the largest speed. Gear and converter are inside the
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES
 
+SLOWEST_RAD_S = 1e-3  # speed by which the power is divided at least
+
 
 @kernel
 def limit(demand_Nm, speed_rad_s, drive):
-    """The torque in N m that the motor may give of a demanded one, at a roller speed."""
-    largest = min(drive.max_torque_Nm, drive.max_power_W / max(abs(speed_rad_s), 1e-3))
+    """Return the torque in N m that the motor may give for a demand, at a roller speed.
+
+    Demand and speed have either sign; `drive` is `params.Drive`.
+    """
+    largest = min(drive.max_torque_Nm, drive.max_power_W / max(abs(speed_rad_s), SLOWEST_RAD_S))
     torque = min(max(demand_Nm, -largest), largest)
-    if torque * speed_rad_s > 0.0 and abs(speed_rad_s) > drive.max_speed_rad_s:
+    drives = torque * speed_rad_s > 0.0
+    if drives and abs(speed_rad_s) > drive.max_speed_rad_s:
         return 0.0
     return torque
 

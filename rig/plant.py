@@ -106,13 +106,13 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
     for i in range(params.substeps):
         step(state, target_Pa, params)
         state.time[0] = (tick * params.substeps + i + 1) * params.step_s
-    heat.warm(state, params.heat)
+    heat.advance(state, params.heat)
     if params.flats.wear_m3_J > 0.0:
         wear(state, params)
     if params.sanders.axles != 0:
-        surface.strew(state, params.sanders, params.axle_position_m, params.tick_s)
+        surface.advance_sand(state, params.sanders, params.axle_position_m, params.tick_s)
     if params.film.acts:
-        surface.turn(state, params.film, params.tick_s)
+        surface.advance_films(state, params.film, params.tick_s)
 
 
 @kernel
@@ -140,7 +140,7 @@ def prepare(state, delay, magnets, demand_Pa, tick, params):
     """Set what stays constant for a tick, valves and friction; returns the pressure asked for in Pa."""
     for j in range(AXLES):
         delay[tick % delay.shape[0], j] = magnets[j]
-    brake.switch(state, delay[(tick + 1) % delay.shape[0]])
+    brake.switch_valves(state, delay[(tick + 1) % delay.shape[0]])
     friction(state, params)
     if np.isnan(demand_Pa):
         return brake.target(params.demand, state.time[0]) * params.brake.weighed_share
@@ -199,7 +199,7 @@ def integrate(state, params, coach):
 @kernel_inlined
 def rest(state, params, coach):
     """Let a standing vehicle swing out."""
-    vehicle.rest(state, params.vehicle, params.step_s)
+    vehicle.pitch_back(state, params.vehicle, params.step_s)
     if coach is not None:
         on_rig.rest(state, coach)
 

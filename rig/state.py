@@ -1,7 +1,7 @@
 """The state of the plant: named views into one float64 buffer, so that a snapshot is one copy.
 
-Each slot says its unit and which stage writes it. Whatever is observed, recorded or carried by a
-bus is a slot here, under the same name as in the table of signals.
+The comment of each slot gives its unit and the stage that writes it. Every quantity that is
+observed, recorded or carried by a bus is a slot here, with the same name as in the table of signals.
 """
 
 from typing import NamedTuple
@@ -16,12 +16,17 @@ from rollerrig.rig.multibody import coach_state
 FILL = 0
 HOLD = 1
 VENT = 2
-CELLS, SECTORS = 256, 16  # of the rail below and ahead of the vehicle, of a roller
+CELLS = 256  # of the rail below and ahead of the vehicle (`surface`)
+SECTORS = 16  # of a roller's surface
 
 
 class State(NamedTuple):
-    """Views of shape (4,) for axles, (1,), or as WIDTHS has them; stage names are functions of `plant`."""
+    """Views of one buffer: shape (4,), one value for each axle, unless WIDTHS gives another width.
 
+    Behind the unit of each slot is the function of `plant`, or the module, that writes it.
+    """
+
+    # vehicle
     time: np.ndarray  # s, advance
     standing: np.ndarray  # 1: vehicle, wheels and rollers rest; vehicle
     vehicle_speed: np.ndarray  # m/s, integrate
@@ -30,6 +35,7 @@ class State(NamedTuple):
     felt_acceleration: np.ndarray  # m/s2, as the pitch of body and bogies follows it; vehicle
     resistance_work: np.ndarray  # J, integrate
     brake_demand: np.ndarray  # Pa, brake
+    # wheels and rollers
     wheel_speed: np.ndarray  # rad/s, integrate
     wheel_circumferential_speed: np.ndarray  # m/s, observe
     wheel_angle: np.ndarray  # rad, integrate
@@ -37,6 +43,7 @@ class State(NamedTuple):
     pulse_count: np.ndarray  # -, observe
     roller_speed: np.ndarray  # rad/s, integrate
     roller_angle: np.ndarray  # rad, integrate
+    # contact
     sliding: np.ndarray  # m/s, observe
     creepage: np.ndarray  # -, observe
     adhesion: np.ndarray  # -, observe
@@ -50,69 +57,73 @@ class State(NamedTuple):
     friction_command: (
         np.ndarray
     )  # -, kinematic friction that replaces the plan's, 0: none; the tick
-    sliding_distance: (
-        np.ndarray
-    )  # m, sliding distance so far, kept while an extended model asks; friction
-    braked_angle: np.ndarray  # rad, turned while the brake was applied, likewise; friction
-    rail_work: np.ndarray  # J/m, work of the wheels before on this metre, likewise; friction
-    lagged_transition: np.ndarray  # -, lambda as a wheel remembers it, likewise; integrate
+    # memory of extended models, kept only while a model needs it
+    sliding_distance: np.ndarray  # m, so far; friction
+    braked_angle: np.ndarray  # rad, turned while the brake was applied; friction
+    rail_work: np.ndarray  # J/m, work of the wheels before on this metre; friction
+    lagged_transition: np.ndarray  # -, lambda as a wheel remembers it; integrate
     instantaneous_transition: (
         np.ndarray
     )  # -, lambda without memory, first stage of a step; integrate
-    wheel_load: np.ndarray  # N, vehicle
-    brake_torque: np.ndarray  # N m, what acts (a locked wheel needs less than the brake could give)
-    brake_capacity: np.ndarray  # N m, what the discs can hold at this pressure; integrate
+    # load and brake
+    wheel_load: np.ndarray  # N, observe
+    brake_torque: np.ndarray  # N m, acting (a locked wheel needs less than the brake could give)
+    brake_capacity: np.ndarray  # N m, the most that the discs can hold at this pressure; integrate
     brake_work: np.ndarray  # J, integrate
-    brake_work_before: np.ndarray  # J, of which the discs have the heat; heat
+    brake_work_before: np.ndarray  # J, at the last tick of heat; heat
     disc_temperature: np.ndarray  # K, heat
     cylinder_pressure: np.ndarray  # Pa, brake
-    clamp_pressure: np.ndarray  # Pa, by which pads are clamped, kept where they vary; plant
+    clamp_pressure: np.ndarray  # Pa, by which pads are clamped, kept where they vary; step
     valve: np.ndarray  # FILL, HOLD, VENT after the dead time; brake
     vents: np.ndarray  # -, brake
-    reservoir_pressure: np.ndarray  # Pa, 0 where air never runs out; brake
+    reservoir_pressure: np.ndarray  # Pa, 0 where air is unlimited; brake
     reservoir_least: np.ndarray  # Pa, least pressure of the reservoir so far; brake
     air_supplied: np.ndarray  # NL, into the reservoir so far; brake
-    sand_command: np.ndarray  # 1: the bus asks the axle's sander to strew; the tick
+    # sand and roller film
+    sand_command: np.ndarray  # 1: the bus commands the axle's sander to blow; the tick
     sand_rate_fault: np.ndarray  # -, what a fault adds to the factor 1 on the rate; the tick
     sand_delay_fault: np.ndarray  # s, what a fault adds to the hose's lag; the tick
     sand_box: np.ndarray  # kg, left in the box; surface
     sand_taken: np.ndarray  # kg, that the sander took from its box; surface
-    sand_hose: np.ndarray  # kg, surface
+    sand_hose: np.ndarray  # kg, in the hose; surface
     sand_rate: np.ndarray  # kg/s, that leaves the hose; surface
     sand_dose: np.ndarray  # kg/m, that the wheels meet; surface
     sand_used: np.ndarray  # kg, that the wheels have crushed; surface
     sand_blown: np.ndarray  # kg, blown aside; surface
     sand_left: np.ndarray  # kg, left behind the vehicle; surface
     rail_sand: np.ndarray  # kg, in each cell of the rail; surface
-    rail_cell: np.ndarray  # the cell under each axle; surface
-    rail_front: np.ndarray  # the foremost cell; surface
-    film: (
-        np.ndarray
-    )  # -, contaminant that the wheel meets on its roller, of what was prepared; surface
-    roller_film: np.ndarray  # -, the same of each sector of each roller; surface
-    film_sector: np.ndarray  # turned to by now; surface
-    film_sprayed: np.ndarray  # -, of what a whole roller carries; surface
-    film_run_off: np.ndarray  # -, likewise; surface
-    film_worn: np.ndarray  # -, likewise, taken by the wheel; surface
+    rail_cell: np.ndarray  # number of the cell under each axle; surface
+    rail_front: np.ndarray  # number of the foremost cell; surface
+    # contaminant on rollers, as a share of the prepared film; amounts as shares of a whole roller's
+    film: np.ndarray  # -, that the wheel meets; surface
+    roller_film: np.ndarray  # -, on each sector of each roller; surface
+    film_sector: np.ndarray  # number of the sector that the roller has turned to; surface
+    film_sprayed: np.ndarray  # -, amount so far; surface
+    film_run_off: np.ndarray  # -, amount so far; surface
+    film_worn: np.ndarray  # -, amount taken by the wheel so far; surface
+    # locked wheels and flats
     locked_since: np.ndarray  # s, length of the present lock; observe
     longest_lock: np.ndarray  # s, observe
     flat_length: np.ndarray  # m, longest flat on the wheels; wear
-    flat_angle: np.ndarray  # rad, of the wheel where its middle is below; wear
+    flat_angle: np.ndarray  # rad, angle of the wheel where the middle of its flat is below; wear
     lock_work: np.ndarray  # J, of one wheel in the present lock, kept where wheels wear; wear
-    sliding_work_before: np.ndarray  # J, of which wheels have the wear, likewise; wear
+    sliding_work_before: np.ndarray  # J, at the last tick of wear, likewise; wear
+    # air and motors
     air_consumption: np.ndarray  # NL, brake
     motor_torque_demand: np.ndarray  # N m, written by the rig control
     motor_torque: np.ndarray  # N m, motor
     motor_work: np.ndarray  # J, integrate
     motor_temperature: np.ndarray  # K, heat
-    observer: np.ndarray  # N m, memory of the rig control's observer
-    speed_integral: np.ndarray  # N m, memory of the drives' velocity loops
+    # memory of the rig control and of a step
+    observer: np.ndarray  # N m, the rig control's observer
+    speed_integral: np.ndarray  # N m, the drives' velocity loops
     motor_before: np.ndarray  # N m, motor torque at the beginning of the step; integrate
     contact_force: np.ndarray  # N, of both wheels, mean of the last step; integrate
     brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate
     wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
-    coach: np.ndarray | None = None  # (coach_state.SIZE,) of the multibody model
+    # (coach_state.SIZE,) of the multibody model, None for the planar vehicle
+    coach: np.ndarray | None = None
 
 
 PER_VEHICLE = frozenset(
@@ -134,7 +145,9 @@ PER_VEHICLE = frozenset(
         "rail_front",
     )
 )
+# number of values in the slots that do not have one for each axle
 WIDTHS = dict.fromkeys(PER_VEHICLE, 1) | {"rail_sand": CELLS, "roller_film": AXLES * SECTORS}
+# where each slot lies in the buffer; the coach's state follows behind
 SLOTS: dict[str, slice] = {}
 _at = 0
 for _name in State._fields[:-1]:
@@ -146,6 +159,6 @@ state_type.register(State, SLOTS | {"coach": slice(SIZE, SIZE + coach_state.SIZE
 
 
 def views(buffer: np.ndarray) -> State:
-    """The state in a float64 buffer of shape (SIZE,), or (SIZE + memory.SIZE,) with a coach."""
+    """Return the state in a float64 buffer of shape (SIZE,), or (SIZE + coach_state.SIZE,) with a coach."""
     coach = buffer[SIZE:] if buffer.size > SIZE else None
     return State(**{name: buffer[place] for name, place in SLOTS.items()}, coach=coach)

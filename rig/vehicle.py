@@ -5,7 +5,7 @@
      m_body d (h_body - h_pivot) / bogie distance.
 [V3] Body, frame and wheelsets pull above the rail, so each bogie loads its leading wheelset:
      (m_body / 2 h_pivot + m_bogie h_bogie + 2 m_ws r) d / wheelbase.
-[V4] A wheel out of round swings the load of its axle once a turn: N (1 + a cos(angle + phase)).
+[V4] A wheel out of round varies the load of its axle once a turn: N (1 + a cos(angle + phase)).
 The pitch of body and frames is not modelled here: the transfer follows the deceleration with a lag.
 """
 
@@ -15,17 +15,17 @@ from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.mechanisms.elsewhere import wheel_out_of_round
 from rollerrig.rig.state import AXLES
 
-STANDING_M_S = (
-    0.005  # below this speed a braked or resisted vehicle stands: resistance is dry friction there
-)
-# where the wheels' table has what, one value for each axle: radius, inertia, radius over inertia (rad/s2 a
-# newton: no step has to divide), share of the load that swings
+# Below this speed a braked or resisted vehicle stands: resistance is dry friction there.
+STANDING_M_S = 0.005
+# Places in the table of the wheels (`mechanisms.applied.Wheels`). Each begins a group of one value
+# for each axle: radius, inertia, radius over inertia (rad/s2 for each newton, so that no step has to
+# divide), and the share of the load that varies once a turn.
 RADIUS_M, INERTIA_KGM2, RESPONSE_1_KGM, SWING = range(0, 4 * AXLES, AXLES)
 
 
 @kernel
 def resistance(speed_m_s, vehicle):
-    """Running resistance in N at a speed [V1]."""
+    """Return the running resistance in N at a speed [V1]; `vehicle` is `params.Vehicle`."""
     return (
         vehicle.resistance_A_N
         + vehicle.resistance_B_N_s_m * speed_m_s
@@ -35,15 +35,21 @@ def resistance(speed_m_s, vehicle):
 
 @kernel
 def load(axle, felt_acceleration_m_s2, vehicle):
-    """Load in N of a wheelset (0 the leading one) at the felt acceleration [V2, V3]."""
-    body = 0.5 * vehicle.body_transfer_kg if axle < 2 else -0.5 * vehicle.body_transfer_kg
-    bogie = vehicle.bogie_transfer_kg if axle % 2 == 0 else -vehicle.bogie_transfer_kg
+    """Return the load in N of a wheelset (0 the leading one) at the felt acceleration [V2, V3].
+
+    The felt acceleration is the one that the pitch of body and bogies has followed; it is negative in
+    braking.
+    """
+    in_leading_bogie = axle < 2
+    leads_its_bogie = axle % 2 == 0
+    body = 0.5 * vehicle.body_transfer_kg if in_leading_bogie else -0.5 * vehicle.body_transfer_kg
+    bogie = vehicle.bogie_transfer_kg if leads_its_bogie else -vehicle.bogie_transfer_kg
     return max(0.0, vehicle.static_load_N - felt_acceleration_m_s2 * (body + bogie))
 
 
 @kernel
 def swinging_load(load_N, axle, angle_rad, wheels):
-    """Load in N of a wheelset whose wheels have turned by an angle, round or not [V4]."""
+    """Return the load in N of a wheelset whose wheels have turned by an angle, round or not [V4]."""
     if not wheels.swings:
         return load_N
     return load_N * (
@@ -52,7 +58,7 @@ def swinging_load(load_N, axle, angle_rad, wheels):
 
 
 @kernel_inlined
-def rest(state, vehicle, step_s):
+def pitch_back(state, vehicle, step_s):
     """Let body and bogies of a standing vehicle pitch back, so that its loads become the static ones."""
     state.felt_acceleration[0] *= math.exp(-step_s / vehicle.pitch_time_constant_s)
 

@@ -138,7 +138,7 @@ def after(m, runs, lanes, rig):
     now, params = m.control[TICK], m.params
     layout.gather(lanes, rig, m.state)
     m.state.time[0] = (now * params.substeps + params.substeps) * params.step_s
-    heat.warm(m.state, params.heat)
+    heat.advance(m.state, params.heat)
     plant.observe(m.state, params)
     tick.end(m, now)
     return int(m.control[DONE])

@@ -36,7 +36,7 @@ def stop(plan, seconds):
 @numba.njit
 def warmed(state, made, ticks):
     for _ in range(ticks):
-        heat.warm(state, made)
+        heat.advance(state, made)
 
 
 def test_everything_begins_as_cold_as_the_air():
@@ -64,12 +64,12 @@ def test_a_motor_approaches_the_rated_rise_times_the_square_of_its_load(load):
     state, made = bodies(motor_share=0.01)
     state.motor_torque[:] = load * made.rated_torque_Nm
     for _ in range(3000):
-        heat.warm(state, made)
+        heat.advance(state, made)
     assert state.motor_temperature == pytest.approx(AIR_K + load**2 * made.motor_rise_K, abs=1e-6)
 
 
 def test_only_the_braked_wheelset_warms_up():
     state, made = bodies()
     state.brake_work[2] = made.disc_J_K
-    heat.warm(state, made)
+    heat.advance(state, made)
     assert list(state.disc_temperature - AIR_K) == pytest.approx([0.0, 0.0, 1.0, 0.0])
