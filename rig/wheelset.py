@@ -1,12 +1,11 @@
 """Wheelsets, rollers and vehicle in motion: one time step of the coupled rotations.
 
-The contact force T = f N drives the wheelset on against its brake [W1], holds back the roller that
-its motor drives [W2] and holds back the vehicle. At low speed the creep slope makes wheel and
-roller stiff, so the pair of each axle is stepped by a linearly implicit second-order method (ROS2,
-Verwer et al. 1999, gamma = 1 - 1/sqrt 2) whose matrix has rank one and is inverted in closed form
-[W3]; the secant slope T / s stands for the derivative, which that method allows without loss of
-order. The brake is dry friction: a wheel that stops stays locked while r T is below what the discs
-can hold [W4].
+The contact force T = f N drives the wheelset on against its brake [W1]. It holds back the roller that
+its motor drives [W2], and the vehicle. At low speed the creep slope makes wheel and roller stiff. So
+the pair of each axle is stepped by a linearly implicit second-order method (ROS2, Verwer et al. 1999,
+gamma = 1 - 1/sqrt 2), whose matrix has rank one and is inverted in closed form [W3]. The secant slope
+T / s is used for the derivative, which that method allows without loss of order. The brake is dry
+friction: a wheel that stops stays locked while r T is below what the discs can hold [W4].
 
     [W1] J domega/dt = r T - C
     [W2] J_R dOmega/dt = u - R T on rollers; on a plain track the surface is the vehicle's
@@ -27,25 +26,34 @@ from rollerrig.rig.mechanisms import wheel_flat
 from rollerrig.rig.state import AXLES
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
-SMALL_M_S = 1e-6  # sliding in m/s below which the secant slope is taken at this sliding
+SMALL_M_S = 1e-6  # sliding below which the secant slope is taken at this sliding
 
 
 @kernel
 def wheelset_adhesion(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law):
-    """Adhesion of a wheelset: what `adhesion.wheel_adhesion` returns, for the contaminant under it.
+    """Return the adhesion of a wheelset with the contaminant under it.
 
-    With another model of `creep_force` nothing is cleaned: f_d, f_r and |f| are the same, the slope
-    is secant. One wheel carries half of the wheelset's load.
+    Results are those of `adhesion.wheel_adhesion`. One wheel carries half of the wheelset's load.
+    Another model of `creep_force` cleans nothing: then f_d, f_r and |f| are the same, and the slope
+    is the secant.
+
+    Parameters
+    ----------
+    sliding_m_s : sliding, of either sign
+    surface_m_s : speed of the surface: the vehicle's or the roller's
+    load_N : load on the wheelset
+    mu_cd, mu_cr : kinematic friction of the contaminant, degraded and recovered
+    patch, law : `patch.Patch`, `adhesion.Law`
     """
-    here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
+    law_here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
     if patch.model != creep_force.DEGRADED:
-        return without_recovery(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
-    return adhesion.wheel_adhesion(sliding_m_s, surface_m_s, 0.5 * load_N, patch, here)
+        return without_recovery(sliding_m_s, surface_m_s, 0.5 * load_N, patch, law_here)
+    return adhesion.wheel_adhesion(sliding_m_s, surface_m_s, 0.5 * load_N, patch, law_here)
 
 
 @kernel
 def without_recovery(sliding_m_s, surface_m_s, load_N, patch, law):
-    """What `adhesion.wheel_adhesion` returns, by a model without recovery, for one wheel."""
+    """Return the results of `adhesion.wheel_adhesion` for one wheel, by a model without recovery."""
     creepage = sliding_m_s / max(abs(surface_m_s), adhesion.SPEED_FLOOR_M_S)
     f = creep_force.adhesion_of(sliding_m_s, creepage, load_N, patch, law)
     slope = f / sliding_m_s if sliding_m_s != 0.0 else 0.0
@@ -54,23 +62,35 @@ def without_recovery(sliding_m_s, surface_m_s, load_N, patch, law):
 
 @kernel
 def contact_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, lagging, of_work):
-    """Contact force T in N of both wheels, its secant slope T / s in N s/m, not negative, and lambda_0.
+    """Return the contact force of a wheelset and its secant slope.
 
-    `lagging` is the lambda by which the contact has recovered, adhesion.NO_MEMORY where it has by lambda_0;
-    `of_work` above 0: lambda_0 is of the work that it does [A7 of `adhesion`].
+    Parameters
+    ----------
+    sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law : as for `wheelset_adhesion`
+    lagging : the remembered lambda by which the contact has recovered; `adhesion.NO_MEMORY` where it
+        recovers without memory
+    of_work : above 0, lambda_0 is the one of the work that this force does [A7 of `adhesion`]
+
+    Returns
+    -------
+    T_N : force of both wheels
+    secant_N_s_m : T / s, not below 0
+    lambda_0 : transition without memory
     """
     at = sliding_m_s if abs(sliding_m_s) >= SMALL_M_S else SMALL_M_S
-    f, lambda_0, half_N = 0.0, 0.0, 0.5 * load_N
-    here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
+    f = 0.0
+    lambda_0 = 0.0
+    half_N = 0.5 * load_N
+    law_here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
     if patch.model != creep_force.DEGRADED:
-        f = without_recovery(at, surface_m_s, half_N, patch, here)[0]
+        f = without_recovery(at, surface_m_s, half_N, patch, law_here)[0]
     elif load_N > 0.0:
         f_d, f_r, slope_d, slope_r, k, slope_k = adhesion.curves(
             min(abs(at), adhesion.LARGEST),
             surface_m_s,
             min(half_N, adhesion.LARGEST),
             patch.eps1,
-            here,
+            law_here,
         )
         f, lambda_0, _, _ = adhesion.f_and_lambda(
             f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work
@@ -84,14 +104,20 @@ def contact_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, la
 
 @kernel
 def lagged_transition(lagging, lambda_0, speed_m_s, step_s, effects):
-    """The lambda of a lagging recovery a step later, while lambda_0 stays [A7 of `adhesion`]."""
+    """Return a lagging lambda after a step in which lambda_0 is constant [A7 of `adhesion`].
+
+    `effects` is `mechanisms.applied.Effects` with a memory length above 0.
+    """
     rate_1_s = adhesion.lag_rate_1_s(speed_m_s, effects.memory_m, effects.memory_power)
     return lagging - (lambda_0 - lagging) * math.expm1(-step_s * rate_1_s)
 
 
 @kernel
 def wheel_acceleration(wheel_rad_s, T, brake_Nm, axle, wheels):
-    """A wheelset's acceleration in rad/s2 [W1], its brake torque in N m, and whether it is locked."""
+    """Return a wheelset's acceleration in rad/s2 [W1], its brake torque in N m, and whether it is locked.
+
+    `T` is the contact force in N, `brake_Nm` the torque that the discs can hold.
+    """
     drive_Nm = wheels.table[body.RADIUS_M + axle] * T
     if wheel_rad_s <= 0.0 and drive_Nm <= brake_Nm:
         return 0.0, max(drive_Nm, 0.0), True  # [W4]
@@ -100,7 +126,7 @@ def wheel_acceleration(wheel_rad_s, T, brake_Nm, axle, wheels):
 
 @kernel
 def roller_acceleration(motor_Nm, T, on_track, drive):
-    """A roller's acceleration in rad/s2 [W2]."""
+    """Return a roller's acceleration in rad/s2 [W2]; 0 on a track, where there is none."""
     if on_track:
         return 0.0
     return (motor_Nm - drive.roller_radius_m * T) / drive.roller_inertia_kgm2
@@ -108,8 +134,23 @@ def roller_acceleration(motor_Nm, T, on_track, drive):
 
 @kernel
 def implicit_slopes(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels, drive):
-    """The two slopes of a stage times (I - gamma h p q')^-1 [W3], and the force in N that this adds."""
-    r, R = wheels.table[body.RADIUS_M + axle], drive.roller_radius_m
+    """Return the slopes of a stage multiplied by (I - gamma h p q')^-1 [W3].
+
+    Parameters
+    ----------
+    wheel_k, roller_k : explicit slopes in rad/s2
+    g : secant slope T / s in N s/m
+    locked, on_track : whether the wheel is locked, whether there is no roller
+    step_s : step h
+    axle, wheels, drive : number of the axle; `mechanisms.applied.Wheels`; `params.Drive`
+
+    Returns
+    -------
+    wheel_k, roller_k : the slopes in rad/s2
+    added_N : contact force that the implicit part adds
+    """
+    r = wheels.table[body.RADIUS_M + axle]
+    R = drive.roller_radius_m
     p_wheel = 0.0 if locked else wheels.table[body.RESPONSE_1_KGM + axle]
     p_roller = 0.0 if on_track else -R / drive.roller_inertia_kgm2
     qk = g * (R * roller_k - r * wheel_k)
@@ -119,22 +160,31 @@ def implicit_slopes(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels
 
 @kernel_inlined
 def load(axle, felt_m_s2, turned_rad, state, params):
-    """Load in N of an axle at this pitch and angle of its wheels, round or not."""
-    found = body.load(axle, felt_m_s2, params.vehicle)
-    found = body.swinging_load(found, axle, turned_rad, params.wheels)
+    """Return the load in N of an axle at this pitch and angle of its wheels, round or not."""
+    load_N = body.load(axle, felt_m_s2, params.vehicle)
+    load_N = body.swinging_load(load_N, axle, turned_rad, params.wheels)
     if params.flats.wear_m3_J > 0.0:
-        found *= wheel_flat.load_share(
+        load_N *= wheel_flat.load_share(
             turned_rad - state.flat_angle[axle],
             state.flat_length[axle],
             params.wheels.table[body.RADIUS_M + axle],
             params.flats.load_1_m,
         )
-    return found
+    return load_N
 
 
 @kernel_inlined
 def contact(axle, v, felt_m_s2, wheel_rad_s, roller_rad_s, turned_rad, lagging, state, params):
-    """What `contact_force` gives for an axle at these speeds, pitch and angle of its wheels."""
+    """Return the results of `contact_force` for an axle.
+
+    Parameters
+    ----------
+    axle : its number, 0 the leading one
+    v, felt_m_s2 : speed of the vehicle in m/s, its felt acceleration
+    wheel_rad_s, roller_rad_s, turned_rad : speeds of wheel and roller, angle of the wheel
+    lagging : remembered lambda, or `adhesion.NO_MEMORY`
+    state, params : `State`, `Params`
+    """
     surface = v if params.mode == 0 else params.drive.roller_radius_m * roller_rad_s
     sliding = surface - params.wheels.table[body.RADIUS_M + axle] * wheel_rad_s
     load_N = load(axle, felt_m_s2, turned_rad, state, params)
@@ -159,16 +209,23 @@ def integrate(state, params):
     `motor_before` at its beginning, `brake_torque` and `motor_torque` at its end. A memory of recovery
     is stepped exactly under the mean of lambda_0 at both stages.
     """
-    vehicle, drive, effects, wheels = params.vehicle, params.drive, params.effects, params.wheels
-    h, on_track, remembers = params.step_s, params.mode == 0, effects.memory_m > 0.0
-    v, felt = state.vehicle_speed[0], state.felt_acceleration[0]
+    vehicle = params.vehicle
+    drive = params.drive
+    effects = params.effects
+    wheels = params.wheels
+    h = params.step_s
+    on_track = params.mode == 0
+    remembers = effects.memory_m > 0.0
+    v = state.vehicle_speed[0]
+    felt = state.felt_acceleration[0]
     resistance_N = body.resistance(v, vehicle)
     resisting_N = 0.5 * resistance_N
 
     # first stage: slopes at the beginning of the step
     total = resistance_N
     for j in range(AXLES):
-        wheel, roller = state.wheel_speed[j], state.roller_speed[j]
+        wheel = state.wheel_speed[j]
+        roller = state.roller_speed[j]
         lagging = state.lagged_transition[j] if remembers else adhesion.NO_MEMORY
         T, g, lambda_0 = contact(
             j, v, felt, wheel, roller, state.wheel_angle[j], lagging, state, params
@@ -182,23 +239,28 @@ def integrate(state, params):
         )
         # the vehicle feels what wheel and roller feel, or momentum would be lost where they are stiff
         total += T + added_N
-        state.contact_force[j], state.brake_mean[j] = 0.5 * (T + added_N), 0.5 * brake_Nm
+        state.contact_force[j] = 0.5 * (T + added_N)
+        state.brake_mean[j] = 0.5 * brake_Nm
     a1 = -total / vehicle.mass_kg
     f1 = (a1 - felt) / vehicle.pitch_time_constant_s
 
     # second stage: slopes at the end that the first one predicts
-    v2, felt2 = v + h * a1, felt + h * f1
+    v2 = v + h * a1
+    felt2 = felt + h * f1
     resistance_N = body.resistance(v2, vehicle)
     resisting_N += 0.5 * resistance_N
     total = resistance_N
     for j in range(AXLES):
-        wheel1, roller1, motor_Nm = state.wheel_rate[j], state.roller_rate[j], state.motor_torque[j]
+        wheel1 = state.wheel_rate[j]
+        roller1 = state.roller_rate[j]
+        motor_Nm = state.motor_torque[j]
         wheel = max(0.0, state.wheel_speed[j] + h * wheel1)
         roller = state.roller_speed[j] + h * roller1
-        before, lagging = state.instantaneous_transition[j], adhesion.NO_MEMORY
+        turned_rad = state.wheel_angle[j] + h * state.wheel_speed[j]
+        before = state.instantaneous_transition[j]
+        lagging = adhesion.NO_MEMORY
         if remembers:
             lagging = lagged_transition(state.lagged_transition[j], before, v, h, effects)
-        turned_rad = state.wheel_angle[j] + h * state.wheel_speed[j]
         T, g, lambda_0 = contact(j, v2, felt2, wheel, roller, turned_rad, lagging, state, params)
         if remembers:
             state.lagged_transition[j] = lagged_transition(
@@ -231,6 +293,7 @@ def integrate(state, params):
         state.brake_capacity[j] = state.brake_torque[j]
         state.motor_before[j] = motor_Nm
 
+    # the vehicle, by the mean of both stages
     a2 = -total / vehicle.mass_kg
     state.felt_acceleration[0] = felt + 0.5 * h * (
         f1 + (a2 - felt2) / vehicle.pitch_time_constant_s
@@ -241,20 +304,27 @@ def integrate(state, params):
     state.position[0] += way_m
     state.resistance_work[0] += resisting_N * way_m
     if on_track:
+        # on a track the surface moves with the vehicle, not with a roller
         for j in range(AXLES):
             state.sliding_work[j] += state.contact_force[j] * way_m
 
 
 @kernel_inlined
 def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params):
-    """Add a step's change to the speeds of an axle (no wheel turns backwards) and turn its angles."""
-    wheel, roller = state.wheel_speed[axle], state.roller_speed[axle]
+    """Add a step's change to the speeds of an axle and turn its angles; no wheel turns backwards.
+
+    `motor_Nm` is the mean torque of the motor in the step. The works of sliding, brake and motor are
+    added too.
+    """
+    wheel = state.wheel_speed[axle]
+    roller = state.roller_speed[axle]
     state.wheel_speed[axle] = max(0.0, wheel + wheel_change_rad_s)
     state.roller_speed[axle] = roller + roller_change_rad_s
     wheel_rad = 0.5 * params.step_s * (wheel + state.wheel_speed[axle])
     roller_rad = 0.5 * params.step_s * (roller + state.roller_speed[axle])
     state.wheel_angle[axle] += wheel_rad
     state.roller_angle[axle] += roller_rad
+
     # mean force times way: the energy balance holds to rounding however stiff the contact
     slid_m = (
         params.drive.roller_radius_m * roller_rad
