@@ -1,8 +1,8 @@
 """The plant: the table of contents of the physics, in the order in which it happens.
 
-`advance` moves the whole rig by one tick of several steps under magnets and motor demands that
-stay constant; `observe` writes what can be seen. Energy: what vehicle, wheelsets and rollers lose
-is what contacts, brakes and resistance take, less what the motors give.
+`advance` moves the whole rig by one tick of several steps, during which magnets and motor demands are
+constant. `observe` writes the observed quantities. Energy: vehicle, wheelsets and rollers lose the
+energy that contacts, brakes and resistance take, less the energy that the motors give.
 """
 
 import math
@@ -18,11 +18,11 @@ from rollerrig.rig.multibody import coach_state, on_rig
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SIZE, State, views
 
-LOCKED_BELOW_M_S = 0.1  # a wheel slower than this at its rim counts as locked, m/s
+LOCKED_BELOW_M_S = 0.1  # a wheel whose rim is slower counts as locked
 
 
 class Plant:
-    """Parameters, state and memory of the valves' dead time: what one run carries."""
+    """Parameters, state and memory of the valves' dead time: everything that one run carries."""
 
     def __init__(self, params: Params, initial_speed_m_s: float) -> None:
         self.params = params
@@ -34,7 +34,7 @@ class Plant:
 
 @kernel
 def start(state, params, initial_speed_m_s):
-    """Set a rig that rolls at a speed in m/s, brakes released, wheels and rollers without sliding."""
+    """Set a rig that rolls at a speed in m/s, with released brakes, wheels and rollers without sliding."""
     state.vehicle_speed[0] = initial_speed_m_s
     for j in range(AXLES):
         state.wheel_speed[j] = initial_speed_m_s / params.wheels.table[vehicle.RADIUS_M + j]
@@ -53,30 +53,39 @@ def start(state, params, initial_speed_m_s):
 
 @kernel_inlined
 def begin(state, params, coach):
-    """Set the multibody coach rolling, where the vehicle is one."""
+    """Set the multibody coach rolling; nothing for the planar vehicle, where `coach` is None."""
     if coach is not None:
         on_rig.start(state, coach)
 
 
 @kernel_inlined
 def friction(state, params):
-    """Set the contaminant under each axle for this time and place."""
+    """Set the friction of the contaminant under each axle for this time and place.
+
+    In this order: the programme, a command from the bus, mechanisms ([X1] of `mechanisms.table`), sand
+    ([S2] of `surface`) and roller film ([F1]).
+    """
     plan = params.friction
     if params.effects.on_friction or params.effects.on_torque:
         applied.remember(state, params.axle_position_m, params.tick_s)
     for j in range(AXLES):
         state.friction_degraded[j] = params.law.mu_cd
         state.friction_recovered[j] = params.law.mu_cr
+
+        # the last change of the programme that has begun at this place or time
         place = state.position[0] - params.axle_position_m[j]
         for i in range(plan.start.size):
             here = place if plan.by_place[i] else state.time[0]
             if here >= plan.start[i] and (plan.axles[i] >> j) & 1:
                 state.friction_degraded[j] = plan.mu_cd[i]
                 state.friction_recovered[j] = plan.mu_cr[i]
-        asked = state.friction_command[j]
-        if asked > 0.0:
-            state.friction_degraded[j] = asked
-            state.friction_recovered[j] = max(params.law.mu_cr, asked)
+
+        # a command replaces the programme
+        commanded = state.friction_command[j]
+        if commanded > 0.0:
+            state.friction_degraded[j] = commanded
+            state.friction_recovered[j] = max(params.law.mu_cr, commanded)
+
         if params.effects.on_friction:
             state.friction_degraded[j] *= applied.friction_factor(
                 state, j, place, params.effects, False
@@ -86,14 +95,17 @@ def friction(state, params):
             )
         if params.sanders.axles != 0:
             share = dose_share(state.sand_dose[j], params.sanders.dose_scale_kg_m)
-            loosen(state, j, params.sanders.gain * share, params)
+            raise_friction(state, j, params.sanders.gain * share, params)
         if params.film.acts:
-            loosen(state, j, params.film.gain * film_share(state.film[j]), params)
+            raise_friction(state, j, params.film.gain * film_share(state.film[j]), params)
 
 
 @kernel
-def loosen(state, axle, log_factor, params):
-    """Raise the degraded friction of an axle, at most to what the recovered one gives in its stead."""
+def raise_friction(state, axle, log_factor, params):
+    """Multiply the degraded friction of an axle by exp(log_factor).
+
+    The result is at most the value at which degraded and recovered static friction are equal.
+    """
     most = state.friction_recovered[axle] * params.law.A_d / params.law.A_r
     mu = state.friction_degraded[axle]
     state.friction_degraded[axle] = max(mu, min(mu * math.exp(log_factor), most))
@@ -101,7 +113,17 @@ def loosen(state, axle, log_factor, params):
 
 @kernel_inlined
 def advance(state, delay, magnets, demand_Pa, tick, params):
-    """Advance by a tick under magnets (4,) and a demand (NaN: the programme's); `delay` (dead time + 1, 4) is kept."""
+    """Advance the rig by a tick.
+
+    Parameters
+    ----------
+    state : `State`
+    delay : (dead time in ticks + 1, 4), memory of the magnets; kept from tick to tick
+    magnets : (4,), pattern of each axle
+    demand_Pa : demanded pressure, NaN for the one of the programme
+    tick : number of the tick
+    params : `Params`
+    """
     target_Pa = prepare(state, delay, magnets, demand_Pa, tick, params)
     for i in range(params.substeps):
         step(state, target_Pa, params)
@@ -124,6 +146,7 @@ def wear(state, params):
         if state.wheel_speed[j] > 0.0:
             state.lock_work[j] = 0.0
             continue
+
         state.lock_work[j] += 0.5 * max(work_J, 0.0)  # of one of two wheels
         length_m = wheel_flat.length_m(
             state.lock_work[j],
@@ -131,13 +154,19 @@ def wear(state, params):
             params.flats.width_m,
             params.wheels.table[vehicle.RADIUS_M + j],
         )
+        # only the longest flat of an axle is kept
         if length_m > state.flat_length[j]:
-            state.flat_length[j], state.flat_angle[j] = length_m, state.wheel_angle[j]
+            state.flat_length[j] = length_m
+            state.flat_angle[j] = state.wheel_angle[j]
 
 
 @kernel_inlined
 def prepare(state, delay, magnets, demand_Pa, tick, params):
-    """Set what stays constant for a tick, valves and friction; returns the pressure asked for in Pa."""
+    """Set valves and friction, which stay constant for a tick; return the demanded pressure in Pa.
+
+    Arguments as for `advance`.
+    """
+    # `delay` is a ring: the row after the one just written is the oldest
     for j in range(AXLES):
         delay[tick % delay.shape[0], j] = magnets[j]
     brake.switch_valves(state, delay[(tick + 1) % delay.shape[0]])
@@ -149,7 +178,7 @@ def prepare(state, delay, magnets, demand_Pa, tick, params):
 
 @kernel_inlined
 def step(state, target_Pa, params):
-    """Advance by one step of the physics."""
+    """Advance by one step of the physics; `target_Pa` is the demanded pressure."""
     brake.fill(state, params.brake, target_Pa)
     if params.pads.vary:
         for j in range(AXLES):
@@ -157,11 +186,12 @@ def step(state, target_Pa, params):
                 state.clamp_pressure[j], state.cylinder_pressure[j], params.pads.clamp_hysteresis
             )
     if state.standing[0] != 0.0:
-        rest(state, params, params.coach)
+        swing_out(state, params, params.coach)
         return
     if params.mode != 0:
         motor.respond(state, params.drive)
-    # what the discs can hold at the step's end; `observe` writes what acts
+
+    # the most that the discs can hold at the step's end; `observe` writes the acting torque
     for j in range(AXLES):
         state.brake_torque[j] = capacity(state, j, params)
     integrate(state, params, params.coach)
@@ -170,19 +200,19 @@ def step(state, target_Pa, params):
 
 @kernel
 def capacity(state, axle, params):
-    """Torque in N m that the discs of an axle can hold now."""
+    """Return the torque in N m that the discs of an axle can hold now."""
     if params.pads.vary:
         pressure_Pa = state.clamp_pressure[axle]
         rim_m_s = params.wheels.table[vehicle.RADIUS_M + axle] * state.wheel_speed[axle]
-        found = brake.capacity(pressure_Pa, params.brake) * pads.friction_share(
+        torque_Nm = brake.capacity(pressure_Pa, params.brake) * pads.friction_share(
             rim_m_s, pressure_Pa, state.disc_temperature[axle], params.pads
         )
     else:
-        found = brake.capacity(state.cylinder_pressure[axle], params.brake)
+        torque_Nm = brake.capacity(state.cylinder_pressure[axle], params.brake)
     if params.effects.on_torque:
         place_m = state.position[0] - params.axle_position_m[axle]
-        found = applied.torque(found, state, axle, place_m, params.effects)
-    return found
+        torque_Nm = applied.torque(torque_Nm, state, axle, place_m, params.effects)
+    return torque_Nm
 
 
 @kernel_inlined
@@ -197,8 +227,8 @@ def integrate(state, params, coach):
 
 
 @kernel_inlined
-def rest(state, params, coach):
-    """Let a standing vehicle swing out."""
+def swing_out(state, params, coach):
+    """Let body and bogies of a standing vehicle come to rest."""
     vehicle.pitch_back(state, params.vehicle, params.step_s)
     if coach is not None:
         on_rig.rest(state, coach)
@@ -206,18 +236,20 @@ def rest(state, params, coach):
 
 @kernel_inlined
 def observe(state, params):
-    """Write what can be seen of the present state: contact, torques, loads, sensors, locks."""
+    """Write the observed quantities of the present state: contact, torques, loads, sensors, locks."""
     for j in range(AXLES):
         r = params.wheels.table[vehicle.RADIUS_M + j]
         planar_N = wheelset.load(j, state.felt_acceleration[0], state.wheel_angle[j], state, params)
         load_N = on_rig.load(j, planar_N, state, params.coach)
-        surface = state.vehicle_speed[0]
+
+        # contact
+        surface_m_s = state.vehicle_speed[0]
         if params.mode != 0:
-            surface = params.drive.roller_radius_m * state.roller_speed[j]
-        sliding = surface - r * state.wheel_speed[j]
+            surface_m_s = params.drive.roller_radius_m * state.roller_speed[j]
+        sliding = surface_m_s - r * state.wheel_speed[j]
         f, f_d, f_r, transition, energy, _ = wheelset.wheelset_adhesion(
             on_rig.slip(j, sliding, state, params.coach),
-            surface,
+            surface_m_s,
             load_N,
             state.friction_degraded[j],
             state.friction_recovered[j],
@@ -225,19 +257,28 @@ def observe(state, params):
             params.law,
         )
         if params.effects.memory_m > 0.0:
-            instantaneous, transition = f, state.lagged_transition[j]
+            # with memory the contact has recovered by the remembered lambda [A7 of `adhesion`]
+            instantaneous = f
+            transition = state.lagged_transition[j]
             f = math.copysign(adhesion.between(f_d, f_r, transition), f)
             energy *= f / instantaneous if instantaneous != 0.0 else 0.0
         f = on_rig.adhesion(j, f, load_N, state, params.coach)
         state.sliding[j] = sliding
-        state.creepage[j] = 0.0 if surface <= 0.0 else sliding / surface
-        state.adhesion[j], state.transition[j], state.dissipated_energy[j] = f, transition, energy
-        state.adhesion_degraded[j], state.adhesion_recovered[j] = f_d, f_r
+        state.creepage[j] = 0.0 if surface_m_s <= 0.0 else sliding / surface_m_s
+        state.adhesion[j] = f
+        state.adhesion_degraded[j] = f_d
+        state.adhesion_recovered[j] = f_r
+        state.transition[j] = transition
+        state.dissipated_energy[j] = energy
         state.wheel_load[j] = load_N
+
+        # a locked wheel takes no more torque than its contact gives
         torque = capacity(state, j, params)
         if state.wheel_speed[j] <= 0.0:
             torque = min(torque, max(0.0, r * f * load_N))
         state.brake_torque[j] = torque
+
+        # speed sensor
         state.wheel_circumferential_speed[j] = r * state.wheel_speed[j]
         teeth_per_rad = params.teeth / (2.0 * np.pi)
         state.tooth_frequency[j] = state.wheel_speed[j] * teeth_per_rad
