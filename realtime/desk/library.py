@@ -1,4 +1,4 @@
-"""The library of runs: the folders that runs have left below a folder, with their figures, verdicts and notes."""
+"""The library of runs: all run folders below a folder, with their figures, verdicts and notes."""
 
 import datetime
 import subprocess
@@ -6,7 +6,7 @@ import sys
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
@@ -15,53 +15,65 @@ from rollerrig.realtime.record import export as formats
 from rollerrig.realtime.record.files import replaced, writing
 
 NOTE = "note.txt"
-_DEPTH = 3  # reports of sequences keep their runs in folders of their own
-_MOST = 500
 FORMATS = {"csv": "CSV", "mdf4": "MDF4", "mat": "MAT", "svg": "Picture"}
+_DEEPEST = 3  # levels of folders: reports of sequences keep their runs in subfolders
+_MOST_RUNS = 500
+
+
+class ComparedFigure(NamedTuple):
+    """One figure of two runs; None where a run does not have it."""
+
+    title: str
+    unit: str
+    first: float | None
+    second: float | None
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
-    """A row for each run, the newest first: name, time, scenario, unit, verdict, figures by name, note."""
-    found = {
-        mark.parent
-        for depth in range(1, _DEPTH + 1)
-        for mark in folder.glob("/".join(["*"] * depth + [run_folder.SCENARIO]))
-    }
-    newest = sorted(found, key=_changed, reverse=True)[:_MOST]
-    return [_row(folder, one) for one in newest]
+    """A row for each run, the newest first.
+
+    A row has name, time, scenario, unit, verdict, note, and the figures by their names.
+    """
+    runs = set()
+    for depth in range(1, _DEEPEST + 1):
+        pattern = "*/" * depth + run_folder.SCENARIO
+        runs |= {file.parent for file in folder.glob(pattern)}
+    newest_first = sorted(runs, key=_changed_s, reverse=True)
+    return [_row(folder, run) for run in newest_first[:_MOST_RUNS]]
 
 
-def _changed(run: Path) -> float:
+def _changed_s(run: Path) -> float:
+    """When a run was begun, in s since 1970."""
     try:
         return (run / run_folder.SCENARIO).stat().st_mtime
     except OSError:
-        return 0.0  # it was taken away meanwhile
+        return 0.0  # somebody has removed it meanwhile
 
 
 def _row(folder: Path, run: Path) -> dict[str, Any]:
-    when = datetime.datetime.fromtimestamp(_changed(run)).strftime("%Y-%m-%d %H:%M:%S")
-    row: dict[str, Any] = {"name": str(run.relative_to(folder)), "when": when, "note": note(run)}
+    begun = datetime.datetime.fromtimestamp(_changed_s(run))
+    row: dict[str, Any] = {
+        "name": str(run.relative_to(folder)),
+        "when": begun.strftime("%Y-%m-%d %H:%M:%S"),
+        "note": note(run),
+    }
     try:
         summary = records.summary(run)
     except ConfigError as error:
-        return row | {"verdict": f"damaged: {error}"}
-    because = validity.because(summary)
-    return (
-        row
-        | {
-            "scenario": summary.get("scenario"),
-            "unit": summary.get("wsp", {}).get("unit"),
-            "verdict": "; ".join(because) if because else "valid",
-        }
-        | {
-            one.name: None if (value := one.shown(summary)) is None else float(f"{value:.4g}")
-            for one in figures.FIGURES
-        }
-    )
+        row["verdict"] = f"damaged: {error}"
+        return row
+
+    row["scenario"] = summary.get("scenario")
+    row["unit"] = summary.get("wsp", {}).get("unit")
+    row["verdict"] = "; ".join(validity.because(summary)) or "valid"
+    for figure in figures.FIGURES:
+        value = figure.shown(summary)
+        row[figure.name] = None if value is None else float(f"{value:.4g}")
+    return row
 
 
 def note(run: Path) -> str:
-    """The note that is kept in a run's folder."""
+    """The note that is kept in the folder of a run; empty if there is none."""
     try:
         return (run / NOTE).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError):
@@ -69,65 +81,68 @@ def note(run: Path) -> str:
 
 
 def write_note(run: Path, text: str) -> None:
-    """Keep a note in a run's folder. Raises ConfigError where that cannot be written; the old one is kept then."""
+    """Keep a note in the folder of a run.
+
+    Raises ConfigError if it cannot be written; the old note is kept then.
+    """
     with writing(run / NOTE, "make room; the old note is kept"), replaced(run / NOTE) as new:
         new.write_text(text.strip() + "\n", encoding="utf-8")
 
 
-def compared(
-    first: Path, second: Path
-) -> tuple[list[tuple[str, str, float | None, float | None]], list[Any]]:
-    """Figures of two runs side by side (title, unit, values), and their most different channels. Raises ConfigError."""
+def compared(first: Path, second: Path) -> tuple[list[ComparedFigure], list[Any]]:
+    """The figures of two runs, and their channels with the largest differences first.
+
+    Raises ConfigError.
+    """
     runs = [records.load(first), records.load(second)]
-    beside = [
-        (one.title, one.unit, one.shown(runs[0].summary), one.shown(runs[1].summary))
-        for one in figures.FIGURES
-    ]
-    return beside, compare.differences(runs, {})
+    both = []
+    for figure in figures.FIGURES:
+        values = [figure.shown(run.summary) for run in runs]
+        both.append(ComparedFigure(figure.title, figure.unit, *values))
+    return both, compare.differences(runs, {})
 
 
 def channel(run: Path, name: str, factor: float, points: int = 600) -> list[tuple[float, float]]:
-    """A channel of a run, times a factor, over time, some points of it. Raises ConfigError."""
+    """Points (time in s, value times `factor`) of a channel, thinned to about `points`.
+
+    Raises ConfigError.
+    """
     loaded = records.load(run)
-    time_s, values = loaded.column("time_s"), factor * loaded.column(name)
+    time_s = loaded.column("time_s")
+    values = factor * loaded.column(name)
     step = max(1, len(time_s) // points)
     return [
-        (round(float(t), 3), round(float(v), 4))
-        for t, v in zip(time_s[::step], values[::step], strict=True)
+        (round(float(at_s), 3), round(float(value), 4))
+        for at_s, value in zip(time_s[::step], values[::step], strict=True)
     ]
 
 
 def export(run: Path, kind: str) -> tuple[str, bytes]:
-    """A run as `rollerrig export` writes it, several files as a ZIP: name and content. Raises ConfigError."""
-    with tempfile.TemporaryDirectory(prefix="rollerrig-desk-") as place:
-        out = Path(place) / f"{run.name}{formats.SUFFIX[kind]}"
+    """The name and content of the file that `rollerrig export` writes for a run.
+
+    Several files are packed into a ZIP. Raises ConfigError.
+    """
+    with tempfile.TemporaryDirectory(prefix="rollerrig-desk-") as folder:
+        out = Path(folder) / f"{run.name}{formats.SUFFIX[kind]}"
+        command = [sys.executable, "-m", "rollerrig.realtime.cli"]
+        command += ["export", str(run), "--format", kind, "--out", str(out), "--json"]
         done = subprocess.run(
-            children.command(
-                sys.executable,
-                "-m",
-                "rollerrig.realtime.cli",
-                "export",
-                str(run),
-                "--format",
-                kind,
-                "--out",
-                str(out),
-                "--json",
-            ),
+            children.command(*command),
             capture_output=True,
             text=True,
             stdin=subprocess.DEVNULL,
         )
-        files = sorted(Path(place).iterdir())
+        files = sorted(Path(folder).iterdir())
         if done.returncode or not files:
-            raise ConfigError(
-                done.stderr.strip().rpartition("\n")[2]
-                or f"{run}: the export failed without a word"
-            )
+            last_line = done.stderr.strip().rpartition("\n")[2]
+            raise ConfigError(last_line or f"{run}: the export failed without a message")
         if len(files) == 1:
             return files[0].name, files[0].read_bytes()
-        packed = Path(place) / f"{run.name}.zip"
-        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-            for file in files:
-                archive.write(file, file.name)
-        return packed.name, packed.read_bytes()
+        return _packed(files, Path(folder) / f"{run.name}.zip")
+
+
+def _packed(files: list[Path], archive_path: Path) -> tuple[str, bytes]:
+    with zipfile.ZipFile(archive_path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in files:
+            archive.write(file, file.name)
+    return archive_path.name, archive_path.read_bytes()

@@ -1,4 +1,7 @@
-"""The state line: how each part of a bench is, green, yellow or red, with the reason in words; grey is not known."""
+"""The state line: the condition of each part of a bench as a light, with the reason in words.
+
+Green is good, yellow needs attention, red is a failure, grey is not known.
+"""
 
 import shutil
 import time
@@ -15,14 +18,23 @@ from rollerrig.wsp_interface.signals import BRAKE_NODE, DRIVE_NODES, SPEED_NODE,
 
 GREEN, YELLOW, RED, GREY = "green", "yellow", "red", "grey"
 NAMES = ("loop", "bus", "unit", "drives", "brake I/O", "Modbus", "recorder", "disk")
-_LATE_US, _FULL_PERCENT = 500.0, 80.0  # assumption: half a tick; a bus is planned to less than this
-_SILENT_S, _LITTLE_MB = 3.0, 1000.0
-_MISSED, _LATENESS = COLUMNS.index("ticks_missed"), COLUMNS.index("tick_lateness_us")
-_OPERATIONAL, _STATES = 5, {0: "booted", 4: "stopped", 5: "operational", 127: "pre-operational"}
+
+_LATE_US = 500.0  # assumption: half a tick
+_FULL_PERCENT = 80.0  # assumption: a bus is planned with less load than this
+_SILENT_S = 3.0
+_LITTLE_SPACE_MB = 1000.0
+_RECENT_SAMPLES = 100  # over which the latest tick is looked for
+
+_MISSED_COLUMN = COLUMNS.index("ticks_missed")
+_LATENESS_COLUMN = COLUMNS.index("tick_lateness_us")
+
+# NMT states as a heartbeat has them (CiA 301)
+_OPERATIONAL = 5
+_STATES = {0: "booted", 4: "stopped", 5: "operational", 127: "pre-operational"}
 
 
 class Light(NamedTuple):
-    """One part: its colour and why."""
+    """One part of the bench: its name, its colour, and the reason."""
 
     name: str
     colour: str
@@ -30,89 +42,91 @@ class Light(NamedTuple):
 
 
 def line(bench: Bench | None, doors: Doors | None, folder: Path) -> list[Light]:
-    """All lights, in the order of NAMES."""
+    """All lights in the order of NAMES; `folder` is where runs are recorded."""
     if bench is None or doors is None:
-        return [*(Light(name, GREY, "no bench runs here") for name in NAMES[:-1]), _disk(folder)]
+        return _all_but_disk(GREY, "no bench runs here", folder)
+    if bench.ended == "closed":
+        return _all_but_disk(GREY, "the run has ended", folder)
     if bench.ended:
-        why = (
-            "the run has ended"
-            if bench.ended == "closed"
-            else f"the bench (process {bench.pid}) was killed; its recorder keeps what there was"
-        )
-        colour = GREY if bench.ended == "closed" else RED
-        return [*(Light(name, colour, why) for name in NAMES[:-1]), _disk(folder)]
-    known = doors.values
+        why = f"the bench (process {bench.pid}) was killed; its recorder keeps what there was"
+        return _all_but_disk(RED, why, folder)
+
+    registers = doors.values
     return [
         _loop(bench, doors),
-        _bus(bench, known),
-        _unit(bench, known),
-        _nodes("drives", DRIVE_NODES, known, doors),
-        _nodes("brake I/O", (SPEED_NODE, BRAKE_NODE), known, doors),
+        _bus(bench, registers),
+        _unit(bench, registers),
+        _drives(registers, doors),
+        _nodes("brake I/O", (SPEED_NODE, BRAKE_NODE), registers, doors),
         _modbus(bench, doors),
         _recorder(bench),
         _disk(folder),
     ]
 
 
+def _all_but_disk(colour: str, why: str, folder: Path) -> list[Light]:
+    """The same light for all parts of the bench, and that of the disk."""
+    return [*(Light(name, colour, why) for name in NAMES[:-1]), _disk(folder)]
+
+
 def _loop(bench: Bench, doors: Doors) -> Light:
-    if doors.state in (State.HELD, State.STARTING) or not bench.points:
-        held = doors.state is State.HELD
-        return Light(
-            "loop", GREEN if held else GREY, "held, and rolls" if held else "the run has not begun"
-        )
+    if doors.state is State.HELD:
+        return Light("loop", GREEN, "held, and rolls")
+    if doors.state is State.STARTING or not bench.points:
+        return Light("loop", GREY, "the run has not begun")
+
     silent_s = time.monotonic() - bench.heard_s
     if silent_s > _SILENT_S:
         return Light("loop", RED, f"no sample for {silent_s:.0f} s")
-    minute = np.array(bench.since(0))
-    missed = float(np.ptp(minute[:, _MISSED]))
-    worst = float(minute[-100:, _LATENESS].max())
+
+    last_minute = np.array(bench.since(0))
+    missed = float(np.ptp(last_minute[:, _MISSED_COLUMN]))
+    latest_us = float(last_minute[-_RECENT_SAMPLES:, _LATENESS_COLUMN].max())
     if missed > 0.0:
-        return Light(
-            "loop", YELLOW, f"{missed:.0f} ticks missed in the last minute, latest {worst:.0f} us"
-        )
-    return Light(
-        "loop", YELLOW if worst > _LATE_US else GREEN, f"no tick missed, latest {worst:.0f} us"
-    )
+        why = f"{missed:.0f} ticks missed in the last minute, latest {latest_us:.0f} us"
+        return Light("loop", YELLOW, why)
+    colour = YELLOW if latest_us > _LATE_US else GREEN
+    return Light("loop", colour, f"no tick missed, latest {latest_us:.0f} us")
 
 
-def _bus(bench: Bench, known: dict[str, float]) -> Light:
+def _bus(bench: Bench, registers: dict[str, float]) -> Light:
     if not bench.bus:
         return Light("bus", GREY, "this run has none, or has not opened it yet")
-    if not known:
-        return Light("bus", GREY, f"{bench.bus}; its load is told over Modbus alone")
-    load, dropped = known["bus_load"], known["bus_frames_dropped"]
-    why = f"load {load:.1f} %" + (
-        f", {dropped:.0f} frames dropped for a slow client" if dropped else ""
-    )
-    return Light("bus", YELLOW if dropped or load > _FULL_PERCENT else GREEN, why)
+    if not registers:
+        return Light("bus", GREY, f"{bench.bus}; only Modbus reports its load")
+    load_percent = registers["bus_load"]
+    dropped = registers["bus_frames_dropped"]
+    why = f"load {load_percent:.1f} %"
+    if dropped:
+        why += f", {dropped:.0f} frames dropped for a slow client"
+    return Light("bus", YELLOW if dropped or load_percent > _FULL_PERCENT else GREEN, why)
 
 
-def _unit(bench: Bench, known: dict[str, float]) -> Light:
+def _unit(bench: Bench, registers: dict[str, float]) -> Light:
     name = f"node {WSP_NODE}"
     if bench.unit_lost:
         return Light("unit", RED, f"{name} lost: no heartbeat")
-    if "wsp_unit_state" not in known:
-        return Light("unit", GREY, f"{name}: its state is told over Modbus alone")
-    state = int(known["wsp_unit_state"])
+    if "wsp_unit_state" not in registers:
+        return Light("unit", GREY, f"{name}: only Modbus reports its state")
+    state = int(registers["wsp_unit_state"])
     if state == UNHEARD:
         return Light("unit", GREY, f"{name} has not been heard (--wsp none?)")
-    return Light(
-        "unit",
-        GREEN if state == _OPERATIONAL else YELLOW,
-        f"{name} is {_STATES.get(state, state)}, beats",
-    )
+    colour = GREEN if state == _OPERATIONAL else YELLOW
+    return Light("unit", colour, f"{name} is {_STATES.get(state, state)}, beats")
 
 
-def _nodes(name: str, nodes: tuple[int, ...], known: dict[str, float], doors: Doors) -> Light:
-    if not known:
+def _drives(registers: dict[str, float], doors: Doors) -> Light:
+    if registers and registers["emergency_stop"]:
+        return Light("drives", RED, "emergency stop: quick stop, then switched off")
+    return _nodes("drives", DRIVE_NODES, registers, doors)
+
+
+def _nodes(name: str, nodes: tuple[int, ...], registers: dict[str, float], doors: Doors) -> Light:
+    """One light for some nodes of the rig, by their NMT states."""
+    if not registers:
         return Light(name, GREY, f"no Modbus: {doors.why}")
-    wrong = {
-        node: int(known[f"node_{node}_state"])
-        for node in nodes
-        if known[f"node_{node}_state"] != _OPERATIONAL
-    }
-    if known["emergency_stop"] and name == "drives":
-        return Light(name, RED, "emergency stop: quick stop, then switched off")
+    states = {node: int(registers[f"node_{node}_state"]) for node in nodes}
+    wrong = {node: state for node, state in states.items() if state != _OPERATIONAL}
     if not wrong:
         return Light(name, GREEN, f"nodes {', '.join(map(str, nodes))} operational")
     why = ", ".join(
@@ -123,26 +137,26 @@ def _nodes(name: str, nodes: tuple[int, ...], known: dict[str, float], doors: Do
 
 def _modbus(bench: Bench, doors: Doors) -> Light:
     if not doors.why:
-        return Light(
-            "Modbus",
-            GREEN,
-            f"{bench.modbus[0]}:{bench.modbus[1]}, {doors.values['modbus_clients']:.0f} clients",
-        )
-    return Light("Modbus", RED if "answer" in doors.why else GREY, doors.why)
+        host, port = bench.modbus
+        clients = doors.values["modbus_clients"]
+        return Light("Modbus", GREEN, f"{host}:{port}, {clients:.0f} clients")
+    return Light("Modbus", RED if doors.unanswered else GREY, doors.why)
 
 
 def _recorder(bench: Bench) -> Light:
     header = bench.rows.header
-    if not header[ring.RECORDER_BEAT_NS]:
+    beat_ns = int(header[ring.RECORDER_BEAT_NS])
+    if not beat_ns:
         return Light("recorder", GREY, "not ready yet")
-    silent_s = (time.monotonic_ns() - int(header[ring.RECORDER_BEAT_NS])) / 1e9
-    if lost := int(header[ring.LOST]):
+    lost = int(header[ring.LOST])
+    if lost:
         return Light("recorder", RED, f"{lost} samples lost")
+    silent_s = (time.monotonic_ns() - beat_ns) / 1e9
     if silent_s > _SILENT_S:
-        return Light(
-            "recorder", RED, f"silent for {silent_s:.0f} s: it has ended, or its disk is slow"
-        )
-    return Light("recorder", GREEN, f"{int(header[ring.READ]):,} samples".replace(",", " "))
+        why = f"silent for {silent_s:.0f} s: it has ended, or its disk is slow"
+        return Light("recorder", RED, why)
+    samples = f"{int(header[ring.READ]):,}".replace(",", " ")
+    return Light("recorder", GREEN, f"{samples} samples")
 
 
 def _disk(folder: Path) -> Light:
@@ -150,5 +164,10 @@ def _disk(folder: Path) -> Light:
         free_MB = shutil.disk_usage(folder).free / 1e6
     except OSError as error:
         return Light("disk", RED, f"{folder}: {error.strerror}")
-    colour = RED if free_MB < 0.1 * _LITTLE_MB else YELLOW if free_MB < _LITTLE_MB else GREEN
+    if free_MB < 0.1 * _LITTLE_SPACE_MB:
+        colour = RED
+    elif free_MB < _LITTLE_SPACE_MB:
+        colour = YELLOW
+    else:
+        colour = GREEN
     return Light("disk", colour, f"{free_MB / 1e3:.1f} GB free")

@@ -1,6 +1,7 @@
-"""Manual mode: prepare a bench, start and stop it, set demand, speed and adhesion, inject and lift faults.
+"""Manual mode: controls that prepare, start and stop a bench, set its values and inject faults.
 
-Each control calls `tell` with a command of the desk or its doors; what is refused is shown in the bench's own words.
+Each control passes a command of the desk, or of its doors, to `carry_out`. If the bench refuses the
+command, the page shows the message of the bench.
 """
 
 import math
@@ -18,19 +19,25 @@ from rollerrig.wsp_interface import signals
 
 UNITS = ("reference", "external", "none")
 _AXLES = range(1, signals.AXLES + 1)
-_HIGHEST_BAR, _HIGHEST_KM_H = 10.0, 300.0
-_AS_IT_IS = ""
+_HIGHEST_BAR = 10.0
+_HIGHEST_KM_H = 300.0
+_ERROR_SHOWN_MS = 15_000
+_UNCHANGED = ""  # the choice that leaves a value as it is in the scenario
 
 
-async def tell(what: Awaitable[Any], done: str = "") -> bool:
-    """Carry a command out; say what came of it. Whether it went."""
-    client = ui.context.client  # what was clicked may be gone when the answer comes
+async def carry_out(command: Awaitable[Any], done: str = "") -> bool:
+    """Carry out a command and show its result: `done`, or the error. Returns whether it succeeded."""
+    client = ui.context.client  # the control that was clicked may be gone when the answer comes
     try:
-        await what
+        await command
     except RollerrigError as error:
         with client:
             ui.notify(
-                str(error), type="negative", multi_line=True, close_button=True, timeout=15_000
+                str(error),
+                type="negative",
+                multi_line=True,
+                close_button=True,
+                timeout=_ERROR_SHOWN_MS,
             )
         return False
     if done:
@@ -40,17 +47,17 @@ async def tell(what: Awaitable[Any], done: str = "") -> bool:
 
 
 def frictions() -> dict[float, str]:
-    """Friction that can be set under an axle by hand: kinematic friction mu_cd, and its name; 0: the scenario's."""
-    named = {
-        store.parse(store.find("adhesion", name))["adhesion"]["mu_cd"]: name
-        for name in ("dry", "wet", "soap")
-    }
-    return {
-        0.0: "as the scenario has it",
-        **{mu: f"{name} ({mu:g})" for mu, name in named.items()},
-        0.065: "0.065",
-        0.03: "0.03",
-    }
+    """The kinematic frictions mu_cd that can be set under an axle, with their labels.
+
+    0 restores the friction of the scenario.
+    """
+    labels = {0.0: "as in the scenario"}
+    for name in ("dry", "wet", "soap"):
+        mu = store.parse(store.find("adhesion", name))["adhesion"]["mu_cd"]
+        labels[mu] = f"{name} ({mu:g})"
+    for mu in (0.065, 0.03):
+        labels[mu] = f"{mu:g}"
+    return labels
 
 
 def build(desk: Desk) -> None:
@@ -69,53 +76,55 @@ def _card(title: str) -> ui.card:
     return card
 
 
+# -- the bench and its run
+
+
 def _bench(desk: Desk) -> None:
+    """The controls that prepare a bench."""
     with _card("1  Bench"):
-        scenario = _named(store.names("scenarios"), "velim_a1", "scenario, or a TOML file").classes(
-            "w-full"
-        )
-        chosen: dict[str, ui.select] = {}
+        scenario = _choice_or_text(
+            store.names("scenarios"), "velim_a1", "scenario, or a TOML file"
+        ).classes("w-full")
+        settings: dict[str, ui.select] = {}
         with ui.grid(columns=2).classes("w-full gap-2"):
             for key, kind in (("rig", "rigs"), ("adhesion", "adhesion")):
-                chosen[key] = ui.select(
-                    {_AS_IT_IS: "as the scenario has it"} | {one: one for one in store.names(kind)},
-                    value=_AS_IT_IS,
-                    label=key,
-                ).mark(key)
-            unit = _named(list(UNITS), "reference", "WSP unit, or fmu:FILE")
-            chosen["rig.drives"] = ui.select(
-                {
-                    _AS_IT_IS: "as the rig has it",
-                    "rig": "rig control",
-                    "bus": "a master on the bus",
-                },
-                value=_AS_IT_IS,
-                label="drives obey",
-            ).mark("drives")
+                labels = {_UNCHANGED: "as in the scenario"}
+                labels |= {name: name for name in store.names(kind)}
+                settings[key] = ui.select(labels, value=_UNCHANGED, label=key).mark(key)
+            unit = _choice_or_text(list(UNITS), "reference", "WSP unit, or fmu:FILE")
+            labels = {
+                _UNCHANGED: "as in the rig",
+                "rig": "rig control",
+                "bus": "a master on the bus",
+            }
+            drives = ui.select(labels, value=_UNCHANGED, label="drives obey").mark("drives")
+            settings["rig.drives"] = drives
         more = ui.input("further values, as in adhesion.mu_cd=0.05").classes("w-full").mark("more")
 
         async def prepare() -> None:
-            values = {key: str(one.value or "") for key, one in chosen.items()}
-            await tell(
+            values = {key: str(select.value or "") for key, select in settings.items()}
+            await carry_out(
                 desk.prepare(str(scenario.value), str(unit.value), values, str(more.value or "")),
                 "the bench is being prepared: it will roll, held, until it is started",
             )
 
-        ui.button("Prepare", on_click=prepare).props("color=primary").classes("w-full").mark(
-            "prepare"
-        )
+        button = ui.button("Prepare", on_click=prepare).props("color=primary")
+        button.classes("w-full").mark("prepare")
 
 
-def _named(names: list[str], value: str, label: str) -> ui.select:
-    """One of some names, or another that is typed."""
+def _choice_or_text(names: list[str], value: str, label: str) -> ui.select:
+    """A field with names to choose from, which also takes another name that is typed."""
     return ui.select(names, value=value, label=label, with_input=True, new_value_mode="add-unique")
 
 
 def _run(desk: Desk) -> None:
+    """The controls that start and stop the run."""
     with _card("2  Run"), ui.row().classes("w-full no-wrap gap-2"):
-        start = ui.button("Start", on_click=lambda: tell(_write(desk, "run", 1.0), "started"))
+        start = ui.button("Start", on_click=lambda: carry_out(_write(desk, "run", 1.0), "started"))
         start.props("color=positive").classes("grow").mark("start")
-        stop = ui.button("Stop", on_click=lambda: tell(_write(desk, "stop", 1.0), "the run ends"))
+        stop = ui.button(
+            "Stop", on_click=lambda: carry_out(_write(desk, "stop", 1.0), "the run ends")
+        )
         stop.props("color=grey-8").classes("grow").mark("stop")
 
         def follow() -> None:
@@ -125,142 +134,160 @@ def _run(desk: Desk) -> None:
         ui.timer(0.5, follow)
 
 
-async def _write(desk: Desk, name: str, value: float) -> None:
-    await desk.door().write(name, value)
+async def _write(desk: Desk, register: str, value: float) -> None:
+    await desk.door().write(register, value)
+
+
+# -- set-points
 
 
 def _set_points(desk: Desk) -> None:
     with _card("Set-points"):
         with ui.row().classes("w-full no-wrap items-center gap-2"):
-            bar = ui.number(
-                "brake demand, bar", value=3.8, min=0.0, max=_HIGHEST_BAR, step=0.1, format="%.2f"
-            )
-            bar.classes("grow").mark("demand")
-            ui.button(
-                "Set",
-                on_click=lambda: tell(
-                    _brake(desk, _given(bar) * 1e5), f"demand {_given(bar):.2f} bar"
-                ),
-            ).mark("set-demand")
-            ui.button(
-                "As programmed",
-                on_click=lambda: tell(
-                    _brake(desk, math.nan), "demand as node 17 or the scenario has it"
-                ),
-            ).props("flat dense")
+            _demand(desk)
         with ui.row().classes("w-full no-wrap items-center gap-2"):
-            speed = ui.number(
-                "roller speed, km/h", value=120.0, min=0.0, max=_HIGHEST_KM_H, step=5.0
-            )
-            speed.classes("grow").mark("speed")
-            ui.button(
-                "Set",
-                on_click=lambda: tell(
-                    _write(desk, "speed_set_point", _given(speed) / 3.6),
-                    f"a held rig rolls at {_given(speed):.0f} km/h",
-                ),
-            ).mark("set-speed")
-            ui.label("while held").classes("desk-small")
+            _speed(desk)
 
 
-def _given(field: ui.number) -> float:
-    return float(field.value) if field.value is not None else 0.0
+def _demand(desk: Desk) -> None:
+    """The controls of the brake demand."""
+    field = ui.number(
+        "brake demand, bar", value=3.8, min=0.0, max=_HIGHEST_BAR, step=0.1, format="%.2f"
+    )
+    field.classes("grow").mark("demand")
+
+    async def set_demand() -> None:
+        bar = _number(field)
+        await carry_out(_brake(desk, bar * 1e5), f"demand {bar:.2f} bar")
+
+    async def release() -> None:
+        done = "the demand comes from node 17 or the scenario again"
+        await carry_out(_brake(desk, math.nan), done)
+
+    ui.button("Set", on_click=set_demand).mark("set-demand")
+    ui.button("As programmed", on_click=release).props("flat dense")
 
 
 async def _brake(desk: Desk, pressure_Pa: float) -> None:
     await desk.free_door().brake(pressure_Pa)
 
 
+def _speed(desk: Desk) -> None:
+    """The controls of the roller speed of a held rig."""
+    field = ui.number("roller speed, km/h", value=120.0, min=0.0, max=_HIGHEST_KM_H, step=5.0)
+    field.classes("grow").mark("speed")
+
+    async def set_speed() -> None:
+        km_h = _number(field)
+        await carry_out(
+            _write(desk, "speed_set_point", km_h / 3.6), f"a held rig rolls at {km_h:.0f} km/h"
+        )
+
+    ui.button("Set", on_click=set_speed).mark("set-speed")
+    ui.label("while held").classes("desk-small")
+
+
+def _number(field: ui.number) -> float:
+    """The number in a field; 0 if it is empty."""
+    return 0.0 if field.value is None else float(field.value)
+
+
 def _adhesion(desk: Desk) -> None:
+    """The controls of the friction under each axle."""
     with (
         _card("Adhesion under the axles: friction mu_cd"),
         ui.grid(columns=2).classes("w-full gap-2"),
     ):
         for axle in _AXLES:
-            chosen = ui.select(frictions(), value=0.0, label=f"axle {axle}").mark(
-                f"friction-{axle}"
-            )
-            chosen.on_value_change(partial(_friction, desk, chosen, axle))
+            choice = ui.select(frictions(), value=0.0, label=f"axle {axle}")
+            choice.mark(f"friction-{axle}")
+            choice.on_value_change(partial(_set_friction, desk, choice, axle))
 
 
-async def _friction(desk: Desk, chosen: ui.select, axle: int) -> None:
-    mu = float(chosen.value or 0.0)
+async def _set_friction(desk: Desk, choice: ui.select, axle: int) -> None:
+    mu = float(choice.value or 0.0)
 
-    async def ask() -> None:
+    async def command() -> None:
         await desk.free_door().ask(lambda harness: harness.friction(mu, (axle,)))
 
-    await tell(ask(), f"axle {axle}: {frictions()[mu]}")
+    await carry_out(command(), f"axle {axle}: {frictions()[mu]}")
+
+
+# -- faults
 
 
 def _faults(desk: Desk) -> None:
+    """The controls that inject a fault, and the list of active faults."""
     with _card("Faults"):
-        kind = (
-            ui.select(
-                {one.name: f"{one.name}: {one.text}" for one in catalogue.CATALOGUE},
-                label="fault",
-                value=catalogue.CATALOGUE[0].name,
-                with_input=True,
-            )
-            .classes("w-full")
-            .mark("fault")
+        kind = ui.select(
+            {row.name: f"{row.name}: {row.text}" for row in catalogue.CATALOGUE},
+            label="fault",
+            value=catalogue.CATALOGUE[0].name,
+            with_input=True,
         )
+        kind.classes("w-full").mark("fault")
         fields: dict[str, ui.number] = {}
         place = ui.grid(columns=2).classes("w-full gap-2")
 
-        def parameters() -> None:
+        def show_parameters() -> None:
             place.clear()
             fields.clear()
             with place:
                 for row in catalogue.BY_NAME[str(kind.value)].parameters:
-                    fields[row.name] = (
-                        ui.number(row.name, value=row.default, min=row.low, max=row.high)
-                        .tooltip(f"{row.source}; {row.low:g} to {row.high:g}")
-                        .mark(f"fault-{row.name}")
-                    )
-                fields["for"] = ui.number("for s (empty: until lifted)", min=0.001).mark(
-                    "fault-for"
-                )
+                    field = ui.number(row.name, value=row.default, min=row.low, max=row.high)
+                    field.tooltip(f"{row.source}; {row.low:g} to {row.high:g}")
+                    fields[row.name] = field.mark(f"fault-{row.name}")
+                lasting = ui.number("for s (empty: until lifted)", min=0.001)
+                fields["for"] = lasting.mark("fault-for")
 
-        kind.on_value_change(parameters)
-        parameters()
+        kind.on_value_change(show_parameters)
+        show_parameters()
 
         async def inject() -> None:
-            values = " ".join(
-                f"{name}={_plain(field.value)}"
-                for name, field in fields.items()
-                if field.value is not None
-            )
-            await _fault(desk, f"{kind.value} {values}", lift=False)
+            words = [str(kind.value)]
+            for name, field in fields.items():
+                if field.value is not None:
+                    words.append(f"{name}={_plain(field.value)}")
+            await _change_fault(desk, " ".join(words), lift=False)
 
-        ui.button("Inject", on_click=inject).props("color=warning text-color=black").classes(
-            "w-full"
-        ).mark("inject")
-        active = ui.column().classes("w-full gap-1")
-        shown: list[str] = []
+        button = ui.button("Inject", on_click=inject).props("color=warning text-color=black")
+        button.classes("w-full").mark("inject")
+        _active_faults(desk)
 
-        def follow() -> None:
-            now = desk.bench.faults if desk.bench and not desk.bench.ended else []
-            if now != shown:
-                shown[:] = now
-                active.clear()
-                with active:
-                    for text in now:
-                        with ui.row().classes("w-full no-wrap items-center"):
-                            ui.label(text).classes("grow desk-active")
-                            ui.button("Lift", on_click=partial(_fault, desk, text, True)).props(
-                                "flat dense"
-                            ).mark("lift")
 
-        ui.timer(0.5, follow)
+def _active_faults(desk: Desk) -> None:
+    """The list of faults that are active, each with a button that lifts it."""
+    place = ui.column().classes("w-full gap-1")
+    shown: list[str] = []
+
+    def follow() -> None:
+        active = desk.bench.faults if desk.bench and not desk.bench.ended else []
+        if active == shown:
+            return
+        shown[:] = active
+        place.clear()
+        with place:
+            for fault in active:
+                with ui.row().classes("w-full no-wrap items-center"):
+                    ui.label(fault).classes("grow desk-active")
+                    lift = ui.button("Lift", on_click=partial(_change_fault, desk, fault, True))
+                    lift.props("flat dense").mark("lift")
+
+    ui.timer(0.5, follow)
 
 
 def _plain(value: float) -> str:
-    """A number as a fault's text has it: whole ones without a point."""
+    """A number as the text of a fault has it: whole numbers without a point."""
     return f"{int(value)}" if float(value).is_integer() else f"{value:g}"
 
 
-async def _fault(desk: Desk, text: str, lift: bool) -> None:
-    async def ask() -> None:
-        await desk.free_door().ask(lambda harness: (harness.lift if lift else harness.inject)(text))
+async def _change_fault(desk: Desk, fault: str, lift: bool) -> None:
+    async def command() -> None:
+        door = desk.free_door()
+        if lift:
+            await door.ask(lambda harness: harness.lift(fault))
+        else:
+            await door.ask(lambda harness: harness.inject(fault))
 
-    await tell(ask(), f"{'lifted' if lift else 'injected'}: {text}")
+    done = "lifted" if lift else "injected"
+    await carry_out(command(), f"{done}: {fault}")

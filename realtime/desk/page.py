@@ -1,4 +1,7 @@
-"""The page: head with the emergency stop, the state line, the modes behind tabs, alarms; the same for every browser."""
+"""The page: head with the emergency stop, state line, the modes behind tabs, and alarms.
+
+Every browser has the same page; each one is built separately.
+"""
 
 from pathlib import Path
 
@@ -18,7 +21,7 @@ _LIGHTS = {
     lights.RED: colours.VERMILION,
     lights.GREY: colours.GREY,
 }
-_SHOWN = 60
+_ALARMS_SHOWN = 60
 
 
 def build(desk: Desk) -> None:
@@ -40,106 +43,133 @@ def build(desk: Desk) -> None:
         for name in ("Manual", "Automatic", "Runs"):
             ui.tab(name).mark(f"tab-{name}")
     with ui.tab_panels(tabs, value="Manual").classes("w-full").style("background: transparent"):
-        with (
-            ui.tab_panel("Manual").classes("p-0"),
-            ui.row().classes("w-full no-wrap items-start gap-4"),
-        ):
-            with ui.column().classes("gap-3").style("width: 23rem; flex: none"):
-                manual.build(desk)
-            with ui.column().classes("grow gap-1").style("min-width: 0"):
-                live.build()
-            with ui.column().classes("gap-2").style("width: 21rem; flex: none"):
-                _alarms(desk)
+        with ui.tab_panel("Manual").classes("p-0"):
+            _manual(desk)
         with ui.tab_panel("Automatic").classes("p-0"):
             automatic.build(desk)
         with ui.tab_panel("Runs").classes("p-0"):
-            read = runs.build(desk)
-    tabs.on_value_change(lambda: read() if tabs.value == "Runs" else None)
+            read_runs = runs.build(desk)
+
+    def on_tab() -> None:
+        if tabs.value == "Runs":
+            read_runs()
+
+    tabs.on_value_change(on_tab)
+
+
+def _manual(desk: Desk) -> None:
+    """The three columns of the manual mode: controls, live view, alarms."""
+    with ui.row().classes("w-full no-wrap items-start gap-4"):
+        with ui.column().classes("gap-3").style("width: 23rem; flex: none"):
+            manual.build(desk)
+        with ui.column().classes("grow gap-1").style("min-width: 0"):
+            live.build()
+        with ui.column().classes("gap-2").style("width: 21rem; flex: none"):
+            _alarms(desk)
+
+
+# -- the head
 
 
 def _head(desk: Desk) -> None:
+    """Name, state of the bench, warning, and the button of the emergency stop."""
     with ui.row().classes("w-full items-center no-wrap gap-6"):
         ui.label("rollerrig desk").style("font-size: 22px; font-weight: 600; white-space: nowrap")
         bench = ui.label().classes("grow").mark("bench")
         ui.label(NO_SAFETY).classes("desk-small").style("max-width: 26rem").mark("no-safety")
 
         async def toggle() -> None:
-            on = not (desk.doors and desk.doors.values.get("emergency_stop"))
+            stop = not _stopped(desk)
 
-            async def ask() -> None:
-                await desk.door().write("emergency_stop", float(on))
+            async def command() -> None:
+                await desk.door().write("emergency_stop", float(stop))
 
-            await manual.tell(ask(), "emergency stop " + ("asked for" if on else "reset"))
+            done = "emergency stop requested" if stop else "emergency stop reset"
+            await manual.carry_out(command(), done)
 
-        button = (
-            ui.button("Emergency stop", on_click=toggle)
-            .props("color=negative size=lg")
-            .mark("emergency")
-        )
+        button = ui.button("Emergency stop", on_click=toggle).props("color=negative size=lg")
+        button.mark("emergency")
 
         def follow() -> None:
-            bench.text = _told(desk)
-            stopped = bool(desk.doors and desk.doors.values.get("emergency_stop"))
-            button.text = "Reset emergency stop" if stopped else "Emergency stop"
-            button.props(f"color={'orange-10' if stopped else 'negative'}")
+            bench.text = _bench_sentence(desk)
+            if _stopped(desk):
+                button.text = "Reset emergency stop"
+                button.props("color=orange-10")
+            else:
+                button.text = "Emergency stop"
+                button.props("color=negative")
 
         ui.timer(0.5, follow)
         follow()
 
 
-def _told(desk: Desk) -> str:
-    """The bench in a sentence."""
-    starting = [one for one in desk.programs if one.words[0] == "run" and one.status is None]
-    if desk.bench is None or desk.doors is None:
-        return (
-            "the bench is being prepared: kernels, bus, unit ..."
-            if starting
-            else "no bench runs on this machine: prepare one, or start one with rollerrig run"
-        )
-    bench = desk.bench
+def _stopped(desk: Desk) -> bool:
+    """Whether the emergency stop is set."""
+    return bool(desk.doors and desk.doors.values.get("emergency_stop"))
+
+
+def _bench_sentence(desk: Desk) -> str:
+    """The state of the bench in a sentence."""
+    preparing = any(
+        program.words[0] == "run" and program.status is None for program in desk.programs
+    )
+    bench, doors = desk.bench, desk.doors
+    if bench is None or doors is None:
+        if preparing:
+            return "the bench is being prepared: kernels, bus, unit ..."
+        return "no bench runs on this machine: prepare one, or start one with rollerrig run"
+
     if bench.ended:
         how = "has ended" if bench.ended == "closed" else "was killed"
-        return f"the bench (process {bench.pid}) {how} at {bench.time_s:.1f} s" + (
-            "; another is being prepared" if starting else "; its run stands under Runs"
-        )
-    state = desk.doors.state
-    what = (
-        state.name.lower()
-        if state is not None
-        else "running, without Modbus"
-        if bench.points
-        else "starting (a first start compiles its kernels, for minutes)"
-    )
-    return f"bench (process {bench.pid}) on {bench.bus or 'no bus'}: {what}"
+        then = "another is being prepared" if preparing else "its run is under Runs"
+        return f"the bench (process {bench.pid}) {how} at {bench.time_s:.1f} s; {then}"
+
+    if doors.state is not None:
+        state = doors.state.name.lower()
+    elif bench.points:
+        state = "running, without Modbus"
+    else:
+        state = "starting (a first start compiles its kernels, for minutes)"
+    return f"bench (process {bench.pid}) on {bench.bus or 'no bus'}: {state}"
+
+
+# -- lights
 
 
 def _state_line(desk: Desk) -> None:
-    shown: list[tuple[ui.html, ui.label]] = []
+    """A light for each part of the bench."""
+    places: list[tuple[ui.html, ui.label]] = []  # of the name and of the reason of each light
     with ui.row().classes("w-full gap-2"):
         for name in lights.NAMES:
             with ui.element("div").classes("desk-light").mark(f"light-{name}"):
-                shown.append((ui.html(sanitize=False), ui.label().classes("desk-small")))
+                places.append((ui.html(sanitize=False), ui.label().classes("desk-small")))
 
     def follow() -> None:
-        for (head, why), one in zip(
-            shown, lights.line(desk.bench, desk.doors, desk.folder), strict=True
-        ):
-            colour = colours.on_page(_LIGHTS[one.colour])
-            head.content = f'<span class="desk-dot" style="background:{colour}" title="{one.colour}"></span>{one.name}'
-            why.text = one.why
+        state = lights.line(desk.bench, desk.doors, desk.folder)
+        for (head, reason), light in zip(places, state, strict=True):
+            colour = colours.on_page(_LIGHTS[light.colour])
+            dot = (
+                f'<span class="desk-dot" style="background:{colour}" title="{light.colour}"></span>'
+            )
+            head.content = f"{dot}{light.name}"
+            reason.text = light.why
 
     ui.timer(1.0, follow)
     follow()
 
 
+# -- alarms
+
+
 def _alarms(desk: Desk) -> None:
+    """The list of alarms, the newest first."""
     ui.label("Alarms").classes("desk-title")
     place = ui.column().classes("w-full gap-1")
     shown: list[tuple[int, str]] = []
 
     def follow() -> None:
-        alarms = list(desk.alarms)[:_SHOWN]
-        state = [(id(one), one.acknowledged) for one in alarms]
+        alarms = list(desk.alarms)[:_ALARMS_SHOWN]
+        state = [(id(alarm), alarm.acknowledged) for alarm in alarms]
         if state == shown and shown:
             return
         shown[:] = state
@@ -147,29 +177,27 @@ def _alarms(desk: Desk) -> None:
         with place:
             if not alarms:
                 ui.label("none").classes("desk-small")
-            for one in alarms:
-                _alarm(desk, one)
+            for alarm in alarms:
+                _alarm(desk, alarm)
 
     ui.timer(0.5, follow)
     follow()
 
 
 def _alarm(desk: Desk, alarm: Alarm) -> None:
+    """One alarm, with a button that acknowledges it."""
     colour = colours.on_page(colours.VERMILION if alarm.level == "error" else colours.YELLOW)
     border = colours.on_page(colours.GREY) if alarm.acknowledged else colour
-    with (
-        ui.row()
-        .classes("w-full no-wrap items-start gap-1")
-        .style(f"border-left: 4px solid {border}; padding-left: 8px")
-        .mark("alarm")
-    ):
-        at = f"{alarm.time_s:.2f} s  " if alarm.time_s == alarm.time_s else ""
-        ui.label(f"{at}{alarm.text}").classes("grow").style(
-            "font-size: 12px; overflow-wrap: anywhere"
-        )
+    row = ui.row().classes("w-full no-wrap items-start gap-1")
+    row.style(f"border-left: 4px solid {border}; padding-left: 8px").mark("alarm")
+    with row:
+        text = alarm.text if alarm.of_desk else f"{alarm.time_s:.2f} s  {alarm.text}"
+        label = ui.label(text).classes("grow")
+        label.style("font-size: 12px; overflow-wrap: anywhere")
         if alarm.acknowledged:
             ui.label(f"acknowledged {alarm.acknowledged}").classes("desk-small")
         else:
-            ui.button(icon="check", on_click=lambda: manual.tell(desk.acknowledge(alarm))).props(
-                "flat dense size=sm"
-            ).tooltip("acknowledge").mark("acknowledge")
+            button = ui.button(
+                icon="check", on_click=lambda: manual.carry_out(desk.acknowledge(alarm))
+            )
+            button.props("flat dense size=sm").tooltip("acknowledge").mark("acknowledge")

@@ -1,7 +1,7 @@
 """Programs that the desk has started: each is a `rollerrig` command line, as anybody could type it.
 
-They have a session of their own and go on when the desk ends. What one says goes to a temporary file, whose lines are
-shown; its result is the object that `--json` prints.
+A program has a separate session, so it continues when the desk exits. Its messages go to a temporary
+file, whose lines the page shows. Its result is the JSON object that `--json` prints.
 """
 
 import json
@@ -16,40 +16,47 @@ from typing import IO, Any
 
 from rollerrig.configs.errors import ConfigError
 
-_PASSING = re.compile(r"compiling: |\d+ of \d+ .*\(\d+ s\)$")
-_SHARE = re.compile(r"(\d+) of (\d+) (?:runs|sequences)")
+# lines of progress, which the next line of progress replaces
+_PROGRESS_LINE = re.compile(r"compiling: |\d+ of \d+ .*\(\d+ s\)$")
+_DONE_OF_ALL = re.compile(r"(\d+) of (\d+) (?:runs|sequences)")
 
 
 class Program:
-    """One command line: `words` after `rollerrig`, run in `folder`. Raises ConfigError where it cannot start."""
+    """One command line: `words` after `rollerrig`, started in `folder`.
+
+    Raises ConfigError if it cannot start.
+    """
 
     def __init__(self, words: list[str], folder: Path) -> None:
-        self.words, self.folder = words, folder
-        self.told = False  # whether its end has been noticed
+        self.words = words
+        self.folder = folder
+        self.end_noticed = False  # whether the desk has noticed that it exited
         try:
-            self._out, self._said = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115 (read till the end)
+            # both files stay open as long as the page shows the program
+            self._result_file = tempfile.TemporaryFile()  # noqa: SIM115
+            self._message_file = tempfile.TemporaryFile()  # noqa: SIM115
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"],
                 cwd=folder,
-                stdout=self._out,
-                stderr=self._said,
+                stdout=self._result_file,
+                stderr=self._message_file,
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,
             )
         except OSError as error:
             raise ConfigError(
-                f"{self.title} cannot be started in {folder}: {error.strerror}; make room, or start the "
-                "desk elsewhere with --folder"
+                f"{self.title} cannot be started in {folder}: {error.strerror}; make room, or "
+                "start the desk in another folder with --folder"
             ) from None
 
     @property
     def title(self) -> str:
-        """As it would be typed."""
+        """The command line as it would be typed."""
         return " ".join(["rollerrig", *self.words])
 
     @property
     def pid(self) -> int:
-        """Its process."""
+        """The number of its process."""
         return self._process.pid
 
     @property
@@ -59,44 +66,51 @@ class Program:
 
     @property
     def lines(self) -> list[str]:
-        """What it has said; of the lines that tell how far it is only the newest."""
-        said = [
-            line
-            for line in _content(self._said).decode(errors="replace").splitlines()
-            if line.strip()
-        ]
-        passing = [at for at, line in enumerate(said) if _PASSING.match(line)]
-        return [line for at, line in enumerate(said) if at not in passing[:-1]]
+        """The messages so far. Of the lines of progress only the newest is left."""
+        text = _content(self._message_file).decode(errors="replace")
+        messages = [line for line in text.splitlines() if line.strip()]
+        progress = [at for at, line in enumerate(messages) if _PROGRESS_LINE.match(line)]
+        replaced = set(progress[:-1])
+        return [line for at, line in enumerate(messages) if at not in replaced]
 
     @property
     def result(self) -> dict[str, Any]:
-        """What it has printed; empty as long as it runs, and where it crashed."""
+        """The object that it printed; empty while it runs, and if it crashed."""
         try:
-            return dict(json.loads(_content(self._out)))
+            return dict(json.loads(_content(self._result_file)))
         except ValueError:
             return {}
 
     @property
     def error(self) -> str:
-        """Why it failed, in its own words; empty where it did not, or runs."""
-        result = self.result
-        # sequences count theirs under the same name
-        if self.status is None or (result and not isinstance(result.get("error"), str)):
+        """The message with which it failed; empty if it did not fail, or still runs."""
+        if self.status is None:
             return ""
-        return str(result.get("error") or (self.lines or ["it said nothing"])[-1])
+        result = self.result
+        # the result of `sequence` has a number under this name: how many could not be played
+        error = result.get("error")
+        if result and not isinstance(error, str):
+            return ""
+        if error:
+            return str(error)
+        return self.lines[-1] if self.lines else "it printed nothing"
 
     @property
     def share(self) -> float | None:
-        """How much of its work is done, 0 to 1, where it tells."""
-        found = next((one for line in reversed(self.lines) if (one := _SHARE.search(line))), None)
-        return int(found[1]) / int(found[2]) if found and int(found[2]) else None
+        """The share of its work that is done, 0 to 1; None if it has not reported any."""
+        for line in reversed(self.lines):
+            progress = _DONE_OF_ALL.search(line)
+            if progress:
+                done, all_of_them = int(progress[1]), int(progress[2])
+                return done / all_of_them if all_of_them else None
+        return None
 
     def stop(self) -> None:
-        """Ask it to end, as Ctrl-C does."""
+        """Interrupt it, as Ctrl-C does."""
         if self.status is None:
             self._process.send_signal(signal.SIGINT)
 
 
 def _content(file: IO[bytes]) -> bytes:
-    """All of a file, whose place is its writer's too: it is not moved."""
+    """All bytes of a file. The position is left alone, because the writing process shares it."""
     return os.pread(file.fileno(), os.fstat(file.fileno()).st_size, 0)

@@ -1,7 +1,9 @@
-"""The library of runs on the page: sort, filter, compare two, open in Rerun, download, write a note."""
+"""The library of runs on the page: sort, filter, compare two, open in Rerun, download, note."""
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from nicegui import run, ui
@@ -9,32 +11,21 @@ from nicegui import run, ui
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.desk import library, live
 from rollerrig.realtime.desk.desk import Desk
-from rollerrig.realtime.desk.manual import tell
+from rollerrig.realtime.desk.library import ComparedFigure
+from rollerrig.realtime.desk.manual import carry_out
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import figures
 
-_COLUMNS = (
-    ("name", "run"),
-    ("when", "when"),
-    ("scenario", "scenario"),
-    ("unit", "unit"),
-    ("verdict", "verdict"),
-    *(
-        (one.name, f"{one.title}{f' ({one.unit})' if one.unit else ''}")
-        for one in figures.FIGURES
-        if one.name
-        in (
-            "stop_time_s",
-            "stop_distance_m",
-            "sliding_max_m_s",
-            "longest_lock_s",
-            "vents",
-            "air_consumption_NL",
-        )
-    ),
-    ("note", "note"),
+_FIGURES = (
+    "stop_time_s",
+    "stop_distance_m",
+    "sliding_max_m_s",
+    "longest_lock_s",
+    "vents",
+    "air_consumption_NL",
 )
-_KNOWN = (
+# beginnings of the names of those channels whose differences are listed
+_COMPARED_CHANNELS = (
     "vehicle_speed",
     "sliding_",
     "adhesion_1",
@@ -43,155 +34,198 @@ _KNOWN = (
     "adhesion_4",
     "cylinder_pressure_",
 )
+_VIEWER_STARTS_S = 2.0
+_VERDICT_CELL = """<q-td :props="props"><span :style="{color: props.value === 'valid' ?
+        '#2fbf93' : '#ff8a4c'}" class="desk-verdict">{{ props.value }}</span></q-td>"""
 
 
-def build(desk: Desk) -> Callable[[], None]:
-    """Put the table, and what can be done with the runs that are chosen in it, into the page; what reads it anew."""
-    with ui.row().classes("w-full items-center gap-2"):
-        words = ui.input("filter").props("dense clearable").mark("filter")
-        ui.button("Look again", on_click=lambda: fill()).props("flat")
-        ui.button("Compare two", on_click=lambda: tell(compare())).mark("compare")
-        ui.button("Open in Rerun", on_click=lambda: tell(rerun())).props("flat")
-        for kind, name in library.FORMATS.items():
-            ui.button(name, icon="download", on_click=lambda kind=kind: tell(download(kind))).props(
-                "flat"
-            ).mark(f"download-{kind}")
-        note = ui.input("note on the run").props("dense").classes("grow").mark("note")
-        ui.button(
-            "Keep", on_click=lambda: tell(keep(), "the note is kept in the run's folder")
-        ).mark("keep")
-    table = (
-        ui.table(
-            columns=[
-                {
-                    "name": name,
-                    "label": label,
-                    "field": name,
-                    "sortable": True,
-                    "align": "left",
-                    "classes": "desk-cell",
-                }
-                for name, label in _COLUMNS
-            ],
+def _columns() -> list[dict[str, Any]]:
+    """The columns of the table, as NiceGUI declares them."""
+    labels = {name: name for name in ("name", "when", "scenario", "unit", "verdict")}
+    labels["name"] = "run"
+    for figure in figures.FIGURES:
+        if figure.name in _FIGURES:
+            labels[figure.name] = _with_unit(figure.title, figure.unit)
+    labels["note"] = "note"
+    return [
+        {
+            "name": name,
+            "label": label,
+            "field": name,
+            "sortable": True,
+            "align": "left",
+            "classes": "desk-cell",
+        }
+        for name, label in labels.items()
+    ]
+
+
+def _with_unit(title: str, unit: str) -> str:
+    return f"{title} ({unit})" if unit else title
+
+
+class _RunTable:
+    """The table of runs, what can be done with the runs chosen in it, and a place for results."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+        self.filter: ui.input
+        self.note: ui.input
+        self._build_buttons()
+        self.table = ui.table(
+            columns=_columns(),
             rows=[],
             row_key="name",
             selection="multiple",
             pagination=15,
         )
-        .classes("w-full")
-        .mark("runs")
-    )
-    table.bind_filter_from(words, "value")
-    table.add_slot(
-        "body-cell-verdict",
-        """<q-td :props="props"><span :style="{color: props.value === 'valid' ?
-        '#2fbf93' : '#ff8a4c'}" class="desk-verdict">{{ props.value }}</span></q-td>""",
-    )
-    place = ui.column().classes("w-full")
+        self.table.classes("w-full").mark("runs")
+        self.table.bind_filter_from(self.filter, "value")
+        self.table.add_slot("body-cell-verdict", _VERDICT_CELL)
+        self.table.on_select(self.show_note)
+        self.place = ui.column().classes("w-full")
 
-    def fill() -> None:
-        table.rows = library.rows(desk.folder)
+    def _build_buttons(self) -> None:
+        with ui.row().classes("w-full items-center gap-2"):
+            self.filter = ui.input("filter").props("dense clearable").mark("filter")
+            ui.button("Look again", on_click=self.fill).props("flat")
+            compare = ui.button("Compare two", on_click=lambda: carry_out(self.compare()))
+            compare.mark("compare")
+            ui.button("Open in Rerun", on_click=lambda: carry_out(self.rerun())).props("flat")
+            for kind, name in library.FORMATS.items():
+                download = ui.button(name, icon="download", on_click=partial(self.download, kind))
+                download.props("flat").mark(f"download-{kind}")
+            self.note = ui.input("note on the run").props("dense").classes("grow").mark("note")
+            keep = ui.button(
+                "Keep",
+                on_click=lambda: carry_out(self.keep(), "the note is kept in the run's folder"),
+            )
+            keep.mark("keep")
 
-    def chosen(count: int) -> list[Any]:
-        if len(table.selected) != count:
-            raise ConfigError(f"{len(table.selected)} runs are chosen in the table: choose {count}")
-        return [desk.folder / one["name"] for one in table.selected]
+    def fill(self) -> None:
+        """Read the runs again."""
+        self.table.rows = library.rows(self.desk.folder)
 
-    def show() -> None:
-        if len(table.selected) == 1:
-            note.value = library.note(desk.folder / table.selected[0]["name"])
+    def chosen(self, count: int) -> list[Path]:
+        """The folders of the chosen runs. Raises ConfigError if there are more or fewer."""
+        selected = self.table.selected
+        if len(selected) != count:
+            raise ConfigError(f"{len(selected)} runs are chosen in the table: choose {count}")
+        return [self.desk.folder / row["name"] for row in selected]
 
-    table.on_select(show)
+    def show_note(self) -> None:
+        """Show the note of the chosen run, if it is a single one."""
+        if len(self.table.selected) == 1:
+            self.note.value = library.note(self.chosen(1)[0])
 
-    async def compare() -> None:
-        first, second = chosen(2)
-        beside, different = await run.io_bound(library.compared, first, second) or ([], [])
-        curves = [
-            await run.io_bound(library.channel, one, "vehicle_speed_m_s", 3.6)
-            for one in (first, second)
-        ]
-        place.clear()
-        with place:
-            _compared([first.name, second.name], beside, different, curves)
+    async def compare(self) -> None:
+        """Show two runs next to each other."""
+        first, second = self.chosen(2)
+        both = await run.io_bound(library.compared, first, second)
+        figures_of_both, differences = both or ([], [])
+        curves = []
+        for folder in (first, second):
+            curves.append(await run.io_bound(library.channel, folder, "vehicle_speed_m_s", 3.6))
+        self.place.clear()
+        with self.place:
+            _comparison([first.name, second.name], figures_of_both, differences, curves)
 
-    async def rerun() -> None:
-        address = await run.io_bound(desk.rerun, chosen(1)[0]) or ""
-        await asyncio.sleep(2.0)  # the viewer begins to serve
+    async def rerun(self) -> None:
+        """Open a run in Rerun's viewer, in another tab."""
+        address = await run.io_bound(self.desk.rerun, self.chosen(1)[0]) or ""
+        await asyncio.sleep(_VIEWER_STARTS_S)
         ui.navigate.to(address, new_tab=True)
-        place.clear()
-        with place:
+        self.place.clear()
+        with self.place:
             ui.link(f"Rerun: {address}", address, new_tab=True)
 
-    async def download(kind: str) -> None:
-        (one,) = chosen(1)
-        ui.notify(f"{one.name} is being written as {library.FORMATS[kind]} ...")
-        name, content = await run.io_bound(library.export, one, kind) or ("", b"")
+    async def download(self, kind: str) -> None:
+        """Send the chosen run to the browser as a file of a kind."""
+        await carry_out(self._download(kind))
+
+    async def _download(self, kind: str) -> None:
+        (folder,) = self.chosen(1)
+        ui.notify(f"{folder.name} is being written as {library.FORMATS[kind]} ...")
+        name, content = await run.io_bound(library.export, folder, kind) or ("", b"")
         ui.download.content(content, name)
 
-    async def keep() -> None:
-        library.write_note(chosen(1)[0], str(note.value or ""))
-        fill()
-
-    fill()
-    return fill
+    async def keep(self) -> None:
+        """Write the note into the folder of the chosen run."""
+        library.write_note(self.chosen(1)[0], str(self.note.value or ""))
+        self.fill()
 
 
-def _compared(names: list[str], beside: list[Any], different: list[Any], curves: list[Any]) -> None:
+def build(desk: Desk) -> Callable[[], None]:
+    """Put the table of runs into the page; returns the function that reads the runs again."""
+    table = _RunTable(desk)
+    table.fill()
+    return table.fill
+
+
+def _comparison(
+    names: list[str], both: list[ComparedFigure], differences: list[Any], curves: list[Any]
+) -> None:
     """Two runs: figures, vehicle speeds, and the largest differences of some channels."""
     with ui.row().classes("w-full no-wrap items-start gap-4"):
-        _table(
-            "Figures",
-            (("what", ""), ("a", names[0]), ("b", names[1])),
-            [
-                {"what": f"{title} ({unit})" if unit else title, "a": _text(a), "b": _text(b)}
-                for title, unit, a, b in beside
-            ],
-        ).mark("compared")
-        ranked = [one for one in different if one.channel.startswith(_KNOWN)]
-        _table(
-            "Largest differences by value",
-            (("channel", "channel"), ("largest", "largest"), ("rms", "rms"), ("at", "at s")),
-            [
-                {
-                    "channel": one.channel,
-                    "largest": _text(one.largest),
-                    "rms": _text(one.rms),
-                    "at": f"{one.at_s:.2f}",
-                }
-                for one in ranked
-            ],
-        )
-        ui.echart(
+        figure_rows = [
             {
-                "animation": False,
-                "title": live.title_of("vehicle speed (km/h)"),
-                "legend": {"right": 10, "top": 2, "textStyle": {"color": "#c8ccd2"}},
-                "xAxis": live.axis("{value} s"),
-                "yAxis": live.axis(),
-                "series": [
-                    {
-                        "type": "line",
-                        "name": name,
-                        "showSymbol": False,
-                        "data": curve,
-                        "color": colours.on_page(shade),
-                    }
-                    for name, curve, shade in zip(
-                        names, curves, (colours.SKY_BLUE, colours.ORANGE), strict=True
-                    )
-                ],
+                "figure": _with_unit(figure.title, figure.unit),
+                "first": _text(figure.first),
+                "second": _text(figure.second),
             }
-        ).classes("grow").style("height: 320px")
+            for figure in both
+        ]
+        heads = {"figure": "", "first": names[0], "second": names[1]}
+        _table("Figures", heads, figure_rows).mark("compared")
+
+        difference_rows = [
+            {
+                "channel": difference.channel,
+                "largest": _text(difference.largest),
+                "rms": _text(difference.rms),
+                "at": f"{difference.at_s:.2f}",
+            }
+            for difference in differences
+            if difference.channel.startswith(_COMPARED_CHANNELS)
+        ]
+        heads = {"channel": "channel", "largest": "largest", "rms": "rms", "at": "at s"}
+        _table("Largest differences by value", heads, difference_rows)
+
+        _speeds(names, curves)
 
 
-def _table(title: str, heads: tuple[tuple[str, str], ...], rows: list[dict[str, Any]]) -> ui.table:
-    return ui.table(
-        title=title,
-        rows=rows,
-        columns=[
-            {"name": key, "label": label, "field": key, "align": "left"} for key, label in heads
-        ],
-    ).classes("desk-card")
+def _speeds(names: list[str], curves: list[Any]) -> None:
+    """A plot of the vehicle speeds of two runs in km/h."""
+    series = []
+    for name, curve, shade in zip(names, curves, (colours.SKY_BLUE, colours.ORANGE), strict=True):
+        series.append(
+            {
+                "type": "line",
+                "name": name,
+                "showSymbol": False,
+                "data": curve,
+                "color": colours.on_page(shade),
+            }
+        )
+    chart = ui.echart(
+        {
+            "animation": False,
+            "title": live.title_of("vehicle speed (km/h)"),
+            "legend": {"right": 10, "top": 2, "textStyle": {"color": "#c8ccd2"}},
+            "xAxis": live.axis("{value} s"),
+            "yAxis": live.axis(),
+            "series": series,
+        }
+    )
+    chart.classes("grow").style("height: 320px")
+
+
+def _table(title: str, heads: dict[str, str], rows: list[dict[str, Any]]) -> ui.table:
+    """A table; `heads` maps the keys of its rows to the heads of their columns."""
+    columns = [
+        {"name": key, "label": label, "field": key, "align": "left"} for key, label in heads.items()
+    ]
+    return ui.table(title=title, rows=rows, columns=columns).classes("desk-card")
 
 
 def _text(value: float | None) -> str:

@@ -1,7 +1,8 @@
-"""Serves the desk: on loopback to this machine alone, elsewhere to who has its token.
+"""Serves the desk: on loopback to this machine alone, elsewhere to those who have its token.
 
-Requests that come from a page of another site are refused, and on loopback those that ask for another name: a page
-of a stranger must not reach the bench through the browser of its operator.
+The server refuses requests that come from a page of another site. On loopback it also refuses
+requests for another host name. Otherwise a page of a stranger could reach the bench through the
+browser of its operator.
 """
 
 import asyncio
@@ -25,17 +26,25 @@ from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.hub import beyond_loopback
 from rollerrig.wsp_interface.events import Code
 
-PORT, COOKIE = 8530, "rollerrig-desk"
-_SERVED = (".html", ".svg", ".png", ".json", ".xml", ".csv", ".pdf", ".rrd", ".log")
-_OWN_NAMES = ("127.0.0.1", "localhost", "::1")
-Message = MutableMapping[str, Any]
+PORT = 8530
+COOKIE = "rollerrig-desk"
+_SERVED_SUFFIXES = (".html", ".svg", ".png", ".json", ".xml", ".csv", ".pdf", ".rrd", ".log")
+_LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
+_FORBIDDEN = 403
+_NOT_FOUND = 404
+_POLICY_VIOLATION = 1008  # close code of a WebSocket, RFC 6455
+Message = MutableMapping[str, Any]  # of ASGI
 
 
 class Guard:
-    """Lets requests through that have the token (where there is one), and come from no other site."""
+    """ASGI middleware that passes on only requests with the token and from no other site.
+
+    An empty token means that none is required.
+    """
 
     def __init__(self, app: Any, token: str) -> None:
-        self.to, self.token = app, token
+        self.app = app
+        self.token = token
 
     async def __call__(
         self,
@@ -43,59 +52,74 @@ class Guard:
         receive: Callable[[], Awaitable[Message]],
         send: Callable[[Message], Awaitable[None]],
     ) -> None:
-        """One request."""
+        """Handle one request."""
         if scope["type"] not in ("http", "websocket"):
-            await self.to(scope, receive, send)
-            return
-        heads = {
-            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
-        }
-        asked = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
-        if why := refused(heads, asked, self.token):
-            if scope["type"] == "http":
-                await PlainTextResponse(f"rollerrig desk: {why}", 403)(scope, receive, send)
-            else:
-                await send({"type": "websocket.close", "code": 1008})
+            await self.app(scope, receive, send)
             return
 
-        async def with_cookie(message: Message) -> None:
-            if message["type"] == "http.response.start" and asked and self.token:
+        headers = {
+            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
+        }
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
+        token_in_address = query.get("token", [""])[0]
+        reason = refused(headers, token_in_address, self.token)
+        if reason and scope["type"] == "http":
+            response = PlainTextResponse(f"rollerrig desk: {reason}", _FORBIDDEN)
+            await response(scope, receive, send)
+            return
+        if reason:
+            await send({"type": "websocket.close", "code": _POLICY_VIOLATION})
+            return
+
+        async def send_with_cookie(message: Message) -> None:
+            # later requests of the page have the cookie instead of the address
+            if message["type"] == "http.response.start" and token_in_address and self.token:
                 cookie = f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
                 message["headers"] = [*message.get("headers", []), (b"set-cookie", cookie.encode())]
             await send(message)
 
-        await self.to(scope, receive, with_cookie)
+        await self.app(scope, receive, send_with_cookie)
 
 
-def refused(heads: MutableMapping[str, str], asked: str, token: str) -> str:
-    """Why a request with these headers and this token in its address is refused; empty where it is not."""
-    host = heads.get("host", "")
-    if (origin := heads.get("origin")) and urlsplit(origin).netloc != host:
-        return f"a page of {origin} has no business here"
+def refused(headers: MutableMapping[str, str], token_in_address: str, token: str) -> str:
+    """Why a request is refused; empty if it is not.
+
+    `token` is the right one, empty if none is required.
+    """
+    host = headers.get("host", "")
+    origin = headers.get("origin")
+    if origin and urlsplit(origin).netloc != host:
+        return f"requests from a page of {origin} are not allowed"
+
     if not token:
         name = urlsplit(f"//{host}").hostname
-        return "" if name in _OWN_NAMES else f"it answers to {', '.join(_OWN_NAMES)}, not to {name}"
-    cookie = SimpleCookie(heads.get("cookie", ""))
-    shown = asked or (cookie[COOKIE].value if COOKIE in cookie else "")
-    if hmac.compare_digest(shown.encode(), token.encode()):
+        if name in _LOOPBACK_NAMES:
+            return ""
+        return f"this server answers to {', '.join(_LOOPBACK_NAMES)}, not to {name}"
+
+    cookies = SimpleCookie(headers.get("cookie", ""))
+    given = token_in_address
+    if not given and COOKIE in cookies:
+        given = cookies[COOKIE].value
+    if hmac.compare_digest(given.encode(), token.encode()):
         return ""
     return "the token is missing or wrong; open the address that 'rollerrig desk' has printed"
 
 
 def free(host: str, port: int) -> int:
-    """The port, or with 0 one that is free. Raises ConfigError where it is taken."""
+    """The port itself, or for port 0 one that is free. Raises ConfigError if it is in use."""
     try:
         with socket.create_server((host, port)) as probe:
             return int(probe.getsockname()[1])
     except (OSError, OverflowError) as error:
         raise ConfigError(
             f"{host}:{port} cannot be opened ({error}); if a desk runs there already, open "
-            f"http://{host}:{port} in a browser, else give another with --port"
+            f"http://{host}:{port} in a browser, else give another port with --port"
         ) from None
 
 
 def routes(desk: Desk) -> None:
-    """What is served beside the page: its drawing program, rows, and reports below the folder."""
+    """Register what is served beside the page: its script, rows, and reports below the folder."""
     app.add_static_file(
         local_file=Path(__file__).with_name("desk.js"), url_path="/desk/desk.js", max_cache_age=0
     )
@@ -106,18 +130,22 @@ def routes(desk: Desk) -> None:
 
     @app.get("/file/{path:path}")
     def file(path: str) -> Any:
-        found = (desk.folder / path).resolve()
-        if (
-            found.is_relative_to(desk.folder.resolve())
-            and found.suffix in _SERVED
-            and found.is_file()
-        ):
+        folder = desk.folder.resolve()
+        found = (folder / path).resolve()
+        inside = found.is_relative_to(folder)
+        if inside and found.suffix in _SERVED_SUFFIXES and found.is_file():
             return FileResponse(found)
-        return PlainTextResponse(f"{path}: no report is there", 404)
+        return PlainTextResponse(f"{path}: no report is there", _NOT_FOUND)
 
 
-def serve(desk: Desk, host: str, port: int, show: bool, say: Callable[[str, str], None]) -> None:
-    """Serve until interrupted. `say(address, warning)` is called once it answers. Raises ConfigError."""
+def serve(
+    desk: Desk, host: str, port: int, show: bool, on_ready: Callable[[str, str], None]
+) -> None:
+    """Serve until interrupted. `show` opens a browser.
+
+    `on_ready(address, warning)` is called once the server answers; the warning is empty on loopback.
+    Raises ConfigError if the port cannot be opened.
+    """
     port = free(host, port)
     exposed = {
         "server": "THE DESK",
@@ -127,20 +155,21 @@ def serve(desk: Desk, host: str, port: int, show: bool, say: Callable[[str, str]
     }
     warning = events.text(Code.SERVER_EXPOSED, exposed) if beyond_loopback(host) else ""
     token = secrets.token_urlsafe(24) if warning else ""
-    address = (
-        f"http://{f'[{host}]' if ':' in host else host}:{port}/{f'?token={token}' if token else ''}"
-    )
-    working: list[asyncio.Task[None]] = []
+    address = _address(host, port, token)
+    tasks: list[asyncio.Task[None]] = []
 
-    async def tell() -> None:
-        """The address, once it answers: what is called at the start is called before."""
-        with socket.socket() if ":" not in host else socket.socket(socket.AF_INET6) as probe:
+    async def report_address() -> None:
+        # NiceGUI calls its start-up functions before it listens
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family) as probe:
             while probe.connect_ex((host, port)):
                 await asyncio.sleep(0.05)
-        say(address, warning)
+        on_ready(address, warning)
 
     def begin() -> None:
-        working.extend(asyncio.get_running_loop().create_task(one) for one in (desk.work(), tell()))
+        loop = asyncio.get_running_loop()
+        tasks.append(loop.create_task(desk.work()))
+        tasks.append(loop.create_task(report_address()))
 
     routes(desk)
     app.add_middleware(Guard, token=token)
@@ -158,3 +187,10 @@ def serve(desk: Desk, host: str, port: int, show: bool, say: Callable[[str, str]
         show_welcome_message=False,
         reconnect_timeout=10.0,
     )
+
+
+def _address(host: str, port: int, token: str) -> str:
+    """The address of the page, with its token if it has one."""
+    name = f"[{host}]" if ":" in host else host
+    query = f"?token={token}" if token else ""
+    return f"http://{name}:{port}/{query}"
