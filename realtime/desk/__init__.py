@@ -1,5 +1,6 @@
-"""The desk: a page from which the rig is run, watched, and asked about its runs; a process of its own.
+"""The desk: a page from which an operator runs the rig, watches it and looks through its runs.
 
-Reading order: reader (what a bench's rings tell), doors (what a bench may be asked), lights, programs, library, desk
-(these together), then the parts of the page: live, manual, automatic, runs; page puts them together, server serves it.
+It is a separate process. Reading order: reader (the rings of a bench), doors (the commands of a
+bench), lights, programs, library, desk (all of these together); then the parts of the page: live,
+manual, automatic, runs; page (which puts them together) and server (which serves the page).
 """

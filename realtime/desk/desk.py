@@ -1,10 +1,11 @@
-"""The desk itself: the bench that it looks at, its doors, alarms, the programs that it has started, one for all pages.
+"""The desk itself, one for all pages: the bench that it follows, alarms, and programs that it started.
 
-`work` goes on as long as the desk does: it reads the rings ten times a second, asks the registers twice a second, and
-looks for a bench each second while there is none.
+`work` runs as long as the desk does. It reads the rings ten times a second and the registers twice a
+second. While there is no bench, it looks for one each second.
 """
 
 import asyncio
+import math
 import shlex
 import time
 from collections import deque
@@ -21,13 +22,19 @@ from rollerrig.realtime.desk.programs import Program
 from rollerrig.realtime.telemetry import viewer
 from rollerrig.wsp_interface.events import Code
 
-_READ_S, _ASK_S, _FIND_S = 0.1, 0.5, 1.0
-_ALARMS = 300
+_READ_S = 0.1
+_REGISTERS_S = 0.5
+_FIND_S = 1.0
+_MOST_ALARMS = 300
+_LONGEST_NOTE = 400  # characters
 
 
 @dataclass(eq=False)
 class Alarm:
-    """A warning or an error: of the bench at a simulated time, or of the desk (NaN)."""
+    """A warning or an error of a bench (at a simulated time) or of the desk (time NaN).
+
+    `bench` is the key of the bench. `acknowledged` is the time of day, empty before.
+    """
 
     time_s: float
     level: str
@@ -36,159 +43,183 @@ class Alarm:
     acknowledged: str = ""
     code: Code | None = None
 
+    @property
+    def of_desk(self) -> bool:
+        """Whether it is an alarm of the desk, without a simulated time."""
+        return math.isnan(self.time_s)
+
 
 class Desk:
-    """`folder` is where runs, reports and campaigns stand; commands are started there.
+    """`folder` holds runs, reports and campaigns; programs are started there.
 
-    `own`: it looks only at benches that it has started itself; else at the newest, its own before others.
+    `own`: the desk follows only benches that it has started. Otherwise it follows the newest bench of
+    this machine, and prefers those that it has started.
     """
 
     def __init__(self, folder: Path, own: bool = False) -> None:
-        self.folder, self.own = folder, own
+        self.folder = folder
+        self.own = own
         self.bench: reader.Bench | None = None
         self.doors: Doors | None = None
-        self.alarms: deque[Alarm] = deque(maxlen=_ALARMS)
+        self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
         self.programs: list[Program] = []
         self._viewer: Any = None
         self._last_failure = ""
 
-    # -- what goes on
+    # -- what runs all the time
 
     async def work(self) -> None:
         """Follow the bench, until cancelled."""
-        asked_s = found_s = 0.0
+        polled_s = 0.0
+        looked_for_s = 0.0
         while True:
             now_s = time.monotonic()
             try:
-                if (self.bench is None or self.bench.ended) and now_s - found_s > _FIND_S:
-                    found_s = now_s
+                if not self.running() and now_s - looked_for_s > _FIND_S:
+                    looked_for_s = now_s
                     self.find()
                 self.look()
-                if self.doors and now_s - asked_s > _ASK_S:
-                    asked_s = now_s
+                if self.doors and now_s - polled_s > _REGISTERS_S:
+                    polled_s = now_s
                     await self.doors.poll()
-            except Exception as error:  # whatever it is: the page says it, and the desk goes on
+            except Exception as error:  # any error becomes an alarm, and the desk continues
                 if repr(error) != self._last_failure:
                     self._last_failure = repr(error)
                     self.alarm("error", f"the desk: {error!r}")
             await asyncio.sleep(_READ_S)
 
     def find(self) -> None:
-        """Turn to the newest bench that lives, where there is another than before."""
-        mine = [one.pid for one in self.programs if one.words[0] == "run" and one.status is None]
-        if found := reader.find(
-            self.bench.key if self.bench else "", mine if mine or self.own else None
-        ):
-            if self.doors:
-                self.doors.close()
-            self.bench, self.doors = found, Doors(found)
+        """Turn to the newest bench that runs, if it is another one than before."""
+        started_here = [program.pid for program in self._running_benches()]
+        among = started_here if started_here or self.own else None
+        bench = reader.find(self.bench.key if self.bench else "", among)
+        if bench is None:
+            return
+        if self.doors:
+            self.doors.close()
+        self.bench = bench
+        self.doors = Doors(bench)
+
+    def _running_benches(self) -> list[Program]:
+        """The benches that the desk has started and that still run."""
+        return [
+            program
+            for program in self.programs
+            if program.words[0] == "run" and program.status is None
+        ]
 
     def look(self) -> None:
-        """Take in what bench and programs tell."""
+        """Take in the new events of the bench, and the ends of programs."""
         if self.bench:
-            killed = not self.alarms or not any(
-                one.bench == self.bench.key and one.code == Code.BENCH_KILLED for one in self.alarms
-            )
-            for event in self.bench.poll():
-                if event.level != "info":
-                    self.alarms.appendleft(
-                        Alarm(
-                            event.time_s,
-                            event.level,
-                            event.text,
-                            self.bench.key,
-                            code=event.code,
-                        )
-                    )
-            if self.bench.ended == "killed" and killed:
-                self.alarm(
-                    "error",
-                    f"the bench was killed (process {self.bench.pid}): its recorder keeps what there "
-                    "was",
-                    self.bench.key,
-                    Code.BENCH_KILLED,
-                )
+            self._look_at(self.bench)
         for program in self.programs:
-            if program.status is not None and not program.told:
-                program.told = True
-                if program.error:
-                    self.alarm(
-                        "error", f"{program.title}: status {program.status}: {program.error}"
-                    )
+            if program.status is None or program.end_noticed:
+                continue
+            program.end_noticed = True
+            if program.error:
+                text = f"{program.title}: status {program.status}: {program.error}"
+                self.alarm("error", text)
+
+    def _look_at(self, bench: reader.Bench) -> None:
+        for event in bench.poll():
+            if event.level != "info":
+                alarm = Alarm(event.time_s, event.level, event.text, bench.key, code=event.code)
+                self.alarms.appendleft(alarm)
+        known = any(
+            alarm.bench == bench.key and alarm.code == Code.BENCH_KILLED for alarm in self.alarms
+        )
+        if bench.ended == "killed" and not known:
+            self.alarm(
+                "error",
+                f"the bench was killed (process {bench.pid}): its recorder keeps what there was",
+                bench.key,
+                Code.BENCH_KILLED,
+            )
 
     def alarm(self, level: str, text: str, bench: str = "", code: Code | None = None) -> None:
-        """Add an alarm of the desk itself."""
-        self.alarms.appendleft(Alarm(float("nan"), level, text, bench, code=code))
+        """Add an alarm of the desk."""
+        self.alarms.appendleft(Alarm(math.nan, level, text, bench, code=code))
 
-    # -- what an operator asks
+    # -- commands of an operator
 
     def held(self) -> bool:
-        """Whether the bench is held and waits for its start."""
+        """Whether the bench is held, so that it waits for its start."""
         return bool(self.doors and self.doors.state is State.HELD)
 
     def running(self) -> bool:
-        """Whether a bench lives."""
+        """Whether there is a bench that has not ended."""
         return bool(self.bench and not self.bench.ended)
 
     async def prepare(
         self, scenario: str, unit: str, settings: Mapping[str, str], more: str = ""
     ) -> None:
-        """Start a bench that is held, or give a held one another scenario. Raises RollerrigError."""
-        if self.running() or any(
-            one.words[0] == "run" and one.status is None for one in self.programs
-        ):
+        """Start a bench that is held. Raises ConfigError if a bench runs already.
+
+        `settings` are keys and values of the scenario; empty values are left out. `more` has further
+        ones, as in "adhesion.mu_cd=0.05".
+        """
+        if self.running() or self._running_benches():
             raise ConfigError(
                 "a bench runs already on this machine: stop it first, or wait until it has ended"
             )
         words = ["run", scenario, "--start", "modbus", "--pacing", "wall", "--wsp", unit]
-        given = [f"{key}={value}" for key, value in settings.items() if value] + shlex.split(more)
-        self.start([*words, *(word for setting in given for word in ("--set", setting))])
+        for key, value in settings.items():
+            if value:
+                words += ["--set", f"{key}={value}"]
+        for setting in shlex.split(more):
+            words += ["--set", setting]
+        self.start(words)
 
     def start(self, words: list[str]) -> Program:
-        """Start a command line. Raises ConfigError."""
+        """Start a `rollerrig` command line. Raises ConfigError if it cannot start."""
         program = Program(words, self.folder)
         self.programs.append(program)
         return program
 
     def door(self) -> Doors:
-        """The ways into the bench. Raises BusError where none runs, or a sequence has it."""
+        """The ways into the bench. Raises BusError if none runs."""
         if not self.doors or not self.running():
             raise BusError("no bench runs here: prepare one first")
         return self.doors
 
     def free_door(self) -> Doors:
-        """As `door`, of a bench that no sequence plays on. Raises BusError."""
-        if self.door().bench.harness:
+        """The ways into a bench on which no sequence plays. Raises BusError if one does."""
+        door = self.door()
+        if door.bench.harness:
             raise BusError(
-                "a harness has joined this bench: what it tests would no longer be what its sequence says"
+                "a harness has joined this bench: a change from here would falsify its test"
             )
-        return self.door()
+        return door
 
     async def acknowledge(self, alarm: Alarm) -> None:
-        """Acknowledge an alarm, and put that into the events of its run, where it still goes on."""
+        """Acknowledge an alarm. If its run continues, its events get a note."""
         alarm.acknowledged = time.strftime("%H:%M:%S")
-        if alarm.bench and self.running() and self.bench and alarm.bench == self.bench.key:
-            text = f"alarm acknowledged at the desk: {alarm.text}"[:400]
-            try:
-                await self.door().ask(lambda harness: harness.note(text))
-            except RollerrigError as error:
-                self.alarm(
-                    "warning", f"acknowledged here, but not in the events of the run: {error}"
-                )
+        of_this_run = bool(alarm.bench and self.bench and alarm.bench == self.bench.key)
+        if not of_this_run or not self.running():
+            return
+        text = f"alarm acknowledged at the desk: {alarm.text}"[:_LONGEST_NOTE]
+        try:
+            await self.door().ask(lambda harness: harness.note(text))
+        except RollerrigError as error:
+            self.alarm("warning", f"acknowledged here, but not in the events of the run: {error}")
 
     def rerun(self, run: Path) -> str:
-        """Open a run in Rerun's viewer for browsers; its address. Raises ConfigError."""
+        """Open a run in Rerun's viewer for browsers, and return its address.
+
+        Raises ConfigError.
+        """
         file = viewer.recording(run)
         if self._viewer:
             viewer.end(self._viewer)
-        port, web = viewer.free_port(), viewer.free_port()
+        port = viewer.free_port()
+        web_port = viewer.free_port()
         self._viewer = viewer.spawn(
-            "--serve-web", "--port", str(port), "--web-viewer-port", str(web), str(file)
+            "--serve-web", "--port", str(port), "--web-viewer-port", str(web_port), str(file)
         )
-        return viewer.page(web, port)
+        return viewer.page(web_port, port)
 
     def close(self) -> None:
-        """Leave; benches and programs go on."""
+        """Leave the bench and close the viewer. Benches and programs continue."""
         if self.doors:
             self.doors.close()
         if self._viewer:

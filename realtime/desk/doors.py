@@ -1,13 +1,15 @@
-"""What a running bench may be asked, by the doors that it has for everybody: Modbus, and node 127 on its bus.
+"""The commands that the desk can give to a running bench: over Modbus, and over node 127 on its bus.
 
-A program outside could send each of these commands just as well; the desk has no authority of its own. Modbus carries
-what a control room asks (run, stop, emergency stop, speed, demand, scenario) and how the bench is; node 127 what a
-harness asks (faults, friction, notes), each on a short connection. What a bench refuses is raised with its own words.
+Any other program can send each of these commands as well; the desk has no special authority. Modbus
+has the commands of a control room (run, stop, emergency stop, speed, demand, scenario) and the state
+of the bench. Node 127 has the commands of a harness (faults, friction, notes), each on a short
+connection. If the bench refuses a command, the error has the message of the bench.
 """
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable
 from typing import Any
 
 from pymodbus.client import AsyncModbusTcpClient
@@ -19,96 +21,119 @@ from rollerrig.realtime.desk.reader import Bench
 from rollerrig.wsp_interface import harness_client, signals
 from rollerrig.wsp_interface.events import Code
 
-_ROWS = {row.name: row for row in (*BITS, *WORDS)}
-_LAST_WORD = 404
-_WORDS_S = 1.0  # how long the event with a refusal's reason may be on its way
+_REGISTERS = {row.name: row for row in (*BITS, *WORDS)}
+_FIRST_UNREAD_WORD = 404  # the page shows none of the registers from here on
+_REFUSAL_EVENT_S = 1.0  # how long to wait for the event with the reason of a refusal
+_POLL_S = 0.1
+# Modbus exception codes
 _WHY = {
     1: "it cannot be done",
     2: "there is no such register, or it cannot be written",
     3: "the value is not allowed",
-    6: "not in this state of the rig (speed and scenario: only while it is held; start: not while the emergency "
-    "stop is set)",
+    6: "the state of the rig does not allow it (speed and scenario: only while it is held; start: "
+    "not while the emergency stop is set)",
 }
 
 
 def _blocks(rows: tuple[Register, ...]) -> list[list[Register]]:
-    """Rows that follow one another without a gap: a gap cannot be read."""
-    found: list[list[Register]] = []
+    """Registers grouped into blocks without a gap, because a gap cannot be read."""
+    blocks: list[list[Register]] = []
+    next_address = -1
     for row in rows:
-        if found and found[-1][-1].at + found[-1][-1].width == row.at:
-            found[-1].append(row)
+        if row.at == next_address:
+            blocks[-1].append(row)
         else:
-            found.append([row])
-    return found
+            blocks.append([row])
+        next_address = row.at + row.width
+    return blocks
 
 
-_READ = _blocks(BITS) + _blocks(tuple(row for row in WORDS if row.at < _LAST_WORD))
+_WORDS_READ = tuple(row for row in WORDS if row.at < _FIRST_UNREAD_WORD)
+_BLOCKS = _blocks(BITS) + _blocks(_WORDS_READ)
 
 
 class Doors:
-    """The ways into one bench. `values` are its registers by name, `why` says why there are none."""
+    """The ways into one bench.
+
+    `values` are its registers by name. While there are none, `why` is the reason, and `unanswered`
+    whether the bench should have answered.
+    """
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self.values: dict[str, float] = {}
         self.why = "the bench has not opened it yet"
+        self.unanswered = False
         self._client: AsyncModbusTcpClient | None = None
 
     @property
     def state(self) -> State | None:
-        """What the rig does; None where no Modbus tells."""
+        """The state of the rig; None if Modbus does not report it."""
         return State(int(self.values["state"])) if "state" in self.values else None
 
     # -- Modbus
 
     async def poll(self) -> None:
-        """Read all registers, or learn why that cannot be."""
-        host, port = self.bench.modbus
-        if self.bench.ended or not port or self.bench.over_tls:
-            self.values = {}
-            self.why = (
-                "the bench has ended"
-                if self.bench.ended
-                else "it speaks TLS, and the desk has no certificate"
-                if self.bench.over_tls
-                else "the bench has not opened it yet"
-                if not self.bench.points
-                else "this run has none (only wall pacing has)"
-            )
-            return
-        try:
-            client = await self._connected(host, port)
-            found: dict[str, float] = {}
-            for rows in _READ:
-                found |= await _read(client, rows)
-            self.values, self.why = found, ""
-        except (ModbusException, OSError) as error:
-            self.values, self.why = {}, f"{host}:{port} does not answer: {error}"
+        """Read all registers into `values`, or set `why` to the reason why that is not possible."""
+        values: dict[str, float] = {}
+        unanswered = False
+        why = self._closed_because()
+        if not why:
+            host, port = self.bench.modbus
+            try:
+                client = await self._connected(host, port)
+                for block in _BLOCKS:
+                    values |= await _read(client, block)
+            except (ModbusException, OSError) as error:
+                values = {}
+                unanswered = True
+                why = f"{host}:{port} does not answer: {error}"
+        # together, because the lights are drawn while this function waits
+        self.values = values
+        self.why = why
+        self.unanswered = unanswered
+
+    def _closed_because(self) -> str:
+        """Why the bench has no Modbus for the desk; empty if it has."""
+        if self.bench.ended:
+            return "the bench has ended"
+        if self.bench.over_tls:
+            return "it uses TLS, and the desk has no certificate"
+        _, port = self.bench.modbus
+        if port:
+            return ""
+        if not self.bench.points:
+            return "the bench has not opened it yet"
+        return "this run has none (only wall pacing has)"
 
     async def write(self, name: str, value: float) -> None:
-        """Write a register or coil by its name, in its unit; NaN takes a demand back. Raises BusError."""
-        row = _ROWS[name]
+        """Write a register or coil by its name, in its unit. NaN takes a demand back.
+
+        Raises BusError if there is no Modbus or if the bench refuses.
+        """
+        row = _REGISTERS[name]
         if self.why:
-            raise BusError(f"{name} cannot be asked for over Modbus: {self.why}")
-        raw = NO_DEMAND if value != value else round(value / row.scale)
-        before = len(self.bench.events)
+            raise BusError(f"{name} cannot be written over Modbus: {self.why}")
+        raw = NO_DEMAND if math.isnan(value) else round(value / row.scale)
+        events_before = len(self.bench.events)
+        answer: Any
         try:
             client = await self._connected(*self.bench.modbus)
-            answer: Any = (
-                await client.write_coil(row.at, bool(raw), device_id=PLC_UNIT)
-                if row.kind == BIT
-                else await client.write_register(row.at, raw & 0xFFFF, device_id=PLC_UNIT)
-            )
+            if row.kind == BIT:
+                answer = await client.write_coil(row.at, bool(raw), device_id=PLC_UNIT)
+            else:
+                answer = await client.write_register(row.at, raw & 0xFFFF, device_id=PLC_UNIT)
         except (ModbusException, OSError) as error:
             raise BusError(
                 f"{name} = {value:g}: the bench does not answer over Modbus: {error}"
             ) from None
         if answer.isError():
             code = answer.exception_code
-            words = await self._words((Code.FAULT_REFUSED, Code.SCENARIO_REFUSED), before)
+            refusals = (Code.FAULT_REFUSED, Code.SCENARIO_REFUSED)
+            reason = await self._reason(refusals, events_before)
             raise BusError(
                 f"the bench refuses {name} = {value:g} (exception {code:02X}): "
-                f"{words or _WHY.get(code, 'it says no more')}"
+                f"{reason or _WHY.get(code, 'it gives no reason')}"
             )
 
     async def _connected(self, host: str, port: int) -> AsyncModbusTcpClient:
@@ -121,69 +146,78 @@ class Doors:
         return self._client
 
     def close(self) -> None:
-        """Leave the bench."""
+        """Close the connection to the bench."""
         if self._client:
             self._client.close()
 
     # -- node 127
 
-    async def ask(self, what: Callable[[harness_client.Harness], None]) -> None:
-        """Call a harness that has not joined: inject, lift, friction, brake, note. Raises BusError."""
-        if self.bench.ended or not self.bench.bus:
-            raise BusError(
-                "there is no bus to ask on: "
-                + (
-                    "the bench has ended"
-                    if self.bench.ended
-                    else "free pacing has none, and another has not opened it yet"
-                )
-            )
-        before = len(self.bench.events)
-        try:
-            await asyncio.to_thread(self._ask, what)
-        except BusError as error:
-            words = await self._words((Code.HARNESS_REFUSED,), before)
-            raise BusError(f"the bench: {words or error}") from None
+    async def ask(self, command: Callable[[harness_client.Harness], None]) -> None:
+        """Call `command` with a harness that has not joined: inject, lift, friction, brake, note.
 
-    def _ask(self, what: Callable[[harness_client.Harness], None]) -> None:
+        Raises BusError if there is no bus or if the bench refuses.
+        """
+        if self.bench.ended:
+            raise BusError("there is no bus: the bench has ended")
+        if not self.bench.bus:
+            raise BusError(
+                "there is no bus: free pacing has none, and other pacings have not opened it yet"
+            )
+        events_before = len(self.bench.events)
+        try:
+            await asyncio.to_thread(self._call, command)
+        except BusError as error:
+            reason = await self._reason((Code.HARNESS_REFUSED,), events_before)
+            raise BusError(f"the bench: {reason or error}") from None
+
+    def _call(self, command: Callable[[harness_client.Harness], None]) -> None:
         with contextlib.closing(harness_client.connect(self.bench.bus)) as harness:
-            what(harness)
+            command(harness)
 
     async def brake(self, pressure_Pa: float) -> None:
-        """Ask for a cylinder pressure; NaN leaves it to node 17 and the scenario. Raises BusError."""
+        """Command a cylinder pressure; NaN leaves it to node 17 and the scenario.
+
+        Raises BusError.
+        """
         if not self.why:
             await self.write("brake_demand_set_point", pressure_Pa)
-        elif pressure_Pa == pressure_Pa:
-            await self.ask(lambda harness: harness.brake(pressure_Pa))
+        elif math.isnan(pressure_Pa):
+            raise BusError(f"only Modbus can take a demand back, and {self.why}")
         else:
-            raise BusError(f"a demand is taken back over Modbus alone, and {self.why}")
+            await self.ask(lambda harness: harness.brake(pressure_Pa))
 
-    async def _words(self, refusals: tuple[Code, ...], before: int) -> str:
-        """Return the text of the first new event of these codes; empty if none comes in time."""
-        for _ in range(round(_WORDS_S / 0.1)):
-            for event in self.bench.events[before:]:
+    async def _reason(self, refusals: tuple[Code, ...], events_before: int) -> str:
+        """The text of the first new event of these codes; empty if none comes in time."""
+        for _ in range(round(_REFUSAL_EVENT_S / _POLL_S)):
+            for event in self.bench.events[events_before:]:
                 if event.code in refusals:
                     return event.text
-            await asyncio.sleep(0.1)
+            await asyncio.sleep(_POLL_S)
         return ""
 
 
-async def _read(client: AsyncModbusTcpClient, rows: list[Register]) -> dict[str, float]:
-    first, count = rows[0].at, rows[-1].at + rows[-1].width - rows[0].at
-    answer: Any = await (
-        client.read_coils if rows[0].kind == BIT else client.read_holding_registers
-    )(first, count=count, device_id=PLC_UNIT)
+async def _read(client: AsyncModbusTcpClient, block: list[Register]) -> dict[str, float]:
+    """The values of a block of registers by their names. Raises ModbusException."""
+    first = block[0].at
+    count = block[-1].at + block[-1].width - first
+    answer: Any
+    if block[0].kind == BIT:
+        answer = await client.read_coils(first, count=count, device_id=PLC_UNIT)
+    else:
+        answer = await client.read_holding_registers(first, count=count, device_id=PLC_UNIT)
     if answer.isError():
         raise ModbusException(str(answer))
-    raw: list[int] = answer.bits if rows[0].kind == BIT else answer.registers
-    return dict(_values(rows, raw))
+    raw: list[int] = answer.bits if block[0].kind == BIT else answer.registers
+    return {row.name: _value(row, raw, row.at - first) for row in block}
 
 
-def _values(rows: list[Register], raw: list[int]) -> Iterator[tuple[str, float]]:
-    for row in rows:
-        at = row.at - rows[0].at
-        count = int(raw[at]) if row.width == 1 else raw[at] << 16 | raw[at + 1]
-        if row.kind in signals.KINDS:
-            low, high = signals.KINDS[row.kind]
-            count = count - (high - low + 1) if count > high else count
-        yield row.name, count * row.scale
+def _value(row: Register, raw: list[int], at: int) -> float:
+    """The value of a register in its unit, from the raw words (or bits) at a place."""
+    count = int(raw[at])
+    if row.width == 2:  # the high word comes first
+        count = raw[at] << 16 | raw[at + 1]
+    if row.kind in signals.KINDS:
+        low, high = signals.KINDS[row.kind]
+        if count > high:  # a negative number in two's complement
+            count -= high - low + 1
+    return count * row.scale

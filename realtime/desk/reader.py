@@ -1,8 +1,9 @@
-"""The bench that runs on this machine, read from its rings in shared memory by one reader for all pages.
+"""Follows the bench that runs on this machine: reads its rings in shared memory, once for all pages.
 
-The bench knows nothing of it: a ring's writer waits for nobody. Rows are thinned to ten pairs a second of simulated
-time, each pair the least and largest value of every signal, so that no spike is lost; the last minute is kept as it
-is, the whole run thinner and thinner. Where the bench listens stands in its first events.
+The bench does not notice it: the writer of a ring waits for nobody. Rows are thinned to ten pairs a
+second of simulated time. Each pair has the least and the largest value of every signal, so that no
+spike is lost. The last minute is kept as it is. The whole run is thinned further as it grows. The
+first events of a bench report where it listens.
 """
 
 import re
@@ -20,8 +21,9 @@ from rollerrig.realtime.telemetry import live
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, Event
 
-PERIOD_S, SPAN_S = 0.1, 60.0
-# what a page draws; `time` first
+PERIOD_S = 0.1  # of the pairs
+SPAN_S = 60.0  # of the part that a page shows in full
+# the signals that a page draws; `time` must be the first
 SHOWN = (
     "time",
     "vehicle_speed",
@@ -41,32 +43,48 @@ SHOWN = (
 )
 _COLUMNS = np.concatenate([np.arange(len(signals.COLUMNS))[signals.span(name)] for name in SHOWN])
 COLUMNS = tuple(signals.COLUMNS[at] for at in _COLUMNS)
-_RECENT, _WHOLE = round(2 * SPAN_S / PERIOD_S), 2000
-_RING = re.compile(r"rollerrig-(\d+)-(\d+)-rows")
+_RECENT_POINTS = round(2 * SPAN_S / PERIOD_S)  # two points a pair
+_WHOLE_POINTS = 2000
+_KEPT_EVENTS = 2000
+_RING_NAME = re.compile(r"rollerrig-(\d+)-(\d+)-rows")  # process, time in ns
 
 
 class Bench:
-    """One bench: its rings, what of them has been read, and what its events tell of it."""
+    """One bench: its rings, the samples read from them, and its state as its events report it.
+
+    `bus` is the address of its CAN bus and `modbus` host and port of its server, empty before they
+    are open. `faults` are the titles of active faults. `points` counts the points read so far, two a
+    pair.
+    """
 
     def __init__(self, pid: int, rows: Ring, events: Ring) -> None:
-        self.pid, self.rows, self._event_ring = pid, rows, events
+        self.pid = pid
+        self.rows = rows
+        self._event_ring = events
         self.key = f"{pid}-{int(rows.header[ring.CREATED_NS])}"
+        # as its events report it
         self.events: list[Event] = []
-        self.bus, self.modbus = "", ("", 0)
+        self.bus = ""
+        self.modbus = ("", 0)
+        self.over_tls = False
         self.faults: list[str] = []
-        self.harness = self.started = self.unit_lost = self.over_tls = False
+        self.harness = False  # whether a harness has joined
+        self.unit_lost = False
+        # samples
         self.newest = np.full(len(_COLUMNS), np.nan)
-        self.heard_s = time.monotonic()
-        self.points = 0  # pairs' rows that there have been so far
-        self._recent: deque[np.ndarray] = deque(maxlen=_RECENT)
+        self.heard_s = time.monotonic()  # when the last sample came
+        self.points = 0
+        self._recent: deque[np.ndarray] = deque(maxlen=_RECENT_POINTS)
         self._whole = np.empty((0, len(_COLUMNS)))
-        self._pending = np.empty((0, len(_COLUMNS)))
-        self._cursor = max(0, int(rows.header[ring.WRITTEN]) - int(rows.header[ring.CAPACITY]) + 1)
+        self._pending = np.empty((0, len(_COLUMNS)))  # rows of the pair that is not yet complete
+        written = int(rows.header[ring.WRITTEN])
+        capacity = int(rows.header[ring.CAPACITY])
+        self._cursor = max(0, written - capacity + 1)
         self._event_cursor = 0
 
     @property
     def ended(self) -> str:
-        """How it ended; empty while it lives."""
+        """How it ended, "closed" or "killed"; empty while it runs."""
         if self.rows.closed:
             return "closed"
         return "" if self.rows.writer_alive else "killed"
@@ -77,30 +95,29 @@ class Bench:
         return float(np.nan_to_num(self.newest[0]))
 
     def value(self, name: str, axle: int = 1) -> float:
-        """The newest value of a signal that is shown."""
-        return float(self.newest[COLUMNS.index(signals.columns(signals.BY_NAME[name])[axle - 1])])
+        """The newest value of a signal that a page draws."""
+        column = signals.columns(signals.BY_NAME[name])[axle - 1]
+        return float(self.newest[COLUMNS.index(column)])
 
     def poll(self) -> list[Event]:
-        """Take in what is new; the new events."""
+        """Take in new rows and events, and return the new events."""
         rows, self._cursor, _ = self.rows.read(self._cursor)
         if len(rows):
             self.heard_s = time.monotonic()
             self._take(rows[:, _COLUMNS])
-        found, self._event_cursor, _ = self._event_ring.read(self._event_cursor)
-        events = [ring.read_event(one) for one in found]
+        event_rows, self._event_cursor, _ = self._event_ring.read(self._event_cursor)
+        events = [ring.read_event(row) for row in event_rows]
         for event in events:
             self._learn(event)
-        self.events = (self.events + events)[-2000:]
+        self.events = (self.events + events)[-_KEPT_EVENTS:]
         return events
 
     def since(self, point: int) -> list[np.ndarray]:
-        """Points after the one of a number (0: all of the last minute)."""
-        new = (
-            min(self.points - point, len(self._recent))
-            if point <= self.points
-            else len(self._recent)
-        )
-        return list(self._recent)[len(self._recent) - new :] if new else []
+        """The points after the one with this number (0: all of the last minute)."""
+        new = len(self._recent)
+        if point <= self.points:
+            new = min(self.points - point, new)
+        return list(self._recent)[len(self._recent) - new :]
 
     @property
     def whole(self) -> np.ndarray:
@@ -108,23 +125,25 @@ class Bench:
         return self._whole
 
     def _take(self, rows: np.ndarray) -> None:
+        """Take in rows, shape (n, columns): make pairs of those periods that are complete."""
         self.newest = rows[-1]
         rows = np.vstack([self._pending, rows])
-        number = np.floor(rows[:, 0] / PERIOD_S + 1e-6)
-        full = number < number[-1]
-        self._pending, rows, number = rows[~full], rows[full], number[full]
+        period = np.floor(rows[:, 0] / PERIOD_S + 1e-6)
+        complete = period < period[-1]
+        self._pending = rows[~complete]
+        rows = rows[complete]
+        period = period[complete]
         if not len(rows):
             return
-        first = np.flatnonzero(np.diff(number, prepend=-1.0))
-        pairs = np.stack(
-            [np.minimum.reduceat(rows, first), np.maximum.reduceat(rows, first)], axis=1
-        )
-        pairs = pairs.reshape(-1, len(_COLUMNS))
+        first = np.flatnonzero(np.diff(period, prepend=-1.0))
+        least = np.minimum.reduceat(rows, first)
+        largest = np.maximum.reduceat(rows, first)
+        pairs = np.stack([least, largest], axis=1).reshape(-1, len(_COLUMNS))
         self._recent.extend(pairs)
         self.points += len(pairs)
         self._whole = np.vstack([self._whole, pairs])
-        if len(self._whole) > 2 * _WHOLE:
-            self._whole = live.thin(self._whole, _WHOLE)
+        if len(self._whole) > 2 * _WHOLE_POINTS:
+            self._whole = live.thin(self._whole, _WHOLE_POINTS)
 
     def _learn(self, event: Event) -> None:
         """Take from an event where the bench listens and what state it is in."""
@@ -136,40 +155,56 @@ class Bench:
                 self.modbus = fields["host"], fields["port"]
                 self.over_tls = fields["transport"] == "TLS"
             case Code.FAULT_BEGINS:
-                self.faults = [one for one in self.faults if one != fields["fault"]]
+                self._forget_fault(fields["fault"])
                 self.faults.append(fields["fault"])
             case Code.FAULT_LIFTED:
-                self.faults = [one for one in self.faults if one != fields["fault"]]
+                self._forget_fault(fields["fault"])
             case Code.HARNESS_JOINED | Code.HARNESS_LEFT:
                 self.harness = event.code == Code.HARNESS_JOINED
             case Code.UNIT_LOST | Code.UNIT_BACK:
                 self.unit_lost = event.code == Code.UNIT_LOST
 
+    def _forget_fault(self, fault: str) -> None:
+        self.faults = [active for active in self.faults if active != fault]
 
-def find(beside: str = "", among: Collection[int] | None = None) -> Bench | None:
-    """The newest bench that lives on this machine, but for the one of a key; `among`: only of these processes."""
-    found: dict[int, tuple[Path, int]] = {}
+
+def find(but_not: str = "", among: Collection[int] | None = None) -> Bench | None:
+    """The newest bench that runs on this machine; None if there is none.
+
+    `but_not` is the key of a bench to leave out. `among` allows only benches of these processes.
+    """
+    candidates: dict[int, tuple[Path, int]] = {}  # by the time of their rings: path, process
     for path in ring.folder().glob("rollerrig-*-rows"):
-        if (name := _RING.fullmatch(path.name)) and (among is None or int(name[1]) in among):
-            found[int(name[2])] = path, int(name[1])
-    for at_ns in sorted(found, reverse=True):
-        path, pid = found[at_ns]
+        name = _RING_NAME.fullmatch(path.name)
+        if name is None:
+            continue
+        pid, created_ns = int(name[1]), int(name[2])
+        if among is None or pid in among:
+            candidates[created_ns] = path, pid
+
+    for created_ns in sorted(candidates, reverse=True):
+        path, pid = candidates[created_ns]
         try:
-            bench = Bench(pid, Ring(path, np.float64), Ring(_events(path, pid, at_ns), np.int64))
+            rows = Ring(path, np.float64)
+            events = Ring(_event_ring_path(path, pid, created_ns), np.int64)
+            bench = Bench(pid, rows, events)
         except (OSError, ValueError, RollerrigError):
-            continue  # it ends, or is only being made
-        if bench.key != beside and not bench.ended:
+            continue  # the bench is just ending, or just starting
+        if bench.key != but_not and not bench.ended:
             return bench
     return None
 
 
-def _events(rows: Path, pid: int, at_ns: int) -> Path:
-    """The ring of events that a process made next after a ring of rows. Raises FileNotFoundError."""
-    later = [
-        (number, path)
-        for path in rows.parent.glob(f"rollerrig-{pid}-*-events")
-        if (number := int(path.name.split("-")[2])) > at_ns
-    ]
+def _event_ring_path(rows: Path, pid: int, created_ns: int) -> Path:
+    """The path of the event ring that a process made next after a ring of rows.
+
+    Raises FileNotFoundError.
+    """
+    later: list[tuple[int, Path]] = []
+    for path in rows.parent.glob(f"rollerrig-{pid}-*-events"):
+        event_ring_ns = int(path.name.split("-")[2])
+        if event_ring_ns > created_ns:
+            later.append((event_ring_ns, path))
     if not later:
         raise FileNotFoundError(f"{rows}: no ring of events beside it")
     return min(later)[1]

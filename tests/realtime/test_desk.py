@@ -137,7 +137,7 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
             {"host": "127.0.0.1:8530", "origin": "http://elsewhere.example"},
             "",
             "",
-            "no business here",
+            "are not allowed",
         ),
         ({"host": "elsewhere.example"}, "", "", "answers to 127.0.0.1"),
         ({"host": "10.0.0.1:8530"}, "", "secret", "token is missing"),
@@ -469,6 +469,6 @@ def play_in(browser):
     click("Emergency stop")
     click("Reset emergency stop")
     click("Stop")
-    shows("its run stands under Runs")
+    shows("its run is under Runs")
     browser.execute_script("arguments[0].click()", there("//div[@role='tab'][.='Runs']"))
     there("//td[.='runs/velim_a1']")
