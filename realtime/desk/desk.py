@@ -64,7 +64,7 @@ class Desk:
         self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
         self.programs: list[Program] = []
         self._viewer: Any = None
-        self._last_failure = ""
+        self._last_failure = ""  # reported only once while it repeats
 
     # -- what runs all the time
 
