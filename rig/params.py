@@ -1,7 +1,7 @@
-"""The parameters of the physics: the rows of `parameters.toml`, and the constant structures built from them.
+"""The parameters of the physics: the rows of `parameters.toml`, and the constants built from them.
 
-A value comes from a TOML file, from a program that identified it or from its default; all pass the
-same check. The structures are nested named tuples that kernels read and nobody can write.
+A value comes from a TOML file, from a program that identified it, or from its default. All values
+pass the same check. The constants are nested named tuples that kernels read and nobody can write.
 """
 
 import math
@@ -26,31 +26,43 @@ from rollerrig.rig.multibody import coach as coaches
 from rollerrig.rig.multibody import compiled_coach
 from rollerrig.rig.multibody.compiled_coach import Packed
 
-# how a plant's wheels run; a virtual track is a plant on the track and one on dry rollers beside it
+# How the wheels of a plant run. A virtual track has two plants: one on the track and one on dry
+# rollers that runs at the same time.
 TRACK, ROLLERS = 0, 1
 VIRTUAL_TRACK = "virtual_track"
 MODES = {"track": TRACK, "contaminated_rollers": ROLLERS, VIRTUAL_TRACK: TRACK}
 
+BISECTIONS = 60  # halve the range of mu_cd to the last digit
+PA_PER_BAR = 1e5
 
-def _row(name: str, given: list[Any]) -> Row:
-    default, *allowed, source = given
+
+def _row(name: str, entry: list[Any]) -> Row:
+    """Return the row of an entry of `parameters.toml`, whose comment explains its order."""
+    default, *allowed, source = entry
     if isinstance(default, str):
-        return choice(name, default, tuple(allowed[0]), source)
+        (choices,) = allowed
+        return choice(name, default, tuple(choices), source)
     low, high = allowed
-    return (integer if isinstance(default, int) else number)(name, default, low, high, source)
+    if isinstance(default, int):
+        return integer(name, default, low, high, source)
+    return number(name, default, low, high, source)
 
 
-ROWS: dict[str, tuple[Row, ...]] = {
-    section: tuple(_row(name, given) for name, given in rows.items())
-    for section, rows in tomllib.loads(
-        Path(__file__).with_name("parameters.toml").read_text(encoding="utf-8")
-    ).items()
-}
+def _rows_of_file() -> dict[str, tuple[Row, ...]]:
+    """Return the rows of `parameters.toml` by section."""
+    text = Path(__file__).with_name("parameters.toml").read_text(encoding="utf-8")
+    rows: dict[str, tuple[Row, ...]] = {}
+    for section, entries in tomllib.loads(text).items():
+        rows[section] = tuple(_row(name, entry) for name, entry in entries.items())
+    return rows
+
+
+ROWS = _rows_of_file()
 ROWS["mechanisms"] = table.rows()
 
 
 class Vehicle(NamedTuple):
-    """The vehicle: units in their names; transfers are N of wheelset load for each m/s2 of braking."""
+    """The vehicle. A transfer is in N of wheelset load for each m/s2 of braking."""
 
     mass_kg: float
     wheel_radius_m: float
@@ -65,9 +77,9 @@ class Vehicle(NamedTuple):
 
 
 class Air(NamedTuple):
-    """The coach's air: conductances in NL/(s Pa), `reservoir_L` 0 where it never runs out."""
+    """The air of the coach. Conductances are in NL/(s Pa)."""
 
-    reservoir_L: float
+    reservoir_L: float  # 0: air is unlimited
     begin_Pa: float
     supply_Pa: float
     supply: float
@@ -78,7 +90,10 @@ class Air(NamedTuple):
 
 
 class Brake(NamedTuple):
-    """Pneumatics and disc brake of a wheelset; a share is what a lag closes in one step: 1 - exp(-step / T)."""
+    """Pneumatics and disc brake of a wheelset.
+
+    A share is the part of the difference that a lag closes in one step: 1 - exp(-step / T).
+    """
 
     torque_Nm_Pa: float
     spring_pressure_Pa: float
@@ -93,9 +108,9 @@ class Brake(NamedTuple):
 
 
 class Pads(NamedTuple):
-    """Section [pads]; `vary` False: friction is constant and the clamp follows the pressure."""
+    """Section [pads]."""
 
-    vary: bool
+    vary: bool  # False: friction is constant and the clamp follows the pressure
     speed_loss: float
     speed_scale_m_s: float
     pressure_loss: float
@@ -107,7 +122,7 @@ class Pads(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """Roller and its motor: units in their names."""
+    """A roller and its motor; its share is the one of a step, as in `Brake`."""
 
     roller_radius_m: float
     roller_inertia_kgm2: float
@@ -131,17 +146,17 @@ class Heat(NamedTuple):
 
 
 class Flats(NamedTuple):
-    """Section [flats]; `wear_m3_J` 0: wheels stay round."""
+    """Section [flats]."""
 
-    wear_m3_J: float
+    wear_m3_J: float  # 0: wheels stay round
     width_m: float
     load_1_m: float
 
 
 class Sanders(NamedTuple):
-    """Section [sanders]; `axles` is a bit mask, bit 0 the leading axle, 0 where none has a sander."""
+    """Section [sanders]."""
 
-    axles: int
+    axles: int  # bit mask, bit 0 the leading axle; 0 where none has a sander
     rate_kg_s: float
     dose_kg_m: float
     from_s: float
@@ -156,37 +171,33 @@ class Sanders(NamedTuple):
 
 
 class RollerFilm(NamedTuple):
-    """Section [roller_film]; `acts` False on a track, and where nothing thins it."""
+    """Section [roller_film]."""
 
-    acts: bool
+    acts: bool  # False on a track, and where nothing thins the film
     thinning: float
     spray_1_s: float
     gain: float
 
 
 class Friction(NamedTuple):
-    """Changes of the contaminant, in the order in which they apply; arrays of one length.
+    """Changes of the contaminant, in the order in which they apply; arrays of one length."""
 
-    `by_place` 1: from `start` metres along the track (each axle where it stands), else from
-    `start` seconds. `axles` is a bit mask, bit 0 the leading axle.
-    """
-
-    by_place: np.ndarray
-    start: np.ndarray
+    by_place: np.ndarray  # bool: `start` is a place, which each axle passes, else a time
+    start: np.ndarray  # m along the track, or s
     mu_cd: np.ndarray
     mu_cr: np.ndarray
-    axles: np.ndarray
+    axles: np.ndarray  # bit mask, bit 0 the leading axle
 
 
 class Demand(NamedTuple):
-    """Brake demand: from each time in s on, the pressure in Pa that the cylinders shall reach."""
+    """Brake demand: from each time on, the pressure that the cylinders shall reach."""
 
     start_s: np.ndarray
     pressure_Pa: np.ndarray
 
 
 class Params(NamedTuple):
-    """All that the plant needs and never changes."""
+    """Everything that the plant needs and never changes."""
 
     mode: int
     tick_s: float
@@ -213,7 +224,10 @@ class Params(NamedTuple):
 
 
 def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Any]]:
-    """Every physics section, all values. Raises ConfigError naming file, section, key, value and what is allowed."""
+    """Return every section of the physics with all values, given or default.
+
+    Raises ConfigError with file, section, key, value and the allowed values.
+    """
     checked = {
         name: read(rows, sections.get(name, {}), f"{where} [{name}]") for name, rows in ROWS.items()
     }
@@ -224,16 +238,22 @@ def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, di
 
 
 def law_of(section: Mapping[str, Any]) -> Law:
-    """The adhesion law of a checked section [adhesion], which also says what its mu_cd follows from."""
+    """Return the adhesion law of a checked section [adhesion].
+
+    The section also has the keys of the initial adhesion, which the law does not need.
+    """
     return Law(**{name: section[name] for name in Law._fields})
 
 
 def initial_mu_cd(sections: Mapping[str, Mapping[str, Any]], where: str) -> float:
-    """The mu_cd with which a wheel on the rail has `initial_adhesion`, recovery by its own sliding counted.
+    """Return the mu_cd with which a wheel on the rail has `initial_adhesion`.
 
-    Under the static load, at the speed and the sliding that [adhesion] names. Raises ConfigError where none has it.
+    This counts the recovery by the sliding itself, under the static load, at the speed and the sliding
+    in [adhesion]. Raises ConfigError where no mu_cd gives this adhesion.
     """
-    contact, vehicle, told = (sections[key] for key in ("contact", "vehicle", "adhesion"))
+    contact = sections["contact"]
+    vehicle = sections["vehicle"]
+    section = sections["adhesion"]
     patch = patch_for(
         vehicle["wheel_radius_m"],
         math.inf,
@@ -242,33 +262,42 @@ def initial_mu_cd(sections: Mapping[str, Mapping[str, Any]], where: str) -> floa
         contact["shear_Pa"],
         contact["poisson"],
     )
-    law, load_N = law_of(told), 0.5 * GRAVITY_M_S2 * vehicle["mass_kg"] / AXLES
-    speed, sliding = told["initial_at_speed_m_s"], told["initial_at_sliding_m_s"]
+    law = law_of(section)
+    load_N = 0.5 * GRAVITY_M_S2 * vehicle["mass_kg"] / AXLES
+    speed = section["initial_at_speed_m_s"]
+    sliding = section["initial_at_sliding_m_s"]
+    wanted = section["initial_adhesion"]
 
     def adhesion_of(mu_cd: float) -> float:
-        return float(
-            adhesion.wheel_adhesion(sliding, speed, load_N, patch, law._replace(mu_cd=mu_cd))[0]
-        )
+        law_here = law._replace(mu_cd=mu_cd)
+        return float(adhesion.wheel_adhesion(sliding, speed, load_N, patch, law_here)[0])
 
-    low, high, wanted = 1e-4, law.mu_cr * law.A_d / law.A_r, told["initial_adhesion"]
-    below, above = low, high
-    for _ in range(60):
+    # bisection between hardly any friction and that of the recovered contact
+    low = 1e-4
+    high = law.mu_cr * law.A_d / law.A_r
+    below = low
+    above = high
+    for _ in range(BISECTIONS):
         middle = 0.5 * (below + above)
-        below, above = (middle, above) if adhesion_of(middle) < wanted else (below, middle)
-    if (
-        abs(adhesion_of(above) - wanted) < 1e-9
-    ):  # where recovery leaps, what lies within the leap has no mu_cd
+        if adhesion_of(middle) < wanted:
+            below = middle
+        else:
+            above = middle
+
+    # recovery may leap: then no mu_cd gives an adhesion within the leap
+    if abs(adhesion_of(above) - wanted) < 1e-9:
         return above
     raise ConfigError(
         f"{where}: initial_adhesion = {wanted:g}: no mu_cd gives it at {speed:g} m/s and a sliding of "
-        f"{sliding:g} m/s; allowed is {adhesion_of(low):.3g} to {adhesion_of(high):.3g} there; mend it, "
-        "or initial_at_speed_m_s and initial_at_sliding_m_s"
+        f"{sliding:g} m/s; allowed is {adhesion_of(low):.3g} to {adhesion_of(high):.3g} there; change "
+        "it, or initial_at_speed_m_s and initial_at_sliding_m_s"
     )
 
 
 def check_recovery(law: Mapping[str, Any], where: str) -> None:
     """Raise ConfigError where an adhesion law's recovered friction is below its degraded one."""
-    recovered, degraded = law["mu_cr"] / law["A_r"], law["mu_cd"] / law["A_d"]
+    recovered = law["mu_cr"] / law["A_r"]
+    degraded = law["mu_cd"] / law["A_d"]
     if recovered < degraded:
         raise ConfigError(
             f"{where}: recovered friction mu_cr/A_r = {recovered:.3g} is below the degraded mu_cd/A_d = "
@@ -283,12 +312,23 @@ def build(
     tick_s: float,
     substeps: int,
 ) -> Params:
-    """The constant structures from checked sections, a programme, and the rates of the loop."""
+    """Return the constants of a plant.
+
+    Parameters
+    ----------
+    sections : checked sections, from `check`
+    friction, demand : the programme
+    tick_s, substeps : length of a tick, and steps of the physics in it
+    """
     contact = sections["contact"]
     extra = sections["mechanisms"]
     if sections["vehicle"]["model"] != "planar":
         check_coach(extra)
+    step_s = tick_s / substeps
+
+    # constants of the model, as an extended model changes them
     vehicle = effects.extended(sections["vehicle"], extra)
+    law = law_of(effects.extended(sections["adhesion"], extra))
     mode = MODES[sections["rig"]["mode"]]
     roller_radius_m = math.inf if mode == TRACK else contact["roller_radius_m"]
     patch = patch_for(
@@ -302,7 +342,7 @@ def build(
         contact["fastsim_cells"],
     )
     patch = patch._replace(**effects.extended({"eps1": patch.eps1}, extra))
-    law, step_s = law_of(effects.extended(sections["adhesion"], extra)), tick_s / substeps
+
     return Params(
         mode=mode,
         tick_s=tick_s,
@@ -324,30 +364,36 @@ def build(
         pads=_pads(sections["pads"]),
         flats=_flats(sections),
         sanders=_sanders(sections["sanders"]),
-        film=RollerFilm(
-            mode == ROLLERS and sections["roller_film"]["thinning"] > 0.0, **sections["roller_film"]
-        ),
+        film=_film(sections["roller_film"], mode),
         coach=_coach({**sections, "vehicle": vehicle}, roller_radius_m, law, step_s),
     )
 
 
 def check_coach(extra: Mapping[str, float]) -> None:
-    """Raise ConfigError where an extended model has a mechanism that the coach in 3D does not know."""
-    for known in table.IN_PLANT:
-        if known.in_coach == NOT or (
-            known.in_coach == AXLES_ALIKE and extra[f"{known.name}_axle"] != 0.0
-        ):
-            for key in known.coefficients:
-                if extra[key] != 0.0:
-                    raise ConfigError(
-                        f"[mechanisms] {key} = {extra[key]:g}: the coach in 3D does not know that {known.text}; "
-                        'allowed is 0, or the planar vehicle, vehicle.model = "planar"'
-                    )
+    """Raise ConfigError where an extended model has a mechanism that the coach in 3D does not know.
+
+    `extra` is the checked section [mechanisms].
+    """
+    for mechanism in table.IN_PLANT:
+        unknown = mechanism.in_coach == NOT
+        if mechanism.in_coach == AXLES_ALIKE:
+            # only one axle has it
+            unknown = extra[f"{mechanism.name}_axle"] != 0.0
+        if not unknown:
+            continue
+        for key in mechanism.coefficients:
+            if extra[key] != 0.0:
+                raise ConfigError(
+                    f"[mechanisms] {key} = {extra[key]:g}: the coach in 3D does not know that "
+                    f"{mechanism.text}; allowed is 0, or the planar vehicle, "
+                    'vehicle.model = "planar"'
+                )
 
 
 def _coach(
     sections: Mapping[str, Mapping[str, Any]], roller_radius_m: float, law: Law, step_s: float
 ) -> Packed | None:
+    """Return the constants of the coach in 3D; None for the planar vehicle."""
     if sections["vehicle"]["model"] == "planar":
         return None
     contact = sections["contact"]
@@ -361,7 +407,11 @@ def _coach(
 def build_rollers(
     sections: Mapping[str, Mapping[str, Any]], demand: Demand, tick_s: float, substeps: int
 ) -> Params:
-    """The plant that runs beside a virtual track: the same wheelsets on dry, clean rollers."""
+    """Return the constants of the plant of a virtual track's rollers.
+
+    It has the same wheelsets on dry, clean rollers, and runs at the same time as the track. Arguments
+    as for `build`.
+    """
     dry = sections["dry_roller"]
     # dry and clean: the degraded curve is the recovered one, and nothing is cleaned
     adhesion = {
@@ -379,7 +429,6 @@ def build_rollers(
         "tau_m_J": 0.0,
         "cleaning_creepage": math.inf,
     }
-    none = Friction(*(np.zeros(0, dtype) for dtype in (np.bool_, float, float, float, np.int64)))
     rollers = {
         **sections,
         "adhesion": adhesion,
@@ -390,22 +439,32 @@ def build_rollers(
         "flats": {**sections["flats"], "wear_mm3_J": 0.0},
         "roller_film": {**sections["roller_film"], "thinning": 0.0},
     }
-    return build(rollers, none, demand, tick_s, substeps)
+    no_friction = Friction(
+        by_place=np.zeros(0, np.bool_),
+        start=np.zeros(0),
+        mu_cd=np.zeros(0),
+        mu_cr=np.zeros(0),
+        axles=np.zeros(0, np.int64),
+    )
+    return build(rollers, no_friction, demand, tick_s, substeps)
 
 
 def axle_positions(vehicle: Mapping[str, float]) -> np.ndarray:
-    """Distance in m of each wheelset behind the first."""
-    base, pivots = vehicle["bogie_wheelbase_m"], vehicle["bogie_distance_m"]
+    """Return the distance in m of each wheelset behind the first, shape (4,)."""
+    base = vehicle["bogie_wheelbase_m"]
+    pivots = vehicle["bogie_distance_m"]
     return np.array([0.0, base, pivots, pivots + base])
 
 
 def _vehicle(v: Mapping[str, float], extra: Mapping[str, float], rig: Mapping[str, Any]) -> Vehicle:
+    """Return the vehicle from its sections [vehicle], [mechanisms] and [rig]."""
     body_kg = v["mass_kg"] - 2.0 * v["bogie_mass_kg"] - 4.0 * v["wheelset_mass_kg"]
     if body_kg <= 0.0:
         raise ConfigError(
             f"[vehicle] mass_kg = {v['mass_kg']:g} is not more than its bogies and "
             f"wheelsets weigh ({v['mass_kg'] - body_kg:g} kg); raise it"
         )
+
     # moments about the pivots, then about the rail under each bogie [V2, V3 of vehicle.py]
     body = body_kg * (v["body_height_m"] - v["pivot_height_m"]) / v["bogie_distance_m"]
     bogie = (
@@ -414,10 +473,17 @@ def _vehicle(v: Mapping[str, float], extra: Mapping[str, float], rig: Mapping[st
         + 2.0 * v["wheelset_mass_kg"] * v["wheel_radius_m"]
     ) / v["bogie_wheelbase_m"]
     static_N = GRAVITY_M_S2 * v["mass_kg"] / AXLES
-    told = {name: v[name] for name in Vehicle._fields if name in v}
+
     # where the drives hold the speed, nothing can slow the vehicle that they simulate
+    mass_kg = math.inf if rig["speed"] == "held" else v["mass_kg"]
     return Vehicle(
-        **told | ({"mass_kg": math.inf} if rig["speed"] == "held" else {}),
+        mass_kg=mass_kg,
+        wheel_radius_m=v["wheel_radius_m"],
+        wheelset_inertia_kgm2=v["wheelset_inertia_kgm2"],
+        resistance_A_N=v["resistance_A_N"],
+        resistance_B_N_s_m=v["resistance_B_N_s_m"],
+        resistance_C_N_s2_m2=v["resistance_C_N_s2_m2"],
+        pitch_time_constant_s=v["pitch_time_constant_s"],
         static_load_N=static_N,
         body_transfer_kg=body + 2.0 * static_N * extra["load_transfer_body_s2_m"],
         bogie_transfer_kg=bogie + static_N * extra["load_transfer_bogie_s2_m"],
@@ -425,96 +491,109 @@ def _vehicle(v: Mapping[str, float], extra: Mapping[str, float], rig: Mapping[st
 
 
 def _share(step_s: float, time_constant_s: float) -> float:
+    """Return the part of the difference that a lag closes in a step."""
     return -math.expm1(-step_s / time_constant_s)
 
 
+def _in_series(valve_NL_s_bar: float, hose_NL_s_bar: float) -> float:
+    """Return the conductance in NL/(s Pa) of a valve and a hose in series.
+
+    1/C^3 is the sum of theirs: Eckersten's rule (recollection).
+    """
+    return (valve_NL_s_bar**-3 + hose_NL_s_bar**-3) ** (-1.0 / 3.0) / PA_PER_BAR
+
+
 def _air(a: Mapping[str, float], step_s: float) -> Air:
+    """Return the air of the coach from its section [air]."""
     hose = a["hose_NL_s_bar"]
-    # two conductances in series: 1/C^3 is the sum of theirs, Eckersten's rule (recollection)
-    fill, vent = (
-        (a[f"{way}_valve_NL_s_bar"] ** -3 + hose**-3) ** (-1.0 / 3.0) / 1e5
-        for way in ("fill", "vent")
-    )
     return Air(
-        a["reservoir_volume_L"],
-        a["reservoir_pressure_Pa"],
-        a["supply_pressure_Pa"],
-        a["supply_NL_s_bar"] / 1e5,
-        fill,
-        vent,
-        a["critical_ratio"],
-        step_s,
+        reservoir_L=a["reservoir_volume_L"],
+        begin_Pa=a["reservoir_pressure_Pa"],
+        supply_Pa=a["supply_pressure_Pa"],
+        supply=a["supply_NL_s_bar"] / PA_PER_BAR,
+        fill=_in_series(a["fill_valve_NL_s_bar"], hose),
+        vent=_in_series(a["vent_valve_NL_s_bar"], hose),
+        critical_ratio=a["critical_ratio"],
+        step_s=step_s,
     )
 
 
 def _brake(sections: Mapping[str, Mapping[str, Any]], tick_s: float, substeps: int) -> Brake:
-    b, valve = sections["brake"], sections["valve"]
-    lags_s = (
-        b["fill_time_constant_s"],
-        b["release_time_constant_s"],
-        valve["fill_time_constant_s"],
-        valve["vent_time_constant_s"],
-    )
-    fill, release, valve_fill, valve_vent = (_share(tick_s / substeps, lag_s) for lag_s in lags_s)
+    """Return the brake from its sections [brake], [valve], [air] and [vehicle]."""
+    b = sections["brake"]
+    valve = sections["valve"]
+    step_s = tick_s / substeps
     return Brake(
         torque_Nm_Pa=brake_torque_Nm_Pa(b),
         spring_pressure_Pa=b["spring_pressure_Pa"],
         volume_L=b["cylinder_volume_L"],
-        demand_fill_share=fill,
-        demand_release_share=release,
-        valve_fill_share=valve_fill,
-        valve_vent_share=valve_vent,
+        demand_fill_share=_share(step_s, b["fill_time_constant_s"]),
+        demand_release_share=_share(step_s, b["release_time_constant_s"]),
+        valve_fill_share=_share(step_s, valve["fill_time_constant_s"]),
+        valve_vent_share=_share(step_s, valve["vent_time_constant_s"]),
         dead_time_ticks=round(valve["dead_time_s"] / tick_s),
         weighed_share=weighed_share(sections["air"], sections["vehicle"]),
-        air=_air(sections["air"], tick_s / substeps),
+        air=_air(sections["air"], step_s),
     )
 
 
 def _pads(p: Mapping[str, float]) -> Pads:
-    vary = any(
-        p[key] != 0.0 for key in ("speed_loss", "pressure_loss", "fade_loss", "clamp_hysteresis")
-    )
+    """Return the pads from their section [pads]."""
+    losses = ("speed_loss", "pressure_loss", "fade_loss", "clamp_hysteresis")
+    vary = any(p[key] != 0.0 for key in losses)
     return Pads(vary, *(p[name] for name in Pads._fields[1:]))
 
 
 def _flats(sections: Mapping[str, Mapping[str, Any]]) -> Flats:
-    given = sections["flats"]
-    if (
-        given["wear_mm3_J"] > 0.0
-        and given["load_1_m"] > 0.0
-        and sections["vehicle"]["model"] != "planar"
-    ):
+    """Return the flats; raises ConfigError where their load meets the coach in 3D."""
+    f = sections["flats"]
+    load_varies = f["wear_mm3_J"] > 0.0 and f["load_1_m"] > 0.0
+    if load_varies and sections["vehicle"]["model"] != "planar":
         raise ConfigError(
-            f"[flats] load_1_m = {given['load_1_m']:g}: the coach in 3D knows no load that swings over a "
+            f"[flats] load_1_m = {f['load_1_m']:g}: the coach in 3D knows no load that varies over a "
             "flat; allowed is 0 (flats grow and disturb sensors all the same), or the planar vehicle"
         )
-    return Flats(1e-9 * given["wear_mm3_J"], given["width_m"], given["load_1_m"])
+    return Flats(1e-9 * f["wear_mm3_J"], f["width_m"], f["load_1_m"])
 
 
 def _sanders(s: Mapping[str, Any]) -> Sanders:
+    """Return the sanders from their section [sanders]."""
     axles = {s["axle"], s["second_axle"]} - {0}
-    return Sanders(
-        sum(1 << (axle - 1) for axle in axles), *(s[name] for name in Sanders._fields[1:])
-    )
+    mask = sum(1 << (axle - 1) for axle in axles)
+    return Sanders(mask, *(s[name] for name in Sanders._fields[1:]))
+
+
+def _film(f: Mapping[str, Any], mode: int) -> RollerFilm:
+    """Return the film on the rollers from its section [roller_film]."""
+    acts = mode == ROLLERS and f["thinning"] > 0.0
+    return RollerFilm(acts, **f)
 
 
 def _heat(sections: Mapping[str, Mapping[str, Any]], tick_s: float) -> Heat:
-    brake, drive = sections["brake"], sections["drive"]
+    """Return the heat of discs and motors from its sections [rig], [brake] and [drive]."""
+    brake = sections["brake"]
+    drive = sections["drive"]
     return Heat(
-        sections["rig"]["air_temperature_K"],
-        brake["disc_heat_capacity_J_K"],
-        _share(tick_s, brake["disc_cooling_time_s"]),
-        drive["rated_torque_Nm"],
-        drive["rated_temperature_rise_K"],
-        _share(tick_s, drive["thermal_time_constant_s"]),
+        air_K=sections["rig"]["air_temperature_K"],
+        disc_J_K=brake["disc_heat_capacity_J_K"],
+        disc_share=_share(tick_s, brake["disc_cooling_time_s"]),
+        rated_torque_Nm=drive["rated_torque_Nm"],
+        motor_rise_K=drive["rated_temperature_rise_K"],
+        motor_share=_share(tick_s, drive["thermal_time_constant_s"]),
     )
 
 
 def _drive(d: Mapping[str, float], roller_radius_m: float, step_s: float) -> Drive:
+    """Return the drives from their section [drive]; on a rail the radius does not matter."""
     if math.isinf(roller_radius_m):
         roller_radius_m = 1.0
     return Drive(
-        **{name: d[name] for name in Drive._fields if name in d},
         roller_radius_m=roller_radius_m,
+        roller_inertia_kgm2=d["roller_inertia_kgm2"],
+        max_torque_Nm=d["max_torque_Nm"],
+        max_power_W=d["max_power_W"],
+        max_speed_rad_s=d["max_speed_rad_s"],
         torque_share=_share(step_s, d["torque_time_constant_s"]),
+        speed_loop_rad_s=d["speed_loop_rad_s"],
+        observer_rad_s=d["observer_rad_s"],
     )
