@@ -1,4 +1,4 @@
-"""A plant on its own, rolled along tick by tick with every tick's state kept: no bus, no clock."""
+"""A plant alone, advanced tick by tick, with the state of every tick recorded: no bus, no clock."""
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from rollerrig.wsp_interface.magnets import FILLING, HOLDING, VENTING
 
 FILL, HOLD, VENT = FILLING, HOLDING, VENTING
 FULL_BRAKE_PA = 3.8e5
-# as configs/adhesion/soap.toml, leaf_film.toml and dry.toml: the laws hold whatever those files say later
+# Values of configs/adhesion/soap.toml, leaf_film.toml and dry.toml. They are repeated here because the
+# tests must hold when those files change.
 SOAP = {"cleaning_creepage": 0.5}
 LEAVES = SOAP | {
     "mu_cd": 0.02,
@@ -36,7 +37,10 @@ def _roll(state, buffer, delay, magnets, demand_Pa, first_tick, controlled, para
 
 
 class History:
-    """States of a stretch, the one before it first: `history.wheel_speed` has shape (n, 4)."""
+    """States of a stretch of ticks, with the state before it first.
+
+    Each slot of the state is an attribute: `history.wheel_speed` has shape (n, 4).
+    """
 
     def __init__(self, log):
         self.log = log
@@ -44,21 +48,22 @@ class History:
     def __getattr__(self, name):
         if name not in SLOTS:
             raise AttributeError(name)
-        found = self.log[:, SLOTS[name]]
-        return found[:, 0] if found.shape[1] == 1 else found
+        values = self.log[:, SLOTS[name]]
+        return values[:, 0] if values.shape[1] == 1 else values
 
     def change(self, name):
-        """What a slot gained from the first to the last state."""
-        found = getattr(self, name)
-        return found[-1] - found[0]
+        """Return the change of a slot from the first to the last state."""
+        values = getattr(self, name)
+        return values[-1] - values[0]
 
     def integral(self, rate):
-        """Trapezoidal integral over time of a rate (n, ...), in its unit times s."""
-        return np.sum(0.5 * (rate[1:] + rate[:-1]).T * np.diff(self.time), axis=-1)
+        """Return the trapezoidal integral over time of a rate (n, ...), in its unit times s."""
+        mean = 0.5 * (rate[1:] + rate[:-1])
+        return np.sum(mean.T * np.diff(self.time), axis=-1)
 
     @property
     def contact_force_N(self):
-        """f N of each axle, shape (n, 4)."""
+        """Return the contact force f N of each axle, shape (n, 4)."""
         return self.adhesion * self.wheel_load
 
 
@@ -82,9 +87,10 @@ class Rig:
         self.tick = 0
 
     def roll(self, seconds, magnets=FILL, demand_Pa=np.nan, controlled=True):
-        """Advance under magnets (a number, four, or a row a tick) and a demand (NaN: full brake).
+        """Advance the rig and return the `History`. Without rig control the motors are idle.
 
-        Without rig control the motors are idle. Returns the History.
+        `magnets` is a pattern for all axles, one for each axle, or a row of four for each tick.
+        `demand_Pa` is the demanded pressure, NaN for full brake.
         """
         ticks = round(seconds / self.params.tick_s)
         log = np.empty((ticks + 1, self.plant.buffer.size))

@@ -1,4 +1,4 @@
-"""The coach's air: no litre is lost or won, flow is choked as ISO 6358 has it, and brakes get weak when it is gone."""
+"""The coach's air: its balance closes, flow is choked as in ISO 6358, and brakes get weak without air."""
 
 import math
 
@@ -18,7 +18,7 @@ def coach(reservoir_volume_L=125.0, **air):
 
 
 @pytest.mark.parametrize("supply", [{}, {"supply_pressure_Pa": 5.0e5, "supply_NL_s_bar": 2.0}])
-def test_what_the_reservoir_lost_and_the_supply_gave_is_what_the_cylinders_used(supply):
+def test_the_cylinders_use_the_air_that_the_reservoir_lost_and_the_supply_gave(supply):
     rig = coach(**supply)
     run = rig.roll(15.0, np.tile(PULSES, (30, 1)))
     lost_NL = -125.0 * run.change("reservoir_pressure") / NORMAL_PA
@@ -27,13 +27,14 @@ def test_what_the_reservoir_lost_and_the_supply_gave_is_what_the_cylinders_used(
     assert lost_NL + run.change("air_supplied") == pytest.approx(
         run.change("air_consumption"), rel=1e-9
     )
-    # and what they used is what flowed into them: at each end of a pulse as much as went out while it vented
+    # the consumption is the air that flowed into the cylinders, so it follows from the rises of pressure
     rises = np.maximum(np.diff(run.cylinder_pressure, axis=0), 0.0).sum()
     assert run.change("air_consumption") == pytest.approx(4.0 * rises / NORMAL_PA, rel=1e-3)
 
 
 def test_flow_is_choked_below_the_critical_ratio_and_ends_at_equal_pressure():
-    conductance, b = 1.6e-4, 0.5
+    conductance = 1.6e-4
+    b = 0.5
     choked = [
         brake.flow(4e5, to, conductance, b)
         for to in (0.0, 5e4, 0.5 * (4e5 + NORMAL_PA) - NORMAL_PA)
@@ -62,7 +63,7 @@ def test_venting_a_full_cylinder_takes_longer_than_an_emptier_one_and_follows_ch
     assert times_s[0] > times_s[1] + 0.03
 
 
-def test_a_small_reservoir_leaves_the_cylinders_and_itself_at_one_pressure_below_what_is_asked():
+def test_a_small_reservoir_and_the_cylinders_end_at_one_pressure_below_the_demand():
     rig = coach(reservoir_volume_L=20.0)
     run = rig.roll(15.0)
     # 20 L at 5 bar into four times 4 L, one temperature
@@ -76,18 +77,19 @@ def test_a_small_reservoir_leaves_the_cylinders_and_itself_at_one_pressure_below
 def test_pulses_of_a_protection_empty_the_reservoir_and_weaken_the_brake():
     rig = coach(reservoir_volume_L=60.0)
     run = rig.roll(15.0, np.tile(PULSES, (30, 1)))
-    full, late = (run.cylinder_pressure[a:b, 0].max() for a, b in ((0, 4000), (-2500, None)))
-    assert late < 0.6 * full
+    full_Pa = run.cylinder_pressure[:4000, 0].max()
+    late_Pa = run.cylinder_pressure[-2500:, 0].max()
+    assert late_Pa < 0.6 * full_Pa
     assert run.brake_torque[-2500:, 0].max() < 0.6 * run.brake_torque[:4000, 0].max()
 
 
-def test_without_a_reservoir_nothing_but_its_own_slots_tells_of_it():
+def test_without_a_reservoir_its_pressure_and_supply_stay_0():
     run = Rig(30.0).roll(2.0)
     assert (run.reservoir_pressure == 0.0).all()
     assert run.change("air_supplied") == 0.0
 
 
-def test_a_reservoir_without_bottom_gives_the_same_demand_and_the_lanes_leave_such_stops_alone():
+def test_a_huge_reservoir_gives_the_same_demand_and_the_lanes_do_not_accept_such_stops():
     rig = coach(reservoir_volume_L=1e5)
     assert not layout.fits(rig.params)
     assert layout.fits(Rig(30.0).params)

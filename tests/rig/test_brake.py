@@ -13,7 +13,7 @@ BRAKE = {row.name: row.default for row in params.ROWS["brake"]}
 
 @pytest.fixture
 def charged():
-    """A rig whose cylinders all stand at full pressure."""
+    """Return a rig whose cylinders are all at full pressure."""
     rig = Rig(30.0)
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = FULL_BRAKE_PA
     return rig
@@ -23,7 +23,7 @@ def charged():
     ("magnets", "valve"),
     [(0b00, states.FILL), (0b01, states.HOLD), (0b11, states.VENT), (0b10, states.VENT)],
 )
-def test_none_fills_hold_holds_and_any_vent_vents(magnets, valve):
+def test_no_magnet_fills_hold_holds_and_vent_always_vents(magnets, valve):
     assert brake.valve_of(float(magnets)) == valve
 
 
@@ -38,7 +38,7 @@ def test_a_valve_moves_its_dead_time_after_its_magnets(dead_time_s):
     assert run.valve[-1].tolist() == [states.VENT, states.HOLD, states.FILL, states.VENT]
 
 
-def test_a_pulse_passes_the_valve_with_its_own_length(charged):
+def test_a_pulse_passes_the_valve_with_its_length_unchanged(charged):
     magnets = np.zeros((300, 4))
     magnets[50:73, 2] = VENT
     run = charged.roll(0.3, magnets)
@@ -70,7 +70,7 @@ def test_filling_rises_to_the_demand_with_its_time_constant(charged):
     np.testing.assert_allclose(run.cylinder_pressure[:, 0], expected, rtol=1e-9)
 
 
-def test_the_demand_rises_and_falls_with_its_own_time_constants():
+def test_the_demand_rises_and_falls_with_its_time_constants():
     rig = Rig(30.0)
     rising = rig.roll(2.0)
     expected = FULL_BRAKE_PA * -np.expm1(-rising.time / BRAKE["fill_time_constant_s"])
@@ -83,7 +83,8 @@ def test_the_demand_rises_and_falls_with_its_own_time_constants():
 
 def test_demand_and_valve_in_series_follow_their_closed_form():
     run = Rig(30.0).roll(5.0)
-    slow, fast = BRAKE["fill_time_constant_s"], VALVE["fill_time_constant_s"]
+    slow = BRAKE["fill_time_constant_s"]
+    fast = VALVE["fill_time_constant_s"]
     rest = (slow * np.exp(-run.time / slow) - fast * np.exp(-run.time / fast)) / (slow - fast)
     expected = FULL_BRAKE_PA * (1.0 - rest)
     np.testing.assert_allclose(run.cylinder_pressure[:, 3], expected, atol=1e-6 * FULL_BRAKE_PA)
@@ -111,16 +112,16 @@ def test_a_demand_that_falls_below_the_cylinder_uses_no_air(charged):
 
 
 def test_the_discs_hold_nothing_below_the_spring_and_rise_in_proportion_above():
-    given = Rig(30.0).params.brake
-    assert brake.capacity(BRAKE["spring_pressure_Pa"], given) == 0.0
-    assert brake.capacity(0.0, given) == 0.0
+    constants = Rig(30.0).params.brake
+    assert brake.capacity(BRAKE["spring_pressure_Pa"], constants) == 0.0
+    assert brake.capacity(0.0, constants) == 0.0
     # two pads a disc, two discs a wheelset, friction 0.35 at 0.247 m
     force_N = BRAKE["cylinder_area_m2"] * 1e5 * BRAKE["lever_ratio"] * BRAKE["efficiency"]
     torque_Nm = force_N * 2 * 0.35 * 0.247 * 2
     for steps in (1, 2, 3):
-        assert brake.capacity(BRAKE["spring_pressure_Pa"] + steps * 1e5, given) == pytest.approx(
-            steps * torque_Nm, rel=1e-12
-        )
+        pressure_Pa = BRAKE["spring_pressure_Pa"] + steps * 1e5
+        expected_Nm = pytest.approx(steps * torque_Nm, rel=1e-12)
+        assert brake.capacity(pressure_Pa, constants) == expected_Nm
 
 
 def test_the_brake_never_drives_a_wheel_nor_turns_it_back():
@@ -129,7 +130,7 @@ def test_the_brake_never_drives_a_wheel_nor_turns_it_back():
     assert run.brake_torque.min() >= 0.0
     assert run.wheel_speed.min() == 0.0
     assert np.diff(run.wheel_angle, axis=0).min() >= 0.0
-    # a locked wheel asks for no more than the contact gives
+    # a locked wheel takes no more torque than the contact gives
     locked = (run.wheel_speed == 0.0) & (run.vehicle_speed[:, None] > 0.1)
     assert locked.any()
     np.testing.assert_allclose(
@@ -137,7 +138,7 @@ def test_the_brake_never_drives_a_wheel_nor_turns_it_back():
     )
 
 
-def test_the_programme_gives_its_last_step_that_has_begun():
+def test_the_programme_demands_the_last_step_that_has_begun():
     plan = params.Demand(np.array([1.0, 2.0, 4.0]), np.array([1e5, 3e5, 0.0]))
-    asked = [brake.target(plan, time_s) for time_s in (0.0, 0.999, 1.0, 2.5, 4.0, 1e6)]
-    assert asked == [0.0, 0.0, 1e5, 3e5, 0.0, 0.0]
+    demanded = [brake.target(plan, time_s) for time_s in (0.0, 0.999, 1.0, 2.5, 4.0, 1e6)]
+    assert demanded == [0.0, 0.0, 1e5, 3e5, 0.0, 0.0]

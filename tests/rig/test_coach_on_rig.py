@@ -1,4 +1,4 @@
-"""The plant with the coach in 3D as its vehicle: same signals, same laws, much the same stop."""
+"""The plant with the coach in 3D as its vehicle: same signals, same laws, nearly the same stop."""
 
 import numpy as np
 import pytest
@@ -9,12 +9,12 @@ COACH = {"model": "multibody"}
 
 @pytest.fixture(scope="module")
 def both():
-    """Six seconds of full brake from 30 m/s on soap, on the track, by both models."""
-    found = {}
+    """Return rig and history of six seconds of full brake from 30 m/s on soap, on the track, by model."""
+    runs = {}
     for model in ("planar", "multibody"):
         rig = Rig(30.0, vehicle={"model": model}, adhesion=SOAP, rig=TRACK)
-        found[model] = rig, rig.roll(6.0)
-    return found
+        runs[model] = rig, rig.roll(6.0)
+    return runs
 
 
 def test_the_coach_in_3d_brakes_as_the_planar_vehicle_does(both):
@@ -30,14 +30,14 @@ def test_loads_sum_to_the_weight_and_lean_forward(both):
     np.testing.assert_allclose(loads[-1000:].mean(0), planar[-1000:].mean(0), rtol=0.03)
 
 
-def test_what_is_seen_obeys_the_equation_of_the_vehicle(both):
+def test_the_observed_quantities_obey_the_equation_of_the_vehicle(both):
     _, history = both["multibody"]
     pulled = history.integral(history.contact_force_N.sum(1))
     resisted = history.integral(600.0 + 0.9375 * history.vehicle_speed**2)
     assert -43000.0 * history.change("vehicle_speed") == pytest.approx(pulled + resisted, rel=2e-3)
 
 
-def test_what_is_seen_obeys_the_equation_of_the_wheelset(both):
+def test_the_observed_quantities_obey_the_equation_of_the_wheelset(both):
     _, history = both["multibody"]
     moment = 0.4447 * history.contact_force_N - history.brake_torque
     gained = 160.0 * history.change("wheel_speed")
@@ -47,8 +47,8 @@ def test_what_is_seen_obeys_the_equation_of_the_wheelset(both):
 
 def test_a_run_repeats_bit_for_bit(both):
     _, history = both["multibody"]
-    again = Rig(30.0, vehicle=COACH, adhesion=SOAP, rig=TRACK).roll(1.0)
-    np.testing.assert_array_equal(again.log, history.log[: again.log.shape[0]])
+    repeated = Rig(30.0, vehicle=COACH, adhesion=SOAP, rig=TRACK).roll(1.0)
+    np.testing.assert_array_equal(repeated.log, history.log[: repeated.log.shape[0]])
 
 
 def test_a_standing_coach_swings_out_to_its_static_loads():

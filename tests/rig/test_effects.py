@@ -43,7 +43,7 @@ def test_mechanisms_at_zero_change_no_bit_even_when_they_are_computed(base) -> N
     )
     with_them, without = course(forced), course(base)
     for name, at in SLOTS.items():
-        if name not in ("slid", "rail_work", "braked_angle"):
+        if name not in ("sliding_distance", "rail_work", "braked_angle"):
             assert np.array_equal(with_them[at], without[at], equal_nan=True), name
 
 

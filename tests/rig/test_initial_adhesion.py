@@ -1,4 +1,4 @@
-"""An adhesion as tests state it is met on the rail, decides mu_cd, and gives way to a mu_cd that comes later."""
+"""A stated initial adhesion holds on the rail and decides mu_cd; a mu_cd that is given later replaces it."""
 
 import numpy as np
 import pytest
@@ -17,12 +17,12 @@ LAW = {"initial_at_speed_m_s": 20.0, "initial_at_sliding_m_s": 0.5}
 )
 def test_the_contact_has_the_stated_adhesion_at_its_speed_and_sliding(stated, more):
     rig = Rig(20.0, rig=TRACK, adhesion={"initial_adhesion": stated, **LAW, **more})
-    law, patch = rig.params.law, rig.params.patch
-    found = adhesion.wheel_adhesion(0.5, 20.0, 0.5 * rig.params.vehicle.static_load_N, patch, law)
-    assert found[0] == pytest.approx(stated, rel=1e-9)
+    load_N = 0.5 * rig.params.vehicle.static_load_N
+    f, *_ = adhesion.wheel_adhesion(0.5, 20.0, load_N, rig.params.patch, rig.params.law)
+    assert f == pytest.approx(stated, rel=1e-9)
 
 
-def test_a_braked_first_wheel_that_slides_so_far_at_that_speed_has_that_adhesion():
+def test_the_leading_wheel_of_a_stop_has_the_stated_adhesion_at_that_speed_and_sliding():
     rig = Rig(
         25.0, rig=TRACK, adhesion={"initial_adhesion": 0.065, **LAW, "initial_at_speed_m_s": 24.0}
     )
@@ -32,12 +32,12 @@ def test_a_braked_first_wheel_that_slides_so_far_at_that_speed_has_that_adhesion
     assert run.adhesion[begun, 0] == pytest.approx(0.065, rel=0.02)
 
 
-def test_without_a_stated_adhesion_mu_cd_is_what_it_was():
+def test_without_a_stated_adhesion_mu_cd_is_unchanged():
     assert Rig(20.0).params.law.mu_cd == 0.06
     assert Rig(20.0, adhesion={"mu_cd": 0.05, **LAW}).params.law.mu_cd == 0.05
 
 
-def test_what_comes_later_wins_a_mu_cd_over_a_set_and_a_stated_adhesion_over_a_mu_cd():
+def test_the_later_setting_wins_between_mu_cd_and_a_stated_adhesion():
     low = scenario.load("velim_a1", settings=("adhesion=low",))
     assert low["adhesion"]["initial_adhesion"] == 0.065
     assert 0.02 < low["adhesion"]["mu_cd"] < 0.04
@@ -47,13 +47,13 @@ def test_what_comes_later_wins_a_mu_cd_over_a_set_and_a_stated_adhesion_over_a_m
     assert stated["adhesion"]["mu_cd"] < 0.06
 
 
-def test_a_resolved_scenario_with_a_stated_adhesion_is_that_scenario_again(tmp_path):
+def test_a_resolved_scenario_with_a_stated_adhesion_loads_as_the_same_scenario(tmp_path):
     first = scenario.load("velim_a1", settings=("adhesion=very_low",))
     (tmp_path / "scenario.toml").write_text(scenario.dump(first))
-    again = scenario.load(str(tmp_path / "scenario.toml"))
-    assert again.resolved == first.resolved
+    loaded = scenario.load(str(tmp_path / "scenario.toml"))
+    assert loaded.resolved == first.resolved
 
 
-def test_an_adhesion_that_no_contaminant_gives_is_refused_with_what_is_allowed():
+def test_an_adhesion_that_no_contaminant_gives_is_refused_with_the_allowed_range():
     with pytest.raises(ConfigError, match=r"initial_adhesion = 0.45.*allowed is .* to 0\.3"):
         Rig(20.0, adhesion={"initial_adhesion": 0.45})
