@@ -9,38 +9,25 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.rig.compiled.generated import tuple_builder
+from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import Patch, patch_for
 from rollerrig.rig.identify.data.runs import Dataset
 
-
-class WheelModel(NamedTuple):
-    """What the replay of one wheelset needs to know."""
-
-    wheel_radius_m: float
-    wheelset_inertia_kgm2: float
-    # the adhesion law: the fields of `adhesion.Law`, the last of which is below
-    mu_cd: float
-    mu_cr: float
-    A_d: float
-    A_r: float
-    gamma_d_s_m: float
-    gamma_r_s_m: float
-    k_ad: float
-    k_sd: float
-    k_ar: float
-    k_sr: float
-    tau_m_J: float
-    eps1: float  # of the contact patch, `patch.Patch`
-    memory_m: float  # length of adhesion memory [A7]; 0: recovery does not lag
-    irregularity_deviation: float  # standard deviation of the irregularity m of the rail
-    irregularity_length_m: float  # its correlation length
-    speed_noise_rad_s: float  # standard deviation of measured wheel speed
-    torque_noise_Nm: float  # standard deviation of measured torque
-    cleaning_creepage: float  # the last field of `adhesion.Law`
-    memory_speed_power: float  # exponent p of adhesion memory [A7]
-    memory_of_work: float  # above 0: lambda_0 is that of the work done [A7]
-
-
+# What the replay of one wheelset needs to know. The fields of the adhesion law are those of `Law`.
+_FIELDS = (
+    "wheel_radius_m",
+    "wheelset_inertia_kgm2",
+    *Law._fields,
+    "eps1",  # of the contact patch, `patch.Patch`
+    "memory_m",  # length of adhesion memory [A7]; 0: recovery does not lag
+    "irregularity_deviation",  # standard deviation of the irregularity m of the rail
+    "irregularity_length_m",  # its correlation length
+    "speed_noise_rad_s",  # standard deviation of measured wheel speed
+    "torque_noise_Nm",  # standard deviation of measured torque
+    "memory_speed_power",  # exponent p of adhesion memory [A7]
+    "memory_of_work",  # above 0: lambda_0 is that of the work done [A7]
+)
+WheelModel = NamedTuple("WheelModel", [(name, float) for name in _FIELDS])
 PARAMETERS = len(WheelModel._fields)
 # makes a WheelModel of one row of an array, in compiled code
 wheel_model = tuple_builder(WheelModel, "row", [f"row[{k}]" for k in range(PARAMETERS)])
@@ -57,18 +44,17 @@ IRREGULARITY = WheelModel._fields.index("irregularity_deviation")
 IRREGULARITY_LENGTH = WheelModel._fields.index("irregularity_length_m")
 SPEED_NOISE = WheelModel._fields.index("speed_noise_rad_s")
 TORQUE_NOISE = WheelModel._fields.index("torque_noise_Nm")
-CLEANING = WheelModel._fields.index("cleaning_creepage")
 MEMORY_POWER = WheelModel._fields.index("memory_speed_power")
 MEMORY_OF_WORK = WheelModel._fields.index("memory_of_work")
 
-LAW = slice(MU_CD, TAU + 1)
-LAW_KEYS = WheelModel._fields[LAW]
+_FIRST_OF_LAW = WheelModel._fields.index(Law._fields[0])
+LAW = slice(_FIRST_OF_LAW, _FIRST_OF_LAW + len(Law._fields))
 # column of each constant that a mechanism may change
 COLUMN = {
     "wheel_radius_m": RADIUS,
     "wheelset_inertia_kgm2": INERTIA,
     "eps1": EPS1,
-    **{key: at for at, key in enumerate(LAW_KEYS, start=LAW.start)},
+    **{key: WheelModel._fields.index(key) for key in Law._fields},
 }
 
 
@@ -92,7 +78,6 @@ def base_parameters(data: Dataset) -> np.ndarray:
     row = np.zeros(PARAMETERS)
     row[RADIUS] = vehicle["wheel_radius_m"]
     row[INERTIA] = vehicle["wheelset_inertia_kgm2"]
-    row[LAW] = [law[key] for key in LAW_KEYS]
+    row[LAW] = [law[key] for key in Law._fields]
     row[EPS1] = patch_of(data).eps1
-    row[CLEANING] = law["cleaning_creepage"]
     return row
