@@ -1,4 +1,4 @@
-"""The extended model in the plant: invisible at zero, felt otherwise, by the same kernel."""
+"""The extended model in the plant: no effect at zero, an effect otherwise, by the same kernel."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,8 @@ from rollerrig.rig.state import SIZE, SLOTS, views
 TICKS = 3000
 
 
-def course(params) -> np.ndarray:
+def final_state(params) -> np.ndarray:
+    """Return the state after TICKS ticks of full brake from 30 m/s."""
     run = Plant(params, 30.0)
     for tick in range(TICKS):
         plant.advance(run.state, run.delay, np.zeros(4), np.nan, tick, params)
@@ -27,8 +28,9 @@ def course(params) -> np.ndarray:
 
 
 def extended(**coefficients: float):
-    told = tuple(f"mechanisms.{name}={value}" for name, value in coefficients.items())
-    return scenario.load("velim_a1", "", told).params
+    """Return the parameters of a scenario with these values of [mechanisms]."""
+    settings = tuple(f"mechanisms.{name}={value}" for name, value in coefficients.items())
+    return scenario.load("velim_a1", "", settings).params
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +43,14 @@ def test_mechanisms_at_zero_change_no_bit_even_when_they_are_computed(base) -> N
         effects=base.effects._replace(on_friction=True, on_torque=True),
         wheels=base.wheels._replace(swings=True, swing_phase_rad=1.0),
     )
-    with_them, without = course(forced), course(base)
+    with_them = final_state(forced)
+    without = final_state(base)
     for name, at in SLOTS.items():
         if name not in ("sliding_distance", "rail_work", "braked_angle"):
             assert np.array_equal(with_them[at], without[at], equal_nan=True), name
 
 
-def test_a_model_that_says_zero_of_every_mechanism_changes_no_bit(base) -> None:
+def test_a_model_with_zero_for_every_mechanism_changes_no_bit(base) -> None:
     coefficients = {key: 0.0 for mechanism in table.IN_PLANT for key in mechanism.coefficients}
     axles = {row.name: 2.0 for row in table.rows() if row.name.endswith("_axle")}
     shapes = {
@@ -63,8 +66,8 @@ def test_a_model_that_says_zero_of_every_mechanism_changes_no_bit(base) -> None:
         "wheel_radius_fraction",
         "wheel_inertia_fraction",
     } <= set(coefficients)
-    told = extended(**coefficients, **axles, **shapes)
-    assert course(told).tobytes() == course(base).tobytes()
+    zero = extended(**coefficients, **axles, **shapes)
+    assert final_state(zero).tobytes() == final_state(base).tobytes()
 
 
 def test_cleaning_by_leading_wheels_raises_friction_only_behind_them() -> None:
@@ -93,16 +96,17 @@ def test_resistance_gradient_radius_and_layer_are_built_in(base) -> None:
     assert params.patch.eps1 > 1.4 * base.patch.eps1
 
 
-def torque(capacity_Nm: float, axle: int, work_J: float, built) -> float:
+def torque(capacity_Nm: float, axle: int, work_J: float, mechanisms) -> float:
+    """Return the torque of an axle whose brake has done this work."""
     state = views(np.zeros(SIZE))
     state.brake_work[:] = work_J
-    return effects.torque(capacity_Nm, state, axle, 0.0, built)
+    return effects.torque(capacity_Nm, state, axle, 0.0, mechanisms)
 
 
 def test_torque_changes_at_one_axle_only() -> None:
-    built = extended(brake_gain_gain=0.1, brake_gain_axle=2.0).effects
-    assert torque(1000.0, 1, 0.0, built) == pytest.approx(1100.0)
-    assert torque(1000.0, 0, 0.0, built) == 1000.0
+    mechanisms = extended(brake_gain_gain=0.1, brake_gain_axle=2.0).effects
+    assert torque(1000.0, 1, 0.0, mechanisms) == pytest.approx(1100.0)
+    assert torque(1000.0, 0, 0.0, mechanisms) == 1000.0
 
 
 def test_a_coefficient_out_of_bounds_is_refused() -> None:
@@ -110,15 +114,13 @@ def test_a_coefficient_out_of_bounds_is_refused() -> None:
         extended(rail_cleaning_gain=7.0)
 
 
-def test_resistance_grows_with_the_speed_to_the_power_that_is_told(base) -> None:
+def test_resistance_grows_with_the_given_power_of_the_speed(base) -> None:
     linear = extended(running_resistance_force_N=400.0, running_resistance_speed_power=1.0)
     square = extended(running_resistance_force_N=400.0, running_resistance_speed_power=2.0)
-    assert linear.vehicle.resistance_B_N_s_m - base.vehicle.resistance_B_N_s_m == pytest.approx(
-        20.0
-    )
-    assert square.vehicle.resistance_C_N_s2_m2 - base.vehicle.resistance_C_N_s2_m2 == pytest.approx(
-        1.0
-    )
+    more_B = linear.vehicle.resistance_B_N_s_m - base.vehicle.resistance_B_N_s_m
+    more_C = square.vehicle.resistance_C_N_s2_m2 - base.vehicle.resistance_C_N_s2_m2
+    assert more_B == pytest.approx(20.0)
+    assert more_C == pytest.approx(1.0)
     with pytest.raises(ConfigError, match="speed_power"):
         extended(running_resistance_speed_power=0.5)
 
@@ -133,12 +135,13 @@ def test_fade_of_a_pad_saturates_with_its_heat() -> None:
 
 
 def test_a_torque_offset_may_begin_at_a_torque() -> None:
-    built = extended(torque_offset_offset_Nm=50.0, torque_offset_from_Nm=300.0).effects
-    assert torque(200.0, 0, 0.0, built) == 200.0
-    assert torque(400.0, 0, 0.0, built) == 450.0
+    mechanisms = extended(torque_offset_offset_Nm=50.0, torque_offset_from_Nm=300.0).effects
+    assert torque(200.0, 0, 0.0, mechanisms) == 200.0
+    assert torque(400.0, 0, 0.0, mechanisms) == 450.0
 
 
 def friction_after(seconds: float, **coefficients: float) -> tuple[np.ndarray, float]:
+    """Return the factors on the degraded friction of all axles after a time, and that time."""
     params = extended(**coefficients)
     run = Plant(params, 30.0)
     for tick in range(round(seconds * 1000)):
@@ -147,15 +150,16 @@ def friction_after(seconds: float, **coefficients: float) -> tuple[np.ndarray, f
     return run.state.friction_degraded / params.law.mu_cd, run.state.time[0]
 
 
-def test_sand_behind_the_first_wheelset_leaves_that_one_as_it_is() -> None:
-    found, _ = friction_after(
+def test_sand_behind_the_first_wheelset_does_not_change_that_one() -> None:
+    factors, _ = friction_after(
         0.5, sanding_gain=0.2, sanding_start_s=0.1, sanding_duration_s=5.0, sanding_behind=1.0
     )
-    assert found == pytest.approx([1.0, *[np.exp(0.2)] * 3])
+    sanded = np.exp(0.2)
+    assert factors == pytest.approx([1.0, sanded, sanded, sanded])
 
 
-def test_an_empirical_term_is_felt_as_its_formula_says() -> None:
-    found, time_s = friction_after(
+def test_an_empirical_term_acts_by_its_formula() -> None:
+    factors, time_s = friction_after(
         0.5,
         empirical_covariate=2.0,
         empirical_linear=0.1,
@@ -164,18 +168,18 @@ def test_an_empirical_term_is_felt_as_its_formula_says() -> None:
         empirical_scale=2.0,
     )
     z = (time_s - 1.0) / 2.0
-    assert np.log(found) == pytest.approx(np.full(4, 0.1 * z - 0.05 * z * z), abs=2e-4)
+    assert np.log(factors) == pytest.approx(np.full(4, 0.1 * z - 0.05 * z * z), abs=2e-4)
     wave, time_s = friction_after(
         0.5, empirical_covariate=2.0, empirical_linear=0.1, empirical_period=4.0
     )
     assert np.log(wave) == pytest.approx(np.full(4, 0.1 * np.cos(np.pi * time_s / 2.0)), abs=2e-4)
 
 
-def test_friction_follows_the_speed_on_a_bent_line_as_the_table_writes() -> None:
-    found, _ = friction_after(
+def test_friction_follows_the_speed_on_a_bent_line() -> None:
+    factors, _ = friction_after(
         0.2, speed_dependent_friction_slope_per_m_s=0.01, speed_dependent_friction_knee_m_s=12.0
     )
-    assert np.log(found[0]) == pytest.approx(0.12 * (1.0 - np.exp(-10.0 / 12.0)), rel=2e-3)
+    assert np.log(factors[0]) == pytest.approx(0.12 * (1.0 - np.exp(-10.0 / 12.0)), rel=2e-3)
 
 
 # --- memory of adhesion ---
@@ -194,33 +198,36 @@ def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(
         brake={"cylinder_area_m2": 0.1},
         mechanisms={"adhesion_memory_length_m": length_m, "adhesion_memory_speed_power": power},
     )
-    # all at once locked by strong brakes: by the paper's law lambda_0 then hardly changes with the way
+    # strong brakes have locked all wheels: by the paper's law lambda_0 then hardly changes with the way
     rig.state.wheel_speed[:] = 0.0
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 4e5
     rig.state.brake_capacity[:] = 2e4
     way_m = length_m * (speed_m_s / 20.0) ** power
     run = rig.roll(2.5 * way_m / speed_m_s, demand_Pa=4e5)
     assert run.wheel_speed.max() == 0.0
-    prompt = np.array(
-        [
-            wheelset.wheelset_adhesion(s, v, N, 0.06, 0.28, rig.params.patch, rig.params.law)[3]
-            for s, v, N in zip(
-                run.sliding[1:, 0], run.vehicle_speed[1:], run.wheel_load[1:, 0], strict=True
-            )
-        ]
-    )
+    # lambda_0 at each tick
+    prompt = np.empty(run.time.size - 1)
+    for i in range(prompt.size):
+        prompt[i] = wheelset.wheelset_adhesion(
+            run.sliding[i + 1, 0],
+            run.vehicle_speed[i + 1],
+            run.wheel_load[i + 1, 0],
+            0.06,
+            0.28,
+            rig.params.patch,
+            rig.params.law,
+        )[3]
     assert np.ptp(prompt) < 0.07 * prompt[0]
     expected = 1.0 - np.exp(-run.position[1:] / way_m)
     np.testing.assert_allclose(run.transition[1:, 0] / prompt.mean(), expected, atol=0.015)
     # and the force is that of the recovery so far
-    f_d, f_r, late = (
-        getattr(run, name)[1:, 0]
-        for name in ("adhesion_degraded", "adhesion_recovered", "transition")
-    )
+    f_d = run.adhesion_degraded[1:, 0]
+    f_r = run.adhesion_recovered[1:, 0]
+    late = run.transition[1:, 0]
     np.testing.assert_allclose(run.adhesion[1:, 0], (1.0 - late) * f_d + late * f_r, rtol=1e-12)
 
 
-def test_a_memory_of_the_work_done_recovers_by_the_work_as_it_is() -> None:
+def test_a_memory_of_the_work_done_recovers_by_the_actual_work() -> None:
     length_m = 2.0
     rig = Rig(
         20.0,
@@ -230,7 +237,7 @@ def test_a_memory_of_the_work_done_recovers_by_the_work_as_it_is() -> None:
     )
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 4e5
     run = rig.roll(1.5, demand_Pa=4e5)
-    # the record's own work of one wheel on a metre of rail
+    # from the recorded work of one wheel on a metre of rail
     wanted = 1.0 - np.exp(-rig.params.law.tau_m_J * run.dissipated_energy[:, 0])
     middle = 0.5 * (wanted[1:] + wanted[:-1])
     late = 0.5 * (run.transition[1:, 0] + run.transition[:-1, 0])
@@ -240,35 +247,31 @@ def test_a_memory_of_the_work_done_recovers_by_the_work_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("of_work", [0.0, 1.0])
-def test_a_memory_of_no_length_to_speak_of_is_the_base_model(of_work) -> None:
-    rigs = (
-        Rig(20.0, adhesion=SOAP),
-        Rig(
-            20.0,
-            adhesion=SOAP,
-            mechanisms={"adhesion_memory_length_m": 1e-4, "adhesion_memory_of_work": of_work},
-        ),
-    )
-    for rig in rigs:
+def test_a_very_short_memory_is_the_base_model(of_work) -> None:
+    memory = {"adhesion_memory_length_m": 1e-4, "adhesion_memory_of_work": of_work}
+    base_rig = Rig(20.0, adhesion=SOAP)
+    memory_rig = Rig(20.0, adhesion=SOAP, mechanisms=memory)
+    for rig in (base_rig, memory_rig):
         rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 2.5e5
-    plain, told = (rig.roll(3.0) for rig in rigs)
+    plain = base_rig.roll(3.0)
+    lagging = memory_rig.roll(3.0)
     assert plain.transition.max() > 0.1
-    np.testing.assert_allclose(told.wheel_speed, plain.wheel_speed, atol=0.02)
-    np.testing.assert_allclose(told.position, plain.position, atol=1e-4)
+    np.testing.assert_allclose(lagging.wheel_speed, plain.wheel_speed, atol=0.02)
+    np.testing.assert_allclose(lagging.position, plain.position, atol=1e-4)
 
 
 @pytest.mark.parametrize("power", [0.0, 0.5, 1.0])
-def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(power) -> None:
-    built = extended(adhesion_memory_length_m=3.0, adhesion_memory_speed_power=power).effects
+def test_memory_in_the_plant_equals_that_of_the_replay_and_is_finite_at_standstill(power) -> None:
+    memory = extended(adhesion_memory_length_m=3.0, adhesion_memory_speed_power=power).effects
     row = np.zeros(parameters.PARAMETERS)
     row[parameters.MEMORY] = 3.0
     row[parameters.MEMORY_POWER] = power
     model = parameters.WheelModel(*row)
     for speed_m_s in (0.1, 5.0, 20.0, 44.0):
-        assert wheelset.lagged_transition(0.0, 1.0, speed_m_s, 0.01, built) == pytest.approx(
+        assert wheelset.lagged_transition(0.0, 1.0, speed_m_s, 0.01, memory) == pytest.approx(
             replay.lag_share(speed_m_s, 0.01, model), rel=1e-12
         )
-    standing = wheelset.lagged_transition(0.2, 1.0, 0.0, 0.01, built)
+    standing = wheelset.lagged_transition(0.2, 1.0, 0.0, 0.01, memory)
     assert 0.2 <= standing < 0.3
     assert power == 1.0 or standing == 0.2
 
@@ -277,37 +280,32 @@ def test_memory_in_the_plant_is_that_of_the_replay_and_finite_at_standstill(powe
 
 
 def test_the_height_of_falling_friction_scales_the_fall_from_static_to_sliding() -> None:
-    base, told = (
-        extended().law,
-        extended(falling_friction_fraction=0.5, falling_friction_height=1.0).law,
-    )
-    assert 1.0 / told.A_d - 1.0 == pytest.approx(1.5 * (1.0 / base.A_d - 1.0), rel=1e-12)
-    assert 1.0 / told.A_r - 1.0 == pytest.approx(1.5 * (1.0 / base.A_r - 1.0), rel=1e-12)
-    assert (told.gamma_d_s_m, told.gamma_r_s_m) == (base.gamma_d_s_m, base.gamma_r_s_m)
+    base = extended().law
+    higher = extended(falling_friction_fraction=0.5, falling_friction_height=1.0).law
+    assert 1.0 / higher.A_d - 1.0 == pytest.approx(1.5 * (1.0 / base.A_d - 1.0), rel=1e-12)
+    assert 1.0 / higher.A_r - 1.0 == pytest.approx(1.5 * (1.0 / base.A_r - 1.0), rel=1e-12)
+    assert higher.gamma_d_s_m == base.gamma_d_s_m
+    assert higher.gamma_r_s_m == base.gamma_r_s_m
 
 
 def test_a_layer_of_the_whole_contact_is_a_contact_of_less_creep_stiffness() -> None:
-    layer, soft = (
-        extended(**told)
-        for told in (
-            {"interfacial_layer_reduction": 0.4, "interfacial_layer_whole": 1.0},
-            {"roller_curvature_stiffness_fraction": -0.4},
-        )
-    )
+    layer = extended(interfacial_layer_reduction=0.4, interfacial_layer_whole=1.0)
+    soft = extended(roller_curvature_stiffness_fraction=-0.4)
+
+    def force_N(sliding_m_s: float, p) -> float:
+        return wheelset.contact_force(
+            sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, -1.0, 0.0
+        )[0]
+
     for sliding_m_s in (0.01, 0.3, 4.0):
-        forces = [
-            wheelset.contact_force(sliding_m_s, 20.0, 1.1e5, 0.04, 0.28, p.patch, p.law, -1.0, 0.0)[
-                0
-            ]
-            for p in (layer, soft)
-        ]
-        assert forces[0] == pytest.approx(forces[1], rel=1e-9)
+        expected_N = pytest.approx(force_N(sliding_m_s, soft), rel=1e-9)
+        assert force_N(sliding_m_s, layer) == expected_N
 
 
 # --- wheels ---
 
 
-def test_an_out_of_round_wheel_swings_its_own_load_once_a_turn_by_the_amplitude() -> None:
+def test_an_out_of_round_wheel_varies_the_load_of_its_axle_once_a_turn_by_the_amplitude() -> None:
     rig = Rig(
         20.0,
         adhesion=DRY,
@@ -332,7 +330,7 @@ def test_an_out_of_round_wheel_swings_its_own_load_once_a_turn_by_the_amplitude(
     assert turns > 15.0
 
 
-def test_one_larger_wheel_alone_turns_slower_at_the_speed_of_the_train() -> None:
+def test_one_larger_wheel_turns_slower_at_the_speed_of_the_train() -> None:
     rig = Rig(
         20.0,
         adhesion=DRY,
@@ -348,7 +346,7 @@ def test_one_larger_wheel_alone_turns_slower_at_the_speed_of_the_train() -> None
     )
 
 
-def test_one_heavier_wheelset_alone_answers_slower() -> None:
+def test_one_heavier_wheelset_responds_more_slowly() -> None:
     rig = Rig(
         20.0,
         adhesion={"mu_cd": 1e-4, "mu_cr": 1e-4, "A_d": 1.0, "A_r": 1.0},
@@ -406,12 +404,13 @@ def test_with_such_wheels_and_memory_the_energy_of_a_stop_balances() -> None:
         + run.change("resistance_work")
     )
     assert counted == pytest.approx(0.5 * (mass + wheels), rel=1e-6)
-    again = Rig(20.0, adhesion=SOAP, rig=TRACK, mechanisms=WHEELS_AND_CONTACT)
-    assert again.roll(40.0, np.tile([0, 0, 1, 3], (40_000, 1))).log.tobytes() == run.log.tobytes()
+    second_rig = Rig(20.0, adhesion=SOAP, rig=TRACK, mechanisms=WHEELS_AND_CONTACT)
+    repeated = second_rig.roll(40.0, np.tile([0, 0, 1, 3], (40_000, 1)))
+    assert repeated.log.tobytes() == run.log.tobytes()
 
 
 @pytest.mark.parametrize(
-    "told",
+    "mechanisms",
     [
         {"adhesion_memory_length_m": 2.0},
         {"wheel_out_of_round_amplitude": 0.1},
@@ -419,9 +418,10 @@ def test_with_such_wheels_and_memory_the_energy_of_a_stop_balances() -> None:
         {"load_transfer_body_s2_m": 0.02},
     ],
 )
-def test_the_coach_in_3d_refuses_a_mechanism_that_it_does_not_know(told) -> None:
-    with pytest.raises(ConfigError, match=f"{next(iter(told))}.*coach in 3D.*planar"):
-        Rig(20.0, vehicle={"model": "multibody"}, mechanisms=told)
+def test_the_coach_in_3d_refuses_a_mechanism_that_it_does_not_know(mechanisms) -> None:
+    first = next(iter(mechanisms))
+    with pytest.raises(ConfigError, match=f"{first}.*coach in 3D.*planar"):
+        Rig(20.0, vehicle={"model": "multibody"}, mechanisms=mechanisms)
 
 
 def test_a_patch_with_slow_edges_has_half_its_depth_on_the_middle_of_its_edge() -> None:

@@ -1,4 +1,4 @@
-"""The state as kernels see it: one address, whose fields are those of Python's named tuple."""
+"""The state in kernels: one address, whose fields are those of Python's named tuple."""
 
 import numpy as np
 import pytest
@@ -53,13 +53,13 @@ def test_a_kernel_writes_where_python_reads():
     np.testing.assert_array_equal(state.wheel_speed, expected[states.SLOTS["wheel_speed"]])
 
 
-def test_fields_have_in_a_kernel_the_shape_they_have_in_python():
+def test_fields_have_the_same_shape_in_a_kernel_and_in_python():
     _, state = _numbered()
     assert _sizes(state) == (1, states.AXLES, state.wheel_load[1:3].sum())
     assert _sizes.py_func(state) == _sizes(state)
 
 
-def test_a_coach_is_a_field_only_where_there_is_one():
+def test_a_kernel_sees_the_coach_only_where_the_state_has_one():
     _, planar = _numbered()
     whole, with_coach = _numbered(states.SIZE + coach_state.SIZE)
     assert _coach_end(planar) == 0.0
@@ -72,7 +72,7 @@ def test_a_field_that_the_state_does_not_have_does_not_compile():
         _unknown(state)
 
 
-def test_a_state_of_something_else_than_numbers_is_refused():
+def test_a_state_that_is_not_of_numbers_is_refused():
     _, state = _numbered()
     with pytest.raises(TypeError):
         _sizes(state._replace(time="now"))

@@ -13,19 +13,22 @@ AT_M = np.array([0.0, 2.56, 19.0, 21.56])
 
 
 def test_resistance_is_the_polynomial_of_davis():
-    given = Rig(
-        30.0,
-        vehicle={"resistance_A_N": 500.0, "resistance_B_N_s_m": 20.0, "resistance_C_N_s2_m2": 2.0},
-    ).params.vehicle
-    assert [vehicle.resistance(v, given) for v in (0.0, 1.0, 10.0)] == [500.0, 522.0, 900.0]
+    coefficients = {
+        "resistance_A_N": 500.0,
+        "resistance_B_N_s_m": 20.0,
+        "resistance_C_N_s2_m2": 2.0,
+    }
+    constants = Rig(30.0, vehicle=coefficients).params.vehicle
+    assert [vehicle.resistance(v, constants) for v in (0.0, 1.0, 10.0)] == [500.0, 522.0, 900.0]
 
 
-def test_a_coasting_vehicle_slows_down_as_the_closed_form_says():
+def test_a_coasting_vehicle_slows_down_as_in_the_closed_form():
     rig = Rig(30.0, rig=TRACK)
     run = rig.roll(60.0, demand_Pa=0.0)
     # wheelsets turn with the vehicle: their inertia adds mass; v(t) of M dv/dt = -(A + C v^2)
     mass_kg = COACH["mass_kg"] + 4 * COACH["wheelset_inertia_kgm2"] / COACH["wheel_radius_m"] ** 2
-    A, C = COACH["resistance_A_N"], COACH["resistance_C_N_s2_m2"]
+    A = COACH["resistance_A_N"]
+    C = COACH["resistance_C_N_s2_m2"]
     root = math.sqrt(A / C)
     expected = root * np.tan(np.arctan(30.0 / root) - math.sqrt(A * C) / mass_kg * run.time)
     np.testing.assert_allclose(run.vehicle_speed, expected, rtol=1e-5)
@@ -33,8 +36,8 @@ def test_a_coasting_vehicle_slows_down_as_the_closed_form_says():
 
 @pytest.mark.parametrize("deceleration_m_s2", [0.0, 0.5, 1.6])
 def test_loads_carry_the_weight_and_the_moment_of_braking(deceleration_m_s2):
-    given = Rig(30.0).params.vehicle
-    loads_N = np.array([vehicle.load(j, -deceleration_m_s2, given) for j in range(4)])
+    constants = Rig(30.0).params.vehicle
+    loads_N = np.array([vehicle.load(j, -deceleration_m_s2, constants) for j in range(4)])
     assert loads_N.sum() == pytest.approx(COACH["mass_kg"] * 9.80665, rel=1e-12)
     # about the rail: each mass at its height
     body_kg = COACH["mass_kg"] - 2 * COACH["bogie_mass_kg"] - 4 * COACH["wheelset_mass_kg"]
@@ -76,7 +79,7 @@ def test_a_wheelset_that_is_lifted_off_has_no_load_and_no_adhesion():
     assert np.isfinite(run.log).all()
 
 
-def test_a_released_vehicle_at_walking_pace_rolls_out_and_stands():
+def test_a_released_vehicle_at_walking_pace_coasts_to_a_standstill():
     rig = Rig(0.5, adhesion=SOAP)
     run = rig.roll(40.0, demand_Pa=0.0)
     mass_kg = COACH["mass_kg"] + 4 * COACH["wheelset_inertia_kgm2"] / COACH["wheel_radius_m"] ** 2
@@ -84,7 +87,7 @@ def test_a_released_vehicle_at_walking_pace_rolls_out_and_stands():
     assert run.time[np.flatnonzero(run.standing)[0]] == pytest.approx(expected_s, rel=0.02)
 
 
-def test_brakes_that_come_on_at_standstill_move_nothing():
+def test_brakes_that_are_applied_at_standstill_move_nothing():
     rig = Rig(0.5)
     rig.roll(40.0, demand_Pa=0.0)
     place_m = rig.state.position[0]

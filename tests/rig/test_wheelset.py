@@ -20,8 +20,9 @@ def force(sliding_m_s, surface_m_s=30.0, load_N=LOAD_N):
 
 
 @pytest.mark.parametrize("sliding_m_s", SLIDINGS_M_S)
-def test_the_force_opposes_sliding_alike_in_both_directions(sliding_m_s):
-    braking, driving = force(sliding_m_s), force(-sliding_m_s)
+def test_the_force_opposes_sliding_equally_in_both_directions(sliding_m_s):
+    braking = force(sliding_m_s)
+    driving = force(-sliding_m_s)
     assert braking[0] > 0.0
     assert driving[0] == near(-braking[0], rel=1e-12)
     assert driving[1] == near(braking[1], rel=1e-12)
@@ -45,7 +46,7 @@ def test_both_wheels_of_a_wheelset_carry_half_its_load():
     assert force(0.3)[0] == near(f * LOAD_N, rel=1e-12)
 
 
-def test_cleaning_is_the_papers_law_to_the_bit_until_wheels_hardly_turn_and_none_when_they_are_locked():
+def test_cleaning_follows_the_paper_to_the_bit_up_to_its_creepage_and_is_none_at_a_locked_wheel():
     def creep(sliding_m_s, bound, surface_m_s=30.0):
         law = RIG.law._replace(cleaning_creepage=bound)
         return wheelset.wheelset_adhesion(
@@ -56,10 +57,8 @@ def test_cleaning_is_the_papers_law_to_the_bit_until_wheels_hardly_turn_and_none
         assert creep(sliding_m_s, 0.5) == creep(sliding_m_s, np.inf)
     # down to standstill, where creepage has a floor
     for surface_m_s in (30.0, 3.0, 0.05, 1e-3, 0.0):
-        paper, locked = (
-            creep(surface_m_s, np.inf, surface_m_s),
-            creep(surface_m_s, 0.5, surface_m_s),
-        )
+        paper = creep(surface_m_s, np.inf, surface_m_s)
+        locked = creep(surface_m_s, 0.5, surface_m_s)
         assert locked[1:3] == paper[1:3]
         assert locked[0] == near(paper[1], rel=1e-12)
         assert locked[3] == 0.0
@@ -70,20 +69,21 @@ def test_cleaning_is_the_papers_law_to_the_bit_until_wheels_hardly_turn_and_none
 def test_cleaning_fades_without_a_step_and_its_slope_is_the_derivative():
     law = RIG.law._replace(cleaning_creepage=0.5)
     at = np.linspace(12.0, 31.0, 400)
-    f, slope = np.array(
-        [
-            np.take(wheelset.wheelset_adhesion(s, 30.0, LOAD_N, 0.03, 0.28, RIG.patch, law), (0, 5))
-            for s in at
-        ]
-    ).T
+    f = np.empty_like(at)
+    slope = np.empty_like(at)
+    for i, sliding_m_s in enumerate(at):
+        f[i], _, _, _, _, slope[i] = wheelset.wheelset_adhesion(
+            sliding_m_s, 30.0, LOAD_N, 0.03, 0.28, RIG.patch, law
+        )
     assert np.all(np.diff(f[at > 21.0]) <= 0.0)
-    inside = np.abs(at[1:-1] - 15.0) > 0.1  # the slope's own kinks
+    # away from the kinks of the slope, where the fading begins and ends
+    inside = np.abs(at[1:-1] - 15.0) > 0.1
     inside &= np.abs(at[1:-1] - 30.0) > 0.1
     np.testing.assert_allclose(slope[1:-1][inside], np.gradient(f, at)[1:-1][inside], atol=2e-4)
     assert np.abs(np.diff(slope)).max() < 2e-3
 
 
-def test_a_locked_wheelset_stays_locked_on_soap_and_the_vehicle_feels_the_degraded_curve_alone():
+def test_a_locked_wheelset_stays_locked_on_soap_and_has_only_the_degraded_adhesion():
     rig = Rig(40.0, adhesion=SOAP, rig=TRACK)
     rig.state.wheel_speed[:] = 0.0
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = FULL_BRAKE_PA
@@ -104,7 +104,7 @@ def test_the_wheelset_accelerates_by_contact_less_brake():
     assert rate == near((0.445 * 10e3 - 2000.0) / 160.0)
 
 
-def test_a_wheel_at_rest_stays_locked_until_the_contact_beats_the_brake():
+def test_a_wheel_at_rest_stays_locked_until_the_contact_overcomes_the_brake():
     wheels = RIG.wheels
     assert wheelset.wheel_acceleration(0.0, 4000.0, 2000.0, 0, wheels) == (
         0.0,
@@ -121,8 +121,12 @@ def test_a_wheel_at_rest_stays_locked_until_the_contact_beats_the_brake():
 
 @pytest.mark.parametrize(("locked", "on_track"), [(0, 0), (0, 1), (1, 0), (1, 1)])
 def test_a_stage_solves_its_linear_system(locked, on_track):
-    vehicle, drive, h, g = RIG.vehicle, RIG.drive, 1e-4, 5e6
-    r, R = vehicle.wheel_radius_m, drive.roller_radius_m
+    vehicle = RIG.vehicle
+    drive = RIG.drive
+    h = 1e-4
+    g = 5e6
+    r = vehicle.wheel_radius_m
+    R = drive.roller_radius_m
     p = np.array(
         [
             0.0 if locked else r / vehicle.wheelset_inertia_kgm2,
@@ -132,15 +136,16 @@ def test_a_stage_solves_its_linear_system(locked, on_track):
     q = g * np.array([-r, R])
     gamma = 1.0 - 1.0 / np.sqrt(2.0)
     k = np.array([-3.0, 2.0])
-    *found, added_N = wheelset.implicit_slopes(
+    wheel_k, roller_k, added_N = wheelset.implicit_slopes(
         *k, g, bool(locked), bool(on_track), h, 0, RIG.wheels, drive
     )
+    slopes = np.array([wheel_k, roller_k])
     expected = np.linalg.solve(np.eye(2) - gamma * h * np.outer(p, q), k)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
-    np.testing.assert_allclose(k + p * added_N, found, rtol=1e-12)
+    np.testing.assert_allclose(slopes, expected, rtol=1e-12)
+    np.testing.assert_allclose(k + p * added_N, slopes, rtol=1e-12)
 
 
-def test_a_braked_wheel_without_adhesion_stops_when_its_momentum_is_gone():
+def test_a_braked_wheel_without_adhesion_stops_when_the_brake_has_taken_its_momentum():
     rig = Rig(30.0, adhesion={"mu_cd": 1e-4, "mu_cr": 1e-4, "A_d": 1.0, "A_r": 1.0})
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 2e5
     run = rig.roll(3.5, demand_Pa=2e5)
