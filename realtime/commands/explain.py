@@ -227,11 +227,11 @@ def _further(
     unclear = [k for k, named in enumerate(account.causes) if named.confusable]
     if not (unclear or count):
         return []
-    on = planning.Ground(account.data, account.design, account.final)
-    lib = planning.library(on, planning.surviving(account), progress)
+    fitted = planning.FittedData(account.data, account.design, account.final)
+    lib = planning.library(fitted, planning.surviving(account), progress)
 
     def write(name: str, test: Any) -> Path:
-        (out / name).write_text(tomli_w.dumps(planning.sequence(test, on)), encoding="utf-8")
+        (out / name).write_text(tomli_w.dumps(planning.sequence(test, fitted)), encoding="utf-8")
         return out / name
 
     for k in unclear:

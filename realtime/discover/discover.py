@@ -246,9 +246,9 @@ def _further(
     account: Diagnosis, stops: Sequence[dict[str, Any]], count: int, progress: Progress
 ) -> list[dict[str, Any]]:
     """The stops that part the causes still possible best, none of them run before."""
-    on = planning.Ground(account.data, account.design, account.final)
+    fitted = planning.FittedData(account.data, account.design, account.final)
     done = {tuple(stop[key] for key in Stop._fields) for stop in stops}
-    lib = planning.library(on, planning.surviving(account), progress)
+    lib = planning.library(fitted, planning.surviving(account), progress)
     # first those that cannot be told from one another
     unclear = {
         name for n in account.causes if n.confusable for name in (n.finding.name, *n.confusable)

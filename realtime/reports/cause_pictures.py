@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.panel import Panel, Series
 from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED
-from rollerrig.rig.identify.causes.courses import covariate, of_vehicle
+from rollerrig.rig.identify.causes.courses import covariate, vehicle_samples
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import gain
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
@@ -108,7 +108,7 @@ def cause(a: Diagnosis, named: IdentifiedCause) -> Panel:
     name = goes_by[0] if goes_by else "speed_m_s" if vehicle else "sliding_m_s"
     x, block, axle = covariate(d, name), _blocks(d), np.repeat(d.axle, np.diff(d.start))
     if vehicle:
-        x, block, axle = of_vehicle(d, x), of_vehicle(d, block), np.zeros(lacking.size)
+        x, block, axle = vehicle_samples(d, x), vehicle_samples(d, block), np.zeros(lacking.size)
     # a cause of one axle shows there; one of all is shown together
     on = np.full(x.size, True) if vehicle or not named.cause.axle else axle == named.cause.axle - 1
     edges = _edges(x[on])

@@ -1,12 +1,12 @@
-"""The state of an explanation, and what it makes of the measured inputs of a replay.
+"""The state of an explanation, and the inputs of the replay under it.
 
-Base parameters within their tolerances, the strength and length of the rail's irregularity, and
-any number of causes with their coefficients: `inputs` turns them into torque, load, friction and
-wheel parameters of the replay, exactly (the columns of `columns` are its derivatives).
+An explanation consists of base parameters within their tolerances, the strength and length of the
+rail's irregularity, and any number of causes with their coefficients. `inputs` turns it exactly into
+torque, load, friction and wheel parameters of the replay. The columns of `columns` are its
+derivatives.
 """
 
 from collections import defaultdict
-from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -20,150 +20,197 @@ from rollerrig.rig.identify.replay.sensitivity import Inputs
 from rollerrig.rig.mechanisms.constants import RESISTANCE
 from rollerrig.rig.mechanisms.mechanism import FRICTION, LOAD, VEHICLE
 
+# of the rail's irregularity, before a fit
+UNTUNED_SIGMA = 0.028
+UNTUNED_LENGTH_M = 8.0
+
 
 class Cause(NamedTuple):
-    """One cause in one shape: `values` in the order of its columns; windows (run, from, to)."""
+    """A cause in a shape, with its coefficients."""
 
     name: str
-    axle: int
+    axle: int  # 0: all wheelsets alike
     shape: Shape
-    values: tuple[float, ...]
+    values: tuple[float, ...]  # coefficients, in the order of the cause's columns
 
 
 class Explanation(NamedTuple):
-    """Base values by label, strength and length of the field, causes."""
+    """Base parameters, the irregularity of the rail, and causes."""
 
-    base: dict[str, float]
-    sigma: float
-    length_m: float
+    base: dict[str, float]  # deviation of each base parameter, by its label
+    sigma: float  # standard deviation of the irregularity
+    length_m: float  # correlation length of the irregularity
     causes: tuple[Cause, ...]
 
     @property
     def level(self) -> float:
-        """Logarithm of the contaminant's level over the base model's, mean of the fitted runs."""
-        return float(
-            np.mean([v for label, v in self.base.items() if label.startswith("ln_mu_cd")] or [0.0])
-        )
+        """The logarithm of the contaminant's level over that of the base model, mean of the runs."""
+        levels = [value for label, value in self.base.items() if label.startswith("ln_mu_cd")]
+        return float(np.mean(levels or [0.0]))
 
     def with_cause(self, at: int, cause: Cause) -> "Explanation":
-        """The same with another cause at this place."""
+        """Returns the explanation with another cause at this place."""
         return self._replace(causes=(*self.causes[:at], cause, *self.causes[at + 1 :]))
 
 
 def untuned(design: Design) -> Explanation:
-    """The untuned base."""
+    """Returns the explanation before a fit: the base model, without causes."""
     return Explanation(
-        {f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)}, 0.028, 8.0, ()
+        base={f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)},
+        sigma=UNTUNED_SIGMA,
+        length_m=UNTUNED_LENGTH_M,
+        causes=(),
     )
 
 
 def inputs(design: Design, explanation: Explanation) -> Inputs:
-    """Inputs of the replay under an explanation."""
+    """Returns the inputs of the replay under an explanation."""
     base = defaultdict(float, explanation.base)
+    runs = range(design.mass_kg.size)
+
     p = np.tile(design.base, (design.segments, 1))
-    p[:, parameters.IRREGULARITY], p[:, parameters.IRREGULARITY_LENGTH] = (
-        explanation.sigma,
-        explanation.length_m,
-    )
-    p[:, parameters.SPEED_NOISE], p[:, parameters.TORQUE_NOISE] = (
-        design.wheel_noise_rad_s,
-        design.torque_noise_Nm[design.run],
-    )
+    p[:, parameters.IRREGULARITY] = explanation.sigma
+    p[:, parameters.IRREGULARITY_LENGTH] = explanation.length_m
+    p[:, parameters.SPEED_NOISE] = design.wheel_noise_rad_s
+    p[:, parameters.TORQUE_NOISE] = design.torque_noise_Nm[design.run]
     p[:, parameters.TAU] *= np.exp(base["ln_tau"])
     p[:, parameters.MU_CD] *= np.exp([base[f"ln_mu_cd_{run}"] for run in design.run])
-    gain = [1.0 + (base["torque_gain"] + base[f"torque_gain_{axle}"]) for axle in design.axle]
-    lift = [1.0 + base[f"load_gain_{axle}"] for axle in design.axle]
+
+    torque_factors = [
+        1.0 + (base["torque_gain"] + base[f"torque_gain_{axle}"]) for axle in design.axle
+    ]
+    load_factors = [1.0 + base[f"load_gain_{axle}"] for axle in design.axle]
+    mass_factors = [1.0 + base[f"mass_{run}"] for run in runs]
     sizes = np.diff(design.start)
     found = Inputs(
-        torque_Nm=design.torque_Nm * np.repeat(gain, sizes),
-        load_N=design.load_N * np.repeat(lift, sizes),
+        torque_Nm=design.torque_Nm * np.repeat(torque_factors, sizes),
+        load_N=design.load_N * np.repeat(load_factors, sizes),
         speed_m_s=design.speed_m_s,
         friction=np.ones((2, design.measured_rad_s.size)),
         parameters=p,
-        mass_kg=design.mass_kg * [1.0 + base[f"mass_{run}"] for run in range(design.mass_kg.size)],
+        mass_kg=design.mass_kg * mass_factors,
         force_N=np.zeros(design.vehicle_m_s.size),
     )
-    return reduce(lambda i, cause: _with(design, i, cause), explanation.causes, found)
+    for cause in explanation.causes:
+        found = _with_cause(design, found, cause)
+    return found
 
 
-def _with(d: Design, i: Inputs, cause: Cause) -> Inputs:
+def _with_cause(design: Design, i: Inputs, cause: Cause) -> Inputs:
+    """Returns inputs as a cause changes them."""
     row = table.BY_NAME[cause.name]
-    m, on, rows = (
-        row.mechanism,
-        courses.of_axle(d, cause.axle),
-        (d.axle == cause.axle - 1) | (cause.axle == 0),
-    )
+    mechanism = row.mechanism
     value = cause.values[0] if cause.values else 0.0
-    if m.acts_on == VEHICLE:
-        return i._replace(force_N=i.force_N + resistance(d, i.mass_kg, row, cause.shape, value))
-    if m.constants is not None:
+
+    if mechanism.acts_on == VEHICLE:
+        force_N = resistance(design, i.mass_kg, row, cause.shape, value)
+        return i._replace(force_N=i.force_N + force_N)
+    if mechanism.constants is not None:
         changed = changed_parameters(i.parameters, row, cause.shape, value)
-        return i._replace(parameters=np.where(rows[:, None], changed, i.parameters))
+        acts = _segments_of_axle(design, cause.axle)
+        return i._replace(parameters=np.where(acts[:, None], changed, i.parameters))
     if cause.name == "adhesion_memory":
-        p = i.parameters.copy()
-        p[:, parameters.MEMORY] = max(value, 0.0)
-        p[:, parameters.MEMORY_POWER] = cause.shape.get("speed_power", 0.0)
-        p[:, parameters.MEMORY_OF_WORK] = cause.shape.get("of_work", 0.0)
-        return i._replace(parameters=p)
+        return _with_memory(i, cause.shape, value)
     if cause.name == "torque_sensor_delay":
-        return i._replace(torque_Nm=shifted(d, i.torque_Nm, np.full(d.segments, value)))
+        by_s = np.full(design.segments, value)
+        return i._replace(torque_Nm=shifted(design, i.torque_Nm, by_s))
     if cause.name == "speed_sensor_delay":
-        by = np.where(rows, -value, 0.0)
-        torque_Nm = shifted(d, i.torque_Nm, by)
-        now = (i.torque_Nm - torque_Nm) / i.parameters[
-            0, parameters.RADIUS
-        ]  # the vehicle lives on that of now
-        force_N = i.force_N + np.concatenate(
-            [d.by_axle(now, run).sum(axis=1) for run in range(d.mass_kg.size)]
-        )
-        return i._replace(
-            torque_Nm=torque_Nm, speed_m_s=shifted(d, i.speed_m_s, by), force_N=force_N
-        )
-    given = courses.courses(d, cause.name, cause.shape)
-    change = on * sum(v * course for v, course in zip(cause.values, given, strict=False))
+        return _with_late_speed(design, i, cause.axle, value)
+    return _with_courses(design, i, cause)
+
+
+def _segments_of_axle(design: Design, axle: int) -> np.ndarray:
+    """Returns for each segment whether it is of this wheelset; 0 means all, shape (segments,)."""
+    return (design.axle == axle - 1) | (axle == 0)
+
+
+def _with_memory(i: Inputs, shape: Shape, length_m: float) -> Inputs:
+    """Returns inputs with adhesion memory of this length."""
+    p = i.parameters.copy()
+    p[:, parameters.MEMORY] = max(length_m, 0.0)
+    p[:, parameters.MEMORY_POWER] = shape.get("speed_power", 0.0)
+    p[:, parameters.MEMORY_OF_WORK] = shape.get("of_work", 0.0)
+    return i._replace(parameters=p)
+
+
+def _with_late_speed(design: Design, i: Inputs, axle: int, late_s: float) -> Inputs:
+    """Returns inputs for a wheel speed that is measured late: the wheel's inputs are shifted as much.
+
+    The vehicle is measured in time, so its force balance keeps the torque that is not shifted.
+    """
+    by_s = np.where(_segments_of_axle(design, axle), -late_s, 0.0)
+    torque_Nm = shifted(design, i.torque_Nm, by_s)
+    missing_N = (i.torque_Nm - torque_Nm) / i.parameters[0, parameters.RADIUS]
+    on_vehicles_N = np.concatenate(
+        [design.by_axle(missing_N, run).sum(axis=1) for run in range(design.mass_kg.size)]
+    )
+    return i._replace(
+        torque_Nm=torque_Nm,
+        speed_m_s=shifted(design, i.speed_m_s, by_s),
+        force_N=i.force_N + on_vehicles_N,
+    )
+
+
+def _with_courses(design: Design, i: Inputs, cause: Cause) -> Inputs:
+    """Returns inputs that a cause changes by its courses, of friction, load, torque or resistance."""
+    mechanism = table.BY_NAME[cause.name].mechanism
+    of_units = courses.courses(design, cause.name, cause.shape)
+    change = courses.of_axle(design, cause.axle) * sum(
+        value * course for value, course in zip(cause.values, of_units, strict=False)
+    )
     if "on_vehicle" in cause.shape:
-        return i._replace(force_N=i.force_N + courses.of_vehicle(d, change))
-    if m.acts_on == FRICTION:
-        of_recovered = 1.0 - cause.shape.get("contaminant_alone", 0.0)
-        return i._replace(friction=i.friction * np.exp([change, of_recovered * change]))
-    if m.acts_on == LOAD:
+        return i._replace(force_N=i.force_N + courses.vehicle_samples(design, change))
+    if mechanism.acts_on == FRICTION:
+        share_of_recovered = 1.0 - cause.shape.get("contaminant_alone", 0.0)
+        factors = np.exp([change, share_of_recovered * change])
+        return i._replace(friction=i.friction * factors)
+    if mechanism.acts_on == LOAD:
         return i._replace(load_N=i.load_N * (1.0 + change))
-    return i._replace(torque_Nm=i.torque_Nm * (1.0 + change) if m.share else i.torque_Nm + change)
+    if mechanism.share:
+        return i._replace(torque_Nm=i.torque_Nm * (1.0 + change))
+    return i._replace(torque_Nm=i.torque_Nm + change)
 
 
-def _shape(row: Search, shape: Shape) -> list[float]:
+def _shape_values(row: Search, shape: Shape) -> list[float]:
+    """Returns the values of a cause's shape parameters, in their order."""
     return [shape.get(known.name, known.default) for known in row.mechanism.formula_parameters[1:]]
 
 
 def resistance(
-    d: Design, mass_kg: np.ndarray, row: Search, shape: Shape, value: float
+    design: Design, mass_kg: np.ndarray, row: Search, shape: Shape, value: float
 ) -> np.ndarray:
-    """Force in N that a cause of a size adds to the resistance, shape (vehicle samples,)."""
+    """Returns the force in N that a cause adds to the resistance, shape (vehicle samples,)."""
     assert row.mechanism.constants is not None
     nothing = np.zeros(mass_kg.size)
-    # where drives hold the speed no force changes it
-    model = dict.fromkeys(RESISTANCE.values(), nothing) | {
-        "mass_kg": np.where(np.isfinite(mass_kg), mass_kg, 0.0)
-    }
-    model |= row.mechanism.constants(model, value, *_shape(row, shape))
-    A, B, C = (np.repeat(model[key], np.diff(d.vehicle_start)) for key in RESISTANCE.values())
-    v = courses.of_vehicle(d, d.speed_m_s)
+    model = dict.fromkeys(RESISTANCE.values(), nothing)
+    # where drives hold the speed the mass is infinite, and no force changes the speed
+    model["mass_kg"] = np.where(np.isfinite(mass_kg), mass_kg, 0.0)
+    model |= row.mechanism.constants(model, value, *_shape_values(row, shape))
+
+    samples = np.diff(design.vehicle_start)
+    A, B, C = (np.repeat(model[key], samples) for key in RESISTANCE.values())
+    v = courses.vehicle_samples(design, design.speed_m_s)
     return A + B * v + C * v * v
 
 
 def changed_parameters(p: np.ndarray, row: Search, shape: Shape, value: float) -> np.ndarray:
-    """Rows of parameters (segments, PARAMETERS) with the constants that a cause of a size changes."""
+    """Returns parameters (segments, PARAMETERS) as a cause of this size changes their constants."""
     assert row.mechanism.constants is not None
     out = p.copy()
     model = {key: p[:, at] for key, at in parameters.COLUMN.items()}
-    for key, changed in row.mechanism.constants(model, value, *_shape(row, shape)).items():
+    changes = row.mechanism.constants(model, value, *_shape_values(row, shape))
+    for key, changed in changes.items():
         out[:, parameters.COLUMN[key]] = changed
     return out
 
 
-def shifted(d: Design, values: np.ndarray, by_s: np.ndarray) -> np.ndarray:
-    """values(t + by) in each segment, by splines of fifth order: straight lines would take noise away."""
+def shifted(design: Design, values: np.ndarray, by_s: np.ndarray) -> np.ndarray:
+    """Returns values(t + by) in each segment; `by_s` has the shape (segments,).
+
+    Splines of fifth order are used, because straight lines between samples would reduce the noise.
+    """
     out = values.copy()
     for s in np.flatnonzero(by_s).tolist():
-        out[d.span(s)] = shift(values[d.span(s)], -by_s[s] / d.step_s, order=5, mode="nearest")
+        at = design.span(s)
+        out[at] = shift(values[at], -by_s[s] / design.step_s, order=5, mode="nearest")
     return out

@@ -1,8 +1,10 @@
-"""The list of all that could change a replay: base parameters, causes, and smooth functions.
+"""The sensitivity matrix: all that could change a replay, as columns of coefficients.
 
-A column is a course in time of the change of a wheel's acceleration (and of the vehicle's) for a unit of one
-coefficient, on the wheelsets of some segments: many columns share a course. Base parameters always stay in the fit,
-those with a declared tolerance under a prior; a cause is one or several columns, some causes have variants of shape.
+A column belongs to one coefficient: a base parameter, a coefficient of a cause, or of a smooth
+function. It has a course in time: the change of a wheel's acceleration, and of the vehicle's, for one
+unit of the coefficient. It acts on the wheelsets of some segments, so many columns share a course.
+Base parameters always are in the fit, those with a declared tolerance under a prior. A cause has one
+or several columns, and some causes have variants of shape.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,25 +14,37 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rollerrig.rig.identify.causes import candidates, courses, table
-from rollerrig.rig.identify.causes.courses import of_run, of_vehicle
+from rollerrig.rig.identify.causes.candidates import Cause
+from rollerrig.rig.identify.causes.courses import of_run, vehicle_samples
 from rollerrig.rig.identify.causes.table import Search, Shape
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import AXLES
 from rollerrig.rig.identify.replay import sensitivity
-from rollerrig.rig.identify.replay.sensitivity import Inputs, LinearisedReplay
+from rollerrig.rig.identify.replay.sensitivity import F00, Inputs, LinearisedReplay
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, TORQUE, VEHICLE
 
 PLACE_BIN_M = 25.0
 TIME_BIN_S = 2.0
 BASE = "base"
-_FREE = 0.0  # tolerance of ln tau and of the contact's constants, which the base may use freely
-# of all wheels; of the vehicles, or of all wheels as the torque that the vehicles feel of those that it is on
+TORQUE_SMOOTHING_S = 0.03
+LARGEST_ACCELERATION_RAD_S2 = 30.0  # of the covariate "acceleration"; larger ones are outliers
+_FREE = 0.0  # prior of a coefficient without a tolerance
+
+# `LinearisedReplay.constants` begins with the changes of the recovery and of the contaminant's level;
+# those of causes follow.
+_TAU = 0
+_LEVEL = 1
+_FIRST_CAUSE = 2
+
+# What a coefficient changes: (acceleration of the wheels, flat; what the vehicles feel, flat). The
+# second one is either the acceleration of the vehicles, or for each wheel a brake torque in N m, which
+# the vehicles feel from those wheelsets on which the column acts.
 Part = tuple[np.ndarray | None, np.ndarray | None]
 
 
 class Column(NamedTuple):
-    """One coefficient: the cause whose it is, its label, prior deviation (0: free)."""
+    """One coefficient: its cause, its label, and its prior standard deviation (0: free)."""
 
     cause: str
     label: str
@@ -38,54 +52,66 @@ class Column(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """A cause in one shape: the columns that it frees, and what the shape is."""
+    """A cause in one shape on an axle (0: all), and the numbers of its columns."""
 
     cause: str
     columns: tuple[int, ...]
     shape: Shape
-    axle: int  # 0: all
+    axle: int
 
 
 class SensitivityMatrix(NamedTuple):
-    """Columns, their courses and variants. `wheel` (courses, n), `vehicle` (columns on it, nv).
+    """Columns, their courses and the variants of causes.
 
-    Behind the courses come those of bins, each `in_bins` where `bins` (kinds, n) holds its number, and of memory.
+    Courses are numbered: first those in `wheel`, then those of bins, then those of memory. A bin's
+    course is `in_bins` where `bins` holds its number, and 0 elsewhere. The course of memory is the
+    difference of whole replays, which the fit computes.
     """
 
     columns: list[Column]
-    wheel: np.ndarray
-    course: np.ndarray  # (columns,) of each column, -1: none
-    acts: np.ndarray  # (columns, segments) whether it acts there
-    bins: np.ndarray
-    in_bins: np.ndarray
-    memory: dict[int, Shape]  # shapes of memory by the numbers of their courses
-    vehicle: np.ndarray
-    on_vehicle: np.ndarray  # (columns on it,)
+    wheel: np.ndarray  # (courses, n)
+    course: np.ndarray  # (columns,) number of the course of each column, -1: none
+    acts: np.ndarray  # (columns, segments) whether the column acts there
+    bins: np.ndarray  # (kinds, n) number of the course of the bin at each sample, -1: none
+    in_bins: np.ndarray  # (n,)
+    memory: dict[int, Shape]  # shape of memory, by the number of its course
+    vehicle: np.ndarray  # (columns on the vehicles, vehicle samples)
+    on_vehicle: np.ndarray  # their numbers
     variants: list[Variant]
 
-    def variant_of(self, cause: candidates.Cause) -> Variant | None:
-        """The one of a cause in its shape, where it was searched."""
-        return next((v for v in self.variants if (v.cause, v.axle, v.shape) == cause[:3]), None)
+    def variant_of(self, cause: Cause) -> Variant | None:
+        """Returns the variant with the shape of a cause; None where the search has none."""
+        for variant in self.variants:
+            if (variant.cause, variant.axle, variant.shape) == (
+                cause.name,
+                cause.axle,
+                cause.shape,
+            ):
+                return variant
+        return None
 
 
 class _Writer:
-    """Collects columns: courses of the wheels (flat) with the segments where they act, and vehicle parts (flat)."""
+    """Collects the columns of a sensitivity matrix around one replay."""
 
     def __init__(self, design: Design, inputs: Inputs, linear: LinearisedReplay) -> None:
-        self.design, self.inputs, self.linear = design, inputs, linear
-        self.torque = smooth_torque(design, inputs.torque_Nm)
+        self.design = design
+        self.inputs = inputs
+        self.linear = linear
+        self.torque_Nm = smooth_torque(design, inputs.torque_Nm)
         self.columns: list[Column] = []
-        self.wheel: list[np.ndarray] = []
-        self.vehicle: dict[int, np.ndarray] = {}
-        self.uses: list[tuple[int, np.ndarray]] = []
+        self.courses_of_wheels: list[np.ndarray] = []
+        self.course_of: list[int] = []  # of each column
+        self.acts: list[np.ndarray] = []  # of each column, (segments,)
+        self.vehicle: dict[int, np.ndarray] = {}  # by the number of the column
         self.variants: list[Variant] = []
 
-    def course(self, wheel: np.ndarray | None) -> int:
-        """The number of a new course of the wheels."""
+    def add_course(self, wheel: np.ndarray | None) -> int:
+        """Adds a course of the wheels (n,) and returns its number; -1 for None."""
         if wheel is None:
             return -1
-        self.wheel.append(wheel.astype(np.float32))
-        return len(self.wheel) - 1
+        self.courses_of_wheels.append(wheel.astype(np.float32))
+        return len(self.courses_of_wheels) - 1
 
     def add(
         self,
@@ -97,314 +123,429 @@ class _Writer:
         axle: int = 0,
         run: int | None = None,
     ) -> int:
-        """A column of a course, on an axle (0: all) of a run (None: all)."""
-        d = self.design
+        """Adds a column of a course, on an axle (0: all) of a run (None: all); returns its number."""
+        design = self.design
+        number = len(self.columns)
         if vehicle is not None:
-            self.vehicle[len(self.columns)] = vehicle.astype(np.float32)
-        self.uses.append(
-            (course, ((d.axle == axle - 1) | (axle == 0)) & (True if run is None else d.run == run))
-        )
+            self.vehicle[number] = vehicle.astype(np.float32)
+        acts = (design.axle == axle - 1) | (axle == 0)
+        if run is not None:
+            acts = acts & (design.run == run)
+        self.course_of.append(course)
+        self.acts.append(acts)
         self.columns.append(Column(cause, label, prior))
-        return len(self.columns) - 1
+        return number
 
-    def variants_of(
+    def add_variants(
         self, cause: str, parts: Iterable[Part], shape: Shape, axles: Iterable[int] = (0,)
     ) -> None:
-        """A cause in a shape on each of some axles, with a column for each part."""
-        given = [(self.course(wheel), vehicle) for wheel, vehicle in parts]
+        """Adds a cause in a shape on each of some axles, with a column for each part."""
+        numbered = [(self.add_course(wheel), felt) for wheel, felt in parts]
         for axle in axles:
-            found = tuple(
-                self.add(cause, str(k), course, self.felt(vehicle, axle), axle=axle)
-                for k, (course, vehicle) in enumerate(given)
-            )
-            self.variants.append(Variant(cause, found, shape, axle))
+            columns = []
+            for k, (course, felt) in enumerate(numbered):
+                vehicle = self.vehicle_acceleration(felt, axle)
+                columns.append(self.add(cause, str(k), course, vehicle, axle=axle))
+            self.variants.append(Variant(cause, tuple(columns), shape, axle))
 
-    def felt(self, part: np.ndarray | None, axle: int) -> np.ndarray | None:
-        """What the vehicles feel: of a change of the brake torque on an axle the force over their mass."""
-        d = self.design
-        if part is None or part.size == d.vehicle_m_s.size:
-            return part
-        return -to_vehicle(d, part, axle) / (d.base[parameters.RADIUS] * vehicle_mass(d))
+    def vehicle_acceleration(self, felt: np.ndarray | None, axle: int) -> np.ndarray | None:
+        """Returns the acceleration of the vehicles, from the second entry of a `Part`."""
+        design = self.design
+        if felt is None or felt.size == design.vehicle_m_s.size:
+            return felt
+        mass_kg = vehicle_mass(design)
+        return -sum_of_wheelsets(design, felt, axle) / (design.base[parameters.RADIUS] * mass_kg)
 
     def rate(self, name: str) -> np.ndarray:
-        """Change of a wheel's acceleration for one of `sensitivity.RATES`."""
+        """Returns the change of a wheel's acceleration for one of `sensitivity.RATES`, shape (n,)."""
         return self.linear.rates[sensitivity.RATES.index(name)]
 
-    def of_torque(self, change: np.ndarray) -> Part:
-        """What a change of the brake torque does to wheels and vehicles."""
-        return -change / self.inputs.parameters[0, parameters.INERTIA], change
+    def of_torque(self, change_Nm: np.ndarray) -> Part:
+        """Returns what a change of the brake torque does to wheels and vehicles."""
+        return -change_Nm / self.inputs.parameters[0, parameters.INERTIA], change_Nm
 
 
-def smooth_torque(design: Design, torque: np.ndarray) -> np.ndarray:
-    """Torque smoothed within each segment (0.03 s), half a sample on: of the step that follows."""
-    out = np.empty_like(torque)
+def smooth_torque(design: Design, torque_Nm: np.ndarray) -> np.ndarray:
+    """Returns the torque of the step after each sample, smoothed within each segment, shape (n,)."""
+    out = np.empty_like(torque_Nm)
     for s in range(design.segments):
         at = design.span(s)
-        smooth = gaussian_filter1d(torque[at], 0.03 / design.step_s, mode="nearest")
+        smooth = gaussian_filter1d(
+            torque_Nm[at], TORQUE_SMOOTHING_S / design.step_s, mode="nearest"
+        )
+        # half a sample later
         out[at] = 0.5 * (smooth + np.append(smooth[1:], smooth[-1]))
     return out
 
 
-def rate(design: Design, values: np.ndarray) -> np.ndarray:
-    """d/dt within each segment."""
+def time_derivative(design: Design, values: np.ndarray) -> np.ndarray:
+    """Returns d/dt within each segment, shape (n,)."""
     return np.concatenate(
         [np.gradient(values[design.span(s)], design.step_s) for s in range(design.segments)]
     )
 
 
-def to_vehicle(design: Design, force: np.ndarray, axle: int = 0) -> np.ndarray:
-    """Sum over the wheelsets (or that of one) of a flat array, as one flat array of vehicles."""
-    chosen = range(AXLES) if axle == 0 else (axle - 1,)
-    return np.concatenate(
-        [
-            sum(force[design.span(AXLES * run + j)] for j in chosen)
-            for run in range(design.mass_kg.size)
-        ]
-    )
+def sum_of_wheelsets(design: Design, values: np.ndarray, axle: int = 0) -> np.ndarray:
+    """Returns the sum over the wheelsets (or the value of one axle), shape (vehicle samples,)."""
+    axles = range(AXLES) if axle == 0 else (axle - 1,)
+    sums = []
+    for run in range(design.mass_kg.size):
+        sums.append(sum(values[design.span(AXLES * run + j)] for j in axles))
+    return np.concatenate(sums)
 
 
 def vehicle_mass(design: Design) -> np.ndarray:
-    """Mass in kg on each vehicle sample."""
+    """Returns the mass in kg at each vehicle sample."""
     return np.repeat(design.mass_kg, np.diff(design.vehicle_start))
 
 
-def write(
-    design: Design, inputs: Inputs, causes: Sequence[candidates.Cause] = (), search: bool = True
+def build(
+    design: Design, inputs: Inputs, causes: Sequence[Cause] = (), search: bool = True
 ) -> tuple[SensitivityMatrix, LinearisedReplay]:
-    """Columns of a design around a replay, and that replay: base, the causes in it, all of the search."""
-    tried = {row.name: row.shapes if search else () for row in table.TABLE}
-    wanted = [
-        (row, shape)
-        for row in table.TABLE
-        for shape in (
-            *tried[row.name],
-            *(c.shape for c in causes if c.name == row.name and c.shape not in tried[row.name]),
-        )
-    ]
+    """Returns the sensitivity matrix around a replay, and that replay.
+
+    The matrix has the base and `causes`; with `search` also all other causes and smooth functions.
+    """
+    wanted = _wanted(causes, search)
     constants = [
         (row, shape)
         for row, shape in wanted
         if row.mechanism.acts_on == CONTACT and row.mechanism.constants
     ]
-    w = _Writer(design, inputs, sensitivity.linearise(design, inputs, _changed(inputs, constants)))
-    _base(w)
+    linear = sensitivity.linearise(design, inputs, _changed(inputs, constants))
+    writer = _Writer(design, inputs, linear)
+
+    _add_base(writer)
     for row, shape in wanted:
-        w.variants_of(row.name, _parts(w, row, shape, constants), shape, row.axles)
-    places = _windows(w) if search else []
+        writer.add_variants(row.name, _parts(writer, row, shape, constants), shape, row.axles)
+    bins: list[_Bins] = []
     if search:
+        bins = _add_bins(writer)
         for cause in causes:
-            _in_size(w, cause, constants)
-        _smooth_functions(w, any(table.BY_NAME[cause.name].phase for cause in causes))
-    course, acts = (np.array(part) for part in zip(*w.uses, strict=True))
-    # courses that are not written: of the windows, bins of one change, and of memory, answers of the whole filter
-    bins, count = np.full((len(places), design.measured_rad_s.size), -1), len(w.wheel)
-    for kind, (columns, number) in enumerate(places):
-        held = number >= 0
-        bins[kind, held] = number[held] + count
-        for own in columns:
-            course[own] = np.arange(count, count + len(own))
+            _add_size_changes(writer, cause, constants)
+        swings = any(table.BY_NAME[cause.name].phase for cause in causes)
+        _add_smooth_functions(writer, swings)
+    return _matrix(writer, bins), linear
+
+
+def _wanted(causes: Sequence[Cause], search: bool) -> list[tuple[Search, Shape]]:
+    """Returns the causes and shapes of a matrix: those of the search, then others of `causes`."""
+    wanted = []
+    for row in table.TABLE:
+        shapes = row.shapes if search else ()
+        wanted += [(row, shape) for shape in shapes]
+        wanted += [
+            (row, cause.shape)
+            for cause in causes
+            if cause.name == row.name and cause.shape not in shapes
+        ]
+    return wanted
+
+
+def _matrix(writer: _Writer, bins: Sequence["_Bins"]) -> SensitivityMatrix:
+    """Returns the matrix of the collected columns; numbers the courses that are not written out."""
+    linear = writer.linear
+    course = np.array(writer.course_of)
+    count = len(writer.courses_of_wheels)
+
+    # the bins of one kind have courses in their order, and all columns of a kind share them
+    bin_courses = np.full((len(bins), writer.design.measured_rad_s.size), -1)
+    for kind, (columns, number) in enumerate(bins):
+        inside = number >= 0
+        bin_courses[kind, inside] = number[inside] + count
+        for numbers_of_columns in columns:
+            course[numbers_of_columns] = np.arange(count, count + len(numbers_of_columns))
         count += len(columns[0])
+
     memory = {}
-    for v in w.variants:
-        if v.cause == "adhesion_memory":
-            course[v.columns[0]], memory[count], count = count, v.shape, count + 1
+    for variant in writer.variants:
+        if variant.cause == "adhesion_memory":
+            course[variant.columns[0]] = count
+            memory[count] = variant.shape
+            count += 1
     return SensitivityMatrix(
-        columns=w.columns,
-        wheel=np.array(w.wheel),
+        columns=writer.columns,
+        wheel=np.array(writer.courses_of_wheels),
         course=course,
-        acts=acts,
-        bins=bins,
-        in_bins=w.linear.constants[1].astype(np.float32),
+        acts=np.array(writer.acts),
+        bins=bin_courses,
+        in_bins=linear.constants[_LEVEL].astype(np.float32),
         memory=memory,
-        vehicle=np.array([*w.vehicle.values()]),
-        on_vehicle=np.array([*w.vehicle]),
-        variants=w.variants,
-    ), w.linear
+        vehicle=np.array([*writer.vehicle.values()]),
+        on_vehicle=np.array([*writer.vehicle]),
+        variants=writer.variants,
+    )
 
 
 def _changed(inputs: Inputs, constants: list[tuple[Search, Shape]]) -> np.ndarray:
-    """Rows of parameters with the recovery, the level and each of some causes a step larger."""
+    """Returns parameters (segments, changes, PARAMETERS), each change with another one larger by STEP.
+
+    The changes are those of the recovery, of the contaminant's level, and of each of some causes.
+    """
     p = inputs.parameters
-    found = np.stack(
-        [p, p, *(candidates.changed_parameters(p, *one, sensitivity.STEP) for one in constants)],
-        axis=1,
+    rows = [p, p]
+    for row, shape in constants:
+        rows.append(candidates.changed_parameters(p, row, shape, sensitivity.STEP))
+    changed = np.stack(rows, axis=1)
+    changed[:, _TAU, parameters.TAU] *= 1.0 + sensitivity.STEP
+    changed[:, _LEVEL, parameters.MU_CD] *= 1.0 + sensitivity.STEP
+    return changed
+
+
+def _add_base(writer: _Writer) -> None:
+    """Adds the columns of the base parameters."""
+    design = writer.design
+    tolerance = max(design.calibration, 1e-4)
+    # the gain of all torques and that of a wheelset share the tolerance
+    gain_tolerance = tolerance / np.sqrt(2.0)
+    level = writer.add_course(writer.linear.constants[_LEVEL])
+    load = writer.add_course(writer.rate("load"))
+    runs = range(design.mass_kg.size)
+
+    for run in runs:
+        writer.add(BASE, f"ln_mu_cd_{run}", level, run=run)
+    writer.add(BASE, "ln_tau", writer.add_course(writer.linear.constants[_TAU]))
+
+    wheel, felt = writer.of_torque(writer.torque_Nm)
+    torque = writer.add_course(wheel)
+    writer.add(
+        BASE, "torque_gain", torque, writer.vehicle_acceleration(felt, 0), prior=gain_tolerance
     )
-    found[:, [0, 1], [parameters.TAU, parameters.MU_CD]] *= 1.0 + sensitivity.STEP
-    return found
-
-
-def _base(w: _Writer) -> None:
-    d, tolerance = w.design, max(w.design.calibration, 1e-4)
-    level, load = w.course(w.linear.constants[1]), w.course(w.rate("load"))
-    runs = range(d.mass_kg.size)
-    for run in runs:
-        w.add(BASE, f"ln_mu_cd_{run}", level, run=run)
-    w.add(BASE, "ln_tau", w.course(w.linear.constants[0]))
-    change, felt = w.of_torque(w.torque)
-    torque = w.course(change)
-    w.add(BASE, "torque_gain", torque, w.felt(felt, 0), tolerance / np.sqrt(2.0))
     for j in range(AXLES):
-        w.add(
-            BASE, f"torque_gain_{j}", torque, w.felt(felt, j + 1), tolerance / np.sqrt(2.0), j + 1
+        writer.add(
+            BASE,
+            f"torque_gain_{j}",
+            torque,
+            writer.vehicle_acceleration(felt, j + 1),
+            prior=gain_tolerance,
+            axle=j + 1,
         )
-        w.add(BASE, f"load_gain_{j}", load, None, tolerance, j + 1)
-    force = np.concatenate([sensitivity.vehicle_force(d, w.inputs, run) for run in runs])
-    of_vehicle_run = np.repeat(runs, np.diff(d.vehicle_start))
+        writer.add(BASE, f"load_gain_{j}", load, None, prior=tolerance, axle=j + 1)
+
+    force = np.concatenate([sensitivity.vehicle_force(design, writer.inputs, run) for run in runs])
+    run_of_sample = np.repeat(runs, np.diff(design.vehicle_start))
     for run in runs:
-        w.add(BASE, f"mass_{run}", -1, force * (of_vehicle_run == run), tolerance)
+        writer.add(BASE, f"mass_{run}", -1, force * (run_of_sample == run), prior=tolerance)
 
 
 def _parts(
-    w: _Writer, row: Search, shape: Shape, constants: list[tuple[Search, Shape]]
+    writer: _Writer, row: Search, shape: Shape, constants: list[tuple[Search, Shape]]
 ) -> Iterator[Part]:
-    """The columns of a cause in a shape on all axles, one for each coefficient."""
-    d, m = w.design, row.mechanism
-    if row.name in _OWN:
-        yield _OWN[row.name](w)
+    """Yields the part of each coefficient of a cause in a shape, on all axles."""
+    design = writer.design
+    linear = writer.linear
+    mechanism = row.mechanism
+    if row.name in _SPECIAL_PARTS:
+        yield _SPECIAL_PARTS[row.name](writer)
     elif (row, shape) in constants:
-        yield w.linear.constants[2 + constants.index((row, shape))], None
-    elif m.acts_on == VEHICLE:
-        yield None, -candidates.resistance(d, d.mass_kg, row, shape, 1.0) / vehicle_mass(d)
-    for course in courses.courses(d, row.name, shape):
+        yield linear.constants[_FIRST_CAUSE + constants.index((row, shape))], None
+    elif mechanism.acts_on == VEHICLE:
+        force_N = candidates.resistance(design, design.mass_kg, row, shape, 1.0)
+        yield None, -force_N / vehicle_mass(design)
+
+    for course in courses.courses(design, row.name, shape):
         if "on_vehicle" in shape:
-            yield None, -of_vehicle(d, course) / vehicle_mass(d)
-        elif m.acts_on == FRICTION:
-            yield (
-                (w.linear.constants[1] if shape.get("contaminant_alone") else w.rate("friction"))
-                * course,
-                None,
-            )
-        elif m.acts_on == TORQUE:
-            yield w.of_torque(w.torque * course if m.share else course)
-        elif m.acts_on == LOAD:
-            yield w.rate("load") * course, None
+            yield None, -vehicle_samples(design, course) / vehicle_mass(design)
+        elif mechanism.acts_on == FRICTION:
+            rate = writer.rate("friction")
+            if shape.get("contaminant_alone"):
+                rate = linear.constants[_LEVEL]
+            yield rate * course, None
+        elif mechanism.acts_on == TORQUE:
+            change_Nm = writer.torque_Nm * course if mechanism.share else course
+            yield writer.of_torque(change_Nm)
+        elif mechanism.acts_on == LOAD:
+            yield writer.rate("load") * course, None
 
 
-def _speed_delay(w: _Writer) -> Part:
-    """A late wheel speed: the wheel lives on the inputs of a moment ago."""
-    d, p = w.design, w.inputs.parameters[0]
-    growth = np.log(np.maximum(w.linear.coefficients[:, 0], 1e-12)) / d.step_s
-    return rate(d, w.torque) / p[parameters.INERTIA] + growth / p[parameters.RADIUS] * rate(
-        d, d.speed_m_s
-    ), None
+def _memory_part(writer: _Writer) -> Part:
+    """Returns nothing: the fit computes the response to memory as a difference of whole replays."""
+    return None, None
 
 
-def _inertia(w: _Writer) -> Part:
-    inertia = w.inputs.parameters[0, parameters.INERTIA]
-    return w.torque / inertia - w.rate("irregularity"), inertia * rate(
-        w.design, w.design.measured_rad_s
-    )
+def _torque_delay_part(writer: _Writer) -> Part:
+    """Returns the part of a torque that is measured late."""
+    return writer.of_torque(time_derivative(writer.design, writer.torque_Nm))
 
 
-_OWN: dict[str, Callable[[_Writer], Part]] = {
-    # its answer is a finite step of the whole filter, see `tuning`
-    "adhesion_memory": lambda w: (None, None),
-    "torque_sensor_delay": lambda w: w.of_torque(rate(w.design, w.torque)),
-    "speed_sensor_delay": _speed_delay,
-    "wheel_inertia": _inertia,
-    "wheel_radius": lambda w: (w.rate("radius"), None),
+def _speed_delay_part(writer: _Writer) -> Part:
+    """Returns the part of a wheel speed that is measured late: the wheel's inputs are earlier ones."""
+    design = writer.design
+    row = writer.inputs.parameters[0]
+    error_rate_1_s = np.log(np.maximum(writer.linear.coefficients[:, F00], 1e-12)) / design.step_s
+    of_torque = time_derivative(design, writer.torque_Nm) / row[parameters.INERTIA]
+    of_speed = error_rate_1_s / row[parameters.RADIUS] * time_derivative(design, design.speed_m_s)
+    return of_torque + of_speed, None
+
+
+def _inertia_part(writer: _Writer) -> Part:
+    """Returns the part of another inertia of the wheelsets."""
+    design = writer.design
+    inertia_kgm2 = writer.inputs.parameters[0, parameters.INERTIA]
+    wheel = writer.torque_Nm / inertia_kgm2 - writer.rate("irregularity")
+    return wheel, inertia_kgm2 * time_derivative(design, design.measured_rad_s)
+
+
+def _radius_part(writer: _Writer) -> Part:
+    """Returns the part of another wheel radius."""
+    return writer.rate("radius"), None
+
+
+# causes whose part does not follow from a course or from constants
+_SPECIAL_PARTS: dict[str, Callable[[_Writer], Part]] = {
+    "adhesion_memory": _memory_part,
+    "torque_sensor_delay": _torque_delay_part,
+    "speed_sensor_delay": _speed_delay_part,
+    "wheel_inertia": _inertia_part,
+    "wheel_radius": _radius_part,
 }
 
 
-def _windows(w: _Writer) -> list[tuple[list[list[int]], np.ndarray]]:
-    """Bins of place (all runs) and of time (each run): windows are runs of bins; [(columns, bin (n,), -1: none)]."""
-    d = w.design
-    lowest, highest = d.places_m
-    count = int(np.ceil((highest - lowest) / PLACE_BIN_M))
-    at_place = [w.add("place_bin", f"{lowest + i * PLACE_BIN_M:.6g}", -1) for i in range(count)]
-    place = np.floor((d.place_m - lowest) / PLACE_BIN_M).astype(int)
-    place[(place < 0) | (place >= count)] = -1
-    at_time: list[list[int]] = [[], []]
-    time = np.full(d.time_s.size, -1)
-    for run, end_s in enumerate(d.ends_s):
-        count, began = int(np.ceil(end_s / TIME_BIN_S)), len(at_time[0])
+class _Bins(NamedTuple):
+    """Bins of one kind. Several lists of columns may share the bins; each has a column per bin."""
+
+    columns: list[list[int]]
+    number: np.ndarray  # (n,) number of the bin of each sample, -1: none
+
+
+def _add_bins(writer: _Writer) -> list[_Bins]:
+    """Adds bins of place (all runs together) and of time (each run); a window is a run of bins."""
+    return [_add_place_bins(writer), _add_time_bins(writer)]
+
+
+def _add_place_bins(writer: _Writer) -> _Bins:
+    """Adds a column for each bin of place."""
+    design = writer.design
+    lowest_m, highest_m = design.places_m
+    count = int(np.ceil((highest_m - lowest_m) / PLACE_BIN_M))
+    columns = [
+        writer.add("place_bin", f"{lowest_m + i * PLACE_BIN_M:.6g}", -1) for i in range(count)
+    ]
+    number = np.floor((design.place_m - lowest_m) / PLACE_BIN_M).astype(int)
+    number[(number < 0) | (number >= count)] = -1
+    return _Bins([columns], number)
+
+
+def _add_time_bins(writer: _Writer) -> _Bins:
+    """Adds two columns for each bin of time: on all wheelsets, and on those behind the first one."""
+    design = writer.design
+    on_all: list[int] = []
+    behind_first: list[int] = []
+    number = np.full(design.time_s.size, -1)
+    for run, end_s in enumerate(design.ends_s):
+        count = int(np.ceil(end_s / TIME_BIN_S))
+        first = len(on_all)
         for i in range(count):
-            for own, behind in zip(at_time, ("", " behind"), strict=True):
-                own.append(w.add(f"time_bin{behind}", f"{run} {i * TIME_BIN_S:.6g}", -1, run=run))
-                w.uses[-1][1][d.axle == 0] &= not behind
-        number = np.floor(d.time_s / TIME_BIN_S).astype(int)
-        inside = (of_run(d, run) > 0.0) & (number < count)
-        time[inside] = began + number[inside]
-    return [([at_place], place), (at_time, time)]
+            label = f"{run} {i * TIME_BIN_S:.6g}"
+            on_all.append(writer.add("time_bin", label, -1, run=run))
+            behind_first.append(writer.add("time_bin behind", label, -1, run=run))
+            writer.acts[-1][design.axle == 0] = False
+        number_in_run = np.floor(design.time_s / TIME_BIN_S).astype(int)
+        inside = (of_run(design, run) > 0.0) & (number_in_run < count)
+        number[inside] = first + number_in_run[inside]
+    return _Bins([on_all, behind_first], number)
 
 
-def _in_size(w: _Writer, cause: candidates.Cause, constants: list[tuple[Search, Shape]]) -> None:
-    """What makes a cause another one in each run, or as time goes on: a mechanism has one size."""
-    d, row = w.design, table.BY_NAME[cause.name]
+def _add_size_changes(writer: _Writer, cause: Cause, constants: list[tuple[Search, Shape]]) -> None:
+    """Adds smooth functions in the size of a cause: a different size in each run, or along time.
+
+    A true mechanism has one size, so these reveal a wrong cause.
+    """
+    design = writer.design
+    row = table.BY_NAME[cause.name]
     if row.phase or row.name == "adhesion_memory":
         return
-    of_runs = [of_run(d, run) for run in range(1, d.mass_kg.size)]
-    changes = {"the runs": of_runs} if of_runs else {}
-    if row.name in _OWN:  # of what else acts on wheels or vehicle the smooth functions of time tell
-        changes["time"] = [d.time_s / d.time_s.mean() - 1.0]
+
+    changes: dict[str, list[np.ndarray]] = {}
+    if design.mass_kg.size > 1:
+        changes["the runs"] = [of_run(design, run) for run in range(1, design.mass_kg.size)]
+    # for all other causes the smooth functions along time show the same
+    if row.name in _SPECIAL_PARTS:
+        changes["time"] = [design.time_s / design.time_s.mean() - 1.0]
+
     for along, courses_of_size in changes.items():
-        for wheel, felt in _parts(w, row, cause.shape, constants):
-            w.variants_of(
+        for wheel, felt in _parts(writer, row, cause.shape, constants):
+            writer.add_variants(
                 f"along {along} in the size of {cause.name}",
-                [(_times(d, wheel, of), _times(d, felt, of)) for of in courses_of_size],
+                [
+                    (_times(design, wheel, size), _times(design, felt, size))
+                    for size in courses_of_size
+                ],
                 {},
                 (cause.axle,),
             )
 
 
-def _times(d: Design, part: np.ndarray | None, of: np.ndarray) -> np.ndarray | None:
-    return part if part is None else part * (of if part.size == of.size else of_vehicle(d, of))
+def _times(design: Design, part: np.ndarray | None, size: np.ndarray) -> np.ndarray | None:
+    """Returns an entry of a `Part` times a course (n,); None remains None."""
+    if part is None:
+        return None
+    if part.size == size.size:
+        return part * size
+    return part * vehicle_samples(design, size)
 
 
-# along which smooth functions are tried, as the replay or the measurement has it
+# the covariates along which smooth functions are tried, from the replay or the measurement
 ALONG: dict[str, Callable[[Design, LinearisedReplay], np.ndarray]] = {
-    "sliding": lambda d, l: l.sliding_m_s,
-    "speed": lambda d, l: d.speed_m_s,
-    "time": lambda d, l: d.time_s,
-    "energy": lambda d, l: np.sqrt(np.maximum(l.energy_J_m, 0.0)),
-    "load": lambda d, l: d.load_N,
-    "acceleration": lambda d, l: np.clip(l.acceleration_rad_s2, -30.0, 30.0),
-    "disc_heat": lambda d, l: d.heat_MJ,
-    "deceleration": lambda d, l: d.deceleration_m_s2,
+    "sliding": lambda design, linear: linear.sliding_m_s,
+    "speed": lambda design, linear: design.speed_m_s,
+    "time": lambda design, linear: design.time_s,
+    "energy": lambda design, linear: np.sqrt(np.maximum(linear.energy_J_m, 0.0)),
+    "load": lambda design, linear: design.load_N,
+    "acceleration": lambda design, linear: np.clip(
+        linear.acceleration_rad_s2, -LARGEST_ACCELERATION_RAD_S2, LARGEST_ACCELERATION_RAD_S2
+    ),
+    "disc_heat": lambda design, linear: design.heat_MJ,
+    "deceleration": lambda design, linear: design.deceleration_m_s2,
 }
 
 
 def bumps(values: np.ndarray, count: int = 4) -> np.ndarray:
-    """Smooth functions of a covariate: Gaussian bumps at its quantiles, shape (count, n)."""
+    """Returns smooth functions of a covariate: Gaussian bumps at its quantiles, shape (count, n)."""
     knots = np.quantile(values, np.linspace(0.04, 0.96, count))
     width = np.maximum(np.gradient(knots), 1e-3 * max(np.ptp(values), 1e-12))
     return np.exp(-0.5 * ((values - knots[:, None]) / width[:, None]) ** 2)
 
 
-def _smooth_functions(w: _Writer, swings: bool) -> None:
-    d, friction = w.design, w.rate("friction")
+def _add_smooth_functions(writer: _Writer, swings: bool) -> None:
+    """Adds the smooth functions, which show that something remains that no cause explains.
 
-    def along(name: str, changes: Iterable[np.ndarray], axles: Iterable[int] = (0,)) -> None:
-        w.variants_of(f"along {name}", ((friction * change, None) for change in changes), {}, axles)
+    `swings`: the explanation has a cause with a phase.
+    """
+    design = writer.design
+    friction = writer.rate("friction")
 
-    for name, of in ALONG.items():
-        along(name, bumps(of(d, w.linear)))
-    every = w.course(friction)
-    w.variants.append(
-        Variant(
-            "along axle",
-            tuple(w.add("along axle", str(j), every, axle=j + 1) for j in range(AXLES - 1)),
-            {},
-            0,
-        )
+    def add_along(name: str, changes: Iterable[np.ndarray], axles: Iterable[int] = (0,)) -> None:
+        """Adds changes of friction."""
+        parts = [(friction * change, None) for change in changes]
+        writer.add_variants(f"along {name}", parts, {}, axles)
+
+    for name, covariate in ALONG.items():
+        add_along(name, bumps(covariate(design, writer.linear)))
+
+    # a different friction on each wheelset
+    course = writer.add_course(friction)
+    columns = [writer.add("along axle", str(j), course, axle=j + 1) for j in range(AXLES - 1)]
+    writer.variants.append(Variant("along axle", tuple(columns), {}, 0))
+
+    # a change on one wheelset at some time; its mean is removed, so that it is not one of all the time
+    of_time = bumps(design.time_s)
+    add_along("time of one axle", of_time - of_time.mean(axis=1)[:, None], range(1, AXLES + 1))
+
+    add_along(
+        "wheel_angle",
+        [shape(k * design.angle_rad) for k in (1, 2) for shape in (np.cos, np.sin)],
     )
-    # what befalls one wheelset at some moment, not all the time
-    shapes = bumps(d.time_s)
-    along("time of one axle", shapes - shapes.mean(axis=1)[:, None], range(1, AXLES + 1))
-    along("wheel_angle", (shape(k * d.angle_rad) for k in (1, 2) for shape in (np.cos, np.sin)))
-    for name, values in (("time", d.time_s), ("speed", d.speed_m_s)):
-        w.variants_of(
-            f"along vehicle {name}", ((None, bump) for bump in bumps(of_vehicle(d, values))), {}
-        )
+    for name, values in (("time", design.time_s), ("speed", design.speed_m_s)):
+        parts = [(None, bump) for bump in bumps(vehicle_samples(design, values))]
+        writer.add_variants(f"along vehicle {name}", parts, {})
+
     if swings:
-        # what a swing of one size leaves of one that grows with the speed: no load does, a pole wheel off centre does
-        faster = d.speed_m_s / d.speed_m_s.mean() - 1.0
-        along(
-            "wheel_angle and speed",
-            (
-                faster * shape(d.angle_rad) * of_run(d, run)
-                for run in range(d.mass_kg.size)
-                for shape in (np.cos, np.sin)
-            ),
-            range(1, AXLES + 1),
-        )
+        # The remainder of a constant load variation where the variation grows with speed. No load
+        # variation does, but an eccentric pole wheel does.
+        faster = design.speed_m_s / design.speed_m_s.mean() - 1.0
+        changes = []
+        for run in range(design.mass_kg.size):
+            for shape in (np.cos, np.sin):
+                changes.append(faster * shape(design.angle_rad) * of_run(design, run))
+        add_along("wheel_angle and speed", changes, range(1, AXLES + 1))

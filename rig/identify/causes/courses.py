@@ -1,7 +1,8 @@
-"""Courses of causes over prepared runs, by the formulas that the plant calls.
+"""Courses of causes along prepared runs, by the same formulas that the plant calls.
 
-The columns of the search, the inputs of a replay and the extended model all take a cause's course from
-here, so that they cannot drift apart.
+A course is what one unit of a coefficient adds at each sample. The columns of the search, the inputs
+of a replay and the extended model all take the course of a cause from here, so that they cannot drift
+apart.
 """
 
 from functools import cache
@@ -18,69 +19,90 @@ from rollerrig.rig.mechanisms.mechanism import COVARIATES, arguments
 
 
 @cache
-def each(course: Any) -> Any:
-    """Returns a kernel that fills an array, its last argument, with a course of arrays (n,)."""
+def array_kernel(course: Any) -> Any:
+    """Returns a kernel that computes a course for arrays (n,) and fills its last argument with it."""
     return elementwise(f"each_{course.__name__}", course, len(arguments(course, 0)))
 
 
 def filled(course: Any, n: int, *values: Any) -> np.ndarray:
-    """A course, shape (n,), of arrays (n,) or numbers."""
+    """Returns a course, shape (n,); its arguments are arrays (n,) or numbers."""
+    arrays = [np.ascontiguousarray(np.broadcast_to(value, n), dtype=float) for value in values]
     out = np.empty(n)
-    each(course)(*(np.ascontiguousarray(np.broadcast_to(v, n), dtype=float) for v in values), out)
+    array_kernel(course)(*arrays, out)
     return out
 
 
-def covariate(d: Design, name: str) -> np.ndarray:
-    """A covariate of `mechanisms` at each sample, shape (n,)."""
-    return np.repeat(d.axle, np.diff(d.start)) if name == "axle" else getattr(d, name)
+def covariate(design: Design, name: str) -> np.ndarray:
+    """Returns a covariate of `mechanisms` at each sample, shape (n,)."""
+    if name == "axle":
+        return np.repeat(design.axle, np.diff(design.start))
+    return getattr(design, name)
 
 
-def courses(d: Design, name: str, shape: Shape) -> list[np.ndarray]:
-    """What one unit of each coefficient adds at each sample, shape (n,); with a phase cosine and sine of each run."""
-    row, n = BY_NAME[name], d.time_s.size
+def courses(design: Design, name: str, shape: Shape) -> list[np.ndarray]:
+    """Returns the course of each coefficient of a cause, shape (n,).
+
+    A cause with a phase has two coefficients per run: cosine and sine.
+    """
+    row = BY_NAME[name]
+    n = design.time_s.size
     if name == "empirical":
-        return _empirical(d, shape)
+        return _empirical(design, shape)
     if row.phase:
-        swings = [
-            filled(row.mechanism.courses[0], n, d.angle_rad, phase) for phase in (0.0, -0.5 * np.pi)
+        course = row.mechanism.courses[0]
+        cosine = filled(course, n, design.angle_rad, 0.0)
+        sine = filled(course, n, design.angle_rad, -0.5 * np.pi)
+        return [
+            swing * of_run(design, run)
+            for run in range(design.mass_kg.size)
+            for swing in (cosine, sine)
         ]
-        return [swing * of_run(d, run) for run in range(d.mass_kg.size) for swing in swings]
-    given = []
-    for known in row.mechanism.formula_parameters[row.mechanism.free :]:
-        own = [
-            shape.get(f"{known.name} {run}", shape.get(known.name, known.default))
-            for run in d.names
-        ]
-        given.append(
-            own[0] if len(set(own)) == 1 else np.repeat(np.take(own, d.run), np.diff(d.start))
-        )
+
+    shape_values = []
+    for parameter in row.mechanism.formula_parameters[row.mechanism.free :]:
+        shape_values.append(_shape_value(design, shape, parameter.name, parameter.default))
+    found = []
+    for course in row.mechanism.courses:
+        names = arguments(course, len(shape_values))
+        covariates = [covariate(design, covariate_name) for covariate_name in names]
+        found.append(filled(course, n, *covariates, *shape_values))
+    return found
+
+
+def _shape_value(design: Design, shape: Shape, name: str, default: float) -> float | np.ndarray:
+    """Returns the value of a shape parameter: a number, or (n,) where it differs between the runs.
+
+    The value of a single run has the key "NAME RUN".
+    """
+    of_runs = [shape.get(f"{name} {run}", shape.get(name, default)) for run in design.names]
+    if len(set(of_runs)) == 1:
+        return of_runs[0]
+    return np.repeat(np.take(of_runs, design.run), np.diff(design.start))
+
+
+def _empirical(design: Design, shape: Shape) -> list[np.ndarray]:
+    """Returns the two courses of an empirical term along the covariate that its shape names."""
+    x = covariate(design, COVARIATES[int(shape["covariate"]) - 1].name)
+    place = (shape.get("centre", 0.0), shape.get("scale", 1.0), shape.get("period", 0.0))
     return [
-        filled(course, n, *(covariate(d, c) for c in arguments(course, len(given))), *given)
-        for course in row.mechanism.courses
+        filled(friction.empirical, x.size, x, 1.0, 0.0, *place),
+        filled(friction.empirical, x.size, x, 0.0, 1.0, *place),
     ]
 
 
-def _empirical(d: Design, shape: Shape) -> list[np.ndarray]:
-    x = covariate(d, COVARIATES[int(shape["covariate"]) - 1].name)
-    place = [
-        shape.get(key, default)
-        for key, default in (("centre", 0.0), ("scale", 1.0), ("period", 0.0))
-    ]
-    return [
-        filled(friction.empirical, x.size, x, *unit, *place) for unit in ((1.0, 0.0), (0.0, 1.0))
-    ]
+def of_axle(design: Design, axle: int) -> np.ndarray:
+    """Returns 1 on the samples of a wheelset and 0 elsewhere, shape (n,); 0 means all wheelsets."""
+    return np.repeat(((design.axle == axle - 1) | (axle == 0)).astype(float), np.diff(design.start))
 
 
-def of_axle(d: Design, axle: int) -> np.ndarray:
-    """1 on the samples of an axle, or of all (0), shape (n,)."""
-    return np.repeat(((d.axle == axle - 1) | (axle == 0)).astype(float), np.diff(d.start))
+def of_run(design: Design, run: int) -> np.ndarray:
+    """Returns 1 on the samples of a run and 0 elsewhere, shape (n,)."""
+    return np.repeat((design.run == run).astype(float), np.diff(design.start))
 
 
-def of_run(d: Design, run: int) -> np.ndarray:
-    """1 on the samples of a run, shape (n,)."""
-    return np.repeat((d.run == run).astype(float), np.diff(d.start))
+def vehicle_samples(design: Design, values: np.ndarray) -> np.ndarray:
+    """Returns the values of the first wheelset of each run, shape (vehicle samples,).
 
-
-def of_vehicle(d: Design, values: np.ndarray) -> np.ndarray:
-    """Those of the samples that belong to the first wheelset of each run, the vehicle's."""
-    return np.concatenate([values[d.span(AXLES * run)] for run in range(d.mass_kg.size)])
+    A vehicle has a sample where its first wheelset has one.
+    """
+    return np.concatenate([values[design.span(AXLES * run)] for run in range(design.mass_kg.size)])

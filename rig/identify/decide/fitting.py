@@ -76,7 +76,7 @@ def normal_equations(
 ) -> tuple[NormalEquations, LinearisedReplay, Answers]:
     """Normal equations around an explanation, its replay, the whitened answers."""
     i = inputs(design, explanation)
-    matrix, linear = columns.write(design, i, explanation.causes, search)
+    matrix, linear = columns.build(design, i, explanation.causes, search)
     answers = _answers(
         design, matrix, linear, _by_differences(design, explanation, matrix, linear, search)
     )

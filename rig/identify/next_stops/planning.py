@@ -1,9 +1,10 @@
-"""Proposes further stops: those that part the causes which the data at hand cannot tell apart.
+"""Proposes further stops: those that distinguish the causes which the data cannot distinguish.
 
-Each possible stop is simulated from the fitted model, and the replay's linearised answer says what
-every candidate would add to its innovations there. Information of all stops adds up; what the base
-could take up is projected out [L1]. A stop is worth the least separation that it leaves between any
-two candidates [L2], and stops are chosen one after another, each beside those already chosen.
+Each possible stop is simulated from the fitted model, and the linearised response of the replay shows
+what every candidate would add to its innovations there. The information of all stops adds up, and what
+the base parameters could absorb is projected out [L1]. The value of a stop is the least separation
+that it leaves between any two candidates [L2]. Stops are chosen one after another, each together with
+those already chosen.
 
     [L1] S = sum A_cc - A_cb A_bb^-1 A_bc over candidates c and base b, of columns times their size
     [L2] max over stops of min over pairs of min(S_aa, S_bb) (1 - rho^2), rho^2 = S_ab^2 / (S_aa S_bb)
@@ -29,44 +30,45 @@ from rollerrig.rig.identify.decide.evidence import ScoreTest, is_smooth_function
 from rollerrig.rig.identify.next_stops import prototype
 from rollerrig.rig.identify.next_stops.prototype import Stop
 
-SPEEDS_M_S = (14.0, 24.0, 36.0, 50.0)
-PRESSURES_PA = (1.2e5, 3.8e5)
-LADEN = 1.25
-STEADY_M_S = (14.0, 38.0)
-HELD_M_S, HELD_S = (
-    (12.0, 35.0),
-    30.0,
-)  # only rollers hold a speed: what tells friction by speed from friction by time
+SPEEDS_M_S = (14.0, 24.0, 36.0, 50.0)  # initial speeds of stops with all wheelsets
+PRESSURES_PA = (1.2e5, 3.8e5)  # a gentle and a full brake
+LADEN = 1.25  # mass of a laden vehicle over that of the dataset
+STEADY_M_S = (14.0, 38.0)  # initial speeds of stops with one wheelset
+# Only rollers can hold a speed, which distinguishes friction by speed from friction by time.
+HELD_M_S = (12.0, 35.0)
+HELD_S = 30.0
 MOST_RIVALS = 3
+DISTINGUISHED = 15.0  # separation above which the data distinguish two causes
+SEED = 3  # of the noise of simulated stops
 Progress = Callable[[str, float], None]
 
 
 class Table(NamedTuple):
-    """Information of one set of stops: keys of base and candidates, matrix (keys, keys)."""
+    """The information of one set of stops: keys of base parameters and candidates, and a matrix."""
 
     keys: tuple[str, ...]
-    A: np.ndarray
+    A: np.ndarray  # (keys, keys)
 
 
 class Proposal(NamedTuple):
-    """A stop, the two causes that are hardest to part after it, and [L2] before and after it."""
+    """A proposed stop, and what it adds."""
 
     stop: Stop
-    parts: tuple[str, str]
-    before: float
+    pair: tuple[str, str]  # the causes that are hardest to distinguish after it
+    before: float  # separation [L2] without the stop
     after: float
 
     @property
     def reason(self) -> str:
-        """Why it is proposed."""
+        """Why the stop is proposed, in words."""
         return (
-            f"parts {self.parts[0]} from {self.parts[1]}: separation {self.before:.3g} before, "
-            f"{self.after:.3g} with it (above 15 they are told apart)"
+            f"distinguishes {self.pair[0]} from {self.pair[1]}: separation {self.before:.3g} before, "
+            f"{self.after:.3g} with it (the data distinguish causes above {DISTINGUISHED:g})"
         )
 
 
-class Ground(NamedTuple):
-    """What stops are planned on: data, its prepared runs, and the base that was fitted to them."""
+class FittedData(NamedTuple):
+    """Data, its prepared runs, and the explanation that was fitted to them."""
 
     data: Dataset
     design: Design
@@ -74,185 +76,232 @@ class Ground(NamedTuple):
 
 
 class Library(NamedTuple):
-    """What the data at hand and every possible stop tell of the candidates."""
+    """The information of the data and of every possible stop about the candidates."""
 
     candidates: tuple[ScoreTest, ...]
-    known: Table
+    known: Table  # of the data
     stops: tuple[Stop, ...]
-    tables: tuple[Table, ...]
+    tables: tuple[Table, ...]  # of the stops
 
 
 def surviving(account: Diagnosis) -> tuple[ScoreTest, ...]:
-    """The causes that are named or may stand in their place; beside a single one its likeliest rivals."""
-    # a shape of single runs is not known for a stop to come
+    """Returns the causes that are identified or cannot be distinguished from an identified one.
+
+    The most likely rivals are added to a single cause.
+    """
+    # a shape with values of single runs is unknown for a future stop
     causes = [
-        f
-        for f in account.findings
-        if not is_smooth_function(f.name)
-        and not any(" " in key for key in f.shape)
-        and np.all(np.isfinite(f.estimate))
+        finding
+        for finding in account.findings
+        if not is_smooth_function(finding.name)
+        and not any(" " in key for key in finding.shape)
+        and np.all(np.isfinite(finding.estimate))
     ]
-    names = [name for n in account.causes for name in (n.finding.name, *n.confusable)]
-    chosen = {f.name: f for f in causes if f.name in names}
-    for f in causes:
+    names: list[str] = []
+    for identified in account.causes:
+        names.append(identified.finding.name)
+        names += identified.confusable
+
+    chosen = {finding.name: finding for finding in causes if finding.name in names}
+    for finding in causes:
         if len(chosen) > max(1, len(names)) or len(chosen) > MOST_RIVALS:
             break
-        chosen.setdefault(f.name, f)
+        chosen.setdefault(finding.name, finding)
     return tuple(chosen.values())
 
 
-def possible(data: Dataset, chosen: Sequence[ScoreTest]) -> tuple[Stop, ...]:
-    """The stops among which is chosen."""
+def possible(data: Dataset, candidates: Sequence[ScoreTest]) -> tuple[Stop, ...]:
+    """Returns the stops that proposals are chosen from."""
     mass_kg = float(data.sections["vehicle"]["mass_kg"])
-    axles = sorted({f.axle for f in chosen if f.axle}) or [1]
-    full = [
-        Stop(v, p, m, 0)
-        for v in SPEEDS_M_S
-        for p in PRESSURES_PA
-        for m in (mass_kg, LADEN * mass_kg)
-    ]
-    rollers = math.isfinite(data.sections["contact"]["roller_radius_m"])
-    held = [Stop(v, PRESSURES_PA[-1], mass_kg, 0, HELD_S) for v in HELD_M_S if rollers]
-    return tuple(
-        full
-        + [Stop(v, PRESSURES_PA[-1], mass_kg, axle) for v in STEADY_M_S for axle in axles]
-        + held
-    )
+    full_Pa = PRESSURES_PA[-1]
+
+    stops = []
+    for speed_m_s in SPEEDS_M_S:
+        for pressure_Pa in PRESSURES_PA:
+            for stop_mass_kg in (mass_kg, LADEN * mass_kg):
+                stops.append(Stop(speed_m_s, pressure_Pa, stop_mass_kg, axle=0))
+
+    # with the brake on one wheelset: those of the candidates
+    axles = sorted({finding.axle for finding in candidates if finding.axle}) or [1]
+    for speed_m_s in STEADY_M_S:
+        for axle in axles:
+            stops.append(Stop(speed_m_s, full_Pa, mass_kg, axle))
+
+    on_rollers = math.isfinite(data.sections["contact"]["roller_radius_m"])
+    if on_rollers:
+        for speed_m_s in HELD_M_S:
+            stops.append(Stop(speed_m_s, full_Pa, mass_kg, axle=0, held_s=HELD_S))
+    return tuple(stops)
 
 
-def library(on: Ground, chosen: Sequence[ScoreTest], progress: Progress) -> Library:
-    """Information of the data at hand and of each possible stop; a fifth of a second a stop."""
-    if not chosen:
+def library(fitted: FittedData, candidates: Sequence[ScoreTest], progress: Progress) -> Library:
+    """Returns the information of the data and of each possible stop; a stop takes a fifth of a second."""
+    if not candidates:
         return Library((), Table((), np.zeros((0, 0))), (), ())
     # the base with all candidates at size 0, so that their shapes have columns
-    explanation = on.explanation._replace(
-        causes=tuple(Cause(f.name, f.axle, f.shape, (0.0,) * len(f.estimate)) for f in chosen)
+    explanation = fitted.explanation._replace(
+        causes=tuple(
+            Cause(finding.name, finding.axle, finding.shape, (0.0,) * len(finding.estimate))
+            for finding in candidates
+        )
     )
-    known = _table(fitting.normal_equations(on.design, explanation, False)[0], chosen, "known")
-    stops, kept, tables = possible(on.data, chosen), [], []
-    for k, stop in enumerate(stops):
-        design, expected = _simulated(on, stop, explanation)
-        found = fitting.normal_equations(design, expected, False)[0]
-        if np.all(np.isfinite(found.A)):
-            kept.append(stop)
-            tables.append(_table(found, chosen, f"stop {k}"))
-        progress("possible stops", (k + 1) / len(stops))
-    return Library(tuple(chosen), known, tuple(kept), tuple(tables))
+    normal, _, _ = fitting.normal_equations(fitted.design, explanation, False)
+    known = _table(normal, candidates, "known")
+
+    stops = []
+    tables = []
+    tried = possible(fitted.data, candidates)
+    for k, stop in enumerate(tried):
+        design, expected = _simulated(fitted, stop, explanation)
+        normal, _, _ = fitting.normal_equations(design, expected, False)
+        if np.all(np.isfinite(normal.A)):
+            stops.append(stop)
+            tables.append(_table(normal, candidates, f"stop {k}"))
+        progress("possible stops", (k + 1) / len(tried))
+    return Library(tuple(candidates), known, tuple(stops), tuple(tables))
 
 
 def propose(lib: Library, count: int, among: Sequence[str] = ()) -> list[Proposal]:
-    """The best `count` stops, one after another, for all candidates or those `among` them."""
-    names = [f.name for f in lib.candidates if not among or f.name in among]
-    have, left = [lib.known], list(range(len(lib.stops)))
-    chosen: list[Proposal] = []
-    while names and left and len(chosen) < count:
+    """Returns the best `count` stops, one after another, for all candidates or those `among` them."""
+    names = [finding.name for finding in lib.candidates if not among or finding.name in among]
+    have = [lib.known]
+    remaining = list(range(len(lib.stops)))
+    proposals: list[Proposal] = []
+    while names and remaining and len(proposals) < count:
         before, _ = separation(have, names)
-        worth = [separation([*have, lib.tables[k]], names) for k in left]
-        at = int(np.argmax([w[0] for w in worth]))
-        chosen.append(Proposal(lib.stops[left[at]], worth[at][1], before, worth[at][0]))
-        have.append(lib.tables[left.pop(at)])
-    return chosen
+        separations = [separation([*have, lib.tables[k]], names) for k in remaining]
+        best = int(np.argmax([value for value, _ in separations]))
+        after, pair = separations[best]
+        number = remaining.pop(best)
+        proposals.append(Proposal(lib.stops[number], pair, before, after))
+        have.append(lib.tables[number])
+    return proposals
 
 
 def separation(tables: Sequence[Table], names: Sequence[str]) -> tuple[float, tuple[str, str]]:
-    """[L2] of some sets of stops together, and the pair that attains it."""
-    S = _schur(tables, names)
+    """Returns the least separation [L2] of causes by some sets of stops, and the pair that has it."""
+    S = _projected(tables, names)
     size = np.maximum(np.diag(S), 1e-12)
     if len(names) == 1:
         return float(size[0]), (names[0], "nothing")
-    found = [
-        (
-            float(min(size[a], size[b]) * (1.0 - min(S[a, b] ** 2 / (size[a] * size[b]), 1.0))),
-            (a, b),
-        )
-        for a, b in combinations(range(len(names)), 2)
-    ]
-    worst, (a, b) = min(found)
-    return worst, (names[a], names[b])
+
+    of_pairs = []
+    for a, b in combinations(range(len(names)), 2):
+        rho_squared = min(S[a, b] ** 2 / (size[a] * size[b]), 1.0)
+        of_pairs.append((float(min(size[a], size[b]) * (1.0 - rho_squared)), (a, b)))
+    least, (a, b) = min(of_pairs)
+    return least, (names[a], names[b])
 
 
-def _schur(tables: Sequence[Table], names: Sequence[str]) -> np.ndarray:
-    base = sorted({key for t in tables for key in t.keys if key.startswith(BASE)})
+def _projected(tables: Sequence[Table], names: Sequence[str]) -> np.ndarray:
+    """Returns S of [L1], shape (names, names)."""
+    base = sorted({key for table in tables for key in table.keys if key.startswith(BASE)})
     keys = [*(f"cause {name}" for name in names), *base]
     place = {key: k for k, key in enumerate(keys)}
     A = np.zeros((len(keys), len(keys)))
-    for t in tables:
-        own = [k for k, key in enumerate(t.keys) if key in place]
-        at = [place[t.keys[k]] for k in own]
-        A[np.ix_(at, at)] += t.A[np.ix_(own, own)]
+    for table in tables:
+        known = [k for k, key in enumerate(table.keys) if key in place]
+        at = [place[table.keys[k]] for k in known]
+        A[np.ix_(at, at)] += table.A[np.ix_(known, known)]
+
+    # base parameters have different units: scale their part to a diagonal of 1
     n = len(names)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A)[n:], 1e-30))
-    inner = A[n:, n:] * np.outer(scale, scale) + 1e-9 * np.eye(len(base))
-    cross = scale[:, None] * A[n:, :n]
-    return A[:n, :n] - cross.T @ np.linalg.solve(inner, cross)  # [L1]
+    A_bb = A[n:, n:] * np.outer(scale, scale) + 1e-9 * np.eye(len(base))
+    A_bc = scale[:, None] * A[n:, :n]
+    return A[:n, :n] - A_bc.T @ np.linalg.solve(A_bb, A_bc)  # [L1]
 
 
-def _table(normal: fitting.NormalEquations, chosen: Sequence[ScoreTest], name: str) -> Table:
-    """One column for each candidate, times its size; base columns of single runs get the set's name."""
-    columns, base = normal.matrix.columns, fitting.base_columns(normal.matrix)
-    P = np.zeros((len(columns), len(base) + len(chosen)))
-    A, keys = normal.A.copy(), []
+def _table(normal: fitting.NormalEquations, candidates: Sequence[ScoreTest], name: str) -> Table:
+    """Returns the information of a set of stops, with one key per base parameter and candidate.
+
+    The column of a candidate is in units of its size. A base parameter of a single run gets the name of
+    the set, so that it is not one with that of another set.
+    """
+    columns = normal.matrix.columns
+    base = fitting.base_columns(normal.matrix)
+    A = normal.A.copy()
+    keys = []
+    P = np.zeros((len(columns), len(base) + len(candidates)))
     for k, c in enumerate(base):
         label = columns[c].label
-        own = label.startswith(("ln_mu_cd", "mass"))
-        keys.append(f"{BASE} {label} {name if own else ''}")
+        of_run = label.startswith(("ln_mu_cd", "mass"))
+        keys.append(f"{BASE} {label} {name if of_run else ''}")
         P[c, k] = 1.0
-        if columns[c].prior > 0.0 and not own and name != "known":
-            A[c, c] -= 1.0 / columns[c].prior ** 2  # one tolerance for all stops counts once
-    for k, f in enumerate(chosen):
-        keys.append(f"cause {f.name}")
-        for c, size in zip(*_direction(normal, f), strict=True):
+        if columns[c].prior > 0.0 and not of_run and name != "known":
+            # the tolerance is one for all stops, so it counts once
+            A[c, c] -= 1.0 / columns[c].prior ** 2
+    for k, finding in enumerate(candidates):
+        keys.append(f"cause {finding.name}")
+        for c, size in _direction(normal, finding):
             P[c, len(base) + k] = size
     return Table(tuple(keys), P.T @ A @ P)
 
 
-def _direction(normal: fitting.NormalEquations, f: ScoreTest) -> tuple[list[int], list[float]]:
-    fits = [v for v in normal.matrix.variants if v.cause == f.name and v.axle == f.axle]
-    same = [v for v in fits if v.shape == f.shape] or fits
-    if not same:
-        return [], []
-    at = list(same[0].columns)
-    if len(at) == len(f.estimate):
-        return at, list(f.estimate)
-    # once a turn: one phase for each run, and of a new run none is known
-    amplitude = float(np.sqrt(2.0 * np.mean(np.square(f.estimate))))
-    return at, [amplitude if k % 2 == 0 else 0.0 for k in range(len(at))]
+def _direction(normal: fitting.NormalEquations, finding: ScoreTest) -> list[tuple[int, float]]:
+    """Returns (column, size) of each coefficient of a candidate."""
+    variants = [
+        variant
+        for variant in normal.matrix.variants
+        if variant.cause == finding.name and variant.axle == finding.axle
+    ]
+    same_shape = [variant for variant in variants if variant.shape == finding.shape]
+    chosen = same_shape or variants
+    if not chosen:
+        return []
+    columns = chosen[0].columns
+    if len(columns) == len(finding.estimate):
+        return list(zip(columns, finding.estimate, strict=True))
+    # a cause once a turn has a phase in each run, and that of a new run is unknown
+    amplitude = float(np.sqrt(2.0 * np.mean(np.square(finding.estimate))))
+    return [(c, amplitude if k % 2 == 0 else 0.0) for k, c in enumerate(columns)]
 
 
-def _simulated(on: Ground, stop: Stop, explanation: Explanation) -> tuple[Design, Explanation]:
-    """A stop as the fitted base would run it, prepared like a measured one."""
-    base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
-    expected = explanation._replace(base=base | {"ln_mu_cd_0": explanation.level})
-    rough = prototype.rough_run(on.data, on.design.base, stop, expected)
-    design = _noisy(prepare(on.data, [rough]), on.design)
-    made = simulate.runs(on.data, design, [rough], expected, np.random.default_rng(3))
-    return _noisy(prepare(on.data, made), on.design), expected
+def _simulated(
+    fitted: FittedData, stop: Stop, explanation: Explanation
+) -> tuple[Design, Explanation]:
+    """Returns the design of a stop, simulated with the fitted base, and the explanation for it."""
+    base = {
+        label: value
+        for label, value in explanation.base.items()
+        if not label.startswith(("ln_mu_cd", "mass"))
+    }
+    base["ln_mu_cd_0"] = explanation.level
+    expected = explanation._replace(base=base)
+    rough = prototype.rough_run(fitted.data, fitted.design.base, stop, expected)
+    rough_design = _with_noise_of(prepare(fitted.data, [rough]), fitted.design)
+    simulated = simulate.runs(
+        fitted.data, rough_design, [rough], expected, np.random.default_rng(SEED)
+    )
+    return _with_noise_of(prepare(fitted.data, simulated), fitted.design), expected
 
 
-def _noisy(design: Design, like: Design) -> Design:
+def _with_noise_of(design: Design, fitted: Design) -> Design:
+    """Returns a design with the measurement noise of another one."""
+    torque_noise_Nm = float(np.median(fitted.torque_noise_Nm))
     return design._replace(
-        speed_noise_m_s=like.speed_noise_m_s,
-        wheel_noise_rad_s=like.wheel_noise_rad_s,
-        torque_noise_Nm=np.full(design.mass_kg.size, float(np.median(like.torque_noise_Nm))),
+        speed_noise_m_s=fitted.speed_noise_m_s,
+        wheel_noise_rad_s=fitted.wheel_noise_rad_s,
+        torque_noise_Nm=np.full(design.mass_kg.size, torque_noise_Nm),
     )
 
 
-def sequence(proposal: Proposal, on: Ground) -> dict[str, Any]:
-    """A proposal as plain data that as TOML `rollerrig sequence` runs."""
-    return prototype.sequence(proposal.stop, proposal.reason, on.data, on.explanation)
+def sequence(proposal: Proposal, fitted: FittedData) -> dict[str, Any]:
+    """Returns a proposal as plain data for a TOML file that `rollerrig sequence` runs."""
+    return prototype.sequence(proposal.stop, proposal.reason, fitted.data, fitted.explanation)
 
 
 def as_json(proposals: Sequence[Proposal], files: Sequence[str]) -> list[dict[str, Any]]:
-    """The report's entry."""
+    """Returns the entries of proposals in a report."""
     return [
         {
             "file": name,
-            "title": p.stop.title,
-            "reason": p.reason,
-            **p.stop._asdict(),
-            "parts": list(p.parts),
-            "separation_before": p.before,
-            "separation_after": p.after,
+            "title": proposal.stop.title,
+            "reason": proposal.reason,
+            **proposal.stop._asdict(),
+            "parts": list(proposal.pair),
+            "separation_before": proposal.before,
+            "separation_after": proposal.after,
         }
-        for p, name in zip(proposals, files, strict=True)
+        for proposal, name in zip(proposals, files, strict=True)
     ]

@@ -1,4 +1,4 @@
-"""Proposed stops part what the data cannot, and the bench runs them."""
+"""Proposed stops distinguish causes that the data cannot distinguish, and the bench runs them."""
 
 import tomllib
 
@@ -13,10 +13,11 @@ from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.decide import fitting
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.next_stops import planning
-from rollerrig.rig.identify.next_stops.planning import Ground, Library, Table
+from rollerrig.rig.identify.next_stops.planning import FittedData, Library, Table
 
 
 def finding(name: str, size: float, axle: int = 0) -> ScoreTest:
+    """A significant finding of a cause of this size."""
     return ScoreTest(name, axle, {}, (size,), (0.0,), (abs(size) / 5.0,), 25.0, 1e-6, 1.0, 1.0)
 
 
@@ -25,36 +26,39 @@ def silent(title: str, share: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def on() -> Ground:
+def fitted() -> FittedData:
     """One stop of the shipped set with its fitted base."""
     data = dataset.load("open_none")
     design = preparation.prepare(data, data.group("tune")[:1])
-    return Ground(data, design, fitting.fit(design, candidates.untuned(design), 3, False)[0])
+    explanation = fitting.fit(design, candidates.untuned(design), 3, False)[0]
+    return FittedData(data, design, explanation)
 
 
 @pytest.fixture(scope="module")
-def speed_or_time(on: Ground) -> Library:
-    chosen = [finding("speed_dependent_friction", 0.004), finding("friction_trend", 0.01)]
-    return planning.library(on, chosen, silent)
+def speed_or_time(fitted: FittedData) -> Library:
+    """The possible stops for two causes that the data cannot distinguish."""
+    two = [finding("speed_dependent_friction", 0.004), finding("friction_trend", 0.01)]
+    return planning.library(fitted, two, silent)
 
 
 NAMES = ("speed_dependent_friction", "friction_trend")
 
 
-def test_stops_hardly_part_speed_from_time_and_sliding_at_a_steady_speed_does(
+def test_stops_hardly_distinguish_speed_from_time_and_sliding_at_a_steady_speed_does(
     speed_or_time: Library,
 ) -> None:
-    worth = {
-        stop: planning.separation([speed_or_time.known, table], NAMES)[0]
-        for stop, table in zip(speed_or_time.stops, speed_or_time.tables, strict=True)
-    }
     known, _ = planning.separation([speed_or_time.known], NAMES)
-    steady = max(value for stop, value in worth.items() if stop.axle)
+    separations = {}
+    for stop, table in zip(speed_or_time.stops, speed_or_time.tables, strict=True):
+        separations[stop], _ = planning.separation([speed_or_time.known, table], NAMES)
+
+    steady = max(value for stop, value in separations.items() if stop.axle)
+    # the stop that is most like the one in the data, which begins at 42.3 m/s
     like_the_known = min(
-        worth, key=lambda stop: abs(stop.initial_speed_m_s - 42.3) + 100 * stop.axle
+        separations, key=lambda stop: abs(stop.initial_speed_m_s - 42.3) + 100 * stop.axle
     )
     assert steady > 3.0 * known
-    assert steady > 2.0 * worth[like_the_known]
+    assert steady > 2.0 * separations[like_the_known]
 
 
 def test_the_first_proposal_is_the_best_and_each_further_one_adds(speed_or_time: Library) -> None:
@@ -69,21 +73,21 @@ def test_the_first_proposal_is_the_best_and_each_further_one_adds(speed_or_time:
     assert len({p.stop for p in proposals}) == 3
 
 
-def test_a_full_brake_tells_more_of_a_weak_brake_than_a_gentle_one(on: Ground) -> None:
-    lib = planning.library(on, [finding("brake_gain", 0.04, 2)], silent)
-    size = {
-        stop: planning.separation([table], ["brake_gain"])[0]
-        for stop, table in zip(lib.stops, lib.tables, strict=True)
-        if not stop.axle
-    }
-    for stop, value in size.items():
+def test_a_full_brake_informs_more_about_a_weak_brake_than_a_gentle_one(fitted: FittedData) -> None:
+    lib = planning.library(fitted, [finding("brake_gain", 0.04, 2)], silent)
+    information = {}
+    for stop, table in zip(lib.stops, lib.tables, strict=True):
+        if not stop.axle:
+            information[stop], _ = planning.separation([table], ["brake_gain"])
+    for stop, of_gentle in information.items():
         if stop.pressure_Pa < 2e5 and stop.initial_speed_m_s > 20.0:
-            assert value < size[stop._replace(pressure_Pa=planning.PRESSURES_PA[-1])]
+            full = stop._replace(pressure_Pa=planning.PRESSURES_PA[-1])
+            assert of_gentle < information[full]
     # only the wheelset in question is worth braking alone
     assert {stop.axle for stop in lib.stops} == {0, 2}
 
 
-def test_what_the_base_could_take_up_parts_nothing() -> None:
+def test_what_the_base_could_absorb_distinguishes_nothing() -> None:
     keys = ("cause a", "cause b", "base ln_tau ")
     alike = Table(keys, np.array([[4.0, 4.0, 0.0], [4.0, 4.0, 0.0], [0.0, 0.0, 1.0]]))
     other = Table(keys, np.array([[4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 1.0]]))
@@ -93,26 +97,28 @@ def test_what_the_base_could_take_up_parts_nothing() -> None:
     assert planning.separation([hidden], ["a", "b"])[0] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_without_candidates_nothing_is_proposed(on: Ground) -> None:
-    assert planning.propose(planning.library(on, [], silent), 3) == []
+def test_without_candidates_nothing_is_proposed(fitted: FittedData) -> None:
+    assert planning.propose(planning.library(fitted, [], silent), 3) == []
 
 
 def test_every_possible_stop_is_a_sequence_that_is_accepted(
-    on: Ground, speed_or_time: Library, tmp_path, capsys
+    fitted: FittedData, speed_or_time: Library, tmp_path, capsys
 ) -> None:
     for k, stop in enumerate(speed_or_time.stops):
-        text = tomli_w.dumps(planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on))
+        proposal = planning.Proposal(stop, NAMES, 1.0, 2.0)
+        text = tomli_w.dumps(planning.sequence(proposal, fitted))
         (tmp_path / f"next_{k}.toml").write_text(text)
     assert cli.main(["sequence", str(tmp_path), "--check"]) == 0
     capsys.readouterr()
 
 
 def test_the_bench_runs_sliding_at_a_steady_speed(
-    on: Ground, speed_or_time: Library, tmp_path, capsys
+    fitted: FittedData, speed_or_time: Library, tmp_path, capsys
 ) -> None:
     stop = next(s for s in speed_or_time.stops if s.axle)
     file = tmp_path / "next_1.toml"
-    file.write_text(tomli_w.dumps(planning.sequence(planning.Proposal(stop, NAMES, 1.0, 2.0), on)))
+    proposal = planning.Proposal(stop, NAMES, 1.0, 2.0)
+    file.write_text(tomli_w.dumps(planning.sequence(proposal, fitted)))
     assert tomllib.loads(file.read_text())["start"]["tables"]["rig"]["mode"] == "track"
     assert cli.main(["sequence", str(file), "--out", str(tmp_path / "report")]) == 0
     capsys.readouterr()
