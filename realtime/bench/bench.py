@@ -1,7 +1,7 @@
 """The bench: composition root of a run, from a scenario to a folder with its record.
 
-It builds the parts, runs one of the three pacings, and closes everything in order whatever happens: the record of a
-run that failed, was interrupted or killed is kept.
+It builds the parts, runs one of the three pacings, and closes everything in order whatever happens:
+the record of a run that failed, was interrupted or killed is kept.
 """
 
 import asyncio
@@ -33,13 +33,28 @@ PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
     "lockstep": lockstep.run,
     "free": free.run,
 }
+# different failures inside the bus thread that are recorded; more would flood the events
 _EXCEPTIONS_RECORDED = 20
 
 
 class Bench:
-    """One run. `say` is called with a `Progress` now and then. Raises ConfigError."""
+    """One run. `on_progress` is called with a `Progress` now and then. Raises ConfigError."""
 
-    def __init__(self, plan: Scenario, given: Options, say: Callable[[Progress], None]) -> None:
+    def __init__(
+        self, plan: Scenario, given: Options, on_progress: Callable[[Progress], None]
+    ) -> None:
+        self._check(plan, given)
+        run_folder.begin(given.out)
+        with writing(given.out):
+            (given.out / run_folder.SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
+        ring.sweep()
+        self.parts = Parts(plan, given, on_progress)
+        # message and exception of the failures that are recorded already
+        self._exceptions: set[tuple[str, str]] = set()
+
+    @staticmethod
+    def _check(plan: Scenario, given: Options) -> None:
+        """Refuse what cannot be run, before a file is written. Raises ConfigError."""
         options.check(given, plan["modbus"]["enabled"])
         panel.check_pacing(plan.faults, given.pacing)
         wire_delay.check(plan, given.pacing)
@@ -51,73 +66,69 @@ class Bench:
             fmu_file.fit_all(given.fmus, given.unit_map, plan["bus"]["sync_period_s"])
         if plan["modbus"]["enabled"]:
             tls_context(plan["modbus"])
-        run_folder.begin(given.out)
-        with writing(given.out):
-            (given.out / run_folder.SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
-        ring.sweep()
-        self.parts = Parts(plan, given, say)
-        self._exceptions: set[tuple[str, str]] = set()
 
     async def run(self) -> dict[str, Any]:
         """Run to the end and return the summary. Raises RollerrigError after closing the record."""
-        parts, failure = self.parts, None
-        given = parts.options
+        parts = self.parts
+        failure: RollerrigError | None = None
         running = asyncio.get_running_loop()
-        running.set_exception_handler(self._note_exception)
-        # a run under nohup goes on when its terminal closes
-        heard = [
-            signal.SIGINT,
-            signal.SIGTERM,
-            *[signal.SIGHUP] * (signal.getsignal(signal.SIGHUP) != signal.SIG_IGN),
-        ]
-        for signum in heard:
-            running.add_signal_handler(
-                signum, partial(parts.stop, Code.RUN_INTERRUPTED, signal=signum.name)
-            )
+        running.set_exception_handler(self._record_exception)
+        signals = _signals_that_end_a_run()
+        for signum in signals:
+            interrupt = partial(parts.stop, Code.RUN_INTERRUPTED, signal=signum.name)
+            running.add_signal_handler(signum, interrupt)
         try:
-            parts.processes.start_recorder(*parts.rings, parts.identity())
-            tick_data.warm_up(parts.data, given.pacing, given.unit)
-            if given.hold:
-                parts.report("held until a viewer has joined the live view")
-            await parts.processes.await_viewer(parts.rows, lambda: parts.ended_by)
-            if not parts.ended_by:
-                await PACINGS[given.pacing](parts)
-            if parts.failure:
-                raise parts.failure
+            await self._run_pacing()
         except RollerrigError as error:
             failure = error
             parts.ended_by = "error"
             parts.event(Code.RUN_FAILED, reason=str(error))
         finally:
             parts.data.control[STOP] = 1
-            for signum in heard:  # the event loop's end takes the handlers away
+            # from now on signals are ignored; the end of the event loop removes the handlers
+            for signum in signals:
                 running.add_signal_handler(signum, lambda: None)
             result = await self._close()
-        if failure := failure or parts.processes.unwritten:
+        failure = failure or parts.processes.unwritten
+        if failure:
             raise failure
         return result
 
-    def _note_exception(self, running: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """What fails inside the bus thread is said and recorded, and harms only who failed."""
+    async def _run_pacing(self) -> None:
+        """Start the recorder and run the pacing. Raises RollerrigError."""
+        parts = self.parts
+        given = parts.options
+        parts.processes.start_recorder(*parts.rings, parts.identity())
+        tick_data.warm_up(parts.data, given.pacing, given.unit)
+        if given.hold:
+            parts.report("held until a viewer has joined the live view")
+        await parts.processes.await_viewer(parts.rows, lambda: parts.ended_by)
+        if not parts.ended_by:
+            await PACINGS[given.pacing](parts)
+        if parts.failure:
+            raise parts.failure
+
+    def _record_exception(
+        self, running: asyncio.AbstractEventLoop, context: dict[str, Any]
+    ) -> None:
+        """Record and print a failure inside the bus thread, once; the run goes on."""
         message = str(context.get("message", "bus thread"))
         exception = repr(context.get("exception"))
-        new = (message, exception) not in self._exceptions
-        if new and len(self._exceptions) < _EXCEPTIONS_RECORDED:
+        is_new = (message, exception) not in self._exceptions
+        if is_new and len(self._exceptions) < _EXCEPTIONS_RECORDED:
             self._exceptions.add((message, exception))
             self.parts.event(Code.BENCH_EXCEPTION, message=message, exception=exception)
             running.default_exception_handler(context)
 
+    # --- the end ---
+
     async def _close(self) -> dict[str, Any]:
-        """Close bus, unit and recorder, and write the summary."""
-        parts, out = self.parts, self.parts.options.out
+        """Close bus, unit and recorder, write the summary and return it."""
+        parts = self.parts
         parts.derailment.look(parts.data.buffer)
         bus_counts = self._bus_counts()
         if parts.options.start == "modbus":
-            # the record's scenario is the one that was run, from the speed at which it began
-            resolved = parts.plan.resolved | {"initial_speed_m_s": parts.speed_m_s}
-            parts.plan = dataclasses.replace(parts.plan, resolved=resolved)
-            with contextlib.suppress(OSError):  # a full disk is told by what became of the record
-                (out / run_folder.SCENARIO).write_text(scenario.dump(parts.plan), encoding="utf-8")
+            self._rewrite_scenario()
         if parts.hub is not None:
             await parts.hub.close()
         await parts.processes.end_unit()
@@ -126,8 +137,23 @@ class Bench:
         await parts.processes.end_recorder()
         for one in parts.rings:
             one.unlink()
+        return self._write_summary(self._counters(bus_counts))
+
+    def _rewrite_scenario(self) -> None:
+        """Let the scenario of the record be the one that was run, from the speed at which it began."""
+        parts = self.parts
+        resolved = parts.plan.resolved | {"initial_speed_m_s": parts.speed_m_s}
+        parts.plan = dataclasses.replace(parts.plan, resolved=resolved)
+        # the recorder reports a full disk
+        with contextlib.suppress(OSError):
+            path = parts.options.out / run_folder.SCENARIO
+            path.write_text(scenario.dump(parts.plan), encoding="utf-8")
+
+    def _counters(self, bus_counts: dict[str, Any]) -> dict[str, Any]:
+        """Return what only the bench knows of the run, for the summary."""
+        parts = self.parts
         control = parts.data.control
-        counters = parts.identity() | {
+        return parts.identity() | {
             "ended": parts.ended_by or "finished",
             "loop": {
                 "ticks": int(control[TICK]),
@@ -140,34 +166,51 @@ class Bench:
             "modbus": {"requests": parts.modbus.requests},
             "recorder": {"lost": sum(int(one.header[ring.LOST]) for one in parts.rings)},
         }
+
+    def _write_summary(self, counters: dict[str, Any]) -> dict[str, Any]:
+        """Write the summary and return it."""
+        parts = self.parts
+        out = parts.options.out
         try:
-            found: channels.Columns | pa.Table = channels.Columns(out)
-        except ConfigError as error:  # the recorder did not come that far: a summary stands anyway
+            recorded: channels.Columns | pa.Table = channels.Columns(out)
+        except ConfigError as error:  # the recorder did not get as far; there is a summary anyway
             parts.event(Code.RECORD_UNREADABLE, reason=str(error))
-            found = channels.schema().empty_table()
-        told: Iterable[Event] = parts.events
-        if parts.events.left_out:  # judged by all of them, as far as they were recorded
-            with contextlib.suppress(ConfigError):
-                if sum(1 for _ in records.each_event(out)) > len(list(parts.events)):
-                    told = records.each_event(out)
-        result = summary.of(found, counters, parts.plan.resolved, told) | {
-            "events": [event._asdict() for event in parts.events]
-        }
+            recorded = channels.schema().empty_table()
+        result = summary.of(recorded, counters, parts.plan.resolved, self._all_events())
+        result["events"] = [event._asdict() for event in parts.events]
         try:
             records.write_summary(out, result)
         except ConfigError as error:
             parts.processes.unwritten = error
         return result
 
+    def _all_events(self) -> Iterable[Event]:
+        """Return all events of the run, as far as they were recorded."""
+        parts = self.parts
+        if parts.events.left_out:
+            with contextlib.suppress(ConfigError):
+                recorded = sum(1 for _ in records.each_event(parts.options.out))
+                if recorded > len(list(parts.events)):
+                    return records.each_event(parts.options.out)
+        return parts.events
+
     def _bus_counts(self) -> dict[str, Any]:
+        """Return the counters of the bus, for the summary."""
         hub, bus = self.parts.hub, self.parts.bus
         if hub is None:
             return {"frames": 0, "dropped": 0, "load_percent": 0.0}
-        names = (
-            "frames",
-            "dropped",
-            "load_percent",
-            *(("longest_wait_us",) if hub.wire is not None else ()),
-        )
-        counts = {name: hub.stats()[name] for name in names}
-        return counts | ({"stray_syncs": bus.stray_syncs} if bus and bus.stray_syncs else {})
+        stats = hub.stats()
+        counts = {name: stats[name] for name in ("frames", "dropped", "load_percent")}
+        if hub.wire is not None:
+            counts["longest_wait_us"] = stats["longest_wait_us"]
+        if bus and bus.stray_syncs:
+            counts["stray_syncs"] = bus.stray_syncs
+        return counts
+
+
+def _signals_that_end_a_run() -> list[signal.Signals]:
+    found = [signal.SIGINT, signal.SIGTERM]
+    # a run under nohup goes on when its terminal closes
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        found.append(signal.SIGHUP)
+    return found

@@ -1,7 +1,8 @@
-"""Faults over Modbus: choose one by its number, say where and for how long, and inject it.
+"""Faults over Modbus: select one by its number, set target and duration, and inject it.
 
-Unit 1 has three registers to choose with, a coil that injects and a coil that lifts; parameters that have no register
-take the catalogue's defaults. A fault that cannot be is refused with exception 03, and an event says why.
+Unit 1 has three registers for the selection, a coil that injects and a coil that lifts. Parameters
+that have no register take the defaults of the catalogue. A fault that is not possible is refused with
+exception 03, and an event gives the reason.
 """
 
 from functools import partial
@@ -19,38 +20,47 @@ DURATION_UNIT_S = 0.1
 
 
 class FaultRegisters:
-    """Readers and writers of the fault registers. 0 of `target`: the default; of `duration`: no end."""
+    """Readers and writers of the fault registers.
+
+    A target of 0 is the default of the fault, a duration of 0 has no end.
+    """
 
     def __init__(self, faults: Panel, on_event: OnEvent) -> None:
-        self.faults, self.on_event = faults, on_event
-        self.chosen = {"fault": 0, "fault_target": 0, "fault_duration": 0}
+        self.faults = faults
+        self.on_event = on_event
+        self.selected = {"fault": 0, "fault_target": 0, "fault_duration": 0}
 
     def readers(self) -> dict[str, Reader]:
-        """Raw values by name of the register."""
-        return {name: (lambda name=name: self.chosen[name]) for name in self.chosen} | {
+        """Return the readers of raw values, by the name of the register."""
+        readers: dict[str, Reader] = {
             "inject_fault": lambda: bool(self.faults.active),
             "lift_faults": lambda: False,
             "faults_active": lambda: len(self.faults.active),
         }
+        for name in self.selected:
+            readers[name] = lambda name=name: self.selected[name]
+        return readers
 
     def writers(self) -> dict[str, Writer]:
-        """What a write does, by name of the register."""
-        return {name: partial(self._choose, name) for name in self.chosen} | {
-            "inject_fault": self._inject,
-            "lift_faults": self._lift,
-        }
+        """Return the writers, by the name of the register."""
+        writers: dict[str, Writer] = {"inject_fault": self._inject, "lift_faults": self._lift}
+        for name in self.selected:
+            writers[name] = partial(self._select, name)
+        return writers
 
-    def _choose(self, name: str, raw: int, only: bool) -> None:
+    def _select(self, name: str, raw: int, only: bool) -> None:
         if name == "fault" and raw not in BY_NUMBER:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not only:
-            self.chosen[name] = raw
+            self.selected[name] = raw
 
     def _inject(self, raw: int, only: bool) -> None:
         if not raw or only:
             return
-        kind, target = BY_NUMBER[self.chosen["fault"]], self.chosen["fault_target"]
-        values: dict[str, Any] = {"for_s": self.chosen["fault_duration"] * DURATION_UNIT_S or LASTS}
+        kind = BY_NUMBER[self.selected["fault"]]
+        duration_s = self.selected["fault_duration"] * DURATION_UNIT_S
+        values: dict[str, Any] = {"for_s": duration_s or LASTS}
+        target = self.selected["fault_target"]
         aim = next((row.name for row in kind.parameters if row.name in AIMS), "")
         if target and aim:
             values[aim] = target

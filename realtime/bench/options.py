@@ -1,6 +1,7 @@
-"""How a run is run, and its recorder and reference unit, which are begun before they can be told of what.
+"""How a run is run, and its recorder and reference unit, which start before the bench is ready.
 
-This file imports next to nothing, so that these load what they need beside the bench's own imports.
+This file imports next to nothing: the two processes load their libraries while the bench loads its
+own, and wait for their arguments on standard input.
 """
 
 import contextlib
@@ -17,11 +18,16 @@ from typing import NamedTuple
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
 
+_RECORDER = "rollerrig.realtime.telemetry.recorder"
+# Rerun logs an error because run.rrd has no index while the run goes on; that is intended
+_LOG_OF_RERUN = "warn,re_log_encoding=error"
+
 
 class Options(NamedTuple):
-    """How a run is run; the scenario says what.
+    """How a run is run; the scenario says what is run.
 
-    `unit`: reference, external, none, or fmu:FILE with its mapping, several as fmu:FILE,fmu:FILE.
+    `unit` is reference, external, none, or fmu:FILE with its mapping, several as fmu:FILE,fmu:FILE.
+    `recorder` and `waiting_unit` are processes that wait for their arguments.
     """
 
     pacing: str = "wall"
@@ -36,11 +42,11 @@ class Options(NamedTuple):
     harness: bool = False
     recorder: subprocess.Popen[bytes] | None = None
     unit_map: Path | None = None
-    begun_unit: subprocess.Popen[bytes] | None = None
+    waiting_unit: subprocess.Popen[bytes] | None = None
 
     @property
     def fmus(self) -> tuple[Path, ...]:
-        """The files of a unit that is an FMU, or several."""
+        """The files of a unit that is one FMU or several."""
         return fmus_of(self.unit)
 
     @property
@@ -50,7 +56,7 @@ class Options(NamedTuple):
 
 
 def fmus_of(unit: str) -> tuple[Path, ...]:
-    """The files of fmu:FILE,fmu:FILE; none of another unit."""
+    """Return the files of fmu:FILE,fmu:FILE; none for another unit."""
     return tuple(map(Path, re.split("(?:^|,)fmu:", unit)[1:]))
 
 
@@ -64,92 +70,101 @@ class Progress(NamedTuple):
     message: str = ""
 
 
-_RECORDER = "rollerrig.realtime.telemetry.recorder"
-# that run.rrd has no index before its end is meant to be
-_TOLD_BY_RERUN = "warn,re_log_encoding=error"
+# --- processes that start early ---
 
 
-def begin_recorder() -> subprocess.Popen[bytes]:
-    """A recorder that waits for a line of arguments on its standard input, and ends where none comes."""
+def start_recorder() -> subprocess.Popen[bytes]:
+    """Start a recorder that waits for a line of arguments on standard input; it exits if none comes."""
     return subprocess.Popen(
         [sys.executable, "-m", _RECORDER],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         start_new_session=True,
-        env={"RUST_LOG": _TOLD_BY_RERUN, **os.environ},
+        env={"RUST_LOG": _LOG_OF_RERUN, **os.environ},
     )
 
 
 def unit_command(*words: str) -> list[str]:
-    """The unit as a child that is killed with the bench, as one that is stopped would hear nothing else."""
+    """Return the command of the unit as a child that is killed with the bench.
+
+    SIGKILL, because a unit that a fault has stopped reacts to no other signal.
+    """
     return children.command(
         sys.executable, "-m", "rollerrig.realtime.cli", "wsp", *words, by=signal.SIGKILL
     )
 
 
-def _record() -> int:
-    os.environ.setdefault("RUST_LOG", _TOLD_BY_RERUN)
-    from rollerrig.realtime.telemetry import recorder
+def send_arguments(process: subprocess.Popen[bytes], words: list[str]) -> None:
+    """Send its arguments to a process that waits for them.
 
-    return recorder.main([])
-
-
-def _forked(unit: Callable[[], int] | None) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Recorder and unit, each forked when what it shares with the bench has been loaded."""
-    from rollerrig.realtime.record import summary  # noqa: F401
-
-    yield "recorder", (recorder := children.Forked((sys.executable, "-m", _RECORDER), _record))
-    if unit:
-        from rollerrig.firmware_sim.wsp import node  # noqa: F401
-
-        yield (
-            "begun_unit",
-            children.Forked(("rollerrig", "wsp"), unit, signal.SIGKILL, True, (recorder,)),
-        )
-
-
-def tell(process: subprocess.Popen[bytes], words: list[str]) -> None:
-    """Hand a process that has been begun its arguments; one that has died is noticed by whoever waits for it."""
+    A process that has exited is no error here: the code that waits for the process reports it.
+    """
     assert process.stdin
     with contextlib.suppress(OSError), process.stdin as line:
         line.write(json.dumps(words).encode() + b"\n")
 
 
 @contextlib.contextmanager
-def begun(
+def waiting_processes(
     fork: bool = False, unit: Callable[[], int] | None = None
 ) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """`recorder` of a run that is prepared meanwhile, and where this process may `fork`, `begun_unit`, which is `unit`.
+    """Yield processes that wait for their arguments while the caller prepares a run.
 
-    They end where the run does not come.
+    Keys are those of `Options`: `recorder`, and with `fork` (this process may fork) also
+    `waiting_unit`, which runs `unit()`. They exit if they get no arguments.
     """
-    processes = dict(_forked(unit)) if fork else {"recorder": begin_recorder()}
+    processes = _fork(unit) if fork else {"recorder": start_recorder()}
     try:
         yield processes
     finally:
-        for one in processes.values():
-            assert one.stdin
-            one.stdin.close()
+        for process in processes.values():
+            assert process.stdin
+            process.stdin.close()
+
+
+def _fork(unit: Callable[[], int] | None) -> dict[str, subprocess.Popen[bytes]]:
+    """Fork recorder and unit, each as soon as the libraries that it shares with the bench are loaded."""
+    from rollerrig.realtime.record import summary  # noqa: F401
+
+    recorder = children.Forked((sys.executable, "-m", _RECORDER), _record)
+    processes: dict[str, subprocess.Popen[bytes]] = {"recorder": recorder}
+    if unit:
+        from rollerrig.firmware_sim.wsp import node  # noqa: F401
+
+        processes["waiting_unit"] = children.Forked(
+            ("rollerrig", "wsp"), unit, signal.SIGKILL, True, (recorder,)
+        )
+    return processes
+
+
+def _record() -> int:
+    os.environ.setdefault("RUST_LOG", _LOG_OF_RERUN)
+    from rollerrig.realtime.telemetry import recorder
+
+    return recorder.main([])
+
+
+# --- what contradicts itself ---
 
 
 def check(options: Options, modbus: bool) -> None:
-    """Refuse options that contradict each other, or a scenario without Modbus. Raises ConfigError."""
+    """Refuse options that contradict one another, or a scenario without Modbus. Raises ConfigError."""
     if options.pacing == "free" and options.unit not in ("reference", "none"):
-        who = "FMU" if options.fmus else "external unit"
+        kind = "FMU" if options.fmus else "external unit"
         raise ConfigError(
-            f"--pacing free waits for no bus, so no {who} can answer; use --pacing lockstep "
+            f"--pacing free has no bus, so no {kind} can answer; use --pacing lockstep "
             "(repeatable) or wall (real time)"
         )
     if options.unit_map and not options.fmus:
         raise ConfigError(
-            f"--unit-map is of an FMU, and the unit is {options.unit}: use --wsp fmu:FILE"
+            f"--unit-map is for an FMU, and the unit is {options.unit}: use --wsp fmu:FILE"
         )
     if options.hold and not options.live:
-        raise ConfigError("--hold waits for somebody who looks on: give --live as well")
+        raise ConfigError("--hold waits for a viewer of the live view: give --live as well")
     if options.start == "modbus" and options.pacing != "wall":
         raise ConfigError(
-            f"--start modbus holds the rig in real time; --pacing {options.pacing} has none: use "
-            "--pacing wall"
+            f"--start modbus holds the rig in real time; --pacing {options.pacing} is not real time: "
+            "use --pacing wall"
         )
     if options.start == "modbus" and not modbus:
         raise ConfigError(

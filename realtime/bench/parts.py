@@ -1,7 +1,8 @@
-"""What the pacings of a run share: scenario, tick data, rings, bus and faults, and what all of them do.
+"""The parts of a run that its pacings share: scenario, tick data, rings, bus, faults and processes.
 
-The bench builds it, hands it to one pacing and closes it. `data` and `plan` change when a held rig is given another
-scenario. Clocks: `simulated_ns` counts ticks, `elapsed_ns` the time since the real-time thread began.
+The bench builds a `Parts`, hands it to one pacing and closes it. `data` and `plan` change when a held
+rig gets another scenario. There are two clocks: `simulated_ns` counts ticks, and `elapsed_ns` is the
+time since the real-time thread began.
 """
 
 import asyncio
@@ -16,11 +17,11 @@ from rollerrig.configs.errors import RollerrigError, UnitError
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import Counters
-from rollerrig.realtime.bench import derailment, rig_bus, scenario, tick_data
+from rollerrig.realtime.bench import brake_demand, derailment, rig_bus, scenario, tick_data
 from rollerrig.realtime.bench.options import Options, Progress
 from rollerrig.realtime.bench.processes import Processes
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.loop import clock, loop, mailbox, ring
+from rollerrig.realtime.loop import clock, loop, mailbox, ring, tick
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
 from rollerrig.realtime.record.events import Events
@@ -35,8 +36,22 @@ from rollerrig.wsp_interface.rig_objects import (
     UNIT_HEARTBEAT_ID,
 )
 
-_ROWS, _FRAMES, _EVENTS = 1 << 14, 1 << 17, 1 << 14
+# capacities of the rings, in rows
+_ROWS = 1 << 14
+_FRAMES = 1 << 17
+_EVENTS = 1 << 14
+# wall time between two reports of a run without deadlines
 _REPORT_S = 0.5
+# a recorder that is behind: how long to wait before the next look
+_RECORDER_WAIT_S = 0.005
+# time between two looks at a unit or harness that has not come yet
+_POLL_S = 0.005
+# a unit that does not obey NMT is there when its heartbeats have come for this time
+_UNIT_SETTLES_S = 0.5
+# the unit of the bench may start slowly on a busy machine: it gets so many times --wait
+_OWN_UNIT_PATIENCE = 10
+# when drives that wait for a master on the bus must be enabled
+_MASTER_AFTER_NS = clock.SECOND_NS
 # how a run ended early, as its summary has it
 ENDED_BY = {
     Code.RUN_INTERRUPTED: "interrupted",
@@ -47,44 +62,60 @@ ENDED_BY = {
 
 
 class Parts:
-    """One run. `say` is called with a `Progress` now and then; `ended_by` is "" as long as nobody ended it."""
+    """The parts of one run.
 
-    def __init__(self, plan: Scenario, options: Options, say: Callable[[Progress], None]) -> None:
-        self.plan, self.options, self.say = plan, options, say
+    `on_progress` is called with a `Progress` now and then. `ended_by` says how the run ended early;
+    it is empty as long as it has not.
+    """
+
+    def __init__(
+        self, plan: Scenario, options: Options, on_progress: Callable[[Progress], None]
+    ) -> None:
+        self.plan = plan
+        self.options = options
+        self.on_progress = on_progress
         self.events = Events()
-        self.ended_by, self.place = "", ""
+        self.ended_by = ""
         self.failure: RollerrigError | None = None
+
+        # the loop: lateness of its ticks, and what the system counted against its thread
         self.histogram = np.zeros(loop.BINS, dtype=np.int64)
         self.interruptions: dict[str, int] = {}
-        # when the real-time thread began, by CLOCK_MONOTONIC; 0: it has not
+        # when the real-time thread began, on CLOCK_MONOTONIC; 0: it has not begun
         self.begun_ns = 0
-        # when the run began, by the clock of the bus; -1: it has not, the rig is held
+        # when the run began, on the clock of the bus; -1: the rig is held, it has not begun
         self.zero_ns = 0
-        # a held rig: the scenario that it is given, and the speed at which it rolls (then: began)
+
+        # a held rig: its next scenario, and the speed at which it rolls (later: at which it began)
         self.next_plan: Scenario | None = None
         self.speed_m_s = float(plan["initial_speed_m_s"])
+
+        # the bus and Modbus
         self.hub: Hub | None = None
         self.bus: rig_bus.RigBus | None = None
+        self.place = ""
         self.ports: dict[str, int] = {}
         self.modbus = Counters()
-        # changes a row of commands on its way from the bus to the tick
-        self.govern: Callable[[np.ndarray], None] = lambda command: None
+        self.modbus_demand = brake_demand.ModbusDemand(plan["modbus"]["emergency_pressure_Pa"])
+
         self.faults = panel.Panel(plan.faults, self.event)
         self.derailment = derailment.Watch(self.event, lambda: self.stop(Code.RUN_DERAILED))
         self.processes = Processes(options, self.event)
+
         self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(signals.COLUMNS))
         self.frames = Ring(ring.place("frames"), np.int64, _FRAMES, ring.FRAME_WORDS)
         self.event_ring = Ring(ring.place("events"), np.int64, _EVENTS, ring.EVENT_WORDS)
-        # what the recorder reads
-        self.rings = self.rows, self.frames, self.event_ring
+        self.rings = (self.rows, self.frames, self.event_ring)
         self.data = tick_data.build(plan, self.rows, seed=options.seed)
         self.row = self.data.row.copy()
-        self._reported_s = self._stalled_s = 0.0
-        # a master on the bus shall move the drives, and has not been looked for
+
+        self._reported_s = 0.0
+        self._stalled_s = 0.0
+        # whether a master on the bus must still be checked for: it moves the drives
         self._master_awaited = plan["rig"]["drives"] == "bus"
 
     def identity(self) -> dict[str, Any]:
-        """What a summary says of a run before it has begun."""
+        """Return what is known of a run before it has begun, for its summary."""
         return {
             "pacing": self.options.pacing,
             "seed": self.options.seed,
@@ -105,18 +136,15 @@ class Parts:
             self.report(f"{time_s:.3f} s: {event.level}: {event.text}")
 
     def report(self, message: str = "") -> None:
-        """Say how far the run is."""
+        """Report the progress of the run."""
         mailbox.fetch(self.data.published, self.row)
-        time_s, speed_m_s = (
-            float(self.row[signals.column(name)]) for name in ("time", "vehicle_speed")
-        )
-        self.say(
+        self.on_progress(
             Progress(
-                time_s,
-                speed_m_s,
-                float(self.row[signals.span("sliding")].max()),
-                int(self.data.control[MISSED]),
-                message,
+                time_s=float(self.row[signals.column("time")]),
+                speed_m_s=float(self.row[signals.column("vehicle_speed")]),
+                sliding_m_s=float(self.row[signals.span("sliding")].max()),
+                missed=int(self.data.control[MISSED]),
+                message=message,
             )
         )
 
@@ -127,14 +155,16 @@ class Parts:
             self.event(code, **fields)
         self.data.control[STOP] = 1
         if self.bus:
+            # whoever waits for an answer shall notice
             self.bus.answered.set()
             self.bus.harness_answered.set()
 
-    def tell_stall(self) -> None:
-        """Say where the loop has stood still since it was last asked: the two clocks of a record part there."""
+    def report_stall(self) -> None:
+        """Record where the loop has stood still since the last call: there the two clocks diverge."""
         stalled_s = int(self.data.control[STALLED_NS]) / clock.SECOND_NS
         if stalled_s > self._stalled_s:
-            self.event(Code.LOOP_STALLED, stalled_s=stalled_s - self._stalled_s, ahead_s=stalled_s)
+            new_s = stalled_s - self._stalled_s
+            self.event(Code.LOOP_STALLED, stalled_s=new_s, ahead_s=stalled_s)
             self._stalled_s = stalled_s
 
     @property
@@ -143,48 +173,55 @@ class Parts:
         return bool(self.data.control[STOP] or self.data.control[DONE])
 
     def simulated_ns(self) -> int:
-        """Simulated time by the ticks that have been run."""
+        """Return the simulated time by the ticks that have been run."""
         return int(self.data.control[TICK]) * (clock.SECOND_NS // self.plan["loop"]["tick_hz"])
 
     def elapsed_ns(self) -> int:
-        """Wall time since the real-time thread began; 0 before."""
+        """Return the wall time since the real-time thread began; 0 before."""
         return time.monotonic_ns() - self.begun_ns if self.begun_ns else 0
 
     def poll_faults(self) -> None:
-        """Begin and lift faults that are due, and see whether the coach has derailed and drives have their master."""
+        """Begin and lift the faults that are due; check for a derailed coach and for the master."""
         self.faults.poll(self.simulated_ns() / clock.SECOND_NS)
         self.derailment.look(self.data.buffer)
-        if self._master_awaited and self.simulated_ns() >= clock.SECOND_NS and self.bus:
+        if self._master_awaited and self.bus and self.simulated_ns() >= _MASTER_AFTER_NS:
             self._master_awaited = False
-            off = [node for node in signals.DRIVE_NODES if not self.bus.nodes[node].device.enabled]
-            if off:
-                self.event(Code.DRIVES_WITHOUT_MASTER, nodes=off)
+            self._check_master(self.bus)
+
+    def _check_master(self, bus: rig_bus.RigBus) -> None:
+        """Record an event if no master on the bus has enabled the drives."""
+        off = [node for node in signals.DRIVE_NODES if not bus.nodes[node].device.enabled]
+        if off:
+            self.event(Code.DRIVES_WITHOUT_MASTER, nodes=off)
 
     async def pause(self) -> None:
-        """Between two batches of ticks: yield to the bus, and to a recorder that is half a ring behind."""
-        while (
-            any(one.room < one.header[ring.CAPACITY] // 2 for one in self.rings)
-            and self.processes.recording
-            and not self.stopping
-        ):
-            await asyncio.sleep(0.005)
+        """Yield to the bus between two batches of ticks, and wait for a recorder that is behind."""
+        while self._recorder_is_behind() and self.processes.recording and not self.stopping:
+            await asyncio.sleep(_RECORDER_WAIT_S)
         self.processes.watch_recorder()
         await asyncio.sleep(0)
         if time.monotonic() - self._reported_s > _REPORT_S:
             self.report()
             self._reported_s = time.monotonic()
 
+    def _recorder_is_behind(self) -> bool:
+        """Whether a ring is more than half full."""
+        return any(one.room < one.header[ring.CAPACITY] // 2 for one in self.rings)
+
     # --- the bus ---
 
     async def open_bus(self, clock_ns: Callable[[], int]) -> rig_bus.RigBus:
-        """Open the scenario's bus with the rig on it. Raises BusError."""
+        """Open the bus of the scenario with the rig on it, and return it. Raises BusError."""
+        wall = self.options.pacing == "wall"
         self.hub, self.place = await rig_bus.open_bus(
-            self.plan, clock_ns, self._lost_bus, self.event, self.options.pacing == "wall"
+            self.plan, clock_ns, self._lose_bus, self.event, wall
         )
         rig_bus.record_frames(self.hub, self.frames, lambda: self.zero_ns)
+
         self.ports = await rig_bus.open_others(self.hub, self.place, self.plan)
-        for codec, port in self.ports.items():
-            self.event(Code.BUS_PORT, protocol=codec, port=port)
+        for protocol, port in self.ports.items():
+            self.event(Code.BUS_PORT, protocol=protocol, port=port)
+
         mailbox.fetch(self.data.published, self.row)
         bus = rig_bus.RigBus(
             self.hub,
@@ -197,9 +234,13 @@ class Parts:
             lambda row: mailbox.fetch(self.data.published, row),
         )
         bus.harness.wire(
-            end=self._end_run, inject=self._inject, lift=self._lift, left=bus.harness_answered.set
+            end=self._end_by_harness,
+            inject=self._inject,
+            lift=self._lift,
+            left=bus.harness_answered.set,
         )
         bus.own_unit = self.options.own_unit
+        # an FMU answers when it has the pressures, the reference unit when it has the speeds
         bus.awaited = PRESSURES.can_id if self.options.fmus else SPEEDS.can_id
         self.faults.connect(bus.site(self.processes.freeze))
         self.bus = bus
@@ -207,17 +248,18 @@ class Parts:
         return bus
 
     def _post(self, command: np.ndarray) -> None:
-        """Hand what the bus asks of the rig to the tick."""
+        """Hand a command row of the bus to the tick, with the brake demand that counts."""
         command = command.copy()
-        self.govern(command)
+        node_Pa = float(command[tick.DEMAND])
+        command[tick.DEMAND] = brake_demand.decide(self.modbus_demand, node_Pa)
         mailbox.post(self.data.commands, command)
 
-    def _lost_bus(self, error: RollerrigError) -> None:
-        """The bus is gone: the run ends here, as a failure, and its record is kept."""
+    def _lose_bus(self, error: RollerrigError) -> None:
+        """End the run as a failure because the bus is gone; its record is kept."""
         self.failure = self.failure or error
         self.stop(Code.RUN_BUS_LOST)
 
-    def _end_run(self) -> None:
+    def _end_by_harness(self) -> None:
         self.event(Code.RUN_ENDED_BY_HARNESS)
         self.data.control[DONE] = 1
 
@@ -226,68 +268,96 @@ class Parts:
         self.faults.inject(fault.kind.name, for_s=fault.for_s, **fault.values)
 
     def _lift(self, text: str) -> None:
+        """Lift the faults of a name, and of the parameters that the text gives."""
         name, *aims = text.split() or [""]
-        named = {one.partition("=")[0] for one in aims}
-        values = catalogue.parse(text).values if aims else {}
-        self.faults.clear(name, **{key: value for key, value in values.items() if key in named})
+        if not aims:
+            self.faults.clear(name)
+            return
+        given = {aim.partition("=")[0] for aim in aims}
+        values = catalogue.parse(text).values
+        self.faults.clear(name, **{key: value for key, value in values.items() if key in given})
+
+    # --- waiting for the unit and the harness ---
 
     async def await_unit(self, bus: rig_bus.RigBus) -> None:
-        """Start the bench's own unit, or wait for anybody's heartbeat, then for a harness. Raises UnitError."""
+        """Start the unit of the bench, or wait for the heartbeat of another; then for the harness.
+
+        Returns when the recorder is ready, too. Raises UnitError.
+        """
         if self.options.own_unit:
-            priority = self.plan["loop"]["priority"] if self.options.pacing == "wall" else 0
-            self.processes.start_unit(
-                self.place,
-                self.plan["wsp_config"],
-                priority and max(int(loop.UNIT_SHARE * priority), 1),
-                self.plan["bus"]["sync_period_s"],
-                self.plan["bus"]["bitrate"],
-            )
+            self._start_own_unit()
         elif self.options.unit == "external":
-            self._say_waiting(f"a WSP unit's heartbeat ({UNIT_HEARTBEAT_ID:X}h)")
+            self._report_waiting(f"a WSP unit's heartbeat ({UNIT_HEARTBEAT_ID:X}h)")
         if self.options.unit != "none":
-            heard_s: list[float] = []
-
-            def there() -> bool:
-                if bus.master.unit.state is not None:
-                    heard_s.append(time.monotonic())
-                # a simple unit may not obey NMT; half a second is enough for one that does
-                longer = bool(heard_s) and not bus.own_unit and heard_s[-1] > heard_s[0] + 0.5
-                return longer or bus.master.unit.state == State.OPERATIONAL
-
-            await self._await(
-                bus,
-                there,
-                f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
-                f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait",
-            )
-            if not self.stopping:
-                self.event(Code.UNIT_READY)
+            await self._await_heartbeats(bus)
         if self.options.harness:
-            self._say_waiting(f"a harness (node {signals.BENCH_NODE}, {HARNESS:X}h:{JOINED})")
-            await self._await(
-                bus,
-                lambda: bus.harness.joined,
-                f"no harness on {self.place}",
-                f"start one ('rollerrig sequence ... --bus {self.place}') or run without --harness",
-            )
+            await self._await_harness(bus)
         await self.processes.await_recorder(self.rows)
 
-    def _say_waiting(self, what: str) -> None:
-        self.report(f"waiting for {what} on {self.place} ...")
+    def _start_own_unit(self) -> None:
+        # only in real time does the unit need a real-time priority
+        priority = self.plan["loop"]["priority"] if self.options.pacing == "wall" else 0
+        if priority:
+            priority = max(int(loop.UNIT_SHARE * priority), 1)
+        self.processes.start_unit(
+            self.place,
+            self.plan["wsp_config"],
+            priority,
+            self.plan["bus"]["sync_period_s"],
+            self.plan["bus"]["bitrate"],
+        )
+
+    async def _await_heartbeats(self, bus: rig_bus.RigBus) -> None:
+        """Wait until the unit is OPERATIONAL, or sends heartbeats without obeying NMT."""
+        first_s: float | None = None
+
+        def is_there() -> bool:
+            nonlocal first_s
+            unit = bus.master.unit
+            if unit.state is not None and first_s is None:
+                first_s = time.monotonic()
+            if unit.state == State.OPERATIONAL:
+                return True
+            # a simple unit may not obey NMT; half a second is enough for a unit that does
+            if first_s is None or bus.own_unit:
+                return False
+            return time.monotonic() > first_s + _UNIT_SETTLES_S
+
+        await self._await(
+            bus,
+            is_there,
+            f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
+            f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait",
+        )
+        if not self.stopping:
+            self.event(Code.UNIT_READY)
+
+    async def _await_harness(self, bus: rig_bus.RigBus) -> None:
+        self._report_waiting(f"a harness (node {signals.BENCH_NODE}, {HARNESS:X}h:{JOINED})")
+        await self._await(
+            bus,
+            lambda: bus.harness.joined,
+            f"no harness on {self.place}",
+            f"start one ('rollerrig sequence ... --bus {self.place}') or run without --harness",
+        )
+
+    def _report_waiting(self, awaited: str) -> None:
+        self.report(f"waiting for {awaited} on {self.place} ...")
         if self.options.harness:  # for the program that has started this bench
-            self.report(json.dumps({"waiting_for": what, "address": self.place}))
+            self.report(json.dumps({"waiting_for": awaited, "address": self.place}))
 
     async def _await(
-        self, bus: rig_bus.RigBus, there: Callable[[], bool], missing: str, mend: str
+        self, bus: rig_bus.RigBus, is_there: Callable[[], bool], missing: str, remedy: str
     ) -> None:
-        # the bench's own unit, whose process lives, may come late on a busy machine
-        patience = 10 if bus.own_unit and bus.master.unit.state is None else 1
+        """Poll the bus until `is_there()`. Raises UnitError when the time for it is over."""
+        starting = bus.own_unit and bus.master.unit.state is None
+        patience = _OWN_UNIT_PATIENCE if starting else 1
         deadline_s = time.monotonic() + patience * self.options.unit_wait_s
         while not self.stopping:
             bus.poll()
-            if there():
+            if is_there():
                 return
             if time.monotonic() > deadline_s:
-                raise UnitError(f"{missing} within {self.options.unit_wait_s:g} s; {mend}")
+                raise UnitError(f"{missing} within {self.options.unit_wait_s:g} s; {remedy}")
             self.processes.watch(starting=True)
-            await asyncio.sleep(0.005)
+            await asyncio.sleep(_POLL_S)

@@ -1,22 +1,22 @@
-"""The supervisory PLC: what a Modbus client may read of the bench, and ask of it.
+"""The supervisory PLC: the registers of the bench over Modbus, and what writing them does.
 
-Unit 1 reads the live row, the loop's health and the run's events, and writes run, stop, emergency stop, scenario,
-speed and brake demand; units 11 to 14 are the drives. A held rig can be given another scenario or speed; an emergency
-stop goes before every other demand, one over Modbus before node 17 and the scenario. All happens in the bus thread.
+Unit 1 reads the live row, the health of the loop and the events of the run. It writes run, stop,
+emergency stop, scenario, speed and brake demand. Units 11 to 14 are the drives. A held rig can be
+given another scenario or speed. `brake_demand` decides how the demands of this PLC rank among the
+others. Everything happens in the bus thread.
 """
 
 import math
 import time
+from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, RollerrigError
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
 from rollerrig.firmware_sim.modbus.access import tls_context
-from rollerrig.firmware_sim.modbus.map import BITS, NO_DEMAND, UNHEARD, WORDS, State
+from rollerrig.firmware_sim.modbus.map import BITS, NO_DEMAND, UNHEARD, WORDS, Register, State
 from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
 from rollerrig.firmware_sim.modbus.server import Server
@@ -25,7 +25,7 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.fault_registers import FaultRegisters
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.rig_bus import RigBus
-from rollerrig.realtime.loop import loop, tick
+from rollerrig.realtime.loop import loop
 from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.loop.tick import DONE, HELD, HOLD, STOP, TICK, WORST_NS
 from rollerrig.wsp_interface import events, signals
@@ -34,86 +34,99 @@ from rollerrig.wsp_interface.events import Code
 
 # tables that a held rig cannot change: nodes and loop have been built from them
 BUILT_IN = ("loop", "bus", "modbus", "contact", "drive", "sensor", "rig")
+# the register `scenario` of a run whose scenario is not a packaged one
 _NOT_PACKAGED = 0xFFFF
+# how old percentiles of lateness may be: counting them takes long
 _STATISTICS_S = 0.5
-_SPEED = next(row for row in WORDS if row.name == "speed_set_point")
-_DEMAND = next(row for row in WORDS if row.name == "brake_demand_set_point")
 _HIGHEST_DEMAND_Pa = 1e6
+# a held rig whose speed is as near as this to the set speed has reached it
+_AT_SET_SPEED_M_S = 1e-6
 
 
-class Supervisor:
-    """Readers and writers of the PLC."""
+def _register(name: str) -> Register:
+    return next(row for row in WORDS if row.name == name)
+
+
+_SPEED = _register("speed_set_point")
+_DEMAND = _register("brake_demand_set_point")
+
+
+class Plc:
+    """The PLC of a run: readers and writers of its registers."""
 
     def __init__(self, rig: Parts, bus: RigBus) -> None:
-        self.rig, self.bus = rig, bus
+        self.rig = rig
+        self.bus = bus
+        self.demand = rig.modbus_demand
         self.scenarios = store.names("scenarios")
-        self.emergency, self.demand = False, NO_DEMAND
         self.fault_registers = FaultRegisters(rig.faults, rig.event)
         self.server: Server | None = None
         self.line: SerialLine | None = None
-        self._statistics: tuple[float, dict[str, float]] = (-math.inf, {})
+        self._counted_s = -math.inf
+        self._percentiles_us: dict[str, float] = {}
 
     # -- the ways in
 
     async def open(self, needed: bool) -> None:
-        """Listen as [modbus] says. A port that is taken is an event, or BusError if `needed`."""
-        given = self.rig.plan["modbus"]
-        context = tls_context(given)
+        """Listen as [modbus] says. A port that is in use is an event, or BusError if `needed`."""
+        settings = self.rig.plan["modbus"]
         self.server = Server(self.units(), self.rig.modbus)
         try:
-            port = await self.server.listen(given["host"], given["port"], context)
-            self.rig.ports["modbus"] = port
-            self.rig.event(
-                Code.MODBUS_SERVED,
-                transport="TLS" if context else "TCP",
-                host=given["host"],
-                port=port,
-            )
-            if beyond_loopback(given["host"]):
-                self.rig.event(
-                    Code.SERVER_EXPOSED,
-                    server="MODBUS",
-                    host=given["host"],
-                    port=port,
-                    who="who has a certificate" if context else "WITHOUT ANY AUTHENTICATION",
-                )
-            if needed:
-                self.rig.report(
-                    f"the rig is held at {self.rig.speed_m_s:g} m/s until a Modbus client "
-                    f"writes 1 to coil 0 of unit 1 on {given['host']}:{port}"
-                )
+            await self._open_port(self.server, settings, needed)
         except BusError as error:
             if needed:
                 raise
             self.rig.event(Code.MODBUS_UNAVAILABLE, reason=str(error))
-        if given["serial"]:
-            self.line = SerialLine(
-                self.server, given["serial"], given["baud_rate"], given["parity"], self.rig.event
+        if settings["serial"]:
+            await self._open_line(self.server, settings)
+
+    async def _open_port(self, server: Server, settings: Mapping[str, Any], needed: bool) -> None:
+        """Listen for Modbus TCP, over TLS where there is a certificate. Raises BusError."""
+        host = settings["host"]
+        context = tls_context(settings)
+        port = await server.listen(host, settings["port"], context)
+        self.rig.ports["modbus"] = port
+        transport = "TLS" if context else "TCP"
+        self.rig.event(Code.MODBUS_SERVED, transport=transport, host=host, port=port)
+        if beyond_loopback(host):
+            self.rig.event(
+                Code.SERVER_EXPOSED,
+                server="MODBUS",
+                host=host,
+                port=port,
+                who="who has a certificate" if context else "WITHOUT ANY AUTHENTICATION",
             )
-            device = await self.line.open()
-            served = {"device": device, "baud_rate": given["baud_rate"]}
-            self.rig.event(Code.MODBUS_SERIAL_SERVED, **served)
-            self.rig.report(events.text(Code.MODBUS_SERIAL_SERVED, served))
+        if needed:
+            self.rig.report(
+                f"the rig is held at {self.rig.speed_m_s:g} m/s until a Modbus client "
+                f"writes 1 to coil 0 of unit 1 on {host}:{port}"
+            )
+
+    async def _open_line(self, server: Server, settings: Mapping[str, Any]) -> None:
+        """Listen for Modbus RTU on a serial line. Raises BusError."""
+        self.line = SerialLine(
+            server,
+            settings["serial"],
+            settings["baud_rate"],
+            settings["parity"],
+            self.rig.event,
+        )
+        served = {"device": await self.line.open(), "baud_rate": settings["baud_rate"]}
+        self.rig.event(Code.MODBUS_SERIAL_SERVED, **served)
+        self.rig.report(events.text(Code.MODBUS_SERIAL_SERVED, served))
 
     async def close(self) -> None:
-        """End all connections."""
+        """Close all connections."""
         if self.line:
             self.line.close()
         if self.server:
             await self.server.close()
 
-    # -- what the bench asks
-
-    def govern(self, command: np.ndarray) -> None:
-        """Put the brake demand into a command row, where Modbus has one."""
-        if self.emergency:
-            command[tick.DEMAND] = self.rig.plan["modbus"]["emergency_pressure_Pa"]
-        elif self.demand != NO_DEMAND:
-            command[tick.DEMAND] = self.demand * _DEMAND.scale
+    # -- the state of the rig
 
     def roll(self) -> None:
-        """Tell a held rig its speed."""
-        self.rig.data.hold[0] = 0.0 if self.emergency else self.rig.speed_m_s
+        """Set the speed at which a held rig rolls."""
+        self.rig.data.hold[0] = 0.0 if self.demand.emergency_stop else self.rig.speed_m_s
 
     @property
     def state(self) -> State:
@@ -130,66 +143,73 @@ class Supervisor:
     # -- the units
 
     def units(self) -> dict[int, Unit]:
-        """The image of every unit."""
-        bus, rows = self.bus, (*BITS, *WORDS)
+        """Return the register image of every unit: the PLC and the drives."""
+        rows = (*BITS, *WORDS)
         rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
-        measured = modbus_unit.signal_readers(rows, bus.row, {"rated_torque_Nm": rated_Nm})
+        measured = modbus_unit.signal_readers(rows, self.bus.row, {"rated_torque_Nm": rated_Nm})
+        readers = measured | self._states() | self._health() | self.fault_registers.readers()
         writers: dict[str, Writer] = {
             "run": self._run,
             "stop": self._stop,
             "emergency_stop": self._emergency_stop,
-            "scenario": self._choose,
+            "scenario": self._select_scenario,
             "speed_set_point": self._set_speed,
             "brake_demand_set_point": self._set_demand,
         }
-        return {
-            map.PLC_UNIT: Unit(
-                rows,
-                measured | self._states() | self._health() | self.fault_registers.readers(),
-                writers | self.fault_registers.writers(),
-            )
-        } | {unit: modbus_unit.drive(bus.nodes[node]) for node, unit in map.DRIVE_UNITS.items()}
+        found = {map.PLC_UNIT: Unit(rows, readers, writers | self.fault_registers.writers())}
+        for node, unit in map.DRIVE_UNITS.items():
+            found[unit] = modbus_unit.drive(self.bus.nodes[node])
+        return found
 
     def _states(self) -> dict[str, Reader]:
-        """What the rig does and is set to."""
+        """Return readers of what the rig does and is set to, by register."""
         rig, bus, master = self.rig, self.bus, self.bus.master
-        standing = signals.column("vehicle_speed")
-        return {
+        speed = signals.column("vehicle_speed")
+        readers: dict[str, Reader] = {
             "run": lambda: self.state is State.RUNNING,
             "stop": lambda: self.state is State.ENDED,
-            "emergency_stop": lambda: self.emergency,
+            "emergency_stop": lambda: self.demand.emergency_stop,
             "held": lambda: self.state is State.HELD,
-            # not as the bus last saw it: a client that has just changed the set speed would be told the old answer
-            "at_set_speed": lambda: (
-                self.state is State.HELD
-                and abs(rig.data.state.vehicle_speed[0] - rig.data.hold[0]) < 1e-6
-            ),
-            "standing": lambda: bus.row[standing] == 0.0,
+            "at_set_speed": self._is_at_set_speed,
+            "standing": lambda: bus.row[speed] == 0.0,
             "wsp_unit_operational": lambda: master.unit_is_operational,
             "nodes_operational": master.all_operational,
             "state": lambda: self.state,
             "scenarios": lambda: len(self.scenarios),
-            "scenario": self._number,
+            "scenario": self._scenario_number,
             "speed_set_point": lambda: round(rig.speed_m_s / _SPEED.scale),
-            "brake_demand_set_point": lambda: self.demand,
-            "wsp_unit_state": _nmt(master, signals.WSP_NODE),
-        } | {f"node_{node}_state": _nmt(master, node) for node in signals.RIG_NODES}
+            "brake_demand_set_point": self._demand_count,
+            "wsp_unit_state": _nmt_state(master, signals.WSP_NODE),
+        }
+        for node in signals.RIG_NODES:
+            readers[f"node_{node}_state"] = _nmt_state(master, node)
+        return readers
 
-    def _number(self) -> int:
+    def _is_at_set_speed(self) -> bool:
+        # not by the row of the last SYNC: a client that has just changed the set speed would
+        # read the old answer
+        if self.state is not State.HELD:
+            return False
+        data = self.rig.data
+        return bool(abs(data.state.vehicle_speed[0] - data.hold[0]) < _AT_SET_SPEED_M_S)
+
+    def _scenario_number(self) -> int:
         name = (self.rig.next_plan or self.rig.plan).name
         return self.scenarios.index(name) if name in self.scenarios else _NOT_PACKAGED
 
+    def _demand_count(self) -> int:
+        """Return the set point of the demand as its register holds it."""
+        if math.isnan(self.demand.set_point_Pa):
+            return NO_DEMAND
+        return round(self.demand.set_point_Pa / _DEMAND.scale)
+
     def _health(self) -> dict[str, Reader]:
-        """How loop, buses and PLC are, and how many events there were."""
+        """Return readers of the state of loop, bus and PLC and of the counts of events."""
         rig, hub, counters = self.rig, self.bus.hub, self.rig.modbus
-        events: dict[str, Reader] = {
-            f"events_{level}": lambda level=level: rig.events.counts[level]
-            for level in ("info", "warning", "error")
-        }
-        return events | {
+        readers: dict[str, Reader] = {
             "ticks": lambda: int(rig.data.control[TICK]),
-            "lateness_p50": lambda: self._lateness("p50"),
-            "lateness_p99": lambda: self._lateness("p99"),
+            "lateness_p50": lambda: self._lateness_us("p50"),
+            "lateness_p99": lambda: self._lateness_us("p99"),
             "lateness_max": lambda: int(rig.data.control[WORST_NS]) // 1000,
             "bus_frames": lambda: hub.stats()["frames"],
             "bus_frames_dropped": lambda: hub.stats()["dropped"],
@@ -199,55 +219,56 @@ class Supervisor:
             "modbus_exceptions": lambda: counters.exceptions,
             "modbus_malformed": lambda: counters.malformed,
         }
+        for level in events.LEVELS:
+            readers[f"events_{level}"] = lambda level=level: rig.events.counts[level]
+        return readers
 
-    def _lateness(self, which: str) -> int:
-        """A percentile in us; counted anew now and then, because counting takes long."""
-        now = time.monotonic()
-        if now - self._statistics[0] > _STATISTICS_S:
-            self._statistics = (
-                now,
-                loop.percentiles(self.rig.histogram, int(self.rig.data.control[WORST_NS])),
-            )
-        return round(self._statistics[1][which])
+    def _lateness_us(self, percentile: str) -> int:
+        """Return a percentile of the lateness of ticks, counted anew now and then."""
+        now_s = time.monotonic()
+        if now_s - self._counted_s > _STATISTICS_S:
+            self._counted_s = now_s
+            worst_ns = int(self.rig.data.control[WORST_NS])
+            self._percentiles_us = loop.percentiles(self.rig.histogram, worst_ns)
+        return round(self._percentiles_us[percentile])
 
-    # -- what a client writes: each is first asked with only=True whether it would take the value
+    # -- what a client writes
+    # each writer is first called with only=True, and refuses there a value that it would not take
 
     def _run(self, raw: int, only: bool) -> None:
         if not raw or self.state is State.RUNNING:
             return
-        if self.emergency:
+        if self.demand.emergency_stop:
             raise RefusedError(ExcCodes.DEVICE_BUSY)
         self._require_held()
-        if not only:
-            data = self.rig.data
-            self.rig.speed_m_s = round(float(data.state.vehicle_speed[0]), 6)
-            self.roll()
-            data.control[HOLD] = RELEASED
-            self.rig.event(Code.RUN_STARTED)
+        if only:
+            return
+        data = self.rig.data
+        self.rig.speed_m_s = round(float(data.state.vehicle_speed[0]), 6)
+        self.roll()
+        data.control[HOLD] = RELEASED
+        self.rig.event(Code.RUN_STARTED)
 
     def _stop(self, raw: int, only: bool) -> None:
         if raw and not only:
             self.rig.stop(Code.RUN_STOPPED)
 
     def _emergency_stop(self, raw: int, only: bool) -> None:
-        if only or bool(raw) == self.emergency:
+        if only or bool(raw) == self.demand.emergency_stop:
             return
-        self.emergency = bool(raw)
+        self.demand.emergency_stop = bool(raw)
         self.rig.event(Code.EMERGENCY_STOP_SET if raw else Code.EMERGENCY_STOP_RESET)
         self.roll()
         for node in signals.DRIVE_NODES:
-            self.bus.nodes[node].device.emergency_stop(self.emergency)
+            self.bus.nodes[node].device.emergency_stop(self.demand.emergency_stop)
         self.bus.post()
 
     def _set_speed(self, raw: int, only: bool) -> None:
         speed_m_s = raw * _SPEED.scale
         bounds = next(row for row in scenario.HEAD if row.name == "initial_speed_m_s")
         drive, contact = self.rig.plan["drive"], self.rig.plan["contact"]
-        if (
-            not bounds.low
-            <= speed_m_s
-            <= min(bounds.high, drive["max_speed_rad_s"] * contact["roller_radius_m"])
-        ):
+        fastest_roller_m_s = drive["max_speed_rad_s"] * contact["roller_radius_m"]
+        if not bounds.low <= speed_m_s <= min(bounds.high, fastest_roller_m_s):
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         self._require_held()
         if not only:
@@ -255,16 +276,19 @@ class Supervisor:
             self.roll()
 
     def _set_demand(self, raw: int, only: bool) -> None:
-        if raw != NO_DEMAND and not 0 <= raw * _DEMAND.scale <= _HIGHEST_DEMAND_Pa:
+        pressure_Pa = raw * _DEMAND.scale
+        if raw == NO_DEMAND:
+            pressure_Pa = math.nan
+        elif not 0 <= pressure_Pa <= _HIGHEST_DEMAND_Pa:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not only:
-            self.demand = raw
+            self.demand.set_point_Pa = pressure_Pa
             self.bus.post()
 
-    def _choose(self, raw: int, only: bool) -> None:
+    def _select_scenario(self, raw: int, only: bool) -> None:
         if not 0 <= raw < len(self.scenarios):
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
-        if raw == self._number():
+        if raw == self._scenario_number():
             return
         self._require_held()
         rig, name = self.rig, self.scenarios[raw]
@@ -273,18 +297,27 @@ class Supervisor:
         except RollerrigError as error:
             rig.event(Code.SCENARIO_REFUSED, reason=str(error))
             raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
-        if not only:
-            rig.speed_m_s = float(plan["initial_speed_m_s"])
-            # the real-time thread ends, and begins again with the next plan
-            rig.next_plan = plan
-            rig.data.control[STOP] = 1
-            rig.event(Code.SCENARIO_CHOSEN, scenario=name)
+        if only:
+            return
+        rig.speed_m_s = float(plan["initial_speed_m_s"])
+        # the real-time thread ends, and begins again with the next plan
+        rig.next_plan = plan
+        rig.data.control[STOP] = 1
+        rig.event(Code.SCENARIO_CHOSEN, scenario=name)
 
     def _require_held(self) -> None:
+        """Raise RefusedError unless the rig is held."""
         if self.state is not State.HELD or self.rig.data.control[HOLD] != HOLDING:
             raise RefusedError(ExcCodes.DEVICE_BUSY)
 
 
-def _nmt(master: Any, node: int) -> Reader:
+def _nmt_state(master: Any, node: int) -> Reader:
+    """Return a reader of the NMT state of a node as its register holds it."""
     health = master.health[node]
-    return lambda: UNHEARD if health.lost or health.state is None else int(health.state)
+
+    def read() -> int:
+        if health.lost or health.state is None:
+            return UNHEARD
+        return int(health.state)
+
+    return read

@@ -1,4 +1,4 @@
-"""The processes beside the bench: recorder, live view and the WSP unit (reference or FMU), and how they end."""
+"""The processes of a run besides the bench: recorder, live view and WSP unit, and how they exit."""
 
 import asyncio
 import json
@@ -13,7 +13,12 @@ from typing import Any
 
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
 from rollerrig.configs.processes import children
-from rollerrig.realtime.bench.options import Options, begin_recorder, tell, unit_command
+from rollerrig.realtime.bench.options import (
+    Options,
+    send_arguments,
+    start_recorder,
+    unit_command,
+)
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import run_folder
@@ -22,29 +27,35 @@ from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.events import Code, OnEvent
 
 Process = subprocess.Popen[bytes]
-# how long a recorder may take to complete its files: much, on a busy machine
+# how long a recorder may take to complete its files: long, on a busy machine
 _RECORDER_S = 300.0
+# how long a unit may take to exit after its bus is gone
+_UNIT_S = 2.0
+_KILL_S = 5.0
+# up to this status a recorder exits as any program; above it is the number of an OS error
+_LAST_COMMON_STATUS = 2
 
 
 class Processes:
-    """What a run has started. `on_event(code, **fields)` records how it ends."""
+    """The processes that a run has started. `on_event(code, **fields)` records how they exit."""
 
     def __init__(self, options: Options, on_event: OnEvent) -> None:
-        self.options, self.on_event = options, on_event
+        self.options = options
+        self.on_event = on_event
         self.recorder: Process | None = None
         self.unit: Process | None = None
         self.live: Process | None = None
-        # where an FMU is unpacked
-        self._scratch: tempfile.TemporaryDirectory[str] | None = None
-        # those whose end has been told already
-        self._ended: set[int] = set()
-        # why the record is not whole
+        # why the record is not complete
         self.unwritten: ConfigError | None = None
+        # the folder in which an FMU is unpacked
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+        # the numbers of processes whose exit is recorded already
+        self._exited: set[int] = set()
 
     def start_recorder(
         self, rows: Ring, frames: Ring, events: Ring, identity: Mapping[str, Any]
     ) -> None:
-        """Start recorder and live view; neither is waited for."""
+        """Start the recorder and the live view; wait for neither."""
         self.recorder = record(
             self.options.out, rows, frames, events, identity, self.options.recorder
         )
@@ -54,67 +65,69 @@ class Processes:
             self.live = live.start(self.options.out, rows, events, self.options.unit)
 
     async def await_viewer(self, rows: Ring, given_up: Callable[[], object]) -> None:
-        """With --hold wait until somebody looks at the live view, it has ended, or the run is `given_up`."""
-        while (
-            self.options.hold
-            and not rows.header[ring.VIEWED]
-            and _runs(self.live)
-            and not given_up()
-        ):
+        """With --hold, wait for a viewer of the live view, its exit, or until `given_up()`."""
+        if not self.options.hold:
+            return
+        while not rows.header[ring.VIEWED] and _runs(self.live) and not given_up():
             await asyncio.sleep(0.1)
 
     async def await_recorder(self, rows: Ring) -> None:
         """Wait until the recorder drains its rings. Raises RollerrigError."""
         assert self.recorder is not None
-        if not await asyncio.get_running_loop().run_in_executor(
-            None, wait_ready, self.recorder, rows
-        ):
+        running = asyncio.get_running_loop()
+        if not await running.run_in_executor(None, wait_ready, self.recorder, rows):
             self.watch_recorder()
             raise self.unwritten or RollerrigError(
-                "the recorder did not start; its message stands above"
+                "the recorder did not start; its message is printed above"
             )
 
     def start_unit(
         self, place: str, config: str, priority: int, sync_period_s: float, bitrate: int
     ) -> None:
-        """Start the unit on the bus at an address, of `bitrate` bit/s; it asks for a real-time `priority` above 0."""
-        given = self.options
-        words = [
-            "--bus",
-            place,
-            "--config",
-            config,
-            "--priority",
-            str(priority),
-            *(["--lockstep", str(sync_period_s)] if given.pacing == "lockstep" else []),
-        ]
-        if given.fmus:
-            # what it unpacks there goes with the bench, also when it has crashed
+        """Start the unit of the bench on the bus at an address, of `bitrate` in bit/s.
+
+        It requests a real-time `priority` where that is above 0.
+        """
+        options = self.options
+        words = ["--bus", place, "--config", config, "--priority", str(priority)]
+        if options.pacing == "lockstep":
+            words += ["--lockstep", str(sync_period_s)]
+        environment = dict(os.environ)
+        if options.fmus:
+            # the FMU is unpacked in a folder that the bench removes, also after a crash of the unit
             self._scratch = tempfile.TemporaryDirectory(prefix="rollerrig-fmu-")
-            words += [
-                "--step",
-                str(sync_period_s),
-                "--step-wait",
-                str(given.answer_wait_s),
-                "--bitrate",
-                str(bitrate),
-                *(word for one in given.fmus for word in ("--fmu", str(one))),
-                *(["--unit-map", str(given.unit_map)] if given.unit_map else []),
-            ]
-        environment = os.environ | ({"TMPDIR": self._scratch.name} if self._scratch else {})
-        with writing(given.out), open(given.out / run_folder.UNIT_LOG, "wb") as log:
-            if given.begun_unit:
-                self.unit = given.begun_unit
-                tell(self.unit, [*words, "--log", str(given.out / run_folder.UNIT_LOG)])
-            else:
-                self.unit = subprocess.Popen(
-                    unit_command(*words),
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=log,
-                    start_new_session=True,
-                    env=environment,
-                )
+            environment["TMPDIR"] = self._scratch.name
+            words += self._fmu_arguments(sync_period_s, bitrate)
+
+        log_path = options.out / run_folder.UNIT_LOG
+        with writing(options.out), open(log_path, "wb") as log:
+            if options.waiting_unit:
+                self.unit = options.waiting_unit
+                send_arguments(self.unit, [*words, "--log", str(log_path)])
+                return
+            self.unit = subprocess.Popen(
+                unit_command(*words),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                env=environment,
+            )
+
+    def _fmu_arguments(self, sync_period_s: float, bitrate: int) -> list[str]:
+        words = [
+            "--step",
+            str(sync_period_s),
+            "--step-wait",
+            str(self.options.answer_wait_s),
+            "--bitrate",
+            str(bitrate),
+        ]
+        for fmu in self.options.fmus:
+            words += ["--fmu", str(fmu)]
+        if self.options.unit_map:
+            words += ["--unit-map", str(self.options.unit_map)]
+        return words
 
     @property
     def recording(self) -> bool:
@@ -122,57 +135,71 @@ class Processes:
         return _runs(self.recorder)
 
     def watch_recorder(self) -> None:
-        """Say it, once, when the recorder has ended."""
-        if process := self._newly_ended(self.recorder):
-            status, reason = process.returncode, None
-            if status > 2:  # the number of an error, as the recorder has it
-                reason = f"{self.options.out} cannot be written: {os.strerror(status)}"
-                self.unwritten = ConfigError(
-                    f"{reason}; what was recorded before is kept; make room, or give a "
-                    "folder elsewhere with --out, and run again"
-                )
-            self.on_event(Code.RECORDER_ENDED, status=status, reason=reason)
+        """Record, once, that the recorder has exited."""
+        process = self._newly_exited(self.recorder)
+        if process is None:
+            return
+        status = process.returncode
+        reason = None
+        if status > _LAST_COMMON_STATUS:
+            reason = f"{self.options.out} cannot be written: {os.strerror(status)}"
+            self.unwritten = ConfigError(
+                f"{reason}; what was recorded before is kept; make room, or give a "
+                "folder elsewhere with --out, and run again"
+            )
+        self.on_event(Code.RECORDER_ENDED, status=status, reason=reason)
 
     def watch(self, starting: bool = False) -> None:
-        """Say what has ended. Raises UnitError where the run is `starting` and has lost its unit."""
-        self.watch_recorder()
-        if process := self._newly_ended(self.unit):
-            log = self.options.out / run_folder.UNIT_LOG
-            names = ", ".join(one.name for one in self.options.fmus)
-            kind = f"WSP unit {names}" if names else "reference WSP unit"
-            ended = {
-                "unit": kind,
-                "status": process.returncode,
-                "last_words": children.last_line(log) or None,
-                "log": str(log),
-            }
-            if starting:
-                raise UnitError(events.text(Code.UNIT_ENDED, ended))
-            self.on_event(Code.UNIT_ENDED, **ended)
+        """Record, once, which processes have exited.
 
-    def _newly_ended(self, process: Process | None) -> Process | None:
-        if process is None or process.poll() is None or process.pid in self._ended:
+        Raises UnitError where the run is `starting` and its unit has exited.
+        """
+        self.watch_recorder()
+        process = self._newly_exited(self.unit)
+        if process is None:
+            return
+        log = self.options.out / run_folder.UNIT_LOG
+        names = ", ".join(fmu.name for fmu in self.options.fmus)
+        exited = {
+            "unit": f"WSP unit {names}" if names else "reference WSP unit",
+            "status": process.returncode,
+            "last_words": children.last_line(log) or None,
+            "log": str(log),
+        }
+        if starting:
+            raise UnitError(events.text(Code.UNIT_ENDED, exited))
+        self.on_event(Code.UNIT_ENDED, **exited)
+
+    def _newly_exited(self, process: Process | None) -> Process | None:
+        """Return the process if it has exited since the last call."""
+        if process is None or process.poll() is None or process.pid in self._exited:
             return None
-        self._ended.add(process.pid)
+        self._exited.add(process.pid)
         return process
 
     def freeze(self, on: bool) -> bool:
-        """Stop the process of the bench's own unit, or let it go on; False where there is none."""
+        """Stop the process of the bench's unit, or let it continue; False where there is none."""
         if self.unit is None or not _runs(self.unit):
             return False
         self.unit.send_signal(signal.SIGSTOP if on else signal.SIGCONT)
         return True
 
     async def end_unit(self) -> None:
-        """Wait for the unit, which ends with its bus, and end it when it does not."""
-        self.freeze(False)  # a stopped process would not hear that it shall end
-        await _end(self.unit, 2.0)
+        """Wait for the unit, which exits when its bus is gone; terminate it if it does not."""
+        self.freeze(False)  # a stopped process would not notice the end of its bus
+        await _wait_for_exit(self.unit, _UNIT_S)
+        if self.unit is not None and _runs(self.unit):
+            self.unit.terminate()
+            self.unit.wait(_KILL_S)
         if self._scratch:
             self._scratch.cleanup()
 
     async def end_recorder(self) -> None:
-        """Wait until the recorder has written all that its closed rings hold, and end the live view."""
-        await _end(self.recorder, _RECORDER_S, ask=False)
+        """Wait until the recorder has written all rows of its closed rings; stop the live view."""
+        await _wait_for_exit(self.recorder, _RECORDER_S)
+        if self.recorder is not None and _runs(self.recorder):
+            self.recorder.kill()
+            self.recorder.wait(_KILL_S)
         if self.recorder is not None and self.recorder.returncode:
             self.watch_recorder()
         if self.live is not None and _runs(self.live):
@@ -183,13 +210,11 @@ def _runs(process: Process | None) -> bool:
     return process is not None and process.poll() is None
 
 
-async def _end(process: Process | None, patience_s: float, ask: bool = True) -> None:
-    deadline = time.monotonic() + patience_s
-    while _runs(process) and time.monotonic() < deadline:
+async def _wait_for_exit(process: Process | None, patience_s: float) -> None:
+    """Wait until a process has exited, but no longer than its time."""
+    deadline_s = time.monotonic() + patience_s
+    while _runs(process) and time.monotonic() < deadline_s:
         await asyncio.sleep(0.01)
-    if process is not None and process.poll() is None:
-        process.terminate() if ask else process.kill()
-        process.wait(5.0)
 
 
 def record(
@@ -198,13 +223,13 @@ def record(
     frames: Ring,
     events: Ring,
     counters: Mapping[str, Any] | None = None,
-    begun: Process | None = None,
+    waiting: Process | None = None,
 ) -> Process:
-    """Tell the recorder that has `begun`, or a new one, what to record.
+    """Let a recorder record three rings into a folder: the `waiting` one, or a new one.
 
     `counters` (pacing, seed, unit ...) go into the summary of a killed run.
     """
-    process = begun or begin_recorder()
+    process = waiting or start_recorder()
     words = [
         str(run_dir),
         "--rows",
@@ -216,14 +241,14 @@ def record(
         "--counters",
         json.dumps(dict(counters or {})),
     ]
-    tell(process, words)
+    send_arguments(process, words)
     return process
 
 
 def wait_ready(process: Process, rows: Ring, timeout_s: float = 120.0) -> bool:
-    """Wait until the recorder drains its rings; False if it died or did not come in time."""
-    until = time.monotonic() + timeout_s
-    while time.monotonic() < until and process.poll() is None:
+    """Wait until the recorder drains its rings; False if it exited or is not ready in time."""
+    deadline_s = time.monotonic() + timeout_s
+    while time.monotonic() < deadline_s and process.poll() is None:
         if rows.header[ring.RECORDER_BEAT_NS]:
             return True
         time.sleep(0.01)

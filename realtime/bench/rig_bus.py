@@ -329,7 +329,7 @@ class RigBus:
         """Send SYNC; the nodes sample the row and send their PDOs before this returns."""
         # one that joins between two SYNCs answers from the next on
         (self.harness_answered.clear if self.harness.joined else self.harness_answered.set)()
-        self.tell_time()
+        self.set_time()
         if not self.own_unit:
             self.forgive()
         if self._produces_sync:
@@ -340,7 +340,7 @@ class RigBus:
             self.answered.clear()
         self.hub.flush()
 
-    def tell_time(self) -> None:
+    def set_time(self) -> None:
         """Nodes note what time it is."""
         self.rack.tell_time(self.clock_ns())
 

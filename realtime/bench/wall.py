@@ -1,7 +1,7 @@
 """Real time: a thread with the ticks on their deadlines, which wakes the bus thread for each SYNC.
 
-Modbus is open meanwhile. A rig that waits for a Modbus client is held, rolling, until that starts
-the run; given another scenario, it goes on with that at the speed that it has.
+Modbus is open meanwhile. A rig that waits for a Modbus client is held and rolls until the client
+starts the run. If the client selects another scenario, the rig goes on with it at its present speed.
 """
 
 import asyncio
@@ -23,19 +23,19 @@ from rollerrig.realtime.loop.tick import HELD, HOLD, STALLED_NS, STOP, TICK
 from rollerrig.wsp_interface.events import Code
 
 if TYPE_CHECKING:  # it loads pymodbus
-    from rollerrig.realtime.bench.plc import Supervisor
+    from rollerrig.realtime.bench.plc import Plc
 
+# a client that polls Modbus sees the end of the run before its connection ends
 LINGER_S = 1.0
 _REPORT_S = 0.5
 
 
 async def run(parts: Parts) -> None:
     """Run ticks on their deadlines until the run is done. Raises BusError, UnitError."""
-    from rollerrig.realtime.bench.plc import Supervisor
+    from rollerrig.realtime.bench.plc import Plc
 
     bus = await parts.open_bus(parts.elapsed_ns)
-    plc = Supervisor(parts, bus)
-    parts.govern = plc.govern
+    plc = Plc(parts, bus)
     try:
         if parts.plan["modbus"]["enabled"]:
             held = parts.options.start == "modbus"
@@ -48,8 +48,10 @@ async def run(parts: Parts) -> None:
         await plc.close()
 
 
-async def _run_held_and_free(parts: Parts, bus: RigBus, plc: "Supervisor") -> None:
-    descriptor, woken = clock.eventfd(), asyncio.Event()
+async def _run_held_and_free(parts: Parts, bus: RigBus, plc: "Plc") -> None:
+    """Run the real-time thread, and again with each scenario that a held rig is given."""
+    descriptor = clock.eventfd()
+    woken = asyncio.Event()
     running = asyncio.get_running_loop()
     running.add_reader(descriptor, _on_tick, parts, bus, descriptor, woken)
     bus.keep_time()
@@ -61,9 +63,8 @@ async def _run_held_and_free(parts: Parts, bus: RigBus, plc: "Supervisor") -> No
             _hold(parts, plc)
             bus.post()
             await _run_thread(parts, descriptor, woken)
-        bus.close()  # what nodes would still send is no part of the run
+        bus.close()  # what nodes would still send is not part of the run
         if parts.options.start == "modbus" and not parts.ended_by:
-            # a client that polls sees the run end before the connection does
             await asyncio.sleep(LINGER_S)
     finally:
         loop.prefer_bus_thread(0)
@@ -77,16 +78,19 @@ def _on_tick(parts: Parts, bus: RigBus, descriptor: int, woken: asyncio.Event) -
     """A SYNC is due, or the real-time thread has ended."""
     os.read(descriptor, 8)
     mailbox.fetch(parts.data.published, bus.row)
-    if parts.zero_ns < 0 and parts.data.control[TICK]:
+
+    begins_now = parts.zero_ns < 0 and parts.data.control[TICK]
+    if begins_now:
         parts.zero_ns = parts.elapsed_ns() - parts.simulated_ns()
         parts.data.control[STALLED_NS] = 0
     if parts.zero_ns >= 0:
-        parts.tell_stall()
+        parts.report_stall()
+
     if parts.stopping:
         woken.set()
     else:
         bus.start_wire(timed=True)
-        bus.tell_time()
+        bus.set_time()
         parts.poll_faults()
         bus.sync()
     bus.poll()
@@ -109,6 +113,7 @@ async def _run_thread(parts: Parts, descriptor: int, woken: asyncio.Event) -> No
 
 
 def _real_time(parts: Parts, descriptor: int) -> None:
+    """The real-time thread."""
     rates = parts.plan["loop"]
     for refused in loop.ask_for_priority(rates["priority"], rates["cpu"]):
         parts.event(Code.LOOP_REFUSED, refused=refused)
@@ -127,21 +132,25 @@ def _real_time(parts: Parts, descriptor: int) -> None:
         )
 
 
-def _hold(parts: Parts, plc: "Supervisor") -> None:
+def _hold(parts: Parts, plc: "Plc") -> None:
+    """Let the rig be held from its next tick on."""
     parts.data.control[HOLD] = HOLDING
     parts.zero_ns = -1
     plc.roll()
 
 
 def _take_scenario(parts: Parts, plan: Scenario) -> None:
-    """Go on with another scenario, at the speed and with the angles of before."""
-    before, parts.plan, parts.next_plan = parts.data, plan, None
+    """Continue with another scenario, at the present speed and with the present angles."""
+    before = parts.data
+    parts.plan = plan
+    parts.next_plan = None
     parts.faults.schedule(plan.faults)
-    after = tick_data.build(
-        plan, parts.rows, float(before.state.vehicle_speed[0]), parts.options.seed
-    )
+
+    speed_m_s = float(before.state.vehicle_speed[0])
+    after = tick_data.build(plan, parts.rows, speed_m_s, parts.options.seed)
     after.control[HELD] = before.control[HELD]
     for old, new in ((before.state, after.state), (before.roller_state, after.roller_state)):
-        new.wheel_angle[:], new.roller_angle[:] = old.wheel_angle, old.roller_angle
+        new.wheel_angle[:] = old.wheel_angle
+        new.roller_angle[:] = old.roller_angle
     after.pulses[:] = before.pulses
     parts.data = after

@@ -104,7 +104,9 @@ def call(given: argparse.Namespace) -> int:
     from rollerrig.realtime.bench import options
 
     own_unit = given.wsp == "reference" and given.pacing != "free"
-    with options.begun(children.can_fork(), wsp.told if own_unit else None) as processes:
+    with options.waiting_processes(
+        children.can_fork(), wsp.told if own_unit else None
+    ) as processes:
         return _run(given, processes)
 
 

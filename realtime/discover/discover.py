@@ -167,7 +167,7 @@ def brake(job: tuple[str, Path, Stop, int]) -> Path:
     pacing = (
         "free" if all(fault.kind.acts == catalogue.TICK for fault in plan.faults) else "lockstep"
     )
-    with options.begun() as processes:
+    with options.waiting_processes() as processes:
         how = options.Options(pacing=pacing, out=folder, seed=seed, recorder=processes["recorder"])
         asyncio.run(bench.Bench(plan, how, lambda progress: None).run())
     return folder

@@ -260,7 +260,7 @@ def test_without_fmpy_the_message_says_how_to_install_it(fmu, monkeypatch):
 def test_free_pacing_has_no_bus_for_an_fmu_and_a_mapping_wants_one(fmu):
     with pytest.raises(ConfigError, match="no FMU can answer; use --pacing lockstep"):
         options.check(Options(pacing="free", unit=f"fmu:{fmu}"), False)
-    with pytest.raises(ConfigError, match="--unit-map is of an FMU, and the unit is reference"):
+    with pytest.raises(ConfigError, match="--unit-map is for an FMU, and the unit is reference"):
         options.check(Options(unit_map=fmu), False)
 
 

@@ -161,7 +161,7 @@ def test_slip_is_drawn_in_percent_of_the_reference(drawn, stop):
 
 def test_a_fault_is_marked_across_the_plots_of_speeds(drawn):
     marks = drawn["/speeds/marks"]["Scalars:scalars"]
-    told = {time for time, level, _ in synthetic_stop.EVENTS if level != "info"}
+    told = {event.time_s for event in synthetic_stop.EVENTS if event.level != "info"}
     assert {round(time, 6) for time, _ in marks} == told
 
 
