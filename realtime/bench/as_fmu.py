@@ -1,7 +1,8 @@
-"""The rig of a scenario as an FMU for simulations of others: FMI 3, co-simulation, run by Python with rollerrig.
+"""The rig of a scenario as an FMU for other simulation tools: FMI 3, co-simulation.
 
-The FMU goes on as a free run does, in whole ticks. It hears magnets, brake demand and friction, and tells what a WSP
-unit hears by the names that such a unit as an FMU has, with loads, adhesion and motion. Compiled at instantiation.
+The FMU runs in Python with rollerrig. It advances as a free run does, in whole ticks. Its inputs are
+magnets, brake demand and friction. Its outputs are what a WSP unit receives, by the names that such a
+unit has as an FMU, with loads, adhesion and motion. Kernels are compiled at instantiation.
 Source: FMI 3.0.2; PythonFMU3 0.3.
 """
 
@@ -25,7 +26,10 @@ from rollerrig.wsp_interface.signals import AXLES
 
 STEP_S = 0.01
 _SCENARIO = "scenario.toml"
+# an FMU has no end of its own: the importing tool decides
 _ENDLESS = 1 << 60
+# how far a step may be from a whole number of ticks, in ticks
+_ROUNDING = 1e-6
 _UNITS = {
     "m/s": {"m": 1, "s": -1},
     "m": {"m": 1},
@@ -33,8 +37,8 @@ _UNITS = {
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "N": {"kg": 1, "m": 1, "s": -2},
 }
-# what the FMU tells: its name, the signal, and the unit
-_TOLD = (
+# outputs: the name in the FMU, the signal, and the unit
+_OUTPUTS = (
     ("vehicle_speed", "vehicle_speed", "m/s"),
     ("position", "position", "m"),
     ("wheel_speed", "measured_speed", "rad/s"),
@@ -43,7 +47,7 @@ _TOLD = (
     ("wheel_load", "wheel_load", "N"),
     ("adhesion", "adhesion", None),
 )
-_SCRIPT = '''"""The rig of scenario {name}. Python with rollerrig has to be installed where this runs."""
+_SCRIPT = '''"""The rig of scenario {name}. Python with rollerrig must be installed where this runs."""
 
 from pythonfmu3 import Fmi3Slave
 from rollerrig.realtime.bench import as_fmu
@@ -62,7 +66,7 @@ class Rig(Fmi3Slave):
 
 
 class Port(NamedTuple):
-    """A variable; `set` is None for what the FMU tells."""
+    """A variable of the FMU; `set` is None for an output."""
 
     name: str
     text: str
@@ -77,21 +81,23 @@ class Rig:
 
     def __init__(self, resources: str | Path) -> None:
         """Build and compile it."""
-        path = Path(resources) / _SCENARIO
-        plan = scenario.load(str(path))
-        self.time_s, self._tick_hz = 0.0, plan["loop"]["tick_hz"]
+        plan = scenario.load(str(Path(resources) / _SCENARIO))
+        self.time_s = 0.0
+        self._tick_hz = plan["loop"]["tick_hz"]
         data = tick_data.build(plan, ring.Memory(1, len(signals.COLUMNS)))
-        self._stop = Stop(plan, data._replace(end_tick=_ENDLESS, stand_ticks=_ENDLESS), "none")
+        data = data._replace(end_tick=_ENDLESS, stand_ticks=_ENDLESS)
+        self._stop = Stop(plan, data, "none")
         tick_data.warm_up(self._stop.data, "free")
 
     def step(self, step_s: float) -> Any:
-        """Go on by whole ticks."""
+        """Advance by whole ticks; return the result of the step as PythonFMU3 has it."""
         from pythonfmu3 import Fmi3Status, Fmi3StepResult
 
         ticks = round(step_s * self._tick_hz)
-        if ticks < 1 or abs(ticks - step_s * self._tick_hz) > 1e-6:
+        if ticks < 1 or abs(ticks - step_s * self._tick_hz) > _ROUNDING:
             print(
-                f"rollerrig: a step of {step_s:g} s is no whole number of ticks of {1.0 / self._tick_hz:g} s",
+                f"rollerrig: a step of {step_s:g} s is not a whole number of ticks of "
+                f"{1.0 / self._tick_hz:g} s",
                 flush=True,
             )
             return Fmi3StepResult(status=Fmi3Status.error)
@@ -103,50 +109,81 @@ class Rig:
         return Fmi3StepResult()
 
     def ports(self) -> Iterator[Port]:
-        """All variables, inputs first."""
-        command, row = self._stop.data.commands.values, self._stop.data.row
+        """Yield all variables, inputs first."""
+        command = self._stop.data.commands.values
         for axle in range(AXLES):
-            for name, bit in (("hold", HOLD_MAGNET), ("vent", VENT_MAGNET)):
-                yield Port(
-                    f"{name}_{axle + 1}",
-                    f"{name} magnet of the axle's dump valve is energised",
-                    None,
-                    lambda axle=axle, bit=bit: bool(int(command[axle]) & bit),
-                    lambda on, axle=axle, bit=bit: _switch(command, axle, bit, on),
-                    True,
-                )
+            yield _magnet_port(command, axle, "hold", HOLD_MAGNET)
+            yield _magnet_port(command, axle, "vent", VENT_MAGNET)
+        yield _demand_port(command)
+        for axle in range(AXLES):
+            yield _friction_port(command, axle)
+        for name, signal, unit in _OUTPUTS:
+            yield from _output_ports(self._stop.data.row, name, signal, unit)
+
+
+def _magnet_port(command: np.ndarray, axle: int, magnet: str, bit: int) -> Port:
+    def get() -> bool:
+        return bool(int(command[axle]) & bit)
+
+    def switch(on: Any) -> None:
+        others = int(command[axle]) & ~bit
+        command[axle] = others | bit if on else others
+
+    return Port(
+        f"{magnet}_{axle + 1}",
+        f"{magnet} magnet of the axle's dump valve is energised",
+        None,
+        get,
+        switch,
+        boolean=True,
+    )
+
+
+def _demand_port(command: np.ndarray) -> Port:
+    def get() -> float:
+        return float(np.nan_to_num(command[tick.DEMAND], nan=-1.0))
+
+    def demand(pressure_Pa: Any) -> None:
+        command[tick.DEMAND] = pressure_Pa if pressure_Pa >= 0.0 else np.nan
+
+    return Port(
+        "brake_demand",
+        "demanded brake cylinder pressure; below 0: the demand of the scenario",
+        "Pa",
+        get,
+        demand,
+    )
+
+
+def _friction_port(command: np.ndarray, axle: int) -> Port:
+    place = tick.FRICTION + axle
+
+    def get() -> float:
+        return float(command[place])
+
+    def contaminate(friction: Any) -> None:
+        command[place] = max(friction, 0.0)
+
+    return Port(
+        f"friction_{axle + 1}",
+        "kinematic friction of the contaminant under the axle; 0: as in the scenario",
+        None,
+        get,
+        contaminate,
+    )
+
+
+def _output_ports(row: np.ndarray, name: str, signal: str, unit: str | None) -> Iterator[Port]:
+    """Yield the ports of a signal, one for each axle that it has."""
+    place = signals.span(signal)
+    many = signals.BY_NAME[signal].axles > 1
+    for at in range(place.start, place.stop):
         yield Port(
-            "brake_demand",
-            "brake cylinder pressure asked for; below 0: what the scenario demands",
-            "Pa",
-            lambda: float(np.nan_to_num(command[tick.DEMAND], nan=-1.0)),
-            lambda value: _demand(command, value),
+            f"{name}_{at - place.start + 1}" if many else name,
+            signals.BY_NAME[signal].text,
+            unit,
+            lambda at=at: float(row[at]),
         )
-        for axle in range(AXLES):
-            yield Port(
-                f"friction_{axle + 1}",
-                "kinematic friction of the contaminant under the axle; 0: as the scenario has it",
-                None,
-                lambda axle=axle: float(command[tick.FRICTION + axle]),
-                lambda value, axle=axle: command.__setitem__(tick.FRICTION + axle, max(value, 0.0)),
-            )
-        for name, signal, unit in _TOLD:
-            place, many = signals.span(signal), signals.BY_NAME[signal].axles > 1
-            for at in range(place.start, place.stop):
-                yield Port(
-                    f"{name}_{at - place.start + 1}" if many else name,
-                    signals.BY_NAME[signal].text,
-                    unit,
-                    lambda at=at: float(row[at]),
-                )
-
-
-def _switch(command: np.ndarray, axle: int, bit: int, on: bool) -> None:
-    command[axle] = int(command[axle]) & ~bit | (bit if on else 0)
-
-
-def _demand(command: np.ndarray, pressure_Pa: float) -> None:
-    command[tick.DEMAND] = pressure_Pa if pressure_Pa >= 0.0 else np.nan
 
 
 def declare(slave: Any, rig: Rig) -> None:
@@ -164,36 +201,35 @@ def declare(slave: Any, rig: Rig) -> None:
         )
     )
     for port in rig.ports():
-        kind, unit = (Boolean, {}) if port.boolean else (Float64, {"unit": port.unit})
-        slave.register_variable(
-            kind(
+        common = {
+            "causality": Fmi3Causality.input if port.set else Fmi3Causality.output,
+            "getter": port.get,
+            "setter": port.set,
+            "description": port.text,
+        }
+        if port.boolean:
+            variable = Boolean(port.name, variability=Fmi3Variability.discrete, **common)
+        else:
+            variable = Float64(
                 port.name,
-                causality=Fmi3Causality.input if port.set else Fmi3Causality.output,
-                getter=port.get,
-                setter=port.set,
-                description=port.text,
-                variability=Fmi3Variability.discrete
-                if port.boolean
-                else Fmi3Variability.continuous,
-                **unit,
+                variability=Fmi3Variability.continuous,
+                unit=port.unit,
+                **common,
             )
-        )
+        slave.register_variable(variable)
 
 
 def write(plan: Scenario, out: Path) -> int:
-    """Write the FMU of a scenario; how many variables it has. Raises ConfigError."""
+    """Write the FMU of a scenario; return how many variables it has. Raises ConfigError."""
     try:
         from pythonfmu3 import FmuBuilder
     except ImportError:
         raise ConfigError("FMUs need the extra: pip install 'rollerrig[fmu]'") from None
-    identifier = re.sub(r"\W", "_", plan.name, flags=re.ASCII)
-    identifier = identifier if re.match("[A-Za-z_]", identifier) else f"rig_{identifier}"
     with tempfile.TemporaryDirectory(prefix="rollerrig-fmu-") as place, writing(out):
         folder = Path(place)
         (folder / _SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
-        (folder / "rig.py").write_text(
-            _SCRIPT.format(name=plan.name, identifier=identifier), encoding="utf-8"
-        )
+        script = _SCRIPT.format(name=plan.name, identifier=_identifier(plan.name))
+        (folder / "rig.py").write_text(script, encoding="utf-8")
         made = FmuBuilder.build_FMU(
             folder / "rig.py",
             folder / "made",
@@ -203,4 +239,11 @@ def write(plan: Scenario, out: Path) -> int:
         )
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_bytes(made.read_bytes())
-        return 1 + sum(1 for _ in Rig(folder).ports())
+        variables = sum(1 for _ in Rig(folder).ports())
+        return 1 + variables  # with time
+
+
+def _identifier(name: str) -> str:
+    """Return the name of a scenario as an identifier of FMI."""
+    identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return identifier if re.match("[A-Za-z_]", identifier) else f"rig_{identifier}"

@@ -1,7 +1,8 @@
-"""The rig on its bus: hub or kernel CAN, the six nodes, the master, and what they tell the bench.
+"""The rig on its bus: hub or kernel CAN, the nodes, the NMT master, and the answers of the unit.
 
-The nodes read a live row of all signals and write a small array of commands. This file joins them to the bus and gives
-the bench two calls, `sync` (a SYNC is due) and `poll` (time has passed), and one fact: whether the unit has answered.
+The nodes read a live row of all signals and write a small row of commands. This file connects them to
+the bus and gives the bench two calls: `sync` (a SYNC is due) and `poll` (time has passed). It also
+keeps count of the answers that the WSP unit owes.
 """
 
 import asyncio
@@ -14,6 +15,7 @@ import numpy as np
 from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim import bench_node, encoder406, io401, sander401
 from rollerrig.firmware_sim.cia301.host import NEVER
+from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.faults.bus import Gate
 from rollerrig.firmware_sim.faults.confinement import Controllers
@@ -47,21 +49,21 @@ from rollerrig.wsp_interface.rig_objects import (
 )
 
 KERNEL_CHANNEL = "vcan0"
-# longer than the heartbeat of a node of any bench, 100 ms
+# how long to listen for foreign nodes: longer than the heartbeat time of any bench, 100 ms
 _LISTEN_S = 0.25
 _SENT_BY_NODES = (EMERGENCY, *TPDO, SDO_REPLY, HEARTBEAT)
 
 
 def address(scenario: Scenario) -> str:
-    """The bus that a scenario's [bus] asks for: kernel CAN where it is up, else the hub."""
-    bus, interface = scenario["bus"], scenario["bus"]["interface"]
+    """Return the address of the bus in [bus]: kernel CAN where it is up, else the hub."""
+    bus = scenario["bus"]
+    interface = bus["interface"]
     if interface == "auto":
-        interface = (
-            f"socketcan:{KERNEL_CHANNEL}" if KERNEL_CHANNEL in kernel.available().up else "hub"
-        )
+        kernel_is_up = KERNEL_CHANNEL in kernel.available().up
+        interface = f"socketcan:{KERNEL_CHANNEL}" if kernel_is_up else "hub"
     if interface == "hub":
         return f"socketcand://{bus['host']}:{bus['socketcand_port']}/{signals.BUS_CHANNEL}"
-    return interface
+    return str(interface)
 
 
 async def open_bus(
@@ -71,14 +73,15 @@ async def open_bus(
     on_event: OnEvent,
     wall: bool,
 ) -> tuple[Hub, str]:
-    """The bus of a scenario, and the address under which others reach it. Raises BusError.
+    """Return the bus of a scenario, and the address at which others reach it. Raises BusError.
 
-    `wall`: clock_ns goes as the wall clock does.
+    `wall`: clock_ns runs as the wall clock does.
     """
-    place, bitrate = address(scenario), scenario["bus"]["bitrate"]
+    place = address(scenario)
+    bitrate = scenario["bus"]["bitrate"]
     if not place.startswith("socketcand:"):
         hub = await buses.open_hub(place, clock_ns, bitrate, on_lost, on_event, wall)
-        await _refuse_namesakes(hub, place)
+        await _refuse_foreign_nodes(hub, place)
         return hub, place
     host, port, name = plugin.parse_address(place)
     hub = Hub(clock_ns, bitrate, name, on_event=on_event)
@@ -86,39 +89,49 @@ async def open_bus(
     return hub, f"socketcand://{host}:{port}/{name}"
 
 
-async def _refuse_namesakes(hub: Hub, place: str) -> None:
-    """Listen before the rig speaks. Raises BusError when a node with one of its numbers is there."""
+async def _refuse_foreign_nodes(hub: Hub, place: str) -> None:
+    """Listen before the rig sends. Raises BusError when a node has a number of the rig."""
     heard: set[int] = set()
-    port = hub.attach(lambda frame: None if frame.extended else heard.add(frame.can_id), "listener")
+
+    def hear(frame: Frame) -> None:
+        if not frame.extended:
+            heard.add(frame.can_id)
+
+    port = hub.attach(hear, "listener")
     await asyncio.sleep(_LISTEN_S)
     port.close()
     for can_id in sorted(heard):
-        if can_id & ~NODE_MASK in _SENT_BY_NODES and can_id & NODE_MASK in signals.RIG_NODES:
+        node = can_id & NODE_MASK
+        if can_id & ~NODE_MASK in _SENT_BY_NODES and node in signals.RIG_NODES:
             await hub.close()
             raise BusError(
-                f"bus {place}: a node {can_id & NODE_MASK} speaks there already ({can_id:X}h), as the "
-                "rig's own will: end what emulates it, or use another bus (--set bus.interface=hub)"
+                f"bus {place}: a node {node} sends there already ({can_id:X}h), and the rig has a "
+                "node with this number: stop the other one, or use another bus "
+                "(--set bus.interface=hub)"
             )
 
 
 async def open_others(hub: Hub, place: str, scenario: Scenario) -> dict[str, int]:
-    """Let in the clients of the other protocols that [bus] gives ports; the ports by protocol.
+    """Listen for the other protocols that have a port in [bus]; return the ports by protocol.
 
-    On a bus of the kernel that is socketcand too. Raises BusError for a port that cannot be used.
+    On a bus of the kernel that includes socketcand. Raises BusError for a port that cannot be used.
     """
-    bus, on_hub = scenario["bus"], place.startswith("socketcand:")
-    return {
-        codec: await hub.listen(codec, bus["host"], port)
-        for codec in CODECS
-        if not (codec == "socketcand" and on_hub) and (port := bus[f"{codec}_port"]) >= 0
-    }
+    bus = scenario["bus"]
+    ports: dict[str, int] = {}
+    for protocol in CODECS:
+        is_open = protocol == "socketcand" and place.startswith("socketcand:")
+        port = bus[f"{protocol}_port"]
+        if port >= 0 and not is_open:
+            ports[protocol] = await hub.listen(protocol, bus["host"], port)
+    return ports
 
 
 class RigBus:
-    """Six nodes, a seventh where there are sanders, and a master on one bus.
+    """The nodes of the rig, the NMT master and the bench's node on one bus.
 
-    `row` is the live row of all signals, `command` (tick.COMMANDS,) float64 what the bus asks of the rig;
-    `on_command(command)` is called when it has changed, `refresh(row)` before an alarm goes off.
+    `row` is the live row of all signals. `command` (tick.COMMANDS,) float64 is what the bus requires
+    of the rig; `on_command(command)` is called when it has changed, `refresh(row)` before an alarm
+    goes off.
     """
 
     def __init__(
@@ -132,115 +145,72 @@ class RigBus:
         pacing: str = "wall",
         refresh: Callable[[np.ndarray], Any] = lambda row: None,
     ) -> None:
-        self.hub, self.row, self.clock_ns = hub, row, clock_ns
-        self._refresh = lambda: refresh(row)
-        self.command = tick.first_command()
-        self.answered, self.harness_answered = asyncio.Event(), asyncio.Event()
-        self.answered.set()
-        # nobody asks for anything before all nodes stand
-        self._on_command: Callable[[np.ndarray], None] = lambda command: None
         bus = scenario["bus"]
-        beat_ms = round(1000.0 * bus["heartbeat_s"])
-        lost_after_ms = unit_lost_after_ms(bus["sync_period_s"])
-        numbers = (
-            *signals.RIG_NODES,
-            *((signals.SANDER_NODE,) if scenario.params.sanders.axles else ()),
-        )
-        self.master = NmtMaster(
-            master=bus["master"],
-            heartbeat_ms=beat_ms,
-            unit_lost_after_ms=lost_after_ms,
-            nodes=numbers,
-        )
-        parameters = {
-            "teeth": float(scenario["sensor"]["teeth"]),
-            "heartbeat_ms": float(beat_ms),
-            "unit_lost_after_ms": float(lost_after_ms),
-        } | {
-            key: scenario["drive"][key]
-            for key in ("rated_torque_Nm", "max_speed_rad_s", "thermal_time_constant_s")
-        }
-        asked = self.command[tick.DRIVES : tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
-        store = {
-            node: Path(bus["store"], f"node_{node:03d}.json") if bus["store"] else None
-            for node in numbers
-        }
-        nodes = [
-            drive.build(
-                node_id,
-                axle,
-                row,
-                parameters,
-                asked[axle - 1],
-                self.post,
-                scenario["rig"]["drives"],
-                store[node_id],
-            )
-            for axle, node_id in enumerate(signals.DRIVE_NODES, start=1)
-        ]
-        nodes.append(encoder406.build(row, parameters, store[signals.SPEED_NODE]))
-        nodes.append(
-            io401.build(
-                row,
-                self.command[: io401.COMMANDS],
-                parameters,
-                self.post,
-                store[signals.BRAKE_NODE],
-            )
-        )
-        if signals.SANDER_NODE in numbers:
-            nodes.append(
-                sander401.build(
-                    row,
-                    self.command[tick.SAND : tick.DRIVES],
-                    self.post,
-                    store[signals.SANDER_NODE],
-                    parameters,
-                )
-            )
-        self.nodes = {node.node_id: node for node in nodes}
-        self.bench_node = bench_node.build(
-            row, self.command[tick.FRICTION : tick.SAND], self.post, pacing
-        )
-        self.harness: bench_node.BenchNode = self.bench_node.device
-        self.rack = Rack()
-        # the master first: it hears the boot-up of the others
-        members: tuple[Any, ...] = (self.master, *nodes, self.bench_node)
-        for member in members:
-            member.on_event, member.clock_ns = on_event, clock_ns
-            self.rack.add(member)
-        self._produces_sync, self._arbitration = bus["master"], bus["arbitration"]
-        self._port = hub.attach(self._from_bus, "rig")
-        self._numbers = {id(node): node.node_id for node in nodes}
-        self.gate = Gate(Controllers(hub.destroy))
-        # SYNCs that the unit has still to answer; a frozen one shall answer them all when it is back
-        self.owed, self.frozen = 0, False
-        # the bench's own unit: it answers every SYNC, also strays, one without what sets off its cycle with the next
-        self.own_unit, self._may_wait, self.awaited = False, 0, SPEEDS.can_id
-        # SYNCs of somebody else, though the bench is to send them
-        self.stray_syncs, self._stray = 0, False
+        self.hub = hub
+        self.row = row
+        self.clock_ns = clock_ns
+        self._refresh = lambda: refresh(row)
         self._on_event = on_event
-        # rings at `_armed_ns`, perhaps sooner than is needed
+        self._produces_sync = bus["master"]
+        self._arbitration = bus["arbitration"]
+        self.command = tick.first_command()
+        # no command is passed on before all nodes have started
+        self._on_command: Callable[[np.ndarray], None] = lambda command: None
+
+        # answers of the unit: SYNCs that it still has to answer; a frozen unit answers all of them
+        # when it continues
+        self.answered = asyncio.Event()
+        self.answered.set()
+        self.harness_answered = asyncio.Event()
+        self.owed = 0
+        self.frozen = False
+        # the unit of the bench answers every SYNC, also foreign ones; if the frame `awaited` that
+        # starts its cycle is missing, it answers at the next SYNC
+        self.own_unit = False
+        self.awaited = SPEEDS.can_id
+        self._may_wait = 0
+        # SYNCs of another node, although the bench is the producer
+        self.stray_syncs = 0
+        self._stray = False
+
+        # goes off at `_armed_ns`, perhaps earlier than is needed
         self._alarm: Alarm | None = None
         self._armed_ns = NEVER
+
+        self.master = _build_master(scenario)
+        self.nodes = _build_nodes(scenario, row, self.command, self.post)
+        self._numbers = {id(node): number for number, node in self.nodes.items()}
+        friction = self.command[tick.FRICTION : tick.SAND]
+        self.bench_node = bench_node.build(row, friction, self.post, pacing)
+        self.harness: bench_node.BenchNode = self.bench_node.device
+
+        self.rack = Rack()
+        # the master first: it must receive the boot-up of the others
+        members: tuple[Any, ...] = (self.master, *self.nodes.values(), self.bench_node)
+        for member in members:
+            member.on_event = on_event
+            member.clock_ns = clock_ns
+            self.rack.add(member)
+        self._port = hub.attach(self._from_bus, "rig")
+        self.gate = Gate(Controllers(hub.destroy))
         hub.arrived = self._note_answer
         self.rack.start(self._port.send, clock_ns())
         hub.attach(self._listen, "bench")
         self._on_command = on_command
 
     def post(self) -> None:
-        """Hand on what the bus asks of the rig."""
+        """Pass on what the bus requires of the rig."""
         self.command[REFERENCE] = self.master.reference_speed_m_s
         self._on_command(self.command)
 
     def start_wire(self, timed: bool) -> None:
-        """From now on frames wait for the wire, where [bus] says so; `timed` as `Hub.arbitrate` has it."""
+        """Let frames wait for the wire from now on, where [bus] says so; `timed` as in `Hub.arbitrate`."""
         if self._arbitration and self.hub.wire is None:
             self.hub.arbitrate(timed)
             self.rack.deferred = self._port.send
 
     def _from_bus(self, frame: Frame) -> None:
-        # the rig's own frames do not come this way
+        """A frame of another member of the bus: the rig does not receive its own frames here."""
         self._stray = self._produces_sync and _is_sync(frame)
         if self._stray:
             self.stray_syncs += 1
@@ -250,9 +220,13 @@ class RigBus:
         self.rack.on_frame(frame)
         self._set_alarm()
 
+    # -- answers of the unit and the harness
+
     def _listen(self, frame: Frame) -> None:
+        """Count the SYNCs that the unit has to answer."""
         if _is_sync(frame):
-            stray, self._stray = self._stray, False
+            stray = self._stray
+            self._stray = False
             if stray and not self.own_unit:
                 return
             self.owed += 1
@@ -264,7 +238,7 @@ class RigBus:
         self._look_at_answers()
 
     def _note_answer(self, frame: Frame, sender: Any) -> None:
-        """An answer counts when it has come, whenever the bus carries it, and if faults let it get lost."""
+        """Count an answer when it is sent, whenever the bus carries it, and even if a fault loses it."""
         if sender is self._port:
             return
         if frame.can_id == MAGNETS_ID:
@@ -273,26 +247,28 @@ class RigBus:
         elif frame.can_id == HARNESS_ANSWER_ID:
             self.harness_answered.set()
 
-    @property
-    def late(self) -> bool:
-        """Whether the bench's own unit has still to answer, as when a fault or a busy wire lets speeds come late."""
-        return self.own_unit and not (self.frozen or self.answered.is_set())
-
-    def forgive(self) -> None:
-        """Wait for no answer that is owed."""
-        self.owed = 0
-        self.answered.set()
-
     def _look_at_answers(self) -> None:
         if self.owed <= self._may_wait:
             self.answered.set()
         else:
             self.answered.clear()
 
-    def site(self, freeze: Callable[[bool], bool]) -> Site:
-        """What faults act on. `freeze(on)` stops the WSP unit's process, where there is one."""
+    @property
+    def late(self) -> bool:
+        """Whether the bench's unit still has to answer, as when a fault or a busy wire delays speeds."""
+        return self.own_unit and not self.frozen and not self.answered.is_set()
 
-        def freezes(on: bool) -> bool:
+    def forgive(self) -> None:
+        """No longer wait for the answers that are owed."""
+        self.owed = 0
+        self.answered.set()
+
+    # -- faults
+
+    def site(self, freeze: Callable[[bool], bool]) -> Site:
+        """Return what faults act on. `freeze(on)` stops the process of the WSP unit, if there is one."""
+
+        def freeze_unit(on: bool) -> bool:
             self.frozen = freeze(on) and on
             return self.frozen
 
@@ -305,35 +281,40 @@ class RigBus:
             self.clock_ns,
             self.hub.load.bitrate,
             self.disturb,
-            freezes,
+            freeze_unit,
         )
 
     def disturb(self) -> None:
         """Let the gate of faults see every frame while it has something to do, else none."""
-        idle = self.gate.idle
-        self.rack.gate = (
-            None
-            if idle
-            else lambda member, frame, carry: self.gate.passes(
-                frame, self._numbers.get(id(member), 0), carry
-            )
-        )
-        self.hub.gate = None if idle else self._from_outside
+        if self.gate.idle:
+            self.rack.gate = None
+            self.hub.gate = None
+        else:
+            self.rack.gate = self._from_rig
+            self.hub.gate = self._from_outside
+
+    def _from_rig(self, member: Any, frame: Frame, carry: Callable[[], None]) -> bool:
+        return self.gate.passes(frame, self._numbers.get(id(member), 0), carry)
 
     def _from_outside(self, sender: Any, frame: Frame, carry: Callable[[], None]) -> bool:
         if sender is self._port:
-            return True  # the rack has asked already
+            return True  # the gate of the rack has decided already
         return self.gate.passes(frame, 0, carry)
+
+    # -- time
 
     def sync(self) -> None:
         """Send SYNC; the nodes sample the row and send their PDOs before this returns."""
-        # one that joins between two SYNCs answers from the next on
-        (self.harness_answered.clear if self.harness.joined else self.harness_answered.set)()
+        # a harness that joins between two SYNCs answers from the next one on
+        if self.harness.joined:
+            self.harness_answered.clear()
+        else:
+            self.harness_answered.set()
         self.set_time()
         if not self.own_unit:
             self.forgive()
         if self._produces_sync:
-            # a SYNC that does not get through is none to wait for
+            # nothing is to be waited for if the SYNC does not get through
             self._look_at_answers()
             self.master.sync()
         else:
@@ -341,30 +322,30 @@ class RigBus:
         self.hub.flush()
 
     def set_time(self) -> None:
-        """Nodes note what time it is."""
+        """Let the nodes know the present time."""
         self.rack.tell_time(self.clock_ns())
 
     def poll(self) -> None:
-        """Let devices go on, and heartbeats, time-outs and event timers pass."""
+        """Let the devices, heartbeats, time-outs and event timers advance to the present time."""
         self.rack.poll(self.clock_ns())
         self._set_alarm()
 
-    # -- alarms between two SYNCs: in lockstep whoever runs the ticks asks for them, else a descriptor rings
+    # -- alarms between two SYNCs: in lockstep the bench calls `ring`, in real time a descriptor does
 
     def ring(self) -> None:
-        """Let heartbeats, time-outs and event timers pass that are due."""
+        """Run the heartbeats, time-outs and event timers that are due."""
         now_ns = self.clock_ns()
         if self.rack.next_ns() <= now_ns:
             self._refresh()
             self.rack.ring(now_ns)
 
     def keep_time(self) -> None:
-        """From now on alarms go off by themselves, as the wall clock goes. To be called in the event loop."""
+        """From now on alarms go off by themselves, by the wall clock. Call it in the event loop."""
         self._alarm = Alarm()
         asyncio.get_running_loop().add_reader(self._alarm.fileno, self._hear)
 
     def close(self) -> None:
-        """No more alarms."""
+        """Stop the alarms."""
         if self._alarm is not None:
             asyncio.get_running_loop().remove_reader(self._alarm.fileno)
             self._alarm.close()
@@ -378,35 +359,112 @@ class RigBus:
             self._set_alarm()
 
     def _set_alarm(self) -> None:
-        if self._alarm is not None and (next_ns := self.rack.next_ns()) < self._armed_ns:
+        if self._alarm is None:
+            return
+        next_ns = self.rack.next_ns()
+        if next_ns < self._armed_ns:
             self._armed_ns = next_ns
             self._alarm.set(next_ns - self.clock_ns())
 
 
+def _heartbeat_ms(scenario: Scenario) -> int:
+    return round(1000.0 * scenario["bus"]["heartbeat_s"])
+
+
+def _node_numbers(scenario: Scenario) -> tuple[int, ...]:
+    if scenario.params.sanders.axles:
+        return (*signals.RIG_NODES, signals.SANDER_NODE)
+    return tuple(signals.RIG_NODES)
+
+
+def _build_master(scenario: Scenario) -> NmtMaster:
+    bus = scenario["bus"]
+    return NmtMaster(
+        master=bus["master"],
+        heartbeat_ms=_heartbeat_ms(scenario),
+        unit_lost_after_ms=unit_lost_after_ms(bus["sync_period_s"]),
+        nodes=_node_numbers(scenario),
+    )
+
+
+def _build_nodes(
+    scenario: Scenario, row: np.ndarray, command: np.ndarray, post: Callable[[], None]
+) -> dict[int, Node]:
+    """Return the nodes of the rig by number. They read `row`, write `command` and call `post()`."""
+    bus, motors = scenario["bus"], scenario["drive"]
+    parameters = {
+        "teeth": float(scenario["sensor"]["teeth"]),
+        "heartbeat_ms": float(_heartbeat_ms(scenario)),
+        "unit_lost_after_ms": float(unit_lost_after_ms(bus["sync_period_s"])),
+        "rated_torque_Nm": motors["rated_torque_Nm"],
+        "max_speed_rad_s": motors["max_speed_rad_s"],
+        "thermal_time_constant_s": motors["thermal_time_constant_s"],
+    }
+
+    def store(number: int) -> Path | None:
+        """The file in which a node keeps stored parameters."""
+        return Path(bus["store"], f"node_{number:03d}.json") if bus["store"] else None
+
+    nodes: dict[int, Node] = {}
+    drive_commands = command[tick.DRIVES : tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
+    for axle, number in enumerate(signals.DRIVE_NODES, start=1):
+        nodes[number] = drive.build(
+            number,
+            axle,
+            row,
+            parameters,
+            drive_commands[axle - 1],
+            post,
+            scenario["rig"]["drives"],
+            store(number),
+        )
+    nodes[signals.SPEED_NODE] = encoder406.build(row, parameters, store(signals.SPEED_NODE))
+    nodes[signals.BRAKE_NODE] = io401.build(
+        row,
+        command[: io401.COMMANDS],
+        parameters,
+        post,
+        store(signals.BRAKE_NODE),
+    )
+    if signals.SANDER_NODE in _node_numbers(scenario):
+        nodes[signals.SANDER_NODE] = sander401.build(
+            row,
+            command[tick.SAND : tick.DRIVES],
+            post,
+            store(signals.SANDER_NODE),
+            parameters,
+        )
+    return nodes
+
+
 def _is_sync(frame: Frame) -> bool:
-    # longer ones are errors, not SYNCs
+    """Whether a frame is a SYNC; longer frames with its identifier are errors."""
     return frame.can_id == SYNC and len(frame.data) <= 1 and not (frame.extended or frame.remote)
 
 
 def record_frames(hub: Hub, ring: rings.Ring, begun_ns: Callable[[], int] = lambda: 0) -> None:
     """Put every frame of the bus into a ring of frames.
 
-    `begun_ns()`: when the run began by the clock of the bus; -1 while it has not (nothing is put).
+    `begun_ns()` is when the run began by the clock of the bus; -1 while it has not begun, and no
+    frame is put into the ring.
     """
     row = np.zeros(rings.FRAME_WORDS, dtype=np.int64)
 
     def put(frame: Frame) -> None:
-        if (begun := begun_ns()) < 0:
+        begun = begun_ns()
+        if begun < 0:
             return
-        row[0] = max(frame.time_ns - begun, 0)
-        row[1] = (
-            frame.can_id
-            | (rings.EXTENDED_FLAG if frame.extended else 0)
-            | (rings.REMOTE_FLAG if frame.remote else 0)
-            | (rings.ERROR_FLAG if frame.error else 0)
-        )
-        row[2] = frame.dlc if frame.remote else len(frame.data)
-        row[3] = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
+        flags = 0
+        if frame.extended:
+            flags |= rings.EXTENDED_FLAG
+        if frame.remote:
+            flags |= rings.REMOTE_FLAG
+        if frame.error:
+            flags |= rings.ERROR_FLAG
+        row[rings.FRAME_TIME_NS] = max(frame.time_ns - begun, 0)
+        row[rings.FRAME_ID] = frame.can_id | flags
+        row[rings.FRAME_LENGTH] = frame.dlc if frame.remote else len(frame.data)
+        row[rings.FRAME_DATA] = int.from_bytes(frame.data.ljust(8, b"\0"), "little", signed=True)
         ring.push(row)
 
     hub.tap(put)

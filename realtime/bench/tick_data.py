@@ -1,4 +1,4 @@
-"""Builds what a tick works on from a scenario, and has the kernels of a pacing ready before it begins."""
+"""Builds what a tick works on from a scenario, and compiles the kernels of a pacing before it begins."""
 
 import os
 
@@ -11,19 +11,27 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, tick
 from rollerrig.realtime.loop.ring import Memory, Ring
 from rollerrig.realtime.loop.tick import STOP, TickData
-from rollerrig.rig.compiled import compile_progress
+from rollerrig.rig.compiled import kernel_cache
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
+
+# a unit that answers in the tick of its SYNC, in every cycle: an ideal bus
+_IMMEDIATE_ANSWER = (0, 0, 1)
 
 
 def build(
     plan: Scenario, ring: Ring | Memory, speed_m_s: float | None = None, seed: int = 0
 ) -> TickData:
-    """What the ticks of a scenario work on, at its initial (or another) speed, with no magnet energised."""
-    speed_m_s = plan["initial_speed_m_s"] if speed_m_s is None else speed_m_s
+    """Return what the ticks of a scenario work on, with no magnet energised.
+
+    The speed is `speed_m_s`, or the initial speed of the scenario.
+    """
+    if speed_m_s is None:
+        speed_m_s = plan["initial_speed_m_s"]
     plant = Plant(plan.params, speed_m_s)
     rollers = Plant(plan.rollers, speed_m_s) if plan.rollers else plant
-    tick_hz, width, sensor = plan["loop"]["tick_hz"], len(signals.COLUMNS), plan["sensor"]
+    tick_hz = plan["loop"]["tick_hz"]
+    width = len(signals.COLUMNS)
     commands = mailbox.mailbox(tick.COMMANDS)
     commands.values[:] = tick.first_command()
     data = TickData(
@@ -49,45 +57,56 @@ def build(
         end_tick=round(plan["duration_max_s"] * tick_hz),
         stand_ticks=round(plan["stand_s"] * tick_hz),
         hold=np.array([speed_m_s]),
-        answer=np.array(wire_delay.answer_ticks(plan) or (0, 0, 1)),
+        answer=np.array(wire_delay.answer_ticks(plan) or _IMMEDIATE_ANSWER),
         pulses=pole_wheel.memory(seed),
-        sensor=pole_wheel.Sensor(
-            pole_wheel.MODELS[sensor["model"]],
-            sensor["teeth"],
-            max(1, round(sensor["window_s"] * tick_hz)),
-            sensor["dropout_rad_s"],
-            sensor["timer_Hz"],
-            1.0 / tick_hz,
-            plan["flats"]["noise_rad_s_m"],
-        ),
+        sensor=_sensor(plan),
     )
     tick.publish(data)
     return data
 
 
+def _sensor(plan: Scenario) -> pole_wheel.Sensor:
+    sensor = plan["sensor"]
+    tick_hz = plan["loop"]["tick_hz"]
+    return pole_wheel.Sensor(
+        pole_wheel.MODELS[sensor["model"]],
+        sensor["teeth"],
+        max(1, round(sensor["window_s"] * tick_hz)),
+        sensor["dropout_rad_s"],
+        sensor["timer_Hz"],
+        1.0 / tick_hz,
+        plan["flats"]["noise_rad_s_m"],
+    )
+
+
 def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
-    """Compile, or load, what the pacing calls with a unit, without running a tick."""
+    """Compile, or load, the kernels that the pacing calls with a unit, without running a tick."""
     if pacing == "wall":
-        stop = data.control[STOP]
-        data.control[STOP] = 1
-        descriptor = clock.eventfd()
-        loop.wall(
-            data,
-            1_000_000,
-            1,
-            descriptor,
-            np.zeros(loop.BINS, dtype=np.int64),
-            np.zeros(3, dtype=np.int64),
-            0,
-        )
-        os.close(descriptor)
-        data.control[STOP] = stop
+        _warm_up_wall(data)
     elif pacing == "lockstep" or unit != "reference":
-        # a free run with the reference unit calls that inside its own loop, and compiles it there
+        # a free run with the reference unit calls the ticks inside its loop, and compiles them there
         tick.run_ticks(data, 0)
-    if unit == "reference" and compile_progress.has_compiled():
-        # what the unit's process would compile, while its heartbeat is waited for
+    if unit == "reference" and kernel_cache.has_compiled():
+        # what the process of the unit would compile while the bench waits for its heartbeat
         node.warm(logic.load("reference"))
-    # the bus thread's own calls: a compiler in the first SYNC cycle would look like a lost unit
+    # the calls of the bus thread: a compiler in the first SYNC cycle would look like a lost unit
     mailbox.fetch(data.published, data.row.copy())
     mailbox.post(data.commands, data.commands.values.copy())
+
+
+def _warm_up_wall(data: TickData) -> None:
+    """Call the real-time loop with STOP set, so that it returns before its first tick."""
+    stop = data.control[STOP]
+    data.control[STOP] = 1
+    descriptor = clock.eventfd()
+    loop.wall(
+        data,
+        1_000_000,
+        1,
+        descriptor,
+        np.zeros(loop.BINS, dtype=np.int64),
+        np.zeros(3, dtype=np.int64),
+        0,
+    )
+    os.close(descriptor)
+    data.control[STOP] = stop

@@ -44,6 +44,8 @@ from rollerrig.wsp_interface.events import Code, Event
 _HEADER = 16
 EVENT_WORDS = 64
 FRAME_WORDS = 4
+# places in a row of a ring of frames
+FRAME_TIME_NS, FRAME_ID, FRAME_LENGTH, FRAME_DATA = range(FRAME_WORDS)
 # most that one character takes in JSON: as UTF-8, or escaped as in \\u0001
 _BYTES_PER_CHARACTER = 6
 EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 1 << 31, 1 << 30, 1 << 29

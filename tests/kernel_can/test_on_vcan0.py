@@ -259,7 +259,7 @@ def test_a_run_is_refused_where_one_of_its_nodes_speaks_already(channel, tmp_pat
         beat.kill()
         beat.wait()
     assert done.returncode != 0
-    assert "a node 17 speaks there already (711h)" in done.stderr
+    assert "a node 17 sends there already (711h)" in done.stderr
 
 
 @pytest.mark.conformance("Hub", "nodes on kernel SocketCAN")
