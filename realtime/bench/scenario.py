@@ -1,7 +1,8 @@
-"""A scenario, resolved: names looked up, tables merged, every default written out, all checked.
+"""A scenario, resolved: names looked up, tables merged, every default written out, everything checked.
 
-The order is defaults, vehicle, rig, adhesion, bus, the scenario's own tables, an extended model, and single values from
-the command line; what comes later wins. The resolved one is a scenario again, which repeats a run.
+The order of layers is defaults, vehicle, rig, adhesion, bus, the scenario's tables, an extended model,
+and single values from the command line; a later layer wins. The resolved scenario is a scenario again,
+which repeats a run.
 """
 
 import dataclasses
@@ -9,7 +10,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -33,14 +34,14 @@ HEAD = (
     number("initial_speed_m_s", 42.3, 0.5, 100.0, "Table 5"),
     number("duration_max_s", 180.0, 0.1, 36000.0, "the run ends then, stopped or not"),
     number("stand_s", 0.5, 0.0, 60.0, "recorded after standstill"),
-    choice("sealed", "", (), "what acts and is told nowhere: rollerrig hide"),
+    choice("sealed", "", (), "hidden effects, written by rollerrig hide"),
 )
 LOOP = (
     integer("tick_hz", 1000, 100, 10000, "rig control and commands"),
     number("step_s", 1e-4, 1e-6, 1e-2, "physics; the paper's"),
     integer("record_hz", 100, 1, 10000, "samples of the recording"),
-    integer("priority", 80, 0, 99, "SCHED_FIFO; 0 asks for nothing"),
-    integer("cpu", -1, -1, 1023, "core of the real-time thread; -1 asks for none"),
+    integer("priority", 80, 0, 99, "SCHED_FIFO; 0: none"),
+    integer("cpu", -1, -1, 1023, "core of the real-time thread; -1: any"),
 )
 BUS = (
     choice("interface", "auto", (), "auto, hub, or python-can's interface:channel"),
@@ -94,6 +95,8 @@ SETS = {
     "bus": "buses",
     "pads": "pads",
 }
+# one layer: the file or option that it is from, and its tables and keys
+Layer = tuple[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -124,12 +127,12 @@ def load(
 ) -> Scenario:
     """Load a scenario by name or path, with an extended model and `section.key=value` settings.
 
-    `tables` are whole tables that win over the scenario's own, as a rig that is already running has
-    them, `faults` come beside the scenario's, as `faults.catalogue.parse` reads them. Raises
-    ConfigError saying where, what, what is allowed and how to mend it.
+    `tables` are whole tables that win over those of the scenario, as a rig that is already running
+    has them. `faults` are added to those of the scenario, as `faults.catalogue.parse` reads them.
+    Raises ConfigError, which says where, what, what is allowed and how to fix it.
     """
-    given, path = store.load("scenarios", name)
-    return read(given, path, model, settings, tables, faults)
+    content, path = store.load("scenarios", name)
+    return read(content, path, model, settings, tables, faults)
 
 
 def read(
@@ -140,140 +143,147 @@ def read(
     tables: Mapping[str, Any] | None = None,
     faults: tuple[str, ...] = (),
 ) -> Scenario:
-    """As `load`, of the content of a scenario's file; `path` names it and is where it looks for others."""
+    """Return a scenario, as `load` does, from the content of its file.
+
+    `path` names the file; other files that it names are looked for beside it.
+    """
     single = _settings(settings)
-    # single keys, among them the names of sets, before the sets are looked up
-    heads = {key: value for key, value in single.items() if not isinstance(value, dict)}
-    given = {**_aliases(given, path), **_aliases(heads, Path("--set"))}
-    layers: list[tuple[str, Mapping[str, Any]]] = []
+    # single keys, among them the names of sets, apply before the sets are looked up
+    single_keys = {key: value for key, value in single.items() if not isinstance(value, dict)}
+    single_tables = {key: value for key, value in single.items() if isinstance(value, dict)}
+    given = {**_aliases(given, path), **_aliases(single_keys, Path("--set"))}
+
     defaults = {row.name: row.default for row in HEAD}
+    layers: list[Layer] = []
     for short, kind in SETS.items():
         key = f"{short}_set"
         content, at = store.load(kind, str(given.get(key, defaults[key])), path)
         layers.append((str(at), content))
-    layers.append((str(path), {k: v for k, v in given.items() if k not in defaults}))
+    own_tables = {key: value for key, value in given.items() if key not in defaults}
+    layers.append((str(path), own_tables))
     if model:
         at = store.find("models", model)
         layers.append((str(at), store.parse(at)))
-    layers += [
-        ("--set", {k: v for k, v in single.items() if isinstance(v, dict)}),
-        ("the running rig", tables or {}),
-        ("--fault", {"fault": [catalogue.plain(catalogue.parse(one)) for one in faults]}),
-    ]
-    head = table.read(HEAD, {k: v for k, v in given.items() if k in defaults}, str(path))
-    return resolve(path.parent.name if path.name == "scenario.toml" else path.stem, head, layers)
+    layers.append(("--set", single_tables))
+    layers.append(("the running rig", tables or {}))
+    layers.append(("--fault", {"fault": [_plain_fault(text) for text in faults]}))
+
+    own_head = {key: value for key, value in given.items() if key in defaults}
+    head = table.read(HEAD, own_head, str(path))
+    # the resolved scenario in a run's folder is named after the folder
+    name = path.parent.name if path.name == "scenario.toml" else path.stem
+    return resolve(name, head, layers)
 
 
-def resolve(
-    name: str, head: dict[str, Any], layers: list[tuple[str, Mapping[str, Any]]]
-) -> Scenario:
-    """Merge layers of tables, check them and build the parameters."""
-    merged: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
-    programme: dict[str, Any] = {"demand": [], "friction": []}
-    planned: tuple[catalogue.Fault, ...] = ()
-    source = layers[0][0]
-    for where, layer in layers:
-        for key, content in layer.items():
-            if key in merged:
-                _wanted(isinstance(content, Mapping), where, key, content, f"a table [{key}]")
-                table.read(SECTIONS[key], content, f"{where} [{key}]")
-                if key == "adhesion" and "mu_cd" in content:
-                    merged[key].pop(
-                        "initial_adhesion", None
-                    )  # what comes later wins over what mu_cd followed from
-                merged[key].update(content)
-            elif key in programme:
-                _wanted(
-                    isinstance(content, list) and all(isinstance(c, Mapping) for c in content),
-                    where,
-                    key,
-                    content,
-                    f"[[{key}]] with two brackets, one for each step",
-                )
-                programme[key], source = content, where
-            elif key == "fault":
-                _wanted(
-                    isinstance(content, list), where, key, content, "[[fault]] with two brackets"
-                )
-                planned += catalogue.all_of(content, where)
-            elif key in {row.name for row in HEAD}:
-                head |= table.read([r for r in HEAD if r.name == key], {key: content}, where)
-            else:
-                allowed = [*SECTIONS, *programme, "fault", *(row.name for row in HEAD)]
-                raise ConfigError(
-                    f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}"
-                )
-    checked: dict[str, Any] = dict(physics.check(merged, name))
-    if checked["rig"]["speed"] == "held" and (
-        checked["rig"]["mode"],
-        checked["vehicle"]["model"],
-    ) != ("contaminated_rollers", "planar"):
-        raise ConfigError(
-            f"{name} [rig] speed = 'held': only drives hold a speed, and on the coach in 3D none do; "
-            'allowed with rig.mode = "contaminated_rollers" and vehicle.model = "planar"'
-        )
+def _plain_fault(text: str) -> dict[str, Any]:
+    return catalogue.plain(catalogue.parse(text))
+
+
+def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
+    """Merge layers of tables, check them, and return the scenario with its parameters."""
+    merged = _merge(head, layers)
+    checked: dict[str, Any] = dict(physics.check(merged.sections, name))
+    _check_held_speed(checked, name)
     for section in ("loop", "bus", "modbus"):
-        checked[section] = table.read(SECTIONS[section], merged[section], f"{name} [{section}]")
-    acting, hidden = _with_sealed(checked, head.get("sealed", ""))
-    tick_s, substeps, sync, record = _ratios(checked, name)
-    steps = [
-        table.read(DEMAND, row, f"{source} [[demand]] {i}")
-        for i, row in enumerate(programme["demand"], start=1)
-    ]
-    if (starts := [row["from_s"] for row in steps]) != sorted(starts):
-        raise ConfigError(f"{source} [[demand]]: from_s must rise from step to step, not {starts}")
-    demand = physics.Demand(np.array(starts), np.array([row["pressure_Pa"] for row in steps]))
-    friction, friction_rows = _friction(programme["friction"], checked["adhesion"], source)
+        given = merged.sections[section]
+        checked[section] = table.read(SECTIONS[section], given, f"{name} [{section}]")
+    acting, hidden_faults = _with_sealed(checked, merged.head.get("sealed", ""))
+    ratios = _ratios(checked, name)
+
+    steps, demand = _demand(merged.demand, merged.programme_from)
+    friction, friction_rows = _friction(merged.friction, checked["adhesion"], merged.programme_from)
     resolved = {
-        **head,
+        **merged.head,
         **checked,
         "demand": steps,
         "friction": friction_rows,
-        "fault": [catalogue.plain(one) for one in planned],
+        "fault": [catalogue.plain(fault) for fault in merged.faults],
     }
-    virtual = checked["rig"]["mode"] == physics.VIRTUAL_TRACK
+    params = physics.build(acting, friction, demand, ratios.tick_s, ratios.substeps)
+    rollers = None
+    if checked["rig"]["mode"] == physics.VIRTUAL_TRACK:
+        rollers = physics.build_rollers(acting, demand, ratios.tick_s, ratios.substeps)
     return Scenario(
         name=name,
         resolved=resolved,
-        params=physics.build(acting, friction, demand, tick_s, substeps),
-        rollers=physics.build_rollers(acting, demand, tick_s, substeps) if virtual else None,
-        sync_ticks=sync,
-        record_ticks=record,
-        faults=planned + hidden,
+        params=params,
+        rollers=rollers,
+        sync_ticks=ratios.sync_ticks,
+        record_ticks=ratios.record_ticks,
+        faults=merged.faults + hidden_faults,
     )
 
 
-def _with_sealed(
-    checked: dict[str, Any], text: str
-) -> tuple[dict[str, Any], tuple[catalogue.Fault, ...]]:
-    """The sections as they act, and the faults, where a scenario hides some; `resolved` has them sealed only."""
-    if not text:
-        return checked, ()
-    content = seal.opened(text, "sealed")
-    mechanisms = table.read(
-        physics.ROWS["mechanisms"], checked["mechanisms"] | content.get("mechanisms", {}), "sealed"
+# --- merging ---
+
+
+@dataclass
+class Merged:
+    """Layers on top of one another, not yet checked as a whole.
+
+    `programme_from` is the layer that had the last programme of demand or friction.
+    """
+
+    head: dict[str, Any]
+    sections: dict[str, dict[str, Any]]
+    demand: list[dict[str, Any]]
+    friction: list[dict[str, Any]]
+    faults: tuple[catalogue.Fault, ...]
+    programme_from: str
+
+
+def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
+    """Put layers of tables on top of one another; each key is checked where it is given."""
+    merged = Merged(
+        head=dict(head),
+        sections={section: {} for section in SECTIONS},
+        demand=[],
+        friction=[],
+        faults=(),
+        programme_from=layers[0][0],
     )
-    faults = catalogue.all_of(content.get("fault", []), "sealed")
-    return checked | {"mechanisms": mechanisms}, tuple(
-        dataclasses.replace(one, told=False) for one in faults
-    )
+    for where, layer in layers:
+        for key, content in layer.items():
+            _merge_key(merged, where, key, content)
+    return merged
 
 
-def dump(scenario: Scenario) -> str:
-    """The resolved scenario as TOML."""
-    return (
-        "# resolved by rollerrig: every default written out; run it again to repeat the run\n"
-        + tomli_w.dumps(scenario.resolved)
-    )
+def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
+    """Put one table or key of a layer on top of what is merged. Raises ConfigError."""
+    heads = {row.name: row for row in HEAD}
+    if key in merged.sections:
+        _require(isinstance(content, Mapping), where, key, content, f"a table [{key}]")
+        table.read(SECTIONS[key], content, f"{where} [{key}]")
+        if key == "adhesion" and "mu_cd" in content:
+            # a later mu_cd wins over the initial adhesion from which an earlier one followed
+            merged.sections[key].pop("initial_adhesion", None)
+        merged.sections[key].update(content)
+    elif key in ("demand", "friction"):
+        is_programme = isinstance(content, list) and all(isinstance(c, Mapping) for c in content)
+        form = f"[[{key}]] with two brackets, one for each step"
+        _require(is_programme, where, key, content, form)
+        setattr(merged, key, content)
+        merged.programme_from = where
+    elif key == "fault":
+        _require(isinstance(content, list), where, key, content, "[[fault]] with two brackets")
+        merged.faults += catalogue.all_of(content, where)
+    elif key in heads:
+        merged.head |= table.read([heads[key]], {key: content}, where)
+    else:
+        allowed = [*SECTIONS, "demand", "friction", "fault", *heads]
+        raise ConfigError(f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}")
 
 
-def digest(scenario: Scenario) -> str:
-    """A hash of all that decides the result."""
-    return hashlib.sha256(tomli_w.dumps(scenario.resolved).encode()).hexdigest()[:16]
+def _require(right: bool, where: str, key: str, content: Any, form: str) -> None:
+    if not right:
+        raise ConfigError(f"{where}: {key} = {content!r}: write {form}")
 
 
 def _aliases(given: dict[str, Any], path: Path) -> dict[str, Any]:
-    # vehicle = "uic_z1" reads better than vehicle_set, and is it where no table [vehicle] is given
+    """Return the content with vehicle = "uic_z1" as vehicle_set, which reads less well, and so on.
+
+    Such a key is the name of a set only where there is no table [vehicle].
+    """
     given = dict(given)
     for short in SETS:
         if isinstance(given.get(short), str):
@@ -283,86 +293,167 @@ def _aliases(given: dict[str, Any], path: Path) -> dict[str, Any]:
     return given
 
 
-def _wanted(right: bool, where: str, key: str, content: Any, form: str) -> None:
-    if not right:
-        raise ConfigError(f"{where}: {key} = {content!r}: write {form}")
-
-
 def _settings(settings: tuple[str, ...]) -> dict[str, Any]:
-    tables: dict[str, Any] = {}
+    """Return the tables and single keys of settings such as adhesion.mu_cd=0.05."""
+    found: dict[str, Any] = {}
     for setting in settings:
         key, _, text = setting.partition("=")
         section, _, name = key.strip().rpartition(".")
-        try:
-            value = store.tomllib.loads(f"value = {text}")["value"]
-        except store.tomllib.TOMLDecodeError:
-            value = text.strip()
         if not name or not text:
             raise ConfigError(
                 f"--set {setting}: write section.key=value, as in adhesion.mu_cd=0.05"
             )
-        if not section and name in SETS:
-            name = f"{name}_set"  # a set by name beside single values of it: both may be given
-        (tables.setdefault(section, {}) if section else tables)[name] = value
-    return tables
+        try:
+            value = store.tomllib.loads(f"value = {text}")["value"]
+        except store.tomllib.TOMLDecodeError:
+            value = text.strip()  # a text without quotes
+        if section:
+            found.setdefault(section, {})[name] = value
+        elif name in SETS:
+            # so that a set by name and single values of its table can both be given
+            found[f"{name}_set"] = value
+        else:
+            found[name] = value
+    return found
 
 
-def _ratios(checked: dict[str, Any], name: str) -> tuple[float, int, int, int]:
+# --- checking what belongs to several tables ---
+
+
+def _check_held_speed(checked: dict[str, Any], name: str) -> None:
+    """Refuse a held speed where no drives hold it. Raises ConfigError."""
+    if checked["rig"]["speed"] != "held":
+        return
+    mode, model = checked["rig"]["mode"], checked["vehicle"]["model"]
+    if (mode, model) != ("contaminated_rollers", "planar"):
+        raise ConfigError(
+            f"{name} [rig] speed = 'held': drives hold the speed, and the coach in 3D has none; "
+            'allowed with rig.mode = "contaminated_rollers" and vehicle.model = "planar"'
+        )
+
+
+def _with_sealed(
+    checked: dict[str, Any], text: str
+) -> tuple[dict[str, Any], tuple[catalogue.Fault, ...]]:
+    """Return the sections as they act, and the hidden faults, of a scenario that hides effects.
+
+    The resolved scenario has them in sealed form only.
+    """
+    if not text:
+        return checked, ()
+    content = seal.decode(text, "sealed")
+    mechanisms = table.read(
+        physics.ROWS["mechanisms"], checked["mechanisms"] | content.get("mechanisms", {}), "sealed"
+    )
+    faults = catalogue.all_of(content.get("fault", []), "sealed")
+    hidden = tuple(dataclasses.replace(fault, told=False) for fault in faults)
+    return checked | {"mechanisms": mechanisms}, hidden
+
+
+class Ratios(NamedTuple):
+    """How the periods of physics, tick, SYNC and recording relate."""
+
+    tick_s: float
+    substeps: int
+    sync_ticks: int
+    record_ticks: int
+
+
+def _ratios(checked: dict[str, Any], name: str) -> Ratios:
+    """Return the ratios of the periods. Raises ConfigError where one is not a whole number."""
     loop, bus = checked["loop"], checked["bus"]
     tick_s = 1.0 / loop["tick_hz"]
 
-    def whole(ratio: float, what: str) -> int:
+    def whole(ratio: float, of: str) -> int:
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-            raise ConfigError(
-                f"{name}: {what} is {ratio:.6g}; it must be a whole number, at least 1"
-            )
+            raise ConfigError(f"{name}: {of} is {ratio:.6g}; it must be a whole number, at least 1")
         return round(ratio)
 
-    return (
-        tick_s,
-        whole(
+    return Ratios(
+        tick_s=tick_s,
+        substeps=whole(
             tick_s / loop["step_s"],
             f"[loop] a tick of {tick_s:g} s over step_s = {loop['step_s']:g} s",
         ),
-        whole(
+        sync_ticks=whole(
             bus["sync_period_s"] / tick_s,
             f"[bus] sync_period_s = {bus['sync_period_s']:g} s over a tick of {tick_s:g} s",
         ),
-        whole(
+        record_ticks=whole(
             loop["tick_hz"] / loop["record_hz"],
             f"[loop] tick_hz = {loop['tick_hz']} over record_hz = {loop['record_hz']}",
         ),
     )
 
 
+def _demand(rows: list[dict[str, Any]], where: str) -> tuple[list[dict[str, Any]], physics.Demand]:
+    """Return the steps of the brake demand, as plain data and for the plant. Raises ConfigError."""
+    steps = [
+        table.read(DEMAND, row, f"{where} [[demand]] {place}")
+        for place, row in enumerate(rows, start=1)
+    ]
+    starts = [step["from_s"] for step in steps]
+    if starts != sorted(starts):
+        raise ConfigError(f"{where} [[demand]]: from_s must rise from step to step, not {starts}")
+    pressures = [step["pressure_Pa"] for step in steps]
+    return steps, physics.Demand(np.array(starts), np.array(pressures))
+
+
 def _friction(
     rows: list[dict[str, Any]], adhesion: dict[str, float], where: str
 ) -> tuple[physics.Friction, list[dict[str, Any]]]:
-    read, masks = [], []
-    for i, row in enumerate(rows):
-        at, row = f"{where} [[friction]] {i + 1}", dict(row)
-        axles = row.pop("axles", list(range(1, AXLES + 1)))
-        if not (
-            isinstance(axles, list)
-            and axles
-            and all(type(axle) is int and 1 <= axle <= AXLES for axle in axles)
-        ):
-            raise ConfigError(f"{at}: axles = {axles!r}; a list of axle numbers from 1 to {AXLES}")
-        if ("from_s" in row) == ("from_m" in row):
+    """Return the programme of friction, for the plant and as plain data. Raises ConfigError."""
+    steps: list[dict[str, Any]] = []
+    masks: list[int] = []
+    for place, row in enumerate(rows, start=1):
+        at = f"{where} [[friction]] {place}"
+        given = dict(row)
+        axles = given.pop("axles", list(range(1, AXLES + 1)))
+        _check_axles(axles, at)
+        if ("from_s" in given) == ("from_m" in given):
             raise ConfigError(f"{at}: give from_s (time) or from_m (place), one of them")
-        given = table.read([r for r in FRICTION if r.name in row], row, at)
-        if unknown := set(row) - {r.name for r in FRICTION}:
-            table.read(FRICTION, {key: row[key] for key in unknown}, at)
-        read.append(
-            {"mu_cd": adhesion["mu_cd"], "mu_cr": adhesion["mu_cr"], "axles": axles} | given
-        )
-        physics.check_recovery(adhesion | read[-1], at)
+        table.known(given, [row.name for row in FRICTION], lambda key, at=at: at)
+        # only what is given: a step begins at a time or at a place
+        known = [row for row in FRICTION if row.name in given]
+        step = {
+            "mu_cd": adhesion["mu_cd"],
+            "mu_cr": adhesion["mu_cr"],
+            "axles": axles,
+            **table.read(known, given, at),
+        }
+        physics.check_recovery(adhesion | step, at)
+        steps.append(step)
         masks.append(sum(1 << (axle - 1) for axle in set(axles)))
-    start = np.array([row.get("from_m", row.get("from_s", 0.0)) for row in read])
-    return physics.Friction(
-        np.array(["from_m" in row for row in read], dtype=np.bool_),
-        start,
-        np.array([row["mu_cd"] for row in read]),
-        np.array([row["mu_cr"] for row in read]),
+    by_place = ["from_m" in step for step in steps]
+    starts = [step.get("from_m", step.get("from_s", 0.0)) for step in steps]
+    friction = physics.Friction(
+        np.array(by_place, dtype=np.bool_),
+        np.array(starts),
+        np.array([step["mu_cd"] for step in steps]),
+        np.array([step["mu_cr"] for step in steps]),
         np.array(masks, dtype=np.int64),
-    ), read
+    )
+    return friction, steps
+
+
+def _check_axles(axles: Any, at: str) -> None:
+    """Raise ConfigError unless this is a list of numbers of axles."""
+    is_list = isinstance(axles, list) and len(axles) > 0
+    if not is_list or not all(type(axle) is int and 1 <= axle <= AXLES for axle in axles):
+        raise ConfigError(f"{at}: axles = {axles!r}; a list of axle numbers from 1 to {AXLES}")
+
+
+# --- writing ---
+
+
+def dump(scenario: Scenario) -> str:
+    """Return the resolved scenario as TOML."""
+    return (
+        "# resolved by rollerrig: every default written out; run it again to repeat the run\n"
+        + tomli_w.dumps(scenario.resolved)
+    )
+
+
+def digest(scenario: Scenario) -> str:
+    """Return a hash of everything that decides the result."""
+    return hashlib.sha256(tomli_w.dumps(scenario.resolved).encode()).hexdigest()[:16]

@@ -11,7 +11,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, mailbox, tick
 from rollerrig.realtime.loop.ring import Memory, Ring
 from rollerrig.realtime.loop.tick import STOP, TickData
-from rollerrig.rig.compiled import kernel_cache
+from rollerrig.rig.compiled import compile_progress
 from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 
@@ -86,7 +86,7 @@ def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
     elif pacing == "lockstep" or unit != "reference":
         # a free run with the reference unit calls the ticks inside its loop, and compiles them there
         tick.run_ticks(data, 0)
-    if unit == "reference" and kernel_cache.has_compiled():
+    if unit == "reference" and compile_progress.has_compiled():
         # what the process of the unit would compile while the bench waits for its heartbeat
         node.warm(logic.load("reference"))
     # the calls of the bus thread: a compiler in the first SYNC cycle would look like a lost unit

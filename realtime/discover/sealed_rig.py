@@ -103,7 +103,7 @@ def write(out: Path, given: Mapping[str, Any], hidden: Mapping[str, Any]) -> Non
     """Write a sealed rig: a scenario as plain data, and what it hides. Raises ConfigError."""
     head = {
         "title": "A rig that hides something",
-        "sealed": seal.shut(dict(hidden)).replace("\n", ""),
+        "sealed": seal.encode(dict(hidden)).replace("\n", ""),
     }
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -117,4 +117,4 @@ def write(out: Path, given: Mapping[str, Any], hidden: Mapping[str, Any]) -> Non
 def causes(scenario: Path) -> set[str]:
     """The causes that a sealed rig hides: for judging what was found, never for finding it. Raises ConfigError."""
     given, at = store.load("scenarios", str(scenario))
-    return set(seal.opened(given.get("sealed", ""), f"{at}: sealed")["causes"])
+    return set(seal.decode(given.get("sealed", ""), f"{at}: sealed")["causes"])

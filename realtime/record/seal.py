@@ -1,4 +1,7 @@
-"""What nobody shall read by accident, as text: a key beside sets or a rig, and what a rig hides. No secret: a guard."""
+"""Data that nobody shall read by accident, as text: a key next to data sets, or what a rig hides.
+
+This is a guard against reading by accident, not a secret.
+"""
 
 import base64
 import json
@@ -8,20 +11,20 @@ from typing import Any
 from rollerrig.configs.errors import ConfigError
 
 
-def shut(content: dict[str, Any]) -> str:
-    """Plain data as lines of text that say nothing to a reader."""
+def encode(content: dict[str, Any]) -> str:
+    """Return plain data as lines of text that a reader cannot understand."""
     return base64.encodebytes(zlib.compress(json.dumps(content).encode(), 9)).decode()
 
 
-def opened(text: str, where: str) -> dict[str, Any]:
-    """What `shut` was given. Raises ConfigError, which begins with `where`, for any other text."""
+def decode(text: str, where: str) -> dict[str, Any]:
+    """Return the data in a text of `encode`. Raises ConfigError, which begins with `where`."""
     try:
-        found = json.loads(zlib.decompress(base64.b64decode(text, validate=False)))
-        if not isinstance(found, dict):
+        content = json.loads(zlib.decompress(base64.b64decode(text, validate=False)))
+        if not isinstance(content, dict):
             raise ValueError("not a table")
     except (ValueError, zlib.error) as error:
         raise ConfigError(
-            f"{where}: it is damaged or was not sealed by rollerrig ({error}); take the file as it was "
-            "written"
+            f"{where}: the text is damaged or rollerrig has not written it ({error}); use the file "
+            "as it was written"
         ) from None
-    return found
+    return content

@@ -25,7 +25,7 @@ def sealed(folder, hidden=None, seed=3):
         text = rig.read_text()
         begin = text.index("sealed = ")
         rig.write_text(
-            text[:begin] + f'sealed = "{sealed_rig.seal.shut(hidden)}"\n'.replace("\n", "") + "\n"
+            text[:begin] + f'sealed = "{sealed_rig.seal.encode(hidden)}"\n'.replace("\n", "") + "\n"
         )
     return rig, key
 
@@ -116,7 +116,7 @@ def test_the_record_of_a_stop_tells_of_faults_that_no_event_tells(tmp_path, caps
         (("run", "velim_a1", "--set", "sealed=abc"), "sealed: it is damaged"),
         (
             ("run", "velim_a1", "--set", "rig.speed=held", "--set", "rig=plain_track"),
-            "only drives hold a speed",
+            "drives hold the speed",
         ),
     ],
 )

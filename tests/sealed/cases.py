@@ -143,7 +143,7 @@ def read_key(folder: Path) -> dict[str, Any]:
         text = path.read_text(encoding="ascii")
         if not text.startswith(_FORMAT):
             raise ConfigError("its first line is wrong")
-        return seal.opened(text.removeprefix(_FORMAT), "its text")
+        return seal.decode(text.removeprefix(_FORMAT), "its text")
     except (OSError, ValueError, ConfigError) as error:
         raise ConfigError(
             f"{path} is no key of a benchmark ({error}); give the folder that "
@@ -155,7 +155,7 @@ def _write_key(folder: Path, key: dict[str, Any]) -> None:
     # written under another name first, so that an interruption leaves the previous key
     part = folder / f"{KEY}.part"
     with writing(folder / KEY, "give another folder"):
-        part.write_text(_FORMAT + seal.shut(key), encoding="ascii")
+        part.write_text(_FORMAT + seal.encode(key), encoding="ascii")
         part.replace(folder / KEY)
 
 
