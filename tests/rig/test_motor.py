@@ -1,4 +1,4 @@
-"""The roller motors and the control that makes a roller's surface keep the vehicle's speed."""
+"""The roller motors, and the control that holds a roller's surface at the vehicle's speed."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_power_never_exceeds_the_limit_at_any_speed():
             assert torque_Nm * speed_rad_s <= DRIVE.max_power_W * (1 + 1e-12)
 
 
-def test_torque_answers_a_step_with_its_time_constant():
+def test_torque_follows_a_step_with_its_time_constant():
     rig = Rig(10.0, drive={"torque_time_constant_s": 0.02})
     rig.state.motor_torque_demand[:] = (1000.0, -1000.0, 500.0, 0.0)
     run = rig.roll(0.1, demand_Pa=0.0, controlled=False)

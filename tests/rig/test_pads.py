@@ -1,4 +1,4 @@
-"""Brake pads: exactly what they were while nothing varies, energy that goes where it went, heat that acts back."""
+"""Brake pads: no change while nothing varies, the energy balance, and heat that acts back on friction."""
 
 import numpy as np
 import pytest
@@ -20,19 +20,21 @@ VARYING = {
 }
 
 
-def braked(seconds=10.0, **varying):
+def braked(**varying):
+    """Return a dry rig on the track with these losses of its pads."""
     return Rig(30.0, adhesion=DRY, rig=TRACK, pads=varying)
 
 
 def test_pads_that_do_not_vary_change_no_bit_even_when_they_are_computed():
-    rig, forced = braked(), braked()
+    rig = braked()
+    forced = braked()
     forced.params = forced.params._replace(pads=forced.params.pads._replace(vary=True))
-    plain, computed = (one.roll(8.0) for one in (rig, forced))
+    plain = rig.roll(8.0)
+    computed = forced.roll(8.0)
     for name in SLOTS:
         if name != "clamp_pressure":
-            assert np.array_equal(getattr(plain, name), getattr(computed, name), equal_nan=True), (
-                name
-            )
+            equal = np.array_equal(getattr(plain, name), getattr(computed, name), equal_nan=True)
+            assert equal, name
 
 
 def test_all_the_work_of_varying_pads_becomes_heat_and_the_energy_of_the_stop_balances():
@@ -51,24 +53,23 @@ def test_all_the_work_of_varying_pads_becomes_heat_and_the_energy_of_the_stop_ba
 
 
 @pytest.mark.parametrize(
-    ("name", "given"),
+    ("name", "speed_pressure_temperature"),
     [
         ("speed_loss", (40.0, 0.0, 300.0)),
         ("pressure_loss", (0.0, 4e5, 300.0)),
         ("fade_loss", (0.0, 0.0, 900.0)),
     ],
 )
-def test_each_loss_lowers_friction_where_it_acts_and_nowhere_else(name, given):
-    row = Rig(30.0, pads={name: 0.5}).params.pads
-    assert 0.5 < pads.friction_share(*given, row) < 0.8
-    assert pads.friction_share(0.0, 0.0, 300.0, row) == 1.0
+def test_each_loss_lowers_friction_where_it_acts_and_nowhere_else(name, speed_pressure_temperature):
+    constants = Rig(30.0, pads={name: 0.5}).params.pads
+    assert 0.5 < pads.friction_share(*speed_pressure_temperature, constants) < 0.8
+    assert pads.friction_share(0.0, 0.0, 300.0, constants) == 1.0
 
 
-def test_hot_discs_brake_less_and_so_get_less_hot_than_without_fading():
-    plain, fading = (
-        braked(**varying).roll(12.0)
-        for varying in ({}, {k: VARYING[k] for k in VARYING if "fade" in k})
-    )
+def test_hot_discs_brake_less_and_stay_cooler_than_without_fading():
+    fade = {key: value for key, value in VARYING.items() if "fade" in key}
+    plain = braked().roll(12.0)
+    fading = braked(**fade).roll(12.0)
     assert fading.disc_temperature[-1].max() < plain.disc_temperature[-1].max()
     assert fading.brake_torque[4000:9000].mean() < 0.9 * plain.brake_torque[4000:9000].mean()
     assert np.array_equal(plain.brake_torque[:500], fading.brake_torque[:500])
@@ -76,16 +77,16 @@ def test_hot_discs_brake_less_and_so_get_less_hot_than_without_fading():
 
 def test_the_clamp_lags_behind_rising_and_falling_pressure_and_turns_without_a_jump():
     pressure = np.concatenate([np.linspace(0.0, 4e5, 400), np.linspace(4e5, 0.0, 400)])
-    force, felt = 0.0, []
-    for p in pressure:
-        force = pads.clamped(force, p, 0.05)
-        felt.append(force)
-    felt = np.array(felt)
-    np.testing.assert_allclose(felt[:400], 0.95 * pressure[:400], rtol=1e-12)
-    assert np.abs(np.diff(felt)).max() <= 1.06e3
-    np.testing.assert_allclose(felt[450:], 1.05 * pressure[450:], rtol=1e-12, atol=1e-6)
-    # the loop takes work from whoever moves the clamp, and gives none
-    assert np.sum(np.diff(pressure) * 0.5 * (felt[1:] + felt[:-1])) < 0.0
+    clamp = np.empty_like(pressure)
+    last = 0.0
+    for i, pressure_Pa in enumerate(pressure):
+        last = pads.clamped(last, pressure_Pa, 0.05)
+        clamp[i] = last
+    np.testing.assert_allclose(clamp[:400], 0.95 * pressure[:400], rtol=1e-12)
+    assert np.abs(np.diff(clamp)).max() <= 1.06e3
+    np.testing.assert_allclose(clamp[450:], 1.05 * pressure[450:], rtol=1e-12, atol=1e-6)
+    # the loop takes work from the movement of the clamp, and gives none
+    assert np.sum(np.diff(pressure) * 0.5 * (clamp[1:] + clamp[:-1])) < 0.0
 
 
 @pytest.mark.parametrize("name", [name for name in store.names("pads") if name != "constant"])

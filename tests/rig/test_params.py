@@ -1,4 +1,4 @@
-"""The table of parameters and the structures built from it."""
+"""The table of parameters, and the constants built from it."""
 
 import math
 
@@ -10,13 +10,15 @@ from rollerrig.rig import params
 from rollerrig.rig.contact.creep_force import MODELS
 
 ROWS = [(section, row) for section, rows in params.ROWS.items() for row in rows]
-# names of mechanisms follow the report of `explain`, which tells their units
+# the names of mechanisms are those in the report of `explain`, which gives their units
 NUMBERS = [
     (section, row)
     for section, row in ROWS
     if isinstance(row.default, float | int) and section != "mechanisms"
 ]
-NO_FRICTION = params.Friction(*(np.zeros(0, kind) for kind in (bool, float, float, float, int)))
+NO_FRICTION = params.Friction(
+    np.zeros(0, bool), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, int)
+)
 NO_DEMAND = params.Demand(np.zeros(0), np.zeros(0))
 
 
@@ -31,13 +33,12 @@ def build(**sections):
 @pytest.mark.parametrize(("section", "row"), ROWS, ids=ids(ROWS))
 def test_every_parameter_has_a_source_and_a_default_that_is_allowed(section, row):
     assert row.source.strip()
-    assert (
-        params.check({section: {row.name: row.default}}, "here")[section][row.name] == row.default
-    )
+    checked = params.check({section: {row.name: row.default}}, "here")
+    assert checked[section][row.name] == row.default
 
 
 @pytest.mark.parametrize(("section", "row"), NUMBERS, ids=ids(NUMBERS))
-def test_every_number_has_a_unit_or_is_a_pure_one(section, row):
+def test_every_number_has_a_unit_in_its_name_or_is_dimensionless(section, row):
     pure = {
         "poisson",
         "cleaning_creepage",
@@ -110,12 +111,12 @@ def test_a_value_that_is_not_allowed_is_refused_with_place_value_and_bounds(sect
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_whole_number_that_is_not_finite_is_refused_like_any_other(bad):
+def test_a_whole_number_that_is_not_finite_is_refused(bad):
     with pytest.raises(ConfigError, match="teeth"):
         params.check({"sensor": {"teeth": bad}}, "file.toml")
 
 
-def test_an_unknown_key_names_its_likely_meaning():
+def test_the_message_on_an_unknown_key_gives_the_likely_one():
     with pytest.raises(ConfigError, match=r"here \[vehicle\]: unknown key 'mas_kg'.*'mass_kg'"):
         params.check({"vehicle": {"mas_kg": 1.0}}, "here")
 
@@ -133,13 +134,20 @@ def test_a_vehicle_lighter_than_its_running_gear_is_refused():
 
 
 def test_nobody_can_write_a_parameter():
-    built = build()
-    for part in (built, built.vehicle, built.brake, built.drive, built.patch, built.law):
+    constants = build()
+    for part in (
+        constants,
+        constants.vehicle,
+        constants.brake,
+        constants.drive,
+        constants.patch,
+        constants.law,
+    ):
         with pytest.raises(AttributeError):
             setattr(part, part._fields[0], 1.0)
 
 
-def test_wheelsets_stand_behind_the_first_by_wheelbase_and_bogie_distance():
+def test_wheelsets_are_behind_the_first_by_wheelbase_and_bogie_distance():
     np.testing.assert_allclose(build().axle_position_m, [0.0, 2.56, 19.0, 21.56])
 
 
@@ -178,6 +186,6 @@ def test_the_papers_tables_are_the_defaults():
 @pytest.mark.parametrize(
     ("section", "name", "known"), [("contact", "model", MODELS), ("rig", "mode", params.MODES)]
 )
-def test_the_words_of_a_choice_are_those_that_the_code_knows(section, name, known):
+def test_the_choices_of_a_word_are_those_in_the_code(section, name, known):
     (choices,) = (row.choices for row in params.ROWS[section] if row.name == name)
     assert choices == tuple(known)

@@ -12,11 +12,12 @@ from rolling import DRY, FULL_BRAKE_PA, HOLD, LEAVES, NO_RESISTANCE, SOAP, TRACK
 from rollerrig.rig.contact.patch import patch_for
 
 LONGEST_S = 50.0
-MU_SOAP, MU_CLEAN = 0.06, 0.28
+MU_SOAP = 0.06
+MU_CLEAN = 0.28
 
 
-def restless_magnets(seconds, seed=3):
-    """Fill, hold and vent in turn on every axle, each for 50 to 400 ms, 20 s long."""
+def random_magnets(seconds, seed=3):
+    """Return magnets (ticks, 4): 20 s of random patterns on every axle, each for 50 to 400 ms, then none."""
     random = np.random.default_rng(seed)
     rows = np.empty((20_000, 4))
     for axle in range(4):
@@ -28,26 +29,25 @@ def restless_magnets(seconds, seed=3):
 
 
 def stop(mode, law, magnets=0):
+    """Return a rig and its history of a stop from 42.3 m/s."""
     rig = Rig(42.3, adhesion=law, rig=mode)
     return rig, rig.roll(LONGEST_S, magnets)
 
 
 @pytest.fixture(scope="module")
 def stops():
-    restless = restless_magnets(LONGEST_S)
-    return {
-        (where, law): stop(mode, values, magnets)
-        for where, mode in (("track", TRACK), ("rollers", {}))
-        for law, values, magnets in (
-            ("dry", DRY, 0),
-            ("soap", SOAP, 0),
-            ("soap with pulses", SOAP, restless),
-        )
-    }
+    """Return rig and history of six stops by place and law."""
+    pulses = random_magnets(LONGEST_S)
+    runs = {}
+    for where, mode in (("track", TRACK), ("rollers", {})):
+        runs[where, "dry"] = stop(mode, DRY)
+        runs[where, "soap"] = stop(mode, SOAP)
+        runs[where, "soap with pulses"] = stop(mode, SOAP, pulses)
+    return runs
 
 
 def kinetic_J(inertia, speed):
-    """Kinetic energy that is lost from the first to the last sample."""
+    """Return the kinetic energy that is lost from the first to the last sample."""
     return 0.5 * inertia * (speed[0] ** 2 - speed[-1] ** 2)
 
 
@@ -68,7 +68,7 @@ def test_on_the_track_the_energy_of_a_stop_is_sliding_brake_and_resistance_work(
         + run.change("resistance_work")
     )
     assert counted == pytest.approx(lost, rel=1e-6)
-    # the same from what is observed once a tick, without the plant's own counters
+    # the same from the quantities observed once a tick, without the plant's counters
     v = run.vehicle_speed
     resistance_N = vehicle.resistance_A_N + vehicle.resistance_C_N_s2_m2 * v**2
     observed = (
@@ -82,23 +82,24 @@ def test_on_the_track_the_energy_of_a_stop_is_sliding_brake_and_resistance_work(
 @pytest.mark.parametrize("law", LAWS)
 def test_on_rollers_the_energy_of_every_axle_and_of_the_vehicle_balances(stops, law):
     rig, run = stops["rollers", law]
-    vehicle, drive = rig.params.vehicle, rig.params.drive
+    vehicle = rig.params.vehicle
+    drive = rig.params.drive
     lost = kinetic_J(vehicle.wheelset_inertia_kgm2, run.wheel_speed) + kinetic_J(
         drive.roller_inertia_kgm2, run.roller_speed
     )
-    given = run.change("motor_work")
+    supplied = run.change("motor_work")
     taken = run.change("sliding_work") + run.change("brake_work")
-    np.testing.assert_allclose(taken, lost + given, rtol=1e-6)
+    np.testing.assert_allclose(taken, lost + supplied, rtol=1e-6)
     observed = (
         run.integral(run.contact_force_N * run.sliding)
         + run.integral(run.brake_torque * run.wheel_speed)
         - run.integral(run.motor_torque * run.roller_speed)
     )
     np.testing.assert_allclose(observed, lost, atol=1e-3 * taken.max())
+    # the vehicle
     force_N = run.contact_force_N.sum(axis=1)
-    assert run.integral(force_N * run.vehicle_speed) + run.change(
-        "resistance_work"
-    ) == pytest.approx(kinetic_J(vehicle.mass_kg, run.vehicle_speed), rel=1e-3)
+    taken_J = run.integral(force_N * run.vehicle_speed) + run.change("resistance_work")
+    assert taken_J == pytest.approx(kinetic_J(vehicle.mass_kg, run.vehicle_speed), rel=1e-3)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -107,7 +108,7 @@ def test_brake_and_sliding_only_take_energy(stops, where, law):
     _, run = stops[where, law]
     assert np.diff(run.brake_work, axis=0).min() >= 0.0
     assert np.diff(run.resistance_work).min() >= 0.0
-    # where the contact hardly slides, rounding may give back what no meter would show
+    # where the contact hardly slides, rounding may give back a negligible energy
     assert np.diff(run.sliding_work, axis=0).min() > -1e-3
     assert run.brake_torque.min() >= 0.0
 
@@ -118,7 +119,7 @@ def test_a_stop_ends_at_a_clean_standstill(stops, where, law):
     rig, run = stops[where, law]
     assert np.isfinite(run.log).all()
     still = np.flatnonzero(run.standing)
-    assert still.size > 1000, "it has not stopped"
+    assert still.size > 1000, "the vehicle has not stopped"
     rest = slice(still[0], None)
     for name in ("position", "wheel_angle", "roller_angle", "sliding_work", "brake_work"):
         assert np.ptp(getattr(run, name)[rest], axis=0).max() == 0.0, name
@@ -135,19 +136,19 @@ def test_a_stop_ends_at_a_clean_standstill(stops, where, law):
         "brake_torque",
     ):
         assert np.abs(getattr(run, name)[still[0] + 1 :]).max() == 0.0, name
-    # it came there without bouncing, and the bogies pitched back
+    # it stopped without bouncing, and the bogies pitched back
     assert np.diff(run.vehicle_speed).max() < 1e-6
     np.testing.assert_allclose(run.wheel_load[-1], rig.params.vehicle.static_load_N, rtol=1e-6)
 
 
-def test_friction_limits_what_the_contact_gives(stops):
+def test_friction_limits_the_adhesion_of_the_contact(stops):
     for (_, law), (_, run) in stops.items():
         most = 0.7 if law == "dry" else MU_CLEAN / 0.4
         assert 0.0 < np.abs(run.adhesion).max() <= most
         assert (run.adhesion_degraded <= run.adhesion_recovered + 1e-12).all()
 
 
-def test_without_wsp_wheels_lock_on_leaves_slide_far_on_soap_and_none_locks_on_the_dry_rig(stops):
+def test_without_wsp_wheels_lock_on_leaves_and_slide_on_soap_but_not_on_the_dry_rig(stops):
     assert Rig(42.3, adhesion=LEAVES).roll(40.0).longest_lock[-1].min() > 10.0
     # by the paper's law sliding cleans soap until the contact holds the brake
     soap = stops["rollers", "soap"][1]
@@ -165,9 +166,9 @@ def test_a_locked_wheel_recovers_when_the_valve_vents():
         freed.wheel_circumferential_speed[-1], freed.vehicle_speed[-1], rtol=1e-3
     )
     assert (freed.locked_since[-1] == 0.0).all()
-    again = rig.roll(12.0)
-    assert again.vehicle_speed[-1] > 3.0
-    assert (again.wheel_speed[-1] == 0.0).any()
+    braked_again = rig.roll(12.0)
+    assert braked_again.vehicle_speed[-1] > 3.0
+    assert (braked_again.wheel_speed[-1] == 0.0).any()
 
 
 @pytest.mark.parametrize("law", [DRY, SOAP])
@@ -178,9 +179,10 @@ def test_a_roller_of_infinite_radius_is_a_rail(law):
     track = Rig(42.3, adhesion=law, rig=TRACK)
     endless = Rig(42.3, adhesion=law, contact={"roller_radius_m": np.inf})
     assert endless.params.patch == track.params.patch == rail
-    # motors hold the surface at the vehicle's speed, within what rig control can
-    pulses = restless_magnets(20.0)
-    on_track, on_rollers = track.roll(20.0, pulses), endless.roll(20.0, pulses)
+    # motors hold the surface at the vehicle's speed, within the accuracy of rig control
+    pulses = random_magnets(20.0)
+    on_track = track.roll(20.0, pulses)
+    on_rollers = endless.roll(20.0, pulses)
     assert on_rollers.position[-1] == pytest.approx(on_track.position[-1], rel=2e-4)
     assert np.abs(on_rollers.vehicle_speed - on_track.vehicle_speed).max() < 0.05
 
@@ -205,64 +207,70 @@ def test_halving_the_step_quarters_the_error(mode, law, demand_Pa, seconds):
 
 @pytest.mark.parametrize("step_s", [1e-3, 1e-2])
 @pytest.mark.parametrize("law", [DRY, SOAP])
-def test_a_coarse_step_stays_stable_and_near(stops, law, step_s):
+def test_a_coarse_step_stays_stable_and_close(stops, law, step_s):
     _, fine = stops["rollers", "dry" if law is DRY else "soap"]
     coarse = Rig(42.3, step_s, step_s, adhesion=law).roll(LONGEST_S)
     assert np.isfinite(coarse.log).all()
     assert coarse.position[-1] == pytest.approx(fine.position[-1], rel=2e-3)
 
 
-def test_momentum_is_kept_where_nothing_outside_acts():
-    # on the track vehicle and wheelsets, at each rig axle wheelset and roller share one momentum
+def test_momentum_is_constant_without_external_forces():
+    # on the track: vehicle and wheelsets together
     track = Rig(20.0, vehicle=NO_RESISTANCE, rig=TRACK)
     track.state.wheel_speed[:] *= (0.0, 0.5, 0.9, 1.2)
     vehicle = track.params.vehicle
     run = track.roll(2.0, demand_Pa=0.0)
-    kept = (
+    momentum = (
         vehicle.mass_kg * run.vehicle_speed
         + vehicle.wheelset_inertia_kgm2 / vehicle.wheel_radius_m * run.wheel_speed.sum(axis=1)
     )
-    assert np.ptp(kept) < 1e-9 * kept[0]
-    assert np.abs(run.sliding[-1]).max() < 1e-3 < 1.0 < np.abs(run.sliding[1]).min()
+    assert np.ptp(momentum) < 1e-9 * momentum[0]
+    assert np.abs(run.sliding[1]).min() > 1.0
+    assert np.abs(run.sliding[-1]).max() < 1e-3
+
+    # on the rig: wheelset and roller of each axle
     rollers = Rig(20.0, vehicle=NO_RESISTANCE)
     rollers.state.wheel_speed[:] *= (0.0, 0.5, 0.9, 1.2)
     drive = rollers.params.drive
     run = rollers.roll(2.0, demand_Pa=0.0, controlled=False)
-    kept = (
+    momentum = (
         vehicle.wheelset_inertia_kgm2 / vehicle.wheel_radius_m * run.wheel_speed
         + drive.roller_inertia_kgm2 / drive.roller_radius_m * run.roller_speed
     )
-    assert np.ptp(kept, axis=0).max() < 1e-9 * kept.max()
+    assert np.ptp(momentum, axis=0).max() < 1e-9 * momentum.max()
 
 
-def test_friction_that_changes_at_a_place_reaches_every_axle_when_it_stands_there():
+def test_friction_that_changes_at_a_place_reaches_every_axle_at_that_place():
     run = Rig(20.0, friction=[(True, 5.0, 0.10, MU_CLEAN, 0b1111)]).roll(2.5, demand_Pa=0.0)
     behind_m = np.array([0.0, 2.56, 19.0, 21.56])
     arrived = np.argmax(run.friction_degraded == 0.10, axis=0)
-    late_m = run.position[arrived - 1] - (5.0 + behind_m)  # a tick looks where its axles stand
+    # a tick uses the places of the axles at its beginning
+    late_m = run.position[arrived - 1] - (5.0 + behind_m)
     assert late_m.min() >= 0.0
     assert late_m.max() < 0.02
     assert (run.friction_degraded[0] == MU_SOAP).all()
     assert (run.friction_degraded[-1] == 0.10).all()
 
 
-def test_friction_that_changes_in_time_reaches_the_named_axles_at_once():
+def test_friction_that_changes_in_time_reaches_the_given_axles_simultaneously():
     rows = [(False, 0.5, 0.03, 0.2, 0b0100), (False, 0.8, 0.05, 0.25, 0b0110)]
     run = Rig(20.0, friction=rows).roll(1.0)
-    for axle, expected in enumerate([{MU_SOAP}, {MU_SOAP, 0.05}, {MU_SOAP, 0.03, 0.05}, {MU_SOAP}]):
-        assert set(run.friction_degraded[:, axle]) == expected
+    expected = [{MU_SOAP}, {MU_SOAP, 0.05}, {MU_SOAP, 0.03, 0.05}, {MU_SOAP}]
+    for axle in range(4):
+        assert set(run.friction_degraded[:, axle]) == expected[axle]
     first = np.argmax(run.friction_degraded[:, 2] == 0.03)
     assert run.time[first] == pytest.approx(0.501)  # the tick that begins at 0.5 s
     assert set(run.friction_recovered[:, 2]) == {MU_CLEAN, 0.2, 0.25}
 
 
-def test_the_same_run_twice_is_the_same_to_the_last_bit():
-    pulses = restless_magnets(3.0)
-    first, second = (Rig(42.3, adhesion=SOAP).roll(3.0, pulses) for _ in range(2))
+def test_a_repeated_run_is_equal_to_the_last_bit():
+    pulses = random_magnets(3.0)
+    first = Rig(42.3, adhesion=SOAP).roll(3.0, pulses)
+    second = Rig(42.3, adhesion=SOAP).roll(3.0, pulses)
     assert first.log.tobytes() == second.log.tobytes()
 
 
-def test_what_is_switched_off_changes_no_bit():
+def test_settings_without_an_effect_change_no_bit():
     plain = Rig(42.3).roll(2.0)
     same = Rig(
         42.3,
@@ -283,15 +291,15 @@ print(rig.roll(0.03, (0, 1, 3, 0)).log[-1].tolist())
 
 
 def test_the_kernels_are_ordinary_python_and_agree_with_it():
-    found = {}
-    for without in ("0", "1"):
-        done = subprocess.run(
+    states = {}
+    for without_jit in ("0", "1"):
+        process = subprocess.run(
             [sys.executable, "-c", PLAIN],
             cwd=Path(__file__).parent,
             capture_output=True,
             text=True,
-            env=os.environ | {"NUMBA_DISABLE_JIT": without},
+            env=os.environ | {"NUMBA_DISABLE_JIT": without_jit},
             check=True,
         )
-        found[without] = np.array(eval(done.stdout, {"nan": np.nan, "inf": np.inf}))
-    np.testing.assert_allclose(found["1"], found["0"], rtol=1e-11, atol=1e-12)
+        states[without_jit] = np.array(eval(process.stdout, {"nan": np.nan, "inf": np.inf}))
+    np.testing.assert_allclose(states["1"], states["0"], rtol=1e-11, atol=1e-12)

@@ -1,10 +1,10 @@
-"""Wheel flats: as long as the work of one lock makes them, felt once a turn, and none on wheels that stay round."""
+"""Wheel flats: their length follows the work of a lock, they act once a turn, and round wheels have none."""
 
 import math
 
 import numpy as np
 import pytest
-from rolling import Rig
+from rolling import FILL, VENT, Rig
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import free, scenario
@@ -14,22 +14,24 @@ from rollerrig.rig.state import SLOTS
 
 WEAR = {"wear_mm3_J": 0.002}
 ICE = {"mu_cd": 0.03, "tau_m_J": 0.0}
-LOCKING, FREE = 0, 3
+LOCKING = FILL
+FREE = VENT
 
 
 def locked(flats, seconds=3.0, speed_m_s=15.0, **sections):
-    """A rig after a lock of every wheel, and the History of it."""
+    """Return a rig after a lock of every wheel, and the `History` of the lock."""
     rig = Rig(speed_m_s, adhesion=ICE, flats=flats, **sections)
     run = rig.roll(seconds, LOCKING)
     assert (run.wheel_speed[-1] == 0.0).all()
     return rig, run
 
 
-def test_a_flat_has_the_volume_that_the_work_of_its_lock_grinds_off_one_of_two_wheels():
+def test_a_flat_has_the_volume_that_the_work_of_its_lock_grinds_off_one_wheel():
     _, run = locked(WEAR)
     still = run.wheel_speed == 0.0
     for j in range(4):
-        begin = np.argmax(still[:, j]) - 1  # the whole tick in which it locked counts
+        # the whole tick in which the wheel locked counts
+        begin = np.argmax(still[:, j]) - 1
         work_J = 0.5 * (run.sliding_work[-1, j] - run.sliding_work[begin, j])
         volume_m3 = 0.03 * run.flat_length[-1, j] ** 3 / (12.0 * 0.445)
         assert 0.005 < run.flat_length[-1, j] < 0.1
@@ -42,48 +44,45 @@ def test_a_flat_has_the_volume_that_the_work_of_its_lock_grinds_off_one_of_two_w
 def test_a_short_second_lock_does_not_make_the_flat_of_the_first_longer():
     rig, _ = locked(WEAR, 6.0, 25.0)
     before = rig.roll(2.0, FREE).flat_length[-1].copy()
-    again = rig.roll(0.9, LOCKING)
-    assert (again.wheel_speed[-1] == 0.0).all()
-    assert (again.lock_work[-1] > 0.0).all()
-    assert (again.flat_length[-1] == before).all()
+    second = rig.roll(0.9, LOCKING)
+    assert (second.wheel_speed[-1] == 0.0).all()
+    assert (second.lock_work[-1] > 0.0).all()
+    assert (second.flat_length[-1] == before).all()
 
 
 def test_the_load_over_a_flat_falls_and_rises_once_a_turn_and_its_mean_stays():
-    length_m, radius_m = 0.04, 0.445
-    angle = np.linspace(0.0, 2.0 * math.pi, 200_001)
-    share = np.array([wheel_flat.load_share(one, length_m, radius_m, 10.0) for one in angle])
+    length_m = 0.04
+    radius_m = 0.445
+    angles = np.linspace(0.0, 2.0 * math.pi, 200_001)
+    share = np.array([wheel_flat.load_share(x, length_m, radius_m, 10.0) for x in angles])
     assert share.mean() == pytest.approx(1.0, abs=1e-6)
     assert (share.min(), share.max()) == pytest.approx((0.6, 1.4), abs=1e-3)
     assert np.mean(share != 1.0) == pytest.approx(length_m / (2.0 * math.pi * radius_m), rel=1e-2)
     assert wheel_flat.load_share(0.01, 0.0, radius_m, 10.0) == 1.0
-    # the wheel falls in first, then it strikes
-    before, behind = (
-        wheel_flat.load_share(angle, length_m, radius_m, 10.0) for angle in (-0.02, 0.02)
-    )
-    assert before < 1.0 < behind
+    # the wheel drops into the flat first, then it strikes
+    assert wheel_flat.load_share(-0.02, length_m, radius_m, 10.0) < 1.0
+    assert wheel_flat.load_share(0.02, length_m, radius_m, 10.0) > 1.0
 
 
-def test_a_stop_with_flats_felt_balances_its_energy():
-    rig, run = locked(WEAR, rig={"mode": "track"})
-    more = rig.roll(2.0, FREE)
-    loads = more.wheel_load / more.wheel_load[0]
+def test_the_energy_of_a_stop_with_acting_flats_balances():
+    rig, lock = locked(WEAR, rig={"mode": "track"})
+    rolling = rig.roll(2.0, FREE)
+    loads = rolling.wheel_load / rolling.wheel_load[0]
     assert np.abs(loads - 1.0).max() > 0.1
-    begun, ended = run, more
-    lost_J = 0.5 * 43000.0 * (begun.vehicle_speed[0] ** 2 - ended.vehicle_speed[-1] ** 2) + 80.0 * (
-        (begun.wheel_speed[0] ** 2).sum() - (ended.wheel_speed[-1] ** 2).sum()
-    )
+    vehicle_J = 0.5 * 43000.0 * (lock.vehicle_speed[0] ** 2 - rolling.vehicle_speed[-1] ** 2)
+    wheels_J = 80.0 * ((lock.wheel_speed[0] ** 2).sum() - (rolling.wheel_speed[-1] ** 2).sum())
     counted_J = sum(
         history.change("sliding_work").sum()
         + history.change("brake_work").sum()
         + history.change("resistance_work")
-        for history in (begun, ended)
+        for history in (lock, rolling)
     )
-    assert counted_J == pytest.approx(lost_J, rel=1e-6)
+    assert counted_J == pytest.approx(vehicle_J + wheels_J, rel=1e-6)
 
 
 def test_wear_without_a_lock_and_a_lock_without_wear_change_no_bit():
-    rig, with_wear = (Rig(30.0, flats=flats) for flats in ({}, WEAR))
-    plain, worn = (one.roll(3.0, FREE) for one in (rig, with_wear))
+    plain = Rig(30.0).roll(3.0, FREE)
+    worn = Rig(30.0, flats=WEAR).roll(3.0, FREE)
     for name in SLOTS:
         if name != "sliding_work_before":
             assert np.array_equal(getattr(plain, name), getattr(worn, name), equal_nan=True), name
@@ -91,8 +90,8 @@ def test_wear_without_a_lock_and_a_lock_without_wear_change_no_bit():
     assert (run.flat_length == 0.0).all()
 
 
-def test_a_flat_is_noise_at_the_sensor_of_its_own_wheel_alone_and_repeats():
-    told = (
+def test_a_flat_gives_repeatable_noise_only_at_the_sensor_of_its_wheel():
+    settings = (
         "adhesion.mu_cd=0.02",
         "adhesion.tau_m_J=0.0",
         "initial_speed_m_s=12.0",
@@ -102,21 +101,24 @@ def test_a_flat_is_noise_at_the_sensor_of_its_own_wheel_alone_and_repeats():
         "rig=plain_track",
     )
     fault = ("vent_magnet_stuck axle=1 at=3", "vent_magnet_stuck axle=2")
-    plans = [
-        scenario.load("velim_a1", "", (*told, *more), faults=fault)
-        for more in ((), (), ("flats.noise_rad_s_m=0.0",))
-    ]
-    noisy, again, quiet = (free.channels(free.simulate(plan, "none")) for plan in plans)
+
+    def channels(*more):
+        plan = scenario.load("velim_a1", "", (*settings, *more), faults=fault)
+        return free.channels(free.simulate(plan, "none"))
+
+    noisy = channels()
+    repeated = channels()
+    quiet = channels("flats.noise_rad_s_m=0.0")
     turns = noisy["wheel_speed_1_rad_s"] > 1.0
     late = turns & (noisy["time_s"] > 4.0)
     spread = (noisy["measured_speed_1_rad_s"] - noisy["wheel_speed_1_rad_s"])[late].std()
     assert spread == pytest.approx(5.0 * noisy["flat_length_1_m"][-1], rel=0.3)
     assert np.array_equal(noisy["measured_speed_2_rad_s"], noisy["wheel_speed_2_rad_s"])
-    assert np.array_equal(noisy["measured_speed_1_rad_s"], again["measured_speed_1_rad_s"])
+    assert np.array_equal(noisy["measured_speed_1_rad_s"], repeated["measured_speed_1_rad_s"])
     assert np.array_equal(quiet["measured_speed_1_rad_s"], quiet["wheel_speed_1_rad_s"])
 
 
-def test_the_coach_in_3d_refuses_loads_over_flats_and_the_lanes_leave_wear_alone():
+def test_the_coach_in_3d_refuses_loads_over_flats_and_the_lanes_do_not_accept_wear():
     with pytest.raises(ConfigError, match=r"load_1_m.*coach in 3D.*planar"):
         Rig(20.0, vehicle={"model": "multibody"}, flats=WEAR)
     assert not layout.fits(Rig(20.0, flats=WEAR).params)
