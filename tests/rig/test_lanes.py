@@ -1,8 +1,8 @@
 """Every kernel of the lanes against its twin in the plant: random rigs in random states, by seed.
 
-`TWINS` names for each kernel of `rig/lanes` the check that holds it to what the plant does. A kernel
-without one fails, so nobody adds arithmetic to the lanes that the plant does not know. Both write the
-same equations in another order: they agree to 1e-9 of the largest value of a row.
+`TWINS` has a check for each kernel of `rig/lanes`, which compares it with the plant. A kernel without
+a check fails, so the lanes cannot have arithmetic that the plant does not have. Both have the same
+equations in another order: they agree to 1e-9 of the largest value of a row.
 """
 
 import math
@@ -19,8 +19,11 @@ from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.state import AXLES, SLOTS, views
 
-SEEDS, MODES = range(20), ("track", "contaminated_rollers")
+SEEDS = range(20)
+MODES = ("track", "contaminated_rollers")
 CLOSE = 1e-9
+# slots of a stage of a step, not of the state
+OF_A_STAGE = ("wheel_rate", "roller_rate", "instantaneous_transition")
 ORDER = (
     "pneumatics_and_motors",
     "contacts",
@@ -32,8 +35,8 @@ ORDER = (
     "finish",
     "move",
 )
-# what a kernel leaves in its rows, and where the plant has it after the same step
-LEAVES = {
+# rows that a kernel writes, and the slot of the plant's state with the same value after that step
+WRITTEN_ROWS = {
     "pneumatics_and_motors": {
         "DEMAND": "brake_demand",
         "PRESSURE": "cylinder_pressure",
@@ -79,15 +82,15 @@ def gather(w, rig, state):
     layout.gather(w, rig, state)
 
 
-def near(found, wanted, what=""):
-    wanted = np.asarray(wanted, dtype=float)
-    np.testing.assert_allclose(
-        found, wanted, rtol=CLOSE, atol=CLOSE * np.abs(wanted).max(initial=0.0), err_msg=what
-    )
+def assert_close(values, expected, what=""):
+    """Compare to CLOSE, relative to each value and to the largest one."""
+    expected = np.asarray(expected, dtype=float)
+    atol = CLOSE * np.abs(expected).max(initial=0.0)
+    np.testing.assert_allclose(values, expected, rtol=CLOSE, atol=atol, err_msg=what)
 
 
 def random_rig(rng, mode):
-    """A rig that the lanes take, of any mass, brake, wheels and contaminant."""
+    """Return a rig that the lanes accept, of any mass, brake, wheels and contaminant."""
     adhesion_of = {
         "mu_cd": rng.uniform(0.01, 0.15),
         "mu_cr": rng.uniform(0.16, 0.4),
@@ -125,21 +128,28 @@ def random_rig(rng, mode):
     )
 
 
-def shake(rng, rig):
-    """Any state that a run may come to, from micro-slip to a locked wheel; some vehicles stand."""
-    s, p, four = rig.state, rig.params, (4,)
+def set_random_state(rng, rig):
+    """Set any state that a run may reach, from micro-slip to a locked wheel; some vehicles stand."""
+    s = rig.state
+    p = rig.params
+    four = (4,)
     v = 0.0 if rng.random() < 0.1 else 10.0 ** rng.uniform(-3.0, 1.8)
     creepage = 10.0 ** rng.uniform(-6.0, 0.0, four) * rng.choice([1.0, 1.0, 1.0, -1.0], four)
     creepage[rng.random(4) < 0.15] = 1.0  # locked
     radius_m = p.wheels.table[vehicle.RADIUS_M : vehicle.RADIUS_M + 4]
-    s.vehicle_speed[0], s.standing[0] = v, float(v == 0.0)
-    s.roller_speed[:] = (
-        0.0 if p.mode == 0 else v / p.drive.roller_radius_m * rng.uniform(0.95, 1.05, four)
-    )
-    surface_m_s = v if p.mode == 0 else p.drive.roller_radius_m * s.roller_speed
+    s.vehicle_speed[0] = v
+    s.standing[0] = float(v == 0.0)
+    if p.mode == 0:
+        s.roller_speed[:] = 0.0
+        surface_m_s = v
+    else:
+        s.roller_speed[:] = v / p.drive.roller_radius_m * rng.uniform(0.95, 1.05, four)
+        surface_m_s = p.drive.roller_radius_m * s.roller_speed
     s.wheel_speed[:] = np.maximum(0.0, surface_m_s * (1.0 - creepage) / radius_m)
-    s.felt_acceleration[0], s.position[0] = rng.uniform(-3.0, 1.0), rng.uniform(0.0, 1e3)
-    s.brake_demand[0], s.valve[:] = rng.uniform(0.0, 5e5), rng.integers(0, 3, four)
+    s.felt_acceleration[0] = rng.uniform(-3.0, 1.0)
+    s.position[0] = rng.uniform(0.0, 1e3)
+    s.brake_demand[0] = rng.uniform(0.0, 5e5)
+    s.valve[:] = rng.integers(0, 3, four)
     for name, most in (
         ("cylinder_pressure", 5e5),
         ("brake_capacity", 2e4),
@@ -170,9 +180,10 @@ class Case:
         self.vehicles = tuple(rig.params.vehicle for rig in self.rigs)
         self.targets = rng.uniform(0.0, 5e5, RIGS)
         self.w = np.zeros(layout.SIZE)
-        self.before, self.after = [], []
+        self.before = []
+        self.after = []
         for number, rig in enumerate(self.rigs):
-            shake(rng, rig)
+            set_random_state(rng, rig)
             layout.load_constants(self.w, number, rig.params)
             scatter(self.w, number, rig.state, self.targets[number])
             self.before.append(rig.plant.buffer.copy())
@@ -181,61 +192,56 @@ class Case:
             self.after.append(views(buffer))
 
     def row(self, name):
-        """A row of the lanes, (rigs, axles)."""
+        """Return a row of the lanes, (rigs, axles)."""
         at = getattr(layout, name)
         return self.w[at : at + LANES].reshape(RIGS, AXLES)
 
-    def upto(self, name):
+    def run_up_to(self, name):
         """Run the kernels of a step up to the first of this name."""
         for each in ORDER[: ORDER.index(name) + 1]:
-            (getattr(step, each))(
-                *((self.w, self.vehicles) if each in ("predict", "move") else (self.w,))
-            )
-        return self
+            lanes_kernel = getattr(step, each)
+            if each in ("predict", "move"):
+                lanes_kernel(self.w, self.vehicles)
+            else:
+                lanes_kernel(self.w)
 
     def moving(self):
-        """Rigs that move before and after the step."""
+        """Return the rigs that move before and after the step."""
         return [n for n, state in enumerate(self.after) if state.standing[0] == 0.0]
 
 
 def of_the_step(name):
     def check(case):
-        case.upto(name)
-        for row, slot in LEAVES[name].items():
+        case.run_up_to(name)
+        for row, slot in WRITTEN_ROWS[name].items():
             for n in case.moving():
-                near(
-                    case.row(row)[n],
-                    np.broadcast_to(getattr(case.after[n], slot), 4),
-                    f"{name}: {row}",
-                )
+                expected = np.broadcast_to(getattr(case.after[n], slot), 4)
+                assert_close(case.row(row)[n], expected, f"{name}: {row}")
 
     return check
 
 
 def whole_step(case):
     step.step(case.w, case.vehicles)
-    for n, wanted in enumerate(case.after):
-        found = views(case.before[n].copy())
-        gather(case.w, n, found)
+    for n, expected in enumerate(case.after):
+        gathered = views(case.before[n].copy())
+        gather(case.w, n, gathered)
         for name in SLOTS:
-            if name not in (
-                "wheel_rate",
-                "roller_rate",
-                "instantaneous_transition",
-            ):  # of a stage, not of the state
-                near(getattr(found, name), getattr(wanted, name), name)
+            if name not in OF_A_STAGE:
+                assert_close(getattr(gathered, name), getattr(expected, name), name)
 
 
 def round_trip(case):
-    # what the plant's step changes is what the lanes carry there and back
-    for n, wanted in enumerate(case.after):
-        scatter(case.w, n, wanted, 0.0)
-        found = views(case.before[n].copy())
-        gather(case.w, n, found)
-        found.air_consumption[0] = wanted.air_consumption[0]  # the lanes count what is added
+    # the lanes carry everything that a step of the plant changes
+    for n, expected in enumerate(case.after):
+        scatter(case.w, n, expected, 0.0)
+        gathered = views(case.before[n].copy())
+        gather(case.w, n, gathered)
+        # the lanes count only the air of the tick
+        gathered.air_consumption[0] = expected.air_consumption[0]
         for name in SLOTS:
-            if name not in ("wheel_rate", "roller_rate", "instantaneous_transition"):
-                assert np.array_equal(getattr(found, name), getattr(wanted, name)), name
+            if name not in OF_A_STAGE:
+                assert np.array_equal(getattr(gathered, name), getattr(expected, name)), name
 
 
 def constants(case):
@@ -254,15 +260,14 @@ def constants(case):
                 mu_cd=rig.state.friction_degraded[j], mu_cr=rig.state.friction_recovered[j]
             )
             assert layout.law_of_lane(case.w, n * AXLES + j) == expected
-            near(
-                case.row("STATIC_N")[n, j] - 2.0 * case.row("TRANSFER_KG")[n, j],
-                vehicle.load(j, 2.0, p.vehicle),
-            )
+            load_N = case.row("STATIC_N")[n, j] - 2.0 * case.row("TRANSFER_KG")[n, j]
+            assert_close(load_N, vehicle.load(j, 2.0, p.vehicle))
 
 
 def force_of(case, n, j):
-    """(T, secant slope) of an axle at the beginning of the step, by `wheelset`."""
-    s, p = views(case.before[n]), case.rigs[n].params
+    """Return (T, secant slope) of an axle at the beginning of the step, by `wheelset`."""
+    s = views(case.before[n])
+    p = case.rigs[n].params
     surface = s.vehicle_speed[0] if p.mode == 0 else p.drive.roller_radius_m * s.roller_speed[j]
     sliding = surface - p.wheels.table[vehicle.RADIUS_M + j] * s.wheel_speed[j]
     at = max(abs(sliding), wheelset.SMALL_M_S)
@@ -282,23 +287,25 @@ def force_of(case, n, j):
 
 def of_the_contacts(name):
     def check(case):
-        case.upto(name)
+        case.run_up_to(name)
         inside = 0
         for n in case.moving():
             for j in range(AXLES):
-                slope = force_of(case, n, j)[1]
-                near(step.exact_slope(case.w, AXLES * n + j), slope)
+                _, slope = force_of(case, n, j)
+                assert_close(step.exact_slope(case.w, AXLES * n + j), slope)
                 if name != "contacts" or case.row("INSIDE")[n, j]:
                     inside += 1
-                    near(case.row("SLOPE")[n, j], slope)
+                    assert_close(case.row("SLOPE")[n, j], slope)
         assert inside > 2 * len(case.moving())
 
     return check
 
 
 def stages_of(case, n, j):
-    """Slopes, pull and acting brake of the first stage, by `wheelset`."""
-    s, after, p = views(case.before[n]), case.after[n], case.rigs[n].params
+    """Return slopes, pull and acting brake of the first stage, by `wheelset`."""
+    s = views(case.before[n])
+    after = case.after[n]
+    p = case.rigs[n].params
     T, g = force_of(case, n, j)
     wheel_k, brake_Nm, locked = wheelset.wheel_acceleration(
         s.wheel_speed[j], T, s.brake_capacity[j], j, p.wheels
@@ -307,7 +314,7 @@ def stages_of(case, n, j):
     wheel_k, roller_k, added_N = wheelset.implicit_slopes(
         wheel_k, roller_k, max(g, 0.0), locked, p.mode == 0, p.step_s, j, p.wheels, p.drive
     )
-    near((wheel_k, roller_k), (after.wheel_rate[j], after.roller_rate[j]))
+    assert_close((wheel_k, roller_k), (after.wheel_rate[j], after.roller_rate[j]))
     return wheel_k, roller_k, T + added_N, brake_Nm
 
 
@@ -317,41 +324,43 @@ def stage(w, j, wheel, brake_Nm, motor_Nm):
 
 
 def one_stage(case):
-    case.upto("contacts_outside_domain")
+    case.run_up_to("contacts_outside_domain")
     for n in case.moving():
         s = views(case.before[n])
         for j in range(AXLES):
-            found = stage(
+            result = stage(
                 case.w, AXLES * n + j, s.wheel_speed[j], s.brake_capacity[j], s.motor_before[j]
             )
-            near(found, stages_of(case, n, j))
+            assert_close(result, stages_of(case, n, j))
 
 
 def prediction(case):
-    case.upto("predict")
+    case.run_up_to("predict")
     for n in case.moving():
-        s, p = views(case.before[n]), case.rigs[n].params
-        v, felt, h = s.vehicle_speed[0], s.felt_acceleration[0], p.step_s
-        held_N = vehicle.resistance(v, p.vehicle) + sum(
-            stages_of(case, n, j)[2] for j in range(AXLES)
-        )
-        near(step.total(case.w, AXLES * n, 0.0) + vehicle.resistance(v, p.vehicle), held_N)
-        rate = -held_N / p.vehicle.mass_kg
-        near(case.row("V_END")[n], np.full(4, v + h * rate))
-        near(
-            case.row("FELT_END")[n],
-            np.full(4, felt + h * (rate - felt) / p.vehicle.pitch_time_constant_s),
-        )
+        s = views(case.before[n])
+        p = case.rigs[n].params
+        v = s.vehicle_speed[0]
+        felt = s.felt_acceleration[0]
+        h = p.step_s
+        resistance_N = vehicle.resistance(v, p.vehicle)
+        pulls_N = sum(stages_of(case, n, j)[2] for j in range(AXLES))
+        braking_N = resistance_N + pulls_N
+        assert_close(step.total(case.w, AXLES * n, 0.0) + resistance_N, braking_N)
+        rate = -braking_N / p.vehicle.mass_kg
+        felt_end = felt + h * (rate - felt) / p.vehicle.pitch_time_constant_s
+        assert_close(case.row("V_END")[n], np.full(4, v + h * rate))
+        assert_close(case.row("FELT_END")[n], np.full(4, felt_end))
 
 
 def standstill(case):
     for n, rig in enumerate(case.rigs):
         step.broadcast(case.w, layout.V, AXLES * n, 0.001)
         step.settle(case.w, AXLES * n)
-        rig.state.standing[0], rig.state.vehicle_speed[0] = 0.0, 0.001
+        rig.state.standing[0] = 0.0
+        rig.state.vehicle_speed[0] = 0.001
         vehicle.settle(rig.state)
-        found = views(case.before[n].copy())
-        gather(case.w, n, found)
+        gathered = views(case.before[n].copy())
+        gather(case.w, n, gathered)
         for name in (
             "vehicle_speed",
             "vehicle_acceleration",
@@ -361,7 +370,7 @@ def standstill(case):
             "brake_torque",
             "standing",
         ):
-            assert np.array_equal(getattr(found, name), getattr(rig.state, name)), name
+            assert np.array_equal(getattr(gathered, name), getattr(rig.state, name)), name
 
 
 TWINS = {
@@ -377,29 +386,28 @@ TWINS = {
     "step.exact_slope": of_the_contacts("contacts"),
     "step.contacts": of_the_contacts("contacts"),
     "step.contacts_outside_domain": of_the_contacts("contacts_outside_domain"),
-    **{f"step.{name}": of_the_step(name) for name in LEAVES},
+    **{f"step.{name}": of_the_step(name) for name in WRITTEN_ROWS},
 }
 
 
 def test_every_kernel_of_the_lanes_has_a_twin():
-    kernels = {
-        f"{module.__name__.rpartition('.')[2]}.{name}"
-        for module in (layout, step)
-        for name, one in vars(module).items()
-        if isinstance(one, Dispatcher) and one.py_func.__module__ == module.__name__
-    }
+    kernels = set()
+    for module in (layout, step):
+        short = module.__name__.rpartition(".")[2]
+        for name, value in vars(module).items():
+            if isinstance(value, Dispatcher) and value.py_func.__module__ == module.__name__:
+                kernels.add(f"{short}.{name}")
     assert kernels == set(TWINS)
 
 
-def test_the_kernels_of_a_step_are_held_to_the_plant_in_their_order():
-    called = step.step.py_func.__code__.co_names
-    assert tuple(dict.fromkeys(name for name in called if hasattr(step, name))) == tuple(
-        dict.fromkeys(ORDER)
-    )
+def test_the_kernels_of_a_step_are_checked_in_their_order():
+    names = step.step.py_func.__code__.co_names
+    called = [name for name in names if hasattr(step, name)]
+    assert list(dict.fromkeys(called)) == list(dict.fromkeys(ORDER))
 
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", TWINS)
-def test_a_kernel_does_what_its_twin_in_the_plant_does(name, mode):
+def test_a_kernel_of_the_lanes_agrees_with_its_twin_in_the_plant(name, mode):
     for seed in SEEDS:
         TWINS[name](Case(seed, mode))

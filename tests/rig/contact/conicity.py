@@ -1,9 +1,9 @@
 """Equivalent conicity: the cone on which a wheelset would run with the same wavelength.
 
-A wheelset shifted sideways stands on two rolling radii; their difference steers it back. It is laid
-down so that both wheels just touch, the difference is tabulated over the shift, and the wavelength
-of the motion of a given amplitude follows by integration. A cone of the same wavelength has the
-equivalent conicity.
+A wheelset that is shifted sideways rolls on two different radii, and their difference steers it back.
+Here it is laid down so that both wheels just touch. The difference is tabulated over the shift. The
+wavelength of the motion of a given amplitude follows by integration. A cone with the same wavelength
+has the equivalent conicity.
 
 [E1] y'' = -dr(y) / (e r0), e between the running circles, dr = r_left - r_right for a shift y
 [E2] lambda = 4 int_0^A dy / sqrt(2 (V(A) - V(y))), V = int dr / (e r0) dy
@@ -27,10 +27,11 @@ def settle(
 ) -> tuple[float, float, np.ndarray, np.ndarray]:
     """Lay a wheelset shifted by y_m (left positive) down on both rails.
 
-    Returns its height in m, its roll in rad, and the contacts of the left and the right wheel, the
-    nearest one as a row of `geometry.COLUMNS`.
+    Returns its height in m, its roll in rad, and the deepest contact of the left and of the right
+    wheel, each a row of `geometry.COLUMNS`.
     """
-    z, roll = float(wheel.fine[int(-wheel.start_m / wheel.spacing_m), 0]), 0.0
+    z = float(wheel.fine[int(-wheel.start_m / wheel.spacing_m), 0])
+    roll = 0.0
     for _ in range(_STEPS):
         left = geometry.contacts((0.0, y_m, z, roll, 0.0, 0.0), wheel, rail, roller_m)[0]
         right = geometry.contacts((0.0, -y_m, z, -roll, 0.0, 0.0), wheel, rail, roller_m)[0]
@@ -39,7 +40,8 @@ def settle(
         arm_right = right[geometry.Y] * right[geometry.NZ] - right[geometry.Z] * right[geometry.NY]
         system = np.array(((left[geometry.NZ], arm_left), (right[geometry.NZ], -arm_right)))
         move = np.linalg.solve(system, -np.array((left[geometry.GAP], right[geometry.GAP])))
-        z, roll = z + move[0], roll + move[1]
+        z = z + move[0]
+        roll = roll + move[1]
         if np.abs(move).max() < 1e-10:
             break
     return z, roll, left, right
@@ -48,7 +50,7 @@ def settle(
 def radius_difference(
     shifts_m: np.ndarray, wheel: Wheel, rail: Rail, roller_m: float = math.inf
 ) -> np.ndarray:
-    """Rolling radius of the left wheel less that of the right one, in m, over the shifts."""
+    """Return the rolling radius of the left wheel less that of the right one, in m, over the shifts."""
     differences = []
     for shift in shifts_m:
         _, _, left, right = settle(float(shift), wheel, rail, roller_m)
@@ -59,13 +61,13 @@ def radius_difference(
 def equivalent(
     amplitude_m: float, wheel: Wheel, rail: Rail, roller_m: float = math.inf, points: int = 61
 ) -> float:
-    """Equivalent conicity tan gamma_e at an amplitude in m [E1 to E3].
+    """Return the equivalent conicity tan gamma_e at an amplitude in m [E1 to E3].
 
     Raises ValueError where the wheelset is not steered back over the whole amplitude.
     """
     shifts = np.linspace(0.0, amplitude_m, points)
     steering = radius_difference(shifts, wheel, rail, roller_m)
-    # y = A sin(t) takes the singularity at the turning point away
+    # y = A sin(t) removes the singularity at the turning point
     t = (np.arange(4000) + 0.5) * (0.5 * math.pi / 4000)
     y = amplitude_m * np.sin(t)
     fine = np.linspace(0.0, amplitude_m, 20001)

@@ -12,17 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paper_law import TABLE_4
 from scipy.special import lambertw
 
 from rollerrig.rig.contact import adhesion, polach
-from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import patch_for
 
 DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)  # relative only: many values here are small
 MATERIAL = (2.1e11, 8.0e10, 0.3)
 RAIL = patch_for(0.445, math.inf, 0.3, *MATERIAL)
-TABLE_4 = Law(0.06, 0.28, 0.40, 0.40, 0.20, 0.60, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
 SPOILING = TABLE_4._replace(mu_cd=0.28, mu_cr=0.06)
 LOAD = 52.7e3
 SLIDING = [0.0, 1e-9, 1e-3, 0.02, 0.3, 1.0, 3.0, 6.0, 12.0, 40.0]
@@ -36,13 +35,20 @@ def table():
 
 
 def solved(f_d, f_r, k):
-    """Eq. 15 for y = k f: by Newton from k f_r, monotone for f_d <= f_r; else by bisection."""
+    """Return the f of eq. 15, solved for y = k f.
+
+    Newton's method from k f_r is monotone for f_d <= f_r; otherwise bisection is used.
+    """
     D = f_r - f_d
     if D < 0.0:
-        low, high = k * f_r, k * f_d
+        low = k * f_r
+        high = k * f_d
         for _ in range(100):
             y = 0.5 * (low + high)
-            low, high = (y, high) if k * f_r - k * D * math.exp(-y) > y else (low, y)
+            if k * f_r - k * D * math.exp(-y) > y:
+                low = y
+            else:
+                high = y
         return 0.5 * (low + high) / k
     y = k * f_r
     for _ in range(100):
@@ -54,7 +60,7 @@ def solved(f_d, f_r, k):
 
 
 def exact_w0(x):
-    """W0 to 40 digits, by Newton in decimal arithmetic from above the root."""
+    """Return W0 to 40 digits, by Newton's method in decimal arithmetic from above the root."""
     with localcontext() as context:
         context.prec = 50
         x = Decimal(x)
@@ -79,25 +85,24 @@ def test_table_4_is_met_to_its_printed_digits():
         f, f_d, f_r, lambda_, work, _ = adhesion.wheel_adhesion(
             row["s_m_s"], row["v_m_s"], LOAD, RAIL, TABLE_4
         )
-        got = (f_d, f_r, f, lambda_, work, TABLE_4.tau_m_J * work, f * LOAD)
-        assert got == near([row[name] for name in columns], rel=5.1e-8)
+        results = (f_d, f_r, f, lambda_, work, TABLE_4.tau_m_J * work, f * LOAD)
+        assert results == near([row[name] for name in columns], rel=5.1e-8)
 
 
 def test_the_friction_of_table_4_is_met():
     for row in table():
-        got = [
-            polach.friction(row["s_m_s"], mu_c, 0.4, gamma)
-            for mu_c, gamma in ((0.06, 0.2), (0.28, 0.6))
-        ]
-        assert got == near([row["mu_d"], row["mu_r"]], rel=5.1e-8)
+        degraded = polach.friction(row["s_m_s"], 0.06, 0.4, 0.2)
+        recovered = polach.friction(row["s_m_s"], 0.28, 0.4, 0.6)
+        assert degraded == near(row["mu_d"], rel=5.1e-8)
+        assert recovered == near(row["mu_r"], rel=5.1e-8)
 
 
 def test_adhesion_dips_where_falling_friction_outweighs_recovery():
     f = [
         adhesion.wheel_adhesion(s, 40.0, LOAD, RAIL, TABLE_4)[0] for s in np.arange(0.5, 15.0, 0.1)
     ]
-    dip = 0.5 + 0.1 * (20 + int(np.argmin(f[20:])))
-    assert 5.0 < dip < 7.0
+    dip_m_s = 0.5 + 0.1 * (20 + int(np.argmin(f[20:])))
+    assert 5.0 < dip_m_s < 7.0
     assert max(f[:20]) > min(f[20:]) < f[-1]
 
 
@@ -128,14 +133,14 @@ def test_the_closed_form_agrees_with_an_independent_solver_for_random_and_extrem
         assert adhesion.recovery(f_d, f_r, k)[0] == near(solved(f_d, f_r, k), rel=1e-10)
 
 
-def test_the_root_keeps_its_digits_where_lamberts_function_is_singular():
+def test_the_root_keeps_its_digits_at_the_branch_point_of_lamberts_function():
     # f_d -> 0 with k f_r = 1: here k f = sqrt(2 k f_d) to leading order
     for f_d in (1e-8, 1e-12, 1e-16, 1e-20):
         f = adhesion.recovery(f_d, 0.25, 4.0)[0]
         assert 4.0 * f == near(math.sqrt(8.0 * f_d), rel=math.sqrt(8.0 * f_d) + 1e-6)
 
 
-def test_little_adhesion_keeps_its_digits_beside_a_large_recovered_one():
+def test_a_small_degraded_adhesion_keeps_its_digits_next_to_a_large_recovered_one():
     # to first order in f_d: f = f_d / (1 - k D)
     for f_d, k in product((1e-14, 1e-10), (1e-9, 1e-3, 1.0, 3.0)):
         f, lambda_ = adhesion.recovery(f_d, 0.3, k)
@@ -161,7 +166,7 @@ def test_without_degraded_adhesion_nothing_recovers_before_k_f_r_is_one():
         assert adhesion.recovery(0.0, 0.25, k)[0] == near(solved(0.0, 0.25, k), rel=1e-12)
 
 
-def test_endless_energy_gives_full_recovery():
+def test_unlimited_energy_gives_full_recovery():
     for k in (1e6, 1e30, math.inf):
         assert adhesion.recovery(0.1, 0.3, k) == (near(0.3, rel=1e-15), 1.0)
         assert adhesion.recovery(0.3, 0.1, k) == (0.1, 1.0)
@@ -184,8 +189,8 @@ def test_w0_agrees_with_scipy():
             -(10.0 ** random.uniform(-300.0, -0.45, 2000)),
         )
     )
-    got = np.array([adhesion.lambert_w0(value) for value in x])
-    assert got == near(lambertw(x).real, rel=1e-14)
+    w = np.array([adhesion.lambert_w0(value) for value in x])
+    assert w == near(lambertw(x).real, rel=1e-14)
 
 
 def test_w0_agrees_with_decimal_arithmetic_down_to_its_branch_point():
@@ -211,8 +216,8 @@ def test_w0_is_exact_at_its_known_points():
 
 def test_w0_inverts_w_exp_w_and_never_decreases():
     w = np.concatenate((-1.0 + np.geomspace(0.05, 1.0, 300), np.geomspace(1e-12, 700.0, 300)))
-    got = np.array([adhesion.lambert_w0(value * math.exp(value)) for value in w])
-    assert got == pytest.approx(w, rel=1e-13, abs=1e-15)
+    inverted = np.array([adhesion.lambert_w0(value * math.exp(value)) for value in w])
+    assert inverted == pytest.approx(w, rel=1e-13, abs=1e-15)
     x = np.concatenate((np.linspace(-1.0 / math.e, 0.1, 3001), np.geomspace(0.1, 1e308, 3000)))
     values = np.array([adhesion.lambert_w0(value) for value in x])
     assert (np.diff(values) >= -1e-15 * np.abs(values[1:])).all()
@@ -265,10 +270,11 @@ def test_the_limits_are_polachs_force_at_the_patch_of_the_load():
         _, f_d, f_r, _, _, _ = adhesion.wheel_adhesion(sliding, speed, load, RAIL, TABLE_4)
         a_m, b_m = RAIL.a1 * load ** (1 / 3), RAIL.b1 * load ** (1 / 3)
         unit = polach.eps_per_creepage(a_m, b_m, RAIL.c11, RAIL.shear_Pa, load)
-        for got, mu_c, gamma, k_a, k_s in ((f_d, 0.06, 0.2, 0.3, 0.1), (f_r, 0.28, 0.6, 1.0, 0.4)):
+        curves = ((f_d, 0.06, 0.2, 0.3, 0.1), (f_r, 0.28, 0.6, 1.0, 0.4))
+        for f, mu_c, gamma, k_a, k_s in curves:
             mu = polach.friction(sliding, mu_c, 0.4, gamma)
-            wanted = mu * polach.shape(unit * sliding / speed / mu, k_a, k_s)[0]
-            assert got == near(wanted, rel=1e-13)
+            expected = mu * polach.shape(unit * sliding / speed / mu, k_a, k_s)[0]
+            assert f == near(expected, rel=1e-13)
 
 
 @pytest.mark.parametrize("law", [TABLE_4, SPOILING, TABLE_4._replace(tau_m_J=0.0)])
@@ -319,11 +325,11 @@ def test_infinite_and_zero_inputs_give_no_nan():
         assert not np.isnan(adhesion.recovery(f_d, f_r, k)).any()
 
 
-@pytest.mark.parametrize("broken", [0, 1, 2])
-def test_a_broken_measurement_is_not_hidden(broken):
-    given = [1.0, 20.0, LOAD]
-    given[broken] = math.nan
-    assert math.isnan(adhesion.wheel_adhesion(*given, RAIL, TABLE_4)[0])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_nan_input_gives_a_nan_adhesion(place):
+    inputs = [1.0, 20.0, LOAD]
+    inputs[place] = math.nan
+    assert math.isnan(adhesion.wheel_adhesion(*inputs, RAIL, TABLE_4)[0])
 
 
 @pytest.mark.parametrize(
@@ -338,45 +344,48 @@ def test_a_broken_measurement_is_not_hidden(broken):
         ("poisson", 0.6),
     ],
 )
-def test_an_impossible_patch_is_refused_by_name(name, value):
-    given = dict(
-        wheel_radius_m=0.445,
-        roller_radius_m=1.0,
-        lateral_radius_m=0.3,
-        young_Pa=2.1e11,
-        shear_Pa=8.0e10,
-        poisson=0.3,
-    )
+def test_an_impossible_patch_is_refused_with_the_parameter(name, value):
+    parameters = {
+        "wheel_radius_m": 0.445,
+        "roller_radius_m": 1.0,
+        "lateral_radius_m": 0.3,
+        "young_Pa": 2.1e11,
+        "shear_Pa": 8.0e10,
+        "poisson": 0.3,
+    }
+    parameters[name] = value
     with pytest.raises(ValueError, match=f"{name} = {value!r}; must be"):
-        patch_for(**{**given, name: value})
+        patch_for(**parameters)
 
 
 PLAIN = """
 import math
+from paper_law import TABLE_4
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import patch_for
-law = adhesion.Law(0.06, 0.28, 0.40, 0.40, 0.20, 0.60, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
+laws = (TABLE_4, TABLE_4._replace(mu_cd=0.28, mu_cr=0.06), TABLE_4._replace(mu_cd=0.0))
 for radius in (math.inf, 0.5):
     patch = patch_for(0.445, radius, 0.3, 2.1e11, 8.0e10, 0.3)
     for sliding in (0.0, 1e-3, -0.3, 3.0, 12.0, math.inf):
         for speed in (0.0, 5.0, 40.0):
             for load in (0.0, 52.7e3, math.inf):
-                for one in (law, law._replace(mu_cd=0.28, mu_cr=0.06), law._replace(mu_cd=0.0)):
-                    print(*adhesion.wheel_adhesion(sliding, speed, load, patch, one))
+                for law in laws:
+                    print(*adhesion.wheel_adhesion(sliding, speed, load, patch, law))
 """
 
 
 def test_plain_python_agrees_with_the_compiled_kernels():
     def run(disabled):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": disabled}
-        answer = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", PLAIN],
+            cwd=Path(__file__).parent,
             env=environment,
             check=True,
             capture_output=True,
             text=True,
         )
-        return np.array([line.split() for line in answer.stdout.splitlines()], dtype=float)
+        return np.array([line.split() for line in process.stdout.splitlines()], dtype=float)
 
     compiled = run("0")
     assert compiled.shape == (324, 6)

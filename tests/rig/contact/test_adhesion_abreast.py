@@ -1,7 +1,8 @@
-"""The law for several wheels at once against the law itself."""
+"""The vectorised law against the law itself."""
 
 import numpy as np
 import pytest
+from paper_law import TABLE_4
 
 from rollerrig.rig.compiled import vector_math
 from rollerrig.rig.compiled.kernel import kernel
@@ -44,7 +45,7 @@ def adhesion_of(sliding, speed, load, patch, law):
 def laws():
     for mu_cd in (0.01, 0.03, 0.06, 0.12, 0.25):
         for tau_m_J in (0.0, 1e-6, 1.9e-4, 5e-3):
-            yield adhesion.Law(mu_cd, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, tau_m_J)
+            yield TABLE_4._replace(mu_cd=mu_cd, tau_m_J=tau_m_J)
 
 
 def contacts():
@@ -61,24 +62,25 @@ def test_within_its_domain_the_fast_law_is_the_law(law):
         f, _, trusted = adhesion_of(sliding, speed, load, PATCH, law)
         if trusted:
             inside += 1
-            assert f == pytest.approx(
-                adhesion.wheel_adhesion(sliding, speed, load, PATCH, law)[0], rel=2e-12
-            )
+            expected = adhesion.wheel_adhesion(sliding, speed, load, PATCH, law)[0]
+            assert f == pytest.approx(expected, rel=2e-12)
     assert inside > 300
 
 
 def test_a_contaminant_that_sliding_makes_worse_is_outside_the_domain():
-    law = adhesion.Law(0.28, 0.06, 0.4, 0.4, 0.2, 0.2, 1.0, 0.4, 0.3, 0.1, 1.9e-4)
+    law = TABLE_4._replace(
+        mu_cd=0.28, mu_cr=0.06, gamma_r_s_m=0.2, k_ad=1.0, k_sd=0.4, k_ar=0.3, k_sr=0.1
+    )
     assert adhesion_of(1.0, 30.0, 5e4, PATCH, law)[2] == 0.0
 
 
-def test_nonsense_is_outside_the_domain():
+def test_nan_is_outside_the_domain():
     law = next(laws())
     assert adhesion_of(np.nan, 30.0, 5e4, PATCH, law)[2] == 0.0
 
 
 @pytest.mark.parametrize(
-    ("ours", "theirs", "x"),
+    ("function", "reference", "x"),
     [
         (
             exponential,
@@ -93,12 +95,12 @@ def test_nonsense_is_outside_the_domain():
         ),
     ],
 )
-def test_the_functions_agree_with_the_library_to_the_last_digits(ours, theirs, x):
-    found = np.array([ours(float(one)) for one in x])
-    assert np.abs(found / theirs(x) - 1.0).max() < 5e-16
+def test_the_functions_agree_with_the_library_to_the_last_digits(function, reference, x):
+    values = np.array([function(float(value)) for value in x])
+    assert np.abs(values / reference(x) - 1.0).max() < 5e-16
 
 
 def test_the_cube_root_holds_over_its_range():
     u = np.linspace(fast.LIGHTER, fast.HEAVIER, 3000)
-    found = np.array([inverse_cube_root(float(one)) for one in u])
-    assert np.abs(found * np.cbrt(u) - 1.0).max() < 1e-14
+    roots = np.array([inverse_cube_root(float(value)) for value in u])
+    assert np.abs(roots * np.cbrt(u) - 1.0).max() < 1e-14

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paper_law import TABLE_4
 
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig import wheelset
@@ -17,7 +18,7 @@ from rollerrig.rig.contact.patch import patch_for
 
 DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)
-LAW = adhesion.Law(0.06, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
+LAW = TABLE_4
 CLEAN = LAW._replace(mu_cd=0.3, A_d=1.0, k_ad=1.0, k_sd=1.0, mu_cr=0.3, A_r=1.0, k_sr=1.0)
 N = 52_700.0
 PATCHES = tuple(
@@ -49,7 +50,7 @@ def test_without_spin_each_model_stays_within_0_08_mu_N_of_contact(model):
 
 @each_model
 @each_patch
-def test_at_vanishing_creepage_all_are_kalkers(model, patch):
+def test_at_vanishing_creepage_every_force_is_kalkers(model, patch):
     size = math.sqrt(patch.a1 * patch.b1) * N ** (1 / 3)
     unit = patch.shear_Pa * size**2
     assert force(model, 1e-8, 0, 0, patch)[0] == near(-unit * patch.c11 * 1e-8, rel=0.02)
@@ -60,7 +61,7 @@ def test_at_vanishing_creepage_all_are_kalkers(model, patch):
 @each_model
 @each_patch
 def test_large_creepage_slides_at_the_friction_limit(model, patch):
-    # Polach's arctangent comes near it only as 1 / eps
+    # Polach's arctangent approaches the limit only as 1 / eps
     fx, fy, mz = force(model, 0.3, 0.4, 0.0, patch)
     size = math.sqrt(patch.a1 * patch.b1) * N ** (1 / 3)
     assert math.hypot(fx, fy) == near(0.3 * N, rel=0.02)
@@ -135,7 +136,7 @@ def test_in_two_directions_and_with_spin_the_energy_equation_holds():
         assert 0.0 <= lambda_ <= 1.0
 
 
-def test_polach_with_spin_stays_as_near_contact_as_its_source():
+def test_polach_with_spin_stays_as_close_to_contact_as_in_its_source():
     patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
     distances = []
     for row in contact_curves():
@@ -150,7 +151,7 @@ def test_polach_with_spin_stays_as_near_contact_as_its_source():
     assert max(distances) < 0.47
 
 
-def test_spin_within_the_creepage_it_opposes_is_not_added():
+def test_spin_that_reduces_the_creepage_is_not_added():
     assert polach_spin.corrected(0.01, -0.005) == 0.01
     assert polach_spin.corrected(0.01, 0.005) == near(0.015)
     assert polach_spin.corrected(-0.01, -0.005) == near(-0.015)
@@ -182,6 +183,7 @@ def test_an_unknown_model_is_refused_with_the_allowed_ones():
         scenario.load("velim_a1", settings=("contact.model=fastsimm",))
 
 
-def test_the_grid_of_fastsim_comes_with_the_patch():
-    coarse, fine = (PATCHES[0]._replace(cells=n) for n in (4, 60))
+def test_the_patch_has_the_grid_of_fastsim():
+    coarse = PATCHES[0]._replace(cells=4)
+    fine = PATCHES[0]._replace(cells=60)
     assert force(FASTSIM, 2e-3, 0, 1.0, coarse)[0] != force(FASTSIM, 2e-3, 0, 1.0, fine)[0]

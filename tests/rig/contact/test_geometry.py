@@ -1,4 +1,4 @@
-"""Contact points against a rigid-contact table that others computed, and against their own laws."""
+"""Contact points against a published table of rigid contact, and against the equations of contact."""
 
 import math
 from pathlib import Path
@@ -25,15 +25,17 @@ from rollerrig.rig.contact.geometry import (
 )
 
 DATA = Path(__file__).parents[2] / "data"
-WHEEL, RAIL = profiles.s1002(), profiles.uic60()
-# y_ws, roll, s_R, s_L, Y_R, Y_L, r_R, r_L, z in mm and rad; its right is +y, ours is the mirror image
+WHEEL = profiles.s1002()
+RAIL = profiles.uic60()
+# columns y_ws, roll, s_R, s_L, Y_R, Y_L, r_R, r_L, z in mm and rad; there the right side is +y, here
+# the left one
 RIGID = np.genfromtxt(DATA / "rigid_contact_s1002_uic60_1in20.csv", delimiter=",", skip_header=1)
 
 
 def _deepest(y_m, z_m, roll, side, roller_m=math.inf, yaw=0.0, x_m=0.0):
-    return geometry.contacts(
-        (x_m, side * y_m, z_m, side * roll, 0.0, side * yaw), WHEEL, RAIL, roller_m
-    )[0]
+    """Return the deepest contact of one wheel; side -1 is the mirror image."""
+    pose = (x_m, side * y_m, z_m, side * roll, 0.0, side * yaw)
+    return geometry.contacts(pose, WHEEL, RAIL, roller_m)[0]
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -49,35 +51,34 @@ def test_contact_points_are_those_of_the_rigid_contact_table(side):
 
 
 @pytest.mark.parametrize("shift_mm", [0.0, 2.0, 4.5, 5.5])
-def test_a_wheelset_laid_down_stands_as_high_and_as_rolled_as_in_the_table(shift_mm):
+def test_a_wheelset_laid_down_has_the_height_and_roll_of_the_table(shift_mm):
     row = RIGID[np.argmin(np.abs(RIGID[:, 0] - shift_mm))]
     z, roll, _, _ = conicity.settle(shift_mm * 1e-3, WHEEL, RAIL)
     assert z * 1e3 == pytest.approx(row[8], abs=0.002)
     assert roll == pytest.approx(row[1], abs=3e-6)
 
 
-# where the flange touches, 0.1 um across is 1 um up: at 6.5 mm the table itself stands 2.45 um too high
+# where the flange touches, 0.1 um across is 1 um up: at 6.5 mm the table is 2.45 um too high
 @pytest.mark.parametrize("shift_mm", [0.0, 2.0, 4.5, 5.5, 6.5])
-def test_a_wheelset_laid_down_stands_as_high_as_the_formulas_of_the_profiles_have_it(shift_mm):
-    tilt, y = math.atan(1.0 / 20.0), np.linspace(-0.0365, 0.0365, 1_500_001)
-    depth = -profiles.uic60_depth(y)
-    across, up = (
-        y * math.cos(tilt) - depth * math.sin(tilt),
-        y * math.sin(tilt) + depth * math.cos(tilt),
-    )
+def test_a_wheelset_laid_down_has_the_height_that_follows_from_the_profiles_formulas(shift_mm):
+    # the inclined rail head, laid with its gauge face
+    tilt = math.atan(1.0 / 20.0)
+    y = np.linspace(-0.0365, 0.0365, 1_500_001)
+    height = -profiles.uic60_depth(y)
+    across = y * math.cos(tilt) - height * math.sin(tilt)
+    up = y * math.sin(tilt) + height * math.cos(tilt)
     up -= up.max()
     gauge_side = slice(None, up.argmax())
     across += 0.7175 - np.interp(-0.014, up[gauge_side], across[gauge_side])
-    seen = slice(across[gauge_side].argmin(), None)  # from above
+    from_above = slice(across[gauge_side].argmin(), None)
     s = np.concatenate((np.linspace(-0.045, -0.03, 600_001), np.linspace(-0.0299, 0.04, 600_001)))
     radius = 0.445 + profiles.s1002_height(s)
     z, roll, _, _ = conicity.settle(shift_mm * 1e-3, WHEEL, RAIL)
     for side in (1, -1):
         below = -side * (0.75 + s) * math.sin(roll) - radius * math.cos(roll)
         there = -shift_mm * 1e-3 + side * (0.75 + s) * math.cos(roll) - radius * math.sin(roll)
-        assert z == pytest.approx(
-            np.max(np.interp(side * there, across[seen], up[seen], -1.0) - below), abs=1e-7
-        )
+        rail_z = np.interp(side * there, across[from_above], up[from_above], -1.0)
+        assert z == pytest.approx(np.max(rail_z - below), abs=1e-7)
 
 
 @pytest.mark.parametrize(("laying", "expected"), [(1 / 20, 0.0094), (1 / 40, 0.183)])
@@ -96,7 +97,7 @@ def test_equivalent_conicity_at_3_mm_is_the_reference(laying, expected):
         (0.0, 0.0065, 0.4460, 0.001, 0.0, 0.005),
     ],
 )
-def test_every_contact_fulfils_the_six_equations(pose, roller_m):
+def test_every_contact_satisfies_the_six_equations(pose, roller_m):
     x, y, z, roll, _, yaw = pose
     e = np.array(geometry.axis(roll, yaw))
     for found in geometry.contacts(pose, WHEEL, RAIL, roller_m):
@@ -124,9 +125,10 @@ def test_every_contact_fulfils_the_six_equations(pose, roller_m):
             assert np.linalg.norm(axis_to_point) == pytest.approx(roller_m + height, abs=2e-6)
 
 
-def test_no_point_of_the_wheel_is_nearer_than_the_contacts_found():
+def test_no_point_of_the_wheel_is_closer_than_the_contacts():
     # by brute force in the plane: the vertical gap over the whole tread
-    y, z = 0.002, 0.4449
+    y = 0.002
+    z = 0.4449
     found = _deepest(y, z, 0.0, 1)
     s = np.linspace(-0.03, 0.05, 16001)
     nodes = RAIL.nodes[::-1]
@@ -138,7 +140,7 @@ def test_no_point_of_the_wheel_is_nearer_than_the_contacts_found():
     assert gap.min() * found[NZ] == pytest.approx(found[GAP], abs=2e-7)
 
 
-def test_tread_and_flange_are_both_found_where_both_are_near():
+def test_tread_and_flange_are_both_found_where_both_are_close():
     found = geometry.contacts((0.0, 0.006, 0.44475, 0.0, 0.0, 0.0), WHEEL, RAIL)
     assert len(found) >= 2
     assert found[:, S].min() < -0.028
@@ -176,19 +178,22 @@ def _sway(found, F, steps, roller_m, wheel, rail, log):
     )
     for i in range(steps):
         y = 0.004 * math.sin(i * 1e-3)
-        pose, axle = (0.0, y, 0.4447), geometry.axis(0.0, 0.005 * math.cos(i * 1e-3))
+        pose = (0.0, y, 0.4447)
+        axle = geometry.axis(0.0, 0.005 * math.cos(i * 1e-3))
         count = geometry.track(found, 0, count, pose, axle, roller_m, wheel, rail)
         if i % 16 == 0:
             count = geometry.detect(found, 0, count, F, 0, pose, axle, roller_m, wheel, rail)
         if i < log.shape[0]:
-            log[i, 0], log[i, 1], log[i, 2] = y, count, found[0, 0]
+            log[i, 0] = y
+            log[i, 1] = count
+            log[i, 2] = found[0, geometry.S]
 
 
 def _scratch():
     return np.zeros((MOST, COLUMNS)), np.zeros((1, len(WHEEL.coarse)))
 
 
-def test_tracking_step_by_step_finds_what_a_search_from_nothing_finds():
+def test_tracking_step_by_step_finds_the_contacts_of_a_new_search():
     found, F = _scratch()
     log = np.zeros((6000, 3))
     _sway(found, F, 6000, math.inf, WHEEL, RAIL, log)
@@ -215,16 +220,14 @@ def _exact(F, pose, axle, roller_m, wheel, rail):
 
 
 @pytest.mark.parametrize("roller_m", [math.inf, 0.5, 1.0])
-def test_the_search_sees_the_equation_within_ten_micrometres(roller_m):
+def test_the_misfits_of_the_search_are_within_ten_micrometres(roller_m):
     rng = np.random.default_rng(5)
     for _ in range(200):
-        pose = (
-            0.0 if math.isinf(roller_m) else rng.normal(0.0, 5e-3),
-            rng.normal(0.0, 5e-3),
-            0.4447,
-        )
+        x = 0.0 if math.isinf(roller_m) else rng.normal(0.0, 5e-3)
+        pose = (x, rng.normal(0.0, 5e-3), 0.4447)
         axle = geometry.axis(rng.normal(0.0, 5e-3), rng.normal(0.0, 1e-2))
-        (_, F), (_, exact) = _scratch(), _scratch()
+        _, F = _scratch()
+        _, exact = _scratch()
         _quick(F, pose, axle, roller_m, WHEEL, RAIL)
         _exact(exact, pose, axle, roller_m, WHEEL, RAIL)
         assert np.abs(F - exact).max() < 1e-5

@@ -28,13 +28,16 @@ def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():
         unit = row["mu"] * row["N"]
         distances.append(math.hypot(fx / unit - row["CONTACT_fx"], fy / unit - row["CONTACT_fy"]))
     assert len(distances) == 25
-    assert max(distances) < 0.05  # 0.08 is asked for
+    assert max(distances) < 0.05  # 0.08 is required
     assert np.mean(distances) < 0.011
 
 
 def test_the_linear_force_is_kalkers_with_the_patch_growing_with_load():
-    a, b = PATCH.a1 * 20.0, PATCH.b1 * 20.0  # 8 kN
-    G, ab = PATCH.shear_Pa, a * b
+    # a load of 8 kN, the cube of 20
+    a = PATCH.a1 * 20.0
+    b = PATCH.b1 * 20.0
+    G = PATCH.shear_Pa
+    ab = a * b
     fx, fy = johnson_vermeulen.linear(1e-4, -2e-4, 0.05, a, b, PATCH)
     assert fx == near(-G * ab * PATCH.c11 * 1e-4, rel=1e-12)
     assert fy == near(-G * ab * (-PATCH.c22 * 2e-4 + math.sqrt(ab) * PATCH.c23 * 0.05), rel=1e-12)
@@ -63,6 +66,6 @@ def test_creepage_too_small_to_be_squared_gives_no_force_and_no_nan(tiny):
         assert np.abs(johnson_vermeulen.force(*creep, 0.3, 8000.0, PATCH)).max() < 1e-140
 
 
-def test_nothing_pulls_without_load_or_friction():
+def test_there_is_no_force_without_load_or_friction():
     assert johnson_vermeulen.force(1e-3, 0, 0, 0.3, 0.0, PATCH) == (0.0, 0.0, 0.0)
     assert johnson_vermeulen.force(1e-3, 0, 0, 0.0, 1e4, PATCH) == (0.0, 0.0, 0.0)

@@ -22,15 +22,15 @@ def a_over_b(ratio, g):
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row[0]}={row[1]},nu={row[2]}")
 def test_every_row_of_kalkers_table_is_met(row):
-    wanted = [float(value) for value in row[3:]]
-    got = kalker.coefficients(a_over_b(*row[:2]), float(row[2]))
-    assert got == near(wanted, rel=1e-13)
+    expected = [float(value) for value in row[3:]]
+    coefficients = kalker.coefficients(a_over_b(*row[:2]), float(row[2]))
+    assert coefficients == near(expected, rel=1e-13)
 
 
 def test_between_the_rows_the_patch_of_contact_is_met():
     # c11, c22, c23 given to CONTACT for a = 5.6919, b = 4.3771 mm, nu = 0.3
-    got = kalker.coefficients(5.6919 / 4.3771, 0.3)
-    assert got[:3] == near((4.59274, 4.13637, 1.85024), rel=3e-6)
+    coefficients = kalker.coefficients(5.6919 / 4.3771, 0.3)
+    assert coefficients[:3] == near((4.59274, 4.13637, 1.85024), rel=3e-6)
 
 
 def test_the_published_c11_of_a_wide_patch_is_met():
@@ -58,12 +58,14 @@ def test_the_compliance_is_quadratic_in_poissons_ratio():
 
 @pytest.mark.parametrize("ratio", [0.1, 0.2, 0.3, 0.9, 1.0, 1 / 0.9, 2.5, 5.0, 10.0])
 def test_the_coefficients_are_continuous_over_rows_and_ends(ratio):
-    below, above = (kalker.coefficients(ratio * (1.0 + d), 0.3) for d in (-1e-9, 1e-9))
+    below = kalker.coefficients(ratio * (1.0 - 1e-9), 0.3)
+    above = kalker.coefficients(ratio * (1.0 + 1e-9), 0.3)
     assert below == near(above, rel=1e-7)
 
 
 def test_slender_patches_follow_kalkers_asymptotes():
-    nu, g = 0.3, 2e-6
+    nu = 0.3
+    g = 2e-6
     c11, c22, c23, c33 = kalker.coefficients(g, nu)
     assert c11 == near(math.pi**2 / 4.0 / (1.0 - nu), rel=1e-4)
     assert c22 == near(math.pi**2 / 4.0, rel=1e-4)
@@ -94,9 +96,9 @@ def test_c11_and_c22_grow_with_the_length_of_the_patch():
 @pytest.mark.parametrize("ratio", [0.0, 5e-324, 1e-9, 1e12, 1e308, math.inf])
 @pytest.mark.parametrize("nu", [-1.0, 0.0, 0.3, 0.5, 1.0])
 def test_extreme_patches_give_finite_positive_coefficients(ratio, nu):
-    got = np.array(kalker.coefficients(ratio, nu))
-    assert np.isfinite(got).all()
-    assert (got > 0.0).all()
+    coefficients = np.array(kalker.coefficients(ratio, nu))
+    assert np.isfinite(coefficients).all()
+    assert (coefficients > 0.0).all()
 
 
 def test_plain_python_agrees_with_the_compiled_kernel():

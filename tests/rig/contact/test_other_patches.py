@@ -1,4 +1,4 @@
-"""The creep force models on patches, loads, rollers and combined creepages that no data file has."""
+"""The creep force models on patches, loads, rollers and combined creepages without a data file."""
 
 import csv
 import math
@@ -13,10 +13,23 @@ from rollerrig.rig.contact.creep_force import FASTSIM, JOHNSON_VERMEULEN, MODELS
 from rollerrig.rig.contact.patch import patch_for
 
 DATA = Path(__file__).parents[2] / "data"
-E_PA, NU = 2.1e11, 0.3
+E_PA = 2.1e11
+NU = 0.3
 G_PA = E_PA / (2.0 + 2.0 * NU)
 # Polach without falling friction, k_A = k_S = 1
-LAW = adhesion.Law(0.3, 0.3, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0)
+LAW = adhesion.Law(
+    mu_cd=0.3,
+    mu_cr=0.3,
+    A_d=1.0,
+    A_r=1.0,
+    gamma_d_s_m=0.0,
+    gamma_r_s_m=0.0,
+    k_ad=1.0,
+    k_sd=1.0,
+    k_ar=1.0,
+    k_sr=1.0,
+    tau_m_J=0.0,
+)
 # wheel, roller and lateral radius in m, load in N, friction: a/b from 0.37 to 4.8
 CONTACTS = (
     (0.445, math.inf, 2.0, 52_700.0, 0.10),
@@ -32,20 +45,30 @@ each_contact = pytest.mark.parametrize("contact", CONTACTS, ids=lambda c: f"{c[1
 
 
 class Judge:
-    """The half-space solution of a contact, and what a model says in the same unit."""
+    """The half-space solution of a contact, and the distance of a model from it."""
 
     def __init__(self, r, R, lateral, load_N, mu, elements=15):
         self.patch = patch_for(r, R, lateral, E_PA, G_PA, NU, 0, 30)
         growth = load_N ** (1.0 / 3.0)
-        a, b = self.patch.a1 * growth, self.patch.b1 * growth
-        self.half_space, self.size = HalfSpace(a, b, G_PA, NU, elements), math.sqrt(a * b)
+        a = self.patch.a1 * growth
+        b = self.patch.b1 * growth
+        self.half_space = HalfSpace(a, b, G_PA, NU, elements)
+        self.size = math.sqrt(a * b)
         self.unit = mu * load_N / (G_PA * a * b * self.patch.c11)
-        self.load_N, self.limit_N, self.law = load_N, mu * load_N, LAW._replace(mu_cd=mu, mu_cr=mu)
+        self.load_N = load_N
+        self.limit_N = mu * load_N
+        self.law = LAW._replace(mu_cd=mu, mu_cr=mu)
+
+    def force(self, model, creep):
+        """Return force and moment (3,) of a model for creepages and spin (3,)."""
+        return np.array(
+            creep_force.creep_force(model, *creep, 0.0, self.load_N, self.patch, self.law)
+        )
 
     def distance(self, model, xi, eta, phi=0.0):
-        """|dF| / (mu N) between a model and the half-space."""
+        """Return |dF| / (mu N) between a model and the half-space."""
         creep = (self.unit * xi, self.unit * eta, self.unit * phi / self.size)
-        fx, fy, _ = creep_force.creep_force(model, *creep, 0.0, self.load_N, self.patch, self.law)
+        fx, fy, _ = self.force(model, creep)
         exact = self.half_space.force(*creep, self.limit_N)
         return math.hypot(fx / self.limit_N - exact[0], fy / self.limit_N - exact[1])
 
@@ -92,15 +115,9 @@ def test_a_mirrored_contact_gives_the_mirrored_force(contact, model):
     for xi, eta, phi in SPINNING:
         creep = np.array([judge.unit * xi, judge.unit * eta, judge.unit * phi / judge.size])
         for signs, force_signs in (((1, -1, -1), (1, -1, -1)), ((-1, -1, -1), (-1, -1, -1))):
-            one, other = (
-                np.array(
-                    creep_force.creep_force(
-                        model, *given, 0.0, judge.load_N, judge.patch, judge.law
-                    )
-                )
-                for given in (creep, creep * signs)
-            )
-            np.testing.assert_allclose(other, one * force_signs, rtol=1e-9, atol=1e-6)
+            force = judge.force(model, creep)
+            mirrored = judge.force(model, creep * signs)
+            np.testing.assert_allclose(mirrored, force * force_signs, rtol=1e-9, atol=1e-6)
 
 
 @each_contact
@@ -110,7 +127,8 @@ def test_more_creepage_along_any_direction_never_gives_less_force(contact, model
     for angle in (0.0, 0.6, 1.2):
         sizes = []
         for part in np.geomspace(0.05, 30.0, 40):
-            xi, eta = judge.unit * part * math.cos(angle), judge.unit * part * math.sin(angle)
+            xi = judge.unit * part * math.cos(angle)
+            eta = judge.unit * part * math.sin(angle)
             fx, fy, _ = creep_force.creep_force(
                 model, xi, eta, 0.0, 0.0, judge.load_N, judge.patch, judge.law
             )
@@ -120,12 +138,11 @@ def test_more_creepage_along_any_direction_never_gives_less_force(contact, model
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-@pytest.mark.parametrize("broken", [0, 1, 2, 3, 4])
-def test_a_number_that_is_none_is_not_turned_into_a_force(model, broken):
-    given = [1e-3, 1e-3, 0.2, 0.05, 5e4]
-    given[broken] = math.nan
+@pytest.mark.parametrize("place", [0, 1, 2, 3, 4])
+def test_a_nan_input_gives_no_finite_force(model, place):
+    inputs = [1e-3, 1e-3, 0.2, 0.05, 5e4]
+    inputs[place] = math.nan
     judge = Judge(*CONTACTS[0])
-    forces = creep_force.creep_force(
-        model, *given, judge.patch, LAW._replace(gamma_d_s_m=0.2, gamma_r_s_m=0.2)
-    )
+    law = LAW._replace(gamma_d_s_m=0.2, gamma_r_s_m=0.2)
+    forces = creep_force.creep_force(model, *inputs, judge.patch, law)
     assert np.isnan(forces).any() or tuple(forces) == (0.0, 0.0, 0.0)

@@ -34,12 +34,14 @@ def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():
         if row["phi_1_per_m"] != 0.0:
             continue
         pull = np.array((row["c11"] * row["xi"], row["c22"] * row["eta"]))
-        a_m, b_m, shear_Pa = row["a_mm"] * 1e-3, row["b_mm"] * 1e-3, row["G_GPa"] * 1e9
+        a_m = row["a_mm"] * 1e-3
+        b_m = row["b_mm"] * 1e-3
+        shear_Pa = row["G_GPa"] * 1e9
         eps = polach.eps_per_creepage(a_m, b_m, np.hypot(*pull), shear_Pa, row["N"]) / row["mu"]
         force = -adhesion(eps, row["mu"], 1.0, 1.0) / row["mu"] * pull / np.hypot(*pull)
         distances.append(np.hypot(*(force - (row["CONTACT_fx"], row["CONTACT_fy"]))))
     assert len(distances) == 25
-    assert max(distances) < 0.055  # 0.08 is asked for
+    assert max(distances) < 0.055  # 0.08 is required
     assert np.mean(distances) < 0.018
 
 
@@ -50,7 +52,7 @@ def test_at_vanishing_creepage_the_force_is_kalkers():
     assert adhesion(eps, 0.3, 1.0, 1.0) * load == near(kalker_force, rel=1e-6)
 
 
-def test_eps_is_that_of_the_papers_contact_stiffness():
+def test_eps_follows_from_the_papers_contact_stiffness():
     # paper eqs. 12 and 14: eps = 2 C pi a^2 b e / (3 mu N), C = 3 G c11 / (8 a)
     a, b, c11, shear, load = 5.7e-3, 4.4e-3, 4.59, 8e10, 5e4
     stiffness = 3.0 * shear * c11 / (8.0 * a)
@@ -58,7 +60,7 @@ def test_eps_is_that_of_the_papers_contact_stiffness():
     assert polach.eps_per_creepage(a, b, c11, shear, load) == near(paper, rel=1e-14)
 
 
-def test_friction_falls_from_the_static_to_the_sliding_value_either_way():
+def test_friction_falls_from_the_static_to_the_sliding_value_in_both_directions():
     assert polach.friction(0.0, 0.06, 0.4, 0.2) == near(0.15, rel=1e-15)
     assert polach.friction(math.inf, 0.06, 0.4, 0.2) == 0.06
     values = [polach.friction(s, 0.28, 0.4, 0.6) for s in np.linspace(0.0, 30.0, 100)]
@@ -95,12 +97,14 @@ def test_the_slopes_are_the_derivatives():
 
 
 def test_the_curve_gives_the_force_and_its_slopes_to_sliding_and_creepage():
-    unit, law = 140.0, (0.28, 0.4, 0.6, 1.0, 0.4)
+    unit = 140.0
+    law = (0.28, 0.4, 0.6, 1.0, 0.4)
     for sliding, creepage in ((1e-3, 1e-4), (0.1, 0.01), (1.0, 0.05), (8.0, 0.9)):
         f, by_sliding, by_creepage = polach.curve(sliding, creepage, unit, *law)
         mu = polach.friction(sliding, *law[:3])
         assert f == near(adhesion(unit * creepage / mu, mu, 1.0, 0.4), rel=1e-14)
-        h, d = 1e-5 * sliding, 1e-5 * creepage
+        h = 1e-5 * sliding
+        d = 1e-5 * creepage
         ends = [polach.curve(sliding + x, creepage, unit, *law)[0] for x in (-h, h)]
         assert by_sliding == pytest.approx((ends[1] - ends[0]) / (2.0 * h), rel=1e-6, abs=1e-9)
         ends = [polach.curve(sliding, creepage + x, unit, *law)[0] for x in (-d, d)]
@@ -127,5 +131,5 @@ def test_infinite_and_zero_inputs_give_no_nan(eps, k_a, k_s):
 
 def test_plain_python_agrees_with_the_compiled_kernels():
     for sliding, creepage in ((0.0, 0.0), (1e-3, 1e-4), (1.0, 0.05), (8.0, 0.9)):
-        given = (sliding, creepage, 140.0, 0.28, 0.4, 0.6, 1.0, 0.4)
-        assert polach.curve.py_func(*given) == near(polach.curve(*given), rel=1e-14)
+        inputs = (sliding, creepage, 140.0, 0.28, 0.4, 0.6, 1.0, 0.4)
+        assert polach.curve.py_func(*inputs) == near(polach.curve(*inputs), rel=1e-14)

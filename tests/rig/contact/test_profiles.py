@@ -1,4 +1,4 @@
-"""Wheel and rail profiles against their published samples, and against what people get wrong."""
+"""Wheel and rail profiles against their published samples, and against frequent mistakes in files."""
 
 from pathlib import Path
 
@@ -13,10 +13,10 @@ S1002 = np.genfromtxt(DATA / "s1002.csv", delimiter=",", skip_header=1)
 UIC60 = np.genfromtxt(DATA / "uic60.csv", delimiter=",", skip_header=1)
 
 
-def test_s1002_equals_its_analytic_definition_but_for_its_own_jumps():
+def test_s1002_equals_its_published_samples_except_at_its_jumps():
     off = np.abs(profiles.s1002_height(S1002[:, 0] * 1e-3) * 1e3 - S1002[:, 1])
     assert np.sort(off)[-2] < 1e-6
-    # one sample stands on the jump at -26 mm
+    # one sample is on the jump at -26 mm
     assert off.max() < 4e-5
 
 
@@ -34,7 +34,7 @@ def test_the_table_of_a_wheel_is_its_profile_and_its_slope():
     assert off[S1002[here, 0] > -25.0].max() < 1e-7
     assert off.max() < 5e-6  # the flange, from slopes 0.1 mm apart
     slope = np.interp(S1002[here, 0] * 1e-3, s, wheel.fine[:, 1])
-    # the profile's own steps at -35 and -26 mm are steep for a difference
+    # the steps of the profile at -35 and -26 mm spoil a difference quotient
     calm = (
         np.min(np.abs(S1002[here, 0][:, None] - np.array([-35.0, -26.0, -39.76, -38.43])), 1) > 0.5
     )
@@ -45,7 +45,8 @@ def test_a_laid_rail_has_its_gauge_face_at_half_the_gauge_14_mm_down():
     for laying in (1 / 20, 1 / 40, 0.0):
         rail = profiles.uic60(laying)
         gauge_side = rail.nodes[:, 1].argmax()
-        y, z = rail.nodes[gauge_side:, 0], rail.nodes[gauge_side:, 1]
+        y = rail.nodes[gauge_side:, profiles.Y_M]
+        z = rail.nodes[gauge_side:, profiles.Z_M]
         assert np.interp(0.014, -z, y) == pytest.approx(0.7175, abs=2e-5)
         assert rail.nodes[:, 1].max() == pytest.approx(0.0, abs=1e-7)
 
@@ -57,28 +58,29 @@ def test_curvatures_of_the_arcs_are_those_of_the_drawing():
     assert 1.0 / rail.nodes[middle + profiles.SINES // 14, 3] == pytest.approx(0.080, rel=1e-2)
 
 
-def test_a_convex_profile_is_not_moved_and_a_hollow_one_tells_by_how_much():
+def test_a_convex_profile_is_not_moved_and_the_shift_of_a_hollow_one_is_reported():
     y = np.linspace(-0.0365, 0.0365, 4001)
-    _, told = profiles.rail(y, -profiles.uic60_depth(y))
-    assert told.moved_by_convexity_m < 1e-6
+    _, changes = profiles.rail(y, -profiles.uic60_depth(y))
+    assert changes.moved_by_convexity_m < 1e-6
     hollow = -profiles.uic60_depth(y) - 2e-4 * np.exp(-((y / 0.004) ** 2))
-    _, told = profiles.rail(y, hollow)
-    assert 2e-5 < told.moved_by_convexity_m < 1e-3
+    _, changes = profiles.rail(y, hollow)
+    assert 2e-5 < changes.moved_by_convexity_m < 1e-3
 
 
-def test_smoothing_takes_noise_from_the_slopes_and_tells_how_far_it_moved_the_points():
+def test_smoothing_removes_noise_from_the_slopes_and_reports_the_shift_of_the_points():
     rng = np.random.default_rng(1)
     s = np.linspace(-0.056, 0.060, 1161)
     noisy = profiles.s1002_height(s) + rng.normal(0.0, 2e-6, s.size)
     rough, _ = profiles.wheel(s, noisy)
-    smooth, told = profiles.wheel(s, noisy, smoothing_m=0.002)
+    smooth, changes = profiles.wheel(s, noisy, smoothing_m=0.002)
     exact = profiles.s1002()
     tread = slice(600, 1100)
-    assert np.std(smooth.fine[tread, 1] - exact.fine[tread, 1]) < 0.1 * np.std(
-        rough.fine[tread, 1] - exact.fine[tread, 1]
-    )
-    assert told.smoothing_m == 0.002
-    assert 0.0 < told.moved_by_smoothing_m < 1e-3
+    exact_slope = exact.fine[tread, profiles.SLOPE]
+    smooth_error = np.std(smooth.fine[tread, profiles.SLOPE] - exact_slope)
+    rough_error = np.std(rough.fine[tread, profiles.SLOPE] - exact_slope)
+    assert smooth_error < 0.1 * rough_error
+    assert changes.smoothing_m == 0.002
+    assert 0.0 < changes.moved_by_smoothing_m < 1e-3
 
 
 def _write(path: Path, rows) -> Path:
@@ -103,7 +105,7 @@ def test_a_wheel_from_a_file_is_the_wheel_it_describes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "says"),
+    ("spoil", "message"),
     [
         (lambda w: np.delete(w, slice(400, 460), 0), "gap of"),
         (lambda w: np.vstack((w[:300], w[290:])), "folds back"),
@@ -115,14 +117,14 @@ def test_a_wheel_from_a_file_is_the_wheel_it_describes(tmp_path):
         (lambda w: np.vstack((w, [[61.0, np.nan]])), "finite"),
     ],
 )
-def test_a_bad_profile_is_refused_with_file_reason_and_remedy(tmp_path, spoil, says):
+def test_a_bad_profile_is_refused_with_file_reason_and_remedy(tmp_path, spoil, message):
     path = _write(tmp_path / "bad.csv", spoil(WHEEL))
-    with pytest.raises(ConfigError, match=says) as told:
+    with pytest.raises(ConfigError, match=message) as raised:
         profile_csv.read(path, profile_csv.WHEEL)
-    assert "bad.csv" in str(told.value)
+    assert "bad.csv" in str(raised.value)
 
 
-def test_a_line_that_is_no_number_is_named(tmp_path):
+def test_the_message_names_a_line_that_is_no_number(tmp_path):
     path = _write(tmp_path / "bad.csv", WHEEL)
     lines = path.read_text().splitlines()
     lines[37] = "1.5,abc"
