@@ -1,4 +1,4 @@
-"""Every row of the tables of mechanisms and causes: plant, replay and its derivative mean the same by it."""
+"""Every row of the tables of mechanisms and causes: plant, replay and derivative agree on its meaning."""
 
 import math
 from functools import cache
@@ -18,20 +18,23 @@ from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME, IN_PLANT
 
-SPEED_M_S, LASTS_S, STEP_S = 30.0, 6.0, 0.01
-# brakes fill and vent in turns, so that wheels slide and recover
-FILLS_MS, VENTS_MS, DEMAND_PA = 1300, 600, 3.8e5
-# where a cause acts that is no formula of the whole stop; `table` searches these
+SPEED_M_S = 30.0
+DURATION_S = 6.0
+STEP_S = 0.01  # of the recorded samples
+# brakes fill and vent alternately, so that wheels slide and recover
+FILLS_MS = 1300
+VENTS_MS = 600
+DEMAND_PA = 3.8e5
+# windows of the causes that act only in a part of the stop; `table` searches these windows
 WINDOWS = {
     "contaminated_patch": {"start_m": 40.0, "length_m": 60.0},
     "sanding": {"start_s": 2.0, "duration_s": 2.0},
 }
-# least correlation and largest difference: the plant takes the way between wheels as a lag, and a released
-# brake gives it no torque, whatever the offset of the sensor
+# Smallest correlation and largest difference of causes that agree less well: the plant uses a lag for the
+# way between wheels, and its released brake gives no torque, whatever the offset of the sensor is.
 ROUGHLY = {"rail_cleaning": (0.75, 0.3), "torque_offset": (0.85, 0.25)}
-SIZE = {
-    "adhesion_memory": 2.0
-}  # the step of its derivative; of the others a thousandth of the upper bound
+# sizes of causes: the step of its derivative, for the others a share of the upper bound
+SIZE = {"adhesion_memory": 2.0}
 SHARE = 1e-3
 ACCURACY = {
     "speed_m_s": 0.01,
@@ -65,35 +68,33 @@ def plain_vehicle():
 
 
 def recorded(**mechanisms: float) -> preparation.Design:
-    """A stop on soap of a plant with these mechanisms, as sensors without noise would tell it."""
+    """Return a stop on soap of a plant with these mechanisms, measured by sensors without noise."""
     rig = Rig(SPEED_M_S, adhesion=SOAP, rig=TRACK, mechanisms=mechanisms)
     cycle = np.repeat([FILL, VENT], [FILLS_MS, VENTS_MS])
-    seen = rig.roll(
-        LASTS_S, np.resize(cycle, round(LASTS_S / rig.params.tick_s))[:, None], DEMAND_PA
-    )
+    ticks = round(DURATION_S / rig.params.tick_s)
+    magnets = np.resize(cycle, ticks)[:, None]
+    history = rig.roll(DURATION_S, magnets, DEMAND_PA)
     every = round(STEP_S / rig.params.tick_s)
     plain = params.check(
         {"adhesion": SOAP, "rig": TRACK, "contact": {"roller_radius_m": math.inf}}, "a test"
     )
-    told_Nm = np.vectorize(lambda Pa: brake.capacity(Pa, rig.params.brake))(
-        seen.cylinder_pressure[::every]
-    )
-    load_N = np.array(
-        [
-            [vehicle.load(j, felt, plain_vehicle()) for j in range(4)]
-            for felt in seen.felt_acceleration
-        ]
-    )
+    # the recorded torque and load are those of the base model
+    capacity = np.vectorize(lambda pressure_Pa: brake.capacity(pressure_Pa, rig.params.brake))
+    torque_Nm = capacity(history.cylinder_pressure[::every])
+    load_N = np.empty((history.time.size, 4))
+    for i, felt in enumerate(history.felt_acceleration):
+        for j in range(4):
+            load_N[i, j] = vehicle.load(j, felt, plain_vehicle())
     run = Run(
         "stop",
         "tune",
         plain["vehicle"]["mass_kg"],
         None,
-        seen.time[::every],
-        seen.vehicle_speed[::every],
-        seen.wheel_speed[::every],
+        history.time[::every],
+        history.vehicle_speed[::every],
+        history.wheel_speed[::every],
         load_N[::every],
-        told_Nm,
+        torque_Nm,
         None,
         None,
     )
@@ -118,46 +119,56 @@ def plain() -> preparation.Design:
 
 
 def whitened(design: preparation.Design, acts_on: str, *causes: Cause) -> np.ndarray:
-    """Innovations over their deviations of what a mechanism acts on, shape (n,): wheels, or the vehicle."""
+    """Return innovations over their deviations, shape (n,).
+
+    They are those of the vehicle for a mechanism that acts on it, else those of the wheels.
+    """
     explanation = candidates.untuned(design)._replace(causes=causes)
     nu, S, _, vehicle_nu, vehicle_S = sensitivity.innovations(
         design, candidates.inputs(design, explanation)
     )
-    return vehicle_nu / np.sqrt(vehicle_S) if acts_on == VEHICLE else nu / np.sqrt(S)
+    if acts_on == VEHICLE:
+        return vehicle_nu / np.sqrt(vehicle_S)
+    return nu / np.sqrt(S)
 
 
 def cause_of(row: table.Search, shape: table.Shape, axle: int, size: float) -> Cause:
-    own = {
-        f"{key} stop" if row.name == "sanding" and key in WINDOWS["sanding"] else key: value
-        for key, value in shape.items()
-    }
-    return Cause(
-        row.name, axle, own, (size,) + (0.0,) * (1 if row.phase or row.mechanism.free == 2 else 0)
-    )
+    shape_of_stop = {}
+    for key, value in shape.items():
+        # the window of sanding belongs to one stop
+        is_window = row.name == "sanding" and key in WINDOWS["sanding"]
+        shape_of_stop[f"{key} stop" if is_window else key] = value
+    has_second_value = row.phase or row.mechanism.free == 2
+    values = (size, 0.0) if has_second_value else (size,)
+    return Cause(row.name, axle, shape_of_stop, values)
 
 
 @pytest.mark.parametrize(("row", "shape", "axle"), ROWS, ids=name)
-def test_the_replay_takes_back_what_a_small_cause_did_in_the_plant(plain, row, shape, axle) -> None:
+def test_the_replay_removes_the_effect_of_a_small_cause_in_the_plant(
+    plain, row, shape, axle
+) -> None:
     size = size_of(row)
-    keys = {
-        row.mechanism.coefficients[0]: size,
-        **{f"{row.name}_{key}": value for key, value in shape.items()},
-    }
+    mechanisms = {row.mechanism.coefficients[0]: size}
+    for key, value in shape.items():
+        mechanisms[f"{row.name}_{key}"] = value
     if axle:
-        keys[f"{row.name}_axle"] = float(axle)
-    design = recorded(**keys)
+        mechanisms[f"{row.name}_axle"] = float(axle)
+    design = recorded(**mechanisms)
+
     acts_on = row.mechanism.acts_on
-    did = whitened(design, acts_on) - whitened(plain, acts_on)
-    undone = whitened(design, acts_on) - whitened(design, acts_on, cause_of(row, shape, axle, size))
-    alike, apart = ROUGHLY.get(row.name, (0.9, 0.2))
-    assert np.dot(did, undone) / np.linalg.norm(did) / np.linalg.norm(undone) > alike
-    assert np.dot(did, undone) / np.dot(undone, undone) == pytest.approx(1.0, abs=apart)
+    with_cause = whitened(design, acts_on)
+    effect = with_cause - whitened(plain, acts_on)
+    removed = with_cause - whitened(design, acts_on, cause_of(row, shape, axle, size))
+    least_correlation, most_apart = ROUGHLY.get(row.name, (0.9, 0.2))
+    correlation = np.dot(effect, removed) / np.linalg.norm(effect) / np.linalg.norm(removed)
+    assert correlation > least_correlation
+    assert np.dot(effect, removed) / np.dot(removed, removed) == pytest.approx(1.0, abs=most_apart)
 
 
 @pytest.mark.parametrize(
     ("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on != VEHICLE], ids=name
 )
-def test_the_linearised_answer_is_the_derivative_of_the_replay(plain, row, shape, axle) -> None:
+def test_the_linearised_response_is_the_derivative_of_the_replay(plain, row, shape, axle) -> None:
     size = 0.1 * size_of(row) if row.name != "adhesion_memory" else fitting.MEMORY_STEP_M
     cause = cause_of(row, shape, axle, size)
     found, _, answers = fitting.normal_equations(
@@ -193,7 +204,7 @@ def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(plain, row, shape, ax
     [c for c in ROWS if c[0].mechanism.acts_on in (FRICTION, CONTACT, LOAD, VEHICLE)],
     ids=name,
 )
-def test_no_cause_in_contact_or_load_shows_in_the_vehicles_filter_and_none_of_the_vehicle_in_the_wheels(
+def test_causes_of_contact_and_load_act_only_on_the_wheels_and_causes_of_the_vehicle_only_on_it(
     plain, row, shape, axle
 ) -> None:
     other = "wheels" if row.mechanism.acts_on == VEHICLE else VEHICLE
@@ -201,9 +212,11 @@ def test_no_cause_in_contact_or_load_shows_in_the_vehicles_filter_and_none_of_th
     assert np.array_equal(with_it, whitened(plain, other))
 
 
-def test_wheelsets_of_another_inertia_stand_in_the_balance_of_the_vehicle_too(plain) -> None:
-    heavy, found = recorded(wheel_inertia_fraction=0.3), Cause("wheel_inertia", 0, {}, (0.3,))
-    wrong, right = (np.sum(whitened(heavy, VEHICLE, *causes) ** 2) for causes in ((), (found,)))
+def test_the_inertia_of_the_wheelsets_also_counts_in_the_balance_of_the_vehicle(plain) -> None:
+    heavy = recorded(wheel_inertia_fraction=0.3)
+    cause = Cause("wheel_inertia", 0, {}, (0.3,))
+    wrong = np.sum(whitened(heavy, VEHICLE) ** 2)
+    right = np.sum(whitened(heavy, VEHICLE, cause) ** 2)
     assert right < 0.5 * wrong
     assert right == pytest.approx(np.sum(whitened(plain, VEHICLE) ** 2), rel=0.3)
 
@@ -217,12 +230,10 @@ def test_every_mechanism_has_its_row_in_the_search() -> None:
     assert {row.name for row in table.TABLE} == set(BY_NAME)
 
 
-def test_wet_pads_run_dry_by_the_turns_under_the_brake() -> None:
-    rigs = [
-        Rig(SPEED_M_S, adhesion=SOAP, rig=TRACK, mechanisms=given)
-        for given in ({}, {"wet_pads_loss": 0.3, "wet_pads_turns": 8.0})
-    ]
-    dry, wet = (rig.roll(3.0, demand_Pa=1e5) for rig in rigs)
+def test_wet_pads_dry_with_the_turns_under_the_brake() -> None:
+    wet_pads = {"wet_pads_loss": 0.3, "wet_pads_turns": 8.0}
+    dry = Rig(SPEED_M_S, adhesion=SOAP, rig=TRACK).roll(3.0, demand_Pa=1e5)
+    wet = Rig(SPEED_M_S, adhesion=SOAP, rig=TRACK, mechanisms=wet_pads).roll(3.0, demand_Pa=1e5)
     on = dry.brake_torque[:, 0] > 0.0
     turns = wet.braked_angle[on, 0] / (2.0 * math.pi)
     assert turns[-1] > 20.0
