@@ -1,9 +1,9 @@
 """Brake pneumatics and disc brake: demand, dump valve, cylinder, torque, air.
 
-The distributor lets the demanded pressure rise and fall slowly [B1]. The dump valve of an axle fills
-its cylinder towards that pressure, holds it or vents it [B2], a dead time after its magnets changed.
-Only filling uses air [B3]. The pads press with the pressure beyond their springs, and the discs give
-a torque in proportion [B4].
+The distributor lets the demanded pressure rise and fall slowly [B1]. The dump valve of an axle
+fills its cylinder towards that pressure, holds it or vents it [B2], a dead time after its magnets
+changed. Only filling uses air [B3]. The pads press with the pressure beyond their springs, and the
+discs give a torque in proportion [B4].
 
     [B1] dp_d/dt = (p_target - p_d) / T_fill or T_release
     [B2] dp/dt = (p_d - p) / T_fill while filling, 0 while holding, -p / T_vent while venting
@@ -13,9 +13,9 @@ a torque in proportion [B4].
          K p_1 sqrt(1 - ((p_2 / p_1 - b) / (1 - b))^2)
     [B6] V_r dp_r/dt = -(V dp/dt of all cylinders that fill) + 101325 Pa q of the supply
 
-Source: [B5] ISO 6358-1. First-order pneumatics with assumed constants, air of one temperature: these
-are priors, not measurements of one brake. A cylinder whose valve fills while the demand falls is
-vented by the distributor [B2].
+Source: [B5] ISO 6358-1. First-order pneumatics with assumed constants, air of one temperature:
+these are priors, not measurements of one brake. A cylinder whose valve fills while the demand falls
+is vented by the distributor [B2].
 """
 
 import math
@@ -150,5 +150,5 @@ def flow_through_valves(state, brake, p_d):
 
 @kernel
 def capacity(pressure_Pa, brake):
-    """Return the torque in N m that the discs of a wheelset can hold at a cylinder pressure [B4]."""
+    """Return the torque in N m that a wheelset's discs can hold at a cylinder pressure [B4]."""
     return max(0.0, brake.torque_Nm_Pa * (pressure_Pa - brake.spring_pressure_Pa))

@@ -248,8 +248,8 @@ def law_of(section: Mapping[str, Any]) -> Law:
 def initial_mu_cd(sections: Mapping[str, Mapping[str, Any]], where: str) -> float:
     """Return the mu_cd with which a wheel on the rail has `initial_adhesion`.
 
-    This counts the recovery by the sliding itself, under the static load, at the speed and the sliding
-    in [adhesion]. Raises ConfigError where no mu_cd gives this adhesion.
+    This counts the recovery by the sliding itself, under the static load, at the speed and the
+    sliding in [adhesion]. Raises ConfigError where no mu_cd gives this adhesion.
     """
     contact = sections["contact"]
     vehicle = sections["vehicle"]
@@ -288,9 +288,9 @@ def initial_mu_cd(sections: Mapping[str, Mapping[str, Any]], where: str) -> floa
     if abs(adhesion_of(above) - wanted) < 1e-9:
         return above
     raise ConfigError(
-        f"{where}: initial_adhesion = {wanted:g}: no mu_cd gives it at {speed:g} m/s and a sliding of "
-        f"{sliding:g} m/s; allowed is {adhesion_of(low):.3g} to {adhesion_of(high):.3g} there; change "
-        "it, or initial_at_speed_m_s and initial_at_sliding_m_s"
+        f"{where}: initial_adhesion = {wanted:g}: no mu_cd gives it at {speed:g} m/s and a sliding "
+        f"of {sliding:g} m/s; allowed is {adhesion_of(low):.3g} to {adhesion_of(high):.3g} there; "
+        "change it, or initial_at_speed_m_s and initial_at_sliding_m_s"
     )
 
 
@@ -300,8 +300,8 @@ def check_recovery(law: Mapping[str, Any], where: str) -> None:
     degraded = law["mu_cd"] / law["A_d"]
     if recovered < degraded:
         raise ConfigError(
-            f"{where}: recovered friction mu_cr/A_r = {recovered:.3g} is below the degraded mu_cd/A_d = "
-            f"{degraded:.3g}; recovery needs mu_cr/A_r at or above mu_cd/A_d"
+            f"{where}: recovered friction mu_cr/A_r = {recovered:.3g} is below the degraded "
+            f"mu_cd/A_d = {degraded:.3g}; recovery needs mu_cr/A_r at or above mu_cd/A_d"
         )
 
 
@@ -409,8 +409,8 @@ def build_rollers(
 ) -> Params:
     """Return the constants of the plant of a virtual track's rollers.
 
-    It has the same wheelsets on dry, clean rollers, and runs at the same time as the track. Arguments
-    as for `build`.
+    It has the same wheelsets on dry, clean rollers, and runs at the same time as the track.
+    Arguments as for `build`.
     """
     dry = sections["dry_roller"]
     # dry and clean: the degraded curve is the recovered one, and nothing is cleaned
@@ -550,8 +550,8 @@ def _flats(sections: Mapping[str, Mapping[str, Any]]) -> Flats:
     load_varies = f["wear_mm3_J"] > 0.0 and f["load_1_m"] > 0.0
     if load_varies and sections["vehicle"]["model"] != "planar":
         raise ConfigError(
-            f"[flats] load_1_m = {f['load_1_m']:g}: the coach in 3D knows no load that varies over a "
-            "flat; allowed is 0 (flats grow and disturb sensors all the same), or the planar vehicle"
+            f"[flats] load_1_m = {f['load_1_m']:g}: the coach in 3D knows no load that varies over "
+            "a flat; allowed is 0 (flats still grow and disturb sensors), or the planar vehicle"
         )
     return Flats(1e-9 * f["wear_mm3_J"], f["width_m"], f["load_1_m"])
 

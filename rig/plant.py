@@ -1,8 +1,8 @@
 """The plant: the table of contents of the physics, in the order in which it happens.
 
-`advance` moves the whole rig by one tick of several steps, during which magnets and motor demands are
-constant. `observe` writes the observed quantities. Energy: vehicle, wheelsets and rollers lose the
-energy that contacts, brakes and resistance take, less the energy that the motors give.
+`advance` moves the whole rig by one tick of several steps, during which magnets and motor demands
+are constant. `observe` writes the observed quantities. Energy: vehicle, wheelsets and rollers lose
+the energy that contacts, brakes and resistance take, less the energy that the motors give.
 """
 
 import math
@@ -34,7 +34,7 @@ class Plant:
 
 @kernel
 def start(state, params, initial_speed_m_s):
-    """Set a rig that rolls at a speed in m/s, with released brakes, wheels and rollers without sliding."""
+    """Set a rig that rolls at a speed in m/s, with released brakes and without sliding."""
     state.vehicle_speed[0] = initial_speed_m_s
     for j in range(AXLES):
         state.wheel_speed[j] = initial_speed_m_s / params.wheels.table[vehicle.RADIUS_M + j]
@@ -62,8 +62,8 @@ def begin(state, params, coach):
 def friction(state, params):
     """Set the friction of the contaminant under each axle for this time and place.
 
-    In this order: the programme, a command from the bus, mechanisms ([X1] of `mechanisms.table`), sand
-    ([S2] of `surface`) and roller film ([F1]).
+    In this order: the programme, a command from the bus, mechanisms ([X1] of `mechanisms.table`),
+    sand ([S2] of `surface`) and roller film ([F1]).
     """
     plan = params.friction
     if params.effects.on_friction or params.effects.on_torque:
@@ -236,7 +236,7 @@ def swing_out(state, params, coach):
 
 @kernel_inlined
 def observe(state, params):
-    """Write the observed quantities of the present state: contact, torques, loads, sensors, locks."""
+    """Write the observed quantities of this state: contact, torques, loads, sensors, locks."""
     for j in range(AXLES):
         r = params.wheels.table[vehicle.RADIUS_M + j]
         planar_N = wheelset.load(j, state.felt_acceleration[0], state.wheel_angle[j], state, params)

@@ -1,7 +1,8 @@
 """The state of the plant: named views into one float64 buffer, so that a snapshot is one copy.
 
 The comment of each slot gives its unit and the stage that writes it. Every quantity that is
-observed, recorded or carried by a bus is a slot here, with the same name as in the table of signals.
+observed, recorded or carried by a bus is a slot here, with the same name as in the table of
+signals.
 """
 
 from typing import NamedTuple
@@ -159,6 +160,9 @@ state_type.register(State, SLOTS | {"coach": slice(SIZE, SIZE + coach_state.SIZE
 
 
 def views(buffer: np.ndarray) -> State:
-    """Return the state in a float64 buffer of shape (SIZE,), or (SIZE + coach_state.SIZE,) with a coach."""
+    """Return the state in a float64 buffer.
+
+    The buffer has the shape (SIZE,), or (SIZE + coach_state.SIZE,) with a coach.
+    """
     coach = buffer[SIZE:] if buffer.size > SIZE else None
     return State(**{name: buffer[place] for name, place in SLOTS.items()}, coach=coach)

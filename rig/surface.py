@@ -3,12 +3,13 @@
 A sander blows sand from its box through a hose onto the rail ahead of its wheel [S1]. The rail is a
 row of cells that travels with the vehicle. Each wheel that rolls onto a cell meets its dose and
 crushes a share of it [S2]; the next wheel meets the rest. No sand is lost in the balance: the sand
-that left the boxes is in the hoses, lies on the rail, was blown aside, was crushed or lies behind the
-vehicle.
+that left the boxes is in the hoses, lies on the rail, was blown aside, was crushed or lies behind
+the vehicle.
 
     [S1] the hose holds back the sand by a lag: dm/dt = q - m / T, q the rate, or the dose times the
          speed
-    [S2] D = sand of a cell / its length, a share of it is used up; ln mu_cd += gain (1 - exp(-D / D_0))
+    [S2] D = sand of a cell / its length, a share of it is used up;
+         ln mu_cd += gain (1 - exp(-D / D_0))
 
 The contaminant on a roller is the same one turn after turn: each pass of the wheel thins it, and a
 spray renews it [F1]. A wheel on a rail always meets fresh contaminant.
@@ -57,7 +58,8 @@ def advance_sand(state, sanders, positions_m, tick_s):
 
     `sanders` is `params.Sanders`, positions_m (4,) the distance of each wheelset behind the first.
     """
-    # A new cell at the front takes the place of the last one in the ring, whose sand is left behind.
+    # A new cell at the front takes the place of the last one in the ring, whose sand is left
+    # behind.
     front = cell_at(state.position[0] + sanders.ahead_m)
     while state.rail_front[0] < front:
         state.rail_front[0] += 1.0

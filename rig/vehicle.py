@@ -18,8 +18,8 @@ from rollerrig.rig.state import AXLES
 # Below this speed a braked or resisted vehicle stands: resistance is dry friction there.
 STANDING_M_S = 0.005
 # Places in the table of the wheels (`mechanisms.applied.Wheels`). Each begins a group of one value
-# for each axle: radius, inertia, radius over inertia (rad/s2 for each newton, so that no step has to
-# divide), and the share of the load that varies once a turn.
+# for each axle: radius, inertia, radius over inertia (rad/s2 for each newton, so that no step has
+# to divide), and the share of the load that varies once a turn.
 RADIUS_M, INERTIA_KGM2, RESPONSE_1_KGM, SWING = range(0, 4 * AXLES, AXLES)
 
 
@@ -37,8 +37,8 @@ def resistance(speed_m_s, vehicle):
 def load(axle, felt_acceleration_m_s2, vehicle):
     """Return the load in N of a wheelset (0 the leading one) at the felt acceleration [V2, V3].
 
-    The felt acceleration is the one that the pitch of body and bogies has followed; it is negative in
-    braking.
+    The felt acceleration is the one that the pitch of body and bogies has followed; it is negative
+    in braking.
     """
     in_leading_bogie = axle < 2
     leads_its_bogie = axle % 2 == 0
@@ -49,7 +49,7 @@ def load(axle, felt_acceleration_m_s2, vehicle):
 
 @kernel
 def swinging_load(load_N, axle, angle_rad, wheels):
-    """Return the load in N of a wheelset whose wheels have turned by an angle, round or not [V4]."""
+    """Return the load in N of a wheelset at an angle of its wheels, round or not [V4]."""
     if not wheels.swings:
         return load_N
     return load_N * (
@@ -59,7 +59,7 @@ def swinging_load(load_N, axle, angle_rad, wheels):
 
 @kernel_inlined
 def pitch_back(state, vehicle, step_s):
-    """Let body and bogies of a standing vehicle pitch back, so that its loads become the static ones."""
+    """Let body and bogies of a standing vehicle pitch back: its loads become the static ones."""
     state.felt_acceleration[0] *= math.exp(-step_s / vehicle.pitch_time_constant_s)
 
 

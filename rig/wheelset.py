@@ -1,11 +1,12 @@
 """Wheelsets, rollers and vehicle in motion: one time step of the coupled rotations.
 
-The contact force T = f N drives the wheelset on against its brake [W1]. It holds back the roller that
-its motor drives [W2], and the vehicle. At low speed the creep slope makes wheel and roller stiff. So
-the pair of each axle is stepped by a linearly implicit second-order method (ROS2, Verwer et al. 1999,
-gamma = 1 - 1/sqrt 2), whose matrix has rank one and is inverted in closed form [W3]. The secant slope
-T / s is used for the derivative, which that method allows without loss of order. The brake is dry
-friction: a wheel that stops stays locked while r T is below what the discs can hold [W4].
+The contact force T = f N drives the wheelset on against its brake [W1]. It holds back the roller
+that its motor drives [W2], and the vehicle. At low speed the creep slope makes wheel and roller
+stiff. So the pair of each axle is stepped by a linearly implicit second-order method (ROS2, Verwer
+et al. 1999, gamma = 1 - 1/sqrt 2), whose matrix has rank one and is inverted in closed form [W3].
+The secant slope T / s is used for the derivative, which that method allows without loss of order.
+The brake is dry friction: a wheel that stops stays locked while r T is below what the discs can
+hold [W4].
 
     [W1] J domega/dt = r T - C
     [W2] J_R dOmega/dt = u - R T on rollers; on a plain track the surface is the vehicle's
@@ -53,7 +54,7 @@ def wheelset_adhesion(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law
 
 @kernel
 def without_recovery(sliding_m_s, surface_m_s, load_N, patch, law):
-    """Return the results of `adhesion.wheel_adhesion` for one wheel, by a model without recovery."""
+    """Return the results of `adhesion.wheel_adhesion` by a model without recovery."""
     creepage = sliding_m_s / max(abs(surface_m_s), adhesion.SPEED_FLOOR_M_S)
     f = creep_force.adhesion_of(sliding_m_s, creepage, load_N, patch, law)
     slope = f / sliding_m_s if sliding_m_s != 0.0 else 0.0
@@ -67,8 +68,8 @@ def contact_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, la
     Parameters
     ----------
     sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law : as for `wheelset_adhesion`
-    lagging : the remembered lambda by which the contact has recovered; `adhesion.NO_MEMORY` where it
-        recovers without memory
+    lagging : the remembered lambda by which the contact has recovered; `adhesion.NO_MEMORY` where
+        it recovers without memory
     of_work : above 0, lambda_0 is the one of the work that this force does [A7 of `adhesion`]
 
     Returns
@@ -114,7 +115,7 @@ def lagged_transition(lagging, lambda_0, speed_m_s, step_s, effects):
 
 @kernel
 def wheel_acceleration(wheel_rad_s, T, brake_Nm, axle, wheels):
-    """Return a wheelset's acceleration in rad/s2 [W1], its brake torque in N m, and whether it is locked.
+    """Return a wheelset's acceleration in rad/s2 [W1], its brake torque, and whether it is locked.
 
     `T` is the contact force in N, `brake_Nm` the torque that the discs can hold.
     """
@@ -206,8 +207,8 @@ def integrate(state, params):
     """Advance wheels, rollers and vehicle by one step.
 
     Torques of brakes and motors are given at both ends of the step: `brake_capacity` and
-    `motor_before` at its beginning, `brake_torque` and `motor_torque` at its end. A memory of recovery
-    is stepped exactly under the mean of lambda_0 at both stages.
+    `motor_before` at its beginning, `brake_torque` and `motor_torque` at its end. A memory of
+    recovery is stepped exactly under the mean of lambda_0 at both stages.
     """
     vehicle = params.vehicle
     drive = params.drive
@@ -237,7 +238,8 @@ def integrate(state, params):
         state.wheel_rate[j], state.roller_rate[j], added_N = implicit_slopes(
             wheel_k, roller_k, g, locked, on_track, h, j, wheels, drive
         )
-        # the vehicle feels what wheel and roller feel, or momentum would be lost where they are stiff
+        # the vehicle feels what wheel and roller feel, or momentum would be lost where they are
+        # stiff
         total += T + added_N
         state.contact_force[j] = 0.5 * (T + added_N)
         state.brake_mean[j] = 0.5 * brake_Nm
@@ -313,8 +315,8 @@ def integrate(state, params):
 def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params):
     """Add a step's change to the speeds of an axle and turn its angles; no wheel turns backwards.
 
-    `motor_Nm` is the mean torque of the motor in the step. The works of sliding, brake and motor are
-    added too.
+    `motor_Nm` is the mean torque of the motor in the step. The works of sliding, brake and motor
+    are added too.
     """
     wheel = state.wheel_speed[axle]
     roller = state.roller_speed[axle]

@@ -20,9 +20,9 @@ lanes and the replay of measured runs all use this law.
      a turning wheel carries the loosened contaminant out of the contact on its tread, and a locked
      wheel keeps it there. So cleaning fades as the turning does, and a locked wheel stays on f_d.
      Reason, form and e_c: assumption; e_c of 1 or more, the default, is the paper's law throughout
-[A7] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), where an extended model gives recovery a
-     memory L. lambda_0 is the transition of [A2], either for the work that [A5] has done or for the
-     work that the f of the remembered lambda does: assumption
+[A7] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), where an extended model gives recovery
+     a memory L. lambda_0 is the transition of [A2], either for the work that [A5] has done or for
+     the work that the f of the remembered lambda does: assumption
 
 Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937; mu_cs of its section 4 is read as mu_cr.
 Limits: longitudinal creepage only; below SPEED_FLOOR_M_S of vehicle speed creepage is sliding over

@@ -14,9 +14,10 @@ scalar equation is left: the one of `adhesion` [A5] with the two works in place 
 [D4] M_z by `johnson_vermeulen.moment`, for the friction limit that lies between theirs likewise
 
 Signs: xi > 0 where the wheel slides forward (braking), so f_x < 0; eta and phi likewise. Source:
-Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, whose Table 8 compares the same four. Eqs. 8 and 17
-against 20 differ in sign there; here work is positive. Limits: spin does no work in [D2], as in the
-paper; with pure spin nothing recovers. Without lateral creepage and spin all is as in `adhesion`.
+Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, whose Table 8 compares the same four. Eqs. 8 and
+17 against 20 differ in sign there; here work is positive. Limits: spin does no work in [D2], as in
+the paper; with pure spin nothing recovers. Without lateral creepage and spin all is as in
+`adhesion`.
 """
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined

@@ -8,17 +8,17 @@ lateral and spin creepage, make the sum correct at small creepage.
 [F1] L1 = 8 a / (3 G c11), L2 = 8 a / (3 G c22), L3 = pi a sqrt(a/b) / (4 G c23)
 [F2] stick: dp_x/dx = xi / L1 - phi y / L3,  dp_y/dx = eta / L2 + phi x / L3
 [F3] limit: g = 2 mu N / (pi a b) (1 - x^2/a^2 - y^2/b^2)
-[F4] slip: |p| = g, and d(theta)/dx = |w| / (L g) sin(theta - theta_w), theta_w against w = (xi - phi y,
-     eta + phi x), which holds exactly over a step with constant w, L and g
+[F4] slip: |p| = g, and d(theta)/dx = |w| / (L g) sin(theta - theta_w), theta_w against
+     w = (xi - phi y, eta + phi x), which holds exactly over a step with constant w, L and g
 [F5] 1/L = S (|xi| + |eta| + l |phi|) / (L1 |xi| + L2 |eta| + L3 l |phi|),  l = sqrt(a b),
      S = 1.6 - |xi| / (|xi| + |eta| + l |phi|)
 
-Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip (three
-flexibilities would shift its pole) with one mean flexibility [F5], by an exact step [F4]. Kalker
-cuts the traction back radially, which is first order in the step only. S: traction that turns within
-the patch meets a stiffer half-space than traction that grows over all of it, the more so the less of
-it is longitudinal. S was found on 54 CONTACT results for a/b = 1.3 and on our coarse half-space
-solution for a/b = 0.4 to 4.8 (a constant 1.35 is too much for long patches with spin and
+Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip
+(three flexibilities would shift its pole) with one mean flexibility [F5], by an exact step [F4].
+Kalker cuts the traction back radially, which is first order in the step only. S: traction that
+turns within the patch meets a stiffer half-space than traction that grows over all of it, the more
+so the less of it is longitudinal. S was found on 54 CONTACT results for a/b = 1.3 and on our coarse
+half-space solution for a/b = 0.4 to 4.8 (a constant 1.35 is too much for long patches with spin and
 longitudinal creepage). Sums are divided by the sum of the limit, so that full sliding gives mu N on
 any grid. Limits: long patches with much spin, where the error reaches 0.08 mu N.
 """
@@ -109,7 +109,8 @@ def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
 def strip(stick_x, stick_y, stick_spin, slip_x, slip_y, slip_spin, edge, cells):
     """Return the sums of p_x, p_y, x p_y and of the limit over a strip, times the width of a cell.
 
-    The strip runs from x = edge to -edge, in units of a. Traction is taken at the middle of each cell.
+    The strip runs from x = edge to -edge, in units of a. Traction is taken at the middle of each
+    cell.
 
     Parameters
     ----------

@@ -1,12 +1,12 @@
 """Contact point detection: where a wheel touches a rail or a roller.
 
 Two smooth surfaces touch where their normals are parallel and the rail's normal is parallel to the
-vector between the points: six equations in four unknowns. A wheel is a surface of revolution. So for
-a given lateral coordinate y_w on it the other three unknowns follow in closed form, and one scalar
-equation F(y_w) = 0 is left. Its rising roots are the places where the surfaces come closest. All of
-them are found (tread, root and flange) and refined by Newton's method. From step to step, `track`
-follows the known roots from their last places, and `detect` searches the wheel again when it has
-moved. Both cost a bounded number of operations. No look-up table over positions is needed.
+vector between the points: six equations in four unknowns. A wheel is a surface of revolution. So
+for a given lateral coordinate y_w on it the other three unknowns follow in closed form, and one
+scalar equation F(y_w) = 0 is left. Its rising roots are the places where the surfaces come closest.
+All of them are found (tread, root and flange) and refined by Newton's method. From step to step,
+`track` follows the known roots from their last places, and `detect` searches the wheel again when
+it has moved. Both cost a bounded number of operations. No look-up table over positions is needed.
 
 [G1] r_w = C + y_w e + w (rho), n_w = (rho - w' e) / sqrt(1 + w'^2): wheel point and outward normal,
      C the wheelset's centre, e its axis, rho a unit vector across e, w(y_w) the rolling radius
@@ -20,9 +20,9 @@ moved. Both cost a bounded number of operations. No look-up table over positions
 [G7] dF/dy_w = sqrt(1 + w'^2) (1 + kappa_w (R_r + gap)): Newton's slope
 
 Source: paper eqs. 1 to 3 (n_w parallel n_r, n_r parallel to the distance), reduced here to F. Frame
-of one side: x forwards, y outwards, z up; the rail's highest point is at z = 0, a roller's axis under
-it. The other side is computed with y, roll and yaw reversed. Rail heads are convex (`profiles`
-[Q4]); two roots closer than 1 mm count as one.
+of one side: x forwards, y outwards, z up; the rail's highest point is at z = 0, a roller's axis
+under it. The other side is computed with y, roll and yaw reversed. Rail heads are convex ([Q4] of
+`profiles`); two roots closer than 1 mm count as one.
 """
 
 import math
@@ -246,8 +246,9 @@ def misfits(F, row, pose, axle, roller_m, wheel, rail):
 
 @kernel_inlined
 def misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail):
-    """Write `misfits` on a roller: [G6] with n = (c q_x / h, n_y, c q_z / h), q from the roller's axis.
+    """Write `misfits` on a roller by [G6], with n = (c q_x / h, n_y, c q_z / h).
 
+    q is measured from the roller's axis.
     n . e is the sine of the wheel's slope, which gives n_y and c. The distance h and 1 - e_y^2 are
     taken to second order.
     """
@@ -280,10 +281,11 @@ def misfits_on_roller(F, row, pose, axle, roller_m, wheel, rail):
 
 @kernel
 def track(found, begin, count, pose, axle, roller_m, wheel, rail):
-    """Refine the contacts of the last step, by a few evaluations of F each; return how many are left.
+    """Refine the contacts of the last step and return how many are left.
 
-    `found` (.., COLUMNS) has `count` contacts from row `begin` on; contacts that are lost, or too far
-    from the rail, are removed. The other arguments are those of `refined`.
+    Each costs a few evaluations of F.
+    `found` (.., COLUMNS) has `count` contacts from row `begin` on; contacts that are lost, or too
+    far from the rail, are removed. The other arguments are those of `refined`.
     """
     width = profiles.STRIDE * wheel.spacing_m
     lowest = wheel.start_m
@@ -356,8 +358,8 @@ def contacts(
     count = detect(found, 0, 0, F, 0, centre, axle, float(roller_m), wheel, rail)
     if count == 0:
         raise ValueError(
-            f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, z = "
-            f"{pose[2] * 1e3:.5g} mm is off the rail; a centred wheelset has y = 0 and z near its "
-            "rolling radius"
+            f"no contact within {KEEP_M * 1e3:g} mm: the wheelset at y = {pose[1] * 1e3:.3g} mm, "
+            f"z = {pose[2] * 1e3:.5g} mm is off the rail; a centred wheelset has y = 0 and z near "
+            "its rolling radius"
         )
     return found[:count][np.argsort(found[:count, GAP])].copy()

@@ -58,8 +58,8 @@ _NU_0, _NU_QUARTER, _NU_HALF = range(3)
 def coefficients(a_over_b, poisson):
     """Return Kalker's (c11, c22, c23, c33) of an elliptic patch.
 
-    `a_over_b` is the semi-axis along over the one across; it counts as 1e-6 .. 1e6. `poisson` counts
-    as 0 .. 0.5.
+    `a_over_b` is the semi-axis along over the one across; it counts as 1e-6 .. 1e6. `poisson`
+    counts as 0 .. 0.5.
     """
     nu = min(max(poisson, 0.0), 0.5)
     ratio = min(max(a_over_b, SLENDEREST), 1.0 / SLENDEREST)

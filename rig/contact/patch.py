@@ -1,9 +1,10 @@
-"""The contact patch under a wheel: Hertz' semi-axes and stiffness and Kalker's coefficients, for any load.
+"""The contact patch under a wheel, for any load: size, stiffness and creep coefficients.
 
 A cone on a rail or roller has one patch (`patch_for`). Where profiles touch, curvatures change with
-every millimetre of lateral shift, and the numbers of Hertz and Kalker change with them. Up to powers
-of the sum of both curvatures, these numbers depend only on the ratio lateral / rolling curvature. So
-one table over the logarithm of that ratio serves all contacts of the coach in 3D (`tabulate`, `at`).
+every millimetre of lateral shift, and the numbers of Hertz and Kalker change with them. Up to
+powers of the sum of both curvatures, these numbers depend only on the ratio lateral / rolling
+curvature. So one table over the logarithm of that ratio serves all contacts of the coach in 3D
+(`tabulate`, `at`).
 
 [T1] a1, b1 proportional to (A + B)^(-1/3), k_h to (A + B)^(-1/2); the c_ij not at all
 
@@ -72,13 +73,13 @@ def patch_for(
         wrongly_infinite = math.isinf(value) and name != "roller_radius_m"
         if not value > 0.0 or wrongly_infinite:
             raise ValueError(
-                f"contact patch: {name} = {value!r}; must be positive and finite (only roller_radius_m "
-                "may be inf, a rail); correct the contact parameters"
+                f"contact patch: {name} = {value!r}; must be positive and finite (only "
+                "roller_radius_m may be inf, a rail); correct the contact parameters"
             )
     if not 0.0 <= poisson <= 0.5:
         raise ValueError(
-            f"contact patch: poisson = {poisson!r}; must be 0 .. 0.5 (steel 0.3); correct the contact "
-            "parameters"
+            f"contact patch: poisson = {poisson!r}; must be 0 .. 0.5 (steel 0.3); correct the "
+            "contact parameters"
         )
 
     A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)

@@ -45,7 +45,7 @@ class Approach(NamedTuple):
 
 @kernel
 def slimness(a_over_b):
-    """Return 1 + 6.3 (1 - exp(-a/b)), the effect of a patch's shape on the force of spin [S4] [S6]."""
+    """Return 1 + 6.3 (1 - exp(-a/b)): how a patch's shape acts on the force of spin [S4] [S6]."""
     return 1.0 - 6.3 * math.expm1(-a_over_b)
 
 

@@ -54,8 +54,9 @@ def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
     if np.any(step <= 0.0):
         i = int(np.argmax(step <= 0.0))
         raise ConfigError(
-            f"{path}, line {lines[i + 1]:.0f}: the profile folds back, from {y[i]:g} to {y[i + 1]:g} mm; "
-            "the first column must rise from point to point: sort or cut the points"
+            f"{path}, line {lines[i + 1]:.0f}: the profile folds back, from {y[i]:g} to "
+            f"{y[i + 1]:g} mm; the first column must rise from point to point: sort or cut the "
+            "points"
         )
     if step.max() > kind.gap_mm:
         i = int(np.argmax(step))
@@ -65,8 +66,8 @@ def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
         )
     if y[0] > kind.from_mm or y[-1] < kind.to_mm:
         raise ConfigError(
-            f"{path}: the {kind.name} profile runs from {y[0]:g} to {y[-1]:g} mm; it must reach from "
-            f"{kind.from_mm:g} to {kind.to_mm:g} mm: move its origin or measure farther"
+            f"{path}: the {kind.name} profile runs from {y[0]:g} to {y[-1]:g} mm; it must reach "
+            f"from {kind.from_mm:g} to {kind.to_mm:g} mm: move its origin or measure farther"
         )
     return y * 1e-3, z * 1e-3
 

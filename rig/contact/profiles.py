@@ -1,20 +1,21 @@
 """Wheel and rail profiles: the ORE S1002 wheel, the UIC60 head, and any other from a CSV file.
 
-A profile comes as points or as a formula. It is freed of measuring noise and turned into tables that
-a kernel reads in a few nanoseconds: a wheel's radius over its lateral coordinate, a rail's point over
-the sine of its slope (arcs are exactly linear there). `Changes` reports what smoothing and convexity
-changed.
+A profile comes as points or as a formula. It is freed of measuring noise and turned into tables
+that a kernel reads in a few nanoseconds: a wheel's radius over its lateral coordinate, a rail's
+point over the sine of its slope (arcs are exactly linear there). `Changes` reports what smoothing
+and convexity changed.
 
 [Q1] wheel: slope linear between nodes, radius its integral
 [Q2] rail: y = y_i - R (sin b - sin b_i), z = z_i + R (cos b - cos b_i), exact on an arc of radius R
 [Q3] point curvature, for Hertz: the change of slope over +-`smoothing_m`, for the patch is as wide
-[Q4] a rail head is taken as convex: slopes that rise are pooled (isotonic regression), and `Changes`
-     reports it
+[Q4] a rail head is taken as convex: slopes that rise are pooled (isotonic regression), and
+     `Changes` reports it
 
 Coordinates are those of one side; the other side is its mirror image. y points outwards (to the
-field), z up; a wheel's s is 0 on the nominal running circle and negative towards the flange. Lengths
-are in m. Source: UIC 510-2 / EN 13715 (S1002, seven analytic sections), UIC 861-3 (UIC60 head: arcs
-R300, R80, R13, side 1:20; breakpoints 10.5 and 26.0 mm). S1002 steps by 1.2e-4 mm at s = -35 mm.
+field), z up; a wheel's s is 0 on the nominal running circle and negative towards the flange.
+Lengths are in m. Source: UIC 510-2 / EN 13715 (S1002, seven analytic sections), UIC 861-3 (UIC60
+head: arcs R300, R80, R13, side 1:20; breakpoints 10.5 and 26.0 mm). S1002 steps by 1.2e-4 mm at s =
+-35 mm.
 """
 
 from typing import NamedTuple
@@ -94,8 +95,8 @@ class Rail(NamedTuple):
     """A rail head, laid in the track, over sines of slope -STEEPEST .. STEEPEST."""
 
     sines_per_node: float
-    # (SINES, 4): Y_M from the middle of the track, Z_M below the highest point (<= 0), COSINE of the
-    # slope, RAIL_CURVATURE_1_M convex positive [Q3]
+    # (SINES, 4): Y_M from the middle of the track, Z_M below the highest point (<= 0), COSINE of
+    # the slope, RAIL_CURVATURE_1_M convex positive [Q3]
     nodes: np.ndarray
 
 
@@ -254,7 +255,7 @@ def rail(
 
 
 def _curve_of_slopes(angle: np.ndarray, step_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the curve (y, z) from the origin that has these slope angles at equal steps along it."""
+    """Return the curve (y, z) from the origin with these slope angles at equal steps along it."""
     middle = 0.5 * (angle[1:] + angle[:-1])
     return (
         np.concatenate(([0.0], np.cumsum(step_m * np.cos(middle)))),

@@ -10,8 +10,8 @@ from rollerrig.wsp_interface.magnets import FILLING, HOLDING, VENTING
 
 FILL, HOLD, VENT = FILLING, HOLDING, VENTING
 FULL_BRAKE_PA = 3.8e5
-# Values of configs/adhesion/soap.toml, leaf_film.toml and dry.toml. They are repeated here because the
-# tests must hold when those files change.
+# Values of configs/adhesion/soap.toml, leaf_film.toml and dry.toml. They are repeated here because
+# the tests must hold when those files change.
 SOAP = {"cleaning_creepage": 0.5}
 LEAVES = SOAP | {
     "mu_cd": 0.02,

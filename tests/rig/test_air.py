@@ -1,4 +1,4 @@
-"""The coach's air: its balance closes, flow is choked as in ISO 6358, and brakes get weak without air."""
+"""The coach's air: closed balance, choked flow as in ISO 6358, weak brakes without air."""
 
 import math
 
@@ -27,7 +27,8 @@ def test_the_cylinders_use_the_air_that_the_reservoir_lost_and_the_supply_gave(s
     assert lost_NL + run.change("air_supplied") == pytest.approx(
         run.change("air_consumption"), rel=1e-9
     )
-    # the consumption is the air that flowed into the cylinders, so it follows from the rises of pressure
+    # the consumption is the air that flowed into the cylinders, so it follows from the rises of
+    # pressure
     rises = np.maximum(np.diff(run.cylinder_pressure, axis=0), 0.0).sum()
     assert run.change("air_consumption") == pytest.approx(4.0 * rises / NORMAL_PA, rel=1e-3)
 

@@ -9,7 +9,7 @@ COACH = {"model": "multibody"}
 
 @pytest.fixture(scope="module")
 def both():
-    """Return rig and history of six seconds of full brake from 30 m/s on soap, on the track, by model."""
+    """Return rig and history of six seconds of full brake on soap, on the track, by model."""
     runs = {}
     for model in ("planar", "multibody"):
         rig = Rig(30.0, vehicle={"model": model}, adhesion=SOAP, rig=TRACK)

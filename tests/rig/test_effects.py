@@ -198,7 +198,8 @@ def test_after_a_step_in_sliding_a_wheel_with_memory_recovers_by_its_length(
         brake={"cylinder_area_m2": 0.1},
         mechanisms={"adhesion_memory_length_m": length_m, "adhesion_memory_speed_power": power},
     )
-    # strong brakes have locked all wheels: by the paper's law lambda_0 then hardly changes with the way
+    # strong brakes have locked all wheels: by the paper's law lambda_0 then hardly changes with the
+    # way
     rig.state.wheel_speed[:] = 0.0
     rig.state.cylinder_pressure[:] = rig.state.brake_demand[:] = 4e5
     rig.state.brake_capacity[:] = 2e4

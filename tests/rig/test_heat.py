@@ -23,7 +23,7 @@ def bodies(**changes):
 
 
 def stop(plan, seconds):
-    """Return the state of a plant that has braked without WSP for some seconds, from the plan's speed."""
+    """Return the state of a plant that has braked without WSP for some seconds."""
     run = plant.Plant(plan.params, plan["initial_speed_m_s"])
     for tick in range(round(seconds / plan.params.tick_s)):
         plant.advance(run.state, run.delay, np.zeros(4), 3.8e5, tick, plan.params)

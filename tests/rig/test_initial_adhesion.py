@@ -1,4 +1,4 @@
-"""A stated initial adhesion holds on the rail and decides mu_cd; a mu_cd that is given later replaces it."""
+"""A stated initial adhesion holds on the rail and decides mu_cd; a later mu_cd replaces it."""
 
 import numpy as np
 import pytest

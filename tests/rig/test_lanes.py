@@ -1,8 +1,8 @@
 """Every kernel of the lanes against its twin in the plant: random rigs in random states, by seed.
 
-`TWINS` has a check for each kernel of `rig/lanes`, which compares it with the plant. A kernel without
-a check fails, so the lanes cannot have arithmetic that the plant does not have. Both have the same
-equations in another order: they agree to 1e-9 of the largest value of a row.
+`TWINS` has a check for each kernel of `rig/lanes`, which compares it with the plant. A kernel
+without a check fails, so the lanes cannot have arithmetic that the plant does not have. Both have
+the same equations in another order: they agree to 1e-9 of the largest value of a row.
 """
 
 import math
@@ -129,7 +129,7 @@ def random_rig(rng, mode):
 
 
 def set_random_state(rng, rig):
-    """Set any state that a run may reach, from micro-slip to a locked wheel; some vehicles stand."""
+    """Set a state that a run may reach, from micro-slip to a lock; some vehicles stand."""
     s = rig.state
     p = rig.params
     four = (4,)

@@ -1,4 +1,4 @@
-"""Every row of the tables of mechanisms and causes: plant, replay and derivative agree on its meaning."""
+"""Every row of the tables of mechanisms and causes: plant, replay and derivative agree."""
 
 import math
 from functools import cache
@@ -30,8 +30,9 @@ WINDOWS = {
     "contaminated_patch": {"start_m": 40.0, "length_m": 60.0},
     "sanding": {"start_s": 2.0, "duration_s": 2.0},
 }
-# Smallest correlation and largest difference of causes that agree less well: the plant uses a lag for the
-# way between wheels, and its released brake gives no torque, whatever the offset of the sensor is.
+# Smallest correlation and largest difference of causes that agree less well: the plant uses a lag
+# for the way between wheels, and its released brake gives no torque, whatever the offset of the
+# sensor is.
 ROUGHLY = {"rail_cleaning": (0.75, 0.3), "torque_offset": (0.85, 0.25)}
 # sizes of causes: the step of its derivative, for the others a share of the upper bound
 SIZE = {"adhesion_memory": 2.0}

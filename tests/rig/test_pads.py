@@ -1,4 +1,4 @@
-"""Brake pads: no change while nothing varies, the energy balance, and heat that acts back on friction."""
+"""Brake pads: no change while nothing varies, the energy balance, and fading by heat."""
 
 import numpy as np
 import pytest

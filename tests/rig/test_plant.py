@@ -17,7 +17,7 @@ MU_CLEAN = 0.28
 
 
 def random_magnets(seconds, seed=3):
-    """Return magnets (ticks, 4): 20 s of random patterns on every axle, each for 50 to 400 ms, then none."""
+    """Return magnets (ticks, 4): random patterns of 50 to 400 ms for 20 s, then none."""
     random = np.random.default_rng(seed)
     rows = np.empty((20_000, 4))
     for axle in range(4):

@@ -1,4 +1,4 @@
-"""Sand on the rail and contaminant on rollers: their balances close, and they change the friction of the wheels."""
+"""Sand on the rail and contaminant on rollers: closed balances, and effects on friction."""
 
 import numpy as np
 import pytest

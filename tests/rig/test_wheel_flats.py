@@ -1,4 +1,4 @@
-"""Wheel flats: their length follows the work of a lock, they act once a turn, and round wheels have none."""
+"""Wheel flats: length by the work of a lock, effect once a turn, none on round wheels."""
 
 import math
 

@@ -1,9 +1,9 @@
 """Equivalent conicity: the cone on which a wheelset would run with the same wavelength.
 
-A wheelset that is shifted sideways rolls on two different radii, and their difference steers it back.
-Here it is laid down so that both wheels just touch. The difference is tabulated over the shift. The
-wavelength of the motion of a given amplitude follows by integration. A cone with the same wavelength
-has the equivalent conicity.
+A wheelset that is shifted sideways rolls on two different radii, and their difference steers it
+back. Here it is laid down so that both wheels just touch. The difference is tabulated over the
+shift. The wavelength of the motion of a given amplitude follows by integration. A cone with the
+same wavelength has the equivalent conicity.
 
 [E1] y'' = -dr(y) / (e r0), e between the running circles, dr = r_left - r_right for a shift y
 [E2] lambda = 4 int_0^A dy / sqrt(2 (V(A) - V(y))), V = int dr / (e r0) dy
@@ -50,7 +50,7 @@ def settle(
 def radius_difference(
     shifts_m: np.ndarray, wheel: Wheel, rail: Rail, roller_m: float = math.inf
 ) -> np.ndarray:
-    """Return the rolling radius of the left wheel less that of the right one, in m, over the shifts."""
+    """Return the rolling radius of the left wheel less that of the right one, in m, by shift."""
     differences = []
     for shift in shifts_m:
         _, _, left, right = settle(float(shift), wheel, rail, roller_m)

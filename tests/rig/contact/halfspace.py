@@ -1,10 +1,10 @@
 """Steady rolling of two equal elastic half-spaces: a reference for the creep force models.
 
 Tractions on a grid over the contact ellipse strain both bodies by Cerruti's solution for a loaded
-rectangle. Where the patch sticks, rigid creepage and strain cancel. Where it slips, the traction is at
-the friction limit and against the slip. Newton's method with an active set solves this, as in Kalker's
-TANG. The solution shares no line with the models under test, and is within 0.04 mu N of CONTACT on
-21 x 21 elements.
+rectangle. Where the patch sticks, rigid creepage and strain cancel. Where it slips, the traction is
+at the friction limit and against the slip. Newton's method with an active set solves this, as in
+Kalker's TANG. The solution shares no line with the models under test, and is within 0.04 mu N of
+CONTACT on 21 x 21 elements.
 
 Source: Johnson, Contact Mechanics, 1985, sections 3.6 and 8.3; Kalker 1990, chapter 4.
 """

@@ -1,4 +1,4 @@
-"""Contact points against a published table of rigid contact, and against the equations of contact."""
+"""Contact points against a published table of rigid contact, and against their equations."""
 
 import math
 from pathlib import Path
@@ -27,8 +27,8 @@ from rollerrig.rig.contact.geometry import (
 DATA = Path(__file__).parents[2] / "data"
 WHEEL = profiles.s1002()
 RAIL = profiles.uic60()
-# columns y_ws, roll, s_R, s_L, Y_R, Y_L, r_R, r_L, z in mm and rad; there the right side is +y, here
-# the left one
+# columns y_ws, roll, s_R, s_L, Y_R, Y_L, r_R, r_L, z in mm and rad; there the right side is +y,
+# here the left one
 RIGID = np.genfromtxt(DATA / "rigid_contact_s1002_uic60_1in20.csv", delimiter=",", skip_header=1)
 
 

@@ -1,4 +1,4 @@
-"""Wheel and rail profiles against their published samples, and against frequent mistakes in files."""
+"""Wheel and rail profiles against published samples, and against frequent mistakes in files."""
 
 from pathlib import Path
 
