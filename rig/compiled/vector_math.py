@@ -6,7 +6,7 @@ a choice between two values. The functions of the C library do not fulfil this. 
 are polynomials and quotients of polynomials, and `MATH` offers them under the names of Python's
 `math`, so that `variants.variant` can compile a formula with them.
 
-Accuracy (tests/rig/contact/test_adhesion_abreast.py): exp, log and atan agree with the C library to
+Accuracy (tests/rig/contact/test_vector_law.py): exp, log and atan agree with the C library to
 5e-16, the inverse cube root is exact to 1e-14.
 
 Source: Cody and Waite, Software Manual for the Elementary Functions (1980), for the reduction of the

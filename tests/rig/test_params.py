@@ -7,6 +7,7 @@ import pytest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import params
+from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.creep_force import MODELS
 
 ROWS = [(section, row) for section, rows in params.ROWS.items() for row in rows]
@@ -181,6 +182,11 @@ def test_the_papers_tables_are_the_defaults():
         "tau_m_J": 1.9e-4,
         "cleaning_creepage": math.inf,
     }
+
+
+def test_every_field_of_the_adhesion_law_is_a_parameter_of_its_section():
+    rows = {row.name for row in params.ROWS["adhesion"]}
+    assert set(Law._fields) <= rows
 
 
 @pytest.mark.parametrize(
