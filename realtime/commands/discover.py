@@ -62,7 +62,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="stops that may be run, at least 3 (default: 9)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the clean sets (default: 0)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the null simulations (default: 0)"
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -80,4 +82,4 @@ def call(given: argparse.Namespace) -> int:
         account, history = discover.find_out(
             given.rig, out, given.stops, given.seed, output.say, progress
         )
-        return explain.told(given, account, out, progress, history=history)
+        return explain.write_and_show(given, account, out, progress, history=history)

@@ -4,18 +4,30 @@ import argparse
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output, study
 
-# a replay ends there: creepage grows beyond all bounds as the speed falls to nothing
+if TYPE_CHECKING:
+    from rollerrig.rig.identify.data.runs import Dataset
+    from rollerrig.rig.identify.decide.decision import Diagnosis
+
+# run folders are used down to this speed: creepage grows without bound as the speed falls to 0
 SLOWEST_M_S = 4.0
+# of the run folders, one in so many is never fitted unless --validate names others
+RUNS_FOR_ONE_HELD_OUT = 3
+# a step whose share falls below this has begun again
+STEP_BEGINS = 0.03
+
+Progress = Callable[[str, float], None]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "dataset", nargs="+", help="folder of a dataset, name of a packaged one, or folders of runs"
+        "dataset",
+        nargs="+",
+        help="folder of a dataset, name of a packaged dataset, or folders of runs",
     )
     parser.add_argument(
         "--validate",
@@ -31,7 +43,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of the report (default: reports/explain_NAME)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the clean sets (default: 0)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the null simulations (default: 0)"
+    )
     parser.add_argument(
         "--next",
         type=int,
@@ -44,46 +58,190 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def call(given: argparse.Namespace) -> int:
     if _is_recorder(given.dataset):
-        return _recorder(given)
-    data, out = _opened(given)
+        return _explain_recorder(given)
+    data, out = _open_dataset(given)
     if data.kind == "creep_curve":
-        from rollerrig.realtime.reports import tuning as page
-        from rollerrig.realtime.telemetry import study_view
-        from rollerrig.rig.identify.paper import polach_fit
+        return _explain_creep_curve(given, data, out)
+    return _explain_braking_runs(given, data, out)
 
-        fitted = polach_fit.fit(data, given.seed)
-        report = polach_fit.as_json(data, fitted)
-        study_view.creep_points(out / "report.rrd", data)
-        return _show(
-            given,
-            out,
-            data.name,
-            report,
-            polach_fit.story(report),
-            page.polach_page(data, fitted),
-            f"# {data.name}: nothing that a scenario could load\n",
-        )
+
+# --- the three kinds of data ---
+
+
+def _explain_braking_runs(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
     from rollerrig.rig.identify.decide import decision
 
     with progress_bar() as progress:
-        return told(
-            given,
-            decision.explain_braking_runs(data, given.seed, progress),
-            out,
-            progress,
-            given.more,
+        diagnosis = decision.explain_braking_runs(data, given.seed, progress)
+        return write_and_show(given, diagnosis, out, progress, stops=given.more)
+
+
+def _explain_creep_curve(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
+    from rollerrig.realtime.reports import tuning as report_page
+    from rollerrig.realtime.telemetry import study_view
+    from rollerrig.rig.identify.paper import polach_fit
+
+    fitted = polach_fit.fit(data, given.seed)
+    report = polach_fit.as_json(data, fitted)
+    study_view.creep_points(out / "report.rrd", data)
+    return _write_and_show(
+        given,
+        out,
+        name=data.name,
+        report=report,
+        lines=polach_fit.story(report),
+        html=report_page.polach_page(data, fitted),
+        extended=f"# {data.name}: a creep curve has nothing that a scenario can load\n",
+    )
+
+
+def _is_recorder(names: list[str]) -> bool:
+    """Return whether the data are what a train records."""
+    from rollerrig.rig.identify.data import dataset
+
+    is_run = (Path(names[0]) / "scenario.toml").is_file()
+    if len(names) > 1 or is_run:
+        return False
+    head = dataset.parse(dataset.find(names[0]) / "dataset.toml")
+    return head.get("kind") == "recorder"
+
+
+def _explain_recorder(given: argparse.Namespace) -> int:
+    from rich.text import Text
+
+    from rollerrig.realtime.reports import recorder as report
+    from rollerrig.realtime.telemetry import study_view
+    from rollerrig.rig.identify.train_recorder import recording, verdict
+
+    data = recording.load(given.dataset[0])
+    out = study.report_folder(given.dataset, given.out, "explain")
+    with output.progress_of(lambda: f"explaining {data.name}"):
+        found = verdict.explain(data)
+
+    as_json = verdict.as_json(found)
+    study.write_report(out, "report", as_json, report.page(found))
+    study_view.recorded(
+        out / "report.rrd",
+        data.name,
+        report.courses(found),
+        [(f.run, f.start_s, f"{f.name}: {f.text}") for f in (*found.findings, *found.unknown)],
+    )
+    return output.show(
+        given,
+        as_json,
+        Text(f"{found.verdict}: {data.name}", "bold"),
+        *map(Text, verdict.story(found)),
+        f"report: {out / 'report.html'}, {out / 'report.rrd'}",
+    )
+
+
+# --- input ---
+
+
+def _open_dataset(given: argparse.Namespace) -> "tuple[Dataset, Path]":
+    """Return the dataset of the command line, and the folder of its report, which is created."""
+    are_runs = all((Path(name) / "scenario.toml").is_file() for name in given.dataset)
+    if given.validate and not are_runs:
+        raise ConfigError(
+            f"--validate {given.validate[0]}: {given.dataset[0]} is not a run folder; give --validate with "
+            "run folders only, a dataset names its runs to validate in its dataset.toml"
         )
 
+    def dataset_of_runs(runs: list[Path], folder: Path) -> "Dataset":
+        return _dataset_of_runs(runs, given.validate, folder)
 
-def _show(
+    return study.open_dataset(given.dataset, given.out, "explain", dataset_of_runs)
+
+
+def _dataset_of_runs(runs: list[Path], validate: list[Path], folder: Path) -> "Dataset":
+    """Write a dataset of run folders into a folder, and return it; without `validate` the last third validates."""
+    from rollerrig.realtime.datasets import run_dataset, run_sensors
+    from rollerrig.rig.identify.data import dataset
+
+    fitted = runs
+    held_out = validate
+    if not validate:
+        first_held_out = len(runs) - len(runs) // RUNS_FOR_ONE_HELD_OUT
+        fitted = runs[:first_held_out]
+        held_out = runs[first_held_out:]
+    written = run_dataset.from_folders(fitted, folder, held_out, run_sensors.NOISE, SLOWEST_M_S)
+    name = ", ".join(run.resolve().name for run in (*fitted, *held_out))
+    return dataset.load(written)._replace(name=name)
+
+
+# --- output ---
+
+
+@contextlib.contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """Show the progress of a search: yields a function of the title of a step and its share done, 0 to 1."""
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    state = "reading the data"
+    console = Console(stderr=True)
+    with Bar(console=console, transient=True) as bar, output.progress_of(lambda: state):
+        steps: dict[str, Any] = {}
+
+        def progress(title: str, share: float) -> None:
+            nonlocal state
+            state = f"{title}: {share:.0%}"
+            if title not in steps or share < STEP_BEGINS:
+                steps[title] = bar.add_task(title, total=1.0)
+            bar.update(steps[title], completed=share)
+
+        yield progress
+
+
+def write_and_show(
+    given: argparse.Namespace,
+    diagnosis: "Diagnosis",
+    out: Path,
+    progress: Progress,
+    stops: int = 0,
+    **more_entries: Any,
+) -> int:
+    """Write the report of a diagnosis and show it. Returns the exit status.
+
+    `stops` further stops are proposed. `more_entries` are added to report.json.
+    """
+    from rollerrig.realtime.reports import cause_report, cause_sentences, extended_model
+    from rollerrig.realtime.telemetry import study_view
+
+    report = cause_report.as_json(diagnosis) | more_entries
+    lines = cause_sentences.story(diagnosis)
+    lines += _write_further_stops(diagnosis, report, out, stops, progress)
+    where, causes = cause_report.panels(diagnosis, report)
+    study_view.explained(
+        out / "report.rrd",
+        diagnosis.data.name,
+        cause_report.as_markdown(diagnosis, report),
+        where,
+        causes,
+        cause_report.adhesion_courses(diagnosis),
+    )
+    return _write_and_show(
+        given,
+        out,
+        name=diagnosis.data.name,
+        report=report,
+        lines=lines,
+        html=cause_report.page(diagnosis, report),
+        extended=extended_model.toml(diagnosis),
+    )
+
+
+def _write_and_show(
     given: argparse.Namespace,
     out: Path,
+    *,
     name: str,
     report: dict[str, Any],
     lines: list[str],
     html: str,
     extended: str,
 ) -> int:
+    """Write report.json, report.html and extended.toml, and show verdict and sentences."""
     from rich.text import Text
 
     study.write_report(out, "report", report, html)
@@ -97,154 +255,40 @@ def _show(
     )
 
 
-def _is_recorder(names: list[str]) -> bool:
-    from rollerrig.rig.identify.data import dataset
-
-    if len(names) > 1 or (Path(names[0]) / "scenario.toml").is_file():
-        return False
-    return dataset.parse(dataset.find(names[0]) / "dataset.toml").get("kind") == "recorder"
-
-
-def _recorder(given: argparse.Namespace) -> int:
-    from rich.text import Text
-
-    from rollerrig.realtime.reports import recorder as report
-    from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify.train_recorder import recording, verdict
-
-    read = recording.load(given.dataset[0])
-    out = study.report_folder(given.dataset, given.out, "explain")
-    with output.progress_of(lambda: f"explaining {read.name}"):
-        found = verdict.explain(read)
-    told = verdict.as_json(found)
-    study.write_report(out, "report", told, report.page(found))
-    study_view.recorded(
-        out / "report.rrd",
-        read.name,
-        report.courses(found),
-        [(f.run, f.start_s, f"{f.name}: {f.text}") for f in (*found.findings, *found.unknown)],
-    )
-    return output.show(
-        given,
-        told,
-        Text(f"{found.verdict}: {read.name}", "bold"),
-        *map(Text, verdict.story(found)),
-        f"report: {out / 'report.html'}, {out / 'report.rrd'}",
-    )
-
-
-def _opened(given: argparse.Namespace) -> tuple[Any, Path]:
-    """The dataset of the command line, and the folder of its report (made)."""
-    from rollerrig.realtime.datasets import run_dataset, run_sensors
-    from rollerrig.rig.identify.data import dataset
-
-    def of_runs(runs: list[Path], folder: Path) -> Any:
-        kept = len(runs) if given.validate else len(runs) - len(runs) // 3
-        fitted, held = runs[:kept], given.validate or runs[kept:]
-        made = run_dataset.from_folders(fitted, folder, held, run_sensors.NOISE, SLOWEST_M_S)
-        return dataset.load(made)._replace(
-            name=", ".join(run.resolve().name for run in (*fitted, *held))
-        )
-
-    if given.validate and not all(
-        (Path(name) / "scenario.toml").is_file() for name in given.dataset
-    ):
-        raise ConfigError(
-            f"--validate {given.validate[0]}: {given.dataset[0]} is no folder of a run; a dataset says "
-            "in its dataset.toml which runs validate"
-        )
-    return study.open_dataset(given.dataset, given.out, "explain", of_runs)
-
-
-@contextlib.contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Shows how far each piece of work is, told by its title and share."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    at = "reading the data"
-    with (
-        Progress(console=Console(stderr=True), transient=True) as bar,
-        output.progress_of(lambda: at),
-    ):
-        tasks: dict[str, Any] = {}
-
-        def progress(title: str, share: float) -> None:
-            nonlocal at
-            at = f"{title}: {share:.0%}"
-            if title not in tasks or share < 0.03:
-                tasks[title] = bar.add_task(title, total=1.0)
-            bar.update(tasks[title], completed=share)
-
-        yield progress
-
-
-def told(
-    given: argparse.Namespace,
-    account: Any,
-    out: Path,
-    progress: Callable[[str, float], None],
-    more: int = 0,
-    **beside: Any,
-) -> int:
-    """Write the report of an account, with further stops to be proposed and what stands beside it, and show it."""
-    from rollerrig.realtime.reports import cause_report as report
-    from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify.decide import extended_model
-
-    found = report.as_json(account) | beside
-    lines = report.story(account) + _further(account, found, out, more, progress)
-    study_view.explained(
-        out / "report.rrd",
-        account.data.name,
-        report.in_words(account, found),
-        *report.panels(account, found),
-        report.courses(account),
-    )
-    return _show(
-        given,
-        out,
-        account.data.name,
-        found,
-        lines,
-        report.page(account, found),
-        extended_model.toml(account),
-    )
-
-
-def _further(
-    account: Any,
-    found: dict[str, Any],
-    out: Path,
-    count: int,
-    progress: Callable[[str, float], None],
+def _write_further_stops(
+    diagnosis: "Diagnosis", report: dict[str, Any], out: Path, count: int, progress: Progress
 ) -> list[str]:
-    """Write the separating tests of causes and the proposed stops as sequences; names them in `found`."""
+    """Write the separating tests of causes and the proposed stops as sequences. Returns lines about the stops.
+
+    Their names are added to the report.
+    """
     import tomli_w
 
     from rollerrig.rig.identify.next_stops import planning
 
-    unclear = [k for k, named in enumerate(account.causes) if named.confusable]
+    unclear = [k for k, identified in enumerate(diagnosis.causes) if identified.confusable]
     if not (unclear or count):
         return []
-    fitted = planning.FittedData(account.data, account.design, account.final)
-    lib = planning.library(fitted, planning.surviving(account), progress)
+    fitted = planning.FittedData(diagnosis.data, diagnosis.design, diagnosis.final)
+    library = planning.library(fitted, planning.surviving(diagnosis), progress)
 
-    def write(name: str, test: Any) -> Path:
-        (out / name).write_text(tomli_w.dumps(planning.sequence(test, fitted)), encoding="utf-8")
+    def write(name: str, proposal: planning.Proposal) -> Path:
+        sequence = planning.sequence(proposal, fitted)
+        (out / name).write_text(tomli_w.dumps(sequence), encoding="utf-8")
         return out / name
 
     for k in unclear:
-        named = account.causes[k]
-        for test in planning.propose(lib, 1, (named.finding.name, *named.confusable)):
-            file = write(
-                "separating_test.toml" if k == 0 else f"separating_test_{k + 1}.toml", test
-            )
-            found["causes"][k]["separating_test"] = file.name
-    proposed = planning.propose(lib, count)
-    files = [write(f"next_{k}.toml", test) for k, test in enumerate(proposed, start=1)]
-    found["next"] = planning.as_json(proposed, [file.name for file in files])
-    return [
-        f"Next: {test.stop.title}; {test.reason}: rollerrig sequence {file}"
-        for file, test in zip(files, proposed, strict=True)
-    ]
+        identified = diagnosis.causes[k]
+        names = (identified.score_test.name, *identified.confusable)
+        file_name = "separating_test.toml" if k == 0 else f"separating_test_{k + 1}.toml"
+        for proposal in planning.propose(library, 1, names):
+            file = write(file_name, proposal)
+            report["causes"][k]["separating_test"] = file.name
+
+    proposals = planning.propose(library, count)
+    files = [write(f"next_{k}.toml", proposal) for k, proposal in enumerate(proposals, start=1)]
+    report["next"] = planning.as_json(proposals, [file.name for file in files])
+    lines = []
+    for file, proposal in zip(files, proposals, strict=True):
+        lines.append(f"Next: {proposal.stop.title}; {proposal.reason}: rollerrig sequence {file}")
+    return lines

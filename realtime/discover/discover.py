@@ -211,7 +211,7 @@ def _judged(
             "stops": len(folders),
             "verdict": account.verdict,
             "seconds": round(account.elapsed_s, 1),
-            "causes": [[named.finding.name, *named.confusable] for named in account.causes],
+            "causes": [[named.score_test.name, *named.confusable] for named in account.causes],
         }
     )
     say(_line(len(rounds), rounds[-1]))
@@ -251,7 +251,7 @@ def _further(
     lib = planning.library(fitted, planning.surviving(account), progress)
     # first those that cannot be told from one another
     unclear = {
-        name for n in account.causes if n.confusable for name in (n.finding.name, *n.confusable)
+        name for n in account.causes if n.confusable for name in (n.score_test.name, *n.confusable)
     }
     new = [
         p

@@ -1,11 +1,14 @@
-"""The pictures of an explanation: where the base is wrong, what a cause does, where it matters, what is gained.
+"""Draws the pictures of the report on braking runs.
 
-The effect of a cause is shown without its form: what the model without it leaves, in bins of what the cause goes by.
-The fitted law, the difference that the cause makes to what is left, is drawn over it. Bars are two standard errors
-from means of blocks of 3 s, since neighbouring samples are not independent.
+They show where the base is wrong, what a cause does, where it matters, and what is gained.
+
+The effect of a cause is shown without its form: the panel has what the model without the cause leaves,
+in bins of the covariate that the cause depends on. The fitted law is drawn over it: the difference
+that the cause makes to what is left. Bars are two standard errors from means of blocks of 3 s, since
+neighbouring samples are not independent.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,216 +17,278 @@ from matplotlib.figure import Figure
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.panel import Panel, Series
 from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED
+from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.causes.courses import covariate, vehicle_samples
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import gain
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.decision import Diagnosis
+from rollerrig.rig.identify.decide.gain import RunGain
+from rollerrig.rig.identify.decide.thresholds import BLOCK_S, SLOWEST_M_S
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, VEHICLE, arguments
 from rollerrig.rig.mechanisms.table import BY_NAME
 
-BINS, LEAST_OF_BIN, STRETCH_S = 12, 50, 5.0
-_WORDS = {c.name: f"{c.word.replace('_', ' ')}, {c.unit}" for c in COVARIATES if c.word} | {
-    "cleaned_J_m": "work of the wheels before on this metre, J/m",
-    "braked_rad": "angle turned braked, rad",
+BINS = 12
+LEAST_OF_BIN = 50  # samples of a bin; smaller bins are left out
+BAR_DEVIATIONS = 2.0  # half length of a bar in standard errors
+STRETCH_S = 5.0  # length of the stretch that is shown in full
+MOST_PANELS = 3
+BAR_HEIGHT = 0.36  # of a horizontal bar of the gains; bars of one run are BAR_PITCH apart
+BAR_PITCH = 0.38
+BLOCKS_OF_WHEEL = 10_000  # more than a run has
+
+# axis titles of covariates
+_TITLES = {c.name: f"{c.word.replace('_', ' ')}, {c.unit}" for c in COVARIATES if c.word} | {
+    "cleaned_J_m": "work of the wheels in front on this metre, J/m",
+    "braked_rad": "angle turned while braked, rad",
     "brake_Nm": "brake torque, N m",
     "deceleration_m_s2": "deceleration, m/s²",
 }
-# what a remainder goes along, as the search calls it, and the covariate that shows it
-_ALONG = {c.word: c.name for c in COVARIATES if c.word} | {
+# the covariate that shows a remainder, by the word that the search has for it
+_COVARIATE_OF_WORD = {c.word: c.name for c in COVARIATES if c.word} | {
     "deceleration": "deceleration_m_s2",
     "vehicle time": "time_s",
     "vehicle speed": "speed_m_s",
     "axle": "time_s",
     "acceleration": "sliding_m_s",
 }
+# shown where the remainder names fewer
+_ALWAYS_OF_INTEREST = ("sliding_m_s", "speed_m_s", "time_s")
 
 
 class Binned(NamedTuple):
-    """Means in bins of a covariate with two standard errors."""
+    """Means in bins of a covariate, shape (bins,) each."""
 
-    at: np.ndarray
+    at: np.ndarray  # mean of the covariate
     mean: np.ndarray
-    bar: np.ndarray
+    bar: np.ndarray  # two standard errors, NaN where there is one block only
+
+
+# --- panels ---
 
 
 def binned(x: np.ndarray, y: np.ndarray, block: np.ndarray, edges: np.ndarray) -> Binned:
-    """Means of y in bins of x; `block` tells which samples belong together."""
-    of, found = np.clip(np.digitize(x, edges) - 1, 0, len(edges) - 2), []
-    for k in range(len(edges) - 1):
-        inside = of == k
+    """Return the means of y in bins of x. Samples with the same number in `block` belong together."""
+    bins = len(edges) - 1
+    bin_of = np.clip(np.digitize(x, edges) - 1, 0, bins - 1)
+    at = []
+    mean = []
+    bar = []
+    for k in range(bins):
+        inside = bin_of == k
         if inside.sum() < LEAST_OF_BIN:
             continue
-        _, own = np.unique(block[inside], return_inverse=True)
-        means = np.bincount(own, y[inside]) / np.bincount(own)
-        bar = 2.0 * means.std(ddof=1) / np.sqrt(means.size) if means.size > 1 else np.nan
-        found.append((x[inside].mean(), y[inside].mean(), bar))
-    return Binned(*np.array(found).T) if found else Binned(*np.zeros((3, 0)))
+        _, block_of = np.unique(block[inside], return_inverse=True)
+        block_means = np.bincount(block_of, y[inside]) / np.bincount(block_of)
+        standard_error = np.nan
+        if block_means.size > 1:
+            standard_error = block_means.std(ddof=1) / np.sqrt(block_means.size)
+        at.append(x[inside].mean())
+        mean.append(y[inside].mean())
+        bar.append(BAR_DEVIATIONS * standard_error)
+    return Binned(np.array(at), np.array(mean), np.array(bar))
 
 
-def where(a: Diagnosis, against: list[str]) -> list[Panel]:
-    """What the base leaves of the adhesion, against what shows it most, each axle."""
-    d = a.design
-    left, better = (_left(d, one) for one in (a.base, a.final))
-    names = list(
-        dict.fromkeys(
-            [_ALONG.get(_plain(word), "time_s") for word in against]
-            + ["sliding_m_s", "speed_m_s", "time_s"]
-        )
-    )[:3]
-    block, axle = _blocks(d), np.repeat(d.axle, np.diff(d.start))
-    found = []
-    for name in names:
-        x = covariate(d, name)
+def where(diagnosis: Diagnosis, against: list[str]) -> list[Panel]:
+    """Return panels of the adhesion that the base lacks, along the covariates that show it most."""
+    design = diagnosis.design
+    left_by_base = _left(design, diagnosis.base)
+    left_by_extended = _left(design, diagnosis.final)
+    block = _blocks(design)
+    axle_of = np.repeat(design.axle, np.diff(design.start))
+
+    panels = []
+    for name in _covariates_to_show(against):
+        x = covariate(design, name)
         edges = _edges(x)
-        series = [
-            Series(f"axle {j + 1}", colour, *binned(x[on], left[on], block[on], edges))
-            for j, colour in enumerate(colours.AXLES)
-            for on in [axle == j]
-        ]
-        if a.causes:
-            at, mean, _ = binned(x, better, block, edges)
-            series.append(Series("extended, all axles", colours.EXTENDED, at, mean, None))
-        found.append(
+        series = []
+        for axle, colour in enumerate(colours.AXLES):
+            on = axle_of == axle
+            of_axle = binned(x[on], left_by_base[on], block[on], edges)
+            series.append(Series(f"axle {axle + 1}", colour, *of_axle))
+        if diagnosis.causes:
+            of_all = binned(x, left_by_extended, block, edges)
+            series.append(
+                Series("extended, all axles", colours.EXTENDED, of_all.at, of_all.mean, None)
+            )
+        panels.append(
             Panel(
-                _WORDS[name].partition(",")[0],
-                _WORDS[name],
-                "measured less base model, adhesion",
-                tuple(series),
+                title=_TITLES[name].partition(",")[0],
+                along=_TITLES[name],
+                upwards="measured less base model, adhesion",
+                series=tuple(series),
             )
         )
-    return found
+    return panels
 
 
-def cause(a: Diagnosis, named: IdentifiedCause) -> Panel:
-    """What the model without a cause leaves along what the cause goes by, and the fitted law over it."""
-    d, row = a.design, BY_NAME[named.cause.name]
-    without = a.final._replace(
-        causes=tuple(c for c in a.final.causes if c.name != named.cause.name)
-    )
-    vehicle = row.acts_on == VEHICLE
-    left = gain.free_running if vehicle else _left
-    lacking, rest = left(d, without), left(d, a.final)
-    goes_by = [c for course in row.courses for c in arguments(course, 0) if c in _WORDS]
-    name = goes_by[0] if goes_by else "speed_m_s" if vehicle else "sliding_m_s"
-    x, block, axle = covariate(d, name), _blocks(d), np.repeat(d.axle, np.diff(d.start))
-    if vehicle:
-        x, block, axle = vehicle_samples(d, x), vehicle_samples(d, block), np.zeros(lacking.size)
-    # a cause of one axle shows there; one of all is shown together
-    on = np.full(x.size, True) if vehicle or not named.cause.axle else axle == named.cause.axle - 1
+def _covariates_to_show(against: list[str]) -> list[str]:
+    """Return the covariates that show a remainder, and others of interest, each once."""
+    names = []
+    for word in against:
+        plain = "time" if word.startswith("time of") else word
+        names.append(_COVARIATE_OF_WORD.get(plain, "time_s"))
+    return list(dict.fromkeys([*names, *_ALWAYS_OF_INTEREST]))[:MOST_PANELS]
+
+
+def cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> Panel:
+    """Return the panel of what the model without a cause leaves, along the covariate that the cause depends on."""
+    design = diagnosis.design
+    mechanism = BY_NAME[identified.cause.name]
+    axle = identified.cause.axle
+    others = tuple(c for c in diagnosis.final.causes if c.name != identified.cause.name)
+    without = diagnosis.final._replace(causes=others)
+
+    is_of_vehicle = mechanism.acts_on == VEHICLE
+    left = gain.free_running if is_of_vehicle else _left
+    left_without = left(design, without)
+    left_with = left(design, diagnosis.final)
+
+    name = _covariate_of(identified)
+    x = covariate(design, name)
+    block = _blocks(design)
+    if is_of_vehicle:
+        x = vehicle_samples(design, x)
+        block = vehicle_samples(design, block)
+    # a cause on one axle shows there; a cause on all axles is shown together
+    on = np.full(x.size, True)
+    if axle and not is_of_vehicle:
+        on = np.repeat(design.axle, np.diff(design.start)) == axle - 1
     edges = _edges(x[on])
-    b, law = (binned(x[on], y[on], block[on], edges) for y in (lacking, lacking - rest))
-    place = f", axle {named.cause.axle}" if named.cause.axle else ""
+    points = binned(x[on], left_without[on], block[on], edges)
+    law = binned(x[on], (left_without - left_with)[on], block[on], edges)
+
     return Panel(
-        f"{row.text}{place}",
-        _WORDS[name],
-        "error of the speed 5 s ahead, m/s" if vehicle else "adhesion",
-        (
-            Series("left without it, ± 2 standard errors", colours.MEASURED, *b),
+        title=mechanism.text + (f", axle {axle}" if axle else ""),
+        along=_TITLES[name],
+        upwards="error of the speed 5 s ahead, m/s" if is_of_vehicle else "adhesion",
+        series=(
+            Series("left without it, ± 2 standard errors", colours.MEASURED, *points),
             Series("the fitted law", colours.EXTENDED, law.at, law.mean, None),
         ),
     )
 
 
+def _covariate_of(identified: IdentifiedCause) -> str:
+    """Return the covariate that a cause depends on, or one that usually shows its effect."""
+    mechanism = BY_NAME[identified.cause.name]
+    for course in mechanism.courses:
+        for name in arguments(course, 0):
+            if name in _TITLES:
+                return name
+    return "speed_m_s" if mechanism.acts_on == VEHICLE else "sliding_m_s"
+
+
+def _left(design: Design, explanation: Explanation) -> np.ndarray:
+    """Return measured less modelled adhesion at every sample, 0 below SLOWEST_M_S."""
+    measured, model, _ = gain.adhesion(design, explanation)
+    return np.where(design.speed_m_s > SLOWEST_M_S, measured - model, 0.0)
+
+
+def _edges(x: np.ndarray) -> np.ndarray:
+    """Return the edges of bins that hold about equally many samples; of one bin where x does not vary."""
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+    if edges.size > 2:
+        return edges
+    return np.array([x.min() - 1.0, x.max() + 1.0])
+
+
+def _blocks(design: Design) -> np.ndarray:
+    """Return a number for each block of 3 s of each wheel, shape (n,)."""
+    wheel = np.repeat(np.arange(design.segments), np.diff(design.start))
+    return wheel * BLOCKS_OF_WHEEL + (design.time_s // BLOCK_S).astype(int)
+
+
+# --- figures ---
+
+
 def draw(figure: Figure, panels: list[Panel]) -> None:
-    """Panels beside one another, with the same measure upwards."""
-    for k, (axes, panel) in enumerate(
-        zip(np.atleast_1d(figure.subplots(1, len(panels), sharey=True)), panels, strict=True)
-    ):
-        for one in panel.series:
-            colour = INK if one.colour == colours.MEASURED else colours.on_page(one.colour)
-            if one.bar is None:
-                axes.plot(one.at, one.mean, color=colour, lw=2.0, label=one.label)
-            else:
-                axes.errorbar(
-                    one.at,
-                    one.mean,
-                    one.bar,
-                    color=colour,
-                    marker="o",
-                    ms=3,
-                    lw=0.8,
-                    label=one.label,
-                )
+    """Draw panels next to each other, with the same vertical axis."""
+    all_axes = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
+    for axes, panel in zip(all_axes, panels, strict=True):
+        for series in panel.series:
+            _draw_series(axes, series)
         axes.axhline(0.0, color=GREY)
         axes.set_xlabel(panel.along)
-        if k == 0:
-            axes.set_ylabel(panel.upwards)
-        if len(panels) == 1:
-            axes.set_title(panel.title, fontsize="medium")
-    axes.legend()
+    all_axes[0].set_ylabel(panels[0].upwards)
+    if len(panels) == 1:
+        all_axes[0].set_title(panels[0].title, fontsize="medium")
+    all_axes[-1].legend()
 
 
-def stretch(figure: Figure, a: Diagnosis) -> None:
-    """Measured, base and extended adhesion over one another, for the seconds and the axle where the two differ most."""
-    d = a.design
-    (measured, base, sliding), (_, better, _) = gain.adhesion(d, a.base), gain.adhesion(d, a.final)
-    length = int(STRETCH_S / d.step_s)
-    best, at = -1.0, slice(0, length)
-    s = 0
-    for segment in range(d.segments):
-        own = d.span(segment)
-        differ = np.convolve(
-            np.abs(better[own] - base[own]) * (d.speed_m_s[own] > gain.SLOWEST_M_S),
-            np.ones(length),
-            "valid",
-        )
-        if differ.size and differ.max() > best:
-            best, low, s = float(differ.max()), own.start + int(differ.argmax()), segment
-            at = slice(low, low + length)
+def _draw_series(axes: Axes, series: Series) -> None:
+    """Draw points with bars, or a line."""
+    colour = colours.on_page(series.colour)
+    if series.colour == colours.MEASURED:
+        colour = INK
+    if series.bar is None:
+        axes.plot(series.at, series.mean, color=colour, lw=2.0, label=series.label)
+        return
+    axes.errorbar(
+        series.at,
+        series.mean,
+        series.bar,
+        color=colour,
+        marker="o",
+        ms=3,
+        lw=0.8,
+        label=series.label,
+    )
+
+
+def stretch(figure: Figure, diagnosis: Diagnosis) -> None:
+    """Draw measured, base and extended adhesion for the seconds and the axle where the models differ most."""
+    design = diagnosis.design
+    measured, base, sliding = gain.adhesion(design, diagnosis.base)
+    _, extended, _ = gain.adhesion(design, diagnosis.final)
+    segment, at = _where_they_differ(design, base, extended)
+
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    for values, colour, label, width in (
-        (measured, MEASURED, "measured", 0.8),
-        (base, BASE, "base", 1.6),
-        (better, EXTENDED, "extended", 1.6),
-    ):
-        top.plot(d.time_s[at], values[at], color=colour, label=label, lw=width)
+    top.plot(design.time_s[at], measured[at], color=MEASURED, label="measured", lw=0.8)
+    top.plot(design.time_s[at], base[at], color=BASE, label="base", lw=1.6)
+    top.plot(design.time_s[at], extended[at], color=EXTENDED, label="extended", lw=1.6)
+    run = design.names[int(design.run[segment])]
+    axle = int(design.axle[segment]) + 1
     top.set_ylabel("adhesion")
-    top.set_title(f"run {d.names[int(d.run[s])]}, axle {int(d.axle[s]) + 1}", fontsize="medium")
+    top.set_title(f"run {run}, axle {axle}", fontsize="medium")
     top.legend(ncol=3)
-    below.plot(d.time_s[at], sliding[at], color=INK)
+    below.plot(design.time_s[at], sliding[at], color=INK)
     below.set_ylabel("sliding, m/s")
     below.set_xlabel("time, s")
 
 
-def gains(axes: Axes, by_run: dict[str, tuple[float, float, float, float]], metric: str) -> None:
-    """The error on each run that was never fitted, before and after, and the share that went away with its interval."""
+def _where_they_differ(design: Design, base: np.ndarray, extended: np.ndarray) -> tuple[int, slice]:
+    """Return the segment and the samples of STRETCH_S in which two courses of adhesion differ most."""
+    length = int(STRETCH_S / design.step_s)
+    best_segment = 0
+    best = slice(0, length)
+    most = -1.0
+    for segment in range(design.segments):
+        at = design.span(segment)
+        is_judged = design.speed_m_s[at] > SLOWEST_M_S
+        difference = np.abs(extended[at] - base[at]) * is_judged
+        in_stretch = np.convolve(difference, np.ones(length), "valid")
+        if in_stretch.size and in_stretch.max() > most:
+            most = float(in_stretch.max())
+            best_segment = segment
+            first = at.start + int(in_stretch.argmax())
+            best = slice(first, first + length)
+    return best_segment, best
+
+
+def gains(axes: Axes, by_run: dict[str, RunGain], metric: str) -> None:
+    """Draw the error on each run that was never fitted, before and after, and its reduction with the interval."""
     places = np.arange(len(by_run))
-    for k, (colour, label) in enumerate(((BASE, "base"), (EXTENDED, "extended"))):
-        axes.barh(
-            places + 0.38 * k,
-            [errors[k] for errors in by_run.values()],
-            0.36,
-            color=colour,
-            label=label,
-        )
-    axes.set_yticks(
-        places + 0.19,
-        [
-            f"{run}: {1.0 - after / before:.0%}\n({low:.0%} to {high:.0%})"
-            for run, (before, after, low, high) in by_run.items()
-        ],
-    )
+    before = [gain_of_run.before for gain_of_run in by_run.values()]
+    after = [gain_of_run.after for gain_of_run in by_run.values()]
+    axes.barh(places, before, BAR_HEIGHT, color=BASE, label="base")
+    axes.barh(places + BAR_PITCH, after, BAR_HEIGHT, color=EXTENDED, label="extended")
+
+    labels = []
+    for run, gain_of_run in by_run.items():
+        reduction = 1.0 - gain_of_run.after / gain_of_run.before
+        labels.append(f"{run}: {reduction:.0%}\n({gain_of_run.low:.0%} to {gain_of_run.high:.0%})")
+    axes.set_yticks(places + 0.5 * BAR_PITCH, labels)
     axes.invert_yaxis()
     axes.set_xlabel(metric.replace("_", " "))
     axes.legend()
-
-
-def _left(d: Design, explanation: Any) -> np.ndarray:
-    measured, model, _ = gain.adhesion(d, explanation)
-    return np.where(d.speed_m_s > gain.SLOWEST_M_S, measured - model, 0.0)
-
-
-def _plain(word: str) -> str:
-    return "time" if word.startswith("time of") else word
-
-
-def _edges(x: np.ndarray) -> np.ndarray:
-    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
-    return edges if edges.size > 2 else np.array([x.min() - 1.0, x.max() + 1.0])
-
-
-def _blocks(d: Design) -> np.ndarray:
-    """A number for each block of 3 s of each wheel, shape (n,)."""
-    wheel = np.repeat(np.arange(d.segments), np.diff(d.start))
-    return wheel * 10_000 + (d.time_s // gain.BLOCK_S).astype(int)

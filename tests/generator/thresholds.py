@@ -6,8 +6,8 @@
 The kept answers (`keep.py`) are judged again by `explain`'s own rule from what they hold: no stop is replayed. Two
 kinds of limits are set, by each generator's answers, and by those of the first and the second together:
 
-- ALPHA_CAUSE and FLOOR, by sets with nothing hidden: the largest p-value that lets at most 2 % of them have a finding,
-  with FLOOR as it stands. A finding is not yet a cause, which must win its fit as well, so this is on the safe side.
+- ALPHA_CAUSE, by sets with nothing hidden: the largest p-value that lets at most 2 % of them have a finding, with the
+  present SCORE_FLOOR. A finding is not yet a cause, which must win its fit as well, so this is on the safe side.
 - REMAINDER_SHARE, OWN_REMAINDER_SHARE and PARTLY_SHARE, by sets with something hidden: of the limits that give at most
   5 % of the effects outside the library a name, those that name most causes rightly.
 
@@ -27,11 +27,12 @@ from sealed import cases
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import decision, evidence
+from rollerrig.rig.identify.decide import thresholds as decide_thresholds
 
 SHARES = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 LIMITS = ("REMAINDER_SHARE", "OWN_REMAINDER_SHARE", "PARTLY_SHARE")
 ALPHAS = np.geomspace(1e-6, 0.02, 44)
-SHIPPED = (table.ALPHA_CAUSE, tuple(getattr(decision, name) for name in LIMITS))
+SHIPPED = (table.ALPHA_CAUSE, tuple(getattr(decide_thresholds, name) for name in LIMITS))
 FORMS = (0.0, 0.02, 0.04, 0.07, 0.1, 0.13, 0.16, 0.2)
 FORM = next(row.default for row in dataset.ACCURACY if row.name == "form_fraction")
 LARGEST_SET = 1.4  # the first set of a single cause, mean
@@ -77,7 +78,10 @@ class Told:
             one | {"likelihood": one["evidence"]["likelihood"]} for one in answer["causes"]
         ] or answer.get("set_aside", [])
         self.causes = [
-            SimpleNamespace(ratio=one["likelihood"], finding=SimpleNamespace(name=one["name"]))
+            SimpleNamespace(
+                likelihood_ratio=one["likelihood"],
+                score_test=SimpleNamespace(name=one["name"]),
+            )
             for one in named
         ]
         self.sets = [{one["name"], *one["confusable_with"]} for one in named]
@@ -93,9 +97,9 @@ class Told:
     def judged(self, limits):
         if self.refused:
             return "refused"
-        vars(decision).update(zip(LIMITS, limits, strict=True))
-        verdict = decision._verdict(self.causes, self.remainder, self.won, [])
-        vars(decision).update(zip(LIMITS, SHIPPED[1], strict=True))
+        vars(decide_thresholds).update(zip(LIMITS, limits, strict=True))
+        verdict, _ = decision.decide_verdict(self.causes, self.remainder, self.won)
+        vars(decide_thresholds).update(zip(LIMITS, SHIPPED[1], strict=True))
         return verdict
 
     def names(self, limits):
@@ -106,9 +110,9 @@ class Told:
         """(the cause named first, those that it is confused with) where laws may be wrong by this share."""
         if not self.causes or self.verdict not in ("explained", "partly"):
             return None, set()
-        first = self.causes[0].finding.name
+        first = self.causes[0].score_test.name
         nearly = {one["name"]: one["share"] > 1.0 - form for one in self.rivals[0] if one["parted"]}
-        others = {one.finding.name for one in self.causes[1:]}
+        others = {one.score_test.name for one in self.causes[1:]}
         return first, {one for one in self.sets[0] - {first} if one not in nearly} | {
             one for one, alike in nearly.items() if alike
         } - others

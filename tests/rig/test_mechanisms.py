@@ -170,9 +170,9 @@ def test_the_replay_removes_the_effect_of_a_small_cause_in_the_plant(
     ("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on != VEHICLE], ids=name
 )
 def test_the_linearised_response_is_the_derivative_of_the_replay(plain, row, shape, axle) -> None:
-    size = 0.1 * size_of(row) if row.name != "adhesion_memory" else fitting.MEMORY_STEP_M
+    size = row.finite_step or 0.1 * size_of(row)
     cause = cause_of(row, shape, axle, size)
-    found, _, answers = fitting.normal_equations(
+    found, _, responses = fitting.normal_equations(
         plain,
         candidates.untuned(plain)._replace(
             causes=(cause._replace(values=tuple(0.0 for _ in cause.values)),)
@@ -184,7 +184,7 @@ def test_the_linearised_response_is_the_derivative_of_the_replay(plain, row, sha
         if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape)
     )
     change = (whitened(plain, "wheels", cause) - whitened(plain, "wheels")) / size
-    answer = fitting.wheel_answers(plain, answers, [column])[:, 0]
+    answer = fitting.wheel_responses(plain, responses, [column])[:, 0]
     assert np.dot(change, answer) / np.linalg.norm(change) / np.linalg.norm(answer) > 0.95
     assert np.dot(change, answer) / np.dot(answer, answer) == pytest.approx(1.0, abs=0.1)
 

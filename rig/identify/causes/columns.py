@@ -63,9 +63,9 @@ class Variant(NamedTuple):
 class SensitivityMatrix(NamedTuple):
     """Columns, their courses and the variants of causes.
 
-    Courses are numbered: first those in `wheel`, then those of bins, then those of memory. A bin's
-    course is `in_bins` where `bins` holds its number, and 0 elsewhere. The course of memory is the
-    difference of whole replays, which the fit computes.
+    Courses are numbered: first those in `wheel`, then those of bins, then those of variants with a
+    finite step. A bin's course is `in_bins` where `bins` holds its number, and 0 elsewhere. The course
+    of a finite step is the difference of whole replays, which the fit computes.
     """
 
     columns: list[Column]
@@ -74,7 +74,7 @@ class SensitivityMatrix(NamedTuple):
     acts: np.ndarray  # (columns, segments) whether the column acts there
     bins: np.ndarray  # (kinds, n) number of the course of the bin at each sample, -1: none
     in_bins: np.ndarray  # (n,)
-    memory: dict[int, Shape]  # shape of memory, by the number of its course
+    stepped: dict[int, Variant]  # variants with a finite step, by the number of their course
     vehicle: np.ndarray  # (columns on the vehicles, vehicle samples)
     on_vehicle: np.ndarray  # their numbers
     variants: list[Variant]
@@ -257,11 +257,11 @@ def _matrix(writer: _Writer, bins: Sequence["_Bins"]) -> SensitivityMatrix:
             course[numbers_of_columns] = np.arange(count, count + len(numbers_of_columns))
         count += len(columns[0])
 
-    memory = {}
+    stepped = {}
     for variant in writer.variants:
-        if variant.cause == "adhesion_memory":
+        if variant.cause in table.BY_NAME and table.BY_NAME[variant.cause].finite_step:
             course[variant.columns[0]] = count
-            memory[count] = variant.shape
+            stepped[count] = variant
             count += 1
     return SensitivityMatrix(
         columns=writer.columns,
@@ -270,7 +270,7 @@ def _matrix(writer: _Writer, bins: Sequence["_Bins"]) -> SensitivityMatrix:
         acts=np.array(writer.acts),
         bins=bin_courses,
         in_bins=linear.constants[_LEVEL].astype(np.float32),
-        memory=memory,
+        stepped=stepped,
         vehicle=np.array([*writer.vehicle.values()]),
         on_vehicle=np.array([*writer.vehicle]),
         variants=writer.variants,
@@ -335,7 +335,10 @@ def _parts(
     design = writer.design
     linear = writer.linear
     mechanism = row.mechanism
-    if row.name in _SPECIAL_PARTS:
+    if row.finite_step:
+        # the fit computes the response as a difference of whole replays
+        yield None, None
+    elif row.name in _SPECIAL_PARTS:
         yield _SPECIAL_PARTS[row.name](writer)
     elif (row, shape) in constants:
         yield linear.constants[_FIRST_CAUSE + constants.index((row, shape))], None
@@ -356,11 +359,6 @@ def _parts(
             yield writer.of_torque(change_Nm)
         elif mechanism.acts_on == LOAD:
             yield writer.rate("load") * course, None
-
-
-def _memory_part(writer: _Writer) -> Part:
-    """Returns nothing: the fit computes the response to memory as a difference of whole replays."""
-    return None, None
 
 
 def _torque_delay_part(writer: _Writer) -> Part:
@@ -393,7 +391,6 @@ def _radius_part(writer: _Writer) -> Part:
 
 # causes whose part does not follow from a course or from constants
 _SPECIAL_PARTS: dict[str, Callable[[_Writer], Part]] = {
-    "adhesion_memory": _memory_part,
     "torque_sensor_delay": _torque_delay_part,
     "speed_sensor_delay": _speed_delay_part,
     "wheel_inertia": _inertia_part,
@@ -453,7 +450,7 @@ def _add_size_changes(writer: _Writer, cause: Cause, constants: list[tuple[Searc
     """
     design = writer.design
     row = table.BY_NAME[cause.name]
-    if row.phase or row.name == "adhesion_memory":
+    if row.phase or row.finite_step:
         return
 
     changes: dict[str, list[np.ndarray]] = {}

@@ -46,6 +46,10 @@ class Search(NamedTuple):
     # or s, by which its edges are then moved
     edge_step: float = 0.0
 
+    # above 0: the cause has no derivative at size 0 that the noise of a filter would not spoil, so the
+    # replay is repeated with a coefficient of this size, in its unit; else the linearised filter serves
+    finite_step: float = 0.0
+
     alpha: float = ALPHA_CAUSE
 
     # what of the cause is unknown for runs that were not fitted, with its verb
@@ -145,6 +149,7 @@ TABLE = (
         shapes=({}, {"speed_power": 1.0}, {"of_work": 1.0}),
         floor=0.15,
         remainder_along=("energy",),
+        finite_step=2.0,
     ),
     Search("torque_sensor_delay", floor=0.001),
     Search("speed_sensor_delay", floor=0.001),

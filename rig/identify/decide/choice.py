@@ -1,8 +1,9 @@
-"""Fits causes and chooses: the likeliest first, those that cannot be told from it, and a second one.
+"""Fits causes and chooses: the most likely one, those that cannot be distinguished from it, and a second one.
 
-A cause must win likelihood by more than its choice of shape costs, not in one place of one run only;
-a second one by more than the first one's wrong shape could lend it. When two are taken the first is
-looked for again beside the second, for one that had to stand for both gives way.
+A cause must win more likelihood than the choice of its shape costs, and not in one place of one run
+only. A second cause must win more than a wrong shape of the first one could lend to it. If there are
+two, the first one is chosen again with the second in the model: a cause that had to account for the
+effects of both gives way.
 """
 
 from collections.abc import Sequence
@@ -15,425 +16,538 @@ from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.decide import evidence, fitting, null_simulations, shapes
+from rollerrig.rig.identify.decide import (
+    evidence,
+    fitting,
+    null_simulations,
+    shapes,
+    thresholds,
+)
+from rollerrig.rig.identify.decide.evidence import ScoreTest
+from rollerrig.rig.identify.decide.null_simulations import Workspace
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
 
-CHECK_SETS, MOST_BESIDE, MOST_CAUSES = 40, 3, 2
-TAKEN = 20.0  # likelihood that a cause must win at least
-ELSEWHERE = 0.2  # share of the evidence that must lie outside its best block
-# a second cause below this share of the first is taken for the first one's shape
-SECOND_SHARE, SECOND_FLOOR = 0.11, 20.0
-SECOND_SHARE_OF_AXLE = (
-    0.05  # one of a single wheelset is no matter of the shape of a first one of all
-)
-CERTAIN = 300.0  # likelihood beyond what a clean set can win
-SCORE_SHARE = 0.3  # its score, before it is fitted, may be this share of that
-OWN_SHARE = (
-    0.3  # a second cause that could be taken for the first must have this share of its likelihood
-)
-PRICE = 5.0  # likelihood that each further coefficient of a shape must earn, beside that of the choice of shape
-BLOCK_S = 3.0
+# seeds of the null simulations with a cause in the model begin here
+_SEEDS_WITH_CAUSE = 7
+
+
+class Fit(NamedTuple):
+    """A fitted explanation, with its deviance by blocks."""
+
+    explanation: Explanation
+    deviance: float  # -2 ln L
+    covariance: np.ndarray  # of the causes' coefficients, one cause after the other
+    blocks: (
+        np.ndarray
+    )  # (5, blocks) deviance of the four wheel filters and the vehicle's, see `blocks`
+
+
+class Candidate(NamedTuple):
+    """A cause that may be the right one: its score test and its fit, in which it is the last cause."""
+
+    test: ScoreTest
+    fit: Fit
 
 
 class Rival(NamedTuple):
-    """A cause that was fitted in place of one: what it wins, as a share; whether Vuong's test parts them."""
+    """A cause that was fitted in place of the identified one."""
 
     name: str
-    share: float
-    parted: bool
+    share: float  # its likelihood ratio over that of the identified cause
+    is_distinguishable: bool  # by Vuong's test
 
 
 class IdentifiedCause(NamedTuple):
-    """A cause that is taken: its finding, its share of the likelihood, what else was fitted and how well."""
+    """A cause that the data support."""
 
-    finding: evidence.ScoreTest
-    cause: Cause
-    ratio: float
-    won: tuple[float, ...]  # likelihood in the filters of the four wheelsets and of the vehicle
-    deviation: tuple[float, ...]
-    confusable: tuple[str, ...]  # of the rivals those that cannot be told from it
+    score_test: ScoreTest
+    cause: Cause  # as fitted
+    likelihood_ratio: float  # drop of -2 ln L, less what the choice of the shape costs
+    ratio_by_filter: tuple[
+        float, ...
+    ]  # (5,) of the filters of the four wheelsets and of the vehicle
+    deviation: tuple[float, ...]  # standard deviation of each coefficient
+    confusable: tuple[str, ...]  # names of the rivals that cannot be distinguished from it
     rivals: tuple[Rival, ...]
 
     @property
     def unbiased(self) -> Cause:
-        """The cause less the bias that clean sets show."""
-        return fitting.within_bounds(
-            self.cause._replace(values=tuple(np.subtract(self.cause.values, self.finding.bias)))
-        )
+        """The cause less the bias that null simulations show."""
+        values = np.subtract(self.cause.values, self.score_test.bias)
+        return fitting.within_bounds(self.cause._replace(values=tuple(values)))
 
 
-class Fit(NamedTuple):
-    """It fitted: deviance, covariance of the causes' coefficients, deviance of each filter by blocks of 3 s."""
-
-    explanation: Explanation
-    value: float
-    covariance: np.ndarray
-    blocks: np.ndarray
-
-
-class Candidate(NamedTuple):
-    """A cause that may be the one: how it was found, and its fit."""
-
-    finding: evidence.ScoreTest
-    fit: Fit
+# --- fits ---
 
 
 def fit_explanation(design: Design, explanation: Explanation) -> Fit:
-    """Fit an explanation to a design; its deviance by blocks of 3 s."""
-    found = fitting.fit(design, explanation, 6)
-    if explanation.causes and explanation.causes[-1].name == fitting.MEMORY:
-        found = min(
-            found,
-            fitting.fit(design, shapes.restarted(design, found[0]), 9),
-            key=lambda fit: fit[1],
-        )
+    """Fit an explanation to a design, also from another start and off the grid of the search where it needs that."""
+    fit = fitting.fit(design, explanation, 6)
+    if explanation.causes:
+        last = explanation.causes[-1].name
+        if table.BY_NAME[last].finite_step:
+            restarted = shapes.restarted(design, fit.explanation, last)
+            fit = min(fit, fitting.fit(design, restarted, 9), key=lambda fit: fit.deviance)
     if any(table.BY_NAME[cause.name].edge_step for cause in explanation.causes):
-        found = fitting.fit(design, shapes.refine_windows(design, found[0]), 4)
-    return Fit(*found, blocks(design, found[0]))
+        fit = fitting.fit(design, shapes.refine_windows(design, fit.explanation), 4)
+    return Fit(*fit, blocks=blocks(design, fit.explanation))
 
 
 def fit_explanations(
-    setting: null_simulations.Workspace, explanations: Sequence[Explanation], title: str
+    workspace: Workspace, explanations: Sequence[Explanation], title: str
 ) -> list[Fit]:
-    """Each of some explanations fitted to the measured runs, on all cores."""
-    return setting.run_all(
-        fit_explanation, [(setting.design, explanation) for explanation in explanations], title
-    )
+    """Fit each of some explanations to the measured runs, on all cores."""
+    tasks = [(workspace.design, explanation) for explanation in explanations]
+    return workspace.run_all(fit_explanation, tasks, title)
 
 
 def blocks(design: Design, explanation: Explanation) -> np.ndarray:
-    """Deviance of the wheelsets and of the vehicle in blocks of 3 s of all runs, shape (5, blocks)."""
-    nu, S, _, vnu, vS = sensitivity.innovations(design, inputs(design, explanation))
-    wheel, car = fitting.deviance_terms(nu, S), fitting.deviance_terms(vnu, vS)
-    length, found = int(BLOCK_S / design.step_s), []
+    """Return the deviance of the four wheel filters and the vehicle's in blocks of all runs, shape (5, blocks)."""
+    innovation, variance, _, vehicle_innovation, vehicle_variance = sensitivity.innovations(
+        design, inputs(design, explanation)
+    )
+    of_wheels = fitting.deviance_terms(innovation, variance)
+    of_vehicle = fitting.deviance_terms(vehicle_innovation, vehicle_variance)
+    length = int(thresholds.BLOCK_S / design.step_s)
+    sums = []
     for run in range(design.mass_kg.size):
-        whole = np.column_stack([design.by_axle(wheel, run), car[design.vehicle_span(run)]])
-        found += [whole[k : k + length].sum(axis=0) for k in range(0, len(whole), length)]
-    return np.array(found).T
+        terms = np.column_stack(
+            [design.by_axle(of_wheels, run), of_vehicle[design.vehicle_span(run)]]
+        )
+        for begin in range(0, len(terms), length):
+            sums.append(terms[begin : begin + length].sum(axis=0))
+    return np.array(sums).T
 
 
 def with_remaining_irregularity(
-    setting: null_simulations.Workspace, base: Explanation, likely: list[Cause]
+    workspace: Workspace, base: Explanation, promising: list[Cause]
 ) -> tuple[Explanation, list[Fit]]:
-    """An explanation with the irregularity that is left beside the most promising further causes, and their fits."""
-    # a cause that it does not have looks like a rougher rail, and would hide in it
+    """Return an explanation with the irregularity that the best promising cause leaves, and the fits of all of them.
+
+    The effect of a cause that is not in the model looks like a rougher rail, and would hide in it.
+    """
     fits = fit_explanations(
-        setting,
-        [base._replace(causes=(*base.causes, cause)) for cause in likely],
+        workspace,
+        [base._replace(causes=(*base.causes, cause)) for cause in promising],
         "irregularity of the rail",
     )
-    best = min(fits, key=lambda fit: fit.value, default=None)
+    best = min(fits, key=lambda fit: fit.deviance, default=None)
     if best is None or best.explanation.sigma >= base.sigma:
         return base, fits
-    calm = base._replace(sigma=best.explanation.sigma, length_m=best.explanation.length_m)
-    return fitting.fit(setting.design, calm, 4, False)[0], fits
+    smoother = base._replace(
+        sigma=best.explanation.sigma,
+        length_m=best.explanation.length_m,
+    )
+    return fitting.fit(workspace.design, smoother, 4, noise=False).explanation, fits
 
 
 def fit_significant(
-    setting: null_simulations.Workspace,
+    workspace: Workspace,
     explanation: Explanation,
-    found: list[evidence.ScoreTest],
+    tests: list[ScoreTest],
     most: int,
     ready: Sequence[Fit] = (),
 ) -> list[Candidate]:
-    """The causes that count beside an explanation, each fitted; a memory, whose fit begins anew, from those ready."""
+    """Fit each significant cause together with an explanation, at most `most` of them.
+
+    A `ready` fit of a cause with a finite step is used again: such a fit starts from an untuned base
+    and takes long.
+    """
     present = {cause.name for cause in explanation.causes}
-    counted = [
-        f
-        for f in found
-        if not evidence.is_smooth_function(f.name)
-        and evidence.is_significant(f)
-        and f.name not in present
+    significant = [
+        test
+        for test in tests
+        if not evidence.is_smooth_function(test.name)
+        and evidence.is_significant(test)
+        and test.name not in present
     ]
-    counted = sorted(counted, key=lambda f: -f.statistic)[:most]
-    fits = {
-        name: fit for fit in ready if (name := fit.explanation.causes[-1].name) == fitting.MEMORY
-    }
-    new = [f for f in counted if f.name not in fits]
-    fits |= zip(
-        (f.name for f in new),
-        fit_explanations(
-            setting,
-            [explanation._replace(causes=(*explanation.causes, f.cause())) for f in new],
-            "fit of causes",
-        ),
-        strict=True,
+    significant = sorted(significant, key=lambda test: -test.statistic)[:most]
+
+    fits = {}
+    for fit in ready:
+        name = fit.explanation.causes[-1].name
+        if table.BY_NAME[name].finite_step:
+            fits[name] = fit
+    missing = [test for test in significant if test.name not in fits]
+    new_fits = fit_explanations(
+        workspace,
+        [explanation._replace(causes=(*explanation.causes, test.cause())) for test in missing],
+        "fit of causes",
     )
-    return [Candidate(f, fits[f.name]) for f in counted]
+    for test, fit in zip(missing, new_fits, strict=True):
+        fits[test.name] = fit
+    return [Candidate(test, fits[test.name]) for test in significant]
 
 
 def add_ready_fits(
-    value: float,
-    rivals: list[Candidate],
+    deviance: float,
+    candidates: list[Candidate],
     ready: list[Fit],
-    scored: fitting.NormalEquations,
+    normal: fitting.NormalEquations,
     nulls: list[evidence.Scores],
 ) -> list[Candidate]:
-    """The rivals, each in the shape of a fit that is ready where that is better, and causes whose fit wins so much that
-    no score is asked: far from the base, scores say little."""
-    best = {rival.finding.name: rival for rival in rivals}
+    """Return the candidates with ready fits added, and replaced where a ready fit of another shape is better.
+
+    A fit is added if it wins so much that its cause needs no score: scores say little far from the
+    base. `deviance` is that of the base.
+    """
+    best = {candidate.test.name: candidate for candidate in candidates}
     for fit in ready:
         cause = fit.explanation.causes[-1]
-        known, finding = best.get(cause.name), evidence.score_test_of(scored, nulls, cause)
-        if finding and (
-            value - fit.value > CERTAIN if known is None else fit.value < known.fit.value - 4.0
-        ):
-            best[cause.name] = Candidate(
-                finding._replace(trials=known.finding.trials if known else 1), fit
-            )
+        test = evidence.score_test_of(normal, nulls, cause)
+        if test is None:
+            continue
+        known = best.get(cause.name)
+        if known is None:
+            if deviance - fit.deviance > thresholds.CERTAIN_RATIO:
+                best[cause.name] = Candidate(test._replace(trials=1), fit)
+        elif fit.deviance < known.fit.deviance - thresholds.BETTER_FIT_RATIO:
+            best[cause.name] = Candidate(test._replace(trials=known.test.trials), fit)
     return [*best.values()]
 
 
+# --- the most likely cause ---
+
+
 def choose(
-    design: Design, explanation: Explanation, value: float, rivals: list[Candidate]
+    design: Design, explanation: Explanation, deviance: float, candidates: list[Candidate]
 ) -> tuple[Explanation, list[IdentifiedCause]]:
-    """The best further cause, with those that cannot be told from it."""
-    ratio = [
-        value - fit.value - max(f.expected - len(f.estimate), 0.0) - _price(f) for f, fit in rivals
-    ]
-    if max(ratio, default=0.0) < TAKEN:
+    """Return the explanation with the best further cause, and that cause; without one if none wins enough.
+
+    `deviance` is that of the explanation.
+    """
+    ratios = []
+    for test, fit in candidates:
+        chance = max(test.expected - len(test.estimate), 0.0)
+        ratios.append(deviance - fit.deviance - chance - _price(test))
+    if max(ratios, default=0.0) < thresholds.LEAST_RATIO:
         return explanation, []
-    order = np.argsort(ratio)[::-1]
+    order = np.argsort(ratios)[::-1]
     top = int(order[0])
-    finding, best = rivals[top]
+    test, best = candidates[top]
+    ratio = ratios[top]
+
+    # Evidence that the tolerances had absorbed is not assigned to any block. The rest must not come
+    # from one place of one run.
     drop = blocks(design, explanation) - best.blocks
-    # what tolerances had taken up stands in no block; the rest must not be one place of one run
-    whole = max(float(drop.sum()), ratio[top])
-    if not table.BY_NAME[finding.name].edge_step and whole - drop.sum(axis=0).max() < max(
-        evidence.FLOOR, ELSEWHERE * whole
-    ):
+    whole = max(float(drop.sum()), ratio)
+    outside_best_block = whole - drop.sum(axis=0).max()
+    least_outside = max(thresholds.SCORE_FLOOR, thresholds.SHARE_OUTSIDE_BEST_BLOCK * whole)
+    is_window = bool(table.BY_NAME[test.name].edge_step)
+    if not is_window and outside_best_block < least_outside:
         return explanation, []
-    beside = _rivals(best, ratio[top], [(rivals[int(k)], ratio[k]) for k in order[1:]])
-    at = len(best.covariance) - len(best.explanation.causes[-1].values)
-    return best.explanation, [
-        IdentifiedCause(
-            finding,
-            best.explanation.causes[-1],
-            float(ratio[top]),
-            tuple(drop.sum(axis=1)),
-            _deviation(finding, best, at),
-            _confusable(beside, design.form),
-            beside,
-        )
-    ]
+
+    others = [(candidates[int(k)], ratios[k]) for k in order[1:]]
+    rivals = _rivals(best, ratio, others)
+    cause = best.explanation.causes[-1]
+    identified = IdentifiedCause(
+        score_test=test,
+        cause=cause,
+        likelihood_ratio=float(ratio),
+        ratio_by_filter=tuple(drop.sum(axis=1)),
+        deviation=_deviation(test, best.covariance, len(best.covariance) - len(cause.values)),
+        confusable=_confusable(rivals, design.form),
+        rivals=rivals,
+    )
+    return best.explanation, [identified]
 
 
 def refine_scales(
     design: Design, explanation: Explanation, causes: list[IdentifiedCause]
 ) -> tuple[Explanation, list[IdentifiedCause]]:
-    """The causes with their scales off the grid of the search, fitted again."""
+    """Return explanation and causes with their scales off the grid of the search, fitted again."""
     better = shapes.refine_scales(design, explanation)
     if better == explanation:
         return explanation, causes
-    fit = Fit(*fitting.fit(design, better, 4), np.zeros(0))
-    found, at = [], 0
-    for named, cause in zip(causes, fit.explanation.causes, strict=True):
-        found.append(named._replace(cause=cause, deviation=_deviation(named.finding, fit, at)))
+
+    fit = fitting.fit(design, better, 4)
+    refined = []
+    at = 0
+    for identified, cause in zip(causes, fit.explanation.causes, strict=True):
+        deviation = _deviation(identified.score_test, fit.covariance, at)
+        refined.append(identified._replace(cause=cause, deviation=deviation))
         at += len(cause.values)
-    return fit.explanation, found
+    return fit.explanation, refined
 
 
-def _price(finding: evidence.ScoreTest) -> float:
-    return PRICE * table.BY_NAME[finding.name].price + 2.0 * float(np.log(finding.trials))
+def _price(test: ScoreTest) -> float:
+    """Return the likelihood ratio that the choice of a cause's shape and axle costs."""
+    of_shape = thresholds.PRICE_OF_COEFFICIENT * table.BY_NAME[test.name].price
+    return of_shape + 2.0 * float(np.log(test.trials))
 
 
-def _deviation(finding: evidence.ScoreTest, fit: Fit, at: int) -> tuple[float, ...]:
-    """Deviations of a cause's coefficients, which stand from place `at` on in the covariance."""
-    nominal = np.sqrt(np.diag(fit.covariance)[at : at + len(finding.estimate)])
-    floor = table.BY_NAME[finding.name].floor
-    return tuple(float(np.hypot(s * max(finding.spread, 1.0), floor)) for s in nominal)
+def _deviation(test: ScoreTest, covariance: np.ndarray, at: int) -> tuple[float, ...]:
+    """Return the standard deviations of a cause's coefficients, which begin at place `at` of the covariance."""
+    nominal = np.sqrt(np.diag(covariance)[at : at + len(test.estimate)])
+    floor = table.BY_NAME[test.name].floor
+    return tuple(float(np.hypot(s * max(test.spread, 1.0), floor)) for s in nominal)
 
 
 def _rivals(
     best: Fit, ratio: float, others: Sequence[tuple[Candidate, float]]
 ) -> tuple[Rival, ...]:
-    return tuple(
-        Rival(one.finding.name, float(less / ratio), parted(best, one.fit, ratio, less))
-        for one, less in others
-    )
+    """Return the rivals of the best fit. `others` are candidates with their likelihood ratios."""
+    rivals = []
+    for other, other_ratio in others:
+        rivals.append(
+            Rival(
+                name=other.test.name,
+                share=float(other_ratio / ratio),
+                is_distinguishable=is_distinguishable(best, other.fit, ratio, other_ratio),
+            )
+        )
+    return tuple(rivals)
 
 
 def _confusable(rivals: Sequence[Rival], form: float) -> tuple[str, ...]:
-    """Those that may be the better ones, by chance, or as no law is nearer to the truth than `form`."""
-    return tuple(rival.name for rival in rivals if not rival.parted or rival.share > 1.0 - form)
+    """Return the names of the rivals that may be the right cause: by chance, or since laws are inexact.
+
+    No law is nearer to the truth than the share `form`.
+    """
+    return tuple(
+        rival.name for rival in rivals if not rival.is_distinguishable or rival.share > 1.0 - form
+    )
 
 
-def parted(best: Fit, other: Fit, ratio: float, less: float) -> bool:
-    """Vuong's test on blocks: whether the other cannot be the better one."""
-    if less < 0.75 * ratio and ratio - less > 10.0:
+def is_distinguishable(best: Fit, other: Fit, ratio: float, other_ratio: float) -> bool:
+    """Return whether another fit cannot be the better one, by Vuong's test on blocks."""
+    difference = ratio - other_ratio
+    is_clearly_less = other_ratio < thresholds.CLEARLY_LESS_SHARE * ratio
+    if is_clearly_less and difference > thresholds.CLEARLY_LESS_RATIO:
         return True
-    difference = (other.blocks - best.blocks).sum(axis=0)
-    spread = float(difference.std(ddof=1) * np.sqrt(difference.size))
-    return bool(ratio - less >= max(1.64 * spread, 4.0))
+    by_block = (other.blocks - best.blocks).sum(axis=0)
+    spread = float(by_block.std(ddof=1) * np.sqrt(by_block.size))
+    least = max(thresholds.VUONG_DEVIATIONS * spread, thresholds.VUONG_LEAST_RATIO)
+    return bool(difference >= least)
+
+
+# --- a second cause ---
 
 
 def add_second_cause(
-    setting: null_simulations.Workspace,
+    workspace: Workspace,
     explanation: Explanation,
     causes: list[IdentifiedCause],
-    rivals: list[Candidate],
+    candidates: list[Candidate],
     seed: int,
-) -> tuple[Explanation, list[IdentifiedCause], list[evidence.ScoreTest] | None]:
-    """Further causes beside the first, and the remainder behind all of them.
+) -> tuple[Explanation, list[IdentifiedCause], list[ScoreTest] | None]:
+    """Return the explanation with a second cause if there is one, the causes, and the tests of the remainder.
 
-    The remainder is None where stops simulated with them do not brake like the recording.
+    `causes` holds the first cause, `candidates` those among which it was chosen. The remainder is
+    None if stops simulated with the causes do not brake like the recording.
     """
-    design = setting.design
-    remainder: list[evidence.ScoreTest] = []
-    for turn in range(MOST_CAUSES):
-        known = tuple(named.finding.name for named in causes)
-        windows = [
-            cause
-            for cause in evidence.most_promising(
-                design, fitting.normal_equations(design, explanation)[0], MOST_BESIDE
-            )
-            if table.BY_NAME[cause.name].edge_step
-            and cause.name not in known
-            and turn + 1 < MOST_CAUSES
-        ]
+    design = workspace.design
+    remainder: list[ScoreTest] = []
+    for turn in range(thresholds.MOST_CAUSES):
+        is_last_turn = turn + 1 == thresholds.MOST_CAUSES
         try:
-            found, *_ = null_simulations.score_against_nulls(
-                setting, explanation, CHECK_SETS, seed + 7 + turn, known
+            tests = _test_with_causes(
+                workspace,
+                explanation,
+                known=tuple(identified.score_test.name for identified in causes),
+                seed=seed + _SEEDS_WITH_CAUSE + turn,
+                searches_windows=not is_last_turn,
             )
-            if windows:  # the remainder is judged on the rail as it was fitted
-                quiet, _ = with_remaining_irregularity(setting, explanation, windows)
-                again, *_ = null_simulations.score_against_nulls(
-                    setting, quiet, CHECK_SETS, seed + 7 + turn, known
-                )
-                sought = {cause.name for cause in windows}
-                found = [f for f in found if f.name not in sought] + [
-                    f for f in again if f.name in sought
-                ]
         except ConfigError:
             return explanation, causes, None
-        value = fitting.deviance(design, explanation)
-        remainder = [f for f in found if evidence.is_smooth_function(f.name)]
+        deviance = fitting.deviance(design, explanation)
+        remainder = [test for test in tests if evidence.is_smooth_function(test.name)]
+        if len(causes) >= thresholds.MOST_CAUSES:
+            break
+
         first = causes[0]
-        most = [(f, f.statistic / SCORE_SHARE, _filters_that_respond(f)) for f in found]
-        found = [
-            f
-            for f, ratio, shows in most
-            if _net_likelihood(first, f, ratio, ratio * shows / shows.sum()) > SECOND_FLOOR
-        ]
-        if len(causes) >= MOST_CAUSES:
-            break
-        beside = fit_significant(setting, explanation, found, MOST_BESIDE)
-        if beside:  # what the first wins by being fitted once more is not the second's
-            explanation, value, _ = fitting.fit(design, explanation, 9)
-            causes = [first := first._replace(cause=explanation.causes[0])]
-        better, more = choose(design, explanation, value, beside)
-        if (
-            not more
-            or _net_likelihood(first, more[0].finding, more[0].ratio, np.array(more[0].won))
-            < SECOND_FLOOR
-            or not _both_needed(setting, better, value)
-        ):
-            break
-        better, both = _choose_first_again(
-            setting, better, [first._replace(cause=better.causes[0]), more[0]], rivals
+        tests = [test for test in tests if _may_be_second(first, test)]
+        second_candidates = fit_significant(
+            workspace, explanation, tests, thresholds.MOST_FITTED_SECOND
         )
-        won = value - fitting.deviance(design, better)
-        if more[0].finding.name in first.confusable and won < OWN_SHARE * first.ratio:
+        if second_candidates:
+            # what the first cause wins by being fitted once more does not belong to the second
+            explanation, deviance, _ = fitting.fit(design, explanation, 9)
+            first = first._replace(cause=explanation.causes[0])
+            causes = [first]
+
+        better, more = choose(design, explanation, deviance, second_candidates)
+        if not more:
             break
-        explanation, causes = refine_scales(design, better, both)
-        names = [named.finding.name for named in causes]
-        causes = [
-            named._replace(confusable=tuple(n for n in named.confusable if n not in names))
-            for named in causes
-        ]
+        second = more[0]
+        net_ratio = _net_likelihood(
+            first, second.score_test, second.likelihood_ratio, np.array(second.ratio_by_filter)
+        )
+        if net_ratio < thresholds.LEAST_RATIO_OF_SECOND:
+            break
+        if not _are_both_needed(workspace, better, deviance):
+            break
+        first_now = first._replace(cause=better.causes[0])
+        better, both = _choose_first_again(workspace, better, first_now, second, candidates)
+
+        ratio = deviance - fitting.deviance(design, better)
+        is_confusable = second.score_test.name in first.confusable
+        least = thresholds.CONFUSABLE_SECOND_SHARE * first.likelihood_ratio
+        if is_confusable and ratio < least:
+            break
+        explanation, both = refine_scales(design, better, both)
+        causes = _without_each_other(both)
     return explanation, causes, remainder
 
 
-def _filters_that_respond(second: evidence.ScoreTest) -> np.ndarray:
-    """In which filters a cause shows, shape (5,): the vehicle's knows no adhesion law, the wheels' no force on it."""
-    on = table.BY_NAME[second.name].mechanism.acts_on if second.name in table.BY_NAME else ""
-    return np.array(
-        [
-            *(on != VEHICLE and second.axle in (0, j + 1) for j in range(AXLES)),
-            on not in (FRICTION, CONTACT, LOAD),
-        ],
-        dtype=float,
+def _test_with_causes(
+    workspace: Workspace,
+    explanation: Explanation,
+    known: tuple[str, ...],
+    seed: int,
+    searches_windows: bool,
+) -> list[ScoreTest]:
+    """Return the score tests of what an explanation with causes leaves. Raises ConfigError as the null simulations do.
+
+    With `searches_windows` promising windows are tested on the smoother rail that they leave. All
+    else is judged on the rail as it was fitted.
+    """
+    windows = []
+    if searches_windows:
+        normal, *_ = fitting.normal_equations(workspace.design, explanation)
+        promising = evidence.most_promising(workspace.design, normal, thresholds.MOST_FITTED_SECOND)
+        windows = [
+            cause
+            for cause in promising
+            if table.BY_NAME[cause.name].edge_step and cause.name not in known
+        ]
+
+    most = thresholds.MOST_NULL_SIMULATIONS_WITH_CAUSE
+    tests, *_ = null_simulations.score_against_nulls(workspace, explanation, most, seed, known)
+    if not windows:
+        return tests
+
+    smoother, _ = with_remaining_irregularity(workspace, explanation, windows)
+    tests_on_smoother, *_ = null_simulations.score_against_nulls(
+        workspace, smoother, most, seed, known
     )
+    names = {cause.name for cause in windows}
+    of_others = [test for test in tests if test.name not in names]
+    of_windows = [test for test in tests_on_smoother if test.name in names]
+    return of_others + of_windows
+
+
+def _may_be_second(first: IdentifiedCause, test: ScoreTest) -> bool:
+    """Return whether a cause, judged by its score before it is fitted, wins more than the first can lend to it."""
+    ratio = test.statistic / thresholds.SCORE_SHARE_OF_RATIO
+    filters = _filters_that_respond(test)
+    by_filter = ratio * filters / filters.sum()
+    return _net_likelihood(first, test, ratio, by_filter) > thresholds.LEAST_RATIO_OF_SECOND
+
+
+def _filters_that_respond(test: ScoreTest) -> np.ndarray:
+    """Return 1 for each filter in which a cause shows, else 0: four wheelsets, then the vehicle, shape (5,).
+
+    The filter of the vehicle contains no adhesion law. Those of the wheels contain no force on the vehicle.
+    """
+    acts_on = ""
+    if test.name in table.BY_NAME:
+        acts_on = table.BY_NAME[test.name].mechanism.acts_on
+    wheels = [acts_on != VEHICLE and test.axle in (0, axle) for axle in range(1, AXLES + 1)]
+    vehicle = acts_on not in (FRICTION, CONTACT, LOAD)
+    return np.array([*wheels, vehicle], dtype=float)
 
 
 def _net_likelihood(
-    first: IdentifiedCause, second: evidence.ScoreTest, ratio: float, won: np.ndarray
+    first: IdentifiedCause, second: ScoreTest, ratio: float, by_filter: np.ndarray
 ) -> float:
-    """Likelihood of a second cause less what a wrong shape of the first may lend it in a filter: a share of its own."""
-    both, share = np.array([won, first.won]), SECOND_SHARE
-    if (
-        first.cause.axle == 0
-    ):  # wheelsets have one level and one recovery: what is wrong in one moves the others
-        both, share = (
-            np.add.reduceat(both, [0, AXLES], axis=1),
-            SECOND_SHARE_OF_AXLE if second.axle else SECOND_SHARE,
-        )
-    return ratio - float(np.minimum(both[0], share * both[1]).clip(0.0).sum())
+    """Return the likelihood ratio of a second cause less what a wrong shape of the first can lend to it.
+
+    In each filter the first cause can lend a share of its ratio there. `by_filter` (5,) is the ratio of
+    the second cause in each filter.
+    """
+    ratios = np.array([by_filter, first.ratio_by_filter])
+    share = thresholds.LENT_SHARE
+    if first.cause.axle == 0:
+        # wheelsets have one level and one recovery: an error in one of them moves the others
+        ratios = np.add.reduceat(ratios, [0, AXLES], axis=1)
+        if second.axle:
+            share = thresholds.LENT_SHARE_TO_ONE_AXLE
+    of_second, of_first = ratios
+    lent = np.minimum(of_second, share * of_first).clip(0.0)
+    return ratio - float(lent.sum())
+
+
+def _are_both_needed(workspace: Workspace, explanation: Explanation, deviance: float) -> bool:
+    """Return whether the first of two causes still earns its likelihood with the second in the model.
+
+    `deviance` is that of the first cause alone.
+    """
+    with_both, with_second = fit_explanations(
+        workspace,
+        [explanation, explanation._replace(causes=explanation.causes[1:])],
+        "both causes",
+    )
+    least = max(
+        thresholds.LEAST_RATIO_OF_SECOND,
+        thresholds.LENT_SHARE * (deviance - with_both.deviance),
+    )
+    return with_second.deviance - with_both.deviance > least
 
 
 def _choose_first_again(
-    setting: null_simulations.Workspace,
+    workspace: Workspace,
     explanation: Explanation,
-    causes: list[IdentifiedCause],
-    rivals: list[Candidate],
+    first: IdentifiedCause,
+    second: IdentifiedCause,
+    candidates: list[Candidate],
 ) -> tuple[Explanation, list[IdentifiedCause]]:
-    """The first cause looked for again beside the second: one that had to stand for both gives way."""
-    first, second = causes
-    others = [rival for rival in rivals if rival.finding.name != second.finding.name]
+    """Return explanation and causes after the first cause is chosen again with the second in the model.
+
+    The candidates for the first cause are those among which it was chosen before.
+    """
+    others = [c for c in candidates if c.test.name != second.score_test.name]
     fits = fit_explanations(
-        setting,
+        workspace,
         [
-            explanation._replace(causes=(one.fit.explanation.causes[-1], second.cause))
-            for one in others
+            explanation._replace(causes=(other.fit.explanation.causes[-1], second.cause))
+            for other in others
         ],
         "first cause again",
     )
-    value = fitting.deviance(setting.design, explanation) + _price(first.finding)
-    won = [value - fit.value - _price(one.finding) for one, fit in zip(others, fits, strict=True)]
-    own = next(k for k, one in enumerate(others) if one.finding == first.finding)
-    top = int(np.argmax(won)) if max(won) >= 4.0 else own
-    ratio = first.ratio + np.array(won)
-    beside = _rivals(
-        fits[top],
-        ratio[top],
-        [
-            (Candidate(other.finding, fits[k]), ratio[k])
-            for k, other in enumerate(others)
-            if k != top
-        ],
+
+    # likelihood ratio of each candidate beyond that of the first cause
+    price_of_first = _price(first.score_test)
+    deviance = fitting.deviance(workspace.design, explanation) + price_of_first
+    gains = []
+    for other, fit in zip(others, fits, strict=True):
+        gains.append(deviance - fit.deviance - _price(other.test))
+    place_of_first = next(k for k, other in enumerate(others) if other.test == first.score_test)
+    top = place_of_first
+    if max(gains) >= thresholds.BETTER_FIT_RATIO:
+        top = int(np.argmax(gains))
+
+    ratios = first.likelihood_ratio + np.array(gains)
+    losers = [
+        (Candidate(other.test, fits[k]), ratios[k]) for k, other in enumerate(others) if k != top
+    ]
+    rivals = _rivals(fits[top], ratios[top], losers)
+    confusable = _confusable(rivals, workspace.design.form)
+    if top == place_of_first:
+        all_confusable = tuple(dict.fromkeys(first.confusable + confusable))
+        return explanation, [first._replace(confusable=all_confusable, rivals=rivals), second]
+
+    better = fits[top].explanation
+    test = others[top].test
+    new_first = IdentifiedCause(
+        score_test=test,
+        cause=better.causes[0],
+        likelihood_ratio=ratios[top],
+        ratio_by_filter=first.ratio_by_filter,
+        deviation=_deviation(test, fits[top].covariance, 0),
+        confusable=confusable,
+        rivals=rivals,
     )
-    alike = _confusable(beside, setting.design.form)
-    if top == own:
-        return explanation, [
-            first._replace(
-                confusable=tuple(dict.fromkeys(first.confusable + alike)), rivals=beside
-            ),
-            second,
-        ]
-    finding, better = others[top].finding, fits[top].explanation
-    first = IdentifiedCause(
-        finding,
-        better.causes[0],
-        ratio[top],
-        first.won,
-        _deviation(finding, fits[top], 0),
-        alike,
-        beside,
-    )
-    return better, [first, second._replace(cause=better.causes[1])]
+    return better, [new_first, second._replace(cause=better.causes[1])]
 
 
-def _both_needed(
-    setting: null_simulations.Workspace, explanation: Explanation, value: float
-) -> bool:
-    """Whether the first cause still earns its likelihood beside the second."""
-    both, alone = (
-        fit.value
-        for fit in fit_explanations(
-            setting,
-            [explanation, explanation._replace(causes=explanation.causes[1:])],
-            "both causes",
+def _without_each_other(causes: list[IdentifiedCause]) -> list[IdentifiedCause]:
+    """Return the causes, none of them confusable with another one of them."""
+    names = [identified.score_test.name for identified in causes]
+    return [
+        identified._replace(
+            confusable=tuple(name for name in identified.confusable if name not in names)
         )
-    )
-    return alone - both > max(SECOND_FLOOR, SECOND_SHARE * (value - both))
+        for identified in causes
+    ]

@@ -1,11 +1,13 @@
-"""Explains a dataset: fit the base, judge every cause, fit those that count, check what is left.
+"""Explains braking runs: fits the base, tests every cause, fits those that count, checks what is left.
 
-The order is the argument: first the base gets its best chance; then clean sets of the same design
-say what is ordinary; a cause is taken when it is beyond that, alone or beside those that cannot be
-told from it; then the remainder is judged again in the same way, with the cause in the clean sets.
+The order is the argument. First the base gets its best chance. Then null simulations of the same
+design show what is ordinary. A cause is accepted if it is beyond that, alone or together with those
+that cannot be distinguished from it. Then the remainder is judged in the same way, with the cause in
+the null simulations.
 """
 
 import time
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -22,191 +24,245 @@ from rollerrig.rig.identify.decide import (
     fitting,
     gain,
     null_simulations,
+    thresholds,
 )
+from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.gain import Gain
+from rollerrig.rig.identify.decide.notes import Note, NoteCode
+from rollerrig.rig.identify.decide.null_simulations import Workspace
 from rollerrig.rig.identify.replay import sensitivity
 
-CLEAN_SETS, MOST_PROMISING, MOST_FITTED = 60, 4, 5
-# a remainder above this share of the causes' likelihood is not a matter of their shape, unless it
-# lies along what the cause itself goes by: there its shape may differ more
-REMAINDER_SHARE, OWN_REMAINDER_SHARE = 0.08, 0.2
-PARTLY_SHARE = 0.15  # up to here a cause is named beside the remainder: "partly"
+_MEDIAN_OF_CHI_SQUARED = 0.455  # of one degree of freedom
+
+
+class Verdict(StrEnum):
+    """What the data say about the base model."""
+
+    CONSISTENT = "consistent"  # nothing is statistically significant
+    EXPLAINED = "explained"  # by one cause or two; a small remainder is a note
+    PARTLY = "partly"  # causes are reported, and a remainder with them
+    UNEXPLAINED = "unexplained"  # by no cause of the library
 
 
 class Diagnosis(NamedTuple):
-    """All that was found about braking runs."""
+    """The result of explaining the braking runs of a dataset."""
 
     data: Dataset
-    design: Design
-    held: Design | None
-    base: Explanation
-    final: Explanation
-    verdict: str
-    causes: list[choice.IdentifiedCause]
-    set_aside: list[
-        choice.IdentifiedCause
-    ]  # fitted, and not named: what remains behind them is too much
-    findings: list[ScoreTest]
-    remainder: list[ScoreTest]
-    gain: Gain | None
-    p_value: float
-    notes: list[str]
-    unknown: EmpiricalFormula | None
+    design: Design  # the runs that were fitted, prepared
+    held_out: Design | None  # the runs that were never fitted, prepared; None: there are none
+    base: Explanation  # the fitted base model, without causes
+    final: Explanation  # the model that is reported; the same object as `base` if nothing is added
+    verdict: Verdict
+    causes: list[IdentifiedCause]  # that are reported, the most likely one first
+    set_aside: list[IdentifiedCause]  # fitted, but not reported: too much remains
+    score_tests: list[ScoreTest]  # of the base, the most significant first
+    remainder: list[ScoreTest]  # tests of smooth functions with the causes in the model
+    gain: Gain | None  # of `final` on the runs that were never fitted
+    p_value: float  # of the base, for all causes together
+    notes: list[Note]
+    formula: EmpiricalFormula | None  # for what no cause explains
     elapsed_s: float
+
+
+class _Search(NamedTuple):
+    """What the search for causes leads to, before it is judged on other runs."""
+
+    explanation: Explanation
+    causes: list[IdentifiedCause]
+    score_tests: list[ScoreTest]  # of the base
+    remainder: list[ScoreTest] | None  # None: the causes do not brake like the recording
+    smoother_base: Explanation  # the base with the irregularity that the best cause leaves
 
 
 def explain_braking_runs(
     data: Dataset, seed: int, progress: null_simulations.Progress
 ) -> Diagnosis:
-    """The account of a set of braking runs. Raises ConfigError where nothing can be concluded."""
+    """Return the diagnosis of a set of braking runs. Raises ConfigError if nothing can be concluded."""
     from threadpoolctl import threadpool_limits
 
-    began = time.monotonic()
+    began_s = time.monotonic()
+    # the processes of the pool use all cores: numerical libraries must not start threads besides
     with threadpool_limits(1), null_simulations.worker_pool() as pool:
         measured = data.group("tune")
         design = prepare(data, measured)
-        setting = null_simulations.Workspace(data, measured, design, pool, progress)
+        workspace = Workspace(data, measured, design, pool, progress)
+
         progress("fit of the base", 0.0)
-        base, value, _ = fitting.fit(design, candidates.untuned(design))
+        base_fit = fitting.fit(design, candidates.untuned(design))
         progress("fit of the base", 1.0)
-        _check(design, base)
-        likely = evidence.most_promising(
-            design, fitting.normal_equations(design, base)[0], MOST_PROMISING
-        )
-        quiet, promising = choice.with_remaining_irregularity(setting, base, likely)
-        found, scored, nulls = null_simulations.score_against_nulls(
-            setting, quiet, CLEAN_SETS, seed
-        )
-        rivals = choice.fit_significant(setting, base, found, MOST_FITTED, promising)
-        rivals = choice.add_ready_fits(value, rivals, promising, scored, nulls)
-        explanation, causes = choice.refine_scales(
-            design, *choice.choose(design, base, value, rivals)
-        )
-        remainder: list[ScoreTest] | None = [
-            f for f in found if evidence.is_smooth_function(f.name)
-        ]
-        if causes:
-            explanation, causes, remainder = choice.add_second_cause(
-                setting, explanation, causes, rivals, seed
-            )
-        explanation = explanation._replace(causes=tuple(named.unbiased for named in causes))
-        held = prepare(data, data.group("validate")) if data.group("validate") else None
-        notes = list(data.warnings)
-        won = _gain(held, base, explanation, causes, seed, notes)
-        verdict, formula, set_aside = _verdict(causes, remainder, won, notes), None, []
-        if verdict not in ("explained", "partly"):
-            causes, set_aside, explanation, won = [], causes, base, None
-        if verdict == "unexplained":
+        base = base_fit.explanation
+        _check_accuracy(design, base)
+        search = _search_causes(workspace, base_fit, seed)
+
+        held_out = None
+        if data.group("validate"):
+            held_out = prepare(data, data.group("validate"))
+        notes = _notes_on_gain(held_out, search.causes)
+        measured_gain = None
+        if held_out is not None and search.causes and not notes:
+            measured_gain = gain.measure(held_out, base, search.explanation, seed)
+        verdict, more_notes = decide_verdict(search.causes, search.remainder, measured_gain)
+        notes += more_notes
+
+        final = search.explanation
+        causes = search.causes
+        set_aside: list[IdentifiedCause] = []
+        if verdict not in (Verdict.EXPLAINED, Verdict.PARTLY):
+            set_aside = causes
+            causes = []
+            final = base
+            measured_gain = None
+
+        formula = None
+        if verdict == Verdict.UNEXPLAINED:
             progress("formula", 0.0)
-            formula = empirical.find(
-                design, held, quiet, [f for f in found if evidence.is_smooth_function(f.name)], seed
-            )
+            smooth = _smooth_functions(search.score_tests)
+            formula = empirical.find(design, held_out, search.smoother_base, smooth, seed)
             progress("formula", 1.0)
         if formula is not None:
-            explanation, won = formula.explanation, formula.gain
-    p_value = min([f.p_value for f in found], default=1.0)
+            final = formula.explanation
+            measured_gain = formula.gain
+
+    smallest_p = min([test.p_value for test in search.score_tests], default=1.0)
     return Diagnosis(
-        data,
-        design,
-        held,
-        base,
-        explanation,
-        verdict,
-        causes,
-        set_aside,
-        found,
-        remainder or [],
-        won,
-        float(1.0 - (1.0 - p_value) ** 30),
-        notes,
-        formula,
-        time.monotonic() - began,
+        data=data,
+        design=design,
+        held_out=held_out,
+        base=base,
+        final=final,
+        verdict=verdict,
+        causes=causes,
+        set_aside=set_aside,
+        score_tests=search.score_tests,
+        remainder=search.remainder or [],
+        gain=measured_gain,
+        p_value=float(1.0 - (1.0 - smallest_p) ** thresholds.CAUSES_SEARCHED),
+        notes=notes,
+        formula=formula,
+        elapsed_s=time.monotonic() - began_s,
     )
 
 
-def _check(design: Design, base: Explanation) -> None:
-    nu, S, *_ = sensitivity.innovations(design, candidates.inputs(design, base))
-    spread = float(np.median(nu * nu / S) / 0.455)
-    if spread > 2.5 or spread < 0.3:
+def _check_accuracy(design: Design, base: Explanation) -> None:
+    """Raise ConfigError if the innovations of the fitted base contradict the declared accuracy."""
+    innovation, variance, *_ = sensitivity.innovations(design, candidates.inputs(design, base))
+    ratio = float(np.median(innovation * innovation / variance) / _MEDIAN_OF_CHI_SQUARED)
+    low = thresholds.LEAST_INNOVATION_VARIANCE
+    high = thresholds.MOST_INNOVATION_VARIANCE
+    if ratio > high or ratio < low:
         raise ConfigError(
-            f"the innovations have {spread:.2g} times the variance that the declared accuracy allows (1 "
-            "is right, 0.3 to 2.5 is accepted): correct [accuracy] in dataset.toml, or leave its values "
-            "out to have them estimated"
+            f"the innovations have {ratio:.2g} times the variance that the declared accuracy allows (1 "
+            f"is right, {low} to {high} is accepted): correct [accuracy] in dataset.toml, or leave its "
+            "values out to have them estimated"
         )
 
 
-def _gain(
-    held: Design | None,
-    base: Explanation,
-    explanation: Explanation,
-    causes: list[choice.IdentifiedCause],
-    seed: int,
-    notes: list[str],
-) -> Gain | None:
-    hidden = [
-        what
-        for named in causes
-        if (what := table.BY_NAME[named.finding.name].unknown_in_other_runs)
-    ]
-    if held is not None and hidden:
-        notes.append(
-            f"{hidden[0]} not known for the runs that were not fitted: the gain cannot be judged there"
+def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _Search:
+    """Return the causes that the fitted runs support, and what they leave."""
+    design = workspace.design
+    base, base_deviance, _ = base_fit
+
+    # score tests on the rail that the most promising causes leave
+    normal, *_ = fitting.normal_equations(design, base)
+    promising = evidence.most_promising(design, normal, thresholds.MOST_PROMISING)
+    smoother_base, promising_fits = choice.with_remaining_irregularity(workspace, base, promising)
+    tests, normal, nulls = null_simulations.score_against_nulls(
+        workspace, smoother_base, thresholds.MOST_NULL_SIMULATIONS, seed
+    )
+
+    # the most likely cause
+    fitted = choice.fit_significant(
+        workspace, base, tests, thresholds.MOST_FITTED, ready=promising_fits
+    )
+    fitted = choice.add_ready_fits(base_deviance, fitted, promising_fits, normal, nulls)
+    explanation, causes = choice.choose(design, base, base_deviance, fitted)
+    explanation, causes = choice.refine_scales(design, explanation, causes)
+
+    # a second one, and the remainder
+    remainder: list[ScoreTest] | None = _smooth_functions(tests)
+    if causes:
+        explanation, causes, remainder = choice.add_second_cause(
+            workspace, explanation, causes, fitted, seed
         )
-    return (
-        None
-        if held is None or hidden or not causes
-        else gain.measure(held, base, explanation, seed)
+    unbiased = tuple(identified.unbiased for identified in causes)
+    return _Search(
+        explanation=explanation._replace(causes=unbiased),
+        causes=causes,
+        score_tests=tests,
+        remainder=remainder,
+        smoother_base=smoother_base,
     )
 
 
-def _verdict(
-    causes: list[choice.IdentifiedCause],
-    remainder: list[ScoreTest] | None,
-    won: Gain | None,
-    notes: list[str],
-) -> str:
-    """consistent, explained, partly or unexplained; a small remainder becomes a note."""
+def _smooth_functions(tests: list[ScoreTest]) -> list[ScoreTest]:
+    return [test for test in tests if evidence.is_smooth_function(test.name)]
+
+
+def _notes_on_gain(held_out: Design | None, causes: list[IdentifiedCause]) -> list[Note]:
+    """Return a note if a cause is not known for the runs that were never fitted, so that its gain cannot be judged."""
+    if held_out is None:
+        return []
+    names = [identified.score_test.name for identified in causes]
+    hidden = [name for name in names if table.BY_NAME[name].unknown_in_other_runs]
+    if not hidden:
+        return []
+    return [Note(NoteCode.GAIN_NOT_JUDGED, causes=(hidden[0],))]
+
+
+def decide_verdict(
+    causes: list[IdentifiedCause], remainder: list[ScoreTest] | None, measured_gain: Gain | None
+) -> tuple[Verdict, list[Note]]:
+    """Return the verdict on some causes by what they leave and what they gain, with the notes that it needs."""
+    names = tuple(identified.score_test.name for identified in causes)
     if remainder is None:
-        told = " and ".join(named.finding.name for named in causes)
-        notes.append(f"simulated stops with {told} do not brake like the recording: not named")
-        return "unexplained"
-    left = [f for f in remainder if evidence.is_significant(f, 20.0)]
+        return Verdict.UNEXPLAINED, [Note(NoteCode.NOT_LIKE_RECORDING, causes=names)]
+
+    left = [test for test in remainder if evidence.is_significant(test, thresholds.CLEAR_REMAINDER)]
     if not causes:
-        return "unexplained" if left else "consistent"
-    if won is not None and won.likelihood < 0.0:
-        notes.append(
-            f"{causes[0].finding.name} would fit the tuning runs but makes runs that were "
-            "not fitted worse: not named"
-        )
-        return "unexplained"
-    total = sum(named.ratio for named in causes)
-    # two causes that leave a third thing may be what two forms make of one that the library does not have
-    alone = len(causes) == 1
-    own = {
-        f"along {name}"
-        for named in causes
-        if alone
-        for name in table.BY_NAME[named.finding.name].remainder_along
+        return (Verdict.UNEXPLAINED if left else Verdict.CONSISTENT), []
+    if measured_gain is not None and measured_gain.likelihood < 0.0:
+        return Verdict.UNEXPLAINED, [Note(NoteCode.WORSE_ON_HELD_OUT_RUNS, causes=names[:1])]
+
+    # two causes that leave a third effect may be two wrong forms of a cause outside the library
+    is_alone = len(causes) == 1
+    own_covariates = _own_covariates(names) if is_alone else set()
+    ratio = sum(identified.likelihood_ratio for identified in causes)
+    large = []
+    for test in left:
+        share = thresholds.REMAINDER_SHARE
+        if test.name in own_covariates:
+            share = thresholds.OWN_REMAINDER_SHARE
+        if test.statistic > ratio * share:
+            large.append(test)
+
+    if large:
+        if not is_alone or remainder_share(causes, large) > thresholds.PARTLY_SHARE:
+            note = Note(NoteCode.LARGE_REMAINDER, causes=names, remainder=large[0])
+            return Verdict.UNEXPLAINED, [note]
+        return Verdict.PARTLY, []
+    if left:
+        return Verdict.EXPLAINED, [Note(NoteCode.SMALL_REMAINDER, remainder=left[0])]
+    return Verdict.EXPLAINED, []
+
+
+def _own_covariates(names: tuple[str, ...]) -> set[str]:
+    """Return the smooth functions along which the shapes of some causes may differ."""
+    return {
+        f"along {covariate}" for name in names for covariate in table.BY_NAME[name].remainder_along
     }
-    much = [
-        f
-        for f in left
-        if f.statistic > total * (OWN_REMAINDER_SHARE if f.name in own else REMAINDER_SHARE)
-    ]
-    if much and (not alone or remainder_share(causes, much) > PARTLY_SHARE):
-        notes.append(
-            f"behind {' and '.join(named.finding.name for named in causes)} much remains along "
-            f"{evidence.against(much[0])}: the cause, or its form, is not in the library"
-        )
-        return "unexplained"
-    if left and not much:
-        notes.append(f"a small part remains along {evidence.against(left[0])}")
-    return "partly" if much else "explained"
 
 
-def remainder_share(causes: list[choice.IdentifiedCause], remainder: list[ScoreTest]) -> float:
-    """Likelihood that the largest remainder would win, over that of the causes and itself."""
-    most = max((f.statistic for f in remainder if evidence.is_significant(f, 20.0)), default=0.0)
-    return most / max(most + sum(named.ratio for named in causes), 1e-9)
+def remainder_share(causes: list[IdentifiedCause], remainder: list[ScoreTest]) -> float:
+    """Return the evidence of the largest remainder over that of the causes and itself."""
+    most = max(
+        (
+            test.statistic
+            for test in remainder
+            if evidence.is_significant(test, thresholds.CLEAR_REMAINDER)
+        ),
+        default=0.0,
+    )
+    ratio = sum(identified.likelihood_ratio for identified in causes)
+    return most / max(most + ratio, 1e-9)

@@ -1,8 +1,8 @@
-"""A formula for what no mechanism explains: one covariate, two coefficients, marked as empirical.
+"""Looks for an empirical formula for what no cause explains: one covariate, two coefficients.
 
 The covariates along which the remainder is smooth are tried with a polynomial of second order, those
-of place and wheel angle with a wave as well. A formula is kept only when it makes runs better that
-were never fitted; otherwise the report says against what the remainder shows, and no more.
+of place and wheel angle with a wave as well. A formula is accepted only if it improves runs that were
+never fitted. Otherwise the report names the covariates of the remainder, and no formula.
 
     [N1] ln mu += a z + b z^2, z = (x - centre) / scale;  or a cos(2 pi x / p) + b sin(2 pi x / p)
     [N2] R += a z + b z^2 in N, x the vehicle's speed or time
@@ -15,98 +15,97 @@ import numpy as np
 
 from rollerrig.rig.identify.causes import courses
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
+from rollerrig.rig.identify.causes.table import Shape
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.decide import fitting, gain
+from rollerrig.rig.identify.decide import fitting, gain, thresholds
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, Covariate
 
-MOST_TRIED = 3
-LEAST = 20.0  # likelihood that two coefficients (and a period) must earn
 PERIODS_M = np.geomspace(4.0, 150.0, 400)
-_WORDS = {c.word: (code, c) for code, c in enumerate(COVARIATES, start=1) if c.word}
+EVERY = 5  # of these samples is enough to find a period
+# number of each covariate in a shape (from 1 on), and the covariate, by its word
+_BY_WORD = {
+    covariate.word: (number, covariate)
+    for number, covariate in enumerate(COVARIATES, start=1)
+    if covariate.word
+}
 
 
 class EmpiricalFormula(NamedTuple):
-    """An empirical term: its cause, the explanation with it, its words, its worth."""
+    """An empirical term that improves runs that were never fitted."""
 
-    cause: Cause
-    explanation: Explanation
-    text: str
-    against: tuple[str, ...]
+    cause: Cause  # its shape holds the covariate, and a centre and a scale or a period
+    explanation: Explanation  # the base with this cause
     gain: Gain
+
+    @property
+    def covariate(self) -> Covariate:
+        """The covariate x of [N1] or [N2]."""
+        return COVARIATES[int(self.cause.shape["covariate"]) - 1]
+
+    @property
+    def is_on_vehicle(self) -> bool:
+        """Whether it is a force on the vehicle [N2], not a factor of friction [N1]."""
+        return "on_vehicle" in self.cause.shape
 
 
 def find(
     design: Design,
-    held: Design | None,
+    held_out: Design | None,
     base: Explanation,
     remainder: Sequence[ScoreTest],
     seed: int,
 ) -> EmpiricalFormula | None:
-    """The best formula that holds on runs never fitted, or None."""
-    if held is None:
+    """Return the best formula that improves the runs that were never fitted, or None."""
+    if held_out is None:
         return None
-    value = fitting.deviance(design, base)
-    tried = []
+
+    base_deviance = fitting.deviance(design, base)
+    fits = []
     for shape in _shapes(design, base, remainder):
-        explanation, better, _ = fitting.fit(
-            design,
-            base._replace(causes=(*base.causes, Cause("empirical", 0, shape, (0.0, 0.0)))),
-            6,
-        )
-        if value - better > LEAST:
-            tried.append((better, explanation))
-    for _, explanation in sorted(tried, key=lambda pair: pair[0]):
-        won = gain.measure(held, base, explanation, seed)
-        if won.claimed:
-            cause = explanation.causes[-1]
-            return EmpiricalFormula(cause, explanation, text(cause), (_of(cause).word,), won)
+        cause = Cause("empirical", 0, shape, (0.0, 0.0))
+        fit = fitting.fit(design, base._replace(causes=(*base.causes, cause)), 6)
+        if base_deviance - fit.deviance > thresholds.LEAST_RATIO_OF_FORMULA:
+            fits.append(fit)
+
+    for fit in sorted(fits, key=lambda fit: fit.deviance):
+        measured_gain = gain.measure(held_out, base, fit.explanation, seed)
+        if measured_gain.claimed:
+            return EmpiricalFormula(fit.explanation.causes[-1], fit.explanation, measured_gain)
     return None
 
 
-def _shapes(
-    design: Design, base: Explanation, remainder: Sequence[ScoreTest]
-) -> list[dict[str, float]]:
-    names = [f.name.removeprefix("along ") for f in sorted(remainder, key=lambda f: f.p_value)]
-    found = []
-    for name in names:
-        on_vehicle = name.startswith("vehicle ")
-        name = name.removeprefix("vehicle ")
-        if name not in _WORDS:
+def _shapes(design: Design, base: Explanation, remainder: Sequence[ScoreTest]) -> list[Shape]:
+    """Return the shapes to try: of the most significant covariates, and a wave along the rail."""
+    shapes: list[Shape] = []
+    for test in sorted(remainder, key=lambda test: test.p_value):
+        along = test.name.removeprefix("along ")
+        word = along.removeprefix("vehicle ")
+        if word not in _BY_WORD:
             continue
-        code, known = _WORDS[name]
-        if name == "wheel_angle":
-            found += [{"covariate": float(code), "period": 2.0 * np.pi / k} for k in (1, 2)]
+        number, covariate = _BY_WORD[word]
+        if word == "wheel_angle":
+            for waves_per_turn in (1, 2):
+                shapes.append({"covariate": float(number), "period": 2.0 * np.pi / waves_per_turn})
             continue
-        x = courses.covariate(design, known.name)
-        shape = {"covariate": float(code), "centre": float(np.mean(x)), "scale": float(np.std(x))}
-        found.append({**shape, "on_vehicle": 1.0} if on_vehicle else shape)
-    found = found[:MOST_TRIED]
-    found.append({"covariate": float(_WORDS["place"][0]), "period": _period(design, base)})
-    return found
+        x = courses.covariate(design, covariate.name)
+        shape = {"covariate": float(number), "centre": float(np.mean(x)), "scale": float(np.std(x))}
+        if along.startswith("vehicle "):
+            shape["on_vehicle"] = 1.0
+        shapes.append(shape)
+
+    shapes = shapes[: thresholds.MOST_COVARIATES_TRIED]
+    number_of_place, _ = _BY_WORD["place"]
+    shapes.append({"covariate": float(number_of_place), "period": _period_m(design, base)})
+    return shapes
 
 
-def _period(design: Design, base: Explanation) -> float:
-    """Period in m of the strongest wave of the filtered irregularity along the rail."""
-    _, _, field, _, _ = sensitivity.innovations(design, inputs(design, base))
-    x = design.place_m
-    use = slice(None, None, 5)
-    wave = np.exp(2j * np.pi * x[use][:, None] / PERIODS_M)
-    return float(PERIODS_M[np.argmax(np.abs((field[use] - field.mean()) @ wave))])
-
-
-def _of(cause: Cause) -> Covariate:
-    return COVARIATES[int(cause.shape["covariate"]) - 1]
-
-
-def text(cause: Cause) -> str:
-    """The formula in words and numbers."""
-    (_, _, name, unit), (a, b) = _of(cause), cause.values
-    left, number = ("R", "N") if "on_vehicle" in cause.shape else ("ln mu", "")
-    if "period" in cause.shape:
-        turn = f"2 pi {name} / {cause.shape['period']:.4g} {unit}"
-        return f"{left} += {a:+.3g} cos({turn}) {b:+.3g} sin({turn})"
-    z = f"z = ({name} - {cause.shape['centre']:.4g} {unit}) / {cause.shape['scale']:.4g} {unit}"
-    return f"{left} += {a:+.3g} {number} z {b:+.3g} {number} z^2, {z}".replace("  ", " ")
+def _period_m(design: Design, base: Explanation) -> float:
+    """Return the period in m of the strongest wave of the filtered irregularity along the rail."""
+    _, _, irregularity, _, _ = sensitivity.innovations(design, inputs(design, base))
+    use = slice(None, None, EVERY)
+    waves = np.exp(2j * np.pi * design.place_m[use][:, None] / PERIODS_M)
+    strength = np.abs((irregularity[use] - irregularity.mean()) @ waves)
+    return float(PERIODS_M[np.argmax(strength)])

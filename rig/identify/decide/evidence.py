@@ -1,12 +1,12 @@
-"""Decides what the data supports: scores of all causes, judged by clean data of the same design.
+"""Judges every cause and every smooth function by a score test, calibrated on null simulations.
 
-Every cause has a score: how much likelihood its coefficients would win. The same search runs on
-stops simulated from the fitted model, with nothing else in them; there every estimate has a bias
-and a spread of its own, which nominal errors do not know. A cause counts when its estimate, less
-that bias, lies outside that spread so far that among all causes a false alarm stays below 2 %.
+The score of a cause is the likelihood that its coefficients would win. The same search runs on null
+simulations: stops simulated from the fitted model with no further cause in them. There every estimate
+has a bias and a spread that nominal errors do not contain. A cause counts if its estimate, less the
+bias, is so far outside the spread that the false alarms of all causes together stay below 2 %.
 
-    [E1] x = -S^-1 g, S and g the normal equations less what the base takes up (Schur complement)
-    [E2] T = (x - mean)' S (x - mean) / scale, scale the mean of the same over clean sets
+    [E1] x = -S^-1 g, S and g the normal equations less what the base absorbs (Schur complement)
+    [E2] T = (x - mean)' S (x - mean) / scale, scale the mean of the same over null simulations
 Source: Engle, Wald, likelihood ratio and Lagrange multiplier tests, Handbook of Econometrics 2 (1984).
 """
 
@@ -19,126 +19,171 @@ from scipy.special import fdtrc
 from rollerrig.rig.identify.causes import columns, table
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.decide import fitting
+from rollerrig.rig.identify.decide import fitting, thresholds
 
-ALPHA_GENERIC = 0.005 / 13.0
-FLOOR = 12.0
-STANDS_OUT, NEAR_ALPHA = 4.0, 10.0  # times FLOOR; times the p-value that counts
-MOST_BINS = 10
+EULER_GAMMA = 0.5772  # mean of the standard Gumbel distribution
+
+# owners of the columns that the search for windows adds up, as `columns` names them
+PLACE_BINS = "place_bin"
+TIME_BINS = "time_bin"
+TIME_BINS_BEHIND = "time_bin behind"  # on all wheelsets but the first
 
 
 class Scores(NamedTuple):
-    """Schur complement of all columns on the base: S (p, p), g (p,)."""
+    """Scores of all columns: the normal equations less what the base absorbs [E1]."""
 
-    S: np.ndarray
-    g: np.ndarray
+    S: np.ndarray  # (columns, columns) information
+    g: np.ndarray  # (columns,) gradient
 
 
 class ScoreTest(NamedTuple):
-    """A cause in its best shape: statistic T with its p-value, estimate less bias, its deviation."""
+    """The score test of a cause, or of a smooth function, in its best shape."""
 
-    name: str
-    axle: int
-    shape: dict[str, float]
-    estimate: tuple[float, ...]
-    bias: tuple[float, ...]
-    deviation: tuple[float, ...]
-    statistic: float
+    name: str  # of the cause, or "along ..." of a smooth function
+    axle: int  # 0: all axles
+    shape: dict[str, float]  # parameters of the shape, in their units
+    estimate: tuple[float, ...]  # coefficients less the bias, in the units of the cause
+    bias: tuple[float, ...]  # mean of the estimates on null simulations
+    deviation: tuple[float, ...]  # standard deviation of each coefficient
+    statistic: float  # T of [E2]
     p_value: float
-    expected: float  # mean of the uncorrected statistic on clean sets
-    spread: float  # deviation of a coefficient over its nominal one
+    expected: float  # mean of the statistic on null simulations before its correction
+    spread: float  # standard deviation of a coefficient over its nominal one
     trials: int = 1  # shapes and axles among which this one is the best
 
     def cause(self) -> Cause:
-        """The cause to begin a fit with."""
+        """Return the cause from which a fit starts."""
         return fitting.within_bounds(Cause(self.name, self.axle, self.shape, self.estimate))
 
 
+class Window(NamedTuple):
+    """Neighbouring bins, and the effect in them."""
+
+    first: int  # number of the first bin
+    end: int  # number behind the last bin
+    coefficient: float  # ln of the friction
+    statistic: float
+
+
 def scores(normal: fitting.NormalEquations, keep: Sequence[str] = ()) -> Scores:
-    """Scores of all columns [E1]; causes already in the explanation (`keep`) join the base."""
-    base = fitting.base_columns(normal.matrix) + [
-        c for c, column in enumerate(normal.matrix.columns) if column.cause in keep
-    ]
-    A, b = normal.A, normal.b
+    """Return the scores of all columns [E1]. Causes that the model has already (`keep`) join the base."""
+    kept = [c for c, column in enumerate(normal.matrix.columns) if column.cause in keep]
+    base = fitting.base_columns(normal.matrix) + kept
+    A = normal.A
+    b = normal.b
+
+    # scaled columns: their sizes differ by many powers of ten
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A)[base], 1e-30))
-    small = A[np.ix_(base, base)] * np.outer(scale, scale) + 1e-8 * np.eye(len(base))
-    taken = np.linalg.solve(small, scale[:, None] * A[base])
-    return Scores(A - (A[:, base] * scale) @ taken, b - taken.T @ (scale * b[base]))
+    scaled = A[np.ix_(base, base)] * np.outer(scale, scale) + 1e-8 * np.eye(len(base))
+    absorbed = np.linalg.solve(scaled, scale[:, None] * A[base])
+    return Scores(
+        S=A - (A[:, base] * scale) @ absorbed,
+        g=b - absorbed.T @ (scale * b[base]),
+    )
 
 
 def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Estimates [E1] of some columns and their part of S, of one set or of many at once."""
-    S, g = s.S[..., np.array(at)[:, None], at], s.g[..., at]
-    # out of the filter's range: says nothing
+    """Return the estimates [E1] of some columns and their part of S, of one data set or of many stacked."""
+    S = s.S[..., np.array(at)[:, None], at]
+    g = s.g[..., at]
+
+    # a data set in which the columns leave the range of the filter says nothing
     known = np.isfinite(S).all(axis=(-2, -1)) & np.isfinite(g).all(axis=-1)
-    S, g = np.where(known[..., None, None], S, np.zeros_like(S)), np.where(known[..., None], g, 0.0)
+    S = np.where(known[..., None, None], S, np.zeros_like(S))
+    g = np.where(known[..., None], g, 0.0)
+
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(S, axis1=-2, axis2=-1), 1e-30))
     scaled = S * (scale[..., :, None] * scale[..., None, :]) + 1e-6 * np.eye(len(at))
     return -scale * np.linalg.solve(scaled, (scale * g)[..., None])[..., 0], S
 
 
-def _together(clean: Sequence[Scores]) -> Scores:
-    return Scores(np.array([s.S for s in clean]), np.array([s.g for s in clean]))
+def _stacked(nulls: Sequence[Scores]) -> Scores:
+    """Return the scores of many data sets as one, with the data sets along the first dimension."""
+    return Scores(S=np.array([s.S for s in nulls]), g=np.array([s.g for s in nulls]))
 
 
 def score_tests(
-    design: Design, normal: fitting.NormalEquations, clean: list[Scores], known: Sequence[str] = ()
+    design: Design,
+    normal: fitting.NormalEquations,
+    nulls: list[Scores],
+    known: Sequence[str] = (),
 ) -> list[ScoreTest]:
-    """Best shape of every cause and smooth function, most significant first; `known` left out."""
-    real = scores(normal, known)
-    judged: dict[str, list[ScoreTest]] = {}
-    together = _together(clean)
+    """Return the test of every cause and smooth function in its best shape, the most significant first.
+
+    `known` causes are in the model already and are left out.
+    """
+    measured = scores(normal, known)
+    stacked = _stacked(nulls)
+
+    by_name: dict[str, list[ScoreTest]] = {}
     for variant in normal.matrix.variants:
         if variant.cause not in known:
-            judged.setdefault(variant.cause, []).append(_judge(real, together, variant))
-    for window in (_patch(normal, real, clean), _sand(design, normal, real, clean)):
-        if window is not None and window.name not in known:
-            judged[window.name] = [window]
-    best = [(max(shapes, key=lambda f: f.statistic), len(shapes)) for shapes in judged.values()]
-    chosen = [
-        f._replace(p_value=min(1.0, f.p_value * np.sqrt(trials)), trials=trials)
-        for f, trials in best
-    ]
-    return sorted(chosen, key=lambda f: (f.p_value, -f.statistic))
+            tests = by_name.setdefault(variant.cause, [])
+            tests.append(_test_variant(measured, stacked, variant))
+    for window in _test_windows(design, normal, measured, nulls):
+        if window.name not in known:
+            by_name[window.name] = [window]
+
+    best_tests = []
+    for tests in by_name.values():
+        trials = len(tests)
+        best = max(tests, key=lambda test: test.statistic)
+        # the best of several shapes is less significant than one shape alone
+        p_value = min(1.0, best.p_value * np.sqrt(trials))
+        best_tests.append(best._replace(p_value=p_value, trials=trials))
+    return sorted(best_tests, key=lambda test: (test.p_value, -test.statistic))
 
 
 def most_promising(design: Design, normal: fitting.NormalEquations, count: int) -> list[Cause]:
-    """Causes of greatest nominal score, one shape of each, not yet judged by clean sets."""
-    real = scores(normal)
+    """Return the causes of the largest nominal score, one shape of each, not yet judged by null simulations."""
+    measured = scores(normal)
     best: dict[str, tuple[float, Cause]] = {}
     for variant in normal.matrix.variants:
         if is_smooth_function(variant.cause):
             continue
-        x, S = _coefficients(real, list(variant.columns))
-        value = (0.0 if _wrong_sign(variant.cause, float(x[0])) else float(x @ S @ x)) - 3.0 * len(
-            x
-        )
-        if value > (best[variant.cause][0] if variant.cause in best else 10.0):
-            best[variant.cause] = (
-                value,
-                Cause(variant.cause, variant.axle, variant.shape, tuple(float(v) for v in x)),
-            )
-    # windows are searched, so they have to earn more
-    still = [Scores(real.S, np.zeros_like(real.g))] * 2
-    for window in (_patch(normal, real, still), _sand(design, normal, real, still)):
-        if window is not None and window.statistic > 50.0:
-            best[window.name] = (window.statistic - 40.0, window.cause())
+        x, S = _coefficients(measured, list(variant.columns))
+        statistic = 0.0
+        if not _has_wrong_sign(variant.cause, float(x[0])):
+            statistic = float(x @ S @ x)
+        value = statistic - thresholds.PROMISING_COST * len(x)
+
+        least = thresholds.PROMISING_FLOOR
+        if variant.cause in best:
+            least, _ = best[variant.cause]
+        if value > least:
+            coefficients = tuple(float(v) for v in x)
+            cause = Cause(variant.cause, variant.axle, variant.shape, coefficients)
+            best[variant.cause] = (value, cause)
+
+    # windows are the best of many, so they have to win more; two empty data sets stand for the nulls
+    nothing = [Scores(S=measured.S, g=np.zeros_like(measured.g))] * 2
+    for window in _test_windows(design, normal, measured, nothing):
+        if window.statistic > thresholds.PROMISING_WINDOW_FLOOR:
+            value = window.statistic - thresholds.PROMISING_WINDOW_COST
+            best[window.name] = (value, window.cause())
+
     ranked = sorted(best.values(), key=lambda pair: -pair[0])[:count]
     return [fitting.within_bounds(cause) for _, cause in ranked]
 
 
-def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> ScoreTest:
-    at, size, freedom = list(variant.columns), len(variant.columns), len(clean.g) - 1
-    x, S = _coefficients(real, at)
-    null, T = _coefficients(clean, at)
-    bias = null.mean(axis=0)
+def _test_variant(measured: Scores, nulls: Scores, variant: columns.Variant) -> ScoreTest:
+    """Return the test of a cause in one shape; `nulls` are stacked."""
+    at = list(variant.columns)
+    size = len(at)
+    freedom = len(nulls.g) - 1
+    x, S = _coefficients(measured, at)
+    null_x, null_S = _coefficients(nulls, at)
+
+    bias = null_x.mean(axis=0)
     nominal = np.sqrt(np.maximum(np.diag(np.linalg.pinv(S)), 1e-30))
-    off = np.einsum("ki,kij,kj->k", null - bias, T, null - bias)
-    scale = max(float(off.mean()) * len(off) / freedom / size, 0.7)
+    off = np.einsum("ki,kij,kj->k", null_x - bias, null_S, null_x - bias)
+    scale = max(float(off.mean()) * len(off) / freedom / size, thresholds.LEAST_SCALE)
     if variant.cause in table.BY_NAME:
+        # what the numerics of the filter can pretend
         scale += (table.BY_NAME[variant.cause].floor / nominal[0]) ** 2
-    statistic = float((x - bias) @ S @ (x - bias)) / scale
-    if _wrong_sign(variant.cause, float(x[0] - bias[0])):
+
+    statistic = float((x - bias) @ S @ (x - bias)) / scale  # [E2]
+    if _has_wrong_sign(variant.cause, float(x[0] - bias[0])):
         statistic = 0.0
     return ScoreTest(
         name=variant.cause,
@@ -149,186 +194,242 @@ def _judge(real: Scores, clean: Scores, variant: columns.Variant) -> ScoreTest:
         deviation=tuple(nominal * np.sqrt(scale)),
         statistic=statistic,
         p_value=float(fdtrc(size, freedom, max(statistic, 0.0) / size)),
-        expected=float(np.einsum("ki,kij,kj->k", null, T, null).mean()),
+        expected=float(np.einsum("ki,kij,kj->k", null_x, null_S, null_x).mean()),
         spread=float(np.sqrt(scale)),
     )
 
 
 def score_test_of(
-    normal: fitting.NormalEquations, clean: list[Scores], cause: Cause
+    normal: fitting.NormalEquations, nulls: list[Scores], cause: Cause
 ) -> ScoreTest | None:
-    """The finding of a cause in one given shape; None for a window."""
-    same = normal.matrix.variant_of(cause)
-    return None if same is None else _judge(scores(normal), _together(clean), same)
+    """Return the test of a cause in the shape that it has; None for a window, which has no columns."""
+    variant = normal.matrix.variant_of(cause)
+    if variant is None:
+        return None
+    return _test_variant(scores(normal), _stacked(nulls), variant)
 
 
-def _wrong_sign(cause: str, value: float) -> bool:
-    """Whether a coefficient lies on the side of 0 where the cause does not exist."""
+def _has_wrong_sign(cause: str, value: float) -> bool:
+    """Return whether a coefficient is on the side of 0 where the cause does not exist."""
     row = table.BY_NAME.get(cause)
-    return (
-        row is not None and row.mechanism.parameters[0].low == 0.0 and value < 0.0 and not row.phase
-    )
+    if row is None or row.phase:
+        return False
+    return row.mechanism.parameters[0].low == 0.0 and value < 0.0
+
+
+# --- causes that act in a window of place or time ---
+
+
+def _test_windows(
+    design: Design, normal: fitting.NormalEquations, measured: Scores, nulls: list[Scores]
+) -> list[ScoreTest]:
+    """Return the tests of a patch and of sand, each where it can be tested."""
+    tests = [
+        _test_patch(normal, measured, nulls),
+        _test_sand(design, normal, measured, nulls),
+    ]
+    return [test for test in tests if test is not None]
 
 
 def _bins(normal: fitting.NormalEquations, owner: str) -> list[int]:
+    """Return the numbers of the columns of bins."""
     return [c for c, column in enumerate(normal.matrix.columns) if column.cause == owner]
 
 
-def _best_window(
-    S: np.ndarray, g: np.ndarray, longest: int, sign: float
-) -> tuple[int, int, float, float] | None:
-    """(from, to, coefficient, T) of neighbouring bins of greatest T, among those whose coefficient has this sign."""
-    found = []
+def _best_window(S: np.ndarray, g: np.ndarray, longest: int, sign: float) -> Window | None:
+    """Return the neighbouring bins of the largest statistic whose coefficient has this sign."""
+    best = None
     for low in range(len(g)):
-        total, weight = 0.0, 0.0
+        gradient = 0.0
+        information = 0.0
         for high in range(low, min(low + longest, len(g))):
-            total += g[high]
-            weight += S[high, high] + 2.0 * S[low:high, high].sum()
-            if weight > 1e-9 and -sign * total > 0.0:
-                found.append((low, high + 1, float(-total / weight), float(total * total / weight)))
-    return max(found, key=lambda window: window[3], default=None)
+            gradient += g[high]
+            information += S[high, high] + 2.0 * S[low:high, high].sum()
+            if information > 1e-9 and -sign * gradient > 0.0:
+                statistic = float(gradient * gradient / information)
+                if best is None or statistic > best.statistic:
+                    best = Window(low, high + 1, float(-gradient / information), statistic)
+    return best
 
 
-def _tail(value: float, null: np.ndarray) -> float:
-    """Probability of a larger maximum, by a Gumbel law with the moments of the clean sets."""
-    width = max(float(null.std(ddof=1)) * np.sqrt(6.0) / np.pi, 0.15 * float(null.mean()) + 0.3)
-    return float(-np.expm1(-np.exp(-(value - (float(null.mean()) - 0.5772 * width)) / width)))
+def _gumbel_tail(value: float, null: np.ndarray) -> float:
+    """Return the probability of a larger maximum, by a Gumbel law with the moments of the null simulations."""
+    mean = float(null.mean())
+    least_width = thresholds.LEAST_GUMBEL_SHARE * mean + thresholds.LEAST_GUMBEL_WIDTH
+    width = max(float(null.std(ddof=1)) * np.sqrt(6.0) / np.pi, least_width)
+    mode = mean - EULER_GAMMA * width
+    return float(-np.expm1(-np.exp(-(value - mode) / width)))
 
 
-def _patch(normal: fitting.NormalEquations, real: Scores, clean: list[Scores]) -> ScoreTest | None:
-    at = _bins(normal, "place_bin")
+def _test_patch(
+    normal: fitting.NormalEquations, measured: Scores, nulls: list[Scores]
+) -> ScoreTest | None:
+    """Return the test of a contaminated patch, None where the runs are too short for one."""
+    at = _bins(normal, PLACE_BINS)
     if len(at) < 4:
         return None
-    bias = np.mean([s.g[at] for s in clean], axis=0)
-    seen, *ordinary = (
-        _best_window(s.S[np.ix_(at, at)], s.g[at] - bias, MOST_BINS, -1.0) for s in (real, *clean)
-    )
-    if seen is None:
-        return None
-    null = np.array([window[3] if window else 0.0 for window in ordinary])
-    low, high, x, T = seen
-    shape = table.CONTAMINANT_ALONE | {
-        "start_m": float(normal.matrix.columns[at[low]].label),
-        "length_m": float((high - low) * columns.PLACE_BIN_M),
-    }
-    spread = max(float(np.sqrt(null.mean() / 8.0)), 1.0)
-    return ScoreTest(
-        "contaminated_patch",
-        0,
-        shape,
-        (-x,),
-        (0.0,),
-        (spread * abs(x) / np.sqrt(max(T, 1e-9)),),
-        T,
-        _tail(T, null),
-        float(null.mean()),
-        spread,
-    )
+    bias = np.mean([s.g[at] for s in nulls], axis=0)
 
-
-def _sand(
-    design: Design, normal: fitting.NormalEquations, real: Scores, clean: list[Scores]
-) -> ScoreTest | None:
-    """Sand under all wheelsets, or not under the first: the better of both."""
-    found = [
-        _sand_on(design, normal, real, clean, owner, shape)
-        for owner, shape in (
-            ("time_bin", table.CONTAMINANT_ALONE),
-            ("time_bin behind", table.CONTAMINANT_ALONE | {"behind": 1.0}),
+    def search(s: Scores) -> Window | None:
+        """Return the best patch, where friction is lower."""
+        return _best_window(
+            s.S[np.ix_(at, at)], s.g[at] - bias, thresholds.MOST_PATCH_BINS, sign=-1.0
         )
-    ]
-    return max(
-        (f for f in found if f is not None), key=lambda f: f.statistic - f.expected, default=None
+
+    window = search(measured)
+    if window is None:
+        return None
+    null_windows = [search(s) for s in nulls]
+    null = np.array([0.0 if found is None else found.statistic for found in null_windows])
+
+    spread = max(float(np.sqrt(null.mean() / thresholds.ORDINARY_PATCH_STATISTIC)), 1.0)
+    deviation = spread * abs(window.coefficient) / np.sqrt(max(window.statistic, 1e-9))
+    shape = table.CONTAMINANT_ALONE | {
+        "start_m": float(normal.matrix.columns[at[window.first]].label),
+        "length_m": float((window.end - window.first) * columns.PLACE_BIN_M),
+    }
+    return ScoreTest(
+        name="contaminated_patch",
+        axle=0,
+        shape=shape,
+        estimate=(-window.coefficient,),
+        bias=(0.0,),
+        deviation=(deviation,),
+        statistic=window.statistic,
+        p_value=_gumbel_tail(window.statistic, null),
+        expected=float(null.mean()),
+        spread=spread,
     )
 
 
-def _sand_on(
+def _test_sand(
+    design: Design, normal: fitting.NormalEquations, measured: Scores, nulls: list[Scores]
+) -> ScoreTest | None:
+    """Return the better test of two: sand under all wheelsets, or under all but the first."""
+    under_all = _test_sand_on(design, normal, measured, nulls, TIME_BINS, table.CONTAMINANT_ALONE)
+    behind_first = _test_sand_on(
+        design, normal, measured, nulls, TIME_BINS_BEHIND, table.CONTAMINANT_ALONE | {"behind": 1.0}
+    )
+    tests = [test for test in (under_all, behind_first) if test is not None]
+    return max(tests, key=lambda test: test.statistic - test.expected, default=None)
+
+
+def _test_sand_on(
     design: Design,
     normal: fitting.NormalEquations,
-    real: Scores,
-    clean: list[Scores],
+    measured: Scores,
+    nulls: list[Scores],
     owner: str,
     shape: dict[str, float],
 ) -> ScoreTest | None:
+    """Return the test of sand at one time in each run, None where friction is higher nowhere."""
     at = _bins(normal, owner)
-    runs = [int(normal.matrix.columns[c].label.split()[0]) for c in at]
-    bias = np.mean([s.g[at] for s in clean], axis=0)
-
-    def scan(s: Scores) -> dict[int, tuple[int, int, float, float]]:
-        chosen = {}
-        for run in range(design.mass_kg.size):
-            own = [k for k, r in enumerate(runs) if r == run]
-            picked = [at[k] for k in own]
-            window = _best_window(s.S[np.ix_(picked, picked)], s.g[picked] - bias[own], 6, 1.0)
-            if window is not None:
-                chosen[run] = window
-        return chosen
-
     if not at:
         return None
-    T, *ordinary = (float(sum(t for *_, t in scan(s).values())) for s in (real, *clean))
-    null, shape, weights, sizes = np.array(ordinary), dict(shape), [], []
-    for run, (low, high, x, t) in scan(real).items():
-        if t > 0.5 * T / design.mass_kg.size:
-            shape[f"start_s {design.names[run]}"] = float(low * columns.TIME_BIN_S)
-            shape[f"duration_s {design.names[run]}"] = float((high - low) * columns.TIME_BIN_S)
-            weights.append(t / max(x * x, 1e-12))
-            sizes.append(x)
-    if not sizes:
+    run_of_bin = [int(normal.matrix.columns[c].label.split()[0]) for c in at]
+    bias = np.mean([s.g[at] for s in nulls], axis=0)
+    runs = design.mass_kg.size
+
+    def search(s: Scores) -> dict[int, Window]:
+        """Return the best window of each run, where friction is higher."""
+        windows = {}
+        for run in range(runs):
+            places = [k for k, of_run in enumerate(run_of_bin) if of_run == run]
+            picked = [at[k] for k in places]
+            window = _best_window(
+                s.S[np.ix_(picked, picked)],
+                s.g[picked] - bias[places],
+                thresholds.MOST_SAND_BINS,
+                sign=1.0,
+            )
+            if window is not None:
+                windows[run] = window
+        return windows
+
+    def total(windows: dict[int, Window]) -> float:
+        return float(sum(window.statistic for window in windows.values()))
+
+    windows = search(measured)
+    statistic = total(windows)
+    null = np.array([total(search(s)) for s in nulls])
+
+    # sand is in the runs that have their share of the evidence
+    shape = dict(shape)
+    coefficients: list[float] = []
+    weights: list[float] = []
+    for run, window in windows.items():
+        if window.statistic > thresholds.SAND_SHARE_OF_RUN * statistic / runs:
+            name = design.names[run]
+            shape[f"start_s {name}"] = float(window.first * columns.TIME_BIN_S)
+            shape[f"duration_s {name}"] = float((window.end - window.first) * columns.TIME_BIN_S)
+            coefficients.append(window.coefficient)
+            weights.append(window.statistic / max(window.coefficient * window.coefficient, 1e-12))
+    if not coefficients:
         return None
-    x = float(np.average(sizes, weights=weights))
-    spread = max(float(np.sqrt(null.mean() / (6.0 * len(sizes)))), 1.0)
+
+    ordinary = thresholds.ORDINARY_SAND_STATISTIC * len(coefficients)
+    spread = max(float(np.sqrt(null.mean() / ordinary)), 1.0)
     return ScoreTest(
-        "sanding",
-        0,
-        shape,
-        (x,),
-        (0.0,),
-        (spread / np.sqrt(sum(weights)),),
-        T,
-        _tail(T, null),
-        float(null.mean()),
-        spread,
+        name="sanding",
+        axle=0,
+        shape=shape,
+        estimate=(float(np.average(coefficients, weights=weights)),),
+        bias=(0.0,),
+        deviation=(spread / np.sqrt(sum(weights)),),
+        statistic=statistic,
+        p_value=_gumbel_tail(statistic, null),
+        expected=float(null.mean()),
+        spread=spread,
     )
+
+
+# --- which tests count ---
 
 
 def is_smooth_function(name: str) -> bool:
-    """Whether a finding is a smooth function and not a cause."""
+    """Return whether a name is that of a smooth function, not of a cause."""
     return name.startswith("along ")
 
 
-def against(found: ScoreTest) -> str:
-    """What a smooth function goes along, in words; which wheelset where it is that of one."""
-    return found.name.removeprefix("along ").replace("one axle", f"axle {found.axle}")
+def is_significant(test: ScoreTest, floor: float = thresholds.SCORE_FLOOR) -> bool:
+    """Return whether a test counts by itself."""
+    return test.p_value < _alpha(test) and test.statistic - len(test.estimate) > floor
 
 
-def is_settled(found: Sequence[ScoreTest]) -> bool:
-    """Whether more clean sets would hardly change what counts: one finding stands out, or none comes near its limit.
+def _alpha(test: ScoreTest) -> float:
+    """Return the largest p-value with which a test counts."""
+    if is_smooth_function(test.name):
+        return thresholds.ALPHA_SMOOTH_FUNCTION
+    return table.BY_NAME[test.name].alpha
 
-    A window may not be the one: its p-value does not know of how few clean sets it is.
+
+def is_settled(tests: Sequence[ScoreTest]) -> bool:
+    """Return whether more null simulations would hardly change what counts.
+
+    Either one test is clearly significant, or none is near its limit. The clear one may not be a
+    window: the p-value of a window does not take into account how few null simulations there are.
     """
-    near = [
-        f
-        for f in found
-        if f.p_value < NEAR_ALPHA * _limit(f) and f.statistic - len(f.estimate) > 0.5 * FLOOR
-    ]
-    out = max(
-        (f.statistic for f in near if is_significant(f, STANDS_OUT * FLOOR) and not _is_window(f)),
-        default=0.0,
-    )
-    return not near or 0.0 < out > 2.0 * max(
-        (f.statistic for f in near if _is_window(f)), default=0.0
-    )
+    near = [test for test in tests if _is_near_limit(test)]
+    if not near:
+        return True
+
+    clear_statistic = 0.0
+    window_statistic = 0.0
+    for test in near:
+        if _is_window(test):
+            window_statistic = max(window_statistic, test.statistic)
+        elif is_significant(test, thresholds.CLEAR_FACTOR * thresholds.SCORE_FLOOR):
+            clear_statistic = max(clear_statistic, test.statistic)
+    is_clear = clear_statistic > 0.0
+    return is_clear and clear_statistic > thresholds.CLEAR_OF_WINDOWS * window_statistic
 
 
-def _is_window(found: ScoreTest) -> bool:
-    return not is_smooth_function(found.name) and table.BY_NAME[found.name].edge_step > 0.0
+def _is_near_limit(test: ScoreTest) -> bool:
+    """Return whether more null simulations could change whether a test counts."""
+    least = thresholds.NEAR_SHARE * thresholds.SCORE_FLOOR
+    is_likely = test.p_value < thresholds.NEAR_FACTOR * _alpha(test)
+    return is_likely and test.statistic - len(test.estimate) > least
 
 
-def is_significant(found: ScoreTest, floor: float = FLOOR) -> bool:
-    """Whether a finding counts by itself."""
-    return found.p_value < _limit(found) and found.statistic - len(found.estimate) > floor
-
-
-def _limit(found: ScoreTest) -> float:
-    return ALPHA_GENERIC if is_smooth_function(found.name) else table.BY_NAME[found.name].alpha
+def _is_window(test: ScoreTest) -> bool:
+    return not is_smooth_function(test.name) and table.BY_NAME[test.name].edge_step > 0.0

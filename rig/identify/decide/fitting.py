@@ -1,10 +1,10 @@
-"""Fits an explanation to a design: base within its tolerances, causes, irregularity of the rail.
+"""Fits an explanation to a design: base parameters within tolerances, causes, irregularity of the rail.
 
-Gauss-Newton on the whitened innovations, whose derivatives come from the linearised filter; the
-strength and length of the irregularity are found by scipy on the exact likelihood, between the
-steps, so that a cause earns likelihood only by shrinking what is left unexplained.
+The fit is Gauss-Newton on the whitened innovations, whose derivatives come from the linearised filter.
+Between the steps scipy finds the strength and length of the irregularity on the exact likelihood.
+A cause thus earns likelihood only by making what is left unexplained smaller.
 
-    [T1] -2 ln L = sum nu^2 / S + ln S over wheels and vehicles + sum (x / prior)^2
+    [T1] -2 ln L = sum innovation^2 / variance + ln variance, over wheels and vehicles, + sum (x / prior)^2
 """
 
 from collections.abc import Sequence
@@ -17,233 +17,364 @@ from scipy.optimize import minimize
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.causes import columns, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
-from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix
+from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix, Variant
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.decide import thresholds
+from rollerrig.rig.identify.decide.thresholds import OUTLIER_DEVIATIONS
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.identify.replay.sensitivity import LinearisedReplay
 
-MEMORY, MEMORY_STEP_M = "adhesion_memory", 2.0
-LONGEST_M = 16.0  # irregularity of the rail is short: what lasts longer is to be explained, not to be called noise
-_STEP = 1e-3  # of a difference
-_RELEASED_NM = 30.0  # deviation of the offset of a released brake's torque, N m
+# step of a finite difference: of a base parameter, and of a coefficient as a share of itself
+_STEP = 1e-3
+
+# largest absolute values of base parameters by the beginnings of their labels: logarithms and shares
 _BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1}
+_OTHER_BOUND = 1.0
+
+# steps of Gauss-Newton before which the irregularity of the rail is fitted
+_NOISE_STEPS = (1, 3, 5)
+# a fit may stop early only after this step
+_LEAST_STEP = 3
+# a step of Gauss-Newton is shortened by this factor, at most this number of times, until it improves
+_SHORTER = 0.35
+_MOST_SHORTENED = 5.0
+
+# bounds of the irregularity of the rail: standard deviation, then length in m
+_IRREGULARITY_BOUNDS = (1e-3, 0.5)
+_SHORTEST_IRREGULARITY_M = 1.0
 
 
-# columns that act on a segment (then on a run's vehicle), their places in the whitened answers (n, courses), and these
-Answers = list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+class Response(NamedTuple):
+    """How whitened innovations respond to columns: of the wheel of one segment, or the vehicle of one run."""
+
+    columns: np.ndarray  # (used,) numbers of the columns that act there
+    places: np.ndarray  # (used,) their places in `whitened`: columns may share a course
+    whitened: np.ndarray  # (samples, courses)
 
 
 class NormalEquations(NamedTuple):
-    """Normal equations of all columns: A x = -b, with priors in A; and the book."""
+    """The normal equations A x = -b of all columns, with the priors in A and b."""
 
-    A: np.ndarray
-    b: np.ndarray
-    matrix: SensitivityMatrix
+    A: np.ndarray  # (columns, columns)
+    b: np.ndarray  # (columns,)
+    matrix: SensitivityMatrix  # describes the columns
+
+
+class Fit(NamedTuple):
+    """A fitted explanation."""
+
+    explanation: Explanation
+    deviance: float  # -2 ln L
+    covariance: np.ndarray  # of the causes' coefficients, one cause after the other
+
+
+# --- likelihood ---
 
 
 def deviance(design: Design, explanation: Explanation) -> float:
-    """-2 ln L without constants [T1]."""
-    nu, S, _, vnu, vS = sensitivity.innovations(design, inputs(design, explanation))
-    return float(np.sum(deviance_terms(nu, S)) + np.sum(deviance_terms(vnu, vS))) + prior_deviance(
-        design, explanation
+    """Return -2 ln L without constants [T1]."""
+    innovation, variance, _, vehicle_innovation, vehicle_variance = sensitivity.innovations(
+        design, inputs(design, explanation)
     )
+    of_wheels = np.sum(deviance_terms(innovation, variance))
+    of_vehicles = np.sum(deviance_terms(vehicle_innovation, vehicle_variance))
+    return float(of_wheels + of_vehicles) + prior_deviance(design, explanation)
 
 
-def deviance_terms(nu: np.ndarray, S: np.ndarray) -> np.ndarray:
-    """What each sample adds to [T1], outliers bounded."""
-    return np.minimum(nu * nu / S, 36.0) + np.log(S)
+def deviance_terms(innovation: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return what each sample adds to [T1]. The squares of outliers are bounded."""
+    square = np.minimum(innovation * innovation / variance, OUTLIER_DEVIATIONS**2)
+    return square + np.log(variance)
 
 
 def prior_deviance(design: Design, explanation: Explanation) -> float:
-    """What the declared tolerances and the released brake say."""
+    """Return what the declared tolerances and the torque of the released brakes add to [T1]."""
     tolerance = max(design.calibration, 1e-4)
-    cost = sum(
-        (value / tolerance) ** 2 * (2.0 if label.startswith("torque") else 1.0)
-        for label, value in explanation.base.items()
-        if label.startswith(("torque_gain", "load_gain", "mass"))
-    )
-    offsets = np.zeros(design.segments)
+    cost = 0.0
+    for label, value in explanation.base.items():
+        if label.startswith(("torque_gain", "load_gain", "mass")):
+            # the gain of a wheelset's torque is a sum: the gain of all wheelsets and that of the wheelset
+            weight = 2.0 if label.startswith("torque") else 1.0
+            cost += (value / tolerance) ** 2 * weight
+
+    offsets_Nm = np.zeros(design.segments)
     for cause in explanation.causes:
         if cause.name == "torque_offset" and not cause.shape:
-            offsets += cause.values[0] * ((design.axle == cause.axle - 1) | (cause.axle == 0))
-    seen = np.isfinite(design.released_Nm)
-    off = (design.released_Nm + offsets)[seen] / np.hypot(design.released_sd_Nm[seen], _RELEASED_NM)
+            acts = (design.axle == cause.axle - 1) | (cause.axle == 0)
+            offsets_Nm += cause.values[0] * acts
+    was_released = np.isfinite(design.released_Nm)
+    deviation_Nm = np.hypot(design.released_sd_Nm[was_released], thresholds.RELEASED_TORQUE_NM)
+    off = (design.released_Nm + offsets_Nm)[was_released] / deviation_Nm
     return cost + float(np.sum(off * off))
+
+
+# --- normal equations ---
 
 
 def normal_equations(
     design: Design, explanation: Explanation, search: bool = True
-) -> tuple[NormalEquations, LinearisedReplay, Answers]:
-    """Normal equations around an explanation, its replay, the whitened answers."""
-    i = inputs(design, explanation)
-    matrix, linear = columns.build(design, i, explanation.causes, search)
-    answers = _answers(
-        design, matrix, linear, _by_differences(design, explanation, matrix, linear, search)
-    )
-    z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
-    vz = np.clip(linear.vehicle_nu / np.sqrt(linear.vehicle_variance), -6.0, 6.0)
-    A, b = np.zeros((len(matrix.columns), len(matrix.columns))), np.zeros(len(matrix.columns))
-    innovations = [z[design.span(s)] for s in range(design.segments)] + [
-        vz[design.vehicle_span(run)] for run in range(design.mass_kg.size)
-    ]
-    for (used, places, Z), own in zip(answers, innovations, strict=True):
+) -> tuple[NormalEquations, LinearisedReplay, list[Response]]:
+    """Return the normal equations around an explanation, its linearised replay, and the responses.
+
+    The columns are the base and the explanation's causes, and with `search` all possible causes and
+    smooth functions.
+    """
+    replay_inputs = inputs(design, explanation)
+    matrix, linear = columns.build(design, replay_inputs, explanation.causes, search)
+    exact = _finite_differences(design, explanation, matrix, linear, search)
+    responses = _responses(design, matrix, linear, exact)
+
+    z = _bounded(linear.nu / np.sqrt(linear.variance))
+    vehicle_z = _bounded(linear.vehicle_nu / np.sqrt(linear.vehicle_variance))
+    innovations = [z[design.span(s)] for s in range(design.segments)]
+    innovations += [vehicle_z[design.vehicle_span(run)] for run in range(design.mass_kg.size)]
+
+    A = np.zeros((len(matrix.columns), len(matrix.columns)))
+    b = np.zeros(len(matrix.columns))
+    for response, innovation in zip(responses, innovations, strict=True):
+        used, places, Z = response
         A[np.ix_(used, used)] += (Z.T @ Z)[np.ix_(places, places)]
-        b[used] += (Z.T @ own.astype(Z.dtype))[places]
-    _priors(design, explanation, matrix, A, b)
-    return NormalEquations(A, b, matrix), linear, answers
+        b[used] += (Z.T @ innovation.astype(Z.dtype))[places]
+    _add_priors(design, explanation, matrix, A, b)
+    return NormalEquations(A, b, matrix), linear, responses
 
 
-def _answers(
+def _bounded(z: np.ndarray) -> np.ndarray:
+    """Return normalised innovations with outliers bounded."""
+    return np.clip(z, -OUTLIER_DEVIATIONS, OUTLIER_DEVIATIONS)
+
+
+def _responses(
     design: Design,
     matrix: SensitivityMatrix,
     linear: LinearisedReplay,
     exact: dict[int, np.ndarray],
-) -> Answers:
-    answers = []
-    for s in range(design.segments):
-        at = design.span(s)
-        live = np.flatnonzero(matrix.wheel[:, at].any(axis=1))
-        numbers = np.unique(matrix.bins[:, at])
-        own = np.concatenate([live, numbers[numbers >= 0], [*matrix.memory]]).astype(int)
-        kept = len(own) - len(matrix.memory)
-        changes = np.zeros((at.stop - at.start, kept), matrix.wheel.dtype)
-        changes[:, : live.size] = matrix.wheel[live, at].T
-        for number in matrix.bins[:, at]:
-            held = np.flatnonzero(number >= 0)
-            changes[held, np.searchsorted(own[:kept], number[held])] = matrix.in_bins[at][held]
-        Z = np.empty((len(changes), own.size), changes.dtype)
-        sensitivity.response(changes, linear.variance[at], linear.coefficients[at], Z)
-        Z[:, kept:] = 0.0  # another shape of memory than the one that is taken
-        places = np.full(matrix.course.max() + 2, -1)  # in Z of each course; the last for none
-        places[own] = np.arange(own.size)
-        for course in exact.keys() & own.tolist():
-            Z[:, places[course]] = exact[course][at] / np.sqrt(linear.variance[at])
-        used = np.flatnonzero(matrix.acts[:, s] & (places[matrix.course] >= 0))
-        answers.append((used, places[matrix.course[used]], Z))
+) -> list[Response]:
+    """Return the whitened responses of each wheel, then of each vehicle; `exact` ones replace linearised ones."""
+    responses = [_wheel_response(design, matrix, linear, exact, s) for s in range(design.segments)]
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
         live = np.flatnonzero(matrix.vehicle[:, at].any(axis=1))
         changes = np.ascontiguousarray(matrix.vehicle[live, at].T)
-        V = np.empty_like(changes)
+        whitened = np.empty_like(changes)
         sensitivity.vehicle_response(
-            changes, linear.vehicle_variance[at], design.speed_noise_m_s, design.step_s, V
+            changes,
+            linear.vehicle_variance[at],
+            design.speed_noise_m_s,
+            design.step_s,
+            whitened,
         )
-        answers.append((matrix.on_vehicle[live], np.arange(live.size), V))
-    return answers
+        responses.append(
+            Response(
+                columns=matrix.on_vehicle[live],
+                places=np.arange(live.size),
+                whitened=whitened,
+            )
+        )
+    return responses
 
 
-def wheel_answers(design: Design, answers: Answers, wanted: Sequence[int]) -> np.ndarray:
-    """Whitened answers of the wheels to some columns, shape (n, wanted)."""
+def _wheel_response(
+    design: Design,
+    matrix: SensitivityMatrix,
+    linear: LinearisedReplay,
+    exact: dict[int, np.ndarray],
+    segment: int,
+) -> Response:
+    """Return the whitened response of the wheel of one segment."""
+    at = design.span(segment)
+
+    # the courses that are not zero here: written ones, bins, and those of finite steps
+    live = np.flatnonzero(matrix.wheel[:, at].any(axis=1))
+    numbers = np.unique(matrix.bins[:, at])
+    courses = np.concatenate([live, numbers[numbers >= 0], [*matrix.stepped]]).astype(int)
+    linearised = len(courses) - len(matrix.stepped)
+
+    # change of the wheel's acceleration by each course; a bin has its change where its number is
+    changes = np.zeros((at.stop - at.start, linearised), matrix.wheel.dtype)
+    changes[:, : live.size] = matrix.wheel[live, at].T
+    for number in matrix.bins[:, at]:
+        inside = np.flatnonzero(number >= 0)
+        place = np.searchsorted(courses[:linearised], number[inside])
+        changes[inside, place] = matrix.in_bins[at][inside]
+
+    Z = np.empty((len(changes), courses.size), changes.dtype)
+    sensitivity.response(changes, linear.variance[at], linear.coefficients[at], Z)
+    # a finite step that was not replayed is of another shape than the one in the explanation
+    Z[:, linearised:] = 0.0
+
+    # place of each course in Z, -1: not there; the last element is for columns without a course
+    places = np.full(matrix.course.max() + 2, -1)
+    places[courses] = np.arange(courses.size)
+    for course in exact.keys() & courses.tolist():
+        Z[:, places[course]] = exact[course][at] / np.sqrt(linear.variance[at])
+
+    used = np.flatnonzero(matrix.acts[:, segment] & (places[matrix.course] >= 0))
+    return Response(columns=used, places=places[matrix.course[used]], whitened=Z)
+
+
+def wheel_responses(design: Design, responses: list[Response], wanted: Sequence[int]) -> np.ndarray:
+    """Return the whitened responses of the wheels to some columns, shape (n, wanted)."""
     out = np.zeros((design.measured_rad_s.size, len(wanted)))
-    for s, (used, places, Z) in enumerate(answers[: design.segments]):
-        place = dict(zip(used, places, strict=True))
-        for k, c in enumerate(wanted):
-            if c in place:
-                out[design.span(s), k] = Z[:, place[c]]
+    for segment, response in enumerate(responses[: design.segments]):
+        place_of = dict(zip(response.columns, response.places, strict=True))
+        for k, column in enumerate(wanted):
+            if column in place_of:
+                out[design.span(segment), k] = response.whitened[:, place_of[column]]
     return out
 
 
-def _by_differences(
+class _Move(NamedTuple):
+    """A finite step: the explanation after it, and its size in the unit of the coefficient."""
+
+    explanation: Explanation
+    step: float
+
+
+def _finite_differences(
     design: Design,
     explanation: Explanation,
     matrix: SensitivityMatrix,
     linear: LinearisedReplay,
     search: bool,
 ) -> dict[int, np.ndarray]:
-    """Answers of the wheels by their courses: to a memory, and beside one to all that is fitted.
+    """Return responses of the wheels (n,) by the numbers of their courses, where a linearised filter is not enough.
 
-    No derivative exists at length 0 that a filter's noise would not spoil: a finite step. Beside a memory the
-    linearised filter is not good enough. Columns that share a course and no wheelset are moved together.
+    A cause with a finite step has no derivative at size 0 that the noise of a filter would not spoil.
+    Once such a cause is in the explanation, the linearised filter is not good enough for the other
+    coefficients either: all that are fitted get a finite difference.
     """
-    moves = {
-        course: (
-            explanation._replace(
-                causes=(*explanation.causes, Cause(MEMORY, 0, shape, (MEMORY_STEP_M,)))
-            ),
-            MEMORY_STEP_M,
-        )
-        for course, shape in matrix.memory.items()
-    }
-    if any(cause.name == MEMORY and cause.values[0] > 0.0 for cause in explanation.causes):
-        moves, covered = {}, np.zeros((matrix.course.max() + 1, design.segments), dtype=bool)
-        for c in [] if search else base_columns(matrix):
-            course, label, acts = matrix.course[c], matrix.columns[c].label, matrix.acts[c]
-            if course >= 0 and not np.any(covered[course] & acts):
-                covered[course] |= acts
-                moved, _ = moves.get(course, (explanation, 0.0))
-                moves[course] = (
-                    moved._replace(base=moved.base | {label: moved.base.get(label, 0.0) + _STEP}),
-                    _STEP,
-                )
-        for at, cause in enumerate(explanation.causes):
-            for k, c in enumerate(same.columns if (same := matrix.variant_of(cause)) else ()):
-                step = _STEP * max(abs(cause.values[k]), bounds(cause)[k][1] * _STEP)
-                values = (*cause.values[:k], cause.values[k] + step, *cause.values[k + 1 :])
-                if matrix.course[c] >= 0 and (not search or cause.name == MEMORY):
-                    moves[matrix.course[c]] = (
-                        explanation.with_cause(at, cause._replace(values=values)),
-                        step,
-                    )
+    if any(_is_stepped(cause) and cause.values[0] > 0.0 for cause in explanation.causes):
+        moves = _moves_of_all(explanation, matrix, search)
+    else:
+        moves = _moves_of_stepped(explanation, matrix)
     if not moves:
         return {}
-    found = sensitivity.replays(design, [inputs(design, moved) for moved, _ in moves.values()])
-    return {
-        course: (nu - linear.nu) / step
-        for (course, (_, step)), (nu, *_) in zip(moves.items(), found, strict=True)
-    }
+
+    replays = sensitivity.replays(
+        design, [inputs(design, move.explanation) for move in moves.values()]
+    )
+    differences = {}
+    for (course, move), (innovation, *_) in zip(moves.items(), replays, strict=True):
+        differences[course] = (innovation - linear.nu) / move.step
+    return differences
 
 
-def _priors(
+def _is_stepped(cause: Cause) -> bool:
+    """Return whether a cause has no derivative at size 0."""
+    return table.BY_NAME[cause.name].finite_step > 0.0
+
+
+def _moves_of_stepped(explanation: Explanation, matrix: SensitivityMatrix) -> dict[int, _Move]:
+    """Return the first step of each variant that has no derivative at size 0, by its course."""
+    moves = {}
+    for course, variant in matrix.stepped.items():
+        step = table.BY_NAME[variant.cause].finite_step
+        cause = Cause(variant.cause, variant.axle, variant.shape, (step,))
+        moves[course] = _Move(explanation._replace(causes=(*explanation.causes, cause)), step)
+    return moves
+
+
+def _moves_of_all(
+    explanation: Explanation, matrix: SensitivityMatrix, search: bool
+) -> dict[int, _Move]:
+    """Return a small step of each coefficient that is fitted, by its course; in a search of the stepped cause only.
+
+    Columns that share a course and no wheelset are moved in one replay.
+    """
+    moves: dict[int, _Move] = {}
+    if not search:
+        segments = matrix.acts.shape[1]
+        covered = np.zeros((matrix.course.max() + 1, segments), dtype=bool)
+        for c in base_columns(matrix):
+            course = matrix.course[c]
+            acts = matrix.acts[c]
+            if course >= 0 and not np.any(covered[course] & acts):
+                covered[course] |= acts
+                moved = moves[course].explanation if course in moves else explanation
+                label = matrix.columns[c].label
+                base = moved.base | {label: moved.base.get(label, 0.0) + _STEP}
+                moves[course] = _Move(moved._replace(base=base), _STEP)
+
+    for at, cause in enumerate(explanation.causes):
+        variant = matrix.variant_of(cause)
+        if variant is None or (search and not _is_stepped(cause)):
+            continue
+        for k, c in enumerate(variant.columns):
+            course = matrix.course[c]
+            if course < 0:
+                continue
+            _, high = bounds(cause)[k]
+            step = _STEP * max(abs(cause.values[k]), high * _STEP)
+            values = (*cause.values[:k], cause.values[k] + step, *cause.values[k + 1 :])
+            moved = explanation.with_cause(at, cause._replace(values=values))
+            moves[course] = _Move(moved, step)
+    return moves
+
+
+def _add_priors(
     design: Design,
     explanation: Explanation,
     matrix: SensitivityMatrix,
     A: np.ndarray,
     b: np.ndarray,
 ) -> None:
+    """Add the declared tolerances and the torque of the released brakes to the normal equations, in place."""
     for c, column in enumerate(matrix.columns):
         if column.prior > 0.0:
             A[c, c] += 1.0 / column.prior**2
             b[c] += explanation.base.get(column.label, 0.0) / column.prior**2
+
     present = {
         (cause.name, cause.axle): cause.values[0]
         for cause in explanation.causes
         if cause.values and not cause.shape
     }
-    offset = sum(v for (name, axle), v in present.items() if name == "torque_offset" and axle == 0)
+    offset_of_all_Nm = present.get(("torque_offset", 0), 0.0)
     for s in range(design.segments):
         if not np.isfinite(design.released_Nm[s]):
             continue
-        sd2 = design.released_sd_Nm[s] ** 2 + _RELEASED_NM**2
-        own = offset + present.get(("torque_offset", int(design.axle[s]) + 1), 0.0)
-        acts = [
-            v.columns[0]
-            for v in matrix.variants
-            if v.cause == "torque_offset" and not v.shape and v.axle in (0, int(design.axle[s]) + 1)
-        ]
-        for c in acts:
-            b[c] += (design.released_Nm[s] + own) / sd2
-            for other in acts:
-                A[c, other] += 1.0 / sd2
+        axle = int(design.axle[s]) + 1
+        variance = design.released_sd_Nm[s] ** 2 + thresholds.RELEASED_TORQUE_NM**2
+        offset_Nm = offset_of_all_Nm + present.get(("torque_offset", axle), 0.0)
+        acting = [v.columns[0] for v in matrix.variants if _is_plain_offset(v, axle)]
+        for c in acting:
+            b[c] += (design.released_Nm[s] + offset_Nm) / variance
+            for other in acting:
+                A[c, other] += 1.0 / variance
+
+
+def _is_plain_offset(variant: Variant, axle: int) -> bool:
+    """Return whether a variant is an offset of the torque that also acts on a released brake of an axle."""
+    if variant.cause != "torque_offset" or variant.shape:
+        return False
+    return variant.axle in (0, axle)
 
 
 def base_columns(matrix: SensitivityMatrix) -> list[int]:
-    """Columns of the base."""
+    """Return the numbers of the columns of the base."""
     return [c for c, column in enumerate(matrix.columns) if column.cause == BASE]
 
 
 def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(-A^-1 b, A^-1), scaled columns first. Raises ConfigError where the data let no column be told from another."""
+    """Return (-A^-1 b, A^-1), by way of scaled columns.
+
+    Raises ConfigError if the matrix is not positive definite.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-30))
     try:
         factor = cho_factor(A * scale * scale[:, None] + 1e-10 * np.eye(len(b)))
     except LinAlgError:
         raise ConfigError(
-            "the fit cannot be solved: what a change does to the replay grows beyond bounds, as where "
+            "the fit cannot be solved: the effect of a change on the replay grows without bound, as where "
             "adhesion falls steeply under wheels that slide at low speed; let the recordings end at a "
-            "higher speed (6 m/s, say), or leave the run out that does so"
+            "higher speed (for example 6 m/s), or leave out the run in which this happens"
         ) from None
     inverse = cho_solve(factor, np.eye(len(b))) * scale * scale[:, None]
     return -inverse @ b, inverse
+
+
+# --- fit ---
 
 
 def fit(
@@ -253,105 +384,133 @@ def fit(
     noise: bool = True,
     tolerance: float = 0.05,
     free: tuple[str, ...] = (),
-) -> tuple[Explanation, float, np.ndarray]:
-    """Best explanation of the same causes: (explanation, deviance, covariance of cause values).
+) -> Fit:
+    """Return the best explanation with the same causes, by at most `steps` steps of Gauss-Newton.
 
-    With `free` only the base parameters whose labels begin so are fitted, and a memory.
+    With `noise` the irregularity of the rail is fitted too. The fit stops early if a step improves
+    the deviance by less than `tolerance`. With `free` only those base parameters are fitted whose
+    labels begin so, and of the causes only those with a finite step.
     """
-    value, covariance = deviance(design, explanation), np.zeros((0, 0))
+    value = deviance(design, explanation)
+    covariance = np.zeros((0, 0))
     for step in range(steps):
-        if noise and step in (1, 3, 5) and step + 1 < steps:
+        if noise and step in _NOISE_STEPS and step + 1 < steps:
             explanation, value = fit_noise(design, explanation, value)
-        found, _, _ = normal_equations(design, explanation, False)
-        own = [
-            c
-            for c in base_columns(found.matrix)
-            if not free or found.matrix.columns[c].label.startswith(free)
+
+        normal, _, _ = normal_equations(design, explanation, search=False)
+        matrix = normal.matrix
+        fitted_base = [
+            c for c in base_columns(matrix) if not free or matrix.columns[c].label.startswith(free)
         ]
-        causes = tuple(c for c in explanation.causes if not free or c.name == MEMORY)
-        at = own + [
-            c for cause in causes if (same := found.matrix.variant_of(cause)) for c in same.columns
-        ]
-        if not np.all(np.isfinite(found.A[np.ix_(at, at)])):
+        fitted_causes = tuple(c for c in explanation.causes if not free or _is_stepped(c))
+        at = [*fitted_base]
+        for cause in fitted_causes:
+            variant = matrix.variant_of(cause)
+            if variant is not None:
+                at += variant.columns
+
+        A = normal.A[np.ix_(at, at)]
+        if not np.all(np.isfinite(A)):
             break
         try:
-            change, covariance = solve(found.A[np.ix_(at, at)], found.b[at])
+            change, covariance = solve(A, normal.b[at])
         except ConfigError:
-            if not causes:
+            if not fitted_causes:
                 raise
-            break  # as far as it went: one cause that cannot be fitted further does not make the data useless
-        before, labels = value, [found.matrix.columns[c].label for c in own]
-        explanation, value = _search(design, explanation, labels, causes, change, value)
-        if before - value < tolerance and step > 3:
+            # one cause that cannot be fitted further does not make the data useless
             break
+        value_before = value
+        labels = [matrix.columns[c].label for c in fitted_base]
+        explanation, value = _step(design, explanation, labels, fitted_causes, change, value)
+        if value_before - value < tolerance and step > _LEAST_STEP:
+            break
+
     size = sum(len(cause.values) for cause in explanation.causes)
-    at_cause = len(covariance) - size
-    return (
-        explanation,
-        value,
-        covariance[at_cause:, at_cause:] if at_cause >= 0 else np.full((size, size), np.inf),
-    )
+    first_of_causes = len(covariance) - size
+    if first_of_causes < 0:
+        return Fit(explanation, value, np.full((size, size), np.inf))
+    return Fit(explanation, value, covariance[first_of_causes:, first_of_causes:])
 
 
-def _search(
+def _step(
     design: Design,
     explanation: Explanation,
     labels: list[str],
-    fitted: tuple[Cause, ...],
+    fitted_causes: tuple[Cause, ...],
     change: np.ndarray,
     value: float,
 ) -> tuple[Explanation, float]:
-    """The step of base and fitted causes, shortened until it improves."""
-    for share in 0.35 ** np.arange(5.0):
+    """Return the explanation after a step, and its deviance. The step is shortened until it improves.
+
+    `change` holds the changes of the base parameters with these labels, then of the causes' coefficients.
+    """
+    of_base = change[: len(labels)]
+    for share in _SHORTER ** np.arange(_MOST_SHORTENED):
         base = dict(explanation.base)
-        for label, x in zip(labels, change[: len(labels)], strict=True):
-            bound = next((b for k, b in _BASE_BOUNDS.items() if label.startswith(k)), 1.0)
+        for label, x in zip(labels, of_base, strict=True):
+            bound = _base_bound(label)
             base[label] = float(np.clip(base.get(label, 0.0) + share * x, -bound, bound))
-        tried, at = explanation._replace(base=base), len(labels)
-        for cause in fitted:
-            moved = cause._replace(
-                values=tuple(cause.values + share * change[at : at + len(cause.values)])
-            )
-            tried, at = (
-                tried.with_cause(explanation.causes.index(cause), within_bounds(moved)),
-                at + len(cause.values),
-            )
+
+        tried = explanation._replace(base=base)
+        at = len(labels)
+        for cause in fitted_causes:
+            end = at + len(cause.values)
+            moved = cause._replace(values=tuple(cause.values + share * change[at:end]))
+            tried = tried.with_cause(explanation.causes.index(cause), within_bounds(moved))
+            at = end
+
         better = deviance(design, tried)
         if better < value:
             return tried, better
     return explanation, value
 
 
+def _base_bound(label: str) -> float:
+    """Return the largest absolute value of a base parameter."""
+    for beginning, bound in _BASE_BOUNDS.items():
+        if label.startswith(beginning):
+            return bound
+    return _OTHER_BOUND
+
+
 def within_bounds(cause: Cause) -> Cause:
-    """The cause with its coefficients inside the bounds of the table of mechanisms."""
-    return cause._replace(
-        values=tuple(
-            float(np.clip(value, *ends))
-            for value, ends in zip(cause.values, bounds(cause), strict=True)
-        )
-    )
+    """Return the cause with its coefficients inside the bounds of the table of mechanisms."""
+    values = []
+    for value, (low, high) in zip(cause.values, bounds(cause), strict=True):
+        values.append(float(np.clip(value, low, high)))
+    return cause._replace(values=tuple(values))
 
 
 def bounds(cause: Cause) -> list[tuple[float, float]]:
-    """Bounds of the coefficients of a cause, of the table of mechanisms."""
-    search, m = table.BY_NAME[cause.name], table.BY_NAME[cause.name].mechanism
-    rows = [m.parameters[min(k, m.free - 1)] for k in range(len(cause.values))]
-    return [(-row.high if search.phase else row.low, row.high) for row in rows]
+    """Return the bounds (low, high) of the coefficients of a cause, from the table of mechanisms."""
+    search = table.BY_NAME[cause.name]
+    mechanism = search.mechanism
+    limits = []
+    for k in range(len(cause.values)):
+        row = mechanism.parameters[min(k, mechanism.free - 1)]
+        # an amplitude with a phase is fitted as cosine and sine, of either sign
+        low = -row.high if search.phase else row.low
+        limits.append((low, row.high))
+    return limits
 
 
 def fit_noise(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
-    """Strength and length of the irregularity of greatest likelihood, the rest kept."""
+    """Return the explanation with the most likely irregularity of the rail, all else fixed, and its deviance."""
 
-    def rough(x: np.ndarray) -> Explanation:
+    def with_irregularity(x: np.ndarray) -> Explanation:
+        """Return the explanation with the logarithms of strength and length in `x`."""
         return explanation._replace(sigma=float(np.exp(x[0])), length_m=float(np.exp(x[1])))
 
     x0 = np.log([explanation.sigma, explanation.length_m])
     simplex = x0 + np.array([[0.0, 0.0], [-0.15, 0.0], [0.0, -0.3]])
+    lengths_m = (_SHORTEST_IRREGULARITY_M, thresholds.LONGEST_IRREGULARITY_M)
     best = minimize(
-        lambda x: deviance(design, rough(x)),
+        lambda x: deviance(design, with_irregularity(x)),
         x0,
         method="Nelder-Mead",
-        bounds=np.log([(1e-3, 0.5), (1.0, LONGEST_M)]),
+        bounds=np.log([_IRREGULARITY_BOUNDS, lengths_m]),
         options={"maxfev": 18, "initial_simplex": simplex, "fatol": 0.3},
     )
-    return (rough(best.x), float(best.fun)) if best.fun < value else (explanation, value)
+    if best.fun < value:
+        return with_irregularity(best.x), float(best.fun)
+    return explanation, value

@@ -1,15 +1,16 @@
 """Measures what an explanation is worth on stops that were never fitted.
 
-Base and extended model each keep what they learned on the tuning runs; only the level of the contaminant of each new
-stop is found anew, for both alike. What counts is the adhesion that each model lacks: what the filter of the wheel has
-to add to it [G2], which knows the sensors' noise; for causes in the vehicle it is the speed that five seconds of free
-running predict. A block bootstrap gives the interval, and a gain whose interval holds 0 is not claimed.
+Base and extended model each keep what they learned on the fitted runs. Only the level of the
+contaminant of each new stop is found again, for both alike. The measure is the adhesion that a model
+lacks: what the filter of the wheel has to add to it [G2], which takes the noise of the sensors into
+account. For causes in the vehicle it is the error of the speed that is predicted five seconds ahead.
+A block bootstrap gives the interval. A gain whose interval contains 0 is not claimed.
 
-    [G1] f = (J domega/dt + C) / (r N), with what the model says of J, C, r and N; for the pictures
+    [G1] f = (J domega/dt + C) / (r N), with the model's J, C, r and N; for the pictures
     [G2] f (e^m - 1), f and the irregularity m along the filtered wheel speed
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,39 +19,55 @@ from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
 from rollerrig.rig.identify.data.smoothing import smoothed
 from rollerrig.rig.identify.decide import fitting
+from rollerrig.rig.identify.decide.thresholds import BLOCK_S, FREE_RUN_S, SLOWEST_M_S
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.identify.replay.sensitivity import Inputs
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME
 
-BLOCK_S, FREE_RUN_S, SLOWEST_M_S = 3.0, 5.0, 5.0
-ADHESION, FREE_RUN = "adhesion_rmse", "free_running_speed_rmse_m_s"
+# metrics, root mean square: of the adhesion that a model lacks, of the speed that it predicts
+ADHESION = "adhesion_rmse"
+FREE_RUN = "free_running_speed_rmse_m_s"
+
+DRAWS = 500  # of the bootstrap
+QUANTILES = (0.025, 0.975)
+CUBIC = 3  # order of the smoothing polynomial of wheel speed and torque
+
+
+class RunGain(NamedTuple):
+    """The errors on some runs: before and after, and the 95 % interval of the reduction."""
+
+    before: float
+    after: float
+    low: float
+    high: float
 
 
 class Gain(NamedTuple):
-    """Root mean square errors before and after on some runs, and the share that went away."""
+    """The gain of an extended model on runs that were never fitted."""
 
     runs: tuple[str, ...]
-    metric: str
-    before: float
-    after: float
-    reduction: float
-    ci95: tuple[float, float]
-    likelihood: float  # drop of the deviance on these runs
-    by_run: dict[
-        str, tuple[float, float, float, float]
-    ]  # errors before and after, 95 % interval of the reduction
+    metric: str  # ADHESION or FREE_RUN
+    before: float  # error of the base
+    after: float  # error of the extended model
+    reduction: float  # share of the error that is gone
+    ci95: tuple[float, float]  # 95 % interval of the reduction
+    likelihood: float  # drop of -2 ln L on these runs
+    by_run: dict[str, RunGain]
 
     @property
     def claimed(self) -> bool:
-        """Whether the gain is beyond doubt."""
+        """Whether the gain is statistically significant."""
         return self.ci95[0] > 0.0 and self.likelihood > 0.0
 
 
+# --- what a model predicts ---
+
+
 def predicted(i: Inputs, at: slice, omega: np.ndarray, p: np.ndarray, step_s: float) -> np.ndarray:
-    """(sliding, adhesion) of one wheel along its speed, each shape (n,)."""
+    """Return (sliding in m/s, adhesion) of one wheel along its speed `omega`, shape (2, n)."""
     sliding = i.speed_m_s[at] - p[parameters.RADIUS] * omega
-    f, _ = sensitivity.replay_law(
+    adhesion_of_law, _ = sensitivity.replay_law(
         sliding,
         i.speed_m_s[at],
         i.load_N[at],
@@ -60,142 +77,152 @@ def predicted(i: Inputs, at: slice, omega: np.ndarray, p: np.ndarray, step_s: fl
         np.zeros(omega.size + 1),
         True,
     )
-    return np.array([sliding, f])
+    return np.array([sliding, adhesion_of_law])
 
 
 def adhesion(design: Design, explanation: Explanation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(measured [G1], modelled, sliding) adhesion at every sample, flat."""
+    """Return (measured [G1], modelled adhesion, sliding in m/s) at every sample, flat."""
     i = inputs(design, explanation)
-    measured, model, sliding = np.empty((3, design.measured_rad_s.size))
+    samples = design.measured_rad_s.size
+    measured = np.empty(samples)
+    model = np.empty(samples)
+    sliding = np.empty(samples)
     window = max(5, 2 * int(0.5 * WINDOW_S / design.step_s) + 1)
     for s in range(design.segments):
-        at, p = design.span(s), i.parameters[s]
-        omega = smoothed(design.measured_rad_s[at], window, 3)
-        rate = smoothed(design.measured_rad_s[at], window, 3, 1, design.step_s)
-        torque = smoothed(i.torque_Nm[at], window, 3)
-        measured[at] = (p[parameters.INERTIA] * rate + torque) / (
-            p[parameters.RADIUS] * i.load_N[at]
-        )
-        sliding[at], model[at] = predicted(i, at, omega, p, design.step_s)
-        model[at] = smoothed(model[at], window, 3)
+        at = design.span(s)
+        p = i.parameters[s]
+        omega = smoothed(design.measured_rad_s[at], window, CUBIC)
+        rate = smoothed(design.measured_rad_s[at], window, CUBIC, 1, design.step_s)
+        torque = smoothed(i.torque_Nm[at], window, CUBIC)
+        force_Nm = p[parameters.INERTIA] * rate + torque
+        measured[at] = force_Nm / (p[parameters.RADIUS] * i.load_N[at])
+        sliding[at], modelled = predicted(i, at, omega, p, design.step_s)
+        model[at] = smoothed(modelled, window, CUBIC)
     return measured, model, sliding
 
 
+def missing_adhesion(design: Design, explanation: Explanation) -> np.ndarray:
+    """Return the adhesion that a model lacks [G2] at every sample, flat; 0 below SLOWEST_M_S."""
+    i = inputs(design, explanation)
+    # the difference of measured and modelled adhesion at measured sliding would be larger for a
+    # stiffer contact, only because of the noise of that sliding
+    innovation, variance, irregularity, _, _ = sensitivity.innovations(design, i)
+    modelled = np.empty(innovation.size)
+    for s in range(design.segments):
+        at = design.span(s)
+        p = i.parameters[s]
+        noise_variance = p[parameters.SPEED_NOISE] ** 2
+        omega = design.measured_rad_s[at] - innovation[at] * noise_variance / variance[at]
+        _, modelled[at] = predicted(i, at, omega, p, design.step_s)
+    is_judged = design.speed_m_s > SLOWEST_M_S
+    return np.where(is_judged, modelled * np.expm1(irregularity), 0.0)
+
+
 def free_running(design: Design, explanation: Explanation) -> np.ndarray:
-    """Error in m/s of the speed that the force balance gives 5 s ahead, per vehicle sample."""
+    """Return the error in m/s of the speed that the force balance predicts FREE_RUN_S ahead.
+
+    There is one value for each sample of the vehicles, 0 where a run is too young for it.
+    """
     i = inputs(design, explanation)
     out = np.zeros(design.vehicle_m_s.size)
     ahead = int(FREE_RUN_S / design.step_s)
+    half_second = 2 * int(0.5 / design.step_s) + 1
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
-        lost = np.cumsum(sensitivity.vehicle_force(design, i, run)) * design.step_s
-        smooth = smoothed(
-            sensitivity.momentum_m_s(design, i, run) + lost, 2 * int(0.5 / design.step_s) + 1, 1
-        )
-        out[at][ahead:] = smooth[ahead:] - smooth[:-ahead]
+        lost_m_s = np.cumsum(sensitivity.vehicle_force(design, i, run)) * design.step_s
+        # constant if the balance is right
+        kept_m_s = smoothed(sensitivity.momentum_m_s(design, i, run) + lost_m_s, half_second, 1)
+        out[at][ahead:] = kept_m_s[ahead:] - kept_m_s[:-ahead]
     return out
 
 
-def level(design: Design, explanation: Explanation) -> tuple[Explanation, float]:
-    """An explanation on new runs: only their contaminant level, mass and irregularity are fitted."""
-    base = {k: v for k, v in explanation.base.items() if not k.startswith(("ln_mu_cd", "mass"))}
-    base |= {f"ln_mu_cd_{run}": explanation.level for run in range(design.mass_kg.size)}
-    found, value, _ = fitting.fit(
-        design, explanation._replace(base=base), 4, False, free=("ln_mu_cd", "mass")
+# errors of a metric at every sample, 0 where it is not judged
+_ERRORS = {ADHESION: missing_adhesion, FREE_RUN: free_running}
+
+
+# --- on runs that were never fitted ---
+
+
+def fit_level(design: Design, explanation: Explanation) -> fitting.Fit:
+    """Fit an explanation to new runs: only their contaminant level, mass, and causes with a finite step."""
+    base = {
+        label: value
+        for label, value in explanation.base.items()
+        if not label.startswith(("ln_mu_cd", "mass"))
+    }
+    for run in range(design.mass_kg.size):
+        base[f"ln_mu_cd_{run}"] = explanation.level
+    return fitting.fit(
+        design,
+        explanation._replace(base=base),
+        4,
+        noise=False,
+        free=("ln_mu_cd", "mass"),
     )
-    return found, value
-
-
-def missing_adhesion(design: Design, explanation: Explanation) -> np.ndarray:
-    """Adhesion that a model lacks [G2] at every sample, flat; 0 below 5 m/s."""
-    i = inputs(design, explanation)
-    # measured less modelled adhesion at measured sliding would punish a stiffer contact for the noise of that sliding
-    nu, S, field, _, _ = sensitivity.innovations(design, i)
-    out = np.empty(nu.size)
-    for s in range(design.segments):
-        at, p = design.span(s), i.parameters[s]
-        omega = design.measured_rad_s[at] - nu[at] * p[parameters.SPEED_NOISE] ** 2 / S[at]
-        out[at] = predicted(i, at, omega, p, design.step_s)[1]
-    return np.where(design.speed_m_s > SLOWEST_M_S, out * np.expm1(field), 0.0)
-
-
-_ERRORS = {
-    ADHESION: missing_adhesion,
-    FREE_RUN: free_running,
-}  # errors of a metric at every sample, 0 where it is not judged
 
 
 def error(design: Design, explanation: Explanation, metric: str) -> float:
-    """Root mean square error of a model in a metric on new runs, their level found anew."""
-    errors = _ERRORS[metric](design, level(design, explanation)[0])
+    """Return the root mean square error of a model in a metric on new runs, after their level is found."""
+    errors = _ERRORS[metric](design, fit_level(design, explanation).explanation)
     return float(np.sqrt(np.mean(errors * errors)))
 
 
 def measure(design: Design, base: Explanation, extended: Explanation, seed: int) -> Gain:
-    """The gain of an extended model on runs that were not fitted."""
-    before, cost_before = level(
-        design, base._replace(sigma=extended.sigma, length_m=extended.length_m)
-    )
-    after, cost_after = level(design, extended)
+    """Return the gain of an extended model over the base on runs that were never fitted."""
+    # both get the same irregularity of the rail
+    base = base._replace(sigma=extended.sigma, length_m=extended.length_m)
+    before = fit_level(design, base)
+    after = fit_level(design, extended)
+
     # a torque that is wrong in scale hides in the friction level, but not from the vehicle
-    vehicle = all(BY_NAME[c.name].acts_on in (VEHICLE, TORQUE) for c in extended.causes)
-    metric = FREE_RUN if vehicle else ADHESION
-    size = np.diff(design.vehicle_start if vehicle else design.start)
-    squares = np.array(
-        [_ERRORS[metric](design, explanation) ** 2 for explanation in (before, after)]
-    )
-    run = np.arange(design.mass_kg.size) if vehicle else design.run
+    is_of_vehicle = all(BY_NAME[c.name].acts_on in (VEHICLE, TORQUE) for c in extended.causes)
+    if is_of_vehicle:
+        metric = FREE_RUN
+        part_sizes = np.diff(design.vehicle_start)  # a part is a vehicle in a run
+        run_of_part = np.arange(design.mass_kg.size)
+    else:
+        metric = ADHESION
+        part_sizes = np.diff(design.start)  # a part is a wheelset in a run
+        run_of_part = design.run
+    squares = np.array([_ERRORS[metric](design, fit.explanation) ** 2 for fit in (before, after)])
 
-    def of(chosen: np.ndarray) -> tuple[float, float, float, float]:
-        """Errors before and after on some segments, and the interval of the reduction."""
-        part = squares[:, np.repeat(chosen, size)]
-        rms = np.sqrt(part.mean(axis=1))
-        return float(rms[0]), float(rms[1]), *_interval(part, size[chosen], design.step_s, seed)
+    def gain_on(chosen: np.ndarray) -> RunGain:
+        """Return the errors on some parts, `chosen` (parts,), and the interval of the reduction."""
+        part = squares[:, np.repeat(chosen, part_sizes)]
+        rms_before, rms_after = np.sqrt(part.mean(axis=1))
+        low, high = _interval(part, part_sizes[chosen], design.step_s, seed)
+        return RunGain(float(rms_before), float(rms_after), low, high)
 
-    rms_before, rms_after, low, high = of(run >= 0)
+    whole = gain_on(run_of_part >= 0)
     return Gain(
         runs=design.names,
         metric=metric,
-        before=rms_before,
-        after=rms_after,
-        reduction=1.0 - rms_after / rms_before,
-        ci95=(low, high),
-        likelihood=cost_before - cost_after,
-        by_run={name: of(run == r) for r, name in enumerate(design.names)},
+        before=whole.before,
+        after=whole.after,
+        reduction=1.0 - whole.after / whole.before,
+        ci95=(whole.low, whole.high),
+        likelihood=before.deviance - after.deviance,
+        by_run={name: gain_on(run_of_part == run) for run, name in enumerate(design.names)},
     )
 
 
 def _interval(
     squares: np.ndarray, sizes: np.ndarray, step_s: float, seed: int
 ) -> tuple[float, float]:
-    """95 % interval of the reduction, by 500 draws of blocks of 3 s."""
+    """Return the 95 % interval of the reduction, by a bootstrap of blocks of BLOCK_S.
+
+    `squares` (2, n) are the squared errors before and after, one part of `sizes` after the other.
+    """
     length = int(BLOCK_S / step_s)
-    table = np.array(
-        [
-            part[:, low : low + length].sum(axis=1)
-            for part in np.split(squares, np.cumsum(sizes)[:-1], axis=1)
-            for low in range(0, part.shape[1], length)
-        ]
-    )
-    chosen = np.random.default_rng(seed).integers(0, len(table), (500, len(table)))
-    total = table[chosen].sum(axis=1)
-    low, high = np.quantile(
-        1.0 - np.sqrt(total[:, 1] / np.maximum(total[:, 0], 1e-30)), [0.025, 0.975]
-    )
+    sums = []
+    for part in np.split(squares, np.cumsum(sizes)[:-1], axis=1):
+        for begin in range(0, part.shape[1], length):
+            sums.append(part[:, begin : begin + length].sum(axis=1))
+    blocks = np.array(sums)
+
+    rng = np.random.default_rng(seed)
+    chosen = rng.integers(0, len(blocks), (DRAWS, len(blocks)))
+    total = blocks[chosen].sum(axis=1)
+    before = np.maximum(total[:, 0], 1e-30)
+    low, high = np.quantile(1.0 - np.sqrt(total[:, 1] / before), QUANTILES)
     return float(low), float(high)
-
-
-def as_json(gain: Gain | None) -> dict[str, Any] | None:
-    """The report's entry."""
-    if gain is None:
-        return None
-    return {
-        "runs": list(gain.runs),
-        "metric": gain.metric,
-        "before": gain.before,
-        "after": gain.after,
-        "reduction": gain.reduction,
-        "ci95": list(gain.ci95),
-        "claimed": gain.claimed,
-        "by_run": {k: list(v) for k, v in gain.by_run.items()},
-    }

@@ -1,7 +1,7 @@
-"""Runs the search on simulated stops with nothing new in them, on all cores of the machine.
+"""Runs the search on simulated stops with no further cause in them, on all cores of the machine.
 
-Each clean set is simulated from the fitted explanation with its own seed, prepared and scored like
-the measured one; the seeds and thus the decision repeat.
+Each null simulation is simulated from the fitted model with a seed of its own. It is prepared and
+scored like the measured runs. The seeds are fixed, and thus the decision is repeatable.
 """
 
 import os
@@ -17,37 +17,37 @@ from rollerrig.configs.processes import children
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
-from rollerrig.rig.identify.decide import evidence, fitting, simulate
-from rollerrig.rig.identify.decide.evidence import Scores
+from rollerrig.rig.identify.decide import evidence, fitting, simulate, thresholds
+from rollerrig.rig.identify.decide.evidence import Scores, ScoreTest
 
-FEW = 20  # clean sets after which is asked whether more are wanted
-RUNAWAY = 1.2  # normalised innovations of a simulated set above this: a wheel locked that did not in the stop
+MOST_PROCESSES = 8
+SEED_STRIDE = 100003  # seeds of a search do not overlap with those of the next
 Progress = Callable[[str, float], None]
 
 
 class Workspace(NamedTuple):
-    """What is explained and with what: measured runs, prepared, and the processes that work on them."""
+    """The measured runs that are explained, and the processes that work on them."""
 
     data: Dataset
-    measured: list[Run]
-    design: Design
+    measured: list[Run]  # the runs that are fitted
+    design: Design  # the same, prepared
     pool: Executor
-    progress: Progress
+    progress: Progress  # called with the title of a step and its share done, 0 to 1
 
     def run_all(
         self, work: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], title: str
     ) -> list[Any]:
-        """work(*task) for all tasks, in order, with progress."""
+        """Return work(*task) of all tasks, in their order. Reports progress."""
         futures = [self.pool.submit(work, *task) for task in tasks]
-        found = []
+        results = []
         for future in futures:
-            found.append(future.result())
-            self.progress(title, len(found) / len(futures))
-        return found
+            results.append(future.result())
+            self.progress(title, len(results) / len(futures))
+        return results
 
 
-class _When(Future[Any]):
-    """Work that is done, in this process, when its result is asked for."""
+class _LazyResult(Future[Any]):
+    """A result that is computed in this process when a caller requests it."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
         super().__init__()
@@ -57,21 +57,24 @@ class _When(Future[Any]):
         return self._work()
 
 
-class _Here(Executor):
-    """No process but this one."""
+class _ThisProcess(Executor):
+    """An executor without other processes. Progress is reported after each task, as with them."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        return _When(partial(fn, *args, **kwargs))
+        return _LazyResult(partial(fn, *args, **kwargs))
 
 
 def worker_pool() -> Executor:
-    """A pool of processes, one a core, at most eight; none where this process may use one core only."""
+    """Return a pool with a process for each core, at most eight; no other process where there is one core."""
     from threadpoolctl import threadpool_limits
 
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    return children.pool(min(cores, 8), threadpool_limits, 1) if cores > 1 else _Here()
+    cores = os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        # fewer, where this process may not use all of them
+        cores = len(os.sched_getaffinity(0))
+    if cores == 1:
+        return _ThisProcess()
+    return children.pool(min(cores, MOST_PROCESSES), threadpool_limits, 1)
 
 
 def simulate_and_score(
@@ -82,44 +85,62 @@ def simulate_and_score(
     seed: int,
     known: Sequence[str],
 ) -> Scores | None:
-    """Simulate, prepare, score one set; None where its wheels got out of hand."""
-    made = simulate.runs(data, design, measured, explanation, np.random.default_rng(seed))
-    found, linear, _ = fitting.normal_equations(prepare(data, made, design), explanation)
-    finite = np.all(np.isfinite(found.A)) and np.all(np.isfinite(found.b))
-    if np.mean(np.minimum(linear.nu**2 / linear.variance, 100.0)) > RUNAWAY or not finite:
+    """Return the scores of one null simulation, None where its wheels locked or its scores are not finite."""
+    simulated = simulate.runs(data, design, measured, explanation, np.random.default_rng(seed))
+    normal, linear, _ = fitting.normal_equations(prepare(data, simulated, design), explanation)
+
+    # a locked wheel has innovations of any size: bound each, so that one instant does not decide
+    squares = np.minimum(linear.nu**2 / linear.variance, 100.0)
+    has_run_away = np.mean(squares) > thresholds.RUNAWAY_VARIANCE
+    is_finite = np.all(np.isfinite(normal.A)) and np.all(np.isfinite(normal.b))
+    if has_run_away or not is_finite:
         return None
-    result = evidence.scores(found, known)
-    return Scores(result.S.astype(np.float32), result.g)
+
+    result = evidence.scores(normal, known)
+    # single precision: the matrix goes from process to process
+    return Scores(S=result.S.astype(np.float32), g=result.g)
 
 
 def score_against_nulls(
-    setting: Workspace, explanation: Explanation, most: int, seed: int, known: Sequence[str] = ()
-) -> tuple[list[evidence.ScoreTest], fitting.NormalEquations, list[Scores]]:
-    """What the measured stops show beside clean sets, their normal equations, the clean sets' scores; no `known` cause.
+    workspace: Workspace,
+    explanation: Explanation,
+    most: int,
+    seed: int,
+    known: Sequence[str] = (),
+) -> tuple[list[ScoreTest], fitting.NormalEquations, list[Scores]]:
+    """Return the score tests of the measured runs, their normal equations, and the scores of the null simulations.
 
-    Clean sets come by FEW until more would not change what counts, at most `most`. Raises ConfigError where less than
-    half of them could be replayed.
+    `known` causes are in the explanation already and are not tested. Null simulations are added in
+    rounds until more would not change what counts, at most `most`. Raises ConfigError if less than
+    half of them can be replayed.
     """
-    # tolerances are drawn afresh: the fitted ones do not belong to the clean sets
-    fresh = explanation._replace(
-        base={k: v for k, v in explanation.base.items() if k.startswith("ln_")}
-    )
-    scored, clean = fitting.normal_equations(setting.design, explanation)[0], list[Scores]()
-    for began in range(0, most, FEW):
+    # tolerances are drawn again for each null simulation: the fitted ones belong to the recording
+    free = {label: value for label, value in explanation.base.items() if label.startswith("ln_")}
+    without_tolerances = explanation._replace(base=free)
+
+    normal, *_ = fitting.normal_equations(workspace.design, explanation)
+    nulls: list[Scores] = []
+    for begin in range(0, most, thresholds.NULL_SIMULATIONS_PER_ROUND):
+        end = min(begin + thresholds.NULL_SIMULATIONS_PER_ROUND, most)
         tasks = [
-            (*setting[:3], fresh, seed * 100003 + k, known)
-            for k in range(began, min(began + FEW, most))
-        ]
-        clean += [
-            s for s in setting.run_all(simulate_and_score, tasks, "clean sets") if s is not None
-        ]
-        if 2 * len(clean) < began + len(tasks):
-            raise ConfigError(
-                f"only {len(clean)} of {began + len(tasks)} simulated clean sets could be replayed: the "
-                "fitted model does not brake like the recording; check vehicle, loads and torques in "
-                "dataset.toml"
+            (
+                workspace.data,
+                workspace.measured,
+                workspace.design,
+                without_tolerances,
+                seed * SEED_STRIDE + number,
+                known,
             )
-        found = evidence.score_tests(setting.design, scored, clean, known)
-        if evidence.is_settled(found):
+            for number in range(begin, end)
+        ]
+        scored = workspace.run_all(simulate_and_score, tasks, "null simulations")
+        nulls += [scores for scores in scored if scores is not None]
+        if 2 * len(nulls) < end:
+            raise ConfigError(
+                f"only {len(nulls)} of {end} simulated stops could be replayed: the fitted model does not "
+                "brake like the recording; check vehicle, loads and torques in dataset.toml"
+            )
+        tests = evidence.score_tests(workspace.design, normal, nulls, known)
+        if evidence.is_settled(tests):
             break
-    return found, scored, clean
+    return tests, normal, nulls

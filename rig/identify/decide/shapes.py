@@ -1,153 +1,215 @@
-"""Moves the shape of causes off the grid on which they were searched.
+"""Moves the shape of causes off the grid of the search.
 
-A window that stands half a bin beside the true one leaves a remainder at both edges, which would
-look like another cause; so does a wrong scale of speed, time, work or heat. Edges are moved by ever
-smaller steps while the likelihood grows, scales by factors, each with the coefficients fitted again.
-A patch may also rise and fall slowly, and patch or sand act on the clean rail too, where that is the likelier form.
+A window that is half a bin away from the true one leaves a remainder at both edges. The remainder
+would look like another cause. So does a wrong scale of speed, time, work or heat. Edges are moved by
+ever smaller steps while the likelihood grows. Scales are multiplied by factors, and the coefficients
+are fitted again after each. A patch may also begin and end slowly, and patch or sand may act on the
+clean rail too, if that is more likely.
 """
 
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, untuned
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.decide import fitting
+from rollerrig.rig.identify.decide import fitting, thresholds
 
-_HALVINGS, _MOST_MOVES = 5, 8  # the first step of an edge is halved this often
-_SMOOTHER = 0.3  # irregularity of the rail, of the base's, on which edges are sought first
-# a patch with edges of this share of its length, and what its depth has to be for the same effect
-_RAMPS = ((0.5, 1.1), (1.0, 1.3))
-_RAMP_EARNS = 4.0  # likelihood that such edges must earn, or another friction
-_FACTORS, _SCALE_EARNS = (1.5, 1.0 / 1.5, 1.2, 1.0 / 1.2), 1.0  # factors by which scales are moved
-_BEGINS_ROUGH = (
-    0.06  # irregularity with which a base is begun anew, so that all levels are in reach
-)
+# number of steps by which an edge is moved, each half of the one before
+_EDGE_STEPS = 5
+# an edge or a scale is moved at most this number of times by the same step
+_MOST_MOVES = 8
+# first steps of an edge as a share of the table's: on the fitted rail, on the smoother rail, of slow edges
+_FIRST_STEP = 1.0
+_FIRST_STEP_ON_SMOOTHER_RAIL = 0.25
+_FIRST_STEP_OF_SLOW_EDGES = 0.5
+# factors by which scales are moved
+_FACTORS = (1.5, 1.0 / 1.5, 1.2, 1.0 / 1.2)
+# irregularity of the rail with which a base is started again, so that all levels are in reach
+_ROUGH_START = 0.06
+
+
+class _SlowEdges(NamedTuple):
+    """A patch that begins and ends slowly."""
+
+    ramp: float  # share of its length
+    deeper: float  # factor on its depth that gives about the same effect
+
+
+_SLOW_EDGES = (_SlowEdges(ramp=0.5, deeper=1.1), _SlowEdges(ramp=1.0, deeper=1.3))
+
+
+class _Shaped(NamedTuple):
+    """An explanation with moved shapes."""
+
+    explanation: Explanation
+    deviance: float
 
 
 def refine_windows(design: Design, explanation: Explanation) -> Explanation:
-    """The explanation with the windows of its causes where they fit best."""
-    # what a window explains has roughened the rail of the base, on which its edges hardly show: first on a smoother one
-    smooth = fitting.fit(
-        design, explanation._replace(sigma=_SMOOTHER * explanation.sigma), 4, False
-    )[0]
-    smooth = fitting.fit(design, _edges_moved(design, smooth, 1.0)[0], 4)[0]
-    explanation, value = min(
-        (_edges_moved(design, explanation, 1.0), _edges_moved(design, smooth, 0.25)),
-        key=lambda pair: pair[1],
+    """Return the explanation with the windows of its causes where they fit best.
+
+    At least one of the causes must act in a window.
+    """
+    # the effect of a window has roughened the rail of the base, and on a rough rail its edges hardly
+    # show: they are searched on a smoother one too
+    sigma = thresholds.SMOOTHER_RAIL_SHARE * explanation.sigma
+    smooth = fitting.fit(design, explanation._replace(sigma=sigma), 4, noise=False).explanation
+    smooth = _move_edges(design, smooth, _FIRST_STEP).explanation
+    smooth = fitting.fit(design, smooth, 4).explanation
+    best = min(
+        _move_edges(design, explanation, _FIRST_STEP),
+        _move_edges(design, smooth, _FIRST_STEP_ON_SMOOTHER_RAIL),
+        key=_deviance,
     )
-    tried = [
-        _edges_moved(design, explanation.with_cause(at, _ramped(cause, ramp, deeper)), 0.5)
-        for at, cause in enumerate(explanation.causes)
-        if cause.name == "contaminated_patch"
-        for ramp, deeper in _RAMPS
+
+    others = [
+        *_with_slow_edges(design, best.explanation),
+        *_on_clean_rail_too(design, best.explanation),
     ]
+    other = min(others, key=_deviance)
+    if other.deviance < best.deviance - thresholds.RATIO_OF_OTHER_WINDOW:
+        return other.explanation
+    return best.explanation
+
+
+def _deviance(shaped: _Shaped) -> float:
+    return shaped.deviance
+
+
+def _with_slow_edges(design: Design, explanation: Explanation) -> list[_Shaped]:
+    """Return the explanation with each of its patches beginning and ending slowly."""
+    shaped = []
+    for at, cause in enumerate(explanation.causes):
+        if cause.name != "contaminated_patch":
+            continue
+        for edges in _SLOW_EDGES:
+            slow = explanation.with_cause(at, _slow_patch(cause, edges))
+            shaped.append(_move_edges(design, slow, _FIRST_STEP_OF_SLOW_EDGES))
+    return shaped
+
+
+def _on_clean_rail_too(design: Design, explanation: Explanation) -> list[_Shaped]:
+    """Return the explanation with each of its windows acting on the clean rail too."""
     both = dict.fromkeys(table.CONTAMINANT_ALONE, 0.0)
-    tried += [
-        fitting.fit(
-            design, explanation.with_cause(at, cause._replace(shape=cause.shape | both)), 3, False
-        )[:2]
-        for at, cause in enumerate(explanation.causes)
-        if table.BY_NAME[cause.name].edge_step
-    ]
-    better, least = min(tried, key=lambda pair: pair[1])
-    return better if least < value - _RAMP_EARNS else explanation
+    shaped = []
+    for at, cause in enumerate(explanation.causes):
+        if table.BY_NAME[cause.name].edge_step:
+            other = cause._replace(shape=cause.shape | both)
+            fit = fitting.fit(design, explanation.with_cause(at, other), 3, noise=False)
+            shaped.append(_Shaped(fit.explanation, fit.deviance))
+    return shaped
 
 
-def restarted(design: Design, explanation: Explanation) -> Explanation:
-    """The explanation with a memory in its likeliest form, its base begun anew: no small step leads there."""
-    begun = [
-        untuned(design)._replace(
-            sigma=_BEGINS_ROUGH,
-            causes=tuple(
-                c._replace(shape=shape) if c.name == fitting.MEMORY else c
-                for c in explanation.causes
-            ),
-        )
-        for shape in table.BY_NAME[fitting.MEMORY].shapes
-    ]
-    return min(
-        (fitting.fit(design, one, 5, False, free=("ln_mu",)) for one in begun),
-        key=lambda fit: fit[1],
-    )[0]
+def restarted(design: Design, explanation: Explanation, name: str) -> Explanation:
+    """Return the explanation with a cause in its most likely shape, fitted from an untuned base.
+
+    No small step leads there from a base that had to do without the cause: it had to leave recovery
+    out, and to take the rail for rough.
+    """
+    fits = []
+    for shape in table.BY_NAME[name].shapes:
+        causes = [
+            cause._replace(shape=shape) if cause.name == name else cause
+            for cause in explanation.causes
+        ]
+        begin = untuned(design)._replace(sigma=_ROUGH_START, causes=tuple(causes))
+        fits.append(fitting.fit(design, begin, 5, noise=False, free=("ln_mu",)))
+    return min(fits, key=lambda fit: fit.deviance).explanation
 
 
 def refine_scales(design: Design, explanation: Explanation) -> Explanation:
-    """The explanation with the scales of its causes where they fit best."""
-    value = fitting.deviance(design, explanation)
+    """Return the explanation with the scales of its causes where they fit best."""
+    best = _Shaped(explanation, fitting.deviance(design, explanation))
     for at, cause in enumerate(explanation.causes):
-        for key in [k for k in cause.shape if k in table.BY_NAME[cause.name].scales]:
-            for by in _FACTORS:
-                explanation, value = _while_it_pays(
-                    design, explanation, value, at, partial(_scaled, key, by), True
+        for key in cause.shape:
+            if key not in table.BY_NAME[cause.name].scales:
+                continue
+            for factor in _FACTORS:
+                move = partial(_with_scale, key, factor)
+                best = _move_while_it_pays(
+                    design, best, at, move, thresholds.RATIO_OF_SCALE_MOVE, fits_again=True
                 )
-    return explanation
+    return best.explanation
 
 
-def _while_it_pays(
+def _move_while_it_pays(
     design: Design,
-    explanation: Explanation,
-    value: float,
+    best: _Shaped,
     at: int,
-    moved: Callable[[Cause], Cause],
-    fits: bool,
-) -> tuple[Explanation, float]:
-    """One cause moved again and again, with the coefficients fitted again or not."""
+    move: Callable[[Cause], Cause],
+    least_ratio: float,
+    fits_again: bool,
+) -> _Shaped:
+    """Return the best explanation after moving cause number `at` again and again.
+
+    Each move must win more than `least_ratio`, after the coefficients are fitted again or as they are.
+    """
     for _ in range(_MOST_MOVES):
-        tried = explanation.with_cause(at, moved(explanation.causes[at]))
-        if tried == explanation:
+        cause = best.explanation.causes[at]
+        moved = best.explanation.with_cause(at, move(cause))
+        if moved == best.explanation:
             break
-        tried, better = (
-            fitting.fit(design, tried, 2, False)[:2]
-            if fits
-            else (tried, fitting.deviance(design, tried))
-        )
-        if better >= value - fits * _SCALE_EARNS:
+        if fits_again:
+            fit = fitting.fit(design, moved, 2, noise=False)
+            shaped = _Shaped(fit.explanation, fit.deviance)
+        else:
+            shaped = _Shaped(moved, fitting.deviance(design, moved))
+        if shaped.deviance >= best.deviance - least_ratio:
             break
-        explanation, value = tried, better
-    return explanation, value
+        best = shaped
+    return best
 
 
-def _scaled(key: str, by: float, cause: Cause) -> Cause:
-    """A cause with another scale, itself where that would be out of bounds."""
+def _with_scale(key: str, factor: float, cause: Cause) -> Cause:
+    """Return a cause with another scale, or the same cause if that is out of bounds."""
     low, high = table.BY_NAME[cause.name].scales[key]
-    scale = cause.shape[key] * by
-    return cause._replace(shape={**cause.shape, key: scale}) if low <= scale <= high else cause
+    scale = cause.shape[key] * factor
+    if low <= scale <= high:
+        return cause._replace(shape={**cause.shape, key: scale})
+    return cause
 
 
-def _ramped(cause: Cause, ramp: float, deeper: float) -> Cause:
-    """A patch with slow edges about where it was."""
-    wider = cause.shape["length_m"] * 0.5 * ramp / (2.0 - ramp)
+def _slow_patch(cause: Cause, edges: _SlowEdges) -> Cause:
+    """Return a patch with slow edges at about the same place."""
+    wider_m = cause.shape["length_m"] * 0.5 * edges.ramp / (2.0 - edges.ramp)
     shape = {
-        "start_m": cause.shape["start_m"] - wider,
-        "length_m": cause.shape["length_m"] + 2.0 * wider,
-        "ramp": ramp,
+        "start_m": cause.shape["start_m"] - wider_m,
+        "length_m": cause.shape["length_m"] + 2.0 * wider_m,
+        "ramp": edges.ramp,
     }
-    return fitting.within_bounds(cause._replace(shape=shape, values=(cause.values[0] * deeper,)))
+    depth = cause.values[0] * edges.deeper
+    return fitting.within_bounds(cause._replace(shape=shape, values=(depth,)))
 
 
-def _edges_moved(
-    design: Design, explanation: Explanation, first: float
-) -> tuple[Explanation, float]:
-    """Edges by steps that begin with a share `first` of the table's."""
-    value = fitting.deviance(design, explanation)
+def _move_edges(design: Design, explanation: Explanation, first_step: float) -> _Shaped:
+    """Return the explanation with the edges of its windows moved; `first_step` is a share of the table's step."""
+    best = _Shaped(explanation, fitting.deviance(design, explanation))
     for at, cause in enumerate(explanation.causes):
-        step = first * table.BY_NAME[cause.name].edge_step
-        for _ in range(_HALVINGS if step else 0):
-            for key in [k for k in cause.shape if k.startswith(("start_", "length_", "duration_"))]:
-                for by in (step, -step):
-                    explanation, value = _while_it_pays(
-                        design, explanation, value, at, partial(_moved, key, by), False
-                    )
+        step = first_step * table.BY_NAME[cause.name].edge_step
+        if not step:
+            continue
+        edges = [key for key in cause.shape if key.startswith(("start_", "length_", "duration_"))]
+        for _ in range(_EDGE_STEPS):
+            for key in edges:
+                for change in (step, -step):
+                    move = partial(_with_edge, key, change)
+                    best = _move_while_it_pays(design, best, at, move, 0.0, fits_again=False)
             step *= 0.5
-    return explanation, value
+    return best
 
 
-def _moved(key: str, change: float, cause: Cause) -> Cause:
-    """A cause with one edge moved; a moved start keeps the end where it was."""
+def _with_edge(key: str, change: float, cause: Cause) -> Cause:
+    """Return a cause with one edge moved. A moved start keeps the end where it is."""
     shape = dict(cause.shape)
     shape[key] += change
     if key.startswith("start_"):
-        end = key.replace("start_s", "duration_s").replace("start_m", "length_m")
-        shape[end] = max(shape[end] - change, 0.0)
-    return cause._replace(shape={k: v if k == "start_m" else max(v, 0.0) for k, v in shape.items()})
+        extent = key.replace("start_s", "duration_s").replace("start_m", "length_m")
+        shape[extent] = max(shape[extent] - change, 0.0)
+
+    # only a place may be negative
+    for name, value in shape.items():
+        if name != "start_m":
+            shape[name] = max(value, 0.0)
+    return cause._replace(shape=shape)

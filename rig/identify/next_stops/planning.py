@@ -92,14 +92,14 @@ def surviving(account: Diagnosis) -> tuple[ScoreTest, ...]:
     # a shape with values of single runs is unknown for a future stop
     causes = [
         finding
-        for finding in account.findings
+        for finding in account.score_tests
         if not is_smooth_function(finding.name)
         and not any(" " in key for key in finding.shape)
         and np.all(np.isfinite(finding.estimate))
     ]
     names: list[str] = []
     for identified in account.causes:
-        names.append(identified.finding.name)
+        names.append(identified.score_test.name)
         names += identified.confusable
 
     chosen = {finding.name: finding for finding in causes if finding.name in names}

@@ -257,11 +257,11 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     Gauss-Newton step from the optimum. What whole runs pull apart is added: blocks do not know it.
     """
     explanation, _, _ = fitting.fit(design, candidates.untuned(design))
-    found, linear, answers = fitting.normal_equations(design, explanation, False)
+    found, linear, responses = fitting.normal_equations(design, explanation, False)
     at = fitting.base_columns(found.matrix)
     labels = [found.matrix.columns[c].label for c in at]
     prior = np.array([found.matrix.columns[c].prior for c in at])
-    Z = fitting.wheel_answers(design, answers, at)
+    Z = fitting.wheel_responses(design, responses, at)
     z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
     rest = found.A[np.ix_(at, at)] - Z.T @ Z  # the vehicle's balance and the tolerances
     run = np.repeat(design.run, np.diff(design.start))

@@ -68,7 +68,7 @@ def test_a_long_memory_is_found_from_a_base_that_had_to_leave_recovery_out(tmp_p
     found = choice.fit_explanation(
         design, base._replace(causes=(Cause("adhesion_memory", 0, {}, (1.0,)),))
     )
-    assert value - found.value > 1000.0
+    assert value - found.deviance > 1000.0
     assert abs(found.explanation.base.get("ln_tau", 0.0)) < 0.3
     assert found.explanation.causes[0].values[0] == pytest.approx(4.0, abs=1.0)
     assert found.explanation.sigma < 0.5 * base.sigma

@@ -1,15 +1,17 @@
-"""The verdict as a law of what causes win and what remains behind them."""
+"""The verdict as a law of the likelihood that causes win and of the remainder that they leave."""
 
 import numpy as np
 import pytest
 
+from rollerrig.realtime.reports import cause_sentences
 from rollerrig.rig.identify.causes.candidates import Cause
-from rollerrig.rig.identify.decide import choice, decision, evidence, extended_model
+from rollerrig.rig.identify.decide import choice, decision, estimates, evidence
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.evidence import ScoreTest
+from rollerrig.rig.identify.decide.notes import NoteCode
 
 
-def finding(name: str, statistic: float) -> ScoreTest:
+def score_test(name: str, statistic: float) -> ScoreTest:
     return ScoreTest(
         name=name,
         axle=0,
@@ -24,70 +26,107 @@ def finding(name: str, statistic: float) -> ScoreTest:
     )
 
 
-def named(won: float, name: str = "speed_sensor_delay") -> IdentifiedCause:
+def identified(ratio: float, name: str = "speed_sensor_delay") -> IdentifiedCause:
+    """A cause on all axles that wins the same in the filters of the four wheelsets."""
     return IdentifiedCause(
-        finding(name, won),
-        Cause(name, 0, {}, (0.02,)),
-        won,
-        (0.25 * won,) * 4 + (0.0,),
-        (0.001,),
-        (),
-        (),
+        score_test=score_test(name, ratio),
+        cause=Cause(name, 0, {}, (0.02,)),
+        likelihood_ratio=ratio,
+        ratio_by_filter=(0.25 * ratio,) * 4 + (0.0,),
+        deviation=(0.001,),
+        confusable=(),
+        rivals=(),
     )
 
 
+# --- the verdict ---
+
+
 @pytest.mark.parametrize(
-    ("left", "verdict"),
+    ("left", "expected", "code"),
     [
-        (0.0, "explained"),
-        (60.0, "explained"),
-        (150.0, "partly"),
-        (170.0, "partly"),
-        (190.0, "unexplained"),
-        (2000.0, "unexplained"),
+        (0.0, "explained", None),
+        (60.0, "explained", NoteCode.SMALL_REMAINDER),
+        (150.0, "partly", None),
+        (170.0, "partly", None),
+        (190.0, "unexplained", NoteCode.LARGE_REMAINDER),
+        (2000.0, "unexplained", NoteCode.LARGE_REMAINDER),
     ],
 )
-def test_the_more_remains_behind_a_cause_the_less_is_said(left: float, verdict: str) -> None:
-    causes, notes = [named(1000.0)], []
-    found = decision._verdict(causes, [finding("along vehicle time", left)], None, notes)
-    assert found == verdict
-    # what is left is told, unless it is nothing
-    assert bool(notes) == (found == "unexplained" or 20.0 < left < 80.0)
+def test_the_larger_the_remainder_the_more_cautious_is_the_verdict(
+    left: float, expected: str, code: NoteCode | None
+) -> None:
+    remainder = [score_test("along vehicle time", left)]
+    verdict, notes = decision.decide_verdict([identified(1000.0)], remainder, None)
+    assert verdict == expected
+    # `partly` reports its remainder by itself; the others do so in a note
+    assert [note.code for note in notes] == ([] if code is None else [code])
 
 
-def test_the_share_that_remains_is_of_all_that_was_found() -> None:
-    assert decision.remainder_share(
-        [named(1000.0)], [finding("along time", 250.0)]
-    ) == pytest.approx(0.2)
-    assert decision.remainder_share([named(1000.0)], []) == 0.0
+def test_the_share_that_remains_is_a_share_of_all_evidence() -> None:
+    causes = [identified(1000.0)]
+    remainder = [score_test("along time", 250.0)]
+    assert decision.remainder_share(causes, remainder) == pytest.approx(0.2)
+    assert decision.remainder_share(causes, []) == 0.0
 
 
-def test_nothing_named_and_nothing_left_is_consistent() -> None:
-    assert decision._verdict([], [], None, []) == "consistent"
-    assert decision._verdict([], [finding("along time", 100.0)], None, []) == "unexplained"
+def test_no_cause_and_no_remainder_is_consistent() -> None:
+    verdict, notes = decision.decide_verdict([], [], None)
+    assert verdict == "consistent"
+    assert notes == []
+
+    remainder = [score_test("along time", 100.0)]
+    verdict, _ = decision.decide_verdict([], remainder, None)
+    assert verdict == "unexplained"
 
 
-def test_two_causes_that_leave_much_are_told_in_a_note_and_not_named() -> None:
-    two, notes = [named(1000.0), named(500.0)], list[str]()
-    assert (
-        decision._verdict(two, [finding("along vehicle time", 200.0)], None, notes) == "unexplained"
+def test_two_causes_that_leave_a_large_remainder_are_noted_and_not_reported() -> None:
+    two = [identified(1000.0), identified(500.0, "brake_gain")]
+    verdict, notes = decision.decide_verdict(two, [score_test("along vehicle time", 200.0)], None)
+    assert verdict == "unexplained"
+    [note] = notes
+    assert note.code == NoteCode.LARGE_REMAINDER
+    assert cause_sentences.note_sentence(note).startswith(
+        "with speed_sensor_delay and brake_gain in the model a large remainder is left along vehicle time"
     )
-    assert notes[0].startswith(
-        "behind speed_sensor_delay and speed_sensor_delay much remains along vehicle time"
-    )
-    assert decision._verdict(two, [finding("along vehicle time", 60.0)], None, []) == "explained"
+
+    verdict, _ = decision.decide_verdict(two, [score_test("along vehicle time", 60.0)], None)
+    assert verdict == "explained"
 
 
-def test_another_form_of_its_own_excuses_what_one_cause_leaves_and_not_what_two_leave() -> None:
-    drag, left = named(1000.0, "running_resistance"), [finding("along vehicle speed", 110.0)]
-    assert decision._verdict([drag], left, None, []) == "explained"
-    assert decision._verdict([drag, named(10.0)], left, None, []) == "unexplained"
+def test_another_form_of_a_cause_excuses_the_remainder_of_one_cause_and_not_of_two() -> None:
+    resistance = identified(1000.0, "running_resistance")
+    remainder = [score_test("along vehicle speed", 110.0)]
+    verdict, _ = decision.decide_verdict([resistance], remainder, None)
+    assert verdict == "explained"
+    verdict, _ = decision.decide_verdict([resistance, identified(10.0)], remainder, None)
+    assert verdict == "unexplained"
+
+
+def test_a_cause_whose_simulated_stops_do_not_brake_like_the_recording_is_not_reported() -> None:
+    verdict, notes = decision.decide_verdict([identified(1000.0)], None, None)
+    assert verdict == "unexplained"
+    [note] = notes
+    assert note.code == NoteCode.NOT_LIKE_RECORDING
+    assert "do not brake like the recording" in cause_sentences.note_sentence(note)
+
+
+def test_the_model_that_is_judged_and_written_has_a_cause_less_the_bias_of_null_simulations() -> (
+    None
+):
+    biased = score_test("speed_sensor_delay", 100.0)._replace(bias=(0.003,))
+    cause = identified(100.0)._replace(score_test=biased)
+    assert cause.unbiased.values == pytest.approx((0.017,))
+    assert estimates.parameters(cause)["delay_s"].value == pytest.approx(0.017)
+
+
+# --- a second cause ---
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "won", "lent"),
+    ("first_by_filter", "second", "second_by_filter", "lent"),
     [
-        # what the first won in each of the filters (four wheelsets, vehicle); the same of the second
+        # what the causes win in the filters of the four wheelsets and of the vehicle
         (
             (1000.0, 1000.0, 1000.0, 1000.0, 0.0),
             "running_resistance",
@@ -108,45 +147,52 @@ def test_another_form_of_its_own_excuses_what_one_cause_leaves_and_not_what_two_
             (200.0, 200.0, 200.0, 200.0, 0.0),
             440.0,
         ),
-        # the level of friction is that of all wheelsets: what the first got wrong behind shows in front
+        # the level of friction is that of all wheelsets: an error behind shows in front
         ((0.0, 1000.0, 1000.0, 1000.0, 0.0), "load_transfer", (70.0, 0.0, 0.0, 0.0, 0.0), 70.0),
     ],
     ids=str,
 )
-def test_a_wrong_shape_of_the_first_cause_lends_a_second_a_share_of_what_it_won_in_the_same_filters(
-    first, second, won, lent
+def test_a_wrong_shape_of_the_first_cause_lends_a_second_a_share_of_its_likelihood_in_the_same_filters(
+    first_by_filter: tuple[float, ...],
+    second: str,
+    second_by_filter: tuple[float, ...],
+    lent: float,
 ) -> None:
-    one, ratio = named(sum(first))._replace(won=first), sum(won)
-    assert ratio - choice._net_likelihood(
-        one, finding(second, ratio), ratio, np.array(won)
-    ) == pytest.approx(lent)
+    first = identified(sum(first_by_filter))._replace(ratio_by_filter=first_by_filter)
+    ratio = sum(second_by_filter)
+    net = choice._net_likelihood(
+        first, score_test(second, ratio), ratio, np.array(second_by_filter)
+    )
+    assert ratio - net == pytest.approx(lent)
 
 
 @pytest.mark.parametrize(
-    ("won", "lent"), [((80.0, 80.0, 80.0, 80.0, 0.0), 80.0), ((5.0, -2.0, 90.0, 5.0, 0.0), 90.0)]
+    ("second_by_filter", "lent"),
+    [((80.0, 80.0, 80.0, 80.0, 0.0), 80.0), ((5.0, -2.0, 90.0, 5.0, 0.0), 90.0)],
 )
 def test_a_wrong_shape_of_a_cause_of_one_wheelset_lends_nothing_in_the_filters_of_the_others(
-    won, lent
+    second_by_filter: tuple[float, ...], lent: float
 ) -> None:
-    radius = named(5000.0)._replace(
-        won=(0.0, 0.0, 5000.0, 0.0, 0.0), cause=Cause("wheel_radius", 3, {}, (0.01,))
+    radius = identified(5000.0)._replace(
+        ratio_by_filter=(0.0, 0.0, 5000.0, 0.0, 0.0),
+        cause=Cause("wheel_radius", 3, {}, (0.01,)),
     )
-    ratio = sum(won)
-    assert ratio - choice._net_likelihood(
-        radius, finding("sanding", ratio), ratio, np.array(won)
-    ) == pytest.approx(lent)
+    ratio = sum(second_by_filter)
+    net = choice._net_likelihood(
+        radius, score_test("sanding", ratio), ratio, np.array(second_by_filter)
+    )
+    assert ratio - net == pytest.approx(lent)
 
 
 def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_one_of_a_single_wheelset() -> None:
-    one = named(4000.0)._replace(won=(1000.0, 1000.0, 1000.0, 1000.0, 0.0))
-    of_axle_2 = finding("brake_gain", 300.0)._replace(axle=2)
-    assert choice._net_likelihood(
-        one, of_axle_2, 300.0, np.array([0.0, 300.0, 0.0, 0.0, 0.0])
-    ) == pytest.approx(100.0)
+    first = identified(4000.0)._replace(ratio_by_filter=(1000.0, 1000.0, 1000.0, 1000.0, 0.0))
+    on_axle_2 = score_test("brake_gain", 300.0)._replace(axle=2)
+    net = choice._net_likelihood(first, on_axle_2, 300.0, np.array([0.0, 300.0, 0.0, 0.0, 0.0]))
+    assert net == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(
-    ("name", "axle", "shows"),
+    ("name", "axle", "responds"),
     [
         ("adhesion_memory", 0, (1, 1, 1, 1, 0)),
         ("running_resistance", 0, (0, 0, 0, 0, 1)),
@@ -155,26 +201,14 @@ def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_one_of_a_single
         ("wheel_out_of_round", 2, (0, 1, 0, 0, 0)),
     ],
 )
-def test_a_cause_shows_in_the_filters_of_its_wheelsets_and_what_slows_the_vehicle_in_that_of_the_vehicle(
-    name, axle, shows
+def test_a_cause_shows_in_the_filters_of_its_wheelsets_and_in_the_vehicles_if_it_slows_the_vehicle(
+    name: str, axle: int, responds: tuple[int, ...]
 ) -> None:
-    assert choice._filters_that_respond(finding(name, 99.0)._replace(axle=axle)).tolist() == list(
-        shows
-    )
+    test = score_test(name, 99.0)._replace(axle=axle)
+    assert choice._filters_that_respond(test).tolist() == list(responds)
 
 
-def test_the_model_that_is_judged_and_written_has_a_cause_less_the_bias_of_clean_sets() -> None:
-    one = named(100.0)._replace(
-        finding=finding("speed_sensor_delay", 100.0)._replace(bias=(0.003,))
-    )
-    assert one.unbiased.values == pytest.approx((0.017,))
-    assert extended_model.parameters(one)["delay_s"]["value"] == pytest.approx(0.017)
-
-
-def test_a_cause_whose_simulated_stops_do_not_brake_like_the_recording_is_not_named() -> None:
-    notes: list[str] = []
-    assert decision._verdict([named(1000.0)], None, None, notes) == "unexplained"
-    assert "do not brake like the recording" in notes[0]
+# --- null simulations, and causes that cannot be distinguished ---
 
 
 @pytest.mark.parametrize(
@@ -191,26 +225,33 @@ def test_a_cause_whose_simulated_stops_do_not_brake_like_the_recording_is_not_na
     ],
     ids=str,
 )
-def test_clean_sets_are_enough_where_one_finding_stands_out_or_none_is_near_its_limit_and_no_window_rivals_it(
+def test_null_simulations_are_enough_where_one_test_is_clear_or_none_is_near_its_limit_and_no_window_rivals_it(
     seen: dict[str, tuple[float, float]], enough: bool
 ) -> None:
-    found = [finding(name, statistic)._replace(p_value=p) for name, (statistic, p) in seen.items()]
-    assert evidence.is_settled(found) is enough
+    tests = []
+    for name, (statistic, p_value) in seen.items():
+        tests.append(score_test(name, statistic)._replace(p_value=p_value))
+    assert evidence.is_settled(tests) is enough
 
 
 @pytest.mark.parametrize(
-    ("less", "form", "alike"),
+    ("other_ratio", "form", "is_confusable"),
     [(940.0, 0.07, True), (920.0, 0.07, False), (940.0, 0.0, False), (997.0, 0.0, True)],
 )
-def test_causes_are_told_apart_only_where_one_wins_more_than_a_wrong_form_may_cost(
-    less, form, alike
+def test_causes_are_distinguished_only_where_one_wins_more_than_a_wrong_form_may_cost(
+    other_ratio: float, form: float, is_confusable: bool
 ) -> None:
-    # in every block of 3 s the second wins the same share of what the first wins: by chance alone they differ surely
-    def fit(won: float) -> choice.Fit:
-        return choice.Fit(None, -won, np.zeros((1, 1)), np.full((5, 20), -won / 100.0))
+    # in every block of 3 s the second cause wins the same share of what the first wins: they differ
+    # for certain, as far as chance is concerned
+    def fit(ratio: float) -> choice.Fit:
+        return choice.Fit(
+            explanation=None,
+            deviance=-ratio,
+            covariance=np.zeros((1, 1)),
+            blocks=np.full((5, 20), -ratio / 100.0),
+        )
 
-    beside = choice._rivals(
-        fit(1000.0), 1000.0, [(choice.Candidate(finding("friction_trend", less), fit(less)), less)]
-    )
-    assert beside[0].share == less / 1000.0
-    assert choice._confusable(beside, form) == (("friction_trend",) if alike else ())
+    other = choice.Candidate(score_test("friction_trend", other_ratio), fit(other_ratio))
+    rivals = choice._rivals(fit(1000.0), 1000.0, [(other, other_ratio)])
+    assert rivals[0].share == other_ratio / 1000.0
+    assert choice._confusable(rivals, form) == (("friction_trend",) if is_confusable else ())

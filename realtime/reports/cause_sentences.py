@@ -1,0 +1,216 @@
+"""Makes the sentences of the report on braking runs: the story, the notes, and why a cause was rejected.
+
+The words for causes come from the table of mechanisms.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from rollerrig.rig.identify.causes import table
+from rollerrig.rig.identify.decide import decision, estimates, evidence, thresholds
+from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
+from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
+from rollerrig.rig.identify.decide.evidence import ScoreTest
+from rollerrig.rig.identify.decide.gain import Gain
+from rollerrig.rig.identify.decide.notes import Note, NoteCode
+from rollerrig.rig.mechanisms.mechanism import ALONE
+from rollerrig.rig.mechanisms.table import BY_NAME
+
+MOST_COVARIATES_SHOWN = 3
+
+
+# --- words and numbers ---
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits, without an exponent where a reader needs none."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
+def unit(name: str) -> str:
+    """Return a unit as it follows a number; nothing for a plain number."""
+    return "" if name in ("", "-") else f" {name}"
+
+
+def against(test: ScoreTest) -> str:
+    """Return the covariate of a smooth function, with its wheelset if it is that of one."""
+    covariate = test.name.removeprefix("along ")
+    return covariate.replace("one axle", f"axle {test.axle}")
+
+
+def worst_against(diagnosis: Diagnosis) -> list[str]:
+    """Return the covariates along which the base is wrong, the most significant first."""
+    smooth = [test for test in diagnosis.score_tests if evidence.is_smooth_function(test.name)]
+    smooth = sorted(smooth, key=lambda test: test.p_value)
+    return [against(test) for test in smooth[:MOST_COVARIATES_SHOWN]]
+
+
+def formula_text(formula: EmpiricalFormula) -> str:
+    """Return an empirical formula in symbols and numbers."""
+    name = formula.covariate.word
+    unit_of_x = formula.covariate.unit
+    shape = formula.cause.shape
+    a, b = formula.cause.values
+    if "period" in shape:
+        angle = f"2 pi {name} / {shape['period']:.4g} {unit_of_x}"
+        return f"{_left_side(formula)} += {a:+.3g} cos({angle}) {b:+.3g} sin({angle})"
+    z = f"z = ({name} - {shape['centre']:.4g} {unit_of_x}) / {shape['scale']:.4g} {unit_of_x}"
+    force = " N" if formula.is_on_vehicle else ""
+    return f"{_left_side(formula)} += {a:+.3g}{force} z {b:+.3g}{force} z^2, {z}"
+
+
+def _left_side(formula: EmpiricalFormula) -> str:
+    return "R" if formula.is_on_vehicle else "ln mu"
+
+
+# --- notes ---
+
+
+def notes(diagnosis: Diagnosis) -> list[str]:
+    """Return the warnings of the dataset, and the notes of the decision as sentences without a full stop."""
+    return [*diagnosis.data.warnings, *(note_sentence(note) for note in diagnosis.notes)]
+
+
+def note_sentence(note: Note) -> str:
+    """Return the sentence of a note, without a full stop."""
+    causes = " and ".join(note.causes)
+    remainder = "" if note.remainder is None else against(note.remainder)
+    match note.code:
+        case NoteCode.GAIN_NOT_JUDGED:
+            unknown = table.BY_NAME[note.causes[0]].unknown_in_other_runs
+            return f"{unknown} not known for the runs that were not fitted: the gain cannot be judged there"
+        case NoteCode.NOT_LIKE_RECORDING:
+            return f"simulated stops with {causes} do not brake like the recording: not reported as a cause"
+        case NoteCode.WORSE_ON_HELD_OUT_RUNS:
+            return (
+                f"{causes} would fit the tuning runs but makes runs that were not fitted worse: "
+                "not reported as a cause"
+            )
+        case NoteCode.LARGE_REMAINDER:
+            return (
+                f"with {causes} in the model a large remainder is left along {remainder}: the cause, or "
+                "its form, is not in the library"
+            )
+        case NoteCode.SMALL_REMAINDER:
+            return f"a small remainder is left along {remainder}"
+
+
+# --- remainder, and rejected causes ---
+
+
+class Remainder(NamedTuple):
+    """What the reported causes leave."""
+
+    share: float  # of all evidence
+    against: list[str]  # covariates, the largest remainder first
+
+
+def remainder(diagnosis: Diagnosis) -> Remainder:
+    """Return what the causes of a diagnosis leave."""
+    left = [
+        test
+        for test in diagnosis.remainder
+        if evidence.is_significant(test, thresholds.CLEAR_REMAINDER)
+    ]
+    left = sorted(left, key=lambda test: -test.statistic)
+    return Remainder(
+        share=decision.remainder_share(diagnosis.causes, diagnosis.remainder),
+        against=[against(test) for test in left],
+    )
+
+
+def score_test_of(diagnosis: Diagnosis, name: str) -> ScoreTest | None:
+    """Return the score test of a cause, None if these runs cannot show it."""
+    return next((test for test in diagnosis.score_tests if test.name == name), None)
+
+
+def detectability(deviation: float) -> float:
+    """Return the size of an effect that nine of ten data sets with this standard deviation would show."""
+    return thresholds.DETECTABLE_DEVIATIONS * deviation
+
+
+def rejected_because(diagnosis: Diagnosis, name: str) -> str:
+    """Return why a cause is not reported."""
+    test = score_test_of(diagnosis, name)
+    if test is None:
+        return "these runs cannot show it"
+    if not evidence.is_significant(test):
+        row = BY_NAME[name].parameters[0]
+        smallest = number(detectability(test.deviation[0]), 2)
+        return (
+            f"not statistically significant (p = {test.p_value:.2g}); these runs would have shown "
+            f"{row.name} = {smallest}{unit(row.source)} or more"
+        )
+    if diagnosis.causes:
+        return f"explained by {diagnosis.causes[0].cause.name}, which fits better"
+    return "the remainder does not follow its form"
+
+
+# --- the story ---
+
+
+def story(diagnosis: Diagnosis) -> list[str]:
+    """Return what is wrong, by how much, where, why, and what the extended model gains, in a few sentences."""
+    lines = []
+    if diagnosis.verdict == Verdict.CONSISTENT:
+        lines.append(
+            "Nothing is statistically significant: the base model is consistent with this data "
+            f"(p = {diagnosis.p_value:.2g})."
+        )
+    for identified in diagnosis.causes:
+        lines += _cause_sentences(identified)
+    if diagnosis.verdict == Verdict.PARTLY:
+        left = remainder(diagnosis)
+        lines.append(
+            f"A remainder is left along {', '.join(left.against)}: {left.share:.0%} of the evidence. No "
+            "further cause of the library explains it."
+        )
+    if diagnosis.verdict == Verdict.UNEXPLAINED:
+        lines.append(
+            "Something is wrong that no mechanism of the library explains; it shows against "
+            f"{', '.join(worst_against(diagnosis))}."
+        )
+        if diagnosis.formula is None:
+            lines.append("No formula was found that improves the runs that were never fitted.")
+        else:
+            lines.append(f"Empirical: {formula_text(diagnosis.formula)}.")
+    if diagnosis.gain is not None:
+        lines.append(_gain_sentence(diagnosis.gain))
+    return lines + [f"Note: {note}." for note in notes(diagnosis)]
+
+
+def _cause_sentences(identified: IdentifiedCause) -> Iterable[str]:
+    """Yield the sentence of a cause, and another one on what cannot be distinguished from it."""
+    cause = identified.cause
+    row = BY_NAME[cause.name]
+    values = []
+    for name, estimate in estimates.parameters(identified).items():
+        if name != ALONE.name:
+            interval = f"{number(estimate.low)} to {number(estimate.high)}"
+            values.append(f"{name} = {number(estimate.value)} ({interval}){unit(estimate.unit)}")
+    place = f" on wheelset {cause.axle}" if cause.axle else ""
+    if cause.shape.get(ALONE.name):
+        place += ", that of the contaminant alone"
+    yield f"Cause: {row.text}{place} [{row.name}]; {', '.join(values)}."
+
+    if identified.confusable:
+        shares = {rival.name: rival.share for rival in identified.rivals}
+        alike = []
+        for name in identified.confusable:
+            share = f" (which wins {shares[name]:.0%} as much)" if name in shares else ""
+            alike.append(f"{name}{share}")
+        yield (
+            f"  These runs cannot distinguish it from {', '.join(alike)}; separating_test.toml would."
+        )
+
+
+def _gain_sentence(gain: Gain) -> str:
+    """Return the sentence on what the extended model gains on runs that were never fitted."""
+    low, high = gain.ci95
+    sentence = (
+        f"On runs that were never fitted ({', '.join(gain.runs)}) {gain.metric} falls from "
+        f"{gain.before:.3g} to {gain.after:.3g}: {100 * gain.reduction:.1f} % "
+        f"({100 * low:.1f} to {100 * high:.1f} %)"
+    )
+    return sentence + ("." if gain.claimed else "; no gain is claimed.")

@@ -1,0 +1,32 @@
+"""Defines the notes of a decision: what a reader should know besides the verdict.
+
+A note holds a code and fields. Its sentence is made in `realtime/reports/cause_sentences`.
+"""
+
+from enum import Enum
+from typing import NamedTuple
+
+from rollerrig.rig.identify.decide.evidence import ScoreTest
+
+
+class NoteCode(Enum):
+    """What a note reports."""
+
+    # the gain of this cause cannot be judged: its moments or angles are unknown in other runs
+    GAIN_NOT_JUDGED = "gain.not_judged"
+    # stops simulated with these causes do not brake like the recording: they are not reported
+    NOT_LIKE_RECORDING = "causes.not_like_recording"
+    # this cause makes runs that were not fitted worse: it is not reported
+    WORSE_ON_HELD_OUT_RUNS = "causes.worse_on_held_out_runs"
+    # these causes leave a large remainder: they are not reported
+    LARGE_REMAINDER = "remainder.large"
+    # the reported causes leave a small remainder
+    SMALL_REMAINDER = "remainder.small"
+
+
+class Note(NamedTuple):
+    """A note with the causes and the remainder that it is about."""
+
+    code: NoteCode
+    causes: tuple[str, ...] = ()
+    remainder: ScoreTest | None = None

@@ -1,0 +1,222 @@
+"""Holds every threshold of the decision of `explain`: value, unit, reason, and what it was set on.
+
+"Chosen" means that no theory gives the number: it was set by hand, and the rates of right and wrong
+answers in docs/explain.md show its effect. "First", "second" and "third" are the three generators of
+braking stops in tests/generator. The first and the second set thresholds. The third only judges them.
+
+A likelihood ratio is a drop of -2 ln L in this file. What differs from cause to cause is in the rows
+of `causes/table`: the numerical floor, the price of the shape, and a limit of the p-value where a cause
+needs another one than `ALPHA_CAUSE`.
+"""
+
+from rollerrig.rig.identify.causes import table
+
+# --- replay and base ---
+
+# Accepted range of the variance of the normalised innovations of the fitted base (1 is right).
+# Outside it the declared accuracy of the dataset is wrong. Chosen.
+LEAST_INNOVATION_VARIANCE = 0.3
+MOST_INNOVATION_VARIANCE = 2.5
+
+# Longest irregularity of the rail in m. What lasts longer is to be explained, not to be called noise:
+# a free length absorbed cleaning, sand and patches on the first generator.
+LONGEST_IRREGULARITY_M = 16.0
+
+# Standard deviation in N m of the torque of a released brake. An offset beyond it shows before the
+# brake applies. Chosen.
+RELEASED_TORQUE_NM = 30.0
+
+# Innovations beyond this number of standard deviations count as outliers: their squares are bounded.
+OUTLIER_DEVIATIONS = 6.0
+
+# --- null simulations: simulated stops with no further cause in them ---
+
+# Most null simulations of the base. The spread of each estimate is then known to a tenth.
+MOST_NULL_SIMULATIONS = 60
+
+# Most null simulations with a cause in the model. Fewer, since they judge only the remainder.
+MOST_NULL_SIMULATIONS_WITH_CAUSE = 40
+
+# Null simulations that run before the search checks whether more would change the decision. The
+# p-values take the number into account (F distribution).
+NULL_SIMULATIONS_PER_ROUND = 20
+
+# Mean square of the normalised innovations of a null simulation above which it is discarded: a wheel
+# locked that did not lock in the recording. The data are refused if more than half are discarded.
+RUNAWAY_VARIANCE = 1.2
+
+# A score test whose statistic is above this multiple of SCORE_FLOOR needs no more null simulations:
+# 20 of them give the spread to 16 %.
+CLEAR_FACTOR = 4.0
+
+# No more null simulations are needed if every p-value is above this multiple of its limit, ...
+NEAR_FACTOR = 10.0
+
+# ... or every statistic is below this share of SCORE_FLOOR. Chosen.
+NEAR_SHARE = 0.5
+
+# A clear cause must exceed the windows near their limits by this factor. Chosen.
+CLEAR_OF_WINDOWS = 2.0
+
+# --- score tests ---
+
+# Largest p-value of a cause: one false alarm in 2 % of data sets, shared among about 30 causes and axles.
+ALPHA_CAUSE = table.ALPHA_CAUSE
+
+# Number of causes and axles among which the false alarms are shared.
+CAUSES_SEARCHED = 30
+
+# Largest p-value of a smooth function of the remainder: 0.5 %, shared among 13 functions. The size of
+# an identified cause by run and by time is judged by it too.
+ALPHA_SMOOTH_FUNCTION = 0.005 / 13.0
+
+# Statistic, less the number of coefficients, that a score test must reach besides its p-value: the
+# null simulations do not show the tail of the distribution. Chosen.
+SCORE_FLOOR = 12.0
+
+# Least spread of an estimate over null simulations, as a share of its nominal variance. Chosen.
+LEAST_SCALE = 0.7
+
+# Longest patch of the search, in bins of place: 250 m.
+MOST_PATCH_BINS = 10
+
+# Longest application of sand of the search, in bins of time: 12 s.
+MOST_SAND_BINS = 6
+
+# Least width of the Gumbel distribution of the largest window: a share of its mean over the null
+# simulations, plus an offset. Chosen.
+LEAST_GUMBEL_SHARE = 0.15
+LEAST_GUMBEL_WIDTH = 0.3
+
+# Mean of the largest window's statistic over null simulations for which the nominal error of its
+# coefficient is right; a larger mean widens the error. Chosen for a patch, and for sand in one run.
+ORDINARY_PATCH_STATISTIC = 8.0
+ORDINARY_SAND_STATISTIC = 6.0
+
+# A run has sand where its statistic is above this share of the mean of the runs. Chosen.
+SAND_SHARE_OF_RUN = 0.5
+
+# --- most promising causes, before null simulations have judged them ---
+
+# Causes that are fitted together with the base, to find the irregularity of the rail without them.
+MOST_PROMISING = 4
+
+# Least statistic of a promising cause, its cost of each coefficient, and the same for a window, which
+# is the best one of many. Chosen.
+PROMISING_FLOOR = 10.0
+PROMISING_COST = 3.0
+PROMISING_WINDOW_FLOOR = 50.0
+PROMISING_WINDOW_COST = 40.0
+
+# --- choice of causes ---
+
+# Most causes that are fitted in full, those of the largest statistic. Limits the time.
+MOST_FITTED = 5
+
+# Least likelihood ratio of a cause, less the price of its shape. Chosen.
+LEAST_RATIO = 20.0
+
+# Likelihood ratio that each further coefficient of a shape must earn, besides 2 ln of the number of
+# shapes and axles tried. Chosen.
+PRICE_OF_COEFFICIENT = 5.0
+
+# Share of the evidence that must lie outside its best block: a cause is no single event. Patches and
+# sand are events, and are exempt. Chosen.
+SHARE_OUTSIDE_BEST_BLOCK = 0.2
+
+# Length in s of the blocks of Vuong's test and of the bootstrap: longer than the memory of the filter.
+BLOCK_S = 3.0
+
+# Likelihood ratio that no null simulation can win: a cause whose fit wins it needs no score, because
+# scores say little far from the base. Chosen.
+CERTAIN_RATIO = 300.0
+
+# A fit that began elsewhere replaces another one of the same cause only if it is better by this ratio.
+BETTER_FIT_RATIO = 4.0
+
+# Vuong's test: a rival is distinguishable without a test if it wins less than this share of the best
+# one's ratio, and the difference is above this value, ...
+CLEARLY_LESS_SHARE = 0.75
+CLEARLY_LESS_RATIO = 10.0
+
+# ... else if the difference is above this number of its standard deviations (one-sided 5 %), and above
+# this value. Chosen.
+VUONG_DEVIATIONS = 1.64
+VUONG_LEAST_RATIO = 4.0
+
+# --- second cause ---
+
+# Most identified causes. Few stops distinguish more; a third one is reported in a note.
+MOST_CAUSES = 2
+
+# Most second causes that are fitted.
+MOST_FITTED_SECOND = 3
+
+# Share of the first cause's ratio in a filter that the wrong shape of the first cause can lend to a
+# second cause there. Chosen.
+LENT_SHARE = 0.11
+
+# The same for a second cause on one axle if the first cause acts on all axles: a wrong shape of such
+# a cause can hardly look like a cause on one axle. Chosen.
+LENT_SHARE_TO_ONE_AXLE = 0.05
+
+# Least ratio of a second cause beyond what the first cause can lend; as for the first.
+LEAST_RATIO_OF_SECOND = 20.0
+
+# The statistic of a second cause, before its fit, may be this share of its ratio after the fit. Chosen.
+SCORE_SHARE_OF_RATIO = 0.3
+
+# A second cause that is confusable with the first one must win this share of the first one's ratio.
+# Chosen.
+CONFUSABLE_SECOND_SHARE = 0.3
+
+# --- shapes ---
+
+# Share of the base's irregularity with which windows are searched first: what they explain has
+# roughened the base. Set on three sealed rigs with sand.
+SMOOTHER_RAIL_SHARE = 0.3
+
+# Likelihood ratio that other edges of a patch, or an effect on the clean rail too, must earn. Chosen.
+RATIO_OF_OTHER_WINDOW = 4.0
+
+# Likelihood ratio that each move of a scale must earn. Chosen.
+RATIO_OF_SCALE_MOVE = 1.0
+
+# --- remainder, and the verdict ---
+
+# Statistic, less the number of coefficients, above which a remainder counts; as LEAST_RATIO.
+CLEAR_REMAINDER = 20.0
+
+# A remainder above this share of the causes' likelihood ratio is more than their shape explains: the
+# verdict is `partly` or `unexplained`. Set by the first and the second generator (table in
+# docs/explain.md).
+REMAINDER_SHARE = 0.08
+
+# The same for a remainder along a covariate that the cause itself depends on, since its shape may
+# differ there. Only if one cause is identified. Set by the first and the second generator.
+OWN_REMAINDER_SHARE = 0.2
+
+# Largest remainder, as a share of all evidence, with which a cause is still reported (`partly`). Set
+# by the first and the second generator. Two causes that leave a remainder above REMAINDER_SHARE are
+# never reported: on the first generator only an effect outside the library left that much.
+PARTLY_SHARE = 0.15
+
+# Standard deviations that an effect must be away from 0 to be found in nine of ten data sets. Chosen.
+DETECTABLE_DEVIATIONS = 5.0
+
+# --- gain on runs that were never fitted ---
+
+# Time in s over which the speed of the vehicle is predicted. Shorter is noise, longer is more than a
+# slide.
+FREE_RUN_S = 5.0
+
+# Least speed in m/s of the samples that count: creepage grows without bound as the speed falls to 0.
+SLOWEST_M_S = 5.0
+
+# --- empirical formula ---
+
+# Covariates that are tried, those of the largest remainder.
+MOST_COVARIATES_TRIED = 3
+
+# Likelihood ratio that a formula must win, as a cause.
+LEAST_RATIO_OF_FORMULA = 20.0
