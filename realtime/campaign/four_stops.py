@@ -121,8 +121,8 @@ def before(m, unit, sync_ticks, runs, lanes, rig, inputs):
         return
     now = m.control[TICK]
     if sync_ticks != 0 and now % sync_ticks == 0:
-        tick.ask_unit(m, inputs)
-        tick.hear_unit(m, logic.Unit(see_unit(unit[0]), unit[1]), inputs)
+        tick.write_unit_inputs(m, inputs)
+        tick.run_unit_cycle(m, logic.Unit(see_unit(unit[0]), unit[1]), inputs)
     tick.begin(m, now)
     target_Pa = plant.prepare(
         m.state, m.delay, m.command[: tick.AXLES], m.command[tick.DEMAND], now, m.params

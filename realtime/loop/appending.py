@@ -1,9 +1,9 @@
-"""How a row gets into a ring: one kernel, apart from `ring`, whose readers need no compiler."""
+"""Appends a row to a ring: one kernel in a file of its own, because readers of `ring` need no compiler."""
 
 from rollerrig.rig.compiled.c_function import memory_barrier
 from rollerrig.rig.compiled.kernel import kernel
 
-_WRITTEN = 0  # of `ring`
+_WRITTEN = 0  # the slot WRITTEN of the header in `ring`
 
 
 @kernel

@@ -15,7 +15,11 @@ from rollerrig.rig.compiled.kernel import kernel
 MONOTONIC = 1
 _ABSOLUTE = 1
 SECOND_NS = 1_000_000_000
-_CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # of mlockall(2)
+# flags of mlockall(2)
+_CURRENT = 1
+_FUTURE = 2
+_ON_FAULT = 4
+_EINTR = 4  # errno(3): a signal interrupted the sleep
 IDLE_LIMIT = "/dev/cpu_dma_latency"
 
 _gettime = external_function("clock_gettime", "int32", "int32", "intp")
@@ -25,63 +29,70 @@ _write = external_function("write", "int64", "int32", "intp", "int64")
 
 @kernel
 def now_ns(spec):
-    """The time in ns; `spec` is scratch, int64 of shape (2,)."""
+    """Return the time in ns; `spec` is scratch, int64 of shape (2,)."""
     _gettime(MONOTONIC, spec.ctypes.data)
     return spec[0] * SECOND_NS + spec[1]
 
 
 @kernel
 def sleep_until(deadline_ns, spec):
-    """Sleep until an absolute time in ns; returns at once when it has passed."""
-    spec[0], spec[1] = deadline_ns // SECOND_NS, deadline_ns % SECOND_NS
-    while _nanosleep(MONOTONIC, _ABSOLUTE, spec.ctypes.data, 0) == 4:  # EINTR
+    """Sleep until an absolute time in ns; return immediately if it has passed."""
+    spec[0] = deadline_ns // SECOND_NS
+    spec[1] = deadline_ns % SECOND_NS
+    while _nanosleep(MONOTONIC, _ABSOLUTE, spec.ctypes.data, 0) == _EINTR:
         pass
 
 
 @kernel
 def wake(descriptor, one):
-    """Wake whoever waits on an eventfd (or pipe); `one` is int64 of shape (1,) holding 1."""
+    """Wake the reader of an eventfd (or pipe); `one` is int64 of shape (1,) holding 1."""
     _write(descriptor, one.ctypes.data, 8)
 
 
 def eventfd() -> int:
-    """A descriptor that `wake` makes readable."""
+    """Return a descriptor that `wake` makes readable."""
     return os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
 
 
 def lock_memory() -> str:
-    """Keep pages in memory when touched; "" or why not. Future ones only without a limit: allocations would fail.
+    """Keep pages in memory once they are touched; return "" or the reason why that is not possible.
 
-    Without MCL_ONFAULT all that libraries merely reserve would be filled, 1 GB for Arrow, and stay.
+    Future pages are locked only where there is no limit: else allocations would fail. Without
+    MCL_ONFAULT the memory that libraries merely reserve would be filled and stay, 1 GB for Arrow.
     """
     libc = ctypes.CDLL(None, use_errno=True)
-    unlimited = os.geteuid() == 0
-    if libc.mlockall(_ON_FAULT | _CURRENT | (_FUTURE if unlimited else 0)) == 0:
+    flags = _ON_FAULT | _CURRENT
+    is_unlimited = os.geteuid() == 0
+    if is_unlimited:
+        flags |= _FUTURE
+    if libc.mlockall(flags) == 0:
         return ""
     return os.strerror(ctypes.get_errno())
 
 
 def unlock_memory() -> None:
-    """Let pages go again."""
+    """Allow the system to page out memory again."""
     ctypes.CDLL(None).munlockall()
 
 
 @contextlib.contextmanager
-def awake(asked: bool = True) -> Iterator[str]:
-    """Keep the cores out of deep idle states inside the block; yields "" or why not.
+def awake(required: bool = True) -> Iterator[str]:
+    """Keep the cores out of deep idle states inside the block; yield "" or the reason why not.
 
-    A core that sleeps takes tens of us to wake. Writing 0 us to the kernel's latency file forbids
-    that for as long as the file is open; cyclictest does the same. Source: Linux PM QoS.
+    A core in a deep idle state takes tens of us to wake. Writing 0 us to the kernel's latency file
+    forbids these states for as long as the file is open; cyclictest does the same. With `required`
+    False nothing is done. Source: Linux PM QoS.
     """
+    if not required:
+        yield ""
+        return
     try:
-        descriptor = os.open(IDLE_LIMIT, os.O_WRONLY | os.O_CLOEXEC) if asked else -1
+        descriptor = os.open(IDLE_LIMIT, os.O_WRONLY | os.O_CLOEXEC)
     except OSError as error:
         yield os.strerror(error.errno or 0)
         return
     try:
-        if asked:
-            os.write(descriptor, bytes(4))
+        os.write(descriptor, bytes(4))
         yield ""
     finally:
-        if asked:
-            os.close(descriptor)
+        os.close(descriptor)

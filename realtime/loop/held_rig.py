@@ -1,8 +1,8 @@
-"""A rig that is held: it rolls at a set speed, brakes released, until somebody starts the run.
+"""A held rig: it rolls at a set speed with released brakes until a Modbus client starts the run.
 
-Wheels and rollers turn without sliding and approach the set speed at a constant rate; time and
-distance of the run stand still, and nothing is recorded. Bus, sensors and drives live as always, so
-that a unit sees a train that runs. The run begins with a SYNC, from the speed of that moment.
+Wheels and rollers turn without sliding and approach the set speed at a constant rate. Time and
+distance of the run stand still, and nothing is recorded. Bus, sensors and drives work as always, so
+that a unit sees a running train. The run begins with a SYNC, at the speed of that moment.
 """
 
 from rollerrig.realtime.loop import mailbox as box
@@ -12,16 +12,20 @@ from rollerrig.rig import plant
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.state import AXLES
 
-# values of the control slot HOLD: the run goes on; it is held; it is held until the next SYNC
-RUNNING, HOLDING, RELEASED = 0, 1, 2
+# values of the control slot HOLD
+RUNNING = 0  # the run goes on
+HOLDING = 1  # the rig is held
+RELEASED = 2  # the rig is held until the next SYNC
+# rate at which a held rig approaches its set speed (assumption)
 RATE_M_S2 = 5.0
 
 
 @kernel
 def roll(m):
-    """Let a held rig roll for one tick, and publish what it does."""
+    """Let a held rig roll for one tick, and publish its signals."""
     box.fetch(m.commands, m.command)
-    step, speed = RATE_M_S2 * m.params.tick_s, m.state.vehicle_speed[0]
+    step = RATE_M_S2 * m.params.tick_s
+    speed = m.state.vehicle_speed[0]
     speed += min(max(m.hold[0] - speed, -step), step)
     _turn(m.state, m.params.tick_s)
     plant.start(m.state, m.params, speed)
@@ -34,6 +38,7 @@ def roll(m):
 
 @kernel
 def _turn(state, tick_s):
+    """Turn wheels and rollers for one tick."""
     for j in range(AXLES):
         state.wheel_angle[j] += tick_s * state.wheel_speed[j]
         state.roller_angle[j] += tick_s * state.roller_speed[j]
@@ -41,7 +46,7 @@ def _turn(state, tick_s):
 
 @kernel
 def is_held(m, sync_ticks):
-    """Whether this tick is one of a held rig; a released one begins its run with a SYNC."""
+    """Return whether the rig is held in this tick; a released rig begins its run with a SYNC."""
     if m.control[HOLD] == RELEASED and m.control[HELD] % sync_ticks == 0:
         m.control[HOLD] = RUNNING
     return m.control[HOLD] != RUNNING

@@ -1,9 +1,10 @@
 """The real-time loop: one compiled call that gives every tick an absolute deadline.
 
-It holds no GIL, allocates nothing and logs nothing. Each tick sleeps until its deadline, notes how late it woke, runs,
-and wakes the bus thread when a SYNC is due. A tick that starts after the next one was due counts as missed; the loop
-then catches up, or, after a stall of more than a hundred ticks, starts afresh from now: simulated time has then
-fallen behind the clock of the bus for good, by what STALLED_NS has summed up.
+It holds no GIL, allocates nothing and logs nothing. Each tick sleeps until its deadline, notes how
+late it woke, runs, and wakes the bus thread when a SYNC is due. A tick that starts after the next one
+was due counts as missed, and the loop then catches up. After a stall of more than a hundred ticks it
+sets its next deadline from the present time instead. From then on simulated time is behind the clock
+of the bus, by the sum in STALLED_NS.
 """
 
 import contextlib
@@ -31,21 +32,25 @@ from rollerrig.rig.compiled.kernel import kernel
 # histogram of lateness: bins of 1 us, the last one holds all that is later
 BINS = 20_000
 _STALL_TICKS = 100
-# by name in the summary, as getrusage(2) counts them
+# counters of getrusage(2) by their names in the summary
 INTERRUPTIONS = {"page_faults": "ru_minflt", "pages_read": "ru_majflt", "preempted": "ru_nivcsw"}
-# which share of the real-time thread's priority the bus thread has, and the bench's own unit: one that hangs in a
-# computation would else take the bus with it where they share a core
-BUS_SHARE, UNIT_SHARE = 0.75, 0.5
+# the bus thread has this share of the real-time thread's priority
+BUS_SHARE = 0.75
+# the unit of the bench has less: a unit that hangs in a computation must not stop the bus where they
+# share a core
+UNIT_SHARE = 0.5
+_PERCENTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 
 
 @kernel
 def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
-    """Run ticks on their deadlines until the run is done or told to stop.
+    """Run ticks on their deadlines until the run is done or stopped.
 
     Tick k (from 0) begins at begin_ns + (k + 1) tick_ns. `histogram` int64 (BINS,) takes the lateness
     in us, `scratch` int64 (3,); `descriptor` is the eventfd of the bus thread.
     """
-    spec, one = scratch[:2], scratch[2:]
+    spec = scratch[:2]
+    one = scratch[2:]
     one[0] = 1
     deadline = begin_ns + tick_ns
     while m.control[STOP] == 0 and m.control[DONE] == 0:
@@ -73,8 +78,11 @@ def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
 
 
 def ask_for_priority(priority: int, cpu: int) -> list[str]:
-    """Ask for SCHED_FIFO, locked memory (0: not) and a core (-1: not) for this thread; returns what was refused."""
-    refused = []
+    """Request SCHED_FIFO, locked memory and a core for this thread; return what the system refused.
+
+    A priority of 0 requests neither SCHED_FIFO nor locked memory, a core of -1 any core.
+    """
+    refused: list[str] = []
     if priority:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -83,7 +91,8 @@ def ask_for_priority(priority: int, cpu: int) -> list[str]:
                 f"SCHED_FIFO priority {priority} ({error.strerror}): allow it with "
                 "'ulimit -r 90' (rtprio in /etc/security/limits.conf) or CAP_SYS_NICE"
             )
-        if reason := clock.lock_memory():
+        reason = clock.lock_memory()
+        if reason:
             refused.append(
                 f"locked memory ({reason}): allow it with 'ulimit -l unlimited' "
                 "(memlock in /etc/security/limits.conf) or CAP_IPC_LOCK"
@@ -100,14 +109,19 @@ def ask_for_priority(priority: int, cpu: int) -> list[str]:
 
 
 def prefer_bus_thread(priority: int) -> str:
-    """Let the calling thread run below the real-time thread but before all others; "" or why not.
+    """Let the calling thread run below the real-time thread and before all others.
 
-    `priority` is the real-time thread's; 0 makes the calling thread an ordinary one again. On a
-    machine that is busy otherwise an ordinary bus thread loses SYNCs: at 1 kHz every third was
-    seen to go, and with priority none. Processes and threads started from here do not inherit it.
+    Returns "" or the reason why that is not possible. `priority` is that of the real-time thread; 0
+    makes the calling thread an ordinary thread again. On a busy machine an ordinary bus thread loses
+    SYNCs: every third was lost at 1 kHz, and none with priority. Processes and threads that this
+    thread starts do not inherit the priority.
     """
-    below = priority and max(int(BUS_SHARE * priority), 1)
-    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK if below else os.SCHED_OTHER
+    if priority:
+        below = max(int(BUS_SHARE * priority), 1)
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    else:
+        below = 0
+        policy = os.SCHED_OTHER
     try:
         os.sched_setscheduler(0, policy, os.sched_param(below))
     except OSError as error:
@@ -117,7 +131,7 @@ def prefer_bus_thread(priority: int) -> str:
 
 @contextlib.contextmanager
 def interruptions(found: dict[str, int]) -> Iterator[None]:
-    """Count into `found` what held up the calling thread inside the block: page faults, and others that went before."""
+    """Add to `found` the page faults and preemptions of the calling thread inside the block."""
     before = resource.getrusage(resource.RUSAGE_THREAD)
     yield
     after = resource.getrusage(resource.RUSAGE_THREAD)
@@ -126,13 +140,14 @@ def interruptions(found: dict[str, int]) -> Iterator[None]:
 
 
 def percentiles(histogram: np.ndarray, worst_ns: int) -> dict[str, float]:
-    """Lateness in us at 50, 99 and 99.9 % of the ticks (upper edge of the bin), and the largest."""
-    reached, worst_us = np.cumsum(histogram), worst_ns / 1000.0
-    edges = (
-        np.searchsorted(reached, np.array((0.5, 0.99, 0.999)) * reached[-1]) + 1
-        if reached[-1]
-        else np.zeros(3)
-    )
-    return dict(zip(("p50", "p99", "p999"), np.minimum(edges, worst_us).tolist(), strict=True)) | {
-        "max": worst_us
-    }
+    """Return the lateness in us at 50, 99 and 99.9 % of the ticks (upper edge of the bin), and the largest."""
+    worst_us = worst_ns / 1000.0
+    counted = np.cumsum(histogram)
+    if counted[-1]:
+        shares = np.array(tuple(_PERCENTILES.values()))
+        edges_us = np.searchsorted(counted, shares * counted[-1]) + 1
+    else:
+        edges_us = np.zeros(len(_PERCENTILES))
+    found = dict(zip(_PERCENTILES, np.minimum(edges_us, worst_us).tolist(), strict=True))
+    found["max"] = worst_us
+    return found

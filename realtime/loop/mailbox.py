@@ -1,7 +1,7 @@
-"""A mailbox: the latest row of values, one writer, any readers, nobody waits for long.
+"""A mailbox: the latest row of values. It has one writer and any number of readers, and none waits long.
 
-The writer makes the sequence odd, copies, and makes it even again; a reader copies until it has
-seen the same even sequence before and after (a sequence lock).
+The writer makes the sequence odd, copies, and makes it even again. A reader copies until it has seen
+the same even sequence before and after (a sequence lock).
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class Mailbox(NamedTuple):
 
 
 def mailbox(size: int) -> Mailbox:
-    """An empty mailbox for rows of `size` values."""
+    """Return an empty mailbox for rows of `size` values."""
     return Mailbox(np.zeros(1, dtype=np.int64), np.zeros(size))
 
 
@@ -37,7 +37,7 @@ def post(box, values):
 
 @kernel
 def fetch(box, into):
-    """Copy the latest row into `into`, shape (n,); returns its sequence number."""
+    """Copy the latest row into `into`, shape (n,); return its sequence number."""
     while True:
         before = box.sequence[0]
         memory_barrier()

@@ -1,13 +1,15 @@
 """A ring of rows in shared memory: one writer that never waits, any number of readers.
 
-The writer (often the real-time thread) copies a row into its slot and then raises the count of
-rows written. A reader keeps its own cursor, and learns how many rows it lost if it fell behind
-by more than the capacity. The memory is a mapped file, so it outlives a writer that is killed.
+The writer (often the real-time thread) copies a row into its slot and then increments the count of
+rows written. Each reader has a cursor, and learns how many rows it lost if it fell behind by more than
+the capacity. The memory is a mapped file, so it outlives a writer that is killed.
 
 Three rings belong to a run: `rows` (float64, one row of all signals a sample), `frames` (int64:
 time in ns, identifier and flags, length, data as 8 little-endian bytes) and `events` (int64: time
 in ns, then code and fields as JSON).
-The writer holds a lock on the file while it lives; the kernel lets go of it however it dies.
+
+The writer holds a lock on the file as long as it runs; the kernel releases the lock however the writer
+ends.
 """
 
 import fcntl
@@ -25,62 +27,70 @@ from rollerrig.configs.errors import RollerrigError
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.events import Code, Event
 
-# slots of the header (int64): written by the writer, or by the one reader that is named there.
-# READER_BEAT_NS is the live view's heartbeat, RECORDER_BEAT_NS the recorder's (0: not ready yet), VIEWED whether
-# anybody looks at the live view, READ and LOST are the recorder's count of rows, all on CLOCK_MONOTONIC
-(
-    WRITTEN,
-    CLOSED,
-    WRITER_PID,
-    CAPACITY,
-    WIDTH,
-    READER_BEAT_NS,
-    READ,
-    LOST,
-    CREATED_NS,
-    RECORDER_BEAT_NS,
-    VIEWED,
-) = range(11)
+# slots of the header, int64; times are on CLOCK_MONOTONIC
+WRITTEN = 0  # rows that the writer has appended
+CLOSED = 1  # 1 when no more rows will come
+WRITER_PID = 2  # process number of the writer
+CAPACITY = 3  # rows
+WIDTH = 4  # items of 8 bytes in a row
+READER_BEAT_NS = 5  # heartbeat of the live view, which writes it
+READ = 6  # rows that the recorder has read, which writes it
+LOST = 7  # rows that were overwritten before the recorder read them; it writes this
+CREATED_NS = 8  # when the writer made the ring
+RECORDER_BEAT_NS = 9  # heartbeat of the recorder, which writes it; 0: it is not ready yet
+VIEWED = 10  # 1 while a viewer has joined the live view, which writes it
 _HEADER = 16
+# words of 8 bytes in a row of a ring of events, and of frames
 EVENT_WORDS = 64
 FRAME_WORDS = 4
 # places in a row of a ring of frames
 FRAME_TIME_NS, FRAME_ID, FRAME_LENGTH, FRAME_DATA = range(FRAME_WORDS)
-# most that one character takes in JSON: as UTF-8, or escaped as in \\u0001
+# flags in the word FRAME_ID, as in Linux can.h
+EXTENDED_FLAG = 1 << 31
+REMOTE_FLAG = 1 << 30
+ERROR_FLAG = 1 << 29
+# the most bytes that one character takes in JSON: escaped, as in \\u0001
 _BYTES_PER_CHARACTER = 6
-EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 1 << 31, 1 << 30, 1 << 29
 _PREFIX = "rollerrig-"
+# a ring without a writer whose recorder has been silent for this time is removed
+_ABANDONED_NS = 60_000_000_000
 
 
 def folder() -> Path:
-    """The folder in which rings live: in memory where the system has one, else a temporary one."""
-    return Path("/dev/shm") if os.path.isdir("/dev/shm") else Path(tempfile.gettempdir())
+    """Return the folder for rings: in memory where the system has one, else a temporary one."""
+    in_memory = Path("/dev/shm")
+    return in_memory if in_memory.is_dir() else Path(tempfile.gettempdir())
 
 
 def place(kind: str) -> Path:
-    """A path for this process's ring of a kind (rows, frames, events)."""
+    """Return a path for a ring of this process, of a kind (rows, frames, events)."""
     return folder() / f"{_PREFIX}{os.getpid()}-{time.monotonic_ns()}-{kind}"
 
 
 def sweep() -> list[Path]:
-    """Remove rings that no writer locks and no recorder reads: both were killed. Returns what was removed."""
-    removed = []
+    """Remove rings that no writer locks and no recorder reads; return what was removed.
+
+    Writer and recorder of such a ring were killed.
+    """
+    removed: list[Path] = []
     for path in sorted(folder().glob(_PREFIX + "*")):
         try:
             ring = Ring(path, np.int64)
         except (OSError, ValueError, RollerrigError):
             continue
-        idle_ns = time.monotonic_ns() - max(
-            int(ring.header[RECORDER_BEAT_NS]), int(ring.header[CREATED_NS])
-        )
-        if not ring.writer_alive and idle_ns > 60_000_000_000:
+        last_ns = max(int(ring.header[RECORDER_BEAT_NS]), int(ring.header[CREATED_NS]))
+        idle_ns = time.monotonic_ns() - last_ns
+        if not ring.writer_alive and idle_ns > _ABANDONED_NS:
             ring.unlink()
             removed.append(path)
     return removed
 
 
 class Memory:
-    """What `appending.push` fills, for one process alone: `rows` of shape (capacity, width) float64."""
+    """The memory of a ring within one process: `rows` of shape (capacity, width) float64.
+
+    `appending.push` fills it.
+    """
 
     def __init__(self, capacity: int, width: int) -> None:
         self.header = np.zeros(_HEADER, dtype=np.int64)
@@ -88,15 +98,15 @@ class Memory:
 
     @property
     def written(self) -> np.ndarray:
-        """All rows so far, where they have not been more than the capacity."""
+        """All rows so far, if they are not more than the capacity."""
         return self.rows[: int(self.header[WRITTEN])]
 
 
 class Ring:
     """A ring on a mapped file. `rows` has shape (capacity, width) and 8 bytes an item.
 
-    With a capacity the file is made and this process is its writer; without, it is read. Raises
-    RollerrigError where the memory does not suffice or the file is not a ring.
+    With a capacity this process makes the file and is its writer; without, it is a reader. Raises
+    RollerrigError where there is not enough memory or the file is not a ring.
     """
 
     def __init__(self, path: Path, dtype: type, capacity: int = 0, width: int = 0) -> None:
@@ -114,48 +124,54 @@ class Ring:
         words = np.frombuffer(self._map, dtype=np.int64)
         self.header = words[:_HEADER]
         if capacity:
-            # every page is touched now: the real-time thread shall never fault on one
+            # touch every page now: the real-time thread must never have a page fault here
             words[:] = 0
-            self.header[CAPACITY], self.header[WIDTH] = capacity, width
+            self.header[CAPACITY] = capacity
+            self.header[WIDTH] = width
             self.header[WRITER_PID] = os.getpid()
             self.header[CREATED_NS] = time.monotonic_ns()
-        shape = int(self.header[CAPACITY]), int(self.header[WIDTH])
-        if 8 * (_HEADER + shape[0] * shape[1]) != size:
-            raise RollerrigError(f"{self.path}: not a ring ({shape} rows in {size} bytes)")
-        self.rows: np.ndarray = words[_HEADER:].view(dtype).reshape(shape)
+        rows_in_file, items_in_row = int(self.header[CAPACITY]), int(self.header[WIDTH])
+        if 8 * (_HEADER + rows_in_file * items_in_row) != size:
+            raise RollerrigError(
+                f"{self.path}: not a ring ({rows_in_file} rows of {items_in_row} items in {size} bytes)"
+            )
+        self.rows: np.ndarray = words[_HEADER:].view(dtype).reshape(rows_in_file, items_in_row)
         if capacity:
             from rollerrig.realtime.loop import appending
 
             self._append = appending.push
-            # compiled now: the first row of a run shall not wait for the compiler
+            # compile now: the first row of a run must not wait for the compiler
             self.push(np.zeros_like(self.rows[0]))
             self.header[WRITTEN] = 0
 
     def push(self, row: np.ndarray) -> None:
-        """Append one row of `width` items; any thread of the writing process may."""
+        """Append one row of `width` items; any thread of the writing process may call this."""
         with self._one_at_a_time:
             self._append(self.header, self.rows, row)
 
     def read(self, cursor: int) -> tuple[np.ndarray, int, int]:
-        """Rows since `cursor` as a copy, the new cursor, and how many rows were lost.
+        """Return a copy of the rows since `cursor`, the new cursor, and how many rows were lost.
 
-        A slot that the writer may be filling is left out, and rows that were overwritten while
-        they were copied are counted as lost.
+        A slot that the writer may be filling is left out. Rows that were overwritten while they were
+        copied count as lost.
         """
         capacity = self.rows.shape[0]
         written = int(self.header[WRITTEN])
         first = max(cursor, written - capacity + 1)
+        skipped = first - cursor
         rows = self.rows[np.arange(first, written) % capacity]
-        overwritten = min(max(0, int(self.header[WRITTEN]) - capacity + 1 - first), len(rows))
-        return rows[overwritten:], written, first - cursor + overwritten
+        # look again: the writer may have gone on meanwhile
+        first_valid = int(self.header[WRITTEN]) - capacity + 1
+        overwritten = min(max(0, first_valid - first), len(rows))
+        return rows[overwritten:], written, skipped + overwritten
 
     @property
     def room(self) -> int:
-        """Rows that the writer may append before the recorder loses one."""
+        """How many rows the writer may append before the recorder loses one."""
         return int(self.header[CAPACITY] - 1 - (self.header[WRITTEN] - self.header[READ]))
 
     def close(self) -> None:
-        """Tell readers that no more rows will come."""
+        """Mark the ring as closed: no more rows will come."""
         self.header[CLOSED] = 1
 
     @property
@@ -178,7 +194,7 @@ class Ring:
 
 
 def _make(path: Path, size: int) -> None:
-    """A new file of zeros. What stood there is unlinked first: its readers keep their memory."""
+    """Make a new file of zeros. An old file is unlinked first, so that its readers keep their memory."""
     path.unlink(missing_ok=True)
     try:
         with open(path, "xb", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:

@@ -1,8 +1,8 @@
-"""One tick of the rig: commands in, rig control, physics, what can be seen out.
+"""One tick of the rig: commands in, rig control, physics, signals out.
 
-The order is fixed: read the command mailbox, let the rig control ask its motors, advance the
-physics, observe, publish a row of all signals, and put it into the ring when a sample is due.
-`Ticks` runs ticks back to back (lockstep and free pacing), `loop` gives them their deadlines.
+The order is fixed: record a sample if one is due, read the command mailbox, let the rig control
+command its motors, advance the physics, observe, and publish a row of all signals. `Ticks` runs ticks
+back to back (lockstep and free pacing); `loop` gives them deadlines.
 """
 
 from collections.abc import Iterable
@@ -25,40 +25,41 @@ from rollerrig.rig.state import AXLES, SLOTS, State
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, PAIR_MASK
 
-# the command row: magnets of the axles, a brake demand from the bus (NaN: none), and the WSP's
-# reference speed (NaN: it tells none); the first two are what io401 writes; then friction asked for
-# under the axles (0: the scenario's), sanders asked to strew, what each drive is asked, as drive402.axis
-# lays it out, and the faults that act, as faults.effects lays them out
-MAGNETS, DEMAND, REFERENCE, FRICTION = 0, AXLES, AXLES + 1, AXLES + 2
-SAND = FRICTION + AXLES
-DRIVES = SAND + AXLES
-FAULTS = DRIVES + AXLES * axis.COMMANDS
+# places in the command row, float64; io401 writes the first two
+MAGNETS = 0  # pairs of magnets of the axles, as in wsp_interface.magnets
+DEMAND = MAGNETS + AXLES  # brake demand in Pa; NaN: the programme of the scenario
+REFERENCE = DEMAND + 1  # reference speed of the WSP unit in m/s; NaN: it sends none
+FRICTION = REFERENCE + 1  # kinematic friction under the axles; 0: as in the scenario
+SAND = FRICTION + AXLES  # 1: the sander of the axle is on
+DRIVES = SAND + AXLES  # commands of each drive, laid out as in drive402.axis
+FAULTS = DRIVES + AXLES * axis.COMMANDS  # faults that act, laid out as in faults.effects
 COMMANDS = FAULTS + effects.SIZE
 
-# slots of the control array (int64)
-(
-    TICK,
-    STOP,
-    DONE,
-    STANDING_TICKS,
-    MISSED,
-    WORST_NS,
-    LATE_NS,
-    BUSY_NS,
-    HOLD,
-    HELD,
-    STALLED_NS,
-    SLOTS_OF_CONTROL,
-) = range(12)
+# slots of the control array, int64
+TICK = 0  # ticks of the run so far
+STOP = 1  # 1: run no further tick
+DONE = 2  # 1: the vehicle has stood long enough, or the time is up
+STANDING_TICKS = 3  # ticks at standstill
+MISSED = 4  # ticks that began after the next one was due
+WORST_NS = 5  # largest lateness of a tick
+LATE_NS = 6  # largest lateness since the last sample
+BUSY_NS = 7  # longest duration of a tick since the last sample
+HOLD = 8  # whether the rig is held: see held_rig
+HELD = 9  # ticks of the held rig
+STALLED_NS = 10  # how far simulated time is behind the clock of the bus
+SLOTS_OF_CONTROL = 11
 
 
 class TickData(NamedTuple):
-    """All that a tick touches. `gather` (n,) are the slots of the state that a row copies.
+    """Everything that a tick reads or writes.
 
-    `virtual` 1: the state is that of the virtual track, and the rollers have a plant of their own, whose slots
-    `gather_rollers` (n,) a row copies. Else the rollers are the plant itself. `answer` (3,) int64 is how many ticks
-    after its SYNC an answer of the unit acts where none is on a bus (`wire_delay`): in an ordinary cycle, in every n-th
-    one, and n. `hold` (1,) is the speed in m/s at which a held rig rolls, `pulses` the memory of the sensors.
+    `gather` (n,) holds, for each column of a row, the slot of the state that is copied into it.
+    `virtual` is 1 with a virtual track: the state is then that of the virtual vehicle, and the real
+    wheelsets and rollers are a second plant, whose slots `gather_rollers` (n,) are copied. Without a
+    virtual track the roller fields are those of the plant itself.
+    `answer` (3,) int64, for runs without a bus (`wire_delay`): ticks from a SYNC until the answer of
+    the unit acts in an ordinary cycle, the same in every n-th cycle, and n.
+    `hold` (1,) is the speed in m/s at which a held rig rolls, `pulses` the memory of the sensors.
     """
 
     params: Params
@@ -88,22 +89,24 @@ class TickData(NamedTuple):
     pulses: np.ndarray
 
 
-_MAGNETS, _TRACKING, _MOTOR_K = (
-    signals.column(name) for name in ("magnets", "tracking_error", "motor_temperature")
-)
+# columns of the row of all signals
+_MAGNETS = signals.column("magnets")
+_TRACKING = signals.column("tracking_error")
+_MOTOR_K = signals.column("motor_temperature")
 _SAND = signals.column("sand_demand")
-_LATENESS, _DURATION, _MISSED = (
-    signals.column(name) for name in ("tick_lateness", "tick_duration", "ticks_missed")
-)
-# what the WSP unit sees and tells, and the scale of its counts on the bus
-_OF_UNIT = ("measured_speed", "cylinder_pressure", "wsp_reference_speed")
-_SPEED, _PRESSURE, _REFERENCE = (signals.column(name) for name in _OF_UNIT)
-_SPEED_SCALE, _PRESSURE_SCALE, _REFERENCE_SCALE = (
-    signals.BY_NAME[name].places[0].scale for name in _OF_UNIT
-)
+_LATENESS = signals.column("tick_lateness")
+_DURATION = signals.column("tick_duration")
+_MISSED = signals.column("ticks_missed")
+# what the WSP unit receives and sends: columns, and the unit of a count on the bus
+_SPEED = signals.column("measured_speed")
+_PRESSURE = signals.column("cylinder_pressure")
+_REFERENCE = signals.column("wsp_reference_speed")
+_SPEED_SCALE = signals.BY_NAME["measured_speed"].places[0].scale
+_PRESSURE_SCALE = signals.BY_NAME["cylinder_pressure"].places[0].scale
+_REFERENCE_SCALE = signals.BY_NAME["wsp_reference_speed"].places[0].scale
 _LOW, _HIGH = (float(bound) for bound in signals.KINDS["I16"])
 
-# what the real wheelsets and rollers tell where a virtual track runs beside them
+# signals of the real wheelsets and rollers, where a virtual track runs in parallel
 OF_ROLLERS = frozenset(
     (
         "wheel_speed",
@@ -119,9 +122,10 @@ OF_ROLLERS = frozenset(
 
 
 def first_command() -> np.ndarray:
-    """The command row of a rig that nobody has asked for anything: drives enabled for the rig."""
+    """Return the command row before any command: no magnet energised, drives enabled for the rig."""
     row = np.full(COMMANDS, np.nan)
-    row[MAGNETS : MAGNETS + AXLES] = row[FRICTION:] = 0.0
+    row[MAGNETS : MAGNETS + AXLES] = 0.0
+    row[FRICTION:] = 0.0
     drives = row[DRIVES:FAULTS].reshape(AXLES, axis.COMMANDS)
     drives[:, axis.ENABLED] = 1.0
     drives[:, axis.LOOP] = axis.LOOP_RIG
@@ -129,7 +133,7 @@ def first_command() -> np.ndarray:
 
 
 def gather(names: Iterable[str] = tuple(SLOTS)) -> np.ndarray:
-    """For each column of a row the slot of the state it copies, or -1 where it copies none."""
+    """Return, for each column of a row, the slot of the state to copy into it, or -1 for none."""
     wanted = frozenset(names)
     slots = np.full(len(signals.COLUMNS), -1, dtype=np.int64)
     for signal in signals.SIGNALS:
@@ -167,7 +171,7 @@ def publish(m):
 
 @kernel
 def tracking_error(m, axle):
-    """How far the motors are from what they shall hold, in m/s: at the wheel's or roller's rim."""
+    """Return the control error of the motors in m/s, at the rim of the wheel or roller."""
     if m.virtual != 0:
         error = m.roller_state.wheel_speed[axle] - m.state.wheel_speed[axle]
         return m.params.wheels.table[vehicle.RADIUS_M + axle] * error
@@ -177,7 +181,7 @@ def tracking_error(m, axle):
 
 
 @kernel
-def rollers_beside(m, tick):
+def advance_real_rollers(m, tick):
     """Advance the real wheelsets on their dry rollers under the loads of the virtual vehicle."""
     real, virtual = m.roller_state, m.state
     real.vehicle_speed[0] = virtual.vehicle_speed[0]
@@ -200,7 +204,7 @@ def disturb(m, faults):
 
 @kernel
 def run_tick(m):
-    """Run one tick and count it; sets DONE when the vehicle has stood long enough or time is up."""
+    """Run one tick and count it; set DONE when the vehicle has stood long enough or the time is up."""
     tick = m.control[TICK]
     begin(m, tick)
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
@@ -208,15 +212,15 @@ def run_tick(m):
         rig_control.stop_with_rollers(m.state, m.roller_state, m.roller_params.drive)
     plant.observe(m.state, m.params)
     if m.virtual != 0:
-        rollers_beside(m, tick)
+        advance_real_rollers(m, tick)
     end(m, tick)
 
 
 @kernel_inlined
 def begin(m, tick):
-    """What precedes the physics of a tick: record, commands, drive control, faults."""
+    """Do what precedes the physics of a tick: sample, commands, drive control, faults."""
     if tick % m.record_ticks == 0:
-        # all since the last sample, this tick's own lateness too
+        # the largest values since the last sample, including the lateness of this tick
         m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
         m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
         appending.push(m.ring_header, m.ring_rows, m.row)
@@ -250,7 +254,7 @@ def begin(m, tick):
 
 @kernel_inlined
 def end(m, tick):
-    """What follows the physics of a tick: publish and count it."""
+    """Do what follows the physics of a tick: publish it and count it."""
     publish(m)
     m.control[TICK] = tick + 1
     if m.state.standing[0] != 0.0:
@@ -261,7 +265,7 @@ def end(m, tick):
 
 @kernel
 def stepping(m, ticks):
-    """With each `next` run ticks[0] ticks back to back, fewer if the run is done, and yield how many."""
+    """At each `next` run ticks[0] ticks back to back, fewer if the run is done; yield how many were run."""
     while True:
         ran = 0
         while ran < ticks[0] and m.control[DONE] == 0 and m.control[STOP] == 0:
@@ -271,61 +275,64 @@ def stepping(m, ticks):
 
 
 class Ticks:
-    """Runs ticks of `m` a few at a time: its hundreds of fields are handed to the kernel once, not with each call."""
+    """Runs ticks of `m` a few at a time.
+
+    The hundreds of fields of `m` are passed to the compiled generator once, not with each call.
+    """
 
     def __init__(self, m: TickData) -> None:
-        # what the kernel looks at lives as long as this does
-        self._m, self._asked = m, np.zeros(1, dtype=np.int64)
-        self._stepping = stepping(m, self._asked)
+        self._m = m  # the memory that the kernel uses must live as long as the kernel
+        self._ticks = np.zeros(1, dtype=np.int64)
+        self._stepping = stepping(m, self._ticks)
 
     def run(self, ticks: int) -> int:
-        """Run some ticks, fewer if the run is done; returns how many."""
-        self._asked[0] = ticks
+        """Run some ticks, fewer if the run is done; return how many were run."""
+        self._ticks[0] = ticks
         return next(self._stepping)
 
 
 def run_ticks(m: TickData, ticks: int) -> int:
-    """Run some ticks once; returns how many."""
+    """Run some ticks once; return how many were run."""
     return Ticks(m).run(ticks)
 
 
 @kernel
 def counts(value, scale):
-    """A value as the 16-bit integer that stands on the bus: rounded half to even, saturated."""
+    """Return a value as a 16-bit count on the bus: rounded half to even, saturated."""
     return min(max(np.rint(value / scale), _LOW), _HIGH)
 
 
 @kernel
 def run_ticks_with_unit(m, ticks, sync_ticks, unit, inputs):
-    """As `run_ticks`, with the reference WSP unit called where its SYNC would come.
+    """Run ticks as `run_ticks` does, and call the reference WSP unit where its SYNC would come.
 
-    `unit` is the unit's memory and parameters, `inputs` int64 scratch of shape (8,): it sees what
-    the bus would tell it, speeds in 0.01 rad/s and pressures in mbar, and its answer takes effect
-    with the next tick, as in lockstep, or when a wire would have carried it.
+    `unit` is the memory and parameters of the unit, `inputs` int64 scratch of shape (8,): what the unit
+    would receive over the bus, speeds in 0.01 rad/s and pressures in mbar. Its answer acts in the next
+    tick, as in lockstep, or when a wire would have carried it.
     """
     for i in range(ticks):
         if m.control[DONE] != 0 or m.control[STOP] != 0:
             return i
         cycle, phase = divmod(m.control[TICK], sync_ticks)
         if phase == 0:
-            ask_unit(m, inputs)
+            write_unit_inputs(m, inputs)
         if phase == m.answer[1 if cycle > 0 and cycle % m.answer[2] == 0 else 0]:
-            hear_unit(m, unit, inputs)
+            run_unit_cycle(m, unit, inputs)
         run_tick(m)
     return ticks
 
 
 @kernel_inlined
-def ask_unit(m, inputs):
-    """What the reference WSP unit sees with a SYNC, in counts."""
+def write_unit_inputs(m, inputs):
+    """Write what the reference WSP unit receives with a SYNC, in counts."""
     for j in range(AXLES):
         inputs[j] = counts(m.row[_SPEED + j], _SPEED_SCALE)
         inputs[AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
 
 
 @kernel_inlined
-def hear_unit(m, unit, inputs):
-    """One cycle of the reference WSP unit on what it saw: its answer as commands."""
+def run_unit_cycle(m, unit, inputs):
+    """Run one cycle of the reference WSP unit on its inputs, and write its answer as commands."""
     magnets_byte, reference = logic.cycle(unit, inputs)
     command = m.commands.values
     for j in range(AXLES):
