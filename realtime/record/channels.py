@@ -1,9 +1,10 @@
-"""channels.parquet while a run goes on: always whole, never more than a second old.
+"""channels.parquet while a run goes on: always complete, never more than a second old.
 
-A Parquet file can be read only when its end has been written, so the file is written anew beside the old one and
-renamed over it, at least once a second while that is cheap. All rows stand in channels.tail (plain float64 rows,
-appended many times a second) as long as the run goes on; a reader adds those that are later than the file's. A long run
-is written less often, so that writing takes at most a tenth of a core. A finished run has no tail.
+A Parquet file can be read only when its end has been written. So the file is written anew next to the
+old one and renamed over it, at least once a second while that is cheap. While the run goes on, all rows
+are also in channels.tail (plain float64 rows, appended many times a second); a reader adds the rows that
+are later than those of the file. In a long run the file is written less often, so that writing takes at
+most a tenth of a core. A finished run has no tail.
 """
 
 import contextlib
@@ -22,18 +23,29 @@ from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.run_folder import CHANNELS, TAIL
 from rollerrig.wsp_interface.signals import COLUMNS
 
-_PERIOD_S, _DUTY, _BYTES_S, _STEP_S = 0.8, 0.1, 50e6, 0.03
-# each block leaves 50 kB of what Parquet remembers of it until the file is whole
+# time between two writes of channels.parquet, at least
+_PERIOD_S = 0.8
+# share of a core that writing may take
+_DUTY = 0.1
+# rate at which the disk may be written
+_BYTES_S = 50e6
+# writing goes on for this time before rows are taken in again
+_STEP_S = 0.03
+# until the file is complete, Parquet keeps 50 kB of memory for each block
 _BLOCK_BYTES = 8 * len(COLUMNS) * (1 << 13)
 
 
 class Channels:
-    """The channels of one run: rows go in, files in `folder` follow; none stays in memory."""
+    """The channels of one run: rows go in, the files in `folder` follow; no row stays in memory."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
         self._tail = open(self._folder / TAIL, "wb+", buffering=0)  # noqa: SIM115 (open for the run)
+        # the write that is under way; its size, its time so far, and when the next one is due
         self._saving: Iterator[None] | None = None
+        self._written = 0
+        self._spent_s = 0.0
+        self._due_s = 0.0
         self.write()
 
     def add(self, rows: np.ndarray) -> None:
@@ -42,9 +54,10 @@ class Channels:
             self._tail.write(np.ascontiguousarray(rows).tobytes())
 
     def write_if_due(self) -> None:
-        """Write channels.parquet anew if that is due, a part at each call: rows are taken in meanwhile."""
+        """Write channels.parquet anew if that is due; each call writes a part, so that rows can come in."""
         began_s = time.monotonic()
-        if not self._saving and began_s >= self._due_s and self._tail.tell() > self._written:
+        has_new_rows = self._tail.tell() > self._written
+        if not self._saving and began_s >= self._due_s and has_new_rows:
             self._begin()
         while self._saving:
             self._go_on()
@@ -58,30 +71,34 @@ class Channels:
             self._go_on()
 
     def _begin(self) -> None:
-        self._written, self._spent_s = self._tail.tell(), 0.0
+        self._written = self._tail.tell()
+        self._spent_s = 0.0
         self._saving = self._save()
 
     def _go_on(self) -> None:
-        began_s, over = time.perf_counter(), object()
+        """Write one more block, and decide when the file is next to be written."""
+        began_s = time.perf_counter()
         assert self._saving
-        if next(self._saving, over) is over:
+        try:
+            next(self._saving)
+        except StopIteration:
             self._saving = None
         self._spent_s += time.perf_counter() - began_s
-        self._due_s = time.monotonic() + max(
-            _PERIOD_S, self._spent_s / _DUTY, self._written / _BYTES_S
-        )
+        pause_s = max(_PERIOD_S, self._spent_s / _DUTY, self._written / _BYTES_S)
+        self._due_s = time.monotonic() + pause_s
 
     def finish(self) -> None:
         """Write the final, compressed file, and remove the tail."""
-        self._saving, self._written = None, self._tail.tell()
+        self._saving = None
+        self._written = self._tail.tell()
         for _ in self._save(compression="zstd"):
             pass
         self._tail.close()
         (self._folder / TAIL).unlink(missing_ok=True)
 
     def _save(self, compression: str = "none") -> Iterator[None]:
-        """Put the rows so far in place of channels.parquet in one step, block by block before: one sees old or new."""
-        final, names = compression != "none", list(COLUMNS)
+        """Write all rows so far, block by block, and replace channels.parquet with them in one step."""
+        is_final = compression != "none"
         with (
             replaced(self._folder / CHANNELS) as new,
             pq.ParquetWriter(
@@ -89,57 +106,73 @@ class Channels:
                 schema(),
                 compression=compression,
                 use_dictionary=False,
-                use_byte_stream_split=final,
-                write_statistics=final,
+                use_byte_stream_split=is_final,
+                write_statistics=is_final,
             ) as writer,
         ):
             for at in range(0, self._written, _BLOCK_BYTES):
                 block = os.pread(self._tail.fileno(), min(_BLOCK_BYTES, self._written - at), at)
-                rows = np.frombuffer(
-                    block[: len(block) // (8 * len(names)) * 8 * len(names)]
-                ).reshape(-1, len(names))
-                writer.write_batch(
-                    pa.RecordBatch.from_arrays(list(map(_array, rows.T.copy())), names=names)
-                )
+                writer.write_batch(_batch(block))
                 yield
 
 
-class Columns(Mapping[str, pa.ChunkedArray]):
-    """The channels of a run folder by name, each read when it is asked for: a long run may be more than memory holds.
+def _batch(block: bytes) -> pa.RecordBatch:
+    """Return the complete rows in bytes of the tail."""
+    names = list(COLUMNS)
+    row_bytes = 8 * len(names)
+    complete = len(block) // row_bytes * row_bytes
+    rows = np.frombuffer(block[:complete]).reshape(-1, len(names))
+    columns = [_array(column) for column in rows.T.copy()]
+    return pa.RecordBatch.from_arrays(columns, names=names)
 
-    What a killed run left in the tail follows what stands in the file. Raises ConfigError.
+
+class Columns(Mapping[str, pa.ChunkedArray]):
+    """The channels of a run folder by name; each is read when it is needed.
+
+    A long run may be more than the memory holds. The rows that a killed run left in the tail follow
+    those of the file. Raises ConfigError.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path = path = folder / CHANNELS
-        if not path.is_file():
+        self._path = folder / CHANNELS
+        if not self._path.is_file():
             raise ConfigError(
-                f"{path}: no such file; a run's folder holds one: give the folder that 'rollerrig run "
-                "... --out DIR' has written"
+                f"{self._path}: no such file; give a run's folder, as 'rollerrig run ... --out DIR' "
+                "writes it"
             )
         with self._readable():
-            self._file = pq.ParquetFile(path)
+            self._file = pq.ParquetFile(self._path)
         self._names: list[str] = self._file.schema_arrow.names
         if "time_s" not in self._names:
             raise ConfigError(
-                f"{path}: has no column time_s; its columns are "
+                f"{self._path}: has no column time_s; its columns are "
                 f"{', '.join(self._names[:6])} ...; is it a recording of a run?"
             )
-        self._tail, tail, width = np.empty((0, len(self._names))), folder / TAIL, len(self._names)
-        if tail.is_file() and (count := tail.stat().st_size // (8 * width)):
-            rows, time_s = np.memmap(tail, np.float64, "r", shape=(count, width)), self["time_s"]
-            begins_s = time_s[-1].as_py() if len(time_s) else -np.inf
-            self._tail = rows[
-                np.searchsorted(rows[:, self._names.index("time_s")], begins_s, "right") :
-            ]
+        self._tail = np.empty((0, len(self._names)))
+        self._tail = self._rows_of_tail(folder / TAIL)
+
+    def _rows_of_tail(self, path: Path) -> np.ndarray:
+        """Return the rows of the tail that are later than those of the file, shape (n, columns)."""
+        width = len(self._names)
+        count = path.stat().st_size // (8 * width) if path.is_file() else 0
+        if not count:
+            return np.empty((0, width))
+        rows = np.memmap(path, np.float64, "r", shape=(count, width))
+        time_s = self["time_s"]
+        last_s = time_s[-1].as_py() if len(time_s) else -np.inf
+        first = np.searchsorted(rows[:, self._names.index("time_s")], last_s, "right")
+        return rows[first:]
 
     def __getitem__(self, name: str) -> pa.ChunkedArray:
         if name not in self._names:
             raise KeyError(name)
         with self._readable():
-            written: pa.ChunkedArray = self._file.read([name])[name]  # read_table would load pandas
+            # not by read_table, which loads pandas
+            written: pa.ChunkedArray = self._file.read([name])[name]
         more = self._tail[:, self._names.index(name)]
-        return pa.chunked_array([*written.chunks, _array(more)]) if len(more) else written
+        if not len(more):
+            return written
+        return pa.chunked_array([*written.chunks, _array(more)])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
@@ -148,11 +181,12 @@ class Columns(Mapping[str, pa.ChunkedArray]):
         return len(self._names)
 
     def blocks(self, rows: int) -> Iterator[pa.RecordBatch]:
-        """The rows of the file in their order, some at a time."""
+        """Yield the rows of the file in their order, some at a time."""
         return self._file.iter_batches(rows)
 
     @contextlib.contextmanager
     def _readable(self) -> Iterator[None]:
+        """Raise ConfigError if the file cannot be read inside the block."""
         try:
             yield
         except (pa.ArrowException, OSError) as error:
@@ -162,39 +196,41 @@ class Columns(Mapping[str, pa.ChunkedArray]):
 
 
 def leave_pandas_out() -> None:
-    """Let Arrow not load pandas, only to see whether what it is given is of pandas."""
+    """Keep Arrow from loading pandas just to check whether its arguments are of pandas."""
     with without("pandas"):
         pa.array([0])
 
 
 def schema() -> pa.Schema:
-    """One float64 column for each column of the table of signals."""
+    """Return one float64 column for each column of the table of signals."""
     return pa.schema([(name, pa.float64()) for name in COLUMNS])
 
 
 def load(folder: Path) -> pa.Table:
-    """All channels of a run folder, with what a killed run left in the tail. Raises ConfigError."""
+    """Return all channels of a run folder, with the rows of the tail. Raises ConfigError."""
     found = Columns(folder)
     return pa.Table.from_arrays(list(found.values()), names=list(found))
 
 
-# pyarrow's own ways to and from numpy load pandas, which takes longer than all else that ends a run
+# the functions of pyarrow to and from numpy load pandas, which takes longer than everything else at
+# the end of a run
 
 
 def values(column: pa.Array | pa.ChunkedArray | np.ndarray | Sequence[float]) -> np.ndarray:
-    """One channel, shape (n,), float64; nulls are NaN."""
+    """Return one channel, shape (n,), float64; nulls are NaN."""
     whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-    if (
-        not isinstance(whole, pa.Array)
-        or not len(whole)
-        or whole.null_count
-        or whole.type != pa.float64()
-    ):
+    if not isinstance(whole, pa.Array) or not _is_plain(whole):
         return np.asarray(column, dtype=np.float64)
-    return np.frombuffer(whole.buffers()[1])[whole.offset : whole.offset + len(whole)].copy()
+    everything = np.frombuffer(whole.buffers()[1])
+    return everything[whole.offset : whole.offset + len(whole)].copy()
+
+
+def _is_plain(whole: pa.Array) -> bool:
+    """Whether the memory of an array is that of float64 numbers."""
+    return len(whole) > 0 and not whole.null_count and whole.type == pa.float64()
 
 
 def _array(found: np.ndarray) -> pa.Array:
-    return pa.Array.from_buffers(
-        pa.float64(), len(found), [None, pa.py_buffer(np.ascontiguousarray(found))]
-    )
+    """Return an array of numpy, shape (n,), as one of Arrow."""
+    data = pa.py_buffer(np.ascontiguousarray(found))
+    return pa.Array.from_buffers(pa.float64(), len(found), [None, data])

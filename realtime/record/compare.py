@@ -1,8 +1,8 @@
 """Compares recorded runs: figures of their summaries side by side, and channels by value.
 
-Each channel of a further run is laid on the time of the first; the difference counts where both
-have a value. A tolerance is given for a unit (as in m_s=0.1) or a channel; what is beyond it fails.
-Ticks' lateness is no result and is left out.
+Each channel of a further run is interpolated at the times of the first run; the difference counts where
+both have a value. A tolerance is given for a unit (as in m_s=0.1) or for a channel; a larger difference
+fails. The lateness of ticks is not a result and is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +16,15 @@ from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
 
 _NO_RESULT = frozenset(("time", "tick_lateness", "tick_duration", "ticks_missed"))
+_THIRDS = 3
+# a stop is taken to be at least this long
+_SHORTEST_M = 1e-9
+# sliding above this counts as sliding
+_SLIDES_M_S = 0.5
 
 
 class Difference(NamedTuple):
-    """One channel of one run against the first: `tolerance` NaN where none was given."""
+    """One channel of one run against the first run: `tolerance` is NaN where none is given."""
 
     run: str
     channel: str
@@ -34,70 +39,98 @@ class Difference(NamedTuple):
 
 
 def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) -> list[Difference]:
-    """Every channel of every further run against the first; a tolerance of the channel itself counts first."""
-    first, found = runs[0], []
-    time_s = first.column("time_s")
-    units = {
-        name: signal.unit or "1"
-        for signal in signals.SIGNALS
-        if signal.name not in _NO_RESULT
-        for name in signals.columns(signal)
-        if name in first.table.column_names
-    }
+    """Return the differences of every channel of every further run from the first run.
+
+    The tolerance of a channel wins over that of its unit.
+    """
+    first = runs[0]
+    units = _units(first)
+    found: list[Difference] = []
     for run in runs[1:]:
-        for name in [name for name in units if name in run.table.column_names]:
-            other = np.interp(time_s, run.column("time_s"), run.column(name), right=np.nan)
-            gap = np.abs(first.column(name) - other)
-            known = np.flatnonzero(np.isfinite(gap))
-            if known.size:
-                worst = known[np.argmax(gap[known])]
-                found.append(
-                    Difference(
-                        str(run.folder),
-                        name,
-                        largest=float(gap[worst]),
-                        rms=float(np.sqrt(np.mean(gap[known] ** 2))),
-                        at_s=float(time_s[worst]),
-                        tolerance=tolerances.get(name, tolerances.get(units[name], np.nan)),
-                    )
-                )
+        for name, unit in units.items():
+            if name in run.table.column_names:
+                tolerance = tolerances.get(name, tolerances.get(unit, np.nan))
+                difference = _difference(first, run, name, tolerance)
+                if difference:
+                    found.append(difference)
     return found
 
 
-def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
-    """What a stop's adhesion becomes: means of all wheelsets in each third of its way.
+def _units(run: records.Run) -> dict[str, str]:
+    """Return the units of the channels of a run that are results, by name."""
+    units: dict[str, str] = {}
+    for signal in signals.SIGNALS:
+        if signal.name in _NO_RESULT:
+            continue
+        for name in signals.columns(signal):
+            if name in run.table.column_names:
+                units[name] = signal.unit or "1"
+    return units
 
-    None where no wheel slides, and all None of a run that is not valid. `adhesion while sliding` counts where a wheel
-    slides by more than 0.5 m/s, `friction mu_cd` everywhere. On a track the contaminant is always fresh; on rollers it
-    is not, and the difference of two runs is what the rig adds.
-    """
-    place_m = run.column("position_m")
-    third = np.minimum(
-        3.0 * (place_m - place_m[0]) / max(float(place_m[-1] - place_m[0]), 1e-9), 2.999
-    ).astype(int)
-    names = [f"_{axle}" for axle in range(1, signals.AXLES + 1)]
-    f, s, mu = (
-        np.array([run.column(f"{stem}{name}{unit}") for name in names])
-        for stem, unit in (("adhesion", ""), ("sliding", "_m_s"), ("friction_degraded", ""))
+
+def _difference(
+    first: records.Run, run: records.Run, name: str, tolerance: float
+) -> Difference | None:
+    """Return how one channel differs; None where the runs have no time in common."""
+    time_s = first.column("time_s")
+    other = np.interp(time_s, run.column("time_s"), run.column(name), right=np.nan)
+    gap = np.abs(first.column(name) - other)
+    known = np.flatnonzero(np.isfinite(gap))
+    if not known.size:
+        return None
+    worst = known[np.argmax(gap[known])]
+    return Difference(
+        run=str(run.folder),
+        channel=name,
+        largest=float(gap[worst]),
+        rms=float(np.sqrt(np.mean(gap[known] ** 2))),
+        at_s=float(time_s[worst]),
+        tolerance=tolerance,
     )
+
+
+def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
+    """Return how adhesion changes over a stop: means of all wheelsets in each third of its distance.
+
+    None where no wheel slides, and always None for a run that is not valid. `adhesion while sliding`
+    is over samples at which a wheel slides by more than 0.5 m/s, `friction mu_cd` over all samples. On
+    a track the contaminant is always fresh; on rollers it is not. The difference of two runs is the
+    effect of the rig.
+    """
+    position_m = run.column("position_m")
+    way_m = position_m - position_m[0]
+    length_m = max(float(position_m[-1] - position_m[0]), _SHORTEST_M)
+    # the last sample belongs to the last third
+    third = np.minimum(_THIRDS * way_m / length_m, _THIRDS - 1e-3).astype(int)
+
+    axles = range(1, signals.AXLES + 1)
+    adhesion = np.array([run.column(f"adhesion_{axle}") for axle in axles])
+    sliding_m_s = np.array([run.column(f"sliding_{axle}_m_s") for axle in axles])
+    friction = np.array([run.column(f"friction_degraded_{axle}") for axle in axles])
+
     valid = bool(run.summary.get("valid", True))
-    slides, known = valid & (s > 0.5), valid & np.isfinite(mu)
+    slides = valid & (sliding_m_s > _SLIDES_M_S)
+    known = valid & np.isfinite(friction)
     return {
-        "adhesion while sliding": tuple(
-            _mean(f[:, third == k], slides[:, third == k]) for k in range(3)
-        ),
-        "friction mu_cd": tuple(_mean(mu[:, third == k], known[:, third == k]) for k in range(3)),
+        "adhesion while sliding": _means(adhesion, slides, third),
+        "friction mu_cd": _means(friction, known, third),
     }
 
 
-def _mean(values: np.ndarray, counts: np.ndarray) -> float | None:
-    return float(values[counts].mean()) if counts.any() else None
+def _means(values: np.ndarray, counts: np.ndarray, third: np.ndarray) -> tuple[float | None, ...]:
+    """Return the mean of values (axles, n) that count in each third; None without any."""
+    means: list[float | None] = []
+    for number in range(_THIRDS):
+        inside = third == number
+        chosen = values[:, inside][counts[:, inside]]
+        means.append(float(chosen.mean()) if chosen.size else None)
+    return tuple(means)
 
 
 def tolerances(given: Sequence[str]) -> dict[str, float]:
-    """From texts such as "m_s=0.1" or "sliding_1_m_s=0.5". Raises ConfigError."""
+    """Return tolerances from texts such as "m_s=0.1" or "sliding_1_m_s=0.5". Raises ConfigError."""
     units = sorted({signal.unit or "1" for signal in signals.SIGNALS})
-    found = {}
+    found: dict[str, float] = {}
     for text in given:
         name, _, value = text.partition("=")
         if name not in units and name not in signals.COLUMNS:

@@ -1,9 +1,10 @@
 """A recorded run in the formats of other programs: MDF4, MATLAB, CSV.
 
-Every channel of the record goes out in SI with its unit and its description; events go along. An MDF4 file holds one
-group of channels over time and one of events; a MAT file one variable a channel and the tables `units`, `descriptions`,
-`events`; a CSV file names in its first line and units in its second, with the events in a file of their own beside it.
-Files appear whole or not at all. Source: ASAM MDF 4.1 as asammdf writes it; MAT-file level 5 as scipy does.
+Every channel of the record is exported in SI with its unit and description, and so are the events. An
+MDF4 file has one group of channels over time and one of events. A MAT file has one variable a channel
+and the tables `units`, `descriptions` and `events`. A CSV file has names in its first line and units in
+its second, and a second file has the events. Files appear complete or not at all.
+Source: ASAM MDF 4.1 as asammdf writes it; MAT-file level 5 as scipy writes it.
 """
 
 import csv
@@ -26,7 +27,7 @@ EVENTS = "events"
 
 
 class Column(NamedTuple):
-    """A channel on its way out; values of shape (n,)."""
+    """A channel to be exported; values of shape (n,)."""
 
     name: str
     unit: str
@@ -35,12 +36,12 @@ class Column(NamedTuple):
 
 
 def columns(run: Run) -> list[Column]:
-    """All channels of a run but time, with unit and description."""
-    known = {
-        name: (UNITS.get(signal.unit, signal.unit), signal.text)
-        for signal in signals.SIGNALS
-        for name in signals.columns(signal)
-    }
+    """Return all channels of a run except time, with unit and description."""
+    known: dict[str, tuple[str, str]] = {}
+    for signal in signals.SIGNALS:
+        unit = UNITS.get(signal.unit, signal.unit)
+        for name in signals.columns(signal):
+            known[name] = (unit, signal.text)
     return [
         Column(name, *known.get(name, ("", "")), run.column(name))
         for name in run.table.column_names
@@ -51,7 +52,7 @@ def columns(run: Run) -> list[Column]:
 def write(
     run: Run, kind: str, out: Path, more: Mapping[str, "Writer"] = MappingProxyType({})
 ) -> list[Path]:
-    """Write a run as `kind` (mdf4, mat, csv, or one of `more`); the files written. Raises ConfigError."""
+    """Write a run as `kind` (mdf4, mat, csv, or one of `more`); return the files. Raises ConfigError."""
     writers = {**WRITERS, **more}
     if kind not in writers:
         raise ConfigError(f"--format {kind}: no such format{nearest(kind, writers)}")

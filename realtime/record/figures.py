@@ -1,4 +1,4 @@
-"""The figures of a stop: what a run is judged by, compared in and ranked by, read from its summary."""
+"""The figures of a stop, read from its summary: by these, runs are judged, compared and ranked."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -9,10 +9,10 @@ Summary = Mapping[str, Any]
 
 
 class Figure(NamedTuple):
-    """One figure: `get` takes it from a summary in the unit of its name.
+    """One figure: `get` takes it from a summary, in the unit of its name.
 
-    `better` is -1 where less is better, 1 where more is, 0 where neither; `scale` brings the value to
-    `unit`, in which people read it.
+    `better` is -1 where less is better, 1 where more is better, 0 where neither is. `scale` converts
+    the value to `unit`, in which people read it.
     """
 
     name: str
@@ -23,7 +23,7 @@ class Figure(NamedTuple):
     scale: float = 1.0
 
     def of(self, summary: Summary) -> Any:
-        """The figure of a run; None where it has none, as all of a run that is not valid."""
+        """Return the figure of a run; None where it has none, and always for a run that is not valid."""
         if validity.because(summary):
             return None
         try:
@@ -32,7 +32,7 @@ class Figure(NamedTuple):
             return None
 
     def shown(self, summary: Summary) -> float | None:
-        """The same in the unit that people read."""
+        """Return the figure in the unit that people read."""
         value = self.of(summary)
         return None if value is None else value * self.scale
 
@@ -42,7 +42,8 @@ def _axles(summary: Summary, key: str) -> list[float]:
 
 
 def _mean(summary: Summary, key: str) -> float:
-    return sum(values := _axles(summary, key)) / len(values)
+    values = _axles(summary, key)
+    return sum(values) / len(values)
 
 
 FIGURES = (

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and what is said where they cannot be written."""
+"""Files that appear complete or not at all, and the error where they cannot be written."""
 
 import contextlib
 from collections.abc import Iterator
@@ -9,9 +9,10 @@ from rollerrig.configs.errors import ConfigError
 
 @contextlib.contextmanager
 def replaced(path: Path, suffix: str = "") -> Iterator[Path]:
-    """Gives a place beside a file, for the file anew; it takes the old one's place in one step.
+    """Yield a temporary path next to `path`; at the end, its file replaces `path` in one step.
 
-    Nothing is left of what failed. `suffix` is for writers that look at how a name ends.
+    After a failure the temporary file is removed. `suffix` is for writers that depend on the
+    extension of a name.
     """
     new = path.with_name(f".{path.name}.new{suffix}")
     try:
@@ -23,9 +24,11 @@ def replaced(path: Path, suffix: str = "") -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def writing(path: Path, mend: str = "give another folder with --out") -> Iterator[None]:
-    """Raises ConfigError where what is written to a file or folder meanwhile cannot be."""
+def writing(path: Path, remedy: str = "give another folder with --out") -> Iterator[None]:
+    """Raise ConfigError if a file or folder cannot be written inside the block."""
     try:
         yield
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}; {mend}") from None
+        raise ConfigError(
+            f"{path}: cannot be written: {error.strerror or error}; {remedy}"
+        ) from None

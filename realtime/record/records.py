@@ -1,7 +1,7 @@
-"""Reads a run's folder back: scenario, channels, events, summary.
+"""Reads a run's folder: scenario, channels, events, summary.
 
-A run that was killed reads like any other: what its recorder had not yet put into the Parquet file is taken from the
-tail, and a last line that was cut off is left out.
+A run that was killed reads like any other: rows that its recorder had not yet written to the Parquet
+file are read from the tail, and an incomplete last line of the events is left out.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ class Run(NamedTuple):
     summary: dict[str, Any]
 
     def column(self, name: str) -> np.ndarray:
-        """One channel, shape (n,). Raises ConfigError naming those that are there."""
+        """Return one channel, shape (n,). Raises ConfigError, which lists the channels of the run."""
         if name not in self.table.column_names:
             raise ConfigError(
                 f"{self.folder}: no channel is called '{name}'; there are "
@@ -47,7 +47,7 @@ class Run(NamedTuple):
 
 
 def load(folder: Path | str) -> Run:
-    """A run's folder. Raises ConfigError for what is missing or damaged."""
+    """Read a run's folder. Raises ConfigError for a file that is missing or damaged."""
     folder = Path(folder)
     if not folder.is_dir():
         raise ConfigError(
@@ -89,8 +89,9 @@ def each_event(folder: Path) -> Iterator[Event]:
 
 
 def frames(folder: Path) -> list[tuple[int, int, str]]:
-    """Stamp in us, identifier and data in hex of every frame in can.log; none where there is no file."""
-    text = (folder / CAN_LOG).read_text(encoding="ascii") if (folder / CAN_LOG).is_file() else ""
+    """Return time in us, identifier and data in hex of every frame in can.log; empty without a file."""
+    path = folder / CAN_LOG
+    text = path.read_text(encoding="ascii") if path.is_file() else ""
     return [
         (1_000_000 * int(seconds) + int(micros), int(can_id, 16), data)
         for seconds, micros, can_id, data in _FRAME.findall(text)
@@ -98,7 +99,7 @@ def frames(folder: Path) -> list[tuple[int, int, str]]:
 
 
 def summary(folder: Path) -> dict[str, Any]:
-    """The summary of a run; empty where the run has none yet."""
+    """Return the summary of a run; empty while the run has none."""
     path = folder / SUMMARY
     if not path.is_file():
         return {}
@@ -112,13 +113,17 @@ def summary(folder: Path) -> dict[str, Any]:
 
 
 def not_valid(folders: Iterable[Path]) -> list[str]:
-    """A sentence for each run that is not valid, with its reasons."""
-    found = ((folder, validity.because(summary(folder))) for folder in folders)
-    return [f"{folder} is not valid: {'; '.join(why)}" for folder, why in found if why]
+    """Return a sentence for each run that is not valid, with its reasons."""
+    sentences: list[str] = []
+    for folder in folders:
+        reasons = validity.because(summary(folder))
+        if reasons:
+            sentences.append(f"{folder} is not valid: {'; '.join(reasons)}")
+    return sentences
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
-    """Put a summary in place of the old one in one step. Raises ConfigError, and keeps it elsewhere if that goes."""
+    """Write a summary in one step. Raises ConfigError, and writes it to the temporary folder if possible."""
     text = json.dumps(content, indent=2) + "\n"
     try:
         with replaced(folder / SUMMARY) as new:
@@ -136,7 +141,7 @@ def write_summary(folder: Path, content: dict[str, Any]) -> None:
 
 
 def rows(table: pa.Table | pa.RecordBatch) -> np.ndarray:
-    """A table as rows of all signals, shape (n, columns); channels it lacks are NaN."""
+    """Return a table as rows of all signals, shape (n, columns); missing channels are NaN."""
     found = np.full((len(table), len(COLUMNS)), np.nan)
     for at, name in enumerate(COLUMNS):
         if name in table.schema.names:

@@ -1,7 +1,7 @@
-"""A run's folder: what a run writes there, and what of an earlier run it may replace.
+"""A run's folder: what a run writes there, and which files of an earlier run it may replace.
 
-A folder that a bench has begun bears its mark. In one, files of a run are replaced by name and all else
-is kept: notes, exports, folders. A folder without the mark is only used when it is empty.
+A folder that a bench has begun contains the file MARK. There the files of a run are replaced by name,
+and everything else is kept: notes, exports, folders. A folder without MARK is used only if it is empty.
 """
 
 import json
@@ -10,28 +10,27 @@ from pathlib import Path
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record.files import writing
 
-SCENARIO, CHANNELS, TAIL, EVENTS, SUMMARY, CAN_LOG, RRD, UNIT_LOG, TRACE = FILES = (
-    "scenario.toml",
-    "channels.parquet",
-    "channels.tail",
-    "events.jsonl",
-    "summary.json",
-    "can.log",
-    "run.rrd",
-    "wsp.log",
-    "harness.csv",
-)
+SCENARIO = "scenario.toml"
+CHANNELS = "channels.parquet"
+TAIL = "channels.tail"
+EVENTS = "events.jsonl"
+SUMMARY = "summary.json"
+CAN_LOG = "can.log"
+RRD = "run.rrd"
+UNIT_LOG = "wsp.log"
+TRACE = "harness.csv"
+FILES = (SCENARIO, CHANNELS, TAIL, EVENTS, SUMMARY, CAN_LOG, RRD, UNIT_LOG, TRACE)
 MARK = ".rollerrig"
 
 
 def begin(folder: Path) -> None:
-    """Make a run's folder, or take away what an earlier run left in one. Raises ConfigError."""
+    """Make a run's folder, or remove the files of an earlier run from it. Raises ConfigError."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()) and not _is_run(folder):
             raise ConfigError(
                 f"{folder} is not empty and not a run's folder: nothing in it is replaced; give a new "
-                "one with --out"
+                "folder with --out"
             )
         (folder / MARK).write_text(
             "A folder of rollerrig run: its next run replaces the files of this one.\n",
@@ -42,7 +41,7 @@ def begin(folder: Path) -> None:
 
 
 def _is_run(folder: Path) -> bool:
-    """Whether a bench has begun this folder: its mark, or the summary of a run of before there were marks."""
+    """Return whether a bench has begun this folder: it has MARK, or the summary of an older version."""
     if (folder / MARK).is_file():
         return True
     try:

@@ -1,8 +1,8 @@
 """The summary of a run: stop, axles, WSP, air, loop and buses, from what was recorded.
 
-The stop lasts from the first sample to the first sample at standstill. Means and standard deviations of sliding are
-over all its samples, as in the paper's Table 6; what only the bench knows (ticks, frames, requests) comes as counters
-and is null where it is not known.
+The stop lasts from the first sample to the first sample at standstill. Means and standard deviations of
+sliding are over all its samples, as in the paper's Table 6. What only the bench knows (ticks, frames,
+requests) is passed as counters, and is null where it is not known.
 """
 
 import functools
@@ -31,30 +31,30 @@ def of(
     scenario: Mapping[str, Any],
     events: Iterable[Event] = (),
 ) -> dict[str, Any]:
-    """The summary of recorded channels, as summary.json has it.
+    """Return the summary of recorded channels, as in summary.json.
 
-    `columns` by the names of the table of signals, each of shape (n,). `counters` may hold
-    version, config_hash, scenario, pacing, seed, unit, ended, and the tables loop, bus and modbus.
-    `scenario` is the resolved one, `events` are all events of the run. The same input gives the same output.
+    `columns` has arrays of shape (n,) by the names of the table of signals. `counters` may have
+    version, config_hash, scenario, pacing, seed, unit, ended, and the tables loop, bus, modbus and
+    recorder. `scenario` is the resolved one, `events` are all events of the run. The same input gives
+    the same output.
     """
     names = columns.column_names if isinstance(columns, pa.Table) else columns
     count = len(columns["time_s"]) if "time_s" in names else 0
 
     def channel(name: str) -> np.ndarray:
-        # one that was not recorded is NaN throughout
+        # a channel that was not recorded is NaN throughout
         return channels.values(columns[name]) if name in names else np.full(count, np.nan)
 
-    speed, time_s = channel("vehicle_speed_m_s"), channel("time_s")
+    speed = channel("vehicle_speed_m_s")
+    time_s = channel("time_s")
     still = np.flatnonzero(speed <= STANDSTILL_M_S)
-    # a vehicle that stands at the first sample has not been driven, let alone stopped
+    # a vehicle that stands at the first sample has not moved, so it has not stopped either
     stopped = bool(still.size and still[0] > 0)
     stop = slice(0, int(still[0]) + 1 if stopped else len(speed))
     loop = scenario.get("loop", {})
-    text = json.dumps(scenario, sort_keys=True, default=str)
     found = {
         "version": counters.get("version") or metadata.version("rollerrig"),
-        "config_hash": counters.get("config_hash")
-        or hashlib.sha256(text.encode()).hexdigest()[:16],
+        "config_hash": counters.get("config_hash") or _digest(scenario),
         "scenario": counters.get("scenario"),
         "title": scenario.get("title") or None,
         "pacing": counters.get("pacing"),
@@ -86,68 +86,91 @@ def of(
     return found | {"valid": not because, "invalid_because": because}
 
 
+def _digest(scenario: Mapping[str, Any]) -> str:
+    """Return a hash of the scenario of a run whose bench has given none."""
+    text = json.dumps(scenario, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
 def _axle(channel: Channel, axle: int, stop: slice) -> dict[str, Any]:
+    """Return the part of the summary on one axle."""
     sliding = channel(f"sliding_{axle}_m_s")[stop]
     return {
-        "sliding_mean_m_s": _of(np.mean, sliding),
-        "sliding_std_m_s": _of(np.std, sliding),
-        "sliding_max_m_s": _of(np.max, sliding),
+        "sliding_mean_m_s": _statistic(np.mean, sliding),
+        "sliding_std_m_s": _statistic(np.std, sliding),
+        "sliding_max_m_s": _statistic(np.max, sliding),
         "longest_lock_s": _last(channel(f"longest_lock_{axle}_s")[stop]),
         "wheel_flat_m": _last(channel(f"flat_length_{axle}_m")),
         "dissipated_energy_J": _span(channel(f"sliding_work_{axle}_J")[stop]),
-        "adhesion_mean": _of(np.mean, channel(f"adhesion_{axle}")[stop]),
+        "adhesion_mean": _statistic(np.mean, channel(f"adhesion_{axle}")[stop]),
         "vents": _count(channel(f"vents_{axle}")),
     }
 
 
 def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
-    """How long any dump valve did not fill, and how often one began to vent, all axles together."""
+    """Return how long any dump valve did not fill, and how often the valves of all axles began to vent."""
+    # a valve is 0 while it fills
     valves = (channel(f"valve_{axle}")[stop] > 0.5 for axle in range(1, AXLES + 1))
     acting = functools.reduce(np.logical_or, valves)[:-1]
-    vents = [_count(channel(f"vents_{axle}")) for axle in range(1, AXLES + 1)]
+    durations_s = np.diff(channel("time_s")[stop])
+    counts = [_count(channel(f"vents_{axle}")) for axle in range(1, AXLES + 1)]
+    known = [count for count in counts if count is not None]
     return {
         "unit": None,
-        "active_s": float(np.sum(np.diff(channel("time_s")[stop])[acting])),
-        "vents": None if None in vents else sum(vents),
-    }  # type: ignore[arg-type]
+        "active_s": float(np.sum(durations_s[acting])),
+        "vents": sum(known) if len(known) == len(counts) else None,
+    }
 
 
 def _tracking(channel: Channel, stop: slice) -> dict[str, Any]:
-    """How well the motors held what they were to hold, all axles: largest error and rms in m/s."""
-    worst, count, squares = [], 0, 0.0
-    for name in columns(BY_NAME["tracking_error"]):  # one after another: a long run's are large
+    """Return the control error of the motors of all axles: largest and rms, in m/s."""
+    worst: list[float] = []
+    count = 0
+    squares = 0.0
+    for name in columns(
+        BY_NAME["tracking_error"]
+    ):  # one after another: long runs have large arrays
         error = channel(name)[stop]
         error = error[np.isfinite(error)]
-        worst.append(_of(np.max, np.abs(error)))
-        count, squares = count + error.size, squares + float(np.sum(error**2))
+        if error.size:
+            worst.append(float(np.max(np.abs(error))))
+        count += error.size
+        squares += float(np.sum(error**2))
     return {
-        "max_m_s": max((one for one in worst if one is not None), default=None),
+        "max_m_s": max(worst, default=None),
         "rms_m_s": math.sqrt(squares / count) if count else None,
     }
 
 
 def _loop(channel: Channel, loop: Mapping[str, Any]) -> dict[str, Any]:
-    """What the samples tell of the loop: all that there is of a killed run, the bench counts itself."""
+    """Return what the samples show of the loop.
+
+    For a killed run this is all that is known; otherwise the counters of the bench replace it.
+    """
     time_s = channel("time_s")
+    ticks = None
+    if len(time_s) and "tick_hz" in loop:
+        ticks = round(time_s[-1] * loop["tick_hz"])
     return {
-        "ticks": round(time_s[-1] * loop["tick_hz"]) if len(time_s) and "tick_hz" in loop else None,
+        "ticks": ticks,
         "missed": _count(channel("ticks_missed")),
         "lateness_us": {
             "p50": None,
             "p99": None,
             "p999": None,
-            "max": _of(np.max, channel("tick_lateness_us")),
+            "max": _statistic(np.max, channel("tick_lateness_us")),
         },
     }
 
 
-def _of(what: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
+def _statistic(function: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
+    """Return a statistic of the finite values; None without any."""
     known = values[np.isfinite(values)]
-    return finite(what(known)) if known.size else None
+    return finite(function(known)) if known.size else None
 
 
 def finite(value: float) -> float | None:
-    """The number, or None where it is none."""
+    """Return the number, or None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -165,38 +188,14 @@ def _span(values: np.ndarray) -> float | None:
 
 
 def table(summary: Mapping[str, Any]) -> Any:
-    """The summary for a terminal: a rich table of the axles under a line on the stop."""
+    """Return the summary for a terminal: a rich table of the axles with lines on stop, loop and bus."""
     from rich.table import Table
 
-    wsp, loop, bus, late = (
-        summary["wsp"],
-        summary["loop"],
-        summary["bus"],
-        summary["loop"]["lateness_us"],
-    )
-    speed = f"{_show(summary['initial_speed_m_s'], 1)} m/s"
-    how = (
-        f"stopped from {speed} in {_show(summary['stop_time_s'])} s and {_show(summary['stop_distance_m'], 1)} m"
-        if summary["stopped"]
-        else f"not stopped from {speed} after {_show(summary.get('duration_s'))} s"
-    )
-    more = "".join(
-        (
-            f", longest wait {bus['longest_wait_us']:.0f} us"
-            if bus.get("longest_wait_us") is not None
-            else "",
-            f", {bus['stray_syncs']} stray SYNCs" if bus.get("stray_syncs") else "",
-        )
-    )
+    name = summary["scenario"] or summary.get("title") or "run"
     shown = Table(
-        title=f"{summary['scenario'] or summary.get('title') or 'run'}: {how}",
+        title=f"{name}: {_stop_line(summary)}",
         title_justify="left",
-        caption=f"WSP {wsp['unit'] or '-'}: active {_show(wsp['active_s'])} s, {_show(wsp['vents'], 0)} vents, "
-        f"air {_show(summary['air_consumption_NL'], 1)} NL\n"
-        f"loop: {_show(loop['ticks'], 0)} ticks, {_show(loop['missed'], 0)} missed, late "
-        f"p50 {_show(late['p50'], 0)} p99 {_show(late['p99'], 0)} max {_show(late['max'], 0)} us\n"
-        f"bus: {_show(bus['frames'], 0)} frames, {_show(bus['dropped'], 0)} dropped, load "
-        f"{_show(bus['load_percent'], 1)} %{more}; Modbus: {_show(summary['modbus']['requests'], 0)} requests",
+        caption="\n".join((_wsp_line(summary), _loop_line(summary["loop"]), _bus_line(summary))),
         caption_justify="left",
     )
     for name in ("axle", "sliding m/s", "std", "max", "lock s", "energy MJ", "adhesion", "vents"):
@@ -211,6 +210,39 @@ def table(summary: Mapping[str, Any]) -> Any:
             _show(axle.get("vents"), 0),
         )
     return shown
+
+
+def _stop_line(summary: Mapping[str, Any]) -> str:
+    speed = f"{_show(summary['initial_speed_m_s'], 1)} m/s"
+    if not summary["stopped"]:
+        return f"not stopped from {speed} after {_show(summary.get('duration_s'))} s"
+    time, distance = _show(summary["stop_time_s"]), _show(summary["stop_distance_m"], 1)
+    return f"stopped from {speed} in {time} s and {distance} m"
+
+
+def _wsp_line(summary: Mapping[str, Any]) -> str:
+    wsp = summary["wsp"]
+    active, vents = _show(wsp["active_s"]), _show(wsp["vents"], 0)
+    air = _show(summary["air_consumption_NL"], 1)
+    return f"WSP {wsp['unit'] or '-'}: active {active} s, {vents} vents, air {air} NL"
+
+
+def _loop_line(loop: Mapping[str, Any]) -> str:
+    late = loop["lateness_us"]
+    ticks, missed = _show(loop["ticks"], 0), _show(loop["missed"], 0)
+    p50, p99, largest = (_show(late[name], 0) for name in ("p50", "p99", "max"))
+    return f"loop: {ticks} ticks, {missed} missed, late p50 {p50} p99 {p99} max {largest} us"
+
+
+def _bus_line(summary: Mapping[str, Any]) -> str:
+    bus = summary["bus"]
+    frames, dropped = _show(bus["frames"], 0), _show(bus["dropped"], 0)
+    line = f"bus: {frames} frames, {dropped} dropped, load {_show(bus['load_percent'], 1)} %"
+    if bus.get("longest_wait_us") is not None:
+        line += f", longest wait {bus['longest_wait_us']:.0f} us"
+    if bus.get("stray_syncs"):
+        line += f", {bus['stray_syncs']} stray SYNCs"
+    return f"{line}; Modbus: {_show(summary['modbus']['requests'], 0)} requests"
 
 
 def _show(value: float | None, places: int = 2) -> str:
