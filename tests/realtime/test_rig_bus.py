@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rollerrig.realtime.bench import rig_bus, scenario
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 
@@ -22,7 +22,7 @@ class Rig:
             plan,
             np.zeros(len(signals.COLUMNS)),
             lambda row: None,
-            lambda level, text: None,
+            events.ignore,
             lambda: 0,
         )
         self.port = self.hub.attach(lambda frame: self.answers.append(frame.data), "client")
