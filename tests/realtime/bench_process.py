@@ -1,4 +1,4 @@
-"""`rollerrig run` as a process of its own, with free ports, and a simple WSP unit on its bus."""
+"""`rollerrig run` as a separate process with free ports, and a simple WSP unit on its bus."""
 
 import functools
 import json
@@ -18,13 +18,17 @@ from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code
 
-MAGNETS, HEARTBEAT, SYNC, SPEEDS = 0x211, 0x720, 0x080, 0x190
+# identifiers of the unit's bus
+MAGNETS = 0x211
+HEARTBEAT = 0x720
+SYNC = 0x080
+SPEEDS = 0x190
 ADDRESS = re.compile(r"socketcand://[\d.]+:\d+/rig0")
 PATIENCE_S = 240.0  # a first run compiles, perhaps on a busy machine
 
 
 def until(condition, what, timeout_s=PATIENCE_S):
-    """Wait for a condition and return its value; a test fails where it does not come."""
+    """Wait until a condition is true and return its value; the test fails after the time-out."""
     end = time.monotonic() + timeout_s
     while not (found := condition()):
         assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
@@ -34,40 +38,46 @@ def until(condition, what, timeout_s=PATIENCE_S):
 
 @functools.cache
 def forking():
-    """A process that has loaded what a bench needs, and forks those that are started; it ends with this one."""
+    """A context whose server has loaded what a bench needs and forks benches; it exits with this process."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["loaded_bench"])
-    own = os.environ.copy()
-    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # Python 3.11 has no other way to tell it
+    environment = os.environ.copy()
+    # Python 3.11 has no other way to let the server find the module
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
     forkserver.ensure_running()
     os.environ.clear()
-    os.environ.update(own)
+    os.environ.update(environment)
     return context
 
 
 class Forked:
-    """`rollerrig` as a process with a session of its own, forked where `loaded_bench` is loaded; as Popen."""
+    """`rollerrig` as a process in a new session, forked where `loaded_bench` is loaded; used like Popen."""
 
     def __init__(self, words, stdout, stderr, before=int):
-        for one in (stdout, stderr):
-            one.write_bytes(b"")
-        place = os.getcwd(), dict(os.environ), os.sched_getaffinity(0)
+        for path in (stdout, stderr):
+            path.write_bytes(b"")
+        folder, environment, cores = os.getcwd(), dict(os.environ), os.sched_getaffinity(0)
         self._process = forking().Process(
-            target=_begin, args=(words, stdout, stderr, before, *place), daemon=True
+            target=_begin,
+            args=(words, stdout, stderr, before, folder, environment, cores),
+            daemon=True,
         )
         self._process.start()
-        self.pid, self._stdout, self._lock = self._process.pid, stdout, threading.Lock()
+        self.pid = self._process.pid
+        self._stdout = stdout
+        self._lock = threading.Lock()
 
     @property
     def returncode(self):
-        with self._lock:  # two threads that read it at a time would take it from one another
+        with self._lock:  # of two threads that read it at the same time only one would get it
             return self._process.exitcode
 
     poll = returncode.fget
 
     def wait(self, timeout=None):
         connection.wait([self._process.sentinel], timeout)
-        if (status := self.returncode) is None:
+        status = self.returncode
+        if status is None:
             raise subprocess.TimeoutExpired("rollerrig run", timeout)
         return status
 
@@ -84,19 +94,16 @@ class Forked:
 
 
 def _begin(words, stdout, stderr, before, folder, environment, cores):
-    """Become the process: streams, session, folder, environment and cores of one that is started."""
+    """Become the process: with streams, session, folder, environment and cores as if newly started."""
     os.setsid()
     os.chdir(folder)
-    # the process that forks may have been started by a test that is kept to one core
+    # the server may have been started by a test that is restricted to one core
     os.sched_setaffinity(0, cores)
     os.environ.clear()
     os.environ.update(environment)
-    for number, path, mode in (
-        (0, os.devnull, os.O_RDONLY),
-        (1, stdout, os.O_WRONLY),
-        (2, stderr, os.O_WRONLY),
-    ):
-        os.dup2(os.open(path, mode | os.O_CREAT | os.O_TRUNC), number)
+    streams = ((0, os.devnull, os.O_RDONLY), (1, stdout, os.O_WRONLY), (2, stderr, os.O_WRONLY))
+    for descriptor, path, mode in streams:
+        os.dup2(os.open(path, mode | os.O_CREAT | os.O_TRUNC), descriptor)
     ended.with_parent(os.getppid(), signal.SIGTERM)
     before()
     from rollerrig.realtime import cli
@@ -105,11 +112,14 @@ def _begin(words, stdout, stderr, before, folder, environment, cores):
 
 
 class BenchProcess:
-    """A run that has been started. `finish` waits for it and keeps what it said."""
+    """A run that has been started.
+
+    `finish` waits for it; then `status` is its exit status, and `result` what it printed as JSON.
+    """
 
     def __init__(self, out, *arguments, scenario="velim_a1", before=int):
         self.out = Path(out)
-        self.said = self.out.parent / f"{self.out.name}.stderr"
+        self.stderr_path = self.out.parent / f"{self.out.name}.stderr"
         words = [
             "run",
             scenario,
@@ -124,27 +134,29 @@ class BenchProcess:
             "modbus.enabled=false",
             *map(str, arguments),
         ]
-        self.process = Forked(words, self.out.parent / f"{self.out.name}.stdout", self.said, before)
-        self.status = self.told = None
+        stdout_path = self.out.parent / f"{self.out.name}.stdout"
+        self.process = Forked(words, stdout_path, self.stderr_path, before)
+        self.status = None
+        self.result = None
 
     def finish(self, timeout_s=PATIENCE_S):
-        """Wait for the end; returns self."""
+        """Wait for the end of the run; return self."""
         try:
             stdout, _ = self.process.communicate(timeout=timeout_s)
         except subprocess.TimeoutExpired:
             self.process.kill()
             raise
         self.status = self.process.returncode
-        self.told = json.loads(stdout) if stdout else None
+        self.result = json.loads(stdout) if stdout else None
         return self
 
     @property
     def stderr(self):
-        return self.said.read_text()
+        return self.stderr_path.read_text()
 
     @property
     def record(self):
-        """The run's folder, read as anybody would."""
+        """The record in the run's folder."""
         return records.load(self.out)
 
     def reported(self, code, **fields):
@@ -156,17 +168,17 @@ class BenchProcess:
         ]
 
     def address(self):
-        """Where its bus is, as soon as it says so."""
+        """The address of its bus, as soon as the run reports it."""
 
-        def told():
+        def found():
             assert self.process.poll() is None, self.stderr
             places = [event.fields["address"] for event in self.reported(Code.BUS_PLACE)]
             return ADDRESS.search(" ".join([self.stderr, *places]))
 
-        return until(told, "the address of the bus").group()
+        return until(found, "the address of the bus").group()
 
     def runs_for(self, seconds):
-        """Wait until so much simulated time is recorded."""
+        """Wait until this simulated time is recorded."""
 
         def recorded():
             assert self.process.poll() is None, self.stderr
@@ -182,10 +194,11 @@ class BenchProcess:
         """The process number of the child whose command line has a word."""
 
         def found():
-            children = Path(f"/proc/{self.process.pid}/task")
-            for task in children.glob("*/children"):
-                for pid in task.read_text().split():
-                    if word in Path(f"/proc/{pid}/cmdline").read_text().split("\0"):
+            tasks = Path(f"/proc/{self.process.pid}/task")
+            for children in tasks.glob("*/children"):
+                for pid in children.read_text().split():
+                    command = Path(f"/proc/{pid}/cmdline").read_text()
+                    if word in command.split("\0"):
                         return int(pid)
             return None
 
@@ -196,19 +209,21 @@ class BenchProcess:
 
 
 def run(out, *arguments, **more):
-    """A whole run."""
+    """A run from start to end."""
     return BenchProcess(out, *arguments, **more).finish()
 
 
 class SimpleUnit:
-    """Somebody's WSP unit: heartbeats, and answers every SYNC with what `answer(n)` gives.
+    """An outside WSP unit: it sends heartbeats, and answers SYNC number n with `answer(n)`.
 
-    `answer` returns messages as (identifier, data), or None to be silent for ever.
+    `answer` returns messages as (identifier, data), or None to be silent from then on.
     """
 
     def __init__(self, address, answer):
         self.bus = buses.open_client(address)
-        self.answer, self.syncs, self.speeds = answer, 0, []
+        self.answer = answer
+        self.syncs = 0
+        self.speeds = []
         self.thread = threading.Thread(target=self._serve, daemon=True)
         self.thread.start()
 
@@ -216,8 +231,8 @@ class SimpleUnit:
         import can
 
         try:
-            self._send(HEARTBEAT, b"\0")
-            self._send(HEARTBEAT, b"\5")
+            self._send(HEARTBEAT, b"\0")  # boot-up
+            self._send(HEARTBEAT, b"\5")  # OPERATIONAL
             while True:
                 message = self.bus.recv(0.1)
                 if message is None:

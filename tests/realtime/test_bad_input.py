@@ -192,7 +192,7 @@ def failed(bench, *parts):
     assert "Traceback" not in bench.stderr
     for part in parts:
         assert part in bench.stderr
-        assert part in bench.told["error"]
+        assert part in bench.result["error"]
     summary = records.summary(bench.out)
     assert summary["ended"] == "error"
     assert summary["invalid_because"][-1].startswith("the run ended with an error: ")
@@ -260,7 +260,7 @@ def test_a_unit_that_dies_in_real_time_lets_the_brakes_apply_and_the_run_go_on(t
     assert bench.status == 4, bench.stderr
     # beside a busy machine its heartbeats may have come late before
     assert re.match(
-        r"the WSP unit was lost \d+ times? \(no heartbeat\)", bench.told["invalid_because"][0]
+        r"the WSP unit was lost \d+ times? \(no heartbeat\)", bench.result["invalid_because"][0]
     )
     assert "Traceback" not in bench.stderr
     run = bench.record
@@ -301,7 +301,7 @@ def test_short_pdos_and_garbage_of_a_unit_are_events_and_the_run_goes_on(tmp_pat
     bench.finish()
     unit.close()
     assert bench.status == 4, bench.stderr
-    assert ["did not stop" in why for why in bench.told["invalid_because"]] == [True]
+    assert ["did not stop" in why for why in bench.result["invalid_because"]] == [True]
     assert "Traceback" not in bench.stderr
     assert len(bench.record.table) >= 295
     emergencies = bench.reported(Code.NODE_EMERGENCY, error_code=0x8210)
@@ -318,7 +318,7 @@ def test_ctrl_c_ends_the_wait_for_a_unit(tmp_path):
     bench.finish()
     assert bench.status == 4, bench.stderr
     assert "Traceback" not in bench.stderr
-    assert bench.told["ended"] == "interrupted"
+    assert bench.result["ended"] == "interrupted"
 
 
 def test_a_bench_that_is_killed_leaves_its_files_whole_and_no_process(tmp_path):
@@ -348,11 +348,11 @@ def test_a_recorder_that_is_killed_is_an_event_and_its_files_are_readable(tmp_pa
     os.kill(bench.child("rollerrig.realtime.telemetry.recorder"), signal.SIGKILL)
     bench.finish()
     assert bench.status == 4, bench.stderr
-    assert bench.told["invalid_because"][0].startswith("the recorder exited with status -9")
+    assert bench.result["invalid_because"][0].startswith("the recorder exited with status -9")
     assert "Traceback" not in bench.stderr
     assert "the recorder exited with status -9" in bench.stderr
-    assert bench.told["loop"]["ticks"] == 3000
-    assert Code.RECORDER_ENDED in [event["code"] for event in bench.told["events"]]
+    assert bench.result["loop"]["ticks"] == 3000
+    assert Code.RECORDER_ENDED in [event["code"] for event in bench.result["events"]]
     assert 1.0 <= bench.record.column("time_s")[-1] < 3.0
     assert (bench.out / "can.log").stat().st_size > 1000
 

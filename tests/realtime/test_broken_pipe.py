@@ -1,4 +1,4 @@
-"""Output that nobody reads changes neither a run nor an exit status."""
+"""Output without a reader changes neither a run nor an exit status."""
 
 import json
 import os
@@ -45,15 +45,12 @@ initial_speed_m_s = [3.0]
 
 
 def without_reader(*command, **streams):
-    """Run with the write end of a pipe as a stream, whose read end is closed; the exit status."""
+    """Run a command whose streams that are None are pipes without a reader; its exit status."""
     read, write = os.pipe()
     os.close(read)
+    connected = {name: write if stream is None else stream for name, stream in streams.items()}
     try:
-        return subprocess.run(
-            command,
-            **{name: write if given is None else given for name, given in streams.items()},
-            timeout=300,
-        ).returncode
+        return subprocess.run(command, **connected, timeout=300).returncode
     finally:
         os.close(write)
 

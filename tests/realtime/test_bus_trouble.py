@@ -65,8 +65,8 @@ def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_ke
         bench.finish()
     assert bench.status == 2, bench.stderr
     assert "Traceback" not in bench.stderr
-    assert "failed" in bench.told["error"]
-    assert "check the interface" in bench.told["error"]
+    assert "failed" in bench.result["error"]
+    assert "check the interface" in bench.result["error"]
     summary = records.summary(bench.out)
     assert summary["ended"] == "error"
     failures = [event for event in summary["events"] if event["code"] == Code.RUN_FAILED]
@@ -88,7 +88,7 @@ def test_a_sync_of_the_unit_is_counted_and_told_and_does_not_hold_up_a_lockstep_
     unit.close()
     assert bench.status == 4, bench.stderr  # it does not stop in that time
     assert len(bench.record.table) >= 199
-    assert bench.told["bus"]["stray_syncs"] == 40
+    assert bench.result["bus"]["stray_syncs"] == 40
     assert len(bench.reported(Code.SYNC_FOREIGN)) == 1
 
 
@@ -176,15 +176,15 @@ def test_in_lockstep_frames_wait_for_the_wire_and_the_run_repeats_bit_for_bit(tm
                 one.record.column(name), two.record.column(name), equal_nan=True
             ), name
     # twelve process data frames behind one another
-    assert 2000 < one.told["bus"]["longest_wait_us"] < 4000
-    assert 25.0 < one.told["bus"]["load_percent"] < 45.0
+    assert 2000 < one.result["bus"]["longest_wait_us"] < 4000
+    assert 25.0 < one.result["bus"]["load_percent"] < 45.0
 
 
 @pytest.mark.conformance("CAN", "arbitration by the clock")
 def test_in_real_time_frames_wait_for_the_wire_and_no_answer_is_lost(tmp_path):
     bench = run_on_wire(tmp_path / "run", "wall")
     log = check_wire(bench)
-    assert bench.told["bus"]["dropped"] == 0
+    assert bench.result["bus"]["dropped"] == 0
     answers = sum(1 for _, can_id in log if can_id == ANSWERS)
     assert answers >= sum(1 for _, can_id in log if can_id == SYNC) - 5
 
@@ -245,7 +245,7 @@ def test_free_pacing_lets_the_answers_act_as_late_as_the_wire_of_lockstep_does(b
         return bench
 
     free, lockstep = run("free"), run("lockstep")
-    assert free.told["wsp"]["vents"] == lockstep.told["wsp"]["vents"] > 3
+    assert free.result["wsp"]["vents"] == lockstep.result["wsp"]["vents"] > 3
     for name in free.record.table.column_names:
         if not name.startswith("tick_"):
             assert np.array_equal(
@@ -265,5 +265,5 @@ def test_a_wire_that_cannot_carry_the_answers_is_refused_where_there_is_no_bus(t
     )
     bench.finish()
     assert bench.status == 2
-    assert "bitrate = 100000 bit/s" in bench.told["error"]
-    assert "--pacing lockstep" in bench.told["error"]
+    assert "bitrate = 100000 bit/s" in bench.result["error"]
+    assert "--pacing lockstep" in bench.result["error"]

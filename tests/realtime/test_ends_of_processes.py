@@ -1,4 +1,4 @@
-"""No process outlives a parent that is killed; a disk that is full costs no more than what it could not take."""
+"""No process outlives a parent that is killed; on a full disk only what could not be written is lost."""
 
 import json
 import os
@@ -28,16 +28,16 @@ def start(*arguments):
 
 
 def killed(process, *words):
-    """Kill a process once commands with all of these words stand below it; all below it end."""
+    """Kill a process once it has descendants whose commands have all of these words; all of them exit."""
 
-    def stand():
+    def descendants():
         assert process.poll() is None
-        there = runs.below(process.pid)
-        return (
-            there if all(any(word in line for line in there.values()) for word in words) else None
-        )
+        found = runs.below(process.pid)
+        commands = list(found.values())
+        complete = all(any(word in command for command in commands) for word in words)
+        return found if complete else None
 
-    there = until(stand, f"processes with {words}")
+    there = until(descendants, f"processes with {words}")
     process.kill()
     process.wait()
     try:
@@ -113,10 +113,10 @@ def test_a_unit_command_that_dies_is_told_at_once_with_its_status_and_last_words
         )
         == 1
     )
-    said = capfd.readouterr().err
+    printed = capfd.readouterr().err
     for word in ("--unit", command, *words):
-        assert word in said
-    assert "rollerrig wsp" not in said
+        assert word in printed
+    assert "rollerrig wsp" not in printed
 
 
 def test_drives_that_wait_for_a_master_that_is_not_there_are_told_after_a_second(tmp_path):
@@ -146,7 +146,7 @@ def test_a_run_that_has_not_begun_has_loaded_its_bus_by_nothing(tmp_path):
     assert records.summary(bench.out)["bus"]["load_percent"] == 0.0
 
 
-# --- a full disk: a file size limit of the processes that write, as the rings in memory are files too ---
+# --- a full disk: a limit of the file size of the writing process, because rings in memory are files too ---
 
 
 def full(pid, size=20_000):
@@ -164,7 +164,7 @@ def test_a_disk_that_gets_full_is_an_event_and_status_2_and_what_was_recorded_is
     assert bench.status == 2
     assert "Traceback" not in bench.stderr
     for word in (str(bench.out), "cannot be written: File too large", "--out", "is kept"):
-        assert word in bench.told["error"]
+        assert word in bench.result["error"]
     assert bench.record.column("time_s")[-1] >= 0.5
     assert (bench.out / "can.log").stat().st_size > 1000
     summary = records.summary(bench.out)
@@ -181,7 +181,7 @@ def test_a_summary_that_cannot_be_written_is_told_with_status_2(tmp_path):
     bench.finish()
     assert bench.status == 2
     assert "Traceback" not in bench.stderr
-    assert "summary is lost" in bench.told["error"]
+    assert "summary is lost" in bench.result["error"]
     assert bench.record.column("time_s")[-1] > 1.9
 
 

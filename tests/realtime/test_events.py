@@ -1,4 +1,4 @@
-"""Events of a run: a flood of them is bounded, and counted right."""
+"""Events of a run: a flood of them takes a bounded amount of memory, and is counted correctly."""
 
 import signal
 import time
@@ -43,12 +43,12 @@ def test_a_flood_of_resets_does_not_flood_the_summary(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "none")
     with buses.open_client(bench.address()) as bus:
         bench.runs_for(0.2)
-        for _ in range(20 * KEPT // 100):  # each resets six nodes, which tell two or more events
+        for _ in range(20 * KEPT // 100):  # each resets six nodes, which report two or more events
             for _ in range(10):
                 bus.send(can.Message(arbitration_id=0, data=[129, 0], is_extended_id=False))
             time.sleep(0.05)
         bench.process.send_signal(signal.SIGINT)
         bench.finish()
     assert len(bench.reported(Code.NMT_STATE)) > 4 * KEPT
-    assert len(bench.told["events"]) <= 2 * KEPT + 1
-    assert Code.EVENTS_LEFT_OUT in [one["code"] for one in bench.told["events"]]
+    assert len(bench.result["events"]) <= 2 * KEPT + 1
+    assert Code.EVENTS_LEFT_OUT in [one["code"] for one in bench.result["events"]]

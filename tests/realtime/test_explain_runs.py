@@ -45,7 +45,7 @@ def run_stops(folder: Path, *hidden: str) -> list[str]:
     ]
     for bench in benches:
         assert bench.finish().status == 0, bench.stderr
-        assert bench.told["bus"]["frames"] > 1000
+        assert bench.result["bus"]["frames"] > 1000
     return [str(bench.out) for bench in benches]
 
 

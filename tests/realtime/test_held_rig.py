@@ -21,7 +21,7 @@ def machine(request):
     rows.unlink()
 
 
-def seen(machine):
+def published(machine):
     row = np.zeros(len(signals.COLUMNS))
     mailbox.fetch(machine.published, row)
     return row
@@ -30,7 +30,7 @@ def seen(machine):
 def test_it_rolls_without_sliding_at_its_set_speed_and_time_stands_still(machine):
     for _ in range(50):
         held_rig.roll(machine)
-    row = seen(machine)
+    row = published(machine)
     assert row[signals.column("vehicle_speed")] == 10.0
     assert row[signals.span("wheel_circumferential_speed")] == pytest.approx([10.0] * 4)
     assert row[signals.span("sliding")] == pytest.approx([0.0] * 4, abs=1e-9)
@@ -47,10 +47,10 @@ def test_it_approaches_its_set_speed_at_its_rate_and_stays(set_m_s, machine):
     machine.hold[0] = set_m_s
     held_rig.roll(machine)
     change = machine.params.tick_s * held_rig.RATE_M_S2
-    assert abs(seen(machine)[signals.column("vehicle_speed")] - 10.0) == pytest.approx(change)
+    assert abs(published(machine)[signals.column("vehicle_speed")] - 10.0) == pytest.approx(change)
     for _ in range(round(abs(set_m_s - 10.0) / change) + 10):
         held_rig.roll(machine)
-    assert seen(machine)[signals.column("vehicle_speed")] == set_m_s
+    assert published(machine)[signals.column("vehicle_speed")] == set_m_s
 
 
 def test_its_run_begins_with_a_sync(machine):

@@ -1,4 +1,4 @@
-"""Lockstep repeats to the byte whatever the machine does meanwhile: busy cores, a bench that is stopped and goes on."""
+"""Lockstep runs repeat to the byte, also with busy cores and a bench that is stopped and continues."""
 
 import contextlib
 import functools
@@ -15,8 +15,8 @@ from bench_process import MAGNETS, BenchProcess, SimpleUnit
 
 from rollerrig.realtime.record import records
 
-# faults one after the other: a unit without speeds, speeds that come now and then, and late, answers that come late, a
-# unit that sleeps, one that sleeps while there are no speeds; and a wire that frames wait for, one that is never silent
+# faults one after another: no speeds, lost speeds, late speeds, a frozen unit, late answers, and a unit
+# that is frozen while there are no speeds
 FAULTS = (
     "node_off node=16 at=0.3 for=0.6",
     "frame_lost can_id=0x190 every=2 at=1.2 for=0.5",
@@ -26,6 +26,7 @@ FAULTS = (
     "wsp_frozen at=4.6 for=0.7",
     "node_off node=16 at=4.8 for=0.6",
 )
+# a wire that is never silent
 BABBLE = "node_babbling node=17 can_id=0x101 rate_Hz=4000 at=0.6 for=0.3"
 CASES = {
     "plain": ("--set", "duration_max_s=6"),
@@ -41,21 +42,20 @@ CASES = {
 @contextlib.contextmanager
 def busy_cores():
     """Twice as many processes that count as there are cores."""
-    beside = [
-        subprocess.Popen([sys.executable, "-c", "while True: pass"])
-        for _ in range(2 * os.cpu_count())
-    ]
+    command = [sys.executable, "-c", "while True: pass"]
+    busy = [subprocess.Popen(command) for _ in range(2 * os.cpu_count())]
     try:
         yield
     finally:
-        for one in beside:
-            one.kill()
-            one.wait()
+        for process in busy:
+            process.kill()
+            process.wait()
 
 
 def stop_and_go(bench, rest_s=0.2, go_s=0.05):
-    """Stop the bench again and again, from its first frames until it has ended; returns how often."""
-    count, log = 0, bench.out / "can.log"
+    """Stop the bench again and again, from its first frames to its exit; how often it was stopped."""
+    count = 0
+    log = bench.out / "can.log"
     while bench.process.poll() is None and not (log.exists() and log.stat().st_size):
         time.sleep(0.01)
     while bench.process.poll() is None:
@@ -79,19 +79,20 @@ def run(out, arguments, disturb=lambda bench: None):
 
 
 def same(one, other):
-    lines, others = ((bench.out / "can.log").read_text().splitlines() for bench in (one, other))
-    differ = [(a, b) for a, b in zip(lines, others, strict=False) if a != b][:3]
-    assert lines == others, f"{len(lines)} and {len(others)} frames; {differ}"
+    lines = (one.out / "can.log").read_text().splitlines()
+    others = (other.out / "can.log").read_text().splitlines()
+    different = [(a, b) for a, b in zip(lines, others, strict=False) if a != b][:3]
+    assert lines == others, f"{len(lines)} and {len(others)} frames; {different}"
     for name in one.record.table.column_names:
         if not name.startswith("tick_"):
             assert np.array_equal(
                 one.record.column(name), other.record.column(name), equal_nan=True
             ), name
-    told, told_too = (
-        [event for event in records.events(bench.out) if event.level != "info"]
-        for bench in (one, other)
-    )
-    assert told == told_too
+    assert warnings_and_errors(one) == warnings_and_errors(other)
+
+
+def warnings_and_errors(bench):
+    return [event for event in records.events(bench.out) if event.level != "info"]
 
 
 @pytest.fixture(scope="module")
@@ -104,10 +105,9 @@ def undisturbed(tmp_path_factory):
 def test_a_run_in_lockstep_whose_bench_is_stopped_now_and_then_is_the_same_to_the_byte(
     case, undisturbed, tmp_path
 ):
-    counts, go_s = (
-        [],
-        0.02 if case == "wire" else 0.05,
-    )  # the one that is over in 0.2 s on a fast machine
+    counts = []
+    # on a fast machine the case with a wire takes 0.2 s only
+    go_s = 0.02 if case == "wire" else 0.05
     disturbed = run(
         tmp_path / "run", CASES[case], lambda bench: counts.append(stop_and_go(bench, go_s=go_s))
     )
@@ -132,7 +132,7 @@ def test_a_unit_that_is_only_slow_is_waited_for(undisturbed, tmp_path):
         time.sleep(2.5)
         os.kill(unit, signal.SIGCONT)
 
-    # it lives: six times the wait
+    # its process runs, so it gets six times the wait
     same(
         undisturbed("plain"),
         run(tmp_path / "run", (*CASES["plain"], "--answer-wait", "1"), stop_the_unit),
@@ -151,4 +151,4 @@ def test_an_outside_unit_may_owe_its_answer_for_the_time_that_is_asked_for(tmp_p
     bench.finish()
     unit.close()
     assert bench.status in (0, 4), bench.stderr  # cut short by duration_max_s: perhaps not valid
-    assert bench.told["loop"]["ticks"] == 2000
+    assert bench.result["loop"]["ticks"] == 2000

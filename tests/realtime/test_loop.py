@@ -1,4 +1,4 @@
-"""The real-time loop: deadlines, lateness, what it says when it is refused something."""
+"""The real-time loop: deadlines, lateness, and its report when the system refuses a request."""
 
 import os
 import threading
@@ -29,7 +29,7 @@ def machine(tmp_path):
 
 
 def wall(machine, begin_ns, sync_ticks=10):
-    """Run the loop to its end; histogram and how many SYNCs it called for."""
+    """Run the loop to its end; its histogram, and how often it woke the bus thread."""
     histogram = np.zeros(loop.BINS, dtype=np.int64)
     descriptor = clock.eventfd()
     loop.wall(machine, MS, sync_ticks, descriptor, histogram, np.zeros(3, dtype=np.int64), begin_ns)
@@ -45,7 +45,7 @@ def test_every_tick_is_run_once_and_has_its_lateness_counted(machine):
     assert time.monotonic_ns() - begin_ns >= 500 * MS
     assert machine.control[TICK] == histogram.sum() == 500
     assert machine.control[DONE] == 1
-    assert calls == 50 + 1  # the last call says that the loop has ended
+    assert calls == 50 + 1  # the last call is the end of the loop
     assert machine.state.time[0] == pytest.approx(0.5)
 
 
@@ -58,7 +58,7 @@ def test_a_loop_that_is_behind_catches_up_and_counts_what_it_missed(machine):
     assert machine.control[TICK] == 500
     assert 20 <= machine.control[MISSED] <= 500
     assert machine.control[WORST_NS] >= 59 * MS
-    assert histogram[loop.BINS - 1 :].sum() >= 30  # all that is 20 ms late or more
+    assert histogram[loop.BINS - 1 :].sum() >= 30  # ticks that are 20 ms late or more
 
 
 def test_a_long_stall_starts_afresh_and_counts_every_tick_of_it(machine):
@@ -89,7 +89,7 @@ def test_the_loop_lets_python_run_beside_it(machine):
     counted = 0
     while thread.is_alive():
         counted += 1
-    assert counted > 10  # one that keeps the GIL lets it count to 1
+    assert counted > 10  # a loop that holds the GIL lets it count to 1
     assert machine.control[TICK] == 500
 
 
@@ -127,11 +127,11 @@ def test_no_ticks_have_no_lateness():
 
 
 def test_a_core_that_is_not_there_is_refused_with_those_that_are():
-    said = []
-    thread = threading.Thread(target=lambda: said.extend(loop.ask_for_priority(0, 1023)))
+    refused = []
+    thread = threading.Thread(target=lambda: refused.extend(loop.ask_for_priority(0, 1023)))
     thread.start()
     thread.join()
-    (text,) = said
+    (text,) = refused
     assert "core 1023" in text
     assert "loop.cpu" in text
     assert str(sorted(os.sched_getaffinity(0))[0]) in text

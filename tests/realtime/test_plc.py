@@ -1,4 +1,4 @@
-"""The supervisory PLC of a running bench: a Modbus client alone runs a scenario, start to stop."""
+"""The PLC of a running bench: a Modbus client alone runs a scenario from start to stop."""
 
 import asyncio
 import json
@@ -17,14 +17,16 @@ from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
 AT = {row.name: row.at for row in (*BITS, *WORDS)}
-START_S, END_S = 240.0, 240.0
+START_S = 240.0
+END_S = 240.0
 
 
 class Rig:
-    """`rollerrig run` in a process of its own, and a client of its PLC."""
+    """`rollerrig run` as a separate process, and a client of its PLC."""
 
     def __init__(self, out, *more):
-        self.out, self.runner = out, asyncio.Runner()
+        self.out = out
+        self.runner = asyncio.Runner()
         words = [
             "run",
             "dry_stop",
@@ -39,20 +41,22 @@ class Rig:
             "--json",
             *more,
         ]
-        self.said = out.with_suffix(".said")
-        self.process = Forked(words, out.with_suffix(".told"), self.said)
+        self.stderr_path = out.with_suffix(".stderr")
+        self.process = Forked(words, out.with_suffix(".stdout"), self.stderr_path)
 
     def connect(self):
         deadline = time.monotonic() + START_S
         while time.monotonic() < deadline and self.process.poll() is None:
-            if found := re.search(r"unit 1 on 127\.0\.0\.1:(\d+)\n", self.said.read_text()):
+            printed = self.stderr_path.read_text()
+            found = re.search(r"unit 1 on 127\.0\.0\.1:(\d+)\n", printed)
+            if found:
                 self.port = int(found[1])
-                self.client = self.runner.run(self.meet())
+                self.client = self.runner.run(self.connected_client())
                 return
             time.sleep(0.1)
-        raise AssertionError(self.said.read_text())
+        raise AssertionError(self.stderr_path.read_text())
 
-    async def meet(self):
+    async def connected_client(self):
         client = AsyncModbusTcpClient(
             "127.0.0.1", port=self.port, timeout=60.0, reconnect_delay=0.0
         )
@@ -60,7 +64,7 @@ class Rig:
         return client
 
     def ask(self, function, *arguments, device_id=1, **more):
-        """The answer to a request, `function` by its name in pymodbus' client."""
+        """The answer to a request; `function` is a name in the client of pymodbus."""
         return self.runner.run(
             getattr(self.client, function)(*arguments, device_id=device_id, **more)
         )
@@ -73,7 +77,7 @@ class Rig:
         return self.ask("read_coils", AT[name], count=1).bits[0]
 
     def write(self, name, value):
-        """The exception code, or 0."""
+        """Write a register; the exception code, or 0."""
         return self.ask("write_register", AT[name], value & 0xFFFF).exception_code
 
     def set(self, name, on=True):
@@ -81,8 +85,9 @@ class Rig:
 
     def until(self, name, wanted, patience_s=120.0):
         deadline = time.monotonic() + patience_s
+        is_bit = AT[name] < 8 and name in BIT_NAMES
         while time.monotonic() < deadline:
-            value = self.bit(name) if AT[name] < 8 and name in BIT_NAMES else self.read(name)
+            value = self.bit(name) if is_bit else self.read(name)
             if wanted(value):
                 return value
             time.sleep(0.05)
@@ -121,7 +126,7 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     one = rig(*HELD, "--set", "initial_speed_m_s=6")
     one.connect()
     one.until("state", lambda state: state == State.HELD)
-    # the rig rolls, and its bus lives: wheels and counters turn while time stands still
+    # the rig rolls and its bus works, while the time of the run stands still
     assert one.read("vehicle_speed") == 600
     frames = one.read("bus_frames", 2)
     assert one.until("held", bool)
@@ -137,12 +142,12 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     one.until("at_set_speed", bool)
     assert one.read("bus_frames", 2) > frames
     assert one.read("time", 2) == [0, 0]
-    # an emergency stop bars the start
+    # an emergency stop prevents the start
     assert one.set("emergency_stop") == 0
     assert one.set("run") == 6
     assert one.set("emergency_stop", False) == 0
     one.until("at_set_speed", bool)
-    # the run begins without brakes, because Modbus asks for none
+    # the run begins without brakes, because the set point over Modbus is 0
     assert one.set("run") == 0
     one.until("state", lambda state: state == State.RUNNING)
     assert one.bit("run")
@@ -166,7 +171,7 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
 
 
 def check_record(folder, summary):
-    """What was held is not in the record, which begins at 0 and can be run again."""
+    """The record begins at 0, without the time while the rig was held, and can be run again."""
     run = records.load(folder)
     time_s, speed = run.column("time_s"), run.column("vehicle_speed_m_s")
     assert time_s[0] == 0.0
@@ -197,7 +202,7 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
     assert one.set("emergency_stop") == 0
     one.until("standing", bool, 10.0)
     assert drive_words(one) == [0x40] * 4
-    # while it holds nobody can enable a drive, and taking it back gives the drives to the rig again
+    # while it is set no master can enable a drive; resetting it gives the drives back to the rig
     one.ask("write_register", 0, 15, device_id=11)
     assert drive_words(one) == [0x40] * 4
     assert one.set("emergency_stop", False) == 0
@@ -217,7 +222,7 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
 
 
 def drive_words(one):
-    """The state in the statusword of every drive."""
+    """The state bits of the statusword of every drive."""
     return [
         one.ask("read_input_registers", 100, count=1, device_id=unit).registers[0] & 0x6F
         for unit in (11, 12, 13, 14)

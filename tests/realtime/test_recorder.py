@@ -1,4 +1,4 @@
-"""The recorder keeps a run whoever is killed: at most its last second is lost."""
+"""The recorder keeps a run, whichever process is killed: at most its last second is lost."""
 
 import json
 import os
@@ -28,7 +28,7 @@ RAN_S = 2.0
 
 
 def until(condition, timeout_s=120.0):
-    """Wait for a condition; a test fails where it does not come."""
+    """Wait until a condition is true; the test fails after the time-out."""
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end, "waited in vain"
@@ -45,7 +45,7 @@ def last_drawn_s(path, entity="/sliding/sliding"):
 
 
 class Killed:
-    """A run whose bench or recorder, or both, are to be killed after some seconds of writing."""
+    """A run whose bench or recorder, or both, are killed after some seconds of writing."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -57,24 +57,25 @@ class Killed:
         )
 
     def kill(self, victims):
-        """Kill the victims once enough is written, and wait for what is left to end."""
-        bench, told = self.bench, json.loads(self.bench.stdout.readline())
-        self.rings = [Path(path) for path in told["rings"]]
+        """Kill the victims once enough is written, and wait until the other processes exit."""
+        bench = self.bench
+        printed = json.loads(bench.stdout.readline())
+        self.rings = [Path(path) for path in printed["rings"]]
         rows = Ring(self.rings[0], np.float64)
         until(lambda: rows.header[ring.WRITTEN] > 100 * RAN_S)
         if "recorder" in victims:
-            os.kill(told["recorder"], signal.SIGKILL)
+            os.kill(printed["recorder"], signal.SIGKILL)
         self.written_s = (int(rows.header[ring.WRITTEN]) - 1) / 100.0
         if "group" in victims:
             os.killpg(bench.pid, signal.SIGKILL)
         elif "bench" in victims:
             os.kill(bench.pid, signal.SIGKILL)
         if victims != ("recorder",):
-            # not waited for: the recorder must see the death of a process that became a zombie
+            # do not wait for it: the recorder must notice the end of a process that became a zombie
             self.written_s = (int(rows.header[ring.WRITTEN]) - 1) / 100.0
         if "recorder" not in victims:
             until(lambda: not any(path.exists() for path in self.rings))
-            until(lambda: not runs.alive(told["recorder"]))
+            until(lambda: not runs.alive(printed["recorder"]))
         bench.kill()
         bench.wait()
         for path in self.rings:
@@ -91,7 +92,7 @@ VICTIMS = {
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory):
-    """Runs by who was killed; they write at the same time, as they mostly wait."""
+    """Runs by the processes that were killed; they write simultaneously, because they mostly wait."""
     begun = {name: Killed(tmp_path_factory.mktemp(name)) for name in VICTIMS}
     for name, victims in VICTIMS.items():
         begun[name].kill(victims)
@@ -211,7 +212,7 @@ def test_the_memory_of_a_recorder_does_not_grow_with_the_length_of_its_run(begun
         if number % 6000 == 5999:
             taken.append(resident_MB(process))
     finish(to, process)
-    # what Arrow and Rerun hold goes up and down by 30 MB; what is kept of every minute (16 MB once) adds up
+    # the memory of Arrow and Rerun varies by 30 MB; rows that stay in memory (16 MB a minute) add up
     assert max(taken[-4:]) < max(taken[:4]) + 40.0, taken
     assert len(channels.load(folder)) == minutes * 6000
 

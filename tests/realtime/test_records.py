@@ -1,4 +1,4 @@
-"""Reading a run's folder back, also when it is incomplete, and writing channels as a run goes."""
+"""Reading a run's folder, also an incomplete one, and writing channels while a run goes on."""
 
 import json
 

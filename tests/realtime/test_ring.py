@@ -1,4 +1,4 @@
-"""Rings: order, loss, room, and whether their writer lives."""
+"""Rings: order, loss, room, whether their writer is alive, and events in a row."""
 
 import os
 import signal
@@ -50,7 +50,9 @@ def fill(one, numbers):
 
 
 def test_a_reader_gets_every_row_once_and_in_order(small):
-    other, seen, cursor = Ring(small.path, np.float64), [], 0
+    other = Ring(small.path, np.float64)
+    seen = []
+    cursor = 0
     for first in range(0, 30, 5):
         fill(small, range(first, first + 5))
         rows, cursor, lost = other.read(cursor)
@@ -140,11 +142,11 @@ def note(text, time_s=0.0):
 def test_events_of_several_threads_all_arrive(tmp_path):
     events = Ring(tmp_path / "events", np.int64, 1024, ring.EVENT_WORDS)
 
-    def tell(who):
+    def push(thread):
         for number in range(100):
-            ring.push_event(events, note(f"{who} {number}", number))
+            ring.push_event(events, note(f"{thread} {number}", number))
 
-    threads = [threading.Thread(target=tell, args=(who,)) for who in range(4)]
+    threads = [threading.Thread(target=push, args=(thread,)) for thread in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -152,7 +154,7 @@ def test_events_of_several_threads_all_arrive(tmp_path):
     rows, _, lost = events.read(0)
     assert lost == 0
     assert {ring.read_event(row).fields["note"] for row in rows} == {
-        f"{who} {number}" for who in range(4) for number in range(100)
+        f"{thread} {number}" for thread in range(4) for number in range(100)
     }
 
 

@@ -16,24 +16,27 @@ SETTINGS = ("duration_max_s=60", "stand_s=0.2")
 
 @pytest.fixture
 def build(tmp_path):
+    """A function that builds the tick data of a scenario with settings."""
     made = []
 
-    def one(*settings):
+    def with_settings(*settings):
         ring = rings.Ring(tmp_path / f"rows{len(made)}", np.float64, 1 << 14, len(signals.COLUMNS))
         made.append(ring)
-        return tick_data.build(scenario.load("velim_a1", settings=(*SETTINGS, *settings)), ring)
+        plan = scenario.load("velim_a1", settings=(*SETTINGS, *settings))
+        return tick_data.build(plan, ring)
 
-    return one
+    return with_settings
 
 
 def sampled(machine):
     return machine.ring_rows[: machine.ring_header[rings.WRITTEN]]
 
 
-def ask(machine, magnets, demand_Pa=np.nan, reference=np.nan):
+def post_command(machine, magnets, demand_Pa=np.nan, reference=np.nan):
     command = machine.commands.values.copy()
     command[MAGNETS : MAGNETS + 4] = magnets
-    command[DEMAND], command[REFERENCE] = demand_Pa, reference
+    command[DEMAND] = demand_Pa
+    command[REFERENCE] = reference
     mailbox.post(machine.commands, command)
 
 
@@ -62,7 +65,7 @@ def test_the_published_row_is_the_state_under_the_names_of_the_signals(build):
 
 def test_every_signal_of_the_table_is_written(build):
     machine = build()
-    ask(machine, (0, 0, 0, 0), reference=40.0)
+    post_command(machine, (0, 0, 0, 0), reference=40.0)
     machine.row[:] = np.nan
     tick.run_ticks(machine, 20)
     unwritten = [
@@ -73,14 +76,14 @@ def test_every_signal_of_the_table_is_written(build):
 
 def test_magnets_and_demand_of_the_mailbox_act_with_the_next_tick(build):
     machine = build("valve.dead_time_s=0.0")
-    ask(machine, (1, 3, 0, 2))
+    post_command(machine, (1, 3, 0, 2))
     tick.run_ticks(machine, 1)
     assert machine.state.valve.tolist() == [1, 2, 0, 2]
     assert machine.row[signals.span("magnets")].tolist() == [1, 3, 0, 2]
-    ask(machine, (0, 0, 0, 0), demand_Pa=1e5)
+    post_command(machine, (0, 0, 0, 0), demand_Pa=1e5)
     tick.run_ticks(machine, 6000)
     assert machine.state.brake_demand[0] == pytest.approx(1e5, rel=0.05)
-    ask(machine, (0, 0, 0, 0), demand_Pa=0.0)
+    post_command(machine, (0, 0, 0, 0), demand_Pa=0.0)
     tick.run_ticks(machine, 1)
     assert machine.state.brake_demand[0] < 1e5
 
@@ -90,12 +93,9 @@ def test_a_batch_ends_when_the_vehicle_has_stood_long_enough(build):
     ran = tick.run_ticks(machine, 60_000)
     assert machine.control[DONE] == 1
     assert ran == machine.control[TICK] < 60_000
-    still_s = (
-        machine.state.time[0]
-        - sampled(machine)[
-            np.argmax(sampled(machine)[:, signals.column("vehicle_speed")] == 0.0), 0
-        ]
-    )
+    rows = sampled(machine)
+    first_still = np.argmax(rows[:, signals.column("vehicle_speed")] == 0.0)
+    still_s = machine.state.time[0] - rows[first_still, signals.column("time")]
     assert still_s == pytest.approx(0.2, abs=0.011)
     assert tick.run_ticks(machine, 10) == 0
 

@@ -1,4 +1,4 @@
-"""CANopen timers on a bench that runs, in real time and in lockstep: they go by their own clock, not by the SYNC."""
+"""CANopen timers on a running bench, in real time and in lockstep: they do not depend on SYNC."""
 
 import functools
 import struct
@@ -44,13 +44,13 @@ class Master:
 
 @pytest.fixture(scope="module", params=["lockstep", "wall"])
 def bench(request, tmp_path_factory):
-    """A coach that coasts beside a SYNC every 0.1 s."""
+    """A coach that coasts, with a SYNC every 0.1 s."""
     tmp_path = tmp_path_factory.mktemp("timers")
     (tmp_path / "coasting.toml").write_text(
         'title = "The coach coasts"\nvehicle = "uic_z1"\nrig = "full_scale"\n'
         'adhesion = "dry"\ninitial_speed_m_s = 99.0\n'
     )
-    # in lockstep without a unit simulated time runs ahead of whoever configures
+    # in lockstep without a unit simulated time runs ahead of the client that configures
     seconds = {"lockstep": 20_000, "wall": 600}[request.param]
     run = bench_process.BenchProcess(
         tmp_path / "run",
@@ -84,7 +84,7 @@ def master(bench):
 
 
 def times(bench, can_id, data=""):
-    """When frames of an identifier, whose data begin so, came by the bus's clock, as far as they are recorded."""
+    """The times of the recorded frames of an identifier, whose data begin with `data`, on the bus clock."""
     log = bench.out / "can.log"
     lines = log.read_text().splitlines()[:-1] if log.exists() else ()
     return np.array(
@@ -93,20 +93,18 @@ def times(bench, can_id, data=""):
 
 
 def periods(bench, can_id, wanted_s):
-    """The last 25 periods of an identifier, as soon as most of twice as many are as wanted: what was sent before, and
-    the period at the change itself, are not among them."""
+    """The last 25 periods of an identifier, as soon as most of the last 50 are as wanted.
 
-    def there():
-        found = np.diff(times(bench, can_id)[-51:])
-        return (
-            found[25:]
-            if len(found) == 50 and abs(np.median(found) - wanted_s) < 0.02 * wanted_s
-            else None
-        )
+    So frames from before the change, and the period at the change itself, are not among them.
+    """
 
-    return bench_process.until(
-        lambda: (found := there()) is not None and [found], f"{can_id:X}h every {wanted_s} s", 60.0
-    )[0]
+    def found():
+        last_s = np.diff(times(bench, can_id)[-51:])
+        is_steady = len(last_s) == 50 and abs(np.median(last_s) - wanted_s) < 0.02 * wanted_s
+        return [last_s[25:]] if is_steady else None
+
+    (last_s,) = bench_process.until(found, f"{can_id:X}h every {wanted_s} s", 60.0)
+    return last_s
 
 
 @pytest.mark.conformance("CiA 301", "on a running bench: event timer")
@@ -127,7 +125,7 @@ def test_an_event_timer_does_not_override_the_inhibit_time(bench, master):
 def test_heartbeats_come_every_period_whatever_the_sync(bench, master):
     master.write(DRIVE, 0x1017, 0, 30, "H")
     periods_s = periods(bench, 0x700 + DRIVE, 0.03)
-    # in real time a busy machine may hold up some of them
+    # in real time a busy machine may delay some of them
     middle = {"lockstep": np.mean, "wall": np.median}[bench.pacing]
     assert middle(periods_s) == pytest.approx(0.03, rel=0.05)
 
@@ -145,11 +143,10 @@ def test_between_two_emergencies_lies_the_inhibit_time(bench, master):
 
 
 def silence(bench, master):
-    """Let the partner's heartbeats come, and stay away; how long afterwards its loss is told, by the bus's clock."""
-    # an event has simulated time, which a stall takes away
-    beats, losses = (
-        functools.partial(times, bench, *of) for of in ((0x700 + PARTNER,), (0x080 + BRAKE, "3081"))
-    )
+    """Send heartbeats of the partner, then none; the time from the last one to the report of its loss."""
+    # on the clock of the bus: an event has simulated time, which a stall shortens
+    beats = functools.partial(times, bench, 0x700 + PARTNER)
+    losses = functools.partial(times, bench, 0x080 + BRAKE, "3081")
     sent = len(beats())
     for _ in range(10):
         master.send(0x700 + PARTNER, b"\x05")
@@ -158,7 +155,7 @@ def silence(bench, master):
     beats_s = beats()[sent:]
     bench_process.until(lambda: losses().size and losses()[-1] > beats_s[-1], "the loss")
     *early_s, last_s = losses()[losses() > beats_s[0]]
-    # a busy machine may have held the partner up for longer than its time
+    # a busy machine may have delayed a heartbeat for longer than the time-out
     assert len(early_s) <= np.sum(np.diff(beats_s) > 0.3 - 1e-3)
     return last_s - beats_s[-1]
 

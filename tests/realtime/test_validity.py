@@ -1,4 +1,4 @@
-"""A run that is not valid says so: in its summary, with a red line, by its status, and to whoever reads it later."""
+"""A run that is not valid is reported: in its summary, by a red line, by the exit status, and to later readers."""
 
 import functools
 import json
@@ -30,13 +30,12 @@ def not_valid(bench, *parts):
     """The run ended with status 4; its one reason has all parts, in summary.json too."""
     assert bench.status == 4, bench.stderr
     assert "Traceback" not in bench.stderr
-    told = records.summary(bench.out)
-    assert told["valid"] is bench.told["valid"] is False
-    assert told["invalid_because"] == bench.told["invalid_because"]
-    assert any(all(part in why for part in parts) for why in told["invalid_because"]), told[
-        "invalid_because"
-    ]
-    return told
+    recorded = records.summary(bench.out)
+    reasons = recorded["invalid_because"]
+    assert recorded["valid"] is bench.result["valid"] is False
+    assert reasons == bench.result["invalid_because"]
+    assert any(all(part in reason for part in parts) for reason in reasons), reasons
+    return recorded
 
 
 def gone(pid):
@@ -53,14 +52,14 @@ def gone(pid):
 def test_a_run_that_stops_is_valid_and_one_that_does_not_is_not(tmp_path):
     stops = bench_process.run(tmp_path / "stops", *SHORT[2:], scenario="dry_stop")
     assert stops.status == 0, stops.stderr
-    assert (stops.told["valid"], stops.told["invalid_because"]) == (True, [])
+    assert (stops.result["valid"], stops.result["invalid_because"]) == (True, [])
     rolls = bench_process.run(
         tmp_path / "rolls", *SHORT[2:], "--set", "duration_max_s=0.3", scenario="dry_stop"
     )
     not_valid(
         rolls,
         "did not stop within 0.3 s (duration_max_s)",
-        f"at {rolls.told['final_speed_m_s']:.2f} m/s",
+        f"at {rolls.result['final_speed_m_s']:.2f} m/s",
     )
 
 
@@ -91,13 +90,14 @@ def test_a_units_process_that_ends_in_real_time_makes_the_run_not_valid(tmp_path
     bench.runs_for(0.3)
     os.kill(bench.child("wsp"), signal.SIGKILL)
     bench.finish()
-    told = not_valid(bench, "the reference WSP unit exited with status -9", ", at ")
-    assert told["stopped"]
-    assert any("was lost 1 time (no heartbeat)" in why for why in told["invalid_because"])
+    recorded = not_valid(bench, "the reference WSP unit exited with status -9", ", at ")
+    assert recorded["stopped"]
+    reasons = recorded["invalid_because"]
+    assert any("was lost 1 time (no heartbeat)" in reason for reason in reasons)
 
 
 def flickering(n):
-    """Answers of a unit that is silent for half a second now and then."""
+    """The answers of a unit that is silent for half a second now and then."""
     if n % 100 == 50:
         time.sleep(0.5)
     return [(MAGNETS, b"\0"), (HEARTBEAT, b"\5")]
@@ -129,7 +129,7 @@ def test_a_unit_that_a_fault_of_the_run_has_frozen_does_not_make_it_not_valid(tm
     )
     assert bench.reported(Code.UNIT_LOST)
     assert bench.status == 0, bench.stderr
-    assert bench.told["valid"] is True
+    assert bench.result["valid"] is True
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_a_unit_that_a_held_rig_loses_and_finds_again_is_no_loss_of_the_run():
 
 
 @pytest.mark.parametrize(
-    ("ended", "event", "says"),
+    ("ended", "event", "reason"),
     [
         (
             "killed",
@@ -190,11 +190,11 @@ def test_a_unit_that_a_held_rig_loses_and_finds_again_is_no_loss_of_the_run():
         ),
     ],
 )
-def test_how_a_run_ended_is_a_reason(ended, event, says):
+def test_how_a_run_ended_is_a_reason(ended, event, reason):
     columns = dict.fromkeys(COLUMNS, np.zeros(3)) | {"vehicle_speed_m_s": np.full(3, 20.0)}
     found = summary.of(columns, {"ended": ended}, {}, [event])
     assert found["valid"] is False
-    assert says in found["invalid_because"][0]
+    assert reason in found["invalid_because"][0]
     assert len(found["invalid_because"]) == 1
 
 
@@ -209,8 +209,8 @@ def test_a_signal_ends_a_run_with_its_record_and_without_its_children(name, paci
     children = bench.child("wsp"), bench.child("rollerrig.realtime.telemetry.recorder")
     bench.process.send_signal(getattr(signal, name))
     bench.finish()
-    told = not_valid(bench, f"the run is interrupted by {name}, at ")
-    assert told["ended"] == "interrupted"
+    recorded = not_valid(bench, f"the run is interrupted by {name}, at ")
+    assert recorded["ended"] == "interrupted"
     assert bench.record.column("time_s")[-1] >= 0.5
     assert not (bench.out / "channels.tail").exists()
     assert (bench.out / "run.rrd").stat().st_size > 10_000
@@ -222,7 +222,7 @@ def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
     bench.runs_for(1.0)
     bench.interrupt()
     bench_process.until(
-        lambda: bench.reported(Code.RUN_INTERRUPTED, signal="SIGINT"), "the first to be heard"
+        lambda: bench.reported(Code.RUN_INTERRUPTED, signal="SIGINT"), "the first signal"
     )
     for _ in range(3):
         bench.interrupt()
@@ -248,10 +248,10 @@ def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
     bench.process.send_signal(signal.SIGHUP)
     bench.finish()
     assert bench.status == 0, bench.stderr
-    assert bench.told["valid"] is True
+    assert bench.result["valid"] is True
 
 
-# --- who reads it ---
+# --- commands that read runs ---
 
 
 @pytest.fixture(scope="module")
@@ -266,12 +266,12 @@ def folders(tmp_path_factory):
 def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, capsys):
     good, bad = folders
     assert cli.main(["compare", good, bad, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert {figure["values"][1] for figure in told["figures"]} == {None}
-    assert told["figures"][0]["values"][0] is not None
-    assert len(told["warnings"]) == 1
-    assert f"{bad} is not valid: the coach did not stop within 0.3 s" in told["warnings"][0]
-    # it equals the other up to where it ends, which is no reason to pass
+    printed = json.loads(capsys.readouterr().out)
+    assert {figure["values"][1] for figure in printed["figures"]} == {None}
+    assert printed["figures"][0]["values"][0] is not None
+    (warning,) = printed["warnings"]
+    assert f"{bad} is not valid: the coach did not stop within 0.3 s" in warning
+    # it equals the other run up to its end, but that is no reason to pass
     assert cli.main(["compare", good, bad, "--tolerance", "m_s=0.1"]) == 4
     assert f"warning: {bad} is not valid" in capsys.readouterr().out
 
@@ -290,7 +290,7 @@ def test_explain_refuses_a_run_that_is_not_valid(folders, tmp_path, capsys):
     assert "leave it out" in said
 
 
-PLAN = """title = "stops, and some that are none"
+PLAN = """title = "runs, of which some do not stop"
 scenario = "{scenario}"
 [vary]
 duration_max_s = [{durations}]
@@ -315,16 +315,17 @@ def test_a_campaign_counts_runs_that_are_not_valid_apart(durations, bad, tmp_pat
         str(tmp_path / "out"),
     ]
     assert cli.main([*words, "--json"]) == (4 if bad else 0)
-    told = json.loads(capsys.readouterr().out)
+    printed = json.loads(capsys.readouterr().out)
     count = len(durations.split(","))
-    assert (told["runs"], told["not_valid"], len(told["worst"])) == (count, bad, count - bad)
-    assert all(case["stop_distance_m"] is not None for case in told["worst"])
-    assert [one["run"] for one in told["not_valid_runs"]] == [0, 2][:bad] if count > 2 else True
-    assert all("did not stop within 0." in one["because"] for one in told["not_valid_runs"])
+    worst, not_valid_runs = printed["worst"], printed["not_valid_runs"]
+    assert (printed["runs"], printed["not_valid"], len(worst)) == (count, bad, count - bad)
+    assert all(case["stop_distance_m"] is not None for case in worst)
+    if count > 2:
+        assert [one["run"] for one in not_valid_runs] == [0, 2][:bad]
+    assert all("did not stop within 0." in one["because"] for one in not_valid_runs)
     cli.main(words)
-    said = capsys.readouterr().out
-    assert f"{count} runs, {bad} not valid" in said
-    page = Path(told["report"]).read_text()
+    assert f"{count} runs, {bad} not valid" in capsys.readouterr().out
+    page = Path(printed["report"]).read_text()
     assert f"Not valid: {bad} of {count} runs" in page
     assert page.count("did not stop within") == bad
 
@@ -347,18 +348,22 @@ def walk(tmp_path):
     return sequence.load(tmp_path / "walk.toml", catalogue.parse)
 
 
+class Companion:
+    """A simple unit on the bus of a bench, while a block of code runs."""
+
+    def __init__(self, answer, address):
+        self.answer = answer
+        self.address = address
+
+    def __enter__(self):
+        self.unit = SimpleUnit(self.address, self.answer)
+
+    def __exit__(self, *_):
+        self.unit.close()
+
+
 def companion(answer):
-    def beside(address):
-        class Beside:
-            def __enter__(self):
-                self.unit = SimpleUnit(address, answer)
-
-            def __exit__(self, *_):
-                self.unit.close()
-
-        return Beside()
-
-    return beside
+    return functools.partial(Companion, answer)
 
 
 def test_a_sequence_whose_run_is_not_valid_is_an_error_and_neither_passed_nor_failed(
@@ -401,7 +406,7 @@ def test_the_fixture_ends_a_test_with_an_error_where_the_run_was_not_valid(tmp_p
     assert "the run is not valid: the WSP unit was lost 1 time" in done.stdout
 
 
-# --- the unit's priority ---
+# --- the priority of the unit ---
 
 
 def policy(pacing, place):
@@ -431,7 +436,7 @@ def test_a_unit_that_is_refused_its_priority_says_so_and_runs(tmp_path):
         "--set",
         "initial_speed_m_s=3",
     )
-    # without the right to any priority, whoever runs this
+    # without the right to any priority, whichever user runs this test
     unit = subprocess.Popen(
         [
             *WITHOUT_RIGHTS,
@@ -453,7 +458,7 @@ def test_a_unit_that_is_refused_its_priority_says_so_and_runs(tmp_path):
     assert "SCHED_FIFO priority 60 was refused" in said
 
 
-# drops CAP_SYS_NICE from what a program may ever have, and its limit of real-time priorities
+# removes CAP_SYS_NICE for good, and the limit of real-time priorities
 WITHOUT_RIGHTS = (
     sys.executable,
     "-c",
