@@ -353,7 +353,7 @@ class RigBus:
 
     def _hear(self) -> None:
         if self._alarm is not None:
-            self._alarm.hear()
+            self._alarm.acknowledge()
             self._armed_ns = NEVER
             self.ring()
             self._set_alarm()

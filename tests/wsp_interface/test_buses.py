@@ -210,7 +210,7 @@ def test_whatever_is_missing_on_this_machine_has_a_hint(tmp_path):
         (
             "vcan0",
             KernelCan(True, (), ("vcan0",), ()),
-            "vcan0 is down; allowed here: none; to mend: sudo ip link set vcan0 up",
+            "vcan0 is down; allowed here: none; to fix this: sudo ip link set vcan0 up",
         ),
     ],
 )

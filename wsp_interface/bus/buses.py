@@ -206,7 +206,7 @@ class BusPort(can.Listener):
             self._port.send(frame._replace(time_ns=self._time_ns(msg)) if self._clock_ns else frame)
         elif msg.is_error_frame:
             self._hub.tell_error(msg.arbitration_id, bytes(msg.data))
-            for condition in kernel.meanings(msg):
+            for condition in kernel.error_texts(msg):
                 if self._is_new(Code.BUS_CONTROLLER, condition):
                     self._on_event(Code.BUS_CONTROLLER, bus=self._port.name, condition=condition)
             if msg.arbitration_id & kernel.BUS_OFF:

@@ -1,12 +1,22 @@
-"""CANopen's predefined connection set: the identifier of each service, to which a node's number is added.
+"""CANopen's predefined connection set: the identifier of each service.
 
-Source: CiA 301, predefined connection set (without node: NMT, SYNC, TIME); CiA 305 for LSS.
+Services of one node add the node's number to the identifier here. NMT, SYNC and TIME have none.
+
+Source: CiA 301, predefined connection set; CiA 305 for LSS.
 """
 
-NMT, SYNC, TIME = 0x000, 0x080, 0x100  # 000h, 080h, 100h
-EMERGENCY, HEARTBEAT = 0x080, 0x700  # 080h, 700h
-TPDO = (0x180, 0x280, 0x380, 0x480)  # 180h ...
-RPDO = (0x200, 0x300, 0x400, 0x500)  # 200h ...
-SDO_REPLY, SDO_REQUEST = 0x580, 0x600  # 580h, 600h
-LSS_ANSWER, LSS_REQUEST = 0x7E4, 0x7E5  # 7E4h, 7E5h
-NODE_MASK = 0x7F
+NMT = 0x000  # 000h
+SYNC = 0x080  # 080h
+TIME = 0x100  # 100h
+
+EMERGENCY = 0x080  # 080h + node
+TPDO = (0x180, 0x280, 0x380, 0x480)  # 180h + node ...
+RPDO = (0x200, 0x300, 0x400, 0x500)  # 200h + node ...
+SDO_REPLY = 0x580  # 580h + node
+SDO_REQUEST = 0x600  # 600h + node
+HEARTBEAT = 0x700  # 700h + node
+
+LSS_ANSWER = 0x7E4  # 7E4h
+LSS_REQUEST = 0x7E5  # 7E5h
+
+NODE_MASK = 0x7F  # the bits of an identifier that hold the node's number

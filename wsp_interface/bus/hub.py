@@ -327,7 +327,7 @@ class Hub:
 
     def _ring(self) -> None:
         if self._alarm is not None:
-            self._alarm.hear()
+            self._alarm.acknowledge()
             self.advance(self._clock_ns())
 
     def _set_alarm(self) -> None:

@@ -1,7 +1,9 @@
 """A small SDO client: it writes and reads one object of a node at a time over an open bus.
 
-Values of up to four bytes go expedited, longer ones (texts) in segments of seven bytes. What else
-arrives while an answer is awaited is handed on to whoever watches the bus, so nothing is lost.
+Values of up to four bytes go expedited. Longer ones (texts) go in segments of seven bytes. Other
+messages that arrive while an answer is awaited are passed on to the owner of the bus, so nothing
+is lost.
+
 Source: CiA 301, SDO protocols (initiate, segment, abort).
 """
 
@@ -15,7 +17,19 @@ from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SDO_REQUEST
 
 PATIENCE_S = 30.0
-_ABORT, _DOWNLOADED, _SEGMENT_TAKEN, _UPLOAD = 0x80, 0x60, 0x20, 0x40
+EXPEDITED_MAX = 4  # bytes
+SEGMENT_MAX = 7  # bytes
+
+# command bytes that the client sends
+_DOWNLOAD_EXPEDITED = 0x23  # bits 2 and 3 hold the number of unused bytes
+_DOWNLOAD_SEGMENTED = 0x21
+_UPLOAD = 0x40
+# command bytes of the answers, without their size bits
+_ABORTED = 0x80
+_DOWNLOAD_ACCEPTED = 0x60
+_SEGMENT_ACCEPTED = 0x20
+_UPLOADED = 0x40
+_COMMAND_MASK = 0xE0
 
 
 class RefusedError(BusError):
@@ -23,7 +37,12 @@ class RefusedError(BusError):
 
 
 class SdoClient:
-    """One client. `read(timeout_s)` gives the next message or None; `pass_on` gets the others."""
+    """An SDO client on an open bus.
+
+    send(message): puts a message on the bus.
+    read(timeout_s): returns the next message of the bus, or None.
+    pass_on(message): receives the messages that are no answers to this client.
+    """
 
     def __init__(
         self,
@@ -31,46 +50,60 @@ class SdoClient:
         read: Callable[[float], can.Message | None],
         pass_on: Callable[[can.Message], None],
     ) -> None:
-        self._send, self._read, self._pass_on = send, read, pass_on
+        self._send = send
+        self._read = read
+        self._pass_on = pass_on
 
     def write(self, node: int, index: int, sub: int, data: bytes) -> None:
-        """Download bytes to an object. Raises RefusedError, or BusError when nobody answers."""
-        head = struct.pack("<HB", index, sub)
-        if 0 < len(data) <= 4:
-            self._ask(
-                node, bytes([0x33 - 4 * len(data)]) + head + data.ljust(4, b"\0"), _DOWNLOADED
-            )
+        """Download bytes to an object. Raises RefusedError, or BusError without an answer."""
+        place = struct.pack("<HB", index, sub)
+        if 0 < len(data) <= EXPEDITED_MAX:
+            unused = EXPEDITED_MAX - len(data)
+            command = bytes([_DOWNLOAD_EXPEDITED | unused << 2])
+            value = data.ljust(EXPEDITED_MAX, b"\0")
+            self._request(node, command + place + value, _DOWNLOAD_ACCEPTED)
             return
-        self._ask(node, b"\x21" + head + struct.pack("<I", len(data)), _DOWNLOADED)
-        for at in range(0, max(len(data), 1), 7):
-            part = data[at : at + 7]
-            command = (at // 7 % 2) << 4 | (7 - len(part)) << 1 | (at + 7 >= len(data))
-            self._ask(node, bytes([command]) + part.ljust(7, b"\0"), _SEGMENT_TAKEN)
+
+        command = bytes([_DOWNLOAD_SEGMENTED])
+        self._request(node, command + place + struct.pack("<I", len(data)), _DOWNLOAD_ACCEPTED)
+        for number, begin in enumerate(range(0, max(len(data), 1), SEGMENT_MAX)):
+            segment = data[begin : begin + SEGMENT_MAX]
+            toggle = number % 2
+            unused = SEGMENT_MAX - len(segment)
+            is_last = begin + SEGMENT_MAX >= len(data)
+            command = bytes([toggle << 4 | unused << 1 | is_last])
+            self._request(node, command + segment.ljust(SEGMENT_MAX, b"\0"), _SEGMENT_ACCEPTED)
 
     def read(self, node: int, index: int, sub: int) -> bytes:
         """Upload an object of up to four bytes. Raises RefusedError, or BusError."""
-        reply = self._ask(node, b"\x40" + struct.pack("<HB", index, sub) + bytes(4), _UPLOAD)
-        if not reply[0] & 2:
+        place = struct.pack("<HB", index, sub)
+        reply = self._request(node, bytes([_UPLOAD]) + place + bytes(4), _UPLOADED)
+        is_expedited = reply[0] & 2
+        if not is_expedited:
             raise BusError(f"node {node}, object {index:04X}h:{sub}: longer than four bytes")
-        size = 4 - (reply[0] >> 2 & 3) if reply[0] & 1 else 4
+        size = EXPEDITED_MAX
+        has_size = reply[0] & 1
+        if has_size:
+            size -= reply[0] >> 2 & 3
         return reply[4 : 4 + size]
 
-    def _ask(self, node: int, data: bytes, wanted: int) -> bytes:
+    def _request(self, node: int, data: bytes, wanted: int) -> bytes:
+        """Send a request and return the answer whose command byte is `wanted`."""
         self._send(can.Message(arbitration_id=SDO_REQUEST + node, data=data, is_extended_id=False))
-        deadline = time.monotonic() + PATIENCE_S
-        while (rest_s := deadline - time.monotonic()) > 0.0:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while (rest_s := deadline_s - time.monotonic()) > 0.0:
             message = self._read(rest_s)
             if message is None:
                 continue
             reply = bytes(message.data)
             if message.arbitration_id != SDO_REPLY + node or len(reply) != 8:
                 self._pass_on(message)
-            elif reply[0] == _ABORT:
+            elif reply[0] == _ABORTED:
                 index, sub, code = struct.unpack_from("<HBI", reply, 1)
                 raise RefusedError(
                     f"node {node}, object {index:04X}h:{sub}: refused with SDO abort {code:08X}h"
                 )
-            elif reply[0] & 0xE0 == wanted:
+            elif reply[0] & _COMMAND_MASK == wanted:
                 return reply
         raise BusError(
             f"node {node} has not answered an SDO request within {PATIENCE_S:g} s; is it "
