@@ -1,14 +1,16 @@
-"""Files that tell other tools what stands on the bus: EDS for each node, one DBC, the signal table.
+"""Files that describe the bus to other tools: an EDS for each node, one DBC, the signal table.
 
-Everything is written from the object dictionaries and from the table of signals, so a description cannot say anything
-else than the device. An EDS file carries what strict parsers ask for: mapping flags as 0 or 1, and the numbers of
-objects and PDOs. Source: CiA 306-1 (EDS); the DBC keywords as cantools reads them.
+All are written from the object dictionaries and from the table of signals, so a description always
+agrees with the device. An EDS file contains what strict parsers require: mapping flags as 0 or 1,
+and the numbers of objects and PDOs.
+
+Source: CiA 306-1 (EDS); the DBC keywords as cantools reads them.
 """
 
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
 from cantools.database import Database
@@ -18,9 +20,14 @@ from cantools.database.conversion import BaseConversion
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import connection_set
 
-_VAR, _ARRAY, _RECORD, _DOMAIN = 0x7, 0x8, 0x9, 0x2
-_BAUD_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)
-# DeviceInfo: what a node can, and where canopen's dictionary says so; 0 where it does not
+# object types of CiA 301
+_DOMAIN = 0x2
+_VAR = 0x7
+_ARRAY = 0x8
+_RECORD = 0x9
+
+_BAUD_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s
+# DeviceInfo: abilities of a node, and the attribute of canopen's dictionary that has each; else 0
 _ABILITIES = {
     "SimpleBootUpMaster": "simple_boot_up_master",
     "SimpleBootUpSlave": "simple_boot_up_slave",
@@ -32,105 +39,132 @@ _ABILITIES = {
     "NrOfTXPDO": "nr_of_TXPDO",
     "LSS_Supported": "LSS_supported",
 }
-_INVALID, _EXTENDED = 1 << 31, 1 << 29
 _MANDATORY = (0x1000, 0x1001, 0x1018)
+_COMMUNICATION_END = 0x2000  # objects below it belong to CiA 301
 _MANUFACTURER = range(0x2000, 0x6000)
 # data types that a receive PDO may carry as fillers
 _DUMMIES = (2, 3, 4, 5, 6, 7)
 # fixed, so that the same dictionary gives the same file
-_DATE, _TIME = "01-01-2025", "12:00PM"
+_DATE = "01-01-2025"
+_TIME = "12:00PM"
+
+# PDO communication parameters: first index, and the distance to the mapping parameters
+_RPDO = 0x1400
+_TPDO = 0x1800
+_PDOS = 0x200
+_TO_MAPPING = 0x200
+# bits of a PDO's COB-ID
+_INVALID = 1 << 31
+_EXTENDED = 1 << 29
+_ID_MASK = 0x1FFFFFFF
+
 _NMT_STATES = {0: "INITIALISING", 4: "STOPPED", 5: "OPERATIONAL", 127: "PRE_OPERATIONAL"}
+
+Options: TypeAlias = dict[str, object]  # of a section of an EDS file
 
 
 # -- EDS
 
 
 def eds(dictionary: ObjectDictionary) -> str:
-    """The EDS file of a node, as text."""
-    about = dictionary.device_information
-    head: dict[str, dict[str, object]] = {
-        "FileInfo": {
-            "FileName": f"{file_name(dictionary)}.eds",
-            "FileVersion": 1,
-            "FileRevision": 1,
-            "EDSVersion": "4.0",
-            "Description": about.product_name,
-            "CreationTime": _TIME,
-            "CreationDate": _DATE,
-            "CreatedBy": about.vendor_name,
-            "ModificationTime": _TIME,
-            "ModificationDate": _DATE,
-            "ModifiedBy": about.vendor_name,
-        },
-        "DeviceInfo": {
-            "VendorName": about.vendor_name,
-            "VendorNumber": f"0x{about.vendor_number:08X}",
-            "ProductName": about.product_name,
-            "ProductNumber": f"0x{about.product_number:08X}",
-            "RevisionNumber": f"0x{about.revision_number:08X}",
-            "OrderCode": about.order_code,
-            **{
-                f"BaudRate_{rate}": int(rate * 1000 in about.allowed_baudrates)
-                for rate in _BAUD_RATES
-            },
-            **{key: int(getattr(about, name, 0) or 0) for key, name in _ABILITIES.items()},
-        },
-        "DummyUsage": {f"Dummy{kind:04d}": int(kind in _DUMMIES) for kind in range(1, 8)},
-        "Comments": {"Lines": 0},
-    }
-    return "\n".join(
-        f"[{name}]\n" + "".join(f"{option}={value}\n" for option, value in body.items())
-        for name, body in (*head.items(), *_object_sections(dictionary))
-    )
+    """Return the EDS file of a node, as text."""
+    sections: list[tuple[str, Options]] = [
+        ("FileInfo", _file_info(dictionary)),
+        ("DeviceInfo", _device_info(dictionary)),
+        ("DummyUsage", {f"Dummy{kind:04d}": int(kind in _DUMMIES) for kind in range(1, 8)}),
+        ("Comments", {"Lines": 0}),
+        *_object_sections(dictionary),
+    ]
+    texts = []
+    for name, options in sections:
+        lines = [f"{option}={value}\n" for option, value in options.items()]
+        texts.append(f"[{name}]\n" + "".join(lines))
+    return "\n".join(texts)
 
 
 def file_name(dictionary: ObjectDictionary) -> str:
-    """The name of a node's files, without suffix: its number and what it is."""
+    """Return the name of a node's files, without suffix: its number and its product name."""
     product = dictionary.device_information.product_name or "node"
     return f"node_{dictionary.node_id:03d}_{_slug(product)}"
 
 
-def _object_sections(dictionary: ObjectDictionary) -> Iterator[tuple[str, dict[str, object]]]:
+def _file_info(dictionary: ObjectDictionary) -> Options:
+    device = dictionary.device_information
+    return {
+        "FileName": f"{file_name(dictionary)}.eds",
+        "FileVersion": 1,
+        "FileRevision": 1,
+        "EDSVersion": "4.0",
+        "Description": device.product_name,
+        "CreationTime": _TIME,
+        "CreationDate": _DATE,
+        "CreatedBy": device.vendor_name,
+        "ModificationTime": _TIME,
+        "ModificationDate": _DATE,
+        "ModifiedBy": device.vendor_name,
+    }
+
+
+def _device_info(dictionary: ObjectDictionary) -> Options:
+    device = dictionary.device_information
+    options: Options = {
+        "VendorName": device.vendor_name,
+        "VendorNumber": f"0x{device.vendor_number:08X}",
+        "ProductName": device.product_name,
+        "ProductNumber": f"0x{device.product_number:08X}",
+        "RevisionNumber": f"0x{device.revision_number:08X}",
+        "OrderCode": device.order_code,
+    }
+    for rate in _BAUD_RATES:
+        options[f"BaudRate_{rate}"] = int(rate * 1000 in device.allowed_baudrates)
+    for key, attribute in _ABILITIES.items():
+        options[key] = int(getattr(device, attribute, 0) or 0)
+    return options
+
+
+def _object_sections(dictionary: ObjectDictionary) -> Iterator[tuple[str, Options]]:
+    """Yield the lists of objects, each followed by the sections of its objects."""
     groups: dict[str, list[int]] = {
         "MandatoryObjects": [],
         "OptionalObjects": [],
         "ManufacturerObjects": [],
     }
     for index in dictionary:
-        groups[
-            "MandatoryObjects"
-            if index in _MANDATORY
-            else "ManufacturerObjects"
-            if index in _MANUFACTURER
-            else "OptionalObjects"
-        ].append(index)
-    for name, indices in groups.items():
-        yield (
-            name,
-            {"SupportedObjects": len(indices)}
-            | {str(at): f"0x{index:04X}" for at, index in enumerate(indices, 1)},
-        )
+        groups[_group(index)].append(index)
+
+    for group, indices in groups.items():
+        listed: Options = {"SupportedObjects": len(indices)}
+        for number, index in enumerate(indices, start=1):
+            listed[str(number)] = f"0x{index:04X}"
+        yield group, listed
+
         for index in indices:
-            thing = dictionary[index]
-            if isinstance(thing, ODVariable):
-                yield f"{index:04X}", _variable_section(thing)
+            entry = dictionary[index]
+            if isinstance(entry, ODVariable):
+                yield f"{index:04X}", _variable_section(entry)
                 continue
-            kind = _RECORD if isinstance(thing, ODRecord) else _ARRAY
-            yield (
-                f"{index:04X}",
-                {
-                    "ParameterName": thing.name,
-                    "ObjectType": f"0x{kind:X}",
-                    "SubNumber": len(thing.subindices),
-                },
-            )
-            for sub in sorted(thing.subindices):
-                yield f"{index:04X}sub{sub:X}", _variable_section(thing.subindices[sub])
+            kind = _RECORD if isinstance(entry, ODRecord) else _ARRAY
+            options: Options = {
+                "ParameterName": entry.name,
+                "ObjectType": f"0x{kind:X}",
+                "SubNumber": len(entry.subindices),
+            }
+            yield f"{index:04X}", options
+            for sub in sorted(entry.subindices):
+                yield f"{index:04X}sub{sub:X}", _variable_section(entry.subindices[sub])
 
 
-def _variable_section(variable: ODVariable) -> dict[str, object]:
+def _group(index: int) -> str:
+    if index in _MANDATORY:
+        return "MandatoryObjects"
+    if index in _MANUFACTURER:
+        return "ManufacturerObjects"
+    return "OptionalObjects"
+
+
+def _variable_section(variable: ODVariable) -> Options:
     kind = _DOMAIN if variable.data_type == datatypes.DOMAIN else _VAR
-    found = {
+    options = {
         "ParameterName": variable.name,
         "ObjectType": f"0x{kind:X}",
         "DataType": f"0x{variable.data_type:04X}",
@@ -144,48 +178,69 @@ def _variable_section(variable: ODVariable) -> dict[str, object]:
         "Unit": variable.unit or None,
         "Description": variable.description.replace(";", ",") or None,
     }
-    return {option: value for option, value in found.items() if value is not None}
+    return {option: value for option, value in options.items() if value is not None}
 
 
 def _default(variable: ODVariable) -> str:
     if variable.relative:
         return str(getattr(variable, "default_raw"))  # noqa: B009
-    if isinstance(variable.default, bool):
-        return str(int(variable.default))
-    if isinstance(variable.default, int) and variable.index < 0x2000 and variable.default > 9:
-        return f"0x{variable.default:X}"
-    return str(variable.default)
+    default = variable.default
+    if isinstance(default, bool):
+        return str(int(default))
+    if isinstance(default, int) and variable.index < _COMMUNICATION_END and default > 9:
+        return f"0x{default:X}"
+    return str(default)
 
 
 # -- DBC
 
 
-def _messages(dictionary: ObjectDictionary) -> Iterator[Message]:
-    """The PDOs that a node has by default, as CAN messages."""
+def dbc(dictionaries: Iterable[ObjectDictionary]) -> str:
+    """Return one DBC file with the PDOs of all nodes, the SYNC and the heartbeats, as text."""
+    dictionaries = list(dictionaries)
+    described = [dictionary.node_id or 0 for dictionary in dictionaries]
+    nodes = dict.fromkeys([*described, signals.WSP_NODE, signals.BENCH_NODE])
+
+    messages = [_message("SYNC", connection_set.SYNC, _node_name(signals.BENCH_NODE), [])]
+    for dictionary in dictionaries:
+        messages += _pdo_messages(dictionary)
+    if signals.WSP_NODE not in described:
+        messages.append(_unit_message())
+    for node in nodes:
+        messages.append(_heartbeat_message(node))
+
+    database = Database(messages, [Node(_node_name(node), None) for node in nodes], version="")
+    return database.as_dbc_string(sort_signals=None, shorten_long_names=False)
+
+
+def _pdo_messages(dictionary: ObjectDictionary) -> Iterator[Message]:
+    """Yield the PDOs that a node has by default, as CAN messages."""
     node = dictionary.node_id or 0
-    here, other = (
-        _node_name(node),
-        _node_name(signals.BENCH_NODE if node == signals.WSP_NODE else signals.WSP_NODE),
-    )
-    for first, word in ((0x1400, "RPDO"), (0x1800, "TPDO")):
-        for index in (at for at in dictionary if first <= at < first + 0x200):
+    own_name = _node_name(node)
+    partner = signals.BENCH_NODE if node == signals.WSP_NODE else signals.WSP_NODE
+    partner_name = _node_name(partner)
+    for first, word, sender, receiver in (
+        (_RPDO, "RPDO", partner_name, own_name),
+        (_TPDO, "TPDO", own_name, partner_name),
+    ):
+        for index in dictionary:
+            if not first <= index < first + _PDOS:
+                continue
+            mapping = index + _TO_MAPPING
             cob_id = _number(dictionary, index, 1)
-            if not cob_id & _INVALID and _number(dictionary, index + 0x200, 0):
-                sender, receiver = (here, other) if word == "TPDO" else (other, here)
-                yield _message(
-                    f"node_{node}_{word}{index - first + 1}",
-                    cob_id,
-                    sender,
-                    list(_contents(dictionary, index + 0x200, receiver)),
-                )
+            is_empty = _number(dictionary, mapping, 0) == 0
+            if cob_id & _INVALID or is_empty:
+                continue
+            name = f"node_{node}_{word}{index - first + 1}"
+            yield _message(name, cob_id, sender, list(_contents(dictionary, mapping, receiver)))
 
 
 def _message(name: str, cob_id: int, sender: str, carried: list[Signal]) -> Message:
-    length = (max((one.start + one.length for one in carried), default=0) + 7) // 8
+    bits = max((signal.start + signal.length for signal in carried), default=0)
     return Message(
-        cob_id & 0x1FFFFFFF,
+        cob_id & _ID_MASK,
         name,
-        length,
+        (bits + 7) // 8,
         carried,
         senders=[sender],
         is_extended_frame=bool(cob_id & _EXTENDED),
@@ -204,15 +259,16 @@ def _signal(
     text: str = "",
     choices: Any = None,
 ) -> Signal:
-    """A signal over the whole range of its bits; `factor` and `unit` of one count."""
+    """Return a signal over the whole range of its bits; `factor` is the value of one count."""
     low = -(1 << bits - 1) if signed else 0
+    high = low + (1 << bits) - 1
     return Signal(
         name,
         start,
         bits,
         is_signed=signed,
         minimum=low * factor,
-        maximum=(low + (1 << bits) - 1) * factor,
+        maximum=high * factor,
         conversion=BaseConversion.factory(scale=factor, choices=choices),
         unit=unit or None,
         comment=text or None,
@@ -221,73 +277,92 @@ def _signal(
 
 
 def _number(dictionary: ObjectDictionary, index: int, sub: int) -> int:
-    """The default of an integer object; 0 where there is none."""
+    """Return the default of an integer object; 0 where there is none."""
     variable = dictionary.get_variable(index, sub)
-    return 0 if variable is None or variable.default is None else variable.default
+    if variable is None or variable.default is None:
+        return 0
+    return variable.default
 
 
 def _contents(dictionary: ObjectDictionary, mapping: int, receiver: str) -> Iterator[Signal]:
+    """Yield the signals of a PDO by its mapping parameters."""
     start = 0
-    for entry in (
-        _number(dictionary, mapping, at + 1) for at in range(_number(dictionary, mapping, 0))
-    ):
+    for number in range(1, _number(dictionary, mapping, 0) + 1):
+        entry = _number(dictionary, mapping, number)
+        index = entry >> 16
+        sub = entry >> 8 & 0xFF
         bits = entry & 0xFF
-        variable = dictionary.get_variable(entry >> 16, entry >> 8 & 0xFF)
+        variable = dictionary.get_variable(index, sub)
         if variable is not None:
             names = signal_names(dictionary.node_id or 0, variable)
             # one byte may carry a signal of all axles, a few bits each
-            part = bits // len(names)
-            yield from (
-                _signal(
+            bits_each = bits // len(names)
+            for position, name in enumerate(names):
+                yield _signal(
                     name,
-                    start + part * at,
-                    part,
+                    start + bits_each * position,
+                    bits_each,
                     receiver,
-                    variable.data_type in datatypes.SIGNED_TYPES,
-                    variable.factor,
-                    variable.unit,
-                    variable.description,
+                    signed=variable.data_type in datatypes.SIGNED_TYPES,
+                    factor=variable.factor,
+                    unit=variable.unit,
+                    text=variable.description,
                 )
-                for at, name in enumerate(names)
-            )
         start += bits
 
 
 def signal_names(node: int, variable: ODVariable) -> tuple[str, ...]:
-    """An object's names in the table of signals (several where axles share its bits), else its own and the axle."""
-    axle = signals.DRIVE_NODES.index(node) + 1 if node in signals.DRIVE_NODES else 0
+    """Return the names of an object's signals.
+
+    An object in the table of signals has their columns, several where the axles share its bits. Any
+    other object has its name, with the axle if the node is a drive.
+    """
+    if node in signals.DRIVE_NODES:
+        axle = signals.DRIVE_NODES.index(node) + 1
+        return (_drive_signal_name(axle, variable),)
+
     for signal in signals.SIGNALS:
         for place in signal.places:
-            offset = variable.subindex - place.sub
-            if place.node != (0 if axle else node) or place.index != variable.index:
+            if place.node != node or place.index != variable.index:
                 continue
-            if axle:
-                return (signals.columns(signal)[axle - 1],)
+            offset = variable.subindex - place.sub
             if place.kind == "U8" and signal.axles > 1 and offset == 0:
                 return signals.columns(signal)
             if 0 <= offset < signal.axles:
                 return (signals.columns(signal)[offset],)
-    return (_slug(variable.name) + (f"_{axle}" if axle else ""),)
+    return (_slug(variable.name),)
+
+
+def _drive_signal_name(axle: int, variable: ODVariable) -> str:
+    for signal in signals.SIGNALS:
+        for place in signal.places:
+            if place.node == signals.DRIVE_UNDER_AXLE and place.index == variable.index:
+                return signals.columns(signal)[axle - 1]
+    return f"{_slug(variable.name)}_{axle}"
 
 
 def _unit_message() -> Message:
-    """What the WSP unit may tell the bench: the signals that stand at its node, in its TPDO1."""
+    """Return TPDO1 of the WSP unit: the signals that the unit may send the bench."""
     carried: list[Signal] = []
+    start = 0
     for signal in signals.SIGNALS:
-        for place in (one for one in signal.places if one.node == signals.WSP_NODE):
-            start = carried[-1].start + carried[-1].length if carried else 0
+        for place in signal.places:
+            if place.node != signals.WSP_NODE:
+                continue
+            bits = signals.bits(place)
             carried.append(
                 _signal(
                     signals.columns(signal)[0],
                     start,
-                    signals.bits(place),
+                    bits,
                     _node_name(signals.BENCH_NODE),
-                    place.kind[0] == "I",
-                    place.scale,
-                    signal.unit.replace("_", "/"),
-                    signal.text,
+                    signed=place.kind[0] == "I",
+                    factor=place.scale,
+                    unit=signal.unit.replace("_", "/"),
+                    text=signal.text,
                 )
             )
+            start += bits
     return _message(
         f"node_{signals.WSP_NODE}_TPDO1",
         connection_set.TPDO[0] + signals.WSP_NODE,
@@ -296,29 +371,10 @@ def _unit_message() -> Message:
     )
 
 
-def dbc(dictionaries: Iterable[ObjectDictionary]) -> str:
-    """One DBC file with the PDOs of all nodes, the SYNC and the heartbeats, as text."""
-    dictionaries = list(dictionaries)
-    nodes = dict.fromkeys(
-        [*(one.node_id or 0 for one in dictionaries), signals.WSP_NODE, signals.BENCH_NODE]
-    )
-    messages = [_message("SYNC", connection_set.SYNC, _node_name(signals.BENCH_NODE), [])]
-    messages += [message for one in dictionaries for message in _messages(one)]
-    if signals.WSP_NODE not in [one.node_id for one in dictionaries]:
-        messages.append(_unit_message())
-    for node in nodes:
-        state = _signal(f"{_node_name(node)}_nmt_state", 0, 7, None, choices=_NMT_STATES)
-        messages.append(
-            _message(
-                f"{_node_name(node)}_heartbeat",
-                connection_set.HEARTBEAT + node,
-                _node_name(node),
-                [state],
-            )
-        )
-    return Database(
-        messages, [Node(_node_name(node), None) for node in nodes], version=""
-    ).as_dbc_string(sort_signals=None, shorten_long_names=False)
+def _heartbeat_message(node: int) -> Message:
+    name = _node_name(node)
+    state = _signal(f"{name}_nmt_state", 0, 7, None, choices=_NMT_STATES)
+    return _message(f"{name}_heartbeat", connection_set.HEARTBEAT + node, name, [state])
 
 
 def _node_name(node: int) -> str:
@@ -329,7 +385,8 @@ def _node_name(node: int) -> str:
         signals.WSP_NODE: "wsp_unit",
         signals.BENCH_NODE: "bench",
     }
-    names |= {drive: f"drive_{axle}" for axle, drive in enumerate(signals.DRIVE_NODES, start=1)}
+    for axle, drive in enumerate(signals.DRIVE_NODES, start=1):
+        names[drive] = f"drive_{axle}"
     return names.get(node, f"node_{node}")
 
 
@@ -341,13 +398,13 @@ def _slug(text: str) -> str:
 
 
 def signal_table() -> str:
-    """The table of signals as markdown: name, unit, axles, direction, where it stands, meaning."""
+    """Return the table of signals as markdown."""
     rows = [
         "| signal | unit | axles | direction | on the bus | meaning |",
         "|---|---|---|---|---|---|",
     ]
     for signal in signals.SIGNALS:
-        places = "<br>".join(_place(place, signal.axles) for place in signal.places)
+        places = "<br>".join(_place_text(place, signal.axles) for place in signal.places)
         unit = signal.unit.replace("_", "/") or "-"
         rows.append(
             f"| `{signal.name}` | {unit} | {signal.axles} | {signal.direction} | "
@@ -356,23 +413,33 @@ def signal_table() -> str:
     return "\n".join(rows) + "\n"
 
 
-def _place(place: signals.Place, axles: int) -> str:
-    if place.node == 0:
-        first, last = signals.DRIVE_NODES[0], signals.DRIVE_NODES[-1]
-        where = f"nodes {first}..{last} {place.index:04X}h"
+def _place_text(place: signals.Place, axles: int) -> str:
+    if place.node == signals.DRIVE_UNDER_AXLE:
+        first = signals.DRIVE_NODES[0]
+        last = signals.DRIVE_NODES[-1]
+        text = f"nodes {first}..{last} {place.index:04X}h"
     else:
-        several = axles > 1 and place.kind != "U8"
-        last_sub = f"..{place.sub + axles - 1}" if several else ""
-        where = f"node {place.node} {place.index:04X}h:{place.sub}{last_sub}"
-    scale = f"{place.scale:g}" + (f" x {place.of}" if place.of else "")
-    return f"{where}, {place.kind}, {scale}{', wraps' if place.wraps else ''}"
+        text = f"node {place.node} {place.index:04X}h:{place.sub}"
+        # the bits of a byte belong to the axles; other types have a sub-index for each axle
+        if axles > 1 and place.kind != "U8":
+            text += f"..{place.sub + axles - 1}"
+    text += f", {place.kind}, {place.scale:g}"
+    if place.of:
+        text += f" x {place.of}"
+    if place.wraps:
+        text += ", wraps"
+    return text
 
 
 def write(folder: Path, dictionaries: Iterable[ObjectDictionary]) -> list[Path]:
-    """Write the EDS of every node, `rig.dbc` and `signals.md` into a folder; what was written."""
+    """Write the EDS of every node, `rig.dbc` and `signals.md` into a folder; return their paths."""
     dictionaries = list(dictionaries)
-    texts = {f"{file_name(one)}.eds": eds(one) for one in dictionaries}
-    texts |= {"rig.dbc": dbc(dictionaries), "signals.md": signal_table()}
+    texts = {}
+    for dictionary in dictionaries:
+        texts[f"{file_name(dictionary)}.eds"] = eds(dictionary)
+    texts["rig.dbc"] = dbc(dictionaries)
+    texts["signals.md"] = signal_table()
+
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

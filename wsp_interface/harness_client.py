@@ -287,7 +287,8 @@ class Harness:
             for at in range(signal.axles)
         )
         return tuple(
-            signals.value(struct.unpack(rig_objects.letter(place), data)[0], place) for data in read
+            signals.value(struct.unpack(rig_objects.struct_format(place), data)[0], place)
+            for data in read
         )
 
     # -- the bus

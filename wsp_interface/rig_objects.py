@@ -1,8 +1,9 @@
-"""What rig, unit and harness have agreed on: identifiers and contents of their messages, node 127's objects.
+"""What rig, unit and harness have agreed on: their frames and the objects of node 127.
 
-An identifier is a service's first one plus the node, its literal stands beside it: a search for 211h
-or 2010h ends here. Objects that carry signals stand in `signals`, those of a device profile with the
-device. Magnets are one byte: bit 2j is the hold magnet of axle j + 1, bit 2j + 1 its vent magnet.
+An identifier is the first one of a service plus the node's number. Its literal is in the comment
+next to it, so a search for 211h or 2010h finds this file. Objects that carry signals are in
+`signals`, those of a device profile are with the device, and the byte of the magnets is in
+`magnets`.
 """
 
 import struct
@@ -26,19 +27,29 @@ from rollerrig.wsp_interface.signals import (
     WSP_NODE,
 )
 
-# assumption
+# ms; an assumption: the rig takes a unit for lost after this silence
 UNIT_LOST_AFTER_MS = 200
+
+# letters of the struct module
 _LETTERS = {"U8": "B", "I8": "b", "U16": "H", "I16": "h", "U32": "I", "I32": "i"}
 
 
 def unit_lost_after_ms(sync_period_s: float) -> int:
-    """After how long a silence in ms the rig believes the unit lost: in lockstep SYNCs are its clock, two at least."""
+    """Return the silence in ms after which the rig takes the unit for lost.
+
+    It is at least two SYNC periods, because SYNCs are the unit's clock in lockstep.
+    """
     return max(UNIT_LOST_AFTER_MS, round(2000.0 * sync_period_s))
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A frame that carries whole signals of a node, all axles of each: columns and a scale for each."""
+    """A frame that carries whole signals of a node, all axles of each.
+
+    struct: the format of the data.
+    names: the columns that the frame carries, in its order.
+    scales: the value of one count of each column, in the signal's unit.
+    """
 
     can_id: int
     struct: struct.Struct
@@ -46,42 +57,46 @@ class Layout:
     scales: tuple[float, ...]
 
     def read(self, data: bytes | bytearray) -> dict[str, float]:
-        """Values by column; none where the frame has another length."""
+        """Return the values by column; an empty dict when the data have another length."""
         if len(data) != self.struct.size:
             return {}
+        counts = self.struct.unpack(data)
         return {
             name: count * scale
-            for name, scale, count in zip(
-                self.names, self.scales, self.struct.unpack(data), strict=True
-            )
+            for name, scale, count in zip(self.names, self.scales, counts, strict=True)
         }
 
 
 def layout(can_id: int, *names: str) -> Layout:
-    """The layout of the frame in which a node sends these signals."""
-    rows = [(signals.BY_NAME[name], signals.place(name, can_id & NODE_MASK)) for name in names]
-    return Layout(
-        can_id,
-        struct.Struct("<" + "".join(_LETTERS[place.kind] * signal.axles for signal, place in rows)),
-        tuple(column for signal, _ in rows for column in signals.columns(signal)),
-        tuple(place.scale for signal, place in rows for _ in range(signal.axles)),
-    )
+    """Return the layout of the frame in which a node sends these signals."""
+    node = can_id & NODE_MASK
+    letters = "<"
+    columns: list[str] = []
+    scales: list[float] = []
+    for name in names:
+        signal = signals.BY_NAME[name]
+        place = signals.place(name, node)
+        letters += _LETTERS[place.kind] * signal.axles
+        columns += signals.columns(signal)
+        scales += [place.scale] * signal.axles
+    return Layout(can_id, struct.Struct(letters), tuple(columns), tuple(scales))
 
 
-def letter(place: signals.Place) -> str:
-    """The struct letter of an object, little-endian."""
+def struct_format(place: signals.Place) -> str:
+    """Return the format of an object for the struct module, little-endian."""
     return "<" + _LETTERS[place.kind]
 
 
-# what the rig tells the unit, and the unit the rig
+# frames between the rig and the unit
 SPEEDS = layout(TPDO[0] + SPEED_NODE, "measured_speed")  # 190h
 PRESSURES = layout(TPDO[0] + BRAKE_NODE, "cylinder_pressure")  # 191h
 REFERENCE_SPEED = layout(TPDO[0] + WSP_NODE, "wsp_reference_speed")  # 1A0h
-MAGNETS_ID = RPDO[0] + BRAKE_NODE  # 211h
-SAND_ID, ALL_SANDERS = RPDO[0] + SANDER_NODE, 0x55  # 212h: bit 2j asks the sander of axle j + 1
+MAGNETS_ID = RPDO[0] + BRAKE_NODE  # 211h, one byte: see `magnets`
+SAND_ID = RPDO[0] + SANDER_NODE  # 212h, one byte: bit 2j commands the sander of axle j + 1
+ALL_SANDERS = 0b01_01_01_01
 UNIT_HEARTBEAT_ID = HEARTBEAT + WSP_NODE  # 720h
 UNIT_EMERGENCY_ID = EMERGENCY + WSP_NODE  # 0A0h
-# all that the unit takes or sends
+# every frame that the unit receives or sends
 UNIT_FRAMES = (
     NMT,
     SYNC,
@@ -91,12 +106,23 @@ UNIT_FRAMES = (
     UNIT_HEARTBEAT_ID,
     UNIT_EMERGENCY_ID,
 )
-# any byte: a harness on a bench in lockstep has seen this cycle
-HARNESS_ANSWER_ID = RPDO[0] + BENCH_NODE  # 27Fh
+# 27Fh, one byte of any value: a harness on a bench in lockstep has processed this cycle
+HARNESS_ANSWER_ID = RPDO[0] + BENCH_NODE
 
-# what a harness asks of node 127, by object and sub-index
-HARNESS, JOINED, CYCLE, END = 0x2000, 1, 2, 3  # 2000h
-PACING, PACINGS = 0x2001, ("wall", "lockstep")  # 2001h
-FAULT, INJECT, LIFT = 0x2010, 1, 2  # 2010h
-FRICTION, FRICTION_SCALE = 0x2020, 1e-4  # 2020h, one sub-index an axle
+# objects of node 127 for a harness, each followed by its sub-indices
+HARNESS = 0x2000  # 2000h
+JOINED = 1
+CYCLE = 2
+END = 3
+
+PACING = 0x2001  # 2001h
+PACINGS = ("wall", "lockstep")  # the names of its values
+
+FAULT = 0x2010  # 2010h
+INJECT = 1
+LIFT = 2
+
+FRICTION = 0x2020  # 2020h, one sub-index for each axle
+FRICTION_SCALE = 1e-4  # friction coefficient of one count
+
 NOTE = 0x2030  # 2030h

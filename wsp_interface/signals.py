@@ -1,8 +1,8 @@
-"""THE table of signals: every quantity of the rig that is recorded, drawn or carried by a bus.
+"""The table of signals: every quantity of the rig that is recorded, drawn or carried by a bus.
 
-One row is one signal: name, unit, how many axles, direction as seen from the rig, the group it is
-drawn in, where it stands on the bus, and what it means. Recording columns, Rerun paths, PDO maps,
-EDS and DBC files and the documentation derive from these rows; nothing else names a signal twice.
+One row is one signal: its name, unit, number of axles, meaning, direction as seen from the rig, the
+group in which it is drawn, and its places on the bus. Recording columns, Rerun paths, PDO maps, EDS
+and DBC files and the documentation derive from these rows; no other file names a signal again.
 """
 
 from typing import NamedTuple
@@ -18,13 +18,13 @@ DEFAULT_ADDRESS = "socketcand://127.0.0.1:29536/rig0"
 DRIVE_NODES = tuple(range(1, AXLES + 1))
 SPEED_NODE = 16
 BRAKE_NODE = 17
-SANDER_NODE = 18  # where the vehicle has sanders
+SANDER_NODE = 18  # only where the vehicle has sanders
 WSP_NODE = 32
 BENCH_NODE = 127
-# those that the bench simulates, besides its own
+# the nodes that the bench always simulates, without its node 127
 RIG_NODES = (*DRIVE_NODES, SPEED_NODE, BRAKE_NODE)
 
-# bounds of the integer types that objects carry on the bus
+# lower and upper bounds of the integer types that objects carry on the bus
 KINDS = {
     "U8": (0, 2**8 - 1),
     "I8": (-(2**7), 2**7 - 1),
@@ -36,389 +36,363 @@ KINDS = {
 
 
 class Place(NamedTuple):
-    """Where a signal stands in an object dictionary.
+    """The place of a signal in an object dictionary, and how a value becomes an integer there."""
 
-    `node` 0 means the drive under the signal's own axle. `sub` is the sub-index of axle 1; the other axles follow
-    (drives have one axle each: the same sub-index). `scale` is the unit per count; where `of` names a parameter, the
-    scale is multiplied by that parameter's value. A counter wraps round instead of saturating.
-    """
-
-    node: int
+    node: int  # DRIVE_UNDER_AXLE: the drive under the axle of the signal
     index: int  # type: ignore[assignment]
-    sub: int
-    kind: str
-    scale: float
-    of: str = ""
-    wraps: bool = False
+    sub: int  # sub-index of axle 1; the other axles follow. A drive has the same one for each axle
+    kind: str  # integer type, a key of KINDS
+    scale: float  # value of one count, in the signal's unit
+    of: str = ""  # name of a parameter whose value multiplies the scale
+    wraps: bool = False  # a counter wraps round; other signals saturate
+
+
+DRIVE_UNDER_AXLE = 0
+
+# directions, as seen from the rig
+OUT = "out"
+IN = "in"
 
 
 class Signal(NamedTuple):
-    """One row of the table. `unit` is the suffix of the name ("" for a pure number)."""
+    """One row of the table."""
 
     name: str
-    unit: str
-    axles: int
-    direction: str
-    group: str
-    text: str
+    unit: str  # also the suffix of its columns; "" for a pure number
+    axles: int  # number of values: one, or one for each axle
+    text: str  # meaning
+    group: str = ""  # the plot in which it is drawn; "" for none
+    direction: str = OUT
     places: tuple[Place, ...] = ()
 
-
-OUT, IN = "out", "in"
-_DRIVE = 0
 
 SIGNALS: tuple[Signal, ...] = (
     Signal(
         "time",
         "s",
         1,
-        OUT,
-        "",
         "simulated time since the run began",
-        (Place(BENCH_NODE, 0x2100, 0, "U32", 1e-3, wraps=True),),
+        places=(Place(BENCH_NODE, 0x2100, 0, "U32", 1e-3, wraps=True),),
     ),
     Signal(
         "vehicle_speed",
         "m_s",
         1,
-        OUT,
-        "speeds",
         "speed of the (virtual) vehicle",
-        (Place(BENCH_NODE, 0x2101, 0, "I32", 1e-4),),
+        group="speeds",
+        places=(Place(BENCH_NODE, 0x2101, 0, "I32", 1e-4),),
     ),
     Signal(
         "position",
         "m",
         1,
-        OUT,
-        "",
         "distance run by the vehicle",
-        (Place(BENCH_NODE, 0x2102, 0, "I32", 1e-3),),
+        places=(Place(BENCH_NODE, 0x2102, 0, "I32", 1e-3),),
     ),
     Signal(
         "vehicle_acceleration",
         "m_s2",
         1,
-        OUT,
-        "acceleration",
-        "of the vehicle, negative in braking",
-        (Place(BENCH_NODE, 0x2103, 0, "I16", 1e-3),),
+        "acceleration of the vehicle, negative in braking",
+        group="acceleration",
+        places=(Place(BENCH_NODE, 0x2103, 0, "I16", 1e-3),),
     ),
     Signal(
         "brake_demand",
         "Pa",
         1,
-        OUT,
-        "pressures",
-        "brake cylinder pressure asked for",
-        (Place(BRAKE_NODE, 0x6411, 1, "I16", 100.0), Place(BENCH_NODE, 0x210B, 0, "I16", 100.0)),
+        "requested brake cylinder pressure",
+        group="pressures",
+        places=(
+            Place(BRAKE_NODE, 0x6411, 1, "I16", 100.0),
+            Place(BENCH_NODE, 0x210B, 0, "I16", 100.0),
+        ),
     ),
-    Signal("wheel_speed", "rad_s", AXLES, OUT, "", "rotation of the wheelset"),
-    Signal("wheel_circumferential_speed", "m_s", AXLES, OUT, "speeds", "radius times wheel speed"),
+    Signal("wheel_speed", "rad_s", AXLES, "rotation of the wheelset"),
+    Signal("wheel_circumferential_speed", "m_s", AXLES, "radius times wheel speed", group="speeds"),
     Signal(
         "measured_speed",
         "rad_s",
         AXLES,
-        OUT,
-        "",
-        "rotation of the wheelset as its speed sensor tells it",
-        (Place(SPEED_NODE, 0x6030, 1, "I16", 0.01), Place(SPEED_NODE, 0x2102, 1, "I32", 1e-4)),
+        "rotation of the wheelset as its speed sensor measures it",
+        places=(
+            Place(SPEED_NODE, 0x6030, 1, "I16", 0.01),
+            Place(SPEED_NODE, 0x2102, 1, "I32", 1e-4),
+        ),
     ),
-    Signal(
-        "wheel_angle", "rad", AXLES, OUT, "", "angle turned by the wheelset since the run began"
-    ),
+    Signal("wheel_angle", "rad", AXLES, "angle turned by the wheelset since the run began"),
     Signal(
         "tooth_frequency",
         "Hz",
         AXLES,
-        OUT,
-        "",
         "teeth of the pole wheel passing the sensor",
-        (Place(SPEED_NODE, 0x2100, 1, "U32", 1e-3),),
+        places=(Place(SPEED_NODE, 0x2100, 1, "U32", 1e-3),),
     ),
     Signal(
         "pulse_count",
         "",
         AXLES,
-        OUT,
-        "",
         "teeth that have passed the sensor",
-        (Place(SPEED_NODE, 0x2101, 1, "U32", 1.0, wraps=True),),
+        places=(Place(SPEED_NODE, 0x2101, 1, "U32", 1.0, wraps=True),),
     ),
     Signal(
         "roller_speed",
         "rad_s",
         AXLES,
-        OUT,
-        "",
         "rotation of the roller (0: plain track)",
-        (Place(_DRIVE, 0x606C, 0, "I32", 1e-4),),
+        places=(Place(DRIVE_UNDER_AXLE, 0x606C, 0, "I32", 1e-4),),
     ),
     Signal(
         "roller_angle",
         "rad",
         AXLES,
-        OUT,
-        "",
         "angle turned by the roller since the run began",
-        (Place(_DRIVE, 0x6064, 0, "I32", 1e-3, wraps=True),),
+        places=(Place(DRIVE_UNDER_AXLE, 0x6064, 0, "I32", 1e-3, wraps=True),),
     ),
-    Signal("sliding", "m_s", AXLES, OUT, "sliding", "surface speed minus radius times wheel speed"),
-    Signal("creepage", "", AXLES, OUT, "", "sliding over surface speed"),
+    Signal(
+        "sliding", "m_s", AXLES, "surface speed minus radius times wheel speed", group="sliding"
+    ),
+    Signal("creepage", "", AXLES, "sliding over surface speed"),
     Signal(
         "adhesion",
         "",
         AXLES,
-        OUT,
-        "adhesion",
         "contact force over wheel load",
-        (Place(BENCH_NODE, 0x2104, 1, "I16", 1e-4),),
+        group="adhesion",
+        places=(Place(BENCH_NODE, 0x2104, 1, "I16", 1e-4),),
     ),
-    Signal("adhesion_degraded", "", AXLES, OUT, "adhesion", "lower limit f_d at this sliding"),
-    Signal("adhesion_recovered", "", AXLES, OUT, "adhesion", "upper limit f_r at this sliding"),
-    Signal("transition", "", AXLES, OUT, "transition", "lambda: 0 degraded, 1 recovered"),
+    Signal("adhesion_degraded", "", AXLES, "lower limit f_d at this sliding", group="adhesion"),
+    Signal("adhesion_recovered", "", AXLES, "upper limit f_r at this sliding", group="adhesion"),
+    Signal("transition", "", AXLES, "lambda: 0 degraded, 1 recovered", group="transition"),
     Signal(
         "dissipated_energy",
         "J_m",
         AXLES,
-        OUT,
-        "energy",
         "W_sp: energy dissipated per metre, one wheel",
+        group="energy",
     ),
     Signal(
         "sliding_work",
         "J",
         AXLES,
-        OUT,
-        "",
         "energy dissipated in the contacts of the wheelset so far",
-        (Place(BENCH_NODE, 0x2108, 1, "U32", 1.0),),
+        places=(Place(BENCH_NODE, 0x2108, 1, "U32", 1.0),),
     ),
     Signal(
         "friction_degraded",
         "",
         AXLES,
-        OUT,
-        "friction",
         "kinematic friction mu_cd of the contaminant under the axle",
+        group="friction",
     ),
     Signal(
         "film",
         "",
         AXLES,
-        OUT,
-        "film",
-        "contaminant on the roller under the wheel, of what was prepared",
+        "contaminant on the roller under the wheel, as a share of the prepared film",
+        group="film",
     ),
     Signal(
         "wheel_load",
         "N",
         AXLES,
-        OUT,
-        "loads",
         "vertical load of the wheelset (both wheels)",
-        (Place(BENCH_NODE, 0x2109, 1, "U32", 1.0),),
+        group="loads",
+        places=(Place(BENCH_NODE, 0x2109, 1, "U32", 1.0),),
     ),
     Signal(
         "brake_torque",
         "Nm",
         AXLES,
-        OUT,
-        "torques",
         "brake torque on the wheelset, positive when it brakes",
+        group="torques",
     ),
     Signal(
         "cylinder_pressure",
         "Pa",
         AXLES,
-        OUT,
-        "pressures",
         "brake cylinder pressure",
-        (Place(BRAKE_NODE, 0x6401, 1, "I16", 100.0),),
+        group="pressures",
+        places=(Place(BRAKE_NODE, 0x6401, 1, "I16", 100.0),),
     ),
     Signal(
         "valve",
         "",
         AXLES,
-        OUT,
-        "valves",
         "dump valve: 0 fill, 1 hold, 2 vent",
-        (Place(BENCH_NODE, 0x2105, 1, "U16", 1.0),),
+        group="valves",
+        places=(Place(BENCH_NODE, 0x2105, 1, "U16", 1.0),),
     ),
     Signal(
         "vents",
         "",
         AXLES,
-        OUT,
-        "",
-        "times the dump valve began to vent",
-        (Place(BENCH_NODE, 0x210A, 1, "U32", 1.0),),
+        "number of times that the dump valve began to vent",
+        places=(Place(BENCH_NODE, 0x210A, 1, "U32", 1.0),),
     ),
     Signal(
         "longest_lock",
         "s",
         AXLES,
-        OUT,
-        "",
         "longest lock of the wheelset so far above lock_above_m_s",
-        (Place(BENCH_NODE, 0x2107, 1, "U32", 1e-3),),
+        places=(Place(BENCH_NODE, 0x2107, 1, "U32", 1e-3),),
     ),
     Signal(
         "flat_length",
         "m",
         AXLES,
-        OUT,
-        "flats",
         "longest flat on the wheels of the wheelset",
-        (Place(BENCH_NODE, 0x2110, 1, "U16", 1e-4),),
+        group="flats",
+        places=(Place(BENCH_NODE, 0x2110, 1, "U16", 1e-4),),
     ),
     Signal(
         "air_consumption",
         "NL",
         1,
-        OUT,
-        "air",
         "air used by the brake cylinders so far",
-        (Place(BENCH_NODE, 0x2106, 0, "U32", 0.01),),
+        group="air",
+        places=(Place(BENCH_NODE, 0x2106, 0, "U32", 0.01),),
     ),
     Signal(
         "reservoir_pressure",
         "Pa",
         1,
-        OUT,
-        "pressures",
-        "auxiliary reservoir (0: air never runs out)",
-        (Place(BENCH_NODE, 0x210E, 0, "U16", 100.0),),
+        "pressure of the auxiliary reservoir (0: the supply of air is unlimited)",
+        group="pressures",
+        places=(Place(BENCH_NODE, 0x210E, 0, "U16", 100.0),),
     ),
     Signal(
         "reservoir_least",
         "Pa",
         1,
-        OUT,
-        "",
-        "least pressure of the auxiliary reservoir so far",
-        (Place(BENCH_NODE, 0x210F, 0, "U16", 100.0),),
+        "lowest pressure of the auxiliary reservoir so far",
+        places=(Place(BENCH_NODE, 0x210F, 0, "U16", 100.0),),
     ),
-    Signal("air_supplied", "NL", 1, OUT, "air", "air that the supply gave the reservoir so far"),
+    Signal(
+        "air_supplied",
+        "NL",
+        1,
+        "air that the supply has fed into the reservoir so far",
+        group="air",
+    ),
     Signal(
         "sand_rate",
         "kg_s",
         AXLES,
-        OUT,
-        "sand",
         "sand that leaves the hose of the axle's sander",
-        (Place(SANDER_NODE, 0x6401, 1, "I16", 1e-4),),
+        group="sand",
+        places=(Place(SANDER_NODE, 0x6401, 1, "I16", 1e-4),),
     ),
     Signal(
         "sand_box",
         "kg",
         AXLES,
-        OUT,
-        "",
         "sand left in the box of the axle's sander",
-        (Place(SANDER_NODE, 0x6401, 5, "I16", 1e-2), Place(BENCH_NODE, 0x2112, 1, "U16", 1e-2)),
+        places=(
+            Place(SANDER_NODE, 0x6401, 5, "I16", 0.01),
+            Place(BENCH_NODE, 0x2112, 1, "U16", 0.01),
+        ),
     ),
     Signal(
         "sand_taken",
         "kg",
         AXLES,
-        OUT,
-        "",
         "sand that the axle's sander took from its box",
-        (Place(BENCH_NODE, 0x2113, 1, "U16", 1e-2),),
+        places=(Place(BENCH_NODE, 0x2113, 1, "U16", 0.01),),
     ),
     Signal(
         "sand_dose",
         "kg_m",
         AXLES,
-        OUT,
-        "sand_dose",
         "sand that the wheels meet on a metre of track",
+        group="sand_dose",
     ),
     Signal(
         "sand_demand",
         "",
         AXLES,
-        IN,
-        "",
-        "sanders asked to strew",
-        (Place(SANDER_NODE, 0x6200, 1, "U8", 1.0),),
+        "sanders that are commanded to sand",
+        direction=IN,
+        places=(Place(SANDER_NODE, 0x6200, 1, "U8", 1.0),),
     ),
-    Signal("motor_torque_demand", "Nm", AXLES, OUT, "motors", "torque asked of the roller motor"),
+    Signal(
+        "motor_torque_demand", "Nm", AXLES, "torque commanded from the roller motor", group="motors"
+    ),
     Signal(
         "motor_torque",
         "Nm",
         AXLES,
-        OUT,
-        "motors",
         "torque of the roller motor on the roller shaft",
-        (Place(_DRIVE, 0x6077, 0, "I16", 1e-3, of="rated_torque_Nm"),),
+        group="motors",
+        places=(Place(DRIVE_UNDER_AXLE, 0x6077, 0, "I16", 1e-3, of="rated_torque_Nm"),),
     ),
     Signal(
         "disc_temperature",
         "K",
         AXLES,
-        OUT,
-        "temperatures",
-        "brake discs of the wheelset, one body",
-        (Place(BENCH_NODE, 0x210C, 1, "U16", 0.1),),
+        "temperature of the brake discs of the wheelset, as one body",
+        group="temperatures",
+        places=(Place(BENCH_NODE, 0x210C, 1, "U16", 0.1),),
     ),
     Signal(
         "motor_temperature",
         "K",
         AXLES,
-        OUT,
-        "temperatures",
-        "winding of the roller motor (track: the air's)",
-        (Place(BENCH_NODE, 0x210D, 1, "U16", 0.1),),
+        ("temperature of the winding of the roller motor (on plain track: of the air)"),
+        group="temperatures",
+        places=(Place(BENCH_NODE, 0x210D, 1, "U16", 0.1),),
     ),
     Signal(
         "tracking_error",
         "m_s",
         AXLES,
-        OUT,
-        "tracking",
-        "roller rim minus vehicle, or on a virtual track real minus virtual wheel rim",
+        (
+            "speed of the roller rim minus that of the vehicle; on a virtual "
+            "track, of the real minus the virtual wheel rim"
+        ),
+        group="tracking",
     ),
     Signal(
         "wsp_reference_speed",
         "m_s",
         1,
-        IN,
-        "speeds",
-        "reference speed that the WSP unit tells (NaN: it does not)",
-        (Place(WSP_NODE, 0x2110, 1, "I16", 0.01),),
+        "reference speed that the WSP unit sends (NaN: it sends none)",
+        group="speeds",
+        direction=IN,
+        places=(Place(WSP_NODE, 0x2110, 1, "I16", 0.01),),
     ),
     Signal(
         "magnets",
         "",
         AXLES,
-        IN,
-        "",
         "energised magnets: bit 0 hold, bit 1 vent",
-        (Place(BRAKE_NODE, 0x6200, 1, "U8", 1.0),),
+        direction=IN,
+        places=(Place(BRAKE_NODE, 0x6200, 1, "U8", 1.0),),
     ),
-    Signal("tick_lateness", "us", 1, OUT, "loop", "latest start of a tick since the last sample"),
-    Signal("tick_duration", "us", 1, OUT, "loop", "longest tick since the last sample"),
-    Signal("ticks_missed", "", 1, OUT, "", "ticks that began after the next one was due, so far"),
+    Signal("tick_lateness", "us", 1, "latest start of a tick since the last sample", group="loop"),
+    Signal("tick_duration", "us", 1, "longest tick since the last sample", group="loop"),
+    Signal("ticks_missed", "", 1, "ticks so far that began after the next one was due"),
 )
 
 
 def place(name: str, node: int) -> Place:
-    """Where a signal stands at a node. KeyError if there is no such signal, LookupError if not there."""
-    for one in BY_NAME[name].places:
-        if one.node == node:
-            return one
+    """Return the place of a signal at a node.
+
+    Raises KeyError for an unknown signal, LookupError when the node does not carry it.
+    """
+    for candidate in BY_NAME[name].places:
+        if candidate.node == node:
+            return candidate
     raise LookupError(f"node {node} carries no '{name}'")
 
 
 def bits(place: Place) -> int:
-    """How many bits one count takes."""
+    """Return the number of bits of one count."""
     return int(place.kind[1:])
 
 
 def columns(signal: Signal) -> tuple[str, ...]:
-    """Names of a signal's recording columns: unit suffix last, axles counted from 1."""
+    """Return the names of a signal's recording columns: axles from 1, the unit as suffix."""
     suffix = f"_{signal.unit}" if signal.unit else ""
     if signal.axles == 1:
         return (signal.name + suffix,)
@@ -428,24 +402,34 @@ def columns(signal: Signal) -> tuple[str, ...]:
 COLUMNS: tuple[str, ...] = tuple(name for signal in SIGNALS for name in columns(signal))
 BY_NAME: dict[str, Signal] = {signal.name: signal for signal in SIGNALS}
 
-_FIRST: dict[str, int] = {signal.name: COLUMNS.index(columns(signal)[0]) for signal in SIGNALS}
+_FIRST_COLUMN: dict[str, int] = {
+    signal.name: COLUMNS.index(columns(signal)[0]) for signal in SIGNALS
+}
 
 
 def column(name: str, axle: int = 1) -> int:
-    """Position of a signal (of one axle, from 1) in a row of all signals. KeyError if unknown."""
-    return _FIRST[name] + axle - 1
+    """Return the position of a signal of an axle (from 1) in a row of all signals.
+
+    Raises KeyError for an unknown signal.
+    """
+    return _FIRST_COLUMN[name] + axle - 1
 
 
 def span(name: str) -> slice:
-    """Positions of all axles of a signal in a row of all signals. KeyError if unknown."""
-    return slice(_FIRST[name], _FIRST[name] + BY_NAME[name].axles)
+    """Return the positions of all axles of a signal in a row of all signals.
+
+    Raises KeyError for an unknown signal.
+    """
+    first = _FIRST_COLUMN[name]
+    return slice(first, first + BY_NAME[name].axles)
 
 
 def count(value: float, place: Place, parameter: float = 1.0) -> int:
-    """A value in its unit as the integer that stands on the bus.
+    """Return the integer on the bus for a value in its unit.
 
-    Rounded half to even; saturated at the bounds of the type, or wrapped where the place is a
-    counter; a value that is not a number gives the lower bound.
+    The result is rounded half to even. It saturates at the bounds of the type, or wraps round where
+    the place is a counter. A value that is not finite gives the lower bound. `parameter` is the
+    value of the parameter that multiplies the scale.
     """
     low, high = KINDS[place.kind]
     if not np.isfinite(value):
@@ -457,5 +441,5 @@ def count(value: float, place: Place, parameter: float = 1.0) -> int:
 
 
 def value(raw: int, place: Place, parameter: float = 1.0) -> float:
-    """The integer that stands on the bus as a value in the signal's unit."""
+    """Return the value in the signal's unit for an integer on the bus."""
     return raw * place.scale * parameter

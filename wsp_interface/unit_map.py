@@ -1,10 +1,11 @@
-"""A unit that speaks plain CAN messages of its own: a DBC file and a mapping lead it to the rig.
+"""A unit with its own plain CAN messages: a DBC file and a mapping connect it to the rig.
 
-After each SYNC the gateway waits for the axle speeds of node 16, sends the unit its messages, encoded as the DBC says,
-and turns the unit's answer into the magnets of node 17, its reference speed and the heartbeat of node 32. So such a
-unit runs the same sequences, in lockstep too if it answers each of the last messages to it; one that keeps its own time
-is for real time. A unit that is silent is soon without heartbeat, and the brakes apply. Before the first SYNC it is
-asked with the speeds of a standing train until it answers.
+A gateway translates between the unit and the rig. After each SYNC it waits for the axle speeds of
+node 16 and sends the unit its messages, encoded as in the DBC. It turns the unit's answer into the
+magnets of node 17, the unit's reference speed and the heartbeat of node 32. So such a unit runs the
+same sequences. In lockstep it must answer the last message of each cycle; a unit that keeps its own
+time is for real time only. If the unit is silent, its heartbeat stops and the brakes apply. Before
+the first SYNC the gateway sends the speeds of a standing train until the unit answers.
 
     dbc = "unit.dbc"
     [[to_unit]]
@@ -58,23 +59,32 @@ from rollerrig.wsp_interface.rig_objects import (
 )
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, WSP_NODE
 
-OPERATIONAL, HEARTBEAT_SYNCS, QUIET_S = 5, 5, 0.1
+OPERATIONAL = 5  # NMT state in a heartbeat
+HEARTBEAT_SYNCS = 5  # SYNCs between two heartbeats
+QUIET_S = 0.1
+
 _NODES = (*signals.RIG_NODES, WSP_NODE, BENCH_NODE)
-_KEYS, _TO = ("title", "dbc", "to_unit", "from_unit"), ("message", "signals", "factor")
-_FROM = ("message", "hold", "vent", "reference", "reference_factor")
-# what a mapping calls the quantities: their columns without unit
-_PLAIN = {
-    column: f"{one}_{axle}"
-    for one in ("measured_speed", "cylinder_pressure")
-    for axle, column in enumerate(signals.columns(signals.BY_NAME[one]), start=1)
-}
-SOURCES = tuple(_PLAIN.values())
+# the service codes of nodes in the predefined connection set: EMCY to SDO, and heartbeat
+_SERVICES = (*range(1, 13), 14)
+_SERVICE_BITS = 7  # the service code is above the bits of the node's number
+
+_TOP_KEYS = ("title", "dbc", "to_unit", "from_unit")
+_TO_UNIT_KEYS = ("message", "signals", "factor")
+_FROM_UNIT_KEYS = ("message", "hold", "vent", "reference", "reference_factor")
 _BOTH_WAYS = "a mapping has at least one [[to_unit]] and one [from_unit]"
+
+# the names of the quantities in a mapping: their columns without the unit
+_SOURCE_OF_COLUMN = {
+    column: f"{name}_{axle}"
+    for name in ("measured_speed", "cylinder_pressure")
+    for axle, column in enumerate(signals.columns(signals.BY_NAME[name]), start=1)
+}
+SOURCES = tuple(_SOURCE_OF_COLUMN.values())
 
 
 @dataclass(frozen=True)
 class Outgoing:
-    """One message to the unit: which of its signals carries which quantity, times a factor."""
+    """One message to the unit: the source of each of its signals, times a factor."""
 
     message: DbcMessage
     sources: Mapping[str, str]
@@ -83,18 +93,22 @@ class Outgoing:
 
 @dataclass(frozen=True)
 class UnitMap:
-    """A checked mapping."""
+    """A checked mapping of a unit with CAN messages."""
 
     outgoing: tuple[Outgoing, ...]
     incoming: DbcMessage
-    hold: tuple[str, ...]
+    hold: tuple[str, ...]  # the unit's signals of the hold magnets, one for each axle
     vent: tuple[str, ...]
-    reference: str
-    reference_factor: float
+    reference: str  # the unit's signal of the reference speed; "" for none
+    reference_factor: float  # m/s of one unit of that signal
 
 
-class Names(NamedTuple):
-    """A mapping without messages: to each name of an input its quantity and factor, and the names of the outputs."""
+class FmuMap(NamedTuple):
+    """A mapping without messages.
+
+    `inputs` holds the source and the factor of each input of the FMU; the other fields are as in
+    `UnitMap`, with names of the FMU's outputs.
+    """
 
     inputs: dict[str, tuple[str, float]]
     hold: tuple[str, ...]
@@ -103,80 +117,97 @@ class Names(NamedTuple):
     reference_factor: float
 
 
-def names(path: Path) -> Names:
-    """The mapping of an FMU. Raises ConfigError."""
-    given = store.parse(path)
+def load_fmu_map(path: Path) -> FmuMap:
+    """Return the mapping of an FMU. Raises ConfigError."""
+    content = store.parse(path)
     known(
-        given,
+        content,
         ("title", "to_unit", "from_unit"),
         lambda key: f"{path}: the mapping of an FMU has no messages",
     )
     inputs: dict[str, tuple[str, float]] = {}
-    for at, one in enumerate(given.get("to_unit", []), start=1):
-        where = f"{path} [[to_unit]] {at}"
-        known(one, _TO[1:], lambda key, where=where: where)
-        inputs |= {
-            name: (source, _factor(one, "factor", where))
-            for name, source in _sources(one, where).items()
-        }
-    back = given.get("from_unit")
-    if not inputs or not isinstance(back, dict):
+    for number, table in enumerate(content.get("to_unit", []), start=1):
+        where = f"{path} [[to_unit]] {number}"
+        known(table, ("signals", "factor"), lambda key, where=where: where)
+        factor = _factor(table, "factor", where)
+        for name, source in _sources(table, where).items():
+            inputs[name] = (source, factor)
+
+    from_unit = content.get("from_unit")
+    if not inputs or not isinstance(from_unit, dict):
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
     where = f"{path} [from_unit]"
-    known(back, _FROM[1:], lambda key: where)
-    return Names(
-        inputs,
-        *_valves(back, where),
-        str(back.get("reference", "")),
-        _factor(back, "reference_factor", where),
+    known(from_unit, _FROM_UNIT_KEYS[1:], lambda key: where)
+    hold, vent = _magnets(from_unit, where)
+    return FmuMap(
+        inputs=inputs,
+        hold=hold,
+        vent=vent,
+        reference=str(from_unit.get("reference", "")),
+        reference_factor=_factor(from_unit, "reference_factor", where),
     )
 
 
 def load(path: Path) -> UnitMap:
-    """A mapping and its DBC. Raises ConfigError: unknown message or signal, identifier in use."""
-    given = store.parse(path)
-    known(given, _KEYS, lambda key: str(path))
-    dbc = path.parent / str(given.get("dbc", ""))
-    try:
-        database: Any = cantools.database.load_file(dbc)
-    except (OSError, cantools.Error, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: dbc = {given.get('dbc')!r}: cannot be read: {error}") from None
-    outgoing = tuple(
-        _outgoing(one, database, f"{path} [[to_unit]] {at}")
-        for at, one in enumerate(given.get("to_unit", []), start=1)
-    )
-    back = given.get("from_unit")
-    if not outgoing or not isinstance(back, dict):
+    """Return a mapping with its DBC.
+
+    Raises ConfigError for an unknown message or signal, or an identifier that the rig uses.
+    """
+    content = store.parse(path)
+    known(content, _TOP_KEYS, lambda key: str(path))
+    database = _database(path, content.get("dbc"))
+
+    outgoing = []
+    for number, table in enumerate(content.get("to_unit", []), start=1):
+        outgoing.append(_outgoing(table, database, f"{path} [[to_unit]] {number}"))
+
+    from_unit = content.get("from_unit")
+    if not outgoing or not isinstance(from_unit, dict):
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
     where = f"{path} [from_unit]"
-    known(back, _FROM, lambda key: where)
-    incoming = _message(back, database, where)
-    hold, vent = _valves(back, where)
+    known(from_unit, _FROM_UNIT_KEYS, lambda key: where)
+    incoming = _message(from_unit, database, where)
+    hold, vent = _magnets(from_unit, where)
     _check_signals(hold, incoming, f"{where}: hold")
     _check_signals(vent, incoming, f"{where}: vent")
-    reference = str(back.get("reference", ""))
-    _check_signals((reference,) if reference else (), incoming, f"{where}: reference")
+    reference = str(from_unit.get("reference", ""))
+    if reference:
+        _check_signals((reference,), incoming, f"{where}: reference")
     return UnitMap(
-        outgoing, incoming, hold, vent, reference, _factor(back, "reference_factor", where)
+        outgoing=tuple(outgoing),
+        incoming=incoming,
+        hold=hold,
+        vent=vent,
+        reference=reference,
+        reference_factor=_factor(from_unit, "reference_factor", where),
     )
 
 
-def _outgoing(given: Any, database: Any, where: str) -> Outgoing:
-    known(given, _TO, lambda key: where)
-    message = _message(given, database, where)
-    sources = _sources(given, where)
+def _database(path: Path, name: Any) -> Any:
+    """Return the DBC of a mapping; its path is relative to the mapping."""
+    dbc = path.parent / ("" if name is None else str(name))
+    try:
+        return cantools.database.load_file(dbc)
+    except (OSError, cantools.Error, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: dbc = {name!r}: cannot be read: {error}") from None
+
+
+def _outgoing(table: Any, database: Any, where: str) -> Outgoing:
+    known(table, _TO_UNIT_KEYS, lambda key: where)
+    message = _message(table, database, where)
+    sources = _sources(table, where)
     _check_signals(tuple(sources), message, f"{where}: signals")
-    missing = sorted({one.name for one in message.signals} - set(sources))
+    missing = sorted({signal.name for signal in message.signals} - set(sources))
     if missing:
         raise ConfigError(
             f"{where}: signals: {message.name} also has {', '.join(missing)}; map all"
         )
-    return Outgoing(message, dict(sources), _factor(given, "factor", where))
+    return Outgoing(message, sources, _factor(table, "factor", where))
 
 
-def _sources(given: Mapping[str, Any], where: str) -> dict[str, str]:
-    """Which quantity each of the unit's signals carries."""
-    sources = given.get("signals")
+def _sources(table: Mapping[str, Any], where: str) -> dict[str, str]:
+    """Return the source of each of the unit's signals."""
+    sources = table.get("signals")
     if not isinstance(sources, dict) or not sources:
         raise ConfigError(f'{where}: signals = {sources!r}: write {{ V1 = "measured_speed_1" }}')
     for source in sources.values():
@@ -185,35 +216,36 @@ def _sources(given: Mapping[str, Any], where: str) -> dict[str, str]:
     return dict(sources)
 
 
-def _factor(given: Mapping[str, Any], key: str, where: str) -> float:
-    factor = given.get(key, 1.0)
-    if isinstance(factor, bool) or not isinstance(factor, int | float) or not factor:
-        raise ConfigError(f"{where}: {key} = {factor!r}: a number, and not 0")
+def _factor(table: Mapping[str, Any], key: str, where: str) -> float:
+    factor = table.get(key, 1.0)
+    is_number = isinstance(factor, int | float) and not isinstance(factor, bool)
+    if not is_number or factor == 0:
+        raise ConfigError(f"{where}: {key} = {factor!r}: allowed is a number that is not 0")
     return float(factor)
 
 
-def _valves(back: Mapping[str, Any], where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The unit's signals of hold and vent magnets, one for each axle."""
+def _magnets(from_unit: Mapping[str, Any], where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the unit's signals of the hold and of the vent magnets, one for each axle."""
     for key in ("hold", "vent"):
-        given = back.get(key)
-        if not isinstance(given, list) or len(given) != AXLES:
-            raise ConfigError(f"{where}: {key} = {given!r}: {AXLES} signals, one for each axle")
-    return tuple(map(str, back["hold"])), tuple(map(str, back["vent"]))
+        names = from_unit.get(key)
+        if not isinstance(names, list) or len(names) != AXLES:
+            raise ConfigError(f"{where}: {key} = {names!r}: {AXLES} signals, one for each axle")
+    hold = tuple(str(name) for name in from_unit["hold"])
+    vent = tuple(str(name) for name in from_unit["vent"])
+    return hold, vent
 
 
-def _message(given: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
-    name = given.get("message")
-    found = {one.name: one for one in database.messages}
-    if name not in found:
+def _message(table: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
+    """Return the message of a table. Raises ConfigError when the rig uses its identifier."""
+    name = table.get("message")
+    messages = {message.name: message for message in database.messages}
+    if name not in messages:
         raise ConfigError(
-            f"{where}: message = {name!r}: the DBC has none called so{nearest(str(name), found)}"
+            f"{where}: message = {name!r}: the DBC has no such message"
+            f"{nearest(str(name), messages)}"
         )
-    message = found[name]
-    if not message.is_extended_frame and (
-        # the predefined connection set of the rig's nodes
-        message.frame_id in (NMT, SYNC, TIME, LSS_ANSWER, LSS_REQUEST)
-        or (message.frame_id & NODE_MASK in _NODES and message.frame_id >> 7 in (*range(1, 13), 14))
-    ):
+    message = messages[name]
+    if _is_used_by_rig(message):
         raise ConfigError(
             f"{where}: {name} has the identifier {message.frame_id:X}h, which the rig "
             "uses; give the unit another, or 29-bit identifiers"
@@ -221,103 +253,134 @@ def _message(given: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
     return message
 
 
+def _is_used_by_rig(message: DbcMessage) -> bool:
+    """Return whether a message is in the predefined connection set of the rig's nodes."""
+    if message.is_extended_frame:
+        return False
+    can_id = message.frame_id
+    if can_id in (NMT, SYNC, TIME, LSS_ANSWER, LSS_REQUEST):
+        return True
+    return can_id & NODE_MASK in _NODES and can_id >> _SERVICE_BITS in _SERVICES
+
+
 def _check_signals(names: tuple[str, ...], message: DbcMessage, where: str) -> None:
-    there = [one.name for one in message.signals]
+    present = [signal.name for signal in message.signals]
     for name in names:
-        if name not in there:
+        if name not in present:
             raise ConfigError(
-                f"{where}: {message.name} has no signal '{name}'{nearest(name, there)}"
+                f"{where}: {message.name} has no signal '{name}'{nearest(name, present)}"
             )
 
 
 class Gateway:
-    """Between a bus of the rig and a unit on the same bus. `run` returns when the bus ends."""
+    """Translates between the rig and a unit on the same bus. `run` returns when the bus ends.
+
+    `values` holds the quantities of the rig by source, `answers` counts the unit's answers.
+    """
 
     def __init__(self, bus: can.BusABC, mapping: UnitMap) -> None:
-        self.bus, self.mapping = bus, mapping
+        self.bus = bus
+        self.mapping = mapping
         self.values = dict.fromkeys(SOURCES, 0.0)
         self.answers = 0
-        self._syncs, self._stopping, self._alive = 0, False, False
+        self._syncs = 0
+        self._stopping = False
+        self._alive = False  # the unit has answered since the last heartbeat
 
     def stop(self) -> None:
-        """Ask `run` to end; it does within 0.1 s."""
+        """Make `run` return within 0.1 s."""
         self._stopping = True
 
     def run(self) -> None:
         """Serve until the bus ends or `stop` is called."""
         try:
-            quiet_s = 0.0
+            next_poll_s = 0.0
             while not self._stopping:
-                if self._syncs == 0 and time.monotonic() >= quiet_s:
-                    # no SYNC yet: the bench waits for a heartbeat, and the unit is asked for it
-                    quiet_s = time.monotonic() + QUIET_S
-                    self._tell_unit()
+                if self._syncs == 0 and time.monotonic() >= next_poll_s:
+                    # before the first SYNC the bench waits for a heartbeat of the unit
+                    next_poll_s = time.monotonic() + QUIET_S
+                    self._send_to_unit()
                     if self._alive:
-                        self._send(UNIT_HEARTBEAT_ID, bytes([OPERATIONAL]))
-                if (message := self.bus.recv(QUIET_S)) is not None:
+                        self._send_heartbeat()
+                message = self.bus.recv(QUIET_S)
+                if message is not None:
                     self._take(message)
         except can.CanError:
             return
 
     def _take(self, message: can.Message) -> None:
-        can_id, data, incoming = message.arbitration_id, message.data, self.mapping.incoming
+        incoming = self.mapping.incoming
+        can_id = message.arbitration_id
         if can_id == SYNC:
             self._syncs += 1
             if self._syncs % HEARTBEAT_SYNCS == 0 and self._alive:
-                self._send(UNIT_HEARTBEAT_ID, bytes([OPERATIONAL]))
+                self._send_heartbeat()
                 self._alive = False
-        elif (can_id, message.is_extended_id) == (incoming.frame_id, incoming.is_extended_frame):
-            self._answer(bytes(data))
-        elif found := next(
-            (one.read(data) for one in (SPEEDS, PRESSURES) if one.can_id == can_id), None
-        ):
-            self.values |= {_PLAIN[name]: value for name, value in found.items()}
-            # pressures come last in a cycle: what the unit gets is then of one SYNC
-            if can_id == PRESSURES.can_id:
-                self._tell_unit()
+        elif can_id == incoming.frame_id and message.is_extended_id == incoming.is_extended_frame:
+            self._translate_answer(bytes(message.data))
+        elif can_id == SPEEDS.can_id:
+            self._store(SPEEDS.read(message.data))
+        elif can_id == PRESSURES.can_id:
+            values = PRESSURES.read(message.data)
+            self._store(values)
+            if values:
+                # pressures come last in a cycle, so all values are now of the same SYNC
+                self._send_to_unit()
 
-    def _tell_unit(self) -> None:
-        for one in self.mapping.outgoing:
+    def _store(self, values: Mapping[str, float]) -> None:
+        for column, value in values.items():
+            self.values[_SOURCE_OF_COLUMN[column]] = value
+
+    def _send_to_unit(self) -> None:
+        for outgoing in self.mapping.outgoing:
             content = {
-                name: one.factor * self.values[source] for name, source in one.sources.items()
+                name: outgoing.factor * self.values[source]
+                for name, source in outgoing.sources.items()
             }
-            data = one.message.encode(content, strict=False)
+            message = outgoing.message
             self.bus.send(
                 can.Message(
-                    arbitration_id=one.message.frame_id,
-                    data=data,
-                    is_extended_id=one.message.is_extended_frame,
+                    arbitration_id=message.frame_id,
+                    data=message.encode(content, strict=False),
+                    is_extended_id=message.is_extended_frame,
                 )
             )
 
-    def _answer(self, data: bytes) -> None:
+    def _translate_answer(self, data: bytes) -> None:
+        """Send the rig the unit's reference speed and magnets."""
+        mapping = self.mapping
         try:
-            message: Any = self.mapping.incoming.decode(data, decode_choices=False)
+            content: Any = mapping.incoming.decode(data, decode_choices=False)
         except (cantools.Error, ValueError):
-            return  # too short: as if it had not been sent
-        self._alive, mapping = True, self.mapping
+            return  # too short: the rig treats it as no answer
+        self._alive = True
+
         if mapping.reference:
             raw = signals.count(
-                float(message[mapping.reference]) * mapping.reference_factor,
+                float(content[mapping.reference]) * mapping.reference_factor,
                 signals.place("wsp_reference_speed", WSP_NODE),
             )
             self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(raw))
+
         pairs = []
         for hold, vent in zip(mapping.hold, mapping.vent, strict=True):
-            pairs.append(magnets.pair(bool(message[hold]), bool(message[vent])))
+            pairs.append(magnets.pair(bool(content[hold]), bool(content[vent])))
         self._send(MAGNETS_ID, bytes([magnets.pack(pairs)]))
         self.answers += 1
+
+    def _send_heartbeat(self) -> None:
+        self._send(UNIT_HEARTBEAT_ID, bytes([OPERATIONAL]))
 
     def _send(self, can_id: int, data: bytes) -> None:
         self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
 
 def companion(path: Path) -> Callable[[str], AbstractContextManager[Gateway]]:
-    """A gateway that runs beside a bench: call the result with the bus's address."""
+    """Return a context manager that runs a gateway during a bench, given the address of its bus."""
     mapping = load(path)
 
     @contextlib.contextmanager
-    def beside(address: str) -> Iterator[Gateway]:
+    def run_gateway(address: str) -> Iterator[Gateway]:
         with buses.open_client(address) as bus:
             gateway = Gateway(bus, mapping)
             thread = threading.Thread(target=gateway.run, name="unit gateway", daemon=True)
@@ -328,4 +391,4 @@ def companion(path: Path) -> Callable[[str], AbstractContextManager[Gateway]]:
                 gateway.stop()
                 thread.join(2.0)
 
-    return beside
+    return run_gateway

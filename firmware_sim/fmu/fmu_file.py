@@ -22,7 +22,7 @@ from rollerrig.wsp_interface import unit_map
 from rollerrig.wsp_interface.signals import AXLES
 
 _AXLES = range(1, AXLES + 1)
-NAMES = unit_map.Names(
+NAMES = unit_map.FmuMap(
     {
         **{f"wheel_speed_{axle}": (f"measured_speed_{axle}", 1.0) for axle in _AXLES},
         **{f"cylinder_pressure_{axle}": (f"cylinder_pressure_{axle}", 1.0) for axle in _AXLES},
@@ -120,7 +120,7 @@ def fit(path: Path, map_path: Path | None, period_s: float) -> Fitted:
 
 def look(path: Path, map_path: Path | None, period_s: float) -> tuple[Fitted | None, list[Finding]]:
     """What an FMU holds, and whether it fits. Raises ConfigError where it cannot be read at all."""
-    names = unit_map.names(map_path) if map_path else NAMES
+    names = unit_map.load_fmu_map(map_path) if map_path else NAMES
     description, strict = _read(path)
     tool = f", by {description.generationTool}" if description.generationTool else ""
     findings = [
@@ -370,7 +370,7 @@ def _terminal(
 
 
 def _ports(
-    description: Any, names: unit_map.Names, mapped: bool
+    description: Any, names: unit_map.FmuMap, mapped: bool
 ) -> tuple[list[Port | None], list[Finding]]:
     """The variables of all names, inputs first, and what was found of each."""
     variables = {one.name: one for one in description.modelVariables}
@@ -423,7 +423,7 @@ def _ports(
     return ports, findings
 
 
-def _wanted(names: unit_map.Names) -> Iterator[tuple[str, str, str, float]]:
+def _wanted(names: unit_map.FmuMap) -> Iterator[tuple[str, str, str, float]]:
     """Name, quantity, causality and factor of all variables, inputs first."""
     for name, (quantity, factor) in names.inputs.items():
         yield name, quantity, "input", factor
