@@ -135,11 +135,11 @@ async def _cycle_on_wire(parts: Parts, bus: RigBus, hub: Hub, ticks: tick.Ticks)
 
 
 async def _await_answers_in_standstill(parts: Parts, bus: RigBus, hub: Hub) -> None:
-    hub.still = True
+    hub.services_bypass_wire = True
     try:
         await _await_answers(parts, bus)
     finally:
-        hub.still = False
+        hub.services_bypass_wire = False
 
 
 async def _catch_up(parts: Parts, bus: RigBus) -> None:

@@ -193,7 +193,7 @@ class RigBus:
             self.rack.add(member)
         self._port = hub.attach(self._from_bus, "rig")
         self.gate = Gate(Controllers(hub.destroy))
-        hub.arrived = self._note_answer
+        hub.on_submitted = self._note_answer
         self.rack.start(self._port.send, clock_ns())
         hub.attach(self._listen, "bench")
         self._on_command = on_command

@@ -189,11 +189,11 @@ def test_an_error_frame_takes_the_wires_time(site):
 
 
 def test_services_pass_beside_the_wire_while_simulated_time_stands_still(site):
-    site.hub.still = True
+    site.hub.services_bypass_wire = True
     site.a.send(Frame(0x211, b"\0"))
     site.a.send(Frame(0x601, EIGHT))
     assert site.carried == [(0, 0x601)]
-    site.hub.still = False
+    site.hub.services_bypass_wire = False
     site.a.send(Frame(0x601, EIGHT))
     assert site.until(10_000) == [(0, 0x601), (110, 0x211), (332, 0x601)]
 

@@ -1,9 +1,9 @@
-"""Opening a bus from its address, the same way for a program outside and for the bench.
+"""Opens a bus from its address, in the same way for an outside program and for the bench.
 
-An address is `socketcand://HOST:PORT/BUS` (the bench's own hub), `socketcan:vcan0` (a CAN interface
-of the kernel) or `INTERFACE:CHANNEL` of any other python-can interface. A program outside gets a
-python-can bus; the bench always gets a hub, which either listens for programs or has one of its
-ports on the python-can bus, so the nodes, the log and the counters are the same on both.
+An address is `socketcand://HOST:PORT/BUS` (the bench's hub), `socketcan:vcan0` (a CAN interface of
+the kernel) or `INTERFACE:CHANNEL` of any other python-can interface. An outside program gets a
+python-can bus. The bench always gets a hub: it either listens for programs, or one of its ports is
+connected to the python-can bus. So the nodes, the log and the counters are the same for both.
 
 Source: python-can 4.6.
 """
@@ -24,10 +24,10 @@ from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub, log_event
 from rollerrig.wsp_interface.events import Code, OnEvent
 
-BATCH = 64  # frames read in one go, so that a full bus leaves the loop some air
-# frames that wait while the interface's own queue is full, and how long until it is asked again
-QUEUE, RETRY_S = 4096, 0.001
-OLDEST_S = 1.0  # a stamp of the kernel's that is older than this comes from a clock that was set
+BATCH = 64  # frames read in one callback, so that a full bus leaves time for the event loop
+QUEUE = 4096  # frames that wait while the queue of the interface is full
+RETRY_S = 0.001  # until the next attempt to send them
+OLDEST_S = 1.0  # an older time stamp of the kernel shows that the wall clock was set
 DEFAULT_ADDRESS = f"socketcand://{plugin.DEFAULT_CHANNEL}"
 _INSTEAD = f"or use the bench's own hub, {DEFAULT_ADDRESS}"
 
@@ -39,10 +39,14 @@ def open_client(
     ahead: bool = False,
     **more: Any,
 ) -> can.BusABC:
-    """Return the python-can bus at an address, for a program outside; waits for a hub. Raises BusError.
+    """Return the python-can bus at an address, for an outside program.
 
-    `errors`: a hub shall tell error frames too; a CAN interface of the kernel does so anyway. `ahead`: as
-    `plugin.RollerrigBus` has it, where there is a hub.
+    connect_timeout_s: how long to wait for a hub.
+    errors: receive error frames from a hub; a CAN interface of the kernel always delivers them.
+    ahead: as in `plugin.RollerrigBus`, for a hub only.
+    more: further options of the python-can interface.
+
+    Raises BusError.
     """
     interface, colon, channel = address.partition(":")
     if not colon or not channel:
@@ -69,7 +73,7 @@ def open_client(
     except (can.CanError, OSError, ValueError, TypeError, NotImplementedError) as error:
         raise BusError(
             f"bus address {address!r}: python-can cannot open it: {error}; "
-            f"mend the channel or use {DEFAULT_ADDRESS}"
+            f"correct the channel or use {DEFAULT_ADDRESS}"
         ) from error
 
 
@@ -81,41 +85,45 @@ async def open_hub(
     on_event: OnEvent = log_event,
     kernel_time: bool = False,
 ) -> Hub:
-    """Return a hub for the bench's nodes that serves, or sits on, the bus at an address.
+    """Return a hub for the bench's nodes: it serves the bus at an address, or is connected to it.
 
-    bitrate in bit/s is what the load is counted against. on_lost is told when the python-can bus
-    fails later, without it the event loop's exception handler is; on_event(code, **fields) is told of
-    errors that a controller reports. kernel_time: clock_ns goes as the wall clock does, so that a
-    frame gets the time at which the kernel took it. Raises BusError.
+    bitrate: in bit/s, for the load.
+    on_lost: called with the error when the python-can bus fails later; by default the event loop's
+        exception handler is called.
+    on_event: called as on_event(code, **fields) for errors that a controller reports.
+    kernel_time: clock_ns follows the wall clock, so a frame gets the time at which the kernel
+        received it.
+
+    Raises BusError.
     """
-    if not address.startswith("socketcand:"):
-        # the handshake blocks, perhaps with a hub in this very event loop
-        # CAN FD frames are no use here, but shall be told and counted
-        more = {"fd": True} if address.startswith("socketcan:") else {}
-        bus = await asyncio.to_thread(open_client, address, **more)
-        hub = Hub(
-            clock_ns,
-            bitrate,
-            on_event=on_event,
-            name=address.partition(":")[2].rpartition("/")[2],
-        )
+    if address.startswith("socketcand:"):
         try:
-            BusPort(hub, bus, on_lost, on_event, clock_ns if kernel_time else None)
-        except BusError:
-            bus.shutdown()
-            raise
+            host, port, name = plugin.parse_address(address)
+        except ValueError as error:
+            raise BusError(str(error)) from error
+        hub = Hub(clock_ns, bitrate, name, on_event=on_event)
+        await hub.listen("socketcand", host, port)
         return hub
-    try:
-        host, port, name = plugin.parse_address(address)
-    except ValueError as error:
-        raise BusError(str(error)) from error
+
+    # CAN FD frames are useless here, but they must be counted and reported
+    more = {"fd": True} if address.startswith("socketcan:") else {}
+    # the handshake blocks, and the other end may be a hub in this very event loop
+    bus = await asyncio.to_thread(open_client, address, **more)
+    name = address.partition(":")[2].rpartition("/")[2]
     hub = Hub(clock_ns, bitrate, name, on_event=on_event)
-    await hub.listen("socketcand", host, port)
+    try:
+        BusPort(hub, bus, on_lost, on_event, clock_ns if kernel_time else None)
+    except BusError:
+        bus.shutdown()
+        raise
     return hub
 
 
 class BusPort(can.Listener):
-    """Joins a hub and a python-can bus: frames of each go to the other, until either closes."""
+    """Connects a hub and a python-can bus: frames of each go to the other, until either closes.
+
+    `error` is the failure of the bus, None while it works.
+    """
 
     def __init__(
         self,
@@ -125,53 +133,62 @@ class BusPort(can.Listener):
         on_event: OnEvent,
         clock_ns: Callable[[], int] | None,
     ) -> None:
-        """Start reading; to be called in the hub's event loop. Owns the bus from now on.
+        """Start to read. Call it in the hub's event loop; the port owns the bus from now on.
 
-        Raises BusError where another bench is on the interface.
+        clock_ns: the hub's clock, if frames shall get the time stamps of the python-can bus.
+
+        Raises BusError when another bench is on the interface.
         """
         self.error: BusError | None = None
-        self._hub, self._bus, self._on_lost, self._on_event = hub, bus, on_lost, on_event
+        self._hub = hub
+        self._bus = bus
+        self._on_lost = on_lost
+        self._on_event = on_event
         self._clock_ns = clock_ns
         self._loop = asyncio.get_running_loop()
         self._waiting: deque[Frame] = deque()
-        self._told: set[tuple[Code, str]] = set()
-        self._interface = (
-            kernel.Interface(bus, str(bus.channel)) if isinstance(bus, SocketcanBus) else None
-        )
+        self._reported: set[tuple[Code, str]] = set()
+        self._interface: kernel.Interface | None = None
+        if isinstance(bus, SocketcanBus):
+            self._interface = kernel.Interface(bus, str(bus.channel))
         self._fileno = _fileno(bus)
         self._port = hub.attach(self._transmit, str(bus.channel_info), self._stop)
         if clock_ns is not None:
-            hub.stamped_by = self._port
+            hub.timestamping_port = self._port
         self._notifier: can.Notifier | None = None
         if self._fileno is not None:
             self._loop.add_reader(self._fileno, self._readable)
         else:
-            # its thread reads, and calls in this event loop
+            # the notifier reads in a thread and calls this listener in the event loop
             self._notifier = can.Notifier(bus, [self], timeout=0.1, loop=self._loop)
         if self._interface:
             self._loop.add_reader(self._interface.link, self._look_at_link)
 
     def _transmit(self, frame: Frame) -> None:
-        if self._waiting or not self._sent(frame):
-            self._waiting.append(frame)
-            if len(self._waiting) == 1:
-                self._loop.call_later(RETRY_S, self._retry)
-            elif len(self._waiting) > QUEUE:
-                self._waiting.popleft()
-                self._drop(1, "its transmit queue does not empty")
+        """Send a frame of the hub; let it wait while the queue of the interface is full."""
+        if not self._waiting and self._send(frame):
+            return
+        self._waiting.append(frame)
+        if len(self._waiting) == 1:
+            self._loop.call_later(RETRY_S, self._retry)
+        elif len(self._waiting) > QUEUE:
+            self._waiting.popleft()
+            self._drop(1, "its transmit queue does not empty")
 
-    def _sent(self, frame: Frame) -> bool:
-        """Whether the bus took a frame, or never will; False: later."""
+    def _send(self, frame: Frame) -> bool:
+        """Return False when the frame must wait; True when it is sent, or dropped for good."""
         try:
             self._bus.send(plugin.message_of(frame), timeout=0)
-        except can.CanError as error:  # full queue, bus off, or gone
-            if self._interface and error.error_code in (None, errno.ENOBUFS):
+        except can.CanError as error:
+            # the queue is full, the controller is bus-off, or the bus is gone
+            queue_is_full = error.error_code in (None, errno.ENOBUFS)
+            if self._interface and queue_is_full:
                 return False
             self._drop(1, str(error))
         return True
 
     def _retry(self) -> None:
-        while self._waiting and self._sent(self._waiting[0]):
+        while self._waiting and self._send(self._waiting[0]):
             self._waiting.popleft()
         if self._waiting:
             self._loop.call_later(RETRY_S, self._retry)
@@ -182,30 +199,35 @@ class BusPort(can.Listener):
             self._on_event(Code.BUS_FRAMES_LOST, bus=self._port.name, reason=why)
 
     def _is_new(self, code: Code, about: str) -> bool:
-        """Return True the first time: the trouble of a bus comes with every frame."""
-        if (code, about) in self._told:
+        """Return True the first time: a bus in trouble repeats its errors with every frame."""
+        if (code, about) in self._reported:
             return False
-        self._told.add((code, about))
+        self._reported.add((code, about))
         return True
 
     def _readable(self) -> None:
         try:
             for _ in range(BATCH):
-                if (message := self._bus.recv(0)) is None:
+                message = self._bus.recv(0)
+                if message is None:
                     break
                 self.on_message_received(message)
         except can.CanError as error:
             self.on_error(error)
-        if self._interface and self.error is None and (lost := self._interface.newly_dropped()):
-            self._drop(lost, "they came faster than they were read")
+        if self._interface and self.error is None:
+            lost = self._interface.newly_dropped()
+            if lost:
+                self._drop(lost, "they came faster than they were read")
 
     def on_message_received(self, msg: can.Message) -> None:
         """Put a message of the python-can bus on the hub."""
         frame = plugin.frame_of(msg)
         if frame is not None:
-            self._port.send(frame._replace(time_ns=self._time_ns(msg)) if self._clock_ns else frame)
+            if self._clock_ns:
+                frame = frame._replace(time_ns=self._time_ns(msg))
+            self._port.send(frame)
         elif msg.is_error_frame:
-            self._hub.tell_error(msg.arbitration_id, bytes(msg.data))
+            self._hub.report_error(msg.arbitration_id, bytes(msg.data))
             for condition in kernel.error_texts(msg):
                 if self._is_new(Code.BUS_CONTROLLER, condition):
                     self._on_event(Code.BUS_CONTROLLER, bus=self._port.name, condition=condition)
@@ -215,29 +237,32 @@ class BusPort(can.Listener):
             self._drop(1, "they are CAN FD frames, which nobody here can read")
 
     def _time_ns(self, message: can.Message) -> int:
-        """The time of a message by the hub's clock."""
+        """Return the time of a message by the hub's clock."""
         assert self._clock_ns is not None
+        now_ns = self._clock_ns()
         age_s = time.time() - message.timestamp
-        return self._clock_ns() - (int(age_s * 1e9) if 0.0 < age_s < OLDEST_S else 0)
+        if 0.0 < age_s < OLDEST_S:
+            return now_ns - int(age_s * 1e9)
+        return now_ns
 
     def _look_at_link(self) -> None:
         if self._interface and self._interface.is_down():
             self.on_error(BusError("the interface was set down or removed"))
 
     def on_error(self, exc: Exception) -> None:
-        """Close after a failure of the bus, and say so: silence would look like a quiet bus."""
-        if self.error is None:
-            self.error = BusError(
-                f"CAN bus {self._port.name} failed: {exc}; check the interface and start again"
-            )
-            self._port.dropped += len(self._waiting)
-            self._port.close()
-            if self._on_lost:
-                self._on_lost(self.error)
-            else:
-                self._loop.call_exception_handler(
-                    {"message": str(self.error), "exception": self.error}
-                )
+        """Close after a failure of the bus and report it: silence would look like a quiet bus."""
+        if self.error is not None:
+            return
+        self.error = BusError(
+            f"CAN bus {self._port.name} failed: {exc}; check the interface and start again"
+        )
+        self._port.dropped += len(self._waiting)
+        self._port.close()
+        if self._on_lost:
+            self._on_lost(self.error)
+        else:
+            context = {"message": str(self.error), "exception": self.error}
+            self._loop.call_exception_handler(context)
 
     def _stop(self) -> None:
         self._waiting.clear()
@@ -252,6 +277,7 @@ class BusPort(can.Listener):
 
 
 def _fileno(bus: can.BusABC) -> int | None:
+    """Return the file descriptor of a bus, None when it has none."""
     try:
         number = bus.fileno()
     except NotImplementedError:

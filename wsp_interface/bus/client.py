@@ -1,8 +1,8 @@
 """One TCP client of the hub: bytes in through its protocol's session, frames out in one write.
 
-Frames wait in a list until the hub flushes, or longer while the socket is full; when more wait than
-the buffer may hold, the newest are dropped and counted. Received bytes are taken in small portions,
-so that a client that floods the bus takes turns with everybody else.
+Frames wait in a list until the hub flushes, or longer while the socket is full. When the buffer is
+full, the newest frames are dropped and counted. The client reads small portions of bytes, so one
+that floods the bus does not delay the others.
 """
 
 import asyncio
@@ -14,14 +14,14 @@ from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.session import Event, Mode
 from rollerrig.wsp_interface.events import Code
 
-PORTION_BYTES = 4096  # about 100 frames, one millisecond of work
-SOCKET_BYTES = 1 << 18  # what the kernel may hold: less means drops are seen sooner
-HIGH_WATER_BYTES = 1 << 16
-ANSWERS_MAX = 64  # that wait for their own segment
+PORTION_BYTES = 4096  # read in one callback: about 100 frames, one millisecond of work
+SOCKET_BYTES = 1 << 18  # send buffer in the kernel; a small one shows dropped frames sooner
+HIGH_WATER_BYTES = 1 << 16  # the transport reports a full socket above this
+ANSWERS_MAX = 64  # answers that wait for a separate segment
 
 
 class Bus(Protocol):
-    """What a client needs of the hub."""
+    """The part of the hub that a client uses."""
 
     name: str
     buffer_bytes: int
@@ -34,13 +34,22 @@ class Bus(Protocol):
 
 
 class Client(asyncio.BufferedProtocol):
-    """A connected program; `codec` is the name of its protocol."""
+    """A connected program.
+
+    codec: the name of its protocol.
+    name: the protocol with the address of the program.
+    listening: whether it receives frames.
+    errors: whether it receives error frames as well.
+    dropped: frames and answers that it has lost.
+    lost: done when the connection is closed.
+    """
 
     def __init__(self, bus: Bus, codec: str, row: Codec) -> None:
-        self.codec = self.name = codec
+        self.codec = codec
+        self.name = codec
         self.encode = row.encode
-        self.listening = False  # gets frames
-        self.errors = False  # gets error frames as well
+        self.listening = False
+        self.errors = False
         self.dropped = 0
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._bus = bus
@@ -48,13 +57,15 @@ class Client(asyncio.BufferedProtocol):
         self._session = row.session(bus.name)
         self._portion = bytearray(PORTION_BYTES)
         self._waiting: list[bytes] = []
-        self._waiting_bytes = self._answers_waiting = 0
-        self._answer_free_s = self._hold_until_s = 0.0
-        self._full = False  # the socket takes no more for now
+        self._waiting_bytes = 0
+        self._answers_waiting = 0
+        self._answer_free_s = 0.0  # when the next answer may go out, by the event loop's clock
+        self._hold_until_s = 0.0  # no frames before
+        self._full = False  # the socket accepts no more for now
         self._transport: asyncio.Transport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Tune the socket, greet the client, join the bus."""
+        """Set the options of the socket, join the bus, greet the client."""
         self._loop = asyncio.get_running_loop()
         self._transport = cast(asyncio.Transport, transport)
         self._transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
@@ -63,30 +74,31 @@ class Client(asyncio.BufferedProtocol):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
         peer = transport.get_extra_info("peername")
-        self.name = f"{self.codec} {peer[0]}:{peer[1]}" if peer else self.codec
+        if peer:
+            self.name = f"{self.codec} {peer[0]}:{peer[1]}"
         if not self._bus.join(self):
             self._transport.abort()
             return
         for event in self._session.greeting:
-            self._follow(event)
+            self._execute(event)
         self.flush()
 
     def get_buffer(self, sizehint: int) -> bytearray:
-        """Lend the event loop the buffer for the next portion."""
+        """Return the buffer for the next portion; the event loop calls this."""
         return self._portion
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Follow what the portion says, then let everybody's frames out."""
+        """Execute the received portion, then write the frames of all clients."""
         for event in self._session.feed(bytes(self._portion[:nbytes])):
-            self._follow(event)
+            self._execute(event)
         self._bus.flush()
 
     def pause_writing(self) -> None:
-        """Keep frames here: the socket is full."""
+        """Keep frames in the list: the socket is full."""
         self._full = True
 
     def resume_writing(self) -> None:
-        """Write on: the socket has room again."""
+        """Write again: the socket has room."""
         self._full = False
         self.flush()
 
@@ -98,7 +110,7 @@ class Client(asyncio.BufferedProtocol):
             self.lost.set_result(None)
 
     def put(self, wire: bytes) -> None:
-        """Queue what is encoded, or count it as dropped when too much waits."""
+        """Queue encoded bytes, or count them as one drop when the buffer is full."""
         if self._waiting_bytes + len(wire) > self._bus.buffer_bytes:
             self.dropped += 1
             return
@@ -106,24 +118,28 @@ class Client(asyncio.BufferedProtocol):
         self._waiting_bytes += len(wire)
 
     def flush(self) -> None:
-        """Write all that waits in one piece."""
-        if self._waiting and not self._full and self._loop.time() >= self._hold_until_s:
-            wire = b"".join(self._waiting)
-            self._waiting, self._waiting_bytes = [], 0
-            self._write(wire)
+        """Write everything that waits in one piece."""
+        if not self._waiting or self._full or self._loop.time() < self._hold_until_s:
+            return
+        wire = b"".join(self._waiting)
+        self._waiting = []
+        self._waiting_bytes = 0
+        self._write(wire)
 
     def finish(self) -> None:
-        """Send what waits, then close."""
-        self._hold_until_s, self._full = 0.0, False
+        """Send what waits, then close the connection."""
+        self._hold_until_s = 0.0
+        self._full = False
         self.flush()
         self.listening = False
         self._transport.close()
 
     def abort(self) -> None:
-        """Close at once."""
+        """Close the connection immediately."""
         self._transport.abort()
 
-    def _follow(self, event: Event) -> None:
+    def _execute(self, event: Event) -> None:
+        """Do what an event of the session requires."""
         if isinstance(event, Frame):
             self._bus.submit(event, self)
         elif isinstance(event, bytes):
@@ -134,18 +150,22 @@ class Client(asyncio.BufferedProtocol):
             self._bus.warn(Code.HUB_FOREIGN_CLIENT, self.codec)
             self.finish()
         elif event is Mode.CLOSE:
-            # a refusal may still wait for its turn
+            # the answer that explains the refusal may still wait
             self._loop.call_later(2 * self._row.answer_gap_s, self.finish)
         else:
             self.listening = event is Mode.LISTEN
             if self.listening and self._row.hold_s:
                 # the first frame comes only after the client has read the last answer
                 self._hold_until_s = max(self._loop.time(), self._answer_free_s) + self._row.hold_s
-                # a little late, so that the clock has certainly passed
+                # slightly late, so that the clock has certainly passed it
                 self._loop.call_at(self._hold_until_s + 1e-4, self.flush)
 
     def _answer(self, wire: bytes) -> None:
-        """Send an answer in a segment of its own, as clients compare a whole `recv`; among frames once they flow."""
+        """Send an answer.
+
+        Clients compare the result of a whole `recv` with an answer of the handshake. So each answer
+        goes out in a separate segment until frames flow; after that, answers go among the frames.
+        """
         if self.listening or not self._row.answer_gap_s:
             self.put(wire)
             return
@@ -155,13 +175,13 @@ class Client(asyncio.BufferedProtocol):
             self._write(wire)
         elif self._answers_waiting < ANSWERS_MAX:
             self._answers_waiting += 1
-            self._loop.call_at(at_s, self._late_answer, wire)
+            self._loop.call_at(at_s, self._send_late_answer, wire)
         else:
             self.dropped += 1
             return
         self._answer_free_s = at_s + self._row.answer_gap_s
 
-    def _late_answer(self, wire: bytes) -> None:
+    def _send_late_answer(self, wire: bytes) -> None:
         self._answers_waiting -= 1
         self._write(wire)
 

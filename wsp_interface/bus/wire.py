@@ -91,7 +91,10 @@ class Wire:
     def offer(
         self, frame: Frame, ready_ns: int, origin: Hashable, carry: Callable[[int], None]
     ) -> bool:
-        """Queue a frame that is ready at `ready_ns`; return False when the queue of its origin is full."""
+        """Queue a frame that is ready at `ready_ns`.
+
+        Return False, and do not queue it, when the queue of its origin is full.
+        """
         if self._queued[origin] >= self.queue_frames:
             return False
         self._queued[origin] += 1
@@ -112,7 +115,10 @@ class Wire:
         self.free_ns = max(self.free_ns, now_ns) + bits(frame) * S_NS // self.bitrate
 
     def end_ns(self) -> int | None:
-        """Return when the next frame will have left the wire, as known now; None when none waits."""
+        """Return when the next frame will have left the wire, as far as known now.
+
+        None when no frame waits.
+        """
         winner = self._winner()
         if winner is None:
             return None
@@ -133,7 +139,7 @@ class Wire:
         return winner, self.free_ns
 
     def _winner(self) -> Waiting | None:
-        """Return the frame that wins the next arbitration, of those that are ready when it begins."""
+        """Return the frame that wins the next arbitration; None when no frame waits."""
         if not len(self):
             return None
         first_ns = self._begin_ns if self._contending else self._coming[0][0]
