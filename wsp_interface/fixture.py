@@ -1,7 +1,7 @@
-"""The pytest fixture `rollerrig_bench`; every pytest run where rollerrig is installed loads this file.
+"""The pytest fixture `rollerrig_bench`. Every pytest run loads this file if rollerrig is installed.
 
-So it imports nothing but pytest until a test asks for a bench. A test that fails tells how its benches stand, where
-their runs are recorded, and where a picture of each is drawn when they have ended.
+Therefore it imports nothing but pytest until a test starts a bench. The report of a failed test
+shows the state of its benches, the folders of their runs, and where a picture of each will be.
 """
 
 import contextlib
@@ -16,47 +16,51 @@ _BENCHES = pytest.StashKey["Benches"]()
 
 
 class Benches:
-    """Starts the benches of a test, each with a folder of its own."""
+    """Starts the benches of a test, each with a separate folder."""
 
     def __init__(self, folder: Path, stack: contextlib.ExitStack) -> None:
-        self.folder, self.stack = folder, stack
-        # each bench's harness and folder
-        self.begun: list[tuple[Any, Path]] = []
+        self.folder = folder
+        self.stack = stack
+        self.begun: list[tuple[Any, Path]] = []  # the harness and the folder of each bench
         self.failed = False
         self._numbers = itertools.count(1)
 
-    def __call__(self, scenario: str = "", **asked: Any) -> Any:
-        """A joined Harness on a new bench; takes what `own_bench.start` takes."""
+    def __call__(self, scenario: str = "", **options: Any) -> Any:
+        """Start a bench and return its harness. The options are those of `own_bench.start`."""
         from rollerrig.wsp_interface import own_bench
 
         folder = self.folder / f"run-{next(self._numbers)}"
-        rig = self.stack.enter_context(own_bench.start(folder, scenario, **asked))
+        rig = self.stack.enter_context(own_bench.start(folder, scenario, **options))
         self.begun.append((rig, folder))
         return rig
 
     def judge(self, rig: Any, criteria: str = "stop") -> None:
-        """Fail unless a bench has kept to every limit of a profile (configs/criteria), but those on a dry stop.
+        """Fail unless a bench meets every limit of a profile (configs/criteria).
 
-        The message has each figure against its limit. Raises AssertionError, RollerrigError.
+        Limits that need a dry stop for comparison do not count. The message shows each failed
+        figure with its limit. Raises AssertionError, RollerrigError.
         """
         __tracebackhide__ = True
         from rollerrig.wsp_interface.sequences import play
 
-        wrong = play.missed(rig, next(folder for one, folder in self.begun if one is rig), criteria)
-        assert not wrong, wrong
+        (folder,) = (folder for harness, folder in self.begun if harness is rig)
+        missed = play.missed(rig, folder, criteria)
+        assert not missed, missed
 
 
 @pytest.fixture
 def rollerrig_bench(tmp_path: Any, request: Any) -> Iterator[Any]:
     """Start benches in lockstep: `rollerrig_bench(initial_speed_km_h=60.0, adhesion="soap")`.
 
-    Gives `Benches`; the run's folders are `run-1`, `run-2` ... of the test's `tmp_path`. Everything ends with the test,
-    which has an error where a run was not valid: unit lost, recorder ended.
+    Yields `Benches`. The folders of the runs are `run-1`, `run-2` ... in the test's `tmp_path`. All
+    benches end with the test. The test has an error if a run was not valid, for example because
+    the unit was lost.
     """
     from rollerrig.wsp_interface import own_bench
 
     with contextlib.ExitStack() as stack:
-        benches = request.node.stash[_BENCHES] = Benches(tmp_path, stack)
+        benches = Benches(tmp_path, stack)
+        request.node.stash[_BENCHES] = benches
         yield benches
     for _, folder in benches.begun:
         if benches.failed:
@@ -66,13 +70,12 @@ def rollerrig_bench(tmp_path: Any, request: Any) -> Iterator[Any]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: Any, call: Any) -> Generator[None, Any, Any]:
-    """Add to a failed test how its benches stand and where their records are."""
+    """Add the state of the benches and the folders of their runs to the report of a failed test."""
     report = yield
     benches = item.stash.get(_BENCHES, None)
     if benches and call.when == "call" and report.failed:
         benches.failed = True
-        report.sections += [
-            ("rollerrig", f"{rig!r}\nrun: {folder}\nplot: {folder / 'stop.svg'}")
-            for rig, folder in benches.begun
-        ]
+        for rig, folder in benches.begun:
+            text = f"{rig!r}\nrun: {folder}\nplot: {folder / 'stop.svg'}"
+            report.sections.append(("rollerrig", text))
     return report

@@ -1,8 +1,9 @@
-"""A bench of one's own for a test: `rollerrig run` as a process, with a harness joined to its bus.
+"""Starts a bench for a test: `rollerrig run` as a process, and a harness that joins its bus.
 
-What the test asks for (scenario, speed, load, adhesion, friction over time and place) is written as a scenario into the
-run's folder and given to the command line; the bench then waits for the harness before it begins. When the test ends
-the run is ended over the bus and its record is closed; a bench that does not end is terminated.
+The requirements of the test (scenario, speed, load, adhesion, friction over time and place) become
+a scenario file, which the command line gets. The bench waits for the harness before it begins. At
+the end of the test the harness ends the run over the bus, and the bench completes its record. A
+bench that does not exit is terminated.
 """
 
 import contextlib
@@ -25,11 +26,16 @@ from rollerrig.configs.processes import children
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.harness_client import Harness
 
-START_S, END_S = 900.0, 300.0
+START_S = 900.0  # patience until the bench waits for the harness
+END_S = 300.0  # patience until the bench exits
+KILL_S = 10.0  # patience after each signal to a process
 DEFAULT_SCENARIO = "velim_a1"
+# a program or gateway that runs during a bench: called with the address of the bus
 Companion = Callable[[str], contextlib.AbstractContextManager[Any]]
-# the run goes on after standstill until the harness ends it
-_GOES_ON = {"stand_s": 60.0, "duration_max_s": 3600.0}
+# after standstill the run continues until the harness ends it
+_LONG_RUN = {"stand_s": 60.0, "duration_max_s": 3600.0}
+# tables of a scenario that may also be the name of a packaged set
+_SETS = ("vehicle", "rig", "adhesion", "bus", "pads")
 
 
 def scenario_of(
@@ -39,30 +45,35 @@ def scenario_of(
     adhesion: str = "",
     tables: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """A scenario as data: a packaged or own one with changes. Its brake demand is the harness's.
+    """Return a scenario as data: a packaged one, or a file, with changes.
 
-    `tables` are tables of the scenario ([vehicle], [[friction]] ...) that win key by key. Raises ConfigError.
+    The scenario has no brake demand: the harness commands it. `tables` holds tables of the scenario
+    ([vehicle], [[friction]] ...), whose keys replace those of the scenario. Raises ConfigError.
     """
-    given, _ = store.load("scenarios", name or DEFAULT_SCENARIO)
-    given = dict(given) | _GOES_ON
-    given.pop("demand", None)
-    for short in ("vehicle", "rig", "adhesion", "bus", "pads"):
-        # a set by name, so that a table of single values may stand beside it
-        if isinstance(given.get(short), str):
-            given[f"{short}_set"] = given.pop(short)
+    packaged, _ = store.load("scenarios", name or DEFAULT_SCENARIO)
+    scenario = dict(packaged) | _LONG_RUN
+    scenario.pop("demand", None)
+
+    # a set by name goes into a separate key, so that a table of single values may join it
+    for key in _SETS:
+        if isinstance(scenario.get(key), str):
+            scenario[f"{key}_set"] = scenario.pop(key)
     for key, value in (tables or {}).items():
-        both = isinstance(value, Mapping) and isinstance(given.get(key), Mapping)
-        given[key] = {**given[key], **value} if both else value
+        if isinstance(value, Mapping) and isinstance(scenario.get(key), Mapping):
+            scenario[key] = {**scenario[key], **value}
+        else:
+            scenario[key] = value
+
     if adhesion:
-        given["adhesion_set"] = adhesion
+        scenario["adhesion_set"] = adhesion
     if initial_speed_km_h is not None:
         initial_speed_m_s = initial_speed_km_h / 3.6
     if initial_speed_m_s is not None:
-        given["initial_speed_m_s"] = round(float(initial_speed_m_s), 6)
-    return given | {
-        "bus": {**given.get("bus", {}), "interface": "hub", "socketcand_port": 0},
-        "modbus": {**given.get("modbus", {}), "enabled": False},
-    }
+        scenario["initial_speed_m_s"] = round(float(initial_speed_m_s), 6)
+    # a free port for the bus, and no Modbus server: several benches may run at the same time
+    scenario["bus"] = {**scenario.get("bus", {}), "interface": "hub", "socketcand_port": 0}
+    scenario["modbus"] = {**scenario.get("modbus", {}), "enabled": False}
+    return scenario
 
 
 @contextlib.contextmanager
@@ -75,38 +86,47 @@ def start(
     seed: int = 0,
     arguments: Sequence[str] = (),
     companions: Sequence[Companion] = (),
-    **asked: Any,
+    **requirements: Any,
 ) -> Iterator[Harness]:
-    """The harness that has joined a bench; `asked` goes to `scenario_of`. Raises RollerrigError.
+    """Start a bench, and yield the harness that has joined it.
 
-    `companions` are called with the bus's address and live as long as the run: a unit of one's own.
+    folder: for the record of the run.
+    scenario: a packaged scenario or a file.
+    wsp, pacing, seed: as the options of `rollerrig run`.
+    arguments: further options of `rollerrig run`.
+    companions: programs that run as long as the bench, such as a unit under test.
+    requirements: see `scenario_of`.
+
+    Raises RollerrigError.
     """
-    # beside the folder's own files: the bench clears its folder when it begins
+    # not in the folder of the run: the bench clears that when it begins
     with (
         tempfile.TemporaryDirectory(prefix="rollerrig-") as place,
         (Path(place) / "stderr").open("w", encoding="utf-8") as log,
     ):
         path = Path(place) / f"{folder.name}.toml"
-        path.write_text(tomli_w.dumps(scenario_of(scenario, **asked)), encoding="utf-8")
+        data = scenario_of(scenario, **requirements)
+        path.write_text(tomli_w.dumps(data), encoding="utf-8")
+        command = children.command(
+            sys.executable,
+            "-m",
+            "rollerrig.realtime.cli",
+            "run",
+            str(path),
+            "--pacing",
+            pacing,
+            "--wsp",
+            wsp,
+            "--seed",
+            str(seed),
+            "--harness",
+            "--out",
+            str(folder),
+            "--json",
+            *arguments,
+        )
         process = subprocess.Popen(
-            children.command(
-                sys.executable,
-                "-m",
-                "rollerrig.realtime.cli",
-                "run",
-                str(path),
-                "--pacing",
-                pacing,
-                "--wsp",
-                wsp,
-                "--seed",
-                str(seed),
-                "--harness",
-                "--out",
-                str(folder),
-                "--json",
-                *arguments,
-            ),
+            command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=log,
@@ -116,17 +136,20 @@ def start(
         try:
             address = _address(process, Path(log.name))
             harness = Harness(buses.open_client(address, 60.0))
-            with contextlib.ExitStack() as beside:
-                there = [beside.enter_context(companion(address)) for companion in companions]
-                programs = [one for one in there if isinstance(one, Program)]
-                harness.watch = partial(_check, programs)
+            with contextlib.ExitStack() as stack:
+                programs: list[Program] = []
+                for companion in companions:
+                    started = stack.enter_context(companion(address))
+                    if isinstance(started, Program):
+                        programs.append(started)
+                harness.on_silence = partial(_check, programs)
                 try:
                     yield harness.join()
                 except BusError as error:
-                    words = _last_words(process, Path(log.name)) + "".join(
-                        one.ended() for one in programs
-                    )
-                    raise BusError(f"{error}{words}") from None
+                    causes = _last_words(process, Path(log.name))
+                    for program in programs:
+                        causes += program.exit_text()
+                    raise BusError(f"{error}{causes}") from None
         finally:
             if harness:
                 harness.close()
@@ -134,54 +157,65 @@ def start(
 
 
 class Program(NamedTuple):
-    """A unit of one's own that has been started, and where its words stand."""
+    """A unit under test that runs as a process, and the file with its output."""
 
     command: str
     process: subprocess.Popen[bytes]
     log: Path
 
-    def ended(self) -> str:
-        """With which status and words it has ended; empty while it runs."""
+    def exit_text(self) -> str:
+        """Return the exit status and last output as a sentence; "" while the program runs."""
         status = self.process.poll()
+        if status is None:
+            return ""
         return (
-            ""
-            if status is None
-            else (
-                f"; --unit '{self.command}' has ended with status {status}"
-                f"{children.last_words(self.log)} ({self.log})"
-            )
+            f"; --unit '{self.command}' has exited with status {status}"
+            f"{children.last_words(self.log)} ({self.log})"
         )
 
 
 def _check(programs: Iterable[Program]) -> None:
-    """Raises UnitError where a unit has failed; one with status 0 may have started another process."""
-    if failed := [one.ended() for one in programs if one.process.poll()]:
+    """Raise UnitError when a program has failed.
+
+    One that has exited with status 0 may have started another process.
+    """
+    failed = [program.exit_text() for program in programs if program.process.poll()]
+    if failed:
         raise UnitError("".join(failed).removeprefix("; "))
 
 
 def program(command: str, log: Path) -> Companion:
-    """A unit of one's own as a companion: a command in which {address}, {host} and {port} are put in."""
+    """Return a companion that runs a command as the unit under test.
+
+    The command may contain {address}, {host} and {port} of the bus. `log` gets its output.
+    """
 
     @contextlib.contextmanager
-    def beside(address: str) -> Iterator[Program]:
+    def run_program(address: str) -> Iterator[Program]:
         host, port, _ = plugin.parse_address(address)
         words = [
             word.format(address=address, host=host, port=port) for word in shlex.split(command)
         ]
-        with log.open("wb") as said:
+        with log.open("wb") as output:
             process = subprocess.Popen(
-                children.command(*words), stdin=subprocess.DEVNULL, stdout=said, stderr=said
+                children.command(*words),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
             )
         try:
             yield Program(command, process, log)
         finally:
             _end(process, 0.0)
 
-    return beside
+    return run_program
 
 
 def _address(process: subprocess.Popen[str], log: Path) -> str:
-    """Where the bench waits, from its line of JSON. Raises BusError with its own words when there is none."""
+    """Return the address at which the bench waits, from its line of JSON.
+
+    Raises BusError with the last output of the bench when there is no such line.
+    """
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline:
         for line in log.read_text(encoding="utf-8").splitlines(keepends=True):
@@ -197,44 +231,44 @@ def _last_words(process: subprocess.Popen[str], log: Path) -> str:
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(2.0)
     status = process.poll()
-    return f" (status {status if status is not None else 'running'}{children.last_words(log)})"
+    text = "running" if status is None else str(status)
+    return f" (status {text}{children.last_words(log)})"
 
 
 def _end(process: subprocess.Popen[Any], patience_s: float = END_S) -> None:
-    """Wait for a process to end, then ask it to, then make it."""
-    for ask in (process.terminate, process.kill):
+    """Wait until a process exits; when it does not, terminate it, and then kill it."""
+    for send_signal in (process.terminate, process.kill):
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(patience_s)
             return
-        ask()
-        patience_s = 10.0
+        send_signal()
+        patience_s = KILL_S
     process.wait(patience_s)
 
 
 def draw(folder: Path) -> Path:
-    """Draw a run that has ended, as `rollerrig export --format svg` does, where there is something to draw."""
+    """Draw a finished run, as `rollerrig export --format svg` does; return the path of the picture.
+
+    There is no picture if the record is empty.
+    """
     out = folder / "stop.svg"
-    subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "rollerrig.realtime.cli",
-            "export",
-            str(folder),
-            "--format",
-            "svg",
-            "--out",
-            str(out),
-        ],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        check=False,
-    )
+    command = [
+        sys.executable,
+        "-m",
+        "rollerrig.realtime.cli",
+        "export",
+        str(folder),
+        "--format",
+        "svg",
+        "--out",
+        str(out),
+    ]
+    subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
     return out
 
 
 def summary(folder: Path) -> dict[str, Any]:
-    """What the bench says of its run. Raises RollerrigError when it has left no summary."""
+    """Return the summary of a run. Raises RollerrigError when there is none."""
     path = folder / "summary.json"
     try:
         return dict(json.loads(path.read_text(encoding="utf-8")))
@@ -243,6 +277,7 @@ def summary(folder: Path) -> dict[str, Any]:
 
 
 def check_valid(summary: Mapping[str, Any]) -> None:
-    """Raise UnitError with the reasons where a run is not valid."""
-    if because := summary.get("invalid_because"):
-        raise UnitError(f"the run is not valid: {'; '.join(because)}")
+    """Raise UnitError with the reasons if a run is not valid."""
+    reasons = summary.get("invalid_because")
+    if reasons:
+        raise UnitError(f"the run is not valid: {'; '.join(reasons)}")

@@ -1,4 +1,4 @@
-"""A library for Robot Framework: a bench on the roller rig, in the words of a test.
+"""A library for Robot Framework: keywords for a bench on the roller rig.
 
     *** Settings ***
     Library          rollerrig.wsp_interface.robot
@@ -11,7 +11,9 @@
         Wait Until Standstill
         Longest Lock Should Be Below    0.4 s
 
-A bench ends with its test at the latest. Values are written with their units. Source: Robot Framework 7.
+A bench ends with its test at the latest. Values are written with their units.
+
+Source: Robot Framework 7.
 """
 
 import contextlib
@@ -37,7 +39,7 @@ _AXLES = range(1, AXLES + 1)
 
 @library(scope="TEST", listener="SELF")
 class Rig:
-    """A bench on the roller rig, as a test has it."""
+    """The keywords, and the bench of the current test."""
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
@@ -62,37 +64,29 @@ class Rig:
     ) -> None:
         """Starts a bench at a speed on an adhesion of configs/adhesion; ``wsp``: reference, none or fmu:FILE."""
         self.end_bench()
-        out, test = (
-            BuiltIn().get_variable_value(name) for name in ("${OUTPUT DIR}", "${TEST NAME}")
-        )
-        name = re.sub(r"\W+", "_", test)
-        self._folder = next(
-            folder
-            for number in itertools.count(1)
-            if not (folder := Path(out) / "rollerrig" / f"{name}-{number}").exists()
-        )
+        self._folder = _new_folder()
         speed_m_s = conditions.quantity(speed, "m_s", "speed") if speed else None
-        self._bench = self._stack.enter_context(
-            own_bench.start(
-                self._folder,
-                scenario,
-                wsp=wsp,
-                pacing=pacing,
-                seed=seed,
-                initial_speed_m_s=speed_m_s,
-                adhesion=adhesion,
-            )
+        started = own_bench.start(
+            self._folder,
+            scenario,
+            wsp=wsp,
+            pacing=pacing,
+            seed=seed,
+            initial_speed_m_s=speed_m_s,
+            adhesion=adhesion,
         )
+        self._bench = self._stack.enter_context(started)
 
     @keyword
     def end_bench(self) -> None:
         """Ends the bench, and shows in the log how it stood, its plot and where its record is. Fails if not valid."""
         if self._bench is None:
             return
-        told, self._bench = repr(self._bench), None
+        state = repr(self._bench)
+        self._bench = None
         self._stack.close()
         plot = own_bench.draw(self._folder)
-        logger.info(f"{told}\nrun: {self._folder}")
+        logger.info(f"{state}\nrun: {self._folder}")
         if plot.is_file():
             logger.info(plot.read_text(encoding="utf-8"), html=True)
         own_bench.check_valid(own_bench.summary(self._folder))
@@ -110,10 +104,12 @@ class Rig:
     @keyword
     def adhesion(self, surface: str, axle: int = 0) -> None:
         """Sets what is under the wheels from now on: a name of configs/adhesion, or a kinematic friction, or 0."""
+        mu: float | None
         try:
-            mu: float | None = float(surface)
+            mu = float(surface)
         except ValueError:
-            mu = store.load("adhesion", surface)[0].get("adhesion", {}).get("mu_cd")
+            content, _ = store.load("adhesion", surface)
+            mu = content.get("adhesion", {}).get("mu_cd")
         if mu is None:
             raise ConfigError(
                 f"adhesion '{surface}' does not state mu_cd; give the kinematic friction as a number"
@@ -177,18 +173,32 @@ class Rig:
     @keyword
     def limits_should_be_kept(self, criteria: str = "stop") -> None:
         """Fails where a limit of a profile of configs/criteria is not kept, with each figure against its limit."""
-        if wrong := play.missed(self._rig, self._folder, criteria):
-            raise AssertionError(wrong)
+        missed = play.missed(self._rig, self._folder, criteria)
+        if missed:
+            raise AssertionError(missed)
 
     def _end_test(self, data: Any, result: Any) -> None:
-        """Robot Framework's listener: no bench is left behind, nor its plot undrawn."""
+        """End the bench and draw its plot; Robot Framework calls this at the end of each test."""
         self.end_bench()
 
     def _until(self, reached: Callable[[], bool], timeout: str) -> None:
         self._rig.until(reached, conditions.quantity(timeout, "s", "timeout"))
 
     @staticmethod
-    def _below(what: str, value: float, limit: str, unit: str) -> None:
-        logger.info(f"{what} {value:.4g} {unit}, wanted below {limit}")
-        if not value < conditions.quantity(limit, unit, what):
-            raise AssertionError(f"{what} {value:.4g} {unit}, wanted below {limit}")
+    def _below(name: str, value: float, limit: str, unit: str) -> None:
+        text = f"{name} {value:.4g} {unit}, wanted below {limit}"
+        logger.info(text)
+        if not value < conditions.quantity(limit, unit, name):
+            raise AssertionError(text)
+
+
+def _new_folder() -> Path:
+    """Return an unused folder in Robot Framework's output, for a run of the current test."""
+    robot_variables = BuiltIn()
+    out = Path(robot_variables.get_variable_value("${OUTPUT DIR}"))
+    test_name = re.sub(r"\W+", "_", robot_variables.get_variable_value("${TEST NAME}"))
+    for number in itertools.count(1):
+        folder = out / "rollerrig" / f"{test_name}-{number}"
+        if not folder.exists():
+            break
+    return folder

@@ -142,7 +142,7 @@ def junit_xml(outcomes: Sequence[Outcome]) -> str:
             case = ET.SubElement(
                 suite, "testcase", name=_printable(f"{one.what}: {one.limit}"), classname=name
             )
-            text = _printable(f"{one.shown} ({one.limit}); {one.text}; source: {one.source}")
+            text = _printable(f"{one.value_text} ({one.limit}); {one.text}; source: {one.source}")
             if tag := TAGS.get(one.result):
                 ET.SubElement(case, tag, message=text)
             else:
@@ -254,7 +254,9 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
 
 def _summary(outcome: Outcome, out: Path) -> list[str]:
     """A row: the sequence and why it did not pass, its least margin, some figures, its records."""
-    wrong = [one.told for one in outcome.verdicts if one.result in (Result.FAIL, Result.ERROR)]
+    wrong = [
+        one.against_limit for one in outcome.verdicts if one.result in (Result.FAIL, Result.ERROR)
+    ]
     why = "; ".join([outcome.error] * bool(outcome.error) + wrong)
     known = [one for one in outcome.verdicts if math.isfinite(one.margin)]
     least = min(known, key=lambda one: one.margin, default=None)
@@ -310,7 +312,7 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
                         page.BREAK,
                         element("small", one.text),
                     ),
-                    one.shown,
+                    one.value_text,
                     f"{one.limit} {one.unit}",
                     _margin(one),
                     "void" if one.void else _result(one.result),

@@ -112,7 +112,7 @@ def test_a_bench_that_vanishes_is_an_error_and_its_rows_are_kept(tmp_path):
 
     outcome = play.on_own_bench(one, folder, companions=(killer,))
     assert outcome.result is Result.ERROR
-    assert "has gone" in outcome.error
+    assert "connection to the bench is lost" in outcome.error
     # 10 kB of frames are eleven SYNC periods, each with its row
     assert (folder / play.TRACE).read_text().count("\n") > 8
 

@@ -95,7 +95,7 @@ def test_measures_are_void_where_a_precondition_failed(tmp_path):
         found.sequence.criteria, found.record, "a pre-condition was not met"
     )
     assert all(
-        one.void and one.result is Result.ABSENT and one.shown == "" for one in found.verdicts
+        one.void and one.result is Result.ABSENT and one.value_text == "" for one in found.verdicts
     )
     assert found.result is Result.ERROR
 

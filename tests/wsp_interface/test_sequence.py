@@ -75,7 +75,7 @@ MEASURE = '\n[[measure]]\nmeasure = "longest_lock"\nunit = "s"\nmax = 0.4\nsourc
     ("old", "new", "said"),
     [
         ('unit = "s"', 'unit = "ms"', "is in 's'"),
-        ("max = 0.4", "max = -1", "least that longest_lock can be"),
+        ("max = 0.4", "max = -1", "least value that longest_lock can have"),
         ("max = 0.4", "max = 0.4\nmin = 0.5", "below min"),
         ('source = "memory"\n', "", "source"),
         ('"longest_lock"', '"longest_look"', "longest_lock"),

@@ -128,7 +128,7 @@ def test_a_train_that_does_not_stop_is_an_error_and_no_pass():
 def test_a_unit_that_tells_no_reference_speed_is_not_judged_by_it():
     one = judged(limit("reference_speed_error", high=0.1), stop.record(told=False))
     assert one.result is Result.ABSENT
-    assert "tells no reference speed" in one.text
+    assert "sends no reference speed" in one.text
 
 
 def test_the_worst_decides_and_nothing_is_no_pass():

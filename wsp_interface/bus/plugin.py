@@ -264,7 +264,7 @@ class RollerrigBus(can.BusABC):
     def _shake_hands(self, until_s: float, errors: bool) -> None:
         steps = [("", "hi"), (f"< open {self.channel} >", "ok")]
         if errors:
-            # other servers do not know this command and may answer with an error: any answer will do
+            # other servers do not know this command, so any answer will do
             steps.append(("< errors >", ""))
         steps.append(("< rawmode >", "ok"))
         for command, expected in steps:
@@ -318,7 +318,8 @@ def _connect(host: str, port: int, until_s: float) -> socket.socket:
             if time.monotonic() + RETRY_S > until_s:
                 raise can.CanInitializationError(
                     f"no CAN hub at {host}:{port} ({error}): start the bench (rollerrig run) or "
-                    f"correct the address; ss -ltn 'sport = :{port}' shows whether a program listens"
+                    "correct the address; "
+                    f"ss -ltn 'sport = :{port}' shows whether a program listens"
                 ) from error
         time.sleep(RETRY_S)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -1,8 +1,9 @@
-"""Quantities with units and conditions, as a person writes them: "3.8 bar", "vehicle_speed < 5 km/h".
+"""Quantities and conditions as a person writes them: "3.8 bar", "vehicle_speed < 5 km/h".
 
-A value is turned into SI once, here; a unit that does not belong to a signal is refused, and so is a condition that no
-run can meet, because the quantity never leaves its range. A condition names a signal of the table of signals (of one
-axle as `cylinder_pressure_2`, else of all that it has), or `every NAME` or `any NAME` where a signal has several axles.
+Values become SI here, and nowhere else. A unit that does not belong to a signal is refused. So is a
+condition that no run can meet, because the quantity never leaves its range. A condition names a
+signal of the table of signals: of one axle as `cylinder_pressure_2`, else of all its axles. `every
+NAME` and `any NAME` say how the axles of a signal combine; `every` is the default.
 """
 
 import operator
@@ -15,7 +16,7 @@ from rollerrig.configs.table import nearest
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.harness_client import COLUMNS
 
-# unit as written: (unit of the table of signals, factor to it)
+# unit as a person writes it: (unit in the table of signals, factor to it)
 UNITS: dict[str, tuple[str, float]] = {
     "m/s": ("m_s", 1.0),
     "km/h": ("m_s", 1.0 / 3.6),
@@ -36,7 +37,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "": ("", 1.0),
     "%": ("", 0.01),
 }
-# what a quantity can be at all: by unit, and by signal where that is narrower
+# the values that a signal can have at all, in its unit
 RANGES: dict[str, tuple[float, float]] = {
     "vehicle_speed": (0.0, 100.0),
     "position": (0.0, 1e6),
@@ -58,16 +59,22 @@ _OPERATORS: dict[str, Callable[[float, float], bool]] = {
 }
 _QUANTITY = re.compile(r"\s*([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*([A-Za-z%][A-Za-z0-9/%]*)?\s*$")
 _CONDITION = re.compile(r"\s*(?:(every|any)\s+)?([a-z_0-9]+)\s*(<=|>=|<|>)\s*(.+)$")
-_KNOWN = tuple(
-    dict.fromkeys(
-        signal.name for signal in signals.SIGNALS if signals.columns(signal)[0] in COLUMNS
-    )
-)
+# the signals that the harness receives
+_KNOWN = tuple(signal.name for signal in signals.SIGNALS if signals.columns(signal)[0] in COLUMNS)
+_NO_RANGE = (-float("inf"), float("inf"))
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A comparison of columns (of each where `all_of`) with a bound in SI; `unit` as it was written."""
+    """A comparison of columns with a bound.
+
+    text: the condition as written.
+    columns: names of columns of the harness.
+    compare: "<", "<=", ">" or ">=".
+    bound: in SI.
+    all_of: whether all columns must meet it, or any of them.
+    unit: of the bound, as written.
+    """
 
     text: str
     columns: tuple[str, ...]
@@ -77,64 +84,95 @@ class Condition:
     unit: str = ""
 
     def holds(self, values: Mapping[str, float]) -> bool:
-        """Whether it holds for the newest values; a value that is not known does not."""
-        met = (_OPERATORS[self.compare](values[name], self.bound) for name in self.columns)
+        """Return whether the condition holds. A value of NaN never meets it."""
+        compare = _OPERATORS[self.compare]
+        met = [compare(values[name], self.bound) for name in self.columns]
         return all(met) if self.all_of else any(met)
 
     def readings(self, values: Mapping[str, float]) -> str:
-        """The newest values in the unit of the condition."""
-        found = ", ".join(f"{values[name] / UNITS[self.unit][1]:.4g}" for name in self.columns)
-        return f"{found} {self.unit}".strip()
+        """Return the values of the columns as text, in the unit of the condition."""
+        _, factor = UNITS[self.unit]
+        texts = [f"{values[name] / factor:.4g}" for name in self.columns]
+        return f"{', '.join(texts)} {self.unit}".strip()
 
 
 def quantity(text: object, unit: str, where: str) -> float:
-    """A value with its unit as SI. `unit` as in the table of signals. Raises ConfigError."""
-    allowed = ", ".join(repr(one) for one, (base, _) in UNITS.items() if base == unit and one)
+    """Return a value with its unit in SI.
+
+    text: such as "3.8 bar".
+    unit: the required unit, as in the table of signals.
+    where: place of the text, for messages.
+
+    Raises ConfigError.
+    """
+    allowed = ", ".join(repr(name) for name, (base, _) in UNITS.items() if base == unit and name)
     form = f"write a number with its unit ({allowed or 'none'}) in quotes"
-    found = _QUANTITY.match(text) if isinstance(text, str) else None
-    if not found:
+    match = _QUANTITY.match(text) if isinstance(text, str) else None
+    if not match:
         raise ConfigError(f"{where} = {text!r}: {form}")
-    base, factor = UNITS.get(found[2] or "", (None, 0.0))
-    if base is None:
-        raise ConfigError(f"{where} = '{text}': no unit is called '{found[2]}'; {form}")
+    number = float(match[1])
+    written_unit = match[2] or ""
+    if written_unit not in UNITS:
+        raise ConfigError(f"{where} = '{text}': no unit is called '{written_unit}'; {form}")
+    base, factor = UNITS[written_unit]
     if base != unit:
         raise ConfigError(
-            f"{where} = '{text}': the unit '{found[2] or 'none'}' does not belong here; {form}"
+            f"{where} = '{text}': the unit '{written_unit or 'none'}' does not belong here; {form}"
         )
-    return float(found[1]) * factor
+    return number * factor
 
 
 def condition(text: object, where: str) -> Condition:
-    """A condition from its text. Raises ConfigError for what is unknown or can never be."""
-    found = _CONDITION.match(text) if isinstance(text, str) else None
-    if not found or not isinstance(text, str):
+    """Return a condition from its text.
+
+    Raises ConfigError for an unknown signal or unit, and for a condition that can never be met.
+    """
+    match = _CONDITION.match(text) if isinstance(text, str) else None
+    if not match or not isinstance(text, str):
         raise ConfigError(
             f"{where} = {text!r}: write a condition such as "
             "'vehicle_speed < 5 km/h' or 'every cylinder_pressure > 3 bar'"
         )
-    name, columns = _columns(found[2], where)
-    unit, compare = signals.BY_NAME[name].unit, found[3]
-    bound = quantity(found[4], unit, f"{where}: {found[2]}")
-    low, high = RANGES.get(name, (-float("inf"), float("inf")))
-    if {"<": bound <= low, "<=": bound < low, ">": bound >= high, ">=": bound > high}[compare]:
+    quantifier, written_name, compare, written_bound = match.groups()
+    name, columns = _columns(written_name, where)
+    unit = signals.BY_NAME[name].unit
+    bound = quantity(written_bound, unit, f"{where}: {written_name}")
+    low, high = RANGES.get(name, _NO_RANGE)
+    if _is_impossible(compare, bound, low, high):
         raise ConfigError(
             f"{where} = '{text}': can never be, because {name} stays within {low:g} to {high:g} "
-            f"{unit.replace('_', '/')}; mend the bound or the direction"
+            f"{unit.replace('_', '/')}; correct the bound or the direction"
         )
-    written = _QUANTITY.match(found[4])
+    written = _QUANTITY.match(written_bound)
     return Condition(
-        text, columns, compare, bound, found[1] != "any", (written[2] or "") if written else ""
+        text=text,
+        columns=columns,
+        compare=compare,
+        bound=bound,
+        all_of=quantifier != "any",
+        unit=(written[2] or "") if written else "",
     )
 
 
+def _is_impossible(compare: str, bound: float, low: float, high: float) -> bool:
+    """Return whether no value from low to high meets a comparison."""
+    if compare == "<":
+        return bound <= low
+    if compare == "<=":
+        return bound < low
+    if compare == ">":
+        return bound >= high
+    return bound > high
+
+
 def _columns(name: str, where: str) -> tuple[str, tuple[str, ...]]:
+    """Return the signal and the columns of a name, with or without an axle."""
     stem, _, axle = name.rpartition("_")
     if axle.isdecimal() and stem in _KNOWN:
-        if not 1 <= int(axle) <= signals.BY_NAME[stem].axles:
-            raise ConfigError(
-                f"{where}: '{name}': there are axles 1 to {signals.BY_NAME[stem].axles}"
-            )
-        return stem, (signals.columns(signals.BY_NAME[stem])[int(axle) - 1],)
+        signal = signals.BY_NAME[stem]
+        if not 1 <= int(axle) <= signal.axles:
+            raise ConfigError(f"{where}: '{name}': there are axles 1 to {signal.axles}")
+        return stem, (signals.columns(signal)[int(axle) - 1],)
     if name not in _KNOWN:
         raise ConfigError(f"{where}: no signal is called '{name}'{nearest(name, _KNOWN)}")
     return name, signals.columns(signals.BY_NAME[name])

@@ -1,16 +1,17 @@
-"""What a test is judged by: each measure is a row with its unit, its least value and a formula.
+"""The measures by which a test is judged: rows with a unit, a least value and a formula.
 
-All are computed from what the harness saw on the bus, over the braking: from the first brake demand to standstill or
-the end. The reference stop [M1] is that of a vehicle which is given the demanded braking force and never slides; the
-dry stop is this plant's own run of the same demands on clean rollers. The index of wheel damage [M3] is this project's,
-and no standard's.
+All are computed from what the harness received on the bus, over the braking: from the first brake
+demand to standstill or to the end. The reference stop [M1] is that of a vehicle which gets the
+demanded braking force and never slides. The dry stop is a run of this plant with the same demands
+on clean rollers. The index of wheel damage [M3] belongs to this project; it is in no standard.
 
     [M1] s_ref = v0 t_e + v0^2 / (2 a_e),  a_e = (sum F_B + F_R) / m_dyn,  t_e = T_demand + T_valve
-    [M2] shortfall = worst mean over 10 s of (a_demanded - a), with a_demanded from the pressure asked
+    [M2] shortfall = worst mean over 10 s of (a_demanded - a), a_demanded by the demand
     [M3] D = E_locked / 1 MJ + E_sliding / 100 MJ, of the worst wheelset
 
-Source: [M1] EN 14531-1 in its simple form (equivalent response time and deceleration; recollection, to be checked
-against the standard). Limits: one gradient; pressures as asked, so a demand that moves counts by its largest.
+Source: [M1] EN 14531-1 in its simple form (equivalent response time and deceleration; recollection,
+to be checked against the standard). Limits: one gradient; if the demand changes, [M1] uses the
+largest one.
 """
 
 import math
@@ -29,21 +30,29 @@ from rollerrig.configs.vehicle import (
     weighed_share,
 )
 
-STANDS_M_S, LOCKED_M_S = 0.01, 0.1
-SEGMENT_S = 10.0
-REFERENCE_ABOVE_M_S = 5.0
-LOCKED_MJ, SLIDING_MJ = 1.0, 100.0
+STANDS_M_S = 0.01  # a slower vehicle stands
+LOCKED_M_S = 0.1  # a wheelset with a slower rim is locked
+SEGMENT_S = 10.0  # of [M2]
+REFERENCE_ABOVE_M_S = 5.0  # below this speed the unit's reference speed is not judged
+# energies of [M3] that count as 1
+LOCKED_MJ = 1.0
+SLIDING_MJ = 100.0
+FULL_BRAKE = 0.9  # share of the demanded pressure that counts as full brake
+_TINY_S = 1e-9
 _AXLES = range(1, AXLES + 1)
 NAN = float("nan")
 
 
 @dataclass(frozen=True)
 class Record:
-    """What a sequence left behind.
+    """The data of a sequence that was played.
 
-    `columns`: name to values, shape (n,), one a bus cycle. `demands`: (time_s, pressure_Pa) asked.
-    `finals`: quantities read at the end, by signal. `scenario`: the resolved one. `dry_m`: the
-    distance of the dry stop, NaN where none was run. `fault_s`: when the first fault began.
+    columns: values by name, shape (n,), one for each bus cycle.
+    demands: the commanded brake demands, as (time in s, pressure in Pa).
+    finals: signals that were read at the end.
+    scenario: the resolved scenario.
+    dry_m: distance of the dry stop; NaN if there is none.
+    fault_s: time of the first fault; NaN if there is none.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -55,24 +64,30 @@ class Record:
 
     @cached_property
     def braking(self) -> slice:
-        """The rows that count: from the first brake demand to standstill, or to the end."""
+        """The rows from the first brake demand to standstill, or to the end."""
         time_s = self.columns["time_s"]
-        asked = [time for time, pressure_Pa in self.demands if pressure_Pa > 0.0]
-        begin = min(int(np.searchsorted(time_s, asked[0] - 1e-9)), len(time_s) - 1) if asked else 0
-        still = np.flatnonzero(self.columns["vehicle_speed_m_s"][begin:] <= STANDS_M_S)
-        return slice(begin, begin + int(still[0]) + 1 if still.size else len(time_s))
+        begin = 0
+        demanded_s = [demand_s for demand_s, pressure_Pa in self.demands if pressure_Pa > 0.0]
+        if demanded_s:
+            begin = int(np.searchsorted(time_s, demanded_s[0] - _TINY_S))
+            begin = min(begin, len(time_s) - 1)
+        end = len(time_s)
+        standing = np.flatnonzero(self.columns["vehicle_speed_m_s"][begin:] <= STANDS_M_S)
+        if standing.size:
+            end = begin + int(standing[0]) + 1
+        return slice(begin, end)
 
     def braked(self, name: str) -> np.ndarray:
-        """A column over the braking, shape (n,)."""
+        """Return a column over the braking, shape (n,)."""
         return self.columns[name][self.braking]
 
     def wheelsets(self, name: str, unit: str = "") -> np.ndarray:
-        """A signal of every wheelset over the braking, shape (4, n)."""
+        """Return a signal of every wheelset over the braking, shape (4, n)."""
         return np.array([self.braked(f"{name}_{axle}{unit}") for axle in _AXLES])
 
 
 def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
-    """Force at the rim of all wheelsets at a cylinder pressure, as the brake's data have it."""
+    """Return the force at the rim of all wheelsets at a cylinder pressure."""
     brake = record.scenario["brake"]
     return (
         AXLES
@@ -83,43 +98,45 @@ def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
 
 
 def dynamic_mass_kg(record: Record) -> float:
-    """The mass with what its wheelsets' rotation adds."""
-    v = record.scenario["vehicle"]
-    return float(v["mass_kg"] + AXLES * v["wheelset_inertia_kgm2"] / v["wheel_radius_m"] ** 2)
+    """Return the mass of the vehicle, with the equivalent mass of its rotating wheelsets."""
+    vehicle = record.scenario["vehicle"]
+    return float(
+        vehicle["mass_kg"]
+        + AXLES * vehicle["wheelset_inertia_kgm2"] / vehicle["wheel_radius_m"] ** 2
+    )
 
 
 def resistance_N(record: Record, speed_m_s: Any) -> Any:
-    """Running resistance at a speed, with that of the gradient and of an extended model."""
-    v, extra = record.scenario["vehicle"], record.scenario["mechanisms"]
-    v = v | running_resistance(
-        v, extra["running_resistance_force_N"], extra["running_resistance_speed_power"]
+    """Return the running resistance at a speed, with the gradient and that of an extended model."""
+    extension = record.scenario["mechanisms"]
+    vehicle = record.scenario["vehicle"]
+    vehicle = vehicle | running_resistance(
+        vehicle,
+        extension["running_resistance_force_N"],
+        extension["running_resistance_speed_power"],
     )
-    v |= track_gradient(v, extra["track_gradient_gradient"])
+    vehicle |= track_gradient(vehicle, extension["track_gradient_gradient"])
     return (
-        v["resistance_A_N"]
-        + v["resistance_B_N_s_m"] * speed_m_s
-        + v["resistance_C_N_s2_m2"] * speed_m_s**2
+        vehicle["resistance_A_N"]
+        + vehicle["resistance_B_N_s_m"] * speed_m_s
+        + vehicle["resistance_C_N_s2_m2"] * speed_m_s**2
     )
 
 
 def demanded_m_s2(record: Record, pressure_Pa: Any, speed_m_s: Any) -> Any:
-    """The deceleration that a demanded cylinder pressure would give without any sliding."""
-    return (brake_force_N(record, pressure_Pa) + resistance_N(record, speed_m_s)) / dynamic_mass_kg(
-        record
-    )
+    """Return the deceleration of a demanded cylinder pressure without any sliding."""
+    force_N = brake_force_N(record, pressure_Pa) + resistance_N(record, speed_m_s)
+    return force_N / dynamic_mass_kg(record)
 
 
 def reference_distance_m(record: Record) -> float:
-    """The computed stop [M1] at the largest pressure asked; NaN where nothing is braked."""
+    """Return the computed stop distance [M1] at the largest demand; NaN if nothing brakes."""
     v0 = float(record.braked("vehicle_speed_m_s")[0])
     # v^2 of the resistance has its mean over the distance at v0^2 / 2
     drag_N = float(resistance_N(record, v0 / math.sqrt(2.0)))
-    asked_Pa = max((pressure_Pa for _, pressure_Pa in record.demands), default=0.0)
-    force_N = float(
-        brake_force_N(
-            record, asked_Pa * weighed_share(record.scenario["air"], record.scenario["vehicle"])
-        )
-    )
+    demanded_Pa = max((pressure_Pa for _, pressure_Pa in record.demands), default=0.0)
+    share = weighed_share(record.scenario["air"], record.scenario["vehicle"])
+    force_N = float(brake_force_N(record, demanded_Pa * share))
     if force_N <= 0.0:
         return NAN
     equivalent_m_s2 = (force_N + drag_N) / dynamic_mass_kg(record)
@@ -131,89 +148,128 @@ def reference_distance_m(record: Record) -> float:
 
 
 def _until_standstill(record: Record, name: str) -> float:
-    values, stands = record.braked(name), record.braked("vehicle_speed_m_s")[-1] <= STANDS_M_S
+    """Return the change of a column over the braking; NaN if the vehicle does not stop."""
+    values = record.braked(name)
+    stands = record.braked("vehicle_speed_m_s")[-1] <= STANDS_M_S
     return float(values[-1] - values[0]) if stands else NAN
 
 
-def _rims(record: Record) -> np.ndarray:
-    """Speed of each wheelset's rim over the braking, shape (4, n), as measured, m/s."""
-    return record.scenario["vehicle"]["wheel_radius_m"] * record.wheelsets(
-        "measured_speed", "_rad_s"
-    )
+def _rim_speeds(record: Record) -> np.ndarray:
+    """Return the measured speed of each wheelset's rim over the braking, shape (4, n), in m/s."""
+    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
+    return radius_m * record.wheelsets("measured_speed", "_rad_s")
 
 
 def _sliding(record: Record) -> np.ndarray:
-    """Sliding of each wheelset over the braking, shape (4, n), m/s."""
-    return record.braked("vehicle_speed_m_s") - _rims(record)
+    """Return the sliding of each wheelset over the braking, shape (4, n), in m/s."""
+    return record.braked("vehicle_speed_m_s") - _rim_speeds(record)
 
 
-def _active(record: Record) -> np.ndarray:
-    """Where any dump valve does not fill, over the braking."""
+def _wsp_acts(record: Record) -> np.ndarray:
+    """Return where any dump valve does not fill, over the braking, shape (n,)."""
     return np.any(record.wheelsets("valve") > 0.5, axis=0)
 
 
-def _adhesion_used(record: Record) -> float:
-    active = _active(record)
-    return float(np.mean(record.wheelsets("adhesion")[:, active])) if active.any() else NAN
+def _utilised_adhesion(record: Record) -> float:
+    acts = _wsp_acts(record)
+    if not acts.any():
+        return NAN
+    return float(np.mean(record.wheelsets("adhesion")[:, acts]))
 
 
 def _initial_adhesion(record: Record) -> float:
-    """Adhesion of the first wheelset when it first slides as much as its adhesion is stated at."""
+    """Return the first wheelset's adhesion when it first slides by initial_at_sliding_m_s."""
     sliding = _sliding(record)[0]
-    begun = np.flatnonzero(sliding >= record.scenario["adhesion"]["initial_at_sliding_m_s"])
-    return float(record.wheelsets("adhesion")[0, begun[0]]) if begun.size else NAN
+    reached = np.flatnonzero(sliding >= record.scenario["adhesion"]["initial_at_sliding_m_s"])
+    if not reached.size:
+        return NAN
+    return float(record.wheelsets("adhesion")[0, reached[0]])
 
 
 def _shortfall_m_s2(record: Record) -> float:
-    time_s, speed = record.braked("time_s"), record.braked("vehicle_speed_m_s")
+    """Return the worst mean over a segment of the demanded less the achieved deceleration [M2]."""
+    time_s = record.braked("time_s")
+    speed = record.braked("vehicle_speed_m_s")
     if len(time_s) < 2 or time_s[-1] - time_s[0] < SEGMENT_S:
         return NAN
-    asked = demanded_m_s2(record, record.braked("brake_demand_Pa"), speed)
-    gained = np.concatenate(([0.0], np.cumsum(0.5 * (asked[1:] + asked[:-1]) * np.diff(time_s))))
-    first = np.flatnonzero(time_s <= time_s[-1] - SEGMENT_S + 1e-9)
-    last = np.searchsorted(time_s, time_s[first] + SEGMENT_S - 1e-9)
-    wanted, was = gained[last] - gained[first], speed[first] - speed[last]
-    return float(np.max((wanted - was) / (time_s[last] - time_s[first])))  # [M2]
+    demanded = demanded_m_s2(record, record.braked("brake_demand_Pa"), speed)
+    # the speed that the demanded deceleration has taken away so far
+    changes = 0.5 * (demanded[1:] + demanded[:-1]) * np.diff(time_s)
+    demanded_change = np.concatenate(([0.0], np.cumsum(changes)))
+    # first and last row of each segment
+    first = np.flatnonzero(time_s <= time_s[-1] - SEGMENT_S + _TINY_S)
+    last = np.searchsorted(time_s, time_s[first] + SEGMENT_S - _TINY_S)
+    wanted = demanded_change[last] - demanded_change[first]
+    achieved = speed[first] - speed[last]
+    return float(np.max((wanted - achieved) / (time_s[last] - time_s[first])))  # [M2]
 
 
 def _damage(record: Record) -> float:
+    """Return the index of wheel damage of the worst wheelset [M3]."""
     load_N = np.array(record.finals["wheel_load"])[:, np.newaxis]
-    power = record.wheelsets("adhesion") * load_N * _sliding(record)
-    locked = (_rims(record) < LOCKED_M_S) & (
-        record.braked("vehicle_speed_m_s") > record.scenario["rig"]["lock_above_m_s"]
-    )
-    locked_J = np.sum(
-        np.where(locked, power, 0.0)[:, 1:] * np.diff(record.braked("time_s")), axis=1
-    )
-    total = locked_J / (LOCKED_MJ * 1e6) + np.array(record.finals["sliding_work"]) / (
-        SLIDING_MJ * 1e6
-    )
+    power_W = record.wheelsets("adhesion") * load_N * _sliding(record)
+    fast = record.braked("vehicle_speed_m_s") > record.scenario["rig"]["lock_above_m_s"]
+    locked = (_rim_speeds(record) < LOCKED_M_S) & fast
+    locked_W = np.where(locked, power_W, 0.0)
+    locked_J = np.sum(locked_W[:, 1:] * np.diff(record.braked("time_s")), axis=1)
+    sliding_J = np.array(record.finals["sliding_work"])
+    total = locked_J / (LOCKED_MJ * 1e6) + sliding_J / (SLIDING_MJ * 1e6)
     return float(total.max())  # [M3]
 
 
 def _reference_error_m_s(record: Record) -> float:
-    speed, reference = record.braked("vehicle_speed_m_s"), record.braked("wsp_reference_speed_m_s")
-    counts = _active(record) & (speed > REFERENCE_ABOVE_M_S) & np.isfinite(reference)
-    return float(np.max(np.abs(reference - speed)[counts])) if counts.any() else NAN
+    speed = record.braked("vehicle_speed_m_s")
+    reference = record.braked("wsp_reference_speed_m_s")
+    counts = _wsp_acts(record) & (speed > REFERENCE_ABOVE_M_S) & np.isfinite(reference)
+    if not counts.any():
+        return NAN
+    return float(np.max(np.abs(reference - speed)[counts]))
 
 
 def _full_brake_after_s(record: Record) -> float:
-    """From the first fault until every cylinder has 90 % of the demanded pressure."""
-    time_s, wanted_Pa = record.columns["time_s"], 0.9 * record.columns["brake_demand_Pa"]
-    pressed = np.all(
+    """Return the time from the first fault until every cylinder has 90 % of the demand."""
+    time_s = record.columns["time_s"]
+    wanted_Pa = FULL_BRAKE * record.columns["brake_demand_Pa"]
+    reached = np.all(
         [record.columns[f"cylinder_pressure_{axle}_Pa"] >= wanted_Pa for axle in _AXLES], axis=0
     )
-    after = np.flatnonzero(pressed & (time_s >= record.fault_s))
-    return float(time_s[after[0]] - record.fault_s) if after.size else math.inf
+    after = np.flatnonzero(reached & (time_s >= record.fault_s))
+    if not after.size:
+        return math.inf
+    return float(time_s[after[0]] - record.fault_s)
 
 
-def _over(value: float, base: float) -> float:
+def _reservoir_least_Pa(record: Record) -> float:
+    if not record.scenario["air"]["reservoir_volume_L"] > 0.0:
+        return NAN
+    return record.finals["reservoir_least"][0]
+
+
+def _sand_used_kg(record: Record) -> float:
+    sanders = record.scenario["sanders"]
+    if not (sanders["axle"] or sanders["second_axle"]):
+        return NAN
+    return sum(record.finals["sand_taken"])
+
+
+def _wheel_flat_mm(record: Record) -> float:
+    if not record.scenario["flats"]["wear_mm3_J"] > 0.0:
+        return NAN
+    return 1e3 * max(record.finals["flat_length"])
+
+
+def _ratio(value: float, base: float) -> float:
     return value / base if base > 0.0 else NAN
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One row. `least` is the least value it can have at all, `absent` why it may be missing without harm."""
+    """One row.
+
+    least: the least value that the measure can have.
+    of: computes it; NaN if it could not be measured.
+    absent: why a run may have no value without an error; "" if it must have one.
+    """
 
     name: str
     unit: str
@@ -242,15 +298,15 @@ MEASURES: tuple[Measure, ...] = (
         "stop_distance_over_reference",
         "",
         0.0,
-        "stop distance over the computed one, EN 14531",
-        lambda r: _over(_until_standstill(r, "position_m"), reference_distance_m(r)),
+        "stop distance over the computed stop distance, EN 14531",
+        lambda r: _ratio(_until_standstill(r, "position_m"), reference_distance_m(r)),
     ),
     Measure(
         "stop_distance_over_dry",
         "",
         0.0,
         "stop distance over that of the dry stop",
-        lambda r: _over(_until_standstill(r, "position_m"), r.dry_m),
+        lambda r: _ratio(_until_standstill(r, "position_m"), r.dry_m),
     ),
     Measure(
         "longest_lock",
@@ -284,22 +340,16 @@ MEASURES: tuple[Measure, ...] = (
         "reservoir_least",
         "Pa",
         0.0,
-        "least pressure of the auxiliary reservoir",
-        lambda r: (
-            r.finals["reservoir_least"][0] if r.scenario["air"]["reservoir_volume_L"] > 0.0 else NAN
-        ),
-        "the vehicle has no reservoir: its air never runs out",
+        "lowest pressure of the auxiliary reservoir",
+        _reservoir_least_Pa,
+        "the vehicle has no reservoir: its supply of air is unlimited",
     ),
     Measure(
         "sand_used",
         "kg",
         0.0,
         "sand that all sanders took from their boxes",
-        lambda r: (
-            sum(r.finals["sand_taken"])
-            if any(r.scenario["sanders"][key] for key in ("axle", "second_axle"))
-            else NAN
-        ),
+        _sand_used_kg,
         "the vehicle has no sander",
     ),
     Measure(
@@ -307,7 +357,7 @@ MEASURES: tuple[Measure, ...] = (
         "",
         0.0,
         "mean adhesion of all axles while the WSP acts",
-        _adhesion_used,
+        _utilised_adhesion,
         "the WSP did not act",
     ),
     Measure(
@@ -338,9 +388,7 @@ MEASURES: tuple[Measure, ...] = (
         "mm",
         0.0,
         "longest flat that locks have made",
-        lambda r: (
-            1e3 * max(r.finals["flat_length"]) if r.scenario["flats"]["wear_mm3_J"] > 0.0 else NAN
-        ),
+        _wheel_flat_mm,
         "wheels stay round: flats.wear_mm3_J is 0",
     ),
     Measure(
@@ -349,13 +397,13 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "largest error of the unit's reference speed while it acts, above 5 m/s",
         _reference_error_m_s,
-        "the unit tells no reference speed, or did not act",
+        "the unit sends no reference speed, or did not act",
     ),
     Measure(
         "vents",
         "",
         0.0,
-        "times a dump valve began to vent, all axles",
+        "number of times that a dump valve began to vent, all axles",
         lambda r: float(sum(r.finals["vents"])),
     ),
     Measure(
@@ -366,4 +414,4 @@ MEASURES: tuple[Measure, ...] = (
         _full_brake_after_s,
     ),
 )
-BY_NAME = {one.name: one for one in MEASURES}
+BY_NAME = {measure.name: measure for measure in MEASURES}

@@ -1,8 +1,9 @@
-"""Plays a sequence on a bench through a harness, and keeps what was measured whatever happens.
+"""Plays a sequence on a bench through a harness, and keeps the measured data whatever happens.
 
-Each step is a check: its `until` was reached in time, its `expect`ations held at its end. A bench
-that vanishes, a refused fault, a full disk end in the verdict "error"; the rows up to then are
-written beside the run as `harness.csv`, or into the temporary folder where the disk is full.
+Each step is a check: its `until` was reached in time, and its `expect`ations held at its end. If
+the bench exits, a fault is refused or the disk is full, the result is "error". The rows up to then
+are written into the folder of the run as `harness.csv`, or into a temporary folder if the disk is
+full.
 """
 
 import csv
@@ -27,7 +28,8 @@ from rollerrig.wsp_interface.sequences.sequence import Sequence, Step
 from rollerrig.wsp_interface.sequences.verdict import Result, Verdict
 
 TRACE = "harness.csv"
-SETTLED_S = 0.05
+SETTLED_S = 0.05  # after the last step, so that the record also has its last rows
+# signals that are read at the end of a sequence
 FINALS = (
     "longest_lock",
     "sliding_work",
@@ -37,13 +39,26 @@ FINALS = (
     "flat_length",
     "sand_taken",
 )
-DRY = "stop_distance_over_dry"
-STEP_SOURCE, BEFORE = "the sequence", "pre-condition"
+DRY = "stop_distance_over_dry"  # the measure that needs a dry stop
+# names in verdicts
+STEP_SOURCE = "the sequence"
+BEFORE = "pre-condition"
+AFTER = "post-condition"
+
+# dry_m(scenario, demands): the distance of the dry stop in m
+DryStop = Callable[[dict[str, Any], tuple[tuple[float, float], ...]], float]
 
 
 @dataclass
 class Outcome:
-    """What became of a sequence: `result` is the worst of its verdicts, error where `error` is."""
+    """The outcome of a sequence.
+
+    folder: of the run.
+    finals: signals that were read at the end.
+    record: the data for the measures; None if nothing could be measured.
+    summary: of the bench.
+    error: why the sequence could not be played or judged; "" if it could.
+    """
 
     sequence: Sequence
     folder: Path
@@ -57,8 +72,10 @@ class Outcome:
 
     @property
     def result(self) -> Result:
-        """Error wherever something could not be measured, else the worst verdict."""
-        return Result.ERROR if self.error else verdict.worst([one.result for one in self.verdicts])
+        """An error if there is one, else the worst verdict."""
+        if self.error:
+            return Result.ERROR
+        return verdict.worst([line.result for line in self.verdicts])
 
 
 def on_own_bench(
@@ -66,16 +83,19 @@ def on_own_bench(
     folder: Path,
     pacing: str = "lockstep",
     seed: int = 0,
-    dry_m: Callable[[dict[str, Any], tuple[tuple[float, float], ...]], float] | None = None,
+    dry_m: DryStop | None = None,
     wsp: str = "",
     companions: tuple[own_bench.Companion, ...] = (),
-    tell: Callable[[Event], None] = lambda event: None,
+    on_event: Callable[[Event], None] = lambda event: None,
     arguments: tuple[str, ...] = (),
 ) -> Outcome:
-    """Start a bench for the sequence, play it, and judge. Never raises for what a run can meet.
+    """Start a bench for a sequence, play and judge it. A failure of the run is in the outcome.
 
-    `dry_m(scenario, demands)` gives the distance of the dry stop where a limit asks for it; `tell` gets each event;
-    `arguments` are further ones of `rollerrig run`.
+    dry_m: called for the distance of the dry stop if a limit needs it.
+    wsp: replaces the unit of the sequence.
+    companions: programs that run as long as the bench.
+    on_event: called with each event.
+    arguments: further options of `rollerrig run`.
     """
     outcome = Outcome(sequence, folder)
     harness: Harness | None = None
@@ -92,7 +112,7 @@ def on_own_bench(
             companions=companions,
             arguments=arguments,
         ) as harness:
-            harness.tell = tell
+            harness.on_event = on_event
             play(sequence, harness, outcome)
         outcome.summary = own_bench.summary(folder)
         own_bench.check_valid(outcome.summary)
@@ -108,9 +128,12 @@ def on_running_bench(
     harness: Harness,
     folder: Path,
     scenario: dict[str, Any],
-    dry_m: Callable[..., float] | None = None,
+    dry_m: DryStop | None = None,
 ) -> Outcome:
-    """Play a sequence on a bench that somebody else has started; `scenario` is the resolved one."""
+    """Play and judge a sequence on a bench that already runs.
+
+    `scenario` is the resolved scenario of the bench; `dry_m` is as for `on_own_bench`.
+    """
     outcome = Outcome(sequence, folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -120,36 +143,42 @@ def on_running_bench(
     except (RollerrigError, OSError) as error:
         outcome.error = str(error)
     _conclude(outcome, harness, dry_m, scenario)
-    outcome.summary = heard(harness)
+    outcome.summary = observed(harness)
     return outcome
 
 
 def missed(harness: Harness, folder: Path, criteria: str) -> str:
-    """Which limits of a profile a braking has not kept to so far, each figure against its limit; empty where none.
+    """Return the limits of a profile that the braking so far does not meet, as text; "" if none.
 
-    Limits that want a dry stop are left out. `folder` is that of the run. Raises RollerrigError.
+    Each line has the value and the limit. Limits that need a dry stop do not count. `folder` is
+    the folder of the run. Raises RollerrigError.
     """
     profile = verdict.load(criteria)
+    limits = tuple(limit for limit in profile.limits if limit.measure != DRY)
     finals = {name: harness.read(name) for name in ("wheel_load", *FINALS)}
-    limits = tuple(one for one in profile.limits if one.measure != DRY)
-    verdicts = verdict.judge(
-        replace(profile, limits=limits), _record_of(harness, folder, finals, None)
-    )
-    wrong = [
-        f"{one.told}; {one.text}; source: {one.source}"
-        for one in verdicts
-        if one.result in (Result.FAIL, Result.ERROR)
-    ]
-    return "\n  ".join([f"not within the limits of '{criteria}':", *wrong]) if wrong else ""
+    record = _record_of(harness, folder, finals, None)
+    lines = []
+    for line in verdict.judge(replace(profile, limits=limits), record):
+        if line.result in (Result.FAIL, Result.ERROR):
+            lines.append(f"{line.against_limit}; {line.text}; source: {line.source}")
+    if not lines:
+        return ""
+    return "\n  ".join([f"not within the limits of '{criteria}':", *lines])
 
 
-def heard(harness: Harness) -> dict[str, Any]:
-    """What the bus tells of a bench's time: pacing, cycles, and cycles of which no row came; lateness it does not."""
-    at = COLUMNS.index("time_s")
-    times_s = np.array([row[at] for row in harness.trace])
+def observed(harness: Harness) -> dict[str, Any]:
+    """Return what the bus shows of a bench's timing: pacing, cycles, and cycles without a row.
+
+    The bus does not show lateness.
+    """
+    time_column = COLUMNS.index("time_s")
+    times_s = np.array([row[time_column] for row in harness.trace])
     steps_s = np.diff(times_s[np.isfinite(times_s)])
-    cycle_s = float(np.median(steps_s)) if steps_s.size else math.nan
-    lost = int(np.maximum(np.rint(steps_s / cycle_s) - 1, 0).sum()) if steps_s.size else 0
+    cycle_s = math.nan
+    lost = 0
+    if steps_s.size:
+        cycle_s = float(np.median(steps_s))
+        lost = int(np.maximum(np.rint(steps_s / cycle_s) - 1, 0).sum())
     return {
         "pacing": "lockstep" if harness.lockstep else "wall",
         "over_the_bus": {"cycles": len(times_s), "cycle_s": cycle_s, "cycles_lost": lost},
@@ -157,54 +186,66 @@ def heard(harness: Harness) -> dict[str, Any]:
 
 
 def _check_start(sequence: Sequence, harness: Harness) -> None:
-    """A bench that runs already must be what the sequence wants, as far as the bus tells."""
-    wanted, is_now = sequence.speed_m_s, harness.vehicle_speed_m_s
-    if wanted is not None and abs(is_now - wanted) > 0.05 * wanted + 0.1:
+    """Raise UnitError if the vehicle of a running bench does not have the speed of the sequence."""
+    wanted_m_s = sequence.speed_m_s
+    if wanted_m_s is None:
+        return
+    actual_m_s = harness.vehicle_speed_m_s
+    if abs(actual_m_s - wanted_m_s) > 0.05 * wanted_m_s + 0.1:
         raise UnitError(
-            f"pre-condition: the sequence begins at {wanted:.2f} m/s, the bench runs at "
-            f"{is_now:.2f} m/s; start it with initial_speed_m_s={wanted:.3f} and --harness"
+            f"pre-condition: the sequence begins at {wanted_m_s:.2f} m/s, the bench runs at "
+            f"{actual_m_s:.2f} m/s; start it with initial_speed_m_s={wanted_m_s:.3f} and --harness"
         )
 
 
 def play(sequence: Sequence, harness: Harness, outcome: Outcome) -> None:
-    """Play every step. Raises BusError when the bench goes; a failed step ends the play."""
+    """Play every step and append its verdicts to the outcome. A step that fails ends the sequence.
+
+    Raises BusError when the bench exits.
+    """
     outcome.finals["wheel_load"] = harness.read("wheel_load")
     for text in sequence.notes:
         harness.note(text)
-    checks = outcome.verdicts
-    checks += [
-        replace(one, result=Result.ERROR) if one.result is Result.FAIL else one
-        for one in (_check(BEFORE, before, harness) for before in sequence.before)
-    ]
-    if all(one.result is Result.PASS for one in checks):
-        for number, step in enumerate(sequence.steps, start=1):
-            name = step.title or f"step {number}"
-            try:
-                _play_step(step, harness)
-            except TimeOutError:
-                text = step.until.text if step.until else ""
-                checks.append(
-                    _line(
-                        name,
-                        f"{text} within {step.timeout_s:g} s",
-                        Result.FAIL,
-                        f"not reached at {harness.time_s:.2f} s; the sequence ends here",
-                    )
-                )
-                break
-            if step.until:
-                checks.append(
-                    _line(name, step.until.text, Result.PASS, f"at {harness.time_s:.2f} s")
-                )
-            checks += [_check(name, one, harness) for one in step.expects]
-        else:
-            checks += [_check("post-condition", one, harness) for one in sequence.after]
-    harness.wait(SETTLED_S)  # the record also gets the last rows
+
+    may_begin = True
+    for condition in sequence.before:
+        line = _check(BEFORE, condition, harness)
+        if line.result is Result.FAIL:
+            # without its pre-condition a sequence shows nothing
+            line = replace(line, result=Result.ERROR)
+            may_begin = False
+        outcome.verdicts.append(line)
+    if may_begin and _play_steps(sequence, harness, outcome.verdicts):
+        for condition in sequence.after:
+            outcome.verdicts.append(_check(AFTER, condition, harness))
+
+    harness.wait(SETTLED_S)
     for quantity in FINALS:
         outcome.finals[quantity] = harness.read(quantity)
 
 
+def _play_steps(sequence: Sequence, harness: Harness, verdicts: list[Verdict]) -> bool:
+    """Play the steps; return False when the condition of a step has not come true in time."""
+    for number, step in enumerate(sequence.steps, start=1):
+        name = step.title or f"step {number}"
+        try:
+            _play_step(step, harness)
+        except TimeOutError:
+            text = step.until.text if step.until else ""
+            wanted = f"{text} within {step.timeout_s:g} s"
+            why = f"not reached at {harness.time_s:.2f} s; the sequence ends here"
+            verdicts.append(_line(name, wanted, Result.FAIL, why))
+            return False
+        if step.until:
+            at = f"at {harness.time_s:.2f} s"
+            verdicts.append(_line(name, step.until.text, Result.PASS, at))
+        for condition in step.expects:
+            verdicts.append(_check(name, condition, harness))
+    return True
+
+
 def _play_step(step: Step, harness: Harness) -> None:
+    """Give the commands of a step and wait until it is done. Raises TimeOutError."""
     if step.at_s is not None:
         harness.wait(step.at_s - harness.time_s)
     if step.title:
@@ -233,66 +274,91 @@ def _play_step(step: Step, harness: Harness) -> None:
 
 
 def _ramp(step: Step, harness: Harness) -> None:
+    """Move the brake demand linearly to the pressure of a ramp, a step each bus cycle."""
     assert step.ramp
     from_Pa = harness.demands[-1][1] if harness.demands else 0.0
-    begin_s, to_Pa = harness.time_s, step.ramp.to_Pa
+    to_Pa = step.ramp.to_Pa
+    begin_s = harness.time_s
     harness.record("harness", Code.TEST_BRAKE_RAMP, pressure_Pa=to_Pa, ramp_s=step.ramp.in_s)
-    while (share := (harness.time_s - begin_s) / step.ramp.in_s) < 1.0:
+    while True:
+        share = (harness.time_s - begin_s) / step.ramp.in_s
+        if share >= 1.0:
+            break
         harness.brake(from_Pa + share * (to_Pa - from_Pa))
         harness.step()
     harness.brake(to_Pa)
 
 
 def _check(name: str, condition: Condition, harness: Harness) -> Verdict:
-    met = condition.holds(harness.values)
-    return _line(
-        name,
-        condition.text,
-        Result.PASS if met else Result.FAIL,
-        f"at {harness.time_s:.2f} s: {condition.readings(harness.values)}",
-    )
+    """Return the verdict on a condition, by the newest values."""
+    result = Result.PASS if condition.holds(harness.values) else Result.FAIL
+    text = f"at {harness.time_s:.2f} s: {condition.readings(harness.values)}"
+    return _line(name, condition.text, result, text)
 
 
 def _line(name: str, wanted: str, result: Result, text: str) -> Verdict:
-    return Verdict(name, "", math.nan, wanted, math.nan, result, STEP_SOURCE, text)
+    """Return the verdict on a step; it has no value."""
+    return Verdict(
+        what=name,
+        unit="",
+        value=math.nan,
+        limit=wanted,
+        margin=math.nan,
+        result=result,
+        source=STEP_SOURCE,
+        text=text,
+    )
 
 
 def _conclude(
     outcome: Outcome,
     harness: Harness,
-    dry_m: Callable[..., float] | None,
+    dry_m: DryStop | None,
     scenario: dict[str, Any] | None = None,
 ) -> None:
-    reported = []
-    for one in outcome.summary.get("events", []):
-        event = events.from_json(one)
-        who = f"bench, {event.level}"
-        reported.append(Event(event.time_s, who, event.text, event.code, event.fields))
-    outcome.events = sorted([*harness.events, *reported], key=lambda event: event.time_s)
+    """Collect the events, write the rows of the harness, and judge the measures."""
+    outcome.events = _all_events(outcome, harness)
     try:
-        _keep(outcome.folder, harness)
+        _save_trace(outcome.folder, harness)
     except OSError as error:
         outcome.error = outcome.error or f"{outcome.folder}: cannot be written: {error.strerror}"
     if outcome.error or not harness.trace:
         return
     try:
-        outcome.record = _record_of(harness, outcome.folder, outcome.finals, scenario)
-        asks = any(one.measure == DRY for one in outcome.sequence.criteria.limits)
-        if asks and dry_m:
-            found = dry_m(dict(outcome.record.scenario), outcome.record.demands)
-            outcome.record = replace(outcome.record, dry_m=found)
-        unmet = [
-            one.limit
-            for one in outcome.verdicts
-            if one.what == BEFORE and one.result is not Result.PASS
-        ]
-        outcome.verdicts += verdict.judge(
-            outcome.sequence.criteria,
-            outcome.record,
-            f"a pre-condition was not met: {', '.join(unmet)}" if unmet else "",
-        )
+        _judge(outcome, harness, dry_m, scenario)
     except (RollerrigError, OSError, KeyError) as error:
         outcome.error = f"the run cannot be judged: {error}"
+
+
+def _all_events(outcome: Outcome, harness: Harness) -> list[Event]:
+    """Return the events of the harness and of the bench, by time."""
+    of_bench = []
+    for data in outcome.summary.get("events", []):
+        event = events.from_json(data)
+        who = f"bench, {event.level}"
+        of_bench.append(Event(event.time_s, who, event.text, event.code, event.fields))
+    return sorted([*harness.events, *of_bench], key=lambda event: event.time_s)
+
+
+def _judge(
+    outcome: Outcome,
+    harness: Harness,
+    dry_m: DryStop | None,
+    scenario: dict[str, Any] | None,
+) -> None:
+    """Append the verdicts on the measures to the outcome."""
+    criteria = outcome.sequence.criteria
+    outcome.record = _record_of(harness, outcome.folder, outcome.finals, scenario)
+    if dry_m and any(limit.measure == DRY for limit in criteria.limits):
+        distance_m = dry_m(dict(outcome.record.scenario), outcome.record.demands)
+        outcome.record = replace(outcome.record, dry_m=distance_m)
+
+    unmet = []
+    for line in outcome.verdicts:
+        if line.what == BEFORE and line.result is not Result.PASS:
+            unmet.append(line.limit)
+    void = f"a pre-condition was not met: {', '.join(unmet)}" if unmet else ""
+    outcome.verdicts += verdict.judge(criteria, outcome.record, void)
 
 
 def _record_of(
@@ -301,36 +367,41 @@ def _record_of(
     finals: dict[str, tuple[float, ...]],
     scenario: dict[str, Any] | None,
 ) -> Record:
+    """Return the data for the measures. Without a scenario, that of the run's folder counts."""
     if scenario is None:
         scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
-    faults = [
+    faults_s = [
         event.time_s
         for event in harness.events
         if event.code in (Code.TEST_FAULT, Code.TEST_FAULT_LIFTED)
     ]
+    values = np.array(harness.trace).T
     return Record(
-        dict(zip(COLUMNS, np.array(harness.trace).T, strict=True)),
-        tuple(harness.demands),
-        finals,
-        scenario,
-        fault_s=faults[0] if faults else math.nan,
+        columns=dict(zip(COLUMNS, values, strict=True)),
+        demands=tuple(harness.demands),
+        finals=finals,
+        scenario=scenario,
+        fault_s=faults_s[0] if faults_s else math.nan,
     )
 
 
-def _keep(folder: Path, harness: Harness) -> None:
-    """Write the rows that the harness saw; into the temporary folder where the disk is full."""
+def _save_trace(folder: Path, harness: Harness) -> None:
+    """Write the rows of the harness; if that fails, into a temporary folder, and raise OSError."""
     try:
-        _write(folder, harness)
+        _write_trace(folder, harness)
     except OSError:
         spare = Path(tempfile.mkdtemp(prefix=f"rollerrig-{folder.name}-"))
-        _write(spare, harness)
+        _write_trace(spare, harness)
         harness.record(
-            "harness", Code.SEQUENCE_ROWS_SAVED, folder=str(folder), file=str(spare / TRACE)
+            "harness",
+            Code.SEQUENCE_ROWS_SAVED,
+            folder=str(folder),
+            file=str(spare / TRACE),
         )
         raise
 
 
-def _write(folder: Path, harness: Harness) -> None:
+def _write_trace(folder: Path, harness: Harness) -> None:
     with (folder / TRACE).open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
         out.writerow(COLUMNS)

@@ -1,20 +1,20 @@
-"""A sequence: a scripted test as TOML, read and checked before anything moves.
+"""A sequence: a scripted test as TOML, which is read and checked before anything moves.
 
     title = "A full service stop from 120 km/h on soap"
     criteria = "service_stop"
-    [start]                       # the bench that is wanted
+    [start]                       # the bench at the beginning
     speed = "120 km/h"
     adhesion = "soap"
     [[step]]
     title = "the driver brakes"
-    at = "1 s"                    # begins then; else when the step before is done
+    at = "1 s"                    # the step begins then; else when the step before is done
     set = { brake_demand = "3.8 bar" }
     until = "vehicle_speed < 0.1 km/h"
     timeout = "120 s"
 
-A step sets at its beginning (`set`, `ramp`, `friction`, `fault`, `lift`, `note`), lasts `for` a time
-or `until` a condition has held for `hold`, and may `expect` conditions at its end. Contradictions,
-unknown signals, wrong units and faults are refused with file and line.
+A step gives its commands at its beginning (`set`, `ramp`, `friction`, `fault`, `lift`, `note`). It
+lasts `for` a time or `until` a condition has held for `hold`, and may `expect` conditions at its
+end. Contradictions, unknown signals, wrong units and unknown faults are refused with file and line.
 """
 
 import re
@@ -31,11 +31,16 @@ from rollerrig.wsp_interface.sequences import conditions, verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.signals import AXLES
 
-Where = Callable[[str], str]  # the place of a key, for messages
+Where = Callable[[str], str]  # returns the place of a key, for messages
 
 DEFAULT_TIMEOUT_S = 300.0
-# a cylinder pressure asked for is a 16-bit count of mbar, bounded by node 17
+# node 17 refuses a higher demand
 HIGHEST_DEMAND_Pa = 1e6
+TITLE_WORDS = 3  # a title is a sentence
+# friction coefficients that can be commanded, besides 0
+LEAST_MU = 0.0005
+HIGHEST_MU = 1.0
+_TINY_S = 1e-9
 _SETTABLE = ("brake_demand", "sand")
 HEAD = (
     "title",
@@ -70,7 +75,7 @@ STEP = (
 
 @dataclass(frozen=True)
 class Ramp:
-    """Brake demand that moves evenly to a pressure within a time."""
+    """A brake demand that changes linearly to a pressure within a time."""
 
     to_Pa: float
     in_s: float
@@ -78,7 +83,7 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Patch:
-    """Friction under axles, 0 to give it back to the scenario."""
+    """A friction coefficient under axles; 0 returns to that of the scenario."""
 
     mu: float
     axles: tuple[int, ...]
@@ -86,7 +91,16 @@ class Patch:
 
 @dataclass(frozen=True)
 class Step:
-    """One step; times in s. `at_s` None: at once, `for_s` None: until (or no longer than now)."""
+    """One step.
+
+    line: of the step in its file.
+    at_s: when it begins; None: when the step before is done.
+    for_s: how long it lasts; None: until the condition, or no time without one.
+    hold_s: how long the condition must hold.
+    timeout_s: the longest wait for the condition.
+    brake_Pa, sand, ramp, friction, faults, lifts, notes: commands at its beginning.
+    expects: conditions at its end.
+    """
 
     title: str
     line: int
@@ -107,7 +121,16 @@ class Step:
 
 @dataclass(frozen=True)
 class Sequence:
-    """A checked sequence. `tables` are what the scenario is changed by."""
+    """A checked sequence.
+
+    name: the file's name without suffix.
+    scenario: the scenario to start from; "" for the default.
+    wsp: the unit, as the option of `rollerrig run`.
+    tables: changes of the scenario.
+    notes: operator's notes for the events of the run.
+    before, after: pre-conditions and post-conditions.
+    criteria: the limits for its measures.
+    """
 
     name: str
     path: Path
@@ -125,199 +148,236 @@ class Sequence:
 
 
 class _Source:
-    """Where things stand in a file, so that a message can name the line."""
+    """The lines of a file, so that a message can name the line of a key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.lines = path.read_text(encoding="utf-8").splitlines()
 
     def line(self, table: str = "", number: int = 0, key: str = "") -> int:
-        """The line of a key, of the table `[table]` or its number-th `[[table]]`, from 1."""
-        at, end = 0, len(self.lines)
-        heads = [i for i, one in enumerate(self.lines) if re.match(r"\s*\[", one)]
-        if table:
-            wanted = re.compile(rf"\s*\[\[?\s*{re.escape(table)}\s*\]")
-            own = [i for i in heads if wanted.match(self.lines[i])]
-            at = own[min(number, len(own) - 1)] if own else 0
-            end = next((i for i in heads if i > at), len(self.lines))
-        elif heads:
-            end = heads[0]
-        pattern = re.compile(rf"\s*\"?{re.escape(key)}\"?\s*[=.]") if key else re.compile("")
-        return next((i for i in range(at, end) if pattern.match(self.lines[i])), at) + 1
+        """Return the line of a key, from 1: at the top, or in the number-th `[[table]]` (from 0).
+
+        Without a key, or if there is no such key, it is the first line of the table.
+        """
+        begin, end = self._section(table, number)
+        if key:
+            pattern = re.compile(rf"\s*\"?{re.escape(key)}\"?\s*[=.]")
+            for index in range(begin, end):
+                if pattern.match(self.lines[index]):
+                    return index + 1
+        return begin + 1
+
+    def _section(self, table: str, number: int) -> tuple[int, int]:
+        """Return the first line of a table, and the first line after it."""
+        heads = [index for index, line in enumerate(self.lines) if re.match(r"\s*\[", line)]
+        if not table:
+            return 0, heads[0] if heads else len(self.lines)
+        wanted = re.compile(rf"\s*\[\[?\s*{re.escape(table)}\s*\]")
+        matching = [index for index in heads if wanted.match(self.lines[index])]
+        begin = matching[min(number, len(matching) - 1)] if matching else 0
+        for index in heads:
+            if index > begin:
+                return begin, index
+        return begin, len(self.lines)
 
     def where(self, table: str = "", number: int = 0, key: str = "") -> str:
-        """File and line, and what stands there."""
-        what = f" [{table}]" if table else ""
-        return f"{self.path}, line {self.line(table, number, key)}{what}" + (
-            f": {key}" if key else ""
-        )
+        """Return file and line, with table and key, for a message."""
+        text = f"{self.path}, line {self.line(table, number, key)}"
+        if table:
+            text += f" [{table}]"
+        if key:
+            text += f": {key}"
+        return text
 
 
 def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None) -> Sequence:
-    """A sequence by name or path. `check_fault(text)` raises ConfigError for one that is none."""
+    """Return a sequence by name or path.
+
+    `check_fault(text)` raises ConfigError for a text that is no fault. Raises ConfigError.
+    """
     path = name if isinstance(name, Path) else store.find("sequences", name)
-    given = store.parse(path)
+    content = store.parse(path)
     source = _Source(path)
-    head, at_start = partial(source.where, "", 0), partial(source.where, "start", 0)
-    known(given, HEAD, head)
-    title, start = given.get("title"), given.get("start", {})
-    if not isinstance(title, str) or len(title.split()) < 3:
+    in_head = partial(source.where, "", 0)
+    in_start = partial(source.where, "start", 0)
+    known(content, HEAD, in_head)
+    title = content.get("title")
+    if not isinstance(title, str) or len(title.split()) < TITLE_WORDS:
         raise ConfigError(
-            f"{head('title')} = {title!r}: the title is a sentence that says what is tested"
+            f"{in_head('title')} = {title!r}: the title is a sentence that states what is tested"
         )
-    known(start, START, at_start)
+    start = content.get("start", {})
+    known(start, START, in_start)
 
-    def started(key: str, unit: str) -> float | None:
-        return conditions.quantity(start[key], unit, at_start(key)) if key in start else None
-
-    speed_m_s, mass_kg, gradient = (
-        started("speed", "m_s"),
-        started("mass", "kg"),
-        started("gradient", ""),
+    speed_m_s = _optional(start, "speed", "m_s", in_start)
+    tables = _tables(content, in_start)
+    gradient = tables.get("mechanisms", {}).get("track_gradient_gradient", 0.0)
+    is_downhill = gradient < 0.0
+    steps = tuple(
+        _steps(
+            content.get("step", []),
+            source,
+            # downhill a vehicle may become faster
+            highest_speed_m_s=None if is_downhill else speed_m_s,
+            check_fault=check_fault,
+        )
     )
-    tables = dict(start.get("tables", {}))
-    if mass_kg is not None:
-        tables["vehicle"] = {**tables.get("vehicle", {}), "mass_kg": mass_kg}
-    if gradient is not None:
-        # uphill is positive; the plant has it as one of its mechanisms
-        tables["mechanisms"] = {**tables.get("mechanisms", {}), "track_gradient_gradient": gradient}
-    level = tables.get("mechanisms", {}).get("track_gradient_gradient", 0.0) >= 0.0
-    if "friction" in given:
-        tables["friction"] = given["friction"]
-    steps = tuple(_steps(given.get("step", []), source, speed_m_s if level else None, check_fault))
     if not steps:
         raise ConfigError(f"{path}: there is no [[step]]; a sequence has at least one")
-    limits = verdict.limits(given.get("measure", []), partial(source.where, "measure"))
+
+    limits = verdict.limits(content.get("measure", []), partial(source.where, "measure"))
+    profile = verdict.load(str(content.get("criteria", "none")), path)
     return Sequence(
         name=path.stem,
         path=path,
         title=title,
-        scenario=str(given.get("scenario", "")),
-        wsp=str(given.get("wsp", "reference")),
+        scenario=str(content.get("scenario", "")),
+        wsp=str(content.get("wsp", "reference")),
         speed_m_s=speed_m_s,
         adhesion=str(start.get("adhesion", "")),
         tables=tables,
-        notes=_texts(given, "notes", head),
-        before=_conditions(given, "before", head),
-        after=_conditions(given, "after", head),
+        notes=_texts(content, "notes", in_head),
+        before=_conditions(content, "before", in_head),
+        after=_conditions(content, "after", in_head),
         steps=steps,
-        criteria=verdict.load(str(given.get("criteria", "none")), path).with_limits(limits),
+        criteria=profile.with_limits(limits),
     )
 
 
+def _optional(table: Mapping[str, Any], key: str, unit: str, at: Where) -> float | None:
+    """Return a quantity of a table in SI, None where there is none."""
+    if key not in table:
+        return None
+    return conditions.quantity(table[key], unit, at(key))
+
+
+def _tables(content: Mapping[str, Any], at: Where) -> dict[str, Any]:
+    """Return the changes of the scenario."""
+    start = content.get("start", {})
+    tables = dict(start.get("tables", {}))
+    mass_kg = _optional(start, "mass", "kg", at)
+    if mass_kg is not None:
+        tables["vehicle"] = {**tables.get("vehicle", {}), "mass_kg": mass_kg}
+    gradient = _optional(start, "gradient", "", at)  # positive uphill
+    if gradient is not None:
+        # the plant has the gradient as one of its mechanisms
+        tables["mechanisms"] = {**tables.get("mechanisms", {}), "track_gradient_gradient": gradient}
+    if "friction" in content:
+        tables["friction"] = content["friction"]
+    return tables
+
+
 def _steps(
-    given: Any, source: _Source, speed_m_s: float | None, check_fault: Callable[[str], Any]
+    tables: Any,
+    source: _Source,
+    highest_speed_m_s: float | None,
+    check_fault: Callable[[str], Any],
 ) -> Iterable[Step]:
-    if not isinstance(given, list):
+    """Yield the checked steps. `highest_speed_m_s` is None if the vehicle may become faster."""
+    if not isinstance(tables, list):
         raise ConfigError(f"{source.where('step')}: write [[step]] with two brackets")
-    passed_s = 0.0
-    for number, content in enumerate(given):
+    passed_s = 0.0  # the steps so far take at least this time
+    for number, table in enumerate(tables):
         at = partial(source.where, "step", number)
-        known(content, STEP, at)
-        step = _step(content, at, source.line("step", number))
+        known(table, STEP, at)
+        step = _step(table, at, source.line("step", number))
         for text in step.faults:
             try:
                 check_fault(text)
             except ConfigError as error:
                 raise ConfigError(f"{at('fault')}: {error}") from None
-        _contradictions(step, content, at, passed_s, speed_m_s)
+        _check_durations(step, table, at, passed_s)
+        if step.until:
+            _check_until(step.until, step, at, passed_s, highest_speed_m_s)
         if step.at_s is not None:
             passed_s = max(passed_s, step.at_s)
-        passed_s += max(step.for_s or 0.0, step.ramp.in_s if step.ramp else 0.0, step.hold_s)
+        ramp_s = step.ramp.in_s if step.ramp else 0.0
+        passed_s += max(step.for_s or 0.0, ramp_s, step.hold_s)
         yield step
 
 
-def _step(content: Mapping[str, Any], at: Where, line: int) -> Step:
-    def seconds(key: str, default: Any = None) -> Any:
-        return conditions.quantity(content[key], "s", at(key)) if key in content else default
-
-    wanted = content.get("set", {})
-    if not isinstance(wanted, dict):
-        raise ConfigError(f"{at('set')} = {wanted!r}: a table is wanted")
-    for name in wanted:
+def _step(table: Mapping[str, Any], at: Where, line: int) -> Step:
+    commands = table.get("set", {})
+    if not isinstance(commands, dict):
+        raise ConfigError(f"{at('set')} = {commands!r}: allowed is a table")
+    for name in commands:
         if name not in _SETTABLE:
             raise ConfigError(
                 f"{at('set')}: '{name}' cannot be set{nearest(name, _SETTABLE)};"
-                " speed, mass and adhesion stand in [start], friction has a key of its own"
+                " speed, mass and adhesion belong to [start], friction has a separate key"
             )
+    until = None
+    if "until" in table:
+        until = conditions.condition(table["until"], at("until"))
+    brake_Pa = None
+    if "brake_demand" in commands:
+        brake_Pa = _pressure(commands["brake_demand"], at("set"))
+    sand = None
+    if "sand" in commands:
+        sand = _switch(commands["sand"], at("set"))
+    timeout_s = _optional(table, "timeout", "s", at)
     return Step(
-        title=str(content.get("title", "")),
+        title=str(table.get("title", "")),
         line=line,
-        at_s=seconds("at"),
-        for_s=seconds("for"),
-        until=conditions.condition(content["until"], at("until")) if "until" in content else None,
-        hold_s=seconds("hold", 0.0),
-        timeout_s=seconds("timeout", DEFAULT_TIMEOUT_S),
-        brake_Pa=_pressure(wanted["brake_demand"], at("set")) if "brake_demand" in wanted else None,
-        sand=_switch(wanted["sand"], at("set")) if "sand" in wanted else None,
-        ramp=_ramp(content.get("ramp"), at("ramp")),
-        friction=_patch(content.get("friction"), at("friction")),
-        faults=_texts(content, "fault", at),
-        lifts=_texts(content, "lift", at),
-        notes=_texts(content, "note", at),
-        expects=_conditions(content, "expect", at),
+        at_s=_optional(table, "at", "s", at),
+        for_s=_optional(table, "for", "s", at),
+        until=until,
+        hold_s=_optional(table, "hold", "s", at) or 0.0,
+        timeout_s=DEFAULT_TIMEOUT_S if timeout_s is None else timeout_s,
+        brake_Pa=brake_Pa,
+        sand=sand,
+        ramp=_ramp(table.get("ramp"), at("ramp")),
+        friction=_patch(table.get("friction"), at("friction")),
+        faults=_texts(table, "fault", at),
+        lifts=_texts(table, "lift", at),
+        notes=_texts(table, "note", at),
+        expects=_conditions(table, "expect", at),
     )
 
 
-def _contradictions(
-    step: Step, content: Mapping[str, Any], at: Where, passed_s: float, speed_m_s: float | None
+def _check_durations(step: Step, table: Mapping[str, Any], at: Where, passed_s: float) -> None:
+    """Raise ConfigError if the times or commands of a step contradict one another."""
+    if step.for_s is not None and step.until:
+        raise ConfigError(
+            f"{at('for')}: a step lasts either `for` a time or `until` a condition; "
+            "keep one, and give `timeout` for the longest wait"
+        )
+    for key in ("hold", "timeout"):
+        if key in table and not step.until:
+            raise ConfigError(f"{at(key)}: belongs to `until`, which this step does not have")
+    if step.until and step.hold_s >= step.timeout_s:
+        raise ConfigError(
+            f"{at('hold')} = {step.hold_s:g} s can never be within timeout = {step.timeout_s:g} s"
+        )
+    if step.at_s is not None and step.at_s < passed_s - _TINY_S:
+        raise ConfigError(
+            f"{at('at')} = {step.at_s:g} s is over before the step can begin: "
+            f"the steps before it take at least {passed_s:g} s"
+        )
+    if step.brake_Pa is not None and step.ramp:
+        raise ConfigError(f"{at('ramp')}: the step also sets brake_demand; keep one")
+
+
+def _check_until(
+    until: Condition, step: Step, at: Where, passed_s: float, highest_speed_m_s: float | None
 ) -> None:
-    until, begins_s = step.until, max(passed_s, step.at_s or 0.0)
-    columns, compare, bound = (
-        (until.columns, until.compare, until.bound) if until else ((), "", 0.0)
-    )
-    never = f" = '{until.text if until else ''}': can never be"
-    for key, refused, why in (
-        (
-            "for",
-            step.for_s is not None and until,
-            ": a step lasts either `for` a time or `until` a condition; "
-            "keep one, and give `timeout` for the longest wait",
-        ),
-        ("hold", "hold" in content and not until, ": belongs to `until`, which this step has not"),
-        (
-            "timeout",
-            "timeout" in content and not until,
-            ": belongs to `until`, which this step has not",
-        ),
-        (
-            "hold",
-            until and step.hold_s >= step.timeout_s,
-            f" = {step.hold_s:g} s can never be within timeout = {step.timeout_s:g} s",
-        ),
-        (
-            "at",
-            step.at_s is not None and step.at_s < passed_s - 1e-9,
-            f" = {step.at_s or 0.0:g} s is over before the "
-            f"step can begin: the steps before it take at least {passed_s:g} s",
-        ),
-        (
-            "ramp",
-            step.brake_Pa is not None and step.ramp,
-            ": the step also sets brake_demand; keep one",
-        ),
-        (
-            "until",
-            columns == ("time_s",) and compare in ("<", "<=") and bound <= begins_s,
-            f"{never}, {begins_s:g} s have passed by then",
-        ),
-        (
-            "until",
-            columns == ("vehicle_speed_m_s",)
-            and compare in (">", ">=")
-            and speed_m_s is not None
-            and bound > speed_m_s,
-            f"{never}: the vehicle begins at {speed_m_s or 0.0:.4g} m/s and nothing drives it",
-        ),
-    ):
-        if refused:
-            raise ConfigError(at(key) + why)
+    """Raise ConfigError if a condition can never come true."""
+    never = f"{at('until')} = '{until.text}': can never be"
+    begins_s = max(passed_s, step.at_s or 0.0)
+    wants_less = until.compare in ("<", "<=")
+    if until.columns == ("time_s",) and wants_less and until.bound <= begins_s:
+        raise ConfigError(f"{never}, {begins_s:g} s have passed by then")
+    wants_faster = until.columns == ("vehicle_speed_m_s",) and not wants_less
+    if wants_faster and highest_speed_m_s is not None and until.bound > highest_speed_m_s:
+        raise ConfigError(
+            f"{never}: the vehicle begins at {highest_speed_m_s:.4g} m/s and nothing drives it"
+        )
 
 
-def _switch(given: Any, where: str) -> bool:
-    if not isinstance(given, bool):
-        raise ConfigError(f"{where}: sand = {given!r}: write true or false")
-    return given
+def _switch(value: Any, where: str) -> bool:
+    if not isinstance(value, bool):
+        raise ConfigError(f"{where}: sand = {value!r}: write true or false")
+    return value
 
 
 def _pressure(text: Any, where: str) -> float:
@@ -348,23 +408,26 @@ def _patch(content: Any, where: str) -> Patch | None:
         raise ConfigError(
             f"{where} = {content!r}: write friction = {{ mu = 0.05, axles = [1, 2] }}"
         )
-    mu, axles = content["mu"], content.get("axles", list(range(1, AXLES + 1)))
-    if not isinstance(mu, int | float) or not (mu == 0 or 0.0005 <= mu <= 1.0):
+    mu = content["mu"]
+    axles = content.get("axles", list(range(1, AXLES + 1)))
+    if not isinstance(mu, int | float) or not (mu == 0 or LEAST_MU <= mu <= HIGHEST_MU):
         raise ConfigError(
-            f"{where}: mu = {mu!r}: from 0.0005 to 1, or 0 for what the scenario says"
+            f"{where}: mu = {mu!r}: from {LEAST_MU:g} to {HIGHEST_MU:g}, "
+            "or 0 for that of the scenario"
         )
-    if not axles or not all(type(one) is int and 1 <= one <= AXLES for one in axles):
+    if not axles or not all(type(axle) is int and 1 <= axle <= AXLES for axle in axles):
         raise ConfigError(f"{where}: axles = {axles!r}: a list of axle numbers from 1 to {AXLES}")
     return Patch(float(mu), tuple(axles))
 
 
-def _texts(content: Mapping[str, Any], key: str, at: Where) -> tuple[str, ...]:
-    given = content.get(key, [])
-    texts = [given] if isinstance(given, str) else given
-    if not isinstance(texts, list) or not all(isinstance(one, str) for one in texts):
-        raise ConfigError(f"{at(key)} = {given!r}: a text in quotes is wanted, or a list of texts")
+def _texts(table: Mapping[str, Any], key: str, at: Where) -> tuple[str, ...]:
+    """Return the texts of a key: one text, or a list of texts."""
+    value = table.get(key, [])
+    texts = [value] if isinstance(value, str) else value
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+        raise ConfigError(f"{at(key)} = {value!r}: allowed is a text in quotes, or a list of texts")
     return tuple(texts)
 
 
-def _conditions(content: Mapping[str, Any], key: str, at: Where) -> tuple[Condition, ...]:
-    return tuple(conditions.condition(one, at(key)) for one in _texts(content, key, at))
+def _conditions(table: Mapping[str, Any], key: str, at: Where) -> tuple[Condition, ...]:
+    return tuple(conditions.condition(text, at(key)) for text in _texts(table, key, at))

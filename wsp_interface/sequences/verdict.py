@@ -1,9 +1,10 @@
 """Verdicts: measures against limits, each with its margin and the source of its number.
 
-A criteria profile is a TOML file of limits; a sequence may add limits of its own, which replace those of the profile
-for the same measure. A run that could not be measured is an error, never a pass, and so is one whose pre-condition did
-not hold: its measures are void. A measure that a run cannot have (the WSP did not act) is left out and says so. Nothing
-here certifies anything.
+A criteria profile is a TOML file of limits. A sequence may add limits, which replace those of the
+profile for the same measure. A measure that could not be computed is an error, never a pass. If a
+pre-condition of the sequence did not hold, all measures are void, and the sequence is an error. A
+measure that a run cannot have, because for example the WSP did not act, does not count, and its
+verdict states why. No verdict certifies anything.
 """
 
 import math
@@ -22,12 +23,12 @@ from rollerrig.wsp_interface.sequences.measures import Record
 
 DISCLAIMER = "not a certification"
 UNVERIFIED = "recollection, to be checked against ..."
-_VOID = "void: "
+_VOID = "void: "  # begins the text of a void verdict
 _KEYS = ("measure", "unit", "max", "min", "source")
 
 
 class Result(StrEnum):
-    """How a limit, a check or a whole sequence came out, from good to bad; the worst decides."""
+    """The result of a limit, a check or a whole sequence, from good to bad; the worst decides."""
 
     PASS = "pass"
     ABSENT = "not applicable"
@@ -37,7 +38,7 @@ class Result(StrEnum):
 
 @dataclass(frozen=True)
 class Limit:
-    """A bound on a measure; inf where there is none on that side."""
+    """The bounds of a measure, in its unit; infinite on a side without a bound."""
 
     measure: str
     unit: str
@@ -48,23 +49,30 @@ class Limit:
 
 @dataclass(frozen=True)
 class Profile:
-    """Named limits."""
+    """A criteria profile: limits with a name."""
 
     name: str
     title: str
     limits: tuple[Limit, ...]
 
     def with_limits(self, more: tuple[Limit, ...]) -> "Profile":
-        """The same with limits that replace those of the same measure."""
-        named = {one.measure for one in more}
-        return replace(
-            self, limits=(*(one for one in self.limits if one.measure not in named), *more)
-        )
+        """Return the profile with more limits; they replace those of the same measure."""
+        replaced = {limit.measure for limit in more}
+        kept = [limit for limit in self.limits if limit.measure not in replaced]
+        return replace(self, limits=(*kept, *more))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One line of a report. `margin` is the distance to the nearer limit over that limit."""
+    """One line of a report.
+
+    what: the measure, or the name of a step.
+    value: in the unit; NaN where there is none.
+    limit: the requirement as text.
+    margin: the distance to the nearer bound, divided by that bound; negative if it is exceeded.
+    source: of the limit.
+    text: the meaning of the measure, or why there is no value.
+    """
 
     what: str
     unit: str
@@ -77,62 +85,69 @@ class Verdict:
 
     @property
     def void(self) -> bool:
-        """Whether it tells nothing, since a pre-condition did not hold."""
+        """Whether the verdict means nothing, because a pre-condition did not hold."""
         return self.result is Result.ABSENT and self.text.startswith(_VOID)
 
     @property
-    def shown(self) -> str:
-        """The value with its unit; "never" where it was not reached, empty where there is none."""
+    def value_text(self) -> str:
+        """The value with its unit; "never" if it is infinite, empty if there is none."""
         if not math.isfinite(self.value):
             return "never" if math.isinf(self.value) else ""
         return f"{self.value:.4g} {self.unit}".strip()
 
     @property
-    def told(self) -> str:
-        """The value against its limit."""
-        return f"{self.what} {self.shown}, wanted {self.limit} {self.unit}".strip()
+    def against_limit(self) -> str:
+        """The value and its limit as text."""
+        return f"{self.what} {self.value_text}, wanted {self.limit} {self.unit}".strip()
 
 
 def load(name: str, beside: Path | None = None) -> Profile:
-    """A criteria profile by name or path; "none" has no limits. Raises ConfigError."""
+    """Return a criteria profile by name or path; "none" has no limits. Raises ConfigError."""
     if name == "none":
-        return Profile("none", "no limits of its own", ())
+        return Profile("none", "no limits", ())
     content, path = store.load("criteria", name, beside)
     known(content, ("title", "limit"), lambda key: str(path))
-    found = limits(content.get("limit", []), lambda at, key: f"{path} [[limit]] {at + 1}: {key}")
-    return Profile(path.stem, str(content.get("title", path.stem)), found)
+    tables = content.get("limit", [])
+    its_limits = limits(tables, lambda number, key: f"{path} [[limit]] {number + 1}: {key}")
+    return Profile(path.stem, str(content.get("title", path.stem)), its_limits)
 
 
-def limits(given: Any, where: Callable[[int, str], str]) -> tuple[Limit, ...]:
-    """Limits from their tables. Raises ConfigError: unknown measure, wrong unit, contradiction."""
-    if not isinstance(given, list) or not all(isinstance(one, dict) for one in given):
+def limits(tables: Any, where: Callable[[int, str], str]) -> tuple[Limit, ...]:
+    """Return the limits of the tables [[limit]] or [[measure]].
+
+    `where(number, key)` returns the place of a key of a table (from 0), for messages. Raises
+    ConfigError for an unknown measure, a wrong unit or a contradiction.
+    """
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise ConfigError(f"{where(0, '')}: write the table with two brackets, one for each limit")
-    return tuple(_limit(one, partial(where, at)) for at, one in enumerate(given))
+    return tuple(_limit(table, partial(where, number)) for number, table in enumerate(tables))
 
 
-def _limit(given: Any, where: Callable[[str], str]) -> Limit:
-    known(given, _KEYS, where)
-    name = given.get("measure")
+def _limit(table: Any, where: Callable[[str], str]) -> Limit:
+    known(table, _KEYS, where)
+    name = table.get("measure")
     if not isinstance(name, str) or name not in measures.BY_NAME:
         raise ConfigError(
-            f"{where('measure')} = {name!r}: no measure is called so"
+            f"{where('measure')} = {name!r}: there is no such measure"
             f"{nearest(str(name), measures.BY_NAME)}"
         )
     measure = measures.BY_NAME[name]
-    if given.get("unit") != measure.unit:
+    if table.get("unit") != measure.unit:
         raise ConfigError(
-            f"{where('unit')} = {given.get('unit')!r}: {name} is in '{measure.unit}'; "
+            f"{where('unit')} = {table.get('unit')!r}: {name} is in '{measure.unit}'; "
             f'write unit = "{measure.unit}"'
         )
-    if not given.get("source"):
+    if not table.get("source"):
         raise ConfigError(
-            f"{where('source')} is missing; say where the number comes from, or '{UNVERIFIED}'"
+            f"{where('source')} is missing; write where the number comes from, or '{UNVERIFIED}'"
         )
-    low, high = given.get("min", -math.inf), given.get("max", math.inf)
+    low = table.get("min", -math.inf)
+    high = table.get("max", math.inf)
     for key, bound in (("min", low), ("max", high)):
-        if isinstance(bound, bool) or not isinstance(bound, int | float) or math.isnan(bound):
-            raise ConfigError(f"{where(key)} = {bound!r}: a number is wanted")
-    if "min" not in given and "max" not in given:
+        is_number = isinstance(bound, int | float) and not isinstance(bound, bool)
+        if not is_number or math.isnan(bound):
+            raise ConfigError(f"{where(key)} = {bound!r}: allowed is a number")
+    if "min" not in table and "max" not in table:
         raise ConfigError(f"{where('measure')}: a limit has a min, a max or both")
     if low > high:
         raise ConfigError(
@@ -140,61 +155,90 @@ def _limit(given: Any, where: Callable[[str], str]) -> Limit:
         )
     if high < measure.least:
         raise ConfigError(
-            f"{where('max')} = {high:g} is below {measure.least:g}, the least that "
-            f"{name} can be; nothing can meet it"
+            f"{where('max')} = {high:g} is below {measure.least:g}, the least value that "
+            f"{name} can have; nothing can meet it"
         )
-    return Limit(name, measure.unit, float(low), float(high), str(given["source"]))
+    return Limit(name, measure.unit, float(low), float(high), str(table["source"]))
 
 
 def judge(profile: Profile, record: Record, void: str = "") -> list[Verdict]:
-    """A verdict for each limit of a profile; none is passed or failed where something makes them `void`."""
+    """Return a verdict for each limit of a profile.
+
+    `void` is the reason why the measures mean nothing; then no verdict is a pass or a failure.
+    """
     verdicts = [_judge(limit, record) for limit in profile.limits]
-    return (
-        [
-            replace(
-                one, value=math.nan, margin=math.nan, result=Result.ABSENT, text=f"{_VOID}{void}"
-            )
-            for one in verdicts
-        ]
-        if void
-        else verdicts
+    if void:
+        verdicts = [_voided(verdict, void) for verdict in verdicts]
+    return verdicts
+
+
+def _voided(verdict: Verdict, reason: str) -> Verdict:
+    return replace(
+        verdict,
+        value=math.nan,
+        margin=math.nan,
+        result=Result.ABSENT,
+        text=f"{_VOID}{reason}",
     )
 
 
 def _judge(limit: Limit, record: Record) -> Verdict:
-    bounds = " and ".join(
-        [f"at least {limit.low:g}"] * math.isfinite(limit.low)
-        + [f"at most {limit.high:g}"] * math.isfinite(limit.high)
-    )
     measure = measures.BY_NAME[limit.measure]
+    text = measure.text
     try:
-        value, text = float(measure.of(record)), measure.text
-        result = Result.PASS if limit.low <= value <= limit.high else Result.FAIL
+        value = float(measure.of(record))
     except (KeyError, IndexError, ValueError) as error:
-        value, result, text = math.nan, Result.ERROR, f"cannot be computed: {error!r}"
+        value = math.nan
+        result = Result.ERROR
+        text = f"cannot be computed: {error!r}"
     else:
-        if math.isnan(value):
-            result = Result.ABSENT if measure.absent else Result.ERROR
-            text = measure.absent or "was not measured: did the vehicle stop?"
-    # a limit of nothing has no room to speak of
-    rooms = [
-        sign * (bound - value) / abs(bound)
-        for sign, bound in ((1, limit.high), (-1, limit.low))
-        if math.isfinite(bound) and bound != 0.0
-    ]
+        if math.isnan(value) and measure.absent:
+            result = Result.ABSENT
+            text = measure.absent
+        elif math.isnan(value):
+            result = Result.ERROR
+            text = "was not measured: did the vehicle stop?"
+        elif limit.low <= value <= limit.high:
+            result = Result.PASS
+        else:
+            result = Result.FAIL
     return Verdict(
         what=limit.measure,
         unit=limit.unit,
         value=value,
-        limit=bounds,
-        margin=min(rooms, default=math.nan),
+        limit=_bounds_text(limit),
+        margin=_margin(limit, value),
         result=result,
         source=limit.source,
         text=text,
     )
 
 
+def _bounds_text(limit: Limit) -> str:
+    texts = []
+    if math.isfinite(limit.low):
+        texts.append(f"at least {limit.low:g}")
+    if math.isfinite(limit.high):
+        texts.append(f"at most {limit.high:g}")
+    return " and ".join(texts)
+
+
+def _margin(limit: Limit, value: float) -> float:
+    """Return the distance to the nearer bound over that bound; NaN without a bound, or with 0."""
+    margins = []
+    if math.isfinite(limit.high) and limit.high != 0.0:
+        margins.append((limit.high - value) / abs(limit.high))
+    if math.isfinite(limit.low) and limit.low != 0.0:
+        margins.append(-(limit.low - value) / abs(limit.low))
+    return min(margins, default=math.nan)
+
+
 def worst(results: list[Result]) -> Result:
-    """The result of a whole: what is not applicable does not count; nothing at all is an error."""
-    counted = [one for one in results if one is not Result.ABSENT]
-    return max(counted, key=list(Result).index) if counted else Result.ERROR
+    """Return the result of a whole.
+
+    Results that are not applicable do not count. Without any other result the whole is an error.
+    """
+    counted = [result for result in results if result is not Result.ABSENT]
+    if not counted:
+        return Result.ERROR
+    return max(counted, key=list(Result).index)
