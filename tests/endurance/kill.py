@@ -1,7 +1,9 @@
-"""Processes of short runs are killed at random moments: what is lost, what is left over, is the folder readable.
+"""`rollerrig bench kill`: processes of short runs are killed at random moments.
 
-Lost is what the rings in shared memory had at that moment (or at the end of a run that went on) and the folder has not:
-samples and frames, in s of the run. Left over is any process of the run that lives when all should have ended.
+Three questions: what is lost, which processes are left over, and can the folder be read? Lost are
+samples and frames, in s of the run, that the rings in shared memory had at that moment (or at the
+end of a run that continued) and that the folder does not have. Left over is any process of the run
+that still runs when all should have exited.
 """
 
 import argparse
@@ -19,115 +21,130 @@ from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.record import records
 
-KILLS, LOST_S = 100, 1.0
-_RUN_S, _LATEST_S, _PATIENCE_S = 4.0, 3.0, 120.0
-
-
-# whom it hits, or which signal the bench
+KILLS = 100
+# requirement: the most that a kill may cost
+LOST_S = 1.0
+# duration of a run, and the latest moment of a kill
+_RUN_S = 4.0
+_LATEST_S = 3.0
+# seconds that processes have to exit
+_EXIT_WITHIN_S = 120.0
+GROUP = "group"
+# which processes get SIGKILL (GROUP: the whole process group), or which signal the bench gets
 HOW = (
     "bench",
     "recorder",
     "unit",
-    "group",
+    GROUP,
     "recorder + bench",
     "recorder + unit + bench",
     "SIGTERM",
     "SIGHUP",
     "SIGINT",
 )
+PACINGS = ("wall", "lockstep")
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
-    """Kill runs one after another, each way in turn, in both pacings."""
-    source, kills = random.Random(given.seed), []
-    for at in range(given.count or KILLS):
-        how, pacing = HOW[at % len(HOW)], ("wall", "lockstep")[at // len(HOW) % 2]
-        if at % 10 == 0:
-            say(f"{at} of {given.count or KILLS} kills ...")
-        kills.append(
-            {"how": how, "pacing": pacing} | killed(how, pacing, source.uniform(0.0, _LATEST_S))
-        )
+    """Kill runs one after another, in each way of `HOW` in turn, in both pacings."""
+    source = random.Random(given.seed)
+    count = given.count or KILLS
+    kills = []
+    for number in range(count):
+        how = HOW[number % len(HOW)]
+        pacing = PACINGS[number // len(HOW) % len(PACINGS)]
+        if number % 10 == 0:
+            say(f"{number} of {count} kills ...")
+        found = killed(how, pacing, source.uniform(0.0, _LATEST_S))
+        kills.append({"how": how, "pacing": pacing} | found)
+
+    unreadable = [kill for kill in kills if kill["unreadable"]]
     return {
         "kills": kills,
         "targets": [
-            target("lost by a kill, the most", max(one["lost_s"] for one in kills), LOST_S, "s"),
-            target("processes left over", float(sum(one["left"] for one in kills)), 0.0),
-            target(
-                "folders that cannot be read",
-                float(sum(bool(one["unreadable"]) for one in kills)),
-                0.0,
-            ),
-            target("tracebacks", float(sum(one["traceback"] for one in kills)), 0.0),
+            target("lost by a kill, the most", max(kill["lost_s"] for kill in kills), LOST_S, "s"),
+            target("processes left over", float(sum(kill["left"] for kill in kills)), 0.0),
+            target("folders that cannot be read", float(len(unreadable)), 0.0),
+            target("tracebacks", float(sum(kill["traceback"] for kill in kills)), 0.0),
         ],
         "notes": [
-            f"{one['how']}, {one['pacing']}, at {one['at_s']:.3f} s: {one['unreadable']}"
-            for one in kills
-            if one["unreadable"]
+            f"{kill['how']}, {kill['pacing']}, at {kill['at_s']:.3f} s: {kill['unreadable']}"
+            for kill in unreadable
         ],
     }
 
 
 def killed(how: str, pacing: str, at_s: float) -> dict[str, Any]:
-    """One run that is killed when it has simulated so many seconds."""
+    """Kill one run when it has simulated `at_s` seconds; return what was lost and left."""
     with runs.started("--pacing", pacing, seconds=_RUN_S) as run:
-        rows = run.until(run.rows, "its first sample")
-        members = run.until(
-            lambda: found if len(found := run.members()) == 1 + len(runs.ROLES) else None,
-            "its unit",
-        )
-        run.until(lambda: runs.last_s(rows) >= at_s or None, f"{at_s:.3f} s")
+        rows = run.wait_for(run.rows, "its first sample")
+
+        def all_processes() -> dict[str, int] | None:
+            found = run.processes()
+            return found if len(found) == 1 + len(runs.ROLES) else None
+
+        processes = run.wait_for(all_processes, "its unit")
+        run.wait_for(lambda: runs.last_s(rows) >= at_s, f"{at_s:.3f} s")
         at_s = runs.last_s(rows)
-        by = getattr(signal, how, signal.SIGKILL)
-        if how == "group":
-            os.killpg(run.process.pid, by)
-        for role in (
-            ("bench",) if by != signal.SIGKILL else how.split(" + ") if how != "group" else ()
-        ):
-            os.kill(members[role], by)
-        run.process.wait(_PATIENCE_S)
-        end_s = time.monotonic() + _PATIENCE_S
-        while (left := list(filter(runs.alive, members.values()))) and time.monotonic() < end_s:
-            time.sleep(0.02)
-        # a run whose recorder is killed goes on, and nobody records it
-        lost_s, unreadable = _missing(run, at_s if how == "recorder" else runs.last_s(rows))
+        _kill(how, processes)
+        run.process.wait(_EXIT_WITHIN_S)
+        left = _still_running(list(processes.values()))
+
+        # a run whose recorder is killed continues, and nobody records it
+        known_s = at_s if how == "recorder" else runs.last_s(rows)
+        lost_s, unreadable = _missing(run, known_s)
         return {
             "at_s": at_s,
             "lost_s": lost_s,
             "left": len(left),
             "unreadable": unreadable,
-            "traceback": int("Traceback" in run.words()),
+            "traceback": int("Traceback" in run.stderr()),
         }
 
 
+def _kill(how: str, processes: dict[str, int]) -> None:
+    """Kill processes in one of the ways of `HOW`; `processes`: their numbers by role."""
+    if how == GROUP:
+        os.killpg(processes["bench"], signal.SIGKILL)
+    elif how.startswith("SIG"):
+        os.kill(processes["bench"], getattr(signal, how))
+    else:
+        for role in how.split(" + "):
+            os.kill(processes[role], signal.SIGKILL)
+
+
+def _still_running(pids: list[int]) -> list[int]:
+    """Wait until the processes have exited; return those that still run after a while."""
+    end_s = time.monotonic() + _EXIT_WITHIN_S
+    while True:
+        left = [pid for pid in pids if runs.is_running(pid)]
+        if not left or time.monotonic() >= end_s:
+            return left
+        time.sleep(0.02)
+
+
 def _missing(run: runs.Run, known_s: float) -> tuple[float, str]:
-    """Seconds that channels or can.log lack, and what is wrong with the folder."""
+    """Return the seconds that channels or can.log lack; why the folder is unreadable, or ""."""
     try:
         time_s = records.load(run.folder).column("time_s")
-        heard_s = 1e-6 * max((stamp_us for stamp_us, *_ in records.frames(run.folder)), default=0)
+        stamps_us = [stamp_us for stamp_us, *_ in records.frames(run.folder)]
     except (RollerrigError, OSError, ValueError) as error:
         return known_s, str(error)
-    return max(known_s - float(time_s[-1] if len(time_s) else 0.0), known_s - heard_s, 0.0), ""
+    last_row_s = float(time_s[-1]) if len(time_s) else 0.0
+    last_frame_s = 1e-6 * max(stamps_us, default=0)
+    return max(known_s - last_row_s, known_s - last_frame_s, 0.0), ""
 
 
 def table(result: Result) -> Table:
-    """The kills by what was killed."""
-    by_what = {how: [one for one in result["kills"] if one["how"] == how] for how in HOW}
-    heads = "what", "kills", "lost, s, median", "most", "processes left", "readable"
-    return figures.table(
-        "killed runs",
-        heads,
-        [
-            (
-                how,
-                len(these),
-                *(
-                    figures.quantiles([one["lost_s"] for one in these])[share]
-                    for share in ("p50", "max")
-                ),
-                sum(one["left"] for one in these),
-                sum(not one["unreadable"] for one in these),
-            )
-            for how, these in by_what.items()
-            if these
-        ],
-    )
+    """Return the kills by what was killed."""
+    rows = []
+    for how in HOW:
+        kills = [kill for kill in result["kills"] if kill["how"] == how]
+        if not kills:
+            continue
+        lost_s = figures.quantiles([kill["lost_s"] for kill in kills])
+        left = sum(kill["left"] for kill in kills)
+        readable = sum(not kill["unreadable"] for kill in kills)
+        rows.append((how, len(kills), lost_s["p50"], lost_s["max"], left, readable))
+    heads = ("what", "kills", "lost, s, median", "most", "processes left", "readable")
+    return figures.table("killed runs", heads, rows)

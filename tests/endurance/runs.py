@@ -1,7 +1,7 @@
-"""A bench in a process of its own that brakes again and again until it is ended, seen as anybody may see it.
+"""A bench in a separate process that brakes repeatedly until it is stopped, seen from outside.
 
-The coach rolls down a gradient of 3 % against the air, and brakes on soap for 5 s of every minute: so a run may last
-for ten hours, and its WSP unit always has to do.
+The coach rolls down a gradient of 3 % against the air, and brakes on soap for 5 s of every minute.
+So a run may last ten hours, and its WSP unit always has work.
 """
 
 import contextlib
@@ -24,10 +24,18 @@ from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code
 
+# a word of the command line of each process that a bench starts
 ROLES = {"recorder": "telemetry.recorder", "unit": " wsp "}
-LONGEST_S, START_S, END_S = 36_000.0, 300.0, 300.0
-_EVERY_S, _BRAKES_S, _BRAKE_PA = 60, 5, 3.8e5
-_HEAD = """title = "The coach brakes for 5 s of every minute on its way down 3 %"
+# of the run; until something happens; until the run has stopped
+LONGEST_S = 36_000.0
+WAIT_S = 300.0
+STOP_WITHIN_S = 300.0
+_LOOK_EVERY_S = 0.02
+# the brake is applied at the start of each period
+_PERIOD_S = 60
+_BRAKING_S = 5
+_PRESSURE_PA = 3.8e5
+_SCENARIO = """title = "The coach brakes for 5 s of every minute on its way down 3 %"
 vehicle_set = "uic_z1"
 initial_speed_m_s = 40.0
 mechanisms = { track_gradient_gradient = -0.03 }
@@ -37,103 +45,106 @@ Seen = TypeVar("Seen")
 
 
 class Run:
-    """A run that has been started in a folder. `seconds`: it ends then by itself; raises RollerrigError in vain."""
+    """A run that has been started in a folder.
+
+    `arguments` are further words of `rollerrig run`. The run finishes by itself after `seconds`.
+    """
 
     def __init__(self, place: Path, *arguments: str, seconds: float = LONGEST_S) -> None:
-        self.folder, self.said = place / "run", place / "stderr"
+        self.folder = place / "run"
+        self._stderr = place / "stderr"
         scenario = place / "down.toml"
-        steps = (
-            f"{{from_s = {at}, pressure_Pa = {_BRAKE_PA}}}, {{from_s = {at + _BRAKES_S}, pressure_Pa = 0}}"
-            for at in range(0, int(seconds) + 1, _EVERY_S)
-            if at < LONGEST_S
-        )
-        scenario.write_text(
-            f"duration_max_s = {seconds!r}\n{_HEAD}demand = [{', '.join(steps)}]\n",
-            encoding="utf-8",
-        )
-        command = [
-            sys.executable,
-            "-m",
-            "rollerrig.realtime.cli",
-            "run",
-            str(scenario),
-            "--out",
-            str(self.folder),
-            "--set",
-            "bus.interface=hub",
-            "--set",
-            "bus.socketcand_port=0",
-            "--set",
-            "modbus.port=0",
-            *arguments,
-        ]
-        with self.said.open("wb") as said:
+        scenario.write_text(_scenario(seconds), encoding="utf-8")
+        words = [sys.executable, "-m", "rollerrig.realtime.cli"]
+        words += ["run", str(scenario), "--out", str(self.folder)]
+        for setting in ("bus.interface=hub", "bus.socketcand_port=0", "modbus.port=0"):
+            words += ["--set", setting]
+        words += arguments
+        with self._stderr.open("wb") as stderr:
             self.process = subprocess.Popen(
-                children.command(*command),
+                children.command(*words),
                 stdin=subprocess.DEVNULL,
-                stderr=said,
+                stderr=stderr,
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,
             )
 
-    def until(
-        self, condition: Callable[[], Seen | None], what: str, seconds: float = START_S
+    def wait_for(
+        self, condition: Callable[[], Seen | None], what: str, seconds: float = WAIT_S
     ) -> Seen:
-        """Wait until something can be seen of the run, which lives."""
+        """Wait until a condition returns something other than None and False; return that.
+
+        Raises RollerrigError, which names `what`, after `seconds` or when the run exits.
+        """
         end_s = time.monotonic() + seconds
-        while (found := condition()) is None or found is False:
+        while True:
+            result = condition()
+            if result is not None and result is not False:
+                return result
             if time.monotonic() > end_s or self.process.poll() is not None:
                 raise RollerrigError(
-                    f"the run has not come to {what}; its last words: {self.words()[-300:]}"
+                    f"the run has not come to {what}; its last words: {self.stderr()[-300:]}"
                 )
-            time.sleep(0.02)
-        return found
+            time.sleep(_LOOK_EVERY_S)
 
-    def words(self) -> str:
-        """What it has said so far."""
-        return self.said.read_text(encoding="utf-8", errors="replace")
+    def stderr(self) -> str:
+        """Return what the run has printed on standard error so far."""
+        return self._stderr.read_text(encoding="utf-8", errors="replace")
 
-    def heard(self, code: Code, **fields: Any) -> dict[str, Any] | None:
-        """Return the fields of the first recorded event of a code with these fields; None: not yet."""
+    def event_fields(self, code: Code, **fields: Any) -> dict[str, Any] | None:
+        """Return the fields of the first event of a code with these fields; None: not recorded yet."""
         for event in records.each_event(self.folder):
             if event.code == code and fields.items() <= event.fields.items():
                 return event.fields
         return None
 
     def rows(self) -> ring.Ring | None:
-        """Its samples in shared memory once it has begun."""
+        """Return its samples in shared memory; None before the first one."""
         with contextlib.suppress(OSError, ValueError, RollerrigError, IndexError):
-            found = ring.Ring(self.rings("rows")[0], np.float64)
-            return found if found.header[ring.WRITTEN] else None
+            rows = ring.Ring(self.rings("rows")[0], np.float64)
+            if rows.header[ring.WRITTEN]:
+                return rows
         return None
 
     def rings(self, kind: str) -> list[Path]:
-        """Its rings of a kind."""
+        """Return the files of its rings in shared memory of a kind; "*": of all."""
         return list(ring.folder().glob(f"rollerrig-{self.process.pid}-*-{kind}"))
 
-    def members(self) -> dict[str, int]:
-        """Its processes by their role."""
-        lines = below(self.process.pid)
-        return {"bench": self.process.pid} | {
-            role: pid for role, word in ROLES.items() for pid, line in lines.items() if word in line
-        }
+    def processes(self) -> dict[str, int]:
+        """Return the process numbers by role: bench, and those of `ROLES` that run."""
+        found = {"bench": self.process.pid}
+        for pid, line in descendants(self.process.pid).items():
+            for role, word in ROLES.items():
+                if word in line:
+                    found[role] = pid
+        return found
 
-    def end(self, by: int = signal.SIGINT) -> int:
-        """End it, and wait for its status."""
+    def stop(self, by: int = signal.SIGINT) -> int:
+        """Stop the run by a signal, and return its exit status."""
         if self.process.poll() is None:
             self.process.send_signal(by)
-        return self.process.wait(END_S)
+        return self.process.wait(STOP_WITHIN_S)
+
+
+def _scenario(seconds: float) -> str:
+    """Return the scenario of a run that finishes after `seconds`."""
+    steps = []
+    for at_s in range(0, int(seconds) + 1, _PERIOD_S):
+        if at_s < LONGEST_S:
+            steps.append(f"{{from_s = {at_s}, pressure_Pa = {_PRESSURE_PA}}}")
+            steps.append(f"{{from_s = {at_s + _BRAKING_S}, pressure_Pa = 0}}")
+    return f"duration_max_s = {seconds!r}\n{_SCENARIO}demand = [{', '.join(steps)}]\n"
 
 
 @contextlib.contextmanager
 def started(*arguments: str, seconds: float = LONGEST_S) -> Iterator[Run]:
-    """A run in a folder that is there as long as the block; nothing of it is left."""
+    """Start a run in a temporary folder; after the block its processes and files are removed."""
     with tempfile.TemporaryDirectory(prefix="rollerrig-endures-") as place:
         run = Run(Path(place), *arguments, seconds=seconds)
         try:
             yield run
         finally:
-            for pid in (*below(run.process.pid), run.process.pid):
+            for pid in (*descendants(run.process.pid), run.process.pid):
                 with contextlib.suppress(OSError):
                     os.kill(pid, signal.SIGKILL)
             run.process.wait()
@@ -142,26 +153,30 @@ def started(*arguments: str, seconds: float = LONGEST_S) -> Iterator[Run]:
 
 
 def last_s(rows: ring.Ring) -> float:
-    """The simulated time of the newest row."""
+    """Return the simulated time of the newest row."""
     count = int(rows.header[ring.WRITTEN])
-    return (
-        float(rows.rows[(count - 1) % rows.rows.shape[0], signals.column("time")]) if count else 0.0
-    )
+    if not count:
+        return 0.0
+    newest = (count - 1) % rows.rows.shape[0]
+    return float(rows.rows[newest, signals.column("time")])
 
 
-def below(pid: int) -> dict[int, str]:
-    """Numbers and command lines of all processes below one."""
+def descendants(pid: int) -> dict[int, str]:
+    """Return the command lines of all processes that a process has started, by their number."""
     found: dict[int, str] = {}
+    # a process may exit while its files are read
     with contextlib.suppress(OSError):
         for task in Path(f"/proc/{pid}/task").glob("*/children"):
             for child in map(int, task.read_text(encoding="ascii").split()):
-                line = Path(f"/proc/{child}/cmdline").read_text(encoding="utf-8").replace("\0", " ")
-                found |= {child: line} | below(child)
+                line = Path(f"/proc/{child}/cmdline").read_text(encoding="utf-8")
+                found[child] = line.replace("\0", " ")
+                found |= descendants(child)
     return found
 
 
-def alive(pid: int) -> bool:
-    """Whether a process runs: a zombie does not."""
+def is_running(pid: int) -> bool:
+    """Return whether a process runs; a zombie does not."""
     with contextlib.suppress(OSError):
-        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+        status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+        return "\nState:\tZ" not in status
     return False

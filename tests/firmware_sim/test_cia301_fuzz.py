@@ -23,7 +23,7 @@ def test_no_garbage_makes_a_node_raise_or_stops_it(wire, seed):
     bench.start(lambda frame: None, 0)
     wire.nmt(1)
     for at in range(FRAMES):
-        frame = fuzz.garbage(source)
+        frame = fuzz.random_frame(source)
         # not through the hub, which would report an exception instead of raising it
         for member in (*nodes, bench):
             member.on_frame(frame)

@@ -32,7 +32,7 @@ def killed(process, *words):
 
     def descendants():
         assert process.poll() is None
-        found = runs.below(process.pid)
+        found = runs.descendants(process.pid)
         commands = list(found.values())
         complete = all(any(word in command for command in commands) for word in words)
         return found if complete else None
@@ -41,9 +41,9 @@ def killed(process, *words):
     process.kill()
     process.wait()
     try:
-        until(lambda: not any(map(runs.alive, there)), f"the end of {there}", 60.0)
+        until(lambda: not any(map(runs.is_running, there)), f"the end of {there}", 60.0)
     finally:
-        for pid in filter(runs.alive, there):
+        for pid in filter(runs.is_running, there):
             os.kill(pid, signal.SIGKILL)
     return there
 

@@ -1,4 +1,4 @@
-"""`rollerrig bench soak` and `bench kill`, in small: what a long run takes, and what a killed one has lost."""
+"""`rollerrig bench soak` and `bench kill` in small: what a long run takes, and what a kill costs."""
 
 import argparse
 import re
@@ -13,32 +13,33 @@ def soaked():
 
 
 @pytest.mark.parametrize("pacing", soak.PACINGS)
-def test_a_long_run_is_told_by_process_with_disk_losses_and_missed_ticks(pacing, soaked):
-    told = soaked[pacing]
-    assert told["simulated_s"] > 2.0
-    assert set(told["memory_MB"]) == {"bench", *runs.ROLES}
-    assert all(one > 10.0 for one in told["memory_MB"].values())
-    assert told["disk_MB_h"] > 10.0
-    assert told["frames"] > 1000.0 * told["simulated_s"]
-    assert (told["dropped"], told["lost"], told["traceback"]) == (0, 0, 0)
-    assert told["missed"] <= told["ticks"]
-    [because] = told["because"]
+def test_a_long_run_is_reported_by_process_with_disk_losses_and_missed_ticks(pacing, soaked):
+    run = soaked[pacing]
+    assert run["simulated_s"] > 2.0
+    assert set(run["memory_MB"]) == {"bench", *runs.ROLES}
+    assert all(memory_MB > 10.0 for memory_MB in run["memory_MB"].values())
+    assert run["disk_MB_h"] > 10.0
+    assert run["frames"] > 1000.0 * run["simulated_s"]
+    assert (run["dropped"], run["lost"], run["traceback"]) == (0, 0, 0)
+    assert run["missed"] <= run["ticks"]
+
+    [because] = run["because"]
     interrupted = re.fullmatch(r"the run is interrupted by SIGTERM, at (\d+\.\d\d) s", because)
     assert interrupted, because
-    assert float(interrupted[1]) == pytest.approx(
-        told["ticks"] / 1000, abs=0.011
-    )  # both are told to 0.01 s
+    # the sentence has two decimals
+    assert float(interrupted[1]) == pytest.approx(run["ticks"] / 1000, abs=0.011)
 
 
 @pytest.mark.parametrize("pacing", soak.PACINGS)
-def test_a_bench_that_writes_its_summary_holds_no_reserve_of_a_library_in_memory(pacing, soaked):
-    assert soaked[pacing]["at_end_MB"]["bench"] < soaked[pacing]["memory_MB"]["bench"] + 200.0
+def test_a_bench_that_writes_its_summary_needs_little_more_memory_than_before(pacing, soaked):
+    run = soaked[pacing]
+    assert run["at_end_MB"]["bench"] < run["memory_MB"]["bench"] + 200.0
 
 
 @pytest.mark.parametrize(
-    "how", ["recorder + bench", "recorder + unit + bench", "group", "unit", "SIGHUP"]
+    "how", ["recorder + bench", "recorder + unit + bench", kill.GROUP, "unit", "SIGHUP"]
 )
-def test_whatever_is_killed_a_second_is_lost_at_most_and_no_process_is_left(how):
+def test_a_kill_costs_a_second_at_most_and_leaves_no_process(how):
     found = kill.killed(how, "wall", 0.7)
     assert found["unreadable"] == ""
     assert found["lost_s"] <= kill.LOST_S

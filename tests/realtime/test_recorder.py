@@ -75,7 +75,7 @@ class Killed:
             self.written_s = (int(rows.header[ring.WRITTEN]) - 1) / 100.0
         if "recorder" not in victims:
             until(lambda: not any(path.exists() for path in self.rings))
-            until(lambda: not runs.alive(printed["recorder"]))
+            until(lambda: not runs.is_running(printed["recorder"]))
         bench.kill()
         bench.wait()
         for path in self.rings:
