@@ -92,7 +92,7 @@ class Run:
         return self._stderr.read_text(encoding="utf-8", errors="replace")
 
     def event_fields(self, code: Code, **fields: Any) -> dict[str, Any] | None:
-        """Return the fields of the first event of a code with these fields; None: not recorded yet."""
+        """Return the fields of the first event of a code with these fields; None: none yet."""
         for event in records.each_event(self.folder):
             if event.code == code and fields.items() <= event.fields.items():
                 return event.fields

@@ -1,4 +1,4 @@
-"""The measures of `bench explain` and `score`, on answers written by hand; sets without their truth."""
+"""The measures of `bench explain` and `score`, on answers written by hand; exported sets."""
 
 import json
 import subprocess
@@ -29,7 +29,7 @@ def entry(kind: str, hidden: dict[str, float], **more: Any) -> dict[str, Any]:
 
 
 def answer(verdict: str, *sets: Iterable[str], **more: Any) -> dict[str, Any]:
-    """Return an answer; each of `sets` is the name of a cause and those that it is confused with."""
+    """Return an answer; each of `sets` is the name of a cause and its confusable ones."""
     causes = []
     for name, *confusable in sets:
         causes.append({"name": name, "confusable_with": confusable})
@@ -59,9 +59,7 @@ def counts(rows: dict[str, dict]) -> dict[str, tuple[int, int]]:
     return {name: (row["yes"], row["of"]) for name, row in rows.items()}
 
 
-def test_a_round_of_the_matrix_has_every_cause_at_two_sizes_and_each_half_a_fair_share_of_every_kind() -> (
-    None
-):
+def test_a_round_of_the_matrix_has_every_cause_at_two_sizes_and_its_halves_are_alike() -> None:
     matrix = cases.cases(braking_stops, 0)
     assert len({case.seed for case in matrix}) == len(matrix)
     for cause in braking_stops.SMALLEST:

@@ -1,4 +1,4 @@
-"""`rollerrig bench soak` and `bench kill` in small: what a long run takes, and what a kill costs."""
+"""`rollerrig bench soak` and `bench kill` in small: what a long run takes, what a kill costs."""
 
 import argparse
 import re

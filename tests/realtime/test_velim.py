@@ -19,6 +19,7 @@ TABLE_5_M_S = {"a1": 42.3, "a2": 40.4, "a3": 40.8, "b1": 40.8, "b2": 41.1, "b3":
 
 @pytest.fixture(scope="module")
 def rows():
+    """Samples of a short stop in free pacing."""
     plan = scenario.load(
         "velim_a1",
         settings=("rig.mode=track", "initial_speed_m_s=14.0", "adhesion.mu_cd=0.03", "stand_s=0.1"),
@@ -26,65 +27,84 @@ def rows():
     return free.simulate(plan)
 
 
+# --- the published numbers ---
+
+
 @pytest.mark.parametrize("test", velim.TESTS)
 def test_each_stop_begins_at_table_5s_speed_on_the_track(test):
-    plan = velim.plan_of(test, velim.settings())
+    found = velim.settings()
+    plan = velim.plan_of(test, found)
     assert plan["initial_speed_m_s"] == TABLE_5_M_S[test]
     assert plan["rig"]["mode"] == "track"
-    assert plan["demand"][0]["pressure_Pa"] == velim.settings()["pressure_Pa"]
+    assert plan["demand"][0]["pressure_Pa"] == found["pressure_Pa"]
+
+
+def test_the_speeds_of_table_5_are_those_of_the_scenarios():
+    assert velim.SPEEDS_M_S == TABLE_5_M_S
 
 
 def test_group_b_knows_nothing_but_group_a():
     found = velim.settings()
-    expected = np.exp(np.mean(np.log([found[f"mu_cd_{t}"] for t in velim.GROUP_A])))
+    of_group_a = [found[f"mu_cd_{test}"] for test in velim.GROUP_A]
+    geometric_mean = np.exp(np.mean(np.log(of_group_a)))
     for test in velim.GROUP_B:
-        assert velim.contaminant(found, test) == pytest.approx(expected, rel=1e-12)
+        assert velim.contaminant(found, test) == pytest.approx(geometric_mean, rel=1e-12)
         assert f"mu_cd_{test}" not in found
 
 
 def test_the_published_rows_are_those_of_table_6():
     assert list(velim.MEASURED_MEAN.values()) == [5.00, 5.25, 4.23, 5.49, 5.41, 5.83]
     assert list(velim.PAPER_STD.values()) == [1.49, 1.79, 1.59, 1.58, 1.45, 1.84]
-    exact = {
-        t: velim.Stop(
-            np.full(4, velim.MEASURED_MEAN[t]),
-            np.full(4, velim.MEASURED_STD[t]),
-            40.0,
-            900.0,
-            0.0,
-            (0.5, 1.0),
-        )
-        for t in velim.TESTS
-    }
-    own = {t: velim.Own(0.02, 5.0, 1.7, (0.5, 1.0)) for t in velim.TESTS}
-    classic = {t: velim.Own(0.045, 5.0, 1.7, (0.7, 0.7)) for t in velim.TESTS}
-    off = velim.errors(exact)
-    assert off["mean_m_s"] == off["deviation_m_s"] == 0.0
-    assert off["paper_mean_m_s"] == pytest.approx((0.35 + 0.11 + 0.10) / 3)
-    assert off["paper_deviation_m_s"] == pytest.approx((0.17 + 0.32 + 0.06) / 3)
-    told = {title: list(values) for title, *values in velim.rows_for_table(exact, own, classic)}
-    assert told["mean sliding, ours"] == told["mean sliding of wheelset 1, measured"]
-    assert told["deceleration 40 to 30 m/s, m/s2, ours"] == ["0.50"] * 6
-    assert told["deceleration 20 to 10 m/s, m/s2, classic"] == ["0.70"] * 6
-    levels = {
-        title: list(values)
-        for title, *values in velim.rows_of_contaminants(velim.settings(), own, classic)
-    }
+
+    exact = {test: stop_as_measured(test) for test in velim.TESTS}
+    error = velim.errors(exact)
+    assert error["mean_m_s"] == error["deviation_m_s"] == 0.0
+    assert error["paper_mean_m_s"] == pytest.approx((0.35 + 0.11 + 0.10) / 3)
+    assert error["paper_deviation_m_s"] == pytest.approx((0.17 + 0.32 + 0.06) / 3)
+
+    from_mean = dict.fromkeys(velim.TESTS, velim.FromMean(0.02, 5.0, 1.7, (0.5, 1.0)))
+    classic = dict.fromkeys(velim.TESTS, velim.FromMean(0.045, 5.0, 1.7, (0.7, 0.7)))
+    table = by_title(velim.rows_for_table(exact, from_mean, classic))
+    assert table["mean sliding, ours"] == table["mean sliding of wheelset 1, measured"]
+    assert table["deceleration 40 to 30 m/s, m/s2, ours"] == ["0.50"] * 6
+    assert table["deceleration 20 to 10 m/s, m/s2, classic"] == ["0.70"] * 6
+    levels = by_title(velim.rows_of_contaminants(velim.settings(), from_mean, classic))
     assert levels["printed in Table 4, for all"] == ["0.0600"] * 6
     assert levels["ours, from the test's own mean"] == ["0.0200"] * 6
+
+
+def stop_as_measured(test):
+    """Return a stop that slides exactly as it was measured."""
+    return velim.Stop(
+        sliding_mean_m_s=np.full(4, velim.MEASURED_MEAN[test]),
+        sliding_std_m_s=np.full(4, velim.MEASURED_STD[test]),
+        stop_time_s=40.0,
+        stop_distance_m=900.0,
+        longest_lock_s=0.0,
+        decelerations_m_s2=(0.5, 1.0),
+    )
+
+
+def by_title(table):
+    return {title: list(values) for title, *values in table}
+
+
+# --- our stops ---
 
 
 @pytest.fixture(scope="module")
 def a1():
     """A1 as found on group A, by the rig's soap and by the paper's law."""
     found = velim.settings()
-    return [
-        velim.reduced(free.moving(free.simulate(plan, velim.unit_of(plan, found))))
-        for plan in (
-            velim.plan_of("a1", found),
-            velim.plan_of("a1", found, "adhesion.cleaning_creepage=inf"),
-        )
-    ]
+    plans = (
+        velim.plan_of("a1", found),
+        velim.plan_of("a1", found, "adhesion.cleaning_creepage=inf"),
+    )
+    stops = []
+    for plan in plans:
+        rows = free.simulate(plan, velim.unit_of(plan, found))
+        stops.append(velim.reduced(free.moving(rows)))
+    return stops
 
 
 def test_the_six_stops_run_by_the_papers_law_and_adhesion_recovers_in_their_second_half(a1):
@@ -97,7 +117,7 @@ def test_the_six_stops_run_by_the_papers_law_and_adhesion_recovers_in_their_seco
 
 
 def test_by_the_classic_model_the_second_half_decelerates_as_the_first():
-    classic = velim.own("a1", velim.settings(), "adhesion.tau_m_J=0.0")
+    classic = velim.from_measured_mean("a1", velim.settings(), velim.CLASSIC)
     first, second = classic.decelerations_m_s2
     assert second == pytest.approx(first, rel=0.1)
     assert classic.mean_m_s == pytest.approx(5.00, abs=0.1)
@@ -107,28 +127,31 @@ def test_by_the_classic_model_the_second_half_decelerates_as_the_first():
 def test_with_mu_cd_from_its_own_mean_a_test_of_group_b_has_the_deviation_that_others_found(
     test, found_outside
 ):
-    # a scan by others, under the paper's law and the WSP's band that the first fit had found
-    one = velim.own(test, velim.settings() | {"band_low_m_s": 5.1, "band_high_m_s": 6.0})
-    assert one.mean_m_s == pytest.approx(velim.MEASURED_MEAN[test], abs=0.03)
-    assert one.std_m_s == pytest.approx(found_outside, abs=0.15)
-    assert one.mu_cd < velim.TABLE_4_MU_CD
+    # a scan by others, under the paper's law and the WSP's band of the first fit
+    first_fit = velim.settings() | {"band_low_m_s": 5.1, "band_high_m_s": 6.0}
+    result = velim.from_measured_mean(test, first_fit)
+    assert result.mean_m_s == pytest.approx(velim.MEASURED_MEAN[test], abs=0.03)
+    assert result.std_m_s == pytest.approx(found_outside, abs=0.15)
+    assert result.mu_cd < velim.TABLE_4_MU_CD
 
 
-def test_a_test_not_yet_run_is_foretold_with_students_interval_of_three_means():
+# --- what can be predicted at all ---
+
+
+def test_a_test_not_yet_run_is_predicted_with_students_interval_of_three_means():
     # by hand: deviation 0.535 of 5.00, 5.25, 4.23, and t = 4.303 for two degrees of freedom
     assert velim.half_width_m_s() == pytest.approx(4.303 * 0.5316 * np.sqrt(4.0 / 3.0), rel=1e-3)
     mean = np.mean([velim.MEASURED_MEAN[test] for test in velim.GROUP_A])
-    assert all(
-        abs(velim.MEASURED_MEAN[test] - mean) < velim.half_width_m_s() for test in velim.GROUP_B
-    )
+    for test in velim.GROUP_B:
+        assert abs(velim.MEASURED_MEAN[test] - mean) < velim.half_width_m_s()
 
 
-def test_no_fit_of_a_function_of_speed_on_group_a_foretells_group_b_within_0_37():
-    found = {bound.name: bound for bound in velim.bounds()}
-    assert found["one value, least squares (the mean)"].error_m_s == pytest.approx(0.75, abs=0.005)
-    assert found["a line, least absolute"].error_m_s == pytest.approx(0.436, abs=0.005)
-    # only who takes the largest of group A for the rule gets there, and no fit does
-    reached = {name: bound.error_m_s for name, bound in found.items() if bound.error_m_s <= 0.37}
+def test_no_fit_of_a_function_of_speed_on_group_a_predicts_group_b_within_0_37():
+    error_m_s = {bound.name: bound.error_m_s for bound in velim.bounds()}
+    assert error_m_s["one value, least squares (the mean)"] == pytest.approx(0.75, abs=0.005)
+    assert error_m_s["a line, least absolute"] == pytest.approx(0.436, abs=0.005)
+    # only the rules of the largest value of group A get there, and these are no fits
+    reached = {name: error for name, error in error_m_s.items() if error <= 0.37}
     assert reached == {
         "the largest of group A, for all": pytest.approx(0.33, abs=0.005),
         "the largest mean / speed of group A, times speed": pytest.approx(0.22, abs=0.005),
@@ -138,19 +161,19 @@ def test_no_fit_of_a_function_of_speed_on_group_a_foretells_group_b_within_0_37(
 def test_a_rule_that_holds_is_found_by_every_fit_that_can_hold_it():
     speeds = dict(zip("abcdef", (10.0, 12.0, 14.0, 11.0, 13.0, 12.5), strict=True))
     measured = {test: 3.0 + 0.5 * speed for test, speed in speeds.items()}
-    found = {b.name: b.error_m_s for b in velim.bounds(speeds, measured, "abc", "def")}
+    bounds = velim.bounds(speeds, measured, known="abc", predicted="def")
+    error_m_s = {bound.name: bound.error_m_s for bound in bounds}
     for name in (
         "a line, least squares",
         "a line, least absolute",
         "rising with speed, least squares",
         "through all of group A",
     ):
-        assert found[name] == pytest.approx(0.0, abs=1e-9)
-    assert found["falling with speed, least squares"] > 0.1
+        assert error_m_s[name] == pytest.approx(0.0, abs=1e-9)
+    assert error_m_s["falling with speed, least squares"] > 0.1
 
 
-def test_the_speeds_of_table_5_are_those_of_the_scenarios():
-    assert velim.SPEEDS_M_S == TABLE_5_M_S
+# --- datasets made of runs ---
 
 
 def test_a_stop_is_the_same_as_a_run_in_free_pacing(rows):
@@ -165,30 +188,28 @@ def test_a_stop_is_the_same_as_a_run_in_free_pacing(rows):
 def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, tmp_path):
     rng = np.random.default_rng(5)
     plan = scenario.load("velim_a1", settings=("rig.mode=track",))
-    runs = [
-        run_sensors.noisy(
-            synthetic_stops.run_of(name, group, plan["vehicle"]["mass_kg"], free.moving(rows)),
-            run_sensors.TRAIN,
-            rng,
-        )
-        for name, group in (("one", "tune"), ("two", "validate"))
-    ]
+    true = free.moving(rows)
+    runs = []
+    for name, group in (("one", "tune"), ("two", "validate")):
+        run = synthetic_stops.run_of(name, group, plan["vehicle"]["mass_kg"], true)
+        runs.append(run_sensors.noisy(run, run_sensors.TRAIN, rng))
     out = run_dataset.write(
         tmp_path / "made", runs, plan.resolved, run_sensors.TRAIN, rounded=True, title="a test"
     )
-    data = dataset.load(out)
     assert (out / "dataset.toml").read_text().startswith("# a test")
+
+    data = dataset.load(out)
     assert [run.group for run in data.runs] == ["tune", "validate"]
     assert data.accuracy["speed_m_s"] == 0.03
     assert np.isinf(data.sections["contact"]["roller_radius_m"])
-    true = free.moving(rows)
-    off = data.runs[0].speed_m_s - true[:, signals.column("vehicle_speed")]
-    assert off.std() == pytest.approx(0.03, rel=0.15)
+    speed_error = data.runs[0].speed_m_s - true[:, signals.column("vehicle_speed")]
+    assert speed_error.std() == pytest.approx(0.03, rel=0.15)
     torque = true[:, signals.span("brake_torque")]
-    assert (data.runs[0].torque_Nm - torque).std() == pytest.approx(0.015 * torque.max(), rel=0.15)
+    torque_error = data.runs[0].torque_Nm - torque
+    assert torque_error.std() == pytest.approx(0.015 * torque.max(), rel=0.15)
 
 
-def test_the_packaged_synthetic_set_says_so_and_gives_its_own_recovery_back():
+def test_the_packaged_synthetic_set_is_marked_and_gives_its_own_recovery_back():
     data = dataset.load("velim_synthetic")
     assert "SYNTHETIC" in (data.folder / "dataset.toml").read_text()
     assert [run.name for run in data.runs] == list(velim.TESTS)
@@ -196,11 +217,14 @@ def test_the_packaged_synthetic_set_says_so_and_gives_its_own_recovery_back():
     assert tau.value == pytest.approx(1.9e-4, rel=0.02)
 
 
+# --- the command line ---
+
+
 def test_tune_on_the_command_line_writes_its_report(tmp_path, capsys):
     assert cli.main(["tune", "eurosprinter_127001", "--out", str(tmp_path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told == json.loads((tmp_path / "tune.json").read_text())
-    assert told["rms"] == pytest.approx(0.0250, abs=1e-4)
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((tmp_path / "tune.json").read_text())
+    assert printed["rms"] == pytest.approx(0.0250, abs=1e-4)
     assert (tmp_path / "tune.html").read_text().startswith("<!doctype html>")
 
 
