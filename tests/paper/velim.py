@@ -138,8 +138,8 @@ def plan_of(test: str, found: dict[str, float], *law: str) -> scenario.Scenario:
 
 def unit_of(plan: scenario.Scenario, found: dict[str, float]) -> logic.Params:
     """Return the parameters of the reference WSP unit, with the band that was found."""
-    unit = logic.load(plan["wsp_config"])
-    return unit._replace(band_low_m_s=found["band_low_m_s"], band_high_m_s=found["band_high_m_s"])
+    band = {name: found[name] for name in ("band_low_m_s", "band_high_m_s")}
+    return logic.load(plan["wsp_config"])._replace(**band)
 
 
 def rows_of(test: str, found: dict[str, float]) -> np.ndarray:
