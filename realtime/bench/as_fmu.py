@@ -26,7 +26,7 @@ from rollerrig.wsp_interface.signals import AXLES
 
 STEP_S = 0.01
 _SCENARIO = "scenario.toml"
-# an FMU has no end of its own: the importing tool decides
+# the rig never ends its run: the importing tool decides
 _ENDLESS = 1 << 60
 # how far a step may be from a whole number of ticks, in ticks
 _ROUNDING = 1e-6

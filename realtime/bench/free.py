@@ -46,13 +46,13 @@ class Stop:
         self.faults = faults or panel.Panel(plan.faults, events.ignore)
         self.faults.connect(panel.Site(data.commands.values[tick.FAULTS :], lambda: None))
         self._call: UnitCall | None = unit if callable(unit) else None
-        self.own: logic.Unit | None = None
+        self.reference_unit: logic.Unit | None = None
         if isinstance(unit, logic.Params):
-            self.own = logic.new_unit(unit)
+            self.reference_unit = logic.new_unit(unit)
         elif unit == "reference":
-            self.own = logic.new_unit(logic.load(plan["wsp_config"]))
+            self.reference_unit = logic.new_unit(logic.load(plan["wsp_config"]))
         self._inputs = np.zeros(2 * AXLES, dtype=np.int64)
-        self._ticks = None if self.own else tick.Ticks(data)
+        self._ticks = None if self.reference_unit else tick.Ticks(data)
 
     def advance(self, most: int = _MOST_TICKS) -> None:
         """Run ticks: `most`, or fewer to the next change of a fault, call of an outside unit, or the end."""
@@ -60,8 +60,10 @@ class Stop:
         self.faults.poll(int(self.data.control[TICK]) / tick_hz)
         until_change_s = min(self.faults.next_change_s() - self.faults.now_s, _LONGEST_S)
         ticks = min(most, max(1, round(until_change_s * tick_hz)))
-        if self.own:
-            tick.run_ticks_with_unit(self.data, ticks, self.plan.sync_ticks, self.own, self._inputs)
+        if self.reference_unit:
+            tick.run_ticks_with_unit(
+                self.data, ticks, self.plan.sync_ticks, self.reference_unit, self._inputs
+            )
             return
         if self._call:
             phase = int(self.data.control[TICK]) % self.plan.sync_ticks

@@ -155,7 +155,7 @@ class Parts:
             self.event(code, **fields)
         self.data.control[STOP] = 1
         if self.bus:
-            # whoever waits for an answer shall notice
+            # the code that waits for an answer must notice
             self.bus.answered.set()
             self.bus.harness_answered.set()
 

@@ -87,7 +87,7 @@ FRICTION = (
     number("mu_cr", -1.0, 1e-4, 1.0, "-"),
 )
 SECTIONS = {**physics.ROWS, "loop": LOOP, "bus": BUS, "modbus": MODBUS}
-# tables that come from files of their own: the table, and the folder of its files
+# tables that have separate files: the table, and the folder of its files
 SETS = {
     "vehicle": "vehicles",
     "rig": "rigs",
@@ -103,7 +103,7 @@ Layer = tuple[str, Mapping[str, Any]]
 class Scenario:
     """A checked scenario. `resolved` is the whole as plain data, `name` the file's stem.
 
-    `rollers` are the parameters of the plant on dry rollers that runs beside a virtual track.
+    `rollers` are the parameters of the plant on dry rollers that runs in parallel to a virtual track.
     """
 
     name: str
@@ -145,7 +145,7 @@ def read(
 ) -> Scenario:
     """Return a scenario, as `load` does, from the content of its file.
 
-    `path` names the file; other files that it names are looked for beside it.
+    `path` names the file; other files that it names are searched for in its folder.
     """
     single = _settings(settings)
     # single keys, among them the names of sets, apply before the sets are looked up

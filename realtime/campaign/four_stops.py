@@ -78,7 +78,9 @@ def _run(stops: Iterable[Placed], with_unit: bool) -> Iterator[Placed]:
         # ticks between two cycles of a unit, 0 where it is not asked
         syncs = np.array([stop.plan.sync_ticks * with_unit for _, stop, _ in row], dtype=np.int64)
         units = tuple(
-            (logic.buffer_of(stop.own), stop.own.params) for _, stop, _ in row if stop.own
+            (logic.buffer_of(stop.reference_unit), stop.reference_unit.params)
+            for _, stop, _ in row
+            if stop.reference_unit
         )
         run_ticks(tuple(stop.data for _, stop, _ in row), units, syncs, runs, lanes, inputs, _TICKS)
         for rig in range(RIGS):

@@ -180,7 +180,10 @@ class Ring:
 
     @property
     def writer_alive(self) -> bool:
-        """Whether the process that made the ring lives: its lock tells, for a number may be another's or a zombie's."""
+        """Whether the process that made the ring runs, by its lock.
+
+        Its number may belong to another process, or to a zombie.
+        """
         with open(f"/proc/self/fd/{self._file.fileno()}") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -12,7 +12,7 @@ KEPT = 500
 class Events:
     """A list of events that stays short: the first and the last `KEPT` of them.
 
-    Iterating yields these, and between them one event that tells how many are left out. `counts`
+    Iterating yields these, and between them one event with the number of those left out. `counts`
     has the number of all events by level.
     """
 

@@ -66,41 +66,44 @@ def write(
 
 
 def _mdf4(run: Run, out: Path) -> list[Path]:
+    """Write a run as MDF4."""
     try:
         from asammdf import MDF, Signal
     except ImportError:
         raise ConfigError("--format mdf4 needs asammdf: pip install 'rollerrig[export]'") from None
     time_s = run.column("time_s")
+    channels = [
+        Signal(column.values, time_s, name=column.name, unit=column.unit, comment=column.text)
+        for column in columns(run)
+    ]
     with MDF(version="4.10") as made:
-        made.append(
-            [
-                Signal(one.values, time_s, name=one.name, unit=one.unit, comment=one.text)
-                for one in columns(run)
-            ],
-            comment=f"rollerrig {run.folder.name}",
-            common_timebase=True,
-        )
+        made.append(channels, comment=f"rollerrig {run.folder.name}", common_timebase=True)
         if run.events:
             at_s = np.array([event.time_s for event in run.events])
-            text = np.array([f"{event.level}: {event.text}".encode() for event in run.events])
-            made.append([Signal(text, at_s, name=EVENTS, encoding="utf-8")], comment=EVENTS)
+            texts = np.array([f"{event.level}: {event.text}".encode() for event in run.events])
+            made.append([Signal(texts, at_s, name=EVENTS, encoding="utf-8")], comment=EVENTS)
         with replaced(out, ".mf4") as new:
             made.save(new, overwrite=True, compression=2)
     return [out]
 
 
 def _mat(run: Run, out: Path) -> list[Path]:
+    """Write a run as a MAT file."""
     from scipy.io import savemat
 
-    found = columns(run)
-    content: dict[str, Any] = {one.name: one.values for one in found} | {
-        "time_s": run.column("time_s"),
-        "units": {one.name: one.unit for one in found} | {"time_s": "s"},
-        "descriptions": {one.name: one.text for one in found},
-        EVENTS: {
-            name: np.array([getattr(event, name) for event in run.events], dtype=kind)
-            for name, kind in (("time_s", float), ("level", object), ("text", object))
-        },
+    content: dict[str, Any] = {"time_s": run.column("time_s")}
+    units = {"time_s": "s"}
+    descriptions: dict[str, str] = {}
+    for column in columns(run):
+        content[column.name] = column.values
+        units[column.name] = column.unit
+        descriptions[column.name] = column.text
+    content["units"] = units
+    content["descriptions"] = descriptions
+    content[EVENTS] = {
+        "time_s": np.array([event.time_s for event in run.events], dtype=float),
+        "level": np.array([event.level for event in run.events], dtype=object),
+        "text": np.array([event.text for event in run.events], dtype=object),
     }
     with replaced(out, ".mat") as new:
         savemat(new, content, long_field_names=True, oned_as="column", do_compression=True)
@@ -108,18 +111,21 @@ def _mat(run: Run, out: Path) -> list[Path]:
 
 
 def _csv(run: Run, out: Path) -> list[Path]:
-    found = columns(run)
-    table = np.column_stack([run.column("time_s"), *(one.values for one in found)])
-    beside = out.with_name(f"{out.stem}.{EVENTS}.csv")
+    """Write a run as CSV, and its events as a second file."""
+    exported = columns(run)
+    names = ["time_s", *(column.name for column in exported)]
+    units = ["s", *(column.unit for column in exported)]
+    table = np.column_stack([run.column("time_s"), *(column.values for column in exported)])
     with replaced(out) as new, new.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows(
-            [["time_s", *(one.name for one in found)], ["s", *(one.unit for one in found)]]
-        )
+        csv.writer(file).writerows([names, units])
         np.savetxt(file, table, fmt="%.17g", delimiter=",")
-    with replaced(beside) as new, new.open("w", encoding="utf-8", newline="") as file:
-        rows = [(event.time_s, event.level, event.text) for event in run.events]
-        csv.writer(file).writerows([("time_s", "level", "text"), *rows])
-    return [out, beside]
+
+    events_out = out.with_name(f"{out.stem}.{EVENTS}.csv")
+    with replaced(events_out) as new, new.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("time_s", "level", "text"))
+        writer.writerows((event.time_s, event.level, event.text) for event in run.events)
+    return [out, events_out]
 
 
 Writer = Callable[[Run, Path], list[Path]]

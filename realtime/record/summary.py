@@ -21,6 +21,8 @@ from rollerrig.wsp_interface.events import Event
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME, columns
 
 STANDSTILL_M_S = 0.01
+_UNKNOWN_BUS = {"frames": None, "dropped": None, "load_percent": None}
+# columns of the table of axles
 _SHOWN = ("sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_lock_s")
 Channel = Callable[[str], np.ndarray]
 
@@ -70,17 +72,18 @@ def of(
         "stop_distance_m": _span(channel("position_m")[stop]) if stopped else None,
         "stopped": stopped,
         "axles": [_axle(channel, j, stop) for j in range(1, AXLES + 1)],
-        "wsp": _wsp(channel, stop)
-        | {"unit": counters.get("unit")}
-        | dict(counters.get("wsp") or {}),
+        "wsp": {
+            **_wsp(channel, stop),
+            "unit": counters.get("unit"),
+            **(counters.get("wsp") or {}),
+        },
         "tracking": _tracking(channel, stop),
         "air_consumption_NL": _last(channel("air_consumption_NL")),
         "reservoir_least_Pa": _last(channel("reservoir_least_Pa")),
-        "loop": _loop(channel, loop) | dict(counters.get("loop") or {}),
-        "bus": dict.fromkeys(("frames", "dropped", "load_percent"))
-        | dict(counters.get("bus") or {}),
-        "modbus": {"requests": None} | dict(counters.get("modbus") or {}),
-        "recorder": {"lost": 0} | dict(counters.get("recorder") or {}),
+        "loop": {**_loop(channel, loop), **(counters.get("loop") or {})},
+        "bus": {**_UNKNOWN_BUS, **(counters.get("bus") or {})},
+        "modbus": {"requests": None, **(counters.get("modbus") or {})},
+        "recorder": {"lost": 0, **(counters.get("recorder") or {})},
     }
     because = validity.reasons(found, scenario, events)
     return found | {"valid": not because, "invalid_because": because}

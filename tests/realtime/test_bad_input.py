@@ -1,4 +1,4 @@
-"""Bad input and bad luck: a clear message or event, no traceback, and the record is kept."""
+"""Wrong input and failures: a clear message or event, no traceback, and the record is kept."""
 
 import os
 import re
@@ -19,12 +19,12 @@ HEAD = 'title = "t"\n[[demand]]\nfrom_s = 0.0\npressure_Pa = 3.8e5\n'
 def refused(capsys, *arguments):
     """The message of a run that is refused before it begins."""
     status = cli.main(["run", *arguments])
-    said = capsys.readouterr()
-    assert status == 2, said
-    assert said.out == ""
-    assert "Traceback" not in said.err
-    assert said.err.startswith("rollerrig run: ")
-    return said.err
+    printed = capsys.readouterr()
+    assert status == 2, printed
+    assert printed.out == ""
+    assert "Traceback" not in printed.err
+    assert printed.err.startswith("rollerrig run: ")
+    return printed.err
 
 
 # --- configuration ---
@@ -196,7 +196,8 @@ def failed(bench, *parts):
     summary = records.summary(bench.out)
     assert summary["ended"] == "error"
     assert summary["invalid_because"][-1].startswith("the run ended with an error: ")
-    assert any(parts[0] in event["text"] for event in summary["events"])
+    failures = [event for event in summary["events"] if event["code"] == Code.RUN_FAILED]
+    assert any(parts[0] in event["fields"]["reason"] for event in failures)
     assert bench.record.scenario["initial_speed_m_s"] > 0.0
 
 

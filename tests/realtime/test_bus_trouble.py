@@ -1,4 +1,4 @@
-"""A bus that is lost, that somebody else gives the time on, or whose frames take their time."""
+"""A bus that is lost, a bus with a foreign SYNC producer, and a bus whose frames take time."""
 
 import asyncio
 import contextlib
@@ -22,7 +22,7 @@ ANSWERS = 0x211
 
 @contextlib.contextmanager
 def foreign_bus():
-    """A bus of another program, which the bench joins as a python-can bus; yields (address, end)."""
+    """A bus of another program, which the bench joins by python-can: its address, and a function that ends it."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
@@ -145,22 +145,24 @@ def run_on_wire(out, pacing, *more):
 
 
 def check_wire(bench):
-    """Each frame after the one before by at least its bits' time; after SYNC in order of identifiers."""
+    """Check that frames are at least their own length apart, and in order of identifiers after SYNC."""
     log = frames(bench.out)
-    begin = next(at for at, (_, can_id) in enumerate(log) if can_id == SYNC)
-    # what was sent before the run, and services while simulated time stood still, did not wait
-    ends = np.array([at for at, can_id in log[begin:] if can_id < 0x580])
-    # the shortest frame of the rig, SYNC, has 47 bits of 2 us; stamps are rounded to 1 us
-    assert np.diff(ends).min() >= 93
-    bursts, burst = [], []
-    for at, can_id in log[begin:]:
+    first_sync = [can_id for _, can_id in log].index(SYNC)
+    log_of_run = log[first_sync:]
+    # frames from before the run, and services while simulated time stood still, did not wait
+    ends_us = np.array([time_us for time_us, can_id in log_of_run if can_id < 0x580])
+    # the shortest frame of the rig, SYNC, has 47 bits of 2 us; times are rounded to 1 us
+    assert np.diff(ends_us).min() >= 93
+
+    cycles = []
+    for _, can_id in log_of_run:
         if can_id == SYNC:
-            bursts.append(burst)
-            burst = []
-        if 0x180 < can_id < 0x580 and can_id not in (0x1A0, ANSWERS):
-            burst.append((can_id, at))
-    for burst in bursts[2:]:
-        assert [can_id for can_id, _ in burst] == sorted(can_id for can_id, _ in burst)
+            cycles.append([])
+        is_process_data = 0x180 < can_id < 0x580 and can_id not in (0x1A0, ANSWERS)
+        if is_process_data:
+            cycles[-1].append(can_id)
+    for identifiers in cycles[1:-1]:
+        assert identifiers == sorted(identifiers)
     return log
 
 
@@ -175,7 +177,7 @@ def test_in_lockstep_frames_wait_for_the_wire_and_the_run_repeats_bit_for_bit(tm
             assert np.array_equal(
                 one.record.column(name), two.record.column(name), equal_nan=True
             ), name
-    # twelve process data frames behind one another
+    # twelve frames of process data, one after another
     assert 2000 < one.result["bus"]["longest_wait_us"] < 4000
     assert 25.0 < one.result["bus"]["load_percent"] < 45.0
 
