@@ -91,13 +91,15 @@ def _mat(run: Run, out: Path) -> list[Path]:
     """Write a run as a MAT file."""
     from scipy.io import savemat
 
-    content: dict[str, Any] = {"time_s": run.column("time_s")}
-    units = {"time_s": "s"}
+    content: dict[str, Any] = {}
+    units: dict[str, str] = {}
     descriptions: dict[str, str] = {}
     for column in columns(run):
         content[column.name] = column.values
         units[column.name] = column.unit
         descriptions[column.name] = column.text
+    content["time_s"] = run.column("time_s")
+    units["time_s"] = "s"
     content["units"] = units
     content["descriptions"] = descriptions
     content[EVENTS] = {
