@@ -1,213 +1,402 @@
-"""The report of a recorder's data: verdict, what was found, where and how much, a picture of the largest of each."""
+"""The report of a train recording: JSON, sentences and the page.
 
-from collections.abc import Callable
+`rig.identify.train_recorder` returns typed findings. All their words are here.
+"""
+
+from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from rollerrig.realtime.reports import page as html
-from rollerrig.realtime.reports.page import EXTENDED, GREY, INK, RUNS, VERMILION
-from rollerrig.rig.identify.train_recorder import rolling, verdict
-from rollerrig.rig.identify.train_recorder.recording import Finding, Run
-from rollerrig.rig.identify.train_recorder.verdict import NAMES, Account
+from rollerrig.realtime.reports import recorder_pictures as pictures
+from rollerrig.realtime.reports.study import StudyReport, verdict_and_sentences
+from rollerrig.rig.identify.train_recorder import findings
+from rollerrig.rig.identify.train_recorder.findings import (
+    NAMES,
+    ClockStep,
+    CopySource,
+    Delay,
+    DropOut,
+    Finding,
+    SharedPlace,
+    Sliding,
+    SpeedOffset,
+    SpeedScatter,
+    StuckValue,
+    WheelRadius,
+    WrongUnit,
+)
+from rollerrig.rig.identify.train_recorder.slides import Slide
+from rollerrig.rig.identify.train_recorder.verdict import Account
 
-_MOST_ROWS, _AROUND_S = 30, 6.0
+# name of a finding -> its words
+TITLES = {
+    "wrong_unit": "wrong unit",
+    "clock_step": "clock step",
+    "old_messages": "old messages at the start",
+    "copy": "copy",
+    "interpolated": "gap filled by a straight line",
+    "sensor_dropout": "drop-out",
+    "sensor_stuck": "stuck sensor",
+    "speed_sensor_delay": "delay",
+    "wheel_radius": "different wheel radius",
+    "wheel_radius_step": "step of a wheel radius",
+    "slide": "slide",
+    "slippery_place": "slippery place",
+    "unknown": "unknown",
+}
+VERDICTS = {
+    "consistent": "Nothing in the recording is statistically significant.",
+    "explained": "Everything that is statistically significant has a cause.",
+    "partly": "Some of the findings have a cause. Others have none in this list.",
+    "unexplained": "Something is statistically significant, and no cause in this list explains it.",
+}
+_DROP_OUT_REASONS = {
+    findings.NO_SAMPLES: "no samples",
+    findings.NO_VALUES: "no values",
+    findings.ZEROS: "zeros",
+}
+_UNIT_EVIDENCE = {
+    findings.POSITION: "shown by the position",
+    findings.OTHER_CHANNELS: "shown by the other channels",
+}
+
+# findings of one kind in the sentences; the page has all of them
+_MOST_SENTENCES = 4
+
+# rows of the table of findings before the fold
+_MOST_ROWS = 30
 _HEAD = ("what", "channels", "where", "size (95 %)", "in words")
 
 
-def page(a: Account) -> str:
-    """The HTML page, without outside parts."""
-    told = [*a.findings, *a.unknown]
-    rows = [_row(a, f) for f in told]
-    looked = [
-        text
-        for name, text in NAMES.items()
-        if name not in {f.name for f in told} and name != "unknown"
-    ]
-    return html.page(
-        f"What the recorder tells: {a.recording.name}",
-        html.paragraph(f"Verdict: {a.verdict}. {verdict.VERDICTS[a.verdict]}", kind="note"),
-        *(html.paragraph(line) for line in verdict.story(a)[1:]),
-        *(part for name in NAMES for part in _pictures(a, [f for f in told if f.name == name])),
-        html.element("h2", "How far each wheel is from the vehicle"),
-        html.paragraph("Medians of 5 s in which nobody brakes hard; bars are 95 % intervals."),
-        html.picture(partial(_wheels, a=a), (8.0, 2.8)),
-        *(
-            (html.element("h2", "All that was found"), html.table(_HEAD, rows[:_MOST_ROWS]))
-            if rows
-            else ()
-        ),
-        *(
-            (html.folded(f"{len(rows) - _MOST_ROWS} more", html.table(_HEAD, rows[_MOST_ROWS:])),)
-            if len(rows) > _MOST_ROWS
-            else ()
-        ),
-        *(
-            (html.paragraph(f"Looked for and not found beyond chance: {', '.join(looked)}."),)
-            if looked
-            else ()
-        ),
-        html.paragraph(
-            "Adhesion is the mean over all wheels, from the deceleration of the vehicle: level track (10 "
-            "per mille uphill add 0.010), no other brake that acts on the rail, running resistance below "
-            "0.05 m/s². Times are those after steps of the clock were put right."
-        ),
+def report(account: Account) -> StudyReport:
+    """Return the whole report."""
+    return StudyReport(
+        result=as_json(account),
+        page=page(account),
+        summary=verdict_and_sentences(account.verdict, account.recording.name, story(account)),
     )
 
 
-def _row(a: Account, f: Finding) -> tuple[str, ...]:
-    where = (
-        f"{f.run}, {f.start_s:.1f} to {f.end_s:.1f} s"
-        if f.run
-        else (f"{f.place_m[0]:.0f} to {f.place_m[1]:.0f} m" if f.place_m else f.date or "all runs")
-    )
-    return NAMES[f.name], verdict.channels(a, f), where, verdict.size(f), f.text
+# --- JSON ---
 
 
-def _pictures(a: Account, mine: list[Finding]) -> list[html.Markup]:
-    """The largest finding of one kind as a picture."""
-    if not mine:
-        return []
-    worst = max(mine, key=lambda f: abs(f.size))
-    draw: dict[str, tuple[str, Callable[..., None], tuple[float, float]]] = {
-        "slide": (f"The largest slide: {worst.run}", _slide, (10.0, 4.2)),
-        "slippery_place": ("Where runs slide", _places, (10.0, 2.8)),
-        "speed_sensor_delay": (f"Late: {worst.channels[0]}", _late, (10.0, 3.2)),
+def as_json(account: Account) -> dict[str, Any]:
+    """Return the content of report.json: causes, episodes of sliding, and findings without a cause."""
+    axles = {
+        channel.name: channel.axle
+        for run in account.recording.runs
+        for channel in run.channels.values()
+        if channel.axle
     }
-    radius = worst.name.startswith("wheel_radius")
-    title, what, size = draw.get(
-        worst.name,
-        (
-            f"{NAMES[worst.name].capitalize()}: {verdict.channels(a, worst)} in {worst.run}",
-            _stretch,
-            (10.0, 3.2),
-        ),
+    causes = [finding for finding in account.findings if finding.name != "slide"]
+    return {
+        "verdict": account.verdict,
+        "kind": "recorder",
+        "dataset": account.recording.name,
+        "runs": len(account.recording.runs),
+        "causes": [_finding_json(finding, axles) for finding in causes],
+        "episodes": [_episode_json(slide, axles) for slide in account.slides],
+        "unknown": [_finding_json(finding, axles) for finding in account.unknown],
+        "notes": account.recording.warnings,
+        "elapsed_s": round(account.elapsed_s, 1),
+    }
+
+
+def _finding_json(finding: Finding, axles: dict[str, int]) -> dict[str, Any]:
+    """Return a finding as JSON; `axles`: number of the axle by channel."""
+    result: dict[str, Any] = {
+        "name": finding.name,
+        "axles": [axles[name] for name in finding.channels if name in axles] or None,
+        "channels": list(finding.channels),
+    }
+    if finding.date:
+        result["date"] = finding.date
+    if finding.run:
+        result["run"] = finding.run
+        result["start_s"] = round(finding.start_s, 3)
+        result["end_s"] = round(finding.end_s, 3)
+    if finding.place_m is not None:
+        result["place_m"] = list(finding.place_m)
+    result["text"] = sentence(finding)
+    result["parameters"] = {
+        "size": {
+            "value": finding.size,
+            "ci95": [finding.low, finding.high],
+            "unit": finding.unit,
+        }
+    }
+    return result
+
+
+def _episode_json(slide: Slide, axles: dict[str, int]) -> dict[str, Any]:
+    """Return an episode of sliding: its finding, with the adhesion used."""
+    return _finding_json(slide.finding, axles) | {
+        "adhesion_used": _not_negative(slide.adhesion.mean),
+        "adhesion_used_at_least": _not_negative(slide.adhesion.low),
+    }
+
+
+def _not_negative(adhesion: float) -> float | None:
+    """Return an adhesion, at least 0; None where it is unknown."""
+    return max(adhesion, 0.0) if np.isfinite(adhesion) else None
+
+
+# --- sentences ---
+
+
+def sentence(finding: Finding) -> str:
+    """Return the words of a finding, without a full stop."""
+    match finding.details:
+        case WrongUnit() as unit:
+            return _unit_sentence(finding.channels[0], unit)
+        case ClockStep() as step:
+            return _clock_sentence(finding.size, step)
+        case DropOut() as drop_out:
+            return ", then ".join(_DROP_OUT_REASONS[reason] for reason in drop_out.reasons)
+        case StuckValue() as stuck:
+            return f"held at {stuck.speed_m_s:.2f} m/s"
+        case CopySource() as source:
+            return f"the same samples as {source.run} from {source.start_s:.1f} s on; they are left out"
+        case Delay() as delay:
+            return _delay_sentence(finding.size, delay)
+        case WheelRadius() as radius:
+            return _radius_sentence(finding, radius)
+        case Sliding() as sliding:
+            return _slide_sentence(finding.size, sliding)
+        case SharedPlace() as place:
+            return _place_sentence(finding, place)
+        case SpeedOffset() as offset:
+            direction = "faster" if offset.faster else "slower"
+            return f"{direction} than the vehicle, which is not braked hard there"
+        case SpeedScatter() as scatter:
+            return (
+                f"scatters by {finding.size:.2f} m/s from sample to sample, "
+                f"{scatter.times_usual:.0f} times as much as usual"
+            )
+    if finding.name == "old_messages":
+        return "the values do not continue into the following samples; these are old messages"
+    return "a straight line across a gap; it is left out"  # interpolated
+
+
+def _unit_sentence(channel: str, unit: WrongUnit) -> str:
+    evidence = _UNIT_EVIDENCE.get(
+        unit.evidence,
+        f"shown by changes of {unit.deceleration_m_s2:.2g} m/s², harder than a vehicle brakes",
     )
     return (
-        []
-        if radius or worst.name == "wrong_unit"
-        else [html.element("h2", title), html.picture(partial(what, a=a, f=worst), size)]
+        f"{channel} is in {unit.true_unit} and declared as {unit.declared_unit}, {evidence}; it is "
+        "converted below"
     )
 
 
-def _as_recorded(
-    axes: Axes, run: Run, start_s: float, end_s: float, told: tuple[str, ...] = ()
-) -> None:
-    """Speeds as the file has them; those that a finding is about stand out."""
-    for k, channel in enumerate(run.of("speed", "reference")):
-        own = (channel.time_s >= start_s) & (channel.time_s <= end_s)
-        reference = channel.quantity == "reference"
-        some = 0 < len(told) < len(run.of("speed"))
-        strong = channel.name in told and some
-        axes.plot(
-            channel.time_s[own],
-            channel.values[own],
-            color=INK if reference else RUNS[k % len(RUNS)],
-            lw=2.2 if strong else 1.0,
-            ls="--" if reference else "-",
-            marker="o" if strong else "",
-            ms=2.5,
-            label=channel.name,
-            zorder=3 if strong else 2,
+def _clock_sentence(size_s: float, step: ClockStep) -> str:
+    text = f"the stamps jump by {size_s:+.3f} s while the motion continues"
+    if step.whole_seconds:
+        text += f", {step.whole_seconds:+d} s exactly"
+    if step.returns:
+        text += "; they jump back at the end"
+    return text
+
+
+def _delay_sentence(size_s: float, delay: Delay) -> str:
+    against = delay.against
+    if not against:
+        against = "the wheels" if delay.of_reference else "the other speeds"
+    return f"{'late' if size_s > 0 else 'early'} against {against}"
+
+
+def _radius_sentence(finding: Finding, radius: WheelRadius) -> str:
+    wheels = f"wheels of {radius.vehicle_id}" if radius.vehicle_id else "wheels"
+    if finding.name == "wheel_radius":
+        text = f"the radius of the {wheels} differs from the setting of the recorder"
+        if radius.until is not None:
+            text += f" until {radius.until}"
+    else:
+        date = finding.date or "an unknown date"
+        text = (
+            f"the radius of the {wheels} steps on {date}: turned wheels or a changed setting of the "
+            "recorder"
         )
-    axes.set(xlabel="time as recorded, s", ylabel="m/s")
-    axes.legend(ncol=3)
+    if radius.ambiguous:
+        text += "; the data cannot distinguish which of the two is wrong"
+    return text
 
 
-def _run(a: Account, name: str) -> Run:
-    return next((run for run in a.recording.runs if run.name == name), a.recording.runs[0])
-
-
-def _stretch(figure: Figure, a: Account, f: Finding) -> None:
-    axes = figure.subplots()
-    # of a step of the clock, the moment of it
-    end_s = f.start_s + 1.0 if f.name == "clock_step" else min(f.end_s, f.start_s + 60.0)
-    _as_recorded(axes, _run(a, f.run), f.start_s - _AROUND_S, end_s + _AROUND_S, f.channels)
-    axes.axvspan(f.start_s, end_s, color=VERMILION, alpha=0.15, lw=0)
-    axes.set_title(f.text, fontsize="medium")
-
-
-def _slide(figure: Figure, a: Account, f: Finding) -> None:
-    one = next(s for s in a.slides if s.finding == f)
-    aligned, v = a.aligned[one.run], a.vehicle[one.run]
-    own = (aligned.time_s > f.start_s - 3.0) & (aligned.time_s < f.end_s + 3.0)
-    axes = figure.subplots()
-    for k, name in enumerate(aligned.names):
-        axes.plot(aligned.time_s[own], aligned.speed[own, k], color=RUNS[k % len(RUNS)], label=name)
-    axes.plot(aligned.time_s[own], v[own], color=INK, lw=1.8, label="vehicle")
-    axes.axvspan(f.start_s, f.end_s, color=VERMILION, alpha=0.1, lw=0)
-    axes.set(xlabel="time, s", ylabel="m/s, delay and radius put right")
-    axes.set_title(f.text, fontsize="medium")
-    axes.legend(ncol=3)
-
-
-def _places(figure: Figure, a: Account, f: Finding) -> None:
-    axes = figure.subplots()
-    for r, aligned in enumerate(a.aligned):
-        axes.plot(
-            [np.nanmin(aligned.position), np.nanmax(aligned.position)], [r, r], color=GREY, lw=1.0
-        )
-    for s in a.slides:
-        way = a.aligned[s.run].position[[s.first, s.last]]
-        axes.plot(way, [s.run, s.run], color=VERMILION, lw=6.0, solid_capstyle="butt")
-    if f.place_m:
-        axes.axvspan(*f.place_m, color=EXTENDED, alpha=0.25, lw=0)
-    axes.set_yticks(range(len(a.aligned)), [one.run.name for one in a.aligned])
-    axes.set(xlabel="position, m; thick: slides")
-    axes.set_title(f.text, fontsize="medium")
-
-
-def _late(figure: Figure, a: Account, f: Finding) -> None:
-    best = max(
-        a.aligned,
-        key=lambda one: float(np.nanmax(np.abs(rolling.slope(one.time_s, one.vehicle, 2.0)))),
+def _slide_sentence(size_m_s: float, sliding: Sliding) -> str:
+    if np.isfinite(sliding.adhesion_at_least):
+        adhesion = f"adhesion used at least {max(sliding.adhesion_at_least, 0.0):.3f}"
+    else:
+        adhesion = "the adhesion used is unknown without a reference"
+    return (
+        f"slides for {sliding.duration_s:.1f} s from {sliding.initial_speed_m_s:.1f} m/s, up to "
+        f"{size_m_s:.1f} m/s below the vehicle; {adhesion}"
     )
-    middle = best.time_s[int(np.nanargmax(np.abs(rolling.slope(best.time_s, best.vehicle, 2.0))))]
-    axes = figure.subplots()
-    _as_recorded(axes, _run(a, best.run.name), middle - 5.0, middle + 5.0, f.channels)
-    axes.set_title(f"{best.run.name}, where the speed changes most", fontsize="medium")
 
 
-def _wheels(figure: Figure, a: Account) -> None:
-    """Radius of every speed at every date, as the recording has it."""
-    axes = figure.subplots()
-    groups = sorted({(one.run.vehicle_id, one.run.date) for one in a.aligned})
-    names = list(dict.fromkeys(name for one in a.aligned for name in one.names))
-    for g, key in enumerate(groups):
-        wheels = rolling.wheels(
-            [one.as_recorded() for one in a.aligned if (one.run.vehicle_id, one.run.date) == key]
-        )
-        for k, name in enumerate(names):
-            if name in wheels:
-                at = g + 0.12 * (k - 0.5 * (len(names) - 1))
-                axes.errorbar(
-                    at,
-                    -100.0 * wheels[name].radius,
-                    200.0 * wheels[name].error,
-                    color=RUNS[k % len(RUNS)],
-                    marker="o",
-                    label=name if g == 0 else "_",
-                )
-    axes.axhline(0.0, color=GREY)
-    axes.set_xticks(
-        range(len(groups)), [" ".join(filter(None, key)) or "all runs" for key in groups]
+def _place_sentence(finding: Finding, place: SharedPlace) -> str:
+    assert finding.place_m is not None
+    start_m, end_m = finding.place_m
+    return (
+        f"{place.most_runs} runs slide between {start_m:.0f} and {end_m:.0f} m "
+        f"({', '.join(place.runs)}); by chance in {100 * place.chance:.1g} % of such recordings or less"
     )
-    axes.set_xlim(-0.7, len(groups) - 0.3)
-    axes.set_ylabel("radius less setting, %")
-    if axes.get_legend_handles_labels()[1]:
-        axes.legend(ncol=4)
 
 
-def courses(a: Account) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """Rerun path -> (time s, values by name): speeds put right, and sliding."""
+def size(finding: Finding) -> str:
+    """Return the size of a finding with its interval and unit."""
+    return f"{finding.size:.3g} ({finding.low:.3g} to {finding.high:.3g}) {finding.unit}"
+
+
+def channels(account: Account, finding: Finding) -> str:
+    """Return the channels of a finding in words."""
+    speeds = {
+        channel.name for run in account.recording.runs for channel in run.of("speed", "reference")
+    }
+    if len(speeds) > 1 and speeds <= set(finding.channels):
+        return "all channels"
+    return ", ".join(finding.channels)
+
+
+def story(account: Account) -> list[str]:
+    """Return the verdict and the findings in sentences: of each kind the largest, and how many more."""
+    lines = [VERDICTS[account.verdict]]
+    for name in NAMES:
+        of_kind = [f for f in (*account.findings, *account.unknown) if f.name == name]
+        largest_first = sorted(of_kind, key=lambda finding: -abs(finding.size))
+        for k, finding in enumerate(largest_first[:_MOST_SENTENCES]):
+            place = _channels_and_place(account, finding)
+            if k == 0:
+                title = TITLES[name].capitalize()
+                lines.append(f"{title}: {place}: {size(finding)}; {sentence(finding)}.")
+            else:
+                lines.append(f"  also {place}: {size(finding)}.")
+        if len(of_kind) > _MOST_SENTENCES:
+            lines.append(f"  and {len(of_kind) - _MOST_SENTENCES} more of this kind.")
+    return lines + [f"Note: {note}." for note in account.recording.warnings]
+
+
+def _channels_and_place(account: Account, finding: Finding) -> str:
+    words = channels(account, finding)
+    if finding.run:
+        return f"{words} in {finding.run}, {finding.start_s:.1f} to {finding.end_s:.1f} s"
+    return f"{words} {finding.date}" if finding.date else words
+
+
+# --- page ---
+
+
+def page(account: Account) -> str:
+    """Return the HTML page, which needs no other files."""
+    found = [*account.findings, *account.unknown]
+    parts: list[str] = [
+        html.paragraph(f"Verdict: {account.verdict}. {VERDICTS[account.verdict]}", kind="note")
+    ]
+    parts += [html.paragraph(line) for line in story(account)[1:]]
+    for name in NAMES:
+        parts += _picture(account, [finding for finding in found if finding.name == name])
+
+    parts += [
+        html.element("h2", "How far each wheel is from the vehicle"),
+        html.paragraph("Medians of 5 s in which nobody brakes hard; bars are 95 % intervals."),
+        html.picture(partial(pictures.wheels, account=account), (8.0, 2.8)),
+    ]
+    parts += _table_of_findings(account, found)
+
+    found_names = {finding.name for finding in found}
+    not_found = [
+        title for name, title in TITLES.items() if name not in found_names and name != "unknown"
+    ]
+    if not_found:
+        parts.append(
+            html.paragraph(
+                f"Searched for and not statistically significant: {', '.join(not_found)}."
+            )
+        )
+    parts.append(
+        html.paragraph(
+            "Adhesion is the mean over all wheels, from the deceleration of the vehicle. It assumes "
+            "level track (10 per mille uphill add 0.010), no other brake that acts on the rail, and a "
+            "running resistance below 0.05 m/s². Times are those after the correction of clock steps."
+        )
+    )
+    return html.page(f"What the recording shows: {account.recording.name}", *parts)
+
+
+def _picture(account: Account, of_kind: Sequence[Finding]) -> list[html.Markup]:
+    """Return the largest finding of one kind as a picture with its heading; none of radii and units."""
+    if not of_kind:
+        return []
+    largest = max(of_kind, key=lambda finding: abs(finding.size))
+    if largest.name in ("wheel_radius", "wheel_radius_step", "wrong_unit"):
+        return []
+
+    if largest.name == "slide":
+        title = f"The largest slide: {largest.run}"
+        draw, inches = pictures.slide, (10.0, 4.2)
+    elif largest.name == "slippery_place":
+        title = "Where runs slide"
+        draw, inches = pictures.places, (10.0, 2.8)
+    elif largest.name == "speed_sensor_delay":
+        title = f"Delay: {largest.channels[0]}"
+        draw, inches = pictures.delay, (10.0, 3.2)
+    else:
+        words = channels(account, largest)
+        title = f"{TITLES[largest.name].capitalize()}: {words} in {largest.run}"
+        draw, inches = pictures.stretch, (10.0, 3.2)
+
+    drawn = partial(draw, account=account, finding=largest, title=sentence(largest))
+    return [html.element("h2", title), html.picture(drawn, inches)]
+
+
+def _table_of_findings(account: Account, found: Sequence[Finding]) -> list[html.Markup]:
+    """Return the table of all findings; a long one is folded."""
+    if not found:
+        return []
+    rows = [_row(account, finding) for finding in found]
+    parts = [html.element("h2", "All findings"), html.table(_HEAD, rows[:_MOST_ROWS])]
+    if len(rows) > _MOST_ROWS:
+        rest = rows[_MOST_ROWS:]
+        parts.append(html.folded(f"{len(rest)} more", html.table(_HEAD, rest)))
+    return parts
+
+
+def _row(account: Account, finding: Finding) -> tuple[str, ...]:
+    if finding.run:
+        where = f"{finding.run}, {finding.start_s:.1f} to {finding.end_s:.1f} s"
+    elif finding.place_m is not None:
+        where = f"{finding.place_m[0]:.0f} to {finding.place_m[1]:.0f} m"
+    else:
+        where = finding.date or "all runs"
+    return (
+        TITLES[finding.name],
+        channels(account, finding),
+        where,
+        size(finding),
+        sentence(finding),
+    )
+
+
+# --- Rerun ---
+
+
+def remarks(account: Account) -> list[tuple[str, float, str]]:
+    """Return (run, time s, sentence) of every finding; the run is "" where it holds for all."""
+    return [
+        (finding.run, finding.start_s, f"{finding.name}: {sentence(finding)}")
+        for finding in (*account.findings, *account.unknown)
+    ]
+
+
+def courses(account: Account) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """Return Rerun path -> (time s, values by name): corrected speeds, and sliding."""
     found = {}
-    for aligned, v in zip(a.aligned, a.vehicle, strict=True):
+    for aligned, vehicle in zip(account.aligned, account.vehicle, strict=True):
         speeds = dict(zip(aligned.names, aligned.speed.T, strict=True))
-        found[f"/{aligned.run.name}/speed"] = (aligned.time_s, speeds | {"vehicle": v})
-        found[f"/{aligned.run.name}/sliding"] = (
-            aligned.time_s,
-            {name: v - one for name, one in speeds.items()},
-        )
+        sliding = {name: vehicle - speed for name, speed in speeds.items()}
+        run = aligned.run.name
+        found[f"/{run}/speed"] = (aligned.time_s, speeds | {"vehicle": vehicle})
+        found[f"/{run}/sliding"] = (aligned.time_s, sliding)
     return found

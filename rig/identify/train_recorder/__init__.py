@@ -1,1 +1,1 @@
-"""What train recorders hold, speeds without load and torque: recording, faults, rolling, slides, verdict."""
+"""Recordings of trains, with speeds but without loads and torques: faults, rolling wheels, slides, verdict."""

@@ -1,8 +1,9 @@
-"""What a recorder or a sensor did wrong, found in each channel and its stamps, and taken out before all else.
+"""Finds what a recorder or a sensor did wrong, and takes it out before all other steps.
 
-In this order: units, clock steps and gaps of the stamps, old messages at the start, copies, straight lines, zeros,
-held values. Each check returns the run without what it found (NaN where values are no data, stamps put right) and
-the findings.
+The checks run in this order: units, clock steps and gaps of the stamps, missing values, old
+messages at the start, straight lines, zeros, held values; then copies between runs. Each check
+returns the run without what it found, and its findings. Values that are no data become NaN. Wrong
+stamps are corrected.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,111 +11,189 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.identify.train_recorder import findings
 from rollerrig.rig.identify.train_recorder import thresholds as limit
-from rollerrig.rig.identify.train_recorder.recording import Channel, Finding, Run
+from rollerrig.rig.identify.train_recorder.findings import (
+    ClockStep,
+    CopySource,
+    Details,
+    DropOut,
+    Finding,
+    StuckValue,
+    WrongUnit,
+)
+from rollerrig.rig.identify.train_recorder.recording import Channel, Run
+
+
+class UnitRatio(NamedTuple):
+    """Numbers in `true_unit` that are read as `declared_unit` are too large by `ratio`."""
+
+    ratio: float
+    true_unit: str
+    declared_unit: str
+
 
 _RATIOS = (
-    (3.6, "km/h given as m/s"),
-    (1 / 3.6, "m/s given as km/h"),
-    (2.23694, "mph given as m/s"),
-    (0.44704, "m/s given as mph"),
-    (1.609344, "km/h given as mph"),
-    (1 / 1.609344, "mph given as km/h"),
+    UnitRatio(3.6, "km/h", "m/s"),
+    UnitRatio(1 / 3.6, "m/s", "km/h"),
+    UnitRatio(2.23694, "mph", "m/s"),
+    UnitRatio(0.44704, "m/s", "mph"),
+    UnitRatio(1.609344, "km/h", "mph"),
+    UnitRatio(1 / 1.609344, "mph", "km/h"),
 )
 _SPEEDS = ("speed", "reference")
 
+# m/s. A channel whose upper quartile is below it shows no unit.
+_MOVING_M_S = 0.5
+
+# share by which speeds of one unit may differ
+_SAME_UNIT_SHARE = 0.1
+
+# m/s. A value closer to zero is a zero.
+_ZERO_M_S = 1e-9
+
 
 class Stretch(NamedTuple):
-    """Samples first to last of a channel, both within."""
+    """Samples first to last of a channel, both included."""
 
     first: int
     last: int
 
 
+class Hit(NamedTuple):
+    """What a check of one channel finds: name, first and last sample, details."""
+
+    name: str
+    first: int
+    last: int
+    details: Details | None
+
+
 def find(run: Run) -> tuple[Run, list[Finding]]:
-    """All faults of one run by itself; copies are found between runs (`copies`)."""
+    """Return a run without its faults, and the faults. `copies` finds copies between runs."""
     found: list[Finding] = []
     for check in (_units, _stamps, _missing, _old_messages, _lines, _zeros, _held):
         run, more = check(run)
         found += more
-    return run, _joined(found)
+    return run, _join_drop_outs(found)
 
 
-def _joined(found: list[Finding]) -> list[Finding]:
-    """Drop-outs of one channel that follow one another, as zeros before a gap, are one."""
-    out: list[Finding] = []
-    for f in sorted(found, key=lambda f: (f.name, f.channels, f.start_s)):
-        last = out[-1] if out else None
-        if (
-            last
-            and f.name == "sensor_dropout"
-            and (last.name, last.channels) == (f.name, f.channels)
-            and (f.start_s - last.end_s < 0.5)
-        ):
-            size, half = f.end_s - last.start_s, max(f.high - f.size, last.high - last.size)
-            text = last.text if f.text in last.text else f"{last.text}, then {f.text}"
-            out[-1] = last._replace(
-                end_s=f.end_s, size=size, low=size - half, high=size + half, text=text
-            )
+def _join_drop_outs(found: list[Finding]) -> list[Finding]:
+    """Make one finding of drop-outs of a channel that follow each other, as zeros before a gap."""
+    joined: list[Finding] = []
+    for finding in sorted(found, key=lambda f: (f.name, f.channels, f.start_s)):
+        if joined and _follows(finding, joined[-1]):
+            joined[-1] = _extended(joined[-1], finding)
         else:
-            out.append(f)
-    return out
+            joined.append(finding)
+    return joined
+
+
+def _follows(finding: Finding, before: Finding) -> bool:
+    """Whether a drop-out continues another one of the same channels."""
+    return (
+        finding.name == "sensor_dropout"
+        and before.name == "sensor_dropout"
+        and before.channels == finding.channels
+        and finding.start_s - before.end_s < 0.5
+    )
+
+
+def _extended(before: Finding, after: Finding) -> Finding:
+    """Return a drop-out from the start of one to the end of the next, with the reasons of both."""
+    assert isinstance(before.details, DropOut)
+    assert isinstance(after.details, DropOut)
+    reasons = before.details.reasons
+    for reason in after.details.reasons:
+        if reason not in reasons:
+            reasons = (*reasons, reason)
+
+    size_s = after.end_s - before.start_s
+    half_s = max(after.high - after.size, before.high - before.size)
+    return before._replace(
+        end_s=after.end_s,
+        size=size_s,
+        low=size_s - half_s,
+        high=size_s + half_s,
+        details=DropOut(reasons),
+    )
 
 
 def stretches(flag: np.ndarray) -> list[Stretch]:
-    """Where a flag (n,) is set, stretch by stretch."""
-    edge = np.flatnonzero(np.diff(np.concatenate([[False], flag, [False]]).astype(np.int8)))
-    return [Stretch(int(a), int(b) - 1) for a, b in zip(edge[::2], edge[1::2], strict=True)]
+    """Return the stretches in which a flag (n,) is set."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flag, [False]]).astype(np.int8)))
+    return [
+        Stretch(int(start), int(end) - 1)
+        for start, end in zip(edges[::2], edges[1::2], strict=True)
+    ]
 
 
 def at(channel: Channel, time_s: np.ndarray) -> np.ndarray:
-    """A channel at other stamps of any shape, to be compared with others; NaN across gaps."""
+    """Return a channel at other stamps of any shape, by linear interpolation; NaN across gaps."""
     good = np.isfinite(channel.values)
-    t, v = channel.time_s[good], channel.values[good]
-    if t.size < 2:
+    known_s = channel.time_s[good]
+    known = channel.values[good]
+    if known_s.size < 2:
         return np.full(time_s.shape, np.nan)
-    after = np.clip(np.searchsorted(t, time_s), 1, t.size - 1)
-    near = (t[after] - t[after - 1] <= 2.5 * channel.step_s) & (time_s >= t[0]) & (time_s <= t[-1])
-    return np.where(near, np.interp(time_s, t, v), np.nan)
+
+    after = np.clip(np.searchsorted(known_s, time_s), 1, known_s.size - 1)
+    without_gap = known_s[after] - known_s[after - 1] <= 2.5 * channel.step_s
+    within = (time_s >= known_s[0]) & (time_s <= known_s[-1])
+    return np.where(without_gap & within, np.interp(time_s, known_s, known), np.nan)
 
 
-def _with(run: Run, *channels: Channel) -> Run:
+def median(values: np.ndarray) -> np.ndarray:
+    """Return the median over the first axis without NaN; NaN where there is no value."""
+    middle = np.full(values.shape[1], np.nan)
+    known = np.isfinite(values).any(axis=0)
+    middle[known] = np.nanmedian(values[:, known], axis=0)
+    return middle
+
+
+def _replaced(run: Run, channels: list[Channel]) -> Run:
+    """Return a run with these channels in place of those of the same names."""
     return run._replace(
         channels={**run.channels, **{channel.name: channel for channel in channels}}
     )
 
 
 def _without(channel: Channel, parts: list[Stretch]) -> Channel:
+    """Return a channel with NaN in these stretches."""
     values = channel.values.copy()
     for part in parts:
         values[part.first : part.last + 1] = np.nan
     return channel._replace(values=values)
 
 
-def _duration(name: str, channel: Channel, run: Run, part: Stretch, text: str) -> Finding:
-    """A finding that lasts; its end is known to a sample."""
-    start, end, step = (
-        float(channel.time_s[part.first]),
-        float(channel.time_s[part.last]),
-        channel.step_s,
-    )
-    size = end - start + step
+def _lasting(
+    name: str,
+    channel: Channel,
+    names: tuple[str, ...],
+    run: Run,
+    part: Stretch,
+    details: Details | None,
+) -> Finding:
+    """Return a finding whose size is its duration, which is known to one sample."""
+    start_s = float(channel.time_s[part.first])
+    end_s = float(channel.time_s[part.last])
+    step_s = channel.step_s
+    size_s = end_s - start_s + step_s
     return Finding(
-        name,
-        (channel.name,),
-        run.name,
-        start,
-        end,
-        size,
-        max(size - step, 0.0),
-        size + step,
-        "s",
-        text,
+        name=name,
+        channels=names,
+        run=run.name,
+        start_s=start_s,
+        end_s=end_s,
+        size=size_s,
+        low=max(size_s - step_s, 0.0),
+        high=size_s + step_s,
+        unit="s",
+        details=details,
     )
 
 
 def _clocks(run: Run) -> list[list[Channel]]:
-    """Channels that share their stamps."""
+    """Return the channels in groups that share their stamps."""
     groups: dict[bytes, list[Channel]] = {}
     for channel in run.channels.values():
         groups.setdefault(channel.time_s.tobytes(), []).append(channel)
@@ -125,380 +204,522 @@ def _clocks(run: Run) -> list[list[Channel]]:
 
 
 def _units(run: Run) -> tuple[Run, list[Finding]]:
-    """Declared units against position, else against most channels, else against what a vehicle can do."""
+    """Check declared units.
+
+    The evidence is the position, else the majority of the channels, else the deceleration that a
+    vehicle can reach.
+    """
     speeds = run.of(*_SPEEDS)
-    fast = {c.name: speed for c in speeds if (speed := float(np.nanpercentile(c.values, 75))) > 0.5}
-    if not fast:
+    upper_quartile = {
+        channel.name: float(np.nanpercentile(channel.values, 75)) for channel in speeds
+    }
+    moving = {name: speed for name, speed in upper_quartile.items() if speed > _MOVING_M_S}
+    if not moving:
         return run, []
-    base = max(
-        sorted(fast.values()),
-        key=lambda one: sum(abs(other / one - 1.0) < 0.1 for other in fast.values()),
-    )
-    scale, why = _by_position(run, speeds), "from the position"
+
+    deceleration_m_s2 = float("nan")
+    scale = _scale_by_position(run, speeds)
+    evidence = findings.POSITION
     if scale is None:
-        scale, why = {name: speed / base for name, speed in fast.items()}, "from the other channels"
-        hardest = min(
-            _hardest(c) for c in speeds if c.name in fast and abs(scale[c.name] - 1.0) < 0.1
+        scale = _scale_by_majority(moving)
+        evidence = findings.OTHER_CHANNELS
+        hardest_m_s2 = min(
+            _hardest_change(channel)
+            for channel in speeds
+            if channel.name in moving and abs(scale[channel.name] - 1.0) < _SAME_UNIT_SHARE
         )
-        if hardest > limit.HARDEST_M_S2 + 0.3:
-            scale = {name: 3.6 * one for name, one in scale.items()}
-            why = f"from its changes of {hardest:.2g} m/s², more than a vehicle brakes"
+        if hardest_m_s2 > limit.HARDEST_M_S2 + 0.3:
+            # the majority itself has the wrong unit: no vehicle brakes this hard
+            scale = {name: 3.6 * ratio for name, ratio in scale.items()}
+            evidence = findings.DECELERATION
+            deceleration_m_s2 = hardest_m_s2
+
     found = []
     for channel in speeds:
-        for ratio, text in _RATIOS:
-            if abs(scale.get(channel.name, 1.0) / ratio - 1.0) < limit.UNIT_SHARE:
-                got = scale[channel.name]
-                found.append(
-                    Finding(
-                        "wrong_unit",
-                        (channel.name,),
-                        run.name,
-                        0.0,
-                        float(channel.time_s[-1]),
-                        got,
-                        got * (1 - limit.UNIT_SHARE),
-                        got * (1 + limit.UNIT_SHARE),
-                        "times",
-                        f"{channel.name} is {text}, {why}; taken as that below",
-                    )
-                )
-                run = _with(
-                    run,
-                    channel._replace(
-                        values=channel.values / ratio, quantum=channel.quantum / ratio
-                    ),
-                )
+        measured_ratio = scale.get(channel.name, 1.0)
+        match = _matching_ratio(measured_ratio)
+        if match is None:
+            continue
+        found.append(
+            Finding(
+                name="wrong_unit",
+                channels=(channel.name,),
+                run=run.name,
+                start_s=0.0,
+                end_s=float(channel.time_s[-1]),
+                size=measured_ratio,
+                low=measured_ratio * (1 - limit.UNIT_SHARE),
+                high=measured_ratio * (1 + limit.UNIT_SHARE),
+                unit="times",
+                details=WrongUnit(
+                    true_unit=match.true_unit,
+                    declared_unit=match.declared_unit,
+                    evidence=evidence,
+                    deceleration_m_s2=deceleration_m_s2,
+                ),
+            )
+        )
+        corrected = channel._replace(
+            values=channel.values / match.ratio, quantum=channel.quantum / match.ratio
+        )
+        run = _replaced(run, [corrected])
     return run, found
 
 
-def _by_position(run: Run, speeds: list[Channel]) -> dict[str, float] | None:
-    """Distance by each speed over that by position; the most usual of samples close together."""
-    if not (place := run.of("position")):
+def _matching_ratio(measured_ratio: float) -> UnitRatio | None:
+    """Return the two units whose ratio is the measured one; None if there are none."""
+    for candidate in _RATIOS:
+        if abs(measured_ratio / candidate.ratio - 1.0) < limit.UNIT_SHARE:
+            return candidate
+    return None
+
+
+def _scale_by_majority(moving: dict[str, float]) -> dict[str, float]:
+    """Return each speed over the speed that most channels agree with."""
+
+    def agreeing(speed: float) -> int:
+        return sum(abs(other / speed - 1.0) < _SAME_UNIT_SHARE for other in moving.values())
+
+    base = max(sorted(moving.values()), key=agreeing)
+    return {name: speed / base for name, speed in moving.items()}
+
+
+def _scale_by_position(run: Run, speeds: list[Channel]) -> dict[str, float] | None:
+    """Return the distance by each speed over the distance by position, as the median over windows of 2 s.
+
+    The result is None without a position or with too few samples in motion.
+    """
+    positions = run.of("position")
+    if not positions:
         return None
     scale = {}
     for channel in speeds:
-        way = at(place[0], channel.time_s)
+        position = at(positions[0], channel.time_s)
         steps = max(round(2.0 / channel.step_s), 1)
-        moved, time_s = way[steps:] - way[:-steps], channel.time_s[steps:] - channel.time_s[:-steps]
-        mean = 0.5 * (channel.values[steps:] + channel.values[:-steps])
+        moved_m = position[steps:] - position[:-steps]
+        passed_s = channel.time_s[steps:] - channel.time_s[:-steps]
+        mean_speed = 0.5 * (channel.values[steps:] + channel.values[:-steps])
         good = (
-            np.isfinite(moved) & np.isfinite(mean) & (mean > 0.5) & (time_s > 0.0) & (moved > 0.5)
+            np.isfinite(moved_m)
+            & np.isfinite(mean_speed)
+            & (mean_speed > _MOVING_M_S)
+            & (passed_s > 0.0)
+            & (moved_m > 0.5)
         )
         if good.sum() < 20:
             return None
-        scale[channel.name] = float(np.median(mean[good] * time_s[good] / moved[good]))
+        scale[channel.name] = float(np.median(mean_speed[good] * passed_s[good] / moved_m[good]))
     return scale
 
 
-def _hardest(channel: Channel) -> float:
-    """Change of speed over 6 s, longer than most slides, that is exceeded in 2 % of the time, m/s²."""
+def _hardest_change(channel: Channel) -> float:
+    """Return the change of speed over 6 s that is exceeded in 2 % of the time, m/s^2.
+
+    6 s is longer than most slides.
+    """
     steps = max(round(6.0 / channel.step_s), 1)
     change = np.abs(channel.values[steps:] - channel.values[:-steps])
-    time_s = channel.time_s[steps:] - channel.time_s[:-steps]
-    good = np.isfinite(change) & (np.abs(time_s - 6.0) < 0.5)
-    return float(np.percentile(change[good] / time_s[good], 98)) if good.any() else 0.0
+    passed_s = channel.time_s[steps:] - channel.time_s[:-steps]
+    good = np.isfinite(change) & (np.abs(passed_s - 6.0) < 0.5)
+    if not good.any():
+        return 0.0
+    return float(np.percentile(change[good] / passed_s[good], 98))
 
 
 # --- stamps ---
 
 
 def _stamps(run: Run) -> tuple[Run, list[Finding]]:
-    found = []
+    """Find clock steps and gaps of the stamps, and correct the steps."""
+    found: list[Finding] = []
     for group in _clocks(run):
-        time_s, step = group[0].time_s, float(np.median(np.diff(group[0].time_s)))
-        steps = np.diff(time_s)
-        usual = np.abs(steps[np.abs(steps - step) < limit.LEAST_STEP_S] - step)
-        half = float(np.quantile(usual, 0.975)) + 1e-3 if usual.size else step
-        names = tuple(channel.name for channel in group)
-        moved, open_at = np.zeros(time_s.size), None
-        for k in map(
-            int,
-            np.flatnonzero((steps < 0.0) | (steps > step + max(limit.LEAST_STEP_S, 2.0 * step))),
-        ):
-            size, back = float(steps[k] - step), bool(steps[k] < step)
-            # a step there and back again is one finding
-            if open_at is not None and back and abs(size + found[open_at].size) < 3.0 * half:
-                one = found[open_at]
-                moved[k + 1 :] -= size
-                if one.unit == "gap":
-                    moved[int(np.searchsorted(time_s, one.start_s, "right")) :] += size
-                found[open_at] = one._replace(
-                    end_s=float(time_s[k]),
+        corrected_s, more = _check_clock(run, group)
+        found += more
+
+        # where corrected stamps overlap, the first samples stay
+        latest_before = np.concatenate([[-np.inf], np.maximum.accumulate(corrected_s)[:-1]])
+        rises = corrected_s > latest_before
+        corrected_channels = [
+            channel._replace(time_s=corrected_s[rises], values=channel.values[rises])
+            for channel in group
+        ]
+        run = _replaced(run, corrected_channels)
+    return run, [f for f in found if f.name != "sensor_dropout" or f.size >= limit.GAP_S]
+
+
+def _check_clock(run: Run, group: list[Channel]) -> tuple[np.ndarray, list[Finding]]:
+    """Return the corrected stamps of a group of channels, and its clock steps and gaps.
+
+    A step that is taken back later is one finding. A gap whose jump is taken back later was a step
+    of the clock, too.
+    """
+    time_s = group[0].time_s
+    names = tuple(channel.name for channel in group)
+    steps_s = np.diff(time_s)
+    step_s = float(np.median(steps_s))
+
+    # half width of the interval of a jump: how irregular stamps usually are
+    usual_s = np.abs(steps_s[np.abs(steps_s - step_s) < limit.LEAST_STEP_S] - step_s)
+    half_s = float(np.quantile(usual_s, 0.975)) + 1e-3 if usual_s.size else step_s
+
+    is_back = steps_s < 0.0
+    is_jump = steps_s > step_s + max(limit.LEAST_STEP_S, 2.0 * step_s)
+    found: list[Finding] = []
+    shift_s = np.zeros(time_s.size)
+    open_jump: int | None = None  # index in `found` of a forward jump that may be taken back
+    for k in map(int, np.flatnonzero(is_back | is_jump)):
+        size_s = float(steps_s[k] - step_s)
+        backward = bool(steps_s[k] < step_s)
+
+        if open_jump is not None and backward:
+            before = found[open_jump]
+            if abs(size_s + before.size) < 3.0 * half_s:
+                shift_s[k + 1 :] -= size_s
+                if before.name == "sensor_dropout":
+                    # it looked like a gap, and was not corrected
+                    after_gap = int(np.searchsorted(time_s, before.start_s, "right"))
+                    shift_s[after_gap:] += size_s
+                found[open_jump] = before._replace(
                     name="clock_step",
-                    unit="s",
-                    text=_of_clock(one.size, half, True),
+                    end_s=float(time_s[k]),
+                    details=_clock_details(before.size, half_s, returns=True),
                 )
-                open_at = None
+                open_jump = None
                 continue
-            if back or _runs_on(group, k, size, step):
-                found.append(
-                    Finding(
-                        "clock_step",
-                        names,
-                        run.name,
-                        float(time_s[k]),
-                        float(time_s[-1]),
-                        size,
-                        size - half,
-                        size + half,
-                        "s",
-                        _of_clock(size, half, False),
-                    )
+
+        if backward or _motion_goes_on(group, k, size_s):
+            found.append(
+                Finding(
+                    name="clock_step",
+                    channels=names,
+                    run=run.name,
+                    start_s=float(time_s[k]),
+                    end_s=float(time_s[-1]),
+                    size=size_s,
+                    low=size_s - half_s,
+                    high=size_s + half_s,
+                    unit="s",
+                    details=_clock_details(size_s, half_s, returns=False),
                 )
-                moved[k + 1 :] -= size
-            elif size >= limit.LEAST_STEP_S:
-                found.append(
-                    Finding(
-                        "sensor_dropout",
-                        names,
-                        run.name,
-                        float(time_s[k]),
-                        float(time_s[k + 1]),
-                        size + step,
-                        size,
-                        size + 2.0 * step,
-                        "gap",
-                        "no samples",
-                    )
+            )
+            shift_s[k + 1 :] -= size_s
+        else:
+            found.append(
+                Finding(
+                    name="sensor_dropout",
+                    channels=names,
+                    run=run.name,
+                    start_s=float(time_s[k]),
+                    end_s=float(time_s[k + 1]),
+                    size=size_s + step_s,
+                    low=size_s,
+                    high=size_s + 2.0 * step_s,
+                    unit="s",
+                    details=DropOut((findings.NO_SAMPLES,)),
                 )
-            open_at = None if back else len(found) - 1
-        right = time_s + moved
-        rises = right > np.concatenate([[-np.inf], np.maximum.accumulate(right)[:-1]])
-        run = _with(
-            run,
-            *(
-                channel._replace(time_s=right[rises], values=channel.values[rises])
-                for channel in group
-            ),
-        )
-    return run, [
-        f._replace(unit="s") for f in found if f.name != "sensor_dropout" or f.size >= limit.GAP_S
-    ]
+            )
+        open_jump = None if backward else len(found) - 1
+    return time_s + shift_s, found
 
 
-def _of_clock(size: float, half: float, back: bool) -> str:
-    whole = (
-        f", {round(size):+d} s exactly" if abs(size - round(size)) < half and round(size) else ""
-    )
-    return f"the stamps jump by {size:+.3f} s while the motion runs on{whole}" + (
-        "; they come back at the end" if back else ""
-    )
+def _clock_details(size_s: float, half_s: float, returns: bool) -> ClockStep:
+    """Return the details of a step: its whole seconds where the size is whole within its error."""
+    whole = round(size_s)
+    is_whole = abs(size_s - whole) < half_s
+    return ClockStep(whole_seconds=whole if is_whole else 0, returns=returns)
 
 
-def _runs_on(group: list[Channel], k: int, size: float, step: float) -> bool:
-    """Whether speeds or position go on across a jump of the stamps as if no time had passed."""
+def _motion_goes_on(group: list[Channel], k: int, size_s: float) -> bool:
+    """Whether speeds or position continue across a jump of the stamps as if no time had passed.
+
+    The jump is between samples k and k + 1. A curve with one slope and one curvature on both sides,
+    and a jump between them, is fitted to 15 samples on each side with the jump of the stamps taken
+    out. In a gap the value would have moved on by slope x size.
+    """
+    before = slice(max(k - 14, 0), k + 1)
+    after = slice(k + 1, k + 16)
     for channel in group:
-        before, after = slice(max(k - 14, 0), k + 1), slice(k + 1, k + 16)
-        if channel.quantity == "demand" or not (
-            np.isfinite(channel.values[before]).sum() >= 8
-            and np.isfinite(channel.values[after]).sum() >= 8
-        ):
+        known_before = np.isfinite(channel.values[before]).sum()
+        known_after = np.isfinite(channel.values[after]).sum()
+        if channel.quantity == "demand" or known_before < 8 or known_after < 8:
             continue
-        # a line with the same slope on both sides and a jump between: what is the jump worth in seconds?
-        t = np.concatenate([channel.time_s[before], channel.time_s[after] - size])
+
+        t = np.concatenate([channel.time_s[before], channel.time_s[after] - size_s])
         v = np.concatenate([channel.values[before], channel.values[after]])
-        late = np.arange(t.size) >= channel.time_s[before].size
+        is_after = np.arange(t.size) >= channel.time_s[before].size
         good = np.isfinite(v)
-        base = np.column_stack([np.ones(t.size), t - t.mean(), late, (t - t.mean()) ** 2])[good]
+        columns = [np.ones(t.size), t - t.mean(), is_after, (t - t.mean()) ** 2]
+        base = np.column_stack(columns)[good]
         fit, *_ = np.linalg.lstsq(base, v[good], rcond=None)
-        spread = (
-            np.sqrt(np.sum((v[good] - base @ fit) ** 2) / max(good.sum() - 4, 1))
-            + channel.quantum / 3.0
-        )
-        cov = np.linalg.pinv(base.T @ base)
-        jump, error = fit[2], spread * np.sqrt(cov[2, 2]) + 1e-9
-        expected = fit[1] * size
-        if abs(expected) > limit.CLOCK_RATIO * error and abs(jump) < abs(jump - expected) / 2.0:
+        _, slope, jump, _ = fit
+
+        residual = v[good] - base @ fit
+        spread = np.sqrt(np.sum(residual**2) / max(good.sum() - 4, 1)) + channel.quantum / 3.0
+        covariance = np.linalg.pinv(base.T @ base)
+        jump_error = spread * np.sqrt(covariance[2, 2]) + 1e-9
+        expected_jump = slope * size_s
+        contradicts_gap = abs(expected_jump) > limit.CLOCK_RATIO * jump_error
+        if contradicts_gap and abs(jump) < abs(jump - expected_jump) / 2.0:
             return True
     return False
 
 
 def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
-    """What stands before a jump at the start that no vehicle makes."""
+    """Find samples at the start before a jump that no vehicle makes."""
     found = []
     for group in _clocks(run):
         speeds = [channel for channel in group if channel.quantity in _SPEEDS]
         if not speeds:
             continue
-        time_s, step = speeds[0].time_s, float(np.median(np.diff(speeds[0].time_s)))
-        n = int(np.searchsorted(time_s, time_s[0] + limit.START_S))
-        v = np.array([channel.values[: n + 1] for channel in speeds])
-        jump = np.abs(np.diff(v))
-        jump[~(np.isfinite(jump) & (np.minimum(v[:, :-1], v[:, 1:]) > 0.0))] = 0.0
-        beyond = jump.min(axis=0) - limit.HARDEST_M_S2 * np.diff(time_s[: n + 1]) - limit.JUMP_M_S
-        if (jumps := np.flatnonzero(beyond > 0.0)).size and (k := int(jumps[-1])) * step > 0.5:
-            part = Stretch(0, k)
-            text = "what the channels tell there does not go over into what follows: old messages"
-            found.append(
-                _duration("old_messages", speeds[0], run, part, text)._replace(
-                    channels=tuple(channel.name for channel in speeds)
-                )
-            )
-            run = _with(run, *(_without(channel, [part]) for channel in group))
+        first = speeds[0]
+        step_s = float(np.median(np.diff(first.time_s)))
+        last_jump = _last_jump_at_start(speeds)
+        if last_jump is None or last_jump * step_s <= 0.5:
+            continue
+
+        part = Stretch(0, last_jump)
+        names = tuple(channel.name for channel in speeds)
+        found.append(_lasting("old_messages", first, names, run, part, None))
+        run = _replaced(run, [_without(channel, [part]) for channel in group])
     return run, found
+
+
+def _last_jump_at_start(speeds: list[Channel]) -> int | None:
+    """Return the sample before the last jump that all speeds make at the start; None without one."""
+    time_s = speeds[0].time_s
+    count = int(np.searchsorted(time_s, time_s[0] + limit.START_S))
+    v = np.array([channel.values[: count + 1] for channel in speeds])
+    jump = np.abs(np.diff(v))
+    # a change from or to zero, or to no value, is a matter of the other checks
+    between_speeds = np.isfinite(jump) & (np.minimum(v[:, :-1], v[:, 1:]) > 0.0)
+    jump[~between_speeds] = 0.0
+
+    possible = limit.HARDEST_M_S2 * np.diff(time_s[: count + 1])
+    excess = jump.min(axis=0) - possible - limit.JUMP_M_S
+    jumps = np.flatnonzero(excess > 0.0)
+    return int(jumps[-1]) if jumps.size else None
 
 
 # --- sensors ---
 
 
 def _others(run: Run, channel: Channel) -> np.ndarray:
-    """Median of the other speeds at the stamps of one channel, NaN where there is none."""
+    """Return the median of the other speeds at the stamps of one channel; NaN where there is none."""
     others = [at(other, channel.time_s) for other in run.of(*_SPEEDS) if other.name != channel.name]
-    return median(np.array(others)) if others else np.full(channel.time_s.size, np.nan)
+    if not others:
+        return np.full(channel.time_s.size, np.nan)
+    return median(np.array(others))
 
 
-def median(values: np.ndarray) -> np.ndarray:
-    """Median over the first axis without NaN; NaN where there is no value."""
-    found = np.full(values.shape[1], np.nan)
-    any_ = np.isfinite(values).any(axis=0)
-    found[any_] = np.nanmedian(values[:, any_], axis=0)
-    return found
-
-
-Told = Iterator[tuple[str, int, int, str]]  # what it is called, its first and last sample, a text
-
-
-def _each(check: Callable[[Run, Channel], Told]) -> Callable[[Run], tuple[Run, list[Finding]]]:
-    """A check of one speed on each of them, one after another: the run without what it finds, and the findings."""
+def _each_speed(
+    check: Callable[[Run, Channel], Iterator[Hit]],
+) -> Callable[[Run], tuple[Run, list[Finding]]]:
+    """Make a check of a run from a check of one channel; it runs on one speed after another."""
 
     def checked(run: Run) -> tuple[Run, list[Finding]]:
         found = []
         for channel in run.of(*_SPEEDS):
-            told = [
-                (name, Stretch(first, last), text)
-                for name, first, last, text in check(run, channel)
-            ]
-            found += [_duration(name, channel, run, part, text) for name, part, text in told]
-            run = _with(run, _without(channel, [part for _, part, _ in told]))
+            parts = []
+            for hit in check(run, channel):
+                part = Stretch(hit.first, hit.last)
+                parts.append(part)
+                found.append(_lasting(hit.name, channel, (channel.name,), run, part, hit.details))
+            run = _replaced(run, [_without(channel, parts)])
         return run, found
 
     return checked
 
 
-@_each
-def _lines(_: Run, channel: Channel) -> Told:
-    """Straight lines over seconds, which stand where a gap was: no data."""
+@_each_speed
+def _lines(_: Run, channel: Channel) -> Iterator[Hit]:
+    """Find straight lines over seconds, which fill a gap and are no data."""
     good = np.flatnonzero(np.isfinite(channel.values))
-    v, t = channel.values[good], channel.time_s[good]
+    v = channel.values[good]
+    t = channel.time_s[good]
     slope = np.diff(v) / np.maximum(np.diff(t), 1e-6)
-    # drawn over the stamps, or over the count of samples
+
+    # a line is straight over the stamps, or over the count of samples
     bend = np.minimum(np.abs(np.diff(slope)) * channel.step_s, np.abs(np.diff(v, 2)))
-    rough = max(
-        float(np.median(bend[bend > 0.0])) if (bend > 0.0).any() else 0.0, 0.5 * channel.quantum
-    )
-    straight = np.concatenate(
-        [[False], (bend < limit.LINE_SHARE * rough) & (np.abs(slope[1:]) > 1e-3), [False]]
-    )
-    for a, b in (
-        (first - 1, last + 1) for first, last in stretches(straight)
-    ):  # both ends are on the line
-        steps = v[a : b + 1] / (channel.quantum or np.inf)
-        off = not channel.quantum or np.mean(np.abs(steps - np.rint(steps)) > 1e-3) > 0.7
-        if t[b] - t[a] >= limit.LINE_S and b - a >= 8 and off:
-            yield (
-                "interpolated",
-                int(good[a]),
-                int(good[b]),
-                "a straight line drawn across a gap; refused as data",
-            )
+    bends = bend > 0.0
+    usual_bend = float(np.median(bend[bends])) if bends.any() else 0.0
+    roughness = max(usual_bend, 0.5 * channel.quantum)
+    is_straight = (bend < limit.LINE_SHARE * roughness) & (np.abs(slope[1:]) > 1e-3)
+
+    for stretch in stretches(np.concatenate([[False], is_straight, [False]])):
+        # the neighbours on both sides are on the line, too
+        first = stretch.first - 1
+        last = stretch.last + 1
+        long_enough = t[last] - t[first] >= limit.LINE_S and last - first >= 8
+        if long_enough and _is_off_rounding(v[first : last + 1], channel.quantum):
+            yield Hit("interpolated", int(good[first]), int(good[last]), None)
 
 
-@_each
-def _zeros(_: Run, channel: Channel) -> Told:
-    """Zeros that come and go faster than a wheel can lock or take up speed."""
-    v = channel.values
-    for first, last in stretches(np.abs(v) < 1e-9):
-        # an edge at a gap or at an end tells nothing
-        edges = [
-            abs(float(v[k]))
-            for k, near in ((first - 1, first), (last + 1, last))
-            if 0 <= k < v.size
-            and abs(channel.time_s[k] - channel.time_s[near]) < 2.5 * channel.step_s
-            and np.isfinite(v[k])
-        ]
-        if edges and min(edges) > limit.ZERO_JUMP_M_S:
-            yield "sensor_dropout", first, last, "zeros"
+def _is_off_rounding(values: np.ndarray, quantum: float) -> bool:
+    """Whether most values are between the rounding steps of the channel, or it has none."""
+    if not quantum:
+        return True
+    steps = values / quantum
+    return bool(np.mean(np.abs(steps - np.rint(steps)) > 1e-3) > 0.7)
 
 
-@_each
-def _missing(_: Run, channel: Channel) -> Told:
-    """Cells without a value, of one channel while the others go on."""
+@_each_speed
+def _zeros(_: Run, channel: Channel) -> Iterator[Hit]:
+    """Find zeros that come and go faster than a wheel can lock or take up speed."""
+    for stretch in stretches(np.abs(channel.values) < _ZERO_M_S):
+        edges_m_s = []
+        for outside, inside in (
+            (stretch.first - 1, stretch.first),
+            (stretch.last + 1, stretch.last),
+        ):
+            speed_m_s = _speed_next_to(channel, outside, inside)
+            if speed_m_s is not None:
+                edges_m_s.append(speed_m_s)
+        if edges_m_s and min(edges_m_s) > limit.ZERO_JUMP_M_S:
+            yield Hit("sensor_dropout", stretch.first, stretch.last, DropOut((findings.ZEROS,)))
+
+
+def _speed_next_to(channel: Channel, outside: int, inside: int) -> float | None:
+    """Return the speed outside an edge, m/s; None at a gap or an end, where an edge shows nothing."""
+    if not 0 <= outside < channel.values.size:
+        return None
+    is_gap = abs(channel.time_s[outside] - channel.time_s[inside]) >= 2.5 * channel.step_s
+    if is_gap or not np.isfinite(channel.values[outside]):
+        return None
+    return abs(float(channel.values[outside]))
+
+
+@_each_speed
+def _missing(_: Run, channel: Channel) -> Iterator[Hit]:
+    """Find cells without a value, of one channel while the others go on."""
     good = np.flatnonzero(np.isfinite(channel.values))
-    for k in np.flatnonzero(np.diff(channel.time_s[good]) > max(limit.GAP_S, 3.0 * channel.step_s)):
-        first, last = int(good[k]) + 1, int(good[k + 1]) - 1
+    longest_s = max(limit.GAP_S, 3.0 * channel.step_s)
+    for k in np.flatnonzero(np.diff(channel.time_s[good]) > longest_s):
+        first = int(good[k]) + 1
+        last = int(good[k + 1]) - 1
         if last - first >= 1 and first > 0:
-            yield "sensor_dropout", first, last, "no values"
+            yield Hit("sensor_dropout", first, last, DropOut((findings.NO_VALUES,)))
 
 
-@_each
-def _held(run: Run, channel: Channel) -> Told:
-    """A value that stays while the other channels move on, or from which it jumps as no vehicle does."""
-    v, t, others = channel.values, channel.time_s, _others(run, channel)
-    same = np.concatenate([np.diff(v) == 0.0, [False]]) & (np.abs(v) > 1e-9)
-    for a, last in ((first, end + 1) for first, end in stretches(same)):
-        if t[last] - t[a] < limit.STUCK_S:
+@_each_speed
+def _held(run: Run, channel: Channel) -> Iterator[Hit]:
+    """Find a value that stays while the other channels move, or that ends in an impossible jump."""
+    v = channel.values
+    t = channel.time_s
+    others = _others(run, channel)
+    is_same = np.concatenate([np.diff(v) == 0.0, [False]]) & (np.abs(v) > _ZERO_M_S)
+    for stretch in stretches(is_same):
+        first = stretch.first
+        last = stretch.last + 1  # equal to the sample before it
+        if t[last] - t[first] < limit.STUCK_S:
             continue
-        moves = others[a : last + 1][np.isfinite(others[a : last + 1])]
-        jump = abs(v[last + 1] - v[last]) if last + 1 < v.size else 0.0
-        frozen = (
-            moves.size < 2 or not np.ptp(moves)
-        ) and jump > limit.JUMP_M_S + limit.HARDEST_M_S2 * channel.step_s
-        if frozen or (moves.size > 1 and np.ptp(moves) > limit.MOVED_M_S):
-            yield "sensor_stuck", a, last, f"held at {v[a]:.2f} m/s"
+
+        held_others = others[first : last + 1]
+        known_others = held_others[np.isfinite(held_others)]
+        others_move_m_s = float(np.ptp(known_others)) if known_others.size > 1 else 0.0
+        jump_m_s = abs(v[last + 1] - v[last]) if last + 1 < v.size else 0.0
+        possible_m_s = limit.JUMP_M_S + limit.HARDEST_M_S2 * channel.step_s
+
+        all_freeze = others_move_m_s == 0.0 and jump_m_s > possible_m_s
+        if all_freeze or others_move_m_s > limit.MOVED_M_S:
+            yield Hit("sensor_stuck", first, last, StuckValue(float(v[first])))
 
 
 # --- copies ---
 
 
+class _Group(NamedTuple):
+    """Speeds of one run that share their stamps; `rows` (n, channels)."""
+
+    run: int
+    names: tuple[str, ...]
+    first: Channel
+    rows: np.ndarray
+
+
+class _Place(NamedTuple):
+    """A window: the number of its group, and its first sample."""
+
+    group: int
+    first: int
+
+
 def copies(runs: list[Run]) -> tuple[list[Run], list[Finding]]:
-    """Byte-equal stretches of all speeds of a clock, within a run or between two; the later one is taken out."""
+    """Return runs without copies, and the copies: equal stretches of all speeds of a clock.
+
+    Copies are found within a run and between runs. The later one is taken out.
+    """
+    runs = list(runs)
+    groups = _speed_groups(runs)
     found: list[Finding] = []
-    groups = [
-        (r, group)
-        for r, run in enumerate(runs)
-        for group in ([c for c in clock if c.quantity in _SPEEDS] for clock in _clocks(run))
-        if group
-    ]
-    seen: dict[tuple[tuple[str, ...], int], tuple[int, int]] = {}
-    for g, (r, group) in enumerate(groups):
-        names = tuple(c.name for c in group)
-        rows = np.column_stack([c.values for c in group])
-        windows, changes = _windows(rows)
-        pairs = [
-            (k, seen.setdefault((names, int(windows[k])), (g, k)))
-            for k in map(int, np.flatnonzero(changes >= limit.COPY_CHANGES))
-        ]
-        pairs = [
-            (k, first) for k, first in pairs if first[0] != g or k - first[1] >= limit.COPY_SAMPLES
-        ]
+    # windows that were seen before, by the names of the channels and a hash of the samples
+    seen: dict[tuple[tuple[str, ...], int], _Place] = {}
+    for g, group in enumerate(groups):
+        window_hash, changes = _windows(group.rows)
+        pairs: list[tuple[int, _Place]] = []
+        for k in map(int, np.flatnonzero(changes >= limit.COPY_CHANGES)):
+            original = seen.setdefault((group.names, int(window_hash[k])), _Place(g, k))
+            if original.group != g or k - original.first >= limit.COPY_SAMPLES:
+                pairs.append((k, original))
+
         while pairs:
-            (k, (g0, k0)), n = pairs[0], 1
-            while n < len(pairs) and pairs[n] == (k + n, (g0, k0 + n)):
-                n += 1
-            pairs = pairs[n:]
-            part, other = Stretch(k, k + n + limit.COPY_SAMPLES - 2), groups[g0]
-            if not np.array_equal(
-                rows[k : part.last + 1],
-                np.column_stack([c.values for c in other[1]])[k0 : k0 + n + limit.COPY_SAMPLES - 1],
+            k, original = pairs[0]
+            windows = _windows_in_a_row(pairs)
+            pairs = pairs[windows:]
+            samples = windows + limit.COPY_SAMPLES - 1
+            source = groups[original.group]
+            # a hash is no proof
+            is_copy = np.array_equal(
+                group.rows[k : k + samples],
+                source.rows[original.first : original.first + samples],
                 equal_nan=True,
-            ):
-                continue
-            text = (
-                f"the same samples as {runs[other[0]].name} from {other[1][0].time_s[k0]:.1f} s on: a copy tells "
-                "nothing new"
             )
-            found.append(_duration("copy", group[0], runs[r], part, text)._replace(channels=names))
-            runs[r] = _with(runs[r], *(_without(runs[r].channels[name], [part]) for name in names))
+            if not is_copy:
+                continue
+
+            part = Stretch(k, k + samples - 1)
+            run = runs[group.run]
+            details = CopySource(
+                run=runs[source.run].name, start_s=float(source.first.time_s[original.first])
+            )
+            found.append(_lasting("copy", group.first, group.names, run, part, details))
+            runs[group.run] = _replaced(
+                run, [_without(run.channels[name], [part]) for name in group.names]
+            )
     return runs, found
 
 
+def _speed_groups(runs: list[Run]) -> list[_Group]:
+    groups = []
+    for number_of_run, run in enumerate(runs):
+        for clock in _clocks(run):
+            speeds = [channel for channel in clock if channel.quantity in _SPEEDS]
+            if speeds:
+                names = tuple(channel.name for channel in speeds)
+                rows = np.column_stack([channel.values for channel in speeds])
+                groups.append(_Group(number_of_run, names, speeds[0], rows))
+    return groups
+
+
+def _windows_in_a_row(pairs: list[tuple[int, _Place]]) -> int:
+    """Return how many pairs from the first on continue the same copy."""
+    k, original = pairs[0]
+    count = 1
+    while count < len(pairs) and pairs[count] == (
+        k + count,
+        _Place(original.group, original.first + count),
+    ):
+        count += 1
+    return count
+
+
 def _windows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of every window of samples: a number that equal windows share, and how often its rows change."""
-    n = max(len(rows) - limit.COPY_SAMPLES + 1, 0)
-    told = np.nan_to_num(rows, nan=-1.0)
-    window = np.array([hash(told[k : k + limit.COPY_SAMPLES].tobytes()) for k in range(n)], int)
-    # what was taken out does not change
-    changed = np.concatenate(
-        [[0], np.cumsum(np.any(np.nan_to_num(np.diff(rows, axis=0)) != 0.0, axis=1))]
+    """Return a hash of every window of samples, and how often its rows change."""
+    count = max(len(rows) - limit.COPY_SAMPLES + 1, 0)
+    plain = np.nan_to_num(rows, nan=-1.0)
+    window_hash = np.array(
+        [hash(plain[k : k + limit.COPY_SAMPLES].tobytes()) for k in range(count)], int
     )
-    return window, changed[limit.COPY_SAMPLES - 1 :] - changed[:n]
+    # samples that were taken out (NaN) do not count as a change
+    row_changes = np.any(np.nan_to_num(np.diff(rows, axis=0)) != 0.0, axis=1)
+    changes_until = np.concatenate([[0], np.cumsum(row_changes)])
+    return window_hash, changes_until[limit.COPY_SAMPLES - 1 :] - changes_until[:count]

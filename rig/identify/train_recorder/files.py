@@ -1,9 +1,11 @@
-"""Columns of a recorder's files with their stamps: CSV of any separator, Parquet, MDF4, rosbag2.
+"""Reads columns of a recorder's files with their stamps: CSV, Parquet, MDF4 and rosbag2.
 
-Every column keeps its own stamps in seconds; a missing cell is NaN, for a gap is a finding here and no error. Stamps
-are numbers, or instants of any unit and zone, or text as ISO 8601 has it. A row of units below the names is read.
-rosbag2 needs the package rosbags (the extra `rosbag`); a column there is written "/topic:field.field", and stamps are
-the header's, else those of reception.
+Every column keeps its stamps, in seconds. A missing cell is NaN, because a gap is a finding here
+and not an error. Stamps are numbers, instants of any unit and time zone, or text in the form of
+ISO 8601. A CSV may have a row of units below the names.
+
+rosbag2 needs the package rosbags (the extra `rosbag`). Its columns are written "/topic:field.field".
+Their stamps come from the message header, else they are the times of reception.
 """
 
 import csv
@@ -22,11 +24,16 @@ from rollerrig.configs import table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.data import dataset, mdf
 
+# unit of stamps -> s
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+_ROSBAG_SUFFIXES = (".db3", ".mcap", ".bag")
+_SEPARATORS = ",;\t"
+_BRACKETS = " []()"  # around a unit
 
 
 class Column(NamedTuple):
-    """Stamps and values (n,), and the unit that the file itself tells, or ""."""
+    """Stamps and values (n,), and the unit that the file gives, or ""."""
 
     time_s: np.ndarray
     values: np.ndarray
@@ -34,145 +41,188 @@ class Column(NamedTuple):
 
 
 def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str, Column]:
-    """Those columns of a file. Raises ConfigError naming file and column for whatever cannot be read."""
+    """Return these columns of a file.
+
+    `head` has the keys of dataset.toml, and `time` and `time_unit` of the stamps. Raises ConfigError
+    with the file and the column where something cannot be read.
+    """
     suffix = path.suffix.lower()
-    if path.is_dir() or suffix in (".db3", ".mcap", ".bag"):
-        return _rosbag(path, names)
+    if path.is_dir() or suffix in _ROSBAG_SUFFIXES:
+        return _read_rosbag(path, names)
     if suffix in mdf.SUFFIXES:
-        found = mdf.channels(path, tuple(names))
-        for name in names:
-            _known(path, name, list(found))
-        return {
-            name: Column(
-                np.asarray(s.timestamps, float),
-                _numbers(path, pa.array(s.samples), name, "."),
-                str(s.unit or "").strip(),
-            )
-            for name, s in found.items()
-        }
-    data, units = (dataset.read_table(path), {}) if suffix == ".parquet" else _csv(path, head)
+        return _read_mdf(path, names)
+
+    units: dict[str, str] = {}
+    if suffix == ".parquet":
+        data = dataset.read_table(path)
+    else:
+        data, units = _read_csv(path, head)
     for name in (head["time"], *names):
-        _known(path, name, data.column_names)
-    told = units.get(head["time"], head["time_unit"])
-    if told not in TIME:
+        _check_column(path, name, data.column_names)
+
+    time_unit = units.get(head["time"], head["time_unit"])
+    if time_unit not in TIME:
         raise ConfigError(
-            f"{path}: the unit of '{head['time']}' is '{told}'; allowed: {', '.join(TIME)}"
+            f"{path}: the unit of '{head['time']}' is '{time_unit}'; allowed: {', '.join(TIME)}"
         )
-    stamps = _seconds(path, data[head["time"]], head["time"], TIME[told])
-    if not (kept := np.isfinite(stamps)).any():
+    time_s = _seconds(path, data[head["time"]], head["time"], TIME[time_unit])
+    has_stamp = np.isfinite(time_s)
+    if not has_stamp.any():
         raise ConfigError(
-            f"{path}: column '{head['time']}' holds no stamp; name that of the stamps as time_s"
+            f"{path}: column '{head['time']}' has no stamp; name the column of the stamps as time_s"
         )
-    return {
-        name: Column(
-            stamps[kept],
-            _numbers(path, data[name], name, head["decimal"])[kept],
-            units.get(name, ""),
-        )
-        for name in names
-    }
+
+    columns = {}
+    for name in names:
+        values = _numbers(path, data[name], name, head["decimal"])
+        columns[name] = Column(time_s[has_stamp], values[has_stamp], units.get(name, ""))
+    return columns
 
 
 def column_names(path: Path, head: Mapping[str, Any]) -> list[str]:
-    """Names of the columns of a CSV or Parquet file; none of another, whose channels dataset.toml has to name."""
-    if path.suffix.lower() == ".parquet":
+    """Return the names of the columns of a CSV or Parquet file.
+
+    The list is empty for other files: their channels must be in dataset.toml.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".parquet":
         return list(dataset.read_table(path).column_names)
-    return (
-        list(_csv(path, {**head, "time": "time_s"})[0].column_names)
-        if path.suffix.lower() == ".csv"
-        else []
-    )
+    if suffix == ".csv":
+        data, _ = _read_csv(path, {**head, "time": "time_s"})
+        return list(data.column_names)
+    return []
 
 
-def _known(path: Path, name: str, found: list[str]) -> None:
-    if found.count(name) > 1:
+def _check_column(path: Path, name: str, names: list[str]) -> None:
+    """Raise ConfigError unless a name is there exactly once."""
+    if names.count(name) > 1:
         raise ConfigError(
-            f"{path}: column '{name}' is there {found.count(name)} times; give each a name of its own"
+            f"{path}: column '{name}' is there {names.count(name)} times; give each column a "
+            "different name"
         )
-    if name not in found:
+    if name not in names:
         raise ConfigError(
-            f"{path}: column '{name}' is missing{table.nearest(name, found)}; name it in "
-            "dataset.toml as `column` in [channels], that of the stamps under time_s"
+            f"{path}: column '{name}' is missing{table.nearest(name, names)}; name it in "
+            "dataset.toml as `column` in [channels], the column of the stamps under time_s"
         )
 
 
-def _csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, str]]:
+# --- MDF4 ---
+
+
+def _read_mdf(path: Path, names: Sequence[str]) -> dict[str, Column]:
+    signals = mdf.channels(path, tuple(names))
+    for name in names:
+        _check_column(path, name, list(signals))
+
+    columns = {}
+    for name, signal in signals.items():
+        columns[name] = Column(
+            time_s=np.asarray(signal.timestamps, float),
+            values=_numbers(path, pa.array(signal.samples), name, "."),
+            unit=str(signal.unit or "").strip(),
+        )
+    return columns
+
+
+# --- CSV ---
+
+
+def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, str]]:
+    """Return the table, and the units by column where the second line holds units."""
     try:
-        lines = list(
-            itertools.dropwhile(
-                lambda line: line.startswith("#"), path.read_text("utf-8-sig").splitlines()
-            )
-        )
+        all_lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text: {error}") from None
+    lines = list(itertools.dropwhile(lambda line: line.startswith("#"), all_lines))
     if len(lines) < 3:
         raise ConfigError(
-            f"{path}: {len(lines)} lines; a line of names and one line a sample are wanted"
+            f"{path}: the file has {len(lines)} lines; it needs a line of names and one line for "
+            "each sample"
         )
-    separator = {"tab": "\t", "auto": max(",;\t", key=lines[0].count)}.get(
-        head["separator"], head["separator"]
-    )
-    names, second = (
-        next(csv.reader(lines[:1], delimiter=separator)),
-        next(csv.reader(lines[1:2], delimiter=separator)),
-    )
-    at = names.index(head["time"]) if head["time"] in names else 0
-    told = (
-        zip(names, second, strict=False)
-        if len(second) > at and second[at].strip(" []()") in TIME
-        else ()
-    )
-    units = {name: unit.strip(" []()") for name, unit in told}
-    text = "\n".join(lines[:1] + lines[2 if units else 1 :]) + "\n"
+
+    separator = head["separator"]
+    if separator == "tab":
+        separator = "\t"
+    elif separator == "auto":
+        separator = max(_SEPARATORS, key=lines[0].count)
+
+    names = next(csv.reader(lines[:1], delimiter=separator))
+    second_line = next(csv.reader(lines[1:2], delimiter=separator))
+    units = _units_of_line(names, second_line, head["time"])
+    first_sample = 2 if units else 1
+    text = "\n".join(lines[:1] + lines[first_sample:]) + "\n"
+
     try:
-        return pyarrow.csv.read_csv(
+        data = pyarrow.csv.read_csv(
             pa.BufferReader(text.encode()),
             parse_options=pyarrow.csv.ParseOptions(delimiter=separator),
             convert_options=pyarrow.csv.ConvertOptions(decimal_point=head["decimal"]),
-        ), units
+        )
     except (pa.ArrowInvalid, ValueError) as error:
         raise ConfigError(
-            f"{path}: cannot be read as a table: {error}; separator taken: {separator!r}, write "
-            "separator and decimal in dataset.toml if they are others"
+            f"{path}: cannot be read as a table: {error}; the separator is taken as {separator!r}; "
+            "write separator and decimal in dataset.toml if this is wrong"
         ) from None
+    return data, units
+
+
+def _units_of_line(names: list[str], line: list[str], time_name: str) -> dict[str, str]:
+    """Return units by column; empty unless the line has a unit of time for the stamps."""
+    time_at = names.index(time_name) if time_name in names else 0
+    if len(line) <= time_at or line[time_at].strip(_BRACKETS) not in TIME:
+        return {}
+    return {name: unit.strip(_BRACKETS) for name, unit in zip(names, line, strict=False)}
 
 
 def _seconds(path: Path, values: pa.ChunkedArray, name: str, unit_s: float) -> np.ndarray:
-    """Stamps (n,) in s, NaN where there is none."""
-    kind = pa.types
-    for zone in (
-        (None, "UTC") if kind.is_string(values.type) or kind.is_large_string(values.type) else ()
-    ):
-        with suppress(pa.ArrowInvalid):  # text with an offset is of an instant
-            values = values.cast(pa.timestamp("ns", tz=zone))
-    if kind.is_timestamp(values.type):  # in UTC, which no clock is turned back in
+    """Return stamps (n,) in s, NaN where there is none."""
+    types = pa.types
+    if types.is_string(values.type) or types.is_large_string(values.type):
+        # without an offset the text is local time; with an offset it is an instant
+        for zone in (None, "UTC"):
+            with suppress(pa.ArrowInvalid):
+                values = values.cast(pa.timestamp("ns", tz=zone))
+
+    if types.is_timestamp(values.type):
+        # counts since 1970 in UTC, where no clock is turned back
         values = values.cast(pa.int64()).cast(pa.duration(values.type.unit))
-    if kind.is_duration(values.type) or kind.is_time(values.type):
-        in_ns = pa.duration("ns") if kind.is_duration(values.type) else pa.time64("ns")
-        return np.asarray(values.cast(in_ns).cast(pa.int64()).to_numpy(), float) * 1e-9
+    if types.is_duration(values.type):
+        return _nanoseconds(values.cast(pa.duration("ns"))) * 1e-9
+    if types.is_time(values.type):
+        return _nanoseconds(values.cast(pa.time64("ns"))) * 1e-9
+
     try:
         return _numbers(path, values, name, ".") * unit_s
     except ConfigError:
         raise ConfigError(
-            f"{path}: column '{name}' is neither numbers nor date and time; write 2026-03-29 10:00:00.0, "
-            "behind it Z or +02:00 where the zone is known"
+            f"{path}: column '{name}' has neither numbers nor date and time; write "
+            "2026-03-29 10:00:00.0, followed by Z or +02:00 if the time zone is known"
         ) from None
+
+
+def _nanoseconds(values: pa.ChunkedArray) -> np.ndarray:
+    """Return counts (n,) of a column of durations or times in ns."""
+    return np.asarray(values.cast(pa.int64()).to_numpy(), float)
 
 
 def _numbers(path: Path, values: Any, name: str, decimal: str) -> np.ndarray:
+    """Return a column as numbers (n,), NaN where there is none."""
     try:
-        # counts of ns since 1970 are rounded to 0.3 us
-        return np.asarray(
-            values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), float
-        )
+        # not safe: counts of ns since 1970 are rounded to 0.3 us
+        numbers = values.cast(pa.float64(), safe=False)
+        return np.asarray(numbers.to_numpy(zero_copy_only=False), float)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError, ValueError, TypeError) as error:
         raise ConfigError(
-            f"{path}: column '{name}' is not all numbers: {error}; one number a row is wanted, decimal "
-            f"'{decimal}'"
+            f"{path}: column '{name}' is not all numbers: {error}; write one number in each row, "
+            f"with the decimal mark '{decimal}'"
         ) from None
 
 
-def _rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
+# --- rosbag2 ---
+
+
+def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
@@ -181,40 +231,49 @@ def _rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
             f"{path}: rosbag2 needs the package rosbags, which is not installed; install the extra: "
             "pip install 'rollerrig[rosbag]'"
         ) from None
-    wrong = [name for name in names if ":" not in name]
-    if wrong:
-        raise ConfigError(
-            f"{path}: column '{wrong[0]}' names no field of a topic; write \"/topic:field.field\""
-        )
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+
+    for name in names:
+        if ":" not in name:
+            raise ConfigError(
+                f"{path}: column '{name}' names no field of a topic; write \"/topic:field.field\""
+            )
+
+    samples: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
-            topics = {connection.topic for connection in bag.connections}
-            for name in names:
-                _known(path, name.partition(":")[0], sorted(topics))
-            wanted = [
-                c
-                for c in bag.connections
-                if any(name.partition(":")[0] == c.topic for name in names)
-            ]
-            for connection, received_ns, raw in bag.messages(connections=wanted):
-                message: Any = bag.deserialize(raw, connection.msgtype)
-                stamp = getattr(getattr(message, "header", None), "stamp", None)
-                at = received_ns * 1e-9 if stamp is None else stamp.sec + stamp.nanosec * 1e-9
-                for name in names:
-                    topic, _, field = name.partition(":")
-                    if topic == connection.topic:
-                        found[name].append((at, float(reduce(getattr, field.split("."), message))))
+            _collect_messages(path, bag, samples)
     except AttributeError as error:
         raise ConfigError(
-            f'{path}: {error}; name a field that is one number: "/topic:field.field"'
+            f'{path}: {error}; name a field that is a single number: "/topic:field.field"'
         ) from None
     except (AnyReaderError, OSError, ValueError, TypeError) as error:
         raise ConfigError(f"{path}: cannot be read as rosbag2: {error}") from None
-    empty = [name for name, samples in found.items() if not samples]
-    if empty:
-        raise ConfigError(f"{path}: '{empty[0]}' holds no message")
-    return {
-        name: Column(np.array(samples)[:, 0], np.array(samples)[:, 1], "")
-        for name, samples in found.items()
-    }
+
+    columns = {}
+    for name, rows in samples.items():
+        if not rows:
+            raise ConfigError(f"{path}: '{name}' has no message")
+        table_of_rows = np.array(rows)
+        columns[name] = Column(table_of_rows[:, 0], table_of_rows[:, 1], "")
+    return columns
+
+
+def _collect_messages(path: Path, bag: Any, samples: dict[str, list[tuple[float, float]]]) -> None:
+    """Append (stamp s, value) of every message to the samples of its fields."""
+    topic_of = {name: name.partition(":")[0] for name in samples}
+    field_of = {name: name.partition(":")[2] for name in samples}
+    topics = {connection.topic for connection in bag.connections}
+    for name in samples:
+        _check_column(path, topic_of[name], sorted(topics))
+
+    wanted = [connection for connection in bag.connections if connection.topic in topic_of.values()]
+    for connection, received_ns, raw in bag.messages(connections=wanted):
+        message: Any = bag.deserialize(raw, connection.msgtype)
+        time_s = received_ns * 1e-9
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        if stamp is not None:
+            time_s = stamp.sec + stamp.nanosec * 1e-9
+        for name in samples:
+            if topic_of[name] == connection.topic:
+                value = reduce(getattr, field_of[name].split("."), message)
+                samples[name].append((time_s, float(value)))

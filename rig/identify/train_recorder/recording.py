@@ -1,7 +1,7 @@
 """Reads a dataset of `kind = "recorder"`: channels by name and unit, runs by file, date and vehicle.
 
-All values come out in SI; stamps of a run count from its first sample. What is doubtful stays in, for
-`faults` to find; what cannot be read at all is refused here.
+All values are returned in SI units. The stamps of a run count from its first sample. Doubtful data
+stays in for `faults` to find. Data that cannot be read is refused here.
 """
 
 import re
@@ -21,257 +21,340 @@ HEAD = (
     choice("kind", "recorder", ("recorder",), "what the data is"),
     choice("title", "", (), "a sentence"),
     choice("source", "", (), "where the data is from"),
-    choice("note", "", (), "what the reader of a report must know; the report repeats it"),
-    choice("separator", "auto", ("auto", ",", ";", "tab"), "of a CSV; auto: found by itself"),
+    choice("note", "", (), "what a reader of the report must know; the report repeats it"),
+    choice("separator", "auto", ("auto", ",", ";", "tab"), "of a CSV; auto: found in the file"),
     choice("decimal", ".", (".", ","), "of a CSV"),
-    number("wheel_radius_m", 0.445, 0.2, 0.7, "that the recorder takes, where a speed is in rad/s"),
+    number("wheel_radius_m", 0.445, 0.2, 0.7, "that the recorder assumes, for speeds in rad/s"),
 )
 CHANNEL = (
     choice(
         "column",
         "",
         (),
-        "column or channel of the file, as the key where not given; rosbag2: /topic:field.field",
+        "column or channel of the file; default: the key; rosbag2: /topic:field.field",
     ),
-    choice("unit", "", (), "of the values in the file, as the key says where not given"),
-    choice("name", "", (), "how the report calls it"),
+    choice("unit", "", (), "of the values in the file; default: the unit in the key"),
+    choice("name", "", (), "of the channel in the report"),
     number(
         "delay_s",
         -1.0,
         0.0,
         3.0,
-        "so late it may be: 0 of a speed, 0.5 of a reference where not given",
+        "delay that is normal for this channel; default: 0 for a speed, 0.5 for a reference",
     ),
 )
 RUN = (
     choice("file", "", (), "CSV, Parquet, MDF4 or rosbag2 (its folder)"),
     choice("date", "", (), "year-month-day: wheels may change between dates"),
-    choice("vehicle_id", "", (), "runs of one vehicle share their wheels"),
+    choice("vehicle_id", "", (), "runs of one vehicle have the same wheels"),
 )
-_SPEED = {"m_s": "m/s", "rad_s": "rad/s"}
-# key of a channel, what it measures, how the report calls it
+
+
+class KeyPattern(NamedTuple):
+    """Keys of one kind of channel: groups of `pattern` are the number of the axle or bogie and the unit."""
+
+    pattern: str
+    quantity: str
+    name: str  # in the report, with the number
+
+
 KEYS = (
-    (r"wheel_speed_([1-9]\d*)_(m_s|rad_s)", "speed", "axle {}"),
-    (r"bogie_speed_([1-9]\d*)_(m_s)", "speed", "bogie {}"),
-    (r"reference_speed_(m_s)", "reference", "reference"),
-    (r"position_(m)", "position", "position"),
-    (r"brake_demand", "demand", "demand"),
+    KeyPattern(r"wheel_speed_([1-9]\d*)_(m_s|rad_s)", "speed", "axle {}"),
+    KeyPattern(r"bogie_speed_([1-9]\d*)_(m_s)", "speed", "bogie {}"),
+    KeyPattern(r"reference_speed_(m_s)", "reference", "reference"),
+    KeyPattern(r"position_(m)", "position", "position"),
+    KeyPattern(r"brake_demand", "demand", "demand"),
 )
+# unit in a key -> unit
+_KEY_UNITS = {"m_s": "m/s", "rad_s": "rad/s"}
+
+# unit -> m/s or m
 UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "m": 1.0, "km": 1000.0}
-_OF = {
+
+# quantity -> allowed units
+_ALLOWED_UNITS = {
     "speed": ("m/s", "km/h", "mph", "rad/s"),
     "reference": ("m/s", "km/h", "mph"),
     "position": ("m", "km"),
     "demand": ("",),
 }
+
+# s. Delay that is normal for a reference (receiver of GNSS, radar) where dataset.toml gives none.
+REFERENCE_DELAY_S = 0.5
+
+# samples. A channel with fewer is refused.
 LEAST_SAMPLES = 100
+
+# share of the values that must be multiples of a step to make it the rounding step
+_ROUNDED_SHARE = 0.6
+_MOST_DIGITS = 3
 
 
 class Channel(NamedTuple):
-    """Stamps and values (n,) in SI, NaN where there is none; `quantum`: step of its rounding, 0 if none is seen."""
+    """Stamps and values (n,) in SI units, NaN where there is no value."""
 
     name: str
-    quantity: str
-    delay_s: float
+    quantity: str  # speed, reference, position or demand
+    delay_s: float  # that is normal for this channel
     time_s: np.ndarray
     values: np.ndarray
-    quantum: float
-    axle: int = 0  # 0: not of one axle
+    quantum: float  # step of rounding; 0 if none is visible
+    axle: int = 0  # 0: not of a single axle
 
     @property
     def step_s(self) -> float:
-        """Usual time between two samples."""
-        return (
-            float(np.median(np.diff(t)))
-            if (t := self.time_s[np.isfinite(self.values)]).size > 1
-            else np.inf
-        )
+        """Median interval between two samples; infinite for fewer than two samples."""
+        known_s = self.time_s[np.isfinite(self.values)]
+        if known_s.size > 1:
+            return float(np.median(np.diff(known_s)))
+        return np.inf
 
 
 class Run(NamedTuple):
+    """One file of a recorder: channels by name."""
+
     name: str
     date: str
     vehicle_id: str
     channels: dict[str, Channel]
 
     def of(self, *quantities: str) -> list[Channel]:
+        """The channels of some quantities."""
         return [channel for channel in self.channels.values() if channel.quantity in quantities]
 
 
 class Recording(NamedTuple):
+    """A dataset of a recorder; `warnings` are its notes to the reader of the report."""
+
     name: str
     runs: list[Run]
     warnings: list[str]
 
 
-class Finding(NamedTuple):
-    """What was found: `size` with its 95 % interval; a run "" means all, times are those of the run."""
+class _Key(NamedTuple):
+    """What the key of a channel tells."""
 
+    quantity: str
     name: str
-    channels: tuple[str, ...]
-    run: str
-    start_s: float
-    end_s: float
-    size: float
-    low: float
-    high: float
+    axle: int
     unit: str
-    text: str
-    date: str = ""
-    place_m: tuple[float, float] | None = None
+
+
+class _Stamps(NamedTuple):
+    """Column and unit of the stamps."""
+
+    column: str
+    unit: str
+
+
+class _ChannelSource(NamedTuple):
+    """A channel as dataset.toml describes it."""
+
+    quantity: str
+    name: str
+    axle: int
+    column: str
+    unit: str
+    unit_is_given: bool  # by `unit`, not only by the key
+    delay_s: float
+    scale: float  # of `unit` to SI
 
 
 def load(folder: Path | str) -> Recording:
-    """A folder of recorder data, or the name of a packaged one. Raises ConfigError saying how to mend it."""
+    """Return the recording of a folder, or of a packaged dataset by its name.
+
+    Raises ConfigError with the file, the key and the remedy.
+    """
     place = dataset.find(folder)
     path = place / "dataset.toml"
-    given = dataset.parse(path)
-    rows, named = given.pop("run", []), given.pop("channels", None)
-    head = table.read(HEAD, given, str(path))
-    if not (isinstance(rows, list) and rows and all(isinstance(row, Mapping) for row in rows)):
-        raise ConfigError(f"{path}: no [[run]]; a recording needs at least one")
-    runs = [
-        table.read(RUN, {**row, "date": str(row.get("date", ""))}, f"{path} [[run]] {i}")
-        for i, row in enumerate(rows, start=1)
-    ]
-    for i, run in enumerate(runs, start=1):
-        if not run["file"]:
-            raise ConfigError(f"{path} [[run]] {i}: file is missing; name the data of this run")
-        if not (place / run["file"]).exists():
-            raise ConfigError(
-                f"{place / run['file']}: no such file; correct `file` in dataset.toml"
-            )
-        if not re.fullmatch(r"(\d{4}-[01]\d-[0-3]\d)?", run["date"]):
-            raise ConfigError(
-                f"{path} [[run]] {i}: date = '{run['date']}' is none; write year-month-day, 2026-03-01"
-            )
-    if named is None:
-        named = {
-            name: {} for name in files.column_names(place / runs[0]["file"], head) if _kind(name)
-        }
-    if not isinstance(named, Mapping):
-        raise ConfigError(f"{path}: channels is no table; write [channels]")
-    stamps, channels = _channels(named, head, f"{path} [channels]")
-    found = Recording(place.name, [], [head["note"]] if head["note"] else [])
-    for run in runs:
-        found.runs.append(_run(place, head | stamps, channels, run, found))
-    return found
+    content = dataset.parse(path)
+    run_tables = content.pop("run", [])
+    channel_tables = content.pop("channels", None)
+    head = table.read(HEAD, content, str(path))
+    run_rows = _read_runs(place, path, run_tables)
+
+    if channel_tables is None:
+        # columns with standard names need no table
+        names = files.column_names(place / run_rows[0]["file"], head)
+        channel_tables = {name: {} for name in names if _parse_key(name) is not None}
+    if not isinstance(channel_tables, Mapping):
+        raise ConfigError(f"{path}: channels is not a table; write [channels]")
+    stamps, sources = _read_channels(channel_tables, head, f"{path} [channels]")
+    file_head = head | {"time": stamps.column, "time_unit": stamps.unit}
+
+    notes = [head["note"]] if head["note"] else []
+    runs: list[Run] = []
+    for row in run_rows:
+        name = Path(row["file"]).stem
+        if name in {run.name for run in runs}:
+            name = f"{name}_{len(runs) + 1}"
+        channels = _load_channels(place / row["file"], file_head, sources)
+        runs.append(Run(name, row["date"], row["vehicle_id"], channels))
+    return Recording(place.name, runs, notes)
 
 
-def _kind(key: str) -> tuple[str, str, int, str] | None:
-    """(quantity, name, axle, unit) of a channel's key; None for any other."""
-    for pattern, quantity, name in KEYS:
-        if match := re.fullmatch(pattern, key):
-            own = match.groups()
-            axle = int(own[0]) if key.startswith("wheel") else 0
-            unit = _SPEED.get(own[-1], own[-1]) if own else ""
-            return quantity, name.format(own[0] if own else ""), axle, unit
+def _read_runs(place: Path, path: Path, run_tables: Any) -> list[dict[str, Any]]:
+    """Return the rows of [[run]] after their checks."""
+    are_tables = isinstance(run_tables, list) and all(
+        isinstance(row, Mapping) for row in run_tables
+    )
+    if not are_tables or not run_tables:
+        raise ConfigError(f"{path}: there is no [[run]]; a recording needs at least one")
+
+    rows = []
+    for number_of_run, run_table in enumerate(run_tables, start=1):
+        # TOML also has dates of its own type
+        with_date = {**run_table, "date": str(run_table.get("date", ""))}
+        rows.append(table.read(RUN, with_date, f"{path} [[run]] {number_of_run}"))
+
+    for number_of_run, row in enumerate(rows, start=1):
+        if not row["file"]:
+            raise ConfigError(
+                f"{path} [[run]] {number_of_run}: file is missing; name the data of this run"
+            )
+        if not (place / row["file"]).exists():
+            raise ConfigError(
+                f"{place / row['file']}: no such file; correct `file` in dataset.toml"
+            )
+        if not re.fullmatch(r"(\d{4}-[01]\d-[0-3]\d)?", row["date"]):
+            raise ConfigError(
+                f"{path} [[run]] {number_of_run}: date = '{row['date']}' is not a date; write "
+                "year-month-day, as 2026-03-01"
+            )
+    return rows
+
+
+def _parse_key(key: str) -> _Key | None:
+    """Return what the key of a channel tells; None for any other key."""
+    for kind in KEYS:
+        match = re.fullmatch(kind.pattern, key)
+        if match is None:
+            continue
+        groups = match.groups()
+        number_of_axle = groups[0] if groups else ""
+        unit = _KEY_UNITS.get(groups[-1], groups[-1]) if groups else ""
+        axle = int(number_of_axle) if key.startswith("wheel") else 0
+        return _Key(kind.quantity, kind.name.format(number_of_axle), axle, unit)
     return None
 
 
-def _channels(
-    named: Mapping[str, Any], head: Mapping[str, Any], where: str
-) -> tuple[dict[str, str], list[dict[str, Any]]]:
-    """Column and unit of the stamps, and the channels."""
-    stamps, found = {"time": "time_s", "time_unit": "s"}, []
-    for key, content in named.items():
-        row = dataset.read_rows(
-            CHANNEL, {"column": content} if isinstance(content, str) else content, f"{where} {key}"
-        )
+def _read_channels(
+    tables: Mapping[str, Any], head: Mapping[str, Any], where: str
+) -> tuple[_Stamps, list[_ChannelSource]]:
+    """Return column and unit of the stamps, and the channels."""
+    stamps = _Stamps("time_s", "s")
+    sources = []
+    for key, content in tables.items():
+        given = {"column": content} if isinstance(content, str) else content
+        row = dataset.read_rows(CHANNEL, given, f"{where} {key}")
         row["column"] = row["column"] or key
         if key == "time_s":
-            stamps = {"time": row["column"], "time_unit": row["unit"] or "s"}
-            continue
-        if (kind := _kind(key)) is None:
-            raise ConfigError(
-                f"{where}: {key} is no channel; allowed: time_s, wheel_speed_1_rad_s .., "
-                "wheel_speed_1_m_s .., bogie_speed_1_m_s .., reference_speed_m_s, brake_demand, "
-                "position_m"
-            )
-        quantity, name, axle, unit = kind
-        declared = row["unit"] or unit
-        if quantity != "demand" and declared not in (allowed := _OF[quantity]):
-            raise ConfigError(
-                f"{where} {key}: unit = '{declared}' is none of a {quantity}; allowed: "
-                f"{', '.join(allowed)}"
-            )
-        delay_s = (
-            row["delay_s"] if row["delay_s"] >= 0.0 else 0.5 if quantity == "reference" else 0.0
-        )
-        found.append(
-            {
-                "quantity": quantity,
-                "name": row["name"] or name,
-                "axle": axle,
-                "column": row["column"],
-                "unit": declared,
-                "told": bool(row["unit"]),
-                "delay_s": delay_s,
-                "scale": head["wheel_radius_m"]
-                if declared == "rad/s"
-                else UNITS.get(declared, 1.0),
-            }
-        )
-    names = [channel["name"] for channel in found]
+            stamps = _Stamps(row["column"], row["unit"] or "s")
+        else:
+            sources.append(_channel_source(key, row, head, where))
+
+    names = [source.name for source in sources]
     for name in names:
         if names.count(name) > 1:
             raise ConfigError(
-                f"{where}: two channels are called '{name}'; give each a name of its own"
+                f"{where}: two channels are called '{name}'; give each channel a different name"
             )
-    if not any(channel["quantity"] == "speed" for channel in found):
+    if not any(source.quantity == "speed" for source in sources):
         raise ConfigError(
-            f"{where}: no speed of an axle or a bogie; name one at least, as wheel_speed_1_m_s = "
-            '{ column = "v1", unit = "km/h" }'
+            f"{where}: there is no speed of an axle or a bogie; name at least one, as "
+            'wheel_speed_1_m_s = { column = "v1", unit = "km/h" }'
         )
-    return stamps, found
+    return stamps, sources
 
 
-def _run(
-    folder: Path,
-    head: Mapping[str, Any],
-    channels: list[dict[str, Any]],
-    given: Mapping[str, Any],
-    found: Recording,
-) -> Run:
-    path = folder / given["file"]
-    columns = files.read(path, [channel["column"] for channel in channels], head)
-    first = min(float(column.time_s.min()) for column in columns.values() if column.time_s.size)
-    made = {}
-    for channel in channels:
-        column, scale, name = columns[channel["column"]], channel["scale"], channel["name"]
-        told = column.unit.replace(" ", "")
-        if told in UNITS and channel["told"] and told != channel["unit"]:
-            raise ConfigError(
-                f"{path}: column '{channel['column']}' says '{told}', dataset.toml says unit = "
-                f"'{channel['unit']}' of {name}; correct one of them"
-            )
-        if told in UNITS and told in _OF[channel["quantity"]]:
-            scale = UNITS[told]
-        if np.count_nonzero(np.isfinite(column.values)) < LEAST_SAMPLES:
-            raise ConfigError(
-                f"{path}: {name} has {np.count_nonzero(np.isfinite(column.values))} samples; give a "
-                f"recording of {LEAST_SAMPLES} at least, or leave the channel out"
-            )
-        made[name] = Channel(
-            name,
-            channel["quantity"],
-            channel["delay_s"],
-            column.time_s - first,
-            column.values * scale,
-            scale * quantum(column.values),
-            channel["axle"],
+def _channel_source(
+    key: str, row: Mapping[str, Any], head: Mapping[str, Any], where: str
+) -> _ChannelSource:
+    """Return one channel of [channels]: its key and the row under it."""
+    kind = _parse_key(key)
+    if kind is None:
+        raise ConfigError(
+            f"{where}: {key} is no channel; allowed: time_s, wheel_speed_1_rad_s .., "
+            "wheel_speed_1_m_s .., bogie_speed_1_m_s .., reference_speed_m_s, brake_demand, "
+            "position_m"
         )
-    name = path.stem
-    if name in {run.name for run in found.runs}:
-        name = f"{name}_{len(found.runs) + 1}"
-    return Run(name, given["date"], given["vehicle_id"], made)
+
+    unit = row["unit"] or kind.unit
+    allowed = _ALLOWED_UNITS[kind.quantity]
+    if kind.quantity != "demand" and unit not in allowed:
+        raise ConfigError(
+            f"{where} {key}: unit = '{unit}' is not a unit of a {kind.quantity}; allowed: "
+            f"{', '.join(allowed)}"
+        )
+
+    delay_s = row["delay_s"]
+    if delay_s < 0.0:  # not given
+        delay_s = REFERENCE_DELAY_S if kind.quantity == "reference" else 0.0
+    scale = head["wheel_radius_m"] if unit == "rad/s" else UNITS.get(unit, 1.0)
+    return _ChannelSource(
+        quantity=kind.quantity,
+        name=row["name"] or kind.name,
+        axle=kind.axle,
+        column=row["column"],
+        unit=unit,
+        unit_is_given=bool(row["unit"]),
+        delay_s=delay_s,
+        scale=scale,
+    )
+
+
+def _load_channels(
+    path: Path, head: Mapping[str, Any], sources: list[_ChannelSource]
+) -> dict[str, Channel]:
+    """Return the channels of one file by name, in SI units, with stamps from the first sample on."""
+    columns = files.read(path, [source.column for source in sources], head)
+    first_s = min(float(column.time_s.min()) for column in columns.values() if column.time_s.size)
+
+    channels = {}
+    for source in sources:
+        column = columns[source.column]
+        scale = _scale(path, source, column)
+        samples = np.count_nonzero(np.isfinite(column.values))
+        if samples < LEAST_SAMPLES:
+            raise ConfigError(
+                f"{path}: {source.name} has {samples} samples; give a recording of at least "
+                f"{LEAST_SAMPLES} samples, or leave the channel out"
+            )
+        channels[source.name] = Channel(
+            name=source.name,
+            quantity=source.quantity,
+            delay_s=source.delay_s,
+            time_s=column.time_s - first_s,
+            values=column.values * scale,
+            quantum=scale * quantum(column.values),
+            axle=source.axle,
+        )
+    return channels
+
+
+def _scale(path: Path, source: _ChannelSource, column: files.Column) -> float:
+    """Return the factor to SI units; a unit in the file wins over the unit in the key."""
+    file_unit = column.unit.replace(" ", "")
+    if file_unit not in UNITS:
+        return source.scale
+    if source.unit_is_given and file_unit != source.unit:
+        raise ConfigError(
+            f"{path}: column '{source.column}' has the unit '{file_unit}', but dataset.toml gives "
+            f"unit = '{source.unit}' for {source.name}; correct one of them"
+        )
+    if file_unit in _ALLOWED_UNITS[source.quantity]:
+        return UNITS[file_unit]
+    return source.scale
 
 
 def quantum(values: np.ndarray) -> float:
-    """The step of rounding by decimal digits, as most values have it; 0 where they have none."""
-    values = values[np.isfinite(values)]
-    for digits in range(4):
-        scaled = values * 10.0**digits
-        if values.size and np.mean(np.abs(scaled - np.rint(scaled)) < 1e-6) > 0.6:
+    """Return the decimal step to which most values are rounded; 0 where there is none."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return 0.0
+    for digits in range(_MOST_DIGITS + 1):
+        scaled = known * 10.0**digits
+        on_step = np.abs(scaled - np.rint(scaled)) < 1e-6
+        if np.mean(on_step) > _ROUNDED_SHARE:
             return float(10.0**-digits)
     return 0.0

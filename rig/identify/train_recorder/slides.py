@@ -1,13 +1,15 @@
-"""Slides, the adhesion that was used in them at least, and places where several runs slide.
+"""Finds slides, a lower bound of the adhesion used in them, and places where several runs slide.
 
-    [S1] sliding = V - v_i / (1 + rho_i), V by the reference; without one, the least speed of the vehicle that
-         the fastest wheel allows: V(t) >= max over t' of v_max(t') - a |t - t'|, a the hardest braking
-         from t' on, and before it next to nothing, for nobody drives while wheels slide in braking
-    [S2] mu >= (d - 2 s_d - R / M) / g, d the deceleration of the vehicle while wheels slide, s_d its error
+    [S1] sliding = V - v_i / (1 + rho_i), V by the reference; without one, the least speed of the
+         vehicle that the fastest wheel allows: V(t) >= max over t' of v_max(t') - a |t - t'|,
+         after t' with a the hardest braking, and before t' with a nearly zero, because nobody
+         drives while wheels slide in braking
+    [S2] mu >= (d - 2 s_d - R / M) / g, d the deceleration of the vehicle while wheels slide,
+         s_d its standard error
 
-[S2] is the mean over all wheels of what the contact took; the best wheel had at least that. It assumes level track
-(10 per mille uphill add 0.010 to it), no other brake that acts on the rail, and a running resistance R of at
-most RESISTANCE_M_S2.
+[S2] is the mean over all wheels of the adhesion that the contact used; the best wheel used at least
+that. It assumes level track (10 per mille uphill add 0.010), no other brake that acts on the rail,
+and a running resistance R of at most RESISTANCE_M_S2.
 """
 
 from typing import NamedTuple
@@ -18,238 +20,352 @@ from rollerrig.configs.vehicle import GRAVITY_M_S2
 from rollerrig.rig.identify.train_recorder import rolling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.faults import stretches
-from rollerrig.rig.identify.train_recorder.recording import Finding
+from rollerrig.rig.identify.train_recorder.findings import Finding, SharedPlace, Sliding
 from rollerrig.rig.identify.train_recorder.rolling import Aligned
+
+# standard deviation of a normal distribution over its median absolute deviation
+_DEVIATION_OF_MEDIAN = 1.4826
+
+# m/s. Scatter of a speed: the least one, and the one that is assumed where few samples show it.
+_LEAST_SCATTER_M_S = 0.02
+_ASSUMED_SCATTER_M_S = 0.1
+_SCATTER_SAMPLES = 20
+
+# s. Slides with less between them are one episode.
+_SAME_EPISODE_S = 2.0
+
+# s. Wheels roll when their speeds have been close together for this time.
+_ROLLING_S = 2.0
+
+# m/s^2. A vehicle that loses less speed is not braked, and its wheels do not slide.
+_BRAKED_M_S2 = -0.1
+
+# m. Positions of slides are counted in these steps.
+_PLACE_STEP_M = 10.0
+
+# random arrangements of the slides, and the least change of speed of a braked track
+_ARRANGEMENTS = 500
+_BRAKED_TRACK_M_S2 = -0.2
+
+
+class AdhesionUsed(NamedTuple):
+    """Mean adhesion used with its lower and upper bound; NaN if unknown."""
+
+    mean: float
+    low: float
+    high: float
 
 
 class Slide(NamedTuple):
-    """One episode: samples of the aligned run, and the mean adhesion used with its interval."""
+    """One episode: its run, first and last sample of the aligned run, and the adhesion used."""
 
     run: int
     first: int
     last: int
     finding: Finding
-    adhesion: tuple[float, float, float]
+    adhesion: AdhesionUsed
+
+
+class _Deceleration(NamedTuple):
+    """Deceleration of the vehicle with its standard error, m/s^2."""
+
+    value_m_s2: float
+    error_m_s2: float
 
 
 def vehicle(a: Aligned) -> np.ndarray:
-    """The vehicle's speed also while wheels slide, m/s [S1]."""
-    some = np.isfinite(a.speed).any(axis=1)
-    fastest = np.where(
-        some, np.max(np.where(np.isfinite(a.speed), a.speed, -np.inf), axis=1), -np.inf
-    )
-    brakes, drives = (
-        one * (a.time_s - a.time_s[0]) for one in (limit.HARDEST_M_S2, limit.DRIVES_M_S2)
-    )
-    ahead = np.maximum.accumulate(fastest + brakes) - brakes
-    back = np.maximum.accumulate((fastest - drives)[::-1])[::-1] + drives
-    least = np.maximum(ahead, back)
-    return np.where(np.isfinite(a.reference), a.reference, np.where(some, least, np.nan))
+    """Return the speed of the vehicle also while wheels slide, m/s [S1]."""
+    known = np.isfinite(a.speed)
+    some = known.any(axis=1)
+    fastest = np.max(np.where(known, a.speed, -np.inf), axis=1)
+    fastest = np.where(some, fastest, -np.inf)
+
+    since_start_s = a.time_s - a.time_s[0]
+    brakes = limit.HARDEST_M_S2 * since_start_s
+    drives = limit.DRIVES_M_S2 * since_start_s
+    from_before = np.maximum.accumulate(fastest + brakes) - brakes
+    from_behind = np.maximum.accumulate((fastest - drives)[::-1])[::-1] + drives
+    least = np.where(some, np.maximum(from_before, from_behind), np.nan)
+    return np.where(np.isfinite(a.reference), a.reference, least)
 
 
 def scatter(a: Aligned) -> np.ndarray:
-    """Deviation of each speed from the vehicle's while nobody brakes hard, m/s, shape (m,)."""
-    still, v = rolling.quiet(a), a.vehicle
-    found = []
-    for own in a.speed.T:
-        off = (own - v)[still & np.isfinite(own) & np.isfinite(v)]
-        found.append(
-            1.4826 * float(np.median(np.abs(off - np.median(off)))) if off.size > 20 else 0.1
-        )
-    return np.maximum(found, 0.02)
+    """Return the deviation of each speed from the vehicle's while nobody brakes hard, m/s, (m,)."""
+    is_quiet = rolling.quiet(a)
+    v = a.vehicle
+    deviations = []
+    for speed in a.speed.T:
+        offset = (speed - v)[is_quiet & np.isfinite(speed) & np.isfinite(v)]
+        if offset.size > _SCATTER_SAMPLES:
+            from_middle = np.abs(offset - np.median(offset))
+            deviations.append(_DEVIATION_OF_MEDIAN * float(np.median(from_middle)))
+        else:
+            deviations.append(_ASSUMED_SCATTER_M_S)
+    return np.maximum(deviations, _LEAST_SCATTER_M_S)
 
 
 def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
-    """Slides of all runs, and where each speed slides, shape (n, m) each."""
-    found: list[Slide] = []
+    """Return the slides of all runs, and for each run where each speed slides, flags (n, m)."""
+    slides: list[Slide] = []
     flags = []
-    for r, a in enumerate(aligned):
-        v, noise = vehicle(a), scatter(a)
+    for number_of_run, a in enumerate(aligned):
+        v = vehicle(a)
+        noise = scatter(a)
         sliding = v[:, None] - a.speed
-        least = np.maximum(
-            np.maximum(limit.SLIDE_M_S, limit.SLIDE_SHARE * v)[:, None],
-            limit.SLIDE_DEVIATIONS * noise,
-        )
-        flag = np.where(np.isfinite(sliding), sliding > least, False)
-        shortest = max(round(limit.SLIDE_S / a.step_s), 2)
-        braked = rolling.slope(a.time_s, v, 1.5)
-        for j in range(flag.shape[1]):
-            for part in stretches(flag[:, j]):
-                slows = (
-                    np.nanmean(np.append(braked[part.first : part.last + 1], np.nan))
-                    if np.isfinite(braked[part.first : part.last + 1]).any()
-                    else 0.0
+        slides_at = _sliding_flags(a, v, sliding, noise)
+        flags.append(slides_at)
+        for first, last in _episodes(a, np.any(slides_at, axis=1)):
+            slides.append(
+                _slide(
+                    number_of_run=number_of_run,
+                    a=a,
+                    v=v,
+                    sliding=sliding,
+                    noise=noise,
+                    slides_at=slides_at,
+                    first=first,
+                    last=last,
                 )
-                if part.last - part.first + 1 < shortest or slows > -0.1:
-                    flag[part.first : part.last + 1, j] = False
-        flags.append(flag)
-        found += [
-            _slide(r, a, v, sliding, noise, *ends, flag)
-            for ends in _episodes(a, np.any(flag, axis=1))
-        ]
-    return found, flags
+            )
+    return slides, flags
 
 
-def _episodes(a: Aligned, any_: np.ndarray) -> list[tuple[int, int]]:
-    """Stretches of sliding, those less than 2 s apart as one."""
-    out: list[tuple[int, int]] = []
-    for first, last in stretches(any_):
-        if out and a.time_s[first] - a.time_s[out[-1][1]] < 2.0:
-            out[-1] = (out[-1][0], last)
-        else:
-            out.append((first, last))
-    return out
+def _sliding_flags(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return where each speed slides for long enough in braking, flags (n, m)."""
+    by_speed = np.maximum(limit.SLIDE_M_S, limit.SLIDE_SHARE * v)[:, None]
+    threshold = np.maximum(by_speed, limit.SLIDE_DEVIATIONS * noise)
+    flag = np.where(np.isfinite(sliding), sliding > threshold, False)
+
+    shortest = max(round(limit.SLIDE_S / a.step_s), 2)
+    change_m_s2 = rolling.slope(a.time_s, v, 1.5)
+    for j in range(flag.shape[1]):
+        for stretch in stretches(flag[:, j]):
+            part = slice(stretch.first, stretch.last + 1)
+            has_change = np.isfinite(change_m_s2[part]).any()
+            mean_change = np.nanmean(change_m_s2[part]) if has_change else 0.0
+            is_short = stretch.last - stretch.first + 1 < shortest
+            if is_short or mean_change > _BRAKED_M_S2:
+                flag[part, j] = False
+    return flag
+
+
+def _episodes(a: Aligned, any_slides: np.ndarray) -> list[tuple[int, int]]:
+    """Return first and last sample of each episode; slides less than 2 s apart are one episode."""
+    episodes: list[tuple[int, int]] = []
+    for first, last in stretches(any_slides):
+        if episodes:
+            begin, end = episodes[-1]
+            if a.time_s[first] - a.time_s[end] < _SAME_EPISODE_S:
+                episodes[-1] = (begin, last)
+                continue
+        episodes.append((first, last))
+    return episodes
 
 
 def _slide(
-    r: int,
+    *,
+    number_of_run: int,
     a: Aligned,
     v: np.ndarray,
     sliding: np.ndarray,
     noise: np.ndarray,
+    slides_at: np.ndarray,
     first: int,
     last: int,
-    flag: np.ndarray,
 ) -> Slide:
-    within = np.where(flag[first : last + 1], sliding[first : last + 1], 0.0)
+    """Return one episode; its size is the largest sliding."""
+    part = slice(first, last + 1)
+    within = np.where(slides_at[part], sliding[part], 0.0)
     worst = int(np.argmax(within.max(axis=0)))
-    most, half = float(within.max()), 2.0 * float(noise[worst]) + 0.02 * float(within.max())
+    most = float(within.max())
+    half = 2.0 * float(noise[worst]) + 0.02 * most
+
+    names = [name for j, name in enumerate(a.names) if slides_at[part, j].any()]
+    start_s = float(a.time_s[first])
+    end_s = float(a.time_s[last])
     adhesion = _adhesion(a, v, first, last)
-    names = tuple(
-        name for name, own in zip(a.names, flag[first : last + 1].T, strict=True) if own.any()
-    )
-    start, end = float(a.time_s[first]), float(a.time_s[last])
-    bound = (
-        f"adhesion used at least {max(adhesion[1], 0.0):.3f}"
-        if np.isfinite(adhesion[1])
-        else "what adhesion was used cannot be told without a reference"
-    )
-    text = (
-        f"slides for {end - start + a.step_s:.1f} s from {v[first]:.1f} m/s, up to {most:.1f} m/s below the "
-        f"vehicle; {bound}"
-    )
     finding = Finding(
-        "slide",
-        names,
-        a.run.name,
-        start,
-        end,
-        most,
-        most - half,
-        most + half,
-        "m/s",
-        text,
-        a.run.date,
+        name="slide",
+        channels=tuple(names),
+        run=a.run.name,
+        start_s=start_s,
+        end_s=end_s,
+        size=most,
+        low=most - half,
+        high=most + half,
+        unit="m/s",
+        details=Sliding(
+            duration_s=end_s - start_s + a.step_s,
+            initial_speed_m_s=float(v[first]),
+            adhesion_at_least=float(adhesion.low),
+        ),
+        date=a.run.date,
     )
-    return Slide(r, first, last, finding, adhesion)
+    return Slide(number_of_run, first, last, finding, adhesion)
 
 
-def _adhesion(a: Aligned, v: np.ndarray, first: int, last: int) -> tuple[float, float, float]:
-    """Mean adhesion used and its bounds, by the vehicle's deceleration over the episode, 2 s at least [S2].
-
-    Without a reference from the moment before to that after in which all wheels roll; NaN where there is none.
-    """
-    middle, half = (
-        0.5 * (a.time_s[first] + a.time_s[last]),
-        max(1.0, 0.5 * (a.time_s[last] - a.time_s[first])),
-    )
-    own = np.flatnonzero((np.abs(a.time_s - middle) <= half + 0.5 * a.step_s) & np.isfinite(v))
-    if np.isfinite(a.reference[own]).mean() > 0.67:
-        t = a.time_s[own] - a.time_s[own].mean()
-        slows = -float(t @ v[own] / (t @ t))
-        rest = v[own] - v[own].mean() + slows * t
-        # noise of a receiver is not white: as if a quarter of the samples told something
-        error = 2.0 * float(np.sqrt(rest @ rest / max(own.size - 2, 1) / (t @ t)))
+def _adhesion(a: Aligned, v: np.ndarray, first: int, last: int) -> AdhesionUsed:
+    """Return the mean adhesion used and its bounds, by the deceleration over the episode [S2]."""
+    middle_s = 0.5 * (a.time_s[first] + a.time_s[last])
+    half_s = max(1.0, 0.5 * (a.time_s[last] - a.time_s[first]))
+    near = np.abs(a.time_s - middle_s) <= half_s + 0.5 * a.step_s
+    samples = np.flatnonzero(near & np.isfinite(v))
+    if np.isfinite(a.reference[samples]).mean() > 0.67:
+        deceleration = _deceleration_by_reference(a, v, samples)
     else:
-        count = max(round(2.0 / a.step_s), 2)
-        spread = (
-            np.ptp(np.where(np.isfinite(a.speed), a.speed, np.nan), axis=1)
-            if len(a.names) > 1
-            else v * np.nan
-        )
-        roll = np.convolve(
-            np.nan_to_num(spread, nan=np.inf) < limit.TOGETHER_M_S, np.ones(count), "full"
-        )
-        before, after = (
-            np.flatnonzero(roll[:first] > count - 0.5),
-            last + 1 + np.flatnonzero(roll[last + count : v.size] > count - 0.5),
-        )
-        if not (before.size and after.size):
-            return np.nan, np.nan, np.nan
-        seconds = float(a.time_s[after[0]] - a.time_s[before[-1]])
-        slows = -float(v[after[0]] - v[before[-1]]) / seconds
-        error = 0.5 * limit.TOGETHER_M_S / seconds
-    return (
-        slows / GRAVITY_M_S2,
-        (slows - 2.0 * error - limit.RESISTANCE_M_S2) / GRAVITY_M_S2,
-        (slows + 2.0 * error) / GRAVITY_M_S2,
+        deceleration = _deceleration_by_wheels(a, v, first, last)
+    if deceleration is None:
+        return AdhesionUsed(np.nan, np.nan, np.nan)
+
+    value, error = deceleration
+    return AdhesionUsed(
+        mean=value / GRAVITY_M_S2,
+        low=(value - 2.0 * error - limit.RESISTANCE_M_S2) / GRAVITY_M_S2,
+        high=(value + 2.0 * error) / GRAVITY_M_S2,
     )
+
+
+def _deceleration_by_reference(a: Aligned, v: np.ndarray, samples: np.ndarray) -> _Deceleration:
+    """Return the slope of a straight line through the speed of the vehicle."""
+    t = a.time_s[samples] - a.time_s[samples].mean()
+    deceleration = -float(t @ v[samples] / (t @ t))
+    rest = v[samples] - v[samples].mean() + deceleration * t
+    variance = rest @ rest / max(samples.size - 2, 1)
+    # the noise of a receiver is not white: as if only a quarter of the samples were independent
+    error = 2.0 * float(np.sqrt(variance / (t @ t)))
+    return _Deceleration(deceleration, error)
+
+
+def _deceleration_by_wheels(
+    a: Aligned, v: np.ndarray, first: int, last: int
+) -> _Deceleration | None:
+    """Return the deceleration between the moments before and after the slide in which all wheels roll.
+
+    The result is None where there is no such moment, or only a single speed.
+    """
+    count = max(round(_ROLLING_S / a.step_s), 2)
+    if len(a.names) > 1:
+        spread = np.ptp(np.where(np.isfinite(a.speed), a.speed, np.nan), axis=1)
+    else:
+        spread = np.full(v.size, np.nan)
+    is_together = np.nan_to_num(spread, nan=np.inf) < limit.TOGETHER_M_S
+    # samples in a row that are close together, up to each sample
+    together = np.convolve(is_together, np.ones(count), "full")
+    all_roll = together > count - 0.5
+    before = np.flatnonzero(all_roll[:first])
+    after = last + 1 + np.flatnonzero(all_roll[last + count : v.size])
+    if not (before.size and after.size):
+        return None
+
+    seconds = float(a.time_s[after[0]] - a.time_s[before[-1]])
+    deceleration = -float(v[after[0]] - v[before[-1]]) / seconds
+    return _Deceleration(deceleration, 0.5 * limit.TOGETHER_M_S / seconds)
 
 
 # --- places ---
 
 
+class _Span(NamedTuple):
+    """Positions from and to, m."""
+
+    low_m: float
+    high_m: float
+
+
 def places(aligned: list[Aligned], slides: list[Slide]) -> list[Finding]:
-    """Where more runs slide than would by chance, if each slid anywhere on the track that it braked on."""
-    spans: dict[int, list[tuple[float, float]]] = {}
-    for s in slides:
-        x = aligned[s.run].position[s.first : s.last + 1]
-        if np.isfinite(x).any():
-            spans.setdefault(s.run, []).append((float(np.nanmin(x)), float(np.nanmax(x))))
+    """Return the places where significantly many runs slide.
+
+    By chance, each run would slide anywhere on the track on which it braked. This is simulated: the
+    slides of a run are shifted together along its braked track, which is closed to a ring.
+    """
+    spans: dict[int, list[_Span]] = {}
+    for slide in slides:
+        position = aligned[slide.run].position[slide.first : slide.last + 1]
+        if np.isfinite(position).any():
+            span = _Span(float(np.nanmin(position)), float(np.nanmax(position)))
+            spans.setdefault(slide.run, []).append(span)
     if len(spans) < limit.PLACE_RUNS:
         return []
-    braked = {}
-    for r in spans:
-        a = aligned[r]
-        x = a.position[
-            np.isfinite(a.position) & (np.nan_to_num(rolling.slope(a.time_s, a.vehicle)) < -0.2)
-        ]
-        ends = [edge for span in spans[r] for edge in span]
-        braked[r] = (min([*x, *ends]), max([*x, *ends]))
-    least = min(low for low, _ in braked.values())
-    grid = np.arange(least, max(high for _, high in braked.values()) + 10.0, 10.0)
 
-    def shared(moved: dict[int, float]) -> np.ndarray:
-        count = np.zeros(grid.size)
-        for r, own in spans.items():
-            low, high = braked[r]
-            hit, length = np.zeros(grid.size, bool), max(high - low, 10.0)
-            for start, end in own:
-                at = low + (start - low + moved.get(r, 0.0)) % length
-                hit |= (grid + 10.0 > at) & (grid < at + end - start)
-            count += hit
-        return count
+    braked = {run: _braked_track(aligned[run], spans[run]) for run in spans}
+    start_m = min(track.low_m for track in braked.values())
+    end_m = max(track.high_m for track in braked.values())
+    grid_m = np.arange(start_m, end_m + _PLACE_STEP_M, _PLACE_STEP_M)
 
-    real = shared({})
-    if real.max() < limit.PLACE_RUNS:
+    count = _runs_that_slide(grid_m, spans, braked, {})
+    if count.max() < limit.PLACE_RUNS:
         return []
     rng = np.random.default_rng(1)
-    chance = [shared({r: rng.uniform(0.0, 1e6) for r in spans}).max() for _ in range(500)]
-    p = (1 + sum(one >= real.max() for one in chance)) / 501
-    if p > limit.PLACE_P:
+    as_many = 0
+    for _ in range(_ARRANGEMENTS):
+        shift_m = {run: rng.uniform(0.0, 1e6) for run in spans}
+        simulated = _runs_that_slide(grid_m, spans, braked, shift_m)
+        if simulated.max() >= count.max():
+            as_many += 1
+    chance = (1 + as_many) / (_ARRANGEMENTS + 1)
+    if chance > limit.PLACE_P:
         return []
+
     found = []
-    for first, last in stretches(real >= max(limit.PLACE_RUNS, 0.75 * real.max())):
-        names = ", ".join(
-            aligned[r].run.name
-            for r, own in spans.items()
-            if any(end > grid[first] and start < grid[last] + 10.0 for start, end in own)
-        )
-        low, high = float(grid[first]), float(grid[last] + 10.0)
+    for first, last in stretches(count >= max(limit.PLACE_RUNS, 0.75 * count.max())):
+        place = _Span(float(grid_m[first]), float(grid_m[last] + _PLACE_STEP_M))
+        names = [
+            aligned[run].run.name for run, run_spans in spans.items() if _meets(run_spans, place)
+        ]
+        length_m = place.high_m - place.low_m
         found.append(
             Finding(
-                "slippery_place",
-                ("position",),
-                "",
-                0.0,
-                0.0,
-                high - low,
-                max(high - low - 20.0, 0.0),
-                high - low + 20.0,
-                "m",
-                f"{int(real[first : last + 1].max())} runs slide between {low:.0f} and {high:.0f} m ({names}); by "
-                f"chance in {100 * p:.1g} % of such recordings or less",
-                place_m=(low, high),
+                name="slippery_place",
+                channels=("position",),
+                run="",
+                start_s=0.0,
+                end_s=0.0,
+                size=length_m,
+                low=max(length_m - 2 * _PLACE_STEP_M, 0.0),
+                high=length_m + 2 * _PLACE_STEP_M,
+                unit="m",
+                details=SharedPlace(
+                    runs=tuple(names),
+                    most_runs=int(count[first : last + 1].max()),
+                    chance=float(chance),
+                ),
+                place_m=(place.low_m, place.high_m),
             )
         )
     return found
+
+
+def _braked_track(a: Aligned, spans: list[_Span]) -> _Span:
+    """Return the positions between which a run brakes or slides."""
+    change_m_s2 = np.nan_to_num(rolling.slope(a.time_s, a.vehicle))
+    is_braked = np.isfinite(a.position) & (change_m_s2 < _BRAKED_TRACK_M_S2)
+    positions = [*a.position[is_braked]]
+    for span in spans:
+        positions += [span.low_m, span.high_m]
+    return _Span(min(positions), max(positions))
+
+
+def _runs_that_slide(
+    grid_m: np.ndarray,
+    spans: dict[int, list[_Span]],
+    braked: dict[int, _Span],
+    shift_m: dict[int, float],
+) -> np.ndarray:
+    """Return how many runs slide in each step of the grid, with the slides of each run shifted."""
+    count = np.zeros(grid_m.size)
+    for run, run_spans in spans.items():
+        track = braked[run]
+        length_m = max(track.high_m - track.low_m, _PLACE_STEP_M)
+        slides_at = np.zeros(grid_m.size, bool)
+        for span in run_spans:
+            from_track_m = span.low_m - track.low_m + shift_m.get(run, 0.0)
+            start_m = track.low_m + from_track_m % length_m
+            end_m = start_m + span.high_m - span.low_m
+            slides_at |= (grid_m + _PLACE_STEP_M > start_m) & (grid_m < end_m)
+        count += slides_at
+    return count
+
+
+def _meets(spans: list[_Span], place: _Span) -> bool:
+    """Whether one of the slides of a run is in a place."""
+    return any(span.high_m > place.low_m and span.low_m < place.high_m for span in spans)

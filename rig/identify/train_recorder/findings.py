@@ -1,0 +1,149 @@
+"""What can be found in a recording: the names of the findings, and a typed record of each.
+
+A finding holds numbers and names only. The report makes its sentence (`realtime.reports.recorder`).
+"""
+
+from typing import NamedTuple
+
+# every name that a finding may have, in the order of the report
+NAMES = (
+    "wrong_unit",
+    "clock_step",
+    "old_messages",
+    "copy",
+    "interpolated",
+    "sensor_dropout",
+    "sensor_stuck",
+    "speed_sensor_delay",
+    "wheel_radius",
+    "wheel_radius_step",
+    "slide",
+    "slippery_place",
+    "unknown",
+)
+
+
+# --- details: what a finding knows beyond its place and size ---
+
+# evidence of a wrong unit
+POSITION = "position"
+OTHER_CHANNELS = "other_channels"
+DECELERATION = "deceleration"
+
+# reasons of a drop-out
+NO_SAMPLES = "no_samples"
+NO_VALUES = "no_values"
+ZEROS = "zeros"
+
+
+class WrongUnit(NamedTuple):
+    """`wrong_unit`: the numbers are in one unit, dataset.toml declares another."""
+
+    true_unit: str
+    declared_unit: str
+    evidence: str  # POSITION, OTHER_CHANNELS or DECELERATION
+    deceleration_m_s2: float  # implausible one that is the evidence; NaN for other evidence
+
+
+class ClockStep(NamedTuple):
+    """`clock_step`: the stamps jump while the motion goes on."""
+
+    whole_seconds: int  # size where it is a whole number within its error, else 0
+    returns: bool  # the stamps jump back at the end
+
+
+class DropOut(NamedTuple):
+    """`sensor_dropout`: reasons in their order, without repetition."""
+
+    reasons: tuple[str, ...]  # NO_SAMPLES, NO_VALUES, ZEROS
+
+
+class StuckValue(NamedTuple):
+    """`sensor_stuck`: the value that the channel holds."""
+
+    speed_m_s: float
+
+
+class CopySource(NamedTuple):
+    """`copy`: where the copied samples come from."""
+
+    run: str
+    start_s: float
+
+
+class Delay(NamedTuple):
+    """`speed_sensor_delay`: the other side of the comparison. A positive size means late."""
+
+    of_reference: bool  # the delayed channel is the reference
+    against: str  # name of a single channel; "" for the median of several speeds
+
+
+class WheelRadius(NamedTuple):
+    """`wheel_radius` and `wheel_radius_step`: which wheels, and for how long."""
+
+    vehicle_id: str
+    until: str | None  # last date with this radius, None if the radius never steps
+    ambiguous: bool  # two speeds without a reference: either of them may be wrong
+
+
+class Sliding(NamedTuple):
+    """`slide`: one episode."""
+
+    duration_s: float
+    initial_speed_m_s: float
+    adhesion_at_least: float  # lower bound of the mean adhesion used; NaN if unknown
+
+
+class SharedPlace(NamedTuple):
+    """`slippery_place`: the runs that slide there."""
+
+    runs: tuple[str, ...]
+    most_runs: int  # largest number of runs that slide at one position
+    chance: float  # probability that independent slides meet as often
+
+
+class SpeedOffset(NamedTuple):
+    """`unknown`: a speed differs from the vehicle's."""
+
+    faster: bool
+
+
+class SpeedScatter(NamedTuple):
+    """`unknown`: a speed scatters from sample to sample."""
+
+    times_usual: float
+
+
+Details = (
+    WrongUnit
+    | ClockStep
+    | DropOut
+    | StuckValue
+    | CopySource
+    | Delay
+    | WheelRadius
+    | Sliding
+    | SharedPlace
+    | SpeedOffset
+    | SpeedScatter
+)
+
+
+class Finding(NamedTuple):
+    """A finding: where, when and on which channels, and its `size` with the 95 % interval.
+
+    Times are stamps of the run, in s. `run` is "" where the finding holds for all runs.
+    """
+
+    name: str  # one of NAMES
+    channels: tuple[str, ...]
+    run: str
+    start_s: float
+    end_s: float
+    size: float
+    low: float
+    high: float
+    unit: str  # of size, low and high
+    details: Details | None = None  # None for old_messages and interpolated
+    date: str = ""
+    place_m: tuple[float, float] | None = None  # first and last position
