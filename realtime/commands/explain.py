@@ -77,22 +77,13 @@ def _explain_braking_runs(given: argparse.Namespace, data: "Dataset", out: Path)
 
 
 def _explain_creep_curve(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
-    from rollerrig.realtime.reports import tuning as report_page
+    from rollerrig.realtime.reports import creep_curve
     from rollerrig.realtime.telemetry import study_view
     from rollerrig.rig.identify.paper import polach_fit
 
     fitted = polach_fit.fit(data, given.seed)
-    report = polach_fit.as_json(data, fitted)
     study_view.creep_points(out / "report.rrd", data)
-    return _write_and_show(
-        given,
-        out,
-        name=data.name,
-        report=report,
-        lines=polach_fit.story(report),
-        html=report_page.polach_page(data, fitted),
-        extended=f"# {data.name}: a creep curve has nothing that a scenario can load\n",
-    )
+    return study.publish(given, out, "report", creep_curve.explain_report(data, fitted))
 
 
 def _is_recorder(names: list[str]) -> bool:
@@ -107,8 +98,6 @@ def _is_recorder(names: list[str]) -> bool:
 
 
 def _explain_recorder(given: argparse.Namespace) -> int:
-    from rich.text import Text
-
     from rollerrig.realtime.reports import recorder as report
     from rollerrig.realtime.telemetry import study_view
     from rollerrig.rig.identify.train_recorder import recording, verdict
@@ -116,23 +105,11 @@ def _explain_recorder(given: argparse.Namespace) -> int:
     data = recording.load(given.dataset[0])
     out = study.report_folder(given.dataset, given.out, "explain")
     with output.progress_of(lambda: f"explaining {data.name}"):
-        found = verdict.explain(data)
-
-    as_json = verdict.as_json(found)
-    study.write_report(out, "report", as_json, report.page(found))
+        account = verdict.explain(data)
     study_view.recorded(
-        out / "report.rrd",
-        data.name,
-        report.courses(found),
-        [(f.run, f.start_s, f"{f.name}: {f.text}") for f in (*found.findings, *found.unknown)],
+        out / "report.rrd", data.name, report.courses(account), report.remarks(account)
     )
-    return output.show(
-        given,
-        as_json,
-        Text(f"{found.verdict}: {data.name}", "bold"),
-        *map(Text, verdict.story(found)),
-        f"report: {out / 'report.html'}, {out / 'report.rrd'}",
-    )
+    return study.publish(given, out, "report", report.report(account))
 
 
 # --- input ---
@@ -206,6 +183,7 @@ def write_and_show(
     `stops` further stops are proposed. `more_entries` are added to report.json.
     """
     from rollerrig.realtime.reports import cause_report, cause_sentences, extended_model
+    from rollerrig.realtime.reports.study import Model, StudyReport, verdict_and_sentences
     from rollerrig.realtime.telemetry import study_view
 
     report = cause_report.as_json(diagnosis) | more_entries
@@ -220,38 +198,16 @@ def write_and_show(
         causes,
         cause_report.adhesion_courses(diagnosis),
     )
-    return _write_and_show(
+    return study.publish(
         given,
         out,
-        name=diagnosis.data.name,
-        report=report,
-        lines=lines,
-        html=cause_report.page(diagnosis, report),
-        extended=extended_model.toml(diagnosis),
-    )
-
-
-def _write_and_show(
-    given: argparse.Namespace,
-    out: Path,
-    *,
-    name: str,
-    report: dict[str, Any],
-    lines: list[str],
-    html: str,
-    extended: str,
-) -> int:
-    """Write report.json, report.html and extended.toml, and show verdict and sentences."""
-    from rich.text import Text
-
-    study.write_report(out, "report", report, html)
-    (out / "extended.toml").write_text(extended, encoding="utf-8")
-    return output.show(
-        given,
-        report,
-        Text(f"{report['verdict']}: {name}", "bold"),
-        *map(Text, lines),
-        f"report: {out / 'report.html'}, {out / 'report.rrd'}; model: {out / 'extended.toml'}",
+        "report",
+        StudyReport(
+            result=report,
+            page=cause_report.page(diagnosis, report),
+            summary=verdict_and_sentences(report["verdict"], diagnosis.data.name, lines),
+            model=Model("extended.toml", extended_model.toml(diagnosis)),
+        ),
     )
 
 

@@ -1,14 +1,17 @@
 """What the study commands share: `tune`, `validate`, `explain` and `discover` open a dataset and write a report."""
 
+import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.commands import output
 from rollerrig.realtime.record.files import writing
 
 if TYPE_CHECKING:
+    from rollerrig.realtime.reports.study import StudyReport
     from rollerrig.rig.identify.data.runs import Dataset
 
 
@@ -52,7 +55,28 @@ def report_folder(names: list[str], out: Path | None, verb: str) -> Path:
     return folder
 
 
-def write_report(folder: Path, name: str, report: dict[str, Any], page: str) -> None:
-    """Write NAME.json and NAME.html of a report into its folder."""
-    (folder / f"{name}.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    (folder / f"{name}.html").write_text(page, encoding="utf-8")
+def publish(
+    given: argparse.Namespace,
+    folder: Path,
+    name: str,
+    report: "StudyReport",
+    has_recording: bool = True,
+) -> int:
+    """Write the files of a report and print it; return the exit status.
+
+    The files are NAME.json, NAME.html, and the model. The caller writes NAME.rrd, which is only
+    listed here.
+    """
+    page = folder / f"{name}.html"
+    page.write_text(report.page, encoding="utf-8")
+    data = json.dumps(report.result, indent=2) + "\n"
+    (folder / f"{name}.json").write_text(data, encoding="utf-8")
+
+    files = f"report: {page}"
+    if has_recording:
+        files += f", {folder / name}.rrd"
+    if report.model is not None:
+        model = folder / report.model.file_name
+        model.write_text(report.model.toml, encoding="utf-8")
+        files += f"; model: {model}"
+    return output.show(given, report.result, *report.summary, files)

@@ -77,18 +77,12 @@ def tune(given: argparse.Namespace) -> int:
 
 def _tune_creep_curve(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
     """Fit Polach's parameters to a creep curve, and report them."""
-    from rollerrig.realtime.reports import tuning as report
+    from rollerrig.realtime.reports import creep_curve
     from rollerrig.rig.identify.paper import polach_fit
 
     fitted = polach_fit.fit(data, given.seed)
-    result = report.polach_json(data, fitted)
-    study.write_report(out, "tune", result, report.polach_page(data, fitted))
-    return output.show(
-        given,
-        result,
-        (f"fitted to {data.name}", report.HEAD, report.polach_rows(result)),
-        f"report: {out / 'tune.html'}",
-    )
+    report = creep_curve.tune_report(data, fitted)
+    return study.publish(given, out, "tune", report, has_recording=False)
 
 
 def _tune_recovery(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
@@ -97,21 +91,8 @@ def _tune_recovery(given: argparse.Namespace, data: "Dataset", out: Path) -> int
     from rollerrig.realtime.telemetry import study_view
 
     tuned = _tuned(data, given.seed)
-    result = report.tune_json(data, tuned)
-    study.write_report(out, "tune", result, report.tune_page(data, tuned))
     study_view.tuned(out / "tune.rrd", data, tuned)
-    model = out / "tuned.toml"
-    model.write_text(
-        f"# tuned on {data.name} by rollerrig tune; load it with: rollerrig run ... --model\n"
-        f"[adhesion]\ntau_m_J = {tuned.tau_m_J.value!r}\n",
-        encoding="utf-8",
-    )
-    return output.show(
-        given,
-        result,
-        (f"tuned on {data.name}", report.HEAD, report.tune_rows(result)),
-        f"report: {out / 'tune.html'}, {out / 'tune.rrd'}; model: {model}",
-    )
+    return study.publish(given, out, "tune", report.tune_report(data, tuned))
 
 
 def validate(given: argparse.Namespace) -> int:
@@ -143,24 +124,8 @@ def _validate_runs(given: argparse.Namespace, data: "Dataset", out: Path) -> int
     # with a tau from elsewhere no run was fitted, so the tuning runs can be judged, too
     group = "validate" if data.group("validate") or given.tau is None else "tune"
     verdicts = validation.validate(data, tau.value, group)
-    result = report.validate_json(data, tau, verdicts)
-    study.write_report(out, "validate", result, report.validate_page(data, tau, verdicts))
     study_view.validated(out / "validate.rrd", data, verdicts)
-
-    errors = [
-        f"{name:8} mean absolute error: mean sliding {error['mean_1_m_s']:.3f} m/s, "
-        f"standard deviation {error['std_1_m_s']:.3f} m/s (wheelset 1); "
-        f"rms of f {error['adhesion_rmse']:.4f}"
-        for name, error in result["errors"].items()
-    ]
-    title = f"{result['dataset']}: Table 6 with tau = {tau.value:.4g} m/J, m/s"
-    return output.show(
-        given,
-        result,
-        (title, *report.table6(verdicts)),
-        *errors,
-        f"report: {out / 'validate.html'}, {out / 'validate.rrd'}",
-    )
+    return study.publish(given, out, "validate", report.validate_report(data, tau, verdicts))
 
 
 def _recovery(given: argparse.Namespace, data: "Dataset") -> "Interval":

@@ -1,19 +1,20 @@
 """Tunes the recovery of adhesion as the paper does: tau from measured transitions, with an interval.
 
-Measured wheel speeds, loads and torques give the adhesion that acted; between the degraded and the recovered curve it
-shows how far the contact had recovered, and by the work of sliding that should be 1 - exp(-tau W). The contaminant's
-mu_cd is free in each run; all other parameters stay those of the dataset, within its calibration tolerances.
+Measured wheel speeds, loads and torques give the adhesion that acted. Its place between the degraded
+and the recovered curve shows how far the contact had recovered. By the work of sliding that should
+be 1 - exp(-tau W). The contaminant's mu_cd is free in each run. All other parameters stay those of
+the dataset, within its calibration tolerances.
 
     [U1] T = (J domega/dt + C) / r,  f = T / N                                   paper eq. 19
     [U2] s = v - r omega,  W_sp = f N |s / v|, for one wheel                      paper eq. 20
     [U3] least squares of (f_r - f_d) (lambda - 1 + exp(-tau W_sp)), lambda = (f - f_d) / (f_r - f_d)
                                                                                   paper eq. 21
-    [U4] greatest likelihood of the measured wheel speeds, one sample ahead (`tuning`)
+    [U4] greatest likelihood of the measured wheel speeds, one sample ahead (`fitting`)
 
-[U3] is biased where the rail is irregular: wheels slide more where friction is less, so that sliding
-and friction go against each other, and the noise of f stands in W too. On sets with 2 % of
-irregularity and a known tau its least squares were 1 to 5 % low. [U4] carries the irregularity as a
-state and was right within 0.2 % in the mean; its value is the result, [U3] stands beside it. The
+[U3] is biased where the rail is irregular. Wheels slide more where friction is less, so that sliding
+and friction are correlated, and the noise of f is also in W. On datasets with 2 % of irregularity
+and a known tau its least squares were 1 to 5 % low. [U4] estimates the irregularity as a state and
+was right within 0.2 % in the mean. Its value is the result; [U3] is reported for comparison. The
 interval is a bootstrap of [U4]: blocks of 3 s within each run, and the declared tolerances.
 Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, section 4.
 """
@@ -36,17 +37,46 @@ from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import fitting
 
-LEAST_SLIDING_M_S, LEAST_SPEED_M_S = 0.3, 4.0
+# Samples count where the wheel slides by more, the vehicle is faster, and the wheel does not lock.
+LEAST_SLIDING_M_S = 0.3
+LEAST_SPEED_M_S = 4.0
+MOST_CREEPAGE = 0.95
+
+# s. Samples this far apart count as independent.
 THINNED_TO_S = 0.05
+
+# samples. With fewer the runs do not show recovery.
+LEAST_SAMPLES = 100
+
+# samples. With fewer in one run its mu_cd is not fitted.
+LEAST_SAMPLES_OF_RUN = 10
+
+# s. Blocks of the bootstrap, and number of its replicates.
 BLOCK_S = 3.0
 REPLICATES = 400
-LEAST_SAMPLES = 100
+
+# runs. With fewer the interval does not include what changes from run to run.
+LEAST_RUNS = 3
+
+# bounds of the fits: tau in m/J
 TAU_BOUNDS = (1e-8, 1.0)
 MU_BOUNDS = (1e-3, 1.0)
 
+# m/J. A fit of tau starts here if the base model has no recovery.
+_LEAST_START_TAU_M_J = 1e-5
+
+# standard deviations. A larger deviation of a wheel speed is an outlier.
+_MOST_DEVIATIONS = 6.0
+
+# f_r - f_d is taken as at least this where something is divided by it
+_LEAST_SPREAD = 1e-9
+
+# number of a block = number of its run x this + block within the run
+_BLOCKS_OF_RUN = 100_000
+
 
 class Interval(NamedTuple):
-    """A value and the bounds that hold it in 95 of 100 cases."""
+    """A value with the bounds of its 95 % interval."""
 
     value: float
     low: float
@@ -54,16 +84,16 @@ class Interval(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What a fit sees: arrays (n,); `run` counts the runs of the fit."""
+    """The samples of a fit: arrays (n,); `run` counts the runs of the fit."""
 
     run: np.ndarray
     axle: np.ndarray
     time_s: np.ndarray
     sliding_m_s: np.ndarray
     speed_m_s: np.ndarray
-    load_N: np.ndarray  # wheelset
+    load_N: np.ndarray  # of the wheelset
     adhesion: np.ndarray
-    creepage: np.ndarray  # as much of it as cleans
+    creepage: np.ndarray  # the part that cleans
 
     @property
     def energy_J_m(self) -> np.ndarray:
@@ -72,138 +102,177 @@ class Samples(NamedTuple):
 
 
 class Tuned(NamedTuple):
-    """The result: intervals, errors in f, and what the plots show."""
+    """The result: intervals, errors of f, and the courses for plots (n,)."""
 
     tau_m_J: Interval
-    mu_cd: dict[str, Interval]
+    mu_cd: dict[str, Interval]  # by run
     tau_paper_m_J: float  # [U3]
     rmse: float
     rmse_base: float  # with the dataset's tau, mu_cd fitted
     rmse_classic: float  # without recovery, mu_cd fitted
     samples: Samples
-    transition: np.ndarray  # measured lambda, (n,)
-    degraded: np.ndarray
-    recovered: np.ndarray
+    transition: np.ndarray  # measured lambda
+    degraded: np.ndarray  # f_d
+    recovered: np.ndarray  # f_r
     model: np.ndarray  # f
     warnings: list[str]
 
 
-def contact(data: Dataset) -> tuple[Patch, Law]:
-    """Patch and law of a dataset's base model."""
-    return patch_of(data), params.law_of(data.sections["adhesion"])
+class ContactModel(NamedTuple):
+    """Contact patch and adhesion law of a base model."""
+
+    patch: Patch
+    law: Law
+
+
+def contact(data: Dataset) -> ContactModel:
+    """Return patch and law of a dataset's base model."""
+    return ContactModel(patch_of(data), params.law_of(data.sections["adhesion"]))
 
 
 def collect(design: Design, cleaning_creepage: float) -> Samples:
-    """The samples in which wheels slide under the brake, thinned to independent ones [U1] [U2]."""
-    every = max(1, round(THINNED_TO_S / design.step_s))
-    number = np.concatenate([np.arange(n) for n in np.diff(design.start)])
-    run, axle = (np.repeat(x, np.diff(design.start)) for x in (design.run, design.axle))
+    """Return the samples in which wheels slide under the brake, thinned to independent ones [U1] [U2]."""
+    samples_of_segment = np.diff(design.start)
+    number_in_segment = np.concatenate([np.arange(count) for count in samples_of_segment])
+    run = np.repeat(design.run, samples_of_segment)
+    axle = np.repeat(design.axle, samples_of_segment)
+
     creepage = design.sliding_m_s / design.speed_m_s
-    shares = np.array(
+    cleaning_shares = np.array(
         [
-            adhesion.cleaning_share(s, v, cleaning_creepage)[0]
-            for s, v in zip(design.sliding_m_s, design.speed_m_s, strict=True)
+            adhesion.cleaning_share(sliding, speed, cleaning_creepage)[0]
+            for sliding, speed in zip(design.sliding_m_s, design.speed_m_s, strict=True)
         ]
     )
+    every = max(1, round(THINNED_TO_S / design.step_s))
     keep = (
-        (number % every == 0)
+        (number_in_segment % every == 0)
         & (design.sliding_m_s > LEAST_SLIDING_M_S)
         & (design.speed_m_s > LEAST_SPEED_M_S)
-        & (creepage < 0.95)
+        & (creepage < MOST_CREEPAGE)
     )
     return Samples(
-        *(
-            part[keep]
-            for part in (
-                run,
-                axle,
-                design.time_s,
-                design.sliding_m_s,
-                design.speed_m_s,
-                design.load_N,
-                design.adhesion,
-                creepage * shares,
-            )
-        )
+        run=run[keep],
+        axle=axle[keep],
+        time_s=design.time_s[keep],
+        sliding_m_s=design.sliding_m_s[keep],
+        speed_m_s=design.speed_m_s[keep],
+        load_N=design.load_N[keep],
+        adhesion=design.adhesion[keep],
+        creepage=(creepage * cleaning_shares)[keep],
     )
 
 
 @kernel
 def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, out):
-    """f, f_d, f_r of the model at each sample, into out (n, 3)."""
+    """Write f, f_d, f_r of the model at each sample into out (n, 3)."""
     for i in range(sliding_m_s.size):
         f, f_d, f_r, _, _, _ = wheelset.wheelset_adhesion(
             sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i], law.mu_cr, patch, law
         )
-        out[i, 0], out[i, 1], out[i, 2] = f, f_d, f_r
+        out[i, 0] = f
+        out[i, 1] = f_d
+        out[i, 2] = f_r
 
 
-def predicted(
-    s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: tuple[Patch, Law]
-) -> np.ndarray:
-    """(n, 3) f, f_d, f_r for a recovery and the contaminants of the runs, mu_cd (runs,)."""
-    patch, law = model
+class Predicted(NamedTuple):
+    """Adhesion of the model at each sample, (n,)."""
+
+    f: np.ndarray
+    degraded: np.ndarray  # f_d
+    recovered: np.ndarray  # f_r
+
+
+def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: ContactModel) -> Predicted:
+    """Return the adhesion for a recovery and the contaminants of the runs, mu_cd (runs,)."""
     out = np.empty((s.run.size, 3))
     curves(
         s.sliding_m_s,
         s.speed_m_s,
         s.load_N,
         mu_cd[s.run],
-        patch,
-        law._replace(tau_m_J=tau_m_J),
+        model.patch,
+        model.law._replace(tau_m_J=tau_m_J),
         out,
     )
-    return out
+    return Predicted(*out.T)
 
 
 class _Fit:
-    """Free parameters as logarithms: tau if it is free, then mu_cd of the runs that leave it free."""
+    """A least-squares fit of tau, and of mu_cd of the runs that do not state it.
+
+    The free parameters are logarithms: first tau, unless it is given, then mu_cd of the free runs.
+    """
 
     def __init__(
         self,
         s: Samples,
-        model: tuple[Patch, Law],
-        stated: list[float | None],
+        model: ContactModel,
+        stated_mu_cd: list[float | None],
         tau_m_J: float | None,
     ) -> None:
-        self.s, self.model, self.stated, self.tau = s, model, stated, tau_m_J
-        self.free = [i for i, mu in enumerate(stated) if mu is None and np.any(s.run == i)]
+        self.s = s
+        self.model = model
+        self.tau_m_J = tau_m_J
+        self._mu_cd = np.array(
+            [model.law.mu_cd if stated is None else stated for stated in stated_mu_cd]
+        )
+        self._free_runs = [
+            run
+            for run, stated in enumerate(stated_mu_cd)
+            if stated is None and np.any(s.run == run)
+        ]
 
     def unpack(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        mu = np.array([self.model[1].mu_cd if m is None else m for m in self.stated])
-        mu[self.free] = np.exp(x[-len(self.free) :]) if self.free else mu[self.free]
-        return (float(np.exp(x[0])) if self.tau is None else self.tau), mu
+        """Return tau, m/J, and mu_cd (runs,)."""
+        mu_cd = self._mu_cd.copy()
+        if self._free_runs:
+            mu_cd[self._free_runs] = np.exp(x[-len(self._free_runs) :])
+        tau_m_J = float(np.exp(x[0])) if self.tau_m_J is None else self.tau_m_J
+        return tau_m_J, mu_cd
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        tau, mu = self.unpack(x)
-        return predicted(self.s, tau, mu, self.model)[:, 0] - self.s.adhesion
+        """Return the error of f (n,)."""
+        tau_m_J, mu_cd = self.unpack(x)
+        return predicted(self.s, tau_m_J, mu_cd, self.model).f - self.s.adhesion
 
     def paper_residual(self, x: np.ndarray) -> np.ndarray:
-        tau, mu = self.unpack(x)
-        _, f_d, f_r = predicted(self.s, tau, mu, self.model).T
-        return (
-            self.s.adhesion
-            - f_d
-            - (f_r - f_d) * -np.expm1(-tau * np.maximum(self.s.energy_J_m, 0.0))
-        )  # [U3]
+        """Return the paper's error (n,) [U3]."""
+        tau_m_J, mu_cd = self.unpack(x)
+        _, f_d, f_r = predicted(self.s, tau_m_J, mu_cd, self.model)
+        transition = -np.expm1(-tau_m_J * np.maximum(self.s.energy_J_m, 0.0))
+        return self.s.adhesion - f_d - (f_r - f_d) * transition  # [U3]
 
     def solve(
         self, residual: Callable[[np.ndarray], np.ndarray] | None = None
     ) -> tuple[np.ndarray, float]:
-        """(x, rms of the residual)."""
-        head = [np.log(max(self.model[1].tau_m_J, 1e-5))] if self.tau is None else []
-        x0 = np.array(head + [np.log(self.model[1].mu_cd)] * len(self.free))
+        """Return the free parameters and the rms of the residual."""
+        law = self.model.law
+        start = []
+        bounds = []
+        if self.tau_m_J is None:
+            start.append(np.log(max(law.tau_m_J, _LEAST_START_TAU_M_J)))
+            bounds.append(TAU_BOUNDS)
+        for _ in self._free_runs:
+            start.append(np.log(law.mu_cd))
+            bounds.append(MU_BOUNDS)
+
+        x0 = np.array(start)
         if not x0.size:
             return x0, rms(self.residual(x0))
-        bounds = np.log([TAU_BOUNDS] * len(head) + [MU_BOUNDS] * len(self.free)).T
-        found = least_squares(
-            residual or self.residual, x0, bounds=bounds, x_scale=0.3, ftol=1e-12, xtol=1e-10
+        solution = least_squares(
+            residual or self.residual,
+            x0,
+            bounds=np.log(bounds).T,
+            x_scale=0.3,
+            ftol=1e-12,
+            xtol=1e-10,
         )
-        return found.x, rms(found.fun)
+        return solution.x, rms(solution.fun)
 
 
 def rms(values: np.ndarray) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(values * values)))
 
 
@@ -212,108 +281,139 @@ def tune(data: Dataset, seed: int = 0) -> Tuned:
     runs = data.group("tune")
     design = prepare(data, runs)
     model = contact(data)
-    s = collect(design, model[1].cleaning_creepage)
+    s = collect(design, model.law.cleaning_creepage)
     if s.run.size < LEAST_SAMPLES:
         raise ConfigError(
             f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "
-            f"of the tuning runs, {LEAST_SAMPLES} are needed; give runs in which the WSP works"
+            f"of the tuning runs; {LEAST_SAMPLES} are needed; give runs in which the WSP works"
         )
-    intervals = likeliest(design, model[1].mu_cd, seed)
+
+    intervals = likeliest(design, model.law.mu_cd, seed)
     tau = intervals.pop("tau")
-    fit, base, classic, paper = (
-        _Fit(s, model, [None] * len(runs), one) for one in (tau.value, model[1].tau_m_J, 0.0, None)
-    )
+    mu_cd = dict(zip([run.name for run in runs], intervals.values(), strict=True))
+
+    # the error of f with this tau, the dataset's tau and no recovery; mu_cd is fitted each time
+    nothing_stated: list[float | None] = [None] * len(runs)
+    fit = _Fit(s, model, nothing_stated, tau.value)
     x, rmse = fit.solve()
-    f, f_d, f_r = predicted(s, *fit.unpack(x), model).T
-    warnings = list(data.warnings)
-    if not TAU_BOUNDS[0] * 1.01 < tau.value < TAU_BOUNDS[1] * 0.99 or tau.low <= 0.0:
-        warnings.append(
-            f"tau = {tau.value:.3g} m/J stands at a bound: the runs do not show recovery"
-        )
-    if len(runs) < 3:
-        warnings.append(
-            f"tau comes from {len(runs)} runs: what changes from run to run is not in its interval"
-        )
+    _, rmse_base = _Fit(s, model, nothing_stated, model.law.tau_m_J).solve()
+    _, rmse_classic = _Fit(s, model, nothing_stated, 0.0).solve()
+    paper_fit = _Fit(s, model, nothing_stated, None)
+    paper_x, _ = paper_fit.solve(paper_fit.paper_residual)
+    tau_paper_m_J, _ = paper_fit.unpack(paper_x)
+
+    tau_m_J, fitted_mu_cd = fit.unpack(x)
+    f, f_d, f_r = predicted(s, tau_m_J, fitted_mu_cd, model)
     return Tuned(
         tau_m_J=tau,
-        mu_cd=dict(zip([run.name for run in runs], intervals.values(), strict=True)),
-        tau_paper_m_J=float(np.exp(paper.solve(paper.paper_residual)[0][0])),
+        mu_cd=mu_cd,
+        tau_paper_m_J=tau_paper_m_J,
         rmse=rmse,
-        rmse_base=base.solve()[1],
-        rmse_classic=classic.solve()[1],
+        rmse_base=rmse_base,
+        rmse_classic=rmse_classic,
         samples=s,
-        transition=(s.adhesion - f_d) / np.maximum(f_r - f_d, 1e-9),
+        transition=(s.adhesion - f_d) / np.maximum(f_r - f_d, _LEAST_SPREAD),
         degraded=f_d,
         recovered=f_r,
         model=f,
-        warnings=warnings,
+        warnings=[*data.warnings, *_warnings(tau, len(runs))],
     )
+
+
+def _warnings(tau: Interval, runs: int) -> list[str]:
+    warnings = []
+    lowest, highest = TAU_BOUNDS
+    if not lowest * 1.01 < tau.value < highest * 0.99 or tau.low <= 0.0:
+        warnings.append(f"tau = {tau.value:.3g} m/J is at a bound: the runs do not show recovery")
+    if runs < LEAST_RUNS:
+        warnings.append(
+            f"tau comes from {runs} runs: its interval does not include changes from run to run"
+        )
+    return warnings
 
 
 def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
-    """tau and mu_cd of each run by [U4], with their intervals; keys "tau", "mu_cd_0" ...
+    """Return tau and mu_cd of each run by [U4] with their intervals; keys "tau", "mu_cd_0" ...
 
-    A replicate draws the 3 s blocks of each run anew and the declared tolerances, and takes one
-    Gauss-Newton step from the optimum. What whole runs pull apart is added: blocks do not know it.
+    A replicate of the bootstrap draws the 3 s blocks of each run and the declared tolerances anew,
+    and takes one Gauss-Newton step from the optimum. Blocks do not know what changes from run to
+    run, so this deviation is added.
     """
     explanation, _, _ = fitting.fit(design, candidates.untuned(design))
-    found, linear, responses = fitting.normal_equations(design, explanation, False)
-    at = fitting.base_columns(found.matrix)
-    labels = [found.matrix.columns[c].label for c in at]
-    prior = np.array([found.matrix.columns[c].prior for c in at])
-    Z = fitting.wheel_responses(design, responses, at)
-    z = np.clip(linear.nu / np.sqrt(linear.variance), -6.0, 6.0)
-    rest = found.A[np.ix_(at, at)] - Z.T @ Z  # the vehicle's balance and the tolerances
-    run = np.repeat(design.run, np.diff(design.start))
-    blocks, of = np.unique(
-        run * 100_000 + (design.time_s // BLOCK_S).astype(int), return_inverse=True
-    )
-    A = np.array([Z[of == i].T @ Z[of == i] for i in range(blocks.size)])
-    b = np.array([Z[of == i].T @ z[of == i] for i in range(blocks.size)])
-    of_run = [np.flatnonzero(blocks // 100_000 == i) for i in range(design.mass_kg.size)]
-    between = _between_runs(rest + A.sum(axis=0), np.array([b[m].sum(axis=0) for m in of_run]))
+    normal, linear, responses = fitting.normal_equations(design, explanation, False)
+    columns = fitting.base_columns(normal.matrix)
+    labels = [normal.matrix.columns[column].label for column in columns]
+    prior = np.array([normal.matrix.columns[column].prior for column in columns])
+
+    # scaled sensitivities Z (samples, coefficients) and deviations z (samples,) of the wheel speeds
+    Z = fitting.wheel_responses(design, responses, columns)
+    z = np.clip(linear.nu / np.sqrt(linear.variance), -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+    # what the wheel speeds do not give: the vehicle's balance and the tolerances
+    rest = normal.A[np.ix_(columns, columns)] - Z.T @ Z
+
+    # normal equations of each block
+    run_of_sample = np.repeat(design.run, np.diff(design.start))
+    block_of_sample = run_of_sample * _BLOCKS_OF_RUN + (design.time_s // BLOCK_S).astype(int)
+    blocks, block_index = np.unique(block_of_sample, return_inverse=True)
+    A = np.array([Z[block_index == i].T @ Z[block_index == i] for i in range(blocks.size)])
+    b = np.array([Z[block_index == i].T @ z[block_index == i] for i in range(blocks.size)])
+
+    runs = design.mass_kg.size
+    blocks_of_run = [np.flatnonzero(blocks // _BLOCKS_OF_RUN == run) for run in range(runs)]
+    b_of_run = np.array([b[members].sum(axis=0) for members in blocks_of_run])
+    between_runs = _deviation_between_runs(rest + A.sum(axis=0), b_of_run)
     b -= b.mean(axis=0)
+
     rng = np.random.default_rng(seed)
-    spread = np.empty((REPLICATES, len(at)))
+    moves = np.empty((REPLICATES, len(columns)))
     for i in range(REPLICATES):
-        picked = np.concatenate([rng.choice(m, m.size) for m in of_run])
-        shift = np.where(
-            prior > 0.0, rng.standard_normal(prior.size) / np.maximum(prior, 1e-12), 0.0
+        drawn = np.concatenate([rng.choice(members, members.size) for members in blocks_of_run])
+        tolerance = rng.standard_normal(prior.size) / np.maximum(prior, 1e-12)
+        shift = np.where(prior > 0.0, tolerance, 0.0)
+        moves[i] = fitting.solve(rest + A[drawn].sum(axis=0), b[drawn].sum(axis=0) + shift)[0]
+    low, high = np.percentile(moves, (2.5, 97.5), axis=0)
+    wider = np.hypot(1.0, between_runs / np.maximum(moves.std(axis=0), 1e-12))
+    low = low * wider
+    high = high * wider
+
+    # the coefficients are logarithms of a parameter over its base value
+    base_values = {"ln_tau": float(design.base[TAU])}
+    for run in range(runs):
+        base_values[f"ln_mu_cd_{run}"] = mu_cd
+    intervals = {}
+    for label, base_value in base_values.items():
+        at = labels.index(label)
+        optimum = explanation.base.get(label, 0.0)
+        intervals[label.removeprefix("ln_")] = Interval(
+            value=float(base_value * np.exp(optimum)),
+            low=float(base_value * np.exp(optimum + low[at])),
+            high=float(base_value * np.exp(optimum + high[at])),
         )
-        spread[i] = fitting.solve(rest + A[picked].sum(axis=0), b[picked].sum(axis=0) + shift)[0]
-    low, high = np.percentile(spread, (2.5, 97.5), axis=0)
-    wider = np.hypot(1.0, between / np.maximum(spread.std(axis=0), 1e-12))
-    low, high = low * wider, high * wider
-    units = {"ln_tau": float(design.base[TAU])} | {
-        f"ln_mu_cd_{i}": mu_cd for i in range(design.mass_kg.size)
-    }
-    return {
-        label.removeprefix("ln_"): Interval(
-            *(
-                float(unit * np.exp(explanation.base.get(label, 0.0) + y))
-                for y in (0.0, low[k], high[k])
-            )
-        )
-        for label, unit in units.items()
-        for k in (labels.index(label),)
-    }
+    return intervals
 
 
-def _between_runs(A: np.ndarray, pulls: np.ndarray) -> np.ndarray:
-    """Deviation of each coefficient from one run to another, `pulls` (runs, coefficients)."""
-    runs = len(pulls)
+def _deviation_between_runs(A: np.ndarray, b_of_run: np.ndarray) -> np.ndarray:
+    """Return the deviation of each coefficient from run to run, (coefficients,); 0 for a single run.
+
+    `A` is the normal matrix of all runs, `b_of_run` (runs, coefficients) the right side of each run.
+    """
+    runs = len(b_of_run)
     if runs < 2:
         return np.zeros(len(A))
-    moves = np.array([fitting.solve(A, pull)[0] for pull in pulls])
+    moves = np.array([fitting.solve(A, b)[0] for b in b_of_run])
     return np.sqrt((moves**2).sum(axis=0) * runs / (runs - 1))
 
 
 def contaminant(
-    s: Samples, model: tuple[Patch, Law], stated: float | None, tau_m_J: float
+    s: Samples, model: ContactModel, stated_mu_cd: float | None, tau_m_J: float
 ) -> tuple[float, float]:
-    """(mu_cd, rmse of f) of one run for a given recovery; mu_cd is fitted unless it is stated."""
-    if s.run.size < 10:
-        return stated or model[1].mu_cd, float("nan")
-    fit = _Fit(s, model, [stated], tau_m_J)
+    """Return mu_cd and the rms error of f of one run for a given recovery.
+
+    mu_cd is fitted unless it is stated. The error is NaN where the run has too few samples.
+    """
+    if s.run.size < LEAST_SAMPLES_OF_RUN:
+        return stated_mu_cd or model.law.mu_cd, float("nan")
+    fit = _Fit(s, model, [stated_mu_cd], tau_m_J)
     x, rmse = fit.solve()
-    return float(fit.unpack(x)[1][0]), rmse
+    _, mu_cd = fit.unpack(x)
+    return float(mu_cd[0]), rmse

@@ -210,6 +210,7 @@ def _adhesion(a: Aligned, v: np.ndarray, first: int, last: int) -> AdhesionUsed:
     half_s = max(1.0, 0.5 * (a.time_s[last] - a.time_s[first]))
     near = np.abs(a.time_s - middle_s) <= half_s + 0.5 * a.step_s
     samples = np.flatnonzero(near & np.isfinite(v))
+    deceleration: _Deceleration | None
     if np.isfinite(a.reference[samples]).mean() > 0.67:
         deceleration = _deceleration_by_reference(a, v, samples)
     else:

@@ -10,6 +10,7 @@ import tempfile
 import recorder_twin as twin
 from scipy.stats import binomtest
 
+from rollerrig.realtime.reports import recorder as report
 from rollerrig.rig.identify.train_recorder import recording, verdict
 
 KINDS = (
@@ -35,7 +36,7 @@ def main(clean, each, seed=1000):
             _, account = judged(folder, seed + k, **KINDS[k % len(KINDS)])
             if account.verdict != "consistent":
                 wrong += 1
-                print(f"seed {seed + k} {KINDS[k % len(KINDS)]}: {verdict.story(account)}")
+                print(f"seed {seed + k} {KINDS[k % len(KINDS)]}: {report.story(account)}")
         if clean:
             low, high = binomtest(wrong, clean).proportion_ci(method="wilson")
             print(

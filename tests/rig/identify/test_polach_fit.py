@@ -5,7 +5,7 @@ import pytest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
-from rollerrig.realtime.reports import tuning as report
+from rollerrig.realtime.reports import creep_curve
 from rollerrig.rig.contact import polach
 from rollerrig.rig.identify.data import dataset, parameters
 from rollerrig.rig.identify.data.runs import Curve
@@ -42,10 +42,10 @@ def test_the_patch_is_that_of_the_guides_example(locomotive):
 def test_five_parameters_and_four_reach_the_published_errors(fitted):
     # independent fits of this project's reference material: 0.0250 and 0.0281
     assert fitted.rms == pytest.approx(0.0250, abs=1e-4)
-    assert fitted.rms_no_fall == pytest.approx(0.0281, abs=2e-4)
-    assert fitted.floor == pytest.approx(0.025, abs=0.002)
-    assert fitted.means["dry"] == pytest.approx(0.134, abs=0.003)
-    assert fitted.means["wet"] == pytest.approx(-0.063, abs=0.003)
+    assert fitted.rms_without_fall == pytest.approx(0.0281, abs=2e-4)
+    assert fitted.scatter_floor == pytest.approx(0.025, abs=0.002)
+    assert fitted.mean_error_of_recommended["dry"] == pytest.approx(0.134, abs=0.003)
+    assert fitted.mean_error_of_recommended["wet"] == pytest.approx(-0.063, abs=0.003)
     assert polach_fit.falls(fitted, 148)
 
 
@@ -118,7 +118,7 @@ def test_the_model_is_the_kernels(locomotive):
 
 
 def test_the_report_shows_points_and_parameters(locomotive, fitted):
-    page = report.polach_page(locomotive, fitted)
+    page = creep_curve.tune_page(locomotive, fitted)
     assert "<svg" in page
     assert "0.0250" in page
 

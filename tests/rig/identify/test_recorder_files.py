@@ -10,6 +10,7 @@ import pyarrow.parquet
 import pytest
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.reports import recorder as report
 from rollerrig.rig.identify.train_recorder import recording, verdict
 
 BERLIN, UTC = zoneinfo.ZoneInfo("Europe/Berlin"), datetime.UTC
@@ -210,9 +211,9 @@ def test_a_local_clock_that_is_turned_without_a_zone_is_told_as_a_step_of_an_hou
     )
     account = verdict.explain(recording.load(tmp_path))
     assert [(f.name, round(f.size, 1)) for f in account.findings] == [("clock_step", size_s)], (
-        verdict.story(account)
+        report.story(account)
     )
-    assert f"{size_s:+.0f} s exactly" in account.findings[0].text
+    assert f"{size_s:+.0f} s exactly" in report.sentence(account.findings[0])
     assert run.channels["axle"].values.size == N
 
 

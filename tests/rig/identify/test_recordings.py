@@ -12,6 +12,7 @@ import recorder_twin as twin
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
+from rollerrig.realtime.reports import recorder as report
 from rollerrig.rig.identify.train_recorder import recording, verdict
 
 SOME = (36, 30, 27, 24)
@@ -43,11 +44,11 @@ def fits(found, true, bound_s=0.35):
 def test_what_is_hidden_is_named_with_its_channel_its_time_and_its_size(tmp_path, hide):
     for seed in SEEDS:
         told, account = explained(tmp_path / str(seed), "clean", seed, (hide,))
-        assert account.verdict == "explained", verdict.story(account)
+        assert account.verdict == "explained", report.story(account)
         assert {f.name for f in account.findings} == {row[0] for row in told}
         for row in told:
             mine = [f for f in account.findings if fits(f, row)]
-            assert mine, f"{row} is not among {verdict.story(account)}"
+            assert mine, f"{row} is not among {report.story(account)}"
             # the 95 % interval, doubled: a law, no lottery
             assert abs(mine[0].size - row[5]) <= mine[0].high - mine[0].low
 
@@ -65,22 +66,22 @@ def test_what_is_hidden_is_named_with_its_channel_its_time_and_its_size(tmp_path
 )
 def test_a_clean_recording_is_consistent(tmp_path, how):
     _, account = explained(tmp_path, "clean", 21, **how)
-    assert account.verdict == "consistent", verdict.story(account)
+    assert account.verdict == "consistent", report.story(account)
 
 
 @pytest.mark.parametrize("hide", [twin.drift, twin.noise], ids=lambda one: one.__name__)
 def test_what_is_not_in_the_list_is_described_and_not_named(tmp_path, hide):
     told, account = explained(tmp_path, "clean", 31, (hide,))
-    assert account.verdict == "unexplained", verdict.story(account)
+    assert account.verdict == "unexplained", report.story(account)
     assert {(f.channels, f.run) for f in account.unknown} == {((told[0][1],), told[0][2])}
 
 
 def test_defects_that_come_together_are_all_named(tmp_path):
     hide = (twin.radius, twin.late, twin.zeros, twin.old_messages, twin.stuck)
     told, account = explained(tmp_path, "clean", 41, hide)
-    assert account.verdict == "explained", verdict.story(account)
+    assert account.verdict == "explained", report.story(account)
     for row in told:
-        assert any(fits(f, row) for f in account.findings), f"{row}: {verdict.story(account)}"
+        assert any(fits(f, row) for f in account.findings), f"{row}: {report.story(account)}"
     assert {f.name for f in account.findings} == {row[0] for row in told}
 
 
@@ -89,7 +90,7 @@ def test_slides_give_a_lower_bound_of_the_adhesion_and_show_the_place_that_runs_
     tmp_path, how
 ):
     _, account = explained(tmp_path, "patch", 51, speeds=twin.SPEEDS, **how)
-    assert {f.name for f in account.findings} == {"slide", "slippery_place"}, verdict.story(account)
+    assert {f.name for f in account.findings} == {"slide", "slippery_place"}, report.story(account)
     assert {s.run for s in account.slides} == set(range(len(twin.SPEEDS)))
     for s in account.slides:
         own = account.aligned[s.run]
@@ -123,7 +124,7 @@ def test_driving_is_no_defect(tmp_path):
     for how in ({}, {"reference": False}, {"axles": 2, "reference": False}):
         twin.dataset(tmp_path, runs, 61, **how)
         account = verdict.explain(recording.load(tmp_path))
-        assert account.verdict == "consistent", verdict.story(account)
+        assert account.verdict == "consistent", report.story(account)
 
 
 def test_the_report_tells_the_same_as_the_page_and_the_recording(tmp_path, capsys):
