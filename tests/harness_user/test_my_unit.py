@@ -1,4 +1,4 @@
-"""A WSP team's own test, in a repository of its own: a plain function and a fixture."""
+"""A test as in the repository of a WSP team: a plain function and a fixture."""
 
 
 def test_no_wheel_locks_when_the_driver_brakes_hard_on_soap(rollerrig_bench):

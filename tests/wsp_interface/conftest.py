@@ -1,4 +1,4 @@
-"""A hub in a thread of its own, as in the bench, for tests with blocking clients."""
+"""A hub in a separate thread, as in the bench, for tests with blocking clients."""
 
 import asyncio
 import contextlib
@@ -12,7 +12,11 @@ from rollerrig.wsp_interface.bus.hub import Hub
 
 
 class HubThread:
-    """A hub on a free loopback port; `log` is what a tap saw."""
+    """A hub on a free loopback port.
+
+    log: the frames that a tap has received.
+    problems: exceptions that reached the event loop.
+    """
 
     def __init__(self, **hub_options) -> None:
         self.loop = asyncio.new_event_loop()
@@ -26,7 +30,7 @@ class HubThread:
         self.port = self.listen("socketcand")
 
     def do(self, function):
-        """Run a plain function, or a coroutine function, in the hub's thread."""
+        """Run a plain function, or a coroutine function, in the hub's thread; return its result."""
 
         async def run():
             result = function()
@@ -41,13 +45,13 @@ class HubThread:
         return f"127.0.0.1:{self.port}/rig0"
 
     def connect(self, port: int | None = None) -> socket.socket:
-        """A raw client."""
+        """Return a client's socket before the handshake."""
         connection = socket.create_connection(("127.0.0.1", port or self.port), 60)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return connection
 
     def raw_mode(self) -> socket.socket:
-        """A raw client that has shaken hands."""
+        """Return a client's socket that has completed the handshake."""
         client = self.connect()
         for command, answer in (
             (b"", b"< hi >"),
@@ -59,7 +63,7 @@ class HubThread:
         return client
 
     def until(self, condition) -> bool:
-        """Whether the condition comes true within a minute."""
+        """Return whether the condition comes true within a minute."""
         end_s = time.monotonic() + 60.0
         while time.monotonic() < end_s:
             if condition():
@@ -77,7 +81,7 @@ class HubThread:
 
 @pytest.fixture
 def start_hub():
-    """Start hubs; they are closed after the test."""
+    """Return a function that starts hubs; they are closed after the test."""
     with contextlib.ExitStack() as stack:
 
         def start(**hub_options) -> HubThread:

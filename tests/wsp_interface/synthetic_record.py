@@ -21,20 +21,27 @@ until = "vehicle_speed < 1 km/h"
 timeout = "60 s"
 """
 
-SPEED_M_S, RATE_M_S2, COAST_S = 20.0, 1.0, 1.0
-LOCK_S, SLIP_M_S = 0.5, 1.0
+SPEED_M_S = 20.0
+RATE_M_S2 = 1.0
+COAST_S = 1.0
+LOCK_S = 0.5  # of axle 2
+SLIP_M_S = 1.0  # error of the unit's reference speed
 
 
-def record(told: bool = True, vents: float = 0.0) -> Record:
-    """Coasts 1 s, then brakes at 1 m/s2 to standstill; axle 2 is locked from 5.0 to 5.5 s."""
+def record(sends_reference: bool = True, vents: float = 0.0) -> Record:
+    """Return a stop: 1 s of coasting, then 1 m/s2 to standstill; axle 2 locks from 5.0 to 5.5 s.
+
+    sends_reference: whether the unit sends a reference speed.
+    vents: how often the dump valve of axle 2 vents.
+    """
     plan = scenario.load("velim_a1").resolved
     time_s = np.round(np.arange(0.0, COAST_S + SPEED_M_S / RATE_M_S2 + 1.0, 0.01), 2)
     speed = np.clip(SPEED_M_S - RATE_M_S2 * np.clip(time_s - COAST_S, 0.0, None), 0.0, None)
     columns = {name: np.zeros(len(time_s)) for name in COLUMNS}
-    columns["time_s"], columns["vehicle_speed_m_s"] = time_s, speed
-    columns["position_m"] = np.concatenate(
-        ([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s)))
-    )
+    columns["time_s"] = time_s
+    columns["vehicle_speed_m_s"] = speed
+    travelled_m = np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))
+    columns["position_m"] = np.concatenate(([0.0], travelled_m))
     radius_m = plan["vehicle"]["wheel_radius_m"]
     for axle in range(1, 5):
         columns[f"measured_speed_{axle}_rad_s"] = speed / radius_m
@@ -43,7 +50,8 @@ def record(told: bool = True, vents: float = 0.0) -> Record:
     columns["measured_speed_2_rad_s"] = np.where(locked, 0.0, speed / radius_m)
     columns["valve_2"] = np.where(locked, 2.0, 0.0)
     columns["brake_demand_Pa"] = np.where(time_s > COAST_S, 3.8e5, 0.0)
-    columns["wsp_reference_speed_m_s"] = speed - SLIP_M_S if told else np.full(len(time_s), np.nan)
+    reference = speed - SLIP_M_S if sends_reference else np.full(len(time_s), np.nan)
+    columns["wsp_reference_speed_m_s"] = reference
     for axle in range(1, 5):
         columns[f"cylinder_pressure_{axle}_Pa"] = columns["brake_demand_Pa"].copy()
     finals = {

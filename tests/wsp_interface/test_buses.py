@@ -80,7 +80,9 @@ def test_programs_may_join_a_hub_that_sits_on_a_python_can_bus(bench, other):
         assert client.recv(60).arbitration_id == 0x321
 
 
-def test_the_loss_of_the_python_can_bus_is_told_once_and_its_nodes_frames_are_counted(bench, other):
+def test_the_loss_of_the_python_can_bus_is_reported_once_and_its_nodes_frames_are_counted(
+    bench, other
+):
     node = bench.do(lambda: other.hub.attach(print))
     bench.do(bench.hub.close)
     assert bench.until(lambda: other.lost)
@@ -146,21 +148,21 @@ def test_the_bench_and_a_program_open_the_same_address(bench):
         ("slcan:/dev/nosuchtty", "'slcan:/dev/nosuchtty'"),
     ],
 )
-def test_an_address_that_cannot_be_opened_says_what_is_allowed(bench, address, message):
+def test_an_address_that_cannot_be_opened_is_refused_with_those_that_can(bench, address, message):
     with pytest.raises(BusError, match=message):
         open_client(address, connect_timeout_s=0.1)
     with pytest.raises(BusError, match=message):
         bench.do(lambda: open_hub(address, time.monotonic_ns))
 
 
-def test_a_program_without_a_bench_is_told_to_start_it():
+def test_a_program_without_a_bench_gets_the_command_that_starts_it():
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with pytest.raises(BusError, match=f"no CAN hub at 127.0.0.1:{port}.*rollerrig run"):
         open_client(f"socketcand://127.0.0.1:{port}/rig0", connect_timeout_s=0.1)
 
 
-# --- what the machine has ---
+# --- CAN interfaces of the machine ---
 
 
 def write_interface(root, name: str, kind: int, flags: int) -> None:
@@ -169,7 +171,7 @@ def write_interface(root, name: str, kind: int, flags: int) -> None:
     (root / name / "flags").write_text(f"{flags:#x}\n")
 
 
-def test_can_interfaces_are_told_from_others_and_those_down_get_a_hint(tmp_path):
+def test_can_interfaces_are_distinguished_from_others_and_those_down_get_a_hint(tmp_path):
     for name, kind, flags in (
         ("lo", 772, 0x9),
         ("vcan0", 280, 0xC1),
@@ -184,7 +186,7 @@ def test_can_interfaces_are_told_from_others_and_those_down_get_a_hint(tmp_path)
     assert any(hint.endswith("ip link set vcan2 up") for hint in found.hints)
 
 
-def test_whatever_is_missing_on_this_machine_has_a_hint(tmp_path):
+def test_everything_that_is_missing_on_this_machine_has_a_hint(tmp_path):
     found = available()
     if found.af_can and found.up and not found.down:
         assert found.hints == ()
@@ -214,7 +216,7 @@ def test_whatever_is_missing_on_this_machine_has_a_hint(tmp_path):
         ),
     ],
 )
-def test_a_missing_interface_says_how_to_get_it(name, found, message):
+def test_a_missing_interface_is_refused_with_the_commands_to_get_it(name, found, message):
     with pytest.raises(BusError, match=message):
         kernel.require(f"socketcan:{name}", name, "", found)
 

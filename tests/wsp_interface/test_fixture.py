@@ -1,4 +1,4 @@
-"""The pytest plugin as a WSP team has it: a folder of tests without a conftest, in a pytest of its own."""
+"""The pytest plugin as a WSP team uses it: a folder of tests without conftest, in another pytest."""
 
 import os
 import re
@@ -36,14 +36,14 @@ def test_waits(rollerrig_bench, tmp_path):
 
 @pytest.fixture
 def session(tmp_path):
-    """Start a pytest of somebody else on some files; its output in `said`."""
+    """Return a function that starts another pytest on some files; its output goes to `output`."""
 
     def start(files, *arguments):
         folder = tmp_path / "theirs"
         folder.mkdir()
         for name, text in files.items():
             (folder / name).write_text(text)
-        with (tmp_path / "said").open("w") as said:
+        with (tmp_path / "output").open("w") as output:
             return subprocess.Popen(
                 [
                     sys.executable,
@@ -57,7 +57,7 @@ def session(tmp_path):
                     str(tmp_path / "base"),
                 ],
                 cwd=folder,
-                stdout=said,
+                stdout=output,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
                 env=without_options(),
@@ -70,47 +70,49 @@ def without_options():
     return {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
 
 
-def said(tmp_path):
-    return (tmp_path / "said").read_text()
+def output_of(tmp_path):
+    return (tmp_path / "output").read_text()
 
 
 def processes_with(text):
-    """Processes with a text in their command line."""
-    found = []
+    """Return the processes with a text in their command line."""
+    processes = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             words = path.read_bytes().decode(errors="replace").split("\0")
         except OSError:
             continue
         if any(text in word for word in words):
-            found.append(int(path.parent.name))
-    return found
+            processes.append(int(path.parent.name))
+    return processes
 
 
-def test_the_plugin_needs_no_conftest_and_each_worker_has_ports_and_folders_of_its_own(
+def test_the_plugin_needs_no_conftest_and_each_worker_has_separate_ports_and_folders(
     session, tmp_path
 ):
     files = {f"test_{name}.py": GOOD.format(name=name) for name in ("one", "two")}
-    assert session(files, "-n", "2", "--dist", "loadfile").wait(600) == 0, said(tmp_path)
-    addresses, folders = zip(
-        *(path.read_text().split(" in ") for path in sorted((tmp_path / "base").glob("*.txt"))),
-        strict=True,
-    )
-    assert len(set(addresses)) == len(set(folders)) == 2
+    assert session(files, "-n", "2", "--dist", "loadfile").wait(600) == 0, output_of(tmp_path)
+    addresses = set()
+    folders = set()
+    for path in (tmp_path / "base").glob("*.txt"):
+        address, folder = path.read_text().split(" in ")
+        addresses.add(address)
+        folders.add(folder)
+    assert len(addresses) == 2
+    assert len(folders) == 2
 
 
-def test_a_failed_test_tells_the_figure_against_its_limit_and_where_run_and_plot_are(
+def test_a_failed_test_shows_the_figure_with_its_limit_and_where_run_and_plot_are(
     session, tmp_path
 ):
     assert session({"test_bad.py": BAD}).wait(600) == 1
-    text = said(tmp_path)
+    text = output_of(tmp_path)
     assert re.search(
         r"longest_lock \d+\.\d+ s, wanted at most 0.4 s; .*source: recollection", text
     ), text
     assert "0.0 km/h after" in text
-    run, plot = (
-        Path(re.search(rf"^{what}: (.+)$", text, re.MULTILINE)[1]) for what in ("run", "plot")
-    )
+    run = Path(re.search(r"^run: (.+)$", text, re.MULTILINE)[1])
+    plot = Path(re.search(r"^plot: (.+)$", text, re.MULTILINE)[1])
     assert (run / "channels.parquet").is_file()
     assert plot.read_text().startswith("<svg")
     assert "1 failed" in text  # and no error in its teardown
@@ -122,7 +124,7 @@ def test_no_bench_outlives_a_session_that_is_killed(workers, session, tmp_path):
     theirs = session({"test_waits.py": WAITS}, *workers)
     end = time.monotonic() + 300.0
     while not list((tmp_path / "base").rglob("there")):
-        assert theirs.poll() is None, said(tmp_path)
+        assert theirs.poll() is None, output_of(tmp_path)
         assert time.monotonic() < end
         time.sleep(0.1)
     base = str(tmp_path / "base")

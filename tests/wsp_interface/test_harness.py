@@ -1,4 +1,4 @@
-"""A harness on a real bench over a real bus: what it asks happens, and time waits for it."""
+"""A harness on a real bench over a real bus: its commands take effect, and time waits for it."""
 
 import contextlib
 import os
@@ -22,6 +22,8 @@ from rollerrig.wsp_interface.harness_client import COLUMNS, TimeOutError
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 
+TCP_LISTEN = "0A"  # state in /proc/net/tcp
+
 STOP = """title = "A stop from walking pace on soap"
 criteria = "low_speed"
 
@@ -36,39 +38,45 @@ timeout = "20 s"
 """
 
 
-def test_what_a_harness_asks_happens_on_the_rig(tmp_path):
+def test_the_commands_of_a_harness_take_effect_on_the_rig(tmp_path):
     with own_bench.start(tmp_path / "run", initial_speed_km_h=36.0, adhesion="soap") as rig:
         assert rig.lockstep
         assert rig.vehicle_speed_m_s == pytest.approx(10.0, abs=0.01)
         rig.note("the driver looks out")
+
         # time passes only when the harness lets it
         before_s = rig.time_s
         time.sleep(0.3)
         rig.step()
         assert rig.time_s == pytest.approx(before_s + 0.01)
+
         rig.inject("speed_sensor_dropout axle=2 for=0.2")
         rig.wait(0.05)
         assert rig.axles("measured_speed")[1] == 0.0
         assert rig.axles("measured_speed")[0] > 10.0
         rig.wait(0.3)
         assert rig.axles("measured_speed")[1] > 10.0
+
         rig.inject("vent_magnet_stuck axle=3")
         rig.brake(bar=2.0)
         rig.until(lambda: rig.axles("cylinder_pressure")[0] > 1e5, timeout_s=5.0)
         assert rig.axles("cylinder_pressure")[2] < 0.2e5
         rig.lift("vent_magnet_stuck axle=3")
         rig.until(lambda: rig.axles("cylinder_pressure")[2] > 1e5, timeout_s=5.0)
+
         rig.friction(0.01, axles=[1])
         rig.brake(bar=3.8)
         rig.until(
             lambda: rig.axles("measured_speed")[0] < 0.9 * rig.axles("measured_speed")[1],
             timeout_s=5.0,
         )
+
         with pytest.raises(RefusedError):
             rig.inject("speed_sensor_dropout axle=9")
         with pytest.raises(TimeOutError):
             rig.until(lambda: rig.vehicle_speed_m_s > 50.0, timeout_s=0.1)
         assert len(rig.trace[0]) == len(COLUMNS)
+
     events = own_bench.summary(tmp_path / "run")["events"]
     notes = [event["fields"] for event in events if event["code"] == Code.OPERATOR_NOTE]
     assert {"note": "the driver looks out"} in notes
@@ -76,31 +84,36 @@ def test_what_a_harness_asks_happens_on_the_rig(tmp_path):
     assert any("speed_sensor_dropout axle=2" in fields["fault"] for fields in begun)
 
 
-def test_a_sequence_in_lockstep_repeats_bit_for_bit(tmp_path):
+@pytest.fixture
+def stop(tmp_path):
+    """The sequence STOP."""
     path = tmp_path / "walk.toml"
     path.write_text(STOP, encoding="utf-8")
-    one = sequence.load(path, catalogue.parse)
-    first, second = (play.on_own_bench(one, tmp_path / name) for name in ("first", "second"))
-    assert first.result is second.result is Result.PASS, (first.error, first.verdicts)
-    rows = [(tmp_path / name / play.TRACE).read_bytes() for name in ("first", "second")]
-    assert rows[0] == rows[1]
-    assert rows[0].count(b"\n") > 100
+    return sequence.load(path, catalogue.parse)
 
 
-def test_a_bench_that_vanishes_is_an_error_and_its_rows_are_kept(tmp_path):
-    path = tmp_path / "walk.toml"
-    path.write_text(STOP, encoding="utf-8")
-    one = sequence.load(path, catalogue.parse)
+def test_a_sequence_in_lockstep_repeats_bit_for_bit(stop, tmp_path):
+    traces = []
+    for name in ("first", "second"):
+        outcome = play.on_own_bench(stop, tmp_path / name)
+        assert outcome.result is Result.PASS, (outcome.error, outcome.verdicts)
+        traces.append((tmp_path / name / play.TRACE).read_bytes())
+    assert traces[0] == traces[1]
+    assert traces[0].count(b"\n") > 100
+
+
+def test_a_bench_that_vanishes_is_an_error_and_its_rows_are_kept(stop, tmp_path):
     folder = tmp_path / "run"
 
     @contextlib.contextmanager
     def killer(address):
-        """Kills the bench as soon as its record has begun to grow."""
+        """Kill the bench as soon as its record grows."""
         ended = threading.Event()
+        log = folder / "can.log"
 
         def watch():
             while not ended.wait(0.005):
-                if (folder / "can.log").is_file() and (folder / "can.log").stat().st_size > 10_000:
+                if log.is_file() and log.stat().st_size > 10_000:
                     os.kill(bench_of(address), signal.SIGKILL)
                     return
 
@@ -110,7 +123,7 @@ def test_a_bench_that_vanishes_is_an_error_and_its_rows_are_kept(tmp_path):
         ended.set()
         thread.join()
 
-    outcome = play.on_own_bench(one, folder, companions=(killer,))
+    outcome = play.on_own_bench(stop, folder, companions=(killer,))
     assert outcome.result is Result.ERROR
     assert "connection to the bench is lost" in outcome.error
     # 10 kB of frames are eleven SYNC periods, each with its row
@@ -118,37 +131,39 @@ def test_a_bench_that_vanishes_is_an_error_and_its_rows_are_kept(tmp_path):
 
 
 def bench_of(address):
-    """The process that listens at an address."""
+    """Return the process that listens at an address."""
     port = int(address.rpartition("/")[0].rpartition(":")[2])
-    line = next(
-        one
-        for one in Path("/proc/net/tcp").read_text().splitlines()[1:]
-        if one.split()[1].endswith(f":{port:04X}") and one.split()[3] == "0A"
-    )
-    socket = f"socket:[{line.split()[9]}]"
+    inode = listening_inode(port)
+    socket = f"socket:[{inode}]"
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with contextlib.suppress(OSError):
             if os.readlink(link) == socket:
                 return int(link.parts[2])
-    raise AssertionError(f"nobody listens on {port}")
+    raise AssertionError(f"no process listens on {port}")
 
 
-def test_a_full_disk_is_an_error_and_no_pass(tmp_path):
-    path = tmp_path / "walk.toml"
-    path.write_text(STOP, encoding="utf-8")
-    one = sequence.load(path, catalogue.parse)
-    # as with a full disk, nothing more can be written: for the bench and its recorder alone
-    limit = (resource.RLIMIT_FSIZE, resource.getrlimit(resource.RLIMIT_FSIZE))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limit[1][1]))
+def listening_inode(port):
+    """Return the inode of the socket that listens on a port."""
+    for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
+        _, local_address, _, state, _, _, _, _, _, inode, *_ = line.split()
+        if local_address.endswith(f":{port:04X}") and state == TCP_LISTEN:
+            return inode
+    raise AssertionError(f"no socket listens on {port}")
+
+
+def test_a_full_disk_is_an_error_and_no_pass(stop, tmp_path):
+    # a limit on the size of files acts as a full disk: the bench and its recorder cannot write
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
     try:
-        outcome = play.on_own_bench(one, tmp_path / "run")
+        outcome = play.on_own_bench(stop, tmp_path / "run")
     finally:
-        resource.setrlimit(*limit)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert outcome.result is Result.ERROR
     assert outcome.error
 
 
-def test_a_sequence_on_a_running_bench_tells_what_the_bus_knows_of_its_time(tmp_path):
+def test_a_sequence_on_a_running_bench_reports_the_timing_that_the_bus_shows(tmp_path):
     log = (tmp_path / "stderr").open("w+")
     bench = subprocess.Popen(
         [
@@ -191,14 +206,14 @@ def test_a_sequence_on_a_running_bench_tells_what_the_bus_knows_of_its_time(tmp_
 
 
 def test_pytest_finds_the_fixture_by_entry_point_and_loads_little_for_it():
-    project = tomllib.loads(Path(__file__).parents[2].joinpath("pyproject.toml").read_text())[
-        "project"
-    ]
+    text = Path(__file__).parents[2].joinpath("pyproject.toml").read_text()
+    project = tomllib.loads(text)["project"]
     module = project["entry-points"]["pytest11"]["rollerrig"]
-    code = (
-        f"import {module} as plugin; from rollerrig.wsp_interface.harness import rollerrig_bench as own\n"
-        "assert plugin.rollerrig_bench is own"
+    same = (
+        f"import {module} as plugin\n"
+        "from rollerrig.wsp_interface.harness import rollerrig_bench\n"
+        "assert plugin.rollerrig_bench is rollerrig_bench"
     )
     light = f"import sys, {module}; assert not {{'can', 'numpy', 'numba'}} & set(sys.modules)"
-    for one in (code, light):
-        assert subprocess.run([sys.executable, "-c", one]).returncode == 0
+    for code in (same, light):
+        assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -409,25 +409,23 @@ def test_garbage_never_disturbs_the_bus(bench):
     for round_number in range(60):
         client = bench.connect(ports[random_source.choice(sorted(ports))])
         for _ in range(random_source.randrange(1, 5)):
-            pieces = [
-                random_source.choice(vocabulary)
-                if random_source.random() < 0.7
-                else random_source.randbytes(random_source.randrange(20))
-                for _ in range(random_source.randrange(60))
-            ]
+            pieces = []
+            for _ in range(random_source.randrange(60)):
+                if random_source.random() < 0.7:
+                    pieces.append(random_source.choice(vocabulary))
+                else:
+                    pieces.append(random_source.randbytes(random_source.randrange(20)))
             try:
                 client.sendall(b"".join(pieces))
             except OSError:
-                break  # closed for not speaking its protocol
+                break  # closed: it did not speak the protocol
         client.close()
-        number = 0x5A00_0000 + round_number
-        witness.send(
-            can.Message(arbitration_id=0x123, data=struct.pack("<Q", number), is_extended_id=False)
-        )
-        while True:  # the garbage may hold valid frames too
+        mark = struct.pack("<Q", 0x5A00_0000 + round_number)
+        witness.send(can.Message(arbitration_id=0x123, data=mark, is_extended_id=False))
+        while True:  # the garbage may also contain valid frames
             message = other.recv(5)
             assert message is not None
-            if message.arbitration_id == 0x123 and bytes(message.data) == struct.pack("<Q", number):
+            if message.arbitration_id == 0x123 and bytes(message.data) == mark:
                 break
     assert bench.problems == []
     witness.shutdown()
@@ -539,9 +537,9 @@ def test_cannelloni_skips_can_fd_and_error_frames(bench):
     assert bench.log[0].can_id == 2
 
 
-# --- strangers ---
+# --- clients of other protocols ---
 
-# another protocol, whose bytes hold what each of the hub's protocols would obey
+# another protocol, whose bytes contain valid commands of each of the hub's protocols
 POST = (
     b"POST / HTTP/1.1\r\nContent-Length: 99\r\n\r\n< open rig0 >< rawmode >< send 123 1 ff >"
     b"\rO\rt12310F\rCANNELLONIv1\0\0\1\x23\0\0\0\0\x0e\0\0\1\x23\0\0" + bytes(8)
@@ -552,9 +550,9 @@ POST = (
     "Bad input", "a client of another protocol is closed, obeyed in nothing, and told once"
 )
 @pytest.mark.parametrize("codec", CODECS)
-def test_who_begins_with_another_protocol_is_closed_and_told_once(start_hub, codec):
-    told = []
-    bench = start_hub(on_event=lambda code, **fields: told.append((code, fields)))
+def test_a_client_that_begins_with_another_protocol_is_closed_and_reported_once(start_hub, codec):
+    reported = []
+    bench = start_hub(on_event=lambda code, **fields: reported.append((code, fields)))
     port = bench.listen(codec)
     for pieces in ([POST], [POST[:3], POST[3:]]):
         client = bench.connect(port)
@@ -563,15 +561,15 @@ def test_who_begins_with_another_protocol_is_closed_and_told_once(start_hub, cod
             time.sleep(0.05)
         assert read_to_end(client) in (b"", b"< hi >", b"CANNELLONIv1")
     assert bench.log == []
-    assert told == [(Code.HUB_FOREIGN_CLIENT, {"bus": "rig0", "protocol": codec})]
+    assert reported == [(Code.HUB_FOREIGN_CLIENT, {"bus": "rig0", "protocol": codec})]
 
 
 @pytest.mark.conformance(
     "Bad input", "clients of the hub are bounded, and those that are refused are told once"
 )
-def test_more_clients_than_there_is_room_for_are_refused_and_told_once(start_hub):
-    told = []
-    bench = start_hub(on_event=lambda code, **fields: told.append((code, fields)))
+def test_more_clients_than_there_is_room_for_are_refused_and_reported_once(start_hub):
+    reported = []
+    bench = start_hub(on_event=lambda code, **fields: reported.append((code, fields)))
     clients = [bench.raw_mode() for _ in range(CLIENTS_MAX)]
     for _ in range(2):
         refused = bench.connect()
@@ -582,8 +580,8 @@ def test_more_clients_than_there_is_room_for_are_refused_and_told_once(start_hub
             continue
     assert len(bench.hub.stats()["clients"]) == CLIENTS_MAX
     full = {"bus": "rig0", "protocol": "socketcand", "clients_max": CLIENTS_MAX}
-    assert told == [(Code.HUB_FULL, full)]
-    # another protocol has its own places, and one that leaves makes room
+    assert reported == [(Code.HUB_FULL, full)]
+    # another protocol has a separate limit, and a client that leaves makes room
     other = bench.connect(bench.listen("cannelloni"))
     assert read_until(other, b"CANNELLONIv1") == b"CANNELLONIv1"
     clients.pop().close()
@@ -594,7 +592,7 @@ def test_more_clients_than_there_is_room_for_are_refused_and_told_once(start_hub
 # --- opening and closing ---
 
 
-def test_a_port_in_use_names_the_port_and_how_to_mend_it(bench):
+def test_a_port_in_use_names_the_port_and_the_remedy(bench):
     message = rf"127.0.0.1:{bench.port}.*ss -ltnp 'sport = :{bench.port}'"
     with pytest.raises(BusError, match=message):
         bench.do(lambda: bench.hub.listen("socketcand", port=bench.port))
@@ -608,23 +606,23 @@ def test_a_port_in_use_names_the_port_and_how_to_mend_it(bench):
         ({"host": "192.0.2.1", "port": 0}, "127.0.0.1"),
     ],
 )
-def test_what_cannot_be_listened_on_says_what_is_allowed(bench, options, message):
+def test_an_address_that_cannot_be_used_is_refused_with_those_that_can(bench, options, message):
     with pytest.raises(BusError, match=message):
         bench.do(lambda: bench.hub.listen(**options))
 
 
 @pytest.mark.conformance("Bad input", "loopback unless told otherwise: CAN")
-def test_the_hub_listens_on_loopback_unless_told_otherwise(bench):
+def test_the_hub_listens_on_loopback_by_default(bench):
     assert bench.hub._servers[0].sockets[0].getsockname()[0] == "127.0.0.1"
 
 
 @pytest.mark.conformance("Bad input", "another address than loopback is told loudly: CAN")
-def test_a_hub_that_listens_beyond_loopback_says_so_as_an_event(start_hub):
-    told = []
-    bench = start_hub(on_event=lambda code, **fields: told.append((code, fields)))
-    assert told == []
+def test_a_hub_that_listens_beyond_loopback_reports_an_event(start_hub):
+    reported = []
+    bench = start_hub(on_event=lambda code, **fields: reported.append((code, fields)))
+    assert reported == []
     bench.do(lambda: bench.hub.listen("slcan", host="0.0.0.0", port=0))
-    ((code, fields),) = told
+    ((code, fields),) = reported
     assert code == Code.SERVER_EXPOSED
     assert "slcan" in fields["server"]
     assert "BEYOND THIS MACHINE" in events.text(code, fields)

@@ -1,4 +1,4 @@
-"""The python-can plugin, against the hub and against servers that go wrong, over real sockets."""
+"""The python-can plugin, with the hub and with servers that fail, over real sockets."""
 
 import asyncio
 import select
@@ -28,7 +28,7 @@ def node(bench):
 
 @pytest.fixture
 def server():
-    """A socket that listens and of which the test plays the server."""
+    """A listening socket; the test plays the server."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         yield listening
 
@@ -43,8 +43,9 @@ def numbers(messages) -> list[int]:
 
 
 def play_handshake(server, chunks=(b"< hi >", b"< ok >", b"< ok >")) -> tuple:
-    """Return the plugin connected to a server that says the chunks, and the server's socket."""
+    """Return the plugin, connected to a server that sends the chunks, and the server's socket."""
     accepted = []
+    port = server.getsockname()[1]
 
     def play():
         connection = server.accept()[0]
@@ -56,9 +57,7 @@ def play_handshake(server, chunks=(b"< hi >", b"< ok >", b"< ok >")) -> tuple:
     thread = threading.Thread(target=play)
     thread.start()
     try:
-        opened = plugin.RollerrigBus(
-            f"127.0.0.1:{server.getsockname()[1]}/rig0", connect_timeout=10.0
-        )
+        opened = plugin.RollerrigBus(f"127.0.0.1:{port}/rig0", connect_timeout=10.0)
     finally:
         thread.join()
     return opened, accepted[0]
@@ -92,7 +91,7 @@ def test_a_frame_of_any_kind_arrives_unchanged_in_both_directions(bench, bus, no
     message = bus.recv(60)
     assert plugin.frame_of(message) == frame
     assert message.timestamp == pytest.approx(bench.log[1].time_ns / 1e9, abs=1e-6)
-    assert bus.recv(0.05) is None  # not its own
+    assert bus.recv(0.05) is None  # not the frame that it has sent
 
 
 def test_a_blocking_reader_gets_all_frames_in_order(bench, bus, node):
@@ -110,7 +109,7 @@ def test_a_bus_that_reads_ahead_gets_all_frames_and_sends_in_order_with_the_next
         assert bus.recv(0) is None
         assert bench.until(lambda: len(bench.log) == 2002)
         bus.send(can.Message(arbitration_id=0x303, is_extended_id=False))
-    # what is sent last goes out, too
+    # the last frame goes out when the bus is closed
     assert bench.until(
         lambda: [frame.can_id for frame in bench.log[2000:]] == [0x301, 0x302, 0x303]
     )
@@ -150,25 +149,25 @@ def test_half_a_message_does_not_keep_the_descriptor_readable(server):
 
 def test_a_notifier_in_an_event_loop_gets_every_frame_of_a_burst(bench, bus, node):
     async def run():
-        got = []
-        notifier = can.Notifier(bus, [got.append], loop=asyncio.get_running_loop())
+        received = []
+        notifier = can.Notifier(bus, [received.append], loop=asyncio.get_running_loop())
         await asyncio.to_thread(send_numbers, bench, node, 1500)
         async with asyncio.timeout(60):
-            while len(got) < 1500:
+            while len(received) < 1500:
                 await asyncio.sleep(0.005)
         notifier.stop()
-        return got
+        return received
 
     assert numbers(asyncio.run(run())) == list(range(1500))
 
 
 def test_a_notifier_thread_gets_every_frame_of_a_burst(bench, bus, node):
-    got = []
-    notifier = can.Notifier(bus, [got.append], timeout=0.05)
+    received = []
+    notifier = can.Notifier(bus, [received.append], timeout=0.05)
     send_numbers(bench, node, 1500)
-    assert bench.until(lambda: len(got) == 1500)
+    assert bench.until(lambda: len(received) == 1500)
     notifier.stop()
-    assert numbers(got) == list(range(1500))
+    assert numbers(received) == list(range(1500))
 
 
 def test_canopen_reads_a_node_through_the_plugin(bench):
@@ -220,7 +219,8 @@ def test_the_end_of_the_hub_raises_after_the_last_frame(bench, bus, node):
 
 def test_a_reader_that_swallows_the_end_does_not_spin(bench, bus):
     bench.close()
-    ends, until_s = 0, time.monotonic() + 0.5
+    ends = 0
+    until_s = time.monotonic() + 0.5
     while time.monotonic() < until_s:
         with pytest.raises(can.CanOperationError):
             bus.recv(0.1)
@@ -228,26 +228,32 @@ def test_a_reader_that_swallows_the_end_does_not_spin(bench, bus):
     assert ends <= 7
 
 
-def test_an_event_loop_is_told_of_the_end_once_and_does_not_spin(bench, bus):
+def test_an_event_loop_gets_the_end_once_and_does_not_spin(bench, bus):
     async def run():
         problems = []
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda loop, context: problems.append(context["exception"]))
         notifier = can.Notifier(bus, [lambda message: None], loop=loop)
         await asyncio.to_thread(bench.close)
-        asked = []
+        calls = 0
         receive = bus._recv_internal
-        bus._recv_internal = lambda timeout: asked.append(timeout) or receive(timeout)
+
+        def counting(timeout):
+            nonlocal calls
+            calls += 1
+            return receive(timeout)
+
+        bus._recv_internal = counting
         await asyncio.sleep(0.5)
         notifier.stop()
-        return problems, len(asked)
+        return problems, calls
 
-    problems, asked = asyncio.run(run())
+    problems, calls = asyncio.run(run())
     assert [type(problem) for problem in problems] == [can.CanOperationError]
-    assert asked < 10
+    assert calls < 10
 
 
-def test_the_end_found_while_sending_is_told_to_the_reader_too(server):
+def test_a_reader_also_gets_the_end_that_a_sender_has_found(server):
     bus, connection = play_handshake(server)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     connection.close()
@@ -284,7 +290,7 @@ def test_shutdown_wakes_a_reader_in_another_thread(bus):
     assert "shut down" in ends[0]
 
 
-# --- servers that go wrong ---
+# --- servers that fail ---
 
 
 def test_a_hub_that_appears_late_is_waited_for(start_hub):
@@ -297,14 +303,14 @@ def test_a_hub_that_appears_late_is_waited_for(start_hub):
         assert bench.until(lambda: bench.log)
 
 
-def test_no_hub_says_where_and_what_to_start():
+def test_without_a_hub_the_error_names_the_address_and_the_command_to_start():
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with pytest.raises(can.CanInitializationError, match=f"127.0.0.1:{port}.*rollerrig run"):
         plugin.RollerrigBus(f"127.0.0.1:{port}/rig0", connect_timeout=0.1)
 
 
-def test_another_bus_name_says_which_bus_the_hub_carries(bench):
+def test_a_wrong_bus_name_is_refused_with_the_name_of_the_hubs_bus(bench):
     with pytest.raises(can.CanInitializationError, match="rig0"):
         plugin.RollerrigBus(f"127.0.0.1:{bench.port}/rig7")
 

@@ -1,4 +1,4 @@
-"""The library for Robot Framework, in suites of somebody else, run by Robot Framework itself."""
+"""The library for Robot Framework, in a suite that Robot Framework runs."""
 
 import subprocess
 import sys
@@ -43,7 +43,7 @@ A wrong unit
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory):
-    """The suite's folder and its results by test: status and message."""
+    """The folder of the suite, and (status, message) of each test by name."""
     folder = tmp_path_factory.mktemp("suite")
     (folder / "suite.robot").write_text(SUITE)
     done = subprocess.run(
@@ -54,11 +54,11 @@ def played(tmp_path_factory):
         check=False,
     )
     assert done.returncode == 2, done.stdout + done.stderr
-    tests = ET.parse(folder / "output.xml").getroot().iter("test")
-    return folder, {
-        one.get("name"): (one.find("status").get("status"), one.find("status").text or "")
-        for one in tests
-    }
+    results = {}
+    for test in ET.parse(folder / "output.xml").getroot().iter("test"):
+        status = test.find("status")
+        results[test.get("name")] = (status.get("status"), status.text or "")
+    return folder, results
 
 
 def test_a_suite_of_keywords_brakes_the_train(played):
@@ -66,21 +66,21 @@ def test_a_suite_of_keywords_brakes_the_train(played):
     assert results["The brakes hold the train"] == ("PASS", "")
 
 
-def test_a_failed_test_says_the_figure_against_its_limit(played):
+def test_a_failed_test_shows_the_figure_with_its_limit(played):
     _, results = played
-    status, said = results["A wheel locks"]
+    status, message = results["A wheel locks"]
     assert status == "FAIL"
-    assert said.startswith("longest lock ")
-    assert said.endswith(" s, wanted below 0.4 s")
+    assert message.startswith("longest lock ")
+    assert message.endswith(" s, wanted below 0.4 s")
 
 
-def test_a_wrong_unit_is_refused_with_those_that_fit(played):
+def test_a_wrong_unit_is_refused_and_the_message_lists_the_right_ones(played):
     _, results = played
-    status, said = results["A wrong unit"]
+    status, message = results["A wrong unit"]
     assert status == "FAIL"
     assert (
         "the unit 'm' does not belong here; write a number with its unit ('Pa', 'kPa', 'mbar', 'bar')"
-        in said
+        in message
     )
 
 
@@ -88,7 +88,7 @@ def test_the_log_has_the_plot_of_each_run_and_where_its_record_is(played):
     folder, _ = played
     output = (folder / "output.xml").read_text()
     runs = sorted((folder / "rollerrig").iterdir())
-    assert [one.name for one in runs] == [
+    assert [run.name for run in runs] == [
         "A_wheel_locks-1",
         "A_wrong_unit-1",
         "The_brakes_hold_the_train-1",

@@ -1,4 +1,4 @@
-"""Sequences: what is read, what is refused and where, and that the packaged library is in order."""
+"""Sequences: how they are read, what is refused with which line, and the packaged library."""
 
 import json
 from pathlib import Path
@@ -20,16 +20,16 @@ def read(folder: Path, text: str) -> sequence.Sequence:
 
 
 def test_quantities_become_si_at_the_edge(tmp_path):
-    found = read(tmp_path, GOOD)
-    step = found.steps[0]
-    assert found.speed_m_s == pytest.approx(40 / 3.6)
+    loaded = read(tmp_path, GOOD)
+    step = loaded.steps[0]
+    assert loaded.speed_m_s == pytest.approx(40 / 3.6)
     assert step.brake_Pa == pytest.approx(3.8e5)
     assert (step.at_s, step.timeout_s) == (1.0, 60.0)
     assert step.until.bound == pytest.approx(1 / 3.6)
-    assert found.criteria.limits
+    assert loaded.criteria.limits
 
 
-# what is changed in the good one, and what the message must say
+# a text of the good sequence, its replacement, the line in the message and a part of the message
 REFUSED = (
     ('title = "A stop from forty on soap"', 'title = "stop"', "line 1", "sentence"),
     ("set = {", "sett = {", "line 11", "unknown key"),
@@ -51,15 +51,15 @@ REFUSED = (
 )
 
 
-@pytest.mark.parametrize(("old", "new", "line", "said"), REFUSED)
-def test_a_wrong_sequence_is_refused_with_file_and_line(tmp_path, old, new, line, said):
+@pytest.mark.parametrize(("old", "new", "line", "expected"), REFUSED)
+def test_a_wrong_sequence_is_refused_with_file_and_line(tmp_path, old, new, line, expected):
     assert old in GOOD
     with pytest.raises(ConfigError) as refusal:
         read(tmp_path, GOOD.replace(old, new, 1))
     text = str(refusal.value)
     assert "one.toml" in text
     assert line in text
-    assert said in text
+    assert expected in text
 
 
 def test_a_step_that_would_begin_in_the_past_is_refused(tmp_path):
@@ -72,7 +72,7 @@ MEASURE = '\n[[measure]]\nmeasure = "longest_lock"\nunit = "s"\nmax = 0.4\nsourc
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "expected"),
     [
         ('unit = "s"', 'unit = "ms"', "is in 's'"),
         ("max = 0.4", "max = -1", "least value that longest_lock can have"),
@@ -82,17 +82,17 @@ MEASURE = '\n[[measure]]\nmeasure = "longest_lock"\nunit = "s"\nmax = 0.4\nsourc
         ("max = 0.4\n", "", "min, a max or both"),
     ],
 )
-def test_a_limit_that_nothing_can_meet_or_nobody_knows_is_refused(tmp_path, old, new, said):
+def test_a_limit_that_nothing_can_meet_or_nobody_knows_is_refused(tmp_path, old, new, expected):
     assert read(tmp_path, GOOD + MEASURE)
     with pytest.raises(ConfigError, match=r"one\.toml, line (1[5-9]|2)") as refusal:
         read(tmp_path, GOOD + MEASURE.replace(old, new))
-    assert said in str(refusal.value)
+    assert expected in str(refusal.value)
 
 
 def test_a_limit_of_the_sequence_replaces_that_of_its_profile(tmp_path):
-    found = read(tmp_path, GOOD + MEASURE.replace("0.4", "0.7"))
-    locks = [one for one in found.criteria.limits if one.measure == "longest_lock"]
-    assert [one.high for one in locks] == [0.7]
+    loaded = read(tmp_path, GOOD + MEASURE.replace("0.4", "0.7"))
+    bounds = [limit.high for limit in loaded.criteria.limits if limit.measure == "longest_lock"]
+    assert bounds == [0.7]
 
 
 def test_a_condition_of_every_axle_needs_all_and_of_any_needs_one():
@@ -106,20 +106,18 @@ def test_a_condition_of_every_axle_needs_all_and_of_any_needs_one():
 
 @pytest.mark.parametrize("name", store.names("sequences"))
 def test_every_packaged_sequence_is_in_order_and_has_limits(name):
-    found = sequence.load(name, catalogue.parse)
-    assert found.criteria.limits
-    assert found.steps
+    loaded = sequence.load(name, catalogue.parse)
+    assert loaded.criteria.limits
+    assert loaded.steps
 
 
 @pytest.mark.conformance("Faults", "every fault has a sequence in the library")
 def test_the_library_has_every_fault_of_the_catalogue():
-    texts = [
-        text
-        for name in store.names("sequences")
-        for step in sequence.load(name, catalogue.parse).steps
-        for text in step.faults
-    ]
-    missing = {kind.name for kind in catalogue.CATALOGUE} - {text.split()[0] for text in texts}
+    used = set()
+    for name in store.names("sequences"):
+        for step in sequence.load(name, catalogue.parse).steps:
+            used |= {text.split()[0] for text in step.faults}
+    missing = {kind.name for kind in catalogue.CATALOGUE} - used
     assert not missing
 
 
@@ -129,7 +127,7 @@ def test_every_number_of_a_profile_has_a_source(name):
 
     profile = verdict.load(name)
     assert profile.limits
-    assert all(one.source for one in profile.limits)
+    assert all(limit.source for limit in profile.limits)
 
 
 def test_the_command_names_every_mistake_and_runs_nothing(tmp_path, capsys):
@@ -138,9 +136,9 @@ def test_the_command_names_every_mistake_and_runs_nothing(tmp_path, capsys):
     (tmp_path / "three.toml").write_text(GOOD, encoding="utf-8")
     out = tmp_path / "report"
     assert cli.main(["sequence", str(tmp_path), "--out", str(out)]) == 2
-    told = capsys.readouterr().err
-    assert "one.toml, line 12" in told
-    assert "did you mean 'soap'?" in told
+    errors = capsys.readouterr().err
+    assert "one.toml, line 12" in errors
+    assert "did you mean 'soap'?" in errors
     assert not out.exists()
 
 
@@ -152,8 +150,8 @@ def test_the_command_checks_a_folder_of_good_sequences(tmp_path, capsys):
 
 def test_a_gradient_and_a_mass_reach_the_scenario(tmp_path):
     steep = GOOD.replace('adhesion = "soap"', 'adhesion = "soap"\ngradient = "-1 %"\nmass = "48 t"')
-    found = read(tmp_path, steep)
-    assert found.tables["mechanisms"]["track_gradient_gradient"] == pytest.approx(-0.01)
-    assert found.tables["vehicle"]["mass_kg"] == pytest.approx(48000.0)
-    # downhill a train may well gain speed
+    tables = read(tmp_path, steep).tables
+    assert tables["mechanisms"]["track_gradient_gradient"] == pytest.approx(-0.01)
+    assert tables["vehicle"]["mass_kg"] == pytest.approx(48000.0)
+    # downhill a train may become faster
     assert read(tmp_path, steep.replace("vehicle_speed < 1 km/h", "vehicle_speed > 45 km/h"))

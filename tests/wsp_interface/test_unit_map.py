@@ -1,4 +1,4 @@
-"""A unit with plain CAN messages of its own reaches the rig through a DBC and a mapping."""
+"""A unit with its own plain CAN messages reaches the rig through a DBC and a mapping."""
 
 import threading
 
@@ -7,8 +7,10 @@ import cantools
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.wsp_interface import unit_map
+from rollerrig.wsp_interface import rig_objects, unit_map
 from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.bus.connection_set import SYNC
+from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, UNIT_HEARTBEAT_ID
 
 DBC = """VERSION ""
 NS_ :
@@ -32,6 +34,9 @@ BO_ 1633 VALVES: 3 UNIT
 BO_ 145 TAKEN: 1 UNIT
  SG_ T1 : 0|8@1+ (1,0) [0|1] "" RIG
 """
+SPEEDS = 1632  # messages of the unit
+VALVES = 1633
+
 MAP = """dbc = "unit.dbc"
 [[to_unit]]
 message = "SPEEDS"
@@ -48,6 +53,7 @@ reference_factor = 0.2777778
 
 @pytest.fixture
 def files(tmp_path):
+    """Write the DBC; return a function that writes a mapping and returns its path."""
     (tmp_path / "unit.dbc").write_text(DBC)
 
     def write(text=MAP):
@@ -59,10 +65,27 @@ def files(tmp_path):
 
 
 def until(bus, can_id, timeout_s=60.0):
+    """Return the next message with an identifier."""
     while (message := bus.recv(timeout_s)) is not None:
         if message.arbitration_id == can_id:
             return message
     raise AssertionError(f"no frame {can_id:X}h")
+
+
+def send(bus, can_id, data):
+    bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+
+def play_unit(bus, database):
+    """Answer every message of speeds, until one shows that the wheels turn."""
+    # before the first SYNC the gateway sends the speeds of a standing train
+    for _ in range(50):
+        speeds = database.decode_message(SPEEDS, until(bus, SPEEDS).data)
+        content = {f"{kind}{axle}": 0 for kind in "HL" for axle in range(1, 5)}
+        content |= {"H3": 1, "L3": 1, "H1": 1, "V_REF": speeds["V2"]}
+        send(bus, VALVES, database.encode_message(VALVES, content))
+        if speeds["V2"] > 1.0:
+            return
 
 
 def test_a_plain_unit_gets_its_speeds_and_moves_the_magnets(start_hub, files):
@@ -74,46 +97,26 @@ def test_a_plain_unit_gets_its_speeds_and_moves_the_magnets(start_hub, files):
         buses.open_client(address) as unit,
         unit_map.companion(files())(address),
     ):
-
-        def answer():
-            # asked with a standing train's speeds before the first SYNC, then with those of the rig
-            for _ in range(50):
-                told = database.decode_message(1632, until(unit, 1632).data)
-                reply(told)
-                if told["V2"] > 1.0:
-                    return
-
-        def reply(told):
-            content = {f"{kind}{axle}": 0 for kind in "HL" for axle in range(1, 5)}
-            content |= {"H3": 1, "L3": 1, "H1": 1, "V_REF": told["V2"]}
-            unit.send(
-                can.Message(
-                    arbitration_id=1633,
-                    is_extended_id=False,
-                    data=database.encode_message(1633, content),
-                )
-            )
-
-        thread = threading.Thread(target=answer)
+        thread = threading.Thread(target=play_unit, args=(unit, database))
         thread.start()
-        until(rig, 0x720)
-        for can_id, data in (
-            (0x080, b""),
-            (0x190, (2000).to_bytes(2, "little") * 4),
-            (0x191, bytes(8)),
-        ):
-            rig.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        until(rig, UNIT_HEARTBEAT_ID)
+        # one cycle of the rig, at 20 rad/s
+        send(rig, SYNC, b"")
+        send(rig, rig_objects.SPEEDS.can_id, (2000).to_bytes(2, "little") * 4)
+        send(rig, rig_objects.PRESSURES.can_id, bytes(8))
         thread.join(5.0)
-        while not (reference := int.from_bytes(until(rig, 0x1A0).data, "little")):
-            pass
-        magnets = until(rig, 0x211).data[0]
+        reference = 0
+        while reference == 0:
+            message = until(rig, rig_objects.REFERENCE_SPEED.can_id)
+            reference = int.from_bytes(message.data, "little")
+        byte = until(rig, MAGNETS_ID).data[0]
     # 20 rad/s at 0.445 m are 8.9 m/s
     assert reference * 0.01 == pytest.approx(8.9, abs=0.02)
-    assert magnets == 0b00_11_00_01
+    assert byte == 0b00_11_00_01
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "expected"),
     [
         ('"SPEEDS"', '"SPEED"', "SPEEDS"),
         ('"L4"', '"L5"', "no signal 'L5'"),
@@ -124,8 +127,8 @@ def test_a_plain_unit_gets_its_speeds_and_moves_the_magnets(start_hub, files):
         ("reference =", "refrence =", "unknown key"),
     ],
 )
-def test_a_wrong_mapping_is_refused(files, old, new, said):
+def test_a_wrong_mapping_is_refused(files, old, new, expected):
     unit_map.load(files())
     with pytest.raises(ConfigError) as refusal:
         unit_map.load(files(MAP.replace(old, new)))
-    assert said in str(refusal.value)
+    assert expected in str(refusal.value)

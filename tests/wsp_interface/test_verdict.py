@@ -1,4 +1,4 @@
-"""Measures against stops computed by hand, and verdicts that never pass what was not measured."""
+"""Measures against stops computed by hand; a verdict never passes without a measured value."""
 
 import math
 from dataclasses import replace
@@ -20,8 +20,9 @@ def limit(name, low=-math.inf, high=math.inf):
     return Limit(name, BY_NAME[name].unit, low, high, "test")
 
 
-def judged(one, record=None):
-    return verdict.judge(Profile("t", "t", (one,)), record or stop.record())[0]
+def judged(limit, record=None):
+    (only,) = verdict.judge(Profile("t", "t", (limit,)), record or stop.record())
+    return only
 
 
 def test_the_stop_counts_from_the_first_brake_demand():
@@ -47,19 +48,18 @@ def test_the_reference_stop_has_the_running_resistance_of_an_extended_model():
         "running_resistance_speed_power": 2.0,
     }
     dragged = replace(record, scenario=record.scenario | {"mechanisms": extra})
-    assert measures.resistance_N(dragged, 10.0) - measures.resistance_N(
-        record, 10.0
-    ) == pytest.approx(500.0)
+    added_N = measures.resistance_N(dragged, 10.0) - measures.resistance_N(record, 10.0)
+    assert added_N == pytest.approx(500.0)
     assert measures.reference_distance_m(dragged) < measures.reference_distance_m(record)
 
 
 def test_a_demand_of_twice_the_rate_falls_short_by_the_difference():
     record = stop.record()
-    asked_m_s2 = (float(measures.brake_force_N(record, 3.8e5)) + 600.0) / measures.dynamic_mass_kg(
-        record
-    )
+    force_N = float(measures.brake_force_N(record, 3.8e5)) + 600.0
+    demanded_m_s2 = force_N / measures.dynamic_mass_kg(record)
     # drag adds at most 0.9375 * 20^2 N
-    assert of("deceleration_shortfall") == pytest.approx(asked_m_s2 - stop.RATE_M_S2, abs=0.01)
+    expected_m_s2 = demanded_m_s2 - stop.RATE_M_S2
+    assert of("deceleration_shortfall") == pytest.approx(expected_m_s2, abs=0.01)
 
 
 def test_a_stop_shorter_than_a_segment_has_no_shortfall():
@@ -82,10 +82,8 @@ def test_the_damage_index_counts_the_energy_of_a_lock():
 def test_a_lock_counts_from_the_speed_that_the_scenario_names():
     record = stop.record()
     rig = record.scenario["rig"] | {"lock_above_m_s": 17.0}  # the lock is at 16 m/s
-    assert (
-        of("wheel_damage_index", replace(record, scenario=record.scenario | {"rig": rig}))
-        == 2e6 / 1e8
-    )
+    changed = replace(record, scenario=record.scenario | {"rig": rig})
+    assert of("wheel_damage_index", changed) == 2e6 / 1e8
 
 
 def test_sliding_reference_error_and_adhesion_are_those_of_the_record():
@@ -101,18 +99,19 @@ def test_full_brake_after_a_fault_waits_for_the_last_cylinder():
     assert of("full_brake_after_fault", replace(record, fault_s=5.0)) == pytest.approx(2.0)
 
 
-def test_a_margin_is_the_room_to_the_limit_in_its_own_measure():
-    one = judged(limit("longest_lock", high=1.0))
-    assert one.result is Result.PASS
-    assert one.margin == pytest.approx(0.5)
-    assert judged(limit("longest_lock", high=0.4)).result is Result.FAIL
-    assert judged(limit("longest_lock", high=0.4)).margin == pytest.approx(-0.25)
+def test_a_margin_is_the_distance_to_the_limit_as_a_share_of_the_limit():
+    passed = judged(limit("longest_lock", high=1.0))
+    assert passed.result is Result.PASS
+    assert passed.margin == pytest.approx(0.5)
+    failed = judged(limit("longest_lock", high=0.4))
+    assert failed.result is Result.FAIL
+    assert failed.margin == pytest.approx(-0.25)
 
 
-def test_a_limit_of_nothing_has_no_margin_and_is_judged_all_the_same():
-    one = judged(limit("longest_lock", high=0.0))
-    assert one.result is Result.FAIL
-    assert np.isnan(one.margin)
+def test_a_limit_of_zero_has_no_margin_but_a_result():
+    failed = judged(limit("longest_lock", high=0.0))
+    assert failed.result is Result.FAIL
+    assert np.isnan(failed.margin)
 
 
 def test_a_limit_itself_passes():
@@ -125,10 +124,10 @@ def test_a_train_that_does_not_stop_is_an_error_and_no_pass():
     assert judged(limit("stop_distance", high=1e9), record).result is Result.ERROR
 
 
-def test_a_unit_that_tells_no_reference_speed_is_not_judged_by_it():
-    one = judged(limit("reference_speed_error", high=0.1), stop.record(told=False))
-    assert one.result is Result.ABSENT
-    assert "sends no reference speed" in one.text
+def test_a_unit_that_sends_no_reference_speed_is_not_judged_by_it():
+    absent = judged(limit("reference_speed_error", high=0.1), stop.record(sends_reference=False))
+    assert absent.result is Result.ABSENT
+    assert "sends no reference speed" in absent.text
 
 
 def test_the_worst_decides_and_nothing_is_no_pass():

@@ -1,4 +1,4 @@
-"""The wire: who goes first, how long it takes, who is refused; and the hub that makes frames wait."""
+"""The wire: the order of frames, their times, full queues; and the hub that lets frames wait."""
 
 import asyncio
 import random
@@ -16,19 +16,23 @@ EIGHT = bytes(8)
 
 
 class Site:
-    """A hub whose clock somebody sets, and what its bus has carried: (end in us, identifier)."""
+    """A hub with a clock that the test sets. `carried` holds its frames: (end in us, identifier)."""
 
     def __init__(self, bitrate=BITRATE):
-        self.now_ns, self.carried = 0, []
+        self.now_ns = 0
+        self.carried = []
         self.hub = Hub(lambda: self.now_ns, bitrate)
         self.hub.tap(lambda frame: self.carried.append((frame.time_ns / 1000, frame.can_id)))
-        self.a, self.b = (self.hub.attach(lambda frame: None) for _ in range(2))
+        self.a = self.hub.attach(lambda frame: None)
+        self.b = self.hub.attach(lambda frame: None)
 
     def until(self, now_us):
+        """Advance to a time; return the frames that the bus has carried since the last call."""
         self.now_ns = round(1000 * now_us)
         self.hub.advance(self.now_ns)
-        found, self.carried = self.carried, []
-        return found
+        carried = self.carried
+        self.carried = []
+        return carried
 
 
 @pytest.fixture
@@ -120,7 +124,7 @@ def test_the_load_is_the_share_of_time_in_which_the_wire_is_taken(site):
     assert not stats["overloaded"]
 
 
-def test_more_than_the_wire_can_carry_is_told_and_its_load_is_100_percent():
+def test_more_than_the_wire_can_carry_is_an_overload_and_its_load_is_100_percent():
     site = Site(bitrate=10_000)
     site.hub.arbitrate(timed=False)
     for at_us in range(0, 1_000_000, 5000):
@@ -141,12 +145,12 @@ def test_a_sender_whose_queue_is_full_loses_frames_counted_and_others_lose_none(
     carried = site.until(1e6)
     assert len(carried) == QUEUE_FRAMES + 1
     assert carried[-1][1] == 0x7FF
-    # the room is there again
+    # the queue has room again
     site.a.send(Frame(0x001, b""))
     assert len(site.until(2e6)) == 1
 
 
-def test_nodes_that_share_a_port_have_queues_of_their_own(site):
+def test_nodes_that_share_a_port_have_separate_queues(site):
     for _ in range(QUEUE_FRAMES + 1):
         site.a.send(Frame(0x001, b""), origin="babbler")
     site.a.send(Frame(0x181, b""), origin="neighbour")
@@ -156,29 +160,38 @@ def test_nodes_that_share_a_port_have_queues_of_their_own(site):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_any_traffic_keeps_the_laws_of_the_wire(seed):
-    """One frame at a time, none before it is ready, none idle while one waits, none out of turn."""
+    """One frame at a time, none before it is ready, no idle wire while one waits, all in order."""
     source = random.Random(seed)
-    wire, done, ready, offered = Wire(BITRATE, 0), [], {}, 0
-    now = 0
+    wire = Wire(BITRATE, 0)
+    offered = {}  # number of a frame: (ready_ns, arbitration field, its time in ns)
+    done = []  # (number, end_ns), in the order of the wire
+    now_ns = 0
     for _ in range(2000):
-        now += source.choice((0, 0, source.randrange(400_000)))
-        while (found := wire.take(now)) is not None:
-            done.append((found[0].number, found[1]))
+        now_ns += source.choice((0, 0, source.randrange(400_000)))
+        while (taken := wire.take(now_ns)) is not None:
+            waiting, end_ns = taken
+            done.append((waiting.number, end_ns))
         frame = Frame(source.randrange(0x800), bytes(source.randrange(9)))
-        if wire.offer(frame, now, source.randrange(3), lambda end_ns: None):
-            offered += 1
-            ready[offered] = (now, arbitration_field(frame), frames.bits(frame) * BIT_NS)
-    while (found := wire.take(1 << 60)) is not None:
-        done.append((found[0].number, found[1]))
-    assert sorted(number for number, _ in done) == list(range(1, offered + 1))
-    free, left = 0, dict(ready)
-    for number, end in done:
-        at, field, takes = left.pop(number)
-        begin = end - takes
-        assert begin == max(free, min([at, *(one[0] for one in left.values())]))
-        assert at <= begin
-        assert all(one[1] >= field for one in left.values() if one[0] <= begin)
-        free = end
+        if wire.offer(frame, now_ns, source.randrange(3), lambda end_ns: None):
+            takes_ns = frames.bits(frame) * BIT_NS
+            offered[len(offered) + 1] = (now_ns, arbitration_field(frame), takes_ns)
+    while (taken := wire.take(1 << 60)) is not None:
+        waiting, end_ns = taken
+        done.append((waiting.number, end_ns))
+    assert sorted(number for number, _ in done) == list(offered)
+
+    free_ns = 0
+    left = dict(offered)
+    for number, end_ns in done:
+        ready_ns, field, takes_ns = left.pop(number)
+        begin_ns = end_ns - takes_ns
+        first_ready_ns = min([ready_ns, *(other_ready for other_ready, _, _ in left.values())])
+        assert begin_ns == max(free_ns, first_ready_ns)
+        assert ready_ns <= begin_ns
+        for other_ready, other_field, _ in left.values():
+            if other_ready <= begin_ns:
+                assert other_field >= field
+        free_ns = end_ns
 
 
 def test_an_error_frame_takes_the_wires_time(site):
@@ -188,7 +201,7 @@ def test_an_error_frame_takes_the_wires_time(site):
     assert site.until(444) == [(444, 0x181)]
 
 
-def test_services_pass_beside_the_wire_while_simulated_time_stands_still(site):
+def test_services_bypass_the_wire_while_simulated_time_stands_still(site):
     site.hub.services_bypass_wire = True
     site.a.send(Frame(0x211, b"\0"))
     site.a.send(Frame(0x601, EIGHT))
