@@ -82,8 +82,8 @@ class State(NamedTuple):
     air_supplied: np.ndarray  # NL, into the reservoir so far; brake
     # sand and roller film
     sand_command: np.ndarray  # 1: the bus commands the axle's sander to blow; the tick
-    sand_rate_fault: np.ndarray  # -, what a fault adds to the factor 1 on the rate; the tick
-    sand_delay_fault: np.ndarray  # s, what a fault adds to the hose's lag; the tick
+    sand_rate_fault: np.ndarray  # -, added by a fault to the factor 1 on the rate; the tick
+    sand_delay_fault: np.ndarray  # s, added by a fault to the hose's lag; the tick
     sand_box: np.ndarray  # kg, left in the box; surface
     sand_taken: np.ndarray  # kg, that the sander took from its box; surface
     sand_hose: np.ndarray  # kg, in the hose; surface

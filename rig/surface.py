@@ -90,7 +90,7 @@ def run_sander(state, j, place_m, sanders, tick_s):
     state.sand_taken[j] += taken_kg
     state.sand_hose[j] += taken_kg
 
-    # from the hose onto the rail, except what is blown aside
+    # from the hose onto the rail, except the share that is blown aside
     delay_s = max(sanders.hose_delay_s + state.sand_delay_fault[j], SHORTEST_DELAY_S)
     out_kg = state.sand_hose[j] * -math.expm1(-tick_s / delay_s)
     state.sand_hose[j] -= out_kg
@@ -120,7 +120,7 @@ def roll_onto_cell(state, j, cell, used_share):
 def advance_films(state, film, tick_s):
     """Let the rollers turn for a tick under their wheels and their spray [F1].
 
-    `film` is `params.RollerFilm`. All amounts are shares of what a whole prepared roller carries.
+    `film` is `params.RollerFilm`. All amounts are shares of the film of a whole prepared roller.
     """
     for j in range(AXLES):
         first = j * SECTORS

@@ -80,7 +80,7 @@ def creepage_of(sliding_m_s, speed_m_s):
     return abs(sliding_m_s) / max(abs(speed_m_s), SPEED_FLOOR_M_S)
 
 
-# what `law_for_contaminant` takes from its arguments; it copies every other field from the law
+# fields that `law_for_contaminant` sets from its arguments; it copies every other field
 _OF_CONTAMINANT = {
     "mu_cd": "mu_cd",
     "mu_cr": "mu_cr",

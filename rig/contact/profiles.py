@@ -165,7 +165,7 @@ def wheel(
     smoothing_m: float = 0.0,
     patch_m: float = 0.003,
 ) -> tuple[Wheel, Changes]:
-    """Return the tables of a wheel from points, and what their preparation changed.
+    """Return the tables of a wheel from points, and the changes by their preparation.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def rail(
     smoothing_m: float = 0.0,
     patch_m: float = 0.003,
 ) -> tuple[Rail, Changes]:
-    """Return the tables of a rail from points of the upright head, and what preparation changed.
+    """Return the tables of a rail from points of the upright head, and the changes by preparation.
 
     Parameters
     ----------
