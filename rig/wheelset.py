@@ -8,7 +8,7 @@ The secant slope T / s is used for the derivative, which that method allows with
 The brake is dry friction: a wheel that stops stays locked while r T is below what the discs can
 hold [W4].
 
-    [W1] J domega/dt = r T - C
+    [W1] J domega/dt = r T - C, paper eq. 20
     [W2] J_R dOmega/dt = u - R T on rollers; on a plain track the surface is the vehicle's
     [W3] (I - gamma h p q')^-1 k = k + p gamma h (q'k) / (1 - gamma h q'p),
          p = (r / J, -R / J_R), q = g (-r, R), g = T / s

@@ -76,7 +76,7 @@ class Law(NamedTuple):
 
 @kernel_inlined
 def creepage_of(sliding_m_s, speed_m_s):
-    """Return the magnitude of creepage: sliding over speed, for both signs of each."""
+    """Return the magnitude of creepage: sliding over speed, for both signs of each, paper eq. 7."""
     return abs(sliding_m_s) / max(abs(speed_m_s), SPEED_FLOOR_M_S)
 
 

@@ -11,7 +11,7 @@ depends only on A/B, and its size grows with the cube root of the load.
 [H3] 1/E* = 2 (1 - nu^2) / E for equal materials;  major^3 = 3 N D / (2 pi E* smaller curvature)
 [H4] p_0 = 3 N / (2 pi a b);  approach = 3 N K / (2 pi E* major);  N = k_h approach^(3/2)
 
-Source: Hertz 1881 as in Johnson, Contact Mechanics (1985), section 4.2; paper eq. 4. Smooth,
+Source: Hertz 1881 as in Johnson, Contact Mechanics (1985), section 4.2; paper eq. 5. Smooth,
 non-conformal surfaces and a half-space: not for worn, conforming profiles.
 """
 
@@ -125,7 +125,7 @@ def semi_axes(A_1_m, B_1_m, load_N, young_Pa, poisson):
 
 @kernel
 def stiffness(A_1_m, B_1_m, young_Pa, poisson):
-    """Return k_h in N m^-1.5 of N = k_h approach^1.5 [H4], paper eq. 4; 0 without curvature.
+    """Return k_h in N m^-1.5 of N = k_h approach^1.5 [H4], paper eq. 5; 0 without curvature.
 
     The arguments are those of `semi_axes`.
     """
