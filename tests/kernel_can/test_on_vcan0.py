@@ -161,7 +161,7 @@ def test_a_controllers_errors_are_events_and_bus_off_ends_the_bus(channel):
     asyncio.run(run())
     assert [code for code, _ in seen_events[:2]] == [Code.BUS_CONTROLLER] * 2
     assert "error-passive" in seen_events[0][1]["condition"]
-    assert "nobody acknowledges" in seen_events[1][1]["condition"]
+    assert "no node acknowledges" in seen_events[1][1]["condition"]
     assert "bus-off" in str(lost[0])
 
 

@@ -234,7 +234,7 @@ class BusPort(can.Listener):
             if msg.arbitration_id & kernel.BUS_OFF:
                 self.on_error(BusError("the controller is bus-off"))
         else:
-            self._drop(1, "they are CAN FD frames, which nobody here can read")
+            self._drop(1, "they are CAN FD frames, which no program here reads")
 
     def _time_ns(self, message: can.Message) -> int:
         """Return the time of a message by the hub's clock."""

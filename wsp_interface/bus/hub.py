@@ -94,7 +94,7 @@ class Port:
 
 
 def log_event(code: Code, /, **fields: Any) -> None:
-    """Log an event: the callback of a hub that nobody gives another one."""
+    """Log an event: the default callback of a hub."""
     event = events.make(0.0, code, **fields)
     log.log(logging.getLevelNamesMapping()[event.level.upper()], event.text)
 
@@ -240,8 +240,11 @@ class Hub:
         """Put a frame of a member on the bus, unless the gate stops it."""
         if self.on_submitted is not None:
             self.on_submitted(frame, sender)
+        if self.gate is None:
+            self._queue(frame, sender, then, origin)
+            return
         carry = partial(self._queue, frame, sender, then, origin)
-        if self.gate is None or self.gate(sender, frame, carry):
+        if self.gate(sender, frame, carry):
             carry()
 
     def destroy(
@@ -336,7 +339,7 @@ class Hub:
             asyncio.get_running_loop().add_reader(self._alarm.fileno, self._on_alarm)
 
     def advance(self, now_ns: int) -> None:
-        """Carry every frame whose last bit has left the wire by now, each at its own end time."""
+        """Carry every frame whose last bit has left the wire by now, each with its end time."""
         if self.wire is None or self._at_ns is not None:
             return
         try:

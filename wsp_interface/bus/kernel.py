@@ -56,7 +56,7 @@ ERRORS = (
     ErrorKind(0x04, 0x0C, "the controller's error counter is above 96 (error warning)"),
     ErrorKind(0x04, 0x30, "the controller is error-passive"),
     ErrorKind(
-        0x20, 0, "nobody acknowledges: no other node is on the bus, or it has another bit rate"
+        0x20, 0, "no node acknowledges: no other node is on the bus, or it has another bit rate"
     ),
     ErrorKind(BUS_OFF, 0, "the controller is bus-off"),
     ErrorKind(0x100, 0, "the controller has been restarted after bus-off"),

@@ -3,7 +3,7 @@
 Values become SI here, and nowhere else. A unit that does not belong to a signal is refused. So is a
 condition that no run can meet, because the quantity never leaves its range. A condition names a
 signal of the table of signals: of one axle as `cylinder_pressure_2`, else of all its axles. `every
-NAME` and `any NAME` say how the axles of a signal combine; `every` is the default.
+NAME` and `any NAME` state how the axles of a signal combine; `every` is the default.
 """
 
 import operator
