@@ -1,4 +1,4 @@
-"""The rig as an FMU: FMPy finds nothing wrong with it, and its stop is that of a free run."""
+"""The rig as an FMU: FMPy finds no error in it, and its stop is that of a free run."""
 
 import fmpy
 import numpy as np
@@ -50,18 +50,16 @@ def test_its_stop_is_that_of_a_free_run(rig, tmp_path):
     fmu.instantiate()
     fmu.enterInitializationMode(startTime=0.0)
     fmu.exitInitializationMode()
-    told = [f"{name}_{axle}" for name in ("wheel_speed", "cylinder_pressure") for axle in AXLES]
-    scales = [
-        signals.BY_NAME[name].places[0].scale
-        for name in ("measured_speed", "cylinder_pressure")
-        for _ in AXLES
-    ]
+    # what the unit receives: outputs of the FMU, and the value of one count of each
+    outputs = [f"{name}_{axle}" for name in ("wheel_speed", "cylinder_pressure") for axle in AXLES]
+    speed_scale = signals.BY_NAME["measured_speed"].places[0].scale
+    pressure_scale = signals.BY_NAME["cylinder_pressure"].places[0].scale
+    scales = np.repeat((speed_scale, pressure_scale), len(AXLES))
     valves = [reference[f"{name}_{axle}"] for axle in AXLES for name in ("hold", "vent")]
     speeds_m_s = []
     for cycle in range(300):
-        counts = np.rint(
-            np.array(fmu.getFloat64([reference[name] for name in told])) / scales
-        ).astype(np.int64)
+        values = np.array(fmu.getFloat64([reference[name] for name in outputs]))
+        counts = np.rint(values / scales).astype(np.int64)
         byte = magnets(counts)
         fmu.setBoolean(valves, [bool(byte >> bit & 1) for bit in range(8)])
         speeds_m_s += fmu.getFloat64([reference["vehicle_speed"]])
@@ -69,7 +67,7 @@ def test_its_stop_is_that_of_a_free_run(rig, tmp_path):
     np.testing.assert_allclose(speeds_m_s, expected["vehicle_speed_m_s"][:300], rtol=1e-12)
     assert fmu.getFloat64([reference["time"]]) == [3.0]
     assert max(speeds_m_s) - min(speeds_m_s) > 1.0
-    # what others ask of it, it does
+    # inputs act: demand, friction, magnets
     fmu.setFloat64(
         [reference[f"friction_{axle}"] for axle in AXLES] + [reference["brake_demand"]],
         [0.3] * 4 + [0.0],

@@ -1,4 +1,4 @@
-"""Scenarios: layers merge in their order, defaults are written out, a resolved one is one again."""
+"""Scenarios: layers merge in order, defaults are written out, a resolved scenario is a scenario again."""
 
 import tomllib
 
@@ -9,7 +9,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import scenario
 
 OWN = """
-title = "a stop of one's own"
+title = "a scenario of a user"
 vehicle = "uic_z1"
 adhesion_set = "wet"
 initial_speed_m_s = 20.0
@@ -44,9 +44,9 @@ def test_what_comes_later_wins(own, tmp_path):
     assert plain["adhesion"]["mu_cr"] == 0.28
     extended = scenario.load(own, str(model))
     assert (extended["adhesion"]["tau_m_J"], extended["adhesion"]["mu_cr"]) == (1e-4, 0.25)
-    told = scenario.load(own, str(model), ("adhesion.mu_cr=0.22", "initial_speed_m_s=25"))
-    assert (told["adhesion"]["mu_cr"], told["adhesion"]["tau_m_J"]) == (0.22, 1e-4)
-    assert told["initial_speed_m_s"] == 25.0
+    settled = scenario.load(own, str(model), ("adhesion.mu_cr=0.22", "initial_speed_m_s=25"))
+    assert (settled["adhesion"]["mu_cr"], settled["adhesion"]["tau_m_J"]) == (0.22, 1e-4)
+    assert settled["initial_speed_m_s"] == 25.0
 
 
 def test_a_set_can_be_named_beside_single_values_of_it(own):
@@ -54,11 +54,11 @@ def test_a_set_can_be_named_beside_single_values_of_it(own):
         ("adhesion=dry", "adhesion.mu_cr=0.3"),
         ("adhesion.mu_cr=0.3", "adhesion=dry"),
     ):
-        told = scenario.load(own, settings=settings)
-        assert told["adhesion_set"] == "dry"
-        assert told["adhesion"]["tau_m_J"] == 0.0
-        assert told["adhesion"]["mu_cr"] == 0.3
-        assert told["adhesion"]["mu_cd"] == 0.09
+        plan = scenario.load(own, settings=settings)
+        assert plan["adhesion_set"] == "dry"
+        assert plan["adhesion"]["tau_m_J"] == 0.0
+        assert plan["adhesion"]["mu_cr"] == 0.3
+        assert plan["adhesion"]["mu_cd"] == 0.09
 
 
 def test_a_set_is_found_beside_the_scenario_that_names_it(tmp_path):
@@ -101,7 +101,7 @@ def test_friction_and_demand_become_arrays_in_their_order(own):
     friction, demand = plan.params.friction, plan.params.demand
     assert friction.by_place.tolist() == [True, False]
     assert friction.start.tolist() == [100.0, 7.0]
-    assert friction.mu_cd.tolist() == [0.05, 0.09]  # the law's own where a step is silent
+    assert friction.mu_cd.tolist() == [0.05, 0.09]  # that of the law where a step gives none
     assert friction.mu_cr.tolist() == [0.28, 0.2]
     assert friction.axles.tolist() == [0b0101, 0b1111]
     assert (demand.start_s.tolist(), demand.pressure_Pa.tolist()) == ([1.0], [2e5])
