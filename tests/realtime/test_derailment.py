@@ -93,5 +93,4 @@ def test_a_run_of_the_coach_that_stays_on_its_rails_says_nothing_of_it(tmp_path)
     assert status == 4  # it does not stop in that time
     lines = (tmp_path / "run" / "events.jsonl").read_text().splitlines()
     codes = [json.loads(line)["code"] for line in lines]
-    assert codes
     assert Code.COACH_DERAILED not in codes
