@@ -1,4 +1,4 @@
-"""`rollerrig explain`: what the simulation gets wrong, why, the extended model, the measured gain."""
+"""`rollerrig explain`: what the simulation gets wrong, why, and what an extended model gains."""
 
 import argparse
 import contextlib
@@ -35,7 +35,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         metavar="RUN",
-        help="folders of runs that are never fitted, only judged (default: the last third of the runs)",
+        help="folders of runs that are never fitted, only judged "
+        "(default: the last third of the runs)",
     )
     parser.add_argument(
         "--out",
@@ -120,8 +121,8 @@ def _open_dataset(given: argparse.Namespace) -> "tuple[Dataset, Path]":
     are_runs = all((Path(name) / "scenario.toml").is_file() for name in given.dataset)
     if given.validate and not are_runs:
         raise ConfigError(
-            f"--validate {given.validate[0]}: {given.dataset[0]} is not a run folder; give --validate with "
-            "run folders only, a dataset names its runs to validate in its dataset.toml"
+            f"--validate {given.validate[0]}: {given.dataset[0]} is not a run folder; give --validate "
+            "with run folders only. A dataset names its runs to validate in its dataset.toml"
         )
 
     def dataset_of_runs(runs: list[Path], folder: Path) -> "Dataset":
@@ -131,7 +132,7 @@ def _open_dataset(given: argparse.Namespace) -> "tuple[Dataset, Path]":
 
 
 def _dataset_of_runs(runs: list[Path], validate: list[Path], folder: Path) -> "Dataset":
-    """Write a dataset of run folders into a folder, and return it; without `validate` the last third validates."""
+    """Write and return a dataset of run folders; without `validate` the last third validates."""
     from rollerrig.realtime.datasets import run_dataset, run_sensors
     from rollerrig.rig.identify.data import dataset
 
@@ -151,7 +152,7 @@ def _dataset_of_runs(runs: list[Path], validate: list[Path], folder: Path) -> "D
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """Show the progress of a search: yields a function of the title of a step and its share done, 0 to 1."""
+    """Show progress: yields a function of the title of a step and its share done, 0 to 1."""
     from rich.console import Console
     from rich.progress import Progress as Bar
 
@@ -214,7 +215,7 @@ def write_and_show(
 def _write_further_stops(
     diagnosis: "Diagnosis", report: dict[str, Any], out: Path, count: int, progress: Progress
 ) -> list[str]:
-    """Write the separating tests of causes and the proposed stops as sequences. Returns lines about the stops.
+    """Write separating tests and proposed stops as sequences; return lines about the stops.
 
     Their names are added to the report.
     """

@@ -2,10 +2,10 @@
 
 They show where the base is wrong, what a cause does, where it matters, and what is gained.
 
-The effect of a cause is shown without its form: the panel has what the model without the cause leaves,
-in bins of the covariate that the cause depends on. The fitted law is drawn over it: the difference
-that the cause makes to what is left. Bars are two standard errors from means of blocks of 3 s, since
-neighbouring samples are not independent.
+The effect of a cause is shown without its form: the panel has what the model without the cause
+leaves, in bins of the covariate that the cause depends on. The fitted law is drawn over it: the
+difference that the cause makes to what is left. Bars are two standard errors from means of blocks
+of 3 s, since neighbouring samples are not independent.
 """
 
 from typing import NamedTuple
@@ -68,7 +68,7 @@ class Binned(NamedTuple):
 
 
 def binned(x: np.ndarray, y: np.ndarray, block: np.ndarray, edges: np.ndarray) -> Binned:
-    """Return the means of y in bins of x. Samples with the same number in `block` belong together."""
+    """Return means of y in bins of x; samples with the same number in `block` belong together."""
     bins = len(edges) - 1
     bin_of = np.clip(np.digitize(x, edges) - 1, 0, bins - 1)
     at = []
@@ -132,7 +132,7 @@ def _covariates_to_show(against: list[str]) -> list[str]:
 
 
 def cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> Panel:
-    """Return the panel of what the model without a cause leaves, along the covariate that the cause depends on."""
+    """Return the panel of what the model without a cause leaves, along the cause's covariate."""
     design = diagnosis.design
     mechanism = BY_NAME[identified.cause.name]
     axle = identified.cause.axle
@@ -186,7 +186,7 @@ def _left(design: Design, explanation: Explanation) -> np.ndarray:
 
 
 def _edges(x: np.ndarray) -> np.ndarray:
-    """Return the edges of bins that hold about equally many samples; of one bin where x does not vary."""
+    """Return the edges of bins of about equally many samples; of one bin if x does not vary."""
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
     if edges.size > 2:
         return edges
@@ -237,7 +237,7 @@ def _draw_series(axes: Axes, series: Series) -> None:
 
 
 def stretch(figure: Figure, diagnosis: Diagnosis) -> None:
-    """Draw measured, base and extended adhesion for the seconds and the axle where the models differ most."""
+    """Draw measured, base and extended adhesion where the models differ most, on one axle."""
     design = diagnosis.design
     measured, base, sliding = gain.adhesion(design, diagnosis.base)
     _, extended, _ = gain.adhesion(design, diagnosis.final)
@@ -258,7 +258,7 @@ def stretch(figure: Figure, diagnosis: Diagnosis) -> None:
 
 
 def _where_they_differ(design: Design, base: np.ndarray, extended: np.ndarray) -> tuple[int, slice]:
-    """Return the segment and the samples of STRETCH_S in which two courses of adhesion differ most."""
+    """Return the segment and the STRETCH_S in which two courses of adhesion differ most."""
     length = int(STRETCH_S / design.step_s)
     best_segment = 0
     best = slice(0, length)
@@ -277,7 +277,7 @@ def _where_they_differ(design: Design, base: np.ndarray, extended: np.ndarray) -
 
 
 def gains(axes: Axes, by_run: dict[str, RunGain], metric: str) -> None:
-    """Draw the error on each run that was never fitted, before and after, and its reduction with the interval."""
+    """Draw the error on each run that was never fitted, before and after, and its reduction."""
     places = np.arange(len(by_run))
     before = [gain_of_run.before for gain_of_run in by_run.values()]
     after = [gain_of_run.after for gain_of_run in by_run.values()]

@@ -1,4 +1,4 @@
-"""Writes the report on braking runs: report.json, report.html, the short text, and the courses for Rerun.
+"""Writes the report on braking runs: report.json, report.html, and what Rerun shows.
 
 Every number of the page is in the JSON too.
 """
@@ -127,7 +127,7 @@ def _delta_bic(diagnosis: Diagnosis, likelihood_ratio: float, size: int) -> floa
 
 
 def _cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> dict[str, Any]:
-    """Return the entry of a cause. The name of its separating test is filled in when the file is written."""
+    """Return the entry of a cause; the name of its separating test is added when it is written."""
     cause = identified.cause
     size = len(cause.values) + len(cause.shape)
     parameters = estimates.parameters(identified)
@@ -201,8 +201,8 @@ def panels(diagnosis: Diagnosis, report: dict[str, Any]) -> tuple[list[Panel], l
 def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     """Return the HTML page, without external parts.
 
-    It shows the verdict, where the base is wrong, the causes, the gain, what to run next, and what was
-    ruled out.
+    It shows the verdict, where the base is wrong, the causes, the gain, what to run next, and what
+    was ruled out.
     """
     where, of_causes = panels(diagnosis, report)
     parts = [html.paragraph(f"Verdict: {diagnosis.verdict}", kind="note")]
@@ -265,7 +265,7 @@ def as_markdown(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
 
 
 def adhesion_courses(diagnosis: Diagnosis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return by Rerun path (time in s, (n, 3) adhesion: measured, of the base, of the extended model)."""
+    """Return by Rerun path (time in s, adhesion (n, 3): measured, base, extended model)."""
     design = diagnosis.design
     measured, base, _ = gain.adhesion(design, diagnosis.base)
     _, extended, _ = gain.adhesion(design, diagnosis.final)

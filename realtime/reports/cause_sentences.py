@@ -1,4 +1,4 @@
-"""Makes the sentences of the report on braking runs: the story, the notes, and why a cause was rejected.
+"""Makes the sentences of the report on braking runs: story, notes, reasons of rejection.
 
 The words for causes come from the table of mechanisms.
 """
@@ -24,7 +24,7 @@ MOST_COVARIATES_SHOWN = 3
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, without an exponent where a reader needs none."""
+    """Return a number with so many significant digits, if possible without an exponent."""
     return f"{float(f'{value:.{digits}g}'):g}"
 
 
@@ -68,7 +68,7 @@ def _left_side(formula: EmpiricalFormula) -> str:
 
 
 def notes(diagnosis: Diagnosis) -> list[str]:
-    """Return the warnings of the dataset, and the notes of the decision as sentences without a full stop."""
+    """Return the warnings of the dataset and the notes of the decision, without full stops."""
     return [*diagnosis.data.warnings, *(note_sentence(note) for note in diagnosis.notes)]
 
 
@@ -79,9 +79,15 @@ def note_sentence(note: Note) -> str:
     match note.code:
         case NoteCode.GAIN_NOT_JUDGED:
             unknown = table.BY_NAME[note.causes[0]].unknown_in_other_runs
-            return f"{unknown} not known for the runs that were not fitted: the gain cannot be judged there"
+            return (
+                f"{unknown} not known for the runs that were not fitted: the gain cannot be judged "
+                "there"
+            )
         case NoteCode.NOT_LIKE_RECORDING:
-            return f"simulated stops with {causes} do not brake like the recording: not reported as a cause"
+            return (
+                f"simulated stops with {causes} do not brake like the recording: not reported as a "
+                "cause"
+            )
         case NoteCode.WORSE_ON_HELD_OUT_RUNS:
             return (
                 f"{causes} would fit the tuning runs but makes runs that were not fitted worse: "
@@ -89,8 +95,8 @@ def note_sentence(note: Note) -> str:
             )
         case NoteCode.LARGE_REMAINDER:
             return (
-                f"with {causes} in the model a large remainder is left along {remainder}: the cause, or "
-                "its form, is not in the library"
+                f"with {causes} in the model a large remainder is left along {remainder}: the "
+                "cause, or its form, is not in the library"
             )
         case NoteCode.SMALL_REMAINDER:
             return f"a small remainder is left along {remainder}"
@@ -126,7 +132,7 @@ def score_test_of(diagnosis: Diagnosis, name: str) -> ScoreTest | None:
 
 
 def detectability(deviation: float) -> float:
-    """Return the size of an effect that nine of ten data sets with this standard deviation would show."""
+    """Return the size of an effect that nine of ten data sets with this deviation would show."""
     return thresholds.DETECTABLE_DEVIATIONS * deviation
 
 
@@ -151,7 +157,7 @@ def rejected_because(diagnosis: Diagnosis, name: str) -> str:
 
 
 def story(diagnosis: Diagnosis) -> list[str]:
-    """Return what is wrong, by how much, where, why, and what the extended model gains, in a few sentences."""
+    """Return what is wrong, by how much, where, and what the extended model gains, in sentences."""
     lines = []
     if diagnosis.verdict == Verdict.CONSISTENT:
         lines.append(
@@ -163,8 +169,8 @@ def story(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict == Verdict.PARTLY:
         left = remainder(diagnosis)
         lines.append(
-            f"A remainder is left along {', '.join(left.against)}: {left.share:.0%} of the evidence. No "
-            "further cause of the library explains it."
+            f"A remainder is left along {', '.join(left.against)}: {left.share:.0%} of the evidence. "
+            "No further cause of the library explains it."
         )
     if diagnosis.verdict == Verdict.UNEXPLAINED:
         lines.append(

@@ -1,6 +1,7 @@
 """Writes an extended model as a TOML file: the tuned base and the coefficients of the causes.
 
-Every value obeys the bounds of the table of mechanisms, like a value written by hand. `rollerrig run
+Every value obeys the bounds of the table of mechanisms, like a value written by hand. `rollerrig
+run
 --model` and `explain` load the file. Delays of sensors are in the recording, not in the plant: they
 are written as comments. The comment on a delay of the wheel speeds names the fault with the same
 effect on the bus of the bench.

@@ -1,9 +1,9 @@
-"""Fits causes and chooses: the most likely one, those that cannot be distinguished from it, and a second one.
+"""Fits causes and chooses the most likely one, its confusable rivals, and a second one.
 
 A cause must win more likelihood than the choice of its shape costs, and not in one place of one run
-only. A second cause must win more than a wrong shape of the first one could lend to it. If there are
-two, the first one is chosen again with the second in the model: a cause that had to account for the
-effects of both gives way.
+only. A second cause must win more than a wrong shape of the first one could lend to it. If there
+are two, the first one is chosen again with the second in the model: a cause that had to account for
+the effects of both gives way.
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ class Fit(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A cause that may be the right one: its score test and its fit, in which it is the last cause."""
+    """A cause that may be the right one: its score test, and its fit, whose last cause it is."""
 
     test: ScoreTest
     fit: Fit
@@ -82,7 +82,11 @@ class IdentifiedCause(NamedTuple):
 
 
 def fit_explanation(design: Design, explanation: Explanation) -> Fit:
-    """Fit an explanation to a design, also from another start and off the grid of the search where it needs that."""
+    """Fit an explanation to a design.
+
+    A cause with a finite step is also fitted from another start. Windows are moved off the grid of
+    the search.
+    """
     fit = fitting.fit(design, explanation, 6)
     if explanation.causes:
         last = explanation.causes[-1].name
@@ -103,7 +107,7 @@ def fit_explanations(
 
 
 def blocks(design: Design, explanation: Explanation) -> np.ndarray:
-    """Return the deviance of the four wheel filters and the vehicle's in blocks of all runs, shape (5, blocks)."""
+    """Return the deviance in blocks of all runs, shape (5, blocks): wheels, then vehicle."""
     innovation, variance, _, vehicle_innovation, vehicle_variance = sensitivity.innovations(
         design, inputs(design, explanation)
     )
@@ -123,8 +127,9 @@ def blocks(design: Design, explanation: Explanation) -> np.ndarray:
 def with_remaining_irregularity(
     workspace: Workspace, base: Explanation, promising: list[Cause]
 ) -> tuple[Explanation, list[Fit]]:
-    """Return an explanation with the irregularity that the best promising cause leaves, and the fits of all of them.
+    """Return an explanation with the irregularity that the best promising cause leaves.
 
+    The second value is the fits of all promising causes.
     The effect of a cause that is not in the model looks like a rougher rail, and would hide in it.
     """
     fits = fit_explanations(
@@ -151,8 +156,8 @@ def fit_significant(
 ) -> list[Candidate]:
     """Fit each significant cause together with an explanation, at most `most` of them.
 
-    A `ready` fit of a cause with a finite step is used again: such a fit starts from an untuned base
-    and takes long.
+    A `ready` fit of a cause with a finite step is used again: such a fit starts from an untuned
+    base and takes long.
     """
     present = {cause.name for cause in explanation.causes}
     significant = [
@@ -187,8 +192,9 @@ def add_ready_fits(
     normal: fitting.NormalEquations,
     nulls: list[evidence.Scores],
 ) -> list[Candidate]:
-    """Return the candidates with ready fits added, and replaced where a ready fit of another shape is better.
+    """Return the candidates, with ready fits where these are better.
 
+    A ready fit replaces that of another shape of its cause if it is better.
     A fit is added if it wins so much that its cause needs no score: scores say little far from the
     base. `deviance` is that of the base.
     """
@@ -213,8 +219,9 @@ def add_ready_fits(
 def choose(
     design: Design, explanation: Explanation, deviance: float, candidates: list[Candidate]
 ) -> tuple[Explanation, list[IdentifiedCause]]:
-    """Return the explanation with the best further cause, and that cause; without one if none wins enough.
+    """Return the explanation with the best further cause, and that cause.
 
+    Both are without a further cause if none wins enough.
     `deviance` is that of the explanation.
     """
     ratios = []
@@ -278,7 +285,7 @@ def _price(test: ScoreTest) -> float:
 
 
 def _deviation(test: ScoreTest, covariance: np.ndarray, at: int) -> tuple[float, ...]:
-    """Return the standard deviations of a cause's coefficients, which begin at place `at` of the covariance."""
+    """Return the deviations of a cause's coefficients, from place `at` of the covariance."""
     nominal = np.sqrt(np.diag(covariance)[at : at + len(test.estimate)])
     floor = table.BY_NAME[test.name].floor
     return tuple(float(np.hypot(s * max(test.spread, 1.0), floor)) for s in nominal)
@@ -301,8 +308,9 @@ def _rivals(
 
 
 def _confusable(rivals: Sequence[Rival], form: float) -> tuple[str, ...]:
-    """Return the names of the rivals that may be the right cause: by chance, or since laws are inexact.
+    """Return the names of the rivals that may be the right cause.
 
+    They lose by chance, or since laws are inexact.
     No law is nearer to the truth than the share `form`.
     """
     return tuple(
@@ -332,8 +340,9 @@ def add_second_cause(
     candidates: list[Candidate],
     seed: int,
 ) -> tuple[Explanation, list[IdentifiedCause], list[ScoreTest] | None]:
-    """Return the explanation with a second cause if there is one, the causes, and the tests of the remainder.
+    """Return the explanation with a second cause if there is one, the causes, and the remainder.
 
+    The remainder is the tests of the smooth functions.
     `causes` holds the first cause, `candidates` those among which it was chosen. The remainder is
     None if stops simulated with the causes do not brake like the recording.
     """
@@ -398,8 +407,9 @@ def _test_with_causes(
     seed: int,
     searches_windows: bool,
 ) -> list[ScoreTest]:
-    """Return the score tests of what an explanation with causes leaves. Raises ConfigError as the null simulations do.
+    """Return the score tests of what an explanation with causes leaves.
 
+    Raises ConfigError as the null simulations do.
     With `searches_windows` promising windows are tested on the smoother rail that they leave. All
     else is judged on the rail as it was fitted.
     """
@@ -429,7 +439,7 @@ def _test_with_causes(
 
 
 def _may_be_second(first: IdentifiedCause, test: ScoreTest) -> bool:
-    """Return whether a cause, judged by its score before it is fitted, wins more than the first can lend to it."""
+    """Return whether a cause, by its score, wins more than the first can lend to it."""
     ratio = test.statistic / thresholds.SCORE_SHARE_OF_RATIO
     filters = _filters_that_respond(test)
     by_filter = ratio * filters / filters.sum()
@@ -437,9 +447,10 @@ def _may_be_second(first: IdentifiedCause, test: ScoreTest) -> bool:
 
 
 def _filters_that_respond(test: ScoreTest) -> np.ndarray:
-    """Return 1 for each filter in which a cause shows, else 0: four wheelsets, then the vehicle, shape (5,).
+    """Return 1 for each filter in which a cause shows, else 0, shape (5,).
 
-    The filter of the vehicle contains no adhesion law. Those of the wheels contain no force on the vehicle.
+    The filters are those of the four wheelsets and of the vehicle. The filter of the vehicle
+    contains no adhesion law. Those of the wheels contain no force on the vehicle.
     """
     acts_on = ""
     if test.name in table.BY_NAME:
@@ -452,10 +463,10 @@ def _filters_that_respond(test: ScoreTest) -> np.ndarray:
 def _net_likelihood(
     first: IdentifiedCause, second: ScoreTest, ratio: float, by_filter: np.ndarray
 ) -> float:
-    """Return the likelihood ratio of a second cause less what a wrong shape of the first can lend to it.
+    """Return the likelihood ratio of a second cause less what the first can lend to it.
 
-    In each filter the first cause can lend a share of its ratio there. `by_filter` (5,) is the ratio of
-    the second cause in each filter.
+    A wrong shape of the first cause would lend it. In each filter the first cause can lend a share
+    of its ratio there. `by_filter` (5,) is the ratio of the second cause in each filter.
     """
     ratios = np.array([by_filter, first.ratio_by_filter])
     share = thresholds.LENT_SHARE
@@ -470,7 +481,7 @@ def _net_likelihood(
 
 
 def _are_both_needed(workspace: Workspace, explanation: Explanation, deviance: float) -> bool:
-    """Return whether the first of two causes still earns its likelihood with the second in the model.
+    """Return whether the first of two causes still wins enough with the second in the model.
 
     `deviance` is that of the first cause alone.
     """
@@ -493,8 +504,9 @@ def _choose_first_again(
     second: IdentifiedCause,
     candidates: list[Candidate],
 ) -> tuple[Explanation, list[IdentifiedCause]]:
-    """Return explanation and causes after the first cause is chosen again with the second in the model.
+    """Return explanation and causes after the first cause is chosen again.
 
+    The second cause is in the model now.
     The candidates for the first cause are those among which it was chosen before.
     """
     others = [c for c in candidates if c.test.name != second.score_test.name]

@@ -1,9 +1,9 @@
-"""Explains braking runs: fits the base, tests every cause, fits those that count, checks what is left.
+"""Explains braking runs: fits the base, tests and fits causes, and checks what is left.
 
 The order is the argument. First the base gets its best chance. Then null simulations of the same
 design show what is ordinary. A cause is accepted if it is beyond that, alone or together with those
-that cannot be distinguished from it. Then the remainder is judged in the same way, with the cause in
-the null simulations.
+that cannot be distinguished from it. Then the remainder is judged in the same way, with the cause
+in the null simulations.
 """
 
 import time
@@ -79,7 +79,7 @@ class _Search(NamedTuple):
 def explain_braking_runs(
     data: Dataset, seed: int, progress: null_simulations.Progress
 ) -> Diagnosis:
-    """Return the diagnosis of a set of braking runs. Raises ConfigError if nothing can be concluded."""
+    """Return the diagnosis of braking runs. Raises ConfigError if nothing can be concluded."""
     from threadpoolctl import threadpool_limits
 
     began_s = time.monotonic()
@@ -153,9 +153,9 @@ def _check_accuracy(design: Design, base: Explanation) -> None:
     high = thresholds.MOST_INNOVATION_VARIANCE
     if ratio > high or ratio < low:
         raise ConfigError(
-            f"the innovations have {ratio:.2g} times the variance that the declared accuracy allows (1 "
-            f"is right, {low} to {high} is accepted): correct [accuracy] in dataset.toml, or leave its "
-            "values out to have them estimated"
+            f"the innovations have {ratio:.2g} times the variance that the declared accuracy allows "
+            f"(1 is right, {low} to {high} is accepted): correct [accuracy] in dataset.toml, or leave "
+            "its values out to have them estimated"
         )
 
 
@@ -201,7 +201,7 @@ def _smooth_functions(tests: list[ScoreTest]) -> list[ScoreTest]:
 
 
 def _notes_on_gain(held_out: Design | None, causes: list[IdentifiedCause]) -> list[Note]:
-    """Return a note if a cause is not known for the runs that were never fitted, so that its gain cannot be judged."""
+    """Return a note if the gain cannot be judged, since other runs do not show a cause's shape."""
     if held_out is None:
         return []
     names = [identified.score_test.name for identified in causes]
@@ -214,7 +214,7 @@ def _notes_on_gain(held_out: Design | None, causes: list[IdentifiedCause]) -> li
 def decide_verdict(
     causes: list[IdentifiedCause], remainder: list[ScoreTest] | None, measured_gain: Gain | None
 ) -> tuple[Verdict, list[Note]]:
-    """Return the verdict on some causes by what they leave and what they gain, with the notes that it needs."""
+    """Return the verdict on some causes, by what they leave and gain, with its notes."""
     names = tuple(identified.score_test.name for identified in causes)
     if remainder is None:
         return Verdict.UNEXPLAINED, [Note(NoteCode.NOT_LIKE_RECORDING, causes=names)]

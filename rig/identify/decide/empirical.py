@@ -1,8 +1,8 @@
 """Looks for an empirical formula for what no cause explains: one covariate, two coefficients.
 
-The covariates along which the remainder is smooth are tried with a polynomial of second order, those
-of place and wheel angle with a wave as well. A formula is accepted only if it improves runs that were
-never fitted. Otherwise the report names the covariates of the remainder, and no formula.
+The covariates along which the remainder is smooth are tried with a polynomial of second order,
+those of place and wheel angle with a wave as well. A formula is accepted only if it improves runs
+that were never fitted. Otherwise the report names the covariates of the remainder, and no formula.
 
     [N1] ln mu += a z + b z^2, z = (x - centre) / scale;  or a cos(2 pi x / p) + b sin(2 pi x / p)
     [N2] R += a z + b z^2 in N, x the vehicle's speed or time

@@ -1,4 +1,4 @@
-"""Gives the parameters of an identified cause: value and 95 % interval of each coefficient and shape."""
+"""Gives the parameters of an identified cause: coefficients and shape, with 95 % intervals."""
 
 import math
 from typing import NamedTuple
@@ -59,7 +59,8 @@ def _interval_of_shape(cause: str, name: str, value: float) -> tuple[float, floa
 def _amplitude_and_phase(identified: IdentifiedCause) -> dict[str, Estimate]:
     """Return amplitude and phase of a cause that is fitted as cosine and sine of each run.
 
-    The amplitude is the mean of all runs. The phase is that of the first run, with any other possible.
+    The amplitude is the mean of all runs. The phase is that of the first run, with any other
+    possible.
     """
     values = identified.cause.values
     deviation = float(max(identified.deviation))

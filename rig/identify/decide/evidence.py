@@ -1,13 +1,15 @@
 """Judges every cause and every smooth function by a score test, calibrated on null simulations.
 
 The score of a cause is the likelihood that its coefficients would win. The same search runs on null
-simulations: stops simulated from the fitted model with no further cause in them. There every estimate
-has a bias and a spread that nominal errors do not contain. A cause counts if its estimate, less the
-bias, is so far outside the spread that the false alarms of all causes together stay below 2 %.
+simulations: stops simulated from the fitted model with no further cause in them. There every
+estimate has a bias and a spread that nominal errors do not contain. A cause counts if its estimate,
+less the bias, is so far outside the spread that the false alarms of all causes together stay below
+2 %.
 
     [E1] x = -S^-1 g, S and g the normal equations less what the base absorbs (Schur complement)
     [E2] T = (x - mean)' S (x - mean) / scale, scale the mean of the same over null simulations
-Source: Engle, Wald, likelihood ratio and Lagrange multiplier tests, Handbook of Econometrics 2 (1984).
+Source: Engle, Wald, likelihood ratio and Lagrange multiplier tests, Handbook of Econometrics 2
+(1984).
 """
 
 from collections.abc import Sequence
@@ -66,7 +68,7 @@ class Window(NamedTuple):
 
 
 def scores(normal: fitting.NormalEquations, keep: Sequence[str] = ()) -> Scores:
-    """Return the scores of all columns [E1]. Causes that the model has already (`keep`) join the base."""
+    """Return the scores of all columns [E1]; causes in the model already (`keep`) join the base."""
     kept = [c for c, column in enumerate(normal.matrix.columns) if column.cause in keep]
     base = fitting.base_columns(normal.matrix) + kept
     A = normal.A
@@ -83,7 +85,10 @@ def scores(normal: fitting.NormalEquations, keep: Sequence[str] = ()) -> Scores:
 
 
 def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the estimates [E1] of some columns and their part of S, of one data set or of many stacked."""
+    """Return the estimates [E1] of some columns and their part of S.
+
+    The scores are those of one data set, or of many that are stacked.
+    """
     S = s.S[..., np.array(at)[:, None], at]
     g = s.g[..., at]
 
@@ -108,8 +113,9 @@ def score_tests(
     nulls: list[Scores],
     known: Sequence[str] = (),
 ) -> list[ScoreTest]:
-    """Return the test of every cause and smooth function in its best shape, the most significant first.
+    """Return the tests of all causes and smooth functions, the most significant one first.
 
+    Each is in its best shape.
     `known` causes are in the model already and are left out.
     """
     measured = scores(normal, known)
@@ -135,7 +141,10 @@ def score_tests(
 
 
 def most_promising(design: Design, normal: fitting.NormalEquations, count: int) -> list[Cause]:
-    """Return the causes of the largest nominal score, one shape of each, not yet judged by null simulations."""
+    """Return the causes of the largest nominal score, one shape of each.
+
+    Null simulations have not judged them yet.
+    """
     measured = scores(normal)
     best: dict[str, tuple[float, Cause]] = {}
     for variant in normal.matrix.variants:
@@ -155,7 +164,7 @@ def most_promising(design: Design, normal: fitting.NormalEquations, count: int) 
             cause = Cause(variant.cause, variant.axle, variant.shape, coefficients)
             best[variant.cause] = (value, cause)
 
-    # windows are the best of many, so they have to win more; two empty data sets stand for the nulls
+    # windows are the best of many, so they have to win more; empty data sets replace the nulls
     nothing = [Scores(S=measured.S, g=np.zeros_like(measured.g))] * 2
     for window in _test_windows(design, normal, measured, nothing):
         if window.statistic > thresholds.PROMISING_WINDOW_FLOOR:
@@ -202,7 +211,7 @@ def _test_variant(measured: Scores, nulls: Scores, variant: columns.Variant) -> 
 def score_test_of(
     normal: fitting.NormalEquations, nulls: list[Scores], cause: Cause
 ) -> ScoreTest | None:
-    """Return the test of a cause in the shape that it has; None for a window, which has no columns."""
+    """Return the test of a cause in its present shape; None for a window, which has no columns."""
     variant = normal.matrix.variant_of(cause)
     if variant is None:
         return None
@@ -253,7 +262,7 @@ def _best_window(S: np.ndarray, g: np.ndarray, longest: int, sign: float) -> Win
 
 
 def _gumbel_tail(value: float, null: np.ndarray) -> float:
-    """Return the probability of a larger maximum, by a Gumbel law with the moments of the null simulations."""
+    """Return the probability of a larger maximum, by a Gumbel law with the moments of the nulls."""
     mean = float(null.mean())
     least_width = thresholds.LEAST_GUMBEL_SHARE * mean + thresholds.LEAST_GUMBEL_WIDTH
     width = max(float(null.std(ddof=1)) * np.sqrt(6.0) / np.pi, least_width)

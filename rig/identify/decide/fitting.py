@@ -1,10 +1,11 @@
-"""Fits an explanation to a design: base parameters within tolerances, causes, irregularity of the rail.
+"""Fits an explanation to a design: base parameters, causes, irregularity of the rail.
 
-The fit is Gauss-Newton on the whitened innovations, whose derivatives come from the linearised filter.
-Between the steps scipy finds the strength and length of the irregularity on the exact likelihood.
-A cause thus earns likelihood only by making what is left unexplained smaller.
+The fit is Gauss-Newton on the whitened innovations, whose derivatives come from the linearised
+filter. Between the steps scipy finds the strength and length of the irregularity on the exact
+likelihood. A cause thus earns likelihood only by making what is left unexplained smaller.
 
-    [T1] -2 ln L = sum innovation^2 / variance + ln variance, over wheels and vehicles, + sum (x / prior)^2
+    [T1] -2 ln L = sum innovation^2 / variance + ln variance  + sum (x / prior)^2,
+         the first sum over wheels and vehicles
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ from rollerrig.rig.identify.replay.sensitivity import LinearisedReplay
 # step of a finite difference: of a base parameter, and of a coefficient as a share of itself
 _STEP = 1e-3
 
-# largest absolute values of base parameters by the beginnings of their labels: logarithms and shares
+# largest absolute values of base parameters (logarithms, shares) by the beginnings of their labels
 _BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1}
 _OTHER_BOUND = 1.0
 
@@ -35,7 +36,7 @@ _OTHER_BOUND = 1.0
 _NOISE_STEPS = (1, 3, 5)
 # a fit may stop early only after this step
 _LEAST_STEP = 3
-# a step of Gauss-Newton is shortened by this factor, at most this number of times, until it improves
+# a step of Gauss-Newton is shortened by this factor until it improves, at most so often
 _SHORTER = 0.35
 _MOST_SHORTENED = 5.0
 
@@ -45,7 +46,7 @@ _SHORTEST_IRREGULARITY_M = 1.0
 
 
 class Response(NamedTuple):
-    """How whitened innovations respond to columns: of the wheel of one segment, or the vehicle of one run."""
+    """How whitened innovations respond to columns: of one segment's wheel, or one run's vehicle."""
 
     columns: np.ndarray  # (used,) numbers of the columns that act there
     places: np.ndarray  # (used,) their places in `whitened`: columns may share a course
@@ -93,7 +94,7 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
     cost = 0.0
     for label, value in explanation.base.items():
         if label.startswith(("torque_gain", "load_gain", "mass")):
-            # the gain of a wheelset's torque is a sum: the gain of all wheelsets and that of the wheelset
+            # the gain of a torque is the sum of that of all wheelsets and that of the wheelset
             weight = 2.0 if label.startswith("torque") else 1.0
             cost += (value / tolerance) ** 2 * weight
 
@@ -150,7 +151,7 @@ def _responses(
     linear: LinearisedReplay,
     exact: dict[int, np.ndarray],
 ) -> list[Response]:
-    """Return the whitened responses of each wheel, then of each vehicle; `exact` ones replace linearised ones."""
+    """Return the responses of each wheel, then of each vehicle; `exact` ones replace linearised."""
     responses = [_wheel_response(design, matrix, linear, exact, s) for s in range(design.segments)]
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
@@ -238,11 +239,11 @@ def _finite_differences(
     linear: LinearisedReplay,
     search: bool,
 ) -> dict[int, np.ndarray]:
-    """Return responses of the wheels (n,) by the numbers of their courses, where a linearised filter is not enough.
+    """Return responses of the wheels (n,) by their courses, where linearising is not enough.
 
-    A cause with a finite step has no derivative at size 0 that the noise of a filter would not spoil.
-    Once such a cause is in the explanation, the linearised filter is not good enough for the other
-    coefficients either: all that are fitted get a finite difference.
+    A cause with a finite step has no derivative at size 0 that the noise of a filter would not
+    spoil. Once such a cause is in the explanation, the linearised filter is not good enough for the
+    other coefficients either: all that are fitted get a finite difference.
     """
     if any(_is_stepped(cause) and cause.values[0] > 0.0 for cause in explanation.causes):
         moves = _moves_of_all(explanation, matrix, search)
@@ -278,8 +279,9 @@ def _moves_of_stepped(explanation: Explanation, matrix: SensitivityMatrix) -> di
 def _moves_of_all(
     explanation: Explanation, matrix: SensitivityMatrix, search: bool
 ) -> dict[int, _Move]:
-    """Return a small step of each coefficient that is fitted, by its course; in a search of the stepped cause only.
+    """Return a small step of each coefficient that is fitted, by its course.
 
+    In a search it is a step of the stepped cause only.
     Columns that share a course and no wheelset are moved in one replay.
     """
     moves: dict[int, _Move] = {}
@@ -319,7 +321,7 @@ def _add_priors(
     A: np.ndarray,
     b: np.ndarray,
 ) -> None:
-    """Add the declared tolerances and the torque of the released brakes to the normal equations, in place."""
+    """Add tolerances and the torque of released brakes to the normal equations, in place."""
     for c, column in enumerate(matrix.columns):
         if column.prior > 0.0:
             A[c, c] += 1.0 / column.prior**2
@@ -345,7 +347,7 @@ def _add_priors(
 
 
 def _is_plain_offset(variant: Variant, axle: int) -> bool:
-    """Return whether a variant is an offset of the torque that also acts on a released brake of an axle."""
+    """Return whether a variant is an offset of the torque that also acts on a released brake."""
     if variant.cause != "torque_offset" or variant.shape:
         return False
     return variant.axle in (0, axle)
@@ -366,9 +368,9 @@ def solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         factor = cho_factor(A * scale * scale[:, None] + 1e-10 * np.eye(len(b)))
     except LinAlgError:
         raise ConfigError(
-            "the fit cannot be solved: the effect of a change on the replay grows without bound, as where "
-            "adhesion falls steeply under wheels that slide at low speed; let the recordings end at a "
-            "higher speed (for example 6 m/s), or leave out the run in which this happens"
+            "the fit cannot be solved: the effect of a change on the replay grows without bound. This "
+            "happens if adhesion falls steeply under wheels that slide at low speed. Let the "
+            "recordings end at a higher speed (for example 6 m/s), or leave out the run in question"
         ) from None
     inverse = cho_solve(factor, np.eye(len(b))) * scale * scale[:, None]
     return -inverse @ b, inverse
@@ -440,9 +442,10 @@ def _step(
     change: np.ndarray,
     value: float,
 ) -> tuple[Explanation, float]:
-    """Return the explanation after a step, and its deviance. The step is shortened until it improves.
+    """Return the explanation after a step, shortened until it improves, and its deviance.
 
-    `change` holds the changes of the base parameters with these labels, then of the causes' coefficients.
+    `change` holds the changes of the base parameters with these labels, then of the causes'
+    coefficients.
     """
     of_base = change[: len(labels)]
     for share in _SHORTER ** np.arange(_MOST_SHORTENED):
@@ -482,7 +485,7 @@ def within_bounds(cause: Cause) -> Cause:
 
 
 def bounds(cause: Cause) -> list[tuple[float, float]]:
-    """Return the bounds (low, high) of the coefficients of a cause, from the table of mechanisms."""
+    """Return the bounds (low, high) of a cause's coefficients, from the table of mechanisms."""
     search = table.BY_NAME[cause.name]
     mechanism = search.mechanism
     limits = []
@@ -495,7 +498,7 @@ def bounds(cause: Cause) -> list[tuple[float, float]]:
 
 
 def fit_noise(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
-    """Return the explanation with the most likely irregularity of the rail, all else fixed, and its deviance."""
+    """Return the explanation with the most likely irregularity, all else fixed, and its deviance."""
 
     def with_irregularity(x: np.ndarray) -> Explanation:
         """Return the explanation with the logarithms of strength and length in `x`."""

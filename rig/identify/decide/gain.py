@@ -1,10 +1,11 @@
 """Measures what an explanation is worth on stops that were never fitted.
 
 Base and extended model each keep what they learned on the fitted runs. Only the level of the
-contaminant of each new stop is found again, for both alike. The measure is the adhesion that a model
-lacks: what the filter of the wheel has to add to it [G2], which takes the noise of the sensors into
-account. For causes in the vehicle it is the error of the speed that is predicted five seconds ahead.
-A block bootstrap gives the interval. A gain whose interval contains 0 is not claimed.
+contaminant of each new stop is found again, for both alike. The measure is the adhesion that a
+model lacks: what the filter of the wheel has to add to it [G2], which takes the noise of the
+sensors into account. For causes in the vehicle it is the error of the speed that is predicted five
+seconds ahead. A block bootstrap gives the interval. A gain whose interval contains 0 is not
+claimed.
 
     [G1] f = (J domega/dt + C) / (r N), with the model's J, C, r and N; for the pictures
     [G2] f (e^m - 1), f and the irregularity m along the filtered wheel speed
@@ -144,7 +145,7 @@ _ERRORS = {ADHESION: missing_adhesion, FREE_RUN: free_running}
 
 
 def fit_level(design: Design, explanation: Explanation) -> fitting.Fit:
-    """Fit an explanation to new runs: only their contaminant level, mass, and causes with a finite step."""
+    """Fit to new runs only their contaminant level, their mass, and causes with a finite step."""
     base = {
         label: value
         for label, value in explanation.base.items()
@@ -162,7 +163,7 @@ def fit_level(design: Design, explanation: Explanation) -> fitting.Fit:
 
 
 def error(design: Design, explanation: Explanation, metric: str) -> float:
-    """Return the root mean square error of a model in a metric on new runs, after their level is found."""
+    """Return the root mean square error of a model on new runs, after their level is fitted."""
     errors = _ERRORS[metric](design, fit_level(design, explanation).explanation)
     return float(np.sqrt(np.mean(errors * errors)))
 

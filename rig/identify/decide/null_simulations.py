@@ -65,7 +65,7 @@ class _ThisProcess(Executor):
 
 
 def worker_pool() -> Executor:
-    """Return a pool with a process for each core, at most eight; no other process where there is one core."""
+    """Return a pool with a process for each core, at most eight; this process alone on one core."""
     from threadpoolctl import threadpool_limits
 
     cores = os.cpu_count() or 1
@@ -85,7 +85,7 @@ def simulate_and_score(
     seed: int,
     known: Sequence[str],
 ) -> Scores | None:
-    """Return the scores of one null simulation, None where its wheels locked or its scores are not finite."""
+    """Return the scores of one null simulation; None if wheels locked or scores are not finite."""
     simulated = simulate.runs(data, design, measured, explanation, np.random.default_rng(seed))
     normal, linear, _ = fitting.normal_equations(prepare(data, simulated, design), explanation)
 
@@ -108,7 +108,7 @@ def score_against_nulls(
     seed: int,
     known: Sequence[str] = (),
 ) -> tuple[list[ScoreTest], fitting.NormalEquations, list[Scores]]:
-    """Return the score tests of the measured runs, their normal equations, and the scores of the null simulations.
+    """Return the score tests of the measured runs, their normal equations, and the nulls' scores.
 
     `known` causes are in the explanation already and are not tested. Null simulations are added in
     rounds until more would not change what counts, at most `most`. Raises ConfigError if less than
@@ -137,8 +137,8 @@ def score_against_nulls(
         nulls += [scores for scores in scored if scores is not None]
         if 2 * len(nulls) < end:
             raise ConfigError(
-                f"only {len(nulls)} of {end} simulated stops could be replayed: the fitted model does not "
-                "brake like the recording; check vehicle, loads and torques in dataset.toml"
+                f"only {len(nulls)} of {end} simulated stops could be replayed: the fitted model "
+                "does not brake like the recording; check vehicle, loads and torques in dataset.toml"
             )
         tests = evidence.score_tests(workspace.design, normal, nulls, known)
         if evidence.is_settled(tests):

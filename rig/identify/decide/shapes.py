@@ -1,10 +1,10 @@
 """Moves the shape of causes off the grid of the search.
 
 A window that is half a bin away from the true one leaves a remainder at both edges. The remainder
-would look like another cause. So does a wrong scale of speed, time, work or heat. Edges are moved by
-ever smaller steps while the likelihood grows. Scales are multiplied by factors, and the coefficients
-are fitted again after each. A patch may also begin and end slowly, and patch or sand may act on the
-clean rail too, if that is more likely.
+would look like another cause. So does a wrong scale of speed, time, work or heat. Edges are moved
+by ever smaller steps while the likelihood grows. Scales are multiplied by factors, and the
+coefficients are fitted again after each. A patch may also begin and end slowly, and patch or sand
+may act on the clean rail too, if that is more likely.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from rollerrig.rig.identify.decide import fitting, thresholds
 _EDGE_STEPS = 5
 # an edge or a scale is moved at most this number of times by the same step
 _MOST_MOVES = 8
-# first steps of an edge as a share of the table's: on the fitted rail, on the smoother rail, of slow edges
+# first steps of an edge, as shares of the step in the table of causes
 _FIRST_STEP = 1.0
 _FIRST_STEP_ON_SMOOTHER_RAIL = 0.25
 _FIRST_STEP_OF_SLOW_EDGES = 0.5
@@ -52,8 +52,8 @@ def refine_windows(design: Design, explanation: Explanation) -> Explanation:
 
     At least one of the causes must act in a window.
     """
-    # the effect of a window has roughened the rail of the base, and on a rough rail its edges hardly
-    # show: they are searched on a smoother one too
+    # the effect of a window has roughened the rail of the base, and on a rough rail its edges
+    # hardly show: they are searched on a smoother one too
     sigma = thresholds.SMOOTHER_RAIL_SHARE * explanation.sigma
     smooth = fitting.fit(design, explanation._replace(sigma=sigma), 4, noise=False).explanation
     smooth = _move_edges(design, smooth, _FIRST_STEP).explanation
@@ -144,7 +144,8 @@ def _move_while_it_pays(
 ) -> _Shaped:
     """Return the best explanation after moving cause number `at` again and again.
 
-    Each move must win more than `least_ratio`, after the coefficients are fitted again or as they are.
+    Each move must win more than `least_ratio`, after the coefficients are fitted again or as they
+    are.
     """
     for _ in range(_MOST_MOVES):
         cause = best.explanation.causes[at]
@@ -184,7 +185,7 @@ def _slow_patch(cause: Cause, edges: _SlowEdges) -> Cause:
 
 
 def _move_edges(design: Design, explanation: Explanation, first_step: float) -> _Shaped:
-    """Return the explanation with the edges of its windows moved; `first_step` is a share of the table's step."""
+    """Return the explanation with moved edges; `first_step` is a share of the table's step."""
     best = _Shaped(explanation, fitting.deviance(design, explanation))
     for at, cause in enumerate(explanation.causes):
         step = first_step * table.BY_NAME[cause.name].edge_step

@@ -2,8 +2,8 @@
 
 The measured course of torque is replayed with a weak feedback on sliding, as a WSP would give, so
 that the simulated wheels go through the same speeds and slidings without copying the measured
-noise. Irregularity of the rail, noise and calibration are drawn afresh. With no cause in it this is
-what "nothing is wrong" looks like; with a cause it tells what the method would make of it.
+noise. Irregularity of the rail, noise and calibration are drawn again. Without a cause this shows
+what "nothing is wrong" looks like. With a cause it shows what the method makes of that cause.
 
     [Q1] C = C_measured + K (s_measured - s), smoothed; wheel and vehicle as in `replay`
     [Q2] field = rail(x) + axle_j(x), equal shares, Ornstein-Uhlenbeck in distance; rail(x) is the
@@ -11,6 +11,7 @@ what "nothing is wrong" looks like; with a cause it tells what the method would 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -35,9 +36,12 @@ VENTING_SLIDING_M_S = 1.0  # this: the WSP vents the brake
 SLOWEST_M_S = 0.3
 _GRID_M = 0.25  # of the irregularity of the rail
 _GRID_CELLS_IN_FRONT = 400.0  # the grid begins 100 m before the start of a stop
+_GRID_MARGIN_M = 150.0  # more than the stop needs: 100 m before its start, 50 m behind its end
+_LOAD_SMOOTHING_SAMPLES = 20.0  # what is faster in a measured load is noise
+_END_SHARE = 0.98  # of the last speed of the measured run
 
-# The cells hold a number for each wheelset; the rows of the state and of the inputs begin here. They
-# are below the rows of the parameters, where `lanes.lane_model` reads.
+# The cells hold a number for each wheelset; the rows of the state and of the inputs begin here.
+# They are below the rows of the parameters, where `lanes.lane_model` reads.
 OMEGA = 0
 FEEDBACK = OMEGA + AXLES
 LAMBDA = FEEDBACK + AXLES
@@ -206,11 +210,11 @@ def drive(
 ):
     """Simulates one stop [Q1] and writes speed (n,), and wheel speed and torque (n, AXLES).
 
-    `torque`, `sliding`, `load` and `surface` (n, AXLES) and `friction` (2, n, AXLES) are inputs; with
-    `on_rollers` the surface has the speeds of `surface`, otherwise that of the vehicle. `field` (cells,
-    AXLES) is the irregularity of the rail, `place` (AXLES,) the distance of the wheelsets behind the
-    first one. `extra_N` (n,) is added to the `resistance` (A, B, C). `cells` (lanes.CELLS,) is work
-    space.
+    `torque`, `sliding`, `load` and `surface` (n, AXLES) and `friction` (2, n, AXLES) are inputs;
+    with `on_rollers` the surface has the speeds of `surface`, otherwise that of the vehicle.
+    `field` (cells, AXLES) is the irregularity of the rail, `place` (AXLES,) the distance of the
+    wheelsets behind the first one. `extra_N` (n,) is added to the `resistance` (A, B, C). `cells`
+    (lanes.CELLS,) is work space.
     """
     # vector code has no adhesion memory, and no adhesion law where recovered is below degraded
     done = False
@@ -259,11 +263,11 @@ def drive(
 
 
 @kernel
-def remembering(keep, values):
-    """Values (n, columns), each with a share of the one before added to it, in place."""
+def add_share_of_previous(share, values):
+    """Adds to each row of values (n, columns) a share of the row before, in place and in order."""
     for k in range(1, len(values)):
         for j in range(values.shape[1]):
-            values[k, j] += keep * values[k - 1, j]
+            values[k, j] += share * values[k - 1, j]
 
 
 def field(
@@ -273,13 +277,35 @@ def field(
     correlation_m: float,
     columns_wanted: int,
 ) -> np.ndarray:
-    """Irregularity on a grid of 0.25 m from -100 m on, shape (cells, columns), deviation sigma."""
-    cells = int((length_m + 150.0) / _GRID_M)
+    """Return an irregularity of deviation sigma on a grid of 0.25 m, shape (cells, columns).
+
+    The grid begins 100 m before the start and has room for `length_m`.
+    """
+    cells = int((length_m + _GRID_MARGIN_M) / _GRID_M)
     keep = math.exp(-_GRID_M / correlation_m)
-    white = rng.normal(size=(cells, columns_wanted)) * sigma * math.sqrt(1.0 - keep * keep)
-    white[0] /= math.sqrt(1.0 - keep * keep)
-    remembering(keep, white)
-    return white
+    fresh = math.sqrt(1.0 - keep * keep)
+    values = rng.normal(size=(cells, columns_wanted)) * sigma * fresh
+    # the first cell has no cell before it, and yet the full deviation
+    values[0] /= fresh
+    add_share_of_previous(keep, values)
+    return values
+
+
+class _CalibrationErrors(NamedTuple):
+    """The errors of calibration of one simulated recording, as shares."""
+
+    torque: np.ndarray  # (AXLES,)
+    load: np.ndarray  # (AXLES,)
+    mass: float
+
+
+class _SharedInputs(NamedTuple):
+    """What all runs of a simulated recording share."""
+
+    replay: Inputs  # of the explanation
+    torque_Nm: np.ndarray  # flat: the torque that acts, smooth
+    sliding_m_s: np.ndarray  # flat: the sliding that the feedback aims at
+    errors: _CalibrationErrors
 
 
 def runs(
@@ -289,79 +315,105 @@ def runs(
     explanation: Explanation,
     rng: np.random.Generator,
 ) -> list[Run]:
-    """Simulated stops like the measured ones, under an explanation, with fresh noise."""
-    i = inputs(design, explanation)
-    tolerance = design.calibration / math.sqrt(2.0)
-    gain = rng.normal(0.0, tolerance) + rng.normal(0.0, tolerance, AXLES)
-    lift, weight = rng.normal(0.0, design.calibration, AXLES), rng.normal(0.0, design.calibration)
-    torque = columns.smooth_torque(design, i.torque_Nm)
-    # the sliding that the feedback aims at, with the wheel radius of the explanation
-    radius = np.repeat(i.parameters[:, RADIUS], np.diff(design.start))
-    wheel = (design.speed_m_s - design.sliding_m_s) / design.base[RADIUS]
-    sliding = design.speed_m_s - radius * wheel
-    # all runs go over the same rail: what it does to one it does to the next
-    longest = float(np.max(np.diff(design.start))) * design.step_s * float(design.speed_m_s.max())
+    """Return simulated stops like the measured ones, under an explanation, with fresh noise."""
+    replay_inputs = inputs(design, explanation)
+
+    # the gain of all torques and that of a wheelset share the tolerance
+    gain_tolerance = design.calibration / math.sqrt(2.0)
+    gain_of_all = rng.normal(0.0, gain_tolerance)
+    errors = _CalibrationErrors(
+        torque=gain_of_all + rng.normal(0.0, gain_tolerance, AXLES),
+        load=rng.normal(0.0, design.calibration, AXLES),
+        mass=rng.normal(0.0, design.calibration),
+    )
+
+    # the measured sliding, with the wheel radius of the explanation
+    radius_m = np.repeat(replay_inputs.parameters[:, RADIUS], np.diff(design.start))
+    wheel_rad_s = (design.speed_m_s - design.sliding_m_s) / design.base[RADIUS]
+    shared = _SharedInputs(
+        replay=replay_inputs,
+        torque_Nm=columns.smooth_torque(design, replay_inputs.torque_Nm),
+        sliding_m_s=design.speed_m_s - radius_m * wheel_rad_s,
+        errors=errors,
+    )
+
+    # all runs go over the same rail; each wheelset adds an irregularity of the same strength
+    longest_s = float(np.max(np.diff(design.start))) * design.step_s
+    longest_m = longest_s * float(design.speed_m_s.max())
     half = explanation.sigma * math.sqrt(0.5)
-    rail = field(rng, longest, half, explanation.length_m, 1)
-    made = []
-    for r, run in enumerate(measured):
-        grid = np.ascontiguousarray(rail + field(rng, longest, half, explanation.length_m, AXLES))
-        made.append(_run(data, design, run, r, i, grid, torque, sliding, gain, lift, weight, rng))
-    return made
+    rail = field(rng, longest_m, half, explanation.length_m, 1)
+    simulated = []
+    for number, run in enumerate(measured):
+        of_wheelsets = field(rng, longest_m, half, explanation.length_m, AXLES)
+        irregularity = np.ascontiguousarray(rail + of_wheelsets)
+        simulated.append(_simulate_run(data, design, run, number, shared, irregularity, rng))
+    return simulated
 
 
-def _run(
+def _simulate_run(
     data: Dataset,
     design: Design,
     run: Run,
-    r: int,
-    i: Inputs,
-    grid: np.ndarray,
-    torque: np.ndarray,
-    sliding: np.ndarray,
-    gain: np.ndarray,
-    lift: np.ndarray,
-    weight: float,
+    number: int,
+    shared: _SharedInputs,
+    irregularity: np.ndarray,
     rng: np.random.Generator,
 ) -> Run:
-    def square(flat: np.ndarray) -> np.ndarray:
-        return design.by_axle(flat, r)
+    """Return the simulated recording of run `number`; `irregularity` is that of `field`."""
 
-    n, surface = run.time_s.size, square(design.speed_m_s)
-    speed, wheel, C = np.empty(n), np.empty((n, AXLES)), np.empty((n, AXLES))
+    def by_axle(flat: np.ndarray) -> np.ndarray:
+        return design.by_axle(flat, number)
+
+    # the stop
+    replay_inputs = shared.replay
+    errors = shared.errors
+    surface_m_s = by_axle(design.speed_m_s)
+    samples = run.time_s.size
+    speed_m_s = np.empty(samples)
+    wheel_rad_s = np.empty((samples, AXLES))
+    torque_Nm = np.empty((samples, AXLES))
     drive(
-        square(torque),
-        square(sliding),
-        square(i.load_N) * (1.0 + lift),
-        np.array([*map(square, i.friction)]),
-        surface,
-        grid,
+        by_axle(shared.torque_Nm),
+        by_axle(shared.sliding_m_s),
+        by_axle(replay_inputs.load_N) * (1.0 + errors.load),
+        np.array([by_axle(factor) for factor in replay_inputs.friction]),
+        surface_m_s,
+        irregularity,
         data.axle_position_m,
-        i.parameters[AXLES * r : AXLES * (r + 1)],
-        i.mass_kg[r] * (1.0 + weight),
-        i.force_N[design.vehicle_span(r)],
+        replay_inputs.parameters[AXLES * number : AXLES * (number + 1)],
+        replay_inputs.mass_kg[number] * (1.0 + errors.mass),
+        replay_inputs.force_N[design.vehicle_span(number)],
         design.resistance,
-        float(surface[0, 0]),
+        float(surface_m_s[0, 0]),
         design.step_s,
         run.surface_m_s is not None,
         np.empty(lanes.CELLS),
-        speed,
-        wheel,
-        C,
+        speed_m_s,
+        wheel_rad_s,
+        torque_Nm,
     )
-    # the sensors: causes that lie in torque or timing are taken out again
-    shown = C - square(torque - columns.smooth_torque(design, design.torque_Nm))
-    noise_N = float(np.std(run.load_N - gaussian_filter1d(run.load_N, 20.0, axis=0)))
-    # the recording ends at the speed at which the measured one did
-    slow = np.flatnonzero(speed < 0.98 * float(surface[-1, 0]))
-    n = int(slow[0]) if slow.size else n
-    measured_wheel = wheel[:n] + rng.normal(0.0, design.wheel_noise_rad_s, (n, AXLES))
+
+    # the sensors: a cause in the torque or its timing acts, but the recording does not show it
+    hidden_Nm = by_axle(shared.torque_Nm - columns.smooth_torque(design, design.torque_Nm))
+    shown_Nm = torque_Nm - hidden_Nm
+    smooth_load_N = gaussian_filter1d(run.load_N, _LOAD_SMOOTHING_SAMPLES, axis=0)
+    load_noise_N = float(np.std(run.load_N - smooth_load_N))
+
+    # the recording ends at the speed at which the measured one ended
+    slow = np.flatnonzero(speed_m_s < _END_SHARE * float(surface_m_s[-1, 0]))
+    n = int(slow[0]) if slow.size else samples
+
+    # the order of these draws decides the results
+    wheel_noise_rad_s = rng.normal(0.0, design.wheel_noise_rad_s, (n, AXLES))
+    speed_noise_m_s = rng.normal(0.0, design.speed_noise_m_s, n)
+    load_noise = rng.normal(0.0, load_noise_N, (n, AXLES))
+    torque_noise_Nm = rng.normal(0.0, design.torque_noise_Nm[number], (n, AXLES))
     return run._replace(
         time_s=run.time_s[:n],
-        speed_m_s=speed[:n] + rng.normal(0.0, design.speed_noise_m_s, n),
-        wheel_speed_rad_s=measured_wheel,
-        load_N=square(design.load_N)[:n] + rng.normal(0.0, noise_N, (n, AXLES)),
-        torque_Nm=shown[:n] * (1.0 + gain) + rng.normal(0.0, design.torque_noise_Nm[r], (n, AXLES)),
+        speed_m_s=speed_m_s[:n] + speed_noise_m_s,
+        wheel_speed_rad_s=wheel_rad_s[:n] + wheel_noise_rad_s,
+        load_N=by_axle(design.load_N)[:n] + load_noise,
+        torque_Nm=shown_Nm[:n] * (1.0 + errors.torque) + torque_noise_Nm,
         position_m=None if run.position_m is None else run.position_m[:n],
         surface_m_s=None if run.surface_m_s is None else run.surface_m_s[:n],
     )

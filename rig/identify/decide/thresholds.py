@@ -1,12 +1,13 @@
 """Holds every threshold of the decision of `explain`: value, unit, reason, and what it was set on.
 
 "Chosen" means that no theory gives the number: it was set by hand, and the rates of right and wrong
-answers in docs/explain.md show its effect. "First", "second" and "third" are the three generators of
-braking stops in tests/generator. The first and the second set thresholds. The third only judges them.
+answers in docs/explain.md show its effect. "First", "second" and "third" are the three generators
+of braking stops in tests/generator. The first and the second set thresholds. The third only judges
+them.
 
-A likelihood ratio is a drop of -2 ln L in this file. What differs from cause to cause is in the rows
-of `causes/table`: the numerical floor, the price of the shape, and a limit of the p-value where a cause
-needs another one than `ALPHA_CAUSE`.
+A likelihood ratio is a drop of -2 ln L in this file. What differs from cause to cause is in the
+rows of `causes/table`: the numerical floor, the price of the shape, and a limit of the p-value
+where a cause needs another one than `ALPHA_CAUSE`.
 """
 
 from rollerrig.rig.identify.causes import table
@@ -18,15 +19,16 @@ from rollerrig.rig.identify.causes import table
 LEAST_INNOVATION_VARIANCE = 0.3
 MOST_INNOVATION_VARIANCE = 2.5
 
-# Longest irregularity of the rail in m. What lasts longer is to be explained, not to be called noise:
-# a free length absorbed cleaning, sand and patches on the first generator.
+# Longest irregularity of the rail in m. What lasts longer is to be explained, not to be called
+# noise: a free length absorbed cleaning, sand and patches.
 LONGEST_IRREGULARITY_M = 16.0
 
 # Standard deviation in N m of the torque of a released brake. An offset beyond it shows before the
 # brake applies. Chosen.
 RELEASED_TORQUE_NM = 30.0
 
-# Innovations beyond this number of standard deviations count as outliers: their squares are bounded.
+# Innovations beyond this number of standard deviations count as outliers: their squares are
+# bounded.
 OUTLIER_DEVIATIONS = 6.0
 
 # --- null simulations: simulated stops with no further cause in them ---
@@ -41,8 +43,9 @@ MOST_NULL_SIMULATIONS_WITH_CAUSE = 40
 # p-values take the number into account (F distribution).
 NULL_SIMULATIONS_PER_ROUND = 20
 
-# Mean square of the normalised innovations of a null simulation above which it is discarded: a wheel
-# locked that did not lock in the recording. The data are refused if more than half are discarded.
+# Mean square of the normalised innovations of a null simulation above which it is discarded: a
+# wheel locked that did not lock in the recording. The data are refused if more than half are
+# discarded.
 RUNAWAY_VARIANCE = 1.2
 
 # A score test whose statistic is above this multiple of SCORE_FLOOR needs no more null simulations:
@@ -60,14 +63,15 @@ CLEAR_OF_WINDOWS = 2.0
 
 # --- score tests ---
 
-# Largest p-value of a cause: one false alarm in 2 % of data sets, shared among about 30 causes and axles.
+# Largest p-value of a cause: one false alarm in 2 % of data sets, shared among about 30 causes and
+# axles.
 ALPHA_CAUSE = table.ALPHA_CAUSE
 
 # Number of causes and axles among which the false alarms are shared.
 CAUSES_SEARCHED = 30
 
-# Largest p-value of a smooth function of the remainder: 0.5 %, shared among 13 functions. The size of
-# an identified cause by run and by time is judged by it too.
+# Largest p-value of a smooth function of the remainder: 0.5 %, shared among 13 functions. The size
+# of an identified cause by run and by time is judged by it too.
 ALPHA_SMOOTH_FUNCTION = 0.005 / 13.0
 
 # Statistic, less the number of coefficients, that a score test must reach besides its p-value: the
@@ -101,8 +105,8 @@ SAND_SHARE_OF_RUN = 0.5
 # Causes that are fitted together with the base, to find the irregularity of the rail without them.
 MOST_PROMISING = 4
 
-# Least statistic of a promising cause, its cost of each coefficient, and the same for a window, which
-# is the best one of many. Chosen.
+# Least statistic of a promising cause, its cost of each coefficient, and the same for a window,
+# which is the best one of many. Chosen.
 PROMISING_FLOOR = 10.0
 PROMISING_COST = 3.0
 PROMISING_WINDOW_FLOOR = 50.0
@@ -120,27 +124,29 @@ LEAST_RATIO = 20.0
 # shapes and axles tried. Chosen.
 PRICE_OF_COEFFICIENT = 5.0
 
-# Share of the evidence that must lie outside its best block: a cause is no single event. Patches and
-# sand are events, and are exempt. Chosen.
+# Share of the evidence that must lie outside its best block: a cause is no single event. Patches
+# and sand are events, and are exempt. Chosen.
 SHARE_OUTSIDE_BEST_BLOCK = 0.2
 
-# Length in s of the blocks of Vuong's test and of the bootstrap: longer than the memory of the filter.
+# Length in s of the blocks of Vuong's test and of the bootstrap: longer than the memory of the
+# filter.
 BLOCK_S = 3.0
 
-# Likelihood ratio that no null simulation can win: a cause whose fit wins it needs no score, because
-# scores say little far from the base. Chosen.
+# Likelihood ratio that no null simulation can win: a cause whose fit wins it needs no score,
+# because scores say little far from the base. Chosen.
 CERTAIN_RATIO = 300.0
 
-# A fit that began elsewhere replaces another one of the same cause only if it is better by this ratio.
+# A fit that began elsewhere replaces another one of the same cause only if it is better by this
+# ratio.
 BETTER_FIT_RATIO = 4.0
 
-# Vuong's test: a rival is distinguishable without a test if it wins less than this share of the best
-# one's ratio, and the difference is above this value, ...
+# Vuong's test: a rival is distinguishable without a test if it wins less than this share of the
+# best one's ratio, and the difference is above this value, ...
 CLEARLY_LESS_SHARE = 0.75
 CLEARLY_LESS_RATIO = 10.0
 
-# ... else if the difference is above this number of its standard deviations (one-sided 5 %), and above
-# this value. Chosen.
+# ... else if the difference is above this number of its standard deviations (one-sided 5 %), and
+# above this value. Chosen.
 VUONG_DEVIATIONS = 1.64
 VUONG_LEAST_RATIO = 4.0
 
@@ -156,14 +162,15 @@ MOST_FITTED_SECOND = 3
 # second cause there. Chosen.
 LENT_SHARE = 0.11
 
-# The same for a second cause on one axle if the first cause acts on all axles: a wrong shape of such
-# a cause can hardly look like a cause on one axle. Chosen.
+# The same for a second cause on one axle if the first cause acts on all axles: a wrong shape of
+# such a cause can hardly look like a cause on one axle. Chosen.
 LENT_SHARE_TO_ONE_AXLE = 0.05
 
 # Least ratio of a second cause beyond what the first cause can lend; as for the first.
 LEAST_RATIO_OF_SECOND = 20.0
 
-# The statistic of a second cause, before its fit, may be this share of its ratio after the fit. Chosen.
+# The statistic of a second cause, before its fit, may be this share of its ratio after the fit.
+# Chosen.
 SCORE_SHARE_OF_RATIO = 0.3
 
 # A second cause that is confusable with the first one must win this share of the first one's ratio.
@@ -176,7 +183,8 @@ CONFUSABLE_SECOND_SHARE = 0.3
 # roughened the base. Set on three sealed rigs with sand.
 SMOOTHER_RAIL_SHARE = 0.3
 
-# Likelihood ratio that other edges of a patch, or an effect on the clean rail too, must earn. Chosen.
+# Likelihood ratio that other edges of a patch, or an effect on the clean rail too, must earn.
+# Chosen.
 RATIO_OF_OTHER_WINDOW = 4.0
 
 # Likelihood ratio that each move of a scale must earn. Chosen.
@@ -187,8 +195,8 @@ RATIO_OF_SCALE_MOVE = 1.0
 # Statistic, less the number of coefficients, above which a remainder counts; as LEAST_RATIO.
 CLEAR_REMAINDER = 20.0
 
-# A remainder above this share of the causes' likelihood ratio is more than their shape explains: the
-# verdict is `partly` or `unexplained`. Set by the first and the second generator (table in
+# A remainder above this share of the causes' likelihood ratio is more than their shape explains:
+# the verdict is `partly` or `unexplained`. Set by the first and the second generator (table in
 # docs/explain.md).
 REMAINDER_SHARE = 0.08
 
@@ -196,21 +204,23 @@ REMAINDER_SHARE = 0.08
 # differ there. Only if one cause is identified. Set by the first and the second generator.
 OWN_REMAINDER_SHARE = 0.2
 
-# Largest remainder, as a share of all evidence, with which a cause is still reported (`partly`). Set
-# by the first and the second generator. Two causes that leave a remainder above REMAINDER_SHARE are
-# never reported: on the first generator only an effect outside the library left that much.
+# Largest remainder, as a share of all evidence, with which a cause is still reported (`partly`).
+# Set by the first and the second generator. Two causes that leave a remainder above REMAINDER_SHARE
+# are never reported: on the first generator only an effect outside the library left that much.
 PARTLY_SHARE = 0.15
 
-# Standard deviations that an effect must be away from 0 to be found in nine of ten data sets. Chosen.
+# Standard deviations that an effect must be away from 0 to be found in nine of ten data sets.
+# Chosen.
 DETECTABLE_DEVIATIONS = 5.0
 
 # --- gain on runs that were never fitted ---
 
-# Time in s over which the speed of the vehicle is predicted. Shorter is noise, longer is more than a
-# slide.
+# Time in s over which the speed of the vehicle is predicted. Shorter is noise, longer is more than
+# a slide.
 FREE_RUN_S = 5.0
 
-# Least speed in m/s of the samples that count: creepage grows without bound as the speed falls to 0.
+# Least speed in m/s of the samples that count: creepage grows without bound as the speed falls to
+# 0.
 SLOWEST_M_S = 5.0
 
 # --- empirical formula ---
