@@ -32,22 +32,20 @@ from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, VEHICLE
 _SEEDS_WITH_CAUSE = 7
 
 
-class Fit(NamedTuple):
+class BlockwiseFit(NamedTuple):
     """A fitted explanation, with its deviance by blocks."""
 
     explanation: Explanation
     deviance: float  # -2 ln L
     covariance: np.ndarray  # of the causes' coefficients, one cause after the other
-    blocks: (
-        np.ndarray
-    )  # (5, blocks) deviance of the four wheel filters and the vehicle's, see `blocks`
+    blocks: np.ndarray  # (5, blocks), see `deviance_by_block`
 
 
 class Candidate(NamedTuple):
     """A cause that may be the right one: its score test, and its fit, whose last cause it is."""
 
     test: ScoreTest
-    fit: Fit
+    fit: BlockwiseFit
 
 
 class Rival(NamedTuple):
@@ -64,9 +62,8 @@ class IdentifiedCause(NamedTuple):
     score_test: ScoreTest
     cause: Cause  # as fitted
     likelihood_ratio: float  # drop of -2 ln L, less what the choice of the shape costs
-    ratio_by_filter: tuple[
-        float, ...
-    ]  # (5,) of the filters of the four wheelsets and of the vehicle
+    # (5,) the same before that cost, in the filters of the four wheelsets and of the vehicle
+    ratio_by_filter: tuple[float, ...]
     deviation: tuple[float, ...]  # standard deviation of each coefficient
     confusable: tuple[str, ...]  # names of the rivals that cannot be distinguished from it
     rivals: tuple[Rival, ...]
@@ -81,7 +78,7 @@ class IdentifiedCause(NamedTuple):
 # --- fits ---
 
 
-def fit_explanation(design: Design, explanation: Explanation) -> Fit:
+def fit_explanation(design: Design, explanation: Explanation) -> BlockwiseFit:
     """Fit an explanation to a design.
 
     A cause with a finite step is also fitted from another start. Windows are moved off the grid of
@@ -95,18 +92,18 @@ def fit_explanation(design: Design, explanation: Explanation) -> Fit:
             fit = min(fit, fitting.fit(design, restarted, 9), key=lambda fit: fit.deviance)
     if any(table.BY_NAME[cause.name].edge_step for cause in explanation.causes):
         fit = fitting.fit(design, shapes.refine_windows(design, fit.explanation), 4)
-    return Fit(*fit, blocks=blocks(design, fit.explanation))
+    return BlockwiseFit(*fit, blocks=deviance_by_block(design, fit.explanation))
 
 
 def fit_explanations(
     workspace: Workspace, explanations: Sequence[Explanation], title: str
-) -> list[Fit]:
+) -> list[BlockwiseFit]:
     """Fit each of some explanations to the measured runs, on all cores."""
     tasks = [(workspace.design, explanation) for explanation in explanations]
     return workspace.run_all(fit_explanation, tasks, title)
 
 
-def blocks(design: Design, explanation: Explanation) -> np.ndarray:
+def deviance_by_block(design: Design, explanation: Explanation) -> np.ndarray:
     """Return the deviance in blocks of all runs, shape (5, blocks): wheels, then vehicle."""
     innovation, variance, _, vehicle_innovation, vehicle_variance = sensitivity.innovations(
         design, inputs(design, explanation)
@@ -126,11 +123,11 @@ def blocks(design: Design, explanation: Explanation) -> np.ndarray:
 
 def with_remaining_irregularity(
     workspace: Workspace, base: Explanation, promising: list[Cause]
-) -> tuple[Explanation, list[Fit]]:
+) -> tuple[Explanation, list[BlockwiseFit]]:
     """Return an explanation with the irregularity that the best promising cause leaves.
 
-    The second value is the fits of all promising causes.
-    The effect of a cause that is not in the model looks like a rougher rail, and would hide in it.
+    The second value is the fits of all promising causes. The effect of a cause that is not in the
+    model looks like a rougher rail, and would hide in it.
     """
     fits = fit_explanations(
         workspace,
@@ -152,7 +149,7 @@ def fit_significant(
     explanation: Explanation,
     tests: list[ScoreTest],
     most: int,
-    ready: Sequence[Fit] = (),
+    ready: Sequence[BlockwiseFit] = (),
 ) -> list[Candidate]:
     """Fit each significant cause together with an explanation, at most `most` of them.
 
@@ -188,15 +185,15 @@ def fit_significant(
 def add_ready_fits(
     deviance: float,
     candidates: list[Candidate],
-    ready: list[Fit],
+    ready: list[BlockwiseFit],
     normal: fitting.NormalEquations,
     nulls: list[evidence.Scores],
 ) -> list[Candidate]:
     """Return the candidates, with ready fits where these are better.
 
-    A ready fit replaces that of another shape of its cause if it is better.
-    A fit is added if it wins so much that its cause needs no score: scores say little far from the
-    base. `deviance` is that of the base.
+    A ready fit replaces that of another shape of its cause if it is better. It is added if it wins
+    so much that its cause needs no score: scores say little far from the base. `deviance` is that
+    of the base.
     """
     best = {candidate.test.name: candidate for candidate in candidates}
     for fit in ready:
@@ -221,8 +218,7 @@ def choose(
 ) -> tuple[Explanation, list[IdentifiedCause]]:
     """Return the explanation with the best further cause, and that cause.
 
-    Both are without a further cause if none wins enough.
-    `deviance` is that of the explanation.
+    Both are without a further cause if none wins enough. `deviance` is that of the explanation.
     """
     ratios = []
     for test, fit in candidates:
@@ -237,7 +233,7 @@ def choose(
 
     # Evidence that the tolerances had absorbed is not assigned to any block. The rest must not come
     # from one place of one run.
-    drop = blocks(design, explanation) - best.blocks
+    drop = deviance_by_block(design, explanation) - best.blocks
     whole = max(float(drop.sum()), ratio)
     outside_best_block = whole - drop.sum(axis=0).max()
     least_outside = max(thresholds.SCORE_FLOOR, thresholds.SHARE_OUTSIDE_BEST_BLOCK * whole)
@@ -292,7 +288,7 @@ def _deviation(test: ScoreTest, covariance: np.ndarray, at: int) -> tuple[float,
 
 
 def _rivals(
-    best: Fit, ratio: float, others: Sequence[tuple[Candidate, float]]
+    best: BlockwiseFit, ratio: float, others: Sequence[tuple[Candidate, float]]
 ) -> tuple[Rival, ...]:
     """Return the rivals of the best fit. `others` are candidates with their likelihood ratios."""
     rivals = []
@@ -310,15 +306,17 @@ def _rivals(
 def _confusable(rivals: Sequence[Rival], form: float) -> tuple[str, ...]:
     """Return the names of the rivals that may be the right cause.
 
-    They lose by chance, or since laws are inexact.
-    No law is nearer to the truth than the share `form`.
+    A rival is confusable if it loses by chance only, or by less than the share `form`: no law of
+    the library is nearer to the truth than that.
     """
     return tuple(
         rival.name for rival in rivals if not rival.is_distinguishable or rival.share > 1.0 - form
     )
 
 
-def is_distinguishable(best: Fit, other: Fit, ratio: float, other_ratio: float) -> bool:
+def is_distinguishable(
+    best: BlockwiseFit, other: BlockwiseFit, ratio: float, other_ratio: float
+) -> bool:
     """Return whether another fit cannot be the better one, by Vuong's test on blocks."""
     difference = ratio - other_ratio
     is_clearly_less = other_ratio < thresholds.CLEARLY_LESS_SHARE * ratio
@@ -342,9 +340,9 @@ def add_second_cause(
 ) -> tuple[Explanation, list[IdentifiedCause], list[ScoreTest] | None]:
     """Return the explanation with a second cause if there is one, the causes, and the remainder.
 
-    The remainder is the tests of the smooth functions.
     `causes` holds the first cause, `candidates` those among which it was chosen. The remainder is
-    None if stops simulated with the causes do not brake like the recording.
+    the tests of the smooth functions with the causes in the model. It is None if stops simulated
+    with the causes do not brake like the recording.
     """
     design = workspace.design
     remainder: list[ScoreTest] = []
@@ -409,9 +407,8 @@ def _test_with_causes(
 ) -> list[ScoreTest]:
     """Return the score tests of what an explanation with causes leaves.
 
-    Raises ConfigError as the null simulations do.
     With `searches_windows` promising windows are tested on the smoother rail that they leave. All
-    else is judged on the rail as it was fitted.
+    else is judged on the rail as it was fitted. Raises ConfigError as the null simulations do.
     """
     windows = []
     if searches_windows:
@@ -506,8 +503,8 @@ def _choose_first_again(
 ) -> tuple[Explanation, list[IdentifiedCause]]:
     """Return explanation and causes after the first cause is chosen again.
 
-    The second cause is in the model now.
-    The candidates for the first cause are those among which it was chosen before.
+    The second cause is in the model now. The candidates for the first cause are those among which
+    it was chosen before.
     """
     others = [c for c in candidates if c.test.name != second.score_test.name]
     fits = fit_explanations(

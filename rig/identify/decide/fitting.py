@@ -4,7 +4,7 @@ The fit is Gauss-Newton on the whitened innovations, whose derivatives come from
 filter. Between the steps scipy finds the strength and length of the irregularity on the exact
 likelihood. A cause thus earns likelihood only by making what is left unexplained smaller.
 
-    [T1] -2 ln L = sum innovation^2 / variance + ln variance  + sum (x / prior)^2,
+    [T1] -2 ln L = sum innovation^2 / variance + ln variance + sum (x / prior)^2,
          the first sum over wheels and vehicles
 """
 
@@ -281,8 +281,8 @@ def _moves_of_all(
 ) -> dict[int, _Move]:
     """Return a small step of each coefficient that is fitted, by its course.
 
-    In a search it is a step of the stepped cause only.
-    Columns that share a course and no wheelset are moved in one replay.
+    In a search it is a step of the stepped cause only. Columns that share a course and no wheelset
+    are moved in one replay.
     """
     moves: dict[int, _Move] = {}
     if not search:

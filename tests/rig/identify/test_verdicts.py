@@ -243,8 +243,8 @@ def test_causes_are_distinguished_only_where_one_wins_more_than_a_wrong_form_may
 ) -> None:
     # in every block of 3 s the second cause wins the same share of what the first wins: they differ
     # for certain, as far as chance is concerned
-    def fit(ratio: float) -> choice.Fit:
-        return choice.Fit(
+    def fit(ratio: float) -> choice.BlockwiseFit:
+        return choice.BlockwiseFit(
             explanation=None,
             deviance=-ratio,
             covariance=np.zeros((1, 1)),
