@@ -1,7 +1,6 @@
-"""What measured data says about the model: what is wrong, why, and a model that is better.
+"""Finds what measured data say about the model: what is wrong, why, and a better model.
 
-Reading order: `dataset` (the data, checked), `preparation` (smooth inputs and covariates),
-`replay` (the filters), `candidates` (mechanisms as changes of the replay), `tuning` (fits),
-`simulate` (clean data of the same design), `evidence` (the decision), `unknown` (what no mechanism
-explains), `gain`, `planning`, `extension`, `creep_curve`, `explain` (all in order), `report`.
+Reading order: `data` (datasets, checked and prepared), `replay` (the filters), `causes` (mechanisms
+as changes of a replay), `decide` (which causes the data support), `next_stops` (what to run next).
+`paper` has the studies of the paper, `train_recorder` the data that trains record.
 """

@@ -46,53 +46,63 @@ HEAD = (
 )
 
 
-def findings(told):
-    return [
-        evidence.ScoreTest(
-            f["name"],
-            f["axle"],
-            {},
-            tuple(f["coefficients"]),
-            (),
-            (),
-            f["statistic"],
-            f["p_value"],
-            0.0,
-            0.0,
+def score_tests(entries):
+    """The score tests of a report's entries, with what a verdict needs of them."""
+    tests = []
+    for entry in entries:
+        tests.append(
+            evidence.ScoreTest(
+                name=entry["name"],
+                axle=entry["axle"],
+                shape={},
+                estimate=tuple(entry["coefficients"]),
+                bias=(),
+                deviation=(),
+                statistic=entry["statistic"],
+                p_value=entry["p_value"],
+                expected=0.0,
+                spread=0.0,
+            )
         )
-        for f in told
-    ]
+    return tests
 
 
 class Told:
     """An answer, ready to be judged by other limits."""
 
     def __init__(self, truth, answer):
-        self.kind, self.truth = truth["kind"], set(truth["effects"])
-        found, notes = answer["findings"] or {"before": [], "behind": []}, " ".join(answer["notes"])
-        self.refused, self.before, self.behind = (
-            answer["verdict"] == "refused",
-            *map(findings, found.values()),
-        )
-        named = [
-            one | {"likelihood": one["evidence"]["likelihood"]} for one in answer["causes"]
-        ] or answer.get("set_aside", [])
-        self.causes = [
-            SimpleNamespace(
-                likelihood_ratio=one["likelihood"],
-                score_test=SimpleNamespace(name=one["name"]),
-            )
-            for one in named
-        ]
-        self.sets = [{one["name"], *one["confusable_with"]} for one in named]
-        self.rivals = [one["evidence"]["rivals"] for one in answer["causes"]]
-        self.remainder = None if "do not brake like the recording" in notes else self.behind
-        self.won = (
-            SimpleNamespace(likelihood=-1.0)
-            if "makes runs that were not fitted worse" in notes
-            else None
-        )
+        self.kind = truth["kind"]
+        self.truth = set(truth["effects"])
         self.verdict = answer["verdict"]
+        self.refused = self.verdict == "refused"
+
+        found = answer["findings"] or {"before": [], "behind": []}
+        self.before = score_tests(found["before"])
+        self.behind = score_tests(found["behind"])
+
+        # causes that were fitted, reported or not
+        fitted = [
+            cause | {"likelihood": cause["evidence"]["likelihood"]} for cause in answer["causes"]
+        ]
+        if not fitted:
+            fitted = answer.get("set_aside", [])
+        self.causes = []
+        for cause in fitted:
+            test = SimpleNamespace(name=cause["name"])
+            self.causes.append(
+                SimpleNamespace(likelihood_ratio=cause["likelihood"], score_test=test)
+            )
+        self.sets = [{cause["name"], *cause["confusable_with"]} for cause in fitted]
+        self.rivals = [cause["evidence"]["rivals"] for cause in answer["causes"]]
+
+        # what the answer does not hold as a number follows from its notes
+        notes = " ".join(answer["notes"])
+        self.remainder = self.behind
+        if "do not brake like the recording" in notes:
+            self.remainder = None
+        self.won = None
+        if "makes runs that were not fitted worse" in notes:
+            self.won = SimpleNamespace(likelihood=-1.0)
 
     def judged(self, limits):
         if self.refused:
