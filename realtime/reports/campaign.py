@@ -1,9 +1,13 @@
-"""What a campaign showed: quantiles of every figure, the worst runs with the command that replays
-each, and a page of them, a map over the two inputs that matter most, distributions and figures against what was varied.
+"""The report of a campaign: quantiles, the worst runs with the command that replays each, and a page.
+
+The page has a map over the two inputs that matter most, distributions, figures against what was
+varied, and the stopping distance with its bounds.
 """
 
 import math
 import textwrap
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,64 +21,75 @@ from rollerrig.realtime.reports import page, pdf
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 HEAD = ("figure", *(f"{100 * q:g} %" for q in QUANTILES))
+
+# runs in the list of the worst
 _WORST = 5
+
+# runs with a figure. With fewer a rank correlation shows nothing.
+_LEAST_RUNS = 3
+
+# standard errors of a 95 % interval
+_NORMAL_95 = 1.96
 
 
 def quantiles(table: pa.Table) -> list[tuple[str, list[float]]]:
-    """Rows of (figure, its quantiles); figures that no run has are left out."""
-    known = (
-        (name, values[np.isfinite(values)])
-        for name in figures.BY_NAME
-        for values in [table[name].to_numpy().astype(float)]
-    )
-    return [
-        (name, np.quantile(values, QUANTILES).tolist()) for name, values in known if values.size
-    ]
+    """Return rows of (figure, its quantiles); figures that no run has are left out."""
+    rows = []
+    for name in figures.BY_NAME:
+        values = _values(table, name)
+        known = values[np.isfinite(values)]
+        if known.size:
+            rows.append((name, np.quantile(known, QUANTILES).tolist()))
+    return rows
+
+
+def _values(table: pa.Table, column: str) -> np.ndarray:
+    """Return a column as numbers (n,)."""
+    return table[column].to_numpy().astype(float)
 
 
 def worst(plan: campaign.Plan, table: pa.Table, figure: str) -> list[dict[str, Any]]:
-    """The runs that have none of a figure, and those with the worst, of all but those that are not valid."""
-    table = table.filter(table["invalid_because"].is_null())
-    values = table[figure].to_numpy().astype(float)
-    badness = np.where(
-        np.isfinite(values), -(figures.BY_NAME[figure].better or -1) * values, np.inf
-    )
+    """Return the valid runs that do not have a figure, then those with the worst one."""
+    valid = table.filter(table["invalid_because"].is_null())
+    values = _values(valid, figure)
+    # a figure without a better direction is worst where it is largest
+    sign = -(figures.BY_NAME[figure].better or -1)
+    badness = np.where(np.isfinite(values), sign * values, np.inf)
     order = np.argsort(-badness, kind="stable")[:_WORST]
-    runs = table["run"].to_numpy()
-    return [
-        {
-            "run": int(runs[i]),
-            figure: float(values[i]) if np.isfinite(values[i]) else None,
-            "replay": campaign.command(plan, int(runs[i])),
-        }
-        for i in order
-    ]
+    runs = valid["run"].to_numpy()
+
+    cases = []
+    for i in order:
+        run = int(runs[i])
+        value = float(values[i]) if np.isfinite(values[i]) else None
+        cases.append({"run": run, figure: value, "replay": campaign.command(plan, run)})
+    return cases
 
 
 def not_valid(plan: campaign.Plan, table: pa.Table) -> list[dict[str, Any]]:
-    """The runs that are not valid: they count in no figure."""
+    """Return the runs that are not valid; no figure includes them."""
+    runs = table["run"].to_pylist()
+    reasons = table["invalid_because"].to_pylist()
     return [
-        {"run": run, "because": why, "replay": campaign.command(plan, run)}
-        for run, why in zip(
-            table["run"].to_pylist(), table["invalid_because"].to_pylist(), strict=True
-        )
-        if why
+        {"run": run, "because": reason, "replay": campaign.command(plan, run)}
+        for run, reason in zip(runs, reasons, strict=True)
+        if reason
     ]
 
 
 def cells(table: pa.Table) -> list[list[str]]:
-    """Rows under `HEAD`, the last one with the number of runs that are not valid."""
+    """Return rows under `HEAD`; the last one has the number of runs that are not valid."""
+    rows = [[name, *(f"{value:.4g}" for value in values)] for name, values in quantiles(table)]
     left_out = table.num_rows - table["invalid_because"].null_count
-    return [
-        *([name, *(f"{value:.4g}" for value in values)] for name, values in quantiles(table)),
-        ["not valid (runs, left out)", str(left_out), *[""] * (len(QUANTILES) - 1)],
-    ]
+    empty = [""] * (len(QUANTILES) - 1)
+    rows.append(["not valid (runs, left out)", str(left_out), *empty])
+    return rows
 
 
 def write(
     plan: campaign.Plan, table: pa.Table, out: Path, figure: str, on_paper: bool = False
 ) -> Path:
-    """Write the page, and as PDF too where it shall be `on_paper`; returns its path. Raises OSError."""
+    """Write the page, also as PDF if `on_paper`, and return its path. Raises OSError."""
     path = out / "report.html"
     path.write_text(_page(plan, table, figure), encoding="utf-8")
     if on_paper:
@@ -84,65 +99,62 @@ def write(
 
 
 def _page(plan: campaign.Plan, table: pa.Table, figure: str) -> str:
-    left_out, varied = not_valid(plan, table), _varied(plan, table)
-    shown = [one for one in quantiles(table) if one[1][0] < one[1][-1]]
-    same = [
+    left_out = not_valid(plan, table)
+    varied = _varied(plan, table)
+    all_quantiles = quantiles(table)
+    # figures that differ between runs are drawn, the others are listed
+    differing = [name for name, values in all_quantiles if values[0] < values[-1]]
+    constant = [
         f"{_title(name)} {figures.BY_NAME[name].scale * values[0]:.4g}"
-        for name, values in quantiles(table)
+        for name, values in all_quantiles
         if values[0] == values[-1]
     ]
-    inputs, cases = (
-        {run: at for at, run in enumerate(table["run"].to_pylist())},
-        worst(plan, table, figure),
-    )
-    pair = _pair(plan, table, varied, figure)
-    return page.page(
-        plan.head["title"] or "Campaign",
+
+    parts: list[str] = [
         page.paragraph(
             f"{table.num_rows} runs of {plan.head['scenario']}, {plan.head['design']} design over "
-            f"{', '.join(plan.axes)}; {len(left_out)} of them not valid and left out."
+            f"{', '.join(plan.axes)}; {len(left_out)} of them are not valid and left out."
         ),
         page.element("h2", f"Worst {_title(figure)}"),
         page.table(
             ("run", _title(figure), *plan.axes, "to see it"),
-            [
-                (
-                    str(case["run"]),
-                    read(figure, case[figure]),
-                    *(_input(table[key][inputs[case["run"]]].as_py()) for key in plan.axes),
-                    page.element("code", case["replay"]),
-                )
-                for case in cases
-            ],
+            _worst_rows(plan, table, figure),
         ),
-        *(
-            [page.picture(lambda drawn: _map(drawn, table, pair, figure), (8.0, 4.6))]
-            if pair
-            else []
-        ),
-        *_stopping(plan, table),
-        page.element("h2", "All figures"),
-        page.table(HEAD, cells(table)),
-        *([page.paragraph(f"The same in every run: {', '.join(same)}.")] if same else []),
-        *(
-            [
-                page.picture(
-                    lambda drawn: _distributions(drawn, varied, table, [name for name, _ in shown]),
-                    (11.0, 2.3 * len(shown)),
-                )
-            ]
-            if shown
-            else []
-        ),
+    ]
+    pair = _pair(table, varied, figure)
+    if pair is not None:
+        draw = partial(_draw_map, table=table, pair=pair, figure=figure)
+        parts.append(page.picture(draw, (8.0, 4.6)))
+    parts += _stopping(plan, table)
+
+    parts += [page.element("h2", "All figures"), page.table(HEAD, cells(table))]
+    if constant:
+        parts.append(page.paragraph(f"The same in every run: {', '.join(constant)}."))
+    if differing:
+        draw = partial(_draw_distributions, varied=varied, table=table, names=differing)
+        parts.append(page.picture(draw, (11.0, 2.3 * len(differing))))
+
+    rows = [
+        (str(case["run"]), case["because"], page.element("code", case["replay"]))
+        for case in left_out
+    ]
+    parts += [
         page.element("h2", f"Not valid: {len(left_out)} of {table.num_rows} runs"),
-        page.table(
-            ("run", "why", "to see it"),
-            [
-                (str(one["run"]), one["because"], page.element("code", one["replay"]))
-                for one in left_out
-            ],
-        ),
-    )
+        page.table(("run", "why", "to see it"), rows),
+    ]
+    return page.page(plan.head["title"] or "Campaign", *parts)
+
+
+def _worst_rows(plan: campaign.Plan, table: pa.Table, figure: str) -> list[tuple[str, ...]]:
+    """Return the worst runs with their inputs."""
+    row_of_run = {run: row for row, run in enumerate(table["run"].to_pylist())}
+    rows = []
+    for case in worst(plan, table, figure):
+        row = row_of_run[case["run"]]
+        inputs = [_input(table[key][row].as_py()) for key in plan.axes]
+        replay = page.element("code", case["replay"])
+        rows.append((str(case["run"]), read(figure, case[figure]), *inputs, replay))
+    return rows
 
 
 def _title(name: str) -> str:
@@ -151,7 +163,7 @@ def _title(name: str) -> str:
 
 
 def read(name: str, value: float | None) -> str:
-    """A figure as it is read: four digits in its unit; a run without has not stopped."""
+    """Return a figure for a reader: four digits in its unit; "not stopped" if the run has none."""
     return "not stopped" if value is None else f"{figures.BY_NAME[name].scale * value:.4g}"
 
 
@@ -160,58 +172,63 @@ def _input(value: Any) -> str:
 
 
 def _varied(plan: campaign.Plan, table: pa.Table) -> list[str]:
-    """The inputs that have more than one value."""
+    """Return the inputs that have more than one value."""
     return [key for key in plan.axes if len(table[key].unique()) > 1]
 
 
-def _pair(
-    plan: campaign.Plan, table: pa.Table, varied: list[str], figure: str
-) -> tuple[str, str] | None:
-    """The two inputs, of numbers, on which a figure depends most; None where there are not two."""
-    values = table[figure].to_numpy().astype(float)
+def _pair(table: pa.Table, varied: Sequence[str], figure: str) -> tuple[str, str] | None:
+    """Return the two numeric inputs on which a figure depends most; None if there are not two."""
+    numeric = []
+    for key in varied:
+        kind = table[key].type
+        if pa.types.is_integer(kind) or pa.types.is_floating(kind):
+            numeric.append(key)
+    values = _values(table, figure)
     known = np.isfinite(values)
-    numbers = [
-        key
-        for key in varied
-        if pa.types.is_integer(table[key].type) or pa.types.is_floating(table[key].type)
-    ]
-    if len(numbers) < 2 or known.sum() < 3:
+    if len(numeric) < 2 or known.sum() < _LEAST_RUNS:
         return None
-    inputs = (table[key].to_numpy() for key in numbers)
-    order, *ranks = (np.argsort(np.argsort(one[known])) for one in (values, *inputs))
-    first, second = sorted(
-        range(len(numbers)), key=lambda at: -abs(np.corrcoef(order, ranks[at])[0, 1])
-    )[:2]
-    return numbers[first], numbers[second]
+
+    def ranks(column: np.ndarray) -> np.ndarray:
+        return np.argsort(np.argsort(column[known]))
+
+    ranks_of_figure = ranks(values)
+    correlation = {}
+    for key in numeric:
+        ranks_of_input = ranks(table[key].to_numpy())
+        correlation[key] = abs(np.corrcoef(ranks_of_figure, ranks_of_input)[0, 1])
+    first, second, *_ = sorted(numeric, key=lambda key: -correlation[key])
+    return first, second
 
 
-def _map(drawn: Figure, table: pa.Table, pair: tuple[str, str], figure: str) -> None:
-    """Every run at its two inputs, its figure as colour; crosses are runs without one."""
-    across, up = (table[key].to_numpy().astype(float) for key in pair)
-    values = figures.BY_NAME[figure].scale * table[figure].to_numpy().astype(float)
-    known, plot = np.isfinite(values), drawn.subplots()
-    drawn.colorbar(
-        plot.scatter(across[known], up[known], c=values[known], cmap="cividis", s=26),
-        ax=plot,
-        label=_wrapped(_title(figure), 34),
-    )
+def _draw_map(drawn: Figure, table: pa.Table, pair: tuple[str, str], figure: str) -> None:
+    """Draw every run at its two inputs, with its figure as colour; crosses are runs without a figure."""
+    across_key, up_key = pair
+    across = _values(table, across_key)
+    up = _values(table, up_key)
+    values = figures.BY_NAME[figure].scale * _values(table, figure)
+    known = np.isfinite(values)
+
+    plot = drawn.subplots()
+    points = plot.scatter(across[known], up[known], c=values[known], cmap="cividis", s=26)
+    drawn.colorbar(points, ax=plot, label=_wrapped(_title(figure), 34))
     plot.plot(across[~known], up[~known], "x", color=page.VERMILION)
-    plot.set(xlabel=pair[0], ylabel=_wrapped(pair[1], 40))
+    plot.set(xlabel=across_key, ylabel=_wrapped(up_key, 40))
 
 
 def _wrapped(name: str, width: int = 24) -> str:
-    """A name on as many lines as it needs."""
-    return (
-        "\n".join(textwrap.wrap(name.replace(".", ". ").replace("_", "_ "), width))
-        .replace(". ", ".")
-        .replace("_ ", "_")
-    )
+    """Return a name on as many lines as it needs; it may break after a dot or an underscore."""
+    spaced = name.replace(".", ". ").replace("_", "_ ")
+    lines = "\n".join(textwrap.wrap(spaced, width))
+    return lines.replace(". ", ".").replace("_ ", "_")
 
 
-def _distributions(drawn: Figure, varied: list[str], table: pa.Table, names: list[str]) -> None:
+def _draw_distributions(
+    drawn: Figure, varied: Sequence[str], table: pa.Table, names: Sequence[str]
+) -> None:
+    """Draw, for each figure, its distribution and its values against each varied input."""
     plots = drawn.subplots(len(names), 1 + len(varied), squeeze=False)
     for (counts, *others), name in zip(plots, names, strict=True):
-        values = figures.BY_NAME[name].scale * table[name].to_numpy().astype(float)
+        values = figures.BY_NAME[name].scale * _values(table, name)
         counts.hist(values[np.isfinite(values)], bins=40)
         counts.set(xlabel=_wrapped(_title(name)), ylabel="runs")
         for plot, key in zip(others, varied, strict=True):
@@ -219,48 +236,36 @@ def _distributions(drawn: Figure, varied: list[str], table: pa.Table, names: lis
             plot.set(xlabel=_wrapped(key), ylabel=_wrapped(_title(name)))
 
 
+# --- stopping distance ---
+
+
 def _stopping(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
-    """The stopping distance's part of the page; none of a matrix, which is no sample, nor of too few runs."""
+    """Return the part of the page about the stopping distance.
+
+    It is empty for a matrix, which is not a sample, and for too few runs.
+    """
     counts, distance_m = stopping.counted(table)
     if plan.head["design"] == "matrix" or distance_m.size < stopping.FEWEST:
         return []
-    percent, left_out = f"{100 * stopping.CONFIDENCE:g} %", int((~counts).sum())
-    even = (
-        ""
-        if plan.head["design"] == "random"
-        else (
-            f" A {plan.head['design']} design fills its ranges more evenly than the independent draws that the bounds "
-            'are for: take them for orientation, and design = "random" for a statement.'
-        )
-    )
-    rows = [
-        (
-            f"{100 * one['quantile']:g} %",
-            _shown(one["estimate_m"]),
-            _shown(one["bound_m"]) if one["rank"] else f"needs {one['needs']} runs",
-            str(one["rank"] or "-"),
-        )
-        for one in stopping.bounds(table)
+
+    confidence = f"{100 * stopping.CONFIDENCE:g} %"
+    noise = _NORMAL_95 / math.sqrt(max(distance_m.size - 1, 1))
+    drivers = [
+        (key, f"{whole:+.2f}", f"{tail:+.2f}") for key, whole, tail in stopping.drivers(plan, table)
     ]
-    noise = 1.96 / math.sqrt(max(distance_m.size - 1, 1))
     return [
         page.element("h2", "Stopping distance"),
         page.paragraph(
-            f"{distance_m.size} runs count; {int(np.isinf(distance_m).sum())} of them had not stopped when "
-            "their time was up and are longer than any. "
-            f"{left_out} more failed or are not valid and count nowhere."
-            f"{even} This is not a certificate: it says what this plant did over the ranges of this plan, "
-            "as often as their values were drawn, and nothing of how often a railway meets them.",
-            kind="note",
+            _stopping_words(plan.head["design"], distance_m, int((~counts).sum())), kind="note"
         ),
         page.table(
             (
                 "quantile",
                 "estimate, m",
-                f"bound with a confidence of {percent}, m",
+                f"bound with a confidence of {confidence}, m",
                 "rank of the bound",
             ),
-            rows,
+            [_bound_row(bound) for bound in stopping.bounds(table)],
         ),
         page.table(
             (
@@ -268,33 +273,60 @@ def _stopping(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
                 "rank correlation with the distance",
                 f"of the longest {100 * stopping.TAIL:g} % against the rest",
             ),
-            [
-                (key, f"{whole:+.2f}", f"{tail:+.2f}")
-                for key, whole, tail in stopping.drivers(plan, table)
-            ],
+            drivers,
         ),
         page.paragraph(
             f"Without any dependence a correlation of {distance_m.size} runs is within {noise:.2f} of 0 in "
             "19 of 20 campaigns."
         ),
-        page.picture(lambda drawn: _exceedance(drawn, table), (11.0, 3.6)),
+        page.picture(partial(_draw_exceedance, table=table), (11.0, 3.6)),
     ]
 
 
-def _shown(value_m: float | None) -> str:
+def _stopping_words(design: str, distance_m: np.ndarray, left_out: int) -> str:
+    not_stopped = int(np.isinf(distance_m).sum())
+    even = ""
+    if design != "random":
+        even = (
+            f" A {design} design fills its ranges more evenly than independent draws, for which the "
+            'bounds are made: use them for orientation, and design = "random" for a statement.'
+        )
+    return (
+        f"{distance_m.size} runs count; {not_stopped} of them had not stopped at the end of their time "
+        f"and count as longer than any other. {left_out} more failed or are not valid and do not count."
+        f"{even} This is not a certificate: it shows what this plant did over the ranges of this plan, "
+        "with the frequency of the drawn values. It does not show how often a railway meets them."
+    )
+
+
+def _bound_row(bound: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    limit = _metres(bound["bound_m"]) if bound["rank"] else f"needs {bound['needs']} runs"
+    return (
+        f"{100 * bound['quantile']:g} %",
+        _metres(bound["estimate_m"]),
+        limit,
+        str(bound["rank"] or "-"),
+    )
+
+
+def _metres(value_m: float | None) -> str:
     return "not stopped" if value_m is None else f"{value_m:.1f}"
 
 
-def _exceedance(drawn: Figure, table: pa.Table) -> None:
-    distance_m = np.sort(stopping.counted(table)[1])
+def _draw_exceedance(drawn: Figure, table: pa.Table) -> None:
+    """Draw the distribution of the stop distance, and the share of runs that go further."""
+    _, all_m = stopping.counted(table)
+    distance_m = np.sort(all_m)
     stopped_m = distance_m[np.isfinite(distance_m)]
     counts, exceeded = drawn.subplots(1, 2)
     counts.hist(stopped_m, bins=40)
     counts.set(xlabel="stop distance, m", ylabel="runs")
-    exceeded.step(stopped_m, 1.0 - np.arange(1, stopped_m.size + 1) / distance_m.size, where="post")
-    for one in stopping.bounds(table):
-        if one["bound_m"] is not None:
-            exceeded.plot(one["bound_m"], 1.0 - one["quantile"], "v", color=page.VERMILION)
+
+    share = 1.0 - np.arange(1, stopped_m.size + 1) / distance_m.size
+    exceeded.step(stopped_m, share, where="post")
+    for bound in stopping.bounds(table):
+        if bound["bound_m"] is not None:
+            exceeded.plot(bound["bound_m"], 1.0 - bound["quantile"], "v", color=page.VERMILION)
     exceeded.set(
         xlabel="stop distance, m (triangles: bounds)",
         ylabel="share of runs that go further",

@@ -1,7 +1,8 @@
 """The page that every report is: one HTML file that needs nothing else, in light and dark.
 
-A report is made of elements; plain text in them is escaped. Pictures are drawn by matplotlib and stand in the page as
-SVG, in the colours of the Rerun views; what is drawn in INK takes the colour of the text around it.
+A report is made of elements. Plain text in them is escaped. matplotlib draws the pictures, and they
+are in the page as SVG, in the colours of the Rerun views. What is drawn in INK has the colour of the
+text around it.
 """
 
 import base64
@@ -18,24 +19,42 @@ from matplotlib.figure import Figure
 
 from rollerrig.realtime.pictures import colours
 
-INK, PNG = "#222222", "data:image/png;base64,"
+# a colour that stands for the colour of the text
+INK = "#222222"
+
+# address of a picture that is pixels
+PNG = "data:image/png;base64,"
+
+# whether pictures are pixels, for `pdf`
 _PIXELS = ContextVar("pixels", default=False)
-AXLES = tuple(map(colours.on_page, colours.AXLES))
-GREY, VERMILION = map(colours.on_page, (colours.GREY, colours.VERMILION))
-MEASURED, BASE, EXTENDED = INK, *map(colours.on_page, (colours.BASE, colours.EXTENDED))
-# of several runs, in their order
+_PIXELS_PER_INCH = 150
+
+AXLES = tuple(colours.on_page(colour) for colour in colours.AXLES)
+GREY = colours.on_page(colours.GREY)
+VERMILION = colours.on_page(colours.VERMILION)
+MEASURED = INK
+BASE = colours.on_page(colours.BASE)
+EXTENDED = colours.on_page(colours.EXTENDED)
+
+# several runs, in their order
 RUNS = tuple(
-    map(
-        colours.on_page,
-        (
-            colours.BLUE,
-            colours.ORANGE,
-            colours.GREEN,
-            colours.PURPLE,
-            colours.SKY_BLUE,
-            colours.VERMILION,
-        ),
+    colours.on_page(colour)
+    for colour in (
+        colours.BLUE,
+        colours.ORANGE,
+        colours.GREEN,
+        colours.PURPLE,
+        colours.SKY_BLUE,
+        colours.VERMILION,
     )
+)
+
+# classes of words with a colour
+_COLOURED_WORDS = (
+    ("pass", colours.GREEN),
+    ("fail", colours.VERMILION),
+    ("warn", colours.VERMILION),
+    ("error", colours.PURPLE),
 )
 _STYLE = """
 :root{color-scheme:light dark}
@@ -49,15 +68,13 @@ small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
 tr.marked td{background:#d55e0033}tr.void td{opacity:.6}td{overflow-wrap:anywhere}th.number{white-space:normal}
 @media (prefers-color-scheme:dark){svg{filter:brightness(1.3)}}
 @media print{details{display:none}}
-""" + "".join(
-    f".{kind}{{color:{colours.on_page(colour)}}}"
-    for kind, colour in (
-        ("pass", colours.GREEN),
-        ("fail", colours.VERMILION),
-        ("warn", colours.VERMILION),
-        ("error", colours.PURPLE),
-    )
-)
+""" + "".join(f".{kind}{{color:{colours.on_page(colour)}}}" for kind, colour in _COLOURED_WORDS)
+
+# text of a cell in a column of numbers
+_NUMBER = re.compile(r"[-+]?\d|-?$|never|nan")
+
+# what is drawn in the colour of the text
+_INKED = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
 _MATPLOTLIB: Any = {
     # a fixed salt: the same data give the same file
     "svg.hashsalt": "rollerrig",
@@ -67,9 +84,7 @@ _MATPLOTLIB: Any = {
     "figure.facecolor": "none",
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
-    **dict.fromkeys(
-        ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK
-    ),
+    **dict.fromkeys(_INKED, INK),
     "axes.grid": True,
     "grid.color": GREY,
     "grid.alpha": 0.25,
@@ -82,22 +97,23 @@ _MATPLOTLIB: Any = {
 
 
 class Markup(str):
-    """Text that is HTML already and is not escaped again."""
+    """Text that is HTML and is not escaped again."""
 
 
 BREAK = Markup("<br>")
 
 
 def element(tag: str, *parts: str, kind: str = "", **attributes: str) -> Markup:
-    """An element around its parts, of class `kind`."""
-    named = ({"class": kind} if kind else {}) | attributes
-    head = "".join(f' {name}="{html.escape(value)}"' for name, value in named.items())
+    """Return an element around its parts, of class `kind`."""
+    if kind:
+        attributes = {"class": kind, **attributes}
+    head = "".join(f' {name}="{html.escape(value)}"' for name, value in attributes.items())
     body = "".join(part if isinstance(part, Markup) else html.escape(part) for part in parts)
     return Markup(f"<{tag}{head}>{body}</{tag}>")
 
 
 def page(title: str, *parts: str) -> str:
-    """The whole document under its title."""
+    """Return the whole document under its title."""
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8">'
         + element("title", title)
@@ -108,56 +124,46 @@ def page(title: str, *parts: str) -> str:
 
 
 def paragraph(*parts: str, kind: str = "") -> Markup:
-    """A paragraph; `kind` warn or note sets it off."""
+    """Return a paragraph; `kind` warn or note sets it off."""
     return element("p", *parts, kind=kind)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], marked: Sequence[str] = ()) -> Markup:
-    """A table; columns of numbers stand to the right, rows that are `marked` or void stand out.
+    """Return a table; it is empty if there are no rows.
 
-    Nothing where there are no rows.
+    Columns of numbers are aligned to the right. `marked` has the class of each row: "marked" and
+    "void" set a row off.
     """
+    if not rows:
+        return Markup()
     kinds = [
-        "number" if all(re.match(r"[-+]?\d|-?$|never|nan", cell) for cell in column) else ""
+        "number" if all(_NUMBER.match(cell) for cell in column) else ""
         for column in zip(*rows, strict=True)
     ]
 
     def line(tag: str, cells: Sequence[str], mark: str = "") -> Markup:
-        return element(
-            "tr",
-            *(element(tag, cell, kind=kind) for cell, kind in zip(cells, kinds, strict=True)),
-            kind=mark,
-        )
+        elements = [element(tag, cell, kind=kind) for cell, kind in zip(cells, kinds, strict=True)]
+        return element("tr", *elements, kind=mark)
 
     marks = marked or [""] * len(rows)
-    return (
-        element(
-            "table",
-            line("th", head),
-            *(line("td", row, mark) for row, mark in zip(rows, marks, strict=True)),
-        )
-        if rows
-        else Markup()
-    )
+    lines = [line("td", row, mark) for row, mark in zip(rows, marks, strict=True)]
+    return element("table", line("th", head), *lines)
 
 
 def facts(rows: Mapping[str, str]) -> Markup:
-    """A table of names and what they are, as the title block of a report."""
-    return element(
-        "table",
-        *(element("tr", element("th", name), element("td", text)) for name, text in rows.items()),
-        kind="facts",
-    )
+    """Return a table of names and their values, as the title block of a report."""
+    lines = [element("tr", element("th", name), element("td", text)) for name, text in rows.items()]
+    return element("table", *lines, kind="facts")
 
 
 def folded(title: str, *parts: str) -> Markup:
-    """What is shown only when its title is clicked on."""
+    """Return parts that a reader opens with a click on their title."""
     return element("details", element("summary", title), *parts)
 
 
 @contextlib.contextmanager
 def on_paper() -> Iterator[None]:
-    """While it lasts pictures are pixels, as `pdf.write` wants them."""
+    """In this context pictures are pixels, as `pdf.write` needs them."""
     token = _PIXELS.set(True)
     try:
         yield
@@ -166,18 +172,19 @@ def on_paper() -> Iterator[None]:
 
 
 def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (11.0, 4.5)) -> Markup:
-    """What a function draws, as SVG; size in inches at 72 points."""
-    out = io.StringIO()
+    """Return what a function draws, as SVG; `size` in inches of 72 points."""
     with matplotlib.rc_context(_MATPLOTLIB):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         if _PIXELS.get():
             pixels = io.BytesIO()
-            figure.savefig(pixels, format="png", dpi=150, facecolor="white")
+            figure.savefig(pixels, format="png", dpi=_PIXELS_PER_INCH, facecolor="white")
             return element("img", src=f"{PNG}{base64.b64encode(pixels.getvalue()).decode()}")
-        # without date, creator and format, matplotlib writes no metadata
-        figure.savefig(
-            out, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        )
-    svg = out.getvalue()
-    return Markup(svg[svg.index("<svg") :].replace(INK, "currentColor"))
+
+        # without date, creator, format and type matplotlib writes no metadata
+        no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        drawn = io.StringIO()
+        figure.savefig(drawn, format="svg", metadata=no_metadata)
+    text = drawn.getvalue()
+    svg = text[text.index("<svg") :]
+    return Markup(svg.replace(INK, "currentColor"))

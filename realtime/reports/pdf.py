@@ -1,12 +1,14 @@
 """A report on paper: the page that `page.page` has made, as PDF. It needs fpdf2 (`pip install 'rollerrig[pdf]'`).
 
-Headings, paragraphs, tables and pictures are laid out anew; what is folded on the page, and its links, are left out.
+Headings, paragraphs, tables and pictures are laid out anew. Folded parts of the page and links to
+files are left out.
 """
 
 import base64
 import io
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +20,39 @@ from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.reports.page import PNG
 
 _FONT = "DejaVu"
+
+# points, by element
 _SIZES = {"h1": 17.0, "h2": 12.0, "p": 8.5}
+_TABLE_PT = 7.5
+
+# background of a row, by its class
 _MARKED = {"marked": (250, 226, 211)}
+
+# colour of a cell, by its first word
 _WORDS = {"pass": colours.GREEN, "fail": colours.VERMILION, "error": colours.PURPLE}
-_SHORT, _ROW_MM = 8, 9.0  # a table of fewer rows is kept together
-_LEAST_MM = 60.0  # what must be free below a heading
+
+_MARGIN_MM = 14
+
+# A table of fewer rows is kept on one page; rows are at most so high.
+_SHORT_ROWS = 8
+_ROW_MM = 9.0
+
+# what must be free below a heading
+_LEAST_MM = 60.0
+
+# width of a table of facts
+_FACTS_MM = 110.0
+
+# characters. A line of a table has so many at the full font size; longer cells get no more width.
+_LINE_CHARACTERS = 118
+_WIDE_CHARACTERS = 60
+
+# text of a cell in a column of numbers; an empty cell is allowed, too
+_NUMBER = re.compile(r"[-+]?\d|-$|never")
 
 
 def check() -> Any:
-    """The library. Raises ConfigError where it is not installed."""
+    """Return the library. Raises ConfigError if it is not installed."""
     try:
         import fpdf
     except ImportError:
@@ -37,30 +63,31 @@ def check() -> Any:
 
 
 def write(page: str, path: Path) -> Path:
-    """Write a page, made while `page.on_paper`, as PDF. Raises ConfigError, OSError."""
+    """Write a page, which was made with `page.on_paper`, as PDF. Raises ConfigError, OSError."""
     paper = check().FPDF(format="A4")
     fonts = Path(matplotlib.get_data_path(), "fonts", "ttf")
     for style, name in (("", "DejaVuSans.ttf"), ("B", "DejaVuSans-Bold.ttf")):
         paper.add_font(_FONT, style, fonts / name)
-    paper.set_margins(14, 14)
-    paper.set_auto_page_break(True, 14)
+    paper.set_margins(_MARGIN_MM, _MARGIN_MM)
+    paper.set_auto_page_break(True, _MARGIN_MM)
     paper.alias_nb_pages()
     paper.add_page()
-    body = ET.fromstring(
-        page[page.index("<body>") : page.index("</body>") + 7].replace("<br>", "<br/>")
-    )
-    for part in body:
-        _part(paper, part)
+
+    end = "</body>"
+    body = page[page.index("<body>") : page.index(end) + len(end)]
+    for part in ET.fromstring(body.replace("<br>", "<br/>")):
+        _add_part(paper, part)
     with replaced(path) as new:
         new.write_bytes(bytes(paper.output()))
     return path
 
 
-def _part(paper: Any, part: ET.Element) -> None:
+def _add_part(paper: Any, part: ET.Element) -> None:
     if part.tag == "table":
-        _table(paper, part)
+        _add_table(paper, part)
     elif part.tag == "img":
-        paper.image(io.BytesIO(base64.b64decode(part.attrib["src"].removeprefix(PNG))), w=paper.epw)
+        pixels = base64.b64decode(part.attrib["src"].removeprefix(PNG))
+        paper.image(io.BytesIO(pixels), w=paper.epw)
         paper.ln(2)
     elif part.tag in _SIZES:
         if part.tag == "h2":
@@ -73,59 +100,89 @@ def _part(paper: Any, part: ET.Element) -> None:
 
 
 def _text(part: ET.Element) -> str:
-    """All text of an element, links to files left out."""
+    """Return all text of an element and the text after it; links to files are left out."""
+    after = part.tail or ""
     if part.tag == "br":
-        return f"\n{part.tail or ''}"
-    own = (
-        ""
-        if part.tag == "a" and not part.attrib.get("href", "").startswith("#")
-        else ((part.text or "") + "".join(map(_text, part)))
-    )
-    return own + (part.tail or "" if part.tag not in ("p", "h1", "h2", "td", "th") else "")
+        return f"\n{after}"
+    if part.tag in ("p", "h1", "h2", "td", "th"):
+        after = ""
+
+    is_file_link = part.tag == "a" and not part.attrib.get("href", "").startswith("#")
+    if is_file_link:
+        return after
+    inside = (part.text or "") + "".join(_text(child) for child in part)
+    return inside + after
 
 
-def _table(paper: Any, part: ET.Element) -> None:
-    rows = [[re.sub(r"[^\S\n]+", " ", _text(cell)).strip() for cell in row] for row in part]
+def _add_table(paper: Any, part: ET.Element) -> None:
+    rows = _rows_without_empty_columns(part)
     kinds = [row.attrib.get("class", "") for row in part]
-    kept = [at for at in range(len(rows[0])) if any(row[at] for row in rows[1:]) or len(rows) == 1]
-    rows = [[row[at] for at in kept] for row in rows]
-    if len(rows) < _SHORT and paper.will_page_break(_ROW_MM * len(rows)):
+    is_facts = part.attrib.get("class") == "facts"
+    if len(rows) < _SHORT_ROWS and paper.will_page_break(_ROW_MM * len(rows)):
         paper.add_page()
-    # as wide as the longest word of a column at least, the rest by how much text a column has
-    longest = [
-        max(len(max(re.split(r"\s", row[at]), key=len)) for row in rows)
-        for at in range(len(rows[0]))
-    ]
-    most = [max(max(map(len, row[at].split("\n"))) for row in rows) for at in range(len(rows[0]))]
-    widths = [
-        least + 0.35 * max(0, min(much, 60) - least) + 1.5
-        for least, much in zip(longest, most, strict=True)
-    ]
-    facts = part.attrib.get("class") == "facts"
-    paper.set_font(_FONT, "", min(7.5, 7.5 * 118 / max(sum(longest) + 2.0 * len(longest), 1)))
-    right = [
-        all(not cell or re.match(r"[-+]?\d|-$|never", cell) for cell in column)
-        for column in zip(*rows[1:], strict=True)
-    ] or [False] * len(rows[0])
+
+    columns = list(zip(*rows, strict=True))
+    longest_words = [_longest_word(column) for column in columns]
+    characters = max(sum(longest_words) + 2.0 * len(longest_words), 1)
+    size_pt = min(_TABLE_PT, _TABLE_PT * _LINE_CHARACTERS / characters)
+    paper.set_font(_FONT, "", size_pt)
+
+    alignment = tuple(
+        "RIGHT" if _is_numbers(column[1:], len(rows)) and not is_facts else "LEFT"
+        for column in columns
+    )
     fpdf = check()
     with paper.table(
-        col_widths=widths,
-        first_row_as_headings=not facts,
+        col_widths=[
+            _width(column, longest) for column, longest in zip(columns, longest_words, strict=True)
+        ],
+        first_row_as_headings=not is_facts,
         borders_layout="HORIZONTAL_LINES",
-        text_align=tuple("RIGHT" if one and not facts else "LEFT" for one in right),
+        text_align=alignment,
         padding=0.8,
         line_height=1.5 * paper.font_size,
-        width=min(paper.epw, 110.0) if facts else paper.epw,
+        width=min(paper.epw, _FACTS_MM) if is_facts else paper.epw,
         align="LEFT",
     ) as table:
         for cells, kind in zip(rows, kinds, strict=True):
             row = table.row()
             for at, cell in enumerate(cells):
-                word = _WORDS.get(cell.split(" ")[0]) if not facts else None
+                colour = None if is_facts else _WORDS.get(cell.split(" ")[0])
+                is_bold = colour is not None or (is_facts and at == 0)
                 face = fpdf.FontFace(
-                    color=word,
-                    emphasis="BOLD" if word or (facts and at == 0) else None,
+                    color=colour,
+                    emphasis="BOLD" if is_bold else None,
                     fill_color=_MARKED.get(kind),
                 )
                 row.cell(cell, style=face)
     paper.ln(3)
+
+
+def _rows_without_empty_columns(part: ET.Element) -> list[list[str]]:
+    """Return the cells of a table, without columns that have nothing below their heading."""
+    rows = [[_cell_text(cell) for cell in row] for row in part]
+    if len(rows) == 1:
+        return rows
+    filled = [at for at in range(len(rows[0])) if any(row[at] for row in rows[1:])]
+    return [[row[at] for at in filled] for row in rows]
+
+
+def _cell_text(cell: ET.Element) -> str:
+    """Return the text of a cell; only its line breaks stay."""
+    return re.sub(r"[^\S\n]+", " ", _text(cell)).strip()
+
+
+def _longest_word(column: Sequence[str]) -> int:
+    return max(len(word) for cell in column for word in re.split(r"\s", cell))
+
+
+def _width(column: Sequence[str], longest_word: int) -> float:
+    """Return the relative width of a column: its longest word, and more for longer text."""
+    longest_line = max(len(line) for cell in column for line in cell.split("\n"))
+    more = max(0, min(longest_line, _WIDE_CHARACTERS) - longest_word)
+    return longest_word + 0.35 * more + 1.5
+
+
+def _is_numbers(cells: Sequence[str], rows: int) -> bool:
+    """Whether a column has numbers below its heading; a table of one row has none."""
+    return rows > 1 and all(not cell or _NUMBER.match(cell) for cell in cells)

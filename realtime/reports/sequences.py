@@ -1,8 +1,9 @@
 """The report of a set of sequences: one HTML file that needs nothing else, JUnit XML, and JSON.
 
-The HTML (and on demand a PDF) holds a title block, the summary, for each sequence its verdicts with margins and
-sources, what each axle did, plots, events, the resolved configuration and how punctual bench and bus were; recordings
-are linked beside it. All say the same; none of them certifies anything.
+The HTML (and on demand a PDF) has a title block and a summary. For each sequence it has the verdicts
+with margins and sources, what each axle did, plots, events, the resolved configuration, and how
+punctual bench and bus were. It links to the recordings. All three files have the same verdicts. None
+of them is a certification.
 """
 
 import contextlib
@@ -28,12 +29,48 @@ from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.play import Outcome
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER, Result, Verdict, worst
 
-HTML, JUNIT, JSON, PDF = "report.html", "junit.xml", "report.json", "report.pdf"
+# names of the files
+HTML = "report.html"
+JUNIT = "junit.xml"
+JSON = "report.json"
+PDF = "report.pdf"
+
 NOT_STATED = "not stated"
+
+# how the row of a result is set off
 _MARKED = {Result.FAIL: "marked", Result.ERROR: "marked", Result.ABSENT: "void"}
-_STANDARD = re.compile(r"(?:EN|UIC|ISO|IEC|prEN) ?\d[\d-]*|[Pp]aper[^:;,]*")
-# how JUnit calls a result
+
+# element of JUnit for a result
 TAGS = {Result.FAIL: "failure", Result.ERROR: "error", Result.ABSENT: "skipped"}
+
+# the standard in the source of a limit
+_STANDARD = re.compile(r"(?:EN|UIC|ISO|IEC|prEN) ?\d[\d-]*|[Pp]aper[^:;,]*")
+
+# figures in the summary, with their decimal places
+_SUMMARY_FIGURES = (
+    ("stop_distance", 0),
+    ("stop_distance_over_dry", 2),
+    ("longest_lock", 2),
+    ("air_consumption", 0),
+)
+_SUMMARY_HEAD = (
+    "sequence",
+    "result",
+    "least margin",
+    "",
+    "stop, m",
+    "over dry",
+    "lock, s",
+    "air, NL",
+    "record",
+)
+_VERDICTS_HEAD = ("measure or check", "value", "limit", "margin", "result", "the limit's source")
+
+# recordings that a sequence may have
+_RECORDINGS = ("run.rrd", "can.log", "summary.json", "harness.csv")
+
+# packages whose versions the report has
+_PACKAGES = ("numba", "numpy", "canopen", "python-can")
 
 
 def write(
@@ -43,50 +80,57 @@ def write(
     about: Mapping[str, str] | None = None,
     on_paper: bool = False,
 ) -> list[Path]:
-    """Write the files, PDF too where they shall be `on_paper`; what was written. Raises RollerrigError.
+    """Write the files, with a PDF if `on_paper`, and return their paths. Raises RollerrigError.
 
-    `about` is what the title block shall say of the unit, who tested it, and so on.
+    `about` are entries of the title block: the unit, who tested it, and so on.
     """
-    when, about = datetime.now(UTC), about or {}
-    paths = {
+    when = datetime.now(UTC)
+    about = dict(about or {})
+    data = as_data(outcomes, when) | {"about": about}
+    texts = {
         out / HTML: html(outcomes, out, when, about),
-        out / JSON: json.dumps(as_data(outcomes, when) | {"about": dict(about)}, indent=2) + "\n",
+        out / JSON: json.dumps(data, indent=2) + "\n",
         junit or out / JUNIT: junit_xml(outcomes),
     }
+    paths = list(texts)
     try:
-        for path, text in paths.items():
+        for path, text in texts.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
         if on_paper:
             with page.on_paper():
                 pdf.write(html(outcomes, out, when, about), out / PDF)
+            paths.append(out / PDF)
     except OSError as error:
         raise RollerrigError(
             f"{error.filename or out}: the report cannot be written: {error.strerror}; the runs are "
             f"kept in {out}"
         ) from None
-    return [*paths, *[out / PDF] * on_paper]
+    return paths
 
 
 def overall(outcomes: Sequence[Outcome]) -> Result:
-    """The worst result of all sequences."""
+    """Return the worst result of all sequences."""
     return worst([outcome.result for outcome in outcomes])
 
 
+# --- JSON ---
+
+
 def as_data(outcomes: Sequence[Outcome], when: datetime) -> dict[str, Any]:
-    """All verdicts as plain data; a value that is not known is null."""
+    """Return all verdicts as plain data; an unknown value is null."""
     return {
         "disclaimer": DISCLAIMER,
         "result": overall(outcomes),
         "written": when.isoformat(),
         "versions": _versions(),
-        "sequences": [_sequence_data(one) for one in outcomes],
+        "sequences": [_sequence_data(outcome) for outcome in outcomes],
     }
 
 
 def _sequence_data(outcome: Outcome) -> dict[str, Any]:
     sequence = outcome.sequence
-    return {
+    data = {
         "name": sequence.name,
         "title": sequence.title,
         "file": str(sequence.path),
@@ -95,24 +139,30 @@ def _sequence_data(outcome: Outcome) -> dict[str, Any]:
         "error": outcome.error or None,
         "folder": str(outcome.folder),
         "wall_s": round(outcome.wall_s, 3),
-        "verdicts": [
-            dataclasses.asdict(one) | {"value": finite(one.value), "margin": finite(one.margin)}
-            for one in outcome.verdicts
-        ],
+        "verdicts": [_verdict_data(verdict) for verdict in outcome.verdicts],
         "figures": figures(outcome),
         "events": [dataclasses.asdict(event) for event in outcome.events],
-    } | {
-        key: outcome.summary.get(key)
-        for key in ("config_hash", "seed", "pacing", "valid", "invalid_because", "loop", "bus")
     }
+    for key in ("config_hash", "seed", "pacing", "valid", "invalid_because", "loop", "bus"):
+        data[key] = outcome.summary.get(key)
+    return data
+
+
+def _verdict_data(verdict: Verdict) -> dict[str, Any]:
+    data = dataclasses.asdict(verdict)
+    data["value"] = finite(verdict.value)
+    data["margin"] = finite(verdict.margin)
+    return data
 
 
 def figures(outcome: Outcome) -> dict[str, float]:
-    """Every measure of a sequence that could be computed, limited or not."""
+    """Return every measure of a sequence that can be computed, with or without a limit."""
+    if not outcome.record:
+        return {}
     found = {}
-    for one in measures.MEASURES if outcome.record else ():
+    for measure in measures.MEASURES:
         with contextlib.suppress(KeyError, IndexError, ValueError):
-            found[one.name] = float(one.of(outcome.record))  # type: ignore[arg-type]
+            found[measure.name] = float(measure.of(outcome.record))  # type: ignore[arg-type]
     return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
@@ -121,303 +171,314 @@ def _versions() -> dict[str, str]:
         "rollerrig": metadata.version("rollerrig"),
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        **{name: metadata.version(name) for name in ("numba", "numpy", "canopen", "python-can")},
+        **{name: metadata.version(name) for name in _PACKAGES},
     }
 
 
+# --- JUnit ---
+
+
 def junit_xml(outcomes: Sequence[Outcome]) -> str:
-    """One suite a sequence, one case a verdict; `error` where a sequence could not be judged."""
+    """Return JUnit XML: one suite a sequence, one case a verdict.
+
+    A sequence that could not be judged has an `error`.
+    """
     suites = ET.Element("testsuites", name="rollerrig sequence")
     for outcome in outcomes:
-        name = outcome.sequence.name
-        suite = ET.SubElement(suites, "testsuite", name=name, time=f"{outcome.wall_s:.3f}")
-        properties = ET.SubElement(suite, "properties")
-        for key, value in (
-            ("title", outcome.sequence.title),
-            ("disclaimer", DISCLAIMER),
-            ("folder", str(outcome.folder)),
-        ):
-            ET.SubElement(properties, "property", name=key, value=value)
-        for one in outcome.verdicts:
-            case = ET.SubElement(
-                suite, "testcase", name=_printable(f"{one.what}: {one.limit}"), classname=name
-            )
-            text = _printable(f"{one.value_text} ({one.limit}); {one.text}; source: {one.source}")
-            if tag := TAGS.get(one.result):
-                ET.SubElement(case, tag, message=text)
-            else:
-                ET.SubElement(case, "system-out").text = text
-        if outcome.error:
-            case = ET.SubElement(
-                suite, "testcase", name="the sequence was carried out", classname=name
-            )
-            ET.SubElement(case, "error", message=_printable(outcome.error))
-        for tag, key in (
-            ("testcase", "tests"),
-            (".//failure", "failures"),
-            (".//error", "errors"),
-            (".//skipped", "skipped"),
-        ):
-            suite.set(key, str(len(suite.findall(tag))))
+        _add_suite(suites, outcome)
     ET.indent(suites)
-    return (
-        '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"
-    )
+    head = '<?xml version="1.0" encoding="utf-8"?>\n'
+    return head + ET.tostring(suites, encoding="unicode") + "\n"
+
+
+def _add_suite(suites: ET.Element, outcome: Outcome) -> None:
+    name = outcome.sequence.name
+    suite = ET.SubElement(suites, "testsuite", name=name, time=f"{outcome.wall_s:.3f}")
+    properties = ET.SubElement(suite, "properties")
+    for key, value in (
+        ("title", outcome.sequence.title),
+        ("disclaimer", DISCLAIMER),
+        ("folder", str(outcome.folder)),
+    ):
+        ET.SubElement(properties, "property", name=key, value=value)
+
+    for verdict in outcome.verdicts:
+        title = _printable(f"{verdict.what}: {verdict.limit}")
+        case = ET.SubElement(suite, "testcase", name=title, classname=name)
+        text = _printable(
+            f"{verdict.value_text} ({verdict.limit}); {verdict.text}; source: {verdict.source}"
+        )
+        tag = TAGS.get(verdict.result)
+        if tag is not None:
+            ET.SubElement(case, tag, message=text)
+        else:
+            ET.SubElement(case, "system-out").text = text
+    if outcome.error:
+        title = "the sequence was carried out"
+        case = ET.SubElement(suite, "testcase", name=title, classname=name)
+        ET.SubElement(case, "error", message=_printable(outcome.error))
+
+    for path, key in (
+        ("testcase", "tests"),
+        (".//failure", "failures"),
+        (".//error", "errors"),
+        (".//skipped", "skipped"),
+    ):
+        suite.set(key, str(len(suite.findall(path))))
 
 
 def _printable(text: str) -> str:
     # XML 1.0 has no control characters
-    return "".join(one if one >= " " or one in "\n\t" else "?" for one in text)
+    return "".join(
+        character if character >= " " or character in "\n\t" else "?" for character in text
+    )
+
+
+# --- HTML ---
 
 
 def html(
     outcomes: Sequence[Outcome], out: Path, when: datetime, about: Mapping[str, str] | None = None
 ) -> str:
-    """The whole report as one document; links to recordings are relative to `out`."""
-    counts = [
-        f"{count} {one}"
-        for one in Result
-        if (count := sum(outcome.result is one for outcome in outcomes))
-    ]
+    """Return the whole report as one document; links to recordings are relative to `out`."""
+    counts = []
+    for result in Result:
+        count = sum(outcome.result is result for outcome in outcomes)
+        if count:
+            counts.append(f"{count} {result}")
+
+    sections: list[Markup] = []
+    for outcome in outcomes:
+        sections += _section(outcome, out)
     return page.page(
         "WSP test sequences on the roller rig",
         paragraph("Result: ", _result(overall(outcomes)), f" ({', '.join(counts)})"),
         page.facts(_title_block(outcomes, when, about or {})),
         paragraph(
             element("b", f"{DISCLAIMER.capitalize()}."),
-            " Simulated rig and vehicle; limits are those of "
-            "the named criteria profiles, whose sources stand beside each number.",
+            " Simulated rig and vehicle. The limits are those of the named criteria profiles; the "
+            "source of each limit is next to it.",
             kind="note",
         ),
         table(
-            (
-                "sequence",
-                "result",
-                "least margin",
-                "",
-                "stop, m",
-                "over dry",
-                "lock, s",
-                "air, NL",
-                "record",
-            ),
+            _SUMMARY_HEAD,
             [_summary(outcome, out) for outcome in outcomes],
-            [_MARKED.get(one.result, "") for one in outcomes],
+            [_MARKED.get(outcome.result, "") for outcome in outcomes],
         ),
-        *(part for outcome in outcomes for part in _section(outcome, out)),
+        *sections,
     )
 
 
 def _title_block(
     outcomes: Sequence[Outcome], when: datetime, about: Mapping[str, str]
 ) -> dict[str, str]:
-    """What was tested, by whom, with what, when; `about` wins."""
-    units = {str((one.summary.get("wsp") or {}).get("unit") or NOT_STATED) for one in outcomes}
+    """Return what was tested, by whom, with what and when; entries of `about` win."""
     versions = _versions()
-    own = {"unit under test": ", ".join(sorted(units)), "version of the unit": NOT_STATED}
+    units = set()
+    for outcome in outcomes:
+        wsp = outcome.summary.get("wsp") or {}
+        units.add(str(wsp.get("unit") or NOT_STATED))
+
+    unit = ", ".join(sorted(units))
+    version = NOT_STATED
     if units == {"reference"} and "unit under test" not in about:
-        own = {
-            "unit under test": "reference WSP of rollerrig (simulated)",
-            "version of the unit": versions["rollerrig"],
-        }
-    return (
-        own
-        | {"tested by": NOT_STATED}
-        | dict(about)
-        | {
-            "date": f"{when:%Y-%m-%d %H:%M} UTC",
-            "tested with": " · ".join(f"{name} {version}" for name, version in versions.items()),
-        }
-    )
+        unit = "reference WSP of rollerrig (simulated)"
+        version = versions["rollerrig"]
+    block = {
+        "unit under test": unit,
+        "version of the unit": version,
+        "tested by": NOT_STATED,
+    }
+    block.update(about)
+    block["date"] = f"{when:%Y-%m-%d %H:%M} UTC"
+    block["tested with"] = " · ".join(f"{name} {number}" for name, number in versions.items())
+    return block
 
 
 def _conditions(outcome: Outcome) -> dict[str, str]:
-    """Rig, vehicle, load, speed and adhesion of one sequence, from its resolved scenario."""
+    """Return rig, vehicle, load, speed and adhesion of a sequence, from its resolved scenario."""
     if not outcome.record:
         return {}
-    scenario, speed = outcome.record.scenario, outcome.record.columns["vehicle_speed_m_s"]
-    vehicle, adhesion = scenario["vehicle"], scenario["adhesion"]
+    scenario = outcome.record.scenario
+    vehicle = scenario["vehicle"]
+    adhesion = scenario["adhesion"]
+    speed_m_s = outcome.record.columns["vehicle_speed_m_s"]
+
     mode = scenario.get("rig", {}).get("mode", "")
+    rig_words = (str(scenario.get("rig_set", "")), f"({mode})" if mode else "")
+    adhesion_words = f"{scenario.get('adhesion_set', NOT_STATED)}, mu_cd {adhesion['mu_cd']:.3g}"
+    if adhesion.get("initial_adhesion"):
+        adhesion_words += f", initial {adhesion['initial_adhesion']:g}"
+    wheel_mm = 2e3 * vehicle["wheel_radius_m"]
     return {
-        "rig": " ".join(filter(None, (str(scenario.get("rig_set", "")), mode and f"({mode})"))),
-        "vehicle": f"{scenario.get('vehicle_set', NOT_STATED)}, wheels of {2e3 * vehicle['wheel_radius_m']:g} mm",
+        "rig": " ".join(filter(None, rig_words)),
+        "vehicle": f"{scenario.get('vehicle_set', NOT_STATED)}, wheels of {wheel_mm:g} mm",
         "load": f"{vehicle['mass_kg'] / 1e3:g} t in all",
-        "initial speed": f"{3.6 * speed[0]:.0f} km/h" if len(speed) else NOT_STATED,
-        "adhesion": f"{scenario.get('adhesion_set', NOT_STATED)}, mu_cd {adhesion['mu_cd']:.3g}"
-        + (
-            f", initial {adhesion['initial_adhesion']:g}"
-            if adhesion.get("initial_adhesion")
-            else ""
-        ),
+        "initial speed": f"{3.6 * speed_m_s[0]:.0f} km/h" if len(speed_m_s) else NOT_STATED,
+        "adhesion": adhesion_words,
     }
 
 
 def _summary(outcome: Outcome, out: Path) -> list[str]:
-    """A row: the sequence and why it did not pass, its least margin, some figures, its records."""
-    wrong = [
-        one.against_limit for one in outcome.verdicts if one.result in (Result.FAIL, Result.ERROR)
+    """Return a row: the sequence and why it did not pass, its least margin, figures, recordings."""
+    name = outcome.sequence.name
+    reasons = [outcome.error] if outcome.error else []
+    for verdict in outcome.verdicts:
+        if verdict.result in (Result.FAIL, Result.ERROR):
+            reasons.append(verdict.against_limit)
+
+    title: list[str] = [
+        element("a", name, href=f"#{name}"),
+        page.BREAK,
+        element("small", outcome.sequence.title),
     ]
-    why = "; ".join([outcome.error] * bool(outcome.error) + wrong)
-    known = [one for one in outcome.verdicts if math.isfinite(one.margin)]
-    least = min(known, key=lambda one: one.margin, default=None)
-    found, name = {} if outcome.result is Result.ERROR else figures(outcome), outcome.sequence.name
+    if reasons:
+        title += [page.BREAK, element("small", "; ".join(reasons), kind="fail")]
+
+    known = [verdict for verdict in outcome.verdicts if math.isfinite(verdict.margin)]
+    least = min(known, key=lambda verdict: verdict.margin, default=None)
+    found = {} if outcome.result is Result.ERROR else figures(outcome)
     return [
-        element(
-            "span",
-            element("a", name, href=f"#{name}"),
-            page.BREAK,
-            element("small", outcome.sequence.title),
-            *((page.BREAK, element("small", why, kind="fail")) if why else ()),
-        ),
+        element("span", *title),
         _result(outcome.result),
         _margin(least) if least else "-",
         _worded(least.what) if least else "",
-        *(
-            f"{found[key]:.{places}f}" if key in found else "-"
-            for key, places in (
-                ("stop_distance", 0),
-                ("stop_distance_over_dry", 2),
-                ("longest_lock", 2),
-                ("air_consumption", 0),
-            )
-        ),
+        *(f"{found[key]:.{places}f}" if key in found else "-" for key, places in _SUMMARY_FIGURES),
         _links(outcome, out),
     ]
 
 
 def _section(outcome: Outcome, out: Path) -> list[Markup]:
+    """Return the part of the page about one sequence."""
     sequence = outcome.sequence
+    about = (
+        f"{sequence.name} · criteria: {sequence.criteria.name} "
+        f"({sequence.criteria.title}) · {_punctuality(outcome)} · "
+    )
     parts = [
         element("h2", f"{sequence.title} · ", _result(outcome.result), id=sequence.name),
-        paragraph(
-            element(
-                "small",
-                f"{sequence.name} · criteria: {sequence.criteria.name} "
-                f"({sequence.criteria.title}) · {_punctuality(outcome)} · ",
-                _links(outcome, out),
-            )
-        ),
+        paragraph(element("small", about, _links(outcome, out))),
     ]
     if outcome.error:
         parts.append(paragraph(element("b", "Error: "), outcome.error, kind="note"))
     parts.append(page.facts(_conditions(outcome)))
     parts.append(
         table(
-            ("measure or check", "value", "limit", "margin", "result", "the limit's source"),
-            [
-                (
-                    element(
-                        "span",
-                        element("b", _worded(one.what)),
-                        page.BREAK,
-                        element("small", one.text),
-                    ),
-                    one.value_text,
-                    f"{one.limit} {one.unit}",
-                    _margin(one),
-                    "void" if one.void else _result(one.result),
-                    _source(one.source),
-                )
-                for one in outcome.verdicts
-            ],
-            [_MARKED.get(one.result, "") for one in outcome.verdicts],
+            _VERDICTS_HEAD,
+            [_verdict_row(verdict) for verdict in outcome.verdicts],
+            [_MARKED.get(verdict.result, "") for verdict in outcome.verdicts],
         )
     )
-    if outcome.record is not None and len(outcome.record.columns["time_s"]) > 1:
-        columns, radius_m = (
-            outcome.record.columns,
-            outcome.record.scenario["vehicle"]["wheel_radius_m"],
-        )
-        parts.append(table(*stop.axles(outcome.record)))
-        parts.append(stop.picture(columns.__getitem__, radius_m, marks(outcome)))
+
+    record = outcome.record
+    if record is not None and len(record.columns["time_s"]) > 1:
+        radius_m = record.scenario["vehicle"]["wheel_radius_m"]
+        parts.append(table(*stop.axles(record)))
+        parts.append(stop.picture(record.columns.__getitem__, radius_m, marks(outcome)))
+
     if outcome.events:
-        parts.append(
-            folded(
-                f"{len(outcome.events)} events",
-                table(
-                    ("s", "who", "what"),
-                    [(f"{event.time_s:.3f}", event.who, event.text) for event in outcome.events],
-                ),
-            )
-        )
+        rows = [(f"{event.time_s:.3f}", event.who, event.text) for event in outcome.events]
+        parts.append(folded(f"{len(rows)} events", table(("s", "who", "what"), rows)))
     for title, path in (
         ("sequence", sequence.path),
         ("resolved scenario", outcome.folder / "scenario.toml"),
     ):
         if path.is_file():
-            parts.append(
-                folded(f"{title}: {path.name}", element("pre", path.read_text(encoding="utf-8")))
-            )
+            text = path.read_text(encoding="utf-8")
+            parts.append(folded(f"{title}: {path.name}", element("pre", text)))
     return parts
 
 
+def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
+    measure = element(
+        "span",
+        element("b", _worded(verdict.what)),
+        page.BREAK,
+        element("small", verdict.text),
+    )
+    return (
+        measure,
+        verdict.value_text,
+        f"{verdict.limit} {verdict.unit}",
+        _margin(verdict),
+        "void" if verdict.void else _result(verdict.result),
+        _source(verdict.source),
+    )
+
+
 def marks(outcome: Outcome) -> list[stop.Mark]:
-    """The beginnings of steps and faults, as they are named in the picture."""
+    """Return the beginnings of steps and faults, as they are named in the picture."""
     found = []
     for event in outcome.events:
         if event.code == Code.SEQUENCE_STEP:
-            found.append((event.time_s, stop.STEP, event.fields["title"]))
+            found.append(stop.Mark(event.time_s, stop.STEP, event.fields["title"]))
         elif event.code == Code.TEST_FAULT:
-            found.append((event.time_s, stop.FAULT, event.fields["fault"]))
+            found.append(stop.Mark(event.time_s, stop.FAULT, event.fields["fault"]))
         elif event.code == Code.TEST_FAULT_LIFTED:
-            found.append((event.time_s, stop.FAULT, f"{event.fields['fault']} lifted"))
+            lifted = f"{event.fields['fault']} lifted"
+            found.append(stop.Mark(event.time_s, stop.FAULT, lifted))
     return sorted(found)
 
 
 def _worded(what: str) -> str:
-    """The name of a measure, or of a step, as words."""
+    """Return the name of a measure, or of a step, as words."""
     words = what.replace("_", " ") if what in measures.BY_NAME else what
     return words[:1].upper() + words[1:]
 
 
 def _source(source: str) -> Markup:
-    """The standard of a limit, or that it is assumed, before its source in full."""
-    named = _STANDARD.search(source)
-    kind = "assumption" if source.startswith("assumption") else named[0] if named else ""
-    return element(
-        "span",
-        *((element("b", kind), page.BREAK) if kind else ()),
-        element("small", source if source != kind else ""),
-    )
+    """Return the source of a limit, below its standard, or below the word that it is assumed."""
+    standard = _STANDARD.search(source)
+    heading = ""
+    if source.startswith("assumption"):
+        heading = "assumption"
+    elif standard is not None:
+        heading = standard[0]
+
+    parts: list[str] = []
+    if heading:
+        parts += [element("b", heading), page.BREAK]
+    parts.append(element("small", source if source != heading else ""))
+    return element("span", *parts)
 
 
 def _punctuality(outcome: Outcome) -> str:
+    """Return how punctual bench and bus were, in words."""
     summary = outcome.summary
-    if seen := summary.get("over_the_bus"):
+    seen = summary.get("over_the_bus")
+    if seen:
         return (
             f"a bench that ran already · pacing {summary['pacing']} · {seen['cycles']} cycles of "
-            f"{1e3 * seen['cycle_s']:g} ms seen, {seen['cycles_lost']} lost · missed ticks and lateness "
-            "are not told over the bus: they stand in the bench's own summary.json"
+            f"{1e3 * seen['cycle_s']:g} ms seen, {seen['cycles_lost']} lost · the bus does not show "
+            "missed ticks and lateness: they are in the summary.json of the bench"
         )
-    loop, bus = summary.get("loop") or {}, summary.get("bus") or {}
-    late = (loop.get("lateness_us") or {}).get("p99")
-    return " · ".join(
-        (
-            f"pacing {summary.get('pacing', '-')}",
-            f"ticks {loop.get('ticks', '-')}",
-            f"missed {loop.get('missed', '-')}",
-            *(
-                [f"late p99 {late:.0f} us"]
-                if summary.get("pacing") == "wall" and late is not None
-                else ()
-            ),
-            f"bus load {bus.get('load_percent', 0):.0f} %",
-            f"dropped {bus.get('dropped', '-')}",
-            f"configuration {summary.get('config_hash', '-')}",
-            f"seed {summary.get('seed', '-')}",
-        )
-    )
+    loop = summary.get("loop") or {}
+    bus = summary.get("bus") or {}
+    late_us = (loop.get("lateness_us") or {}).get("p99")
+    words = [
+        f"pacing {summary.get('pacing', '-')}",
+        f"ticks {loop.get('ticks', '-')}",
+        f"missed {loop.get('missed', '-')}",
+    ]
+    if summary.get("pacing") == "wall" and late_us is not None:
+        words.append(f"late p99 {late_us:.0f} us")
+    words += [
+        f"bus load {bus.get('load_percent', 0):.0f} %",
+        f"dropped {bus.get('dropped', '-')}",
+        f"configuration {summary.get('config_hash', '-')}",
+        f"seed {summary.get('seed', '-')}",
+    ]
+    return " · ".join(words)
 
 
 def _links(outcome: Outcome, out: Path) -> Markup:
-    return element(
-        "span",
-        *(
-            element("a", f"{name} ", href=os.path.relpath(outcome.folder / name, out))
-            for name in ("run.rrd", "can.log", "summary.json", "harness.csv")
-            if (outcome.folder / name).is_file()
-        ),
-    )
+    """Return links to the recordings that a sequence has."""
+    links = []
+    for name in _RECORDINGS:
+        path = outcome.folder / name
+        if path.is_file():
+            links.append(element("a", f"{name} ", href=os.path.relpath(path, out)))
+    return element("span", *links)
 
 
 def _result(result: Result) -> Markup:
