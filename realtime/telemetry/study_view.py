@@ -1,12 +1,13 @@
-"""What tune, validate and explain found, as a Rerun recording beside their HTML.
+"""What tune, validate and explain find, as a Rerun recording next to their HTML.
 
-One entity a quantity, the time of each run as the timeline "t" (runs stand side by side under their
-names); scatter plots are points in the plane.
+Each quantity is an entity, under the name of its run. The time of each run is the timeline "t".
+Scatter plots are points in the plane.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -14,7 +15,7 @@ import rerun.blueprint as rrb
 
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import BLUE, GREY, Colour
-from rollerrig.realtime.pictures.panel import Panel
+from rollerrig.realtime.pictures.panel import Panel, Series
 from rollerrig.realtime.telemetry.views import APPLICATION, times
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.paper.tuning import Tuned
@@ -22,15 +23,25 @@ from rollerrig.rig.identify.paper.validation import Verdict
 
 _MODELS = {"measured": colours.MEASURED, "new": colours.EXTENDED, "classic": colours.BASE}
 
+# f_r - f_d is taken as at least this where something is divided by it
+_LEAST_SPREAD = 1e-9
+
+# J/m that are as wide as one unit of lambda is high
+_ENERGY_UNIT_J_M = 100.0
+
+# A panel is drawn in a frame of this width and of height 1; y points down.
+_PANEL_WIDTH = 1.6
+
 
 @contextmanager
 def _recording(path: Path, name: str) -> Iterator[rr.RecordingStream]:
+    """A recording that is written to a file."""
     with rr.RecordingStream(APPLICATION, recording_id=name) as recording:
         recording.save(path)
         yield recording
 
 
-def _scalars(
+def _log_scalars(
     recording: rr.RecordingStream,
     path: str,
     time_s: np.ndarray,
@@ -38,86 +49,76 @@ def _scalars(
     shades: Sequence[Colour],
     names: Sequence[str],
 ) -> None:
-    """Values (n,) or (n, names) as one entity."""
+    """Write values (n,) or (n, names) as one entity."""
     recording.log(path, rr.SeriesLines(colors=shades, names=names), static=True)
     recording.send_columns(path, [times(time_s)], rr.Scalars.columns(scalars=values))
 
 
-def tuned(path: Path, data: Dataset, found: Tuned) -> None:
-    """Write the courses of transition and adhesion of wheelset 1 in each tuning run, and the plane."""
-    s = found.samples
-    spread = np.maximum(found.recovered - found.degraded, 1e-9)
+def _send_views(recording: rr.RecordingStream, view: rrb.Container) -> None:
+    """Set the views that the viewer opens."""
+    recording.send_blueprint(rrb.Blueprint(view, collapse_panels=True))
+
+
+# --- tune and validate ---
+
+
+def tuned(path: Path, data: Dataset, result: Tuned) -> None:
+    """Write transition and adhesion of wheelset 1 in each tuning run, and transition against energy."""
+    s = result.samples
+    spread = np.maximum(result.recovered - result.degraded, _LEAST_SPREAD)
+    model_transition = (result.model - result.degraded) / spread
     with _recording(path, f"tune {data.name}") as recording:
         for i, run in enumerate(data.group("tune")):
-            own = (s.run == i) & (s.axle == 0)
+            shown = (s.run == i) & (s.axle == 0)
             for entity, values, shade in (
-                ("transition/{}/measured", found.transition, colours.MEASURED),
-                ("transition/{}/model", (found.model - found.degraded) / spread, BLUE),
-                ("adhesion/{}/measured", s.adhesion, colours.MEASURED),
-                ("adhesion/{}/model", found.model, BLUE),
-                ("adhesion/{}/degraded", found.degraded, GREY),
+                (f"transition/{run.name}/measured", result.transition, colours.MEASURED),
+                (f"transition/{run.name}/model", model_transition, BLUE),
+                (f"adhesion/{run.name}/measured", s.adhesion, colours.MEASURED),
+                (f"adhesion/{run.name}/model", result.model, BLUE),
+                (f"adhesion/{run.name}/degraded", result.degraded, GREY),
             ):
-                _scalars(
-                    recording,
-                    entity.format(run.name),
-                    s.time_s[own],
-                    values[own],
-                    [shade],
-                    [entity.rpartition("/")[2]],
-                )
-        # one unit of lambda as high as 100 J/m is wide
-        plane = np.column_stack([s.energy_J_m / 100.0, -found.transition])
-        recording.log("plane/measured", rr.Points2D(plane, radii=0.01, colors=[GREY]), static=True)
+                name = entity.rpartition("/")[2]
+                _log_scalars(recording, entity, s.time_s[shown], values[shown], [shade], [name])
+
+        # y points down in the plane
+        points = np.column_stack([s.energy_J_m / _ENERGY_UNIT_J_M, -result.transition])
+        recording.log("plane/measured", rr.Points2D(points, radii=0.01, colors=[GREY]), static=True)
         grid = np.linspace(0.0, float(np.percentile(s.energy_J_m, 99.5)), 200)
-        line = np.column_stack([grid / 100.0, np.expm1(-found.tau_m_J.value * grid)])
+        exponential = np.expm1(-result.tau_m_J.value * grid)
+        line = np.column_stack([grid / _ENERGY_UNIT_J_M, exponential])
         recording.log("plane/tuned", rr.LineStrips2D([line], colors=[BLUE]), static=True)
-        recording.send_blueprint(
-            rrb.Blueprint(
-                rrb.Horizontal(
-                    rrb.Vertical(
-                        rrb.TimeSeriesView(origin="/transition", name="transition, wheelset 1"),
-                        rrb.TimeSeriesView(origin="/adhesion", name="adhesion, wheelset 1"),
-                    ),
-                    rrb.Spatial2DView(origin="/plane", name="transition against W_sp / (100 J/m)"),
-                ),
-                collapse_panels=True,
-            )
+
+        courses = rrb.Vertical(
+            rrb.TimeSeriesView(origin="/transition", name="transition, wheelset 1"),
+            rrb.TimeSeriesView(origin="/adhesion", name="adhesion, wheelset 1"),
         )
+        plane = rrb.Spatial2DView(origin="/plane", name="transition against W_sp / (100 J/m)")
+        _send_views(recording, rrb.Horizontal(courses, plane))
 
 
 def validated(path: Path, data: Dataset, verdicts: list[Verdict]) -> None:
     """Write vehicle speed and sliding of wheelset 1: measured, with and without recovery."""
     with _recording(path, f"validate {data.name}") as recording:
-        for v in verdicts:
+        tabs = []
+        for verdict in verdicts:
+            run = verdict.run
             for name, shade in _MODELS.items():
-                _scalars(
-                    recording, f"speed/{v.run}/{name}", v.time_s, v.speed_m_s[name], [shade], [name]
+                time_s = verdict.time_s
+                speed = verdict.speed_m_s[name]
+                sliding = verdict.sliding_m_s[name][:, 0]
+                _log_scalars(recording, f"speed/{run}/{name}", time_s, speed, [shade], [name])
+                _log_scalars(recording, f"sliding/{run}/{name}", time_s, sliding, [shade], [name])
+            tabs.append(
+                rrb.Vertical(
+                    rrb.TimeSeriesView(origin=f"/speed/{run}", name="vehicle speed, m/s"),
+                    rrb.TimeSeriesView(origin=f"/sliding/{run}", name="sliding of wheelset 1, m/s"),
+                    name=run,
                 )
-                _scalars(
-                    recording,
-                    f"sliding/{v.run}/{name}",
-                    v.time_s,
-                    v.sliding_m_s[name][:, 0],
-                    [shade],
-                    [name],
-                )
-        recording.send_blueprint(
-            rrb.Blueprint(
-                rrb.Tabs(
-                    *(
-                        rrb.Vertical(
-                            rrb.TimeSeriesView(origin=f"/speed/{v.run}", name="vehicle speed, m/s"),
-                            rrb.TimeSeriesView(
-                                origin=f"/sliding/{v.run}", name="sliding of wheelset 1, m/s"
-                            ),
-                            name=v.run,
-                        )
-                        for v in verdicts
-                    )
-                ),
-                collapse_panels=True,
             )
-        )
+        _send_views(recording, rrb.Tabs(*tabs))
+
+
+# --- explain ---
 
 
 def explained(
@@ -128,20 +129,21 @@ def explained(
     causes: Sequence[Panel],
     courses: Mapping[str, tuple[np.ndarray, np.ndarray]],
 ) -> None:
-    """Write an explanation: its words (Markdown), where it shows, the causes, and the adhesion of every wheelset.
+    """Write an explanation: its words (Markdown), where it shows, the causes, the adhesion of every wheelset.
 
     `courses`: /run/adhesion_axle -> (time s, measured, base and extended values (n, 3)).
     """
     with _recording(path, f"explain {name}") as recording:
-        recording.log(
-            "words", rr.TextDocument(words, media_type=rr.MediaType.MARKDOWN), static=True
-        )
-        shown = [
-            [_panel(recording, f"{kind}/{k}", panel) for k, panel in enumerate(panels, start=1)]
-            for kind, panels in (("where", where), ("cause", causes))
+        document = rr.TextDocument(words, media_type=rr.MediaType.MARKDOWN)
+        recording.log("words", document, static=True)
+        where_views = [
+            _log_panel(recording, f"where/{k}", panel) for k, panel in enumerate(where, start=1)
+        ]
+        cause_views = [
+            _log_panel(recording, f"cause/{k}", panel) for k, panel in enumerate(causes, start=1)
         ]
         for entity, (time_s, values) in courses.items():
-            _scalars(
+            _log_scalars(
                 recording,
                 f"courses{entity}",
                 time_s,
@@ -149,75 +151,99 @@ def explained(
                 (colours.MEASURED, colours.BASE, colours.EXTENDED),
                 ("measured", "base", "extended"),
             )
-        runs = dict.fromkeys(entity.split("/")[1] for entity in courses)
-        recording.send_blueprint(
-            rrb.Blueprint(
-                rrb.Tabs(
-                    rrb.Horizontal(
-                        rrb.TextDocumentView(origin="/words", name="verdict"),
-                        *shown[1],
-                        name="verdict",
-                    ),
-                    rrb.Horizontal(*shown[0], name="where it shows"),
-                    *(
-                        rrb.Vertical(
-                            *(
-                                rrb.TimeSeriesView(
-                                    origin=f"/courses{entity}", name=entity.rpartition("/")[2]
-                                )
-                                for entity in courses
-                                if entity.split("/")[1] == run
-                            ),
-                            name=run,
-                        )
-                        for run in runs
-                    ),
-                ),
-                collapse_panels=True,
-            )
-        )
+
+        verdict_view = rrb.TextDocumentView(origin="/words", name="verdict")
+        tabs: list[rrb.Container] = [
+            rrb.Horizontal(verdict_view, *cause_views, name="verdict"),
+            rrb.Horizontal(*where_views, name="where it shows"),
+        ]
+        for run, entities in _by_run(courses).items():
+            views = [
+                rrb.TimeSeriesView(origin=f"/courses{entity}", name=entity.rpartition("/")[2])
+                for entity in entities
+            ]
+            tabs.append(rrb.Vertical(*views, name=run))
+        _send_views(recording, rrb.Tabs(*tabs))
 
 
-def _panel(recording: rr.RecordingStream, entity: str, panel: Panel) -> rrb.Spatial2DView:
-    """A panel in a frame 1.6 wide and 1 high, with the values at the ends of its axes."""
-    at, mean = (np.concatenate([getattr(s, of) for s in panel.series]) for of in ("at", "mean"))
-    left, right, low, high = at.min(), at.max(), min(mean.min(), 0.0), max(mean.max(), 0.0)
+def _by_run(entities: Mapping[str, object]) -> dict[str, list[str]]:
+    """Return entities by their run, which is the first part of their path."""
+    by_run: dict[str, list[str]] = {}
+    for entity in entities:
+        by_run.setdefault(entity.split("/")[1], []).append(entity)
+    return by_run
 
-    def placed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return np.column_stack(
-            [1.6 * (x - left) / max(right - left, 1e-12), (high - y) / max(high - low, 1e-12)]
-        )
 
-    def words(name: str, where: list[list[float]], labels: list[str], colour: Colour) -> None:
-        recording.log(
-            f"{entity}/{name}",
-            rr.Points2D(where, radii=1e-4, colors=[colour], labels=labels, show_labels=True),
-            static=True,
-        )
+class _Frame(NamedTuple):
+    """The ends of the axes of a panel."""
 
-    def lines(name: str, strips: Sequence[np.ndarray], colour: Colour, radius: float) -> None:
-        recording.log(
-            f"{entity}/{name}", rr.LineStrips2D(strips, colors=[colour], radii=radius), static=True
-        )
+    left: float
+    right: float
+    low: float
+    high: float
 
-    for k, s in enumerate(panel.series):
-        words(f"names/{k}", [[0.8, -0.32 + 0.06 * k]], [s.label], s.colour)
-        if s.bar is None:
-            lines(f"series/{k}", [placed(s.at, s.mean)], s.colour, 0.005)
-            continue
-        recording.log(
-            f"{entity}/series/{k}",
-            rr.Points2D(placed(s.at, s.mean), radii=0.012, colors=[s.colour]),
-            static=True,
-        )
-        bar = np.nan_to_num(s.bar)
-        ends = placed(s.at, s.mean - bar), placed(s.at, s.mean + bar)
-        lines(f"bars/{k}", list(np.stack(ends, axis=1)), s.colour, 0.002)
-    lines("zero", [placed(np.array([left, right]), np.zeros(2))], GREY, 0.002)
-    words(
+    def placed(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return points (n, 2) in the frame of the panel."""
+        width = max(self.right - self.left, 1e-12)
+        height = max(self.high - self.low, 1e-12)
+        return np.column_stack([_PANEL_WIDTH * (x - self.left) / width, (self.high - y) / height])
+
+
+class _PanelWriter:
+    """Writes points, lines and words of one panel under its entity."""
+
+    def __init__(self, recording: rr.RecordingStream, entity: str) -> None:
+        self._recording = recording
+        self._entity = entity
+
+    def words(self, name: str, where: list[list[float]], labels: list[str], colour: Colour) -> None:
+        shape = rr.Points2D(where, radii=1e-4, colors=[colour], labels=labels, show_labels=True)
+        self._recording.log(f"{self._entity}/{name}", shape, static=True)
+
+    def lines(self, name: str, strips: Sequence[np.ndarray], colour: Colour, radius: float) -> None:
+        shape = rr.LineStrips2D(strips, colors=[colour], radii=radius)
+        self._recording.log(f"{self._entity}/{name}", shape, static=True)
+
+    def points(self, name: str, points: np.ndarray, colour: Colour) -> None:
+        shape = rr.Points2D(points, radii=0.012, colors=[colour])
+        self._recording.log(f"{self._entity}/{name}", shape, static=True)
+
+    def series(self, k: int, series: Series, frame: _Frame) -> None:
+        """Write a series: a line, or points with error bars."""
+        self.words(f"names/{k}", [[0.8, -0.32 + 0.06 * k]], [series.label], series.colour)
+        points = frame.placed(series.at, series.mean)
+        if series.bar is None:
+            self.lines(f"series/{k}", [points], series.colour, 0.005)
+            return
+        self.points(f"series/{k}", points, series.colour)
+        bar = np.nan_to_num(series.bar)
+        lower = frame.placed(series.at, series.mean - bar)
+        upper = frame.placed(series.at, series.mean + bar)
+        self.lines(f"bars/{k}", list(np.stack((lower, upper), axis=1)), series.colour, 0.002)
+
+
+def _log_panel(recording: rr.RecordingStream, entity: str, panel: Panel) -> rrb.Spatial2DView:
+    """Write a panel in a frame 1.6 wide and 1 high, with the values at the ends of its axes."""
+    at = np.concatenate([series.at for series in panel.series])
+    mean = np.concatenate([series.mean for series in panel.series])
+    frame = _Frame(at.min(), at.max(), min(mean.min(), 0.0), max(mean.max(), 0.0))
+
+    writer = _PanelWriter(recording, entity)
+    for k, series in enumerate(panel.series):
+        writer.series(k, series, frame)
+    zero = frame.placed(np.array([frame.left, frame.right]), np.zeros(2))
+    writer.lines("zero", [zero], GREY, 0.002)
+    writer.words(
         "axes",
-        [[0.0, 1.1], [1.6, 1.1], [0.8, 1.2], [-0.2, 1.0], [-0.2, 0.0], [0.0, -0.1]],
-        [f"{left:.3g}", f"{right:.3g}", panel.along, f"{low:.2g}", f"{high:.2g}", panel.upwards],
+        [[0.0, 1.1], [_PANEL_WIDTH, 1.1], [0.8, 1.2], [-0.2, 1.0], [-0.2, 0.0], [0.0, -0.1]],
+        [
+            f"{frame.left:.3g}",
+            f"{frame.right:.3g}",
+            panel.along,
+            f"{frame.low:.2g}",
+            f"{frame.high:.2g}",
+            panel.upwards,
+        ],
         GREY,
     )
     return rrb.Spatial2DView(
@@ -228,7 +254,7 @@ def _panel(recording: rr.RecordingStream, entity: str, panel: Panel) -> rrb.Spat
 
 
 def creep_points(path: Path, data: Dataset) -> None:
-    """The points of a measured creep curve, both axes in percent."""
+    """Write the points of a measured creep curve, both axes in percent."""
     assert data.curve is not None
     points = np.column_stack([100.0 * data.curve.creepage, -100.0 * data.curve.adhesion])
     with _recording(path, f"explain {data.name}") as recording:
@@ -239,42 +265,30 @@ def recorded(
     path: Path,
     name: str,
     courses: Mapping[str, tuple[np.ndarray, Mapping[str, np.ndarray]]],
-    said: Sequence[tuple[str, float, str]],
+    remarks: Sequence[tuple[str, float, str]],
 ) -> None:
-    """Courses of a recorder, path -> (time s, values (n,) by name), and what is said of them: run, time s, sentence.
+    """Write a train recording: a tab for each run, with speeds, sliding and what was found.
 
-    A tab for each run, with speeds over sliding.
+    `courses`: /run/speed and /run/sliding -> (time s, values (n,) by name). `remarks`: run, time s,
+    sentence; the run is "" where a remark holds for all.
     """
     with _recording(path, f"explain {name}") as recording:
         for entity, (time_s, values) in courses.items():
             shades = [colours.AXLES[k % len(colours.AXLES)] for k in range(len(values))]
-            _scalars(
-                recording,
-                entity,
-                time_s,
-                np.column_stack(list(values.values())),
-                shades,
-                list(values),
-            )
-        for run, at_s, text in said:
+            columns = np.column_stack(list(values.values()))
+            _log_scalars(recording, entity, time_s, columns, shades, list(values))
+        for run, at_s, text in remarks:
             recording.set_time("t", duration=at_s)
             recording.log(f"/{run}/findings" if run else "/findings", rr.TextLog(text))
-        runs = list(dict.fromkeys(entity.split("/")[1] for entity in courses))
-        recording.send_blueprint(
-            rrb.Blueprint(
-                rrb.Tabs(
-                    *(
-                        rrb.Vertical(
-                            rrb.TimeSeriesView(origin=f"/{run}/speed", name="speed, m/s"),
-                            rrb.TimeSeriesView(
-                                origin=f"/{run}/sliding", name="below the vehicle, m/s"
-                            ),
-                            rrb.TextLogView(origin=f"/{run}/findings", name="found"),
-                            name=run,
-                        )
-                        for run in runs
-                    )
-                ),
-                collapse_panels=True,
+
+        tabs = []
+        for run in _by_run(courses):
+            tabs.append(
+                rrb.Vertical(
+                    rrb.TimeSeriesView(origin=f"/{run}/speed", name="speed, m/s"),
+                    rrb.TimeSeriesView(origin=f"/{run}/sliding", name="below the vehicle, m/s"),
+                    rrb.TextLogView(origin=f"/{run}/findings", name="found"),
+                    name=run,
+                )
             )
-        )
+        _send_views(recording, rrb.Tabs(*tabs))
