@@ -1,7 +1,7 @@
 """Standard streams without a reader: they change neither a run nor its exit status.
 
-A reader may go away (`rollerrig run ... | head`), a terminal may vanish, and a standard stream may be
-closed from the start (`2>&-`). Output that has no reader is dropped.
+A reader may go away (`rollerrig run ... | head`), a terminal may vanish, and a standard stream may
+be closed from the start (`2>&-`). Output that has no reader is dropped.
 """
 
 import errno
@@ -16,7 +16,10 @@ _STREAMS = ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w"))
 
 
 class Stream:
-    """A standard stream that drops output without a reader; all other attributes are the stream's."""
+    """A standard stream that drops output without a reader.
+
+    All other attributes are the stream's.
+    """
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -46,7 +49,10 @@ class Stream:
 
 
 def make_harmless() -> None:
-    """Let the standard streams of this process drop output without a reader; open closed streams."""
+    """Let the standard streams of this process drop output without a reader.
+
+    Open closed streams.
+    """
     for descriptor, name, mode in _STREAMS:
         if getattr(sys, name) is None:
             # the system assigns the lowest free descriptor, which is the one of this stream

@@ -1,4 +1,7 @@
-"""Events: every code has a row that makes a sentence; programs use codes and fields, never the text."""
+"""Events: every code has a row that makes a sentence.
+
+Programs use codes and fields, never the text.
+"""
 
 import ast
 import re

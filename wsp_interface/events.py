@@ -1,8 +1,8 @@
 """The events of a run: one row a code, with its level, its fields and the template of its sentence.
 
-An event says what happened. Programs use its code and its fields; its text is for people and is made
-from them here, by `text` alone. To add an event, add a code and a row. `docs/events.md` is written
-from the table.
+An event says what happened. Programs use its code and its fields; its text is for people and is
+made from them here, by `text` alone. To add an event, add a code and a row. `docs/events.md` is
+written from the table.
 
 A part of a template in square brackets is left out where a field in it is None; only such a field
 may be None. Values are in SI units; `{pressure_Pa:bar}` shows one in the unit that people use.
@@ -106,7 +106,10 @@ class Code(StrEnum):
 
 
 class Row(NamedTuple):
-    """One kind of event. `advice` follows the sentence: what it means for the run, or what to do."""
+    """One kind of event.
+
+    `advice` follows the sentence: what it means for the run, or what to do.
+    """
 
     level: str
     fields: Mapping[str, type]
@@ -115,7 +118,10 @@ class Row(NamedTuple):
 
 
 class Event(NamedTuple):
-    """An event of a run. `code` is None only in the records of benches from before there were codes."""
+    """An event of a run.
+
+    `code` is None only in the records of benches from before there were codes.
+    """
 
     time_s: float
     level: str

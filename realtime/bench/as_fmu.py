@@ -1,8 +1,8 @@
 """The rig of a scenario as an FMU for other simulation tools: FMI 3, co-simulation.
 
-The FMU runs in Python with rollerrig. It advances as a free run does, in whole ticks. Its inputs are
-magnets, brake demand and friction. Its outputs are what a WSP unit receives, by the names that such a
-unit has as an FMU, with loads, adhesion and motion. Kernels are compiled at instantiation.
+The FMU runs in Python with rollerrig. It advances as a free run does, in whole ticks. Its inputs
+are magnets, brake demand and friction. Its outputs are what a WSP unit receives, by the names that
+such a unit has as an FMU, with loads, adhesion and motion. Kernels are compiled at instantiation.
 Source: FMI 3.0.2; PythonFMU3 0.3.
 """
 
@@ -77,7 +77,10 @@ class Port(NamedTuple):
 
 
 class Rig:
-    """A rig at its initial speed, ready to be stepped; `resources` holds its scenario. Raises ConfigError."""
+    """A rig at its initial speed, ready to be stepped; `resources` holds its scenario.
+
+    Raises ConfigError.
+    """
 
     def __init__(self, resources: str | Path) -> None:
         """Build and compile it."""

@@ -140,7 +140,7 @@ class Bench:
         return self._write_summary(self._counters(bus_counts))
 
     def _rewrite_scenario(self) -> None:
-        """Let the scenario of the record be the one that was run, from the speed at which it began."""
+        """Write the scenario that was run, from the speed at which it began, into the record."""
         parts = self.parts
         resolved = parts.plan.resolved | {"initial_speed_m_s": parts.speed_m_s}
         parts.plan = dataclasses.replace(parts.plan, resolved=resolved)

@@ -1,9 +1,9 @@
-"""Watches the state of the plant for a derailed coach, exhausted air, empty sand boxes and wheel flats.
+"""Watches the plant for a derailed coach, exhausted air, empty sand boxes and wheel flats.
 
-The physics notes the place where a wheel had no rail within reach any more; from then on it computes
-a wheel in the air. Here that becomes an event of the run, once for each wheel, and the run ends. Air
-is exhausted when the reservoir holds less than the demanded cylinder pressure: from there on the
-brakes are weak. A flat is reported when its wheel turns again, or when the train stands.
+The physics notes the place where a wheel had no rail within reach any more; from then on it
+computes a wheel in the air. Here that becomes an event of the run, once for each wheel, and the run
+ends. Air is exhausted when the reservoir holds less than the demanded cylinder pressure: from there
+on the brakes are weak. A flat is reported when its wheel turns again, or when the train stands.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,8 @@
 """Faults over Modbus: select one by its number, set target and duration, and inject it.
 
 Unit 1 has three registers for the selection, a coil that injects and a coil that lifts. Parameters
-that have no register take the defaults of the catalogue. A fault that is not possible is refused with
-exception 03, and an event gives the reason.
+that have no register take the defaults of the catalogue. A fault that is not possible is refused
+with exception 03, and an event gives the reason.
 """
 
 from functools import partial

@@ -32,7 +32,7 @@ _STANDSTILL_M_S = 0.01
 
 
 class Stop:
-    """A stop of `plan` on `data`, which is built for it, with a unit and faults (default: the plan's)."""
+    """A stop of `plan` on its `data`, with a unit and faults (default: those of the plan)."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class Stop:
         self._ticks = None if self.reference_unit else tick.Ticks(data)
 
     def advance(self, most: int = _MOST_TICKS) -> None:
-        """Run ticks: `most`, or fewer to the next change of a fault, call of an outside unit, or the end."""
+        """Run `most` ticks, or fewer to the next change of a fault, unit call, or the end."""
         tick_hz = self.plan["loop"]["tick_hz"]
         self.faults.poll(int(self.data.control[TICK]) / tick_hz)
         until_change_s = min(self.faults.next_change_s() - self.faults.now_s, _LONGEST_S)
@@ -91,7 +91,10 @@ def remembered(plan: Scenario, unit: Unit = "reference") -> tuple[Stop, ring.Mem
 
 
 def simulate(plan: Scenario, unit: Unit = "reference") -> np.ndarray:
-    """Run a scenario to its end; return its samples, shape (samples, columns). Raises ConfigError."""
+    """Run a scenario to its end; return its samples, shape (samples, columns).
+
+    Raises ConfigError.
+    """
     panel.check_pacing(plan.faults, "free")
     stop, memory = remembered(plan, unit)
     while not stop.data.control[DONE]:

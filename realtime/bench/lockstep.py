@@ -1,4 +1,4 @@
-"""Lockstep: each bus cycle waits for the answers of unit and harness, so that a run can be repeated.
+"""Lockstep: each bus cycle waits for the answers of unit and harness, so that a run repeats.
 
 The wall clock has one effect only: it ends a run whose unit or harness no longer answers.
 """
@@ -77,7 +77,10 @@ async def _run_ticks(parts: Parts, bus: RigBus, ticks: tick.Ticks) -> None:
 
 
 async def _await_answers(parts: Parts, bus: RigBus) -> None:
-    """Wait for the answers of unit and harness to this SYNC; simulated time stands still meanwhile."""
+    """Wait for the answers of unit and harness to this SYNC.
+
+    Simulated time stands still meanwhile.
+    """
     if parts.options.unit != "none" and not bus.frozen:
         patience = _PATIENCE if bus.own_unit else 1
         await _await_answer(parts, bus.answered, "WSP unit", patience, _UNIT_RULE)

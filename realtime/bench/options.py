@@ -74,7 +74,10 @@ class Progress(NamedTuple):
 
 
 def start_recorder() -> subprocess.Popen[bytes]:
-    """Start a recorder that waits for a line of arguments on standard input; it exits if none comes."""
+    """Start a recorder that waits for a line of arguments on standard input.
+
+    It exits if none comes.
+    """
     return subprocess.Popen(
         [sys.executable, "-m", _RECORDER],
         stdin=subprocess.PIPE,
@@ -123,7 +126,7 @@ def waiting_processes(
 
 
 def _fork(unit: Callable[[], int] | None) -> dict[str, subprocess.Popen[bytes]]:
-    """Fork recorder and unit, each as soon as the libraries that it shares with the bench are loaded."""
+    """Fork recorder and unit, each when the libraries that it shares with the bench are loaded."""
     from rollerrig.realtime.record import summary  # noqa: F401
 
     recorder = children.Forked((sys.executable, "-m", _RECORDER), _record)
@@ -148,7 +151,10 @@ def _record() -> int:
 
 
 def check(options: Options, modbus: bool) -> None:
-    """Refuse options that contradict one another, or a scenario without Modbus. Raises ConfigError."""
+    """Refuse options that contradict one another, or a scenario without Modbus.
+
+    Raises ConfigError.
+    """
     if options.pacing == "free" and options.unit not in ("reference", "none"):
         kind = "FMU" if options.fmus else "external unit"
         raise ConfigError(

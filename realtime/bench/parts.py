@@ -1,8 +1,8 @@
 """The parts of a run that its pacings share: scenario, tick data, rings, bus, faults and processes.
 
-The bench builds a `Parts`, hands it to one pacing and closes it. `data` and `plan` change when a held
-rig gets another scenario. There are two clocks: `simulated_ns` counts ticks, and `elapsed_ns` is the
-time since the real-time thread began.
+The bench builds a `Parts`, hands it to one pacing and closes it. `data` and `plan` change when a
+held rig gets another scenario. There are two clocks: `simulated_ns` counts ticks, and `elapsed_ns`
+is the time since the real-time thread began.
 """
 
 import asyncio
@@ -160,7 +160,7 @@ class Parts:
             self.bus.harness_answered.set()
 
     def report_stall(self) -> None:
-        """Record where the loop has stood still since the last call: there the two clocks diverge."""
+        """Record where the loop has stood still since the last call: the clocks diverge there."""
         stalled_s = int(self.data.control[STALLED_NS]) / clock.SECOND_NS
         if stalled_s > self._stalled_s:
             new_s = stalled_s - self._stalled_s

@@ -1,8 +1,8 @@
 """The rig on its bus: hub or kernel CAN, the nodes, the NMT master, and the answers of the unit.
 
-The nodes read a live row of all signals and write a small row of commands. This file connects them to
-the bus and gives the bench two calls: `sync` (a SYNC is due) and `poll` (time has passed). It also
-keeps count of the answers that the WSP unit owes.
+The nodes read a live row of all signals and write a small row of commands. This file connects them
+to the bus and gives the bench two calls: `sync` (a SYNC is due) and `poll` (time has passed). It
+also keeps count of the answers that the WSP unit owes.
 """
 
 import asyncio
@@ -129,9 +129,9 @@ async def open_others(hub: Hub, place: str, scenario: Scenario) -> dict[str, int
 class RigBus:
     """The nodes of the rig, the NMT master and the bench's node on one bus.
 
-    `row` is the live row of all signals. `command` (tick.COMMANDS,) float64 is what the bus requires
-    of the rig; `on_command(command)` is called when it has changed, `refresh(row)` before an alarm
-    goes off.
+    `row` is the live row of all signals. `command` (tick.COMMANDS,) float64 is what the bus
+    requires of the rig; `on_command(command)` is called when it has changed, `refresh(row)` before
+    an alarm goes off.
     """
 
     def __init__(
@@ -204,7 +204,10 @@ class RigBus:
         self._on_command(self.command)
 
     def start_wire(self, timed: bool) -> None:
-        """Let frames wait for the wire from now on, where [bus] says so; `timed` as in `Hub.arbitrate`."""
+        """Let frames wait for the wire from now on, where [bus] says so.
+
+        `timed` as in `Hub.arbitrate`.
+        """
         if self._arbitration and self.hub.wire is None:
             self.hub.arbitrate(timed)
             self.rack.deferred = self._port.send
@@ -238,7 +241,7 @@ class RigBus:
         self._look_at_answers()
 
     def _note_answer(self, frame: Frame, sender: Any) -> None:
-        """Count an answer when it is sent, whenever the bus carries it, and even if a fault loses it."""
+        """Count an answer when it is sent, even if the bus carries it later or a fault loses it."""
         if sender is self._port:
             return
         if frame.can_id == MAGNETS_ID:
@@ -255,7 +258,7 @@ class RigBus:
 
     @property
     def late(self) -> bool:
-        """Whether the bench's unit still has to answer, as when a fault or a busy wire delays speeds."""
+        """Whether the bench's unit still has to answer: a fault or a busy wire may delay speeds."""
         return self.own_unit and not self.frozen and not self.answered.is_set()
 
     def forgive(self) -> None:
@@ -266,7 +269,10 @@ class RigBus:
     # -- faults
 
     def site(self, freeze: Callable[[bool], bool]) -> Site:
-        """Return what faults act on. `freeze(on)` stops the process of the WSP unit, if there is one."""
+        """Return what faults act on.
+
+        `freeze(on)` stops the process of the WSP unit, if there is one.
+        """
 
         def freeze_unit(on: bool) -> bool:
             self.frozen = freeze(on) and on

@@ -1,8 +1,8 @@
-"""A scenario, resolved: names looked up, tables merged, every default written out, everything checked.
+"""A resolved scenario: names looked up, tables merged, defaults written out, everything checked.
 
-The order of layers is defaults, vehicle, rig, adhesion, bus, the scenario's tables, an extended model,
-and single values from the command line; a later layer wins. The resolved scenario is a scenario again,
-which repeats a run.
+The order of layers is defaults, vehicle, rig, adhesion, bus, the scenario's tables, an extended
+model, and single values from the command line; a later layer wins. The resolved scenario is a
+scenario again, which repeats a run.
 """
 
 import dataclasses
@@ -103,7 +103,8 @@ Layer = tuple[str, Mapping[str, Any]]
 class Scenario:
     """A checked scenario. `resolved` is the whole as plain data, `name` the file's stem.
 
-    `rollers` are the parameters of the plant on dry rollers that runs in parallel to a virtual track.
+    `rollers` are the parameters of the plant on dry rollers that runs in parallel to a virtual
+    track.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Builds what a tick works on from a scenario, and compiles the kernels of a pacing before it begins."""
+"""Builds what a tick works on from a scenario, and compiles the kernels of a pacing."""
 
 import os
 
@@ -84,7 +84,8 @@ def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
     if pacing == "wall":
         _warm_up_wall(data)
     elif pacing == "lockstep" or unit != "reference":
-        # a free run with the reference unit calls the ticks inside its loop, and compiles them there
+        # a free run with the reference unit calls the ticks inside its loop, and compiles them
+        # there
         tick.run_ticks(data, 0)
     if unit == "reference" and compile_progress.has_compiled():
         # what the process of the unit would compile while the bench waits for its heartbeat

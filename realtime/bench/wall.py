@@ -1,7 +1,8 @@
 """Real time: a thread with the ticks on their deadlines, which wakes the bus thread for each SYNC.
 
 Modbus is open meanwhile. A rig that waits for a Modbus client is held and rolls until the client
-starts the run. If the client selects another scenario, the rig goes on with it at its present speed.
+starts the run. If the client selects another scenario, the rig goes on with it at its present
+speed.
 """
 
 import asyncio

@@ -1,9 +1,9 @@
-"""How long the answer of a WSP unit is on its way where frames wait for the wire, for runs without a bus.
+"""The delay of a unit's answer where frames wait for the wire, for runs without a bus.
 
-Free pacing calls the reference unit in the tick. Where the bus has a wire (`wsp_interface.bus.wire`)
-the magnets must act as late as they do in lockstep. So the nodes of the rig run on that wire for a few
-cycles, and the ticks are counted from a SYNC to the end of the frame that answers it. The delay is
-longer in a cycle with heartbeats.
+Free pacing calls the reference unit in the tick. Where the bus has a wire
+(`wsp_interface.bus.wire`) the magnets must act as late as they do in lockstep. So the nodes of the
+rig run on that wire for a few cycles, and the ticks are counted from a SYNC to the end of the frame
+that answers it. The delay is longer in a cycle with heartbeats.
 """
 
 import dataclasses
@@ -24,7 +24,10 @@ _ROUNDING = 1e-9
 
 
 def _rehearse(plan: Scenario, cycles: int) -> list[int | None]:
-    """Return the ticks from the SYNC of each cycle to the tick that has the answer; None: no answer."""
+    """Return the ticks from the SYNC of each cycle to the tick that has the answer.
+
+    None: no answer.
+    """
     tick_ns = S_NS // plan["loop"]["tick_hz"]
     now_tick = 0
     answered_at: int | None = None
@@ -72,7 +75,7 @@ def _rehearse(plan: Scenario, cycles: int) -> list[int | None]:
 
 
 def answer_ticks(plan: Scenario) -> tuple[int, int, int] | None:
-    """Return the delay of an answer in ticks, the delay in a cycle with heartbeats, and their period.
+    """Return the delay of an answer in ticks, that in a cycle with heartbeats, and their period.
 
     The period is in cycles. (0, 0, 1) on an ideal bus; None where the wire cannot carry an answer
     within a bus cycle.

@@ -1,4 +1,4 @@
-"""Appends a row to a ring: one kernel in a separate file, because readers of `ring` need no compiler."""
+"""Appends a row to a ring: in a separate file, because readers of `ring` need no compiler."""
 
 from rollerrig.rig.compiled.c_function import memory_barrier
 from rollerrig.rig.compiled.kernel import kernel

@@ -1,7 +1,8 @@
 """The clock of the real-time thread: nanoseconds of CLOCK_MONOTONIC, called without the GIL.
 
-The functions of libc are declared with `external_function`, whose addresses numba resolves when it loads
-cached code, so a second start compiles nothing. Linux only: clock_nanosleep on an absolute deadline.
+The functions of libc are declared with `external_function`, whose addresses numba resolves when it
+loads cached code, so a second start compiles nothing. Linux only: clock_nanosleep on an absolute
+deadline.
 """
 
 import contextlib

@@ -1,10 +1,10 @@
 """The real-time loop: one compiled call that gives every tick an absolute deadline.
 
 It holds no GIL, allocates nothing and logs nothing. Each tick sleeps until its deadline, notes how
-late it woke, runs, and wakes the bus thread when a SYNC is due. A tick that starts after the next one
-was due counts as missed, and the loop then catches up. After a stall of more than a hundred ticks it
-sets its next deadline from the present time instead. From then on simulated time is behind the clock
-of the bus, by the sum in STALLED_NS.
+late it woke, runs, and wakes the bus thread when a SYNC is due. A tick that starts after the next
+one was due counts as missed, and the loop then catches up. After a stall of more than a hundred
+ticks it sets its next deadline from the present time instead. From then on simulated time is behind
+the clock of the bus, by the sum in STALLED_NS.
 """
 
 import contextlib
@@ -36,8 +36,8 @@ _STALL_TICKS = 100
 INTERRUPTIONS = {"page_faults": "ru_minflt", "pages_read": "ru_majflt", "preempted": "ru_nivcsw"}
 # the bus thread has this share of the real-time thread's priority
 BUS_SHARE = 0.75
-# the unit of the bench has less: a unit that hangs in a computation must not stop the bus where they
-# share a core
+# the unit of the bench has less: a unit that hangs in a computation must not stop the bus where
+# they share a core
 UNIT_SHARE = 0.5
 _PERCENTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 
@@ -46,8 +46,8 @@ _PERCENTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
     """Run ticks on their deadlines until the run is done or stopped.
 
-    Tick k (from 0) begins at begin_ns + (k + 1) tick_ns. `histogram` int64 (BINS,) takes the lateness
-    in us, `scratch` int64 (3,); `descriptor` is the eventfd of the bus thread.
+    Tick k (from 0) begins at begin_ns + (k + 1) tick_ns. `histogram` int64 (BINS,) takes the
+    lateness in us, `scratch` int64 (3,); `descriptor` is the eventfd of the bus thread.
     """
     spec = scratch[:2]
     one = scratch[2:]
@@ -112,9 +112,9 @@ def prefer_bus_thread(priority: int) -> str:
     """Let the calling thread run below the real-time thread and before all others.
 
     Returns "" or the reason why that is not possible. `priority` is that of the real-time thread; 0
-    makes the calling thread an ordinary thread again. On a busy machine an ordinary bus thread loses
-    SYNCs: every third was lost at 1 kHz, and none with priority. Processes and threads that this
-    thread starts do not inherit the priority.
+    makes the calling thread an ordinary thread again. On a busy machine an ordinary bus thread
+    loses SYNCs: every third was lost at 1 kHz, and none with priority. Processes and threads that
+    this thread starts do not inherit the priority.
     """
     if priority:
         below = max(int(BUS_SHARE * priority), 1)
@@ -140,7 +140,10 @@ def interruptions(found: dict[str, int]) -> Iterator[None]:
 
 
 def percentiles(histogram: np.ndarray, worst_ns: int) -> dict[str, float]:
-    """Return the lateness in us at 50, 99 and 99.9 % of the ticks (upper edge of the bin), and the largest."""
+    """Return the lateness in us at 50, 99 and 99.9 % of the ticks, and the largest.
+
+    A percentile is the upper edge of its bin.
+    """
     worst_us = worst_ns / 1000.0
     counted = np.cumsum(histogram)
     if counted[-1]:

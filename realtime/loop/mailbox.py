@@ -1,7 +1,9 @@
-"""A mailbox: the latest row of values. It has one writer and any number of readers, and none waits long.
+"""A mailbox: the latest row of values.
 
-The writer makes the sequence odd, copies, and makes it even again. A reader copies until it has seen
-the same even sequence before and after (a sequence lock).
+It has one writer and any number of readers, and none waits long.
+
+The writer makes the sequence odd, copies, and makes it even again. A reader copies until it has
+seen the same even sequence before and after (a sequence lock).
 """
 
 from typing import NamedTuple

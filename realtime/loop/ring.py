@@ -1,15 +1,15 @@
 """A ring of rows in shared memory: one writer that never waits, any number of readers.
 
 The writer (often the real-time thread) copies a row into its slot and then increments the count of
-rows written. Each reader has a cursor, and learns how many rows it lost if it fell behind by more than
-the capacity. The memory is a mapped file, so it outlives a writer that is killed.
+rows written. Each reader has a cursor, and learns how many rows it lost if it fell behind by more
+than the capacity. The memory is a mapped file, so it outlives a writer that is killed.
 
 Three rings belong to a run: `rows` (float64, one row of all signals a sample), `frames` (int64:
 time in ns, identifier and flags, length, data as 8 little-endian bytes) and `events` (int64: time
 in ns, then code and fields as JSON).
 
-The writer holds a lock on the file as long as it runs; the kernel releases the lock however the writer
-ends.
+The writer holds a lock on the file as long as it runs; the kernel releases the lock however the
+writer ends.
 """
 
 import fcntl
@@ -152,8 +152,8 @@ class Ring:
     def read(self, cursor: int) -> tuple[np.ndarray, int, int]:
         """Return a copy of the rows since `cursor`, the new cursor, and how many rows were lost.
 
-        A slot that the writer may be filling is left out. Rows that were overwritten while they were
-        copied count as lost.
+        A slot that the writer may be filling is left out. Rows that were overwritten while they
+        were copied count as lost.
         """
         capacity = self.rows.shape[0]
         written = int(self.header[WRITTEN])
@@ -197,7 +197,10 @@ class Ring:
 
 
 def _make(path: Path, size: int) -> None:
-    """Make a new file of zeros. An old file is unlinked first, so that its readers keep their memory."""
+    """Make a new file of zeros.
+
+    An old file is unlinked first, so that its readers keep their memory.
+    """
     path.unlink(missing_ok=True)
     try:
         with open(path, "xb", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:

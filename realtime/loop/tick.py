@@ -1,8 +1,8 @@
 """One tick of the rig: commands in, rig control, physics, signals out.
 
 The order is fixed: record a sample if one is due, read the command mailbox, let the rig control
-command its motors, advance the physics, observe, and publish a row of all signals. `Ticks` runs ticks
-back to back (lockstep and free pacing); `loop` gives them deadlines.
+command its motors, advance the physics, observe, and publish a row of all signals. `Ticks` runs
+ticks back to back (lockstep and free pacing); `loop` gives them deadlines.
 """
 
 from collections.abc import Iterable
@@ -55,11 +55,11 @@ class TickData(NamedTuple):
 
     `gather` (n,) holds, for each column of a row, the slot of the state that is copied into it.
     `virtual` is 1 with a virtual track: the state is then that of the virtual vehicle, and the real
-    wheelsets and rollers are a second plant, whose slots `gather_rollers` (n,) are copied. Without a
-    virtual track the roller fields are those of the plant itself.
-    `answer` (3,) int64, for runs without a bus (`wire_delay`): ticks from a SYNC until the answer of
-    the unit acts in an ordinary cycle, the same in every n-th cycle, and n.
-    `hold` (1,) is the speed in m/s at which a held rig rolls, `pulses` the memory of the sensors.
+    wheelsets and rollers are a second plant, whose slots `gather_rollers` (n,) are copied. Without
+    a virtual track the roller fields are those of the plant itself. `answer` (3,) int64, for runs
+    without a bus (`wire_delay`): ticks from a SYNC until the answer of the unit acts in an ordinary
+    cycle, the same in every n-th cycle, and n. `hold` (1,) is the speed in m/s at which a held rig
+    rolls, `pulses` the memory of the sensors.
     """
 
     params: Params
@@ -122,7 +122,7 @@ OF_ROLLERS = frozenset(
 
 
 def first_command() -> np.ndarray:
-    """Return the command row before any command: no magnet energised, drives enabled for the rig."""
+    """Return the first command row: no magnet energised, drives enabled for the rig."""
     row = np.full(COMMANDS, np.nan)
     row[MAGNETS : MAGNETS + AXLES] = 0.0
     row[FRICTION:] = 0.0
@@ -204,7 +204,10 @@ def disturb(m, faults):
 
 @kernel
 def run_tick(m):
-    """Run one tick and count it; set DONE when the vehicle has stood long enough or the time is up."""
+    """Run one tick and count it.
+
+    Set DONE when the vehicle has stood long enough or the time is up.
+    """
     tick = m.control[TICK]
     begin(m, tick)
     plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
@@ -265,7 +268,10 @@ def end(m, tick):
 
 @kernel
 def stepping(m, ticks):
-    """At each `next` run ticks[0] ticks back to back, fewer if the run is done; yield how many were run."""
+    """At each `next` run ticks[0] ticks back to back, fewer if the run is done.
+
+    Yield how many were run.
+    """
     while True:
         ran = 0
         while ran < ticks[0] and m.control[DONE] == 0 and m.control[STOP] == 0:
@@ -306,9 +312,9 @@ def counts(value, scale):
 def run_ticks_with_unit(m, ticks, sync_ticks, unit, inputs):
     """Run ticks as `run_ticks` does, and call the reference WSP unit where its SYNC would come.
 
-    `unit` is the memory and parameters of the unit, `inputs` int64 scratch of shape (8,): what the unit
-    would receive over the bus, speeds in 0.01 rad/s and pressures in mbar. Its answer acts in the next
-    tick, as in lockstep, or when a wire would have carried it.
+    `unit` is the memory and parameters of the unit, `inputs` int64 scratch of shape (8,): what the
+    unit would receive over the bus, speeds in 0.01 rad/s and pressures in mbar. Its answer acts in
+    the next tick, as in lockstep, or when a wire would have carried it.
     """
     for i in range(ticks):
         if m.control[DONE] != 0 or m.control[STOP] != 0:

@@ -1,10 +1,10 @@
 """channels.parquet while a run goes on: always complete, never more than a second old.
 
-A Parquet file can be read only when its end has been written. So the file is written anew next to the
-old one and renamed over it, at least once a second while that is cheap. While the run goes on, all rows
-are also in channels.tail (plain float64 rows, appended many times a second); a reader adds the rows that
-are later than those of the file. In a long run the file is written less often, so that writing takes at
-most a tenth of a core. A finished run has no tail.
+A Parquet file can be read only when its end has been written. So the file is written anew next to
+the old one and renamed over it, at least once a second while that is cheap. While the run goes on,
+all rows are also in channels.tail (plain float64 rows, appended many times a second); a reader adds
+the rows that are later than those of the file. In a long run the file is written less often, so
+that writing takes at most a tenth of a core. A finished run has no tail.
 """
 
 import contextlib
@@ -54,7 +54,10 @@ class Channels:
             self._tail.write(np.ascontiguousarray(rows).tobytes())
 
     def write_if_due(self) -> None:
-        """Write channels.parquet anew if that is due; each call writes a part, so that rows can come in."""
+        """Write channels.parquet anew if that is due.
+
+        Each call writes a part, so that rows can come in.
+        """
         began_s = time.monotonic()
         has_new_rows = self._tail.tell() > self._written
         if not self._saving and began_s >= self._due_s and has_new_rows:
@@ -97,7 +100,7 @@ class Channels:
         (self._folder / TAIL).unlink(missing_ok=True)
 
     def _save(self, compression: str = "none") -> Iterator[None]:
-        """Write all rows so far, block by block, and replace channels.parquet with them in one step."""
+        """Write all rows so far, block by block; replace channels.parquet with them in one step."""
         is_final = compression != "none"
         with (
             replaced(self._folder / CHANNELS) as new,

@@ -1,8 +1,8 @@
 """Compares recorded runs: figures of their summaries side by side, and channels by value.
 
-Each channel of a further run is interpolated at the times of the first run; the difference counts where
-both have a value. A tolerance is given for a unit (as in m_s=0.1) or for a channel; a larger difference
-fails. The lateness of ticks is not a result and is left out.
+Each channel of a further run is interpolated at the times of the first run; the difference counts
+where both have a value. A tolerance is given for a unit (as in m_s=0.1) or for a channel; a larger
+difference fails. The lateness of ticks is not a result and is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -90,12 +90,12 @@ def _difference(
 
 
 def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
-    """Return how adhesion changes over a stop: means of all wheelsets in each third of its distance.
+    """Return how adhesion changes over a stop: means of all wheelsets in thirds of its distance.
 
-    None where no wheel slides, and always None for a run that is not valid. `adhesion while sliding`
-    is over samples at which a wheel slides by more than 0.5 m/s, `friction mu_cd` over all samples. On
-    a track the contaminant is always fresh; on rollers it is not. The difference of two runs is the
-    effect of the rig.
+    None where no wheel slides, and always None for a run that is not valid. `adhesion while
+    sliding` is over samples at which a wheel slides by more than 0.5 m/s, `friction mu_cd` over all
+    samples. On a track the contaminant is always fresh; on rollers it is not. The difference of two
+    runs is the effect of the rig.
     """
     position_m = run.column("position_m")
     way_m = position_m - position_m[0]

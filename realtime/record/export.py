@@ -1,9 +1,9 @@
 """A recorded run in the formats of other programs: MDF4, MATLAB, CSV.
 
-Every channel of the record is exported in SI with its unit and description, and so are the events. An
-MDF4 file has one group of channels over time and one of events. A MAT file has one variable a channel
-and the tables `units`, `descriptions` and `events`. A CSV file has names in its first line and units in
-its second, and a second file has the events. Files appear complete or not at all.
+Every channel of the record is exported in SI with its unit and description, and so are the events.
+An MDF4 file has one group of channels over time and one of events. A MAT file has one variable a
+channel and the tables `units`, `descriptions` and `events`. A CSV file has names in its first line
+and units in its second, and a second file has the events. Files appear complete or not at all.
 Source: ASAM MDF 4.1 as asammdf writes it; MAT-file level 5 as scipy writes it.
 """
 
@@ -52,7 +52,10 @@ def columns(run: Run) -> list[Column]:
 def write(
     run: Run, kind: str, out: Path, more: Mapping[str, "Writer"] = MappingProxyType({})
 ) -> list[Path]:
-    """Write a run as `kind` (mdf4, mat, csv, or one of `more`); return the files. Raises ConfigError."""
+    """Write a run as `kind` (mdf4, mat, csv, or one of `more`); return the files.
+
+    Raises ConfigError.
+    """
     writers = {**WRITERS, **more}
     if kind not in writers:
         raise ConfigError(f"--format {kind}: no such format{nearest(kind, writers)}")

@@ -11,8 +11,8 @@ Summary = Mapping[str, Any]
 class Figure(NamedTuple):
     """One figure: `get` takes it from a summary, in the unit of its name.
 
-    `better` is -1 where less is better, 1 where more is better, 0 where neither is. `scale` converts
-    the value to `unit`, in which people read it.
+    `better` is -1 where less is better, 1 where more is better, 0 where neither is. `scale`
+    converts the value to `unit`, in which people read it.
     """
 
     name: str
@@ -23,7 +23,10 @@ class Figure(NamedTuple):
     scale: float = 1.0
 
     def of(self, summary: Summary) -> Any:
-        """Return the figure of a run; None where it has none, and always for a run that is not valid."""
+        """Return the figure of a run.
+
+        None where it has none, and always for a run that is not valid.
+        """
         if validity.because(summary):
             return None
         try:

@@ -1,7 +1,7 @@
 """Reads a run's folder: scenario, channels, events, summary.
 
-A run that was killed reads like any other: rows that its recorder had not yet written to the Parquet
-file are read from the tail, and an incomplete last line of the events is left out.
+A run that was killed reads like any other: rows that its recorder had not yet written to the
+Parquet file are read from the tail, and an incomplete last line of the events is left out.
 """
 
 import contextlib
@@ -37,7 +37,10 @@ class Run(NamedTuple):
     summary: dict[str, Any]
 
     def column(self, name: str) -> np.ndarray:
-        """Return one channel, shape (n,). Raises ConfigError, which lists the channels of the run."""
+        """Return one channel, shape (n,).
+
+        Raises ConfigError, which lists the channels of the run.
+        """
         if name not in self.table.column_names:
             raise ConfigError(
                 f"{self.folder}: no channel is called '{name}'; there are "
@@ -89,7 +92,10 @@ def each_event(folder: Path) -> Iterator[Event]:
 
 
 def frames(folder: Path) -> list[tuple[int, int, str]]:
-    """Return time in us, identifier and data in hex of every frame in can.log; empty without a file."""
+    """Return time in us, identifier and data in hex of every frame in can.log.
+
+    Empty without a file.
+    """
     path = folder / CAN_LOG
     text = path.read_text(encoding="ascii") if path.is_file() else ""
     return [
@@ -123,7 +129,10 @@ def not_valid(folders: Iterable[Path]) -> list[str]:
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
-    """Write a summary in one step. Raises ConfigError, and writes it to the temporary folder if possible."""
+    """Write a summary in one step.
+
+    Raises ConfigError, and writes it to the temporary folder if possible.
+    """
     text = json.dumps(content, indent=2) + "\n"
     try:
         with replaced(folder / SUMMARY) as new:

@@ -1,7 +1,8 @@
 """A run's folder: what a run writes there, and which files of an earlier run it may replace.
 
-A folder that a bench has begun contains the file MARK. There the files of a run are replaced by name,
-and everything else is kept: notes, exports, folders. A folder without MARK is used only if it is empty.
+A folder that a bench has begun contains the file MARK. There the files of a run are replaced by
+name, and everything else is kept: notes, exports, folders. A folder without MARK is used only if it
+is empty.
 """
 
 import json
@@ -41,7 +42,7 @@ def begin(folder: Path) -> None:
 
 
 def _is_run(folder: Path) -> bool:
-    """Return whether a bench has begun this folder: it has MARK, or the summary of an older version."""
+    """Return whether a bench has begun this folder: it has MARK, or an older version's summary."""
     if (folder / MARK).is_file():
         return True
     try:

@@ -1,8 +1,8 @@
 """The summary of a run: stop, axles, WSP, air, loop and buses, from what was recorded.
 
-The stop lasts from the first sample to the first sample at standstill. Means and standard deviations of
-sliding are over all its samples, as in the paper's Table 6. What only the bench knows (ticks, frames,
-requests) is passed as counters, and is null where it is not known.
+The stop lasts from the first sample to the first sample at standstill. Means and standard
+deviations of sliding are over all its samples, as in the paper's Table 6. What only the bench knows
+(ticks, frames, requests) is passed as counters, and is null where it is not known.
 """
 
 import functools
@@ -37,8 +37,8 @@ def of(
 
     `columns` has arrays of shape (n,) by the names of the table of signals. `counters` may have
     version, config_hash, scenario, pacing, seed, unit, ended, and the tables loop, bus, modbus and
-    recorder. `scenario` is the resolved one, `events` are all events of the run. The same input gives
-    the same output.
+    recorder. `scenario` is the resolved one, `events` are all events of the run. The same input
+    gives the same output.
     """
     names = columns.column_names if isinstance(columns, pa.Table) else columns
     count = len(columns["time_s"]) if "time_s" in names else 0
@@ -111,7 +111,7 @@ def _axle(channel: Channel, axle: int, stop: slice) -> dict[str, Any]:
 
 
 def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
-    """Return how long any dump valve did not fill, and how often the valves of all axles began to vent."""
+    """Return how long any dump valve did not fill, and how often all valves began to vent."""
     # a valve is 0 while it fills
     valves = (channel(f"valve_{axle}")[stop] > 0.5 for axle in range(1, AXLES + 1))
     acting = functools.reduce(np.logical_or, valves)[:-1]
@@ -191,7 +191,7 @@ def _span(values: np.ndarray) -> float | None:
 
 
 def table(summary: Mapping[str, Any]) -> Any:
-    """Return the summary for a terminal: a rich table of the axles with lines on stop, loop and bus."""
+    """Return the summary as a rich table of the axles with lines on stop, loop and bus."""
     from rich.table import Table
 
     name = summary["scenario"] or summary.get("title") or "run"

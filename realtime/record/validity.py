@@ -1,9 +1,9 @@
 """Whether a run is valid: whether its figures mean anything about the stop and its WSP unit.
 
-This is decided here alone, when a summary is made: by the bench, by the recorder of a bench that was
-killed, or for a stop in memory. The record of a run that is not valid is kept, but its figures count
-nowhere. A derailed coach makes a run not valid: from there on the physics computes wheels in the air,
-and a stop that is cut short there looks good.
+This is decided here alone, when a summary is made: by the bench, by the recorder of a bench that
+was killed, or for a stop in memory. The record of a run that is not valid is kept, but its figures
+count nowhere. A derailed coach makes a run not valid: from there on the physics computes wheels in
+the air, and a stop that is cut short there looks good.
 """
 
 import math
@@ -33,7 +33,10 @@ _LIMIT_TOLERANCE_S = 1.0
 def reasons(
     summary: Mapping[str, Any], scenario: Mapping[str, Any], events: Iterable[Event]
 ) -> list[str]:
-    """Return why the run of a summary is not valid, one sentence a reason; empty for a valid run."""
+    """Return why the run of a summary is not valid, one sentence a reason.
+
+    Empty for a valid run.
+    """
     # keeps only the relevant events and the last error: a flood of events may exceed the memory
     relevant: list[Event] = []
     last_error = "see its events"
@@ -123,7 +126,10 @@ def losses(events: Iterable[Event]) -> list[float]:
 
 
 def because(summary: Mapping[str, Any]) -> Sequence[str]:
-    """Return why a run is not valid, by its summary. A summary without this field is treated as valid."""
+    """Return why a run is not valid, by its summary.
+
+    A summary without this field is treated as valid.
+    """
     if not summary:
         return ("it has no summary: it still runs, or was killed",)
     return summary.get("invalid_because", ())

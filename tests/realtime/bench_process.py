@@ -38,7 +38,10 @@ def until(condition, what, timeout_s=PATIENCE_S):
 
 @functools.cache
 def forking():
-    """A context whose server has loaded what a bench needs and forks benches; it exits with this process."""
+    """A context whose server has loaded what a bench needs and forks benches.
+
+    It exits with this process.
+    """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["loaded_bench"])
     environment = os.environ.copy()
@@ -51,7 +54,10 @@ def forking():
 
 
 class Forked:
-    """`rollerrig` as a process in a new session, forked where `loaded_bench` is loaded; used like Popen."""
+    """`rollerrig` as a process in a new session, forked where `loaded_bench` is loaded.
+
+    Used like Popen.
+    """
 
     def __init__(self, words, stdout, stderr, before=int):
         for path in (stdout, stderr):
@@ -94,7 +100,7 @@ class Forked:
 
 
 def _begin(words, stdout, stderr, before, folder, environment, cores):
-    """Become the process: with streams, session, folder, environment and cores as if newly started."""
+    """Become the process: streams, session, folder, environment and cores as if newly started."""
     os.setsid()
     os.chdir(folder)
     # the server may have been started by a test that is restricted to one core

@@ -1,6 +1,7 @@
-"""What a bench has imported, and the kernels that it has loaded, when its run begins: tests fork theirs there.
+"""The imports and kernels of a bench whose run begins: tests fork their benches from here.
 
-Nothing of it differs from a bench that is started by hand; it has no threads, and no run was run in it.
+Nothing of it differs from a bench that is started by hand; it has no threads, and no run was run in
+it.
 """
 
 import numpy as np

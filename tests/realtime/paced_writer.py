@@ -1,8 +1,8 @@
 """A bench for tests of the recorder: makes rings, starts a recorder, and writes rows on time.
 
-As a program it prints its rings and the process number of the recorder as one line of JSON, and writes
-until a test kills it. A second of the run has 100 rows, 200 frames and a few events. Writing it takes two
-seconds, so that a recorder on a busy machine keeps up.
+As a program it prints its rings and the process number of the recorder as one line of JSON, and
+writes until a test kills it. A second of the run has 100 rows, 200 frames and a few events. Writing
+it takes two seconds, so that a recorder on a busy machine keeps up.
 """
 
 import json
@@ -32,7 +32,7 @@ def rings(capacity=4096):
 
 
 def row(number):
-    """Row `number`: its time is in hundredths of a second, other columns have the number of their place."""
+    """Row `number`: its time in hundredths of a second; other columns have the number of their place."""
     values = np.arange(WIDTH, dtype=np.float64) + number
     values[signals.column("time")] = number / 100.0
     values[signals.span("valve")] = (number // 20) % 3

@@ -270,7 +270,8 @@ def test_a_unit_that_dies_in_real_time_lets_the_brakes_apply_and_the_run_go_on(t
     losses = bench.reported(Code.HEARTBEAT_LOST, partner=32)
     assert {event.fields["node"] for event in losses} == {17}
     *early_s, lost_s = (event.time_s for event in losses)
-    # with a stall less simulated time has passed until the unit's last answer, but it was the last loss and for good
+    # with a stall less simulated time has passed until the unit's last answer, but it was the last
+    # loss and for good
     assert 1.0 < lost_s < 1.5 or (early_s and lost_s > early_s[-1])
     assert bench.reported(Code.NODE_EMERGENCY, error_code=0x8130)
     for axle in "1234":

@@ -207,7 +207,7 @@ def test_the_unit_is_lost_only_where_its_heartbeat_is_missing_on_the_bus(stop_wi
 
 
 def longest_gap_s(times, before_s):
-    """The longest time between two of the last 30 frames before a time, or from the last one to it."""
+    """The longest gap between the last 30 frames before a time, or from the last one to it."""
     return np.diff(times[times < before_s][-30:], append=before_s).max()
 
 

@@ -22,7 +22,7 @@ ANSWERS = 0x211
 
 @contextlib.contextmanager
 def foreign_bus():
-    """A bus of another program, which the bench joins by python-can: its address, and a function that ends it."""
+    """A bus of another program: its address for python-can, and a function that ends it."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
@@ -145,7 +145,7 @@ def run_on_wire(out, pacing, *more):
 
 
 def check_wire(bench):
-    """Check that frames are at least their own length apart, and in order of identifiers after SYNC."""
+    """Check that frames do not overlap, and are in order of identifiers after SYNC."""
     log = frames(bench.out)
     first_sync = [can_id for _, can_id in log].index(SYNC)
     log_of_run = log[first_sync:]

@@ -1,4 +1,4 @@
-"""A wheel of the coach that leaves its rail: noted by the physics, told by the bench, ends the run."""
+"""A wheel of the coach that leaves its rail is an event, and ends the run."""
 
 import json
 

@@ -1,4 +1,7 @@
-"""No process outlives a parent that is killed; on a full disk only what could not be written is lost."""
+"""No process outlives a parent that is killed.
+
+On a full disk only what could not be written is lost.
+"""
 
 import json
 import os
@@ -28,7 +31,10 @@ def start(*arguments):
 
 
 def killed(process, *words):
-    """Kill a process once it has descendants whose commands have all of these words; all of them exit."""
+    """Kill a process once it has descendants whose commands have all of these words.
+
+    All of them exit.
+    """
 
     def descendants():
         assert process.poll() is None

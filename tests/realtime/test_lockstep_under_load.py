@@ -1,4 +1,4 @@
-"""Lockstep runs repeat to the byte, also with busy cores and a bench that is stopped and continues."""
+"""Lockstep runs repeat to the byte, also with busy cores and a bench that is stopped at times."""
 
 import contextlib
 import functools
@@ -15,8 +15,8 @@ from bench_process import MAGNETS, BenchProcess, SimpleUnit
 
 from rollerrig.realtime.record import records
 
-# faults one after another: no speeds, lost speeds, late speeds, a frozen unit, late answers, and a unit
-# that is frozen while there are no speeds
+# faults one after another: no speeds, lost speeds, late speeds, a frozen unit, late answers, and a
+# unit that is frozen while there are no speeds
 FAULTS = (
     "node_off node=16 at=0.3 for=0.6",
     "frame_lost can_id=0x190 every=2 at=1.2 for=0.5",
@@ -53,7 +53,10 @@ def busy_cores():
 
 
 def stop_and_go(bench, rest_s=0.2, go_s=0.05):
-    """Stop the bench again and again, from its first frames to its exit; how often it was stopped."""
+    """Stop the bench again and again, from its first frames to its exit.
+
+    How often it was stopped.
+    """
     count = 0
     log = bench.out / "can.log"
     while bench.process.poll() is None and not (log.exists() and log.stat().st_size):

@@ -92,7 +92,10 @@ VICTIMS = {
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory):
-    """Runs by the processes that were killed; they write simultaneously, because they mostly wait."""
+    """Runs by the processes that were killed.
+
+    They write simultaneously, because they mostly wait.
+    """
     begun = {name: Killed(tmp_path_factory.mktemp(name)) for name in VICTIMS}
     for name, victims in VICTIMS.items():
         begun[name].kill(victims)
@@ -212,7 +215,8 @@ def test_the_memory_of_a_recorder_does_not_grow_with_the_length_of_its_run(begun
         if number % 6000 == 5999:
             taken.append(resident_MB(process))
     finish(to, process)
-    # the memory of Arrow and Rerun varies by 30 MB; rows that stay in memory (16 MB a minute) add up
+    # the memory of Arrow and Rerun varies by 30 MB; rows that stay in memory (16 MB a minute) add
+    # up
     assert max(taken[-4:]) < max(taken[:4]) + 40.0, taken
     assert len(channels.load(folder)) == minutes * 6000
 

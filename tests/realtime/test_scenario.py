@@ -1,4 +1,4 @@
-"""Scenarios: layers merge in order, defaults are written out, a resolved scenario is a scenario again."""
+"""Scenarios: layers merge in order, and a resolved scenario is a scenario again."""
 
 import tomllib
 

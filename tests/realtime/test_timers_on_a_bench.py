@@ -84,7 +84,7 @@ def master(bench):
 
 
 def times(bench, can_id, data=""):
-    """The times of the recorded frames of an identifier, whose data begin with `data`, on the bus clock."""
+    """The times of the recorded frames of an identifier whose data begin with `data`."""
     log = bench.out / "can.log"
     lines = log.read_text().splitlines()[:-1] if log.exists() else ()
     return np.array(
@@ -143,7 +143,10 @@ def test_between_two_emergencies_lies_the_inhibit_time(bench, master):
 
 
 def silence(bench, master):
-    """Send heartbeats of the partner, then none; the time from the last one to the report of its loss."""
+    """Send heartbeats of the partner, then none.
+
+    The time from the last one to the report of its loss.
+    """
     # on the clock of the bus: an event has simulated time, which a stall shortens
     beats = functools.partial(times, bench, 0x700 + PARTNER)
     losses = functools.partial(times, bench, 0x080 + BRAKE, "3081")
