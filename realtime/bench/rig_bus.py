@@ -336,7 +336,7 @@ class RigBus:
         self.rack.poll(self.clock_ns())
         self._set_alarm()
 
-    # -- alarms between two SYNCs: in lockstep the bench calls `ring`, in real time a descriptor does
+    # -- alarms between two SYNCs: the bench calls `ring` in lockstep, a descriptor in real time
 
     def ring(self) -> None:
         """Run the heartbeats, time-outs and event timers that are due."""
