@@ -1,48 +1,51 @@
 """State of the coach: named views into one float64 buffer, so that a snapshot is one copy.
 
-Each field says its shape, unit and which stage writes it; q and v are ordered by body (car, two
-bogies, four wheelsets), then x, y, z, roll, pitch, yaw.
+Each field has its shape, its unit and the stage that writes it. The order of q and v is by body (car, two
+bogies, four wheelsets), then x, y, z, roll, pitch, yaw (`coordinates`).
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.contact import geometry, profiles
 from rollerrig.rig.multibody import eight_contacts
-from rollerrig.rig.multibody.wheel_rail_forces import GIVEN, SEEN
+from rollerrig.rig.multibody.coordinates import COORDINATES
+from rollerrig.rig.multibody.wheel_rail_forces import WHEEL_COLUMNS, WHEELSET_COLUMNS
 
-WHEELS = 8
+WHEELS = 2 * AXLES
+# coarse nodes of a wheel's profile
 NODES = (
     round((profiles.FIELD_END_M - profiles.FLANGE_END_M) / (profiles.STRIDE * profiles.SPACING_M))
     + 1
 )
 
-# what a caller hands over and takes back in each step: see `compiled_coach`
-(ACTION, SPEED_M_S, RESISTANCE_N) = range(3)
-ROLLER_RAD_S, MOTOR_NM, BRAKE_NM, BRAKE_ACTS_NM, MU_CD, MU_CR, PORTS = range(3, 28, 4)
+# places in `ports`: inputs and outputs of a step, see `compiled_coach`
+ACTION, SPEED_M_S, RESISTANCE_N = range(3)
+# from here each place is the first of four, one for each wheelset
+ROLLER_RAD_S, MOTOR_NM, BRAKE_NM, BRAKE_ACTS_NM, MU_CD, MU_CR, PORTS = range(3, 28, AXLES)
 
 
 class Motion(NamedTuple):
-    """Views; stages are functions of `motion`."""
+    """Views of the buffer; the stages are functions of `motion`, and a caller writes the ports."""
 
-    ports: np.ndarray  # (PORTS,) one step's inputs and outputs; port
+    ports: np.ndarray  # (PORTS,) inputs and outputs of one step; port
     q: np.ndarray  # (42,) m, rad; step
     v: np.ndarray  # (42,) m/s, rad/s; step
     force: np.ndarray  # (42,) N, N m: suspension and weight; step
     contacts: np.ndarray  # (8 MOST, COLUMNS) of `geometry`, MOST rows a wheel; step
-    near: np.ndarray  # (8,) contacts and near contacts in use; step
+    contact_count: np.ndarray  # (8,) contacts and near contacts in use; step
     misfit: np.ndarray  # (8, NODES) m, F at the coarse nodes of each wheel; step
-    given: np.ndarray  # (4, GIVEN) of `wheel_rail_forces`; step
+    wheelset_forces: np.ndarray  # (4, WHEELSET_COLUMNS) of `wheel_rail_forces`; step
     lanes: np.ndarray  # (SIZE,) of `eight_contacts`; step
     Gx: np.ndarray  # (4, 4, 4) N s/m ..., of each wheelset; step
     Gy: np.ndarray  # (4, 3, 3), of each wheelset; step
-    seen: (
-        np.ndarray
-    )  # (8, SEEN) of `wheel_rail_forces`, left then right wheel of each wheelset; step
-    searched: np.ndarray  # (8, 4) y, z, roll, yaw where the wheel was last searched; step
-    left: np.ndarray  # (8,) m, place on the track where a wheel left its rail, 0: it is on it; step
-    turn: np.ndarray  # (1,) which wheelset comes first in the next step; step
+    # (8, WHEEL_COLUMNS) of `wheel_rail_forces`, left then right wheel of each wheelset; step
+    wheel_forces: np.ndarray
+    searched_at: np.ndarray  # (8, 4) y, z, roll, yaw at the last search for contacts; step
+    left: np.ndarray  # (8,) m, place on the track where a wheel left its rail, 0: on the rail; step
+    first_wheelset: np.ndarray  # (1,) the wheelset that comes first in the next step; step
     damper_work: np.ndarray  # (1,) J; step
     approach_work: np.ndarray  # (1,) J, dampers of the contacts; step
     sliding_work: np.ndarray  # (4,) J; step
@@ -52,26 +55,27 @@ class Motion(NamedTuple):
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "ports": (PORTS,),
-    "q": (42,),
-    "v": (42,),
-    "force": (42,),
+    "q": (COORDINATES,),
+    "v": (COORDINATES,),
+    "force": (COORDINATES,),
     "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS),
-    "near": (WHEELS,),
+    "contact_count": (WHEELS,),
     "misfit": (WHEELS, NODES),
-    "given": (4, GIVEN),
+    "wheelset_forces": (AXLES, WHEELSET_COLUMNS),
     "lanes": (eight_contacts.SIZE,),
-    "Gx": (4, 4, 4),
-    "Gy": (4, 3, 3),
-    "seen": (WHEELS, SEEN),
-    "searched": (WHEELS, 4),
+    "Gx": (AXLES, 4, 4),
+    "Gy": (AXLES, 3, 3),
+    "wheel_forces": (WHEELS, WHEEL_COLUMNS),
+    "searched_at": (WHEELS, 4),
     "left": (WHEELS,),
-    "turn": (1,),
+    "first_wheelset": (1,),
     "damper_work": (1,),
     "approach_work": (1,),
-    "sliding_work": (4,),
-    "brake_work": (4,),
+    "sliding_work": (AXLES,),
+    "brake_work": (AXLES,),
     "resistance_work": (1,),
 }
+# the place of each field in the buffer, and the size of the buffer
 BEGIN: dict[str, int] = {}
 SIZE = 0
 for _name in Motion._fields:
@@ -80,10 +84,10 @@ for _name in Motion._fields:
 
 
 def views(buffer: np.ndarray) -> Motion:
-    """The state in a contiguous float64 buffer of shape (SIZE,)."""
-    return Motion(
-        *(
-            buffer[BEGIN[name] : BEGIN[name] + int(np.prod(SHAPES[name]))].reshape(SHAPES[name])
-            for name in Motion._fields
-        )
-    )
+    """Returns the state in a contiguous float64 buffer of shape (SIZE,)."""
+    fields = []
+    for name in Motion._fields:
+        begin = BEGIN[name]
+        shape = SHAPES[name]
+        fields.append(buffer[begin : begin + int(np.prod(shape))].reshape(shape))
+    return Motion(*fields)

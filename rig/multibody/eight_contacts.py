@@ -1,8 +1,9 @@
-"""Creep forces of all contacts of the coach, side by side: eight at once in the vector lanes of a core.
+"""Creep forces of all contacts of the coach: eight simultaneously, in the vector lanes of a core.
 
-`wheel_rail_forces` writes what the contacts of all wheels do into the lanes of one array, a row a quantity; one loop
-then computes the creep forces of the first eight, degraded or Polach's, by `contact.vector_law`. What lies outside its
-domain, a ninth contact (a flange that touches) and the other models go by `contact.creep_force`, one by one.
+`wheel_rail_forces` writes the sliding and the load of the contacts of all wheels into the lanes of one
+array, in which each quantity is a row. One loop then computes the creep forces of the first eight, with
+recovery or Polach's, by `contact.vector_law`. `contact.creep_force` computes the rest one by one: contacts
+outside the domain of `vector_law`, a ninth contact (a flange that touches) and the other models.
 """
 
 import math
@@ -11,15 +12,17 @@ from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion, creep_force, vector_law
 from rollerrig.rig.contact.patch import Patch
 
-ABREAST, LANES = 8, 32
-# sliding along and across m/s, spin 1/s, speed of the rail's surface m/s, load N; `Patch` and friction;
-# what comes of them: forces along and across N, moment N m, and whether the loop could tell
+TOGETHER = 8  # contacts that one loop computes
+LANES = 32
+# Rows of the array; each name is the place of the first lane of its row.
 (
+    # input: sliding along and across m/s, spin 1/s, speed of the rail's surface m/s, load N
     SX,
     SY,
     SPIN,
     SURFACE,
     LOAD,
+    # input: the fields of `Patch`, and friction
     A1,
     B1,
     C11,
@@ -29,11 +32,13 @@ ABREAST, LANES = 8, 32
     SLIM,
     MU_CD,
     MU_CR,
+    # result: forces along and across N, moment N m, 1 if the loop could compute them
     FX,
     FY,
     MZ,
     INSIDE,
-    # what is only kept: speed of approach m/s, cosine and sine of the tangent along, arm of the roller m
+    # stored for `wheel_rail_forces`: speed of approach m/s, cosine and sine of the tangent along, arm of
+    # the roller m
     APPROACH,
     COS,
     SIN,
@@ -45,27 +50,30 @@ SIZE = _ROWS
 
 @kernel_inlined
 def put(w, lane, patch):
-    """Write a contact's patch into its lane."""
-    w[A1 + lane], w[B1 + lane], w[SLIM + lane] = patch.a1, patch.b1, patch.slim
-    w[C11 + lane], w[C22 + lane], w[C23 + lane], w[C33 + lane] = (
-        patch.c11,
-        patch.c22,
-        patch.c23,
-        patch.c33,
-    )
+    """Writes the patch of a contact into its lane."""
+    w[A1 + lane] = patch.a1
+    w[B1 + lane] = patch.b1
+    w[SLIM + lane] = patch.slim
+    w[C11 + lane] = patch.c11
+    w[C22 + lane] = patch.c22
+    w[C23 + lane] = patch.c23
+    w[C33 + lane] = patch.c33
 
 
 @kernel_inlined
 def contact(w, j, patches, law):
-    """What the models want to know of a lane: (xi, eta, phi_1_m, sliding_m_s, load_N, patch, law)."""
-    sx, sy, surface = w[SX + j], w[SY + j], w[SURFACE + j]
-    per_speed, s = 1.0 / max(abs(surface), adhesion.SPEED_FLOOR_M_S), math.sqrt(sx * sx + sy * sy)
+    """Returns the arguments of the models for lane j: (xi, eta, phi_1_m, sliding_m_s, load_N, patch, law)."""
+    sx = w[SX + j]
+    sy = w[SY + j]
+    surface = w[SURFACE + j]
+    per_speed = 1.0 / max(abs(surface), adhesion.SPEED_FLOOR_M_S)
+    sliding = math.sqrt(sx * sx + sy * sy)
     patch = Patch(
         w[A1 + j],
         w[B1 + j],
         w[C11 + j],
         patches.shear_Pa,
-        0.0,
+        0.0,  # k_h and eps1: not needed here
         0.0,
         w[C22 + j],
         w[C23 + j],
@@ -74,13 +82,15 @@ def contact(w, j, patches, law):
         patches.cells,
         w[SLIM + j],
     )
-    share = adhesion.cleaning_share(s, surface, law.cleaning_creepage)[0]
-    xi, eta, phi_1_m = sx * per_speed, sy * per_speed, w[SPIN + j] * per_speed
+    share = adhesion.cleaning_share(sliding, surface, law.cleaning_creepage)[0]
+    xi = sx * per_speed
+    eta = sy * per_speed
+    phi_1_m = w[SPIN + j] * per_speed
     return (
         creep_force.limited(xi),
         creep_force.limited(eta),
         creep_force.limited(phi_1_m),
-        s,
+        sliding,
         w[LOAD + j],
         patch,
         adhesion.law_for_contaminant(w[MU_CD + j], w[MU_CR + j], share, law),
@@ -89,37 +99,37 @@ def contact(w, j, patches, law):
 
 @kernel
 def degraded(w, patches, law):
-    """Creep forces with recovery of the first lanes."""
-    for j in range(ABREAST):
-        xi, eta, phi_1_m, s, N, patch, here = contact(w, j, patches, law)
+    """Computes the creep forces with recovery of the first lanes."""
+    for j in range(TOGETHER):
+        xi, eta, phi_1_m, sliding, N, patch, law_here = contact(w, j, patches, law)
         w[FX + j], w[FY + j], w[MZ + j], w[INSIDE + j] = vector_law.recovering_force(
-            xi, eta, phi_1_m, s, N, patch, here
+            xi, eta, phi_1_m, sliding, N, patch, law_here
         )
 
 
 @kernel
 def polach(w, patches, law):
-    """Polach's creep forces of the first lanes."""
-    for j in range(ABREAST):
-        xi, eta, phi_1_m, s, N, patch, here = contact(w, j, patches, law)
+    """Computes Polach's creep forces of the first lanes."""
+    for j in range(TOGETHER):
+        xi, eta, phi_1_m, sliding, N, patch, law_here = contact(w, j, patches, law)
         w[FX + j], w[FY + j], w[MZ + j], w[INSIDE + j] = vector_law.polach_force(
-            xi, eta, phi_1_m, s, N, patch, here
+            xi, eta, phi_1_m, sliding, N, patch, law_here
         )
 
 
 @kernel
 def forces(w, count, patches, law):
-    """Creep forces of the first `count` lanes by the model of `patches` (`patch.Patches`)."""
-    done = 0
+    """Computes the creep forces of the first `count` lanes by the model of `patches` (`patch.Patches`)."""
+    computed = 0
     if patches.model == creep_force.DEGRADED:
         degraded(w, patches, law)
-        done = ABREAST
+        computed = TOGETHER
     elif patches.model == creep_force.POLACH:
         polach(w, patches, law)
-        done = ABREAST
+        computed = TOGETHER
     for j in range(count):
-        if j >= done or w[INSIDE + j] == 0.0:
-            xi, eta, phi_1_m, s, N, patch, here = contact(w, j, patches, law)
+        if j >= computed or w[INSIDE + j] == 0.0:
+            xi, eta, phi_1_m, sliding, N, patch, law_here = contact(w, j, patches, law)
             w[FX + j], w[FY + j], w[MZ + j] = creep_force.creep_force(
-                patches.model, xi, eta, phi_1_m, s, N, patch, here
+                patches.model, xi, eta, phi_1_m, sliding, N, patch, law_here
             )

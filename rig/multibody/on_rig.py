@@ -1,64 +1,75 @@
-"""The coach as the plant's vehicle: what `vehicle` and `wheelset` are to the planar model.
+"""The coach as the vehicle of the plant: the counterpart of `vehicle` and `wheelset` of the planar model.
 
-Every function takes the coach last and is nothing at all where it is None: the planar model then
-compiles to what it was. The plant's state stays the one that is seen and recorded; the coach's own
-memory stands beside it in `state.coach`, its constants in `params.coach`.
+Every function takes the coach as its last argument and does nothing where it is None: the compiled code of
+the planar model is then the same as without a coach. The state of the plant remains the one that is
+observed and recorded. The memory of the coach is `state.coach`, its constants are `params.coach`.
 """
 
 from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.multibody import coach_state, compiled_coach
-from rollerrig.rig.multibody.wheel_rail_forces import BRAKING_N, GIVEN, LOAD, SEEN, SLIP, TOUCHING
-
-_V, _SEEN, _GIVEN = (coach_state.BEGIN[name] for name in ("v", "seen", "given"))
-_SLIDING, _BRAKING, _RESISTING = (
-    coach_state.BEGIN[name] for name in ("sliding_work", "brake_work", "resistance_work")
+from rollerrig.rig.multibody.coordinates import BEFORE_WHEELSETS, PER_BODY, PITCH
+from rollerrig.rig.multibody.wheel_rail_forces import (
+    BRAKING_N,
+    LOAD,
+    SLIP,
+    TOUCHING,
+    WHEEL_COLUMNS,
+    WHEELSET_COLUMNS,
 )
-_TURNING = _V + 22  # pitch rate of the first wheelset; the others 6 apart
+
+# places in the memory of the coach
+_WHEEL_FORCES = coach_state.BEGIN["wheel_forces"]
+_WHEELSET_FORCES = coach_state.BEGIN["wheelset_forces"]
+_SLIDING_WORK = coach_state.BEGIN["sliding_work"]
+_BRAKE_WORK = coach_state.BEGIN["brake_work"]
+_RESISTANCE_WORK = coach_state.BEGIN["resistance_work"]
+# the pitch rate of the first wheelset; the others follow at intervals of PER_BODY
+_WHEEL_SPEED = coach_state.BEGIN["v"] + BEFORE_WHEELSETS + PITCH
 
 
 @kernel_inlined
 def start(state, coach):
-    """Set the coach rolling at the plant's vehicle speed, wheels without sliding on their contacts."""
-    own = state.coach
-    own[coach_state.ACTION], own[coach_state.SPEED_M_S] = (
-        compiled_coach.START,
-        state.vehicle_speed[0],
-    )
-    compiled_coach.run(own, coach.tape, coach.layout)
+    """Sets the coach rolling at the vehicle speed of the plant, the wheels without sliding."""
+    memory = state.coach
+    memory[coach_state.ACTION] = compiled_coach.START
+    memory[coach_state.SPEED_M_S] = state.vehicle_speed[0]
+    compiled_coach.run(memory, coach.tape, coach.layout)
     for j in range(AXLES):
-        state.wheel_speed[j] = own[_TURNING + 6 * j]
+        state.wheel_speed[j] = memory[_WHEEL_SPEED + PER_BODY * j]
 
 
 @kernel_inlined
 def integrate(state, params, resistance_N, coach):
-    """Advance coach, wheelsets and rollers by one step, as `wheelset.integrate` does, under this running resistance."""
-    h, own = params.step_s, state.coach
+    """Advances coach, wheelsets and rollers by one step under this running resistance."""
+    h = params.step_s
+    memory = state.coach
     v = state.vehicle_speed[0]
     for j in range(AXLES):
-        # torques are given at both ends of the step; the coach wants their means
-        own[coach_state.MOTOR_NM + j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
-        own[coach_state.BRAKE_NM + j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
-        own[coach_state.ROLLER_RAD_S + j] = state.roller_speed[j]
+        # the torques are known at both ends of the step; the coach takes their means
+        memory[coach_state.MOTOR_NM + j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
+        memory[coach_state.BRAKE_NM + j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
+        memory[coach_state.ROLLER_RAD_S + j] = state.roller_speed[j]
     step(state, resistance_N, coach)
     for j in range(AXLES):
-        turned_rad = 0.5 * h * (state.roller_speed[j] + own[coach_state.ROLLER_RAD_S + j])
-        state.roller_speed[j] = own[coach_state.ROLLER_RAD_S + j]
+        turned_rad = 0.5 * h * (state.roller_speed[j] + memory[coach_state.ROLLER_RAD_S + j])
+        state.roller_speed[j] = memory[coach_state.ROLLER_RAD_S + j]
         state.roller_angle[j] += turned_rad
-        state.motor_work[j] += own[coach_state.MOTOR_NM + j] * turned_rad
-        before = state.wheel_speed[j]
-        state.wheel_speed[j] = max(0.0, own[_TURNING + 6 * j])
-        state.wheel_angle[j] += 0.5 * h * (before + state.wheel_speed[j])
-        state.sliding_work[j], state.brake_work[j] = own[_SLIDING + j], own[_BRAKING + j]
-        state.contact_force[j] = own[_GIVEN + GIVEN * j + BRAKING_N]
-        state.brake_mean[j] = own[coach_state.BRAKE_ACTS_NM + j]
+        state.motor_work[j] += memory[coach_state.MOTOR_NM + j] * turned_rad
+        before_rad_s = state.wheel_speed[j]
+        state.wheel_speed[j] = max(0.0, memory[_WHEEL_SPEED + PER_BODY * j])
+        state.wheel_angle[j] += 0.5 * h * (before_rad_s + state.wheel_speed[j])
+        state.sliding_work[j] = memory[_SLIDING_WORK + j]
+        state.brake_work[j] = memory[_BRAKE_WORK + j]
+        state.contact_force[j] = memory[_WHEELSET_FORCES + WHEELSET_COLUMNS * j + BRAKING_N]
+        state.brake_mean[j] = memory[coach_state.BRAKE_ACTS_NM + j]
         state.brake_capacity[j] = state.brake_torque[j]
         state.motor_before[j] = state.motor_torque[j]
-    state.resistance_work[0] = own[_RESISTING]
-    state.vehicle_speed[0] = max(0.0, own[coach_state.SPEED_M_S])
+    state.resistance_work[0] = memory[_RESISTANCE_WORK]
+    state.vehicle_speed[0] = max(0.0, memory[coach_state.SPEED_M_S])
     state.vehicle_acceleration[0] = (state.vehicle_speed[0] - v) / h
     state.position[0] += 0.5 * h * (v + state.vehicle_speed[0])
-    # rollers beside a virtual track take their loads from this, as from the planar vehicle
+    # the rollers of a virtual track take their loads from this, as from the planar vehicle
     felt = state.felt_acceleration[0]
     state.felt_acceleration[0] += (state.vehicle_acceleration[0] - felt) * min(
         h / params.vehicle.pitch_time_constant_s, 1.0
@@ -67,7 +78,7 @@ def integrate(state, params, resistance_N, coach):
 
 @kernel_inlined
 def rest(state, coach):
-    """Let a coach whose wheels stand swing out on its springs, brakes as they are."""
+    """Lets a coach whose wheels are at rest swing out on its springs, with the brakes as they are."""
     for j in range(AXLES):
         state.coach[coach_state.MOTOR_NM + j] = 0.0
         state.coach[coach_state.BRAKE_NM + j] = state.brake_capacity[j]
@@ -77,41 +88,45 @@ def rest(state, coach):
 
 @kernel_inlined
 def step(state, resistance_N, coach):
-    """Fill the other ports and let the coach step."""
-    own = state.coach
-    own[coach_state.ACTION], own[coach_state.RESISTANCE_N] = compiled_coach.STEP, resistance_N
+    """Writes the other ports and advances the coach by one step."""
+    memory = state.coach
+    memory[coach_state.ACTION] = compiled_coach.STEP
+    memory[coach_state.RESISTANCE_N] = resistance_N
     for j in range(AXLES):
-        own[coach_state.MU_CD + j], own[coach_state.MU_CR + j] = (
-            state.friction_degraded[j],
-            state.friction_recovered[j],
-        )
-    compiled_coach.run(own, coach.tape, coach.layout)
+        memory[coach_state.MU_CD + j] = state.friction_degraded[j]
+        memory[coach_state.MU_CR + j] = state.friction_recovered[j]
+    compiled_coach.run(memory, coach.tape, coach.layout)
 
 
 @kernel_inlined
 def load(axle, planar_N, state, coach):
-    """Load in N of a wheelset: what its contacts carry, not below 0; planar_N where there is no coach."""
+    """Returns the load in N on the contacts of a wheelset, not below 0; planar_N without a coach."""
     if coach is None:
         return planar_N
-    at = _SEEN + 2 * SEEN * axle + LOAD
-    return max(state.coach[at] + state.coach[at + SEEN], 0.0)
+    left = _WHEEL_FORCES + 2 * WHEEL_COLUMNS * axle + LOAD
+    return max(state.coach[left] + state.coach[left + WHEEL_COLUMNS], 0.0)
 
 
 @kernel_inlined
 def slip(axle, planar_m_s, state, coach):
-    """Sliding in m/s of a wheelset's contacts, on the radii on which they roll."""
+    """Returns the sliding in m/s of a wheelset's contacts, at the radii on which they roll."""
     if coach is None:
         return planar_m_s
-    at, seen = _SEEN + 2 * SEEN * axle, state.coach
-    left, right = seen[at + TOUCHING], seen[at + SEEN + TOUCHING]
-    if left + right <= 0.0:
+    memory = state.coach
+    left = _WHEEL_FORCES + 2 * WHEEL_COLUMNS * axle
+    right = left + WHEEL_COLUMNS
+    left_N = memory[left + TOUCHING]
+    right_N = memory[right + TOUCHING]
+    if left_N + right_N <= 0.0:
         return planar_m_s
-    return (left * seen[at + SLIP] + right * seen[at + SEEN + SLIP]) / (left + right)
+    return (left_N * memory[left + SLIP] + right_N * memory[right + SLIP]) / (left_N + right_N)
 
 
 @kernel_inlined
 def adhesion(axle, planar, load_N, state, coach):
-    """Adhesion of a wheelset: the braking force of its contacts over their load."""
+    """Returns the adhesion of a wheelset: the braking force of its contacts over their load."""
     if coach is None:
         return planar
-    return state.coach[_GIVEN + GIVEN * axle + BRAKING_N] / load_N if load_N > 0.0 else 0.0
+    if not load_N > 0.0:
+        return 0.0
+    return state.coach[_WHEELSET_FORCES + WHEELSET_COLUMNS * axle + BRAKING_N] / load_N

@@ -1,21 +1,24 @@
-"""A coach on a track in batch: so many steps under constant brakes, as fast as they go.
+"""A coach on a track in batch: a number of steps under constant brakes, as fast as possible.
 
-What the bench does tick by tick, without valves, cylinders and bus: for benchmarks of the contact
+It does what the bench does tick by tick, without valves, cylinders and bus: for benchmarks of the contact
 models, for tests and for hunting.
 """
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.multibody import coach_state, motion
 from rollerrig.rig.multibody.coach import Coach
 
 STEP_S = 1e-4
+# on a track there are no rollers; their inertia has no effect
+_ROLLER_INERTIA_KGM2 = 1.0
 
 
 def rolling(coach: Coach, speed_m_s: float) -> coach_state.Motion:
-    """A coach in equilibrium that rolls freely at a speed in m/s."""
+    """Returns a coach in equilibrium that rolls freely at a speed in m/s."""
     state = coach_state.views(np.zeros(coach_state.SIZE))
     motion.start(state, coach, float(speed_m_s))
     return state
@@ -27,7 +30,7 @@ def _steps(
     coach,
     count,
     step_s,
-    rest,
+    roller_rad_s,
     brake_Nm,
     acts_Nm,
     resistance_A_N,
@@ -37,6 +40,7 @@ def _steps(
     law,
     end_m_s,
 ):
+    """Advances by `count` steps or to a speed; returns the number of steps. Arrays (4,): wheelsets."""
     for i in range(count):
         speed = motion.mean_speed(state.v, coach)
         if speed < end_m_s:
@@ -46,9 +50,9 @@ def _steps(
             state,
             coach,
             step_s,
-            rest,
-            0.0 * rest,
-            1.0,
+            roller_rad_s,
+            0.0 * roller_rad_s,  # torque of the roller motors
+            _ROLLER_INERTIA_KGM2,
             brake_Nm,
             acts_Nm,
             resistance_N,
@@ -69,20 +73,22 @@ def advance(
     resistance: tuple[float, float] = (0.0, 0.0),
     end_m_s: float = -np.inf,
 ) -> float:
-    """Advance by a duration or to end_m_s, returns the time in s; brake_Nm each or all, resistance (A N, C N s2/m2)."""
-    rest, acts = np.zeros(4), np.zeros(4)
+    """Advances by a duration, or to the speed end_m_s; returns the time in s.
+
+    brake_Nm is the torque of each wheelset, or one for all; resistance is (A in N, C in N s2/m2).
+    """
     count = _steps(
         state,
         coach,
         round(duration_s / step_s),
         step_s,
-        rest,
-        np.broadcast_to(np.asarray(brake_Nm, dtype=float), 4).copy(),
-        acts,
+        np.zeros(AXLES),
+        np.broadcast_to(np.asarray(brake_Nm, dtype=float), AXLES).copy(),
+        np.zeros(AXLES),
         float(resistance[0]),
         float(resistance[1]),
-        np.full(4, law.mu_cd),
-        np.full(4, law.mu_cr),
+        np.full(AXLES, law.mu_cd),
+        np.full(AXLES, law.mu_cr),
         law,
         float(end_m_s),
     )

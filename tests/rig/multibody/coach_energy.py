@@ -32,7 +32,7 @@ def pressed(motion, coach):
     """Elastic energy in J of all contacts, 2/5 k_h p^(5/2), where the last step saw them."""
     energy = 0.0
     for wheel in range(8):
-        for c in range(MOST * wheel, MOST * wheel + int(motion.near[wheel])):
+        for c in range(MOST * wheel, MOST * wheel + int(motion.contact_count[wheel])):
             p = max(-motion.contacts[c, GAP], 0.0)
             patch = patches.at(
                 motion.contacts[c, ROLLING], motion.contacts[c, LATERAL], coach.patches

@@ -65,16 +65,16 @@ def test_the_masses_sum_to_the_vehicles():
 def test_static_wheel_loads_sum_to_the_weight():
     state = stop.rolling(COACH, 20.0)
     stop.advance(state, COACH, SOAP, 3.0)
-    assert state.seen[:, 0].sum() == pytest.approx(43000.0 * G, rel=1e-6)
+    assert state.wheel_forces[:, 0].sum() == pytest.approx(43000.0 * G, rel=1e-6)
     # and each wheel carries its eighth
-    np.testing.assert_allclose(state.seen[:, 0], 43000.0 * G / 8.0, rtol=1e-4)
+    np.testing.assert_allclose(state.wheel_forces[:, 0], 43000.0 * G / 8.0, rtol=1e-4)
 
 
 def test_a_coach_set_down_too_high_settles_to_its_weight():
     state = stop.rolling(COACH, 20.0)
     state.q[2::6] += 2e-5
     stop.advance(state, COACH, SOAP, 20.0)
-    assert state.seen[:, 0].sum() == pytest.approx(43000.0 * G, rel=1e-6)
+    assert state.wheel_forces[:, 0].sum() == pytest.approx(43000.0 * G, rel=1e-6)
 
 
 def test_energy_is_balanced_in_a_stop():
@@ -105,7 +105,7 @@ def test_momentum_lost_is_what_contacts_took():
     pulled = 0.0
     for _ in range(1000):
         stop.advance(state, COACH, SOAP, 1e-4, 5000.0)
-        pulled += 1e-4 * state.given[:, 22].sum()
+        pulled += 1e-4 * state.wheelset_forces[:, 22].sum()
     assert 43000.0 * (before - motion.mean_speed(state.v, COACH)) == pytest.approx(pulled, rel=1e-6)
 
 
@@ -227,8 +227,8 @@ def test_on_a_straight_track_nothing_goes_sideways_by_itself():
 def test_braking_loads_the_leading_wheelsets_of_coach_and_bogies():
     state = stop.rolling(COACH, 30.0)
     stop.advance(state, COACH, DRY, 4.0, 4000.0)
-    loads = state.seen[:, 0].reshape(4, 2).sum(1)
-    deceleration = state.given[:, 22].sum() / 43000.0
+    loads = state.wheel_forces[:, 0].reshape(4, 2).sum(1)
+    deceleration = state.wheelset_forces[:, 22].sum() / 43000.0
     # planar transfer [V2, V3 of vehicle.py] with the coach's own masses and heights
     body = 29720.0 * (1.8 - 0.9) / 19.0 * deceleration
     bogie = (0.5 * 29720.0 * 0.9 + 3000.0 * 0.6 + 2.0 * 1820.0 * 0.445) / 2.56 * deceleration
@@ -264,7 +264,7 @@ def test_a_locked_wheel_of_the_coach_is_on_the_degraded_curve_or_by_the_papers_l
     state.v[22::6] = 0.0
     stop.advance(state, COACH, _law(cleaning_creepage=bound), 2e-4, 1e6)
     assert (state.v[22::6] == 0.0).all()
-    pull = np.abs(state.seen[:, 1]) / state.seen[:, 0]
+    pull = np.abs(state.wheel_forces[:, 1]) / state.wheel_forces[:, 0]
     assert low < pull.min() <= pull.max() < high
 
 
