@@ -18,7 +18,7 @@ from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.patch import Patches
 from rollerrig.rig.contact.profiles import Rail, Wheel
 from rollerrig.rig.multibody import coach_state, motion
-from rollerrig.rig.multibody.coach import COORDINATES, Coach, Links
+from rollerrig.rig.multibody.coach import Coach, Links
 from rollerrig.rig.multibody.coach_state import (
     BRAKE_ACTS_NM,
     BRAKE_NM,
@@ -28,6 +28,7 @@ from rollerrig.rig.multibody.coach_state import (
     ROLLER_RAD_S,
     Motion,
 )
+from rollerrig.rig.multibody.coordinates import COORDINATES
 
 # values of the port ACTION
 STEP = 0

@@ -7,7 +7,7 @@ import scipy.linalg
 
 from rollerrig.configs.table import read
 from rollerrig.rig import params
-from rollerrig.rig.multibody import coach, links, motion, stability, stop
+from rollerrig.rig.multibody import coach, coordinates, links, motion, stability, stop
 
 G = 9.80665
 
@@ -53,7 +53,12 @@ def modes(of: coach.Coach) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_there_are_42_degrees_of_freedom_seven_bodies_of_six():
-    assert coach.BODIES * 6 == coach.COORDINATES == COACH.inertia.size == 42
+    assert (
+        coordinates.BODIES * coordinates.PER_BODY
+        == coordinates.COORDINATES
+        == COACH.inertia.size
+        == 42
+    )
     assert "138 - 40 - 48 - 8 = 42" in coach.__doc__
 
 

@@ -72,9 +72,9 @@ def found(w, lane):
 def test_eight_contacts_at_once_have_the_forces_that_each_has_alone(model):
     patches, rng, inside = tabulate(2.1e11, 8.0e10, 0.3, model, 6), np.random.default_rng(model), 0
     for law in LAWS * 10:
-        w, given = filled(rng, lanes.ABREAST, patches, INSIDE_N)
-        lanes.forces(w, lanes.ABREAST, patches, law)
-        inside += np.sum(w[lanes.INSIDE : lanes.INSIDE + lanes.ABREAST] == 1.0)
+        w, given = filled(rng, lanes.TOGETHER, patches, INSIDE_N)
+        lanes.forces(w, lanes.TOGETHER, patches, law)
+        inside += np.sum(w[lanes.INSIDE : lanes.INSIDE + lanes.TOGETHER] == 1.0)
         for lane, one in enumerate(given):
             fx, fy, mz = by_the_model(*one, law)
             size_N = math.hypot(fx, fy)
@@ -83,7 +83,7 @@ def test_eight_contacts_at_once_have_the_forces_that_each_has_alone(model):
     assert inside > 0.8 * len(LAWS) * 80 or model not in (creep_force.DEGRADED, creep_force.POLACH)
 
 
-@pytest.mark.parametrize(("first", "loads_N"), [(0, LIGHT_N), (lanes.ABREAST, INSIDE_N)])
+@pytest.mark.parametrize(("first", "loads_N"), [(0, LIGHT_N), (lanes.TOGETHER, INSIDE_N)])
 def test_what_the_loop_cannot_tell_has_the_force_of_the_model_to_the_bit(first, loads_N):
     patches, rng = tabulate(2.1e11, 8.0e10, 0.3, creep_force.DEGRADED), np.random.default_rng(7)
     for law in LAWS:
@@ -95,11 +95,11 @@ def test_what_the_loop_cannot_tell_has_the_force_of_the_model_to_the_bit(first, 
 
 def test_how_many_contacts_stand_beside_a_contact_changes_no_bit_of_it():
     patches, rng = tabulate(2.1e11, 8.0e10, 0.3, creep_force.DEGRADED), np.random.default_rng(9)
-    w, _ = filled(rng, lanes.ABREAST, patches, INSIDE_N)
+    w, _ = filled(rng, lanes.TOGETHER, patches, INSIDE_N)
     few, moved = w.copy(), w.reshape(-1, lanes.LANES).copy()
     moved[:, 5] = moved[:, 0]
-    lanes.forces(w, lanes.ABREAST, patches, LAWS[2])
+    lanes.forces(w, lanes.TOGETHER, patches, LAWS[2])
     lanes.forces(few, 1, patches, LAWS[2])
-    lanes.forces(moved.ravel(), lanes.ABREAST, patches, LAWS[2])
+    lanes.forces(moved.ravel(), lanes.TOGETHER, patches, LAWS[2])
     assert (found(w, 0) == found(few, 0)).all()
     assert (found(w, 0) == found(moved.ravel(), 5)).all()
