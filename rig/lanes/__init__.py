@@ -1,1 +1,1 @@
-"""Several stops abreast in the vector lanes of a core."""
+"""Several stops in the vector lanes of a core."""

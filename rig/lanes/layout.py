@@ -1,15 +1,15 @@
-"""Several rigs abreast: the steps of one tick, computed for four stops at a time.
+"""Several rigs in the vector lanes of a core: the layout of the array that a step works on.
 
-A campaign wants many stops and no single one soon. The axles of four rigs then stand side by side
-in the lanes of one array, each quantity a row of sixteen, and the arithmetic of `brake`, `motor` and
-`wheelset` runs along the rows, which a compiler turns into vector instructions. The state of a rig is
-scattered into its lanes before a tick and gathered after it, so all else stays the plant's own code.
+A campaign needs many stops, and none of them soon. The axles of four rigs are therefore in the lanes of
+one array, in which each quantity is a row of sixteen. The arithmetic of `brake`, `motor` and `wheelset`
+runs along the rows, which a compiler turns into vector instructions. The state of a rig is scattered into
+its lanes before a tick and gathered after it, so everything else remains the code of the plant.
 
-The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W4], adhesion [A1] to
-[A6] and vehicle [V1] to [V3], written without branches. Limits: planar vehicle, one plant, degraded
-adhesion without memory, round wheels, torque as the discs give it, pads that do not vary, air that never runs
-out, no flats, no sand, rollers that stay as they were prepared (`fits` tells). Results agree with `plant.advance`
-to rounding, not to the last bit: a test holds every kernel to its twin in the plant.
+The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W4], adhesion [A1] to [A6]
+and vehicle [V1] to [V3], written without branches. Limits (`fits`): planar vehicle, one plant, degraded
+adhesion without memory, round wheels, torque as the discs give it, pads without variation, no limit of
+the air supply, no flats, no sand, rollers that stay as they were prepared. Results agree with
+`plant.advance` to rounding, not to the last bit: a test compares every kernel with its twin in the plant.
 """
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
@@ -24,78 +24,81 @@ from rollerrig.rig.vehicle import INERTIA_KGM2, RADIUS_M
 RIGS = 4
 LANES = RIGS * AXLES
 
-# rows of the lanes, SI: the state of an axle ...
+# Rows of the array, in SI units; each name is the place of the first lane of its row.
 (
-    WHEEL,
-    ROLLER,
+    # the state of an axle
+    WHEEL,  # rad/s
+    ROLLER,  # rad/s
     WHEEL_RAD,
     ROLLER_RAD,
-    PRESSURE,
-    VALVE,
-    CAPACITY,
-    BRAKE,
+    PRESSURE,  # of the cylinder
+    VALVE,  # FILL, HOLD or VENT
+    CAPACITY,  # largest brake torque at the beginning of the step
+    BRAKE,  # largest brake torque at its end
     BRAKE_WORK,
     SLIDING_WORK,
-    MOTOR,
-    MOTOR_ASKED,
-    MOTOR_BEFORE,
+    MOTOR,  # torque of the roller's motor
+    MOTOR_DEMAND,
+    MOTOR_BEFORE,  # torque of the motor at the beginning of the step
     MOTOR_WORK,
-    FORCE,
-    BRAKE_MEAN,
-    AIR_NL,
-    # ... of its vehicle, the same in all four lanes ...
+    FORCE,  # mean of the contact in the step
+    BRAKE_MEAN,  # mean torque of the brake in the step
+    AIR_NL,  # normal litres in this tick
+    # the state of its vehicle, the same in all four lanes
     V,
-    FELT,
-    RATE,
+    FELT,  # acceleration as the pitch of the vehicle follows it
+    RATE,  # acceleration
     PLACE,
     RESISTANCE_WORK,
-    DEMAND,
-    TARGET,
-    MOVING,
-    # ... what a step works with ...
+    DEMAND,  # pressure of the brake demand
+    TARGET,  # pressure that the demand approaches
+    MOVING,  # 1, or 0 at standstill
+    # values within a step; ..._END: as predicted for the end of the step, ..._K: rate of change
     SLIDING,
-    SURFACE,
+    SURFACE,  # speed of the rail's or roller's surface
     LOAD,
-    SLOPE,
-    INSIDE,
+    SLOPE,  # secant slope of the contact force, T / s
+    INSIDE,  # 1 where `vector_law` is valid, else 0
     WHEEL_K,
     ROLLER_K,
-    PULL,
-    PULL_BEFORE,
-    BRAKE_BEFORE,
+    PULL,  # contact force
+    PULL_BEFORE,  # of the first stage
+    BRAKE_BEFORE,  # torque of the brake in the first stage
     WHEEL_END,
     ROLLER_END,
     V_END,
     FELT_END,
-    RATE_BEFORE,
+    RATE_BEFORE,  # acceleration of the first stage
     FELT_RATE,
-    RESISTING,
-    # ... and constants
-    STEP,
-    ON_TRACK,
-    WHEEL_M,
+    RESISTING,  # half of the resistance at the beginning of the step
+    # constants
+    STEP,  # s
+    ON_TRACK,  # 1 on a track, 0 on rollers
+    WHEEL_M,  # radius
     WHEEL_KGM2,
     ROLLER_M,
     ROLLER_KGM2,
     STATIC_N,
-    TRANSFER_KG,
+    TRANSFER_KG,  # change of the load with the deceleration
     TORQUE_PER_PA,
-    SPRING_PA,
+    SPRING_PA,  # pressure of the cylinder's spring
     NL_PER_PA,
-    FILLS,
+    FILLS,  # shares of the way in a step: demand up and down, valve filling and venting
     RELEASES,
     VALVE_FILLS,
     VALVE_VENTS,
-    MOTOR_MOST,
-    MOTOR_W,
-    MOTOR_FASTEST,
-    MOTOR_SHARE,
-    EPS1,
+    MOTOR_MOST,  # largest torque
+    MOTOR_W,  # largest power
+    MOTOR_FASTEST,  # speed above which the motor does not drive
+    MOTOR_SHARE,  # share of the way to its demand in a step
+    EPS1,  # of `patch.Patch`
     _LAW,
 ) = range(0, 63 * LANES, LANES)
-# ... among them the adhesion law: one row for each field of `Law`, in its order, from row _LAW on
+# the adhesion law: one row for each field of `Law`, in its order
 _LAW_ROWS = {name: _LAW + LANES * i for i, name in enumerate(Law._fields)}
-MU_CD, MU_CR = _LAW_ROWS["mu_cd"], _LAW_ROWS["mu_cr"]  # of the contaminant, from the state
+# friction of the contaminant: the state has it, not the constants
+MU_CD = _LAW_ROWS["mu_cd"]
+MU_CR = _LAW_ROWS["mu_cr"]
 SIZE = _LAW + LANES * len(Law._fields)
 
 # kernels: the adhesion law of a lane, and its writer
@@ -104,7 +107,7 @@ _write_law = tuple_writer("w, lane", [f"w[{row} + lane]" for row in _LAW_ROWS.va
 
 
 def fits(params: Params) -> bool:
-    """Whether rigs with these parameters may run abreast."""
+    """Returns whether rigs with these parameters may run in lanes."""
     return (
         params.coach is None
         and params.patch.model == creep_force.DEGRADED
@@ -122,68 +125,98 @@ def fits(params: Params) -> bool:
 
 @kernel
 def load_constants(w, rig, params):
-    """Write the constants of a rig (0 to 3) into its lanes."""
-    vehicle, brake, drive = params.vehicle, params.brake, params.drive
-    wheels = params.wheels
+    """Writes the constants of a rig (0 to 3) into its lanes."""
+    vehicle = params.vehicle
+    brake = params.brake
+    drive = params.drive
     for j in range(AXLES):
         at = rig * AXLES + j
-        w[STEP + at], w[ON_TRACK + at] = params.step_s, (1.0 if params.mode == 0 else 0.0)
-        w[WHEEL_M + at], w[WHEEL_KGM2 + at] = (
-            wheels.table[RADIUS_M + j],
-            wheels.table[INERTIA_KGM2 + j],
-        )
-        w[ROLLER_M + at], w[ROLLER_KGM2 + at] = drive.roller_radius_m, drive.roller_inertia_kgm2
+        w[STEP + at] = params.step_s
+        w[ON_TRACK + at] = 1.0 if params.mode == TRACK else 0.0
+        w[WHEEL_M + at] = params.wheels.table[RADIUS_M + j]
+        w[WHEEL_KGM2 + at] = params.wheels.table[INERTIA_KGM2 + j]
+        w[ROLLER_M + at] = drive.roller_radius_m
+        w[ROLLER_KGM2 + at] = drive.roller_inertia_kgm2
+        # load transfer: from the rear to the front bogie, from the rear to the front axle of each
         w[STATIC_N + at] = vehicle.static_load_N
-        w[TRANSFER_KG + at] = (0.5 if j < 2 else -0.5) * vehicle.body_transfer_kg + (
-            1.0 if j % 2 == 0 else -1.0
-        ) * vehicle.bogie_transfer_kg
-        w[TORQUE_PER_PA + at], w[SPRING_PA + at] = brake.torque_Nm_Pa, brake.spring_pressure_Pa
+        body = 0.5 if j < 2 else -0.5
+        bogie = 1.0 if j % 2 == 0 else -1.0
+        w[TRANSFER_KG + at] = body * vehicle.body_transfer_kg + bogie * vehicle.bogie_transfer_kg
+        w[TORQUE_PER_PA + at] = brake.torque_Nm_Pa
+        w[SPRING_PA + at] = brake.spring_pressure_Pa
         w[NL_PER_PA + at] = brake.volume_L / NORMAL_PRESSURE_PA
-        w[FILLS + at], w[RELEASES + at] = brake.demand_fill_share, brake.demand_release_share
-        w[VALVE_FILLS + at], w[VALVE_VENTS + at] = brake.valve_fill_share, brake.valve_vent_share
-        w[MOTOR_MOST + at], w[MOTOR_W + at] = drive.max_torque_Nm, drive.max_power_W
-        w[MOTOR_FASTEST + at], w[MOTOR_SHARE + at] = drive.max_speed_rad_s, drive.torque_share
+        w[FILLS + at] = brake.demand_fill_share
+        w[RELEASES + at] = brake.demand_release_share
+        w[VALVE_FILLS + at] = brake.valve_fill_share
+        w[VALVE_VENTS + at] = brake.valve_vent_share
+        w[MOTOR_MOST + at] = drive.max_torque_Nm
+        w[MOTOR_W + at] = drive.max_power_W
+        w[MOTOR_FASTEST + at] = drive.max_speed_rad_s
+        w[MOTOR_SHARE + at] = drive.torque_share
         w[EPS1 + at] = params.patch.eps1
         _write_law(w, at, params.law)
 
 
 @kernel_inlined
 def scatter(w, rig, state, target_Pa):
-    """Write the state of a rig into its lanes."""
+    """Writes the state of a rig into its lanes; target_Pa is the brake pressure that the rig demands."""
     for j in range(AXLES):
         at = rig * AXLES + j
-        w[WHEEL + at], w[ROLLER + at] = state.wheel_speed[j], state.roller_speed[j]
-        w[WHEEL_RAD + at], w[ROLLER_RAD + at] = state.wheel_angle[j], state.roller_angle[j]
-        w[PRESSURE + at], w[VALVE + at] = state.cylinder_pressure[j], state.valve[j]
-        w[MU_CD + at], w[MU_CR + at] = state.friction_degraded[j], state.friction_recovered[j]
-        w[CAPACITY + at], w[BRAKE + at] = state.brake_capacity[j], state.brake_torque[j]
-        w[BRAKE_WORK + at], w[SLIDING_WORK + at] = state.brake_work[j], state.sliding_work[j]
-        w[MOTOR + at], w[MOTOR_ASKED + at] = state.motor_torque[j], state.motor_torque_demand[j]
-        w[MOTOR_BEFORE + at], w[MOTOR_WORK + at] = state.motor_before[j], state.motor_work[j]
-        w[FORCE + at], w[BRAKE_MEAN + at] = state.contact_force[j], state.brake_mean[j]
-        w[V + at], w[FELT + at] = state.vehicle_speed[0], state.felt_acceleration[0]
-        w[RATE + at], w[PLACE + at] = state.vehicle_acceleration[0], state.position[0]
-        w[RESISTANCE_WORK + at], w[DEMAND + at] = state.resistance_work[0], state.brake_demand[0]
-        w[TARGET + at], w[MOVING + at] = target_Pa, 1.0 - state.standing[0]
+        w[WHEEL + at] = state.wheel_speed[j]
+        w[ROLLER + at] = state.roller_speed[j]
+        w[WHEEL_RAD + at] = state.wheel_angle[j]
+        w[ROLLER_RAD + at] = state.roller_angle[j]
+        w[PRESSURE + at] = state.cylinder_pressure[j]
+        w[VALVE + at] = state.valve[j]
+        w[MU_CD + at] = state.friction_degraded[j]
+        w[MU_CR + at] = state.friction_recovered[j]
+        w[CAPACITY + at] = state.brake_capacity[j]
+        w[BRAKE + at] = state.brake_torque[j]
+        w[BRAKE_WORK + at] = state.brake_work[j]
+        w[SLIDING_WORK + at] = state.sliding_work[j]
+        w[MOTOR + at] = state.motor_torque[j]
+        w[MOTOR_DEMAND + at] = state.motor_torque_demand[j]
+        w[MOTOR_BEFORE + at] = state.motor_before[j]
+        w[MOTOR_WORK + at] = state.motor_work[j]
+        w[FORCE + at] = state.contact_force[j]
+        w[BRAKE_MEAN + at] = state.brake_mean[j]
+        w[V + at] = state.vehicle_speed[0]
+        w[FELT + at] = state.felt_acceleration[0]
+        w[RATE + at] = state.vehicle_acceleration[0]
+        w[PLACE + at] = state.position[0]
+        w[RESISTANCE_WORK + at] = state.resistance_work[0]
+        w[DEMAND + at] = state.brake_demand[0]
+        w[TARGET + at] = target_Pa
+        w[MOVING + at] = 1.0 - state.standing[0]
         w[AIR_NL + at] = 0.0
 
 
 @kernel_inlined
 def gather(w, rig, state):
-    """Write the lanes of a rig into its state."""
+    """Writes the lanes of a rig into its state."""
     for j in range(AXLES):
         at = rig * AXLES + j
-        state.wheel_speed[j], state.roller_speed[j] = w[WHEEL + at], w[ROLLER + at]
-        state.wheel_angle[j], state.roller_angle[j] = w[WHEEL_RAD + at], w[ROLLER_RAD + at]
+        state.wheel_speed[j] = w[WHEEL + at]
+        state.roller_speed[j] = w[ROLLER + at]
+        state.wheel_angle[j] = w[WHEEL_RAD + at]
+        state.roller_angle[j] = w[ROLLER_RAD + at]
         state.cylinder_pressure[j] = w[PRESSURE + at]
-        state.brake_capacity[j], state.brake_torque[j] = w[CAPACITY + at], w[BRAKE + at]
-        state.brake_work[j], state.sliding_work[j] = w[BRAKE_WORK + at], w[SLIDING_WORK + at]
-        state.motor_torque[j], state.motor_before[j] = w[MOTOR + at], w[MOTOR_BEFORE + at]
+        state.brake_capacity[j] = w[CAPACITY + at]
+        state.brake_torque[j] = w[BRAKE + at]
+        state.brake_work[j] = w[BRAKE_WORK + at]
+        state.sliding_work[j] = w[SLIDING_WORK + at]
+        state.motor_torque[j] = w[MOTOR + at]
+        state.motor_before[j] = w[MOTOR_BEFORE + at]
         state.motor_work[j] = w[MOTOR_WORK + at]
-        state.contact_force[j], state.brake_mean[j] = w[FORCE + at], w[BRAKE_MEAN + at]
+        state.contact_force[j] = w[FORCE + at]
+        state.brake_mean[j] = w[BRAKE_MEAN + at]
+        # the lanes hold the air of this tick
         state.air_consumption[0] += w[AIR_NL + at]
     at = rig * AXLES
-    state.vehicle_speed[0], state.felt_acceleration[0] = w[V + at], w[FELT + at]
-    state.vehicle_acceleration[0], state.position[0] = w[RATE + at], w[PLACE + at]
-    state.resistance_work[0], state.brake_demand[0] = w[RESISTANCE_WORK + at], w[DEMAND + at]
+    state.vehicle_speed[0] = w[V + at]
+    state.felt_acceleration[0] = w[FELT + at]
+    state.vehicle_acceleration[0] = w[RATE + at]
+    state.position[0] = w[PLACE + at]
+    state.resistance_work[0] = w[RESISTANCE_WORK + at]
+    state.brake_demand[0] = w[DEMAND + at]
     state.standing[0] = 1.0 - w[MOVING + at]

@@ -1,8 +1,8 @@
-"""One step of the physics for the rigs that stand abreast: air, motors, contacts, motion.
+"""One step of the physics for the rigs in the lanes: air, motors, contacts, motion.
 
-The order is that of `plant.step` and `wheelset.integrate`. What concerns an axle is a loop over all
-lanes; what concerns a vehicle, the sum of its contact forces, is a loop over rigs. A vehicle that
-stands keeps its lanes as they are, but for its air and its pitch.
+The order is that of `plant.step` and `wheelset.integrate`. A loop over all lanes computes the quantities of
+the axles; a loop over the rigs computes those of the vehicles, which need the sum of the contact forces. The
+lanes of a vehicle at standstill remain as they are, except its air and its pitch.
 """
 
 import math
@@ -13,16 +13,18 @@ from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact import vector_law as law
 from rollerrig.rig.contact.patch import Patch
-from rollerrig.rig.lanes import layout as a
+from rollerrig.rig.lanes import layout as row
 from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.state import AXLES, FILL, VENT
 
-_GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+_GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of the implicit step, as in `wheelset`
+# below this speed of a roller its motor gives the same torque at full power
+_LEAST_RAD_S = 1e-3
 
 
 @kernel
 def step(w, rigs):
-    """Advance all lanes by one step; `rigs` are the four vehicles' parameters."""
+    """Advances all lanes by one step; `rigs` are the parameters of the four vehicles."""
     pneumatics_and_motors(w)
     contacts(w)
     contacts_outside_domain(w)
@@ -36,72 +38,87 @@ def step(w, rigs):
 
 @kernel
 def pneumatics_and_motors(w):
-    """Demand, cylinders, motors and what the discs can hold [B1] to [B4], [M1]."""
+    """Computes demand, cylinders, motors and the largest torques of the brakes [B1] to [B4], [M1]."""
     for j in range(LANES):
-        # the first stage looks at the beginning of the step
-        w[a.V_END + j], w[a.FELT_END + j] = w[a.V + j], w[a.FELT + j]
-        w[a.WHEEL_END + j], w[a.ROLLER_END + j] = w[a.WHEEL + j], w[a.ROLLER + j]
-        moving = w[a.MOVING + j] > 0.0
-        before, target = w[a.DEMAND + j], w[a.TARGET + j]
-        share = w[a.FILLS + j] if target > before else w[a.RELEASES + j]
-        w[a.DEMAND + j] = before + (target - before) * share
-        p, valve = w[a.PRESSURE + j], w[a.VALVE + j]
-        gain = (before + 0.5 * (target - before) * share - p) * w[a.VALVE_FILLS + j]
-        gain = gain if valve == FILL else (-p * w[a.VALVE_VENTS + j] if valve == VENT else 0.0)
-        w[a.PRESSURE + j] = p + gain
-        w[a.AIR_NL + j] += max(gain, 0.0) * w[a.NL_PER_PA + j]
-        speed = w[a.ROLLER + j]
-        most = min(w[a.MOTOR_MOST + j], w[a.MOTOR_W + j] / max(abs(speed), 1e-3))
-        wanted = min(max(w[a.MOTOR_ASKED + j], -most), most)
-        too_fast = (wanted * speed > 0.0) & (abs(speed) > w[a.MOTOR_FASTEST + j])
+        # the first stage takes the contacts at the beginning of the step
+        w[row.V_END + j] = w[row.V + j]
+        w[row.FELT_END + j] = w[row.FELT + j]
+        w[row.WHEEL_END + j] = w[row.WHEEL + j]
+        w[row.ROLLER_END + j] = w[row.ROLLER + j]
+        moving = w[row.MOVING + j] > 0.0
+
+        # the brake demand, and the pressure of the cylinder
+        before = w[row.DEMAND + j]
+        target = w[row.TARGET + j]
+        share = w[row.FILLS + j] if target > before else w[row.RELEASES + j]
+        w[row.DEMAND + j] = before + (target - before) * share
+        p = w[row.PRESSURE + j]
+        valve = w[row.VALVE + j]
+        filled = (before + 0.5 * (target - before) * share - p) * w[row.VALVE_FILLS + j]
+        vented = -p * w[row.VALVE_VENTS + j] if valve == VENT else 0.0
+        gain = filled if valve == FILL else vented
+        w[row.PRESSURE + j] = p + gain
+        w[row.AIR_NL + j] += max(gain, 0.0) * w[row.NL_PER_PA + j]
+
+        # the torque of the roller's motor, within its limits
+        speed = w[row.ROLLER + j]
+        most = min(w[row.MOTOR_MOST + j], w[row.MOTOR_W + j] / max(abs(speed), _LEAST_RAD_S))
+        wanted = min(max(w[row.MOTOR_DEMAND + j], -most), most)
+        too_fast = (wanted * speed > 0.0) & (abs(speed) > w[row.MOTOR_FASTEST + j])
         wanted = 0.0 if too_fast else wanted
-        motor = w[a.MOTOR + j]
-        driven = moving & (w[a.ON_TRACK + j] == 0.0)
-        w[a.MOTOR + j] = motor + (wanted - motor) * w[a.MOTOR_SHARE + j] if driven else motor
-        holds = max(0.0, w[a.TORQUE_PER_PA + j] * (w[a.PRESSURE + j] - w[a.SPRING_PA + j]))
-        w[a.BRAKE + j] = holds if moving else w[a.BRAKE + j]
+        motor = w[row.MOTOR + j]
+        driven = moving & (w[row.ON_TRACK + j] == 0.0)
+        w[row.MOTOR + j] = motor + (wanted - motor) * w[row.MOTOR_SHARE + j] if driven else motor
+
+        capacity = max(0.0, w[row.TORQUE_PER_PA + j] * (w[row.PRESSURE + j] - w[row.SPRING_PA + j]))
+        w[row.BRAKE + j] = capacity if moving else w[row.BRAKE + j]
 
 
 @kernel
 def contacts(w):
-    """Sliding, load and secant slope T / s of every contact, where the rows ..._END say."""
+    """Computes sliding, load and secant slope T / s of every contact, at the values of the rows ..._END."""
     for j in range(LANES):
-        v = w[a.V_END + j]
-        surface = v if w[a.ON_TRACK + j] != 0.0 else w[a.ROLLER_M + j] * w[a.ROLLER_END + j]
-        sliding = surface - w[a.WHEEL_M + j] * w[a.WHEEL_END + j]
-        load = max(0.0, w[a.STATIC_N + j] - w[a.FELT_END + j] * w[a.TRANSFER_KG + j])
-        w[a.SLIDING + j], w[a.SURFACE + j], w[a.LOAD + j] = sliding, surface, load
-        at, half = max(abs(sliding), wheelset.SMALL_M_S), 0.5 * load
-        eps_mu = law.eps_mu(at, surface, half, w[a.EPS1 + j])
-        here = a.law_of_lane(w, j)
+        v = w[row.V_END + j]
+        roller = w[row.ROLLER_M + j] * w[row.ROLLER_END + j]
+        surface = v if w[row.ON_TRACK + j] != 0.0 else roller
+        sliding = surface - w[row.WHEEL_M + j] * w[row.WHEEL_END + j]
+        load = max(0.0, w[row.STATIC_N + j] - w[row.FELT_END + j] * w[row.TRANSFER_KG + j])
+        w[row.SLIDING + j] = sliding
+        w[row.SURFACE + j] = surface
+        w[row.LOAD + j] = load
+
+        at = max(abs(sliding), wheelset.SMALL_M_S)
+        half = 0.5 * load  # on one wheel
+        eps_mu = law.eps_mu(at, surface, half, w[row.EPS1 + j])
+        here = row.law_of_lane(w, j)
         f_d = law.curve(at, eps_mu, here.mu_cd, here.A_d, here.gamma_d_s_m, here.k_ad, here.k_sd)
         f_r = law.curve(at, eps_mu, here.mu_cr, here.A_r, here.gamma_r_s_m, here.k_ar, here.k_sr)
         share, _ = adhesion.cleaning_share(at, surface, here.cleaning_creepage)
         creepage = at / max(abs(surface), law.SPEED_FLOOR_M_S)
         f, _, inside = law.recovered(f_d, f_r, here.tau_m_J * half * creepage * share)
-        w[a.SLOPE + j] = f * load / at
+        w[row.SLOPE + j] = f * load / at
         u = half * (1.0 / law.LOAD_N)
-        w[a.INSIDE + j] = inside if (u > law.LIGHTER) & (u < law.HEAVIER) else 0.0
+        w[row.INSIDE + j] = inside if (u > law.LIGHTER) & (u < law.HEAVIER) else 0.0
 
 
 @kernel
 def contacts_outside_domain(w):
-    """Ask the law itself for the few contacts that lie outside the fast one's domain."""
+    """Computes the few contacts outside the domain of `vector_law` by the law itself."""
     for j in range(LANES):
-        if w[a.INSIDE + j] == 0.0 and w[a.MOVING + j] > 0.0:
-            w[a.SLOPE + j] = exact_slope(w, j)
+        if w[row.INSIDE + j] == 0.0 and w[row.MOVING + j] > 0.0:
+            w[row.SLOPE + j] = exact_slope(w, j)
 
 
 @kernel
 def exact_slope(w, j):
-    """The secant slope of lane j by `wheelset.contact_force`, whatever the contact."""
-    here = a.law_of_lane(w, j)
-    patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[a.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
-    at = max(abs(w[a.SLIDING + j]), wheelset.SMALL_M_S)
+    """Returns the secant slope of lane j by `wheelset.contact_force`, for any contact."""
+    here = row.law_of_lane(w, j)
+    patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[row.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
+    at = max(abs(w[row.SLIDING + j]), wheelset.SMALL_M_S)
     T, _, _ = wheelset.contact_force(
         at,
-        w[a.SURFACE + j],
-        w[a.LOAD + j],
+        w[row.SURFACE + j],
+        w[row.LOAD + j],
         here.mu_cd,
         here.mu_cr,
         patch,
@@ -114,134 +131,162 @@ def exact_slope(w, j):
 
 @kernel_inlined
 def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
-    """A stage in lane j: (wheel_k, roller_k, pull_N, brake_Nm) [W1] to [W4]; `.._before` is taken off undamped."""
-    r, R = w[a.WHEEL_M + j], w[a.ROLLER_M + j]
-    slope, track = w[a.SLOPE + j], w[a.ON_TRACK + j] != 0.0
-    T, g = slope * w[a.SLIDING + j], max(slope, 0.0)
+    """Returns (wheel_k, roller_k, pull_N, brake_Nm) of a stage in lane j [W1] to [W4].
+
+    `wheel_before` and `roller_before` are subtracted from the slopes without damping.
+    """
+    r = w[row.WHEEL_M + j]
+    R = w[row.ROLLER_M + j]
+    slope = w[row.SLOPE + j]
+    track = w[row.ON_TRACK + j] != 0.0
+    T = slope * w[row.SLIDING + j]
+    g = max(slope, 0.0)
     drive_Nm = r * T
     locked = (wheel <= 0.0) & (drive_Nm <= brake_Nm)
     acts_Nm = max(drive_Nm, 0.0) if locked else brake_Nm
-    wheel_k = 0.0 if locked else (drive_Nm - brake_Nm) / w[a.WHEEL_KGM2 + j]
-    roller_k = 0.0 if track else (motor_Nm - R * T) / w[a.ROLLER_KGM2 + j]
+    wheel_k = 0.0 if locked else (drive_Nm - brake_Nm) / w[row.WHEEL_KGM2 + j]
+    roller_k = 0.0 if track else (motor_Nm - R * T) / w[row.ROLLER_KGM2 + j]
     wheel_k -= wheel_before
     roller_k -= roller_before
-    p_wheel = 0.0 if locked else r / w[a.WHEEL_KGM2 + j]
-    p_roller = 0.0 if track else -R / w[a.ROLLER_KGM2 + j]
-    reach = _GAMMA * w[a.STEP + j]
-    share = (
+    # effect of a force of 1 N on wheel and roller
+    p_wheel = 0.0 if locked else r / w[row.WHEEL_KGM2 + j]
+    p_roller = 0.0 if track else -R / w[row.ROLLER_KGM2 + j]
+    reach = _GAMMA * w[row.STEP + j]
+    # the implicit part of the force
+    added_N = (
         reach
         * (g * (R * roller_k - r * wheel_k))
         / (1.0 + reach * g * (r * p_wheel - R * p_roller))
     )
-    return wheel_k + p_wheel * share, roller_k + p_roller * share, T + share, acts_Nm
+    return wheel_k + p_wheel * added_N, roller_k + p_roller * added_N, T + added_N, acts_Nm
 
 
 @kernel
 def begin(w):
-    """First stage: slopes at the beginning of the step, and what they predict for its end."""
+    """Computes the first stage: slopes at the beginning of the step, and the prediction for its end."""
     for j in range(LANES):
-        wheel = w[a.WHEEL + j]
+        wheel = w[row.WHEEL + j]
         wheel_k, roller_k, pull_N, brake_Nm = stage(
-            w, j, wheel, w[a.CAPACITY + j], w[a.MOTOR_BEFORE + j], 0.0, 0.0
+            w, j, wheel, w[row.CAPACITY + j], w[row.MOTOR_BEFORE + j], 0.0, 0.0
         )
-        w[a.WHEEL_K + j], w[a.ROLLER_K + j], w[a.PULL + j] = wheel_k, roller_k, pull_N
-        w[a.PULL_BEFORE + j], w[a.BRAKE_BEFORE + j] = pull_N, brake_Nm
-        w[a.WHEEL_END + j] = max(0.0, wheel + w[a.STEP + j] * wheel_k)
-        w[a.ROLLER_END + j] = w[a.ROLLER + j] + w[a.STEP + j] * roller_k
+        w[row.WHEEL_K + j] = wheel_k
+        w[row.ROLLER_K + j] = roller_k
+        w[row.PULL + j] = pull_N
+        w[row.PULL_BEFORE + j] = pull_N
+        w[row.BRAKE_BEFORE + j] = brake_Nm
+        w[row.WHEEL_END + j] = max(0.0, wheel + w[row.STEP + j] * wheel_k)
+        w[row.ROLLER_END + j] = w[row.ROLLER + j] + w[row.STEP + j] * roller_k
 
 
 @kernel
 def total(w, first, resistance_N):
-    """All that holds a vehicle back in N; `first` is its first lane."""
+    """Returns the force in N that holds a vehicle back; `first` is its first lane."""
     for j in range(first, first + AXLES):
-        resistance_N += w[a.PULL + j]
+        resistance_N += w[row.PULL + j]
     return resistance_N
 
 
 @kernel
 def predict(w, rigs):
-    """Speed and felt acceleration of every vehicle at the end of the step, as the first stage has it."""
+    """Predicts speed and felt acceleration of every vehicle at the end of the step, by the first stage."""
     for rig in range(RIGS):
-        at, vehicle = rig * AXLES, rigs[rig]
-        h, v, felt = w[a.STEP + at], w[a.V + at], w[a.FELT + at]
+        at = rig * AXLES
+        vehicle = rigs[rig]
+        h = w[row.STEP + at]
+        v = w[row.V + at]
+        felt = w[row.FELT + at]
         resistance_N = body.resistance(v, vehicle)
         rate = -total(w, at, resistance_N) / vehicle.mass_kg
         felt_rate = (rate - felt) / vehicle.pitch_time_constant_s
         for j in range(at, at + AXLES):
-            w[a.V_END + j], w[a.FELT_END + j] = v + h * rate, felt + h * felt_rate
-            w[a.RATE_BEFORE + j], w[a.FELT_RATE + j] = rate, felt_rate
-            w[a.RESISTING + j] = 0.5 * resistance_N
+            w[row.V_END + j] = v + h * rate
+            w[row.FELT_END + j] = felt + h * felt_rate
+            w[row.RATE_BEFORE + j] = rate
+            w[row.FELT_RATE + j] = felt_rate
+            w[row.RESISTING + j] = 0.5 * resistance_N
 
 
 @kernel
 def finish(w):
-    """Second stage, and the motion of wheels and rollers that both stages make."""
+    """Computes the second stage, and the motion of wheels and rollers by both stages."""
     for j in range(LANES):
-        moving, h = w[a.MOVING + j] > 0.0, w[a.STEP + j]
-        wheel1, roller1, motor_Nm = w[a.WHEEL_K + j], w[a.ROLLER_K + j], w[a.MOTOR + j]
+        moving = w[row.MOVING + j] > 0.0
+        h = w[row.STEP + j]
+        wheel1 = w[row.WHEEL_K + j]
+        roller1 = w[row.ROLLER_K + j]
+        motor_Nm = w[row.MOTOR + j]
         wheel_k, roller_k, pull_N, brake_Nm = stage(
-            w, j, w[a.WHEEL_END + j], w[a.BRAKE + j], motor_Nm, 2.0 * wheel1, 2.0 * roller1
+            w, j, w[row.WHEEL_END + j], w[row.BRAKE + j], motor_Nm, 2.0 * wheel1, 2.0 * roller1
         )
-        w[a.PULL + j] = pull_N
-        force_N = 0.5 * w[a.PULL_BEFORE + j] + 0.5 * pull_N
-        mean_Nm = 0.5 * w[a.BRAKE_BEFORE + j] + 0.5 * brake_Nm
-        wheel, roller = w[a.WHEEL + j], w[a.ROLLER + j]
+        w[row.PULL + j] = pull_N
+        force_N = 0.5 * w[row.PULL_BEFORE + j] + 0.5 * pull_N
+        mean_Nm = 0.5 * w[row.BRAKE_BEFORE + j] + 0.5 * brake_Nm
+
+        wheel = w[row.WHEEL + j]
+        roller = w[row.ROLLER + j]
         wheel_end = max(0.0, wheel + h * (1.5 * wheel1 + 0.5 * wheel_k))
         roller_end = roller + h * (1.5 * roller1 + 0.5 * roller_k)
-        wheel_rad, roller_rad = 0.5 * h * (wheel + wheel_end), 0.5 * h * (roller + roller_end)
-        slid_m = w[a.ROLLER_M + j] * roller_rad - w[a.WHEEL_M + j] * wheel_rad
-        w[a.WHEEL + j] = wheel_end if moving else wheel
-        w[a.ROLLER + j] = roller_end if moving else roller
-        w[a.WHEEL_RAD + j] += wheel_rad if moving else 0.0
-        w[a.ROLLER_RAD + j] += roller_rad if moving else 0.0
-        w[a.SLIDING_WORK + j] += force_N * slid_m if moving else 0.0
-        w[a.BRAKE_WORK + j] += mean_Nm * wheel_rad if moving else 0.0
-        w[a.MOTOR_WORK + j] += (
-            0.5 * (w[a.MOTOR_BEFORE + j] + motor_Nm) * roller_rad if moving else 0.0
-        )
-        w[a.FORCE + j] = force_N if moving else w[a.FORCE + j]
-        w[a.BRAKE_MEAN + j] = mean_Nm if moving else w[a.BRAKE_MEAN + j]
-        w[a.CAPACITY + j] = w[a.BRAKE + j] if moving else w[a.CAPACITY + j]
-        w[a.MOTOR_BEFORE + j] = motor_Nm if moving else w[a.MOTOR_BEFORE + j]
+        wheel_rad = 0.5 * h * (wheel + wheel_end)
+        roller_rad = 0.5 * h * (roller + roller_end)
+        slid_m = w[row.ROLLER_M + j] * roller_rad - w[row.WHEEL_M + j] * wheel_rad
+        motor_mean_Nm = 0.5 * (w[row.MOTOR_BEFORE + j] + motor_Nm)
+
+        w[row.WHEEL + j] = wheel_end if moving else wheel
+        w[row.ROLLER + j] = roller_end if moving else roller
+        w[row.WHEEL_RAD + j] += wheel_rad if moving else 0.0
+        w[row.ROLLER_RAD + j] += roller_rad if moving else 0.0
+        w[row.SLIDING_WORK + j] += force_N * slid_m if moving else 0.0
+        w[row.BRAKE_WORK + j] += mean_Nm * wheel_rad if moving else 0.0
+        w[row.MOTOR_WORK + j] += motor_mean_Nm * roller_rad if moving else 0.0
+        w[row.FORCE + j] = force_N if moving else w[row.FORCE + j]
+        w[row.BRAKE_MEAN + j] = mean_Nm if moving else w[row.BRAKE_MEAN + j]
+        w[row.CAPACITY + j] = w[row.BRAKE + j] if moving else w[row.CAPACITY + j]
+        w[row.MOTOR_BEFORE + j] = motor_Nm if moving else w[row.MOTOR_BEFORE + j]
 
 
 @kernel
 def move(w, rigs):
-    """Move every vehicle, and bring to rest those that hardly move."""
+    """Moves every vehicle, and brings to rest those that hardly move."""
     for rig in range(RIGS):
-        at, vehicle = rig * AXLES, rigs[rig]
-        h, v, felt = w[a.STEP + at], w[a.V + at], w[a.FELT + at]
-        if w[a.MOVING + at] == 0.0:
-            broadcast(w, a.FELT, at, felt * math.exp(-h / vehicle.pitch_time_constant_s))
+        at = rig * AXLES
+        vehicle = rigs[rig]
+        h = w[row.STEP + at]
+        v = w[row.V + at]
+        felt = w[row.FELT + at]
+        if w[row.MOVING + at] == 0.0:
+            # the body pitches back
+            broadcast(w, row.FELT, at, felt * math.exp(-h / vehicle.pitch_time_constant_s))
             continue
-        v2, felt2 = w[a.V_END + at], w[a.FELT_END + at]
+        v2 = w[row.V_END + at]
+        felt2 = w[row.FELT_END + at]
         resistance_N = body.resistance(v2, vehicle)
         rate = -total(w, at, resistance_N) / vehicle.mass_kg
         felt_rate = (rate - felt2) / vehicle.pitch_time_constant_s
-        mean = 0.5 * (w[a.RATE_BEFORE + at] + rate)
+        mean = 0.5 * (w[row.RATE_BEFORE + at] + rate)
         end = max(0.0, v + h * mean)
         way_m = 0.5 * h * (v + end)
-        broadcast(w, a.FELT, at, felt + 0.5 * h * (w[a.FELT_RATE + at] + felt_rate))
-        broadcast(w, a.PLACE, at, w[a.PLACE + at] + way_m)
-        resisting_N = w[a.RESISTING + at] + 0.5 * resistance_N
-        broadcast(w, a.RESISTANCE_WORK, at, w[a.RESISTANCE_WORK + at] + resisting_N * way_m)
-        broadcast(w, a.V, at, end)
-        broadcast(w, a.RATE, at, mean)
+        broadcast(w, row.FELT, at, felt + 0.5 * h * (w[row.FELT_RATE + at] + felt_rate))
+        broadcast(w, row.PLACE, at, w[row.PLACE + at] + way_m)
+        resisting_N = w[row.RESISTING + at] + 0.5 * resistance_N
+        broadcast(w, row.RESISTANCE_WORK, at, w[row.RESISTANCE_WORK + at] + resisting_N * way_m)
+        broadcast(w, row.V, at, end)
+        broadcast(w, row.RATE, at, mean)
+        # on a track the rail moves under the wheel with the vehicle
         for j in range(at, at + AXLES):
-            w[a.SLIDING_WORK + j] += w[a.ON_TRACK + j] * w[a.FORCE + j] * way_m
+            w[row.SLIDING_WORK + j] += w[row.ON_TRACK + j] * w[row.FORCE + j] * way_m
         if end < body.STANDING_M_S:
             settle(w, at)
 
 
 @kernel
-def broadcast(w, row, first, value):
-    """Write a vehicle's value into its four lanes."""
-    for j in range(first, first + AXLES):
-        w[row + j] = value
+def broadcast(w, first_of_row, first_lane, value):
+    """Writes a value of a vehicle into its four lanes."""
+    for j in range(first_lane, first_lane + AXLES):
+        w[first_of_row + j] = value
 
 
 @kernel
-def settle(w, first):
-    """Bring a vehicle to rest, with its wheels and rollers."""
-    for row in (a.V, a.RATE, a.WHEEL, a.ROLLER, a.MOTOR, a.BRAKE, a.MOVING):
-        broadcast(w, row, first, 0.0)
+def settle(w, first_lane):
+    """Brings a vehicle to rest, with its wheels and rollers."""
+    for place in (row.V, row.RATE, row.WHEEL, row.ROLLER, row.MOTOR, row.BRAKE, row.MOVING):
+        broadcast(w, place, first_lane, 0.0)

@@ -1,6 +1,6 @@
 """Mechanisms that change constants of the model: of vehicle, wheelsets and contact.
 
-Their formulas take the constants by name, numbers or arrays, and return those that they change.
+A formula takes the constants by name, as numbers or arrays, and returns the constants that it changes.
 """
 
 from collections.abc import Mapping
@@ -58,7 +58,7 @@ ROWS = (
         VEHICLE,
         running_resistance,
         (number("force_N", -5000.0, 5000.0, "N"), number("speed_power", 0.0, 2.0, "-")),
-        "the vehicle runs with another resistance",
+        "the running resistance of the vehicle differs",
         "form: Davis 1926",
         tuple(RESISTANCE.values()),
     ),
@@ -74,7 +74,7 @@ ROWS = (
         WHEEL,
         wheel_radius,
         (number("fraction", -0.06, 0.06, "-"), AXLE),
-        "the wheels of one axle have another radius",
+        "the wheels of one axle differ in radius",
         "assumption",
         ("wheel_radius_m",),
         in_coach=AXLES_ALIKE,
@@ -83,7 +83,7 @@ ROWS = (
         WHEEL,
         wheel_inertia,
         (number("fraction", -0.5, 1.0, "-"), AXLE),
-        "the wheelsets have another inertia",
+        "the inertia of the wheelsets differs",
         "assumption",
         ("wheelset_inertia_kgm2",),
         in_coach=AXLES_ALIKE,
@@ -92,7 +92,7 @@ ROWS = (
         CONTACT,
         roller_curvature,
         (number("stiffness_fraction", -0.9, 2.0, "-"),),
-        "the patch is that of another curvature",
+        "the curvature at the contact patch differs",
         "Hertz 1882; Kalker 1967",
         ("eps1",),
         in_coach=NOT,
@@ -109,7 +109,7 @@ ROWS = (
         CONTACT,
         falling_friction,
         (number("fraction", -0.95, 5.0, "-"), number("height", 0.0, 1.0, "-"), ALONE),
-        "friction falls with sliding otherwise than told",
+        "the fall of friction with sliding differs from the stated one",
         "Polach 2005; CONTACT user guide",
         ("gamma_d_s_m", "gamma_r_s_m", "A_d", "A_r"),
     ),

@@ -1,7 +1,7 @@
-"""Mechanisms of loads, of recovery and of sensors, which act at places of their own.
+"""Mechanisms of loads, of recovery and of sensors.
 
-Courses of a load are shares of it. The memory of recovery [X4] stands in `wheelset` and in the replay's
-`memory_replay`; what a sensor does to the truth lies in the recording, not in the plant.
+A course of a load is a share of it. The memory of recovery [X4] is computed in `wheelset` and in the
+replay's `memory_replay`. The effect of a sensor is in the recording, not in the plant.
 """
 
 import math
@@ -57,7 +57,7 @@ ROWS = (
         SENSOR,
         (number("delay_s", 0.0, 0.2, "s"), AXLE),
         "measured omega(t) = omega(t - delay)",
-        "the wheel speed is told late",
+        "the wheel speed is measured late",
         "assumption",
     ),
     Mechanism(
@@ -65,7 +65,7 @@ ROWS = (
         SENSOR,
         (number("delay_s", 0.0, 0.2, "s"),),
         "measured C(t) = C(t - delay)",
-        "the torque is told late",
+        "the torque is measured late",
         "assumption",
     ),
     row_of(
@@ -81,7 +81,7 @@ ROWS = (
         LOAD,
         load_transfer,
         (number("body_s2_m", -0.1, 0.1, "s2/m"), number("bogie_s2_m", -0.1, 0.1, "s2/m")),
-        "braking shifts more load than told",
+        "braking shifts more load than stated",
         "mechanics",
         courses=(load_transfer, bogie_transfer),
         share=True,

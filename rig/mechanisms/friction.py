@@ -1,4 +1,4 @@
-"""Mechanisms of friction: their courses are what one unit of the coefficient adds to ln mu."""
+"""Mechanisms of friction: a course is the change of ln mu by one unit of the coefficient."""
 
 import math
 
@@ -37,15 +37,19 @@ def contaminated_patch(place_m, start_m, length_m, ramp):
     end, it rises and falls as sin^2"""
     if not start_m <= place_m < start_m + length_m:
         return 0.0
-    inside, edge = min(place_m - start_m, start_m + length_m - place_m), 0.5 * ramp * length_m
-    return -1.0 if inside >= edge else -(math.sin(0.5 * math.pi * inside / edge) ** 2)
+    inside_m = min(place_m - start_m, start_m + length_m - place_m)
+    edge_m = 0.5 * ramp * length_m
+    if inside_m >= edge_m:
+        return -1.0
+    return -(math.sin(0.5 * math.pi * inside_m / edge_m) ** 2)
 
 
 @kernel
 def sanding(time_s, axle, start_s, duration_s, behind):
     """ln mu += gain for start <= t < start + duration, each run with its own window; behind = 1: not under
     the first wheelset"""
-    return 1.0 if start_s <= time_s < start_s + duration_s and (axle > 0 or behind < 0.5) else 0.0
+    on_this_axle = axle > 0 or behind < 0.5
+    return 1.0 if start_s <= time_s < start_s + duration_s and on_this_axle else 0.0
 
 
 @kernel
@@ -132,7 +136,7 @@ ROWS = tuple(
         ),
     )
 )
-# what `explain` writes down when none of the table explains: a formula, not a cause
+# the formula that `explain` reports when no mechanism of the table explains the data; it is not a cause
 EMPIRICAL = row_of(
     FRICTION,
     empirical,

@@ -1,8 +1,9 @@
-"""The type of a mechanism's row: what it acts on, its parameters, its formula.
+"""The type of a mechanism's row: its place in the model, its parameters, its formula.
 
-A formula is either a course, a kernel of covariates by their names (COVARIATES) and then of the row's
-shape parameters in their order; or a function of constants of the model by their names, which returns
-those that it changes. Its docstring is the formula that reports show. Plant, coach and replay call it.
+A formula is one of two things. A course is a kernel whose arguments are covariates by their names
+(COVARIATES), followed by the shape parameters of the row in their order. Or it is a function of the
+constants of the model by their names, which returns the constants that it changes. The docstring is the
+formula that reports show. Plant, coach and replay call the same formula.
 """
 
 import inspect
@@ -14,25 +15,27 @@ from rollerrig.configs import table
 from rollerrig.configs.table import Row
 from rollerrig.rig.compiled.kernel import kernel
 
-FRICTION, TORQUE, LOAD, VEHICLE, SENSOR, WHEEL, CONTACT = (
-    "friction",
-    "torque",
-    "load",
-    "vehicle",
-    "sensor",
-    "wheel",
-    "contact",
-)
-WIDE = 1e4  # a scale as wide as this is none
-# what the coach in 3D knows of a mechanism: it, it for all axles alike, nothing
-WHOLLY, AXLES_ALIKE, NOT = "wholly", "all axles alike", "not"
+# the places in the model that a mechanism acts on
+FRICTION = "friction"
+TORQUE = "torque"
+LOAD = "load"
+VEHICLE = "vehicle"
+SENSOR = "sensor"
+WHEEL = "wheel"
+CONTACT = "contact"
+# a scale this wide has no effect
+WIDE = 1e4
+# whether the coach in 3D contains a mechanism: completely, only for all axles alike, or not
+WHOLLY = "wholly"
+AXLES_ALIKE = "all axles alike"
+NOT = "not"
 
 
 class Covariate(NamedTuple):
-    """What a course may depend on, under the name by which prepared runs have it.
+    """A quantity that a course may depend on, under its name in prepared runs.
 
-    `of_plant` says where the plant has it, for `axle` at `place_m`; `word` is its name in the formula of
-    an empirical term, whose code is its place in the table, from 1.
+    `of_plant` is the expression of it in the plant, for `axle` at `place_m`. `word` is its name in the
+    formula of an empirical term; its code there is its place in the table, from 1.
     """
 
     name: str
@@ -60,11 +63,11 @@ COVARIATES = (
 
 
 class Mechanism(NamedTuple):
-    """One possible cause: `acts_on` is the place in the model, `courses` or `constants` its formula.
+    """One possible cause: `acts_on` is its place in the model, `courses` or `constants` its formula.
 
-    The first `free` parameters are coefficients, 0 when the mechanism is absent, each with its course;
-    the others give its shape. A coefficient whose lower bound is 0 has a sign by nature. With `share`
-    a course is a share of the torque or load itself. `constants` changes those of `changes`.
+    The first `free` parameters are coefficients, 0 when the mechanism is absent, each with its course. The
+    others are shape parameters. A coefficient whose lower bound is 0 has a fixed sign by nature. With
+    `share` a course is a share of the torque or load. `constants` changes the constants in `changes`.
     """
 
     name: str
@@ -82,29 +85,31 @@ class Mechanism(NamedTuple):
 
     @property
     def axlewise(self) -> bool:
-        """Whether it may act on one axle alone."""
+        """Whether the mechanism may act on a single axle."""
         return self.parameters[-1].name == "axle"
 
     @property
     def formula_parameters(self) -> tuple[Row, ...]:
-        """All but the axle, and but which friction it acts on."""
-        beside = (AXLE.name, ALONE.name if self.acts_on == FRICTION else "")
-        return tuple(row for row in self.parameters if row.name not in beside)
+        """The parameters of the formula: all except those that choose an axle or one of two frictions."""
+        choosing = {AXLE.name}
+        if self.acts_on == FRICTION:
+            choosing.add(ALONE.name)
+        return tuple(row for row in self.parameters if row.name not in choosing)
 
     @property
     def coefficients(self) -> tuple[str, ...]:
-        """Keys of its coefficients in the section [mechanisms]."""
+        """Keys of the coefficients in the section [mechanisms]."""
         return tuple(f"{self.name}_{row.name}" for row in self.parameters[: self.free])
 
 
 def arguments(course: Any, shape: int) -> list[str]:
-    """The covariates of a course that has this many shape parameters."""
+    """Returns the covariates of a course that has this many shape parameters."""
     names = list(inspect.signature(course).parameters)
     return names[: len(names) - shape]
 
 
 def number(name: str, low: float, high: float, unit: str, default: float = 0.0) -> Row:
-    """A parameter of a mechanism."""
+    """Returns a parameter of a mechanism."""
     return table.number(name, default, low, high, unit)
 
 
@@ -117,21 +122,32 @@ def row_of(
     changes: tuple[str, ...] = (),
     **more: Any,
 ) -> Mechanism:
-    """The row of a course or, with `changes`, of a function of constants, which gives it its name and formula."""
-    given: dict[str, Any] = (
-        {"constants": formula, "changes": changes} if changes else {"courses": (formula,)}
+    """Returns the row of a course or, with `changes`, of a function of constants.
+
+    The function gives the row its name, and the first paragraph of its docstring the formula.
+    """
+    fields: dict[str, Any] = {"courses": (formula,)}
+    if changes:
+        fields = {"constants": formula, "changes": changes}
+    fields.update(more)
+    paragraph = (formula.__doc__ or "").split("\n\n")[0]
+    return Mechanism(
+        name=formula.__name__,
+        acts_on=acts_on,
+        parameters=parameters,
+        formula=" ".join(paragraph.split()),
+        text=text,
+        source=source,
+        **fields,
     )
-    words = " ".join((formula.__doc__ or "").split("\n\n")[0].split())
-    return Mechanism(formula.__name__, acts_on, parameters, words, text, source, **given | more)
 
 
 AXLE = number("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
-ALONE = number(
-    "contaminant_alone", 0.0, 1.0, "-"
-)  # 1: it acts on the degraded friction, 0: on the recovered too
+# 1: the mechanism acts on the degraded friction alone, 0: on the recovered friction too
+ALONE = number("contaminant_alone", 0.0, 1.0, "-")
 
 
 @kernel
 def saturating(x, scale):
-    """x that levels off at a scale: scale (1 - exp(-x / scale)), x itself where the scale is wide."""
+    """Returns x levelled off at a scale: scale (1 - exp(-x / scale)); x where the scale is wide."""
     return x if scale >= WIDE else -scale * math.expm1(-x / scale)

@@ -1,6 +1,6 @@
-"""Mechanisms of the brake torque C: their courses are its change, or a share of it, for one unit.
+"""Mechanisms of the brake torque C: a course is its change, or a share of it, by one unit.
 
-Those that are shares act one after another: C = C_0 (1 + gain) (1 - fade ...).
+Shares act one after another: C = C_0 (1 + gain) (1 - fade ...).
 """
 
 import math
@@ -38,7 +38,7 @@ ROWS = (
         TORQUE,
         brake_gain,
         (number("gain", -0.3, 0.3, "-"), AXLE),
-        "the brake gives another torque than told",
+        "the brake torque differs from the stated one",
         "assumption",
         share=True,
     ),
