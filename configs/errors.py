@@ -1,12 +1,12 @@
-"""The one family of errors that a user may meet.
+"""The family of errors that a user can correct.
 
-A message says where, what (with value and unit), what is allowed and how to mend it.
-Only the command line catches them; it prints the message and leaves with status 2.
+A message says where, what (with value and unit), what is allowed and how to correct it. Only the command
+line catches these errors; it prints the message and exits with status 2.
 """
 
 
 class RollerrigError(Exception):
-    """Something a user can mend: the text says where, what, what is allowed and how."""
+    """An error that a user can correct; its text says where, what, what is allowed and how."""
 
 
 class ConfigError(RollerrigError):
@@ -18,4 +18,4 @@ class BusError(RollerrigError):
 
 
 class UnitError(RollerrigError):
-    """The WSP unit (or another outside partner) did not do what the run needs."""
+    """The WSP unit, or another external partner, did not do what the run needs."""

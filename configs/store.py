@@ -1,6 +1,6 @@
-"""Finds a configuration by bare name among the packaged ones, or by path, and parses it.
+"""Finds a configuration by its name among the packaged ones, or by path, and parses it.
 
-`load("scenarios", "velim_a1")` and `load("scenarios", "my/own.toml")` both work, from any folder.
+`load("scenarios", "velim_a1")` and `load("scenarios", "my/own.toml")` both work in any folder.
 """
 
 import os
@@ -15,16 +15,22 @@ ROOT = Path(__file__).parent
 
 
 def names(kind: str) -> list[str]:
-    """Names of the packaged configurations of a kind (a folder under configs/)."""
+    """Returns the names of the packaged configurations of a kind (a folder under configs/)."""
     return sorted(path.stem for path in (ROOT / kind).glob("*.toml"))
 
 
 def find(kind: str, name: str, beside: Path | None = None) -> Path:
-    """The file of a packaged configuration, or a path (also beside the file that names it). Raises ConfigError."""
+    """Returns the file of a packaged configuration, or of a path.
+
+    A path is also looked up in the folder of `beside`, the file that mentions it. Raises ConfigError.
+    """
     given = Path(name)
-    # of os.path: no error for a name too long or with a NUL
     if given.suffix == ".toml" or len(given.parts) > 1:
-        for candidate in [given] + ([beside.parent / given] if beside else []):
+        candidates = [given]
+        if beside:
+            candidates.append(beside.parent / given)
+        for candidate in candidates:
+            # os.path, because Path raises an error for a name that is too long or contains NUL
             if os.path.isfile(candidate):
                 return candidate
         raise ConfigError(
@@ -40,7 +46,7 @@ def find(kind: str, name: str, beside: Path | None = None) -> Path:
 
 
 def parse(path: Path) -> dict[str, Any]:
-    """The content of a TOML file. Raises ConfigError with file, line and column."""
+    """Returns the content of a TOML file. Raises ConfigError with file, line and column."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -50,6 +56,6 @@ def parse(path: Path) -> dict[str, Any]:
 
 
 def load(kind: str, name: str, beside: Path | None = None) -> tuple[dict[str, Any], Path]:
-    """Find and parse: the content and where it came from."""
+    """Returns the content of a configuration, and its file. Raises ConfigError."""
     path = find(kind, name, beside)
     return parse(path), path

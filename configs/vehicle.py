@@ -1,7 +1,7 @@
-"""The vehicle in what every room shares: its wheelsets, and what follows from its tables alone.
+"""Constants and formulas of the vehicle that all parts of the product share.
 
 [1] T = A i eta 2 mu r n (p - p_spring): two pads press on each disc.
-[2] R = A + B v + C v^2, of which a changed resistance changes one coefficient, a gradient A.
+[2] R = A + B v + C v^2. A changed resistance changes one of the coefficients, a gradient changes A.
 """
 
 from collections.abc import Mapping
@@ -10,18 +10,18 @@ from typing import Any
 from rollerrig.configs.errors import ConfigError
 
 AXLES = 4
-# the two magnets of an axle's dump valve, as bits; none energised fills the cylinder
+# the two magnets of the dump valve of an axle, as bits; without energised magnets the cylinder fills
 HOLD_MAGNET = 1
 VENT_MAGNET = 2
 GRAVITY_M_S2 = 9.80665  # standard gravity, ISO 80000-3
-# where powers of the speed are 1: a coefficient is what holds at this speed
+# at this speed a power of the relative speed is 1, so a coefficient has its value there
 MIDDLE_SPEED_M_S = 20.0
-# coefficient of the running resistance [2] that grows with this power of the speed
+# the coefficient of the running resistance [2] for each power of the speed
 RESISTANCE = {0.0: "resistance_A_N", 1.0: "resistance_B_N_s_m", 2.0: "resistance_C_N_s2_m2"}
 
 
 def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:
-    """Brake torque of a wheelset for each Pa above the spring's pressure [1], of the table [brake]."""
+    """Returns the brake torque of a wheelset in N m for each Pa above the spring pressure [1]."""
     return (
         brake["cylinder_area_m2"]
         * brake["lever_ratio"]
@@ -34,10 +34,11 @@ def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:
 
 
 def weighed_share(air: Mapping[str, float], vehicle: Mapping[str, Any]) -> float:
-    """Share of the pressure asked for that the weighing valve of [air] lets through at this vehicle's mass."""
+    """Returns the share of the demanded pressure that the weighing valve passes at this vehicle mass."""
     if air["weighed_mass_kg"] == 0.0:
         return 1.0
-    return float(min(max(vehicle["mass_kg"] / air["weighed_mass_kg"], air["weighed_least"]), 1.0))
+    loaded = vehicle["mass_kg"] / air["weighed_mass_kg"]
+    return float(min(max(loaded, air["weighed_least"]), 1.0))
 
 
 def running_resistance(

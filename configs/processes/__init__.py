@@ -1,1 +1,1 @@
-"""How processes are started, watched and ended, and what they need not load."""
+"""How processes are started, watched and stopped, and which packages they need not load."""

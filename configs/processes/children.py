@@ -1,9 +1,11 @@
-"""Processes that we start: they end with us, also when we are killed, and leave their last words.
+"""Processes that we start: they stop with us, even if we are killed.
 
-Linux tells a process that the thread which has started it is no more (prctl, PR_SET_PDEATHSIG); others are left to
-themselves. What shall outlive us is started without: the recorder, which finishes its files, and a viewer.
+Linux sends a signal to a process when the thread that has started it is gone (prctl, PR_SET_PDEATHSIG). On
+other systems the processes remain. Processes that shall outlive us are started without this: the recorder,
+which finishes its files, and a viewer.
 
-A program that has loaded what its children need forks them (`Forked`): each would load it again, for half a second.
+A program that has loaded the packages of its children forks them (`Forked`). Otherwise each child would
+load the packages again, which takes half a second.
 """
 
 import ctypes
@@ -15,57 +17,87 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.configs.processes import ended
+from rollerrig.configs.processes import parent_death
 
-# of /proc/self/stat, counted behind the name: where the command line begins and ends
+# fields of /proc/self/stat behind the name: the addresses of the beginning and the end of the command line
 _COMMAND_LINE = slice(45, 47)
-# libraries with threads of their own, which a fork would not have
+# a library with threads, which do not exist in a forked process
 _THREADED = "rerun"
+
+# exit status of a forked process
+_FAILED = 1
+_USER_ERROR = 2
+
+_STDIN = 0
+_STDOUT = 1
+_STDERR = 2
 
 
 def command(*words: str, by: int = signal.SIGTERM) -> list[str]:
-    """A command as a child of this process that gets a signal when this process is gone."""
-    return [sys.executable, "-IS", ended.__file__, str(os.getpid()), str(int(by)), *words]
+    """Returns a command as a child of this process: it gets the signal `by` when this process is gone."""
+    program = [sys.executable, "-IS", parent_death.__file__]
+    return [*program, str(os.getpid()), str(int(by)), *words]
 
 
 def pool(count: int, first: Callable[..., Any] = int, *arguments: Any) -> ProcessPoolExecutor:
-    """Worker processes that end with this one; first(*arguments) is called in each."""
+    """Returns worker processes that stop with this one; each calls first(*arguments) at its start."""
     return ProcessPoolExecutor(
-        count, multiprocessing.get_context("spawn"), _begin, (os.getpid(), first, arguments)
+        max_workers=count,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin_worker,
+        initargs=(os.getpid(), first, arguments),
     )
 
 
+def _begin_worker(parent: int, first: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    parent_death.signal_at_parent_death(parent, signal.SIGTERM)
+    first(*arguments)
+
+
 def last_line(log: Path) -> str:
-    """Return the last line that is not empty in the log of a process, or an empty string."""
+    """Returns the last line that is not empty in the log of a process, or an empty string."""
     lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
     written = [line for line in lines if line.strip()]
     return written[-1] if written else ""
 
 
 def last_words(log: Path) -> str:
-    """Return the last line of a log as the end of a sentence; empty where there is none."""
+    """Returns the last line of a log as the end of a sentence; empty where there is none."""
     line = last_line(log)
     return f"; its last words: {line}" if line else ""
 
 
 def can_fork() -> bool:
-    """Whether this process may fork: on Linux, with one thread and no library that has others."""
+    """Returns whether this process may fork: on Linux, with one thread and no library with threads."""
     return (
         sys.platform == "linux" and threading.active_count() == 1 and _THREADED not in sys.modules
     )
 
 
-class Forked(subprocess.Popen[bytes]):
-    """This process once more: it calls `then`, its result is its status, and `words` stand as its command line.
+class _Child(NamedTuple):
+    """What a forked process needs for its start."""
 
-    Its standard input is a pipe, its output goes nowhere, its errors too where `quiet`. It is in a session of its own;
-    with `by` it gets this signal when this process is gone. It closes what `others` are written to.
+    words: Sequence[str]
+    then: Callable[[], int]
+    input_end: int  # file descriptor of the pipe that becomes its standard input
+    # the process whose death sends it a signal, and the signal; None: no signal
+    parent_signal: tuple[int, int] | None
+    quiet: bool
+    to_close: Sequence[int]  # file descriptors
+
+
+class Forked(subprocess.Popen[bytes]):
+    """A copy of this process, which calls `then` and exits with its result as the status.
+
+    `words` become the command line of the copy, so that a list of processes shows its purpose. Its standard
+    input is a pipe, its output is discarded, with `quiet` its errors too. It is the leader of a new session.
+    With `by` it gets this signal when this process is gone. It closes the inputs of `others`.
     """
 
     def __init__(
@@ -76,64 +108,75 @@ class Forked(subprocess.Popen[bytes]):
         quiet: bool = False,
         others: Sequence[subprocess.Popen[bytes]] = (),
     ) -> None:
-        # what a Popen knows of a child that runs
-        self.args, self.stdout, self.stderr, self.returncode = words, None, None, None
-        self._waitpid_lock, self._child_created, self._sigint_wait_secs = (
-            threading.Lock(),
-            True,
-            0.25,
-        )
-        heard, told = os.pipe()
+        # the attributes of a Popen with a running child
+        self.args = words
+        self.stdout = None
+        self.stderr = None
+        self.returncode = None
+        self._waitpid_lock = threading.Lock()
+        self._child_created = True
+        self._sigint_wait_secs = 0.25
+
+        input_end, our_end = os.pipe()
         parent = os.getpid()
+        # otherwise both processes would write what is in the buffers
         sys.stdout.flush()
         sys.stderr.flush()
-        gc.freeze()  # what is not collected is not copied
+        gc.freeze()  # memory that is never collected is not copied
         self.pid = os.fork()
         if not self.pid:
-            closed = [told, *(one.stdin.fileno() for one in others if one.stdin)]
-            _be(words, then, heard, by and (parent, by), quiet, closed)
-        os.close(heard)
-        self.stdin = open(told, "wb")  # noqa: SIM115
+            to_close = [our_end, *(other.stdin.fileno() for other in others if other.stdin)]
+            parent_signal = (parent, by) if by else None
+            _live(_Child(words, then, input_end, parent_signal, quiet, to_close))
+        os.close(input_end)
+        self.stdin = open(our_end, "wb")  # noqa: SIM115
 
 
-def _be(
-    words: Sequence[str], then: Callable[[], int], heard: int, ends: Any, quiet: bool, closed: Any
-) -> None:
-    """The life of a forked process; it returns to nobody."""
-    status = 1
+def _live(child: _Child) -> None:
+    """The life of a forked process; it never returns."""
+    status = _FAILED
     try:
         os.setsid()
-        if ends:
-            ended.with_parent(*ends)
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        for source, number in ((heard, 0), (nowhere, 1), *([(nowhere, 2)] if quiet else [])):
-            os.dup2(source, number)
-        for number in (heard, nowhere, *closed):
-            os.close(number)
-        sys.stdin = open(0)  # noqa: SIM115
-        sys.stdout = open(1, "w")  # noqa: SIM115
-        sys.stderr = open(2, "w", buffering=1)  # noqa: SIM115
-        _be_called(words)
-        status = then()
+        if child.parent_signal:
+            parent_death.signal_at_parent_death(*child.parent_signal)
+        _connect(child)
+        _write_command_line(child.words)
+        status = child.then()
     except RollerrigError as error:
-        print(f"{' '.join(words)}: {error}", file=sys.stderr)
-        status = 2
+        print(f"{' '.join(child.words)}: {error}", file=sys.stderr)
+        status = _USER_ERROR
     except BaseException:
         traceback.print_exc()
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
+        # without the clean-up of the parent, which this process has inherited
         os._exit(status)
 
 
-def _be_called(words: Sequence[str]) -> None:
-    """Write another command line over the one that this process was started with, as far as there is room."""
+def _connect(child: _Child) -> None:
+    """Connects standard input, output and errors of a forked process."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(child.input_end, _STDIN)
+    os.dup2(nowhere, _STDOUT)
+    if child.quiet:
+        os.dup2(nowhere, _STDERR)
+    _close((child.input_end, nowhere, *child.to_close))
+    sys.stdin = open(_STDIN)  # noqa: SIM115
+    sys.stdout = open(_STDOUT, "w")  # noqa: SIM115
+    sys.stderr = open(_STDERR, "w", buffering=1)  # noqa: SIM115
+
+
+def _close(descriptors: Iterable[int]) -> None:
+    for descriptor in descriptors:
+        os.close(descriptor)
+
+
+def _write_command_line(words: Sequence[str]) -> None:
+    """Writes a command line over the one of the parent, as far as there is room."""
     with open("/proc/self/stat", encoding="ascii") as file:
-        begin, end = map(int, file.read().rpartition(")")[2].split()[_COMMAND_LINE])
+        # the name of the process may contain spaces, so the fields count from its closing bracket
+        fields = file.read().rpartition(")")[2].split()
+    begin, end = map(int, fields[_COMMAND_LINE])
     text = "\0".join(words).encode()[: end - begin - 1]
     ctypes.memmove(begin, text.ljust(end - begin, b"\0"), end - begin)
-
-
-def _begin(parent: int, first: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    ended.with_parent(parent, signal.SIGTERM)
-    first(*arguments)

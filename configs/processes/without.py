@@ -1,4 +1,4 @@
-"""Imports of big packages without what they look for and this project never uses through them."""
+"""Imports of large packages without packages that they look for and that rollerrig does not use."""
 
 import sys
 from types import TracebackType
@@ -6,17 +6,18 @@ from typing import NamedTuple
 
 
 class without(NamedTuple):  # noqa: N801
-    """Let imports of a package fail inside the block, as if it were not installed; nothing where it is there already.
+    """Lets imports of a package fail inside the block, as if it were not installed.
 
-    python-can looks for asammdf, to read MF4 files (0.8 s of processor time, as that brings pandas; rollerrig asks
-    asammdf itself), Arrow for pandas (0.4 s), numba for scipy.linalg, to multiply matrices in kernels (0.2 s, and none
-    does).
+    It has no effect if the package is imported already. It saves processor time at the start of a program:
+    python-can looks for asammdf to read MF4 files, which imports pandas (0.8 s; rollerrig imports asammdf
+    itself where it needs it). Arrow looks for pandas (0.4 s). Numba looks for scipy.linalg to multiply
+    matrices in kernels, and no kernel does (docs/compiled_kernels.md).
     """
 
     package: str
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
-        """As the first finder of modules; it finds none."""
+        """Is called by `import` before all other finders of modules; it finds no module."""
         if name == self.package:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 

@@ -289,7 +289,7 @@ def test_the_reference_configuration_writes_out_the_defaults():
     [
         ("cut_of_m_s = 2.0", "did you mean 'cut_off_m_s'"),
         ("cut_off_m_s = 20.0", "allowed 0.3 to 10"),
-        ("wheel_diameter_m = [0.89]", "4 are wanted"),
+        ("wheel_diameter_m = [0.89]", "must have 4"),
     ],
 )
 def test_a_wrong_configuration_is_refused_by_name(tmp_path, line, told):

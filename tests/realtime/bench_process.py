@@ -13,7 +13,7 @@ import time
 from multiprocessing import connection, forkserver
 from pathlib import Path
 
-from rollerrig.configs.processes import ended
+from rollerrig.configs.processes import parent_death
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code
@@ -110,7 +110,7 @@ def _begin(words, stdout, stderr, before, folder, environment, cores):
     streams = ((0, os.devnull, os.O_RDONLY), (1, stdout, os.O_WRONLY), (2, stderr, os.O_WRONLY))
     for descriptor, path, mode in streams:
         os.dup2(os.open(path, mode | os.O_CREAT | os.O_TRUNC), descriptor)
-    ended.with_parent(os.getppid(), signal.SIGTERM)
+    parent_death.signal_at_parent_death(os.getppid(), signal.SIGTERM)
     before()
     from rollerrig.realtime import cli
 
