@@ -1,13 +1,12 @@
 """The one interface to four tangential models: laws that hold for each of them."""
 
-import csv
 import math
 import re
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_program import contact_curves
 from paper_law import TABLE_4
 
 from rollerrig.realtime.bench import scenario
@@ -16,7 +15,6 @@ from rollerrig.rig.contact import adhesion, creep_force, polach_spin
 from rollerrig.rig.contact.creep_force import DEGRADED, FASTSIM, MODELS, POLACH
 from rollerrig.rig.contact.patch import patch_for
 
-DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)
 LAW = TABLE_4
 CLEAN = LAW._replace(mu_cd=0.3, A_d=1.0, k_ad=1.0, k_sd=1.0, mu_cr=0.3, A_r=1.0, k_sr=1.0)
@@ -31,12 +29,6 @@ each_patch = pytest.mark.parametrize("patch", PATCHES)
 
 def force(model, xi, eta, phi, patch=PATCHES[0], law=CLEAN, sliding=0.0, load_N=N):
     return np.array(creep_force.creep_force(model, xi, eta, phi, sliding, load_N, patch, law))
-
-
-def contact_curves():
-    with (DATA / "creep_curves_rail_r300.csv").open() as file:
-        for row in csv.DictReader(line for line in file if not line.startswith("#")):
-            yield {key: float(value) for key, value in row.items() if key != "patch"}
 
 
 @each_model

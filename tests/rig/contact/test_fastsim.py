@@ -1,29 +1,21 @@
 """FASTSIM against the half-space program CONTACT, Kalker's limits and finer grids."""
 
-import csv
 import math
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_program import contact_curves
 
 from rollerrig.rig.contact import fastsim, johnson_vermeulen
 from rollerrig.rig.contact.patch import patch_for
 
-DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)
 MU = 0.3
 LOAD_N = 52_700.0
 PATCH = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
 LONG = patch_for(0.625, math.inf, 0.1, 2.1e11, 8.2e10, 0.28)  # a/b = 2.3
 ROLLER = patch_for(0.445, 0.5, 0.3, 2.1e11, 8.0e10, 0.3)  # a/b = 0.85
-
-
-def contact_curves():
-    with (DATA / "creep_curves_rail_r300.csv").open() as file:
-        for row in csv.DictReader(line for line in file if not line.startswith("#")):
-            yield {key: float(value) for key, value in row.items() if key != "patch"}
 
 
 def normal(xi, eta, phi, cells, patch=PATCH, mu=MU, load_N=LOAD_N):

@@ -1,29 +1,24 @@
 """Kalker's linear force with Johnson and Vermeulen's saturation."""
 
-import csv
 import math
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_program import contact_curves
 
 from rollerrig.rig.contact import johnson_vermeulen
 from rollerrig.rig.contact.patch import patch_for
 
-DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)
 PATCH = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
 
 
 def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():
-    with (DATA / "creep_curves_rail_r300.csv").open() as file:
-        rows = [
-            {k: float(v) for k, v in row.items() if k != "patch"}
-            for row in csv.DictReader(line for line in file if not line.startswith("#"))
-        ]
     distances = []
-    for row in (row for row in rows if row["phi_1_per_m"] == 0.0):
+    for row in contact_curves():
+        if row["phi_1_per_m"] != 0.0:
+            continue
         fx, fy, _ = johnson_vermeulen.force(row["xi"], row["eta"], 0.0, row["mu"], row["N"], PATCH)
         unit = row["mu"] * row["N"]
         distances.append(math.hypot(fx / unit - row["CONTACT_fx"], fy / unit - row["CONTACT_fy"]))

@@ -1,16 +1,14 @@
 """Polach's creep force: its laws, and its distance to the half-space program CONTACT."""
 
-import csv
 import math
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_program import contact_curves
 
 from rollerrig.rig.contact import polach
 
-DATA = Path(__file__).parents[2] / "data"
 near = partial(pytest.approx, abs=0.0)  # relative only: many values here are small
 
 
@@ -20,12 +18,6 @@ def adhesion(eps, mu, k_a, k_s):
 
 def slope_of(eps, mu, k_a, k_s):
     return mu * polach.shape(eps, k_a, k_s)[1]
-
-
-def contact_curves():
-    with (DATA / "creep_curves_rail_r300.csv").open() as file:
-        for row in csv.DictReader(line for line in file if not line.startswith("#")):
-            yield {key: float(value) for key, value in row.items() if key != "patch"}
 
 
 def test_without_spin_the_force_stays_within_0_08_mu_N_of_contact():
