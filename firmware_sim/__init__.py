@@ -1,1 +1,1 @@
-"""The devices of the rig as seen from the bus: tables and state machines, no physics."""
+"""The devices of the rig as seen from the bus: object tables and state machines, no physics."""

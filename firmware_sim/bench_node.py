@@ -1,9 +1,10 @@
-"""The bench as a device, node 127: what a test harness on the bus may read of it and ask of it.
+"""The bench as a device, node 127: what a test harness on the bus can read and command.
 
-A harness joins by writing 1 to HARNESS:JOINED; from then on a bench in lockstep also waits, after each SYNC, for its
-RPDO1 (any byte) before simulated time goes on. It asks for faults and notes in plain text, sets friction under axles,
-ends the run, and maps the quantities of 2100h on into TPDOs as it likes; no other way leads from a harness into the
-rig. Source: CiA 301 for the services; the objects of 2000h to 21FFh are this rig's own.
+A harness joins by writing 1 to HARNESS:JOINED. From then on a bench in lockstep also waits for its
+RPDO1 (any byte) after each SYNC before simulated time continues. The harness injects faults and adds
+notes as plain text, sets the friction under axles, and ends the run. It maps the quantities from
+2100h on into TPDOs as it needs them. There is no other way from a harness into the rig.
+Source: CiA 301 for the services; the objects 2000h to 21FFh are specific to this rig.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,9 +25,9 @@ from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
 
-# no profile of CiA covers a test bench: device type 0
-DEVICE_TYPE, PRODUCT = 0, ("bench", 0x127)
-# every signal that this node carries is an object named after it
+DEVICE_TYPE = 0  # no profile of CiA covers a test bench
+PRODUCT = "bench", 0x127  # name, product code
+# every signal that this node carries is an object with its name
 TITLES = {
     place.index: signal.name.replace("_", " ").capitalize()
     for signal in SIGNALS
@@ -79,19 +80,22 @@ def rows(pacing: str) -> list[Row]:
             mappable=True,
             high=10_000,
             factor=rig.FRICTION_SCALE,
-            text="0: as the scenario has it",
+            text="0: default of the scenario",
         ),
-        Row(rig.NOTE, 0, "Operator note", "TEXT", "rw", "", text="stands in the events of the run"),
+        Row(
+            rig.NOTE, 0, "Operator note", "TEXT", "rw", "", text="is added to the events of the run"
+        ),
     ]
 
 
 def build(
     row: np.ndarray, friction: np.ndarray, on_command: Callable[[], None], pacing: str = "wall"
 ) -> Node:
-    """The node.
+    """Build the node.
 
-    `row`: live float64 array of all signals; `friction`: float64 array of shape (4,), kinematic
-    friction asked for under each axle, 0 for none, written before `on_command()` is called.
+    `row`: live float64 array of all signals. `friction`: float64 array of shape (4,), which the node
+    writes before it calls `on_command()`: the kinematic friction commanded under each axle, 0 for
+    none.
     """
     profile = Profile(
         DEVICE_TYPE,
@@ -105,44 +109,53 @@ def build(
 
 
 class BenchNode:
-    """What a harness asks. `joined`: it takes part; `wire` says what its wishes call."""
+    """The commands of a harness. `joined`: whether a harness takes part in the run."""
 
     def __init__(self, node: Node, friction: np.ndarray, on_command: Callable[[], None]) -> None:
-        self.node, self.joined = node, False
-        self._friction, self._on_command = friction, on_command
-        self._wishes: Mapping[str, Callable[..., Any]] = {}
+        self.node = node
+        self.joined = False
+        self._friction = friction
+        self._on_command = on_command
+        self._actions: Mapping[str, Callable[..., Any]] = {}
         own = node.objects.own
         own(rig.HARNESS, rig.JOINED, effect=self._join)
-        own(rig.HARNESS, rig.END, effect=lambda value: self._ask("end") if value else None)
-        own(rig.FAULT, rig.INJECT, effect=partial(self._ask, "inject"))
-        own(rig.FAULT, rig.LIFT, effect=partial(self._ask, "lift"))
+        own(rig.HARNESS, rig.END, effect=self._end)
+        own(rig.FAULT, rig.INJECT, effect=partial(self._act, "inject"))
+        own(rig.FAULT, rig.LIFT, effect=partial(self._act, "lift"))
         own(rig.NOTE, effect=lambda text: node.on_event(Code.OPERATOR_NOTE, note=text))
         for axle in range(1, AXLES + 1):
             own(rig.FRICTION, axle, effect=partial(self._set_friction, axle))
         node.on_reset.append(lambda: self._join(0))
         node.on_poll.append(lambda _: self._start())
 
-    def wire(self, **wishes: Callable[..., Any]) -> None:
-        """Say what is called: end(), inject(text), lift(text), left() when the harness leaves."""
-        self._wishes = wishes
+    def wire(self, **actions: Callable[..., Any]) -> None:
+        """Set what commands call: end(), inject(text), lift(text), left() when the harness leaves."""
+        self._actions = actions
 
     def _start(self) -> None:
-        # as CiA 302-2 allows (1F80h): a bench waits for no master
+        # the node starts itself, as CiA 302-2 allows (1F80h): a bench waits for no master
         if self.node.state is State.PRE_OPERATIONAL:
             self.node.on_frame(Frame(0, bytes([Command.START, BENCH_NODE])))
 
     def _join(self, value: int) -> None:
-        if self.joined != bool(value):
-            self.joined = bool(value)
-            self.node.on_event(Code.HARNESS_JOINED if value else Code.HARNESS_LEFT)
-            if not value and "left" in self._wishes:
-                self._wishes["left"]()
+        joined = bool(value)
+        if joined == self.joined:
+            return
+        self.joined = joined
+        self.node.on_event(Code.HARNESS_JOINED if joined else Code.HARNESS_LEFT)
+        if not joined and "left" in self._actions:
+            self._actions["left"]()
 
-    def _ask(self, wish: str, *about: str) -> None:
-        if wish not in self._wishes:
+    def _end(self, value: int) -> None:
+        if value:
+            self._act("end")
+
+    def _act(self, name: str, *arguments: str) -> None:
+        """Carry out a command. Raises AbortError if the bench has none of this name, or refuses it."""
+        if name not in self._actions:
             raise AbortError(Abort.DEVICE_STATE)
         try:
-            self._wishes[wish](*about)
+            self._actions[name](*arguments)
         except RollerrigError as error:
             self.node.on_event(Code.HARNESS_REFUSED, reason=str(error))
             raise AbortError(Abort.INVALID_VALUE) from None

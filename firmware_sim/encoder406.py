@@ -1,8 +1,9 @@
 """The axle speed unit, node 16: four pole wheels read by a CiA 406 encoder for several sensors.
 
-Speeds go out as 16-bit values with TPDO1; finer speeds, tooth frequency and pulse counters stand
-beside them. A position is the pulse counter of its axle plus an offset that the preset sets.
-Source: CiA 406 (objects 6000h to 65xxh, multi-sensor objects); 2100h to 2102h are this rig's own.
+TPDO1 carries the speeds as 16-bit values. Other objects have finer speeds, the tooth frequency and
+pulse counters. A position is the pulse counter of its axle plus an offset that the preset sets.
+Source: CiA 406 (objects 6000h to 65xxh, multi-sensor objects). 2100h to 2102h are specific to this
+rig.
 """
 
 from collections.abc import Mapping
@@ -19,8 +20,8 @@ from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES, SPEED_NODE, Place
 
-DEVICE_TYPE = 0x000A0196
-PRODUCT = "axle speed unit", 0x406
+DEVICE_TYPE = 0x000A0196  # encoder, multi-sensor
+PRODUCT = "axle speed unit", 0x406  # name, product code
 TITLES = {
     0x6030: "Speed value",
     0x2100: "Tooth frequency",
@@ -37,8 +38,9 @@ TPDOS = (
 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
-    """The device profile's objects. `parameters`: teeth (of each pole wheel)."""
-    teeth, none = round(parameters["teeth"]), [0] * AXLES
+    """The objects of the device profile. `parameters`: `teeth` of each pole wheel."""
+    teeth = round(parameters["teeth"])
+    zeros = [0] * AXLES
     by_axle = [f"Axle {axle}" for axle in _AXLES]
     return [
         *process_image.rows(SPEED_NODE, 0, parameters, TITLES),
@@ -47,13 +49,13 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
         Row(0x6002, 0, "Total measuring range in measuring units", "U32", "const", 0xFFFFFFFF),
         Row(0x6003, 0, "Preset value", "U32", "rw", 0),
         Row(0x6004, 0, "Position value", "U32", "ro", 0, True, text="teeth, axle 1"),
-        *array(0x6010, "Preset values for multi-sensor devices", "U32", "rw", none, by_axle),
+        *array(0x6010, "Preset values for multi-sensor devices", "U32", "rw", zeros, by_axle),
         *array(
             0x6020,
             "Position value for multi-sensor devices",
             "U32",
             "ro",
-            none,
+            zeros,
             by_axle,
             mappable=True,
             text="teeth",
@@ -63,7 +65,7 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
             "Acceleration value",
             "I16",
             "ro",
-            none,
+            zeros,
             by_axle,
             mappable=True,
             unit="rad/s2",
@@ -86,7 +88,7 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
         Row(0x6506, 0, "Supported warnings", "U16", "const", 0),
         Row(0x6507, 0, "Profile and software version", "U32", "const", 0x00010302),
         Row(0x6508, 0, "Operating time", "U32", "ro", 0, unit="h", factor=0.1),
-        *array(0x6509, "Offset value", "I32", "ro", none, by_axle),
+        *array(0x6509, "Offset value", "I32", "ro", zeros, by_axle),
         Row(0x650B, 0, "Serial number", "U32", "const", SPEED_NODE),
     ]
 
@@ -94,7 +96,7 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
 def build(
     row: np.ndarray, parameters: Mapping[str, float] | None = None, storage: Path | None = None
 ) -> Node:
-    """The node. `row`: live float64 array of all signals; `storage`: the file of 1010h."""
+    """Build the node. `row`: live float64 array of all signals; `storage`: the file of 1010h."""
     parameters = DEFAULTS | dict(parameters or {})
     profile = Profile(DEVICE_TYPE, PRODUCT[0], tpdos=TPDOS)
     node = process_image.build(
@@ -105,13 +107,17 @@ def build(
 
 
 class SpeedUnit:
-    """Positions, presets and accelerations, which are computed here and are no signals."""
+    """Positions, presets and accelerations. They are computed here, because they are no signals."""
 
     def __init__(self, node: Node, row: np.ndarray) -> None:
-        self.node, self._row = node, row
-        self._time, self._speeds = signals.column("time"), signals.span("measured_speed")
-        self._now = self._before = self._sample()
-        node.on_sync.append(self._keep)
+        self.node = node
+        self._row = row
+        self._time = signals.column("time")
+        self._speeds = signals.span("measured_speed")
+        # samples (time in s, speeds in rad/s) of the last two SYNCs
+        self._newest = self._sample()
+        self._before = self._newest
+        node.on_sync.append(self._take_sample)
         objects = node.objects
         for axle in _AXLES:
             objects.own(0x6020, axle, read=partial(self.position, axle))
@@ -119,7 +125,7 @@ class SpeedUnit:
             objects.own(0x6010, axle, effect=partial(self._preset, axle))
         objects.own(0x6004, read=partial(self.position, 1))
         objects.own(0x6003, effect=partial(self._preset, 1))
-        objects.own(0x6508, read=lambda: int(row.item(self._time) / 360.0) & 0xFFFFFFFF)
+        objects.own(0x6508, read=self._operating_time)
         # the cyclic timer is another name of the event timer of TPDO1
         objects.own(
             0x6200,
@@ -134,17 +140,27 @@ class SpeedUnit:
 
     def acceleration(self, axle: int) -> int:
         """Change of an axle's speed between the last two SYNCs, in 0.01 rad/s2."""
-        (before_s, before), (now_s, now) = self._before, self._now
-        if now_s <= before_s:
+        before_s, speeds_before = self._before
+        newest_s, newest_speeds = self._newest
+        if newest_s <= before_s:
             return 0
-        return signals.count((now[axle - 1] - before[axle - 1]) / (now_s - before_s), ACCELERATION)
+        change_rad_s = newest_speeds[axle - 1] - speeds_before[axle - 1]
+        return signals.count(change_rad_s / (newest_s - before_s), ACCELERATION)
+
+    def _operating_time(self) -> int:
+        """Simulated time in 0.1 h."""
+        return int(self._row.item(self._time) / 360.0) & 0xFFFFFFFF
 
     def _sample(self) -> tuple[float, list[float]]:
         return self._row.item(self._time), self._row[self._speeds].tolist()
 
-    def _keep(self) -> None:
-        self._before, self._now = self._now, self._sample()
+    def _take_sample(self) -> None:
+        self._before = self._newest
+        self._newest = self._sample()
 
-    def _preset(self, axle: int, wanted: int) -> None:
-        offset = (wanted - self.node.objects.get(0x2101, axle)) & 0xFFFFFFFF
-        self.node.objects.values[key(0x6509, axle)] = offset - (offset >> 31 << 32)
+    def _preset(self, axle: int, position: int) -> None:
+        """Set the offset so that the position of an axle becomes `position`."""
+        offset = (position - self.node.objects.get(0x2101, axle)) & 0xFFFFFFFF
+        if offset >= 1 << 31:  # the object is a signed number
+            offset -= 1 << 32
+        self.node.objects.values[key(0x6509, axle)] = offset

@@ -1,7 +1,7 @@
 """The brake I/O, node 17: dump-valve magnets out, brake cylinder pressures in, as a CiA 401 module.
 
-A command for the magnets is taken at once. When the WSP unit's heartbeat is lost, or the node is
-stopped or reset, the magnets fall to the fail-safe value (all off: the brakes apply) and stay there
+The magnets follow a command immediately. When the heartbeat of the WSP unit is lost, or the node is
+stopped or reset, the magnets fall to the fail-safe value (all off: the brakes apply). They stay there
 until the heartbeat is back. A vent magnet without its hold magnet is reported and treated as vent.
 Source: CiA 401 (6200h outputs, 6206h and 6207h error mode and value, 6401h and 6411h analogue).
 """
@@ -22,8 +22,8 @@ from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME, WSP_NODE
 
-# the array of commands: energised magnets of each axle (bit 0 hold, bit 1 vent), then the brake
-# cylinder pressure that the bus asks for (NaN: it asks for none)
+# the array of commands: the energised magnets of each axle (bit 0 hold, bit 1 vent), then the brake
+# cylinder pressure in Pa that the bus commands (NaN: none)
 MAGNETS = slice(0, AXLES)
 BRAKE_DEMAND = AXLES
 COMMANDS = AXLES + 1
@@ -38,7 +38,7 @@ TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 
 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
-    """The device profile's objects."""
+    """The objects of the device profile."""
     return [
         *process_image.rows(BRAKE_NODE, 0, parameters, TITLES),
         *array(0x6000, "Read input 8-bit", "U8", "ro", [0], ("Magnets energised",), mappable=True),
@@ -91,18 +91,19 @@ def build(
     on_command: Callable[[], None] = lambda: None,
     storage: Path | None = None,
 ) -> Node:
-    """The node.
+    """Build the node.
 
-    `row`: live float64 array of all signals; `commands`: float64 array of shape (COMMANDS,) that
-    the node writes before it calls `on_command()`.
+    `row`: live float64 array of all signals. `commands`: float64 array of shape (COMMANDS,), which
+    the node writes before it calls `on_command()`. `storage`: the file of 1010h.
     """
     parameters = dict(parameters or {})
+    lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
     profile = Profile(
         DEVICE_TYPE,
         PRODUCT[0],
         RPDOS,
         TPDOS,
-        consumed=((WSP_NODE, int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))),),
+        consumed=((WSP_NODE, lost_after_ms),),
     )
     node = process_image.build(
         BRAKE_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage
@@ -114,40 +115,46 @@ def build(
 
 
 class BrakeIo:
-    """The outputs. `held`: they stay at the fail-safe value, because a partner is lost."""
+    """The outputs of the node.
+
+    `locked`: a partner is lost, so the magnets stay at the fail-safe value and commands are refused.
+    """
 
     def __init__(
         self, node: Node, row: np.ndarray, commands: np.ndarray, on_command: Callable[[], None]
     ) -> None:
-        self.node, self.commands, self.on_command, self.held = node, commands, on_command, False
-        self._venting_alone = [False] * AXLES
-        objects, demanded = (
-            node.objects,
-            process_image.reader(row, signals.column("brake_demand"), DEMAND),
-        )
+        self.node = node
+        self.commands = commands
+        self.on_command = on_command
+        self.locked = False
+        self._venting_alone = [False] * AXLES  # a vent magnet is energised without its hold magnet
+        objects = node.objects
+        read_demand = process_image.reader(row, signals.column("brake_demand"), DEMAND)
         objects.own(0x6000, 1, read=lambda: objects.values[key(0x6200, 1)])
-        objects.own(0x6200, 1, check=self._check_free, effect=self._energise)
-        objects.own(0x6411, 1, read=demanded, effect=self._demand)
+        objects.own(0x6200, 1, check=self._check_unlocked, effect=self._energise)
+        objects.own(0x6411, 1, read=read_demand, effect=self._demand)
         node.on_partner.append(self._on_partner)
         node.on_state.append(self._on_state)
         node.on_reset.append(self._forget_demand)
-        # without power no magnet is energised, whatever 6207h says
+        # without power no magnet is energised, whatever 6207h is
         node.on_power_off += [self._forget_demand, lambda: self._energise(magnets.ALL_OFF)]
-        commands[MAGNETS], commands[BRAKE_DEMAND] = 0.0, np.nan
+        commands[MAGNETS] = 0.0
+        commands[BRAKE_DEMAND] = np.nan
 
     def fail_safe(self, why: str) -> None:
-        """Magnets and demand take the values that 6206h, 6207h, 6443h and 6444h tell."""
+        """Give magnets and demand the values of 6206h, 6207h, 6443h and 6444h."""
         values = self.node.objects.values
-        mask, wanted = values[key(0x6206, 1)], values[key(0x6207, 1)]
-        byte = values[key(0x6200, 1)] & ~mask | wanted & mask
+        mask = values[key(0x6206, 1)]  # the bits that take the error value
+        error_value = values[key(0x6207, 1)]
+        byte = values[key(0x6200, 1)] & ~mask | error_value & mask
         self.node.event(Code.MAGNETS_FAIL_SAFE, magnets=byte, reason=why)
         values[key(0x6200, 1)] = byte
         self._energise(byte)
         if values[key(0x6443, 1)]:
             self._demand(values[key(0x6444, 1)])
 
-    def _check_free(self, _: int) -> None:
-        if self.held:
+    def _check_unlocked(self, _: int) -> None:
+        if self.locked:
             raise AbortError(Abort.DEVICE_STATE)
 
     def _energise(self, byte: int) -> None:
@@ -167,15 +174,17 @@ class BrakeIo:
         self.commands[BRAKE_DEMAND] = np.nan
 
     def _on_partner(self, partner: int, alive: bool) -> None:
-        self.held = bool(self.node.consumer.lost)
-        if not alive:
-            self.fail_safe(f"node {partner} is lost" if partner else "the guarding master is lost")
+        self.locked = bool(self.node.consumer.lost)
+        if alive:
+            return
+        who = f"node {partner}" if partner else "the guarding master"
+        self.fail_safe(f"{who} is lost")
 
     def _on_state(self, old: State, new: State) -> None:
         if new is State.STOPPED:
             self.fail_safe("NMT stopped")
         elif new is State.INITIALISING and old is not new:
-            self.held = False
+            self.locked = False
             self.fail_safe("reset")
         elif new is State.PRE_OPERATIONAL:
             # after a reset the outputs may have another power-on value

@@ -1,8 +1,9 @@
-"""The bench on its own bus, node 127: NMT master and SYNC producer, unless an outside one is.
+"""Node 127 as NMT master and SYNC producer of the bus, unless an outside device has these roles.
 
-A node is started once after its boot-up, or when its first heartbeat says PRE-OPERATIONAL; what an
-outside master commands later is left alone. The states of all nodes are known from their
-heartbeats, those of the WSP unit above all. Source: CiA 301, NMT, SYNC and heartbeat.
+The master starts a node once after its boot-up, or when the first heartbeat of the node reports
+PRE-OPERATIONAL. It does not change what an outside master commands later. It knows the states of all
+nodes, above all that of the WSP unit, from their heartbeats.
+Source: CiA 301, NMT, SYNC and heartbeat.
 """
 
 import math
@@ -19,23 +20,26 @@ from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.rig_objects import REFERENCE_SPEED, UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODE
 
-# silence after which a node of the rig counts as lost
-LOST_AFTER_MS = 500
+LOST_AFTER_MS = 500  # silence after which a node of the rig counts as lost
 
 
 class Health:
-    """What is known of a node: its NMT state (None: never heard), and whether it is lost."""
+    """What is known of a node: its NMT state (None: never heard), and whether it is lost.
+
+    `started`: this master has started it since its last boot-up.
+    """
 
     def __init__(self) -> None:
         self.state: State | None = None
-        self.lost = self.started = False
+        self.lost = False
+        self.started = False
 
 
 class NmtMaster:
-    """Node 127. It needs calls only: `on_frame`, `poll`, `sync`.
+    """Node 127. Its owner calls `on_frame`, `poll` and `sync`.
 
-    `master`: start the nodes; `sync_overflow`: highest value of the SYNC counter (0: no counter).
-    `on_event(code, **fields)` is for the run's events.
+    `master`: whether it starts the nodes. `sync_overflow`: highest value of the SYNC counter (0: no
+    counter). `on_event(code, **fields)` takes the events of the run.
     """
 
     def __init__(
@@ -47,11 +51,14 @@ class NmtMaster:
         nodes: Sequence[int] = RIG_NODES,
     ) -> None:
         self.patience_ms = dict.fromkeys(nodes, LOST_AFTER_MS) | {WSP_NODE: unit_lost_after_ms}
-        self.master, self.sync_overflow, self.heartbeat_ms = master, sync_overflow, heartbeat_ms
+        self.master = master
+        self.sync_overflow = sync_overflow
+        self.heartbeat_ms = heartbeat_ms
         self.health = {node: Health() for node in (*nodes, WSP_NODE)}
         self.unit = self.health[WSP_NODE]
         self.reference_speed_m_s = math.nan
-        self.now_ns, self.counter = 0, 0
+        self.now_ns = 0
+        self.counter = 0
         self.on_event: OnEvent = events.ignore
         self.on_rewired: Callable[[], None] = lambda: None
         self.send: Callable[[Frame], Any] = lambda frame: None
@@ -67,14 +74,15 @@ class NmtMaster:
     def all_operational(self) -> bool:
         """Whether every node of the rig (not the WSP unit) is OPERATIONAL."""
         return all(
-            one.state is State.OPERATIONAL and not one.lost
-            for node, one in self.health.items()
+            health.state is State.OPERATIONAL and not health.lost
+            for node, health in self.health.items()
             if node != WSP_NODE
         )
 
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
-        """Boot-up, and then heartbeats as OPERATIONAL."""
-        self.send, self.now_ns = send, now_ns
+        """Send the boot-up message, and then heartbeats as OPERATIONAL."""
+        self.send = send
+        self.now_ns = now_ns
         self.handlers = {HEARTBEAT + node: self._on_heartbeat for node in self.health}
         self.handlers |= {EMERGENCY + node: self._on_emergency for node in self.health}
         self.handlers[REFERENCE_SPEED.can_id] = self._on_reference_speed
@@ -82,27 +90,29 @@ class NmtMaster:
         self._beat(State.INITIALISING)
 
     def power_off(self) -> None:
-        """The bench is silent and deaf until the next `start`."""
+        """Send and receive nothing until the next `start`."""
         self.send = lambda frame: None
         self.handlers = {}
         self.timers.clear()
         self.on_rewired()
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame from the bus. Never raises, whatever it contains."""
+        """Take a frame from the bus. Never raises, whatever the frame contains."""
         handler = None if frame.remote or frame.extended else self.handlers.get(frame.can_id)
         if handler is not None:
             handler(frame)
 
     def poll(self, now_ns: int) -> None:
-        """It is `now_ns`: send and notice what is due."""
+        """Send what is due at `now_ns`, and notice which nodes are lost."""
         self.timers.poll(now_ns, self)
 
     def sync(self) -> None:
         """Send SYNC, with the counter if there is one."""
-        if self.sync_overflow:
-            self.counter = self.counter % self.sync_overflow + 1
-        self.send(Frame(SYNC, bytes([self.counter] if self.sync_overflow else [])))
+        if not self.sync_overflow:
+            self.send(Frame(SYNC, b""))
+            return
+        self.counter = self.counter % self.sync_overflow + 1
+        self.send(Frame(SYNC, bytes([self.counter])))
 
     def command(self, command: Command, node: int = 0) -> None:
         """Send an NMT command to a node, or to all (0)."""
@@ -117,7 +127,9 @@ class NmtMaster:
 
     def _on_heartbeat(self, frame: Frame) -> None:
         node = frame.can_id - HEARTBEAT
-        state = _STATES.get(frame.data[0] & 0x7F) if len(frame.data) == 1 else None
+        if len(frame.data) != 1:
+            return
+        state = _STATES.get(frame.data[0] & 0x7F)
         if state is None:
             return
         health = self.health[node]
@@ -128,41 +140,43 @@ class NmtMaster:
             # the nodes of the rig report their states themselves
             seen = Code.UNIT_APPEARED if health.state is None else Code.UNIT_STATE
             self.on_event(seen, node=node, state=state.title)
-        health.state, health.lost = state, False
-        self.timers.set(
-            f"lost {node}", self.now_ns + self.patience_ms[node] * MS, partial(self._lose, node)
-        )
+        health.state = state
+        health.lost = False
+        lost_at_ns = self.now_ns + self.patience_ms[node] * MS
+        self.timers.set(f"lost {node}", lost_at_ns, partial(self._lose, node))
+
         if state is State.INITIALISING:
             health.started = False
-        if (
-            self.master
-            and state in (State.INITIALISING, State.PRE_OPERATIONAL)
-            and not health.started
-        ):
+        can_be_started = state in (State.INITIALISING, State.PRE_OPERATIONAL)
+        if self.master and can_be_started and not health.started:
             health.started = True
             self.command(Command.START, node)
 
     def _lose(self, node: int) -> None:
-        self.health[node].lost, self.health[node].started = True, False
+        self.health[node].lost = True
+        self.health[node].started = False
         lost = Code.UNIT_LOST if node == WSP_NODE else Code.NODE_LOST
         self.on_event(lost, node=node, silent_s=self.patience_ms[node] / 1e3)
         if node == WSP_NODE:
             self.reference_speed_m_s = math.nan
 
     def _on_emergency(self, frame: Frame) -> None:
-        # an EMCY never is SYNC: node identifiers begin with 1
-        code = int.from_bytes(frame.data[:2], "little") if len(frame.data) == 8 else 0
-        if code:
-            node = frame.can_id - EMERGENCY
-            self.on_event(
-                Code.UNIT_EMERGENCY if node == WSP_NODE else Code.NODE_EMERGENCY,
-                node=node,
-                error_code=code,
-                error_register=frame.data[2],
-            )
+        # SYNC has the identifier of an EMCY of node 0, which does not exist
+        if len(frame.data) != 8:
+            return
+        error_code = int.from_bytes(frame.data[:2], "little")
+        if error_code == 0:  # the error is over
+            return
+        node = frame.can_id - EMERGENCY
+        self.on_event(
+            Code.UNIT_EMERGENCY if node == WSP_NODE else Code.NODE_EMERGENCY,
+            node=node,
+            error_code=error_code,
+            error_register=frame.data[2],
+        )
 
     def _on_reference_speed(self, frame: Frame) -> None:
-        # a unit may add what it likes
+        # a unit may append other data
         for value in REFERENCE_SPEED.read(frame.data[:2]).values():
             self.reference_speed_m_s = value
 

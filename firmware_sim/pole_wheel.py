@@ -1,17 +1,18 @@
-"""The speed sensors: a pole wheel on each axle, and what the unit makes of its pulses.
+"""The speed sensors: a pole wheel on each axle, and the unit that measures speed from its pulses.
 
-A tooth that passes is a pulse, its time is counted by a timer. Once in a window the unit tells the
-speed that the pulses since the last window say [P1]; without a pulse the speed can only be lower
-than one tooth in the time that has passed [P2], and after a while it is zero. Below a speed the
-sensor's voltage is too small and there are no pulses. The model "ideal" tells the wheel's own speed.
+Each tooth that passes gives a pulse, and a timer measures its time. At the end of each window the
+unit computes the speed from the pulses since the last window [P1]. Without a pulse the speed must be
+lower than one tooth in the time that has passed [P2]; after a while it is zero. Below a certain speed
+the voltage of the sensor is too small, and there are no pulses. The model "ideal" gives the speed of
+the wheel itself.
 
     [P1] omega = (2 pi / n) N / (t_N - t_0), t_N and t_0 the times of the latest pulses of this
          window and of the one before with pulses, N the pulses between them
     [P2] omega <= (2 pi / n) / (t - t_0)
 
-Faults of sensors act here, because they lie between the wheel and what the rig publishes; a missing
-tooth is always seen through the pulses. The noise is the sum of twelve uniform numbers of Park and
-Miller's minimal generator (1988), so a seed repeats it. Limits: pulses of a tick are evenly spaced.
+Faults of sensors act here, between the wheel and the values that the rig publishes. A missing tooth
+always acts through the pulses. The noise is the sum of twelve uniform numbers of Park and Miller's
+minimal generator (1988), so a seed repeats it. Limits: the pulses within a tick are evenly spaced.
 """
 
 from typing import NamedTuple
@@ -23,25 +24,41 @@ from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES
 
-IDEAL, POLE_WHEEL = 0, 1
+IDEAL = 0
+POLE_WHEEL = 1
 MODELS = {"ideal": IDEAL, "pole_wheel": POLE_WHEEL}
-# rows of the memory, float64 of shape (MEMORY, 4): COUNT teeth passed, MISSED of them no pulses,
-# RECENT pulses since BEGIN_s (the pulse that the measurement began with), EDGE_s of the latest one
-CLOCK, COUNT, MISSED, RECENT, EDGE_s, BEGIN_s, READING, RANDOM, MEMORY = range(9)
-SILENCE_S = 0.25
-_MODULUS, _FACTOR, _SUMMANDS = 2147483647.0, 16807.0, 12
+# rows of the memory, float64 of shape (MEMORY, 4), one column an axle
+CLOCK = 0  # ticks so far; only the first column is used
+COUNT = 1  # teeth passed
+MISSED = 2  # teeth that gave no pulse
+RECENT = 3  # pulses since BEGIN_s
+EDGE_s = 4  # time of the latest pulse
+BEGIN_s = 5  # time of the pulse with which the measurement began; negative: none
+READING = 6  # measured speed in rad/s
+RANDOM = 7  # state of the random generator
+MEMORY = 8  # number of rows
 
-_SPEED, _ANGLE = signals.column("wheel_speed"), signals.column("wheel_angle")
-_MEASURED, _FREQUENCY = signals.column("measured_speed"), signals.column("tooth_frequency")
-_PULSES, _FLAT = signals.column("pulse_count"), signals.column("flat_length")
-# what this file writes into a row, and nobody else does
+SILENCE_S = 0.25  # without a pulse for this long the speed is zero
+# the minimal generator: x' = factor x mod modulus
+_MODULUS = 2147483647.0
+_FACTOR = 16807.0
+_SUMMANDS = 12  # uniform numbers in a normal one
+
+_SPEED = signals.column("wheel_speed")
+_ANGLE = signals.column("wheel_angle")
+_MEASURED = signals.column("measured_speed")
+_FREQUENCY = signals.column("tooth_frequency")
+_PULSES = signals.column("pulse_count")
+_FLAT = signals.column("flat_length")
+# the signals of a row that only this file writes
 COLUMNS = frozenset(("measured_speed", "tooth_frequency", "pulse_count"))
 
 
 class Sensor(NamedTuple):
-    """Pole wheels and unit: `dropout_rad_s` below which there are no pulses, window in ticks.
+    """Constants of the pole wheels and their unit.
 
-    `flat_noise_rad_s_m`: standard deviation that each m of a flat adds to the speed of a turning wheel.
+    `dropout_rad_s`: speed below which there are no pulses. `flat_noise_rad_s_m`: standard deviation
+    that each metre of a wheel flat adds to the speed of a turning wheel.
     """
 
     model: int
@@ -55,9 +72,10 @@ class Sensor(NamedTuple):
 
 def memory(seed: int) -> np.ndarray:
     """The memory of all sensors before the first tick."""
-    made = np.zeros((MEMORY, AXLES))
-    made[RANDOM] = [1 + (7919 * seed + 104729 * j) % 2147483646 for j in range(1, AXLES + 1)]
-    return made
+    new = np.zeros((MEMORY, AXLES))
+    # another sequence of the generator for each axle and seed; never 0, which it would repeat
+    new[RANDOM] = [1 + (7919 * seed + 104729 * axle) % 2147483646 for axle in range(1, AXLES + 1)]
+    return new
 
 
 @kernel
@@ -85,7 +103,7 @@ def sense(row, memory, sensor, faults):
 
 @kernel
 def reading(speed, j, memory, sensor, faults):
-    """What the sensor of wheel j tells of its speed in rad/s."""
+    """The speed in rad/s that the sensor of wheel j measures."""
     if faulty.value(faults, faulty.DROPOUT, j) != 0.0:
         return 0.0
     if sensor.model != IDEAL or faulty.value(faults, faulty.MISSING_TEETH, j) != 0.0:
@@ -99,21 +117,21 @@ def reading(speed, j, memory, sensor, faults):
 @kernel
 def count_teeth(speed, angle, j, memory, sensor, faults):
     """Count the pulses of a tick on wheel j, and measure at the end of a window."""
-    passed = angle * (sensor.teeth / (2.0 * np.pi))
+    passed = angle * (sensor.teeth / (2.0 * np.pi))  # teeth, with the fraction of the next one
     count = np.floor(passed)
-    rate = abs(speed) * sensor.teeth / (2.0 * np.pi)
+    rate = abs(speed) * sensor.teeth / (2.0 * np.pi)  # teeth a second
     now_s = memory[CLOCK, 0] * sensor.tick_s
     new = int(count - memory[COUNT, j])
     memory[COUNT, j] = count
     if memory[CLOCK, 0] == 1.0 or new < 0 or new > sensor.teeth:
-        # switched on, or the wheel has been set: measure from here on
-        memory[READING, j], memory[RECENT, j] = speed, 0.0
+        # switched on, or the angle of the wheel has been set: begin a new measurement here
+        memory[READING, j] = speed
+        memory[RECENT, j] = 0.0
         memory[BEGIN_s, j] = now_s - (passed - count) / max(rate, 1.0)
         return
     pulses, last = pulses_of(int(count), new, j, sensor, faults)
-    if faulty.value(faults, faulty.DROPOUT, j) != 0.0 or (
-        sensor.model != IDEAL and abs(speed) < sensor.dropout_rad_s
-    ):
+    too_slow = sensor.model != IDEAL and abs(speed) < sensor.dropout_rad_s
+    if too_slow or faulty.value(faults, faulty.DROPOUT, j) != 0.0:
         pulses = 0
     larger = faulty.value(faults, faulty.LARGER, j)
     memory[MISSED, j] += new - pulses / (1.0 + larger)
@@ -127,38 +145,42 @@ def count_teeth(speed, angle, j, memory, sensor, faults):
 
 @kernel
 def pulses_of(count, new, j, sensor, faults):
-    """How many of the last `new` teeth gave a pulse, and which was the latest of them."""
+    """How many of the last `new` teeth gave a pulse, and the number of the latest of these."""
     gone = int(faulty.value(faults, faulty.MISSING_TEETH, j))
     if gone == 0:
         return new, count
-    pulses, last = 0, count
+    pulses = 0
+    last = count
     for tooth in range(count - new + 1, count + 1):
         if tooth % sensor.teeth >= gone:
-            pulses, last = pulses + 1, tooth
+            pulses += 1
+            last = tooth
     return pulses, last
 
 
 @kernel
 def measure(j, now_s, memory, sensor):
-    """End a window of wheel j: the speed from its pulses [P1], or what silence allows [P2]."""
+    """End a window of wheel j: the speed from its pulses [P1], or its bound without a pulse [P2]."""
     pitch = 2.0 * np.pi / sensor.teeth
     begun = memory[BEGIN_s, j] >= 0.0
     if memory[RECENT, j] > 0.0:
         took_s = memory[EDGE_s, j] - memory[BEGIN_s, j]
         if begun and took_s > 0.0:
             memory[READING, j] = pitch * memory[RECENT, j] / took_s  # [P1]
-        memory[BEGIN_s, j], memory[RECENT, j] = memory[EDGE_s, j], 0.0
+        memory[BEGIN_s, j] = memory[EDGE_s, j]
+        memory[RECENT, j] = 0.0
     elif begun:
         silent_s = now_s - memory[BEGIN_s, j]
         if silent_s > SILENCE_S:
-            memory[READING, j], memory[BEGIN_s, j] = 0.0, -1.0
+            memory[READING, j] = 0.0
+            memory[BEGIN_s, j] = -1.0
         elif silent_s > 0.0:
             memory[READING, j] = min(memory[READING, j], pitch / silent_s)  # [P2]
 
 
 @kernel
 def noise(memory, j):
-    """The next normal number of axle j: mean 0, standard deviation 1."""
+    """The next normally distributed number of axle j: mean 0, standard deviation 1."""
     total = -0.5 * _SUMMANDS
     for _ in range(_SUMMANDS):
         memory[RANDOM, j] = (_FACTOR * memory[RANDOM, j]) % _MODULUS

@@ -1,11 +1,14 @@
-"""The signals of the rig as objects of a node: what stands where on the bus comes from one table.
+"""The signals of the rig as objects of a node. The table of signals decides their places on the bus.
 
-Objects that carry a signal hold no value of their own; each read converts the live row into the integer of the bus, as
-`signals.count` does. The conversion is prepared once for each object, because it runs for every signal at every SYNC.
+An object that carries a signal holds no value. Each read converts the live row into the integer of the
+bus, as `signals.count` does. The conversion is prepared once for each object, because it runs for
+every signal at every SYNC.
 """
 
 from collections.abc import Callable, Iterator, Mapping
+from math import isfinite
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +20,19 @@ from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import Place, Signal
 
-# no identifier of a vendor is registered with CAN in Automation
-_VENDOR, _VENDOR_ID, _REVISION = "rollerrig", 0, 0x00010000
+_VENDOR = "rollerrig"
+_VENDOR_ID = 0  # none is registered with CAN in Automation
+_REVISION = 0x00010000
+
+
+class Carried(NamedTuple):
+    """A signal of one axle that a node carries. `parameter` multiplies the scale of the place."""
+
+    signal: Signal
+    place: Place
+    axle: int
+    sub: int
+    parameter: float
 
 
 def build(
@@ -33,82 +47,93 @@ def build(
 ) -> Node:
     """A node of the rig, whose objects read the live row (float64, one item a column of the table).
 
-    `product`: its name and code; `own`: the rows beyond CiA 301; `axle`: that of a drive, else 0. The node
-    number is the serial number.
+    `product`: its name and code; `own`: the rows beyond CiA 301; `axle`: that of a drive, else 0. The
+    node number is also the serial number.
     """
-    who = Identity(_VENDOR, product[0], _VENDOR_ID, product[1], _REVISION, node_id)
-    node = Node(dictionary.build(communication.rows(profile, who) + own, node_id, who), storage)
-    for signal, place, its_axle, sub, parameter in carried(
-        0 if axle else node_id, axle, parameters
-    ):
-        if signal.direction == signals.OUT and key(place.index, sub) in node.objects.variables:
-            column = signals.column(signal.name, its_axle)
-            node.objects.own(place.index, sub, read=reader(row, column, place, parameter))
+    name, product_code = product
+    identity = Identity(_VENDOR, name, _VENDOR_ID, product_code, _REVISION, node_id)
+    all_rows = communication.rows(profile, identity) + own
+    node = Node(dictionary.build(all_rows, node_id, identity), storage)
+
+    node_number = 0 if axle else node_id  # of drives the table of signals has only one
+    for one in carried(node_number, axle, parameters):
+        index = one.place.index
+        in_dictionary = key(index, one.sub) in node.objects.variables
+        if one.signal.direction == signals.OUT and in_dictionary:
+            column = signals.column(one.signal.name, one.axle)
+            node.objects.own(index, one.sub, read=reader(row, column, one.place, one.parameter))
     return node
 
 
-def carried(
-    node_number: int, axle: int, parameters: Mapping[str, float]
-) -> Iterator[tuple[Signal, Place, int, int, float]]:
-    """What a node carries: signal, place, axle, sub-index, and the parameter that multiplies the place's scale.
+def carried(node_number: int, axle: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
+    """The signals that a node carries, axle by axle.
 
-    `node_number` 0 with an axle is the drive under that axle. KeyError if a scale needs a parameter that is not given.
+    `node_number` 0 with an axle is the drive under that axle. Raises KeyError if a scale needs a
+    parameter that is not in `parameters`.
     """
     for signal in signals.SIGNALS:
         for place in signal.places:
-            if place.node == node_number:
-                parameter = parameters[place.of] if place.of else 1.0
-                for at in range(signal.axles if node_number else 1):
-                    yield signal, place, at + 1 if node_number else axle, place.sub + at, parameter
+            if place.node != node_number:
+                continue
+            parameter = parameters[place.of] if place.of else 1.0
+            if node_number == 0:
+                yield Carried(signal, place, axle, place.sub, parameter)
+                continue
+            for at in range(signal.axles):
+                yield Carried(signal, place, at + 1, place.sub + at, parameter)
 
 
 def rows(
     node_number: int, axle: int, parameters: Mapping[str, float], titles: Mapping[int, str]
 ) -> list[Row]:
-    """Rows of the objects that carry measured signals; `titles` names the objects."""
-    found: dict[tuple[int, int], Row] = {}
-    for signal, place, at, sub, parameter in carried(node_number, axle, parameters):
+    """The rows of the objects that carry measured signals; `titles` names the objects by index."""
+    rows_by_place: dict[tuple[int, int], Row] = {}
+    for one in carried(node_number, axle, parameters):
+        signal, place = one.signal, one.place
         if signal.direction != signals.OUT or place.index not in titles:
             continue
-        name = title = titles[place.index]
-        if sub:
-            name = f"{title}/{title} axle {at}"
-            found[place.index, 0] = Row(
-                place.index,
-                0,
-                f"{title}/Highest sub-index supported",
-                "U8",
-                "const",
-                place.sub + signal.axles - 1,
+        title = titles[place.index]
+        name = title
+        if one.sub:
+            name = f"{title}/{title} axle {one.axle}"
+            rows_by_place[place.index, 0] = Row(
+                index=place.index,
+                sub=0,
+                name=f"{title}/Highest sub-index supported",
+                kind="U8",
+                access="const",
+                default=place.sub + signal.axles - 1,
             )
-        found[place.index, sub] = Row(
+        rows_by_place[place.index, one.sub] = Row(
             index=place.index,
-            sub=sub,
+            sub=one.sub,
             name=name,
             kind=place.kind,
             access="ro",
             default=0,
             mappable=True,
             unit=signal.unit.replace("_", "/"),
-            factor=place.scale * parameter,
+            factor=place.scale * one.parameter,
             text=signal.text,
         )
-    return list(found.values())
+    return list(rows_by_place.values())
 
 
 def reader(row: np.ndarray, column: int, place: Place, parameter: float = 1.0) -> Callable[[], int]:
-    """A call that gives `signals.count(row[column], place, parameter)`, prepared for speed."""
-    item, unit = row.item, place.scale * parameter
+    """A function that returns `signals.count(row[column], place, parameter)`, prepared for speed."""
+    item = row.item
+    unit = place.scale * parameter
     low, high = signals.KINDS[place.kind]
 
     def read() -> int:
         value = item(column)
-        # a value that is not finite differs from itself here
-        if value - value != 0.0:
+        if not isfinite(value):
             return low
         raw = round(value / unit)
         if low <= raw <= high:
             return raw
-        return (raw - low) % (high - low + 1) + low if place.wraps else low if raw < low else high
+        if place.wraps:
+            return (raw - low) % (high - low + 1) + low
+        return low if raw < low else high
 
     return read

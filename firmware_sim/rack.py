@@ -1,8 +1,9 @@
-"""Several nodes on one port of the bus: a frame finds those that listen by one look into a table.
+"""Several nodes on one port of the bus: one look into a table finds those that listen to a frame.
 
-Most frames of the rig (its own process data) concern none of its nodes, so six nodes that each look
-at each frame cost more than the sampling itself. Inside the rack nodes hear one another as on a
-wire: everybody but the sender. The order is that of adding.
+Most frames of the rig are its process data, which none of its nodes receives. If each of six nodes
+looked at each frame, that would cost more time than the sampling of the signals. Inside the rack
+nodes hear one another as on a wire: every node except the sender. They hear a frame in the order in
+which they were added.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,7 +19,7 @@ Gate = Callable[[Any, Frame, Callable[[], None]], bool]
 
 
 class Member(Protocol):
-    """What a rack wants of a node; `cia301.node.Node` and `nmt_master.NmtMaster` have it."""
+    """What a rack requires of a node; `cia301.node.Node` and `nmt_master.NmtMaster` have it."""
 
     now_ns: int
     timers: Timers
@@ -26,18 +27,28 @@ class Member(Protocol):
     remote_handlers: dict[int, Handler]
     on_rewired: Callable[[], None]
 
-    def start(self, send: Callable[[Frame], Any], now_ns: int) -> None: ...  # power on
-    def power_off(self) -> None: ...
-    def poll(self, now_ns: int) -> None: ...  # it is `now_ns`
+    def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
+        """Power on."""
+
+    def power_off(self) -> None:
+        """Power off."""
+
+    def poll(self, now_ns: int) -> None:
+        """Do what is due at `now_ns`."""
 
 
 class Rack:
     """Nodes that share a port.
 
-    `off`: members without power; `muted`: members whose controller is off the bus; neither hear nor speak.
-    `gate(member, frame, carry)`, where there is one, decides whether a frame goes on now; it may call `carry` later.
-    `deferred(frame, then, origin)`, where there is one, puts a frame on a bus that takes time: members hear one
-    another when it calls `then`. `deaf`: members whose controller takes in nothing, though it sends.
+    Sets of members, by `id`:
+    - `off`: without power. They neither hear nor send.
+    - `muted`: their CAN controller is off the bus. They neither hear nor send, but run on.
+    - `deaf`: their CAN controller receives nothing, but sends.
+
+    Optional hooks:
+    - `gate(member, frame, carry)` returns whether a frame is carried now; it may call `carry` later.
+    - `deferred(frame, then, origin)` puts a frame on a bus that takes time. Members hear the frame
+      when it calls `then`.
     """
 
     def __init__(self) -> None:
@@ -48,7 +59,7 @@ class Rack:
         self.deferred: Callable[[Frame, Callable[[], None], int], Any] | None = None
         self.gate: Gate | None = None
         self._send: Callable[[Frame], Any] = lambda frame: None
-        # who listens to which identifier, and to which remote request (~identifier)
+        # the listeners of each identifier, and of each remote request (~identifier); empty: not built
         self._table: dict[int, list[tuple[Member, Handler]]] = {}
 
     def add(self, member: Member) -> None:
@@ -58,7 +69,7 @@ class Rack:
         self._forget()
 
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
-        """Power on all members, in the order of adding."""
+        """Power on all members, in the order in which they were added."""
         self._send = send
         for member in self.members:
             member.start(partial(self.transmit, member), now_ns)
@@ -74,43 +85,49 @@ class Rack:
             member.start(partial(self.transmit, member), now_ns)
 
     def mute(self, member: Member, on: bool) -> None:
-        """Take a member's controller off the bus, or put it back; the member runs on."""
-        (self.muted.add if on else self.muted.discard)(id(member))
-        self._forget()
+        """Take a member's CAN controller off the bus, or put it back; the member runs on."""
+        self._mark(self.muted, member, on)
 
     def deafen(self, member: Member, on: bool) -> None:
-        """Let a member's controller take in nothing, or everything again; it sends on."""
-        (self.deaf.add if on else self.deaf.discard)(id(member))
+        """Let a member's CAN controller receive nothing, or everything again; it sends in both cases."""
+        self._mark(self.deaf, member, on)
+
+    def _mark(self, marked: set[int], member: Member, on: bool) -> None:
+        if on:
+            marked.add(id(member))
+        else:
+            marked.discard(id(member))
         self._forget()
 
     def transmit(self, sender: Member, frame: Frame) -> None:
-        """A frame from a member."""
+        """Take a frame from a member."""
         if id(sender) in self.off or id(sender) in self.muted:
             return
-        if self.gate is None or self.gate(sender, frame, partial(self._carry, sender, frame)):
-            self._carry(sender, frame)
+        carry = partial(self._carry, sender, frame)
+        if self.gate is None or self.gate(sender, frame, carry):
+            carry()
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame from outside the rack."""
+        """Take a frame from outside the rack."""
         for _, handler in self._listeners(frame):
             handler(frame)
 
     def tell_time(self, now_ns: int) -> None:
-        """It is `now_ns`: members note it, and do nothing yet."""
+        """Let members know that it is `now_ns`; they do nothing yet."""
         for member in self.members:
             member.now_ns = max(member.now_ns, now_ns)
 
     def poll(self, now_ns: int) -> None:
-        """It is `now_ns`, for all members."""
+        """Let all members do what is due at `now_ns`."""
         for member in self._powered():
             member.poll(now_ns)
 
     def next_ns(self) -> int:
-        """When the first alarm of any member is due."""
+        """The time of the first alarm of any member."""
         return min((member.timers.next_ns for member in self._powered()), default=NEVER)
 
     def ring(self, now_ns: int) -> None:
-        """Let alarms go off that are due; all else waits for `poll`."""
+        """Let the alarms go off that are due; everything else waits for `poll`."""
         for member in self._powered():
             member.timers.poll(now_ns, member)
 
@@ -118,6 +135,7 @@ class Rack:
         return (member for member in self.members if id(member) not in self.off)
 
     def _carry(self, sender: Member, frame: Frame) -> None:
+        """Put a frame on the bus, and let the other members hear it."""
         if self.deferred is not None:
             self.deferred(frame, partial(self._hear, sender, frame), id(sender))
             return
@@ -130,16 +148,26 @@ class Rack:
                 handler(frame)
 
     def _listeners(self, frame: Frame) -> Iterable[tuple[Member, Handler]]:
-        at = frame.can_id | EXTENDED if frame.extended else frame.can_id
-        return (self._table or self._build()).get(~at if frame.remote else at, ())
+        identifier = frame.can_id
+        if frame.extended:
+            identifier |= EXTENDED
+        if frame.remote:
+            identifier = ~identifier
+        if not self._table:
+            self._build()
+        return self._table.get(identifier, ())
 
     def _forget(self) -> None:
+        """Forget the table: the next frame builds it again."""
         self._table = {}
 
-    def _build(self) -> dict[int, list[tuple[Member, Handler]]]:
+    def _build(self) -> None:
+        not_listening = self.off | self.muted | self.deaf
         for member in self.members:
-            if id(member) not in self.off | self.muted | self.deaf:
-                remote = {~at: handler for at, handler in member.remote_handlers.items()}
-                for at, handler in (member.handlers | remote).items():
-                    self._table.setdefault(at, []).append((member, handler))
-        return self._table
+            if id(member) in not_listening:
+                continue
+            handlers = dict(member.handlers)
+            for identifier, handler in member.remote_handlers.items():
+                handlers[~identifier] = handler
+            for identifier, handler in handlers.items():
+                self._table.setdefault(identifier, []).append((member, handler))

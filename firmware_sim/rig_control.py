@@ -1,24 +1,25 @@
-"""Rig control: what the bench asks of the roller motors, once a tick.
+"""Rig control: computes the torque demands of the roller motors, once a tick.
 
-Contaminated rollers with electric inertia simulation: the rollers weigh far less than the vehicle,
-so each motor makes its roller's surface keep the virtual vehicle's speed. The demand is a speed
-loop [R1] with the vehicle's own deceleration fed forward and the contact torque estimated by a
-disturbance observer from motor torque and roller speed alone [R2].
+Contaminated rollers with electric inertia simulation: the rollers weigh far less than the vehicle.
+Each motor therefore makes the surface of its roller keep the speed of the virtual vehicle. The demand
+comes from a speed loop with the deceleration of the vehicle as feed-forward [R1]. A disturbance
+observer estimates the contact torque from motor torque and roller speed alone [R2].
 
-Virtual track (Allotta, Conti, Meli, Ridolfi: Firenze-Osmannoro): the rollers are dry and hardly slide; a virtual
-vehicle on the degraded track runs beside, and each motor makes its real wheelset turn as the virtual one does [R3].
-Both wheelsets feel the same brake torque, so the roller must give the virtual contact force.
+Virtual track (Allotta, Conti, Meli, Ridolfi: Firenze-Osmannoro): the rollers are dry, and the wheels
+hardly slide on them. A virtual vehicle on the degraded track is simulated in parallel. Each motor
+makes its real wheelset turn as the virtual one does [R3]. Both wheelsets have the same brake torque,
+so the roller must apply the virtual contact force.
 
-In an emergency stop the drives stop the rollers, and the inertia of the vehicle is simulated no more:
-it is as fast as its rollers are on average, at most as fast as it was [R4].
+In an emergency stop the drives stop the rollers, and the inertia of the vehicle is no longer
+simulated. The vehicle then has the mean speed of its rollers, but never becomes faster [R4].
 
     [R1] u = J w_c (v / R - Omega) + J a / R + d
     [R2] dz/dt = w_o (u_motor - d), d = z - w_o J Omega, which follows R T with bandwidth w_o
     [R3] u = R T_v + J_R (r / R) domega_v/dt + w_c (J_R r / R + J R / r) (omega_v - omega)
     [R4] v = min(v, mean of R Omega), not below 0
 
-`state` and `drive` are those of rig.state and rig.params; v and a come from the virtual vehicle,
-whose contact forces are taken as measured without error (assumption: an ideal load cell).
+`state` and `drive` are those of rig.state and rig.params. The speed v and the acceleration a come from
+the virtual vehicle, whose contact forces are measured without error (assumption: an ideal load cell).
 """
 
 from rollerrig.rig.compiled.kernel import kernel
@@ -27,7 +28,8 @@ from rollerrig.rig.compiled.kernel import kernel
 @kernel
 def hold_surface_speed(state, drive, tick_s):
     """Write the motor torque demands in N m of all rollers for the coming tick."""
-    J, R = drive.roller_inertia_kgm2, drive.roller_radius_m
+    J = drive.roller_inertia_kgm2
+    R = drive.roller_radius_m
     for j in range(state.roller_speed.size):
         if state.standing[0] != 0.0:
             state.motor_torque_demand[j] = 0.0
@@ -51,8 +53,9 @@ def follow_virtual_wheels(state, virtual, drive, radius_m, inertia_kgm2):
         if virtual.standing[0] != 0.0:
             state.motor_torque_demand[j] = 0.0
             continue
-        r, J = radius_m[j], inertia_kgm2[j]
-        rolled = drive.roller_inertia_kgm2 * r / R
+        r = radius_m[j]
+        J = inertia_kgm2[j]
+        rolled = drive.roller_inertia_kgm2 * r / R  # J_R r / R of [R3]
         force_N = virtual.adhesion[j] * virtual.wheel_load[j]
         wheel_rate = (r * force_N - virtual.brake_torque[j]) / J
         error = virtual.wheel_speed[j] - state.wheel_speed[j]

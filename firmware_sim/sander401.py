@@ -1,7 +1,8 @@
-"""The sander I/O, node 18: sanders on and off, sand that flows and sand that is left, as a CiA 401 module.
+"""The sander I/O, node 18: a CiA 401 module that switches sanders and measures flow and remaining sand.
 
-The WSP unit, a driver's desk or a harness switches sanders by 6200h: RPDO1 (212h) or SDO. A sander whose partner is
-lost, and a node that is stopped or reset, strews no more. Source: CiA 401 (6200h outputs, 6401h analogue inputs).
+The WSP unit, a driver's desk or a harness switches the sanders with 6200h, by RPDO1 (212h) or SDO.
+The sanders stop when the partner is lost, and when the node is stopped or reset.
+Source: CiA 401 (6200h outputs, 6401h analogue inputs).
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +20,8 @@ from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import AXLES, SANDER_NODE, WSP_NODE
 
-DEVICE_TYPE, PRODUCT = 0x00060191, ("sander I/O", 0x402)
+DEVICE_TYPE = 0x00060191
+PRODUCT = "sander I/O", 0x402  # name, product code
 TITLES = {0x6401: "Read analogue input 16-bit"}
 RPDOS = (Pdo(AT_ONCE, ((0x6200, 1, 8),)),)
 TPDOS = tuple(
@@ -35,16 +37,21 @@ def build(
     storage: Path | None = None,
     parameters: Mapping[str, float] | None = None,
 ) -> Node:
-    """The node. `row`: live float64 array of all signals; `commands` (4,): 1 where an axle's sander shall strew."""
+    """Build the node.
+
+    `row`: live float64 array of all signals. `commands`: array of shape (4,), which the node writes
+    before it calls `on_command()`: 1 where the sander of an axle is on. `storage`: the file of 1010h.
+    """
     parameters = dict(parameters or {})
+    lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
     profile = Profile(
         DEVICE_TYPE,
         PRODUCT[0],
         RPDOS,
         TPDOS,
-        consumed=((WSP_NODE, int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))),),
+        consumed=((WSP_NODE, lost_after_ms),),
     )
-    own = [
+    device_rows = [
         *process_image.rows(SANDER_NODE, 0, {}, TITLES),
         *array(
             0x6200,
@@ -58,11 +65,14 @@ def build(
         ),
         Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
     ]
-    node = process_image.build(SANDER_NODE, profile, PRODUCT, own, row, parameters, storage=storage)
+    node = process_image.build(
+        SANDER_NODE, profile, PRODUCT, device_rows, row, parameters, storage=storage
+    )
     node.commands = frozenset({0x6200})
     node.event_enablers = {0x6401: key(0x6423, 0)}
 
-    def strew(bits: int) -> None:
+    def switch(bits: int) -> None:
+        """Switch the sanders: bit 2j is the sander of axle j+1."""
         commands[:] = [bits >> 2 * axle & 1 for axle in range(AXLES)]
         on_command()
 
@@ -70,14 +80,18 @@ def build(
         if node.objects.values[key(0x6200, 1)]:
             node.event(Code.SANDERS_STOPPED, reason=why)
         node.objects.values[key(0x6200, 1)] = 0
-        strew(0)
+        switch(0)
 
-    node.objects.own(0x6200, 1, effect=strew)
-    node.on_partner.append(
-        lambda partner, alive: None if alive else stop(f"node {partner} is lost")
-    )
-    node.on_state.append(
-        lambda old, new: stop("NMT") if new in (State.STOPPED, State.INITIALISING) else None
-    )
-    node.on_power_off.append(lambda: strew(0))
+    def on_partner(partner: int, alive: bool) -> None:
+        if not alive:
+            stop(f"node {partner} is lost")
+
+    def on_state(old: State, new: State) -> None:
+        if new in (State.STOPPED, State.INITIALISING):
+            stop("NMT")
+
+    node.objects.own(0x6200, 1, effect=switch)
+    node.on_partner.append(on_partner)
+    node.on_state.append(on_state)
+    node.on_power_off.append(lambda: switch(0))
     return node
