@@ -1,9 +1,10 @@
-"""Heartbeats: a node's own, those of its partners, and node guarding for masters that still poll.
+"""Heartbeats of the node and of its partners, and node guarding for masters that still poll.
 
-A partner is watched from its first heartbeat on; when it is silent for longer than 1016h allows,
-the node reports 8130h, tells its application and does what 1029h says. Guarding answers a remote
-request with the state and a toggle bit, and notices when the requests stop. Source: CiA 301, error
-control protocols; boot-up counts as a sign of life only of a partner that is being watched.
+The node watches a partner from its first heartbeat on. If the partner is silent for longer than 1016h
+allows, the node reports 8130h, informs its application and changes its state as 1029h defines.
+Guarding answers a remote request with the state and a toggle bit, and notices when the requests stop.
+Source: CiA 301, error control protocols. A boot-up message counts as a sign of life only if the
+partner is already watched.
 """
 
 from rollerrig.firmware_sim.cia301.emergency import HEARTBEAT_LOST
@@ -14,8 +15,8 @@ from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
-# entries of 1016h; the master that guards counts as partner 0
-CONSUMERS, GUARD = 4, 0
+CONSUMERS = 4  # entries of 1016h
+GUARD = 0  # the guarding master counts as partner 0
 
 
 class Producer:
@@ -26,7 +27,7 @@ class Producer:
         node.objects.own(0x1017, effect=lambda _: self.configure())
 
     def configure(self) -> None:
-        """Take 1017h over; the next heartbeat comes one period from now."""
+        """Apply 1017h; the next heartbeat comes one period from now."""
         self.node.timers.cancel("heartbeat")
         period = self.node.objects.values[key(0x1017, 0)] * MS
         if period:
@@ -38,13 +39,15 @@ class Producer:
 
 
 class Consumer:
-    """Watches the partners of 1016h, and a master that guards.
+    """Watches the partners of 1016h, and a guarding master.
 
-    `watched`: time in ns by node; `lost`: those now silent; `toggle`: bit 7 of the next answer to a guard.
+    `watched`: allowed silence in ns, by node. `lost`: the partners that are silent now. `toggle`: bit 7
+    of the next answer to the guarding master.
     """
 
     def __init__(self, node: Host) -> None:
-        self.node, self.toggle = node, 0
+        self.node = node
+        self.toggle = 0
         self.watched: dict[int, int] = {}
         self.lost: set[int] = set()
         for sub in range(1, CONSUMERS + 1):
@@ -56,24 +59,26 @@ class Consumer:
             )
 
     def configure(self) -> None:
-        """Take 1016h over; what has not changed goes on."""
-        wanted = {
-            entry >> 16 & 0x7F: (entry & 0xFFFF) * MS
-            for entry in self._entries()
-            if entry & 0xFFFF and entry >> 16 & 0x7F
-        }
-        for partner in self.watched.keys() - wanted.keys():
+        """Apply 1016h; the supervision of entries that have not changed continues."""
+        watched = {}
+        for entry in self._entries():
+            partner, time_ms = _partner_and_time(entry)
+            if partner and time_ms:
+                watched[partner] = time_ms * MS
+        for partner in self.watched.keys() - watched.keys():
             self.node.timers.cancel(f"partner {partner}")
             self.lost.discard(partner)
             self.node.emergency.clear(HEARTBEAT_LOST, partner)
-        self.watched = wanted
+        self.watched = watched
 
     def forget(self) -> None:
-        """After a reset nobody is watched until the first heartbeat or request."""
-        self.watched, self.lost, self.toggle = {}, set(), 0
+        """Watch nobody until the first heartbeat or request, after a reset."""
+        self.watched = {}
+        self.lost = set()
+        self.toggle = 0
 
     def on_frame(self, frame: Frame) -> None:
-        """A heartbeat of a partner."""
+        """Take a heartbeat of a partner."""
         partner = frame.can_id - HEARTBEAT
         if len(frame.data) != 1 or partner not in self.watched:
             return
@@ -82,17 +87,20 @@ class Consumer:
             self._hear(partner, self.watched[partner])
 
     def on_request(self, _: Frame) -> None:
-        """A remote request for the node's heartbeat."""
-        node, values = self.node, self.node.objects.values
-        # silent while the node produces heartbeats, as the standard wants
+        """Answer a remote request for the node's state."""
+        node = self.node
+        values = node.objects.values
+        # no answer while the node produces heartbeats, as the standard requires
         if values[key(0x1017, 0)]:
             return
         node.transmit(HEARTBEAT + node.node_id, bytes([self.toggle | node.state]))
         self.toggle ^= 0x80
-        self._hear(GUARD, values[key(0x100C, 0)] * values[key(0x100D, 0)] * MS)
+        guard_time_ms = values[key(0x100C, 0)]
+        life_time_factor = values[key(0x100D, 0)]
+        self._hear(GUARD, guard_time_ms * life_time_factor * MS)
 
     def _hear(self, partner: int, patience_ns: int) -> None:
-        """A sign of life; `patience_ns` 0: the next one is not waited for."""
+        """Take a sign of life. `patience_ns`: allowed time to the next one, 0 for any time."""
         node = self.node
         if patience_ns:
             node.timers.set(
@@ -119,18 +127,23 @@ class Consumer:
         node.communication_error()
 
     def _entries(self, but: int = 0) -> list[int]:
+        """The entries of 1016h, without the one of a sub-index."""
         values = self.node.objects.values
         return [values[key(0x1016, sub)] for sub in range(1, CONSUMERS + 1) if sub != but]
 
-    def _check(self, value: int, sub: int) -> None:
-        partner, time = value >> 16 & 0xFF, value & 0xFFFF
-        if value >> 24 or partner > 127:
+    def _check(self, entry: int, sub: int) -> None:
+        """Raise AbortError unless an entry may be written to a sub-index of 1016h."""
+        if entry >> 24 or entry >> 16 & 0xFF > 127:
             raise AbortError(Abort.INVALID_VALUE)
-        if (
-            time
-            and partner
-            and any(
-                other & 0xFFFF and other >> 16 & 0x7F == partner for other in self._entries(sub)
-            )
-        ):
-            raise AbortError(Abort.INCOMPATIBLE)
+        partner, time_ms = _partner_and_time(entry)
+        if not (partner and time_ms):
+            return
+        for other in self._entries(but=sub):
+            other_partner, other_time_ms = _partner_and_time(other)
+            if other_time_ms and other_partner == partner:
+                raise AbortError(Abort.INCOMPATIBLE)
+
+
+def _partner_and_time(entry: int) -> tuple[int, int]:
+    """Node number and time in ms of an entry of 1016h."""
+    return entry >> 16 & 0x7F, entry & 0xFFFF

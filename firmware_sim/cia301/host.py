@@ -1,7 +1,7 @@
-"""A node as its services know it: state, time, objects, alarms, and the way to the bus and to the events.
+"""A node as its services see it: state, time, objects, alarms, and the way to the bus and the events.
 
-The services (emergencies, heartbeats, SYNC, PDOs, LSS, storage) know their node as a `Host`; only `node` knows them
-all. Whoever runs a node says what time it is, in simulated or in wall nanoseconds.
+The services (emergencies, heartbeats, SYNC, PDOs, LSS, storage) see their node as a `Host`. Only `node`
+knows all services. The owner of a node passes the time to it, in simulated or in wall nanoseconds.
 """
 
 from collections.abc import Callable
@@ -16,17 +16,18 @@ from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code, OnEvent
 
-NEVER = 1 << 62
-MS = 1_000_000
-S = 1_000_000_000
-# an alarm that is called late is told its own time, so that what repeats does not drift, but none before this
+NEVER = 1 << 62  # a time in ns
+MS = 1_000_000  # ns
+S = 1_000_000_000  # ns
+# A late alarm sees the time for which it was set, so that repeated alarms do not drift. If it is later
+# than this, it sees a time that much before the present one.
 _CATCH_UP_NS = 5 * MS
 
 
 class Timers:
-    """A few named alarms on a time that somebody else tells; setting a name again moves its alarm.
+    """A few named alarms. The caller of `poll` passes the time. Setting a name again moves its alarm.
 
-    Nothing is done before `next_ns`, so an idle poll costs one comparison.
+    No alarm is due before `next_ns`, so an idle poll costs one comparison.
     """
 
     def __init__(self) -> None:
@@ -52,33 +53,51 @@ class Timers:
         return name in self._due
 
     def poll(self, now_ns: int, owner: Any) -> None:
-        """Call every alarm that is due, the earliest first, with its time in `owner.now_ns`; then that is `now_ns`."""
+        """Call every alarm that is due, the earliest first.
+
+        `owner.now_ns` is the time of the alarm during its call, and `now_ns` afterwards.
+        """
         while self.next_ns <= now_ns:
-            at, name = min(((at, name) for name, (at, _) in self._due.items()), default=(NEVER, ""))
-            self.next_ns = at
-            if at <= now_ns:
-                owner.now_ns = max(at, now_ns - _CATCH_UP_NS)
-                self._due.pop(name)[1]()
+            due_ns, name = self._earliest()
+            self.next_ns = due_ns
+            if due_ns <= now_ns:
+                owner.now_ns = max(due_ns, now_ns - _CATCH_UP_NS)
+                _, call = self._due.pop(name)
+                call()
         owner.now_ns = now_ns
+
+    def _earliest(self) -> tuple[int, str]:
+        """Time and name of the earliest alarm; of alarms at the same time the first by name."""
+        times = [(due_ns, name) for name, (due_ns, _) in self._due.items()]
+        return min(times, default=(NEVER, ""))
 
 
 class Host:
-    """The part of a node that its services share: `dictionary` is what its EDS file says, `emergency` its errors.
+    """The part of a node that its services share.
 
-    `on_sync()` is called before PDOs are sampled, `on_partner(node, alive)` for heartbeats (node 0: the guarding
-    master), `on_event(code, **fields)` for the run's events. `event_enablers`: which object lets changes of another go
-    out. `commands`: objects that may be mapped and are asked for from cycle to cycle, so that they are never stored.
+    `dictionary` is the object dictionary (the content of the EDS file), `emergency` the EMCY producer.
+
+    Calls:
+    - `on_sync()`: before PDOs are sampled.
+    - `on_partner(node, alive)`: a partner's heartbeat is lost or back (node 0: the guarding master).
+    - `on_event(code, **fields)`: an event of the run.
+
+    `event_enablers`: by the index of an object, the key of the object that enables its event-driven
+    PDO. `commands`: objects that a master writes in each cycle, so that they are never stored.
     """
 
     emergency: Any
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         assert dictionary.node_id is not None
-        self.dictionary, self.node_id = dictionary, int(dictionary.node_id)
-        self.state, self.now_ns = State.INITIALISING, 0
-        # what the sender of a frame looks at that must not follow too soon: an alarm's own time may be a little past
+        self.dictionary = dictionary
+        self.node_id = int(dictionary.node_id)
+        self.state = State.INITIALISING
+        self.now_ns = 0
+        # the clock for inhibit times: `now_ns` may be a little past while an alarm is called
         self.clock_ns: Callable[[], int] = lambda: self.now_ns
-        self.objects, self.timers = Objects(dictionary, self.node_id), Timers()
+        self.objects = Objects(dictionary, self.node_id)
+        self.timers = Timers()
         self.send: Callable[[Frame], Any] = lambda frame: None
         self.on_event: OnEvent = events.ignore
         self.on_sync: list[Callable[[], None]] = []
@@ -96,15 +115,18 @@ class Host:
         self.on_event(code, node=self.node_id, **fields)
 
     def tell_partner(self, partner: int, alive: bool) -> None:
-        """Tell the application that a partner's heartbeat is lost or back."""
+        """Inform the application that a partner's heartbeat is lost or back."""
         for call in self.on_partner:
             call(partner, alive)
 
     def communication_error(self) -> None:
-        """Do what 1029h:1 says about the NMT state after a communication error."""
+        """Change the NMT state after a communication error as 1029h:1 defines."""
 
     def reset_node(self, everything: bool = True) -> None:
-        """The application's and the communication's power-on values, or the latter alone, and boot-up."""
+        """Restore the power-on values and boot up.
+
+        `everything` False: only the values of the communication (1000h to 1FFFh).
+        """
 
     def rewire(self) -> None:
-        """Decide anew which identifiers the node listens to, and what a SYNC sets off."""
+        """Update the identifiers to which the node listens, and the actions of a SYNC."""

@@ -1,4 +1,4 @@
-"""The states of network management, what may be sent in each, and the commands between them.
+"""The states of network management, the services in each state, and the commands between them.
 
 Source: CiA 301, NMT state machine and its table of states and communication objects.
 """
@@ -16,7 +16,7 @@ class State(IntEnum):
 
     @property
     def has_emergencies(self) -> bool:
-        """Whether SDO, SYNC, TIME and EMCY are alive."""
+        """Whether the services SDO, SYNC, TIME and EMCY are active."""
         return self in (State.OPERATIONAL, State.PRE_OPERATIONAL)
 
     @property
@@ -35,6 +35,7 @@ class Command(IntEnum):
     RESET_COMMUNICATION = 130
 
 
+# the state that a command leads to
 COMMANDED = {
     Command.START: State.OPERATIONAL,
     Command.STOP: State.STOPPED,

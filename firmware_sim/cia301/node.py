@@ -1,8 +1,8 @@
 """A CANopen slave: NMT state machine, and the services of CiA 301 around one object dictionary.
 
-Whoever runs the node hands it frames and the time; it answers through the `send` it was started
-with, at once and without blocking. A frame that means nothing to it in its present state costs one
-look into a table. Source: CiA 301, NMT slave, boot-up and error control.
+The owner of the node passes frames and the time to it. The node answers immediately through the
+`send` with which it was started, and never blocks. A frame that does not concern the node in its
+present state costs one look into a table. Source: CiA 301, NMT slave, boot-up and error control.
 """
 
 from collections.abc import Callable
@@ -29,18 +29,22 @@ from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
 SDO_TIME_OUT_MS = 1000
-# what 1029h asks for; any other value: stay
+# the state that a communication error leads to, by the value of 1029h; other values keep the state
 _ON_ERROR = {0: State.PRE_OPERATIONAL, 2: State.STOPPED}
 Handler = Callable[[Frame], None]
 
 
 class Node(Host):
-    """One slave.
+    """One slave. `device` is the object of its device profile.
 
-    Hooks for the device profile besides those of `Host`, lists of calls: `on_state(old, new)`, `on_reset()` before
-    values go back to their power-on state, `on_power_off()`, `on_poll(now_ns)`. `device` is the profile's own object.
-    `handlers` and `remote_handlers` say what is called for which identifier; `on_rewired()` tells that they are new.
-    `time_of_day`: days since 1 January 1984 and milliseconds, as TIME told them.
+    Hooks for the device profile besides those of `Host` (lists of calls):
+    - `on_state(old, new)`: the NMT state has changed.
+    - `on_reset()`: before values return to their power-on state.
+    - `on_power_off()`.
+    - `on_poll(now_ns)`.
+
+    `handlers` and `remote_handlers` map identifiers to calls. `on_rewired()` is called when they have
+    changed. `time_of_day` is the last TIME message: days since 1 January 1984, and milliseconds.
     """
 
     def __init__(self, dictionary: ObjectDictionary, storage: Path | None = None) -> None:
@@ -53,7 +57,9 @@ class Node(Host):
         self.on_poll: list[Callable[[int], None]] = []
         self.on_rewired: Callable[[], None] = lambda: None
         self.emergency = Emergency(self)
-        self.producer, self.consumer, self.sync = Producer(self), Consumer(self), SyncConsumer(self)
+        self.producer = Producer(self)
+        self.consumer = Consumer(self)
+        self.sync = SyncConsumer(self)
         self.tpdos = [Tpdo(self, 0x1800, number) for number in range(PDOS)]
         self.rpdos = [
             Rpdo(self, 0x1400, number, self.sync.window_is_over) for number in range(PDOS)
@@ -63,7 +69,7 @@ class Node(Host):
         self._servers = [
             SdoServer(self.objects, partial(self._reply, server)) for server in range(SDO_SERVERS)
         ]
-        self._watched: list[Tpdo] = []
+        self._watched: list[Tpdo] = []  # event-driven TPDOs, which each poll checks for changes
         self.handlers: dict[int, Handler] = {}
         self.remote_handlers: dict[int, Handler] = {}
         self.objects.own(0x1012, check=check_consumed, effect=lambda _: self.rewire())
@@ -75,29 +81,33 @@ class Node(Host):
 
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
         """Power on: power-on values, boot-up message, PRE-OPERATIONAL."""
-        self.send, self.now_ns = send, now_ns
+        self.send = send
+        self.now_ns = now_ns
         self.lss.power_on()
         self.reset_node()
 
     def power_off(self) -> None:
-        """Power is gone: the node is silent and deaf until the next `start`."""
+        """Switch the power off: the node sends and receives nothing until the next `start`."""
         self.send = lambda frame: None
         self.state = State.INITIALISING
         self.timers.clear()
-        self.handlers, self.remote_handlers, self._watched = {}, {}, []
+        self.handlers = {}
+        self.remote_handlers = {}
+        self._watched = []
         self.on_rewired()
         for call in self.on_power_off:
             call()
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame from the bus. Never raises, whatever it contains."""
+        """Take a frame from the bus. Never raises, whatever the frame contains."""
         at = communication.dispatch_key(frame.can_id, frame.extended)
-        handler = (self.remote_handlers if frame.remote else self.handlers).get(at)
+        handlers = self.remote_handlers if frame.remote else self.handlers
+        handler = handlers.get(at)
         if handler is not None:
             handler(frame)
 
     def poll(self, now_ns: int) -> None:
-        """It is `now_ns`: do what is due. Call it every millisecond, or every bus cycle."""
+        """Do what is due at `now_ns`. Call it every millisecond, or every bus cycle."""
         self.timers.poll(now_ns, self)
         for call in self.on_poll:
             call(now_ns)
@@ -105,20 +115,24 @@ class Node(Host):
             tpdo.watch(now_ns)
 
     def communication_error(self) -> None:
-        wanted = _ON_ERROR.get(self.objects.values[key(0x1029, 1)])
-        if wanted is State.STOPPED or (wanted and self.state is State.OPERATIONAL):
-            self._enter(wanted)
+        state = _ON_ERROR.get(self.objects.values[key(0x1029, 1)])
+        if state is State.STOPPED or (
+            state is State.PRE_OPERATIONAL and self.state is State.OPERATIONAL
+        ):
+            self._enter(state)
 
     def reset_node(self, everything: bool = True) -> None:
-        old, self.state = self.state, State.INITIALISING
-        self._tell_state(old)
-        for call in self.on_reset if everything else ():
-            call()
+        old = self.state
+        self.state = State.INITIALISING
+        self._report_state(old)
+        if everything:
+            for call in self.on_reset:
+                call()
         self.timers.clear()
-        self.node_id = self.objects.node_id = self.lss.pending
-        self.objects.power_on(
-            *((0, 0xFFFF) if everything else (0x1000, 0x1FFF)), self.storage.load()
-        )
+        self.node_id = self.lss.pending
+        self.objects.node_id = self.node_id
+        first, last = (0, 0xFFFF) if everything else (0x1000, 0x1FFF)
+        self.objects.power_on(first, last, self.storage.load())
         self.consumer.forget()
         self.sync.forget()
         self.emergency.forget(everything)
@@ -133,15 +147,16 @@ class Node(Host):
     def _enter(self, state: State, boot_up: bytes = b"") -> None:
         if state is self.state:
             return
-        old, self.state = self.state, state
+        old = self.state
+        self.state = state
         self.rebuild()
-        self._tell_state(old)
+        self._report_state(old)
         if boot_up:
-            # last, and after all is in place: a master may answer before this call returns
+            # when everything is in place: a master may answer before this call returns
             self.transmit(HEARTBEAT + self.node_id, boot_up)
         self.emergency.flush()
 
-    def _tell_state(self, old: State) -> None:
+    def _report_state(self, old: State) -> None:
         if old is not self.state:
             self.event(Code.NMT_STATE, state=self.state.title)
         for call in self.on_state:
@@ -162,7 +177,8 @@ class Node(Host):
             self.time_of_day = int.from_bytes(frame.data[4:], "little"), milliseconds
 
     def _on_sdo(self, server: int, frame: Frame) -> None:
-        transfer, alarm = self._servers[server], f"sdo {server}"
+        transfer = self._servers[server]
+        alarm = f"sdo {server}"
         transfer.on_request(frame.data)
         if transfer.active is not None:
             self.timers.set(alarm, self.now_ns + SDO_TIME_OUT_MS * MS, transfer.time_out)
@@ -173,7 +189,7 @@ class Node(Host):
         self.transmit(self.objects.values[key(0x1200 + server, 2)], data)
 
     def rebuild(self) -> None:
-        """Take every communication parameter over, for the present NMT state."""
+        """Apply every communication parameter, for the present NMT state."""
         for pdo in (*self.rpdos, *self.tpdos):
             pdo.configure(self.state is State.OPERATIONAL)
         self.rewire()
@@ -184,8 +200,9 @@ class Node(Host):
             [tpdo.on_sync for tpdo in self.tpdos if tpdo.live and tpdo.on_sync],
         )
         self.consumer.configure()
-        self._watched = [one for one in self.tpdos if one.live and one.kind >= EVENT]
-        self.handlers, self.remote_handlers = {LSS_REQUEST: self.lss.on_frame}, {}
+        self._watched = [tpdo for tpdo in self.tpdos if tpdo.live and tpdo.kind >= EVENT]
+        self.handlers = {LSS_REQUEST: self.lss.on_frame}
+        self.remote_handlers = {}
         self.on_rewired()
         if self.node_id == UNCONFIGURED:
             return
@@ -195,21 +212,22 @@ class Node(Host):
             self._listen(HEARTBEAT + partner, self.consumer.on_frame)
         if self.state.has_emergencies:
             self._listen_to_services()
-        # no PDO lives in another state than OPERATIONAL
+        # PDOs are live only in OPERATIONAL
         for rpdo in self.rpdos:
             if rpdo.live:
                 self._listen(self.objects.values[key(rpdo.index, 1)], rpdo.on_frame)
         for tpdo in self.tpdos:
             cob_id = self.objects.values[key(tpdo.index, 1)]
-            if tpdo.live and not cob_id & communication.FLAG:
-                self.remote_handlers[communication.dispatch_key(*communication.split(cob_id))] = (
-                    tpdo.on_remote
-                )
+            remote_allowed = not cob_id & communication.FLAG
+            if tpdo.live and remote_allowed:
+                at = communication.dispatch_key(*communication.split(cob_id))
+                self.remote_handlers[at] = tpdo.on_remote
 
     def _listen_to_services(self) -> None:
         values = self.objects.values
         for server in range(SDO_SERVERS):
-            request, reply = values[key(0x1200 + server, 1)], values[key(0x1200 + server, 2)]
+            request = values[key(0x1200 + server, 1)]
+            reply = values[key(0x1200 + server, 2)]
             if communication.valid(request) and communication.valid(reply):
                 self._listen(request, partial(self._on_sdo, server))
         self._listen(values[key(0x1005, 0)], self.sync.on_frame)
@@ -218,6 +236,7 @@ class Node(Host):
             self._listen(values[key(0x1012, 0)], self._on_time)
 
     def _listen(self, cob_id: int, handler: Handler) -> None:
+        """Call a handler for an identifier, after those that are there already."""
         at = communication.dispatch_key(*communication.split(cob_id))
         first = self.handlers.get(at)
         if first is None:

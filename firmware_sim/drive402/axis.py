@@ -1,8 +1,8 @@
-"""The motor of a drive as the drive sees it: speed and torque of now, set-points, demands, heat.
+"""The motor as its drive sees it: present speed and torque, set-points, demands, heat.
 
-Speeds and torques stand in counts of the bus (0.0001 rad/s, per mille of the rated torque) until
-they go to the control loops of the tick, in SI units, through the array of commands. Source: CiA
-402-2 / IEC 61800-7-201, bits 10 to 13 of the statusword by mode of operation.
+Speeds and torques are in counts of the bus (0.0001 rad/s, thousandths of the rated torque). They go
+to the control loops of the tick in SI units, through the array of commands.
+Source: CiA 402-2 / IEC 61800-7-201, bits 10 to 13 of the statusword by mode of operation.
 """
 
 import math
@@ -15,14 +15,22 @@ from rollerrig.firmware_sim.drive402 import demand, states
 from rollerrig.firmware_sim.drive402 import objects as table
 from rollerrig.wsp_interface import signals
 
-# the array of commands of one drive; LOOP: what of it the control loop should follow
-ENABLED, LOOP, TORQUE_Nm, VELOCITY_rad_s, TORQUE_LIMIT_Nm, COMMANDS = range(6)
-# LOOP_STOP: a velocity loop as well, and the simulated vehicle stops with its rollers
-LOOP_RIG, LOOP_TORQUE, LOOP_VELOCITY, LOOP_STOP = 0, 1, 2, 3
+# the array of commands of one drive
+ENABLED = 0
+LOOP = 1  # which control loop is active, one of those below
+TORQUE_Nm = 2
+VELOCITY_rad_s = 3
+TORQUE_LIMIT_Nm = 4
+COMMANDS = 5  # length of the array
+
+LOOP_RIG = 0
+LOOP_TORQUE = 1
+LOOP_VELOCITY = 2
+LOOP_STOP = 3  # a velocity loop; the simulated vehicle stops with its rollers
 
 
 class Axis:
-    """One motor. `commands`: float64 array of shape (COMMANDS,), written before `on_command()`."""
+    """One motor. `commands`: float64 array of shape (COMMANDS,), written before each `on_command()`."""
 
     def __init__(
         self,
@@ -33,16 +41,19 @@ class Axis:
         commands: np.ndarray,
         on_command: Callable[[], None],
     ) -> None:
-        self.objects, self.row, self.commands, self.on_command = objects, row, commands, on_command
+        self.objects = objects
+        self.row = row
+        self.commands = commands
+        self.on_command = on_command
         self.demand = demand.Demand()
         self.heat = demand.Heat(parameters.get("thermal_time_constant_s", 0.0))
-        self.dc_link_V, self.lowest_V = parameters["dc_link_V"], parameters["dc_link_min_V"]
+        self.dc_link_V = parameters["dc_link_V"]
+        self.lowest_V = parameters["dc_link_min_V"]
         self._rated_Nm = parameters["rated_torque_Nm"]
-        self._torque, self._speed = (
-            signals.column("motor_torque", axle),
-            signals.column("roller_speed", axle),
-        )
-        self._reached, self._at_rest = demand.Since(), demand.Since()
+        self._torque_column = signals.column("motor_torque", axle)
+        self._speed_column = signals.column("roller_speed", axle)
+        self._target_reached = demand.Since()
+        self._at_rest = demand.Since()
         objects.own(0x606B, read=lambda: integer(self.demand.velocity, "I32"))
         objects.own(0x6074, read=lambda: integer(self.demand.torque, "I16"))
         # a motor with a constant torque per ampere: current in per mille of the rated one
@@ -56,33 +67,37 @@ class Axis:
 
     def actual(self) -> tuple[float, float]:
         """Speed and torque of the motor, in counts of the bus (not rounded)."""
-        speed, torque = self.row.item(self._speed), self.row.item(self._torque)
-        counts = speed / table.SPEED.scale, torque / (table.TORQUE.scale * self._rated_Nm)
-        return counts if math.isfinite(sum(counts)) else (0.0, 0.0)
+        speed = self.row.item(self._speed_column) / table.SPEED.scale
+        torque = self.row.item(self._torque_column) / (table.TORQUE.scale * self._rated_Nm)
+        if not math.isfinite(speed + torque):
+            return 0.0, 0.0
+        return speed, torque
 
     def rests(self) -> bool:
         """Whether the motor is slower than the threshold 606Fh."""
-        return bool(abs(self.actual()[0]) <= self.objects.values[key(0x606F, 0)])
+        speed, _ = self.actual()
+        return bool(abs(speed) <= self.objects.values[key(0x606F, 0)])
 
     def take_over(self) -> None:
-        """The demands begin at what the motor does now."""
+        """Let the demands begin at the present speed and torque of the motor."""
         self.demand.take_over(*self.actual())
 
     def deceleration(self, option: int) -> float:
-        """The deceleration that an option code means: 1 the slow-down ramp, else quick stop."""
-        return float(self.objects.values[key(0x6084 if option == 1 else 0x6085, 0)])
+        """The deceleration for an option code: 1 is the slow-down ramp, others the quick stop."""
+        index = 0x6084 if option == 1 else 0x6085
+        return float(self.objects.values[key(index, 0)])
 
     def warm(self, dt_s: float) -> None:
-        """Move the thermal load on by `dt_s`."""
-        self.heat.step(self.row.item(self._torque) / self._rated_Nm, dt_s)
+        """Advance the thermal load by `dt_s`."""
+        self.heat.step(self.row.item(self._torque_column) / self._rated_Nm, dt_s)
 
-    def set_points(self, mode: int, halt: bool) -> demand.Set:
-        """Set-points and limits as the objects have them now."""
+    def set_points(self, mode: int, halt: bool) -> demand.SetPoints:
+        """The present set-points and limits of the objects."""
         values = self.objects.values
         fastest = values[key(0x6080, 0)] / table.RPM_PER_RAD_S / table.SPEED.scale
         if mode == demand.PROFILE_VELOCITY:
             fastest = min(fastest, values[key(0x6081, 0)])
-        return demand.Set(
+        return demand.SetPoints(
             mode=mode,
             target_velocity=values[key(0x60FF, 0)] + values[key(0x60B1, 0)],
             target_torque=values[key(0x6071, 0)] + values[key(0x60B2, 0)],
@@ -95,49 +110,67 @@ class Axis:
 
     def mode_bits(self, mode: int, halt: bool, now_ns: int) -> int:
         """Bits 10, 12 and 13 of the statusword of an enabled drive."""
-        speed, given = self.actual()[0], self.set_points(mode, halt)
-        slow = self._holds(self._at_rest, abs(speed), 0x606F, 0x6070, now_ns)
+        speed, _ = self.actual()
+        given = self.set_points(mode, halt)
+        # evaluated in every mode, because it measures a time
+        at_rest = self._within(self._at_rest, abs(speed), 0x606F, 0x6070, now_ns)
+        bits = 0
         if mode == demand.PROFILE_VELOCITY:
-            away = abs(speed - (0.0 if halt else given.target_velocity))
-            there = self._holds(self._reached, away, 0x606D, 0x606E, now_ns)
-            slips = 0 < self.objects.values[key(0x60F8, 0)] < abs(self.demand.velocity - speed)
-            return (
-                there * states.TARGET_REACHED | slow * states.SPEED_ZERO | slips * states.SLIPPAGE
-            )
-        if mode == demand.PROFILE_TORQUE:
-            return (
-                self.demand.torque == (0.0 if halt else given.target_torque)
-            ) * states.TARGET_REACHED
-        follows = not halt and self.demand.stopping is None
-        return follows * states.FOLLOWS | (halt and slow) * states.TARGET_REACHED
+            target = 0.0 if halt else given.target_velocity
+            deviation = abs(speed - target)
+            if self._within(self._target_reached, deviation, 0x606D, 0x606E, now_ns):
+                bits |= states.TARGET_REACHED
+            if at_rest:
+                bits |= states.SPEED_ZERO
+            max_slippage = self.objects.values[key(0x60F8, 0)]  # 0: not supervised
+            if 0 < max_slippage < abs(self.demand.velocity - speed):
+                bits |= states.SLIPPAGE
+        elif mode == demand.PROFILE_TORQUE:
+            target = 0.0 if halt else given.target_torque
+            if self.demand.torque == target:
+                bits |= states.TARGET_REACHED
+        else:
+            if not halt and self.demand.stopping is None:
+                bits |= states.FOLLOWS
+            if halt and at_rest:
+                bits |= states.TARGET_REACHED
+        return bits
 
-    def _holds(self, since: demand.Since, size: float, bound: int, time: int, now_ns: int) -> bool:
-        """Whether a size has kept within the bound of one object for the time of another."""
+    def _within(
+        self, since: demand.Since, size: float, bound_index: int, time_index: int, now_ns: int
+    ) -> bool:
+        """Whether a size has been within the bound of one object for the time of another."""
         values = self.objects.values
-        return since.holds(size <= values[key(bound, 0)], values[key(time, 0)], now_ns)
+        return since.holds(size <= values[key(bound_index, 0)], values[key(time_index, 0)], now_ns)
 
     def publish(self, enabled: bool, local: bool, mode: int, stopped: bool = False) -> None:
-        """The commands follow the state and the demands; told only when they change."""
-        values, per_mille_Nm = self.objects.values, table.TORQUE.scale * self._rated_Nm
+        """Write the commands for the control loops, and call `on_command` if they have changed."""
+        values = self.objects.values
+        per_mille_Nm = table.TORQUE.scale * self._rated_Nm
         velocity = mode in demand.VELOCITY_MODES or self.demand.stopping is not None
-        loop = LOOP_RIG if local else LOOP_VELOCITY if velocity else LOOP_TORQUE
         if stopped:
             loop = LOOP_STOP
-        # in a speed loop the torque is what is fed forward
+        elif local:
+            loop = LOOP_RIG
+        elif velocity:
+            loop = LOOP_VELOCITY
+        else:
+            loop = LOOP_TORQUE
+        # in a velocity loop the torque is fed forward
         torque = values[key(0x60B2, 0)] if velocity else self.demand.torque
-        wanted = (
+        commands = (
             float(enabled),
             float(loop),
             torque * per_mille_Nm,
             self.demand.velocity * table.SPEED.scale,
             values[key(0x6072, 0)] * per_mille_Nm,
         )
-        if tuple(self.commands) != wanted:
-            self.commands[:] = wanted
+        if tuple(self.commands) != commands:
+            self.commands[:] = commands
             self.on_command()
 
 
 def integer(value: float, kind: str) -> int:
-    """A number as an integer within the bounds of a type of the bus."""
+    """A number rounded, within the bounds of a type of the bus."""
     low, high = signals.KINDS[kind]
     return min(max(round(value), low), high)

@@ -1,10 +1,13 @@
 """A roller drive, nodes 1 to 4: the CiA 402 state machine around the motor of one roller.
 
-Either the bench's own rig control moves the motor: then the drive is walked to OPERATION ENABLED
-from inside, tells so with bit 9 (remote) cleared, and does not obey controlwords. Or a master on
-the bus does: then states, option codes, ramps and modes are the standard's, and the demands stand
-in the array of commands for the control loops of the tick. Whoever has it, an emergency stop makes a
-quick stop of it, and bars it from being enabled until it is taken back. Source: CiA 402-2 / IEC 61800-7-201.
+The motor has one of two sources of control:
+- The rig control of the bench. The drive then enters OPERATION ENABLED from inside, clears bit 9
+  (remote) of the statusword, and does not obey controlwords.
+- A master on the bus. States, option codes, ramps and modes then follow the standard, and the demands
+  go through the array of commands to the control loops of the tick.
+
+With both sources an emergency stop causes a quick stop. The drive cannot be enabled until the
+emergency stop is reset. Source: CiA 402-2 / IEC 61800-7-201.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,13 +28,20 @@ from rollerrig.firmware_sim.drive402.states import Command, State, Transition
 from rollerrig.wsp_interface.bus.frames import S_NS
 from rollerrig.wsp_interface.events import Code
 
-HEARTBEAT_FAULT, OVER_TEMPERATURE, UNDER_VOLTAGE = 0x8130, 0x4310, 0x3220
-_QUICK_STOP, _REACTION, _ABORT = 0x605A, 0x605E, 0x6007
-# option codes of the transitions that may brake first
-_RAMPS = {5: 0x605C, 8: 0x605B}
-# option codes above this leave the drive in QUICK STOP ACTIVE
+# error codes of EMCY and 603Fh
+HEARTBEAT_FAULT = 0x8130
+OVER_TEMPERATURE = 0x4310
+UNDER_VOLTAGE = 0x3220
+
+# objects with option codes
+_QUICK_STOP = 0x605A
+_FAULT_REACTION = 0x605E
+_ABORT_CONNECTION = 0x6007
+_RAMPS = {5: 0x605C, 8: 0x605B}  # by transition: whether it brakes first
+
+# quick stop options above this keep the drive in QUICK STOP ACTIVE
 _LAST_LEAVING_OPTION = 4
-# the way to OPERATION ENABLED, which an emergency stop bars
+# the commands on the way to OPERATION ENABLED, which an emergency stop blocks
 _ENABLING = (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION)
 
 
@@ -45,10 +55,11 @@ def build(
     control: str = "rig",
     storage: Path | None = None,
 ) -> Node:
-    """The node of the drive under `axle` (from 1).
+    """Build the node of the drive under `axle` (from 1).
 
-    `row`: live float64 array of all signals; `parameters` as in `objects.DEFAULTS`; `commands`: float64 array of
-    shape (COMMANDS,) written before `on_command()` is called; `control`: "rig" or "bus".
+    `row`: live float64 array of all signals. `parameters`: as in `objects.DEFAULTS`. `commands`:
+    float64 array of shape (COMMANDS,), which the node writes before it calls `on_command()`.
+    `control`: "rig" or "bus". `storage`: the file of 1010h.
     """
     parameters = table.DEFAULTS | dict(parameters or {})
     profile = Profile(table.DEVICE_TYPE, f"roller drive {axle}", table.RPDOS, table.TPDOS)
@@ -62,7 +73,8 @@ def build(
         axle,
         storage,
     )
-    commands = np.zeros(COMMANDS) if commands is None else commands
+    if commands is None:
+        commands = np.zeros(COMMANDS)
     node.commands = table.COMMANDS
     axis = Axis(node.objects, axle, row, parameters, commands, on_command)
     node.device = Drive(node, axis, control == "rig")
@@ -72,22 +84,30 @@ def build(
 class Drive:
     """State machine and demands of one drive.
 
-    `local`: the rig control has it; `stopped`: an emergency stop holds it; `_then`: the state to enter
-    when a ramp has come to rest, and the number of the transition.
+    `local`: the rig control moves the motor. `stopped`: an emergency stop is set. `at_rest`: the state
+    that the drive enters when its ramp has come to rest, and the number of that transition.
     """
 
     def __init__(self, node: Node, axis: Axis, local: bool) -> None:
-        self.node, self.axis, self.demand, self.local = node, axis, axis.demand, local
-        self.state, self.stopped = State.NOT_READY_TO_SWITCH_ON, False
-        self.word = self.before = self.mode = self.error = self._last_ns = 0
-        self._then: tuple[State, int] | None = None
+        self.node = node
+        self.axis = axis
+        self.demand = axis.demand
+        self.local = local
+        self.stopped = False
+        self.state = State.NOT_READY_TO_SWITCH_ON
+        self.statusword = 0
+        self.controlword = 0  # the last one
+        self.mode = 0
+        self.error = 0
+        self.at_rest: tuple[State, int] | None = None
+        self._last_ns = 0
         own = node.objects.own
-        own(0x6041, read=lambda: self.word)
+        own(0x6041, read=lambda: self.statusword)
         own(0x6061, read=lambda: self.mode)
         own(0x603F, read=lambda: self.error)
-        own(0x2000, read=lambda: int(not self.local), effect=self._take_source)
+        own(0x2000, read=lambda: int(not self.local), effect=self._choose_source)
         own(0x6040, effect=self.on_controlword)
-        own(0x6060, check=_check_mode, effect=lambda _: self._take_mode())
+        own(0x6060, check=_check_mode, effect=lambda _: self._read_mode())
         node.on_reset.append(self._on_reset)
         node.on_power_off += [self._on_reset, self._publish]
         node.on_poll.append(self.step)
@@ -95,9 +115,11 @@ class Drive:
         node.on_partner.append(self._on_partner)
 
     def control_from_rig(self) -> None:
-        """The rig control moves the motor from now on; a fault has to be reset first."""
-        self.local, self._then, self.demand.stopping = True, None, None
-        self._take_mode()
+        """Let the rig control move the motor from now on. A fault must be reset first."""
+        self.local = True
+        self.at_rest = None
+        self.demand.stopping = None
+        self._read_mode()
         if self.state is State.QUICK_STOP_ACTIVE:
             self._obey(Command.DISABLE_VOLTAGE)
         for command in _ENABLING:
@@ -105,18 +127,21 @@ class Drive:
         self._publish()
 
     def control_from_bus(self) -> None:
-        """A master on the bus moves the motor from now on, beginning at the torque of now."""
+        """Let a master on the bus move the motor from now on, beginning at the present torque."""
         values = self.node.objects.values
         self.local = False
         self.axis.take_over()
         values[key(0x6071, 0)] = integer(self.demand.torque, "I16")
         values[key(0x60FF, 0)] = integer(self.demand.velocity, "I32")
-        self.before = values[key(0x6040, 0)]
-        self._take_mode()
+        self.controlword = values[key(0x6040, 0)]
+        self._read_mode()
         self._publish()
 
     def emergency_stop(self, on: bool) -> None:
-        """Begin an emergency stop (the motor brakes as 605Ah says, and is off when it stands), or take it back."""
+        """Set or reset the emergency stop.
+
+        The motor brakes as 605Ah defines, and is switched off when it is at rest.
+        """
         if on == self.stopped:
             return
         self.stopped = on
@@ -126,32 +151,38 @@ class Drive:
             self.control_from_rig()
         self._publish()
 
-    def _take_source(self, bus: int) -> None:
-        if bool(bus) == self.local:
-            (self.control_from_bus if bus else self.control_from_rig)()
+    def _choose_source(self, bus: int) -> None:
+        if bus and self.local:
+            self.control_from_bus()
+        elif not bus and not self.local:
+            self.control_from_rig()
 
     @property
     def enabled(self) -> bool:
         """Whether the motor is powered."""
-        stops = self.state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
-        return self.state is State.OPERATION_ENABLED or (stops and self.demand.stopping is not None)
+        if self.state is State.OPERATION_ENABLED:
+            return True
+        braking = self.state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+        return braking and self.demand.stopping is not None
 
     def on_controlword(self, word: int) -> None:
-        """A controlword has been written."""
-        command, self.before = states.command_of(word, self.before), word
+        """Take a controlword that has been written."""
+        command = states.command_of(word, self.controlword)
+        self.controlword = word
         if not self.local and command is not None:
             self._obey(command)
         self._publish()
 
     def trip(self, code: int, text: str) -> None:
-        """A fault: transition 13, the reaction that 605Eh asks for, then FAULT."""
+        """Report a fault: transition 13, the reaction that 605Eh defines, then FAULT."""
         if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             return
-        was_enabled, self.error = self.enabled, code
+        was_enabled = self.enabled
+        self.error = code
         self._enter(State.FAULT_REACTION_ACTIVE, states.FAULT_DETECTED)
         self.node.event(Code.DRIVE_FAULT, error_code=code, reason=text)
         self.node.emergency.report(code)
-        option = self._option(_REACTION)
+        option = self._option(_FAULT_REACTION)
         if was_enabled and option != 0 and not self.local:
             self._brake(self.axis.deceleration(option), (State.FAULT, states.REACTION_COMPLETED))
         else:
@@ -159,43 +190,46 @@ class Drive:
         self._publish()
 
     def recover(self) -> None:
-        """Reset a fault (transition 15) and enable the drive again, if the rig control has it."""
+        """Reset a fault (transition 15) and enable the drive again, if the rig control moves it."""
         if self.local:
             self._obey(Command.FAULT_RESET)
             self.control_from_rig()
 
     def _obey(self, command: Command) -> None:
+        """Carry out a command of the controlword, if the state allows it."""
         if self.stopped and command in _ENABLING:
             return
         # enabling from ready takes two transitions, every other command at most one
         for _ in range(2):
-            row = states.FROM_COMMAND.get((self.state, command))
-            if row is not None:
-                self._perform(row)
-            elif (
-                command is Command.ENABLE_OPERATION
-                and self.state is State.OPERATION_ENABLED
-                and self.demand.stopping is not None
-            ):
-                # a stop that is under way is cancelled
+            transition = states.FROM_COMMAND.get((self.state, command))
+            if transition is not None:
+                self._perform(transition)
+                continue
+            enabled = self.state is State.OPERATION_ENABLED
+            stopping = self.demand.stopping is not None
+            if command is Command.ENABLE_OPERATION and enabled and stopping:
+                # the command cancels a stop that is in progress
                 self.axis.take_over()
-                self._then = None
+                self.at_rest = None
 
-    def _perform(self, row: Transition) -> None:
-        if row.number == 16 and self._option(_QUICK_STOP) <= _LAST_LEAVING_OPTION:
+    def _perform(self, transition: Transition) -> None:
+        number = transition.number
+        if number == 16 and self._option(_QUICK_STOP) <= _LAST_LEAVING_OPTION:
             return
-        if row.number == 15:
+        if number == 15:
             self.node.emergency.clear(self.error)
             self.error = 0
-        if row.number in _RAMPS and self._option(_RAMPS[row.number]) and not self.local:
-            self._brake(self.axis.deceleration(1), (row.target, row.number))
+        if number in _RAMPS and self._option(_RAMPS[number]) and not self.local:
+            self._brake(self.axis.deceleration(1), (transition.target, number))
             return
-        self._enter(row.target, row.number)
-        if row.number == 11:
+        self._enter(transition.target, number)
+        if number == 11:
             self._quick_stop()
 
     def _enter(self, state: State, number: int) -> None:
-        self.state, self._then = state, None
+        """Enter a state by the transition with this number."""
+        self.state = state
+        self.at_rest = None
         if state is State.OPERATION_ENABLED:
             self.axis.take_over()
         elif state not in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE):
@@ -204,41 +238,46 @@ class Drive:
             self.node.event(Code.DRIVE_STATE, state=state.title, transition=number)
 
     def _quick_stop(self) -> None:
+        """Brake as the option code 605Ah defines."""
         option = self._option(_QUICK_STOP)
         if option == 0:
             self._enter(State.SWITCH_ON_DISABLED, 12)
-            return
-        stays = option > _LAST_LEAVING_OPTION
-        self._brake(
-            self.axis.deceleration(option - _LAST_LEAVING_OPTION if stays else option),
-            None if stays else (State.SWITCH_ON_DISABLED, 12),
-        )
+        elif option <= _LAST_LEAVING_OPTION:
+            self._brake(self.axis.deceleration(option), (State.SWITCH_ON_DISABLED, 12))
+        else:
+            # options 5 to 7 have the ramps of 1 to 3, but stay in QUICK STOP ACTIVE
+            self._brake(self.axis.deceleration(option - _LAST_LEAVING_OPTION), None)
 
-    def _brake(self, deceleration: float, then: tuple[State, int] | None) -> None:
-        """Take the motor to rest along a ramp, and then enter a state by the transition of a number."""
+    def _brake(self, deceleration: float, at_rest: tuple[State, int] | None) -> None:
+        """Bring the motor to rest along a ramp, and then enter a state by a transition."""
         if self.demand.stopping is None:
             self.demand.velocity = self.axis.actual()[0]
         self.demand.torque = 0.0
-        self.demand.stopping, self._then = deceleration, then
+        self.demand.stopping = deceleration
+        self.at_rest = at_rest
 
     def step(self, now_ns: int) -> None:
-        """What the drive does by itself; called with every poll."""
-        dt_s, self._last_ns = max(now_ns - self._last_ns, 0) / S_NS, now_ns
+        """Advance ramps and supervision to `now_ns`; called with every poll."""
+        dt_s = max(now_ns - self._last_ns, 0) / S_NS
+        self._last_ns = now_ns
         self._supervise(dt_s)
         if self.local and not self.stopped:
             return
         if self.enabled:
             self.demand.step(self.axis.set_points(self.mode, self._halt), self._halt, dt_s)
-            if (
-                self.demand.stopping is not None
-                and self.demand.velocity == 0.0
-                and (not self.stopped or self.axis.rests())
-                and self._then is not None
-            ):
-                self._enter(*self._then)
+            self._end_stop()
         self._publish()
 
+    def _end_stop(self) -> None:
+        """Enter the next state, if a stop has come to its end."""
+        demand_at_rest = self.demand.stopping is not None and self.demand.velocity == 0.0
+        # an emergency stop ends when the roller itself is at rest
+        motor_at_rest = not self.stopped or self.axis.rests()
+        if self.at_rest is not None and demand_at_rest and motor_at_rest:
+            self._enter(*self.at_rest)
+
     def _supervise(self, dt_s: float) -> None:
+        """Trip the drive if its voltage is too low or its motor too hot."""
         axis = self.axis
         if axis.voltage_is_low:
             self.trip(UNDER_VOLTAGE, f"DC link {axis.dc_link_V:g} V is below {axis.lowest_V:g} V")
@@ -247,32 +286,35 @@ class Drive:
             self.trip(OVER_TEMPERATURE, f"thermal load {axis.heat.load:.0%} of the motor")
 
     def _publish(self) -> None:
-        """Statusword and commands follow the state."""
-        self.word = self._statusword()
+        """Bring statusword and commands up to date."""
+        self.statusword = self._new_statusword()
         self.axis.publish(self.enabled, self.local, self.mode, self.stopped)
 
-    def _statusword(self) -> int:
-        hot = self.axis.heat.load > Heat.WARNING
-        word = (
-            self.state
-            | (not self.axis.voltage_is_low) * states.VOLTAGE_ENABLED
-            | hot * states.WARNING
-        )
+    def _new_statusword(self) -> int:
+        word = int(self.state)
+        if not self.axis.voltage_is_low:
+            word |= states.VOLTAGE_ENABLED
+        if self.axis.heat.load > Heat.WARNING:
+            word |= states.WARNING
         if self.local:
             return word
-        word |= states.REMOTE | self.demand.limited * states.INTERNAL_LIMIT
+        word |= states.REMOTE
+        if self.demand.limited:
+            word |= states.INTERNAL_LIMIT
         if self.state is State.OPERATION_ENABLED:
             word |= self.axis.mode_bits(self.mode, self._halt, self._last_ns)
         return word
 
     @property
     def _halt(self) -> bool:
-        return bool(self.before & states.HALT_BIT)
+        return bool(self.controlword & states.HALT_BIT)
 
     def _option(self, index: int) -> int:
+        """The option code in an object."""
         return self.node.objects.values[key(index, 0)]
 
-    def _take_mode(self) -> None:
+    def _read_mode(self) -> None:
+        """Take the mode of operation from 6060h; the rig control always has cyclic torque."""
         before = self.mode
         self.mode = CYCLIC_TORQUE if self.local else self.node.objects.values[key(0x6060, 0)]
         # a PDO writes the same mode again and again
@@ -288,18 +330,20 @@ class Drive:
             self._power_on()
 
     def _power_on(self) -> None:
-        """Transitions 0 and 1; a drive of the rig control goes on to be enabled."""
+        """Perform transitions 0 and 1; a drive of the rig control is then enabled."""
         if self.state is State.NOT_READY_TO_SWITCH_ON:
             self._enter(State.SWITCH_ON_DISABLED, states.SELF_TEST_PASSED)
-        self.before = self.node.objects.values[key(0x6040, 0)]
-        self._take_mode()
+        self.controlword = self.node.objects.values[key(0x6040, 0)]
+        self._read_mode()
         if self.local:
             self.control_from_rig()
         self._publish()
 
     def _on_reset(self) -> None:
-        """The application starts anew, without the fault it had."""
-        self.state, self.error, self._then = State.NOT_READY_TO_SWITCH_ON, 0, None
+        """Begin again at power-on, without the former fault."""
+        self.state = State.NOT_READY_TO_SWITCH_ON
+        self.error = 0
+        self.at_rest = None
         self.demand.take_over(0.0, 0.0)
 
     def _on_partner(self, partner: int, alive: bool) -> None:
@@ -307,13 +351,16 @@ class Drive:
             self._abort_connection(f"node {partner} is lost")
 
     def _abort_connection(self, why: str) -> None:
+        """React to a lost connection as the option code 6007h defines."""
         if self.local or not self.enabled:
             return
-        option = self._option(_ABORT)
+        option = self._option(_ABORT_CONNECTION)
         if option == 1:
             self.trip(HEARTBEAT_FAULT, f"connection aborted: {why}")
-        elif option:
-            self._obey(Command.DISABLE_VOLTAGE if option == 2 else Command.QUICK_STOP)
+        elif option == 2:
+            self._obey(Command.DISABLE_VOLTAGE)
+        elif option == 3:
+            self._obey(Command.QUICK_STOP)
         self._publish()
 
 

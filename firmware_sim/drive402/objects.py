@@ -1,7 +1,7 @@
 """The objects of a roller drive (6000h area), with the units of one count.
 
-Speeds count 0.0001 rad/s and torques per mille of the rated torque, as the table of signals has
-them for 606Ch and 6077h. Source: CiA 402-2 / IEC 61800-7-201, object descriptions.
+One count of a speed is 0.0001 rad/s, one of a torque is a thousandth of the rated torque, as in the
+table of signals for 606Ch and 6077h. Source: CiA 402-2 / IEC 61800-7-201, object descriptions.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ DEFAULTS = {
     "dc_link_min_V": 400.0,
     "torque_slope_per_s": 10.0,
 }
-# controlword, mode, set-points, offsets and outputs: what a master asks from cycle to cycle
+# controlword, mode, set-points, offsets and outputs: what a master commands in each cycle
 COMMANDS = frozenset({0x6040, 0x6060, 0x6071, 0x60B1, 0x60B2, 0x60FE, 0x60FF})
 RPM_PER_RAD_S = 60.0 / 6.283185307179586
 RPDOS = (
@@ -48,8 +48,9 @@ TPDOS = (
 
 
 def rows(axle: int, parameters: Mapping[str, float]) -> list[Row]:
-    """The device profile's objects for the drive under `axle`."""
-    rated_Nm, rated_A = parameters["rated_torque_Nm"], parameters["rated_current_A"]
+    """The objects of the device profile for the drive under `axle`."""
+    rated_Nm = parameters["rated_torque_Nm"]
+    rated_A = parameters["rated_current_A"]
     fastest_rad_s = parameters["max_speed_rad_s"]
     speed: dict[str, Any] = {"unit": "rad/s", "factor": SPEED.scale}
     ramp: dict[str, Any] = {"unit": "rad/s2", "factor": SPEED.scale, "low": 1}

@@ -1,8 +1,8 @@
 """The drive state machine of CiA 402: states, commands of the controlword, numbered transitions.
 
-Everything here is a table. The statusword's lower bits tell the state; a command is a pattern in
-the controlword's lower bits; a transition has the number that the standard gives it. Source: CiA
-402-2 / IEC 61800-7-201, power drive state machine.
+Everything here is a table. The lower bits of the statusword show the state. A command is a pattern in
+the lower bits of the controlword. Each transition has its number from the standard.
+Source: CiA 402-2 / IEC 61800-7-201, power drive state machine.
 """
 
 from enum import IntEnum
@@ -28,7 +28,7 @@ class State(IntEnum):
 
 
 class Command(IntEnum):
-    """What a controlword asks for."""
+    """Commands of the controlword."""
 
     DISABLE_VOLTAGE = 1
     QUICK_STOP = 2
@@ -38,7 +38,7 @@ class Command(IntEnum):
     FAULT_RESET = 6
 
 
-# (mask, pattern, command); bit 7 is told apart by its edge
+# (mask, pattern, command); a fault reset is not a pattern, but a rising edge of bit 7
 PATTERNS = (
     (0x82, 0x00, Command.DISABLE_VOLTAGE),
     (0x86, 0x02, Command.QUICK_STOP),
@@ -46,11 +46,19 @@ PATTERNS = (
     (0x8F, 0x07, Command.SWITCH_ON),
     (0x8F, 0x0F, Command.ENABLE_OPERATION),
 )
-FAULT_RESET_BIT, HALT_BIT = 0x80, 0x100
+# bits of the controlword
+FAULT_RESET_BIT = 0x80
+HALT_BIT = 0x100
 
-VOLTAGE_ENABLED, WARNING, REMOTE = 0x10, 0x80, 0x200
-TARGET_REACHED, INTERNAL_LIMIT, SPEED_ZERO, SLIPPAGE = 0x400, 0x800, 0x1000, 0x2000
-FOLLOWS = SPEED_ZERO
+# bits of the statusword
+VOLTAGE_ENABLED = 0x10
+WARNING = 0x80
+REMOTE = 0x200
+TARGET_REACHED = 0x400
+INTERNAL_LIMIT = 0x800
+SPEED_ZERO = 0x1000  # profile velocity
+FOLLOWS = 0x1000  # cyclic synchronous modes: the drive follows the command value
+SLIPPAGE = 0x2000
 
 
 class Transition(NamedTuple):
@@ -65,7 +73,7 @@ class Transition(NamedTuple):
 _NOT_READY, _DISABLED, _READY, _ON, _ENABLED, _QUICK_STOP, _REACTION, _FAULT = State
 TRANSITIONS = (
     Transition(2, _DISABLED, (Command.SHUTDOWN,), _READY),
-    # enabling at once passes through switched on
+    # ENABLE OPERATION in READY TO SWITCH ON passes through SWITCHED ON
     Transition(3, _READY, (Command.SWITCH_ON, Command.ENABLE_OPERATION), _ON),
     Transition(4, _ON, (Command.ENABLE_OPERATION,), _ENABLED),
     Transition(5, _ENABLED, (Command.SWITCH_ON,), _ON),
@@ -80,13 +88,14 @@ TRANSITIONS = (
     Transition(16, _QUICK_STOP, (Command.ENABLE_OPERATION,), _ENABLED),
 )
 FROM_COMMAND = {(row.state, command): row for row in TRANSITIONS for command in row.commands}
-# transitions that the drive makes by itself: 0 and 1 at power-on, 13 into a fault, 14 when the
-# reaction to it is over
-SELF_TEST_PASSED, FAULT_DETECTED, REACTION_COMPLETED = 1, 13, 14
+# transitions that the drive makes by itself
+SELF_TEST_PASSED = 1  # at power-on, after 0
+FAULT_DETECTED = 13
+REACTION_COMPLETED = 14
 
 
 def command_of(controlword: int, before: int) -> Command | None:
-    """What a controlword asks for; a fault reset is the rising edge of bit 7."""
+    """The command of a controlword, None if it has none; `before` is the last controlword."""
     if controlword & ~before & FAULT_RESET_BIT:
         return Command.FAULT_RESET
     for mask, pattern, command in PATTERNS:
