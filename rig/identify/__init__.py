@@ -1,6 +1,8 @@
-"""Finds what measured data say about the model: what is wrong, why, and a better model.
+"""Identification: what measured data shows about the model, and an extended model that fits better.
 
-Reading order: `data` (datasets, checked and prepared), `replay` (the filters), `causes` (mechanisms
-as changes of a replay), `decide` (which causes the data support), `next_stops` (what to run next).
-`paper` has the studies of the paper, `train_recorder` the data that trains record.
+Reading order: `data` (datasets, checks, smooth inputs), `replay` (the filters and their linear
+response), `causes` (the table of causes, and their columns), `decide` (fits, null simulations, the
+score tests, and `decision`, which runs all of them in order), `next_stops` (proposals of further
+stops). `paper` tunes and validates the model as the paper does, and fits measured creep curves.
+`train_recorder` examines recordings without load and torque; it does not use the replay.
 """

@@ -34,6 +34,8 @@ FEEDBACK_LAG_S = 0.4
 VENTING_GAIN = 3.0  # the feedback is stronger by this where sliding is too large by more than
 VENTING_SLIDING_M_S = 1.0  # this: the WSP vents the brake
 SLOWEST_M_S = 0.3
+LARGEST_EXPONENT = 2.0  # of a step where adhesion falls steeply: the growth is limited to e^2
+SMALLEST_EXPONENT = 1e-6  # below it (e^x - 1) / x is 1
 _GRID_M = 0.25  # of the irregularity of the rail
 _GRID_CELLS_IN_FRONT = 400.0  # the grid begins 100 m before the start of a stop
 _GRID_MARGIN_M = 150.0  # more than the stop needs: 100 m before its start, 50 m behind its end
@@ -72,30 +74,40 @@ def wheel_step(
 ):
     """Returns (omega, feedback, lambda, force on the vehicle) of one wheelset after a step h [Q1].
 
-    The force in N is the mean of the step: what wheel and brake leave for the vehicle.
+    The force in N is the mean of the step: what wheel and brake leave for the vehicle. The step is that
+    of `replay.predict`, with bounds for a substep that is shorter.
     """
     r = model.wheel_radius_m
-    missing = wanted_sliding - (surface - r * omega)
+    inertia = model.wheelset_inertia_kgm2
+
+    sliding = surface - r * omega
+    f, slope, lambda_ = replay.wheel_adhesion(
+        sliding,
+        surface,
+        0.5 * load,
+        degraded,
+        recovered,
+        model,
+        lambda_,
+        replay.lag_share(surface, h, model),
+    )
+
+    missing = wanted_sliding - sliding
     aim = FEEDBACK_NS * missing + VENTING_GAIN * FEEDBACK_NS * min(
         missing + VENTING_SLIDING_M_S, 0.0
     )
     feedback += (aim - feedback) * h / FEEDBACK_LAG_S
     brake = max(0.0, torque + feedback)
-    step = replay.wheel_step(
-        omega,
-        surface,
-        load,
-        brake,
-        degraded,
-        recovered,
-        math.exp(irregularity),
-        model,
-        lambda_,
-        replay.lag_share(surface, h, model),
-        h,
-    )
-    force = (brake + model.wheelset_inertia_kgm2 * step.change_rad_s / h) / r
-    return max(0.0, omega + step.change_rad_s), feedback, step.lambda_, force
+
+    # exponential Euler step
+    roughness = math.exp(irregularity)
+    contact_N = load * f * roughness
+    error_rate_1_s = -r * r * load * slope * roughness / inertia
+    x = min(error_rate_1_s * h, LARGEST_EXPONENT)
+    mean_growth = math.expm1(x) / x if abs(x) > SMALLEST_EXPONENT else 1.0
+    change = h * mean_growth * (r * contact_N - brake) / inertia
+    force = (brake + inertia * change / h) / r
+    return max(0.0, omega + change), feedback, lambda_, force
 
 
 @kernel_inlined

@@ -55,11 +55,8 @@ _adhesion = module_variant(
 )
 _curves = variant(replay.curves, math=MATH, adhesion=_adhesion)
 _wheel_adhesion = variant(replay.wheel_adhesion, adhesion=_adhesion, curves=_curves)
-_wheel_step = variant(replay.wheel_step, math=MATH, wheel_adhesion=_wheel_adhesion)
 # the module `replay` for callers that have vector mathematics and no adhesion memory
-REPLAY = module_variant(
-    replay, wheel_adhesion=_wheel_adhesion, wheel_step=_wheel_step, lag_share=_no_lag
-)
+REPLAY = module_variant(replay, wheel_adhesion=_wheel_adhesion, lag_share=_no_lag)
 
 _adhesion_with_memory = module_variant(
     adhesion,
@@ -115,7 +112,7 @@ def _state_kernels(state: Any) -> dict[str, Any]:
 # The names that `_replay_pair` uses. Its variant with memory has others under them.
 initial_state = replay.initial_state
 correct = replay.correct
-predict = variant(replay.predict, math=MATH, wheel_step=_wheel_step)
+predict = variant(replay.predict, math=MATH, wheel_adhesion=_wheel_adhesion)
 _kernels = _state_kernels(replay.FilterState)
 load_state = _kernels["load_state"]
 store_state = _kernels["store_state"]

@@ -96,50 +96,6 @@ def adhesion_along(sliding, speed, load, friction, row, step_s, lagging, follow,
             lagging[k + 1] = lambda_
 
 
-class WheelStep(NamedTuple):
-    """The result of a step of a wheelset, and how it depends on the state before the step."""
-
-    change_rad_s: float  # of the wheel speed
-    growth: float  # e^x: d omega after the step / d omega before it
-    mean_growth: float  # (e^x - 1) / x: mean of the growth during the step
-    of_irregularity: float  # d omega after the step / d m
-    lambda_: float
-
-
-@kernel_inlined
-def wheel_step(
-    omega, speed, load, torque, degraded, recovered, roughness, model, lagging, share, step_s
-):
-    """Returns the `WheelStep` of a wheelset under constant inputs [R1], by exponential Euler.
-
-    `omega` in rad/s, `speed` of the surface in m/s, `load` of the wheelset in N, `torque` in N m. The
-    factors `degraded` and `recovered` are those of friction, `roughness` is exp(m), that of adhesion.
-    `lagging` and `share` are those of `wheel_adhesion`.
-    """
-    r = model.wheel_radius_m
-    inertia = model.wheelset_inertia_kgm2
-    f, rise, lambda_ = wheel_adhesion(
-        speed - r * omega, speed, 0.5 * load, degraded, recovered, model, lagging, share
-    )
-    drive_Nm = r * load * f * roughness
-    rate_1_s = -r * r * load * rise * roughness / inertia  # d (domega/dt) / d omega
-    x = rate_1_s * step_s
-    if abs(x) > SMALLEST_EXPONENT:
-        x = min(x, LARGEST_EXPONENT)
-        growth = math.exp(x)
-        mean_growth = math.expm1(x) / x
-    else:
-        growth = 1.0 + x
-        mean_growth = 1.0 + 0.5 * x
-    return WheelStep(
-        step_s * mean_growth * (drive_Nm - torque) / inertia,
-        growth,
-        mean_growth,
-        step_s * mean_growth * drive_Nm / inertia,
-        lambda_,
-    )
-
-
 class FilterState(NamedTuple):
     """The state of a wheel's filter: wheel speed, irregularity m, and their covariances."""
 
@@ -194,12 +150,27 @@ def correct(measured, state, model):
 def predict(state, speed, load, torque, degraded, recovered, model, step_s):
     """Returns the state of the filter after a substep; `step_s` is the time of a whole sample."""
     omega, m, p00, p01, p11 = state
+    r = model.wheel_radius_m
+    inertia = model.wheelset_inertia_kgm2
     h = step_s / SUBSTEPS
-    step = wheel_step(
-        omega, speed, load, torque, degraded, recovered, math.exp(m), model, 0.0, 1.0, h
+
+    # exponential Euler step of the wheelset [R1]
+    f, slope, _ = wheel_adhesion(
+        speed - r * omega, speed, 0.5 * load, degraded, recovered, model, 0.0, 1.0
     )
-    growth = step.growth
-    b = step.of_irregularity
+    roughness = math.exp(m)
+    drive_Nm = r * load * f * roughness
+    error_rate_1_s = -r * r * load * slope * roughness / inertia  # d (domega/dt) / d omega
+    x = error_rate_1_s * h
+    if abs(x) > SMALLEST_EXPONENT:
+        x = min(x, LARGEST_EXPONENT)
+        growth = math.exp(x)
+        mean_growth = math.expm1(x) / x
+    else:
+        growth = 1.0 + x
+        mean_growth = 1.0 + 0.5 * x
+    omega += h * mean_growth * (drive_Nm - torque) / inertia
+    b = h * mean_growth * drive_Nm / inertia  # d omega after the step / d m
     keep = math.exp(-speed * h / model.irregularity_length_m)
 
     # covariances: what becomes of the old ones
@@ -209,11 +180,11 @@ def predict(state, speed, load, torque, degraded, recovered, model, step_s):
     sigma = model.irregularity_deviation
     q = sigma * sigma * (1.0 - keep * keep)
     # the noise of the torque
-    q_omega = (step_s * model.torque_noise_Nm / model.wheelset_inertia_kgm2) ** 2
+    q_omega = (step_s * model.torque_noise_Nm / inertia) ** 2
     return FilterState(
-        omega + step.change_rad_s,
+        omega,
         m * keep,
-        n00 + b * b * q / 3.0 + q_omega * step.mean_growth * step.mean_growth / SUBSTEPS,
+        n00 + b * b * q / 3.0 + q_omega * mean_growth * mean_growth / SUBSTEPS,
         n01 + 0.5 * b * q,
         keep * keep * p11 + q,
     )

@@ -231,7 +231,7 @@ def _linearise_wheel(
     path[1] = f * 0.5 * load_N * sliding / v
     path[2] = force * f - inputs.torque_Nm[at] / inertia
 
-    # two substeps of the filter, as in `replay.wheel_step`
+    # two substeps of the filter, as in `replay.predict`
     error_rate_1_s = -r * slope * force  # d (domega/dt) / d omega
     x = np.minimum(error_rate_1_s * h, replay.LARGEST_EXPONENT)
     growth = np.exp(x)
