@@ -1,10 +1,12 @@
 """The rows of the communication profile: objects 1000h to 1FFFh of every node of the rig.
 
-A device says its type, its PDOs and a few defaults; the rest is the same for all. Four PDOs stand ready in each
-direction; those a device does not use are there, not valid, for an outside master to map as it likes. A COB-ID entry
-is 29 bits of identifier and three flags: bit 31 says that the message does not exist, bit 30 means what its object
-says, bit 29 that the identifier has 29 bits. Source: CiA 301, section on the communication profile objects,
-description of COB-ID entries, table of restricted CAN-IDs.
+A device defines its type, its PDOs and a few defaults; the rest is the same for all devices. There are
+four PDOs in each direction. Those that a device does not use are not valid, and an outside master may
+map them.
+
+A COB-ID entry has 29 bits for the identifier and three flags. Bit 31: the message does not exist. Bit
+30: its meaning depends on the object. Bit 29: the identifier has 29 bits. Source: CiA 301, section on
+the communication profile objects, description of COB-ID entries, table of restricted CAN-IDs.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,12 +24,20 @@ from rollerrig.wsp_interface.bus.connection_set import (
     TPDO,
 )
 
-PDOS, MAPPED, SDO_SERVERS, HISTORY = 4, 8, 3, 8
-# transmission types: with every SYNC; at once
-SYNCHRONOUS, AT_ONCE = 1, 255
-INVALID, FLAG, EXTENDED = 1 << 31, 1 << 30, 1 << 29
-STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
-# identifiers that belong to fixed services
+PDOS = 4  # in each direction
+MAPPED = 8  # objects in a PDO at most
+SDO_SERVERS = 3
+HISTORY = 8  # errors in 1003h
+# transmission types of PDOs
+SYNCHRONOUS = 1  # with every SYNC
+AT_ONCE = 255  # event-driven: received data take effect immediately
+# flags of a COB-ID entry
+INVALID = 1 << 31
+FLAG = 1 << 30
+EXTENDED = 1 << 29
+STANDARD_MASK = 0x7FF
+EXTENDED_MASK = 0x1FFFFFFF
+# ranges of identifiers that belong to fixed services
 RESTRICTED = (
     (0x000, 0x07F),
     (0x101, 0x180),
@@ -36,12 +46,13 @@ RESTRICTED = (
     (0x6E0, 0x6FF),
     (0x701, 0x7FF),
 )
+_CONSUMERS = 4  # entries of 1016h
 _STORED = ("All", "Communication", "Application")
 _IDENTITY = ("Vendor-ID", "Product code", "Revision number", "Serial number")
 
 
 class Pdo(NamedTuple):
-    """A PDO of a device: its transmission type and what it carries, as (index, sub, bits)."""
+    """A PDO of a device: its transmission type, and the objects in it as (index, sub, bits)."""
 
     kind: int
     mapped: tuple[tuple[int, int, int], ...]
@@ -50,10 +61,10 @@ class Pdo(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """What distinguishes one device's communication profile from another's.
+    """The differences between the communication profiles of devices.
 
-    `consumed`: (node, time in ms) for 1016h. `on_error`: 1029h:1, what a lost heartbeat does to the
-    NMT state (0 pre-operational, 1 nothing, 2 stopped).
+    `consumed`: (node, time in ms) for 1016h. `on_error`: 1029h:1, the NMT state after a lost
+    heartbeat (0 pre-operational, 1 unchanged, 2 stopped).
     """
 
     device_type: int
@@ -67,9 +78,16 @@ class Profile(NamedTuple):
 
 def rows(profile: Profile, identity: Identity) -> list[Row]:
     """All rows of 1000h..1FFFh for a profile."""
-    consumed = [node << 16 | time for node, time in profile.consumed] + [0] * (
-        4 - len(profile.consumed)
-    )
+    consumed = [node << 16 | time_ms for node, time_ms in profile.consumed]
+    consumed += [0] * (_CONSUMERS - len(consumed))
+    sdo_servers: list[Row] = []
+    for server in range(SDO_SERVERS):
+        sdo_servers += _sdo_server(server)
+    rpdos: list[Row] = []
+    tpdos: list[Row] = []
+    for at in range(PDOS):
+        rpdos += _pdo(0x1400 + at, f"RPDO {at + 1}", RPDO[at], profile.rpdos[at : at + 1])
+        tpdos += _pdo(0x1800 + at, f"TPDO {at + 1}", TPDO[at], profile.tpdos[at : at + 1])
     return [
         Row(0x1000, 0, "Device type", "U32", "const", profile.device_type),
         Row(0x1001, 0, "Error register", "U8", "ro", 0, True),
@@ -108,24 +126,16 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
             ("Communication error",),
             high=2,
         ),
-        *(row for server in range(SDO_SERVERS) for row in _sdo_server(server)),
-        *(
-            row
-            for at in range(PDOS)
-            for row in _pdo(0x1400 + at, f"RPDO {at + 1}", RPDO[at], profile.rpdos[at : at + 1])
-        ),
-        *(
-            row
-            for at in range(PDOS)
-            for row in _pdo(0x1800 + at, f"TPDO {at + 1}", TPDO[at], profile.tpdos[at : at + 1])
-        ),
+        *sdo_servers,
+        *rpdos,
+        *tpdos,
     ]
 
 
 def _list(
     index: int, name: str, number: str, used: int, entry: str, access: str, entries: Sequence[int]
 ) -> list[Row]:
-    """Rows of an array whose sub-index 0 tells how many of its entries are in use."""
+    """Rows of an array whose sub-index 0 is the number of its entries in use."""
     return [
         Row(index, 0, f"{name}/{number}", "U8", "rw", used),
         *(
@@ -136,34 +146,41 @@ def _list(
 
 
 def _sdo_server(server: int) -> list[Row]:
-    first, name = server == 0, f"SDO server parameter {server}"
-    found = array(
-        0x1200 + server,
-        name,
-        "U32",
-        "ro" if first else "rw",
-        (SDO_REQUEST, SDO_REPLY) if first else (INVALID, INVALID),
-        ("COB-ID client to server", "COB-ID server to client"),
-        relative=first,
-    )
-    client = Row(0x1200 + server, 3, f"{name}/Node-ID of the client", "U8", "rw", 0, high=127)
-    return found if first else [found[0]._replace(default=3), *found[1:], client]
+    """The parameters of an SDO server. The first one has fixed identifiers and no client."""
+    index = 0x1200 + server
+    name = f"SDO server parameter {server}"
+    subs = ("COB-ID client to server", "COB-ID server to client")
+    if server == 0:
+        identifiers = (SDO_REQUEST, SDO_REPLY)
+        return array(index, name, "U32", "ro", identifiers, subs, relative=True)
+    highest_sub, *identifier_rows = array(index, name, "U32", "rw", (INVALID, INVALID), subs)
+    client = Row(index, 3, f"{name}/Node-ID of the client", "U8", "rw", 0, high=127)
+    return [highest_sub._replace(default=3), *identifier_rows, client]
 
 
 def _pdo(index: int, name: str, cob_id: int, used: Sequence[Pdo]) -> list[Row]:
-    """The communication and mapping parameters of a PDO; without one in `used` it is not valid."""
-    cob_id, pdo = (cob_id, used[0]) if used else (cob_id | INVALID, Pdo(254, ()))
+    """The communication and mapping parameters of a PDO.
+
+    `used` holds the PDO of the device; if it is empty, the PDO is not valid.
+    """
+    if used:
+        pdo = used[0]
+    else:
+        pdo = Pdo(254, ())
+        cob_id |= INVALID
     entries = [at << 16 | sub << 8 | bits for at, sub, bits in pdo.mapped]
-    about, receives = f"{name} communication parameter", name.startswith("RPDO")
+    about = f"{name} communication parameter"
+    highest_sub = 5 if name.startswith("RPDO") else 6  # only a TPDO has a SYNC start value
     parameters = [
-        Row(index, 0, f"{about}/Highest sub-index supported", "U8", "const", 5 if receives else 6),
+        Row(index, 0, f"{about}/Highest sub-index supported", "U8", "const", highest_sub),
         Row(index, 1, f"{about}/COB-ID", "U32", "rw", cob_id, relative=True),
         Row(index, 2, f"{about}/Transmission type", "U8", "rw", pdo.kind),
         Row(index, 3, f"{about}/Inhibit time", "U16", "rw", pdo.inhibit_100us, unit="100us"),
         Row(index, 5, f"{about}/Event timer", "U16", "rw", pdo.event_ms, unit="ms"),
         Row(index, 6, f"{about}/SYNC start value", "U8", "rw", 0, high=240),
     ]
-    return parameters[: 5 if receives else 6] + _list(
+    parameters = [row for row in parameters if row.sub <= highest_sub]
+    return parameters + _list(
         index + 0x200,
         f"{name} mapping parameter",
         "Number of mapped objects",
@@ -191,24 +208,31 @@ def dispatch_key(can_id: int, extended: bool) -> int:
 
 
 def check_identifier(cob_id: int) -> None:
-    """AbortError unless the identifier may be given to a configurable message."""
+    """Raise AbortError unless a configurable message may have the identifier."""
     can_id, extended = split(cob_id)
-    if not extended and (
-        cob_id & EXTENDED_MASK != can_id or any(low <= can_id <= high for low, high in RESTRICTED)
-    ):
+    if extended:
+        return
+    too_long = cob_id & EXTENDED_MASK != can_id
+    restricted = any(low <= can_id <= high for low, high in RESTRICTED)
+    if too_long or restricted:
         raise AbortError(Abort.INVALID_VALUE)
 
 
 def own_cob_id(
     objects: Objects, index: int, sub: int = 0, effect: Callable[[Any], None] | None = None
 ) -> None:
-    """Let an object be the COB-ID of a message, which gets another identifier only after it has been switched off."""
+    """Let an object be the COB-ID of a message.
 
-    def check(wanted: int) -> None:
+    The identifier of a message can be changed only while the message is switched off.
+    """
+
+    def check(new: int) -> None:
         current = objects.values[key(index, sub)]
-        if valid(wanted):
-            check_identifier(wanted)
-            if valid(current) and (current ^ wanted) & (EXTENDED | EXTENDED_MASK):
-                raise AbortError(Abort.DEVICE_STATE)
+        if not valid(new):
+            return
+        check_identifier(new)
+        changed = (current ^ new) & (EXTENDED | EXTENDED_MASK)
+        if valid(current) and changed:
+            raise AbortError(Abort.DEVICE_STATE)
 
     objects.own(index, sub, check=check, effect=effect)

@@ -1,7 +1,7 @@
 """An object dictionary as rows: one row is one object, or one sub-index of an array or record.
 
-`build` turns the rows into canopen's dictionary classes, from which the SDO server, the PDOs and
-the EDS file all read. What a device adds to CiA 301 is a list of rows and nothing else.
+`build` turns the rows into the dictionary classes of canopen. The SDO server, the PDOs and the EDS file
+read from these. A device adds nothing but a list of rows to the objects of CiA 301.
 """
 
 import itertools
@@ -29,11 +29,12 @@ _RECORDS = ((0x1018, 0x1018), (0x1023, 0x1025), (0x1200, 0x12FF), (0x1400, 0x1BF
 
 
 class Row(NamedTuple):
-    """One object or sub-index. An `index` that has one row is a VAR, with more an ARRAY or RECORD.
+    """One object or sub-index. An `index` with one row is a VAR, with more an ARRAY or RECORD.
 
-    `name` is "object/sub-index" for a row of an array or record. `access`: const, ro, wo, rw, or rwr / rww (rw,
-    mappable in that direction only). `low` and `high` bound what may be written. `relative`: the node identifier is
-    added to the default. `factor` and `unit`: the value of one count.
+    `name` is "object/sub-index" for a row of an array or record. `access`: const, ro, wo, rw, or
+    rwr / rww (rw, mappable in that direction only). `low` and `high`: bounds of a written value.
+    `relative`: the node identifier is added to the default. `factor` and `unit`: the value of one
+    count.
     """
 
     index: int  # type: ignore[assignment]
@@ -52,7 +53,7 @@ class Row(NamedTuple):
 
 
 class Identity(NamedTuple):
-    """Object 1018h and what the EDS file says of the maker and the product."""
+    """Object 1018h, and the entries of the EDS file about the manufacturer and the product."""
 
     vendor: str
     product: str
@@ -84,12 +85,11 @@ def array(
 
 
 def build(rows: Iterable[Row], node_id: int, identity: Identity) -> ObjectDictionary:
-    """The dictionary of a node. ValueError where two rows claim the same place."""
+    """Build the dictionary of a node. Raises ValueError if two rows have the same place."""
     dictionary = ObjectDictionary()
     dictionary.node_id = node_id
-    for index, group in itertools.groupby(
-        sorted(rows, key=lambda row: row[:2]), lambda row: row.index
-    ):
+    in_order = sorted(rows, key=lambda row: (row.index, row.sub))
+    for index, group in itertools.groupby(in_order, lambda row: row.index):
         members = list(group)
         if len({row.sub for row in members}) != len(members):
             raise ValueError(f"object {index:04X}h has two rows for one sub-index")
@@ -103,22 +103,26 @@ def _object(index: int, rows: list[Row], node_id: int) -> ODVariable | ODArray |
         return _variable(rows[0], rows[0].name, node_id)
     mixed = len({row.kind for row in rows[1:]}) != 1
     record = mixed or any(first <= index <= last for first, last in _RECORDS)
-    holder = (ODRecord if record else ODArray)(rows[0].name.partition("/")[0], index)
+    object_name, _, _ = rows[0].name.partition("/")
+    made = ODRecord(object_name, index) if record else ODArray(object_name, index)
     for row in rows:
-        holder.add_member(_variable(row, row.name.partition("/")[2], node_id))
-    return holder
+        _, _, sub_name = row.name.partition("/")
+        made.add_member(_variable(row, sub_name, node_id))
+    return made
 
 
 def _variable(row: Row, name: str, node_id: int) -> ODVariable:
     variable = ODVariable(name, row.index, row.sub)
-    variable.data_type, variable.access_type, variable.pdo_mappable = (
-        KINDS[row.kind],
-        row.access,
-        row.mappable,
-    )
-    variable.min, variable.max = row.low, row.high
-    variable.unit, variable.factor, variable.description = row.unit, row.factor, row.text
-    variable.default, variable.relative = row.default, row.relative
+    variable.data_type = KINDS[row.kind]
+    variable.access_type = row.access
+    variable.pdo_mappable = row.mappable
+    variable.min = row.low
+    variable.max = row.high
+    variable.unit = row.unit
+    variable.factor = row.factor
+    variable.description = row.text
+    variable.default = row.default
+    variable.relative = row.relative
     if row.relative:
         variable.default = row.default + node_id
         # where canopen keeps a default that depends on the node identifier, as an EDS file writes it
@@ -127,16 +131,19 @@ def _variable(row: Row, name: str, node_id: int) -> ODVariable:
 
 
 def _describe(dictionary: ObjectDictionary, identity: Identity) -> None:
+    """Fill in the section DeviceInfo of the EDS file."""
     about = dictionary.device_information
-    about.vendor_name, about.vendor_number = identity.vendor, identity.vendor_id
-    about.product_name, about.product_number = identity.product, identity.product_code
-    about.revision_number, about.order_code = identity.revision, identity.product
-    about.simple_boot_up_master, about.simple_boot_up_slave = False, True
-    about.dynamic_channels_supported, about.group_messaging, about.LSS_supported = (
-        False,
-        False,
-        True,
-    )
+    about.vendor_name = identity.vendor
+    about.vendor_number = identity.vendor_id
+    about.product_name = identity.product
+    about.product_number = identity.product_code
+    about.revision_number = identity.revision
+    about.order_code = identity.product
+    about.simple_boot_up_master = False
+    about.simple_boot_up_slave = True
+    about.dynamic_channels_supported = False
+    about.group_messaging = False
+    about.LSS_supported = True
     # canopen declares these numbers as bool
     about.granularity = 8  # type: ignore[assignment]
     about.nr_of_RXPDO = sum(0x1400 <= index < 0x1600 for index in dictionary)  # type: ignore[assignment]

@@ -1,40 +1,45 @@
-"""Emergency messages: what is wrong with a node, told once when it begins and once when it ends.
+"""Emergency messages: one when an error of a node begins, and one when it ends.
 
-An error that is already reported stays silent; the error register and the history follow. Between
-two messages lies at least the inhibit time; what has to wait is sent later, in order. Source: CiA
-301, EMCY protocol, objects 1001h, 1003h, 1014h, 1015h.
+An error that is active already causes no further message. The error register and the history follow
+the errors. Between two messages there is at least the inhibit time; messages that must wait are sent
+later, in order. Source: CiA 301, EMCY protocol, objects 1001h, 1003h, 1014h, 1015h.
 """
 
 from collections import deque
+from functools import partial
 
 from rollerrig.firmware_sim.cia301.communication import HISTORY, own_cob_id, valid
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 
-_WAITING = 32
+_MOST_WAITING = 32  # messages
 # error register bits by the first hexadecimal digit of the code; bit 0 is always set
 _REGISTER = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10, 0xF: 0x20, 0x6: 0x80}
-SYNC_LENGTH, PDO_LENGTH, HEARTBEAT_LOST, RPDO_LATE = 0x8240, 0x8210, 0x8130, 0x8250
-# no code of its own is defined for a SYNC that stays away: communication, generic
-SYNC_MISSING = 0x8100
+# error codes
+SYNC_LENGTH = 0x8240
+PDO_LENGTH = 0x8210
+HEARTBEAT_LOST = 0x8130
+RPDO_LATE = 0x8250
+SYNC_MISSING = 0x8100  # the standard defines no special code for it: communication, generic
 
 
 class Emergency:
-    """The errors of a node. `active`: codes with their sources, which tell errors of one code apart."""
+    """The errors of a node.
+
+    `active`: codes with their sources. The source distinguishes errors with the same code.
+    """
 
     def __init__(self, node: Host) -> None:
         self.node = node
         self.active: set[tuple[int, int]] = set()
         self.history: deque[int] = deque(maxlen=HISTORY)
-        self._waiting: deque[bytes] = deque(maxlen=_WAITING)
-        self._free_ns = 0
+        self._waiting: deque[bytes] = deque(maxlen=_MOST_WAITING)
+        self._free_ns = 0  # when the next message may be sent
         objects = node.objects
         objects.own(0x1001, read=self.register)
         objects.own(0x1003, read=lambda: len(self.history), check=self._clear_history)
         for at in range(HISTORY):
-            objects.own(
-                0x1003, at + 1, read=lambda at=at: self.history[at] if at < len(self.history) else 0
-            )
+            objects.own(0x1003, at + 1, read=partial(self._history_entry, at))
         own_cob_id(objects, 0x1014)
         objects.own(0x1015, check=self._check_inhibit)
 
@@ -46,7 +51,7 @@ class Emergency:
         return bits
 
     def report(self, code: int, source: int = 0, information: bytes = b"") -> bool:
-        """An error has begun. Nothing happens, and False comes back, if it is already known."""
+        """Report that an error has begun. Returns False, and does nothing, if it is active already."""
         if (code, source) in self.active:
             return False
         self.active.add((code, source))
@@ -55,18 +60,18 @@ class Emergency:
         return True
 
     def clear(self, code: int, source: int = 0) -> None:
-        """An error has ended: tell it with code 0 and what is left in the error register."""
+        """Report that an error has ended: a message with code 0 and the remaining error register."""
         if (code, source) in self.active:
             self.active.remove((code, source))
             self._queue(0, code.to_bytes(2, "little"))
 
     def forget(self, everything: bool) -> None:
-        """After a reset: no communication error, or none at all, and nothing waits."""
-        self.active = {
-            (code, source) for code, source in self.active if code >> 12 != 8 and not everything
-        }
+        """Forget the errors of communication, or with `everything` all errors, after a reset."""
         if everything:
+            self.active = set()
             self.history.clear()
+        else:
+            self.active = {(code, source) for code, source in self.active if code >> 12 != 8}
         self._waiting.clear()
         self._free_ns = 0
 
@@ -76,7 +81,7 @@ class Emergency:
         self.flush()
 
     def flush(self) -> None:
-        """Send what waits, as far as state and inhibit time allow."""
+        """Send waiting messages, as far as state and inhibit time allow."""
         node = self.node
         cob_id = node.objects.values[key(0x1014, 0)]
         if not valid(cob_id):
@@ -86,7 +91,12 @@ class Emergency:
                 node.timers.set("emergency", self._free_ns, self.flush)
                 return
             node.transmit(cob_id, self._waiting.popleft())
-            self._free_ns = node.clock_ns() + node.objects.values[key(0x1015, 0)] * 100_000
+            inhibit_100us = node.objects.values[key(0x1015, 0)]
+            self._free_ns = node.clock_ns() + inhibit_100us * 100_000
+
+    def _history_entry(self, at: int) -> int:
+        """The entry of the history at a position, the newest first; 0 if there is none."""
+        return self.history[at] if at < len(self.history) else 0
 
     def _clear_history(self, value: int) -> None:
         if value != 0:

@@ -1,9 +1,10 @@
 """Layer setting services: a master finds a node by its identity and gives it a node identifier.
 
-A node waits until a switch command selects it, all nodes at once or one by its four identity numbers; then it takes
-an identifier, which becomes active with the next reset of communication. Fastscan finds a node without identifier by
-asking for its identity bit by bit. Source: CiA 305; written from its published descriptions. Identifier and bit
-timing are kept in the node's file when the master says so; the bit timing is taken note of and changes nothing here.
+A switch command selects all nodes together, or one node by its four identity numbers. A selected node
+accepts an identifier, which becomes active with the next reset of communication. Fastscan finds a
+node without an identifier: the master tests the identity bit by bit. On command the node stores
+identifier and bit timing in its file. The bit timing has no effect here.
+Source: CiA 305; written from its published descriptions.
 """
 
 from collections.abc import Callable
@@ -14,26 +15,46 @@ from rollerrig.firmware_sim.cia301.storage import Storage
 from rollerrig.wsp_interface.bus.connection_set import LSS_ANSWER
 from rollerrig.wsp_interface.bus.frames import Frame
 
-UNCONFIGURED = 255
-_SWITCH_GLOBAL, _NODE_ID, _BIT_TIMING, _STORE = 0x04, 0x11, 0x13, 0x17
-_SELECT, _SELECTED = (0x40, 0x41, 0x42, 0x43), 0x44
-_IDENTIFY, _IDENTIFIED = (0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B), 0x4F
-_NON_CONFIGURED, _IS_NON_CONFIGURED, _FASTSCAN = 0x4C, 0x50, 0x51
-# the four identity numbers, then the node identifier
-_INQUIRE = (0x5A, 0x5B, 0x5C, 0x5D, 0x5E)
-# CiA 305: index 2 of the standard table is 500 kbit/s, index 5 is reserved
-_STANDARD_TABLE, _RATES, _DEFAULT_RATE = 0, (0, 1, 2, 3, 4, 6, 7, 8), 2
+UNCONFIGURED = 255  # a node without an identifier
+
+# command specifiers of CiA 305
+_SWITCH_GLOBAL = 0x04
+_NODE_ID = 0x11
+_BIT_TIMING = 0x13
+_STORE = 0x17
+_SELECT = (0x40, 0x41, 0x42, 0x43)  # by vendor, product, revision, serial number
+_SELECTED = 0x44
+_IDENTIFY = (0x46, 0x47, 0x48, 0x49, 0x4A, 0x4B)  # vendor, product, revision and serial from .. to
+_IDENTIFIED = 0x4F
+_NON_CONFIGURED = 0x4C
+_IS_NON_CONFIGURED = 0x50
+_FASTSCAN = 0x51
+_INQUIRE = (0x5A, 0x5B, 0x5C, 0x5D, 0x5E)  # the four identity numbers, then the node identifier
+
+# bit timing: table 0 is the standard table; its index 2 is 500 kbit/s, its index 5 is reserved
+_STANDARD_TABLE = 0
+_RATES = (0, 1, 2, 3, 4, 6, 7, 8)
+_DEFAULT_RATE = 2
+
+_FASTSCAN_RESET = 0x80  # bit check: all nodes begin again
 
 
 class LssSlave:
-    """The LSS side of a node. `configuring`: selected; `pending`: the identifier to come."""
+    """The LSS side of a node.
+
+    `configuring`: the node is selected. `pending`: the identifier after the next reset.
+    """
 
     def __init__(self, node: Host, storage: Storage) -> None:
-        self.node, self.storage, self.configuring, self.pending = node, storage, False, node.node_id
-        self._position, self.bit_timing = 0, _DEFAULT_RATE
-        # how many numbers of a selection or an identification have matched, one after the other
+        self.node = node
+        self.storage = storage
+        self.configuring = False
+        self.pending = node.node_id
+        self.bit_timing = _DEFAULT_RATE
+        self._position = 0  # of fastscan: the identity number that is tested next
+        # the numbers of a selection or an identification that have matched, in sequence
         self._matched = {_SELECT: 0, _IDENTIFY: 0}
-        steps: dict[int, Callable[[bytes], None]] = {
+        services: dict[int, Callable[[bytes], None]] = {
             _SWITCH_GLOBAL: self._switch_global,
             _NODE_ID: self._set_node_id,
             _BIT_TIMING: self._set_bit_timing,
@@ -41,21 +62,25 @@ class LssSlave:
             _NON_CONFIGURED: self._identify_non_configured,
             _FASTSCAN: self._fastscan,
         }
-        steps |= dict.fromkeys(_SELECT, self._select) | dict.fromkeys(_IDENTIFY, self._identify)
-        self._steps = steps | dict.fromkeys(_INQUIRE, self._inquire)
+        services |= dict.fromkeys(_SELECT, self._select)
+        services |= dict.fromkeys(_IDENTIFY, self._identify)
+        services |= dict.fromkeys(_INQUIRE, self._inquire)
+        self._services = services
 
     def power_on(self) -> None:
-        """Begin with what has been stored, where anything has."""
+        """Begin with the stored settings, if there are any."""
         kept = self.storage.kept_settings()
         if kept is not None:
             self.pending, self.bit_timing = kept
         self.configuring = False
 
     def on_frame(self, frame: Frame) -> None:
-        """A message of the LSS master; one that has not eight bytes is not LSS."""
-        step = self._steps.get(frame.data[0]) if len(frame.data) == 8 else None
-        if step is not None:
-            step(frame.data)
+        """Take a message of the LSS master. A message without eight bytes is ignored."""
+        if len(frame.data) != 8:
+            return
+        service = self._services.get(frame.data[0])
+        if service is not None:
+            service(frame.data)
 
     def _identity(self) -> list[int]:
         values = self.node.objects.values
@@ -68,16 +93,19 @@ class LssSlave:
         if data[1] not in (0, 1):
             return
         self.configuring = data[1] == 1
-        if not self.configuring and self.node.node_id == UNCONFIGURED != self.pending:
-            # a node that had no identifier starts as soon as it has been given one
+        has_new_identifier = self.node.node_id == UNCONFIGURED and self.pending != UNCONFIGURED
+        if not self.configuring and has_new_identifier:
+            # a node without an identifier starts as soon as it has one
             self.node.reset_node(everything=False)
 
     def _completes(self, commands: tuple[int, ...], data: bytes, matches: bool) -> bool:
         """Whether this command is the last of a series that have all matched, in their order."""
         at = data[0] - commands[0]
-        before = self._matched[commands] if at else 0
-        self._matched[commands] = (at + 1) % len(commands) if matches and before == at else 0
-        return matches and before == at == len(commands) - 1
+        matched_before = self._matched[commands] if at else 0
+        in_sequence = matches and matched_before == at
+        last = at == len(commands) - 1
+        self._matched[commands] = at + 1 if in_sequence and not last else 0
+        return in_sequence and last
 
     def _select(self, data: bytes) -> None:
         matches = _number(data) == self._identity()[data[0] - _SELECT[0]]
@@ -86,38 +114,45 @@ class LssSlave:
             self._answer(_SELECTED)
 
     def _identify(self, data: bytes) -> None:
-        number, (vendor, product, revision, serial) = _number(data), self._identity()
-        matches = (
-            number == vendor,
-            number == product,
-            number <= revision,
-            number >= revision,
-            number <= serial,
-            number >= serial,
-        )[data[0] - _IDENTIFY[0]]
-        if self._completes(_IDENTIFY, data, matches):
+        number = _number(data)
+        vendor, product, revision, serial = self._identity()
+        matches = {
+            0x46: number == vendor,
+            0x47: number == product,
+            0x48: number <= revision,
+            0x49: number >= revision,
+            0x4A: number <= serial,
+            0x4B: number >= serial,
+        }
+        if self._completes(_IDENTIFY, data, matches[data[0]]):
             self._answer(_IDENTIFIED)
 
     def _set_node_id(self, data: bytes) -> None:
-        if self.configuring:
-            allowed = 1 <= data[1] <= 127 or data[1] == UNCONFIGURED
-            self.pending = data[1] if allowed else self.pending
-            self._answer(_NODE_ID, bytes([not allowed]))
+        if not self.configuring:
+            return
+        allowed = 1 <= data[1] <= 127 or data[1] == UNCONFIGURED
+        if allowed:
+            self.pending = data[1]
+        self._answer(_NODE_ID, bytes([not allowed]))
 
     def _set_bit_timing(self, data: bytes) -> None:
-        if self.configuring:
-            known = data[1] == _STANDARD_TABLE and data[2] in _RATES
-            self.bit_timing = data[2] if known else self.bit_timing
-            self._answer(_BIT_TIMING, bytes([not known]))
+        if not self.configuring:
+            return
+        known = data[1] == _STANDARD_TABLE and data[2] in _RATES
+        if known:
+            self.bit_timing = data[2]
+        self._answer(_BIT_TIMING, bytes([not known]))
 
     def _store(self, _: bytes) -> None:
         if self.configuring:
             self._answer(_STORE, bytes([self.storage.keep_settings(self.pending, self.bit_timing)]))
 
     def _inquire(self, data: bytes) -> None:
-        if self.configuring:
-            numbers = [number.to_bytes(4, "little") for number in self._identity()]
-            self._answer(data[0], [*numbers, bytes([self.node.node_id])][data[0] - _INQUIRE[0]])
+        if not self.configuring:
+            return
+        answers = [number.to_bytes(4, "little") for number in self._identity()]
+        answers.append(bytes([self.node.node_id]))
+        self._answer(data[0], answers[data[0] - _INQUIRE[0]])
 
     def _identify_non_configured(self, _: bytes) -> None:
         if self.node.node_id == UNCONFIGURED:
@@ -126,16 +161,19 @@ class LssSlave:
     def _fastscan(self, data: bytes) -> None:
         if self.node.node_id != UNCONFIGURED or self.configuring:
             return
-        bit, part, following = data[5:8]
-        if bit == 0x80:
+        bit, part, next_part = data[5:8]  # bit to test, and which identity number
+        if bit == _FASTSCAN_RESET:
             self._position = 0
             self._answer(_IDENTIFIED)
-        elif bit > 31 or part > 3 or following > 3 or part != self._position:
             return
-        elif _number(data) >> bit == self._identity()[part] >> bit:
+        if bit > 31 or part > 3 or next_part > 3 or part != self._position:
+            return
+        if _number(data) >> bit == self._identity()[part] >> bit:
             self._answer(_IDENTIFIED)
-            self._position = following
-            self.configuring = self.configuring or (bit == 0 and following < part)
+            self._position = next_part
+            # the last bit of the last number: the node is found, and selected
+            if bit == 0 and next_part < part:
+                self.configuring = True
 
 
 def _number(data: bytes) -> int:

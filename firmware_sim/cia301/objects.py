@@ -1,8 +1,8 @@
 """The values behind an object dictionary, and every rule of access to them.
 
-A download is checked in the order existence, access, length, range, then by whoever owns the
-object; only then is it stored and its effect called. An object may instead be read from a live
-source: then nothing is stored. Source: CiA 301, SDO abort codes and object access.
+A download is checked in this order: existence, access, length, range, and the check of the service
+that owns the object. Only then is it stored and its effect called. An object may instead be read from
+a live source; then no value is stored. Source: CiA 301, SDO abort codes and object access.
 """
 
 import struct
@@ -18,7 +18,7 @@ Key = int
 
 
 class Abort(IntEnum):
-    """SDO abort codes that the server sends: numbers as CiA 301 has them in its table."""
+    """SDO abort codes that the server sends, with their numbers in the table of CiA 301."""
 
     TOGGLE_BIT = 0x05030000
     TIME_OUT = 0x05040000
@@ -45,7 +45,7 @@ class Abort(IntEnum):
 
 
 class AbortError(Exception):
-    """Access to an object is refused; `code` is what the client is told."""
+    """Access to an object is refused; the client receives `code`."""
 
     def __init__(self, code: Abort) -> None:
         super().__init__(f"SDO abort {code:08X}h ({code.name})")
@@ -58,17 +58,20 @@ def key(index: int, sub: int) -> Key:
 
 
 class Objects:
-    """Values of a dictionary, by key. `node_id` is what relative defaults are counted from.
+    """The values of a dictionary, by key. Relative defaults are relative to `node_id`.
 
-    `readers` are live sources, `checks` may refuse a value by AbortError, `effects` follow a stored one.
+    By key: `readers` are live sources, `checks` may refuse a value with AbortError, and `effects` are
+    called when a value has been stored.
     """
 
     def __init__(self, dictionary: ObjectDictionary, node_id: int) -> None:
-        self.dictionary, self.node_id = dictionary, node_id
+        self.dictionary = dictionary
+        self.node_id = node_id
         self.variables: dict[Key, ODVariable] = {}
-        for index, thing in dictionary.items():
-            members = {0: thing} if isinstance(thing, ODVariable) else thing.subindices
-            self.variables |= {key(index, sub): one for sub, one in sorted(members.items())}
+        for index, entry in dictionary.items():
+            members = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
+            for sub, variable in sorted(members.items()):
+                self.variables[key(index, sub)] = variable
         self.readers: dict[Key, Callable[..., Any]] = {}
         self.checks: dict[Key, Callable[..., Any]] = {}
         self.effects: dict[Key, Callable[..., Any]] = {}
@@ -84,35 +87,38 @@ class Objects:
         check: Callable[[Any], Any] | None = None,
         effect: Callable[[Any], Any] | None = None,
     ) -> None:
-        """Say who an object belongs to: its live source, who checks a value, what a stored one sets off."""
+        """Set the live source of an object, the check of a new value, and the effect of a stored one."""
         for calls, call in ((self.readers, read), (self.checks, check), (self.effects, effect)):
             if call is not None:
                 calls[key(index, sub)] = call
 
-    def power_on(self, first: int, last: int, kept: dict[Key, Any]) -> None:
-        """Give the objects first..last their defaults, or the values of `kept` (stored ones)."""
-        moved = self.node_id - (self.dictionary.node_id or 0)
-        for at, one in self.variables.items():
-            if first <= at >> 8 <= last:
-                default: Any = one.default
-                self.values[at] = kept.get(at, default + moved if one.relative else default)
+    def power_on(self, first: int, last: int, stored: dict[Key, Any]) -> None:
+        """Give the objects from index first to last their defaults, or their stored values."""
+        shift = self.node_id - (self.dictionary.node_id or 0)
+        for at, variable in self.variables.items():
+            if not first <= at >> 8 <= last:
+                continue
+            default: Any = variable.default
+            if variable.relative:
+                default += shift
+            self.values[at] = stored.get(at, default)
 
     def getter(self, at: Key) -> Callable[[], Any]:
-        """A call that gives an object's value now: its live source, or what is stored."""
+        """A function that returns the present value of an object, from its live source or its store."""
         return self.readers.get(at) or partial(self.values.__getitem__, at)
 
     def get(self, index: int, sub: int = 0) -> Any:
-        """An object's value now. KeyError if there is none."""
+        """The present value of an object. Raises KeyError if there is no such object."""
         return self.getter(key(index, sub))()
 
     def find(self, index: int, sub: int) -> ODVariable:
-        """The variable, or AbortError: no object, or no such sub-index."""
+        """The variable of an object. Raises AbortError if the object or the sub-index is missing."""
         variable = self.variables.get(key(index, sub))
-        if variable is None:
-            raise AbortError(
-                Abort.NO_SUB_INDEX if index in self.dictionary.indices else Abort.NO_OBJECT
-            )
-        return variable
+        if variable is not None:
+            return variable
+        if index in self.dictionary.indices:
+            raise AbortError(Abort.NO_SUB_INDEX)
+        raise AbortError(Abort.NO_OBJECT)
 
     def upload(self, index: int, sub: int) -> bytes:
         """An object's value as bytes, for an SDO client. Raises AbortError."""
@@ -122,23 +128,29 @@ class Objects:
         return variable.encode_raw(self.get(index, sub))
 
     def announce(self, index: int, sub: int, size: int | None) -> ODVariable:
-        """What can be told before the data of a download is there. Raises AbortError."""
+        """Check a download before its data are there; `size` in bytes, None if unknown.
+
+        Raises AbortError.
+        """
         variable = self.find(index, sub)
         if not variable.writable:
             raise AbortError(Abort.READ_ONLY)
-        if size is not None and variable.fixed_size and size != len(variable) // 8:
-            raise AbortError(Abort.TOO_LONG if size > len(variable) // 8 else Abort.TOO_SHORT)
-        if size is not None and size > LARGEST_BYTES:
+        if size is None:
+            return variable
+        expected = len(variable) // 8
+        if variable.fixed_size and size != expected:
+            raise AbortError(Abort.TOO_LONG if size > expected else Abort.TOO_SHORT)
+        if size > LARGEST_BYTES:
             raise AbortError(Abort.OUT_OF_MEMORY)
         return variable
 
     def download(self, index: int, sub: int, data: bytes) -> None:
-        """Store what an SDO client sent. Raises AbortError, and then nothing has changed."""
+        """Store the data of an SDO client. Raises AbortError; then nothing has changed."""
         variable = self.announce(index, sub, len(data))
         self.assign(key(index, sub), variable.decode_raw(data))
 
     def assign(self, at: Key, value: Any) -> None:
-        """Store a value of the object's type; AbortError if its range or its owner refuse it."""
+        """Store a value of the object's type. Raises AbortError if its range or its check refuses it."""
         self.check(at, value)
         self.values[at] = value
         effect = self.effects.get(at)
@@ -146,7 +158,7 @@ class Objects:
             effect(value)
 
     def check(self, at: Key, value: Any) -> None:
-        """AbortError unless the object may have a value: its range, then its owner."""
+        """Raise AbortError unless the object may have a value: by its range, then by its check."""
         variable = self.variables[at]
         if variable.max is not None and value > variable.max:
             raise AbortError(Abort.TOO_HIGH)
@@ -159,6 +171,5 @@ class Objects:
 
 def packer(variables: list[ODVariable]) -> struct.Struct:
     """The layout of a PDO that carries these variables, little-endian and packed."""
-    return struct.Struct(
-        "<" + "".join(one.STRUCT_TYPES[one.data_type or 0].format[-1] for one in variables)
-    )
+    formats = [variable.STRUCT_TYPES[variable.data_type or 0].format[-1] for variable in variables]
+    return struct.Struct("<" + "".join(formats))

@@ -1,11 +1,12 @@
-"""What may be mapped into a PDO, and in which order its parameters may be changed.
+"""The objects that may be mapped into a PDO, and the order in which its parameters may be changed.
 
-A mapping is changed while it is switched off (number of mapped objects 0); each entry names an
-object that exists, may be mapped in this direction and has that length; all together fit into eight
-bytes. Source: CiA 301, PDO communication and mapping parameter records.
+A mapping can be changed only while it is switched off (number of mapped objects 0). Each entry must
+name an object that exists, may be mapped in this direction and has the given length. All entries
+together must fit into eight bytes. Source: CiA 301, PDO communication and mapping parameter records.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 from canopen.objectdictionary import ODVariable, datatypes
 
@@ -15,7 +16,9 @@ from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, Objects, key
 
 PDO_BITS = 64
-_RESERVED, _ON_REQUEST = range(241, 252), (252, 253)
+# transmission types
+_RESERVED = range(241, 252)
+_ON_REQUEST = (252, 253)
 
 
 def _dummy(kind: int) -> ODVariable:
@@ -24,7 +27,7 @@ def _dummy(kind: int) -> ODVariable:
     return variable
 
 
-# data types stand in the dictionary as fillers of receive PDOs: byte-sized ones only
+# data types whose indices fill gaps in receive PDOs: only those of whole bytes
 DUMMIES = {
     key(kind, 0): _dummy(kind)
     for kind in (
@@ -46,32 +49,44 @@ def mapped(objects: Objects, index: int) -> list[int]:
 
 
 def check_entry(objects: Objects, entry: int, transmits: bool) -> None:
-    """AbortError unless an object may be mapped: it exists, in this direction, with this length."""
-    at, bits = entry >> 8, entry & 0xFF
+    """Raise AbortError unless an object may be mapped in this direction with this length."""
+    at = entry >> 8
+    bits = entry & 0xFF
     variable = None if transmits else DUMMIES.get(at)
     if variable is None:
-        # NO_OBJECT or NO_SUB_INDEX, both told as "does not exist"
+        # the same code for a missing sub-index: the mapped object does not exist
         if at not in objects.variables:
             raise AbortError(Abort.NO_OBJECT)
         variable = objects.variables[at]
-        one_way = {"rwr": transmits, "rww": not transmits}
-        either = variable.readable if transmits else variable.writable
-        if not variable.pdo_mappable or not one_way.get(variable.access_type, either):
+        if not variable.pdo_mappable or not _direction_allowed(variable, transmits):
             raise AbortError(Abort.NOT_MAPPABLE)
     if bits != len(variable):
         raise AbortError(Abort.NOT_MAPPABLE)
 
 
+def _direction_allowed(variable: ODVariable, transmits: bool) -> bool:
+    """Whether the access of an object allows PDOs of this direction."""
+    if variable.access_type == "rwr":
+        return transmits
+    if variable.access_type == "rww":
+        return not transmits
+    return variable.readable if transmits else variable.writable
+
+
 def govern(node: Host, index: int, configure: Callable[[bool], None], transmits: bool) -> None:
-    """Hang the rules of the standard on the records of the PDO at `index`, which `configure` compiles anew."""
-    objects, mapping = node.objects, index + 0x200
+    """Attach the rules of the standard to the records of the PDO at `index`.
+
+    `configure(operational)` compiles the PDO again after a change.
+    """
+    objects = node.objects
+    mapping = index + 0x200
     values = objects.values
 
     def check_kind(kind: int) -> None:
         if kind in _RESERVED or (kind in _ON_REQUEST and not transmits):
             raise AbortError(Abort.INVALID_VALUE)
 
-    def check_frozen(sub: int, value: int) -> None:
+    def check_unchanged_while_valid(sub: int, value: int) -> None:
         if valid(values[key(index, 1)]) and value != values[key(index, sub)]:
             raise AbortError(Abort.DEVICE_STATE)
 
@@ -90,16 +105,16 @@ def govern(node: Host, index: int, configure: Callable[[bool], None], transmits:
         if entry:
             check_entry(objects, entry, transmits)
 
-    def take_over(_: int) -> None:
+    def apply(_: int) -> None:
         configure(node.state is State.OPERATIONAL)
         node.rewire()
 
-    own_cob_id(objects, index, 1, take_over)
-    objects.own(index, 2, check=check_kind, effect=take_over)
-    objects.own(index, 3, check=lambda value: check_frozen(3, value), effect=take_over)
-    objects.own(index, 5, effect=take_over)
+    own_cob_id(objects, index, 1, apply)
+    objects.own(index, 2, check=check_kind, effect=apply)
+    objects.own(index, 3, check=partial(check_unchanged_while_valid, 3), effect=apply)
+    objects.own(index, 5, effect=apply)
     if transmits:
-        objects.own(index, 6, check=lambda value: check_frozen(6, value), effect=take_over)
-    objects.own(mapping, check=check_count, effect=take_over)
+        objects.own(index, 6, check=partial(check_unchanged_while_valid, 6), effect=apply)
+    objects.own(mapping, check=check_count, effect=apply)
     for sub in range(1, MAPPED + 1):
         objects.own(mapping, sub, check=check_mapped)

@@ -1,10 +1,10 @@
 """One SDO server: answers a client's requests on one pair of identifiers, one transfer at a time.
 
-Up to four bytes travel in the first exchange; longer values follow in segments with a toggle bit, or in blocks of up
-to 127 segments for each confirmation: the receiver confirms the last segment that came in sequence, the sender goes
-on from there, and the end carries a checksum over all the data. Anything that breaks the protocol is answered by an
-abort code, and a transfer that the client leaves lying is aborted after a time. Source: CiA 301, SDO protocols;
-checksum x^16 + x^12 + x^5 + 1, initial value 0.
+Up to four bytes are transferred in the first exchange. Longer values follow in segments with a toggle
+bit, or in blocks of up to 127 segments. The receiver confirms the last segment of a block that came in
+sequence, and the sender continues from there. The end of a block transfer has a checksum of all data.
+The server answers a violation of the protocol with an abort code. It aborts a transfer if the client
+is silent for too long. Source: CiA 301, SDO protocols; checksum x^16 + x^12 + x^5 + 1, initial value 0.
 """
 
 from binascii import crc_hqx
@@ -13,22 +13,36 @@ from typing import TypeVar, cast
 
 from rollerrig.firmware_sim.cia301.objects import LARGEST_BYTES, Abort, AbortError, Objects
 
-_SEGMENT, BLOCK = 7, 127
-# client command specifiers
-_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT, _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = (
-    range(7)
-)
-_BLOCK_INITIATE, _BLOCK_END, _BLOCK_ACKNOWLEDGE, _BLOCK_START = range(4)
+_SEGMENT = 7  # bytes of data in a segment
+BLOCK = 127  # segments in a block at most
+
+# client command specifiers: bits 5 to 7 of the first byte
+_DOWNLOAD_SEGMENT = 0
+_DOWNLOAD = 1
+_UPLOAD = 2
+_UPLOAD_SEGMENT = 3
+_ABORT = 4
+_BLOCK_UPLOAD = 5
+_BLOCK_DOWNLOAD = 6
+# client subcommands of a block upload: bits 0 and 1 of the first byte
+_BLOCK_INITIATE = 0
+_BLOCK_END = 1
+_BLOCK_ACKNOWLEDGE = 2
+_BLOCK_START = 3
 
 
 class Transfer:
-    """A transfer under way. `place`: index and sub-index as they stand in the messages, three bytes."""
+    """A transfer in progress. `place`: index and sub-index as in the messages, three bytes."""
 
     def __init__(self, place: bytes) -> None:
-        self.place, self.toggle = place, 0
+        self.place = place
+        self.toggle = 0
 
     def turn(self, request: bytes) -> int:
-        """The toggle bit of a segment's request, in its place. AbortError if it is not the one that is due."""
+        """The toggle bit of a segment's request, at its position in the byte.
+
+        Raises AbortError if the bit has not alternated.
+        """
         if request[0] >> 4 & 1 != self.toggle:
             raise AbortError(Abort.TOGGLE_BIT)
         self.toggle ^= 1
@@ -36,51 +50,65 @@ class Transfer:
 
 
 class Upload(Transfer):
-    """A segmented upload under way."""
+    """A segmented upload in progress."""
 
     def __init__(self, place: bytes, data: bytes) -> None:
         super().__init__(place)
         self.rest = data
 
     def segment(self, request: bytes) -> bytes:
-        """The answer to an upload-segment request; bit 0 tells the last one."""
-        toggle, part, self.rest = self.turn(request), self.rest[:_SEGMENT], self.rest[_SEGMENT:]
-        head = toggle | (_SEGMENT - len(part)) << 1 | (not self.rest)
-        return bytes([head]) + part.ljust(_SEGMENT, b"\0")
+        """The answer to an upload-segment request; bit 0 is set in the last one."""
+        toggle = self.turn(request)
+        part = self.rest[:_SEGMENT]
+        self.rest = self.rest[_SEGMENT:]
+        unused = _SEGMENT - len(part)
+        last = not self.rest
+        return bytes([toggle | unused << 1 | last]) + part.ljust(_SEGMENT, b"\0")
 
 
 class Download(Transfer):
-    """A segmented download under way. `size` None: the client did not tell it."""
+    """A segmented download in progress. `size` None: the client has not announced it."""
 
     def __init__(self, place: bytes, size: int | None) -> None:
         super().__init__(place)
-        self.size, self.data = size, bytearray()
+        self.size = size
+        self.data = bytearray()
 
     def segment(self, request: bytes) -> bytes:
         """The answer to a download segment."""
         toggle = self.turn(request)
-        self.data += request[1 : 8 - (request[0] >> 1 & 7)]
-        if len(self.data) > (LARGEST_BYTES if self.size is None else self.size):
-            raise AbortError(Abort.OUT_OF_MEMORY if self.size is None else Abort.LENGTH_MISMATCH)
+        unused = request[0] >> 1 & 7
+        self.data += request[1 : 8 - unused]
+        if self.size is not None and len(self.data) > self.size:
+            raise AbortError(Abort.LENGTH_MISMATCH)
+        if self.size is None and len(self.data) > LARGEST_BYTES:
+            raise AbortError(Abort.OUT_OF_MEMORY)
         return bytes([0x20 | toggle]).ljust(8, b"\0")
 
     def whole(self) -> bytes:
-        """All the data. AbortError if the client has announced another length."""
+        """All data. Raises AbortError if the client has announced another length."""
         if self.size not in (None, len(self.data)):
             raise AbortError(Abort.LENGTH_MISMATCH)
         return bytes(self.data)
 
 
 class BlockDownload(Download):
-    """A block download under way; the client may check the data by `checksum`."""
+    """A block download in progress.
+
+    `checksum`: the end of the transfer has a checksum. `sequence`: number of the last segment of the
+    block that came in sequence. `takes_segments`: the next message is a segment.
+    """
 
     def __init__(self, place: bytes, size: int | None, checksum: bool) -> None:
         super().__init__(place, size)
-        self.checksum, self.sequence, self.takes_segments = checksum, 0, True
+        self.checksum = checksum
+        self.sequence = 0
+        self.takes_segments = True
 
     def block_segment(self, data: bytes) -> bytes | None:
-        """Take one segment; an answer is due after the last of the block or of the transfer."""
-        number, last = data[0] & 0x7F, bool(data[0] & 0x80)
+        """Take one segment; returns the answer after the last one of the block or of the transfer."""
+        number = data[0] & 0x7F
+        last = bool(data[0] & 0x80)
         if number == 0:
             raise AbortError(Abort.SEQUENCE_NUMBER)
         in_sequence = number == self.sequence + 1
@@ -92,31 +120,43 @@ class BlockDownload(Download):
         if not last and number != BLOCK:
             return None
         answer = bytes([0xA2, self.sequence, BLOCK]).ljust(8, b"\0")
-        self.sequence, self.takes_segments = 0, not (last and in_sequence)
+        self.sequence = 0
+        self.takes_segments = not (last and in_sequence)
         return answer
 
     def end(self, request: bytes) -> bytes:
-        """The whole data, when the client's end agrees with what came. Raises AbortError."""
+        """All data, at the end of the transfer. Raises AbortError if length or checksum differ."""
         if self.takes_segments:
             raise AbortError(Abort.UNKNOWN_COMMAND)
-        filling = request[0] >> 2 & 7
-        self.data = self.data[: len(self.data) - filling]
-        if self.checksum and crc_hqx(self.data, 0) != int.from_bytes(request[1:3], "little"):
+        unused = request[0] >> 2 & 7
+        self.data = self.data[: len(self.data) - unused]
+        checksum = int.from_bytes(request[1:3], "little")
+        if self.checksum and crc_hqx(self.data, 0) != checksum:
             raise AbortError(Abort.CRC)
         return self.whole()
 
 
 class BlockUpload(Transfer):
-    """A block upload under way: `at` is the byte that the next block begins with."""
+    """A block upload in progress.
+
+    `block`: segments in a block. `at`: the byte with which the next block begins. `sent`: segments in
+    the last block.
+    """
 
     def __init__(self, place: bytes, data: bytes, block: int, checksum: bool) -> None:
         super().__init__(place)
-        self.data, self.block, self.checksum, self.at, self.sent = data, block, checksum, 0, 0
-        # what the client has to send next
-        self._due = _BLOCK_START
+        self.data = data
+        self.block = block
+        self.checksum = checksum
+        self.at = 0
+        self.sent = 0
+        self._due = _BLOCK_START  # the subcommand that the client must send next
 
     def step(self, request: bytes) -> list[bytes]:
-        """The frames that answer the client's start or acknowledgement; none after its end. Raises AbortError."""
+        """The frames that answer the client's start or acknowledgement; none after its end.
+
+        Raises AbortError.
+        """
         command = request[0] & 3
         if command != self._due:
             raise AbortError(Abort.UNKNOWN_COMMAND)
@@ -126,40 +166,53 @@ class BlockUpload(Transfer):
         return self._block() if command == _BLOCK_START else []
 
     def _acknowledged(self, number: int, block: int) -> list[bytes]:
+        """The next frames after the client has confirmed the segments up to `number`.
+
+        `block` is the number of segments that the client allows in the next block.
+        """
         if number > self.sent:
             raise AbortError(Abort.SEQUENCE_NUMBER)
         if not 1 <= block <= BLOCK:
             raise AbortError(Abort.BLOCK_SIZE)
-        whole = self.at + number * _SEGMENT >= len(self.data) and number == self.sent
-        self.at, self.block = min(self.at + number * _SEGMENT, len(self.data)), block
-        if not whole:
+        confirmed = self.at + number * _SEGMENT
+        complete = confirmed >= len(self.data) and number == self.sent
+        self.at = min(confirmed, len(self.data))
+        self.block = block
+        if not complete:
             return self._block()
+
         self._due = _BLOCK_END
-        filling = -len(self.data) % _SEGMENT if self.data else _SEGMENT
+        # an empty value has one empty segment
+        unused = -len(self.data) % _SEGMENT if self.data else _SEGMENT
         checksum = crc_hqx(self.data, 0) if self.checksum else 0
-        return [bytes([0xC1 | filling << 2]) + checksum.to_bytes(2, "little") + bytes(5)]
+        return [bytes([0xC1 | unused << 2]) + checksum.to_bytes(2, "little") + bytes(5)]
 
     def _block(self) -> list[bytes]:
+        """The segments of the next block; bit 7 is set in the last segment of the transfer."""
         parts = [self.data[at : at + _SEGMENT] for at in range(self.at, len(self.data), _SEGMENT)]
-        parts = parts[: self.block] or [b""]
-        last = self.at + len(parts) * _SEGMENT >= len(self.data)
+        parts = parts[: self.block]
+        if not parts:
+            parts = [b""]
         self.sent = len(parts)
-        return [
-            bytes([number | (last and number == len(parts)) << 7]) + part.ljust(_SEGMENT, b"\0")
-            for number, part in enumerate(parts, 1)
-        ]
+        reaches_end = self.at + len(parts) * _SEGMENT >= len(self.data)
+        frames = []
+        for number, part in enumerate(parts, 1):
+            last = reaches_end and number == len(parts)
+            frames.append(bytes([number | last << 7]) + part.ljust(_SEGMENT, b"\0"))
+        return frames
 
 
 T = TypeVar("T", bound=Transfer)
 
 
 class SdoServer:
-    """Answers requests by calling `reply(data)`; `active` is the transfer under way, if any."""
+    """Answers requests by calling `reply(data)`; `active` is the transfer in progress, if any."""
 
     def __init__(self, objects: Objects, reply: Callable[[bytes], None]) -> None:
-        self.objects, self.reply = objects, reply
+        self.objects = objects
+        self.reply = reply
         self.active: Transfer | None = None
-        self._steps: dict[int, Callable[[bytes], None]] = {
+        self._services: dict[int, Callable[[bytes], None]] = {
             _DOWNLOAD_SEGMENT: self._download_segment,
             _DOWNLOAD: self._download,
             _UPLOAD: self._upload,
@@ -169,7 +222,7 @@ class SdoServer:
         }
 
     def on_request(self, data: bytes) -> None:
-        """A message from the client. One that has not eight bytes is not an SDO: no answer."""
+        """Take a message from the client. A message without eight bytes is no SDO: no answer."""
         if len(data) != 8:
             return
         if data[0] == _ABORT << 5:
@@ -181,16 +234,18 @@ class SdoServer:
                 if answer is not None:
                     self.reply(answer)
                 return
-            step = self._steps.get(data[0] >> 5)
-            if step is None:
+            service = self._services.get(data[0] >> 5)
+            if service is None:
                 raise AbortError(Abort.UNKNOWN_COMMAND)
-            step(data)
-        except AbortError as refused:
-            transfer = None if data[0] >> 5 in (_DOWNLOAD, _UPLOAD) else self.active
-            self._abort(transfer.place if transfer else data[1:4], refused.code)
+            service(data)
+        except AbortError as refusal:
+            # a request that begins a transfer has its place; others concern the active transfer
+            begins = data[0] >> 5 in (_DOWNLOAD, _UPLOAD)
+            place = data[1:4] if begins or self.active is None else self.active.place
+            self._abort(place, refusal.code)
 
     def time_out(self) -> None:
-        """The client has been silent for too long: give the transfer up and say so."""
+        """Abort the transfer, because the client has been silent for too long."""
         if self.active is not None:
             self._abort(self.active.place, Abort.TIME_OUT)
 
@@ -199,13 +254,13 @@ class SdoServer:
         self.reply(b"\x80" + place + code.to_bytes(4, "little"))
 
     def _running(self, kind: type[T]) -> T:
-        """The transfer under way. AbortError if it is not of this kind."""
+        """The transfer in progress. Raises AbortError if it is not of this kind."""
         if type(self.active) is not kind:
             raise AbortError(Abort.UNKNOWN_COMMAND)
         return cast(T, self.active)
 
     def _finish(self, transfer: Download, data: bytes) -> None:
-        """Store what has been downloaded."""
+        """Store the downloaded data."""
         self.objects.download(*_at(transfer.place), data)
         self.active = None
 
@@ -214,8 +269,10 @@ class SdoServer:
         self._begin_upload(request[1:4], self.objects.upload(*_at(request[1:4])))
 
     def _begin_upload(self, place: bytes, data: bytes) -> None:
+        """Send a short value in the answer (expedited), or begin a segmented upload."""
         if 0 < len(data) <= 4:
-            self.reply(bytes([0x43 | (4 - len(data)) << 2]) + place + data.ljust(4, b"\0"))
+            unused = 4 - len(data)
+            self.reply(bytes([0x43 | unused << 2]) + place + data.ljust(4, b"\0"))
             return
         self.active = Upload(place, data)
         self.reply(b"\x41" + place + len(data).to_bytes(4, "little"))
@@ -227,19 +284,29 @@ class SdoServer:
         self.reply(answer)
 
     def _download(self, request: bytes) -> None:
-        place, head = request[1:4], request[0]
+        place = request[1:4]
+        expedited = request[0] & 2
+        size_given = request[0] & 1
         self.active = None
-        if head & 2:
-            size = 4 - (head >> 2 & 3) if head & 1 else None
-            variable = self.objects.announce(*_at(place), size)
-            if size is None:
-                size = min(4, len(variable) // 8) if variable.fixed_size else 4
-            self.objects.download(*_at(place), request[4 : 4 + size])
+        if expedited:
+            self._download_expedited(request)
         else:
-            size = int.from_bytes(request[4:], "little") if head & 1 else None
+            size = int.from_bytes(request[4:], "little") if size_given else None
             self.objects.announce(*_at(place), size)
             self.active = Download(place, size)
         self.reply(b"\x60" + place + bytes(4))
+
+    def _download_expedited(self, request: bytes) -> None:
+        """Store a value of up to four bytes that the request itself contains."""
+        place = request[1:4]
+        size_given = request[0] & 1
+        size = 4 - (request[0] >> 2 & 3) if size_given else None
+        variable = self.objects.announce(*_at(place), size)
+        if size is None:
+            size = 4
+            if variable.fixed_size:
+                size = min(4, len(variable) // 8)
+        self.objects.download(*_at(place), request[4 : 4 + size])
 
     def _download_segment(self, request: bytes) -> None:
         transfer = self._running(Download)
@@ -254,10 +321,13 @@ class SdoServer:
             self._finish(transfer, transfer.end(request))
             self.reply(b"\xa1".ljust(8, b"\0"))
             return
-        place, self.active = request[1:4], None
-        size = int.from_bytes(request[4:], "little") if request[0] & 2 else None
+        place = request[1:4]
+        size_given = request[0] & 2
+        checksum = bool(request[0] & 4)
+        self.active = None
+        size = int.from_bytes(request[4:], "little") if size_given else None
         self.objects.announce(*_at(place), size)
-        self.active = BlockDownload(place, size, bool(request[0] & 4))
+        self.active = BlockDownload(place, size, checksum)
         self.reply(b"\xa4" + place + bytes([BLOCK, 0, 0, 0]))
 
     def _block_upload(self, request: bytes) -> None:
@@ -268,18 +338,21 @@ class SdoServer:
             for frame in frames:
                 self.reply(frame)
             return
-        place, block, threshold = request[1:4], request[4], request[5]
+        place = request[1:4]
+        block = request[4]
+        threshold = request[5]  # bytes; up to this length the client prefers the ordinary protocol
+        checksum = bool(request[0] & 4)
         self.active = None
         data = self.objects.upload(*_at(place))
         if not 1 <= block <= BLOCK:
             raise AbortError(Abort.BLOCK_SIZE)
         if threshold and len(data) <= threshold:
-            # the client asked for the ordinary protocol where the value is short
             self._begin_upload(place, data)
             return
-        self.active = BlockUpload(place, data, block, bool(request[0] & 4))
+        self.active = BlockUpload(place, data, block, checksum)
         self.reply(b"\xc6" + place + len(data).to_bytes(4, "little"))
 
 
 def _at(place: bytes) -> tuple[int, int]:
+    """Index and sub-index of a place in a message."""
     return int.from_bytes(place[:2], "little"), place[2]

@@ -1,9 +1,9 @@
-"""What outlives a power cycle: parameters, stored by 1010h and given up by 1011h, and LSS settings.
+"""Values that survive a power cycle: parameters (1010h stores them, 1011h restores defaults), and LSS.
 
-Both stand in one file of the node, each part written by its own service. Written are the parameters
-that a client may change, whether or not a PDO may carry them, but no process values and no commands:
-a drive must not wake up enabled. Restored defaults take effect with the next reset, as the standard
-wants. Source: CiA 301, objects 1010h and 1011h with their signatures; CiA 305, store configuration.
+The node has one file for both; each service writes its part. Stored are the parameters that a client
+may change, mappable or not, but no process values and no commands: a drive must not start enabled.
+Restored defaults take effect with the next reset, as the standard requires.
+Source: CiA 301, objects 1010h and 1011h with their signatures; CiA 305, store configuration.
 """
 
 import json
@@ -17,96 +17,116 @@ from canopen.objectdictionary import ODVariable
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError
 
-SAVE, LOAD = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little")
-# what each sub-index of 1010h and 1011h covers
+SAVE = int.from_bytes(b"save", "little")
+LOAD = int.from_bytes(b"load", "little")
+# first and last index of the objects that a sub-index of 1010h and 1011h covers
 RANGES = {1: (0x1000, 0xFFFF), 2: (0x1000, 0x1FFF), 3: (0x2000, 0xFFFF)}
-_NEVER = frozenset({0x1003, 0x1010, 0x1011})
+_NEVER_STORED = frozenset({0x1003, 0x1010, 0x1011})
 # answers of CiA 305 to "store configuration"
-STORED, NO_MEMORY, ACCESS_ERROR = 0, 1, 2
+STORED = 0
+NO_MEMORY = 1
+ACCESS_ERROR = 2
 
 
 class Storage:
     """The file of a node; `path` None: the node has no memory, and storing is refused."""
 
     def __init__(self, node: Host, path: Path | None) -> None:
-        self.node, self.path = node, path
-        for index, call in ((0x1010, self._store), (0x1011, self._restore)):
-            for sub in RANGES:
-                # read as "can be done on command", whatever was written
-                node.objects.own(
-                    index, sub, read=lambda: int(self.path is not None), check=partial(call, sub)
-                )
+        self.node = node
+        self.path = path
+        for sub in RANGES:
+            # a client reads 1 (can store on command) or 0, whatever was written
+            node.objects.own(0x1010, sub, read=self._can_store, check=partial(self._store, sub))
+            node.objects.own(0x1011, sub, read=self._can_store, check=partial(self._restore, sub))
+
+    def _can_store(self) -> int:
+        return int(self.path is not None)
 
     def load(self) -> dict[int, Any]:
-        """Stored values by key; nothing where there is no file or its checksum is wrong."""
-        named = {f"{at:06X}": at for at in self._storable(0x1000, 0xFFFF)}
-        return {
-            named[name]: value
-            for name, value in self._read()[0].items()
-            if name in named and _fits(self.node.objects.variables[named[name]], value)
-        }
+        """The stored values by key; empty if there is no file or its checksum is wrong."""
+        parameters, _ = self._read()
+        stored = {}
+        for at in self._storable(0x1000, 0xFFFF):
+            name = _name(at)
+            if name in parameters and _fits(self.node.objects.variables[at], parameters[name]):
+                stored[at] = parameters[name]
+        return stored
 
     def kept_settings(self) -> tuple[int, int] | None:
-        """Node identifier and bit timing that LSS has stored; None where it has not."""
-        settings = self._read()[1]
-        node_id, bit_timing = settings.get("node_id"), settings.get("bit_timing")
+        """The node identifier and bit timing that LSS has stored; None if it has not."""
+        _, settings = self._read()
+        node_id = settings.get("node_id")
+        bit_timing = settings.get("bit_timing")
         if type(node_id) is not int or type(bit_timing) is not int:
             return None
-        return (node_id, bit_timing) if 1 <= node_id <= 127 or node_id == 255 else None
+        if not (1 <= node_id <= 127 or node_id == 255):
+            return None
+        return node_id, bit_timing
 
     def keep_settings(self, node_id: int, bit_timing: int) -> int:
-        """Store what LSS has configured; STORED, NO_MEMORY or ACCESS_ERROR."""
+        """Store the settings of LSS. Returns STORED, NO_MEMORY or ACCESS_ERROR."""
         if self.path is None:
             return NO_MEMORY
+        parameters, _ = self._read()
         try:
-            self._write(self._read()[0], {"node_id": node_id, "bit_timing": bit_timing})
+            self._write(parameters, {"node_id": node_id, "bit_timing": bit_timing})
         except AbortError:
             return ACCESS_ERROR
         return STORED
 
     def _read(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Parameters and LSS settings of the file, both empty where it cannot be understood."""
+        """Parameters and LSS settings of the file, both empty if it is missing or damaged."""
+        if self.path is None:
+            return {}, {}
         try:
-            kept = json.loads(self.path.read_text(encoding="utf-8")) if self.path else {}
-            values, settings = kept["values"], kept["lss"]
-            sound = (
-                isinstance(values, dict)
-                and isinstance(settings, dict)
-                and kept["checksum"] == _checksum(values, settings)
-            )
+            content = json.loads(self.path.read_text(encoding="utf-8"))
+            parameters = content["values"]
+            settings = content["lss"]
+            intact = content["checksum"] == _checksum(parameters, settings)
         except (OSError, ValueError, LookupError, TypeError):
-            sound = False
-        return (values, settings) if sound else ({}, {})
+            return {}, {}
+        if not (intact and isinstance(parameters, dict) and isinstance(settings, dict)):
+            return {}, {}
+        return parameters, settings
 
     def _storable(self, first: int, last: int) -> list[int]:
+        """The keys of objects from index first to last that may be stored."""
         objects = self.node.objects
-        return [
-            at
-            for at, one in objects.variables.items()
-            if first <= at >> 8 <= last
-            and one.readable
-            and one.writable
-            and one.fixed_size
-            and at not in objects.readers
-            and at >> 8 not in _NEVER | self.node.commands
-        ]
+        not_stored = _NEVER_STORED | self.node.commands
+        storable = []
+        for at, variable in objects.variables.items():
+            index = at >> 8
+            in_range = first <= index <= last
+            parameter = variable.readable and variable.writable and variable.fixed_size
+            live = at in objects.readers
+            if in_range and parameter and not live and index not in not_stored:
+                storable.append(at)
+        return storable
 
     def _store(self, sub: int, signature: int) -> None:
+        """Store the present values, if the client has written the signature to 1010h."""
         self._check(signature, SAVE)
-        now = self.node.objects.values
-        self._keep(self.load() | {at: now[at] for at in self._storable(*RANGES[sub])})
+        stored = self.load()
+        for at in self._storable(*RANGES[sub]):
+            stored[at] = self.node.objects.values[at]
+        self._keep(stored)
 
     def _restore(self, sub: int, signature: int) -> None:
+        """Forget stored values, if the client has written the signature to 1011h."""
         self._check(signature, LOAD)
         first, last = RANGES[sub]
-        self._keep({at: value for at, value in self.load().items() if not first <= at >> 8 <= last})
+        stored = self.load()
+        self._keep({at: value for at, value in stored.items() if not first <= at >> 8 <= last})
 
-    def _check(self, signature: int, wanted: int) -> None:
-        if signature != wanted or self.path is None:
+    def _check(self, signature: int, expected: int) -> None:
+        if signature != expected or self.path is None:
             raise AbortError(Abort.NOT_STORED)
 
-    def _keep(self, kept: dict[int, Any]) -> None:
-        self._write({f"{at:06X}": value for at, value in sorted(kept.items())}, self._read()[1])
+    def _keep(self, stored: dict[int, Any]) -> None:
+        """Write these parameters; the settings of LSS stay."""
+        parameters = {_name(at): value for at, value in sorted(stored.items())}
+        _, settings = self._read()
+        self._write(parameters, settings)
 
     def _write(self, values: dict[str, Any], settings: dict[str, Any]) -> None:
         assert self.path is not None
@@ -118,14 +138,21 @@ class Storage:
             raise AbortError(Abort.NOT_STORED) from None
 
 
+def _name(at: int) -> str:
+    """The name of an object in the file: index and sub-index as six hexadecimal digits."""
+    return f"{at:06X}"
+
+
 def _checksum(*parts: dict[str, Any]) -> int:
     return crc32(json.dumps(parts, sort_keys=True).encode())
 
 
-def _fits(one: ODVariable, value: Any) -> bool:
-    """Whether a value that came from the file is one the object may have."""
+def _fits(variable: ODVariable, value: Any) -> bool:
+    """Whether an object may have a value from the file."""
     try:
-        one.encode_raw(value)
+        variable.encode_raw(value)
     except (ValueError, TypeError, AttributeError):
         return False
-    return (one.min is None or value >= one.min) and (one.max is None or value <= one.max)
+    if variable.min is not None and value < variable.min:
+        return False
+    return variable.max is None or value <= variable.max
