@@ -31,6 +31,9 @@ SILENCE_S = 90
 # tolerance when simulated times are compared
 _TINY_S = 1e-9
 _STANDSTILL_M_S = 0.005
+# parameters of TPDO 1, from CiA 301; those of the others follow
+_TPDO_COMMUNICATION = 0x1800
+_TPDO_MAPPING = 0x1A00
 _PDO_OFF = 1 << 31  # bit of a PDO's COB-ID
 
 _AXLES = range(1, AXLES + 1)
@@ -146,16 +149,16 @@ class Harness:
                 entries.append(place.index << 16 | sub << 8 | signals.bits(place))
 
         can_id = MAPPED[number].can_id
-        parameters = 0x1800 + number
-        mapping = 0x1A00 + number
+        communication = _TPDO_COMMUNICATION + number
+        mapping = _TPDO_MAPPING + number
         # a mapping can only change while the PDO is off and its number of entries is 0
-        self._write(parameters, 1, struct.pack("<I", _PDO_OFF | can_id))
+        self._write(communication, 1, struct.pack("<I", _PDO_OFF | can_id))
         self._write(mapping, 0, b"\x00")
         for sub, entry in enumerate(entries, start=1):
             self._write(mapping, sub, struct.pack("<I", entry))
         self._write(mapping, 0, bytes([len(entries)]))
-        self._write(parameters, 2, b"\x01")  # at every SYNC
-        self._write(parameters, 1, struct.pack("<I", can_id))
+        self._write(communication, 2, b"\x01")  # at every SYNC
+        self._write(communication, 1, struct.pack("<I", can_id))
 
     def close(self) -> None:
         """Leave the bench, end its run if the harness owns it, and close the bus. Never raises."""
