@@ -1,22 +1,24 @@
 """The reference wheel slide protection: four axle speeds in, dump-valve magnets out, once a cycle.
 
-The fastest axle, with its fall limited, stands for the vehicle [W1]; each axle's sliding against it
-[W2] and its filtered acceleration [W3] drive the phase machine of its valve. Wheels are let slide
-inside a band on purpose, because sliding cleans [W4]; every few seconds one axle runs up unbraked
-to the vehicle's speed, which anchors the reference and teaches it the deceleration [W5].
+The reference speed follows the fastest axle, but its fall is limited [W1]. The sliding of each axle
+against it [W2] and its filtered acceleration [W3] drive the phase machine of the valve. The unit keeps
+the wheels sliding within a band on purpose, because sliding cleans the rail [W4]. Every few seconds one
+axle runs up unbraked to the speed of the vehicle. This speed is an anchor of the reference, and the
+unit learns the deceleration from it [W5].
 
     [W1] v_ref' = min(max(v_ref - b T, max v_j), v_ref + b_rise T)
     [W2] s_j = v_ref - v_j
     [W3] a_j = (v_j - l_j) / T_a,  l_j' = l_j + a_j T
     [W4] s_low = min(S_low, c_low v_ref), s_high likewise
     [W5] b = b_max while no axle slides, else b_learned + margin, at most b_max
-    [W6] a speed that does not change by a count while others do is a stuck sensor's: it anchors
-         nothing and counts as no fastest axle, and its valve vents as long as the timers let it
+    [W6] if a speed does not change by one count while others do, the sensor is stuck: the axle is no
+         anchor and no fastest axle, and its valve vents as long as the timers allow
 
-The cycle has no clock and takes the integers of the bus, so the unit on the bus and the compiled loop get the same
-bits. Source: common practice of such units, from memory; every threshold says so in `configs/wsp/`. Limits: braking
-only, wheel diameters as configured, a wheel that never reaches the vehicle's speed in a run-up anchors nothing, a
-vehicle that can brake harder than b_max needs a larger one.
+The cycle has no clock and takes the integers of the bus, so the unit on the bus and the compiled loop
+get the same bits. Source: common practice of such units, from memory; every threshold is marked so in
+`configs/wsp/`. Limits: braking only; wheel diameters as configured; a wheel that does not reach the
+speed of the vehicle in a run-up is no anchor; a vehicle that can brake harder than b_max needs a
+larger b_max.
 """
 
 import itertools
@@ -74,42 +76,43 @@ ROWS = (
     table.flag(
         "sand",
         False,
-        _A + ": asks node 18 for sand from the first sliding until calm_s after the last",
+        _A + ": requests sand from node 18 from the first sliding until calm_s after the last",
     ),
     table.number("cut_off_m_s", 2.0, 0.3, 10.0, _M + ": 1.4 to 3"),
 )
 
-# the rows as the kernel takes them: SI, unchangeable
+# the parameters as the kernels take them: SI units, unchangeable
 Params = NamedTuple("Params", [(row.name, Any) for row in ROWS])  # type: ignore[misc]
 
 
 class State(NamedTuple):
-    """What the unit remembers: views of shape (4,) for axles, or (1,), into one float64 buffer.
+    """The memory of the unit: views of shape (4,) for axles, or (1,), into one float64 buffer.
 
-    Each slot says which stage of `cycle` writes it.
+    After each field stands the stage of `cycle` that writes it.
     """
 
-    cycles: np.ndarray  # done so far; `cycle`
+    cycles: np.ndarray  # cycles done so far; `cycle`
     speed_m_s: np.ndarray  # circumferential speed; `measure`
-    lagged_m_s: np.ndarray  # the same behind the filter's lag; `measure`
+    lagged_m_s: np.ndarray  # the same speed after the filter; `measure`
     acceleration_m_s2: np.ndarray  # filtered; `measure`
-    falling: np.ndarray  # cycles for which it has fallen as only a sliding wheel does; `measure`
-    reference_m_s: np.ndarray  # `advance`
+    falling: np.ndarray  # cycles since it began to fall as only a sliding wheel does; `measure`
+    reference_m_s: np.ndarray  # reference speed; `advance`
     deceleration_m_s2: np.ndarray  # learned from anchor to anchor; `anchor`
     anchor_m_s: np.ndarray  # speed of the last anchor; `anchor`
-    anchor_age: np.ndarray  # cycles since then; `advance`
+    anchor_age: np.ndarray  # cycles since the last anchor; `advance`
     calm: np.ndarray  # cycles since an axle slid; `advance`
-    runner: np.ndarray  # axle that runs up, -1 nobody; `choose_runner`, `finish_run_up`
-    run_ups: np.ndarray  # begun since axles slide; `choose_runner`
+    runner: np.ndarray  # axle that runs up, -1: none; `choose_runner`, `finish_run_up`
+    run_ups: np.ndarray  # run-ups begun since axles slide; `choose_runner`
     sliding_m_s: np.ndarray  # against the reference; `event_of`
     raw: np.ndarray  # counts of the last cycle; `measure`
-    same: np.ndarray  # cycles in which only the others' counts have changed; `measure`
+    same: np.ndarray  # cycles in which only the counts of other axles have changed; `measure`
     phase: np.ndarray  # Phase; `act`
     phase_age: np.ndarray  # cycles since the phase (or its pulse) began; `act`
     vent_age: np.ndarray  # cycles of venting since the valve last filled; `act`
     hold_age: np.ndarray  # cycles of holding since the valve last filled; `act`
 
 
+# fields with one value for the whole unit; the others have one value an axle
 PER_UNIT = (
     "cycles",
     "reference_m_s",
@@ -128,14 +131,14 @@ PLACES = tuple(
 
 
 class Unit(NamedTuple):
-    """A unit's memory and its parameters: what the compiled loop and the bus unit both carry."""
+    """The memory and the parameters of a unit, for the compiled loop and for the unit on the bus."""
 
     state: State
     params: Any
 
 
 def new_unit(params: Any) -> Unit:
-    """A unit just switched on."""
+    """A unit that has just been switched on."""
     return Unit(views(np.zeros(SIZE)), params)
 
 
@@ -145,26 +148,32 @@ def views(buffer: np.ndarray) -> State:
 
 
 def buffer_of(unit: Unit) -> np.ndarray:
-    """The buffer (SIZE,) that the state of a new unit views."""
+    """The buffer, shape (SIZE,), behind the state of a new unit."""
     buffer = unit.state[0].base
     assert buffer is not None
     return buffer
 
 
 def load(name: str = "reference") -> Params:
-    """Parameters of a packaged configuration (under configs/wsp) or of a TOML file. ConfigError names file and key."""
+    """The parameters of a packaged configuration (under configs/wsp) or of a TOML file.
+
+    Raises ConfigError, which names file and key.
+    """
     given, path = store.load("wsp", name)
     return Params(**table.read(ROWS, given, str(path)))
 
 
 @kernel
 def cycle(unit, inputs):
-    """One cycle of a `Unit`: the byte of magnets and the reference speed in counts of 0.01 m/s, as an I16.
+    """Run one cycle of a `Unit` and change its state in place.
 
-    `inputs` int64 of shape (4,) or more: axle speeds in counts of 0.01 rad/s as node 16's TPDO1
-    carries them; what follows (pressures) is not used. Changes the unit's state in place.
+    Parameters: `inputs`, int64 of shape (4,) or more: axle speeds in counts of 0.01 rad/s, as in TPDO1
+    of node 16. Further values (pressures) are not used.
+
+    Returns: the byte of the magnets, and the reference speed in counts of 0.01 m/s as an I16.
     """
-    state, params = unit.state, unit.params
+    state = unit.state
+    params = unit.params
     reference.measure(state, inputs, params)
     reference.advance(state, params)
     reference.choose_runner(state, params)
@@ -172,13 +181,15 @@ def cycle(unit, inputs):
     state.cycles[0] += 1.0
     magnets = 0
     for j in range(AXLES):
-        magnets |= act(state, j, event_of(state, j, params), params) << (BITS_PER_AXLE * j)
-    return magnets, min(32767, max(-32768, round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)))
+        event = event_of(state, j, params)
+        magnets |= act(state, j, event, params) << (BITS_PER_AXLE * j)
+    counts = round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)
+    return magnets, min(32767, max(-32768, counts))
 
 
 @kernel
 def stuck(unit):
-    """The axles whose speed sensors are taken for stuck, bit 0 the leading one."""
+    """The axles whose speed sensors count as stuck; bit 0 is the leading axle."""
     bits = 0
     for j in range(AXLES):
         bits |= int(reference.implausible(unit.state, j, unit.params)) << j
@@ -187,7 +198,7 @@ def stuck(unit):
 
 @kernel
 def above(value, edges):
-    """How many of the edges a value is above: its class."""
+    """The class of a value: how many of the edges it is above."""
     count = 0
     for edge in edges:
         count += value > edge
@@ -196,25 +207,25 @@ def above(value, edges):
 
 @kernel
 def event_of(state, j, params):
-    """What axle j asks for, the strongest last; sets its sliding."""
+    """The event of axle j; also writes its sliding. A stronger event replaces a weaker one."""
     v_ref = state.reference_m_s[0]
     state.sliding_m_s[j] = v_ref - state.speed_m_s[j]  # [W2]
     begin = params.slide_begin_m_s + params.slide_begin_fraction * v_ref
     low = min(params.band_low_m_s, params.band_low_fraction * v_ref)  # [W4]
     high = min(params.band_high_m_s, params.band_high_fraction * v_ref)
-    row = above(state.sliding_m_s[j], (begin, low, high, high * params.deep_factor))
-    column = above(
+    sliding_class = above(state.sliding_m_s[j], (begin, low, high, high * params.deep_factor))
+    acceleration_class = above(
         state.acceleration_m_s2[j],
         (-params.fast_fall_m_s2, -params.fall_m_s2, params.rise_m_s2, params.fast_rise_m_s2),
     )
-    event = WISHES[row, column]
+    event = WISHES[sliding_class, acceleration_class]
     if state.runner[0] == j:
         event = np.int64(Event.RUN_UP)
     if reference.implausible(state, j, params):
         event = np.int64(Event.VENT)  # [W6]
-    if reference.passed(state.vent_age[j], params.vent_timer_s, params) or reference.passed(
-        state.hold_age[j], params.hold_timer_s, params
-    ):
+    vented_too_long = reference.passed(state.vent_age[j], params.vent_timer_s, params)
+    held_too_long = reference.passed(state.hold_age[j], params.hold_timer_s, params)
+    if vented_too_long or held_too_long:
         event = np.int64(Event.TIMER)
     if v_ref < params.cut_off_m_s:
         event = np.int64(Event.CUT_OFF)
@@ -223,16 +234,20 @@ def event_of(state, j, params):
 
 @kernel
 def act(state, j, event, params):
-    """Advance the phase of axle j on an event; its magnets (bit 0 hold, bit 1 vent)."""
+    """Advance the phase of axle j on an event; returns its magnets (bit 0 hold, bit 1 vent)."""
+    # by phase: FILL, STEP_FILL, HOLD, STEP_VENT, VENT, RUN_UP, LOCKED_OUT
     pulse = (0.0, params.fill_pulse_s, 0.0, params.vent_pulse_s, 0.0, 0.0, params.lock_out_s)
     pause = (0.0, params.fill_pause_s, 0.0, params.vent_pause_s, 0.0, 0.0, 0.0)
     phase = int(state.phase[j])
     over = reference.passed(state.phase_age[j], pulse[phase] + pause[phase], params)
     following = NEXT[phase, event]
-    if (over or INTERRUPTS[phase, event]) and (following != phase or pulse[phase] > 0.0):
+    may_change = over or INTERRUPTS[phase, event]
+    begins_again = following != phase or pulse[phase] > 0.0
+    if may_change and begins_again:
         phase = following
         state.phase_age[j] = 0.0
     state.phase[j] = phase
+
     resting = reference.passed(state.phase_age[j], pulse[phase], params)
     magnets = MAGNETS[phase, int(resting)]
     state.phase_age[j] += 1.0

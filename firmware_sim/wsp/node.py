@@ -1,14 +1,17 @@
-"""A WSP as a unit on the bus, the reference or an FMU: node 32, which answers every SYNC with the magnets.
+"""A WSP (the reference, or an FMU) as a unit on the bus: node 32, which answers each SYNC with the magnets.
 
-After a SYNC it waits for what its WSP hears (axle speeds: TPDO1 of node 16), runs one cycle of it, tells its reference
-speed (TPDO1 of node 32) and then the magnets (RPDO1 of node 17). It heartbeats before every fifth answer, and before
-that when 0.1 s have passed without. A SYNC without speeds is answered when the next one comes, or when none comes. In
-lockstep it has no clock: all that it sends there follows from what it hears and ends with an answer, so the bus log
-repeats, and 0.1 s are counted in SYNCs. Source: CiA 301 (NMT, heartbeat, PDO).
+After a SYNC the unit waits for the input frames of its WSP (axle speeds: TPDO1 of node 16) and runs one
+cycle. It sends its reference speed (TPDO1 of node 32) and then the magnets (RPDO1 of node 17). It sends
+a heartbeat before every fifth answer, or earlier if 0.1 s have passed without one. If the speeds after
+a SYNC are missing, the unit answers when the next SYNC comes, or after 0.1 s without one.
 
-Missing speeds: the last magnets are repeated for `MISSED_MAX` SYNCs, then all magnets fall (the brakes apply) until
-speeds are back. A speed sensor that is found stuck is told by an EMCY (code FF01h, axles as bits in its first
-manufacturer byte). It starts itself after boot-up, as CiA 302-2 allows (1F80h).
+In lockstep the unit has no clock. It sends only in reaction to frames, and an answer is always the
+last frame, so that the bus log repeats. 0.1 s are counted in SYNCs there.
+
+Missing speeds: the unit repeats the last magnets for `MISSED_MAX` SYNCs. Then all magnets are off (the
+brakes apply) until speeds are back. An EMCY reports a stuck speed sensor (code FF01h, axles as bits in
+the first manufacturer byte). The unit starts itself after boot-up, as CiA 302-2 allows (1F80h).
+Source: CiA 301 (NMT, heartbeat, PDO).
 """
 
 import logging
@@ -34,34 +37,39 @@ from rollerrig.wsp_interface.signals import AXLES, DEFAULT_ADDRESS, WSP_NODE
 
 log = logging.getLogger(__name__)
 
-# CiA 301 Table 26: device specific; error register bit 0
-SENSOR_STUCK, GENERIC_ERROR = 0xFF01, 0x01
+SENSOR_STUCK = 0xFF01  # error code, CiA 301 Table 26: device specific
+GENERIC_ERROR = 0x01  # bit 0 of the error register
 
-HEARTBEAT_SYNCS = 5
-# shorter than the rig's patience
-HEARTBEAT_S = 0.1
-MISSED_MAX = 5
+HEARTBEAT_SYNCS = 5  # SYNCs between heartbeats
+HEARTBEAT_S = 0.1  # at most; shorter than the time after which the rig counts the unit as lost
+MISSED_MAX = 5  # SYNCs without speeds for which the magnets are repeated
+
+
+_HIGHEST_PRIORITY = 99  # of SCHED_FIFO
 
 
 class Wsp(Protocol):
-    """What a unit runs. `hears`: frames whose counts it gets, one behind the other; the last sets off its cycle."""
+    """The WSP that a unit runs.
+
+    `hears`: its input frames, whose counts it gets in this order; the last one triggers its cycle.
+    """
 
     hears: tuple[rig.Layout, ...]
 
     def begin(self) -> None:
-        """Forget everything: the unit has been switched on."""
+        """Begin again: the unit has been switched on."""
 
     def cycle(self, counts: np.ndarray) -> tuple[int, int | None]:
-        """The byte of magnets, and the reference speed in counts of 0.01 m/s; None: it tells none."""
+        """The byte of the magnets, and the reference speed in counts of 0.01 m/s (None: none)."""
 
     def idle(self) -> None:
-        """A cycle without speeds has passed."""
+        """Take note that a cycle without speeds has passed."""
 
     def stuck(self) -> int:
-        """The axles whose speed sensors are taken for stuck, bit 0 the leading one."""
+        """The axles whose speed sensors count as stuck; bit 0 is the leading axle."""
 
     def sand(self) -> bool:
-        """Whether sanders shall strew."""
+        """Whether the sanders should be on."""
 
 
 class Serving(Protocol):
@@ -98,44 +106,48 @@ class Reference:
         return int(logic.stuck(self._wsp))
 
     def sand(self) -> bool:
-        """Where it shall: from the first sliding until `calm_s` after the last."""
-        cycles, calm = (int(slot[0]) for slot in (self._wsp.state.cycles, self._wsp.state.calm))
-        # calm since it was switched on: no wheel has slid yet
-        return (
-            bool(self._params.sand)
-            and calm < cycles
-            and calm * self._params.cycle_s < self._params.calm_s
-        )
+        """True, if configured, from the first sliding until `calm_s` after the last."""
+        if not self._params.sand:
+            return False
+        cycles = int(self._wsp.state.cycles[0])
+        calm_cycles = int(self._wsp.state.calm[0])
+        has_slid = calm_cycles < cycles
+        return has_slid and bool(calm_cycles * self._params.cycle_s < self._params.calm_s)
 
 
 class Unit:
     """One WSP unit on an open bus. `run` returns when the bus ends or after `stop`.
 
-    `lockstep_s` above 0: nothing goes by the wall clock; a SYNC comes every so many seconds of the run.
+    `lockstep_s`: period of SYNC in lockstep, in simulated s; 0 in real time. In lockstep nothing
+    depends on the wall clock.
     """
 
     def __init__(self, bus: can.BusABC, wsp: Wsp, lockstep_s: float = 0.0) -> None:
         """Switch on; the bus is not touched before `run`."""
         self.state = State.INITIALISING
         self.answers = 0
-        self._bus, self._wsp, self._lockstep = bus, wsp, lockstep_s > 0.0
-        most = int(HEARTBEAT_S / lockstep_s + 1e-9) if lockstep_s else HEARTBEAT_SYNCS
-        self._beat_syncs = min(max(most, 1), HEARTBEAT_SYNCS)
+        self._bus = bus
+        self._wsp = wsp
+        self._lockstep = lockstep_s > 0.0
+        most_syncs = HEARTBEAT_SYNCS
+        if self._lockstep:
+            most_syncs = int(HEARTBEAT_S / lockstep_s + 1e-9)
+        self._beat_syncs = min(max(most_syncs, 1), HEARTBEAT_SYNCS)
         self._inputs = np.zeros(AXLES * len(wsp.hears), dtype=np.int64)
-        # frames heard since the last SYNC
-        self._heard: set[int] = set()
-        self._awaiting = self._stopping = False
-        self._beat_s = self._synced_s = 0.0
-        self._take: dict[int, Callable[[can.Message], None]] = {
-            NMT: self._command,
-            SYNC: self._sync,
-            **{
-                one.can_id: partial(self._hear, one, slice(AXLES * at, AXLES * (at + 1)))
-                for at, one in enumerate(wsp.hears)
-            },
+        self._received: set[int] = set()  # identifiers of input frames since the last SYNC
+        self._awaiting = False  # the last SYNC has not been answered
+        self._stopping = False
+        self._beat_s = 0.0  # when the next heartbeat is due
+        self._synced_s = 0.0  # when the last SYNC came
+        self._handlers: dict[int, Callable[[can.Message], None]] = {
+            NMT: self._on_nmt,
+            SYNC: self._on_sync,
         }
+        for at, layout in enumerate(wsp.hears):
+            place = slice(AXLES * at, AXLES * (at + 1))
+            self._handlers[layout.can_id] = partial(self._on_input, layout, place)
         bus.set_filters(
-            [{"can_id": one, "can_mask": 0x7FF, "extended": False} for one in self._take]
+            [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in self._handlers]
         )
 
     def run(self) -> None:
@@ -153,17 +165,21 @@ class Unit:
         self._stopping = True
 
     def _wait(self) -> None:
+        """Handle the next frame, or do what is due when none comes before the next heartbeat."""
         rest_s = self._beat_s - time.monotonic()
         message = self._bus.recv(rest_s) if rest_s > 0.0 else None
         if message is not None:
-            take = self._take.get(message.arbitration_id)
-            if take and not (
+            handler = self._handlers.get(message.arbitration_id)
+            if handler and not (
                 message.is_extended_id or message.is_remote_frame or message.is_error_frame
             ):
-                take(message)
-        elif self._lockstep:
-            self._beat_s = time.monotonic() + HEARTBEAT_S
-        elif (now_s := time.monotonic()) >= self._beat_s:
+                handler(message)
+            return
+        now_s = time.monotonic()
+        if self._lockstep:
+            # nothing is due by the wall clock
+            self._beat_s = now_s + HEARTBEAT_S
+        elif now_s >= self._beat_s:
             if self._awaiting and now_s >= self._synced_s + HEARTBEAT_S:
                 self._answer_without_speeds()
             self._heartbeat()
@@ -171,15 +187,18 @@ class Unit:
     def _boot(self) -> None:
         """Reset, boot-up message, then OPERATIONAL without waiting for a master."""
         self._wsp.begin()
-        self._stuck = 0
-        self._magnets, self._missed, self._syncs = ALL_OFF, 0, 0
-        self._awaiting = self._sand = False
+        self._stuck = 0  # axles with a stuck sensor, as bits
+        self._magnets = ALL_OFF
+        self._missed = 0  # SYNCs without speeds
+        self._syncs = 0
+        self._awaiting = False
+        self._sand = False
         self.state = State.INITIALISING
         self._heartbeat()
         self.state = State.OPERATIONAL
         self._heartbeat()
 
-    def _command(self, message: can.Message) -> None:
+    def _on_nmt(self, message: can.Message) -> None:
         if len(message.data) != 2 or message.data[1] not in (0, WSP_NODE):
             return
         command = message.data[0]
@@ -187,37 +206,38 @@ class Unit:
             self._leave_operational()
             self._boot()
         elif command in COMMANDED:
-            wanted = COMMANDED[Command(command)]
-            if wanted is not State.OPERATIONAL:
+            state = COMMANDED[Command(command)]
+            if state is not State.OPERATIONAL:
                 self._leave_operational()
-            self.state = wanted
+            self.state = state
 
     def _leave_operational(self) -> None:
-        """Drop the magnets while PDOs are still allowed."""
+        """Switch the magnets off while PDOs are still allowed."""
         if self.state is State.OPERATIONAL:
             self._send(rig.MAGNETS_ID, bytes((ALL_OFF,)))
         self._awaiting = False
 
-    def _sync(self, message: can.Message) -> None:
+    def _on_sync(self, message: can.Message) -> None:
         if len(message.data) > 1:
             return
         self._synced_s = time.monotonic()
         if self._awaiting:
             self._answer_without_speeds()
-        self._heard.clear()
+        self._received.clear()
         self._syncs += 1
         self._awaiting = self.state is State.OPERATIONAL
         if not self._awaiting:
             self._heartbeat_if_due()
 
-    def _hear(self, layout: rig.Layout, place: slice, message: can.Message) -> None:
+    def _on_input(self, layout: rig.Layout, place: slice, message: can.Message) -> None:
+        """Take an input frame; after the last one run a cycle and answer."""
         if len(message.data) != layout.struct.size:
             return
         self._inputs[place] = layout.struct.unpack(message.data)
-        self._heard.add(layout.can_id)
+        self._received.add(layout.can_id)
         if layout is not self._wsp.hears[-1]:
             return
-        if len(self._heard) < len(self._wsp.hears):
+        if len(self._received) < len(self._wsp.hears):
             if self._awaiting:
                 self._answer_without_speeds()
             return
@@ -228,27 +248,26 @@ class Unit:
         self._magnets, reference = self._wsp.cycle(self._inputs)
         if reference is not None:
             self._send(rig.REFERENCE_SPEED.can_id, rig.REFERENCE_SPEED.struct.pack(reference))
-        self._tell_stuck(self._wsp.stuck())
-        self._ask_for_sand()
+        self._report_stuck(self._wsp.stuck())
+        self._switch_sanders()
         self._answer()
 
-    def _tell_stuck(self, axles: int) -> None:
-        """An EMCY when a speed sensor is found stuck, one without error when none is any more."""
-        if axles != self._stuck:
-            self._stuck = axles
-            log.info("WSP unit: stuck speed sensors, by axle: %s", f"{axles:04b}"[::-1])
-            code = SENSOR_STUCK if axles else 0
-            self._send(
-                rig.UNIT_EMERGENCY_ID,
-                struct.pack("<HBB4x", code, GENERIC_ERROR if axles else 0, axles),
-            )
+    def _report_stuck(self, axles: int) -> None:
+        """Send an EMCY when the stuck sensors change; one without error when none is stuck any more."""
+        if axles == self._stuck:
+            return
+        self._stuck = axles
+        log.info("WSP unit: stuck speed sensors, by axle: %s", f"{axles:04b}"[::-1])
+        error_code = SENSOR_STUCK if axles else 0
+        error_register = GENERIC_ERROR if axles else 0
+        self._send(rig.UNIT_EMERGENCY_ID, struct.pack("<HBB4x", error_code, error_register, axles))
 
-    def _ask_for_sand(self) -> None:
-        """Tell the sanders when what the unit wants of them changes."""
-        wanted = self._wsp.sand()
-        if wanted != self._sand:
-            self._sand = wanted
-            self._send(rig.SAND_ID, bytes((rig.ALL_SANDERS * wanted,)))
+    def _switch_sanders(self) -> None:
+        """Command the sanders, if the request of the WSP has changed."""
+        sand = self._wsp.sand()
+        if sand != self._sand:
+            self._sand = sand
+            self._send(rig.SAND_ID, bytes((rig.ALL_SANDERS if sand else 0,)))
 
     def _answer_without_speeds(self) -> None:
         self._heartbeat_if_due()
@@ -276,7 +295,7 @@ class Unit:
 
 
 def warm(params: logic.Params) -> None:
-    """Compile the cycle, or load it from numba's cache, before anybody waits for an answer."""
+    """Compile the cycle, or load it from the cache of numba, before the rig waits for an answer."""
     unit = logic.new_unit(params)
     logic.cycle(unit, np.zeros(AXLES, dtype=np.int64))
     logic.stuck(unit)
@@ -288,10 +307,10 @@ def main(
     priority: int = 0,
     lockstep_s: float = 0.0,
 ) -> int:
-    """Run the reference WSP on a bus until it ends or SIGINT or SIGTERM comes; exit status 0.
+    """Run the reference WSP on a bus until the bus ends, or SIGINT or SIGTERM comes. Returns 0.
 
-    It asks for SCHED_FIFO with a `priority` above 0 and goes on where that is refused. Raises ConfigError
-    for a wrong `config` (name or TOML path), BusError for a bus that cannot be opened.
+    With a `priority` above 0 it requests SCHED_FIFO, and continues if that is refused. Raises
+    ConfigError for a wrong `config` (name or TOML path), BusError if the bus cannot be opened.
     """
     wsp = Reference(logic.load(config))
     return serve(lambda bus: Unit(bus, wsp, lockstep_s), bus_address, priority, lockstep_s)
@@ -304,24 +323,27 @@ def serve(
     lockstep_s: float,
     errors: bool = False,
 ) -> int:
-    """Run a unit on a bus, as `main` does the reference; `errors` as `open_client` has it. Raises BusError."""
+    """Run the unit that `built` makes on a bus, as `main` runs the reference; `errors` as in `open_client`.
+
+    Raises BusError.
+    """
     with buses.open_client(bus_address, 60.0 if lockstep_s else 3.0, errors, ahead=True) as bus:
         unit = built(bus)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, frame: unit.stop())
         if priority:
-            try:
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-                for thread in {*threading.enumerate()} - {
-                    threading.current_thread()
-                }:  # what watches the unit
-                    os.sched_setscheduler(
-                        thread.native_id or 0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99))
-                    )
-            except OSError as error:
-                print(
-                    f"info: SCHED_FIFO priority {priority} was refused: {error.strerror}",
-                    flush=True,
-                )
+            _request_priority(priority)
         unit.run()
     return 0
+
+
+def _request_priority(priority: int) -> None:
+    """Request SCHED_FIFO for this thread, and one step more for the threads that watch the unit."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        for thread in threading.enumerate():
+            if thread is not threading.current_thread():
+                higher = os.sched_param(min(priority + 1, _HIGHEST_PRIORITY))
+                os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, higher)
+    except OSError as error:
+        print(f"info: SCHED_FIFO priority {priority} was refused: {error.strerror}", flush=True)

@@ -1,8 +1,9 @@
 """The phase machine of one axle's dump valve, as tables: wishes, transitions, interrupts, magnets.
 
-Sliding and wheel acceleration, each in five classes, pick a wish. Phase and event (a wish, or something stronger)
-pick the next phase, unless the present one must finish its pulse and pause. Source: the usual matrix of slip and
-deceleration criteria; its entries are assumptions, tuned on the project's own plant.
+Sliding and wheel acceleration, each in five classes, select a wish. The phase and the event (a wish, or
+a stronger event) select the next phase, unless the present phase must finish its pulse and pause.
+Source: the usual matrix of slip and deceleration criteria. Its entries are assumptions, tuned on the
+plant of this project.
 """
 
 from enum import IntEnum
@@ -15,17 +16,17 @@ from rollerrig.wsp_interface.magnets import FILLING, HOLDING, VENTING
 class Phase(IntEnum):
     """What the valve of an axle is doing."""
 
-    FILL = 0  # the brake as the driver asks
+    FILL = 0  # the brake follows the demand of the driver
     STEP_FILL = 1  # a fill pulse, then hold
     HOLD = 2
     STEP_VENT = 3  # a vent pulse, then hold
     VENT = 4
-    RUN_UP = 5  # vented until the wheel turns with the vehicle: anchors the reference
-    LOCKED_OUT = 6  # a safety timer ran out: the brake applies, whatever the wheel does
+    RUN_UP = 5  # vents until the wheel turns with the vehicle, as an anchor of the reference
+    LOCKED_OUT = 6  # a safety timer has expired: the brake applies, whatever the wheel does
 
 
 class Event(IntEnum):
-    """What asks for a change. The first five are wishes; of the others the highest wins."""
+    """Events of an axle. The first five are wishes; of the others the highest number wins."""
 
     FILL = 0
     STEP_FILL = 1
@@ -37,9 +38,10 @@ class Event(IntEnum):
     CUT_OFF = 7
 
 
+# short names for the tables below
 F, SF, H, SV, V, R, L = (int(phase) for phase in Phase)
 
-# rows: sliding against the reference; columns: wheel acceleration
+# the wish; rows: class of the sliding against the reference; columns: class of the acceleration
 WISHES = np.array(
     [
         # falls fast, falls, steady, rises, rises fast
@@ -51,16 +53,17 @@ WISHES = np.array(
     ]
 )
 
-# events: fill, step fill, hold, step vent, vent, run-up, timer, cut-off
+# the next phase; rows: phase; columns: event (fill, step fill, hold, step vent, vent, run-up, timer,
+# cut-off)
 NEXT = np.array(
     [
-        [F, F, H, SV, V, R, L, F],  # FILL: has not slid yet, so no steps
+        [F, F, H, SV, V, R, L, F],  # FILL: the wheel has not slid yet, so there are no fill steps
         *[[F, SF, H, SV, V, R, L, F]] * 5,  # STEP_FILL to RUN_UP
         [F, F, F, F, F, F, F, F],  # LOCKED_OUT
     ]
 )
 
-# 1: the event ends the phase before its pulse and pause are over
+# 1: the event ends the phase before its pulse and pause are over; rows and columns as in NEXT
 INTERRUPTS = np.array(
     [
         [1, 1, 1, 1, 1, 1, 1, 1],  # FILL

@@ -1,9 +1,9 @@
-"""The WSP's reference speed: how fast the vehicle runs, told from wheels that may all be sliding.
+"""The reference speed of the WSP: an estimate of the vehicle speed from wheels that may all slide.
 
-The fastest axle stands for the vehicle, with its fall limited [W1, W5 of `wsp`]. While axles slide,
-one of the trailing ones runs up unbraked every few seconds; when it gains no more speed it turns
-with the vehicle and is the anchor: the reference is set on it, and what the vehicle lost since the
-last anchor is the deceleration learned. Source and limits: see `wsp`.
+The reference follows the fastest axle, but its fall is limited [W1, W5 of `logic`]. While axles slide,
+one of the trailing axles runs up unbraked every few seconds. When its speed no longer rises, the wheel
+turns with the vehicle and is an anchor: the reference takes its speed, and the unit learns the
+deceleration from the loss of speed since the last anchor. Source and limits: see `logic`.
 """
 
 from rollerrig.firmware_sim.wsp.phases import Phase
@@ -16,13 +16,13 @@ NOBODY = -1.0
 
 @kernel
 def passed(cycles, duration_s, params):
-    """True when so many cycles make up the duration."""
+    """Whether a number of cycles has lasted the duration; half a cycle allows for rounding."""
     return (cycles + 0.5) * params.cycle_s >= duration_s
 
 
 @kernel
 def measure(state, speeds_raw, params):
-    """Circumferential speeds in m/s and their filtered slopes in m/s2."""
+    """Compute circumferential speeds in m/s and their filtered slopes in m/s2 from the counts."""
     for j in range(AXLES):
         v = abs(speeds_raw[j]) * SPEED_SCALE_RAD_S * 0.5 * params.wheel_diameter_m[j]
         if state.cycles[0] == 0.0:
@@ -41,13 +41,13 @@ def measure(state, speeds_raw, params):
 
 @kernel
 def doubt(state, speeds_raw):
-    """Count the cycles in which an axle's speed has not changed by one count while others' did [W6]."""
+    """Count the cycles in which only the counts of other axles have changed [W6]."""
     changed = 0
     for j in range(AXLES):
         changed += speeds_raw[j] != state.raw[j]
     for j in range(AXLES):
         if speeds_raw[j] != state.raw[j] or speeds_raw[j] == 0:
-            # a wheel that is locked tells zero, and that is plausible
+            # the speed of a locked wheel is constantly zero, and that is plausible
             state.same[j] = 0.0
         elif changed > 1:
             state.same[j] += 1.0
@@ -56,13 +56,13 @@ def doubt(state, speeds_raw):
 
 @kernel
 def implausible(state, j, params):
-    """True where the speed sensor of axle j must be stuck [W6]."""
+    """Whether the speed sensor of axle j must be stuck [W6]."""
     return passed(state.same[j], params.stuck_s, params)
 
 
 @kernel
 def protecting(state, params):
-    """True while any axle is out of FILL, or has slowed down too fast for a while."""
+    """Whether any axle is not in FILL, or has slowed down too fast for a while."""
     busy = 0
     for j in range(AXLES):
         busy += int(state.phase[j]) != Phase.FILL
@@ -90,15 +90,16 @@ def advance(state, params):
     state.reference_m_s[0] = min(v, before + params.reference_rise_m_s2 * params.cycle_s)  # [W1]
     state.anchor_age[0] += 1.0
     state.calm[0] = 0.0 if sliding else state.calm[0] + 1.0
-    # when nothing has slid for a while the reference needs no anchor: it is one
+    # when no axle has slid for a while, the reference itself is an anchor
     if passed(state.calm[0], params.calm_s, params):
         state.anchor_m_s[0] = state.reference_m_s[0]
-        state.anchor_age[0] = state.run_ups[0] = 0.0
+        state.anchor_age[0] = 0.0
+        state.run_ups[0] = 0.0
 
 
 @kernel
 def choose_runner(state, params):
-    """Send the next axle, in turn, to run up when the last anchor is old; nobody below cut-off."""
+    """Choose the next axle in turn to run up when the last anchor is old; none below cut-off."""
     if state.reference_m_s[0] < params.cut_off_m_s:
         state.runner[0] = NOBODY
         return
@@ -115,18 +116,19 @@ def choose_runner(state, params):
 
 @kernel
 def finish_run_up(state, params):
-    """End the run-up when the unbraked wheel gains speed no more (an anchor), or by time (none)."""
+    """End the run-up when the speed no longer rises (an anchor), or after a time (no anchor)."""
     j = int(state.runner[0])
     if j < 0 or int(state.phase[j]) != Phase.RUN_UP:
         return
     age = state.phase_age[j]
-    if (
-        passed(age, params.run_up_shortest_s, params)
-        and state.acceleration_m_s2[j] < params.run_up_done_m_s2
-    ):
+    long_enough = passed(age, params.run_up_shortest_s, params)
+    rises = state.acceleration_m_s2[j] >= params.run_up_done_m_s2
+    if long_enough and not rises:
         anchor(state, state.speed_m_s[j], params)
     elif passed(age, params.run_up_longest_s, params):
-        state.anchor_m_s[0], state.anchor_age[0] = state.reference_m_s[0], 0.0
+        # the reference itself is the next anchor, and nothing is learned
+        state.anchor_m_s[0] = state.reference_m_s[0]
+        state.anchor_age[0] = 0.0
     else:
         return
     state.runner[0] = NOBODY
@@ -134,11 +136,12 @@ def finish_run_up(state, params):
 
 @kernel
 def anchor(state, speed_m_s, params):
-    """Put the reference on a wheel that turns with the vehicle, and learn the deceleration."""
+    """Set the reference to the speed of a wheel that turns with the vehicle; learn the deceleration."""
     elapsed_s = state.anchor_age[0] * params.cycle_s
     mean = (state.anchor_m_s[0] - speed_m_s) / elapsed_s
     trust = elapsed_s / (elapsed_s + params.learning_s)
     learned = state.deceleration_m_s2[0] + trust * (mean - state.deceleration_m_s2[0])
     state.deceleration_m_s2[0] = min(max(learned, 0.0), params.reference_fall_m_s2)
-    state.reference_m_s[0] = state.anchor_m_s[0] = speed_m_s
+    state.reference_m_s[0] = speed_m_s
+    state.anchor_m_s[0] = speed_m_s
     state.anchor_age[0] = 0.0

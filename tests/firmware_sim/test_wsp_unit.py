@@ -376,8 +376,8 @@ def test_a_unit_that_shall_asks_for_sand_while_wheels_slide_and_the_shipped_one_
         sent = []
         unit._send = lambda can_id, data, sent=sent: sent.append((can_id, data))
         for payload in [RUNNING] * 20 + [LOCKED] * 5 + [RUNNING] * 250:
-            unit._take[SYNC](can.Message(arbitration_id=SYNC))
-            unit._take[SPEEDS](can.Message(arbitration_id=SPEEDS, data=payload))
+            unit._handlers[SYNC](can.Message(arbitration_id=SYNC))
+            unit._handlers[SPEEDS](can.Message(arbitration_id=SPEEDS, data=payload))
         asked.append([data for can_id, data in sent if can_id == 0x212])
         bus.shutdown()
     assert asked == [[], [b"\x55", b"\x00"]]
