@@ -1,1 +1,1 @@
-"""The catalogue of faults and how each acts on bus, devices and brakes."""
+"""The catalogue of faults, and their effects on the bus, on devices and in the tick."""

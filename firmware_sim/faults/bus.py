@@ -1,15 +1,15 @@
-"""Faults of the bus: a gate that each frame passes on its way.
+"""Faults of the bus: a gate that each frame passes between its sender and the other nodes.
 
-A frame may be lost, held until later or sent twice, or destroyed by error frames, which the
-controllers count (`confinement`). A babbling node sends as fast as it is told to.
+The gate may lose a frame, hold it back, or send it twice. Error frames may destroy it; the
+controllers count these (`confinement`). A babbling node floods the bus at a given rate.
 
-Limits: on an ideal bus error frames and babbling cost load, but delay nobody; with `[bus]
-arbitration` they take the wire's time.
+Limits: on an ideal bus error frames and babbling increase the load, but delay no frame. With `[bus]
+arbitration` they take time on the wire.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from rollerrig.firmware_sim.cia301.host import NEVER
 from rollerrig.firmware_sim.faults.confinement import Controllers
@@ -17,10 +17,12 @@ from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED, UNIT_HEARTBEAT_ID
 
-# what carries a frame on, once the gate lets it
-Carry = Callable[[], None]
-LOST, HELD, TWICE = "lost", "held", "twice"
-_WHAT = {
+Carry = Callable[[], None]  # passes a frame on to the other nodes
+# effects of a rule
+LOST = "lost"
+HELD = "held"
+TWICE = "twice"
+_EFFECTS = {
     "frame_lost": LOST,
     "frame_duplicated": TWICE,
     "frame_delayed": HELD,
@@ -30,9 +32,12 @@ _WHAT = {
 
 @dataclass(eq=False)
 class Rule:
-    """What happens to frames of one identifier. `count`: those seen so far, `hit` those it met."""
+    """The effect on frames of one identifier.
 
-    what: str
+    `every`: 1 for each frame, 2 for every second one. `count`: frames so far; `hit`: those affected.
+    """
+
+    effect: str
     can_id: int
     every: int = 1
     delay_ns: int = 0
@@ -42,7 +47,7 @@ class Rule:
 
 @dataclass
 class Babble:
-    """Frames of `can_id` from a node since `since_ns`: `sent` so far."""
+    """A flood of frames with one identifier since `since_ns`; `sent` frames so far."""
 
     can_id: int
     rate_Hz: float
@@ -50,28 +55,37 @@ class Babble:
     sent: int = 0
 
     def go_on(self, now_ns: int, transmit: Callable[[Frame], None]) -> None:
-        """Send what should have been sent by now."""
-        wanted = int((now_ns - self.since_ns) * self.rate_Hz / S_NS)
-        for _ in range(self.sent, wanted):
+        """Send the frames that are due at `now_ns`."""
+        due = int((now_ns - self.since_ns) * self.rate_Hz / S_NS)
+        for _ in range(self.sent, due):
             transmit(Frame(self.can_id, b"\xff" * 8))
-        self.sent = max(self.sent, wanted)
+        self.sent = max(self.sent, due)
+
+
+class HeldFrame(NamedTuple):
+    """A frame that is held back until `due_ns`, and the rule that holds it."""
+
+    due_ns: int
+    rule: Rule
+    carry: Carry
 
 
 @dataclass
 class Gate:
-    """What frames pass between their sender and everybody else.
+    """The gate that frames pass between their sender and the other nodes.
 
-    `controllers` say whether error frames destroy it; rules are by identifier. Times are those of the bus's clock.
+    `controllers` decide whether error frames destroy a frame. `rules` are by identifier. Times are
+    those of the clock of the bus.
     """
 
     controllers: Controllers
     rules: dict[int, list[Rule]] = field(default_factory=dict)
     now_ns: int = 0
-    _held: list[tuple[int, Rule, Carry]] = field(default_factory=list)
+    _held: list[HeldFrame] = field(default_factory=list)
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is to be done to any frame."""
+        """Whether the gate passes every frame unchanged."""
         return not (self.rules or self.controllers.nodes or self._held)
 
     def add(self, rule: Rule) -> Rule:
@@ -80,55 +94,56 @@ class Gate:
         return rule
 
     def remove(self, rules: list[Rule]) -> None:
-        """End rules; what they hold back goes out now."""
+        """End rules; the frames that they hold back are sent now."""
         for rule in rules:
             self.rules[rule.can_id].remove(rule)
             if not self.rules[rule.can_id]:
                 del self.rules[rule.can_id]
-        self._release(lambda due_ns, rule: rule in rules)
+        self._release(lambda held: held.rule in rules)
 
     def passes(self, frame: Frame, node: int, carry: Carry) -> bool:
-        """Whether the frame goes on now; if not it is lost, or `carry` is called later."""
+        """Whether a frame is passed on now. If not, it is lost, or `carry` is called later."""
         if self.controllers.nodes and not self.controllers.passes(frame, node):
             return False
         if frame.extended:
             return True
-        return all([self._judge(rule, carry) for rule in self.rules.get(frame.can_id, ())])
+        # every rule counts the frame, also after another one has stopped it
+        verdicts = [self._judge(rule, carry) for rule in self.rules.get(frame.can_id, ())]
+        return all(verdicts)
 
     def poll(self, now_ns: int) -> None:
-        """It is `now_ns`: what was held long enough goes out, in the order of its sending."""
+        """Pass on the held frames that are due at `now_ns`, the earliest first."""
         self.now_ns = now_ns
-        self._release(lambda due_ns, rule: due_ns <= now_ns)
+        self._release(lambda held: held.due_ns <= now_ns)
 
-    def _release(self, ends: Callable[[int, Rule], bool]) -> None:
-        due = [one for one in self._held if ends(one[0], one[1])]
-        self._held = [one for one in self._held if not ends(one[0], one[1])]
-        for _, _, carry in sorted(due, key=lambda one: one[0]):
-            carry()
+    def _release(self, ends: Callable[[HeldFrame], bool]) -> None:
+        """Pass on the held frames for which `ends` is true."""
+        released = [held for held in self._held if ends(held)]
+        self._held = [held for held in self._held if not ends(held)]
+        for held in sorted(released, key=lambda held: held.due_ns):
+            held.carry()
 
     def _judge(self, rule: Rule, carry: Carry) -> bool:
+        """Whether a rule passes a frame on now."""
         rule.count += 1
         if rule.count % rule.every:
             return True
         rule.hit += 1
-        if rule.what == HELD:
-            self._held.append((self.now_ns + rule.delay_ns, rule, carry))
-        elif rule.what == TWICE:
+        if rule.effect == TWICE:
             carry()
-        return rule.what == TWICE
+            return True
+        if rule.effect == HELD:
+            self._held.append(HeldFrame(self.now_ns + rule.delay_ns, rule, carry))
+        return False
 
 
 def rules_of(name: str, values: dict[str, Any]) -> list[Rule]:
-    """The rules of a fault of the catalogue, none where it needs none."""
+    """The rules of a fault of the catalogue; empty if it needs none."""
     if name == "wsp_frozen":
-        # what a WSP unit sends: heartbeat, PDO1 to the brake I/O, reference speed
-        return [
-            Rule(HELD, one, 1, NEVER)
-            for one in (UNIT_HEARTBEAT_ID, MAGNETS_ID, REFERENCE_SPEED.can_id)
-        ]
-    if name not in _WHAT:
+        of_unit = (UNIT_HEARTBEAT_ID, MAGNETS_ID, REFERENCE_SPEED.can_id)
+        return [Rule(HELD, can_id, delay_ns=NEVER) for can_id in of_unit]
+    if name not in _EFFECTS:
         return []
     can_id = values["can_id"] if "can_id" in values else HEARTBEAT + values["node"]
-    return [
-        Rule(_WHAT[name], can_id, values.get("every", 1), round(values.get("delay_s", 0.0) * S_NS))
-    ]
+    delay_ns = round(values.get("delay_s", 0.0) * S_NS)
+    return [Rule(_EFFECTS[name], can_id, values.get("every", 1), delay_ns)]

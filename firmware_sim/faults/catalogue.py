@@ -1,9 +1,9 @@
-"""The fault catalogue: whatever can be made to go wrong on the rig, one row each.
+"""The fault catalogue: the faults that can be injected into the rig, one row each.
 
-A fault is injected by a scenario's [[fault]] table, by `--fault` on the command line, or by a call
-of the bench; it begins at a time, holds for a while and is lifted again. Rows say what a fault is
-aimed at, which parameters it takes with their bounds, what it does and where it acts: in the
-compiled tick (`effects`), on the bus (`bus`), or in a device (`panel`).
+A [[fault]] table of a scenario, `--fault` on the command line, or a call of the bench injects a fault.
+It begins at a time, lasts for a while, and is lifted again. A row gives the target of the fault, its
+parameters with their bounds, its effect, and the place where it acts: in the compiled tick
+(`effects`), on the bus (`bus`), or in a device (`panel`).
 """
 
 import math
@@ -18,9 +18,11 @@ from rollerrig.configs.table import Row, integer, number
 from rollerrig.wsp_interface.rig_objects import SPEEDS, UNIT_FRAMES
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODE
 
-# where a fault acts: in the tick, on the bus, in a device
-TICK, BUS, DEVICE = "tick", "bus", "device"
-LASTS = math.inf
+# where a fault acts
+TICK = "tick"
+BUS = "bus"
+DEVICE = "device"
+LASTS = math.inf  # a fault that lasts to the end of the run
 
 _AXLE = integer("axle", 1, 1, AXLES, "axle, counted from the leading end")
 _NODE = integer("node", BRAKE_NODE, 1, 127, "a node of the rig")
@@ -29,15 +31,16 @@ _EVERY = integer("every", 1, 1, 100_000, "1 is each frame, 2 every second one")
 _LOSES_UNIT = ("wsp_frozen", "node_babbling", "error_frame", "receive_error")
 WHEN = (
     number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
-    number("for_s", LASTS, 1e-3, LASTS, "how long it holds; inf: to the end"),
+    number("for_s", LASTS, 1e-3, LASTS, "how long it lasts; inf: to the end"),
 )
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One row of the catalogue. `parameters` carry the unit in their names, and their bounds.
+    """One row of the catalogue. `parameters` have their unit in the name, and bounds.
 
-    `number` is its name over Modbus (register 20 of unit 1), which plants have in their programs.
+    `number` identifies it over Modbus (register 20 of unit 1). Programs of plants use it, so it never
+    changes.
     """
 
     number: int
@@ -49,38 +52,39 @@ class Kind:
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault to be: its kind, when, the values of the kind's parameters, and whether events tell of it."""
+    """One planned fault: its kind, its time, the values of its parameters, and whether events report it."""
 
     kind: Kind
     at_s: float = 0.0
     for_s: float = LASTS
     values: dict[str, Any] = field(default_factory=dict)
-    told: bool = True
+    reported: bool = True
 
     @property
     def target(self) -> tuple[str, Any]:
-        """What tells it from another fault: its kind and what it is aimed at."""
-        aims = ("axle", "node", "can_id")
-        return self.kind.name, next((self.values[aim] for aim in aims if aim in self.values), 0)
+        """Its kind and its aim. Two faults with the same target replace each other."""
+        for aim in ("axle", "node", "can_id"):
+            if aim in self.values:
+                return self.kind.name, self.values[aim]
+        return self.kind.name, 0
 
     @property
     def reaches_unit(self) -> bool:
-        """Whether it aims at the WSP unit, at frames from or to it, or at the whole bus: it may lose the unit."""
-        node, can_id = self.values.get("node"), self.values.get("can_id")
-        return self.kind.name in _LOSES_UNIT or node == WSP_NODE or can_id in UNIT_FRAMES
+        """Whether the rig may lose the WSP unit by it.
+
+        That is a fault of the unit, of frames from or to the unit, or of the whole bus.
+        """
+        if self.kind.name in _LOSES_UNIT:
+            return True
+        return self.values.get("node") == WSP_NODE or self.values.get("can_id") in UNIT_FRAMES
 
     @property
     def title(self) -> str:
         """Name and parameters, for events."""
-        return " ".join(
-            [
-                self.kind.name,
-                *(
-                    f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}"
-                    for name, value in self.values.items()
-                ),
-            ]
-        )
+        words = [self.kind.name]
+        for name, value in self.values.items():
+            words.append(f"{name}={value:#x}" if name == "can_id" else f"{name}={value:g}")
+        return " ".join(words)
 
     @property
     def event_fields(self) -> dict[str, Any]:
@@ -93,7 +97,7 @@ CATALOGUE: tuple[Kind, ...] = (
         0,
         "speed_sensor_stuck",
         TICK,
-        "the speed of an axle stays what it was, no pulse is counted",
+        "the measured speed of an axle stays constant, and no pulses are counted",
         (_AXLE,),
     ),
     Kind(
@@ -103,8 +107,8 @@ CATALOGUE: tuple[Kind, ...] = (
         2,
         "missing_tooth",
         TICK,
-        "teeth of an axle's pole wheel are gone: once a turn the speed that is measured "
-        "from pulses dips",
+        "teeth of an axle's pole wheel are missing: once a turn the speed measured from "
+        "pulses dips",
         (_AXLE, integer("teeth", 1, 1, 50, "missing teeth")),
     ),
     Kind(
@@ -125,8 +129,8 @@ CATALOGUE: tuple[Kind, ...] = (
         5,
         "wheel_diameter_mismatch",
         TICK,
-        "the wheels of an axle are larger than the unit believes: they turn "
-        "slower at the same speed of the train",
+        "the wheels of an axle are larger than configured in the unit: they turn slower "
+        "at the same speed of the train",
         (
             _AXLE,
             number("difference_percent", 5.0, -50.0, 50.0, "real over nominal diameter, less 1"),
@@ -166,7 +170,7 @@ CATALOGUE: tuple[Kind, ...] = (
         "drive_over_temperature",
         DEVICE,
         "a motor is hot: above 1 the drive warns, above 1.2 it trips",
-        (_AXLE, number("load", 1.25, 1.0, 3.0, "thermal load, 1 is what it bears for ever")),
+        (_AXLE, number("load", 1.25, 1.0, 3.0, "thermal load; the motor can bear 1 for any time")),
     ),
     Kind(14, "node_off", BUS, "a node has no power; it boots when the fault is lifted", (_NODE,)),
     Kind(
@@ -176,24 +180,24 @@ CATALOGUE: tuple[Kind, ...] = (
         "a node floods the bus with frames of one identifier",
         (
             _NODE,
-            integer("can_id", 0x07F, 0, 0x7FF, "what it babbles"),
+            integer("can_id", 0x07F, 0, 0x7FF, "identifier of the frames"),
             number("rate_Hz", 2000.0, 1.0, 20000.0, "frames a second"),
         ),
     ),
-    Kind(16, "frame_lost", BUS, "frames of an identifier reach nobody", (_CAN_ID, _EVERY)),
+    Kind(16, "frame_lost", BUS, "frames of an identifier are lost", (_CAN_ID, _EVERY)),
     Kind(
         17,
         "frame_delayed",
         BUS,
-        "frames of an identifier come late",
+        "frames of an identifier are delayed",
         (_CAN_ID, number("delay_s", 0.05, 0.001, 10.0, "delay")),
     ),
-    Kind(18, "frame_duplicated", BUS, "frames of an identifier come twice", (_CAN_ID, _EVERY)),
+    Kind(18, "frame_duplicated", BUS, "frames of an identifier are sent twice", (_CAN_ID, _EVERY)),
     Kind(
         19,
         "error_frame",
         BUS,
-        "each frame of a node is destroyed by error frames and sent again; its error counter "
+        "error frames destroy each frame of a node, and it is sent again; the error counter "
         "rises, to error passive (EMCY 8120h) and bus-off",
         (_NODE, integer("attempts", 2, 1, 31, "destroyed attempts of each frame")),
     ),
@@ -201,15 +205,15 @@ CATALOGUE: tuple[Kind, ...] = (
         20,
         "bus_off",
         BUS,
-        "a node's CAN controller is off: it neither hears nor speaks, and runs on; EMCY 8140h "
-        "when it is back",
+        "a node's CAN controller is off the bus: the node neither receives nor sends, but runs "
+        "on; EMCY 8140h when it is back",
         (_NODE,),
     ),
     Kind(
         21,
         "heartbeat_late",
         BUS,
-        "the heartbeats of a node come late",
+        "the heartbeats of a node are delayed",
         (
             integer("node", BRAKE_NODE, 1, 127, "a node of the rig, or the WSP unit"),
             number("delay_s", 0.6, 0.01, 10.0, "delay"),
@@ -219,30 +223,30 @@ CATALOGUE: tuple[Kind, ...] = (
         22,
         "wsp_frozen",
         DEVICE,
-        "the WSP unit freezes: the reference unit's process is stopped, the frames of an "
-        "external one are held back",
+        "the WSP unit freezes: the process of the reference unit is stopped, the frames of an "
+        "external unit are held back",
     ),
     Kind(
         23,
         "power_dip",
         DEVICE,
-        "the rig's supply dips: below their lowest voltage the drives trip (3220h), below "
+        "the supply of the rig dips: below their lowest voltage the drives trip (3220h), below "
         "200 V all nodes of the rig are without power",
-        (number("dc_link_V", 300.0, 0.0, 1000.0, "what is left of the DC link"),),
+        (number("dc_link_V", 300.0, 0.0, 1000.0, "remaining voltage of the DC link"),),
     ),
     Kind(
         24,
         "receive_error",
         BUS,
-        "a node takes every frame of others for faulty and destroys it, until its receive "
-        "error counter makes it error passive (EMCY 8120h); from then on it alone misses them",
+        "a node finds an error in every frame of other nodes and destroys it, until its "
+        "receive error counter makes it error passive (EMCY 8120h); then it alone misses them",
         (_NODE, integer("attempts", 1, 1, 31, "destroyed attempts of each frame")),
     ),
     Kind(
         25,
         "sander_empty",
         TICK,
-        "the sand box of an axle is empty; it stays so when the fault is lifted",
+        "the sand box of an axle is empty; it stays empty when the fault is lifted",
         (_AXLE,),
     ),
     Kind(
@@ -256,15 +260,15 @@ CATALOGUE: tuple[Kind, ...] = (
         27,
         "sander_wrong_orifice",
         TICK,
-        "the sander of an axle has a wrong orifice: another rate",
+        "the sander of an axle has a wrong orifice, and so another rate",
         (_AXLE, number("factor", 0.3, 0.0, 10.0, "of the rate")),
     ),
     Kind(
         28,
         "sander_late",
         TICK,
-        "the sand of an axle comes late: its hose holds it back longer",
-        (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "longer lag of the hose")),
+        "the sand of an axle is late: the lag of its hose is longer",
+        (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "additional lag of the hose")),
     ),
 )
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
@@ -273,14 +277,17 @@ _SHORT = {"at": "at_s", "for": "for_s"}
 
 
 def make(given: Mapping[str, Any], where: str) -> Fault:
-    """A checked fault from a table with `kind`, times and parameters. ConfigError begins with `where`."""
+    """A checked fault from a table with `kind`, times and parameters.
+
+    Raises ConfigError, whose message begins with `where`.
+    """
     if not isinstance(given, Mapping):
-        raise ConfigError(f"{where}: {given!r}: a table with kind, at_s and for_s is wanted")
+        raise ConfigError(f"{where}: {given!r}: it must be a table with kind, at_s and for_s")
     given = {_SHORT.get(key, key): value for key, value in given.items()}
     name = given.pop("kind", None)
     if name not in BY_NAME:
         raise ConfigError(
-            f"{where}: kind = {name!r} is no fault{table.nearest(str(name), BY_NAME)}"
+            f"{where}: kind = {name!r} is not a fault{table.nearest(str(name), BY_NAME)}"
         )
     kind = BY_NAME[name]
     read = table.read((*WHEN, *kind.parameters), given, f"{where} {name}")
@@ -310,19 +317,19 @@ def plain(fault: Fault) -> dict[str, Any]:
 
 
 def all_of(given: list[Any], where: str) -> tuple[Fault, ...]:
-    """The faults of a scenario's [[fault]] tables. Raises ConfigError."""
-    return tuple(make(one, f"{where} [[fault]] {at}") for at, one in enumerate(given, start=1))
+    """The faults of the [[fault]] tables of a scenario. Raises ConfigError."""
+    return tuple(make(fault, f"{where} [[fault]] {at}") for at, fault in enumerate(given, start=1))
 
 
 def markdown() -> str:
-    """The catalogue as a document."""
+    """The catalogue as a page of the documentation, in Markdown."""
     lines = [
         "# Faults",
         "",
-        "Each is injected by a scenario's `[[fault]]` table or with `--fault "
-        "'NAME parameter=value at=5 for=3'`, and lifted after `for_s`.",
+        "A `[[fault]]` table of a scenario, or `--fault 'NAME parameter=value at=5 for=3'`, "
+        "injects a fault. It is lifted after `for_s`.",
         "",
-        "| fault | acts in | what it does | parameters: default (allowed) |",
+        "| fault | acts in | effect | parameters: default (allowed) |",
         "|---|---|---|---|",
     ]
     for kind in CATALOGUE:
@@ -335,7 +342,9 @@ def markdown() -> str:
 
 
 def _check_target(fault: Fault, where: str) -> None:
-    values, at = fault.values, f"{where} {fault.kind.name}"
+    """Raise ConfigError unless the axles and nodes of a fault are allowed."""
+    values = fault.values
+    at = f"{where} {fault.kind.name}"
     if values.get("other") == values.get("axle", 0):
         raise ConfigError(f"{at}: axle and other are both {values['axle']}; give two axles")
     allowed = (*RIG_NODES, WSP_NODE) if fault.kind.name == "heartbeat_late" else RIG_NODES

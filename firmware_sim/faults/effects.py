@@ -1,17 +1,17 @@
-"""What faults do in the tick: magnets, cylinders, motors, and what speed sensors tell.
+"""The effects of faults in the tick: on magnets, cylinders, motors, sanders and sensors.
 
-The faults that act are a flat array of numbers which travels with the commands; all zero is a rig without faults, and
-then not one bit is touched. Each effect stands between the stage that makes a quantity and the one that uses it:
-magnets before the valves [F1], leaks before the pneumatics [F2], ripple between drive control and motor [F3], and
-sensors between wheel or winding and the published row [F4].
+The active faults are a flat array of numbers that travels with the commands. All zeros is a rig
+without faults; then no bit changes. Each effect acts between the stage that computes a quantity and
+the stage that uses it: magnets before the valves [F1], leaks before the pneumatics [F2], ripple
+between drive control and motor [F3], sensors between wheel or winding and the published row [F4].
 
-    [F1] magnets = (asked or stuck) and not dead
+    [F1] magnets = (commanded or stuck) and not dead
     [F2] dp/dt = -p / T
     [F3] u = u_demand + a sin(n phi), phi the angle of the roller
-    [F5] sand: rate (1 + flaw), lag + late, or no sand in the box
     [F4] T = max(T, T_air + load dT_rated), the temperature at which a motor has this thermal load
+    [F5] sand: rate (1 + flaw), lag + late, or no sand in the box
 
-What a leak lets out counts as no air used; the cylinders that fill again do.
+The air that a leak lets out does not count as used; the air that fills the cylinders again does.
 """
 
 import numpy as np
@@ -19,31 +19,30 @@ import numpy as np
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface.signals import AXLES
 
-# slots of the faults array: ANY is 1 while one of these faults acts; then a value for each axle
-ANY = 0
-(
-    STUCK,
-    DROPOUT,
-    MISSING_TEETH,
-    SOURCE,
-    NOISE_rad_s,
-    LARGER,
-    MAGNETS_ON,
-    MAGNETS_OFF,
-    LEAK_per_s,
-    RIPPLE_Nm,
-    RIPPLE_ORDER,
-    MOTOR_LOAD,
-    SAND_FLAW,
-    SAND_LATE_s,
-    SAND_EMPTY,
-    _KINDS,
-) = range(16)
+ANY = 0  # slot of the array that is 1 while one of these faults acts
+
+# kinds of values; the array has one value of each kind for each axle
+STUCK = 0  # 1: the measured speed stays
+DROPOUT = 1  # 1: no pulses
+MISSING_TEETH = 2  # number of teeth
+SOURCE = 3  # the axle (from 1) whose sensor is connected; 0: its own
+NOISE_rad_s = 4  # standard deviation
+LARGER = 5  # real over nominal wheel diameter, less 1
+MAGNETS_ON = 6  # magnets that stay energised, as bits
+MAGNETS_OFF = 7  # magnets that are never energised, as bits
+LEAK_per_s = 8  # 1 / T
+RIPPLE_Nm = 9  # amplitude
+RIPPLE_ORDER = 10  # periods a turn
+MOTOR_LOAD = 11  # thermal load
+SAND_FLAW = 12  # change of the rate as a fraction
+SAND_LATE_s = 13  # additional lag of the hose
+SAND_EMPTY = 14  # 1: the box is empty
+_KINDS = 15
 SIZE = 1 + _KINDS * AXLES
 
 
 def slot(kind: int, axle: int) -> int:
-    """Where the value of a kind for an axle (from 1) stands in the array."""
+    """The place in the array of the value of a kind for an axle (from 1)."""
     return 1 + kind * AXLES + axle - 1
 
 
@@ -55,9 +54,10 @@ def value(faults, kind, j):
 
 @kernel
 def energise(magnets, faults):
-    """Let stuck and dead magnets change the pattern of each axle, shape (4,) [F1]."""
+    """Apply stuck and dead magnets to the pattern of each axle, shape (4,) [F1]."""
     for j in range(AXLES):
-        on, off = int(value(faults, MAGNETS_ON, j)), int(value(faults, MAGNETS_OFF, j))
+        on = int(value(faults, MAGNETS_ON, j))
+        off = int(value(faults, MAGNETS_OFF, j))
         magnets[j] = float((int(magnets[j]) | on) & ~off)
 
 
@@ -72,7 +72,7 @@ def leak(state, faults, tick_s):
 
 @kernel
 def spill(state, faults):
-    """Let the boxes of sanders be empty [F5]."""
+    """Empty the boxes of sanders [F5]."""
     for j in range(AXLES):
         if value(faults, SAND_EMPTY, j) != 0.0:
             state.sand_box[j] = 0.0
@@ -80,7 +80,7 @@ def spill(state, faults):
 
 @kernel
 def ripple(state, faults):
-    """Let torque demands ripple with the angle of their rollers [F3]."""
+    """Add a ripple to torque demands, by the angle of their rollers [F3]."""
     for j in range(AXLES):
         amplitude_Nm = value(faults, RIPPLE_Nm, j)
         if amplitude_Nm != 0.0:
@@ -90,7 +90,7 @@ def ripple(state, faults):
 
 @kernel
 def heat(temperatures_K, faults, air_K, rise_K):
-    """Let hot motors tell their temperature, shape (4,) [F4]."""
+    """Raise the measured temperatures of hot motors, shape (4,) [F4]."""
     for j in range(AXLES):
         load = value(faults, MOTOR_LOAD, j)
         if load != 0.0:

@@ -1,8 +1,9 @@
 """The panel from which faults are injected and lifted, by their schedule or by hand.
 
-Each change is an event of the run. What acts in the tick or on the bus is set anew from all faults that are active,
-so faults may overlap and the last to be lifted leaves a sound rig. A drive that has tripped is reset and enabled
-again when its fault is lifted, if the rig control has it; a master on the bus has to reset its drives itself.
+Each change is an event of the run. After each change the effects in the tick and on the bus are
+computed again from all active faults. So faults may overlap, and when the last one is lifted, the rig
+is free of faults. A drive that has tripped is reset and enabled again when its fault is lifted, if the
+rig control moves it. A master on the bus must reset its drives itself.
 """
 
 from collections.abc import Callable, Iterable
@@ -23,10 +24,9 @@ from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.wsp_interface.signals import DRIVE_NODES
 
-# below this the supply of the electronics is gone too
-ELECTRONICS_V = 200.0
+ELECTRONICS_V = 200.0  # below this voltage of the DC link the electronics have no supply either
 
-# what a fault writes into the array of the tick: (slot, axle, value) from its values
+# the entries of a fault in the array of the tick: (kind of value, axle, value) from its parameters
 _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = {
     "speed_sensor_stuck": lambda v: [(effects.STUCK, v["axle"], 1.0)],
     "speed_sensor_dropout": lambda v: [(effects.DROPOUT, v["axle"], 1.0)],
@@ -54,14 +54,17 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
         (effects.RIPPLE_ORDER, v["axle"], v["order"]),
     ],
 }
-# what a fault of error frames sets of the node's controller
+# the field of a node's controller that a fault with error frames sets
 _DISTURBS = {"error_frame": "attempts", "receive_error": "finds"}
 
 
 @dataclass
 class Site:
-    """What faults act on. `array` (effects.SIZE,) is part of the commands, `post()` hands it to the tick; without a
-    bus there is nothing else. `freeze(on)` stops a unit's process, and says whether there was one.
+    """The parts of a rig on which faults act.
+
+    `array`, shape (effects.SIZE,), is part of the commands; `post()` passes it to the tick. A rig
+    without a bus has nothing else. `disturb()` is called when the gate may have changed. `freeze(on)`
+    stops the process of a unit, and returns whether there is one.
     """
 
     array: np.ndarray
@@ -77,7 +80,7 @@ class Site:
 
 @dataclass
 class Active:
-    """A fault that holds, until when, and what it has set up on the bus."""
+    """An active fault, its end, and what it has set up on the bus."""
 
     fault: Fault
     until_s: float
@@ -86,7 +89,7 @@ class Active:
 
 
 class Panel:
-    """Faults to come and faults that hold, on `site`. `on_event(code, **fields)` records each change."""
+    """Planned and active faults on `site`. `on_event(code, **fields)` records each change."""
 
     site: Site
 
@@ -97,11 +100,11 @@ class Panel:
         self.schedule(planned)
 
     def schedule(self, planned: Iterable[Fault]) -> None:
-        """Plan the faults of a scenario, in place of those planned before."""
-        self.waiting = sorted(planned, key=lambda one: one.at_s)
+        """Plan the faults of a scenario, instead of those planned before."""
+        self.waiting = sorted(planned, key=lambda fault: fault.at_s)
 
     def connect(self, site: Site) -> None:
-        """Say what the faults act on."""
+        """Set the parts of the rig on which the faults act."""
         self.site = site
         self._confinement = Confinement(
             site.gate.controllers,
@@ -117,77 +120,86 @@ class Panel:
         }
 
     def inject(self, name: str, **values: Any) -> Fault:
-        """Let a fault begin now, in place of one of its kind and target; it holds for `for_s`. Raises ConfigError."""
+        """Let a fault begin now; it lasts for `for_s`, and replaces a fault with the same target.
+
+        Raises ConfigError.
+        """
         fault = catalogue.make({"kind": name, "at_s": self.now_s} | values, f"fault {name}")
         check_pacing((fault,), "lockstep" if self.site.nodes else "free")
         self._begin(fault)
         return fault
 
     def clear(self, name: str = "", **aim: Any) -> int:
-        """Lift the active faults of a name (of all, without one) and aim; returns how many."""
-        lifted = [
-            key
-            for key, one in self.active.items()
-            if name in ("", one.fault.kind.name)
-            and all(one.fault.values.get(what) == value for what, value in aim.items())
-        ]
-        for key in lifted:
-            self._lift(key)
-        return len(lifted)
+        """Lift the active faults with a name (empty: any) and an aim; returns how many."""
+        targets = []
+        for target, active in self.active.items():
+            fault = active.fault
+            name_fits = name in ("", fault.kind.name)
+            aim_fits = all(fault.values.get(key) == value for key, value in aim.items())
+            if name_fits and aim_fits:
+                targets.append(target)
+        for target in targets:
+            self._lift(target)
+        return len(targets)
 
     def poll(self, now_s: float) -> None:
-        """It is `now_s` of simulated time: begin, lift and go on with what is due."""
+        """Begin and lift the faults that are due at `now_s` of simulated time, and continue the others."""
         self.now_s = now_s
-        if not (self.active or self._confinement.busy) and not (
-            self.waiting and self.waiting[0].at_s <= now_s
-        ):
+        begins = bool(self.waiting) and self.waiting[0].at_s <= now_s
+        if not (self.active or self._confinement.busy or begins):
             return
-        for key in [key for key, one in self.active.items() if one.until_s <= now_s]:
-            self._lift(key)
+        ended = [target for target, active in self.active.items() if active.until_s <= now_s]
+        for target in ended:
+            self._lift(target)
         while self.waiting and self.waiting[0].at_s <= now_s:
             self._begin(self.waiting.pop(0))
-        self._go_on()
+        self._continue()
 
     def next_change_s(self) -> float:
-        """When the schedule has something to do again; inf if never."""
-        ends = (one.until_s for one in self.active.values())
-        return min([*ends, *(one.at_s for one in self.waiting[:1])], default=LASTS)
+        """The time of the next change by the schedule; inf if there is none."""
+        times_s = [active.until_s for active in self.active.values()]
+        if self.waiting:
+            times_s.append(self.waiting[0].at_s)
+        return min(times_s, default=LASTS)
 
     def _begin(self, fault: Fault) -> None:
         if fault.target in self.active:
             self._lift(fault.target)
-        one = self.active[fault.target] = Active(fault, self.now_s + fault.for_s)
-        if fault.told:
+        active = Active(fault, self.now_s + fault.for_s)
+        self.active[fault.target] = active
+        if fault.reported:
             self._on_event(Code.FAULT_BEGINS, **fault.event_fields)
-        self._act(one, True)
+        self._act(active, True)
         self._settle()
-        self._go_on()
+        self._continue()
 
     def _lift(self, target: tuple[str, Any]) -> None:
-        one = self.active.pop(target)
-        if one.fault.told:
-            frames_met = sum(rule.hit for rule in one.rules) if one.rules else None
-            self._on_event(Code.FAULT_LIFTED, **one.fault.event_fields, frames_met=frames_met)
-        self._act(one, False)
+        active = self.active.pop(target)
+        if active.fault.reported:
+            frames_met = sum(rule.hit for rule in active.rules) if active.rules else None
+            self._on_event(Code.FAULT_LIFTED, **active.fault.event_fields, frames_met=frames_met)
+        self._act(active, False)
         self._settle()
 
-    def _act(self, one: Active, on: bool) -> None:
-        """Set up what a fault does on the bus and in devices, or put it back."""
-        site, name, values = self.site, one.fault.kind.name, one.fault.values
+    def _act(self, active: Active, on: bool) -> None:
+        """Set up the effect of a fault on the bus and in devices, or remove it."""
+        site = self.site
+        name = active.fault.kind.name
+        values = active.fault.values
         frozen = name == "wsp_frozen" and site.freeze(on)
         if on:
             # the frames of a unit whose process cannot be stopped are held back
-            one.rules = [] if frozen else bus.rules_of(name, values)
-            for rule in one.rules:
+            active.rules = [] if frozen else bus.rules_of(name, values)
+            for rule in active.rules:
                 site.gate.add(rule)
         else:
-            site.gate.remove(one.rules)
+            site.gate.remove(active.rules)
+
         if name in _DISTURBS:
-            self._confinement.disturb(
-                values["node"], **{_DISTURBS[name]: values["attempts"] if on else 0}
-            )
+            times = values["attempts"] if on else 0
+            self._confinement.disturb(values["node"], **{_DISTURBS[name]: times})
         elif name == "node_babbling" and on:
-            one.babble = Babble(values["can_id"], values["rate_Hz"], site.clock_ns())
+            active.babble = Babble(values["can_id"], values["rate_Hz"], site.clock_ns())
         elif name == "drive_over_temperature":
             self._drive(values).axis.heat.load = values["load"] if on else 0.0
         if not on and name in ("drive_trip", "drive_over_temperature"):
@@ -198,36 +210,45 @@ class Panel:
                 site.nodes[node].device.recover()
 
     def _settle(self) -> None:
-        """Set the tick's array, power, controllers and gate as all active faults want them."""
-        array, wanted = self.site.array, np.zeros(effects.SIZE)
-        for one in self.active.values():
-            writes = _EFFECTS.get(one.fault.kind.name)
-            for kind, axle, value in writes(one.fault.values) if writes else ():
+        """Set the array of the tick, power, controllers and gate for all active faults together."""
+        array = np.zeros(effects.SIZE)
+        for active in self.active.values():
+            entries = _EFFECTS.get(active.fault.kind.name)
+            if entries is None:
+                continue
+            for kind, axle, value in entries(active.fault.values):
                 at = effects.slot(kind, axle)
-                wanted[effects.ANY] = 1.0
-                magnets = kind in (effects.MAGNETS_ON, effects.MAGNETS_OFF)
-                wanted[at] = float(int(wanted[at]) | int(value)) if magnets else value
-        if not np.array_equal(array, wanted):
-            array[:] = wanted
+                if kind in (effects.MAGNETS_ON, effects.MAGNETS_OFF):
+                    value = float(int(array[at]) | int(value))  # bits of several faults
+                array[at] = value
+                array[effects.ANY] = 1.0
+        if not np.array_equal(self.site.array, array):
+            self.site.array[:] = array
             self.site.post()
         self._settle_nodes()
         self.site.disturb()
 
     def _settle_nodes(self) -> None:
+        """Switch power and controllers of the nodes for all active faults together."""
         site = self.site
-        without, muted, link_V = set[int](), set[int](), None
-        for one in self.active.values():
-            name, values = one.fault.kind.name, one.fault.values
+        unpowered: set[int] = set()
+        muted: set[int] = set()
+        link_V: float | None = None
+        for active in self.active.values():
+            name = active.fault.kind.name
+            values = active.fault.values
             if name == "node_off":
-                without.add(values["node"])
+                unpowered.add(values["node"])
             elif name == "bus_off":
                 muted.add(values["node"])
             elif name == "power_dip":
                 link_V = values["dc_link_V"]
-                without |= set(site.nodes) if link_V < ELECTRONICS_V else set()
+                if values["dc_link_V"] < ELECTRONICS_V:
+                    unpowered |= set(site.nodes)
+
         for number, node in site.nodes.items():
-            if (id(node) in site.rack.off) != (number in without):
-                site.rack.power(node, number not in without, site.clock_ns())
+            if (id(node) in site.rack.off) != (number in unpowered):
+                site.rack.power(node, number not in unpowered, site.clock_ns())
             if (id(node) in site.rack.muted) != (number in muted):
                 site.rack.mute(node, number in muted)
                 if number not in muted:
@@ -235,18 +256,21 @@ class Panel:
             if link_V is not None and number in self._links_V:
                 node.device.axis.dc_link_V = link_V
 
-    def _go_on(self) -> None:
-        """What active faults do again and again."""
-        site, now_ns = self.site, self.site.clock_ns()
+    def _continue(self) -> None:
+        """Do what active faults do repeatedly."""
+        site = self.site
+        now_ns = site.clock_ns()
         site.gate.poll(now_ns)
         if self._confinement.busy:
             self._confinement.poll(now_ns)
             if not self._confinement.busy:
                 site.disturb()
-        for one in list(self.active.values()):
-            name, values = one.fault.kind.name, one.fault.values
-            if one.babble:
-                one.babble.go_on(now_ns, partial(site.rack.transmit, site.nodes[values["node"]]))
+        for active in list(self.active.values()):
+            name = active.fault.kind.name
+            values = active.fault.values
+            if active.babble:
+                transmit = partial(site.rack.transmit, site.nodes[values["node"]])
+                active.babble.go_on(now_ns, transmit)
             elif name == "drive_trip":
                 self._drive(values).trip(values["code"], "injected")
             elif name == "drive_over_temperature":
@@ -254,11 +278,12 @@ class Panel:
                 heat.load = max(heat.load, values["load"])
 
     def _drive(self, values: dict[str, Any]) -> Any:
+        """The drive under the axle of a fault."""
         return self.site.nodes[DRIVE_NODES[values["axle"] - 1]].device
 
 
 def check_pacing(planned: Iterable[Fault], pacing: str) -> None:
-    """Refuse faults of the bus where there is none. Raises ConfigError."""
+    """Raise ConfigError for faults of the bus in a pacing without a bus."""
     for fault in planned:
         if pacing == "free" and fault.kind.acts != TICK:
             raise ConfigError(

@@ -347,7 +347,7 @@ def _with_sealed(
         physics.ROWS["mechanisms"], checked["mechanisms"] | content.get("mechanisms", {}), "sealed"
     )
     faults = catalogue.all_of(content.get("fault", []), "sealed")
-    hidden = tuple(dataclasses.replace(fault, told=False) for fault in faults)
+    hidden = tuple(dataclasses.replace(fault, reported=False) for fault in faults)
     return checked | {"mechanisms": mechanisms}, hidden
 
 
