@@ -1,7 +1,8 @@
-"""Compile what many tests call before the workers of `make test` start: two that compile alike cost double.
+"""Compiles the kernels that many tests call, before the workers of `make test` start.
 
-The compiled kernels stay in the cache of numba until a source with kernels changes; a mark beside them
-tells that this checkout has been here before.
+Two workers that compile the same kernel at the same time need double the time. The compiled kernels remain
+in the cache until a source with kernels changes. A mark in the folder of the cache shows that this
+checkout has been compiled.
 """
 
 import hashlib
@@ -15,6 +16,10 @@ from pathlib import Path
 from rollerrig.rig.compiled import kernel_cache
 
 ROOT = Path(__file__).parent.parent
+# exit status of a run that has passed, and of one that is not valid: a short run does not stop
+ACCEPTED = (0, 4)
+WORKERS = 2
+
 RUN = (
     "run",
     "velim_a1",
@@ -28,16 +33,23 @@ RUN = (
     "modbus.port=0",
 )
 COACH = (*RUN, "--pacing", "free", "--set", "vehicle.model=multibody", "--set")
-# the kernels of the generators of stops, which is a program and no command
+# the generators of stops are no command, so their kernels need a program
 GENERATORS = """import sys
 from pathlib import Path
-import rollerrig.rig.compiled.kernel  # it tells numba where to keep them
+import rollerrig.rig.compiled.kernel  # it tells numba where to keep the kernels
 from generator import braking_stops, other_stops
 other_stops.make(Path(sys.argv[-1]), {}, 1, ("a3",))
 braking_stops.make(Path(sys.argv[-1]), {}, 1)
 """
-# the longest first; commands of one line one after the other
-COMMANDS = (
+CAMPAIGN = """title = "two short stops"
+scenario = "velim_a1"
+design = "matrix"
+[vary]
+initial_speed_m_s = [1.0, 2.0]
+"""
+# Series of commands; a worker runs the commands of a series one after another. The longest series is first.
+# A text is a Python program.
+SERIES = (
     ((*RUN, "--pacing", "wall"), (*RUN, "--pacing", "lockstep"), (*RUN, "--pacing", "free")),
     ((*COACH, "rig=plain_track"), (*COACH, "rig=virtual_track")),
     (
@@ -47,59 +59,60 @@ COMMANDS = (
         GENERATORS,
     ),
 )
-CAMPAIGN = """title = "two short stops"
-scenario = "velim_a1"
-design = "matrix"
-[vary]
-initial_speed_m_s = [1.0, 2.0]
-"""
 
 
 def main():
-    mark = (
-        kernel_cache.folder() or Path(tempfile.gettempdir())
-    ) / f"compiled-{hashlib.sha256(str(ROOT).encode()).hexdigest()[:16]}"
-    if mark.exists():
+    mark = mark_of_this_checkout()
+    if mark and mark.exists():
         return
-    begun_s = time.monotonic()
+    begin_s = time.monotonic()
     print("compiling kernels ...", flush=True)
     with (
         tempfile.TemporaryDirectory(prefix="rollerrig-compile-") as folder,
-        ThreadPoolExecutor(2) as workers,
+        ThreadPoolExecutor(WORKERS) as workers,
     ):
-        list(
-            workers.map(
-                lambda n: compile_with(COMMANDS[n], Path(folder) / str(n)), range(len(COMMANDS))
-            )
-        )
-    mark.touch()
-    print(f"compiled in {time.monotonic() - begun_s:.0f} s")
+        running = []
+        for number, commands in enumerate(SERIES):
+            running.append(workers.submit(run_series, commands, Path(folder) / str(number)))
+        for series in running:
+            series.result()
+    if mark:
+        mark.touch()
+    print(f"compiled in {time.monotonic() - begin_s:.0f} s")
 
 
-def compile_with(commands, folder):
-    for n, words in enumerate(commands):
-        out = folder / str(n)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        plan = out.with_suffix(".toml")
-        plan.write_text(CAMPAIGN)
-        start = (
-            ("-c", words)
-            if isinstance(words, str)
-            else (
-                "-m",
-                "rollerrig.realtime.cli",
-                *(str(plan) if word == "CAMPAIGN" else word for word in words),
-            )
-        )
+def mark_of_this_checkout():
+    """Returns the file that shows that this checkout has been compiled; None without a folder for it."""
+    folder = kernel_cache.folder()
+    if folder is None:
+        return None
+    digest = hashlib.sha256(str(ROOT).encode()).hexdigest()[:16]
+    return folder / f"compiled-{digest}"
+
+
+def run_series(commands, folder):
+    """Runs commands one after another, each with a result folder inside `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    plan = folder / "campaign.toml"
+    plan.write_text(CAMPAIGN)
+    for number, words in enumerate(commands):
         done = subprocess.run(
-            [sys.executable, *start, "--out", str(out)],
+            [sys.executable, *arguments_of(words, plan), "--out", str(folder / str(number))],
             cwd=ROOT / "tests",
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
         )
-        if done.returncode not in (0, 4):  # a run need not stop here
+        if done.returncode not in ACCEPTED:
             raise SystemExit(done.stderr)
+
+
+def arguments_of(words, plan):
+    """Returns the arguments of the interpreter for a program, or for the words of a command."""
+    if isinstance(words, str):
+        return ["-c", words]
+    replaced = [str(plan) if word == "CAMPAIGN" else word for word in words]
+    return ["-m", "rollerrig.realtime.cli", *replaced]
 
 
 if __name__ == "__main__":
