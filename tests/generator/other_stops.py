@@ -1,21 +1,25 @@
 """Braking stops with hidden effects, by a second author: six records of a coach on a soiled rail.
 
-The wheels slide, a slide protection with deceleration and sliding thresholds vents and refills in
-pulses, and sensors with the declared noise write what they see; the effects asked for act in the
-coach, the brake, the contact or a sensor, and no column tells them. Nothing is imported from the
-bench: contact patch, adhesion, brake, controller, friction field and integrator are this file's own,
-so that what a tool finds in these sets it has found and not met before.
+The wheels slide. A slide protection with thresholds of deceleration and sliding vents and refills
+in pulses, and sensors with the declared noise write what they see. The hidden effects act in the
+coach, the brake, the contact or a sensor, and no column shows them. Nothing is imported from the
+bench: contact patch, adhesion, brake, controller, friction field and integrator are written anew in
+this file. So a tool cannot have met in its own model what it finds in these sets.
 
 [O1] F = 2 mu N / pi (k_A x / (1 + (k_A x)^2) + atan(k_S x)), x = pi G a b c11 e / (4 mu N)   Polach
 [O2] mu = mu_c (1 + (1 / A - 1) exp(-gamma |s|))                                      eq 13
 [O3] f = f_r - (f_r - f_d) exp(-tau N |e| f)                                           eqs 8 to 10
 [O4] A / B from b / a by K and E of m = 1 - (b / a)^2                                  Hertz
 
+Symbols: v speed of the coach in m/s, omega rotation in rad/s, s sliding in m/s, e creepage s / v,
+N load of a wheel, f adhesion. (In functions, `e` is the vector of effects.)
+
 Signs: brake torque C > 0 brakes; sliding s = v - r omega; J domega/dt = r T - C; M dv/dt = -sum T -
-resistance. Sizes are fractions unless the table says else; the torque that acts is (1 + brake_gain)
-times the recorded one plus torque_offset times the run's demand; one worn wheelset turns with
-r (1 + wheel_radius); a positive gradient rises.
-Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, eqs 8 to 15, Tables 1, 2, 4; the effects
+resistance. Sizes are fractions unless the table gives another unit. The torque that acts is
+(1 + brake_gain) times the recorded one plus torque_offset times the run's demand. One worn wheelset
+turns with r (1 + wheel_radius). A positive gradient rises.
+
+Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, eqs 8 to 15, Tables 1, 2, 4. The effects
 are inventions, not measurements. A real rail has more than one of them.
 """
 
@@ -28,7 +32,7 @@ from numba import njit
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
-# causes whose size means here what the rig's table means by it: the coefficient to compare, its sign
+# causes whose size has the meaning of a parameter in the rig's table: (parameter, sign)
 SAME_MEANING = {
     "brake_gain": ("gain", 1.0),
     "wheel_radius": ("fraction", 1.0),
@@ -38,42 +42,43 @@ SAME_MEANING = {
     "wheel_out_of_round": ("amplitude", 1.0),
     "roller_curvature": ("stiffness_fraction", -1.0),
 }
-# smallest size worth a set: shared material's "smallest size with 9 of 10 named", where it gives one
+# smallest size of each cause, for which nine of ten sets should be explained by its name
 SMALLEST = {
     "rail_cleaning": 0.05,  # friction gained behind one wheelset that has cleaned well
     "adhesion_memory": 2.0,  # m, mean lag in distance
     "speed_dependent_friction": 0.05,  # fall for each 10 m/s, at 20 m/s
-    "negative_conditioning": 0.10,  # no figure given: loss after 100 m of sliding
+    "negative_conditioning": 0.10,  # loss after 100 m of sliding
     "contaminated_patch": 0.05,  # loss on the patch
     "friction_trend": 0.12,  # rise until friction stays
-    "brake_gain": 0.04,  # 2 % named, but below 4 % hides in the declared 0.3 %
-    "pad_fade": 0.015,  # 100 K up: fast stops pass that, slow ones lose a third of it
-    "torque_offset": 0.015,  # 1 % with the brake released; nothing shows there here
-    "running_resistance": 150.0,  # N, mean: 100 N where the extra force is steady
-    "track_gradient": 0.0006,  # no figure given: 250 N, the resistance above and its half
+    "brake_gain": 0.04,  # below 4 % it hides in the declared calibration error of 0.3 %
+    "pad_fade": 0.015,  # loss 100 K above the start; fast stops exceed that
+    "torque_offset": 0.015,  # of the demand, only while the brake is applied
+    "running_resistance": 150.0,  # N, mean of a force that varies along the rail
+    "track_gradient": 0.0006,  # a force of 250 N
     "wheel_radius": 0.0005,  # one wheelset
-    "wheel_inertia": 0.05,  # no figure given: as much torque as 10 ms of delay
+    "wheel_inertia": 0.05,  # as much torque as 10 ms of delay
     "speed_sensor_delay": 0.005,  # s
     "torque_sensor_delay": 0.010,  # s
-    "wheel_out_of_round": 0.02,  # of the load, once a turn: one wheelset instead of four at 1 %
-    "load_transfer": 0.012,  # of the load, for each m/s2
+    "wheel_out_of_round": 0.02,  # of the load, once per turn, on one wheelset
+    "load_transfer": 0.012,  # of the load, per m/s2
     "sanding": 0.05,  # gain on fresh sand
     "roller_curvature": 0.40,  # creep stiffness lost
-    "interfacial_layer": 0.50,  # no figure given: initial slope lost
-    "falling_friction": 0.15,  # no figure given: loss at very large sliding
+    "interfacial_layer": 0.50,  # initial slope lost
+    "falling_friction": 0.15,  # loss at very large sliding
 }
 
-# sizes beyond which an effect leaves its own physics: a roller of 20 mm, a layer softer than the contact
+# sizes beyond which an effect has no physical meaning: a roller of 20 mm, a layer softer than the
+# contact
 LARGEST = {"roller_curvature": 0.70, "interfacial_layer": 0.75}
 
-# effects that no name of the library covers: one clearly visible size each
+# effects that are not in the rig's table of causes: one clearly visible size each
 UNKNOWN = {
     "rail_joints": 0.08,  # friction wave along the rail
     "acceleration_softening": 0.12,  # friction falls while the wheel's speed changes fast
     "one_axle_drop": 0.12,  # one wheelset, from some moment of a stop on
     "sliding_hysteresis": 0.10,  # friction differs between growing and shrinking sliding
     "torsional_swing": 0.9,  # share of the torque that comes through a soft shaft
-    "torque_ripple": 0.10,  # twice a turn, in the brake
+    "torque_ripple": 0.10,  # twice per turn, in the brake
     "bogie_coupling": 300.0,  # N m s/rad between the two wheelsets of a bogie
     "brake_play": 0.05,  # of the demand: torque sticks before it turns
     "speed_quantum": 0.6,  # rad/s, speeds read downwards to the next step
@@ -131,16 +136,52 @@ NAMES = (*SMALLEST, *UNKNOWN)
     BURST,
 ) = range(32)
 
-G, R, J = 9.80665, 0.445, 160.0
-MU_R, A_D, A_R, GAMMA_D, GAMMA_R, TAU = 0.28, 0.40, 0.40, 0.20, 0.60, 1.9e-4
-KA_D, KS_D, KA_R, KS_R = 0.3, 0.1, 1.0, 0.4
-DRAG_A, DRAG_C = 600.0, 0.9375
+# gravity in m/s2, wheel radius in m, moment of inertia of a wheelset in kg m2
+G = 9.80665
+R = 0.445
+J = 160.0
+# the adhesion law: recovered friction, and A, gamma (s/m), k_A, k_S of the degraded (D) and the
+# recovered (R) curve; tau in m/J
+MU_R = 0.28
+A_D = 0.40
+A_R = 0.40
+GAMMA_D = 0.20
+GAMMA_R = 0.60
+TAU = 1.9e-4
+KA_D = 0.3
+KS_D = 0.1
+KA_R = 1.0
+KS_R = 0.4
+# running resistance: N, and N s2/m2
+DRAG_A = 600.0
+DRAG_C = 0.9375
+# load of a wheel for which `patch_product` is computed, N
 N_REF = 52700.0
+# distance of each wheelset behind the first, m
 PLACES = np.array([0.0, 2.56, 19.0, 21.56])
-PITCH = np.array([0.036, 0.013, -0.013, -0.036])  # load moved forward, of mass times deceleration
-TAIL_M, CELL_M, FIELD_M, LENGTH_M = 30.0, 0.1, 0.25, 2600.0
-STEP_S, SLOW_S, STEPS_SLOW, STEPS_WSP = 0.00025, 0.001, 4, 40
-FILL, HOLD, VENT = 0, 1, 2
+# load that moves forward to each wheelset, as a share of mass times deceleration
+PITCH = np.array([0.036, 0.013, -0.013, -0.036])
+# the rail is stored from TAIL_M behind the start for LENGTH_M: work in cells, friction in points
+TAIL_M = 30.0
+LENGTH_M = 2600.0
+CELL_M = 0.1
+FIELD_M = 0.25
+# deviation of the friction along the rail, and of each wheelset's, in every run
+FIELD_DEVIATION = 0.0141
+# step of the integrator, and of contact and record; steps per slow step, and per protection cycle
+STEP_S = 0.00025
+SLOW_S = 0.001
+STEPS_SLOW = 4
+STEPS_WSP = 40
+# rows of a sample: 10 ms
+ROWS_PER_SAMPLE = 10
+LONGEST_ROWS = 90000
+# commands of a valve
+FILL = 0
+HOLD = 1
+VENT = 2
+# a time or place that is not reached
+NEVER = 1e9
 
 RUNS = ("a1", "a2", "a3", "b1", "b2", "b3")
 
@@ -156,9 +197,11 @@ class Stop(NamedTuple):
     end_m_s: float
     start_m: float
     share: np.ndarray  # load of each wheelset over the mean
-    low_m_s: float  # protection: sliding tolerated, sliding that vents
-    high_m_s: float  # both grow by 0.02 of the coach's speed
-    brake_m_s2: float  # rim deceleration that vents, rim acceleration that holds
+    # protection: sliding that is tolerated, and sliding that vents; both grow by 0.02 of the speed
+    low_m_s: float
+    high_m_s: float
+    # rim deceleration that vents, and rim acceleration that holds
+    brake_m_s2: float
     gain_m_s2: float
     dead: int  # cycles of 10 ms between command and valve
     fill_s: float
@@ -174,10 +217,10 @@ class Stop(NamedTuple):
 
 
 class State(NamedTuple):
-    """What moves in a stop; arrays of four are one a wheelset."""
+    """What changes in a stop; arrays have the shape (4,), one value per wheelset, unless noted."""
 
-    y: np.ndarray  # v and the four omega
-    track: np.ndarray  # t, place of the first wheelset, felt deceleration, sand from, sand to
+    y: np.ndarray  # (5,) v and the four omega
+    track: np.ndarray  # (5,) see TIME
     radius: np.ndarray
     load: np.ndarray  # as the sensors see it, N
     true: np.ndarray  # in the contact, N
@@ -185,76 +228,112 @@ class State(NamedTuple):
     slope: np.ndarray  # pi G a b c11 / (4 N)
     torque: np.ndarray  # recorded, Nm
     acting: np.ndarray  # at the wheelset, Nm
-    play: np.ndarray
-    heat: np.ndarray  # K
-    angle: np.ndarray
-    slid: np.ndarray  # m
+    play: np.ndarray  # torque behind the sticking brake, Nm
+    heat: np.ndarray  # of the disc above the start, K
+    angle: np.ndarray  # turned, rad
+    slid: np.ndarray  # distance, m
     swerve: np.ndarray  # rate of sliding, m/s2
-    recovery: np.ndarray  # negative: from the work done here and now
-    lag: np.ndarray
-    swing: np.ndarray
-    pitch: np.ndarray
-    since: np.ndarray  # cycles since the last slide
-    rim: np.ndarray  # the last rim speeds
-    valve: np.ndarray  # the last commands
-    work: np.ndarray  # J/m each wheelset left on each cell of rail
+    recovery: np.ndarray  # share of recovery; negative: it follows from the work done now
+    lag: np.ndarray  # (4, 2) work in two lags in series, J/m
+    swing: np.ndarray  # (4, 2) torque behind a soft shaft in Nm, and its rate
+    pitch: np.ndarray  # (2,) swinging deceleration of the load transfer, and its rate
+    since: np.ndarray  # cycles since the last sliding
+    rim: np.ndarray  # (4, 4) the last rim speeds, m/s
+    valve: np.ndarray  # (4, 8) the last commands
+    work: np.ndarray  # (4, cells) J/m that each wheelset left on each cell of the rail
+
+
+# indices of State.track: time in s, place of the first wheelset in m, deceleration that the load
+# sensors feel in m/s2, places between which sand lies in m
+TIME = 0
+PLACE = 1
+FELT = 2
+SAND_FROM = 3
+SAND_TO = 4
+# columns of the rows that `run` writes; wheel speeds, loads and torques have four each
+ROW_SPEED = 0
+ROW_WHEELS = 1
+ROW_LOADS = 5
+ROW_TORQUES = 9
+ROW_PLACE = 13
+ROW_COLUMNS = 14
+
+
+# --- the contact ---
 
 
 def patch_product(roller_radius_m: float = np.inf) -> float:
-    """G a b c11 in N at N_REF, wheel on a rail (or roller) of 0.3 m lateral radius [O4]."""
-    young, poisson, lateral = 2.1e11, 0.3, 0.3
-    along, across = 0.5 * (1.0 / R + 1.0 / roller_radius_m), 0.5 / lateral
+    """Return G a b c11 in N at N_REF: wheel on a rail (or roller), lateral radius 0.3 m [O4]."""
+    young_Pa = 2.1e11
+    shear_Pa = 8.0e10
+    poisson = 0.3
+    lateral_m = 0.3
+    # half the curvatures of the gap, 1/m
+    along = 0.5 * (1.0 / R + 1.0 / roller_radius_m)
+    across = 0.5 / lateral_m
     flat = min(along, across) / max(along, across)
 
     def mismatch(ratio: float) -> float:
+        """Return how far an ellipse of this ratio of axes is from the ratio of curvatures [O4]."""
         m = 1.0 - ratio * ratio
-        k, e = ellipk(m), ellipe(m)
+        k = ellipk(m)
+        e = ellipe(m)
         return float((k - e) / (e / ratio**2 - k) - flat)
 
     ratio = brentq(mismatch, 0.02, 1.0 - 1e-6)
     m = 1.0 - ratio * ratio
-    modulus = young / (2.0 * (1.0 - poisson**2))
+    modulus = young_Pa / (2.0 * (1.0 - poisson**2))
     long = (
         3.0 * N_REF * ellipe(m) / (2.0 * pi * ratio**2 * 2.0 * modulus * 0.5 * (along + across))
     ) ** (1.0 / 3.0)
-    a, b = (long, ratio * long) if along < across else (ratio * long, long)
-    return 8.0e10 * a * b * kalker_c11(a / b, poisson)
+    # half axes in m: a along the rail, b across
+    if along < across:
+        a = long
+        b = ratio * long
+    else:
+        a = ratio * long
+        b = long
+    return shear_Pa * a * b * kalker_c11(a / b, poisson)
 
 
 def kalker_c11(ratio: float, poisson: float) -> float:
-    """c11 between the rows of Kalker's table: straight in g = min(a/b, b/a), 1/c quadratic in nu."""
-    lines = (
-        (Path(__file__).parents[1] / "data" / "kalker_coefficients.csv").read_text().splitlines()
-    )
-    rows = [line.split(",") for line in lines if line[:3] in ("a/b", "b/a")]
-    # both halves of the table meet at a circle
-    rows = [
-        row for row in rows if row[0] == ("a/b" if ratio <= 1.0 else "b/a") or float(row[1]) == 1.0
-    ]
-    places = sorted({float(row[1]) for row in rows})
-    inverse = [
-        np.interp(
-            min(ratio, 1.0 / ratio),
-            places,
-            [
-                next(1.0 / float(r[3]) for r in rows if float(r[1]) == g and float(r[2]) == nu)
-                for g in places
-            ],
-        )
-        for nu in (0.0, 0.25, 0.5)
-    ]
+    """Return c11 of a patch with ratio = a / b, from Kalker's table.
+
+    It is linear in g = min(a/b, b/a), and 1 / c11 is quadratic in Poisson's ratio nu.
+    """
+    table = Path(__file__).parents[1] / "data" / "kalker_coefficients.csv"
+    half = "a/b" if ratio <= 1.0 else "b/a"
+    # 1 / c11 by (g, nu); both halves of the table meet at a circle, g = 1
+    inverse_of: dict[tuple[float, float], float] = {}
+    for line in table.read_text().splitlines():
+        if line[:3] not in ("a/b", "b/a"):
+            continue
+        row_half, g, nu, coefficient = line.split(",")[:4]
+        if row_half == half or float(g) == 1.0:
+            inverse_of.setdefault((float(g), float(nu)), 1.0 / float(coefficient))
+
+    places = sorted({g for g, _ in inverse_of})
+    inverse = []
+    for nu in (0.0, 0.25, 0.5):
+        column = [inverse_of[g, nu] for g in places]
+        inverse.append(np.interp(min(ratio, 1.0 / ratio), places, column))
     return float(1.0 / np.polyval(np.polyfit((0.0, 0.25, 0.5), inverse, 2), poisson))
 
 
 def friction_field(
     rng: np.random.Generator, deviation: float, shape: tuple[int, ...] = ()
 ) -> np.ndarray:
-    """Random field every FIELD_M along LENGTH_M: a sum of waves, Matern 3/2, down to 1/e after 8 m."""
-    scale, waves = 8.0 * sqrt(3.0) / 2.1462, 150
+    """Return a random field every FIELD_M along LENGTH_M, of this deviation.
+
+    It is a sum of waves with the spectrum of Matern 3/2; its correlation falls to 1/e after 8 m.
+    """
+    scale = 8.0 * sqrt(3.0) / 2.1462
+    waves = 150
     place = np.arange(int(LENGTH_M / FIELD_M)) * FIELD_M
     field = np.zeros((*shape, len(place)))
     for index in np.ndindex(*shape):
-        wave, phase = rng.standard_t(3.0, waves) / scale, rng.uniform(0.0, 2.0 * pi, waves)
+        wave = rng.standard_t(3.0, waves) / scale
+        phase = rng.uniform(0.0, 2.0 * pi, waves)
         for k, p in zip(wave, phase, strict=True):
             field[index] += np.cos(k * place + p)
     return deviation * sqrt(2.0 / waves) * field
@@ -262,24 +341,29 @@ def friction_field(
 
 @njit(cache=True)
 def polach(x, mu, k_a, k_s):
+    """Return the adhesion of a creep curve; x is that of [O1] times mu."""
     y = k_a * x / mu
     return 2.0 * mu / pi * (y / (1.0 + y * y) + atan(k_s * x / mu))  # [O1]
 
 
 @njit(cache=True)
 def adhesion(sliding, v, load, q, slope, mu_d, recovery):
-    """Adhesion coefficient with the sign of sliding; recovery < 0: the work done here and now [O3].
+    """Return the adhesion coefficient, with the sign of the sliding.
 
-    load is a wheelset's, N; slope is x mu / e of [O1] at that load.
+    `load` is that of a wheelset in N, and `slope` is x mu / e of [O1] at that load. `recovery` is
+    the share of recovery; negative: it follows from the work done now [O3], by Newton's method.
     """
-    s, e, normal = abs(sliding), abs(sliding) / max(abs(v), 0.5), 0.5 * load
+    s = abs(sliding)
+    e = abs(sliding) / max(abs(v), 0.5)
+    normal = 0.5 * load
     x = slope * e
     f_d = polach(x, q * mu_d * (1.0 + (1.0 / A_D - 1.0) * exp(-GAMMA_D * s)), KA_D, KS_D)  # [O2]
     f_r = polach(x, q * MU_R * (1.0 + (1.0 / A_R - 1.0) * exp(-GAMMA_R * s)), KA_R, KS_R)
     if recovery >= 0.0:
         f = f_d + recovery * (f_r - f_d)
     else:
-        k, f = TAU * normal * e, f_r
+        k = TAU * normal * e
+        f = f_r
         for _ in range(7):
             rest = (f_r - f_d) * exp(-k * f)
             newton = (f - f_r + rest) / (1.0 - k * rest)
@@ -291,8 +375,11 @@ def adhesion(sliding, v, load, q, slope, mu_d, recovery):
 
 @njit(cache=True)
 def friction(e, stop, now, j, sliding, place):
-    """What the hidden effects make of the friction of wheelset j at its place; 1 without them."""
-    s, q, t = abs(sliding), 1.0, now.track[0]
+    """Return the factor of the hidden effects on the friction of wheelset j; 1 without them."""
+    s = abs(sliding)
+    q = 1.0
+    t = now.track[TIME]
+    # the wheelsets in front have cleaned this cell
     for i in range(j):
         done = (now.work[i, int((place + TAIL_M) / CELL_M)] / 500.0) ** 1.5
         q *= 1.0 + e[CLEANING] * done / (1.0 + done)
@@ -301,7 +388,7 @@ def friction(e, stop, now, j, sliding, place):
     into = min(place - stop.patch_m, stop.patch_m + stop.patch_length_m - place)
     q *= 1.0 - e[PATCH] * min(max(into / 12.0, 0.0), 1.0)
     q *= 1.0 + e[TREND] * min(t / 18.0, 1.0)
-    into = min(place - now.track[3], now.track[4] - place)
+    into = min(place - now.track[SAND_FROM], now.track[SAND_TO] - place)
     q *= 1.0 + e[SAND] * (1.0 - 0.1 * j) * min(max(into / 4.0, 0.0), 1.0)
     q *= 1.0 - e[FALLING] * s * s / (s * s + 16.0)
     q *= 1.0 + e[JOINTS] * cos(2.0 * pi * place / stop.wave_m)
@@ -316,7 +403,7 @@ def friction(e, stop, now, j, sliding, place):
 
 @njit(cache=True)
 def between(field, place):
-    """Value of a field at a place, straight between its points."""
+    """Return the value of a field at a place, linear between its points."""
     at = (place + TAIL_M) / FIELD_M
     k = int(at)
     return field[k] + (at - k) * (field[k + 1] - field[k])
@@ -324,16 +411,18 @@ def between(field, place):
 
 @njit(cache=True)
 def meet_rail(e, stop, now, j, rail, own):
-    """Load, creep stiffness, friction, work and recovery of wheelset j for the millisecond that begins."""
-    v, place = now.y[0], now.track[1] - PLACES[j]
+    """Set load, creep stiffness, friction, work and recovery of wheelset j for the next SLOW_S."""
+    v = now.y[0]
+    place = now.track[PLACE] - PLACES[j]
     s = v - now.radius[j] * now.y[1 + j]
-    now.load[j] = stop.mass_kg * (0.25 * G * stop.share[j] + PITCH[j] * now.track[2])
+    now.load[j] = stop.mass_kg * (0.25 * G * stop.share[j] + PITCH[j] * now.track[FELT])
     now.true[j] = now.load[j] * (1.0 + e[TRANSFER] * now.pitch[0] * PITCH[j] / PITCH[0])
     if j == stop.axle:
         now.true[j] *= 1.0 + e[ROUND] * (cos(now.angle[j]) + 0.3 * cos(3.0 * now.angle[j]))
     now.slope[j] = stop.slope / N_REF * (2.0 * N_REF / now.true[j]) ** (1.0 / 3.0)
     if e[LAYER] > 0.0:
-        # a soft layer of constant flexibility in series with the contact's own, which grows with its size
+        # a soft layer of constant flexibility, in series with the contact, whose flexibility grows
+        # with its size
         now.slope[j] /= 1.0 + e[LAYER] / (1.0 - e[LAYER]) * (2.0 * N_REF / now.load[j]) ** (
             1.0 / 3.0
         )
@@ -359,8 +448,12 @@ def meet_rail(e, stop, now, j, rail, own):
 
 @njit(cache=True)
 def act(e, stop, now, j):
-    """Torque at wheelset j for the recorded one: gain, fade, offset, ripple, soft shaft, sticking brake."""
-    torque, omega = now.torque[j], now.y[1 + j]
+    """Set the torque at wheelset j from the recorded one.
+
+    Gain, fade, offset, ripple, a soft shaft and a sticking brake act on it.
+    """
+    torque = now.torque[j]
+    omega = now.y[1 + j]
     c = torque * (1.0 + e[GAIN]) * (1.0 - e[FADE] * max(now.heat[j] - 25.0, 0.0) / 75.0)
     c += e[OFFSET] * stop.demand_Nm * tanh(torque / 250.0)
     c *= 1.0 + e[RIPPLE] * cos(2.0 * now.angle[j])
@@ -374,22 +467,28 @@ def act(e, stop, now, j):
 
 @njit(cache=True)
 def command(stop, slip, rim, since, cycle, v):
-    """Valve of one wheelset for the next 10 ms from its sliding and rim acceleration."""
-    low, high = stop.low_m_s + 0.02 * v, stop.high_m_s + 0.02 * v
+    """Return the command to the valve of one wheelset for the next 10 ms.
+
+    `slip` is its sliding in m/s, `rim` the acceleration of its rim in m/s2, and `since` the number
+    of cycles since it slid.
+    """
+    low = stop.low_m_s + 0.02 * v
+    high = stop.high_m_s + 0.02 * v
     if rim < stop.gain_m_s2 and (slip > high or (rim < -stop.brake_m_s2 and slip > low)):
         return VENT
     if slip > low:
-        # between the limits: short pushes look for more adhesion
+        # between the limits, short pulses look for more adhesion
         return FILL if rim > -2.0 and rim < stop.gain_m_s2 and cycle % 30 < 10 else HOLD
     return FILL if since > 120 or cycle % 10 < 5 else HOLD
 
 
 @njit(cache=True)
 def protect(stop, now, cycle):
-    """One cycle of the slide protection; it knows the coach's speed from a radar."""
+    """Run one cycle of the slide protection, which knows the coach's speed from a radar."""
     for j in range(4):
         rim = R * now.y[1 + j]
-        slip, gain = now.y[0] - rim, (rim - now.rim[j, (cycle + 1) % 4]) / 0.03
+        slip = now.y[0] - rim
+        gain = (rim - now.rim[j, (cycle + 1) % 4]) / 0.03  # over the last 30 ms
         now.since[j] = 0 if slip > stop.low_m_s else now.since[j] + 1
         now.valve[j, cycle % 8] = command(stop, slip, gain, now.since[j], cycle + 7 * j, now.y[0])
         now.rim[j, cycle % 4] = rim
@@ -399,9 +498,12 @@ def protect(stop, now, cycle):
 
 @njit(cache=True)
 def move_valve(e, stop, now, j, cycle):
-    """Recorded torque, its shaft and its sticking brake, one step on from the valve's delayed command."""
+    """Advance the recorded torque, its soft shaft and its sticking brake by one step.
+
+    The valve follows its command after a dead time.
+    """
     state = now.valve[j, (cycle - stop.dead) % 8]
-    if now.track[0] >= stop.apply_s and state == FILL:
+    if now.track[TIME] >= stop.apply_s and state == FILL:
         now.torque[j] += STEP_S * (stop.demand_Nm - now.torque[j]) / stop.fill_s
     elif state == VENT:
         now.torque[j] -= STEP_S * now.torque[j] / stop.vent_s
@@ -413,7 +515,7 @@ def move_valve(e, stop, now, j, cycle):
 
 @njit(cache=True)
 def slopes(y, e, stop, now, extra_N, rate):
-    """Time derivatives of v and the four omega at y, into rate."""
+    """Write the time derivatives of v and the four omega at y into `rate`."""
     total = DRAG_A + DRAG_C * y[0] * y[0] + extra_N
     for j in range(4):
         s = y[0] - now.radius[j] * y[1 + j]
@@ -421,6 +523,7 @@ def slopes(y, e, stop, now, extra_N, rate):
             s, y[0], now.true[j], now.q[j], now.slope[j], stop.mu_d, now.recovery[j]
         )
         total += force
+        # the other wheelset of the bogie is j ^ 1
         twist = e[COUPLING] * (y[1 + j] - y[1 + (j ^ 1)])
         rate[1 + j] = (now.radius[j] * force - now.acting[j] - twist) / (J * (1.0 + e[INERTIA]))
     rate[0] = -total / stop.mass_kg
@@ -428,8 +531,11 @@ def slopes(y, e, stop, now, extra_N, rate):
 
 @njit(cache=True)
 def advance(e, stop, now, rate):
-    """One Runge-Kutta step of fourth order; what the contact and the brake hold is constant in it."""
-    x = now.track[1]
+    """Advance by one Runge-Kutta step of fourth order, with constant contact and brake.
+
+    `rate` (5, 5) is working memory.
+    """
+    x = now.track[PLACE]
     extra_N = e[DRAG] * (1.0 + 0.4 * cos(2.0 * pi * x / 170.0))
     extra_N += e[GRADIENT] * stop.mass_kg * G * min((x - stop.start_m) / 30.0, 1.0)
     slopes(now.y, e, stop, now, extra_N, rate[0])
@@ -439,37 +545,40 @@ def advance(e, stop, now, rate):
             rate[4, k] = now.y[k] + ahead * rate[stage - 1, k]
         slopes(rate[4], e, stop, now, extra_N, rate[stage])
     step = (rate[0] + 2.0 * rate[1] + 2.0 * rate[2] + rate[3]) / 6.0
-    now.track[1] += STEP_S * (now.y[0] + 0.5 * STEP_S * step[0])
+    now.track[PLACE] += STEP_S * (now.y[0] + 0.5 * STEP_S * step[0])
     now.y[:] += STEP_S * step
     for j in range(4):
         # a brake holds a standing wheel, it does not turn it backwards
         now.y[1 + j] = max(now.y[1 + j], 0.0)
         now.swerve[j] += STEP_S * (step[0] - now.radius[j] * step[1 + j] - now.swerve[j]) / 0.02
     # the load sensors see a first-order pitch; the hidden transfer swings at 1 Hz
-    now.track[2] -= STEP_S * (step[0] + now.track[2]) / 0.25
+    now.track[FELT] -= STEP_S * (step[0] + now.track[FELT]) / 0.25
     now.pitch[1] -= STEP_S * (39.5 * (step[0] + now.pitch[0]) + 3.8 * now.pitch[1])
     now.pitch[0] += STEP_S * now.pitch[1]
 
 
 @njit(cache=True)
 def run(stop, e, now, rail, own, fine):
-    """One stop; fine gets v, omega, load, torque, place of each ms (14 columns). Returns its rows."""
-    rate, rows = np.zeros((5, 5)), 0
+    """Simulate one stop; return the number of rows, one per SLOW_S, that are written to `fine`."""
+    rate = np.zeros((5, 5))
+    rows = 0
     for n in range(STEPS_SLOW * len(fine)):
-        now.track[0] = n * STEP_S
+        now.track[TIME] = n * STEP_S
         if now.y[0] < stop.end_m_s:
             break
-        # the sander blows for 5 s: it leaves sand from place to place
+        # the sander blows for 5 s, and leaves sand between two places
         for k in range(2):
-            if now.track[0] >= stop.sand_s + 5.0 * k and now.track[3 + k] > 1e8:
-                now.track[3 + k] = now.track[1]
+            if now.track[TIME] >= stop.sand_s + 5.0 * k and now.track[SAND_FROM + k] > 1e8:
+                now.track[SAND_FROM + k] = now.track[PLACE]
         for j in range(4):
             if n % STEPS_SLOW == 0:
                 meet_rail(e, stop, now, j, rail, own)
             act(e, stop, now, j)
         if n % STEPS_SLOW == 0:
-            fine[rows, 0:5], fine[rows, 5:9] = now.y, now.load
-            fine[rows, 9:13], fine[rows, 13] = now.torque, now.track[1]
+            fine[rows, 0:5] = now.y
+            fine[rows, 5:9] = now.load
+            fine[rows, 9:13] = now.torque
+            fine[rows, ROW_PLACE] = now.track[PLACE]
             rows += 1
         if n % STEPS_WSP == 0:
             protect(stop, now, n // STEPS_WSP)
@@ -480,43 +589,59 @@ def run(stop, e, now, rail, own, fine):
 
 
 def rolling(stop: Stop, e: np.ndarray) -> State:
-    """The coach before the brake: every wheel rolls."""
+    """Return the coach before the brake is applied: every wheel rolls."""
     radius = np.full(4, R)
     radius[stop.axle] *= 1.0 + e[WORN]
-    four, pairs = [np.zeros(4) for _ in range(11)], [np.zeros((4, 2)) for _ in range(2)]
     return State(
-        np.array([stop.v0, *(stop.v0 / radius)]),
-        np.array([0.0, stop.start_m, 0.0, 1e9, 1e9]),
-        radius,
-        *four,
-        np.full(4, -1.0),
-        *pairs,
-        np.zeros(2),
-        np.full(4, 1000),
-        np.zeros((4, 4)),
-        np.zeros((4, 8), np.int64),
-        np.zeros((4, int(LENGTH_M / CELL_M))),
+        y=np.array([stop.v0, *(stop.v0 / radius)]),
+        track=np.array([0.0, stop.start_m, 0.0, NEVER, NEVER]),
+        radius=radius,
+        load=np.zeros(4),
+        true=np.zeros(4),
+        q=np.zeros(4),
+        slope=np.zeros(4),
+        torque=np.zeros(4),
+        acting=np.zeros(4),
+        play=np.zeros(4),
+        heat=np.zeros(4),
+        angle=np.zeros(4),
+        slid=np.zeros(4),
+        swerve=np.zeros(4),
+        recovery=np.full(4, -1.0),
+        lag=np.zeros((4, 2)),
+        swing=np.zeros((4, 2)),
+        pitch=np.zeros(2),
+        since=np.full(4, 1000),
+        rim=np.zeros((4, 4)),
+        valve=np.zeros((4, 8), np.int64),
+        work=np.zeros((4, int(LENGTH_M / CELL_M))),
     )
 
 
-def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ...] = RUNS) -> Path:
-    """Write a dataset of six stops with hidden effects; returns its folder.
+# --- sets ---
 
-    effects: size of each, by a name of SMALLEST or UNKNOWN. The same seed writes the same bytes, and
-    the same stop whichever other runs are asked for.
+
+def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ...] = RUNS) -> Path:
+    """Write a dataset of six stops with hidden effects; return its folder.
+
+    `effects` has the size of each effect by its name in SMALLEST or UNKNOWN. The same seed writes
+    the same bytes, and the same stop for any choice of `runs`.
     """
     draw = np.random.default_rng((71, seed))
     e = np.zeros(len(NAMES))
     for name, size in effects.items():
         e[NAMES.index(name)] = size
     (folder / "runs").mkdir(parents=True, exist_ok=True)
-    gains, rail = 1.0 + draw.normal(0.0, 0.003, 3), friction_field(draw, 0.0141)
+    # calibration of load sensors, torque gauges, and the declared mass
+    gains = 1.0 + draw.normal(0.0, 0.003, 3)
+    rail = friction_field(draw, FIELD_DEVIATION)
     text = _HEAD
     for name, stop, mass, mapped in _plan(draw, e, gains[2]):
         if name not in runs:
             continue
         rng = np.random.default_rng((71, seed, RUNS.index(name)))
-        own, fine = friction_field(rng, 0.0141, (4,)), np.zeros((90000, 14))
+        own = friction_field(rng, FIELD_DEVIATION, (4,))
+        fine = np.zeros((LONGEST_ROWS, ROW_COLUMNS))
         rows = run(stop, e, rolling(stop, e), rail, own, fine)
         _record(folder / "runs" / f"{name}.csv", fine[:rows], e, mass, gains, mapped, rng)
         text += _RUN.format(
@@ -529,8 +654,12 @@ def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ..
 def _plan(
     draw: np.random.Generator, e: np.ndarray, weight: float
 ) -> list[tuple[str, Stop, float, bool]]:
-    """The six stops: name, stop, declared mass, whether the record tells positions."""
-    share, low = 1.0 + draw.normal(0.0, 0.012, 4), draw.uniform(1.6, 2.8)
+    """Return the six stops: name, stop, declared mass, whether the record has positions.
+
+    `weight` is the true mass over the declared one. The order of the draws decides every stop.
+    """
+    share = 1.0 + draw.normal(0.0, 0.012, 4)
+    low = draw.uniform(1.6, 2.8)
     common = dict(
         share=share / share.mean(),
         low_m_s=low,
@@ -546,11 +675,14 @@ def _plan(
         wave_m=draw.uniform(14.0, 25.0),
         slope=0.25 * pi * _curved(e[CURVATURE]),
     )
+    soiled = draw.uniform(0.033, 0.043)
+    burst = draw.choice(RUNS)  # the run with the shower
     # where positions are recorded, the stops may begin at different places of the same rail
-    soiled, burst, mapped = draw.uniform(0.033, 0.043), draw.choice(RUNS), draw.uniform() < 0.4
+    mapped = draw.uniform() < 0.4
     plan = []
-    for name, (slow, fast) in zip(RUNS, _SPEEDS, strict=True):
-        v0, mass = round(draw.uniform(slow, fast), 1), round(draw.uniform(40000.0, 50000.0), -1)
+    for name, (slow, fast) in zip(RUNS, _SPEEDS_M_S, strict=True):
+        v0 = round(draw.uniform(slow, fast), 1)
+        mass = round(draw.uniform(40000.0, 50000.0), -1)
         shower = draw.uniform(4.0, 9.0)
         stop = Stop(
             v0=v0,
@@ -570,7 +702,7 @@ def _plan(
 
 
 def _curved(lost: float) -> float:
-    """G a b c11 on the rail, or on the roller whose curvature loses that part of it."""
+    """Return G a b c11 on the rail, or on the roller whose curvature loses this share of it."""
     rail = patch_product()
     if lost == 0.0:
         return rail
@@ -586,15 +718,19 @@ def _record(
     mapped: bool,
     rng: np.random.Generator,
 ) -> None:
-    """What the sensors see every 10 ms, written as CSV."""
-    ms, at = np.arange(len(fine)), np.arange(0, len(fine), 10)
+    """Write the CSV of a stop as its sensors see it, every 10 ms.
+
+    `fine` has the rows of `run`, `gains` the calibration of load and torque. `mapped`: the record
+    has positions.
+    """
+    ms = np.arange(len(fine))
+    at = np.arange(0, len(fine), ROWS_PER_SAMPLE)
 
     def sensed(columns: slice, delay_s: float = 0.0) -> np.ndarray:
-        return np.column_stack(
-            [np.interp(at - 1000.0 * delay_s, ms, c) for c in fine[:, columns].T]
-        )
+        late_ms = at - 1000.0 * delay_s
+        return np.column_stack([np.interp(late_ms, ms, column) for column in fine[:, columns].T])
 
-    speed = fine[at, 0] + rng.normal(0.0, 0.03, len(at))
+    speed = fine[at, ROW_SPEED] + rng.normal(0.0, 0.03, len(at))
     wheel = sensed(slice(1, 5), e[SPEED_DELAY]) + rng.normal(0.0, 0.03 / R, (len(at), 4))
     if e[QUANTUM] > 0.0:
         wheel = np.floor(wheel / e[QUANTUM]) * e[QUANTUM]
@@ -610,14 +746,15 @@ def _record(
     ]
     table = [0.001 * at, speed, wheel, load, torque]
     if mapped:
-        names, table = [*names, "position_m"], [*table, fine[at, 13]]
+        names.append("position_m")
+        table.append(fine[at, ROW_PLACE])
     np.savetxt(
         path, np.column_stack(table), delimiter=",", fmt="%.7g", header=",".join(names), comments=""
     )
 
 
-# tuning and validation each span slow and fast stops
-_SPEEDS = ((37.0, 44.0), (29.0, 36.0), (22.0, 28.0), (38.0, 44.0), (30.0, 37.0), (23.0, 30.0))
+# range of the initial speed of each run; tuning and validation both have slow and fast stops
+_SPEEDS_M_S = ((37.0, 44.0), (29.0, 36.0), (22.0, 28.0), (38.0, 44.0), (30.0, 37.0), (23.0, 30.0))
 
 _RUN = """
 [[run]]
