@@ -1,4 +1,4 @@
-"""The documentation says what is so: commands parse, files exist, values and tables are the code's."""
+"""The documentation is true: commands parse, files exist, values and tables are the code's."""
 
 import ast
 import importlib
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import written_docs
-from generator import thresholds as limits
+from generator import thresholds as generator_thresholds
 from scipy.stats import binomtest
 
 from rollerrig.realtime import cli
@@ -25,7 +25,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 NAMES = [path.name for path in PAGES]
 ROOMS = ("rig", "firmware_sim", "wsp_interface", "realtime", "configs", "tests", "docs", ".ci")
 LONGEST_README = 130
-# what a page says of files that a command writes, or of a reader's own
+# files that a command writes, and files of the reader
 MADE = re.compile(r"^(runs|report|reports|campaigns|devices|stops|my|build)/")
 
 
@@ -34,13 +34,12 @@ def text_of(name):
 
 
 def commands(path):
-    """Command lines of `rollerrig` that a page shows, in blocks and between backticks, as lists of words."""
+    """Yield the `rollerrig` commands that a page shows, in blocks and in backticks, as words."""
     text = path.read_text(encoding="utf-8").replace("\\\n", " ")
     lines = [line.strip() for line in text.splitlines() if line.startswith("    ")]
     lines += re.findall(r"`(rollerrig [^`]*)`", text.replace("\n", " "))
     for line in lines:
-        begin = re.match(r"(?:\.venv/bin/)?rollerrig (?=[a-z])", line)
-        if begin:
+        if re.match(r"(?:\.venv/bin/)?rollerrig (?=[a-z])", line):
             words = shlex.split(line, comments=True)
             yield [word for word in words if word not in ("&", "...")][1:]
 
@@ -58,27 +57,29 @@ def test_every_command_of_a_page_parses(path):
 @pytest.mark.parametrize("path", PAGES, ids=NAMES)
 def test_every_file_that_a_page_names_exists(path):
     text = path.read_text(encoding="utf-8")
-    told = re.findall(r"`([\w.{}*-]+(?:/[\w.{}*-]+)*/?[\w.*-]*)`", text)
-    named = {
-        one for one in told if one.split("/")[0] in ROOMS and "/" in one and not MADE.match(one)
-    }
-    named |= {
-        one
-        for one in re.findall(r"(?<![\w./-])((?:\w+/)+\w+\.(?:py|go|toml|md))\b", text)
-        if not MADE.match(one)
-    }
+    # in backticks a path that begins in a room; elsewhere any path of a source file
+    named = set()
+    for name in re.findall(r"`([\w.{}*-]+(?:/[\w.{}*-]+)*/?[\w.*-]*)`", text):
+        if "/" in name and name.split("/")[0] in ROOMS:
+            named.add(name)
+    named.update(re.findall(r"(?<![\w./-])((?:\w+/)+\w+\.(?:py|go|toml|md))\b", text))
+
     bases = (ROOT, ROOT / "tests", path.parent)
-    assert {
-        one for one in named if not any(list(base.glob(one.rstrip("/"))) for base in bases)
-    } == set()
+    missing = set()
+    for name in named:
+        exists = any(list(base.glob(name.rstrip("/"))) for base in bases)
+        if not exists and not MADE.match(name):
+            missing.add(name)
+    assert missing == set()
 
 
 @pytest.mark.parametrize("path", PAGES, ids=NAMES)
 def test_every_name_that_a_page_places_in_a_file_is_there(path):
     placed = re.findall(r"`(\w+)`\s+of\s+`([\w/]+\.py)`", path.read_text(encoding="utf-8"))
-    assert [
+    missing = [
         (name, file) for name, file in placed if not re.search(rf"\b{name}\b", text_of(file))
-    ] == []
+    ]
+    assert missing == []
 
 
 def test_the_readme_is_one_page():
@@ -94,26 +95,32 @@ def test_the_thresholds_of_explain_are_those_of_the_code():
     assert {name for name, _, path in rows if path.endswith("recorder/thresholds")} == {
         name for name in vars(thresholds) if name.isupper()
     }
-    for name, told, path in rows:
-        share = [float(ast.literal_eval(part.strip())) for part in told.split("/")]
-        value = share[0] / share[1] if len(share) == 2 else share[0]
+    for name, text, path in rows:
+        # a number, or a fraction as in 1 / 3
+        parts = [float(ast.literal_eval(part.strip())) for part in text.split("/")]
+        value = parts[0] / parts[1] if len(parts) == 2 else parts[0]
         module = importlib.import_module("rollerrig." + path.replace("/", "."))
         assert getattr(module, name) == pytest.approx(value), f"{path}: {name}"
 
 
-def test_no_limits_of_remainders_are_better_for_first_and_second_generator_by_more_than_one_cause_in_a_hundred():
-    natures = limits.natures()
-    told, shipped = natures["first"] + natures["second"], limits.SHIPPED[1]
-    hidden = [t for t in told if t.kind in ("one", "two")]
-    named = [bool(t.names(shipped)) for t in told if t.kind == "unknown"]
-    assert binomtest(sum(named), len(named)).proportion_ci(method="wilson").low < 0.05
-    best, _ = max(limits.rightly(told, sum(named)))
-    assert best <= sum(t.right(shipped) for t in hidden) + 0.01 * len(hidden)
+def test_no_limits_of_remainders_name_more_causes_of_first_and_second_generator_than_a_hundredth():
+    kept = generator_thresholds.kept_answers()
+    answers = kept["first"] + kept["second"]
+    present = generator_thresholds.PRESENT_LIMITS
+    hidden = [answer for answer in answers if answer.kind in ("one", "two")]
+    unknown = [answer for answer in answers if answer.kind == "unknown"]
+
+    named = sum(bool(answer.sets_named_by(present)) for answer in unknown)
+    assert binomtest(named, len(unknown)).proportion_ci(method="wilson").low < 0.05
+    best, _ = max(generator_thresholds.limits_within(answers, named))
+    right = sum(answer.is_right_by(present) for answer in hidden)
+    assert best <= right + 0.01 * len(hidden)
 
 
-def test_how_far_a_law_may_be_another_is_what_first_and_second_generator_set():
-    told = limits.natures()
-    assert limits.form_set_by(told["first"], told["second"]) == limits.FORM
+def test_form_fraction_is_what_first_and_second_generator_set():
+    kept = generator_thresholds.kept_answers()
+    form = generator_thresholds.form_set_by(kept["first"], kept["second"])
+    assert form == generator_thresholds.FORM
 
 
 @pytest.mark.parametrize("name", written_docs.TABLES)
@@ -124,43 +131,28 @@ def test_the_written_tables_of_a_page_are_up_to_date(name):
 
 def test_every_column_that_the_loader_reads_is_on_its_page():
     text = text_of("docs/datasets.md")
-    assert [
-        name
-        for name in dataset.CHANNELS
-        if f"`{name}`" not in text and not re.search(r"_[23]_", name)
-    ] == []
+    # the page shows the first and the last wheelset
+    shown = [name for name in dataset.CHANNELS if not re.search(r"_[23]_", name)]
+    assert [name for name in shown if f"`{name}`" not in text] == []
 
 
 def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = text_of("docs/datasets.md")
     for speed in (30, 27, 24):
-        assert (
-            cli.main(
-                [
-                    "run",
-                    "velim_a1",
-                    "--pacing",
-                    "free",
-                    "--set",
-                    "rig=plain_track",
-                    "--set",
-                    f"initial_speed_m_s={speed}",
-                    "--out",
-                    f"runs/from_{speed}",
-                ]
-            )
-            == 0
-        )
-    cut = re.search(r"```python\n(.*?)```", text, re.DOTALL)
-    subprocess.run([sys.executable, "-c", cut[1]], check=True)
-    (tmp_path / "stops" / "dataset.toml").write_text(
-        re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1]
-    )
-    found = dataset.load("stops")
-    assert [run.name for run in found.group("validate")] == ["from_27"]
-    assert all(run.load_N.shape == (run.time_s.size, 4) for run in found.runs)
-    assert np.all(found.runs[0].position_m[1:] >= found.runs[0].position_m[:-1])
+        words = ["run", "velim_a1", "--pacing", "free", "--out", f"runs/from_{speed}"]
+        words += ["--set", "rig=plain_track", "--set", f"initial_speed_m_s={speed}"]
+        assert cli.main(words) == 0
+    program = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    subprocess.run([sys.executable, "-c", program], check=True)
+    content = re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1]
+    (tmp_path / "stops" / "dataset.toml").write_text(content)
+
+    data = dataset.load("stops")
+    assert [run.name for run in data.group("validate")] == ["from_27"]
+    for run in data.runs:
+        assert run.load_N.shape == (run.time_s.size, 4)
+    assert np.all(np.diff(data.runs[0].position_m) >= 0.0)
 
 
 def test_the_identifiers_of_the_page_of_units_are_those_of_the_rig():

@@ -1,7 +1,8 @@
-"""Pages of docs/ and tables of pages that are written, not typed: `make docs` writes them, tests compare.
+"""Generated pages of docs/ and generated tables: `make docs` writes them, and tests compare.
 
-A test says which behaviour of a standard it holds with `@pytest.mark.conformance("CiA 301", "SDO block
-download")`, more than once if it holds more than one; that is the table of conformance.
+A test names the behaviour of a standard that it checks with a mark, or with several:
+`@pytest.mark.conformance("CiA 301", "SDO block download")`. The table of conformance is made of
+these marks.
 """
 
 import inspect
@@ -40,7 +41,7 @@ ALL_ITEMS = pytest.StashKey[list[pytest.Item]]()
 
 
 def write(folder, items):
-    """Write the pages into a folder; `items`: all tests."""
+    """Write the generated pages and tables into a folder; `items`: all tests."""
     (folder / "faults.md").write_text(catalogue.markdown(), encoding="utf-8")
     (folder / "events.md").write_text(events.markdown(), encoding="utf-8")
     (folder / "conformance.md").write_text(conformance(items), encoding="utf-8")
@@ -50,31 +51,33 @@ def write(folder, items):
 
 
 def conformance(items):
-    """The table of conformance of some tests, as Markdown."""
+    """Return the table of conformance of some tests, as Markdown."""
     rows = {standard: {} for standard in STANDARDS}
     for item in items:
         name = item.path.relative_to(item.config.rootpath).as_posix()
         for mark in reversed(list(item.iter_markers("conformance"))):
             standard, behaviour = mark.args
-            assert standard in STANDARDS, f"{item.nodeid}: no standard is called {standard!r}"
+            assert standard in STANDARDS, (
+                f"{item.nodeid}: there is no standard {standard!r}; use one of {STANDARDS}"
+            )
             rows[standard][f"| {behaviour} | `{name}` {item.originalname} |"] = None
     lines = [
         "# Conformance",
         "",
-        "Written by `make docs`. Each behaviour is held by the test beside it.",
+        "Written by `make docs`. The test in the second column checks the behaviour.",
     ]
-    for standard, mine in rows.items():
-        lines += (
-            ["", f"## {standard}", "", "| behaviour | test |", "|---|---|", *mine] if mine else []
-        )
+    for standard, behaviours in rows.items():
+        if behaviours:
+            lines += ["", f"## {standard}", "", "| behaviour | test |", "|---|---|", *behaviours]
     return "\n".join(lines) + "\n"
 
 
 def keys(rows):
-    """Lines of a table of keys; a default outside the bounds stands for "not given"."""
+    """Yield the lines of a table of keys; a default outside the bounds means "not given"."""
     for row in rows:
         if isinstance(row.default, str):
-            default, allowed = f'`"{row.default}"`' if row.default else "", ", ".join(row.choices)
+            default = f'`"{row.default}"`' if row.default else ""
+            allowed = ", ".join(row.choices)
         else:
             default = f"{row.default:g}" if row.low <= row.default <= row.high else ""
             allowed = f"{row.low:g} to {row.high:g}"
@@ -82,73 +85,80 @@ def keys(rows):
 
 
 def floors():
-    """Lines of the table of rooms."""
+    """Yield the lines of the table of rooms."""
     for folder, line in test_architecture.FLOORS.items():
-        told = [", ".join(floor.split()) for floor in line.split("|")]
-        yield f"| `{folder + '/' if folder else 'rollerrig'}` | {' < '.join(told)} |"
+        name = f"{folder}/" if folder else "rollerrig"
+        rooms = [", ".join(floor.split()) for floor in line.split("|")]
+        yield f"| `{name}` | {' < '.join(rooms)} |"
 
 
 def overrides():
-    """Lines of the table of parameters that a dataset may override."""
+    """Yield the lines of the table of parameters that a dataset may override."""
     for section in ("vehicle", "adhesion", "contact", "brake"):
-        yield f"| `[{section}]` | {', '.join(f'`{row.name}`' for row in params.ROWS[section])} |"
+        keys_of_section = ", ".join(f"`{row.name}`" for row in params.ROWS[section])
+        yield f"| `[{section}]` | {keys_of_section} |"
     yield "| `[axles]` | `positions_m`: metres behind the first wheelset, rising |"
 
 
 def searches():
-    """Lines of the table of causes; a cause in a window is searched in bins."""
-    for one in causes.TABLE[:-1]:  # the last is the empirical formula, no cause
+    """Yield the lines of the table of causes; a cause in a window is searched in bins."""
+    # the last row is the empirical formula, which is no cause
+    for cause in causes.TABLE[:-1]:
         cells = (
-            len(one.shapes) or "bins",
-            f"{one.floor:g}" if one.floor else "",
-            one.price or "",
-            f"{one.alpha:.1g}",
-            ", ".join(one.remainder_along),
+            len(cause.shapes) or "bins",
+            f"{cause.floor:g}" if cause.floor else "",
+            cause.price or "",
+            f"{cause.alpha:.1g}",
+            ", ".join(cause.remainder_along),
         )
-        yield f"| `{one.name}` | {one.mechanism.text} | {' | '.join(map(str, cells))} |"
+        yield f"| `{cause.name}` | {cause.mechanism.text} | {' | '.join(map(str, cells))} |"
 
 
 def rates():
-    """Lines of the table of how often `explain` is right, from the answers that are kept."""
-    found = [
-        explain.judge(folder, folder / "explain.json")["rows"]
-        for folder in map(KEPT.joinpath, GENERATORS)
-    ]
-    for rows in zip(*found, strict=True):
-        cells = [
-            f"{row['yes']} of {row['of']}"
-            if row["yes"] is not None
-            else f"{row['share']:.2f} ({row['of']} sets)"
-            for row in rows
-        ]
+    """Yield the lines of the table of how often `explain` is right, from the kept answers."""
+    by_generator = []
+    for generator in GENERATORS:
+        folder = KEPT / generator
+        by_generator.append(explain.judge(folder, folder / "explain.json")["rows"])
+    for rows in zip(*by_generator, strict=True):
+        cells = [_rate(row) for row in rows]
         yield f"| {rows[0]['measure']} | {' | '.join(cells)} | {rows[0]['wanted']} |"
 
 
+def _rate(row):
+    """Return the text of a measure: a count, or the mean or median of some sets."""
+    if row["yes"] is not None:
+        return f"{row['yes']} of {row['of']}"
+    return f"{row['share']:.2f} ({row['of']} sets)"
+
+
 def harness():
-    """Lines of the table of what a harness has."""
-    for name, one in vars(harness_client.Harness).items():
-        what = (inspect.getdoc(one) or "").partition("\n")[0]
-        if inspect.isfunction(one) and not name.startswith("_"):
-            given = list(inspect.signature(one).parameters.values())[1:]
+    """Yield the lines of the table of what a harness has: its methods and properties."""
+    for name, member in vars(harness_client.Harness).items():
+        summary = (inspect.getdoc(member) or "").partition("\n")[0]
+        if inspect.isfunction(member) and not name.startswith("_"):
+            _, *parameters = inspect.signature(member).parameters.values()
+            # without types, and without spaces at the default
             arguments = ", ".join(
-                re.sub(r": .+?(?= = |$)", "", str(each)).replace(" = ", "=") for each in given
+                re.sub(r": .+?(?= = |$)", "", str(parameter)).replace(" = ", "=")
+                for parameter in parameters
             )
-            yield f"| `{name}({arguments})` | {what} |"
-        elif isinstance(one, property):
-            yield f"| `{name}` | {what} |"
+            yield f"| `{name}({arguments})` | {summary} |"
+        elif isinstance(member, property):
+            yield f"| `{name}` | {summary} |"
 
 
 def keywords():
-    """Lines of the table of Robot Framework's keywords, as its libdoc has them."""
-    for one in LibraryDocumentation("rollerrig.wsp_interface.robot").keywords:
+    """Yield the lines of the table of Robot Framework's keywords, from its libdoc."""
+    for keyword in LibraryDocumentation("rollerrig.wsp_interface.robot").keywords:
         arguments = ", ".join(
             f"`{re.sub(': [a-z]+', '', str(argument)).replace(' = ', '=')}`"
-            for argument in one.args
+            for argument in keyword.args
         )
-        yield f"| `{one.name}` | {arguments} | {one.short_doc.replace('``', '`')} |"
+        yield f"| `{keyword.name}` | {arguments} | {keyword.short_doc.replace('``', '`')} |"
 
 
-# page -> tables of it by the line of their heads
+# by page: the tables in it, by the line of their heads
 TABLES = {
     "architecture.md": {"| room | floors, the lowest first |": floors},
     "datasets.md": {
@@ -174,14 +184,11 @@ TABLES = {
 
 
 def with_tables(name, text):
-    """A page with its written tables as they are now."""
+    """Return the text of a page with its generated tables as they are now."""
     for head, rows in TABLES[name].items():
         assert f"\n{head}\n" in text, f"{name} has no table {head}"
-        found = re.compile(rf"(?<=^{re.escape(head)}\n)(?:\|.*\n)+", re.MULTILINE)
-        text = found.sub(
-            lambda _, rows=rows, head=head: (
-                "\n".join(["|---" * (head.count("|") - 1) + "|", *rows()]) + "\n"
-            ),
-            text,
-        )
+        lines = ["|---" * (head.count("|") - 1) + "|", *rows()]
+        table = "\n".join(lines) + "\n"
+        behind_head = re.compile(rf"(?<=^{re.escape(head)}\n)(?:\|.*\n)+", re.MULTILINE)
+        text = behind_head.sub(lambda _, table=table: table, text)
     return text

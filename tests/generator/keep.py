@@ -1,9 +1,10 @@
-"""Keeps what `explain` answered to the sets of a benchmark, and the key, so that anybody can judge it again.
+"""Keeps the answers of `explain` to the sets of a benchmark, and the key, for judging them again.
 
     cd tests; python -m generator.keep FOLDER ...
 
-Each folder is one of `rollerrig bench explain --folder FOLDER`. Kept is what is judged, also by other limits, under
-the generator's name beside this file. docs/explain.md has its table from there (`make docs`); to print it:
+Each folder is one of `rollerrig bench explain --folder FOLDER`. What is judged, also by other limits
+(`thresholds.py`), is kept in `kept/GENERATOR` next to this file. docs/explain.md has its table from
+there (`make docs`). This command prints it:
 
     rollerrig score tests/generator/kept/third tests/generator/kept/third/explain.json
 """
@@ -12,16 +13,19 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 from sealed import answers, cases
 
 KEPT = Path(__file__).parent / "kept"
-LIKELY = 0.03  # findings that are less likely by chance are kept
-NEAR = 0.5  # and rivals of a cause that win a larger share of its likelihood
+# findings that are less likely by chance are kept
+LARGEST_P_VALUE = 0.03
+# rivals of a cause that win a larger share of its likelihood are kept
+SMALLEST_SHARE = 0.5
 
 
-def rounded(value):
-    """Plain data with six digits a number."""
+def rounded(value: Any) -> Any:
+    """Return plain data with six digits per number."""
     if isinstance(value, dict):
         return {key: rounded(one) for key, one in value.items()}
     if isinstance(value, list):
@@ -29,46 +33,52 @@ def rounded(value):
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def told(report, causes):
-    """What a verdict by other limits needs beside what is judged."""
-    findings = {
-        where: [f for f in found if f["p_value"] < LIKELY]
-        for where, found in report.get("findings", {}).items()
-    }
-    evidence = [
-        {
-            "likelihood": one["evidence"]["likelihood"],
-            "rivals": [rival for rival in one["evidence"]["rivals"] if rival["share"] > NEAR],
-        }
-        for one in report["causes"]
-    ]
+def needed_for_a_verdict(report: dict[str, Any], causes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what a verdict by other limits needs in addition to what `score` needs.
+
+    `causes` are those of the answer, in the order of the report's.
+    """
+    findings = {}
+    for where, tests in report.get("findings", {}).items():
+        findings[where] = [test for test in tests if test["p_value"] < LARGEST_P_VALUE]
+
+    causes_with_evidence = []
+    for cause, reported in zip(causes, report["causes"], strict=True):
+        evidence = reported["evidence"]
+        rivals = [rival for rival in evidence["rivals"] if rival["share"] > SMALLEST_SHARE]
+        kept = {"likelihood": evidence["likelihood"], "rivals": rivals}
+        causes_with_evidence.append(cause | {"evidence": kept})
     return {
-        "causes": [one | {"evidence": its} for one, its in zip(causes, evidence, strict=True)],
+        "causes": causes_with_evidence,
         "set_aside": report.get("set_aside", []),
         "findings": findings,
         "notes": report.get("notes", []),
     }
 
 
-def write(folder, found):
-    """Answers by set, a line each."""
-    lines = [f"{json.dumps(name)}: {json.dumps(rounded(one))}" for name, one in found.items()]
+def write(folder: Path, answers_by_set: dict[str, Any]) -> None:
+    """Write answers to explain.json, one line per set."""
+    lines = []
+    for name, answer in answers_by_set.items():
+        lines.append(f"{json.dumps(name)}: {json.dumps(rounded(answer))}")
     (folder / "explain.json").write_text("{" + ",\n".join(lines) + "}\n", encoding="utf-8")
 
 
-def main(folders):
-    for folder in map(Path, folders):
-        to = KEPT / cases.read_key(folder)["generator"]
-        to.mkdir(parents=True, exist_ok=True)
-        shutil.copy(folder / cases.KEY, to / cases.KEY)
-        given = folder / answers.ANSWERS / "explain"
-        found = {
-            name: one | told(json.loads((given / f"{name}.json").read_text()), one["causes"])
-            for name, one in answers.read(given).items()
-        }
-        write(to, found)
-        print(f"{to}: {len(found)} answers")
+def keep(folder: Path) -> None:
+    """Keep the key and the answers of one folder of `bench explain`."""
+    to = KEPT / cases.read_key(folder)["generator"]
+    to.mkdir(parents=True, exist_ok=True)
+    shutil.copy(folder / cases.KEY, to / cases.KEY)
+
+    reports = folder / answers.ANSWERS / "explain"
+    kept = {}
+    for name, answer in answers.read(reports).items():
+        report = json.loads((reports / f"{name}.json").read_text())
+        kept[name] = answer | needed_for_a_verdict(report, answer["causes"])
+    write(to, kept)
+    print(f"{to}: {len(kept)} answers")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    for _folder in sys.argv[1:]:
+        keep(Path(_folder))

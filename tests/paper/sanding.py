@@ -58,10 +58,9 @@ STOPS = (
 def distance_m(stop: Stop, gain: float, scale_kg_m: float) -> float:
     """Return how far the unit runs, by the law of sand [1]."""
     speed = np.linspace(0.25, SPEED_M_S, 200)
+    rate_kg_s = np.full(speed.size, FIXED_KG_S)
     if stop.by_speed:
         rate_kg_s = np.minimum(VARIABLE_KG_S, DOSE_KG_M * speed)
-    else:
-        rate_kg_s = np.full(speed.size, FIXED_KG_S)
 
     # at each speed: dose under the axle in kg/m, and mean adhesion of all axles
     dose = np.zeros(speed.size)

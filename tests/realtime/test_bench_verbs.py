@@ -1,4 +1,4 @@
-"""`rollerrig bench` and `rollerrig devices`: short runs of the real thing, and how they judge."""
+"""`rollerrig bench` and `rollerrig devices`: short real runs, and how benchmarks judge."""
 
 import argparse
 import json
@@ -35,11 +35,12 @@ PRINTED = """# /dev/cpu_dma_latency set to 0us
 
 
 def punctual(lateness_us, ticks, missed=0):
-    found = loop_benchmark.Punctuality()
+    """Return a program that had the same lateness in so many ticks."""
     histogram = np.zeros(loop.BINS, dtype=np.int64)
     histogram[lateness_us] = ticks
-    found.add(histogram, 1000 * lateness_us, missed)
-    return found
+    program = loop_benchmark.Punctuality()
+    program.add(histogram, 1000 * lateness_us, missed)
+    return program
 
 
 # -- devices
@@ -47,18 +48,18 @@ def punctual(lateness_us, ticks, missed=0):
 
 def test_devices_writes_an_eds_of_every_node_one_dbc_and_the_tables(tmp_path, capsys):
     assert cli.main(["devices", "--out", str(tmp_path / "new" / "devices"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    names = set(told["files"])
+    printed = json.loads(capsys.readouterr().out)
+    names = set(printed["files"])
     nodes = (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE)
     for node in nodes:
         assert any(name.startswith(f"node_{node:03d}") and name.endswith(".eds") for name in names)
     assert {"rig.dbc", "signals.md"} < names
-    database = cantools.database.load_file(f"{told['folder']}/rig.dbc")
+    database = cantools.database.load_file(f"{printed['folder']}/rig.dbc")
     assert database.get_message_by_frame_id(0x180 + signals.SPEED_NODE).length == 8
     assert all((tmp_path / "new" / "devices" / name).stat().st_size for name in names)
 
 
-def test_devices_says_where_it_cannot_write(tmp_path, capsys):
+def test_devices_reports_where_it_cannot_write(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert cli.main(["devices", "--out", str(tmp_path / "file" / "devices")]) == 2
     assert "--out" in capsys.readouterr().err
@@ -88,23 +89,25 @@ def test_the_output_of_cyclictest_is_read_with_what_lies_beyond_the_histogram():
     assert histogram.sum() == 1000
     assert histogram[12] == 900
     assert worst_ns == 25_000_000
-    assert late == 9 * 1 + 19  # of 1.2 ms each one, and of what lies beyond the last bin's 20 ms
+    # nine latencies of 1.2 ms cost a deadline each, and one beyond the last bin (20 ms) costs 19
+    assert late == 9 * 1 + 19
 
 
 def test_only_ticks_that_the_loop_slept_for_are_compared():
     # the second tick is 2.5 ms late, the next two begin late because of it
-    lateness, duration = np.array([10.0, 2500.0, 1550.0, 600.0, 15.0]), np.full(5, 50.0)
+    lateness = np.array([10.0, 2500.0, 1550.0, 600.0, 15.0])
+    duration = np.full(5, 50.0)
     assert loop_benchmark.wakes(lateness, duration, 1000.0).tolist() == [10.0, 2500.0, 15.0]
 
 
 def test_a_loop_as_punctual_as_cyclictest_meets_its_targets():
-    found = loop_benchmark.compared(punctual(20, 20000), punctual(20, 15000))
-    assert all(one["met"] for one in found["targets"])
+    result = loop_benchmark.compared(punctual(20, 20000), punctual(20, 15000))
+    assert all(target["met"] for target in result["targets"])
 
 
-def test_a_loop_that_is_later_than_cyclictest_does_not():
-    found = loop_benchmark.compared(punctual(30, 20000), punctual(20, 15000))
-    assert [one["met"] for one in found["targets"]] == [False, False, True]
+def test_a_loop_that_is_later_than_cyclictest_misses_them():
+    result = loop_benchmark.compared(punctual(30, 20000), punctual(20, 15000))
+    assert [target["met"] for target in result["targets"]] == [False, False, True]
 
 
 def test_missed_ticks_count_against_the_loop_unless_cyclictest_missed_as_many():
@@ -114,14 +117,15 @@ def test_missed_ticks_count_against_the_loop_unless_cyclictest_missed_as_many():
     assert both["targets"][-1]["met"] is True
 
 
-def test_without_cyclictest_the_loop_says_how_to_install_it():
-    found = loop_benchmark.compared(punctual(20, 20000), None)
-    assert found["ratio"] is None
-    assert "rt-tests" in found["notes"][0]
+def test_without_cyclictest_the_loop_reports_how_to_install_it():
+    result = loop_benchmark.compared(punctual(20, 20000), None)
+    assert result["ratio"] is None
+    assert "rt-tests" in result["notes"][0]
 
 
 def test_a_burst_lasts_from_sync_to_the_last_tpdo_and_not_to_a_unit_s_answer():
-    sync, speeds = client.SYNC, client.SPEEDS
+    sync = client.SYNC
+    speeds = client.SPEEDS
     frames = [
         (100, sync, ""),
         (150, 0x181, ""),
@@ -134,37 +138,34 @@ def test_a_burst_lasts_from_sync_to_the_last_tpdo_and_not_to_a_unit_s_answer():
     assert bus.bursts(frames) == [90, 30]
 
 
-# -- the real thing, short
+# -- short real runs
 
 
 def test_bench_contact_times_every_law(capsys, monkeypatch):
-    for module, name, value in (
-        (contact, "_CALLS", 20_000),
-        (table8, "_ROUNDS", 2),
-        (table8, "END_M_S", 38.0),
-    ):
-        monkeypatch.setattr(module, name, value)
+    monkeypatch.setattr(contact, "_CALLS", 20_000)
+    monkeypatch.setattr(table8, "_ROUNDS", 2)
+    monkeypatch.setattr(table8, "END_M_S", 38.0)
     assert cli.main(["bench", "contact", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["contact"]["contacts"]
-    assert told["polach"]["ratio"] == 1.0
-    assert all(one["time_ns"] > 1.0 for one in told.values())
+    contacts = json.loads(capsys.readouterr().out)["contact"]["contacts"]
+    assert contacts["polach"]["ratio"] == 1.0
+    assert all(law["time_ns"] > 1.0 for law in contacts.values())
 
 
 def test_bench_loop_measures_a_real_run(capsys):
     assert cli.main(["bench", "loop", "--seconds", "1", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["loop"]
-    assert 0 < told["loop"]["samples"] <= 1000
-    assert told["loop"]["lateness_us"]["max"] >= told["loop"]["lateness_us"]["p99"] > 0.0
+    result = json.loads(capsys.readouterr().out)["loop"]["loop"]
+    assert 0 < result["samples"] <= 1000
+    assert result["lateness_us"]["max"] >= result["lateness_us"]["p99"] > 0.0
 
 
 def test_bench_bus_follows_the_magnets_from_the_frame_to_the_tick():
-    valve, timing = bus.to_valve(4.0)  # its client needs up to 2 s to be there on a busy machine
+    valve, timing = bus.to_valve(4.0)  # on a busy machine its client needs up to 2 s to join
     assert valve["switches"] > 10
     assert 0.0 < valve["from_command_us"]["p50"] <= valve["from_tpdo_us"]["p50"]
     assert timing["last_tpdo_us"]["p50"] > timing["last_tpdo_hub_us"]["p50"] > 0.0
 
 
-def test_bench_bus_asks_the_echo_and_a_node():
+def test_bench_bus_measures_round_trips_of_the_echo_and_of_a_node():
     trips = bus.round_trips(3.0)
     assert trips["ratio"] > 0.0
     assert trips["sdo_us"]["p50"] > 0.0
@@ -188,9 +189,8 @@ def test_a_wrong_benchmark_is_refused_with_status_2(wrong, capsys):
 @pytest.fixture(scope="module")
 def on_record():
     """The coach's stop in pieces, the law under it, and a coach with each model."""
-    sections = params.check(
-        scenario.load("velim_a1", settings=("rig=plain_track",)).resolved, "velim_a1"
-    )
+    plan = scenario.load("velim_a1", settings=("rig=plain_track",))
+    sections = params.check(plan.resolved, "velim_a1")
     law = params.law_of(sections["adhesion"])
     ready = {name: coach.build(sections, np.inf, model, 10) for name, model in MODELS.items()}
     return table8.recorded(ready["degraded"], law, 4), law, ready
@@ -199,85 +199,86 @@ def on_record():
 def test_every_model_of_table_8_meets_the_same_states_of_one_sliding_stop(on_record):
     stop, law, ready = on_record
     assert stop.memory.shape == (4, coach_state.SIZE)
-    begun_m_s, ended_m_s = stop.v[0, 0, 0], stop.v[-1, -1, 0]
-    assert ended_m_s < begun_m_s - 0.5
-    braked = stop.v[-1, -1]
-    assert (braked[0] - 0.445 * np.abs(braked[22::6]) > 1.0).any()  # some wheelset slides
-    found = {}
-    for name, one in ready.items():
+    first_v = stop.v[0, 0]
+    last_v = stop.v[-1, -1]
+    assert last_v[0] < first_v[0] - 0.5
+    rim_m_s = 0.445 * np.abs(last_v[22::6])
+    assert (last_v[0] - rim_m_s > 1.0).any()  # some wheelset slides
+
+    states = {}
+    for name, model in ready.items():
         buffer = np.empty(coach_state.SIZE)
-        table8.seconds(table8.CONTACT, one, law, 3, stop, buffer)
-        found[name] = coach_state.views(buffer)
-    for name, state in found.items():
+        table8.seconds(table8.CONTACT, model, law, 3, stop, buffer)
+        states[name] = coach_state.views(buffer)
+    polach = states["polach"]
+    for name, state in states.items():
         np.testing.assert_array_equal(state.v, stop.v[3, -1], err_msg=name)
-        np.testing.assert_array_equal(state.contacts, found["polach"].contacts, err_msg=name)
-        assert name == "polach" or (state.wheelset_forces != found["polach"].wheelset_forces).any()
+        np.testing.assert_array_equal(state.contacts, polach.contacts, err_msg=name)
+        if name != "polach":
+            assert (state.wheelset_forces != polach.wheelset_forces).any()
 
 
 def test_the_vehicle_of_table_8_is_the_step_without_its_contacts(on_record):
     stop, law, ready = on_record
-    whole, pieces = np.empty((2, coach_state.SIZE))
-    table8.seconds(table8.WHOLE, ready["degraded"], law, 2, stop, whole)
-    first = stop._replace(q=stop.q[:, :1], v=stop.v[:, :1])
-    table8.seconds(table8.WHOLE, ready["degraded"], law, 2, first, whole)
-    # given the contacts of that very state, the vehicle alone moves to the same end
-    again = first._replace(memory=stop.memory.copy())
-    for name in ("given", "Gx", "Gy"):
-        getattr(coach_state.views(again.memory[2]), name)[:] = getattr(
-            coach_state.views(whole), name
-        )
-    table8.seconds(table8.VEHICLE, ready["degraded"], law, 2, again, pieces)
-    np.testing.assert_allclose(
-        coach_state.views(pieces).v, coach_state.views(whole).v, rtol=1e-9, atol=1e-12
-    )
-    np.testing.assert_array_equal(
-        coach_state.views(pieces).contacts, coach_state.views(stop.memory[2]).contacts
-    )
+    model = ready["degraded"]
+    whole, vehicle = np.empty((2, coach_state.SIZE))
+    table8.seconds(table8.WHOLE, model, law, 2, stop, whole)
+    first_step = stop._replace(q=stop.q[:, :1], v=stop.v[:, :1])
+    table8.seconds(table8.WHOLE, model, law, 2, first_step, whole)
+
+    # with the contacts of that very state, the vehicle alone moves to the same end
+    with_contacts = first_step._replace(memory=stop.memory.copy())
+    state = coach_state.views(with_contacts.memory[2])
+    after = coach_state.views(whole)
+    state.wheelset_forces[:] = after.wheelset_forces
+    state.Gx[:] = after.Gx
+    state.Gy[:] = after.Gy
+    table8.seconds(table8.VEHICLE, model, law, 2, with_contacts, vehicle)
+    moved = coach_state.views(vehicle)
+    np.testing.assert_allclose(moved.v, after.v, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(moved.contacts, coach_state.views(stop.memory[2]).contacts)
 
 
 @pytest.mark.parametrize(("scatter_us", "met"), [(0.001, True), (0.2, False)])
-def test_table_8_says_met_only_beyond_its_spread_and_prints_it(scatter_us, met):
+def test_a_target_of_table_8_is_met_only_beyond_its_spread_which_is_printed(scatter_us, met):
     rng = np.random.default_rng(8)
-    costs = {
-        "vehicle": 2.0,
-        "johnson_vermeulen": 4.3,
-        "fastsim": 17.0,
-        "polach": 4.4,
-        "degraded": 4.5,
-    }
-    timed = {("polach", table8.VEHICLE): 2.0 + scatter_us * rng.standard_normal(15)}
+    vehicle_us = 2.0
+    whole_us = {"johnson_vermeulen": 4.3, "fastsim": 17.0, "polach": 4.4, "degraded": 4.5}
+
+    def rounds(cost_us):
+        return cost_us + scatter_us * rng.standard_normal(15)
+
+    timed = {("polach", table8.VEHICLE): rounds(vehicle_us)}
     for row in table8.ROWS:
-        for what, us in (
-            (table8.WHOLE, costs[row.model]),
-            (table8.CONTACT, costs[row.model] - 2.0),
-        ):
-            timed[row.model, what] = us + scatter_us * rng.standard_normal(15)
-    told = table8.judged(timed, 50.0)
-    assert told["recovery_percent_of_whole"] == pytest.approx(
+        timed[row.model, table8.WHOLE] = rounds(whole_us[row.model])
+        timed[row.model, table8.CONTACT] = rounds(whole_us[row.model] - vehicle_us)
+    result = table8.judged(timed, 50.0)
+    assert result["recovery_percent_of_whole"] == pytest.approx(
         100 * 0.1 / 4.4, abs=60 * scatter_us + 0.1
     )
-    assert told["targets"][0]["met"] is met
-    assert "+-" in figures.lines(told)[0]
-    assert told["models"]["degraded"]["vehicle_s"] == told["models"]["fastsim"]["vehicle_s"]
-    assert told["models"]["degraded"]["vehicle_s"] == pytest.approx(1.0, abs=scatter_us)
+    assert result["targets"][0]["met"] is met
+    assert "+-" in figures.lines(result)[0]
+    models = result["models"]
+    assert models["degraded"]["vehicle_s"] == models["fastsim"]["vehicle_s"]
+    assert models["degraded"]["vehicle_s"] == pytest.approx(1.0, abs=scatter_us)
 
 
-def test_table_8_stands_beside_the_papers_figures():
+def test_table_8_has_the_papers_figures():
     for row in table8.ROWS:
         assert row.model in MODELS
-        assert 300.0 < row.vehicle_s + row.contact_s < 450.0
-    assert [row.vehicle_s + row.contact_s for row in table8.ROWS][-2:] == [360.0, 362.0]
+        assert 300.0 < row.whole_s < 450.0
+    assert [row.whole_s for row in table8.ROWS][-2:] == [360.0, 362.0]
 
 
 def test_the_sweep_for_hunting_prints_the_critical_speed(monkeypatch):
     monkeypatch.setattr(hunting, "SPEEDS_M_S", (30.0, 60.0, 90.0))
     given = argparse.Namespace(set=["multibody.laying=0.025"])
-    said = []
-    result = hunting.run(given, said.append)
+    progress = []
+    result = hunting.run(given, progress.append)
     critical = result["critical_speed_m_s"]["soap"]
     assert 20.0 < critical < 90.0
     assert any(f"hunting from {critical:.1f} m/s" in note for note in result["notes"])
-    assert len(said) == 6
+    assert len(progress) == 6
     assert hunting.table(result).row_count == 3
 
 

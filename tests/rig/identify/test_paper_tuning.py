@@ -8,6 +8,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[3]))
 
+from generator import braking_stops
+
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.reports import tuning as report
 from rollerrig.rig.contact import adhesion
@@ -16,7 +18,6 @@ from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.preparation import prepare
 from rollerrig.rig.identify.decide import fitting
 from rollerrig.rig.identify.paper import tuning, validation
-from tests.generator import braking_stops
 
 TRUE_TAU_M_J = 1.9e-4
 
