@@ -7,7 +7,7 @@ are polynomials and quotients of polynomials, and `MATH` offers them under the n
 `math`, so that `variants.variant` can compile a formula with them.
 
 Accuracy (tests/rig/contact/test_vector_law.py): exp, log and atan agree with the C library to 5e-16, expm1
-to 1e-15, sin and cos to 1e-13; the inverse cube root is exact to 1e-14.
+to 1e-15, sin to 1e-13, cos to 3e-13; the inverse cube root is exact to 1e-14.
 
 Source: Cody and Waite, Software Manual for the Elementary Functions (1980), for the reduction of the
 argument of exp; Moshier, Methods and Programs for Mathematical Functions (1989) and Cephes 2.9, for
@@ -158,7 +158,7 @@ def sin(x):
 
 @kernel_inlined
 def cos(x):
-    """Returns the cosine of an angle up to a quarter turn, within 1e-13; NaN for a larger angle."""
+    """Returns the cosine of an angle up to a quarter turn, within 3e-13; NaN for a larger angle."""
     z = x * x
     series = -1.0 / 87178291200.0 + z / 20922789888000.0
     series = 1.0 / 479001600.0 + z * series

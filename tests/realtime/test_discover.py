@@ -113,7 +113,7 @@ def test_the_record_of_a_stop_tells_of_faults_that_no_event_tells(tmp_path, caps
         (("discover", "velim_a1", "--stops", "2"), "3 stops and more"),
         (("discover", "no_such_rig"), "no scenario is called"),
         (("hide", "--effects", "3"), "1 or 2 effects"),
-        (("run", "velim_a1", "--set", "sealed=abc"), "sealed: it is damaged"),
+        (("run", "velim_a1", "--set", "sealed=abc"), "sealed: the text is damaged"),
         (
             ("run", "velim_a1", "--set", "rig.speed=held", "--set", "rig=plain_track"),
             "drives hold the speed",

@@ -108,7 +108,7 @@ def test_a_value_that_is_not_allowed_is_refused_with_place_value_and_bounds(sect
     text = str(caught.value)
     assert text.startswith(f"file.toml [{section}]")
     assert row.name in text
-    assert "wanted" in text or f"allowed {row.low:g} to {row.high:g}" in text
+    assert "must be" in text or f"allowed {row.low:g} to {row.high:g}" in text
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

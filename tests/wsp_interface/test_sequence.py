@@ -45,7 +45,7 @@ REFUSED = (
     ('"3.8 bar"', '"38 bar"', "line 11", "0 to 10 bar"),
     ('"3.8 bar"', "3.8", "line 11", "with its unit"),
     ("brake_demand", "brake_demands", "line 11", "brake_demand"),
-    ("timeout =", 'fault = "speed_sensor_lost axle=2"\ntimeout =', "line 13", "no fault"),
+    ("timeout =", 'fault = "speed_sensor_lost axle=2"\ntimeout =', "line 13", "is not a fault"),
     ("timeout =", 'fault = "speed_sensor_stuck axle=7"\ntimeout =', "line 13", "allowed 1 to 4"),
     ("timeout =", "friction = { mu = 0.05, axles = [9] }\ntimeout =", "line 13", "axle numbers"),
 )

@@ -262,4 +262,4 @@ def test_without_mujoco_the_error_names_what_to_install(monkeypatch):
         monkeypatch.delitem(sys.modules, f"generator.{name}")
         monkeypatch.delattr(generator, name)
     with pytest.raises(ConfigError, match=r"pip install 'rollerrig\[mujoco\]'"):
-        cases.generator("mujoco_stops")
+        cases.generator("third")
