@@ -1,7 +1,10 @@
-"""How often a recording is judged rightly, on twins: `python tests/rig/identify/recorder_rates.py CLEAN EACH [SEED]`.
+"""How often a recording is explained rightly, on twins.
 
-Clean twins in seven kinds (channels that a recorder has or lacks), then each defect so often, with how many were named
-alone, on the right channel and run, and how many 95 % intervals hold the truth.
+    python tests/rig/identify/recorder_rates.py CLEAN EACH [SEED]
+
+CLEAN twins without a defect, of seven kinds (channels that a recorder has or lacks). Then EACH twins
+with each defect: how many were named on the right channel and run, how many were named and nothing
+else, and how many 95 % intervals hold the truth.
 """
 
 import sys
@@ -23,50 +26,67 @@ KINDS = (
     {"axles": 1, "reference": False},
 )
 
+# seeds of twins with a defect begin so far behind those of clean twins
+DEFECT_SEEDS = 10_000
 
-def judged(folder, seed, hide=(), **how):
-    told = twin.dataset(folder, twin.stops("clean"), seed, hide, **how)
-    return told, verdict.explain(recording.load(folder))
+
+def explained(folder, seed, defects=(), **channels):
+    """Return what is true of a twin, and its explanation."""
+    truths = twin.dataset(folder, twin.stops("clean"), seed, defects, **channels)
+    return truths, verdict.explain(recording.load(folder))
+
+
+def show_clean(folder, count, seed):
+    """Print how many twins without a defect are not consistent."""
+    wrong = 0
+    for k in range(count):
+        channels = KINDS[k % len(KINDS)]
+        _, account = explained(folder, seed + k, **channels)
+        if account.verdict != "consistent":
+            wrong += 1
+            print(f"seed {seed + k} {channels}: {report.story(account)}")
+    low, high = binomtest(wrong, count).proportion_ci(method="wilson")
+    share = f"{wrong / count:.1%} ({low:.1%} to {high:.1%})"
+    print(f"clean: {wrong} of {count} not consistent, {share}")
+
+
+def show_defect(folder, defect, count, seed):
+    """Print a row of the table: how often one defect is named."""
+    named = 0
+    alone = 0
+    intervals = 0
+    covered = 0
+    for k in range(count):
+        truths, account = explained(folder, seed + DEFECT_SEEDS + k, (defect,))
+        found = [*account.findings, *account.unknown]
+        matches = [[finding for finding in found if is_right(finding, true)] for true in truths]
+        named += all(matches)
+        alone += {finding.name for finding in found} == {true.name for true in truths}
+        for true, of_truth in zip(truths, matches, strict=True):
+            if of_truth and true.size is not None:
+                intervals += 1
+                covered += of_truth[0].low <= true.size <= of_truth[0].high
+    coverage = f"{covered} of {intervals}" if intervals else "-"
+    name = defect.__name__
+    print(f"| {name} | {named} of {count} | {alone} of {count} | {coverage} |", flush=True)
+
+
+def is_right(finding, true):
+    """Whether a finding has the name, the channel and the run of what was hidden."""
+    return (
+        finding.name == true.name
+        and true.channel in finding.channels
+        and true.run in (None, finding.run)
+    )
 
 
 def main(clean, each, seed=1000):
     with tempfile.TemporaryDirectory() as folder:
-        wrong = 0
-        for k in range(clean):
-            _, account = judged(folder, seed + k, **KINDS[k % len(KINDS)])
-            if account.verdict != "consistent":
-                wrong += 1
-                print(f"seed {seed + k} {KINDS[k % len(KINDS)]}: {report.story(account)}")
         if clean:
-            low, high = binomtest(wrong, clean).proportion_ci(method="wilson")
-            print(
-                f"clean: {wrong} of {clean} not consistent, {wrong / clean:.1%} ({low:.1%} to {high:.1%})"
-            )
-        for hide in (*twin.BEFORE, *twin.AFTER) if each else ():
-            named = alone = rows = covered = 0
-            for k in range(each):
-                told, account = judged(folder, seed + 10_000 + k, (hide,))
-                found = [*account.findings, *account.unknown]
-                mine = {
-                    row: [
-                        f
-                        for f in found
-                        if f.name == row[0] and row[1] in f.channels and row[2] in (None, f.run)
-                    ]
-                    for row in told
-                }
-                named += all(mine.values())
-                alone += {f.name for f in found} == {row[0] for row in told}
-                sized = [(row, fs[0]) for row, fs in mine.items() if fs and row[5] is not None]
-                rows, covered = (
-                    rows + len(sized),
-                    covered + sum(f.low <= row[5] <= f.high for row, f in sized),
-                )
-            print(
-                f"| {hide.__name__} | {named} of {each} | {alone} of {each} | "
-                f"{f'{covered} of {rows}' if rows else '-'} |",
-                flush=True,
-            )
+            show_clean(folder, clean, seed)
+        if each:
+            for defect in (*twin.BEFORE, *twin.AFTER):
+                show_defect(folder, defect, each, seed)
 
 
 if __name__ == "__main__":

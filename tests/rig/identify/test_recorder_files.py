@@ -1,4 +1,4 @@
-"""Recordings as other people's writers make them: Parquet, MDF4, stamps as date and time, numbers of any kind."""
+"""Recordings from other writers are read: Parquet, MDF4, stamps as date and time, numbers of any kind."""
 
 import datetime
 import zoneinfo
@@ -13,48 +13,62 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.reports import recorder as report
 from rollerrig.rig.identify.train_recorder import recording, verdict
 
-BERLIN, UTC = zoneinfo.ZoneInfo("Europe/Berlin"), datetime.UTC
-CHANNELS = (
-    '[channels]\ntime_s = {{ column = "t"{unit} }}\nwheel_speed_1_m_s = {{ column = "v", name = "axle" }}\n'
-    'reference_speed_m_s = {{ column = "g", name = "gnss" }}\n'
-)
+BERLIN = zoneinfo.ZoneInfo("Europe/Berlin")
+UTC = datetime.UTC
+CHANNELS = """[channels]
+time_s = {{ column = "t"{unit} }}
+wheel_speed_1_m_s = {{ column = "v", name = "axle" }}
+reference_speed_m_s = {{ column = "g", name = "gnss" }}
+"""
+
+# samples of a recording, their stamps and both speeds
 N = 400
 T_S = 0.1 * np.arange(N)
 V_M_S = np.round(30.0 - 0.4 * T_S, 2)
-AUTUMN = datetime.datetime(2026, 10, 25, 0, 59, 40, tzinfo=UTC)  # 20 s before clocks go back
+
+# 20 s before the clocks go back, and forward
+AUTUMN = datetime.datetime(2026, 10, 25, 0, 59, 40, tzinfo=UTC)
 SPRING = datetime.datetime(2026, 3, 29, 0, 59, 40, tzinfo=UTC)
 
 
-def loaded(folder, name, unit="", more="", run="", channels=CHANNELS):
-    """The one run of a folder that holds a file."""
+def loaded(folder, name, unit="", run=""):
+    """Write dataset.toml for one file, and return the run that is read from it."""
     unit = f', unit = "{unit}"' if unit else ""
-    (folder / "dataset.toml").write_text(
-        f'kind = "recorder"\n{more}\n'
-        + channels.format(unit=unit)
-        + f'[[run]]\nfile = "{name}"\n{run}\n'
-    )
+    head = 'kind = "recorder"\n'
+    run_table = f'[[run]]\nfile = "{name}"\n{run}\n'
+    (folder / "dataset.toml").write_text(head + CHANNELS.format(unit=unit) + run_table)
     return recording.load(folder).runs[0]
 
 
-def holds(run, time_s=T_S, values=V_M_S, within_s=2e-6):
-    np.testing.assert_allclose(run.channels["axle"].time_s, time_s, atol=within_s)
+def assert_axle(run, values=V_M_S):
+    """The axle has all stamps of the recording, and these values."""
+    np.testing.assert_allclose(run.channels["axle"].time_s, T_S, atol=2e-6)
     np.testing.assert_allclose(run.channels["axle"].values, values, rtol=1e-5)
 
 
 def instants(start, zone=None):
-    """Stamps as Python has them, every tenth second exactly."""
+    """Return stamps as Python objects, exactly one tenth of a second apart."""
     return [(start + datetime.timedelta(milliseconds=100 * k)).astimezone(zone) for k in range(N)]
 
 
-def parquet(folder, stamps, values=V_M_S, name="one.parquet"):
+def write_parquet(folder, stamps, values=V_M_S, name="one.parquet"):
+    """Write a recording and return the name of its file."""
     pyarrow.parquet.write_table(pa.table({"t": stamps, "v": values, "g": V_M_S}), folder / name)
     return name
 
 
-def text(folder, stamps, name="one.csv", separator=",", values=V_M_S):
-    rows = [separator.join(map(str, row)) for row in zip(stamps, values, V_M_S, strict=True)]
-    (folder / name).write_text("\n".join([separator.join("tvg"), *rows]) + "\n")
+def write_csv(folder, stamps, name="one.csv", values=V_M_S):
+    """Write a recording and return the name of its file."""
+    rows = [",".join(map(str, row)) for row in zip(stamps, values, V_M_S, strict=True)]
+    (folder / name).write_text("\n".join(["t,v,g", *rows]) + "\n")
     return name
+
+
+def write_recording(folder, name, stamps):
+    """Write a recording as CSV or Parquet, by the suffix of its name, and return the name."""
+    if name.lower().endswith("csv"):
+        return write_csv(folder, stamps, name)
+    return write_parquet(folder, pa.array(stamps), name=name)
 
 
 # --- Parquet ---
@@ -65,11 +79,11 @@ def text(folder, stamps, name="one.csv", separator=",", values=V_M_S):
 def test_stamps_of_parquet_are_instants_whatever_their_unit_and_zone(tmp_path, unit, zone):
     # across the hour that Berlin has twice: instants go on
     stamps = pa.array(
-        [one.replace(tzinfo=None) for one in instants(AUTUMN, UTC)], pa.timestamp(unit)
+        [stamp.replace(tzinfo=None) for stamp in instants(AUTUMN, UTC)], pa.timestamp(unit)
     )
     if zone:
         stamps = pa.array(instants(AUTUMN), pa.timestamp(unit, tz=zone))
-    holds(loaded(tmp_path, parquet(tmp_path, stamps)))
+    assert_axle(loaded(tmp_path, write_parquet(tmp_path, stamps)))
 
 
 @pytest.mark.parametrize(
@@ -87,20 +101,20 @@ def test_stamps_of_parquet_are_instants_whatever_their_unit_and_zone(tmp_path, u
 def test_stamps_of_parquet_may_be_numbers_since_an_epoch_in_their_unit(tmp_path, kind, per_s, unit):
     tenths = 17_743_320_000 + np.arange(N)
     if pa.types.is_integer(kind):
-        stamps = pa.array([int(one) * per_s // 10 for one in tenths], kind)
+        stamps = pa.array([int(tenth) * per_s // 10 for tenth in tenths], kind)
     elif pa.types.is_decimal(kind):
-        stamps = pa.array([Decimal(int(one)) / 10 for one in tenths], kind)
+        stamps = pa.array([Decimal(int(tenth)) / 10 for tenth in tenths], kind)
     else:
         stamps = pa.array(tenths / 10.0, kind)
-    holds(loaded(tmp_path, parquet(tmp_path, stamps), unit))
+    assert_axle(loaded(tmp_path, write_parquet(tmp_path, stamps), unit))
 
 
 @pytest.mark.parametrize("kind", [pa.duration("us"), pa.time32("ms"), pa.time64("us")], ids=str)
 def test_stamps_of_parquet_may_be_durations_or_times_of_a_day(tmp_path, kind):
     since = [datetime.timedelta(hours=10, milliseconds=100 * k) for k in range(N)]
     if pa.types.is_time(kind):
-        since = [(datetime.datetime.min + one).time() for one in since]
-    holds(loaded(tmp_path, parquet(tmp_path, pa.array(since, kind))))
+        since = [(datetime.datetime.min + duration).time() for duration in since]
+    assert_axle(loaded(tmp_path, write_parquet(tmp_path, pa.array(since, kind))))
 
 
 @pytest.mark.parametrize(
@@ -108,18 +122,15 @@ def test_stamps_of_parquet_may_be_durations_or_times_of_a_day(tmp_path, kind):
 )
 def test_values_of_parquet_may_be_of_any_kind_of_number_and_missing(tmp_path, kind):
     whole = np.rint(V_M_S)
-    given = [
-        None
-        if 50 <= k < 60
-        else Decimal(int(one))
-        if pa.types.is_decimal(kind)
-        else np.float16(one)
-        if kind == pa.float16()
-        else int(one)
-        for k, one in enumerate(whole)
-    ]
-    run = loaded(tmp_path, parquet(tmp_path, pa.array(T_S), pa.array(given, kind)))
-    holds(run, values=np.where((np.arange(N) >= 50) & (np.arange(N) < 60), np.nan, whole))
+    if pa.types.is_decimal(kind):
+        given = [Decimal(int(value)) for value in whole]
+    elif kind == pa.float16():
+        given = [np.float16(value) for value in whole]
+    else:
+        given = [int(value) for value in whole]
+    given[50:60] = [None] * 10
+    run = loaded(tmp_path, write_parquet(tmp_path, pa.array(T_S), pa.array(given, kind)))
+    assert_axle(run, values=[*whole[:50], *[np.nan] * 10, *whole[60:]])
 
 
 def test_a_frame_of_pandas_reads_with_its_index_of_times_and_its_categories(tmp_path):
@@ -129,11 +140,11 @@ def test_a_frame_of_pandas_reads_with_its_index_of_times_and_its_categories(tmp_
         {"v": V_M_S.astype("float32"), "g": V_M_S, "state": pandas.Categorical(["on"] * N)}, index
     )
     frame.to_parquet(tmp_path / "one.parquet")
-    holds(loaded(tmp_path, "one.parquet"))
+    assert_axle(loaded(tmp_path, "one.parquet"))
 
 
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
-def test_a_column_that_stands_there_twice_is_refused_by_name(tmp_path, name):
+def test_a_column_that_is_there_twice_is_refused_by_name(tmp_path, name):
     names, columns = ["t", "v", "v", "g"], [pa.array(T_S), *[pa.array(V_M_S)] * 3]
     made = pa.Table.from_arrays(columns, names)
     if name.endswith("csv"):
@@ -147,24 +158,22 @@ def test_a_column_that_stands_there_twice_is_refused_by_name(tmp_path, name):
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_the_end_of_a_name_may_be_in_capitals(tmp_path, suffix):
     name = f"ONE.{suffix.upper()}"
-    holds(
+    assert_axle(
         loaded(
             tmp_path,
-            parquet(tmp_path, T_S, name=name) if suffix == "parquet" else text(tmp_path, T_S, name),
+            write_recording(tmp_path, name, T_S),
         )
     )
 
 
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
 def test_a_file_without_any_stamp_is_refused(tmp_path, name):
-    none = [None] * N
-    made = (
-        parquet(tmp_path, pa.array(none, pa.float64()))
-        if name.endswith("parquet")
-        else text(tmp_path, [""] * N)
-    )
+    if name.endswith("parquet"):
+        write_parquet(tmp_path, pa.array([None] * N, pa.float64()))
+    else:
+        write_csv(tmp_path, [""] * N)
     with pytest.raises(ConfigError, match=r"'t'.*no stamp"):
-        loaded(tmp_path, made)
+        loaded(tmp_path, name)
 
 
 # --- date and time as text ---
@@ -173,26 +182,26 @@ def test_a_file_without_any_stamp_is_refused(tmp_path, name):
 @pytest.mark.parametrize(
     "write",
     [
-        lambda one: one.strftime("%Y-%m-%d %H:%M:%S.%f"),
-        lambda one: one.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3],
+        lambda stamp: stamp.strftime("%Y-%m-%d %H:%M:%S.%f"),
+        lambda stamp: stamp.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3],
         # whole seconds have no fraction
-        lambda one: one.replace(tzinfo=None).isoformat(),
-        lambda one: one.replace(tzinfo=None).isoformat(" "),
-        lambda one: one.replace(tzinfo=None).isoformat() + "Z",
-        lambda one: one.isoformat(),
-        lambda one: one.astimezone(BERLIN).isoformat(),
-        lambda one: one.astimezone(BERLIN).isoformat(" "),
+        lambda stamp: stamp.replace(tzinfo=None).isoformat(),
+        lambda stamp: stamp.replace(tzinfo=None).isoformat(" "),
+        lambda stamp: stamp.replace(tzinfo=None).isoformat() + "Z",
+        lambda stamp: stamp.isoformat(),
+        lambda stamp: stamp.astimezone(BERLIN).isoformat(),
+        lambda stamp: stamp.astimezone(BERLIN).isoformat(" "),
     ],
 )
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
 def test_date_and_time_as_text_are_instants_also_while_a_zone_turns_its_clocks_back(
     tmp_path, write, name
 ):
-    stamps = [write(one) for one in instants(AUTUMN, UTC)]
-    holds(
+    stamps = [write(stamp) for stamp in instants(AUTUMN, UTC)]
+    assert_axle(
         loaded(
             tmp_path,
-            text(tmp_path, stamps) if name.endswith("csv") else parquet(tmp_path, pa.array(stamps)),
+            write_recording(tmp_path, name, stamps),
         )
     )
 
@@ -201,13 +210,13 @@ def test_date_and_time_as_text_are_instants_also_while_a_zone_turns_its_clocks_b
     ("start", "size_s"), [(AUTUMN, -3600.0), (SPRING, 3600.0)], ids=["autumn", "spring"]
 )
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
-def test_a_local_clock_that_is_turned_without_a_zone_is_told_as_a_step_of_an_hour(
+def test_a_local_clock_without_a_zone_that_is_turned_is_reported_as_a_step_of_an_hour(
     tmp_path, start, size_s, name
 ):
-    stamps = [one.replace(tzinfo=None) for one in instants(start, BERLIN)]
+    stamps = [stamp.replace(tzinfo=None) for stamp in instants(start, BERLIN)]
     run = loaded(
         tmp_path,
-        text(tmp_path, stamps) if name.endswith("csv") else parquet(tmp_path, pa.array(stamps)),
+        write_recording(tmp_path, name, stamps),
     )
     account = verdict.explain(recording.load(tmp_path))
     assert [(f.name, round(f.size, 1)) for f in account.findings] == [("clock_step", size_s)], (
@@ -221,11 +230,9 @@ def test_a_local_clock_that_is_turned_without_a_zone_is_told_as_a_step_of_an_hou
     "stamp", ["29.03.2026 10:00:00", "03/29/2026 10:00:00", "2026-03-29 25:00:00", "yesterday"]
 )
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
-def test_a_date_that_cannot_be_read_surely_is_refused_with_the_form_that_is_wanted(
-    tmp_path, stamp, name
-):
+def test_an_ambiguous_date_is_refused_with_the_form_that_is_required(tmp_path, stamp, name):
     stamps = [stamp] * N
-    made = text(tmp_path, stamps) if name.endswith("csv") else parquet(tmp_path, pa.array(stamps))
+    made = write_recording(tmp_path, name, stamps)
     with pytest.raises(ConfigError, match=r"one\.(csv|parquet): column 't'.*2026-03-29 10:00:00"):
         loaded(tmp_path, made)
 
@@ -233,12 +240,12 @@ def test_a_date_that_cannot_be_read_surely_is_refused_with_the_form_that_is_want
 @pytest.mark.parametrize("run", ['date = "01.03.2026"', 'date = "2026-3-1"', 'date = "March"'])
 def test_a_date_of_a_run_that_would_not_sort_is_refused(tmp_path, run):
     with pytest.raises(ConfigError, match=r"date.*year-month-day"):
-        loaded(tmp_path, text(tmp_path, T_S), run=run)
+        loaded(tmp_path, write_csv(tmp_path, T_S), run=run)
 
 
 @pytest.mark.parametrize("run", ['date = "2026-03-01"', "date = 2026-03-01"])
 def test_a_date_of_a_run_may_be_a_text_or_a_date(tmp_path, run):
-    assert loaded(tmp_path, text(tmp_path, T_S), run=run).date == "2026-03-01"
+    assert loaded(tmp_path, write_csv(tmp_path, T_S), run=run).date == "2026-03-01"
 
 
 # --- MDF4 ---
@@ -250,8 +257,9 @@ def mdf_file(folder, signals, version="4.10", name="one.mf4", start=None):
     with asammdf.MDF(version=version) as file:
         if start:
             file.start_time = start
-        for one in signals:
-            file.append([asammdf.Signal(**{"timestamps": T_S, "samples": V_M_S} | one)])
+        for signal in signals:
+            whole_signal = {"timestamps": T_S, "samples": V_M_S} | signal
+            file.append([asammdf.Signal(**whole_signal)])
         file.save(folder / name, overwrite=True)
     return name
 
@@ -260,7 +268,7 @@ BOTH = ({"name": "v"}, {"name": "g"})
 
 
 @pytest.mark.parametrize("version", ["3.30", "4.00", "4.10", "4.20"])
-def test_mdf_channels_keep_stamps_of_their_own_and_tell_their_units(tmp_path, version):
+def test_mdf_channels_keep_their_stamps_and_their_units(tmp_path, version):
     name = mdf_file(
         tmp_path,
         (
@@ -271,13 +279,15 @@ def test_mdf_channels_keep_stamps_of_their_own_and_tell_their_units(tmp_path, ve
         "one.mdf" if version < "4" else "one.mf4",
     )
     run = loaded(tmp_path, name)
-    holds(run)
+    assert_axle(run)
     np.testing.assert_allclose(run.channels["gnss"].time_s, T_S[::2] + 0.037, atol=1e-6)
 
 
 def test_mdf_stamps_count_from_the_first_sample_whatever_the_start_of_the_file(tmp_path):
     late = {"timestamps": T_S + 3600.0}
-    holds(loaded(tmp_path, mdf_file(tmp_path, [one | late for one in BOTH], start=AUTUMN)))
+    assert_axle(
+        loaded(tmp_path, mdf_file(tmp_path, [signal | late for signal in BOTH], start=AUTUMN))
+    )
 
 
 @pytest.mark.parametrize("kind", ["uint16", "int32", "float32"])
@@ -287,7 +297,7 @@ def test_mdf_counts_are_read_by_their_conversion(tmp_path, kind):
         tmp_path,
         ({"name": "v", "samples": counts, "conversion": {"a": 0.01, "b": 0.0}}, {"name": "g"}),
     )
-    holds(loaded(tmp_path, name))
+    assert_axle(loaded(tmp_path, name))
 
 
 def test_mdf_counts_that_mean_no_number_are_no_data(tmp_path):
@@ -303,7 +313,7 @@ def test_mdf_counts_that_mean_no_number_are_no_data(tmp_path):
         "default": b"",
     }
     values = np.where(counts == 255, np.nan, 0.2 * counts)
-    holds(
+    assert_axle(
         loaded(
             tmp_path,
             mdf_file(
@@ -362,22 +372,21 @@ def test_an_mdf_file_that_is_cut_off_is_refused(tmp_path):
 
 
 def test_a_recording_gives_the_same_account_from_csv_parquet_and_mdf(tmp_path):
-    told = []
+    accounts = []
     held = V_M_S.copy()
     held[150:200] = held[150]
     for name in ("one.csv", "one.parquet", "one.mf4"):
         if name.endswith("csv"):
-            text(tmp_path, np.round(T_S, 3), values=held)
+            write_csv(tmp_path, np.round(T_S, 3), values=held)
         elif name.endswith("parquet"):
-            parquet(
-                tmp_path, pa.array(instants(SPRING), pa.timestamp("us", tz="Europe/Berlin")), held
-            )
+            stamps = pa.array(instants(SPRING), pa.timestamp("us", tz="Europe/Berlin"))
+            write_parquet(tmp_path, stamps, held)
         else:
             mdf_file(tmp_path, ({"name": "v", "samples": held}, {"name": "g"}))
         loaded(tmp_path, name)
         account = verdict.explain(recording.load(tmp_path))
-        told.append(
+        accounts.append(
             [(f.name, f.channels, round(f.start_s, 2), round(f.size, 2)) for f in account.findings]
         )
-    assert told[0] == told[1] == told[2]
-    assert [one[0] for one in told[0]] == ["sensor_stuck"]
+    assert accounts[0] == accounts[1] == accounts[2]
+    assert [name for name, *_ in accounts[0]] == ["sensor_stuck"]
