@@ -56,7 +56,7 @@ def creep_force(model, xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     y = limited(eta)
     z = limited(phi_1_m)
     if model == DEGRADED:
-        fx, fy, mz, _, _ = degraded_force(x, y, z, sliding_m_s, load_N, patch, law)
+        fx, fy, mz, _, _ = recovering_force(x, y, z, sliding_m_s, load_N, patch, law)
         return fx, fy, mz
     if load_N <= 0.0:
         return 0.0, 0.0, 0.0
@@ -87,7 +87,7 @@ def adhesion_of(sliding_m_s, creepage, load_N, patch, law):
 
 
 @kernel_inlined
-def degraded_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
+def recovering_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
     """Return force and moment of one wheel in a contact that is cleaned by sliding.
 
     Parameters

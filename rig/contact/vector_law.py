@@ -110,7 +110,7 @@ def polach_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
 
 @kernel_inlined
 def recovering_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
-    """Returns (fx_N, fy_N, mz_Nm, inside): `creep_force.degraded_force`."""
+    """Returns (fx_N, fy_N, mz_Nm, inside): `creep_force.recovering_force`."""
     a, b, inside = semi_axes(load_N, patch)
     approached = polach_spin.approach(xi, eta, phi_1_m, a, b, patch)
     limit_d, dx, dy = limited(

@@ -107,7 +107,7 @@ def test_nothing_acts_without_load_or_creepage(model):
 def test_degraded_adhesion_along_the_rail_is_the_scalar_law(s_m_s):
     for patch in PATCHES:
         f, _, _, lambda_, W, _ = adhesion.wheel_adhesion(s_m_s, 40.0, N, patch, LAW)
-        fx, fy, mz, recovered, work = creep_force.degraded_force(
+        fx, fy, mz, recovered, work = creep_force.recovering_force(
             s_m_s / 40, 0, 0, s_m_s, N, patch, LAW
         )
         assert fx == near(-f * N, rel=1e-12)
@@ -120,7 +120,7 @@ def test_in_two_directions_and_with_spin_the_energy_equation_holds():
     rng = np.random.default_rng(7)
     for xi, eta, phi in rng.normal(0.0, (0.1, 0.05, 0.3), (200, 3)):
         sliding = 30.0 * math.hypot(xi, eta)
-        fx, fy, _, lambda_, W = creep_force.degraded_force(
+        fx, fy, _, lambda_, W = creep_force.recovering_force(
             xi, eta, phi, sliding, N, PATCHES[0], LAW
         )
         assert pytest.approx(1.0 - math.exp(-LAW.tau_m_J * W), abs=1e-12) == lambda_
