@@ -1,9 +1,9 @@
 """The bench as a device, node 127: what a test harness on the bus can read and command.
 
 A harness joins by writing 1 to HARNESS:JOINED. From then on a bench in lockstep also waits for its
-RPDO1 (any byte) after each SYNC before simulated time continues. The harness injects faults and adds
-notes as plain text, sets the friction under axles, and ends the run. It maps the quantities from
-2100h on into TPDOs as it needs them. There is no other way from a harness into the rig.
+RPDO1 (any byte) after each SYNC before simulated time continues. The harness injects faults and
+adds notes as plain text, sets the friction under axles, and ends the run. It maps the quantities
+from 2100h on into TPDOs as it needs them. There is no other way from a harness into the rig.
 Source: CiA 301 for the services; the objects 2000h to 21FFh are specific to this rig.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301.communication import AT_ONCE, Pdo, Profile
+from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.firmware_sim.cia301.node import Node
@@ -26,7 +26,7 @@ from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
 
 DEVICE_TYPE = 0  # no profile of CiA covers a test bench
-PRODUCT = "bench", 0x127  # name, product code
+PRODUCT = process_image.Product("bench", 0x127)
 # every signal that this node carries is an object with its name
 TITLES = {
     place.index: signal.name.replace("_", " ").capitalize()
@@ -93,14 +93,14 @@ def build(
 ) -> Node:
     """Build the node.
 
-    `row`: live float64 array of all signals. `friction`: float64 array of shape (4,), which the node
-    writes before it calls `on_command()`: the kinematic friction commanded under each axle, 0 for
-    none.
+    `row`: live float64 array of all signals. `friction`: float64 array of shape (4,), which the
+    node writes before it calls `on_command()`: the kinematic friction commanded under each axle, 0
+    for none.
     """
     profile = Profile(
         DEVICE_TYPE,
-        PRODUCT[0],
-        rpdos=(Pdo(AT_ONCE, ((rig.HARNESS, rig.CYCLE, 8),)),),
+        PRODUCT.name,
+        rpdos=(Pdo(EVENT_DRIVEN, ((rig.HARNESS, rig.CYCLE, 8),)),),
         heartbeat_ms=0,
     )
     node = process_image.build(BENCH_NODE, profile, PRODUCT, rows(pacing), row, {})
@@ -117,19 +117,19 @@ class BenchNode:
         self._friction = friction
         self._on_command = on_command
         self._actions: Mapping[str, Callable[..., Any]] = {}
-        own = node.objects.own
-        own(rig.HARNESS, rig.JOINED, effect=self._join)
-        own(rig.HARNESS, rig.END, effect=self._end)
-        own(rig.FAULT, rig.INJECT, effect=partial(self._act, "inject"))
-        own(rig.FAULT, rig.LIFT, effect=partial(self._act, "lift"))
-        own(rig.NOTE, effect=lambda text: node.on_event(Code.OPERATOR_NOTE, note=text))
+        attach = node.objects.attach
+        attach(rig.HARNESS, rig.JOINED, effect=self._join)
+        attach(rig.HARNESS, rig.END, effect=self._end)
+        attach(rig.FAULT, rig.INJECT, effect=partial(self._act, "inject"))
+        attach(rig.FAULT, rig.LIFT, effect=partial(self._act, "lift"))
+        attach(rig.NOTE, effect=lambda text: node.on_event(Code.OPERATOR_NOTE, note=text))
         for axle in range(1, AXLES + 1):
-            own(rig.FRICTION, axle, effect=partial(self._set_friction, axle))
+            attach(rig.FRICTION, axle, effect=partial(self._set_friction, axle))
         node.on_reset.append(lambda: self._join(0))
         node.on_poll.append(lambda _: self._start())
 
     def wire(self, **actions: Callable[..., Any]) -> None:
-        """Set what commands call: end(), inject(text), lift(text), left() when the harness leaves."""
+        """Set the calls of commands: end(), inject(text), lift(text), and left() at the end."""
         self._actions = actions
 
     def _start(self) -> None:
@@ -151,7 +151,7 @@ class BenchNode:
             self._act("end")
 
     def _act(self, name: str, *arguments: str) -> None:
-        """Carry out a command. Raises AbortError if the bench has none of this name, or refuses it."""
+        """Carry out a command. Raises AbortError if the bench has no such command or refuses it."""
         if name not in self._actions:
             raise AbortError(Abort.DEVICE_STATE)
         try:

@@ -21,7 +21,7 @@ from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import AXLES, SPEED_NODE, Place
 
 DEVICE_TYPE = 0x000A0196  # encoder, multi-sensor
-PRODUCT = "axle speed unit", 0x406  # name, product code
+PRODUCT = process_image.Product("axle speed unit", 0x406)
 TITLES = {
     0x6030: "Speed value",
     0x2100: "Tooth frequency",
@@ -98,7 +98,7 @@ def build(
 ) -> Node:
     """Build the node. `row`: live float64 array of all signals; `storage`: the file of 1010h."""
     parameters = DEFAULTS | dict(parameters or {})
-    profile = Profile(DEVICE_TYPE, PRODUCT[0], tpdos=TPDOS)
+    profile = Profile(DEVICE_TYPE, PRODUCT.name, tpdos=TPDOS)
     node = process_image.build(
         SPEED_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage
     )
@@ -120,14 +120,14 @@ class SpeedUnit:
         node.on_sync.append(self._take_sample)
         objects = node.objects
         for axle in _AXLES:
-            objects.own(0x6020, axle, read=partial(self.position, axle))
-            objects.own(0x6040, axle, read=partial(self.acceleration, axle))
-            objects.own(0x6010, axle, effect=partial(self._preset, axle))
-        objects.own(0x6004, read=partial(self.position, 1))
-        objects.own(0x6003, effect=partial(self._preset, 1))
-        objects.own(0x6508, read=self._operating_time)
+            objects.attach(0x6020, axle, read=partial(self.position, axle))
+            objects.attach(0x6040, axle, read=partial(self.acceleration, axle))
+            objects.attach(0x6010, axle, effect=partial(self._preset, axle))
+        objects.attach(0x6004, read=partial(self.position, 1))
+        objects.attach(0x6003, effect=partial(self._preset, 1))
+        objects.attach(0x6508, read=self._operating_time)
         # the cyclic timer is another name of the event timer of TPDO1
-        objects.own(
+        objects.attach(
             0x6200,
             read=lambda: objects.values[key(0x1800, 5)],
             effect=lambda value: objects.assign(key(0x1800, 5), value),

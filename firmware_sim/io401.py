@@ -1,9 +1,10 @@
 """The brake I/O, node 17: dump-valve magnets out, brake cylinder pressures in, as a CiA 401 module.
 
 The magnets follow a command immediately. When the heartbeat of the WSP unit is lost, or the node is
-stopped or reset, the magnets fall to the fail-safe value (all off: the brakes apply). They stay there
-until the heartbeat is back. A vent magnet without its hold magnet is reported and treated as vent.
-Source: CiA 401 (6200h outputs, 6206h and 6207h error mode and value, 6401h and 6411h analogue).
+stopped or reset, the magnets fall to the fail-safe value (all off: the brakes apply). They stay
+there until the heartbeat is back. A vent magnet without its hold magnet is reported and treated as
+vent. Source: CiA 401 (6200h outputs, 6206h and 6207h error mode and value, 6401h and 6411h
+analogue).
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301.communication import AT_ONCE, SYNCHRONOUS, Pdo, Profile
+from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, SYNCHRONOUS, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
@@ -29,11 +30,11 @@ BRAKE_DEMAND = AXLES
 COMMANDS = AXLES + 1
 
 DEVICE_TYPE = 0x000F0191
-PRODUCT = "brake I/O", 0x401
+PRODUCT = process_image.Product("brake I/O", 0x401)
 TITLES = {0x6401: "Read analogue input 16-bit"}
 DEMAND = BY_NAME["brake_demand"].places[0]
 HIGHEST_DEMAND_mbar = 10_000
-RPDOS = (Pdo(AT_ONCE, ((0x6200, 1, 8),)),)
+RPDOS = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
 TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 1))),)
 
 
@@ -100,7 +101,7 @@ def build(
     lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
     profile = Profile(
         DEVICE_TYPE,
-        PRODUCT[0],
+        PRODUCT.name,
         RPDOS,
         TPDOS,
         consumed=((WSP_NODE, lost_after_ms),),
@@ -117,7 +118,8 @@ def build(
 class BrakeIo:
     """The outputs of the node.
 
-    `locked`: a partner is lost, so the magnets stay at the fail-safe value and commands are refused.
+    `locked`: a partner is lost, so the magnets stay at the fail-safe value and commands are
+    refused.
     """
 
     def __init__(
@@ -130,9 +132,9 @@ class BrakeIo:
         self._venting_alone = [False] * AXLES  # a vent magnet is energised without its hold magnet
         objects = node.objects
         read_demand = process_image.reader(row, signals.column("brake_demand"), DEMAND)
-        objects.own(0x6000, 1, read=lambda: objects.values[key(0x6200, 1)])
-        objects.own(0x6200, 1, check=self._check_unlocked, effect=self._energise)
-        objects.own(0x6411, 1, read=read_demand, effect=self._demand)
+        objects.attach(0x6000, 1, read=lambda: objects.values[key(0x6200, 1)])
+        objects.attach(0x6200, 1, check=self._check_unlocked, effect=self._energise)
+        objects.attach(0x6411, 1, read=read_demand, effect=self._demand)
         node.on_partner.append(self._on_partner)
         node.on_state.append(self._on_state)
         node.on_reset.append(self._forget_demand)

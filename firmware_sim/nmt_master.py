@@ -1,8 +1,8 @@
 """Node 127 as NMT master and SYNC producer of the bus, unless an outside device has these roles.
 
 The master starts a node once after its boot-up, or when the first heartbeat of the node reports
-PRE-OPERATIONAL. It does not change what an outside master commands later. It knows the states of all
-nodes, above all that of the WSP unit, from their heartbeats.
+PRE-OPERATIONAL. It does not change what an outside master commands later. It knows the states of
+all nodes, above all that of the WSP unit, from their heartbeats.
 Source: CiA 301, NMT, SYNC and heartbeat.
 """
 
@@ -24,7 +24,7 @@ LOST_AFTER_MS = 500  # silence after which a node of the rig counts as lost
 
 
 class Health:
-    """What is known of a node: its NMT state (None: never heard), and whether it is lost.
+    """The known state of a node: its NMT state (None: never heard), and whether it is lost.
 
     `started`: this master has started it since its last boot-up.
     """

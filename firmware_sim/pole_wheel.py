@@ -1,10 +1,10 @@
 """The speed sensors: a pole wheel on each axle, and the unit that measures speed from its pulses.
 
 Each tooth that passes gives a pulse, and a timer measures its time. At the end of each window the
-unit computes the speed from the pulses since the last window [P1]. Without a pulse the speed must be
-lower than one tooth in the time that has passed [P2]; after a while it is zero. Below a certain speed
-the voltage of the sensor is too small, and there are no pulses. The model "ideal" gives the speed of
-the wheel itself.
+unit computes the speed from the pulses since the last window [P1]. Without a pulse the speed must
+be lower than one tooth in the time that has passed [P2]; after a while it is zero. Below a certain
+speed the voltage of the sensor is too small, and there are no pulses. The model "ideal" gives the
+speed of the wheel itself.
 
     [P1] omega = (2 pi / n) N / (t_N - t_0), t_N and t_0 the times of the latest pulses of this
          window and of the one before with pulses, N the pulses between them
@@ -160,7 +160,7 @@ def pulses_of(count, new, j, sensor, faults):
 
 @kernel
 def measure(j, now_s, memory, sensor):
-    """End a window of wheel j: the speed from its pulses [P1], or its bound without a pulse [P2]."""
+    """End a window of wheel j: speed from pulses [P1], or its bound without a pulse [P2]."""
     pitch = 2.0 * np.pi / sensor.teeth
     begun = memory[BEGIN_s, j] >= 0.0
     if memory[RECENT, j] > 0.0:

@@ -1,8 +1,9 @@
-"""The signals of the rig as objects of a node. The table of signals decides their places on the bus.
+"""The signals of the rig as objects of a node.
 
-An object that carries a signal holds no value. Each read converts the live row into the integer of the
-bus, as `signals.count` does. The conversion is prepared once for each object, because it runs for
-every signal at every SYNC.
+The table of signals decides their places on the bus.
+An object that carries a signal holds no value. Each read converts the live row into the integer of
+the bus, as `signals.count` does. The conversion is prepared once for each object, because it runs
+for every signal at every SYNC.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -25,6 +26,13 @@ _VENDOR_ID = 0  # none is registered with CAN in Automation
 _REVISION = 0x00010000
 
 
+class Product(NamedTuple):
+    """Name and product code of a device."""
+
+    name: str
+    code: int
+
+
 class Carried(NamedTuple):
     """A signal of one axle that a node carries. `parameter` multiplies the scale of the place."""
 
@@ -38,8 +46,8 @@ class Carried(NamedTuple):
 def build(
     node_id: int,
     profile: Profile,
-    product: tuple[str, int],
-    own: list[Row],
+    product: Product,
+    device_rows: list[Row],
     row: np.ndarray,
     parameters: Mapping[str, float],
     axle: int = 0,
@@ -47,21 +55,27 @@ def build(
 ) -> Node:
     """A node of the rig, whose objects read the live row (float64, one item a column of the table).
 
-    `product`: its name and code; `own`: the rows beyond CiA 301; `axle`: that of a drive, else 0. The
+    `device_rows`: the rows beyond CiA 301; `axle`: that of a drive, else 0. The
     node number is also the serial number.
     """
-    name, product_code = product
-    identity = Identity(_VENDOR, name, _VENDOR_ID, product_code, _REVISION, node_id)
-    all_rows = communication.rows(profile, identity) + own
+    identity = Identity(
+        vendor=_VENDOR,
+        product=product.name,
+        vendor_id=_VENDOR_ID,
+        product_code=product.code,
+        revision=_REVISION,
+        serial=node_id,
+    )
+    all_rows = communication.rows(profile, identity) + device_rows
     node = Node(dictionary.build(all_rows, node_id, identity), storage)
 
-    node_number = 0 if axle else node_id  # of drives the table of signals has only one
-    for one in carried(node_number, axle, parameters):
-        index = one.place.index
-        in_dictionary = key(index, one.sub) in node.objects.variables
-        if one.signal.direction == signals.OUT and in_dictionary:
-            column = signals.column(one.signal.name, one.axle)
-            node.objects.own(index, one.sub, read=reader(row, column, one.place, one.parameter))
+    # the table of signals describes one drive, as node 0, for all drives
+    node_number = 0 if axle else node_id
+    for signal, place, signal_axle, sub, parameter in carried(node_number, axle, parameters):
+        in_dictionary = key(place.index, sub) in node.objects.variables
+        if signal.direction == signals.OUT and in_dictionary:
+            column = signals.column(signal.name, signal_axle)
+            node.objects.attach(place.index, sub, read=reader(row, column, place, parameter))
     return node
 
 
@@ -88,14 +102,13 @@ def rows(
 ) -> list[Row]:
     """The rows of the objects that carry measured signals; `titles` names the objects by index."""
     rows_by_place: dict[tuple[int, int], Row] = {}
-    for one in carried(node_number, axle, parameters):
-        signal, place = one.signal, one.place
+    for signal, place, signal_axle, sub, parameter in carried(node_number, axle, parameters):
         if signal.direction != signals.OUT or place.index not in titles:
             continue
         title = titles[place.index]
         name = title
-        if one.sub:
-            name = f"{title}/{title} axle {one.axle}"
+        if sub:
+            name = f"{title}/{title} axle {signal_axle}"
             rows_by_place[place.index, 0] = Row(
                 index=place.index,
                 sub=0,
@@ -104,23 +117,23 @@ def rows(
                 access="const",
                 default=place.sub + signal.axles - 1,
             )
-        rows_by_place[place.index, one.sub] = Row(
+        rows_by_place[place.index, sub] = Row(
             index=place.index,
-            sub=one.sub,
+            sub=sub,
             name=name,
             kind=place.kind,
             access="ro",
             default=0,
             mappable=True,
             unit=signal.unit.replace("_", "/"),
-            factor=place.scale * one.parameter,
+            factor=place.scale * parameter,
             text=signal.text,
         )
     return list(rows_by_place.values())
 
 
 def reader(row: np.ndarray, column: int, place: Place, parameter: float = 1.0) -> Callable[[], int]:
-    """A function that returns `signals.count(row[column], place, parameter)`, prepared for speed."""
+    """Return a fast function for `signals.count(row[column], place, parameter)`."""
     item = row.item
     unit = place.scale * parameter
     low, high = signals.KINDS[place.kind]

@@ -1,9 +1,9 @@
-"""Several nodes on one port of the bus: one look into a table finds those that listen to a frame.
+"""Several nodes on one port of the bus: one look into a table finds the listeners of a frame.
 
 Most frames of the rig are its process data, which none of its nodes receives. If each of six nodes
 looked at each frame, that would cost more time than the sampling of the signals. Inside the rack
-nodes hear one another as on a wire: every node except the sender. They hear a frame in the order in
-which they were added.
+all nodes except the sender hear a frame, as on a wire. They hear it in the order in which they were
+added.
 """
 
 from collections.abc import Callable, Iterable
@@ -46,7 +46,8 @@ class Rack:
     - `deaf`: their CAN controller receives nothing, but sends.
 
     Optional hooks:
-    - `gate(member, frame, carry)` returns whether a frame is carried now; it may call `carry` later.
+    - `gate(member, frame, carry)` returns whether a frame is carried now; it may call `carry`
+      later.
     - `deferred(frame, then, origin)` puts a frame on a bus that takes time. Members hear the frame
       when it calls `then`.
     """
@@ -59,7 +60,8 @@ class Rack:
         self.deferred: Callable[[Frame, Callable[[], None], int], Any] | None = None
         self.gate: Gate | None = None
         self._send: Callable[[Frame], Any] = lambda frame: None
-        # the listeners of each identifier, and of each remote request (~identifier); empty: not built
+        # the listeners of each identifier, and of each remote request (~identifier); empty: not
+        # built
         self._table: dict[int, list[tuple[Member, Handler]]] = {}
 
     def add(self, member: Member) -> None:
@@ -89,7 +91,7 @@ class Rack:
         self._mark(self.muted, member, on)
 
     def deafen(self, member: Member, on: bool) -> None:
-        """Let a member's CAN controller receive nothing, or everything again; it sends in both cases."""
+        """Let a member's CAN controller receive nothing, or everything again. It still sends."""
         self._mark(self.deaf, member, on)
 
     def _mark(self, marked: set[int], member: Member, on: bool) -> None:
@@ -112,8 +114,8 @@ class Rack:
         for _, handler in self._listeners(frame):
             handler(frame)
 
-    def tell_time(self, now_ns: int) -> None:
-        """Let members know that it is `now_ns`; they do nothing yet."""
+    def advance_clock(self, now_ns: int) -> None:
+        """Advance the clocks of all members to `now_ns`; they do nothing yet."""
         for member in self.members:
             member.now_ns = max(member.now_ns, now_ns)
 

@@ -1,14 +1,14 @@
 """Rig control: computes the torque demands of the roller motors, once a tick.
 
 Contaminated rollers with electric inertia simulation: the rollers weigh far less than the vehicle.
-Each motor therefore makes the surface of its roller keep the speed of the virtual vehicle. The demand
-comes from a speed loop with the deceleration of the vehicle as feed-forward [R1]. A disturbance
-observer estimates the contact torque from motor torque and roller speed alone [R2].
+Each motor therefore makes the surface of its roller keep the speed of the virtual vehicle. The
+demand comes from a speed loop with the deceleration of the vehicle as feed-forward [R1]. A
+disturbance observer estimates the contact torque from motor torque and roller speed alone [R2].
 
-Virtual track (Allotta, Conti, Meli, Ridolfi: Firenze-Osmannoro): the rollers are dry, and the wheels
-hardly slide on them. A virtual vehicle on the degraded track is simulated in parallel. Each motor
-makes its real wheelset turn as the virtual one does [R3]. Both wheelsets have the same brake torque,
-so the roller must apply the virtual contact force.
+Virtual track (Allotta, Conti, Meli, Ridolfi: Firenze-Osmannoro): the rollers are dry, and the
+wheels hardly slide on them. A virtual vehicle on the degraded track is simulated in parallel. Each
+motor makes its real wheelset turn as the virtual one does [R3]. Both wheelsets have the same brake
+torque, so the roller must apply the virtual contact force.
 
 In an emergency stop the drives stop the rollers, and the inertia of the vehicle is no longer
 simulated. The vehicle then has the mean speed of its rollers, but never becomes faster [R4].
@@ -18,8 +18,9 @@ simulated. The vehicle then has the mean speed of its rollers, but never becomes
     [R3] u = R T_v + J_R (r / R) domega_v/dt + w_c (J_R r / R + J R / r) (omega_v - omega)
     [R4] v = min(v, mean of R Omega), not below 0
 
-`state` and `drive` are those of rig.state and rig.params. The speed v and the acceleration a come from
-the virtual vehicle, whose contact forces are measured without error (assumption: an ideal load cell).
+`state` and `drive` are those of rig.state and rig.params. The speed v and the acceleration a come
+from the virtual vehicle, whose contact forces are measured without error (assumption: an ideal load
+cell).
 """
 
 from rollerrig.rig.compiled.kernel import kernel
@@ -68,6 +69,6 @@ def follow_virtual_wheels(state, virtual, drive, radius_m, inertia_kgm2):
 
 @kernel
 def stop_with_rollers(state, rollers, drive):
-    """Let the simulated vehicle be no faster than its rollers [R4]; `rollers` is the rollers' state."""
+    """Limit the speed of the vehicle to that of its rollers [R4]; `rollers` is their state."""
     rim_m_s = drive.roller_radius_m * rollers.roller_speed.mean()
     state.vehicle_speed[0] = min(state.vehicle_speed[0], max(rim_m_s, 0.0))

@@ -1,5 +1,6 @@
-"""The sander I/O, node 18: a CiA 401 module that switches sanders and measures flow and remaining sand.
+"""The sander I/O, node 18: a CiA 401 module.
 
+It switches sanders, and measures the flow of sand and the sand that remains.
 The WSP unit, a driver's desk or a harness switches the sanders with 6200h, by RPDO1 (212h) or SDO.
 The sanders stop when the partner is lost, and when the node is stopped or reset.
 Source: CiA 401 (6200h outputs, 6401h analogue inputs).
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301.communication import AT_ONCE, SYNCHRONOUS, Pdo, Profile
+from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, SYNCHRONOUS, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
@@ -21,9 +22,9 @@ from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import AXLES, SANDER_NODE, WSP_NODE
 
 DEVICE_TYPE = 0x00060191
-PRODUCT = "sander I/O", 0x402  # name, product code
+PRODUCT = process_image.Product("sander I/O", 0x402)
 TITLES = {0x6401: "Read analogue input 16-bit"}
-RPDOS = (Pdo(AT_ONCE, ((0x6200, 1, 8),)),)
+RPDOS = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
 TPDOS = tuple(
     Pdo(SYNCHRONOUS, tuple((0x6401, sub, 16) for sub in range(first, first + AXLES)))
     for first in (1, 1 + AXLES)
@@ -40,13 +41,14 @@ def build(
     """Build the node.
 
     `row`: live float64 array of all signals. `commands`: array of shape (4,), which the node writes
-    before it calls `on_command()`: 1 where the sander of an axle is on. `storage`: the file of 1010h.
+    before it calls `on_command()`: 1 where the sander of an axle is on. `storage`: the file of
+    1010h.
     """
     parameters = dict(parameters or {})
     lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
     profile = Profile(
         DEVICE_TYPE,
-        PRODUCT[0],
+        PRODUCT.name,
         RPDOS,
         TPDOS,
         consumed=((WSP_NODE, lost_after_ms),),
@@ -90,7 +92,7 @@ def build(
         if new in (State.STOPPED, State.INITIALISING):
             stop("NMT")
 
-    node.objects.own(0x6200, 1, effect=switch)
+    node.objects.attach(0x6200, 1, effect=switch)
     node.on_partner.append(on_partner)
     node.on_state.append(on_state)
     node.on_power_off.append(lambda: switch(0))

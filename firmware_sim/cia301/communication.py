@@ -1,12 +1,13 @@
 """The rows of the communication profile: objects 1000h to 1FFFh of every node of the rig.
 
-A device defines its type, its PDOs and a few defaults; the rest is the same for all devices. There are
-four PDOs in each direction. Those that a device does not use are not valid, and an outside master may
-map them.
+A device defines its type, its PDOs and a few defaults; the rest is the same for all devices. There
+are four PDOs in each direction. Those that a device does not use are not valid, and an outside
+master may map them.
 
-A COB-ID entry has 29 bits for the identifier and three flags. Bit 31: the message does not exist. Bit
-30: its meaning depends on the object. Bit 29: the identifier has 29 bits. Source: CiA 301, section on
-the communication profile objects, description of COB-ID entries, table of restricted CAN-IDs.
+A COB-ID entry has 29 bits for the identifier and three flags. Bit 31: the message does not exist.
+Bit 30: its meaning depends on the object. Bit 29: the identifier has 29 bits. Source: CiA 301,
+section on the communication profile objects, description of COB-ID entries, table of restricted
+CAN-IDs.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,7 +31,7 @@ SDO_SERVERS = 3
 HISTORY = 8  # errors in 1003h
 # transmission types of PDOs
 SYNCHRONOUS = 1  # with every SYNC
-AT_ONCE = 255  # event-driven: received data take effect immediately
+EVENT_DRIVEN = 255  # received data take effect immediately
 # flags of a COB-ID entry
 INVALID = 1 << 31
 FLAG = 1 << 30
@@ -80,6 +81,8 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
     """All rows of 1000h..1FFFh for a profile."""
     consumed = [node << 16 | time_ms for node, time_ms in profile.consumed]
     consumed += [0] * (_CONSUMERS - len(consumed))
+    numbers = (identity.vendor_id, identity.product_code, identity.revision, identity.serial)
+
     sdo_servers: list[Row] = []
     for server in range(SDO_SERVERS):
         sdo_servers += _sdo_server(server)
@@ -115,7 +118,7 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
         Row(0x1015, 0, "Inhibit time EMCY", "U16", "rw", 0, unit="100us"),
         *array(0x1016, "Consumer heartbeat time", "U32", "rw", consumed),
         Row(0x1017, 0, "Producer heartbeat time", "U16", "rw", profile.heartbeat_ms, unit="ms"),
-        *array(0x1018, "Identity object", "U32", "const", identity[2:], _IDENTITY),
+        *array(0x1018, "Identity object", "U32", "const", numbers, _IDENTITY),
         Row(0x1019, 0, "Synchronous counter overflow value", "U8", "rw", 0, high=240),
         *array(
             0x1029,
@@ -218,12 +221,13 @@ def check_identifier(cob_id: int) -> None:
         raise AbortError(Abort.INVALID_VALUE)
 
 
-def own_cob_id(
+def attach_cob_id(
     objects: Objects, index: int, sub: int = 0, effect: Callable[[Any], None] | None = None
 ) -> None:
-    """Let an object be the COB-ID of a message.
+    """Make an object the COB-ID of a message, with the checks of the standard.
 
-    The identifier of a message can be changed only while the message is switched off.
+    `effect` is called after a change. The identifier of a message can be changed only while the
+    message is switched off.
     """
 
     def check(new: int) -> None:
@@ -235,4 +239,4 @@ def own_cob_id(
         if valid(current) and changed:
             raise AbortError(Abort.DEVICE_STATE)
 
-    objects.own(index, sub, check=check, effect=effect)
+    objects.attach(index, sub, check=check, effect=effect)

@@ -1,7 +1,7 @@
 """An object dictionary as rows: one row is one object, or one sub-index of an array or record.
 
-`build` turns the rows into the dictionary classes of canopen. The SDO server, the PDOs and the EDS file
-read from these. A device adds nothing but a list of rows to the objects of CiA 301.
+`build` turns the rows into the dictionary classes of canopen. The SDO server, the PDOs and the EDS
+file read from these. A device adds nothing but a list of rows to the objects of CiA 301.
 """
 
 import itertools
@@ -125,7 +125,8 @@ def _variable(row: Row, name: str, node_id: int) -> ODVariable:
     variable.relative = row.relative
     if row.relative:
         variable.default = row.default + node_id
-        # where canopen keeps a default that depends on the node identifier, as an EDS file writes it
+        # where canopen keeps a default that depends on the node identifier, as an EDS file writes
+        # it
         variable.default_raw = f"$NODEID+0x{row.default:X}"  # type: ignore[attr-defined]
     return variable
 

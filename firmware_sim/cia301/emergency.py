@@ -1,14 +1,14 @@
 """Emergency messages: one when an error of a node begins, and one when it ends.
 
 An error that is active already causes no further message. The error register and the history follow
-the errors. Between two messages there is at least the inhibit time; messages that must wait are sent
-later, in order. Source: CiA 301, EMCY protocol, objects 1001h, 1003h, 1014h, 1015h.
+the errors. Between two messages there is at least the inhibit time; messages that must wait are
+sent later, in order. Source: CiA 301, EMCY protocol, objects 1001h, 1003h, 1014h, 1015h.
 """
 
 from collections import deque
 from functools import partial
 
-from rollerrig.firmware_sim.cia301.communication import HISTORY, own_cob_id, valid
+from rollerrig.firmware_sim.cia301.communication import HISTORY, attach_cob_id, valid
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 
@@ -36,12 +36,12 @@ class Emergency:
         self._waiting: deque[bytes] = deque(maxlen=_MOST_WAITING)
         self._free_ns = 0  # when the next message may be sent
         objects = node.objects
-        objects.own(0x1001, read=self.register)
-        objects.own(0x1003, read=lambda: len(self.history), check=self._clear_history)
+        objects.attach(0x1001, read=self.register)
+        objects.attach(0x1003, read=lambda: len(self.history), check=self._clear_history)
         for at in range(HISTORY):
-            objects.own(0x1003, at + 1, read=partial(self._history_entry, at))
-        own_cob_id(objects, 0x1014)
-        objects.own(0x1015, check=self._check_inhibit)
+            objects.attach(0x1003, at + 1, read=partial(self._history_entry, at))
+        attach_cob_id(objects, 0x1014)
+        objects.attach(0x1015, check=self._check_inhibit)
 
     def register(self) -> int:
         """The error register 1001h."""
@@ -51,7 +51,7 @@ class Emergency:
         return bits
 
     def report(self, code: int, source: int = 0, information: bytes = b"") -> bool:
-        """Report that an error has begun. Returns False, and does nothing, if it is active already."""
+        """Report that an error has begun. Returns False without a message if it is active."""
         if (code, source) in self.active:
             return False
         self.active.add((code, source))
@@ -60,7 +60,7 @@ class Emergency:
         return True
 
     def clear(self, code: int, source: int = 0) -> None:
-        """Report that an error has ended: a message with code 0 and the remaining error register."""
+        """Report that an error has ended: code 0 and the remaining error register."""
         if (code, source) in self.active:
             self.active.remove((code, source))
             self._queue(0, code.to_bytes(2, "little"))

@@ -1,10 +1,10 @@
 """Heartbeats of the node and of its partners, and node guarding for masters that still poll.
 
-The node watches a partner from its first heartbeat on. If the partner is silent for longer than 1016h
-allows, the node reports 8130h, informs its application and changes its state as 1029h defines.
-Guarding answers a remote request with the state and a toggle bit, and notices when the requests stop.
-Source: CiA 301, error control protocols. A boot-up message counts as a sign of life only if the
-partner is already watched.
+The node watches a partner from the partner's first heartbeat on. If the partner is silent for
+longer than 1016h allows, the node reports 8130h, informs its application and changes its state as
+1029h defines. Guarding answers a remote request with the state and a toggle bit, and notices when
+the requests stop. Source: CiA 301, error control protocols. A boot-up message counts as a sign of
+life only if the partner is already watched.
 """
 
 from rollerrig.firmware_sim.cia301.emergency import HEARTBEAT_LOST
@@ -24,7 +24,7 @@ class Producer:
 
     def __init__(self, node: Host) -> None:
         self.node = node
-        node.objects.own(0x1017, effect=lambda _: self.configure())
+        node.objects.attach(0x1017, effect=lambda _: self.configure())
 
     def configure(self) -> None:
         """Apply 1017h; the next heartbeat comes one period from now."""
@@ -41,8 +41,8 @@ class Producer:
 class Consumer:
     """Watches the partners of 1016h, and a guarding master.
 
-    `watched`: allowed silence in ns, by node. `lost`: the partners that are silent now. `toggle`: bit 7
-    of the next answer to the guarding master.
+    `watched`: allowed silence in ns, by node. `lost`: the partners that are silent now. `toggle`:
+    bit 7 of the next answer to the guarding master.
     """
 
     def __init__(self, node: Host) -> None:
@@ -51,7 +51,7 @@ class Consumer:
         self.watched: dict[int, int] = {}
         self.lost: set[int] = set()
         for sub in range(1, CONSUMERS + 1):
-            node.objects.own(
+            node.objects.attach(
                 0x1016,
                 sub,
                 check=lambda value, sub=sub: self._check(value, sub),
@@ -113,7 +113,7 @@ class Consumer:
             else:
                 node.event(Code.HEARTBEAT_BACK, partner=partner)
             node.emergency.clear(HEARTBEAT_LOST, partner)
-            node.tell_partner(partner, True)
+            node.report_partner(partner, True)
 
     def _lose(self, partner: int) -> None:
         node = self.node
@@ -122,14 +122,14 @@ class Consumer:
             node.event(Code.GUARDING_LOST)
         else:
             node.event(Code.HEARTBEAT_LOST, partner=partner, silent_s=self.watched[partner] / S)
-        node.tell_partner(partner, False)
+        node.report_partner(partner, False)
         node.emergency.report(HEARTBEAT_LOST, partner, bytes([partner]))
         node.communication_error()
 
-    def _entries(self, but: int = 0) -> list[int]:
-        """The entries of 1016h, without the one of a sub-index."""
+    def _entries(self, without: int = 0) -> list[int]:
+        """The entries of 1016h; `without` is a sub-index to leave out, 0 for none."""
         values = self.node.objects.values
-        return [values[key(0x1016, sub)] for sub in range(1, CONSUMERS + 1) if sub != but]
+        return [values[key(0x1016, sub)] for sub in range(1, CONSUMERS + 1) if sub != without]
 
     def _check(self, entry: int, sub: int) -> None:
         """Raise AbortError unless an entry may be written to a sub-index of 1016h."""
@@ -138,7 +138,7 @@ class Consumer:
         partner, time_ms = _partner_and_time(entry)
         if not (partner and time_ms):
             return
-        for other in self._entries(but=sub):
+        for other in self._entries(without=sub):
             other_partner, other_time_ms = _partner_and_time(other)
             if other_time_ms and other_partner == partner:
                 raise AbortError(Abort.INCOMPATIBLE)

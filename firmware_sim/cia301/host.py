@@ -1,7 +1,8 @@
-"""A node as its services see it: state, time, objects, alarms, and the way to the bus and the events.
+"""A node as its services see it: state, time, objects, alarms, bus and events.
 
-The services (emergencies, heartbeats, SYNC, PDOs, LSS, storage) see their node as a `Host`. Only `node`
-knows all services. The owner of a node passes the time to it, in simulated or in wall nanoseconds.
+The services (emergencies, heartbeats, SYNC, PDOs, LSS, storage) see their node as a `Host`. Only
+`node` knows all services. The owner of a node passes the time to it, in simulated or in wall
+nanoseconds.
 """
 
 from collections.abc import Callable
@@ -19,15 +20,16 @@ from rollerrig.wsp_interface.events import Code, OnEvent
 NEVER = 1 << 62  # a time in ns
 MS = 1_000_000  # ns
 S = 1_000_000_000  # ns
-# A late alarm sees the time for which it was set, so that repeated alarms do not drift. If it is later
-# than this, it sees a time that much before the present one.
+# A late alarm sees the time for which it was set, so that repeated alarms do not drift. If it is
+# later than this, it sees a time that much before the present one.
 _CATCH_UP_NS = 5 * MS
 
 
 class Timers:
-    """A few named alarms. The caller of `poll` passes the time. Setting a name again moves its alarm.
+    """A few named alarms. The caller of `poll` passes the time.
 
-    No alarm is due before `next_ns`, so an idle poll costs one comparison.
+    Setting a name again moves its alarm. No alarm is due before `next_ns`, so an idle poll costs
+    one comparison.
     """
 
     def __init__(self) -> None:
@@ -75,11 +77,13 @@ class Timers:
 class Host:
     """The part of a node that its services share.
 
-    `dictionary` is the object dictionary (the content of the EDS file), `emergency` the EMCY producer.
+    `dictionary` is the object dictionary (the content of the EDS file), `emergency` the EMCY
+    producer.
 
     Calls:
     - `on_sync()`: before PDOs are sampled.
-    - `on_partner(node, alive)`: a partner's heartbeat is lost or back (node 0: the guarding master).
+    - `on_partner(node, alive)`: a partner's heartbeat is lost or back (node 0: the guarding
+      master).
     - `on_event(code, **fields)`: an event of the run.
 
     `event_enablers`: by the index of an object, the key of the object that enables its event-driven
@@ -114,7 +118,7 @@ class Host:
         """Add an event of this node to the events of the run."""
         self.on_event(code, node=self.node_id, **fields)
 
-    def tell_partner(self, partner: int, alive: bool) -> None:
+    def report_partner(self, partner: int, alive: bool) -> None:
         """Inform the application that a partner's heartbeat is lost or back."""
         for call in self.on_partner:
             call(partner, alive)

@@ -1,9 +1,9 @@
 """Layer setting services: a master finds a node by its identity and gives it a node identifier.
 
-A switch command selects all nodes together, or one node by its four identity numbers. A selected node
-accepts an identifier, which becomes active with the next reset of communication. Fastscan finds a
-node without an identifier: the master tests the identity bit by bit. On command the node stores
-identifier and bit timing in its file. The bit timing has no effect here.
+A switch command selects all nodes together, or one node by its four identity numbers. A selected
+node accepts an identifier, which becomes active with the next reset of communication. Fastscan
+finds a node without an identifier: the master tests the identity bit by bit. On command the node
+stores identifier and bit timing in its file. The bit timing has no effect here.
 Source: CiA 305; written from its published descriptions.
 """
 
@@ -69,9 +69,9 @@ class LssSlave:
 
     def power_on(self) -> None:
         """Begin with the stored settings, if there are any."""
-        kept = self.storage.kept_settings()
-        if kept is not None:
-            self.pending, self.bit_timing = kept
+        stored = self.storage.stored_settings()
+        if stored is not None:
+            self.pending, self.bit_timing = stored
         self.configuring = False
 
     def on_frame(self, frame: Frame) -> None:
@@ -145,7 +145,8 @@ class LssSlave:
 
     def _store(self, _: bytes) -> None:
         if self.configuring:
-            self._answer(_STORE, bytes([self.storage.keep_settings(self.pending, self.bit_timing)]))
+            result = self.storage.store_settings(self.pending, self.bit_timing)
+            self._answer(_STORE, bytes([result]))
 
     def _inquire(self, data: bytes) -> None:
         if not self.configuring:

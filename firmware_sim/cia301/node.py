@@ -43,8 +43,9 @@ class Node(Host):
     - `on_power_off()`.
     - `on_poll(now_ns)`.
 
-    `handlers` and `remote_handlers` map identifiers to calls. `on_rewired()` is called when they have
-    changed. `time_of_day` is the last TIME message: days since 1 January 1984, and milliseconds.
+    `handlers` and `remote_handlers` map identifiers to calls. `on_rewired()` is called when they
+    have changed. `time_of_day` is the last TIME message: days since 1 January 1984, and
+    milliseconds.
     """
 
     def __init__(self, dictionary: ObjectDictionary, storage: Path | None = None) -> None:
@@ -72,10 +73,10 @@ class Node(Host):
         self._watched: list[Tpdo] = []  # event-driven TPDOs, which each poll checks for changes
         self.handlers: dict[int, Handler] = {}
         self.remote_handlers: dict[int, Handler] = {}
-        self.objects.own(0x1012, check=check_consumed, effect=lambda _: self.rewire())
+        self.objects.attach(0x1012, check=check_consumed, effect=lambda _: self.rewire())
         for server in range(1, SDO_SERVERS):
             for sub in (1, 2):
-                communication.own_cob_id(
+                communication.attach_cob_id(
                     self.objects, 0x1200 + server, sub, lambda _: self.rewire()
                 )
 

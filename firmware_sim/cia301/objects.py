@@ -1,8 +1,8 @@
 """The values behind an object dictionary, and every rule of access to them.
 
 A download is checked in this order: existence, access, length, range, and the check of the service
-that owns the object. Only then is it stored and its effect called. An object may instead be read from
-a live source; then no value is stored. Source: CiA 301, SDO abort codes and object access.
+that owns the object. Only then is it stored and its effect called. An object may instead be read
+from a live source; then no value is stored. Source: CiA 301, SDO abort codes and object access.
 """
 
 import struct
@@ -60,8 +60,8 @@ def key(index: int, sub: int) -> Key:
 class Objects:
     """The values of a dictionary, by key. Relative defaults are relative to `node_id`.
 
-    By key: `readers` are live sources, `checks` may refuse a value with AbortError, and `effects` are
-    called when a value has been stored.
+    By key: `readers` are live sources, `checks` may refuse a value with AbortError, and `effects`
+    are called when a value has been stored.
     """
 
     def __init__(self, dictionary: ObjectDictionary, node_id: int) -> None:
@@ -78,7 +78,7 @@ class Objects:
         self.values: dict[Key, Any] = {}
         self.power_on(0, 0xFFFF, {})
 
-    def own(
+    def attach(
         self,
         index: int,
         sub: int = 0,
@@ -87,7 +87,7 @@ class Objects:
         check: Callable[[Any], Any] | None = None,
         effect: Callable[[Any], Any] | None = None,
     ) -> None:
-        """Set the live source of an object, the check of a new value, and the effect of a stored one."""
+        """Attach calls to an object: its live source, the check and the effect of a new value."""
         for calls, call in ((self.readers, read), (self.checks, check), (self.effects, effect)):
             if call is not None:
                 calls[key(index, sub)] = call
@@ -104,7 +104,7 @@ class Objects:
             self.values[at] = stored.get(at, default)
 
     def getter(self, at: Key) -> Callable[[], Any]:
-        """A function that returns the present value of an object, from its live source or its store."""
+        """Return a function that reads the present value of an object, live or stored."""
         return self.readers.get(at) or partial(self.values.__getitem__, at)
 
     def get(self, index: int, sub: int = 0) -> Any:
@@ -112,7 +112,7 @@ class Objects:
         return self.getter(key(index, sub))()
 
     def find(self, index: int, sub: int) -> ODVariable:
-        """The variable of an object. Raises AbortError if the object or the sub-index is missing."""
+        """Return the variable of an object. Raises AbortError if there is no such object."""
         variable = self.variables.get(key(index, sub))
         if variable is not None:
             return variable
@@ -150,7 +150,7 @@ class Objects:
         self.assign(key(index, sub), variable.decode_raw(data))
 
     def assign(self, at: Key, value: Any) -> None:
-        """Store a value of the object's type. Raises AbortError if its range or its check refuses it."""
+        """Store a value. Raises AbortError if the range or the check of the object refuses it."""
         self.check(at, value)
         self.values[at] = value
         effect = self.effects.get(at)

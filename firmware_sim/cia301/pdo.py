@@ -12,7 +12,7 @@ from rollerrig.firmware_sim.cia301.communication import split, valid
 from rollerrig.firmware_sim.cia301.emergency import PDO_LENGTH, RPDO_LATE
 from rollerrig.firmware_sim.cia301.host import MS, Host
 from rollerrig.firmware_sim.cia301.objects import AbortError, key, packer
-from rollerrig.firmware_sim.cia301.pdo_mapping import DUMMIES, govern, mapped
+from rollerrig.firmware_sim.cia301.pdo_mapping import DUMMIES, attach_rules, mapped
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
@@ -36,7 +36,7 @@ class Channel:
         self.number = number + 1
         self.live = False
         self.alarm = f"{type(self).__name__.lower()} {self.number}"
-        govern(node, self.index, self.configure, isinstance(self, Tpdo))
+        attach_rules(node, self.index, self.configure, isinstance(self, Tpdo))
 
     def configure(self, operational: bool) -> None:
         """Compile communication and mapping parameters."""
@@ -79,7 +79,7 @@ class Tpdo(Channel):
         if self.kind == ACYCLIC:
             return self._on_change
         if self.kind == RTR_SYNCHRONOUS:
-            return self._keep
+            return self._sample_only
         if self.kind == 1 and not self.start:
             return self._now
         return self._cyclic if self.kind <= LAST_SYNCHRONOUS else None
@@ -138,7 +138,7 @@ class Tpdo(Channel):
         if self.sampled != self.last:
             self._send(self.sampled)
 
-    def _keep(self, _: int | None) -> None:
+    def _sample_only(self, _: int | None) -> None:
         self.sampled = self.sample()
 
     def _send(self, data: bytes) -> None:

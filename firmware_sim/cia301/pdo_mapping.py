@@ -2,7 +2,8 @@
 
 A mapping can be changed only while it is switched off (number of mapped objects 0). Each entry must
 name an object that exists, may be mapped in this direction and has the given length. All entries
-together must fit into eight bytes. Source: CiA 301, PDO communication and mapping parameter records.
+together must fit into eight bytes. Source: CiA 301, PDO communication and mapping parameter
+records.
 """
 
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from functools import partial
 
 from canopen.objectdictionary import ODVariable, datatypes
 
-from rollerrig.firmware_sim.cia301.communication import MAPPED, own_cob_id, valid
+from rollerrig.firmware_sim.cia301.communication import MAPPED, attach_cob_id, valid
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, Objects, key
@@ -73,7 +74,9 @@ def _direction_allowed(variable: ODVariable, transmits: bool) -> bool:
     return variable.readable if transmits else variable.writable
 
 
-def govern(node: Host, index: int, configure: Callable[[bool], None], transmits: bool) -> None:
+def attach_rules(
+    node: Host, index: int, configure: Callable[[bool], None], transmits: bool
+) -> None:
     """Attach the rules of the standard to the records of the PDO at `index`.
 
     `configure(operational)` compiles the PDO again after a change.
@@ -109,12 +112,12 @@ def govern(node: Host, index: int, configure: Callable[[bool], None], transmits:
         configure(node.state is State.OPERATIONAL)
         node.rewire()
 
-    own_cob_id(objects, index, 1, apply)
-    objects.own(index, 2, check=check_kind, effect=apply)
-    objects.own(index, 3, check=partial(check_unchanged_while_valid, 3), effect=apply)
-    objects.own(index, 5, effect=apply)
+    attach_cob_id(objects, index, 1, apply)
+    objects.attach(index, 2, check=check_kind, effect=apply)
+    objects.attach(index, 3, check=partial(check_unchanged_while_valid, 3), effect=apply)
+    objects.attach(index, 5, effect=apply)
     if transmits:
-        objects.own(index, 6, check=partial(check_unchanged_while_valid, 6), effect=apply)
-    objects.own(mapping, check=check_count, effect=apply)
+        objects.attach(index, 6, check=partial(check_unchanged_while_valid, 6), effect=apply)
+    objects.attach(mapping, check=check_count, effect=apply)
     for sub in range(1, MAPPED + 1):
-        objects.own(mapping, sub, check=check_mapped)
+        objects.attach(mapping, sub, check=check_mapped)

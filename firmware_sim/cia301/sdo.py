@@ -1,10 +1,11 @@
 """One SDO server: answers a client's requests on one pair of identifiers, one transfer at a time.
 
-Up to four bytes are transferred in the first exchange. Longer values follow in segments with a toggle
-bit, or in blocks of up to 127 segments. The receiver confirms the last segment of a block that came in
-sequence, and the sender continues from there. The end of a block transfer has a checksum of all data.
-The server answers a violation of the protocol with an abort code. It aborts a transfer if the client
-is silent for too long. Source: CiA 301, SDO protocols; checksum x^16 + x^12 + x^5 + 1, initial value 0.
+Up to four bytes are transferred in the first exchange. Longer values follow in segments with a
+toggle bit, or in blocks of up to 127 segments. The receiver confirms the last segment of a block
+that came in sequence, and the sender continues from there. The end of a block transfer has a
+checksum of all data. The server answers a violation of the protocol with an abort code. It aborts a
+transfer if the client is silent for too long. Source: CiA 301, SDO protocols; checksum x^16 + x^12
++ x^5 + 1, initial value 0.
 """
 
 from binascii import crc_hqx
@@ -38,10 +39,10 @@ class Transfer:
         self.place = place
         self.toggle = 0
 
-    def turn(self, request: bytes) -> int:
-        """The toggle bit of a segment's request, at its position in the byte.
+    def check_toggle(self, request: bytes) -> int:
+        """Return the toggle bit of a segment's request, at its position in the byte.
 
-        Raises AbortError if the bit has not alternated.
+        Raises AbortError if the bit is not the expected one.
         """
         if request[0] >> 4 & 1 != self.toggle:
             raise AbortError(Abort.TOGGLE_BIT)
@@ -58,7 +59,7 @@ class Upload(Transfer):
 
     def segment(self, request: bytes) -> bytes:
         """The answer to an upload-segment request; bit 0 is set in the last one."""
-        toggle = self.turn(request)
+        toggle = self.check_toggle(request)
         part = self.rest[:_SEGMENT]
         self.rest = self.rest[_SEGMENT:]
         unused = _SEGMENT - len(part)
@@ -76,7 +77,7 @@ class Download(Transfer):
 
     def segment(self, request: bytes) -> bytes:
         """The answer to a download segment."""
-        toggle = self.turn(request)
+        toggle = self.check_toggle(request)
         unused = request[0] >> 1 & 7
         self.data += request[1 : 8 - unused]
         if self.size is not None and len(self.data) > self.size:
@@ -85,7 +86,7 @@ class Download(Transfer):
             raise AbortError(Abort.OUT_OF_MEMORY)
         return bytes([0x20 | toggle]).ljust(8, b"\0")
 
-    def whole(self) -> bytes:
+    def complete_data(self) -> bytes:
         """All data. Raises AbortError if the client has announced another length."""
         if self.size not in (None, len(self.data)):
             raise AbortError(Abort.LENGTH_MISMATCH)
@@ -95,8 +96,8 @@ class Download(Transfer):
 class BlockDownload(Download):
     """A block download in progress.
 
-    `checksum`: the end of the transfer has a checksum. `sequence`: number of the last segment of the
-    block that came in sequence. `takes_segments`: the next message is a segment.
+    `checksum`: the end of the transfer has a checksum. `sequence`: number of the last segment of
+    the block that came in sequence. `takes_segments`: the next message is a segment.
     """
 
     def __init__(self, place: bytes, size: int | None, checksum: bool) -> None:
@@ -106,7 +107,7 @@ class BlockDownload(Download):
         self.takes_segments = True
 
     def block_segment(self, data: bytes) -> bytes | None:
-        """Take one segment; returns the answer after the last one of the block or of the transfer."""
+        """Take one segment. Returns an answer only after the last one of a block."""
         number = data[0] & 0x7F
         last = bool(data[0] & 0x80)
         if number == 0:
@@ -133,14 +134,14 @@ class BlockDownload(Download):
         checksum = int.from_bytes(request[1:3], "little")
         if self.checksum and crc_hqx(self.data, 0) != checksum:
             raise AbortError(Abort.CRC)
-        return self.whole()
+        return self.complete_data()
 
 
 class BlockUpload(Transfer):
     """A block upload in progress.
 
-    `block`: segments in a block. `at`: the byte with which the next block begins. `sent`: segments in
-    the last block.
+    `block`: segments in a block. `at`: the byte with which the next block begins. `sent`: segments
+    in the last block.
     """
 
     def __init__(self, place: bytes, data: bytes, block: int, checksum: bool) -> None:
@@ -261,12 +262,12 @@ class SdoServer:
 
     def _finish(self, transfer: Download, data: bytes) -> None:
         """Store the downloaded data."""
-        self.objects.download(*_at(transfer.place), data)
+        self.objects.download(*_index_and_sub(transfer.place), data)
         self.active = None
 
     def _upload(self, request: bytes) -> None:
         self.active = None
-        self._begin_upload(request[1:4], self.objects.upload(*_at(request[1:4])))
+        self._begin_upload(request[1:4], self.objects.upload(*_index_and_sub(request[1:4])))
 
     def _begin_upload(self, place: bytes, data: bytes) -> None:
         """Send a short value in the answer (expedited), or begin a segmented upload."""
@@ -292,7 +293,7 @@ class SdoServer:
             self._download_expedited(request)
         else:
             size = int.from_bytes(request[4:], "little") if size_given else None
-            self.objects.announce(*_at(place), size)
+            self.objects.announce(*_index_and_sub(place), size)
             self.active = Download(place, size)
         self.reply(b"\x60" + place + bytes(4))
 
@@ -301,18 +302,18 @@ class SdoServer:
         place = request[1:4]
         size_given = request[0] & 1
         size = 4 - (request[0] >> 2 & 3) if size_given else None
-        variable = self.objects.announce(*_at(place), size)
+        variable = self.objects.announce(*_index_and_sub(place), size)
         if size is None:
             size = 4
             if variable.fixed_size:
                 size = min(4, len(variable) // 8)
-        self.objects.download(*_at(place), request[4 : 4 + size])
+        self.objects.download(*_index_and_sub(place), request[4 : 4 + size])
 
     def _download_segment(self, request: bytes) -> None:
         transfer = self._running(Download)
         answer = transfer.segment(request)
         if request[0] & 1:
-            self._finish(transfer, transfer.whole())
+            self._finish(transfer, transfer.complete_data())
         self.reply(answer)
 
     def _block_download(self, request: bytes) -> None:
@@ -326,7 +327,7 @@ class SdoServer:
         checksum = bool(request[0] & 4)
         self.active = None
         size = int.from_bytes(request[4:], "little") if size_given else None
-        self.objects.announce(*_at(place), size)
+        self.objects.announce(*_index_and_sub(place), size)
         self.active = BlockDownload(place, size, checksum)
         self.reply(b"\xa4" + place + bytes([BLOCK, 0, 0, 0]))
 
@@ -343,7 +344,7 @@ class SdoServer:
         threshold = request[5]  # bytes; up to this length the client prefers the ordinary protocol
         checksum = bool(request[0] & 4)
         self.active = None
-        data = self.objects.upload(*_at(place))
+        data = self.objects.upload(*_index_and_sub(place))
         if not 1 <= block <= BLOCK:
             raise AbortError(Abort.BLOCK_SIZE)
         if threshold and len(data) <= threshold:
@@ -353,6 +354,6 @@ class SdoServer:
         self.reply(b"\xc6" + place + len(data).to_bytes(4, "little"))
 
 
-def _at(place: bytes) -> tuple[int, int]:
+def _index_and_sub(place: bytes) -> tuple[int, int]:
     """Index and sub-index of a place in a message."""
     return int.from_bytes(place[:2], "little"), place[2]

@@ -1,8 +1,9 @@
-"""Values that survive a power cycle: parameters (1010h stores them, 1011h restores defaults), and LSS.
+"""Values that survive a power cycle: parameters and the settings of LSS.
 
-The node has one file for both; each service writes its part. Stored are the parameters that a client
-may change, mappable or not, but no process values and no commands: a drive must not start enabled.
-Restored defaults take effect with the next reset, as the standard requires.
+1010h stores parameters, 1011h restores their defaults.
+The node has one file for both; each service writes its part. The file contains the parameters that
+a client may change, mappable or not. It contains no process values and no commands, because a drive
+must not start enabled. Restored defaults take effect with the next reset, as the standard requires.
 Source: CiA 301, objects 1010h and 1011h with their signatures; CiA 305, store configuration.
 """
 
@@ -29,15 +30,17 @@ ACCESS_ERROR = 2
 
 
 class Storage:
-    """The file of a node; `path` None: the node has no memory, and storing is refused."""
+    """The file of a node. If `path` is None, the node has no memory and refuses to store."""
 
     def __init__(self, node: Host, path: Path | None) -> None:
         self.node = node
         self.path = path
         for sub in RANGES:
             # a client reads 1 (can store on command) or 0, whatever was written
-            node.objects.own(0x1010, sub, read=self._can_store, check=partial(self._store, sub))
-            node.objects.own(0x1011, sub, read=self._can_store, check=partial(self._restore, sub))
+            node.objects.attach(0x1010, sub, read=self._can_store, check=partial(self._store, sub))
+            node.objects.attach(
+                0x1011, sub, read=self._can_store, check=partial(self._restore, sub)
+            )
 
     def _can_store(self) -> int:
         return int(self.path is not None)
@@ -52,7 +55,7 @@ class Storage:
                 stored[at] = parameters[name]
         return stored
 
-    def kept_settings(self) -> tuple[int, int] | None:
+    def stored_settings(self) -> tuple[int, int] | None:
         """The node identifier and bit timing that LSS has stored; None if it has not."""
         _, settings = self._read()
         node_id = settings.get("node_id")
@@ -63,7 +66,7 @@ class Storage:
             return None
         return node_id, bit_timing
 
-    def keep_settings(self, node_id: int, bit_timing: int) -> int:
+    def store_settings(self, node_id: int, bit_timing: int) -> int:
         """Store the settings of LSS. Returns STORED, NO_MEMORY or ACCESS_ERROR."""
         if self.path is None:
             return NO_MEMORY
@@ -109,21 +112,25 @@ class Storage:
         stored = self.load()
         for at in self._storable(*RANGES[sub]):
             stored[at] = self.node.objects.values[at]
-        self._keep(stored)
+        self._write_parameters(stored)
 
     def _restore(self, sub: int, signature: int) -> None:
         """Forget stored values, if the client has written the signature to 1011h."""
         self._check(signature, LOAD)
         first, last = RANGES[sub]
-        stored = self.load()
-        self._keep({at: value for at, value in stored.items() if not first <= at >> 8 <= last})
+        remaining = {}
+        for at, value in self.load().items():
+            restored = first <= at >> 8 <= last
+            if not restored:
+                remaining[at] = value
+        self._write_parameters(remaining)
 
     def _check(self, signature: int, expected: int) -> None:
         if signature != expected or self.path is None:
             raise AbortError(Abort.NOT_STORED)
 
-    def _keep(self, stored: dict[int, Any]) -> None:
-        """Write these parameters; the settings of LSS stay."""
+    def _write_parameters(self, stored: dict[int, Any]) -> None:
+        """Write these parameters into the file. The settings of LSS do not change."""
         parameters = {_name(at): value for at, value in sorted(stored.items())}
         _, settings = self._read()
         self._write(parameters, settings)

@@ -1,13 +1,13 @@
 """SYNC: the moment at which all nodes sample and act together.
 
-At a SYNC the node first applies the data that synchronous receive PDOs have brought. Then it samples
-and sends every synchronous transmit PDO. A SYNC may carry a counter from 1 to the overflow value
-1019h. The node reports a SYNC of another length, but still obeys it.
+At a SYNC the node first applies the data that synchronous receive PDOs have brought. Then it
+samples and sends every synchronous transmit PDO. A SYNC may carry a counter from 1 to the overflow
+value 1019h. The node reports a SYNC of another length, but still obeys it.
 
-If 1006h gives the cycle period, the node reports a SYNC that is half a period late. If 1007h gives the
-synchronous window, data for synchronous receive PDOs after its end are too late for the next SYNC.
-Source: CiA 301, SYNC protocol, objects 1005h, 1006h, 1007h and 1019h. The standard leaves to the node
-how long it waits for a SYNC.
+If 1006h gives the cycle period, the node reports a SYNC that is half a period late. If 1007h gives
+the synchronous window, data for synchronous receive PDOs after its end are too late for the next
+SYNC. Source: CiA 301, SYNC protocol, objects 1005h, 1006h, 1007h and 1019h. The standard leaves to
+the node how long it waits for a SYNC.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ class SyncConsumer:
         self._window_ns = 0  # synchronous window; 0: none
         checks = {0x1005: check_consumed, 0x1006: None, 0x1007: None, 0x1019: self._check_overflow}
         for index, check in checks.items():
-            node.objects.own(index, check=check, effect=lambda _: node.rewire())
+            node.objects.attach(index, check=check, effect=lambda _: node.rewire())
 
     def configure(
         self, receive: list[Callable[[], None]], transmit: list[Callable[[int | None], None]]

@@ -30,7 +30,10 @@ LOOP_STOP = 3  # a velocity loop; the simulated vehicle stops with its rollers
 
 
 class Axis:
-    """One motor. `commands`: float64 array of shape (COMMANDS,), written before each `on_command()`."""
+    """One motor.
+
+    `commands`: float64 array of shape (COMMANDS,), which the axis writes before `on_command()`.
+    """
 
     def __init__(
         self,
@@ -52,13 +55,13 @@ class Axis:
         self._rated_Nm = parameters["rated_torque_Nm"]
         self._torque_column = signals.column("motor_torque", axle)
         self._speed_column = signals.column("roller_speed", axle)
-        self._target_reached = demand.Since()
-        self._at_rest = demand.Since()
-        objects.own(0x606B, read=lambda: integer(self.demand.velocity, "I32"))
-        objects.own(0x6074, read=lambda: integer(self.demand.torque, "I16"))
+        self._target_reached = demand.ConditionTimer()
+        self._at_rest = demand.ConditionTimer()
+        objects.attach(0x606B, read=lambda: integer(self.demand.velocity, "I32"))
+        objects.attach(0x6074, read=lambda: integer(self.demand.torque, "I16"))
         # a motor with a constant torque per ampere: current in per mille of the rated one
-        objects.own(0x6078, read=objects.readers[key(0x6077, 0)])
-        objects.own(0x6079, read=lambda: integer(1000.0 * self.dc_link_V, "U32"))
+        objects.attach(0x6078, read=objects.readers[key(0x6077, 0)])
+        objects.attach(0x6079, read=lambda: integer(1000.0 * self.dc_link_V, "U32"))
 
     @property
     def voltage_is_low(self) -> bool:
@@ -73,8 +76,8 @@ class Axis:
             return 0.0, 0.0
         return speed, torque
 
-    def rests(self) -> bool:
-        """Whether the motor is slower than the threshold 606Fh."""
+    def is_at_rest(self) -> bool:
+        """Whether the speed of the motor is within the threshold 606Fh."""
         speed, _ = self.actual()
         return bool(abs(speed) <= self.objects.values[key(0x606F, 0)])
 
@@ -111,12 +114,12 @@ class Axis:
     def mode_bits(self, mode: int, halt: bool, now_ns: int) -> int:
         """Bits 10, 12 and 13 of the statusword of an enabled drive."""
         speed, _ = self.actual()
-        given = self.set_points(mode, halt)
+        set_points = self.set_points(mode, halt)
         # evaluated in every mode, because it measures a time
         at_rest = self._within(self._at_rest, abs(speed), 0x606F, 0x6070, now_ns)
         bits = 0
         if mode == demand.PROFILE_VELOCITY:
-            target = 0.0 if halt else given.target_velocity
+            target = 0.0 if halt else set_points.target_velocity
             deviation = abs(speed - target)
             if self._within(self._target_reached, deviation, 0x606D, 0x606E, now_ns):
                 bits |= states.TARGET_REACHED
@@ -126,7 +129,7 @@ class Axis:
             if 0 < max_slippage < abs(self.demand.velocity - speed):
                 bits |= states.SLIPPAGE
         elif mode == demand.PROFILE_TORQUE:
-            target = 0.0 if halt else given.target_torque
+            target = 0.0 if halt else set_points.target_torque
             if self.demand.torque == target:
                 bits |= states.TARGET_REACHED
         else:
@@ -137,11 +140,17 @@ class Axis:
         return bits
 
     def _within(
-        self, since: demand.Since, size: float, bound_index: int, time_index: int, now_ns: int
+        self,
+        timer: demand.ConditionTimer,
+        size: float,
+        bound_index: int,
+        time_index: int,
+        now_ns: int,
     ) -> bool:
         """Whether a size has been within the bound of one object for the time of another."""
         values = self.objects.values
-        return since.holds(size <= values[key(bound_index, 0)], values[key(time_index, 0)], now_ns)
+        within_bound = size <= values[key(bound_index, 0)]
+        return timer.holds(within_bound, values[key(time_index, 0)], now_ns)
 
     def publish(self, enabled: bool, local: bool, mode: int, stopped: bool = False) -> None:
         """Write the commands for the control loops, and call `on_command` if they have changed."""

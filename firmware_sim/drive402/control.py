@@ -1,9 +1,9 @@
 """The inner loops of the roller drives, called in the tick: torque and velocity.
 
-If the rig control moves a drive, its torque demand is left unchanged. A master on the bus commands a
-torque [D1], or a velocity, which a proportional-integral loop controls [D2], also in a stop. A drive
-that is not enabled gives no torque. While the velocity loop is not active, its integral follows the
-torque demand, so that a change of the source causes no jump in torque.
+If the rig control moves a drive, its torque demand is left unchanged. A master on the bus commands
+a torque [D1], or a velocity, which a proportional-integral loop controls [D2], also in a stop. A
+drive that is not enabled gives no torque. While the velocity loop is not active, its integral
+follows the torque demand, so that a change of the source causes no jump in torque.
 
     [D1] u = limit(u_target)
     [D2] u = limit(u_target + J w_c (Omega_target - Omega) + integral), the integral with w_c / 4,

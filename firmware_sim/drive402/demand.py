@@ -1,10 +1,10 @@
 """The demands of a drive that a master on the bus controls: ramps, limits, times and thermal load.
 
-In profile modes the demand follows the target along a ramp. In cyclic modes the demand is the target.
-A stop brings the demand to rest with a deceleration. The demand begins at the present speed and torque
-of the motor, so that neither enabling nor a change of mode or master causes a jump.
-Source: CiA 402-2, modes profile velocity (3), profile torque (4), cyclic synchronous velocity (9) and
-torque (10).
+In profile modes the demand follows the target along a ramp. In cyclic modes the demand is the
+target. A stop brings the demand to rest with a deceleration. The demand begins at the present speed
+and torque of the motor, so that neither enabling nor a change of mode or master causes a jump.
+Source: CiA 402-2, modes profile velocity (3), profile torque (4), cyclic synchronous velocity (9)
+and torque (10).
 """
 
 from typing import NamedTuple
@@ -41,7 +41,8 @@ def approach(value: float, target: float, step: float) -> float:
 class Demand:
     """Velocity and torque demand, in counts of the bus.
 
-    `stopping`: the deceleration of a stop in progress, else None. `limited`: a limit cuts the target.
+    `stopping`: the deceleration of a stop in progress, else None. `limited`: a limit cuts the
+    target.
     """
 
     def __init__(self) -> None:
@@ -56,36 +57,36 @@ class Demand:
         self.torque = torque
         self.stopping = None
 
-    def step(self, given: SetPoints, halt: bool, dt_s: float) -> None:
+    def step(self, set_points: SetPoints, halt: bool, dt_s: float) -> None:
         """Advance the demands by `dt_s`."""
         if self.stopping is not None:
             self.velocity = approach(self.velocity, 0.0, self.stopping * dt_s)
             self.limited = False
-        elif given.mode in VELOCITY_MODES:
-            self._velocity(given, halt, dt_s)
+        elif set_points.mode in VELOCITY_MODES:
+            self._velocity(set_points, halt, dt_s)
         else:
-            self._torque(given, halt, dt_s)
+            self._torque(set_points, halt, dt_s)
 
-    def _velocity(self, given: SetPoints, halt: bool, dt_s: float) -> None:
-        target = self._limit(given.target_velocity, given.highest_velocity)
+    def _velocity(self, set_points: SetPoints, halt: bool, dt_s: float) -> None:
+        target = self._limit(set_points.target_velocity, set_points.highest_velocity)
         if halt:
-            self.velocity = approach(self.velocity, 0.0, given.deceleration * dt_s)
-        elif given.mode == CYCLIC_VELOCITY:
+            self.velocity = approach(self.velocity, 0.0, set_points.deceleration * dt_s)
+        elif set_points.mode == CYCLIC_VELOCITY:
             self.velocity = target
         else:
             same_direction = target * self.velocity >= 0
             faster = same_direction and abs(target) > abs(self.velocity)
-            ramp = given.acceleration if faster else given.deceleration
+            ramp = set_points.acceleration if faster else set_points.deceleration
             self.velocity = approach(self.velocity, target, ramp * dt_s)
 
-    def _torque(self, given: SetPoints, halt: bool, dt_s: float) -> None:
-        target = self._limit(given.target_torque, given.highest_torque)
-        if given.mode == CYCLIC_TORQUE and not halt:
+    def _torque(self, set_points: SetPoints, halt: bool, dt_s: float) -> None:
+        target = self._limit(set_points.target_torque, set_points.highest_torque)
+        if set_points.mode == CYCLIC_TORQUE and not halt:
             self.torque = target
             return
         if halt:
             target = 0.0
-        self.torque = approach(self.torque, target, given.torque_slope * dt_s)
+        self.torque = approach(self.torque, target, set_points.torque_slope * dt_s)
 
     def _limit(self, target: float, bound: float) -> float:
         """The target within plus and minus `bound`; sets `limited`."""
@@ -94,8 +95,8 @@ class Demand:
         return cut
 
 
-class Since:
-    """Measures how long a condition has been true: for windows and thresholds with a time."""
+class ConditionTimer:
+    """Measures how long a condition has been true, for windows and thresholds with a time."""
 
     def __init__(self) -> None:
         self.since_ns: int | None = None

@@ -3,8 +3,8 @@
 The motor has one of two sources of control:
 - The rig control of the bench. The drive then enters OPERATION ENABLED from inside, clears bit 9
   (remote) of the statusword, and does not obey controlwords.
-- A master on the bus. States, option codes, ramps and modes then follow the standard, and the demands
-  go through the array of commands to the control loops of the tick.
+- A master on the bus. States, option codes, ramps and modes then follow the standard, and the
+  demands go through the array of commands to the control loops of the tick.
 
 With both sources an emergency stop causes a quick stop. The drive cannot be enabled until the
 emergency stop is reset. Source: CiA 402-2 / IEC 61800-7-201.
@@ -37,7 +37,8 @@ UNDER_VOLTAGE = 0x3220
 _QUICK_STOP = 0x605A
 _FAULT_REACTION = 0x605E
 _ABORT_CONNECTION = 0x6007
-_RAMPS = {5: 0x605C, 8: 0x605B}  # by transition: whether it brakes first
+# by the number of a transition: the object that decides whether the drive brakes first
+_RAMPS = {5: 0x605C, 8: 0x605B}
 
 # quick stop options above this keep the drive in QUICK STOP ACTIVE
 _LAST_LEAVING_OPTION = 4
@@ -66,7 +67,7 @@ def build(
     node = process_image.build(
         node_id,
         profile,
-        ("roller drive", table.PRODUCT_CODE),
+        table.PRODUCT,
         table.rows(axle, parameters),
         row,
         parameters,
@@ -84,8 +85,8 @@ def build(
 class Drive:
     """State machine and demands of one drive.
 
-    `local`: the rig control moves the motor. `stopped`: an emergency stop is set. `at_rest`: the state
-    that the drive enters when its ramp has come to rest, and the number of that transition.
+    `local`: the rig control moves the motor. `stopped`: an emergency stop is set. `at_rest`: the
+    state that the drive enters when its demand has reached zero, and the number of that transition.
     """
 
     def __init__(self, node: Node, axis: Axis, local: bool) -> None:
@@ -101,13 +102,13 @@ class Drive:
         self.error = 0
         self.at_rest: tuple[State, int] | None = None
         self._last_ns = 0
-        own = node.objects.own
-        own(0x6041, read=lambda: self.statusword)
-        own(0x6061, read=lambda: self.mode)
-        own(0x603F, read=lambda: self.error)
-        own(0x2000, read=lambda: int(not self.local), effect=self._choose_source)
-        own(0x6040, effect=self.on_controlword)
-        own(0x6060, check=_check_mode, effect=lambda _: self._read_mode())
+        attach = node.objects.attach
+        attach(0x6041, read=lambda: self.statusword)
+        attach(0x6061, read=lambda: self.mode)
+        attach(0x603F, read=lambda: self.error)
+        attach(0x2000, read=lambda: int(not self.local), effect=self._choose_source)
+        attach(0x6040, effect=self.on_controlword)
+        attach(0x6060, check=_check_mode, effect=lambda _: self._read_mode())
         node.on_reset.append(self._on_reset)
         node.on_power_off += [self._on_reset, self._publish]
         node.on_poll.append(self.step)
@@ -215,15 +216,16 @@ class Drive:
     def _perform(self, transition: Transition) -> None:
         number = transition.number
         if number == 16 and self._option(_QUICK_STOP) <= _LAST_LEAVING_OPTION:
+            # these options leave QUICK STOP ACTIVE only towards SWITCH ON DISABLED
             return
-        if number == 15:
+        if number == 15:  # fault reset
             self.node.emergency.clear(self.error)
             self.error = 0
         if number in _RAMPS and self._option(_RAMPS[number]) and not self.local:
             self._brake(self.axis.deceleration(1), (transition.target, number))
             return
         self._enter(transition.target, number)
-        if number == 11:
+        if number == 11:  # quick stop
             self._quick_stop()
 
     def _enter(self, state: State, number: int) -> None:
@@ -272,7 +274,7 @@ class Drive:
         """Enter the next state, if a stop has come to its end."""
         demand_at_rest = self.demand.stopping is not None and self.demand.velocity == 0.0
         # an emergency stop ends when the roller itself is at rest
-        motor_at_rest = not self.stopped or self.axis.rests()
+        motor_at_rest = not self.stopped or self.axis.is_at_rest()
         if self.at_rest is not None and demand_at_rest and motor_at_rest:
             self._enter(*self.at_rest)
 

@@ -13,7 +13,7 @@ from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.wsp_interface.signals import BY_NAME
 
 DEVICE_TYPE = 0x00020192
-PRODUCT_CODE = 0x402
+PRODUCT = process_image.Product("roller drive", 0x402)
 # bits of 6502h: profile velocity, torque, cyclic synchronous velocity and torque
 SUPPORTED_MODES = 0x0000030C
 TITLES = {

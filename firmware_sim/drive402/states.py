@@ -1,7 +1,7 @@
 """The drive state machine of CiA 402: states, commands of the controlword, numbered transitions.
 
-Everything here is a table. The lower bits of the statusword show the state. A command is a pattern in
-the lower bits of the controlword. Each transition has its number from the standard.
+Everything here is a table. The lower bits of the statusword show the state. A command is a pattern
+in the lower bits of the controlword. Each transition has its number from the standard.
 Source: CiA 402-2 / IEC 61800-7-201, power drive state machine.
 """
 

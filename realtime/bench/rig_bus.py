@@ -219,7 +219,7 @@ class RigBus:
             self.stray_syncs += 1
             if self.stray_syncs == 1:
                 self._on_event(Code.SYNC_FOREIGN)
-        self.rack.tell_time(frame.time_ns)
+        self.rack.advance_clock(frame.time_ns)
         self.rack.on_frame(frame)
         self._set_alarm()
 
@@ -329,7 +329,7 @@ class RigBus:
 
     def set_time(self) -> None:
         """Let the nodes know the present time."""
-        self.rack.tell_time(self.clock_ns())
+        self.rack.advance_clock(self.clock_ns())
 
     def poll(self) -> None:
         """Let the devices, heartbeats, time-outs and event timers advance to the present time."""
