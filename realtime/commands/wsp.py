@@ -115,14 +115,14 @@ def call(given: argparse.Namespace) -> int:
             os.dup2(log.fileno(), sys.stdout.fileno())
             os.dup2(log.fileno(), sys.stderr.fileno())
     if given.fmu:
-        from rollerrig.firmware_sim.fmu import fmu, fmu_can, fmu_file
+        from rollerrig.firmware_sim.fmu import can_unit, fmu_file, signal_unit
 
         fitted = fmu_file.fit_all(tuple(given.fmu), given.unit_map, given.step)
         how = given.bus, given.priority, given.lockstep, given.step_wait
         return (
-            fmu_can.main(fitted, *how, given.bitrate)
+            can_unit.main(fitted, *how, given.bitrate)
             if fitted[0].terminal
-            else fmu.main(fitted[0], *how)
+            else signal_unit.main(fitted[0], *how)
         )
     from rollerrig.firmware_sim.wsp import node
 

@@ -23,9 +23,9 @@ import can
 from rollerrig.configs.errors import UnitError
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.fmu import ls_bus
-from rollerrig.firmware_sim.fmu.fmu import Watch, initialising, open_fmu, print_at_once
 from rollerrig.firmware_sim.fmu.fmu_file import Fitted
 from rollerrig.firmware_sim.fmu.ls_bus import Code, Operation, Parameter
+from rollerrig.firmware_sim.fmu.signal_unit import Watch, initialising, open_fmu, print_at_once
 from rollerrig.firmware_sim.wsp import node as serving
 from rollerrig.wsp_interface.bus.connection_set import NMT, SYNC
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
