@@ -26,10 +26,10 @@ kernel-can: $(VENV)/ready-dev
 	$(BIN)/python tests/kernel_can/guest.py $(BIN)/python -m pytest -rs -p no:xdist -p no:cacheprovider \
 	  tests/kernel_can tests/wsp_interface/test_buses.py tests/wsp_interface/test_hub.py
 
-# what to run before each commit: without the whole explanations
+# what to run before each commit: all tests except whole explanations and tests with the mark "long"
 check: lint
 	$(BIN)/python tests/compile_kernels.py
-	$(BIN)/python -m pytest -n 3 --dist loadgroup -m "not explanation"
+	$(BIN)/python -m pytest -n 3 --dist loadgroup -m "not explanation and not long"
 
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .

@@ -1,8 +1,8 @@
-"""Options and marks of the whole suite, and which of its tests a worker keeps together.
+"""Options and marks of the whole suite, and how its tests are distributed over workers.
 
-With `-n` each file is one worker's, so that its kernels are compiled and its fixtures made once; runs
-that several files look at are one worker's too; whole explanations, the longest tests, come first and
-each goes to the next worker that is free; so does each tutorial.
+With `-n`, all tests of one file run in one worker, so that its kernels are compiled once and its
+fixtures are made once. Tests that use the same recorded run also share a worker. Whole explanations
+and tutorials are the longest tests: they start first, and each of them goes to the next free worker.
 """
 
 import os
@@ -15,8 +15,10 @@ from written_docs import ALL_ITEMS, write
 
 # fixtures of tests/realtime/conftest.py
 RUNS = {"stop_with_wsp", "stop_without_wsp", "stop_on_leaves", "free_stop", "wall_run"}
-# after the explanations: what takes long, and waits as often as it computes
-LONG = (
+
+# folders in the order in which workers start them: first those whose tests take long and wait as
+# often as they compute
+START_ORDER = (
     "tests/tutorials/",
     "tests/realtime/",
     "tests/rig/identify/",
@@ -25,66 +27,101 @@ LONG = (
     "tests/firmware_sim/",
 )
 
+# Files whose tests brake whole stops in real time, or start and kill many processes. They have the
+# mark `long`. `make check` leaves them out, because together they take as long as all other tests.
+LONG_FILES = (
+    "tests/realtime/test_api.py",
+    "tests/realtime/test_attack.py",
+    "tests/realtime/test_bench_explain.py",
+    "tests/realtime/test_broken_pipe.py",
+    "tests/realtime/test_bus_trouble.py",
+    "tests/realtime/test_campaign.py",
+    "tests/realtime/test_desk.py",
+    "tests/realtime/test_endurance.py",
+    "tests/realtime/test_ends_of_processes.py",
+    "tests/realtime/test_fault_signs.py",
+    "tests/realtime/test_first_start.py",
+    "tests/realtime/test_fmu.py",
+    "tests/realtime/test_fmu_can.py",
+    "tests/realtime/test_live.py",
+    "tests/realtime/test_lockstep_under_load.py",
+    "tests/realtime/test_timers_on_a_bench.py",
+    "tests/realtime/test_validity.py",
+    "tests/realtime/test_velim.py",
+    "tests/third_party/",
+    "tests/tutorials/",
+)
+
 
 def pytest_addoption(parser):
     parser.addoption(
         "--write-docs",
         metavar="FOLDER",
         type=Path,
-        help="write the pages that are made, from all "
-        "tests that are collected; with --collect-only",
+        help="write the generated pages, from all collected tests; use it with --collect-only",
     )
 
 
 def pytest_configure(config):
-    # started under nohup the tests' own processes would ignore it, too
+    # under nohup the processes that tests start would inherit that the signal is ignored
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    # else xdist lets what has the fewest tests come last: whole explanations, with one worker waiting for the other
+
+    # With its default order, xdist starts the groups with the fewest tests last. Those are the whole
+    # explanations: one worker would compute the last of them while the others wait.
     config.option.loadscopereorder = False
-    config.addinivalue_line(
-        "markers",
-        "conformance(standard, behaviour): what of a standard this "
-        "test holds, for the table of conformance",
-    )
-    config.addinivalue_line(
-        "markers", "explanation: explains whole sets of runs; `make check` leaves these out"
-    )
-    config.addinivalue_line("markers", "xdist_group(name): tests of one worker")
+
+    for mark in (
+        "conformance(standard, behaviour): the row of the conformance table that this test proves",
+        "explanation: explains whole sets of runs; `make check` leaves it out",
+        "long: brakes whole stops or starts many processes; `make check` leaves it out",
+        "xdist_group(name): tests that run in one worker",
+    ):
+        config.addinivalue_line("markers", mark)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    config.stash[ALL_ITEMS] = list(items)  # before any is left out
+    config.stash[ALL_ITEMS] = list(items)  # before -m or -k deselects any
     for item in items:
-        file, _, test = item.nodeid.partition("::")
-        alone = item.get_closest_marker("explanation") or file.startswith("tests/tutorials/")
-        item.add_marker(
-            pytest.mark.xdist_group(
-                "runs" if RUNS & set(item.fixturenames) else test if alone else file
-            )
-        )
+        item.add_marker(pytest.mark.xdist_group(worker_group(item)))
+        if item.nodeid.startswith(LONG_FILES):
+            item.add_marker(pytest.mark.long)
+
     if config.getoption("numprocesses", None) or hasattr(config, "workerinput"):
-        items.sort(key=turn)
+        items.sort(key=start_rank)
 
 
-def turn(item):
-    """When a test has its turn among workers; equal ones keep their order."""
+def worker_group(item):
+    """Returns the name of the group of tests that one worker runs with this test."""
+    file, _, test = item.nodeid.partition("::")
+    if RUNS & set(item.fixturenames):
+        return "runs"
+    if item.get_closest_marker("explanation") or file.startswith("tests/tutorials/"):
+        return test
+    return file
+
+
+def start_rank(item):
+    """Returns when workers start a test, lowest first. Tests of equal rank keep their order."""
     if item.get_closest_marker("explanation"):
         return -1
-    return next((n for n, folder in enumerate(LONG) if item.nodeid.startswith(folder)), len(LONG))
+    for rank, folder in enumerate(START_ORDER):
+        if item.nodeid.startswith(folder):
+            return rank
+    return len(START_ORDER)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_logreport(report):
-    if hasattr(
-        report, "node"
-    ):  # a worker's; without the group that xdist appends, --last-failed finds it again
+    # xdist appends the group to the name of a worker's test; without it --last-failed finds the test
+    if hasattr(report, "node"):
         report.nodeid = report.nodeid.rpartition("@")[0]
 
 
 def pytest_collection_finish(session):
     if os.environ.get("PYTEST_XDIST_WORKER"):
-        # several workers whose libraries each take all cores wait for one another, up to thirty times as long
+        # Numerical libraries of several workers that each use all cores wait for one another, and a
+        # test takes up to thirty times as long.
         threadpool_limits(1)
     if folder := session.config.getoption("--write-docs"):
         write(folder, session.config.stash[ALL_ITEMS])
@@ -92,7 +129,7 @@ def pytest_collection_finish(session):
 
 @pytest.fixture(autouse=True)
 def on_one_core(request):
-    """Keep an explanation to one core where tests run on several: it starts no processes of its own there."""
+    """Keeps an explanation on one core if there are several workers. It then starts no processes."""
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
     if not worker or not request.node.get_closest_marker("explanation"):
         yield
