@@ -1,6 +1,8 @@
-"""LSS and stored parameters, with canopen's LSS master over the hub."""
+"""LSS and stored parameters, with the LSS master of canopen over the hub."""
 
 import struct
+from collections.abc import Callable
+from typing import NamedTuple
 
 import pytest
 
@@ -9,26 +11,52 @@ from rollerrig.firmware_sim.cia301.lss import UNCONFIGURED
 from rollerrig.firmware_sim.cia301.objects import AbortError
 from rollerrig.firmware_sim.drive402 import drive
 
-SAVE, LOAD = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little")
-RESET_NODE, RESET_COMMUNICATION = 129, 130
-# nodes with a memory, what of them is a command or has another owner, and what a PDO of them may carry
+# signatures of 1010h and 1011h
+SAVE = int.from_bytes(b"save", "little")
+LOAD = int.from_bytes(b"load", "little")
+# NMT commands
+START = 1
+RESET_NODE = 129
+RESET_COMMUNICATION = 130
+
+NOT_PARAMETERS = {0x1003, 0x1010, 0x1011}  # history of errors, store, restore
+FILLER = 0x00050008  # an unsigned byte in a receive PDO
+
+
+class NodeWithMemory(NamedTuple):
+    """A node whose parameters are stored.
+
+    `build(wire, file)` makes it. `not_stored`: objects that are commands or have a live source.
+    `mappable`: an entry that the mapping of a PDO may have.
+    """
+
+    build: Callable
+    not_stored: set[int]
+    mappable: int
+
+
 NODES = {
-    "drive": (
-        lambda wire, file: drive.build(2, 2, wire.row, storage=file),
-        {0x2000, 0x6040, 0x6060, 0x6071, 0x60B1, 0x60B2, 0x60FE, 0x60FF},
-        0x60410010,
+    "drive": NodeWithMemory(
+        build=lambda wire, file: drive.build(2, 2, wire.row, storage=file),
+        not_stored={0x2000, 0x6040, 0x6060, 0x6071, 0x60B1, 0x60B2, 0x60FE, 0x60FF},
+        mappable=0x60410010,
     ),
-    "encoder": (lambda wire, file: encoder406.build(wire.row, storage=file), {0x6200}, 0x60300110),
-    "brake": (
-        lambda wire, file: io401.build(wire.row, wire.commands, storage=file),
-        {0x6200, 0x6411},
-        0x62000108,
+    "encoder": NodeWithMemory(
+        build=lambda wire, file: encoder406.build(wire.row, storage=file),
+        not_stored={0x6200},
+        mappable=0x60300110,
+    ),
+    "brake": NodeWithMemory(
+        build=lambda wire, file: io401.build(wire.row, wire.commands, storage=file),
+        not_stored={0x6200, 0x6411},
+        mappable=0x62000108,
     ),
 }
 
 
 @pytest.fixture
 def lss(wire, monkeypatch):
+    """The LSS master."""
     # canopen's master sleeps between messages for slow devices
     monkeypatch.setattr("canopen.lss.time.sleep", lambda seconds: None)
     wire.master.lss.RESPONSE_TIMEOUT = 0.001
@@ -37,6 +65,7 @@ def lss(wire, monkeypatch):
 
 
 def identity(node):
+    """Return the four numbers of 1018h: vendor, product, revision, serial number."""
     return [node.objects.get(0x1018, sub) for sub in range(1, 5)]
 
 
@@ -50,11 +79,13 @@ def test_a_node_is_selected_by_its_identity_and_gets_a_new_identifier(wire, lss)
     assert lss.inquire_node_id() == 16
     lss.send_switch_state_global(lss.WAITING_STATE)
     wire.take()
+
+    # the identifier becomes active with the reset, also in COB-IDs
     wire.nmt(RESET_COMMUNICATION, 16)
     assert wire.take(0x728) == [b"\0"]
     assert wire.read(40, 0x1000) == b"\x96\x01\x0a\x00"
     assert wire.read(40, 0x1800, 1) == b"\xa8\x01\0\0"
-    wire.nmt(1, 40)
+    wire.nmt(START, 40)
     wire.take()
     wire.sync()
     assert len(wire.take(0x1A8)) == 1
@@ -64,9 +95,9 @@ def test_a_node_is_selected_by_its_identity_and_gets_a_new_identifier(wire, lss)
 def test_an_identifier_that_is_not_allowed_is_refused(wire, lss):
     wire.encoder()
     lss.send_switch_state_global(lss.CONFIGURATION_STATE)
-    for wanted in (0, 128, 254):
+    for node_id in (0, 128, 254):
         with pytest.raises(Exception, match="1"):
-            lss.configure_node_id(wanted)
+            lss.configure_node_id(node_id)
 
 
 @pytest.mark.conformance("CiA 305", "LSS fastscan")
@@ -76,9 +107,9 @@ def test_fastscan_finds_a_node_without_identifier(wire, lss):
     wire.plug(node)
     wire.drive(1)
     assert wire.take(0x7FF) == []
-    found, who = lss.fast_scan()
-    assert found
-    assert who == identity(node)
+    is_found, numbers = lss.fast_scan()
+    assert is_found
+    assert numbers == identity(node)
     lss.configure_node_id(16)
     wire.take()
     lss.send_switch_state_global(lss.WAITING_STATE)
@@ -101,9 +132,9 @@ def test_stored_parameters_outlive_a_reset_and_a_new_start(wire, tmp_path):
     wire.nmt(RESET_NODE, 16)
     assert wire.read(16, 0x1017) == b"\x21\0"
     wire.nodes.clear()
-    again = encoder406.build(wire.row, storage=file)
-    again.start(lambda frame: None, 0)
-    assert again.objects.get(0x1017) == 33
+    restarted = encoder406.build(wire.row, storage=file)
+    restarted.start(lambda frame: None, 0)
+    assert restarted.objects.get(0x1017) == 33
 
 
 @pytest.mark.conformance("CiA 301", "restore defaults, 1011h")
@@ -131,39 +162,66 @@ def test_commands_are_not_stored(wire, tmp_path):
 @pytest.mark.conformance("CiA 301", "1010h stores every parameter, mappable ones too")
 @pytest.mark.parametrize("kind", NODES)
 def test_every_parameter_of_every_node_outlives_a_power_cycle(wire, tmp_path, kind):
-    build, commands, mappable = NODES[kind]
-    node = wire.plug(build(wire, tmp_path / "node.json"))
-    parameters = [
-        at
-        for at, one in node.objects.variables.items()
-        if one.writable and one.readable and at >> 8 not in {0x1003, 0x1010, 0x1011} | commands
-    ]
-    # from above, as 1019h is refused once 1006h is not 0; again, as a mapping is refused while it is used
-    left = parameters[::-1]
-    while found := [at for at in left if _write_another(node, at, mappable)]:
-        left = [at for at in left if at not in found]
-    assert {at >> 8 for at in left} <= {0x6088}, (
-        "only the type of a torque profile has no other value"
-    )
+    case = NODES[kind]
+    file = tmp_path / "node.json"
+    node = wire.plug(case.build(wire, file))
+    parameters = parameters_of(node, case.not_stored)
+    unchanged = change_all(node, parameters, case.mappable)
+    # only the type of a torque profile has no other value
+    assert {at >> 8 for at in unchanged} <= {0x6088}
+
     written = {at: node.objects.values[at] for at in parameters}
     assert wire.write(node.node_id, 0x1010, 1, SAVE, 4) == 0
     node.power_off()
-    again = build(wire, tmp_path / "node.json")
-    again.start(lambda frame: None, 0)
-    assert {at: again.objects.values[at] for at in written} == written
+    restarted = case.build(wire, file)
+    restarted.start(lambda frame: None, 0)
+    assert {at: restarted.objects.values[at] for at in written} == written
 
 
-def _write_another(node, at, mappable):
-    """Whether an object could be given another value than its present one, by the rules of a download."""
-    one, now = node.objects.variables[at], node.objects.values[at]
-    # the last: an unsigned byte as a filler of a receive PDO
-    for value in (0, now + 1, now + 2, now - 1, now ^ 1 << 31, mappable, 0x00050008):
+def parameters_of(node, not_stored):
+    """Return the keys of the objects that 1010h must store."""
+    parameters = []
+    for at, variable in node.objects.variables.items():
+        index = at >> 8
+        changeable = variable.writable and variable.readable
+        if changeable and index not in NOT_PARAMETERS and index not in not_stored:
+            parameters.append(at)
+    return parameters
+
+
+def change_all(node, parameters, mappable):
+    """Change every parameter; return the keys of those that cannot be changed."""
+    # the highest index first, because 1019h is refused when 1006h is not 0
+    unchanged = parameters[::-1]
+    while True:
+        # several rounds, because a mapping is refused while it is in use
+        refused = [at for at in unchanged if not change(node, at, mappable)]
+        if len(refused) == len(unchanged):
+            return refused
+        unchanged = refused
+
+
+def change(node, at, mappable):
+    """Download another value than the present one into an object; return whether one was accepted."""
+    variable = node.objects.variables[at]
+    present = node.objects.values[at]
+    for value in (
+        0,
+        present + 1,
+        present + 2,
+        present - 1,
+        present ^ 1 << 31,
+        mappable,
+        FILLER,
+    ):
+        if value == present:
+            continue
         try:
-            if value != now:
-                node.objects.download(one.index, one.subindex, one.encode_raw(value))
-                return True
+            data = variable.encode_raw(value)
+            node.objects.download(variable.index, variable.subindex, data)
         except (AbortError, ValueError, struct.error):
             continue
+        return True
     return False
 
 
@@ -180,11 +238,11 @@ def _write_another(node, at, mappable):
         '{"values": {"1A0000": 200}, "checksum": 0}',
     ],
 )
-def test_a_store_that_cannot_be_understood_does_no_harm(wire, tmp_path, content):
+def test_a_damaged_store_has_no_effect(wire, tmp_path, content):
     file = tmp_path / "node16.json"
     file.write_text(content)
     wire.encoder(storage=file)
-    wire.nmt(1, 16)
+    wire.nmt(START, 16)
     wire.sync()
     assert wire.read(16, 0x1017) == b"\x64\0"
 
@@ -197,7 +255,7 @@ def test_a_node_without_memory_refuses_to_store(wire):
 
 
 @pytest.mark.conformance("CiA 305", "LSS store configuration")
-def test_an_identifier_that_lss_has_stored_outlives_a_new_start_and_stored_parameters_stay(
+def test_an_identifier_stored_by_lss_outlives_a_new_start_and_stored_parameters_stay(
     wire, lss, tmp_path
 ):
     file = tmp_path / "memory" / "node16.json"
@@ -209,35 +267,38 @@ def test_an_identifier_that_lss_has_stored_outlives_a_new_start_and_stored_param
     lss.configure_bit_timing(3)
     lss.store_configuration()
     lss.send_switch_state_global(lss.WAITING_STATE)
-    again = encoder406.build(wire.row, storage=file)
+
+    restarted = encoder406.build(wire.row, storage=file)
     wire.take()
-    wire.plug(again)
+    wire.plug(restarted)
     assert wire.take(0x728) == [b"\0"]
     assert wire.read(40, 0x1017) == b"\x21\0"
-    assert again.lss.bit_timing == 3
-    # restored defaults are those of the parameters: the identifier stays
+    assert restarted.lss.bit_timing == 3
+
+    # 1011h restores parameters, but not the identifier
     assert wire.write(40, 0x1011, 1, LOAD, 4) == 0
-    once_more = encoder406.build(wire.row, storage=file)
-    once_more.start(lambda frame: None, 0)
-    assert (once_more.node_id, once_more.objects.get(0x1017)) == (40, 100)
+    with_defaults = encoder406.build(wire.row, storage=file)
+    with_defaults.start(lambda frame: None, 0)
+    assert with_defaults.node_id == 40
+    assert with_defaults.objects.get(0x1017) == 100
 
 
 @pytest.mark.conformance("CiA 305", "LSS store configuration without memory: error 1")
-def test_a_node_without_memory_says_so_to_lss_and_forgets_the_identifier(wire, lss):
+def test_a_node_without_memory_reports_an_error_to_lss_and_forgets_the_identifier(wire, lss):
     wire.encoder()
     lss.send_switch_state_global(lss.CONFIGURATION_STATE)
     lss.configure_node_id(40)
     with pytest.raises(Exception, match="1"):
         lss.store_configuration()
-    again = encoder406.build(wire.row)
-    again.start(lambda frame: None, 0)
-    assert again.node_id == 16
+    restarted = encoder406.build(wire.row)
+    restarted.start(lambda frame: None, 0)
+    assert restarted.node_id == 16
 
 
 @pytest.mark.conformance("CiA 305", "LSS store configuration: no access to the memory, error 2")
-def test_a_memory_that_cannot_be_written_is_told_to_lss(wire, lss, tmp_path):
-    (tmp_path / "taken").write_text("")
-    wire.encoder(storage=tmp_path / "taken" / "node16.json")
+def test_a_memory_that_cannot_be_written_is_reported_to_lss(wire, lss, tmp_path):
+    (tmp_path / "file").write_text("")  # and no folder
+    wire.encoder(storage=tmp_path / "file" / "node16.json")
     lss.send_switch_state_global(lss.CONFIGURATION_STATE)
     with pytest.raises(Exception, match="2"):
         lss.store_configuration()

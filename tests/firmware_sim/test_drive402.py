@@ -8,13 +8,34 @@ from rollerrig.firmware_sim.drive402.states import State
 from rollerrig.wsp_interface import signals
 
 RATED_Nm = objects.DEFAULTS["rated_torque_Nm"]
-DISABLED, READY, ON, ENABLED = (
-    State.SWITCH_ON_DISABLED,
-    State.READY_TO_SWITCH_ON,
-    State.SWITCHED_ON,
-    State.OPERATION_ENABLED,
-)
-SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, RESET, HALT = 6, 7, 15, 0, 2, 0x80, 0x10F
+DISABLED = State.SWITCH_ON_DISABLED
+READY = State.READY_TO_SWITCH_ON
+ON = State.SWITCHED_ON
+ENABLED = State.OPERATION_ENABLED
+
+# controlwords
+SHUTDOWN = 6
+SWITCH_ON = 7
+ENABLE = 15
+DISABLE_VOLTAGE = 0
+QUICK_STOP = 2
+RESET = 0x80
+HALT = 0x100 | ENABLE
+
+# NMT commands
+START = 1
+RESET_NODE = 129
+
+# modes of operation, 6060h
+PROFILE_VELOCITY = 3
+PROFILE_TORQUE = 4
+CYCLIC_VELOCITY = 9
+CYCLIC_TORQUE = 10
+
+# the statusword of a drive that the rig control moves: OPERATION ENABLED, voltage, but not remote
+MOVED_BY_RIG = 0x37
+
+# the controlwords that lead from power-on to a state
 WALK = {
     DISABLED: (),
     READY: (SHUTDOWN,),
@@ -24,9 +45,11 @@ WALK = {
 
 
 def status(wire, node=1):
+    """Return the statusword of a drive."""
     return int.from_bytes(wire.read(node, 0x6041), "little")
 
 
+# (mask, pattern) of the statusword in each state, from the standard
 PATTERNS = {
     (0x4F, 0x00): State.NOT_READY_TO_SWITCH_ON,
     (0x4F, 0x40): DISABLED,
@@ -40,13 +63,18 @@ PATTERNS = {
 
 
 def state(wire):
-    """The state that the statusword tells, by the masks of the standard; one pattern fits."""
+    """Return the state that the statusword shows. Exactly one pattern matches."""
     word = status(wire)
-    (found,) = (one for (mask, value), one in PATTERNS.items() if word & mask == value)
-    return found
+    matching = []
+    for (mask, pattern), candidate in PATTERNS.items():
+        if word & mask == pattern:
+            matching.append(candidate)
+    (shown,) = matching
+    return shown
 
 
 def control(wire, *words):
+    """Write controlwords one after another."""
     for word in words:
         assert wire.write(1, 0x6040, 0, word, 2) == 0
 
@@ -55,12 +83,13 @@ def control(wire, *words):
 def drive(wire):
     """A drive that the bus controls, OPERATIONAL."""
     node = wire.drive(1, control="bus")
-    wire.nmt(1)
+    wire.nmt(START)
     wire.run(1)
     return node
 
 
-def set_row(wire, name, value):
+def set_signal(wire, name, value):
+    """Set a signal of axle 1."""
     wire.row[signals.column(name, 1)] = value
 
 
@@ -92,7 +121,7 @@ def test_a_controlword_makes_the_transition_of_the_standard(wire, drive, before,
 
 
 @pytest.mark.conformance("CiA 402", "transitions 0 to 16, numbered")
-def test_every_numbered_transition_stands_once_in_the_table():
+def test_every_numbered_transition_is_once_in_the_table():
     automatic = {0, states.SELF_TEST_PASSED, 12, states.FAULT_DETECTED, states.REACTION_COMPLETED}
     numbers = [row.number for row in states.TRANSITIONS]
     assert len(numbers) == len(set(numbers))
@@ -101,48 +130,56 @@ def test_every_numbered_transition_stands_once_in_the_table():
 
 @pytest.mark.conformance("CiA 402", "statusword: state, voltage enabled, remote")
 @pytest.mark.parametrize(
-    ("word", "pattern", "mask"),
-    [((), 0x40, 0x4F), ((6,), 0x21, 0x6F), ((6, 7), 0x23, 0x6F), ((6, 7, 15), 0x27, 0x6F)],
+    ("words", "pattern", "mask"),
+    [
+        ((), 0x40, 0x4F),
+        ((SHUTDOWN,), 0x21, 0x6F),
+        ((SHUTDOWN, SWITCH_ON), 0x23, 0x6F),
+        ((SHUTDOWN, SWITCH_ON, ENABLE), 0x27, 0x6F),
+    ],
 )
-def test_the_statusword_tells_state_voltage_and_remote(wire, drive, word, pattern, mask):
-    control(wire, *word)
+def test_the_statusword_shows_state_voltage_and_remote(wire, drive, words, pattern, mask):
+    control(wire, *words)
     assert status(wire) & mask == pattern
-    assert status(wire) & 0x210 == 0x210
+    assert status(wire) & states.VOLTAGE_ENABLED
+    assert status(wire) & states.REMOTE
 
 
 @pytest.mark.conformance("CiA 402", "disable operation option code 605Ch")
 def test_disable_operation_brakes_first_and_then_switches_off(wire, drive):
     control(wire, *WALK[ENABLED])
-    set_row(wire, "roller_speed", 10.0)
+    set_signal(wire, "roller_speed", 10.0)
     control(wire, SWITCH_ON)
-    control(wire, SWITCH_ON)
+    control(wire, SWITCH_ON)  # a repetition changes nothing
     wire.run(100)
     assert state(wire) == ENABLED
     wire.run(500)
     assert state(wire) == ON
+
+    # shutdown does not brake first
     control(wire, ENABLE)
     control(wire, SHUTDOWN)
     assert state(wire) == READY
 
 
 @pytest.mark.conformance("CiA 402", "shutdown option code 605Bh")
-@pytest.mark.parametrize(("option", "at_once"), [(0, True), (1, False)])
-def test_shutdown_switches_off_at_once_or_brakes_first(wire, drive, option, at_once):
+@pytest.mark.parametrize(("option", "immediate"), [(0, True), (1, False)])
+def test_shutdown_switches_off_immediately_or_brakes_first(wire, drive, option, immediate):
     wire.write(1, 0x605B, 0, option, 2)
-    set_row(wire, "roller_speed", 1.0)
+    set_signal(wire, "roller_speed", 1.0)
     control(wire, *WALK[ENABLED], SHUTDOWN)
     wire.run(1)
-    assert (state(wire) == READY) is at_once
+    assert (state(wire) == READY) is immediate
     wire.run(1000)
     assert state(wire) == READY
 
 
 @pytest.mark.conformance("CiA 402", "mode 9: target with offset 60B1h, follows command (bit 12)")
-def test_cyclic_velocity_follows_the_target_and_its_offset_and_says_so(wire, drive):
-    wire.write(1, 0x6060, 0, 9, 1)
+def test_cyclic_velocity_follows_the_target_and_its_offset_and_sets_bit_12(wire, drive):
+    wire.write(1, 0x6060, 0, CYCLIC_VELOCITY, 1)
     control(wire, *WALK[ENABLED])
-    wire.write(1, 0x60FF, 0, 30_000, 4)
-    wire.write(1, 0x60B1, 0, 5_000, 4)
+    wire.write(1, 0x60FF, 0, 30_000, 4)  # 3 rad/s
+    wire.write(1, 0x60B1, 0, 5_000, 4)  # 0.5 rad/s
     wire.run(1)
     assert drive.device.axis.commands[axis.LOOP] == axis.LOOP_VELOCITY
     assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(3.5)
@@ -154,7 +191,7 @@ def test_cyclic_velocity_follows_the_target_and_its_offset_and_says_so(wire, dri
 @pytest.mark.conformance("CiA 402", "transition 16 and a stop under way")
 def test_enabling_again_cancels_a_stop_under_way(wire, drive):
     control(wire, *WALK[ENABLED])
-    set_row(wire, "roller_speed", 10.0)
+    set_signal(wire, "roller_speed", 10.0)
     control(wire, SWITCH_ON)
     wire.run(50)
     control(wire, ENABLE)
@@ -164,7 +201,7 @@ def test_enabling_again_cancels_a_stop_under_way(wire, drive):
 
 @pytest.mark.conformance("CiA 402", "quick stop option code 605Ah")
 @pytest.mark.parametrize(
-    ("option", "at_once", "after_rest"),
+    ("option", "while_braking", "after_rest"),
     [
         (0, DISABLED, DISABLED),
         (1, State.QUICK_STOP_ACTIVE, DISABLED),
@@ -174,13 +211,13 @@ def test_enabling_again_cancels_a_stop_under_way(wire, drive):
         (6, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
     ],
 )
-def test_quick_stop_follows_its_option_code(wire, drive, option, at_once, after_rest):
+def test_quick_stop_follows_its_option_code(wire, drive, option, while_braking, after_rest):
     assert wire.write(1, 0x605A, 0, option, 2) == 0
     control(wire, *WALK[ENABLED])
-    set_row(wire, "roller_speed", 6.0)
+    set_signal(wire, "roller_speed", 6.0)
     control(wire, QUICK_STOP)
     wire.run(1)
-    assert state(wire) == at_once
+    assert state(wire) == while_braking
     wire.run(1000)
     assert state(wire) == after_rest
     if option >= 5:
@@ -191,8 +228,8 @@ def test_quick_stop_follows_its_option_code(wire, drive, option, at_once, after_
 @pytest.mark.conformance("CiA 402", "quick stop deceleration 6085h")
 def test_the_quick_stop_ramp_is_that_of_6085h(wire, drive):
     control(wire, *WALK[ENABLED])
-    set_row(wire, "roller_speed", 6.0)
-    wire.write(1, 0x6085, 0, 600_000, 4)
+    set_signal(wire, "roller_speed", 6.0)
+    wire.write(1, 0x6085, 0, 600_000, 4)  # 60 rad/s2
     control(wire, QUICK_STOP)
     wire.run(50)
     assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(3.0)
@@ -203,8 +240,9 @@ def test_the_quick_stop_ramp_is_that_of_6085h(wire, drive):
 @pytest.mark.conformance("CiA 402", "fault, 603Fh, EMCY, fault reset on the rising edge")
 def test_a_fault_brakes_reports_and_is_reset_by_the_rising_edge_only(wire, drive):
     control(wire, *WALK[ENABLED])
-    set_row(wire, "roller_speed", 6.0)
+    set_signal(wire, "roller_speed", 6.0)
     wire.take()
+
     drive.device.trip(0x2310, "over-current")
     assert wire.take(0x81)[0][:3] == b"\x10\x23\x03"
     assert state(wire) == State.FAULT_REACTION_ACTIVE
@@ -217,6 +255,8 @@ def test_a_fault_brakes_reports_and_is_reset_by_the_rising_edge_only(wire, drive
     control(wire, RESET)
     assert state(wire) == DISABLED
     assert wire.read(1, 0x603F) == b"\0\0"
+
+    # bit 7 is still set: the second reset has no rising edge
     drive.device.trip(0x2310, "again")
     control(wire, RESET)
     assert state(wire) == State.FAULT
@@ -229,7 +269,7 @@ def test_a_fault_brakes_reports_and_is_reset_by_the_rising_edge_only(wire, drive
 def test_the_fault_reaction_follows_605eh(wire, drive, option):
     wire.write(1, 0x605E, 0, option, 2)
     control(wire, *WALK[ENABLED])
-    set_row(wire, "roller_speed", 6.0)
+    set_signal(wire, "roller_speed", 6.0)
     drive.device.trip(0x2310, "over-current")
     assert state(wire) == (State.FAULT_REACTION_ACTIVE if option else State.FAULT)
 
@@ -240,10 +280,12 @@ def test_too_low_a_dc_link_trips_and_trips_again_while_it_lasts(wire, drive):
     wire.run(1)
     assert state(wire) == State.FAULT
     assert status(wire) & states.VOLTAGE_ENABLED == 0
-    assert wire.read(1, 0x6079) == (300_000).to_bytes(4, "little")
+    assert wire.read(1, 0x6079) == (300_000).to_bytes(4, "little")  # mV
+
     control(wire, RESET)
     wire.run(1)
     assert state(wire) == State.FAULT
+
     drive.device.axis.dc_link_V = 750.0
     control(wire, 0, RESET)
     wire.run(1)
@@ -254,12 +296,16 @@ def test_too_low_a_dc_link_trips_and_trips_again_while_it_lasts(wire, drive):
 def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
     wire.drive(1, control="bus", parameters={"thermal_time_constant_s": 1.0})
     control(wire, *WALK[ENABLED])
-    set_row(wire, "motor_torque", 1.5 * RATED_Nm)
-    warned_ms = tripped_ms = None
-    for at in range(1500):
+    set_signal(wire, "motor_torque", 1.5 * RATED_Nm)
+    warned_ms = None
+    tripped_ms = None
+    for at_ms in range(1500):
         wire.run(1)
-        warned_ms = warned_ms or (status(wire) & states.WARNING and at)
-        tripped_ms = tripped_ms or (status(wire) & 0x08 and at)
+        word = status(wire)
+        if warned_ms is None and word & states.WARNING:
+            warned_ms = at_ms
+        if tripped_ms is None and word & State.FAULT:
+            tripped_ms = at_ms
     assert 500 < warned_ms < 700 < tripped_ms < 900
     assert wire.read(1, 0x603F) == b"\x10\x43"
 
@@ -268,35 +314,35 @@ def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
 @pytest.mark.parametrize(
     ("mode", "code"),
     [
-        (3, 0),
-        (4, 0),
-        (9, 0),
-        (10, 0),
+        (PROFILE_VELOCITY, 0),
+        (PROFILE_TORQUE, 0),
+        (CYCLIC_VELOCITY, 0),
+        (CYCLIC_TORQUE, 0),
+        # profile position, homing, cyclic position, manufacturer
         (1, 0x06090030),
         (6, 0x06090030),
         (8, 0x06090030),
         (-1, 0x06090030),
     ],
 )
-def test_only_supported_modes_are_taken(wire, drive, mode, code):
+def test_only_supported_modes_are_accepted(wire, drive, mode, code):
     assert wire.write(1, 0x6060, 0, mode, 1) == code
     if not code:
         assert wire.read(1, 0x6061) == bytes([mode])
 
 
 @pytest.mark.conformance("CiA 402", "mode 3: ramps, target reached")
-def test_profile_velocity_ramps_to_the_target_and_says_when_it_is_there(wire, drive):
-    wire.write(1, 0x6060, 0, 3, 1)
-    wire.write(1, 0x6083, 0, 100_000, 4)
-    wire.write(1, 0x60FF, 0, 50_000, 4)
+def test_profile_velocity_ramps_to_the_target_and_reports_that_it_is_reached(wire, drive):
+    wire.write(1, 0x6060, 0, PROFILE_VELOCITY, 1)
+    wire.write(1, 0x6083, 0, 100_000, 4)  # 10 rad/s2
+    wire.write(1, 0x60FF, 0, 50_000, 4)  # 5 rad/s
     control(wire, *WALK[ENABLED])
     wire.run(250)
-    velocity = drive.device.axis.commands[axis.VELOCITY_rad_s]
-    assert velocity == pytest.approx(2.5)
+    assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(2.5)
     assert drive.device.axis.commands[axis.LOOP] == axis.LOOP_VELOCITY
     assert status(wire) & states.TARGET_REACHED == 0
     wire.run(300)
-    set_row(wire, "roller_speed", 5.0)
+    set_signal(wire, "roller_speed", 5.0)
     wire.run(20)
     assert status(wire) & states.TARGET_REACHED
     assert status(wire) & states.SPEED_ZERO == 0
@@ -306,16 +352,24 @@ def test_profile_velocity_ramps_to_the_target_and_says_when_it_is_there(wire, dr
 @pytest.mark.conformance("CiA 402", "repeated PDOs do not disturb a ramp")
 def test_a_pdo_that_repeats_mode_and_controlword_does_not_disturb_the_ramp(wire, drive):
     wire.write(1, 0x60FF, 0, 500_000, 4)
-    for word in (*WALK[ENABLED], *[ENABLE] * 100):
-        wire.send(0x201, bytes([word, 0, 3, 0, 0]))
-        wire.sync()
-        wire.run(1)
+    for word in WALK[ENABLED]:
+        send_controlword(wire, word)
+    for _ in range(100):
+        send_controlword(wire, ENABLE)
+    # 20 rad/s2 for 101 ms
     assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(20.0 * 0.101)
 
 
+def send_controlword(wire, word):
+    """Send RPDO1 with a controlword, profile velocity and no torque; then a millisecond passes."""
+    wire.send(0x201, bytes([word, 0, PROFILE_VELOCITY, 0, 0]))
+    wire.sync()
+    wire.run(1)
+
+
 @pytest.mark.conformance("CiA 402", "halt bit and option code 605Dh")
-def test_halt_takes_the_velocity_to_zero_and_its_end_resumes(wire, drive):
-    wire.write(1, 0x6060, 0, 9, 1)
+def test_halt_ramps_the_velocity_to_zero_and_its_end_resumes_the_target(wire, drive):
+    wire.write(1, 0x6060, 0, CYCLIC_VELOCITY, 1)
     wire.write(1, 0x60FF, 0, 50_000, 4)
     control(wire, *WALK[ENABLED])
     wire.run(2)
@@ -331,22 +385,23 @@ def test_halt_takes_the_velocity_to_zero_and_its_end_resumes(wire, drive):
 
 @pytest.mark.conformance("CiA 402", "modes 4 and 10: torque slope 6087h and target")
 def test_profile_torque_follows_the_slope_and_cyclic_torque_the_target(wire, drive):
-    wire.write(1, 0x6087, 0, 1000, 4)
-    wire.write(1, 0x6071, 0, 500, 2)
-    wire.write(1, 0x6060, 0, 4, 1)
+    wire.write(1, 0x6087, 0, 1000, 4)  # the rated torque in a second
+    wire.write(1, 0x6071, 0, 500, 2)  # half the rated torque
+    wire.write(1, 0x6060, 0, PROFILE_TORQUE, 1)
     control(wire, *WALK[ENABLED])
     wire.run(250)
     assert drive.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(0.25 * RATED_Nm)
     assert status(wire) & states.TARGET_REACHED == 0
     wire.run(300)
     assert status(wire) & states.TARGET_REACHED
-    wire.write(1, 0x6060, 0, 10, 1)
+
+    wire.write(1, 0x6060, 0, CYCLIC_TORQUE, 1)
     wire.run(1)
     assert drive.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(0.5 * RATED_Nm)
 
 
 @pytest.mark.conformance("CiA 402", "max torque 6072h, internal limit (bit 11)")
-def test_a_torque_above_6072h_is_cut_and_told(wire, drive):
+def test_a_torque_above_6072h_is_limited_and_reported(wire, drive):
     wire.write(1, 0x6072, 0, 300, 2)
     wire.write(1, 0x6071, 0, -500, 2)
     control(wire, *WALK[ENABLED])
@@ -356,13 +411,13 @@ def test_a_torque_above_6072h_is_cut_and_told(wire, drive):
 
 
 @pytest.mark.conformance("CiA 402", "max slippage 60F8h (bit 13)")
-def test_slippage_is_told_when_the_speed_leaves_the_demand(wire, drive):
-    wire.write(1, 0x60F8, 0, 1000, 4)
-    wire.write(1, 0x6060, 0, 3, 1)
+def test_slippage_is_reported_when_the_speed_deviates_from_the_demand(wire, drive):
+    wire.write(1, 0x60F8, 0, 1000, 4)  # 0.1 rad/s
+    wire.write(1, 0x6060, 0, PROFILE_VELOCITY, 1)
     control(wire, *WALK[ENABLED])
     wire.run(2)
     assert status(wire) & states.SLIPPAGE == 0
-    set_row(wire, "roller_speed", 3.0)
+    set_signal(wire, "roller_speed", 3.0)
     wire.run(2)
     assert status(wire) & states.SLIPPAGE
 
@@ -371,7 +426,7 @@ def test_slippage_is_told_when_the_speed_leaves_the_demand(wire, drive):
 @pytest.mark.parametrize(
     ("option", "after"), [(0, ENABLED), (1, State.FAULT), (2, DISABLED), (3, DISABLED)]
 )
-def test_a_lost_connection_follows_6007h(wire, drive, option, after):
+def test_the_reaction_to_a_lost_connection_follows_6007h(wire, drive, option, after):
     wire.write(1, 0x6007, 0, option, 2)
     wire.write(1, 0x1016, 1, 5 << 16 | 50, 4)
     control(wire, *WALK[ENABLED])
@@ -385,7 +440,7 @@ def test_a_reset_takes_the_power_off_the_motor(wire, drive):
     control(wire, *WALK[ENABLED])
     wire.run(1)
     assert drive.device.axis.commands[axis.ENABLED] == 1.0
-    wire.nmt(129, 1)
+    wire.nmt(RESET_NODE, 1)
     wire.run(1)
     assert drive.device.axis.commands[axis.ENABLED] == 0.0
     assert state(wire) == DISABLED
@@ -398,42 +453,45 @@ def test_under_the_rig_control_the_drive_is_enabled_and_obeys_no_controlword(wir
     for word in (0, SHUTDOWN, QUICK_STOP, 0):
         control(wire, word)
         wire.run(1)
-        assert status(wire) == 0x37
-    wire.nmt(129, 1)
-    assert status(wire) == 0x37
+        assert status(wire) == MOVED_BY_RIG
+    wire.nmt(RESET_NODE, 1)
+    assert status(wire) == MOVED_BY_RIG
 
 
 @pytest.mark.conformance("CiA 402", "control source changes without a jump in torque")
 def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire):
     node = wire.drive(1)
-    wire.nmt(1)
-    set_row(wire, "motor_torque", -0.2 * RATED_Nm)
+    wire.nmt(START)
+    set_signal(wire, "motor_torque", -0.2 * RATED_Nm)
     node.device.control_from_bus()
     for _ in range(20):
         wire.run(1)
         assert node.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(-0.2 * RATED_Nm)
-    assert status(wire) & 0x26F == 0x227
+    assert status(wire) & 0x6F == State.OPERATION_ENABLED
+    assert status(wire) & states.REMOTE
     wire.write(1, 0x6071, 0, 0, 2)
     wire.run(1)
     assert node.device.axis.commands[axis.TORQUE_Nm] == 0.0
+
     node.device.control_from_rig()
-    assert status(wire) == 0x37
+    assert status(wire) == MOVED_BY_RIG
     assert node.device.axis.commands[axis.LOOP] == axis.LOOP_RIG
 
 
 @pytest.mark.conformance(
-    "CiA 402", "emergency stop from outside the bus: quick stop, barred until taken back"
+    "CiA 402", "emergency stop from outside the bus: quick stop, blocked until reset"
 )
 @pytest.mark.parametrize("control_source", ["rig", "bus"])
-def test_an_emergency_stop_brakes_the_motor_and_bars_the_drive_until_it_is_taken_back(
+def test_an_emergency_stop_brakes_the_motor_and_blocks_the_drive_until_it_is_reset(
     wire, control_source
 ):
     node = wire.drive(1, control=control_source)
-    wire.nmt(1)
+    wire.nmt(START)
     if control_source == "bus":
         control(wire, *WALK[ENABLED])
     assert state(wire) == ENABLED
-    set_row(wire, "roller_speed", 40.0)
+    set_signal(wire, "roller_speed", 40.0)
+
     node.device.emergency_stop(True)
     assert state(wire) == State.QUICK_STOP_ACTIVE
     wire.run(500)
@@ -442,34 +500,40 @@ def test_an_emergency_stop_brakes_the_motor_and_bars_the_drive_until_it_is_taken
     # 40 rad/s less half a second of 60 rad/s2
     assert commands[axis.VELOCITY_rad_s] == pytest.approx(10.0, abs=0.2)
     wire.run(500)
-    # the ramp has ended, the motor has not: it brakes on
+    # the ramp has reached zero, but the motor has not: the drive continues to brake
     assert commands[axis.VELOCITY_rad_s] == 0.0
     assert commands[axis.ENABLED] == 1.0
-    set_row(wire, "roller_speed", 0.0)
+    set_signal(wire, "roller_speed", 0.0)
     wire.run(2)
     assert state(wire) == DISABLED
     assert commands[axis.ENABLED] == 0.0
-    control(wire, SHUTDOWN, SWITCH_ON, ENABLE)
-    node.device.control_from_rig() if control_source == "rig" else None
+
+    # until the reset nothing enables the drive
+    control(wire, *WALK[ENABLED])
+    if control_source == "rig":
+        node.device.control_from_rig()
     assert state(wire) == DISABLED
+
     node.device.emergency_stop(False)
-    assert state(wire) == (ENABLED if control_source == "rig" else DISABLED)
     if control_source == "bus":
+        # the master must enable the drive again
+        assert state(wire) == DISABLED
         control(wire, *WALK[ENABLED])
-        assert state(wire) == ENABLED
+    assert state(wire) == ENABLED
 
 
 @pytest.mark.conformance("CiA 402", "default PDOs")
 def test_default_pdos_carry_the_signals_and_take_set_points(wire, drive):
-    set_row(wire, "roller_speed", 12.3456)
-    set_row(wire, "roller_angle", 7.0)
-    set_row(wire, "motor_torque", 0.25 * RATED_Nm)
+    set_signal(wire, "roller_speed", 12.3456)
+    set_signal(wire, "roller_angle", 7.0)
+    set_signal(wire, "motor_torque", 0.25 * RATED_Nm)
     wire.take()
     wire.sync()
-    frames = {one.can_id: one.data for one in wire.frames}
+    frames = {frame.can_id: frame.data for frame in wire.frames}
     assert frames[0x181] == status(wire).to_bytes(2, "little") + b"\x0a" + b"\xfa\0"
     assert frames[0x281] == (123_456).to_bytes(4, "little") + (7000).to_bytes(4, "little")
-    wire.send(0x201, bytes([6, 0, 10, 100, 0]))
+
+    wire.send(0x201, bytes([SHUTDOWN, 0, CYCLIC_TORQUE, 100, 0]))
     wire.send(0x301, (77).to_bytes(4, "little"))
     wire.sync()
     assert state(wire) == READY
@@ -483,10 +547,14 @@ def test_canopen_walks_a_drive_to_operation_enabled(wire, drive):
     wire.master.add_node(remote)
     wire.run(100)
     remote.setup_402_state_machine()
-    for word, wanted in ((6, "READY TO SWITCH ON"), (7, "SWITCHED ON"), (15, "OPERATION ENABLED")):
+    for word, expected in (
+        (SHUTDOWN, "READY TO SWITCH ON"),
+        (SWITCH_ON, "SWITCHED ON"),
+        (ENABLE, "OPERATION ENABLED"),
+    ):
         remote.controlword = word
-        # canopen leaves a synchronous RPDO to a cyclic task of its user
+        # canopen does not send a synchronous RPDO itself
         remote.rpdo[1].transmit()
         wire.sync()
-        assert remote.state == wanted
+        assert remote.state == expected
     assert remote.is_op_mode_supported("PROFILED VELOCITY")
