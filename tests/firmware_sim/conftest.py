@@ -118,7 +118,7 @@ class Wire:
         return 0
 
     def read(self, node, index, sub=0):
-        """Read an object by an expedited upload; return its bytes, or the abort code as a number."""
+        """Read an object by an expedited upload; return its bytes, or an abort code (int)."""
         request = b"\x40" + index.to_bytes(2, "little") + bytes([sub])
         (answer,) = self.request(node, request)
         if answer[0] == SDO_ABORT:

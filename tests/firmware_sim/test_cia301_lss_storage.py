@@ -202,7 +202,7 @@ def change_all(node, parameters, mappable):
 
 
 def change(node, at, mappable):
-    """Download another value than the present one into an object; return whether one was accepted."""
+    """Give an object another value by a download; return whether one was accepted."""
     variable = node.objects.variables[at]
     present = node.objects.values[at]
     for value in (

@@ -9,11 +9,14 @@ from rollerrig.firmware_sim import process_image
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import Place
 
+START = 1  # NMT command
+
 
 @pytest.fixture
 def unit(wire):
+    """The axle speed unit, OPERATIONAL."""
     node = wire.encoder(parameters={"teeth": 100.0})
-    wire.nmt(1)
+    wire.nmt(START)
     wire.take()
     return node
 
@@ -23,14 +26,14 @@ def test_default_pdos_carry_speeds_and_tooth_frequencies_of_four_axles(wire, uni
     wire.row[signals.span("measured_speed")] = [90.0, 91.234, -1.0, 1000.0]
     wire.row[signals.span("tooth_frequency")] = [1432.5, 0.001, 5e6, 0.0]
     wire.sync()
-    frames = {one.can_id: one.data for one in wire.frames}
+    frames = {frame.can_id: frame.data for frame in wire.frames}
     assert np.frombuffer(frames[0x190], "<i2").tolist() == [9000, 9123, -100, 32767]
     assert np.frombuffer(frames[0x290], "<u4").tolist() == [1_432_500, 1]
     assert np.frombuffer(frames[0x390], "<u4").tolist() == [2**32 - 1, 0]
 
 
 @pytest.mark.conformance("CiA 406", "6030h saturates, 2102h has 32 bits")
-def test_a_speed_beyond_16_bits_stands_beside_it_in_32_bits(wire, unit):
+def test_a_speed_beyond_16_bits_saturates_in_6030h_and_is_right_in_2102h(wire, unit):
     wire.row[signals.column("measured_speed", 4)] = 1000.00005
     assert wire.read(16, 0x6030, 4) == (32767).to_bytes(2, "little")
     assert int.from_bytes(wire.read(16, 0x2102, 4), "little") == 10_000_000
@@ -62,6 +65,7 @@ def test_the_teeth_of_the_pole_wheel_are_the_measuring_units(wire, unit):
     assert wire.read(16, 0x6001) == wire.read(16, 0x6501) == (100).to_bytes(4, "little")
 
 
+# special values of a signal: halves (rounding), more than any type holds, no numbers
 VALUES = [
     0.0,
     1.0,
@@ -83,7 +87,7 @@ PLACES = [place for signal in signals.SIGNALS for place in signal.places]
 
 
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: f"{place.index:04X}h")
-def test_the_prepared_reader_gives_what_the_table_of_signals_gives(place):
+def test_the_fast_reader_of_a_signal_equals_the_table_of_signals(place):
     row = np.zeros(1)
     for parameter in (1.0, 4000.0):
         read = process_image.reader(row, 0, place, parameter)

@@ -1,4 +1,4 @@
-"""The whole rig on the hub's socketcand port, and canopen's master on python-can's own client."""
+"""The whole rig on a socketcand port, and a canopen master on the client of python-can."""
 
 import asyncio
 import threading
@@ -16,43 +16,58 @@ from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
 
-CYCLE_S, CYCLES_A_SYNC = 0.002, 5
+CYCLE_S = 0.002
+CYCLES_A_SYNC = 5
+PATIENCE_S = 60.0  # a busy machine is slow
+SYNC = 0x80
 
 
 class PatientDrive(BaseNode402):
-    """canopen's own drive, whose times to wait are those of a busy machine."""
+    """The drive class of canopen, with time-outs for a busy machine."""
 
-    TIMEOUT_SWITCH_OP_MODE = TIMEOUT_SWITCH_STATE_FINAL = TIMEOUT_SWITCH_STATE_SINGLE = 60.0
+    TIMEOUT_SWITCH_OP_MODE = PATIENCE_S
+    TIMEOUT_SWITCH_STATE_FINAL = PATIENCE_S
+    TIMEOUT_SWITCH_STATE_SINGLE = PATIENCE_S
 
 
 class RigThread:
-    """The default rig, drives under control of the bus, in an event loop of its own."""
+    """The default rig in a thread. The bus controls the drives.
+
+    `errors`: exceptions that reached the event loop of the thread.
+    """
 
     def __init__(self):
-        self.row, self.commands = np.zeros(len(signals.COLUMNS)), np.zeros(io401.COMMANDS)
-        self.ready, self.running, self.errors = threading.Event(), True, []
+        self.row = np.zeros(len(signals.COLUMNS))
+        self.commands = np.zeros(io401.COMMANDS)
+        self.ready = threading.Event()
+        self.running = True
+        self.errors = []
         self.thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
         self.thread.start()
-        assert self.ready.wait(60)
+        assert self.ready.wait(PATIENCE_S)
 
     async def _run(self):
         asyncio.get_running_loop().set_exception_handler(lambda _, what: self.errors.append(what))
         hub = Hub(time.monotonic_ns)
         self.port = await hub.listen("socketcand", port=0)
-        bench, slots = nmt_master.NmtMaster(), rack.Rack()
-        self.nodes = [
+        bench = nmt_master.NmtMaster()
+        members = rack.Rack()
+        self.drives = [
             drive402.build(node, axle, self.row, control="bus")
             for axle, node in enumerate(signals.DRIVE_NODES, 1)
         ]
-        self.nodes += [encoder406.build(self.row), io401.build(self.row, self.commands)]
-        for member in (bench, *self.nodes):
-            slots.add(member)
-        slots.start(hub.attach(slots.on_frame, "rig").send, time.monotonic_ns())
+        self.encoder = encoder406.build(self.row)
+        self.brake = io401.build(self.row, self.commands)
+        for member in (bench, *self.drives, self.encoder, self.brake):
+            members.add(member)
+        port = hub.attach(members.on_frame, "rig")
+        members.start(port.send, time.monotonic_ns())
         self.ready.set()
+
         cycle = 0
         while self.running:
             await asyncio.sleep(CYCLE_S)
-            slots.poll(time.monotonic_ns())
+            members.poll(time.monotonic_ns())
             cycle += 1
             if cycle % CYCLES_A_SYNC == 0:
                 bench.sync()
@@ -60,34 +75,35 @@ class RigThread:
 
     def close(self):
         self.running = False
-        self.thread.join(60)
+        self.thread.join(PATIENCE_S)
 
 
 @pytest.fixture
 def rig():
-    found = RigThread()
-    yield found
-    found.close()
-    assert found.errors == []
+    thread = RigThread()
+    yield thread
+    thread.close()
+    assert thread.errors == []
 
 
 @pytest.fixture
 def master(rig):
-    found = canopen.Network()
-    found.connect(
+    network = canopen.Network()
+    network.connect(
         interface="socketcand",
         host="127.0.0.1",
         port=rig.port,
         channel=signals.BUS_CHANNEL,
         tcp_tune=True,
     )
-    yield found
-    found.disconnect()
+    yield network
+    network.disconnect()
 
 
-def eventually(condition, seconds=60.0):
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
+def eventually(condition):
+    """Return whether a condition comes true within the patience."""
+    end_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end_s:
         if condition():
             return True
         time.sleep(0.01)
@@ -101,17 +117,17 @@ def test_a_foreign_master_finds_every_node_of_the_rig(rig, master):
 
 @pytest.mark.conformance("Masters", "canopen BaseNode402 over socketcand moves a set-point")
 def test_a_foreign_master_walks_a_drive_and_moves_its_set_point(rig, master):
-    drive = PatientDrive(1, rig.nodes[0].dictionary)
+    drive = PatientDrive(1, rig.drives[0].dictionary)
     master.add_node(drive)
-    drive.nmt.wait_for_heartbeat(timeout=60)
+    drive.nmt.wait_for_heartbeat(timeout=PATIENCE_S)
     drive.setup_402_state_machine()
     drive.rpdo[1].start(CYCLE_S)
     try:
-        for wanted in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
-            drive.state = wanted
+        for state in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
+            drive.state = state
         drive.op_mode = "PROFILED VELOCITY"
-        drive.sdo[0x60FF].raw = 50_000
-        commands = rig.nodes[0].device.axis.commands
+        drive.sdo[0x60FF].raw = 50_000  # 5 rad/s
+        commands = rig.drives[0].device.axis.commands
         assert eventually(lambda: commands[axis.VELOCITY_rad_s] == pytest.approx(5.0))
         assert commands[axis.ENABLED] == 1.0
     finally:
@@ -120,20 +136,23 @@ def test_a_foreign_master_walks_a_drive_and_moves_its_set_point(rig, master):
 
 @pytest.mark.conformance("Masters", "canopen reads speeds by PDO and drives the valves")
 def test_a_foreign_unit_reads_speeds_by_pdo_and_drives_the_valves(rig, master):
-    unit = canopen.RemoteNode(16, rig.nodes[4].dictionary)
-    brake = canopen.RemoteNode(17, rig.nodes[5].dictionary)
+    unit = canopen.RemoteNode(16, rig.encoder.dictionary)
+    brake = canopen.RemoteNode(17, rig.brake.dictionary)
     for node in (unit, brake):
         master.add_node(node)
-        node.nmt.wait_for_heartbeat(timeout=60)
+        node.nmt.wait_for_heartbeat(timeout=PATIENCE_S)
         node.tpdo.read()
         node.rpdo.read()
-    beat = master.send_periodic(0x720, b"\x05", 0.05)
+    # the WSP unit is alive; without its heartbeat the magnets fall off
+    heartbeat = master.send_periodic(0x720, b"\x05", 0.05)
     rig.row[signals.span("measured_speed")] = [90.0, 91.0, 92.0, 93.0]
-    assert eventually(lambda: unit.tpdo[1].wait_for_reception(1) and unit.tpdo[1][3].raw == 9300)
+    speeds = unit.tpdo[1]
+    assert eventually(lambda: speeds.wait_for_reception(1) and speeds[3].raw == 9300)
+
     brake.rpdo[1][0].raw = 0b11_01_00_11
     brake.rpdo[1].transmit()
     assert eventually(lambda: rig.commands[io401.MAGNETS].tolist() == [3, 0, 1, 3])
-    beat.stop()
+    heartbeat.stop()
     assert eventually(lambda: not rig.commands[io401.MAGNETS].any())
 
 
@@ -146,13 +165,13 @@ def test_a_raw_python_can_client_sees_the_process_data_of_one_sync(rig):
         tcp_tune=True,
     ) as bus:
         seen = []
-        until = time.monotonic() + 60
-        while seen.count(0x80) < 3 and time.monotonic() < until:
+        end_s = time.monotonic() + PATIENCE_S
+        while seen.count(SYNC) < 3 and time.monotonic() < end_s:
             message = bus.recv(1.0)
             if message is not None and message.arbitration_id < 0x700:
                 seen.append(message.arbitration_id)
-    first = seen.index(0x80)
-    second = seen.index(0x80, first + 1)
+    first = seen.index(SYNC)
+    second = seen.index(SYNC, first + 1)
     assert sorted(seen[first + 1 : second]) == [
         0x181,
         0x182,

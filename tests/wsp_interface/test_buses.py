@@ -20,7 +20,7 @@ from rollerrig.wsp_interface.bus.kernel import KernelCan, available
 def other(bench):
     """A second hub in the same event loop, joined to the first one over TCP by the plugin.
 
-    Its nodes sit on a python-can bus with a descriptor, as they would on kernel SocketCAN.
+    Its nodes are on a python-can bus with a descriptor, as on kernel SocketCAN.
     """
     joined = types.SimpleNamespace(lost=[])
     joined.hub = bench.do(
@@ -42,7 +42,8 @@ def data_of(number: int) -> bytes:
 
 @pytest.mark.conformance("Hub", "nodes on a python-can bus")
 def test_nodes_on_a_python_can_bus_talk_to_it_and_to_each_other_in_order(bench, other):
-    here, there = [], []
+    here = []
+    there = []
     node = bench.do(lambda: other.hub.attach(lambda frame: None))
     bench.do(lambda: other.hub.attach(lambda frame: here.append((frame.can_id, frame.data))))
     far = bench.do(lambda: bench.hub.attach(lambda frame: there.append((frame.can_id, frame.data))))
@@ -62,7 +63,7 @@ def test_nodes_on_a_python_can_bus_talk_to_it_and_to_each_other_in_order(bench, 
 
 
 @pytest.mark.parametrize("frame", [Frame(0x12, b"", True), Frame(0x701, b"", remote=True, dlc=1)])
-def test_every_kind_of_frame_crosses_and_gets_the_benchs_time_stamp(bench, other, frame):
+def test_every_kind_of_frame_passes_and_gets_the_time_stamp_of_the_bench(bench, other, frame):
     seen = []
     bench.do(lambda: other.hub.tap(seen.append))
     bench.do(lambda: bench.hub.attach(print).send(frame))
@@ -71,7 +72,7 @@ def test_every_kind_of_frame_crosses_and_gets_the_benchs_time_stamp(bench, other
     assert abs(seen[0].time_ns - time.monotonic_ns()) < 5_000_000_000
 
 
-def test_programs_may_join_a_hub_that_sits_on_a_python_can_bus(bench, other):
+def test_programs_may_join_a_hub_on_a_python_can_bus(bench, other):
     port = bench.do(lambda: other.hub.listen("socketcand", port=0))
     with plugin.RollerrigBus(f"127.0.0.1:{port}/rig0") as client:
         client.send(can.Message(arbitration_id=0x123, is_extended_id=False))
@@ -148,7 +149,7 @@ def test_the_bench_and_a_program_open_the_same_address(bench):
         ("slcan:/dev/nosuchtty", "'slcan:/dev/nosuchtty'"),
     ],
 )
-def test_an_address_that_cannot_be_opened_is_refused_with_those_that_can(bench, address, message):
+def test_an_address_that_cannot_be_opened_is_refused_with_the_allowed_ones(bench, address, message):
     with pytest.raises(BusError, match=message):
         open_client(address, connect_timeout_s=0.1)
     with pytest.raises(BusError, match=message):

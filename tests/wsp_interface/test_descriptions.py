@@ -14,8 +14,8 @@ from rollerrig.wsp_interface.bus.connection_set import NMT, SDO_REPLY, SYNC, TPD
 from rollerrig.wsp_interface.bus.frames import Frame
 
 RATED_Nm = 5000.0
-# attributes of an object that its EDS must keep
-KEPT = (
+# attributes of an object that its EDS must have
+ATTRIBUTES = (
     "name",
     "data_type",
     "access_type",
@@ -50,8 +50,9 @@ def folder(rig, tmp_path):
 
 
 def eds_of(folder, number):
-    (found,) = folder.glob(f"node_{number:03d}_*.eds")
-    return found
+    """Return the EDS file of a node."""
+    (file,) = folder.glob(f"node_{number:03d}_*.eds")
+    return file
 
 
 @pytest.mark.conformance("CiA 301", "EDS: canopen reads the objects that the node has")
@@ -61,7 +62,7 @@ def test_canopen_reads_from_the_eds_the_same_objects_that_the_node_has(rig, fold
     read = canopen.import_od(str(eds_of(folder, number)), number)
     for at, variable in node.objects.variables.items():
         same = read.get_variable(at >> 8, at & 0xFF)
-        for name in KEPT:
+        for name in ATTRIBUTES:
             assert getattr(same, name) == getattr(variable, name), (hex(at), name)
         assert same.factor == pytest.approx(variable.factor, rel=1e-9)
         assert same.default == variable.default, hex(at)

@@ -1,4 +1,4 @@
-"""The pytest plugin as a WSP team uses it: a folder of tests without conftest, in another pytest."""
+"""The pytest plugin as a WSP team uses it: tests without a conftest, in another pytest."""
 
 import os
 import re
@@ -15,7 +15,9 @@ def test_a_wheel_turns_{name}(rollerrig_bench, tmp_path):
     rig = rollerrig_bench(initial_speed_km_h=9.0, adhesion="soap")
     rig.brake(bar=1.0)
     rig.wait(0.3)
-    (tmp_path.parent.parent / "{name}.txt").write_text(rig.bus.channel_info + " in " + str(rollerrig_bench.begun[0][1]))
+    _, folder = rollerrig_bench.begun[0]
+    file = tmp_path.parent.parent / "{name}.txt"
+    file.write_text(rig.bus.channel_info + " in " + str(folder))
     assert "km/h after" in repr(rig)
 """
 BAD = """
@@ -121,16 +123,16 @@ def test_a_failed_test_shows_the_figure_with_its_limit_and_where_run_and_plot_ar
 
 @pytest.mark.parametrize("workers", [(), ("-n", "1")])
 def test_no_bench_outlives_a_session_that_is_killed(workers, session, tmp_path):
-    theirs = session({"test_waits.py": WAITS}, *workers)
-    end = time.monotonic() + 300.0
+    other_pytest = session({"test_waits.py": WAITS}, *workers)
+    end_s = time.monotonic() + 300.0
     while not list((tmp_path / "base").rglob("there")):
-        assert theirs.poll() is None, output_of(tmp_path)
-        assert time.monotonic() < end
+        assert other_pytest.poll() is None, output_of(tmp_path)
+        assert time.monotonic() < end_s
         time.sleep(0.1)
     base = str(tmp_path / "base")
     assert len(processes_with(base)) > 1
-    os.kill(theirs.pid, signal.SIGKILL)
-    theirs.wait()
-    while left := processes_with(base):
-        assert time.monotonic() < end, left
+    os.kill(other_pytest.pid, signal.SIGKILL)
+    other_pytest.wait()
+    while remaining := processes_with(base):
+        assert time.monotonic() < end_s, remaining
         time.sleep(0.1)

@@ -164,7 +164,7 @@ def test_a_full_disk_is_an_error_and_no_pass(stop, tmp_path):
 
 
 def test_a_sequence_on_a_running_bench_reports_the_timing_that_the_bus_shows(tmp_path):
-    log = (tmp_path / "stderr").open("w+")
+    log = tmp_path / "stderr"
     bench = subprocess.Popen(
         [
             sys.executable,
@@ -191,11 +191,11 @@ def test_a_sequence_on_a_running_bench_reports_the_timing_that_the_bus_shows(tmp
         ],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        stderr=log,
+        stderr=log.open("w"),
         text=True,
     )
     try:
-        address = own_bench._address(bench, tmp_path / "stderr")
+        address = own_bench._address(bench, log)
         status = cli.main(
             ["sequence", "low_speed_010", "--bus", address, "--out", str(tmp_path / "report")]
         )

@@ -89,10 +89,12 @@ def test_a_node_that_answers_inside_its_callback_does_not_overtake_the_question(
     assert seen == [0x80, 0x181, 0x80, 0x181]
 
 
-def test_a_failing_node_is_reported_and_harms_nobody_else():
+def test_a_failing_node_is_reported_and_others_still_receive():
     async def run():
-        problems, seen = [], []
-        asyncio.get_running_loop().set_exception_handler(lambda loop, c: problems.append(c))
+        problems = []
+        seen = []
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda loop, context: problems.append(context))
         hub = Hub(time.monotonic_ns)
         hub.attach(lambda frame: 1 / 0)
         hub.attach(seen.append)
@@ -105,15 +107,16 @@ def test_a_failing_node_is_reported_and_harms_nobody_else():
     assert "80h" in problems[0]["message"]
 
 
-def test_a_closed_port_gets_nothing_and_what_it_sends_is_counted_as_dropped():
+def test_a_closed_port_receives_nothing_and_its_frames_count_as_dropped():
     hub = Hub(time.monotonic_ns)
     seen = []
-    a, b = hub.attach(seen.append), hub.attach(lambda frame: None)
-    a.close()
-    b.send(Frame(1, b""))
-    a.send(Frame(2, b""))
+    closed = hub.attach(seen.append)
+    other = hub.attach(lambda frame: None)
+    closed.close()
+    other.send(Frame(1, b""))
+    closed.send(Frame(2, b""))
     assert seen == []
-    assert a.dropped == 1
+    assert closed.dropped == 1
     assert hub.stats()["frames"] == 1
 
 
@@ -128,7 +131,7 @@ def test_a_closed_port_gets_nothing_and_what_it_sends_is_counted_as_dropped():
         Frame(1, b"x", remote=True),
     ],
 )
-def test_what_no_can_controller_could_send_is_refused(frame):
+def test_a_frame_that_no_can_controller_can_send_is_refused(frame):
     port = Hub(time.monotonic_ns).attach(lambda frame: None)
     with pytest.raises(ValueError, match="CAN frame"):
         port.send(frame)
@@ -184,10 +187,14 @@ def test_the_log_is_read_back_by_python_can_frame_by_frame(tmp_path):
     assert path.read_text().startswith("(1234567890.123456) rig0 123#AABB\n")
     with can.CanutilsLogReader(path) as reader:
         read = list(reader)
-    assert [
-        (m.arbitration_id, bytes(m.data), m.is_extended_id, m.is_remote_frame, m.dlc) for m in read
-    ] == [(f.can_id, f.data, f.extended, f.remote, frames.length(f)) for f in sent]
-    assert {m.channel for m in read} == {"rig0"}
+    assert len(read) == len(sent)
+    for message, frame in zip(read, sent, strict=True):
+        assert message.arbitration_id == frame.can_id
+        assert bytes(message.data) == frame.data
+        assert message.is_extended_id == frame.extended
+        assert message.is_remote_frame == frame.remote
+        assert message.dlc == frames.length(frame)
+        assert message.channel == "rig0"
     assert read[1].timestamp == pytest.approx(1e-6)
 
 
@@ -195,12 +202,13 @@ def test_the_log_is_read_back_by_python_can_frame_by_frame(tmp_path):
 
 
 @pytest.mark.conformance(
-    "Hub", "socketcand: python-can's own client; no sender gets its frames back"
+    "Hub", "socketcand: the client of python-can; no sender gets its frames back"
 )
-def test_python_cans_own_client_gets_and_sends_every_frame_in_order_and_not_its_own(bench):
+def test_the_client_of_python_can_gets_every_frame_in_order_but_not_those_that_it_sends(bench):
     seen = []
     node = bench.do(lambda: bench.hub.attach(seen.append))
-    a, b = python_can_client(bench), python_can_client(bench)
+    a = python_can_client(bench)
+    b = python_can_client(bench)
     bench.do(lambda: [node.send(frame) for frame in numbered(500)])
     assert numbers(receive(a, 500)) == numbers(receive(b, 500)) == list(range(500))
     for frame in numbered(300):
@@ -223,7 +231,7 @@ def test_all_clients_and_the_log_see_the_same_time_stamp(bench):
 
 
 @pytest.mark.conformance("Hub", "socketcand: handshake answers in separate segments")
-def test_each_answer_of_the_handshake_comes_alone_and_frames_wait_until_it_is_read(bench):
+def test_each_answer_of_the_handshake_is_a_separate_segment_and_frames_wait_for_it(bench):
     client = bench.connect()
     assert client.recv(256) == b"< hi >"
     node = bench.do(lambda: bench.hub.attach(print))
@@ -237,9 +245,9 @@ def test_each_answer_of_the_handshake_comes_alone_and_frames_wait_until_it_is_re
 
 
 @pytest.mark.conformance(
-    "Hub", "socketcand: commands however they are cut, bytes as SavvyCAN sends them"
+    "Hub", "socketcand: commands in any number of pieces, bytes as SavvyCAN sends them"
 )
-def test_commands_are_understood_however_they_are_cut(bench):
+def test_commands_are_understood_in_any_number_of_pieces(bench):
     client = bench.connect()
     script = (
         b"< open rig0 >< rawmode ><send 1 0><  send\t7fF 2  a B >\r\n"
@@ -269,14 +277,15 @@ def test_identifiers_of_11_and_29_bits_have_three_and_eight_digits(bench):
 
 @pytest.mark.conformance("Hub", "socketcand: remote frames")
 def test_remote_frames_pass_in_both_directions(bench):
-    a, b = bench.raw_mode(), bench.raw_mode()
+    a = bench.raw_mode()
+    b = bench.raw_mode()
     a.sendall(b"< sendrtr 701 1 >")
     assert bench.until(lambda: bench.log)
     assert bench.log[0][:5] == (0x701, b"", False, True, 1)
     assert read_until(b, b">").split()[1:3] == [b"rtr", b"701"]
 
 
-@pytest.mark.conformance("Bad input", "socketcand: what cannot be understood is answered")
+@pytest.mark.conformance("Bad input", "socketcand: an unknown or malformed command is answered")
 @pytest.mark.parametrize(
     ("command", "answer"),
     [
@@ -296,7 +305,7 @@ def test_remote_frames_pass_in_both_directions(bench):
         (b"<" + b"x" * 5000, b"< error command too long >"),
     ],
 )
-def test_what_cannot_be_understood_is_answered_and_the_client_stays(bench, command, answer):
+def test_an_unknown_or_malformed_command_is_answered_and_the_client_stays(bench, command, answer):
     client = bench.raw_mode()
     client.sendall(command)
     assert read_until(client, b">") == answer
@@ -356,12 +365,12 @@ def test_a_client_that_does_not_read_loses_frames_while_another_gets_all(start_h
     slow.sendall(b"< open rig0 >< rawmode >")
     good = python_can_client(bench)
     node = bench.do(lambda: bench.hub.attach(print))
-    got = []
+    received = []
     for start in range(0, 40_000, 200):
         batch = [Frame(0x181, struct.pack("<Q", start + n)) for n in range(200)]
         bench.do(lambda batch=batch: [node.send(frame) for frame in batch])
-        got += numbers(receive(good, 200))
-    assert got == list(range(40_000))
+        received += numbers(receive(good, 200))
+    assert received == list(range(40_000))
     by_client = {client["name"]: client for client in bench.hub.stats()["clients"]}
     slow_stats = by_client["socketcand {}:{}".format(*slow.getsockname())]
     assert slow_stats["dropped"] > 1000
@@ -373,7 +382,7 @@ def test_a_client_that_does_not_read_loses_frames_while_another_gets_all(start_h
 
 
 @pytest.mark.conformance("Bad input", "a client that does not read its answers is bounded")
-def test_a_client_that_asks_without_reading_the_answers_is_bounded(start_hub):
+def test_a_client_that_sends_without_reading_the_answers_is_bounded(start_hub):
     bench = start_hub(buffer_bytes=50_000)
     client = bench.connect()
     client.settimeout(60)
@@ -407,7 +416,8 @@ def test_garbage_never_disturbs_the_bus(bench):
         b"\0\0\0\x0e",
         b"\xff" * 5,
     ]
-    witness, other = python_can_client(bench), python_can_client(bench)
+    witness = python_can_client(bench)
+    other = python_can_client(bench)
     for round_number in range(60):
         client = bench.connect(ports[random_source.choice(sorted(ports))])
         for _ in range(random_source.randrange(1, 5)):
@@ -420,7 +430,7 @@ def test_garbage_never_disturbs_the_bus(bench):
             try:
                 client.sendall(b"".join(pieces))
             except OSError:
-                break  # closed: it did not speak the protocol
+                break  # the hub has closed the connection
         client.close()
         mark = struct.pack("<Q", 0x5A00_0000 + round_number)
         witness.send(can.Message(arbitration_id=0x123, data=mark, is_extended_id=False))
@@ -437,7 +447,8 @@ def test_garbage_never_disturbs_the_bus(bench):
 @pytest.mark.conformance("Bad input", "a client that vanishes disturbs no other")
 def test_a_client_that_vanishes_with_a_reset_disturbs_no_other(bench):
     node = bench.do(lambda: bench.hub.attach(print))
-    client, witness = bench.raw_mode(), bench.raw_mode()
+    client = bench.raw_mode()
+    witness = bench.raw_mode()
     client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.close()
     for number in range(50):
@@ -492,7 +503,8 @@ def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
 
 @pytest.mark.conformance("Hub", "virtualcan, cannelloni, slcan: the bytes of their documents")
 def test_the_bytes_of_the_binary_protocols_are_those_of_their_documents():
-    frame, remote = Frame(0x123, b"\x11\x22"), Frame(0x701, b"", remote=True, dlc=1)
+    frame = Frame(0x123, b"\x11\x22")
+    remote = Frame(0x701, b"", remote=True, dlc=1)
     assert virtualcan.encode_event(frame).hex() == "0000000e0000012300021122" + "00" * 6
     assert virtualcan.encode_event(remote).hex() == "0000000e400007010001" + "00" * 8
     assert cannelloni.encode_event(frame).hex() == "00000123021122"
@@ -570,7 +582,7 @@ def test_a_client_that_begins_with_another_protocol_is_closed_and_reported_once(
 @pytest.mark.conformance(
     "Bad input", "clients of the hub are bounded; refused ones cause one event"
 )
-def test_more_clients_than_there_is_room_for_are_refused_and_reported_once(start_hub):
+def test_clients_beyond_the_limit_are_refused_and_reported_once(start_hub):
     reported = []
     bench = start_hub(on_event=lambda code, **fields: reported.append((code, fields)))
     clients = [bench.raw_mode() for _ in range(CLIENTS_MAX)]
@@ -595,7 +607,7 @@ def test_more_clients_than_there_is_room_for_are_refused_and_reported_once(start
 # --- opening and closing ---
 
 
-def test_a_port_in_use_names_the_port_and_the_remedy(bench):
+def test_the_error_for_a_port_in_use_has_the_port_and_the_remedy(bench):
     message = rf"127.0.0.1:{bench.port}.*ss -ltnp 'sport = :{bench.port}'"
     with pytest.raises(BusError, match=message):
         bench.do(lambda: bench.hub.listen("socketcand", port=bench.port))
@@ -609,7 +621,7 @@ def test_a_port_in_use_names_the_port_and_the_remedy(bench):
         ({"host": "192.0.2.1", "port": 0}, "127.0.0.1"),
     ],
 )
-def test_an_address_that_cannot_be_used_is_refused_with_those_that_can(bench, options, message):
+def test_a_wrong_address_is_refused_with_the_allowed_ones(bench, options, message):
     with pytest.raises(BusError, match=message):
         bench.do(lambda: bench.hub.listen(**options))
 
@@ -631,12 +643,15 @@ def test_a_hub_that_listens_beyond_loopback_reports_an_event(start_hub):
     assert "BEYOND THIS MACHINE" in events.text(code, fields)
 
 
-def test_closing_sends_what_waits_then_ends_every_client_even_one_that_does_not_read(bench):
-    reader, stuck = bench.raw_mode(), bench.raw_mode()
-    left = []
-    node = bench.do(lambda: bench.hub.attach(print, on_close=lambda: left.append(True)))
+def test_closing_sends_waiting_frames_and_then_closes_every_client_even_one_that_does_not_read(
+    bench,
+):
+    reader = bench.raw_mode()
+    stuck = bench.raw_mode()
+    closed = []
+    node = bench.do(lambda: bench.hub.attach(print, on_close=lambda: closed.append(True)))
     bench.do(lambda: [node.send(frame) for frame in numbered(8000)])
-    node_last = bench.log[-1]
+    last = bench.log[-1]
     text = bytearray()
 
     async def close_and_read():
@@ -646,6 +661,6 @@ def test_closing_sends_what_waits_then_ends_every_client_even_one_that_does_not_
 
     bench.do(close_and_read)
     assert text.count(b">") == 8000
-    assert text.endswith(socketcand.encode_event(node_last))
-    assert left == [True]
+    assert text.endswith(socketcand.encode_event(last))
+    assert closed == [True]
     stuck.close()

@@ -10,10 +10,11 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
-from rollerrig.wsp_interface.sequences import conditions, sequence
+from rollerrig.wsp_interface.sequences import conditions, sequence, verdict
 
 
 def read(folder: Path, text: str) -> sequence.Sequence:
+    """Write a sequence into a file and load it."""
     path = folder / "one.toml"
     path.write_text(text, encoding="utf-8")
     return sequence.load(path, catalogue.parse)
@@ -82,7 +83,7 @@ MEASURE = '\n[[measure]]\nmeasure = "longest_lock"\nunit = "s"\nmax = 0.4\nsourc
         ("max = 0.4\n", "", "min, a max or both"),
     ],
 )
-def test_a_limit_that_nothing_can_meet_or_nobody_knows_is_refused(tmp_path, old, new, expected):
+def test_a_limit_that_is_impossible_or_unknown_is_refused(tmp_path, old, new, expected):
     assert read(tmp_path, GOOD + MEASURE)
     with pytest.raises(ConfigError, match=r"one\.toml, line (1[5-9]|2)") as refusal:
         read(tmp_path, GOOD + MEASURE.replace(old, new))
@@ -123,8 +124,6 @@ def test_the_library_has_every_fault_of_the_catalogue():
 
 @pytest.mark.parametrize("name", store.names("criteria"))
 def test_every_number_of_a_profile_has_a_source(name):
-    from rollerrig.wsp_interface.sequences import verdict
-
     profile = verdict.load(name)
     assert profile.limits
     assert all(limit.source for limit in profile.limits)

@@ -1,4 +1,4 @@
-"""A unit with its own plain CAN messages reaches the rig through a DBC and a mapping."""
+"""A unit with plain CAN messages of any layout reaches the rig through a DBC and a mapping."""
 
 import threading
 

@@ -13,6 +13,7 @@ from rollerrig.wsp_interface.sequences.verdict import Limit, Profile, Result
 
 
 def of(name, record=None):
+    """Return the value of a measure."""
     return BY_NAME[name].of(record or stop.record())
 
 
@@ -21,6 +22,7 @@ def limit(name, low=-math.inf, high=math.inf):
 
 
 def judged(limit, record=None):
+    """Return the verdict on a limit."""
     (only,) = verdict.judge(Profile("t", "t", (limit,)), record or stop.record())
     return only
 
@@ -32,7 +34,8 @@ def test_the_stop_counts_from_the_first_brake_demand():
 
 def test_the_reference_stop_is_response_time_and_equivalent_deceleration():
     record = stop.record()
-    brake, vehicle = record.scenario["brake"], record.scenario["vehicle"]
+    brake = record.scenario["brake"]
+    vehicle = record.scenario["vehicle"]
     torque_Nm = (3.8e5 - brake["spring_pressure_Pa"]) * 0.0324 * 2.1 * 0.95 * 2 * 0.35 * 0.247 * 2
     force_N = 4 * torque_Nm / vehicle["wheel_radius_m"]
     drag_N = 600.0 + 0.9375 * stop.SPEED_M_S**2 / 2
@@ -130,7 +133,7 @@ def test_a_unit_that_sends_no_reference_speed_is_not_judged_by_it():
     assert "sends no reference speed" in absent.text
 
 
-def test_the_worst_decides_and_nothing_is_no_pass():
+def test_the_worst_verdict_decides_and_no_verdict_is_an_error():
     assert verdict.worst([Result.PASS, Result.FAIL]) is Result.FAIL
     assert verdict.worst([Result.ERROR, Result.FAIL]) is Result.ERROR
     assert verdict.worst([Result.PASS, Result.ABSENT]) is Result.PASS

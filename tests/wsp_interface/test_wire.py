@@ -12,11 +12,14 @@ from rollerrig.wsp_interface.bus.wire import QUEUE_FRAMES, Wire, arbitration_fie
 
 BITRATE = 500_000
 BIT_NS = 2000
-EIGHT = bytes(8)
+EIGHT = bytes(8)  # data of a long frame: 111 bits, 222 us
 
 
 class Site:
-    """A hub with a clock that the test sets. `carried` holds its frames: (end in us, identifier)."""
+    """A hub with a clock that the test sets.
+
+    `carried` holds its frames: (end in us, identifier).
+    """
 
     def __init__(self, bitrate=BITRATE):
         self.now_ns = 0
@@ -37,13 +40,14 @@ class Site:
 
 @pytest.fixture
 def site():
-    made = Site()
-    made.hub.arbitrate(timed=False)
-    return made
+    """A site whose frames take time and wait for one another."""
+    new = Site()
+    new.hub.arbitrate(timed=False)
+    return new
 
 
 @pytest.mark.conformance("CAN", "arbitration: the lowest identifier of several senders first")
-def test_of_frames_that_are_ready_together_the_lowest_identifier_goes_first_whoever_sends_it(site):
+def test_of_frames_that_are_ready_together_the_lowest_identifier_is_first_from_any_sender(site):
     for port, can_id in ((site.a, 0x300), (site.b, 0x081), (site.a, 0x181), (site.b, 0x7FF)):
         port.send(Frame(can_id, b""))
     assert [can_id for _, can_id in site.until(10_000)] == [0x081, 0x181, 0x300, 0x7FF]
@@ -63,7 +67,7 @@ def test_a_frame_that_has_begun_is_not_interrupted_by_a_more_important_one(site)
     ("size", "extended", "bits"),
     [(0, False, 47), (1, False, 55), (8, False, 111), (0, True, 67), (8, True, 131)],
 )
-def test_a_frame_comes_its_bits_time_after_it_was_sent(site, size, extended, bits):
+def test_a_frame_arrives_after_the_time_of_its_bits(site, size, extended, bits):
     site.now_ns = 5_000_000
     site.a.send(Frame(0x100, bytes(size), extended))
     end_us = 5000 + bits * BIT_NS / 1000
@@ -78,7 +82,7 @@ def test_on_an_ideal_bus_nothing_waits():
     assert [can_id for _, can_id in site.carried] == [0x700, 0x001]
 
 
-def test_a_node_hears_a_frame_when_its_last_bit_is_through_and_its_answer_waits_from_then(site):
+def test_a_node_hears_a_frame_after_its_last_bit_and_its_answer_waits_from_then(site):
     heard = []
     site.hub.attach(lambda frame: heard.append((frame.can_id, frame.time_ns)))
     answering = site.hub.attach(
@@ -87,7 +91,7 @@ def test_a_node_hears_a_frame_when_its_last_bit_is_through_and_its_answer_waits_
     site.a.send(Frame(0x80, b""))
     site.b.send(Frame(0x400, EIGHT))
     site.until(1000)
-    # SYNC ends at 94 us, its answer begins there and goes before what had waited longer
+    # SYNC ends at 94 us. Its answer begins there, before the frame that has waited longer.
     assert heard == [(0x80, 94_000), (0x300, 188_000), (0x400, 410_000)]
 
 
@@ -137,7 +141,7 @@ def test_more_than_the_wire_can_carry_is_an_overload_and_its_load_is_100_percent
 
 
 @pytest.mark.conformance("CAN", "bounded transmit queues with counted drops")
-def test_a_sender_whose_queue_is_full_loses_frames_counted_and_others_lose_none(site):
+def test_a_sender_with_a_full_queue_loses_frames_which_are_counted_and_others_lose_none(site):
     for number in range(QUEUE_FRAMES + 50):
         site.a.send(Frame(0x001, number.to_bytes(8, "little")))
     site.b.send(Frame(0x7FF, b""))
@@ -201,7 +205,7 @@ def test_an_error_frame_takes_the_wires_time(site):
     assert site.until(444) == [(444, 0x181)]
 
 
-def test_services_bypass_the_wire_while_simulated_time_stands_still(site):
+def test_services_bypass_the_wire_while_simulated_time_does_not_advance(site):
     site.hub.services_bypass_wire = True
     site.a.send(Frame(0x211, b"\0"))
     site.a.send(Frame(0x601, EIGHT))
@@ -211,12 +215,18 @@ def test_services_bypass_the_wire_while_simulated_time_stands_still(site):
     assert site.until(10_000) == [(0, 0x601), (110, 0x211), (332, 0x601)]
 
 
-def test_by_the_clock_no_frame_comes_before_its_time_and_all_come():
+def test_in_real_time_no_frame_arrives_early_and_all_arrive():
     async def run():
         loop = asyncio.get_running_loop()
-        hub, late_ns = Hub(lambda: round(1e9 * loop.time()), BITRATE), []
-        a, b = hub.attach(lambda frame: None), hub.attach(lambda frame: None)
-        hub.tap(lambda frame: late_ns.append(round(1e9 * loop.time()) - frame.time_ns))
+
+        def clock_ns():
+            return round(1e9 * loop.time())
+
+        hub = Hub(clock_ns, BITRATE)
+        a = hub.attach(lambda frame: None)
+        b = hub.attach(lambda frame: None)
+        late_ns = []
+        hub.tap(lambda frame: late_ns.append(clock_ns() - frame.time_ns))
         hub.arbitrate(timed=True)
         for _ in range(100):
             for port, can_id in ((a, 0x300), (b, 0x200), (a, 0x100)):
