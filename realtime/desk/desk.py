@@ -208,19 +208,19 @@ class Desk:
 
         Raises ConfigError.
         """
-        file = viewer.recording(run)
+        file = viewer.recording_file(run)
         if self._viewer:
-            viewer.end(self._viewer)
+            viewer.terminate(self._viewer)
         port = viewer.free_port()
         web_port = viewer.free_port()
         self._viewer = viewer.spawn(
             "--serve-web", "--port", str(port), "--web-viewer-port", str(web_port), str(file)
         )
-        return viewer.page(web_port, port)
+        return viewer.page_address(web_port, port)
 
     def close(self) -> None:
         """Leave the bench and close the viewer. Benches and programs continue."""
         if self.doors:
             self.doors.close()
         if self._viewer:
-            viewer.end(self._viewer)
+            viewer.terminate(self._viewer)

@@ -130,9 +130,9 @@ def build() -> None:
         "columns": reader.COLUMNS,
         "plots": plots,
         "span_s": reader.SPAN_S,
-        "axles": [colours.on_page(colour) for colour in colours.AXLES],
+        "axles": [colours.as_hex(colour) for colour in colours.AXLES],
         "radius_m": _RADIUS_M,
-        "valves": [colours.on_page(colour) for _, colour in colours.VALVE_STATES],
+        "valves": [colours.as_hex(colour) for _, colour in colours.VALVE_STATES],
         "locked_m_s": LOCKED_M_S,
         "moving_m_s": MOVING_M_S,
     }
@@ -160,7 +160,7 @@ def _choices() -> None:
 def _valves() -> None:
     """The lanes of the dump valves, which `desk.js` draws, under the names of their states."""
     names = ", ".join(
-        f'<b style="color:{colours.on_page(colour)}">{name}</b>'
+        f'<b style="color:{colours.as_hex(colour)}">{name}</b>'
         for name, colour in colours.VALVE_STATES
     )
     ui.html(
@@ -190,7 +190,7 @@ def _plot(plot: _Plot) -> dict[str, Any]:
                     "data": [],
                     "silent": True,
                     "lineStyle": {"width": _WIDTHS.get(name, _USUAL_WIDTH)},
-                    "color": colours.on_page(colour),
+                    "color": colours.as_hex(colour),
                 }
             )
     chart = ui.echart(

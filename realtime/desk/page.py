@@ -32,10 +32,10 @@ def build(desk: Desk) -> None:
     for kind in (ui.select, ui.number, ui.input):
         kind.default_props("dense options-dense")
     ui.colors(
-        primary=colours.on_page(colours.BLUE),
-        positive=colours.on_page(colours.GREEN),
-        negative=colours.on_page(colours.VERMILION),
-        warning=colours.on_page(colours.ORANGE),
+        primary=colours.as_hex(colours.BLUE),
+        positive=colours.as_hex(colours.GREEN),
+        negative=colours.as_hex(colours.VERMILION),
+        warning=colours.as_hex(colours.ORANGE),
     )
     _head(desk)
     _state_line(desk)
@@ -147,7 +147,7 @@ def _state_line(desk: Desk) -> None:
     def follow() -> None:
         state = lights.line(desk.bench, desk.doors, desk.folder)
         for (head, reason), light in zip(places, state, strict=True):
-            colour = colours.on_page(_LIGHTS[light.colour])
+            colour = colours.as_hex(_LIGHTS[light.colour])
             dot = (
                 f'<span class="desk-dot" style="background:{colour}" title="{light.colour}"></span>'
             )
@@ -186,8 +186,8 @@ def _alarms(desk: Desk) -> None:
 
 def _alarm(desk: Desk, alarm: Alarm) -> None:
     """One alarm, with a button that acknowledges it."""
-    colour = colours.on_page(colours.VERMILION if alarm.level == "error" else colours.YELLOW)
-    border = colours.on_page(colours.GREY) if alarm.acknowledged else colour
+    colour = colours.as_hex(colours.VERMILION if alarm.level == "error" else colours.YELLOW)
+    border = colours.as_hex(colours.GREY) if alarm.acknowledged else colour
     row = ui.row().classes("w-full no-wrap items-start gap-1")
     row.style(f"border-left: 4px solid {border}; padding-left: 8px").mark("alarm")
     with row:

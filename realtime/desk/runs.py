@@ -204,7 +204,7 @@ def _speeds(names: list[str], curves: list[Any]) -> None:
                 "name": name,
                 "showSymbol": False,
                 "data": curve,
-                "color": colours.on_page(shade),
+                "color": colours.as_hex(shade),
             }
         )
     chart = ui.echart(

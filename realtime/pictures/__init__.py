@@ -1,1 +1,1 @@
-"""Colours and panels that pages and Rerun share."""
+"""Colours and panels that reports and Rerun share."""

@@ -1,22 +1,48 @@
 """The colours of every view, picture and report, as red, green and blue from 0 to 255.
 
-They are Okabe and Ito's, safe for the colour-blind. One colour means one axle, or one model,
-wherever it is drawn: in Rerun and on pages, both of which are light or dark.
+Source: the palette of Okabe and Ito, which colour-blind people can distinguish. One colour means
+one axle, or one model, in Rerun and on pages. Both have a light and a dark background.
 """
 
 Colour = tuple[int, int, int]
 
-ORANGE, SKY_BLUE, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
-BLUE, VERMILION, PURPLE, GREY = (0, 114, 178), (213, 94, 0), (204, 121, 167), (140, 140, 140)
-# what is measured, and the vehicle, seen on white and on black; in a report the colour of its text
-STEEL, OLIVE, BROWN = (145, 145, 150), (175, 170, 0), (150, 110, 85)
+# the palette
+ORANGE = (230, 159, 0)
+SKY_BLUE = (86, 180, 233)
+GREEN = (0, 158, 115)
+YELLOW = (240, 228, 66)
+BLUE = (0, 114, 178)
+VERMILION = (213, 94, 0)
+PURPLE = (204, 121, 167)
 
+# additions to the palette that are visible on white and on black
+GREY = (140, 140, 140)
+STEEL = (145, 145, 150)
+OLIVE = (175, 170, 0)
+BROWN = (150, 110, 85)
+
+# axles 1 to 4
 AXLES = (SKY_BLUE, ORANGE, GREEN, PURPLE)
-VEHICLE, REFERENCE, LIMIT = STEEL, OLIVE, BROWN
-VALVE_STATES = (("fill", (120, 130, 140)), ("hold", YELLOW), ("vent", VERMILION))
-MEASURED, BASE, EXTENDED = STEEL, VERMILION, BLUE
+
+VEHICLE = STEEL
+# what a signal is compared with: the reference speed of the WSP unit, the brake demand
+REFERENCE = OLIVE
+# the limits of adhesion
+LIMIT = BROWN
+
+# name and colour of each state of a dump valve; a state is its place in this table
+VALVE_STATES = (
+    ("fill", (120, 130, 140)),
+    ("hold", YELLOW),
+    ("vent", VERMILION),
+)
+
+# measured values, and the two models of an explanation; a report draws MEASURED in its text colour
+MEASURED = STEEL
+BASE = VERMILION
+EXTENDED = BLUE
 
 
-def on_page(colour: Colour) -> str:
-    """A colour as HTML and matplotlib write it, as in #0072b2."""
+def as_hex(colour: Colour) -> str:
+    """Return a colour in the notation of HTML and matplotlib, for example #0072b2."""
     return f"#{bytes(colour).hex()}"

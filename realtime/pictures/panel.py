@@ -1,4 +1,7 @@
-"""A picture as data, so that a page and Rerun draw the same: series of points with bars, or lines, over one axis."""
+"""Panels: pictures as data, so that a report and Rerun draw the same picture.
+
+A panel holds series over one horizontal axis. A series is a line, or points with error bars.
+"""
 
 from typing import NamedTuple
 
@@ -8,19 +11,20 @@ from rollerrig.realtime.pictures.colours import Colour
 
 
 class Series(NamedTuple):
-    """Values over an axis, shape (n,); `bar`: half length of their error bars, None where they are a line."""
+    """Values `y` over `x`, each of shape (n,): points with error bars, or a line."""
 
     label: str
     colour: Colour
-    at: np.ndarray
-    mean: np.ndarray
-    bar: np.ndarray | None
+    x: np.ndarray
+    y: np.ndarray
+    error: np.ndarray | None
+    """Half the length of the error bars, shape (n,); None for a line."""
 
 
 class Panel(NamedTuple):
-    """Series with what stands along both axes."""
+    """A title, the labels of both axes, and the series."""
 
     title: str
-    along: str
-    upwards: str
+    x_label: str
+    y_label: str
     series: tuple[Series, ...]

@@ -59,9 +59,9 @@ _ALWAYS_OF_INTEREST = ("sliding_m_s", "speed_m_s", "time_s")
 class Binned(NamedTuple):
     """Means in bins of a covariate, shape (bins,) each."""
 
-    at: np.ndarray  # mean of the covariate
+    x: np.ndarray  # mean of the covariate
     mean: np.ndarray
-    bar: np.ndarray  # two standard errors, NaN where there is one block only
+    error: np.ndarray  # two standard errors, NaN where there is one block only
 
 
 # --- panels ---
@@ -71,9 +71,9 @@ def binned(x: np.ndarray, y: np.ndarray, block: np.ndarray, edges: np.ndarray) -
     """Return means of y in bins of x; samples with the same number in `block` belong together."""
     bins = len(edges) - 1
     bin_of = np.clip(np.digitize(x, edges) - 1, 0, bins - 1)
-    at = []
-    mean = []
-    bar = []
+    mean_x = []
+    mean_y = []
+    error = []
     for k in range(bins):
         inside = bin_of == k
         if inside.sum() < LEAST_OF_BIN:
@@ -83,10 +83,10 @@ def binned(x: np.ndarray, y: np.ndarray, block: np.ndarray, edges: np.ndarray) -
         standard_error = np.nan
         if block_means.size > 1:
             standard_error = block_means.std(ddof=1) / np.sqrt(block_means.size)
-        at.append(x[inside].mean())
-        mean.append(y[inside].mean())
-        bar.append(BAR_DEVIATIONS * standard_error)
-    return Binned(np.array(at), np.array(mean), np.array(bar))
+        mean_x.append(x[inside].mean())
+        mean_y.append(y[inside].mean())
+        error.append(BAR_DEVIATIONS * standard_error)
+    return Binned(np.array(mean_x), np.array(mean_y), np.array(error))
 
 
 def where(diagnosis: Diagnosis, against: list[str]) -> list[Panel]:
@@ -109,13 +109,13 @@ def where(diagnosis: Diagnosis, against: list[str]) -> list[Panel]:
         if diagnosis.causes:
             of_all = binned(x, left_by_extended, block, edges)
             series.append(
-                Series("extended, all axles", colours.EXTENDED, of_all.at, of_all.mean, None)
+                Series("extended, all axles", colours.EXTENDED, of_all.x, of_all.mean, None)
             )
         panels.append(
             Panel(
                 title=_TITLES[name].partition(",")[0],
-                along=_TITLES[name],
-                upwards="measured less base model, adhesion",
+                x_label=_TITLES[name],
+                y_label="measured less base model, adhesion",
                 series=tuple(series),
             )
         )
@@ -160,11 +160,11 @@ def cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> Panel:
 
     return Panel(
         title=mechanism.text + (f", axle {axle}" if axle else ""),
-        along=_TITLES[name],
-        upwards="error of the speed 5 s ahead, m/s" if is_of_vehicle else "adhesion",
+        x_label=_TITLES[name],
+        y_label="error of the speed 5 s ahead, m/s" if is_of_vehicle else "adhesion",
         series=(
             Series("left without it, ± 2 standard errors", colours.MEASURED, *points),
-            Series("the fitted law", colours.EXTENDED, law.at, law.mean, None),
+            Series("the fitted law", colours.EXTENDED, law.x, law.mean, None),
         ),
     )
 
@@ -209,8 +209,8 @@ def draw(figure: Figure, panels: list[Panel]) -> None:
         for series in panel.series:
             _draw_series(axes, series)
         axes.axhline(0.0, color=GREY)
-        axes.set_xlabel(panel.along)
-    all_axes[0].set_ylabel(panels[0].upwards)
+        axes.set_xlabel(panel.x_label)
+    all_axes[0].set_ylabel(panels[0].y_label)
     if len(panels) == 1:
         all_axes[0].set_title(panels[0].title, fontsize="medium")
     all_axes[-1].legend()
@@ -218,16 +218,16 @@ def draw(figure: Figure, panels: list[Panel]) -> None:
 
 def _draw_series(axes: Axes, series: Series) -> None:
     """Draw points with bars, or a line."""
-    colour = colours.on_page(series.colour)
+    colour = colours.as_hex(series.colour)
     if series.colour == colours.MEASURED:
         colour = INK
-    if series.bar is None:
-        axes.plot(series.at, series.mean, color=colour, lw=2.0, label=series.label)
+    if series.error is None:
+        axes.plot(series.x, series.y, color=colour, lw=2.0, label=series.label)
         return
     axes.errorbar(
-        series.at,
-        series.mean,
-        series.bar,
+        series.x,
+        series.y,
+        series.error,
         color=colour,
         marker="o",
         ms=3,

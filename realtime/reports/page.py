@@ -29,16 +29,16 @@ PNG = "data:image/png;base64,"
 _PIXELS = ContextVar("pixels", default=False)
 _PIXELS_PER_INCH = 150
 
-AXLES = tuple(colours.on_page(colour) for colour in colours.AXLES)
-GREY = colours.on_page(colours.GREY)
-VERMILION = colours.on_page(colours.VERMILION)
+AXLES = tuple(colours.as_hex(colour) for colour in colours.AXLES)
+GREY = colours.as_hex(colours.GREY)
+VERMILION = colours.as_hex(colours.VERMILION)
 MEASURED = INK
-BASE = colours.on_page(colours.BASE)
-EXTENDED = colours.on_page(colours.EXTENDED)
+BASE = colours.as_hex(colours.BASE)
+EXTENDED = colours.as_hex(colours.EXTENDED)
 
 # several runs, in their order
 RUNS = tuple(
-    colours.on_page(colour)
+    colours.as_hex(colour)
     for colour in (
         colours.BLUE,
         colours.ORANGE,
@@ -68,7 +68,7 @@ small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
 tr.marked td{background:#d55e0033}tr.void td{opacity:.6}td{overflow-wrap:anywhere}th.number{white-space:normal}
 @media (prefers-color-scheme:dark){svg{filter:brightness(1.3)}}
 @media print{details{display:none}}
-""" + "".join(f".{kind}{{color:{colours.on_page(colour)}}}" for kind, colour in _COLOURED_WORDS)
+""" + "".join(f".{kind}{{color:{colours.as_hex(colour)}}}" for kind, colour in _COLOURED_WORDS)
 
 # text of a cell in a column of numbers
 _NUMBER = re.compile(r"[-+]?\d|-?$|never|nan")

@@ -160,7 +160,7 @@ def _draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]
 
     lines, _ = speed.get_legend_handles_labels()
     states = [
-        Patch(color=colours.on_page(shade), label=name) for name, shade in colours.VALVE_STATES[1:]
+        Patch(color=colours.as_hex(shade), label=name) for name, shade in colours.VALVE_STATES[1:]
     ]
     figure.legend(handles=[*lines, *states], loc="outside upper center", ncols=8)
 
@@ -175,7 +175,7 @@ def _draw_valve(plot: Axes, time_s: np.ndarray, valve: np.ndarray, axle: int) ->
             axle + 0.4,
             valve == state,
             step="post",
-            color=colours.on_page(shade),
+            color=colours.as_hex(shade),
             linewidth=0.5,
         )
 

@@ -151,7 +151,7 @@ def watch(given: argparse.Namespace, rows: Ring) -> None:
                 starts, begun_s = starts + 1, time.monotonic()
             beat_s = int(rows.header[ring.READER_BEAT_NS]) / 1e9
             over = rows.closed or not rows.writer_alive
-            if worker.poll() is None and not alive(beat_s, begun_s, time.monotonic()):
+            if worker.poll() is None and not is_alive(beat_s, begun_s, time.monotonic()):
                 worker.kill()
                 worker.wait()
             if worker.poll() is not None:
@@ -170,10 +170,10 @@ def watch(given: argparse.Namespace, rows: Ring) -> None:
         if worker and worker.poll() is None:
             worker.kill()
         if shown and not viewer.has_display():  # a browser that has the page keeps it
-            viewer.end(shown)
+            viewer.terminate(shown)
 
 
-def alive(beat_s: float, begun_s: float, now_s: float) -> bool:
+def is_alive(beat_s: float, begun_s: float, now_s: float) -> bool:
     """Whether a worker's heart beats: the last beat is fresh, or it has only just been started."""
     return now_s - beat_s < _STALE_S if beat_s else now_s - begun_s < _START_S
 
@@ -189,7 +189,7 @@ def show(port: int) -> subprocess.Popen:
     served = viewer.serve_page(web, address)
     tunnel = " ".join(f"-L {one}:{viewer.LOOPBACK}:{one}" for one in (web, port))
     print(
-        f"live view: {viewer.page(web, port)}\n"
+        f"live view: {viewer.page_address(web, port)}\n"
         f"  seen from another machine after: ssh {tunnel} {socket.gethostname()}",
         file=sys.stderr,
         flush=True,

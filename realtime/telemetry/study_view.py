@@ -211,22 +211,22 @@ class _PanelWriter:
     def series(self, k: int, series: Series, frame: _Frame) -> None:
         """Write a series: a line, or points with error bars."""
         self.words(f"names/{k}", [[0.8, -0.32 + 0.06 * k]], [series.label], series.colour)
-        points = frame.placed(series.at, series.mean)
-        if series.bar is None:
+        points = frame.placed(series.x, series.y)
+        if series.error is None:
             self.lines(f"series/{k}", [points], series.colour, 0.005)
             return
         self.points(f"series/{k}", points, series.colour)
-        bar = np.nan_to_num(series.bar)
-        lower = frame.placed(series.at, series.mean - bar)
-        upper = frame.placed(series.at, series.mean + bar)
+        error = np.nan_to_num(series.error)
+        lower = frame.placed(series.x, series.y - error)
+        upper = frame.placed(series.x, series.y + error)
         self.lines(f"bars/{k}", list(np.stack((lower, upper), axis=1)), series.colour, 0.002)
 
 
 def _log_panel(recording: rr.RecordingStream, entity: str, panel: Panel) -> rrb.Spatial2DView:
     """Write a panel in a frame 1.6 wide and 1 high, with the values at the ends of its axes."""
-    at = np.concatenate([series.at for series in panel.series])
-    mean = np.concatenate([series.mean for series in panel.series])
-    frame = _Frame(at.min(), at.max(), min(mean.min(), 0.0), max(mean.max(), 0.0))
+    x = np.concatenate([series.x for series in panel.series])
+    y = np.concatenate([series.y for series in panel.series])
+    frame = _Frame(x.min(), x.max(), min(y.min(), 0.0), max(y.max(), 0.0))
 
     writer = _PanelWriter(recording, entity)
     for k, series in enumerate(panel.series):
@@ -239,10 +239,10 @@ def _log_panel(recording: rr.RecordingStream, entity: str, panel: Panel) -> rrb.
         [
             f"{frame.left:.3g}",
             f"{frame.right:.3g}",
-            panel.along,
+            panel.x_label,
             f"{frame.low:.2g}",
             f"{frame.high:.2g}",
-            panel.upwards,
+            panel.y_label,
         ],
         GREY,
     )

@@ -98,7 +98,7 @@ def serve_command(target: str, web_port: int = WEB_PORT) -> str:
     return f"rerun --serve-web --bind {LOOPBACK} --web-viewer-port {web_port} {shlex.quote(target)}"
 
 
-def page(web_port: int, port: int) -> str:
+def page_address(web_port: int, port: int) -> str:
     """The address of the viewer's page that shows what a server on another port has."""
     return f"http://{LOOPBACK}:{web_port}/?url=rerun%2Bhttp://{LOOPBACK}:{port}/proxy"
 
@@ -132,7 +132,7 @@ def serve_page(web_port: int, address: str) -> subprocess.Popen:
     )
 
 
-def end(process: subprocess.Popen) -> None:
+def terminate(process: subprocess.Popen) -> None:
     """End a viewer that `spawn` has started: it is a child of the process that we know."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGTERM)
@@ -160,7 +160,7 @@ def free_port(wanted: int = 0) -> int:
     raise RollerrigError(f"no free TCP port on {LOOPBACK}")
 
 
-def recording(path: Path | str) -> Path:
+def recording_file(path: Path | str) -> Path:
     """The .rrd of a run's folder, or the .rrd itself. Raises ConfigError if there is none."""
     path = Path(path)
     if path.suffix == ".rrd" and path.is_file():
@@ -211,7 +211,7 @@ def _names(folders: Sequence[Path]) -> list[str]:
 def open_run(paths: Sequence[Path | str]) -> dict[str, Any]:
     """Open runs in the viewer: `file` shown, `opened` a window, `command` for a browser. Raises ConfigError."""
     if len(paths) == 1:
-        file = recording(paths[0])
+        file = recording_file(paths[0])
     else:
         handle, name = tempfile.mkstemp(prefix="rollerrig-overlay-", suffix=".rrd")
         os.close(handle)

@@ -201,4 +201,4 @@ def test_few_rows_are_not_thinned():
 def test_a_heart_that_has_stopped_is_told_from_one_that_has_yet_to_beat(
     beat_s, begun_s, now_s, expected
 ):
-    assert live.alive(beat_s, begun_s, now_s) is expected
+    assert live.is_alive(beat_s, begun_s, now_s) is expected

@@ -31,7 +31,7 @@ def test_a_picture_has_its_text_as_text_in_the_colour_of_the_page():
     assert "time, s" in text
     assert page.INK not in text
     assert "currentColor" in text
-    assert colours.on_page(colours.AXLES[2]) in text
+    assert colours.as_hex(colours.AXLES[2]) in text
 
 
 def test_the_same_data_give_the_same_picture():
