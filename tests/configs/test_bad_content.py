@@ -1,9 +1,12 @@
-"""Whatever stands in a file, a loader gives a result or a ConfigError, never another exception."""
+"""For any content of a file, a loader returns a result or raises ConfigError."""
 
 import contextlib
 import copy
 import datetime
 import string
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 import tomli_w
@@ -19,6 +22,7 @@ from rollerrig.realtime.campaign import campaign
 from rollerrig.rig.identify.data import dataset
 from rollerrig.wsp_interface.sequences import sequence, verdict
 
+# values that may replace a value of a file
 NUMBERS = st.sampled_from(
     [0, 1, -1, 5, 1.5, -0.0, 1e308, -1e308, float("nan"), float("inf"), 2**63 - 1]
 )
@@ -45,6 +49,8 @@ TEXTS = st.one_of(
     st.text(string.printable + "\u20ac\u00e9", max_size=12),
 )
 LEAVES = st.one_of(NUMBERS, TEXTS, st.booleans(), st.just(datetime.date(2026, 1, 1)))
+PACKAGED_DATASET = store.ROOT / "datasets" / "open_none"
+
 ANYTHING = st.recursive(
     LEAVES,
     lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(TEXTS, inner, max_size=3)),
@@ -53,22 +59,21 @@ ANYTHING = st.recursive(
 
 
 def places(content, at=()):
-    """Paths of all tables, lists and values of a file."""
-    inner = (
-        content.items()
-        if isinstance(content, dict)
-        else enumerate(content)
-        if isinstance(content, list)
-        else ()
-    )
+    """Yield the path of each table, list and value of a file: a tuple of keys and positions."""
     yield at
+    inner = ()
+    if isinstance(content, dict):
+        inner = content.items()
+    elif isinstance(content, list):
+        inner = enumerate(content)
     for key, value in inner:
         yield from places(value, (*at, key))
 
 
 def put(content, at, value):
-    """The content with another value at one path."""
+    """Return the content with another value at one path."""
     if not at:
+        # a file is always a table
         return value if isinstance(value, dict) else {"x": value}
     content = copy.deepcopy(content)
     target = content
@@ -103,59 +108,70 @@ def load_wsp(path):
 
 
 def load_dataset(path):
-    # a dataset is a folder; the packaged one lends the first seconds of its data files
+    # a dataset is a folder: its data are the first seconds of the packaged data files
     folder = path.parent
-    if not (folder / "runs").exists():
-        (folder / "runs").mkdir()
-        for file in (store.ROOT / "datasets" / "open_none" / "runs").iterdir():
-            (folder / "runs" / file.name).write_text(
-                "".join(file.read_text().splitlines(keepends=True)[:301])
-            )
+    runs = folder / "runs"
+    if not runs.exists():
+        runs.mkdir()
+        for file in (PACKAGED_DATASET / "runs").iterdir():
+            lines = file.read_text().splitlines(keepends=True)
+            (runs / file.name).write_text("".join(lines[:301]))
     (folder / "dataset.toml").write_bytes(path.read_bytes())
     return dataset.load(folder)
 
 
-EXTENDED = {
+def packaged(folder, name):
+    """Return the content of a packaged file."""
+    content, _ = store.load(folder, name)
+    return content
+
+
+class FileKind(NamedTuple):
+    """A kind of file: its loader, which takes a path, and a content that is right.
+
+    `folder`: the folder of the packaged files whose keys are tried.
+    """
+
+    load: Callable[[Path], Any]
+    content: dict[str, Any]
+    folder: str
+
+
+EXTENDED_MODEL = {
     "adhesion": {"tau_m_J": 1e-4},
     "mechanisms": {"brake_gain_gain": 0.01, "brake_gain_axle": 2.0},
 }
-LOADERS = {
-    "scenarios": (load_scenario, lambda: store.load("scenarios", "step_adhesion")[0]),
-    "sequences": (load_sequence, lambda: store.load("sequences", "patches_one_side")[0]),
-    "sequences with a fault": (
-        load_sequence,
-        lambda: store.load("sequences", "fault_swapped_axles")[0],
+KINDS = {
+    "scenarios": FileKind(load_scenario, packaged("scenarios", "step_adhesion"), "scenarios"),
+    "sequences": FileKind(load_sequence, packaged("sequences", "patches_one_side"), "sequences"),
+    "sequences with a fault": FileKind(
+        load_sequence, packaged("sequences", "fault_swapped_axles"), "sequences"
     ),
-    "criteria": (load_criteria, lambda: store.load("criteria", "stop")[0]),
-    "campaigns": (load_campaign, lambda: store.load("campaigns", "low_adhesion")[0]),
-    "wsp": (load_wsp, lambda: store.load("wsp", "reference")[0]),
-    "models": (load_model, lambda: EXTENDED),
-    "datasets": (
-        load_dataset,
-        lambda: store.parse(store.ROOT / "datasets" / "open_none" / "dataset.toml"),
-    ),
+    "criteria": FileKind(load_criteria, packaged("criteria", "stop"), "criteria"),
+    "campaigns": FileKind(load_campaign, packaged("campaigns", "low_adhesion"), "campaigns"),
+    "wsp": FileKind(load_wsp, packaged("wsp", "reference"), "wsp"),
+    "models": FileKind(load_model, EXTENDED_MODEL, "models"),
+    "datasets": FileKind(load_dataset, store.parse(PACKAGED_DATASET / "dataset.toml"), "datasets"),
 }
 
 
-def known_keys(kind):
-    """All keys that the packaged files of a kind use, and those that a loader names itself."""
-    folder, found = (
-        kind.partition(" ")[0],
-        {"fault", "friction", "demand", "mechanisms", "adhesion"},
-    )
+def known_keys(folder):
+    """Return all keys of the packaged files in a folder, and keys that only the loaders know."""
+    known = {"fault", "friction", "demand", "mechanisms", "adhesion"}
     read = dataset.parse if folder == "datasets" else store.parse
     for path in (store.ROOT / folder).rglob("*.toml"):
-        found |= {key for at in places(read(path)) for key in at if isinstance(key, str)}
+        for at in places(read(path)):
+            known |= {key for key in at if isinstance(key, str)}
     if folder == "sequences":
-        found |= {*sequence.HEAD, *sequence.START, *sequence.STEP}
-    return found
+        known |= {*sequence.HEAD, *sequence.START, *sequence.STEP}
+    return known
 
 
-@pytest.mark.parametrize("kind", LOADERS)
-def test_a_loader_gives_a_result_or_a_config_error(kind, tmp_path):
-    load, sound = LOADERS[kind][0], LOADERS[kind][1]()
-    path = tmp_path / "given.toml"
-    keys = st.one_of(st.none(), TEXTS, st.sampled_from(sorted(known_keys(kind))))
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_loader_returns_a_result_or_raises_config_error(kind, tmp_path):
+    load, right, folder = KINDS[kind]
+    path = tmp_path / "changed.toml"
+    keys = st.one_of(st.none(), TEXTS, st.sampled_from(sorted(known_keys(folder))))
 
     @settings(
         max_examples=300,
@@ -164,21 +180,23 @@ def test_a_loader_gives_a_result_or_a_config_error(kind, tmp_path):
         derandomize=True,
         suppress_health_check=list(HealthCheck),
     )
-    @given(st.sampled_from(list(places(sound))), ANYTHING, keys)
+    @given(st.sampled_from(list(places(right))), ANYTHING, keys)
     def check(at, value, key):
-        beside = (*at[:-1], key) if at and isinstance(at[-1], str) else (key,)
-        content = put(sound, at if key is None else beside, value)
+        # a key replaces the last one of the path: the value is then in the same table
+        if key is not None:
+            in_a_table = at and isinstance(at[-1], str)
+            at = (*at[:-1], key) if in_a_table else (key,)
         try:
-            path.write_text(tomli_w.dumps(content), encoding="utf-8")
+            write(path, put(right, at, value))
         except (TypeError, ValueError):
-            return  # not TOML: nobody can write it into a file
+            return  # TOML cannot express it
         with contextlib.suppress(ConfigError):
             load(path)
 
-    load(_written(path, sound))
+    write(path, right)
+    load(path)
     check()
 
 
-def _written(path, content):
+def write(path, content):
     path.write_text(tomli_w.dumps(content), encoding="utf-8")
-    return path

@@ -1,4 +1,4 @@
-"""Every packaged configuration loads, says where its numbers come from, runs and repeats."""
+"""Every packaged configuration loads, has sources for its numbers, runs and repeats."""
 
 import itertools
 import re
@@ -17,17 +17,22 @@ from rollerrig.wsp_interface import signals
 
 SETS = {"vehicles": "vehicle", "rigs": "rig", "adhesion": "adhesion", "buses": "bus"}
 SCENARIOS = store.names("scenarios")
-# sequences and criteria carry a source field for each limit, and datasets are data: they have tests of
-# their own
+# Sequences and criteria have a source field for each limit, and datasets are data. Other tests
+# check these.
 KINDS = (*SETS, "scenarios", "wsp", "campaigns")
 FILES = sorted(path for kind in KINDS for path in (store.ROOT / kind).glob("*.toml"))
 RUN_S = 4.0
+RECORD_HZ = 100
+DIGITS = set("123456789")  # a number without them is zero
+# words that give the source of a number
 SOURCE = re.compile(
     r"assumption|paper|Table \d|EN 1\d{4}|rail head R|recollection|as on soap|"
     r"as in \w+\.toml|this project|the rig's",
     re.IGNORECASE,
 )
+# words by which the comment at the head of a file covers all its numbers
 ALL = re.compile(r"every number|all data|throughout", re.IGNORECASE)
+# scenarios that the documents promise
 PROMISED = {
     "velim_a1",
     "velim_a2",
@@ -39,6 +44,7 @@ PROMISED = {
     "step_adhesion",
     "leaf_film",
 }
+# initial speeds of the tests at Velim, from Table 5 of the paper
 TABLE_5_M_S = {
     "velim_a1": 42.3,
     "velim_a2": 40.4,
@@ -59,39 +65,56 @@ def test_the_promised_scenarios_and_sets_are_packaged():
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(store.ROOT).as_posix())
-def test_a_file_is_toml_and_says_in_words_what_it_is(path):
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
-    first = path.read_text(encoding="utf-8").splitlines()[0]
-    assert first.startswith("#") or len(str(content.get("title", "")).split()) >= 4
+def test_a_file_is_toml_and_describes_itself_in_words(path):
+    text = path.read_text(encoding="utf-8")
+    content = tomllib.loads(text)
+    begins_with_comment = text.startswith("#")
+    title = str(content.get("title", ""))
+    assert begins_with_comment or len(title.split()) >= 4
 
 
 def without_source(text):
-    """Lines with a number for which no comment gives a source.
+    """Yield the lines with a number for which no comment gives a source.
 
-    It stands behind the number, behind or above the head of its table, or in the comment that the file
-    begins with: for its only table, or where it says that it goes for every number.
+    The source is in the comment after the number, or after or above the head of its table. It may
+    also be in the comment at the beginning of the file, if the file has only one table or the
+    comment covers every number.
     """
     lines = text.splitlines()
     head = " ".join(itertools.takewhile(lambda line: line.startswith("#"), lines))
     only_table = sum(line.startswith("[") for line in lines) <= 1
-    all_have = SOURCE.search(head) and (only_table or ALL.search(head))
-    table_has, above = all_have, ""
+    file_has_source = bool(SOURCE.search(head) and (only_table or ALL.search(head)))
+
+    table_has_source = file_has_source
+    above = ""  # the comment lines directly above
     for line in lines:
-        value, _, comment = line.partition("#")
-        given = value.partition("=")[2].strip()
-        if value.startswith("["):
-            table_has = all_have or SOURCE.search(above + comment)
-        elif (
-            not given.startswith('"')
-            and set(given) & set("123456789")
-            and not (table_has or SOURCE.search(comment))
-        ):
+        code, _, comment = line.partition("#")
+        if code.startswith("["):
+            table_has_source = file_has_source or bool(SOURCE.search(above + comment))
+        elif has_number(code) and not table_has_source and not SOURCE.search(comment):
             yield line
-        above = above + comment if comment and not value else ""
+        comment_only = comment and not code
+        above = above + comment if comment_only else ""
+
+
+def has_number(code):
+    """Return whether the value of a key is or contains a number other than zero."""
+    value = code.partition("=")[2].strip()
+    is_text = value.startswith('"')
+    return not is_text and bool(set(value) & DIGITS)
 
 
 def test_a_number_without_source_is_found():
-    text = "[a]\nx = 1.0  # assumption\ny = 2.0\n# Table 3\n[b]\nz = 3\n[c]  # assumption\nname = 'd'\nw = 4\n"
+    text = """[a]
+x = 1.0  # assumption
+y = 2.0
+# Table 3
+[b]
+z = 3
+[c]  # assumption
+name = 'd'
+w = 4
+"""
     assert list(without_source(text)) == ["y = 2.0"]
 
 
@@ -105,8 +128,8 @@ def test_every_set_loads_in_a_scenario(kind, short):
     for name in store.names(kind):
         plan = scenario.load("velim_a1", settings=(f"{short}={name}",))
         assert plan[f"{short}_set"] == name
-        given = store.load(kind, name)[0]
-        for section, values in given.items():
+        packaged, _ = store.load(kind, name)
+        for section, values in packaged.items():
             for key, value in values.items():
                 if isinstance(value, int | float | str):
                     assert plan[section][key] == value
@@ -119,46 +142,48 @@ def test_every_wsp_configuration_loads(name):
 
 @pytest.fixture(scope="module")
 def ring(tmp_path_factory):
-    return rings.Ring(
-        tmp_path_factory.mktemp("ring") / "rows", np.float64, 1 << 10, len(signals.COLUMNS)
-    )
+    """The ring of rows that all runs of this file use."""
+    path = tmp_path_factory.mktemp("ring") / "rows"
+    return rings.Ring(path, np.float64, 1 << 10, len(signals.COLUMNS))
 
 
 def run(name, ring):
-    """Some seconds without deadlines, with the reference unit in the tick; all samples."""
+    """Run some seconds without deadlines, with the reference unit in the tick; return all rows."""
     plan = scenario.load(name, settings=(f"duration_max_s={RUN_S}",))
     ring.header[rings.WRITTEN] = 0
     machine = tick_data.build(plan, ring)
     unit = logic.new_unit(logic.load(plan["wsp_config"]))
     inputs = np.zeros(8, dtype=np.int64)
-    tick.run_ticks_with_unit(
-        machine, round(RUN_S * plan["loop"]["tick_hz"]), plan.sync_ticks, unit, inputs
-    )
+    ticks = round(RUN_S * plan["loop"]["tick_hz"])
+    tick.run_ticks_with_unit(machine, ticks, plan.sync_ticks, unit, inputs)
     return ring.rows[: ring.header[rings.WRITTEN]].copy()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_scenario_runs_and_repeats(name, ring):
-    first, second = run(name, ring), run(name, ring)
-    assert len(first) == round(RUN_S * 100)
+    first = run(name, ring)
+    second = run(name, ring)
+    assert len(first) == round(RUN_S * RECORD_HZ)
     assert first.tobytes() == second.tobytes()
-    told_late = signals.span("wsp_reference_speed")
-    first[0, told_late] = 0.0  # no unit has spoken before the first cycle
+
+    # the unit has sent no reference speed before the first cycle
+    first[0, signals.span("wsp_reference_speed")] = 0.0
     assert np.isfinite(first).all()
-    speed = first[:, signals.column("vehicle_speed")]
-    assert speed[-1] < speed[0]
-    assert (np.diff(speed) <= 1e-9).all()
+
+    speed_m_s = first[:, signals.column("vehicle_speed")]
+    assert speed_m_s[-1] < speed_m_s[0]
+    assert (np.diff(speed_m_s) <= 1e-9).all()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_resolved_scenario_is_the_same_scenario(name, tmp_path):
     plan = scenario.load(name)
     (tmp_path / "scenario.toml").write_text(scenario.dump(plan))
-    again = scenario.load(str(tmp_path / "scenario.toml"))
-    assert again.resolved == plan.resolved
+    loaded = scenario.load(str(tmp_path / "scenario.toml"))
+    assert loaded.resolved == plan.resolved
 
 
-def test_an_unknown_name_tells_the_known_ones():
+def test_the_error_for_an_unknown_name_lists_the_known_ones():
     for kind in SETS:
         with pytest.raises(ConfigError) as caught:
             store.find(kind, "nothing_of_the_kind")
@@ -182,6 +207,7 @@ def test_rows_refuse_what_their_kind_does_not_allow():
         "word": "x",
         "must_m": 0.5,
     }
+    # a whole number may be written as a float, and a float as a whole number
     assert table.read(rows, good | {"a_m": 2, "n": 4.0}, "w")["n"] == 4
     for bad in (
         {"a_m": 2.1},
@@ -192,7 +218,7 @@ def test_rows_refuse_what_their_kind_does_not_allow():
         {"on": 1},
         {"word": "z"},
         {"word": 1},
-        {"a": 1.0},
+        {"a": 1.0},  # no such key
     ):
         with pytest.raises(ConfigError, match=r"^w: "):
             table.read(rows, good | bad, "w")

@@ -1,8 +1,9 @@
 /* Preloaded into user-mode Linux 6.1 on processors with AMX.
  *
- * That kernel keeps a process's registers in a buffer that ends before AMX's tiles, and a host's kernel
- * refuses a register set that is shorter than its own. What is missing is added here, in its initial
- * state: a clear bit of XSTATE_BV says so (Intel SDM volume 1, 13.4.2; PTRACE_SETREGSET in ptrace(2)).
+ * That kernel keeps the registers of a process in a buffer that ends before the tiles of AMX. The
+ * kernel of the host refuses a register set that is shorter than the host's register set. This library
+ * adds the missing registers in their initial state, which a clear bit of XSTATE_BV marks.
+ * Source: Intel SDM volume 1, 13.4.2; PTRACE_SETREGSET in ptrace(2).
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>

@@ -1,13 +1,13 @@
-"""Runs a command where the kernel has SocketCAN and `vcan0` is up, without any privilege.
+"""Runs a command on a kernel with SocketCAN, where `vcan0` is up, without any privilege.
 
     python tests/kernel_can/guest.py candump vcan0
 
 The command runs as root of a user-mode Linux, which is a kernel in an ordinary process (Debian's
-package `user-mode-linux`). It sees this machine's files at the same paths and this environment; its
-network is a loopback of its own and `vcan0`, its standard input is empty. Arithmetic is as fast as
-outside, a system call 20 to 45 times slower, and there is one core. Packages are downloaded and
-unpacked once, into `$XDG_CACHE_HOME/rollerrig/kernel-can`, and not installed. The exit status is the
-command's, 125 where there can be no guest.
+package `user-mode-linux`). It sees the files of this machine at the same paths, and the environment
+of this process. Its network has only a loopback and `vcan0`, and its standard input is empty. It
+has one core. Arithmetic is as fast as outside; a system call is 20 to 45 times slower. Packages are
+downloaded and unpacked once, into `$XDG_CACHE_HOME/rollerrig/kernel-can`, and not installed. The
+exit status is that of the command, or 125 if there can be no guest.
 """
 
 import os
@@ -25,23 +25,28 @@ HERE = Path(__file__).resolve().parent
 PACKAGES = ("user-mode-linux", "busybox-static", "can-utils")
 TOOLS = ("apt-get", "dpkg-deb", "gcc")
 MEMORY = "3G"
+MEMORY_FILE_BYTES = 4e9  # free space for it, with a margin
 NO_GUEST = 125  # exit status
 
 
 class GuestError(Exception):
-    """The guest could not be made, or ended before its command."""
+    """The guest could not be made, or stopped before its command."""
 
 
 def missing() -> str:
-    """Why no guest can run on this machine; empty when one can."""
-    if platform.system() != "Linux" or platform.machine() != "x86_64":
-        return f"user-mode Linux is for Linux on x86_64, this is {platform.system()} on {platform.machine()}"
+    """Return why no guest can run on this machine; empty if a guest can run."""
+    system = platform.system()
+    machine = platform.machine()
+    if system != "Linux" or machine != "x86_64":
+        return f"user-mode Linux needs Linux on x86_64; this is {system} on {machine}"
     absent = [tool for tool in TOOLS if not shutil.which(tool)]
-    return f"not here: {', '.join(absent)}" if absent else ""
+    if absent:
+        return f"this machine has no {', '.join(absent)}"
+    return ""
 
 
 def unpacked() -> Path:
-    """The folder of the guest's kernel and tools; makes it the first time. Raises GuestError."""
+    """Return the folder of the guest's kernel and tools; make it if needed. Raises GuestError."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rollerrig"
     folder = cache / "kernel-can"
     if folder.exists():
@@ -54,20 +59,21 @@ def unpacked() -> Path:
             _call(name, "apt-get", "download", "-qq", "-o", "APT::Sandbox::User=root", package)
         for file in Path(name).glob("*.deb"):
             _call(name, "dpkg-deb", "-x", str(file), str(new))
-        _call(
-            name, "gcc", "-O2", "-shared", "-fPIC", "-o", str(new / "amx.so"), str(HERE / "amx.c")
-        )
+        library = str(new / "amx.so")
+        _call(name, "gcc", "-O2", "-shared", "-fPIC", "-o", library, str(HERE / "amx.c"))
         for applet in ("ip", "insmod"):
-            (new / "usr/bin" / applet).symlink_to(new.parent.parent / "kernel-can/bin/busybox")
+            (new / "usr/bin" / applet).symlink_to(folder / "bin/busybox")
         try:
             new.rename(folder)
         except OSError:
-            if not folder.exists():  # else another process was faster
+            # if the folder is there now, another process was faster
+            if not folder.exists():
                 raise
     return folder
 
 
 def _call(folder: str, *command: str) -> None:
+    """Run a command in a folder. Raises GuestError if it fails."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if done.returncode:
         raise GuestError(
@@ -76,9 +82,9 @@ def _call(folder: str, *command: str) -> None:
 
 
 def run(command: list[str], timeout_s: float = 600.0, out=sys.stdout, err=sys.stderr) -> int:
-    """Run a command in a guest of its own; its exit status. Output goes to `out` and `err` as it comes.
+    """Run a command in a new guest; return its exit status. Its output goes to `out` and `err`.
 
-    Raises GuestError when there can be no guest, or when it has not ended after timeout_s.
+    Raises GuestError if there can be no guest, or if the command has not exited after timeout_s.
     """
     if reason := missing():
         raise GuestError(reason)
@@ -86,22 +92,24 @@ def run(command: list[str], timeout_s: float = 600.0, out=sys.stdout, err=sys.st
     with tempfile.TemporaryDirectory(prefix="kernel-can-") as name:
         job = Path(name)
         path = f"{os.environ['PATH']}:{guest}/usr/bin:{guest}/bin"
-        settings = [
-            f"export {key}={shlex.quote(value)}"
-            for key, value in (os.environ | {"PATH": path}).items()
-            if key.isidentifier() and key != "LD_PRELOAD"
-        ]
-        (job / "job.sh").write_text(
-            "\n".join([*settings, f"cd {shlex.quote(os.getcwd())}", shlex.join(command)])
-        )
+        lines = []
+        for key, value in (os.environ | {"PATH": path}).items():
+            if key.isidentifier() and key != "LD_PRELOAD":
+                lines.append(f"export {key}={shlex.quote(value)}")
+        lines.append(f"cd {shlex.quote(os.getcwd())}")
+        lines.append(shlex.join(command))
+        (job / "job.sh").write_text("\n".join(lines))
         return _boot(guest, job, timeout_s, out, err)
 
 
 def _boot(guest: Path, job: Path, timeout_s: float, out, err) -> int:
-    pipes = [os.pipe(), os.pipe()]
-    (out_from, out_to), (err_from, err_to) = pipes
-    # the guest's memory is a file, on a file system that has room for it
-    memory_in = "/dev/shm" if shutil.disk_usage("/dev/shm").free > 4e9 else str(job)
+    """Start the kernel, which runs the job; return the exit status of the job's command."""
+    out_from, out_to = os.pipe()
+    err_from, err_to = os.pipe()
+    # the memory of the guest is a file, on a file system that has room for it
+    memory_in = str(job)
+    if shutil.disk_usage("/dev/shm").free > MEMORY_FILE_BYTES:
+        memory_in = "/dev/shm"
     kernel = subprocess.Popen(
         [
             guest / "usr/bin/linux.uml",
@@ -137,7 +145,7 @@ def _boot(guest: Path, job: Path, timeout_s: float, out, err) -> int:
     try:
         kernel.wait(timeout_s)
     except subprocess.TimeoutExpired:
-        raise GuestError(f"no end after {timeout_s:g} s") from None
+        raise GuestError(f"the command has not exited after {timeout_s:g} s") from None
     finally:
         if kernel.poll() is None:
             os.killpg(kernel.pid, signal.SIGKILL)
@@ -147,12 +155,15 @@ def _boot(guest: Path, job: Path, timeout_s: float, out, err) -> int:
     status = job / "status"
     if not status.exists():
         log = (job / "kernel.log").read_text(errors="replace")
-        raise GuestError(f"the guest ended before its command; its last words:\n{log[-3000:]}")
+        raise GuestError(
+            f"the guest stopped before its command; the end of its log:\n{log[-3000:]}"
+        )
     return int(status.read_text())
 
 
-def _copy(from_: int, to) -> None:
-    with open(from_, encoding="utf-8", errors="replace") as source:
+def _copy(descriptor: int, to) -> None:
+    """Copy lines from the end of a pipe to a stream, until the pipe is closed."""
+    with open(descriptor, encoding="utf-8", errors="replace") as source:
         for line in source:
             to.write(line)
             to.flush()

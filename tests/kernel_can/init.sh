@@ -1,6 +1,6 @@
 #!/bin/bash
 # First process of the guest: devices, CAN modules, vcan0; then job.sh, its exit status, power off.
-# $GUEST (what was unpacked) and $JOB (folder of this call) come with the kernel's command line.
+# $GUEST (folder of the unpacked packages) and $JOB (folder of this call) are on the kernel's command line.
 box="$GUEST/bin/busybox"
 modules=$(echo "$GUEST"/usr/lib/uml/modules/*/kernel)
 
@@ -26,7 +26,7 @@ set_up() {
 }
 
 set_up >"$JOB/set_up.log" 2>&1
-# through pipes, so that no program takes the guest's consoles for a person's terminal
+# through pipes, so that no program treats the consoles of the guest as a terminal
 { { bash "$JOB/job.sh" </dev/null 2>&3 3>&-; echo $? >"$JOB/status"; } | "$box" cat >/dev/tty1; } 3>&1 |
   "$box" cat >/dev/tty2
 "$box" sync

@@ -1,4 +1,4 @@
-"""The Modbus site of tests/firmware_sim, and the languages that other people's programs need."""
+"""The Modbus site of tests/firmware_sim, and the languages that programs of other projects need."""
 
 import re
 import shutil
@@ -9,20 +9,21 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "firmware_sim"))
-GO_WANTED = (1, 21)
+GO_VERSION = (1, 21)  # or newer
 
 
 @pytest.fixture(scope="session")
 def go():
-    """The command `go`, or a skip that says what is missing."""
+    """The command `go`. Skips the test, with the reason, if Go is missing or too old."""
+    needed = "needs Go {}.{} or newer".format(*GO_VERSION)
     program = shutil.which("go")
-    wanted = ".".join(map(str, GO_WANTED))
     if not program:
-        pytest.skip(
-            f"needs Go {wanted} or newer: apt-get install golang-go, or an installation of one's own"
-        )
-    said = subprocess.run([program, "version"], capture_output=True, text=True, check=False).stdout
-    found = re.search(r"go(\d+)\.(\d+)", said)
-    if not found or tuple(map(int, found.groups())) < GO_WANTED:
-        pytest.skip(f"needs Go {wanted} or newer, here is: {said.strip() or 'none that works'}")
+        pytest.skip(f"{needed}: apt-get install golang-go, or install it from go.dev")
+    done = subprocess.run([program, "version"], capture_output=True, text=True, check=False)
+    match = re.search(r"go(\d+)\.(\d+)", done.stdout)
+    if not match:
+        pytest.skip(f"{needed}; {program} does not run")
+    version = (int(match[1]), int(match[2]))
+    if version < GO_VERSION:
+        pytest.skip(f"{needed}; this machine has {done.stdout.strip()}")
     return program

@@ -3,8 +3,8 @@
 The master walks the drives to OPERATION ENABLED, turns a roller, reads speeds by PDO and drives the
 valves until the train has stopped. It simulates the inertia of the vehicle.
 
-Usage: master.py HOST PORT EDS_FOLDER; the port is the socketcand port of the bench. The last line of
-the output is the result as JSON.
+Usage: master.py HOST PORT EDS_FOLDER; the port is the socketcand port of the bench. The last line
+of the output is the result as JSON.
 """
 
 import json
@@ -45,8 +45,8 @@ TURN_CYCLES = 60
 ROLLING_MRAD = 4000  # angle of a roller that shows that the rig moves
 BRAKED_MBAR = 100  # cylinder pressure
 
-# The state setter of canopen gives up after 0.8 s. This master sends each controlword until the drive
-# reports the state.
+# The state setter of canopen gives up after 0.8 s. This master sends each controlword until the
+# drive reports the state.
 CONTROLWORDS = {"READY TO SWITCH ON": 6, "SWITCHED ON": 7, "OPERATION ENABLED": 15}
 STATE_PATIENCE_S = 5.0
 
