@@ -1,1 +1,1 @@
-"""How numerical code is compiled, cached and vectorised; the only room that imports the internals of numba."""
+"""How numerical code is compiled, cached and vectorised; only this room imports numba internals."""

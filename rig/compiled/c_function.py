@@ -1,8 +1,8 @@
 """Functions on addresses: C functions of the system, and large kernels that others call by a name.
 
-Numba compiles a kernel again into each kernel that calls it. `compile_named` compiles a large one only
-once, as a C function on addresses, and gives it a name; other kernels call it by this name, as they call
-a function of the C library.
+Numba compiles a kernel again into each kernel that calls it. `compile_named` compiles a large one
+only once, as a C function on addresses, and gives it a name; other kernels call it by this name, as
+they call a function of the C library.
 
     call = external_function("clock_gettime", "int32", "int32", "intp")
 """
@@ -26,9 +26,12 @@ array_at: Any = numba.carray
 
 
 def external_function(name: str, returns: str, *takes: str | types.Type) -> Any:
-    """Returns what compiled code calls as the C function `name`; types are numba types or their names.
+    """Returns what compiled code calls as the C function `name`.
 
-    Numba looks for the address when it loads compiled code, so a cached kernel is not compiled again.
+    Types are numba types or their names.
+
+    Numba looks for the address when it loads compiled code, so a cached kernel is not compiled
+    again.
     """
     arguments = [getattr(types, kind) if isinstance(kind, str) else kind for kind in takes]
     return types.ExternalFunction(name, getattr(types, returns)(*arguments))
@@ -37,8 +40,8 @@ def external_function(name: str, returns: str, *takes: str | types.Type) -> Any:
 def compile_named(name: str, function: Callable[..., None], *takes: types.Type) -> Any:
     """Compiles a function without a result as the C function `name`, or loads it from the cache.
 
-    This must precede the first call of a kernel that calls `name`. The caller keeps the returned object
-    as long as the function is in use.
+    This must precede the first call of a kernel that calls `name`. The caller keeps the returned
+    object as long as the function is in use.
     """
     if settings.DISABLE_JIT:
         return None

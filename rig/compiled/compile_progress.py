@@ -1,7 +1,7 @@
 """Log messages while numba compiles: the first start of an installation takes a minute or two.
 
-The first message appears before the first kernel is compiled, the next ones every few seconds, and the
-last one when no kernel has been compiled for as long.
+The first message appears before the first kernel is compiled, the next ones every few seconds, and
+the last one when no kernel has been compiled for as long.
 """
 
 import logging
@@ -35,7 +35,8 @@ class _CompileListener(event.Listener):
         if not self._begin_s:
             self._begin_s = time.monotonic()
             log.warning(
-                "compiling the kernels, once after an installation or a change of them (1 to 2 minutes) ..."
+                "compiling the kernels, once after an installation or a change of them "
+                "(1 to 2 minutes) ..."
             )
             threading.Thread(target=self._log_progress, name="compiling", daemon=True).start()
 

@@ -1,8 +1,8 @@
 """Kernels whose source text the program writes itself.
 
-Compiled code cannot loop over the fields of a named tuple, nor over a table of functions: each field
-and each function has a type of its own. Here the source is written line by line from the table, as a
-developer would write it by hand, and compiled like any other kernel.
+Compiled code cannot loop over the fields of a named tuple, nor over a table of functions: each
+field and each function has a type of its own. Here the source is written line by line from the
+table, as a developer would write it by hand, and compiled like any other kernel.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,8 +27,9 @@ def conditional_sum(
 ) -> Any:
     """Returns a kernel that adds terms to its first argument, `value`, one after another.
 
-    A term is added if its condition holds; its increment may use the `value` so far. `functions` are the
-    kernels that the terms call, by their names in the expressions. The `name` is unique in the product.
+    A term is added if its condition holds; its increment may use the `value` so far. `functions`
+    are the kernels that the terms call, by their names in the expressions. The `name` is unique in
+    the product.
     """
     lines = [f"def {name}(value, {arguments}):"]
     for term in terms:
@@ -39,7 +40,7 @@ def conditional_sum(
 
 
 def selection(name: str, arguments: str, expressions: Sequence[str]) -> Any:
-    """Returns a kernel that computes the expression with the number of its last argument, from 0."""
+    """Returns a kernel that computes one of the expressions; its last argument is the number."""
     lines = [
         f"def {name}({arguments}, number):",
         f"    return ({', '.join(expressions)})[number]",
@@ -48,7 +49,7 @@ def selection(name: str, arguments: str, expressions: Sequence[str]) -> Any:
 
 
 def elementwise(name: str, formula: Any, count: int) -> Any:
-    """Returns a kernel that fills its last argument, an array, with a formula of `count` arrays (n,)."""
+    """Returns a kernel that fills its last argument (n,) with a formula of `count` arrays (n,)."""
     arrays = [f"x{k}" for k in range(count)]
     values = ", ".join(f"{array}[k]" for array in arrays)
     lines = [
@@ -81,7 +82,7 @@ def tuple_builder(
 
 
 def tuple_writer(arguments: str, places: Sequence[str]) -> Any:
-    """Returns an inlined kernel that writes the entries of its last argument, a tuple, to `places`."""
+    """Returns an inlined kernel that writes the entries of its last argument to `places`."""
     space: dict[str, Any] = {}
     exec(f"def write({arguments}, values):\n    {', '.join(places)} = values", space)
     return inlined_without_cache(space["write"])

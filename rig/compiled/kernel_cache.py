@@ -1,8 +1,8 @@
 """The folder in which compiled kernels are kept from one process to the next.
 
-Numba does not notice that a function which a cached kernel calls has changed. Therefore the folder is
-named after a hash of this installation and of all its sources that affect compiled code: a changed
-source leads to another folder, and everything is compiled again.
+Numba does not notice that a function which a cached kernel calls has changed. Therefore the folder
+is named after a hash of this installation and of all its sources that affect compiled code: a
+changed source leads to another folder, and everything is compiled again.
 
 The folders used most recently are kept. A process holds a shared lock on its folder as long as it
 lives, and no process removes a locked folder.
@@ -35,7 +35,7 @@ BYTES_KEPT = 200_000_000
 
 
 def _fingerprint(root: Path) -> str:
-    """Returns a hash of everything that compiled code depends on: numba, the place and the sources."""
+    """Returns a hash of all that compiled code depends on: numba, the installation, the sources."""
     digest = hashlib.sha256(f"{numba.__version__} {root}".encode())
     paths = sorted(path for room in _ROOMS for path in (root / room).rglob("*.py"))
     for path in paths:

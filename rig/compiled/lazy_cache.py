@@ -1,8 +1,8 @@
 """The cache of one kernel, which is opened only when Python calls the kernel.
 
 Numba opens the cache of every kernel when it is defined, and prepares for compiling before it loads
-compiled code. Most kernels are called by other kernels only, and compiled code needs no compiler, so a
-program starts earlier without both; docs/compiled_kernels.md has the measured time.
+compiled code. Most kernels are called by other kernels only, and compiled code needs no compiler,
+so a program starts earlier without both; docs/compiled_kernels.md has the measured time.
 """
 
 from typing import Any
@@ -15,10 +15,10 @@ from numba.core.runtime.nrt import rtsys
 
 
 class LazyCache:
-    """Takes the place of the cache of a kernel (`Dispatcher._cache`); opens numba's on first use."""
+    """Replaces the cache of a kernel (`Dispatcher._cache`); opens numba's cache on first use."""
 
     def __init__(self, function: Any, counts_references: bool) -> None:
-        """`counts_references`: the kernel allocates memory, so it needs numba's reference counting."""
+        """`counts_references` is true for a kernel that allocates memory."""
         self._function = function
         self._counts_references = counts_references
         self._opened: Any = None

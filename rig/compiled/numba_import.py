@@ -1,9 +1,9 @@
 """Imports numba without packages that no kernel uses; every module of this room imports it first.
 
 When numba is imported it imports PyYAML, only to read a settings file, and scipy, only to check its
-version. When compiled code is loaded or a kernel is compiled it imports scipy.linalg, only for matrix
-products in kernels, and no kernel has one. Without them a program starts earlier; docs/compiled_kernels.md
-has the measured times.
+version. When compiled code is loaded or a kernel is compiled it imports scipy.linalg, only for
+matrix products in kernels, and no kernel has one. Without them a program starts earlier;
+docs/compiled_kernels.md has the measured times.
 """
 
 from typing import Any

@@ -1,8 +1,8 @@
 """How compiled code sees a state: as one address, whose fields are views at fixed places.
 
-A named tuple of forty arrays would be passed from kernel to kernel as three hundred values, which costs
-more to compile than the physics does. In Python the state remains the named tuple that it is. Only its
-type is registered with numba here, and reading a field gives the same view.
+A named tuple of forty arrays would be passed from kernel to kernel as three hundred values, which
+costs more to compile than the physics does. In Python the state remains the named tuple that it is.
+Only its type is registered with numba here, and reading a field gives the same view.
 
 Source: numba's documentation, "Extending Numba", low-level interface.
 """
@@ -22,7 +22,7 @@ _BYTES_OF_A_FLOAT = 8
 
 
 class Address(types.Type):
-    """The type of a state: the place of each field in its buffer; a field that is None has no place."""
+    """The type of a state: the place of each field in its buffer; None for a field that is None."""
 
     def __init__(self, places: Mapping[str, slice | None]) -> None:
         self.places = dict(places)
@@ -42,8 +42,8 @@ class _Model(models.StructModel):
 def register(named_tuple: type, places: Mapping[str, slice]) -> None:
     """Makes numba take a named tuple of float64 views, or None, as the address of their buffer.
 
-    The first field must be at the beginning of the buffer. This must precede the first call of a kernel
-    with such a tuple.
+    The first field must be at the beginning of the buffer. This must precede the first call of a
+    kernel with such a tuple.
     """
     fields: tuple[str, ...] = named_tuple._fields  # type: ignore[attr-defined]
 

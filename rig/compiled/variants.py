@@ -1,8 +1,8 @@
 """Kernels compiled a second time with other functions under some of the names that they use.
 
-A formula has one source. Where several wheels are computed with vector instructions, the same source
-is compiled with `vector_math.MATH` in the place of `math`. Otherwise each formula would exist twice,
-and the two copies could drift apart.
+A formula has one source. Where several wheels are computed with vector instructions, the same
+source is compiled with `vector_math.MATH` in the place of `math`. Otherwise each formula would
+exist twice, and the two copies could drift apart.
 
     fast_curve = variant(polach.curve, math=MATH)
 
@@ -17,7 +17,7 @@ from rollerrig.rig.compiled.kernel import inlined_without_cache
 
 
 def variant(formula: Any, **replacements: Any) -> Any:
-    """Returns an inlined kernel with the code of `formula`, in which the global names are replaced."""
+    """Returns an inlined kernel with the code of `formula` and other functions under some names."""
     # without a compiler (NUMBA_DISABLE_JIT) a kernel is a plain function
     function = getattr(formula, "py_func", formula)
     clone = FunctionType(function.__code__, function.__globals__ | replacements)

@@ -6,12 +6,12 @@ a choice between two values. The functions of the C library do not fulfil this. 
 are polynomials and quotients of polynomials, and `MATH` offers them under the names of Python's
 `math`, so that `variants.variant` can compile a formula with them.
 
-Accuracy (tests/rig/contact/test_vector_law.py): exp, log and atan agree with the C library to 5e-16, expm1
-to 1e-15, sin to 1e-13, cos to 3e-13; the inverse cube root is exact to 1e-14.
+Accuracy (tests/rig/contact/test_vector_law.py): exp, log and atan agree with the C library to
+5e-16, expm1 to 1e-15, sin to 1e-13, cos to 3e-13; the inverse cube root is exact to 1e-14.
 
-Source: Cody and Waite, Software Manual for the Elementary Functions (1980), for the reduction of the
-argument of exp; Moshier, Methods and Programs for Mathematical Functions (1989) and Cephes 2.9, for
-log and atan.
+Source: Cody and Waite, Software Manual for the Elementary Functions (1980), for the reduction of
+the argument of exp; Moshier, Methods and Programs for Mathematical Functions (1989) and Cephes 2.9,
+for log and atan.
 """
 
 import math
@@ -27,7 +27,8 @@ LARGEST_EXPONENT = 700.0
 # 1.5 * 2^52: after the addition of this number the low bits of a double hold the nearest integer
 _ROUND = 6755399441055744.0
 _LOG2_E = 1.4426950408889634
-# ln 2 as a sum of two doubles; the first has so few digits that its product with an integer is exact
+# ln 2 as a sum of two doubles; the first has so few digits that its product with an integer is
+# exact
 _LN2 = 6.93147180369123816490e-01
 _LN2_REST = 1.90821492927058770002e-10
 
@@ -61,14 +62,18 @@ _QUARTER_TURN_SQUARED = 2.5
 
 @kernel_inlined
 def _exp_parts(x):
-    """Returns (bits, part) with exp(x) = 2^n (1 + part): `bits` is n as an addend to the exponent bits."""
+    """Returns (bits, part) with exp(x) = 2^n (1 + part).
+
+    `bits` is n as an addend to the exponent bits of a double.
+    """
     x = min(max(x, -LARGEST_EXPONENT), LARGEST_EXPONENT)
     shifted = x * _LOG2_E + _ROUND
     n = shifted - _ROUND
     r = (x - n * _LN2) - n * _LN2_REST
     r2 = r * r
     r4 = r2 * r2
-    # the series of exp(r) - 1, grouped in pairs so that several products are computed simultaneously
+    # the series of exp(r) - 1, grouped in pairs so that several products are computed
+    # simultaneously
     part = r + r2 * (
         ((1 / 2 + r * (1 / 6)) + r2 * (1 / 24 + r * (1 / 120)))
         + r4

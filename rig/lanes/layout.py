@@ -1,15 +1,18 @@
 """Several rigs in the vector lanes of a core: the layout of the array that a step works on.
 
-A campaign needs many stops, and none of them soon. The axles of four rigs are therefore in the lanes of
-one array, in which each quantity is a row of sixteen. The arithmetic of `brake`, `motor` and `wheelset`
-runs along the rows, which a compiler turns into vector instructions. The state of a rig is scattered into
-its lanes before a tick and gathered after it, so everything else remains the code of the plant.
+A campaign needs many stops and does not need them in real time. Therefore the sixteen axles of four
+rigs are computed together. They are the lanes of one array, in which each quantity is a row of
+sixteen numbers. The arithmetic of `brake`, `motor` and `wheelset` runs along the rows, which the
+compiler turns into vector instructions. The state of a rig is scattered into its lanes before a
+tick and gathered from them after it. Everything else remains the code of the plant.
 
-The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W4], adhesion [A1] to [A6]
-and vehicle [V1] to [V3], written without branches. Limits (`fits`): planar vehicle, one plant, degraded
-adhesion without memory, round wheels, torque as the discs give it, pads without variation, no limit of
-the air supply, no flats, no sand, rollers that stay as they were prepared. Results agree with
-`plant.advance` to rounding, not to the last bit: a test compares every kernel with its twin in the plant.
+The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W4], adhesion [A1] to
+[A6] and vehicle [V1] to [V3], written without branches. Results agree with `plant.advance` to
+rounding, not to the last bit. A test compares every kernel with its counterpart in the plant.
+
+Limits (`fits`): planar vehicle, one plant, degraded adhesion without memory, round wheels, brake
+torque without effects, pads without variation, no limit of the air supply, no flats, no sand,
+rollers that stay as they were prepared.
 """
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
@@ -34,7 +37,7 @@ LANES = RIGS * AXLES
     PRESSURE,  # of the cylinder
     VALVE,  # FILL, HOLD or VENT
     CAPACITY,  # largest brake torque at the beginning of the step
-    BRAKE,  # largest brake torque at its end
+    BRAKE,  # largest brake torque at the end of the step
     BRAKE_WORK,
     SLIDING_WORK,
     MOTOR,  # torque of the roller's motor
@@ -46,7 +49,7 @@ LANES = RIGS * AXLES
     AIR_NL,  # normal litres in this tick
     # the state of its vehicle, the same in all four lanes
     V,
-    FELT,  # acceleration as the pitch of the vehicle follows it
+    FELT,  # lagged acceleration, which the pitch of the vehicle and the loads follow
     RATE,  # acceleration
     PLACE,
     RESISTANCE_WORK,
@@ -131,17 +134,20 @@ def load_constants(w, rig, params):
     drive = params.drive
     for j in range(AXLES):
         at = rig * AXLES + j
+
         w[STEP + at] = params.step_s
         w[ON_TRACK + at] = 1.0 if params.mode == TRACK else 0.0
         w[WHEEL_M + at] = params.wheels.table[RADIUS_M + j]
         w[WHEEL_KGM2 + at] = params.wheels.table[INERTIA_KGM2 + j]
         w[ROLLER_M + at] = drive.roller_radius_m
         w[ROLLER_KGM2 + at] = drive.roller_inertia_kgm2
+
         # load transfer: from the rear to the front bogie, from the rear to the front axle of each
         w[STATIC_N + at] = vehicle.static_load_N
         body = 0.5 if j < 2 else -0.5
         bogie = 1.0 if j % 2 == 0 else -1.0
         w[TRANSFER_KG + at] = body * vehicle.body_transfer_kg + bogie * vehicle.bogie_transfer_kg
+
         w[TORQUE_PER_PA + at] = brake.torque_Nm_Pa
         w[SPRING_PA + at] = brake.spring_pressure_Pa
         w[NL_PER_PA + at] = brake.volume_L / NORMAL_PRESSURE_PA
@@ -149,17 +155,19 @@ def load_constants(w, rig, params):
         w[RELEASES + at] = brake.demand_release_share
         w[VALVE_FILLS + at] = brake.valve_fill_share
         w[VALVE_VENTS + at] = brake.valve_vent_share
+
         w[MOTOR_MOST + at] = drive.max_torque_Nm
         w[MOTOR_W + at] = drive.max_power_W
         w[MOTOR_FASTEST + at] = drive.max_speed_rad_s
         w[MOTOR_SHARE + at] = drive.torque_share
+
         w[EPS1 + at] = params.patch.eps1
         _write_law(w, at, params.law)
 
 
 @kernel_inlined
 def scatter(w, rig, state, target_Pa):
-    """Writes the state of a rig into its lanes; target_Pa is the brake pressure that the rig demands."""
+    """Writes the state of a rig into its lanes; target_Pa is the demanded brake pressure."""
     for j in range(AXLES):
         at = rig * AXLES + j
         w[WHEEL + at] = state.wheel_speed[j]
@@ -180,6 +188,8 @@ def scatter(w, rig, state, target_Pa):
         w[MOTOR_WORK + at] = state.motor_work[j]
         w[FORCE + at] = state.contact_force[j]
         w[BRAKE_MEAN + at] = state.brake_mean[j]
+
+        # the quantities of the vehicle, the same in all four lanes
         w[V + at] = state.vehicle_speed[0]
         w[FELT + at] = state.felt_acceleration[0]
         w[RATE + at] = state.vehicle_acceleration[0]
@@ -212,6 +222,8 @@ def gather(w, rig, state):
         state.brake_mean[j] = w[BRAKE_MEAN + at]
         # the lanes hold the air of this tick
         state.air_consumption[0] += w[AIR_NL + at]
+
+    # the quantities of the vehicle are the same in all four lanes; the first one is read
     at = rig * AXLES
     state.vehicle_speed[0] = w[V + at]
     state.felt_acceleration[0] = w[FELT + at]

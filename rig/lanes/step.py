@@ -1,13 +1,17 @@
 """One step of the physics for the rigs in the lanes: air, motors, contacts, motion.
 
-The order is that of `plant.step` and `wheelset.integrate`. A loop over all lanes computes the quantities of
-the axles; a loop over the rigs computes those of the vehicles, which need the sum of the contact forces. The
-lanes of a vehicle at standstill remain as they are, except its air and its pitch.
+The order is that of `plant.step` and `wheelset.integrate`. Loops over all lanes compute the
+quantities of the axles. Loops over the rigs compute those of the vehicles, which need the sum of
+the contact forces. For a vehicle at standstill only the air and the pitch change; all other
+quantities remain as they are.
+
+A branch in a loop over the lanes would prevent vector instructions. Therefore these loops compute
+both results and choose between them with a conditional expression.
 """
 
 import math
 
-from rollerrig.rig import vehicle as body
+from rollerrig.rig import vehicle as planar_vehicle
 from rollerrig.rig import wheelset
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion
@@ -18,7 +22,7 @@ from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.state import AXLES, FILL, VENT
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of the implicit step, as in `wheelset`
-# below this speed of a roller its motor gives the same torque at full power
+# Torque at full power is power over speed. Below this speed the torque no longer grows.
 _LEAST_RAD_S = 1e-3
 
 
@@ -38,9 +42,9 @@ def step(w, rigs):
 
 @kernel
 def pneumatics_and_motors(w):
-    """Computes demand, cylinders, motors and the largest torques of the brakes [B1] to [B4], [M1]."""
+    """Computes brake demand, cylinders, motors and brake torques [B1] to [B4], [M1]."""
     for j in range(LANES):
-        # the first stage takes the contacts at the beginning of the step
+        # the first stage computes the contacts with the values at the beginning of the step
         w[row.V_END + j] = w[row.V + j]
         w[row.FELT_END + j] = w[row.FELT + j]
         w[row.WHEEL_END + j] = w[row.WHEEL + j]
@@ -52,31 +56,32 @@ def pneumatics_and_motors(w):
         target = w[row.TARGET + j]
         share = w[row.FILLS + j] if target > before else w[row.RELEASES + j]
         w[row.DEMAND + j] = before + (target - before) * share
-        p = w[row.PRESSURE + j]
+        pressure = w[row.PRESSURE + j]
         valve = w[row.VALVE + j]
-        filled = (before + 0.5 * (target - before) * share - p) * w[row.VALVE_FILLS + j]
-        vented = -p * w[row.VALVE_VENTS + j] if valve == VENT else 0.0
+        filled = (before + 0.5 * (target - before) * share - pressure) * w[row.VALVE_FILLS + j]
+        vented = -pressure * w[row.VALVE_VENTS + j] if valve == VENT else 0.0
         gain = filled if valve == FILL else vented
-        w[row.PRESSURE + j] = p + gain
+        w[row.PRESSURE + j] = pressure + gain
         w[row.AIR_NL + j] += max(gain, 0.0) * w[row.NL_PER_PA + j]
 
         # the torque of the roller's motor, within its limits
         speed = w[row.ROLLER + j]
         most = min(w[row.MOTOR_MOST + j], w[row.MOTOR_W + j] / max(abs(speed), _LEAST_RAD_S))
-        wanted = min(max(w[row.MOTOR_DEMAND + j], -most), most)
-        too_fast = (wanted * speed > 0.0) & (abs(speed) > w[row.MOTOR_FASTEST + j])
-        wanted = 0.0 if too_fast else wanted
+        limited = min(max(w[row.MOTOR_DEMAND + j], -most), most)
+        too_fast = (limited * speed > 0.0) & (abs(speed) > w[row.MOTOR_FASTEST + j])
+        limited = 0.0 if too_fast else limited
         motor = w[row.MOTOR + j]
         driven = moving & (w[row.ON_TRACK + j] == 0.0)
-        w[row.MOTOR + j] = motor + (wanted - motor) * w[row.MOTOR_SHARE + j] if driven else motor
+        w[row.MOTOR + j] = motor + (limited - motor) * w[row.MOTOR_SHARE + j] if driven else motor
 
+        # the largest torque of the brake
         capacity = max(0.0, w[row.TORQUE_PER_PA + j] * (w[row.PRESSURE + j] - w[row.SPRING_PA + j]))
         w[row.BRAKE + j] = capacity if moving else w[row.BRAKE + j]
 
 
 @kernel
 def contacts(w):
-    """Computes sliding, load and secant slope T / s of every contact, at the values of the rows ..._END."""
+    """Computes sliding, load and secant slope T / s of each contact, from the rows ..._END."""
     for j in range(LANES):
         v = w[row.V_END + j]
         roller = w[row.ROLLER_M + j] * w[row.ROLLER_END + j]
@@ -87,17 +92,20 @@ def contacts(w):
         w[row.SURFACE + j] = surface
         w[row.LOAD + j] = load
 
-        at = max(abs(sliding), wheelset.SMALL_M_S)
-        half = 0.5 * load  # on one wheel
-        eps_mu = law.eps_mu(at, surface, half, w[row.EPS1 + j])
+        # adhesion of one wheel [A1] to [A6], by the law of this lane
+        size = max(abs(sliding), wheelset.SMALL_M_S)
+        wheel_N = 0.5 * load
         here = row.law_of_lane(w, j)
-        f_d = law.curve(at, eps_mu, here.mu_cd, here.A_d, here.gamma_d_s_m, here.k_ad, here.k_sd)
-        f_r = law.curve(at, eps_mu, here.mu_cr, here.A_r, here.gamma_r_s_m, here.k_ar, here.k_sr)
-        share, _ = adhesion.cleaning_share(at, surface, here.cleaning_creepage)
-        creepage = at / max(abs(surface), law.SPEED_FLOOR_M_S)
-        f, _, inside = law.recovered(f_d, f_r, here.tau_m_J * half * creepage * share)
-        w[row.SLOPE + j] = f * load / at
-        u = half * (1.0 / law.LOAD_N)
+        eps_mu = law.eps_mu(size, surface, wheel_N, w[row.EPS1 + j])
+        f_d = law.curve(size, eps_mu, here.mu_cd, here.A_d, here.gamma_d_s_m, here.k_ad, here.k_sd)
+        f_r = law.curve(size, eps_mu, here.mu_cr, here.A_r, here.gamma_r_s_m, here.k_ar, here.k_sr)
+        share, _ = adhesion.cleaning_share(size, surface, here.cleaning_creepage)
+        creepage = size / max(abs(surface), law.SPEED_FLOOR_M_S)
+        f, _, inside = law.recovered(f_d, f_r, here.tau_m_J * wheel_N * creepage * share)
+        w[row.SLOPE + j] = f * load / size
+
+        # the domain of `vector_law`
+        u = wheel_N * (1.0 / law.LOAD_N)
         w[row.INSIDE + j] = inside if (u > law.LIGHTER) & (u < law.HEAVIER) else 0.0
 
 
@@ -113,10 +121,11 @@ def contacts_outside_domain(w):
 def exact_slope(w, j):
     """Returns the secant slope of lane j by `wheelset.contact_force`, for any contact."""
     here = row.law_of_lane(w, j)
+    # the law of one wheel needs only eps1 of the patch
     patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[row.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
-    at = max(abs(w[row.SLIDING + j]), wheelset.SMALL_M_S)
+    size = max(abs(w[row.SLIDING + j]), wheelset.SMALL_M_S)
     T, _, _ = wheelset.contact_force(
-        at,
+        size,
         w[row.SURFACE + j],
         w[row.LOAD + j],
         here.mu_cd,
@@ -126,21 +135,24 @@ def exact_slope(w, j):
         adhesion.NO_MEMORY,
         0.0,
     )
-    return T / at
+    return T / size
 
 
 @kernel_inlined
 def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
     """Returns (wheel_k, roller_k, pull_N, brake_Nm) of a stage in lane j [W1] to [W4].
 
-    `wheel_before` and `roller_before` are subtracted from the slopes without damping.
+    wheel_k and roller_k are the slopes of the speeds in rad/s2, pull_N is the contact force,
+    brake_Nm the torque of the brake that acts. `wheel_before` and `roller_before` are subtracted
+    from the slopes before the implicit part is added.
     """
     r = w[row.WHEEL_M + j]
     R = w[row.ROLLER_M + j]
     slope = w[row.SLOPE + j]
     track = w[row.ON_TRACK + j] != 0.0
+
+    # explicit part
     T = slope * w[row.SLIDING + j]
-    g = max(slope, 0.0)
     drive_Nm = r * T
     locked = (wheel <= 0.0) & (drive_Nm <= brake_Nm)
     acts_Nm = max(drive_Nm, 0.0) if locked else brake_Nm
@@ -148,11 +160,12 @@ def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
     roller_k = 0.0 if track else (motor_Nm - R * T) / w[row.ROLLER_KGM2 + j]
     wheel_k -= wheel_before
     roller_k -= roller_before
-    # effect of a force of 1 N on wheel and roller
+
+    # implicit part: the force that the change of sliding adds; p: effect of 1 N on wheel and roller
+    g = max(slope, 0.0)
     p_wheel = 0.0 if locked else r / w[row.WHEEL_KGM2 + j]
     p_roller = 0.0 if track else -R / w[row.ROLLER_KGM2 + j]
     reach = _GAMMA * w[row.STEP + j]
-    # the implicit part of the force
     added_N = (
         reach
         * (g * (R * roller_k - r * wheel_k))
@@ -163,7 +176,7 @@ def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
 
 @kernel
 def begin(w):
-    """Computes the first stage: slopes at the beginning of the step, and the prediction for its end."""
+    """Computes the first stage: slopes at the start of the step, and the prediction for its end."""
     for j in range(LANES):
         wheel = w[row.WHEEL + j]
         wheel_k, roller_k, pull_N, brake_Nm = stage(
@@ -188,14 +201,15 @@ def total(w, first, resistance_N):
 
 @kernel
 def predict(w, rigs):
-    """Predicts speed and felt acceleration of every vehicle at the end of the step, by the first stage."""
+    """Predicts speed and felt acceleration of each vehicle for the end of the step."""
     for rig in range(RIGS):
         at = rig * AXLES
         vehicle = rigs[rig]
         h = w[row.STEP + at]
         v = w[row.V + at]
         felt = w[row.FELT + at]
-        resistance_N = body.resistance(v, vehicle)
+
+        resistance_N = planar_vehicle.resistance(v, vehicle)
         rate = -total(w, at, resistance_N) / vehicle.mass_kg
         felt_rate = (rate - felt) / vehicle.pitch_time_constant_s
         for j in range(at, at + AXLES):
@@ -257,11 +271,15 @@ def move(w, rigs):
             # the body pitches back
             broadcast(w, row.FELT, at, felt * math.exp(-h / vehicle.pitch_time_constant_s))
             continue
+
+        # the second stage of the vehicle, at the predicted values
         v2 = w[row.V_END + at]
         felt2 = w[row.FELT_END + at]
-        resistance_N = body.resistance(v2, vehicle)
+        resistance_N = planar_vehicle.resistance(v2, vehicle)
         rate = -total(w, at, resistance_N) / vehicle.mass_kg
         felt_rate = (rate - felt2) / vehicle.pitch_time_constant_s
+
+        # the mean of both stages moves it
         mean = 0.5 * (w[row.RATE_BEFORE + at] + rate)
         end = max(0.0, v + h * mean)
         way_m = 0.5 * h * (v + end)
@@ -271,10 +289,11 @@ def move(w, rigs):
         broadcast(w, row.RESISTANCE_WORK, at, w[row.RESISTANCE_WORK + at] + resisting_N * way_m)
         broadcast(w, row.V, at, end)
         broadcast(w, row.RATE, at, mean)
+
         # on a track the rail moves under the wheel with the vehicle
         for j in range(at, at + AXLES):
             w[row.SLIDING_WORK + j] += w[row.ON_TRACK + j] * w[row.FORCE + j] * way_m
-        if end < body.STANDING_M_S:
+        if end < planar_vehicle.STANDING_M_S:
             settle(w, at)
 
 

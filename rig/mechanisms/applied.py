@@ -1,12 +1,12 @@
 """The mechanisms of an extended model inside the plant: friction under a wheel, torque at a brake.
 
-Effects that depend on time, place, speed or past work are computed here in each tick, by the courses of
-the table. The memory of adhesion and the load on a wheel out of round are computed in each step of
-`wheelset`. Constants of the model are changed once, where the parameters are built. While all
-coefficients are 0 nothing is computed and no bit changes.
+Effects that depend on time, place, speed or past work are computed here in each tick, by the
+courses of the table. The memory of adhesion and the load on a wheel out of round are computed in
+each step of `wheelset`. Constants of the model are changed once, where the parameters are built.
+While all coefficients are 0 nothing is computed and no bit changes.
 
-The work on a metre of rail reaches the next wheel after the distance between them, as a first-order lag
-of that length: an approximation of the pure delay.
+The work on a metre of rail reaches the next wheel after the distance between them, as a first-order
+lag of that length: an approximation of the pure delay.
 """
 
 import math
@@ -53,8 +53,8 @@ class Effects(NamedTuple):
 class Wheels(NamedTuple):
     """The wheels of each axle.
 
-    `table` (16,) is ordered as in `vehicle`: radius, inertia, radius over inertia, amplitude out of round.
-    It is one array, because a further array costs stops in lanes 4 % of their time.
+    `table` (16,) is ordered as in `vehicle`: radius, inertia, radius over inertia, amplitude out of
+    round. It is one array, because a further array costs stops in lanes 4 % of their time.
     """
 
     table: np.ndarray
@@ -79,7 +79,7 @@ def build(m: Mapping[str, Any]) -> Effects:
 
 
 def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the constants of the model with the changes that the section [mechanisms] makes for all axles."""
+    """Returns the model's constants with the changes of [mechanisms] that hold for all axles."""
     changed = dict(model)
     for mechanism in IN_PLANT:
         has_constants = changed.keys() >= set(mechanism.changes)
@@ -91,7 +91,7 @@ def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
-    """Returns the wheels, from the checked sections [vehicle] (radius, inertia) and [mechanisms]."""
+    """Returns the wheels of the checked sections [vehicle] (radius, inertia) and [mechanisms]."""
     swing = _of_axles(m, "wheel_out_of_round", "wheel_out_of_round_amplitude")
     radius_fraction = _of_axles(m, "wheel_radius", "wheel_radius_fraction")
     inertia_fraction = _of_axles(m, "wheel_inertia", "wheel_inertia_fraction")
@@ -105,7 +105,7 @@ def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
 
 
 def _of_axles(m: Mapping[str, Any], name: str, key: str) -> np.ndarray:
-    """Returns the value of a key on each axle, shape (4,): 0 on axles that the mechanism does not change."""
+    """Returns the value of a key on each axle, shape (4,); 0 on an axle without the mechanism."""
     values = np.zeros(AXLES)
     for axle in range(AXLES):
         if m[f"{name}_axle"] in (0, axle + 1):
@@ -196,7 +196,7 @@ def torque(capacity_Nm, state, axle, place_m, effects):
 
 @kernel
 def remember(state, positions_m, tick_s):
-    """Advances by a tick: sliding distance, angle turned under the brake, work of the wheels in front."""
+    """Advances sliding distance, angle turned under the brake and work of the wheels in front."""
     work_J_m = 0.0
     for j in range(AXLES):
         state.sliding_distance[j] += tick_s * abs(state.sliding[j])

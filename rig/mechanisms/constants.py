@@ -1,6 +1,7 @@
 """Mechanisms that change constants of the model: of vehicle, wheelsets and contact.
 
-A formula takes the constants by name, as numbers or arrays, and returns the constants that it changes.
+A formula takes the constants by name, as numbers or arrays, and returns the constants that it
+changes.
 """
 
 from collections.abc import Mapping
@@ -46,7 +47,8 @@ def interfacial_layer(model: Model, reduction: float, whole: float) -> dict[str,
 def falling_friction(
     model: Model, fraction: float, height: float, contaminant_alone: float
 ) -> dict[str, Any]:
-    """gamma_d, gamma_r = (1 + fraction) of the base; height = 1: 1 / A_d - 1, 1 / A_r - 1; contaminant_alone: d only"""
+    """gamma_d, gamma_r = (1 + fraction) of the base; height = 1: 1 / A_d - 1, 1 / A_r - 1;
+    contaminant_alone: d only"""
     kinds = "d" if contaminant_alone else "dr"
     if height == 0.0:
         return {f"gamma_{k}_s_m": model[f"gamma_{k}_s_m"] * (1.0 + fraction) for k in kinds}

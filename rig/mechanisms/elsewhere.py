@@ -1,7 +1,7 @@
 """Mechanisms of loads, of recovery and of sensors.
 
-A course of a load is a share of it. The memory of recovery [X4] is computed in `wheelset` and in the
-replay's `memory_replay`. The effect of a sensor is in the recording, not in the plant.
+A course of a load is a share of it. The memory of recovery [X4] is computed in `wheelset` and in
+the replay's `memory_replay`. The effect of a sensor is in the recording, not in the plant.
 """
 
 import math
@@ -46,8 +46,8 @@ ROWS = (
             number("speed_power", 0.0, 1.0, "-"),
             number("of_work", 0.0, 1.0, "-"),
         ),
-        "d lambda/dx = (lambda_0 - lambda) / (length (v / 20 m/s)^speed_power); of_work = 1: lambda_0 = 1 - "
-        "exp(-tau W) of the work W done meanwhile, not that of the base model",
+        "d lambda/dx = (lambda_0 - lambda) / (length (v / 20 m/s)^speed_power); of_work = 1: "
+        "lambda_0 = 1 - exp(-tau W) of the work W done meanwhile, not that of the base model",
         "recovery lags the dissipated energy",
         "assumption",
         in_coach=NOT,

@@ -33,8 +33,9 @@ def negative_conditioning(slid_m, distance_m):
 
 @kernel
 def contaminated_patch(place_m, start_m, length_m, ramp):
-    """ln mu -= depth for start <= place < start + length; over the share ramp of the length, half at either
-    end, it rises and falls as sin^2"""
+    """ln mu -= depth for start <= place < start + length; over the share ramp of the length, half
+    at either end, it rises and falls as sin^2
+    """
     if not start_m <= place_m < start_m + length_m:
         return 0.0
     inside_m = min(place_m - start_m, start_m + length_m - place_m)
@@ -46,8 +47,9 @@ def contaminated_patch(place_m, start_m, length_m, ramp):
 
 @kernel
 def sanding(time_s, axle, start_s, duration_s, behind):
-    """ln mu += gain for start <= t < start + duration, each run with its own window; behind = 1: not under
-    the first wheelset"""
+    """ln mu += gain for start <= t < start + duration, each run with its own window; behind = 1:
+    not under the first wheelset
+    """
     on_this_axle = axle > 0 or behind < 0.5
     return 1.0 if start_s <= time_s < start_s + duration_s and on_this_axle else 0.0
 
@@ -66,9 +68,10 @@ def film_share(film):
 
 @kernel
 def empirical(x, linear, quadratic, centre, scale, period):
-    """ln mu += linear z + quadratic z^2, z = (x - centre) / scale; with a period linear cos(2 pi x / period)
-    + quadratic sin(2 pi x / period); x = 1 speed m/s, 2 time s, 3 place m, 4 sliding m/s, 5 load N, 6 energy
-    J/m, 7 disc heat MJ, 8 sliding distance m, 9 wheel angle rad"""
+    """ln mu += linear z + quadratic z^2, z = (x - centre) / scale; with a period linear cos(2 pi x
+    / period) + quadratic sin(2 pi x / period); x = 1 speed m/s, 2 time s, 3 place m, 4 sliding m/s,
+    5 load N, 6 energy J/m, 7 disc heat MJ, 8 sliding distance m, 9 wheel angle rad
+    """
     if period > 0.0:
         turn = 2.0 * math.pi * x / period
         return linear * math.cos(turn) + quadratic * math.sin(turn)
@@ -136,7 +139,8 @@ ROWS = tuple(
         ),
     )
 )
-# the formula that `explain` reports when no mechanism of the table explains the data; it is not a cause
+# the formula that `explain` reports when no mechanism of the table explains the data; it is not a
+# cause
 EMPIRICAL = row_of(
     FRICTION,
     empirical,

@@ -2,8 +2,8 @@
 
 A formula is one of two things. A course is a kernel whose arguments are covariates by their names
 (COVARIATES), followed by the shape parameters of the row in their order. Or it is a function of the
-constants of the model by their names, which returns the constants that it changes. The docstring is the
-formula that reports show. Plant, coach and replay call the same formula.
+constants of the model by their names, which returns the constants that it changes. The docstring is
+the formula that reports show. Plant, coach and replay call the same formula.
 """
 
 import inspect
@@ -34,8 +34,8 @@ NOT = "not"
 class Covariate(NamedTuple):
     """A quantity that a course may depend on, under its name in prepared runs.
 
-    `of_plant` is the expression of it in the plant, for `axle` at `place_m`. `word` is its name in the
-    formula of an empirical term; its code there is its place in the table, from 1.
+    `of_plant` is the expression of it in the plant, for `axle` at `place_m`. `word` is its name in
+    the formula of an empirical term; its code there is its place in the table, from 1.
     """
 
     name: str
@@ -63,11 +63,13 @@ COVARIATES = (
 
 
 class Mechanism(NamedTuple):
-    """One possible cause: `acts_on` is its place in the model, `courses` or `constants` its formula.
+    """One possible cause.
 
-    The first `free` parameters are coefficients, 0 when the mechanism is absent, each with its course. The
-    others are shape parameters. A coefficient whose lower bound is 0 has a fixed sign by nature. With
-    `share` a course is a share of the torque or load. `constants` changes the constants in `changes`.
+    `acts_on` is its place in the model. Its formula is in `courses` or in `constants`. The first
+    `free` parameters are coefficients, 0 when the mechanism is absent, each with its course. The
+    others are shape parameters. A coefficient whose lower bound is 0 has a fixed sign by nature.
+    With `share` a course is a share of the torque or load. `constants` changes the constants in
+    `changes`.
     """
 
     name: str
@@ -90,7 +92,7 @@ class Mechanism(NamedTuple):
 
     @property
     def formula_parameters(self) -> tuple[Row, ...]:
-        """The parameters of the formula: all except those that choose an axle or one of two frictions."""
+        """The parameters of the formula, without those that choose an axle or a friction."""
         choosing = {AXLE.name}
         if self.acts_on == FRICTION:
             choosing.add(ALONE.name)

@@ -1,12 +1,15 @@
-"""Brake pads: friction over speed, pressure and heat of the discs, and the hysteresis of their clamp.
+"""Brake pads: friction over speed, pressure and disc heat, and the hysteresis of their clamp.
 
-`explain` does not look for this cause: its effect on a measured torque is reported as `pad_fade` or `brake_gain`.
+`explain` does not look for this cause: its effect on a measured torque is reported as `pad_fade` or
+`brake_gain`.
 
-[P1] mu = mu_0 (1 - a (1 - exp(-v / v_1))) (1 - b (1 - exp(-p / p_1))) (1 - c (1 - exp(-(T - T_0) / T_1))), T > T_0
+[P1] mu = mu_0 (1 - a (1 - exp(-v / v_1))) (1 - b (1 - exp(-p / p_1)))
+          (1 - c (1 - exp(-(T - T_0) / T_1))), T > T_0
 [P2] the clamp follows the pressure p with play: p' = min(max(p', p (1 - h)), p (1 + h))
 
-Source: [P1] the form is an assumption (friction of pads falls with speed, pressure and heat: UIC 541-3 has them tested
-over these); [P2] Coulomb friction in the rigging. Each factor is exactly 1 where its coefficient is 0, p' exactly p.
+Source: [P1] the form is an assumption (friction of pads falls with speed, pressure and heat: UIC
+541-3 has them tested over these); [P2] Coulomb friction in the rigging. Each factor is exactly 1
+where its coefficient is 0, p' exactly p.
 """
 
 import math

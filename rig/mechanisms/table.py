@@ -1,14 +1,15 @@
 """The effects that the base model leaves out: all mechanisms, one row each.
 
-Each mechanism changes one place of the base model. Its size is a coefficient, and with its default 0 the
-model is the base model, to the last bit. The same rows provide the bounds of the identification, the keys
-of the extended model and the words of the report. A new mechanism needs a formula and a row in `friction`,
-`torque`, `constants` or `elsewhere`, and one row in `identify.causes.table`.
+Each mechanism changes one place of the base model. Its size is a coefficient, and with its default
+0 the model is the base model, to the last bit. The same rows provide the bounds of the
+identification, the keys of the extended model and the words of the report. A new mechanism needs a
+formula and a row in `friction`, `torque`, `constants` or `elsewhere`, and one row in
+`identify.causes.table`.
 
-    friction:  mu_cd and mu_cr of an axle are multiplied by exp(sum of coefficient x course)      [X1]
-    torque:    C times (1 + coefficient x course), or plus coefficient x course                   [X2]
-    vehicle:   M dv/dt = -sum T - (R + dR + M g gradient)                                         [X3]
-    contact:   d lambda/dx = (lambda_0 - lambda) / L, lambda_0 of the base model                  [X4]
+    friction:  mu_cd and mu_cr of an axle are multiplied by exp(sum of coefficient x course)   [X1]
+    torque:    C times (1 + coefficient x course), or plus coefficient x course                [X2]
+    vehicle:   M dv/dt = -sum T - (R + dR + M g gradient)                                      [X3]
+    contact:   d lambda/dx = (lambda_0 - lambda) / L, lambda_0 of the base model               [X4]
 
 Limit: the shapes are the simplest ones, without further justification.
 """

@@ -23,7 +23,8 @@ def pad_fade(heat_MJ, scale_MJ):
 
 @kernel
 def wet_pads(braked_rad, turns):
-    """C = C_0 (1 - loss exp(-phi / turns)), phi: turns of the wheel so far with the brake applied"""
+    """C = C_0 (1 - loss exp(-phi / turns)), phi: turns of the wheel so far with the brake
+    applied"""
     return -math.exp(-braked_rad / (2.0 * math.pi * turns))
 
 

@@ -1,7 +1,8 @@
 """The UIC-Z1 coach in three dimensions.
 
-Signs: x forwards, y to the left, z up; roll, pitch and yaw about them (pitch positive nose down), so a
-rolling wheelset turns with a positive pitch rate. Bodies: 0 car, 1 and 2 bogies, 3 to 6 wheelsets.
+Signs: x forwards, y to the left, z up; roll, pitch and yaw about them (pitch positive nose down),
+so a rolling wheelset turns with a positive pitch rate. Bodies: 0 car, 1 and 2 bogies, 3 to 6
+wheelsets.
 
 Reading order:
 

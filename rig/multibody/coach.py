@@ -1,15 +1,16 @@
 """The coach as bodies, degrees of freedom and links: constant arrays that the time loop reads.
 
-Degrees of freedom, declared and derived. With separate axleboxes and links there would be 23 rigid bodies
-(car 1, bogies 2, wheelsets 4, axleboxes 8, links 8), that is 138. A revolute joint between axlebox and
-wheelset takes 5 from each of 8 axleboxes (-40) and leaves its pitch. The link is rigid with its axlebox
-(-48). Its trailing arm is long compared with the play of the primary spring, so both turn in pitch with
-the bogie frame (-8). This leaves 138 - 40 - 48 - 8 = 42 = 7 bodies (car, two bogies, four wheelsets) of 6.
-The masses and the roll and yaw inertias of axleboxes and links belong to the wheelset, their pitch
-inertia to the frame. (The paper counts 40, which cannot be derived from the joints that it names.)
+Degrees of freedom, declared and derived. With separate axleboxes and links there would be 23 rigid
+bodies (car 1, bogies 2, wheelsets 4, axleboxes 8, links 8), that is 138. A revolute joint between
+axlebox and wheelset takes 5 from each of 8 axleboxes (-40) and leaves its pitch. The link is rigid
+with its axlebox (-48). Its trailing arm is long compared with the play of the primary spring, so
+both turn in pitch with the bogie frame (-8). This leaves 138 - 40 - 48 - 8 = 42 = 7 bodies (car,
+two bogies, four wheelsets) of 6. The masses and the roll and yaw inertias of axleboxes and links
+belong to the wheelset, their pitch inertia to the frame. (The paper counts 40, which cannot be
+derived from the joints that it names.)
 
 [C1] a link's elongation d = c . q over six coordinates, three of either body; a force f pulls them
-     with c f: springs, dampers, bump-stops, traction rods and anti-roll bars are all rows of this form
+     with c f: springs, dampers, bump-stops, traction rods and anti-roll bars are all such rows
 [C2] preload of vertical links: the weight that rests on them, so that q = 0 is the equilibrium
 [C3] axle height z_0 at which the contacts of a wheelset carry its share of the weight
 """
@@ -49,7 +50,7 @@ _NO_LIMIT_N = 1e9
 
 
 class Links(NamedTuple):
-    """Rows of [C1]: `at` (n, 6) coordinates; `row` (n, 12): six factors, then the columns of `links`."""
+    """Rows of [C1]: `at` (n, 6) coordinates; `row` (n, 12) six factors, then columns of `links`."""
 
     at: np.ndarray
     row: np.ndarray
@@ -168,7 +169,7 @@ def _bogie_of(wheelset: int) -> int:
 
 
 def _rotary_inertia(body: int, vehicle: Section, m: Section) -> tuple[float, float, float]:
-    """Returns the inertias in kg m2 of a body in roll, pitch and yaw; `m` is the section [multibody]."""
+    """Returns the inertias in kg m2 of a body in roll, pitch and yaw; `m` is [multibody]."""
     if body == CAR:
         return m["body_inertia_x_kgm2"], m["body_inertia_y_kgm2"], m["body_inertia_z_kgm2"]
     if body in BOGIES:
@@ -292,7 +293,7 @@ def _curves(vehicle: Section, m: Section) -> list[_Row]:
 
 
 def _secondary(bogie: int, y: float, level_m: float, vehicle: Section) -> _Joint:
-    """Returns the joint of car and bogie above the middle of the bogie, at a height above the rail."""
+    """Returns the joint of car and bogie above the bogie's middle, level_m above the rail."""
     x, height = places(vehicle)
     on_car = (x[bogie], y, level_m - height[CAR])
     on_bogie = (0.0, y, level_m - height[bogie])

@@ -1,7 +1,7 @@
 """State of the coach: named views into one float64 buffer, so that a snapshot is one copy.
 
-Each field has its shape, its unit and the stage that writes it. The order of q and v is by body (car, two
-bogies, four wheelsets), then x, y, z, roll, pitch, yaw (`coordinates`).
+Each field has its shape, its unit and the stage that writes it. The order of q and v is by body
+(car, two bogies, four wheelsets), then x, y, z, roll, pitch, yaw (`coordinates`).
 """
 
 from typing import NamedTuple

@@ -1,9 +1,9 @@
-"""The coach behind three addresses: a compiled function that others call without compiling it again.
+"""The coach as one C function on three addresses, which callers do not compile again.
 
 The coach is large, and numba compiles a function again into each function that calls it. Here it is
-compiled once, as a C function on the addresses of its memory, its constants (`Packed.tape`) and their
-layout (`Packed.layout`). Other kernels call it by its name, with `run`. Inputs and outputs of a step are
-in the `ports` of the memory (`coach_state`).
+compiled once, as a C function on the addresses of its memory, its constants (`Packed.tape`) and
+their layout (`Packed.layout`). Other kernels call it by its name, with `run`. Inputs and outputs of
+a step are in the `ports` of the memory (`coach_state`).
 """
 
 from typing import Any, NamedTuple
@@ -34,7 +34,8 @@ from rollerrig.rig.multibody.coordinates import COORDINATES
 STEP = 0
 START = 1
 
-# places on the tape: scalars first, then the law, inertia and weight, then the tables one after another
+# places on the tape: scalars first, then the law, inertia and weight, then the tables one after
+# another
 (
     _MASS_KG,
     _AXLE_HEIGHT_M,
@@ -60,7 +61,8 @@ _COARSE_COLUMNS = 5
 _RAIL_COLUMNS = 4
 _PATCH_COLUMNS = 8
 
-# places in the layout: rows of each table, then the contact model, then the coordinates of the links
+# places in the layout: rows of each table, then the contact model, then the coordinates of the
+# links
 (
     _SPRINGS,
     _CURVES,
@@ -236,12 +238,15 @@ _compiled: list[Any] = []
 
 
 def prepare() -> None:
-    """Compiles the coach, or loads it from the cache; this must precede any kernel that calls `run`."""
+    """Compiles the coach, or loads it from the cache, before any kernel that calls `run`."""
     if not _compiled:
         _compiled.append(c_function.compile_named(_NAME, _act, FLOATS, FLOATS, INTEGERS))
 
 
 @kernel_inlined
 def run(buffer, tape, layout):
-    """Does the action in the ports of a coach: `buffer` (coach_state.SIZE,), tape and layout of `packed`."""
+    """Does the action in the ports of a coach.
+
+    `buffer` (coach_state.SIZE,) is its memory; `packed` returns tape and layout.
+    """
     _call(buffer.ctypes, tape.ctypes, layout.ctypes)

@@ -1,7 +1,8 @@
 """The 42 coordinates of the coach: seven bodies, each with three displacements and three rotations.
 
-Coordinates are displacements from the nominal place in m and small rotations in rad (linear kinematics,
-no geometric stiffness of preloaded springs). A wheelset's pitch coordinate is the angle it has turned.
+Coordinates are displacements from the nominal place in m and small rotations in rad (linear
+kinematics, no geometric stiffness of preloaded springs). A wheelset's pitch coordinate is the angle
+it has turned.
 """
 
 # bodies

@@ -1,9 +1,10 @@
 """Creep forces of all contacts of the coach: eight simultaneously, in the vector lanes of a core.
 
-`wheel_rail_forces` writes the sliding and the load of the contacts of all wheels into the lanes of one
-array, in which each quantity is a row. One loop then computes the creep forces of the first eight, with
-recovery or Polach's, by `contact.vector_law`. `contact.creep_force` computes the rest one by one: contacts
-outside the domain of `vector_law`, a ninth contact (a flange that touches) and the other models.
+`wheel_rail_forces` writes the sliding and the load of the contacts of all wheels into the lanes of
+one array, in which each quantity is a row. One loop then computes the creep forces of the first
+eight, with recovery or Polach's, by `contact.vector_law`. `contact.creep_force` computes the rest
+one by one: contacts outside the domain of `vector_law`, a ninth contact (a flange that touches) and
+the other models.
 """
 
 import math
@@ -37,8 +38,8 @@ LANES = 32
     FY,
     MZ,
     INSIDE,
-    # stored for `wheel_rail_forces`: speed of approach m/s, cosine and sine of the tangent along, arm of
-    # the roller m
+    # stored for `wheel_rail_forces`: speed of approach m/s, cosine and sine of the tangent along,
+    # arm of the roller m
     APPROACH,
     COS,
     SIN,
@@ -62,7 +63,10 @@ def put(w, lane, patch):
 
 @kernel_inlined
 def contact(w, j, patches, law):
-    """Returns the arguments of the models for lane j: (xi, eta, phi_1_m, sliding_m_s, load_N, patch, law)."""
+    """Returns the arguments of the models for lane j.
+
+    They are (xi, eta, phi_1_m, sliding_m_s, load_N, patch, law).
+    """
     sx = w[SX + j]
     sy = w[SY + j]
     surface = w[SURFACE + j]
@@ -119,7 +123,7 @@ def polach(w, patches, law):
 
 @kernel
 def forces(w, count, patches, law):
-    """Computes the creep forces of the first `count` lanes by the model of `patches` (`patch.Patches`)."""
+    """Computes the creep forces of the first `count` lanes by the model of `patch.Patches`."""
     computed = 0
     if patches.model == creep_force.DEGRADED:
         degraded(w, patches, law)

@@ -51,7 +51,7 @@ def springs(q, force, links):
 
 @kernel_inlined
 def curves(q, v, force, links):
-    """Adds the forces of the nonlinear rows [L1 to L3]; returns the power in W that the dampers take."""
+    """Adds the forces of the nonlinear rows [L1 to L3]; returns the power of the dampers in W."""
     power_W = 0.0
     row = links.row
     for i in range(row.shape[0]):

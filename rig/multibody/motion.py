@@ -1,9 +1,10 @@
 """The coach in motion: one time step of 42 coordinates, four rollers and eight wheels.
 
-Positions move half a step, forces are computed there, speeds move a whole step, positions move the other
-half: second order for springs and contacts, whose 200 Hz need no more. Creep is stiffer the slower the
-coach runs. Therefore its secant slopes enter the speeds linearly implicitly, with one 4x4 and one 3x3
-system for each wheelset. The brake is dry friction, solved exactly: it stops a wheel if it can, and holds.
+Positions move half a step, forces are computed there, speeds move a whole step, positions move the
+other half: second order for springs and contacts, whose 200 Hz need no more. Creep is stiffer the
+slower the coach runs. Therefore its secant slopes enter the speeds linearly implicitly, with one
+4x4 and one 3x3 system for each wheelset. The brake is dry friction, solved exactly: it stops a
+wheel if it can, and holds.
 
 [M1] q' = q + h/2 v, (M + h theta G) dv = h F(q', v), v += dv, q = q' + h/2 v
 [M2] theta = 1/2 up to z = h max(G/M) = 1, beyond it 1 - 1/(2 z): no oscillation however stiff
@@ -12,9 +13,10 @@ system for each wheelset. The brake is dry friction, solved exactly: it stops a 
      J omega roll rate, moments across the axis
 [M5] brake C = min(C_max, the torque that stops the wheel within the step); it turns the bogie frame
 [M6] work of sliding with the creep force and the speeds in the middle of the step, exactly
-[M7] on rollers the rig's restraint takes the force of the contacts along the rail except the creep force:
-     a wheelset behind the crown of its roller leans on it with N n_x, which no motor of a roller feels,
-     so it is no force on the virtual vehicle. It acts at the car's centre of mass (assumption)
+[M7] on rollers the rig's restraint takes the force of the contacts along the rail except the
+     creep force: a wheelset behind the crown of its roller leans on it with N n_x, which no motor
+     of a roller feels, so it is no force on the virtual vehicle. It acts at the car's centre of
+     mass (assumption)
 
 Source: [M1] position Verlet with a W-method for the creep, Hairer and Wanner 1996, IV.7; the
 paper's section 2. Below 0.1 m/s creepage is sliding over 0.1 m/s.
@@ -41,7 +43,7 @@ from rollerrig.rig.multibody.coordinates import (
     Z,
 )
 
-# the place on the track, at least, at which a wheel has left its rail; 0 would mean that it is on it
+# least place on the track that is stored for a wheel that has left its rail; 0 means "on the rail"
 LEAST_PLACE_M = 1e-3
 
 
@@ -104,8 +106,8 @@ def step(
 ):
     """Advances the coach by h seconds; arrays of shape (4,) belong to the wheelsets.
 
-    `roller_rad_s` is advanced too (all 0 and unchanged on a track). `brake_Nm` is the largest torque of
-    the brakes; the torque that acts is written to `brake_acts_Nm`.
+    `roller_rad_s` is advanced too (all 0 and unchanged on a track). `brake_Nm` is the largest
+    torque of the brakes; the torque that acts is written to `brake_acts_Nm`.
     """
     hang(motion, coach, h, resistance_N)
     touch(motion, coach, roller_rad_s, mu_cd, mu_cr, law)
@@ -145,7 +147,9 @@ def touch(motion, coach, roller_rad_s, mu_cd, mu_cr, law):
     place = 0.0
     if on_rollers:
         speed = mean_speed(motion.v, coach)
+        # the mean of the displacements, weighted with the masses as the mean speed is
         place = mean_speed(motion.q, coach)
+
     # another wheelset is first in each step, so that all get their searches
     first = int(motion.first_wheelset[0])
     motion.first_wheelset[0] = (first + 1) % AXLES
@@ -172,6 +176,7 @@ def touch(motion, coach, roller_rad_s, mu_cd, mu_cr, law):
             lane,
         )
     eight_contacts.forces(motion.lanes, lane, coach.patches, law)
+
     # the same order, so that each contact finds its lane again
     lane = 0
     for k in range(AXLES):
@@ -232,6 +237,7 @@ def respond(
         )
     if on_rollers:
         force[X] -= leaning_N  # [M7]
+
     # car and bogies have no contacts: their step is explicit
     for i in range(BEFORE_WHEELSETS):
         v[i] += h * force[i] / coach.inertia[i]
@@ -268,33 +274,33 @@ def follow(j, motion, coach, offset_m, searches_left):
 
 @kernel_inlined
 def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm, on_rollers):
-    """Advances the speeds of a wheelset along the track, its rotation, yaw and roller; returns the brake."""
+    """Advances a wheelset along, in rotation and yaw, and its roller; returns the brake torque."""
     v = motion.v
     force = motion.force
     G = motion.Gx[j]
-    given = motion.wheelset_forces
+    contact = motion.wheelset_forces
     i = PER_BODY * (FIRST_WHEELSET + j)
     ex, ey, ez = forces.axis(motion.q[i + ROLL], motion.q[i + YAW])
     # moment about the axis of the wheelset
     about = (
-        given[j, forces.MOMENT] * ex
-        + given[j, forces.MOMENT + 1] * ey
-        + given[j, forces.MOMENT + 2] * ez
+        contact[j, forces.MOMENT] * ex
+        + contact[j, forces.MOMENT + 1] * ey
+        + contact[j, forces.MOMENT + 2] * ez
     )
     gyro = inertia[i + PITCH] * v[i + PITCH]
 
     # generalised forces and inertias [M3]: 0 along, 1 rotation, 2 yaw, 3 roller
-    f0 = force[i + X] + given[j, forces.FORCE]
+    f0 = force[i + X] + contact[j, forces.FORCE]
     f1 = about
-    f2 = force[i + YAW] + given[j, forces.MOMENT + 2] - about * ez - gyro * v[i + ROLL]  # [M4]
-    f3 = (motor_Nm + given[j, forces.ALONG + 3]) if on_rollers else 0.0
+    f2 = force[i + YAW] + contact[j, forces.MOMENT + 2] - about * ez - gyro * v[i + ROLL]  # [M4]
+    f3 = (motor_Nm + contact[j, forces.ALONG + 3]) if on_rollers else 0.0
     m0 = inertia[i + X]
     m1 = inertia[i + PITCH]
     m2 = inertia[i + YAW]
     m3 = roller_inertia_kgm2
     w = theta(h * max(G[0, 0] / m0, G[1, 1] / m1, G[2, 2] / m2, G[3, 3] / m3)) * h
 
-    # L D L' of M + h theta G [M3]
+    # factors L D L' of M + h theta G [M3]
     d0 = m0 + w * G[0, 0]
     l10 = w * G[1, 0] / d0
     l20 = w * G[2, 0] / d0
@@ -305,6 +311,7 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
     d2 = m2 + w * G[2, 2] - l20 * l20 * d0 - l21 * l21 * d1
     l32 = (w * G[3, 2] - l30 * l20 * d0 - l31 * l21 * d1) / d2
     d3 = m3 + w * G[3, 3] - l30 * l30 * d0 - l31 * l31 * d1 - l32 * l32 * d2
+
     # x: the accelerations by all forces without the brake
     y1 = f1 - l10 * f0
     y2 = f2 - l20 * f0 - l21 * y1
@@ -312,6 +319,7 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
     x2 = y2 / d2 - l32 * x3
     x1 = y1 / d1 - l21 * x2 - l31 * x3
     x0 = f0 / d0 - l10 * x1 - l20 * x2 - l30 * x3
+
     # u: the accelerations by 1 N m against the brake
     u2 = -l21
     u3 = (-l31 - l32 * u2) / d3
@@ -322,20 +330,23 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
     rotation_without_brake = v[i + PITCH] + h * x1
     stops_Nm = rotation_without_brake / (h * u1)
     brake = min(max(stops_Nm, -brake_Nm), brake_Nm)  # [M5]
+
     # changes of the speeds in the step
     s0 = h * (x0 - brake * u0)
     s1 = h * (x1 - brake * u1)
     s2 = h * (x2 - brake * u2)
     s3 = h * (x3 - brake * u3)
-    given[j, forces.BRAKING_N] = -given[j, forces.ALONG] + w / h * (
+    contact[j, forces.BRAKING_N] = -contact[j, forces.ALONG] + w / h * (
         G[0, 0] * s0 + G[1, 0] * s1 + G[2, 0] * s2 + G[3, 0] * s3
     )
-    # [M6]
-    power_W = given[j, forces.SLIDING_W] + middle(
-        given, j, forces.ALONG, forces.ALONG_GS, w / h, G, s0, s1, s2, s3
+
+    # work of sliding and of the brake [M6]
+    power_W = contact[j, forces.SLIDING_W] + middle(
+        contact, j, forces.ALONG, forces.ALONG_GS, w / h, G, s0, s1, s2, s3
     )
     motion.sliding_work[j] += h * power_W
     motion.brake_work[j] += h * brake * (v[i + PITCH] + 0.5 * s1)
+
     v[i + X] += s0
     v[i + PITCH] = 0.0 if brake == stops_Nm else v[i + PITCH] + s1
     v[i + YAW] += s2
@@ -346,7 +357,7 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
 
 @kernel_inlined
 def middle(wheelset_forces, j, force_at, gs_at, weight, G, s0, s1, s2, s3):
-    """Returns the power of sliding that the changes s of the speeds add to that at the beginning [M6]."""
+    """Returns the power of sliding that the changes s of the speeds add to the initial one [M6]."""
     s = (s0, s1, s2, s3)
     linear = 0.0
     quadratic = 0.0
@@ -366,22 +377,22 @@ def across(j, motion, inertia, h):
     v = motion.v
     force = motion.force
     G = motion.Gy[j]
-    given = motion.wheelset_forces
+    contact = motion.wheelset_forces
     i = PER_BODY * (FIRST_WHEELSET + j)
     ex, ey, ez = forces.axis(motion.q[i + ROLL], motion.q[i + YAW])
     about = (
-        given[j, forces.MOMENT] * ex
-        + given[j, forces.MOMENT + 1] * ey
-        + given[j, forces.MOMENT + 2] * ez
+        contact[j, forces.MOMENT] * ex
+        + contact[j, forces.MOMENT + 1] * ey
+        + contact[j, forces.MOMENT + 2] * ez
     )
 
     # generalised forces and inertias [M3]: 0 across, 1 upwards, 2 roll
-    f0 = force[i + Y] + given[j, forces.FORCE + 1]
-    f1 = force[i + Z] + given[j, forces.FORCE + 2]
+    f0 = force[i + Y] + contact[j, forces.FORCE + 1]
+    f1 = force[i + Z] + contact[j, forces.FORCE + 2]
     # the yaw rate is new by now: roll follows with it, which keeps the gyroscope's energy
     f2 = (
         force[i + ROLL]
-        + given[j, forces.MOMENT]
+        + contact[j, forces.MOMENT]
         - about * ex
         + inertia[i + PITCH] * v[i + PITCH] * v[i + YAW]
     )  # [M4]
@@ -404,10 +415,10 @@ def across(j, motion, inertia, h):
     s1 = h * x1
     s2 = h * x2
 
-    # [M6]
-    work = s0 * (w / h * given[j, forces.ACROSS_GS] - 0.5 * given[j, forces.ACROSS])
-    work += s1 * (w / h * given[j, forces.ACROSS_GS + 1] - 0.5 * given[j, forces.ACROSS + 1])
-    work += s2 * (w / h * given[j, forces.ACROSS_GS + 2] - 0.5 * given[j, forces.ACROSS + 2])
+    # work of sliding [M6]
+    work = s0 * (w / h * contact[j, forces.ACROSS_GS] - 0.5 * contact[j, forces.ACROSS])
+    work += s1 * (w / h * contact[j, forces.ACROSS_GS + 1] - 0.5 * contact[j, forces.ACROSS + 1])
+    work += s2 * (w / h * contact[j, forces.ACROSS_GS + 2] - 0.5 * contact[j, forces.ACROSS + 2])
     work += (
         0.5
         * w
@@ -420,6 +431,7 @@ def across(j, motion, inertia, h):
         )
     )
     motion.sliding_work[j] += h * work
+
     v[i + Y] += s0
     v[i + Z] += s1
     v[i + ROLL] += s2

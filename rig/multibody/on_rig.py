@@ -1,8 +1,9 @@
-"""The coach as the vehicle of the plant: the counterpart of `vehicle` and `wheelset` of the planar model.
+"""The coach as the vehicle of the plant, in the place of the planar `vehicle` and `wheelset`.
 
-Every function takes the coach as its last argument and does nothing where it is None: the compiled code of
-the planar model is then the same as without a coach. The state of the plant remains the one that is
-observed and recorded. The memory of the coach is `state.coach`, its constants are `params.coach`.
+Every function takes the coach as its last argument and does nothing where it is None: the compiled
+code of the planar model is then the same as without a coach. The state of the plant remains the one
+that is observed and recorded. The memory of the coach is `state.coach`, its constants are
+`params.coach`.
 """
 
 from rollerrig.configs.vehicle import AXLES
@@ -78,7 +79,7 @@ def integrate(state, params, resistance_N, coach):
 
 @kernel_inlined
 def rest(state, coach):
-    """Lets a coach whose wheels are at rest swing out on its springs, with the brakes as they are."""
+    """Lets a coach at rest swing out on its springs, with the brakes as they are."""
     for j in range(AXLES):
         state.coach[coach_state.MOTOR_NM + j] = 0.0
         state.coach[coach_state.BRAKE_NM + j] = state.brake_capacity[j]
@@ -100,7 +101,7 @@ def step(state, resistance_N, coach):
 
 @kernel_inlined
 def load(axle, planar_N, state, coach):
-    """Returns the load in N on the contacts of a wheelset, not below 0; planar_N without a coach."""
+    """Returns the load in N on a wheelset's contacts, not below 0; planar_N without a coach."""
     if coach is None:
         return planar_N
     left = _WHEEL_FORCES + 2 * WHEEL_COLUMNS * axle + LOAD

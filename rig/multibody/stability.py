@@ -1,8 +1,8 @@
 """The speed above which the wheelsets hunt.
 
-A wheelset that is displaced to the side oscillates about the middle of the track on its conical wheels.
-Yaw and creep damp the oscillation at low speed and feed it at high speed. At the critical speed a small
-oscillation neither grows nor decays.
+A wheelset that is displaced to the side oscillates about the middle of the track on its conical
+wheels. Yaw and creep damp the oscillation at low speed and feed it at high speed. At the critical
+speed a small oscillation neither grows nor decays.
 """
 
 import math
@@ -27,9 +27,10 @@ def growth(
 ) -> float:
     """Returns the rate in 1/s at which a small lateral oscillation grows, negative where it decays.
 
-    All wheelsets begin shift_m off the middle. The rate is that of the largest lateral displacement of
-    any wheelset from the second to the last quarter of the time; or the rate from the beginning, if it is
-    larger: it counts for an oscillation that has grown to its limit. Returns inf without a limit.
+    All wheelsets begin shift_m off the middle. The rate is that of the largest lateral displacement
+    of any wheelset from the second to the last quarter of the time; or the rate from the beginning,
+    if it is larger: it counts for an oscillation that has grown to its limit. Returns inf without a
+    limit.
     """
     state = stop.rolling(coach, speed_m_s)
     for wheelset in WHEELSETS:
@@ -54,10 +55,10 @@ def growth(
 def critical_speed(
     coach: Coach, law: Law, speeds_m_s: np.ndarray | None = None, tolerance_m_s: float = 0.5
 ) -> float:
-    """Returns the speed in m/s above which the coach hunts, inf where it hunts at none of the speeds.
+    """Returns the speed in m/s above which the coach hunts; inf where it never hunts.
 
-    It is found by a sweep over the speeds and a bisection. `law` is the adhesion under the wheels; on dry
-    rails (k = 1) a coach hunts first.
+    It is found by a sweep over the speeds and a bisection. `law` is the adhesion under the wheels;
+    on dry rails (k = 1) a coach hunts first.
     """
     speeds = np.arange(40.0, 141.0, 10.0) if speeds_m_s is None else speeds_m_s
     stable = 0.0

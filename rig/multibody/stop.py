@@ -1,7 +1,7 @@
 """A coach on a track in batch: a number of steps under constant brakes, as fast as possible.
 
-It does what the bench does tick by tick, without valves, cylinders and bus: for benchmarks of the contact
-models, for tests and for hunting.
+It does what the bench does tick by tick, without valves, cylinders and bus: for benchmarks of the
+contact models, for tests and for hunting.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ def _steps(
     law,
     end_m_s,
 ):
-    """Advances by `count` steps or to a speed; returns the number of steps. Arrays (4,): wheelsets."""
+    """Advances by `count` steps or to end_m_s; returns the number of steps. Arrays are (4,)."""
     for i in range(count):
         speed = motion.mean_speed(state.v, coach)
         if speed < end_m_s:

@@ -1,17 +1,18 @@
 """Wheel and rail (or roller) under a wheelset: contact points, normal and creep forces.
 
-The contacts of each wheel are followed from step to step. Where wheel and rail interpenetrate, Hertz'
-spring and a damper press them apart, and the creep force of the chosen model acts against the sliding of
-the wheel's material on the rail's, spin included. The time step also gets the secant slopes of the
-forces, which it needs at low speed.
+The contacts of each wheel are followed from step to step. Where wheel and rail interpenetrate,
+Hertz' spring and a damper press them apart, and the creep force of the chosen model acts against
+the sliding of the wheel's material on the rail's, spin included. The time step also gets the secant
+slopes of the forces, which it needs at low speed.
 
 [N1] N = k_h p^(3/2) + c max(dp/dt, 0), p = -gap > 0                             paper eqs. 4, 5
 [N2] s = (v + Omega x rho) along t1, t2, spin = Omega . n, on a roller with its surface's motion
 [N3] F = N n + f_x t1 + f_y t2 at rho, and m_z n
 [N4] g = |f| / (|s| + a |spin|), a = 5 mm: f is about -g s, so its Jacobian is taken as -g J'J
 
-t1 lies along the track, t2 across, n out of the rail; rho from the wheelset's centre to the contact.
-Eq. 5 of the paper prints p = max(..., 0) for a quantity that is negative in contact; read as above.
+t1 lies along the track, t2 across, n out of the rail; rho from the wheelset's centre to the
+contact. Eq. 5 of the paper prints p = max(..., 0) for a quantity that is negative in contact; read
+as above.
 """
 
 import math
@@ -27,8 +28,8 @@ from rollerrig.rig.multibody import coordinates
 from rollerrig.rig.multibody import eight_contacts as lanes
 from rollerrig.rig.multibody.coordinates import FIRST_WHEELSET, PER_BODY, PITCH, ROLL, YAW
 
-# A wheel is searched for new contacts when it has moved by this distance since its last search, but at
-# most so many wheels in a step.
+# A wheel is searched for new contacts when it has moved by this distance since its last search, but
+# at most so many wheels in a step.
 MOVED_M = 5e-5
 SEARCHES = 2
 # lever arms that turn a rotation of the wheelset into a distance, for the comparison with MOVED_M
@@ -52,8 +53,8 @@ APPROACH_W = 21  # power of the dampers of the contacts
 BRAKING_N = 22  # mean braking force in the time step, which the time step writes
 WHEELSET_COLUMNS = 23
 
-# columns of one wheel: vertical load N, longitudinal and lateral force N, sliding along m/s (its mean over
-# the contacts, weighted with their normal forces), sum of the normal forces N
+# columns of one wheel: vertical load N, longitudinal and lateral force N, sliding along m/s (its
+# mean over the contacts, weighted with their normal forces), sum of the normal forces N
 LOAD, PULL, SIDE, SLIP, TOUCHING = range(5)
 WHEEL_COLUMNS = 5
 
@@ -63,7 +64,7 @@ _SEARCHED_Y, _SEARCHED_Z, _SEARCHED_ROLL, _SEARCHED_YAW = range(4)
 
 @kernel_inlined
 def axis(roll_rad, yaw_rad):
-    """Returns a wheelset's axis, a unit vector to the left, for the small rotations of the coach."""
+    """Returns a wheelset's axis, a unit vector to the left, for small rotations."""
     return -yaw_rad, math.sqrt(1.0 - roll_rad * roll_rad - yaw_rad * yaw_rad), roll_rad
 
 
@@ -84,9 +85,9 @@ def follow(
 ):
     """Moves the contacts of a wheel on; returns how many searches are left in this step.
 
-    Wheel 2 j is the left one of wheelset j, 2 j + 1 the right one. q (42,); offset_m of the wheelset in
-    front of a roller's crown. The wheel is searched again if it has lost a contact, or if it has moved
-    since `searched_at` (8, 4) and searches are left.
+    Wheel 2 j is the left one of wheelset j, 2 j + 1 the right one. q (42,); offset_m of the
+    wheelset in front of a roller's crown. The wheel is searched again if it has lost a contact, or
+    if it has moved since `searched_at` (8, 4) and searches are left.
     """
     first = PER_BODY * (FIRST_WHEELSET + wheel // 2)
     side = 1.0 - 2.0 * (wheel % 2)  # 1 left, -1 right
@@ -140,10 +141,10 @@ def slide(
     w,
     lane,
 ):
-    """Writes load and sliding of all contacts of wheelset j into the lanes `w`; returns the next lane.
+    """Writes load and sliding of wheelset j's contacts into the lanes `w`; returns the next lane.
 
-    The first contact goes to `lane` of `eight_contacts`. base_m_s is the vehicle's speed on rollers, 0 on
-    a track; roller_rad_s is 0 on a track.
+    The first contact goes to `lane` of `eight_contacts`. base_m_s is the vehicle's speed on
+    rollers, 0 on a track; roller_rad_s is 0 on a track.
     """
     i = PER_BODY * (FIRST_WHEELSET + j)
     ex, ey, ez = axis(q[i + ROLL], q[i + YAW])
@@ -209,8 +210,8 @@ def press(
 ):
     """Writes the forces of both wheels of wheelset j, after `slide`; returns the next lane.
 
-    They go into row j of `wheelset_forces`, the slopes `Gx` (4, 4) and `Gy` (3, 3) of [N4], and two rows
-    of `wheel_forces`.
+    They go into row j of `wheelset_forces`, the slopes `Gx` (4, 4) and `Gy` (3, 3) of [N4], and two
+    rows of `wheel_forces`.
     """
     wheelset_forces[j, :] = 0.0
     Gx[:, :] = 0.0

@@ -36,6 +36,7 @@ HEAD = (
 RUN = (
     choice("file", "", (), "CSV, Parquet or MDF4"),
     choice("group", "tune", ("tune", "validate"), "validate: never fitted, only judged"),
+    # the default -1 means "not given"
     number("initial_speed_m_s", -1.0, 0.0, 150.0, "m/s"),
     number("mu_cd", -1.0, 1e-4, 1.0, "estimated where not given"),
     number("mass_kg", -1.0, 1000.0, 200000.0, "kg"),
@@ -54,16 +55,23 @@ ACCURACY = (
         0.07,
         0.0,
         0.5,
-        "of what a cause explains: how far its law may be another in truth",
+        "of what a cause explains: how far its law may differ from the true law",
     ),
 )
+
+
+def columns_of_axles(quantity: str, unit: str) -> tuple[str, ...]:
+    """Returns the column names of a quantity, one for each wheelset."""
+    return tuple(f"{quantity}_{axle}_{unit}" for axle in range(1, AXLES + 1))
+
+
 CHANNELS = (
     "vehicle_speed_m_s",
     "position_m",
-    *(f"wheel_speed_{axle}_rad_s" for axle in range(1, AXLES + 1)),
-    *(f"wheel_load_{axle}_N" for axle in range(1, AXLES + 1)),
-    *(f"brake_torque_{axle}_Nm" for axle in range(1, AXLES + 1)),
-    *(f"surface_speed_{axle}_m_s" for axle in range(1, AXLES + 1)),
+    *columns_of_axles("wheel_speed", "rad_s"),
+    *columns_of_axles("wheel_load", "N"),
+    *columns_of_axles("brake_torque", "Nm"),
+    *columns_of_axles("surface_speed", "m_s"),
 )
 TABLES = ("vehicle", "adhesion", "contact", "brake", "accuracy", "axles", "run")
 MODEL_TABLES = ("vehicle", "adhesion", "contact", "brake")
@@ -115,7 +123,7 @@ def load(folder: Path | str) -> Dataset:
 
 
 def _take_tables(content: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Removes all tables from the content of a dataset.toml and returns them. Raises ConfigError."""
+    """Removes the tables from the content of dataset.toml and returns them. Raises ConfigError."""
     names = [key for key, value in content.items() if isinstance(value, dict | list)]
     tables = {key: content.pop(key) for key in names}
     unknown = sorted(set(tables) - set(TABLES))
@@ -164,8 +172,8 @@ def find(folder: Path | str) -> Path:
 def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]:
     """Returns the parameter sections of the base model.
 
-    They are those of a packaged vehicle and the contact with a rail, then the overrides of `tables`.
-    Raises ConfigError.
+    They are those of a packaged vehicle and the contact with a rail, then the overrides of
+    `tables`. Raises ConfigError.
     """
     packaged, vehicle_file = store.load("vehicles", vehicle)
     sections: dict[str, dict[str, Any]] = {key: dict(value) for key, value in packaged.items()}
@@ -227,7 +235,7 @@ def read_table(path: Path) -> pa.Table:
 
 
 def column(data: pa.Table, name: str, path: Path) -> np.ndarray:
-    """Returns a column of finite numbers. Raises ConfigError, which names the column and the row."""
+    """Returns a column of finite numbers. Raises ConfigError with the column and the row."""
     count = data.column_names.count(name)
     if count == 0:
         similar = table.nearest(name, data.column_names)
@@ -275,7 +283,7 @@ def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Pat
         position_m = column(data, "position_m", path)
     surface_m_s = None
     if "surface_speed_1_m_s" in data.column_names:
-        surface_m_s = _columns_of_axles(data, "surface_speed", "m_s", path)
+        surface_m_s = _values_of_axles(data, "surface_speed", "m_s", path)
 
     run = Run(
         name=path.stem,
@@ -284,9 +292,9 @@ def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Pat
         mu_cd=entry["mu_cd"] if entry["mu_cd"] > 0 else None,
         time_s=column(data, "time_s", path),
         speed_m_s=column(data, "vehicle_speed_m_s", path),
-        wheel_speed_rad_s=_columns_of_axles(data, "wheel_speed", "rad_s", path),
-        load_N=_columns_of_axles(data, "wheel_load", "N", path),
-        torque_Nm=_columns_of_axles(data, "brake_torque", "Nm", path),
+        wheel_speed_rad_s=_values_of_axles(data, "wheel_speed", "rad_s", path),
+        load_N=_values_of_axles(data, "wheel_load", "N", path),
+        torque_Nm=_values_of_axles(data, "brake_torque", "Nm", path),
         position_m=position_m,
         surface_m_s=surface_m_s,
     )
@@ -294,11 +302,9 @@ def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Pat
     return run
 
 
-def _columns_of_axles(data: pa.Table, quantity: str, unit: str, path: Path) -> np.ndarray:
+def _values_of_axles(data: pa.Table, quantity: str, unit: str, path: Path) -> np.ndarray:
     """Returns a quantity of all wheelsets, shape (samples, AXLES). Raises ConfigError."""
-    return np.column_stack(
-        [column(data, f"{quantity}_{axle}_{unit}", path) for axle in range(1, AXLES + 1)]
-    )
+    return np.column_stack([column(data, name, path) for name in columns_of_axles(quantity, unit)])
 
 
 def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str, Any]) -> Curve:
@@ -346,7 +352,10 @@ def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str,
 def _joined_columns(
     files: Sequence[tuple[Path, pa.Table]], name: str, default: float | None
 ) -> np.ndarray:
-    """Returns a column of all files in one array. `default` fills files without it; None: required."""
+    """Returns a column of all files in one array.
+
+    `default` fills files without the column. None: each file must have it.
+    """
     parts = []
     for path, data in files:
         if name in data.column_names or default is None:
@@ -363,7 +372,10 @@ def _warn_of_default(
     default: float,
     consequence: str,
 ) -> None:
-    """Adds a warning where files lack a column: `default` is used, and `consequence` depends on it."""
+    """Adds a warning where files lack a column and `default` is used instead.
+
+    `consequence` is what depends on the column.
+    """
     without = [str(path) for path, data in files if name not in data.column_names]
     if without:
         dataset.warnings.append(

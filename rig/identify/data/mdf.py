@@ -41,8 +41,8 @@ _LEAD_CHANNEL = "wheel_speed_1_rad_s"
 def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str]) -> pa.Table:
     """Returns those channels of a file that exist, on one clock of `step_s`, and `time_s`.
 
-    Adds a warning where samples were moved. Raises ConfigError where asammdf is missing, the file is
-    damaged, or a channel has gaps, another unit, or no time in common with the others.
+    Adds a warning where samples were moved. Raises ConfigError where asammdf is missing, the file
+    is damaged, or a channel has gaps, another unit, or no time in common with the others.
     """
     signals = channels(path, names)
     checked = {name: _checked(signal, name, path) for name, signal in signals.items()}

@@ -1,4 +1,4 @@
-"""The parameters of the replay of one wheelset: its radius and inertia, the adhesion law, the noise.
+"""The parameters of the replay of one wheelset: radius, inertia, adhesion law, noise.
 
 Python code keeps them as rows of an array (wheelsets, PARAMETERS). A kernel takes one row as a
 `WheelModel`, whose fields are named. The order of the fields is the order of the columns.

@@ -2,8 +2,8 @@
 
 Every wheelset of every run is one segment of flat arrays. The vehicle's speed is smoothed with the
 vehicle's force balance [P1], so that its noise does not enter the sliding. Loads are smoothed,
-because noise in an input would look like physics. Covariates come from the measurement and the wheel
-balance alone and never from a fit, so that no cause can shape its evidence.
+because noise in an input would look like physics. Covariates come from the measurement and the
+wheel balance alone and never from a fit, so that no cause can shape its evidence.
 
     [P1] u = v + sum J omega / (M r), du/dt = -(sum C / r + resistance) / M + slow disturbance
     [P2] f = (J domega/dt + C) / (r N)
@@ -33,7 +33,10 @@ LEAST_TORQUE_NOISE_NM = 5.0
 
 
 class Design(NamedTuple):
-    """Prepared runs. Segment s = run * AXLES + axle has the samples start[s]:start[s+1] of flat arrays."""
+    """Prepared runs.
+
+    Segment s = run * AXLES + axle has the samples start[s]:start[s+1] of the flat arrays.
+    """
 
     names: tuple[str, ...]
     step_s: float
@@ -70,7 +73,7 @@ class Design(NamedTuple):
     # the model
     base: np.ndarray  # (PARAMETERS,) of `parameters`
     resistance: np.ndarray  # A, B, C
-    released_Nm: np.ndarray  # (segments,) mean torque of the released brake, nan: never released
+    released_Nm: np.ndarray  # (segments,) mean torque of the released brake; NaN: never released
     released_sd_Nm: np.ndarray
     places_m: tuple[float, float]  # where the bins of place begin and end
     ends_s: tuple[float, ...]  # where the bins of time of each run end
@@ -133,29 +136,29 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
 
     # backward smoother (Rauch, Tung and Striebel)
     out = np.empty(n)
-    su = filtered[n - 1, 0]
-    sd = filtered[n - 1, 1]
-    out[n - 1] = su
+    smooth_u = filtered[n - 1, 0]
+    smooth_d = filtered[n - 1, 1]
+    out[n - 1] = smooth_u
     for k in range(n - 2, -1, -1):
-        fu, fd, a, b, c = filtered[k]
-        pu, pd, e, f, g = predicted[k + 1]
-        det = e * g - f * f
+        filtered_u, filtered_d, fuu, fud, fdd = filtered[k]
+        predicted_u, predicted_d, puu, pud, pdd = predicted[k + 1]
 
         # gain = P F' Ppred^-1, F = [[1, h], [0, 1]]
-        m11 = a + step_s * b
-        m12 = b
-        m21 = b + step_s * c
-        m22 = c
-        g11 = (m11 * g - m12 * f) / det
-        g12 = (m12 * e - m11 * f) / det
-        g21 = (m21 * g - m22 * f) / det
-        g22 = (m22 * e - m21 * f) / det
+        m11 = fuu + step_s * fud
+        m12 = fud
+        m21 = fud + step_s * fdd
+        m22 = fdd
+        determinant = puu * pdd - pud * pud
+        g11 = (m11 * pdd - m12 * pud) / determinant
+        g12 = (m12 * puu - m11 * pud) / determinant
+        g21 = (m21 * pdd - m22 * pud) / determinant
+        g22 = (m22 * puu - m21 * pud) / determinant
 
-        du = su - pu
-        dd = sd - pd
-        su = fu + g11 * du + g12 * dd
-        sd = fd + g21 * du + g22 * dd
-        out[k] = su
+        change_u = smooth_u - predicted_u
+        change_d = smooth_d - predicted_d
+        smooth_u = filtered_u + g11 * change_u + g12 * change_d
+        smooth_d = filtered_d + g21 * change_u + g22 * change_d
+        out[k] = smooth_u
     return out
 
 
@@ -250,7 +253,10 @@ def _estimated_noise(values: np.ndarray) -> float:
 
 
 def _released(torque_Nm: np.ndarray, step_s: float) -> tuple[float, float]:
-    """Returns the mean torque before the brake applies and its standard error, nan where there is none."""
+    """Returns the mean torque before the brake applies and its standard error.
+
+    Both are NaN where the recording begins with the brake applied.
+    """
     smooth = gaussian_filter1d(torque_Nm, 0.05 / step_s)
     applied = np.flatnonzero(smooth > 0.06 * np.max(smooth))
     samples = 0

@@ -190,7 +190,7 @@ def _check_held(run: Run, path: Path, warnings: list[str]) -> None:
         wheel_rad_s = run.wheel_speed_rad_s[:, j]
         repeated = (np.diff(wheel_rad_s) == 0.0) & (wheel_rad_s[1:] > 0.0) & moves
 
-        # the longest distance between samples that differ from the one before
+        # the longest distance between two samples that differ from the sample before them
         changes = np.flatnonzero(~repeated)
         distances = np.diff(np.concatenate([[-1], changes, [repeated.size]]))
         longest_s = (int(np.max(distances)) - 1) * step_s
@@ -221,7 +221,7 @@ def check(dataset: Dataset, where: str) -> None:
     units.check_clocks(dataset.runs, where, dataset.sections["vehicle"])
 
     for first, second in combinations(dataset.runs, 2):
-        if _share_samples(first, second):
+        if _has_piece_of(first, second):
             raise ConfigError(
                 f"{where}: runs '{first.name}' and '{second.name}' have the same samples; a copy has "
                 "no new information and cannot validate: remove one"
@@ -247,8 +247,11 @@ def check(dataset: Dataset, where: str) -> None:
         dataset.warnings.append('no run has group = "validate": no gain can be claimed')
 
 
-def _share_samples(first: Run, second: Run) -> bool:
-    """Returns whether a piece from the middle of one run is in another run, of wheel or vehicle speed."""
+def _has_piece_of(first: Run, second: Run) -> bool:
+    """Returns whether a piece from the middle of one run is in another run.
+
+    The piece is compared by the speed of the first wheelset and by that of the vehicle.
+    """
     middle = first.time_s.size // 2
     for values, others in (
         (first.wheel_speed_rad_s[:, 0], second.wheel_speed_rad_s[:, 0]),

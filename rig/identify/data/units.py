@@ -1,4 +1,4 @@
-"""Detects channels in other units and clocks that do not agree, from the physics of a braked vehicle.
+"""Detects wrong units and clocks that do not agree, from the physics of a braked vehicle.
 
 Rolling wheels turn with the vehicle, loads carry its weight, and torques take its momentum. A ratio
 far from 1 is an error of the data, and a known ratio identifies the unit. While a wheel slides,
@@ -162,7 +162,8 @@ def check_clocks(runs: Sequence[Run], where: str, vehicle: Mapping[str, Any]) ->
     """Raises ConfigError where torque and wheel speed of a sliding wheel are shifted in time [D2].
 
     A clock belongs to a channel or to a run. So a weak sign on one wheelset in one of several runs
-    counts as chance. It counts where most wheelsets of the run, or most runs of the wheelset, show it.
+    counts as chance. It counts where most wheelsets of the run, or most runs of the wheelset, show
+    it.
     """
     shifts = [[_clock_shift(run, axle, vehicle) for axle in range(AXLES)] for run in runs]
     gains = np.array([[shift.gain for shift in of_run] for of_run in shifts])

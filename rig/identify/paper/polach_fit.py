@@ -1,4 +1,4 @@
-"""Fits Polach's five parameters to a measured creep curve, and decides whether friction falls with sliding.
+"""Fits Polach's parameters to a measured creep curve; decides whether friction falls with sliding.
 
 Adhesion against creepage at a known speed and load shows friction at rest and at large sliding, its
 decay, and the two factors of the contaminated patch. A second fit without falling friction shows
@@ -53,7 +53,8 @@ RECOMMENDED = {
     "wet": Parameters(mu_0=0.30, A=0.40, gamma_s_m=0.20, k_a=0.30, k_s=0.10),
 }
 
-# which parameters are free in the three fits; without A friction does not fall, without k_s k_s = k_a
+# which parameters are free in the three fits; without A friction does not fall, without k_s k_s =
+# k_a
 _ALL_FREE = np.array(Parameters(True, True, True, True, True))
 _WITHOUT_FALL = np.array(Parameters(True, False, False, True, True))
 _WITHOUT_FALL_ORDERED = np.array(Parameters(True, False, False, True, False))
@@ -82,7 +83,7 @@ class PolachFit(NamedTuple):
 
 
 def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
-    """Return the adhesion [C1] [C2] at the points of a curve, shape (n,); x in the order of NAMES."""
+    """Returns the adhesion [C1] [C2] at the points of a curve (n,); x is in the order of NAMES."""
     mu_0, A, gamma, k_a, k_s = x
     creepage = np.abs(curve.creepage)
     unit = patch.eps1 * curve.load_N ** (-1.0 / 3.0)
@@ -93,7 +94,7 @@ def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
 
 
 def fit(data: Dataset, seed: int = 0) -> PolachFit:
-    """Fit a creep-curve dataset. Raises ConfigError for a dataset of another kind."""
+    """Fits a creep-curve dataset. Raises ConfigError for a dataset of another kind."""
     if data.curve is None:
         raise ConfigError(
             f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; a creep_curve is required here"
@@ -131,7 +132,7 @@ def fit(data: Dataset, seed: int = 0) -> PolachFit:
 def _best(
     curve: Curve, patch: Patch, free: np.ndarray, starts: tuple[Parameters, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the parameters (5,) and the residuals (n,) of the best least-squares fit of all starts."""
+    """Returns parameters (5,) and residuals (n,) of the best least-squares fit of all starts."""
 
     def with_fixed(part: np.ndarray) -> np.ndarray:
         x = np.array(Parameters(mu_0=0.0, A=1.0, gamma_s_m=0.0, k_a=0.0, k_s=0.0))
@@ -157,7 +158,7 @@ def _best(
 
 
 def _bootstrap(curve: Curve, patch: Patch, x: np.ndarray, seed: int) -> np.ndarray:
-    """Return parameters (REPLICATES, 5) of curves that are made of drawn blocks of points."""
+    """Returns parameters (REPLICATES, 5) of curves that are made of drawn blocks of points."""
     rng = np.random.default_rng(seed)
     by_creepage = np.argsort(np.abs(curve.creepage))
     blocks = np.array_split(by_creepage, min(BLOCKS, curve.creepage.size // 2))
@@ -171,7 +172,9 @@ def _bootstrap(curve: Curve, patch: Patch, x: np.ndarray, seed: int) -> np.ndarr
 
 
 def _scatter_floor(curve: Curve) -> float:
-    """Return the scatter about a line through each point's neighbours; no smooth curve has less error.
+    """Returns the scatter about lines through each point's neighbours.
+
+    No smooth curve has less error.
 
     The result is NaN for fewer points than neighbours.
     """

@@ -1,19 +1,19 @@
-"""Tunes the recovery of adhesion as the paper does: tau from measured transitions, with an interval.
+"""Tunes the recovery of adhesion as in the paper: tau from measured transitions, with an interval.
 
-Measured wheel speeds, loads and torques give the adhesion that acted. Its place between the degraded
-and the recovered curve shows how far the contact had recovered. By the work of sliding that should
-be 1 - exp(-tau W). The contaminant's mu_cd is free in each run. All other parameters stay those of
-the dataset, within its calibration tolerances.
+Measured wheel speeds, loads and torques give the adhesion that acted. Its place between the
+degraded and the recovered curve shows how far the contact had recovered. By the work of sliding
+that should be 1 - exp(-tau W). The contaminant's mu_cd is free in each run. All other parameters
+stay those of the dataset, within its calibration tolerances.
 
     [U1] T = (J domega/dt + C) / r,  f = T / N                                   paper eq. 19
     [U2] s = v - r omega,  W_sp = f N |s / v|, for one wheel                      paper eq. 20
-    [U3] least squares of (f_r - f_d) (lambda - 1 + exp(-tau W_sp)), lambda = (f - f_d) / (f_r - f_d)
-                                                                                  paper eq. 21
+    [U3] least squares of (f_r - f_d) (lambda - 1 + exp(-tau W_sp)),
+         lambda = (f - f_d) / (f_r - f_d)                                         paper eq. 21
     [U4] greatest likelihood of the measured wheel speeds, one sample ahead (`fitting`)
 
-[U3] is biased where the rail is irregular. Wheels slide more where friction is less, so that sliding
-and friction are correlated, and the noise of f is also in W. On datasets with 2 % of irregularity
-and a known tau its least squares were 1 to 5 % low. [U4] estimates the irregularity as a state and
+[U3] is biased where the rail is irregular. Wheels slide more where friction is less, so that
+sliding and friction are correlated, and the noise of f is also in W. On datasets with 2 % of
+irregularity and a known tau its least squares were 1 to 5 % low. [U4] estimates the irregularity as a state and
 was right within 0.2 % in the mean. Its value is the result; [U3] is reported for comparison. The
 interval is a bootstrap of [U4]: blocks of 3 s within each run, and the declared tolerances.
 Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, section 4.
@@ -126,12 +126,12 @@ class ContactModel(NamedTuple):
 
 
 def contact(data: Dataset) -> ContactModel:
-    """Return patch and law of a dataset's base model."""
+    """Returns patch and law of a dataset's base model."""
     return ContactModel(patch_of(data), params.law_of(data.sections["adhesion"]))
 
 
 def collect(design: Design, cleaning_creepage: float) -> Samples:
-    """Return the samples in which wheels slide under the brake, thinned to independent ones [U1] [U2]."""
+    """Returns the samples of sliding braked wheels, thinned to independent samples [U1] [U2]."""
     samples_of_segment = np.diff(design.start)
     number_in_segment = np.concatenate([np.arange(count) for count in samples_of_segment])
     run = np.repeat(design.run, samples_of_segment)
@@ -165,7 +165,7 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
 
 @kernel
 def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, out):
-    """Write f, f_d, f_r of the model at each sample into out (n, 3)."""
+    """Writes f, f_d, f_r of the model at each sample into out (n, 3)."""
     for i in range(sliding_m_s.size):
         f, f_d, f_r, _, _, _ = wheelset.wheelset_adhesion(
             sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i], law.mu_cr, patch, law
@@ -184,7 +184,7 @@ class Predicted(NamedTuple):
 
 
 def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: ContactModel) -> Predicted:
-    """Return the adhesion for a recovery and the contaminants of the runs, mu_cd (runs,)."""
+    """Returns the adhesion for a recovery and the contaminants of the runs, mu_cd (runs,)."""
     out = np.empty((s.run.size, 3))
     curves(
         s.sliding_m_s,
@@ -224,7 +224,7 @@ class _Fit:
         ]
 
     def unpack(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return tau, m/J, and mu_cd (runs,)."""
+        """Returns tau, m/J, and mu_cd (runs,)."""
         mu_cd = self._mu_cd.copy()
         if self._free_runs:
             mu_cd[self._free_runs] = np.exp(x[-len(self._free_runs) :])
@@ -232,12 +232,12 @@ class _Fit:
         return tau_m_J, mu_cd
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return the error of f (n,)."""
+        """Returns the error of f (n,)."""
         tau_m_J, mu_cd = self.unpack(x)
         return predicted(self.s, tau_m_J, mu_cd, self.model).f - self.s.adhesion
 
     def paper_residual(self, x: np.ndarray) -> np.ndarray:
-        """Return the paper's error (n,) [U3]."""
+        """Returns the paper's error (n,) [U3]."""
         tau_m_J, mu_cd = self.unpack(x)
         _, f_d, f_r = predicted(self.s, tau_m_J, mu_cd, self.model)
         transition = -np.expm1(-tau_m_J * np.maximum(self.s.energy_J_m, 0.0))
@@ -246,7 +246,7 @@ class _Fit:
     def solve(
         self, residual: Callable[[np.ndarray], np.ndarray] | None = None
     ) -> tuple[np.ndarray, float]:
-        """Return the free parameters and the rms of the residual."""
+        """Returns the free parameters and the rms of the residual."""
         law = self.model.law
         start = []
         bounds = []
@@ -272,12 +272,12 @@ class _Fit:
 
 
 def rms(values: np.ndarray) -> float:
-    """Return the root mean square."""
+    """Returns the root mean square."""
     return float(np.sqrt(np.mean(values * values)))
 
 
 def tune(data: Dataset, seed: int = 0) -> Tuned:
-    """Fit tau to the tuning runs of a dataset. Raises ConfigError where wheels hardly slide."""
+    """Fits tau to the tuning runs of a dataset. Raises ConfigError where wheels hardly slide."""
     runs = data.group("tune")
     design = prepare(data, runs)
     model = contact(data)
@@ -333,11 +333,11 @@ def _warnings(tau: Interval, runs: int) -> list[str]:
 
 
 def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
-    """Return tau and mu_cd of each run by [U4] with their intervals; keys "tau", "mu_cd_0" ...
+    """Returns tau and mu_cd of each run by [U4] with their intervals; keys "tau", "mu_cd_0" ...
 
     A replicate of the bootstrap draws the 3 s blocks of each run and the declared tolerances anew,
-    and takes one Gauss-Newton step from the optimum. Blocks do not know what changes from run to
-    run, so this deviation is added.
+    and takes one Gauss-Newton step from the optimum. Blocks do not contain what changes from run
+    to run, so this deviation is added.
     """
     explanation, _, _ = fitting.fit(design, candidates.untuned(design))
     normal, linear, responses = fitting.normal_equations(design, explanation, False)
@@ -393,9 +393,10 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
 
 
 def _deviation_between_runs(A: np.ndarray, b_of_run: np.ndarray) -> np.ndarray:
-    """Return the deviation of each coefficient from run to run, (coefficients,); 0 for a single run.
+    """Returns the deviation of each coefficient from run to run; 0 for a single run.
 
-    `A` is the normal matrix of all runs, `b_of_run` (runs, coefficients) the right side of each run.
+    `A` is the normal matrix of all runs, `b_of_run` (runs, coefficients) the right side of each
+    run.
     """
     runs = len(b_of_run)
     if runs < 2:
@@ -407,7 +408,7 @@ def _deviation_between_runs(A: np.ndarray, b_of_run: np.ndarray) -> np.ndarray:
 def contaminant(
     s: Samples, model: ContactModel, stated_mu_cd: float | None, tau_m_J: float
 ) -> tuple[float, float]:
-    """Return mu_cd and the rms error of f of one run for a given recovery.
+    """Returns mu_cd and the rms error of f of one run for a given recovery.
 
     mu_cd is fitted unless it is stated. The error is NaN where the run has too few samples.
     """

@@ -2,8 +2,9 @@
 
 Stick and slip never repeat in detail. Therefore runs are compared by the course of the vehicle's
 speed, and by mean and spread of sliding. Each wheelset runs free under its measured torque and load
-in windows of one second, which begin at the measured state. The contact forces of these windows move
-a vehicle that is never set back to the measurement. The classic model (tau = 0) runs for comparison.
+in windows of one second, which begin at the measured state. The contact forces of these windows
+move a vehicle that is never set back to the measurement. The classic model (tau = 0) runs for
+comparison.
 
     [V1] J domega/dt = r N f(v - r omega, v, N) - C, M dv/dt = -sum T - resistance
     [V2] E = max |v_model - v_measured|                                          paper eq. 22
@@ -84,7 +85,7 @@ def free_run(
     sliding,
     force_N,
 ):
-    """Write sliding and contact force of one wheelset in windows of samples [V1]; inputs (n,)."""
+    """Writes sliding and contact force of one wheelset in windows of samples [V1]; inputs (n,)."""
     h = step_s / SUBSTEPS  # linearly implicit Euler
     omega = omega_measured[0]
     for k in range(omega_measured.size):
@@ -114,7 +115,7 @@ def free_run(
 
 
 def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Verdict]:
-    """Judge both models on the runs of a group. Raises ConfigError without such runs."""
+    """Judges both models on the runs of a group. Raises ConfigError without such runs."""
     runs = data.group(group)
     if not runs:
         raise ConfigError(
@@ -166,7 +167,7 @@ def _simulate(
     tau_m_J: float,
     stated_mu_cd: float | None,
 ) -> _Simulated:
-    """Run one model free on the first samples of a run."""
+    """Runs one model free on the first samples of a run."""
     model = tuning.contact(data)
     all_samples = tuning.collect(design, model.law.cleaning_creepage)
     samples = tuning.Samples(*(column[all_samples.run == run] for column in all_samples))

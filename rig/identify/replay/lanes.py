@@ -1,13 +1,13 @@
-"""Replays the wheelsets of two runs simultaneously, side by side in the processor's vector registers.
+"""Replays the wheelsets of two runs simultaneously, in the processor's vector registers.
 
 The filters of `replay` and `memory_replay` and the adhesion law have one source each. Here the same
 sources are compiled a second time, with the functions of `vector_math`, which the compiler can turn
 into vector instructions. Where recovered adhesion is below degraded, the law needs more than these
 functions: the result is then NaN, and the caller replays the wheelsets one by one.
 
-A loop over the lanes (the wheelsets of both runs) reads and writes one array only, `cells`. It holds a
-row of LANES numbers for each quantity, at known places. The compiler then needs no check that arrays
-overlap, and such a check would prevent the vector instructions.
+A loop over the lanes (the wheelsets of both runs) reads and writes one array only, `cells`. It
+holds a row of LANES numbers for each quantity, at known places. The compiler then needs no check
+that arrays overlap, and such a check would prevent the vector instructions.
 """
 
 import math
@@ -92,7 +92,7 @@ lane_model = tuple_builder(
 
 @kernel_inlined
 def store_models(parameters, cells):
-    """Writes rows of parameters, one for each lane from the first on, where `lane_model` reads them."""
+    """Writes rows of parameters, one for each lane from the first on, for `lane_model`."""
     for i in range(PARAMETERS):
         for j in range(len(parameters)):
             cells[MODEL + LANES * i + j] = parameters[j, i]
@@ -120,7 +120,7 @@ store_state = _kernels["store_state"]
 
 @kernel_inlined
 def _store_inputs(start, inputs, k, w, first_lane, cells):
-    """Writes the inputs of the wheelsets of a run, a share `w` of the way from sample k to the next.
+    """Writes the inputs of a run's wheelsets, a share `w` of the way from sample k to the next.
 
     After the end of its run a wheelset keeps the inputs of the last sample.
     """
@@ -136,7 +136,7 @@ def _store_inputs(start, inputs, k, w, first_lane, cells):
 
 @kernel_inlined
 def _write_results(start, k, first_lane, cells, out):
-    """Writes innovation, variance and irregularity of the wheelsets of a run, up to the run's end."""
+    """Writes innovation, variance and irregularity of a run's wheelsets, up to the run's end."""
     if k < start[1] - start[0]:
         for j in range(AXLES):
             at = start[j] + k
@@ -213,10 +213,11 @@ _replay_pair_with_memory = variant(
 def replay_runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
     """Writes the innovations of the wheelsets of two runs, or of the same run twice.
 
-    `start` and `other` (AXLES + 1,) are where the wheelsets of a run begin in the flat arrays, and where
-    the last one ends. `inputs` and `others` (INPUTS, n) are those of the two runs, `parameters`
-    (LANES, PARAMETERS) those of the wheelsets of both. `out` and `out_other` (3, n) are written as
-    `replay.replay_wheel` does: innovation, its variance, irregularity. `cells` (CELLS,) is work space.
+    `start` and `other` (AXLES + 1,) are where the wheelsets of a run begin in the flat arrays, and
+    where the last one ends. `inputs` and `others` (INPUTS, n) are those of the two runs,
+    `parameters` (LANES, PARAMETERS) those of the wheelsets of both. `out` and `out_other` (3, n)
+    are written as `replay.replay_wheel` does: innovation, its variance, irregularity. `cells`
+    (CELLS,) is work space.
 
     If only one of the runs has adhesion memory, the results of the other one are NaN.
     """
@@ -246,7 +247,7 @@ PATH_SLOPE = 6 * PATH_LANES
 
 @kernel
 def adhesion_along(sliding, speed, load, friction, row, cells, out):
-    """Writes what `replay.adhesion_along` writes where recovery does not lag, many samples at a time.
+    """Writes what `replay.adhesion_along` writes without a lag of recovery, 16 samples at a time.
 
     `cells` (PATH_CELLS,) is work space.
     """

@@ -1,8 +1,9 @@
 """Replays a wheel whose recovery lags: the filter of `replay` with lambda as a third state.
 
-An error of the wheel's speed changes the recovery, and that changes the wheel's speed. Only a filter
-that knows this can distinguish a lag from irregularity of the rail. Speed and lambda take an exact
-step of the linearised pair in each substep. The irregularity accumulates meanwhile as in `replay`.
+An error of the wheel's speed changes the recovery, and that changes the wheel's speed. Only a
+filter that knows this can distinguish a lag from irregularity of the rail. Speed and lambda take an
+exact step of the linearised pair in each substep. The irregularity accumulates meanwhile as in
+`replay`.
 
     [Y1] d/dt (omega, lambda) = A (omega, lambda) + ...,
          A = [[-r^2 N f'_lambda e^m, r N (f_r - f_d) e^m] / J, [-r lambda_0', h - 1] v / length],
@@ -52,8 +53,8 @@ def phi(z, exponential):
 def matrix_step(a, g, d, c, h):
     """Returns e^(A h) and phi(A h) h of A = [[a, g], [d, c]], row by row: eight numbers [Y2].
 
-    Both are e0 + e (A - middle), of the mean eigenvalue `middle` and half the distance `root` of the
-    eigenvalues.
+    Both are e0 + e (A - middle), of the mean eigenvalue `middle` and half the distance `root` of
+    the eigenvalues.
     """
     middle = 0.5 * (a + c)
     square = 0.25 * (a - c) ** 2 + g * d
@@ -240,8 +241,8 @@ def replay_wheels(
 ):
     """Writes the innovations of all segments as `replay.replay_wheel` does, one after the other.
 
-    `start` (segments + 1,) is where the segments begin and end in the flat arrays, `parameters` has the
-    shape (segments, PARAMETERS). Each segment has the filter that its parameters need.
+    `start` (segments + 1,) is where the segments begin and end in the flat arrays, `parameters` has
+    the shape (segments, PARAMETERS). Each segment has the filter that its parameters need.
     """
     for s in range(start.size - 1):
         a = start[s]

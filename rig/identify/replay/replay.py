@@ -1,10 +1,10 @@
-"""Replays measured runs through the model and returns what the model cannot predict: the innovations.
+"""Replays measured runs through the model; the innovations are what the model cannot predict.
 
-Each wheel has an extended Kalman filter. Its inputs are the measured torque, load and vehicle speed,
-and it predicts the next wheel speed. Its second state m is the irregularity of the rail, a random
-walk with a spring in distance. It is noise and never an explanation. The vehicle has a separate
-filter without an adhesion law: only torque, resistance and mass move it. If the model is right, the
-innovations, divided by their predicted deviation, are white with variance 1.
+Each wheel has an extended Kalman filter. Its inputs are the measured torque, load and vehicle
+speed, and it predicts the next wheel speed. Its second state m is the irregularity of the rail, a
+random walk with a spring in distance. It is noise and never an explanation. The vehicle has a
+separate filter without an adhesion law: only torque, resistance and mass move it. If the model is
+right, the innovations, divided by their predicted deviation, are white with variance 1.
 
     [R1] J domega/dt = r N f(v - r omega, v, N) exp(m) - C;  exponential step, exact when linear
     [R2] m: Ornstein-Uhlenbeck in distance, deviation sigma, correlation length L
@@ -45,8 +45,8 @@ def curves(sliding, speed, load_N, degraded, recovered, model):
 def wheel_adhesion(sliding, speed, load_N, degraded, recovered, model, lagging, share):
     """Returns (f, df/dsliding, lambda) of one wheel. f has the sign of the sliding.
 
-    lambda goes a `share` of its way from `lagging` to its target [R4]. With a share of 1 recovery does
-    not lag, and `lagging` has no effect.
+    lambda goes a `share` of its way from `lagging` to its target [R4]. With a share of 1 recovery
+    does not lag, and `lagging` has no effect.
     """
     f_d, f_r, slope_d, slope_r, k, slope_k = curves(
         sliding, speed, load_N, degraded, recovered, model
@@ -64,7 +64,7 @@ def wheel_adhesion(sliding, speed, load_N, degraded, recovered, model, lagging, 
 
 @kernel
 def lag_share(speed, step_s, model):
-    """Returns the share of its way that lambda goes in a step [R4]; 1 where recovery does not lag."""
+    """Returns the share of its way that lambda goes in a step [R4]; 1: recovery does not lag."""
     if model.memory_m > 0.0:
         rate_1_s = adhesion.lag_rate_1_s(speed, model.memory_m, model.memory_speed_power)
         return -math.expm1(-step_s * rate_1_s)
@@ -75,9 +75,9 @@ def lag_share(speed, step_s, model):
 def adhesion_along(sliding, speed, load, friction, row, step_s, lagging, follow, out):
     """Writes (f, df/dsliding) of one wheel along a path to `out`, shape (2, n).
 
-    `sliding`, `speed` and the wheelset's `load` have the shape (n,), the factors of `friction` (2, n).
-    `row` (PARAMETERS,) is a row of parameters. `lagging` (n + 1,) is lambda before each sample; with
-    `follow` it is written, otherwise only read.
+    `sliding`, `speed` and the wheelset's `load` have the shape (n,), the factors of `friction` (2,
+    n). `row` (PARAMETERS,) is a row of parameters. `lagging` (n + 1,) is lambda before each sample;
+    with `follow` it is written, otherwise only read.
     """
     model = wheel_model(row)
     for k in range(sliding.size):
@@ -192,10 +192,10 @@ def predict(state, speed, load, torque, degraded, recovered, model, step_s):
 
 @kernel
 def replay_wheel(measured, torque, load, speed, friction, row, step_s, nu, variance, field):
-    """Writes the innovations of one wheel [R1] and their variance to `nu` and `variance`, shape (n,).
+    """Writes the innovations of one wheel [R1] to `nu`, their variance to `variance`, shape (n,).
 
-    The filtered irregularity m is written to `field` (n,). The inputs have the shape (n,), `friction`
-    (2, n), and `row` (PARAMETERS,) is the wheelset's row of parameters.
+    The filtered irregularity m is written to `field` (n,). The inputs have the shape (n,),
+    `friction` (2, n), and `row` (PARAMETERS,) is the wheelset's row of parameters.
     """
     model = wheel_model(row)
     state = initial_state(measured[0], model)
@@ -222,8 +222,8 @@ def replay_wheel(measured, torque, load, speed, friction, row, step_s, nu, varia
 def replay_vehicle(measured, force_over_mass, step_s, noise, torque_noise, nu, variance):
     """Writes the innovations of the vehicle's force balance [R3] and their variance, shape (n,).
 
-    `noise` is that of `measured`, in m/s; `torque_noise` that of the force over mass, in m/s2 of one
-    sample.
+    `noise` is that of `measured`, in m/s; `torque_noise` that of the force over mass, in m/s2 of
+    one sample.
     """
     u = measured[0]
     p = noise * noise

@@ -1,8 +1,8 @@
 """Linearises the filter: how the innovations of a replay respond to a small change of anything.
 
-Any cause changes the acceleration of a wheel by some course in time. The filter transmits that course
-to its innovations linearly, with coefficients that one replay provides. So the response to hundreds
-of possible causes costs little more than one replay.
+Any cause changes the acceleration of a wheel by some course in time. The filter transmits that
+course to its innovations linearly, with coefficients that one replay provides. So the response to
+hundreds of possible causes costs little more than one replay.
 
     [S1] g = (r N f exp(m) - C) / J;  d omega' = F00 d omega + F01 d m + H d g,  d m' = keep d m
     [S2] d nu = -d omega;  after the sample d omega -= g0 d omega, d m -= g1 d omega
@@ -57,7 +57,7 @@ class LinearisedReplay(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """What a replay reads, as causes have changed it: flat arrays, and rows of segments and runs."""
+    """The inputs of a replay, as causes have changed them."""
 
     torque_Nm: np.ndarray
     load_N: np.ndarray
@@ -105,7 +105,7 @@ def second_gain(variance, coefficients, row):
 
 @kernel_with_memory
 def response(changes, variance, coefficients, out):
-    """Writes the response of the whitened innovations of one wheel to `out`, shape (n, columns) [S2].
+    """Writes the response of one wheel's whitened innovations to `out`, shape (n, columns) [S2].
 
     `changes` (n, columns) are changes of the wheel's acceleration.
     """
@@ -308,8 +308,8 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
     out = np.empty((len(several), 3, design.measured_rad_s.size))
     cells = np.empty(lanes.CELLS)
 
-    # Two runs are replayed simultaneously, the longest first: a pair takes as long as its longer run.
-    # The last one of an odd number is replayed together with itself.
+    # Two runs are replayed simultaneously, the longest first: a pair takes as long as its longer
+    # run. The last one of an odd number is replayed together with itself.
     jobs = sorted(
         np.ndindex(len(several), len(starts)),
         key=lambda job: int(starts[job[1]][0] - starts[job[1]][1]),

@@ -1,1 +1,1 @@
-"""Recordings of trains, with speeds but without loads and torques: faults, rolling wheels, slides, verdict."""
+"""Recordings of trains, with speeds but no loads or torques: faults, radii, slides, verdict."""

@@ -4,8 +4,9 @@ Every column keeps its stamps, in seconds. A missing cell is NaN, because a gap 
 and not an error. Stamps are numbers, instants of any unit and time zone, or text in the form of
 ISO 8601. A CSV may have a row of units below the names.
 
-rosbag2 needs the package rosbags (the extra `rosbag`). Its columns are written "/topic:field.field".
-Their stamps come from the message header, else they are the times of reception.
+rosbag2 needs the package rosbags (the extra `rosbag`). Its columns are written
+"/topic:field.field". Their stamps come from the message header, else they are the times of
+reception.
 """
 
 import csv
@@ -41,10 +42,10 @@ class Column(NamedTuple):
 
 
 def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str, Column]:
-    """Return these columns of a file.
+    """Returns these columns of a file.
 
-    `head` has the keys of dataset.toml, and `time` and `time_unit` of the stamps. Raises ConfigError
-    with the file and the column where something cannot be read.
+    `head` has the keys of dataset.toml, and `time` and `time_unit` of the stamps. Raises
+    ConfigError with the file and the column where something cannot be read.
     """
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in _ROSBAG_SUFFIXES:
@@ -80,7 +81,7 @@ def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str,
 
 
 def column_names(path: Path, head: Mapping[str, Any]) -> list[str]:
-    """Return the names of the columns of a CSV or Parquet file.
+    """Returns the names of the columns of a CSV or Parquet file.
 
     The list is empty for other files: their channels must be in dataset.toml.
     """
@@ -94,7 +95,7 @@ def column_names(path: Path, head: Mapping[str, Any]) -> list[str]:
 
 
 def _check_column(path: Path, name: str, names: list[str]) -> None:
-    """Raise ConfigError unless a name is there exactly once."""
+    """Raises ConfigError unless a name is there exactly once."""
     if names.count(name) > 1:
         raise ConfigError(
             f"{path}: column '{name}' is there {names.count(name)} times; give each column a "
@@ -129,7 +130,7 @@ def _read_mdf(path: Path, names: Sequence[str]) -> dict[str, Column]:
 
 
 def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, str]]:
-    """Return the table, and the units by column where the second line holds units."""
+    """Returns the table, and the units by column where the second line holds units."""
     try:
         all_lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -168,7 +169,7 @@ def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, 
 
 
 def _units_of_line(names: list[str], line: list[str], time_name: str) -> dict[str, str]:
-    """Return units by column; empty unless the line has a unit of time for the stamps."""
+    """Returns units by column; empty unless the line has a unit of time for the stamps."""
     time_at = names.index(time_name) if time_name in names else 0
     if len(line) <= time_at or line[time_at].strip(_BRACKETS) not in TIME:
         return {}
@@ -176,7 +177,7 @@ def _units_of_line(names: list[str], line: list[str], time_name: str) -> dict[st
 
 
 def _seconds(path: Path, values: pa.ChunkedArray, name: str, unit_s: float) -> np.ndarray:
-    """Return stamps (n,) in s, NaN where there is none."""
+    """Returns stamps (n,) in s, NaN where there is none."""
     types = pa.types
     if types.is_string(values.type) or types.is_large_string(values.type):
         # without an offset the text is local time; with an offset it is an instant
@@ -202,12 +203,12 @@ def _seconds(path: Path, values: pa.ChunkedArray, name: str, unit_s: float) -> n
 
 
 def _nanoseconds(values: pa.ChunkedArray) -> np.ndarray:
-    """Return counts (n,) of a column of durations or times in ns."""
+    """Returns counts (n,) of a column of durations or times in ns."""
     return np.asarray(values.cast(pa.int64()).to_numpy(), float)
 
 
 def _numbers(path: Path, values: Any, name: str, decimal: str) -> np.ndarray:
-    """Return a column as numbers (n,), NaN where there is none."""
+    """Returns a column as numbers (n,), NaN where there is none."""
     try:
         # not safe: counts of ns since 1970 are rounded to 0.3 us
         numbers = values.cast(pa.float64(), safe=False)
@@ -259,7 +260,7 @@ def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
 
 
 def _collect_messages(path: Path, bag: Any, samples: dict[str, list[tuple[float, float]]]) -> None:
-    """Append (stamp s, value) of every message to the samples of its fields."""
+    """Appends (stamp s, value) of every message to the samples of its fields."""
     topic_of = {name: name.partition(":")[0] for name in samples}
     field_of = {name: name.partition(":")[2] for name in samples}
     topics = {connection.topic for connection in bag.connections}

@@ -1,4 +1,4 @@
-"""Reads a dataset of `kind = "recorder"`: channels by name and unit, runs by file, date and vehicle.
+"""Reads a dataset of `kind = "recorder"`: channels with unit, runs with date and vehicle.
 
 All values are returned in SI units. The stamps of a run count from its first sample. Doubtful data
 stays in for `faults` to find. Data that cannot be read is refused here.
@@ -51,7 +51,10 @@ RUN = (
 
 
 class KeyPattern(NamedTuple):
-    """Keys of one kind of channel: groups of `pattern` are the number of the axle or bogie and the unit."""
+    """Keys of one kind of channel.
+
+    The groups of `pattern` are the number of the axle or bogie, and the unit.
+    """
 
     pattern: str
     quantity: str
@@ -132,7 +135,7 @@ class Recording(NamedTuple):
 
 
 class _Key(NamedTuple):
-    """What the key of a channel tells."""
+    """The parts of a channel's key."""
 
     quantity: str
     name: str
@@ -161,7 +164,7 @@ class _ChannelSource(NamedTuple):
 
 
 def load(folder: Path | str) -> Recording:
-    """Return the recording of a folder, or of a packaged dataset by its name.
+    """Returns the recording of a folder, or of a packaged dataset by its name.
 
     Raises ConfigError with the file, the key and the remedy.
     """
@@ -194,7 +197,7 @@ def load(folder: Path | str) -> Recording:
 
 
 def _read_runs(place: Path, path: Path, run_tables: Any) -> list[dict[str, Any]]:
-    """Return the rows of [[run]] after their checks."""
+    """Returns the rows of [[run]] after their checks."""
     are_tables = isinstance(run_tables, list) and all(
         isinstance(row, Mapping) for row in run_tables
     )
@@ -225,7 +228,7 @@ def _read_runs(place: Path, path: Path, run_tables: Any) -> list[dict[str, Any]]
 
 
 def _parse_key(key: str) -> _Key | None:
-    """Return what the key of a channel tells; None for any other key."""
+    """Returns the parts of a channel's key; None for any other key."""
     for kind in KEYS:
         match = re.fullmatch(kind.pattern, key)
         if match is None:
@@ -241,7 +244,7 @@ def _parse_key(key: str) -> _Key | None:
 def _read_channels(
     tables: Mapping[str, Any], head: Mapping[str, Any], where: str
 ) -> tuple[_Stamps, list[_ChannelSource]]:
-    """Return column and unit of the stamps, and the channels."""
+    """Returns column and unit of the stamps, and the channels."""
     stamps = _Stamps("time_s", "s")
     sources = []
     for key, content in tables.items():
@@ -270,7 +273,7 @@ def _read_channels(
 def _channel_source(
     key: str, row: Mapping[str, Any], head: Mapping[str, Any], where: str
 ) -> _ChannelSource:
-    """Return one channel of [channels]: its key and the row under it."""
+    """Returns one channel of [channels]: its key and the row under it."""
     kind = _parse_key(key)
     if kind is None:
         raise ConfigError(
@@ -306,7 +309,7 @@ def _channel_source(
 def _load_channels(
     path: Path, head: Mapping[str, Any], sources: list[_ChannelSource]
 ) -> dict[str, Channel]:
-    """Return the channels of one file by name, in SI units, with stamps from the first sample on."""
+    """Returns the channels of a file by name, in SI units, with stamps from the first sample on."""
     columns = files.read(path, [source.column for source in sources], head)
     first_s = min(float(column.time_s.min()) for column in columns.values() if column.time_s.size)
 
@@ -333,7 +336,7 @@ def _load_channels(
 
 
 def _scale(path: Path, source: _ChannelSource, column: files.Column) -> float:
-    """Return the factor to SI units; a unit in the file wins over the unit in the key."""
+    """Returns the factor to SI units; a unit in the file wins over the unit in the key."""
     file_unit = column.unit.replace(" ", "")
     if file_unit not in UNITS:
         return source.scale
@@ -348,7 +351,7 @@ def _scale(path: Path, source: _ChannelSource, column: files.Column) -> float:
 
 
 def quantum(values: np.ndarray) -> float:
-    """Return the decimal step to which most values are rounded; 0 where there is none."""
+    """Returns the decimal step to which most values are rounded; 0 where there is none."""
     known = values[np.isfinite(values)]
     if not known.size:
         return 0.0

@@ -1,4 +1,4 @@
-"""Compares the channels of one vehicle while its wheels roll: which is late, which has another radius.
+"""Compares the channels of one vehicle while its wheels roll: delays and wheel radii.
 
     [R1] v_i(t + d_i) = (1 + rho_i) V(t), V by the reference, else by the median of all speeds
 
@@ -26,7 +26,7 @@ _GRID_S = np.arange(-limit.LATEST_S, limit.LATEST_S + 0.01, _DELAY_STEP_S)
 # samples. More do not improve a delay, they only cost time.
 _MOST_SAMPLES = 20_000
 
-# samples in motion. With fewer a run says nothing about a delay.
+# samples in motion. With fewer a run shows nothing about a delay.
 _LEAST_SAMPLES = 50
 
 # m/s^2. Below this change of speed a delay does not show.
@@ -97,7 +97,7 @@ class Aligned(NamedTuple):
 
 
 def align(run: Run, delay_s: dict[str, float], radius: dict[str, float]) -> Aligned:
-    """Return a run with the known delays and radii of its channels corrected [R1]."""
+    """Returns a run with the known delays and radii of its channels corrected [R1]."""
     speeds = run.of("speed")
     base = max(speeds, key=lambda channel: np.isfinite(channel.values).sum())
     time_s = base.time_s - delay_s.get(base.name, 0.0)
@@ -124,7 +124,7 @@ def align(run: Run, delay_s: dict[str, float], radius: dict[str, float]) -> Alig
 
 
 def slope(time_s: np.ndarray, values: np.ndarray, half_s: float = 1.0) -> np.ndarray:
-    """Return the least-squares slope in a window around each sample; NaN where a third is missing.
+    """Returns the least-squares slope in a window around each sample; NaN where a third is missing.
 
     The window reaches `half_s` to both sides. Its sums are differences of running sums.
     """
@@ -153,7 +153,7 @@ def slope(time_s: np.ndarray, values: np.ndarray, half_s: float = 1.0) -> np.nda
 
 
 def quiet(a: Aligned) -> np.ndarray:
-    """Return where nobody brakes hard and the wheels turn, flags (n,)."""
+    """Returns where nobody brakes hard and the wheels turn, flags (n,)."""
     v = a.vehicle
     is_steady = np.abs(slope(a.time_s, v)) < limit.QUIET_M_S2
     turns = v > limit.SLOWEST_M_S
@@ -161,7 +161,7 @@ def quiet(a: Aligned) -> np.ndarray:
 
 
 def _brakes_hard(a: Aligned) -> np.ndarray:
-    """Return where the brake demand is high, flags (n,); nowhere if no demand is recorded."""
+    """Returns where the brake demand is high, flags (n,); nowhere if no demand is recorded."""
     known = np.isfinite(a.demand)
     most = np.nanmax(a.demand) if known.any() else 0.0
     if most <= 0.0:
@@ -170,7 +170,7 @@ def _brakes_hard(a: Aligned) -> np.ndarray:
 
 
 def fit(runs: list[Run]) -> tuple[list[Aligned], list[Finding]]:
-    """Return all runs with delays and radii corrected, and the findings about both.
+    """Returns all runs with delays and radii corrected, and the findings about both.
 
     Delays and radii are estimated alternately, because each needs the other.
     """
@@ -227,7 +227,7 @@ class _DelaySearch:
             self._compare_reference(self.reference)
 
     def _compare_pair(self) -> None:
-        """Compare two speeds: the later one is taken as wrong."""
+        """Compares two speeds: the later one is taken as wrong."""
         first, second = self.names
         lag = self._estimate(first, [second])
         if lag is None:
@@ -240,7 +240,7 @@ class _DelaySearch:
             self._decide(late, lag, other)
 
     def _compare_with_median(self) -> None:
-        """Compare each speed with the median of all speeds."""
+        """Compares each speed with the median of all speeds."""
         for name in self.names:
             lag = self._estimate(name, self.names)
             if lag is None:
@@ -249,7 +249,7 @@ class _DelaySearch:
                 self._decide(name, lag, "")
 
     def _compare_reference(self, reference: str) -> None:
-        """Compare the reference with the median of the speeds that are not late."""
+        """Compares the reference with the median of the speeds that are not late."""
         right = [name for name in self.names if name not in self.delays]
         lag = self._estimate(reference, right) if right else None
         if lag is None:
@@ -264,7 +264,7 @@ class _DelaySearch:
         return _lag(self.aligned, self.radii, name, against, self._rng)
 
     def _decide(self, name: str, lag: Lag, against: str) -> None:
-        """Report a lag beyond the delay that is normal for the channel; else only correct it."""
+        """Reports a lag beyond the delay that is normal for the channel; else only corrects it."""
         normal_s = max(self.channels[name].delay_s, 0.0)
         is_late = lag.low_s > normal_s + limit.LATE_S
         is_early = lag.high_s < -limit.LATE_S and len(self.names) > 2 and name != self.reference
@@ -292,7 +292,7 @@ class _DelaySearch:
 def _delays(
     runs: list[Run], radii: list[dict[str, float]]
 ) -> tuple[dict[str, float], list[Finding]]:
-    """Return the delay of each late channel, s, and the findings."""
+    """Returns the delay of each late channel, s, and the findings."""
     search = _DelaySearch(runs, radii)
     search.search()
     return search.delays, search.found
@@ -305,7 +305,7 @@ def _lag(
     against: list[str],
     rng: np.random.Generator,
 ) -> Lag | None:
-    """Return how late a channel is against the median of some others; None where nothing changes."""
+    """Returns how late a channel is against the median of others; None where nothing changes."""
     block_costs: list[np.ndarray] = []
     total = sum(a.time_s.size for a in aligned)
     every = max(total // _MOST_SAMPLES, 1)
@@ -349,7 +349,7 @@ def _lag(
 
 
 def _least_cost(cost: np.ndarray) -> np.ndarray:
-    """Return the delay of the least cost of each row, by a parabola through its three lowest points."""
+    """Returns the delay of the least cost of each row, by a parabola through three points."""
     k = np.clip(np.argmin(cost, axis=1), 1, cost.shape[1] - 2)
     row = np.arange(len(cost))
     before = cost[row, k - 1]
@@ -382,7 +382,7 @@ class _Level(NamedTuple):
 def _radii(
     runs: list[Run], delays: dict[str, float]
 ) -> tuple[list[dict[str, float]], list[Finding]]:
-    """Return rho of each channel in each run, and the findings that are statistically significant."""
+    """Returns rho of each channel in each run, and the statistically significant findings."""
     aligned = [align(run, delays, {}) for run in runs]
     groups: dict[tuple[str, str], list[Aligned]] = {}
     for a in aligned:
@@ -420,7 +420,7 @@ def _radii(
 
 
 def wheels(group: list[Aligned]) -> dict[str, Wheel]:
-    """Return rho of each speed over the runs of one vehicle and date [R1]."""
+    """Returns rho of each speed over the runs of one vehicle and date [R1]."""
     shares_of_blocks: dict[str, list[float]] = {}
     rounding_error: dict[str, float] = {}
     for a in group:
@@ -460,7 +460,7 @@ def wheels(group: list[Aligned]) -> dict[str, Wheel]:
 
 
 def _base_speed(a: Aligned) -> np.ndarray | None:
-    """Return the speed to compare with: the vehicle's, else the second of two; None for a single speed."""
+    """Returns the speed to compare with: the vehicle's or the second of two; None for one speed."""
     if not a.has_reference:
         if len(a.names) == 1:
             return None
@@ -472,7 +472,7 @@ def _base_speed(a: Aligned) -> np.ndarray | None:
 def _judge_radius(
     channels: tuple[str, ...], vehicle_id: str, dates: dict[str, Wheel], tests: int
 ) -> tuple[list[Finding], dict[str, float]]:
-    """Return the findings about the radius of one speed and its steps, and rho by date."""
+    """Returns the findings about the radius of one speed and its steps, and rho by date."""
     levels = _levels(dates, tests)
     found = []
     first = levels[0]
@@ -495,7 +495,7 @@ def _judge_radius(
 
 
 def _levels(dates: dict[str, Wheel], tests: int) -> list[_Level]:
-    """Return the levels of a radius: a date that differs significantly begins a new one."""
+    """Returns the levels of a radius: a date that differs significantly begins a new one."""
     levels: list[list[tuple[str, Wheel]]] = []
     for date, wheel in dates.items():
         if levels:
@@ -518,7 +518,7 @@ def _radius_finding(
     vehicle_id: str,
     until: str | None,
 ) -> Finding:
-    """Return a finding with its size in % of the radius."""
+    """Returns a finding with its size in % of the radius."""
     quantile = float(student.ppf(0.975, max(wheel.blocks - 1, 2)))
     half = wheel.error * quantile
     # a wheel that is smaller than assumed turns faster: the signs differ
@@ -546,7 +546,7 @@ def _difference(wheel: Wheel, other: Wheel) -> Wheel:
 
 
 def _mean(level: list[Wheel]) -> Wheel:
-    """Return the mean, weighted by the inverse variances."""
+    """Returns the mean, weighted by the inverse variances."""
     weight = np.array([1.0 / wheel.error**2 for wheel in level])
     return Wheel(
         radius=float(np.sum(weight * [wheel.radius for wheel in level]) / weight.sum()),
@@ -556,6 +556,9 @@ def _mean(level: list[Wheel]) -> Wheel:
 
 
 def _is_significant(wheel: Wheel, tests: int) -> bool:
-    """Whether a radius differs from nothing by more than LEAST_RADIUS and chance; ALPHA is shared among tests."""
+    """Whether a radius differs from 0 by more than LEAST_RADIUS and chance.
+
+    The probability ALPHA of a false alarm is shared among the tests.
+    """
     quantile = float(student.ppf(1.0 - limit.ALPHA / tests / 2.0, max(wheel.blocks - 1, 2)))
     return abs(wheel.radius) - limit.LEAST_RADIUS > wheel.error * quantile

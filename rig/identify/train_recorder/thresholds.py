@@ -1,7 +1,7 @@
 """Every threshold by which a recording is judged, with its unit, its reason and what it was set on.
 
-The table in docs/recorders.md repeats values and reasons; a test compares the two. Values are set by
-hand from what the channels can do. "Twins" are simulated recordings of runs of the bench.
+The table in docs/recorders.md repeats values and reasons; a test compares the two. Values are set
+by hand from what the channels can do. "Twins" are simulated recordings of runs of the bench.
 """
 
 # --- stamps and sensors ---
