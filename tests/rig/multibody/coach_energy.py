@@ -1,12 +1,15 @@
-"""Energy of the coach, for its balance: what it holds, and what has left it.
+"""The energy of the coach, for its balance: the energy in it, and the energy that has left it.
 
-Kinetic energy, springs, weight and the elastic contacts hold energy; sliding, brakes, dampers and
-resistance take it. Rollers and their motors are the plant's affair: their energy is not counted.
+Kinetic energy, springs, weight and elastic contacts store energy. Sliding, brakes, dampers and
+resistance dissipate it. The energy of rollers and their motors is not counted: they belong to the
+plant.
 """
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import patch as patches
 from rollerrig.rig.contact.geometry import GAP, LATERAL, MOST, ROLLING
+from rollerrig.rig.multibody.coach import WHEELS
+from rollerrig.rig.multibody.coordinates import COORDINATES
 from rollerrig.rig.multibody.links import (
     PRELOAD_N,
     STIFFNESS_N_M,
@@ -18,32 +21,28 @@ from rollerrig.rig.multibody.links import (
 
 
 @kernel
-def held(motion, coach):
-    """Energy in J: kinetic, springs and stops, weight, contacts; 0 for a standing, unloaded coach."""
-    q, v = motion.q, motion.v
-    energy = stored(q, coach.springs) + stored(q, coach.curves)
-    for i in range(42):
-        energy += 0.5 * coach.inertia[i] * v[i] * v[i] + coach.weight_N[i] * q[i]
-    return energy + pressed(motion, coach)
+def total_J(motion, coach):
+    """Returns the energy in the coach and the energy that has left it; a balance keeps it constant."""
+    return stored_J(motion, coach) + dissipated_J(motion)
 
 
 @kernel
-def pressed(motion, coach):
-    """Elastic energy in J of all contacts, 2/5 k_h p^(5/2), where the last step saw them."""
-    energy = 0.0
-    for wheel in range(8):
-        for c in range(MOST * wheel, MOST * wheel + int(motion.contact_count[wheel])):
-            p = max(-motion.contacts[c, GAP], 0.0)
-            patch = patches.at(
-                motion.contacts[c, ROLLING], motion.contacts[c, LATERAL], coach.patches
-            )
-            energy += 0.4 * patch.k_h_N_m32 * p * p * p**0.5
-    return energy
+def stored_J(motion, coach):
+    """Returns the energy in the coach: kinetic, springs and stops, weight, contacts.
+
+    It is 0 for a coach at rest whose links are not deformed.
+    """
+    q = motion.q
+    v = motion.v
+    energy_J = links_J(q, coach.springs) + links_J(q, coach.curves)
+    for i in range(COORDINATES):
+        energy_J += 0.5 * coach.inertia[i] * v[i] * v[i] + coach.weight_N[i] * q[i]
+    return energy_J + contacts_J(motion, coach)
 
 
 @kernel
-def taken(motion):
-    """Energy in J that has left since the start: sliding, brakes, dampers, contacts, resistance."""
+def dissipated_J(motion):
+    """Returns the energy that has left since the start: sliding, brakes, dampers, resistance."""
     return (
         motion.sliding_work.sum()
         + motion.brake_work.sum()
@@ -53,15 +52,29 @@ def taken(motion):
     )
 
 
+@kernel
+def contacts_J(motion, coach):
+    """Returns the elastic energy of all contacts of the last step, 2/5 k_h p^(5/2) each."""
+    energy_J = 0.0
+    for wheel in range(WHEELS):
+        first = MOST * wheel
+        for c in range(first, first + int(motion.contact_count[wheel])):
+            contact = motion.contacts[c]
+            patch = patches.at(contact[ROLLING], contact[LATERAL], coach.patches)
+            p = max(-contact[GAP], 0.0)
+            energy_J += 0.4 * patch.k_h_N_m32 * p * p * p**0.5
+    return energy_J
+
+
 @kernel_inlined
-def stored(q, links):
-    """Energy in J that springs and stops hold, preload included."""
-    energy = 0.0
+def links_J(q, links):
+    """Returns the energy of springs and stops, preload included."""
+    energy_J = 0.0
     row = links.row
     for i in range(row.shape[0]):
         d = elongation(i, q, links)
-        energy += 0.5 * row[i, STIFFNESS_N_M] * d * d - row[i, PRELOAD_N] * d
+        energy_J += 0.5 * row[i, STIFFNESS_N_M] * d * d - row[i, PRELOAD_N] * d
         e = abs(d) - row[i, STOP_GAP_M]
         if row[i, STOP_N_M] > 0.0 and e > 0.0:
-            energy += row[i, STOP_N_M] * e * e * (0.5 + e / (3.0 * STOP_BEND_M))
-    return energy
+            energy_J += row[i, STOP_N_M] * e * e * (0.5 + e / (3.0 * STOP_BEND_M))
+    return energy_J
