@@ -38,7 +38,7 @@ _AXLES = tuple(f"Axle {axle}" for axle in range(1, AXLES + 1))
 
 
 def rows(pacing: str) -> list[Row]:
-    """The objects beyond CiA 301."""
+    """Return the objects beyond CiA 301."""
     return [
         *process_image.rows(BENCH_NODE, 0, {}, TITLES),
         *array(

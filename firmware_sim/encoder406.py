@@ -38,7 +38,7 @@ TPDOS = (
 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
-    """The objects of the device profile. `parameters`: `teeth` of each pole wheel."""
+    """Return the objects of the device profile. `parameters`: `teeth` of each pole wheel."""
     teeth = round(parameters["teeth"])
     zeros = [0] * AXLES
     by_axle = [f"Axle {axle}" for axle in _AXLES]
@@ -134,12 +134,12 @@ class SpeedUnit:
         )
 
     def position(self, axle: int) -> int:
-        """Teeth counted on an axle (from 1), plus the offset, in 32 bits."""
+        """Return the teeth counted on an axle (from 1), plus the offset, in 32 bits."""
         objects = self.node.objects
         return (objects.get(0x2101, axle) + objects.values[key(0x6509, axle)]) & 0xFFFFFFFF
 
     def acceleration(self, axle: int) -> int:
-        """Change of an axle's speed between the last two SYNCs, in 0.01 rad/s2."""
+        """Return the change of an axle's speed between the last two SYNCs, in 0.01 rad/s2."""
         before_s, speeds_before = self._before
         newest_s, newest_speeds = self._newest
         if newest_s <= before_s:
@@ -148,7 +148,7 @@ class SpeedUnit:
         return signals.count(change_rad_s / (newest_s - before_s), ACCELERATION)
 
     def _operating_time(self) -> int:
-        """Simulated time in 0.1 h."""
+        """Return the simulated time in 0.1 h."""
         return int(self._row.item(self._time) / 360.0) & 0xFFFFFFFF
 
     def _sample(self) -> tuple[float, list[float]]:

@@ -39,7 +39,7 @@ TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 
 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:
-    """The objects of the device profile."""
+    """Return the objects of the device profile."""
     return [
         *process_image.rows(BRAKE_NODE, 0, parameters, TITLES),
         *array(0x6000, "Read input 8-bit", "U8", "ro", [0], ("Magnets energised",), mappable=True),

@@ -72,7 +72,7 @@ class NmtMaster:
         return self.unit.state is State.OPERATIONAL and not self.unit.lost
 
     def all_operational(self) -> bool:
-        """Whether every node of the rig (not the WSP unit) is OPERATIONAL."""
+        """Return whether every node of the rig (not the WSP unit) is OPERATIONAL."""
         return all(
             health.state is State.OPERATIONAL and not health.lost
             for node, health in self.health.items()

@@ -53,10 +53,10 @@ def build(
     axle: int = 0,
     storage: Path | None = None,
 ) -> Node:
-    """A node of the rig, whose objects read the live row (float64, one item a column of the table).
+    """Return a node of the rig, whose objects read the live row.
 
-    `device_rows`: the rows beyond CiA 301; `axle`: that of a drive, else 0. The
-    node number is also the serial number.
+    `row`: float64, one item for each column of the table of signals. `device_rows`: the rows beyond
+    CiA 301; `axle`: that of a drive, else 0. The node number is also the serial number.
     """
     identity = Identity(
         vendor=_VENDOR,
@@ -80,7 +80,7 @@ def build(
 
 
 def carried(node_number: int, axle: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
-    """The signals that a node carries, axle by axle.
+    """Return the signals that a node carries, axle by axle.
 
     `node_number` 0 with an axle is the drive under that axle. Raises KeyError if a scale needs a
     parameter that is not in `parameters`.
@@ -100,7 +100,10 @@ def carried(node_number: int, axle: int, parameters: Mapping[str, float]) -> Ite
 def rows(
     node_number: int, axle: int, parameters: Mapping[str, float], titles: Mapping[int, str]
 ) -> list[Row]:
-    """The rows of the objects that carry measured signals; `titles` names the objects by index."""
+    """Return the rows of the objects that carry measured signals.
+
+    `titles`: the names of the objects by index.
+    """
     rows_by_place: dict[tuple[int, int], Row] = {}
     for signal, place, signal_axle, sub, parameter in carried(node_number, axle, parameters):
         if signal.direction != signals.OUT or place.index not in titles:

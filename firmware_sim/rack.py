@@ -125,7 +125,7 @@ class Rack:
             member.poll(now_ns)
 
     def next_ns(self) -> int:
-        """The time of the first alarm of any member."""
+        """Return the time of the first alarm of any member."""
         return min((member.timers.next_ns for member in self._powered()), default=NEVER)
 
     def ring(self, now_ns: int) -> None:

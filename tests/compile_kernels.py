@@ -1,8 +1,8 @@
 """Compiles the kernels that many tests call, before the workers of `make test` start.
 
-Two workers that compile the same kernel at the same time need double the time. The compiled kernels remain
-in the cache until a source with kernels changes. A mark in the folder of the cache shows that this
-checkout has been compiled.
+Two workers that compile the same kernel at the same time need double the time. The compiled kernels
+remain in the cache until a source with kernels changes. A mark in the folder of the cache shows
+that this checkout has been compiled.
 """
 
 import hashlib
@@ -47,8 +47,8 @@ design = "matrix"
 [vary]
 initial_speed_m_s = [1.0, 2.0]
 """
-# Series of commands; a worker runs the commands of a series one after another. The longest series is first.
-# A text is a Python program.
+# Series of commands; a worker runs the commands of a series one after another. The longest series
+# is first. A text is a Python program.
 SERIES = (
     ((*RUN, "--pacing", "wall"), (*RUN, "--pacing", "lockstep"), (*RUN, "--pacing", "free")),
     ((*COACH, "rig=plain_track"), (*COACH, "rig=virtual_track")),
@@ -82,7 +82,7 @@ def main():
 
 
 def mark_of_this_checkout():
-    """Returns the file that shows that this checkout has been compiled; None without a folder for it."""
+    """Returns the file that marks this checkout as compiled; None if there is no folder for it."""
     folder = kernel_cache.folder()
     if folder is None:
         return None

@@ -1,4 +1,4 @@
-"""The documentation is true: commands parse, files exist, values and tables are the code's."""
+"""The documentation is true: commands parse, files exist, values and tables agree with the code."""
 
 import ast
 import importlib

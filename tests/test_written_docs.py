@@ -1,4 +1,4 @@
-"""Pages that are written are what would be written now; tables that are typed agree with the code."""
+"""Generated pages are up to date, and hand-written tables agree with the code."""
 
 import re
 import tomllib
@@ -16,45 +16,58 @@ from rollerrig.wsp_interface.sequences import measures, sequence
 ROOT = Path(__file__).parent.parent
 
 
+def read(page):
+    """Return the text of a page."""
+    return page.read_text(encoding="utf-8")
+
+
 def rows_of(page, files):
-    return [line for line in page.splitlines() if any(f"| `{file}` " in line for file in files)]
+    """Return the rows of the table of conformance that have tests of some files."""
+    rows = []
+    for line in page.splitlines():
+        if any(f"| `{file}` " in line for file in files):
+            rows.append(line)
+    return rows
 
 
 def test_the_page_of_conformance_is_up_to_date(docs, request):
-    # as far as this session sees: all of it in `make test`
+    # only the rows of the collected files; with the whole suite these are all
     items = request.config.stash[ALL_ITEMS]
     files = {item.path.relative_to(ROOT).as_posix() for item in items}
-    page = (docs / "conformance.md").read_text(encoding="utf-8")
+    page = read(docs / "conformance.md")
     assert rows_of(page, files) == rows_of(conformance(items), files), "run: make docs"
 
 
-def test_the_page_of_conformance_names_tests_that_are_there(docs):
-    told = re.findall(
-        r"\| `([^`]+)` (\w+) \|$",
-        (docs / "conformance.md").read_text(encoding="utf-8"),
-        re.MULTILINE,
-    )
-    assert len(told) > 150
-    texts = {name: (ROOT / name).read_text(encoding="utf-8") for name, _ in told}
-    assert [test for name, test in told if f"def {test}(" not in texts[name]] == []
+def test_the_tests_on_the_page_of_conformance_exist(docs):
+    page = read(docs / "conformance.md")
+    listed = re.findall(r"\| `([^`]+)` (\w+) \|$", page, re.MULTILINE)
+    assert len(listed) > 150
+    texts = {file: read(ROOT / file) for file, _ in listed}
+    assert [test for file, test in listed if f"def {test}(" not in texts[file]] == []
 
 
 def test_the_page_of_faults_is_up_to_date(docs):
-    text = (docs / "faults.md").read_text(encoding="utf-8")
+    text = read(docs / "faults.md")
     assert text == catalogue.markdown(), "run: make docs"
     assert [kind.name for kind in catalogue.CATALOGUE if f"| `{kind.name}` |" not in text] == []
 
 
 def test_the_settings_on_the_page_of_modbus_are_the_defaults(docs):
-    text = (docs / "modbus.md").read_text(encoding="utf-8")
+    text = read(docs / "modbus.md")
     block = re.search(r"^    \[modbus\]\n(?:    .*\n)+", text, re.MULTILINE)
-    told = tomllib.loads(re.sub(r"^    ", "", block[0], flags=re.MULTILINE))["modbus"]
-    assert told == {row.name: row.default for row in scenario.SECTIONS["modbus"]}
+    shown = tomllib.loads(without_indent(block[0]))["modbus"]
+    assert shown == {row.name: row.default for row in scenario.SECTIONS["modbus"]}
+
+
+def without_indent(block):
+    """Return the text of an indented block."""
+    return re.sub(r"^    ", "", block, flags=re.MULTILINE)
 
 
 def test_the_registers_on_the_page_of_modbus_are_those_of_the_map(docs):
-    text = (docs / "modbus.md").read_text(encoding="utf-8")
+    text = read(docs / "modbus.md")
     at = {row.name: row.at for row in (*map.BITS, *map.WORDS)}
+    # a row of the table of steps, the text of its register or bit, and the name in the map
     for step, register, name in (
         ("choose a scenario", "register {}:", "scenario"),
         ("choose a speed", "register {}:", "speed_set_point"),
@@ -70,26 +83,26 @@ def test_the_registers_on_the_page_of_modbus_are_those_of_the_map(docs):
 
 
 def test_the_objects_of_node_127_on_the_page_of_sequences_are_those_of_the_node(docs):
-    text = (docs / "sequences.md").read_text(encoding="utf-8")
-    told = set()
-    for first, last in re.findall(
-        r"^\| (2\w{3})h(?:\.\.(2\w{3})h|[^|.]*(?:\.\.\d)?[^|.]*) \|", text, re.MULTILINE
-    ):
-        told |= set(range(int(first, 16), int(last or first, 16) + 1))
-    assert told == {row.index for row in bench_node.rows("wall")}
+    text = read(docs / "sequences.md")
+    # the first column is one object (2000h:1..3), or a range of objects (2100h..2105h)
+    objects = r"^\| (2\w{3})h(?:\.\.(2\w{3})h|[^|.]*(?:\.\.\d)?[^|.]*) \|"
+    listed = set()
+    for first, last in re.findall(objects, text, re.MULTILINE):
+        listed |= set(range(int(first, 16), int(last or first, 16) + 1))
+    assert listed == {row.index for row in bench_node.rows("wall")}
 
 
-def test_the_measures_on_the_page_of_sequences_are_those_that_are_known(docs):
-    text = (docs / "sequences.md").read_text(encoding="utf-8")
-    told = re.search(r"Measures: (.*?)\n\n", text, re.DOTALL)[1]
-    assert set(re.findall(r"`(\w+)`", told)) == set(measures.BY_NAME)
+def test_the_measures_on_the_page_of_sequences_are_those_of_the_code(docs):
+    text = read(docs / "sequences.md")
+    paragraph = re.search(r"Measures: (.*?)\n\n", text, re.DOTALL)[1]
+    assert set(re.findall(r"`(\w+)`", paragraph)) == set(measures.BY_NAME)
 
 
-def test_the_sequence_on_the_page_can_be_read(docs, tmp_path):
-    text = (docs / "sequences.md").read_text(encoding="utf-8")
+def test_the_sequence_on_the_page_loads(docs, tmp_path):
+    text = read(docs / "sequences.md")
     block = re.search(r"^    title = .*?(?=\n\n[^ ])", text, re.DOTALL | re.MULTILINE)
-    path = tmp_path / "own.toml"
-    path.write_text(re.sub(r"^    ", "", block[0], flags=re.MULTILINE), encoding="utf-8")
-    found = sequence.load(str(path))
-    assert found.title in block[0]
+    path = tmp_path / "sequence.toml"
+    path.write_text(without_indent(block[0]), encoding="utf-8")
+    loaded = sequence.load(str(path))
+    assert loaded.title in block[0]
     assert store.names("criteria")

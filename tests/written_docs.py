@@ -86,9 +86,9 @@ def keys(rows):
 
 def floors():
     """Yield the lines of the table of rooms."""
-    for folder, line in test_architecture.FLOORS.items():
+    for folder, floors_of_folder in test_architecture.FLOORS.items():
         name = f"{folder}/" if folder else "rollerrig"
-        rooms = [", ".join(floor.split()) for floor in line.split("|")]
+        rooms = [", ".join(floor.split()) for floor in floors_of_folder]
         yield f"| `{name}` | {' < '.join(rooms)} |"
 
 

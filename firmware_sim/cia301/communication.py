@@ -78,7 +78,7 @@ class Profile(NamedTuple):
 
 
 def rows(profile: Profile, identity: Identity) -> list[Row]:
-    """All rows of 1000h..1FFFh for a profile."""
+    """Return all rows of 1000h..1FFFh for a profile."""
     consumed = [node << 16 | time_ms for node, time_ms in profile.consumed]
     consumed += [0] * (_CONSUMERS - len(consumed))
     numbers = (identity.vendor_id, identity.product_code, identity.revision, identity.serial)
@@ -138,7 +138,7 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
 def _list(
     index: int, name: str, number: str, used: int, entry: str, access: str, entries: Sequence[int]
 ) -> list[Row]:
-    """Rows of an array whose sub-index 0 is the number of its entries in use."""
+    """Return the rows of an array whose sub-index 0 is the number of its entries in use."""
     return [
         Row(index, 0, f"{name}/{number}", "U8", "rw", used),
         *(
@@ -149,7 +149,7 @@ def _list(
 
 
 def _sdo_server(server: int) -> list[Row]:
-    """The parameters of an SDO server. The first one has fixed identifiers and no client."""
+    """Return the parameters of an SDO server. The first one has fixed identifiers and no client."""
     index = 0x1200 + server
     name = f"SDO server parameter {server}"
     subs = ("COB-ID client to server", "COB-ID server to client")
@@ -162,7 +162,7 @@ def _sdo_server(server: int) -> list[Row]:
 
 
 def _pdo(index: int, name: str, cob_id: int, used: Sequence[Pdo]) -> list[Row]:
-    """The communication and mapping parameters of a PDO.
+    """Return the communication and mapping parameters of a PDO.
 
     `used` holds the PDO of the device; if it is empty, the PDO is not valid.
     """
@@ -195,18 +195,18 @@ def _pdo(index: int, name: str, cob_id: int, used: Sequence[Pdo]) -> list[Row]:
 
 
 def valid(cob_id: int) -> bool:
-    """Whether the message exists."""
+    """Return whether the message exists."""
     return not cob_id & INVALID
 
 
 def split(cob_id: int) -> tuple[int, bool]:
-    """The identifier, and whether it is one of 29 bits."""
+    """Return the identifier, and whether it has 29 bits."""
     extended = bool(cob_id & EXTENDED)
     return cob_id & (EXTENDED_MASK if extended else STANDARD_MASK), extended
 
 
 def dispatch_key(can_id: int, extended: bool) -> int:
-    """Identifier and format as one number."""
+    """Return identifier and format as one number."""
     return can_id | EXTENDED if extended else can_id
 
 

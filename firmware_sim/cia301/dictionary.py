@@ -72,7 +72,10 @@ def array(
     subs: Iterable[str] = (),
     **more: Any,
 ) -> list[Row]:
-    """Rows of an array: sub-index 0 and one row for each default (named by `subs` or numbered)."""
+    """Return the rows of an array: sub-index 0, and one row for each default.
+
+    The rows have the names `subs`, or are numbered.
+    """
     defaults = list(defaults)
     names = list(subs) or [f"{name} {at}" for at in range(1, len(defaults) + 1)]
     return [

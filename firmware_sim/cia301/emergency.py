@@ -44,7 +44,7 @@ class Emergency:
         objects.attach(0x1015, check=self._check_inhibit)
 
     def register(self) -> int:
-        """The error register 1001h."""
+        """Return the error register 1001h."""
         bits = 1 if self.active else 0
         for code, _ in self.active:
             bits |= _REGISTER.get(code >> 12, 0)
@@ -95,7 +95,7 @@ class Emergency:
             self._free_ns = node.clock_ns() + inhibit_100us * 100_000
 
     def _history_entry(self, at: int) -> int:
-        """The entry of the history at a position, the newest first; 0 if there is none."""
+        """Return the entry of the history at a position, the newest first; 0 if there is none."""
         return self.history[at] if at < len(self.history) else 0
 
     def _clear_history(self, value: int) -> None:

@@ -127,7 +127,7 @@ class Consumer:
         node.communication_error()
 
     def _entries(self, without: int = 0) -> list[int]:
-        """The entries of 1016h; `without` is a sub-index to leave out, 0 for none."""
+        """Return the entries of 1016h; `without` is a sub-index to leave out, 0 for none."""
         values = self.node.objects.values
         return [values[key(0x1016, sub)] for sub in range(1, CONSUMERS + 1) if sub != without]
 
@@ -145,5 +145,5 @@ class Consumer:
 
 
 def _partner_and_time(entry: int) -> tuple[int, int]:
-    """Node number and time in ms of an entry of 1016h."""
+    """Return node number and time in ms of an entry of 1016h."""
     return entry >> 16 & 0x7F, entry & 0xFFFF

@@ -51,7 +51,7 @@ class Timers:
         self.next_ns = NEVER
 
     def running(self, name: str) -> bool:
-        """Whether an alarm of this name waits."""
+        """Return whether an alarm of this name waits."""
         return name in self._due
 
     def poll(self, now_ns: int, owner: Any) -> None:
@@ -69,7 +69,7 @@ class Timers:
         owner.now_ns = now_ns
 
     def _earliest(self) -> tuple[int, str]:
-        """Time and name of the earliest alarm; of alarms at the same time the first by name."""
+        """Return time and name of the earliest alarm; at equal times the first by name."""
         times = [(due_ns, name) for name, (due_ns, _) in self._due.items()]
         return min(times, default=(NEVER, ""))
 

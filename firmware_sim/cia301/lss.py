@@ -99,7 +99,7 @@ class LssSlave:
             self.node.reset_node(everything=False)
 
     def _completes(self, commands: tuple[int, ...], data: bytes, matches: bool) -> bool:
-        """Whether this command is the last of a series that have all matched, in their order."""
+        """Return whether this command completes a series that has matched, in its order."""
         at = data[0] - commands[0]
         matched_before = self._matched[commands] if at else 0
         in_sequence = matches and matched_before == at

@@ -53,7 +53,7 @@ class AbortError(Exception):
 
 
 def key(index: int, sub: int) -> Key:
-    """Index and sub-index as one number."""
+    """Return index and sub-index as one number."""
     return index << 8 | sub
 
 
@@ -108,7 +108,7 @@ class Objects:
         return self.readers.get(at) or partial(self.values.__getitem__, at)
 
     def get(self, index: int, sub: int = 0) -> Any:
-        """The present value of an object. Raises KeyError if there is no such object."""
+        """Return the present value of an object. Raises KeyError if there is no such object."""
         return self.getter(key(index, sub))()
 
     def find(self, index: int, sub: int) -> ODVariable:
@@ -121,7 +121,7 @@ class Objects:
         raise AbortError(Abort.NO_OBJECT)
 
     def upload(self, index: int, sub: int) -> bytes:
-        """An object's value as bytes, for an SDO client. Raises AbortError."""
+        """Return an object's value as bytes, for an SDO client. Raises AbortError."""
         variable = self.find(index, sub)
         if not variable.readable:
             raise AbortError(Abort.WRITE_ONLY)
@@ -170,6 +170,6 @@ class Objects:
 
 
 def packer(variables: list[ODVariable]) -> struct.Struct:
-    """The layout of a PDO that carries these variables, little-endian and packed."""
+    """Return the layout of a PDO that carries these variables, little-endian and packed."""
     formats = [variable.STRUCT_TYPES[variable.data_type or 0].format[-1] for variable in variables]
     return struct.Struct("<" + "".join(formats))

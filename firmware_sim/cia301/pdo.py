@@ -85,7 +85,7 @@ class Tpdo(Channel):
         return self._cyclic if self.kind <= LAST_SYNCHRONOUS else None
 
     def sample(self) -> bytes:
-        """The present content of the message."""
+        """Return the present content of the message."""
         return self.pack(*[get() for get in self.getters])
 
     def on_remote(self, _: Frame) -> None:

@@ -43,7 +43,7 @@ DUMMIES = {
 
 
 def mapped(objects: Objects, index: int) -> list[int]:
-    """The keys that a mapping record lists."""
+    """Return the keys that a mapping record lists."""
     count = objects.values[key(index, 0)]
     entries = (objects.values[key(index, sub)] >> 8 for sub in range(1, count + 1))
     return [at for at in entries if at in objects.variables or at in DUMMIES]
@@ -66,7 +66,7 @@ def check_entry(objects: Objects, entry: int, transmits: bool) -> None:
 
 
 def _direction_allowed(variable: ODVariable, transmits: bool) -> bool:
-    """Whether the access of an object allows PDOs of this direction."""
+    """Return whether the access of an object allows PDOs of this direction."""
     if variable.access_type == "rwr":
         return transmits
     if variable.access_type == "rww":

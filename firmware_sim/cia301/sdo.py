@@ -58,7 +58,7 @@ class Upload(Transfer):
         self.rest = data
 
     def segment(self, request: bytes) -> bytes:
-        """The answer to an upload-segment request; bit 0 is set in the last one."""
+        """Return the answer to an upload-segment request; bit 0 is set in the last one."""
         toggle = self.check_toggle(request)
         part = self.rest[:_SEGMENT]
         self.rest = self.rest[_SEGMENT:]
@@ -76,7 +76,7 @@ class Download(Transfer):
         self.data = bytearray()
 
     def segment(self, request: bytes) -> bytes:
-        """The answer to a download segment."""
+        """Return the answer to a download segment."""
         toggle = self.check_toggle(request)
         unused = request[0] >> 1 & 7
         self.data += request[1 : 8 - unused]
@@ -87,7 +87,7 @@ class Download(Transfer):
         return bytes([0x20 | toggle]).ljust(8, b"\0")
 
     def complete_data(self) -> bytes:
-        """All data. Raises AbortError if the client has announced another length."""
+        """Return all data. Raises AbortError if the client has announced another length."""
         if self.size not in (None, len(self.data)):
             raise AbortError(Abort.LENGTH_MISMATCH)
         return bytes(self.data)
@@ -126,7 +126,7 @@ class BlockDownload(Download):
         return answer
 
     def end(self, request: bytes) -> bytes:
-        """All data, at the end of the transfer. Raises AbortError if length or checksum differ."""
+        """Return all data at the end. Raises AbortError if length or checksum differ."""
         if self.takes_segments:
             raise AbortError(Abort.UNKNOWN_COMMAND)
         unused = request[0] >> 2 & 7
@@ -154,7 +154,7 @@ class BlockUpload(Transfer):
         self._due = _BLOCK_START  # the subcommand that the client must send next
 
     def step(self, request: bytes) -> list[bytes]:
-        """The frames that answer the client's start or acknowledgement; none after its end.
+        """Return the frames that answer the client's start or acknowledgement; none after its end.
 
         Raises AbortError.
         """
@@ -167,7 +167,7 @@ class BlockUpload(Transfer):
         return self._block() if command == _BLOCK_START else []
 
     def _acknowledged(self, number: int, block: int) -> list[bytes]:
-        """The next frames after the client has confirmed the segments up to `number`.
+        """Return the next frames after the client has confirmed the segments up to `number`.
 
         `block` is the number of segments that the client allows in the next block.
         """
@@ -189,7 +189,7 @@ class BlockUpload(Transfer):
         return [bytes([0xC1 | unused << 2]) + checksum.to_bytes(2, "little") + bytes(5)]
 
     def _block(self) -> list[bytes]:
-        """The segments of the next block; bit 7 is set in the last segment of the transfer."""
+        """Return the segments of the next block. The last one of the transfer has bit 7."""
         parts = [self.data[at : at + _SEGMENT] for at in range(self.at, len(self.data), _SEGMENT)]
         parts = parts[: self.block]
         if not parts:
@@ -255,7 +255,7 @@ class SdoServer:
         self.reply(b"\x80" + place + code.to_bytes(4, "little"))
 
     def _running(self, kind: type[T]) -> T:
-        """The transfer in progress. Raises AbortError if it is not of this kind."""
+        """Return the transfer in progress. Raises AbortError if it is not of this kind."""
         if type(self.active) is not kind:
             raise AbortError(Abort.UNKNOWN_COMMAND)
         return cast(T, self.active)
@@ -355,5 +355,5 @@ class SdoServer:
 
 
 def _index_and_sub(place: bytes) -> tuple[int, int]:
-    """Index and sub-index of a place in a message."""
+    """Return index and sub-index of a place in a message."""
     return int.from_bytes(place[:2], "little"), place[2]

@@ -46,7 +46,7 @@ class Storage:
         return int(self.path is not None)
 
     def load(self) -> dict[int, Any]:
-        """The stored values by key; empty if there is no file or its checksum is wrong."""
+        """Return the stored values by key; empty if there is no file or its checksum is wrong."""
         parameters, _ = self._read()
         stored = {}
         for at in self._storable(0x1000, 0xFFFF):
@@ -56,7 +56,7 @@ class Storage:
         return stored
 
     def stored_settings(self) -> tuple[int, int] | None:
-        """The node identifier and bit timing that LSS has stored; None if it has not."""
+        """Return the node identifier and bit timing that LSS has stored; None if it has not."""
         _, settings = self._read()
         node_id = settings.get("node_id")
         bit_timing = settings.get("bit_timing")
@@ -78,7 +78,7 @@ class Storage:
         return STORED
 
     def _read(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Parameters and LSS settings of the file, both empty if it is missing or damaged."""
+        """Return parameters and LSS settings; both are empty if the file is missing or damaged."""
         if self.path is None:
             return {}, {}
         try:
@@ -93,7 +93,7 @@ class Storage:
         return parameters, settings
 
     def _storable(self, first: int, last: int) -> list[int]:
-        """The keys of objects from index first to last that may be stored."""
+        """Return the keys of objects from index first to last that may be stored."""
         objects = self.node.objects
         not_stored = _NEVER_STORED | self.node.commands
         storable = []
@@ -146,7 +146,7 @@ class Storage:
 
 
 def _name(at: int) -> str:
-    """The name of an object in the file: index and sub-index as six hexadecimal digits."""
+    """Return the name of an object in the file: index and sub-index as six hexadecimal digits."""
     return f"{at:06X}"
 
 
@@ -155,7 +155,7 @@ def _checksum(*parts: dict[str, Any]) -> int:
 
 
 def _fits(variable: ODVariable, value: Any) -> bool:
-    """Whether an object may have a value from the file."""
+    """Return whether an object may have a value from the file."""
     try:
         variable.encode_raw(value)
     except (ValueError, TypeError, AttributeError):

@@ -77,7 +77,7 @@ class SyncConsumer:
         self.at_ns = None
 
     def window_is_over(self, frame: Frame) -> bool:
-        """Whether a message for a synchronous PDO is too late for the next SYNC."""
+        """Return whether a message for a synchronous PDO is too late for the next SYNC."""
         if not self._window_ns or self.at_ns is None:
             return False
         return max(frame.time_ns, self.node.now_ns) > self.at_ns + self._window_ns

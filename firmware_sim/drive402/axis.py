@@ -69,7 +69,7 @@ class Axis:
         return self.dc_link_V < self.lowest_V
 
     def actual(self) -> tuple[float, float]:
-        """Speed and torque of the motor, in counts of the bus (not rounded)."""
+        """Return speed and torque of the motor, in counts of the bus (not rounded)."""
         speed = self.row.item(self._speed_column) / table.SPEED.scale
         torque = self.row.item(self._torque_column) / (table.TORQUE.scale * self._rated_Nm)
         if not math.isfinite(speed + torque):
@@ -77,7 +77,7 @@ class Axis:
         return speed, torque
 
     def is_at_rest(self) -> bool:
-        """Whether the speed of the motor is within the threshold 606Fh."""
+        """Return whether the speed of the motor is within the threshold 606Fh."""
         speed, _ = self.actual()
         return bool(abs(speed) <= self.objects.values[key(0x606F, 0)])
 
@@ -86,7 +86,7 @@ class Axis:
         self.demand.take_over(*self.actual())
 
     def deceleration(self, option: int) -> float:
-        """The deceleration for an option code: 1 is the slow-down ramp, others the quick stop."""
+        """Return the deceleration for an option code: 1 is the slow-down ramp, else quick stop."""
         index = 0x6084 if option == 1 else 0x6085
         return float(self.objects.values[key(index, 0)])
 
@@ -95,7 +95,7 @@ class Axis:
         self.heat.step(self.row.item(self._torque_column) / self._rated_Nm, dt_s)
 
     def set_points(self, mode: int, halt: bool) -> demand.SetPoints:
-        """The present set-points and limits of the objects."""
+        """Return the present set-points and limits of the objects."""
         values = self.objects.values
         fastest = values[key(0x6080, 0)] / table.RPM_PER_RAD_S / table.SPEED.scale
         if mode == demand.PROFILE_VELOCITY:
@@ -112,7 +112,7 @@ class Axis:
         )
 
     def mode_bits(self, mode: int, halt: bool, now_ns: int) -> int:
-        """Bits 10, 12 and 13 of the statusword of an enabled drive."""
+        """Return bits 10, 12 and 13 of the statusword of an enabled drive."""
         speed, _ = self.actual()
         set_points = self.set_points(mode, halt)
         # evaluated in every mode, because it measures a time
@@ -147,7 +147,7 @@ class Axis:
         time_index: int,
         now_ns: int,
     ) -> bool:
-        """Whether a size has been within the bound of one object for the time of another."""
+        """Return whether a size has been within a bound for a time; two objects hold these."""
         values = self.objects.values
         within_bound = size <= values[key(bound_index, 0)]
         return timer.holds(within_bound, values[key(time_index, 0)], now_ns)
@@ -180,6 +180,6 @@ class Axis:
 
 
 def integer(value: float, kind: str) -> int:
-    """A number rounded, within the bounds of a type of the bus."""
+    """Return a number rounded, within the bounds of a type of the bus."""
     low, high = signals.KINDS[kind]
     return min(max(round(value), low), high)

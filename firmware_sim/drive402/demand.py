@@ -89,7 +89,7 @@ class Demand:
         self.torque = approach(self.torque, target, set_points.torque_slope * dt_s)
 
     def _limit(self, target: float, bound: float) -> float:
-        """The target within plus and minus `bound`; sets `limited`."""
+        """Return the target within plus and minus `bound`; sets `limited`."""
         cut = min(max(target, -bound), bound)
         self.limited = cut != target
         return cut
@@ -102,7 +102,7 @@ class ConditionTimer:
         self.since_ns: int | None = None
 
     def holds(self, condition: bool, time_ms: int, now_ns: int) -> bool:
-        """Whether the condition has been true for at least `time_ms`."""
+        """Return whether the condition has been true for at least `time_ms`."""
         if not condition:
             self.since_ns = None
             return False

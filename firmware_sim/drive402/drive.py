@@ -312,7 +312,7 @@ class Drive:
         return bool(self.controlword & states.HALT_BIT)
 
     def _option(self, index: int) -> int:
-        """The option code in an object."""
+        """Return the option code in an object."""
         return self.node.objects.values[key(index, 0)]
 
     def _read_mode(self) -> None:

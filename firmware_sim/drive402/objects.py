@@ -48,7 +48,7 @@ TPDOS = (
 
 
 def rows(axle: int, parameters: Mapping[str, float]) -> list[Row]:
-    """The objects of the device profile for the drive under `axle`."""
+    """Return the objects of the device profile for the drive under `axle`."""
     rated_Nm = parameters["rated_torque_Nm"]
     rated_A = parameters["rated_current_A"]
     fastest_rad_s = parameters["max_speed_rad_s"]

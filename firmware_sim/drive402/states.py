@@ -95,7 +95,7 @@ REACTION_COMPLETED = 14
 
 
 def command_of(controlword: int, before: int) -> Command | None:
-    """The command of a controlword, None if it has none; `before` is the last controlword."""
+    """Return the command of a controlword, or None; `before` is the last controlword."""
     if controlword & ~before & FAULT_RESET_BIT:
         return Command.FAULT_RESET
     for mask, pattern, command in PATTERNS:

@@ -180,24 +180,24 @@ def test_can_interfaces_are_distinguished_from_others_and_those_down_get_a_hint(
         ("vcan2", 280, 0x80),
     ):
         write_interface(tmp_path, name, kind, flags)
-    found = available(tmp_path)
-    assert found.up == ("vcan0",)
-    assert found.down == ("can1", "vcan2")
-    assert any("ip link set can1 up type can bitrate 500000" in hint for hint in found.hints)
-    assert any(hint.endswith("ip link set vcan2 up") for hint in found.hints)
+    interfaces = available(tmp_path)
+    assert interfaces.up == ("vcan0",)
+    assert interfaces.down == ("can1", "vcan2")
+    assert any("ip link set can1 up type can bitrate 500000" in hint for hint in interfaces.hints)
+    assert any(hint.endswith("ip link set vcan2 up") for hint in interfaces.hints)
 
 
 def test_everything_that_is_missing_on_this_machine_has_a_hint(tmp_path):
-    found = available()
-    if found.af_can and found.up and not found.down:
-        assert found.hints == ()
+    interfaces = available()
+    if interfaces.af_can and interfaces.up and not interfaces.down:
+        assert interfaces.hints == ()
     else:
-        assert any("sudo" in hint for hint in found.hints)
+        assert any("sudo" in hint for hint in interfaces.hints)
     assert available(tmp_path).up == ()
 
 
 @pytest.mark.parametrize(
-    ("name", "found", "message"),
+    ("name", "interfaces", "message"),
     [
         ("vcan0", KernelCan(False, (), (), ()), "no SocketCAN: sudo modprobe"),
         (
@@ -217,9 +217,9 @@ def test_everything_that_is_missing_on_this_machine_has_a_hint(tmp_path):
         ),
     ],
 )
-def test_a_missing_interface_is_refused_with_the_commands_to_get_it(name, found, message):
+def test_a_missing_interface_is_refused_with_the_commands_to_get_it(name, interfaces, message):
     with pytest.raises(BusError, match=message):
-        kernel.require(f"socketcan:{name}", name, "", found)
+        kernel.require(f"socketcan:{name}", name, "", interfaces)
 
 
 def test_an_interface_that_queues_too_few_frames_for_a_syncs_burst_has_a_hint(tmp_path):
