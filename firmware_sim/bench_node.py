@@ -27,13 +27,20 @@ from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
 
 DEVICE_TYPE = 0  # no profile of CiA covers a test bench
 PRODUCT = process_image.Product("bench", 0x127)
-# every signal that this node carries is an object with its name
-TITLES = {
-    place.index: signal.name.replace("_", " ").capitalize()
-    for signal in SIGNALS
-    for place in signal.places
-    if place.node == BENCH_NODE
-} | {0x2105: "Dump valve"}
+
+
+def _titles() -> dict[int, str]:
+    """Return the names of the objects that carry signals, by index: the names of the signals."""
+    titles = {}
+    for signal in SIGNALS:
+        for place in signal.places:
+            if place.node == BENCH_NODE:
+                titles[place.index] = signal.name.replace("_", " ").capitalize()
+    titles[0x2105] = "Dump valve"
+    return titles
+
+
+TITLES = _titles()
 _AXLES = tuple(f"Axle {axle}" for axle in range(1, AXLES + 1))
 
 

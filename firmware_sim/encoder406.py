@@ -33,7 +33,8 @@ DEFAULTS = {"teeth": 80.0}
 _AXLES = range(1, AXLES + 1)
 TPDOS = (
     Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in _AXLES)),
-    *(Pdo(SYNCHRONOUS, ((0x2100, axle, 32), (0x2100, axle + 1, 32))) for axle in _AXLES[::2]),
+    Pdo(SYNCHRONOUS, ((0x2100, 1, 32), (0x2100, 2, 32))),
+    Pdo(SYNCHRONOUS, ((0x2100, 3, 32), (0x2100, 4, 32))),
 )
 
 

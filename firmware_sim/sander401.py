@@ -25,10 +25,10 @@ DEVICE_TYPE = 0x00060191
 PRODUCT = process_image.Product("sander I/O", 0x402)
 TITLES = {0x6401: "Read analogue input 16-bit"}
 RPDOS = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
-TPDOS = tuple(
-    Pdo(SYNCHRONOUS, tuple((0x6401, sub, 16) for sub in range(first, first + AXLES)))
-    for first in (1, 1 + AXLES)
-)
+# 6401h: the flow of sand of each axle, then the remaining sand of each axle
+_FLOWS = tuple((0x6401, axle, 16) for axle in range(1, AXLES + 1))
+_BOXES = tuple((0x6401, AXLES + axle, 16) for axle in range(1, AXLES + 1))
+TPDOS = (Pdo(SYNCHRONOUS, _FLOWS), Pdo(SYNCHRONOUS, _BOXES))
 
 
 def build(
@@ -75,10 +75,12 @@ def build(
 
     def switch(bits: int) -> None:
         """Switch the sanders: bit 2j is the sander of axle j+1."""
-        commands[:] = [bits >> 2 * axle & 1 for axle in range(AXLES)]
+        for at in range(AXLES):
+            commands[at] = bits >> 2 * at & 1
         on_command()
 
     def stop(why: str) -> None:
+        """Stop all sanders, with an event if one was on."""
         if node.objects.values[key(0x6200, 1)]:
             node.event(Code.SANDERS_STOPPED, reason=why)
         node.objects.values[key(0x6200, 1)] = 0

@@ -25,6 +25,24 @@ _UPLOAD_SEGMENT = 3
 _ABORT = 4
 _BLOCK_UPLOAD = 5
 _BLOCK_DOWNLOAD = 6
+# server command specifiers: the first byte of an answer, without its flags
+_SEGMENT_DOWNLOADED = 0x20
+_UPLOAD_INITIATED = 0x40
+_DOWNLOAD_INITIATED = 0x60
+_ABORTED = 0x80
+_BLOCK_DOWNLOAD_INITIATED = 0xA0
+_BLOCK_DOWNLOAD_ENDED = 0xA1
+_BLOCK_ACKNOWLEDGED = 0xA2
+_BLOCK_UPLOAD_INITIATED = 0xC0
+_BLOCK_UPLOAD_ENDED = 0xC1
+# flags of the first byte
+_SIZE_GIVEN = 0x01
+_EXPEDITED = 0x02
+_LAST_SEGMENT = 0x01
+_TOGGLE = 0x10
+_BLOCK_SIZE_GIVEN = 0x02
+_BLOCK_CHECKSUM = 0x04
+_LAST_OF_BLOCKS = 0x80  # of a block segment, next to its number
 # client subcommands of a block upload: bits 0 and 1 of the first byte
 _BLOCK_INITIATE = 0
 _BLOCK_END = 1
@@ -47,7 +65,7 @@ class Transfer:
         if request[0] >> 4 & 1 != self.toggle:
             raise AbortError(Abort.TOGGLE_BIT)
         self.toggle ^= 1
-        return request[0] & 0x10
+        return request[0] & _TOGGLE
 
 
 class Upload(Transfer):
@@ -84,7 +102,7 @@ class Download(Transfer):
             raise AbortError(Abort.LENGTH_MISMATCH)
         if self.size is None and len(self.data) > LARGEST_BYTES:
             raise AbortError(Abort.OUT_OF_MEMORY)
-        return bytes([0x20 | toggle]).ljust(8, b"\0")
+        return bytes([_SEGMENT_DOWNLOADED | toggle]).ljust(8, b"\0")
 
     def complete_data(self) -> bytes:
         """Return all data. Raises AbortError if the client has announced another length."""
@@ -108,8 +126,8 @@ class BlockDownload(Download):
 
     def block_segment(self, data: bytes) -> bytes | None:
         """Take one segment. Returns an answer only after the last one of a block."""
-        number = data[0] & 0x7F
-        last = bool(data[0] & 0x80)
+        number = data[0] & ~_LAST_OF_BLOCKS
+        last = bool(data[0] & _LAST_OF_BLOCKS)
         if number == 0:
             raise AbortError(Abort.SEQUENCE_NUMBER)
         in_sequence = number == self.sequence + 1
@@ -120,7 +138,7 @@ class BlockDownload(Download):
                 raise AbortError(Abort.OUT_OF_MEMORY)
         if not last and number != BLOCK:
             return None
-        answer = bytes([0xA2, self.sequence, BLOCK]).ljust(8, b"\0")
+        answer = bytes([_BLOCK_ACKNOWLEDGED, self.sequence, BLOCK]).ljust(8, b"\0")
         self.sequence = 0
         self.takes_segments = not (last and in_sequence)
         return answer
@@ -186,7 +204,8 @@ class BlockUpload(Transfer):
         # an empty value has one empty segment
         unused = -len(self.data) % _SEGMENT if self.data else _SEGMENT
         checksum = crc_hqx(self.data, 0) if self.checksum else 0
-        return [bytes([0xC1 | unused << 2]) + checksum.to_bytes(2, "little") + bytes(5)]
+        command = _BLOCK_UPLOAD_ENDED | unused << 2
+        return [bytes([command]) + checksum.to_bytes(2, "little") + bytes(5)]
 
     def _block(self) -> list[bytes]:
         """Return the segments of the next block. The last one of the transfer has bit 7."""
@@ -199,7 +218,8 @@ class BlockUpload(Transfer):
         frames = []
         for number, part in enumerate(parts, 1):
             last = reaches_end and number == len(parts)
-            frames.append(bytes([number | last << 7]) + part.ljust(_SEGMENT, b"\0"))
+            first_byte = number | _LAST_OF_BLOCKS if last else number
+            frames.append(bytes([first_byte]) + part.ljust(_SEGMENT, b"\0"))
         return frames
 
 
@@ -252,7 +272,7 @@ class SdoServer:
 
     def _abort(self, place: bytes, code: Abort) -> None:
         self.active = None
-        self.reply(b"\x80" + place + code.to_bytes(4, "little"))
+        self.reply(bytes([_ABORTED]) + place + code.to_bytes(4, "little"))
 
     def _running(self, kind: type[T]) -> T:
         """Return the transfer in progress. Raises AbortError if it is not of this kind."""
@@ -267,27 +287,30 @@ class SdoServer:
 
     def _upload(self, request: bytes) -> None:
         self.active = None
-        self._begin_upload(request[1:4], self.objects.upload(*_index_and_sub(request[1:4])))
+        place = request[1:4]
+        self._begin_upload(place, self.objects.upload(*_index_and_sub(place)))
 
     def _begin_upload(self, place: bytes, data: bytes) -> None:
         """Send a short value in the answer (expedited), or begin a segmented upload."""
         if 0 < len(data) <= 4:
             unused = 4 - len(data)
-            self.reply(bytes([0x43 | unused << 2]) + place + data.ljust(4, b"\0"))
+            command = _UPLOAD_INITIATED | _EXPEDITED | _SIZE_GIVEN | unused << 2
+            self.reply(bytes([command]) + place + data.ljust(4, b"\0"))
             return
         self.active = Upload(place, data)
-        self.reply(b"\x41" + place + len(data).to_bytes(4, "little"))
+        command = _UPLOAD_INITIATED | _SIZE_GIVEN
+        self.reply(bytes([command]) + place + len(data).to_bytes(4, "little"))
 
     def _upload_segment(self, request: bytes) -> None:
         answer = self._running(Upload).segment(request)
-        if answer[0] & 1:
+        if answer[0] & _LAST_SEGMENT:
             self.active = None
         self.reply(answer)
 
     def _download(self, request: bytes) -> None:
         place = request[1:4]
-        expedited = request[0] & 2
-        size_given = request[0] & 1
+        expedited = request[0] & _EXPEDITED
+        size_given = request[0] & _SIZE_GIVEN
         self.active = None
         if expedited:
             self._download_expedited(request)
@@ -295,12 +318,12 @@ class SdoServer:
             size = int.from_bytes(request[4:], "little") if size_given else None
             self.objects.announce(*_index_and_sub(place), size)
             self.active = Download(place, size)
-        self.reply(b"\x60" + place + bytes(4))
+        self.reply(bytes([_DOWNLOAD_INITIATED]) + place + bytes(4))
 
     def _download_expedited(self, request: bytes) -> None:
         """Store a value of up to four bytes that the request itself contains."""
         place = request[1:4]
-        size_given = request[0] & 1
+        size_given = request[0] & _SIZE_GIVEN
         size = 4 - (request[0] >> 2 & 3) if size_given else None
         variable = self.objects.announce(*_index_and_sub(place), size)
         if size is None:
@@ -312,24 +335,26 @@ class SdoServer:
     def _download_segment(self, request: bytes) -> None:
         transfer = self._running(Download)
         answer = transfer.segment(request)
-        if request[0] & 1:
+        if request[0] & _LAST_SEGMENT:
             self._finish(transfer, transfer.complete_data())
         self.reply(answer)
 
     def _block_download(self, request: bytes) -> None:
-        if request[0] & 1:
+        ends = request[0] & 1
+        if ends:
             transfer = self._running(BlockDownload)
             self._finish(transfer, transfer.end(request))
-            self.reply(b"\xa1".ljust(8, b"\0"))
+            self.reply(bytes([_BLOCK_DOWNLOAD_ENDED]).ljust(8, b"\0"))
             return
         place = request[1:4]
-        size_given = request[0] & 2
-        checksum = bool(request[0] & 4)
+        size_given = request[0] & _BLOCK_SIZE_GIVEN
+        checksum = bool(request[0] & _BLOCK_CHECKSUM)
         self.active = None
         size = int.from_bytes(request[4:], "little") if size_given else None
         self.objects.announce(*_index_and_sub(place), size)
         self.active = BlockDownload(place, size, checksum)
-        self.reply(b"\xa4" + place + bytes([BLOCK, 0, 0, 0]))
+        command = _BLOCK_DOWNLOAD_INITIATED | _BLOCK_CHECKSUM
+        self.reply(bytes([command]) + place + bytes([BLOCK, 0, 0, 0]))
 
     def _block_upload(self, request: bytes) -> None:
         if request[0] & 3 != _BLOCK_INITIATE:
@@ -342,7 +367,7 @@ class SdoServer:
         place = request[1:4]
         block = request[4]
         threshold = request[5]  # bytes; up to this length the client prefers the ordinary protocol
-        checksum = bool(request[0] & 4)
+        checksum = bool(request[0] & _BLOCK_CHECKSUM)
         self.active = None
         data = self.objects.upload(*_index_and_sub(place))
         if not 1 <= block <= BLOCK:
@@ -351,7 +376,8 @@ class SdoServer:
             self._begin_upload(place, data)
             return
         self.active = BlockUpload(place, data, block, checksum)
-        self.reply(b"\xc6" + place + len(data).to_bytes(4, "little"))
+        command = _BLOCK_UPLOAD_INITIATED | _BLOCK_CHECKSUM | _BLOCK_SIZE_GIVEN
+        self.reply(bytes([command]) + place + len(data).to_bytes(4, "little"))
 
 
 def _index_and_sub(place: bytes) -> tuple[int, int]:
