@@ -1,4 +1,4 @@
-"""What the suite takes for granted of the tools that run it."""
+"""The suite relies on this behaviour of the tools that run it."""
 
 import os
 
@@ -6,6 +6,6 @@ import pytest
 
 
 @pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="one process runs all tests")
-def test_the_tests_of_a_file_are_one_workers(request):
-    # else what a file makes once would be made by each of its workers
+def test_one_worker_runs_all_tests_of_a_file(request):
+    # otherwise several workers would make the fixtures of a file
     assert request.node.nodeid.endswith("@tests/test_suite.py")

@@ -141,8 +141,7 @@ def test_every_numbered_transition_is_once_in_the_table():
 def test_the_statusword_shows_state_voltage_and_remote(wire, drive, words, pattern, mask):
     control(wire, *words)
     assert status(wire) & mask == pattern
-    assert status(wire) & states.VOLTAGE_ENABLED
-    assert status(wire) & states.REMOTE
+    assert status(wire) & 0x210 == 0x210  # voltage enabled (bit 4), remote (bit 9)
 
 
 @pytest.mark.conformance("CiA 402", "disable operation option code 605Ch")
@@ -304,7 +303,7 @@ def test_a_motor_that_is_overloaded_for_long_warns_and_then_trips(wire):
         word = status(wire)
         if warned_ms is None and word & states.WARNING:
             warned_ms = at_ms
-        if tripped_ms is None and word & State.FAULT:
+        if tripped_ms is None and word & 0x08:  # FAULT REACTION ACTIVE or FAULT
             tripped_ms = at_ms
     assert 500 < warned_ms < 700 < tripped_ms < 900
     assert wire.read(1, 0x603F) == b"\x10\x43"
@@ -467,8 +466,7 @@ def test_the_control_source_changes_while_running_without_a_jump_in_torque(wire)
     for _ in range(20):
         wire.run(1)
         assert node.device.axis.commands[axis.TORQUE_Nm] == pytest.approx(-0.2 * RATED_Nm)
-    assert status(wire) & 0x6F == State.OPERATION_ENABLED
-    assert status(wire) & states.REMOTE
+    assert status(wire) & 0x26F == 0x227  # OPERATION ENABLED, remote
     wire.write(1, 0x6071, 0, 0, 2)
     wire.run(1)
     assert node.device.axis.commands[axis.TORQUE_Nm] == 0.0
