@@ -38,7 +38,21 @@ class HubThread:
 
         return asyncio.run_coroutine_threadsafe(run(), self.loop).result(60)
 
+    def node(self, receive=lambda frame: None):
+        """Attach a node in the process to the hub; return its port."""
+        return self.do(lambda: self.hub.attach(receive))
+
+    def send(self, port, *sent) -> None:
+        """Send frames from a port, all in one callback of the hub's thread."""
+
+        def send_all():
+            for frame in sent:
+                port.send(frame)
+
+        self.do(send_all)
+
     def listen(self, codec: str) -> int:
+        """Open a port for a protocol; return its number."""
         return self.do(lambda: self.hub.listen(codec, port=0))
 
     def address(self) -> str:

@@ -46,14 +46,11 @@ def test_nodes_on_a_python_can_bus_talk_to_it_and_to_each_other_in_order(bench, 
     there = []
     node = bench.do(lambda: other.hub.attach(lambda frame: None))
     bench.do(lambda: other.hub.attach(lambda frame: here.append((frame.can_id, frame.data))))
-    far = bench.do(lambda: bench.hub.attach(lambda frame: there.append((frame.can_id, frame.data))))
+    far = bench.node(lambda frame: there.append((frame.can_id, frame.data)))
     for start in range(0, 1000, 100):
-        bench.do(
-            lambda start=start: [node.send(Frame(0x181, data_of(start + n))) for n in range(100)]
-        )
-        bench.do(
-            lambda start=start: [far.send(Frame(0x201, data_of(start + n))) for n in range(100)]
-        )
+        numbers = range(start, start + 100)
+        bench.send(node, *(Frame(0x181, data_of(number)) for number in numbers))
+        bench.send(far, *(Frame(0x201, data_of(number)) for number in numbers))
     assert bench.until(lambda: len(here) == 2000 and len(there) == 1000)
     assert [pair for pair in here if pair[0] == 0x181] == there
     assert there == [(0x181, data_of(n)) for n in range(1000)]
@@ -66,7 +63,7 @@ def test_nodes_on_a_python_can_bus_talk_to_it_and_to_each_other_in_order(bench, 
 def test_every_kind_of_frame_passes_and_gets_the_time_stamp_of_the_bench(bench, other, frame):
     seen = []
     bench.do(lambda: other.hub.tap(seen.append))
-    bench.do(lambda: bench.hub.attach(print).send(frame))
+    bench.send(bench.node(), frame)
     assert bench.until(lambda: seen)
     assert seen[0]._replace(time_ns=0) == frame
     assert abs(seen[0].time_ns - time.monotonic_ns()) < 5_000_000_000
@@ -77,7 +74,7 @@ def test_programs_may_join_a_hub_on_a_python_can_bus(bench, other):
     with plugin.RollerrigBus(f"127.0.0.1:{port}/rig0") as client:
         client.send(can.Message(arbitration_id=0x123, is_extended_id=False))
         assert bench.until(lambda: bench.log)
-        bench.do(lambda: bench.hub.attach(print).send(Frame(0x321, b"")))
+        bench.send(bench.node(), Frame(0x321, b""))
         assert client.recv(60).arbitration_id == 0x321
 
 
@@ -88,7 +85,7 @@ def test_the_loss_of_the_python_can_bus_is_reported_once_and_its_nodes_frames_ar
     bench.do(bench.hub.close)
     assert bench.until(lambda: other.lost)
     assert "closed" in str(other.lost[0])
-    bench.do(lambda: node.send(Frame(1, b"")))
+    bench.send(node, Frame(1, b""))
     time.sleep(0.05)
     assert len(other.lost) == 1
     assert bench.problems == []
@@ -111,7 +108,7 @@ def test_an_interface_without_a_descriptor_is_read_in_a_thread(bench):
         far.send(can.Message(arbitration_id=1, data=data_of(number), is_extended_id=False))
     assert bench.until(lambda: len(seen) == 200)
     assert [frame.data for frame in seen] == [data_of(number) for number in range(200)]
-    bench.do(lambda: node.send(Frame(2, b"\x05")))
+    bench.send(node, Frame(2, b"\x05"))
     assert far.recv(5).arbitration_id == 2
     assert far.recv(0.05) is None
     bench.do(hub.close)

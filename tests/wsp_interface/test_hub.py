@@ -206,10 +206,10 @@ def test_the_log_is_read_back_by_python_can_frame_by_frame(tmp_path):
 )
 def test_the_client_of_python_can_gets_every_frame_in_order_but_not_those_that_it_sends(bench):
     seen = []
-    node = bench.do(lambda: bench.hub.attach(seen.append))
+    node = bench.node(seen.append)
     a = python_can_client(bench)
     b = python_can_client(bench)
-    bench.do(lambda: [node.send(frame) for frame in numbered(500)])
+    bench.send(node, *numbered(500))
     assert numbers(receive(a, 500)) == numbers(receive(b, 500)) == list(range(500))
     for frame in numbered(300):
         a.send(can.Message(arbitration_id=0x201, data=frame.data, is_extended_id=False))
@@ -224,7 +224,7 @@ def test_the_client_of_python_can_gets_every_frame_in_order_but_not_those_that_i
 @pytest.mark.conformance("Hub", "one time stamp for each frame")
 def test_all_clients_and_the_log_see_the_same_time_stamp(bench):
     clients = [bench.raw_mode() for _ in range(2)]
-    bench.do(lambda: bench.hub.attach(print).send(Frame(0x80, b"\x01")))
+    bench.send(bench.node(), Frame(0x80, b"\x01"))
     texts = [read_until(client, b">") for client in clients]
     assert texts[0] == texts[1] == socketcand.encode_event(bench.log[0])
     assert bench.log[0].time_ns > 0
@@ -234,12 +234,12 @@ def test_all_clients_and_the_log_see_the_same_time_stamp(bench):
 def test_each_answer_of_the_handshake_is_a_separate_segment_and_frames_wait_for_it(bench):
     client = bench.connect()
     assert client.recv(256) == b"< hi >"
-    node = bench.do(lambda: bench.hub.attach(print))
+    node = bench.node()
     began_s = time.monotonic()
     client.sendall(b"< open rig0 >\n< rawmode >\n")
     assert client.recv(256) == b"< ok >"
     assert client.recv(256) == b"< ok >"
-    bench.do(lambda: node.send(Frame(0x181, b"\x01")))
+    bench.send(node, Frame(0x181, b"\x01"))
     assert client.recv(256).startswith(b"< frame 181 ")
     assert time.monotonic() - began_s >= 0.05
 
@@ -267,8 +267,8 @@ def test_commands_are_understood_in_any_number_of_pieces(bench):
 @pytest.mark.conformance("Hub", "socketcand: 11-bit and 29-bit identifiers")
 def test_identifiers_of_11_and_29_bits_have_three_and_eight_digits(bench):
     client = bench.raw_mode()
-    node = bench.do(lambda: bench.hub.attach(print))
-    bench.do(lambda: [node.send(Frame(0x12, b"\xab")), node.send(Frame(0x12, b"", True))])
+    node = bench.node()
+    bench.send(node, Frame(0x12, b"\xab"), Frame(0x12, b"", True))
     words = read_until(client, b"  >").split()
     assert words[2] == b"012"
     assert words[4] == b"AB"
@@ -325,20 +325,20 @@ def test_nothing_can_be_sent_before_a_bus_is_open_and_another_bus_is_refused(ben
 
 def test_bcmmode_stops_the_frames_and_rawmode_starts_them_again(bench):
     client = bench.raw_mode()
-    node = bench.do(lambda: bench.hub.attach(print))
+    node = bench.node()
     client.sendall(b"< bcmmode >")
     assert read_until(client, b"< ok >") == b"< ok >"
-    bench.do(lambda: node.send(Frame(1, b"")))
+    bench.send(node, Frame(1, b""))
     client.sendall(b"< rawmode >")
     assert read_until(client, b"< ok >") == b"< ok >"
-    bench.do(lambda: node.send(Frame(2, b"")))
+    bench.send(node, Frame(2, b""))
     assert read_until(client, b">").startswith(b"< frame 002")
 
 
 @pytest.mark.conformance("Hub", "one write for each SYNC")
 def test_frames_sent_in_one_callback_leave_in_one_segment(bench):
     client = bench.raw_mode()
-    node = bench.do(lambda: bench.hub.attach(print))
+    node = bench.node()
 
     def segments() -> int:
         info = client.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
@@ -346,7 +346,7 @@ def test_frames_sent_in_one_callback_leave_in_one_segment(bench):
 
     time.sleep(0.08)  # past the hold after rawmode
     before = segments()
-    bench.do(lambda: [node.send(frame) for frame in numbered(20)])
+    bench.send(node, *numbered(20))
     text = read_until(client, socketcand.encode_event(bench.log[-1]))
     assert text.count(b">") == 20
     assert segments() - before == 1
@@ -364,11 +364,11 @@ def test_a_client_that_does_not_read_loses_frames_while_another_gets_all(start_h
     slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     slow.sendall(b"< open rig0 >< rawmode >")
     good = python_can_client(bench)
-    node = bench.do(lambda: bench.hub.attach(print))
+    node = bench.node()
     received = []
     for start in range(0, 40_000, 200):
         batch = [Frame(0x181, struct.pack("<Q", start + n)) for n in range(200)]
-        bench.do(lambda batch=batch: [node.send(frame) for frame in batch])
+        bench.send(node, *batch)
         received += numbers(receive(good, 200))
     assert received == list(range(40_000))
     by_client = {client["name"]: client for client in bench.hub.stats()["clients"]}
@@ -446,13 +446,13 @@ def test_garbage_never_disturbs_the_bus(bench):
 
 @pytest.mark.conformance("Bad input", "a client that vanishes disturbs no other")
 def test_a_client_that_vanishes_with_a_reset_disturbs_no_other(bench):
-    node = bench.do(lambda: bench.hub.attach(print))
+    node = bench.node()
     client = bench.raw_mode()
     witness = bench.raw_mode()
     client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.close()
     for number in range(50):
-        bench.do(lambda number=number: node.send(Frame(number, b"")))
+        bench.send(node, Frame(number, b""))
     assert read_until(witness, socketcand.encode_event(bench.log[-1])).count(b">") == 50
     assert bench.until(lambda: len(bench.hub.stats()["clients"]) == 1)
     assert bench.problems == []
@@ -495,8 +495,8 @@ def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
     assert [frame._replace(time_ns=0) for frame in bench.log] == SAMPLES
     if codec == "slcan":
         assert read_until(client, b"z\rZ\r") == b"z\rz\rZ\rZ\rz\rZ\r"
-    node = bench.do(lambda: bench.hub.attach(print))
-    bench.do(lambda: [node.send(frame) for frame in SAMPLES])
+    node = bench.node()
+    bench.send(node, *SAMPLES)
     expected = b"".join(encode(frame) for frame in SAMPLES)
     assert read_until(client, expected) == expected
 
@@ -650,7 +650,7 @@ def test_closing_sends_waiting_frames_and_then_closes_every_client_even_one_that
     stuck = bench.raw_mode()
     closed = []
     node = bench.do(lambda: bench.hub.attach(print, on_close=lambda: closed.append(True)))
-    bench.do(lambda: [node.send(frame) for frame in numbered(8000)])
+    bench.send(node, *numbered(8000))
     last = bench.log[-1]
     text = bytearray()
 

@@ -23,7 +23,7 @@ def bus(bench):
 
 @pytest.fixture
 def node(bench):
-    return bench.do(lambda: bench.hub.attach(lambda frame: None))
+    return bench.node()
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def server():
 
 def send_numbers(bench, node, count: int) -> None:
     batch = [Frame(0x181, struct.pack("<I", number)) for number in range(count)]
-    bench.do(lambda: [node.send(frame) for frame in batch])
+    bench.send(node, *batch)
 
 
 def numbers(messages) -> list[int]:
@@ -87,7 +87,7 @@ def test_a_frame_of_any_kind_arrives_unchanged_in_both_directions(bench, bus, no
     bus.send(plugin.message_of(frame))
     assert bench.until(lambda: bench.log)
     assert bench.log[0]._replace(time_ns=0) == frame
-    bench.do(lambda: node.send(frame))
+    bench.send(node, frame)
     message = bus.recv(60)
     assert plugin.frame_of(message) == frame
     assert message.timestamp == pytest.approx(bench.log[1].time_ns / 1e9, abs=1e-6)
@@ -117,7 +117,7 @@ def test_a_bus_that_reads_ahead_gets_all_frames_and_sends_in_order_with_the_next
 
 def test_filters_let_only_the_wanted_frames_through(bench, bus, node):
     bus.set_filters([{"can_id": 0x181, "can_mask": 0x7FF}])
-    bench.do(lambda: [node.send(Frame(can_id, b"")) for can_id in (0x180, 0x181, 0x182)])
+    bench.send(node, *(Frame(can_id, b"") for can_id in (0x180, 0x181, 0x182)))
     assert bus.recv(60).arbitration_id == 0x181
     assert bus.recv(0.05) is None
 
